@@ -1,0 +1,21 @@
+"""JGHand: 21 joint positions go in, a photorealistic hand comes out.
+
+The rooms, in the order in which data walks through them; a room imports only from rooms above it:
+
+    limits, errors, files   constants, error kinds, atomic writing
+    native                  the compiled kernels: build, choice of variant, threads
+    hand                    joints, orders, handedness, frames, the joint transform, poses, pose sequences
+    template                the canonical hand surface: mesh, UV, skin weights, weight field, sampling
+    avatar                  canonical Gaussians of one hand, skinning, the .jghand file
+    splat                   Gaussians to pictures: camera, rasteriser, shadow, the frame
+    datasets                files of other people to our data: motions
+    exporters               pictures, video, USD
+    studies                 what accuracy costs in time
+    service                 the engine as a process for Blender
+    cli                     the command `jghand`
+
+Units are metres and radians, matrices act on column vectors, `a_from_b` maps b to a.
+This module imports nothing, so that Blender's Python can import `jghand_engine.service.protocol` without torch.
+"""
+
+__version__ = "0.1.0"

@@ -1,0 +1,66 @@
+"""The avatar of one hand: canonical Gaussians and what is needed to pose them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import torch
+
+from jghand_engine.hand.joints import Handedness
+
+
+@dataclass(frozen=True)
+class AvatarInfo:
+    """What is written beside the arrays of an avatar.
+
+    pose_statistics: per-angle minimum and maximum of the training poses, radians, by name; empty when nothing was
+    trained.
+    """
+
+    name: str
+    template: str
+    licence: str
+    swing: str = "minimal"
+    scale_mode: str = "axial"
+    pose_statistics: dict[str, tuple[float, float]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class HandAvatar:
+    """Canonical Gaussians of a hand. All arrays describe a *right* hand in the template's frame; a left hand is the
+    same model with mirrored joints, so `handedness` says only which hand the joints given to it are of.
+
+    info:                 names, licence, conventions
+    handedness:           which hand the driving joints belong to
+    canonical_joints_m:   (21, 3) float64, level order, metres
+    position_m:           (N, 3) float32, canonical centres, metres
+    sigma_m:              (N,)   float32, canonical radii, metres
+    opacity:              (N,)   float32, 0..1
+    rgb:                  (N, 3) float32, display-referred sRGB 0..1
+    bone_weights:         (N, 21) float32, rows sum to 1, column i = B_i
+    uvd:                  (N, 3) float32, texture coordinates and normalised signed distance, 0..1
+    """
+
+    info: AvatarInfo
+    handedness: Handedness
+    canonical_joints_m: torch.Tensor
+    position_m: torch.Tensor
+    sigma_m: torch.Tensor
+    opacity: torch.Tensor
+    rgb: torch.Tensor
+    bone_weights: torch.Tensor
+    uvd: torch.Tensor
+
+    def __len__(self) -> int:
+        return self.position_m.shape[0]
+
+    def for_hand(self, handedness: Handedness) -> HandAvatar:
+        """The same avatar, driven by joints of the named hand."""
+        return replace(self, handedness=Handedness(handedness))
+
+    def prefix(self, count: int) -> HandAvatar:
+        """The first `count` Gaussians: a level of detail, since they are in farthest-point order."""
+        if count <= 0 or count >= len(self):
+            return self
+        arrays = ("position_m", "sigma_m", "opacity", "rgb", "bone_weights", "uvd")
+        return replace(self, **{name: getattr(self, name)[:count] for name in arrays})

@@ -1,0 +1,47 @@
+"""The few kinds of error that JGHand raises on purpose.
+
+Every message names the thing, what was wanted, what came, and what to do. The command line turns the kind into
+its exit code: 2 bad input, 3 try again, 4 out of memory.
+"""
+
+from __future__ import annotations
+
+
+class JGHandError(Exception):
+    """An error with a remedy.
+
+    `thing` is what was wrong (a file, an argument), `wanted` what was expected, `came` what was found,
+    `remedy` one sentence that tells what to do.
+    """
+
+    exit_code = 1
+
+    def __init__(self, thing: str, *, wanted: str = "", came: str = "", remedy: str = "") -> None:
+        self.thing, self.wanted, self.came, self.remedy = thing, wanted, came, remedy
+        sentence = thing
+        if wanted:
+            sentence += f": wanted {wanted}"
+        if came:
+            sentence += f"{',' if wanted else ':'} got {came}"
+        sentence += "."
+        if remedy:
+            sentence += f" {remedy}"
+        super().__init__(sentence)
+
+
+class InputError(JGHandError):
+    """What the user gave cannot be used: a wrong shape, unit, file or argument."""
+
+    exit_code = 2
+
+
+class RetryError(JGHandError):
+    """Nothing is wrong with the input; the world was not ready (disk full, engine busy, folder not writable)."""
+
+    exit_code = 3
+
+
+class MemoryLimitError(JGHandError):
+    """The request does not fit into memory."""
+
+    exit_code = 4

@@ -1,0 +1,128 @@
+"""Every numerical constant of the engine: value, unit, why, and what breaks when it changes.
+
+Grouped by room. The kernels receive these values as arguments or repeat them in `native/constants.h`, which a test
+compares with this file.
+"""
+
+from __future__ import annotations
+
+# ---- hand: safe rotations and frames (thresholds are relative to the hand size unless a unit is given) --------------
+
+# relative length, sine or distance to a pole below which the gradient (never the value) is damped; larger values
+# bend gradients of ordinary hands, smaller ones let 1/|b| through
+GRADIENT_DAMPING = 0.05
+# multiple of machine epsilon below which a bone has no direction
+ZERO_BONE_EPS = 32.0
+# sine between neighbouring palm bones below which the palm plane is clamped towards the canonical one (C1)
+PALM_CLAMP = 0.02
+# distance (radians, nearly) to a pole of the swing inside which the fallback acts and a flag is raised
+SWING_POLE = 1e-3
+# |z x n| below which a metacarpal takes its flexion axis from the canonical hand
+FLEXION_AXIS_MIN = 1e-3
+# part of the palm's area vector perpendicular to the palm axis below which there is no palm normal
+PALM_NORMAL_MIN = 1e-4
+# palm plane length, relative to PALM_CLAMP, below which the canonical plane is used outright
+PALM_PLANE_MIN = 1e-3
+# floor of s_i / s_g inside the power of the blended scale: its gradient is infinite at a zero bone
+SCALE_RATIO_MIN = 1e-2
+# a canonical hand is refused when a bone is shorter than this part of the mean bone
+CANONICAL_BONE_MIN = 1e-3
+# ... or when neighbouring palm bones enclose a smaller sine
+CANONICAL_PALM_SINE_MIN = 0.04
+# ... or when a joint is nearer than this to the abduction pole, as 1 - |u_y|
+CANONICAL_POLE_MIN = 0.02
+
+# ---- hand: plausibility of joints ---------------------------------------------------------------------------------
+
+# index..pinky: metacarpal at least this times the proximal phalanx (anatomy; a wrong joint order breaks it)
+METACARPAL_RATIO_MIN = 1.3
+# wrist to middle tip, metres: outside this range the unit is most likely not metres
+HAND_LENGTH_MIN_M = 0.06
+HAND_LENGTH_MAX_M = 0.40
+
+# ---- template -------------------------------------------------------------------------------------------------------
+
+# spread of the split of the wrist's weight over the metacarpals, metres (assumed; METHOD 2.7)
+PALM_SPLIT_SIGMA_M = 0.012
+# distance from the wrist over which the palm blends to the wrist matrix, metres (assumed)
+WRIST_BLEND_M = 0.015
+# weight field: voxel edge, margin around the surface, sweeps per level, levels (METHOD 3.4)
+FIELD_VOXEL_M = 0.003
+FIELD_MARGIN_M = 0.012
+FIELD_SWEEPS = 30
+FIELD_LEVELS = 4
+# weights below this are dropped and the rest renormalised: far joints would drag skin by fractions of a millimetre
+WEIGHT_MIN = 1e-3
+# depth of the shell of Gaussians under the skin, metres; deeper ones are hidden
+SHELL_DEPTH_M = 0.003
+GAUSSIANS_PER_BONE = 3000
+# signed distance that d = 0..1 of the UVD coordinates spans, metres (a fixed range: features must not shift)
+UVD_RANGE_M = 0.010
+
+# ---- avatar ---------------------------------------------------------------------------------------------------------
+
+# radius of a Gaussian, metres
+SIGMA_MIN_M = 1e-4
+SIGMA_MAX_M = 4e-3
+# posed radius relative to the whole hand's scale: blending rotations shrinks the determinant at flexed knuckles
+SIGMA_STRETCH_MIN = 0.7
+SIGMA_STRETCH_MAX = 1.4
+# |det L| / s_g^3 below which the blended rotation is replaced by the palm's
+BLEND_DET_MIN = 1e-3
+
+# ---- splat: the rasterisation contract (RENDERING 3 and 8) ----------------------------------------------------------
+
+# pixel footprint added to the projected variance, px^2; weights are trained with it
+BLUR_PX2 = 0.3
+# contribution below which a Gaussian does not touch a pixel: one 8-bit step
+ALPHA_MIN = 1.0 / 255.0
+# cap of one contribution; bounds 1/(1 - alpha) in the backward pass by 1e3
+ALPHA_MAX = 0.999
+# transmittance below which a pixel may stop; error at most T_STOP * max(rgb)
+T_STOP = 1e-4
+# near plane, metres
+Z_NEAR_M = 0.01
+# largest projected variance, px^2: keeps float-to-int conversion and det^2 inside their ranges
+VAR_MAX_PX2 = 1e9
+# colours beyond this overflow float32 in the gradients; counted as invalid
+RGB_MAX = 1e6
+# pixels of a tile edge, of a block edge; Gaussians per chunk. Speed only, must not show in the picture
+TILE_PX = 16
+BLOCK_PX = 4
+CHUNK = 128
+# entries of the tile lists are int32
+MAX_PAIRS = 2**31 - 1
+# gradient buffers, added in this fixed order so that threads do not change bits
+GRADIENT_STRIPES = 4
+# alpha above which a pixel has a depth
+DEPTH_ALPHA_MIN = 0.05
+
+# ---- splat: shadow (METHOD 5.2) -------------------------------------------------------------------------------------
+
+SHADOW_RADIUS_M = 0.020
+SHADOW_BIAS = 0.15
+SHADOW_SOFTNESS = 0.05
+SHADOW_GAIN = 8.0
+# screen radius of the sample disc, px
+SHADOW_RADIUS_MIN_PX = 1.0
+SHADOW_RADIUS_MAX_PX = 96.0
+# |v| is smoothed by this part of the radius: never sqrt(0)
+SHADOW_LENGTH_EPS = 1e-3
+# strength per channel, 0..1: skin shadows are reddish (chosen by eye on the built-in avatar)
+SHADOW_TINT = (0.45, 0.60, 0.65)
+GOLDEN_ANGLE_RAD = 2.399963229728653
+# gate from the joints alone: radius of influence, metres, and the score over which the pass fades in
+GATE_RADIUS_M = 0.060
+GATE_LOW = 0.5
+GATE_HIGH = 1.0
+# capsule radii of bones 1..20, millimetres at scale 1 (METHOD 5.4)
+GATE_CAPSULE_RADII_MM = (
+    *(16.0,) * 5, 10.0, 9.0, 9.0, 8.5, 7.5, 9.0, 8.0, 8.0, 7.8, 7.0, 8.0, 7.2, 7.2, 7.0, 6.2,
+)  # fmt: skip
+# hands smaller than this on the picture get no shadow pass, px
+SHADOW_HAND_MIN_PX = 64.0
+
+# ---- splat: reuse between frames ------------------------------------------------------------------------------------
+
+# matrices are reused when no joint moved more than this, metres
+REUSE_JOINTS_M = 5e-5

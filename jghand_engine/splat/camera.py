@@ -1,0 +1,75 @@
+"""The pinhole camera of the rasterisation contract.
+
+OpenCV axes: x right, y down, z forward. Pixel (i, j) has its centre at (i + 0.5, j + 0.5), (0, 0) is the top-left
+pixel, and the principal point is in the same units. No lens distortion.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import torch
+
+from jghand_engine.errors import InputError
+
+
+@dataclass(frozen=True)
+class Camera:
+    """width, height: pixels; fx, fy, cx, cy: pixels; camera_from_world: (4, 4) float64 rigid map, metres."""
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    camera_from_world: torch.Tensor
+
+    def __post_init__(self) -> None:
+        if self.width < 1 or self.height < 1:
+            raise InputError("camera size", wanted="at least 1 x 1 pixels", came=f"{self.width} x {self.height}")
+        for name in ("fx", "fy"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                raise InputError(f"camera {name}", wanted="a finite positive focal length in pixels", came=str(value))
+        for name in ("cx", "cy"):
+            if not math.isfinite(getattr(self, name)):
+                raise InputError(f"camera {name}", wanted="a finite principal point in pixels", came=str(getattr(self, name)))
+        matrix = torch.as_tensor(self.camera_from_world, dtype=torch.float64)
+        if matrix.shape != (4, 4) or not bool(torch.isfinite(matrix).all()):
+            raise InputError("camera_from_world", wanted="a finite 4 x 4 matrix", came=f"shape {tuple(matrix.shape)}")
+        object.__setattr__(self, "camera_from_world", matrix)
+
+    @classmethod
+    def looking_at(
+        cls, eye_m: torch.Tensor, target_m: torch.Tensor, up: torch.Tensor, *, width: int, height: int, focal_px: float
+    ) -> Camera:
+        """A camera at `eye_m` (3,) that looks at `target_m` (3,), with `up` (3,) upwards in the picture; world metres."""
+        eye, target, up = (torch.as_tensor(v, dtype=torch.float64) for v in (eye_m, target_m, up))
+        forward = target - eye
+        right = torch.linalg.cross(forward, up)
+        if not (float(forward.norm()) > 0 and float(right.norm()) > 0):
+            raise InputError("camera direction", wanted="eye, target and up that span a plane", came="a degenerate view")
+        forward, right = forward / forward.norm(), right / right.norm()
+        rotation = torch.stack([right, torch.linalg.cross(forward, right), forward])
+        matrix = torch.eye(4, dtype=torch.float64)
+        matrix[:3, :3], matrix[:3, 3] = rotation, -rotation @ eye
+        return cls(width, height, focal_px, focal_px, width / 2, height / 2, matrix)
+
+    def scaled(self, factor: float) -> Camera:
+        """The same view with `factor` times as many pixels along each side (rounded to whole pixels)."""
+        width, height = max(1, round(self.width * factor)), max(1, round(self.height * factor))
+        sx, sy = width / self.width, height / self.height
+        return replace(
+            self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy
+        )
+
+    def project(self, points_m: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """World points (..., 3) in metres -> pixels (..., 2) and depth along the view axis (...) in metres."""
+        matrix = self.camera_from_world.to(points_m.dtype)
+        p = points_m @ matrix[:3, :3].T + matrix[:3, 3]
+        depth = p[..., 2]
+        u = self.fx * p[..., 0] / depth + self.cx
+        v = self.fy * p[..., 1] / depth + self.cy
+        return torch.stack([u, v], -1), depth

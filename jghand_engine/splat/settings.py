@@ -1,0 +1,62 @@
+"""One object that says how a picture is made. Nothing else does."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from jghand_engine import limits
+from jghand_engine.errors import InputError
+
+
+class ShadowMode(StrEnum):
+    """off: never; gated: fades in when the pose brings parts of the hand together; always: on every frame."""
+
+    OFF = "off"
+    GATED = "gated"
+    ALWAYS = "always"
+
+
+@dataclass(frozen=True)
+class RenderSettings:
+    """gaussians: how many of the avatar's Gaussians (a prefix; 0 = all) · alpha_min, t_stop: cut-offs of the blend ·
+    shadow, shadow_samples, shadow_strength: the self-shadow pass · threads: 0 = as many as is sensible ·
+    backend: "auto", "torch" (the reference), "v3" or "v4" (native)."""
+
+    gaussians: int = 0
+    alpha_min: float = limits.ALPHA_MIN
+    t_stop: float = limits.T_STOP
+    shadow: ShadowMode = ShadowMode.GATED
+    shadow_samples: int = 16
+    shadow_strength: float = 1.0
+    threads: int = 0
+    backend: str = "auto"
+
+    def __post_init__(self) -> None:
+        checks = (
+            ("gaussians", self.gaussians >= 0, "0 (all) or a positive count"),
+            ("alpha_min", 0 < self.alpha_min < 1, "a value between 0 and 1"),
+            ("t_stop", 0 <= self.t_stop < 1, "a value from 0 to below 1"),
+            ("shadow_samples", 1 <= self.shadow_samples <= 256, "1 to 256"),
+            ("shadow_strength", 0 <= self.shadow_strength <= 1, "0 to 1"),
+            ("threads", self.threads >= 0, "0 (automatic) or a positive count"),
+        )
+        for name, good, wanted in checks:
+            if not good:
+                raise InputError(f"render setting {name}", wanted=wanted, came=str(getattr(self, name)))
+
+
+# the presets of RENDERING 9.4; `viewport` is the default
+PRESETS: dict[str, RenderSettings] = {
+    "draft": RenderSettings(gaussians=20_000, alpha_min=1 / 64, t_stop=1e-2, shadow=ShadowMode.OFF),
+    "viewport": RenderSettings(),
+    "final": RenderSettings(alpha_min=1 / 1024, shadow_samples=64),
+    "reference": RenderSettings(alpha_min=1 / 16384, t_stop=1e-6, shadow=ShadowMode.ALWAYS, shadow_samples=64),
+}
+
+
+def preset(name: str) -> RenderSettings:
+    """The settings of a named preset; an unknown name is an InputError."""
+    if name not in PRESETS:
+        raise InputError("preset", wanted=" | ".join(PRESETS), came=name)
+    return PRESETS[name]

@@ -1,0 +1,33 @@
+"""The canonical hand surface as plain arrays. It knows no files."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class HandTemplate:
+    """A closed, skinned, UV-mapped right hand in its canonical frame.
+
+    Frame: wrist at the origin, +y wrist to middle MCP, +x to the index side, +z out of the palm; metres.
+
+    identifier:      name and version of the surface, stored with every avatar made from it
+    vertices_m:      (V, 3) float64
+    faces:           (F, 3) int64, counter-clockwise seen from outside; the first `skin_face_count` are skin, the rest
+                     closes the wrist
+    face_uv:         (F, 3, 2) float64, one UV per face corner; texture row = 1 - v
+    skin_face_count: number of skin faces
+    joints_m:        (21, 3) float64, level order
+    bone_weights:    (V, 21) float64, rows sum to 1; column i is the bone that *ends* at joint i (B_i), column 0 the
+                     palm's B_0 (METHOD 2.7)
+    """
+
+    identifier: str
+    vertices_m: np.ndarray
+    faces: np.ndarray
+    face_uv: np.ndarray
+    skin_face_count: int
+    joints_m: np.ndarray
+    bone_weights: np.ndarray
