@@ -35,7 +35,9 @@ class Camera:
                 raise InputError(f"camera {name}", wanted="a finite positive focal length in pixels", came=str(value))
         for name in ("cx", "cy"):
             if not math.isfinite(getattr(self, name)):
-                raise InputError(f"camera {name}", wanted="a finite principal point in pixels", came=str(getattr(self, name)))
+                raise InputError(
+                    f"camera {name}", wanted="a finite principal point in pixels", came=str(getattr(self, name))
+                )
         matrix = torch.as_tensor(self.camera_from_world, dtype=torch.float64)
         if matrix.shape != (4, 4) or not bool(torch.isfinite(matrix).all()):
             raise InputError("camera_from_world", wanted="a finite 4 x 4 matrix", came=f"shape {tuple(matrix.shape)}")
@@ -50,7 +52,9 @@ class Camera:
         forward = target - eye
         right = torch.linalg.cross(forward, up)
         if not (float(forward.norm()) > 0 and float(right.norm()) > 0):
-            raise InputError("camera direction", wanted="eye, target and up that span a plane", came="a degenerate view")
+            raise InputError(
+                "camera direction", wanted="eye, target and up that span a plane", came="a degenerate view"
+            )
         forward, right = forward / forward.norm(), right / right.norm()
         rotation = torch.stack([right, torch.linalg.cross(forward, right), forward])
         matrix = torch.eye(4, dtype=torch.float64)

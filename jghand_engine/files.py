@@ -1,0 +1,70 @@
+"""Writing files so that nothing is ever half-written: a temporary name beside the target, then one rename."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+from jghand_engine.errors import InputError, JGHandError, RetryError
+
+
+def file_error(path: Path, error: OSError) -> JGHandError:
+    """The JGHandError that says what an OSError on `path` means to a user."""
+    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+        return RetryError(f"cannot write {path}: the disk is full", remedy="Free some space and try again.")
+    if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
+        return InputError(f"cannot write {path}: permission denied", remedy="Choose a folder that you may write to.")
+    if error.errno in (errno.ENOTDIR, errno.EEXIST, errno.EISDIR):
+        return InputError(
+            f"cannot write {path}: a file or folder of that name is in the way", remedy="Choose another name."
+        )
+    return RetryError(f"cannot write {path}: {error.strerror or error}", remedy="Check the disk and try again.")
+
+
+def make_folder(path: Path | str) -> Path:
+    """Creates `path` with its parents; a typed error says why it cannot be."""
+    folder = Path(path)
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise file_error(folder, error) from error
+    return folder
+
+
+@contextlib.contextmanager
+def writing(path: Path | str) -> Iterator[Path]:
+    """Gives a temporary path in the target's folder; on success it is synced and renamed onto `path`.
+
+    On any failure the temporary file is removed and a file already at `path` is left as it was. The temporary name
+    keeps the suffix, because writers choose their format by it.
+    """
+    target = Path(path)
+    make_folder(target.parent)
+    try:
+        handle, name = tempfile.mkstemp(prefix=f".{target.stem}.", suffix=target.suffix, dir=target.parent)
+        os.close(handle)
+    except OSError as error:
+        raise file_error(target, error) from error
+    temporary = Path(name)
+    try:
+        yield temporary
+        with open(temporary, "rb") as stream:
+            os.fsync(stream.fileno())
+        os.chmod(temporary, 0o666 & ~_umask())
+        os.replace(temporary, target)
+    except OSError as error:
+        raise file_error(target, error) from error
+    finally:
+        with contextlib.suppress(FileNotFoundError):
+            temporary.unlink()
+
+
+def _umask() -> int:
+    """The process's umask: mkstemp makes private files, the finished file should have the usual rights."""
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
