@@ -47,7 +47,10 @@ class Camera:
     def looking_at(
         cls, eye_m: torch.Tensor, target_m: torch.Tensor, up: torch.Tensor, *, width: int, height: int, focal_px: float
     ) -> Camera:
-        """A camera at `eye_m` (3,) that looks at `target_m` (3,), with `up` (3,) upwards in the picture; world metres."""
+        """A camera at `eye_m` (3,) that looks at `target_m` (3,) with `up` (3,) upwards in the picture; world metres.
+
+        Square pixels and a centred principal point. A view without a direction, or along `up`, is an InputError.
+        """
         eye, target, up = (torch.as_tensor(v, dtype=torch.float64) for v in (eye_m, target_m, up))
         forward = target - eye
         right = torch.linalg.cross(forward, up)
