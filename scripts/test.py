@@ -1,0 +1,156 @@
+"""Sets everything up, then passes the project's checks and tests.
+
+    python scripts/test.py                     everything
+    python scripts/test.py --only engine       one part: checks, engine or blender
+    python scripts/test.py -k fist -x          what this script does not know goes to pytest
+    python scripts/test.py tests/hand          a path runs only the tests below it
+
+Needs nothing but Python 3.11 or newer. The exit code is 0 when everything passed, else 1.
+"""
+
+import sys
+
+if sys.version_info < (3, 11):  # noqa: UP036  (the very message this line is for)
+    sys.exit("Python 3.11 or newer is needed, this is " + sys.version.split()[0])
+
+import argparse
+import re
+import subprocess
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import environments
+from environments import BLENDER, ENGINE, ROOT, SetupError
+
+PARTS = ("checks", "engine", "blender")
+# pytest's exit code when a selection matches no test: fine for a selection, which may well concern one part only
+NO_TESTS = 5
+
+
+@dataclass(frozen=True)
+class Result:
+    """One line of the summary. passed None: it was not run, `note` says why."""
+
+    name: str
+    passed: bool | None
+    seconds: float = 0.0
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The options for pytest, and the paths of each part; a part with None is not run."""
+
+    options: tuple[str, ...]
+    engine: tuple[str, ...] | None
+    blender: tuple[str, ...] | None
+
+    @classmethod
+    def of(cls, arguments: list[str]) -> "Selection":
+        paths = [a for a in arguments if not a.startswith("-") and (ROOT / a.split("::")[0]).exists()]
+        options = tuple(a for a in arguments if a not in paths)
+        if not paths:
+            return cls(options, ("tests",), ("tests/blender",))
+        blender = tuple(path for path in paths if (ROOT / path).is_relative_to(ROOT / "tests" / "blender"))
+        engine = tuple(path for path in paths if path not in blender)
+        return cls(options, engine or None, blender or None)
+
+    @property
+    def selective(self) -> bool:
+        return bool(self.options) or self.engine != ("tests",)
+
+
+def run(name: str, command: list[str]) -> tuple[Result, str]:
+    """Runs a command, shows its output as it comes, and returns it too."""
+    print(f"\n== {name}", flush=True)
+    started = time.perf_counter()
+    process = subprocess.Popen(
+        command, cwd=ROOT, env=environments.clean_variables(), text=True, encoding="utf-8", errors="replace",
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+    )  # fmt: skip
+    lines = []
+    assert process.stdout is not None
+    for line in process.stdout:
+        print(line, end="", flush=True)
+        lines.append(line)
+    code = process.wait()
+    return Result(name, code == 0, time.perf_counter() - started, f"exit code {code}" if code else ""), "".join(lines)
+
+
+def run_checks(python: Path) -> list[Result]:
+    tools = {
+        "ruff format": ["-m", "ruff", "format", "--check"],
+        "ruff check": ["-m", "ruff", "check"],
+        "pyright": ["-m", "pyright"],
+    }
+    return [run(name, [str(python), *arguments])[0] for name, arguments in tools.items()]
+
+
+def run_pytest(name: str, python: Path, arguments: tuple[str, ...], selective: bool) -> tuple[Result, str]:
+    """Runs pytest; returns its result and its own last line."""
+    color = ("--color=yes",) if sys.stdout.isatty() else ()
+    result, output = run(name, [str(python), "-m", "pytest", *color, *arguments])
+    lines = [line for line in output.splitlines() if line.strip()]
+    summary = next((line for line in reversed(lines) if re.search(r"\d+ \w+.* in [\d.]+s|no tests ran", line)), "")
+    if selective and result.note == f"exit code {NO_TESTS}":
+        return Result(name, None, result.seconds, "the selection holds none of these"), summary
+    return result, summary
+
+
+def run_part(part: str, selection: Selection, require_blender: bool) -> tuple[list[Result], list[str]]:
+    """Sets up what the part needs and runs it; returns the lines of the summary and pytest's own."""
+    if part == "checks":
+        return run_checks(environments.ensure(ENGINE)), []
+    paths = selection.engine if part == "engine" else selection.blender
+    name = f"pytest, {part}"
+    if paths is None:
+        return [], []
+    arguments = (*paths, *selection.options)
+    if part == "engine":
+        arguments = (*arguments, "--ignore=tests/blender")
+        result, summary = run_pytest(name, environments.ensure(ENGINE), arguments, selection.selective)
+        return [result], [summary]
+    environments.ensure(ENGINE)  # Blender's side talks to the real engine
+    try:
+        python = environments.ensure(BLENDER)
+    except SetupError as error:
+        print(f"\n{error}", file=sys.stderr, flush=True)
+        return [Result(name, False if require_blender else None, note="there is no Blender environment, see above")], []
+    result, summary = run_pytest(name, python, arguments, selection.selective)
+    return [result], [summary]
+
+
+def print_summary(results: list[Result], summaries: list[str]) -> None:
+    words = {True: "ok", False: "FAILED", None: "not run"}
+    print("\n== Summary")
+    for result in results:
+        print(f"{result.name:<18} {words[result.passed]:<8} {result.seconds:6.1f} s  {result.note}".rstrip())
+    for line in summaries:
+        print(line)
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter,
+                                     allow_abbrev=False)  # fmt: skip
+    parser.add_argument("--only", choices=PARTS, help="run one part")
+    parser.add_argument("--require-blender", action="store_true", help="fail where Blender's part cannot run")
+    options, rest = parser.parse_known_args()
+    selection = Selection.of(rest)
+    results: list[Result] = []
+    summaries: list[str] = []
+    for part in (options.only,) if options.only else PARTS:
+        new_results, new_summaries = run_part(part, selection, options.require_blender)
+        results += new_results
+        summaries += new_summaries
+    print_summary(results, summaries)
+    return 1 if any(result.passed is False for result in results) else 0
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main())
+    except SetupError as problem:
+        sys.exit(f"\n{problem}")
+    except KeyboardInterrupt:
+        sys.exit(130)
