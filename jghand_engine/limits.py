@@ -51,6 +51,8 @@ FIELD_VOXEL_M = 0.003
 FIELD_MARGIN_M = 0.012
 FIELD_SWEEPS = 30
 FIELD_LEVELS = 4
+# a row of weights that is further from 1 than this was not meant as weights (float32 files are 1e-7 off)
+WEIGHT_SUM_TOLERANCE = 1e-5
 # weights below this are dropped and the rest renormalised: far joints would drag skin by fractions of a millimetre
 WEIGHT_MIN = 1e-3
 # depth of the shell of Gaussians under the skin, metres; deeper ones are hidden
@@ -69,6 +71,15 @@ SIGMA_STRETCH_MIN = 0.7
 SIGMA_STRETCH_MAX = 1.4
 # |det L| / s_g^3 below which the blended rotation is replaced by the palm's
 BLEND_DET_MIN = 1e-3
+# weights per Gaussian in a compact file: the template has at most 6 influences at a vertex
+STORED_WEIGHTS = 6
+# rows of weights must sum to 1 within this: float32 rounding of 21 summands leaves less than 1e-6
+WEIGHT_SUM_TOLERANCE = 1e-5
+# a file with more Gaussians or a longer header is refused before anything is allocated
+AVATAR_MAX_GAUSSIANS = 1_000_000
+AVATAR_HEADER_MAX_BYTES = 65_536
+# canonical Gaussians further than this from the wrist along an axis, metres, belong to no hand
+AVATAR_REACH_M = 0.5
 
 # ---- splat: the rasterisation contract (RENDERING 3 and 8) ----------------------------------------------------------
 
@@ -108,6 +119,17 @@ SHADOW_RADIUS_MIN_PX = 1.0
 SHADOW_RADIUS_MAX_PX = 96.0
 # |v| is smoothed by this part of the radius: never sqrt(0)
 SHADOW_LENGTH_EPS = 1e-3
+# taps per pixel; more cost time and change nothing visible
+SHADOW_SAMPLES_MAX = 256
+# the two one-sided depth differences of a pixel are averaged when they agree within this part of the smaller one;
+# otherwise the smaller is taken, so that a normal never spans a silhouette
+SHADOW_AGREE = 0.5
+# ... and always when they differ by less than this, metres (rounding of a flat surface)
+SHADOW_AGREE_FLOOR_M = 1e-9
+# floor of |t_x x t_y|^2, m^4: a degenerate normal becomes the zero vector instead of NaN
+SHADOW_NORMAL_MIN2 = 1e-36
+# gradient buffers of the shadow, one per stripe of rows, added in this fixed order: threads do not change bits
+SHADOW_STRIPES = 4
 # strength per channel, 0..1: skin shadows are reddish (chosen by eye on the built-in avatar)
 SHADOW_TINT = (0.45, 0.60, 0.65)
 GOLDEN_ANGLE_RAD = 2.399963229728653
@@ -119,6 +141,10 @@ GATE_HIGH = 1.0
 GATE_CAPSULE_RADII_MM = (
     *(16.0,) * 5, 10.0, 9.0, 9.0, 8.5, 7.5, 9.0, 8.0, 8.0, 7.8, 7.0, 8.0, 7.2, 7.2, 7.0, 6.2,
 )  # fmt: skip
+# samples along each capsule's axis: 5 x 5 distances per pair of bones; penetration is capped (a deep overlap of two
+# bones must not hide the others)
+GATE_SAMPLES = 5
+GATE_PENETRATION_MAX = 1.5
 # hands smaller than this on the picture get no shadow pass, px
 SHADOW_HAND_MIN_PX = 64.0
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,3 +31,19 @@ class HandTemplate:
     skin_face_count: int
     joints_m: np.ndarray
     bone_weights: np.ndarray
+
+
+def mirrored(template: HandTemplate) -> HandTemplate:
+    """The other hand: x -> -x, corners of faces and of UVs reversed so that faces still look outwards.
+
+    Exact: mirroring twice gives the same bits. Textures, weights and joint order stay as they are. The result is for
+    drawing and export; the engine itself drives left hands with mirrored joints on the right hand's surface.
+    """
+    flip = np.array([-1.0, 1.0, 1.0])
+    return replace(
+        template,
+        vertices_m=template.vertices_m * flip,
+        joints_m=template.joints_m * flip,
+        faces=template.faces[:, ::-1].copy(),
+        face_uv=template.face_uv[:, ::-1].copy(),
+    )
