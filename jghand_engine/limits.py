@@ -36,9 +36,15 @@ CANONICAL_POLE_MIN = 0.02
 
 # index..pinky: metacarpal at least this times the proximal phalanx (anatomy; a wrong joint order breaks it)
 METACARPAL_RATIO_MIN = 1.3
+# index..pinky: first phalanx at least this times the second; below 1 because video estimates shorten the pinky's
+PHALANX_RATIO_MIN = 0.85
 # wrist to middle tip, metres: outside this range the unit is most likely not metres
 HAND_LENGTH_MIN_M = 0.06
 HAND_LENGTH_MAX_M = 0.40
+# path index-middle-ring-pinky knuckle over the direct way: a hand's arch gives 1.05, two swapped fingers 1.6 and more
+KNUCKLE_DETOUR_MAX = 1.35
+# place of a metacarpal's base on the line wrist to knuckle, for OpenXR, which lists it (the template's rig: 0.33 to 0.37)
+OPENXR_METACARPAL_PART = 0.34
 
 # ---- template -------------------------------------------------------------------------------------------------------
 
@@ -55,6 +61,11 @@ FIELD_LEVELS = 4
 WEIGHT_SUM_TOLERANCE = 1e-5
 # weights below this are dropped and the rest renormalised: far joints would drag skin by fractions of a millimetre
 WEIGHT_MIN = 1e-3
+# closest points: faces are searched in pieces of at most this radius (metres), so many at first, and so many in all.
+# Speed only: the search asks for more pieces until it is certain
+CLOSEST_PIECE_RADIUS_M = 0.0015
+CLOSEST_FIRST_CANDIDATES = 8
+CLOSEST_PIECES_MAX = 2_000_000
 # depth of the shell of Gaussians under the skin, metres; deeper ones are hidden
 SHELL_DEPTH_M = 0.003
 GAUSSIANS_PER_BONE = 3000
@@ -152,3 +163,58 @@ SHADOW_HAND_MIN_PX = 64.0
 
 # matrices are reused when no joint moved more than this, metres
 REUSE_JOINTS_M = 5e-5
+
+# ---- service: the engine as a process (BLENDER 3, RENDERING 14); what both sides share stands in service/protocol.py
+
+# seconds between two signs of life; Blender calls the engine slow after 5 s without one
+HEARTBEAT_S = 1.0
+# a stranger's time to say the token
+GREETING_S = 2.0
+# connections that may be greeting at the same time; more are closed at once
+GREETINGS_MAX = 8
+# after the end of stdin a running request may finish for so long before the process ends regardless
+STOP_GRACE_S = 3.0
+# hands in one picture; each costs a whole render
+PICTURE_HANDS_MAX = 16
+# edge of a picture, px: beyond it tile counts and buffers leave what is tested
+PICTURE_EDGE_MAX_PX = 16384
+# letters of an error's detail on the wire: with the sentence it must fit the 64 kB header
+DETAIL_MAX = 8000
+
+# ---- exporters: pictures and video ----------------------------------------------------------------------------------
+
+# zlib level of PNG files, 0..9: beyond 4 the files of a hand hardly shrink and the time doubles
+PNG_COMPRESSION = 4
+# constant rate factor of H.264: 18 is visually without loss
+VIDEO_CRF = 18
+
+# ---- exporters: colour (IEC 61966-2-1) ------------------------------------------------------------------------------
+
+# below this sRGB value the curve is a straight line of this slope
+SRGB_TOE = 0.04045
+SRGB_SLOPE = 12.92
+SRGB_OFFSET = 0.055
+SRGB_EXPONENT = 2.4
+
+# ---- exporters: USD -------------------------------------------------------------------------------------------------
+
+# spherical harmonics of band 0: colour = 0.5 + SH_C0 * coefficient
+SH_C0 = 0.28209479177387814
+# share of every skin weight that goes to the twin joint which carries what half precision lost of a scale; a power of
+# two is exact in float32, and 2^-8 keeps the twin's scale within 12.5 % of the true one (2^-11 / 2^-8)
+USD_FINE_SHARE = 2.0**-8
+# frames between two saves: memory stays flat on long takes, and no slower (EXPORT 5)
+USD_SAVE_EVERY = 24
+# half width of a splat's bound in standard deviations: 99.7 % of the kernel
+USD_SPLAT_EXTENT_SIGMA = 3.0
+# horizontal aperture that cameras are written with; only ratios to the focal length matter
+USD_APERTURE = 36.0
+# near and far clipping of exported cameras, metres
+USD_CLIPPING_RANGE_M = (0.01, 10.0)
+# part of the free disk that must be left over when an export is expected to fit: other programs write too
+USD_DISK_RESERVE = 0.02
+# bytes of an export beside the samples of positions: layers, static arrays, tables (per Gaussian and fixed, generous)
+USD_STATIC_BYTES_PER_GAUSSIAN = 80
+USD_STATIC_BYTES = 2_000_000
+# Gaussians around a vertex whose mean colour the exported mesh gets
+USD_MESH_COLOUR_NEIGHBOURS = 8

@@ -1,0 +1,111 @@
+"""H.264 video, made by an ffmpeg program that runs as a separate process and is fed raw pictures through a pipe.
+
+The program comes with the optional package imageio-ffmpeg (extra `video`).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import subprocess
+import tempfile
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+
+from jghand_engine import limits
+from jghand_engine.errors import InputError, RetryError
+from jghand_engine.files import writing
+
+# how the numbers are to be read: without these a player may take small pictures for the older standard of television
+COLOUR_TAGS = "range=tv:colorspace=bt709:color_primaries=bt709:color_trc=iec61966-2-1"
+
+
+def ffmpeg_program() -> str:
+    """The path of the ffmpeg program. Raises InputError that says how to get it."""
+    try:
+        import imageio_ffmpeg
+
+        return imageio_ffmpeg.get_ffmpeg_exe()
+    except (ImportError, RuntimeError) as error:
+        raise InputError(
+            "video", wanted="an ffmpeg program", came="none",
+            remedy="Install the extra: pip install 'jghand[video]'; or set IMAGEIO_FFMPEG_EXE to your own ffmpeg.",
+        ) from error  # fmt: skip
+
+
+def padded_to_even(rgb8: np.ndarray) -> np.ndarray:
+    """(H, W, 3) with the last row or column repeated where H or W is odd: H.264 in yuv420p wants even sizes."""
+    height, width, _ = rgb8.shape
+    return np.pad(rgb8, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge")
+
+
+def write_video(path: Path | str, pictures: Iterable[np.ndarray], fps: float) -> int:
+    """Writes pictures (H, W, 3) uint8, all of one size, as an MP4 (H.264, yuv420p); returns how many there were.
+
+    The file appears only when it is complete. Raises InputError for no pictures, for unequal sizes and where ffmpeg is
+    missing or refuses; RetryError when it cannot be written.
+    """
+    if not fps > 0:
+        raise InputError("video fps", wanted="a positive number", came=str(fps))
+    program = ffmpeg_program()
+    stream = iter(pictures)
+    first = next(stream, None)
+    if first is None:
+        raise InputError(f"video {path}", wanted="at least one picture", came="none")
+    first = padded_to_even(_checked(first, None))
+    height, width, _ = first.shape
+    with writing(path) as temporary, tempfile.TemporaryFile() as log:
+        command = [
+            program, "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}",
+            "-r", f"{fps:g}", "-i", "-", "-an", "-vf", f"scale=out_color_matrix=bt709:out_range=tv,setparams={COLOUR_TAGS}",
+            "-c:v", "libx264", "-preset", "medium", "-crf", str(limits.VIDEO_CRF), "-pix_fmt", "yuv420p",
+            "-movflags", "+faststart", "-f", "mp4", str(temporary),
+        ]  # fmt: skip
+        count = 0
+        with _running(command, log, path) as pipe:
+            for picture in _chained(first, stream):
+                pipe.write(np.ascontiguousarray(padded_to_even(_checked(picture, (height, width)))).tobytes())
+                count += 1
+    return count
+
+
+@contextlib.contextmanager
+def _running(command: list[str], log: IO[bytes], path: Path | str) -> Iterator[IO[bytes]]:
+    """Runs ffmpeg, gives its standard input, waits for its end and turns a failure into a typed error."""
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=log)
+    assert process.stdin is not None
+    broken = False
+    try:
+        yield process.stdin
+    except BrokenPipeError:
+        broken = True
+    except BaseException:
+        process.kill()
+        raise
+    finally:
+        with contextlib.suppress(OSError):
+            process.stdin.close()
+        code = process.wait()
+    if code or broken:
+        log.seek(0)
+        said = log.read().decode("utf-8", "replace").strip().splitlines()
+        reason = said[-1] if said else f"it ended with code {code}"
+        if any("No space left" in line for line in said):
+            raise RetryError(f"cannot write {path}: the disk is full", remedy="Free some space and try again.")
+        raise RetryError(f"ffmpeg could not write {path}", came=reason, remedy="Try again, or leave the video out.")
+
+
+def _chained(first: np.ndarray, rest: Iterator[np.ndarray]) -> Iterator[np.ndarray]:
+    yield first
+    yield from rest
+
+
+def _checked(picture: np.ndarray, even_size: tuple[int, int] | None) -> np.ndarray:
+    if picture.ndim != 3 or picture.shape[2] != 3 or picture.dtype != np.uint8:
+        raise InputError("video picture", wanted="shape (H, W, 3) uint8", came=f"{picture.shape} {picture.dtype}")
+    size = tuple(edge + edge % 2 for edge in picture.shape[:2])
+    if even_size and size != even_size:
+        raise InputError("video picture", wanted=f"the size of the first, {even_size}", came=str(size))
+    return picture
