@@ -57,18 +57,24 @@ def write_video(path: Path | str, pictures: Iterable[np.ndarray], fps: float) ->
     first = padded_to_even(_checked(first, None))
     height, width, _ = first.shape
     with writing(path) as temporary, tempfile.TemporaryFile() as log:
-        command = [
-            program, "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}",
-            "-r", f"{fps:g}", "-i", "-", "-an", "-vf", f"scale=out_color_matrix=bt709:out_range=tv,setparams={COLOUR_TAGS}",
-            "-c:v", "libx264", "-preset", "medium", "-crf", str(limits.VIDEO_CRF), "-pix_fmt", "yuv420p",
-            "-movflags", "+faststart", "-f", "mp4", str(temporary),
-        ]  # fmt: skip
+        command = _command(program, (width, height), fps, temporary)
         count = 0
         with _running(command, log, path) as pipe:
             for picture in _chained(first, stream):
                 pipe.write(np.ascontiguousarray(padded_to_even(_checked(picture, (height, width)))).tobytes())
                 count += 1
     return count
+
+
+def _command(program: str, size: tuple[int, int], fps: float, target: Path) -> list[str]:
+    """ffmpeg's arguments: raw pictures of `size` (width, height) on standard input become an H.264 file."""
+    colours = f"scale=out_color_matrix=bt709:out_range=tv,setparams={COLOUR_TAGS}"
+    return [
+        program, "-y", "-loglevel", "error",
+        "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{size[0]}x{size[1]}", "-r", f"{fps:g}", "-i", "-",
+        "-an", "-vf", colours, "-c:v", "libx264", "-preset", "medium", "-crf", str(limits.VIDEO_CRF),
+        "-pix_fmt", "yuv420p", "-movflags", "+faststart", "-f", "mp4", str(target),
+    ]  # fmt: skip
 
 
 @contextlib.contextmanager
