@@ -92,6 +92,11 @@ AVATAR_HEADER_MAX_BYTES = 65_536
 # canonical Gaussians further than this from the wrist along an axis, metres, belong to no hand
 AVATAR_REACH_M = 0.5
 
+# ---- native: threads ------------------------------------------------------------------------------------------------
+
+# threads taken without being asked, at most; beyond this many nothing was measured
+AUTOMATIC_THREADS = 8
+
 # ---- splat: the rasterisation contract (RENDERING 3 and 8) ----------------------------------------------------------
 
 # pixel footprint added to the projected variance, px^2; weights are trained with it

@@ -1,0 +1,383 @@
+"""Local frames of the bones and the palm, joint angles, and the flags that say where a hand is degenerate.
+
+Every bone i carries a rotation S_i whose z column is the bone's direction. Metacarpals take their twist from the palm
+planes, phalanges from their parent: S_i = S_p(i) Q(u_i), where u_i is the bone's direction in the parent's frame and Q
+a swing (METHOD 2.4, 2.5). Everything here concerns a **right** hand; the transform mirrors left hands before.
+Inside, the component comes first and the batch last: (3, bones, N), see `rotations`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from enum import IntFlag, StrEnum
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from jghand_engine import limits
+from jghand_engine.errors import InputError
+from jghand_engine.hand import rotations as rot
+from jghand_engine.hand.joints import JOINT_COUNT, LEVEL_NAMES, PARENTS
+
+_PARENT_OF_BONE = list(PARENTS[1:])
+
+
+class Swing(StrEnum):
+    """How the twist of a phalanx follows from its direction. An avatar keeps the swing it was trained with.
+
+    MINIMAL: smallest rotation from the canonical direction; one pole, far from real poses. EULER: flexion, then
+    abduction, as in the paper; poles at abduction +-90 degrees, which thumbs approach.
+    """
+
+    MINIMAL = "minimal"
+    EULER = "euler"
+
+
+class FrameFlag(IntFlag):
+    """Where a hand left the ordinary; joints stay exact except for NOT_FINITE."""
+
+    NONE = 0
+    ZERO_BONE = 1
+    PALM_CLAMPED = 2
+    SWING_POLE = 4
+    NO_PALM = 8
+    NOT_FINITE = 16
+
+
+_FLAG_SENTENCES = {
+    FrameFlag.ZERO_BONE: "a bone has no length",
+    FrameFlag.PALM_CLAMPED: "palm bones are collinear or crossed",
+    FrameFlag.SWING_POLE: "a joint is bent to the pole of its frame",
+    FrameFlag.NO_PALM: "the palm has no plane",
+    FrameFlag.NOT_FINITE: "a joint is not a finite number",
+}
+
+
+def describe_flags(flags: int) -> list[str]:
+    """Sentences for the bits of `flags`."""
+    return [sentence for flag, sentence in _FLAG_SENTENCES.items() if flags & flag]
+
+
+@dataclass(frozen=True)
+class HandFrames:
+    """Frames of a batch of hands, bones 1..20 (index i - 1), right-hand space.
+
+    S:           (..., 20, 3, 3) columns x, y, z; z along the bone, y the flexion axis, x out of the palm
+    S0:          (..., 3, 3) palm frame
+    u:           (..., 15, 3) direction of bones 6..20 in the parent's frame
+    length:      (..., 20) metres;  direction: (..., 20, 3) unit
+    palm_cross:  (..., 4, 3) cross product of neighbouring palm bones' directions
+    palm_normal: (..., 4, 3) unit normals of the palm planes after the clamp
+    flags:       (...) int32, bits of FrameFlag
+    """
+
+    S: Tensor
+    S0: Tensor
+    u: Tensor
+    length: Tensor
+    direction: Tensor
+    palm_cross: Tensor
+    palm_normal: Tensor
+    flags: Tensor
+
+    @cached_property
+    def angles(self) -> Tensor:
+        """(..., 15, 2) flexion and abduction of bones 6..20, radians; features, never used to build rotations."""
+        with torch.autocast(self.u.device.type, enabled=False):
+            ux, uy, uz = self.u.unbind(-1)
+            nearness = torch.sqrt((ux * ux + uz * uz).detach())
+            ux, uz = rot.damped(ux, nearness), rot.damped(uz, nearness)
+            square = ux * ux + uz * uz
+            far = square > limits.SWING_POLE**2
+            flexion = torch.atan2(torch.where(far, ux, 0.0), torch.where(far, uz, 1.0))
+            across = torch.sqrt(torch.where(far, square, limits.SWING_POLE**2))
+            return torch.stack([flexion, torch.atan2(-uy, across)], -1)
+
+    @cached_property
+    def palm_p(self) -> Tensor:
+        """(..., 4) angle between neighbouring palm bones (theta^p), radians."""
+        with torch.autocast(self.u.device.type, enabled=False):
+            threshold = limits.ZERO_BONE_EPS * torch.finfo(self.u.dtype).eps
+            normal = self.palm_cross.movedim(-1, 0)
+            sine = rot.safe_length(rot.damped(normal, torch.sqrt(rot.dot(normal, normal).detach())), threshold)
+            palm = self.direction[..., :5, :].movedim(-1, 0)
+            return rot.safe_atan2(sine, rot.dot(palm[..., :-1], palm[..., 1:]), 0.0)
+
+    @cached_property
+    def palm_n(self) -> Tensor:
+        """(..., 3) signed angle between neighbouring palm planes (theta^n), radians."""
+        with torch.autocast(self.u.device.type, enabled=False):
+            normal = self.palm_normal.movedim(-1, 0)
+            first, second = normal[..., :-1], normal[..., 1:]
+            shared = self.direction[..., 1:4, :].movedim(-1, 0)
+            threshold = limits.ZERO_BONE_EPS * torch.finfo(self.u.dtype).eps
+            return rot.safe_atan2(rot.dot(rot.cross(first, second), shared), rot.dot(first, second), threshold)
+
+
+@dataclass(frozen=True)
+class CanonicalHand:
+    """What the frames need to know of the canonical hand; component first, batch last.
+
+    root_m (3,) · joints_m (3, 21, 1) root-centred · length_m (20, 1) · direction (3, 20, 1) · S (3, 3, 20, 1) ·
+    S0 (3, 3, 1, 1) · u (3, 15, 1) · swing (3, 3, 15, 1) · palm_normal (3, 4, 1), and the half turns that replace a
+    minimal rotation at its pole: palm_flip (3, 3, 1, 1), metacarpal_flip (3, 3, 5, 1), swing_flip (3, 3, 15, 1).
+    """
+
+    root_m: Tensor
+    joints_m: Tensor
+    length_m: Tensor
+    direction: Tensor
+    S: Tensor
+    S0: Tensor
+    u: Tensor
+    swing: Tensor
+    palm_normal: Tensor
+    palm_flip: Tensor
+    metacarpal_flip: Tensor
+    swing_flip: Tensor
+
+    def to(self, dtype: torch.dtype, device: torch.device) -> CanonicalHand:
+        """The same hand in another precision or on another device."""
+        moved = {field.name: getattr(self, field.name).to(device, dtype) for field in dataclasses.fields(self)}
+        return CanonicalHand(**moved)
+
+    @staticmethod
+    def build(joints_m: Tensor) -> CanonicalHand:
+        """Validates (21, 3) level-order joints of a right hand and computes their frames in float64, euler swing.
+
+        InputError for a wrong shape, a non-finite joint, a vanishing bone, collinear palm bones, or a joint at the
+        abduction pole (METHOD 2.4).
+        """
+        joints = torch.as_tensor(joints_m, dtype=torch.float64).detach().cpu()
+        if tuple(joints.shape) != (JOINT_COUNT, 3) or not torch.isfinite(joints).all():
+            raise InputError("canonical joints", wanted="a finite (21, 3) array", came=str(tuple(joints.shape)))
+        centred = (joints - joints[:1]).T.unsqueeze(-1)
+        draft = _draft(joints[0], centred)
+        frames = compute_frames(centred, draft, Swing.EULER)
+        if (1 - frames.u[1].abs() < limits.CANONICAL_POLE_MIN).any():
+            raise InputError("canonical hand", wanted="no finger bent sideways to 90 degrees", came="one is")
+        swing, _ = rot.swing_euler(frames.u)
+        return dataclasses.replace(
+            draft,
+            S=frames.S,
+            u=frames.u,
+            swing=swing,
+            metacarpal_flip=rot.half_turn(frames.S[:, 0, :5]),
+            swing_flip=rot.half_turn(swing[:, 1]),
+        )
+
+
+def _draft(root: Tensor, centred: Tensor) -> CanonicalHand:
+    """A canonical hand whose bone frames are still unknown: enough to compute them, because a valid hand needs no
+    fallback."""
+    bones = _bones(centred)
+    length = torch.sqrt(rot.dot(bones, bones))
+    if not (length > limits.CANONICAL_BONE_MIN * length.mean()).all():
+        name = LEVEL_NAMES[int(length.argmin()) + 1]
+        raise InputError("canonical hand", wanted="bones with a length", came=f"none at {name}")
+    direction = bones / length
+    normal = rot.cross(direction[:, :4], direction[:, 1:5])
+    sine = torch.sqrt(rot.dot(normal, normal))
+    if not (sine >= limits.CANONICAL_PALM_SINE_MIN).all():
+        raise InputError(
+            "canonical hand",
+            wanted="palm bones that spread",
+            came="two that are nearly parallel",
+            remedy="Spread the fingers of the canonical hand.",
+        )
+    axis, area = _palm_vectors(bones)
+    z = axis / torch.sqrt(rot.dot(axis, axis))
+    x = area - rot.dot(area, z) * z
+    x = x / torch.sqrt(rot.dot(x, x))
+    identity = torch.eye(3, dtype=torch.float64).reshape(3, 3, 1, 1)
+    return CanonicalHand(
+        root_m=root,
+        joints_m=centred,
+        length_m=length,
+        direction=direction,
+        S=identity.expand(3, 3, 20, 1),
+        S0=rot.columns(x, rot.cross(z, x), z),
+        u=identity[:, 2].expand(3, 15, 1),
+        swing=identity.expand(3, 3, 15, 1),
+        palm_normal=normal / sine,
+        palm_flip=rot.half_turn(x),
+        metacarpal_flip=identity.expand(3, 3, 5, 1),
+        swing_flip=identity.expand(3, 3, 15, 1),
+    )
+
+
+def _bones(joints: Tensor) -> Tensor:
+    """(3, 21, N) -> (3, 20, N)."""
+    return joints[:, 1:] - torch.cat([joints[:, :1].expand(-1, 5, -1), joints[:, 1:16]], 1)
+
+
+def _palm_vectors(bones: Tensor) -> tuple[Tensor, Tensor]:
+    """Sum of the metacarpals index..pinky and the area vector of their fan, (3, 1, N) both, not normalised: each
+    counts by how well it is conditioned (METHOD 2.7)."""
+    fan = bones[:, 1:5]
+    return fan.sum(1, keepdim=True), rot.cross(fan[:, :-1], fan[:, 1:]).sum(1, keepdim=True)
+
+
+@dataclass(frozen=True)
+class ComponentFrames:
+    """HandFrames with the component first and the batch last: S (3, 3, 20, N), u (3, 15, N) and so on.
+
+    relative_length (20, N) and size (N): length = relative_length * size.
+    """
+
+    S: Tensor
+    S0: Tensor
+    u: Tensor
+    relative_length: Tensor
+    size: Tensor
+    direction: Tensor
+    palm_cross: Tensor
+    palm_normal: Tensor
+    flags: Tensor
+
+    def batch_first(self, batch: torch.Size) -> HandFrames:
+        """The public form with batch shape `batch`; views, no copies."""
+
+        def turned(tensor: Tensor) -> Tensor:
+            dims = tensor.dim()
+            order = (dims - 1, dims - 2, *range(dims - 2))
+            view = tensor.permute(order)
+            return view.reshape(*batch, *view.shape[1:])
+
+        return HandFrames(
+            S=turned(self.S),
+            S0=turned(self.S0).squeeze(-3),
+            u=turned(self.u),
+            length=turned(self.relative_length * self.size),
+            direction=turned(self.direction),
+            palm_cross=turned(self.palm_cross),
+            palm_normal=turned(self.palm_normal),
+            flags=self.flags.reshape(batch),
+        )
+
+
+def hand_size(bones: Tensor) -> Tensor:
+    """Largest |component| of any bone, (N,), detached and floored: dividing by it makes every threshold relative, so
+    that metres, millimetres and 1e12 behave alike."""
+    return bones.detach().abs().amax((0, 1)).clamp_min(torch.finfo(bones.dtype).tiny ** 0.25)
+
+
+def compute_frames(joints: Tensor, canonical: CanonicalHand, swing: Swing) -> ComponentFrames:
+    """Frames of (3, 21, N) right-hand joints in any unit; canonical in the same dtype and device."""
+    bones = _bones(joints)
+    size = hand_size(bones)
+    relative = bones / size
+    threshold = limits.ZERO_BONE_EPS * torch.finfo(joints.dtype).eps
+    S0, has_palm = _palm_frame(relative, canonical, threshold)
+    palm_from_canonical = rot.mat_mul(S0, canonical.S0.transpose(0, 1))
+    fallback = rot.mat_vec(palm_from_canonical, canonical.direction[:, :5])
+    palm, palm_good = rot.safe_unit(relative[:, :5], fallback, threshold)
+    planes = _palm_planes(palm, palm_from_canonical, canonical)
+    frame = _metacarpal_frames(palm, planes.normal, canonical)
+    chain = _finger_chains(frame, relative, canonical, swing, threshold)
+    flags = (
+        FrameFlag.ZERO_BONE * (~(palm_good.all(0) & chain.has_length)).int()
+        + FrameFlag.PALM_CLAMPED * planes.clamped.int()
+        + FrameFlag.SWING_POLE * (~chain.off_pole).int()
+        + FrameFlag.NO_PALM * (~has_palm).int()
+        + FrameFlag.NOT_FINITE * (~torch.isfinite(joints).all(0).all(0)).int()
+    )
+    return ComponentFrames(
+        S=chain.S,
+        S0=S0,
+        u=chain.u,
+        relative_length=rot.safe_length(relative, threshold),
+        size=size,
+        direction=torch.cat([palm, chain.direction], 1),
+        palm_cross=planes.cross,
+        palm_normal=planes.normal,
+        flags=flags,
+    )
+
+
+def _palm_frame(bones: Tensor, canonical: CanonicalHand, threshold: float) -> tuple[Tensor, Tensor]:
+    """S0 (3, 3, 1, N) and where the palm has a plane (N,). Without one its twist is that of the smallest rotation
+    from the canonical palm."""
+    axis, area = _palm_vectors(bones)
+    canonical_x, canonical_z = canonical.S0[:, 0], canonical.S0[:, 2]
+    z, has_axis = rot.safe_unit(axis, canonical_z, threshold)
+    x_fallback = rot.mat_vec(rot.minimal_rotation(canonical_z, z, canonical.palm_flip), canonical_x)
+    x, has_normal = rot.safe_unit(area - rot.dot(area, z) * z, x_fallback, limits.PALM_NORMAL_MIN)
+    return rot.columns(x, rot.cross(z, x), z), (has_axis & has_normal)[0]
+
+
+@dataclass(frozen=True)
+class _PalmPlanes:
+    cross: Tensor
+    normal: Tensor
+    clamped: Tensor
+
+
+def _palm_planes(palm: Tensor, palm_from_canonical: Tensor, canonical: CanonicalHand) -> _PalmPlanes:
+    """Normals of the four palm planes, kept on the canonical side: identity on ordinary hands, never 0, never
+    flipped (METHOD 2.10)."""
+    normal = rot.cross(palm[:, :-1], palm[:, 1:])
+    expected = rot.mat_vec(palm_from_canonical, canonical.palm_normal)
+    height = rot.dot(normal, expected)
+    lifted = normal + (rot.smooth_floor(height, limits.PALM_CLAMP) - height) * expected
+    unit, _ = rot.safe_unit(
+        lifted, expected, limits.PALM_PLANE_MIN * limits.PALM_CLAMP, full_at=0.5 * limits.PALM_CLAMP
+    )
+    return _PalmPlanes(normal, unit, (height < 2 * limits.PALM_CLAMP).any(0))
+
+
+def _metacarpal_frames(palm: Tensor, normal: Tensor, canonical: CanonicalHand) -> Tensor:
+    """S of bones 1..5, (3, 3, 5, N)."""
+    between = 0.5 * (normal[:, 1:3] + normal[:, 2:4])
+    finger_normal = torch.cat([normal[:, :2], between, normal[:, 3:]], 1)
+    canonical_S = canonical.S[:, :, :5]
+    carried = rot.minimal_rotation(canonical.direction[:, :5], palm, canonical.metacarpal_flip)
+    y_fallback = rot.mat_vec(carried, canonical_S[:, 1])
+    y, _ = rot.safe_unit(rot.cross(palm, finger_normal), y_fallback, limits.FLEXION_AXIS_MIN)
+    return rot.columns(rot.cross(y, palm), y, palm)
+
+
+@dataclass(frozen=True)
+class _Chains:
+    S: Tensor
+    u: Tensor
+    direction: Tensor
+    has_length: Tensor
+    off_pole: Tensor
+
+
+def _finger_chains(
+    metacarpals: Tensor, bones: Tensor, canonical: CanonicalHand, swing: Swing, threshold: float
+) -> _Chains:
+    """S of all bones, u and direction of bones 6..20: each phalanx frame is its parent's, turned by the swing."""
+    frames, local, directions, has_length, off_pole = [metacarpals], [], [], [], []
+    for first in (5, 10, 15):
+        parent = frames[-1]
+        here = slice(first - 5, first)
+        canonical_u = canonical.u[:, here]
+        # a bone without length keeps its canonical angle to the parent
+        direction, good = rot.safe_unit(bones[:, first : first + 5], rot.mat_vec(parent, canonical_u), threshold)
+        # normalised again: stops the drift of round-off along the chain
+        u, _ = rot.safe_unit(rot.transposed_mat_vec(parent, direction), canonical_u, threshold, full_at=0.0)
+        Q, away = swing_of(u, canonical, here, swing)
+        frames.append(rot.mat_mul(parent, Q))
+        local.append(u)
+        directions.append(direction)
+        has_length.append(good)
+        off_pole.append(away)
+    return _Chains(
+        S=torch.cat(frames, 2),
+        u=torch.cat(local, 1),
+        direction=torch.cat(directions, 1),
+        has_length=torch.cat(has_length).all(0),
+        off_pole=torch.cat(off_pole).all(0),
+    )
+
+
+def swing_of(u: Tensor, canonical: CanonicalHand, bones: slice, swing: Swing) -> tuple[Tensor, Tensor]:
+    """Q (3, 3, k, N) of local directions u (3, k, N) of the phalanges `bones` (0..15), and where it is off the pole."""
+    if swing is Swing.EULER:
+        return rot.swing_euler(u)
+    return rot.swing_minimal(u, canonical.u[:, bones], canonical.swing[:, :, bones], canonical.swing_flip[:, :, bones])

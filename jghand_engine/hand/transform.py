@@ -1,0 +1,174 @@
+"""From 21 joint positions to the 21 affine maps that carry the canonical hand onto them. METHOD 2.6 to 2.10.
+
+    B_i(x) = j_p(i) + L_i (x - j^c_p(i))
+    L_i    = r_i (A_i - (A_i d_i^c) d_i^cT) + s_i d_i d_i^cT,      A_i = S_i(J) S_i(J^c)^T
+
+Both ends of every bone map exactly, for any joints; only the twist about the bone and the radial scale r_i are
+conventions. B_0 is a similarity of the palm frame.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from jghand_engine import limits
+from jghand_engine.errors import InputError
+from jghand_engine.hand import rotations as rot
+from jghand_engine.hand.frames import CanonicalHand, ComponentFrames, HandFrames, Swing, compute_frames
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.orders import check_joint_shape
+
+# a named mode or the exponent of the blended one
+ScaleMode = str | float
+_SCALE_EXPONENTS = {"axial": 0.0, "uniform": 1.0}
+
+
+def scale_exponent(scale_mode: ScaleMode) -> float:
+    """The exponent alpha of r_i = s_g (s_i / s_g)^alpha: 'axial' 0 (thickness follows the whole hand), 'uniform' 1
+    (thickness follows each bone), or a number between. InputError otherwise."""
+    if isinstance(scale_mode, str) and scale_mode in _SCALE_EXPONENTS:
+        return _SCALE_EXPONENTS[scale_mode]
+    if isinstance(scale_mode, int | float) and math.isfinite(scale_mode) and 0 <= scale_mode <= 1:
+        return float(scale_mode)
+    raise InputError("scale mode", wanted="'axial', 'uniform' or a number from 0 to 1", came=repr(scale_mode))
+
+
+def parse_swing(swing: str) -> Swing:
+    """The swing called `swing`; InputError otherwise."""
+    try:
+        return Swing(swing)
+    except ValueError as error:
+        raise InputError("swing", wanted=" or ".join(Swing), came=repr(swing)) from error
+
+
+@dataclass(frozen=True)
+class BoneTransforms:
+    """The maps B_0..B_20 of a batch of hands, root-relative on both sides:
+
+        x_posed_m - root_m = linear @ (x_m - canonical_root_m) + offset_m
+
+    Add `root_m` last: a hand far from the origin then loses nothing before it. For a left hand the matrices act on
+    the right-hand template.
+
+    linear: (..., 21, 3, 3) · offset_m: (..., 21, 3) · root_m: (..., 3) · canonical_root_m: (3,)
+    scale: (...) scale of the whole hand, s_g · frames: frames and flags, in right-hand space
+    """
+
+    linear: Tensor
+    offset_m: Tensor
+    root_m: Tensor
+    canonical_root_m: Tensor
+    scale: Tensor
+    frames: HandFrames
+
+    def matrices(self) -> Tensor:
+        """(..., 21, 3, 4) matrices canonical -> posed in whole coordinates, metres."""
+        carried = (self.linear * self.canonical_root_m).sum(-1)
+        offset = self.offset_m - carried + self.root_m.unsqueeze(-2)
+        return torch.cat([self.linear, offset.unsqueeze(-1)], -1)
+
+
+class JointTransform:
+    """Computes BoneTransforms from joints, against one canonical right hand.
+
+    canonical_joints_m: (21, 3) level order, right hand, metres; validated (METHOD 2.4)
+    handedness:         of the joints that `bones` will get; left ones are mirrored, the canonical hand stays right
+    swing:              'minimal' or 'euler', see Swing
+    scale_mode:         'axial', 'uniform' or the exponent between, see scale_exponent
+    InputError for an unusable canonical hand or an unknown option.
+    """
+
+    def __init__(
+        self,
+        canonical_joints_m: Tensor,
+        *,
+        handedness: Handedness = Handedness.RIGHT,
+        swing: str = Swing.MINIMAL,
+        scale_mode: ScaleMode = "axial",
+    ) -> None:
+        self.handedness = Handedness(handedness)
+        self.swing = parse_swing(swing)
+        self.exponent = scale_exponent(scale_mode)
+        self.canonical = CanonicalHand.build(canonical_joints_m)
+        self._casts: dict[tuple[torch.dtype, torch.device], CanonicalHand] = {}
+
+    def bones(self, joints_m: Tensor) -> BoneTransforms:
+        """(..., 21, 3) level-order joints -> BoneTransforms with the same batch shape.
+
+        Differentiable; float64 stays float64, half precision is computed in float32, autocast is switched off inside.
+        A hand with a non-finite joint gets NaN matrices and the flag NOT_FINITE; others are not touched by it.
+        InputError for another shape or an integer dtype.
+        """
+        check_joint_shape(joints_m)
+        if not joints_m.is_floating_point():
+            raise InputError("joints", wanted="a floating point tensor", came=str(joints_m.dtype))
+        if joints_m.dtype in (torch.float16, torch.bfloat16):
+            joints_m = joints_m.float()
+        with torch.autocast(joints_m.device.type, enabled=False):
+            batch = joints_m.shape[:-2]
+            joints = joints_m.reshape(-1, *joints_m.shape[-2:]).permute(2, 1, 0)
+            return self._component_first(self._mirrored(joints.contiguous()), batch)
+
+    def frames(self, joints_m: Tensor) -> HandFrames:
+        """(..., 21, 3) joints -> their frames alone."""
+        return self.bones(joints_m).frames
+
+    def canonical_hand(self, dtype: torch.dtype, device: torch.device) -> CanonicalHand:
+        """The canonical hand in a precision and on a device; kept for the next call."""
+        key = (dtype, device)
+        if key not in self._casts:
+            self._casts[key] = self.canonical.to(dtype, device)
+        return self._casts[key]
+
+    def _mirrored(self, vectors: Tensor) -> Tensor:
+        """(3, ...) with x negated for a left hand."""
+        if self.handedness is Handedness.RIGHT:
+            return vectors
+        return torch.cat([-vectors[:1], vectors[1:]])
+
+    def _component_first(self, joints: Tensor, batch: torch.Size) -> BoneTransforms:
+        canonical = self.canonical_hand(joints.dtype, joints.device)
+        frames = compute_frames(joints, canonical, self.swing)
+        linear, scale = _linear_parts(frames, canonical, self.exponent)
+        root = joints[:, :1]
+        pivot = _pivots(joints - root)
+        offset = pivot - rot.mat_vec(linear, _pivots(canonical.joints_m))
+        linear, offset, root = self._mirrored(linear), self._mirrored(offset), self._mirrored(root)
+        return BoneTransforms(
+            linear=linear.permute(3, 2, 0, 1).reshape(*batch, 21, 3, 3),
+            offset_m=offset.permute(2, 1, 0).reshape(*batch, 21, 3),
+            root_m=root[:, 0].T.reshape(*batch, 3),
+            canonical_root_m=canonical.root_m,
+            scale=scale.reshape(batch),
+            frames=frames.batch_first(batch),
+        )
+
+
+def _pivots(joints: Tensor) -> Tensor:
+    """(3, 21, N) root-centred joints -> where the bone of each matrix starts: the wrist for B_0..B_5, then parents."""
+    return torch.cat([joints[:, :1].expand(-1, 6, -1), joints[:, 1:16]], 1)
+
+
+def _linear_parts(frames: ComponentFrames, canonical: CanonicalHand, exponent: float) -> tuple[Tensor, Tensor]:
+    """L_0..L_20 (3, 3, 21, N) and s_g (N,)."""
+    relative = frames.relative_length / canonical.length_m
+    relative_scale = frames.relative_length.sum(0) / canonical.length_m.sum(0)
+    along, whole = relative * frames.size, relative_scale * frames.size
+    if exponent == 0.0:
+        radial = whole.expand_as(along)
+    elif exponent == 1.0:
+        radial = along
+    else:
+        tiny = torch.finfo(along.dtype).tiny
+        ratio = (relative / relative_scale.clamp_min(tiny)).clamp_min(limits.SCALE_RATIO_MIN)
+        radial = whole * ratio**exponent
+    turn = rot.mat_mul(frames.S, canonical.S.transpose(0, 1))
+    # the axial part uses the measured direction, not the turned canonical one: no round-off of the chain in the joints
+    axial = along * frames.direction - radial * rot.mat_vec(turn, canonical.direction)
+    bones = radial * turn + rot.outer(axial, canonical.direction)
+    palm = whole * rot.mat_mul(frames.S0, canonical.S0.transpose(0, 1))
+    return torch.cat([palm, bones], 2), whole
