@@ -81,8 +81,8 @@ ENGINE = Environment(
     name="engine",
     pythons=((3, 11), (3, 12), (3, 13), None),
     packages=("--no-build-isolation", "--editable", ".[dev,video]"),
-    sources=("pyproject.toml", "setup.py", "jghand_engine/native/build.py", "jghand_engine/native/*.cpp",
-             "jghand_engine/native/*.h"),
+    sources=("pyproject.toml", "setup.py", "jghand_engine/native/build.py", "jghand_engine/native/**/*.cpp",
+             "jghand_engine/native/**/*.h"),
     builds=True,
     check="import torch, numpy, pxr, jghand_engine",
 )  # fmt: skip

@@ -5,6 +5,7 @@ Inside the engine a picture is premultiplied RGBA in display-referred sRGB (REND
 
 from __future__ import annotations
 
+import io
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -40,16 +41,24 @@ def flatten(rgba_premultiplied: np.ndarray, background: RGB) -> np.ndarray:
     return to_bytes(rgba[..., :3] + (1.0 - rgba[..., 3:]) * np.asarray(background, rgba.dtype))
 
 
-def write_png(path: Path | str, picture: np.ndarray) -> None:
-    """Writes a premultiplied float RGBA picture (H, W, 4), or ready bytes (H, W, 3 | 4) uint8, as an 8-bit PNG.
+def encode_png(picture: np.ndarray) -> bytes:
+    """A premultiplied float RGBA picture (H, W, 4), or ready bytes (H, W, 3 | 4) uint8, as an 8-bit PNG.
 
-    Raises InputError for another shape or for values that are not finite, RetryError when the disk is full.
+    Raises InputError for another shape or for values that are not finite.
     """
     pixels = picture if picture.dtype == np.uint8 else straight_rgba8(picture)
     if pixels.ndim != 3 or pixels.shape[2] not in (3, 4):
         raise InputError("picture", wanted="shape (height, width, 3 or 4)", came=str(pixels.shape))
+    stream = io.BytesIO()
+    Image.fromarray(pixels).save(stream, format="PNG", compress_level=limits.PNG_COMPRESSION)
+    return stream.getvalue()
+
+
+def write_png(path: Path | str, picture: np.ndarray) -> None:
+    """Writes what `encode_png` makes, whole or not at all; RetryError when the disk is full."""
+    content = encode_png(picture)
     with writing(path) as temporary:
-        Image.fromarray(pixels).save(temporary, format="PNG", compress_level=limits.PNG_COMPRESSION)
+        temporary.write_bytes(content)
 
 
 def read_png(path: Path | str) -> np.ndarray:

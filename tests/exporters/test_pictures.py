@@ -79,7 +79,7 @@ def test_a_full_disk_leaves_no_file(tmp_path, monkeypatch):
     def full(*_, **__):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("PIL.Image.Image.save", full)
+    monkeypatch.setattr("pathlib.Path.write_bytes", full)
     with pytest.raises(RetryError, match="disk is full"):
         write_png(tmp_path / "frame.png", np.zeros((2, 2, 4), np.float32))
     assert not list(tmp_path.iterdir())
