@@ -43,6 +43,9 @@ HAND_LENGTH_MIN_M = 0.06
 HAND_LENGTH_MAX_M = 0.40
 # path index-middle-ring-pinky knuckle over the direct way: a hand's arch gives 1.05, two swapped fingers 1.6 and more
 KNUCKLE_DETOUR_MAX = 1.35
+# frames per second of a motion: outside this range it is most likely a frame count or milliseconds
+FPS_MIN = 0.1
+FPS_MAX = 10_000.0
 # place of a metacarpal's base on the line wrist to knuckle, for OpenXR, which lists it (the template's rig: 0.33 to 0.37)
 OPENXR_METACARPAL_PART = 0.34
 
@@ -223,3 +226,17 @@ USD_STATIC_BYTES_PER_GAUSSIAN = 80
 USD_STATIC_BYTES = 2_000_000
 # Gaussians around a vertex whose mean colour the exported mesh gets
 USD_MESH_COLOUR_NEIGHBOURS = 8
+
+# ---- cli: framing of a motion ---------------------------------------------------------------------------------------
+
+# focal length over the longer edge of the picture: a long lens, which does not make near fingers look swollen
+FRAMING_FOCAL = 2.2
+# part of the picture that the hand may fill
+FRAMING_FILL = 0.94
+# how far the skin reaches beyond a joint and, with the cut, beyond the wrist, metres, for a palm (wrist to middle
+# knuckle) of the length FRAMING_PALM_M; measured on the built-in template
+FRAMING_SKIN_M = 0.012
+FRAMING_WRIST_M = 0.034
+FRAMING_PALM_M = 0.0885
+# length of a mean of unit vectors below which it is no direction
+FRAMING_DIRECTION_MIN = 0.2

@@ -116,15 +116,11 @@ def from_level(joints: Joints, order: JointOrder) -> Joints:
     wrist, knuckles = joints[..., :1, :], joints[..., 2:6, :]
     bases = wrist + limits.OPENXR_METACARPAL_PART * (knuckles - wrist)
     palm = 0.5 * (bases[..., 1:2, :] + knuckles[..., 1:2, :])
-    listed = [joints[..., place : place + 1, :] for place in range(JOINT_COUNT)]
-    result = [palm] * _OPENXR_COUNT
-    for place, joint in zip(_FROM[order], listed, strict=True):
-        result[place] = joint
-    for finger, place in enumerate(_OPENXR_METACARPALS):
-        result[place] = bases[..., finger : finger + 1, :]
-    if isinstance(joints, np.ndarray):
-        return np.concatenate(result, axis=-2)
-    return torch.cat(result, dim=-2)
+    # the 21 joints, the palm and the four bases, then one pick that sorts them
+    parts = [joints, palm, bases]
+    place_of = {place: k for k, place in enumerate((*_FROM[order], _OPENXR_PALM, *_OPENXR_METACARPALS))}
+    together = torch.cat(parts, dim=-2) if isinstance(joints, torch.Tensor) else np.concatenate(parts, axis=-2)
+    return together[..., [place_of[place] for place in range(_OPENXR_COUNT)], :]  # pyright: ignore[reportReturnType]
 
 
 def bone_lengths(joints: np.ndarray) -> np.ndarray:

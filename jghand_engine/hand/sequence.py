@@ -1,0 +1,248 @@
+"""A motion as joint positions over time, and the repairs that real motions need. Knows no files.
+
+Estimated motions have two defects that would show in the picture: frames in which joints are missing, and bone
+lengths that wobble by millimetres, which makes the hand pulse. `with_gaps_held` and `with_constant_bone_lengths`
+remove them; both say what they do, neither invents motion.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from jghand_engine import limits
+from jghand_engine.errors import InputError
+from jghand_engine.hand.joints import BONE_COUNT, JOINT_COUNT, LEVEL_NAMES, PARENTS, Handedness
+from jghand_engine.hand.orders import bone_lengths, check_joint_shape
+
+
+@dataclass(frozen=True)
+class GapReport:
+    """Which frames miss joints. frames: their numbers · joints: name -> number of frames in which it is missing ·
+    longest: longest run of frames with a gap · frame_count: of the whole sequence."""
+
+    frames: tuple[int, ...]
+    joints: dict[str, int]
+    longest: int
+    frame_count: int
+
+    def __bool__(self) -> bool:
+        return bool(self.frames)
+
+    def sentence(self) -> str:
+        """One line for people; '' without gaps."""
+        if not self:
+            return ""
+        shown = ", ".join(str(frame) for frame in self.frames[:5]) + (", …" if len(self.frames) > 5 else "")
+        worst = sorted(self.joints, key=lambda name: -self.joints[name])
+        names = ", ".join(worst[:5]) + (", …" if len(worst) > 5 else "")
+        return (
+            f"{len(self.frames)} of {self.frame_count} frames miss joints (frames {shown}; joints {names}; "
+            f"longest gap {self.longest})"
+        )
+
+
+@dataclass(frozen=True)
+class PoseSequence:
+    """One hand over time.
+
+    joints_m: (F, 21, 3) float64, level order, metres; NaN where not valid
+    fps:      frames per second
+    handedness: which hand it is
+    valid:    (F, 21) bool; default: where the joint is finite
+    InputError for another shape (20 or 42 joints are named), no frame, or an impossible fps.
+    """
+
+    joints_m: np.ndarray
+    fps: float
+    handedness: Handedness
+    valid: np.ndarray = None  # type: ignore[assignment]
+
+    def __post_init__(self) -> None:
+        joints = _as_joints(self.joints_m)
+        fps = float(self.fps)
+        if not (np.isfinite(fps) and limits.FPS_MIN <= fps <= limits.FPS_MAX):
+            raise InputError(
+                "frames per second", wanted=f"{limits.FPS_MIN:g} to {limits.FPS_MAX:g}", came=f"{self.fps}"
+            )
+        finite = np.isfinite(joints).all(axis=-1)
+        valid = finite if self.valid is None else np.asarray(self.valid, dtype=bool)
+        if valid.shape != joints.shape[:2]:
+            raise InputError("valid joints of a motion", wanted=f"shape {joints.shape[:2]}", came=str(valid.shape))
+        valid = valid & finite
+        joints[~valid] = np.nan
+        joints.flags.writeable = False
+        valid.flags.writeable = False
+        for name, value in (("joints_m", joints), ("fps", fps), ("valid", valid)):
+            object.__setattr__(self, name, value)
+        object.__setattr__(self, "handedness", Handedness(self.handedness))
+
+    def __len__(self) -> int:
+        return len(self.joints_m)
+
+    @property
+    def duration_s(self) -> float:
+        """Seconds from the first frame to the last."""
+        return (len(self) - 1) / self.fps
+
+    @property
+    def bone_lengths_m(self) -> np.ndarray:
+        """(F, 20) lengths of bones 1..20; NaN where an end is missing."""
+        return bone_lengths(self.joints_m)
+
+    @property
+    def gaps(self) -> GapReport:
+        """Which joints are missing in which frames."""
+        missing = ~self.valid
+        bad = missing.any(axis=1)
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], bad.astype(np.int8), [0]])))
+        runs = edges[1::2] - edges[0::2]
+        counts = missing.sum(axis=0)
+        names = {LEVEL_NAMES[joint]: int(counts[joint]) for joint in np.flatnonzero(counts)}
+        return GapReport(tuple(np.flatnonzero(bad).tolist()), names, int(runs.max(initial=0)), len(self))
+
+    def with_gaps_held(self) -> PoseSequence:
+        """Every frame that misses a joint repeats the last whole pose (before the first one, the first).
+
+        The report of what was held is `gaps` of the sequence before. InputError when no frame is whole.
+        """
+        whole = self.valid.all(axis=1)
+        if not whole.any():
+            names = ", ".join(sorted(self.gaps.joints))
+            raise InputError(
+                "motion", wanted="at least one frame with all 21 joints", came="none", remedy=f"Missing: {names}."
+            )
+        source = np.maximum.accumulate(np.where(whole, np.arange(len(self)), -1))
+        source[source < 0] = int(np.argmax(whole))
+        return self._with(self.joints_m[source])
+
+    def without_gaps(self) -> PoseSequence:
+        """The sequence itself; InputError with frames and joints when a joint is missing anywhere."""
+        if self.gaps:
+            raise InputError(
+                "motion",
+                wanted="all 21 joints in every frame",
+                came=self.gaps.sentence(),
+                remedy="Repair the motion, or let gaps hold the last whole pose.",
+            )
+        return self
+
+    def with_constant_bone_lengths(self, lengths_m: np.ndarray | Sequence[float] | None = None) -> PoseSequence:
+        """The same directions of every bone with lengths that do not change over time.
+
+        lengths_m: (20,) lengths of bones 1..20, metres; default: each bone's median over the frames. The joints are
+        rebuilt from the wrist outwards. A bone without length points where it pointed in the frame before.
+        Frames with gaps keep them: hold them first if they shall not stay.
+        """
+        measured = self.bone_lengths_m
+        if lengths_m is None:
+            usable = np.isfinite(measured)
+            if not usable.any(axis=0).all():
+                name = LEVEL_NAMES[int(np.argmin(usable.any(axis=0))) + 1]
+                raise InputError("motion", wanted="every bone in at least one frame", came=f"none with {name}")
+            lengths = np.nanmedian(measured, axis=0)
+        else:
+            lengths = np.asarray(lengths_m, dtype=np.float64)
+            if lengths.shape != (BONE_COUNT,) or not (np.isfinite(lengths) & (lengths >= 0)).all():
+                raise InputError("bone lengths", wanted="20 lengths in metres", came=str(lengths.shape))
+        return self._with(rebuilt(self.joints_m[:, 0], bone_directions(self.joints_m), lengths))
+
+    def resampled(self, fps: float) -> PoseSequence:
+        """The same motion at another rate: bones keep their lengths while their directions turn between frames.
+
+        Frames between a missing joint and a whole one miss it too. The first frame stays the first; the last one is
+        the last that the new rate reaches.
+        """
+        if not (np.isfinite(fps) and limits.FPS_MIN <= fps <= limits.FPS_MAX):
+            raise InputError("frames per second", wanted=f"{limits.FPS_MIN:g} to {limits.FPS_MAX:g}", came=f"{fps}")
+        # the small addition keeps the last frame when its time is reached but for round-off
+        count = int(np.floor(self.duration_s * fps + 1e-6)) + 1
+        time = np.minimum(np.arange(count) * (self.fps / fps), len(self) - 1)
+        # a time that is a frame but for round-off is that frame, whatever its neighbour misses
+        time = np.where(np.abs(time - np.rint(time)) < 1e-6, np.rint(time), time)
+        before = np.floor(time).astype(np.int64)
+        after = np.ceil(time).astype(np.int64)
+        part = (time - before)[:, None, None]
+        joints = _between(self.joints_m[before], self.joints_m[after], part)
+        return dataclasses.replace(self, joints_m=joints, fps=fps, valid=np.isfinite(joints).all(axis=-1))
+
+    def mirrored(self) -> PoseSequence:
+        """The other hand doing the same: x is negated and the handedness changes."""
+        other = Handedness.LEFT if self.handedness is Handedness.RIGHT else Handedness.RIGHT
+        joints = self.joints_m * np.array([-1.0, 1.0, 1.0])
+        return dataclasses.replace(self, joints_m=joints, handedness=other, valid=self.valid)
+
+    def section(self, start: int = 0, stop: int | None = None, step: int = 1) -> PoseSequence:
+        """Frames start, start + step, … before stop, as Python slices them; the rate follows the step."""
+        if step < 1 or not len(range(len(self))[start:stop:step]):
+            raise InputError(
+                f"frames {start}:{stop}:{step}", wanted=f"at least one of the motion's {len(self)} frames", came="none"
+            )
+        part = slice(start, stop, step)
+        return dataclasses.replace(self, joints_m=self.joints_m[part], fps=self.fps / step, valid=self.valid[part])
+
+    def _with(self, joints: np.ndarray) -> PoseSequence:
+        return dataclasses.replace(self, joints_m=joints, valid=np.isfinite(joints).all(axis=-1))
+
+
+def bone_directions(joints: np.ndarray) -> np.ndarray:
+    """(F, 21, 3) level order -> (F, 20, 3) unit directions; a bone without length takes the one of the frame before,
+    at the start of the next one that has it. NaN joints give NaN."""
+    bones = joints[:, 1:] - joints[:, PARENTS[1:]]
+    length = np.linalg.norm(bones, axis=-1, keepdims=True)
+    size = np.nanmax(length, initial=0.0)
+    gone = (length <= limits.ZERO_BONE_EPS * np.finfo(np.float64).eps * size)[..., 0]
+    directions = bones / np.where(length > 0, length, 1.0)
+    for bone in np.flatnonzero(gone.any(axis=0)):
+        known = np.flatnonzero(~gone[:, bone] & np.isfinite(length[:, bone, 0]))
+        if not len(known):
+            raise InputError("motion", wanted="bones with a length", came=f"none at {LEVEL_NAMES[bone + 1]}")
+        lost = np.flatnonzero(gone[:, bone])
+        last = np.maximum(np.searchsorted(known, lost) - 1, 0)
+        directions[lost, bone] = directions[known[last], bone]
+    return directions
+
+
+def rebuilt(root_m: np.ndarray, directions: np.ndarray, lengths_m: np.ndarray) -> np.ndarray:
+    """Joints (F, 21, 3) from wrists (F, 3), unit directions (F, 20, 3) and lengths (20,) or (F, 20), metres."""
+    steps = directions * np.broadcast_to(lengths_m, directions.shape[:-1])[..., None]
+    joints = np.empty((*directions.shape[:-2], JOINT_COUNT, 3))
+    joints[..., 0, :] = root_m
+    for first in (1, 6, 11, 16):
+        parents = list(PARENTS[first : first + 5])
+        joints[..., first : first + 5, :] = joints[..., parents, :] + steps[..., first - 1 : first + 4, :]
+    return joints
+
+
+def _between(first: np.ndarray, second: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """Joints at `part` (F, 1, 1) of the way: wrists and lengths linear, directions along the great circle."""
+    a, b = bone_directions(first), bone_directions(second)
+    cosine = np.clip((a * b).sum(axis=-1, keepdims=True), -1.0, 1.0)
+    angle = np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1, keepdims=True), cosine)
+    sine = np.sin(angle)
+    # nearly equal: the chord is the arc; nearly opposite: no great circle is distinguished, the chord is as good
+    straight = sine < limits.SWING_POLE
+    weight_a = np.where(straight, 1 - part, np.sin((1 - part) * angle) / np.where(straight, 1.0, sine))
+    weight_b = np.where(straight, part, np.sin(part * angle) / np.where(straight, 1.0, sine))
+    direction = weight_a * a + weight_b * b
+    norm = np.linalg.norm(direction, axis=-1, keepdims=True)
+    direction = np.where(norm > 0, direction / np.where(norm > 0, norm, 1.0), a)
+    lengths = (1 - part[..., 0]) * bone_lengths(first) + part[..., 0] * bone_lengths(second)
+    return rebuilt((1 - part[:, 0]) * first[:, 0] + part[:, 0] * second[:, 0], direction, lengths)
+
+
+def _as_joints(joints: np.ndarray) -> np.ndarray:
+    """A private float64 copy of shape (F, 21, 3); InputError otherwise."""
+    try:
+        array = np.array(joints, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError("motion", wanted="numbers of shape (frames, 21, 3)", came=str(error)) from error
+    if array.ndim != 3:
+        raise InputError("motion", wanted="shape (frames, 21, 3)", came=str(array.shape))
+    check_joint_shape(array)
+    if not len(array):
+        raise InputError("motion", wanted="at least one frame", came="an empty motion")
+    return array
