@@ -46,6 +46,15 @@ KNUCKLE_DETOUR_MAX = 1.35
 # frames per second of a motion: outside this range it is most likely a frame count or milliseconds
 FPS_MIN = 0.1
 FPS_MAX = 10_000.0
+
+# ---- hand: named poses ----------------------------------------------------------------------------------------------
+
+# tips touch: air of this part of the finger chain's length (about 3 mm) weighs as much as turning one joint by the
+# pull; a weaker pull bends fingers oddly to close the last tenth of a millimetre
+TOUCH_PART = 0.02
+TOUCH_PULL_DEG = 40.0
+# Gauss-Newton steps; four reach the end on the built-in hand
+TOUCH_STEPS = 8
 # place of a metacarpal's base on the line wrist to knuckle, for OpenXR, which lists it (the template's rig: 0.33 to 0.37)
 OPENXR_METACARPAL_PART = 0.34
 
@@ -66,12 +75,18 @@ WEIGHT_SUM_TOLERANCE = 1e-5
 WEIGHT_MIN = 1e-3
 # closest points: faces are searched in pieces of at most this radius (metres), so many at first, and so many in all.
 # Speed only: the search asks for more pieces until it is certain
-CLOSEST_PIECE_RADIUS_M = 0.0015
+CLOSEST_PIECE_RADIUS_M = 0.002
 CLOSEST_FIRST_CANDIDATES = 8
 CLOSEST_PIECES_MAX = 2_000_000
 # depth of the shell of Gaussians under the skin, metres; deeper ones are hidden
 SHELL_DEPTH_M = 0.003
 GAUSSIANS_PER_BONE = 3000
+# farthest-point order takes (points per bone)^2 steps
+SHELL_PER_BONE_MAX = 20_000
+# edge of the cells from which the shell is drawn, metres: speed only
+SHELL_CELL_M = 0.002
+# draws per wanted point after which a bone is taken to have no skin (worst seen on the built-in hand: 9)
+SHELL_DRAWS_MAX = 1000
 # signed distance that d = 0..1 of the UVD coordinates spans, metres (a fixed range: features must not shift)
 UVD_RANGE_M = 0.010
 
@@ -240,3 +255,7 @@ FRAMING_WRIST_M = 0.034
 FRAMING_PALM_M = 0.0885
 # length of a mean of unit vectors below which it is no direction
 FRAMING_DIRECTION_MIN = 0.2
+# what `check-usd` lets pass: how far a Gaussian may stick out of its bound (metres, round-off of float32 at 100 m),
+# and how far the length of a quaternion may be from 1 (that of NVIDIA's rule VG.035)
+USD_EXTENT_TOLERANCE_M = 1e-5
+USD_QUATERNION_TOLERANCE = 1e-3

@@ -1,0 +1,25 @@
+"""sRGB and linear light: the one transfer function of the project (IEC 61966-2-1).
+
+Avatars keep display-referred sRGB and blend in it; formats that want light (USD's displayColor, glTF's COLOR_0) get it
+through here. Arrays of any shape; values outside 0..1 follow the same curve, negative ones its straight part.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from jghand_engine.limits import SRGB_EXPONENT, SRGB_OFFSET, SRGB_SLOPE, SRGB_TOE
+
+
+def srgb_to_linear(rgb: np.ndarray) -> np.ndarray:
+    """Display-referred sRGB to linear light with the same primaries; keeps dtype and shape."""
+    rgb = np.asarray(rgb)
+    power = ((np.maximum(rgb, 0) + SRGB_OFFSET) / (1 + SRGB_OFFSET)) ** SRGB_EXPONENT
+    return np.where(rgb <= SRGB_TOE, rgb / SRGB_SLOPE, power).astype(rgb.dtype, copy=False)
+
+
+def linear_to_srgb(rgb: np.ndarray) -> np.ndarray:
+    """Linear light to display-referred sRGB; the inverse of `srgb_to_linear`."""
+    rgb = np.asarray(rgb)
+    power = (1 + SRGB_OFFSET) * np.maximum(rgb, 0) ** (1 / SRGB_EXPONENT) - SRGB_OFFSET
+    return np.where(rgb <= SRGB_TOE / SRGB_SLOPE, rgb * SRGB_SLOPE, power).astype(rgb.dtype, copy=False)

@@ -1,0 +1,243 @@
+"""Export of an animated hand as an OpenUSD stage (EXPORT 1 to 8).
+
+    hand.usda         what others reference: variants splats, points, mesh        usd_stage
+    hand.splats.usdc  the Gaussians, posed, per frame                             usd_splats, fed by usd_motion
+    hand.rig.usdc     skeleton, animation, skinned mesh                           usd_rig, usd_skeleton
+    hand.shot.usda    the hand and the cameras                                    usd_stage, usd_cameras
+
+Everything is written into a folder beside the target and moved when it is complete.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import math
+import os
+import re
+import shutil
+import tempfile
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.errors import InputError, RetryError
+from jghand_engine.exporters.usd_layers import TimeRange, usd_errors
+from jghand_engine.exporters.usd_motion import HandMotion
+from jghand_engine.exporters.usd_rig import Rig, vertex_colours, write_rig
+from jghand_engine.exporters.usd_skeleton import build_skeleton
+from jghand_engine.exporters.usd_splats import Cloud, SplatLayer
+from jghand_engine.exporters.usd_stage import LayerNames, Variant, describe, write_interface, write_shot
+from jghand_engine.files import file_error, make_folder
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.limits import USD_DISK_RESERVE, USD_STATIC_BYTES, USD_STATIC_BYTES_PER_GAUSSIAN
+from jghand_engine.splat.camera import Camera
+from jghand_engine.template.builtin import load_template
+from jghand_engine.template.mesh import HandTemplate, mirrored
+
+IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+
+
+@dataclass(frozen=True)
+class UsdOptions:
+    """name:       stem of the files
+    default_variant: what a reader shows that cannot choose (Blender)
+    radiance:        "srgb" keeps the avatar's display-referred colours in the splats, "linear" writes light
+    sizes:           "constant": radii of the mean hand; "per_frame": as the engine shrinks and stretches them, at
+                     2.3 times the size of the file
+    width_factor:    diameter of the points of variant `points`, in two standard deviations
+    template:        surface of the avatar; None takes the built-in one
+    """
+
+    name: str = "hand"
+    default_variant: Variant = Variant.SPLATS
+    radiance: Literal["srgb", "linear"] = "srgb"
+    sizes: Literal["constant", "per_frame"] = "constant"
+    width_factor: float = 1.0
+    template: HandTemplate | None = None
+
+    def __post_init__(self) -> None:
+        if not IDENTIFIER.fullmatch(self.name):
+            raise InputError("name of the USD files", wanted="letters, digits and _", came=repr(self.name))
+        if self.default_variant not in tuple(Variant):
+            raise InputError("default variant", wanted=" or ".join(Variant), came=repr(self.default_variant))
+        for thing, value, wanted in (
+            ("radiance", self.radiance, ("srgb", "linear")),
+            ("sizes", self.sizes, ("constant", "per_frame")),
+        ):
+            if value not in wanted:
+                raise InputError(thing, wanted=" or ".join(wanted), came=repr(value))
+        if not (math.isfinite(self.width_factor) and self.width_factor > 0):
+            raise InputError("width factor", wanted="a finite number above 0", came=str(self.width_factor))
+
+
+@dataclass(frozen=True)
+class UsdReport:
+    """What an export did.
+
+    stage: path of the interface layer · shot: path of the shot · bytes: size by file name ·
+    seconds: time by stage of the work · sigma_error: largest relative difference between a written radius and the
+    engine's (0 with sizes per frame)
+    """
+
+    stage: Path
+    shot: Path
+    frames: int
+    gaussians: int
+    bytes: Mapping[str, int] = field(default_factory=dict)
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    sigma_error: float = 0.0
+
+    @property
+    def write_ms_per_frame(self) -> float:
+        """Milliseconds per frame to write the Gaussians, posing them not included."""
+        return 1e3 * self.seconds["splats"] / self.frames
+
+    @property
+    def megabytes_per_frame(self) -> float:
+        """Size of the whole export over its frames, 1e6 bytes."""
+        return sum(self.bytes.values()) / 1e6 / self.frames
+
+
+def export_usd(
+    folder: Path | str,
+    avatar: HandAvatar,
+    sequence: PoseSequence,
+    cameras: Mapping[str, Camera] | Sequence[Camera] = (),
+    options: UsdOptions | None = None,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+) -> UsdReport:
+    """Writes the animated hand into `folder`, which may hold other files; an earlier export of that name is replaced.
+
+    cameras:  by name, or in a row (cam0, cam1, ...); only the shot layer has them.
+    progress: called with (frames done, frames) after every frame.
+    Raises InputError for a motion with gaps, a template that is not the avatar's, or a folder that cannot be written,
+    RetryError for a disk that is full or too small. On any failure the folder is left as it was.
+    """
+    options = options or UsdOptions()
+    motion = HandMotion(avatar, sequence)
+    named_cameras = name_cameras(cameras)
+    template = template_of(avatar, options.template, motion.handedness)
+    names = LayerNames(options.name)
+    target = make_folder(folder)
+    check_space(target, len(avatar), len(motion), options)
+    span = TimeRange(len(motion), float(sequence.fps))
+    clock = _Clock()
+    with usd_errors(target), _arriving(target, names) as temporary:
+        with clock("rig"):
+            cloud = motion.cloud()
+            colours = vertex_colours(template.vertices_m, cloud)
+            skeleton = build_skeleton(motion.rest_poses(), motion.poses())
+            write_rig(temporary / names.rig, Rig(skeleton, template, colours), span)
+        sigma_error = _write_splats(temporary / names.splats, motion, cloud, span, options, clock, progress)
+        with clock("stage"):
+            about = describe(len(avatar), motion.handedness, avatar.info, options.sizes)
+            write_interface(temporary, names, avatar.info, about, span, Variant(options.default_variant))
+            write_shot(temporary, names, named_cameras, span)
+        sizes = {path.name: path.stat().st_size for path in sorted(temporary.iterdir())}
+    return UsdReport(
+        target / names.interface, target / names.shot, len(motion), len(avatar), sizes, clock.seconds, sigma_error
+    )
+
+
+def name_cameras(cameras: Mapping[str, Camera] | Sequence[Camera]) -> dict[str, Camera]:
+    """Cameras by a name that USD accepts; InputError otherwise."""
+    named = dict(cameras) if isinstance(cameras, Mapping) else {f"cam{i}": c for i, c in enumerate(cameras)}
+    for name in named:
+        if not IDENTIFIER.fullmatch(name):
+            raise InputError("camera name", wanted="letters, digits and _, no digit first", came=repr(name))
+    return named
+
+
+def template_of(avatar: HandAvatar, template: HandTemplate | None, handedness: Handedness) -> HandTemplate:
+    """The surface of the avatar's hand, mirrored for a left one. InputError when it is not the one the avatar was
+    made on: the skin would follow other joints."""
+    template = template or load_template()
+    if template.identifier != avatar.info.template or not np.allclose(
+        template.joints_m, avatar.canonical_joints_m.numpy(), rtol=0, atol=1e-7
+    ):
+        raise InputError(
+            "template",
+            wanted=f"{avatar.info.template!r}, on which the avatar was made",
+            came=repr(template.identifier),
+            remedy="Give the avatar's own template (UsdOptions.template).",
+        )
+    return mirrored(template) if handedness is Handedness.LEFT else template
+
+
+def check_space(folder: Path, gaussians: int, frames: int, options: UsdOptions) -> None:
+    """Raises RetryError when the export cannot fit on the disk of `folder`: said before minutes of work, not after."""
+    # a position is three float32; per-frame sizes add three scales and a width
+    sample = 12 if options.sizes == "constant" else 28
+    expected = gaussians * (frames + 1) * sample + gaussians * USD_STATIC_BYTES_PER_GAUSSIAN + USD_STATIC_BYTES
+    with usd_errors(folder):
+        free = shutil.disk_usage(folder).free * (1 - USD_DISK_RESERVE)
+    if expected > free:
+        raise RetryError(
+            f"cannot write the USD stage in {folder}: the disk is too small",
+            wanted=f"{expected / 1e6:.0f} MB",
+            came=f"{free / 1e6:.0f} MB free",
+            remedy="Free some space, choose another folder, or export fewer Gaussians or frames.",
+        )
+
+
+def _write_splats(
+    path: Path,
+    motion: HandMotion,
+    cloud: Cloud,
+    span: TimeRange,
+    options: UsdOptions,
+    clock: _Clock,
+    progress: Callable[[int, int], None] | None,
+) -> float:
+    """Writes every frame; returns the largest relative error of a written radius."""
+    per_frame, sigma_error = options.sizes == "per_frame", 0.0
+    with clock("splats"):
+        layer = SplatLayer(path, cloud, span, radiance=options.radiance, width_factor=options.width_factor)
+    for index in range(span.frames):
+        with clock("posing"):
+            posed = motion.frame(index)
+            if not per_frame:
+                sigma_error = max(sigma_error, float(np.abs(cloud.sigma_m / posed.sigma_m - 1).max(initial=0)))
+        with clock("splats"):
+            layer.put(index, posed.positions_m, posed.sigma_m if per_frame else None)
+        if progress:
+            progress(index + 1, span.frames)
+    with clock("splats"):
+        layer.finish()
+    return sigma_error
+
+
+@contextlib.contextmanager
+def _arriving(folder: Path, names: LayerNames) -> Iterator[Path]:
+    """A temporary folder in `folder`; on success its files move up, the layers that refer to others last."""
+    for target in (folder / name for name in names.all):
+        if target.is_dir():
+            raise file_error(target, IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR)))
+    temporary = Path(tempfile.mkdtemp(prefix=f".{names.name}.", dir=folder))
+    try:
+        yield temporary
+        for name in names.all:
+            os.replace(temporary / name, folder / name)
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+class _Clock:
+    """Adds up seconds by name."""
+
+    def __init__(self) -> None:
+        self.seconds: dict[str, float] = {}
+
+    @contextlib.contextmanager
+    def __call__(self, name: str) -> Iterator[None]:
+        start = time.perf_counter()
+        yield
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start

@@ -1,0 +1,31 @@
+"""Pinhole cameras as USD cameras (EXPORT 8)."""
+
+from __future__ import annotations
+
+import numpy as np
+from pxr import Gf, Sdf, Usd, UsdGeom
+
+from jghand_engine.exporters.usd_values import matrix4d
+from jghand_engine.limits import USD_APERTURE, USD_CLIPPING_RANGE_M
+from jghand_engine.splat.camera import Camera
+
+# OpenCV looks along +z with y down, USD along -z with y up
+USD_FROM_OPENCV_AXES = np.diag([1.0, -1.0, -1.0])
+
+
+def add_camera(stage: Usd.Stage, path: Sdf.Path | str, camera: Camera) -> UsdGeom.Camera:
+    """Writes `camera` at `path`: one transform, focal length and apertures as ratios, the principal point as aperture
+    offsets. Projects as the engine's camera does, to 1e-5 px."""
+    prim = UsdGeom.Camera.Define(stage, path)
+    focal = camera.fx * USD_APERTURE / camera.width
+    vertical = camera.height * focal / camera.fy
+    prim.CreateHorizontalApertureAttr(USD_APERTURE)
+    prim.CreateVerticalApertureAttr(vertical)
+    prim.CreateFocalLengthAttr(focal)
+    prim.CreateHorizontalApertureOffsetAttr(USD_APERTURE * (0.5 - camera.cx / camera.width))
+    prim.CreateVerticalApertureOffsetAttr(vertical * (camera.cy / camera.height - 0.5))
+    prim.CreateClippingRangeAttr(Gf.Vec2f(*USD_CLIPPING_RANGE_M))
+    world_from_camera = np.linalg.inv(camera.camera_from_world.numpy())
+    world_from_camera[:3, :3] = world_from_camera[:3, :3] @ USD_FROM_OPENCV_AXES
+    UsdGeom.Xformable(prim).AddTransformOp().Set(matrix4d(world_from_camera))
+    return prim

@@ -1,0 +1,139 @@
+"""Says in plain sentences what is wrong with a stage, in every variant.
+
+USD's own validators look at structure; none of them looks at splats: logarithms as scales, opacity 2, no extent, a
+skeleton that got lost all pass. So the rules for data are here (EXPORT 9, 10), beside USD's.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from pxr import Sdf, Tf, Usd, UsdGeom, UsdSkel, UsdUtils
+
+from jghand_engine.errors import InputError
+from jghand_engine.exporters.usd_check_splats import splat_findings
+from jghand_engine.exporters.usd_layers import SPLAT_TYPE
+from jghand_engine.exporters.usd_stage import VARIANT_SET
+
+PURPOSES = [UsdGeom.Tokens.default_, UsdGeom.Tokens.render, UsdGeom.Tokens.proxy, UsdGeom.Tokens.guide]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """variant: in which it shows, or '' · site: path of the prim, or '' · sentence: what is wrong."""
+
+    variant: str
+    site: str
+    sentence: str
+
+    def __str__(self) -> str:
+        where = " ".join(part for part in (f"[{self.variant}]" if self.variant else "", self.site) if part)
+        return f"{where}: {self.sentence}" if where else self.sentence
+
+
+def check_usd(path: Path | str) -> list[Finding]:
+    """Everything that is wrong with the stage at `path`, variant by variant; empty when nothing is.
+
+    Raises InputError when the file cannot be opened as a stage.
+    """
+    findings = []
+    for variant, prim_path in _variants(Path(path)):
+        delegate = UsdUtils.CoalescingDiagnosticDelegate()
+        stage = _open(Path(path))
+        if variant:
+            stage.SetEditTarget(stage.GetSessionLayer())
+            stage.GetPrimAtPath(prim_path).GetVariantSet(VARIANT_SET).SetVariantSelection(variant)
+        found = [*_usd_findings(stage), *_stage_findings(stage)]
+        found += [("", f"USD warns: {item.commentary}") for item in delegate.TakeUncoalescedDiagnostics()]
+        findings += [Finding(variant, site, sentence) for site, sentence in found]
+        del delegate
+    return findings
+
+
+def _open(path: Path) -> Usd.Stage:
+    try:
+        stage = Usd.Stage.Open(str(path)) if path.is_file() else None
+    except Tf.ErrorException as error:
+        raise InputError(f"USD file {path}", wanted="a stage that opens", came=f"an error of USD: {error}") from error
+    if stage is None:
+        raise InputError(f"USD file {path}", wanted="a file", came="none of that name")
+    return stage
+
+
+def _variants(path: Path) -> list[tuple[str, Sdf.Path]]:
+    """Every choice of representation on the stage: name and prim that offers it; one '' when there are none."""
+    stage = _open(path)
+    for prim in stage.Traverse():
+        sets = prim.GetVariantSets()
+        if sets.HasVariantSet(VARIANT_SET):
+            return [(name, prim.GetPath()) for name in sets.GetVariantSet(VARIANT_SET).GetVariantNames()]
+    return [("", Sdf.Path("/"))]
+
+
+def _usd_findings(stage: Usd.Stage) -> Iterator[tuple[str, str]]:
+    """What USD's own validators say, where this USD has them."""
+    try:
+        from pxr import UsdValidation
+    except ImportError:
+        return
+    registry = UsdValidation.ValidationRegistry()
+    for error in UsdValidation.ValidationContext(registry.GetOrLoadAllValidators()).Validate(stage):
+        sites = [site.GetPrim().GetPath() for site in error.GetSites() if site.IsPrim()]
+        yield str(sites[0]) if sites else "", f"{error.GetName()}: {error.GetMessage()}"
+
+
+def _stage_findings(stage: Usd.Stage) -> Iterator[tuple[str, str]]:
+    """Our rules for the whole stage and for every prim."""
+    splats = 0
+    for prim in stage.Traverse():
+        site = str(prim.GetPath())
+        if prim.GetTypeName() == SPLAT_TYPE:
+            splats += 1
+            yield from ((site, sentence) for sentence in splat_findings(prim))
+        if prim.IsA(UsdGeom.PointBased):
+            yield from ((site, sentence) for sentence in _point_findings(prim))
+            yield from ((site, sentence) for sentence in _skin_findings(prim))
+    if splats and SPLAT_TYPE not in (stage.GetMetadata("fallbackPrimTypes") or {}):
+        yield "", f"the root layer names no fallbackPrimTypes for {SPLAT_TYPE}: an older USD shows nothing"
+    if stage.GetDefaultPrim():
+        box = UsdGeom.BBoxCache(stage.GetStartTimeCode(), PURPOSES).ComputeWorldBound(stage.GetDefaultPrim())
+        if box.ComputeAlignedRange().IsEmpty():
+            yield str(stage.GetDefaultPrim().GetPath()), "the world bound is empty: viewers cannot frame the hand"
+    else:
+        yield "", "there is no default prim: a reference to this file brings nothing"
+
+
+def _point_findings(prim: Usd.Prim) -> Iterator[str]:
+    attr = UsdGeom.PointBased(prim).GetPointsAttr()
+    if attr.GetNumTimeSamples() and attr.Get() is None:
+        yield "points have time samples but no Default value: several readers show nothing"
+    for time in (Usd.TimeCode.Default(), *attr.GetTimeSamples()):
+        points, extent = attr.Get(time), UsdGeom.Boundable(prim).GetExtentAttr().Get(time)
+        if points is None or not len(points):
+            continue
+        if not np.isfinite(np.asarray(points)).all():
+            yield f"points hold NaN or infinity at {time_name(time)}"
+        if extent is None:
+            yield f"there is no extent at {time_name(time)}"
+
+
+def _skin_findings(prim: Usd.Prim) -> Iterator[str]:
+    if not prim.HasAPI(UsdSkel.BindingAPI):
+        return
+    binding = UsdSkel.BindingAPI(prim)
+    if not binding.GetInheritedSkeleton():
+        yield "skel:skeleton has no target: the skeleton got lost, the skin will not move"
+        return
+    weights = binding.GetJointWeightsPrimvar().Get()
+    size = binding.GetJointWeightsPrimvar().GetElementSize()
+    if weights is not None and np.abs(np.asarray(weights).reshape(-1, size).sum(axis=1) - 1).max(initial=0) > 1e-3:
+        yield "joint weights of a point do not sum to 1: it will shrink towards the origin"
+
+
+def time_name(time: Usd.TimeCode | float) -> str:
+    """Time for a sentence."""
+    time = Usd.TimeCode(time)
+    return "Default time" if time.IsDefault() else f"time {time.GetValue():g}"

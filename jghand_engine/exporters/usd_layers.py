@@ -1,0 +1,99 @@
+"""Layers of a stage: units and time, untyped attributes, saving, and what USD's errors mean to a user."""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pxr import Sdf, Tf, Usd, UsdGeom, Vt
+
+from jghand_engine.errors import RetryError
+from jghand_engine.exporters.colour import srgb_to_linear
+from jghand_engine.exporters.usd_values import floats, vec3f
+from jghand_engine.files import file_error
+
+SPLAT_TYPE = "ParticleField3DGaussianSplat"
+LINEAR = "lin_rec709_scene"
+SRGB = "srgb_rec709_scene"
+TYPES: Any = Sdf.ValueTypeNames
+
+
+@dataclass(frozen=True)
+class TimeRange:
+    """Frames 0 .. frames - 1; one time code is one frame."""
+
+    frames: int
+    fps: float
+
+
+def new_layer(path: Path, time: TimeRange) -> Usd.Stage:
+    """A new stage on `path` with JGHand's units (metres, Y up) and time, written on `Save()`."""
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    stage.SetTimeCodesPerSecond(time.fps)
+    stage.SetFramesPerSecond(time.fps)
+    stage.SetStartTimeCode(0)
+    stage.SetEndTimeCode(time.frames - 1)
+    return stage
+
+
+def announce_fallback(stage: Usd.Stage) -> None:
+    """Lets a USD that is too old for splats show the prim as points. Read from the root layer only, so every layer
+    that somebody may open first must say it."""
+    stage.SetMetadata("fallbackPrimTypes", {SPLAT_TYPE: Vt.TokenArray(["Points"])})
+
+
+def attribute(prim: Usd.Prim, name: str, type_name: Sdf.ValueTypeName, value: Any = None) -> Usd.Attribute:
+    """An attribute authored without its schema class: USD 25.08 does not know the splat schema, and `Imageable` does
+    not accept a prim of unknown type."""
+    return _authored(prim, name, type_name, value, Sdf.VariabilityVarying)
+
+
+def uniform(prim: Usd.Prim, name: str, type_name: Sdf.ValueTypeName, value: Any) -> Usd.Attribute:
+    """The same for an attribute that cannot change over time."""
+    return _authored(prim, name, type_name, value, Sdf.VariabilityUniform)
+
+
+def _authored(
+    prim: Usd.Prim, name: str, type_name: Sdf.ValueTypeName, value: Any, variability: Sdf.Variability
+) -> Usd.Attribute:
+    attr = prim.CreateAttribute(name, type_name, False, variability)
+    if value is not None:
+        attr.Set(value)
+    return attr
+
+
+def display_primvars(prim: Usd.Prim, rgb: np.ndarray, opacity: np.ndarray | None = None) -> None:
+    """Viewport colours from display-referred sRGB (N, 3), one per point; displayColor is linear by convention."""
+    api = UsdGeom.PrimvarsAPI(prim)
+    colour = api.CreatePrimvar("displayColor", TYPES.Color3fArray, UsdGeom.Tokens.vertex)
+    colour.Set(vec3f(srgb_to_linear(rgb)))
+    colour.GetAttr().SetColorSpace(LINEAR)
+    if opacity is not None:
+        api.CreatePrimvar("displayOpacity", TYPES.FloatArray, UsdGeom.Tokens.vertex).Set(floats(opacity))
+
+
+@contextlib.contextmanager
+def usd_errors(folder: Path) -> Iterator[None]:
+    """Turns what fails while a stage is written below `folder` into the engine's errors."""
+    try:
+        yield
+    except OSError as error:
+        raise file_error(folder, error) from error
+    except Tf.ErrorException as error:
+        text = str(error)
+        for code in (errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EROFS):
+            if os.strerror(code) in text:
+                raise file_error(folder, OSError(code, os.strerror(code))) from error
+        # the last quoted part is what went wrong, the rest where in USD's source
+        reason = text.split("'")[-2] if text.count("'") >= 2 else text.strip()
+        raise RetryError(
+            f"cannot write the USD stage in {folder}: {reason}", remedy="Check the disk and try again."
+        ) from error

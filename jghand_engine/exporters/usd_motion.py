@@ -1,0 +1,126 @@
+"""What of a pose sequence goes into a stage: posed Gaussians frame by frame, and the bones of all frames."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.skinning import pose_gaussians
+from jghand_engine.errors import InputError
+from jghand_engine.exporters.usd_skeleton import JOINT_AXES, MIRROR, BonePoses, joint_axes
+from jghand_engine.exporters.usd_splats import Cloud
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.hand.transform import BoneTransforms, JointTransform
+
+
+@dataclass(frozen=True)
+class PosedFrame:
+    """Centres (N, 3) and radii (N,) of the Gaussians in one frame, metres, float32."""
+
+    positions_m: np.ndarray
+    sigma_m: np.ndarray
+
+
+class HandMotion:
+    """An avatar driven by a sequence, of the hand the sequence names. All bones are computed once, in float64.
+
+    Raises InputError for a sequence with gaps.
+    """
+
+    def __init__(self, avatar: HandAvatar, sequence: PoseSequence) -> None:
+        check_sequence(sequence)
+        self.handedness = Handedness(sequence.handedness)
+        self.avatar = avatar.for_hand(self.handedness)
+        self._transform = JointTransform(
+            avatar.canonical_joints_m,
+            handedness=self.handedness,
+            swing=avatar.info.swing,
+            scale_mode=avatar.info.scale_mode,
+        )
+        self._joints_m = torch.tensor(sequence.joints_m, dtype=torch.float64)
+        self._bones = self._transform.bones(self._joints_m)
+        # pose_gaussians works in the precision of its bones; positions are stored as float32
+        self._bones32 = _in_precision(self._bones, torch.float32)
+
+    def __len__(self) -> int:
+        return len(self._joints_m)
+
+    @property
+    def mean_scale(self) -> float:
+        """Scale of the whole hand against the canonical one, mean over the frames."""
+        return float(self._bones.scale.mean())
+
+    def frame(self, index: int) -> PosedFrame:
+        """The Gaussians as the engine draws them in one frame."""
+        bones = _one_frame(self._bones32, index)
+        with torch.inference_mode():
+            gaussians = pose_gaussians(self.avatar, bones)
+        return PosedFrame(gaussians.position_m.numpy(), gaussians.sigma_m.numpy())
+
+    def cloud(self) -> Cloud:
+        """The Gaussians at rest: canonical, mirrored for a left hand; radii at the mean scale of the motion."""
+        avatar = self.avatar
+        return Cloud(
+            rest_m=self.mirrored(avatar.position_m.numpy()).astype(np.float32),
+            sigma_m=(avatar.sigma_m.numpy() * self.mean_scale).astype(np.float32),
+            opacity=avatar.opacity.numpy().astype(np.float32),
+            rgb=avatar.rgb.numpy().astype(np.float32),
+        )
+
+    def mirrored(self, points_m: np.ndarray) -> np.ndarray:
+        """Canonical points (..., 3) of the hand itself: the mirror image of the model's for a left hand."""
+        return points_m @ MIRROR.astype(points_m.dtype) if self.handedness is Handedness.LEFT else points_m
+
+    def rest_poses(self) -> BonePoses:
+        """The canonical hand as one frame."""
+        joints_m = torch.as_tensor(self.mirrored(self.avatar.canonical_joints_m.numpy().astype(np.float64)))[None]
+        return self._poses(joints_m, self._transform.bones(joints_m))
+
+    def poses(self) -> BonePoses:
+        """The bones of every frame."""
+        return self._poses(self._joints_m, self._bones)
+
+    def _poses(self, joints_m: torch.Tensor, bones: BoneTransforms) -> BonePoses:
+        posed = _all_frames(bones.frames.S, bones.frames.S0)
+        canonical = self._transform.canonical
+        # the canonical hand keeps its batch last and its components first
+        canonical_frames = _all_frames(
+            canonical.S.squeeze(-1).permute(2, 0, 1)[None], canonical.S0.squeeze(-1).squeeze(-1)[None]
+        )
+        linear = bones.linear.numpy()
+        if self.handedness is Handedness.LEFT:
+            linear = MIRROR @ linear
+        # L = S diag(r, r, s) S^cT: the diagonal, also where a bone has no length and L no inverse
+        scales = (posed * (linear @ canonical_frames)).sum(axis=-2)
+        return BonePoses(joints_m.numpy(), joint_axes(posed, self.handedness), scales[..., JOINT_AXES])
+
+
+def check_sequence(sequence: PoseSequence) -> None:
+    """Raises InputError when joints are missing in any frame."""
+    if sequence.gaps:
+        raise InputError(
+            "motion",
+            wanted="all 21 joints in every frame",
+            came=sequence.gaps.sentence(),
+            remedy="Hold the last good pose over the gaps (PoseSequence.with_gaps_held) or cut these frames.",
+        )
+
+
+def _all_frames(S: torch.Tensor, S0: torch.Tensor) -> np.ndarray:
+    """(F, 21, 3, 3): the palm's frame and those of bones 1..20."""
+    return torch.cat([S0.unsqueeze(-3), S], dim=-3).numpy()
+
+
+def _in_precision(bones: BoneTransforms, dtype: torch.dtype) -> BoneTransforms:
+    names = ("linear", "offset_m", "root_m", "canonical_root_m", "scale")
+    return dataclasses.replace(bones, **{name: getattr(bones, name).to(dtype) for name in names})
+
+
+def _one_frame(bones: BoneTransforms, index: int) -> BoneTransforms:
+    names = ("linear", "offset_m", "root_m", "scale")
+    return dataclasses.replace(bones, **{name: getattr(bones, name)[index] for name in names})

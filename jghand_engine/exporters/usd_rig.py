@@ -1,0 +1,103 @@
+"""The layer with the armature: skeleton, its animation, and the template mesh bound to it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from pxr import Gf, Usd, UsdGeom, UsdSkel
+from scipy.spatial import cKDTree
+
+from jghand_engine.exporters.usd_layers import TYPES, TimeRange, display_primvars, new_layer
+from jghand_engine.exporters.usd_skeleton import LocalPoses, UsdSkeleton, skin_influences
+from jghand_engine.exporters.usd_splats import Cloud
+from jghand_engine.exporters.usd_values import floats, ints, matrices4d, quatf, vec2f, vec3f, vec3h
+from jghand_engine.limits import USD_MESH_COLOUR_NEIGHBOURS, USD_SAVE_EVERY
+from jghand_engine.template.mesh import HandTemplate
+
+RIG_PATH = "/Rig"
+
+
+@dataclass(frozen=True)
+class Rig:
+    """template: the surface of the hand itself, mirrored for a left one · rgb: (V, 3) display-referred sRGB of its
+    vertices."""
+
+    skeleton: UsdSkeleton
+    template: HandTemplate
+    rgb: np.ndarray
+
+
+def write_rig(path: Path, rig: Rig, time: TimeRange) -> None:
+    """Writes /Rig with Skeleton, Skeleton/Anim and Mesh. One prim at the root, so that one reference brings everything:
+    separate references would drop skel:skeleton with a mere warning."""
+    stage = new_layer(path, time)
+    root = UsdSkel.Root.Define(stage, RIG_PATH).GetPrim()
+    stage.SetDefaultPrim(root)
+    skeleton = UsdSkel.Skeleton.Define(stage, f"{RIG_PATH}/Skeleton")
+    skeleton.CreateJointsAttr(rig.skeleton.tokens)
+    skeleton.CreateBindTransformsAttr(matrices4d(rig.skeleton.bind))
+    skeleton.CreateRestTransformsAttr(matrices4d(rig.skeleton.rest))
+    animation = UsdSkel.Animation.Define(stage, f"{RIG_PATH}/Skeleton/Anim")
+    UsdSkel.BindingAPI.Apply(skeleton.GetPrim()).CreateAnimationSourceRel().SetTargets([animation.GetPath()])
+    _add_mesh(stage, rig, skeleton)
+    _animate(stage, animation, rig)
+
+
+def _animate(stage: Usd.Stage, animation: UsdSkel.Animation, rig: Rig) -> None:
+    animation.CreateJointsAttr(rig.skeleton.tokens)
+    translations, rotations = animation.CreateTranslationsAttr(), animation.CreateRotationsAttr()
+    scales = animation.CreateScalesAttr()
+
+    def put(poses: LocalPoses, index: int, time: Usd.TimeCode) -> None:
+        translations.Set(vec3f(poses.translations_m[index]), time)
+        rotations.Set(quatf(poses.rotations_xyzw[index]), time)
+        scales.Set(vec3h(poses.scales[index]), time)
+
+    # Default values are the rest pose: Blender and others read them before any sample
+    put(rig.skeleton.default, 0, Usd.TimeCode.Default())
+    for frame in range(len(rig.skeleton.motion.scales)):
+        put(rig.skeleton.motion, frame, Usd.TimeCode(frame))
+        if frame % USD_SAVE_EVERY == USD_SAVE_EVERY - 1:
+            stage.Save()
+    stage.Save()
+
+
+def _add_mesh(stage: Usd.Stage, rig: Rig, skeleton: UsdSkel.Skeleton) -> None:
+    template = rig.template
+    mesh = UsdGeom.Mesh.Define(stage, f"{RIG_PATH}/Mesh")
+    mesh.CreatePointsAttr(vec3f(template.vertices_m))
+    mesh.CreateFaceVertexIndicesAttr(ints(template.faces))
+    mesh.CreateFaceVertexCountsAttr(ints(np.full(len(template.faces), 3)))
+    mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    mesh.CreateNormalsAttr(vec3f(vertex_normals(template.vertices_m, template.faces)))
+    mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+    mesh.CreateExtentAttr(vec3f(np.stack([template.vertices_m.min(axis=0), template.vertices_m.max(axis=0)])))
+    display_primvars(mesh.GetPrim(), rig.rgb)
+    coordinates = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", TYPES.TexCoord2fArray, UsdGeom.Tokens.faceVarying)
+    coordinates.Set(vec2f(template.face_uv.reshape(-1, 2)))
+    joints, weights = skin_influences(template.bone_weights)
+    binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
+    binding.CreateJointIndicesPrimvar(False, joints.shape[1]).Set(ints(joints))
+    binding.CreateJointWeightsPrimvar(False, weights.shape[1]).Set(floats(weights))
+    binding.CreateGeomBindTransformAttr(Gf.Matrix4d(1))
+    binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
+
+
+def vertex_normals(vertices_m: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(V, 3) unit normals, each the area-weighted mean of the faces around the vertex."""
+    corners = vertices_m[faces]
+    face_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = np.zeros_like(vertices_m)
+    for corner in range(3):
+        np.add.at(normals, faces[:, corner], face_normals)
+    length = np.linalg.norm(normals, axis=1, keepdims=True)
+    return normals / np.where(length > 0, length, 1)
+
+
+def vertex_colours(vertices_m: np.ndarray, cloud: Cloud) -> np.ndarray:
+    """(V, 3) display-referred sRGB: mean of the nearest Gaussians of a cloud in the same pose."""
+    neighbours = min(USD_MESH_COLOUR_NEIGHBOURS, len(cloud.rgb))
+    _, index = cKDTree(cloud.rest_m).query(vertices_m, k=neighbours)
+    return cloud.rgb[index.reshape(len(vertices_m), neighbours)].mean(axis=1)

@@ -1,0 +1,170 @@
+"""The skeleton that makes UsdSkel move a mesh exactly as the engine does. No files, no `pxr`: numpy only.
+
+A bone transform of the engine is B_i = S_i diag(r_i, r_i, s_i) S_i^cT between the pivots (METHOD 2.6): a rotation, a
+radius r_i and a stretch s_i along the bone. So the skeleton has, in this order,
+
+* 21 **control** joints, named as everywhere. Rotation = frame of the bone that *starts* at the joint (the wrist has the
+  palm's, a tip the last bone's), translation = bone length, scale 1, which therefore never inherits down a chain;
+* 21 **skin** leaves, one per bone matrix, which carry the scale. `wrist/index1/index2_skin` moves the segment that
+  *ends* at index2 and sits at its start, index1; `wrist/palm_skin` is B_0. Only these and the next have skin weights;
+* 21 **fine** leaves beside them. UsdSkel stores scales as half, 11 bits: 0.04 mm at the end of a metacarpal. A fixed
+  share FINE_SHARE of every weight goes to a twin whose scale is overdrawn by the rounding error of the first:
+  (1 - share) coarse + share fine = the scale to 19 bits. A sum with fixed weights stays right between samples, and a
+  client that keeps only the four largest weights loses the twin's 1/256 and with it those 0.04 mm, nothing more.
+
+Joint axes: x = flexion axis, y = along the bone, z = out of the palm, right-handed for both hands: the engine's
+(y, z, x). Blender draws a bone along y. A left hand is the mirror image with the flexion axis turned round, so that
+no scale is negative and positive flexion curls it too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from jghand_engine.hand.joints import JOINT_COUNT, LEVEL_NAMES, PARENTS, STANDARD_NAMES, Handedness
+from jghand_engine.limits import USD_FINE_SHARE
+
+# level index of the joint at every standard index: files list fingers, the engine levels
+LEVEL_OF_STANDARD = tuple(LEVEL_NAMES.index(name) for name in STANDARD_NAMES)
+STANDARD_OF_LEVEL = tuple(STANDARD_NAMES.index(name) for name in LEVEL_NAMES)
+# columns of an engine frame that become x, y, z of a joint
+JOINT_AXES = (1, 2, 0)
+MIRROR = np.diag([-1.0, 1.0, 1.0])
+TURN_FLEXION_AXIS = np.diag([1.0, -1.0, 1.0])
+USD_JOINT_COUNT = 3 * JOINT_COUNT
+
+
+@dataclass(frozen=True)
+class BonePoses:
+    """Where the engine puts the bones of F frames, level order, in the world of the hand itself.
+
+    joints_m: (F, 21, 3) metres · axes: (F, 21, 3, 3) joint axes of every bone, row 0 the palm's ·
+    scales: (F, 21, 3) along those axes
+    """
+
+    joints_m: np.ndarray
+    axes: np.ndarray
+    scales: np.ndarray
+
+
+@dataclass(frozen=True)
+class LocalPoses:
+    """Joints of the skeleton relative to their parents over F frames.
+
+    translations_m: (F, 63, 3) · rotations_xyzw: (F, 63, 4), each on the side of the frame before ·
+    scales: (F, 63, 3), values that half precision holds exactly
+    """
+
+    translations_m: np.ndarray
+    rotations_xyzw: np.ndarray
+    scales: np.ndarray
+
+
+@dataclass(frozen=True)
+class UsdSkeleton:
+    """tokens: 63 paths, parents first · bind, rest: (63, 4, 4) world and local transforms of the rest pose, acting on
+    column vectors · default: the rest pose as one frame · motion: F frames."""
+
+    tokens: tuple[str, ...]
+    bind: np.ndarray
+    rest: np.ndarray
+    default: LocalPoses
+    motion: LocalPoses
+
+
+def joint_tokens() -> tuple[str, ...]:
+    """The paths of all 63 joints: control joints in standard order, then skin and fine leaves in the same order."""
+    paths: dict[int, str] = {}
+    for level, name in enumerate(LEVEL_NAMES):
+        paths[level] = f"{paths[PARENTS[level]]}/{name}" if level else name
+    leaves = [
+        f"{paths[max(PARENTS[level], 0)]}/{LEVEL_NAMES[level] if level else 'palm'}_skin" for level in LEVEL_OF_STANDARD
+    ]
+    return (*(paths[level] for level in LEVEL_OF_STANDARD), *leaves, *(f"{leaf}_fine" for leaf in leaves))
+
+
+def joint_axes(frames: np.ndarray, handedness: Handedness) -> np.ndarray:
+    """Engine frames (..., 3, 3) of the *right-hand* code, columns x, y, z, to proper joint axes in the hand's world."""
+    if handedness is Handedness.LEFT:
+        frames = MIRROR @ frames @ TURN_FLEXION_AXIS
+    return frames[..., JOINT_AXES]
+
+
+def build_skeleton(rest: BonePoses, motion: BonePoses) -> UsdSkeleton:
+    """The skeleton at rest (one frame) and in motion."""
+    joints_m, axes, scales = (
+        np.concatenate([getattr(rest, name), getattr(motion, name)]) for name in ("joints_m", "axes", "scales")
+    )
+    rotations, positions_m = _world(joints_m, axes)
+    bind = _homogeneous(rotations[0], positions_m[0])
+    rotations, positions_m = _local(rotations, positions_m)
+    quaternions = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_quat().reshape(*rotations.shape[:2], 4)
+    coarse, fine = split_scales(scales[:, LEVEL_OF_STANDARD])
+    poses = (
+        positions_m,
+        same_hemisphere(quaternions),
+        np.concatenate([np.ones_like(coarse), coarse, fine], axis=1),
+    )
+    default, moving = (LocalPoses(*(array[part] for array in poses)) for part in (slice(0, 1), slice(1, None)))
+    return UsdSkeleton(joint_tokens(), bind, _homogeneous(rotations[0], positions_m[0]), default, moving)
+
+
+def split_scales(scales: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two arrays of half-precision values with (1 - share) * coarse + share * fine = scales to 2^-19 of them."""
+    coarse = scales.astype(np.float16).astype(np.float64)
+    fine = coarse + (scales - coarse) / USD_FINE_SHARE
+    return coarse, fine.astype(np.float16).astype(np.float64)
+
+
+def same_hemisphere(quaternions: np.ndarray) -> np.ndarray:
+    """Quaternions (F, J, 4) with the sign that is nearest to the frame before: clients interpolate between samples."""
+    turn = np.sign((quaternions[1:] * quaternions[:-1]).sum(-1, keepdims=True))
+    turn = np.cumprod(np.where(turn < 0, -1.0, 1.0), axis=0)
+    return np.concatenate([quaternions[:1], quaternions[1:] * turn])
+
+
+def skin_influences(bone_weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Joint indices and weights (V, 2K) from bone weights (V, 21), level order; K = most bones of any vertex.
+
+    Nothing is dropped. The K shares of the skin leaves come first, in falling order, then those of their fine twins.
+    """
+    count = max(1, int((bone_weights > 0).sum(axis=1).max()))
+    bone = np.argsort(-bone_weights, axis=1, kind="stable")[:, :count]
+    weight = np.take_along_axis(bone_weights, bone, axis=1)
+    # unused slots point at the first joint: a weight of 0 on whatever joint means nothing
+    skin = np.where(weight > 0, JOINT_COUNT + np.asarray(STANDARD_OF_LEVEL)[bone], 0)
+    twin = np.where(weight > 0, skin + JOINT_COUNT, 0)
+    return (
+        np.concatenate([skin, twin], axis=1),
+        np.concatenate([weight * (1 - USD_FINE_SHARE), weight * USD_FINE_SHARE], axis=1),
+    )
+
+
+def _world(joints_m: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """World rotations (F, 63, 3, 3) and positions (F, 63, 3) of all joints."""
+    level = list(LEVEL_OF_STANDARD)
+    starts = [0 if bone == 0 else bone + 5 if bone <= 15 else bone for bone in level]
+    pivots = [max(PARENTS[bone], 0) for bone in level]
+    rotations = np.concatenate([axes[:, starts], axes[:, level], axes[:, level]], axis=1)
+    positions = np.concatenate([joints_m[:, level], joints_m[:, pivots], joints_m[:, pivots]], axis=1)
+    return rotations, positions
+
+
+def _local(rotations: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same relative to the parents; the wrist stays in the world."""
+    control = [STANDARD_OF_LEVEL[max(PARENTS[level], 0)] for level in LEVEL_OF_STANDARD]
+    parent = np.array(control * 3)
+    to_parent = rotations[:, parent].swapaxes(-1, -2)
+    local_rotations = to_parent @ rotations
+    local_positions = (to_parent @ (positions - positions[:, parent])[..., None])[..., 0]
+    local_rotations[:, 0], local_positions[:, 0] = rotations[:, 0], positions[:, 0]
+    return local_rotations, local_positions
+
+
+def _homogeneous(rotations: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    matrices = np.zeros((*rotations.shape[:-2], 4, 4))
+    matrices[..., :3, :3], matrices[..., :3, 3], matrices[..., 3, 3] = rotations, positions, 1
+    return matrices
