@@ -328,8 +328,14 @@ def _palm_planes(palm: Tensor, palm_from_canonical: Tensor, canonical: Canonical
     return _PalmPlanes(normal, unit, (height < 2 * limits.PALM_CLAMP).any(0))
 
 
+def metacarpal_frames(palm: Tensor, S0: Tensor, canonical: CanonicalHand) -> Tensor:
+    """S of bones 1..5 (3, 3, 5, N) from their directions (3, 5, N) and the palm frame (3, 3, 1, N)."""
+    planes = _palm_planes(palm, rot.mat_mul(S0, canonical.S0.transpose(0, 1)), canonical)
+    return _metacarpal_frames(palm, planes.normal, canonical)
+
+
 def _metacarpal_frames(palm: Tensor, normal: Tensor, canonical: CanonicalHand) -> Tensor:
-    """S of bones 1..5, (3, 3, 5, N)."""
+    """S of bones 1..5, (3, 3, 5, N), from the clamped palm normals."""
     between = 0.5 * (normal[:, 1:3] + normal[:, 2:4])
     finger_normal = torch.cat([normal[:, :2], between, normal[:, 3:]], 1)
     canonical_S = canonical.S[:, :, :5]

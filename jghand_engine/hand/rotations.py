@@ -161,3 +161,67 @@ def swing_minimal(
     """
     good = dot(direction, canonical) > 0.5 * limits.SWING_POLE**2 - 1
     return mat_mul(minimal_rotation(canonical, direction, opposite), canonical_swing), good
+
+
+def axis_rotation(axis: Tensor, angle: Tensor) -> Tensor:
+    """Rotation by `angle` (*rest) about the unit vectors `axis` (3, *rest): Rodrigues, (3, 3, *rest)."""
+    sine, cosine = torch.sin(angle), torch.cos(angle)
+    x, y, z = axis * sine
+    cosine = cosine.expand_as(x)
+    linear = torch.stack([cosine, -z, y, z, cosine, -x, -y, x, cosine]).unflatten(0, (3, 3))
+    return linear + outer((1 - cosine) * axis, axis)
+
+
+def slerp(a: Tensor, b: Tensor, part: Tensor) -> Tensor:
+    """Unit vectors at `part` (*rest) of the great circle from a to b, (components, *rest); exact at both ends.
+
+    Works for unit vectors of any dimension, quaternions too. At b = -a no circle is distinguished: the answer is a
+    up to the middle and b after it.
+    """
+    cosine = dot(a, b)
+    across = b - cosine * a
+    sine = torch.sqrt(dot(across, across))
+    angle = torch.atan2(sine, cosine)
+    # below this the chord is the arc to double precision, and sin/sin would divide round-off by round-off
+    near = sine < torch.finfo(a.dtype).eps ** 0.5
+    safe = torch.where(near, 1.0, torch.sin(angle))
+    weight_a = torch.where(near, 1 - part, torch.sin((1 - part) * angle) / safe)
+    weight_b = torch.where(near, part, torch.sin(part * angle) / safe)
+    mixed = weight_a * a + weight_b * b
+    nearest_end = torch.where(part > 0.5, b, a)
+    return safe_unit(mixed, nearest_end, 1e-6, full_at=0.0)[0]
+
+
+def quaternions(rotation: Tensor) -> Tensor:
+    """Unit quaternions wxyz (4, *rest) of rotations (3, 3, *rest): the best conditioned of the four formulas."""
+    m = rotation
+    trace = m[0, 0] + m[1, 1] + m[2, 2]
+    # row k is 4 q_k q, so the row with the largest q_k^2 = diagonal / 4 loses nothing
+    rows = torch.stack([
+        torch.stack([1 + trace, m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]]),
+        torch.stack([m[2, 1] - m[1, 2], 1 + 2 * m[0, 0] - trace, m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]]),
+        torch.stack([m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], 1 + 2 * m[1, 1] - trace, m[1, 2] + m[2, 1]]),
+        torch.stack([m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], 1 + 2 * m[2, 2] - trace]),
+    ])  # fmt: skip
+    diagonal = torch.stack([rows[k, k] for k in range(4)])
+    best = diagonal.argmax(0)
+    row = torch.gather(rows, 0, best.expand_as(rows[:1]))[0]
+    return row / torch.sqrt(dot(row, row))
+
+
+def rotation_of(quaternion: Tensor) -> Tensor:
+    """Rotations (3, 3, *rest) of unit quaternions wxyz (4, *rest)."""
+    w, x, y, z = quaternion
+    rows = [
+        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+    ]  # fmt: skip
+    return torch.stack(rows).unflatten(0, (3, 3))
+
+
+def slerp_rotation(a: Tensor, b: Tensor, part: Tensor) -> Tensor:
+    """Rotations at `part` (*rest) of the shortest way from a to b, (3, 3, *rest)."""
+    first, second = quaternions(a), quaternions(b)
+    second = torch.where(dot(first, second) < 0, -second, second)
+    return rotation_of(slerp(first, second, part))

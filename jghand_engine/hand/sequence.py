@@ -12,11 +12,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 
 from jghand_engine import limits
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import BONE_COUNT, JOINT_COUNT, LEVEL_NAMES, PARENTS, Handedness
 from jghand_engine.hand.orders import bone_lengths, check_joint_shape
+from jghand_engine.hand.rotations import slerp
 
 
 @dataclass(frozen=True)
@@ -219,17 +221,8 @@ def rebuilt(root_m: np.ndarray, directions: np.ndarray, lengths_m: np.ndarray) -
 
 def _between(first: np.ndarray, second: np.ndarray, part: np.ndarray) -> np.ndarray:
     """Joints at `part` (F, 1, 1) of the way: wrists and lengths linear, directions along the great circle."""
-    a, b = bone_directions(first), bone_directions(second)
-    cosine = np.clip((a * b).sum(axis=-1, keepdims=True), -1.0, 1.0)
-    angle = np.arctan2(np.linalg.norm(np.cross(a, b), axis=-1, keepdims=True), cosine)
-    sine = np.sin(angle)
-    # nearly equal: the chord is the arc; nearly opposite: no great circle is distinguished, the chord is as good
-    straight = sine < limits.SWING_POLE
-    weight_a = np.where(straight, 1 - part, np.sin((1 - part) * angle) / np.where(straight, 1.0, sine))
-    weight_b = np.where(straight, part, np.sin(part * angle) / np.where(straight, 1.0, sine))
-    direction = weight_a * a + weight_b * b
-    norm = np.linalg.norm(direction, axis=-1, keepdims=True)
-    direction = np.where(norm > 0, direction / np.where(norm > 0, norm, 1.0), a)
+    a, b = (torch.from_numpy(bone_directions(joints)).movedim(-1, 0) for joints in (first, second))
+    direction = slerp(a, b, torch.from_numpy(part[..., 0])).movedim(0, -1).numpy()
     lengths = (1 - part[..., 0]) * bone_lengths(first) + part[..., 0] * bone_lengths(second)
     return rebuilt((1 - part[:, 0]) * first[:, 0] + part[:, 0] * second[:, 0], direction, lengths)
 

@@ -1,0 +1,215 @@
+"""What hands can do: ranges of the joints, poses with names, and motions through them. DATA 8, METHOD 4.1.
+
+Angles here are anatomical, per finger, in degrees, because that is how tables of ranges read. Fingers: MCP flexion,
+MCP abduction (positive away from the middle finger), PIP flexion, DIP flexion; flexion 0 is a straight finger,
+abduction 0 the spread of the canonical hand. Thumb: CMC flexion (sweeps across the palm), CMC abduction, MCP and IP
+flexion; 0 is the thumb of the canonical hand. So a named pose fits any canonical hand.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from jghand_engine import limits
+from jghand_engine.errors import InputError
+from jghand_engine.hand import rotations as rot
+from jghand_engine.hand.frames import Swing
+from jghand_engine.hand.joints import FINGERS, Handedness
+from jghand_engine.hand.kinematics import decompose, forward_kinematics
+from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.hand.transform import JointTransform
+
+# lowest and highest angle, degrees; (5 fingers, 4 angles, 2)
+RANGES_DEG = np.array(
+    [[(-15, 45), (-15, 35), (-10, 55), (-15, 85)]] + [[(-25, 92), (-22, 25), (-5, 112), (-8, 82)]] * 4, dtype=np.float64
+)
+
+# angles of five fingers, thumb first
+POSES_DEG: dict[str, tuple[tuple[float, float, float, float], ...]] = {
+    "open": ((0, 0, 0, 0), (4, 0, 8, 4), (6, 0, 8, 4), (6, 0, 8, 4), (6, 0, 8, 4)),
+    "flat": ((4, -8, 0, 0), (0, -4, 0, 0), (0, 0, 0, 0), (0, -5, 0, 0), (0, -8, 0, 0)),
+    "spread": ((-10, 18, -5, -5), (-3, 16, 2, 0), (-2, 0, 2, 0), (-3, 14, 2, 0), (-3, 22, 2, 0)),
+    "relaxed": ((10, 5, 10, 12), (22, 0, 36, 18), (28, 0, 38, 19), (31, 0, 42, 20), (33, 3, 42, 22)),
+    "fist": ((28, -8, 42, 55), (84, 0, 106, 66), (88, 0, 109, 67), (88, 0, 108, 66), (86, 0, 104, 64)),
+    "point": ((26, -6, 40, 50), (4, 0, 6, 4), (86, 0, 108, 66), (88, 0, 108, 66), (86, 0, 104, 64)),
+    "victory": ((30, -8, 44, 52), (4, 11, 6, 4), (4, -9, 6, 4), (86, 0, 108, 66), (86, 0, 104, 64)),
+    "three": ((30, -8, 44, 52), (4, 10, 5, 3), (4, 0, 5, 3), (4, 9, 5, 3), (82, 0, 102, 62)),
+    "four": ((34, -12, 48, 55), (4, 10, 5, 3), (4, 0, 5, 3), (4, 8, 5, 3), (4, 16, 5, 3)),
+    "thumb_up": ((-12, 14, -6, -12), (86, 0, 108, 66), (88, 0, 109, 67), (88, 0, 108, 66), (86, 0, 104, 64)),
+    "pinch": ((24, 12, 18, 28), (50, 0, 54, 32), (34, 0, 36, 21), (32, 0, 34, 18), (30, 3, 32, 18)),
+    "ok": ((24, 12, 18, 30), (52, 0, 56, 34), (16, 0, 17, 9), (11, 4, 14, 6), (6, 10, 12, 6)),
+    "rock": ((26, -6, 40, 50), (4, 4, 6, 4), (86, 0, 108, 66), (86, 0, 106, 64), (4, 8, 6, 4)),
+    "call": ((-8, 24, -5, -8), (84, 0, 106, 66), (88, 0, 109, 67), (86, 0, 106, 65), (2, 18, 6, 4)),
+    "claw": ((5, 12, 25, 40), (-4, 8, 84, 52), (-4, 0, 84, 54), (-4, 6, 84, 52), (-4, 12, 80, 50)),
+    "grasp": ((22, 16, 20, 25), (54, 4, 52, 30), (56, 0, 52, 32), (58, 3, 52, 30), (58, 8, 50, 30)),
+    "table": ((8, 5, 5, 5), (84, 0, 8, 4), (86, 0, 8, 4), (86, 0, 8, 4), (84, 0, 8, 4)),
+}
+
+# poses in which the thumb's tip touches that of another finger: the angles are solved for each hand
+_TOUCHING = {"pinch": 1, "ok": 1}
+# +abduction turns index and middle to the thumb's side, ring and pinky to the other
+_SIDE = torch.tensor([1.0, 1.0, 1.0, -1.0, -1.0], dtype=torch.float64)
+# out of the palm for the thumb, in the palm frame (out of the palm, towards the thumb, distal); DATA 8
+_THUMB_NORMAL = torch.tensor([0.59, -0.80, -0.10], dtype=torch.float64)
+
+# ranges of the angles in the frames of the transform, degrees: flexion and abduction of bones 6..20 (METHOD 4.1);
+# used to normalise features
+FRAME_RANGES_DEG = np.array(
+    [
+        [(-20, 130), (-80, 80)] if finger == 0 else [flexion, (-abduction, abduction)]
+        for flexion, abduction in (((-30, 100), 35), ((-10, 115), 15), ((-20, 90), 15))
+        for finger in range(5)
+    ],
+    dtype=np.float64,
+)
+
+
+def pose_names() -> tuple[str, ...]:
+    """The poses that have a name."""
+    return tuple(POSES_DEG)
+
+
+def named_angles(name: str) -> np.ndarray:
+    """(5, 4) angles of a named pose, degrees; InputError lists the names."""
+    if name not in POSES_DEG:
+        raise InputError("pose", wanted=f"one of {', '.join(POSES_DEG)}", came=repr(name))
+    return np.array(POSES_DEG[name], dtype=np.float64)
+
+
+def named_pose(name: str, canonical_joints_m: np.ndarray, handedness: Handedness = Handedness.RIGHT) -> np.ndarray:
+    """(21, 3) level-order joints of a named pose, metres; wrist and palm stay where the canonical hand has them.
+
+    canonical_joints_m: (21, 3) right hand. A left hand is the mirror image, x negated.
+    """
+    hand = ArticulatedHand(canonical_joints_m)
+    return _handed(hand.joints(hand.angles_of(name)[None])[0], handedness)
+
+
+class ArticulatedHand:
+    """A canonical hand that can be posed by anatomical angles; bones keep the canonical lengths exactly."""
+
+    def __init__(self, canonical_joints_m: np.ndarray) -> None:
+        canonical = torch.as_tensor(canonical_joints_m, dtype=torch.float64)
+        transform = JointTransform(canonical, swing=Swing.EULER)
+        pose = decompose(transform, canonical)
+        # straight fingers that keep their spread and their natural sideways bends; the thumb stays as it is
+        straight = pose.angles.reshape(3, 5, 2).clone()
+        straight[:, 1:, 0] = 0.0
+        neutral = forward_kinematics(transform, dataclasses.replace(pose, angles=straight.reshape(15, 2)))
+        self._neutral = neutral
+        self._length_m = float(pose.length_m[[2, 7, 12, 17]].sum())
+        # bones, flexion and abduction axes of the three moving joints of each finger: (3, joint, finger)
+        self._bones = (neutral[6:] - neutral[1:16]).T.reshape(3, 3, 5)
+        direction = self._bones / self._bones.norm(dim=0)
+        palm_normal = pose.palm[:, 0]
+        normal = torch.stack([pose.palm @ _THUMB_NORMAL, *[palm_normal] * 4], -1).unsqueeze(1)
+        normal = normal - rot.dot(normal, direction) * direction
+        self._abduction_axis = normal / normal.norm(dim=0)
+        self._flexion_axis = rot.cross(direction, self._abduction_axis)
+
+    def joints(self, angles_deg: np.ndarray) -> np.ndarray:
+        """(F, 5, 4) angles, degrees, clamped to RANGES_DEG -> (F, 21, 3) joints, metres."""
+        clamped = np.clip(np.asarray(angles_deg, dtype=np.float64), RANGES_DEG[..., 0], RANGES_DEG[..., 1])
+        # (angle, finger, frame)
+        angle = torch.from_numpy(np.radians(clamped)).permute(2, 1, 0)
+        flexion = (angle[0], angle[2], angle[3])
+        turn = rot.axis_rotation(self._abduction_axis[:, 0].unsqueeze(-1), -_SIDE.unsqueeze(-1) * angle[1])
+        first = self._neutral[:6].T.unsqueeze(-1).expand(3, 6, angle.shape[2])
+        parts = [first[:, :1], first[:, 1:]]
+        for joint in range(3):
+            axis = self._flexion_axis[:, joint].unsqueeze(-1)
+            turn = rot.mat_mul(turn, rot.axis_rotation(axis, flexion[joint]))
+            parts.append(parts[-1] + rot.mat_vec(turn, self._bones[:, joint].unsqueeze(-1)))
+        return torch.cat(parts, 1).permute(2, 1, 0).numpy()
+
+    def angles_of(self, name: str) -> np.ndarray:
+        """(5, 4) angles of a named pose on this hand, degrees: the table's, solved for contact where tips touch."""
+        angles = np.clip(named_angles(name), RANGES_DEG[..., 0], RANGES_DEG[..., 1])
+        return self._touching(angles, _TOUCHING[name]) if name in _TOUCHING else angles
+
+    def _touching(self, angles: np.ndarray, finger: int) -> np.ndarray:
+        """The nearest angles at which the tips of the thumb and `finger` touch: Gauss-Newton on the tips' distance,
+        with a pull to the given angles and the ranges as bounds. A hand that cannot reach stays as near as it gets."""
+        moving = np.array([(0, k) for k in range(4)] + [(finger, k) for k in range(4)])
+        rows, cols = moving[:, 0], moving[:, 1]
+        start = angles[rows, cols]
+        low, high = RANGES_DEG[rows, cols].T
+        # one residual of the pull per angle, in units of the angle that is as bad as a tip's width of air
+        pull = np.eye(len(start)) / limits.TOUCH_PULL_DEG
+        width = limits.TOUCH_PART * self._length_m
+        value = start.copy()
+        for _ in range(limits.TOUCH_STEPS):
+            # the tips' offset at the value and, for the Jacobian, one step beside it in each angle
+            trials = np.repeat(angles[None], len(start) + 1, axis=0)
+            trials[:, rows, cols] = value
+            trials[np.arange(1, len(start) + 1), rows, cols] += 1e-3
+            joints = self.joints(trials)
+            offset = (joints[:, 16 + finger] - joints[:, 16]) / width
+            jacobian = (offset[1:] - offset[0]).T / 1e-3
+            system = np.concatenate([jacobian, pull])
+            residual = np.concatenate([offset[0], (value - start) / limits.TOUCH_PULL_DEG])
+            step = np.linalg.lstsq(system, -residual, rcond=None)[0]
+            value = np.clip(value + step, low, high)
+        solved = angles.copy()
+        solved[rows, cols] = value
+        return solved
+
+
+@dataclass(frozen=True)
+class MotionOptions:
+    """How a motion through named poses moves: rate, seconds of a move and of a stop, the largest delay of a finger
+    as a part of the move, random variation of the poses, degrees, and the seed of both."""
+
+    fps: float = 30.0
+    move_s: float = 0.7
+    hold_s: float = 0.25
+    finger_delay: float = 0.25
+    variation_deg: float = 0.0
+    seed: int = 0
+
+
+def minimum_jerk(part: np.ndarray) -> np.ndarray:
+    """10 u^3 - 15 u^4 + 6 u^5: from 0 to 1 with speed and acceleration 0 at both ends, as hands move."""
+    u = np.clip(part, 0.0, 1.0)
+    return u**3 * (10 - 15 * u + 6 * u**2)
+
+
+def pose_sequence_of_names(
+    names: Sequence[str],
+    canonical_joints_m: np.ndarray,
+    handedness: Handedness = Handedness.RIGHT,
+    options: MotionOptions | None = None,
+) -> PoseSequence:
+    """A motion through named poses: minimum jerk, each finger a little late, the wrist at rest.
+
+    canonical_joints_m: (21, 3) right hand, level order, metres; its bone lengths are kept exactly.
+    """
+    options = options or MotionOptions()
+    if not names:
+        raise InputError("poses of a motion", wanted="at least one name", came="none")
+    if options.move_s < 0 or options.hold_s < 0 or not 0 <= options.finger_delay < 1:
+        raise InputError("motion options", wanted="seconds >= 0 and a delay in [0, 1)", came=str(options))
+    hand = ArticulatedHand(canonical_joints_m)
+    random = np.random.default_rng(options.seed)
+    solved = {name: hand.angles_of(name) for name in dict.fromkeys(names)}
+    keys = [solved[name] + options.variation_deg * random.standard_normal((5, 4)) for name in names]
+    move = max(1, round(options.move_s * options.fps))
+    hold = round(options.hold_s * options.fps)
+    frames = [keys[0]] * (1 + hold)
+    for start, end in itertools.pairwise(keys):
+        delay = random.uniform(0.0, options.finger_delay, (len(FINGERS), 1))
+        for time in np.arange(1, move + 1) / move:
+            frames.append(start + (end - start) * minimum_jerk((time - delay) / (1 - delay)))
+        frames += [end] * hold
+    joints = hand.joints(np.stack(frames))
+    return PoseSequence(_handed(joints, handedness), options.fps, handedness)
+
+
+def _handed(joints: np.ndarray, handedness: Handedness) -> np.ndarray:
+    return joints * np.array([-1.0, 1.0, 1.0]) if Handedness(handedness) is Handedness.LEFT else joints
