@@ -7,12 +7,18 @@ and ruins the skin. The wrist's weight is shared by the metacarpals and, near th
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, TypeVar
+
 import numpy as np
 
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT, PARENTS
 from jghand_engine.limits import PALM_SPLIT_SIGMA_M, WEIGHT_MIN, WEIGHT_SUM_TOLERANCE, WRIST_BLEND_M
 
+if TYPE_CHECKING:
+    import torch
+
+Array = TypeVar("Array", np.ndarray, "torch.Tensor")
 TIPS = range(16, 21)
 METACARPALS = range(1, 6)
 
@@ -56,10 +62,10 @@ def segment_distance(points_m: np.ndarray, start_m: np.ndarray, end_m: np.ndarra
     return np.linalg.norm(points_m - (start_m + along[:, None] * axis), axis=1)
 
 
-def without_crumbs(weights: np.ndarray) -> np.ndarray:
-    """Drops weights below WEIGHT_MIN and makes every row (N, 21) sum to 1 again."""
-    kept = np.where(weights < WEIGHT_MIN, 0, weights)
-    return kept / kept.sum(axis=1, keepdims=True)
+def without_crumbs(weights: Array) -> Array:
+    """Drops weights below WEIGHT_MIN and makes every row (N, 21) sum to 1 again. NumPy or torch."""
+    kept = weights * (weights >= WEIGHT_MIN)
+    return kept / kept.sum(1)[:, None]  # pyright: ignore[reportReturnType]
 
 
 def check_weight_rows(weights: np.ndarray, name: str) -> None:

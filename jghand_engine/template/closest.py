@@ -1,0 +1,168 @@
+"""The closest point of a closed triangle surface, exactly and for many points at once, and on which side they are.
+
+A k-d tree over the centres of small pieces of the faces proposes candidates; a point is finished when the farthest
+proposed piece cannot hold anything nearer, else it asks for more. So the result is exact, whatever the mesh.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from jghand_engine.limits import CLOSEST_FIRST_CANDIDATES, CLOSEST_PIECE_RADIUS_M, CLOSEST_PIECES_MAX
+from jghand_engine.template.surface import edge_normals, face_normals, vertex_normals
+
+# (points x candidates) worked on at once: bounds the memory to about 100 MB
+BATCH = 300_000
+
+
+@dataclass(frozen=True)
+class ClosestPoints:
+    """For N points: the closest point of the surface.
+
+    point_m:     (N, 3) metres
+    face:        (N,) face number
+    barycentric: (N, 3) weights of the face's corners
+    signed_m:    (N,) distance, negative inside
+    """
+
+    point_m: np.ndarray
+    face: np.ndarray
+    barycentric: np.ndarray
+    signed_m: np.ndarray
+
+
+class Surface:
+    """A closed surface (vertices (V, 3) metres, faces (F, 3), counter-clockwise from outside) that can be asked."""
+
+    def __init__(self, vertices_m: np.ndarray, faces: np.ndarray) -> None:
+        self.corners_m = vertices_m[faces]
+        self._normals = face_normals(vertices_m, faces)
+        self._edge_normals = edge_normals(faces, self._normals)
+        self._corner_normals = vertex_normals(vertices_m, faces)[faces]
+        centres, self._piece_face, self.piece_radius_m = _pieces(self.corners_m)
+        self._tree = KDTree(centres)
+
+    def normals(self, face: np.ndarray, barycentric: np.ndarray) -> np.ndarray:
+        """(N, 3) unit outward normals, interpolated between the vertices' normals."""
+        mixed = np.einsum("nk,nkc->nc", barycentric, self._corner_normals[face])
+        length = np.linalg.norm(mixed, axis=1, keepdims=True)
+        return np.where(length > 0, mixed / np.where(length > 0, length, 1), self._normals[face])
+
+    def closest(self, points_m: np.ndarray) -> ClosestPoints:
+        """The closest surface point of every point (N, 3)."""
+        count = len(points_m)
+        face, bary = np.zeros(count, dtype=np.int64), np.zeros((count, 3))
+        squared = np.full(count, np.inf)
+        open_points, candidates = np.arange(count), CLOSEST_FIRST_CANDIDATES
+        while len(open_points):
+            candidates = min(candidates, self._tree.n)
+            unfinished = []
+            for batch in np.array_split(open_points, 1 + len(open_points) * candidates // BATCH):
+                result = self._best_of(points_m[batch], candidates)
+                face[batch], bary[batch], squared[batch], finished = result
+                unfinished.append(batch[~finished])
+            open_points, candidates = np.concatenate(unfinished), candidates * 4
+        point = np.einsum("nk,nkc->nc", bary, self.corners_m[face])
+        outside = np.sum((points_m - point) * self._pseudonormals(face, bary), axis=1) >= 0
+        return ClosestPoints(point, face, bary, np.where(outside, 1, -1) * np.sqrt(squared))
+
+    def rough(self, points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Fast: a face (N,) near each point, and a distance (N,) that is at most `piece_radius_m` too large."""
+        distance, piece = self._tree.query(points_m)
+        return self._piece_face[piece], distance
+
+    def _best_of(self, points_m: np.ndarray, candidates: int) -> tuple[np.ndarray, ...]:
+        """Face, barycentrics, squared distance of the best among the nearest pieces, and whether none can be better."""
+        reach, piece = self._tree.query(points_m, k=candidates)
+        reach, piece = reach.reshape(len(points_m), -1), piece.reshape(len(points_m), -1)
+        faces = self._piece_face[piece]
+        bary, squared = closest_on_triangle(np.repeat(points_m, faces.shape[1], axis=0), self.corners_m[faces.ravel()])
+        squared = squared.reshape(faces.shape)
+        best = squared.argmin(axis=1)
+        rows = np.arange(len(points_m))
+        least = squared[rows, best]
+        finished = (reach[:, -1] - self.piece_radius_m >= np.sqrt(least)) | (candidates == self._tree.n)
+        return faces[rows, best], bary.reshape(*faces.shape, 3)[rows, best], least, finished
+
+    def _pseudonormals(self, face: np.ndarray, bary: np.ndarray) -> np.ndarray:
+        """Normals of the feature (face, edge or corner) that the closest point lies on.
+
+        Their dot product with the connecting line has the right sign for every closed surface (Baerentzen and Aanaes
+        2005); a face's own normal has not, near sharp edges.
+        """
+        result = self._normals[face]
+        zero = bary == 0
+        for k in range(3):
+            on_edge = zero[:, (k + 2) % 3]
+            result[on_edge] = self._edge_normals[face[on_edge], k]
+        for k in range(3):
+            on_corner = zero[:, (k + 1) % 3] & zero[:, (k + 2) % 3]
+            result[on_corner] = self._corner_normals[face[on_corner], k]
+        return result
+
+
+def closest_on_triangle(points: np.ndarray, corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Points (N, 3) against triangles (N, 3, 3): barycentrics (N, 3), exact zeros at the border, squared distance (N,).
+
+    The closest point is the projection when that falls inside, else the best of the three edges.
+    """
+    a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
+    ab, ac, ap = b - a, c - a, points - a
+    d11, d12, d22 = _dot(ab, ab), _dot(ab, ac), _dot(ac, ac)
+    d1p, d2p = _dot(ab, ap), _dot(ac, ap)
+    determinant = d11 * d22 - d12 * d12
+    safe = np.where(determinant > 0, determinant, 1)
+    v, w = (d22 * d1p - d12 * d2p) / safe, (d11 * d2p - d12 * d1p) / safe
+    inside = (determinant > 0) & (v > 0) & (w > 0) & (v + w < 1)
+    bary = np.stack([1 - v - w, v, w], axis=1)
+    squared = np.where(inside, _dot(ap, ap) - v * d1p - w * d2p, np.inf)
+    squared = np.where(inside, np.maximum(squared, 0), np.inf)
+    for k in range(3):
+        start, edge = corners[:, k], corners[:, (k + 1) % 3] - corners[:, k]
+        length = _dot(edge, edge)
+        along = np.clip(_dot(points - start, edge) / np.where(length > 0, length, 1), 0, 1)
+        gap = points - start - along[:, None] * edge
+        distance = _dot(gap, gap)
+        better = ~inside & (distance < squared)
+        squared = np.where(better, distance, squared)
+        on_edge = np.zeros_like(bary)
+        on_edge[:, k], on_edge[:, (k + 1) % 3] = 1 - along, along
+        bary = np.where(better[:, None], on_edge, bary)
+    # the difference of squares above loses digits close to the surface
+    gap = points - np.einsum("nk,nkc->nc", bary, corners)
+    return bary, _dot(gap, gap)
+
+
+def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    return np.einsum("nc,nc->n", a, b)
+
+
+def _pieces(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Splits faces at the middle of the longest edge until every piece is small.
+
+    Returns centres (P, 3), the face of each piece (P,), and the largest distance from a centre to its piece's corners.
+    """
+    face = np.arange(len(corners))
+    done_centres, done_faces, largest = [], [], 0.0
+    while len(corners):
+        centre = corners.mean(axis=1)
+        radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
+        small = (radius <= CLOSEST_PIECE_RADIUS_M) | (2 * len(corners) > CLOSEST_PIECES_MAX)
+        done_centres.append(centre[small])
+        done_faces.append(face[small])
+        largest = max(largest, float(radius[small].max(initial=0)))
+        corners, face = _halved(corners[~small]), np.repeat(face[~small], 2)
+    return np.concatenate(done_centres), np.concatenate(done_faces), largest
+
+
+def _halved(corners: np.ndarray) -> np.ndarray:
+    """(N, 3, 3) triangles to (2N, 3, 3): each cut from the middle of its longest edge to the opposite corner."""
+    lengths = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+    first = lengths.argmax(axis=1)
+    rows = np.arange(len(corners))
+    a, b, c = (corners[rows, (first + k) % 3] for k in range(3))
+    middle = (a + b) / 2
+    return np.stack([np.stack([a, middle, c], axis=1), np.stack([middle, b, c], axis=1)], axis=1).reshape(-1, 3, 3)

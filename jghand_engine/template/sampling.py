@@ -1,0 +1,176 @@
+"""Where the Gaussians of an untrained hand lie: a thin shell under the skin, equally many for every bone.
+
+Deeper Gaussians are hidden and wasted. The points of each bone are in farthest-point order and the bones take turns,
+so that every prefix of the list is a coarser sample of the whole hand: a level of detail. METHOD 3.2 and 3.3.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from jghand_engine.errors import InputError
+from jghand_engine.hand.joints import BONE_COUNT, JOINT_COUNT, LEVEL_NAMES, PARENTS
+from jghand_engine.limits import (
+    GAUSSIANS_PER_BONE,
+    SHELL_CELL_M,
+    SHELL_DEPTH_M,
+    SHELL_DRAWS_MAX,
+    SHELL_PER_BONE_MAX,
+    UVD_RANGE_M,
+)
+from jghand_engine.template.closest import ClosestPoints, Surface
+from jghand_engine.template.mesh import HandTemplate
+from jghand_engine.template.weights import segment_distance
+
+
+@dataclass(frozen=True)
+class ShellSample:
+    """N = 20 * per_bone points under the skin of a template, every prefix of which covers the whole hand.
+
+    position_m:  (N, 3) float64, canonical frame, metres
+    bone:        (N,) int64, 1..20: the nearest bone, named by the joint it ends at (level order)
+    uvd:         (N, 3) float64, 0..1: texture coordinates of the closest skin, and the normalised signed distance
+    normal:      (N, 3) float64, unit outward normal of the skin there
+    face:        (N,) int64, closest face of the template
+    barycentric: (N, 3) float64, of the closest point in that face
+    """
+
+    position_m: np.ndarray
+    bone: np.ndarray
+    uvd: np.ndarray
+    normal: np.ndarray
+    face: np.ndarray
+    barycentric: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.position_m)
+
+
+def sample_shell(
+    template: HandTemplate,
+    *,
+    per_bone: int = GAUSSIANS_PER_BONE,
+    depth_m: float = SHELL_DEPTH_M,
+    seed: int = 0,
+) -> ShellSample:
+    """Draws `per_bone` points per bone, uniformly in the shell of thickness `depth_m` under the closed surface.
+
+    The same arguments give the same points. Raises InputError for numbers out of range, and when a bone has no skin.
+    """
+    if not 1 <= per_bone <= SHELL_PER_BONE_MAX:
+        raise InputError("points per bone", wanted=f"1..{SHELL_PER_BONE_MAX}", came=str(per_bone))
+    if not 0 < depth_m <= UVD_RANGE_M:
+        raise InputError("depth of the shell", wanted=f"0..{UVD_RANGE_M} m", came=f"{depth_m} m")
+    surface = Surface(template.vertices_m, template.faces)
+    points_m = _draw(template, surface, per_bone, depth_m, np.random.default_rng(seed))
+    order = farthest_point_order(points_m)
+    ranked_m = np.take_along_axis(points_m, order[..., None], axis=1).transpose(1, 0, 2).reshape(-1, 3)
+    near = surface.closest(ranked_m)
+    return ShellSample(
+        position_m=ranked_m,
+        bone=np.tile(np.arange(1, JOINT_COUNT), per_bone),
+        uvd=uvd_coordinates(template, near),
+        normal=surface.normals(near.face, near.barycentric),
+        face=near.face,
+        barycentric=near.barycentric,
+    )
+
+
+def uvd_coordinates(template: HandTemplate, near: ClosestPoints) -> np.ndarray:
+    """(N, 3) coordinates in 0..1: UV of the closest point in *its* face, and the signed distance over a fixed range.
+
+    UVs belong to the corners of faces, so they are mixed inside the closest face, never between neighbouring vertices.
+    The range is fixed (UVD_RANGE_M either side): with the range of the points at hand features would shift when points
+    move. METHOD 3.3.
+    """
+    uv = np.einsum("nk,nkc->nc", near.barycentric, template.face_uv[near.face])
+    depth = (near.signed_m + UVD_RANGE_M) / (2 * UVD_RANGE_M)
+    return np.clip(np.concatenate([uv, depth[:, None]], axis=1), 0, 1)
+
+
+def bone_distances(points_m: np.ndarray, joints_m: np.ndarray) -> np.ndarray:
+    """(N, 20) distances to the bones 1..20; column i - 1 is bone i."""
+    bones = range(1, JOINT_COUNT)
+    return np.stack([segment_distance(points_m, joints_m[PARENTS[bone]], joints_m[bone]) for bone in bones], axis=1)
+
+
+def farthest_point_order(points_m: np.ndarray) -> np.ndarray:
+    """Orders each of B groups of n points (B, n, 3) so that the next is always the one farthest from all before it.
+
+    Returns (B, n) indices into the groups, beginning with 0.
+    """
+    groups, count, _ = points_m.shape
+    order = np.zeros((groups, count), dtype=np.int64)
+    gap = np.full((groups, count), np.inf)
+    rows = np.arange(groups)
+    x, y, z = (np.ascontiguousarray(points_m[..., axis]) for axis in range(3))
+    for rank in range(1, count):
+        last = order[:, rank - 1]
+        squared = (x - x[rows, last, None]) ** 2
+        squared += (y - y[rows, last, None]) ** 2
+        squared += (z - z[rows, last, None]) ** 2
+        np.minimum(gap, squared, out=gap)
+        # a point that was taken must not come again, even where several points coincide
+        gap[rows, last] = -1
+        order[:, rank] = gap.argmax(axis=1)
+    return order
+
+
+def _draw(
+    template: HandTemplate, surface: Surface, per_bone: int, depth_m: float, random: np.random.Generator
+) -> np.ndarray:
+    """(20, per_bone, 3) points, uniform in the part of the shell that belongs to each bone, by rejection."""
+    cells_m, half_m = _shell_cells(template, surface, depth_m)
+    reach = bone_distances(cells_m, template.joints_m)
+    # distances change by at most the way gone: other cells cannot hold a point nearest to this bone
+    possible = reach <= reach.min(axis=1, keepdims=True) + 2 * np.sqrt(3) * half_m
+    cells_of_bone = [np.flatnonzero(possible[:, k]) for k in range(BONE_COUNT)]
+    found: list[list[np.ndarray]] = [[] for _ in range(BONE_COUNT)]
+    count, drawn = np.zeros(BONE_COUNT, dtype=int), np.zeros(BONE_COUNT, dtype=int)
+    while (count < per_bone).any():
+        wanted = np.where(count < per_bone, _draws(per_bone, count, drawn), 0)
+        for k in np.flatnonzero(wanted):
+            if len(cells_of_bone[k]) == 0 or drawn[k] > SHELL_DRAWS_MAX * per_bone:
+                raise InputError(
+                    f"template {template.identifier!r}",
+                    wanted="skin around every bone",
+                    came=f"none nearest to the bone that ends at {LEVEL_NAMES[k + 1]}",
+                    remedy="Are the joints those of this mesh, in the right order?",
+                )
+            cell = random.choice(cells_of_bone[k], wanted[k])
+            points_m = cells_m[cell] + random.uniform(-half_m, half_m, (wanted[k], 3))
+            kept = points_m[_nearest_bone(points_m, template.joints_m, random) == k]
+            signed = surface.closest(kept).signed_m
+            kept = kept[(signed <= 0) & (signed >= -depth_m)]
+            found[k].append(kept)
+            count[k] += len(kept)
+            drawn[k] += wanted[k]
+    return np.stack([np.concatenate(parts)[:per_bone] for parts in found])
+
+
+def _draws(per_bone: int, count: np.ndarray, drawn: np.ndarray) -> np.ndarray:
+    """How many to draw next for each bone: what is missing over the rate of success so far, and a little more."""
+    rate = np.where(drawn > 0, np.maximum(count, 1) / np.maximum(drawn, 1), 0.25)
+    return (1.1 * (per_bone - count) / rate).astype(int).clip(16, 20 * per_bone + 16)
+
+
+def _nearest_bone(points_m: np.ndarray, joints_m: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """(N,) bone number - 1. Behind the wrist all metacarpals are equally near: there chance decides, so that each of
+    them gets its part of the stump."""
+    distance = bone_distances(points_m, joints_m)
+    tied = distance <= distance.min(axis=1, keepdims=True)
+    return np.where(tied, random.random(distance.shape), -1).argmax(axis=1)
+
+
+def _shell_cells(template: HandTemplate, surface: Surface, depth_m: float) -> tuple[np.ndarray, float]:
+    """Centres (C, 3) of the grid cells that may hold a part of the shell, and half their edge."""
+    half_m = SHELL_CELL_M / 2
+    diagonal_m = np.sqrt(3) * half_m
+    low, high = template.vertices_m.min(axis=0), template.vertices_m.max(axis=0)
+    axes = [np.arange(low[k] + half_m, high[k] + half_m, SHELL_CELL_M) for k in range(3)]
+    centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    centres = centres[surface.rough(centres)[1] <= depth_m + diagonal_m + surface.piece_radius_m]
+    signed = surface.closest(centres).signed_m
+    return centres[(signed <= diagonal_m) & (signed >= -depth_m - diagonal_m)], half_m
