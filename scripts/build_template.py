@@ -46,7 +46,10 @@ CAP_UV_CENTRE, CAP_UV_RADIUS = (0.90, 0.90), 0.06
 # one skin texel of the full-body atlas: the colour of the cap in photographic skins
 CAP_ATLAS_UV = (0.46, 0.16)
 NAIL_MASK = "data/mpfb2/textures/mpfb_fingernails.jpg"
+# the hand's island is 394 texels wide in the mask's atlas: a finer picture would hold nothing more
 NAIL_MASK_PX = 512
+# grey values of the JPEG's ringing around the nails, cut off at both ends
+NAIL_MASK_RINGING = 24
 
 
 def rest_hand(phenotype: dict[str, float], local: dict[str, float]) -> dict[str, Any]:
@@ -160,7 +163,8 @@ def nail_mask(template: dict[str, np.ndarray], size: int = NAIL_MASK_PX) -> np.n
     skin = int(template["n_skin_faces"])
     atlas_uv, covered = rasterise_uv(template["face_uv"][:skin], template["face_uv_makehuman"][:skin], size)
     mask = np.where(covered, sample_bilinear(atlas[..., None], atlas_uv)[..., 0], 0)
-    return np.clip(mask + 0.5, 0, 255).astype(np.uint8)
+    stretched = (mask - NAIL_MASK_RINGING) * (255 / (255 - 2 * NAIL_MASK_RINGING))
+    return np.clip(stretched + 0.5, 0, 255).astype(np.uint8)
 
 
 def report(template: dict[str, np.ndarray]) -> str:

@@ -12,15 +12,13 @@ import numpy as np
 
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import STANDARD_NAMES
+from jghand_engine.hand.orders import JointOrder, to_level
 from jghand_engine.template.checks import check_template, expect_shape
 from jghand_engine.template.mesh import HandTemplate
-from jghand_engine.template.weights import bone_weights
+from jghand_engine.template.weights import bone_weights, columns_to_level
 
 IDENTIFIER = "makehuman-soma-right-1"
 ASSETS = files("jghand_engine") / "assets"
-
-# level[i] = standard[STANDARD_FROM_LEVEL[i]]
-STANDARD_FROM_LEVEL = (0, *(1 + 4 * finger + level for level in range(4) for finger in range(5)))
 
 # field: (kinds of dtype, shape with V vertices, F faces, S skin vertices)
 FIELDS = {
@@ -45,10 +43,9 @@ FIELDS = {
 def load_template() -> HandTemplate:
     """The built-in right hand; read once, arrays read-only. A damaged installation raises InputError."""
     fields = load_fields()
-    level = list(STANDARD_FROM_LEVEL)
     vertices = fields["vertices"].astype(np.float64)
-    joints = fields["joints"].astype(np.float64)[level]
-    weights = fields["weights"].astype(np.float64)[:, level]
+    joints = to_level(fields["joints"].astype(np.float64), JointOrder.STANDARD)
+    weights = columns_to_level(fields["weights"].astype(np.float64), JointOrder.STANDARD)
     weights /= weights.sum(axis=1, keepdims=True)
     template = HandTemplate(
         identifier=IDENTIFIER,

@@ -6,7 +6,7 @@ import numpy as np
 
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT
-from jghand_engine.limits import HAND_LENGTH_MAX_M, HAND_LENGTH_MIN_M
+from jghand_engine.hand.orders import check_hand_size, check_order
 from jghand_engine.template.mesh import HandTemplate
 from jghand_engine.template.surface import enclosed_volume, is_closed
 from jghand_engine.template.weights import check_weight_rows
@@ -39,14 +39,8 @@ def check_template(template: HandTemplate) -> HandTemplate:
             f"{name}, faces", wanted="corners counter-clockwise from outside", came="an inside-out surface"
         )
     check_weight_rows(template.bone_weights, f"{name}, weights")
-    length = np.linalg.norm(joints[18] - joints[0])
-    if not HAND_LENGTH_MIN_M <= length <= HAND_LENGTH_MAX_M:
-        raise InputError(
-            f"{name}, joints",
-            wanted=f"a hand of {HAND_LENGTH_MIN_M}..{HAND_LENGTH_MAX_M} m from wrist to middle tip",
-            came=f"{length:.4g} m",
-            remedy="Check the unit: metres are wanted.",
-        )
+    check_hand_size(joints)
+    check_order(joints)
     return template
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT, PARENTS
+from jghand_engine.hand.orders import JointOrder, to_level
 from jghand_engine.limits import PALM_SPLIT_SIGMA_M, WEIGHT_MIN, WEIGHT_SUM_TOLERANCE, WRIST_BLEND_M
 
 if TYPE_CHECKING:
@@ -37,6 +38,12 @@ def bone_weights(joint_weights: np.ndarray, vertices_m: np.ndarray, joints_m: np
         result[:, bone] = joint_weights[:, PARENTS[bone]]
     result[:, :6] = joint_weights[:, :1] * palm_split(vertices_m, joints_m)
     return without_crumbs(result)
+
+
+def columns_to_level(weights: np.ndarray, order: JointOrder) -> np.ndarray:
+    """Sorts the columns of weights (V, 21), one per joint in `order`, into level order."""
+    places = np.repeat(np.arange(JOINT_COUNT)[:, None], 3, axis=1)
+    return weights[:, to_level(places, order)[:, 0]]
 
 
 def palm_split(points_m: np.ndarray, joints_m: np.ndarray) -> np.ndarray:
