@@ -1,0 +1,233 @@
+"""The rules of the house that a machine can check: who imports whom, sizes, and what never appears.
+
+They read the source as syntax trees and run nothing of it (but for one import in a fresh process).
+"""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+ENGINE, ADDON = ROOT / "jghand_engine", ROOT / "blender_addon"
+
+# rooms in the order in which data walks; a room imports only from rooms above it (and from itself)
+ROOMS = (
+    ("limits", "errors", "files"),
+    ("native",),
+    ("hand",),
+    ("template",),
+    ("avatar",),
+    ("splat",),
+    ("datasets",),
+    ("exporters",),
+    ("studies",),
+    ("service",),
+    ("cli",),
+)
+MODULE_LINES, PUBLIC_PARAMETERS = 600, 8
+NEVER_IMPORTED = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "torchvision"}
+SHARED_MODULE = "jghand_engine.service.protocol"
+
+
+def python_files(*folders: Path) -> list[Path]:
+    return sorted(path for folder in folders for path in folder.rglob("*.py"))
+
+
+def name_of(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+def tree_of(path: Path) -> ast.Module:
+    return ast.parse(path.read_text(encoding="utf-8"), str(path))
+
+
+def imports(path: Path) -> Iterator[tuple[str, int]]:
+    """Every absolute module name that a file imports, wherever it stands, with its line."""
+    for node in ast.walk(tree_of(path)):
+        if isinstance(node, ast.Import):
+            yield from ((alias.name, node.lineno) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and not node.level and node.module:
+            yield node.module, node.lineno
+            yield from ((f"{node.module}.{alias.name}", node.lineno) for alias in node.names)
+
+
+def room(module: str) -> int | None:
+    """Place of an engine module's room in ROOMS; None for the package itself and for foreign modules."""
+    parts = module.split(".")
+    if parts[0] != "jghand_engine" or len(parts) < 2:
+        return None
+    return next((place for place, names in enumerate(ROOMS) if parts[1] in names), None)
+
+
+def offences(found: Iterator[str] | list[str]) -> None:
+    listed = list(found)
+    assert not listed, "\n" + "\n".join(listed)
+
+
+def test_every_room_of_the_engine_is_in_the_list():
+    present = {path.stem for path in ENGINE.iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()}
+    known = {name for names in ROOMS for name in names}
+    assert present - known <= {"__init__", "__main__"}
+
+
+@pytest.mark.parametrize("path", python_files(ENGINE), ids=name_of)
+def test_a_room_imports_only_from_rooms_above_it(path):
+    own = room(".".join(path.relative_to(ROOT).with_suffix("").parts))
+    if own is None:  # the package itself and its __main__
+        return
+    offences(
+        f"{name_of(path)}:{line} imports {module}"
+        for module, line in imports(path)
+        if (other := room(module)) is not None and other > own
+    )
+
+
+def test_the_engine_never_imports_blender():
+    offences(
+        f"{name_of(path)}:{line} imports {module}"
+        for path in python_files(ENGINE)
+        for module, line in imports(path)
+        if module.split(".")[0] in {"bpy", "bmesh", "mathutils", "gpu", "blender_addon"}
+    )
+
+
+def test_the_extension_knows_nothing_of_the_engine_but_the_protocol():
+    offences(
+        f"{name_of(path)}:{line} imports {module}"
+        for path in python_files(ADDON)
+        for module, line in imports(path)
+        if module.split(".")[0] == "torch"
+        or (
+            module.split(".")[0] == "jghand_engine"
+            and not module.startswith(SHARED_MODULE)
+            and module != SHARED_MODULE.rpartition(".")[0]
+        )
+    )
+
+
+def test_the_extensions_core_imports_without_blender():
+    offences(
+        f"{name_of(path)}:{line} imports {module}"
+        for path in python_files(ADDON / "core")
+        for module, line in imports(path)
+        if module.split(".")[0] in {"bpy", "bmesh", "mathutils", "gpu"}
+    )
+
+
+def test_the_shared_protocol_needs_nothing_but_the_standard_library():
+    path = ROOT / (SHARED_MODULE.replace(".", "/") + ".py")
+    offences(
+        f"{name_of(path)}:{line} imports {module}"
+        for module, line in imports(path)
+        if module.split(".")[0] not in sys.stdlib_module_names
+    )
+
+
+def test_nothing_imports_what_runs_code_from_files_or_torchvision():
+    offences(
+        f"{name_of(path)}:{line} imports {module}"
+        for path in python_files(ENGINE, ADDON, ROOT / "scripts")
+        for module, line in imports(path)
+        if module.split(".")[0] in NEVER_IMPORTED
+    )
+
+
+def test_no_module_is_longer_than_a_sitting():
+    lengths = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in python_files(ENGINE, ADDON)}
+    offences(f"{name_of(path)}: {lines} lines" for path, lines in lengths.items() if lines > MODULE_LINES)
+
+
+def public_functions(path: Path) -> Iterator[ast.FunctionDef | ast.AsyncFunctionDef]:
+    for node in ast.walk(tree_of(path)):
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and not node.name.startswith("_"):
+            yield node
+
+
+def parameter_count(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    arguments = [*function.args.posonlyargs, *function.args.args, *function.args.kwonlyargs]
+    return len(arguments) - (bool(arguments) and arguments[0].arg in ("self", "cls"))
+
+
+def test_public_functions_have_few_parameters():
+    offences(
+        f"{name_of(path)}:{function.lineno} {function.name} has {parameter_count(function)} parameters"
+        for path in python_files(ENGINE, ADDON)
+        for function in public_functions(path)
+        if parameter_count(function) > PUBLIC_PARAMETERS
+    )
+
+
+def is_swallowing(handler: ast.ExceptHandler) -> bool:
+    """Whether a handler catches everything and does nothing with it."""
+    catches_all = handler.type is None or (
+        isinstance(handler.type, ast.Name) and handler.type.id in ("Exception", "BaseException")
+    )
+    return catches_all and all(isinstance(statement, ast.Pass) for statement in handler.body)
+
+
+def test_no_error_is_swallowed():
+    offences(
+        f"{name_of(path)}:{node.lineno}"
+        for path in python_files(ENGINE, ADDON, ROOT / "scripts")
+        for node in ast.walk(tree_of(path))
+        if isinstance(node, ast.ExceptHandler) and is_swallowing(node)
+    )
+
+
+def test_torch_files_are_never_loaded():
+    """torch.load and numpy's allow_pickle=True run code of the file."""
+    found = []
+    for path in python_files(ENGINE, ADDON, ROOT / "scripts"):
+        for node in ast.walk(tree_of(path)):
+            if not isinstance(node, ast.Call):
+                continue
+            unsafe = any(
+                keyword.arg == "allow_pickle"
+                and not (isinstance(keyword.value, ast.Constant) and not keyword.value.value)
+                for keyword in node.keywords
+            )
+            if unsafe or ast.unparse(node.func) == "torch.load":
+                found.append(f"{name_of(path)}:{node.lineno}")
+    offences(found)
+
+
+def test_kernels_are_never_built_with_relaxed_arithmetic():
+    forbidden = ("-ffast-math", "-Ofast", "-ffinite-math-only", "-funsafe-math-optimizations", "-fassociative-math")
+    sources = [path for path in [*python_files(ENGINE), ROOT / "setup.py"] if path.exists()]
+    offences(
+        f"{name_of(path)}:{node.lineno} {node.value}"
+        for path in sources
+        for node in ast.walk(tree_of(path))
+        if isinstance(node, ast.Constant) and isinstance(node.value, str) and node.value.strip() in forbidden
+    )
+    offences(
+        name_of(path)
+        for path in [*ENGINE.rglob("*.cpp"), *ENGINE.rglob("*.h")]
+        if "pragma float_control" in path.read_text(encoding="utf-8")
+    )
+
+
+def test_importing_the_package_loads_nothing_heavy():
+    """Blender's Python has neither torch nor numpy 2; it imports the package for the protocol module alone."""
+    code = (
+        "import sys; import jghand_engine, jghand_engine.service.protocol; "
+        "print([m for m in ('torch', 'numpy', 'scipy', 'pxr', 'PIL', 'tyro', 'rich') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_the_package_imports_where_torchvision_and_the_optional_packages_are_missing():
+    code = (
+        "import sys\n"
+        "absent = ('torchvision', 'mediapipe', 'bpy', 'anny', 'imageio_ffmpeg', 'trimesh')\n"
+        "sys.modules.update(dict.fromkeys(absent))\n"
+        "import jghand_engine.cli, jghand_engine.exporters.pictures, jghand_engine.splat.camera\n"
+    )
+    subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
