@@ -282,8 +282,10 @@ def compute_frames(joints: Tensor, canonical: CanonicalHand, swing: Swing) -> Co
         + FrameFlag.PALM_CLAMPED * planes.clamped.int()
         + FrameFlag.SWING_POLE * (~chain.off_pole).int()
         + FrameFlag.NO_PALM * (~has_palm).int()
-        + FrameFlag.NOT_FINITE * (~torch.isfinite(joints).all(0).all(0)).int()
     )
+    finite = torch.isfinite(joints).all(0).all(0)
+    # of a hand that is not finite nothing else can be said
+    flags = torch.where(finite, flags, int(FrameFlag.NOT_FINITE))
     return ComponentFrames(
         S=chain.S,
         S0=S0,

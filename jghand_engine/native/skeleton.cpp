@@ -1,0 +1,231 @@
+// One hand: 21 joints to the 21 bone transforms, in double. The same formulas, thresholds and fallbacks as
+// jghand_engine/hand/frames.py and transform.py (METHOD 2.4 to 2.10); a test compares the two on ordinary and degenerate
+// hands. Values only: there are no gradients here, hence no damping.
+#include <math.h>
+#include <stdint.h>
+
+#include "export.h"
+
+namespace {
+
+constexpr int JOINTS = 21, BONES = 20, PHALANGES = 15, FINGERS = 5;
+
+enum Flag { ZERO_BONE = 1, PALM_CLAMPED = 2, SWING_POLE = 4, NO_PALM = 8, NOT_FINITE = 16 };
+
+struct Vec {
+  double x, y, z;
+};
+
+// Columns, because every matrix here is a frame: x, y, z axes.
+struct Mat {
+  Vec x, y, z;
+};
+
+Vec operator+(Vec a, Vec b) { return {a.x + b.x, a.y + b.y, a.z + b.z}; }
+Vec operator-(Vec a, Vec b) { return {a.x - b.x, a.y - b.y, a.z - b.z}; }
+Vec operator*(double s, Vec a) { return {s * a.x, s * a.y, s * a.z}; }
+double dot(Vec a, Vec b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+Vec cross(Vec a, Vec b) { return {a.y * b.z - a.z * b.y, a.z * b.x - a.x * b.z, a.x * b.y - a.y * b.x}; }
+
+Vec operator*(const Mat& m, Vec v) { return v.x * m.x + v.y * m.y + v.z * m.z; }
+Mat operator*(const Mat& a, const Mat& b) { return {a * b.x, a * b.y, a * b.z}; }
+Vec transposed_times(const Mat& m, Vec v) { return {dot(m.x, v), dot(m.y, v), dot(m.z, v)}; }
+Mat transposed(const Mat& m) { return {{m.x.x, m.y.x, m.z.x}, {m.x.y, m.y.y, m.z.y}, {m.x.z, m.y.z, m.z.z}}; }
+
+// What the transform knows before a pose comes, as packed by hand/fast_transform.py: doubles only, in this order.
+struct Skeleton {
+  double zero_bone, palm_clamp, swing_pole, flexion_axis_min, palm_normal_min, palm_plane_min, scale_ratio_min;
+  double size_min;   // floor of the hand's size
+  double exponent;   // of the scale mode
+  double euler;      // 1: euler swing, 0: minimal
+  double mirror;     // -1 for a left hand, else 1
+  Vec joint[JOINTS];  // root-centred canonical joints
+  double length[BONES];
+  Vec direction[BONES];
+  Mat frame[BONES];
+  Mat palm;
+  Vec u[PHALANGES];
+  Mat swing[PHALANGES];
+  Vec palm_normal[4];
+  Mat palm_flip, metacarpal_flip[FINGERS], swing_flip[PHALANGES];
+};
+
+// v / |v| where |v| > threshold, else the fallback.
+bool unit(Vec v, Vec fallback, double threshold, Vec& result) {
+  const double square = dot(v, v);
+  const bool good = square > threshold * threshold;
+  result = good ? (1 / sqrt(square)) * v : fallback;
+  return good;
+}
+
+double smooth_floor(double value, double floor) {
+  if (value >= 2 * floor) return value;
+  return value > 0 ? floor + value * value / (4 * floor) : floor;
+}
+
+// Smallest rotation from a to b; `opposite` is the answer at b = -a.
+Mat minimal_rotation(Vec a, Vec b, const Mat& opposite) {
+  constexpr double EPS = 2.220446049250313e-16;
+  const double c = dot(a, b);
+  const Vec v = cross(a, b);
+  const double sine2 = dot(v, v);
+  if (c < 0 && !(sine2 > 64 * EPS * EPS)) return opposite;
+  const double k = c < 0 ? (1 - c) / sine2 : 1 / (1 + c);
+  const Vec kv = k * v;
+  return {{c + kv.x * v.x, kv.y * v.x + v.z, kv.z * v.x - v.y},
+          {kv.x * v.y - v.z, c + kv.y * v.y, kv.z * v.y + v.x},
+          {kv.x * v.z + v.y, kv.y * v.z - v.x, c + kv.z * v.z}};
+}
+
+bool swing_euler(Vec u, double pole, Mat& Q) {
+  const double square = u.x * u.x + u.z * u.z;
+  if (square > pole * pole) {
+    const double ca = sqrt(square), cf = u.z / ca, sf = u.x / ca, sa = -u.y;
+    Q = {{cf, 0, -sf}, {sf * sa, ca, cf * sa}, u};
+    return true;
+  }
+  const double sa = u.y > 0 ? -1 : u.y < 0 ? 1 : 0;
+  Q = {{1, 0, 0}, {0, 0, sa}, {0, -sa, 0}};
+  return false;
+}
+
+bool swing_minimal(Vec u, const Skeleton& s, int phalanx, Mat& Q) {
+  Q = minimal_rotation(s.u[phalanx], u, s.swing_flip[phalanx]) * s.swing[phalanx];
+  return dot(u, s.u[phalanx]) > 0.5 * s.swing_pole * s.swing_pole - 1;
+}
+
+struct Frames {
+  Mat frame[BONES], palm;
+  Vec direction[BONES];
+  double relative_length[BONES], size;
+  int flags;
+};
+
+// S0: twist from the area vector of the metacarpals' fan, else from the smallest rotation of the canonical palm.
+bool palm_frame(const Skeleton& s, const Vec bone[BONES], Mat& palm) {
+  Vec axis = bone[1], area = {0, 0, 0}, z, x;
+  for (int f = 2; f < FINGERS; f++) axis = axis + bone[f], area = area + cross(bone[f - 1], bone[f]);
+  const bool has_axis = unit(axis, s.palm.z, s.zero_bone, z);
+  const Vec fallback = minimal_rotation(s.palm.z, z, s.palm_flip) * s.palm.x;
+  const bool has_normal = unit(area - dot(area, z) * z, fallback, s.palm_normal_min, x);
+  palm = {x, cross(z, x), z};
+  return has_axis && has_normal;
+}
+
+// Directions and frames of the metacarpals; returns flags.
+int metacarpal_frames(const Skeleton& s, const Vec bone[BONES], Frames& frames) {
+  const Mat turn = frames.palm * transposed(s.palm);
+  Vec normal[4], finger_normal[FINGERS];
+  int flags = 0;
+  for (int f = 0; f < FINGERS; f++)
+    if (!unit(bone[f], turn * s.direction[f], s.zero_bone, frames.direction[f])) flags |= ZERO_BONE;
+  for (int k = 0; k < 4; k++) {
+    const Vec plane = cross(frames.direction[k], frames.direction[k + 1]), expected = turn * s.palm_normal[k];
+    const double height = dot(plane, expected);
+    if (height < 2 * s.palm_clamp) flags |= PALM_CLAMPED;
+    const Vec lifted = plane + (smooth_floor(height, s.palm_clamp) - height) * expected;
+    unit(lifted, expected, s.palm_plane_min * s.palm_clamp, normal[k]);
+  }
+  finger_normal[0] = normal[0], finger_normal[1] = normal[1], finger_normal[4] = normal[3];
+  finger_normal[2] = 0.5 * (normal[1] + normal[2]), finger_normal[3] = 0.5 * (normal[2] + normal[3]);
+  for (int f = 0; f < FINGERS; f++) {
+    const Vec z = frames.direction[f];
+    const Vec fallback = minimal_rotation(s.direction[f], z, s.metacarpal_flip[f]) * s.frame[f].y;
+    Vec y;
+    unit(cross(z, finger_normal[f]), fallback, s.flexion_axis_min, y);
+    frames.frame[f] = {cross(y, z), y, z};
+  }
+  return flags;
+}
+
+int phalanx_frames(const Skeleton& s, const Vec bone[BONES], Frames& frames) {
+  int flags = 0;
+  for (int i = FINGERS; i < BONES; i++) {
+    const Mat& parent = frames.frame[i - FINGERS];
+    const int phalanx = i - FINGERS;
+    Vec u;
+    Mat Q;
+    if (!unit(bone[i], parent * s.u[phalanx], s.zero_bone, frames.direction[i])) flags |= ZERO_BONE;
+    unit(transposed_times(parent, frames.direction[i]), s.u[phalanx], s.zero_bone, u);
+    const bool off_pole = s.euler != 0 ? swing_euler(u, s.swing_pole, Q) : swing_minimal(u, s, phalanx, Q);
+    if (!off_pole) flags |= SWING_POLE;
+    frames.frame[i] = parent * Q;
+  }
+  return flags;
+}
+
+Frames compute_frames(const Skeleton& s, const Vec joint[JOINTS]) {
+  Frames frames;
+  Vec bone[BONES];
+  frames.size = s.size_min;
+  frames.flags = 0;
+  for (int i = 0; i < BONES; i++) {
+    bone[i] = joint[i + 1] - joint[i < FINGERS ? 0 : i - 4];
+    frames.size = fmax(frames.size, fmax(fabs(bone[i].x), fmax(fabs(bone[i].y), fabs(bone[i].z))));
+  }
+  for (int i = 0; i < BONES; i++) {
+    bone[i] = (1 / frames.size) * bone[i];
+    const double square = dot(bone[i], bone[i]);
+    frames.relative_length[i] = square > s.zero_bone * s.zero_bone ? sqrt(square) : 0;
+  }
+  if (!palm_frame(s, bone, frames.palm)) frames.flags |= NO_PALM;
+  frames.flags |= metacarpal_frames(s, bone, frames);
+  frames.flags |= phalanx_frames(s, bone, frames);
+  return frames;
+}
+
+double radial_scale(const Skeleton& s, double along, double whole) {
+  if (s.exponent == 0) return whole;
+  if (s.exponent == 1) return along;
+  const double ratio = whole > 0 ? along / whole : 0;
+  return whole * pow(fmax(ratio, s.scale_ratio_min), s.exponent);
+}
+
+// [L | offset] as 3 x 4, row by row; x is negated for a left hand.
+void store(const Skeleton& s, const Mat& L, Vec posed_pivot, Vec canonical_pivot, double* out) {
+  const Vec offset = posed_pivot - L * canonical_pivot;
+  const Vec column[4] = {L.x, L.y, L.z, offset};
+  for (int k = 0; k < 4; k++) {
+    out[k] = s.mirror * column[k].x;
+    out[4 + k] = column[k].y;
+    out[8 + k] = column[k].z;
+  }
+}
+
+}  // namespace
+
+// skeleton: `Skeleton` packed as doubles. joints: 21 x 3, metres, level order.
+// matrices: 21 x 3 x 4 root-relative canonical -> posed. scale: of the whole hand. Returns the flags of the frames.
+// A joint that is not finite gives NaN everywhere and the flag NOT_FINITE.
+JG_API int32_t jg_bone_transforms(const double* skeleton, const double* joints, double* matrices, double* scale) {
+  const Skeleton& s = *reinterpret_cast<const Skeleton*>(skeleton);
+  Vec joint[JOINTS];
+  for (int i = 0; i < 3 * JOINTS; i++) {
+    if (isfinite(joints[i])) continue;
+    for (int k = 0; k < JOINTS * 12; k++) matrices[k] = NAN;
+    *scale = NAN;
+    return NOT_FINITE;
+  }
+  for (int i = 0; i < JOINTS; i++) joint[i] = {s.mirror * joints[3 * i], joints[3 * i + 1], joints[3 * i + 2]};
+  const Frames frames = compute_frames(s, joint);
+
+  double sum = 0, canonical_sum = 0;
+  for (int i = 0; i < BONES; i++) sum += frames.relative_length[i], canonical_sum += s.length[i];
+  const double whole = sum / canonical_sum;
+  *scale = whole * frames.size;
+
+  const Mat turn = frames.palm * transposed(s.palm);
+  store(s, {*scale * turn.x, *scale * turn.y, *scale * turn.z}, {0, 0, 0}, {0, 0, 0}, matrices);
+  for (int i = 0; i < BONES; i++) {
+    const Mat A = frames.frame[i] * transposed(s.frame[i]);
+    const Vec d = s.direction[i];
+    const double relative = frames.relative_length[i] / s.length[i];
+    const double along = relative * frames.size, radial = radial_scale(s, relative, whole) * frames.size;
+    // the measured direction, not the turned canonical one: no round-off of the chain reaches the joints
+    const Vec axial = along * frames.direction[i] - radial * (A * d);
+    const Mat L = {radial * A.x + d.x * axial, radial * A.y + d.y * axial, radial * A.z + d.z * axial};
+    const int parent = i < FINGERS ? 0 : i - 4;
+    store(s, L, joint[parent] - joint[0], s.joint[parent], matrices + 12 * (i + 1));
+  }
+  return frames.flags;
+}
