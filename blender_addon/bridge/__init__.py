@@ -1,0 +1,7 @@
+"""The only code that touches Blender's data.
+
+versions   what differs between Blender versions, one function per difference
+armature   one armature per hand: building it, finding it, reading its 21 joints
+motion     a motion onto an armature, as keys
+camera     a Blender camera as a pinhole
+"""

@@ -1,0 +1,68 @@
+"""A Blender camera as the pinhole of the engine. Source: BLENDER 6 (the formula), 8.1 (what is honoured)."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+from ..core import limits
+from ..core.messages import JGHandFailure
+from ..core.view import Pinhole
+from .armature import evaluated_object
+
+# OpenCV looks along +z with y down, Blender along -z with y up
+_OPENCV_FROM_BLENDER = np.diag([1.0, -1.0, -1.0, 1.0])
+
+
+def picture_size(render: bpy.types.RenderSettings) -> tuple[int, int]:
+    """Width and height in pixels, percentage applied and rounded down as Blender does."""
+    return tuple(
+        max(1, edge * render.resolution_percentage // 100) for edge in (render.resolution_x, render.resolution_y)
+    )
+
+
+def pinhole(camera: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Pinhole:
+    """The *evaluated* camera (lens, shift, sensor fit, pixel aspect, unit of the scene) as a pinhole in metres.
+
+    Raises JGHandFailure: not_a_camera, panoramic, orthographic, sheared_camera, hidden.
+    """
+    if camera.type != "CAMERA":
+        raise JGHandFailure("not_a_camera", camera.name)
+    evaluated = evaluated_object(camera, depsgraph)
+    _check_kind(evaluated)
+    scene = depsgraph.scene
+    width, height = picture_size(scene.render)
+    p = evaluated.calc_matrix_camera(
+        depsgraph, x=width, y=height, scale_x=scene.render.pixel_aspect_x, scale_y=scene.render.pixel_aspect_y
+    )
+    return Pinhole(
+        width,
+        height,
+        fx=width * p[0][0] / 2,
+        fy=height * p[1][1] / 2,
+        cx=width * (1 - p[0][2]) / 2,
+        cy=height * (1 + p[1][2]) / 2,
+        camera_from_world=_camera_from_world(evaluated, scene.unit_settings.scale_length),
+    )
+
+
+def _check_kind(camera: bpy.types.Object) -> None:
+    if camera.data.type == "ORTHO":
+        raise JGHandFailure("orthographic", camera.name)
+    if camera.data.type != "PERSP":
+        raise JGHandFailure("panoramic", camera.name)
+
+
+def _camera_from_world(camera: bpy.types.Object, unit_m: float) -> np.ndarray:
+    """(4, 4), metres; scale is left out as Blender leaves it out, a shear or a mirror is refused."""
+    world_from_camera = np.array(camera.matrix_world, dtype=np.float64)
+    axes = world_from_camera[:3, :3]
+    size = np.linalg.norm(axes, axis=0)
+    if size.min() <= 0:
+        raise JGHandFailure("zero_scale", camera.name)
+    axes = axes / size
+    if np.abs(axes.T @ axes - np.eye(3)).max() > limits.SHEAR_MAX or np.linalg.det(axes) < 0:
+        raise JGHandFailure("sheared_camera", camera.name)
+    result = np.eye(4)
+    result[:3, :3], result[:3, 3] = axes.T, -axes.T @ world_from_camera[:3, 3] * unit_m
+    return _OPENCV_FROM_BLENDER @ result

@@ -1,0 +1,41 @@
+"""What differs between Blender versions. Features are looked for; version numbers are never compared."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+from bpy_extras import anim_utils
+
+
+def new_action(owner: bpy.types.ID, name: str) -> bpy.types.Action:
+    """A fresh action with a slot for `owner`, made its active one. The action before it stays in the file."""
+    action = bpy.data.actions.new(name)
+    slot = action.slots.new(owner.id_type, owner.name)
+    animation = owner.animation_data or owner.animation_data_create()
+    animation.action = action
+    animation.action_slot = slot
+    return action
+
+
+def new_fcurve(owner: bpy.types.ID, data_path: str, index: int, group: str) -> bpy.types.FCurve:
+    """A curve in the action of `owner` made by `new_action`, in the named group."""
+    animation = owner.animation_data
+    if hasattr(anim_utils, "action_ensure_channelbag_for_slot"):  # 5.0 and later
+        bag = anim_utils.action_ensure_channelbag_for_slot(animation.action, animation.action_slot)
+        curve = bag.fcurves.new(data_path, index=index)
+        curve.group = bag.groups.get(group) or bag.groups.new(group)
+        return curve
+    curve = animation.action.fcurve_ensure_for_datablock(owner, data_path, index=index)  # 4.5
+    bag = anim_utils.action_get_channelbag_for_slot(animation.action, animation.action_slot)
+    curve.group = bag.groups.get(group) or bag.groups.new(group)
+    return curve
+
+
+def fcurves(owner: bpy.types.ID) -> list[Any]:
+    """All curves of the owner's active action."""
+    animation = owner.animation_data
+    if animation is None or animation.action is None:
+        return []
+    bag = anim_utils.action_get_channelbag_for_slot(animation.action, animation.action_slot)
+    return list(bag.fcurves) if bag else []

@@ -1,0 +1,165 @@
+"""Renders the hands of a .blend file without a window: joints from Blender, pictures from the engine.
+
+    render_blend.py FILE.blend --camera CamPalm,CamSide --frames 1-60 --out FOLDER
+
+The engine runs in a process of its own (--engine-python, the variable
+JGHAND_ENGINE_PYTHON, .envs/engine of this checkout, or `jghand` on the PATH). Writes FOLDER/CAMERA/0001.png, RGBA with
+straight alpha; pictures that are there already are skipped. Every armature of the file that is a JGHand hand and not
+disabled in renders is drawn, several hands in one picture.
+
+Exit codes: 0 done, 2 bad input, 3 try again, 4 out of memory.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import bpy
+
+from .bridge import armature, camera
+from .core import batch, limits
+from .core.client import EngineClient
+from .core.engine_command import engine_command
+from .core.messages import JGHandFailure
+from .core.view import BUILTIN_AVATAR, HandInSpace, Pinhole, picture_request
+
+INTERRUPTED = 130
+
+
+def main(arguments: list[str] | None = None, *, checkout: Path | None = None) -> int:
+    """Renders what the command line asks for; returns the exit code.
+
+    checkout: a folder that may hold .envs/engine.
+    """
+    options = _parser().parse_args(arguments)
+    report = batch.BatchReport(str(options.file), options.preset, total=0)
+    try:
+        _render(options, report, checkout)
+        return 0
+    except JGHandFailure as failure:
+        report.failed(failure)
+        print(f"render_blend: {failure}", file=sys.stderr)
+        return failure.advice.exit_code
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    finally:
+        if options.report is not None:
+            batch.write_whole(options.report, report.as_json())
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="render_blend.py", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("file", type=Path, help="a .blend file with a JGHand armature")
+    parser.add_argument("--out", type=Path, required=True, help="folder for the pictures")
+    parser.add_argument("--camera", metavar="NAME[,NAME]", help="cameras; default: the scene's camera")
+    parser.add_argument(
+        "--frames", type=_frames, metavar="A-B[,STEP]", help="e.g. 1-240 or 1-240,2; default: the scene's range"
+    )
+    parser.add_argument("--preset", default="final", help="draft, viewport, final (default) or reference")
+    parser.add_argument("--avatar", default=BUILTIN_AVATAR, help="a .jghand file; default: the built-in avatar")
+    parser.add_argument("--engine-python", metavar="PATH", help="a Python that has jghand installed")
+    parser.add_argument("--overwrite", action="store_true", help="render pictures that are there already again")
+    parser.add_argument("--report", type=Path, metavar="FILE.json", help="write what was done, with times, as JSON")
+    parser.add_argument("--allow-scripts", action="store_true", help="let the file run the Python scripts inside it")
+    return parser
+
+
+def _frames(text: str) -> list[int]:
+    try:
+        return batch.parse_frames(text)
+    except ValueError as error:
+        raise argparse.ArgumentTypeError(str(error)) from error
+
+
+def _render(options: argparse.Namespace, report: batch.BatchReport, checkout: Path | None) -> None:
+    _open(options.file, options.allow_scripts)
+    scene = bpy.context.scene
+    cameras = _cameras(scene, options.camera)
+    frames = options.frames or list(range(scene.frame_start, scene.frame_end + 1, scene.frame_step))
+    report.total = len(frames) * len(cameras)
+    command = engine_command(options.engine_python, checkout=checkout)
+    if not _make_evaluated(cameras):
+        raise JGHandFailure("no_hand", str(options.file))
+    with EngineClient.start(command) as engine:
+        report.engine = {key: engine.handshake.get(key) for key in ("engine_version", "device")}
+        _load(engine, options.avatar)
+        for frame in frames:
+            for line in _render_frame(engine, frame, cameras, options, report):
+                print(line, flush=True)
+
+
+def _render_frame(
+    engine: EngineClient,
+    frame: int,
+    cameras: list[bpy.types.Object],
+    options: argparse.Namespace,
+    report: batch.BatchReport,
+) -> Iterator[str]:
+    """Renders one frame from every camera whose picture is wanted; yields progress lines."""
+    paths = {eye.name: batch.picture_path(options.out, eye.name, frame) for eye in cameras}
+    wanted = [eye for eye in cameras if options.overwrite or not paths[eye.name].exists()]
+    for eye in cameras:
+        if eye not in wanted:
+            yield report.skipped(eye.name, frame, paths[eye.name])
+    if not wanted:
+        return
+    depsgraph = armature.at_frame(bpy.context.scene, frame)
+    hands = [armature.read_hand(hand, depsgraph) for hand in armature.hand_armatures(bpy.context.view_layer)]
+    hands = [replace(hand, avatar=options.avatar) for hand in hands]
+    for eye in wanted:
+        started = time.perf_counter()
+        content, details = _picture(engine, camera.pinhole(eye, depsgraph), hands, options.preset)
+        batch.write_whole(paths[eye.name], content)
+        yield report.rendered(eye.name, frame, paths[eye.name], 1e3 * (time.perf_counter() - started), details)
+
+
+def _picture(engine: EngineClient, view: Pinhole, hands: list[HandInSpace], preset: str) -> tuple[bytes, dict]:
+    header, arrays = picture_request(view, hands, preset=preset, outputs=["png"])
+    reply = engine.request(header, arrays)
+    return bytes(reply.arrays["png"].data), {"size": [view.width, view.height], "reports": reply.header["reports"]}
+
+
+def _load(engine: EngineClient, avatar: str) -> None:
+    try:
+        engine.request({"kind": "load", "avatar": avatar}, timeout_s=limits.LOAD_S)
+    except JGHandFailure as failure:
+        if failure.kind == "bad_input":
+            raise JGHandFailure("bad_avatar", failure.detail) from failure
+        raise
+
+
+def _open(path: Path, allow_scripts: bool) -> None:
+    if not path.is_file():
+        raise JGHandFailure("bad_file", f"{path} does not exist")
+    try:
+        bpy.ops.wm.open_mainfile(filepath=str(path.resolve()), load_ui=False, use_scripts=allow_scripts)
+    except RuntimeError as error:
+        raise JGHandFailure("bad_file", f"{path}: {error}") from error
+
+
+def _cameras(scene: bpy.types.Scene, names: str | None) -> list[bpy.types.Object]:
+    if names is None:
+        if scene.camera is None:
+            raise JGHandFailure("not_a_camera", "the scene has no camera of its own; name one with --camera")
+        return [scene.camera]
+    known = [thing.name for thing in scene.objects if thing.type == "CAMERA"]
+    wanted = list(dict.fromkeys(names.split(",")))
+    unknown = [name for name in wanted if name not in known]
+    if unknown:
+        raise JGHandFailure("not_a_camera", f"{', '.join(unknown)}; the scene has {', '.join(known) or 'none'}")
+    return [scene.objects[name] for name in wanted]
+
+
+def _make_evaluated(cameras: list[bpy.types.Object]) -> list[bpy.types.Object]:
+    """The hands of the scene, made sure, as the cameras, to be evaluated (in memory; the file stays as it is)."""
+    hands = armature.hand_armatures(bpy.context.view_layer)
+    for thing in (*hands, *cameras):
+        armature.show_to_evaluate(thing)
+    return hands

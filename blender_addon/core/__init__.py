@@ -1,0 +1,11 @@
+"""What the extension knows without Blender: no module here imports bpy, and each is tested with plain Python.
+
+limits          every number, with its reason
+joints          names, parents and bones of the 21 joints; the rest hand
+posing          joint positions to bone matrices and back (numpy)
+view            pinhole cameras, hands in their own space, and the request for a picture (numpy)
+wire            the protocol module, from the extension or from the engine's package
+engine_command  where the engine is
+client          the engine as a child process: start, handshake, requests, a clean end
+messages        one sentence and one remedy for everything that can fail
+"""

@@ -1,0 +1,115 @@
+"""Rendering many frames without a window: which frames, which files, what is written down. Does not use bpy.
+
+A picture appears under its name only when it is whole, and a picture that is there is not made again, so a run that
+was cut off goes on where it stopped. Source: BLENDER 8.2.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import json
+import os
+import re
+import tempfile
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from .messages import JGHandFailure
+
+_FRAMES = re.compile(r"(-?\d+)(?:-(-?\d+))?(?:,([1-9]\d*))?")
+
+
+def parse_frames(text: str) -> list[int]:
+    """ "7", "1-240" or "1-240,2" (every second one) -> frame numbers. ValueError says what is wanted."""
+    match = _FRAMES.fullmatch(text)
+    if match is None:
+        raise ValueError(f"frames {text!r}: wanted FIRST, FIRST-LAST or FIRST-LAST,STEP")
+    first, last, step = (int(group) if group else None for group in match.groups())
+    assert first is not None  # the pattern has it
+    frames = list(range(first, (first if last is None else last) + 1, step or 1))
+    if not frames:
+        raise ValueError(f"frames {text!r}: the last frame comes before the first")
+    return frames
+
+
+def picture_path(folder: Path, camera: str, frame: int) -> Path:
+    """FOLDER/CAMERA/0001.png; letters that a file system may refuse become _."""
+    return folder / (re.sub(r"[^\w. -]", "_", camera).strip(". ") or "camera") / f"{frame:04d}.png"
+
+
+def write_whole(path: Path, content: bytes) -> None:
+    """Writes a file under a temporary name, then renames it. JGHandFailure: cannot_write, disk_full."""
+    temporary = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=".part", dir=path.parent)
+        temporary = Path(name)
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(content)
+            stream.flush()
+            os.fsync(stream.fileno())
+        temporary.chmod(0o644)
+        os.replace(temporary, path)
+    except OSError as error:
+        if temporary is not None:
+            with contextlib.suppress(OSError):
+                temporary.unlink()
+        kind = "disk_full" if error.errno in (errno.ENOSPC, getattr(errno, "EDQUOT", -1)) else "cannot_write"
+        raise JGHandFailure(kind, f"{path}: {error.strerror or error}") from error
+
+
+@dataclass
+class BatchReport:
+    """What a run did, for people (progress lines) and for machines (a JSON file)."""
+
+    blend: str
+    preset: str
+    total: int
+    engine: dict[str, Any] = field(default_factory=dict)
+    pictures: list[dict[str, Any]] = field(default_factory=list)
+    failure: dict[str, str] | None = None
+    _started: float = field(default_factory=time.monotonic)
+
+    def rendered(self, camera: str, frame: int, path: Path, milliseconds: float, details: dict[str, Any]) -> str:
+        """Notes a picture; returns its progress line."""
+        self._note(camera, frame, path, skipped=False, milliseconds=round(milliseconds, 3), **details)
+        done = [picture for picture in self.pictures if not picture["skipped"]]
+        left_s = (self.total - len(self.pictures)) * (time.monotonic() - self._started) / len(done)
+        place = f"{len(self.pictures)} of {self.total}"
+        return f"frame {frame} · {camera} · {place} · {milliseconds:.0f} ms · {left_s:.0f} s left"
+
+    def skipped(self, camera: str, frame: int, path: Path) -> str:
+        """Notes a picture that was there already; returns its progress line."""
+        self._note(camera, frame, path, skipped=True)
+        return f"frame {frame} · {camera} · {len(self.pictures)} of {self.total} · there already"
+
+    def failed(self, failure: JGHandFailure) -> None:
+        """Notes why the run ended early."""
+        advice = failure.advice
+        self.failure = {
+            "kind": failure.kind,
+            "sentence": advice.sentence,
+            "remedy": advice.remedy,
+            "detail": failure.detail,
+        }
+
+    def as_json(self) -> bytes:
+        """The whole report."""
+        content = {
+            "blend": self.blend,
+            "preset": self.preset,
+            "engine": self.engine,
+            "seconds": round(time.monotonic() - self._started, 3),
+            "wanted": self.total,
+            "rendered": sum(not picture["skipped"] for picture in self.pictures),
+            "skipped": sum(picture["skipped"] for picture in self.pictures),
+            "failure": self.failure,
+            "pictures": self.pictures,
+        }
+        return json.dumps(content, indent=1).encode()
+
+    def _note(self, camera: str, frame: int, path: Path, **more: Any) -> None:
+        self.pictures.append({"frame": frame, "camera": camera, "file": str(path), **more})

@@ -1,0 +1,38 @@
+"""Every number of the extension: value, unit, why. Source: BLENDER 3.4 and 6."""
+
+from __future__ import annotations
+
+# ---- the engine's process, seconds ----------------------------------------------------------------------------------
+
+# a cold start of the engine's Python on a slow disk
+HANDSHAKE_S = 30.0
+# the answer to the token
+WELCOME_S = 5.0
+# one picture of the final preset, and the loading of an avatar (which imports torch)
+REQUEST_S = 60.0
+LOAD_S = 120.0
+# no sign of life for so long: the engine hangs (it gives one every second)
+SILENCE_S = 30.0
+# how often a wait looks whether the process still lives
+POLL_S = 0.05
+# after stdin was closed the engine may finish; then it is asked to end; then it is ended
+STOP_S = 3.0
+TERMINATE_S = 2.0
+# lines of the engine's own output that are kept for a failure's detail, and letters of one
+LOG_LINES = 60
+LOG_LINE_MAX = 2000
+
+# ---- the armature ---------------------------------------------------------------------------------------------------
+
+# a finger tip ends the hand; its bone only marks the place
+TIP_BONE_M = 0.005
+# a rest bone shorter than this part of the mean bone has no direction, and Blender deletes bones of no length
+REST_BONE_MIN = 1e-2
+# sine between palm bones below which a frame has no palm plane and holds the orientation of the one before
+PALM_SINE_MIN = 1e-3
+# det of the normalised axes of an object: below it, its scale is (nearly) zero in some direction
+SCALE_MIN = 1e-6
+# a camera whose normalised axes leave orthogonality by more than this is sheared by its parents
+SHEAR_MAX = 1e-4
+# cosine below which two directions count as opposite: the smallest rotation between them has no axis of its own
+OPPOSITE_COSINE = -0.999999

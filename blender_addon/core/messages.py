@@ -1,0 +1,73 @@
+"""One sentence and one remedy for everything that can fail. No numbers in them: they are to be translated.
+
+Details (a path, the last lines of the log) stand apart. Source: BLENDER 3.5.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+# exit codes of a batch run, the same as the engine's
+BAD_INPUT, TRY_AGAIN, OUT_OF_MEMORY = 2, 3, 4
+
+
+@dataclass(frozen=True)
+class Advice:
+    """What an artist reads, and the exit code of a batch run that ends with it."""
+
+    sentence: str
+    remedy: str
+    exit_code: int
+
+
+ADVICE = {
+    "no_interpreter": Advice("No engine is set up", "Choose the engine's Python", BAD_INPUT),
+    "no_engine": Advice("This Python has no JGHand engine", "Install it there and try again", BAD_INPUT),
+    "protocol": Advice("Extension and engine are of different versions", "Update the older one", BAD_INPUT),
+    "start_timeout": Advice("The engine did not start in time", "Look at the log and try again", TRY_AGAIN),
+    "out_of_memory": Advice("The memory is full", "Choose a smaller picture or quality preset", OUT_OF_MEMORY),
+    "killed": Advice(
+        "The system ended the engine, most likely for memory",
+        "Close other programs or choose a smaller preset",
+        OUT_OF_MEMORY,
+    ),
+    "crashed": Advice("The engine stopped unexpectedly", "Look at the log and start again", TRY_AGAIN),
+    "hung": Advice("The engine does not answer", "Start it again", TRY_AGAIN),
+    "token": Advice("Another program answered", "Start the engine again", TRY_AGAIN),
+    "busy": Advice("The engine serves another program", "Start an engine of your own", TRY_AGAIN),
+    "bad_avatar": Advice("This file is not a JGHand avatar", "Choose another file", BAD_INPUT),
+    "bad_input": Advice("The engine cannot use what it was given", "Correct it and try again", BAD_INPUT),
+    "retry": Advice("The engine could not do it now", "Try again", TRY_AGAIN),
+    "internal": Advice("The engine made a mistake", "Look at the log and report it", TRY_AGAIN),
+    # what this side refuses
+    "not_a_hand": Advice("This armature is not a JGHand hand", "Add a hand, or map its bones first", BAD_INPUT),
+    "no_hand": Advice("There is no hand in this scene", "Add a hand first", BAD_INPUT),
+    "hidden": Advice(
+        "This object is disabled in viewports, so Blender does not evaluate it",
+        "Enable it or its collection",
+        BAD_INPUT,
+    ),
+    "mirrored": Advice("Mirrored scale is not supported", "Use the other hand instead", BAD_INPUT),
+    "zero_scale": Advice("A scale of zero is not supported", "Give the object a scale", BAD_INPUT),
+    "bad_joints": Advice("These joints are not a hand's motion", "Check the file", BAD_INPUT),
+    "not_a_camera": Advice("There is no camera of this name", "Choose a camera of the scene", BAD_INPUT),
+    "panoramic": Advice("Panoramic cameras are not supported", "Choose a perspective camera", BAD_INPUT),
+    "orthographic": Advice("Orthographic cameras are not supported yet", "Choose a perspective camera", BAD_INPUT),
+    "sheared_camera": Advice(
+        "The camera is sheared or mirrored by its parents", "Clear their scale or the camera's parent", BAD_INPUT
+    ),
+    "bad_file": Advice("This file cannot be opened", "Choose a .blend file", BAD_INPUT),
+    "cannot_write": Advice("The picture cannot be written", "Choose a folder that you may write to", BAD_INPUT),
+    "disk_full": Advice("The disk is full", "Free some space and start again", TRY_AGAIN),
+}
+
+
+class JGHandFailure(Exception):  # noqa: N818 - the extension's word for it
+    """Something failed that an artist can do something about. kind: a key of ADVICE; detail: small print."""
+
+    def __init__(self, kind: str, detail: str = "") -> None:
+        known = kind if kind in ADVICE else "internal"
+        self.kind, self.detail = known, detail if known == kind else f"{kind}: {detail}"
+        self.advice = ADVICE[known]
+        text = f"{self.advice.sentence}. {self.advice.remedy}."
+        super().__init__(f"{text} ({self.detail})" if self.detail else text)

@@ -1,0 +1,220 @@
+"""Joint positions to bone matrices and back, in numpy: what a rig's rest pose and its keys are made of.
+
+Every bone's y axis runs along it and its z axis points to the palm's side (for the thumb: to its pad), so that a
+positive rotation about the local x axis bends the finger, on both hands. Positions only say where a bone points; its
+twist about itself follows the parent bone by the smallest rotation. Source: BLENDER 6.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from . import limits
+from .joints import HANDEDNESSES, INDEX, LEFT, MIDDLE, NAMES, PARENTS, PINKY, REST_RIGHT_M, TAILS, THUMB, WRIST
+from .messages import JGHandFailure
+
+# Where the thumb's pad looks at rest, in the palm's axes (to the index side, to the fingers, out of the palm):
+# opposite to the mean normal of the thumb nail of the built-in hand.
+_THUMB_PAD = np.array([-0.93, 0.27, 0.26])
+
+
+@dataclass(frozen=True)
+class BoneKeys:
+    """What is keyed: location (F, 21, 3) in the unit of the joints and quaternion (F, 21, 4) as w, x, y, z, both
+    relative to the rest pose in the bone's own axes, in the standard order."""
+
+    location: np.ndarray
+    quaternion: np.ndarray
+
+
+def rest_joints_m(handedness: str, like_m: np.ndarray | None = None) -> np.ndarray:
+    """(21, 3) joints of the rest pose, metres: an open, relaxed hand with the wrist at the origin.
+
+    like_m: (F, 21, 3) joints of a motion, metres; the rest hand then has its median bone lengths, so that a motion
+    with constant lengths is keyed by rotations (and the place of the knuckles in the palm) alone.
+    """
+    _check_handedness(handedness)
+    joints = np.array(REST_RIGHT_M)
+    if handedness == LEFT:
+        joints = joints * (-1.0, 1.0, 1.0)
+    if like_m is None:
+        return joints
+    frames = checked_joints(like_m)
+    result = np.zeros_like(joints)
+    for place in range(1, len(NAMES)):
+        parent = PARENTS[place]
+        bone = joints[place] - joints[parent]
+        length = np.median(np.linalg.norm(frames[:, place] - frames[:, parent], axis=-1))
+        result[place] = result[parent] + bone * (length / np.linalg.norm(bone))
+    return result
+
+
+def rest_matrices(joints: np.ndarray, handedness: str) -> np.ndarray:
+    """(21, 3) joints of a rest pose -> (21, 4, 4) bone matrices: columns x, y, z, head; any unit."""
+    _check_handedness(handedness)
+    joints = checked_joints(joints[None])[0]
+    _check_bones(joints)
+    palm = _palm_axes(joints[None], handedness)[0]
+    side = -1.0 if handedness == LEFT else 1.0
+    # x = y x z points to the index side on a right hand and away from it on a left one
+    pad = palm @ (_THUMB_PAD * (side, 1.0, 1.0))
+    axes = np.empty((len(NAMES), 3, 3))
+    axes[WRIST] = palm
+    for place in range(1, len(NAMES)):
+        parent = PARENTS[place]
+        tail = TAILS[place]
+        along = axes[parent][:, 1] if tail < 0 else joints[tail] - joints[place]
+        if parent == WRIST:
+            axes[place] = _axes_along(along, pad if place in THUMB else palm[:, 2])
+        else:
+            axes[place] = _smallest_rotation(axes[parent][None], along[None])[0]
+    matrices = np.tile(np.eye(4), (len(NAMES), 1, 1))
+    matrices[:, :3, :3], matrices[:, :3, 3] = axes, joints
+    return matrices
+
+
+def bone_keys(joints: np.ndarray, rest: np.ndarray, handedness: str) -> BoneKeys:
+    """(F, 21, 3) joints and (21, 4, 4) rest matrices, both in the armature's space and unit -> what is keyed.
+
+    The posed bone heads equal the joints for any lengths and any palm. Quaternions keep their sign from frame to
+    frame, so that interpolation never takes the long way.
+    """
+    joints = checked_joints(joints)
+    rest = np.asarray(rest, np.float64)
+    axes = np.empty((len(joints), len(NAMES), 3, 3))
+    axes[:, WRIST] = _palm_axes(joints, handedness) @ (
+        _palm_axes(rest[None, :, :3, 3], handedness)[0].T @ rest[0, :3, :3]
+    )
+    for place in range(1, len(NAMES)):
+        parent = PARENTS[place]
+        carried = axes[:, parent] @ (rest[parent, :3, :3].T @ rest[place, :3, :3])
+        tail = TAILS[place]
+        axes[:, place] = carried if tail < 0 else _smallest_rotation(carried, joints[:, tail] - joints[:, place])
+    location, quaternion = np.empty_like(joints), np.empty((*joints.shape[:2], 4))
+    for place, parent in enumerate(PARENTS):
+        if parent < 0:
+            unposed_axes, unposed_head = np.broadcast_to(rest[place, :3, :3], axes[:, 0].shape), rest[place, :3, 3]
+        else:
+            turn = axes[:, parent] @ rest[parent, :3, :3].T
+            unposed_axes = turn @ rest[place, :3, :3]
+            unposed_head = joints[:, parent] + turn @ (rest[place, :3, 3] - rest[parent, :3, 3])
+        inverse = np.swapaxes(unposed_axes, -1, -2)
+        location[:, place] = _apply(inverse, joints[:, place] - unposed_head)
+        quaternion[:, place] = _continuous(_quaternions(inverse @ axes[:, place]))
+    return BoneKeys(location, quaternion)
+
+
+def checked_joints(joints: np.ndarray) -> np.ndarray:
+    """(F, 21, 3) as float64; JGHandFailure (bad_joints) for another shape, for none, or for numbers that are not."""
+    joints = np.asarray(joints)
+    if joints.ndim != 3 or joints.shape[1:] != (len(NAMES), 3) or len(joints) == 0:
+        raise JGHandFailure("bad_joints", f"wanted frames x 21 joints x 3, got {joints.shape}")
+    if joints.dtype.kind not in "fiu" or not np.isfinite(joints).all():
+        raise JGHandFailure("bad_joints", "wanted finite numbers, got some that are not")
+    return joints.astype(np.float64)
+
+
+def polar_rotation(linear: np.ndarray) -> np.ndarray:
+    """The rotation nearest to a (3, 3) matrix with positive determinant (polar decomposition)."""
+    left, _, right = np.linalg.svd(linear)
+    return left @ right
+
+
+def _check_handedness(handedness: str) -> None:
+    if handedness not in HANDEDNESSES:
+        raise JGHandFailure("not_a_hand", f"handedness {handedness!r}, wanted {' or '.join(HANDEDNESSES)}")
+
+
+def _check_bones(joints: np.ndarray) -> None:
+    """Refuses a rest pose with a bone that has no direction, relative to the hand."""
+    lengths = np.linalg.norm(joints[1:] - joints[list(PARENTS[1:])], axis=-1)
+    if lengths.min() < limits.REST_BONE_MIN * lengths.mean():
+        raise JGHandFailure("bad_joints", f"the bone to {NAMES[1 + int(lengths.argmin())]} has no length at rest")
+
+
+def _palm_axes(joints: np.ndarray, handedness: str) -> np.ndarray:
+    """(F, 21, 3) -> (F, 3, 3) axes of the palm: y to the middle MCP, z out of the palm, x = y x z.
+
+    A frame whose palm has no plane (wrist and knuckles on a line) takes the normal of the frame before it.
+    """
+    index, middle, pinky = (joints[:, place] - joints[:, WRIST] for place in (INDEX, MIDDLE, PINKY))
+    normal = np.cross(index, pinky) * (-1.0 if handedness == LEFT else 1.0)
+    good = _sine(index, pinky) > limits.PALM_SINE_MIN
+    good &= _sine(middle, normal) > limits.PALM_SINE_MIN
+    if not good.any():
+        raise JGHandFailure("bad_joints", "wrist and knuckles lie on a line in every frame")
+    last_good = np.maximum.accumulate(np.where(good, np.arange(len(good)), int(np.argmax(good))))
+    return _axes_along(middle[last_good], normal[last_good])
+
+
+def _sine(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(F, 3), (F, 3) -> (F,) sine of the angle between them; 0 where one has no length."""
+    size = np.linalg.norm(a, axis=-1) * np.linalg.norm(b, axis=-1)
+    return np.linalg.norm(np.cross(a, b), axis=-1) / np.where(size > 0, size, 1.0)
+
+
+def _axes_along(along: np.ndarray, towards: np.ndarray) -> np.ndarray:
+    """(..., 3), (..., 3) -> (..., 3, 3) with y along the first vector and z as near as possible to the second."""
+    y = along / np.linalg.norm(along, axis=-1, keepdims=True)
+    z = towards - y * np.sum(y * towards, -1, keepdims=True)
+    z = z / np.linalg.norm(z, axis=-1, keepdims=True)
+    return np.stack([np.cross(y, z), y, z], -1)
+
+
+def _smallest_rotation(axes: np.ndarray, along: np.ndarray) -> np.ndarray:
+    """(F, 3, 3) turned by the smallest rotation that brings y along (F, 3); about x when that is the opposite way.
+
+    A vector without length leaves the axes as they are.
+    """
+    length = np.linalg.norm(along, axis=-1, keepdims=True)
+    a = axes[..., 1]
+    b = np.where(length > 0, along / np.where(length > 0, length, 1.0), a)
+    cosine = np.sum(a * b, -1)
+    v = np.cross(a, b)
+    opposite = cosine < limits.OPPOSITE_COSINE
+    k = 1.0 / np.where(opposite, 1.0, 1.0 + cosine)
+    turn = cosine[:, None, None] * np.eye(3) + _cross_matrix(v) + k[:, None, None] * v[:, :, None] * v[:, None, :]
+    x = axes[..., 0]
+    half_turn = 2.0 * x[:, :, None] * x[:, None, :] - np.eye(3)
+    turned = np.where(opposite[:, None, None], half_turn, turn) @ axes
+    return _axes_along(b, turned[..., 2])  # orthonormal again: nothing drifts along a chain
+
+
+def _cross_matrix(v: np.ndarray) -> np.ndarray:
+    x, y, z = np.moveaxis(v, -1, 0)
+    o = np.zeros_like(x)
+    return np.stack([np.stack([o, -z, y], -1), np.stack([z, o, -x], -1), np.stack([-y, x, o], -1)], -2)
+
+
+def _apply(matrices: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    return np.einsum("fij,fj->fi", matrices, vectors)
+
+
+def _quaternions(rotations: np.ndarray) -> np.ndarray:
+    """(F, 3, 3) -> (F, 4) w, x, y, z; from the largest of the four candidates, so nothing small is divided by."""
+    r = rotations
+    xx, yy, zz = r[:, 0, 0], r[:, 1, 1], r[:, 2, 2]
+    wx, wy, wz = r[:, 2, 1] - r[:, 1, 2], r[:, 0, 2] - r[:, 2, 0], r[:, 1, 0] - r[:, 0, 1]
+    xy, xz, yz = r[:, 0, 1] + r[:, 1, 0], r[:, 0, 2] + r[:, 2, 0], r[:, 1, 2] + r[:, 2, 1]
+    candidates = np.stack(
+        [
+            np.stack([1 + xx + yy + zz, wx, wy, wz], -1),
+            np.stack([wx, 1 + xx - yy - zz, xy, xz], -1),
+            np.stack([wy, xy, 1 - xx + yy - zz, yz], -1),
+            np.stack([wz, xz, yz, 1 - xx - yy + zz], -1),
+        ],
+        1,
+    )
+    best = np.argmax(np.diagonal(candidates, axis1=1, axis2=2), axis=1)
+    chosen = candidates[np.arange(len(r)), best]
+    return chosen / np.linalg.norm(chosen, axis=-1, keepdims=True)
+
+
+def _continuous(quaternions: np.ndarray) -> np.ndarray:
+    """The same rotations with signs such that neighbours in time are near each other; the first has w >= 0."""
+    agrees = np.sum(quaternions[1:] * quaternions[:-1], -1) >= 0
+    first = 1.0 if quaternions[0, 0] >= 0 else -1.0
+    signs = first * np.cumprod(np.concatenate([[1.0], np.where(agrees, 1.0, -1.0)]))
+    return quaternions * signs[:, None]

@@ -1,0 +1,254 @@
+"""The engine as a process: `python -m jghand_engine serve --stdio-handshake`.
+
+The parent writes a token line to stdin; the first stdout line is the handshake as JSON. Everything later goes over a
+socket on the loopback, and the end of stdin ends the process, whatever became of the parent. Nothing heavy is imported
+before the handshake. Source: BLENDER 3.1 to 3.4, RENDERING 14 (26).
+
+Threads: the main thread answers requests one after the other; one accepts connections and one each checks greetings;
+one sends the heart-beat; one watches stdin.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import json
+import os
+import queue
+import select
+import signal
+import socket
+import sys
+import threading
+import time
+from typing import IO, Any
+
+from jghand_engine import __version__, limits
+from jghand_engine.errors import InputError
+from jghand_engine.service import protocol
+from jghand_engine.service.commands import Commands, PictureSource, Reply, error_header
+from jghand_engine.service.protocol import Disconnected, Message, ProtocolError
+
+LOOPBACK = "127.0.0.1"
+# how often the main thread looks whether it should end while nobody is connected, seconds
+_LOOK_S = 0.2
+
+
+def serve(source: PictureSource) -> int:
+    """Runs the engine until stdin ends or a client asks for the end; returns the exit code.
+
+    stdout carries the handshake line and nothing else: whatever is printed afterwards goes to stderr.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in the parent's terminal: the parent decides when we end
+    handshake_out = _take_stdout()
+    token = _read_token()
+    server = Server(source, token)
+    threading.Thread(target=_end_with_stdin, args=(server,), daemon=True, name="stdin").start()
+    with handshake_out:
+        handshake_out.write(json.dumps(server.handshake()) + "\n")
+    server.run()
+    return 0
+
+
+class Server:
+    """Listens on a free port of the loopback and answers one client at a time."""
+
+    def __init__(self, source: PictureSource, token: bytes) -> None:
+        self._commands = Commands(source)
+        self._token = token
+        self._stop = threading.Event()
+        self._clients: queue.Queue[socket.socket] = queue.Queue()
+        self._client: socket.socket | None = None
+        self._busy = threading.Lock()
+        self._greetings = threading.BoundedSemaphore(limits.GREETINGS_MAX)
+        self._listener = socket.create_server((LOOPBACK, 0), backlog=limits.GREETINGS_MAX)
+
+    @property
+    def port(self) -> int:
+        """The port that the system chose."""
+        return self._listener.getsockname()[1]
+
+    def handshake(self) -> dict[str, Any]:
+        """What the parent must know."""
+        return {
+            "protocol": protocol.PROTOCOL_VERSION,
+            "port": self.port,
+            "pid": os.getpid(),
+            "engine_version": __version__,
+            "device": self._commands.source.device,
+            "capabilities": self._commands.capabilities,
+        }
+
+    def run(self) -> None:
+        """Answers clients until `stop`."""
+        threading.Thread(target=self._accept, daemon=True, name="accept").start()
+        while not self._stop.is_set():
+            with contextlib.suppress(queue.Empty):
+                self._serve_client(self._clients.get(timeout=_LOOK_S))
+        self._listener.close()
+
+    def stop(self) -> None:
+        """Ends `run` from another thread, also while it waits for a message."""
+        self._stop.set()
+        client = self._client
+        for connection in (self._listener, client):
+            if connection is not None:
+                with contextlib.suppress(OSError):
+                    connection.shutdown(socket.SHUT_RDWR)
+
+    def _accept(self) -> None:
+        while not self._stop.is_set():
+            try:
+                connection, _ = self._listener.accept()
+            except OSError:
+                if self._stop.wait(_LOOK_S):
+                    return
+                continue
+            if not self._greetings.acquire(blocking=False):
+                connection.close()
+                continue
+            threading.Thread(target=self._greet, args=(connection,), daemon=True, name="greeting").start()
+
+    def _greet(self, connection: socket.socket) -> None:
+        """Lets a client in that knows the token; a stranger is cut off without an answer."""
+        admitted = False
+        try:
+            deadline = time.monotonic() + limits.GREETING_S
+            version = protocol.receive_greeting(connection, self._token, deadline=deadline)
+            if version is None:
+                return
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            if version != protocol.PROTOCOL_VERSION:
+                _refuse(connection, "protocol", f"The engine speaks protocol {protocol.PROTOCOL_VERSION}.", deadline)
+            elif not self._busy.acquire(blocking=False):
+                _refuse(connection, "busy", "The engine already has a client.", deadline)
+            else:
+                admitted = True
+                self._clients.put(connection)
+        except (OSError, Disconnected):
+            return  # a stranger that says nothing, too little, or leaves; TimeoutError is an OSError
+        finally:
+            self._greetings.release()
+            if not admitted:
+                connection.close()
+
+    def _serve_client(self, connection: socket.socket) -> None:
+        """Answers one client until it leaves, breaks the protocol, or asks for the end."""
+        self._client = connection
+        sending, gone = threading.Lock(), threading.Event()
+        beat = threading.Thread(target=_beat, args=(connection, sending, gone), daemon=True, name="heart-beat")
+        try:
+            connection.settimeout(None)
+            with sending:
+                protocol.send(connection, {"kind": "welcome"})
+            beat.start()
+            while not self._stop.is_set():
+                message = protocol.receive(connection)
+                header, reply = self._answer(message)
+                with sending:
+                    protocol.send(connection, header, reply.arrays)
+                if reply.last:
+                    self._stop.set()
+        except Disconnected as error:
+            if not error.clean and not self._stop.is_set():
+                _log(f"the client left: {error}")
+        except (ProtocolError, OSError) as error:
+            _log(f"the client was cut off: {error}")
+        finally:
+            gone.set()
+            self._client = None
+            connection.close()
+            self._busy.release()
+
+    def _answer(self, message: Message) -> tuple[dict[str, Any], Reply]:
+        """The reply to a request; every failure is a reply too."""
+        identity = message.header.get("id")
+        same = {"id": identity if type(identity) is int else None, "kind": "reply"}
+        try:
+            reply = self._commands.run(message)
+            header = {**same, "ok": True, **reply.header}
+            protocol.encode(header, reply.arrays)  # a reply that cannot be sent becomes an error that can
+            return header, reply
+        except Exception as error:  # whatever it is, the client hears of it and the engine lives on
+            failure = error_header(error)
+        if failure["kind"] == "out_of_memory":
+            gc.collect()
+        return {**same, "ok": False, "error": failure}, Reply({}, {})
+
+
+def _beat(connection: socket.socket, sending: threading.Lock, gone: threading.Event) -> None:
+    """Says once a second that the process lives; skipped while the client does not read."""
+    while not gone.wait(limits.HEARTBEAT_S):
+        with sending:
+            try:
+                if not gone.is_set() and select.select([], [connection], [], 0)[1]:
+                    protocol.send(connection, {"kind": "heartbeat"})
+            except (OSError, ValueError, Disconnected):
+                return  # the connection is closed; whoever reads it notices
+
+
+def _refuse(connection: socket.socket, kind: str, sentence: str, deadline: float) -> None:
+    error = {"kind": kind, "sentence": sentence, "detail": ""}
+    protocol.send(connection, {"kind": "refused", "error": error}, deadline=deadline)
+
+
+def _take_stdout() -> IO[str]:
+    """stdout for the handshake alone; what anything else prints afterwards goes to stderr."""
+    sys.stdout.flush()
+    mine = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)
+    return mine
+
+
+def _read_token() -> bytes:
+    """The token from the first line of stdin: hexadecimal. Read by os.read, so that nothing holds a stdin buffer."""
+    wanted = protocol.TOKEN_BYTES * 2
+    line = b""
+    while not line.endswith(b"\n") and len(line) <= wanted + 2:
+        byte = os.read(0, 1)
+        if not byte:
+            break
+        line += byte
+    try:
+        token = bytes.fromhex(line.decode("ascii").strip())
+    except ValueError:
+        token = b""
+    if len(token) != protocol.TOKEN_BYTES:
+        raise InputError(
+            "token on stdin",
+            wanted=f"one line of {wanted} hexadecimal digits",
+            came=f"{len(line)} bytes",
+            remedy="This command is started by Blender, not by hand.",
+        )
+    return token
+
+
+def _end_with_stdin(server: Server) -> None:
+    """Waits for the end of stdin, which is the end of the parent; then ends the process, gently and then for sure."""
+    try:
+        while os.read(0, 4096):
+            pass
+    except OSError as error:
+        _log(f"stdin cannot be read: {error}")
+    server.stop()
+    time.sleep(limits.STOP_GRACE_S)
+    os._exit(0)
+
+
+def _log(sentence: str) -> None:
+    print(f"jghand engine: {sentence}", file=sys.stderr, flush=True)
+
+
+def main() -> int:
+    """The engine with its own pictures."""
+    from jghand_engine.service.hands import EngineHands
+
+    try:
+        return serve(EngineHands())
+    except InputError as error:
+        _log(str(error))
+        return error.exit_code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,26 @@
+"""Renders the hands of a .blend file without a window: joints from Blender, pictures from the engine.
+
+    .envs/blender/bin/python scripts/render_blend.py FILE.blend --camera CamPalm,CamSide --frames 1-60 --out FOLDER
+
+Runs in a Python that has bpy; `--help` says what it can be told. The work is done by `blender_addon.cli`.
+"""
+
+import importlib.util
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def main() -> int:
+    if importlib.util.find_spec("bpy") is None:
+        print("This needs a Python with bpy: run it with .envs/blender/bin/python.", file=sys.stderr)
+        return 2
+    sys.path.insert(0, str(ROOT))
+    from blender_addon import cli
+
+    return cli.main(checkout=ROOT)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

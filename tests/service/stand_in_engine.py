@@ -1,0 +1,112 @@
+"""An engine without torch that speaks the real protocol: 21 discs as a hand, and faults on request.
+
+    python stand_in_engine.py [FAULT]
+
+Runs in the engine's and in Blender's environment. FAULT: one of the names in `main` and `StandInHands.render`.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import sys
+import time
+import zlib
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
+
+from jghand_engine.errors import InputError, MemoryLimitError
+from jghand_engine.service import protocol, server
+from jghand_engine.service.commands import Hand, HandPicture, LoadedAvatar, View
+
+# radius of a joint's disc, metres
+DISC_M = 0.004
+
+
+class StandInHands:
+    """A PictureSource: a disc at every joint, white for the right hand, blue for the left; the nearest one wins."""
+
+    device = "stand-in"
+
+    def __init__(self, fault: str = "") -> None:
+        self.fault = fault
+
+    def load(self, avatar: str) -> LoadedAvatar:
+        if avatar != "builtin" and not Path(avatar).is_file():
+            raise InputError(f"avatar {avatar}", wanted="a file", came="nothing of that name")
+        joints = np.stack([np.linspace(0, 0.1, 21), np.zeros(21), np.zeros(21)], -1)
+        return LoadedAvatar({"avatar": avatar, "gaussians": 21}, joints)
+
+    def render(self, hand: Hand, view: View) -> HandPicture:
+        if self.fault == "die":
+            os._exit(7)
+        if self.fault == "killed":
+            os.kill(os.getpid(), 9)
+        if self.fault == "hang":
+            time.sleep(600)
+        if self.fault == "slow":
+            time.sleep(1.5)
+        if self.fault == "memory":
+            raise MemoryLimitError("a picture", wanted="less")
+        if self.fault == "bug":
+            raise ZeroDivisionError("a bug")
+        if self.fault == "print":
+            print("printed by a library " * 10000)
+        rgba, depth = _discs(hand, view)
+        return HandPicture(rgba, depth, {"total_ms": 1.0, "stages": []})
+
+    def encode_png(self, rgba: np.ndarray) -> bytes:
+        """The smallest PNG writer there is."""
+        height, width = rgba.shape[:2]
+        straight = rgba.copy()
+        straight[..., :3] /= np.maximum(straight[..., 3:], 1e-6)
+        rows = np.zeros((height, 1 + 4 * width), np.uint8)
+        rows[:, 1:] = np.rint(straight.clip(0, 1) * 255).astype(np.uint8).reshape(height, -1)
+        head = struct.pack(">IIBBBBB", width, height, 8, 6, 0, 0, 0)
+        chunks = ((b"IHDR", head), (b"IDAT", zlib.compress(rows.tobytes())), (b"IEND", b""))
+        return b"\x89PNG\r\n\x1a\n" + b"".join(
+            struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
+            for name, data in chunks
+        )
+
+
+def _discs(hand: Hand, view: View) -> tuple[np.ndarray, np.ndarray]:
+    points = hand.joints_m @ hand.camera_from_hand[:3, :3].T + hand.camera_from_hand[:3, 3]
+    x, y = np.meshgrid(np.arange(view.width) + 0.5, np.arange(view.height) + 0.5)
+    rgba = np.zeros((view.height, view.width, 4), np.float32)
+    depth = np.zeros((view.height, view.width), np.float32)
+    for point in points[np.argsort(-points[:, 2])]:
+        if point[2] <= 0:
+            continue
+        u, v = view.fx * point[0] / point[2] + view.cx, view.fy * point[1] / point[2] + view.cy
+        inside = ((x - u) / view.fx) ** 2 + ((y - v) / view.fy) ** 2 <= (DISC_M / point[2]) ** 2
+        rgba[inside] = (1, 1, 1, 1) if hand.handedness == "right" else (0, 0, 1, 1)
+        depth[inside] = point[2]
+    return rgba, depth
+
+
+def main(fault: str) -> int:
+    if fault == "die_at_start":
+        print("ImportError: no torch here", file=sys.stderr)
+        return 5
+    if fault == "silent":
+        time.sleep(600)
+    if fault == "chatty":
+        print("a library says hello", flush=True)
+    if fault == "flood":
+        print("noise\n" * 100_000, flush=True)
+    if fault in ("garbage", "wrong_version", "wrong_port"):
+        version = protocol.PROTOCOL_VERSION + (fault == "wrong_version")
+        line = {"protocol": version, "port": 9, "pid": os.getpid(), "engine_version": "x", "device": "x"}
+        print("{" if fault == "garbage" else json.dumps({**line, "capabilities": []}), flush=True)
+        sys.stdin.read()
+        return 0
+    return server.serve(StandInHands(fault))
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1] if len(sys.argv) > 1 else ""))
