@@ -100,8 +100,8 @@ SIGMA_STRETCH_MIN = 0.7
 SIGMA_STRETCH_MAX = 1.4
 # |det L| / s_g^3 below which the blended rotation is replaced by the palm's
 BLEND_DET_MIN = 1e-3
-# weights per Gaussian in a compact file: the template has at most 6 influences at a vertex
-STORED_WEIGHTS = 6
+# weights per Gaussian in a compact file: on the built-in hand the rest holds at most 0.8 % of a row, 0.004 % on average
+STORED_WEIGHTS = 7
 # rows of weights must sum to 1 within this: float32 rounding of 21 summands leaves less than 1e-6
 WEIGHT_SUM_TOLERANCE = 1e-5
 # a file with more Gaussians or a longer header is refused before anything is allocated
@@ -131,6 +131,12 @@ Z_NEAR_M = 0.01
 VAR_MAX_PX2 = 1e9
 # colours beyond this overflow float32 in the gradients; counted as invalid
 RGB_MAX = 1e6
+# positions beyond this overflow float32 on the way to the camera frame; counted as invalid, metres
+POSITION_MAX_M = 1e32
+# smallest cut-off of the native kernel: its exponential is good down to 2^-32
+NATIVE_ALPHA_MIN = 1e-9
+# largest picture side: tile coordinates are int16
+PICTURE_MAX_PX = 65_536
 # pixels of a tile edge, of a block edge; Gaussians per chunk. Speed only, must not show in the picture
 TILE_PX = 16
 BLOCK_PX = 4
@@ -139,6 +145,8 @@ CHUNK = 128
 MAX_PAIRS = 2**31 - 1
 # gradient buffers, added in this fixed order so that threads do not change bits
 GRADIENT_STRIPES = 4
+# pairs of pixel and Gaussian that the torch reference holds at once: some 30 MB per intermediate in float64
+REFERENCE_PAIRS_AT_ONCE = 4_000_000
 # alpha above which a pixel has a depth
 DEPTH_ALPHA_MIN = 0.05
 
@@ -151,6 +159,8 @@ SHADOW_GAIN = 8.0
 # screen radius of the sample disc, px
 SHADOW_RADIUS_MIN_PX = 1.0
 SHADOW_RADIUS_MAX_PX = 96.0
+# (1 + |bias|) / softness: above it the exponent of the occlusion curve leaves what the kernel's 2^x covers
+SHADOW_STEEPNESS_MAX = 80.0
 # |v| is smoothed by this part of the radius: never sqrt(0)
 SHADOW_LENGTH_EPS = 1e-3
 # taps per pixel; more cost time and change nothing visible
@@ -199,8 +209,8 @@ GREETINGS_MAX = 8
 STOP_GRACE_S = 3.0
 # hands in one picture; each costs a whole render
 PICTURE_HANDS_MAX = 16
-# edge of a picture, px: beyond it tile counts and buffers leave what is tested
-PICTURE_EDGE_MAX_PX = 16384
+# focal length and principal point, px: a view a million times narrower than any lens is a mistake
+PINHOLE_MAX_PX = 1e9
 # letters of an error's detail on the wire: with the sentence it must fit the 64 kB header
 DETAIL_MAX = 8000
 

@@ -30,6 +30,15 @@ SIGNATURES: dict[str, tuple[object, tuple[object, ...]]] = {
     "jg_abi": (_I32, ()),
     "jg_stamp": (ctypes.c_char_p, ()),
     "jg_variant": (ctypes.c_char_p, ()),
+    "jg_shade_task_bytes": (_I32, ()),
+    "jg_shade_gradient_bytes": (_I32, ()),
+    "jg_shade": (None, (_P, _P)),
+    "jg_shade_backward": (None, (_P, _P, _P)),
+    "jg_team_bytes": (_I32, ()),
+    "jg_raster_job_bytes": (_I32, ()),
+    "jg_raster_forward": (None, (_P,)),
+    "jg_raster_backward": (None, (_P,)),
+    "jg_bone_transforms": (_I32, (_P, _P, _P, _P)),
 }
 
 

@@ -22,7 +22,14 @@ JG_INLINE vf max(vf a, vf b) { return a > b ? a : b; }
 JG_INLINE vf min(vf a, vf b) { return a < b ? a : b; }
 JG_INLINE vf abs(vf a) { return a < 0 ? -a : a; }
 JG_INLINE vf select(vi condition, vf yes, vf no) { return condition ? yes : no; }
-JG_INLINE vf sqrt(vf a) { return __builtin_elementwise_sqrt(a); }
+JG_INLINE vf sqrt(vf a) {
+#if defined(__clang__)
+  return __builtin_elementwise_sqrt(a);
+#else
+  for (int i = 0; i < LANES; i++) a[i] = __builtin_sqrtf(a[i]);
+  return a;
+#endif
+}
 
 // memcpy is how an unaligned load is written without breaking aliasing rules; it becomes one instruction.
 JG_INLINE vf load(const float* p) {
@@ -64,6 +71,81 @@ JG_INLINE uint32_t bit_mask(vi condition) {
   for (int i = 0; i < LANES; i++) r |= (uint32_t)(condition[i] & 1) << i;
   return r;
 #endif
+}
+
+// ---- exponential and logarithm to the base 2 --------------------------------------------------------------------------
+
+// 2^e for e <= 0 (more than a rounding error above 0 never occurs). Below the range the value is meaningless, possibly
+// infinite or NaN: callers select it away.
+// AVX-512: any e, relative error 2e-7. Elsewhere there is no cheap way to add an exponent, so a polynomial on [-1, 0] is
+// squared SQUARINGS times: e >= -2^SQUARINGS, relative error 7e-7 for 3 and twice that for each one more.
+template <int SQUARINGS>
+JG_INLINE vf exp2_of_negative(vf e) {
+#if defined(__AVX512DQ__)
+  const vf f = (vf)_mm512_reduce_ps((__m512)e, 1);  // e - floor(e)
+  vf p = f * 0.0018775766948238015f + 0.00898933969438076f;
+  p = p * f + 0.05582631751894951f;
+  p = p * f + 0.24015361070632935f;
+  p = p * f + 0.6931530833244324f;
+  p = p * f + 1.0f;
+  return (vf)_mm512_scalef_ps((__m512)p, (__m512)e);  // p 2^floor(e)
+#else
+  const vf t = e * (1.0f / (1 << SQUARINGS));
+  vf p = t * 0.0009449032019029429f + 0.009205797106527977f;
+  p = p * t + 0.0552973573756122f;
+  p = p * t + 0.24018014259841872f;
+  p = p * t + 0.6931437211189393f;
+  p = p * t + 1.0f;
+  for (int i = 0; i < SQUARINGS; i++) p = p * p;
+  return p;
+#endif
+}
+
+// log2 for x in (0, 1], absolute error below one unit in the last place of the result. Anything below the smallest
+// normal number, and NaN, counts as that number, so that the result is finite for every x but +inf.
+JG_INLINE vf log2(vf x) {
+  // x = m 2^n with m in [sqrt(1/2), sqrt(2)), log2(m) = 2/ln2 atanh(t)
+  const vi bits = bits_of(max(x, all(1.17549435e-38f))), n = (bits - 0x3f3504f3) >> 23;
+  const vf m = float_of(bits - (n << 23)), t = (m - 1.0f) / (m + 1.0f), t2 = t * t;
+  vf p = t2 * 0.32059890f + 0.41219858f;
+  p = p * t2 + 0.57707802f;
+  p = p * t2 + 0.96179669f;
+  p = p * t2 + 2.88539008f;
+  return p * t + __builtin_convertvector(n, vf);
+}
+
+// ---- rows and columns -------------------------------------------------------------------------------------------------
+
+#define JG_SHUFFLE __builtin_shufflevector
+
+// Sixteen (x, y, z) triples, one after the other in memory, as three vectors.
+JG_INLINE void load_triples(const float* p, vf& x, vf& y, vf& z) {
+  const vf a = load(p), b = load(p + 16), c = load(p + 32);
+  const vf ab_x = JG_SHUFFLE(a, b, 0, 3, 6, 9, 12, 15, 18, 21, 24, 27, 30, 0, 0, 0, 0, 0);
+  const vf ab_y = JG_SHUFFLE(a, b, 1, 4, 7, 10, 13, 16, 19, 22, 25, 28, 31, 0, 0, 0, 0, 0);
+  const vf ab_z = JG_SHUFFLE(a, b, 2, 5, 8, 11, 14, 17, 20, 23, 26, 29, 0, 0, 0, 0, 0, 0);
+  x = JG_SHUFFLE(ab_x, c, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 17, 20, 23, 26, 29);
+  y = JG_SHUFFLE(ab_y, c, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 18, 21, 24, 27, 30);
+  z = JG_SHUFFLE(ab_z, c, 0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 16, 19, 22, 25, 28, 31);
+}
+
+JG_INLINE void store_triples(float* p, vf x, vf y, vf z) {
+  float xs[LANES], ys[LANES], zs[LANES];
+  store(xs, x), store(ys, y), store(zs, z);
+  for (int i = 0; i < LANES; i++) p[3 * i] = xs[i], p[3 * i + 1] = ys[i], p[3 * i + 2] = zs[i];
+}
+
+// Row i, lane j becomes row j, lane i. Interleaving rows that are half the height apart, four times, transposes.
+JG_INLINE void transpose(vf rows[LANES]) {
+  vf other[LANES];
+  for (int round = 0; round < 4; round++) {
+    for (int i = 0; i < 8; i++) {
+      const vf low = rows[i], high = rows[i + 8];
+      other[2 * i] = JG_SHUFFLE(low, high, 0, 16, 1, 17, 2, 18, 3, 19, 4, 20, 5, 21, 6, 22, 7, 23);
+      other[2 * i + 1] = JG_SHUFFLE(low, high, 8, 24, 9, 25, 10, 26, 11, 27, 12, 28, 13, 29, 14, 30, 15, 31);
+    }
+    memcpy(rows, other, sizeof other);
+  }
 }
 
 }  // namespace jg

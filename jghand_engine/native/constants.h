@@ -1,0 +1,18 @@
+// The constants of the rasterisation contract. jghand_engine/limits.py says why each has its value; a test compares.
+#pragma once
+
+namespace jg {
+
+constexpr float BLUR_PX2 = 0.3f;
+constexpr float VAR_MAX_PX2 = 1e9f;
+constexpr float RGB_MAX = 1e6f;
+constexpr float POSITION_MAX_M = 1e32f;
+constexpr int TILE_PX = 16;
+constexpr int BLOCK_PX = 4;
+constexpr int CHUNK = 128;
+constexpr int GRADIENT_STRIPES = 4;
+
+constexpr float LN2 = 0.6931471805599453f;
+constexpr float LOG2E = 1.4426950408889634f;
+
+}  // namespace jg

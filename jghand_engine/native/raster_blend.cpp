@@ -1,0 +1,92 @@
+// Front to back: weight = alpha T, T -= weight; colour, depth and coverage are sums of weights.
+#include "tile.h"
+
+namespace jg {
+namespace {
+
+constexpr int UNROLL = 4;  // Gaussians between two tests whether all pixels of a block are covered
+
+// One 4 x 4 block on its way through the list.
+struct Block {
+  vf transmittance, r, g, b, depth;
+};
+
+template <int SQUARINGS>
+JG_INLINE void blend_hits(const RasterJob& job, const Chunk& chunk, int index, const int32_t* hits, int n, Block& block) {
+  const vf x = LANE_X + (float)block_x(index), y = LANE_Y + (float)block_y(index);
+  const float log2_alpha_min = job.log2_alpha_min, alpha_max = job.alpha_max, t_stop = job.t_stop;
+  vf T = block.transmittance, r = block.r, g = block.g, b = block.b, depth = block.depth;
+  auto add = [&](int32_t hit) __attribute__((always_inline)) {
+    const Record& record = chunk.records[hit];
+    const vf weight = cover<SQUARINGS>(record, x, y, log2_alpha_min, alpha_max).alpha * T;
+    T -= weight;
+    r += weight * record.r, g += weight * record.g, b += weight * record.b, depth += weight * record.z;
+  };
+  int i = 0;
+  for (; i + UNROLL <= n; i += UNROLL) {
+    for (int k = 0; k < UNROLL; k++) add(hits[i + k]);
+    if (!bit_mask(T > t_stop)) n = 0;
+  }
+  for (; i < n; i++) add(hits[i]);
+  block = {T, r, g, b, depth};
+}
+
+// Rows of four floats. Storing lane by lane is several times slower.
+JG_INLINE void store_block(const RasterJob& job, const Block& block, int32_t x, int32_t y) {
+  const int columns = job.width - x < BLOCK_PX ? job.width - x : BLOCK_PX;
+  const int rows = job.height - y < BLOCK_PX ? job.height - y : BLOCK_PX;
+  const vf planes[5] = {block.r, block.g, block.b, 1.0f - block.transmittance, block.depth};
+  for (int plane = 0; plane < 5; plane++) {
+    alignas(64) float values[LANES];
+    store(values, planes[plane]);
+    float* out = job.planes + ((int64_t)plane * job.height + y) * job.width + x;
+    for (int row = 0; row < rows; row++, out += job.width) {
+      if (columns == BLOCK_PX) memcpy(out, values + BLOCK_PX * row, sizeof(float) * BLOCK_PX);
+      else memcpy(out, values + BLOCK_PX * row, sizeof(float) * columns);
+    }
+  }
+}
+
+template <int SQUARINGS>
+void blend(const RasterJob& job, int32_t index) {
+  const Tile tile = tile_at(job, index);
+  Chunk chunk;
+  int32_t hits[CHUNK + LANES];
+  Block blocks[BLOCKS];
+  uint32_t live = 0;  // blocks on the picture with a pixel that still lets light through
+  for (int b = 0; b < BLOCKS; b++) {
+    blocks[b] = {all(1.0f), vf{}, vf{}, vf{}, vf{}};
+    if (tile.x + block_x(b) < job.width && tile.y + block_y(b) < job.height) live |= 1u << b;
+  }
+  const uint32_t on_picture = live;
+  int32_t work = 0;
+  for (int32_t begin = 0; begin < tile.length && live; begin += CHUNK) {
+    load_chunk(chunk, job, tile, begin);
+    work += chunk.length;
+    for (uint32_t rest = live; rest; rest &= rest - 1) {
+      const int b = __builtin_ctz(rest);
+      const int n = find_hits(chunk, b, hits);
+      if (!n) continue;
+      work += n;
+      blend_hits<SQUARINGS>(job, chunk, b, hits, n, blocks[b]);
+      if (!bit_mask(blocks[b].transmittance > job.t_stop)) live &= ~(1u << b);
+    }
+  }
+  job.tile_work[index] = work;
+  for (uint32_t rest = on_picture; rest; rest &= rest - 1) {
+    const int b = __builtin_ctz(rest);
+    store_block(job, blocks[b], tile.x + block_x(b), tile.y + block_y(b));
+  }
+}
+
+}  // namespace
+
+void blend_tile(const RasterJob& job, int32_t tile) {
+  switch (squarings_for(job.log2_alpha_min)) {
+    case 3: return blend<3>(job, tile);
+    case 4: return blend<4>(job, tile);
+    default: return blend<5>(job, tile);
+  }
+}
+
+}  // namespace jg

@@ -1,0 +1,252 @@
+"""The native rasteriser on NumPy arrays: owns the memory of one RasterJob (native/raster.h) and makes its two calls.
+
+Plain arrays in, planes out; `splat.rasterise` wraps this for torch. Gaussians are float32 in any frame near the hand;
+`View` says how that frame lies in the camera, in float64, so that a hand far from the world's origin loses nothing.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from jghand_engine import limits
+from jghand_engine.errors import InputError, MemoryLimitError
+from jghand_engine.native.library import Library, address, aligned_zeros, new_team
+from jghand_engine.native.threads import shared_pool
+
+PLANES = 5  # premultiplied R G B, alpha, sum of weight times depth
+_RECORD_FLOATS = 16
+_LIST_TOO_SMALL, _TOO_MANY_PAIRS = 1, 2
+# items per thread of the steps over Gaussians: enough that a thread that starts late does not hold up the others
+_PARTS_PER_THREAD = 4
+
+
+class _Job(ctypes.Structure):
+    """Mirror of RasterJob in native/raster.h, field by field; the self-test compares the sizes."""
+
+    _fields_ = (
+        *((name, ctypes.c_void_p) for name in ("position", "sigma", "opacity", "rgb")),
+        *((name, ctypes.c_void_p) for name in ("records", "rects", "sort_a", "sort_b", "order", "summaries")),
+        *((name, ctypes.c_void_p) for name in ("part_cursors", "tile_start", "tile_list", "tile_work", "planes")),
+        *((name, ctypes.c_void_p) for name in ("plane_gradients", "record_gradients")),
+        *((f"{name}_gradient", ctypes.c_void_p) for name in ("position", "sigma", "opacity", "rgb")),
+        ("team", ctypes.c_void_p),
+        *((name, ctypes.c_int64) for name in ("list_capacity", "pairs")),
+        ("origin", ctypes.c_float * 3),
+        ("rotation", ctypes.c_float * 9),
+        ("translation", ctypes.c_float * 3),
+        *((name, ctypes.c_float) for name in ("fx", "fy", "cx", "cy", "z_near")),
+        *((name, ctypes.c_float) for name in ("log2_alpha_min", "alpha_max", "t_stop")),
+        *((name, ctypes.c_int32) for name in ("count", "width", "height", "tiles_x", "tiles_y")),
+        *((name, ctypes.c_int32) for name in ("parts", "visible", "invalid", "status")),
+    )
+
+
+@dataclass(frozen=True)
+class GaussianArrays:
+    """position_m (N, 3), sigma_m (N,), opacity (N,), rgb (N, 3): contiguous float32, metres, colours 0..1."""
+
+    position_m: np.ndarray
+    sigma_m: np.ndarray
+    opacity: np.ndarray
+    rgb: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.position_m)
+
+
+@dataclass(frozen=True)
+class View:
+    """A pinhole camera for the kernel: pixels, and camera_from_position (3, 4) float64, metres.
+
+    The matrix maps the frame the positions are given in to the camera frame: world positions, positions relative to
+    the hand's root (put the root into the last column), or camera-frame positions with `np.eye(3, 4)`.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    camera_from_position: np.ndarray
+
+    def rigid_parts(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """origin (3,), rotation (3, 3), translation (3,): camera = rotation (position - origin) + translation.
+
+        The origin is the eye, rounded to float32. Then differences are as exact as the distance to the camera, wherever
+        the hand is, and no Gaussian can change what happens to another, as a mean of the positions would.
+        """
+        matrix = np.asarray(self.camera_from_position, np.float64)
+        rotation, offset = matrix[:, :3], matrix[:, 3]
+        origin = np.clip(-rotation.T @ offset, -limits.POSITION_MAX_M, limits.POSITION_MAX_M).astype(np.float32)
+        return origin, rotation, rotation @ origin.astype(np.float64) + offset
+
+
+@dataclass(frozen=True)
+class Gradients:
+    """Gradients with respect to the four arrays of GaussianArrays, in the same shapes."""
+
+    position_m: np.ndarray
+    sigma_m: np.ndarray
+    opacity: np.ndarray
+    rgb: np.ndarray
+
+
+class NativeRasteriser:
+    """One picture at a time: `forward`, then optionally `backward`. Memory is kept from picture to picture.
+
+    threads: how many draw, as `threads.thread_count` gives them; the pool of that size is shared by the process.
+    After `forward`: `visible`, `invalid` (Gaussians) and `pairs` (entries of all tile lists).
+    """
+
+    def __init__(self, library: Library, threads: int) -> None:
+        self.library, self.threads = library, threads
+        self._job = _Job()
+        self._team = new_team()
+        self._job.team = self._team.ctypes.data
+        self._job.z_near, self._job.alpha_max = limits.Z_NEAR_M, limits.ALPHA_MAX
+        self._arrays: dict[str, np.ndarray] = {}
+        self._inputs: GaussianArrays | None = None  # the kernel reads them again in backward
+        self._planes: np.ndarray | None = None
+
+    @property
+    def visible(self) -> int:
+        return self._job.visible
+
+    @property
+    def invalid(self) -> int:
+        return self._job.invalid
+
+    @property
+    def pairs(self) -> int:
+        return self._job.pairs
+
+    def forward(
+        self,
+        gaussians: GaussianArrays,
+        view: View,
+        *,
+        alpha_min: float = limits.ALPHA_MIN,
+        t_stop: float = limits.T_STOP,
+        planes: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Draws and returns planes (5, H, W) float32: premultiplied R G B, alpha, sum of weight times depth.
+
+        planes: where to draw; without it, this object's own memory, which the next picture overwrites.
+        InputError names a wrong array; MemoryLimitError when Gaussians cover more tiles than the lists can index.
+        """
+        self._set_inputs(gaussians)
+        self._set_view(view)
+        self._job.log2_alpha_min, self._job.t_stop = self._cut(alpha_min), t_stop
+        shape = (PLANES, view.height, view.width)
+        self._planes = self._array("planes", shape, np.float32) if planes is None else planes
+        self._job.planes = address(self._planes, np.float32, "planes", shape)
+        self._reserve_scratch()
+        self._call(self.library.call.jg_raster_forward)
+        while self._job.status == _LIST_TOO_SMALL:
+            self._reserve_list(self._job.pairs)
+            self._call(self.library.call.jg_raster_forward)
+        if self._job.status == _TOO_MANY_PAIRS:
+            raise MemoryLimitError(
+                "Gaussians cover too many tiles",
+                wanted=f"at most {limits.MAX_PAIRS} pairs of Gaussian and tile",
+                remedy="Use a smaller picture, fewer or smaller Gaussians.",
+            )
+        return self._planes
+
+    def backward(self, plane_gradients: np.ndarray) -> Gradients:
+        """Gradients of the Gaussians of the last `forward`, from dL/d(planes) (5, H, W) float32. Culled ones get 0."""
+        if self._inputs is None or self._planes is None:
+            raise InputError("backward pass", wanted="a forward pass before it", came="none")
+        n = len(self._inputs)
+        self._job.plane_gradients = address(plane_gradients, np.float32, "plane_gradients", self._planes.shape)
+        records = self._array("record_gradients", (limits.GRADIENT_STRIPES, n, _RECORD_FLOATS), np.float32)
+        self._job.record_gradients = records.ctypes.data
+        shapes = {"position": (n, 3), "sigma": (n,), "opacity": (n,), "rgb": (n, 3)}
+        results = [np.empty(shape, np.float32) for shape in shapes.values()]
+        for name, result in zip(shapes, results, strict=True):
+            setattr(self._job, f"{name}_gradient", result.ctypes.data)
+        self._call(self.library.call.jg_raster_backward)
+        return Gradients(*results)
+
+    # ---- the job ----------------------------------------------------------------------------------------------------
+
+    def _call(self, function) -> None:  # a ctypes function
+        self._team.fill(0)
+        pointer = ctypes.addressof(self._job)
+        # looked up every time: after a fork the child has a pool of its own
+        shared_pool(self.threads).run(lambda _thread: function(pointer))
+
+    def _set_inputs(self, gaussians: GaussianArrays) -> None:
+        n = len(gaussians)
+        job = self._job
+        job.count = n
+        job.position = address(gaussians.position_m, np.float32, "position_m", (n, 3))
+        job.sigma = address(gaussians.sigma_m, np.float32, "sigma_m", (n,))
+        job.opacity = address(gaussians.opacity, np.float32, "opacity", (n,))
+        job.rgb = address(gaussians.rgb, np.float32, "rgb", (n, 3))
+        self._inputs = gaussians
+
+    def _set_view(self, view: View) -> None:
+        largest = limits.PICTURE_MAX_PX
+        if not (1 <= view.width <= largest and 1 <= view.height <= largest):
+            came = f"{view.width} x {view.height}"
+            raise InputError("picture size", wanted=f"1 to {largest} pixels along each side", came=came)
+        job = self._job
+        job.width, job.height = view.width, view.height
+        job.tiles_x, job.tiles_y = -(-view.width // limits.TILE_PX), -(-view.height // limits.TILE_PX)
+        job.fx, job.fy, job.cx, job.cy = view.fx, view.fy, view.cx, view.cy
+        origin, rotation, translation = view.rigid_parts()
+        job.origin[:], job.rotation[:], job.translation[:] = origin, rotation.ravel(), translation
+
+    @staticmethod
+    def _cut(alpha_min: float) -> float:
+        """log2 of the cut-off; below the limit the kernel's exponential has no meaning."""
+        if not limits.NATIVE_ALPHA_MIN <= alpha_min < 1:
+            wanted = f"{limits.NATIVE_ALPHA_MIN:g} to below 1"
+            raise InputError("alpha_min", wanted=wanted, came=f"{alpha_min:g}", remedy='Use backend "torch" below it.')
+        return math.log2(alpha_min)
+
+    def _reserve_scratch(self) -> None:
+        job = self._job
+        n, tiles = job.count, job.tiles_x * job.tiles_y
+        job.parts = _PARTS_PER_THREAD * self.threads
+        shapes = {
+            "records": ((n, _RECORD_FLOATS), np.float32),
+            "rects": ((n, 4), np.int16),
+            "sort_a": ((n,), np.uint64),
+            "sort_b": ((n,), np.uint64),
+            "order": ((n,), np.int32),
+            "summaries": ((job.parts, 4), np.int32),
+            "part_cursors": ((job.parts, tiles), np.int32),
+            "tile_start": ((tiles + 1,), np.int32),
+            "tile_work": ((tiles,), np.int32),
+        }
+        for name, (shape, dtype) in shapes.items():
+            setattr(job, name, self._array(name, shape, dtype).ctypes.data)
+        if not job.list_capacity:
+            self._reserve_list(n)
+
+    def _reserve_list(self, pairs: int) -> None:
+        """Room for `pairs` entries and a quarter more, so that a moving hand does not ask again every frame."""
+        self._job.list_capacity = min(pairs + pairs // 4 + 1024, limits.MAX_PAIRS)
+        self._job.tile_list = self._array("tile_list", (self._job.list_capacity,), np.int32).ctypes.data
+
+    def _array(self, name: str, shape: tuple[int, ...], dtype: type) -> np.ndarray:
+        """This object's memory of that name, made anew when the shape changes."""
+        array = self._arrays.get(name)
+        if array is None or array.shape != shape:
+            self._arrays.pop(name, None)  # the old one first: both together may not fit
+            try:
+                array = self._arrays[name] = aligned_zeros(shape, dtype)
+            except MemoryError as error:
+                size = math.prod(shape) * np.dtype(dtype).itemsize / 2**20
+                remedy = "Use a smaller picture or fewer Gaussians."
+                raise MemoryLimitError(
+                    f"no memory for {name} of the rasteriser, {size:.0f} MiB", remedy=remedy
+                ) from error
+        return array

@@ -1,0 +1,90 @@
+// Self-shadow forward, and the finished picture: depth, visibility, RGBA.
+#include "shadow.h"
+
+#include "export.h"
+#include "team.h"
+
+namespace jg {
+
+void prepare_depth(const ShadeTask& s, int y) {
+  const int64_t pixels = (int64_t)s.width * s.height, row = (int64_t)y * s.width;
+  const float *alpha = s.picture + 3 * pixels + row, *sum = s.picture + 4 * pixels + row;
+  float* out = s.depth + (int64_t)y * s.stride;
+  int32_t count = 0;
+  for (int x = 0; x < s.width; x += LANES) {
+    const int n = s.width - x;
+    const vf a = load_first(alpha + x, n), d = load_first(sum + x, n);
+    const vi valid = a > s.alpha_min;
+    const vf z = d / select(valid, a, all(1.f));
+    store(out + x, select(valid, z, all(FAR_M)));  // the lanes beyond the row are padding
+    if (s.depth_out) store_first(s.depth_out + row + x, select(valid, z, vf{}), n);
+    count += __builtin_popcount(bit_mask(valid));
+  }
+  s.row_valid[y] = count;
+}
+
+namespace {
+
+JG_INLINE vf visibility_of(Block& b, const Curve& curve, const float* c, int x0, int y, const ShadeTask& s) {
+  if (!set_block(b, c, x0, y, s)) return all(1.f);
+  vf sum = {};
+  const auto add = [&](const Tap& t) __attribute__((always_inline)) {
+    sum += select(t.inside, t.soft * t.fall * t.fall, vf{});
+  };
+  for_taps(
+      b, curve, c, s, [&](int32_t, vf, vf, const Tap& t) __attribute__((always_inline)) { add(t); },
+      [&](vi, vf, vf, const Tap& t) __attribute__((always_inline)) { add(t); });
+  return select(b.valid, exp2_of_negative<5>(max(sum * curve.exponent, all(-32.f))), all(1.f));
+}
+
+// Four planes of 16 pixels -> 16 interleaved RGBA pixels.
+JG_INLINE void interleave(const vf c[4], float out[64]) {
+  const vf rg0 = JG_SHUFFLE(c[0], c[1], 0, 16, 1, 17, 2, 18, 3, 19, 4, 20, 5, 21, 6, 22, 7, 23);
+  const vf rg1 = JG_SHUFFLE(c[0], c[1], 8, 24, 9, 25, 10, 26, 11, 27, 12, 28, 13, 29, 14, 30, 15, 31);
+  const vf ba0 = JG_SHUFFLE(c[2], c[3], 0, 16, 1, 17, 2, 18, 3, 19, 4, 20, 5, 21, 6, 22, 7, 23);
+  const vf ba1 = JG_SHUFFLE(c[2], c[3], 8, 24, 9, 25, 10, 26, 11, 27, 12, 28, 13, 29, 14, 30, 15, 31);
+  store(out, JG_SHUFFLE(rg0, ba0, 0, 1, 16, 17, 2, 3, 18, 19, 4, 5, 20, 21, 6, 7, 22, 23));
+  store(out + 16, JG_SHUFFLE(rg0, ba0, 8, 9, 24, 25, 10, 11, 26, 27, 12, 13, 28, 29, 14, 15, 30, 31));
+  store(out + 32, JG_SHUFFLE(rg1, ba1, 0, 1, 16, 17, 2, 3, 18, 19, 4, 5, 20, 21, 6, 7, 22, 23));
+  store(out + 48, JG_SHUFFLE(rg1, ba1, 8, 9, 24, 25, 10, 11, 26, 27, 12, 13, 28, 29, 14, 15, 30, 31));
+}
+
+void shade_row(const ShadeTask& s, int y) {
+  const int64_t pixels = (int64_t)s.width * s.height, row = (int64_t)y * s.width;
+  const bool shadowed = s.samples > 0 && s.row_valid[y] > 0;
+  const Curve curve = curve_of(s);
+  Block block;
+  for (int x = 0; x < s.width; x += LANES) {
+    const int n = s.width - x;
+    vf v = all(1.f);
+    if (shadowed) v = visibility_of(block, curve, s.depth + (int64_t)y * s.stride + x, x, y, s);
+    if (s.visibility) store_first(s.visibility + row + x, v, n);
+    if (!s.rgba) continue;
+    vf c[4];
+    for (int k = 0; k < 4; k++) c[k] = load_first(s.picture + k * pixels + row + x, n);
+    for (int k = 0; k < 3; k++) c[k] *= 1.f - s.darkness[k] * (1.f - v);
+    float* out = s.rgba + 4 * (row + x);
+    if (n >= LANES) {
+      interleave(c, out);
+    } else {
+      alignas(64) float last[4 * LANES];
+      interleave(c, last);
+      memcpy(out, last, sizeof(float) * 4 * (size_t)n);
+    }
+  }
+}
+
+}  // namespace
+}  // namespace jg
+
+JG_API int32_t jg_shade_task_bytes() { return sizeof(jg::ShadeTask); }
+
+// Depth, shadow and RGBA of a drawn picture, together with the other threads of the team.
+JG_API void jg_shade(jg::Team* team, const jg::ShadeTask* task) {
+  const jg::ShadeTask s = *task;
+  int step = 0;
+  if (s.samples > 0 || s.depth_out) {
+    jg::share(*team, step++, s.height, [&](int32_t y) { jg::prepare_depth(s, y); });
+  }
+  jg::share(*team, step, s.height, [&](int32_t y) { jg::shade_row(s, y); });
+}

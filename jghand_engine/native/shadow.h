@@ -1,0 +1,251 @@
+// What the forward and the backward pass of the self-shadow share: the task, and one block of 16 pixels of a row.
+//
+// The torch form in splat/shadow.py is the specification (METHOD 5.2). Depth lies in a padded plane. A pixel without
+// depth holds FAR: it is farther than the radius from everything, so it occludes nothing and needs no test of its own.
+// The padding is at least the largest sample offset plus one, so that every read of a block is legal.
+#pragma once
+#include <stdint.h>
+
+#include "vec.h"
+
+namespace jg {
+
+constexpr float FAR_M = 1e6f;
+constexpr int SHADOW_SAMPLES_MAX = 256;
+
+// Mirrored field by field in splat/shadow_native.py.
+struct ShadeTask {
+  int32_t width, height;
+  int32_t samples;  // 0: no shadow, only compose
+  int32_t stride;   // floats from row to row of the padded depth; a multiple of 16
+  int32_t pad_rows;
+  float fx, fy, cx, cy;
+  float radius, bias, softness, gain;
+  float alpha_min, reach_min_px, reach_max_px, length_eps, agree, agree_floor, normal_min2;
+  float darkness[3];      // strength * tint per channel
+  const float* disc_x;    // samples, zero-padded to a multiple of 16
+  const float* disc_y;
+  const float* picture;   // (5, H, W) premultiplied R G B, alpha, sum of weight * z
+  float* depth;           // pixel (0, 0) of the padded plane
+  int32_t* row_valid;     // (H) pixels with a depth
+  float* visibility;      // (H, W) or null
+  float* rgba;            // (H, W, 4) premultiplied, or null
+  float* depth_out;       // (H, W) metres, 0 where there is none, or null
+};
+
+#if defined(__clang__)
+JG_INLINE vf round_even(vf a) { return __builtin_elementwise_rint(a); }
+#else
+JG_INLINE vf round_even(vf a) {
+  for (int i = 0; i < LANES; i++) a[i] = __builtin_rintf(a[i]);
+  return a;
+}
+#endif
+JG_INLINE vi to_int(vf a) { return __builtin_convertvector(a, vi); }
+JG_INLINE vf to_float(vi a) { return __builtin_convertvector(a, vf); }
+
+#if defined(__AVX512F__)
+// one Newton step from 14 bits to rounding
+JG_INLINE vf inverse_sqrt(vf a) {
+  const vf y = (vf)_mm512_rsqrt14_ps((__m512)a);
+  return y * (1.5f - 0.5f * a * y * y);
+}
+JG_INLINE vf gather(const float* p, vi index) { return (vf)_mm512_i32gather_ps((__m512i)index, p, 4); }
+#else
+JG_INLINE vf inverse_sqrt(vf a) { return 1.f / sqrt(a); }
+JG_INLINE vf gather(const float* p, vi index) {
+  vf r;
+  for (int i = 0; i < LANES; i++) r[i] = p[index[i]];
+  return r;
+}
+#endif
+
+// 2^-|e|; without AVX-512 it ends at 2^-32, where softplus has long become its asymptote.
+JG_INLINE vf exp2_of_minus_abs(vf e) {
+#if defined(__AVX512DQ__)
+  return exp2_of_negative<5>(-abs(e));
+#else
+  return exp2_of_negative<5>(max(-abs(e), all(-32.f)));
+#endif
+}
+
+// log2(1 + y) for 0 <= y <= 1; error 1.5e-5, which is 6e-6 of visibility at most
+JG_INLINE vf log2_of_one_plus(vf y) {
+  vf p = y * 4.638534e-2f - 1.9626960e-1f;
+  p = p * y + 4.1759576e-1f;
+  p = p * y - 7.0966282e-1f;
+  p = p * y + 1.44196562e0f;
+  return p * y;
+}
+
+JG_INLINE float lowest(vf a) {
+  float r = a[0];
+  for (int i = 1; i < LANES; i++) r = a[i] < r ? a[i] : r;
+  return r;
+}
+JG_INLINE float highest(vf a) {
+  float r = a[0];
+  for (int i = 1; i < LANES; i++) r = a[i] > r ? a[i] : r;
+  return r;
+}
+
+// The first `count` lanes from p, the others zero: never reads beyond the row.
+JG_INLINE vf load_first(const float* p, int count) {
+  if (count >= LANES) return load(p);
+  vf v = {};
+  memcpy(&v, p, sizeof(float) * (size_t)count);
+  return v;
+}
+JG_INLINE void store_first(float* p, vf v, int count) {
+  memcpy(p, &v, sizeof(float) * (size_t)(count < LANES ? count : LANES));
+}
+
+// Constants of the occlusion curve: softplus argument in powers of two is slope * cosine + shift.
+struct Curve {
+  float eps2, radius2, inverse_radius, slope, shift;
+  float exponent;  // visibility = 2^(exponent * sum of the taps)
+};
+JG_INLINE Curve curve_of(const ShadeTask& s) {
+  const float log2e = 1.4426950408889634f, eps = s.length_eps * s.radius;
+  return {eps * eps, s.radius * s.radius, 1.f / s.radius, log2e / s.softness, -log2e * s.bias / s.softness,
+          -s.gain * s.softness / (float)s.samples};
+}
+
+// 16 pixels of one row: depth, ray (x/z, y/z), unit normal; and its taps. Where the offset is the same for all pixels
+// of the block (three quarters and more) the tap is one contiguous load, elsewhere a gather.
+struct Block {
+  vf z, ray_x, ray_y, nx, ny, nz;
+  vi valid;
+  vf reach_x, reach_y;  // px
+  int same_count, mixed_count;
+  int32_t same[SHADOW_SAMPLES_MAX + LANES], mixed[SHADOW_SAMPLES_MAX + LANES];  // sample numbers
+  alignas(64) float shift_x[SHADOW_SAMPLES_MAX], shift_y[SHADOW_SAMPLES_MAX];   // change of the ray, when same
+  alignas(64) int32_t offset[SHADOW_SAMPLES_MAX];                               // in the padded plane, when same
+};
+
+// Difference of the point along one image axis: its depth part, and the part that goes with the neighbour's ray.
+struct Slope {
+  vf dz, ray_dz;
+  vi any;
+};
+JG_INLINE Slope slope_of(vf z, vf ahead, vf behind, vf ray_ahead, vf ray_behind, const ShadeTask& s) {
+  const vi has_f = ahead < FAR_M, has_b = behind < FAR_M;
+  const vf f = ahead - z, b = z - behind, size_f = abs(f), size_b = abs(b);
+  const vi mean = has_f & has_b & (abs(size_f - size_b) < s.agree * min(size_f, size_b) + s.agree_floor);
+  const vi forward = has_f & (~has_b | (size_f < size_b));
+  const vf one = select(forward, f, b), one_ray = select(forward, f * ray_ahead, b * ray_behind);
+  return {select(mean, 0.5f * (f + b), one), select(mean, 0.5f * (f * ray_ahead + b * ray_behind), one_ray),
+          has_f | has_b};
+}
+
+JG_INLINE void set_normal(Block& b, const float* c, float step_x, float step_y, const ShadeTask& s) {
+  const Slope h = slope_of(b.z, load(c + 1), load(c - 1), b.ray_x + step_x, b.ray_x - step_x, s);
+  const Slope v = slope_of(b.z, load(c + s.stride), load(c - s.stride), b.ray_y + step_y, b.ray_y - step_y, s);
+  // a pixel without neighbours along an axis takes the axis itself
+  const vf hx = select(h.any, h.ray_dz + b.z * step_x, all(1.f)), hz = select(h.any, h.dz, vf{}), hy = hz * b.ray_y;
+  const vf vy = select(v.any, v.ray_dz + b.z * step_y, all(1.f)), vz = select(v.any, v.dz, vf{}), vx = vz * b.ray_x;
+  b.nx = vy * hz - vz * hy;
+  b.ny = vz * hx - vx * hz;
+  b.nz = vx * hy - vy * hx;
+  vf scale = inverse_sqrt(max(b.nx * b.nx + (b.ny * b.ny + b.nz * b.nz), all(s.normal_min2)));
+  scale = select(b.nx * b.ray_x + (b.ny * b.ray_y + b.nz) > 0, -scale, scale);
+  b.nx *= scale;
+  b.ny *= scale;
+  b.nz *= scale;
+}
+
+JG_INLINE int append(int32_t* list, int count, int first, uint32_t mask) {
+#if defined(__AVX512F__)
+  const __m512i lane = _mm512_set_epi32(15, 14, 13, 12, 11, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1, 0);
+  const __m512i number = _mm512_add_epi32(lane, _mm512_set1_epi32(first));
+  _mm512_storeu_si512(list + count, _mm512_maskz_compress_epi32((__mmask16)mask, number));
+  return count + __builtin_popcount(mask);
+#else
+  for (; mask; mask &= mask - 1) list[count++] = first + __builtin_ctz(mask);
+  return count;
+#endif
+}
+
+// Rounding is monotonous: when the least and the greatest reach in the block land on the same pixel, all do.
+JG_INLINE void sort_taps(Block& b, float step_x, float step_y, const ShadeTask& s) {
+  const vf least = all(s.reach_min_px), most = all(s.reach_max_px);
+  const float x_lo = lowest(select(b.valid, b.reach_x, most)), x_hi = highest(select(b.valid, b.reach_x, least));
+  const float y_lo = lowest(select(b.valid, b.reach_y, most)), y_hi = highest(select(b.valid, b.reach_y, least));
+  b.same_count = b.mixed_count = 0;
+  for (int k = 0; k < s.samples; k += LANES) {
+    const vf dx = load(s.disc_x + k), dy = load(s.disc_y + k);
+    const vf x = round_even(dx * x_lo), y = round_even(dy * y_lo);
+    store(b.shift_x + k, x * step_x);
+    store(b.shift_y + k, y * step_y);
+    store(b.offset + k, to_int(y) * s.stride + to_int(x));
+    const uint32_t wanted = s.samples - k >= LANES ? 0xffffu : (1u << (s.samples - k)) - 1;
+    const uint32_t same = bit_mask((x == round_even(dx * x_hi)) & (y == round_even(dy * y_hi)));
+    b.same_count = append(b.same, b.same_count, k, same & wanted);
+    b.mixed_count = append(b.mixed, b.mixed_count, k, ~same & wanted);
+  }
+}
+
+// Everything about the block at (x0, y) that does not depend on the sample; c points at its depth in the padded plane.
+// False when no pixel of it has a depth.
+JG_INLINE bool set_block(Block& b, const float* c, int x0, int y, const ShadeTask& s) {
+  const vf lane = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
+  b.z = load(c);
+  b.valid = b.z < FAR_M;
+  if (!bit_mask(b.valid)) return false;
+  const float step_x = 1.f / s.fx, step_y = 1.f / s.fy;
+  b.ray_x = (lane + ((float)x0 + 0.5f - s.cx)) * step_x;
+  b.ray_y = all(((float)y + 0.5f - s.cy) * step_y);
+  set_normal(b, c, step_x, step_y, s);
+  const vf reach = s.radius / b.z, least = all(s.reach_min_px), most = all(s.reach_max_px);
+  b.reach_x = min(max(s.fx * reach, least), most);
+  b.reach_y = min(max(s.fy * reach, least), most);
+  sort_taps(b, step_x, step_y, s);
+  return true;
+}
+
+// One tap of a block: the vector to the sample, and its part of the sum. Lanes outside the radius are 0 even when the
+// arithmetic overflowed: a comparison with NaN is false.
+struct Tap {
+  vf vx, vy, vz, inverse, cosine, power, soft, fall;
+  vi inside;
+};
+JG_INLINE Tap tap_of(const Block& b, const Curve& c, vf z, vf shift_x, vf shift_y) {
+  Tap t;
+  // (ray + shift) z_sample - ray z, without cancellation
+  t.vz = z - b.z;
+  t.vx = z * shift_x + b.ray_x * t.vz;
+  t.vy = z * shift_y + b.ray_y * t.vz;
+  const vf d2 = t.vx * t.vx + (t.vy * t.vy + (t.vz * t.vz + c.eps2));
+  t.inverse = inverse_sqrt(d2);
+  t.cosine = (t.vx * b.nx + (t.vy * b.ny + t.vz * b.nz)) * t.inverse;
+  const vf e = t.cosine * c.slope + c.shift;
+  t.power = exp2_of_minus_abs(e);
+  t.soft = log2_of_one_plus(t.power) + max(e, vf{});
+  t.fall = 1.f - d2 * t.inverse * c.inverse_radius;
+  t.inside = d2 < c.radius2;
+  return t;
+}
+
+// Calls same(offset, shift_x, shift_y, tap) or mixed(indices, shift_x, shift_y, tap) for every tap of a block.
+template <class Same, class Mixed>
+JG_INLINE void for_taps(const Block& b, const Curve& curve, const float* c, const ShadeTask& s, Same same, Mixed mixed) {
+  const vi lane = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
+  const float step_x = 1.f / s.fx, step_y = 1.f / s.fy;
+  for (int i = 0; i < b.same_count; i++) {
+    const int k = b.same[i];
+    const vf sx = all(b.shift_x[k]), sy = all(b.shift_y[k]);
+    same(b.offset[k], sx, sy, tap_of(b, curve, load(c + b.offset[k]), sx, sy));
+  }
+  for (int i = 0; i < b.mixed_count; i++) {
+    const int k = b.mixed[i];
+    const vf x = round_even(b.reach_x * s.disc_x[k]), y = round_even(b.reach_y * s.disc_y[k]);
+    const vi index = to_int(y) * s.stride + to_int(x) + lane;
+    const vf sx = x * step_x, sy = y * step_y;
+    mixed(index, sx, sy, tap_of(b, curve, gather(c, index), sx, sy));
+  }
+}
+
+// Depth of row y of the picture into the padded plane.
+void prepare_depth(const ShadeTask& s, int y);
+
+}  // namespace jg

@@ -1,0 +1,90 @@
+// Walking through the Gaussians of a 16 x 16 tile, 4 x 4 pixels per vector. Shared by blend and its backward pass, so
+// that both meet the same Gaussians and find the same alpha.
+#pragma once
+#include "raster.h"
+#include "vec.h"
+
+namespace jg {
+
+constexpr int BLOCKS = (TILE_PX / BLOCK_PX) * (TILE_PX / BLOCK_PX);
+static_assert(BLOCK_PX * BLOCK_PX == LANES, "a block is one vector");
+
+// Pixel centres of a block relative to its top-left corner.
+const vf LANE_X = {.5f, 1.5f, 2.5f, 3.5f, .5f, 1.5f, 2.5f, 3.5f, .5f, 1.5f, 2.5f, 3.5f, .5f, 1.5f, 2.5f, 3.5f};
+const vf LANE_Y = {.5f, .5f, .5f, .5f, 1.5f, 1.5f, 1.5f, 1.5f, 2.5f, 2.5f, 2.5f, 2.5f, 3.5f, 3.5f, 3.5f, 3.5f};
+
+struct Tile {
+  int32_t x, y;         // top-left pixel
+  const int32_t* list;  // Gaussians, front to back
+  int32_t length;
+};
+
+JG_INLINE Tile tile_at(const RasterJob& job, int32_t index) {
+  const int32_t begin = job.tile_start[index], end = job.tile_start[index + 1];
+  return {index % job.tiles_x * TILE_PX, index / job.tiles_x * TILE_PX, job.tile_list + begin, end - begin};
+}
+
+// Offset of a block inside its tile, px.
+JG_INLINE int32_t block_x(int block) { return block % (TILE_PX / BLOCK_PX) * BLOCK_PX; }
+JG_INLINE int32_t block_y(int block) { return block / (TILE_PX / BLOCK_PX) * BLOCK_PX; }
+
+// A run of a tile's list, copied to the first-level cache with centres relative to the tile.
+struct Chunk {
+  Record records[CHUNK];
+  alignas(64) float u[CHUNK], v[CHUNK], radius2[CHUNK];
+  int32_t length;
+};
+
+JG_INLINE void load_chunk(Chunk& chunk, const RasterJob& job, const Tile& tile, int32_t begin) {
+  chunk.length = tile.length - begin < CHUNK ? tile.length - begin : CHUNK;
+  const float x = (float)tile.x, y = (float)tile.y;
+  for (int k = 0; k < chunk.length; k++) {
+    Record& record = chunk.records[k];
+    memcpy((void*)&record, job.records + tile.list[begin + k], sizeof record);
+    record.u -= x, record.v -= y;
+    chunk.u[k] = record.u, chunk.v[k] = record.v, chunk.radius2[k] = record.radius2;
+  }
+  for (int k = chunk.length; k % LANES; k++) chunk.u[k] = chunk.v[k] = 0, chunk.radius2[k] = -1;
+}
+
+// Which Gaussians of a chunk have their circle reach a pixel centre of the block; `hits` needs room for CHUNK + LANES.
+JG_INLINE int find_hits(const Chunk& chunk, int block, int32_t* hits) {
+  const float half = 0.5f * (BLOCK_PX - 1);  // pixel centres lie within this distance of the block's centre
+  const float x = block_x(block) + 0.5f * BLOCK_PX, y = block_y(block) + 0.5f * BLOCK_PX;
+  int n = 0;
+  for (int k = 0; k < chunk.length; k += LANES) {
+    const vf dx = max(abs(load(chunk.u + k) - x) - half, vf{}), dy = max(abs(load(chunk.v + k) - y) - half, vf{});
+    uint32_t mask = bit_mask(dx * dx + dy * dy <= load(chunk.radius2 + k));
+#if defined(__AVX512F__)
+    const __m512i lane = _mm512_set_epi32(15, 14, 13, 12, 11, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1, 0);
+    const __m512i index = _mm512_add_epi32(_mm512_set1_epi32(k), lane);
+    _mm512_storeu_si512(hits + n, _mm512_maskz_compress_epi32((__mmask16)mask, index));
+    n += __builtin_popcount(mask);
+#else
+    for (; mask; mask &= mask - 1) hits[n++] = k + __builtin_ctz(mask);
+#endif
+  }
+  return n;
+}
+
+// A Gaussian on the sixteen pixels (x, y) of a block.
+struct Coverage {
+  vf dx, dy;     // pixel minus centre, px
+  vf uncapped;   // opacity exp(-q); meaningless where alpha is cut
+  vf alpha;      // cut below alpha_min, capped at alpha_max
+};
+
+template <int SQUARINGS>
+JG_INLINE Coverage cover(const Record& g, vf x, vf y, float log2_alpha_min, float alpha_max) {
+  Coverage c;
+  c.dx = x - g.u, c.dy = y - g.v;
+  const vf exponent = (c.dx * g.xx + c.dy * g.xy) * c.dx + (c.dy * c.dy * g.yy + g.log2_opacity);
+  c.uncapped = exp2_of_negative<SQUARINGS>(exponent);
+  c.alpha = exponent > log2_alpha_min ? min(c.uncapped, all(alpha_max)) : vf{};
+  return c;
+}
+
+// Squarings that exp2_of_negative needs down to the cut. More cost a little time and accuracy, so: as few as possible.
+JG_INLINE int squarings_for(float log2_alpha_min) { return log2_alpha_min > -8 ? 3 : log2_alpha_min > -16 ? 4 : 5; }
+
+}  // namespace jg

@@ -1,0 +1,177 @@
+"""The rasterisation contract (RENDERING 3) in executable form: pure torch, any float dtype and device, differentiable.
+
+Everything else is tested against this in float64. It is also what draws where there is no native library. It never
+stops early; memory stays bounded because tiles are drawn one after the other and recomputed in the backward pass.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch.utils.checkpoint import checkpoint
+
+from jghand_engine import limits
+from jghand_engine.avatar.gaussians import Gaussians
+from jghand_engine.splat.camera import Camera
+from jghand_engine.splat.inputs import check_gaussians
+from jghand_engine.splat.picture import Picture
+
+
+@dataclass(frozen=True)
+class _Ellipses:
+    """M projected Gaussians. u, v: centre, px; a, b, c: covariance, px^2; z: camera depth, metres."""
+
+    u: torch.Tensor
+    v: torch.Tensor
+    a: torch.Tensor
+    b: torch.Tensor
+    c: torch.Tensor
+    z: torch.Tensor
+    opacity: torch.Tensor
+    features: torch.Tensor  # (M, 5): rgb, 1, z: what the weights are summed with
+
+    def select(self, index: torch.Tensor) -> _Ellipses:
+        return _Ellipses(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
+
+
+def rasterise_reference(
+    gaussians: Gaussians, camera: Camera, *, alpha_min: float = limits.ALPHA_MIN, smooth: bool = False
+) -> Picture:
+    """Draws `gaussians` as `camera` sees them.
+
+    alpha_min: contributions below it are zero, by a hard step as the contract says, or with `smooth` by a C1 step over
+    [alpha_min, 2 alpha_min], which only finite-difference tests want.
+    InputError names a tensor of a wrong shape or dtype. Values that cannot be drawn are left out and counted.
+    """
+    check_gaussians(gaussians)
+    position_c = camera_frame(gaussians.position_m, camera)
+    valid = _valid(gaussians, position_c)
+    # selected by index, not masked: what is left out never enters the arithmetic, so that its NaN reach no gradient
+    kept = torch.nonzero(valid & (position_c[:, 2].detach() > limits.Z_NEAR_M))[:, 0]
+    ellipses = _project(gaussians, position_c, kept, camera)
+    sized = (ellipses.a < limits.VAR_MAX_PX2) & (ellipses.c < limits.VAR_MAX_PX2)
+    invalid = int((~valid).sum()) + int((~sized).sum())
+    boxes, seen = _boxes(ellipses, camera, alpha_min)
+    kept = torch.nonzero(sized & seen)[:, 0]
+    kept = kept[torch.argsort(ellipses.z[kept].detach(), stable=True)]
+    ellipses, boxes = ellipses.select(kept), boxes[:, kept]
+    planes = _draw_tiles(ellipses, boxes, camera, alpha_min=alpha_min, smooth=smooth)
+    return Picture.from_planes(planes, visible_gaussians=len(kept), invalid_gaussians=invalid)
+
+
+def camera_frame(position_m: torch.Tensor, camera: Camera) -> torch.Tensor:
+    """World positions (N, 3) to the camera frame, same dtype; in float64 on the way, so that distance costs nothing."""
+    matrix = camera.camera_from_world.to(position_m.device)
+    return (position_m.to(torch.float64) @ matrix[:3, :3].T + matrix[:3, 3]).to(position_m.dtype)
+
+
+def _valid(gaussians: Gaussians, position_c: torch.Tensor) -> torch.Tensor:
+    """(N,) bool: every value can be drawn. Comparisons with NaN are false."""
+    g, position_c = gaussians, position_c.detach()
+    reach = limits.POSITION_MAX_M
+    return (
+        (g.position_m.abs() <= reach).all(1)
+        & (position_c.abs() <= 3 * reach).all(1)
+        & (g.sigma_m > 0)
+        & (g.sigma_m < math.inf)
+        & (g.opacity >= 0)
+        & (g.opacity <= 1)
+        & (g.rgb.abs() <= limits.RGB_MAX).all(1)
+    )
+
+
+def _project(gaussians: Gaussians, position_c: torch.Tensor, kept: torch.Tensor, camera: Camera) -> _Ellipses:
+    """Perspective projection of the centres and of the spheres' covariance, with the low pass added."""
+    x, y, z = position_c[kept].unbind(1)
+    sigma, opacity, rgb = gaussians.sigma_m[kept], gaussians.opacity[kept], gaussians.rgb[kept]
+    jx, jy = camera.fx / z, camera.fy / z
+    u, v = jx * x, jy * y
+    jxz, jyz = -u / z, -v / z
+    a = (sigma * jx) ** 2 + (sigma * jxz) ** 2 + limits.BLUR_PX2
+    c = (sigma * jy) ** 2 + (sigma * jyz) ** 2 + limits.BLUR_PX2
+    b = (sigma * jxz) * (sigma * jyz)
+    features = torch.cat([rgb, torch.ones_like(z)[:, None], z[:, None]], 1)
+    return _Ellipses(u + camera.cx, v + camera.cy, a, b, c, z, opacity, features)
+
+
+def _boxes(ellipses: _Ellipses, camera: Camera, alpha_min: float) -> tuple[torch.Tensor, torch.Tensor]:
+    """Left, right, top, bottom (4, M), px, of where alpha reaches alpha_min, and (M,) whether that is on the picture."""
+    e = ellipses
+    with torch.no_grad():
+        # not above the cut means invisible, decided before the square root: its argument is negative there
+        k = 2 * torch.log(e.opacity.clamp_min(alpha_min) / alpha_min)
+        rx, ry = torch.sqrt(k * e.a), torch.sqrt(k * e.c)
+        boxes = torch.stack([e.u - rx, e.u + rx, e.v - ry, e.v + ry])
+        left, right, top, bottom = boxes
+        seen = (e.opacity > alpha_min) & (right > 0) & (left < camera.width) & (bottom > 0) & (top < camera.height)
+    return boxes, seen
+
+
+def _draw_tiles(
+    ellipses: _Ellipses, boxes: torch.Tensor, camera: Camera, *, alpha_min: float, smooth: bool
+) -> torch.Tensor:
+    """Planes (5, H, W), tile by tile."""
+    left, right, top, bottom = boxes
+    tile, rows = limits.TILE_PX, []
+    for y in range(0, camera.height, tile):
+        height = min(tile, camera.height - y)
+        in_row = torch.nonzero((bottom > y) & (top < y + tile))[:, 0]
+        row_left, row_right = left[in_row], right[in_row]
+        columns = []
+        for x in range(0, camera.width, tile):
+            width = min(tile, camera.width - x)
+            index = in_row[(row_right > x) & (row_left < x + tile)]
+            pixels = _pixel_centres(x, y, width, height, ellipses.u)
+            values = _draw_pixels(ellipses.select(index), pixels, alpha_min=alpha_min, smooth=smooth)
+            columns.append(values.reshape(height, width, 5))
+        rows.append(torch.cat(columns, 1))
+    return torch.cat(rows, 0).permute(2, 0, 1)
+
+
+def _pixel_centres(x: int, y: int, width: int, height: int, like: torch.Tensor) -> torch.Tensor:
+    """(height * width, 2) px, row by row."""
+    xs = torch.arange(x, x + width, dtype=like.dtype, device=like.device) + 0.5
+    ys = torch.arange(y, y + height, dtype=like.dtype, device=like.device) + 0.5
+    return torch.cartesian_prod(ys, xs).reshape(-1, 2).flip(1)
+
+
+def _draw_pixels(ellipses: _Ellipses, pixels: torch.Tensor, *, alpha_min: float, smooth: bool) -> torch.Tensor:
+    """(P, 5): R G B A D of P pixels, as many at a time as fit into the memory allowed."""
+    count = ellipses.u.shape[0]
+    if count == 0:
+        return torch.zeros(pixels.shape[0], 5, dtype=pixels.dtype, device=pixels.device)
+    at_once = max(1, limits.REFERENCE_PAIRS_AT_ONCE // count)
+    tensors = [getattr(ellipses, name) for name in ellipses.__dataclass_fields__]
+
+    def blend(some: torch.Tensor, *fields: torch.Tensor) -> torch.Tensor:
+        return _blend(_Ellipses(*fields), some, alpha_min=alpha_min, smooth=smooth)
+
+    parts = []
+    for some in pixels.split(at_once):
+        if torch.is_grad_enabled() and any(tensor.requires_grad for tensor in tensors):
+            parts.append(checkpoint(blend, some, *tensors, use_reentrant=False, preserve_rng_state=False))
+        else:
+            parts.append(blend(some, *tensors))
+    return torch.cat(parts)
+
+
+def _blend(ellipses: _Ellipses, pixels: torch.Tensor, *, alpha_min: float, smooth: bool) -> torch.Tensor:
+    """(P, 5) sums of weight times features, front to back; column 3 is 1 - transmittance."""
+    e = ellipses
+    dx, dy = pixels[:, :1] - e.u, pixels[:, 1:] - e.v
+    q = 0.5 * (e.c * dx * dx - 2 * e.b * dx * dy + e.a * dy * dy) / (e.a * e.c - e.b * e.b)
+    alpha = _cut(e.opacity * torch.exp(-q), alpha_min, smooth=smooth)
+    # `where` and not `clamp`: at the cap the gradient is zero
+    alpha = torch.where(alpha < limits.ALPHA_MAX, alpha, torch.full_like(alpha, limits.ALPHA_MAX))
+    behind = torch.cumprod(1 - alpha, 1)
+    transmittance = torch.cat([torch.ones_like(behind[:, :1]), behind[:, :-1]], 1)
+    return (alpha * transmittance) @ e.features
+
+
+def _cut(alpha: torch.Tensor, alpha_min: float, *, smooth: bool) -> torch.Tensor:
+    if smooth:
+        t = ((alpha - alpha_min) / alpha_min).clamp(0, 1)
+        return alpha * t * t * (3 - 2 * t)
+    return torch.where(alpha < alpha_min, torch.zeros_like(alpha), alpha)
