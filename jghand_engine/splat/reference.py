@@ -97,7 +97,7 @@ def _project(gaussians: Gaussians, position_c: torch.Tensor, kept: torch.Tensor,
 
 
 def _boxes(ellipses: _Ellipses, camera: Camera, alpha_min: float) -> tuple[torch.Tensor, torch.Tensor]:
-    """Left, right, top, bottom (4, M), px, of where alpha reaches alpha_min, and (M,) whether that is on the picture."""
+    """Left, right, top, bottom (4, M), px, of where alpha reaches alpha_min, and (M,) whether that is visible."""
     e = ellipses
     with torch.no_grad():
         # not above the cut means invisible, decided before the square root: its argument is negative there
