@@ -43,9 +43,16 @@ HAND_LENGTH_MIN_M = 0.06
 HAND_LENGTH_MAX_M = 0.40
 # path index-middle-ring-pinky knuckle over the direct way: a hand's arch gives 1.05, two swapped fingers 1.6 and more
 KNUCKLE_DETOUR_MAX = 1.35
+# place of a metacarpal's base on the line wrist to knuckle, for OpenXR, which lists it (0.33 to 0.37 in the rig that the
+# template comes from)
+OPENXR_METACARPAL_PART = 0.34
 # frames per second of a motion: outside this range it is most likely a frame count or milliseconds
 FPS_MIN = 0.1
 FPS_MAX = 10_000.0
+# rate of a motion file that declares none and is told none: that of most cameras
+DEFAULT_FPS = 30.0
+# a motion file larger than this, packed or unpacked, is refused: an hour at 120 frames per second has 220 MB
+MOTION_MAX_BYTES = 1 << 30
 
 # ---- hand: named poses ----------------------------------------------------------------------------------------------
 
@@ -55,8 +62,6 @@ TOUCH_PART = 0.02
 TOUCH_PULL_DEG = 40.0
 # Gauss-Newton steps; four reach the end on the built-in hand
 TOUCH_STEPS = 8
-# place of a metacarpal's base on the line wrist to knuckle, for OpenXR, which lists it (the template's rig: 0.33 to 0.37)
-OPENXR_METACARPAL_PART = 0.34
 
 # ---- template -------------------------------------------------------------------------------------------------------
 
@@ -269,3 +274,14 @@ FRAMING_DIRECTION_MIN = 0.2
 # and how far the length of a quaternion may be from 1 (that of NVIDIA's rule VG.035)
 USD_EXTENT_TOLERANCE_M = 1e-5
 USD_QUATERNION_TOLERANCE = 1e-3
+
+# ---- cli: the demo --------------------------------------------------------------------------------------------------
+
+# rate, seconds of a move and of a stop: quick enough for a video of a few seconds, slow enough to see
+DEMO_FPS = 30.0
+DEMO_MOVE_S = 0.6
+DEMO_HOLD_S = 0.2
+# how far the whole hand turns to either side, degrees: shows more than one side and stays recognisable
+DEMO_SWAY_DEG = 35.0
+# moments of the motion on the contact sheet
+SHEET_COLUMNS = 8

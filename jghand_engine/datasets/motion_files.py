@@ -1,0 +1,363 @@
+"""Motions in files: `.npz`, `.json` and `.csv`, which say what they hold, and plain `.npy`, which must be told.
+
+What a file does not declare has to be given, and what it declares must not be contradicted: a wrong order, unit or
+hand would go unnoticed until the picture. All formats hold positions; the joint order in files that JGHand writes is
+the standard order, the unit metres. Nothing is ever unpickled.
+
+    .npz   joints_m (F, 21, 3) · order · unit · fps · handedness · valid (F, 21) optional
+    .json  {"format": "jghand motion", "version": 1, "order", "unit", "fps", "handedness", "joints": [[[x, y, z], …]]}:
+           frames of joints; a missing joint is null
+    .csv   comment lines `# unit: m` and so on, a header `frame,wrist_x,wrist_y,…`, one line per frame; empty cells are
+           missing. Without joint names in the header the columns are the 63 numbers of the declared order
+    .npy   (F, 21, 3) numbers
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import zipfile
+import zlib
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jghand_engine import limits
+from jghand_engine.errors import InputError
+from jghand_engine.files import writing
+from jghand_engine.hand.joints import JOINT_COUNT, STANDARD_NAMES, Handedness
+from jghand_engine.hand.orders import (
+    METRES_PER_UNIT,
+    JointOrder,
+    check_hand_size,
+    check_joint_shape,
+    check_order,
+    from_level,
+    to_level,
+)
+from jghand_engine.hand.sequence import PoseSequence
+
+_FORMAT, _VERSION = "jghand motion", 1
+
+
+@dataclass(frozen=True)
+class MotionFormat:
+    """What the user says about a motion file; None: the file itself says it.
+
+    order:      how the joints are listed · unit: 'm', 'cm' or 'mm' · handedness: which hand it is
+    fps:        frames per second; replaces the file's. Neither: 30
+    check_hand: refuse joints whose bone lengths are no hand's. Turn it off for hands of odd proportions only: it is
+                what catches a wrong order or unit
+    """
+
+    order: JointOrder | None = None
+    unit: str | None = None
+    handedness: Handedness | None = None
+    fps: float | None = None
+    check_hand: bool = True
+
+
+@dataclass(frozen=True)
+class _Content:
+    """A file as it is: joints (F, n, 3) in its order and unit, valid (F, n) or None, and what it declares."""
+
+    joints: np.ndarray
+    valid: np.ndarray | None
+    declared: dict[str, Any]
+
+
+def read_motion(path: Path | str, motion_format: MotionFormat | None = None) -> PoseSequence:
+    """The motion in a file. Missing joints (NaN, null, empty, valid false) stay missing: see PoseSequence.gaps.
+
+    InputError for a file that is absent, damaged, of an unknown kind, not declared fully or contradicted, and for
+    joints that are no hand; the message says what to do.
+    """
+    file, wanted = Path(path), motion_format or MotionFormat()
+    reader = _READERS.get(file.suffix.lower())
+    if reader is None:
+        raise InputError(f"motion file {file}", wanted=f"one of {', '.join(_READERS)}", came=repr(file.suffix))
+    _check_size(file)
+    try:
+        content = reader(file)
+    except OSError as error:
+        raise InputError(f"cannot read motion file {file}", came=str(error.strerror or error)) from error
+    except _DAMAGE as error:
+        raise InputError(f"motion file {file}", wanted="an undamaged file", came=_one_line(error)) from error
+    return _sequence(file, content, wanted)
+
+
+def write_motion(path: Path | str, sequence: PoseSequence) -> None:
+    """Writes `.npz`, `.json` or `.csv` by the suffix: standard order, metres, everything declared inside.
+
+    Never half-written. InputError for another suffix; `.npy` cannot say what it holds and is not written.
+    """
+    file = Path(path)
+    writer = _WRITERS.get(file.suffix.lower())
+    if writer is None:
+        raise InputError(f"motion file {file}", wanted=f"one of {', '.join(_WRITERS)}", came=repr(file.suffix))
+    with writing(file) as temporary:
+        writer(temporary, sequence)
+
+
+# ---- from a file's content to a sequence ----------------------------------------------------------------------------
+
+
+def _sequence(file: Path, content: _Content, wanted: MotionFormat) -> PoseSequence:
+    order = JointOrder.parse(str(_agreed(file, "order", content, wanted.order, JointOrder.parse)))
+    unit = str(_agreed(file, "unit", content, wanted.unit, str))
+    handedness = _handedness(str(_agreed(file, "handedness", content, wanted.handedness, str)))
+    if unit not in METRES_PER_UNIT:
+        raise InputError(f"unit of {file}", wanted=" or ".join(METRES_PER_UNIT), came=repr(unit))
+    joints = content.joints
+    if joints.ndim != 3 or joints.shape[-1] != 3:
+        raise InputError(f"motion file {file}", wanted="joints of shape (frames, 21, 3)", came=str(joints.shape))
+    if not len(joints):
+        raise InputError(f"motion file {file}", wanted="at least one frame", came="an empty motion")
+    check_joint_shape(joints, order)
+    level_m = to_level(joints, order) * METRES_PER_UNIT[unit]
+    sequence = PoseSequence(level_m, _fps(file, content, wanted), handedness, _level_valid(file, content, order))
+    if wanted.check_hand:
+        check_hand_size(sequence.joints_m, unit)
+        check_order(sequence.joints_m, order)
+    return sequence
+
+
+def _agreed(file: Path, what: str, content: _Content, given: object, parse: Callable[[str], object]) -> object:
+    """What file and user say about order, unit or handedness: one of them must, and they must agree."""
+    inside = content.declared.get(what)
+    if inside is None and given is None:
+        raise InputError(
+            f"motion file {file}",
+            wanted=f"its {what}",
+            came="none declared in the file",
+            remedy=f"Say the {what}: a wrong one ruins the hand silently.",
+        )
+    if inside is None or given is None:
+        return inside if given is None else given
+    if parse(str(inside)) != parse(str(given)):
+        raise InputError(
+            f"{what} of {file}", wanted=f"'{inside}', which the file declares", came=f"'{given}'", remedy="Drop one."
+        )
+    return given
+
+
+def _handedness(name: str) -> Handedness:
+    try:
+        return Handedness(name)
+    except ValueError as error:
+        raise InputError("handedness", wanted="right or left", came=repr(name)) from error
+
+
+def _fps(file: Path, content: _Content, wanted: MotionFormat) -> float:
+    fps = wanted.fps if wanted.fps is not None else content.declared.get("fps", limits.DEFAULT_FPS)
+    try:
+        return float(fps)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"frames per second of {file}", wanted="a number", came=repr(fps)) from error
+
+
+def _level_valid(file: Path, content: _Content, order: JointOrder) -> np.ndarray:
+    if content.valid is None:
+        return np.ones((len(content.joints), JOINT_COUNT), dtype=bool)
+    if content.valid.shape != content.joints.shape[:2]:
+        raise InputError(
+            f"'valid' in {file}", wanted=f"shape {content.joints.shape[:2]}", came=str(content.valid.shape)
+        )
+    # to_level picks joints of any numbers: three copies stand for x, y, z
+    return to_level(np.repeat(content.valid[..., None].astype(np.float64), 3, axis=-1), order)[..., 0] > 0.5
+
+
+def _check_size(file: Path) -> None:
+    try:
+        size = file.stat().st_size
+    except OSError as error:
+        raise InputError(f"cannot read motion file {file}", came=str(error.strerror or error)) from error
+    if size > limits.MOTION_MAX_BYTES:
+        raise InputError(
+            f"motion file {file}", wanted=f"at most {limits.MOTION_MAX_BYTES >> 20} MiB", came=f"{size >> 20} MiB"
+        )
+
+
+# what numpy, zipfile, json and csv raise on a damaged or hostile file
+_DAMAGE = (
+    *(ValueError, TypeError, KeyError, IndexError, EOFError, OverflowError, SyntaxError, RecursionError, MemoryError),
+    *(zipfile.BadZipFile, zlib.error, csv.Error, NotImplementedError, RuntimeError),
+)
+
+
+def _one_line(error: BaseException) -> str:
+    text = str(error).strip().splitlines()
+    return f"{type(error).__name__}: {text[0][:200]}" if text else type(error).__name__
+
+
+def _numbers(array: np.ndarray) -> np.ndarray:
+    if array.dtype.kind not in "fiu":
+        raise ValueError(f"numbers wanted, dtype {array.dtype} found")
+    return array.astype(np.float64)
+
+
+# ---- numpy ----------------------------------------------------------------------------------------------------------
+
+
+def _read_npy(file: Path) -> _Content:
+    # mapped, not read: a header that promises more than the file holds is refused before anything is allocated
+    mapped = np.load(file, mmap_mode="r", allow_pickle=False)
+    if not isinstance(mapped, np.ndarray):
+        raise ValueError("an archive with the suffix of a single array")
+    return _Content(_numbers(np.array(mapped)), None, {})
+
+
+def _read_npz(file: Path) -> _Content:
+    with zipfile.ZipFile(file) as archive:
+        unpacked = sum(member.file_size for member in archive.infolist())
+    if unpacked > limits.MOTION_MAX_BYTES:
+        raise ValueError(f"it would unpack to {unpacked >> 20} MiB")
+    with np.load(file, allow_pickle=False) as archive:
+        key = "joints_m" if "joints_m" in archive.files else "joints"
+        if key not in archive.files:
+            raise ValueError(f"no array 'joints_m' among {archive.files[:8]}")
+        names = ("order", "unit", "fps", "handedness")
+        declared: dict[str, Any] = {name: archive[name].item() for name in names if name in archive.files}
+        if key == "joints_m" and declared.setdefault("unit", "m") != "m":
+            raise ValueError(f"'joints_m' means metres, and the unit is '{declared['unit']}': call the array 'joints'")
+        valid = archive["valid"].astype(bool) if "valid" in archive.files else None
+        return _Content(_numbers(archive[key]), valid, declared)
+
+
+def _write_npz(file: Path, sequence: PoseSequence) -> None:
+    np.savez_compressed(
+        file,
+        joints_m=from_level(sequence.joints_m, JointOrder.STANDARD),
+        valid=_standard_valid(sequence),
+        order=np.array(JointOrder.STANDARD.value),
+        unit=np.array("m"),
+        fps=np.array(sequence.fps),
+        handedness=np.array(sequence.handedness.value),
+    )
+
+
+def _standard_valid(sequence: PoseSequence) -> np.ndarray:
+    return np.all(np.isfinite(from_level(sequence.joints_m, JointOrder.STANDARD)), axis=-1)
+
+
+# ---- JSON -----------------------------------------------------------------------------------------------------------
+
+
+def _read_json(file: Path) -> _Content:
+    document = json.loads(file.read_text(encoding="utf-8"))
+    if isinstance(document, list):
+        document = {"joints": document}
+    if not isinstance(document, dict) or not isinstance(document.get("joints"), list):
+        raise ValueError("no list 'joints' in it")
+    if document.get("format", _FORMAT) != _FORMAT:
+        raise ValueError(f"its format is {str(document['format'])[:40]!r}, not {_FORMAT!r}")
+    if document.get("version", _VERSION) != _VERSION:
+        raise ValueError(f"its version is {str(document['version'])[:40]}, and this JGHand reads {_VERSION}")
+    return _Content(_nested_numbers(document["joints"]), None, document)
+
+
+def _nested_numbers(frames: list[Any]) -> np.ndarray:
+    """Lists of frames of joints of x, y, z -> (F, n, 3); null joints and null coordinates become NaN."""
+    missing = [math.nan] * 3
+    filled = [[missing if joint is None else joint for joint in frame] for frame in frames]
+    array = np.array(filled)
+    if array.dtype.kind == "O":
+        array = np.array([[[math.nan if x is None else x for x in joint] for joint in frame] for frame in filled])
+    return _numbers(array) if array.size else np.zeros((0, len(STANDARD_NAMES), 3))
+
+
+def _write_json(file: Path, sequence: PoseSequence) -> None:
+    standard = from_level(sequence.joints_m, JointOrder.STANDARD)
+    frames = [[None if math.isnan(joint[0]) else joint for joint in frame] for frame in standard.tolist()]
+    document = {"format": _FORMAT, "version": _VERSION, **_declarations(sequence), "joints": frames}
+    file.write_text(json.dumps(document, allow_nan=False), encoding="utf-8")
+
+
+def _declarations(sequence: PoseSequence) -> dict[str, str | float]:
+    return {
+        "order": JointOrder.STANDARD.value,
+        "unit": "m",
+        "fps": sequence.fps,
+        "handedness": sequence.handedness.value,
+    }
+
+
+# ---- CSV ------------------------------------------------------------------------------------------------------------
+
+_COLUMNS = [f"{name}_{axis}" for name in STANDARD_NAMES for axis in "xyz"]
+# columns that may stand before the joints and are not needed
+_COUNTERS = ("frame", "time", "time_s", "timestamp")
+
+
+def _read_csv(file: Path) -> _Content:
+    lines = file.read_text(encoding="utf-8-sig").splitlines()
+    declared: dict[str, Any] = {}
+    for line in lines:
+        if line.startswith("#") and ":" in line:
+            name, value = line[1:].split(":", 1)
+            declared[name.strip()] = value.strip()
+    rows = [row for row in csv.reader(line for line in lines if not line.startswith("#")) if any(row)]
+    if not rows:
+        return _Content(np.zeros((0, len(STANDARD_NAMES), 3)), None, declared)
+    header = [cell.strip().lower() for cell in rows[0]]
+    if set(_COLUMNS) <= set(header):
+        # names say more than any declaration: the columns may stand in any order
+        declared["order"] = JointOrder.STANDARD.value
+        places = [header.index(column) for column in _COLUMNS]
+        return _Content(_csv_numbers(rows[1:], places, first_line=2), None, declared)
+    has_header = not all(_is_number(cell) for cell in header)
+    skip = 1 if header[0] in _COUNTERS else 0
+    width = len(header) - skip
+    if width % 3:
+        raise ValueError(f"{width} columns of numbers are not x, y, z of joints")
+    return _Content(_csv_numbers(rows[has_header:], range(skip, skip + width), 1 + has_header), None, declared)
+
+
+def _csv_numbers(rows: list[list[str]], places: Iterable[int], first_line: int) -> np.ndarray:
+    columns = list(places)
+    table = np.empty((len(rows), len(columns)))
+    for number, row in enumerate(rows):
+        if len(row) <= max(columns):
+            raise ValueError(f"row {number + first_line} ends after {len(row)} of {max(columns) + 1} columns")
+        for column, place in enumerate(columns):
+            cell = row[place].strip()
+            if cell and not _is_number(cell):
+                raise ValueError(f"row {number + first_line}, column {place + 1}: {cell[:30]!r} is no number")
+            table[number, column] = float(cell) if cell else math.nan
+    return table.reshape(len(rows), -1, 3)
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return not cell
+    return True
+
+
+def _write_csv(file: Path, sequence: PoseSequence) -> None:
+    standard = from_level(sequence.joints_m, JointOrder.STANDARD).reshape(len(sequence), -1)
+    with open(file, "w", encoding="utf-8", newline="") as stream:
+        stream.write(f"# format: {_FORMAT} {_VERSION}\n")
+        stream.writelines(f"# {name}: {value}\n" for name, value in _declarations(sequence).items())
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(["frame", *_COLUMNS])
+        for number, row in enumerate(standard.tolist()):
+            writer.writerow([number, *("" if math.isnan(x) else repr(x) for x in row)])
+
+
+_READERS: dict[str, Callable[[Path], _Content]] = {
+    ".npz": _read_npz,
+    ".npy": _read_npy,
+    ".json": _read_json,
+    ".csv": _read_csv,
+}
+_WRITERS: dict[str, Callable[[Path, PoseSequence], None]] = {
+    ".npz": _write_npz,
+    ".json": _write_json,
+    ".csv": _write_csv,
+}
