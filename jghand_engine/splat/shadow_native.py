@@ -1,0 +1,180 @@
+"""The compiled self-shadow (native/shadow*.cpp): buffers for one picture size, and the differentiable form.
+
+`splat/shadow.py` is the specification; the two differ by 5e-5 of visibility, except where the rounding of a sample
+position or the choice between two depth differences falls the other way.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+
+import numpy as np
+import torch
+
+from jghand_engine import limits
+from jghand_engine.errors import RetryError
+from jghand_engine.native.library import Library, address, aligned_zeros, new_team
+from jghand_engine.native.threads import shared_pool
+from jghand_engine.splat.camera import Camera
+from jghand_engine.splat.shadow import ShadowStyle, shade, vogel_disc
+
+_LANES = 16
+# depth of a pixel that has none, metres (FAR_M of native/shadow.h)
+_FAR_M = 1e6
+# rows and columns around the picture: the farthest sample and its neighbour; columns in whole vectors
+_PAD_ROWS = math.ceil(limits.SHADOW_RADIUS_MAX_PX) + 1
+_PAD_COLUMNS = -(-_PAD_ROWS // _LANES) * _LANES
+
+_I32, _F32, _P = ctypes.c_int32, ctypes.c_float, ctypes.c_void_p
+
+
+class ShadeTask(ctypes.Structure):
+    """ShadeTask of native/shadow.h, field by field."""
+
+    _fields_ = (
+        *((name, _I32) for name in ("width", "height", "samples", "stride", "pad_rows")),
+        *((name, _F32) for name in ("fx", "fy", "cx", "cy", "radius", "bias", "softness", "gain", "alpha_min")),
+        *((name, _F32) for name in ("reach_min_px", "reach_max_px", "length_eps", "agree", "agree_floor")),
+        ("normal_min2", _F32),
+        ("darkness", _F32 * 3),
+        *((name, _P) for name in ("disc_x", "disc_y", "picture", "depth", "row_valid")),
+        *((name, _P) for name in ("visibility", "rgba", "depth_out")),
+    )
+
+
+class ShadeGradient(ctypes.Structure):
+    """ShadeGradient of native/shadow_backward.cpp, field by field."""
+
+    _fields_ = (
+        *((name, _P) for name in ("visibility", "darkened", "stripes", "out")),
+        ("pad_columns", _I32),
+    )
+
+
+class NativeShade:
+    """The shadow pass for pictures of one size. Buffers are allocated once; one picture at a time."""
+
+    def __init__(self, library: Library, width: int, height: int) -> None:
+        call = library.call
+        for size, mirror in ((call.jg_shade_task_bytes(), ShadeTask), (call.jg_shade_gradient_bytes(), ShadeGradient)):
+            if size != ctypes.sizeof(mirror):
+                raise RetryError(
+                    f"native library {library.path.name}", wanted=f"{mirror.__name__} as here", came="other"
+                )
+        self._call = call
+        columns = -(-width // _LANES) * _LANES
+        self._stride = columns + 2 * _PAD_COLUMNS
+        self._depth = aligned_zeros((height + 2 * _PAD_ROWS, self._stride))
+        self._depth.fill(_FAR_M)
+        self._row_valid = aligned_zeros((height,), np.int32)
+        self._stripes: np.ndarray | None = None
+        self._keep: tuple[np.ndarray, ...] = ()
+        self._disc_samples, self._disc = 0, aligned_zeros((2, _LANES))
+        self.team = new_team()
+        self.task = ShadeTask(width=width, height=height, stride=self._stride, pad_rows=_PAD_ROWS)
+        self.task.depth = self._depth.ctypes.data + 4 * (_PAD_ROWS * self._stride + _PAD_COLUMNS)
+        self.task.row_valid = self._row_valid.ctypes.data
+        self.task.alpha_min = limits.DEPTH_ALPHA_MIN
+        self.task.reach_min_px, self.task.reach_max_px = limits.SHADOW_RADIUS_MIN_PX, limits.SHADOW_RADIUS_MAX_PX
+        self.task.length_eps = limits.SHADOW_LENGTH_EPS
+        self.task.agree, self.task.agree_floor = limits.SHADOW_AGREE, limits.SHADOW_AGREE_FLOOR_M
+        self.task.normal_min2 = limits.SHADOW_NORMAL_MIN2
+
+    def prepare(
+        self,
+        planes: np.ndarray,
+        camera: Camera,
+        style: ShadowStyle | None,
+        *,
+        visibility: np.ndarray | None = None,
+        rgba: np.ndarray | None = None,
+        depth_m: np.ndarray | None = None,
+    ) -> None:
+        """Sets the next picture: its planes (5, H, W), the shadow (None: none) and where results go (None: nowhere).
+
+        visibility: (H, W) · rgba: (H, W, 4) premultiplied · depth_m: (H, W), 0 where there is none; all float32.
+        """
+        task, size = self.task, (self.task.height, self.task.width)
+        task.picture = address(planes, np.float32, "planes", (5, *size))
+        task.visibility = None if visibility is None else address(visibility, np.float32, "visibility", size)
+        task.rgba = None if rgba is None else address(rgba, np.float32, "rgba", (*size, 4))
+        task.depth_out = None if depth_m is None else address(depth_m, np.float32, "depth_m", size)
+        self._keep = tuple(array for array in (planes, visibility, rgba, depth_m) if array is not None)
+        task.fx, task.fy, task.cx, task.cy = camera.fx, camera.fy, camera.cx, camera.cy
+        self._set_style(style)
+        self.team.fill(0)
+
+    def _set_style(self, style: ShadowStyle | None) -> None:
+        task = self.task
+        task.samples = 0 if style is None else style.samples
+        if style is None:
+            task.darkness = (0.0, 0.0, 0.0)
+            return
+        task.darkness = tuple(style.strength * k for k in style.tint)
+        task.radius, task.bias, task.softness, task.gain = style.radius_m, style.bias, style.softness, style.gain
+        padded = -(-style.samples // _LANES) * _LANES
+        if style.samples != self._disc_samples:
+            self._disc_samples, self._disc = style.samples, aligned_zeros((2, padded))
+            self._disc[:, : style.samples] = vogel_disc(style.samples).numpy().T
+            task.disc_x, task.disc_y = self._disc[0].ctypes.data, self._disc[1].ctypes.data
+
+    def run(self, _thread: int = 0) -> None:
+        """The forward pass of the prepared picture; every thread of a team calls it."""
+        self._call.jg_shade(self.team.ctypes.data, ctypes.addressof(self.task))
+
+    def prepare_backward(self, visibility: np.ndarray, darkened: np.ndarray, out: np.ndarray) -> ShadeGradient:
+        """visibility (H, W) of the forward pass, gradient of the darkened colour (3, H, W) -> `out` (5, H, W)."""
+        size = (self.task.height, self.task.width)
+        if self._stripes is None:
+            self._stripes = aligned_zeros((size[0] + 2 * limits.SHADOW_STRIPES * _PAD_ROWS, self._stride))
+        self._keep += (visibility, darkened, out)
+        self.team.fill(0)
+        return ShadeGradient(
+            visibility=address(visibility, np.float32, "visibility", size),
+            darkened=address(darkened, np.float32, "gradient of the darkened colour", (3, *size)),
+            stripes=self._stripes.ctypes.data,
+            out=address(out, np.float32, "gradient", (5, *size)),
+            pad_columns=_PAD_COLUMNS,
+        )
+
+    def run_backward(self, gradient: ShadeGradient) -> None:
+        """The backward pass; every thread of a team calls it with the same prepared gradient."""
+        self._call.jg_shade_backward(self.team.ctypes.data, ctypes.addressof(self.task), ctypes.addressof(gradient))
+
+
+class _NativeShading(torch.autograd.Function):
+    """Planes (5, H, W) float32 -> darkened colour (3, H, W)."""
+
+    @staticmethod
+    def forward(ctx, planes, library, camera, style, threads):
+        height, width = planes.shape[1:]
+        native = NativeShade(library, width, height)
+        visibility = np.empty((height, width), np.float32)
+        native.prepare(planes.numpy(), camera, style, visibility=visibility)
+        shared_pool(threads).run(native.run)
+        ctx.native, ctx.visibility, ctx.threads = native, visibility, threads
+        ctx.save_for_backward(planes)
+        darkness = torch.tensor([style.strength * k for k in style.tint], dtype=torch.float32)
+        return planes[:3] * (1 - darkness[:, None, None] * (1 - torch.from_numpy(visibility)))
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx, gradient):
+        (planes,) = ctx.saved_tensors  # the kernel reads them again: torch checks that nobody changed them
+        out = torch.empty_like(planes)
+        task = ctx.native.prepare_backward(ctx.visibility, gradient.contiguous().numpy(), out.numpy())
+        shared_pool(ctx.threads).run(lambda _thread: ctx.native.run_backward(task))
+        return out, None, None, None, None
+
+
+def darken(
+    planes: torch.Tensor, camera: Camera, style: ShadowStyle, *, library: Library | None = None, threads: int = 0
+) -> torch.Tensor:
+    """The darkened premultiplied colour (3, H, W) of planes (5, H, W): R G B, alpha, sum of weight * z. Differentiable.
+
+    With a `library` and float32 planes by the compiled kernel, else by torch.
+    """
+    if library is None or planes.dtype != torch.float32:
+        return shade(planes[:3].permute(1, 2, 0), planes[3], planes[4], camera, style).permute(2, 0, 1)
+    return _NativeShading.apply(planes.contiguous(), library, camera, style, threads)
