@@ -95,6 +95,18 @@ SHELL_DRAWS_MAX = 1000
 # signed distance that d = 0..1 of the UVD coordinates spans, metres (a fixed range: features must not shift)
 UVD_RANGE_M = 0.010
 
+# ---- template: files of other people -------------------------------------------------------------------------------
+
+# MANO's files have 4 MB and a few thousand operations and 30 MB of numbers; larger ones are not MANO
+PICKLE_BYTES_MAX = 64 * 2**20
+PICKLE_OPERATIONS_MAX = 1_000_000
+PICKLE_ELEMENTS_MAX = 20_000_000
+# records inside records: MANO's deepest is a Select of a Ch of an array
+PICKLE_NESTING_MAX = 10
+# radius of the disk that the wrist cap gets in a UV square, at most; and its part of the free circle there
+CAP_UV_RADIUS_MAX = 0.06
+CAP_UV_FILL = 0.8
+
 # ---- avatar ---------------------------------------------------------------------------------------------------------
 
 # radius of a Gaussian, metres

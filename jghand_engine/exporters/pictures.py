@@ -35,6 +35,14 @@ def straight_rgba8(rgba_premultiplied: np.ndarray) -> np.ndarray:
     return np.concatenate([colour8, alpha8], -1)
 
 
+def premultiplied(straight8: np.ndarray) -> np.ndarray:
+    """(H, W, 3 | 4) uint8 with straight alpha, as `read_png` gives it -> (H, W, 4) premultiplied float32."""
+    values = straight8.astype(np.float32) / 255.0
+    if values.shape[2] == 3:
+        return np.concatenate([values, np.ones_like(values[..., :1])], -1)
+    return np.concatenate([values[..., :3] * values[..., 3:], values[..., 3:]], -1)
+
+
 def flatten(rgba_premultiplied: np.ndarray, background: RGB) -> np.ndarray:
     """(H, W, 4) premultiplied float over an sRGB colour (0..1 each) -> (H, W, 3) uint8."""
     rgba = _checked(rgba_premultiplied)

@@ -14,6 +14,7 @@ from jghand_engine.exporters.pictures import (
     SheetStyle,
     contact_sheet,
     flatten,
+    premultiplied,
     read_png,
     straight_rgba8,
     to_bytes,
@@ -40,9 +41,7 @@ def test_png_holds_straight_colour_and_survives_the_way_through_the_file(tmp_pat
 
 @given(arrays(np.uint8, (2, 3, 4)))
 def test_bytes_survive_premultiplying_and_straightening(straight):
-    rgba = straight.astype(np.float32) / 255
-    rgba[..., :3] *= rgba[..., 3:]
-    back = straight_rgba8(rgba)
+    back = straight_rgba8(premultiplied(straight))
     visible = straight[..., 3] > 0
     assert (back[visible] == straight[visible]).all()
     assert not back[~visible].any()
@@ -54,6 +53,10 @@ def test_flattening_agrees_with_the_formula(alpha, background):
     expected = np.array([0.3, 0.2, 0.1]) * alpha + (1 - alpha) * background
     got = flatten(rgba, (background,) * 3)[0, 0] / 255
     assert np.abs(got - expected).max() <= 0.5 / 255 + 1e-9  # half a step: the rounding
+
+
+def test_a_picture_without_alpha_is_opaque():
+    assert premultiplied(np.full((1, 1, 3), 51, np.uint8))[0, 0].tolist() == pytest.approx([0.2, 0.2, 0.2, 1.0])
 
 
 def test_colour_brighter_than_its_alpha_is_clipped_not_wrapped():

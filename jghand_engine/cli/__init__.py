@@ -1,0 +1,78 @@
+"""The command `jghand`: a thin face on the engine, one module per verb.
+
+A verb is a frozen dataclass whose fields are its options and whose `run` does the work. Heavy modules are imported
+inside `run`, so that help and argument errors come at once.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+from typing import Annotated, Any, Union
+
+import tyro
+
+from jghand_engine import __version__
+from jghand_engine.cli import bench, demo, export, info, render, serve
+from jghand_engine.cli.console import say, say_error
+from jghand_engine.cli.failures import explain
+from jghand_engine.cli.options import ReportOptions
+
+DESCRIPTION = """JGHand: 21 joint positions go in, a photorealistic hand comes out.
+
+Examples:
+  jghand demo --out demo_output                 the whole job, to see what JGHand does
+  jghand render --poses open,fist --out pictures
+  jghand render --help                          all about one command
+  jghand --version"""
+
+VERBS = {
+    "demo": (demo.Demo, demo.DESCRIPTION),
+    "render": (render.Render, render.DESCRIPTION),
+    "export": (export.Export, export.DESCRIPTION),
+    "info": (info.Info, info.DESCRIPTION),
+    "bench": (bench.Bench, bench.DESCRIPTION),
+    "serve": (serve.Serve, serve.DESCRIPTION),
+}
+STYLE = (
+    tyro.conf.OmitArgPrefixes,
+    tyro.conf.OmitSubcommandPrefixes,
+    tyro.conf.FlagCreatePairsOff,
+    tyro.conf.DisallowNone,
+)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs one command and returns its exit code: 0 done, 2 bad input, 3 try again, 4 out of memory, 130 stopped.
+
+    A mistake in the arguments ends by SystemExit(2), as `--help` does by SystemExit(0).
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if words == ["--version"]:
+        say(f"jghand {__version__}")
+        return 0
+    verb: Any = tyro.cli(_parsed_type(words), prog="jghand", description=DESCRIPTION, args=words, config=STYLE)
+    try:
+        return verb.run() or 0
+    except (Exception, KeyboardInterrupt) as error:
+        if _wants_traceback(verb):
+            traceback.print_exc()
+        failure = explain(error)
+        say_error(failure.sentence)
+        return failure.exit_code
+
+
+def _wants_traceback(verb: Any) -> bool:
+    report = getattr(verb, "report", None)
+    return bool(os.environ.get("JGHAND_DEBUG")) or (isinstance(report, ReportOptions) and report.traceback)
+
+
+def _parsed_type(words: Sequence[str]) -> Any:
+    """The union of the verbs. The list of all verbs shows one line of each, the help of one verb its examples too."""
+    alternatives = []
+    for name, (verb, description) in VERBS.items():
+        text = description if words and words[0] == name else description.splitlines()[0]
+        alternatives.append(Annotated[verb, tyro.conf.subcommand(name, description=text)])
+    return Union[tuple(alternatives)]  # noqa: UP007  (made at run time)

@@ -1,0 +1,71 @@
+"""What the command line says: results and tables on standard output, progress and errors on standard error."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+
+from jghand_engine.errors import InputError
+from jghand_engine.files import writing
+
+
+def out() -> Console:
+    """Standard output, looked up anew so that a test can capture it; sentences are not broken at a guessed width."""
+    return Console(highlight=False, soft_wrap=True)
+
+
+def err() -> Console:
+    return Console(stderr=True, highlight=False, soft_wrap=True)
+
+
+def say(text: str = "") -> None:
+    """One line of the result, without reading rich's markup into it."""
+    out().print(text, markup=False)
+
+
+def say_error(text: str) -> None:
+    err().print(text, style="bold red", markup=False)
+
+
+def say_table(title: str, columns: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
+    """A table whose first column is text and whose others are figures."""
+    table = Table(title=title, title_justify="left", title_style="bold", show_edge=False, pad_edge=False)
+    for index, column in enumerate(columns):
+        table.add_column(column, justify="right" if index else "left")
+    for row in rows:
+        table.add_row(*row)
+    # soft wrapping would tear a wide table apart
+    Console(highlight=False).print(table)
+
+
+@contextmanager
+def progress(text: str, total: int) -> Iterator[Progress]:
+    """A bar with one task; call `advance(task_id=0)`. It stands on standard error and vanishes where nobody looks."""
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=err(), transient=False, disable=not err().is_terminal) as bar:
+        bar.add_task(text, total=total)
+        yield bar
+
+
+def write_json(path: Path, content: dict[str, Any]) -> None:
+    """Writes the figures of a command, whole or not at all. NaN becomes an error: JSON has none."""
+    text = json.dumps(content, indent=2, allow_nan=False) + "\n"
+    with writing(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def read_json(path: Path) -> Any:
+    """The content of a JSON file. Raises InputError that names what is wrong."""
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror}", remedy="Check the name.") from error
+    except (UnicodeDecodeError, ValueError) as error:
+        raise InputError(f"{path}", wanted="JSON", came=str(error)) from error

@@ -1,0 +1,176 @@
+"""The demo's motion, and its pictures: through Blender, or by the engine alone."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+
+from jghand_engine import limits
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.cli.camera_file import camera_to_dict
+from jghand_engine.cli.console import progress, write_json
+from jghand_engine.cli.options import BUILTIN_AVATAR
+from jghand_engine.cli.render import Target, render_pictures
+from jghand_engine.cli.timings import Timings
+from jghand_engine.errors import InputError, JGHandError, MemoryLimitError, RetryError
+from jghand_engine.files import make_folder
+from jghand_engine.hand.anatomy import MotionOptions, pose_sequence_of_names
+from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.splat.camera import Camera
+from jghand_engine.splat.frame import HandRenderer
+from jghand_engine.splat.settings import preset
+
+POSES = ("relaxed", "spread", "fist", "point", "ok", "relaxed")
+SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
+# Blender counts frames from 1, so the demo's files do
+FIRST_FRAME, FRAME_NAME = 1, "{:04d}.png"
+
+WITHOUT_BLENDER = (
+    "No --blender-python: the engine renders alone, and there will be no .blend file. "
+    "python scripts/demo.py sets Blender up and includes it."
+)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What is shown: a motion, cameras by name, a preset, an avatar (file or built-in), and the demo's folder."""
+
+    sequence: PoseSequence
+    cameras: dict[str, Camera]
+    preset: str
+    avatar: str
+    out: Path
+
+    @property
+    def blend(self) -> Path:
+        return self.out / "hand.blend"
+
+    def frames(self, camera: str) -> Target:
+        """Where the pictures of a camera are."""
+        return Target(self.out / "frames" / camera, name=FRAME_NAME, first=FIRST_FRAME, text=f"Rendering {camera}")
+
+
+def demo_motion(avatar: HandAvatar) -> PoseSequence:
+    """Named poses while the whole hand sways about its long axis, so that more than one side is seen."""
+    joints = avatar.canonical_joints_m.numpy()
+    options = MotionOptions(fps=limits.DEMO_FPS, move_s=limits.DEMO_MOVE_S, hold_s=limits.DEMO_HOLD_S)
+    sequence = pose_sequence_of_names(POSES, joints, avatar.handedness, options)
+    phase = np.linspace(0, 2 * np.pi, len(sequence))
+    angle_rad = np.radians(limits.DEMO_SWAY_DEG) * np.sin(phase)
+    cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
+    zero, one = np.zeros_like(cosine), np.ones_like(cosine)
+    # about +y, the hand's long axis in the canonical frame
+    turn = np.stack([cosine, zero, sine, zero, one, zero, -sine, zero, cosine], -1).reshape(-1, 1, 3, 3)
+    root_m = sequence.joints_m[:, :1]
+    swayed = (turn @ (sequence.joints_m - root_m)[..., None])[..., 0] + root_m
+    return dataclasses.replace(sequence, joints_m=swayed)
+
+
+def remove_old_frames(scene: Scene) -> None:
+    """Removes pictures of an earlier, perhaps longer, demo: they would end up in the video."""
+    for name in scene.cameras:
+        folder = scene.frames(name).folder
+        for path in folder.glob("*.png") if folder.is_dir() else ():
+            if re.fullmatch(r"\d{4}\.png", path.name):
+                path.unlink()
+
+
+def render_alone(scene: Scene, avatar: HandAvatar) -> Timings:
+    """Renders every camera in this process."""
+    renderer = HandRenderer(avatar, preset(scene.preset))
+    timings = Timings()
+    for name, camera in scene.cameras.items():
+        target = scene.frames(name)
+        make_folder(target.folder)
+        for _ in render_pictures(renderer, scene.sequence.joints_m, camera, target, timings):
+            pass
+    return timings
+
+
+@dataclass(frozen=True)
+class Blender:
+    """Blender's side, in its own Python: it never meets torch, and this process never meets bpy."""
+
+    python: Path
+
+    def build(self, scene: Scene) -> None:
+        """Makes the .blend file: the rigged armature with the motion on it, and the cameras."""
+        cameras = scene.out / "cameras.json"
+        write_json(cameras, {name: camera_to_dict(camera) for name, camera in scene.cameras.items()})
+        self._run("build_demo_scene.py", ["--motion", scene.out / "motion.npz", "--cameras", cameras,
+                                          "--out", scene.blend])  # fmt: skip
+
+    def render(self, scene: Scene) -> Timings:
+        """Renders every camera of the .blend file: joints from Blender, pictures from an engine process."""
+        with tempfile.TemporaryDirectory() as folder:
+            report = Path(folder) / "report.json"
+            arguments: list[str | Path] = [
+                scene.blend, "--camera", ",".join(scene.cameras), "--out", scene.out / "frames", "--preset",
+                scene.preset, "--overwrite", "--report", report, "--engine-python", sys.executable,
+            ]  # fmt: skip
+            if scene.avatar != BUILTIN_AVATAR:
+                arguments += ["--avatar", Path(scene.avatar).resolve()]
+            total = len(scene.sequence) * len(scene.cameras)
+            with progress("Rendering in Blender", total) as bar:
+                self._run("render_blend.py", arguments, on_line=lambda line: _advance(bar, line))
+            return _timings_of(json.loads(report.read_text(encoding="utf-8")))
+
+    def _run(
+        self, script: str, arguments: list[str | Path], on_line: Callable[[str], None] = lambda line: None
+    ) -> None:
+        """Runs one of the project's scripts in Blender's Python. Its exit code decides the kind of error."""
+        path = SCRIPTS / script
+        if not self.python.is_file():
+            raise InputError(f"--blender-python {self.python}", wanted="a Python that has bpy", came="no such file")
+        if not path.is_file():
+            raise InputError(f"cannot find {path}", remedy="Blender's part needs the project's checkout.")
+        with tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace") as log:
+            command = [str(self.python), str(path), *map(str, arguments)]
+            process = subprocess.Popen(
+                command, stdout=subprocess.PIPE, stderr=log, text=True, encoding="utf-8", errors="replace"
+            )
+            try:
+                assert process.stdout is not None
+                for line in process.stdout:
+                    on_line(line)
+                code = process.wait()
+            finally:
+                process.kill()
+            if code:
+                raise _failure(script, code, log)
+
+
+def _advance(bar: Any, line: str) -> None:
+    if line.startswith("frame "):
+        bar.advance(bar.task_ids[0])
+
+
+def _failure(script: str, code: int, log: IO[str]) -> JGHandError:
+    log.seek(0)
+    lines = [line for line in log.read().splitlines() if line.strip()]
+    kinds: dict[int, type[JGHandError]] = {2: InputError, 4: MemoryLimitError}
+    return kinds.get(code, RetryError)(f"{script} failed", came=lines[-1] if lines else f"exit code {code}")
+
+
+def _timings_of(report: dict[str, Any]) -> Timings:
+    """The engine's stages, and what Blender and the way between the processes add to a picture."""
+    timings = Timings()
+    for picture in report["pictures"]:
+        if picture["skipped"]:
+            continue
+        engine_ms = 0.0
+        for frame in picture["reports"]:
+            timings.add(frame)
+            engine_ms += frame["total_ms"]
+        timings.add_ms("transport and PNG", picture["milliseconds"] - engine_ms)
+    return timings

@@ -1,0 +1,52 @@
+"""Errors as the command line shows them: one sentence, one exit code.
+
+0 done · 1 a fault of JGHand · 2 bad input · 3 try again · 4 out of memory · 130 stopped by the user
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from jghand_engine.errors import InputError, JGHandError, MemoryLimitError, RetryError, is_out_of_memory
+from jghand_engine.files import file_error
+
+FAULT, STOPPED = 1, 130
+
+
+@dataclass(frozen=True)
+class Failure:
+    """What to say and how to end."""
+
+    sentence: str
+    exit_code: int
+
+
+def explain(error: BaseException) -> Failure:
+    """The sentence and the exit code of whatever ended a command."""
+    if isinstance(error, KeyboardInterrupt):
+        return Failure("Stopped.", STOPPED)
+    if isinstance(error, JGHandError):
+        return Failure(str(error), error.exit_code)
+    if is_out_of_memory(error):
+        return explain(
+            MemoryLimitError(
+                "there is not enough memory for this", remedy="Choose a smaller --size or the preset draft."
+            )
+        )
+    if isinstance(error, OSError):
+        return explain(_of_the_system(error))
+    return Failure(
+        f"JGHand failed: {type(error).__name__}: {error}. This should not happen: run it again with --traceback and "
+        "report what it prints.",
+        FAULT,
+    )
+
+
+def _of_the_system(error: OSError) -> JGHandError:
+    """An OSError that no one closer to it explained."""
+    if isinstance(error, FileNotFoundError) and error.filename:
+        return InputError(f"cannot find {error.filename}", remedy="Check the name.")
+    if error.filename:
+        return file_error(Path(str(error.filename)), error)
+    return RetryError(f"the system refused: {error.strerror or error}", remedy="Try again.")

@@ -1,0 +1,141 @@
+"""`jghand info`: what is inside an avatar, a motion or a USD file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+import tyro
+
+from jghand_engine.cli.console import say, write_json
+from jghand_engine.cli.options import BUILTIN_AVATAR, FormatOptions, ReportOptions
+from jghand_engine.errors import InputError
+
+DESCRIPTION = """Say what is inside an avatar, a motion or a USD file.
+
+Examples:
+  jghand info hand.jghand
+  jghand info builtin
+  jghand info capture.npy --order mediapipe --hand right
+  jghand info demo_output/usd/hand.usda"""
+
+MOTION_SUFFIXES = (".npz", ".npy", ".json", ".csv")
+USD_SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")
+
+
+@dataclass(frozen=True)
+class Info:
+    file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
+    """A .jghand avatar (or the word builtin), a motion (.npz, .npy, .json, .csv) or a USD file."""
+    format: FormatOptions = field(default_factory=FormatOptions)
+    report: ReportOptions = field(default_factory=ReportOptions)
+
+    def run(self) -> None:
+        facts = self._facts()
+        width = max(len(name) for name in facts)
+        for name, value in facts.items():
+            say(f"{name.replace('_', ' '):<{width}}  {_text(value)}")
+        if self.report.json is not None:
+            write_json(self.report.json, {"command": "info", "file": self.file, **facts})
+
+    def _facts(self) -> dict[str, Any]:
+        if self.file == BUILTIN_AVATAR:
+            return avatar_facts(self.file)
+        path = Path(self.file)
+        if not path.is_file():
+            raise InputError(f"cannot find {path}", remedy="Check the name.")
+        suffix = path.suffix.lower()
+        if suffix == ".jghand":
+            facts = avatar_facts(self.file)
+        elif suffix in MOTION_SUFFIXES:
+            facts = motion_facts(path, self.format)
+        elif suffix in USD_SUFFIXES:
+            facts = usd_facts(path)
+        else:
+            wanted = ", ".join((".jghand", *MOTION_SUFFIXES, *USD_SUFFIXES))
+            raise InputError(f"{path}", wanted=f"a file of the kind {wanted}", came=suffix or "no suffix")
+        return {**facts, "bytes": path.stat().st_size}
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, dict):
+        return ", ".join(f"{name} {_text(entry)}" for name, entry in value.items()) or "none"
+    if isinstance(value, list):
+        return ", ".join(_text(entry) for entry in value) or "none"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+def avatar_facts(avatar: str) -> dict[str, Any]:
+    """What an avatar is; reading it checks every value."""
+    from jghand_engine.cli.inputs import load_hand
+    from jghand_engine.hand.orders import hand_length
+
+    loaded = load_hand(avatar)
+    extent_m = loaded.position_m.amax(0) - loaded.position_m.amin(0)
+    return {
+        "kind": "avatar",
+        "name": loaded.info.name,
+        "template": loaded.info.template,
+        "licence": loaded.info.licence,
+        "gaussians": len(loaded),
+        "radius_mm": {
+            "smallest": 1e3 * float(loaded.sigma_m.min()),
+            "median": 1e3 * float(loaded.sigma_m.median()),
+            "largest": 1e3 * float(loaded.sigma_m.max()),
+        },
+        "size_mm": [1e3 * float(edge) for edge in extent_m],
+        "hand_length_mm": 1e3 * hand_length(loaded.canonical_joints_m.numpy()),
+        "conventions": {"swing": loaded.info.swing, "scale": loaded.info.scale_mode},
+        "angles_seen_in_training": len(loaded.info.pose_statistics),
+    }
+
+
+def motion_facts(path: Path, options: FormatOptions) -> dict[str, Any]:
+    """What a motion is: length, hand, gaps, and how much its bones wobble."""
+    import numpy as np
+
+    from jghand_engine.cli.inputs import read_sequence
+    from jghand_engine.hand.orders import hand_length
+
+    sequence = read_sequence(path, options)
+    lengths_m = sequence.bone_lengths_m
+    return {
+        "kind": "motion",
+        "hand": str(sequence.handedness),
+        "frames": len(sequence),
+        "fps": sequence.fps,
+        "seconds": sequence.duration_s,
+        "frames_with_missing_joints": len(sequence.gaps.frames),
+        "hand_length_mm": 1e3 * hand_length(sequence.joints_m),
+        "bone_length_wobble_mm": 1e3 * float(np.nanmax(np.nanstd(lengths_m, axis=0))),
+    }
+
+
+def usd_facts(path: Path) -> dict[str, Any]:
+    """What a USD stage holds: times, units, variants, and how many prims of each type."""
+    from collections import Counter
+
+    from pxr import Tf, Usd, UsdGeom
+
+    try:
+        stage = Usd.Stage.Open(str(path))
+    except Tf.ErrorException as error:
+        raise InputError(f"{path}", wanted="a USD file", came=str(error).strip().splitlines()[-1]) from error
+    types = Counter(prim.GetTypeName() or "untyped" for prim in stage.TraverseAll())
+    variants = {
+        f"{prim.GetPath()} {name}": prim.GetVariantSets().GetVariantSet(name).GetVariantNames()
+        for prim in stage.TraverseAll()
+        for name in prim.GetVariantSets().GetNames()
+    }
+    return {
+        "kind": "usd",
+        "default_prim": str(stage.GetDefaultPrim().GetPath()) if stage.HasDefaultPrim() else "none",
+        "frames": [stage.GetStartTimeCode(), stage.GetEndTimeCode()],
+        "fps": stage.GetTimeCodesPerSecond(),
+        "metres_per_unit": UsdGeom.GetStageMetersPerUnit(stage),
+        "up_axis": str(UsdGeom.GetStageUpAxis(stage)),
+        "prims": dict(sorted(types.items())),
+        "variants": {name: list(names) for name, names in variants.items()},
+        "layers": sorted(Path(layer.realPath or layer.identifier).name for layer in stage.GetUsedLayers()),
+    }

@@ -1,0 +1,79 @@
+"""From options to data: the motion and the avatar that a command works on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from jghand_engine import limits
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.builtin import load_builtin
+from jghand_engine.avatar.file import load_avatar
+from jghand_engine.cli.options import BUILTIN_AVATAR, FormatOptions, MotionOptions
+from jghand_engine.datasets.motion_files import MotionFormat, read_motion
+from jghand_engine.errors import InputError
+from jghand_engine.hand.anatomy import MotionOptions as PoseMotionOptions
+from jghand_engine.hand.anatomy import pose_sequence_of_names
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.orders import JointOrder
+from jghand_engine.hand.sequence import PoseSequence
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A whole, steady motion, and what was done to make it so (sentences for people)."""
+
+    sequence: PoseSequence
+    source: str
+    notes: list[str] = field(default_factory=list)
+
+
+def load_motion(options: MotionOptions, avatar: HandAvatar) -> Motion:
+    """Reads or makes the motion and repairs it as the options say; named poses take the bone lengths of `avatar`.
+
+    Raises InputError.
+    """
+    if (options.motion is None) == (options.poses is None):
+        raise InputError("motion", wanted="either --motion FILE or --poses NAME,NAME,…", came="both or none")
+    if options.motion is not None:
+        sequence, source = read_sequence(options.motion, options.format), str(options.motion)
+    else:
+        sequence, source = _from_names(str(options.poses), options.format, avatar), f"poses {options.poses}"
+    part = options.frame_slice()
+    sequence = sequence.section(part.start, part.stop, part.step)
+    notes = []
+    if sequence.gaps:
+        if options.on_missing == "stop":
+            sequence.without_gaps()
+        notes.append(f"{sequence.gaps.sentence()}: the last whole pose was held.")
+        sequence = sequence.with_gaps_held()
+    if not options.keep_bone_lengths:
+        wobble_m = sequence.bone_lengths_m.std(0).max()
+        if wobble_m > 1e-4:
+            notes.append(
+                f"Bone lengths varied by up to {1e3 * wobble_m:.1f} mm (standard deviation): every bone keeps its "
+                "median length (--keep-bone-lengths follows the file)."
+            )
+        sequence = sequence.with_constant_bone_lengths()
+    return Motion(sequence, source, notes)
+
+
+def read_sequence(path: Path, options: FormatOptions) -> PoseSequence:
+    """The motion of a file, as it is. Raises InputError."""
+    # a plain array declares nothing; metres may be assumed because another unit does not pass as a hand
+    unit = options.unit or ("m" if path.suffix.lower() == ".npy" else None)
+    order = None if options.order is None else JointOrder(options.order)
+    hand = None if options.hand is None else Handedness(options.hand)
+    return read_motion(path, MotionFormat(order=order, unit=unit, handedness=hand, fps=options.fps))
+
+
+def _from_names(names: str, options: FormatOptions, avatar: HandAvatar) -> PoseSequence:
+    listed = [name.strip() for name in names.split(",") if name.strip()]
+    motion = PoseMotionOptions(fps=options.fps or limits.DEFAULT_FPS)
+    hand = Handedness(options.hand or Handedness.RIGHT)
+    return pose_sequence_of_names(listed, avatar.canonical_joints_m.numpy(), hand, motion)
+
+
+def load_hand(avatar: str) -> HandAvatar:
+    """The avatar of a file, or the built-in one."""
+    return load_builtin(handedness=Handedness.RIGHT) if avatar == BUILTIN_AVATAR else load_avatar(Path(avatar))

@@ -1,0 +1,125 @@
+"""Options that several commands share. The docstring of a field is its line in `--help`.
+
+Nothing heavy is imported here: `jghand --help` must answer at once.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
+
+import tyro
+
+from jghand_engine.errors import InputError
+
+BUILTIN_AVATAR = "builtin"
+
+OrderName = Literal["standard", "openpose", "mediapipe", "mano21", "interhand", "mano16_tips", "openxr", "level"]
+UnitName = Literal["m", "cm", "mm"]
+HandName = Literal["right", "left"]
+PresetName = Literal["draft", "viewport", "final", "reference"]
+CameraName = Literal["quarter", "front", "back", "side", "outside", "top", "quarter-back"]
+# an option that may be left out, shown without "(default: None)"
+File = Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")]
+
+
+@dataclass(frozen=True)
+class ReportOptions:
+    """Reporting"""
+
+    json: File = None
+    """Also write the figures to this file."""
+    traceback: bool = False
+    """After an error show where in the program it happened (also: JGHAND_DEBUG=1)."""
+
+
+@dataclass(frozen=True)
+class FormatOptions:
+    """How a motion file is to be read. What the file says itself may be left out; a .npy says nothing."""
+
+    order: Annotated[OrderName | None, tyro.conf.arg(help_behavior_hint="")] = None
+    """How the file lists the joints. standard, openpose, mediapipe and mano21 are the same."""
+    unit: Annotated[UnitName | None, tyro.conf.arg(help_behavior_hint="")] = None
+    """Length unit of the file. A .npy is taken for metres."""
+    hand: Annotated[HandName | None, tyro.conf.arg(help_behavior_hint="")] = None
+    """Which hand it is. Never guessed: joints alone do not tell."""
+    fps: Annotated[float | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="")] = None
+    """Frames per second. Left out: 30."""
+
+
+@dataclass(frozen=True)
+class MotionOptions:
+    """Which hand does what."""
+
+    motion: File = None
+    """Joint positions over time: .npz, .npy, .json or .csv, 21 joints per frame."""
+    poses: Annotated[str | None, tyro.conf.arg(metavar="NAME,NAME,…", help_behavior_hint="")] = None
+    """Instead of a file: poses by name, with smooth ways between them, such as open,fist,point."""
+    format: FormatOptions = field(default_factory=FormatOptions)
+    frames: Annotated[str, tyro.conf.arg(metavar="FIRST:LAST[:STEP]", help_behavior_hint="(default: all)")] = ":"
+    """Only these frames, counted from 0, the last one included."""
+    keep_bone_lengths: bool = False
+    """Follow the bone lengths of every frame. Else each bone keeps its median, as estimates wobble and would pulse."""
+    on_missing: Literal["hold", "stop"] = "hold"
+    """A frame without some joint (NaN): hold the last whole pose and say how often, or stop with an error."""
+
+    def frame_slice(self) -> slice:
+        """`frames` as a slice. Raises InputError."""
+        match = re.fullmatch(r"(\d*)(?::(\d*)(?::(\d+))?)?", self.frames.strip())
+        if not match or not self.frames.strip():
+            raise InputError("--frames", wanted="FIRST:LAST or FIRST:LAST:STEP, such as 0:99", came=repr(self.frames))
+        first = int(match[1] or 0)
+        if ":" not in self.frames:
+            return slice(first, first + 1, 1)
+        return slice(first, int(match[2]) + 1 if match[2] else None, int(match[3] or 1))
+
+
+@dataclass(frozen=True)
+class AvatarOptions:
+    """Which hand is shown."""
+
+    avatar: Annotated[str, tyro.conf.arg(metavar="FILE")] = BUILTIN_AVATAR
+    """A .jghand file, or the hand that comes with JGHand."""
+
+
+@dataclass(frozen=True)
+class PictureOptions:
+    """How the pictures are made."""
+
+    camera: CameraName = "quarter"
+    """Side that is seen: front is the palm, side the thumb's, outside the little finger's, top the finger tips."""
+    camera_file: File = None
+    """Instead: a pinhole camera as JSON (width, height, fx, fy, cx, cy, camera_from_world), as --out holds one."""
+    size: Annotated[str, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = "512x334"
+    """Pixels."""
+    preset: PresetName = "final"
+    """Accuracy against time."""
+    background: Annotated[str, tyro.conf.arg(metavar="COLOUR")] = "transparent"
+    """transparent, or a colour such as #e8e6e3. A video has no transparency: there it is a light grey."""
+    threads: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
+    """Threads of the renderer; 0 chooses."""
+
+    def background_rgb(self) -> tuple[float, float, float] | None:
+        """sRGB 0..1, None for transparent. Raises InputError."""
+        if self.background == "transparent":
+            return None
+        return colour(self.background)
+
+
+def colour(text: str) -> tuple[float, float, float]:
+    """`#rrggbb` as sRGB 0..1. Raises InputError."""
+    match = re.fullmatch(r"#?([0-9a-fA-F]{2})([0-9a-fA-F]{2})([0-9a-fA-F]{2})", text.strip())
+    if not match:
+        raise InputError("--background", wanted="transparent or a colour as #rrggbb", came=repr(text))
+    red, green, blue = (int(part, 16) / 255 for part in match.groups())
+    return red, green, blue
+
+
+def pixels(text: str) -> tuple[int, int]:
+    """`WIDTHxHEIGHT` as (width, height). Raises InputError."""
+    match = re.fullmatch(r"(\d{1,5})[xX](\d{1,5})", text.strip())
+    if not match or not all(int(edge) for edge in match.groups()):
+        raise InputError("--size", wanted="WIDTHxHEIGHT in pixels, such as 512x334", came=repr(text))
+    return int(match[1]), int(match[2])

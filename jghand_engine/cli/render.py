@@ -1,0 +1,135 @@
+"""`jghand render`: a motion becomes numbered PNG pictures with alpha, and a video if asked for."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import tyro
+
+from jghand_engine.cli.console import progress, say, write_json
+from jghand_engine.cli.options import AvatarOptions, File, MotionOptions, PictureOptions, ReportOptions, pixels
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    import numpy as np
+
+    from jghand_engine.cli.inputs import Motion
+    from jghand_engine.cli.timings import Timings
+    from jghand_engine.splat.camera import Camera
+    from jghand_engine.splat.frame import HandRenderer
+
+DESCRIPTION = """Render a motion as numbered PNG pictures with alpha, and as a video if you name one.
+
+Examples:
+  jghand render --poses open,fist,point --hand right --out pictures --video hand.mp4
+  jghand render --motion capture.npy --order mediapipe --hand right --fps 30 --out pictures
+  jghand render --motion wave.npz --camera front --size 1024x1024 --frames 0:99 --out pictures"""
+
+# what a transparent picture lies on in a video
+VIDEO_BACKGROUND = (0.91, 0.90, 0.89)
+
+
+@dataclass(frozen=True)
+class Render:
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
+    """Where frame_00000.png and so on, and camera.json, are written."""
+    video: File = None
+    """Also write an MP4 video to this file."""
+    motion: MotionOptions = field(default_factory=MotionOptions)
+    avatar: AvatarOptions = field(default_factory=AvatarOptions)
+    picture: PictureOptions = field(default_factory=PictureOptions)
+    report: ReportOptions = field(default_factory=ReportOptions)
+
+    def run(self) -> None:
+        from dataclasses import replace
+
+        from jghand_engine.cli.camera_file import camera_to_dict
+        from jghand_engine.cli.inputs import load_hand, load_motion
+        from jghand_engine.cli.timings import Timings
+        from jghand_engine.exporters.video import ffmpeg_program
+        from jghand_engine.files import make_folder
+        from jghand_engine.splat.frame import HandRenderer
+        from jghand_engine.splat.settings import preset
+
+        # what can be refused is refused before anything is written
+        size, background = pixels(self.picture.size), self.picture.background_rgb()
+        if self.video is not None:
+            ffmpeg_program()
+        avatar = load_hand(self.avatar.avatar)
+        motion = load_motion(self.motion, avatar)
+        avatar = avatar.for_hand(motion.sequence.handedness)
+        for note in motion.notes:
+            say(note)
+        camera = self._camera(motion, size)
+        renderer = HandRenderer(avatar, replace(preset(self.picture.preset), threads=self.picture.threads))
+        make_folder(self.out)
+        timings = Timings()
+        started = time.perf_counter()
+        write_json(self.out / "camera.json", camera_to_dict(camera))
+        pictures = render_pictures(renderer, motion.sequence.joints_m, camera, Target(self.out, background), timings)
+        if self.video is not None:
+            from jghand_engine.exporters.video import write_video
+
+            write_video(self.video, pictures, motion.sequence.fps)
+        else:
+            for _ in pictures:
+                pass
+        seconds = time.perf_counter() - started
+        timings.show(f"{timings.frames} pictures of {camera.width} x {camera.height}, {len(avatar)} Gaussians")
+        say(f"Done in {seconds:.1f} s: {self.out}" + (f" and {self.video}" if self.video else ""))
+        if self.report.json is not None:
+            write_json(self.report.json, {
+                "command": "render", "motion": motion.source, "notes": motion.notes, "avatar": avatar.info.name,
+                "frames": timings.frames, "size_px": [camera.width, camera.height], "preset": self.picture.preset,
+                "seconds": seconds, "stages": timings.figures(),
+            })  # fmt: skip
+
+    def _camera(self, motion: Motion, size: tuple[int, int]) -> Camera:
+        if self.picture.camera_file is not None:
+            from jghand_engine.cli.camera_file import read_camera
+
+            return read_camera(self.picture.camera_file)
+        from jghand_engine.cli.framing import framing_camera
+
+        sequence = motion.sequence
+        return framing_camera(
+            sequence.joints_m, sequence.handedness, self.picture.camera, width=size[0], height=size[1]
+        )
+
+
+@dataclass(frozen=True)
+class Target:
+    """Where pictures go. background: sRGB 0..1 that they are laid on, None keeps them transparent · name: pattern of
+    the files, filled with the frame's number · first: number of the first frame · text: of the progress bar."""
+
+    folder: Path
+    background: tuple[float, float, float] | None = None
+    name: str = "frame_{:05d}.png"
+    first: int = 0
+    text: str = "Rendering"
+
+    def path(self, index: int) -> Path:
+        return self.folder / self.name.format(self.first + index)
+
+
+def render_pictures(
+    renderer: HandRenderer, joints_m: np.ndarray, camera: Camera, target: Target, timings: Timings
+) -> Iterator[np.ndarray]:
+    """Renders (F, 21, 3) level-order joints, writes every frame's PNG, and yields the frame as (H, W, 3) uint8 on a
+    background, as a video wants it."""
+    from jghand_engine.exporters.pictures import flatten, write_png
+
+    with progress(target.text, len(joints_m)) as bar:
+        for index, pose_m in enumerate(joints_m):
+            frame = renderer.render(pose_m, camera)
+            timings.add(frame.report.as_dict())
+            flat = flatten(frame.rgba, target.background or VIDEO_BACKGROUND)
+            started = time.perf_counter()
+            write_png(target.path(index), frame.rgba if target.background is None else flat)
+            timings.add_ms("writing the PNG", 1e3 * (time.perf_counter() - started))
+            bar.advance(bar.task_ids[0])
+            yield flat
