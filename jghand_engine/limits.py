@@ -43,7 +43,7 @@ HAND_LENGTH_MIN_M = 0.06
 HAND_LENGTH_MAX_M = 0.40
 # path index-middle-ring-pinky knuckle over the direct way: a hand's arch gives 1.05, two swapped fingers 1.6 and more
 KNUCKLE_DETOUR_MAX = 1.35
-# place of a metacarpal's base on the line wrist to knuckle, for OpenXR, which lists it (0.33 to 0.37 in the rig that the
+# place of a metacarpal's base on the line wrist to knuckle, which OpenXR lists (0.33 to 0.37 in the rig that the
 # template comes from)
 OPENXR_METACARPAL_PART = 0.34
 # frames per second of a motion: outside this range it is most likely a frame count or milliseconds
