@@ -6,7 +6,8 @@ radius r_i and a stretch s_i along the bone. So the skeleton has, in this order,
 * 21 **control** joints, named as everywhere. Rotation = frame of the bone that *starts* at the joint (the wrist has the
   palm's, a tip the last bone's), translation = bone length, scale 1, which therefore never inherits down a chain;
 * 21 **skin** leaves, one per bone matrix, which carry the scale. `wrist/index1/index2_skin` moves the segment that
-  *ends* at index2 and sits at its start, index1; `wrist/palm_skin` is B_0. Only these and the next have skin weights;
+  *ends* at index2, where it sits (B_i maps both ends exactly, so either end can be the pivot, and at the far one
+  Blender draws bones in their true length); `wrist/palm_skin` is B_0. Only these and the next have skin weights;
 * 21 **fine** leaves beside them. UsdSkel stores scales as half, 11 bits: 0.04 mm at the end of a metacarpal. A fixed
   share FINE_SHARE of every weight goes to a twin whose scale is overdrawn by the rounding error of the first:
   (1 - share) coarse + share fine = the scale to 19 bits. A sum with fixed weights stays right between samples, and a
@@ -147,10 +148,8 @@ def _world(joints_m: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, np.ndarr
     """World rotations (F, 63, 3, 3) and positions (F, 63, 3) of all joints."""
     level = list(LEVEL_OF_STANDARD)
     starts = [0 if bone == 0 else bone + 5 if bone <= 15 else bone for bone in level]
-    pivots = [max(PARENTS[bone], 0) for bone in level]
     rotations = np.concatenate([axes[:, starts], axes[:, level], axes[:, level]], axis=1)
-    positions = np.concatenate([joints_m[:, level], joints_m[:, pivots], joints_m[:, pivots]], axis=1)
-    return rotations, positions
+    return rotations, np.concatenate([joints_m[:, level]] * 3, axis=1)
 
 
 def _local(rotations: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -7,8 +7,10 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
+from jghand_engine.avatar.skinning import pose_gaussians
 from jghand_engine.hand.joints import PARENTS, Handedness
 from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.hand.transform import JointTransform
 from jghand_engine.template.builtin import load_template
 
 FPS = 30.0
@@ -57,3 +59,27 @@ def lively_motion(handedness: Handedness, frames: int = 40, *, length_change: fl
     if handedness is Handedness.LEFT:
         joints_m = joints_m * [-1, 1, 1]
     return PoseSequence(joints_m, FPS, handedness)
+
+
+def engine_mesh(sequence: PoseSequence, scale_mode: str = "axial") -> np.ndarray:
+    """(F, V, 3) the vertices of the built-in hand as the engine skins them, metres, float64; a left hand's are the
+    mirrored template's."""
+    template = load_template()
+    transform = JointTransform(
+        torch.tensor(template.joints_m), handedness=sequence.handedness, scale_mode=scale_mode
+    )  # fmt: skip
+    matrices = transform.bones(torch.tensor(sequence.joints_m)).matrices().numpy()
+    blended = np.einsum("vi,fiab->fvab", template.bone_weights, matrices)
+    return np.einsum("fvab,vb->fva", blended[..., :3], template.vertices_m) + blended[..., 3]
+
+
+def engine_gaussians(avatar: HandAvatar, sequence: PoseSequence) -> tuple[np.ndarray, np.ndarray]:
+    """(F, N, 3) centres and (F, N) radii as the engine poses them, metres, in float64."""
+    transform = JointTransform(
+        avatar.canonical_joints_m, handedness=sequence.handedness, scale_mode=avatar.info.scale_mode
+    )
+    frames = [pose_gaussians(avatar, transform.bones(torch.tensor(joints))) for joints in sequence.joints_m]
+    return (
+        np.stack([frame.position_m.numpy() for frame in frames]),
+        np.stack([frame.sigma_m.numpy() for frame in frames]),
+    )

@@ -1,0 +1,41 @@
+"""Run by the engine's Python: writes a stage and what the engine says about it, for `test_usd_import`.
+
+usage: python usd_for_blender.py FOLDER VARIANT HANDEDNESS
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "exporters"))
+
+from usd_samples import engine_gaussians, engine_mesh, lively_motion, small_avatar
+
+from jghand_engine.exporters.colour import srgb_to_linear
+from jghand_engine.exporters.usd import UsdOptions, export_usd
+from jghand_engine.exporters.usd_stage import Variant
+from jghand_engine.hand.joints import LEVEL_NAMES, Handedness
+
+
+def main(folder: Path, variant: Variant, handedness: Handedness) -> None:
+    avatar, motion = small_avatar(), lively_motion(handedness, frames=12)
+    export_usd(folder, avatar, motion, [], UsdOptions(default_variant=variant, sizes="per_frame"))
+    centres, radii = engine_gaussians(avatar, motion)
+    np.savez(
+        folder / "truth.npz",
+        centres=centres,
+        radii=radii,
+        linear_rgb=srgb_to_linear(avatar.rgb.numpy()),
+        opacity=avatar.opacity.numpy(),
+        mesh=engine_mesh(motion),
+        joints=motion.joints_m,
+        names=np.array(LEVEL_NAMES),
+        fps=motion.fps,
+    )
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]), Variant(sys.argv[2]), Handedness(sys.argv[3]))

@@ -1,0 +1,367 @@
+"""The exported stage holds what the engine computes, in every variant, for both hands."""
+
+import numpy as np
+import pytest
+import torch
+from pxr import Gf, Tf, Usd, UsdGeom, UsdSkel, UsdUtils, Vt
+from usd_samples import FPS, engine_gaussians, engine_mesh, lively_motion, small_avatar
+
+from jghand_engine.errors import InputError, RetryError
+from jghand_engine.exporters import usd as usd_module
+from jghand_engine.exporters.usd import UsdOptions, export_usd
+from jghand_engine.exporters.usd_check import check_usd
+from jghand_engine.exporters.usd_stage import Variant
+from jghand_engine.hand.joints import LEVEL_NAMES, Handedness
+from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.splat.camera import Camera
+
+FRAMES = 40
+HARMONICS = "radiance:sphericalHarmonicsCoefficients"
+DEFAULT = Usd.TimeCode.Default()
+
+
+def some_cameras() -> dict[str, Camera]:
+    """One looking at the hand, one with a shifted principal point, unequal focal lengths and a roll."""
+    front = Camera.looking_at(
+        torch.tensor([0.1, 0.2, 0.6]),
+        torch.zeros(3),
+        torch.tensor([0.0, 1.0, 0.0]),
+        width=512,
+        height=334,
+        focal_px=700,
+    )
+    odd = Camera.looking_at(
+        torch.tensor([-0.4, -0.1, 0.5]),
+        torch.zeros(3),
+        torch.tensor([0.4, 1.0, 0.1]),
+        width=334,
+        height=512,
+        focal_px=1,
+    )
+    return {"front": front, "odd": Camera(334, 512, 610.0, 583.0, 121.5, 300.25, odd.camera_from_world)}
+
+
+@pytest.fixture(autouse=True)
+def no_usd_warnings():
+    """Any warning of USD fails the test: a dropped relationship is only ever warned about."""
+    delegate = UsdUtils.CoalescingDiagnosticDelegate()
+    yield
+    warnings = [item.commentary for item in delegate.TakeUncoalescedDiagnostics()]
+    assert not warnings
+
+
+@pytest.fixture(scope="module", params=list(Handedness))
+def export(request, tmp_path_factory):
+    """(report, avatar, motion) of each hand."""
+    avatar, motion = small_avatar(), lively_motion(request.param, FRAMES)
+    folder = tmp_path_factory.mktemp(str(request.param))
+    return export_usd(folder, avatar, motion, some_cameras()), avatar, motion
+
+
+def opened(report, variant: Variant) -> Usd.Stage:
+    stage = Usd.Stage.Open(str(report.stage))
+    stage.SetEditTarget(stage.GetSessionLayer())
+    stage.GetDefaultPrim().GetVariantSet("representation").SetVariantSelection(variant)
+    return stage
+
+
+def values(report, variant: Variant, path: str, name: str, times=(DEFAULT,)) -> np.ndarray:
+    """One attribute at each time, stacked; a prim does not outlive its stage, so numbers are what leaves here."""
+    stage = opened(report, variant)
+    attr = stage.GetPrimAtPath(path).GetAttribute(name)
+    return np.stack([np.array(attr.Get(time)) for time in times])
+
+
+def skinned_mesh(stage: Usd.Stage, times: list[float]) -> np.ndarray:
+    """(F, V, 3) the mesh as UsdSkel moves it."""
+    cache = UsdSkel.Cache()
+    cache.Populate(UsdSkel.Root(stage.GetPrimAtPath("/Hand/Rig")), Usd.PrimDefaultPredicate)
+    mesh = stage.GetPrimAtPath("/Hand/Rig/Mesh")
+    skinning = cache.GetSkinningQuery(mesh)
+    skeleton = cache.GetSkelQuery(UsdSkel.Skeleton(stage.GetPrimAtPath("/Hand/Rig/Skeleton")))
+    result = []
+    for time in times:
+        points = Vt.Vec3fArray(mesh.GetAttribute("points").Get())
+        assert skinning.ComputeSkinnedPoints(skeleton.ComputeSkinningTransforms(time), points, time)
+        result.append(np.array(points))
+    return np.stack(result)
+
+
+def test_nothing_is_found_in_any_variant_or_in_the_shot(export):
+    report = export[0]
+    assert [str(finding) for path in (report.stage, report.shot) for finding in check_usd(path)] == []
+
+
+def test_every_layer_alone_is_sound(export):
+    report = export[0]
+    for layer in ("hand.rig.usdc", "hand.splats.usdc"):
+        assert [str(finding) for finding in check_usd(report.stage.parent / layer)] == []
+
+
+def test_splats_and_points_are_where_the_engine_puts_them(export):
+    report, avatar, motion = export
+    truth, _ = engine_gaussians(avatar, motion)
+    for variant, path, name in ((Variant.SPLATS, "Splats", "positions"), (Variant.POINTS, "Points", "points")):
+        stage = opened(report, variant)
+        assert stage.GetPrimAtPath(f"/Hand/{path}").GetAttribute(name).GetTimeSamples() == list(range(FRAMES))
+        read = values(report, variant, f"/Hand/{path}", name, range(FRAMES))
+        # worst observed 1.2e-7 m, float32 against float64; 1e-6 m is wanted
+        assert np.abs(read - truth).max() < 2e-7
+
+
+def test_mesh_skinned_by_usd_is_the_engine_s(export):
+    report, _, motion = export
+    lengths = motion.bone_lengths_m / motion.bone_lengths_m.mean(axis=0)
+    assert lengths.max() > 1.19
+    assert lengths.min() < 0.81
+    read = skinned_mesh(opened(report, Variant.MESH), list(range(FRAMES)))
+    # worst observed 0.00011 mm; 0.01 mm is wanted
+    assert np.abs(read - engine_mesh(motion)).max() < 2e-7
+
+
+@pytest.mark.parametrize("scale_mode", ["uniform"])
+def test_mesh_is_exact_when_thickness_follows_each_bone(tmp_path, scale_mode):
+    motion = lively_motion(Handedness.RIGHT, 12)
+    report = export_usd(tmp_path, small_avatar(scale_mode), motion, some_cameras())
+    read = skinned_mesh(opened(report, Variant.MESH), list(range(12)))
+    assert np.abs(read - engine_mesh(motion, scale_mode)).max() < 2e-7
+
+
+def test_mesh_between_two_samples_lies_between_them(export):
+    """The twins overdraw their scale, but the sum is linear in time: nothing jumps between samples."""
+    stage = opened(export[0], Variant.MESH)
+    times = list(np.linspace(7, 8, 9))
+    steps = np.linalg.norm(np.diff(skinned_mesh(stage, times), axis=0), axis=-1)
+    whole = np.linalg.norm(np.diff(skinned_mesh(stage, [7, 8]), axis=0), axis=-1)
+    assert steps.max() < 2 * whole.max() / 8
+
+
+def test_control_joints_are_on_the_joints_and_carry_no_scale(export):
+    report, _, motion = export
+    stage = opened(report, Variant.MESH)
+    cache = UsdSkel.Cache()
+    cache.Populate(UsdSkel.Root(stage.GetPrimAtPath("/Hand/Rig")), Usd.PrimDefaultPredicate)
+    skeleton = cache.GetSkelQuery(UsdSkel.Skeleton(stage.GetPrimAtPath("/Hand/Rig/Skeleton")))
+    order = [token.split("/")[-1] for token in skeleton.GetJointOrder()]
+    places = [order.index(name) for name in LEVEL_NAMES]
+    for frame in range(FRAMES):
+        world = np.stack([np.array(matrix) for matrix in skeleton.ComputeJointSkelTransforms(frame)])[places]
+        # worst observed 6e-8 m
+        assert np.abs(world[:, 3, :3] - motion.joints_m[frame]).max() < 1e-7
+        # a rotation and nothing else: worst observed 6e-7
+        assert np.abs(world[:, :3, :3] @ world[:, :3, :3].swapaxes(1, 2) - np.eye(3)).max() < 2e-6
+        assert (np.linalg.det(world[:, :3, :3]) > 0).all()
+
+
+def test_no_scale_is_negative(export):
+    assert (values(export[0], Variant.MESH, "/Hand/Rig/Skeleton/Anim", "scales", range(FRAMES)) > 0).all()
+
+
+def test_rest_pose_is_the_default_and_the_bind_pose(export):
+    stage = opened(export[0], Variant.MESH)
+    rest = skinned_mesh(stage, [Usd.TimeCode.Default()])[0]
+    assert np.abs(rest - np.asarray(stage.GetPrimAtPath("/Hand/Rig/Mesh").GetAttribute("points").Get())).max() < 1e-7
+
+
+def test_bounds_hold_every_gaussian_on_every_frame(export):
+    report = export[0]
+    stage = opened(report, Variant.SPLATS)
+    splats = stage.GetPrimAtPath("/Hand/Splats")
+    radius = 3 * np.asarray(splats.GetAttribute("scales").Get())
+    for frame in range(FRAMES):
+        positions, extent = (np.asarray(splats.GetAttribute(name).Get(frame)) for name in ("positions", "extent"))
+        assert np.allclose(extent, [(positions - radius).min(axis=0), (positions + radius).max(axis=0)], atol=1e-7)
+
+
+@pytest.mark.parametrize("variant", list(Variant))
+def test_world_bound_is_not_empty(export, variant):
+    stage = opened(export[0], variant)
+    cache = UsdGeom.BBoxCache(5, [UsdGeom.Tokens.default_, UsdGeom.Tokens.render])
+    size = cache.ComputeWorldBound(stage.GetDefaultPrim()).ComputeAlignedRange().GetSize()
+    assert all(0.03 < edge < 0.5 for edge in size)
+
+
+def test_cameras_project_as_the_engine_s(export):
+    report = export[0]
+    stage = Usd.Stage.Open(str(report.shot))
+    points = np.random.default_rng(3).uniform(-0.1, 0.1, (50, 3))
+    for name, camera in some_cameras().items():
+        frustum = UsdGeom.Camera(stage.GetPrimAtPath(f"/World/Cameras/{name}")).GetCamera(0).frustum
+        clip_from_world = frustum.ComputeViewMatrix() * frustum.ComputeProjectionMatrix()
+        seen = np.array([clip_from_world.Transform(Gf.Vec3d(*point)) for point in points])
+        pixels = (seen[:, :2] * [0.5, -0.5] + 0.5) * [camera.width, camera.height]
+        truth, _ = camera.project(torch.tensor(points))
+        # worst observed 3e-5 px, from float32 apertures; 1e-3 px is wanted
+        assert np.abs(pixels - truth.numpy()).max() < 1e-4
+
+
+def test_colours_are_display_referred_in_the_splats_and_linear_for_display(export):
+    report, avatar, _ = export
+    stage = opened(report, Variant.SPLATS)
+    splats = stage.GetPrimAtPath("/Hand/Splats")
+    harmonics = np.asarray(splats.GetAttribute(HARMONICS).Get())
+    assert np.abs(0.5 + 0.28209479177387814 * harmonics - avatar.rgb.numpy()).max() < 1e-6
+    assert splats.GetAttribute("radiance:sphericalHarmonicsDegree").Get() == 0
+    assert Usd.ColorSpaceAPI(splats).GetColorSpaceNameAttr().Get() == "srgb_rec709_scene"
+    display = UsdGeom.PrimvarsAPI(splats).GetPrimvar("displayColor")
+    assert display.GetAttr().GetColorSpace() == "lin_rec709_scene"
+    srgb = avatar.rgb.numpy()
+    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
+    assert np.abs(np.asarray(display.Get()) - linear).max() < 1e-6
+
+
+def test_linear_radiance_is_light_and_says_so(tmp_path):
+    avatar = small_avatar()
+    motion = lively_motion(Handedness.RIGHT, 2)
+    srgb = export_usd(tmp_path / "s", avatar, motion)
+    light = export_usd(tmp_path / "l", avatar, motion, [], UsdOptions(radiance="linear"))
+    before, after = (
+        0.5 + 0.28209479177387814 * values(report, Variant.SPLATS, "/Hand/Splats", HARMONICS)
+        for report in (srgb, light)
+    )
+    curved = before > 0.04045
+    assert np.allclose(after[curved], ((before[curved] + 0.055) / 1.055) ** 2.4, atol=1e-5)
+    stage = opened(light, Variant.SPLATS)
+    space = Usd.ColorSpaceAPI(stage.GetPrimAtPath("/Hand/Splats")).GetColorSpaceNameAttr().Get()
+    assert space == "lin_rec709_scene"
+    assert check_usd(light.stage) == []
+
+
+def test_sizes_per_frame_are_the_engine_s_and_constant_ones_report_their_error(export, tmp_path):
+    report, avatar, motion = export
+    _, truth = engine_gaussians(avatar, motion)
+    exact = export_usd(tmp_path, avatar, motion, [], UsdOptions(sizes="per_frame"))
+    assert check_usd(exact.stage) == []
+    written = values(exact, Variant.SPLATS, "/Hand/Splats", "scales", range(FRAMES))
+    # worst observed 8e-7
+    assert np.abs(written / truth[..., None] - 1).max() < 2e-6
+    constant = values(report, Variant.SPLATS, "/Hand/Splats", "scales")[0, :, 0]
+    assert report.sigma_error == pytest.approx(np.abs(constant / truth - 1).max(), rel=1e-4)
+    assert exact.sigma_error == 0
+
+
+def test_time_is_that_of_the_motion(export):
+    stage = Usd.Stage.Open(str(export[0].shot))
+    assert stage.GetTimeCodesPerSecond() == stage.GetFramesPerSecond() == FPS
+    assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (0, FRAMES - 1)
+
+
+def test_positions_are_stored_once_for_splats_and_points(tmp_path):
+    """Crate keeps equal arrays once per file: a further frame costs 12 bytes per Gaussian and a little."""
+    avatar = small_avatar()
+    short, long = (
+        export_usd(tmp_path / str(n), avatar, lively_motion(Handedness.RIGHT, n)).bytes["hand.splats.usdc"]
+        for n in (30, 60)
+    )
+    # worst observed 1.015
+    assert (long - short) / 30 < 1.05 * 12 * len(avatar)
+
+
+def test_a_reader_that_cannot_choose_gets_the_default_variant(tmp_path):
+    for variant in Variant:
+        report = export_usd(
+            tmp_path / variant,
+            small_avatar(),
+            lively_motion(Handedness.RIGHT, 2),
+            [],
+            UsdOptions(default_variant=variant),
+        )
+        stage = Usd.Stage.Open(str(report.stage))
+        assert stage.GetDefaultPrim().GetVariantSet("representation").GetVariantSelection() == variant
+
+
+def test_files_carry_the_chosen_name_and_others_stay(tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    report = export_usd(
+        tmp_path, small_avatar(), lively_motion(Handedness.RIGHT, 2), [], UsdOptions(name="wave")
+    )  # fmt: skip
+    names = {"wave.usda", "wave.rig.usdc", "wave.splats.usdc", "wave.shot.usda"}
+    assert set(report.bytes) == names
+    assert {path.name for path in tmp_path.iterdir()} == {*names, "notes.txt"}
+    assert check_usd(report.shot) == []
+
+
+def test_an_earlier_export_is_replaced(tmp_path):
+    export_usd(tmp_path, small_avatar(), lively_motion(Handedness.RIGHT, 5))
+    report = export_usd(tmp_path, small_avatar(), lively_motion(Handedness.RIGHT, 3))
+    assert Usd.Stage.Open(str(report.stage)).GetEndTimeCode() == 2
+
+
+def test_progress_counts_the_frames(tmp_path):
+    calls = []
+    export_usd(tmp_path, small_avatar(), lively_motion(Handedness.RIGHT, 3), progress=lambda *call: calls.append(call))
+    assert calls == [(1, 3), (2, 3), (3, 3)]
+
+
+def test_missing_joints_are_refused_with_a_remedy(tmp_path):
+    joints = lively_motion(Handedness.RIGHT, 4).joints_m.copy()
+    joints[2, 7] = np.nan
+    with pytest.raises(InputError, match="with_gaps_held"):
+        export_usd(tmp_path, small_avatar(), PoseSequence(joints, FPS, Handedness.RIGHT))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_another_template_than_the_avatar_s_is_refused(tmp_path):
+    avatar = small_avatar()
+    other = type(avatar)(**{**vars(avatar), "canonical_joints_m": avatar.canonical_joints_m * 1.1})
+    with pytest.raises(InputError, match="template"):
+        export_usd(tmp_path, other, lively_motion(Handedness.RIGHT, 2))
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"name": "a/b"}, {"default_variant": "cloud"}, {"radiance": "aces"}, {"sizes": "x"}, {"width_factor": 0.0}],
+)
+def test_wrong_options_are_named(wrong):
+    with pytest.raises(InputError, match=str(next(iter(wrong.values())))):
+        UsdOptions(**wrong)
+
+
+def test_a_camera_name_that_usd_refuses_is_named(tmp_path):
+    with pytest.raises(InputError, match="2nd"):
+        export_usd(tmp_path, small_avatar(), lively_motion(Handedness.RIGHT, 2), {"2nd": some_cameras()["front"]})
+
+
+def test_a_disk_that_is_too_small_is_said_before_the_work(tmp_path, monkeypatch):
+    usage = type("Usage", (), {"free": 1_000_000})
+    monkeypatch.setattr(usd_module.shutil, "disk_usage", lambda _: usage)
+    with pytest.raises(RetryError, match="MB free"):
+        export_usd(tmp_path, small_avatar(), lively_motion(Handedness.RIGHT, 2))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_disk_that_fills_up_leaves_the_earlier_export_as_it_was(tmp_path, monkeypatch):
+    report = export_usd(tmp_path, small_avatar(), lively_motion(Handedness.RIGHT, 3))
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+
+    def full(*_):
+        raise Tf.ErrorException("Failed writing usdc data: 'Error occurred writing file: No space left on device'")
+
+    monkeypatch.setattr(usd_module.SplatLayer, "put", full)
+    with pytest.raises(RetryError, match="disk is full"):
+        export_usd(tmp_path, small_avatar(), lively_motion(Handedness.LEFT, 5))
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+    assert check_usd(report.stage) == []
+
+
+def test_an_interrupted_export_leaves_nothing(tmp_path):
+    def stop(done, _):
+        if done == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        export_usd(tmp_path, small_avatar(), lively_motion(Handedness.RIGHT, 5), progress=stop)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_file_in_the_place_of_the_folder_is_refused(tmp_path):
+    (tmp_path / "taken").write_text("")
+    with pytest.raises(InputError, match="in the way"):
+        export_usd(tmp_path / "taken", small_avatar(), lively_motion(Handedness.RIGHT, 2))
+
+
+def test_a_folder_in_the_place_of_a_file_is_refused_before_the_work(tmp_path):
+    (tmp_path / "hand.usda").mkdir()
+    with pytest.raises(InputError, match="in the way"):
+        export_usd(tmp_path, small_avatar(), lively_motion(Handedness.RIGHT, 2))
+    assert [path.name for path in tmp_path.iterdir()] == ["hand.usda"]

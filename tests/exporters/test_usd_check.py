@@ -1,0 +1,141 @@
+"""Broken stages are reported in words that say what is broken. USD's own validators pass most of them."""
+
+import numpy as np
+import pytest
+from pxr import Sdf, Usd, Vt
+from usd_samples import lively_motion, small_avatar
+
+from jghand_engine.errors import InputError
+from jghand_engine.exporters.usd import export_usd
+from jghand_engine.exporters.usd_check import check_usd
+from jghand_engine.hand.joints import Handedness
+
+COUNT = len(small_avatar())
+
+
+@pytest.fixture
+def export(tmp_path):
+    return export_usd(tmp_path, small_avatar(), lively_motion(Handedness.RIGHT, 3))
+
+
+def broken_splats(report, name: str, value, time=None) -> list[str]:
+    """Findings after one attribute of the splats was overwritten or, with None, removed."""
+    stage = Usd.Stage.Open(str(report.stage.parent / "hand.splats.usdc"))
+    attr = stage.GetPrimAtPath("/Splats").GetAttribute(name)
+    if value is None:
+        stage.GetPrimAtPath("/Splats").RemoveProperty(name)
+    else:
+        attr.Set(value, Usd.TimeCode.Default() if time is None else time)
+    stage.Save()
+    return sentences(report.stage)
+
+
+def broken_interface(report, old: str, new: str) -> list[str]:
+    text = report.stage.read_text()
+    assert old in text
+    report.stage.write_text(text.replace(old, new))
+    Sdf.Layer.Find(str(report.stage)) and Sdf.Layer.Find(str(report.stage)).Reload()
+    return sentences(report.stage)
+
+
+def sentences(path) -> list[str]:
+    return [str(finding) for finding in check_usd(path)]
+
+
+def floats(array) -> Vt.FloatArray:
+    return Vt.FloatArray.FromNumpy(np.ascontiguousarray(array, np.float32))
+
+
+def vectors(array) -> Vt.Vec3fArray:
+    return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(array, np.float32))
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "time", "wanted"),
+    [
+        ("scales", vectors(np.full((COUNT, 3), -6.9)), None, "probably logarithms"),
+        ("scales", vectors(np.full((7, 3), 0.001)), None, "wanted 805, got 7"),
+        ("scales", None, None, "1 m wide"),
+        ("opacities", floats(np.linspace(-4, 4, COUNT)), None, "probably logits"),
+        ("opacities", floats([0.5]), None, "wanted 805, got 1"),
+        ("opacities", None, None, "everything would be opaque"),
+        ("radiance:sphericalHarmonicsDegree", None, None, "falls back to 3"),
+        ("radiance:sphericalHarmonicsDegree", 1, None, "wanted 3220 vectors, got 805"),
+        ("radiance:sphericalHarmonicsCoefficients", None, None, "everything would be grey"),
+        ("orientations", Vt.QuatfArray.FromNumpy(np.zeros((COUNT, 4), np.float32)), None, "not unit quaternions"),
+        ("extent", None, None, "there is no extent at Default time"),
+        ("extent", vectors(np.zeros((2, 3))), 1, "extent at time 1 does not hold the Gaussians"),
+        ("positions", None, None, "positions have no Default value"),
+        ("positions", vectors(np.full((COUNT, 3), np.nan)), 2, "NaN or infinity at time 2"),
+        ("positions", vectors(np.zeros((3, 3))), 2, "number of positions changes at time 2"),
+    ],
+)
+def test_wrong_splat_data_is_named(export, name, value, time, wanted):
+    found = broken_splats(export, name, value, time)
+    assert any(wanted in sentence and "[splats] /Hand/Splats" in sentence for sentence in found), found
+
+
+def test_a_lost_skeleton_is_reported(export):
+    stage = Usd.Stage.Open(str(export.stage.parent / "hand.rig.usdc"))
+    stage.GetPrimAtPath("/Rig/Mesh").GetRelationship("skel:skeleton").SetTargets([])
+    stage.Save()
+    assert any("the skeleton got lost" in sentence for sentence in sentences(export.stage))
+
+
+def test_a_skeleton_lost_between_two_references_is_reported(export):
+    """The target lies outside of each reference, so it cannot be mapped; USD only warns."""
+    two = export.stage.with_name("two.usda")
+    two.write_text(
+        """#usda 1.0
+(
+    defaultPrim = "Hand"
+    metersPerUnit = 1
+    upAxis = "Y"
+)
+def SkelRoot "Hand"
+{
+    def "Skeleton" (references = @./hand.rig.usdc@</Rig/Skeleton>) {}
+    def "Mesh" (references = @./hand.rig.usdc@</Rig/Mesh>) {}
+}
+"""
+    )
+    found = sentences(two)
+    assert any("the skeleton got lost" in sentence for sentence in found), found
+    assert any("USD warns" in sentence for sentence in found), found
+
+
+def test_weights_that_do_not_sum_to_one_are_reported(export):
+    stage = Usd.Stage.Open(str(export.stage.parent / "hand.rig.usdc"))
+    attr = stage.GetPrimAtPath("/Rig/Mesh").GetAttribute("primvars:skel:jointWeights")
+    attr.Set(floats(np.asarray(attr.Get()) * 0.9))
+    stage.Save()
+    assert any("do not sum to 1" in sentence for sentence in sentences(export.stage))
+
+
+def test_points_without_default_value_are_reported(export):
+    stage = Usd.Stage.Open(str(export.stage.parent / "hand.splats.usdc"))
+    stage.GetPrimAtPath("/_Points").GetAttribute("points").ClearDefault()
+    stage.Save()
+    found = sentences(export.stage)
+    assert any("no Default value" in sentence and "[points]" in sentence for sentence in found), found
+
+
+def test_a_missing_fallback_is_reported(export):
+    found = broken_interface(export, 'token[] ParticleField3DGaussianSplat = ["Points"]', "")
+    assert any("fallbackPrimTypes" in sentence for sentence in found)
+
+
+def test_a_missing_payload_is_reported(export):
+    found = broken_interface(export, "hand.splats.usdc", "gone.usdc")
+    assert any("gone.usdc" in sentence for sentence in found), found
+
+
+def test_missing_units_are_found_by_usd_s_own_validators(export):
+    assert any("metersPerUnit" in sentence for sentence in broken_interface(export, "metersPerUnit = 1", ""))
+
+
+def test_a_file_that_is_no_stage_is_bad_input(tmp_path):
+    (tmp_path / "wrong.usda").write_text("hello")
+    for name in ("wrong.usda", "absent.usda"):
+        with pytest.raises(InputError, match=name):
+            check_usd(tmp_path / name)
