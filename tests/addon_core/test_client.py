@@ -1,0 +1,189 @@
+"""The engine as seen from Blender: whatever goes wrong becomes one sentence, in time, with nothing left running."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+if str(ROOT) not in sys.path:
+    sys.path.insert(0, str(ROOT))
+
+from blender_addon.core import limits
+from blender_addon.core.client import EngineClient, cleaned_environment
+from blender_addon.core.engine_command import VARIABLE, engine_command
+from blender_addon.core.messages import ADVICE, JGHandFailure
+from blender_addon.core.view import HandInSpace, Pinhole, picture_request
+
+STAND_IN = ROOT / "tests" / "service" / "stand_in_engine.py"
+
+
+def start(*faults: str, **options) -> EngineClient:
+    return EngineClient.start([sys.executable, "-I", str(STAND_IN), *faults], **options)
+
+
+def picture():
+    joints = np.zeros((21, 3))
+    joints[:, 2] = 0.3
+    pinhole = Pinhole(64, 48, 80, 80, 32, 24, np.eye(4))
+    return picture_request(pinhole, [HandInSpace("right", joints, np.eye(4))], preset="draft", outputs=["rgba_u8"])
+
+
+def failure_of(*faults: str, **options) -> JGHandFailure:
+    """What a picture fails with; checks that the engine is gone afterwards."""
+    with pytest.raises(JGHandFailure) as caught, start(*faults) as engine:
+        process = engine._process
+        try:
+            engine.request(*picture(), **options)
+        finally:
+            alive = engine.alive
+    assert process.poll() is not None
+    assert not alive or caught.value.kind in ("out_of_memory", "internal")
+    return caught.value
+
+
+def test_a_picture_is_asked_for_and_comes():
+    with start() as engine:
+        reply = engine.request(*picture())
+        assert reply.arrays["rgba_u8"].shape == (48, 64, 4)
+        assert np.asarray(reply.arrays["rgba_u8"].view())[24, 32, 3] == 255
+        process = engine._process
+    assert process.poll() == 0
+
+
+def test_a_long_pause_between_requests_does_no_harm():
+    with start() as engine:
+        engine.request({"kind": "info"})
+        time.sleep(2.5)  # two heart-beats wait to be read
+        assert engine.request({"kind": "info"}).header["ok"]
+
+
+def test_a_request_may_take_longer_than_a_heart_beat():
+    with start("slow") as engine:
+        assert engine.request(*picture()).header["ok"]
+
+
+def test_a_chatty_engine_is_understood_and_its_words_are_kept():
+    with start("chatty") as engine:
+        assert engine.request({"kind": "info"}).header["ok"]
+        assert "a library says hello" in engine.log
+
+
+@pytest.mark.parametrize("fault", ["flood", "print"])
+def test_an_engine_that_floods_its_output_does_not_block(fault):
+    with start(fault) as engine:
+        assert engine.request(*picture()).header["ok"]
+
+
+@pytest.mark.parametrize(("fault", "kind"), [("die", "crashed"), ("killed", "killed"), ("memory", "out_of_memory")])
+def test_an_end_in_the_middle_of_a_picture_has_its_sentence(fault, kind):
+    assert failure_of(fault).kind == kind
+
+
+def test_a_mistake_of_the_engine_is_told_with_its_trace():
+    failure = failure_of("bug")
+    assert failure.kind == "internal"
+    assert "ZeroDivisionError" in failure.detail
+
+
+def test_an_engine_that_hangs_is_ended_in_time():
+    started = time.monotonic()
+    assert failure_of("hang", timeout_s=0.5).kind == "hung"
+    assert time.monotonic() - started < 20
+
+
+def test_an_engine_that_dies_at_once_is_told_with_its_last_words():
+    with pytest.raises(JGHandFailure) as caught:
+        start("die_at_start")
+    assert caught.value.kind == "crashed"
+    assert "no torch here" in caught.value.detail
+
+
+@pytest.mark.parametrize("fault", ["silent", "garbage"])
+def test_an_engine_without_a_handshake_is_given_up(fault):
+    with pytest.raises(JGHandFailure) as caught:
+        start(fault, timeout_s=1.0)
+    assert caught.value.kind == "start_timeout"
+
+
+@pytest.mark.parametrize(("fault", "kind"), [("wrong_version", "protocol"), ("wrong_port", "token")])
+def test_an_engine_that_is_not_ours_is_told_so(fault, kind):
+    with pytest.raises(JGHandFailure) as caught:
+        start(fault)
+    assert caught.value.kind == kind
+
+
+def test_a_python_that_does_not_exist_is_told_so(tmp_path):
+    with pytest.raises(JGHandFailure) as caught:
+        EngineClient.start([str(tmp_path / "python"), "-m", "jghand_engine"])
+    assert caught.value.kind == "no_interpreter"
+
+
+def test_a_python_without_the_engine_is_told_so():
+    with pytest.raises(JGHandFailure) as caught:
+        EngineClient.start([sys.executable, "-I", "-S", "-m", "jghand_engine", "serve", "--stdio-handshake"])
+    assert caught.value.kind == "no_engine"
+
+
+def test_after_a_failure_the_client_says_that_there_is_no_engine():
+    with start("die") as engine:
+        with pytest.raises(JGHandFailure):
+            engine.request(*picture())
+        with pytest.raises(JGHandFailure) as caught:
+            engine.request({"kind": "info"})
+    assert caught.value.kind == "crashed"
+
+
+def test_blenders_own_variables_do_not_reach_the_engine():
+    kept = {"PATH": "p", "HOME": "h", "CUDA_VISIBLE_DEVICES": "0", "LANG": "C"}
+    dropped = {"PYTHONPATH": "x", "PYTHONHOME": "x", "LD_LIBRARY_PATH": "x", "OCIO": "x", "BLENDER_USER_CONFIG": "x"}
+    assert cleaned_environment({**kept, **dropped, "DYLD_LIBRARY_PATH": "x"}) == kept
+
+
+def test_the_engine_is_found_in_the_order_that_is_promised(tmp_path):
+    chosen = tmp_path / "chosen"
+    in_checkout = tmp_path / ".envs/engine/bin/python"
+    script = tmp_path / "path/jghand"
+    in_checkout.parent.mkdir(parents=True)
+    script.parent.mkdir()
+    for file in (chosen, in_checkout, script):
+        file.touch(mode=0o755)
+    path = {"PATH": str(script.parent)}
+    serve = ("serve", "--stdio-handshake")
+    as_module = ("-I", "-m", "jghand_engine", *serve)
+    assert engine_command(str(chosen), checkout=tmp_path, environment=path) == (str(chosen), *as_module)
+    named = {**path, VARIABLE: str(chosen)}
+    assert engine_command(None, checkout=tmp_path, environment=named) == (str(chosen), *as_module)
+    assert engine_command(None, checkout=tmp_path, environment=path) == (str(in_checkout), *as_module)
+    assert engine_command(None, environment=path) == (str(script), *serve)
+    for wrong in ({"python": str(tmp_path / "nothing")}, {}):
+        with pytest.raises(JGHandFailure) as caught:
+            engine_command(environment={"PATH": ""}, **wrong)
+        assert caught.value.kind == "no_interpreter"
+
+
+def test_every_failure_has_a_sentence_without_numbers():
+    for advice in ADVICE.values():
+        for text in (advice.sentence, advice.remedy):
+            assert text
+            assert not any(letter.isdigit() for letter in text)
+            assert not text.endswith(".")
+        assert advice.exit_code in (2, 3, 4)
+
+
+def test_nothing_here_needs_blender():
+    code = (
+        "import sys; sys.path.insert(0, sys.argv[1]); sys.modules['bpy'] = None\n"
+        "from blender_addon.core import batch, client, engine_command, joints, limits, messages, posing, view, wire"
+    )
+    subprocess.run([sys.executable, "-I", "-c", code, str(ROOT)], check=True)
+
+
+def test_the_waits_are_those_that_the_artist_is_promised():
+    assert limits.POLL_S <= 0.05
+    assert limits.STOP_S + limits.TERMINATE_S <= 5
