@@ -1,0 +1,227 @@
+"""The .jghand file: one avatar as safetensors with a JSON description. Reading it never runs code.
+
+The safetensors metadata holds one key, `jghand`, a JSON object: format_version, name, template, licence, units,
+handedness, joint_names (the order of the joints and of the weight columns), swing, scale_mode, storage,
+gaussians, position_box_m, pose_statistics. The arrays are those of `storage.expected_arrays` and
+canonical_joints_m (21, 3) float64. Files keep the standard joint order; the engine's level order ends here.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import safetensors
+import safetensors.numpy
+import torch
+
+from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
+from jghand_engine.avatar.storage import (
+    LEVEL_OF_STANDARD,
+    STANDARD_OF_LEVEL,
+    Arrays,
+    Storage,
+    expected_arrays,
+    pack,
+    unpack,
+)
+from jghand_engine.avatar.validation import REMEDY, check_avatar
+from jghand_engine.errors import InputError
+from jghand_engine.files import writing
+from jghand_engine.hand.joints import JOINT_COUNT, STANDARD_NAMES, Handedness
+from jghand_engine.limits import AVATAR_HEADER_MAX_BYTES, AVATAR_MAX_GAUSSIANS
+
+FORMAT_VERSION = 1
+METADATA_KEY = "jghand"
+SWINGS = ("minimal", "euler")
+SCALE_MODES = ("axial", "uniform", "alpha")
+ARRAY_NAMES = ("position_m", "sigma_m", "opacity", "rgb", "bone_weights", "uvd")
+
+
+def save_avatar(path: Path | str, avatar: HandAvatar, *, storage: Storage = Storage.EXACT) -> None:
+    """Writes `avatar` to `path`, whole or not at all.
+
+    What `load_avatar` gives back is `stored_form(avatar, storage)`, bit for bit. InputError if the avatar cannot be
+    rendered or the path not be written, RetryError if the disk is full.
+    """
+    check_avatar(avatar, f"avatar for {path}")
+    packed, box_m = pack(_arrays(avatar), storage)
+    packed["canonical_joints_m"] = np.ascontiguousarray(avatar.canonical_joints_m.numpy()[LEVEL_OF_STANDARD])
+    description = {
+        "format_version": FORMAT_VERSION,
+        "name": avatar.info.name,
+        "template": avatar.info.template,
+        "licence": avatar.info.licence,
+        "units": "metres",
+        "handedness": avatar.handedness.value,
+        "joint_names": list(STANDARD_NAMES),
+        "swing": avatar.info.swing,
+        "scale_mode": avatar.info.scale_mode,
+        "storage": storage.value,
+        "gaussians": len(avatar),
+        "position_box_m": box_m,
+        "pose_statistics": {name: list(range_) for name, range_ in avatar.info.pose_statistics.items()},
+    }
+    content = safetensors.numpy.save(packed, metadata={METADATA_KEY: json.dumps(description, allow_nan=False)})
+    with writing(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def stored_form(avatar: HandAvatar, storage: Storage) -> HandAvatar:
+    """The avatar that a reader gets back when `avatar` is saved with `storage`."""
+    packed, box_m = pack(_arrays(avatar), storage)
+    return _avatar(avatar.info, avatar.handedness, avatar.canonical_joints_m, unpack(packed, storage, box_m))
+
+
+def load_avatar(path: Path | str) -> HandAvatar:
+    """Reads and checks an avatar. InputError names the file, what is wrong with it and what to do."""
+    file = Path(path)
+    _check_header_length(file)
+    try:
+        with safetensors.safe_open(file, framework="numpy") as content:
+            about = _Description(file, (content.metadata() or {}).get(METADATA_KEY))
+            packed = _read_arrays(file, content, about)
+    except safetensors.SafetensorError as error:
+        raise InputError(f"{file}", wanted="a .jghand file", came=f"{error}", remedy=REMEDY) from error
+    except OSError as error:
+        raise _unreadable(file, error) from error
+    joints_m = torch.from_numpy(packed.pop("canonical_joints_m")[STANDARD_OF_LEVEL])
+    if about.storage is Storage.COMPACT and int(packed["weight_bone"].max()) >= JOINT_COUNT:
+        came = str(int(packed["weight_bone"].max()))
+        raise InputError(f"{file}: weight_bone", wanted=f"bones 0 to {JOINT_COUNT - 1}", came=came, remedy=REMEDY)
+    avatar = _avatar(about.info, about.handedness, joints_m, unpack(packed, about.storage, about.box_m))
+    check_avatar(avatar, str(file))
+    return avatar
+
+
+class _Description:
+    """The checked JSON description of a file; InputError names the field that is missing or wrong."""
+
+    def __init__(self, file: Path, text: str | None) -> None:
+        self._file = file
+        try:
+            self._fields: Any = json.loads(text) if text is not None else None
+        except (ValueError, RecursionError) as error:
+            raise self._wrong("its description", "JSON", str(error)) from error
+        if not isinstance(self._fields, dict):
+            raise self._wrong("its description", "the metadata of a .jghand file", "none")
+        self._check_version()
+        self._one_of("units", ("metres",))
+        if self._fields.get("joint_names") != list(STANDARD_NAMES):
+            raise self._wrong("joint_names", "the 21 joints in standard order", "another list")
+        self.storage = Storage(self._one_of("storage", tuple(Storage)))
+        self.handedness = Handedness(self._one_of("handedness", tuple(Handedness)))
+        self.gaussians = self._count()
+        self.box_m = self._box()
+        self.info = AvatarInfo(
+            name=self._text("name"),
+            template=self._text("template"),
+            licence=self._text("licence"),
+            swing=self._one_of("swing", SWINGS),
+            scale_mode=self._one_of("scale_mode", SCALE_MODES),
+            pose_statistics=self._pose_statistics(),
+        )
+
+    def _wrong(self, name: str, wanted: str, came: object) -> InputError:
+        return InputError(f"{self._file}: {name}", wanted=wanted, came=repr(came)[:200], remedy=REMEDY)
+
+    def _check_version(self) -> None:
+        version = self._fields.get("format_version")
+        if not isinstance(version, int) or isinstance(version, bool) or version < 1:
+            raise self._wrong("format_version", "a number of 1 or more", version)
+        if version > FORMAT_VERSION:
+            raise InputError(
+                f"{self._file}: format version",
+                wanted=f"at most {FORMAT_VERSION}, the newest this JGHand knows",
+                came=str(version),
+                remedy="The file was written by a newer JGHand: update JGHand.",
+            )
+
+    def _text(self, name: str) -> str:
+        value = self._fields.get(name)
+        if not isinstance(value, str):
+            raise self._wrong(name, "a text", value)
+        return value
+
+    def _one_of(self, name: str, choices: tuple[str, ...]) -> str:
+        value = self._text(name)
+        if value not in choices:
+            raise self._wrong(name, " or ".join(choices), value)
+        return value
+
+    def _count(self) -> int:
+        value = self._fields.get("gaussians")
+        if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= AVATAR_MAX_GAUSSIANS:
+            raise self._wrong("gaussians", f"a count of 1 to {AVATAR_MAX_GAUSSIANS}", value)
+        return value
+
+    def _box(self) -> list[list[float]]:
+        value = self._fields.get("position_box_m")
+        rows = value if isinstance(value, list) and len(value) == 2 else []
+        if not rows or not all(isinstance(row, list) and len(row) == 3 and all(map(_finite, row)) for row in rows):
+            raise self._wrong("position_box_m", "two corners of three finite numbers", value)
+        return rows
+
+    def _pose_statistics(self) -> dict[str, tuple[float, float]]:
+        value = self._fields.get("pose_statistics")
+        if not isinstance(value, dict):
+            raise self._wrong("pose_statistics", "an object", value)
+        for name, range_ in value.items():
+            if not (isinstance(range_, list) and len(range_) == 2 and all(map(_finite, range_))):
+                raise self._wrong(f"pose_statistics {name}", "minimum and maximum", range_)
+        return {name: (float(low), float(high)) for name, (low, high) in value.items()}
+
+
+def _finite(value: object) -> bool:
+    """Whether `value` is a JSON number that a float64 can hold."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300
+
+
+def _check_header_length(file: Path) -> None:
+    """Refuses a header that is longer than any of ours or than the file, before anything is parsed or allocated."""
+    try:
+        size = file.stat().st_size
+        with file.open("rb") as stream:
+            start = stream.read(8)
+    except OSError as error:
+        raise _unreadable(file, error) from error
+    length = int.from_bytes(start, "little")
+    if len(start) < 8 or 8 + length > size:
+        raise InputError(f"{file}", wanted="a whole .jghand file", came=f"only {size} bytes of it", remedy=REMEDY)
+    if length > AVATAR_HEADER_MAX_BYTES:
+        limit = f"a header of at most {AVATAR_HEADER_MAX_BYTES} bytes"
+        raise InputError(f"{file}", wanted=limit, came=f"{length} bytes", remedy=REMEDY)
+
+
+def _unreadable(file: Path, error: OSError) -> InputError:
+    reason = error.strerror or str(error)
+    return InputError(f"cannot read {file}: {reason}", remedy="Check the name and that you may read it.")
+
+
+def _read_arrays(file: Path, content: Any, about: _Description) -> dict[str, np.ndarray]:
+    """All arrays of a file; their names, types and shapes are checked before any is read."""
+    wanted = {name: (dtype, (about.gaussians, *rest)) for name, (dtype, rest) in expected_arrays(about.storage).items()}
+    wanted["canonical_joints_m"] = ("F64", (JOINT_COUNT, 3))
+    names = set(content.keys())
+    if names != set(wanted):
+        missing, unknown = sorted(set(wanted) - names), sorted(names - set(wanted))
+        came = f"missing {missing}, unknown {unknown}"
+        raise InputError(f"{file}: arrays", wanted=", ".join(sorted(wanted)), came=came[:300], remedy=REMEDY)
+    for name, (dtype, shape) in wanted.items():
+        part = content.get_slice(name)
+        came = (part.get_dtype(), tuple(part.get_shape()))
+        if came != (dtype, shape):
+            raise InputError(f"{file}: {name}", wanted=f"{dtype} {shape}", came=f"{came[0]} {came[1]}", remedy=REMEDY)
+    return {name: content.get_tensor(name) for name in wanted}
+
+
+def _arrays(avatar: HandAvatar) -> Arrays:
+    values = {name: getattr(avatar, name).detach().cpu().to(torch.float32).numpy() for name in ARRAY_NAMES}
+    return Arrays(**values)
+
+
+def _avatar(info: AvatarInfo, handedness: Handedness, joints_m: torch.Tensor, arrays: Arrays) -> HandAvatar:
+    tensors = {name: torch.from_numpy(np.ascontiguousarray(getattr(arrays, name))) for name in ARRAY_NAMES}
+    return HandAvatar(info, handedness, joints_m.to(torch.float64), **tensors)

@@ -1,0 +1,148 @@
+"""JGHand's own procedural skin: the colour of every Gaussian, with soft studio light baked in. No photograph.
+
+Order: marks (creases, veins, nails) -> relief and its normals -> reflectance from melanin and blood -> irradiance of
+the studio with occlusion -> soft gloss -> display-referred sRGB.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from jghand_engine.avatar.skin_marks import MM, TIPS, MarkPainter, SkinMarks
+from jghand_engine.avatar.skin_points import Landmarks, SkinPoints, bump, noise, palm_share, smoothstep, unit
+from jghand_engine.avatar.studio_light import BakedLight, Occluder, Studio, bake_light
+from jghand_engine.template.mesh import HandTemplate
+
+# how strongly pigments darken linear red, green, blue (relative, chosen by eye)
+BLOOD = np.array([0.10, 0.62, 0.52])
+MELANIN = np.array([0.34, 0.54, 0.72])
+VENOUS = np.array([0.55, 0.22, 0.16])
+
+
+@dataclass(frozen=True)
+class SkinLook:
+    """tone: sRGB of the palm in full light; warmth of the back, strength of marks and light are relative to 1."""
+
+    tone: tuple[float, float, float] = (0.875, 0.675, 0.575)
+    tan_of_back: float = 0.34
+    blood: float = 1.0
+    relief: float = 1.0
+    gloss: float = 1.0
+    exposure: float = 1.0
+    seed: int = 0
+
+
+def skin_rgb(template: HandTemplate, points: SkinPoints, look: SkinLook, studio: Studio) -> np.ndarray:
+    """Display-referred sRGB (N, 3), 0..1, of the skin at `points` of the canonical hand."""
+    landmarks = Landmarks.of(template.joints_m)
+    painter = MarkPainter(points, landmarks)
+    marks = painter.paint(points.position_m)
+    bumped = relief_normals(points, painter, look.relief)
+    occluder = Occluder(template.vertices_m, template.faces)
+    light = bake_light(points.position_m, points.normal, bumped, occluder, studio)
+    albedo = reflectance(points, marks, landmarks, look)
+    lit = albedo * light.irradiance * depth_tint(light, albedo)
+    shine = gloss(bumped, marks, light, studio) * look.gloss
+    return display(look.exposure * (lit + shine))
+
+
+def relief_normals(points: SkinPoints, painter: MarkPainter, strength: float) -> np.ndarray:
+    """(N, 3) normals of the skin with its relief: the smooth normal minus the slope of the height."""
+    step_m = 0.15 * MM
+    normal = points.normal
+    helper = np.where(np.abs(normal[:, 2:]) < 0.8, [[0.0, 0.0, 1.0]], [[0.0, 1.0, 0.0]])
+    tangent = unit(np.cross(normal, helper))
+    slope = np.zeros_like(normal)
+    for direction in (tangent, np.cross(normal, tangent)):
+        ahead = painter.paint(points.position_m + step_m * direction).height_m
+        behind = painter.paint(points.position_m - step_m * direction).height_m
+        slope += ((ahead - behind) / (2 * step_m))[:, None] * direction
+    steep = np.linalg.norm(slope, axis=1, keepdims=True)
+    return unit(normal - strength * slope / (1 + 0.6 * steep))
+
+
+def reflectance(points: SkinPoints, marks: SkinMarks, landmarks: Landmarks, look: SkinLook) -> np.ndarray:
+    """Linear RGB reflectance (N, 3): the palm's tone, darkened by melanin (back), blood (pads, knuckles), veins."""
+    p = points.position_m
+    side = landmarks.palm_side(points)
+    palm = palm_share(side)
+    mottle = 0.5 * noise(p, 9 * MM, look.seed + 1) + 0.35 * noise(p, 4 * MM, look.seed + 2)
+    speckle = noise(p, 1.1 * MM, look.seed + 3)
+    blood = look.blood * (_warm_places(p, palm, side, landmarks) + 0.10 * mottle + 0.05 * speckle * palm)
+    blood = blood + 0.55 * marks.crease + 0.30 * marks.wrinkle + 0.9 * marks.nail_fold
+    tan = look.tan_of_back * (1 - palm) * (1 + 0.10 * noise(p, 3 * MM, look.seed + 4) + 0.06 * speckle)
+    tan = tan + 0.10 * marks.wrinkle + 0.06 * noise(p, 25 * MM, look.seed + 5)
+    pigment = blood[:, None] * BLOOD + tan[:, None] * MELANIN + 0.38 * marks.vein[:, None] * VENOUS
+    skin = linear(np.array(look.tone)) * np.exp(-pigment)
+    return _with_nails(skin, marks, look)
+
+
+def _warm_places(p: np.ndarray, palm: np.ndarray, side: np.ndarray, landmarks: Landmarks) -> np.ndarray:
+    """Amount of blood (N,): finger tips, knuckles, the cushions of the palm, the sides of fingers; 0 is the mean."""
+    joints = landmarks.joints_m
+    near = lambda at, width: bump(np.linalg.norm(p - at, axis=1), width * MM)  # noqa: E731
+    warm = -0.06 + 0.10 * palm
+    for tip in TIPS:
+        warm = warm + 0.42 * near(joints[tip], 8.5) * (0.45 + 0.55 * palm)
+        warm = warm + 0.12 * near(0.5 * (joints[tip] + joints[tip - 5]), 8)
+    for joint, amount in (*((j, 0.38) for j in (7, 8, 9, 10)), *((j, 0.26) for j in (12, 13, 14, 15, 11, 6))):
+        warm = warm + amount * near(joints[joint] - 4 * MM * landmarks.palmar[joint], 6.5) * (1 - palm)
+    for joint in (2, 3, 4, 5):
+        warm = warm + 0.34 * near(joints[joint] - 8 * MM * landmarks.palmar[joint], 9) * (1 - palm)
+        warm = warm + 0.16 * near(joints[joint] + 9 * MM * landmarks.palmar[joint], 9) * palm
+    thenar, hypothenar = 0.45 * joints[1] + 0.55 * joints[6], 0.62 * joints[5]
+    warm = warm + 0.22 * near(thenar, 17) * palm + 0.20 * near(hypothenar, 16) * palm
+    return warm - 0.10 * near(np.array([0, 0.055, 0.01]), 18) * palm
+
+
+def _with_nails(skin: np.ndarray, marks: SkinMarks, look: SkinLook) -> np.ndarray:
+    tone = np.array(look.tone)
+    bed = linear(np.clip(tone * [0.99, 0.95, 0.97] + [0.02, 0.0, 0.01], 0, 1))
+    pale = linear(np.clip(0.62 * tone + 0.36, 0, 1))
+    edge = linear(np.clip(0.45 * tone + [0.52, 0.50, 0.46], 0, 1))
+    nail = bed + (pale - bed) * 0.5 * marks.lunula[:, None]
+    nail = nail + (edge - nail) * 0.85 * marks.free_edge[:, None]
+    return skin + (nail - skin) * marks.nail[:, None]
+
+
+def depth_tint(light: BakedLight, albedo: np.ndarray) -> np.ndarray:
+    """(N, 3) factor for light that bounced in folds: the tighter the fold, the redder, never grey (Jimenez 2016)."""
+    v = np.clip(light.openness, 0.05, 1)[:, None]
+    bounced = np.maximum(
+        v, ((v * (2.0404 * albedo - 0.3324) + (0.6417 - 4.7951 * albedo)) * v + 2.7552 * albedo + 0.6903) * v
+    )
+    return (bounced / v) ** 0.6
+
+
+def gloss(bumped: np.ndarray, marks: SkinMarks, light: BakedLight, studio: Studio) -> np.ndarray:
+    """Linear RGB (N, 3) of a soft highlight, as seen from in front of the palm or the back; nails are shinier."""
+    towards = np.sign(bumped[:, 2:]) * np.array([[0.0, 0.15, 1.0]]) + 0.8 * bumped
+    eye = unit(towards)
+    total = np.zeros_like(bumped)
+    for lamp in studio.lights:
+        half = unit(eye + unit(np.array(lamp.direction)))
+        cosine = np.clip((bumped * half).sum(1), 0, 1)
+        skin, plate = 0.020 * cosine**18, 0.10 * cosine**70
+        total += (skin * (1 - marks.nail) + plate * marks.nail)[:, None] * np.array(lamp.rgb)
+    return total * smoothstep(0.3, 0.9, light.openness)[:, None]
+
+
+def display(radiance: np.ndarray) -> np.ndarray:
+    """Linear radiance (N, 3) -> display-referred sRGB 0..1, the brightest tenth rolled off instead of clipped."""
+    knee = 0.80
+    over = np.maximum(radiance - knee, 0)
+    rolled = np.minimum(radiance, knee) + (1 - knee) * (1 - np.exp(-over / (1 - knee)))
+    return srgb(rolled)
+
+
+def linear(srgb_value: np.ndarray) -> np.ndarray:
+    """sRGB -> linear (IEC 61966-2-1)."""
+    return np.where(srgb_value <= 0.04045, srgb_value / 12.92, ((srgb_value + 0.055) / 1.055) ** 2.4)
+
+
+def srgb(linear_value: np.ndarray) -> np.ndarray:
+    """Linear -> sRGB (IEC 61966-2-1), clipped to 0..1."""
+    v = np.clip(linear_value, 0, 1)
+    return np.where(v <= 0.0031308, 12.92 * v, 1.055 * v ** (1 / 2.4) - 0.055)

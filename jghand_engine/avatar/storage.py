@@ -1,0 +1,133 @@
+"""How the arrays of an avatar are laid out in a file: exactly, or compactly at a small, known price.
+
+| array        | exact        | compact               | price of compact, at most                                      |
+| ------------ | ------------ | --------------------- | -------------------------------------------------------------- |
+| position_m   | float32      | uint16 over their box | half a step: 1.5 µm for a box of 0.2 m                         |
+| sigma_m      | float32      | float16               | 0.05 %                                                         |
+| opacity, rgb | float32      | uint8                 | 1/510                                                          |
+| uvd          | float32      | uint16                | 1/131070                                                       |
+| bone_weights | float32 x 21 | the 7 largest, uint16 | 1/65535 a weight, and what the eighth and smaller bones held   |
+
+Compact is 39 bytes a Gaussian, exact 120. Unpacking what was packed from an unpacked avatar changes nothing more:
+both ways agree bit for bit from the second time on. Weight columns are in standard joint order in a file.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+
+from jghand_engine.hand.joints import JOINT_COUNT, LEVEL_NAMES, STANDARD_NAMES
+from jghand_engine.limits import STORED_WEIGHTS
+
+UINT16_MAX = 65535
+UINT8_MAX = 255
+
+# level index of standard joint 0..20, and back
+LEVEL_OF_STANDARD = np.array([LEVEL_NAMES.index(name) for name in STANDARD_NAMES])
+STANDARD_OF_LEVEL = np.argsort(LEVEL_OF_STANDARD)
+
+
+class Storage(StrEnum):
+    """exact keeps every bit; compact is for avatars that are shipped or sent."""
+
+    EXACT = "exact"
+    COMPACT = "compact"
+
+
+@dataclass(frozen=True)
+class Arrays:
+    """The per-Gaussian arrays of an avatar as numpy float32, level order, shapes as in `HandAvatar`."""
+
+    position_m: np.ndarray
+    sigma_m: np.ndarray
+    opacity: np.ndarray
+    rgb: np.ndarray
+    bone_weights: np.ndarray
+    uvd: np.ndarray
+
+
+def expected_arrays(storage: Storage) -> dict[str, tuple[str, tuple[int, ...]]]:
+    """Name -> (safetensors dtype, shape without the leading N) of every per-Gaussian array in a file."""
+    if storage is Storage.EXACT:
+        return {
+            "position_m": ("F32", (3,)),
+            "sigma_m": ("F32", ()),
+            "opacity": ("F32", ()),
+            "rgb": ("F32", (3,)),
+            "uvd": ("F32", (3,)),
+            "bone_weights": ("F32", (JOINT_COUNT,)),
+        }
+    return {
+        "position": ("U16", (3,)),
+        "sigma_m": ("F16", ()),
+        "opacity": ("U8", ()),
+        "rgb": ("U8", (3,)),
+        "uvd": ("U16", (3,)),
+        "weight": ("U16", (STORED_WEIGHTS,)),
+        "weight_bone": ("U8", (STORED_WEIGHTS,)),
+    }
+
+
+def pack(arrays: Arrays, storage: Storage) -> tuple[dict[str, np.ndarray], list[list[float]]]:
+    """Arrays as they stand in a file, and the box of the positions [[low], [high]] in metres (compact needs it)."""
+    box_m = [arrays.position_m.min(0).tolist(), arrays.position_m.max(0).tolist()]
+    weights = arrays.bone_weights[:, LEVEL_OF_STANDARD]
+    if storage is Storage.EXACT:
+        plain = {name: getattr(arrays, name) for name in ("position_m", "sigma_m", "opacity", "rgb", "uvd")}
+        return {name: np.ascontiguousarray(a) for name, a in {**plain, "bone_weights": weights}.items()}, box_m
+    low, step = _steps(box_m)
+    bone, weight = _largest_weights(weights)
+    packed = {
+        "position": np.rint((arrays.position_m - low) / np.where(step > 0, step, 1.0)).astype(np.uint16),
+        "sigma_m": arrays.sigma_m.astype(np.float16),
+        "opacity": np.rint(arrays.opacity * np.float64(UINT8_MAX)).astype(np.uint8),
+        "rgb": np.rint(arrays.rgb * np.float64(UINT8_MAX)).astype(np.uint8),
+        "uvd": np.rint(arrays.uvd * np.float64(UINT16_MAX)).astype(np.uint16),
+        "weight": weight,
+        "weight_bone": bone,
+    }
+    return packed, box_m
+
+
+def unpack(packed: dict[str, np.ndarray], storage: Storage, box_m: list[list[float]]) -> Arrays:
+    """The inverse of `pack`. Bone indices must already be known to be below 21."""
+    if storage is Storage.EXACT:
+        arrays = {name: a for name, a in packed.items() if name != "bone_weights"}
+        return Arrays(**arrays, bone_weights=np.ascontiguousarray(packed["bone_weights"][:, STANDARD_OF_LEVEL]))
+    low, step = _steps(box_m)
+    weights = np.zeros((len(packed["weight"]), JOINT_COUNT))
+    rows = np.arange(len(weights))[:, None]
+    np.add.at(weights, (rows, LEVEL_OF_STANDARD[packed["weight_bone"]]), packed["weight"] / UINT16_MAX)
+    return Arrays(
+        position_m=(low + packed["position"] * step).astype(np.float32),
+        sigma_m=packed["sigma_m"].astype(np.float32),
+        opacity=(packed["opacity"] / UINT8_MAX).astype(np.float32),
+        rgb=(packed["rgb"] / UINT8_MAX).astype(np.float32),
+        bone_weights=weights.astype(np.float32),
+        uvd=(packed["uvd"] / UINT16_MAX).astype(np.float32),
+    )
+
+
+def _steps(box_m: list[list[float]]) -> tuple[np.ndarray, np.ndarray]:
+    """Low corner and step of the position grid, metres, float64 (3,) each."""
+    low, high = np.asarray(box_m, np.float64)
+    return low, (high - low) / UINT16_MAX
+
+
+def _largest_weights(weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The largest STORED_WEIGHTS columns of each row (uint8) and their shares in 1/65535 (uint16), adding up exactly.
+
+    Rounded down first; what is missing goes to the largest remainders, so that a stored row packs to itself.
+    """
+    bone = np.argsort(-weights, axis=1, kind="stable")[:, :STORED_WEIGHTS]
+    kept = np.take_along_axis(weights, bone, 1).astype(np.float64)
+    share = kept / kept.sum(1, keepdims=True) * UINT16_MAX
+    # a stored row comes back within rounding of whole numbers: floor must not take one away from those
+    whole = np.floor(share + 1e-2)
+    missing = (UINT16_MAX - whole.sum(1)).astype(int)
+    rank = np.argsort(np.argsort(whole - share, axis=1, kind="stable"), axis=1, kind="stable")
+    whole += rank < missing[:, None]
+    return bone.astype(np.uint8), whole.astype(np.uint16)
