@@ -15,9 +15,9 @@ void prepare_depth(const ShadeTask& s, int y) {
     const int n = s.width - x;
     const vf a = load_first(alpha + x, n), d = load_first(sum + x, n);
     const vi valid = a > s.alpha_min;
-    const vf z = d / select(valid, a, all(1.f));
+    const vf z = (d - s.origin * a) / select(valid, a, all(1.f));
     store(out + x, select(valid, z, all(FAR_M)));  // the lanes beyond the row are padding
-    if (s.depth_out) store_first(s.depth_out + row + x, select(valid, z, vf{}), n);
+    if (s.depth_out) store_first(s.depth_out + row + x, select(valid, z + s.origin, vf{}), n);
     count += __builtin_popcount(bit_mask(valid));
   }
   s.row_valid[y] = count;
@@ -32,8 +32,8 @@ JG_INLINE vf visibility_of(Block& b, const Curve& curve, const float* c, int x0,
     sum += select(t.inside, t.soft * t.fall * t.fall, vf{});
   };
   for_taps(
-      b, curve, c, s, [&](int32_t, vf, vf, const Tap& t) __attribute__((always_inline)) { add(t); },
-      [&](vi, vf, vf, const Tap& t) __attribute__((always_inline)) { add(t); });
+      b, curve, c, s, [&](int32_t, const Shift&, const Tap& t) __attribute__((always_inline)) { add(t); },
+      [&](vi, const Shift&, const Tap& t) __attribute__((always_inline)) { add(t); });
   return select(b.valid, exp2_of_negative<5>(max(sum * curve.exponent, all(-32.f))), all(1.f));
 }
 

@@ -1,7 +1,7 @@
 // What the forward and the backward pass of the self-shadow share: the task, and one block of 16 pixels of a row.
 //
 // The torch form in splat/shadow.py is the specification (METHOD 5.2). Depth lies in a padded plane. A pixel without
-// depth holds FAR: it is farther than the radius from everything, so it occludes nothing and needs no test of its own.
+// depth holds FAR_M: it is farther than the radius from everything, so it occludes nothing and needs no test of its own.
 // The padding is at least the largest sample offset plus one, so that every read of a block is legal.
 #pragma once
 #include <stdint.h>
@@ -20,6 +20,7 @@ struct ShadeTask {
   int32_t stride;   // floats from row to row of the padded depth; a multiple of 16
   int32_t pad_rows;
   float fx, fy, cx, cy;
+  float origin;  // m; depths are kept relative to it, so that the rounding of 0.6 m does not tilt the normals
   float radius, bias, softness, gain;
   float alpha_min, reach_min_px, reach_max_px, length_eps, agree, agree_floor, normal_min2;
   float darkness[3];      // strength * tint per channel
@@ -111,7 +112,7 @@ JG_INLINE Curve curve_of(const ShadeTask& s) {
           -s.gain * s.softness / (float)s.samples};
 }
 
-// 16 pixels of one row: depth, ray (x/z, y/z), unit normal; and its taps. Where the offset is the same for all pixels
+// 16 pixels of one row: depth relative to the origin, ray (x/z, y/z), unit normal; and its taps. Where the offset is the same for all pixels
 // of the block (three quarters and more) the tap is one contiguous load, elsewhere a gather.
 struct Block {
   vf z, ray_x, ray_y, nx, ny, nz;
@@ -119,7 +120,8 @@ struct Block {
   vf reach_x, reach_y;  // px
   int same_count, mixed_count;
   int32_t same[SHADOW_SAMPLES_MAX + LANES], mixed[SHADOW_SAMPLES_MAX + LANES];  // sample numbers
-  alignas(64) float shift_x[SHADOW_SAMPLES_MAX], shift_y[SHADOW_SAMPLES_MAX];   // change of the ray, when same
+  alignas(64) float shift_x[SHADOW_SAMPLES_MAX], shift_y[SHADOW_SAMPLES_MAX];   // of the ray, when same
+  alignas(64) float base_x[SHADOW_SAMPLES_MAX], base_y[SHADOW_SAMPLES_MAX];     // shift times origin, when same
   alignas(64) int32_t offset[SHADOW_SAMPLES_MAX];                               // in the padded plane, when same
 };
 
@@ -138,12 +140,12 @@ JG_INLINE Slope slope_of(vf z, vf ahead, vf behind, vf ray_ahead, vf ray_behind,
           has_f | has_b};
 }
 
-JG_INLINE void set_normal(Block& b, const float* c, float step_x, float step_y, const ShadeTask& s) {
+JG_INLINE void set_normal(Block& b, vf z, const float* c, float step_x, float step_y, const ShadeTask& s) {
   const Slope h = slope_of(b.z, load(c + 1), load(c - 1), b.ray_x + step_x, b.ray_x - step_x, s);
   const Slope v = slope_of(b.z, load(c + s.stride), load(c - s.stride), b.ray_y + step_y, b.ray_y - step_y, s);
   // a pixel without neighbours along an axis takes the axis itself
-  const vf hx = select(h.any, h.ray_dz + b.z * step_x, all(1.f)), hz = select(h.any, h.dz, vf{}), hy = hz * b.ray_y;
-  const vf vy = select(v.any, v.ray_dz + b.z * step_y, all(1.f)), vz = select(v.any, v.dz, vf{}), vx = vz * b.ray_x;
+  const vf hx = select(h.any, h.ray_dz + z * step_x, all(1.f)), hz = select(h.any, h.dz, vf{}), hy = hz * b.ray_y;
+  const vf vy = select(v.any, v.ray_dz + z * step_y, all(1.f)), vz = select(v.any, v.dz, vf{}), vx = vz * b.ray_x;
   b.nx = vy * hz - vz * hy;
   b.ny = vz * hx - vx * hz;
   b.nz = vx * hy - vy * hx;
@@ -177,6 +179,8 @@ JG_INLINE void sort_taps(Block& b, float step_x, float step_y, const ShadeTask& 
     const vf x = round_even(dx * x_lo), y = round_even(dy * y_lo);
     store(b.shift_x + k, x * step_x);
     store(b.shift_y + k, y * step_y);
+    store(b.base_x + k, x * step_x * s.origin);
+    store(b.base_y + k, y * step_y * s.origin);
     store(b.offset + k, to_int(y) * s.stride + to_int(x));
     const uint32_t wanted = s.samples - k >= LANES ? 0xffffu : (1u << (s.samples - k)) - 1;
     const uint32_t same = bit_mask((x == round_even(dx * x_hi)) & (y == round_even(dy * y_hi)));
@@ -195,8 +199,9 @@ JG_INLINE bool set_block(Block& b, const float* c, int x0, int y, const ShadeTas
   const float step_x = 1.f / s.fx, step_y = 1.f / s.fy;
   b.ray_x = (lane + ((float)x0 + 0.5f - s.cx)) * step_x;
   b.ray_y = all(((float)y + 0.5f - s.cy) * step_y);
-  set_normal(b, c, step_x, step_y, s);
-  const vf reach = s.radius / b.z, least = all(s.reach_min_px), most = all(s.reach_max_px);
+  const vf z = b.z + s.origin;
+  set_normal(b, z, c, step_x, step_y, s);
+  const vf reach = s.radius / z, least = all(s.reach_min_px), most = all(s.reach_max_px);
   b.reach_x = min(max(s.fx * reach, least), most);
   b.reach_y = min(max(s.fy * reach, least), most);
   sort_taps(b, step_x, step_y, s);
@@ -209,12 +214,16 @@ struct Tap {
   vf vx, vy, vz, inverse, cosine, power, soft, fall;
   vi inside;
 };
-JG_INLINE Tap tap_of(const Block& b, const Curve& c, vf z, vf shift_x, vf shift_y) {
+// shift: change of the ray from the pixel to the sample; base: shift times the origin of depth.
+struct Shift {
+  vf x, y, base_x, base_y;
+};
+JG_INLINE Tap tap_of(const Block& b, const Curve& c, vf z, const Shift& shift) {
   Tap t;
   // (ray + shift) z_sample - ray z, without cancellation
   t.vz = z - b.z;
-  t.vx = z * shift_x + b.ray_x * t.vz;
-  t.vy = z * shift_y + b.ray_y * t.vz;
+  t.vx = z * shift.x + shift.base_x + b.ray_x * t.vz;
+  t.vy = z * shift.y + shift.base_y + b.ray_y * t.vz;
   const vf d2 = t.vx * t.vx + (t.vy * t.vy + (t.vz * t.vz + c.eps2));
   t.inverse = inverse_sqrt(d2);
   t.cosine = (t.vx * b.nx + (t.vy * b.ny + t.vz * b.nz)) * t.inverse;
@@ -226,22 +235,23 @@ JG_INLINE Tap tap_of(const Block& b, const Curve& c, vf z, vf shift_x, vf shift_
   return t;
 }
 
-// Calls same(offset, shift_x, shift_y, tap) or mixed(indices, shift_x, shift_y, tap) for every tap of a block.
+// Calls same(offset, shift, tap) or mixed(indices, shift, tap) for every tap of a block.
 template <class Same, class Mixed>
 JG_INLINE void for_taps(const Block& b, const Curve& curve, const float* c, const ShadeTask& s, Same same, Mixed mixed) {
   const vi lane = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
   const float step_x = 1.f / s.fx, step_y = 1.f / s.fy;
   for (int i = 0; i < b.same_count; i++) {
     const int k = b.same[i];
-    const vf sx = all(b.shift_x[k]), sy = all(b.shift_y[k]);
-    same(b.offset[k], sx, sy, tap_of(b, curve, load(c + b.offset[k]), sx, sy));
+    const Shift shift = {all(b.shift_x[k]), all(b.shift_y[k]), all(b.base_x[k]), all(b.base_y[k])};
+    same(b.offset[k], shift, tap_of(b, curve, load(c + b.offset[k]), shift));
   }
   for (int i = 0; i < b.mixed_count; i++) {
     const int k = b.mixed[i];
     const vf x = round_even(b.reach_x * s.disc_x[k]), y = round_even(b.reach_y * s.disc_y[k]);
     const vi index = to_int(y) * s.stride + to_int(x) + lane;
     const vf sx = x * step_x, sy = y * step_y;
-    mixed(index, sx, sy, tap_of(b, curve, gather(c, index), sx, sy));
+    const Shift shift = {sx, sy, sx * s.origin, sy * s.origin};
+    mixed(index, shift, tap_of(b, curve, gather(c, index), shift));
   }
 }
 

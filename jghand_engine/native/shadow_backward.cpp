@@ -59,24 +59,24 @@ void block_gradient(Block& b, const Curve& curve, const ShadeTask& s, const Shad
   vf own = {};
   // a sample that is the pixel itself moves with it: skipped, because its two huge parts would cancel only nearly
   const vi lane = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
-  const auto push = [&](vi counts, vf shift_x, vf shift_y, const Tap& t) __attribute__((always_inline)) {
+  const auto push = [&](vi counts, const Shift& shift, const Tap& t) __attribute__((always_inline)) {
     const vf sigmoid = select(t.cosine * curve.slope + curve.shift > 0, all(1.f), t.power) / (1.f + t.power);
     const vf along = sigmoid * curve.slope * t.fall * t.fall * t.inverse;
     const vf radial = -along * t.cosine * t.inverse - 2.f * t.soft * t.fall * curve.inverse_radius * t.inverse;
     const vf at_ray = along * normal_ray + radial * (t.vx * b.ray_x + (t.vy * b.ray_y + t.vz));
-    const vf shifted = along * (b.nx * shift_x + b.ny * shift_y) + radial * (t.vx * shift_x + t.vy * shift_y);
+    const vf shifted = along * (b.nx * shift.x + b.ny * shift.y) + radial * (t.vx * shift.x + t.vy * shift.y);
     own -= select(counts, at_ray * to_sum, vf{});
     return select(counts, (at_ray + shifted) * to_sum, vf{});
   };
   for_taps(
       b, curve, c, s,
-      [&](int32_t offset, vf sx, vf sy, const Tap& t) __attribute__((always_inline)) {
+      [&](int32_t offset, const Shift& shift, const Tap& t) __attribute__((always_inline)) {
         if (!offset) return;
-        const vf gradient = push(t.inside, sx, sy, t);
+        const vf gradient = push(t.inside, shift, t);
         store(to + offset, load(to + offset) + gradient);
       },
-      [&](vi index, vf sx, vf sy, const Tap& t) __attribute__((always_inline)) {
-        const vf gradient = push(t.inside & (index != lane), sx, sy, t);
+      [&](vi index, const Shift& shift, const Tap& t) __attribute__((always_inline)) {
+        const vf gradient = push(t.inside & (index != lane), shift, t);
         for (int i = 0; i < LANES; i++) to[index[i]] += gradient[i];
       });
   store(to, load(to) + own);
@@ -114,7 +114,7 @@ void finish_row(const ShadeTask& s, const ShadeGradient& g, const Stripes& strip
     }
     const vf to_sum = select(valid, to_z / select(valid, alpha, all(1.f)), vf{});
     store_first(g.out + 4 * pixels + at, to_sum, n);
-    store_first(g.out + 3 * pixels + at, select(valid, -to_sum * z, vf{}), n);
+    store_first(g.out + 3 * pixels + at, select(valid, -to_sum * (z + s.origin), vf{}), n);
   }
 }
 

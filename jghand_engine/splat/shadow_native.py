@@ -34,7 +34,8 @@ class ShadeTask(ctypes.Structure):
 
     _fields_ = (
         *((name, _I32) for name in ("width", "height", "samples", "stride", "pad_rows")),
-        *((name, _F32) for name in ("fx", "fy", "cx", "cy", "radius", "bias", "softness", "gain", "alpha_min")),
+        *((name, _F32) for name in ("fx", "fy", "cx", "cy", "origin")),
+        *((name, _F32) for name in ("radius", "bias", "softness", "gain", "alpha_min")),
         *((name, _F32) for name in ("reach_min_px", "reach_max_px", "length_eps", "agree", "agree_floor")),
         ("normal_min2", _F32),
         ("darkness", _F32 * 3),
@@ -87,12 +88,14 @@ class NativeShade:
         camera: Camera,
         style: ShadowStyle | None,
         *,
+        near_m: float,
         visibility: np.ndarray | None = None,
         rgba: np.ndarray | None = None,
         depth_m: np.ndarray | None = None,
     ) -> None:
         """Sets the next picture: its planes (5, H, W), the shadow (None: none) and where results go (None: nowhere).
 
+        near_m: some depth of the hand, metres; depths are kept relative to it, so that float32 does not tilt normals
         visibility: (H, W) · rgba: (H, W, 4) premultiplied · depth_m: (H, W), 0 where there is none; all float32.
         """
         task, size = self.task, (self.task.height, self.task.width)
@@ -101,6 +104,7 @@ class NativeShade:
         task.rgba = None if rgba is None else address(rgba, np.float32, "rgba", (*size, 4))
         task.depth_out = None if depth_m is None else address(depth_m, np.float32, "depth_m", size)
         self._keep = tuple(array for array in (planes, visibility, rgba, depth_m) if array is not None)
+        task.origin = near_m
         task.fx, task.fy, task.cx, task.cy = camera.fx, camera.fy, camera.cx, camera.cy
         self._set_style(style)
         self.team.fill(0)
@@ -143,6 +147,13 @@ class NativeShade:
         self._call.jg_shade_backward(self.team.ctypes.data, ctypes.addressof(self.task), ctypes.addressof(gradient))
 
 
+def mean_depth_m(planes: torch.Tensor) -> float:
+    """The mean depth of planes (5, H, W), metres; 0 for an empty picture."""
+    alpha, depth_sum = (float(plane.sum(dtype=torch.float64)) for plane in planes[3:])
+    mean = depth_sum / alpha if alpha > 0 else 0.0
+    return mean if math.isfinite(mean) else 0.0
+
+
 class _NativeShading(torch.autograd.Function):
     """Planes (5, H, W) float32 -> darkened colour (3, H, W)."""
 
@@ -151,7 +162,7 @@ class _NativeShading(torch.autograd.Function):
         height, width = planes.shape[1:]
         native = NativeShade(library, width, height)
         visibility = np.empty((height, width), np.float32)
-        native.prepare(planes.numpy(), camera, style, visibility=visibility)
+        native.prepare(planes.numpy(), camera, style, near_m=mean_depth_m(planes), visibility=visibility)
         shared_pool(threads).run(native.run)
         ctx.native, ctx.visibility, ctx.threads = native, visibility, threads
         ctx.save_for_backward(planes)

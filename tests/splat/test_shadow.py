@@ -196,19 +196,20 @@ def both(library: Library, scene: tuple, *, noise_m: float = 0.0, threads: int =
 def test_kernel_agrees_with_the_float64_reference(library: Library, scene: tuple):
     out, reference, _, _ = both(library, scene)
     error = (out - reference).abs().amax(0)
-    # the promise is 5e-5 but for flips; observed 4e-6, and in one scene one normal of 9216 from the other side, 1.2e-4
-    flipped = error > 5e-6
-    assert int(flipped.sum()) <= (1 if scene[2] == 2500.0 else 0)
-    assert float(error.max()) < 1.5e-4
+    # the promise is 5e-5 but for flips; observed 2e-7 (AVX2: 1e-6), and in one scene one normal
+    # of 9216 pixels from the other side, 4e-5
+    assert int((error > 2e-6).sum()) <= (1 if scene[2] == 2500.0 else 0)
+    assert float(error.max()) < 5e-5
 
 
 def test_kernel_agrees_on_rough_depth_but_for_a_few_flips(library: Library):
     out, reference, gradient, exact = both(library, (400, 300, 800.0, None, 0.0, 64), noise_m=2e-4)
     error = (out - reference).abs().amax(0)
-    # a tap that rounds to the next pixel or a normal from the other side: observed 2.5e-5 of the pixels, up to 0.003
-    assert float((error > 5e-5).double().mean()) < 1e-4
+    # a tap that rounds to the next pixel or a normal from the other side: observed none here, 2e-4 of the
+    # pixels and up to 0.06 on the noisy depth of a filled volume
+    assert float((error > 5e-5).double().mean()) < 5e-5
     assert float(error.max()) < 0.02
-    assert float((gradient - exact).norm() / exact.norm()) < 1e-3  # observed 1e-4
+    assert float((gradient - exact).norm() / exact.norm()) < 1e-4  # observed 1e-6 without a flip
 
 
 @pytest.mark.parametrize("scene", SCENES[:4])
@@ -220,8 +221,9 @@ def test_kernel_gradients_agree_with_the_float64_reference(library: Library, sce
         if size == 0:
             assert float(got.norm()) == 0
             continue
-        # size, direction, sparsity and signed bias of the error (observed 3e-4, 1e-8, none, 1e-5)
-        assert float((got - want).norm()) / size < 1e-3
+        # size, direction, sparsity and signed bias of the error
+        # (observed 5e-6, or 5e-4 with the flipped normal; 1e-7; none; 3e-8)
+        assert float((got - want).norm()) / size < (1e-3 if scene[2] == 2500.0 else 1e-5)
         assert float(1 - got @ want / (got.norm() * want.norm())) < 1e-6
         assert not bool(((got == 0) & (want.abs() > 1e-6 * float(want.abs().max()))).any())
         assert abs(float((got - want).sum())) / float(want.abs().sum()) < 1e-4
@@ -250,7 +252,7 @@ def test_kernel_stays_inside_its_buffers(library: Library, scene: tuple[int, int
     planes[3:] = planes[3:].clamp_min(0.5)
     native = NativeShade(library, width, height)
     v, depth_m, rgba = guarded_zeros((height, width)), guarded_zeros((height, width)), guarded_zeros((height, width, 4))
-    native.prepare(guarded(planes.numpy(), side), view, STYLE, visibility=v, rgba=rgba, depth_m=depth_m)
+    native.prepare(guarded(planes.numpy(), side), view, STYLE, near_m=0.6, visibility=v, rgba=rgba, depth_m=depth_m)
     native.run()
     darkened, out = guarded(np.ones((3, height, width), np.float32), side), guarded_zeros((5, height, width))
     native.run_backward(native.prepare_backward(v, darkened, out))
@@ -279,7 +281,7 @@ def test_shadow_off_only_composes(library: Library):
     planes = planes_of(fingers(view)).numpy()
     native = NativeShade(library, 45, 33)
     rgba, depth_m = np.empty((33, 45, 4), np.float32), np.empty((33, 45), np.float32)
-    native.prepare(planes, view, None, rgba=rgba, depth_m=depth_m)
+    native.prepare(planes, view, None, near_m=0.5, rgba=rgba, depth_m=depth_m)
     native.run()
     assert np.array_equal(rgba, np.moveaxis(planes[:4], 0, -1))
     exact, valid = normalised_depth(torch.from_numpy(planes[4]), torch.from_numpy(planes[3]))
@@ -295,7 +297,7 @@ def test_poisoned_depth_reads_nothing_it_must_not(library: Library, value: float
     planes[slot, ::3, ::5] = value
     native = NativeShade(library, 64, 48)
     v = np.empty((48, 64), np.float32)
-    native.prepare(planes, view, STYLE, visibility=v)
+    native.prepare(planes, view, STYLE, near_m=0.6, visibility=v)
     native.run()  # the taps of a poisoned pixel stay within the padding; its own value may be anything from 0 to 1
     clean = np.isfinite(v)
     assert clean.mean() > 0.5
