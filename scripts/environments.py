@@ -31,8 +31,7 @@ LEAKING_VARIABLES = ("PYTHONPATH", "PYTHONHOME", "PYTHONSTARTUP", "VIRTUAL_ENV",
 
 # what bpy needs from a Linux system beside Python; a desktop has them, a bare server does not
 BLENDER_APT_PACKAGES = (
-    "libgl1 libegl1 libegl-mesa0 libgl1-mesa-dri libsm6 libice6 libxkbcommon0 "
-    "libxi6 libxfixes3 libxrender1 libxxf86vm1"
+    "libgl1 libegl1 libegl-mesa0 libgl1-mesa-dri libsm6 libice6 libxkbcommon0 libxi6 libxfixes3 libxrender1 libxxf86vm1"
 )
 
 Version = tuple[int, int]
@@ -40,6 +39,10 @@ Version = tuple[int, int]
 
 class SetupError(Exception):
     """The set-up cannot go on; the text says what is missing and what to do."""
+
+
+class MissingLibrary(SetupError):
+    """The environment is whole, the system lacks a library that it needs."""
 
 
 @dataclass(frozen=True)
@@ -117,16 +120,15 @@ def ensure(environment: Environment) -> Path:
     say(f"Setting up {environment.folder.relative_to(ROOT)}")
     existed = environment.folder.exists()
     try:
-        _make(environment)
-        _install(environment)
+        _fill(environment)
+    except MissingLibrary:
+        raise
     except SetupError:
         if not existed:
             raise
         say("  it cannot be brought up to date; making it anew")
         _remove(environment)
-        _make(environment)
-        _install(environment)
-    _check(environment)
+        _fill(environment)
     stamp.write_text(wanted + "\n", encoding="utf-8")
     say(f"  ready after {time.perf_counter() - started:.0f} s")
     return environment.python
@@ -214,6 +216,12 @@ def _fingerprint(environment: Environment) -> str:
     return digest.hexdigest()
 
 
+def _fill(environment: Environment) -> None:
+    _make(environment)
+    _install(environment)
+    _check(environment)
+
+
 def _remove(environment: Environment) -> None:
     try:
         shutil.rmtree(environment.folder)
@@ -275,8 +283,8 @@ def _check(environment: Environment) -> None:
     reason = lines[-1] if lines else f"exit code {done.returncode}"
     text = f"The environment {environment.folder.relative_to(ROOT)} does not work: {reason}"
     if sys.platform.startswith("linux") and re.search(r"\.so[.\d]*: cannot open shared object", done.stderr):
-        text += (
-            "\nA system library is missing. On Debian or Ubuntu, install Blender's with:\n"
+        raise MissingLibrary(
+            f"{text}\nA system library is missing. On Debian or Ubuntu, install Blender's with:\n"
             f"  sudo apt-get install -y {BLENDER_APT_PACKAGES}"
         )
     raise SetupError(text)
