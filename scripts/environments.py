@@ -41,7 +41,7 @@ class SetupError(Exception):
     """The set-up cannot go on; the text says what is missing and what to do."""
 
 
-class MissingLibrary(SetupError):
+class MissingLibraryError(SetupError):
     """The environment is whole, the system lacks a library that it needs."""
 
 
@@ -121,7 +121,7 @@ def ensure(environment: Environment) -> Path:
     existed = environment.folder.exists()
     try:
         _fill(environment)
-    except MissingLibrary:
+    except MissingLibraryError:
         raise
     except SetupError:
         if not existed:
@@ -283,7 +283,7 @@ def _check(environment: Environment) -> None:
     reason = lines[-1] if lines else f"exit code {done.returncode}"
     text = f"The environment {environment.folder.relative_to(ROOT)} does not work: {reason}"
     if sys.platform.startswith("linux") and re.search(r"\.so[.\d]*: cannot open shared object", done.stderr):
-        raise MissingLibrary(
+        raise MissingLibraryError(
             f"{text}\nA system library is missing. On Debian or Ubuntu, install Blender's with:\n"
             f"  sudo apt-get install -y {BLENDER_APT_PACKAGES}"
         )
