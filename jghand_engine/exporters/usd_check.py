@@ -14,7 +14,7 @@ import numpy as np
 from pxr import Sdf, Tf, Usd, UsdGeom, UsdSkel, UsdUtils
 
 from jghand_engine.errors import InputError
-from jghand_engine.exporters.usd_check_splats import splat_findings
+from jghand_engine.exporters.usd_check_splats import splat_findings, time_name
 from jghand_engine.exporters.usd_layers import SPLAT_TYPE
 from jghand_engine.exporters.usd_stage import VARIANT_SET
 
@@ -131,9 +131,3 @@ def _skin_findings(prim: Usd.Prim) -> Iterator[str]:
     size = binding.GetJointWeightsPrimvar().GetElementSize()
     if weights is not None and np.abs(np.asarray(weights).reshape(-1, size).sum(axis=1) - 1).max(initial=0) > 1e-3:
         yield "joint weights of a point do not sum to 1: it will shrink towards the origin"
-
-
-def time_name(time: Usd.TimeCode | float) -> str:
-    """Time for a sentence."""
-    time = Usd.TimeCode(time)
-    return "Default time" if time.IsDefault() else f"time {time.GetValue():g}"

@@ -75,7 +75,7 @@ def _sample_findings(prim: Usd.Prim, scales: np.ndarray | None, count: int) -> I
     authored = _attribute(prim, "positions")
     times = authored.GetTimeSamples() if authored else []
     for time in (Usd.TimeCode.Default(), *times):
-        name = "Default time" if Usd.TimeCode(time).IsDefault() else f"time {time:g}"
+        name = time_name(time)
         positions, extent = _values(prim, "positions", time), prim.GetAttribute("extent").Get(time)
         if positions is None or len(positions) != count:
             yield f"the number of positions changes at {name}"
@@ -107,3 +107,9 @@ def _values(prim: Usd.Prim, name: str, time: Usd.TimeCode | float | None = None)
     attr = _attribute(prim, name)
     value = attr.Get(Usd.TimeCode.Default() if time is None else time) if attr else None
     return None if value is None else np.asarray(value, np.float32)
+
+
+def time_name(time: Usd.TimeCode | float) -> str:
+    """A time for a sentence."""
+    code = Usd.TimeCode(time)
+    return "Default time" if code.IsDefault() else f"time {code.GetValue():g}"

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 from pxr import Gf, Usd, UsdGeom, UsdSkel
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from jghand_engine.exporters.usd_layers import TYPES, TimeRange, display_primvars, new_layer
 from jghand_engine.exporters.usd_skeleton import LocalPoses, UsdSkeleton, skin_influences
@@ -75,8 +75,10 @@ def _add_mesh(stage: Usd.Stage, rig: Rig, skeleton: UsdSkel.Skeleton) -> None:
     mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
     mesh.CreateExtentAttr(vec3f(np.stack([template.vertices_m.min(axis=0), template.vertices_m.max(axis=0)])))
     display_primvars(mesh.GetPrim(), rig.rgb)
+    corners, index = np.unique(template.face_uv.reshape(-1, 2), axis=0, return_inverse=True)
     coordinates = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", TYPES.TexCoord2fArray, UsdGeom.Tokens.faceVarying)
-    coordinates.Set(vec2f(template.face_uv.reshape(-1, 2)))
+    coordinates.Set(vec2f(corners))
+    coordinates.SetIndices(ints(index))
     joints, weights = skin_influences(template.bone_weights)
     binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
     binding.CreateJointIndicesPrimvar(False, joints.shape[1]).Set(ints(joints))
@@ -99,5 +101,5 @@ def vertex_normals(vertices_m: np.ndarray, faces: np.ndarray) -> np.ndarray:
 def vertex_colours(vertices_m: np.ndarray, cloud: Cloud) -> np.ndarray:
     """(V, 3) display-referred sRGB: mean of the nearest Gaussians of a cloud in the same pose."""
     neighbours = min(USD_MESH_COLOUR_NEIGHBOURS, len(cloud.rgb))
-    _, index = cKDTree(cloud.rest_m).query(vertices_m, k=neighbours)
+    _, index = KDTree(cloud.rest_m).query(vertices_m, k=neighbours)
     return cloud.rgb[index.reshape(len(vertices_m), neighbours)].mean(axis=1)

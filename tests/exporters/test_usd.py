@@ -14,6 +14,8 @@ from jghand_engine.exporters.usd_stage import Variant
 from jghand_engine.hand.joints import LEVEL_NAMES, Handedness
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.splat.camera import Camera
+from jghand_engine.template.builtin import load_template
+from jghand_engine.template.mesh import mirrored
 
 FRAMES = 40
 HARMONICS = "radiance:sphericalHarmonicsCoefficients"
@@ -153,6 +155,19 @@ def test_control_joints_are_on_the_joints_and_carry_no_scale(export):
         assert (np.linalg.det(world[:, :3, :3]) > 0).all()
 
 
+def test_control_joints_point_along_the_bone_that_starts_there(export):
+    report, _, motion = export
+    animation = values(report, Variant.MESH, "/Hand/Rig/Skeleton/Anim", "translations", range(FRAMES))
+    stage = opened(report, Variant.MESH)
+    tokens = list(stage.GetPrimAtPath("/Hand/Rig/Skeleton").GetAttribute("joints").Get())
+    names = [token.split("/")[-1] for token in tokens]
+    for bone in range(6, 21):
+        offset = animation[:, names.index(LEVEL_NAMES[bone])]
+        # worst observed 2e-8 m
+        assert np.abs(offset[:, [0, 2]]).max() < 1e-7
+        assert np.abs(offset[:, 1] - motion.bone_lengths_m[:, bone - 1]).max() < 1e-7
+
+
 def test_no_scale_is_negative(export):
     assert (values(export[0], Variant.MESH, "/Hand/Rig/Skeleton/Anim", "scales", range(FRAMES)) > 0).all()
 
@@ -161,6 +176,21 @@ def test_rest_pose_is_the_default_and_the_bind_pose(export):
     stage = opened(export[0], Variant.MESH)
     rest = skinned_mesh(stage, [Usd.TimeCode.Default()])[0]
     assert np.abs(rest - np.asarray(stage.GetPrimAtPath("/Hand/Rig/Mesh").GetAttribute("points").Get())).max() < 1e-7
+
+
+def test_mesh_keeps_faces_and_texture_coordinates_of_its_hand(export):
+    report, _, motion = export
+    template = load_template() if motion.handedness is Handedness.RIGHT else mirrored(load_template())
+    assert (values(report, Variant.MESH, "/Hand/Rig/Mesh", "faceVertexIndices")[0] == template.faces.ravel()).all()
+    stage = opened(report, Variant.MESH)
+    uv = UsdGeom.PrimvarsAPI(stage.GetPrimAtPath("/Hand/Rig/Mesh")).GetPrimvar("st").ComputeFlattened()
+    assert np.abs(np.array(uv) - template.face_uv.reshape(-1, 2)).max() < 1e-7
+    points, normals = (values(report, Variant.MESH, "/Hand/Rig/Mesh", name)[0] for name in ("points", "normals"))
+    corners = points[template.faces]
+    outwards = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert ((normals[template.faces[:, 0]] * outwards).sum(-1) > 0).mean() > 0.99
+    # signed volume: a mirrored hand must not be inside out
+    assert (corners[:, 0] * outwards).sum() / 6 > 2e-4
 
 
 def test_bounds_hold_every_gaussian_on_every_frame(export):
