@@ -101,8 +101,9 @@ UVD_RANGE_M = 0.010
 PICKLE_BYTES_MAX = 64 * 2**20
 PICKLE_OPERATIONS_MAX = 1_000_000
 PICKLE_ELEMENTS_MAX = 20_000_000
+OBJ_BYTES_MAX = 64 * 2**20
 # records inside records: MANO's deepest is a Select of a Ch of an array
-PICKLE_NESTING_MAX = 10
+PICKLE_NESTING_MAX = 5
 # radius of the disk that the wrist cap gets in a UV square, at most; and its part of the free circle there
 CAP_UV_RADIUS_MAX = 0.06
 CAP_UV_FILL = 0.8
