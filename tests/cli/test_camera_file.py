@@ -1,0 +1,55 @@
+"""Cameras as JSON."""
+
+import json
+
+import pytest
+import torch
+
+from jghand_engine.cli.camera_file import camera_from_dict, camera_to_dict, read_camera
+from jghand_engine.errors import InputError
+from jghand_engine.splat.camera import Camera
+
+
+def a_camera():
+    eye, target, up = torch.tensor([0.1, 0.2, 0.6]), torch.tensor([0.0, 0.1, 0.0]), torch.tensor([0.0, 1.0, 0.0])
+    return Camera.looking_at(eye, target, up, width=64, height=48, focal_px=90.5)
+
+
+def test_a_camera_survives_the_file(tmp_path):
+    camera = a_camera()
+    (tmp_path / "camera.json").write_text(json.dumps(camera_to_dict(camera)))
+    back = read_camera(tmp_path / "camera.json")
+    assert camera_to_dict(back) == camera_to_dict(camera)
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"fx": None}, "fx"),
+        ({"fx": "90"}, "fx"),
+        ({"fx": -1.0}, "fx"),
+        ({"width": 64.5}, "width"),
+        ({"height": True}, "height"),
+        ({"width": 0}, "size"),
+        ({"camera_from_world": [[1, 0], [0, 1]]}, "camera_from_world"),
+        ({"camera_from_world": None}, "camera_from_world"),
+        ({"camera_from_world": [[float("nan")] * 4] * 4}, "camera_from_world"),
+        ({"camera_from_world": [[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 0], [0, 0, 0, 1]]}, "rotation"),
+        ({"camera_from_world": [[-1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}, "rotation"),
+    ],
+)
+def test_a_wrong_entry_is_named(change, named):
+    with pytest.raises(InputError, match=named):
+        camera_from_dict({**camera_to_dict(a_camera()), **change})
+
+
+@pytest.mark.parametrize("content", ["[]", "nothing", "\x00", ""])
+def test_a_file_that_is_no_camera_is_refused(tmp_path, content):
+    (tmp_path / "camera.json").write_text(content)
+    with pytest.raises(InputError):
+        read_camera(tmp_path / "camera.json")
+
+
+def test_an_absent_file_is_refused(tmp_path):
+    with pytest.raises(InputError, match="cannot read"):
+        read_camera(tmp_path / "camera.json")
