@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import bpy
 import numpy as np
+from mathutils import Matrix
 
 from ..core import limits
 from ..core.messages import JGHandFailure
@@ -44,6 +45,34 @@ def pinhole(camera: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Pinhole
         cy=height * (1 + p[1][2]) / 2,
         camera_from_world=_camera_from_world(evaluated, scene.unit_settings.scale_length),
     )
+
+
+def add_camera(context: bpy.types.Context, name: str, view: Pinhole) -> bpy.types.Object:
+    """A new camera that sees as `view` does: the inverse of `pinhole` in a scene of the view's size.
+
+    Raises JGHandFailure (not_a_camera) for pixels that are not square.
+    """
+    if abs(view.fx / view.fy - 1) > limits.SQUARE_PIXEL_MAX:
+        raise JGHandFailure("not_a_camera", f"{name}: fx {view.fx:g} and fy {view.fy:g} differ, pixels must be square")
+    unit_m = context.scene.unit_settings.scale_length
+    data = bpy.data.cameras.new(name)
+    data.sensor_fit = "HORIZONTAL"
+    data.lens = view.fx * data.sensor_width / view.width
+    data.shift_x = 0.5 - view.cx / view.width
+    data.shift_y = (view.cy - 0.5 * view.height) / view.width  # in widths as well: Blender's unit is the fitted side
+    data.clip_start = limits.CLIP_START_M / unit_m
+    camera = bpy.data.objects.new(name, data)
+    world_from_camera = np.linalg.inv(view.camera_from_world) @ _OPENCV_FROM_BLENDER
+    world_from_camera[:3, 3] /= unit_m
+    camera.matrix_world = Matrix(world_from_camera)
+    context.scene.collection.objects.link(camera)
+    return camera
+
+
+def set_picture_size(render: bpy.types.RenderSettings, width: int, height: int) -> None:
+    """Width and height in pixels, square ones, at 100 percent."""
+    render.resolution_x, render.resolution_y, render.resolution_percentage = width, height, 100
+    render.pixel_aspect_x = render.pixel_aspect_y = 1.0
 
 
 def _check_kind(camera: bpy.types.Object) -> None:

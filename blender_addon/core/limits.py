@@ -36,3 +36,17 @@ SCALE_MIN = 1e-6
 SHEAR_MAX = 1e-4
 # cosine below which two directions count as opposite: the smallest rotation between them has no axis of its own
 OPPOSITE_COSINE = -0.999999
+# part by which fx and fy of a camera may differ and still mean square pixels
+SQUARE_PIXEL_MAX = 1e-6
+
+# ---- new cameras ----------------------------------------------------------------------------------------------------
+
+# a hand is looked at from near
+CLIP_START_M = 0.01
+# how far skin reaches beyond a joint, and beyond the wrist joint, where the avatar's forearm ends, metres
+SKIN_M = 0.015
+WRIST_SKIN_M = 0.045
+# air around the hand, as a part of the distance
+MARGIN = 0.06
+# focal length of new cameras, mm on a 36 mm sensor: a portrait lens, little perspective on so near a thing
+LENS_MM = 85.0

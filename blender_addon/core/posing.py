@@ -56,7 +56,7 @@ def rest_matrices(joints: np.ndarray, handedness: str) -> np.ndarray:
     _check_handedness(handedness)
     joints = checked_joints(joints[None])[0]
     _check_bones(joints)
-    palm = _palm_axes(joints[None], handedness)[0]
+    palm = palm_axes(joints[None], handedness)[0]
     side = -1.0 if handedness == LEFT else 1.0
     # x = y x z points to the index side on a right hand and away from it on a left one
     pad = palm @ (_THUMB_PAD * (side, 1.0, 1.0))
@@ -84,8 +84,8 @@ def bone_keys(joints: np.ndarray, rest: np.ndarray, handedness: str) -> BoneKeys
     joints = checked_joints(joints)
     rest = np.asarray(rest, np.float64)
     axes = np.empty((len(joints), len(NAMES), 3, 3))
-    axes[:, WRIST] = _palm_axes(joints, handedness) @ (
-        _palm_axes(rest[None, :, :3, 3], handedness)[0].T @ rest[0, :3, :3]
+    axes[:, WRIST] = palm_axes(joints, handedness) @ (
+        palm_axes(rest[None, :, :3, 3], handedness)[0].T @ rest[0, :3, :3]
     )
     for place in range(1, len(NAMES)):
         parent = PARENTS[place]
@@ -134,8 +134,9 @@ def _check_bones(joints: np.ndarray) -> None:
         raise JGHandFailure("bad_joints", f"the bone to {NAMES[1 + int(lengths.argmin())]} has no length at rest")
 
 
-def _palm_axes(joints: np.ndarray, handedness: str) -> np.ndarray:
-    """(F, 21, 3) -> (F, 3, 3) axes of the palm: y to the middle MCP, z out of the palm, x = y x z.
+def palm_axes(joints: np.ndarray, handedness: str) -> np.ndarray:
+    """(F, 21, 3) -> (F, 3, 3) axes of the palm: y to the middle MCP, z out of the palm, x = y x z (on a right hand to
+    the index side, on a left one away from it).
 
     A frame whose palm has no plane (wrist and knuckles on a line) takes the normal of the frame before it.
     """

@@ -10,16 +10,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
-if str(ROOT) not in sys.path:
-    sys.path.insert(0, str(ROOT))
-
 from blender_addon.core import limits
 from blender_addon.core.client import EngineClient, cleaned_environment
 from blender_addon.core.engine_command import VARIABLE, engine_command
 from blender_addon.core.messages import ADVICE, JGHandFailure
 from blender_addon.core.view import HandInSpace, Pinhole, picture_request
 
+ROOT = Path(__file__).resolve().parents[2]
 STAND_IN = ROOT / "tests" / "service" / "stand_in_engine.py"
 
 

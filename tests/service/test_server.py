@@ -284,7 +284,8 @@ def test_the_end_of_stdin_ends_an_engine_that_hangs_in_a_request():
 def test_a_parent_that_is_killed_leaves_no_orphan():
     code = (
         "import subprocess, sys, time\n"
-        "engine = subprocess.Popen([sys.executable, '-I', sys.argv[1]], stdin=subprocess.PIPE, stdout=subprocess.PIPE)\n"
+        "command, pipe = [sys.executable, '-I', sys.argv[1]], subprocess.PIPE\n"
+        "engine = subprocess.Popen(command, stdin=pipe, stdout=pipe)\n"
         "engine.stdin.write(b'0' * 64 + b'\\n'); engine.stdin.flush(); engine.stdout.readline()\n"
         "print(engine.pid, flush=True)\n"
         "time.sleep(600)"

@@ -1,0 +1,148 @@
+"""Makes a .blend file with a rigged hand that moves and cameras that look at it.
+
+    .envs/blender/bin/python scripts/build_demo_scene.py --motion MOTION.npz --out hand.blend
+
+Runs in a Python that has bpy. MOTION.npz is what `jghand` writes: joints_m (frames, 21, 3) in the standard order, fps,
+handedness. The cameras come from a JSON file, {name: {width, height, fx, fy, cx, cy, camera_from_world}}, or are two,
+CamPalm and CamSide, that show the whole hand over the whole motion. The scene is in metres and its first frame is 1.
+"""
+
+import argparse
+import importlib.util
+import json
+import sys
+import zipfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+BAD_INPUT = 2
+FIRST_FRAME = 1
+
+
+@dataclass(frozen=True)
+class Motion:
+    """joints_m: (F, 21, 3) standard order, metres."""
+
+    joints_m: np.ndarray
+    fps: float
+    handedness: str
+
+
+class FileError(Exception):
+    """A file cannot be used; the text says why."""
+
+
+def main() -> int:
+    options = parser().parse_args()
+    if importlib.util.find_spec("bpy") is None:
+        return failed("This needs a Python with bpy: run it with .envs/blender/bin/python.")
+    sys.path.insert(0, str(ROOT))
+    from blender_addon.core.messages import JGHandFailure
+
+    try:
+        motion = read_motion(options.motion)
+        cameras = read_cameras(options.cameras) if options.cameras else {}
+        build(motion, cameras, options)
+    except FileError as error:
+        return failed(str(error))
+    except JGHandFailure as failure:
+        failed(str(failure))
+        return failure.advice.exit_code
+    return 0
+
+
+def parser() -> argparse.ArgumentParser:
+    result = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    result.add_argument("--motion", type=Path, required=True, metavar="FILE.npz")
+    result.add_argument("--out", type=Path, required=True, metavar="FILE.blend")
+    result.add_argument("--cameras", type=Path, metavar="FILE.json", help="default: CamPalm and CamSide")
+    result.add_argument("--size", type=size, default=(512, 334), metavar="WIDTHxHEIGHT", help="without --cameras")
+    return result
+
+
+def size(text: str) -> tuple[int, int]:
+    width, _, height = text.partition("x")
+    if not (width.isdecimal() and height.isdecimal() and int(width) and int(height)):
+        raise argparse.ArgumentTypeError(f"{text!r}: wanted WIDTHxHEIGHT, as 512x334")
+    return int(width), int(height)
+
+
+def failed(sentence: str) -> int:
+    print(f"build_demo_scene: {sentence}", file=sys.stderr)
+    return BAD_INPUT
+
+
+def read_motion(path: Path) -> Motion:
+    """The motion of a file that declares the standard order and metres."""
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            content = {name: archive[name] for name in archive.files}
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+        raise FileError(f"cannot read {path}: {error}") from error
+    missing = [name for name in ("joints_m", "order", "fps", "handedness") if name not in content]
+    if missing:
+        raise FileError(f"{path} has no {', '.join(missing)}")
+    if str(content["order"]) != "standard":
+        raise FileError(f"{path}: the joints are in {content['order']} order, wanted standard")
+    fps = float(content["fps"])
+    if not 0 < fps < 1000:
+        raise FileError(f"{path}: {fps:g} frames per second")
+    return Motion(content["joints_m"], fps, str(content["handedness"]))
+
+
+def read_cameras(path: Path) -> dict[str, dict]:
+    """Cameras by name, all of one size."""
+    try:
+        cameras = json.loads(path.read_text(encoding="utf-8"))
+        sizes = {(camera["width"], camera["height"]) for camera in cameras.values()}
+        for camera in cameras.values():
+            camera["camera_from_world"] = np.array(camera["camera_from_world"], np.float64).reshape(4, 4)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+        raise FileError(f"cannot read the cameras of {path}: {error!r}") from error
+    if len(sizes) != 1:
+        raise FileError(f"{path}: a scene has one picture size, the cameras have {len(sizes)}")
+    return cameras
+
+
+def build(motion: Motion, cameras: dict[str, dict], options: argparse.Namespace) -> None:
+    """Makes the scene in memory and saves it, compressed."""
+    import bpy  # pyright: ignore[reportMissingImports]
+
+    from blender_addon.bridge import armature, camera, framing
+    from blender_addon.bridge import motion as motions
+    from blender_addon.core import posing, view
+    from blender_addon.core.messages import JGHandFailure
+
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    context = bpy.context
+    scene = context.scene
+    scene.render.fps = max(1, round(motion.fps))
+    scene.render.fps_base = scene.render.fps / motion.fps
+    scene.frame_start, scene.frame_end = FIRST_FRAME, FIRST_FRAME + len(motion.joints_m) - 1
+    scene.render.film_transparent = True
+    scene.view_settings.view_transform = "Standard"  # the hand is a photograph: AgX would change its colours
+    rest = posing.rest_joints_m(motion.handedness, motion.joints_m)
+    hand = armature.build_armature(context, f"Hand {motion.handedness}", rest, motion.handedness)
+    motions.key_motion(hand, motion.joints_m, scene, first_frame=FIRST_FRAME)
+    camera.set_picture_size(scene.render, *options.size)
+    if cameras:
+        pinholes = {name: view.Pinhole(**numbers) for name, numbers in cameras.items()}
+        first = next(iter(pinholes.values()))
+        camera.set_picture_size(scene.render, first.width, first.height)
+        eyes = [camera.add_camera(context, name, pinhole) for name, pinhole in pinholes.items()]
+    else:
+        eyes = [framing.add_framing_camera(context, name, motion.joints_m, motion.handedness) for name in framing.SIDES]
+    scene.camera = eyes[0]
+    scene.frame_set(FIRST_FRAME)
+    try:
+        options.out.parent.mkdir(parents=True, exist_ok=True)
+        bpy.ops.wm.save_as_mainfile(filepath=str(options.out.resolve()), compress=True)
+    except (OSError, RuntimeError) as error:
+        raise JGHandFailure("cannot_write", f"{options.out}: {error}") from error
+
+
+if __name__ == "__main__":
+    sys.exit(main())

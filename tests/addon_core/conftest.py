@@ -1,0 +1,6 @@
+"""The extension is no installed package: its tests find it in the checkout."""
+
+import sys
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2]))

@@ -1,0 +1,70 @@
+"""Frames, names and files of a batch run."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from blender_addon.core import batch
+from blender_addon.core.messages import JGHandFailure
+
+
+@pytest.mark.parametrize(
+    ("text", "frames"),
+    [
+        ("7", [7]),
+        ("1-4", [1, 2, 3, 4]),
+        ("1-10,4", [1, 5, 9]),
+        ("-2-1", [-2, -1, 0, 1]),
+        ("-3--1", [-3, -2, -1]),
+        ("0-0", [0]),
+    ],
+)
+def test_frames_are_read(text, frames):
+    assert batch.parse_frames(text) == frames
+
+
+@pytest.mark.parametrize("text", ["", "a", "1-", "4-1", "1-4,0", "1-4,-1", "1,2,3", "1.5", "1-4 "])
+def test_frames_that_make_no_sense_are_refused(text):
+    with pytest.raises(ValueError, match="frames"):
+        batch.parse_frames(text)
+
+
+@pytest.mark.parametrize(
+    ("camera", "folder"),
+    [("CamPalm", "CamPalm"), ("a/b:c", "a_b_c"), ("..", "camera"), ("Kamera äußen", "Kamera äußen")],
+)
+def test_pictures_lie_below_the_folder_whatever_a_camera_is_called(camera, folder, tmp_path):
+    assert batch.picture_path(tmp_path, camera, 7) == tmp_path / folder / "0007.png"
+
+
+def test_a_file_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
+    target = tmp_path / "new" / "0001.png"
+    batch.write_whole(target, b"first")
+    monkeypatch.setattr(batch.os, "fsync", lambda _: (_ for _ in ()).throw(OSError(28, "No space left on device")))
+    with pytest.raises(JGHandFailure) as caught:
+        batch.write_whole(target, b"second")
+    assert caught.value.kind == "disk_full"
+    assert caught.value.advice.exit_code == 3
+    assert target.read_bytes() == b"first"
+    assert list(target.parent.iterdir()) == [target]
+
+
+def test_a_folder_that_is_a_file_is_told(tmp_path):
+    (tmp_path / "out").touch()
+    with pytest.raises(JGHandFailure) as caught:
+        batch.write_whole(tmp_path / "out" / "0001.png", b"x")
+    assert caught.value.kind == "cannot_write"
+    assert "out" in caught.value.detail
+
+
+def test_the_report_counts_what_was_done_and_says_what_failed(tmp_path):
+    report = batch.BatchReport("hand.blend", "final", total=3)
+    assert "1 of 3" in report.skipped("Cam", 1, tmp_path / "0001.png")
+    assert "2 of 3" in report.rendered("Cam", 2, tmp_path / "0002.png", 8.0, {"size": [4, 3]})
+    report.failed(JGHandFailure("crashed", "exit code 7"))
+    content = json.loads(report.as_json())
+    assert (content["wanted"], content["rendered"], content["skipped"]) == (3, 1, 1)
+    assert content["failure"]["kind"] == "crashed"
+    assert content["pictures"][1]["size"] == [4, 3]

@@ -1,0 +1,170 @@
+"""Joint positions become bone matrices that give the joints back, and that an animator can work with."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from blender_addon.core import posing
+from blender_addon.core.joints import HANDEDNESSES, LEFT, NAMES, PARENTS, RIGHT, TAILS, TIPS
+from blender_addon.core.messages import JGHandFailure
+
+FLEXED = ("index2", "index3", "middle2", "ring2", "pinky3", "thumb2", "thumb3")
+
+
+def random_motion(handedness: str, *, frames: int = 60, seed: int = 0) -> np.ndarray:
+    """Hands with random bone directions near the rest ones, random lengths and palms, anywhere, turned anyhow."""
+    rng = np.random.default_rng(seed)
+    joints = np.tile(posing.rest_joints_m(handedness), (frames, 1, 1))
+    for place in range(1, 21):
+        parent = PARENTS[place]
+        bone = posing.rest_joints_m(handedness)[place] - posing.rest_joints_m(handedness)[parent]
+        turned = bone + 0.8 * np.linalg.norm(bone) * rng.standard_normal((frames, 3)) * (0.1 if parent == 0 else 1.0)
+        joints[:, place] = joints[:, parent] + turned * rng.uniform(0.7, 1.3, (frames, 1))
+    turns = np.linalg.qr(rng.standard_normal((frames, 3, 3)))[0]
+    turns *= np.linalg.det(turns)[:, None, None]
+    return np.einsum("fij,fkj->fki", turns, joints) + rng.uniform(-1, 1, (frames, 1, 3))
+
+
+def posed_heads(keys: posing.BoneKeys, rest: np.ndarray) -> np.ndarray:
+    """(F, 21, 3) bone heads as Blender computes them from what is keyed."""
+    frames = len(keys.location)
+    pose = np.empty((frames, 21, 4, 4))
+    for place, parent in enumerate(PARENTS):
+        basis = np.tile(np.eye(4), (frames, 1, 1))
+        basis[:, :3, :3] = rotations(keys.quaternion[:, place])
+        basis[:, :3, 3] = keys.location[:, place]
+        above = rest[place] if parent < 0 else pose[:, parent] @ np.linalg.inv(rest[parent]) @ rest[place]
+        pose[:, place] = above @ basis
+    return pose[..., :3, 3]
+
+
+def rotations(quaternion: np.ndarray) -> np.ndarray:
+    w, x, y, z = quaternion.T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.moveaxis(np.array(rows), -1, 0)
+
+
+@pytest.mark.parametrize("handedness", HANDEDNESSES)
+def test_any_motion_comes_back_from_its_keys(handedness):
+    motion = random_motion(handedness)
+    rest = posing.rest_matrices(posing.rest_joints_m(handedness), handedness)
+    keys = posing.bone_keys(motion, rest, handedness)
+    # worst observed 6.7e-16 m
+    np.testing.assert_allclose(posed_heads(keys, rest), motion, atol=2e-15)
+
+
+@pytest.mark.parametrize("handedness", HANDEDNESSES)
+def test_a_motion_of_the_rest_proportions_needs_no_location_beyond_the_palm(handedness):
+    rng = np.random.default_rng(3)
+    joints = posing.rest_joints_m(handedness)
+    rest = posing.rest_matrices(joints, handedness)
+    quaternion = rng.standard_normal((20, 21, 4)) * 0.3 + (1, 0, 0, 0)
+    quaternion[:, list(TIPS)] = (1, 0, 0, 0)
+    quaternion /= np.linalg.norm(quaternion, axis=-1, keepdims=True)
+    location = np.zeros((20, 21, 3))
+    location[:, 0] = rng.uniform(-1, 1, (20, 3))
+    motion = posed_heads(posing.BoneKeys(location, quaternion), rest)
+    keys = posing.bone_keys(motion, rest, handedness)
+    # worst observed 4e-16 m
+    assert np.abs(keys.location[:, 1:]).max() < 2e-15
+
+
+@pytest.mark.parametrize("handedness", HANDEDNESSES)
+@pytest.mark.parametrize("name", FLEXED)
+def test_a_positive_turn_about_x_bends_a_finger_towards_the_palm(handedness, name):
+    joints = posing.rest_joints_m(handedness)
+    rest = posing.rest_matrices(joints, handedness)
+    place = NAMES.index(name)
+    quaternion = np.zeros((1, 21, 4))
+    quaternion[..., 0] = 1
+    quaternion[0, place] = (np.cos(0.3), np.sin(0.3), 0, 0)
+    bent = posed_heads(posing.BoneKeys(np.zeros((1, 21, 3)), quaternion), rest)[0]
+    moved = bent[TAILS[place]] - joints[TAILS[place]]
+    if name.startswith("thumb"):  # across the palm, away from the index side
+        assert moved[0] * (1 if handedness == LEFT else -1) > 0.005
+    else:
+        assert moved[2] > 0.005
+
+
+def test_the_axes_at_rest_are_a_rotation_with_y_along_the_bone():
+    for handedness in HANDEDNESSES:
+        joints = posing.rest_joints_m(handedness)
+        axes = posing.rest_matrices(joints, handedness)[:, :3, :3]
+        np.testing.assert_allclose(axes @ np.swapaxes(axes, 1, 2), np.tile(np.eye(3), (21, 1, 1)), atol=1e-14)
+        np.testing.assert_allclose(np.linalg.det(axes), 1)
+        for place, tail in enumerate(TAILS):
+            if tail >= 0:
+                along = joints[tail] - joints[place]
+                np.testing.assert_allclose(axes[place][:, 1], along / np.linalg.norm(along), atol=1e-14)
+
+
+def test_left_and_right_rest_hands_are_mirror_images():
+    mirror = np.diag([-1.0, 1.0, 1.0])
+    right, left = (posing.rest_matrices(posing.rest_joints_m(h), h)[:, :3, :3] for h in (RIGHT, LEFT))
+    # a mirrored rotation keeps its axis up to sign: x turns round so that +x bends both hands
+    np.testing.assert_allclose(left, mirror @ right @ np.diag([-1.0, 1.0, 1.0]), atol=1e-14)
+
+
+def test_quaternions_of_neighbouring_frames_are_near_each_other():
+    rest = posing.rest_matrices(posing.rest_joints_m(RIGHT), RIGHT)
+    angle = np.linspace(0, 8 * np.pi, 400)
+    zero, one = np.zeros_like(angle), np.ones_like(angle)
+    turn = np.array([[np.cos(angle), -np.sin(angle), zero], [np.sin(angle), np.cos(angle), zero], [zero, zero, one]])
+    motion = np.einsum("ijf,kj->fki", turn, posing.rest_joints_m(RIGHT))
+    quaternion = posing.bone_keys(motion, rest, RIGHT).quaternion
+    assert np.sum(quaternion[1:] * quaternion[:-1], -1).min() > 0.99
+
+
+def test_a_rest_hand_made_for_a_motion_has_its_median_lengths():
+    motion = random_motion(RIGHT, seed=5)
+    rest = posing.rest_joints_m(RIGHT, motion)
+    for place in range(1, 21):
+        lengths = np.linalg.norm(motion[:, place] - motion[:, PARENTS[place]], axis=-1)
+        assert np.linalg.norm(rest[place] - rest[PARENTS[place]]) == pytest.approx(np.median(lengths))
+
+
+def test_straight_folded_and_vanished_fingers_stay_finite_and_exact():
+    joints = posing.rest_joints_m(RIGHT)
+    rest = posing.rest_matrices(joints, RIGHT)
+    folded, vanished, straight, on_a_line = (joints.copy() for _ in range(4))
+    folded[NAMES.index("index3")] = folded[NAMES.index("index1")]
+    folded[NAMES.index("index4")] = 2 * folded[NAMES.index("index1")] - folded[NAMES.index("index2")]
+    vanished[5:9] = vanished[5]
+    for level in range(1, 4):
+        straight[8 + level + 1] = straight[9] + 0.03 * level * np.array([0.0, 1, 0])
+    on_a_line[:, [0, 2]] = 0
+    motion = np.stack([joints, folded, vanished, straight, on_a_line, joints])
+    keys = posing.bone_keys(motion, rest, RIGHT)
+    assert np.isfinite(keys.location).all()
+    np.testing.assert_allclose(np.linalg.norm(keys.quaternion, axis=-1), 1)
+    np.testing.assert_allclose(posed_heads(keys, rest), motion, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    "joints",
+    [np.zeros((3, 20, 3)), np.zeros((21, 3)), np.zeros((0, 21, 3)), np.full((1, 21, 3), np.nan), np.zeros((2, 21, 3))],
+    ids=["20 joints", "one frame without a frame axis", "no frame", "not numbers", "all in one place"],
+)
+def test_what_is_no_motion_is_refused(joints):
+    rest = posing.rest_matrices(posing.rest_joints_m(RIGHT), RIGHT)
+    with pytest.raises(JGHandFailure) as caught:
+        posing.bone_keys(joints, rest, RIGHT)
+    assert caught.value.kind == "bad_joints"
+
+
+def test_a_rest_pose_with_a_bone_of_no_length_is_refused():
+    joints = posing.rest_joints_m(RIGHT)
+    joints[6] = joints[5]
+    with pytest.raises(JGHandFailure, match="index2"):
+        posing.rest_matrices(joints, RIGHT)
+
+
+def test_the_handedness_must_be_known():
+    for call in (posing.rest_joints_m, lambda h: posing.rest_matrices(posing.rest_joints_m(RIGHT), h)):
+        with pytest.raises(JGHandFailure, match="both"):
+            call("both")

@@ -1,0 +1,51 @@
+"""Tests inside Blender (the pip module bpy): an empty profile, an empty scene per test.
+
+Where there is no bpy, as in the engine's environment, nothing below this folder is collected.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[2]
+TESTS = ROOT / "tests"
+
+if importlib.util.find_spec("bpy") is None:
+    collect_ignore_glob = ["test_*.py"]
+else:
+    _profile = tempfile.TemporaryDirectory(prefix="jghand_blender_")
+    os.environ["BLENDER_USER_RESOURCES"] = _profile.name  # before bpy is imported: no test sees the user's settings
+    sys.path[:0] = [str(ROOT), str(TESTS / "addon_core"), str(TESTS / "blender")]
+
+
+@pytest.fixture
+def context():
+    """Blender's context with an empty scene of factory settings."""
+    import bpy
+
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    return bpy.context
+
+
+@pytest.fixture(scope="session")
+def stand_in_command() -> list[str]:
+    """An engine that draws discs and needs no torch."""
+    return [sys.executable, "-I", str(TESTS / "service" / "stand_in_engine.py")]
+
+
+@pytest.fixture(scope="session")
+def engine_python() -> str:
+    """The Python of the real engine; a test that wants it is skipped where it is not set up."""
+    for path in (os.environ.get("JGHAND_ENGINE_PYTHON"), *map(str, (ROOT / ".envs/engine").glob("*/python*"))):
+        if path and Path(path).is_file():
+            probe = subprocess.run([path, "-I", "-c", "import jghand_engine, torch"], capture_output=True, check=False)
+            if probe.returncode == 0:
+                return path
+    pytest.skip("the engine is not installed: run scripts/test.py, or set JGHAND_ENGINE_PYTHON")

@@ -1,0 +1,107 @@
+"""Armatures, places and cameras for the tests inside Blender."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bmesh
+import bpy
+import numpy as np
+from bpy_extras.object_utils import world_to_camera_view
+from mathutils import Euler, Matrix, Vector
+
+from blender_addon.bridge import armature, motion
+from blender_addon.core import posing
+from blender_addon.core.joints import PARENTS
+
+# object transforms that a hand must survive: location, rotation, scale
+PLACES = {
+    "where it was made": ((0, 0, 0), (0, 0, 0), (1, 1, 1)),
+    "moved and turned": ((0.3, -1.2, 0.7), (0.4, 1.1, -2.0), (1, 1, 1)),
+    "scaled": ((0.1, 0.2, -0.3), (1.0, 0.2, 0.5), (1.5, 1.5, 1.5)),
+    "stretched": ((-0.2, 0.1, 0.4), (0.3, -0.8, 0.6), (0.7, 1.2, 1.6)),
+    "turned inside out": ((0.2, 0.0, 0.1), (0.3, -0.8, 0.6), (-1.1, -1.1, 1.1)),
+}
+
+
+def moving_hand_m(handedness: str, frames: int = 5, seed: int = 0) -> np.ndarray:
+    """(F, 21, 3) joints, metres: a hand with changing pose, bone lengths and palm."""
+    rng = np.random.default_rng(seed)
+    rest = posing.rest_joints_m(handedness)
+    joints = np.tile(rest, (frames, 1, 1))
+    joints[:, 0] = rng.uniform(-0.05, 0.05, (frames, 3))
+    for place in range(1, 21):
+        bone = rest[place] - rest[PARENTS[place]]
+        noise = rng.standard_normal((frames, 3)) * np.linalg.norm(bone) * (0.05 if PARENTS[place] == 0 else 0.4)
+        joints[:, place] = joints[:, PARENTS[place]] + (bone + noise) * rng.uniform(0.9, 1.1, (frames, 1))
+    return joints
+
+
+def keyed_hand(context: bpy.types.Context, handedness: str, joints_m: np.ndarray) -> bpy.types.Object:
+    hand = armature.build_armature(context, handedness, posing.rest_joints_m(handedness, joints_m), handedness)
+    motion.key_motion(hand, joints_m, context.scene)
+    return hand
+
+
+def put(thing: bpy.types.Object, place: tuple) -> None:
+    location, rotation, scale = place
+    thing.matrix_world = Matrix.LocRotScale(Vector(location), Euler(rotation), Vector(scale))
+
+
+def camera_on(context: bpy.types.Context, target: np.ndarray, distance: float, **lens) -> bpy.types.Object:
+    """A camera that looks at `target` (Blender units) from `distance`, a little aslant and tilted."""
+    data = bpy.data.cameras.new("Camera")
+    for name, value in lens.items():
+        setattr(data, name, value)
+    camera = bpy.data.objects.new("Camera", data)
+    context.scene.collection.objects.link(camera)
+    back = Vector((0.4, -0.5, 0.77)).normalized()
+    turn = back.to_track_quat("Z", "Y").to_matrix().to_4x4() @ Matrix.Rotation(0.2, 4, "Z")
+    camera.matrix_world = Matrix.Translation(Vector(target) + back * distance) @ turn
+    return camera
+
+
+def blenders_pixels(scene: bpy.types.Scene, camera: bpy.types.Object, points: np.ndarray, size: tuple) -> np.ndarray:
+    """(N, 2) pixels, v down, where Blender itself projects world points (Blender units)."""
+    seen = [world_to_camera_view(scene, camera, Vector(point)) for point in points]
+    return np.array([(p.x * size[0], (1 - p.y) * size[1]) for p in seen])
+
+
+def drawn_by_cycles(context: bpy.types.Context, point: np.ndarray, *, radius: float, folder: Path) -> np.ndarray:
+    """(2,) pixels, v down: centroid of a small glowing ball at a world point, drawn by Blender's path tracer."""
+    scene = context.scene
+    scene.render.engine = "CYCLES"
+    scene.cycles.samples, scene.cycles.use_denoising = 16, False
+    scene.render.film_transparent = True
+    scene.render.image_settings.file_format = "PNG"
+    scene.render.image_settings.color_mode = "RGBA"
+    scene.render.image_settings.color_depth = "16"
+    scene.render.filepath = str(folder / "ball.png")
+    mesh = bpy.data.meshes.new("ball")
+    shape = bmesh.new()
+    bmesh.ops.create_icosphere(shape, subdivisions=3, radius=radius)
+    shape.to_mesh(mesh)
+    shape.free()
+    ball = bpy.data.objects.new("ball", mesh)
+    ball.location = point
+    scene.collection.objects.link(ball)
+    bpy.ops.render.render(write_still=True)
+    bpy.data.objects.remove(ball)
+    return centroid(alpha_of(folder / "ball.png"))
+
+
+def alpha_of(path: Path) -> np.ndarray:
+    """(H, W) alpha of a picture file, top row first."""
+    image = bpy.data.images.load(str(path))
+    width, height = image.size
+    pixels = np.empty(width * height * 4, np.float32)
+    image.pixels.foreach_get(pixels)
+    bpy.data.images.remove(image)
+    return pixels.reshape(height, width, 4)[::-1, :, 3]
+
+
+def centroid(weight: np.ndarray) -> np.ndarray:
+    """(2,) pixels, (0, 0) the top-left corner, of an (H, W) picture of weights."""
+    assert weight.sum() > 0, "nothing was drawn"
+    rows, columns = np.indices(weight.shape) + 0.5
+    return np.array([(weight * columns).sum(), (weight * rows).sum()]) / weight.sum()

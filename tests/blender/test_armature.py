@@ -1,0 +1,256 @@
+"""One clean armature per hand, whose evaluated bones give the joints back wherever it stands."""
+
+from __future__ import annotations
+
+import bpy
+import hands
+import numpy as np
+import pytest
+from mathutils import Matrix
+
+from blender_addon.bridge import armature, motion, versions
+from blender_addon.core import posing
+from blender_addon.core.joints import HANDEDNESSES, NAMES, PARENTS, TAILS, TIPS
+from blender_addon.core.messages import JGHandFailure
+
+# float32 of a bone chain near the origin; worst observed 4.3e-8 m
+EXACT_M = 1e-7
+
+
+@pytest.mark.parametrize("handedness", HANDEDNESSES)
+def test_the_armature_is_one_bone_per_joint(context, handedness):
+    joints = posing.rest_joints_m(handedness)
+    hand = armature.build_armature(context, "Hand", joints, handedness)
+    bones = hand.data.bones
+    assert sorted(bones.keys()) == sorted(NAMES)
+    for place, name in enumerate(NAMES):
+        bone, parent = bones[name], PARENTS[place]
+        np.testing.assert_allclose(bone.head_local, joints[place], atol=EXACT_M)
+        assert (bone.parent.name if bone.parent else None) == (NAMES[parent] if parent >= 0 else None)
+        assert not bone.use_connect
+        assert bone.use_deform == (place not in TIPS)
+        if place in TIPS:
+            assert bone.length == pytest.approx(0.005, abs=EXACT_M)
+        else:
+            np.testing.assert_allclose(bone.tail_local, joints[TAILS[place]], atol=EXACT_M)
+
+
+def test_the_bones_lie_as_they_were_planned(context):
+    for handedness in HANDEDNESSES:
+        joints = posing.rest_joints_m(handedness)
+        hand = armature.build_armature(context, handedness, joints, handedness)
+        # worst observed 3e-7: Blender keeps a roll angle in float32
+        np.testing.assert_allclose(armature.rest_matrices_of(hand), posing.rest_matrices(joints, handedness), atol=2e-6)
+
+
+def test_turning_a_finger_bone_about_x_bends_it_to_the_palm(context):
+    for handedness in HANDEDNESSES:
+        hand = armature.build_armature(context, handedness, posing.rest_joints_m(handedness), handedness)
+        before = armature.read_hand(hand, context.evaluated_depsgraph_get()).joints_m
+        bone = hand.pose.bones["middle2"]
+        bone.rotation_quaternion = (np.cos(0.4), np.sin(0.4), 0, 0)
+        context.view_layer.update()
+        after = armature.read_hand(hand, context.evaluated_depsgraph_get()).joints_m
+        assert after[NAMES.index("middle4"), 2] - before[NAMES.index("middle4"), 2] > 0.02
+        np.testing.assert_allclose(after[: NAMES.index("middle3")], before[: NAMES.index("middle3")], atol=EXACT_M)
+
+
+def test_building_leaves_the_scene_as_it_was(context):
+    other = bpy.data.objects.new("Other", None)
+    context.scene.collection.objects.link(other)
+    context.view_layer.objects.active = other
+    armature.build_armature(context, "Hand", posing.rest_joints_m("left"), "left")
+    assert context.view_layer.objects.active is other
+    assert context.mode == "OBJECT"
+
+
+@pytest.mark.parametrize("handedness", HANDEDNESSES)
+@pytest.mark.parametrize("unit_m", [1.0, 0.01, 0.0254])
+def test_a_motion_comes_back_at_every_key(context, handedness, unit_m):
+    context.scene.unit_settings.scale_length = unit_m
+    joints = hands.moving_hand_m(handedness, frames=12)
+    hand = hands.keyed_hand(context, handedness, joints)
+    for place in range(len(joints)):
+        seen = armature.read_hand(hand, armature.at_frame(context.scene, 1 + place))
+        # worst observed 5e-8 m; the promise is 1e-5
+        np.testing.assert_allclose(seen.joints_world_m, joints[place], atol=2e-7)
+        assert seen.handedness == handedness
+
+
+def test_a_hand_metres_away_is_still_exact(context):
+    joints = hands.moving_hand_m("right") + np.array([3.0, -8.0, 5.0])
+    hand = hands.keyed_hand(context, "right", joints)
+    for place in range(len(joints)):
+        seen = armature.read_hand(hand, armature.at_frame(context.scene, 1 + place))
+        # worst observed 1.7e-6 m: float32 ten metres from the origin
+        np.testing.assert_allclose(seen.joints_world_m, joints[place], atol=5e-6)
+
+
+@pytest.mark.parametrize("place", hands.PLACES.values(), ids=hands.PLACES.keys())
+@pytest.mark.parametrize("unit_m", [1.0, 0.01])
+def test_joints_are_read_in_metres_whatever_the_object_and_the_unit(context, place, unit_m):
+    context.scene.unit_settings.scale_length = unit_m
+    hand = hands.keyed_hand(context, "left", hands.moving_hand_m("left"))
+    hands.put(hand, place)
+    depsgraph = armature.at_frame(context.scene, 3)
+    seen = armature.read_hand(hand, depsgraph)
+    evaluated = hand.evaluated_get(depsgraph)
+    expected = [np.array(evaluated.matrix_world @ evaluated.pose.bones[name].head) * unit_m for name in NAMES]
+    # worst observed 2e-7 m
+    np.testing.assert_allclose(seen.joints_world_m, expected, atol=1e-6)
+    rotation = seen.world_from_hand[:3, :3]
+    np.testing.assert_allclose(rotation @ rotation.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(rotation) == pytest.approx(1)
+
+
+def test_moving_the_object_changes_no_joint_in_hand_space(context):
+    hand = hands.keyed_hand(context, "right", hands.moving_hand_m("right"))
+    before = armature.read_hand(hand, armature.at_frame(context.scene, 2)).joints_m
+    hands.put(hand, hands.PLACES["moved and turned"])
+    after = armature.read_hand(hand, armature.at_frame(context.scene, 2)).joints_m
+    np.testing.assert_allclose(after, before, atol=EXACT_M)
+
+
+def test_between_two_keys_the_subframe_counts(context):
+    joints = np.stack([posing.rest_joints_m("right")] * 2)
+    joints[1] += (0.1, 0, 0)
+    hand = hands.keyed_hand(context, "right", joints)
+    for frame, moved in ((1, 0.0), (1.25, 0.025), (1.5, 0.05), (2, 0.1)):
+        seen = armature.read_hand(hand, armature.at_frame(context.scene, frame))
+        assert seen.joints_world_m[0, 0] == pytest.approx(moved, abs=EXACT_M)
+
+
+def test_constraints_are_included(context):
+    hand = armature.build_armature(context, "Hand", posing.rest_joints_m("right"), "right")
+    target = bpy.data.objects.new("Target", None)
+    context.scene.collection.objects.link(target)
+    target.location = (0.5, 0.4, 0.3)
+    constraint = hand.pose.bones["index4"].constraints.new("COPY_LOCATION")
+    constraint.target = target
+    context.view_layer.update()
+    seen = armature.read_hand(hand, context.evaluated_depsgraph_get())
+    np.testing.assert_allclose(seen.joints_world_m[NAMES.index("index4")], (0.5, 0.4, 0.3), atol=EXACT_M)
+
+
+def test_other_bones_and_another_order_do_not_disturb(context):
+    hand = armature.build_armature(context, "Hand", posing.rest_joints_m("right"), "right")
+    before = armature.read_hand(hand, context.evaluated_depsgraph_get()).joints_m
+    context.view_layer.objects.active = hand
+    bpy.ops.object.mode_set(mode="EDIT")
+    arm = hand.data.edit_bones.new("a forearm")
+    arm.head, arm.tail = (0, -0.3, 0), (0, 0, 0)
+    hand.data.edit_bones["wrist"].parent = arm
+    bpy.ops.object.mode_set(mode="OBJECT")
+    after = armature.read_hand(hand, context.evaluated_depsgraph_get()).joints_m
+    np.testing.assert_allclose(after, before, atol=EXACT_M)
+
+
+@pytest.mark.parametrize(
+    ("scale", "kind"), [((-1, 1, 1), "mirrored"), ((1, 0, 1), "zero_scale"), ((0, 0, 0), "zero_scale")]
+)
+def test_a_scale_that_makes_no_hand_is_refused(context, scale, kind):
+    hand = armature.build_armature(context, "Hand", posing.rest_joints_m("right"), "right")
+    hand.scale = scale
+    context.view_layer.update()
+    with pytest.raises(JGHandFailure) as caught:
+        armature.read_hand(hand, context.evaluated_depsgraph_get())
+    assert caught.value.kind == kind
+
+
+def test_a_parent_that_mirrors_is_refused_too(context):
+    hand = armature.build_armature(context, "Hand", posing.rest_joints_m("right"), "right")
+    parent = bpy.data.objects.new("Parent", None)
+    context.scene.collection.objects.link(parent)
+    parent.scale = (1, -2, 1)
+    hand.parent = parent
+    context.view_layer.update()
+    with pytest.raises(JGHandFailure) as caught:
+        armature.read_hand(hand, context.evaluated_depsgraph_get())
+    assert caught.value.kind == "mirrored"
+
+
+def test_an_armature_without_all_joints_is_refused(context):
+    hand = armature.build_armature(context, "Hand", posing.rest_joints_m("right"), "right")
+    hand.data.bones["ring3"].name = "something"
+    with pytest.raises(JGHandFailure, match="ring3"):
+        armature.read_hand(hand, context.evaluated_depsgraph_get())
+    with pytest.raises(JGHandFailure):
+        motion.key_motion(hand, hands.moving_hand_m("right"), context.scene)
+
+
+def test_an_armature_that_does_not_say_which_hand_it_is_is_refused(context):
+    hand = armature.build_armature(context, "Hand", posing.rest_joints_m("right"), "right")
+    hand[armature.HANDEDNESS_PROPERTY] = "both"
+    with pytest.raises(JGHandFailure, match="both"):
+        armature.read_hand(hand, context.evaluated_depsgraph_get())
+
+
+def test_a_hand_that_blender_does_not_evaluate_is_never_shown_in_an_old_pose(context):
+    hand = hands.keyed_hand(context, "right", hands.moving_hand_m("right"))
+    hand.hide_viewport = True
+    with pytest.raises(JGHandFailure) as caught:
+        armature.read_hand(hand, armature.at_frame(context.scene, 3))
+    assert caught.value.kind == "hidden"
+    armature.show_to_evaluate(hand)
+    armature.read_hand(hand, armature.at_frame(context.scene, 3))
+
+
+def test_the_hands_of_a_scene_are_those_that_are_rendered(context):
+    rest = posing.rest_joints_m("right")
+    kept, hidden, in_hidden_collection = (
+        armature.build_armature(context, name, rest, "right") for name in ("b", "a", "c")
+    )
+    bpy.data.objects.new("not a hand", bpy.data.armatures.new("x"))
+    hidden.hide_render = True
+    collection = bpy.data.collections.new("hidden")
+    context.scene.collection.children.link(collection)
+    context.scene.collection.objects.unlink(in_hidden_collection)
+    collection.objects.link(in_hidden_collection)
+    collection.hide_render = True
+    kept.hide_set(True)  # hidden in the viewport only
+    assert armature.hand_armatures(context.view_layer) == [kept]
+    collection.hide_render = False
+    assert armature.hand_armatures(context.view_layer) == [kept, in_hidden_collection]
+
+
+def test_keys_are_grouped_by_bone_and_linear(context):
+    hand = hands.keyed_hand(context, "right", hands.moving_hand_m("right"))
+    curves = versions.fcurves(hand)
+    assert len(curves) == 21 * 7
+    assert {curve.group.name for curve in curves} == set(NAMES)
+    assert {key.interpolation for curve in curves for key in curve.keyframe_points} == {"LINEAR"}
+
+
+def test_keying_again_starts_a_new_action_and_keeps_the_old_one(context):
+    hand = hands.keyed_hand(context, "right", hands.moving_hand_m("right", seed=1))
+    first = hand.animation_data.action
+    joints = hands.moving_hand_m("right", seed=2)
+    second = motion.key_motion(hand, joints, context.scene)
+    assert hand.animation_data.action is second
+    assert first.name in bpy.data.actions
+    seen = armature.read_hand(hand, armature.at_frame(context.scene, 4))
+    np.testing.assert_allclose(seen.joints_world_m, joints[3], atol=2e-7)
+
+
+def test_constant_bone_lengths_are_keyed_by_rotations_alone(context):
+    rest = posing.rest_joints_m("right")
+    joints = np.stack([rest, rest])
+    turn = np.array(Matrix.Rotation(0.7, 3, "X"))
+    knuckle, rest_of_finger = NAMES.index("index2"), slice(NAMES.index("index3"), NAMES.index("index4") + 1)
+    joints[1, rest_of_finger] = (rest[rest_of_finger] - rest[knuckle]) @ turn.T + rest[knuckle]
+    hand = hands.keyed_hand(context, "right", joints)
+    locations = [curve for curve in versions.fcurves(hand) if curve.data_path.endswith("location")]
+    assert max(abs(key.co.y) for curve in locations for key in curve.keyframe_points) < EXACT_M
+
+
+def test_the_rig_survives_saving_and_loading(context, tmp_path):
+    joints = hands.moving_hand_m("left")
+    hands.keyed_hand(context, "left", joints)
+    path = str(tmp_path / "hand.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path, compress=True)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.open_mainfile(filepath=path)
+    (hand,) = armature.hand_armatures(bpy.context.view_layer)
+    seen = armature.read_hand(hand, armature.at_frame(bpy.context.scene, 5))
+    assert seen.handedness == "left"
+    np.testing.assert_allclose(seen.joints_world_m, joints[4], atol=2e-7)

@@ -1,0 +1,224 @@
+"""The engine's pinhole sees every joint where Blender itself projects it."""
+
+from __future__ import annotations
+
+import bpy
+import hands
+import numpy as np
+import pytest
+
+from blender_addon.bridge import armature, camera, framing
+from blender_addon.core import limits, posing
+from blender_addon.core.joints import HANDEDNESSES, LEFT
+from blender_addon.core.messages import JGHandFailure
+from blender_addon.core.view import Pinhole
+
+# worst observed 1.1e-4 px (float32 of Blender's own matrices); the promise is 0.01
+AGREES_PX = 1e-3
+
+VIEWS = {
+    "perspective": ((512, 334), {}),
+    "long lens": ((512, 334), {"lens": 135}),
+    "shifted": ((512, 334), {"shift_x": 0.13, "shift_y": -0.21}),
+    "portrait": ((334, 512), {}),
+    "portrait and shifted": ((334, 512), {"shift_x": -0.2, "shift_y": 0.1}),
+    "fitted vertically": ((512, 334), {"sensor_fit": "VERTICAL", "shift_x": 0.05}),
+    "fitted horizontally, portrait": ((334, 512), {"sensor_fit": "HORIZONTAL", "shift_y": 0.05}),
+    "odd size": ((333, 201), {"sensor_width": 23.6, "shift_x": 0.01}),
+}
+
+
+def set_size(scene: bpy.types.Scene, size: tuple[int, int]) -> None:
+    camera.set_picture_size(scene.render, *size)
+
+
+def disagreement_px(context: bpy.types.Context, hand: bpy.types.Object, eye: bpy.types.Object) -> float:
+    """Largest distance in pixels between our projection of the joints and Blender's."""
+    depsgraph = context.evaluated_depsgraph_get()
+    view = camera.pinhole(eye, depsgraph)
+    seen = armature.read_hand(hand, depsgraph)
+    unit_m = context.scene.unit_settings.scale_length
+    points = seen.joints_world_m / unit_m
+    blenders = hands.blenders_pixels(context.scene, eye, points, (view.width, view.height))
+    ours = view.project(seen.joints_world_m)
+    assert (ours[:, 2] > 0).all()
+    return np.linalg.norm(ours[:, :2] - blenders, axis=-1).max()
+
+
+@pytest.mark.parametrize(("size", "lens"), VIEWS.values(), ids=VIEWS.keys())
+@pytest.mark.parametrize("handedness", HANDEDNESSES)
+def test_joints_are_seen_where_blender_projects_them(context, size, lens, handedness):
+    hand = hands.keyed_hand(context, handedness, hands.moving_hand_m(handedness))
+    set_size(context.scene, size)
+    eye = hands.camera_on(context, (0, 0.1, 0), 0.6, **lens)
+    armature.at_frame(context.scene, 2)
+    assert disagreement_px(context, hand, eye) < AGREES_PX
+
+
+@pytest.mark.parametrize("place", hands.PLACES.values(), ids=hands.PLACES.keys())
+@pytest.mark.parametrize("unit_m", [1.0, 0.01, 0.3048])
+def test_the_place_of_the_hand_and_the_unit_of_the_scene_do_not_matter(context, place, unit_m):
+    context.scene.unit_settings.scale_length = unit_m
+    hand = hands.keyed_hand(context, "right", hands.moving_hand_m("right"))
+    hands.put(hand, place)
+    set_size(context.scene, (512, 334))
+    depsgraph = armature.at_frame(context.scene, 3)
+    middle = armature.read_hand(hand, depsgraph).joints_world_m.mean(0) / unit_m
+    eye = hands.camera_on(context, middle, 1.2 / unit_m, shift_x=0.03)
+    context.view_layer.update()
+    assert disagreement_px(context, hand, eye) < AGREES_PX
+
+
+def test_percentage_is_honoured_and_rounded_as_blender_does(context):
+    render = context.scene.render
+    for size, percentage, expected in (((512, 334), 50, (256, 167)), ((333, 201), 33, (109, 66)), ((3, 1), 10, (1, 1))):
+        render.resolution_x, render.resolution_y, render.resolution_percentage = *size, percentage
+        assert camera.picture_size(render) == expected
+
+
+# sizes that come out whole: world_to_camera_view takes the size before rounding, the renderer the one after it
+@pytest.mark.parametrize("percentage", [100, 50, 250])
+@pytest.mark.parametrize("aspect", [(1, 1), (2, 1), (1, 1.5)])
+def test_percentage_and_pixel_aspect_are_honoured(context, percentage, aspect):
+    hand = hands.keyed_hand(context, "right", hands.moving_hand_m("right"))
+    eye = hands.camera_on(context, (0, 0.1, 0), 0.6, shift_y=0.05)
+    render = context.scene.render
+    render.resolution_x, render.resolution_y, render.resolution_percentage = 512, 334, percentage
+    render.pixel_aspect_x, render.pixel_aspect_y = aspect
+    armature.at_frame(context.scene, 2)
+    assert disagreement_px(context, hand, eye) < AGREES_PX * max(1, percentage / 100)
+    view = camera.pinhole(eye, context.evaluated_depsgraph_get())
+    assert view.fx / view.fy == pytest.approx(aspect[1] / aspect[0], rel=1e-6)
+
+
+RENDERS = {
+    "perspective": ((256, 168), 100, {}),
+    "shifted, odd percentage": ((512, 334), 47, {"shift_x": 0.13, "shift_y": -0.21, "lens": 35}),
+    "portrait": ((168, 256), 100, {}),
+}
+
+
+@pytest.mark.parametrize(("size", "percentage", "lens"), RENDERS.values(), ids=RENDERS.keys())
+def test_joints_are_seen_where_blenders_own_renderer_draws_them(context, tmp_path, size, percentage, lens):
+    hand = hands.keyed_hand(context, "right", hands.moving_hand_m("right"))
+    hands.put(hand, hands.PLACES["moved and turned"])
+    render = context.scene.render
+    camera.set_picture_size(render, *size)
+    render.resolution_percentage = percentage
+    depsgraph = armature.at_frame(context.scene, 2)
+    joints = armature.read_hand(hand, depsgraph).joints_world_m
+    eye = hands.camera_on(context, joints.mean(0), 0.9, **lens)
+    context.scene.camera = eye
+    view = camera.pinhole(eye, context.evaluated_depsgraph_get())
+    for place in (0, 4, 8, 20):
+        drawn = hands.drawn_by_cycles(context, joints[place], radius=0.006, folder=tmp_path)
+        ours = view.project(joints[place])[:2]
+        # worst observed 0.04 px: noise of the renderer and the shape of a small ball in perspective
+        assert np.linalg.norm(drawn - ours) < 0.1
+
+
+def test_scale_of_a_camera_is_left_out_as_blender_leaves_it_out(context):
+    hand = hands.keyed_hand(context, "right", hands.moving_hand_m("right"))
+    set_size(context.scene, (512, 334))
+    eye = hands.camera_on(context, (0, 0.1, 0), 0.6)
+    eye.scale = (2, 3, 0.5)
+    armature.at_frame(context.scene, 2)
+    assert disagreement_px(context, hand, eye) < AGREES_PX
+
+
+def test_an_animated_camera_is_seen_at_the_frame(context):
+    hand = hands.keyed_hand(context, "right", hands.moving_hand_m("right"))
+    set_size(context.scene, (512, 334))
+    eye = hands.camera_on(context, (0, 0.1, 0), 0.6)
+    eye.keyframe_insert("location", frame=1)
+    eye.data.keyframe_insert("lens", frame=1)
+    eye.location, eye.data.lens = eye.location * 1.2, 70
+    eye.keyframe_insert("location", frame=3)
+    eye.data.keyframe_insert("lens", frame=3)
+    views = []
+    for frame in (1, 2.5):
+        depsgraph = armature.at_frame(context.scene, frame)
+        assert disagreement_px(context, hand, eye) < AGREES_PX
+        views.append(camera.pinhole(eye, depsgraph))
+    assert views[1].fx > views[0].fx + 10
+
+
+@pytest.mark.parametrize(("kind", "failure"), [("ORTHO", "orthographic"), ("PANO", "panoramic")])
+def test_a_camera_that_is_no_pinhole_is_refused(context, kind, failure):
+    eye = hands.camera_on(context, (0, 0, 0), 1)
+    eye.data.type = kind
+    with pytest.raises(JGHandFailure) as caught:
+        camera.pinhole(eye, context.evaluated_depsgraph_get())
+    assert caught.value.kind == failure
+
+
+def test_what_is_no_camera_is_refused(context):
+    empty = bpy.data.objects.new("Empty", None)
+    context.scene.collection.objects.link(empty)
+    with pytest.raises(JGHandFailure, match="Empty"):
+        camera.pinhole(empty, context.evaluated_depsgraph_get())
+
+
+@pytest.mark.parametrize("scale", [(1, 1, -1), (1, 3, 1)], ids=["mirrored", "sheared"])
+def test_a_camera_that_its_parent_mirrors_or_shears_is_refused(context, scale):
+    eye = hands.camera_on(context, (0, 0, 0), 1)
+    parent = bpy.data.objects.new("Parent", None)
+    context.scene.collection.objects.link(parent)
+    parent.scale = scale
+    eye.parent = parent
+    context.view_layer.update()
+    with pytest.raises(JGHandFailure) as caught:
+        camera.pinhole(eye, context.evaluated_depsgraph_get())
+    assert caught.value.kind == "sheared_camera"
+
+
+@pytest.mark.parametrize("unit_m", [1.0, 0.01])
+def test_a_pinhole_becomes_a_camera_that_sees_the_same(context, unit_m):
+    context.scene.unit_settings.scale_length = unit_m
+    turn = hands.camera_on(context, (0, 0, 0), 1).matrix_world
+    camera_from_world = np.diag([1.0, -1, -1, 1]) @ np.linalg.inv(np.array(turn, np.float64))
+    for width, height in ((512, 334), (334, 512)):
+        wanted = Pinhole(width, height, 700.0, 700.0, 0.4 * width, 0.6 * height, camera_from_world)
+        set_size(context.scene, (width, height))
+        eye = camera.add_camera(context, "Eye", wanted)
+        seen = camera.pinhole(eye, context.evaluated_depsgraph_get())
+        # worst observed 4e-5 px and 2e-7
+        np.testing.assert_allclose(
+            (seen.fx, seen.fy, seen.cx, seen.cy), (wanted.fx, wanted.fy, wanted.cx, wanted.cy), atol=2e-4
+        )
+        np.testing.assert_allclose(seen.camera_from_world, camera_from_world, atol=1e-6)
+
+
+def test_a_pinhole_with_oblong_pixels_is_refused(context):
+    with pytest.raises(JGHandFailure, match="square"):
+        camera.add_camera(context, "Eye", Pinhole(64, 48, 80, 90, 32, 24, np.eye(4)))
+
+
+@pytest.mark.parametrize("handedness", HANDEDNESSES)
+@pytest.mark.parametrize("side", framing.SIDES)
+@pytest.mark.parametrize("size", [(512, 334), (334, 512)])
+def test_a_framing_camera_shows_the_whole_hand_and_not_much_else(context, handedness, side, size):
+    joints = hands.moving_hand_m(handedness, frames=8)
+    set_size(context.scene, size)
+    eye = framing.add_framing_camera(context, side, joints, handedness)
+    view = camera.pinhole(eye, context.evaluated_depsgraph_get())
+    pixels = view.project(joints)
+    margin = limits.SKIN_M * view.fx / pixels[..., 2]
+    for axis, edge in enumerate(size):
+        assert (pixels[..., axis] - margin > 0).all()
+        assert (pixels[..., axis] + margin < edge).all()
+    filled = np.ptp(pixels[..., :2].reshape(-1, 2), axis=0) / size
+    assert filled.max() > 0.55
+
+
+@pytest.mark.parametrize("handedness", HANDEDNESSES)
+def test_the_palm_camera_sees_the_palm_with_the_fingers_up(context, handedness):
+    joints = posing.rest_joints_m(handedness)
+    set_size(context.scene, (512, 334))
+    eye = framing.add_framing_camera(context, "CamPalm", joints[None], handedness)
+    view = camera.pinhole(eye, context.evaluated_depsgraph_get())
+    pixels = view.project(joints)
+    wrist, middle_tip, thumb_tip = pixels[0], pixels[12], pixels[4]
+    assert middle_tip[1] < wrist[1] - 100
+    # looking at the palm of a right hand with the fingers up, the thumb is on the right
+    assert (thumb_tip[0] > wrist[0]) == (handedness != LEFT)

@@ -1,0 +1,5 @@
+"""The part of the extension that knows no Blender also runs in Blender's Python: the same tests once more."""
+
+from test_batch import *  # noqa: F403
+from test_client import *  # noqa: F403
+from test_posing import *  # noqa: F403
