@@ -1,0 +1,94 @@
+"""The native transform of a single hand is the torch transform. Degenerate hands: tests/hard_cases."""
+
+import numpy as np
+import pytest
+import torch
+from hand import sampled_hands as hands
+
+from jghand_engine.errors import InputError
+from jghand_engine.hand.fast_transform import FastTransform
+from jghand_engine.hand.frames import FrameFlag
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.transform import JointTransform
+from jghand_engine.native import library
+
+CANONICAL = hands.canonical()
+VARIANTS = ["torch", *(["auto"] if library.load() else [])]
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("handedness", list(Handedness))
+@pytest.mark.parametrize("mode", ["axial", "uniform", 0.3])
+@pytest.mark.parametrize("swing", ["minimal", "euler"])
+def test_agrees_with_the_torch_transform(variant, handedness, mode, swing):
+    # 6 mm of palm change: some of these hands need the palm clamp
+    joints = hands.sample(200)
+    options = {"handedness": handedness, "swing": swing, "scale_mode": mode}
+    bones = JointTransform(CANONICAL, **options).bones(joints)
+    wanted = torch.cat([bones.linear, bones.offset_m.unsqueeze(-1)], -1).numpy()
+    fast = FastTransform(CANONICAL, **options, variant=variant)
+    for k, one in enumerate(joints.numpy()):
+        matrices, root, scale, flags = fast.bones64(one)
+        # worst observed 3e-15
+        assert np.abs(matrices - wanted[k]).max() < 2e-14
+        assert abs(scale - float(bones.scale[k])) < 1e-14
+        assert flags == int(bones.frames.flags[k])
+        assert np.array_equal(root, one[0])
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_result_is_float32_root_relative(variant):
+    moved = CANONICAL + 0.5
+    fast = FastTransform(moved.numpy(), variant=variant)
+    joints = hands.sample(1)[0].numpy()
+    bones = fast.bones(joints)
+    assert bones.linear_offset.dtype == np.float32
+    assert bones.root_m.dtype == np.float64
+    centred = np.concatenate([moved.numpy() - fast.canonical_root_m, np.ones((21, 1))], axis=1)
+    placed = (bones.linear_offset.astype(np.float64) @ centred[:, :, None])[..., 0] + bones.root_m
+    assert np.abs(placed - joints).max() < 1e-7
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_other_memory_layouts_and_types_of_joints_are_read_right(variant):
+    fast = FastTransform(CANONICAL, variant=variant)
+    joints = np.round(hands.sample(1)[0].numpy(), 3)
+    wanted = fast.bones64(joints)[0]
+    strided = np.zeros((21, 6))[:, ::2]
+    strided[:] = joints
+    assert np.array_equal(fast.bones64(strided)[0], wanted)
+    assert np.array_equal(fast.bones64(np.asfortranarray(joints))[0], wanted)
+    assert np.abs(fast.bones64(joints.astype(np.float32))[0] - wanted).max() < 1e-5
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_a_bad_joint_gives_nan_and_its_flag(variant, bad):
+    fast = FastTransform(CANONICAL, variant=variant)
+    for joint in (0, 1, 20):
+        joints = hands.canonical_np()
+        joints[joint, 2] = bad
+        bones = fast.bones(joints)
+        assert np.isnan(bones.linear_offset[..., :3]).all()
+        assert np.isnan(bones.scale)
+        assert bones.flags == FrameFlag.NOT_FINITE
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_wrong_shapes_are_named(variant):
+    fast = FastTransform(CANONICAL, variant=variant)
+    with pytest.raises(InputError, match="two hands"):
+        fast.bones(np.zeros((42, 3)))
+    with pytest.raises(InputError, match="joints of one hand"):
+        fast.bones(np.zeros((5, 21, 3)))
+
+
+def test_one_transform_serves_many_threads():
+    from concurrent.futures import ThreadPoolExecutor
+
+    fast = FastTransform(CANONICAL)
+    joints = hands.sample(64).numpy()
+    alone = [fast.bones64(one)[0] for one in joints]
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(lambda one: fast.bones64(one)[0], joints))
+    assert all(np.array_equal(a, b) for a, b in zip(alone, together, strict=True))

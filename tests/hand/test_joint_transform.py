@@ -1,0 +1,252 @@
+"""The 21 bone transforms of batches of ordinary hands. Degenerate ones are in tests/hard_cases."""
+
+import pytest
+import torch
+from hand import sampled_hands as hands
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from jghand_engine.errors import InputError
+from jghand_engine.hand.frames import FrameFlag, describe_flags
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.transform import JointTransform
+
+CANONICAL = hands.canonical()
+MODES = [(swing, mode) for swing in ("minimal", "euler") for mode in ("uniform", "axial", 0.3)]
+
+
+@pytest.mark.parametrize(("swing", "mode"), MODES)
+# METHOD 2.11; worst observed over 100,000 hands: 1.8e-4 and 3.2e-13 (scripts/check_transform.py)
+@pytest.mark.parametrize(("dtype", "limit_mm"), [(torch.float32, 5e-4), (torch.float64, 2e-12)])
+def test_both_ends_of_every_bone_land_on_the_joints(swing, mode, dtype, limit_mm):
+    transform = JointTransform(CANONICAL, swing=swing, scale_mode=mode)
+    cloud = 0.05 * torch.randn(2000, 21, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    for joints in (hands.sample(2000), cloud):
+        joints = joints.to(dtype)
+        assert hands.joint_error_mm(transform.bones(joints).matrices(), CANONICAL, joints) < limit_mm
+
+
+def test_root_relative_form_is_more_exact_far_from_the_origin():
+    joints = hands.sample(500).float()
+    bones = JointTransform(CANONICAL).bones(joints)
+    centred = CANONICAL.float() - bones.canonical_root_m
+    placed = (bones.linear * centred.unsqueeze(-2)).sum(-1) + bones.offset_m + bones.root_m.unsqueeze(-2)
+    # worst observed 6.7e-5 mm
+    assert ((placed - joints).norm(dim=-1).max() * 1e3) < 1.5e-4
+
+
+def test_canonical_hand_maps_to_itself():
+    matrices = JointTransform(CANONICAL).bones(CANONICAL).matrices()
+    identity = torch.eye(3, 4, dtype=torch.float64)
+    # worst observed 1.2e-15
+    assert (matrices - identity).abs().max() < 1e-14
+
+
+def test_canonical_hand_away_from_the_origin_maps_to_itself():
+    moved = CANONICAL + torch.tensor([0.3, -0.2, 0.7])
+    matrices = JointTransform(moved).bones(moved).matrices()
+    assert (matrices - torch.eye(3, 4, dtype=torch.float64)).abs().max() < 1e-14
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_left_hand_is_exactly_the_mirrored_right(dtype):
+    joints = hands.sample(300, seed=9).to(dtype)
+    right = JointTransform(CANONICAL).bones(joints).matrices()
+    left = JointTransform(CANONICAL, handedness=Handedness.LEFT).bones(hands.mirrored(joints)).matrices()
+    mirror = torch.tensor([-1.0, 1.0, 1.0], dtype=dtype).reshape(3, 1)
+    assert torch.equal(mirror * right, left)
+
+
+def test_forgotten_handedness_turns_the_skin_inside_out():
+    joints = hands.mirrored(hands.sample(300, seed=9))
+    frames = JointTransform(CANONICAL).frames(CANONICAL)
+    middle = (CANONICAL[1:] + CANONICAL[hands.STARTS[1:]]) / 2
+    skin = middle + 0.008 * frames.S[..., 0]
+
+    def placed(handedness):
+        matrices = JointTransform(CANONICAL, handedness=handedness).bones(joints).matrices()[:, 1:]
+        return (matrices[..., :3] * skin.unsqueeze(-2)).sum(-1) + matrices[..., 3]
+
+    apart_mm = 1e3 * (placed(Handedness.RIGHT) - placed(Handedness.LEFT)).norm(dim=-1).mean()
+    assert 15 < apart_mm < 17
+
+
+def test_moving_turning_and_scaling_the_hand_carries_the_matrices_along():
+    transform = JointTransform(CANONICAL)
+    joints = hands.sample(300, seed=2)
+    matrices = transform.bones(joints).matrices()
+    R = hands.random_rotations(300, torch.Generator().manual_seed(0))
+    shift = torch.randn(300, 1, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    moved = transform.bones(joints @ R.transpose(-1, -2) + shift).matrices()
+    expected = R[:, None] @ matrices
+    expected[..., 3] += shift
+    # worst observed 5.4e-14 and 1.7e-13
+    assert (moved - expected).abs().max() < 1e-12
+    assert (transform.bones(joints * 7.5).matrices() - 7.5 * matrices).abs().max() < 1e-12
+
+
+def test_frames_are_rotations_along_their_bones():
+    frames = JointTransform(CANONICAL).frames(hands.sample(300, palm_m=0.002))
+    S = torch.cat([frames.S, frames.S0.unsqueeze(-3)], -3)
+    assert (S.transpose(-1, -2) @ S - torch.eye(3)).abs().max() < 1e-12
+    assert (torch.linalg.det(S) > 0).all()
+    assert (frames.S[..., 2] - frames.direction).abs().max() < 1e-12
+    assert (frames.flags == 0).all()
+
+
+def test_flexion_is_positive_towards_the_palm_and_x_points_out_of_it():
+    fist = hands.hand(torch.full((1, 5, 3), 0.8, dtype=torch.float64), torch.zeros(1, 5, dtype=torch.float64))
+    frames = JointTransform(CANONICAL).frames(fist)
+    assert (frames.angles[0, 1:5, 0] > 0.7).all()
+    # the palm looks along -z in the sampled hands
+    assert frames.S0[0, 2, 0] < -0.9
+
+
+def test_angles_rebuild_the_local_directions():
+    frames = JointTransform(CANONICAL, swing="euler").frames(hands.sample(300))
+    flexion, abduction = frames.angles.unbind(-1)
+    u = torch.stack([flexion.sin() * abduction.cos(), -abduction.sin(), flexion.cos() * abduction.cos()], -1)
+    assert (u - frames.u).abs().max() < 1e-12
+
+
+def test_scale_modes_set_thickness_and_never_length():
+    joints = hands.sample(200)
+    along = {}
+    for mode in ("axial", "uniform", 0.5):
+        bones = JointTransform(CANONICAL, scale_mode=mode).bones(joints)
+        # thickness: how far a unit step across the canonical bone becomes
+        rest = JointTransform(CANONICAL).frames(CANONICAL)
+        across = (bones.linear[:, 1:] * rest.S[..., 0].unsqueeze(-2)).sum(-1).norm(dim=-1)
+        along[mode] = (bones.linear[:, 1:] * rest.direction.unsqueeze(-2)).sum(-1).norm(dim=-1)
+        s = bones.frames.length / rest.length
+        s_g = bones.scale.unsqueeze(-1)
+        expected = {"axial": s_g.expand_as(s), "uniform": s, 0.5: s_g * (s / s_g) ** 0.5}[mode]
+        assert (across - expected).abs().max() < 1e-12
+    assert (along["axial"] - along["uniform"]).abs().max() < 1e-12
+
+
+def test_batch_shapes_are_kept():
+    transform = JointTransform(CANONICAL)
+    joints = hands.sample(6)
+    flat, grid = transform.bones(joints), transform.bones(joints.reshape(2, 3, 21, 3))
+    assert grid.linear.shape == (2, 3, 21, 3, 3)
+    assert grid.matrices().shape == (2, 3, 21, 3, 4)
+    assert grid.scale.shape == grid.frames.flags.shape == (2, 3)
+    assert grid.frames.palm_p.shape == (2, 3, 4)
+    assert grid.frames.palm_n.shape == (2, 3, 3)
+    assert torch.equal(grid.matrices().reshape(6, 21, 3, 4), flat.matrices())
+    single = transform.bones(joints[0])
+    assert single.linear.shape == (21, 3, 3)
+    assert single.scale.shape == ()
+    assert (single.matrices() - flat.matrices()[0]).abs().max() < 1e-14
+    assert transform.bones(joints[:0]).matrices().shape == (0, 21, 3, 4)
+
+
+def test_autocast_changes_nothing():
+    transform = JointTransform(CANONICAL)
+    joints = hands.sample(50).float()
+    plain = transform.bones(joints)
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        cast = transform.bones(joints)
+        assert torch.equal(plain.matrices(), cast.matrices())
+        assert torch.equal(plain.frames.angles, cast.frames.angles)
+        assert torch.equal(plain.frames.palm_p, cast.frames.palm_p)
+        assert torch.equal(plain.frames.palm_n, cast.frames.palm_n)
+
+
+def test_half_precision_joints_are_computed_in_single():
+    joints = hands.sample(5, shift_m=0.0).half()
+    assert JointTransform(CANONICAL).bones(joints).linear.dtype == torch.float32
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+def test_a_bad_joint_spoils_only_its_own_hand(bad):
+    transform = JointTransform(CANONICAL)
+    joints = hands.sample(3)
+    good = transform.bones(joints)
+    for joint in range(21):
+        spoiled = joints.clone()
+        spoiled[1, joint, 1] = bad
+        bones = transform.bones(spoiled)
+        assert torch.isnan(bones.linear[1]).all()
+        assert int(bones.frames.flags[1]) == FrameFlag.NOT_FINITE
+        assert torch.equal(bones.matrices()[[0, 2]], good.matrices()[[0, 2]])
+
+
+@pytest.mark.parametrize(("swing", "mode"), MODES)
+@pytest.mark.parametrize("pose", ["generic", "straight", "collinear", "millimetres", "left"])
+def test_gradients_are_the_derivatives(swing, mode, pose):
+    joints = hands.sample(1, seed=3, palm_m=0.003, bone=0.1, shift_m=0.0, turned=False)[0]
+    unit = 1000.0 if pose == "millimetres" else 1.0
+    if pose == "straight":
+        joints = hands.flat()
+    if pose == "collinear":
+        along = joints[2] / joints[2].norm()
+        for k, length in enumerate((0.04, 0.07, 0.09)):
+            joints[7 + 5 * k] = joints[2] + along * length
+    handedness = Handedness.LEFT if pose == "left" else Handedness.RIGHT
+    transform = JointTransform(CANONICAL, handedness=handedness, swing=swing, scale_mode=mode)
+    # a fixed random mixture of all entries: fewer backward passes, nothing cancels
+    mix = torch.randn(21 * 12, 24, dtype=torch.float64, generator=torch.Generator().manual_seed(0)) / 16
+
+    def outputs(x):
+        bones = transform.bones(x)
+        frames = bones.frames
+        return bones.matrices().reshape(1, -1) @ mix, frames.angles, frames.palm_p, frames.palm_n, bones.scale
+
+    x = (joints * unit).unsqueeze(0).clone().requires_grad_()
+    assert torch.autograd.gradcheck(outputs, (x,), eps=1e-8 * unit, atol=2e-5, rtol=1e-4)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    seed=st.integers(0, 2**31),
+    bone=st.floats(0.0, 0.6),
+    scale=st.floats(1e-3, 1e3),
+    exponent=st.floats(0.0, 1.0),
+    swing=st.sampled_from(["minimal", "euler"]),
+    handedness=st.sampled_from(list(Handedness)),
+)
+def test_joints_are_exact_for_any_hand(seed, bone, scale, exponent, swing, handedness):
+    transform = JointTransform(CANONICAL, handedness=handedness, swing=swing, scale_mode=exponent)
+    joints = scale * hands.sample(4, seed=seed, bone=bone, shift_m=0.1)
+    # 2e-12 mm for hands of ordinary size, METHOD 2.11; round-off grows with the size
+    limit = 2e-12 * max(1.0, scale)
+    assert hands.joint_error_mm(transform.bones(joints).matrices(), CANONICAL, joints) < limit
+
+
+def test_unusable_arguments_are_named():
+    with pytest.raises(InputError, match="scale mode"):
+        JointTransform(CANONICAL, scale_mode=1.5)
+    with pytest.raises(InputError, match="swing"):
+        JointTransform(CANONICAL, swing="roll")
+    with pytest.raises(InputError, match="two hands of InterHand"):
+        JointTransform(CANONICAL).bones(torch.zeros(42, 3))
+    with pytest.raises(InputError, match="floating point"):
+        JointTransform(CANONICAL).bones(torch.zeros(21, 3, dtype=torch.int64))
+
+
+def test_unusable_canonical_hands_are_refused():
+    same = CANONICAL.clone()
+    same[7] = same[2]
+    with pytest.raises(InputError, match="none at index2"):
+        JointTransform(same)
+    parallel = CANONICAL.clone()
+    parallel[5] = 0.9 * parallel[4]
+    with pytest.raises(InputError, match="Spread the fingers"):
+        JointTransform(parallel)
+    with pytest.raises(InputError, match="finite"):
+        JointTransform(CANONICAL * float("nan"))
+    with pytest.raises(InputError, match="finite"):
+        JointTransform(CANONICAL[:20])
+    sideways = CANONICAL.clone()
+    y_axis = JointTransform(CANONICAL).frames(CANONICAL).S[1, :, 1]
+    for k in range(3):
+        sideways[7 + 5 * k] = sideways[2] + y_axis * 0.03 * (k + 1)
+    with pytest.raises(InputError, match="bent sideways"):
+        JointTransform(sideways)
+
+
+def test_flags_read_as_sentences():
+    assert describe_flags(0) == []
+    assert describe_flags(FrameFlag.ZERO_BONE | FrameFlag.NO_PALM) == ["a bone has no length", "the palm has no plane"]
