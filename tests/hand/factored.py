@@ -6,9 +6,9 @@ Only for tests: it shows that the closed form of the engine is this chain. Unifo
 from __future__ import annotations
 
 import torch
+from hand.sampled_hands import STARTS
 from torch import Tensor
 
-from hand.sampled_hands import STARTS
 from jghand_engine.hand.frames import Swing
 from jghand_engine.hand.transform import JointTransform
 

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import torch
 from hand import sampled_hands as hands
-
 from hard_cases.hard_hands import hard_hands, size_of
+
 from jghand_engine.hand.fast_transform import FastTransform
 from jghand_engine.hand.frames import FrameFlag
 from jghand_engine.hand.joints import Handedness
