@@ -1,0 +1,166 @@
+"""The set-up of the two environments: which Python is taken, when is it quick, what does a failure say."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
+import environments
+from environments import BLENDER, ENGINE, MissingLibraryError, SetupError
+
+THIS = sys.version_info[:2]
+pytestmark = pytest.mark.skipif(os.name == "nt", reason="the stand-ins are shell scripts")
+
+
+@pytest.fixture
+def only_these_pythons(tmp_path, monkeypatch):
+    """A machine whose PATH has only what the test puts into a folder, and no other place to look."""
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setattr(environments.glob, "glob", lambda pattern: [])
+
+    def add(name, output, code=0):
+        script = tmp_path / name
+        script.write_text(f"#!/bin/sh\necho '{output}'\nexit {code}\n")
+        script.chmod(0o755)
+        return [str(script)]
+
+    return add
+
+
+def test_the_python_that_runs_the_script_is_taken_when_it_will_do():
+    assert environments.find_python((THIS,)) == [sys.executable]
+
+
+def test_a_shim_that_does_not_run_is_passed_over(only_these_pythons, monkeypatch, tmp_path):
+    only_these_pythons("python3.99", "not installed", code=127)
+    other = tmp_path / "later"
+    other.mkdir()
+    monkeypatch.setenv("PATH", f"{tmp_path}{os.pathsep}{other}")
+    good = other / "python3.99"
+    good.write_text("#!/bin/sh\necho 3.99\n")
+    good.chmod(0o755)
+    assert environments.find_python(((3, 99),)) == [str(good)]
+
+
+def test_the_better_version_wins(only_these_pythons):
+    only_these_pythons("python3.98", "3.98")
+    best = only_these_pythons("python3.99", "3.99")
+    assert environments.find_python(((3, 99), (3, 98))) == best
+
+
+def test_a_python_of_another_version_than_its_name_is_not_taken(only_these_pythons):
+    only_these_pythons("python3.99", "3.42")
+    with pytest.raises(SetupError):
+        environments.find_python(((3, 99),))
+
+
+def test_a_missing_python_is_named_with_a_way_to_get_it(only_these_pythons):
+    with pytest.raises(SetupError, match=r"No usable Python 3\.98 or 3\.99 was found\. Install Python 3\.98"):
+        environments.find_python(((3, 98), (3, 99)))
+
+
+def test_a_newer_python_than_any_named_will_do_where_that_is_allowed(only_these_pythons):
+    assert environments.find_python(((3, 1), None)) == [sys.executable]
+
+
+def test_blender_is_never_made_with_a_python_that_it_is_not_built_for():
+    assert [version for version in BLENDER.pythons if not BLENDER.usable(version)] == []
+    assert not any(BLENDER.usable(version) for version in ((3, 10), (3, 12), (3, 14)))
+    assert all(ENGINE.usable(version) for version in ((3, 11), (3, 12), (3, 13), (3, 14), (3, 20)))
+    assert not ENGINE.usable((3, 10))
+
+
+@pytest.fixture
+def tiny(tmp_path, monkeypatch):
+    """An environment in a project of its own. It is really made, but without pip (which takes seconds), and steps of
+    pip are only said."""
+    (tmp_path / "constraints").mkdir()
+    (tmp_path / "constraints/tiny.txt").write_text("# nothing\n")
+    (tmp_path / "source.txt").write_text("one")
+    monkeypatch.setattr(environments, "ROOT", tmp_path)
+    monkeypatch.setattr(environments, "ENVIRONMENTS", tmp_path / ".envs")
+    step = environments._step
+
+    def without_pip(text, command, *, retry=False):
+        if "venv" in command:
+            step(text, [*command, "--without-pip"], retry=retry)
+        else:
+            print(text)
+
+    monkeypatch.setattr(environments, "_step", without_pip)
+    return environments.Environment("tiny", (THIS,), ("nothing",), ("*.txt",), builds=False, check="import sys")
+
+
+def test_a_failing_step_shows_the_end_of_what_it_said_and_its_command(capsys):
+    command = [sys.executable, "-c", "import sys; print('the reason'); sys.exit(1)"]
+    with pytest.raises(SetupError, match=r"This step failed: trying\.\nthe reason\n(.*\n)*The command was: "):
+        environments._step("trying", command, retry=True)
+    assert capsys.readouterr().out.count("once more") == 1
+
+
+def test_an_environment_is_made_once_and_again_when_its_sources_change(tiny, capsys, tmp_path):
+    python = environments.ensure(tiny)
+    assert python.exists()
+    assert "Setting up" in capsys.readouterr().out
+    environments.ensure(tiny)
+    assert capsys.readouterr().out == ""
+    (tmp_path / "source.txt").write_text("two")
+    environments.ensure(tiny)
+    assert "installing" in capsys.readouterr().out
+
+
+def test_an_environment_whose_installation_broke_off_is_finished(tiny, capsys):
+    environments.ensure(tiny)
+    (tiny.folder / environments.STAMP).unlink()
+    capsys.readouterr()
+    environments.ensure(tiny)
+    assert "installing the packages" in capsys.readouterr().out
+
+
+def test_an_environment_without_a_working_python_is_made_anew(tiny, capsys):
+    environments.ensure(tiny)
+    tiny.python.unlink()
+    capsys.readouterr()
+    environments.ensure(tiny)
+    assert "unfinished" in capsys.readouterr().out
+
+
+def test_an_environment_that_does_not_work_is_made_anew_once(tiny, capsys):
+    environments.ensure(tiny)
+    broken = dataclasses.replace(tiny, check="raise ImportError('torn')")
+    capsys.readouterr()
+    with pytest.raises(SetupError, match="torn"):
+        environments.ensure(broken)
+    assert capsys.readouterr().out.count("making it anew") == 1
+    assert not (tiny.folder / environments.STAMP).exists()
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="the hint is for Linux")
+def test_a_missing_system_library_is_named_with_the_line_that_installs_it(tiny):
+    check = "raise ImportError('libGL.so.1: cannot open shared object file: No such file or directory')"
+    with pytest.raises(MissingLibraryError, match=r"libGL\.so\.1.*(\n.*)*apt-get install -y libgl1"):
+        environments.ensure(dataclasses.replace(tiny, check=check))
+
+
+def test_nothing_of_another_python_leaks_into_an_environment(monkeypatch):
+    for name in environments.LEAKING_VARIABLES:
+        monkeypatch.setenv(name, "/elsewhere")
+    assert not set(environments.LEAKING_VARIABLES) & set(environments.clean_variables())
+
+
+@pytest.mark.parametrize("environment", [ENGINE, BLENDER])
+def test_every_constraint_is_one_exact_public_version(environment):
+    lines = [line for line in environment.constraints.read_text().splitlines() if line and not line.startswith("#")]
+    assert lines
+    for line in lines:
+        requirement = line.split(";")[0].strip()
+        name, _, version = requirement.partition("==")
+        assert name, line
+        assert version, line
+        assert "+" not in version, f"{line}: a local version is not on every index"
