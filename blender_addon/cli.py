@@ -159,7 +159,7 @@ def _cameras(scene: bpy.types.Scene, names: str | None) -> list[bpy.types.Object
 
 def _make_evaluated(cameras: list[bpy.types.Object]) -> list[bpy.types.Object]:
     """The hands of the scene, made sure, as the cameras, to be evaluated (in memory; the file stays as it is)."""
-    hands = armature.hand_armatures(bpy.context.view_layer)
+    hands = armature.hands_at_any_frame(bpy.context.view_layer)
     for thing in (*hands, *cameras):
         armature.show_to_evaluate(thing)
     return hands

@@ -35,8 +35,8 @@ class FileError(Exception):
     """A file cannot be used; the text says why."""
 
 
-def main() -> int:
-    options = parser().parse_args()
+def main(arguments: list[str] | None = None) -> int:
+    options = parser().parse_args(arguments)
     if importlib.util.find_spec("bpy") is None:
         return failed("This needs a Python with bpy: run it with .envs/blender/bin/python.")
     sys.path.insert(0, str(ROOT))

@@ -20,6 +20,7 @@ from ..core import limits, posing
 from ..core.joints import HANDEDNESSES, NAMES, PARENTS, TAILS, TIPS, WRIST
 from ..core.messages import JGHandFailure
 from ..core.view import HandInSpace
+from . import versions
 
 # custom property of the armature object: which hand it is; an armature that has it is a hand
 HANDEDNESS_PROPERTY = "jghand_handedness"
@@ -51,13 +52,12 @@ def build_armature(context: bpy.types.Context, name: str, joints_m: np.ndarray, 
 
 def hand_armatures(view_layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
     """The hands of a view layer that take part in renders at the current frame, by name."""
-    hands = {
-        thing.name: thing
-        for collection in _rendered_collections(view_layer.layer_collection)
-        for thing in collection.objects
-        if thing.type == "ARMATURE" and HANDEDNESS_PROPERTY in thing and not thing.hide_render
-    }
-    return [hands[name] for name in sorted(hands)]
+    return [hand for hand in _hands_of(view_layer) if not hand.hide_render]
+
+
+def hands_at_any_frame(view_layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
+    """The hands of a view layer that take part in renders now or, being animated so, at another frame, by name."""
+    return [hand for hand in _hands_of(view_layer) if not hand.hide_render or _is_animated(hand, "hide_render")]
 
 
 def show_to_evaluate(thing: bpy.types.Object) -> None:
@@ -104,6 +104,21 @@ def at_frame(scene: bpy.types.Scene, frame: float) -> bpy.types.Depsgraph:
     whole = int(np.floor(frame))
     scene.frame_set(whole, subframe=frame - whole)
     return bpy.context.evaluated_depsgraph_get()
+
+
+def _hands_of(view_layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
+    hands = {
+        thing.name: thing
+        for collection in _rendered_collections(view_layer.layer_collection)
+        for thing in collection.objects
+        if thing.type == "ARMATURE" and HANDEDNESS_PROPERTY in thing
+    }
+    return [hands[name] for name in sorted(hands)]
+
+
+def _is_animated(thing: bpy.types.Object, data_path: str) -> bool:
+    drivers = thing.animation_data.drivers if thing.animation_data else ()
+    return any(curve.data_path == data_path for curve in (*versions.fcurves(thing), *drivers))
 
 
 def _rendered_collections(layer: bpy.types.LayerCollection) -> Iterator[bpy.types.Collection]:

@@ -71,7 +71,7 @@ def drawn_by_cycles(context: bpy.types.Context, point: np.ndarray, *, radius: fl
     """(2,) pixels, v down: centroid of a small glowing ball at a world point, drawn by Blender's path tracer."""
     scene = context.scene
     scene.render.engine = "CYCLES"
-    scene.cycles.samples, scene.cycles.use_denoising = 16, False
+    scene.cycles.samples, scene.cycles.use_denoising = 128, False
     scene.render.film_transparent = True
     scene.render.image_settings.file_format = "PNG"
     scene.render.image_settings.color_mode = "RGBA"

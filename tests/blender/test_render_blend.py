@@ -1,0 +1,309 @@
+"""From a .blend file to pictures without a window: with a stand-in engine every turn of the run, with the real one the
+way as a user goes it."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import bpy
+import hands
+import numpy as np
+import pytest
+
+from blender_addon import cli
+from blender_addon.bridge import armature, camera
+from blender_addon.core import posing
+from blender_addon.core.messages import JGHandFailure
+
+ROOT = Path(__file__).resolve().parents[2]
+SIZE = (128, 84)
+
+
+@pytest.fixture
+def engine(monkeypatch, stand_in_command):
+    """Lets the command line find the stand-in; call it with a fault to get one that fails."""
+
+    def use(*faults: str) -> None:
+        monkeypatch.setattr(cli, "engine_command", lambda *_, **__: [*stand_in_command, *faults])
+
+    use()
+    return use
+
+
+@pytest.fixture
+def blend(context, tmp_path) -> Path:
+    """A saved scene: a hand that moves over frames 1 to 4, seen by two cameras."""
+    joints = hands.moving_hand_m("right", frames=4)
+    hand = hands.keyed_hand(context, "right", joints)
+    hand.hide_viewport = True  # as riggers leave it
+    camera.set_picture_size(context.scene.render, *SIZE)
+    for name, distance in (("CamPalm", 0.5), ("CamSide", 0.7)):
+        hands.camera_on(context, (0, 0.09, 0), distance).name = name
+    context.scene.camera = bpy.data.objects["CamPalm"]
+    context.scene.frame_start, context.scene.frame_end = 1, 4
+    return saved(tmp_path)
+
+
+def saved(folder: Path) -> Path:
+    path = folder / "hand.blend"
+    bpy.ops.wm.save_as_mainfile(filepath=str(path), compress=True)
+    return path
+
+
+def rendered(blend: Path, *options: object) -> tuple[int, list[str], dict]:
+    """Exit code, written files and report of a run."""
+    out, report = blend.parent / "out", blend.parent / "report.json"
+    code = cli.main([str(blend), "--out", str(out), "--report", str(report), *map(str, options)])
+    files = sorted(str(path.relative_to(out)) for path in out.rglob("*") if path.is_file())
+    return code, files, json.loads(report.read_text())
+
+
+def pixels(path: Path) -> np.ndarray:
+    """(H, W, 4) of a picture, top row first."""
+    image = bpy.data.images.load(str(path))
+    values = np.array(image.pixels[:], np.float32).reshape(image.size[1], image.size[0], 4)[::-1]
+    bpy.data.images.remove(image)
+    return values
+
+
+def test_every_frame_of_every_camera_becomes_a_picture(engine, blend, capsys):
+    code, files, report = rendered(blend, "--camera", "CamPalm,CamSide", "--frames", "1-4,3")
+    assert code == 0
+    assert files == ["CamPalm/0001.png", "CamPalm/0004.png", "CamSide/0001.png", "CamSide/0004.png"]
+    assert pixels(blend.parent / "out" / "CamPalm" / "0001.png").shape == (*SIZE[::-1], 4)
+    assert (report["wanted"], report["rendered"], report["skipped"], report["failure"]) == (4, 4, 0, None)
+    assert report["pictures"][0]["reports"][0]["total_ms"] > 0
+    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("frame ")]
+    assert len(lines) == 4
+    assert "4 of 4" in lines[-1]
+
+
+def test_without_options_the_scenes_own_camera_and_range_are_rendered(engine, blend):
+    code, files, _ = rendered(blend)
+    assert code == 0
+    assert files == [f"CamPalm/{frame:04d}.png" for frame in (1, 2, 3, 4)]
+
+
+def test_pictures_of_different_frames_differ(engine, blend):
+    rendered(blend, "--frames", "1-2")
+    first, second = (pixels(blend.parent / f"out/CamPalm/{frame:04d}.png") for frame in (1, 2))
+    assert np.abs(first - second).max() > 0.5
+
+
+def test_a_run_goes_on_where_the_last_one_stopped(engine, blend):
+    rendered(blend)
+    out = blend.parent / "out" / "CamPalm"
+    (out / "0003.png").unlink()
+    (out / "0001.png").write_bytes(b"mine")
+    code, _, report = rendered(blend)
+    assert code == 0
+    assert (report["rendered"], report["skipped"]) == (1, 3)
+    assert (out / "0001.png").read_bytes() == b"mine"
+    _, _, report = rendered(blend, "--overwrite")
+    assert report["rendered"] == 4
+    assert (out / "0001.png").read_bytes() != b"mine"
+
+
+def test_the_file_itself_stays_as_it_was(engine, blend):
+    before = blend.read_bytes()
+    rendered(blend, "--frames", "2")
+    assert blend.read_bytes() == before
+
+
+def test_two_hands_are_drawn_into_one_picture_the_nearer_in_front(engine, context, tmp_path):
+    rest = {handedness: posing.rest_joints_m(handedness) for handedness in ("right", "left")}
+    for handedness, joints in rest.items():
+        armature.build_armature(context, handedness, joints, handedness)
+    eye = hands.camera_on(context, (0, 0, 0), 0.4)
+    eye.matrix_world = np.array([[1, 0, 0, 0], [0, 1, 0, 0.05], [0, 0, 1, 0.4], [0, 0, 0, 1.0]]).T
+    camera.set_picture_size(context.scene.render, *SIZE)
+    context.scene.camera = eye
+    for nearer in rest:  # the stand-in draws a right hand white, a left one blue
+        for handedness in rest:
+            bpy.data.objects[handedness].location = (0, 0, 0.05 if handedness == nearer else 0)
+        code, _, report = rendered(saved(tmp_path), "--frames", "1", "--overwrite")
+        assert code == 0
+        assert len(report["pictures"][0]["reports"]) == 2
+        context = bpy.context
+        wrist = camera.pinhole(context.scene.camera, context.evaluated_depsgraph_get()).project(np.array([0, 0, 0.05]))
+        colour = pixels(tmp_path / "out/Camera/0001.png")[int(wrist[1]), int(wrist[0])]
+        np.testing.assert_array_equal(colour, (1, 1, 1, 1) if nearer == "right" else (0, 0, 1, 1))
+
+
+def test_a_hand_that_is_switched_off_in_a_frame_leaves_the_picture_empty(engine, blend):
+    hand = bpy.data.objects["right"]
+    for frame, off in ((1, False), (2, True)):
+        hand.hide_render = off
+        hand.keyframe_insert("hide_render", frame=frame)
+    bpy.context.scene.frame_set(1)
+    code, _, _ = rendered(saved(blend.parent), "--frames", "1-2")
+    assert code == 0
+    assert pixels(blend.parent / "out/CamPalm/0001.png").any()
+    assert not pixels(blend.parent / "out/CamPalm/0002.png").any()
+
+
+def test_a_scene_whose_hands_are_never_rendered_is_bad_input_and_no_run_of_empty_pictures(engine, blend):
+    bpy.data.objects["right"].hide_render = True
+    code, files, report = rendered(saved(blend.parent))
+    assert code == 2
+    assert report["failure"]["kind"] == "no_hand"
+    assert files == []
+
+
+@pytest.mark.parametrize(
+    ("fault", "code", "kind"),
+    [
+        ("die", 3, "crashed"),
+        ("killed", 4, "killed"),
+        ("memory", 4, "out_of_memory"),
+        ("bug", 3, "internal"),
+        ("die_at_start", 3, "crashed"),
+        ("wrong_version", 2, "protocol"),
+    ],
+)
+def test_a_failing_engine_ends_the_run_with_its_code_and_nothing_half_written(engine, blend, fault, code, kind, capsys):
+    engine(fault)
+    came, files, report = rendered(blend, "--frames", "1-2")
+    assert came == code
+    assert files == []
+    assert report["failure"]["kind"] == kind
+    assert report["failure"]["sentence"] in capsys.readouterr().err
+
+
+def test_pictures_made_before_a_failure_are_kept(engine, blend):
+    rendered(blend, "--frames", "1")
+    engine("die")
+    code, files, report = rendered(blend, "--frames", "1-3")
+    assert code == 3
+    assert files == ["CamPalm/0001.png"]
+    assert report["skipped"] == 1
+
+
+def test_a_file_that_is_not_there_or_no_blend_file_is_bad_input(engine, tmp_path):
+    for content in (None, b"no blend file"):
+        path = tmp_path / "hand.blend"
+        if content is not None:
+            path.write_bytes(content)
+        code, _, report = rendered(path)
+        assert code == 2
+        assert report["failure"]["kind"] == "bad_file"
+
+
+def test_a_camera_that_is_not_there_is_bad_input_and_the_others_are_named(engine, blend, capsys):
+    code, _, report = rendered(blend, "--camera", "CamPalm,CamTop")
+    assert code == 2
+    assert report["failure"]["kind"] == "not_a_camera"
+    assert "CamSide" in capsys.readouterr().err
+
+
+def test_a_scene_without_a_hand_is_bad_input(engine, blend):
+    bpy.data.objects.remove(bpy.data.objects["right"])
+    code, _, report = rendered(saved(blend.parent))
+    assert code == 2
+    assert report["failure"]["kind"] == "no_hand"
+
+
+def test_a_mirrored_hand_is_bad_input(engine, blend):
+    bpy.data.objects["right"].scale = (-1, 1, 1)
+    code, files, report = rendered(saved(blend.parent))
+    assert code == 2
+    assert report["failure"]["kind"] == "mirrored"
+    assert files == []
+
+
+def test_an_avatar_that_is_not_there_is_bad_input(engine, blend):
+    code, _, report = rendered(blend, "--avatar", blend.parent / "nothing.jghand")
+    assert code == 2
+    assert report["failure"]["kind"] == "bad_avatar"
+
+
+def test_a_folder_that_cannot_be_written_is_bad_input(engine, blend):
+    (blend.parent / "out").touch()
+    code = cli.main([str(blend), "--out", str(blend.parent / "out"), "--frames", "1"])
+    assert code == 2
+
+
+def test_without_an_engine_the_run_says_where_it_looked(blend, monkeypatch):
+    def nowhere(*_, **__):
+        raise JGHandFailure("no_interpreter", "neither here nor there")
+
+    monkeypatch.setattr(cli, "engine_command", nowhere)
+    code, _, report = rendered(blend)
+    assert code == 2
+    assert report["failure"]["detail"] == "neither here nor there"
+
+
+@pytest.mark.parametrize("frames", ["x", "4-1"])
+def test_frames_that_make_no_sense_are_bad_input(blend, frames):
+    with pytest.raises(SystemExit) as caught:
+        rendered(blend, "--frames", frames)
+    assert caught.value.code == 2
+
+
+def script(name: str, *arguments: object) -> subprocess.CompletedProcess:
+    """Runs one of the project's scripts in this Python, as a user does."""
+    command = [sys.executable, str(ROOT / "scripts" / name), *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+def motion_file(folder: Path, handedness: str = "right", changes: dict | None = None) -> Path:
+    joints = hands.moving_hand_m(handedness, frames=3)
+    content = {"joints_m": joints, "order": "standard", "unit": "m", "fps": 24.0, "handedness": handedness}
+    np.savez_compressed(folder / "motion.npz", **{**content, **(changes or {})})
+    return folder / "motion.npz"
+
+
+def test_the_demo_scene_is_built_from_a_motion_file(context, tmp_path):
+    done = script("build_demo_scene.py", "--motion", motion_file(tmp_path, "left"), "--out", tmp_path / "hand.blend")
+    assert done.returncode == 0, done.stderr
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "hand.blend"))
+    scene = bpy.context.scene
+    assert {thing.name for thing in scene.objects if thing.type == "CAMERA"} == {"CamPalm", "CamSide"}
+    assert (scene.frame_start, scene.frame_end, scene.render.fps) == (1, 3, 24)
+    assert camera.picture_size(scene.render) == (512, 334)
+    (hand,) = armature.hand_armatures(bpy.context.view_layer)
+    seen = armature.read_hand(hand, armature.at_frame(scene, 3))
+    np.testing.assert_allclose(seen.joints_world_m, hands.moving_hand_m("left", frames=3)[2], atol=2e-7)
+
+
+def test_the_demo_scene_takes_cameras_from_a_file(context, tmp_path):
+    view = {"width": 200, "height": 100, "fx": 300, "fy": 300, "cx": 90, "cy": 55}
+    matrix = np.diag([1.0, -1, -1, 1])
+    matrix[2, 3] = 0.5
+    (tmp_path / "cameras.json").write_text(json.dumps({"front": {**view, "camera_from_world": matrix.tolist()}}))
+    files = ["--motion", motion_file(tmp_path), "--cameras", tmp_path / "cameras.json", "--out", tmp_path / "a.blend"]
+    done = script("build_demo_scene.py", *files)
+    assert done.returncode == 0, done.stderr
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
+    seen = camera.pinhole(bpy.data.objects["front"], bpy.context.evaluated_depsgraph_get())
+    assert (seen.width, seen.height) == (200, 100)
+    assert (seen.fx, seen.cx, seen.cy) == pytest.approx((300, 90, 55), abs=1e-3)
+    np.testing.assert_allclose(seen.camera_from_world, matrix, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"order": "level"}, {"joints_m": np.zeros((3, 20, 3))}, {"handedness": "both"}, {"fps": 0.0}],
+    ids=["another order", "20 joints", "no hand of that name", "no frame rate"],
+)
+def test_a_motion_that_cannot_be_used_is_bad_input_and_writes_nothing(tmp_path, changes):
+    motion = motion_file(tmp_path, changes=changes)
+    done = script("build_demo_scene.py", "--motion", motion, "--out", tmp_path / "hand.blend")
+    assert done.returncode == 2
+    assert "build_demo_scene:" in done.stderr
+    assert not (tmp_path / "hand.blend").exists()
+
+
+def test_the_real_engine_renders_a_blend_file(engine_python, blend):
+    out = blend.parent / "real"
+    done = script("render_blend.py", blend, "--out", out, "--frames", "1", "--engine-python", engine_python)
+    assert done.returncode == 0, done.stderr
+    picture = pixels(out / "CamPalm" / "0001.png")
+    assert picture.shape == (*SIZE[::-1], 4)
+    assert 0.02 < (picture[..., 3] > 0.5).mean() < 0.7
+    skin = picture[picture[..., 3] > 0.9][:, :3].mean(0)
+    assert skin[0] > skin[2] > 0.1  # skin is reddish, and neither black nor white
+    assert skin[0] < 0.98
