@@ -1,0 +1,212 @@
+"""MANO's own file becomes a template. Tried on a made-up hand in a file of the same structure: MANO itself may not be
+passed on."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from mano_samples import (
+    FILE_FROM_CANONICAL,
+    FILE_ROOT,
+    FLEXION_RAD,
+    Thing,
+    mano_fields,
+    mano_objects,
+    python2_pickle,
+    sock,
+)
+
+from jghand_engine.errors import InputError
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.template.builtin import load_template
+from jghand_engine.template.mano import ManoPose, TipVertices, convert_mano, load_mano, read_mano
+from jghand_engine.template.surface import is_closed
+
+RIGHT, LEFT = Handedness.RIGHT, Handedness.LEFT
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("mano")
+    (folder / "MANO_RIGHT.pkl").write_bytes(python2_pickle(mano_objects(mano_fields())))
+    (folder / "MANO_LEFT.pkl").write_bytes(python2_pickle(mano_objects(mano_fields(left=True))))
+    return folder
+
+
+@pytest.fixture(scope="module")
+def flat(folder):
+    return load_mano(folder / "MANO_RIGHT.pkl", handedness=RIGHT, pose=ManoPose.FLAT)
+
+
+@pytest.mark.parametrize("protocol", [0, 2])
+def test_every_array_comes_back_exactly(tmp_path, protocol):
+    fields = mano_fields()
+    path = tmp_path / "MANO_RIGHT.pkl"
+    path.write_bytes(python2_pickle(mano_objects(fields), protocol))
+    read = read_mano(path)
+    for name, array in fields.items():
+        assert np.array_equal(read[name], array), name
+
+
+def test_later_pickle_protocols_are_read_too(tmp_path):
+    import pickle
+
+    fields = mano_fields()
+    for protocol in range(5):
+        path = tmp_path / f"protocol{protocol}.pkl"
+        path.write_bytes(pickle.dumps(fields, protocol=protocol))
+        read = read_mano(path)
+        assert all(np.array_equal(read[name], array) for name, array in fields.items()), protocol
+
+
+def test_column_major_and_big_endian_arrays_are_read(tmp_path):
+    import pickle
+
+    fields = mano_fields()
+    path = tmp_path / "other.pkl"
+    other = {name: np.asfortranarray(array).astype(array.dtype.newbyteorder(">")) for name, array in fields.items()}
+    path.write_bytes(pickle.dumps(other, protocol=2))
+    read = read_mano(path)
+    assert all(np.array_equal(read[name], array) for name, array in fields.items())
+
+
+def test_the_flat_hand_lies_in_the_canonical_frame(flat):
+    # worst observed 6e-16 m
+    np.testing.assert_allclose(flat.joints_m, load_template().joints_m, atol=1e-14)
+    expected = mano_fields()["v_template"]
+    np.testing.assert_allclose((expected - FILE_ROOT) @ FILE_FROM_CANONICAL, flat.vertices_m[:-1], atol=1e-14)
+
+
+def test_the_wrist_is_closed_by_a_fan(flat):
+    assert is_closed(flat.faces)
+    assert len(flat.faces) == flat.skin_face_count + 16
+    np.testing.assert_allclose(flat.vertices_m[-1], sock()[0][:16].mean(axis=0), atol=1e-14)
+    assert flat.bone_weights[-1, 0] == 1
+
+
+def test_a_joint_s_weight_goes_to_the_bone_that_starts_there(flat):
+    # MANO's joints 3, 6, 12, 9, 15 are the last of index, middle, ring, pinky, thumb; our bones 17, 18, 19, 20, 16 start
+    # there
+    for vertex, bone in zip((317, 444, 556, 673, 745), (17, 18, 19, 20, 16), strict=True):
+        assert flat.bone_weights[vertex, bone] == 1
+
+
+def test_a_left_hand_becomes_the_same_right_hand(folder):
+    right = load_mano(folder / "MANO_RIGHT.pkl", handedness=RIGHT)
+    left = load_mano(folder / "MANO_LEFT.pkl", handedness=LEFT)
+    np.testing.assert_allclose(left.joints_m, right.joints_m, atol=1e-14)
+    np.testing.assert_allclose(left.vertices_m, right.vertices_m, atol=1e-14)
+    assert np.array_equal(left.faces, right.faces)
+
+
+@pytest.mark.parametrize(("file", "handedness"), [("MANO_LEFT.pkl", RIGHT), ("MANO_RIGHT.pkl", LEFT)])
+def test_the_file_of_the_other_hand_is_noticed(folder, file, handedness):
+    with pytest.raises(InputError, match="the other hand"):
+        load_mano(folder / file, handedness=handedness)
+
+
+def test_the_mean_pose_bends_the_fingers(folder, flat):
+    mean = load_mano(folder / "MANO_RIGHT.pkl", handedness=RIGHT)
+    bones = [mean.joints_m[20 - k] - mean.joints_m[15 - k] for k in range(4)]
+    straight = [flat.joints_m[20 - k] - flat.joints_m[15 - k] for k in range(4)]
+    turn = 3 * FLEXION_RAD
+    rotation = np.array([[1, 0, 0], [0, np.cos(turn), -np.sin(turn)], [0, np.sin(turn), np.cos(turn)]])
+    np.testing.assert_allclose(bones, straight @ rotation.T, atol=1e-12)
+    np.testing.assert_allclose(mean.vertices_m[317], mean.joints_m[17], atol=1e-12)
+
+
+def test_pose_corrections_move_the_skin_of_a_bent_hand_only(tmp_path):
+    fields = mano_fields()
+    fields["posedirs"][100, 2, 4] = 1e-3  # vertex 100 follows the second entry of joint 1's rotation, row 2
+    path = tmp_path / "MANO_RIGHT.pkl"
+    path.write_bytes(python2_pickle(mano_objects(fields)))
+    plain = tmp_path / "plain.pkl"
+    plain.write_bytes(python2_pickle(mano_objects(mano_fields())))
+    bent, bent_plain = (load_mano(p, handedness=RIGHT).vertices_m for p in (path, plain))
+    # the entry is (R - 1)[1, 1] of a rotation about the file's z axis, which is our +x
+    moved = np.linalg.norm(bent - bent_plain, axis=1)
+    assert np.flatnonzero(moved > 1e-12).tolist() == [100]
+    assert moved[100] == pytest.approx(1e-3 * (1 - np.cos(FLEXION_RAD)), rel=1e-6)
+    flat, flat_plain = (load_mano(p, handedness=RIGHT, pose=ManoPose.FLAT).vertices_m for p in (path, plain))
+    assert np.array_equal(flat, flat_plain)
+
+
+def test_the_choice_of_tips_is_part_of_the_identifier(folder, flat):
+    assert flat.identifier == "mano-right-flat-manopth"
+    with pytest.raises(ValueError, match="another"):
+        load_mano(folder / "MANO_RIGHT.pkl", handedness=RIGHT, tips=TipVertices("another"))
+
+
+def test_conversion_gives_the_same_template_without_the_pickle(folder, tmp_path, flat):
+    convert_mano(folder / "MANO_RIGHT.pkl", tmp_path / "mano.npz")
+    again = load_mano(tmp_path / "mano.npz", handedness=RIGHT, pose=ManoPose.FLAT)
+    assert np.array_equal(again.vertices_m, flat.vertices_m)
+    assert np.array_equal(again.bone_weights, flat.bone_weights)
+
+
+def write_obj(path, faces, uv):
+    lines = ["# a layout", *(f"v {k} 0 0" for k in range(778)), *(f"vt {u:.9f} {v:.9f}" for u, v in uv)]
+    lines += ["f " + " ".join(f"{v + 1}/{v + 1}/1" for v in face) for face in faces]
+    path.write_text("\n".join(lines))
+
+
+def test_an_obj_file_gives_the_texture_layout(folder, tmp_path):
+    uv = np.random.default_rng(0).uniform(0, 0.5, (778, 2)).round(9)
+    faces = sock()[1]
+    shuffled = np.roll(faces[np.random.default_rng(1).permutation(len(faces))], 1, axis=1)
+    write_obj(tmp_path / "uv.obj", shuffled, uv)
+    template = load_mano(folder / "MANO_RIGHT.pkl", handedness=RIGHT, uv_path=tmp_path / "uv.obj")
+    np.testing.assert_allclose(template.face_uv[:1538], uv[faces], atol=1e-12)
+    cap = template.face_uv[1538:]
+    assert cap.min() >= 0
+    assert cap.max() <= 1
+    # the layout fills a quarter of the square: the cap is beside it
+    assert (cap.max(axis=-1) > 0.5).all()
+
+
+def test_an_obj_file_of_another_mesh_is_refused(folder, tmp_path):
+    write_obj(tmp_path / "uv.obj", sock()[1][:-1], np.zeros((778, 2)))
+    with pytest.raises(InputError, match="wanted a face with the vertices"):
+        load_mano(folder / "MANO_RIGHT.pkl", handedness=RIGHT, uv_path=tmp_path / "uv.obj")
+
+
+@pytest.mark.parametrize("line", ["f 1/1 2/2", "f 1/1 2/2 3/9999", "f 1 2 3", "vt 0.5", "vt x y", "f 1/1 2/2 3/-1"])
+def test_a_broken_obj_file_names_the_line(folder, tmp_path, line):
+    (tmp_path / "uv.obj").write_text("vt 0 0\nvt 0 0\nvt 0 0\n" + line)
+    with pytest.raises(InputError, match="line 4"):
+        load_mano(folder / "MANO_RIGHT.pkl", handedness=RIGHT, uv_path=tmp_path / "uv.obj")
+
+
+def test_the_projected_layout_keeps_palm_and_back_apart(flat):
+    skin = flat.face_uv[: flat.skin_face_count]
+    corners = flat.vertices_m[flat.faces[: flat.skin_face_count]]
+    up = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])[:, 2]
+    assert (skin[up > 0][..., 0] < 0.5).all()
+    assert (skin[up < 0][..., 0] > 0.5).all()
+    edge1, edge2 = skin[:, 1] - skin[:, 0], skin[:, 2] - skin[:, 0]
+    assert (edge1[:, 0] * edge2[:, 1] - edge1[:, 1] * edge2[:, 0] >= 0).all()
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("v_template", np.zeros((777, 3)), r"v_template: wanted shape \(778, 3\), got \(777, 3\)"),
+        ("weights", np.full((778, 16), np.nan), "weights: wanted finite numbers"),
+        ("f", np.full((1538, 3), 778), "f: wanted vertex numbers"),
+        ("kintree_table", np.zeros((2, 16), int), "kintree_table: wanted MANO's tree"),
+        ("hands_mean", "lbs", "hands_mean: wanted an array, got a str"),
+        ("shapedirs", Thing("chumpy.reordering", "vstack", {}), "a record of chumpy.reordering.vstack"),
+    ],
+)
+def test_a_wrong_field_is_named(tmp_path, name, value, message):
+    path = tmp_path / "MANO_RIGHT.pkl"
+    path.write_bytes(python2_pickle({**mano_objects(mano_fields()), name: value}))
+    with pytest.raises(InputError, match=message):
+        load_mano(path, handedness=RIGHT)
+
+
+def test_missing_fields_are_listed(tmp_path):
+    path = tmp_path / "SMPL.pkl"
+    path.write_bytes(python2_pickle({"v_template": np.zeros((3, 3))}))
+    with pytest.raises(InputError, match="hands_mean"):
+        load_mano(path, handedness=RIGHT)

@@ -1,0 +1,151 @@
+"""Closed surfaces: closing them, normals, the closest point and its side, textures."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import trimesh
+
+from jghand_engine.errors import InputError
+from jghand_engine.template.builtin import load_template
+from jghand_engine.template.closest import Surface, closest_on_triangle
+from jghand_engine.template.layout import room_for_disk
+from jghand_engine.template.surface import boundary_loop, fan_faces, is_closed, vertex_normals
+from jghand_engine.template.texture import rasterise_uv, sample_bilinear
+
+
+@pytest.fixture(scope="module")
+def hand():
+    return load_template()
+
+
+@pytest.fixture(scope="module")
+def surface(hand):
+    return Surface(hand.vertices_m, hand.faces)
+
+
+def points_around(hand, count, reach_m=0.01):
+    rng = np.random.default_rng(0)
+    vertices = hand.vertices_m[rng.integers(len(hand.vertices_m), size=count)]
+    return vertices + rng.normal(scale=reach_m / 2, size=(count, 3))
+
+
+def test_the_closest_point_is_that_of_trying_every_face(hand, surface):
+    points = points_around(hand, 200)
+    found = surface.closest(points)
+    count = len(hand.faces)
+    _, squared = closest_on_triangle(np.repeat(points, count, axis=0), np.tile(surface.corners_m, (200, 1, 1)))
+    np.testing.assert_allclose(np.abs(found.signed_m), np.sqrt(squared.reshape(200, count).min(axis=1)), atol=1e-15)
+    np.testing.assert_allclose(np.linalg.norm(points - found.point_m, axis=1), np.abs(found.signed_m), atol=1e-15)
+
+
+def test_closest_points_far_away_are_exact_too(hand, surface):
+    points = np.array([[1.0, 2.0, 3.0], [-0.2, 0.1, 0.0], [0.0, 0.05, 0.0]])
+    found = surface.closest(points)
+    count = len(hand.faces)
+    _, squared = closest_on_triangle(np.repeat(points, count, axis=0), np.tile(surface.corners_m, (3, 1, 1)))
+    np.testing.assert_allclose(np.abs(found.signed_m), np.sqrt(squared.reshape(3, count).min(axis=1)), rtol=1e-14)
+
+
+def test_inside_is_negative(hand, surface):
+    """Against the winding number, which needs no normals."""
+    points = points_around(hand, 1500)
+    corners = surface.corners_m[None] - points[:, None, None]
+    length = np.linalg.norm(corners, axis=3)
+    a, b, c = (corners[:, :, k] for k in range(3))
+    volume = np.einsum("nfc,nfc->nf", a, np.cross(b, c))
+    dots = [np.einsum("nfc,nfc->nf", p, q) for p, q in ((a, b), (b, c), (c, a))]
+    below = length.prod(axis=2) + dots[0] * length[..., 2] + dots[1] * length[..., 0] + dots[2] * length[..., 1]
+    winding = 2 * np.arctan2(volume, below).sum(axis=1) / (4 * np.pi)
+    assert np.array_equal(winding > 0.5, surface.closest(points).signed_m < 0)
+
+
+def test_the_side_is_right_beyond_sharp_edges_and_corners():
+    box = trimesh.creation.box((0.02, 0.02, 0.02))
+    surface = Surface(np.asarray(box.vertices, dtype=float), np.asarray(box.faces, dtype=np.int64))
+    rng = np.random.default_rng(1)
+    points = rng.uniform(-0.02, 0.02, (3000, 3))
+    inside = (np.abs(points) < 0.01).all(axis=1)
+    assert np.array_equal(surface.closest(points).signed_m < 0, inside)
+
+
+def test_a_triangle_is_met_in_its_face_on_its_edges_and_at_its_corners():
+    triangle = np.array([[[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]])
+    cases = {
+        (0.2, 0.2, 1): ([0.6, 0.2, 0.2], 1),
+        (0.5, -1, 0): ([0.5, 0.5, 0], 1),
+        (1, 1, 0): ([0, 0.5, 0.5], 0.5),
+        (-1, -1, 0): ([1, 0, 0], 2),
+        (3, -1, 0): ([0, 1, 0], 5),
+    }
+    for point, (expected, squared) in cases.items():
+        bary, distance = closest_on_triangle(np.array([point], dtype=float), triangle)
+        np.testing.assert_allclose(bary[0], expected, atol=1e-15)
+        assert distance[0] == pytest.approx(squared)
+
+
+def test_a_triangle_without_area_is_a_segment():
+    flat = np.array([[[0.0, 0, 0], [1, 0, 0], [2, 0, 0]], [[1.0, 0, 0], [1, 0, 0], [1, 0, 0]]])
+    bary, squared = closest_on_triangle(np.array([[1.5, 1, 0], [0, 0, 0]]), flat)
+    assert np.isfinite(bary).all()
+    np.testing.assert_allclose(squared, [1, 1])
+
+
+def test_an_opening_is_found_and_closed_in_the_faces_direction(hand):
+    skin = hand.faces[: hand.skin_face_count]
+    assert not is_closed(skin)
+    loop = boundary_loop(skin)
+    assert loop[0] == loop.min()
+    assert is_closed(np.concatenate([skin, fan_faces(loop, len(hand.vertices_m) - 1)]))
+
+
+def test_surfaces_without_exactly_one_opening_are_refused(hand):
+    with pytest.raises(InputError):
+        boundary_loop(hand.faces)
+    with pytest.raises(InputError):
+        boundary_loop(np.delete(hand.faces, [0, 1500], axis=0))
+
+
+def test_normals_point_outwards(hand):
+    mesh = trimesh.Trimesh(hand.vertices_m, hand.faces, process=False)
+    ours = vertex_normals(hand.vertices_m, hand.faces)
+    # trimesh weights by the same angles; worst observed 1e-12
+    np.testing.assert_allclose(ours, mesh.vertex_normals, atol=1e-9)
+
+
+def test_a_texture_laid_out_and_looked_up_gives_back_its_values(hand):
+    skin = hand.skin_face_count
+    face_uv, corners = hand.face_uv[:skin], hand.vertices_m[hand.faces[:skin]]
+    texture, covered = rasterise_uv(face_uv, corners, 1024)
+    assert covered.any()
+    # away from the island's rim a texel is interpolated between covered ones
+    centre_uv = face_uv.mean(axis=1)
+    looked_up, full = sample_bilinear(texture, centre_uv), sample_bilinear(covered[..., None] * 1.0, centre_uv)[:, 0]
+    error = np.linalg.norm(looked_up - corners.mean(axis=1), axis=1)
+    assert (full == 1).mean() > 0.9
+    # within a texel two faces of different slope meet: worst observed 0.07 mm of 0.24 mm per texel
+    assert error[full == 1].max() < 1e-4
+
+
+def test_texture_rows_run_from_the_top():
+    texture = np.zeros((4, 4, 1))
+    texture[0, 3] = 1
+    assert sample_bilinear(texture, np.array([0.99, 0.99]))[0] == 1
+    values, covered = rasterise_uv(np.array([[[0, 0.75], [0.5, 0.75], [0, 1.0]]]), np.ones((1, 3, 1)), 8)
+    assert covered[:2].any()
+    assert not covered[2:].any()
+    assert values.max() == pytest.approx(1)
+
+
+def test_room_for_the_cap_touches_nothing():
+    uv = np.array([[[0, 0], [0.8, 0], [0, 0.8]], [[0.8, 0], [0.8, 0.4], [0.3, 0.5]]])
+    (u, v), radius = room_for_disk(uv)
+    assert radius > 0
+    edge = [(u + radius * np.cos(a), v + radius * np.sin(a)) for a in np.linspace(0, 6.3, 30)]
+    assert all(0 <= x <= 1 and 0 <= y <= 1 and x + y > 0.8 for x, y in edge)
+
+
+def test_a_full_layout_has_no_room():
+    full = np.array([[[0, 0], [1, 0], [0, 1]], [[1, 0], [1, 1], [0, 1]]], dtype=float)
+    with pytest.raises(InputError, match="room"):
+        room_for_disk(full)
