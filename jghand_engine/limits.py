@@ -60,8 +60,11 @@ MOTION_MAX_BYTES = 1 << 30
 # pull; a weaker pull bends fingers oddly to close the last tenth of a millimetre
 TOUCH_PART = 0.02
 TOUCH_PULL_DEG = 40.0
-# Gauss-Newton steps; four reach the end on the built-in hand
+# half a finger's thickness and half the thumb's, as part of that length: the tip's joint stays so far from the bone
+TOUCH_THICKNESS_PART = 0.07
+# Gauss-Newton steps and the step of its differences; four steps reach the end on the built-in hand
 TOUCH_STEPS = 8
+TOUCH_DIFFERENCE_DEG = 1e-3
 
 # ---- template -------------------------------------------------------------------------------------------------------
 
@@ -118,6 +121,10 @@ SIGMA_STRETCH_MIN = 0.7
 SIGMA_STRETCH_MAX = 1.4
 # |det L| / s_g^3 below which the blended rotation is replaced by the palm's
 BLEND_DET_MIN = 1e-3
+# Gaussians deeper than this, metres, grow in a coarser level of detail only until they are this many of their own
+# radii below the skin: further grown they would show as a halo around the hand
+DEEP_M = 1e-3
+DEEP_RADII = 1.8
 # weights per Gaussian in a compact file: on the built-in hand the rest holds at most 0.8 % of a row, 0.004 % on average
 STORED_WEIGHTS = 7
 # rows of weights must sum to 1 within this: float32 rounding of 21 summands leaves less than 1e-6

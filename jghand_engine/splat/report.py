@@ -15,15 +15,27 @@ class Stage:
     reason: str = ""
     bound: str = ""
 
+    def line(self) -> str:
+        """One line of the receipt: `skin skipped: joints moved 0.01 mm (0.05 mm of position)`."""
+        if self.ran:
+            return f"{self.name} ran, {self.milliseconds:.2f} ms" + (f": {self.reason}" if self.reason else "")
+        return f"{self.name} skipped: {self.reason}" + (f" ({self.bound})" if self.bound else "")
+
 
 @dataclass
 class FrameReport:
-    """The receipt that comes with every picture."""
+    """The receipt that comes with every picture.
+
+    invalid_gaussians: not drawable, left out · visible_gaussians: drawn · gaussians: posed · notes: what was unusual
+    about the hand · backend: "torch" or the native variant
+    """
 
     stages: list[Stage] = field(default_factory=list)
     total_ms: float = 0.0
     invalid_gaussians: int = 0
     visible_gaussians: int = 0
+    gaussians: int = 0
+    notes: list[str] = field(default_factory=list)
     backend: str = ""
     threads: int = 1
 
@@ -33,13 +45,25 @@ class FrameReport:
     def skipped(self, name: str, reason: str, bound: str) -> None:
         self.stages.append(Stage(name, False, 0.0, reason, bound))
 
+    def stage(self, name: str) -> Stage | None:
+        """The stage of that name, if the frame came to it."""
+        return next((stage for stage in self.stages if stage.name == name), None)
+
+    def lines(self) -> list[str]:
+        """The receipt in words."""
+        total = f"frame {self.total_ms:.2f} ms, {self.backend}, {self.threads} thread{'s' if self.threads > 1 else ''}"
+        counts = f"{self.visible_gaussians} of {self.gaussians} Gaussians drawn, {self.invalid_gaussians} invalid"
+        return [total, counts, *(stage.line() for stage in self.stages), *self.notes]
+
     def as_dict(self) -> dict:
         """Plain data for JSON and for the wire."""
         return {
             "total_ms": self.total_ms,
             "backend": self.backend,
             "threads": self.threads,
+            "gaussians": self.gaussians,
             "visible_gaussians": self.visible_gaussians,
             "invalid_gaussians": self.invalid_gaussians,
+            "notes": list(self.notes),
             "stages": [vars(stage) for stage in self.stages],
         }

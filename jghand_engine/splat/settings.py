@@ -21,7 +21,8 @@ class ShadowMode(StrEnum):
 class RenderSettings:
     """gaussians: how many of the avatar's Gaussians (a prefix; 0 = all) · alpha_min, t_stop: cut-offs of the blend ·
     shadow, shadow_samples, shadow_strength: the self-shadow pass · threads: 0 = as many as is sensible ·
-    backend: "auto", "torch" (the reference), "v3" or "v4" (native)."""
+    backend: "auto", "torch" (the reference), "v3", "v4" or "neon" (native) · depth: whether the frame carries depth ·
+    reuse: whether stages whose input has hardly changed keep their last result, within the bound in the report."""
 
     gaussians: int = 0
     alpha_min: float = limits.ALPHA_MIN
@@ -31,13 +32,15 @@ class RenderSettings:
     shadow_strength: float = 1.0
     threads: int = 0
     backend: str = "auto"
+    depth: bool = True
+    reuse: bool = True
 
     def __post_init__(self) -> None:
         checks = (
             ("gaussians", self.gaussians >= 0, "0 (all) or a positive count"),
             ("alpha_min", 0 < self.alpha_min < 1, "a value between 0 and 1"),
             ("t_stop", 0 <= self.t_stop < 1, "a value from 0 to below 1"),
-            ("shadow_samples", 1 <= self.shadow_samples <= 256, "1 to 256"),
+            ("shadow_samples", 1 <= self.shadow_samples <= limits.SHADOW_SAMPLES_MAX, "1 to 256"),
             ("shadow_strength", 0 <= self.shadow_strength <= 1, "0 to 1"),
             ("threads", self.threads >= 0, "0 (automatic) or a positive count"),
         )
@@ -51,7 +54,9 @@ PRESETS: dict[str, RenderSettings] = {
     "draft": RenderSettings(gaussians=20_000, alpha_min=1 / 64, t_stop=1e-2, shadow=ShadowMode.OFF),
     "viewport": RenderSettings(),
     "final": RenderSettings(alpha_min=1 / 1024, shadow_samples=64),
-    "reference": RenderSettings(alpha_min=1 / 16384, t_stop=1e-6, shadow=ShadowMode.ALWAYS, shadow_samples=64),
+    "reference": RenderSettings(
+        alpha_min=1 / 16384, t_stop=1e-6, shadow=ShadowMode.ALWAYS, shadow_samples=64, reuse=False
+    ),
 }
 
 

@@ -1,0 +1,209 @@
+"""The frame: 21 joints and a camera to a finished picture, with a receipt of what was done and what was left out.
+
+    renderer = HandRenderer(load_builtin(handedness=Handedness.RIGHT), preset("viewport"))
+    frame = renderer.render(joints_m, camera)
+
+Every stage that can be skipped has a cheap test, a reason and a bound in the report (RENDERING 11). Positions are kept
+relative to the first hand's root and the root is added in double precision: a hand 1 km away loses nothing.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from jghand_engine import limits
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.errors import InputError
+from jghand_engine.hand.fast_transform import FastTransform
+from jghand_engine.hand.frames import describe_flags
+from jghand_engine.hand.joints import JOINT_COUNT, LEVEL_NAMES
+from jghand_engine.hand.orders import check_joint_shape
+from jghand_engine.native import library as native_library
+from jghand_engine.splat.camera import Camera
+from jghand_engine.splat.gate import ShadowGate, contact_between, fade
+from jghand_engine.splat.painter import SHADOW, SKIN, Canvas, Painter, Pose, TorchPainter
+from jghand_engine.splat.painter_native import NativePainter
+from jghand_engine.splat.report import FrameReport
+from jghand_engine.splat.settings import RenderSettings, ShadowMode
+from jghand_engine.splat.shadow import ShadowStyle
+
+TRANSFORM, GATE = "transform", "shadow gate"
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A finished picture. It belongs to the caller; the renderer keeps nothing of it.
+
+    rgba:    (H, W, 4) float32, premultiplied, display-referred sRGB, row 0 at the top
+    depth_m: (H, W) float32, metres along the view axis, 0 where there is nothing (everywhere with settings.depth off)
+    """
+
+    rgba: np.ndarray
+    depth_m: np.ndarray
+    report: FrameReport
+
+
+class SceneRenderer:
+    """Renders any number of hands into one picture, each driven by its own joints. One picture at a time.
+
+    avatars: one per hand, each with its handedness · settings: how (splat.settings); `settings.gaussians` is per hand.
+    """
+
+    def __init__(self, avatars: Sequence[HandAvatar], settings: RenderSettings | None = None) -> None:
+        self.settings = settings or RenderSettings()
+        if not avatars:
+            raise InputError("hands of a picture", wanted="at least one avatar", came="none")
+        self._avatars = [avatar.prefix(self.settings.gaussians) for avatar in avatars]
+        self._transforms = [
+            FastTransform(
+                avatar.canonical_joints_m,
+                handedness=avatar.handedness,
+                swing=avatar.info.swing,
+                scale_mode=avatar.info.scale_mode,
+                variant=self.settings.backend,
+            )
+            for avatar in self._avatars
+        ]
+        self._gates = [ShadowGate(avatar.canonical_joints_m.numpy()) for avatar in self._avatars]
+        self._painter = self._new_painter()
+        self._posed: _Posed | None = None
+
+    def _new_painter(self) -> Painter:
+        library = native_library.load(self.settings.backend)
+        if library is None:
+            return TorchPainter(self._avatars, self.settings)
+        return NativePainter(library, self._avatars, self.settings)
+
+    def render(self, joints_m: Sequence[np.ndarray | torch.Tensor], camera: Camera) -> Frame:
+        """One picture. joints_m: per hand (21, 3), level order, metres, in the frame the camera is given in.
+
+        InputError names a joint that is not finite; to hold the last good pose is the motion's business
+        (`PoseSequence.with_gaps_held`).
+        """
+        started = time.perf_counter()
+        report = FrameReport(backend=self._painter.backend, threads=self._painter.threads)
+        report.gaussians = sum(map(len, self._avatars))
+        hands = self._checked(joints_m)
+        posed, moved = self._pose(hands, report)
+        canvas = self._canvas(posed, camera, report)
+        if not moved:
+            report.skipped(SKIN, "same transforms", f"{1e3 * limits.REUSE_JOINTS_M:g} mm of position")
+        rgba, depth_m = self._painter.paint(posed.poses if moved else None, canvas, report)
+        if depth_m is None:
+            report.skipped("depth", "not requested", "")
+            depth_m = np.zeros(rgba.shape[:2], np.float32)
+        report.total_ms = 1e3 * (time.perf_counter() - started)
+        return Frame(rgba, depth_m, report)
+
+    def _checked(self, joints_m: Sequence[np.ndarray | torch.Tensor]) -> list[np.ndarray]:
+        if len(joints_m) != len(self._avatars):
+            raise InputError("hands of a picture", wanted=f"joints of {len(self._avatars)}", came=str(len(joints_m)))
+        return [_checked_hand(joints) for joints in joints_m]
+
+    def _pose(self, hands: list[np.ndarray], report: FrameReport) -> tuple[_Posed, bool]:
+        """The bone transforms, and whether they are new."""
+        started = time.perf_counter()
+        if self._posed is not None and self.settings.reuse:
+            distance_m = max(float(np.abs(new - old).max()) for new, old in zip(hands, self._posed.hands, strict=True))
+            # per axis, so that no joint moves farther than the limit
+            if distance_m * np.sqrt(3.0) <= limits.REUSE_JOINTS_M:
+                bound = f"{1e3 * limits.REUSE_JOINTS_M:g} mm of position"
+                reason = f"joints moved {1e3 * distance_m:.3f} mm"
+                report.skipped(TRANSFORM, reason, bound)
+                report.notes += self._posed.notes
+                return self._posed, False
+        origin_m = hands[0][0]
+        bones = [transform.bones(joints) for transform, joints in zip(self._transforms, hands, strict=True)]
+        poses = [Pose(one, one.root_m - origin_m) for one in bones]
+        notes = [sentence for one in bones for sentence in describe_flags(one.flags)]
+        self._posed = _Posed([joints.copy() for joints in hands], poses, notes)
+        report.ran(TRANSFORM, 1e3 * (time.perf_counter() - started))
+        report.notes += notes
+        return self._posed, True
+
+    def _canvas(self, posed: _Posed, camera: Camera, report: FrameReport) -> Canvas:
+        # the origin of what was posed, also when the hand has moved by less than the limit since
+        from_origin = camera.camera_from_world.clone()
+        from_origin[:3, 3] += from_origin[:3, :3] @ torch.from_numpy(posed.hands[0][0])
+        strength = self._shadow_strength(posed, camera, report)
+        style = ShadowStyle(samples=self.settings.shadow_samples, strength=strength) if strength > 0 else None
+        return Canvas(replace(camera, camera_from_world=from_origin), float(from_origin[2, 3]), style)
+
+    def _shadow_strength(self, posed: _Posed, camera: Camera, report: FrameReport) -> float:
+        """0..1; decided by mode, size on the picture and the gate, with a line in the report."""
+        settings = self.settings
+        if settings.shadow is ShadowMode.OFF or settings.shadow_strength == 0:
+            report.skipped(SHADOW, "switched off", "")
+            return 0.0
+        if settings.shadow is ShadowMode.ALWAYS:
+            return settings.shadow_strength
+        size_px = max(_extent_px(joints, camera) for joints in posed.hands)
+        if size_px < limits.SHADOW_HAND_MIN_PX:
+            report.skipped(SHADOW, f"hand {size_px:.0f} px", "a few pixels of crease")
+            return 0.0
+        started = time.perf_counter()
+        scores = [
+            gate.score(joints, pose.bones.scale)
+            for gate, joints, pose in zip(self._gates, posed.hands, posed.poses, strict=True)
+        ]
+        score = max(scores) + contact_between(posed.hands)
+        report.ran(GATE, 1e3 * (time.perf_counter() - started), f"score {score:.2f}")
+        if (strength := fade(score)) == 0:
+            report.skipped(SHADOW, f"gate {score:.2f}", "1 % of the hand's pixels occluded by over 0.2 (METHOD 5.4)")
+        return strength * settings.shadow_strength
+
+
+class HandRenderer:
+    """Renders one hand. avatar: which, with its handedness · settings: how (splat.settings)."""
+
+    def __init__(self, avatar: HandAvatar, settings: RenderSettings | None = None) -> None:
+        self._scene = SceneRenderer([avatar], settings)
+        self.settings = self._scene.settings
+
+    def render(self, joints_m: np.ndarray | torch.Tensor, camera: Camera) -> Frame:
+        """One picture. joints_m: (21, 3), level order, metres, in the frame the camera is given in.
+
+        InputError names a joint that is not finite; to hold the last good pose is the motion's business
+        (`PoseSequence.with_gaps_held`).
+        """
+        return self._scene.render([joints_m], camera)
+
+
+@dataclass(frozen=True)
+class _Posed:
+    """The hands for which Gaussians were last posed: joints (21, 3) each, transforms, notes for the report."""
+
+    hands: list[np.ndarray]
+    poses: list[Pose]
+    notes: list[str]
+
+
+def _checked_hand(joints_m: np.ndarray | torch.Tensor) -> np.ndarray:
+    """(21, 3) float64; InputError for another shape or a joint that is not finite."""
+    joints = joints_m.detach().cpu().numpy() if isinstance(joints_m, torch.Tensor) else np.asarray(joints_m)
+    joints = np.ascontiguousarray(joints, np.float64)
+    if joints.shape != (JOINT_COUNT, 3):
+        check_joint_shape(joints)
+        raise InputError("joints of one hand", wanted="shape (21, 3)", came=str(joints.shape))
+    if not np.isfinite(joints).all():
+        names = [name for name, joint in zip(LEVEL_NAMES, joints, strict=True) if not np.isfinite(joint).all()]
+        raise InputError(
+            "joints",
+            wanted="finite metres",
+            came=f"{', '.join(names)} not finite",
+            remedy="Hold the last good pose: PoseSequence.with_gaps_held().",
+        )
+    return joints
+
+
+def _extent_px(joints_m: np.ndarray, camera: Camera) -> float:
+    """The longer side of the box around the joints on the picture; infinite when the camera is among them."""
+    pixels, depth = camera.project(torch.from_numpy(joints_m))
+    if not bool((depth > limits.Z_NEAR_M).all()):
+        return float("inf")
+    return float((pixels.amax(0) - pixels.amin(0)).max())

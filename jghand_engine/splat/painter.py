@@ -1,0 +1,152 @@
+"""What a backend does for a frame: pose Gaussians and paint a picture of them. `frame.py` decides, painters obey.
+
+`NativePainter` is in painter_native.py; `TorchPainter`, here, is the chain of reference functions, slow and exact.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+import torch
+
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.gaussians import Gaussians
+from jghand_engine.avatar.skinning import pose_gaussians
+from jghand_engine.errors import InputError
+from jghand_engine.hand.fast_transform import FastBones
+from jghand_engine.splat.camera import Camera
+from jghand_engine.splat.picture import Picture
+from jghand_engine.splat.rasterise import rasterise
+from jghand_engine.splat.report import FrameReport
+from jghand_engine.splat.settings import RenderSettings
+from jghand_engine.splat.shadow import ShadowStyle
+from jghand_engine.splat.shadow_native import darken
+
+# names of the stages that painters run
+SKIN, RASTER, SHADOW, COMPOSE = "skin", "raster", "shadow + compose", "compose"
+# why the raster was skipped
+SAME_PICTURE = "same pose, camera and settings"
+
+
+@dataclass(frozen=True)
+class Pose:
+    """One hand of a picture: its bone transforms, and its root relative to the picture's origin (3,), metres."""
+
+    bones: FastBones
+    shift_m: np.ndarray
+
+
+@dataclass(frozen=True)
+class Canvas:
+    """What to paint. camera: of the picture's origin, that is camera_from_world @ translation(origin) · near_m: depth
+    of the origin, metres · style: of the shadow, None for none."""
+
+    camera: Camera
+    near_m: float
+    style: ShadowStyle | None
+
+    def same_view(self, other: Canvas | None) -> bool:
+        """Whether the two see the same Gaussians in the same way, shadow aside."""
+        if other is None:
+            return False
+        mine, theirs = self.camera, other.camera
+        numbers = ("width", "height", "fx", "fy", "cx", "cy")
+        if any(getattr(mine, name) != getattr(theirs, name) for name in numbers):
+            return False
+        return bool(torch.equal(mine.camera_from_world, theirs.camera_from_world))
+
+
+class Painter(Protocol):
+    """Paints hands, whose avatars it knows, again and again."""
+
+    backend: str
+    threads: int
+
+    def paint(
+        self, poses: Sequence[Pose] | None, canvas: Canvas, report: FrameReport
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """-> rgba (H, W, 4) float32 premultiplied, depth (H, W) float32 metres or None. Both belong to the caller.
+
+        poses: one per avatar; None keeps the Gaussians of the last call, and for the same view also what was drawn of
+        them.
+        """
+        ...
+
+
+class TorchPainter:
+    """Paints with the reference functions: no compiled code, seconds per picture."""
+
+    backend, threads = "torch", 1
+
+    def __init__(self, avatars: Sequence[HandAvatar], settings: RenderSettings) -> None:
+        self._avatars = avatars
+        self._settings = replace(settings, backend="torch")
+        self._gaussians: Gaussians | None = None
+        self._drawn: tuple[Canvas, Picture] | None = None
+
+    def paint(
+        self, poses: Sequence[Pose] | None, canvas: Canvas, report: FrameReport
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """See Painter."""
+        with torch.no_grad():
+            if poses is not None:
+                started = time.perf_counter()
+                self._gaussians, self._drawn = self._posed(poses), None
+                report.ran(SKIN, 1e3 * (time.perf_counter() - started))
+            picture = self._picture(canvas, report)
+            report.visible_gaussians, report.invalid_gaussians = picture.visible_gaussians, picture.invalid_gaussians
+            started = time.perf_counter()
+            planes = torch.cat([picture.rgb.permute(2, 0, 1), picture.alpha[None], picture.depth_sum[None]])
+            if canvas.style is not None:
+                planes = torch.cat([darken(planes, canvas.camera, canvas.style), planes[3:]])
+            rgba = np.ascontiguousarray(planes[:4].permute(1, 2, 0).numpy())
+            depth_m = np.ascontiguousarray(picture.depth_m.numpy()) if self._settings.depth else None
+            report.ran(COMPOSE if canvas.style is None else SHADOW, 1e3 * (time.perf_counter() - started))
+        return rgba, depth_m
+
+    def _picture(self, canvas: Canvas, report: FrameReport) -> Picture:
+        if self._drawn is not None and canvas.same_view(self._drawn[0]):
+            report.skipped(RASTER, SAME_PICTURE, "0")
+            return self._drawn[1]
+        if self._gaussians is None:
+            raise InputError("picture", wanted="a pose", came="none")
+        started = time.perf_counter()
+        picture = rasterise(self._gaussians, canvas.camera, self._settings)
+        self._drawn = (canvas, picture)
+        report.ran(RASTER, 1e3 * (time.perf_counter() - started))
+        return picture
+
+    def _posed(self, poses: Sequence[Pose]) -> Gaussians:
+        """All hands' Gaussians relative to the picture's origin."""
+        parts = [
+            pose_gaussians(avatar, _RootRelative.of(avatar, pose))
+            for avatar, pose in zip(self._avatars, poses, strict=True)
+        ]
+        fields = ("position_m", "sigma_m", "opacity", "rgb")
+        return Gaussians(*(torch.cat([getattr(part, name) for part in parts]) for name in fields))
+
+
+@dataclass(frozen=True)
+class _RootRelative:
+    """FastBones as torch tensors (avatar.skinning.PoseTransforms), around the picture's origin, not the world's."""
+
+    linear: torch.Tensor
+    offset_m: torch.Tensor
+    root_m: torch.Tensor
+    canonical_root_m: torch.Tensor
+    scale: torch.Tensor
+
+    @classmethod
+    def of(cls, avatar: HandAvatar, pose: Pose) -> _RootRelative:
+        matrices = torch.from_numpy(np.asarray(pose.bones.linear_offset, np.float32))
+        return cls(
+            linear=matrices[:, :, :3],
+            offset_m=matrices[:, :, 3],
+            root_m=torch.from_numpy(pose.shift_m.astype(np.float32)),
+            canonical_root_m=avatar.canonical_joints_m[0],
+            scale=torch.tensor(pose.bones.scale, dtype=torch.float32),
+        )
