@@ -30,6 +30,8 @@ SIGNATURES: dict[str, tuple[object, tuple[object, ...]]] = {
     "jg_abi": (_I32, ()),
     "jg_stamp": (ctypes.c_char_p, ()),
     "jg_variant": (ctypes.c_char_p, ()),
+    "jg_skin_task_bytes": (_I32, ()),
+    "jg_skin": (None, (_P, _P)),
     "jg_shade_task_bytes": (_I32, ()),
     "jg_shade_gradient_bytes": (_I32, ()),
     "jg_shade": (None, (_P, _P)),
