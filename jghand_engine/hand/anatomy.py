@@ -12,6 +12,7 @@ import dataclasses
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import StrEnum
 
 import numpy as np
 import torch
@@ -33,26 +34,42 @@ RANGES_DEG = np.array(
 # angles of five fingers, thumb first
 POSES_DEG: dict[str, tuple[tuple[float, float, float, float], ...]] = {
     "open": ((0, 0, 0, 0), (4, 0, 8, 4), (6, 0, 8, 4), (6, 0, 8, 4), (6, 0, 8, 4)),
-    "flat": ((4, -8, 0, 0), (0, -4, 0, 0), (0, 0, 0, 0), (0, -5, 0, 0), (0, -8, 0, 0)),
+    "flat": ((2, -13, 0, 0), (0, -6, 0, 0), (0, 0, 0, 0), (0, -7, 0, 0), (0, -13, 0, 0)),
     "spread": ((-10, 18, -5, -5), (-3, 16, 2, 0), (-2, 0, 2, 0), (-3, 14, 2, 0), (-3, 22, 2, 0)),
     "relaxed": ((10, 5, 10, 12), (22, 0, 36, 18), (28, 0, 38, 19), (31, 0, 42, 20), (33, 3, 42, 22)),
-    "fist": ((28, -8, 42, 55), (84, 0, 106, 66), (88, 0, 109, 67), (88, 0, 108, 66), (86, 0, 104, 64)),
-    "point": ((26, -6, 40, 50), (4, 0, 6, 4), (86, 0, 108, 66), (88, 0, 108, 66), (86, 0, 104, 64)),
-    "victory": ((30, -8, 44, 52), (4, 11, 6, 4), (4, -9, 6, 4), (86, 0, 108, 66), (86, 0, 104, 64)),
-    "three": ((30, -8, 44, 52), (4, 10, 5, 3), (4, 0, 5, 3), (4, 9, 5, 3), (82, 0, 102, 62)),
-    "four": ((34, -12, 48, 55), (4, 10, 5, 3), (4, 0, 5, 3), (4, 8, 5, 3), (4, 16, 5, 3)),
+    "fist": ((16, -15, 44, 44), (84, 0, 106, 66), (88, 0, 109, 67), (88, 0, 108, 66), (86, 0, 104, 64)),
+    "point": ((20, -15, 46, 44), (4, 0, 6, 4), (86, 0, 108, 66), (88, 0, 108, 66), (86, 0, 104, 64)),
+    "victory": ((27, -14, 46, 40), (4, 11, 6, 4), (4, -9, 6, 4), (86, 0, 108, 66), (86, 0, 104, 64)),
+    "three": ((34, -12, 46, 42), (4, 10, 5, 3), (4, 0, 5, 3), (4, 9, 5, 3), (82, 0, 102, 62)),
+    "four": ((36, -12, 46, 44), (4, 10, 5, 3), (4, 0, 5, 3), (4, 8, 5, 3), (4, 16, 5, 3)),
     "thumb_up": ((-12, 14, -6, -12), (86, 0, 108, 66), (88, 0, 109, 67), (88, 0, 108, 66), (86, 0, 104, 64)),
     "pinch": ((24, 12, 18, 28), (50, 0, 54, 32), (34, 0, 36, 21), (32, 0, 34, 18), (30, 3, 32, 18)),
     "ok": ((24, 12, 18, 30), (52, 0, 56, 34), (16, 0, 17, 9), (11, 4, 14, 6), (6, 10, 12, 6)),
-    "rock": ((26, -6, 40, 50), (4, 4, 6, 4), (86, 0, 108, 66), (86, 0, 106, 64), (4, 8, 6, 4)),
+    "rock": ((22, -15, 46, 44), (4, 4, 6, 4), (86, 0, 108, 66), (86, 0, 106, 64), (4, 8, 6, 4)),
     "call": ((-8, 24, -5, -8), (84, 0, 106, 66), (88, 0, 109, 67), (86, 0, 106, 65), (2, 18, 6, 4)),
     "claw": ((5, 12, 25, 40), (-4, 8, 84, 52), (-4, 0, 84, 54), (-4, 6, 84, 52), (-4, 12, 80, 50)),
     "grasp": ((22, 16, 20, 25), (54, 4, 52, 30), (56, 0, 52, 32), (58, 3, 52, 30), (58, 8, 50, 30)),
     "table": ((8, 5, 5, 5), (84, 0, 8, 4), (86, 0, 8, 4), (86, 0, 8, 4), (84, 0, 8, 4)),
 }
 
-# poses in which the thumb's tip touches that of another finger: the angles are solved for each hand
-_TOUCHING = {"pinch": 1, "ok": 1}
+
+class Contact(StrEnum):
+    """Where the thumb's tip meets a finger: at its tip, or resting on the back of its middle phalanx."""
+
+    TIP = "tip"
+    REST = "rest"
+
+
+# poses in which the thumb's tip touches a finger: the angles are solved for each hand
+_CONTACTS = {
+    "pinch": (Contact.TIP, 1),
+    "ok": (Contact.TIP, 1),
+    "fist": (Contact.REST, 2),
+    "point": (Contact.REST, 2),
+    "victory": (Contact.REST, 3),
+    "three": (Contact.REST, 4),
+    "rock": (Contact.REST, 2),
+}
 # +abduction turns index and middle to the thumb's side, ring and pinky to the other
 _SIDE = torch.tensor([1.0, 1.0, 1.0, -1.0, -1.0], dtype=torch.float64)
 # out of the palm for the thumb, in the palm frame (out of the palm, towards the thumb, distal); DATA 8
@@ -95,7 +112,7 @@ class ArticulatedHand:
     """A canonical hand that can be posed by anatomical angles; bones keep the canonical lengths exactly."""
 
     def __init__(self, canonical_joints_m: np.ndarray) -> None:
-        canonical = torch.as_tensor(canonical_joints_m, dtype=torch.float64)
+        canonical = torch.from_numpy(np.array(canonical_joints_m, dtype=np.float64))
         transform = JointTransform(canonical, swing=Swing.EULER)
         pose = decompose(transform, canonical)
         # straight fingers that keep their spread and their natural sideways bends; the thumb stays as it is
@@ -131,34 +148,45 @@ class ArticulatedHand:
     def angles_of(self, name: str) -> np.ndarray:
         """(5, 4) angles of a named pose on this hand, degrees: the table's, solved for contact where tips touch."""
         angles = np.clip(named_angles(name), RANGES_DEG[..., 0], RANGES_DEG[..., 1])
-        return self._touching(angles, _TOUCHING[name]) if name in _TOUCHING else angles
+        return self._touching(angles, *_CONTACTS[name]) if name in _CONTACTS else angles
 
-    def _touching(self, angles: np.ndarray, finger: int) -> np.ndarray:
-        """The nearest angles at which the tips of the thumb and `finger` touch: Gauss-Newton on the tips' distance,
-        with a pull to the given angles and the ranges as bounds. A hand that cannot reach stays as near as it gets."""
-        moving = np.array([(0, k) for k in range(4)] + [(finger, k) for k in range(4)])
-        rows, cols = moving[:, 0], moving[:, 1]
+    def _touching(self, angles: np.ndarray, contact: Contact, finger: int) -> np.ndarray:
+        """The nearest angles at which the thumb's tip touches `finger`: Gauss-Newton on the distance, with a pull to
+        the given angles and the ranges as bounds. A hand that cannot reach stays as near as it gets."""
+        moving = [(0, k) for k in range(4)]
+        if contact is Contact.TIP:
+            moving += [(finger, k) for k in range(4)]
+        rows, cols = np.array(moving).T
         start = angles[rows, cols]
         low, high = RANGES_DEG[rows, cols].T
-        # one residual of the pull per angle, in units of the angle that is as bad as a tip's width of air
         pull = np.eye(len(start)) / limits.TOUCH_PULL_DEG
-        width = limits.TOUCH_PART * self._length_m
         value = start.copy()
         for _ in range(limits.TOUCH_STEPS):
-            # the tips' offset at the value and, for the Jacobian, one step beside it in each angle
+            # the gap at the value and, for the Jacobian, one step beside it in each angle
             trials = np.repeat(angles[None], len(start) + 1, axis=0)
             trials[:, rows, cols] = value
-            trials[np.arange(1, len(start) + 1), rows, cols] += 1e-3
-            joints = self.joints(trials)
-            offset = (joints[:, 16 + finger] - joints[:, 16]) / width
-            jacobian = (offset[1:] - offset[0]).T / 1e-3
-            system = np.concatenate([jacobian, pull])
-            residual = np.concatenate([offset[0], (value - start) / limits.TOUCH_PULL_DEG])
-            step = np.linalg.lstsq(system, -residual, rcond=None)[0]
+            trials[np.arange(1, len(start) + 1), rows, cols] += limits.TOUCH_DIFFERENCE_DEG
+            gap = self._gap(self.joints(trials), contact, finger) / (limits.TOUCH_PART * self._length_m)
+            jacobian = (gap[1:] - gap[0]).T / limits.TOUCH_DIFFERENCE_DEG
+            residual = np.concatenate([gap[0], (value - start) / limits.TOUCH_PULL_DEG])
+            step = np.linalg.lstsq(np.concatenate([jacobian, pull]), -residual, rcond=None)[0]
             value = np.clip(value + step, low, high)
         solved = angles.copy()
         solved[rows, cols] = value
         return solved
+
+    def _gap(self, joints: np.ndarray, contact: Contact, finger: int) -> np.ndarray:
+        """(F, 21, 3) joints -> (F, 3) from the thumb's tip to the place that it should touch, metres."""
+        tip = joints[:, 16]
+        if contact is Contact.TIP:
+            return joints[:, 16 + finger] - tip
+        knuckle, start, end = (joints[:, first + finger] for first in (1, 6, 11))
+        phalanx = (end - start) / np.linalg.norm(end - start, axis=1, keepdims=True)
+        # of a bent finger the first phalanx points away from the back of the second
+        back = start - knuckle
+        back = back - (back * phalanx).sum(axis=1, keepdims=True) * phalanx
+        back = back / np.linalg.norm(back, axis=1, keepdims=True)
+        return (start + end) / 2 + limits.TOUCH_THICKNESS_PART * self._length_m * back - tip
 
 
 @dataclass(frozen=True)

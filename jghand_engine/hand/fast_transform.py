@@ -49,8 +49,7 @@ class FastTransform:
         scale_mode: ScaleMode = "axial",
         variant: str = "auto",
     ) -> None:
-        canonical = torch.as_tensor(canonical_joints_m, dtype=torch.float64)
-        self._reference = JointTransform(canonical, handedness=handedness, swing=swing, scale_mode=scale_mode)
+        self._reference = JointTransform(canonical_joints_m, handedness=handedness, swing=swing, scale_mode=scale_mode)
         self.canonical_root_m = self._reference.canonical.root_m.numpy()
         native = library.load(variant)
         self._call = native.call.jg_bone_transforms if native else None

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from enum import IntFlag, StrEnum
 from functools import cached_property
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -144,13 +145,16 @@ class CanonicalHand:
         return CanonicalHand(**moved)
 
     @staticmethod
-    def build(joints_m: Tensor) -> CanonicalHand:
+    def build(joints_m: Tensor | np.ndarray) -> CanonicalHand:
         """Validates (21, 3) level-order joints of a right hand and computes their frames in float64, euler swing.
 
         InputError for a wrong shape, a non-finite joint, a vanishing bone, collinear palm bones, or a joint at the
         abduction pole (METHOD 2.4).
         """
-        joints = torch.as_tensor(joints_m, dtype=torch.float64).detach().cpu()
+        if isinstance(joints_m, Tensor):
+            joints_m = joints_m.detach().cpu().numpy()
+        # a copy: the caller's array may be read-only, or change later
+        joints = torch.from_numpy(np.array(joints_m, dtype=np.float64))
         if tuple(joints.shape) != (JOINT_COUNT, 3) or not torch.isfinite(joints).all():
             raise InputError("canonical joints", wanted="a finite (21, 3) array", came=str(tuple(joints.shape)))
         centred = (joints - joints[:1]).T.unsqueeze(-1)

@@ -76,8 +76,6 @@ class PoseSequence:
             raise InputError("valid joints of a motion", wanted=f"shape {joints.shape[:2]}", came=str(valid.shape))
         valid = valid & finite
         joints[~valid] = np.nan
-        joints.flags.writeable = False
-        valid.flags.writeable = False
         for name, value in (("joints_m", joints), ("fps", fps), ("valid", valid)):
             object.__setattr__(self, name, value)
         object.__setattr__(self, "handedness", Handedness(self.handedness))

@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -75,7 +76,7 @@ class BoneTransforms:
 class JointTransform:
     """Computes BoneTransforms from joints, against one canonical right hand.
 
-    canonical_joints_m: (21, 3) level order, right hand, metres; validated (METHOD 2.4)
+    canonical_joints_m: (21, 3) torch or numpy, level order, right hand, metres; validated (METHOD 2.4)
     handedness:         of the joints that `bones` will get; left ones are mirrored, the canonical hand stays right
     swing:              'minimal' or 'euler', see Swing
     scale_mode:         'axial', 'uniform' or the exponent between, see scale_exponent
@@ -84,7 +85,7 @@ class JointTransform:
 
     def __init__(
         self,
-        canonical_joints_m: Tensor,
+        canonical_joints_m: Tensor | np.ndarray,
         *,
         handedness: Handedness = Handedness.RIGHT,
         swing: str = Swing.MINIMAL,
