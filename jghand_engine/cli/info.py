@@ -137,5 +137,7 @@ def usd_facts(path: Path) -> dict[str, Any]:
         "up_axis": str(UsdGeom.GetStageUpAxis(stage)),
         "prims": dict(sorted(types.items())),
         "variants": {name: list(names) for name, names in variants.items()},
-        "layers": sorted(Path(layer.realPath or layer.identifier).name for layer in stage.GetUsedLayers()),
+        "layers": sorted(
+            Path(layer.realPath or layer.identifier).name for layer in stage.GetUsedLayers() if not layer.anonymous
+        ),
     }

@@ -29,10 +29,11 @@ def to_bytes(values: np.ndarray) -> np.ndarray:
 def straight_rgba8(rgba_premultiplied: np.ndarray) -> np.ndarray:
     """(H, W, 4) premultiplied float -> (H, W, 4) uint8 with straight alpha; colour 0 where alpha rounds to 0."""
     rgba = _checked(rgba_premultiplied)
-    alpha8 = to_bytes(rgba[..., 3:])
-    safe = np.where(rgba[..., 3:] > 0, rgba[..., 3:], 1.0)
-    colour8 = np.where(alpha8 > 0, to_bytes(rgba[..., :3] / safe), 0).astype(np.uint8)
-    return np.concatenate([colour8, alpha8], -1)
+    result = np.zeros(rgba.shape, np.uint8)
+    result[..., 3] = to_bytes(rgba[..., 3])
+    visible = result[..., 3] > 0
+    result[visible, :3] = to_bytes(rgba[visible, :3] / rgba[visible, 3:])
+    return result
 
 
 def premultiplied(straight8: np.ndarray) -> np.ndarray:

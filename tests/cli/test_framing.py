@@ -22,7 +22,7 @@ def motion(handedness=Handedness.RIGHT):
 
 
 def pixels(camera, points_m):
-    uv, depth = camera.project(torch.from_numpy(np.asarray(points_m)))
+    uv, depth = camera.project(torch.from_numpy(np.array(points_m)))
     assert float(depth.min()) > limits.Z_NEAR_M
     return uv.numpy()
 

@@ -1,0 +1,277 @@
+"""Bad input and a world that is not ready: a clear sentence, the right exit code, nothing half-written."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+
+import numpy as np
+import pytest
+
+from jghand_engine.avatar.builtin import ASSET, load_builtin
+from jghand_engine.cli import main
+from jghand_engine.hand.anatomy import MotionOptions, pose_sequence_of_names
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.orders import JointOrder, from_level
+from jghand_engine.splat.frame import HandRenderer
+
+SMALL = ("--size", "32x24", "--preset", "draft")
+
+
+@pytest.fixture(scope="module")
+def joints():
+    """(F, 21, 3) a good motion, standard order, metres."""
+    canonical = load_builtin(handedness=Handedness.RIGHT).canonical_joints_m.numpy()
+    motion = pose_sequence_of_names(["open", "fist"], canonical, options=MotionOptions(hold_s=0.0))
+    return from_level(motion.joints_m, JointOrder.STANDARD)[2:14]
+
+
+@pytest.fixture
+def command(tmp_path, capsys):
+    """Runs a command; returns its exit code and the one line it said on standard error."""
+
+    def run(*words):
+        code = main([str(word) for word in words])
+        err = capsys.readouterr().err
+        assert "Traceback" not in err
+        assert len(err.strip().splitlines()) == (1 if code else 0), err
+        return code, err.strip()
+
+    return run
+
+
+@pytest.fixture
+def render(tmp_path, command):
+    """Renders an array as a motion file; returns exit code, standard error, and the folder."""
+
+    def run(array, *more, order="standard"):
+        path, out = tmp_path / "motion.npy", tmp_path / "out"
+        np.save(path, array)
+        words = ("render", "--motion", path, "--hand", "right", "--order", order, "--out", out, *SMALL, *more)
+        return *command(*words), out
+
+    return run
+
+
+def test_joints_that_are_missing_are_held_and_counted(joints, render, capsys):
+    gappy = joints.copy()
+    gappy[4:6, 9] = np.nan
+    code, _, out = render(gappy, "--frames", "0:7")
+    assert code == 0
+    assert len(list(out.glob("frame_*.png"))) == 8
+    pictures = [(out / f"frame_{index:05d}.png").read_bytes() for index in range(8)]
+    assert pictures[3] == pictures[4] == pictures[5], "the last whole pose"
+    assert pictures[6] != pictures[5]
+
+
+def test_held_frames_are_told(joints, tmp_path, capsys):
+    gappy = joints.copy()
+    gappy[4:6, 9] = np.nan
+    np.save(tmp_path / "motion.npy", gappy)
+    words = ["render", "--motion", str(tmp_path / "motion.npy"), "--hand", "right", "--order", "standard"]
+    assert main([*words, "--out", str(tmp_path / "out"), "--json", str(tmp_path / "report.json"), *SMALL]) == 0
+    assert "2 of 12 frames miss joints" in capsys.readouterr().out
+    assert "2 of 12 frames" in json.loads((tmp_path / "report.json").read_text())["notes"][0]
+
+
+def test_joints_that_are_missing_stop_the_command_when_asked_for(joints, render):
+    gappy = joints.copy()
+    gappy[4, 9] = np.nan
+    code, err, out = render(gappy, "--on-missing", "stop")
+    assert code == 2
+    assert "1 of 12 frames" in err
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(("count", "said"), [(20, "One joint is missing"), (42, "two hands of InterHand2.6M")])
+def test_another_number_of_joints_is_named(joints, render, count, said):
+    code, err, out = render(np.concatenate([joints, joints], 1)[:, :count])
+    assert code == 2
+    assert f"got {count}" in err
+    assert said in err
+    assert not out.exists()
+
+
+def test_millimetres_given_as_metres_are_recognised(joints, render):
+    code, err, out = render(joints * 1000)
+    assert code == 2
+    assert "looks like millimetres" in err
+    assert not out.exists()
+    assert render(joints * 1000, "--unit", "mm", "--frames", "0")[0] == 0
+
+
+def test_a_wrong_order_is_recognised_and_the_right_one_named(joints, render):
+    code, err, out = render(joints, order="interhand")
+    assert code == 2
+    assert "order 'standard'" in err
+    assert not out.exists()
+
+
+def test_an_empty_motion_is_refused(render):
+    code, err, out = render(np.zeros((0, 21, 3)))
+    assert code == 2
+    assert "empty" in err
+    assert not out.exists()
+
+
+def test_a_motion_without_one_whole_frame_is_refused(joints, render):
+    code, err, _ = render(np.where(np.arange(21)[:, None] == 3, np.nan, joints))
+    assert code == 2
+    assert "at least one frame" in err
+
+
+def test_frames_that_the_motion_does_not_have_are_refused(joints, render):
+    code, err, _ = render(joints, "--frames", "50:60")
+    assert code == 2
+    assert "12 frames" in err
+
+
+def test_a_missing_hand_is_asked_for(joints, tmp_path, command):
+    np.save(tmp_path / "motion.npy", joints)
+    words = ("render", "--motion", tmp_path / "motion.npy", "--order", "standard", "--out", tmp_path / "out")
+    code, err = command(*words)
+    assert code == 2
+    assert "handedness" in err
+
+
+@pytest.mark.parametrize("name", ["absent.npz", "absent.json", "motion.txt"])
+def test_a_file_that_is_not_there_or_of_no_known_kind_is_named(tmp_path, command, name):
+    code, err = command("render", "--motion", tmp_path / name, "--hand", "right", "--out", tmp_path / "out")
+    assert code == 2
+    assert name in err
+
+
+def test_neither_motion_nor_poses_is_refused(tmp_path, command):
+    assert command("render", "--out", tmp_path / "out")[0] == 2
+    assert command("render", "--out", tmp_path / "out", "--poses", "open", "--motion", "x.npz")[0] == 2
+
+
+def test_an_unknown_pose_lists_the_known_ones(tmp_path, command):
+    code, err = command("render", "--poses", "open,wave", "--out", tmp_path / "out")
+    assert code == 2
+    assert "fist" in err
+
+
+@pytest.mark.parametrize("verb", ["render", "export"])
+def test_a_file_in_the_way_of_the_folder_is_named(tmp_path, command, verb):
+    (tmp_path / "out").write_text("mine")
+    more = SMALL if verb == "render" else ()
+    code, err = command(verb, "--poses", "open", "--frames", "0", "--out", tmp_path / "out", *more)
+    assert code == 2
+    assert "in the way" in err
+    assert (tmp_path / "out").read_text() == "mine"
+
+
+@pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="root may write everywhere")
+def test_a_folder_that_may_not_be_written_is_named(tmp_path, command):
+    (tmp_path / "closed").mkdir(mode=0o500)
+    code, err = command("render", "--poses", "open", "--frames", "0", "--out", tmp_path / "closed" / "out", *SMALL)
+    assert code == 2
+    assert "permission denied" in err
+
+
+def test_a_folder_that_the_system_refuses_is_named(tmp_path, command, monkeypatch):
+    """The same for root, who may write everywhere: the refusal is simulated."""
+
+    def refuse(*_, **__):
+        raise PermissionError(errno.EACCES, "Permission denied")
+
+    monkeypatch.setattr("pathlib.Path.mkdir", refuse)
+    code, err = command("render", "--poses", "open", "--frames", "0", "--out", tmp_path / "out", *SMALL)
+    assert code == 2
+    assert "permission denied" in err
+
+
+@pytest.mark.parametrize("part", [0.0, 0.001, 0.5, 0.999])
+def test_a_truncated_avatar_is_refused(tmp_path, command, part):
+    content = ASSET.read_bytes()
+    (tmp_path / "torn.jghand").write_bytes(content[: int(part * len(content))])
+    words = ("--poses", "open", "--out", tmp_path / "out", "--avatar", tmp_path / "torn.jghand")
+    code, err = command("render", *words, *SMALL)
+    assert code == 2
+    assert "torn.jghand" in err
+    assert not (tmp_path / "out").exists()
+    assert command("info", tmp_path / "torn.jghand")[0] == 2
+
+
+def test_an_avatar_that_is_not_there_is_named(tmp_path, command):
+    code, err = command("render", "--poses", "open", "--out", tmp_path / "out", "--avatar", tmp_path / "no.jghand")
+    assert code == 2
+    assert "no.jghand" in err
+
+
+def test_a_full_disk_leaves_nothing_half_written(tmp_path, command, monkeypatch):
+    real = os.fsync
+    written = []
+
+    def full(handle):
+        written.append(handle)
+        if len(written) > 2:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        real(handle)
+
+    monkeypatch.setattr("jghand_engine.files.os.fsync", full)
+    out = tmp_path / "out"
+    code, err = command("render", "--poses", "open,fist", "--out", out, *SMALL)
+    assert code == 3
+    assert "disk is full" in err
+    assert sorted(path.name for path in out.iterdir()) == ["camera.json", "frame_00000.png"], "whole files only"
+
+
+def test_a_full_disk_leaves_no_half_video(tmp_path, command, monkeypatch):
+    pytest.importorskip("imageio_ffmpeg", reason="the extra `video` is not installed")
+
+    def full(path, picture):
+        if "00003" in path.name:
+            raise OSError(errno.ENOSPC, "No space left on device", str(path))
+        path.parent.mkdir(exist_ok=True)
+
+    monkeypatch.setattr("jghand_engine.exporters.pictures.write_png", full)
+    words = ("render", "--poses", "open,fist", "--out", tmp_path / "out", "--video", tmp_path / "hand.mp4", *SMALL)
+    code, err = command(*words)
+    assert code == 3
+    assert "disk is full" in err
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["out"]
+
+
+@pytest.mark.parametrize(
+    ("error", "code", "said"),
+    [
+        (MemoryError(), 4, "not enough memory"),
+        (RuntimeError("DefaultCPUAllocator: can't allocate memory: you tried to allocate 9 bytes"), 4, "--size"),
+        (KeyboardInterrupt(), 130, "Stopped"),
+        (ZeroDivisionError("division by zero"), 1, "should not happen"),
+    ],
+)
+def test_what_breaks_while_rendering_ends_with_its_code(tmp_path, command, monkeypatch, error, code, said):
+    def broken(*_):
+        raise error
+
+    monkeypatch.setattr(HandRenderer, "render", broken)
+    got, err = command("render", "--poses", "open", "--out", tmp_path / "out", *SMALL)
+    assert got == code
+    assert said in err
+
+
+@pytest.mark.parametrize("variable", [True, False])
+def test_a_traceback_is_shown_when_asked_for(tmp_path, capsys, monkeypatch, variable):
+    if variable:
+        monkeypatch.setenv("JGHAND_DEBUG", "1")
+    words = ["render", "--poses", "wave", "--out", str(tmp_path)]
+    assert main(words if variable else [*words, "--traceback"]) == 2
+    assert "Traceback" in capsys.readouterr().err
+
+
+def test_the_engine_for_blender_is_not_started_by_hand(command):
+    code, err = command("serve")
+    assert code == 2
+    assert "--stdio-handshake" in err
+
+
+@pytest.mark.parametrize("words", [("--size", "0x4"), ("--background", "pink"), ("--camera-file", "absent.json")])
+def test_a_wrong_option_is_refused_before_anything_is_written(tmp_path, command, words):
+    code, err = command("render", "--poses", "open", "--out", tmp_path / "out", *SMALL, *words)
+    assert code == 2
+    assert err
+    assert not (tmp_path / "out").exists()

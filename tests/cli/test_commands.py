@@ -1,0 +1,228 @@
+"""The command line as people use it: what it writes, what it says, how it ends."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from jghand_engine import __version__
+from jghand_engine.cli import VERBS, main
+from jghand_engine.cli.inputs import load_motion
+from jghand_engine.cli.options import FormatOptions, MotionOptions, colour, pixels
+from jghand_engine.errors import InputError
+from jghand_engine.exporters.pictures import read_png
+from jghand_engine.hand.anatomy import pose_sequence_of_names
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.orders import JointOrder, from_level
+
+SMALL = ("--size", "64x48", "--preset", "draft")
+
+
+def run(*words):
+    return main([str(word) for word in words])
+
+
+@pytest.fixture(scope="module")
+def avatar():
+    from jghand_engine.avatar.builtin import load_builtin
+
+    return load_builtin(handedness=Handedness.RIGHT)
+
+
+# ---- help and arguments ----------------------------------------------------------------------------------------------
+
+
+def test_the_help_names_every_verb_and_an_example(capsys):
+    with pytest.raises(SystemExit) as end:
+        main(["--help"])
+    assert not end.value.code
+    shown = capsys.readouterr().out
+    assert all(verb in shown for verb in VERBS)
+    assert "jghand demo --out" in shown
+
+
+@pytest.mark.parametrize("verb", VERBS)
+def test_the_help_of_a_verb_explains_every_option(verb, capsys):
+    with pytest.raises(SystemExit) as end:
+        main([verb, "--help"])
+    assert not end.value.code
+    shown = capsys.readouterr().out
+    if verb != "serve":
+        assert f"jghand {verb}" in shown, "an example"
+    assert "None" not in shown
+    assert "Union" not in shown
+
+
+def test_the_version_is_the_packages(capsys):
+    assert main(["--version"]) == 0
+    assert __version__ in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("words", [[], ["fly"], ["render"], ["render", "--out", "x", "--order", "mano"], ["info"]])
+def test_a_mistake_in_the_arguments_ends_with_2(words, capsys):
+    with pytest.raises(SystemExit) as end:
+        main(words)
+    assert end.value.code == 2
+    assert "Traceback" not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        (":", slice(0, None, 1)),
+        ("3:9", slice(3, 10, 1)),
+        ("0:99:2", slice(0, 100, 2)),
+        ("5", slice(5, 6, 1)),
+        ("4:", slice(4, None, 1)),
+    ],
+)
+def test_frames_are_counted_with_the_last_one(text, expected):
+    assert MotionOptions(frames=text).frame_slice() == expected
+
+
+@pytest.mark.parametrize("text", ["", "a:b", "-3:4", "1:2:3:4", "1.5"])
+def test_frames_that_make_no_sense_are_refused(text):
+    with pytest.raises(InputError, match="--frames"):
+        MotionOptions(frames=text).frame_slice()
+
+
+def test_sizes_and_colours_are_read():
+    assert pixels("512x334") == (512, 334)
+    assert colour("#ff8000") == (1.0, 128 / 255, 0.0)
+    for text in ("512", "0x4", "512x", "axb", "-4x4"):
+        with pytest.raises(InputError, match="--size"):
+            pixels(text)
+    with pytest.raises(InputError, match="#rrggbb"):
+        colour("red")
+
+
+# ---- render ----------------------------------------------------------------------------------------------------------
+
+
+def test_render_writes_pictures_camera_and_figures(tmp_path, capsys):
+    out, figures = tmp_path / "out", tmp_path / "figures.json"
+    assert run("render", "--poses", "open,fist", "--frames", "0:2", "--out", out, "--json", figures, *SMALL) == 0
+    pictures = sorted(out.glob("*.png"))
+    assert [path.name for path in pictures] == [f"frame_0000{i}.png" for i in range(3)]
+    first = read_png(pictures[0])
+    assert first.shape == (48, 64, 4)
+    assert 0.05 < (first[..., 3] > 128).mean() < 0.6, "the hand is there, and not everywhere"
+    assert not first[0].any(), "the border is empty"
+    report = json.loads(figures.read_text())
+    assert report["frames"] == 3
+    assert report["stages"]["whole frame"]["median_ms"] > 0
+    shown = capsys.readouterr()
+    assert "median ms" in shown.out
+    assert not shown.err
+
+
+def test_the_camera_that_render_wrote_makes_the_same_picture_again(tmp_path):
+    first, again = tmp_path / "first", tmp_path / "again"
+    assert run("render", "--poses", "point", "--frames", "0", "--out", first, *SMALL) == 0
+    camera = first / "camera.json"
+    assert run("render", "--poses", "point", "--frames", "0", "--out", again, *SMALL, "--camera-file", camera) == 0
+    assert (read_png(first / "frame_00000.png") == read_png(again / "frame_00000.png")).all()
+
+
+def test_a_background_makes_opaque_pictures(tmp_path):
+    words = ("render", "--poses", "point", "--frames", "0", "--out", tmp_path, *SMALL, "--background", "#336699")
+    assert run(*words) == 0
+    picture = read_png(tmp_path / "frame_00000.png")
+    assert picture.shape[2] == 3
+    assert picture[0, 0].tolist() == [0x33, 0x66, 0x99]
+
+
+def test_render_writes_a_video_of_every_frame(tmp_path):
+    ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="the extra `video` is not installed")
+    video = tmp_path / "hand.mp4"
+    assert run("render", "--poses", "open,fist", "--frames", "0:4", "--out", tmp_path, "--video", video, *SMALL) == 0
+    frames, _ = ffmpeg.count_frames_and_secs(str(video))
+    assert frames == 5
+
+
+def test_a_left_hand_is_the_mirror_image_of_a_right_one(tmp_path):
+    for hand in ("right", "left"):
+        words = ("render", "--poses", "point", "--frames", "0", "--out", tmp_path / hand, *SMALL, "--camera", "front")
+        assert run(*words, "--hand", hand) == 0
+    right, left = (read_png(tmp_path / hand / "frame_00000.png").astype(int) for hand in ("right", "left"))
+    assert np.abs(right - left[:, ::-1]).max() <= 2, "worst seen 1 of 255: rounding of the mirrored projection"
+
+
+def test_a_real_capture_is_rendered_upright_and_whole(tmp_path, shared_data):
+    motion = shared_data / "real/human_joint_right.npy"
+    words = ("render", "--motion", motion, "--order", "mediapipe", "--hand", "right", "--frames", "0:600:300")
+    assert run(*words, "--out", tmp_path, *SMALL, "--camera", "front") == 0
+    for index in range(3):
+        alpha = read_png(tmp_path / f"frame_{index:05d}.png")[..., 3]
+        assert 0.05 < (alpha > 128).mean() < 0.6
+        assert not alpha[:, [0, -1]].any()
+        assert not alpha[[0, -1]].any()
+
+
+# ---- motions ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def wobbling(tmp_path, avatar):
+    """A plain array in standard order whose bones change their length by millimetres, as estimates do."""
+    sequence = pose_sequence_of_names(["open", "fist"], avatar.canonical_joints_m.numpy())
+    noise = np.random.default_rng(3).normal(0, 2e-3, sequence.joints_m.shape)
+    noise[:, 0] = 0
+    path = tmp_path / "wobbling.npy"
+    np.save(path, from_level(sequence.joints_m + noise, JointOrder.STANDARD))
+    return path
+
+
+def options(path, **more):
+    return MotionOptions(motion=path, format=FormatOptions(order="mediapipe", hand="right"), **more)
+
+
+def test_estimated_joints_do_not_pulse(wobbling, avatar):
+    motion = load_motion(options(wobbling), avatar)
+    lengths_m = motion.sequence.bone_lengths_m
+    assert np.ptp(lengths_m, axis=0).max() < 1e-12
+    assert any("median" in note for note in motion.notes)
+
+
+def test_bone_lengths_of_the_file_are_kept_when_asked_for(wobbling, avatar):
+    motion = load_motion(options(wobbling, keep_bone_lengths=True), avatar)
+    assert np.ptp(motion.sequence.bone_lengths_m, axis=0).max() > 1e-3
+    assert not motion.notes
+
+
+def test_named_poses_have_the_avatars_bones(avatar):
+    motion = load_motion(MotionOptions(poses="open, fist"), avatar)
+    canonical = avatar.canonical_joints_m.numpy()
+    measured = np.linalg.norm(canonical[3] - canonical[0])
+    assert np.allclose(motion.sequence.bone_lengths_m[:, 2], measured, atol=1e-12)
+
+
+# ---- the other verbs -------------------------------------------------------------------------------------------------
+
+
+def test_info_tells_what_an_avatar_is(tmp_path, capsys):
+    assert run("info", "builtin", "--json", tmp_path / "info.json") == 0
+    facts = json.loads((tmp_path / "info.json").read_text())
+    assert facts["kind"] == "avatar"
+    assert facts["gaussians"] == 60_000
+    assert facts["licence"] in capsys.readouterr().out
+
+
+def test_info_tells_what_a_motion_is(wobbling, capsys):
+    assert run("info", wobbling, "--order", "mediapipe", "--hand", "right") == 0
+    shown = capsys.readouterr().out
+    assert "hand length mm" in shown
+    assert "right" in shown
+
+
+def test_export_writes_a_stage_that_info_understands(tmp_path, capsys):
+    usd, figures = tmp_path / "usd", tmp_path / "figures.json"
+    assert run("export", "--poses", "open,fist", "--frames", "0:1", "--out", usd, "--json", figures) == 0
+    assert json.loads(figures.read_text())["frames"] == 2
+    capsys.readouterr()
+    assert run("info", usd / "hand.usda") == 0
+    shown = capsys.readouterr().out
+    assert "ParticleField3DGaussianSplat" in shown
+    assert "hand.splats.usdc" in shown
