@@ -10,7 +10,6 @@ import ctypes
 import os
 import sys
 import threading
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -51,10 +50,6 @@ class Library:
     variant: str
     path: Path
     call: ctypes.CDLL
-
-
-# checks that a freshly loaded library must pass; each raises JGHandError. Filled by native/selftest.py.
-SELF_TESTS: list[Callable[[Library], None]] = []
 
 
 def address(array: np.ndarray, dtype: type, name: str, shape: tuple[int, ...] | None = None) -> int:
@@ -123,7 +118,7 @@ def _current_library(variant: str) -> Path:
     try:
         return build.build(target)
     except JGHandError as error:
-        raise RetryError(f"native library {path.name} {state} and could not be built: {error}") from error
+        raise RetryError(f"native library {path.name} {state} and could not be built", remedy=str(error)) from error
 
 
 # ---- loading --------------------------------------------------------------------------------------------------------
@@ -166,8 +161,10 @@ def _load_named(variant: str) -> Library | None:
     if variant not in runnable_variants():
         raise InputError("native variant", wanted=f"one of {runnable_variants()} on this processor", came=variant)
     library = open_library(_current_library(variant), variant)
-    for test in SELF_TESTS:
-        test(library)
+    # imported here: the self-test draws, and drawing needs this module
+    from jghand_engine.native import selftest
+
+    selftest.check(library)
     return library
 
 

@@ -13,7 +13,10 @@ JG_API void jg_raster_forward(RasterJob* job) {
   Team& team = *job->team;
   share(team, 0, job->parts, [job](int32_t part) { project_part(*job, part); });
   share(team, 1, 1, [job](int32_t) { sort_visible(*job); });
-  share(team, 2, job->parts, [job](int32_t part) { count_part(*job, part); });
+  share(team, 2, job->parts, [job](int32_t part) {
+    gather_part(*job, part);
+    count_part(*job, part);
+  });
   share(team, 3, 1, [job](int32_t) { lay_out_lists(*job); });
   if (job->status != DONE) return;
   share(team, 4, job->parts, [job](int32_t part) { fill_part(*job, part); });

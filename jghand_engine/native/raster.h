@@ -2,6 +2,7 @@
 //
 //   project   every Gaussian: centre, conic, footprint in tiles, depth key; what cannot be seen is culled    projection.h
 //   sort      the visible ones by camera depth, ties by index
+//   gather    records into that order: neighbours in a tile's list are then neighbours in memory
 //   bin       a list per 16 x 16 tile, in depth order
 //   blend     per tile, front to back, a 4 x 4 block of pixels per vector                                     tile.h
 //   backward  the same walk with the gradient of the picture, then the chain rule to the inputs
@@ -34,10 +35,9 @@ struct alignas(64) RecordGradient {
   float unused[6];
 };
 
-// Tiles touched, both ends included; x0 > x1 when the Gaussian is culled.
+// Tiles touched, both ends included.
 struct TileRect {
   int16_t x0, x1, y0, y1;
-  bool empty() const { return x0 > x1; }
 };
 
 // What a part of the Gaussians found out while projecting.
@@ -55,20 +55,23 @@ struct RasterJob {
   const float* opacity;   // (count)
   const float* rgb;       // (count, 3)
   // scratch that forward leaves for backward
-  Record* records;          // (count)
-  TileRect* rects;          // (count)
+  Record* projected;        // (count): in the order of the input
+  TileRect* projected_rects;
+  Record* records;          // (count): the visible ones, front to back; a Gaussian's place here is its slot
+  TileRect* rects;
+  int32_t* slots;           // (count): slot of a Gaussian, -1 when it is culled
   uint64_t* sort_a;         // (count)
   uint64_t* sort_b;         // (count)
-  int32_t* order;           // (count): the visible Gaussians, front to back
+  int32_t* order;           // (count): Gaussian of a slot
   PartSummary* summaries;   // (parts)
-  int32_t* part_cursors;    // (parts, tiles)
+  int32_t* part_cursors;    // (parts, tiles_y + 1, tiles_x + 1)
   int32_t* tile_start;      // (tiles + 1): where each tile's list begins
-  int32_t* tile_list;       // (list_capacity): Gaussians, front to back per tile
+  int32_t* tile_list;       // (list_capacity): slots, front to back per tile
   int32_t* tile_work;       // (tiles): work done by blend, for sharing backward evenly
   float* planes;            // (5, height, width): premultiplied R G B, alpha, sum of weight times depth
   // backward only
   const float* plane_gradients;       // (5, height, width)
-  RecordGradient* record_gradients;   // (GRADIENT_STRIPES, count)
+  RecordGradient* record_gradients;   // (GRADIENT_STRIPES, count), by slot
   float* position_gradient;           // (count, 3)
   float* sigma_gradient;              // (count)
   float* opacity_gradient;            // (count)
@@ -92,6 +95,7 @@ struct RasterJob {
 // Steps of the forward call. Ranges of Gaussians or of tiles are given as the item of a step.
 void project_part(const RasterJob& job, int32_t part);
 void sort_visible(RasterJob& job);
+void gather_part(const RasterJob& job, int32_t part);
 void count_part(const RasterJob& job, int32_t part);
 void lay_out_lists(RasterJob& job);
 void fill_part(const RasterJob& job, int32_t part);

@@ -18,16 +18,6 @@ struct Block {
   vf grad_r, grad_g, grad_b, grad_depth;
 };
 
-// Reads the sixteen pixels of a block from one plane; zero beyond the border.
-JG_INLINE vf load_pixels(const RasterJob& job, const float* planes, int plane, int32_t x, int32_t y) {
-  alignas(64) float values[LANES] = {};
-  const int columns = job.width - x < BLOCK_PX ? job.width - x : BLOCK_PX;
-  const int rows = job.height - y < BLOCK_PX ? job.height - y : BLOCK_PX;
-  const float* in = planes + ((int64_t)plane * job.height + y) * job.width + x;
-  for (int row = 0; row < rows; row++, in += job.width) memcpy(values + BLOCK_PX * row, in, sizeof(float) * columns);
-  return load(values);
-}
-
 // Whether any pixel has a gradient; without one the block is left out. A NaN counts as one, so that it is not lost.
 JG_INLINE bool start_block(const RasterJob& job, int32_t x, int32_t y, Block& block) {
   auto picture = [&](int plane) { return load_pixels(job, job.planes, plane, x, y); };
@@ -64,15 +54,16 @@ JG_INLINE void walk_hits(const RasterJob& job, const Chunk& chunk, int index, co
                          const int32_t* list, RecordGradient* gradients) {
   const vf x = LANE_X + (float)block_x(index), y = LANE_Y + (float)block_y(index);
   const vf gr = block.grad_r, gg = block.grad_g, gb = block.grad_b, gz = block.grad_depth;
+  const float log2_alpha_min = job.log2_alpha_min, alpha_max = job.alpha_max, t_stop = job.t_stop;
   vf T = block.transmittance, rest = block.rest;
   for (int i = 0; i < n; i++) {
     const Record& record = chunk.records[hits[i]];
-    const Coverage c = cover<SQUARINGS>(record, x, y, job.log2_alpha_min, job.alpha_max);
+    const Coverage c = cover<SQUARINGS>(record, x, y, log2_alpha_min, alpha_max);
     const vf weight = c.alpha * T;
     const vf contribution = weight * (gr * record.r + gg * record.g + gb * record.b + gz * record.z);
     rest -= contribution;
     vf m = contribution - rest * c.alpha / (1.0f - c.alpha);
-    m = c.uncapped < job.alpha_max ? m : vf{};  // a capped alpha does not depend on opacity and shape
+    m = c.uncapped < alpha_max ? m : vf{};  // a capped alpha does not depend on opacity and shape
     T -= weight;
     const vf mx = m * c.dx, my = m * c.dy;
     const vf a = fold_4(fold_8(m, mx), fold_8(my, mx * c.dx));
@@ -80,7 +71,7 @@ JG_INLINE void walk_hits(const RasterJob& job, const Chunk& chunk, int index, co
     const vf last = fold_8(weight * gb, weight * gz), d = fold_4(last, last);
     float* sums = &gradients[list[hits[i]]].m;
     store(sums, load(sums) + fold_1(fold_2(a, b), fold_2(d, d)));
-    if ((i & 3) == 3 && !bit_mask(T > job.t_stop)) break;  // as blend does
+    if ((i & 3) == 3 && !bit_mask(T > t_stop)) break;  // as blend does
   }
   block.transmittance = T, block.rest = rest;
 }
@@ -129,8 +120,8 @@ Stripes cut_stripes(const RasterJob& job) {
 void blend_backward_stripe(const RasterJob& job, const Stripes& stripes, int32_t stripe) {
   RecordGradient* gradients = job.record_gradients + (int64_t)stripe * job.count;
   const int32_t begin = stripes.cut[stripe], end = stripes.cut[stripe + 1];
-  for (int64_t i = 0; i < job.count; i++)
-    if (!job.rects[i].empty() && may_touch(job, job.rects[i], begin, end)) memset(gradients + i, 0, sizeof *gradients);
+  for (int64_t slot = 0; slot < job.visible; slot++)
+    if (may_touch(job, job.rects[slot], begin, end)) memset(gradients + slot, 0, sizeof *gradients);
   const int squarings = squarings_for(job.log2_alpha_min);
   for (int32_t tile = begin; tile < end; tile++) {
     if (squarings == 3) walk_tile<3>(job, tile, gradients);

@@ -31,20 +31,9 @@ JG_INLINE void blend_hits(const RasterJob& job, const Chunk& chunk, int index, c
   block = {T, r, g, b, depth};
 }
 
-// Rows of four floats. Storing lane by lane is several times slower.
 JG_INLINE void store_block(const RasterJob& job, const Block& block, int32_t x, int32_t y) {
-  const int columns = job.width - x < BLOCK_PX ? job.width - x : BLOCK_PX;
-  const int rows = job.height - y < BLOCK_PX ? job.height - y : BLOCK_PX;
   const vf planes[5] = {block.r, block.g, block.b, 1.0f - block.transmittance, block.depth};
-  for (int plane = 0; plane < 5; plane++) {
-    alignas(64) float values[LANES];
-    store(values, planes[plane]);
-    float* out = job.planes + ((int64_t)plane * job.height + y) * job.width + x;
-    for (int row = 0; row < rows; row++, out += job.width) {
-      if (columns == BLOCK_PX) memcpy(out, values + BLOCK_PX * row, sizeof(float) * BLOCK_PX);
-      else memcpy(out, values + BLOCK_PX * row, sizeof(float) * columns);
-    }
-  }
+  for (int plane = 0; plane < 5; plane++) store_pixels(job, job.planes, plane, x, y, planes[plane]);
 }
 
 template <int SQUARINGS>

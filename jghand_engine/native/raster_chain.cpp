@@ -12,12 +12,13 @@ struct RecordGradients {
 JG_INLINE RecordGradients gather(const RasterJob& job, const Stripes& stripes, int64_t first, int n, vi& seen) {
   vf rows[LANES] = {};
   for (int lane = 0; lane < n; lane++) {
-    const TileRect rect = job.rects[first + lane];
-    seen[lane] = rect.empty() ? 0 : -1;
-    if (rect.empty()) continue;
+    const int64_t slot = job.slots[first + lane];
+    seen[lane] = slot < 0 ? 0 : -1;
+    if (slot < 0) continue;
+    const TileRect rect = job.rects[slot];
     for (int stripe = 0; stripe < GRADIENT_STRIPES; stripe++)
       if (may_touch(job, rect, stripes.cut[stripe], stripes.cut[stripe + 1]))
-        rows[lane] += load(&job.record_gradients[(int64_t)stripe * job.count + first + lane].m);
+        rows[lane] += load(&job.record_gradients[(int64_t)stripe * job.count + slot].m);
   }
   transpose(rows);
   return {rows[0], rows[1], rows[2], rows[3], rows[4], rows[5], rows[6], rows[7], rows[8], rows[9]};

@@ -58,4 +58,14 @@ void sort_visible(RasterJob& job) {
   }
 }
 
+void gather_part(const RasterJob& job, int32_t part) {
+  const Range range = part_of(job.visible, part, job.parts);
+  for (int64_t slot = range.begin; slot < range.end; slot++) {
+    const int32_t gaussian = job.order[slot];
+    job.records[slot] = job.projected[gaussian];
+    job.rects[slot] = job.projected_rects[gaussian];
+    job.slots[gaussian] = (int32_t)slot;
+  }
+}
+
 }  // namespace jg

@@ -29,7 +29,8 @@ class _Job(ctypes.Structure):
 
     _fields_ = (
         *((name, ctypes.c_void_p) for name in ("position", "sigma", "opacity", "rgb")),
-        *((name, ctypes.c_void_p) for name in ("records", "rects", "sort_a", "sort_b", "order", "summaries")),
+        *((name, ctypes.c_void_p) for name in ("projected", "projected_rects", "records", "rects", "slots")),
+        *((name, ctypes.c_void_p) for name in ("sort_a", "sort_b", "order", "summaries")),
         *((name, ctypes.c_void_p) for name in ("part_cursors", "tile_start", "tile_list", "tile_work", "planes")),
         *((name, ctypes.c_void_p) for name in ("plane_gradients", "record_gradients")),
         *((f"{name}_gradient", ctypes.c_void_p) for name in ("position", "sigma", "opacity", "rgb")),
@@ -43,6 +44,11 @@ class _Job(ctypes.Structure):
         *((name, ctypes.c_int32) for name in ("count", "width", "height", "tiles_x", "tiles_y")),
         *((name, ctypes.c_int32) for name in ("parts", "visible", "invalid", "status")),
     )
+
+
+def job_bytes() -> int:
+    """Size of the mirrored structure, which the self-test compares with the library's."""
+    return ctypes.sizeof(_Job)
 
 
 @dataclass(frozen=True)
@@ -216,13 +222,16 @@ class NativeRasteriser:
         n, tiles = job.count, job.tiles_x * job.tiles_y
         job.parts = _PARTS_PER_THREAD * self.threads
         shapes = {
+            "projected": ((n, _RECORD_FLOATS), np.float32),
+            "projected_rects": ((n, 4), np.int16),
             "records": ((n, _RECORD_FLOATS), np.float32),
             "rects": ((n, 4), np.int16),
+            "slots": ((n,), np.int32),
             "sort_a": ((n,), np.uint64),
             "sort_b": ((n,), np.uint64),
             "order": ((n,), np.int32),
             "summaries": ((job.parts, 4), np.int32),
-            "part_cursors": ((job.parts, tiles), np.int32),
+            "part_cursors": ((job.parts, job.tiles_y + 1, job.tiles_x + 1), np.int32),
             "tile_start": ((tiles + 1,), np.int32),
             "tile_work": ((tiles,), np.int32),
         }

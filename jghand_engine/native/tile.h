@@ -28,6 +28,37 @@ JG_INLINE Tile tile_at(const RasterJob& job, int32_t index) {
 JG_INLINE int32_t block_x(int block) { return block % (TILE_PX / BLOCK_PX) * BLOCK_PX; }
 JG_INLINE int32_t block_y(int block) { return block / (TILE_PX / BLOCK_PX) * BLOCK_PX; }
 
+// Sixteen pixels of a plane, as four rows of four. The copies have a constant size (a variable one is a library call, and
+// storing lane by lane is slow too); only blocks across the picture's border go pixel by pixel.
+JG_INLINE void store_pixels(const RasterJob& job, float* planes, int plane, int32_t x, int32_t y, vf v) {
+  alignas(64) float values[LANES];
+  store(values, v);
+  float* out = planes + ((int64_t)plane * job.height + y) * job.width + x;
+  if (x + BLOCK_PX <= job.width && y + BLOCK_PX <= job.height) {
+    for (int row = 0; row < BLOCK_PX; row++) memcpy(out + (int64_t)row * job.width, values + BLOCK_PX * row, 4 * BLOCK_PX);
+    return;
+  }
+  for (int lane = 0; lane < LANES; lane++) {
+    const int column = lane % BLOCK_PX, row = lane / BLOCK_PX;
+    if (x + column < job.width && y + row < job.height) out[(int64_t)row * job.width + column] = values[lane];
+  }
+}
+
+// The same backwards; zero beyond the border.
+JG_INLINE vf load_pixels(const RasterJob& job, const float* planes, int plane, int32_t x, int32_t y) {
+  alignas(64) float values[LANES] = {};
+  const float* in = planes + ((int64_t)plane * job.height + y) * job.width + x;
+  if (x + BLOCK_PX <= job.width && y + BLOCK_PX <= job.height) {
+    for (int row = 0; row < BLOCK_PX; row++) memcpy(values + BLOCK_PX * row, in + (int64_t)row * job.width, 4 * BLOCK_PX);
+    return load(values);
+  }
+  for (int lane = 0; lane < LANES; lane++) {
+    const int column = lane % BLOCK_PX, row = lane / BLOCK_PX;
+    if (x + column < job.width && y + row < job.height) values[lane] = in[(int64_t)row * job.width + column];
+  }
+  return load(values);
+}
+
 // A run of a tile's list, copied to the first-level cache with centres relative to the tile.
 struct Chunk {
   Record records[CHUNK];
@@ -38,6 +69,8 @@ struct Chunk {
 JG_INLINE void load_chunk(Chunk& chunk, const RasterJob& job, const Tile& tile, int32_t begin) {
   chunk.length = tile.length - begin < CHUNK ? tile.length - begin : CHUNK;
   const float x = (float)tile.x, y = (float)tile.y;
+  // asked for all at once, the records arrive together instead of one after the other
+  for (int k = 0; k < chunk.length; k++) __builtin_prefetch(job.records + tile.list[begin + k]);
   for (int k = 0; k < chunk.length; k++) {
     Record& record = chunk.records[k];
     memcpy((void*)&record, job.records + tile.list[begin + k], sizeof record);
