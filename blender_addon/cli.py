@@ -89,7 +89,7 @@ def _render(options: argparse.Namespace, report: batch.BatchReport, checkout: Pa
         raise JGHandFailure("no_hand", str(options.file))
     with EngineClient.start(command) as engine:
         report.engine = {key: engine.handshake.get(key) for key in ("engine_version", "device")}
-        _load(engine, options.avatar)
+        _load(engine, _avatar_name(options.avatar))
         for frame in frames:
             for line in _render_frame(engine, frame, cameras, options, report):
                 print(line, flush=True)
@@ -112,7 +112,7 @@ def _render_frame(
         return
     depsgraph = armature.at_frame(bpy.context.scene, frame)
     hands = [armature.read_hand(hand, depsgraph) for hand in armature.hand_armatures(bpy.context.view_layer)]
-    hands = [replace(hand, avatar=options.avatar) for hand in hands]
+    hands = [replace(hand, avatar=_avatar_name(options.avatar)) for hand in hands]
     for eye in wanted:
         started = time.perf_counter()
         content, details = _picture(engine, camera.pinhole(eye, depsgraph), hands, options.preset)
@@ -124,6 +124,10 @@ def _picture(engine: EngineClient, view: Pinhole, hands: list[HandInSpace], pres
     header, arrays = picture_request(view, hands, preset=preset, outputs=["png"])
     reply = engine.request(header, arrays)
     return bytes(reply.arrays["png"].data), {"size": [view.width, view.height], "reports": reply.header["reports"]}
+
+
+def _avatar_name(avatar: str) -> str:
+    return avatar if avatar == BUILTIN_AVATAR else str(Path(avatar).resolve())
 
 
 def _load(engine: EngineClient, avatar: str) -> None:

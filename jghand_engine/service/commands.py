@@ -16,7 +16,6 @@ import numpy as np
 
 from jghand_engine import __version__, limits
 from jghand_engine.errors import InputError, JGHandError, MemoryLimitError, RetryError
-from jghand_engine.service.composite import composite_by_depth
 from jghand_engine.service.protocol import PAYLOAD_MAX_BYTES, PROTOCOL_VERSION, Array, Message
 
 # outputs that a picture may be asked for -> bytes per pixel (png: at most, with some room for its own bytes)
@@ -26,7 +25,7 @@ JOINTS = 21
 
 @dataclass(frozen=True)
 class View:
-    """A picture's size and pinhole in pixels, and the name of a preset of RenderSettings."""
+    """A picture's size and pinhole in pixels, the name of a preset of RenderSettings, and whether depth is wanted."""
 
     width: int
     height: int
@@ -35,6 +34,7 @@ class View:
     cx: float
     cy: float
     preset: str
+    depth: bool
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class Hand:
 
 
 @dataclass(frozen=True)
-class HandPicture:
+class Painting:
     """rgba: (H, W, 4) float32 premultiplied, display-referred sRGB; depth_m: (H, W) float32, 0 = nothing;
     report: FrameReport as plain data."""
 
@@ -75,8 +75,8 @@ class PictureSource(Protocol):
         """Loads an avatar by path ("builtin" for the one that comes with JGHand)."""
         ...
 
-    def render(self, hand: Hand, view: View) -> HandPicture:
-        """Draws one hand."""
+    def render(self, hands: list[Hand], view: View) -> Painting:
+        """Draws all hands (at least one) into one picture, the nearer in front."""
         ...
 
     def encode_png(self, rgba: np.ndarray) -> bytes:
@@ -127,17 +127,19 @@ class Commands:
         return Reply(loaded.facts, {"canonical_joints": _array(loaded.canonical_joints_m, np.float64)})
 
     def _render_picture(self, message: Message) -> Reply:
-        view = _view(message.header)
-        outputs = _outputs(message.header, view)
-        pictures = [self.source.render(hand, view) for hand in _hands(message)]
-        rgba, depth_m = _one_picture(pictures, view)
+        outputs = _outputs(message.header)
+        view = _view(message.header, depth="depth" in outputs)
+        _check_size(view, outputs)
+        hands = _hands(message)
+        picture = self.source.render(hands, view) if hands else _empty(view)
+        rgba = picture.rgba
         makers = {
             "rgba_f32": lambda: _array(rgba, np.float32),
             "rgba_u8": lambda: _array(np.rint(np.clip(rgba, 0.0, 1.0) * 255.0), np.uint8),
-            "depth": lambda: _array(depth_m, np.float32),
+            "depth": lambda: _array(picture.depth_m, np.float32),
             "png": lambda: Array.of(self.source.encode_png(rgba)),
         }
-        return Reply({"reports": [p.report for p in pictures]}, {name: makers[name]() for name in outputs})
+        return Reply({"reports": [picture.report] if hands else []}, {name: makers[name]() for name in outputs})
 
 
 def error_header(error: BaseException) -> dict[str, str]:
@@ -164,17 +166,22 @@ def _short(error: BaseException) -> str:
     return str(error)[: limits.DETAIL_MAX]
 
 
-def _view(header: dict[str, Any]) -> View:
+def _view(header: dict[str, Any], *, depth: bool) -> View:
     width, height = (_whole(header, name, limits.PICTURE_MAX_PX) for name in ("width", "height"))
     fx, fy, cx, cy = (_number(header, name) for name in ("fx", "fy", "cx", "cy"))
-    return View(width, height, fx, fy, cx, cy, _text(header, "preset"))
+    return View(width, height, fx, fy, cx, cy, _text(header, "preset"), depth)
 
 
-def _outputs(header: dict[str, Any], view: View) -> list[str]:
+def _outputs(header: dict[str, Any]) -> list[str]:
     outputs = header.get("outputs")
     if not (isinstance(outputs, list) and outputs and all(isinstance(o, str) and o in OUTPUT_BYTES for o in outputs)):
         raise InputError("outputs", wanted="a list of " + " | ".join(OUTPUT_BYTES), came=repr(outputs)[:80])
-    size = view.width * view.height * sum(OUTPUT_BYTES[name] for name in set(outputs))
+    return list(dict.fromkeys(outputs))
+
+
+def _check_size(view: View, outputs: list[str]) -> None:
+    """Refuses a picture that one message cannot carry, before it is drawn."""
+    size = view.width * view.height * sum(OUTPUT_BYTES[name] for name in outputs)
     if size > PAYLOAD_MAX_BYTES:
         raise MemoryLimitError(
             f"a picture of {view.width} x {view.height} pixels",
@@ -182,15 +189,12 @@ def _outputs(header: dict[str, Any], view: View) -> list[str]:
             came=f"{size}",
             remedy="Ask for a smaller picture or fewer outputs.",
         )
-    return list(dict.fromkeys(outputs))
 
 
-def _one_picture(pictures: list[HandPicture], view: View) -> tuple[np.ndarray, np.ndarray]:
-    """All hands in one picture; none at all is an empty picture."""
-    if not pictures:
-        size = (view.height, view.width)
-        return np.zeros((*size, 4), np.float32), np.zeros(size, np.float32)
-    return composite_by_depth([p.rgba for p in pictures], [p.depth_m for p in pictures])
+def _empty(view: View) -> Painting:
+    """The picture of no hand."""
+    size = (view.height, view.width)
+    return Painting(np.zeros((*size, 4), np.float32), np.zeros(size, np.float32), {})
 
 
 def _hands(message: Message) -> list[Hand]:
@@ -202,12 +206,20 @@ def _hands(message: Message) -> list[Hand]:
         return []
     joints_m = _numbers(message, "joints", (count, JOINTS, 3))
     cameras = _numbers(message, "camera_from_hand", (count, 4, 4))
+    if not all(_is_rigid(camera) for camera in cameras):
+        raise InputError("camera_from_hand", wanted="a rotation and a translation", came="a scaled or mirrored map")
     hands = []
     for entry, joints, camera in zip(entries, joints_m, cameras, strict=True):
         if not isinstance(entry, dict):
             raise InputError("hand", wanted="an object with avatar and handedness", came=repr(entry)[:80])
         hands.append(Hand(_text(entry, "avatar"), _text(entry, "handedness"), joints, camera))
     return hands
+
+
+def _is_rigid(matrix: np.ndarray) -> bool:
+    rotation = matrix[:3, :3]
+    error = np.abs(rotation.T @ rotation - np.eye(3)).max()
+    return bool(error < limits.RIGID_MAX and np.linalg.det(rotation) > 0 and (matrix[3] == (0, 0, 0, 1)).all())
 
 
 def _numbers(message: Message, name: str, shape: tuple[int, ...]) -> np.ndarray:

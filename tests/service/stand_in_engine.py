@@ -21,7 +21,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from jghand_engine.errors import InputError, MemoryLimitError
 from jghand_engine.service import protocol, server
-from jghand_engine.service.commands import Hand, HandPicture, LoadedAvatar, View
+from jghand_engine.service.commands import Hand, LoadedAvatar, Painting, View
 
 # radius of a joint's disc, metres
 DISC_M = 0.004
@@ -41,7 +41,7 @@ class StandInHands:
         joints = np.stack([np.linspace(0, 0.1, 21), np.zeros(21), np.zeros(21)], -1)
         return LoadedAvatar({"avatar": avatar, "gaussians": 21}, joints)
 
-    def render(self, hand: Hand, view: View) -> HandPicture:
+    def render(self, hands: list[Hand], view: View) -> Painting:
         if self.fault == "die":
             os._exit(7)
         if self.fault == "killed":
@@ -56,8 +56,8 @@ class StandInHands:
             raise ZeroDivisionError("a bug")
         if self.fault == "print":
             print("printed by a library " * 10000)
-        rgba, depth = _discs(hand, view)
-        return HandPicture(rgba, depth, {"total_ms": 1.0, "stages": []})
+        rgba, depth = _discs(hands, view)
+        return Painting(rgba, depth, {"total_ms": 1.0, "stages": []})
 
     def encode_png(self, rgba: np.ndarray) -> bytes:
         """The smallest PNG writer there is."""
@@ -74,18 +74,21 @@ class StandInHands:
         )
 
 
-def _discs(hand: Hand, view: View) -> tuple[np.ndarray, np.ndarray]:
-    points = hand.joints_m @ hand.camera_from_hand[:3, :3].T + hand.camera_from_hand[:3, 3]
+def _discs(hands: list[Hand], view: View) -> tuple[np.ndarray, np.ndarray]:
     x, y = np.meshgrid(np.arange(view.width) + 0.5, np.arange(view.height) + 0.5)
     rgba = np.zeros((view.height, view.width, 4), np.float32)
     depth = np.zeros((view.height, view.width), np.float32)
-    for point in points[np.argsort(-points[:, 2])]:
-        if point[2] <= 0:
+    points = [
+        (*point, (1, 1, 1, 1) if hand.handedness == "right" else (0, 0, 1, 1))
+        for hand in hands
+        for point in hand.joints_m @ hand.camera_from_hand[:3, :3].T + hand.camera_from_hand[:3, 3]
+    ]
+    for px, py, pz, colour in sorted(points, key=lambda point: -point[2]):
+        if pz <= 0:
             continue
-        u, v = view.fx * point[0] / point[2] + view.cx, view.fy * point[1] / point[2] + view.cy
-        inside = ((x - u) / view.fx) ** 2 + ((y - v) / view.fy) ** 2 <= (DISC_M / point[2]) ** 2
-        rgba[inside] = (1, 1, 1, 1) if hand.handedness == "right" else (0, 0, 1, 1)
-        depth[inside] = point[2]
+        u, v = view.fx * px / pz + view.cx, view.fy * py / pz + view.cy
+        inside = ((x - u) / view.fx) ** 2 + ((y - v) / view.fy) ** 2 <= (DISC_M / pz) ** 2
+        rgba[inside], depth[inside] = colour, pz
     return rgba, depth
 
 

@@ -85,6 +85,9 @@ WRONG = {
     "joints as whole numbers": {"joints": np.zeros((1, 21, 3), np.int32)},
     "joints that are not numbers": {"joints": NAN},
     "a camera without translation": {"cameras": np.zeros((1, 3, 3))},
+    "a camera that scales": {"cameras": np.diag([2.0, 2, 2, 1])[None].copy()},
+    "a camera that mirrors": {"cameras": np.diag([-1.0, 1, 1, 1])[None].copy()},
+    "a camera of nothing": {"cameras": np.zeros((1, 4, 4))},
 }
 
 
