@@ -36,11 +36,12 @@ def say_error(text: str) -> None:
 
 def say_table(title: str, columns: tuple[str, ...], rows: list[tuple[str, ...]]) -> None:
     """A table whose first column is text and whose others are figures."""
-    table = Table(title=title, title_justify="left", title_style="bold", show_edge=False, pad_edge=False)
+    table = Table(show_edge=False, pad_edge=False)
     for index, column in enumerate(columns):
         table.add_column(column, justify="right" if index else "left")
     for row in rows:
         table.add_row(*row)
+    out().print(f"\n{title}", style="bold", markup=False)
     # soft wrapping would tear a wide table apart
     Console(highlight=False).print(table)
 

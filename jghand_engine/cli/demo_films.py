@@ -66,6 +66,7 @@ def write_readme(scene: Scene, *, blender: bool) -> None:
         "report.json        how long everything took",
     ]
     if blender:
+        lines.insert(6, "cameras.json       its cameras: pixels, metres, OpenCV axes")
         lines.insert(5, "hand.blend         the rigged armature with the motion on it, and the cameras")
         lines += [
             "",

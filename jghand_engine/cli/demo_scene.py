@@ -106,6 +106,7 @@ class Blender:
     def build(self, scene: Scene) -> None:
         """Makes the .blend file: the rigged armature with the motion on it, and the cameras."""
         cameras = scene.out / "cameras.json"
+        scene.blend.unlink(missing_ok=True)  # or Blender keeps it beside the new one
         write_json(cameras, {name: camera_to_dict(camera) for name, camera in scene.cameras.items()})
         self._run("build_demo_scene.py", ["--motion", scene.out / "motion.npz", "--cameras", cameras,
                                           "--out", scene.blend])  # fmt: skip

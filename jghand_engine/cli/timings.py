@@ -19,47 +19,49 @@ class Timings:
     ENOUGH = 10
 
     def __init__(self) -> None:
-        self._ran: dict[str, list[float]] = {}
-        self._skipped: dict[str, int] = {}
-        self._reasons: dict[str, str] = {}
-        self.frames = 0
+        self._stages: dict[str, list[float]] = {}
+        self._skips: dict[str, list[str]] = {}
+        self._totals: list[float] = []
+        self._others: dict[str, list[float]] = {}
+
+    @property
+    def frames(self) -> int:
+        """How many reports were added."""
+        return len(self._totals)
 
     def add(self, report: dict[str, Any]) -> None:
         """Adds one `FrameReport.as_dict()`."""
-        self.frames += 1
         for stage in report["stages"]:
-            name = stage["name"]
-            self._ran.setdefault(name, [])
-            self._skipped.setdefault(name, 0)
+            ran = self._stages.setdefault(stage["name"], [])
             if stage["ran"]:
-                self._ran[name].append(stage["milliseconds"])
+                ran.append(stage["milliseconds"])
             else:
-                self._skipped[name] += 1
-                self._reasons[name] = stage["reason"]
-        self._ran.setdefault(TOTAL, []).append(report["total_ms"])
+                self._skips.setdefault(stage["name"], []).append(stage["reason"])
+        self._totals.append(report["total_ms"])
 
     def add_ms(self, name: str, milliseconds: float) -> None:
         """Adds one measurement that is no part of the frame, as writing a file."""
-        self._ran.setdefault(name, []).append(milliseconds)
+        self._others.setdefault(name, []).append(milliseconds)
 
     def figures(self) -> dict[str, dict[str, Any]]:
-        """By stage: median_ms, p95_ms, frames it ran on, frames it was skipped on (and the last reason why)."""
+        """By stage: frames it ran on, frames it was skipped on (and the last reason why), median_ms and p95_ms.
+
+        The stages in the order in which they were first seen, the whole frame after them, what is no part of it last.
+        """
         result: dict[str, dict[str, Any]] = {}
-        for name, values in self._ran.items():
-            entry: dict[str, Any] = {"ran": len(values), "skipped": self._skipped.get(name, 0)}
+        for name, values in {**self._stages, TOTAL: self._totals, **self._others}.items():
+            skips = self._skips.get(name, [])
+            entry: dict[str, Any] = {"ran": len(values), "skipped": len(skips)}
             if values:
                 measured = values[self.WARM_UP :] if len(values) >= self.ENOUGH else values
-                entry |= {
-                    "median_ms": float(np.median(measured)),
-                    "p95_ms": float(np.percentile(measured, 95)),
-                }
-            if name in self._reasons:
-                entry["reason"] = self._reasons[name]
+                entry |= {"median_ms": float(np.median(measured)), "p95_ms": float(np.percentile(measured, 95))}
+            if skips:
+                entry["reason"] = skips[-1]
             result[name] = entry
         return result
 
     def show(self, title: str) -> None:
-        """Prints the table: the stages in their order, the whole frame after them, what is no part of it last."""
+        """Prints `figures` as a table."""
         say_table(title, ("stage", "median ms", "p95 ms", "ran", "skipped"), self._rows())
 
     def _rows(self) -> list[tuple[str, ...]]:
