@@ -15,7 +15,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from jghand_engine import __version__, limits
-from jghand_engine.errors import InputError, JGHandError, MemoryLimitError, RetryError
+from jghand_engine.errors import InputError, JGHandError, MemoryLimitError, RetryError, is_out_of_memory
 from jghand_engine.service.protocol import PAYLOAD_MAX_BYTES, PROTOCOL_VERSION, Array, Message
 
 # outputs that a picture may be asked for -> bytes per pixel (png: at most, with some room for its own bytes)
@@ -148,18 +148,11 @@ def error_header(error: BaseException) -> dict[str, str]:
     kind = next((name for known, name in kinds if isinstance(error, known)), "")
     if kind:
         return {"kind": kind, "sentence": str(error)[: limits.DETAIL_MAX], "detail": ""}
-    if _is_out_of_memory(error):
+    if is_out_of_memory(error):
         return {"kind": "out_of_memory", "sentence": "The picture does not fit into memory.", "detail": _short(error)}
     sentence = str(error) if isinstance(error, JGHandError) else f"The engine failed: {type(error).__name__}."
     trace = "".join(traceback.format_exception(error))[-limits.DETAIL_MAX :]
     return {"kind": "internal", "sentence": sentence[: limits.DETAIL_MAX], "detail": trace}
-
-
-def _is_out_of_memory(error: BaseException) -> bool:
-    """MemoryError, and torch's allocator, which raises a plain RuntimeError on the CPU."""
-    if isinstance(error, MemoryError) or type(error).__name__ == "OutOfMemoryError":
-        return True
-    return isinstance(error, RuntimeError) and "not enough memory" in str(error)
 
 
 def _short(error: BaseException) -> str:
