@@ -17,6 +17,8 @@ from __future__ import annotations
 import csv
 import json
 import math
+import struct
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Callable, Iterable
@@ -185,7 +187,9 @@ def _check_size(file: Path) -> None:
 # what numpy, zipfile, json and csv raise on a damaged or hostile file
 _DAMAGE = (
     *(ValueError, TypeError, KeyError, IndexError, EOFError, OverflowError, SyntaxError, RecursionError, MemoryError),
-    *(zipfile.BadZipFile, zlib.error, csv.Error, NotImplementedError, RuntimeError),
+    *(zipfile.BadZipFile, zlib.error, csv.Error, NotImplementedError, RuntimeError, AttributeError),
+    # numpy reads a header as Python literals: a flipped bit makes it a broken program
+    *(tokenize.TokenError, struct.error),
 )
 
 

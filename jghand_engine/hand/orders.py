@@ -125,7 +125,9 @@ def from_level(joints: Joints, order: JointOrder) -> Joints:
 
 def bone_lengths(joints: np.ndarray) -> np.ndarray:
     """(..., 21, 3) level order -> (..., 20) lengths of bones 1..20, same unit."""
-    return np.linalg.norm(joints[..., 1:, :] - joints[..., PARENTS[1:], :], axis=-1)
+    # absurd numbers of a damaged file become infinite, and are refused as lengths
+    with np.errstate(over="ignore"):
+        return np.linalg.norm(joints[..., 1:, :] - joints[..., PARENTS[1:], :], axis=-1)
 
 
 def implausibilities(joints: np.ndarray) -> list[str]:
@@ -149,8 +151,9 @@ def implausibilities(joints: np.ndarray) -> list[str]:
     if length[0] > metacarpal[1:].min():
         wrong.append("the thumb's first bone is longer than a metacarpal of another finger")
     knuckles = frames[:, 2:6]
-    along = np.median(np.linalg.norm(np.diff(knuckles, axis=1), axis=-1).sum(axis=1))
-    across = np.median(np.linalg.norm(knuckles[:, 3] - knuckles[:, 0], axis=-1))
+    with np.errstate(over="ignore"):
+        along = np.median(np.linalg.norm(np.diff(knuckles, axis=1), axis=-1).sum(axis=1))
+        across = np.median(np.linalg.norm(knuckles[:, 3] - knuckles[:, 0], axis=-1))
     if along > limits.KNUCKLE_DETOUR_MAX * across:
         wrong.append("the knuckles index, middle, ring, pinky do not follow one another")
     return wrong
@@ -199,7 +202,8 @@ _UNIT_NAMES = {"m": "metres", "cm": "centimetres", "mm": "millimetres"}
 def hand_length(joints: np.ndarray) -> float:
     """Median length of the chain wrist to middle tip of (..., 21, 3) level-order joints: the same in every pose."""
     chain = joints[..., [0, 3, 8, 13, 18], :].reshape(-1, 5, 3)
-    lengths = np.linalg.norm(np.diff(chain, axis=1), axis=-1).sum(axis=1)
+    with np.errstate(over="ignore"):
+        lengths = np.linalg.norm(np.diff(chain, axis=1), axis=-1).sum(axis=1)
     lengths = lengths[np.isfinite(lengths)]
     if not len(lengths):
         raise InputError("joints", wanted="at least one frame with a whole middle finger", came="none")

@@ -166,7 +166,8 @@ class PoseSequence:
         before = np.floor(time).astype(np.int64)
         after = np.ceil(time).astype(np.int64)
         part = (time - before)[:, None, None]
-        joints = _between(self.joints_m[before], self.joints_m[after], part)
+        first = self.joints_m[before]
+        joints = np.where(part == 0, first, _between(first, self.joints_m[after], part))
         return dataclasses.replace(self, joints_m=joints, fps=fps, valid=np.isfinite(joints).all(axis=-1))
 
     def mirrored(self) -> PoseSequence:
