@@ -22,7 +22,7 @@ struct ShadeTask {
   float fx, fy, cx, cy;
   float origin;  // m; depths are kept relative to it, so that the rounding of 0.6 m does not tilt the normals
   float radius, bias, softness, gain;
-  float alpha_min, reach_min_px, reach_max_px, length_eps, agree, agree_floor, normal_min2;
+  float alpha_min, reach_min_px, reach_max_px, length_eps, normal_reach, height_min, agree, agree_floor, normal_min2;
   float darkness[3];      // strength * tint per channel
   const float* disc_x;    // samples, zero-padded to a multiple of 16
   const float* disc_y;
@@ -103,13 +103,13 @@ JG_INLINE void store_first(float* p, vf v, int count) {
 
 // Constants of the occlusion curve: softplus argument in powers of two is slope * cosine + shift.
 struct Curve {
-  float eps2, radius2, inverse_radius, slope, shift;
+  float eps2, radius2, inverse_radius, slope, shift, height_min;
   float exponent;  // visibility = 2^(exponent * sum of the taps)
 };
 JG_INLINE Curve curve_of(const ShadeTask& s) {
   const float log2e = 1.4426950408889634f, eps = s.length_eps * s.radius;
   return {eps * eps, s.radius * s.radius, 1.f / s.radius, log2e / s.softness, -log2e * s.bias / s.softness,
-          -s.gain * s.softness / (float)s.samples};
+          s.height_min, -s.gain * s.softness / (float)s.samples};
 }
 
 // 16 pixels of one row: depth relative to the origin, ray (x/z, y/z), unit normal; and its taps. Where the offset is the same for all pixels
@@ -125,27 +125,43 @@ struct Block {
   alignas(64) int32_t offset[SHADOW_SAMPLES_MAX];                               // in the padded plane, when same
 };
 
-// Difference of the point along one image axis: its depth part, and the part that goes with the neighbour's ray.
+// Difference of the point along one image axis: in depth, and along the axis.
 struct Slope {
-  vf dz, ray_dz;
+  vf dz, along;
   vi any;
 };
-JG_INLINE Slope slope_of(vf z, vf ahead, vf behind, vf ray_ahead, vf ray_behind, const ShadeTask& s) {
+JG_INLINE Slope slope_of(vf z, vf ahead, vf behind, vf ray_ahead, vf ray_behind, vf flat, const ShadeTask& s) {
   const vi has_f = ahead < FAR_M, has_b = behind < FAR_M;
   const vf f = ahead - z, b = z - behind, size_f = abs(f), size_b = abs(b);
   const vi mean = has_f & has_b & (abs(size_f - size_b) < s.agree * min(size_f, size_b) + s.agree_floor);
   const vi forward = has_f & (~has_b | (size_f < size_b));
   const vf one = select(forward, f, b), one_ray = select(forward, f * ray_ahead, b * ray_behind);
-  return {select(mean, 0.5f * (f + b), one), select(mean, 0.5f * (f * ray_ahead + b * ray_behind), one_ray),
-          has_f | has_b};
+  const vf dz = select(mean, 0.5f * (f + b), one);
+  return {dz, flat + select(mean, 0.5f * (f * ray_ahead + b * ray_behind), one_ray), has_f | has_b};
 }
 
-JG_INLINE void set_normal(Block& b, vf z, const float* c, float step_x, float step_y, const ShadeTask& s) {
-  const Slope h = slope_of(b.z, load(c + 1), load(c - 1), b.ray_x + step_x, b.ray_x - step_x, s);
-  const Slope v = slope_of(b.z, load(c + s.stride), load(c - s.stride), b.ray_y + step_y, b.ray_y - step_y, s);
+// The depth `step` elements away from each pixel of the block: one load where the step is the same for all.
+JG_INLINE vf load_at(const float* c, vi step, bool same) {
+  const vi lane = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
+  return same ? load(c + step[0]) : gather(c, step + lane);
+}
+
+JG_INLINE Slope slope_along(const Block& b, vf z, const float* c, vf ray, float focal, int stride, const ShadeTask& s) {
+  vf step = round_even(min(max(focal * s.normal_reach / z, all(s.reach_min_px)), all(s.reach_max_px)));
+  // pixels without depth go along with the others
+  const float most = highest(select(b.valid, step, vf{}));
+  step = select(b.valid, step, all(most));
+  const bool same = !bit_mask(step != all(most));
+  const vi offset = to_int(step) * stride;
+  const vf change = step / focal;
+  return slope_of(b.z, load_at(c, offset, same), load_at(c, -offset, same), ray + change, ray - change, change * z, s);
+}
+
+JG_INLINE void set_normal(Block& b, vf z, const float* c, const ShadeTask& s) {
+  const Slope h = slope_along(b, z, c, b.ray_x, s.fx, 1, s), v = slope_along(b, z, c, b.ray_y, s.fy, s.stride, s);
   // a pixel without neighbours along an axis takes the axis itself
-  const vf hx = select(h.any, h.ray_dz + z * step_x, all(1.f)), hz = select(h.any, h.dz, vf{}), hy = hz * b.ray_y;
-  const vf vy = select(v.any, v.ray_dz + z * step_y, all(1.f)), vz = select(v.any, v.dz, vf{}), vx = vz * b.ray_x;
+  const vf hx = select(h.any, h.along, all(1.f)), hz = select(h.any, h.dz, vf{}), hy = hz * b.ray_y;
+  const vf vy = select(v.any, v.along, all(1.f)), vz = select(v.any, v.dz, vf{}), vx = vz * b.ray_x;
   b.nx = vy * hz - vz * hy;
   b.ny = vz * hx - vx * hz;
   b.nz = vx * hy - vy * hx;
@@ -200,7 +216,7 @@ JG_INLINE bool set_block(Block& b, const float* c, int x0, int y, const ShadeTas
   b.ray_x = (lane + ((float)x0 + 0.5f - s.cx)) * step_x;
   b.ray_y = all(((float)y + 0.5f - s.cy) * step_y);
   const vf z = b.z + s.origin;
-  set_normal(b, z, c, step_x, step_y, s);
+  set_normal(b, z, c, s);
   const vf reach = s.radius / z, least = all(s.reach_min_px), most = all(s.reach_max_px);
   b.reach_x = min(max(s.fx * reach, least), most);
   b.reach_y = min(max(s.fy * reach, least), most);
@@ -226,7 +242,7 @@ JG_INLINE Tap tap_of(const Block& b, const Curve& c, vf z, const Shift& shift) {
   t.vy = z * shift.y + shift.base_y + b.ray_y * t.vz;
   const vf d2 = t.vx * t.vx + (t.vy * t.vy + (t.vz * t.vz + c.eps2));
   t.inverse = inverse_sqrt(d2);
-  t.cosine = (t.vx * b.nx + (t.vy * b.ny + t.vz * b.nz)) * t.inverse;
+  t.cosine = (t.vx * b.nx + (t.vy * b.ny + (t.vz * b.nz - c.height_min))) * t.inverse;
   const vf e = t.cosine * c.slope + c.shift;
   t.power = exp2_of_minus_abs(e);
   t.soft = log2_of_one_plus(t.power) + max(e, vf{});

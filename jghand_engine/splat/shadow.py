@@ -4,6 +4,10 @@ METHOD 5.2. For every pixel with a depth, N samples on a disc of world radius R 
 what stands out of the plane within R occludes. A convex surface has nothing above its tangent plane, so it is not
 darkened at any tilt. Only the premultiplied colour of the hand is darkened, alpha stays.
 
+Beyond METHOD 5.2: the depth of splats is bumpy, so normals span SHADOW_NORMAL_REACH_M instead of one pixel, and what
+stands out by less than SHADOW_HEIGHT_MIN_M does not count. On smooth surfaces neither is worse, on splats both remove
+specks.
+
 Everything here is differentiable by autograd and runs in float64 or float32; `splat/shadow_native.py` does the same
 with compiled kernels.
 """
@@ -78,12 +82,13 @@ def visibility(depth_m: torch.Tensor, valid: torch.Tensor, camera: Camera, style
         return torch.ones_like(depth_m)
     depth_m = torch.where(valid, depth_m, 1.0)  # an invalid pixel must not reach a division, even under a mask
     points = _unproject(depth_m, camera)
-    normal = _normals(points.detach(), depth_m.detach(), valid)[valid]
+    normal = _normals(points.detach(), depth_m.detach(), valid, camera)[valid]
     flat, inside = _taps(depth_m.detach(), valid, camera, style)
     occluding = valid.reshape(-1)[flat] & inside
     v = points.reshape(-1, 3)[flat] - points[valid][:, None]
     length = torch.sqrt((v * v).sum(-1) + (limits.SHADOW_LENGTH_EPS * style.radius_m) ** 2)
-    cosine = (v * normal[:, None]).sum(-1) / length
+    height_m = (v * normal[:, None]).sum(-1) - limits.SHADOW_HEIGHT_MIN_M
+    cosine = height_m / length
     falloff = (1 - length / style.radius_m).clamp_min(0) ** 2
     occlusion = style.softness * softplus((cosine - style.bias) / style.softness) * falloff
     mean = torch.where(occluding, occlusion, torch.zeros_like(occlusion)).mean(-1)
@@ -125,25 +130,35 @@ def _taps(
     return y.clamp(0, height - 1) * width + x.clamp(0, width - 1), inside
 
 
-def _normals(points: torch.Tensor, depth_m: torch.Tensor, valid: torch.Tensor) -> torch.Tensor:
-    """Unit normals (H, W, 3) towards the camera, from the smaller one-sided depth difference along each axis."""
-    normal = torch.linalg.cross(_tangent(points, depth_m, valid, 0), _tangent(points, depth_m, valid, 1))
+def _normals(points: torch.Tensor, depth_m: torch.Tensor, valid: torch.Tensor, camera: Camera) -> torch.Tensor:
+    """Unit normals (H, W, 3) towards the camera, from the smaller one-sided depth difference along each axis.
+
+    Differences span SHADOW_NORMAL_REACH_M, not one pixel as METHOD 5.2 has it: splats are bumpy.
+    """
+    tangents = []
+    for axis, focal in ((0, camera.fy), (1, camera.fx)):
+        step_px = (focal * limits.SHADOW_NORMAL_REACH_M / depth_m).clamp(
+            limits.SHADOW_RADIUS_MIN_PX, limits.SHADOW_RADIUS_MAX_PX
+        )
+        tangents.append(_tangent(points, valid, step_px.round().long(), axis))
+    normal = torch.linalg.cross(*tangents)
     square = (normal * normal).sum(-1, keepdim=True)
     normal = normal / torch.sqrt(square.clamp_min(limits.SHADOW_NORMAL_MIN2))
     return torch.where((normal * points).sum(-1, keepdim=True) > 0, -normal, normal)
 
 
-def _tangent(points: torch.Tensor, depth_m: torch.Tensor, valid: torch.Tensor, axis: int) -> torch.Tensor:
-    """Difference of `points` along an image axis (0 rows, 1 columns); the picture's edge counts as no neighbour.
+def _tangent(points: torch.Tensor, valid: torch.Tensor, step: torch.Tensor, axis: int) -> torch.Tensor:
+    """Difference of `points` over `step` (H, W) pixels along an image axis (0 rows, 1 columns).
 
-    A pixel without a neighbour gets the image axis, so that two such tangents give a normal that faces the camera.
+    Beyond the picture there is no neighbour. A pixel without any gets the image axis, so that two such tangents give a
+    normal that faces the camera.
     """
-    ahead, behind = _shifted(valid, axis, 1) & valid, _shifted(valid, axis, -1) & valid
-    forward, backward = _shifted(points, axis, 1) - points, points - _shifted(points, axis, -1)
-    step_f, step_b = (_shifted(depth_m, axis, 1) - depth_m).abs(), (depth_m - _shifted(depth_m, axis, -1)).abs()
-    smaller = torch.minimum(step_f, step_b)
-    agree = ahead & behind & ((step_f - step_b).abs() < limits.SHADOW_AGREE * smaller + limits.SHADOW_AGREE_FLOOR_M)
-    use_forward = ahead & (~behind | (step_f < step_b))
+    (next_points, ahead), (last_points, behind) = (_neighbour(points, valid, sign * step, axis) for sign in (1, -1))
+    forward, backward = next_points - points, points - last_points
+    size_f, size_b = forward[..., 2].abs(), backward[..., 2].abs()
+    floor = limits.SHADOW_AGREE * torch.minimum(size_f, size_b) + limits.SHADOW_AGREE_FLOOR_M
+    agree = ahead & behind & ((size_f - size_b).abs() < floor)
+    use_forward = ahead & (~behind | (size_f < size_b))
     fallback = torch.zeros_like(points)
     fallback[..., 1 - axis] = 1
     tangent = torch.where(use_forward[..., None], forward, backward)
@@ -151,14 +166,12 @@ def _tangent(points: torch.Tensor, depth_m: torch.Tensor, valid: torch.Tensor, a
     return torch.where((ahead | behind)[..., None], tangent, fallback)
 
 
-def _shifted(values: torch.Tensor, axis: int, step: int) -> torch.Tensor:
-    """values[index + step] along an axis, zero (False) beyond the picture."""
-    out = torch.zeros_like(values)
-    size = values.shape[axis]
-    if size > 1:
-        source, target = (slice(1, None), slice(None, -1)) if step > 0 else (slice(None, -1), slice(1, None))
-        index = [slice(None)] * values.ndim
-        to = list(index)
-        to[axis], index[axis] = target, source
-        out[tuple(to)] = values[tuple(index)]
-    return out
+def _neighbour(
+    points: torch.Tensor, valid: torch.Tensor, step: torch.Tensor, axis: int
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """`points` (H, W, 3) at index + step along an axis, and whether there is one."""
+    size = points.shape[axis]
+    index = torch.arange(size).reshape((-1, 1) if axis == 0 else (1, -1)) + step
+    inside, index = (index >= 0) & (index < size), index.clamp(0, size - 1)
+    there = torch.gather(valid, axis, index) & inside & valid
+    return torch.gather(points, axis, index[..., None].expand(-1, -1, 3)), there

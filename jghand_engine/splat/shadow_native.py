@@ -36,8 +36,8 @@ class ShadeTask(ctypes.Structure):
         *((name, _I32) for name in ("width", "height", "samples", "stride", "pad_rows")),
         *((name, _F32) for name in ("fx", "fy", "cx", "cy", "origin")),
         *((name, _F32) for name in ("radius", "bias", "softness", "gain", "alpha_min")),
-        *((name, _F32) for name in ("reach_min_px", "reach_max_px", "length_eps", "agree", "agree_floor")),
-        ("normal_min2", _F32),
+        *((name, _F32) for name in ("reach_min_px", "reach_max_px", "length_eps", "normal_reach", "height_min")),
+        *((name, _F32) for name in ("agree", "agree_floor", "normal_min2")),
         ("darkness", _F32 * 3),
         *((name, _P) for name in ("disc_x", "disc_y", "picture", "depth", "row_valid")),
         *((name, _P) for name in ("visibility", "rgba", "depth_out")),
@@ -79,6 +79,8 @@ class NativeShade:
         self.task.alpha_min = limits.DEPTH_ALPHA_MIN
         self.task.reach_min_px, self.task.reach_max_px = limits.SHADOW_RADIUS_MIN_PX, limits.SHADOW_RADIUS_MAX_PX
         self.task.length_eps = limits.SHADOW_LENGTH_EPS
+        self.task.normal_reach = limits.SHADOW_NORMAL_REACH_M
+        self.task.height_min = limits.SHADOW_HEIGHT_MIN_M
         self.task.agree, self.task.agree_floor = limits.SHADOW_AGREE, limits.SHADOW_AGREE_FLOOR_M
         self.task.normal_min2 = limits.SHADOW_NORMAL_MIN2
 
