@@ -1,8 +1,9 @@
 """A made-up hand in a file of exactly MANO's structure: a Python 2 pickle with chumpy and scipy objects in it.
 
 The pickle is written operation by operation, since neither Python 2 nor chumpy is here, and what Python 2 writes
-differs from what Python 3 writes. (Files written by the real chumpy 0.70 were read exactly, too.) The surface is a sock of 778 vertices and 1538 faces, open along 16 edges like MANO's, pulled
-out at the vertices that serve as finger tips; its joints are those of the built-in hand.
+differs from what Python 3 writes. (Files written by the real chumpy 0.70 were read exactly, too.) The surface is a sock
+of 778 vertices and 1538 faces, open along 16 edges like MANO's, pulled out at the vertices that serve as finger tips;
+its joints are those of the built-in hand.
 """
 
 from __future__ import annotations

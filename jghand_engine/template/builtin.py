@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import functools
-import zipfile
-import zlib
 from importlib.resources import files
 from importlib.resources.abc import Traversable
 
@@ -13,6 +11,7 @@ import numpy as np
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import STANDARD_NAMES
 from jghand_engine.hand.orders import JointOrder, to_level
+from jghand_engine.template.archives import read_arrays
 from jghand_engine.template.checks import check_template, expect_shape
 from jghand_engine.template.mesh import HandTemplate
 from jghand_engine.template.weights import bone_weights, columns_to_level
@@ -42,7 +41,10 @@ FIELDS = {
 @functools.cache
 def load_template() -> HandTemplate:
     """The built-in right hand; read once, arrays read-only. A damaged installation raises InputError."""
-    fields = load_fields()
+    try:
+        fields = load_fields()
+    except InputError as error:
+        raise InputError("the built-in hand", came=str(error), remedy="Install JGHand again.") from error
     vertices = fields["vertices"].astype(np.float64)
     joints = to_level(fields["joints"].astype(np.float64), JointOrder.STANDARD)
     weights = columns_to_level(fields["weights"].astype(np.float64), JointOrder.STANDARD)
@@ -66,19 +68,9 @@ def load_fields(source: Traversable = ASSETS / "hand_right.npz") -> dict[str, np
     joints with metacarpals, for making captures that our 21 joints cannot follow exactly. Raises InputError.
     """
     name = source.name
-    try:
-        with source.open("rb") as stream, np.load(stream, allow_pickle=False) as archive:
-            missing = sorted(set(FIELDS) - set(archive.files))
-            if missing:
-                raise InputError(
-                    f"template file {name}", wanted=f"fields {', '.join(missing)}", came="none of that name"
-                )
-            fields = {field: archive[field] for field in FIELDS}
-    except (OSError, ValueError, TypeError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise InputError(
-            f"template file {name}", wanted="a readable .npz file", came=str(error), remedy="Install JGHand again."
-        ) from error
-    sizes = {"V": len(fields["vertices"]), "F": len(fields["faces"]), "S": len(fields["base_index"])}
+    fields = read_arrays(source, FIELDS, f"template file {name}")
+    counted = {"V": "vertices", "F": "faces", "S": "base_index"}
+    sizes = {letter: len(np.atleast_1d(fields[field])) for letter, field in counted.items()}
     for field, (kind, shape) in FIELDS.items():
         array = fields[field]
         if array.dtype.kind != kind:

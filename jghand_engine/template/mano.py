@@ -7,8 +7,6 @@ module pickle is needed. Formats and numbers: DATA 3, METHOD 2.7.
 
 from __future__ import annotations
 
-import zipfile
-import zlib
 from enum import StrEnum
 from pathlib import Path
 
@@ -19,6 +17,7 @@ from jghand_engine.files import writing
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, to_level
 from jghand_engine.limits import PICKLE_BYTES_MAX
+from jghand_engine.template.archives import read_arrays
 from jghand_engine.template.checks import check_template, expect_shape
 from jghand_engine.template.layout import obj_uv, projected_uv, room_for_disk
 from jghand_engine.template.mesh import HandTemplate
@@ -121,12 +120,14 @@ def read_mano(path: Path | str) -> dict[str, np.ndarray]:
     path = Path(path)
     thing = f"MANO file {path}"
     if path.suffix == ".npz":
-        fields = _read_npz(path, thing)
+        fields = read_arrays(path, FIELDS, thing)
     else:
         whole = read_pickle(_read_bytes(path, thing), ALLOWED, thing)
         if not isinstance(whole, dict):
             raise InputError(thing, wanted="MANO's dictionary of arrays", came=f"a {type(whole).__name__}")
-        _expect_names(whole, thing)
+        missing = [name for name in FIELDS if name not in whole]
+        if missing:
+            raise InputError(thing, wanted=f"MANO's fields {', '.join(missing)}", came="a file without them")
         fields = {name: to_array(whole[name], f"{thing}, {name}") for name in FIELDS}
     for name, shape in FIELDS.items():
         expect_shape(f"{thing}, {name}", fields[name], shape)
@@ -205,12 +206,6 @@ def _check_side(joints_m: np.ndarray, pose: ManoPose, path: Path | str) -> None:
         )
 
 
-def _expect_names(fields: object, thing: str) -> None:
-    missing = [name for name in FIELDS if name not in fields]  # type: ignore[operator]
-    if missing:
-        raise InputError(thing, wanted=f"MANO's fields {', '.join(missing)}", came="a file without them")
-
-
 def _read_bytes(path: Path, thing: str) -> bytes:
     try:
         if path.stat().st_size > PICKLE_BYTES_MAX:
@@ -218,12 +213,3 @@ def _read_bytes(path: Path, thing: str) -> bytes:
         return path.read_bytes()
     except OSError as error:
         raise InputError(thing, wanted="a file that can be read", came=str(error)) from error
-
-
-def _read_npz(path: Path, thing: str) -> dict[str, np.ndarray]:
-    try:
-        with np.load(path, allow_pickle=False) as archive:
-            _expect_names(archive.files, thing)
-            return {name: archive[name] for name in FIELDS}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile, zlib.error) as error:
-        raise InputError(thing, wanted="an .npz file that can be read", came=str(error)) from error

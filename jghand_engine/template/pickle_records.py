@@ -3,7 +3,7 @@
 A pickle is a program for a small stack machine, and the module `pickle` lets that program call functions. This machine
 has no functions: a global is a `Name` (two strings) that must be on the caller's list, a call is a `Record` of that
 name and its arguments. `pickletools`, which splits the file into operations, imports nothing on behalf of the file.
-Python 2 files (protocols 0 to 2, text as latin-1) and later ones are understood.
+Python 2 files (protocols 0 to 2, text as latin-1) are understood, and those of protocols 3 and 4.
 """
 
 from __future__ import annotations

@@ -44,8 +44,7 @@ def test_the_surface_is_closed_and_looks_outwards(template):
 def test_the_frame_is_canonical(template):
     wrist, index, middle, pinky = template.joints_m[[0, 2, 3, 5]]
     assert (wrist == 0).all()
-    # float32 in the file
-    np.testing.assert_allclose(middle / np.linalg.norm(middle), [0, 1, 0], atol=1e-7)
+    np.testing.assert_allclose(middle / np.linalg.norm(middle), [0, 1, 0], atol=1e-15)
     assert index[0] > 0 > pinky[0]
     assert index[2] == pytest.approx(pinky[2], abs=1e-8)
     # the fingers bend towards the palm
@@ -84,9 +83,8 @@ def test_the_texture_layout_has_no_flips_and_no_overlaps(template):
     assert (np.sign(area[:skin]) == np.sign(area[0])).all()
     assert (area[skin:] != 0).all()
     _, covered = rasterise_uv(template.face_uv, np.zeros((len(area), 3, 1)), 1024)
-    # faces that overlap cover less than the sum of their areas; worst observed difference 1.1 %, from texels at the rim
-    assert covered.mean() >= np.abs(area).sum() * 0.999
-    assert covered.mean() <= np.abs(area).sum() * 1.03
+    # faces that overlap would cover less than the sum of their areas; observed 0.5 % more, from texels at the rim
+    assert 1 <= covered.mean() / np.abs(area).sum() <= 1.01
 
 
 def test_the_cap_lies_beside_the_skin_in_the_texture(template):
@@ -137,12 +135,12 @@ def test_every_finger_has_its_nail_on_the_back_of_its_tip(template):
     is_nail = sample_bilinear(nails[..., None].astype(float), template.face_uv[:skin].mean(axis=1))[:, 0] > 128
     nearest_tip = np.linalg.norm(centres[is_nail, None] - template.joints_m[16:], axis=2)
     assert set(nearest_tip.argmin(axis=1)) == set(range(5))
-    # worst observed 13.4 mm, on the thumb
+    # worst observed 13.8 mm
     assert nearest_tip.min(axis=1).max() < 0.015
     corners = template.vertices_m[template.faces[:skin][is_nail]]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     fingers = nearest_tip.argmin(axis=1) > 0
-    assert (normals[fingers, 2] < 0).mean() > 0.95
+    assert (normals[fingers, 2] < 0).all()
 
 
 def test_the_other_fields_of_the_file_are_there():
