@@ -1,0 +1,96 @@
+"""The native skinning poses as `pose_gaussians` does."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.builtin import load_builtin
+from jghand_engine.avatar.fast_skinning import FastSkinning, PosedArrays, spatial_order
+from jghand_engine.avatar.skinning import pose_gaussians
+from jghand_engine.hand.anatomy import named_pose
+from jghand_engine.hand.fast_transform import FastTransform
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.transform import JointTransform
+from jghand_engine.native import library as native_library
+from jghand_engine.native.library import Library
+from jghand_engine.native.threads import shared_pool
+
+
+@pytest.fixture(scope="module", params=native_library.runnable_variants() or ["none"])
+def library(request) -> Library:
+    if request.param == "none":
+        pytest.skip("no native variant runs on this processor")
+    loaded = native_library.load(request.param)
+    assert loaded is not None
+    return loaded
+
+
+def skinned(library: Library, avatar: HandAvatar, joints_m: np.ndarray, threads: int = 1, shift_m=(0.0, 0.0, 0.0)):
+    """Positions and radii in the avatar's order."""
+    skin = FastSkinning(library, avatar)
+    into = PosedArrays(np.full((skin.rows, 3), np.nan, np.float32), np.full(skin.rows, np.nan, np.float32))
+    bones = FastTransform(avatar.canonical_joints_m, handedness=avatar.handedness).bones(joints_m)
+    skin.prepare(bones, into, np.array(shift_m))
+    shared_pool(threads).run(lambda _thread: skin.run())
+    inverse = np.argsort(skin.order)
+    assert (into.sigma_m[len(avatar) :] == 0).all()
+    return into.position_m[: len(avatar)][inverse], into.sigma_m[: len(avatar)][inverse]
+
+
+@pytest.mark.parametrize("handedness", list(Handedness))
+@pytest.mark.parametrize("pose", ["open", "fist", "pinch"])
+def test_native_skinning_agrees_with_the_float64_chain(library: Library, pose: str, handedness: Handedness):
+    avatar = load_builtin(handedness=handedness).prefix(5003)
+    canonical = avatar.canonical_joints_m.numpy()
+    # bones of other lengths, so that radii are scaled too
+    joints = 1.2 * named_pose(pose, canonical, handedness)
+    joints[1:] += np.random.default_rng(3).normal(0, 2e-3, (20, 3))
+    bones = JointTransform(avatar.canonical_joints_m, handedness=handedness).bones(torch.from_numpy(joints))
+    exact = pose_gaussians(avatar, bones)
+    position, sigma = skinned(library, avatar, joints)
+    assert np.abs(position + joints[0] - exact.position_m.numpy()).max() < 1.5e-7  # observed 8e-8 m
+    relative = sigma / exact.sigma_m.numpy() - 1
+    assert np.abs(relative).max() < 3e-6  # observed 1.2e-6
+    assert relative.std() > 0
+
+
+def test_posed_hand_is_shifted_last(library: Library):
+    avatar = load_builtin(handedness=Handedness.RIGHT).prefix(100)
+    joints = named_pose("relaxed", avatar.canonical_joints_m.numpy())
+    near, _ = skinned(library, avatar, joints)
+    far, _ = skinned(library, avatar, joints, shift_m=(0.5, -0.25, 2.0))
+    assert np.abs(far - near - np.array([0.5, -0.25, 2.0])).max() < 3e-7
+
+
+def test_native_skinning_gives_the_same_bits_from_any_number_of_threads(library: Library):
+    avatar = load_builtin(handedness=Handedness.RIGHT)
+    joints = named_pose("fist", avatar.canonical_joints_m.numpy())
+    one, two, three = (skinned(library, avatar, joints, threads) for threads in (1, 2, 3))
+    for other in (two, three):
+        assert np.array_equal(one[0], other[0])
+        assert np.array_equal(one[1], other[1])
+
+
+@pytest.mark.parametrize("count", [1, 15, 16, 17])
+def test_any_number_of_gaussians_can_be_skinned(library: Library, count: int):
+    avatar = load_builtin(handedness=Handedness.RIGHT)
+    arrays = ("position_m", "sigma_m", "opacity", "rgb", "bone_weights", "uvd")
+    avatar = replace(avatar, **{name: getattr(avatar, name)[:count] for name in arrays})
+    position, sigma = skinned(library, avatar, avatar.canonical_joints_m.numpy())
+    assert np.abs(position - avatar.position_m.numpy()).max() < 1e-7  # the canonical pose changes nothing
+    assert np.abs(sigma / avatar.sigma_m.numpy() - 1).max() < 3e-6
+
+
+def test_spatial_order_is_a_permutation_and_keeps_neighbours_together():
+    points = load_builtin(handedness=Handedness.RIGHT).position_m.numpy()
+    order = spatial_order(points)
+    assert np.array_equal(np.sort(order), np.arange(len(points)))
+    step = np.linalg.norm(np.diff(points[order], axis=0), axis=1)
+    assert np.median(step) < 0.1 * np.median(np.linalg.norm(np.diff(points, axis=0), axis=1))
+    assert len(spatial_order(np.zeros((0, 3)))) == 0
+    assert np.array_equal(spatial_order(np.zeros((3, 3))), [0, 1, 2])

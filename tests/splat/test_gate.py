@@ -1,0 +1,95 @@
+"""The gate of the shadow: from the joints alone, 0 on the canonical hand, the same from every side."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from jghand_engine import limits
+from jghand_engine.hand.anatomy import named_pose
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.splat.gate import ShadowGate, contact_between, fade
+from jghand_engine.template.builtin import load_template
+
+CANONICAL_M = load_template().joints_m
+
+
+@pytest.fixture(scope="module")
+def gate() -> ShadowGate:
+    return ShadowGate(CANONICAL_M)
+
+
+def rotation(seed: int) -> np.ndarray:
+    q, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
+    return q * np.sign(np.linalg.det(q))
+
+
+def slow_score(joints_m: np.ndarray, canonical_m: np.ndarray) -> float:
+    """METHOD 5.4 in plain loops."""
+    parents = [0] * 5 + list(range(1, 16))
+    radii = np.array(limits.GATE_CAPSULE_RADII_MM) * 1e-3
+
+    def penetration(joints: np.ndarray, a: int, b: int) -> float:
+        part = np.linspace(0, 1, 5)[:, None]
+        first = joints[parents[a]] + part * (joints[a + 1] - joints[parents[a]])
+        second = joints[parents[b]] + part * (joints[b + 1] - joints[parents[b]])
+        gap = np.linalg.norm(first[:, None] - second[None], axis=-1).min() - radii[a] - radii[b]
+        return float(np.clip(1 - gap / 0.06, 0, 1.5) ** 2)
+
+    total = 0.0
+    for a in range(20):
+        for b in range(a + 1, 20):
+            chained = parents[a] == b + 1 or parents[b] == a + 1
+            siblings = parents[a] == parents[b] != 0
+            if chained or siblings or (a < 5 and b < 5):
+                continue
+            total += max(penetration(joints_m, a, b) - penetration(canonical_m, a, b), 0.0)
+    return total
+
+
+@pytest.mark.parametrize("pose", ["open", "relaxed", "fist", "pinch", "point"])
+def test_score_is_that_of_the_method(gate: ShadowGate, pose: str):
+    joints = named_pose(pose, CANONICAL_M)
+    assert gate.score(joints) == pytest.approx(slow_score(joints, CANONICAL_M), abs=1e-9)
+
+
+def test_canonical_hand_scores_nothing_and_a_fist_much(gate: ShadowGate):
+    assert gate.score(CANONICAL_M) == 0
+    assert fade(gate.score(CANONICAL_M)) == 0
+    assert fade(gate.score(named_pose("fist", CANONICAL_M))) == 1
+
+
+def test_score_does_not_depend_on_where_the_hand_is_and_which_it_is(gate: ShadowGate):
+    joints = named_pose("pinch", CANONICAL_M)
+    score = gate.score(joints)
+    assert gate.score(joints @ rotation(1).T + [3.0, -2.0, 5.0]) == pytest.approx(score, abs=1e-9)
+    left = named_pose("pinch", CANONICAL_M, Handedness.LEFT)
+    assert gate.score(left) == pytest.approx(score, abs=1e-9)
+
+
+def test_a_larger_hand_scores_the_same(gate: ShadowGate):
+    joints = named_pose("pinch", CANONICAL_M)
+    assert gate.score(1.3 * joints, 1.3) == pytest.approx(gate.score(joints), rel=1e-9)
+
+
+def test_collapsed_hands_have_a_finite_score(gate: ShadowGate):
+    assert np.isfinite(gate.score(np.zeros((21, 3))))
+    assert np.isfinite(gate.score(np.zeros((21, 3)), 0.0))
+
+
+def test_fade_is_smooth_and_ends_at_its_thresholds():
+    scores = np.linspace(limits.GATE_LOW - 0.2, limits.GATE_HIGH + 0.2, 901)
+    strength = np.array([fade(float(score)) for score in scores])
+    assert strength[0] == 0
+    assert strength[-1] == 1
+    assert (np.diff(strength) >= 0).all()
+    assert np.abs(np.diff(strength)).max() < 4e-3  # no step: nothing pops
+    assert fade(limits.GATE_LOW) == 0
+    assert fade(limits.GATE_HIGH) == 1
+
+
+def test_two_hands_shade_each_other_only_when_they_are_near():
+    first, near, far = CANONICAL_M, CANONICAL_M + np.array([0.0, 0.0, 0.05]), CANONICAL_M + np.array([0.4, 0.0, 0.0])
+    assert contact_between([first, near]) > 1
+    assert contact_between([first, far]) == 0
+    assert contact_between([first]) == 0
