@@ -1,0 +1,37 @@
+"""The folder is an extension that Blender accepts."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import bpy
+
+import blender_addon
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_blenders_own_check_finds_nothing_wrong_with_the_manifest():
+    checker = Path(bpy.utils.system_resource("SCRIPTS")) / "addons_core/bl_pkg/cli/blender_ext.py"
+    command = [sys.executable, str(checker), "validate", str(ROOT / "blender_addon")]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+
+
+def test_the_licence_is_there():
+    text = (ROOT / "blender_addon" / "LICENSE").read_text()
+    assert "GNU GENERAL PUBLIC LICENSE" in text
+    assert "Version 3" in text
+
+
+def test_registering_again_and_again_leaves_nothing_behind(context):
+    lists = {
+        name: value for name in dir(bpy.app.handlers) if isinstance(value := getattr(bpy.app.handlers, name), list)
+    }
+    before = {name: len(value) for name, value in lists.items()}
+    for _ in range(3):
+        blender_addon.register()
+        blender_addon.unregister()
+    assert {name: len(value) for name, value in lists.items()} == before
