@@ -202,8 +202,9 @@ def _checked_hand(joints_m: np.ndarray | torch.Tensor) -> np.ndarray:
 
 
 def _extent_px(joints_m: np.ndarray, camera: Camera) -> float:
-    """The longer side of the box around the joints on the picture; infinite when the camera is among them."""
+    """The longer side of the box around the hand on the picture; infinite when the camera is inside it."""
     pixels, depth = camera.project(torch.from_numpy(joints_m))
     if not bool((depth > limits.Z_NEAR_M).all()):
         return float("inf")
-    return float((pixels.amax(0) - pixels.amin(0)).max())
+    flesh_px = 2e-3 * max(limits.GATE_CAPSULE_RADII_MM) * max(camera.fx, camera.fy) / float(depth.min())
+    return float((pixels.amax(0) - pixels.amin(0)).max()) + flesh_px
