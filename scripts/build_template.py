@@ -97,6 +97,8 @@ def weights_of_21_joints(weights: np.ndarray, names: list[str]) -> np.ndarray:
     result = np.zeros((len(weights), len(STANDARD_NAMES)))
     for column, name in enumerate(names):
         if weights[:, column].max() > 0:
+            if name not in (*SOMA_JOINTS, *LUMPED_INTO_WRIST):
+                raise ValueError(f"the bone {name} moves skin of the hand, and this script does not know it")
             joint = 0 if name in LUMPED_INTO_WRIST else SOMA_JOINTS.index(name)
             result[:, joint] += weights[:, column]
     return result / result.sum(axis=1, keepdims=True)

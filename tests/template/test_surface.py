@@ -40,11 +40,11 @@ def test_the_closest_point_is_that_of_trying_every_face(hand, surface):
 
 
 def test_closest_points_far_away_are_exact_too(hand, surface):
-    points = np.array([[1.0, 2.0, 3.0], [-0.2, 0.1, 0.0], [0.0, 0.05, 0.0]])
+    points = np.random.default_rng(0).uniform(-0.3, 0.3, (100, 3))
     found = surface.closest(points)
     count = len(hand.faces)
-    _, squared = closest_on_triangle(np.repeat(points, count, axis=0), np.tile(surface.corners_m, (3, 1, 1)))
-    np.testing.assert_allclose(np.abs(found.signed_m), np.sqrt(squared.reshape(3, count).min(axis=1)), rtol=1e-14)
+    _, squared = closest_on_triangle(np.repeat(points, count, axis=0), np.tile(surface.corners_m, (100, 1, 1)))
+    np.testing.assert_allclose(np.abs(found.signed_m), np.sqrt(squared.reshape(100, count).min(axis=1)), rtol=1e-13)
 
 
 def test_inside_is_negative(hand, surface):
@@ -61,12 +61,18 @@ def test_inside_is_negative(hand, surface):
 
 
 def test_the_side_is_right_beyond_sharp_edges_and_corners():
-    box = trimesh.creation.box((0.02, 0.02, 0.02))
-    surface = Surface(np.asarray(box.vertices, dtype=float), np.asarray(box.faces, dtype=np.int64))
+    """There the normal of a face says the wrong side: its neighbour looks the other way."""
+    sharp = np.array([[-0.01, 0, 0], [0.01, 0.001, 0], [0.01, -0.001, 0.001], [0.009, 0, -0.001]])
+    faces = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]])
+    surface = Surface(sharp, faces[:, ::-1])
+    corners = sharp[faces[:, ::-1]]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    assert (np.einsum("fc,fc->f", normals, corners.mean(axis=1) - sharp.mean(axis=0)) > 0).all()
     rng = np.random.default_rng(1)
-    points = rng.uniform(-0.02, 0.02, (3000, 3))
-    inside = (np.abs(points) < 0.01).all(axis=1)
+    points = np.concatenate([rng.uniform(-0.012, 0.012, (3000, 3)), rng.dirichlet([1] * 4, 500) @ sharp])
+    inside = (np.einsum("fc,nfc->nf", normals, points[:, None] - corners[None, :, 0]) < 0).all(axis=1)
     assert np.array_equal(surface.closest(points).signed_m < 0, inside)
+    assert 500 <= inside.sum() < 1000
 
 
 def test_a_triangle_is_met_in_its_face_on_its_edges_and_at_its_corners():
