@@ -137,7 +137,7 @@ class JointTransform:
         linear, scale = _linear_parts(frames, canonical, self.exponent)
         root = joints[:, :1]
         pivot = _pivots(joints - root)
-        offset = pivot - rot.mat_vec(linear, _pivots(canonical.joints_m))
+        offset = _offsets(linear, pivot, canonical)
         linear, offset, root = self._mirrored(linear), self._mirrored(offset), self._mirrored(root)
         return BoneTransforms(
             linear=linear.permute(3, 2, 0, 1).reshape(*batch, 21, 3, 3),
@@ -152,6 +152,12 @@ class JointTransform:
 def _pivots(joints: Tensor) -> Tensor:
     """(3, 21, N) root-centred joints -> where the bone of each matrix starts: the wrist for B_0..B_5, then parents."""
     return torch.cat([joints[:, :1].expand(-1, 6, -1), joints[:, 1:16]], 1)
+
+
+def _offsets(linear: Tensor, pivot: Tensor, canonical: CanonicalHand) -> Tensor:
+    """j_p - L j^c_p (3, 21, N). In double: the difference of two large numbers is where float32 joints lose most."""
+    carried = rot.mat_vec(linear.double(), _pivots(canonical.joints_m).double())
+    return (pivot.double() - carried).to(linear.dtype)
 
 
 def _linear_parts(frames: ComponentFrames, canonical: CanonicalHand, exponent: float) -> tuple[Tensor, Tensor]:
