@@ -155,3 +155,16 @@ def test_a_full_layout_has_no_room():
     full = np.array([[[0, 0], [1, 0], [0, 1]], [[1, 0], [1, 1], [0, 1]]], dtype=float)
     with pytest.raises(InputError, match="room"):
         room_for_disk(full)
+
+
+def test_a_point_that_is_nearly_as_far_from_everything_still_finds_its_closest():
+    """In the middle of a dented ball the nearest pieces by their centres are not the nearest faces."""
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.02)
+    rng = np.random.default_rng(0)
+    vertices = np.asarray(ball.vertices) * rng.uniform(0.99, 1.01, (len(ball.vertices), 1))
+    surface = Surface(vertices, np.asarray(ball.faces, dtype=np.int64))
+    points = rng.normal(scale=1e-5, size=(50, 3))
+    count = len(ball.faces)
+    _, squared = closest_on_triangle(np.repeat(points, count, axis=0), np.tile(surface.corners_m, (50, 1, 1)))
+    distance = np.abs(surface.closest(points).signed_m)
+    np.testing.assert_allclose(distance, np.sqrt(squared.reshape(50, count).min(axis=1)), rtol=1e-13)
