@@ -1,8 +1,62 @@
-from dataclasses import dataclass
+"""`jghand bench`: where the milliseconds of a frame go on this machine."""
 
-DESCRIPTION = "x"
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Annotated
+
+import tyro
+
+from jghand_engine.cli.console import progress, say, say_table, write_json
+from jghand_engine.cli.options import AvatarOptions, PresetName, ReportOptions, pixels
+from jghand_engine.errors import InputError
+
+DESCRIPTION = """Measure where the milliseconds of a frame go on this machine, for every preset.
+
+Examples:
+  jghand bench
+  jghand bench --size 1024x1024 --presets viewport final --threads 2 --json bench.json"""
+
+WARM_UP = 10
 
 
 @dataclass(frozen=True)
 class Bench:
-    x: int = 0
+    size: Annotated[str, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = "512x334"
+    """Pixels."""
+    presets: tuple[PresetName, ...] = ("draft", "viewport", "final", "reference")
+    """Which presets of accuracy against time."""
+    rounds: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 100
+    """Pictures per preset; they take turns, and ten before them are not counted."""
+    threads: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
+    """Threads of the renderer; 0 chooses."""
+    avatar: AvatarOptions = field(default_factory=AvatarOptions)
+    report: ReportOptions = field(default_factory=ReportOptions)
+
+    def run(self) -> None:
+        from jghand_engine.cli.inputs import load_hand
+        from jghand_engine.splat.settings import preset
+        from jghand_engine.studies import frame_time
+        from jghand_engine.studies.timing import measure
+
+        if self.rounds < 1:
+            raise InputError("--rounds", wanted="1 or more", came=str(self.rounds))
+        width, height = pixels(self.size)
+        avatar = load_hand(self.avatar.avatar)
+        facts = frame_time.machine(self.threads)
+        subject = frame_time.builtin_subject(width, height, avatar, avatar.info.name)
+        cases = [
+            # a frame that only repeats the last one would say nothing
+            frame_time.frame_case(subject, replace(preset(name), threads=self.threads, reuse=False), f"preset {name}")
+            for name in self.presets
+        ]
+        with progress("Measuring", WARM_UP + self.rounds) as bar:
+            task = bar.task_ids[0]
+            measured = measure(cases, rounds=self.rounds, warm_up=WARM_UP, tick=lambda: bar.advance(task))
+        say(", ".join(f"{name} {value}" for name, value in facts.items()))
+        say_table(f"From joints to picture, {len(avatar)} Gaussians", frame_time.COLUMNS, frame_time.rows(measured))
+        if self.report.json is not None:
+            write_json(self.report.json, {
+                "command": "bench", "machine": facts, "size_px": [width, height], "avatar": avatar.info.name,
+                "rounds": self.rounds, "measurements": [one.as_dict() for one in measured],
+            })  # fmt: skip

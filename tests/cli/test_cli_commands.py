@@ -226,3 +226,12 @@ def test_export_writes_a_stage_that_info_understands(tmp_path, capsys):
     shown = capsys.readouterr().out
     assert "ParticleField3DGaussianSplat" in shown
     assert "hand.splats.usdc" in shown
+
+
+def test_bench_measures_every_preset_that_is_named(tmp_path, capsys):
+    words = ("--size", "64x48", "--rounds", "2", "--presets", "draft", "viewport", "--json", tmp_path / "bench.json")
+    assert run("bench", *words) == 0
+    report = json.loads((tmp_path / "bench.json").read_text())
+    assert {one["section"] for one in report["measurements"]} == {"preset draft", "preset viewport"}
+    assert report["machine"]["cores"] > 0
+    assert "preset viewport" in capsys.readouterr().out
