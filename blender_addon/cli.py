@@ -15,7 +15,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -39,17 +39,23 @@ def main(arguments: list[str] | None = None, *, checkout: Path | None = None) ->
     options = _parser().parse_args(arguments)
     report = batch.BatchReport(str(options.file), options.preset, total=0)
     try:
-        _render(options, report, checkout)
-        return 0
+        code = _guarded(report, lambda: _render(options, report, checkout))
+    except KeyboardInterrupt:
+        code = INTERRUPTED
+    if options.report is not None:
+        code = _guarded(report, lambda: batch.write_whole(options.report, report.as_json())) or code
+    return code
+
+
+def _guarded(report: batch.BatchReport, step: Callable[[], None]) -> int:
+    """Does one step of a run; a failure is noted, told, and turned into its exit code."""
+    try:
+        step()
     except JGHandFailure as failure:
         report.failed(failure)
         print(f"render_blend: {failure}", file=sys.stderr)
         return failure.advice.exit_code
-    except KeyboardInterrupt:
-        return INTERRUPTED
-    finally:
-        if options.report is not None:
-            batch.write_whole(options.report, report.as_json())
+    return 0
 
 
 def _parser() -> argparse.ArgumentParser:

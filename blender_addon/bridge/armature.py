@@ -132,10 +132,12 @@ def _rendered_collections(layer: bpy.types.LayerCollection) -> Iterator[bpy.type
 
 def _heads(evaluated: bpy.types.Object) -> np.ndarray:
     """(21, 3) bone heads in the armature's space and unit, standard order, whatever other bones there are."""
-    bones = evaluated.pose.bones if evaluated.pose else ()
-    places = [bones.find(name) for name in NAMES] if bones else [-1]
-    if min(places) < 0:
-        missing = [name for name, place in zip(NAMES, places, strict=False) if place < 0] if bones else ["wrist"]
+    if evaluated.pose is None:
+        raise JGHandFailure("not_a_hand", f"{evaluated.name} is no armature")
+    bones = evaluated.pose.bones
+    places = [bones.find(name) for name in NAMES]
+    missing = [name for name, place in zip(NAMES, places, strict=True) if place < 0]
+    if missing:
         raise JGHandFailure("not_a_hand", f"{evaluated.name} has no bone {', '.join(missing)}")
     heads = np.empty((len(bones), 3), np.float32)
     bones.foreach_get("head", heads.ravel())

@@ -17,9 +17,8 @@ _OPENCV_FROM_BLENDER = np.diag([1.0, -1.0, -1.0, 1.0])
 
 def picture_size(render: bpy.types.RenderSettings) -> tuple[int, int]:
     """Width and height in pixels, percentage applied and rounded down as Blender does."""
-    return tuple(
-        max(1, edge * render.resolution_percentage // 100) for edge in (render.resolution_x, render.resolution_y)
-    )
+    percentage = render.resolution_percentage
+    return max(1, render.resolution_x * percentage // 100), max(1, render.resolution_y * percentage // 100)
 
 
 def pinhole(camera: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Pinhole:

@@ -104,14 +104,15 @@ class EngineClient:
         """
         if self._connection is None:
             raise JGHandFailure("crashed", "the engine is not running")
+        connection = self._connection
         identity, self._next_id = self._next_id, self._next_id + 1
         deadline = time.monotonic() + timeout_s
         self._last_heard = time.monotonic()  # heart-beats from before are still unread
         try:
-            protocol.send(self._connection, {**header, "id": identity}, arrays, deadline=deadline)
-            reply = self._receive(deadline)
+            protocol.send(connection, {**header, "id": identity}, arrays, deadline=deadline)
+            reply = self._receive(connection, deadline)
             while reply.header.get("id") != identity:
-                reply = self._receive(deadline)
+                reply = self._receive(connection, deadline)
         except (protocol.Disconnected, protocol.ProtocolError, OSError) as error:
             raise self._lost(error) from error
         if not reply.header.get("ok"):
@@ -194,19 +195,18 @@ class EngineClient:
 
     # ---- messages ----------------------------------------------------------------------------------------------------
 
-    def _receive(self, deadline: float) -> protocol.Message:
+    def _receive(self, connection: socket.socket, deadline: float) -> protocol.Message:
         """The next message that is not a heart-beat."""
         while True:
-            self._await_bytes(deadline)
-            assert self._connection is not None  # _await_bytes has just waited on it
-            message = protocol.receive(self._connection, deadline=deadline)
+            self._await_bytes(connection, deadline)
+            message = protocol.receive(connection, deadline=deadline)
             self._last_heard = time.monotonic()
             if message.header.get("kind") != "heartbeat":
                 return message
 
-    def _await_bytes(self, deadline: float) -> None:
+    def _await_bytes(self, connection: socket.socket, deadline: float) -> None:
         """Waits until something can be read; the death of the process shows as the end of the connection."""
-        while not select.select([self._connection], [], [], limits.POLL_S)[0]:
+        while not select.select([connection], [], [], limits.POLL_S)[0]:
             now = time.monotonic()
             if now > deadline:
                 raise TimeoutError("no reply in time")

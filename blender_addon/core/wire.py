@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 try:
-    from . import protocol  # type: ignore[attr-defined]
+    from . import protocol  # pyright: ignore[reportAttributeAccessIssue]
 except ImportError:
     from jghand_engine.service import protocol
 

@@ -226,6 +226,14 @@ def test_a_folder_that_cannot_be_written_is_bad_input(engine, blend):
     assert code == 2
 
 
+def test_a_report_that_cannot_be_written_is_bad_input_too(engine, blend):
+    (blend.parent / "file").touch()
+    report = blend.parent / "file" / "report.json"
+    code = cli.main([str(blend), "--out", str(blend.parent / "out"), "--frames", "1", "--report", str(report)])
+    assert code == 2
+    assert (blend.parent / "out/CamPalm/0001.png").exists()
+
+
 def test_without_an_engine_the_run_says_where_it_looked(blend, monkeypatch):
     def nowhere(*_, **__):
         raise JGHandFailure("no_interpreter", "neither here nor there")
