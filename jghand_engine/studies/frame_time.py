@@ -1,0 +1,285 @@
+"""Where the milliseconds of a frame go: what `jghand bench` and scripts/benchmark_frame.py measure.
+
+Every figure is run end to end; a frame is never the sum of its stages. Files and sockets are not part of it.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import platform
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+
+from jghand_engine import limits
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.builtin import load_builtin
+from jghand_engine.avatar.fast_skinning import FastSkinning, PosedArrays
+from jghand_engine.avatar.gaussians import Gaussians
+from jghand_engine.avatar.skinning import pose_gaussians
+from jghand_engine.hand.anatomy import MotionOptions, pose_sequence_of_names
+from jghand_engine.hand.fast_transform import FastTransform
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.transform import JointTransform
+from jghand_engine.native.build import read_stamp
+from jghand_engine.native.library import Library, load
+from jghand_engine.native.rasteriser import GaussianArrays, NativeRasteriser
+from jghand_engine.native.threads import shared_pool, thread_count
+from jghand_engine.splat.camera import Camera
+from jghand_engine.splat.frame import HandRenderer
+from jghand_engine.splat.rasterise import view_of
+from jghand_engine.splat.reference import rasterise_reference
+from jghand_engine.splat.report import FrameReport
+from jghand_engine.splat.settings import RenderSettings, ShadowMode
+from jghand_engine.splat.shadow import ShadowStyle
+from jghand_engine.splat.shadow_native import NativeShade, darken
+from jghand_engine.studies.synthetic_hands import synthetic_hand
+from jghand_engine.studies.timing import Case, Measurement
+
+SIZES = ((512, 334), (512, 512), (1024, 1024))
+SAMPLES = 64
+# rounds of what takes seconds
+FEW = 3
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A hand in motion before a camera. poses: (F, 21, 3) metres, level order"""
+
+    name: str
+    avatar: HandAvatar
+    poses: np.ndarray
+    camera: Camera
+
+
+def builtin_subject(width: int, height: int, avatar: HandAvatar | None = None, name: str = "built-in") -> Subject:
+    """The built-in avatar (or another) in motion; the hand fills the height of the picture."""
+    hand = avatar or load_builtin(handedness=Handedness.RIGHT)
+    canonical = hand.canonical_joints_m.numpy()
+    names = ("open", "relaxed", "fist", "pinch", "point", "open")
+    # the motion must not stand still: a hand at rest is not drawn again
+    options = MotionOptions(hold_s=0.0, variation_deg=2.0)
+    poses = pose_sequence_of_names(names, canonical, hand.handedness, options).joints_m
+    step_m = np.abs(np.diff(poses, axis=0)).max(axis=(1, 2))
+    poses = poses[1:][step_m > 2 * limits.REUSE_JOINTS_M]
+    middle = torch.from_numpy(poses.mean(axis=(0, 1)))
+    camera = Camera.looking_at(
+        middle + torch.tensor([0.15, 0.0, 0.6], dtype=torch.float64),
+        middle,
+        torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64),
+        width=width,
+        height=height,
+        focal_px=3.0 * height,
+    )
+    return Subject(name, hand, poses, camera)
+
+
+def volume_subject(name: str, width: int, height: int) -> Subject:
+    """Volume A or B of RENDERING."""
+    hand = synthetic_hand(name)
+    return Subject(f"volume {name}", hand.avatar, hand.poses(200), hand.camera(width, height))
+
+
+def subjects(width: int, height: int) -> list[Subject]:
+    return [builtin_subject(width, height), *(volume_subject(name, width, height) for name in "AB")]
+
+
+# ---- cases ----------------------------------------------------------------------------------------------------------
+
+
+def whole_frame_cases(settings: RenderSettings) -> Iterator[Case]:
+    """From joints to the finished picture, with stages, at every size."""
+    for width, height in SIZES:
+        for subject in subjects(width, height):
+            yield frame_case(subject, settings, "whole frame, 64 samples on every frame")
+    viewport = RenderSettings(threads=settings.threads, backend=settings.backend)
+    yield frame_case(builtin_subject(*SIZES[0]), viewport, "whole frame, preset viewport (gated, 16 samples)")
+
+
+def frame_case(subject: Subject, settings: RenderSettings, section: str) -> Case:
+    renderer, poses = HandRenderer(subject.avatar, settings), itertools.cycle(subject.poses)
+
+    def run() -> FrameReport:
+        return renderer.render(next(poses), subject.camera).report
+
+    return Case(section, _title(subject), run, threads=thread_count(settings.threads))
+
+
+def every_frame_shadowed(threads: int, backend: str = "auto") -> RenderSettings:
+    """The settings of the figures: every stage runs on every frame."""
+    return RenderSettings(
+        shadow=ShadowMode.ALWAYS, shadow_samples=SAMPLES, reuse=False, threads=threads, backend=backend
+    )
+
+
+def raster_and_shadow_cases(library: Library, threads: int) -> Iterator[Case]:
+    """Posed Gaussians to the finished picture, and the gradients back, one after the other as a frame does it."""
+    for width, height in SIZES:
+        for subject in subjects(width, height):
+            posed = _PosedScene(library, subject, threads)
+            for section, run in (
+                ("raster + shadow, 64 samples", posed.forward),
+                ("backward of the raster", posed.backward),
+                ("backward of shadow, then of the raster", posed.both_backward),
+            ):
+                if (width == SIZES[0][0] and height == SIZES[0][1]) or run == posed.forward:
+                    yield Case(section, _title(subject), run, threads=threads)
+
+
+class _PosedScene:
+    """The first pose of a subject, ready to be drawn."""
+
+    def __init__(self, library: Library, subject: Subject, threads: int) -> None:
+        self._pool, self._camera = shared_pool(threads), subject.camera
+        skin = FastSkinning(library, subject.avatar)
+        into = PosedArrays(np.zeros((skin.rows, 3), np.float32), np.zeros(skin.rows, np.float32))
+        skin.prepare(_fast_transform(subject.avatar).bones(subject.poses[0]), into, subject.poses[0, 0])
+        skin.run()
+        self._gaussians = GaussianArrays(into.position_m, into.sigma_m, skin.opacity, skin.rgb)
+        self._rasteriser = NativeRasteriser(library, threads)
+        size = (subject.camera.height, subject.camera.width)
+        self._shade = NativeShade(library, size[1], size[0])
+        self._near_m = float(subject.camera.project(torch.from_numpy(subject.poses[0, 0]))[1])
+        self._style = ShadowStyle(samples=SAMPLES)
+        self._rgba, self._visibility = np.zeros((*size, 4), np.float32), np.zeros(size, np.float32)
+        self._gradient = np.random.default_rng(3).normal(size=(5, *size)).astype(np.float32)
+        self._through = np.zeros((5, *size), np.float32)
+        self.forward()
+
+    def forward(self) -> None:
+        planes = self._rasteriser.forward(self._gaussians, view_of(self._camera))
+        self._shade.prepare(
+            planes, self._camera, self._style, near_m=self._near_m, visibility=self._visibility, rgba=self._rgba
+        )
+        self._pool.run(self._shade.run)
+
+    def backward(self) -> None:
+        self._rasteriser.backward(self._gradient)
+
+    def both_backward(self) -> None:
+        task = self._shade.prepare_backward(self._visibility, self._gradient[:3], self._through)
+        self._pool.run(lambda _thread: self._shade.run_backward(task))
+        self._rasteriser.backward(self._through)
+
+
+def part_cases(library: Library, threads: int) -> Iterator[Case]:
+    """The transform of one pose and the skinning of 60,000 Gaussians, native and in torch."""
+    subject = builtin_subject(*SIZES[0])
+    avatar, poses = subject.avatar, itertools.cycle(subject.poses)
+    fast = _fast_transform(avatar)
+    yield Case("bone transforms of one pose", "native", lambda: _nothing(fast.bones(next(poses))), threads=1)
+    exact = JointTransform(
+        avatar.canonical_joints_m.float(), swing=avatar.info.swing, scale_mode=avatar.info.scale_mode
+    )
+    tensors = itertools.cycle(torch.from_numpy(subject.poses).float())
+    yield Case("bone transforms of one pose", "torch", lambda: _nothing(exact.bones(next(tensors))), threads=1)
+    skin = FastSkinning(library, avatar)
+    into = PosedArrays(np.zeros((skin.rows, 3), np.float32), np.zeros(skin.rows, np.float32))
+    bones, matrices = fast.bones(subject.poses[0]), exact.bones(torch.from_numpy(subject.poses[0]).float())
+
+    def skin_with(count: int):
+        def run() -> None:
+            skin.prepare(bones, into, np.zeros(3))
+            shared_pool(count).run(lambda _thread: skin.run())
+
+        return run
+
+    section = f"skinning of {len(avatar):,} Gaussians"
+    for count in sorted({1, threads}):
+        yield Case(section, f"native, {count} threads", skin_with(count), threads=count)
+    yield Case(section, "torch", lambda: _nothing(pose_gaussians(avatar, matrices)), threads=1)
+
+
+def reference_cases() -> Iterator[Case]:
+    """The torch reference on the same pictures: what the native kernels are compared with."""
+    for subject in subjects(*SIZES[0]):
+        transform = JointTransform(subject.avatar.canonical_joints_m)
+        with torch.no_grad():
+            gaussians = pose_gaussians(subject.avatar, transform.bones(torch.from_numpy(subject.poses[0])))
+        yield Case(
+            "torch reference, raster + shadow, 64 samples",
+            _title(subject),
+            lambda gaussians=gaussians, camera=subject.camera: reference_picture(gaussians, camera),
+            rounds=FEW,
+            threads=1,
+        )
+
+
+def reference_picture(gaussians: Gaussians, camera: Camera) -> None:
+    """Raster and shadow in float32 torch."""
+    fields = ("position_m", "sigma_m", "opacity", "rgb")
+    single = Gaussians(*(getattr(gaussians, name).float() for name in fields))
+    with torch.no_grad():
+        picture = rasterise_reference(single, camera, alpha_min=RenderSettings().alpha_min)
+        planes = torch.cat([picture.rgb.permute(2, 0, 1), picture.alpha[None], picture.depth_sum[None]])
+        darken(planes, camera, ShadowStyle(samples=SAMPLES))
+
+
+def _fast_transform(avatar: HandAvatar) -> FastTransform:
+    info = avatar.info
+    return FastTransform(
+        avatar.canonical_joints_m, handedness=avatar.handedness, swing=info.swing, scale_mode=info.scale_mode
+    )
+
+
+def _title(subject: Subject) -> str:
+    return f"{subject.name}, {subject.camera.width} x {subject.camera.height}"
+
+
+def _nothing(_result: object) -> None:
+    """A case returns a report or nothing."""
+
+
+# ---- what it ran on -------------------------------------------------------------------------------------------------
+
+
+def machine(threads: int, backend: str = "auto") -> dict[str, Any]:
+    """Hardware, threads, variant and compiler, for the head of a table."""
+    library = load(backend)
+    stamp = read_stamp(library.path) if library else None
+    return {
+        "processor": _processor(),
+        "cores": os.cpu_count(),
+        "threads": thread_count(threads),
+        "backend": library.variant if library else "torch",
+        "compiler": stamp.compiler if stamp else "",
+        "python": platform.python_version(),
+        "torch": torch.__version__,
+        "system": platform.platform(),
+        "load": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
+    }
+
+
+def _processor() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+    except OSError:
+        return platform.processor() or platform.machine()
+    facts = dict(line.split(":", 1) for line in lines if ":" in line)
+    stripped = {key.strip(): value.strip() for key, value in facts.items()}
+    family = f" (family {stripped['cpu family']})" if "cpu family" in stripped else ""
+    return stripped.get("model name", platform.machine()) + family
+
+
+def rows(measurements: list[Measurement]) -> list[tuple[str, ...]]:
+    """Table rows: section or name, median, p95, processor time, samples kept of all."""
+    out: list[tuple[str, ...]] = []
+    for section in dict.fromkeys(one.section for one in measurements):
+        out.append((section, "", "", "", ""))
+        out += [_row(one) for one in measurements if one.section == section]
+    return out
+
+
+def _row(one: Measurement) -> tuple[str, ...]:
+    samples = f"{one.samples}" + (f" of {one.samples + one.dropped}" if one.dropped else "")
+    cpu = "" if np.isnan(one.cpu_ms) else f"{one.cpu_ms:.2f}"
+    mark = " disturbed" if one.disturbed else ""
+    return (f"  {one.name}", f"{one.median_ms:.2f}", f"{one.p95_ms:.2f}", cpu, samples + mark)
+
+
+COLUMNS = ("", "median ms", "p95 ms", "CPU ms", "samples")

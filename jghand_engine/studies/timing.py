@@ -1,0 +1,142 @@
+"""Honest times: interleaved, after warm-up, and only while the machine is ours (RENDERING 9.3).
+
+A case that is measured alone sees a different machine than the next one a minute later; so the cases take turns. On a
+shared machine a neighbour can take a core: before and after every sample two independent loops tell how many cores
+there really were, and disturbed samples are dropped.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from jghand_engine.native.threads import WorkerPool
+from jghand_engine.splat.report import FrameReport
+
+# share of the wanted cores that the control must have seen, and how many bytes it hashes per core (about 1 ms)
+FREE_PART = 0.9
+CONTROL_BYTES = 1 << 21
+
+
+@dataclass(frozen=True)
+class Case:
+    """One thing to be timed. run: called once per sample; a FrameReport that it returns gives the times of stages.
+
+    rounds: 0 = as many as the others; slow references get few · threads: cores that must be free
+    """
+
+    section: str
+    name: str
+    run: Callable[[], FrameReport | None]
+    rounds: int = 0
+    threads: int = 2
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """Milliseconds of one case. dropped: samples during which the machine was not free; when nearly all were, they are
+    kept and `disturbed` says so. cpu_ms: processor time of all threads, median."""
+
+    section: str
+    name: str
+    median_ms: float
+    p95_ms: float
+    cpu_ms: float
+    samples: int
+    dropped: int
+    disturbed: bool
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain data for JSON, which has no NaN."""
+        return {name: None if value != value else value for name, value in vars(self).items()}
+
+
+@dataclass
+class _Samples:
+    wall: list[float] = field(default_factory=list)
+    cpu: list[float] = field(default_factory=list)
+    free: list[bool] = field(default_factory=list)
+    stages: dict[str, list[float]] = field(default_factory=dict)
+
+
+class FreeCores:
+    """How many of `threads` cores the machine really gives us now."""
+
+    def __init__(self, threads: int) -> None:
+        self._pool = WorkerPool(threads)
+        self._bytes = bytes(CONTROL_BYTES)
+
+    def __call__(self) -> float:
+        wall, cpu = time.perf_counter(), time.process_time()
+        self._pool.run(lambda _thread: hashlib.sha1(self._bytes, usedforsecurity=False).digest())
+        return (time.process_time() - cpu) / (time.perf_counter() - wall)
+
+    def close(self) -> None:
+        self._pool.close()
+
+
+def measure(
+    cases: Sequence[Case], *, rounds: int, warm_up: int, enough: int = 10, tick: Callable[[], None] | None = None
+) -> list[Measurement]:
+    """Times all cases in turn, `rounds` times after `warm_up` untimed turns. Stages of frames follow their case.
+
+    enough: with fewer undisturbed samples than this all are used, and marked · tick: called after every round
+    """
+    samples = [_Samples() for _ in cases]
+    controls = {threads: FreeCores(threads) for threads in {case.threads for case in cases}}
+    try:
+        for turn in range(warm_up + rounds):
+            for case, sample in zip(cases, samples, strict=True):
+                wanted = case.rounds or rounds
+                # slow ones warm up once, and are spread over the first rounds
+                if turn >= warm_up + wanted or turn < warm_up - (1 if case.rounds else warm_up):
+                    continue
+                _take(case, sample if turn >= warm_up else _Samples(), controls[case.threads])
+            if tick:
+                tick()
+    finally:
+        for control in controls.values():
+            control.close()
+    return [line for case, sample in zip(cases, samples, strict=True) for line in _lines(case, sample, enough)]
+
+
+def _take(case: Case, sample: _Samples, control: FreeCores) -> None:
+    before = control()
+    wall, cpu = time.perf_counter(), time.process_time()
+    report = case.run()
+    wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
+    free = min(before, control()) >= FREE_PART * case.threads
+    sample.wall.append(1e3 * wall)
+    sample.cpu.append(1e3 * cpu)
+    sample.free.append(free)
+    for stage in report.stages if report else ():
+        # a stage that did not run in some frames counts as nothing there
+        sample.stages.setdefault(stage.name, []).append(stage.milliseconds)
+
+
+def _lines(case: Case, sample: _Samples, enough: int) -> Iterable[Measurement]:
+    free = np.array(sample.free, bool)
+    disturbed = int(free.sum()) < min(enough, len(free))
+    keep = np.ones_like(free) if disturbed else free
+
+    def line(name: str, values: list[float], cpu: list[float] | None) -> Measurement:
+        kept = np.array(values)[keep] if len(values) == len(free) else np.array(values)
+        return Measurement(
+            section=case.section,
+            name=name,
+            median_ms=float(np.median(kept)),
+            p95_ms=float(np.percentile(kept, 95)),
+            cpu_ms=float(np.median(np.array(cpu)[keep])) if cpu else float("nan"),
+            samples=len(kept),
+            dropped=int((~keep).sum()),
+            disturbed=disturbed,
+        )
+
+    yield line(case.name, sample.wall, sample.cpu)
+    for stage, values in sample.stages.items():
+        yield line(f"  {stage}", values, None)
