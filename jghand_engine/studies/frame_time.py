@@ -61,7 +61,7 @@ def builtin_subject(width: int, height: int, avatar: HandAvatar | None = None, n
     """The built-in avatar (or another) in motion; the hand fills the height of the picture."""
     hand = avatar or load_builtin(handedness=Handedness.RIGHT)
     canonical = hand.canonical_joints_m.numpy()
-    names = ("open", "relaxed", "fist", "pinch", "point", "open")
+    names = ("open", "relaxed", "fist", "pinch", "point", "victory", "open")
     # the motion must not stand still: a hand at rest is not drawn again
     options = MotionOptions(hold_s=0.0, variation_deg=2.0)
     poses = pose_sequence_of_names(names, canonical, hand.handedness, options).joints_m
