@@ -86,6 +86,15 @@ WEIGHT_MIN = 1e-3
 CLOSEST_PIECE_RADIUS_M = 0.002
 CLOSEST_FIRST_CANDIDATES = 8
 CLOSEST_PIECES_MAX = 2_000_000
+# (points x candidates) worked on at once: bounds the memory to about 100 MB
+CLOSEST_BATCH = 300_000
+# laying out textures: triangles are widened by this part of themselves, so that shared edges leave no gap; twice the
+# smallest area that is drawn, texels^2
+UV_EDGE_SLACK = 0.02
+UV_DOUBLE_AREA_MIN_PX2 = 1e-12
+# empty border of a layout made by us and the gap between its parts; texels in which room for the cap is looked for
+UV_MARGIN = 0.02
+UV_ROOM_PX = 256
 # depth of the shell of Gaussians under the skin, metres; deeper ones are hidden
 SHELL_DEPTH_M = 0.003
 GAUSSIANS_PER_BONE = 3000
@@ -158,8 +167,8 @@ Z_NEAR_M = 0.01
 VAR_MAX_PX2 = 1e9
 # colours beyond this overflow float32 in the gradients; counted as invalid
 RGB_MAX = 1e6
-# positions beyond this overflow float32 on the way to the camera frame; counted as invalid, metres
-POSITION_MAX_M = 1e32
+# coordinates beyond this are counted as invalid, metres: depth is blended like a colour, and has the same limit
+POSITION_MAX_M = 1e6
 # smallest cut-off of the native kernel: its exponential is good down to 2^-32
 NATIVE_ALPHA_MIN = 1e-9
 # largest picture side: tile coordinates are int16

@@ -6,7 +6,7 @@ namespace jg {
 constexpr float BLUR_PX2 = 0.3f;
 constexpr float VAR_MAX_PX2 = 1e9f;
 constexpr float RGB_MAX = 1e6f;
-constexpr float POSITION_MAX_M = 1e32f;
+constexpr float POSITION_MAX_M = 1e6f;
 constexpr int TILE_PX = 16;
 constexpr int BLOCK_PX = 4;
 constexpr int CHUNK = 128;

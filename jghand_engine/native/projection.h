@@ -37,13 +37,19 @@ JG_INLINE Inputs load_inputs(const RasterJob& job, int64_t first, int n) {
   return in;
 }
 
+// One row of camera_from_position. In double precision: a hand far from the origin then loses nothing, and depths, which
+// decide the order, are the correctly rounded ones, whatever the frame the positions came in.
+JG_INLINE vf to_camera(const double* row, vf x, vf y, vf z) {
+  typedef double vd __attribute__((vector_size(128)));
+  const vd dx = __builtin_convertvector(x, vd), dy = __builtin_convertvector(y, vd), dz = __builtin_convertvector(z, vd);
+  return __builtin_convertvector(dx * row[0] + dy * row[1] + dz * row[2] + row[3], vf);
+}
+
 JG_INLINE Projection project(const RasterJob& job, const Inputs& in) {
   Projection p;
-  const vf dx = in.px - job.origin[0], dy = in.py - job.origin[1], dz = in.pz - job.origin[2];
-  const float* R = job.rotation;
-  p.x = dx * R[0] + dy * R[1] + dz * R[2] + job.translation[0];
-  p.y = dx * R[3] + dy * R[4] + dz * R[5] + job.translation[1];
-  p.z = dx * R[6] + dy * R[7] + dz * R[8] + job.translation[2];
+  p.x = to_camera(job.camera_from_position, in.px, in.py, in.pz);
+  p.y = to_camera(job.camera_from_position + 4, in.px, in.py, in.pz);
+  p.z = to_camera(job.camera_from_position + 8, in.px, in.py, in.pz);
   p.inverse_z = 1.0f / p.z;
   p.jx = p.inverse_z * job.fx, p.jy = p.inverse_z * job.fy;
   p.u = p.jx * p.x, p.v = p.jy * p.y;

@@ -79,10 +79,7 @@ struct RasterJob {
   Team* team;
   int64_t list_capacity;
   int64_t pairs;                      // out: entries of all lists
-  // camera position = rotation (position - origin) + translation; origin is near the camera, so that nothing cancels
-  float origin[3];
-  float rotation[9];
-  float translation[3];
+  double camera_from_position[12];    // (3, 4), row by row
   float fx, fy, cx, cy;               // px
   float z_near;                       // m
   float log2_alpha_min, alpha_max, t_stop;

@@ -46,18 +46,18 @@ JG_INLINE InputGradients chain_rule(const RasterJob& job, const Inputs& in, cons
   const vf d_sxz = d_a * sxz * 2.0f + d_b * syz, d_syz = d_c * syz * 2.0f + d_b * sxz;
   InputGradients out;
   out.sigma = d_sx * p.jx + d_sy * p.jy + d_sxz * p.jxz + d_syz * p.jyz;
-  // jx = fx/z, u = jx x, jxz = -u/z, and the same for y
-  vf d_jx = d_sx * s, d_jy = d_sy * s;
-  const vf d_jxz = d_sxz * s, d_jyz = d_syz * s;
-  const vf total_u = d_u - d_jxz * p.inverse_z, total_v = d_v - d_jyz * p.inverse_z;
-  d_jx += total_u * p.x, d_jy += total_v * p.y;
-  const vf d_inverse_z = d_jx * job.fx + d_jy * job.fy - d_jxz * p.u - d_jyz * p.v;
-  const vf d_x = total_u * p.jx, d_y = total_v * p.jy, d_z = grad.z - d_inverse_z * p.inverse_z * p.inverse_z;
+  // jx = fx/z, u = jx x, jxz = -u/z, so d(jx)/dz = -jx/z, du/dz = jxz, d(jxz)/dz = -2 jxz/z, d(jxz)/dx = -jx/z; in this
+  // form nothing is multiplied by z or x before it is divided by z, which could overflow for far Gaussians
+  const vf d_jx = d_sx * s, d_jy = d_sy * s, d_jxz = d_sxz * s, d_jyz = d_syz * s, iz = p.inverse_z;
+  const vf d_x = (d_u - d_jxz * iz) * p.jx, d_y = (d_v - d_jyz * iz) * p.jy;
+  const vf d_z = grad.z + d_u * p.jxz + d_v * p.jyz -
+                 iz * (d_jx * p.jx + d_jy * p.jy + (d_jxz * p.jxz + d_jyz * p.jyz) * 2.0f);
   // camera frame to the frame of the positions
-  const float* R = job.rotation;
-  out.px = d_x * R[0] + d_y * R[3] + d_z * R[6];
-  out.py = d_x * R[1] + d_y * R[4] + d_z * R[7];
-  out.pz = d_x * R[2] + d_y * R[5] + d_z * R[8];
+  float M[12];
+  for (int i = 0; i < 12; i++) M[i] = (float)job.camera_from_position[i];
+  out.px = d_x * M[0] + d_y * M[4] + d_z * M[8];
+  out.py = d_x * M[1] + d_y * M[5] + d_z * M[9];
+  out.pz = d_x * M[2] + d_y * M[6] + d_z * M[10];
   out.opacity = grad.m / in.opacity;
   return out;
 }

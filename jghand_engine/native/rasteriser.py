@@ -36,9 +36,7 @@ class _Job(ctypes.Structure):
         *((f"{name}_gradient", ctypes.c_void_p) for name in ("position", "sigma", "opacity", "rgb")),
         ("team", ctypes.c_void_p),
         *((name, ctypes.c_int64) for name in ("list_capacity", "pairs")),
-        ("origin", ctypes.c_float * 3),
-        ("rotation", ctypes.c_float * 9),
-        ("translation", ctypes.c_float * 3),
+        ("camera_from_position", ctypes.c_double * 12),
         *((name, ctypes.c_float) for name in ("fx", "fy", "cx", "cy", "z_near")),
         *((name, ctypes.c_float) for name in ("log2_alpha_min", "alpha_max", "t_stop")),
         *((name, ctypes.c_int32) for name in ("count", "width", "height", "tiles_x", "tiles_y")),
@@ -79,17 +77,6 @@ class View:
     cx: float
     cy: float
     camera_from_position: np.ndarray
-
-    def rigid_parts(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """origin (3,), rotation (3, 3), translation (3,): camera = rotation (position - origin) + translation.
-
-        The origin is the eye, rounded to float32. Then differences are as exact as the distance to the camera, wherever
-        the hand is, and no Gaussian can change what happens to another, as a mean of the positions would.
-        """
-        matrix = np.asarray(self.camera_from_position, np.float64)
-        rotation, offset = matrix[:, :3], matrix[:, 3]
-        origin = np.clip(-rotation.T @ offset, -limits.POSITION_MAX_M, limits.POSITION_MAX_M).astype(np.float32)
-        return origin, rotation, rotation @ origin.astype(np.float64) + offset
 
 
 @dataclass(frozen=True)
@@ -145,6 +132,23 @@ class NativeRasteriser:
         planes: where to draw; without it, this object's own memory, which the next picture overwrites.
         InputError names a wrong array; MemoryLimitError when Gaussians cover more tiles than the lists can index.
         """
+        drawn = self.prepare(gaussians, view, alpha_min=alpha_min, t_stop=t_stop, planes=planes)
+        while True:
+            shared_pool(self.threads).run(self.run)
+            if self.finished():
+                return drawn
+
+    def prepare(
+        self,
+        gaussians: GaussianArrays,
+        view: View,
+        *,
+        alpha_min: float = limits.ALPHA_MIN,
+        t_stop: float = limits.T_STOP,
+        planes: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """The first half of `forward`, for who shares one call of a pool with other work: then every thread calls
+        `run`, and `finished` says whether the planes (returned here) are drawn or all has to be done again."""
         self._set_inputs(gaussians)
         self._set_view(view)
         self._job.log2_alpha_min, self._job.t_stop = self._cut(alpha_min), t_stop
@@ -152,17 +156,26 @@ class NativeRasteriser:
         self._planes = self._array("planes", shape, np.float32) if planes is None else planes
         self._job.planes = address(self._planes, np.float32, "planes", shape)
         self._reserve_scratch()
-        self._call(self.library.call.jg_raster_forward)
-        while self._job.status == _LIST_TOO_SMALL:
+        self._team.fill(0)
+        return self._planes
+
+    def run(self, _thread: int = 0) -> None:
+        """Draws what was prepared, together with the other threads of a pool."""
+        self.library.call.jg_raster_forward(ctypes.addressof(self._job))
+
+    def finished(self) -> bool:
+        """After `run`: whether the picture is drawn. If not, there is more room now, and `run` must be called again."""
+        self._team.fill(0)
+        if self._job.status == _LIST_TOO_SMALL:
             self._reserve_list(self._job.pairs)
-            self._call(self.library.call.jg_raster_forward)
+            return False
         if self._job.status == _TOO_MANY_PAIRS:
             raise MemoryLimitError(
                 "Gaussians cover too many tiles",
                 wanted=f"at most {limits.MAX_PAIRS} pairs of Gaussian and tile",
                 remedy="Use a smaller picture, fewer or smaller Gaussians.",
             )
-        return self._planes
+        return True
 
     def backward(self, plane_gradients: np.ndarray) -> Gradients:
         """Gradients of the Gaussians of the last `forward`, from dL/d(planes) (5, H, W) float32. Culled ones get 0."""
@@ -176,16 +189,13 @@ class NativeRasteriser:
         results = [np.empty(shape, np.float32) for shape in shapes.values()]
         for name, result in zip(shapes, results, strict=True):
             setattr(self._job, f"{name}_gradient", result.ctypes.data)
-        self._call(self.library.call.jg_raster_backward)
-        return Gradients(*results)
-
-    # ---- the job ----------------------------------------------------------------------------------------------------
-
-    def _call(self, function) -> None:  # a ctypes function
         self._team.fill(0)
         pointer = ctypes.addressof(self._job)
         # looked up every time: after a fork the child has a pool of its own
-        shared_pool(self.threads).run(lambda _thread: function(pointer))
+        shared_pool(self.threads).run(lambda _thread: self.library.call.jg_raster_backward(pointer))
+        return Gradients(*results)
+
+    # ---- the job ----------------------------------------------------------------------------------------------------
 
     def _set_inputs(self, gaussians: GaussianArrays) -> None:
         n = len(gaussians)
@@ -206,8 +216,7 @@ class NativeRasteriser:
         job.width, job.height = view.width, view.height
         job.tiles_x, job.tiles_y = -(-view.width // limits.TILE_PX), -(-view.height // limits.TILE_PX)
         job.fx, job.fy, job.cx, job.cy = view.fx, view.fy, view.cx, view.cy
-        origin, rotation, translation = view.rigid_parts()
-        job.origin[:], job.rotation[:], job.translation[:] = origin, rotation.ravel(), translation
+        job.camera_from_position[:] = np.asarray(view.camera_from_position, np.float64).ravel().tolist()
 
     @staticmethod
     def _cut(alpha_min: float) -> float:

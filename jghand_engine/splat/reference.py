@@ -21,13 +21,14 @@ from jghand_engine.splat.picture import Picture
 
 @dataclass(frozen=True)
 class _Ellipses:
-    """M projected Gaussians. u, v: centre, px; a, b, c: covariance, px^2; z: camera depth, metres."""
+    """M projected Gaussians. u, v: centre, px; a, b, c: covariance, px^2, and its determinant; z: camera depth, m."""
 
     u: torch.Tensor
     v: torch.Tensor
     a: torch.Tensor
     b: torch.Tensor
     c: torch.Tensor
+    det: torch.Tensor
     z: torch.Tensor
     opacity: torch.Tensor
     features: torch.Tensor  # (M, 5): rgb, 1, z: what the weights are summed with
@@ -47,17 +48,12 @@ def rasterise_reference(
     """
     check_gaussians(gaussians)
     position_c = camera_frame(gaussians.position_m, camera)
-    valid = _valid(gaussians, position_c)
-    # selected by index, not masked: what is left out never enters the arithmetic, so that its NaN reach no gradient
-    kept = torch.nonzero(valid & (position_c[:, 2].detach() > limits.Z_NEAR_M))[:, 0]
+    # selected by index before anything is differentiated: what is left out never enters the arithmetic, so that its
+    # infinities and NaN reach no gradient (zero times infinity is NaN)
+    with torch.no_grad():
+        kept, invalid = _select(gaussians, position_c, camera, alpha_min)
     ellipses = _project(gaussians, position_c, kept, camera)
-    sized = (ellipses.a < limits.VAR_MAX_PX2) & (ellipses.c < limits.VAR_MAX_PX2)
-    invalid = int((~valid).sum()) + int((~sized).sum())
-    boxes, seen = _boxes(ellipses, camera, alpha_min)
-    kept = torch.nonzero(sized & seen)[:, 0]
-    kept = kept[torch.argsort(ellipses.z[kept].detach(), stable=True)]
-    ellipses, boxes = ellipses.select(kept), boxes[:, kept]
-    planes = _draw_tiles(ellipses, boxes, camera, alpha_min=alpha_min, smooth=smooth)
+    planes = _draw_tiles(ellipses, camera, alpha_min=alpha_min, smooth=smooth)
     return Picture.from_planes(planes, visible_gaussians=len(kept), invalid_gaussians=invalid)
 
 
@@ -67,13 +63,28 @@ def camera_frame(position_m: torch.Tensor, camera: Camera) -> torch.Tensor:
     return (position_m.to(torch.float64) @ matrix[:3, :3].T + matrix[:3, 3]).to(position_m.dtype)
 
 
+def _select(
+    gaussians: Gaussians, position_c: torch.Tensor, camera: Camera, alpha_min: float
+) -> tuple[torch.Tensor, int]:
+    """Indices of the visible Gaussians front to back, ties by index, and the number of invalid ones."""
+    valid = _valid(gaussians, position_c)
+    in_front = torch.nonzero(valid & (position_c[:, 2] > limits.Z_NEAR_M))[:, 0]
+    ellipses = _project(gaussians, position_c, in_front, camera)
+    sized = (ellipses.a < limits.VAR_MAX_PX2) & (ellipses.c < limits.VAR_MAX_PX2)
+    invalid = int((~valid).sum()) + int((~sized).sum())
+    left, right, top, bottom = _boxes(ellipses, alpha_min)
+    on_picture = (right > 0) & (left < camera.width) & (bottom > 0) & (top < camera.height)
+    visible = torch.nonzero(sized & on_picture & (ellipses.opacity > alpha_min))[:, 0]
+    # the contract's key is the depth in float32, in every precision
+    front_to_back = torch.argsort(ellipses.z[visible].to(torch.float32), stable=True)
+    return in_front[visible[front_to_back]], invalid
+
+
 def _valid(gaussians: Gaussians, position_c: torch.Tensor) -> torch.Tensor:
     """(N,) bool: every value can be drawn. Comparisons with NaN are false."""
-    g, position_c = gaussians, position_c.detach()
-    reach = limits.POSITION_MAX_M
+    g, reach = gaussians, limits.POSITION_MAX_M
     return (
         (g.position_m.abs() <= reach).all(1)
-        & (position_c.abs() <= 3 * reach).all(1)
         & (g.sigma_m > 0)
         & (g.sigma_m < math.inf)
         & (g.opacity >= 0)
@@ -89,31 +100,28 @@ def _project(gaussians: Gaussians, position_c: torch.Tensor, kept: torch.Tensor,
     jx, jy = camera.fx / z, camera.fy / z
     u, v = jx * x, jy * y
     jxz, jyz = -u / z, -v / z
-    a = (sigma * jx) ** 2 + (sigma * jxz) ** 2 + limits.BLUR_PX2
-    c = (sigma * jy) ** 2 + (sigma * jyz) ** 2 + limits.BLUR_PX2
-    b = (sigma * jxz) * (sigma * jyz)
+    xx, xz, yy, yz = (sigma * jx) ** 2, (sigma * jxz) ** 2, (sigma * jy) ** 2, (sigma * jyz) ** 2
+    blur = limits.BLUR_PX2
+    a, b, c = xx + xz + blur, (sigma * jxz) * (sigma * jyz), yy + yz + blur
+    # a c - b^2 multiplied out: only positive terms remain, nothing cancels for long thin ellipses
+    det = xx * yy + xx * yz + xz * yy + blur * (xx + xz + yy + yz) + blur**2
     features = torch.cat([rgb, torch.ones_like(z)[:, None], z[:, None]], 1)
-    return _Ellipses(u + camera.cx, v + camera.cy, a, b, c, z, opacity, features)
+    return _Ellipses(u + camera.cx, v + camera.cy, a, b, c, det, z, opacity, features)
 
 
-def _boxes(ellipses: _Ellipses, camera: Camera, alpha_min: float) -> tuple[torch.Tensor, torch.Tensor]:
-    """Left, right, top, bottom (4, M), px, of where alpha reaches alpha_min, and (M,) whether that is visible."""
+def _boxes(ellipses: _Ellipses, alpha_min: float) -> torch.Tensor:
+    """Left, right, top, bottom (4, M), px, of the ellipse on which alpha falls to alpha_min."""
     e = ellipses
-    with torch.no_grad():
-        # not above the cut means invisible, decided before the square root: its argument is negative there
-        k = 2 * torch.log(e.opacity.clamp_min(alpha_min) / alpha_min)
-        rx, ry = torch.sqrt(k * e.a), torch.sqrt(k * e.c)
-        boxes = torch.stack([e.u - rx, e.u + rx, e.v - ry, e.v + ry])
-        left, right, top, bottom = boxes
-        seen = (e.opacity > alpha_min) & (right > 0) & (left < camera.width) & (bottom > 0) & (top < camera.height)
-    return boxes, seen
+    # an opacity at or below the cut has no such ellipse: it is clamped before the root of a negative number is drawn
+    k = 2 * torch.log(e.opacity.clamp_min(alpha_min) / alpha_min)
+    rx, ry = torch.sqrt(k * e.a), torch.sqrt(k * e.c)
+    return torch.stack([e.u - rx, e.u + rx, e.v - ry, e.v + ry])
 
 
-def _draw_tiles(
-    ellipses: _Ellipses, boxes: torch.Tensor, camera: Camera, *, alpha_min: float, smooth: bool
-) -> torch.Tensor:
+def _draw_tiles(ellipses: _Ellipses, camera: Camera, *, alpha_min: float, smooth: bool) -> torch.Tensor:
     """Planes (5, H, W), tile by tile."""
-    left, right, top, bottom = boxes
+    with torch.no_grad():
+        left, right, top, bottom = _boxes(ellipses, alpha_min)
     tile, rows = limits.TILE_PX, []
     for y in range(0, camera.height, tile):
         height = min(tile, camera.height - y)
@@ -141,7 +149,7 @@ def _draw_pixels(ellipses: _Ellipses, pixels: torch.Tensor, *, alpha_min: float,
     """(P, 5): R G B A D of P pixels, as many at a time as fit into the memory allowed."""
     count = ellipses.u.shape[0]
     if count == 0:
-        return torch.zeros(pixels.shape[0], 5, dtype=pixels.dtype, device=pixels.device)
+        return ellipses.features.sum(0).expand(pixels.shape[0], 5)  # zeros that belong to the graph
     at_once = max(1, limits.REFERENCE_PAIRS_AT_ONCE // count)
     tensors = [getattr(ellipses, name) for name in ellipses.__dataclass_fields__]
 
@@ -161,7 +169,7 @@ def _blend(ellipses: _Ellipses, pixels: torch.Tensor, *, alpha_min: float, smoot
     """(P, 5) sums of weight times features, front to back; column 3 is 1 - transmittance."""
     e = ellipses
     dx, dy = pixels[:, :1] - e.u, pixels[:, 1:] - e.v
-    q = 0.5 * (e.c * dx * dx - 2 * e.b * dx * dy + e.a * dy * dy) / (e.a * e.c - e.b * e.b)
+    q = 0.5 * (e.c * dx * dx - 2 * e.b * dx * dy + e.a * dy * dy) / e.det
     alpha = _cut(e.opacity * torch.exp(-q), alpha_min, smooth=smooth)
     # `where` and not `clamp`: at the cap the gradient is zero
     alpha = torch.where(alpha < limits.ALPHA_MAX, alpha, torch.full_like(alpha, limits.ALPHA_MAX))
