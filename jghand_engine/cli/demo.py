@@ -12,7 +12,7 @@ from typing import Annotated
 import tyro
 
 from jghand_engine.cli.console import say, say_table, write_json
-from jghand_engine.cli.options import AvatarOptions, File, HandName, PresetName, ReportOptions, pixels
+from jghand_engine.cli.options import AvatarOptions, File, HandName, PresetName, ReportOptions, pixels, pose_list
 
 DESCRIPTION = """The whole job at once: a motion, a rigged .blend file, pictures from two sides, a video, a USD stage.
 
@@ -32,6 +32,8 @@ class Demo:
     """A Python that has bpy: Blender then makes the .blend file and drives the pictures. scripts/demo.py gives one."""
     hand: HandName = "right"
     """Which hand."""
+    poses: Annotated[str, tyro.conf.arg(metavar="NAME,NAME,…")] = "relaxed,spread,fist,point,ok,relaxed"
+    """What it does: poses by name, with smooth ways between them."""
     size: Annotated[str, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = "512x512"
     """Pixels of one picture."""
     preset: PresetName = "final"
@@ -57,7 +59,7 @@ class Demo:
         with clock("hand and motion"):
             handedness = Handedness(self.hand)
             avatar = load_hand(self.avatar.avatar).for_hand(handedness)
-            sequence = demo_scene.demo_motion(avatar)
+            sequence = demo_scene.demo_motion(avatar, pose_list(self.poses))
             cameras = {
                 name: framing_camera(sequence.joints_m, handedness, name, width=width, height=height)
                 for name in CAMERAS

@@ -30,7 +30,6 @@ from jghand_engine.splat.camera import Camera
 from jghand_engine.splat.frame import HandRenderer
 from jghand_engine.splat.settings import preset
 
-POSES = ("relaxed", "spread", "fist", "point", "ok", "relaxed")
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 # Blender counts frames from 1, so the demo's files do
 FIRST_FRAME, FRAME_NAME = 1, "{:04d}.png"
@@ -60,11 +59,11 @@ class Scene:
         return Target(self.out / "frames" / camera, name=FRAME_NAME, first=FIRST_FRAME, text=f"Rendering {camera}")
 
 
-def demo_motion(avatar: HandAvatar) -> PoseSequence:
+def demo_motion(avatar: HandAvatar, poses: list[str]) -> PoseSequence:
     """Named poses while the whole hand sways about its long axis, so that more than one side is seen."""
     joints = avatar.canonical_joints_m.numpy()
     options = MotionOptions(fps=limits.DEMO_FPS, move_s=limits.DEMO_MOVE_S, hold_s=limits.DEMO_HOLD_S)
-    sequence = pose_sequence_of_names(POSES, joints, avatar.handedness, options)
+    sequence = pose_sequence_of_names(poses, joints, avatar.handedness, options)
     phase = np.linspace(0, 2 * np.pi, len(sequence))
     angle_rad = np.radians(limits.DEMO_SWAY_DEG) * np.sin(phase)
     cosine, sine = np.cos(angle_rad), np.sin(angle_rad)

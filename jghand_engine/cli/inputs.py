@@ -9,7 +9,7 @@ from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.avatar.file import load_avatar
-from jghand_engine.cli.options import BUILTIN_AVATAR, FormatOptions, MotionOptions
+from jghand_engine.cli.options import BUILTIN_AVATAR, FormatOptions, MotionOptions, pose_list
 from jghand_engine.datasets.motion_files import MotionFormat, read_motion
 from jghand_engine.errors import InputError
 from jghand_engine.hand.anatomy import MotionOptions as PoseMotionOptions
@@ -68,10 +68,9 @@ def read_sequence(path: Path, options: FormatOptions) -> PoseSequence:
 
 
 def _from_names(names: str, options: FormatOptions, avatar: HandAvatar) -> PoseSequence:
-    listed = [name.strip() for name in names.split(",") if name.strip()]
     motion = PoseMotionOptions(fps=options.fps or limits.DEFAULT_FPS)
     hand = Handedness(options.hand or Handedness.RIGHT)
-    return pose_sequence_of_names(listed, avatar.canonical_joints_m.numpy(), hand, motion)
+    return pose_sequence_of_names(pose_list(names), avatar.canonical_joints_m.numpy(), hand, motion)
 
 
 def load_hand(avatar: str) -> HandAvatar:

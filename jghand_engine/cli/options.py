@@ -123,3 +123,8 @@ def pixels(text: str) -> tuple[int, int]:
     if not match or not all(int(edge) for edge in match.groups()):
         raise InputError("--size", wanted="WIDTHxHEIGHT in pixels, such as 512x334", came=repr(text))
     return int(match[1]), int(match[2])
+
+
+def pose_list(text: str) -> list[str]:
+    """`open, fist` as a list of names."""
+    return [name.strip() for name in text.split(",") if name.strip()]

@@ -1,0 +1,86 @@
+"""The demo by the engine alone. With Blender: tests/blender/test_demo.py."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import numpy as np
+import pytest
+
+from jghand_engine.cli import main
+from jghand_engine.datasets.motion_files import read_motion
+from jghand_engine.exporters.pictures import read_png
+
+ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="the extra `video` is not installed")
+
+# a second of motion
+QUICK = ("--poses", "point,fist", "--size", "64x64", "--preset", "draft")
+
+
+def run(*words):
+    return main([str(word) for word in ("demo", *words)])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    out = tmp_path_factory.mktemp("demo")
+    # pictures of an earlier, longer demo, and something of the user's
+    (out / "frames/front").mkdir(parents=True)
+    (out / "frames/front/0999.png").write_bytes(b"old")
+    (out / "frames/front/mine.png").write_bytes(b"mine")
+    assert run(*QUICK, "--out", out) == 0
+    return out
+
+
+def test_everything_that_the_page_names_is_there(folder):
+    page = (folder / "README.txt").read_text(encoding="utf-8")
+    named = [line.split()[0] for line in page.splitlines()[2:] if line and not line.startswith(" ")]
+    assert "hand.mp4" in named
+    assert "hand.blend" not in named
+    for name in named:
+        assert (folder / name).exists(), name
+
+
+def test_every_frame_is_there_from_both_sides_and_in_the_video(folder):
+    motion = read_motion(folder / "motion.npz")
+    for camera in ("front", "back"):
+        pictures = sorted((folder / "frames" / camera).glob("0*.png"))
+        assert [path.name for path in pictures] == [f"{index:04d}.png" for index in range(1, len(motion) + 1)]
+        first, last = (read_png(pictures[index])[..., 3] for index in (0, -1))
+        assert 0.05 < (first > 128).mean() < 0.6
+        assert not np.array_equal(first, last)
+    assert ffmpeg.count_frames_and_secs(str(folder / "hand.mp4"))[0] == len(motion)
+
+
+def test_the_users_own_files_are_kept(folder):
+    assert (folder / "frames/front/mine.png").read_bytes() == b"mine"
+
+
+def test_the_whole_hand_sways_without_changing_its_bones(folder):
+    motion = read_motion(folder / "motion.npz")
+    assert np.ptp(motion.bone_lengths_m, axis=0).max() < 1e-12
+    knuckles = motion.joints_m[:, 2] - motion.joints_m[:, 5]
+    turned = np.degrees(np.arctan2(knuckles[:, 2], knuckles[:, 0]))
+    assert np.ptp(turned) > 40
+
+
+def test_the_figures_say_that_blender_was_not_there(folder):
+    figures = json.loads((folder / "report.json").read_text())
+    assert figures["blender"] is False
+    assert figures["stages"]["whole frame"]["ran"] == 2 * figures["frames"]
+    assert figures["usd"]["frames"] == figures["frames"]
+
+
+def test_what_is_missing_without_blender_is_said(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr("jghand_engine.cli.demo_scene.render_alone", lambda *_: 1 / 0)
+    assert run(*QUICK, "--out", tmp_path) == 1
+    assert "no .blend file" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("python", "said"), [("/no/such/python", "no such file"), (sys.executable, "bpy")], ids=["absent", "without bpy"]
+)
+def test_a_python_that_is_not_blenders_is_refused(tmp_path, capsys, python, said):
+    assert run(*QUICK, "--out", tmp_path, "--blender-python", python) == 2
+    assert said in capsys.readouterr().err
