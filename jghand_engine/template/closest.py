@@ -11,11 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import KDTree
 
-from jghand_engine.limits import CLOSEST_FIRST_CANDIDATES, CLOSEST_PIECE_RADIUS_M, CLOSEST_PIECES_MAX
+from jghand_engine.limits import CLOSEST_BATCH, CLOSEST_FIRST_CANDIDATES, CLOSEST_PIECE_RADIUS_M, CLOSEST_PIECES_MAX
 from jghand_engine.template.surface import edge_normals, face_normals, vertex_normals
-
-# (points x candidates) worked on at once: bounds the memory to about 100 MB
-BATCH = 300_000
 
 
 @dataclass(frozen=True)
@@ -60,7 +57,7 @@ class Surface:
         while len(open_points):
             candidates = min(candidates, self._tree.n)
             unfinished = []
-            for batch in np.array_split(open_points, 1 + len(open_points) * candidates // BATCH):
+            for batch in np.array_split(open_points, 1 + len(open_points) * candidates // CLOSEST_BATCH):
                 result = self._best_of(points_m[batch], candidates)
                 face[batch], bary[batch], squared[batch], finished = result
                 unfinished.append(batch[~finished])

@@ -8,14 +8,9 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from jghand_engine.errors import InputError
-from jghand_engine.limits import CAP_UV_FILL, CAP_UV_RADIUS_MAX, OBJ_BYTES_MAX
+from jghand_engine.limits import CAP_UV_FILL, CAP_UV_RADIUS_MAX, OBJ_BYTES_MAX, UV_MARGIN, UV_ROOM_PX
 from jghand_engine.template.surface import face_normals
 from jghand_engine.template.texture import rasterise_uv
-
-# empty border of a projected layout, and the gap between its two halves
-MARGIN = 0.02
-# texels of the picture in which room for the cap is looked for
-ROOM_PX = 256
 
 
 def projected_uv(vertices_m: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -26,12 +21,12 @@ def projected_uv(vertices_m: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """
     low, high = vertices_m[:, :2].min(axis=0), vertices_m[:, :2].max(axis=0)
     width, height = high - low
-    scale = min((1 - 3 * MARGIN) / (2 * width), (1 - 2 * MARGIN) / height)
+    scale = min((1 - 3 * UV_MARGIN) / (2 * width), (1 - 2 * UV_MARGIN) / height)
     corners = vertices_m[faces][..., :2]
     back = face_normals(vertices_m, faces)[:, 2] < 0
     x = np.where(back[:, None], high[0] - corners[..., 0], corners[..., 0] - low[0]) * scale
-    x += np.where(back[:, None], 2 * MARGIN + width * scale, MARGIN)
-    return np.stack([x, MARGIN + (corners[..., 1] - low[1]) * scale], axis=-1)
+    x += np.where(back[:, None], 2 * UV_MARGIN + width * scale, UV_MARGIN)
+    return np.stack([x, UV_MARGIN + (corners[..., 1] - low[1]) * scale], axis=-1)
 
 
 def obj_uv(path: Path | str, faces: np.ndarray) -> np.ndarray:
@@ -90,12 +85,12 @@ def _corner(word: str) -> tuple[int, int]:
 
 def room_for_disk(face_uv: np.ndarray) -> tuple[tuple[float, float], float]:
     """Centre and radius of a disk that touches no face of the layout (F, 3, 2): a place for the wrist cap."""
-    _, covered = rasterise_uv(face_uv, np.zeros((*face_uv.shape[:2], 1)), ROOM_PX)
+    _, covered = rasterise_uv(face_uv, np.zeros((*face_uv.shape[:2], 1)), UV_ROOM_PX)
     free = np.pad(~covered, 1)
     distance = np.asarray(distance_transform_edt(free))[1:-1, 1:-1]
     row, column = np.unravel_index(distance.argmax(), distance.shape)
     # a texel may be covered in part without its centre being so
-    radius = min(CAP_UV_FILL * (distance[row, column] - 1) / ROOM_PX, CAP_UV_RADIUS_MAX)
+    radius = min(CAP_UV_FILL * (distance[row, column] - 1) / UV_ROOM_PX, CAP_UV_RADIUS_MAX)
     if radius <= 0:
         raise InputError("UV layout", wanted="free room for the wrist cap", came="a full square")
-    return ((column + 0.5) / ROOM_PX, 1 - (row + 0.5) / ROOM_PX), float(radius)
+    return ((column + 0.5) / UV_ROOM_PX, 1 - (row + 0.5) / UV_ROOM_PX), float(radius)

@@ -104,7 +104,7 @@ def load_mano(
     vertices_m = np.concatenate([vertices_m, vertices_m[loop].mean(axis=0, keepdims=True)])
     return check_template(
         HandTemplate(
-            identifier=f"mano-{handedness}-{pose}-{tips}",
+            identifier=f"mano-{handedness}-{pose}-{tips}-{'projected' if uv_path is None else 'obj'}",
             vertices_m=vertices_m,
             faces=np.concatenate([faces, fan_faces(loop, VERTICES)]),
             face_uv=np.concatenate([skin_uv, cap_uv]),

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-# texels by which a triangle is widened, as a part of its own size in barycentric units: no gaps along shared edges
-EDGE_SLACK = 0.02
-# twice the smallest area of a triangle in texels that is drawn
-MIN_DOUBLE_AREA = 1e-12
+from jghand_engine.limits import UV_DOUBLE_AREA_MIN_PX2, UV_EDGE_SLACK
 
 
 def rasterise_uv(face_uv: np.ndarray, corner_values: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
@@ -22,7 +19,7 @@ def rasterise_uv(face_uv: np.ndarray, corner_values: np.ndarray, size: int) -> t
     for corners, value in zip(corners_px, np.asarray(corner_values, dtype=float), strict=True):
         edge1, edge2 = corners[1] - corners[0], corners[2] - corners[0]
         double_area = edge1[0] * edge2[1] - edge2[0] * edge1[1]
-        if abs(double_area) < MIN_DOUBLE_AREA:
+        if abs(double_area) < UV_DOUBLE_AREA_MIN_PX2:
             continue
         low = np.clip(np.floor(corners.min(axis=0)).astype(int) - 1, 0, size - 1)
         high = np.clip(np.ceil(corners.max(axis=0)).astype(int) + 2, 1, size)
@@ -31,7 +28,7 @@ def rasterise_uv(face_uv: np.ndarray, corner_values: np.ndarray, size: int) -> t
         b1 = (x * edge2[1] - edge2[0] * y) / double_area
         b2 = (edge1[0] * y - x * edge1[1]) / double_area
         b0 = 1 - b1 - b2
-        inside = (b0 >= -EDGE_SLACK) & (b1 >= -EDGE_SLACK) & (b2 >= -EDGE_SLACK)
+        inside = (b0 >= -UV_EDGE_SLACK) & (b1 >= -UV_EDGE_SLACK) & (b2 >= -UV_EDGE_SLACK)
         bary = np.stack([b0[inside], b1[inside], b2[inside]], axis=1)
         values[row[inside], column[inside]] = bary @ value
         covered[row[inside], column[inside]] = True

@@ -131,8 +131,8 @@ def test_pose_corrections_move_the_skin_of_a_bent_hand_only(tmp_path):
     assert np.array_equal(flat, flat_plain)
 
 
-def test_the_choice_of_tips_is_part_of_the_identifier(folder, flat):
-    assert flat.identifier == "mano-right-flat-manopth"
+def test_the_choice_of_pose_tips_and_layout_is_part_of_the_identifier(folder, flat):
+    assert flat.identifier == "mano-right-flat-manopth-projected"
     with pytest.raises(ValueError, match="another"):
         load_mano(folder / "MANO_RIGHT.pkl", handedness=RIGHT, tips=TipVertices("another"))
 
