@@ -1,0 +1,244 @@
+"""The build: constants that two languages share, stamps, and the compilers that may be used."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+
+import pytest
+
+from jghand_engine import limits
+from jghand_engine.errors import InputError, RetryError
+from jghand_engine.native import build, library
+
+
+def test_the_kernels_constants_are_those_of_limits():
+    text = (build.SOURCE_FOLDER / "constants.h").read_text()
+    found = {name: float(value) for name, value in re.findall(r"constexpr \w+ (\w+) = ([-\d.e]+)f?;", text)}
+    shared = {name: value for name, value in found.items() if hasattr(limits, name)}
+    assert set(found) - set(shared) == {"LN2", "LOG2E"}
+    assert shared == {name: getattr(limits, name) for name in shared}
+    assert {"BLUR_PX2", "VAR_MAX_PX2", "RGB_MAX", "POSITION_MAX_M", "TILE_PX", "GRADIENT_STRIPES"} <= set(shared)
+
+
+@pytest.fixture
+def sources(tmp_path, monkeypatch):
+    """A small source folder of its own, with an empty library folder beside it."""
+    folder = tmp_path / "native"
+    folder.mkdir()
+    for name in ("library.cpp", "export.h"):
+        shutil.copy(build.SOURCE_FOLDER / name, folder)
+    monkeypatch.setattr(build, "SOURCE_FOLDER", folder)
+    monkeypatch.setattr(build, "LIBRARY_FOLDER", folder / "lib")
+    return folder
+
+
+def some_target() -> build.Target:
+    targets = [target for target in build.host_targets() if not target.folder]
+    if not targets:
+        pytest.skip(f"no native library for {build.host_platform()}")
+    return targets[-1]
+
+
+def needs_compiler() -> None:
+    try:
+        build.find_compiler()
+    except RetryError as error:
+        pytest.skip(str(error))
+
+
+def test_a_library_knows_its_sources_and_a_change_makes_it_stale(sources):
+    needs_compiler()
+    target, folder = some_target(), sources / "lib"
+    assert not build.is_current(target, folder)
+    path = build.build(target, folder)
+    assert build.is_current(target, folder)
+    stamp = build.read_stamp(path)
+    assert stamp is not None
+    assert stamp.compiler == build.find_compiler().name
+    assert build.build_all([target], folder) == []  # nothing to do
+    (sources / "export.h").write_text((sources / "export.h").read_text() + "// changed\n")
+    assert not build.is_current(target, folder)
+
+
+def test_another_compiler_asked_for_by_name_makes_a_library_stale(sources, monkeypatch):
+    needs_compiler()
+    target, folder = some_target(), sources / "lib"
+    build.build(target, folder)
+    monkeypatch.setenv("JGHAND_CXX", "some-other-clang++ --flag")
+    assert not build.is_current(target, folder)
+    assert build.find_compiler().command == ("some-other-clang++", "--flag")
+
+
+def test_line_endings_do_not_make_a_library_stale(sources):
+    target = some_target()
+    before = build.source_hash(target)
+    for path in build.source_files():
+        path.write_bytes(path.read_bytes().replace(b"\n", b"\r\n"))
+    assert build.source_hash(target) == before
+
+
+def test_sources_that_do_not_compile_leave_the_old_library_alone(sources):
+    needs_compiler()
+    target, folder = some_target(), sources / "lib"
+    path = build.build(target, folder)
+    before = path.read_bytes()
+    (sources / "broken.cpp").write_text("this is not C++\n")
+    with pytest.raises(RetryError, match=r"broken\.cpp"):
+        build.build(target, folder)
+    assert path.read_bytes() == before
+    assert [file.name for file in folder.iterdir()] == [path.name]  # nothing half-written
+
+
+def test_a_compiler_that_does_not_exist_is_named(sources, monkeypatch):
+    monkeypatch.setenv("JGHAND_CXX", "/nowhere/clang++")
+    with pytest.raises(InputError, match="/nowhere/clang"):
+        build.build(some_target(), sources / "lib")
+
+
+def test_without_any_compiler_the_remedy_is_said(monkeypatch):
+    monkeypatch.delenv("JGHAND_CXX", raising=False)
+    monkeypatch.delenv("CXX", raising=False)
+    monkeypatch.setattr(build.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(RetryError, match="pip install ziglang"):
+        build.find_compiler()
+
+
+def test_fast_math_is_refused_by_the_sources():
+    needs_compiler()
+    compiler, source = build.find_compiler(), build.SOURCE_FOLDER / "library.cpp"
+    # the target's arguments too: without them zig would compile the C++ library first
+    defines = ['-DJG_BUILD_STAMP=""', '-DJG_VARIANT=""', "-fsyntax-only", "-std=c++17"]
+    defines += build._arguments(compiler, some_target())
+    for flags, refused in (["-O2"], False), (["-ffast-math"], True), (["-ffinite-math-only"], True):
+        result = subprocess.run(
+            [*compiler.command, *defines, *flags, str(source)], capture_output=True, text=True, check=False
+        )
+        assert ("must not be compiled with -ffast-math" in result.stderr) is refused, flags
+
+
+def test_every_release_target_is_listed():
+    assert {"linux_x86_64_v3", "linux_x86_64_v4", "linux_aarch64_neon", "macos_aarch64_neon"} <= set(build.TARGETS)
+    assert {"windows_x86_64_v3", "windows_x86_64_v4"} <= set(build.TARGETS)
+    for target in build.TARGETS.values():
+        assert ("-fPIC" in build._arguments(build.Compiler((), "", True), target)) is (target.suffix != ".dll")
+        assert not any("fast" in flag and "contract" not in flag for flag in build.FLAGS)
+
+
+# ---- loading --------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def fresh(monkeypatch):
+    """Forgets what was loaded, so that the choice is made anew."""
+    monkeypatch.setattr(library, "_loaded", {})
+    monkeypatch.delenv("JGHAND_BACKEND", raising=False)
+
+
+native_only = pytest.mark.skipif(not library.runnable_variants(), reason="no native library runs here")
+
+
+@native_only
+def test_the_best_variant_is_chosen_and_says_its_name(fresh, capsys):
+    loaded = library.load()
+    assert loaded is not None
+    assert loaded.variant == library.best_variant()
+    assert loaded.call.jg_variant().decode() == loaded.variant
+    assert capsys.readouterr().err == ""
+
+
+@native_only
+@pytest.mark.parametrize("variant", library.runnable_variants())
+def test_the_environment_forces_a_variant(variant, fresh, monkeypatch):
+    monkeypatch.setenv("JGHAND_BACKEND", variant)
+    loaded = library.load()
+    assert loaded is not None
+    assert loaded.variant == variant
+
+
+def test_the_environment_can_ask_for_the_torch_reference(fresh, monkeypatch, capsys):
+    monkeypatch.setenv("JGHAND_BACKEND", "torch")
+    assert library.load() is None
+    assert capsys.readouterr().err == ""  # asked for: nothing to explain
+
+
+def test_a_misspelt_variant_is_one_visible_line(fresh, monkeypatch, capsys):
+    monkeypatch.setenv("JGHAND_BACKEND", "v5")
+    assert library.load() is None
+    assert library.load() is None
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1
+    assert "v5" in message
+    with pytest.raises(InputError, match="v5"):
+        library.load("v5")
+
+
+@native_only
+def test_a_failing_self_test_falls_back_with_one_line(fresh, monkeypatch, capsys):
+    from jghand_engine.native import selftest
+
+    monkeypatch.setattr(selftest, "EXPECTED_PLANES", (0.0,) * 5)
+    assert library.load() is None
+    assert "self-test" in capsys.readouterr().err
+    with pytest.raises(RetryError, match="self-test"):
+        library.load(library.runnable_variants()[0])
+
+
+@native_only
+def test_a_library_with_another_abi_is_refused(fresh, monkeypatch, capsys):
+    monkeypatch.setattr(library, "ABI", 10_000)
+    assert library.load() is None
+    assert "ABI" in capsys.readouterr().err
+
+
+@native_only
+def test_a_stale_library_that_cannot_be_rebuilt_is_refused(fresh, monkeypatch, capsys):
+    monkeypatch.setattr(build, "is_current", lambda target, folder=None: target.variant == "detector")
+
+    def no_compiler():
+        raise RetryError("no compiler for the native library")
+
+    monkeypatch.setattr(build, "find_compiler", no_compiler)
+    assert library.load() is None
+    assert "was built from other sources" in capsys.readouterr().err
+
+
+@native_only
+def test_something_that_is_no_library_is_refused(tmp_path):
+    path = tmp_path / "library.so"
+    path.write_bytes(b"not a library")
+    with pytest.raises(RetryError, match="cannot be loaded"):
+        library.open_library(path, "v3")
+
+
+def test_a_processor_too_old_for_every_variant_gets_the_reference(fresh, monkeypatch, capsys):
+    monkeypatch.setattr(library, "best_variant", lambda: None)
+    assert library.load() is None
+    assert "this processor" in capsys.readouterr().err
+
+
+@native_only
+def test_the_self_test_knows_what_the_reference_draws():
+    """Its stored sums come from the float64 reference."""
+    import torch
+
+    from jghand_engine.avatar.gaussians import Gaussians
+    from jghand_engine.native import selftest
+    from jghand_engine.splat.camera import Camera
+    from jghand_engine.splat.reference import rasterise_reference
+
+    arrays, view = selftest.sample_gaussians(), selftest.sample_view()
+    leaves = [
+        torch.from_numpy(array).double().requires_grad_()
+        for array in (arrays.position_m, arrays.sigma_m, arrays.opacity, arrays.rgb)
+    ]
+    camera = Camera(view.width, view.height, view.fx, view.fy, view.cx, view.cy, torch.eye(4, dtype=torch.float64))
+    picture = rasterise_reference(Gaussians(*leaves), camera)
+    planes = torch.cat([picture.rgb.permute(2, 0, 1), picture.alpha[None], picture.depth_sum[None]])
+    planes.mean((1, 2)).sum().backward()
+    means = planes.detach().mean((1, 2)).tolist()
+    gradients = [0.0 if leaf.grad is None else float(leaf.grad.abs().mean()) for leaf in leaves]
+    assert means == pytest.approx(selftest.EXPECTED_PLANES, abs=1e-6)
+    assert gradients == pytest.approx(selftest.EXPECTED_GRADIENTS, abs=1e-6)
+    assert picture.invalid_gaussians == 1

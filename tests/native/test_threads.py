@@ -1,0 +1,85 @@
+"""The pool of threads: everything runs once, errors come back, nothing hangs."""
+
+from __future__ import annotations
+
+import os
+import threading
+
+import pytest
+
+from jghand_engine import limits
+from jghand_engine.native import threads
+from jghand_engine.native.threads import WorkerPool, physical_cores, shared_pool, thread_count
+
+
+@pytest.fixture(params=[1, 2, 3, 5])
+def pool(request):
+    some = WorkerPool(request.param)
+    yield some
+    some.close()
+
+
+def test_every_thread_runs_the_function_once_and_the_caller_is_one_of_them(pool):
+    seen: dict[int, threading.Thread] = {}
+    pool.run(lambda index: seen.setdefault(index, threading.current_thread()))
+    assert sorted(seen) == list(range(pool.threads))
+    assert seen[0] is threading.current_thread()
+    assert len(set(seen.values())) == pool.threads
+
+
+def test_items_come_back_in_order_and_each_is_done_once(pool):
+    done: list[int] = []
+
+    def square(i: int) -> int:
+        done.append(i)
+        return i * i
+
+    assert pool.map(square, 100) == [i * i for i in range(100)]
+    assert sorted(done) == list(range(100))
+    assert pool.map(square, 0) == []
+
+
+def test_an_error_in_any_thread_is_raised_and_the_pool_lives_on(pool):
+    def fail(index: int) -> None:
+        if index == pool.threads - 1:
+            raise ValueError("in the last thread")
+
+    for _ in range(3):
+        with pytest.raises(ValueError, match="in the last thread"):
+            pool.run(fail)
+    assert pool.map(lambda i: i, 3) == [0, 1, 2]
+
+
+def test_calls_from_several_threads_wait_for_each_other(pool):
+    results: list[list[int]] = []
+    callers = [threading.Thread(target=lambda: results.append(pool.map(lambda i: i, 50))) for _ in range(4)]
+    for caller in callers:
+        caller.start()
+    for caller in callers:
+        caller.join(20)
+    assert results == [list(range(50))] * 4
+
+
+def test_the_shared_pool_is_shared():
+    assert shared_pool(2) is shared_pool(2)
+    assert shared_pool(2) is not shared_pool(3)
+
+
+def test_the_automatic_number_of_threads_is_at_most_the_cores():
+    assert thread_count(5) == 5
+    assert 1 <= thread_count(0) <= min(physical_cores(), limits.AUTOMATIC_THREADS)
+
+
+def test_a_containers_limit_is_respected(monkeypatch):
+    monkeypatch.setattr(threads, "_container_limit", lambda: 1)
+    assert physical_cores() == 1
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")
+@pytest.mark.filterwarnings("ignore::DeprecationWarning")
+def test_a_forked_child_makes_threads_of_its_own():
+    shared_pool(2).map(lambda i: i, 4)
+    child = os.fork()
+    if child == 0:
+        os._exit(0 if shared_pool(2).map(lambda i: i, 4) == [0, 1, 2, 3] else 1)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 0
