@@ -40,10 +40,10 @@ class PlatformWheel(bdist_wheel):
 
     def get_tag(self) -> tuple[str, str, str]:
         platform = super().get_tag()[2]
-        targets = build.host_targets()
+        stamps = [build.read_stamp(path) for path in Path(self.bdist_dir or ".").glob("jghand_engine/native/lib/*")]
         # only zig links against the old C library that the wider tag promises
-        if targets and build.find_compiler().is_zig:
-            platform = targets[0].wheel_tag
+        if stamps and all(stamp and stamp.compiler.startswith("zig") for stamp in stamps):
+            platform = build.host_targets()[0].wheel_tag
         return "py3", "none", platform
 
 
