@@ -14,6 +14,7 @@ import json
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import torch
 
@@ -38,20 +39,31 @@ def cases(parts: list[str], threads: int) -> Iterator[Case]:
     if "parts" in parts and library:
         yield from frame_time.part_cases(library, count)
     if "reference" in parts:
-        yield from frame_time.reference_cases()
+        yield from frame_time.reference_cases(count)
     if "numba" in parts:
         yield from numba_cases()
 
 
 def numba_cases() -> Iterator[Case]:
-    """The scalar loop of scripts/numba_loop.py on the same pictures; nothing without numba."""
+    """The scalar loop of scripts/numba_loop.py, raster only, on the same pictures; nothing without numba."""
     if importlib.util.find_spec("numba") is None:
         say("numba is not installed: the scalar loop is left out")
         return
     sys.path.insert(0, str(Path(__file__).parent))
-    import numba_loop  # type: ignore[import-not-found]
+    import numba_loop
 
-    yield from numba_loop.cases(frame_time.subjects(*frame_time.SIZES[0]))
+    for subject in frame_time.subjects(*frame_time.SIZES[0]):
+        gaussians, camera = frame_time.posed_gaussians(subject), subject.camera
+        matrix = camera.camera_from_world.float()
+        position = gaussians.position_m @ matrix[:3, :3].T + matrix[:3, 3]
+        view = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+        arrays = (*(t.numpy() for t in (position, gaussians.sigma_m, gaussians.opacity, gaussians.rgb)), view)
+
+        def run(arrays: tuple[Any, ...] = arrays) -> None:
+            numba_loop.draw(*arrays)
+
+        title = f"{subject.name}, {camera.width} x {camera.height}"
+        yield Case("scalar loop in numba, raster only, one thread", title, run, rounds=frame_time.FEW, threads=1)
 
 
 def main() -> None:

@@ -195,27 +195,37 @@ def part_cases(library: Library, threads: int) -> Iterator[Case]:
     yield Case(section, "torch", lambda: _nothing(pose_gaussians(avatar, matrices)), threads=1)
 
 
-def reference_cases() -> Iterator[Case]:
-    """The torch reference on the same pictures: what the native kernels are compared with."""
+def reference_cases(threads: int) -> Iterator[Case]:
+    """The torch reference on the same pictures, with as many threads as torch was given."""
     for subject in subjects(*SIZES[0]):
-        transform = JointTransform(subject.avatar.canonical_joints_m)
-        with torch.no_grad():
-            gaussians = pose_gaussians(subject.avatar, transform.bones(torch.from_numpy(subject.poses[0])))
+        gaussians = posed_gaussians(subject)
         yield Case(
             "torch reference, raster + shadow, 64 samples",
             _title(subject),
             lambda gaussians=gaussians, camera=subject.camera: reference_picture(gaussians, camera),
             rounds=FEW,
-            threads=1,
+            threads=threads,
         )
+
+
+def posed_gaussians(subject: Subject) -> Gaussians:
+    """The Gaussians of the subject's first pose, world frame, float32."""
+    info = subject.avatar.info
+    transform = JointTransform(
+        subject.avatar.canonical_joints_m,
+        handedness=subject.avatar.handedness,
+        swing=info.swing,
+        scale_mode=info.scale_mode,
+    )
+    with torch.no_grad():
+        exact = pose_gaussians(subject.avatar, transform.bones(torch.from_numpy(subject.poses[0])))
+    return Gaussians(*(getattr(exact, name).float() for name in ("position_m", "sigma_m", "opacity", "rgb")))
 
 
 def reference_picture(gaussians: Gaussians, camera: Camera) -> None:
     """Raster and shadow in float32 torch."""
-    fields = ("position_m", "sigma_m", "opacity", "rgb")
-    single = Gaussians(*(getattr(gaussians, name).float() for name in fields))
     with torch.no_grad():
-        picture = rasterise_reference(single, camera, alpha_min=RenderSettings().alpha_min)
+        picture = rasterise_reference(gaussians, camera, alpha_min=RenderSettings().alpha_min)
         planes = torch.cat([picture.rgb.permute(2, 0, 1), picture.alpha[None], picture.depth_sum[None]])
         darken(planes, camera, ShadowStyle(samples=SAMPLES))
 
@@ -277,7 +287,7 @@ def rows(measurements: list[Measurement]) -> list[tuple[str, ...]]:
 
 def _row(one: Measurement) -> tuple[str, ...]:
     samples = f"{one.samples}" + (f" of {one.samples + one.dropped}" if one.dropped else "")
-    cpu = "" if np.isnan(one.cpu_ms) else f"{one.cpu_ms:.2f}"
+    cpu = "" if one.cpu_ms is None else f"{one.cpu_ms:.2f}"
     mark = " disturbed" if one.disturbed else ""
     return (f"  {one.name}", f"{one.median_ms:.2f}", f"{one.p95_ms:.2f}", cpu, samples + mark)
 

@@ -40,13 +40,13 @@ class Case:
 @dataclass(frozen=True)
 class Measurement:
     """Milliseconds of one case. dropped: samples during which the machine was not free; when nearly all were, they are
-    kept and `disturbed` says so. cpu_ms: processor time of all threads, median."""
+    kept and `disturbed` says so. cpu_ms: processor time of all threads, median; None for a stage."""
 
     section: str
     name: str
     median_ms: float
     p95_ms: float
-    cpu_ms: float
+    cpu_ms: float | None
     samples: int
     dropped: int
     disturbed: bool
@@ -131,7 +131,7 @@ def _lines(case: Case, sample: _Samples, enough: int) -> Iterable[Measurement]:
             name=name,
             median_ms=float(np.median(kept)),
             p95_ms=float(np.percentile(kept, 95)),
-            cpu_ms=float(np.median(np.array(cpu)[keep])) if cpu else float("nan"),
+            cpu_ms=float(np.median(np.array(cpu)[keep])) if cpu else None,
             samples=len(kept),
             dropped=int((~keep).sum()),
             disturbed=disturbed,

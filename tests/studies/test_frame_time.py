@@ -72,7 +72,7 @@ def test_every_kind_of_case_runs_and_fits_the_table(monkeypatch):
         *frame_time.whole_frame_cases(frame_time.every_frame_shadowed(1)),
         *frame_time.raster_and_shadow_cases(library, 1),
         *frame_time.part_cases(library, 1),
-        *frame_time.reference_cases(),
+        *frame_time.reference_cases(1),
     ]
     measured = measure(cases, rounds=2, warm_up=1)
     table = frame_time.rows(measured)
