@@ -53,6 +53,11 @@ def test_score_is_that_of_the_method(gate: ShadowGate, pose: str):
     assert gate.score(joints) == pytest.approx(slow_score(joints, CANONICAL_M), abs=1e-9)
 
 
+def test_score_is_that_of_the_method_when_the_palm_moves_too(gate: ShadowGate):
+    joints = named_pose("relaxed", CANONICAL_M) + np.random.default_rng(2).normal(0, 0.01, (21, 3))
+    assert gate.score(joints) == pytest.approx(slow_score(joints, CANONICAL_M), abs=1e-9)
+
+
 def test_canonical_hand_scores_nothing_and_a_fist_much(gate: ShadowGate):
     assert gate.score(CANONICAL_M) == 0
     assert fade(gate.score(CANONICAL_M)) == 0
