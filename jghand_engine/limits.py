@@ -218,7 +218,7 @@ SHADOW_NORMAL_MIN2 = 1e-36
 # gradient buffers of the shadow, one per stripe of rows, added in this fixed order: threads do not change bits
 SHADOW_STRIPES = 4
 # strength per channel, 0..1: skin shadows are reddish (chosen by eye on the built-in avatar)
-SHADOW_TINT = (0.45, 0.60, 0.65)
+SHADOW_TINT = (0.60, 0.75, 0.80)
 GOLDEN_ANGLE_RAD = 2.399963229728653
 # gate from the joints alone: radius of influence, metres, and the score over which the pass fades in
 GATE_RADIUS_M = 0.060
