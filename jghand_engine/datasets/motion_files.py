@@ -50,7 +50,9 @@ _FORMAT, _VERSION = "jghand motion", 1
 class MotionFormat:
     """What the user says about a motion file; None: the file itself says it.
 
-    order:      how the joints are listed · unit: 'm', 'cm' or 'mm' · handedness: which hand it is
+    order:      how the joints are listed · unit: 'm', 'cm' or 'mm'
+    handedness: which hand it truly is. Keypoint packages for selfie video call a right hand "Left" (MediaPipe's old
+                interface does, its new one does not): say what the hand is, not what the label says
     fps:        frames per second; replaces the file's. Neither: 30
     check_hand: refuse joints whose bone lengths are no hand's. Turn it off for hands of odd proportions only: it is
                 what catches a wrong order or unit

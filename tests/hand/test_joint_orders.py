@@ -128,6 +128,12 @@ def test_swapped_or_reversed_fingers_are_caught():
             check_order(shuffled)
 
 
+def test_a_thumb_that_starts_beyond_the_knuckles_is_no_thumb():
+    joints = hands.canonical_np()
+    joints[1] *= 3.0
+    assert implausibilities(joints) == ["the thumb's first bone is longer than a metacarpal of another finger"]
+
+
 def test_the_order_does_not_depend_on_pose_place_or_unit():
     fist = hands.hand(torch.full((1, 5, 3), 1.4, dtype=torch.float64), torch.zeros(1, 5, dtype=torch.float64))
     check_order(fist.numpy() * 1000 + 5)

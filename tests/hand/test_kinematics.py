@@ -65,6 +65,20 @@ def test_half_way_between_straight_and_bent_is_half_bent():
     assert (middle - bent(0.6)).abs().max() < 1e-12
 
 
+def test_angles_go_the_short_way_round():
+    transform = JointTransform(CANONICAL)
+    rest = decompose(transform, hands.flat())
+
+    def index_bent_to(angle_rad):
+        angles = rest.angles.clone()
+        angles[6, 0] = angle_rad
+        return forward_kinematics(transform, replace(rest, angles=angles))
+
+    # 3.0 and -3.0 rad are 0.28 apart, by way of pi
+    middle = interpolate(transform, index_bent_to(3.0), index_bent_to(-3.0), torch.tensor([0.5]))[0]
+    assert (middle - index_bent_to(torch.pi)).abs().max() < 1e-12
+
+
 def test_palm_turns_the_short_way():
     joints = hands.canonical()
     R = hands.random_rotations(20, torch.Generator().manual_seed(0))
