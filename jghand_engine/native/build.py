@@ -20,8 +20,10 @@ import os
 import platform
 import re
 import shlex
+import shutil
 import subprocess
 import sys
+import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
@@ -202,12 +204,14 @@ def build(target: Target, folder: Path = LIBRARY_FOLDER) -> Path:
     path = folder / target.file_name
     stamp = f"JGHAND-BUILD sources={source_hash(target)} compiler={compiler.name}"
     sources = [file for file in source_files(target.folder) if file.suffix == ".cpp"]
-    with writing(path) as temporary:
+    # linkers leave an import library beside a Windows library, so they work in a folder of their own
+    with writing(path) as temporary, tempfile.TemporaryDirectory() as work:
+        output = Path(work) / path.name
         defines = [f'-DJG_BUILD_STAMP="{stamp}"', f'-DJG_VARIANT="{target.variant}"']
         # libraries after the sources: a linker that drops unneeded ones looks at them in order
         command = [*compiler.command, *FLAGS, *defines, *map(str, sources), *_arguments(compiler, target)]
         try:
-            result = subprocess.run([*command, "-o", str(temporary)], capture_output=True, text=True, check=False)
+            result = subprocess.run([*command, "-o", str(output)], capture_output=True, text=True, check=False)
         except OSError as error:
             raise InputError(
                 f"compiler {compiler.name}",
@@ -217,9 +221,7 @@ def build(target: Target, folder: Path = LIBRARY_FOLDER) -> Path:
             ) from error
         if result.returncode != 0:
             raise RetryError(f"building {path.name} with {compiler.name} failed", came=result.stderr[-4000:])
-    # linkers leave a Windows import library beside the target
-    for extra in folder.glob(f".{path.stem}.*.lib"):
-        extra.unlink()
+        shutil.copyfile(output, temporary)
     return path
 
 
