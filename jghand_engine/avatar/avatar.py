@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import torch
 
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.limits import DEEP_M, DEEP_RADII, SIGMA_MAX_M, UVD_RANGE_M
 
 
 @dataclass(frozen=True)
@@ -59,8 +61,25 @@ class HandAvatar:
         return replace(self, handedness=Handedness(handedness))
 
     def prefix(self, count: int) -> HandAvatar:
-        """The first `count` Gaussians: a level of detail, since they are in farthest-point order."""
+        """The first `count` Gaussians: a level of detail, since they are in farthest-point order.
+
+        Those that are left grow by `sigma_scale_for_prefix`, so that the skin stays closed.
+        """
         if count <= 0 or count >= len(self):
             return self
         arrays = ("position_m", "sigma_m", "opacity", "rgb", "bone_weights", "uvd")
-        return replace(self, **{name: getattr(self, name)[:count] for name in arrays})
+        shorter = replace(self, **{name: getattr(self, name)[:count] for name in arrays})
+        scale = sigma_scale_for_prefix(count, len(self))
+        return replace(shorter, sigma_m=_grown(shorter.sigma_m, scale, shorter.uvd[:, 2]))
+
+
+def sigma_scale_for_prefix(count: int, total: int) -> float:
+    """How much the radii of the first `count` of `total` Gaussians grow: as their distance on a surface does."""
+    return math.sqrt(total / count) if 0 < count < total else 1.0
+
+
+def _grown(sigma_m: torch.Tensor, scale: float, uvd_depth: torch.Tensor) -> torch.Tensor:
+    """Radii times `scale`, but what lies deep under the skin does not grow through it: it would show as a halo."""
+    depth_m = (0.5 - uvd_depth) * (2 * UVD_RANGE_M)
+    limit_m = torch.where(depth_m > DEEP_M, depth_m / DEEP_RADII, torch.inf)
+    return torch.maximum(sigma_m, torch.minimum(sigma_m * scale, limit_m)).clamp(max=SIGMA_MAX_M)

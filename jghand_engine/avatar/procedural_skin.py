@@ -18,19 +18,19 @@ from jghand_engine.template.mesh import HandTemplate
 # how strongly pigments darken linear red, green, blue (relative, chosen by eye)
 BLOOD = np.array([0.10, 0.62, 0.52])
 MELANIN = np.array([0.34, 0.54, 0.72])
-VENOUS = np.array([0.55, 0.22, 0.16])
+VENOUS = np.array([0.60, 0.30, 0.16])
 
 
 @dataclass(frozen=True)
 class SkinLook:
     """tone: sRGB of the palm in full light; warmth of the back, strength of marks and light are relative to 1."""
 
-    tone: tuple[float, float, float] = (0.875, 0.675, 0.575)
-    tan_of_back: float = 0.34
+    tone: tuple[float, float, float] = (0.875, 0.685, 0.600)
+    tan_of_back: float = 0.46
     blood: float = 1.0
     relief: float = 1.0
     gloss: float = 1.0
-    exposure: float = 1.0
+    exposure: float = 1.10
     seed: int = 0
 
 
@@ -44,7 +44,7 @@ def skin_rgb(template: HandTemplate, points: SkinPoints, look: SkinLook, studio:
     light = bake_light(points.position_m, points.normal, bumped, occluder, studio)
     albedo = reflectance(points, marks, landmarks, look)
     lit = albedo * light.irradiance * depth_tint(light, albedo)
-    shine = gloss(bumped, marks, light, studio) * look.gloss
+    shine = gloss(points.normal, bumped, marks, light, studio) * look.gloss
     return display(look.exposure * (lit + shine))
 
 
@@ -70,11 +70,11 @@ def reflectance(points: SkinPoints, marks: SkinMarks, landmarks: Landmarks, look
     palm = palm_share(side)
     mottle = 0.5 * noise(p, 9 * MM, look.seed + 1) + 0.35 * noise(p, 4 * MM, look.seed + 2)
     speckle = noise(p, 1.1 * MM, look.seed + 3)
-    blood = look.blood * (_warm_places(p, palm, side, landmarks) + 0.10 * mottle + 0.05 * speckle * palm)
-    blood = blood + 0.55 * marks.crease + 0.30 * marks.wrinkle + 0.9 * marks.nail_fold
+    blood = look.blood * (_warm_places(p, palm, side, landmarks) + 0.14 * mottle + 0.05 * speckle * palm)
+    blood = blood + 0.55 * marks.crease + 0.30 * marks.wrinkle + 0.65 * marks.nail_fold
     tan = look.tan_of_back * (1 - palm) * (1 + 0.10 * noise(p, 3 * MM, look.seed + 4) + 0.06 * speckle)
-    tan = tan + 0.10 * marks.wrinkle + 0.06 * noise(p, 25 * MM, look.seed + 5)
-    pigment = blood[:, None] * BLOOD + tan[:, None] * MELANIN + 0.38 * marks.vein[:, None] * VENOUS
+    tan = tan + 0.30 * marks.wrinkle + 0.06 * noise(p, 25 * MM, look.seed + 5)
+    pigment = blood[:, None] * BLOOD + tan[:, None] * MELANIN + 0.27 * marks.vein[:, None] * VENOUS
     skin = linear(np.array(look.tone)) * np.exp(-pigment)
     return _with_nails(skin, marks, look)
 
@@ -87,8 +87,9 @@ def _warm_places(p: np.ndarray, palm: np.ndarray, side: np.ndarray, landmarks: L
     for tip in TIPS:
         warm = warm + 0.42 * near(joints[tip], 8.5) * (0.45 + 0.55 * palm)
         warm = warm + 0.12 * near(0.5 * (joints[tip] + joints[tip - 5]), 8)
-    for joint, amount in (*((j, 0.38) for j in (7, 8, 9, 10)), *((j, 0.26) for j in (12, 13, 14, 15, 11, 6))):
-        warm = warm + amount * near(joints[joint] - 4 * MM * landmarks.palmar[joint], 6.5) * (1 - palm)
+    for joint, amount in (*((j, 0.38) for j in (7, 8, 9, 10)), *((j, 0.24) for j in (12, 13, 14, 15, 11, 6))):
+        size = landmarks.joint_scale(joint)
+        warm = warm + amount * size * near(joints[joint] - 4 * MM * landmarks.palmar[joint], 6.5 * size) * (1 - palm)
     for joint in (2, 3, 4, 5):
         warm = warm + 0.34 * near(joints[joint] - 8 * MM * landmarks.palmar[joint], 9) * (1 - palm)
         warm = warm + 0.16 * near(joints[joint] + 9 * MM * landmarks.palmar[joint], 9) * palm
@@ -113,18 +114,20 @@ def depth_tint(light: BakedLight, albedo: np.ndarray) -> np.ndarray:
     bounced = np.maximum(
         v, ((v * (2.0404 * albedo - 0.3324) + (0.6417 - 4.7951 * albedo)) * v + 2.7552 * albedo + 0.6903) * v
     )
-    return (bounced / v) ** 0.6
+    return (bounced / v) ** 0.4
 
 
-def gloss(bumped: np.ndarray, marks: SkinMarks, light: BakedLight, studio: Studio) -> np.ndarray:
+def gloss(normal: np.ndarray, bumped: np.ndarray, marks: SkinMarks, light: BakedLight, studio: Studio) -> np.ndarray:
     """Linear RGB (N, 3) of a soft highlight, as seen from in front of the palm or the back; nails are shinier."""
+    # a nail is smooth: the relief of its surroundings must not glitter in it
+    bumped = unit(bumped + (normal - bumped) * marks.nail[:, None])
     towards = np.sign(bumped[:, 2:]) * np.array([[0.0, 0.15, 1.0]]) + 0.8 * bumped
     eye = unit(towards)
     total = np.zeros_like(bumped)
     for lamp in studio.lights:
         half = unit(eye + unit(np.array(lamp.direction)))
         cosine = np.clip((bumped * half).sum(1), 0, 1)
-        skin, plate = 0.020 * cosine**18, 0.10 * cosine**70
+        skin, plate = 0.020 * cosine**18, 0.14 * cosine**60
         total += (skin * (1 - marks.nail) + plate * marks.nail)[:, None] * np.array(lamp.rgb)
     return total * smoothstep(0.3, 0.9, light.openness)[:, None]
 

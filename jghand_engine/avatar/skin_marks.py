@@ -10,7 +10,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from jghand_engine.avatar.skin_points import Landmarks, SkinPoints, bump, noise, palm_share, smoothstep
 
@@ -35,12 +35,12 @@ PALM_LINES = (
 )
 # veins of the back: points (x, y), width and height in millimetres
 VEINS = (
-    (((11, 86), (11, 72), (7, 57), (2, 42), (5, 24), (11, 8), (14, -4)), 1.5, 0.42),
-    (((-10, 82), (-7, 68), (-4, 55), (2, 42)), 1.3, 0.36),
-    (((-28, 73), (-25, 58), (-18, 42), (-15, 22), (-17, 4), (-17, -6)), 1.5, 0.42),
-    (((-7, 68), (-15, 62), (-25, 58)), 1.2, 0.30),
-    (((-18, 42), (-9, 34), (4, 28)), 1.1, 0.24),
-    (((36, 52), (28, 38), (24, 22), (22, 6)), 1.4, 0.34),
+    (((11, 86), (11, 72), (7, 57), (2, 42), (5, 24), (11, 8), (14, -4)), 1.1, 0.42),
+    (((-10, 82), (-7, 68), (-4, 55), (2, 42)), 0.95, 0.36),
+    (((-28, 73), (-25, 58), (-18, 42), (-15, 22), (-17, 4), (-17, -6)), 1.1, 0.42),
+    (((-7, 68), (-15, 62), (-25, 58)), 0.85, 0.30),
+    (((-18, 42), (-9, 34), (4, 28)), 0.8, 0.24),
+    (((36, 52), (28, 38), (24, 22), (22, 6)), 1.0, 0.34),
 )
 # extensor tendons from knuckle to wrist: (first joint of the finger, height in millimetres)
 TENDONS = ((2, 0.45), (3, 0.50), (4, 0.40), (5, 0.30))
@@ -99,18 +99,22 @@ class MarkPainter:
 
     def paint(self, position_m: np.ndarray) -> SkinMarks:
         """The marks at `position_m` (N, 3), which lie near the points given to the constructor."""
-        crease = self._palm_lines(position_m) + self._finger_creases(position_m)
+        line, line_depth_m = self._palm_lines(position_m)
+        fold = self._finger_creases(position_m)
+        crease = line + fold
         wrinkle = self._knuckles(position_m)
         vein, vein_height = self._curves(position_m, VEINS)
         on_back = smoothstep(0.1, 0.6, -self._side) * (1 - smoothstep(92 * MM, 98 * MM, position_m[:, 1]))
         nails = self._nail_parts(position_m)
         skin = 1 - nails["nail"]
         height = (
-            -0.50 * MM * np.clip(crease, 0, 1.3)
-            - 0.34 * MM * wrinkle * skin
+            -0.50 * MM * np.clip(fold, 0, 1.3)
+            - line_depth_m
+            - 0.48 * MM * wrinkle * skin
             + MM * vein_height * on_back
             + self._tendons(position_m) * on_back
             + self._texture(position_m) * skin
+            + self._cushions(position_m)
             + nails.pop("height")
         )
         return SkinMarks(height, np.clip(crease, 0, 1), wrinkle * skin, vein * on_back, **nails)
@@ -119,19 +123,24 @@ class MarkPainter:
         """Amount 0..1 and height in millimetres of soft curves drawn in the plane of the palm."""
         wobble = np.stack([noise(position_m, 13 * MM, 71), noise(position_m, 13 * MM, 72)], 1) * 1.0 * MM
         xy = position_m[:, :2] + wobble
+        deepest = max(depth for _, _, depth in curves)
         amount, height = np.zeros(len(xy)), np.zeros(len(xy))
         for knots, width, depth in curves:
             distance_m, along = _distance_to_curve(xy, np.array(knots, float) * MM)
             taper = smoothstep(0, 0.12, along) * (1 - smoothstep(0.80, 1, along))
             width_m = width * MM * (0.55 + 0.45 * taper)
             line = bump(distance_m, width_m) * (0.25 + 0.75 * taper)
-            amount = np.maximum(amount, line * depth / max(c[2] for c in curves))
-            height = np.maximum(height, line * depth)
+            # the skin dips gently towards a line, not only in it
+            dip = 0.35 * bump(distance_m, 3.2 * width_m) * taper
+            amount = np.maximum(amount, line * depth / deepest)
+            height = np.maximum(height, (line + dip) * depth)
         return amount, height
 
-    def _palm_lines(self, position_m: np.ndarray) -> np.ndarray:
-        amount, _ = self._curves(position_m, PALM_LINES)
-        return amount * smoothstep(0.0, 0.55, self._side)
+    def _palm_lines(self, position_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Amount 0..1 and depth in metres."""
+        amount, height_mm = self._curves(position_m, PALM_LINES)
+        towards_palm = smoothstep(0.0, 0.55, self._side)
+        return amount * towards_palm, MM * height_mm * towards_palm
 
     def _along(self, position_m: np.ndarray, joint: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Axial and lateral distance from a joint, and a mask of its surroundings on the same finger."""
@@ -172,20 +181,25 @@ class MarkPainter:
         total = np.zeros(len(position_m))
         wave = noise(position_m, 3.5 * MM, 31) * 0.30 * MM
         patchy = np.clip(0.75 + 0.35 * noise(position_m, 2.2 * MM, 32), 0.1, 1.2)
-        for joints, spread, spacing, depth in (((7, 8, 9, 10), 5.0, 2.1, 1.0), ((12, 13, 14, 15, 11), 3.0, 1.7, 0.8)):
+        for joints, spread, spacing, depth in (
+            ((7, 8, 9, 10), 5.0, 2.1, 1.0),
+            ((12, 13, 14, 15), 3.0, 1.7, 0.8),
+            ((11,), 3.6, 2.0, 0.5),
+        ):
             for joint in joints:
                 axial, lateral, near = self._along(position_m, joint)
-                centred = axial + 0.5 * MM
+                size = self._marks.joint_scale(joint)
+                centred, across = axial / size + 0.5 * MM, lateral / size
                 # rows bow away from the knuckle's middle, like the rim of an eye
-                bowed = centred * (1 + 0.9 * (lateral / (7 * MM)) ** 2) + wave
+                bowed = centred * (1 + 0.9 * (across / (7 * MM)) ** 2) + wave
                 row = 0.5 + 0.5 * np.cos(2 * np.pi * bowed / (spacing * MM))
-                total += depth * near * row**3 * bump(centred, spread * MM) * bump(lateral, 5.5 * MM)
+                total += size * depth * near * row**3 * bump(centred, spread * MM) * bump(across, 5.5 * MM)
         for joint in (*FINGER_JOINTS["mcp"], 6):
             relative = position_m - self._marks.joints_m[joint]
             axial = relative @ self._marks.axis[joint] + wave
             distance = np.linalg.norm(relative[:, :2], axis=1)
             row = 0.5 + 0.5 * np.cos(2 * np.pi * axial / (2.1 * MM) + 1.5 * noise(position_m, 6 * MM, 33))
-            total += 0.30 * row**3 * bump(distance, 7 * MM)
+            total += 0.18 * row**3 * bump(distance, 7 * MM)
         return total * patchy * smoothstep(0.25, 0.75, -self._side)
 
     def _tendons(self, position_m: np.ndarray) -> np.ndarray:
@@ -201,6 +215,20 @@ class MarkPainter:
             fade = smoothstep(0.15, 0.45, t) * (1 - smoothstep(0.85, 1.0, t))
             height = np.maximum(height, rise * MM * fade * bump(across, 1.9 * MM))
         return height
+
+    def _cushions(self, position_m: np.ndarray) -> np.ndarray:
+        """Height in metres of the soft pads of the palm, of each phalanx and of the finger tips."""
+        joints, palmar = self._marks.joints_m, self._marks.palmar
+        pads = [
+            (0.45 * joints[1] + 0.55 * joints[6], 14.0, 2.2),
+            (0.62 * joints[5], 13.0, 1.7),
+            *((joints[joint] + 9 * MM * palmar[joint], 6.5, 0.8) for joint in FINGER_JOINTS["mcp"]),
+            *((0.5 * (joints[b] + joints[b - 5]) + 7 * MM * palmar[b], 4.8, 0.55) for b in range(7, 21)),
+        ]
+        height_mm = np.zeros(len(position_m))
+        for centre, width, height in pads:
+            height_mm += height * bump(np.linalg.norm(position_m - centre, axis=1), width * MM)
+        return MM * height_mm * self._palm
 
     def _texture(self, position_m: np.ndarray) -> np.ndarray:
         """Height in metres of pores and fine furrows, coarser and stronger on the back."""
@@ -220,15 +248,14 @@ class MarkPainter:
             depth_m = (1 - radius) * min(shape.half_width_m, shape.half_length_m)
             plate = near * smoothstep(-0.25 * MM, 0.25 * MM, depth_m)
             towards_tip = smoothstep(0.1, 0.7, a)
-            fold = near * bump(depth_m + 0.35 * MM, 0.38 * MM) * (1 - 0.75 * towards_tip)
-            edge_m = (0.90 - 0.10 * b**2 - a) * shape.half_length_m
+            fold = near * bump(depth_m + 0.40 * MM, 0.60 * MM) * (1 - 0.75 * towards_tip)
+            edge_m = (0.84 - 0.12 * b**2 - a) * shape.half_length_m
             moon = smoothstep(0, 0.12, -0.62 - a + 0.30 * (1 - b**2))
             parts["nail"] = np.maximum(parts["nail"], plate)
             parts["nail_fold"] = np.maximum(parts["nail_fold"], fold)
             parts["free_edge"] = np.maximum(parts["free_edge"], plate * smoothstep(0.15 * MM, -0.15 * MM, edge_m))
             parts["lunula"] = np.maximum(parts["lunula"], plate * moon)
-            ridges = 0.02 * MM * np.cos(2 * np.pi * b * shape.half_width_m / (1.1 * MM))
-            parts["height"] += plate * ridges - fold * 0.40 * MM + near * 0.15 * MM * bump(depth_m + 1.2 * MM, 0.7 * MM)
+            parts["height"] += -fold * 0.40 * MM + near * 0.15 * MM * bump(depth_m + 1.2 * MM, 0.7 * MM)
         return parts
 
 
@@ -241,5 +268,5 @@ def _distance_to_curve(xy: np.ndarray, knots: np.ndarray) -> tuple[np.ndarray, n
     """Distance (N,) of points (N, 2) to the smooth curve through `knots` (K, 2), and where along it, 0..1."""
     t = np.linspace(0, 1, len(knots))
     dense = np.linspace(0, 1, 600)
-    distance, index = cKDTree(CubicSpline(t, knots)(dense)).query(xy)
+    distance, index = KDTree(CubicSpline(t, knots)(dense)).query(xy)
     return distance, dense[index]

@@ -16,6 +16,9 @@ from jghand_engine.hand.joints import JOINT_COUNT, PARENTS
 THUMB_PALMAR = np.array([-0.93, 0.26, 0.27])
 OUT_OF_PALM = np.array([0.0, 0.0, 1.0])
 THUMB_METACARPAL, THUMB_PROXIMAL, THUMB_DISTAL, THUMB_TIP = 1, 6, 11, 16
+# the two bones at a PIP and at a DIP joint of a usual index finger, metres; the first DIP joint
+USUAL_BONES_M = (0.049, 0.045)
+FIRST_DIP = 11
 # n . palmar over which the skin of the palm turns into that of the back
 SIDE_BLEND = 0.45
 
@@ -67,6 +70,13 @@ class Landmarks:
         """(N,) -1 where the skin faces away from the flexion side of its bone (back), +1 towards it (palm)."""
         palmar = unit(points.bone_weights @ self.palmar)
         return (points.normal * palmar).sum(1)
+
+    def joint_scale(self, joint: int) -> float:
+        """Size of a finger at one of its joints 6..15, relative to an index finger: from the lengths of its bones."""
+        length_m = np.linalg.norm(self.joints_m[joint + 5] - self.joints_m[joint])
+        length_m += np.linalg.norm(self.joints_m[joint] - self.joints_m[joint - 5])
+        usual_m = USUAL_BONES_M[joint >= FIRST_DIP]
+        return float(np.clip(length_m / usual_m, 0.6, 1.1))
 
     def hinge_axis(self, joint: int) -> np.ndarray:
         """(3,) the direction of the finger at `joint`: between its two bones."""

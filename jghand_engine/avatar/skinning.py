@@ -61,6 +61,12 @@ def volume_scale(linear: torch.Tensor, hand_scale: torch.Tensor) -> tuple[torch.
     return torch.where(sound, det, floor) ** (1.0 / 3.0), sound
 
 
+def posed_radius_scale(linear: torch.Tensor, hand_scale: torch.Tensor) -> torch.Tensor:
+    """(N,) posed radius / canonical radius: |det L|^(1/3), clamped to SIGMA_STRETCH_MIN..MAX times s_g (METHOD 2.8)."""
+    size, _ = volume_scale(linear, hand_scale)
+    return torch.clamp(size, SIGMA_STRETCH_MIN * hand_scale, SIGMA_STRETCH_MAX * hand_scale)
+
+
 def turning(linear: torch.Tensor, bones: PoseTransforms) -> torch.Tensor:
     """The blended rotation (up to shear) L / |det L|^(1/3), (N, 3, 3); the palm's where the blend has collapsed.
 
@@ -89,11 +95,22 @@ def pose_gaussians(
         position_m = apply(linear, relative_m) + offset_m
         if pose_offset_m is not None:
             position_m = position_m + bones.scale * apply(turning(linear, bones), pose_offset_m.to(dtype))
-        size, _ = volume_scale(linear, bones.scale)
-        size = torch.clamp(size, SIGMA_STRETCH_MIN * bones.scale, SIGMA_STRETCH_MAX * bones.scale)
         return Gaussians(
             position_m=position_m + bones.root_m,
-            sigma_m=avatar.sigma_m.to(dtype) * size,
+            sigma_m=avatar.sigma_m.to(dtype) * posed_radius_scale(linear, bones.scale),
             opacity=avatar.opacity.to(dtype),
             rgb=avatar.rgb.to(dtype),
         )
+
+
+def lbs_joint_error_m(
+    joint_weights: torch.Tensor, canonical_joints_m: torch.Tensor, bones: PoseTransforms, joints_m: torch.Tensor
+) -> torch.Tensor:
+    """(21,) metres: how far blended skinning moves each joint from where it belongs (METHOD 3.5).
+
+    The matrices themselves map every joint exactly; this second metric is of the skin's weights. joint_weights (21, 21)
+    are the weights of the field at the canonical joints (21, 3), joints_m (21, 3) the posed joints that made `bones`.
+    """
+    linear, offset_m = blend(joint_weights, bones)
+    relative_m = canonical_joints_m.to(linear.dtype) - bones.canonical_root_m
+    return torch.linalg.vector_norm(apply(linear, relative_m) + offset_m + bones.root_m - joints_m, dim=-1)

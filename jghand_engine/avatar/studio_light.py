@@ -36,16 +36,18 @@ class Studio:
     """The lights, in the canonical frame: warm keys from above for palm and back, fills, a rim on each side.
 
     wrap: how far each colour channel reaches past the terminator, for light that wanders under the skin (red most).
+    translucency: what reaches even the bottom of a fold, through the skin.
     """
 
-    ambient: tuple[float, float, float] = (0.27, 0.28, 0.30)
+    ambient: tuple[float, float, float] = (0.225, 0.22, 0.225)
     wrap: tuple[float, float, float] = (0.26, 0.15, 0.11)
+    translucency: tuple[float, float, float] = (0.24, 0.15, 0.13)
     lights: tuple[SoftLight, ...] = field(
         default=(
-            SoftLight((0.30, 0.42, 1.00), (3.9, 3.75, 3.55), 8.0),
-            SoftLight((-0.65, -0.15, 0.75), (0.62, 0.68, 0.78), 5.0),
-            SoftLight((0.30, 0.42, -1.00), (3.9, 3.75, 3.55), 8.0),
-            SoftLight((-0.65, -0.15, -0.75), (0.62, 0.68, 0.78), 5.0),
+            SoftLight((0.50, 0.50, 0.90), (4.6, 4.4, 4.15), 10.0),
+            SoftLight((-0.65, -0.15, 0.75), (0.68, 0.68, 0.72), 5.0),
+            SoftLight((0.50, 0.50, -0.90), (4.6, 4.4, 4.15), 10.0),
+            SoftLight((-0.65, -0.15, -0.75), (0.68, 0.68, 0.72), 5.0),
         )
     )
 
@@ -67,10 +69,9 @@ class Occluder:
         inside = np.zeros(shape, bool)
         cells = np.rint((_surface_points(vertices_m, faces, GRID_STEP_M / 2) - self._low_m) / GRID_STEP_M).astype(int)
         inside[tuple(cells.T)] = True
-        inside = binary_fill_holes(inside)
-        assert inside is not None
-        outer, inner = distance_transform_edt(~inside), distance_transform_edt(inside)
-        self._distance_m = ((np.asarray(outer) - np.asarray(inner)) * GRID_STEP_M).astype(np.float32)
+        filled = np.asarray(binary_fill_holes(inside), dtype=bool)
+        outer, inner = np.asarray(distance_transform_edt(~filled)), np.asarray(distance_transform_edt(filled))
+        self._distance_m = ((outer - inner) * GRID_STEP_M).astype(np.float32)
 
     def distance_m(self, points_m: np.ndarray) -> np.ndarray:
         """(N,) signed distance, nearest cell; outside the grid the distance to the grid plus its margin."""
@@ -133,7 +134,8 @@ def bake_light(
         upright = np.maximum(0, cosine[facing])
         open_[facing] += upright * seen
         dome[facing] += upright
-    return BakedLight(light * (4 / rays), open_ / np.maximum(dome, 1e-9))
+    irradiance = np.maximum(light * (4 / rays), studio.translucency)
+    return BakedLight(irradiance, open_ / np.maximum(dome, 1e-9))
 
 
 def sphere_directions(count: int) -> np.ndarray:

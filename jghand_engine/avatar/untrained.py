@@ -6,17 +6,20 @@ picture, some in a layer below it that closes what opens between them when the s
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 import torch
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
 from jghand_engine.avatar.procedural_skin import SkinLook, skin_rgb
 from jghand_engine.avatar.skin_points import SkinPoints
+from jghand_engine.avatar.skinning import apply, blend, posed_radius_scale
 from jghand_engine.avatar.studio_light import Studio
+from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import BONE_COUNT, Handedness
+from jghand_engine.hand.transform import JointTransform
 from jghand_engine.limits import SIGMA_MAX_M, SIGMA_MIN_M, UVD_RANGE_M
 from jghand_engine.template.mesh import HandTemplate
 from jghand_engine.template.sampling import bone_distances, sample_shell
@@ -24,34 +27,43 @@ from jghand_engine.template.surface import vertex_normals
 from jghand_engine.template.texture import sample_bilinear
 from jghand_engine.template.weight_field import WeightField
 
+# poses in which an untrained avatar's skin is kept closed, and the largest growth of a radius for it: more would blur
+CLOSED_IN = ("fist", "claw", "table", "spread")
+STRETCH_MAX = 1.35
+
 
 @dataclass(frozen=True)
 class Layers:
     """How the Gaussians of an untrained avatar are placed. Lengths in metres.
 
-    count:           Gaussians in all
-    drawn_per_bone:  points drawn per bone, of which the first in farthest-point order are used: more give evener gaps
-    area_power:      bones share the count as area ** power: 0 equally (METHOD 3.2), 1 evenly over the skin. Between:
-                     the palm is not starved, finger tips and nails stay sharp
-    outer_depth_m:   depth of the outer layer's centres below the skin, from and to: the rims then meet the skin
-    backing_every:   each so-many-th Gaussian belongs to the backing layer
-    backing_depth_m: depth of the backing layer
-    sigma_factor:    radius as a part of the mean distance to the three nearest neighbours of the same layer
-                     (METHOD 4.2 starts training at 0.5)
-    opacity:         of both layers
-    curving:         0 keeps the flat triangles, 1 curves them fully (Phong tessellation): smooth outlines
+    count:            Gaussians in all
+    backing_count:    how many of them form the backing layer
+    oversampling:     points drawn per point used of the fullest bone; the first in farthest-point order are used, so
+                      that more give evener gaps
+    area_power:       bones share the outer layer as area ** power: 0 equally (METHOD 3.2), 1 evenly over the skin.
+                      Between, the palm is not starved and finger tips and nails stay sharp
+    outer_depth_m:    depth of the outer layer's centres below the skin, from and to: their rims then meet the skin
+    outer_sigma:      radius of the outer layer as a part of the mean distance to the neighbours (METHOD 4.2 starts
+                      training at 0.5 of the three nearest); larger closes more and blurs more
+    backing_sigma:    the same of the backing layer, whose bones share by area
+    backing_sigma_m:  limits of the backing layer's radius
+    backing_depth:    depth of the backing layer, in its own radii: less shows around the outline, more shows in bends
+    opacity:          of both layers
+    curving:          0 keeps the flat triangles, 1 curves them fully (Phong tessellation): rounder outlines, but the
+                      skin then lies up to 3 mm outside the template where its triangles are large
     """
 
     count: int = 60_000
-    drawn_per_bone: int = 9_000
-    area_power: float = 0.65
-    outer_depth_m: tuple[float, float] = (0.00025, 0.00055)
-    backing_every: int = 6
-    backing_depth_m: float = 0.0024
-    sigma_factor: float = 0.50
-    backing_sigma_max_m: float = 0.0010
-    opacity: float = 0.96
-    curving: float = 0.75
+    backing_count: int = 8_000
+    oversampling: float = 1.8
+    area_power: float = 0.78
+    outer_depth_m: tuple[float, float] = (0.00025, 0.00050)
+    outer_sigma: float = 0.56
+    backing_sigma: float = 0.60
+    backing_sigma_m: tuple[float, float] = (0.0006, 0.0014)
+    backing_depth: float = 2.0
+    opacity: float = 0.97
+    curving: float = 0.5
 
 
 @dataclass(frozen=True)
@@ -72,33 +84,69 @@ def make_untrained(template: HandTemplate, nails: np.ndarray, recipe: Recipe) ->
     nails: (H, W) mask 0..1 of the nails in the template's texture space. The same arguments give the same avatar.
     """
     layers = recipe.layers
-    sample = sample_shell(template, per_bone=layers.drawn_per_bone, depth_m=layers.outer_depth_m[1], seed=recipe.seed)
-    chosen = spread_over_bones(sample.bone, bone_areas(template), layers)
-    face, barycentric = sample.face[chosen], sample.barycentric[chosen]
-    uv = sample.uvd[chosen, :2]
-    skin_m, normal = curved_surface(template, face, barycentric, layers.curving)
-    backing = np.arange(layers.count) % layers.backing_every == layers.backing_every - 1
-    depth_m = np.random.default_rng(recipe.seed).uniform(*layers.outer_depth_m, layers.count)
-    depth_m[backing] = layers.backing_depth_m
-    position_m = skin_m - depth_m[:, None] * normal
-    bone_weights = WeightField.build(template).query(position_m)
-    points = SkinPoints(skin_m, normal, bone_weights.double().numpy(), sample_bilinear(nails[..., None], uv)[:, 0])
-    sigma_m = np.empty(layers.count)
-    for layer in (backing, ~backing):
-        sigma_m[layer] = layers.sigma_factor * neighbour_distance(skin_m[layer])
-    sigma_m[backing] = np.minimum(1.2 * sigma_m[backing], layers.backing_sigma_max_m)
-    uvd = np.column_stack([uv, 0.5 - depth_m / (2 * UVD_RANGE_M)])
+    placed = place(template, layers, recipe.seed)
+    nail = sample_bilinear(nails[..., None], placed.uv)[:, 0]
+    bone_weights = WeightField.build(template).query(placed.position_m)
+    points = SkinPoints(placed.skin_m, placed.normal, bone_weights.double().numpy(), nail)
+    outer = placed.depth_m <= layers.outer_depth_m[1]
+    sigma_m = placed.sigma_m.copy()
+    outer_weights = bone_weights[torch.from_numpy(outer)].double()
+    sigma_m[outer] *= bending_stretch(placed.skin_m[outer], outer_weights, template.joints_m)
     return HandAvatar(
         info=AvatarInfo(name=recipe.name, template=template.identifier, licence=recipe.licence),
         handedness=Handedness.RIGHT,
         canonical_joints_m=torch.from_numpy(template.joints_m.copy()),
-        position_m=_float(position_m),
+        position_m=_float(placed.position_m),
         sigma_m=_float(np.clip(sigma_m, SIGMA_MIN_M, SIGMA_MAX_M)),
         opacity=torch.full((layers.count,), layers.opacity),
         rgb=_float(skin_rgb(template, points, recipe.look, recipe.studio)),
         bone_weights=bone_weights.float(),
-        uvd=_float(uvd),
+        uvd=_float(np.column_stack([placed.uv, 0.5 - placed.depth_m / (2 * UVD_RANGE_M)])),
     )
+
+
+@dataclass(frozen=True)
+class Placed:
+    """Gaussians without colour: skin_m (N, 3) and normal (N, 3) of the curved skin above them, depth_m (N,) below it,
+    uv (N, 2), sigma_m (N,); turn (N,) 0..1 sorts them so that every prefix covers the hand."""
+
+    skin_m: np.ndarray
+    normal: np.ndarray
+    depth_m: np.ndarray
+    uv: np.ndarray
+    sigma_m: np.ndarray
+    turn: np.ndarray
+
+    @property
+    def position_m(self) -> np.ndarray:
+        return self.skin_m - self.depth_m[:, None] * self.normal
+
+
+def place(template: HandTemplate, layers: Layers, seed: int) -> Placed:
+    """Both layers, in one order."""
+    outer = _layer(template, layers, layers.count - layers.backing_count, layers.area_power, seed)
+    depth_m = np.random.default_rng(seed).uniform(*layers.outer_depth_m, len(outer.turn))
+    outer = replace(outer, depth_m=depth_m, sigma_m=layers.outer_sigma * neighbour_distance(outer.skin_m))
+    if not layers.backing_count:
+        return outer
+    backing = _layer(template, layers, layers.backing_count, 1.0, seed + 1)
+    sigma_m = np.clip(layers.backing_sigma * neighbour_distance(backing.skin_m), *layers.backing_sigma_m)
+    backing = replace(backing, depth_m=layers.backing_depth * sigma_m, sigma_m=sigma_m)
+    order = np.argsort(np.concatenate([outer.turn, backing.turn]), kind="stable")
+    return Placed(
+        **{f.name: np.concatenate([getattr(outer, f.name), getattr(backing, f.name)])[order] for f in fields(Placed)}
+    )
+
+
+def _layer(template: HandTemplate, layers: Layers, count: int, area_power: float, seed: int) -> Placed:
+    """`count` points of the skin, evenly spread, without depth and radius yet."""
+    counts = shared_out(bone_areas(template) ** area_power, count)
+    drawn = int(np.ceil(layers.oversampling * counts.max()))
+    sample = sample_shell(template, per_bone=drawn, depth_m=layers.outer_depth_m[1], seed=seed)
+    chosen, turn = take_turns(sample.bone, counts)
+    skin_m, normal = curved_surface(template, sample.face[chosen], sample.barycentric[chosen], layers.curving)
+    nothing = np.zeros(count)
+    return Placed(skin_m, normal, nothing, sample.uvd[chosen, :2], nothing, turn)
 
 
 def bone_areas(template: HandTemplate) -> np.ndarray:
@@ -109,22 +157,23 @@ def bone_areas(template: HandTemplate) -> np.ndarray:
     return np.bincount(nearest, area, minlength=BONE_COUNT)
 
 
-def spread_over_bones(bone: np.ndarray, area: np.ndarray, layers: Layers) -> np.ndarray:
-    """Indices (count,) into a sample whose points `bone` (M,) are in farthest-point order within each bone.
+def shared_out(share: np.ndarray, count: int) -> np.ndarray:
+    """(20,) whole numbers in proportion to `share` (20,) that add up to `count`."""
+    counts = np.floor(share / share.sum() * count).astype(int)
+    counts[np.argsort(-share, kind="stable")[: count - counts.sum()]] += 1
+    return counts
 
-    Bone b gets a share of area ** power, at most what was drawn; its points come at even steps of the whole list, so
-    that every prefix has the same shares.
+
+def take_turns(bone: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Indices (sum of counts,) into a sample and turns 0..1 in rising order.
+
+    bone (M,) names the bone 1..20 of each point, in farthest-point order within each bone. Bone b gives its first
+    counts[b - 1] points, at even steps of the whole list, so that every prefix has the same shares.
     """
-    share = area**layers.area_power
-    counts = np.floor(share / share.sum() * layers.count).astype(int)
-    counts[np.argsort(-share)[: layers.count - counts.sum()]] += 1
-    if counts.max() > layers.drawn_per_bone:
-        raise ValueError(f"drawn_per_bone {layers.drawn_per_bone} is less than the {counts.max()} points of a bone")
-    picked, turn = [], []
-    for number, count in enumerate(counts, start=1):
-        picked.append(np.flatnonzero(bone == number)[:count])
-        turn.append((np.arange(count) + 0.5) / count)
-    return np.concatenate(picked)[np.argsort(np.concatenate(turn), kind="stable")]
+    picked = [np.flatnonzero(bone == number)[:count] for number, count in enumerate(counts, start=1)]
+    turn = np.concatenate([(np.arange(count) + 0.5) / count for count in counts])
+    order = np.argsort(turn, kind="stable")
+    return np.concatenate(picked)[order], turn[order]
 
 
 def curved_surface(
@@ -144,9 +193,31 @@ def curved_surface(
 
 
 def neighbour_distance(points_m: np.ndarray) -> np.ndarray:
-    """(N,) mean distance to the three nearest neighbours, metres."""
-    distance, _ = cKDTree(points_m).query(points_m, k=4)
-    return distance[:, 1:].mean(1)
+    """(N,) mean distance to the six nearest neighbours, metres: of an even layer those around the point."""
+    distance, _ = KDTree(points_m).query(points_m, k=7)
+    return np.asarray(distance)[:, 1:].mean(1)
+
+
+def bending_stretch(points_m: np.ndarray, bone_weights: torch.Tensor, joints_m: np.ndarray) -> np.ndarray:
+    """(N,) factor of at least 1 by which radii must be larger for the skin to stay closed in the CLOSED_IN poses.
+
+    How much the neighbours of each skin point (N, 3) move away in those poses, beyond what the posed radius follows.
+    bone_weights: (N, 21) float64; joints_m: (21, 3) canonical.
+    """
+    around = np.asarray(KDTree(points_m).query(points_m, k=7)[1])[:, 1:]
+    skin_m, canonical_m = torch.from_numpy(points_m), torch.from_numpy(joints_m.copy())
+
+    def gap(at: torch.Tensor) -> torch.Tensor:
+        return torch.linalg.vector_norm(at[around] - at[:, None], dim=-1).mean(1)
+
+    worst = torch.ones(len(points_m), dtype=torch.float64)
+    for name in CLOSED_IN:
+        bones = JointTransform(canonical_m).bones(torch.from_numpy(named_pose(name, joints_m)))
+        linear, offset_m = blend(bone_weights, bones)
+        posed_m = apply(linear, skin_m - bones.canonical_root_m) + offset_m
+        worst = torch.maximum(worst, gap(posed_m) / gap(skin_m) / posed_radius_scale(linear, bones.scale))
+    # a neighbour's stretch counts too: a gap lies between two Gaussians
+    return worst.clamp(max=STRETCH_MAX)[around].mean(1).numpy()
 
 
 def _float(values: np.ndarray) -> torch.Tensor:

@@ -1,0 +1,121 @@
+"""The .jghand file: what is written comes back, exactly as promised, and a failure never touches the old file."""
+
+from __future__ import annotations
+
+import errno
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from small_avatars import small_avatar
+
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.file import ARRAY_NAMES, load_avatar, save_avatar, stored_form
+from jghand_engine.avatar.storage import Storage
+from jghand_engine.errors import InputError, RetryError
+from jghand_engine.hand.joints import Handedness
+
+
+def same(one: HandAvatar, other: HandAvatar) -> bool:
+    equal = all(torch.equal(getattr(one, name), getattr(other, name)) for name in ARRAY_NAMES)
+    joints = torch.equal(one.canonical_joints_m, other.canonical_joints_m)
+    return equal and joints and one.info == other.info and one.handedness == other.handedness
+
+
+def test_an_exact_file_returns_every_bit(tmp_path):
+    avatar = small_avatar().for_hand(Handedness.LEFT)
+    save_avatar(tmp_path / "hand.jghand", avatar)
+    assert same(load_avatar(tmp_path / "hand.jghand"), avatar)
+
+
+def test_a_compact_file_returns_exactly_the_stored_form(tmp_path):
+    avatar = small_avatar()
+    save_avatar(tmp_path / "hand.jghand", avatar, storage=Storage.COMPACT)
+    assert same(load_avatar(tmp_path / "hand.jghand"), stored_form(avatar, Storage.COMPACT))
+
+
+def test_saving_a_compact_avatar_again_changes_nothing():
+    for seed in range(20):
+        once = stored_form(small_avatar(500, seed), Storage.COMPACT)
+        assert same(stored_form(once, Storage.COMPACT), once)
+
+
+def test_compact_storage_costs_what_its_table_says():
+    avatar = small_avatar(5000)
+    stored = stored_form(avatar, Storage.COMPACT)
+    box_m = (avatar.position_m.max(0).values - avatar.position_m.min(0).values).max()
+    # half a step, and half a unit in the last place of a float32 on top
+    assert float((stored.position_m - avatar.position_m).abs().max()) <= float(box_m) / 65535 / 2 + 8e-9
+    assert float((stored.sigma_m / avatar.sigma_m - 1).abs().max()) <= 0.5e-3
+    assert float((stored.rgb - avatar.rgb).abs().max()) <= 1 / 510 + 1e-7
+    assert float((stored.opacity - avatar.opacity).abs().max()) <= 1 / 510 + 1e-7
+    assert float((stored.uvd - avatar.uvd).abs().max()) <= 1 / 131070 + 1e-7
+    dropped = avatar.bone_weights.sort(1).values[:, :-7].sum(1)
+    moved = (stored.bone_weights - avatar.bone_weights).abs().max(1).values
+    assert bool((moved <= dropped + 1 / 65535 + 1e-6).all())
+    assert float((stored.bone_weights.double().sum(1) - 1).abs().max()) < 1e-6
+
+
+def test_a_compact_file_is_small(tmp_path):
+    save_avatar(tmp_path / "hand.jghand", small_avatar(2000), storage=Storage.COMPACT)
+    assert (tmp_path / "hand.jghand").stat().st_size < 2000 * 39 + 4096
+
+
+def test_a_single_gaussian_survives(tmp_path):
+    avatar = small_avatar(1)
+    save_avatar(tmp_path / "one.jghand", avatar, storage=Storage.COMPACT)
+    assert same(load_avatar(tmp_path / "one.jghand"), stored_form(avatar, Storage.COMPACT))
+
+
+BAD = {
+    "position_m": (float("nan"), "finite"),
+    "sigma_m": (0.0, "radii"),
+    "opacity": (1.5, "0 to 1"),
+    "rgb": (-0.1, "0 to 1"),
+    "bone_weights": (0.7, "sum to 1"),
+    "uvd": (float("inf"), "finite"),
+}
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_an_avatar_that_cannot_be_rendered_is_not_written(tmp_path, name):
+    value, wanted = BAD[name]
+    array = getattr(small_avatar(), name).clone()
+    array[17] = value
+    with pytest.raises(InputError, match=f"{name}.*{wanted}.*Gaussian 17"):
+        save_avatar(tmp_path / "bad.jghand", replace(small_avatar(), **{name: array}))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_joints_in_millimetres_are_not_written(tmp_path):
+    avatar = small_avatar()
+    with pytest.raises(InputError, match=r"wrist to middle tip.*metres"):
+        save_avatar(tmp_path / "mm.jghand", replace(avatar, canonical_joints_m=1e3 * avatar.canonical_joints_m))
+
+
+def test_a_full_disk_leaves_the_old_file_as_it_was(tmp_path, monkeypatch):
+    path = tmp_path / "hand.jghand"
+    save_avatar(path, small_avatar(seed=1))
+    before = path.read_bytes()
+
+    def full(self, data):
+        with self.open("wb") as stream:
+            stream.write(data[: len(data) // 2])
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    with pytest.raises(RetryError, match="disk is full"):
+        save_avatar(path, small_avatar(seed=2))
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["hand.jghand"]
+
+
+def test_a_missing_file_is_named(tmp_path):
+    with pytest.raises(InputError, match=r"cannot read .*nothing\.jghand"):
+        load_avatar(tmp_path / "nothing.jghand")
+
+
+def test_a_folder_is_no_avatar(tmp_path):
+    with pytest.raises(InputError, match="cannot read"):
+        load_avatar(tmp_path)

@@ -1,0 +1,211 @@
+"""A .jghand file that is damaged, lies about itself or attacks the reader: refused by name, nothing runs."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import pickle
+import tracemalloc
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import safetensors
+import safetensors.numpy
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from jghand_engine.avatar.builtin import ASSET
+from jghand_engine.avatar.file import METADATA_KEY, load_avatar
+from jghand_engine.errors import InputError
+
+WHOLE = Path(str(ASSET)).read_bytes()
+
+
+def parts() -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """A small valid file as arrays and description, cut from the built-in avatar."""
+    arrays = {name: a if name == "canonical_joints_m" else a[:50] for name, a in safetensors.numpy.load(WHOLE).items()}
+    with safetensors.safe_open(str(ASSET), framework="numpy") as content:
+        about = json.loads(content.metadata()[METADATA_KEY])
+    return arrays, {**about, "gaussians": 50}
+
+
+def written(path: Path, arrays: dict[str, np.ndarray], about: Any) -> Path:
+    text = about if isinstance(about, str) else json.dumps(about)
+    path.write_bytes(
+        safetensors.numpy.save({k: np.ascontiguousarray(a) for k, a in arrays.items()}, metadata={METADATA_KEY: text})
+    )
+    return path
+
+
+def refused(path: Path, *words: str) -> None:
+    with pytest.raises(InputError) as caught:
+        load_avatar(path)
+    message = str(caught.value)
+    assert path.name in message
+    for word in words:
+        assert word in message, message
+    assert caught.value.remedy
+
+
+def test_the_file_these_are_made_from_is_read(tmp_path):
+    assert len(load_avatar(written(tmp_path / "good.jghand", *parts()))) == 50
+
+
+@pytest.mark.parametrize("length", [0, 1, 7, 8, 9, 100, 1000, len(WHOLE) // 2, len(WHOLE) - 1])
+def test_a_truncated_file_is_refused(tmp_path, length):
+    path = tmp_path / "cut.jghand"
+    path.write_bytes(WHOLE[:length])
+    refused(path)
+
+
+def test_trailing_rubbish_is_refused(tmp_path):
+    path = tmp_path / "long.jghand"
+    path.write_bytes(WHOLE + b"rubbish")
+    refused(path)
+
+
+@pytest.mark.parametrize("length", [65_537, 10**6, 2**40, 2**64 - 1])
+def test_a_huge_header_is_refused_before_anything_is_allocated(tmp_path, length):
+    path = tmp_path / "huge.jghand"
+    path.write_bytes(length.to_bytes(8, "little") + b"{" + b" " * 200_000)
+    tracemalloc.start()
+    refused(path)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak < 500_000
+
+
+def test_a_pickle_is_refused_and_does_not_run(tmp_path):
+    class Attack:
+        def __reduce__(self):
+            return (Path.touch, (tmp_path / "ran",))
+
+    path = tmp_path / "pickle.jghand"
+    path.write_bytes(pickle.dumps(Attack()) + b" " * 100)
+    refused(path)
+    assert not (tmp_path / "ran").exists()
+
+
+def test_a_newer_version_says_to_update(tmp_path):
+    arrays, about = parts()
+    refused(written(tmp_path / "new.jghand", arrays, {**about, "format_version": 2}), "newer JGHand", "update")
+
+
+FIELDS = {
+    "format_version": [0, -1, "1", 1.5, True, None],
+    "name": [None, 3],
+    "template": [None, []],
+    "licence": [{}],
+    "units": ["millimetres", None],
+    "handedness": ["both", None, 1],
+    "joint_names": [None, [], ["wrist"] * 21],
+    "swing": ["maximal", None],
+    "scale_mode": ["huge", 1],
+    "storage": ["pickle", None],
+    "gaussians": [0, -5, 49, 10**12, "50", True, None],
+    "position_box_m": [
+        None,
+        [],
+        [[0, 0, 0]],
+        [[0, 0, 0], [1, 1]],
+        [[0, 0, 0], [1, 1, "1"]],
+        [[0, 0, 0], [1, 1, 1e308]],
+    ],
+    "pose_statistics": [None, [], {"a": 1}, {"a": [1]}, {"a": [1, None]}],
+}
+
+
+@pytest.mark.parametrize(("field", "value"), [(f, v) for f, values in FIELDS.items() for v in values])
+def test_a_wrong_description_is_refused(tmp_path, field, value):
+    arrays, about = parts()
+    refused(written(tmp_path / "wrong.jghand", arrays, {**about, field: value}))
+
+
+@pytest.mark.parametrize("field", FIELDS)
+def test_a_missing_description_field_is_refused(tmp_path, field):
+    arrays, about = parts()
+    del about[field]
+    refused(written(tmp_path / "missing.jghand", arrays, about))
+
+
+@pytest.mark.parametrize("text", ["", "{", "[]", "3", "null", "[" * 20_000, '{"format_version": 1e999}', "NaN"])
+def test_a_description_that_is_no_json_object_is_refused(tmp_path, text):
+    refused(written(tmp_path / "json.jghand", parts()[0], text))
+
+
+def test_a_plain_safetensors_file_is_refused(tmp_path):
+    path = tmp_path / "plain.jghand"
+    path.write_bytes(safetensors.numpy.save({"weight": np.zeros(3)}))
+    refused(path)
+
+
+@pytest.mark.parametrize("name", sorted(parts()[0]))
+def test_a_missing_array_is_named(tmp_path, name):
+    arrays, about = parts()
+    del arrays[name]
+    refused(written(tmp_path / "less.jghand", arrays, about), name)
+
+
+@pytest.mark.parametrize("name", sorted(parts()[0]))
+def test_an_array_of_another_type_is_refused(tmp_path, name):
+    arrays, about = parts()
+    arrays[name] = arrays[name].astype(np.int64)
+    refused(written(tmp_path / "type.jghand", arrays, about), name, "I64")
+
+
+@pytest.mark.parametrize("name", sorted(parts()[0]))
+def test_an_array_of_another_length_is_refused(tmp_path, name):
+    arrays, about = parts()
+    arrays[name] = arrays[name][:-1]
+    refused(written(tmp_path / "short.jghand", arrays, about), name)
+
+
+def test_an_unknown_array_is_refused(tmp_path):
+    arrays, about = parts()
+    refused(written(tmp_path / "more.jghand", {**arrays, "payload": np.zeros(3)}, about), "payload")
+
+
+VALUES = {
+    "sigma_m": (np.nan, np.inf, 0, -1e-3, 1e-5, 1.0),
+    "canonical_joints_m": (np.nan, np.inf, 1e3),
+    "weight": (0, 65535),
+    "weight_bone": (21, 255),
+}
+
+
+@pytest.mark.parametrize(("name", "value"), [(n, v) for n, values in VALUES.items() for v in values])
+def test_values_that_no_hand_has_are_refused(tmp_path, name, value):
+    arrays, about = parts()
+    arrays[name] = arrays[name].copy()
+    arrays[name][13] = value
+    refused(written(tmp_path / "value.jghand", arrays, about))
+
+
+def test_positions_far_from_the_hand_are_refused(tmp_path):
+    arrays, about = parts()
+    refused(written(tmp_path / "far.jghand", arrays, {**about, "position_box_m": [[0, 0, 0], [0, 0, 90]]}), "wrist")
+
+
+def test_coincident_joints_are_refused(tmp_path):
+    arrays, about = parts()
+    arrays["canonical_joints_m"] = arrays["canonical_joints_m"].copy()
+    arrays["canonical_joints_m"][6] = arrays["canonical_joints_m"][5]
+    refused(written(tmp_path / "joints.jghand", arrays, about), "index2")
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_flipped_bytes_give_an_avatar_or_an_input_error(tmp_path, data):
+    good = bytearray(written(tmp_path / "good.jghand", *parts()).read_bytes())
+    header = 8 + int.from_bytes(good[:8], "little")
+    # half of the flips in the header, where the harm is
+    for _ in range(data.draw(st.integers(1, 6))):
+        at = data.draw(st.integers(0, header - 1) | st.integers(0, len(good) - 1))
+        good[at] = data.draw(st.integers(0, 255))
+    path = tmp_path / "flipped.jghand"
+    path.write_bytes(bytes(good))
+    # anything else than these two outcomes fails the test
+    with contextlib.suppress(InputError):
+        assert len(load_avatar(path)) == 50
