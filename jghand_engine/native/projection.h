@@ -37,11 +37,12 @@ JG_INLINE Inputs load_inputs(const RasterJob& job, int64_t first, int n) {
   return in;
 }
 
-// One row of camera_from_position. In double precision: a hand far from the origin then loses nothing, and depths, which
-// decide the order, are the correctly rounded ones, whatever the frame the positions came in.
+// One row of camera_from_position. In double precision: a hand far from the origin then loses nothing, and depths,
+// which decide the order, are the correctly rounded ones, whatever the frame the positions came in.
 JG_INLINE vf to_camera(const double* row, vf x, vf y, vf z) {
   typedef double vd __attribute__((vector_size(128)));
-  const vd dx = __builtin_convertvector(x, vd), dy = __builtin_convertvector(y, vd), dz = __builtin_convertvector(z, vd);
+  const vd dx = __builtin_convertvector(x, vd), dy = __builtin_convertvector(y, vd);
+  const vd dz = __builtin_convertvector(z, vd);
   return __builtin_convertvector(dx * row[0] + dy * row[1] + dz * row[2] + row[3], vf);
 }
 

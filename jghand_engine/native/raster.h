@@ -1,10 +1,10 @@
 // The rasteriser: Gaussians to pictures and back. RENDERING 3 is the contract, RENDERING 4 the design.
 //
-//   project   every Gaussian: centre, conic, footprint in tiles, depth key; what cannot be seen is culled    projection.h
+//   project   every Gaussian: centre, conic, footprint in tiles, depth key; what cannot be seen is culled
 //   sort      the visible ones by camera depth, ties by index
 //   gather    records into that order: neighbours in a tile's list are then neighbours in memory
 //   bin       a list per 16 x 16 tile, in depth order
-//   blend     per tile, front to back, a 4 x 4 block of pixels per vector                                     tile.h
+//   blend     per tile, front to back, a 4 x 4 block of pixels per vector
 //   backward  the same walk with the gradient of the picture, then the chain rule to the inputs
 //
 // One RasterJob describes a picture; native/rasteriser.py owns its memory and mirrors it field by field.

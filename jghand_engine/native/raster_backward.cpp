@@ -50,14 +50,14 @@ JG_INLINE vf fold_1(vf a, vf b) {
 }
 
 template <int SQUARINGS>
-JG_INLINE void walk_hits(const RasterJob& job, const Chunk& chunk, int index, const int32_t* hits, int n, Block& block,
+JG_INLINE void walk_hits(const RasterJob& job, const Chunk& chunk, int index, const Hits& hits, Block& block,
                          const int32_t* list, RecordGradient* gradients) {
   const vf x = LANE_X + (float)block_x(index), y = LANE_Y + (float)block_y(index);
   const vf gr = block.grad_r, gg = block.grad_g, gb = block.grad_b, gz = block.grad_depth;
   const float log2_alpha_min = job.log2_alpha_min, alpha_max = job.alpha_max, t_stop = job.t_stop;
   vf T = block.transmittance, rest = block.rest;
-  for (int i = 0; i < n; i++) {
-    const Record& record = chunk.records[hits[i]];
+  for (int i = 0; i < hits.count; i++) {
+    const Record& record = chunk.records[hits.index[i]];
     const Coverage c = cover<SQUARINGS>(record, x, y, log2_alpha_min, alpha_max);
     const vf weight = c.alpha * T;
     const vf contribution = weight * (gr * record.r + gg * record.g + gb * record.b + gz * record.z);
@@ -69,7 +69,7 @@ JG_INLINE void walk_hits(const RasterJob& job, const Chunk& chunk, int index, co
     const vf a = fold_4(fold_8(m, mx), fold_8(my, mx * c.dx));
     const vf b = fold_4(fold_8(mx * c.dy, my * c.dy), fold_8(weight * gr, weight * gg));
     const vf last = fold_8(weight * gb, weight * gz), d = fold_4(last, last);
-    float* sums = &gradients[list[hits[i]]].m;
+    float* sums = &gradients[list[hits.index[i]]].m;
     store(sums, load(sums) + fold_1(fold_2(a, b), fold_2(d, d)));
     if ((i & 3) == 3 && !bit_mask(T > t_stop)) break;  // as blend does
   }
@@ -81,7 +81,7 @@ void walk_tile(const RasterJob& job, int32_t index, RecordGradient* gradients) {
   const Tile tile = tile_at(job, index);
   if (!tile.length) return;
   Chunk chunk;
-  int32_t hits[CHUNK + LANES];
+  Hits hits;
   Block blocks[BLOCKS];
   uint32_t live = 0;
   for (int b = 0; b < BLOCKS; b++) {
@@ -92,9 +92,9 @@ void walk_tile(const RasterJob& job, int32_t index, RecordGradient* gradients) {
     load_chunk(chunk, job, tile, begin);
     for (uint32_t todo = live; todo; todo &= todo - 1) {
       const int b = __builtin_ctz(todo);
-      const int n = find_hits(chunk, b, hits);
-      if (!n) continue;
-      walk_hits<SQUARINGS>(job, chunk, b, hits, n, blocks[b], tile.list + begin, gradients);
+      find_hits(chunk, b, hits);
+      if (!hits.count) continue;
+      walk_hits<SQUARINGS>(job, chunk, b, hits, blocks[b], tile.list + begin, gradients);
       if (!bit_mask(blocks[b].transmittance > job.t_stop)) live &= ~(1u << b);
     }
   }

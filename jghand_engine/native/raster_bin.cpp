@@ -1,5 +1,5 @@
-// Lists of Gaussians per tile. Each part counts and fills its own range of the depth-ordered Gaussians; cursors laid out
-// by tile, then part, make every list come out in depth order without sorting it.
+// Lists of Gaussians per tile. Each part counts and fills its own range of the depth-ordered Gaussians; cursors laid
+// out by tile, then part, make every list come out in depth order without sorting it.
 #include <string.h>
 
 #include "raster.h"

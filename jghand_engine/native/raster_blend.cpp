@@ -12,22 +12,22 @@ struct Block {
 };
 
 template <int SQUARINGS>
-JG_INLINE void blend_hits(const RasterJob& job, const Chunk& chunk, int index, const int32_t* hits, int n, Block& block) {
+JG_INLINE void blend_hits(const RasterJob& job, const Chunk& chunk, int index, const Hits& hits, Block& block) {
   const vf x = LANE_X + (float)block_x(index), y = LANE_Y + (float)block_y(index);
   const float log2_alpha_min = job.log2_alpha_min, alpha_max = job.alpha_max, t_stop = job.t_stop;
   vf T = block.transmittance, r = block.r, g = block.g, b = block.b, depth = block.depth;
-  auto add = [&](int32_t hit) __attribute__((always_inline)) {
+  auto add = [&](int hit) __attribute__((always_inline)) {
     const Record& record = chunk.records[hit];
     const vf weight = cover<SQUARINGS>(record, x, y, log2_alpha_min, alpha_max).alpha * T;
     T -= weight;
     r += weight * record.r, g += weight * record.g, b += weight * record.b, depth += weight * record.z;
   };
-  int i = 0;
+  int i = 0, n = hits.count;
   for (; i + UNROLL <= n; i += UNROLL) {
-    for (int k = 0; k < UNROLL; k++) add(hits[i + k]);
+    for (int k = 0; k < UNROLL; k++) add(hits.index[i + k]);
     if (!bit_mask(T > t_stop)) n = 0;
   }
-  for (; i < n; i++) add(hits[i]);
+  for (; i < n; i++) add(hits.index[i]);
   block = {T, r, g, b, depth};
 }
 
@@ -40,7 +40,7 @@ template <int SQUARINGS>
 void blend(const RasterJob& job, int32_t index) {
   const Tile tile = tile_at(job, index);
   Chunk chunk;
-  int32_t hits[CHUNK + LANES];
+  Hits hits;
   Block blocks[BLOCKS];
   uint32_t live = 0;  // blocks on the picture with a pixel that still lets light through
   for (int b = 0; b < BLOCKS; b++) {
@@ -54,10 +54,10 @@ void blend(const RasterJob& job, int32_t index) {
     work += chunk.length;
     for (uint32_t rest = live; rest; rest &= rest - 1) {
       const int b = __builtin_ctz(rest);
-      const int n = find_hits(chunk, b, hits);
-      if (!n) continue;
-      work += n;
-      blend_hits<SQUARINGS>(job, chunk, b, hits, n, blocks[b]);
+      find_hits(chunk, b, hits);
+      if (!hits.count) continue;
+      work += hits.count;
+      blend_hits<SQUARINGS>(job, chunk, b, hits, blocks[b]);
       if (!bit_mask(blocks[b].transmittance > job.t_stop)) live &= ~(1u << b);
     }
   }

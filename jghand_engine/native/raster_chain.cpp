@@ -9,6 +9,17 @@ struct RecordGradients {
   vf m, mx, my, mxx, mxy, myy, r, g, b, z;
 };
 
+// Slots are scattered: asks for the rows of the Gaussians after these, so that they are there when their turn comes.
+JG_INLINE void prefetch_rows(const RasterJob& job, int64_t first) {
+  for (int64_t i = first; i < first + LANES && i < job.count; i++) {
+    const int64_t slot = job.slots[i];
+    if (slot < 0) continue;
+    __builtin_prefetch(job.rects + slot);
+    for (int stripe = 0; stripe < GRADIENT_STRIPES; stripe++)
+      __builtin_prefetch(&job.record_gradients[(int64_t)stripe * job.count + slot]);
+  }
+}
+
 JG_INLINE RecordGradients gather(const RasterJob& job, const Stripes& stripes, int64_t first, int n, vi& seen) {
   vf rows[LANES] = {};
   for (int lane = 0; lane < n; lane++) {
@@ -76,11 +87,13 @@ void chain_rule_part(const RasterJob& job, const Stripes& stripes, int32_t part)
   for (int64_t i = range.begin; i < range.end; i += LANES) {
     const int n = range.end - i < LANES ? (int)(range.end - i) : LANES;
     vi seen = {};
+    prefetch_rows(job, i + LANES);
     const RecordGradients grad = gather(job, stripes, i, n, seen);
     const InputGradients out = chain_rule(job, load_inputs(job, i, n), grad);
     // culled Gaussians may be poisoned: their chain rule is thrown away, not multiplied by zero
-    const vf zero = {}, sigma = seen ? out.sigma : zero, opacity = seen ? out.opacity : zero;
-    store_some_triples(job.position_gradient + 3 * i, n, seen ? out.px : zero, seen ? out.py : zero, seen ? out.pz : zero);
+    auto if_seen = [seen](vf v) __attribute__((always_inline)) { return seen ? v : vf{}; };
+    const vf sigma = if_seen(out.sigma), opacity = if_seen(out.opacity);
+    store_some_triples(job.position_gradient + 3 * i, n, if_seen(out.px), if_seen(out.py), if_seen(out.pz));
     store_some_triples(job.rgb_gradient + 3 * i, n, grad.r, grad.g, grad.b);
     memcpy(job.sigma_gradient + i, &sigma, 4 * n);
     memcpy(job.opacity_gradient + i, &opacity, 4 * n);

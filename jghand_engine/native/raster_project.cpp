@@ -21,7 +21,8 @@ JG_INLINE vi valid_input(const Inputs& in) {
          within(in.r, RGB_MAX) & within(in.g, RGB_MAX) & within(in.b, RGB_MAX);
 }
 
-JG_INLINE void store_records(Record* out, int n, const Projection& p, const Inputs& in, vf u, vf v, vf log2_opacity, vf radius2) {
+JG_INLINE void store_records(Record* out, int n, const Projection& p, const Inputs& in, vf u, vf v, vf log2_opacity,
+                             vf radius2) {
   const float half_log2e = 0.5f * LOG2E;
   vf rows[LANES] = {u,
                     v,

@@ -73,12 +73,12 @@ JG_INLINE uint32_t bit_mask(vi condition) {
 #endif
 }
 
-// ---- exponential and logarithm to the base 2 --------------------------------------------------------------------------
+// ---- exponential and logarithm to the base 2 ------------------------------------------------------------------------
 
 // 2^e for e <= 0 (more than a rounding error above 0 never occurs). Below the range the value is meaningless, possibly
 // infinite or NaN: callers select it away.
-// AVX-512: any e, relative error 2e-7. Elsewhere there is no cheap way to add an exponent, so a polynomial on [-1, 0] is
-// squared SQUARINGS times: e >= -2^SQUARINGS, relative error 7e-7 for 3 and twice that for each one more.
+// AVX-512: any e, relative error 2e-7. Elsewhere there is no cheap way to add an exponent, so a polynomial on [-1, 0]
+// is squared SQUARINGS times: e >= -2^SQUARINGS, relative error 7e-7 for 3 and twice that for each one more.
 template <int SQUARINGS>
 JG_INLINE vf exp2_of_negative(vf e) {
 #if defined(__AVX512DQ__)
@@ -114,7 +114,7 @@ JG_INLINE vf log2(vf x) {
   return p * t + __builtin_convertvector(n, vf);
 }
 
-// ---- rows and columns -------------------------------------------------------------------------------------------------
+// ---- rows and columns -----------------------------------------------------------------------------------------------
 
 #define JG_SHUFFLE __builtin_shufflevector
 
