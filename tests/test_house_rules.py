@@ -231,3 +231,12 @@ def test_the_package_imports_where_torchvision_and_the_optional_packages_are_mis
         "import jghand_engine.cli, jghand_engine.exporters.pictures, jghand_engine.splat.camera\n"
     )
     subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
+
+
+def test_no_two_test_files_share_a_name():
+    """pytest imports them by their bare names; the second one would stop the whole run."""
+    names: dict[str, list[str]] = {}
+    for path in python_files(ROOT / "tests"):
+        if path.name.startswith("test_") and "blender" not in path.parts:
+            names.setdefault(path.name, []).append(name_of(path))
+    offences([" and ".join(paths) for paths in names.values() if len(paths) > 1])
