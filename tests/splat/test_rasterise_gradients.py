@@ -28,9 +28,9 @@ from jghand_engine.splat.camera import Camera
 native = pytest.mark.parametrize("backend", NATIVE)
 every_backend = pytest.mark.parametrize("backend", ["torch", *NATIVE])
 
-# worst observed over all scenes and variants: 1.4e-3 (a contribution on the other side of the cut), 3.1e-4, 4.8e-8 and
-# 6.0e-5 (one pixel); promised: relative L2 1e-3, cosine gap 1e-5, signed bias 1e-4
-BOUNDS = GradientBounds(element=1.5e-3, relative_l2=3.5e-4, cosine_gap=5.5e-8, signed_bias=6.5e-5)
+# worst observed over all scenes, variants and compilers: 1.4e-3 (a contribution on the other side of the cut), 3.1e-4,
+# 4.8e-8 and 6.7e-5 (one pixel; 4.1e-5 elsewhere); promised: relative L2 1e-3, cosine gap 1e-5, signed bias 1e-4
+BOUNDS = GradientBounds(element=1.5e-3, relative_l2=3.5e-4, cosine_gap=5.5e-8, signed_bias=7.5e-5)
 
 SCENES = {
     "few large": lambda: (hand_gaussians(600, sigma_mm=(3, 6)), camera_for(117, 93)),
