@@ -3,7 +3,7 @@
     python scripts/build_avatar.py                              # jghand_engine/assets/builtin_right.jghand
     python scripts/build_avatar.py --look.tone 0.55 0.38 0.29 --out my_hand.jghand
 
-One to two minutes of processor time. The same options give the same file, byte for byte, with the same package versions.
+One to two minutes of processor time. The same options give the same file, byte for byte, with the same packages.
 """
 
 from __future__ import annotations

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from jghand_engine import limits
 from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.avatar.file import save_avatar
 from jghand_engine.errors import InputError
@@ -69,8 +70,11 @@ def test_the_nearer_of_two_hands_covers_the_other_whatever_their_order(source, r
     nearer = replace(right, handedness="left", camera_from_hand=right.camera_from_hand.copy())
     nearer.camera_from_hand[2, 3] = 0.4
     one, other = source.render([right, nearer], VIEW), source.render([nearer, right], VIEW)
-    # worst observed 2.5e-6: positions are kept relative to the first hand
-    np.testing.assert_allclose(one.rgba, other.rgba, atol=5e-6)
+    # worst observed 2.5e-6 of rounding, because positions are kept relative to the first hand; a Gaussian at the cut-off
+    # of the contract may fall on either side of it (observed: 16 of 43200 values, by 4.3e-4 at most)
+    difference = np.abs(one.rgba - other.rgba)
+    assert (difference > 5e-6).mean() < 5e-4
+    assert difference.max() < limits.ALPHA_MIN
     alone = source.render([nearer], VIEW)
     solid = alone.rgba[..., 3] > 0.998
     assert solid.sum() > 300
