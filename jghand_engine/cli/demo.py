@@ -13,6 +13,7 @@ import tyro
 
 from jghand_engine.cli.console import say, say_table, write_json
 from jghand_engine.cli.options import AvatarOptions, File, HandName, PresetName, ReportOptions, pixels, pose_list
+from jghand_engine.errors import InputError
 
 DESCRIPTION = """The whole job at once: a motion, a rigged .blend file, pictures from two sides, a video, a USD stage.
 
@@ -53,7 +54,12 @@ class Demo:
         from jghand_engine.hand.joints import Handedness
 
         width, height = pixels(self.size)
-        ffmpeg_program()
+        try:
+            ffmpeg_program()
+            with_video = True
+        except InputError as error:
+            say(f"{error} The demo goes on without a video.")
+            with_video = False
         out = make_folder(self.out)
         clock = Clock()
         with clock("hand and motion"):
@@ -67,7 +73,7 @@ class Demo:
             write_motion(out / "motion.npz", sequence)
         say(f"{len(sequence)} frames of a {handedness} hand, seen from {' and '.join(CAMERAS)}")
         scene = demo_scene.Scene(sequence, cameras, self.preset, self.avatar.avatar, out)
-        demo_scene.remove_old_frames(scene)
+        demo_scene.remove_old_results(scene)
         if self.blender_python is None:
             say(demo_scene.WITHOUT_BLENDER)
             with clock("pictures"):
@@ -79,11 +85,12 @@ class Demo:
             with clock("pictures, through Blender"):
                 timings = blender.render(scene)
         with clock("video and contact sheet"):
-            demo_films.write_video_of(scene)
+            if with_video:
+                demo_films.write_video_of(scene)
             demo_films.write_sheet_of(scene)
         with clock("USD"):
             usd = export_stage(out / "usd", avatar, sequence, cameras, UsdOptions())
-        demo_films.write_readme(scene, blender=self.blender_python is not None)
+        demo_films.write_readme(scene)
         timings.show(f"One picture of {width} x {height} with {len(avatar)} Gaussians, median of {timings.frames}")
         say_table("The whole job", ("step", "seconds"), [(name, f"{s:.1f}") for name, s in clock.seconds.items()])
         say(f"Done in {sum(clock.seconds.values()):.0f} s. Open {out / 'README.txt'} to see what is where.")

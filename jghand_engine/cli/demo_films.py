@@ -51,27 +51,27 @@ def _shown(scene: Scene, camera: str, index: int) -> np.ndarray:
     return flatten(premultiplied(read_png(scene.frames(camera).path(index))), VIDEO_BACKGROUND)
 
 
-def write_readme(scene: Scene, *, blender: bool) -> None:
+def write_readme(scene: Scene) -> None:
     """README.txt: what is where, and how to look at it."""
     cameras = ", ".join(scene.cameras)
-    lines = [
-        "What this folder holds",
-        "",
-        f"hand.mp4           the motion seen from {cameras}, side by side",
-        "contact_sheet.png  moments of it at one glance",
-        f"frames/            PNG pictures with alpha, one folder per camera ({cameras})",
-        "motion.npz         the 21 joint positions of every frame, metres, standard order",
-        "usd/hand.usda      the animated hand for other programs; choose its variant splats, points or mesh",
-        "usd/hand.shot.usda the hand with the cameras of this demo",
-        "report.json        how long everything took",
-    ]
-    if blender:
-        lines.insert(6, "cameras.json       its cameras: pixels, metres, OpenCV axes")
-        lines.insert(5, "hand.blend         the rigged armature with the motion on it, and the cameras")
+    files = {
+        "hand.mp4": f"the motion seen from {cameras}, side by side",
+        "contact_sheet.png": "moments of it at one glance",
+        "frames/": f"PNG pictures with alpha, one folder per camera ({cameras})",
+        "motion.npz": "the 21 joint positions of every frame, metres, standard order",
+        "hand.blend": "the rigged armature with the motion on it, and the cameras",
+        "cameras.json": "its cameras: pixels, metres, OpenCV axes",
+        "usd/hand.usda": "the animated hand for other programs; choose its variant splats, points or mesh",
+        "usd/hand.shot.usda": "the hand with the cameras of this demo",
+    }
+    there = {name: text for name, text in files.items() if (scene.out / name).exists()}
+    lines = ["What this folder holds", ""]
+    lines += [f"{name:<19}{text}" for name, text in {**there, "report.json": "how long everything took"}.items()]
+    if scene.blend.exists():
         lines += [
             "",
             "Change the motion in hand.blend and render it anew, from the folder of the project:",
-            f"  .envs/blender/bin/python scripts/render_blend.py {scene.blend} --camera {cameras.replace(', ', ',')} "
+            f"  .envs/blender/bin/python scripts/render_blend.py {scene.blend} --camera {','.join(scene.cameras)} "
             "--out new_frames",
         ]
     with writing(scene.out / "README.txt") as temporary:

@@ -54,6 +54,10 @@ class Scene:
     def blend(self) -> Path:
         return self.out / "hand.blend"
 
+    @property
+    def cameras_file(self) -> Path:
+        return self.out / "cameras.json"
+
     def frames(self, camera: str) -> Target:
         """Where the pictures of a camera are."""
         return Target(self.out / "frames" / camera, name=FRAME_NAME, first=FIRST_FRAME, text=f"Rendering {camera}")
@@ -75,8 +79,10 @@ def demo_motion(avatar: HandAvatar, poses: list[str]) -> PoseSequence:
     return dataclasses.replace(sequence, joints_m=swayed)
 
 
-def remove_old_frames(scene: Scene) -> None:
-    """Removes pictures of an earlier, perhaps longer, demo: they would end up in the video."""
+def remove_old_results(scene: Scene) -> None:
+    """Removes what an earlier demo made and this one may not make: a longer demo's pictures, a .blend file."""
+    for path in (scene.out / "hand.mp4", scene.blend, scene.cameras_file):
+        path.unlink(missing_ok=True)
     for name in scene.cameras:
         folder = scene.frames(name).folder
         for path in folder.glob("*.png") if folder.is_dir() else ():
@@ -104,8 +110,7 @@ class Blender:
 
     def build(self, scene: Scene) -> None:
         """Makes the .blend file: the rigged armature with the motion on it, and the cameras."""
-        cameras = scene.out / "cameras.json"
-        scene.blend.unlink(missing_ok=True)  # or Blender keeps it beside the new one
+        cameras = scene.cameras_file
         write_json(cameras, {name: camera_to_dict(camera) for name, camera in scene.cameras.items()})
         self._run("build_demo_scene.py", ["--motion", scene.out / "motion.npz", "--cameras", cameras,
                                           "--out", scene.blend])  # fmt: skip

@@ -29,6 +29,7 @@ def folder(tmp_path_factory):
     (out / "frames/front").mkdir(parents=True)
     (out / "frames/front/0999.png").write_bytes(b"old")
     (out / "frames/front/mine.png").write_bytes(b"mine")
+    (out / "hand.blend").write_bytes(b"old")
     assert run(*QUICK, "--out", out) == 0
     return out
 
@@ -76,6 +77,14 @@ def test_what_is_missing_without_blender_is_said(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("jghand_engine.cli.demo_scene.render_alone", lambda *_: 1 / 0)
     assert run(*QUICK, "--out", tmp_path) == 1
     assert "no .blend file" in capsys.readouterr().out
+
+
+def test_without_ffmpeg_the_demo_goes_on_without_a_video(tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "imageio_ffmpeg", None)
+    assert run(*QUICK[2:], "--poses", "point", "--out", tmp_path) == 0
+    assert "without a video" in capsys.readouterr().out
+    assert (tmp_path / "contact_sheet.png").exists()
+    assert "hand.mp4" not in (tmp_path / "README.txt").read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(
