@@ -147,7 +147,7 @@ def test_a_left_hand_is_the_mirror_image_of_a_right_one(tmp_path):
         words = ("render", "--poses", "point", "--frames", "0", "--out", tmp_path / hand, *SMALL, "--camera", "front")
         assert run(*words, "--hand", hand) == 0
     right, left = (read_png(tmp_path / hand / "frame_00000.png").astype(int) for hand in ("right", "left"))
-    assert np.abs(right - left[:, ::-1]).max() <= 2, "worst seen 1 of 255: rounding of the mirrored projection"
+    assert np.abs(right - left[:, ::-1]).max() <= 1, "worst seen 0; another compiler may round once"
 
 
 def test_a_real_capture_is_rendered_upright_and_whole(tmp_path, shared_data):
