@@ -192,8 +192,8 @@ def main() -> None:
     arguments = parser.parse_args()
     template = build(parse_pairs(arguments.phenotype), parse_pairs(arguments.local))
     print(report(template))
-    with writing(arguments.out / "hand_right.npz") as path:
-        np.savez_compressed(path, **template)  # pyright: ignore[reportArgumentType]
+    with writing(arguments.out / "hand_right.npz") as path, open(path, "wb") as stream:
+        np.savez_compressed(stream, **template)  # pyright: ignore[reportArgumentType]
     from PIL import Image
 
     with writing(arguments.out / "nails.png") as path:

@@ -235,15 +235,17 @@ def _read_npz(file: Path) -> _Content:
 
 
 def _write_npz(file: Path, sequence: PoseSequence) -> None:
-    np.savez_compressed(
-        file,
-        joints_m=from_level(sequence.joints_m, JointOrder.STANDARD),
-        valid=_standard_valid(sequence),
-        order=np.array(JointOrder.STANDARD.value),
-        unit=np.array("m"),
-        fps=np.array(sequence.fps),
-        handedness=np.array(sequence.handedness.value),
-    )
+    # given a name, numpy appends .npz to what does not end so exactly
+    with open(file, "wb") as stream:
+        np.savez_compressed(
+            stream,
+            joints_m=from_level(sequence.joints_m, JointOrder.STANDARD),
+            valid=_standard_valid(sequence),
+            order=np.array(JointOrder.STANDARD.value),
+            unit=np.array("m"),
+            fps=np.array(sequence.fps),
+            handedness=np.array(sequence.handedness.value),
+        )
 
 
 def _standard_valid(sequence: PoseSequence) -> np.ndarray:

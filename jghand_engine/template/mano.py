@@ -119,7 +119,7 @@ def read_mano(path: Path | str) -> dict[str, np.ndarray]:
     """MANO's arrays by name, as in FIELDS: from its pickle, or from the .npz that `convert_mano` wrote."""
     path = Path(path)
     thing = f"MANO file {path}"
-    if path.suffix == ".npz":
+    if path.suffix.lower() == ".npz":
         fields = read_arrays(path, FIELDS, thing)
     else:
         whole = read_pickle(_read_bytes(path, thing), ALLOWED, thing)
@@ -145,10 +145,13 @@ def read_mano(path: Path | str) -> dict[str, np.ndarray]:
 
 def convert_mano(source: Path | str, target: Path | str) -> None:
     """Writes MANO's arrays as a plain .npz, which `load_mano` reads too. For the user's own use: MANO's licence forbids
-    to pass the result on."""
+    to pass the result on. Raises InputError for another suffix: `read_mano` would take the file for a pickle."""
+    if Path(target).suffix.lower() != ".npz":
+        raise InputError(f"converted MANO file {target}", wanted="a name that ends in .npz", came="another")
     fields = read_mano(source)
-    with writing(target) as path:
-        np.savez_compressed(path, **fields)  # pyright: ignore[reportArgumentType]
+    # given a name, numpy appends .npz to what does not end so exactly
+    with writing(target) as path, open(path, "wb") as stream:
+        np.savez_compressed(stream, **fields)  # pyright: ignore[reportArgumentType]
 
 
 def mean_pose(fields: dict[str, np.ndarray]) -> np.ndarray:

@@ -14,6 +14,7 @@ from jghand_engine.hand.orders import METRES_PER_UNIT, JointOrder, from_level
 from jghand_engine.hand.sequence import PoseSequence
 
 SUFFIXES = (".npz", ".json", ".csv")
+ANY_CASE = (*SUFFIXES, ".NPZ", ".Json", ".CSV")
 TOLD = MotionFormat(JointOrder.STANDARD, "m", Handedness.RIGHT, 30.0)
 
 
@@ -28,7 +29,7 @@ def _with_gaps():
     return PoseSequence(joints, 24.0, Handedness.LEFT)
 
 
-@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("suffix", ANY_CASE)
 @pytest.mark.parametrize("motion", [_motion(), _with_gaps()], ids=["whole", "gaps"])
 def test_what_is_written_is_read_back_exactly(tmp_path, suffix, motion):
     path = tmp_path / f"deep/er/motion{suffix}"
@@ -225,6 +226,9 @@ def test_other_kinds_of_files_and_absent_files_are_named(tmp_path):
         read_motion(tmp_path / "motion.npz")
     with pytest.raises(InputError, match=r"one of \.npz, \.json, \.csv"):
         write_motion(tmp_path / "motion.npy", _motion())
+    with pytest.raises(InputError, match=r"one of \.npz, \.json, \.csv"):
+        write_motion(tmp_path / "motion", _motion())
+    assert list(tmp_path.iterdir()) == []
     (tmp_path / "folder.json").mkdir()
     with pytest.raises(InputError, match="cannot read"):
         read_motion(tmp_path / "folder.json")

@@ -137,11 +137,20 @@ def test_the_choice_of_pose_tips_and_layout_is_part_of_the_identifier(folder, fl
         load_mano(folder / "MANO_RIGHT.pkl", handedness=RIGHT, tips=TipVertices("another"))
 
 
-def test_conversion_gives_the_same_template_without_the_pickle(folder, tmp_path, flat):
-    convert_mano(folder / "MANO_RIGHT.pkl", tmp_path / "mano.npz")
-    again = load_mano(tmp_path / "mano.npz", handedness=RIGHT, pose=ManoPose.FLAT)
+@pytest.mark.parametrize("name", ["mano.npz", "MANO.NPZ"])
+def test_conversion_gives_the_same_template_without_the_pickle(folder, tmp_path, flat, name):
+    convert_mano(folder / "MANO_RIGHT.pkl", tmp_path / name)
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    again = load_mano(tmp_path / name, handedness=RIGHT, pose=ManoPose.FLAT)
     assert np.array_equal(again.vertices_m, flat.vertices_m)
     assert np.array_equal(again.bone_weights, flat.bone_weights)
+
+
+@pytest.mark.parametrize("name", ["mano", "mano.pkl"])
+def test_conversion_to_a_name_that_would_not_be_read_back_is_refused(folder, tmp_path, name):
+    with pytest.raises(InputError, match=r"ends in \.npz"):
+        convert_mano(folder / "MANO_RIGHT.pkl", tmp_path / name)
+    assert list(tmp_path.iterdir()) == []
 
 
 def write_obj(path, faces, uv):
