@@ -52,8 +52,7 @@ def writing(path: Path | str) -> Iterator[Path]:
     temporary = Path(name)
     try:
         yield temporary
-        with open(temporary, "rb") as stream:
-            os.fsync(stream.fileno())
+        sync(temporary)
         os.chmod(temporary, 0o666 & ~_umask())
         os.replace(temporary, target)
     except OSError as error:
@@ -61,6 +60,13 @@ def writing(path: Path | str) -> Iterator[Path]:
     finally:
         with contextlib.suppress(FileNotFoundError):
             temporary.unlink()
+
+
+def sync(path: Path) -> None:
+    """Waits until what was written to the file `path` is on the disk; OSError when it does not get there."""
+    # opened for writing: Windows refuses to sync what is only read
+    with open(path, "rb+") as stream:
+        os.fsync(stream.fileno())
 
 
 def _umask() -> int:

@@ -5,7 +5,7 @@
     hand.rig.usdc     skeleton, animation, skinned mesh                           usd_rig, usd_skeleton
     hand.shot.usda    the hand and the cameras                                    usd_stage, usd_cameras
 
-Everything is written into a folder beside the target and moved when it is complete.
+Everything is written into a folder beside the target and moved when it is complete, all files or none.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from jghand_engine.exporters.usd_rig import Rig, vertex_colours, write_rig
 from jghand_engine.exporters.usd_skeleton import build_skeleton
 from jghand_engine.exporters.usd_splats import Cloud, SplatLayer
 from jghand_engine.exporters.usd_stage import LayerNames, Variant, describe, write_interface, write_shot
-from jghand_engine.files import file_error, make_folder
+from jghand_engine.files import file_error, make_folder, sync
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.limits import USD_DISK_RESERVE, USD_STATIC_BYTES, USD_STATIC_BYTES_PER_GAUSSIAN
@@ -217,7 +217,7 @@ def _write_splats(
 
 @contextlib.contextmanager
 def _arriving(folder: Path, names: LayerNames) -> Iterator[Path]:
-    """A temporary folder in `folder`; on success its files move up, the layers that refer to others last."""
+    """A temporary folder in `folder`; on success its files take the place of an earlier export's, all or none."""
     for target in (folder / name for name in names.all):
         if target.is_dir():
             raise file_error(target, IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR)))
@@ -225,9 +225,28 @@ def _arriving(folder: Path, names: LayerNames) -> Iterator[Path]:
     try:
         yield temporary
         for name in names.all:
-            os.replace(temporary / name, folder / name)
+            sync(temporary / name)
+        _exchange(temporary, folder, names)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _exchange(arrived: Path, folder: Path, names: LayerNames) -> None:
+    """Moves the layers from `arrived` to `folder`. Layers of two exports must never stand together, so the earlier ones
+    wait aside, and on any failure everything goes back. Where even that fails they stay in their hidden folder."""
+    aside = Path(tempfile.mkdtemp(prefix=f".{names.name}.earlier.", dir=folder))
+    earlier = [(folder / name, aside / name) for name in names.all if (folder / name).exists()]
+    moved = []
+    try:
+        for source, target in (*earlier, *((arrived / name, folder / name) for name in names.all)):
+            os.replace(source, target)
+            moved.append((source, target))
+    except BaseException:
+        for source, target in reversed(moved):
+            os.replace(target, source)
+        aside.rmdir()
+        raise
+    shutil.rmtree(aside, ignore_errors=True)
 
 
 class _Clock:

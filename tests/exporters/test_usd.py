@@ -394,6 +394,39 @@ def test_a_disk_that_fills_up_leaves_the_earlier_export_as_it_was(tmp_path, monk
     assert check_usd(report.stage) == []
 
 
+def failing_replace(monkeypatch, number: int) -> None:
+    """Lets the `number`-th move of a file fail, and no other."""
+    calls, replace = [], usd_module.os.replace
+
+    def failing(source, target):
+        calls.append(target)
+        if len(calls) == number:
+            raise PermissionError(13, "Permission denied")
+        replace(source, target)
+
+    monkeypatch.setattr(usd_module.os, "replace", failing)
+
+
+# four layers go aside, four arrive
+@pytest.mark.parametrize("number", range(1, 9))
+def test_a_move_that_fails_leaves_no_mixture_of_two_exports(tmp_path, monkeypatch, number):
+    report = export_usd(tmp_path, small_avatar(), lively_motion(Handedness.RIGHT, 3))
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    failing_replace(monkeypatch, number)
+    with pytest.raises(InputError, match="permission denied"):
+        export_usd(tmp_path, small_avatar(), lively_motion(Handedness.LEFT, 5))
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+    assert check_usd(report.stage) == []
+
+
+@pytest.mark.parametrize("number", range(1, 5))
+def test_a_move_that_fails_leaves_nothing_of_a_first_export(tmp_path, monkeypatch, number):
+    failing_replace(monkeypatch, number)
+    with pytest.raises(InputError, match="permission denied"):
+        export_usd(tmp_path, small_avatar(), lively_motion(Handedness.RIGHT, 3))
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_an_interrupted_export_leaves_nothing(tmp_path):
     def stop(done, _):
         if done == 2:
