@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import torch
 
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.transform import ScaleMode
 from jghand_engine.limits import DEEP_M, DEEP_RADII, SIGMA_MAX_M, UVD_RANGE_M
 
 
@@ -15,6 +16,7 @@ from jghand_engine.limits import DEEP_M, DEEP_RADII, SIGMA_MAX_M, UVD_RANGE_M
 class AvatarInfo:
     """What is written beside the arrays of an avatar.
 
+    swing, scale_mode: as `JointTransform` takes them.
     pose_statistics: per-angle minimum and maximum of the training poses, radians, by name; empty when nothing was
     trained.
     """
@@ -23,7 +25,7 @@ class AvatarInfo:
     template: str
     licence: str
     swing: str = "minimal"
-    scale_mode: str = "axial"
+    scale_mode: ScaleMode = "axial"
     pose_statistics: dict[str, tuple[float, float]] = field(default_factory=dict)
 
 

@@ -2,7 +2,8 @@
 
 The safetensors metadata holds one key, `jghand`, a JSON object: format_version, name, template, licence, units,
 handedness, joint_names (the order of the joints and of the weight columns), swing, scale_mode, storage,
-gaussians, position_box_m, pose_statistics. The arrays are those of `storage.expected_arrays` and
+gaussians, position_box_m, pose_statistics. swing and scale_mode are what `JointTransform` takes: a scale mode is a name
+or the number of the blended one. The arrays are those of `storage.expected_arrays` and
 canonical_joints_m (21, 3) float64. Files keep the standard joint order; the engine's level order ends here.
 """
 
@@ -30,13 +31,13 @@ from jghand_engine.avatar.storage import (
 from jghand_engine.avatar.validation import REMEDY, check_avatar
 from jghand_engine.errors import InputError
 from jghand_engine.files import writing
+from jghand_engine.hand.frames import Swing
 from jghand_engine.hand.joints import JOINT_COUNT, STANDARD_NAMES, Handedness
+from jghand_engine.hand.transform import ScaleMode, scale_exponent
 from jghand_engine.limits import AVATAR_HEADER_MAX_BYTES, AVATAR_MAX_GAUSSIANS
 
 FORMAT_VERSION = 1
 METADATA_KEY = "jghand"
-SWINGS = ("minimal", "euler")
-SCALE_MODES = ("axial", "uniform", "alpha")
 ARRAY_NAMES = ("position_m", "sigma_m", "opacity", "rgb", "bone_weights", "uvd")
 
 
@@ -119,8 +120,8 @@ class _Description:
             name=self._text("name"),
             template=self._text("template"),
             licence=self._text("licence"),
-            swing=self._one_of("swing", SWINGS),
-            scale_mode=self._one_of("scale_mode", SCALE_MODES),
+            swing=self._one_of("swing", tuple(Swing)),
+            scale_mode=self._scale_mode(),
             pose_statistics=self._pose_statistics(),
         )
 
@@ -149,6 +150,14 @@ class _Description:
         value = self._text(name)
         if value not in choices:
             raise self._wrong(name, " or ".join(choices), value)
+        return value
+
+    def _scale_mode(self) -> ScaleMode:
+        value = self._fields.get("scale_mode")
+        try:
+            scale_exponent(value)
+        except InputError as error:
+            raise self._wrong("scale_mode", error.wanted, value) from error
         return value
 
     def _count(self) -> int:

@@ -9,7 +9,6 @@ conventions. B_0 is a similarity of the palm frame.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -33,9 +32,9 @@ def scale_exponent(scale_mode: ScaleMode) -> float:
     (thickness follows each bone), or a number between. InputError otherwise."""
     if isinstance(scale_mode, str) and scale_mode in _SCALE_EXPONENTS:
         return _SCALE_EXPONENTS[scale_mode]
-    if isinstance(scale_mode, int | float) and math.isfinite(scale_mode) and 0 <= scale_mode <= 1:
+    if isinstance(scale_mode, int | float) and not isinstance(scale_mode, bool) and 0 <= scale_mode <= 1:
         return float(scale_mode)
-    raise InputError("scale mode", wanted="'axial', 'uniform' or a number from 0 to 1", came=repr(scale_mode))
+    raise InputError("scale mode", wanted="'axial', 'uniform' or a number from 0 to 1", came=repr(scale_mode)[:200])
 
 
 def parse_swing(swing: str) -> Swing:

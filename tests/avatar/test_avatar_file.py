@@ -14,7 +14,9 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.file import ARRAY_NAMES, load_avatar, save_avatar, stored_form
 from jghand_engine.avatar.storage import Storage
 from jghand_engine.errors import InputError, RetryError
+from jghand_engine.hand.frames import Swing
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.transform import JointTransform, scale_exponent
 
 
 def same(one: HandAvatar, other: HandAvatar) -> bool:
@@ -33,6 +35,19 @@ def test_a_compact_file_returns_exactly_the_stored_form(tmp_path):
     avatar = small_avatar()
     save_avatar(tmp_path / "hand.jghand", avatar, storage=Storage.COMPACT)
     assert same(load_avatar(tmp_path / "hand.jghand"), stored_form(avatar, Storage.COMPACT))
+
+
+@pytest.mark.parametrize("swing", list(Swing))
+@pytest.mark.parametrize("scale_mode", ["axial", "uniform", 0.3, 1])
+def test_the_conventions_come_back_as_the_transform_takes_them(tmp_path, swing, scale_mode):
+    avatar = small_avatar()
+    avatar = replace(avatar, info=replace(avatar.info, swing=swing, scale_mode=scale_mode))
+    save_avatar(tmp_path / "hand.jghand", avatar)
+    again = load_avatar(tmp_path / "hand.jghand")
+    assert same(again, avatar)
+    assert isinstance(again.info.scale_mode, str) == isinstance(scale_mode, str)
+    transform = JointTransform(again.canonical_joints_m, swing=again.info.swing, scale_mode=again.info.scale_mode)
+    assert transform.exponent == scale_exponent(scale_mode)
 
 
 def test_saving_a_compact_avatar_again_changes_nothing():

@@ -102,7 +102,7 @@ FIELDS = {
     "handedness": ["both", None, 1],
     "joint_names": [None, [], ["wrist"] * 21],
     "swing": ["maximal", None],
-    "scale_mode": ["huge", 1],
+    "scale_mode": ["huge", "alpha", 1.5, -0.1, 10**400, float("nan"), True, None, [0.3]],
     "storage": ["pickle", None],
     "gaussians": [0, -5, 49, 10**12, "50", True, None],
     "position_box_m": [
