@@ -143,6 +143,8 @@ WEIGHT_SUM_TOLERANCE = 1e-5
 # a file with more Gaussians or a longer header is refused before anything is allocated
 AVATAR_MAX_GAUSSIANS = 1_000_000
 AVATAR_HEADER_MAX_BYTES = 65_536
+# characters of one text in an avatar's description (name, template, licence, an angle's name): they are shown in a line
+AVATAR_TEXT_MAX = 500
 # canonical Gaussians further than this from the wrist along an axis, metres, belong to no hand
 AVATAR_REACH_M = 0.5
 

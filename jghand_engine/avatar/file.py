@@ -10,6 +10,7 @@ canonical_joints_m (21, 3) float64. Files keep the standard joint order; the eng
 from __future__ import annotations
 
 import json
+import unicodedata
 from pathlib import Path
 from typing import Any
 
@@ -34,7 +35,7 @@ from jghand_engine.files import writing
 from jghand_engine.hand.frames import Swing
 from jghand_engine.hand.joints import JOINT_COUNT, STANDARD_NAMES, Handedness
 from jghand_engine.hand.transform import ScaleMode, scale_exponent
-from jghand_engine.limits import AVATAR_HEADER_MAX_BYTES, AVATAR_MAX_GAUSSIANS
+from jghand_engine.limits import AVATAR_HEADER_MAX_BYTES, AVATAR_MAX_GAUSSIANS, AVATAR_TEXT_MAX
 
 FORMAT_VERSION = 1
 METADATA_KEY = "jghand"
@@ -44,12 +45,15 @@ ARRAY_NAMES = ("position_m", "sigma_m", "opacity", "rgb", "bone_weights", "uvd")
 def save_avatar(path: Path | str, avatar: HandAvatar, *, storage: Storage = Storage.EXACT) -> None:
     """Writes `avatar` to `path`, whole or not at all.
 
-    What `load_avatar` gives back is `stored_form(avatar, storage)`, bit for bit. InputError if the avatar cannot be
-    rendered or the path not be written, RetryError if the disk is full.
+    What `load_avatar` gives back is `stored_form(avatar, storage)`, bit for bit: the file is read once before it gets
+    its name. InputError if the avatar cannot be rendered or would not be read, or if the path cannot be written;
+    RetryError if the disk is full.
     """
-    check_avatar(avatar, f"avatar for {path}")
+    thing = f"avatar for {path}"
+    check_avatar(avatar, thing)
     packed, box_m = pack(_arrays(avatar), storage)
-    packed["canonical_joints_m"] = np.ascontiguousarray(avatar.canonical_joints_m.numpy()[LEVEL_OF_STANDARD])
+    joints_m = avatar.canonical_joints_m.detach().cpu().to(torch.float64).numpy()
+    packed["canonical_joints_m"] = np.ascontiguousarray(joints_m[LEVEL_OF_STANDARD])
     description = {
         "format_version": FORMAT_VERSION,
         "name": avatar.info.name,
@@ -65,9 +69,18 @@ def save_avatar(path: Path | str, avatar: HandAvatar, *, storage: Storage = Stor
         "position_box_m": box_m,
         "pose_statistics": {name: list(range_) for name, range_ in avatar.info.pose_statistics.items()},
     }
-    content = safetensors.numpy.save(packed, metadata={METADATA_KEY: json.dumps(description, allow_nan=False)})
+    try:
+        text = json.dumps(description, allow_nan=False)
+    except (TypeError, ValueError, RecursionError) as error:
+        raise InputError(
+            f"{thing}: its description", wanted="texts and finite numbers", came=f"{error}"[:200]
+        ) from error
     with writing(path) as temporary:
-        temporary.write_bytes(content)
+        temporary.write_bytes(safetensors.numpy.save(packed, metadata={METADATA_KEY: text}))
+        try:
+            _load(temporary, thing)
+        except InputError as error:
+            raise InputError(error.thing, wanted=error.wanted, came=error.came, remedy="Change it and save.") from error
 
 
 def stored_form(avatar: HandAvatar, storage: Storage) -> HandAvatar:
@@ -78,30 +91,34 @@ def stored_form(avatar: HandAvatar, storage: Storage) -> HandAvatar:
 
 def load_avatar(path: Path | str) -> HandAvatar:
     """Reads and checks an avatar. InputError names the file, what is wrong with it and what to do."""
-    file = Path(path)
-    _check_header_length(file)
+    return _load(Path(path), str(path))
+
+
+def _load(file: Path, thing: str) -> HandAvatar:
+    """`load_avatar`, which errors call `thing`."""
+    _check_header_length(file, thing)
     try:
         with safetensors.safe_open(file, framework="numpy") as content:
-            about = _Description(file, (content.metadata() or {}).get(METADATA_KEY))
-            packed = _read_arrays(file, content, about)
+            about = _Description(thing, (content.metadata() or {}).get(METADATA_KEY))
+            packed = _read_arrays(thing, content, about)
     except safetensors.SafetensorError as error:
-        raise InputError(f"{file}", wanted="a .jghand file", came=f"{error}", remedy=REMEDY) from error
+        raise InputError(thing, wanted="a .jghand file", came=f"{error}"[:200], remedy=REMEDY) from error
     except OSError as error:
-        raise _unreadable(file, error) from error
+        raise _unreadable(thing, error) from error
     joints_m = torch.from_numpy(packed.pop("canonical_joints_m")[STANDARD_OF_LEVEL])
     if about.storage is Storage.COMPACT and int(packed["weight_bone"].max()) >= JOINT_COUNT:
         came = str(int(packed["weight_bone"].max()))
-        raise InputError(f"{file}: weight_bone", wanted=f"bones 0 to {JOINT_COUNT - 1}", came=came, remedy=REMEDY)
+        raise InputError(f"{thing}: weight_bone", wanted=f"bones 0 to {JOINT_COUNT - 1}", came=came, remedy=REMEDY)
     avatar = _avatar(about.info, about.handedness, joints_m, unpack(packed, about.storage, about.box_m))
-    check_avatar(avatar, str(file))
+    check_avatar(avatar, thing)
     return avatar
 
 
 class _Description:
     """The checked JSON description of a file; InputError names the field that is missing or wrong."""
 
-    def __init__(self, file: Path, text: str | None) -> None:
-        self._file = file
+    def __init__(self, thing: str, text: str | None) -> None:
+        self._thing = thing
         try:
             self._fields: Any = json.loads(text) if text is not None else None
         except (ValueError, RecursionError) as error:
@@ -126,7 +143,7 @@ class _Description:
         )
 
     def _wrong(self, name: str, wanted: str, came: object) -> InputError:
-        return InputError(f"{self._file}: {name}", wanted=wanted, came=repr(came)[:200], remedy=REMEDY)
+        return InputError(f"{self._thing}: {name}", wanted=wanted, came=repr(came)[:200], remedy=REMEDY)
 
     def _check_version(self) -> None:
         version = self._fields.get("format_version")
@@ -134,7 +151,7 @@ class _Description:
             raise self._wrong("format_version", "a number of 1 or more", version)
         if version > FORMAT_VERSION:
             raise InputError(
-                f"{self._file}: format version",
+                f"{self._thing}: format version",
                 wanted=f"at most {FORMAT_VERSION}, the newest this JGHand knows",
                 came=str(version),
                 remedy="The file was written by a newer JGHand: update JGHand.",
@@ -142,8 +159,8 @@ class _Description:
 
     def _text(self, name: str) -> str:
         value = self._fields.get(name)
-        if not isinstance(value, str):
-            raise self._wrong(name, "a text", value)
+        if not _is_text(value):
+            raise self._wrong(name, f"a text of one line, at most {AVATAR_TEXT_MAX} characters", value)
         return value
 
     def _one_of(self, name: str, choices: tuple[str, ...]) -> str:
@@ -178,9 +195,23 @@ class _Description:
         if not isinstance(value, dict):
             raise self._wrong("pose_statistics", "an object", value)
         for name, range_ in value.items():
-            if not (isinstance(range_, list) and len(range_) == 2 and all(map(_finite, range_))):
+            if not _is_text(name):
+                raise self._wrong("pose_statistics", f"names of at most {AVATAR_TEXT_MAX} characters", name)
+            if (
+                not (isinstance(range_, list) and len(range_) == 2 and all(map(_finite, range_)))
+                or range_[0] > range_[1]
+            ):
                 raise self._wrong(f"pose_statistics {name}", "minimum and maximum", range_)
         return {name: (float(low), float(high)) for name, (low, high) in value.items()}
+
+
+def _is_text(value: object) -> bool:
+    """Whether `value` is a text that can be shown in a line and encoded: no control characters, no surrogates."""
+    return (
+        isinstance(value, str)
+        and len(value) <= AVATAR_TEXT_MAX
+        and not any(unicodedata.category(letter) in ("Cc", "Cs", "Zl", "Zp") for letter in value)
+    )
 
 
 def _finite(value: object) -> bool:
@@ -188,28 +219,28 @@ def _finite(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300
 
 
-def _check_header_length(file: Path) -> None:
+def _check_header_length(file: Path, thing: str) -> None:
     """Refuses a header that is longer than any of ours or than the file, before anything is parsed or allocated."""
     try:
         size = file.stat().st_size
         with file.open("rb") as stream:
             start = stream.read(8)
     except OSError as error:
-        raise _unreadable(file, error) from error
+        raise _unreadable(thing, error) from error
     length = int.from_bytes(start, "little")
     if len(start) < 8 or 8 + length > size:
-        raise InputError(f"{file}", wanted="a whole .jghand file", came=f"only {size} bytes of it", remedy=REMEDY)
+        raise InputError(thing, wanted="a whole .jghand file", came=f"only {size} bytes of it", remedy=REMEDY)
     if length > AVATAR_HEADER_MAX_BYTES:
         limit = f"a header of at most {AVATAR_HEADER_MAX_BYTES} bytes"
-        raise InputError(f"{file}", wanted=limit, came=f"{length} bytes", remedy=REMEDY)
+        raise InputError(thing, wanted=limit, came=f"{length} bytes", remedy=REMEDY)
 
 
-def _unreadable(file: Path, error: OSError) -> InputError:
+def _unreadable(thing: str, error: OSError) -> InputError:
     reason = error.strerror or str(error)
-    return InputError(f"cannot read {file}: {reason}", remedy="Check the name and that you may read it.")
+    return InputError(f"cannot read {thing}: {reason}", remedy="Check the name and that you may read it.")
 
 
-def _read_arrays(file: Path, content: Any, about: _Description) -> dict[str, np.ndarray]:
+def _read_arrays(thing: str, content: Any, about: _Description) -> dict[str, np.ndarray]:
     """All arrays of a file; their names, types and shapes are checked before any is read."""
     wanted = {name: (dtype, (about.gaussians, *rest)) for name, (dtype, rest) in expected_arrays(about.storage).items()}
     wanted["canonical_joints_m"] = ("F64", (JOINT_COUNT, 3))
@@ -217,12 +248,12 @@ def _read_arrays(file: Path, content: Any, about: _Description) -> dict[str, np.
     if names != set(wanted):
         missing, unknown = sorted(set(wanted) - names), sorted(names - set(wanted))
         came = f"missing {missing}, unknown {unknown}"
-        raise InputError(f"{file}: arrays", wanted=", ".join(sorted(wanted)), came=came[:300], remedy=REMEDY)
+        raise InputError(f"{thing}: arrays", wanted=", ".join(sorted(wanted)), came=came[:300], remedy=REMEDY)
     for name, (dtype, shape) in wanted.items():
         part = content.get_slice(name)
         came = (part.get_dtype(), tuple(part.get_shape()))
         if came != (dtype, shape):
-            raise InputError(f"{file}: {name}", wanted=f"{dtype} {shape}", came=f"{came[0]} {came[1]}", remedy=REMEDY)
+            raise InputError(f"{thing}: {name}", wanted=f"{dtype} {shape}", came=f"{came[0]} {came[1]}", remedy=REMEDY)
     return {name: content.get_tensor(name) for name in wanted}
 
 

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+import numpy as np
 import torch
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.errors import InputError
-from jghand_engine.hand.joints import JOINT_COUNT, LEVEL_NAMES, PARENTS
+from jghand_engine.hand.joints import JOINT_COUNT
+from jghand_engine.hand.orders import check_hand_size, check_order
+from jghand_engine.hand.transform import JointTransform
 from jghand_engine.limits import (
     AVATAR_MAX_GAUSSIANS,
     AVATAR_REACH_M,
-    CANONICAL_BONE_MIN,
-    HAND_LENGTH_MAX_M,
-    HAND_LENGTH_MIN_M,
     SIGMA_MAX_M,
     SIGMA_MIN_M,
     WEIGHT_SUM_TOLERANCE,
@@ -24,7 +24,7 @@ REMEDY = "The avatar is damaged or was made by another program: export or downlo
 def check_avatar(avatar: HandAvatar, thing: str) -> None:
     """InputError naming `thing`, the array and the first offending Gaussian if the avatar cannot be rendered."""
     _check_shapes(avatar, thing)
-    _check_joints(avatar.canonical_joints_m, thing)
+    _check_joints(avatar, thing)
     for name in ("position_m", "sigma_m", "opacity", "rgb", "bone_weights", "uvd"):
         _refuse(thing, name, "finite values", ~torch.isfinite(getattr(avatar, name)), getattr(avatar, name))
     sigma_m = avatar.sigma_m
@@ -62,23 +62,19 @@ def _check_shapes(avatar: HandAvatar, thing: str) -> None:
             raise InputError(f"{thing}: {name}", wanted=f"shape {shape}", came=f"shape {came}", remedy=REMEDY)
 
 
-def _check_joints(joints_m: torch.Tensor, thing: str) -> None:
-    """A canonical hand: finite, of a hand's size, no bone without a direction (METHOD 2.4)."""
-    if not bool(torch.isfinite(joints_m).all()):
+def _check_joints(avatar: HandAvatar, thing: str) -> None:
+    """A canonical hand that joints can drive: the same checks as of any other hand, and the transform is built once."""
+    joints_m = avatar.canonical_joints_m.detach().cpu().to(torch.float64).numpy()
+    if not np.isfinite(joints_m).all():
         raise InputError(f"{thing}: canonical_joints_m", wanted="finite values", came="NaN or Inf", remedy=REMEDY)
-    length_m = float((joints_m[LEVEL_NAMES.index("middle4")] - joints_m[0]).norm())
-    if not HAND_LENGTH_MIN_M <= length_m <= HAND_LENGTH_MAX_M:
+    try:
+        check_hand_size(joints_m)
+        JointTransform(joints_m, swing=avatar.info.swing, scale_mode=avatar.info.scale_mode)
+        check_order(joints_m)
+    except InputError as error:
         raise InputError(
-            f"{thing}: canonical hand, wrist to middle tip",
-            wanted=f"{HAND_LENGTH_MIN_M} to {HAND_LENGTH_MAX_M} m",
-            came=f"{length_m:.4g} m",
-            remedy="Joints are in metres; convert them before the avatar is made.",
-        )
-    bones_m = (joints_m[1:] - joints_m[list(PARENTS[1:])]).norm(dim=-1)
-    shortest = int(bones_m.argmin())
-    if float(bones_m[shortest]) < CANONICAL_BONE_MIN * float(bones_m.mean()):
-        name = LEVEL_NAMES[shortest + 1]
-        raise InputError(f"{thing}: canonical bone {name}", wanted="a length", came="coincident joints", remedy=REMEDY)
+            f"{thing}: {error.thing}", wanted=error.wanted, came=error.came, remedy=error.remedy or REMEDY
+        ) from error
 
 
 def _refuse(thing: str, name: str, wanted: str, bad: torch.Tensor, values: torch.Tensor) -> None:

@@ -17,6 +17,7 @@ from jghand_engine.errors import InputError, RetryError
 from jghand_engine.hand.frames import Swing
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import JointTransform, scale_exponent
+from jghand_engine.limits import SIGMA_MIN_M
 
 
 def same(one: HandAvatar, other: HandAvatar) -> bool:
@@ -101,6 +102,55 @@ def test_an_avatar_that_cannot_be_rendered_is_not_written(tmp_path, name):
     with pytest.raises(InputError, match=f"{name}.*{wanted}.*Gaussian 17"):
         save_avatar(tmp_path / "bad.jghand", replace(small_avatar(), **{name: array}))
     assert list(tmp_path.iterdir()) == []
+
+
+NAN = float("nan")
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"swing": "maximal"}, "swing"),
+        ({"scale_mode": "alpha"}, "scale mode"),
+        ({"scale_mode": NAN}, "scale mode"),
+        ({"scale_mode": True}, "scale mode"),
+        ({"name": 7}, "name"),
+        ({"name": "x" * 501}, "name.*at most 500"),
+        ({"licence": "MIT\0"}, "licence"),
+        ({"template": "\ud800"}, "template"),
+        ({"pose_statistics": {"index mcp": (0.0, NAN)}}, "description.*finite"),
+        ({"pose_statistics": {"index mcp": (1.0, 0.0)}}, "pose_statistics index mcp"),
+        ({"pose_statistics": {"index mcp": (1.0,)}}, "pose_statistics index mcp"),
+        ({"pose_statistics": {"two\nlines": (0.0, 1.0)}}, "pose_statistics"),
+        ({"pose_statistics": {"a": (0.0, object())}}, "description.*texts"),
+        ({"pose_statistics": {f"angle {k}": (0.0, 1.0) for k in range(5000)}}, "header of at most"),
+    ],
+)
+def test_what_could_not_be_loaded_again_is_not_saved(tmp_path, change, named):
+    avatar = small_avatar()
+    with pytest.raises(InputError, match=rf"avatar for .*bad\.jghand.*{named}"):
+        save_avatar(tmp_path / "bad.jghand", replace(avatar, info=replace(avatar.info, **change)))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_radius_that_rounds_out_of_its_limits_is_not_saved(tmp_path):
+    """Half precision moves a radius at the end of what is allowed beyond what is read."""
+    avatar = small_avatar()
+    sigma_m = torch.full_like(avatar.sigma_m, SIGMA_MIN_M * (1 - 9.9e-4))
+    assert float(sigma_m.half().float()[0]) < SIGMA_MIN_M * (1 - 1e-3)
+    with pytest.raises(InputError, match=r"avatar for .*sigma_m"):
+        save_avatar(tmp_path / "bad.jghand", replace(avatar, sigma_m=sigma_m), storage=Storage.COMPACT)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_joints_in_single_precision_and_names_of_any_script_can_be_saved(tmp_path):
+    avatar = small_avatar()
+    info = replace(avatar.info, name="手 · la main d'Ève", licence="x" * 500)
+    avatar = replace(avatar, info=info, canonical_joints_m=avatar.canonical_joints_m.float())
+    save_avatar(tmp_path / "hand.jghand", avatar)
+    again = load_avatar(tmp_path / "hand.jghand")
+    assert again.info == info
+    assert torch.equal(again.canonical_joints_m, avatar.canonical_joints_m.double())
 
 
 def test_joints_in_millimetres_are_not_written(tmp_path):

@@ -19,6 +19,8 @@ from hypothesis import strategies as st
 from jghand_engine.avatar.builtin import ASSET
 from jghand_engine.avatar.file import METADATA_KEY, load_avatar
 from jghand_engine.errors import InputError
+from jghand_engine.hand.joints import LEVEL_NAMES, STANDARD_NAMES
+from jghand_engine.hand.transform import JointTransform
 
 WHOLE = Path(str(ASSET)).read_bytes()
 
@@ -95,7 +97,7 @@ def test_a_newer_version_says_to_update(tmp_path):
 
 FIELDS = {
     "format_version": [0, -1, "1", 1.5, True, None],
-    "name": [None, 3],
+    "name": [None, 3, "two\nlines", "\x1b[31mred", "\ud800", "x" * 501],
     "template": [None, []],
     "licence": [{}],
     "units": ["millimetres", None],
@@ -113,7 +115,7 @@ FIELDS = {
         [[0, 0, 0], [1, 1, "1"]],
         [[0, 0, 0], [1, 1, 1e308]],
     ],
-    "pose_statistics": [None, [], {"a": 1}, {"a": [1]}, {"a": [1, None]}],
+    "pose_statistics": [None, [], {"a": 1}, {"a": [1]}, {"a": [1, None]}, {"a": [2, 1]}, {"a\0": [1, 2]}],
 }
 
 
@@ -193,6 +195,30 @@ def test_coincident_joints_are_refused(tmp_path):
     arrays["canonical_joints_m"] = arrays["canonical_joints_m"].copy()
     arrays["canonical_joints_m"][6] = arrays["canonical_joints_m"][5]
     refused(written(tmp_path / "joints.jghand", arrays, about), "index2")
+
+
+def bent_sideways(joints_m: np.ndarray) -> np.ndarray:
+    """The small finger along its flexion axis, its bones as long as before; standard order."""
+    frames = JointTransform(joints_m[[STANDARD_NAMES.index(name) for name in LEVEL_NAMES]]).canonical
+    lengths_m = np.linalg.norm(np.diff(joints_m[17:], axis=0), axis=1)
+    along_m = np.concatenate([[0], np.cumsum(lengths_m)])[:, None]
+    return np.concatenate([joints_m[:17], joints_m[17] + along_m * frames.S[:, 1, 4, 0].numpy()])
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        # palm bones in a line, a finger bent sideways by 90 degrees, fingers in another order
+        (lambda joints: np.where(np.arange(21)[:, None] == 9, joints[5], joints), "palm bones"),
+        (lambda joints: bent_sideways(joints), "sideways"),
+        (lambda joints: joints[[0, *range(1, 5), *range(17, 21), *range(5, 17)]], "joints read in level order"),
+    ],
+)
+def test_a_canonical_hand_that_no_joints_can_drive_is_refused(tmp_path, change, named):
+    """Found when the file is read, not when the first frame is drawn."""
+    arrays, about = parts()
+    arrays["canonical_joints_m"] = change(arrays["canonical_joints_m"])
+    refused(written(tmp_path / "joints.jghand", arrays, about), named)
 
 
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
