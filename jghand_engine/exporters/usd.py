@@ -138,7 +138,9 @@ def export_usd(
             write_rig(temporary / names.rig, Rig(skeleton, template, colours), span)
         sigma_error = _write_splats(temporary / names.splats, motion, cloud, span, options, clock, progress)
         with clock("stage"):
-            about = describe(len(avatar), motion.handedness, avatar.info, options.sizes)
+            about = describe(
+                len(avatar), motion.handedness, avatar.info, sizes=options.sizes, radiance=options.radiance
+            )
             write_interface(temporary, names, avatar.info, about, span, Variant(options.default_variant))
             write_shot(temporary, names, named_cameras, span)
         sizes = {path.name: path.stat().st_size for path in sorted(temporary.iterdir())}

@@ -112,12 +112,17 @@ def write_shot(folder: Path, names: LayerNames, cameras: Mapping[str, Camera], t
     stage.Save()
 
 
-def describe(gaussians: int, handedness: Handedness, info: AvatarInfo, sizes: str) -> dict[str, object]:
-    """customData of the hand: what a client cannot see from the attributes."""
+IMAGE_STATES = {"srgb": "display-referred sRGB", "linear": "linear light"}
+
+
+def describe(
+    gaussians: int, handedness: Handedness, info: AvatarInfo, *, sizes: str, radiance: str
+) -> dict[str, object]:
+    """customData of the hand: what a client cannot see from the attributes. imageState is that of the radiance."""
     return {
         "gaussians": gaussians,
         "handedness": str(handedness),
-        "imageState": "display-referred sRGB",
+        "imageState": IMAGE_STATES[radiance],
         "licence": info.licence,
         # learnt pose offsets are in the per-frame positions; the skinned mesh shows plain skinning
         "offsets": "none",
