@@ -274,9 +274,8 @@ def test_linear_radiance_is_light_and_says_so(tmp_path):
     stage = opened(light, Variant.SPLATS)
     space = Usd.ColorSpaceAPI(stage.GetPrimAtPath("/Hand/Splats")).GetColorSpaceNameAttr().Get()
     assert space == "lin_rec709_scene"
-    states = [
-        Usd.Stage.Open(str(r.stage)).GetDefaultPrim().GetCustomDataByKey("jghand:imageState") for r in (srgb, light)
-    ]
+    before, after = Usd.Stage.Open(str(srgb.stage)), Usd.Stage.Open(str(light.stage))
+    states = [stage.GetDefaultPrim().GetCustomDataByKey("jghand:imageState") for stage in (before, after)]
     assert states == ["display-referred sRGB", "linear light"]
     assert check_usd(light.stage) == []
 
