@@ -21,7 +21,7 @@ from pathlib import Path
 
 import bpy
 
-from .bridge import armature, camera
+from .bridge import armature, camera, scene
 from .core import batch, limits
 from .core.client import EngineClient
 from .core.engine_command import engine_command
@@ -85,19 +85,19 @@ def _frames(text: str) -> list[int]:
 
 
 def _render(options: argparse.Namespace, report: batch.BatchReport, checkout: Path | None) -> None:
-    _open(options.file, options.allow_scripts)
-    scene = bpy.context.scene
-    cameras = _cameras(scene, options.camera)
-    frames = options.frames or list(range(scene.frame_start, scene.frame_end + 1, scene.frame_step))
+    opened = scene.open_file(options.file, allow_scripts=options.allow_scripts)
+    cameras = scene.chosen_cameras(opened, options.camera)
+    frames = options.frames or list(range(opened.frame_start, opened.frame_end + 1, opened.frame_step))
     report.total = len(frames) * len(cameras)
     command = engine_command(options.engine_python, checkout=checkout)
-    if not _make_evaluated(cameras):
+    hands = scene.make_evaluated(cameras)
+    if not hands:
         raise JGHandFailure("no_hand", str(options.file))
     with EngineClient.start(command) as engine:
         report.engine = {key: engine.handshake.get(key) for key in ("engine_version", "device")}
         _load(engine, _avatar_name(options.avatar))
         for frame in frames:
-            for line in _render_frame(engine, frame, cameras, options, report):
+            for line in _render_frame(engine, frame, cameras, hands, options, report):
                 print(line, flush=True)
 
 
@@ -105,6 +105,7 @@ def _render_frame(
     engine: EngineClient,
     frame: int,
     cameras: list[bpy.types.Object],
+    hands: list[bpy.types.Object],
     options: argparse.Namespace,
     report: batch.BatchReport,
 ) -> Iterator[str]:
@@ -116,12 +117,12 @@ def _render_frame(
             yield report.skipped(eye.name, frame, paths[eye.name])
     if not wanted:
         return
-    depsgraph = armature.at_frame(bpy.context.scene, frame)
-    hands = [armature.read_hand(hand, depsgraph) for hand in armature.hand_armatures(bpy.context.view_layer)]
-    hands = [replace(hand, avatar=_avatar_name(options.avatar)) for hand in hands]
+    depsgraph = scene.evaluated_at(bpy.context.scene, frame, (*hands, *cameras))
+    read = [armature.read_hand(hand, depsgraph) for hand in armature.hand_armatures(bpy.context.view_layer)]
+    drawn = [replace(hand, avatar=_avatar_name(options.avatar)) for hand in read]
     for eye in wanted:
         started = time.perf_counter()
-        content, details = _picture(engine, camera.pinhole(eye, depsgraph), hands, options.preset)
+        content, details = _picture(engine, camera.pinhole(eye, depsgraph), drawn, options.preset)
         batch.write_whole(paths[eye.name], content)
         yield report.rendered(eye.name, frame, paths[eye.name], 1e3 * (time.perf_counter() - started), details)
 
@@ -143,33 +144,3 @@ def _load(engine: EngineClient, avatar: str) -> None:
         if failure.kind == "bad_input":
             raise JGHandFailure("bad_avatar", failure.detail) from failure
         raise
-
-
-def _open(path: Path, allow_scripts: bool) -> None:
-    if not path.is_file():
-        raise JGHandFailure("bad_file", f"{path} does not exist")
-    try:
-        bpy.ops.wm.open_mainfile(filepath=str(path.resolve()), load_ui=False, use_scripts=allow_scripts)
-    except RuntimeError as error:
-        raise JGHandFailure("bad_file", f"{path}: {error}") from error
-
-
-def _cameras(scene: bpy.types.Scene, names: str | None) -> list[bpy.types.Object]:
-    if names is None:
-        if scene.camera is None:
-            raise JGHandFailure("not_a_camera", "the scene has no camera of its own; name one with --camera")
-        return [scene.camera]
-    known = [thing.name for thing in scene.objects if thing.type == "CAMERA"]
-    wanted = list(dict.fromkeys(names.split(",")))
-    unknown = [name for name in wanted if name not in known]
-    if unknown:
-        raise JGHandFailure("not_a_camera", f"{', '.join(unknown)}; the scene has {', '.join(known) or 'none'}")
-    return [scene.objects[name] for name in wanted]
-
-
-def _make_evaluated(cameras: list[bpy.types.Object]) -> list[bpy.types.Object]:
-    """The hands of the scene, made sure, as the cameras, to be evaluated (in memory; the file stays as it is)."""
-    hands = armature.hands_at_any_frame(bpy.context.view_layer)
-    for thing in (*hands, *cameras):
-        armature.show_to_evaluate(thing)
-    return hands

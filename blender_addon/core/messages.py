@@ -47,6 +47,12 @@ ADVICE = {
         "Enable it or its collection",
         BAD_INPUT,
     ),
+    "scripts_blocked": Advice(
+        "This file needs its Python scripts or drivers, and they are blocked",
+        "If you trust the file, run with --allow-scripts",
+        BAD_INPUT,
+    ),
+    "broken_driver": Advice("A driver does not work, so the pose would be wrong", "Repair or mute it", BAD_INPUT),
     "mirrored": Advice("Mirrored scale is not supported", "Use the other hand instead", BAD_INPUT),
     "zero_scale": Advice("A scale of zero is not supported", "Give the object a scale", BAD_INPUT),
     "bad_joints": Advice("These joints are not a hand's motion", "Check the file", BAD_INPUT),

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from blender_addon import cli
-from blender_addon.bridge import armature, camera
+from blender_addon.bridge import armature, camera, scene
 from blender_addon.core import posing
 from blender_addon.core.messages import JGHandFailure
 
@@ -214,6 +214,51 @@ def test_a_mirrored_hand_is_bad_input(engine, blend):
     assert files == []
 
 
+def driven(thing: bpy.types.ID, path: str, expression: str) -> None:
+    driver = thing.driver_add(path, 0).driver
+    driver.expression = expression
+
+
+def test_a_python_driver_that_is_blocked_ends_the_run_and_works_when_it_is_allowed(engine, blend):
+    driven(bpy.data.objects["right"], "location", "[0.1 for _ in (1,)][0]")
+    code, files, report = rendered(saved(blend.parent), "--frames", "1")
+    assert code == 2
+    assert report["failure"]["kind"] == "scripts_blocked"
+    assert "--allow-scripts" in report["failure"]["remedy"]
+    assert files == []
+    code, _, _ = rendered(saved(blend.parent), "--frames", "1", "--allow-scripts")
+    assert code == 0
+
+
+def test_a_driver_that_blender_blocks_only_when_the_hand_is_evaluated_ends_the_run_too(engine, blend, monkeypatch):
+    driven(bpy.data.objects["right"], "location", "[0.1 for _ in (1,)][0]")
+    saved(blend.parent)
+    monkeypatch.setattr(scene, "_check_scripts", lambda: None)
+    code, _, report = rendered(blend, "--frames", "1")
+    assert (code, report["failure"]["kind"]) == (2, "broken_driver")
+
+
+@pytest.mark.parametrize(("name", "part"), [("right", "object"), ("CamPalm", "object"), ("CamPalm", "data")])
+def test_a_driver_that_fails_on_a_hand_or_a_camera_ends_the_run(engine, blend, name, part):
+    thing = bpy.data.objects[name]
+    expression = "nonsense(3)"
+    if part == "data":
+        thing.data.driver_add("lens").driver.expression = expression
+    else:
+        driven(thing, "location", expression)
+    code, files, report = rendered(saved(blend.parent), "--frames", "1", "--allow-scripts")
+    assert code == 2
+    assert report["failure"]["kind"] == "broken_driver"
+    assert expression in report["failure"]["detail"]
+    assert files == []
+
+
+def test_a_driver_that_needs_no_python_is_rendered(engine, blend):
+    driven(bpy.data.objects["right"], "location", "frame * 0.01")
+    code, _, _ = rendered(saved(blend.parent), "--frames", "1")
+    assert code == 0
+
+
 def test_an_avatar_that_is_not_there_is_bad_input(engine, blend):
     code, _, report = rendered(blend, "--avatar", blend.parent / "nothing.jghand")
     assert code == 2
@@ -268,12 +313,12 @@ def test_the_demo_scene_is_built_from_a_motion_file(context, tmp_path):
     done = script("build_demo_scene.py", "--motion", motion_file(tmp_path, "left"), "--out", tmp_path / "hand.blend")
     assert done.returncode == 0, done.stderr
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "hand.blend"))
-    scene = bpy.context.scene
-    assert {thing.name for thing in scene.objects if thing.type == "CAMERA"} == {"CamPalm", "CamSide"}
-    assert (scene.frame_start, scene.frame_end, scene.render.fps) == (1, 3, 24)
-    assert camera.picture_size(scene.render) == (512, 334)
+    built = bpy.context.scene
+    assert {thing.name for thing in built.objects if thing.type == "CAMERA"} == {"CamPalm", "CamSide"}
+    assert (built.frame_start, built.frame_end, built.render.fps) == (1, 3, 24)
+    assert camera.picture_size(built.render) == (512, 334)
     (hand,) = armature.hand_armatures(bpy.context.view_layer)
-    seen = armature.read_hand(hand, armature.at_frame(scene, 3))
+    seen = armature.read_hand(hand, armature.at_frame(built, 3))
     np.testing.assert_allclose(seen.joints_world_m, hands.moving_hand_m("left", frames=3)[2], atol=2e-7)
 
 

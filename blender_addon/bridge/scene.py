@@ -1,0 +1,72 @@
+"""The opened file: its cameras and hands, made sure to be evaluated, and whether Blender evaluated them truly."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import bpy
+
+from ..core.messages import JGHandFailure
+from . import armature
+
+
+def open_file(path: Path, *, allow_scripts: bool) -> bpy.types.Scene:
+    """Opens a .blend file; returns its scene. Raises JGHandFailure: bad_file, scripts_blocked."""
+    if not path.is_file():
+        raise JGHandFailure("bad_file", f"{path} does not exist")
+    try:
+        bpy.ops.wm.open_mainfile(filepath=str(path.resolve()), load_ui=False, use_scripts=allow_scripts)
+    except RuntimeError as error:
+        raise JGHandFailure("bad_file", f"{path}: {error}") from error
+    _check_scripts()
+    return bpy.context.scene
+
+
+def chosen_cameras(scene: bpy.types.Scene, names: str | None) -> list[bpy.types.Object]:
+    """The cameras of these names, without names the scene's own. Raises JGHandFailure (not_a_camera)."""
+    if names is None:
+        if scene.camera is None:
+            raise JGHandFailure("not_a_camera", "the scene has no camera of its own; name one with --camera")
+        return [scene.camera]
+    known = [thing.name for thing in scene.objects if thing.type == "CAMERA"]
+    wanted = list(dict.fromkeys(names.split(",")))
+    unknown = [name for name in wanted if name not in known]
+    if unknown:
+        raise JGHandFailure("not_a_camera", f"{', '.join(unknown)}; the scene has {', '.join(known) or 'none'}")
+    return [scene.objects[name] for name in wanted]
+
+
+def make_evaluated(cameras: list[bpy.types.Object]) -> list[bpy.types.Object]:
+    """The hands of the scene, made sure, as the cameras, to be evaluated (in memory; the file stays as it is)."""
+    hands = armature.hands_at_any_frame(bpy.context.view_layer)
+    for thing in (*hands, *cameras):
+        armature.show_to_evaluate(thing)
+    return hands
+
+
+def evaluated_at(scene: bpy.types.Scene, frame: float, things: Iterable[bpy.types.Object]) -> bpy.types.Depsgraph:
+    """What Blender evaluated at a frame, when it evaluated `things` truly.
+
+    A driver that Blender may not or cannot run leaves its channel as it was, with no more than a line in the log.
+    Raises JGHandFailure: scripts_blocked, broken_driver.
+    """
+    depsgraph = armature.at_frame(scene, frame)
+    _check_scripts()
+    broken = [description for thing in things for description in _broken_drivers(thing)]
+    if broken:
+        raise JGHandFailure("broken_driver", f"frame {frame:g}: {'; '.join(broken)}")
+    return depsgraph
+
+
+def _check_scripts() -> None:
+    if bpy.app.autoexec_fail:
+        raise JGHandFailure("scripts_blocked", bpy.app.autoexec_fail_message)
+
+
+def _broken_drivers(thing: bpy.types.Object) -> Iterator[str]:
+    """The drivers of an object and of its data that are switched on and do not work."""
+    for owner in (thing, thing.data):
+        for curve in owner.animation_data.drivers if owner.animation_data else ():
+            if not (curve.mute or curve.driver.is_valid):
+                yield f"{thing.name}: {curve.data_path} = {curve.driver.expression}"
