@@ -113,6 +113,8 @@ UVD_RANGE_M = 0.010
 PICKLE_BYTES_MAX = 64 * 2**20
 PICKLE_OPERATIONS_MAX = 1_000_000
 PICKLE_ELEMENTS_MAX = 20_000_000
+# rows of MANO's skin weights sum to 1 within rounding; further off they are no such weights
+MANO_WEIGHT_SUM_TOLERANCE = 1e-3
 OBJ_BYTES_MAX = 64 * 2**20
 # one array of a template file, unpacked
 NPZ_MEMBER_BYTES_MAX = 64 * 2**20

@@ -16,7 +16,7 @@ from jghand_engine.errors import InputError
 from jghand_engine.files import writing
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, to_level
-from jghand_engine.limits import PICKLE_BYTES_MAX
+from jghand_engine.limits import MANO_WEIGHT_SUM_TOLERANCE, PICKLE_BYTES_MAX
 from jghand_engine.template.archives import read_arrays
 from jghand_engine.template.checks import check_template, expect_shape
 from jghand_engine.template.layout import obj_uv, projected_uv, room_for_disk
@@ -82,25 +82,26 @@ def load_mano(
     """
     handedness, tips, pose = Handedness(handedness), TipVertices(tips), ManoPose(pose)
     fields = read_mano(path)
+    # what is left of rounding in a row would shrink the posed skin
+    fields["weights"] = fields["weights"] / fields["weights"].sum(axis=1, keepdims=True)
     faces, mirror = fields["f"], np.ones(3)
     if handedness is Handedness.LEFT:
         faces, mirror = faces[:, ::-1], np.array([-1.0, 1.0, 1.0])
-    flat, flat_joints = _posed(fields, np.zeros((JOINTS, 3)))
-    hand, joints = (flat, flat_joints) if pose is ManoPose.FLAT else _posed(fields, mean_pose(fields))
     tip_vertices = list(TIP_VERTICES[tips, handedness])
-    to_canonical = [
-        _canonical(np.concatenate([centres, points[tip_vertices]]) * mirror)
-        for centres, points in ((flat_joints, flat), (joints, hand))
-    ]
-    flat_m, _ = _move(flat * mirror, to_canonical[0])
-    vertices_m, joints_m = _move(hand * mirror, to_canonical[1])
-    _check_side(joints_m, pose, path)
+    posed = {}
+    for which, rotation in ((ManoPose.FLAT, np.zeros((JOINTS, 3))), (ManoPose.MEAN, mean_pose(fields))):
+        points, centres = _posed(fields, rotation)
+        frame = _canonical(np.concatenate([centres, points[tip_vertices]]) * mirror)
+        posed[which] = _move(points * mirror, frame)
+    _check_side(posed[ManoPose.MEAN][1], path)
+    flat_m, _ = posed[ManoPose.FLAT]
+    vertices_m, joints_m = posed[pose]
 
     skin_uv = projected_uv(flat_m, faces) if uv_path is None else obj_uv(uv_path, faces)
     loop = boundary_loop(faces)
     cap_uv = disk_uv(len(loop), *room_for_disk(skin_uv))
     weights = np.concatenate([fields["weights"], np.zeros((VERTICES, 5))], axis=1)
-    weights = np.concatenate([weights / weights.sum(axis=1, keepdims=True), np.eye(JOINTS + 5)[:1]])
+    weights = np.concatenate([weights, np.eye(JOINTS + 5)[:1]])
     vertices_m = np.concatenate([vertices_m, vertices_m[loop].mean(axis=0, keepdims=True)])
     return check_template(
         HandTemplate(
@@ -138,8 +139,11 @@ def read_mano(path: Path | str) -> dict[str, np.ndarray]:
         raise InputError(f"{thing}, f", wanted=f"vertex numbers 0..{VERTICES - 1}", came="others")
     if tuple(fields["kintree_table"][0, 1:]) != PARENTS[1:]:
         raise InputError(f"{thing}, kintree_table", wanted="MANO's tree of joints", came="another")
-    if fields["weights"].min() < 0 or fields["weights"].sum(axis=1).min() <= 0:
+    if fields["weights"].min() < 0:
         raise InputError(f"{thing}, weights", wanted="weights of at least 0", came="others")
+    off = np.abs(fields["weights"].sum(axis=1) - 1).max()
+    if off > MANO_WEIGHT_SUM_TOLERANCE:
+        raise InputError(f"{thing}, weights", wanted="rows that sum to 1", came=f"a row that is off by {off:.2g}")
     return fields
 
 
@@ -198,9 +202,10 @@ def _move(points: np.ndarray, frame: tuple[np.ndarray, np.ndarray]) -> tuple[np.
     return (points - joints[0]) @ axes.T, (joints - joints[0]) @ axes.T
 
 
-def _check_side(joints_m: np.ndarray, pose: ManoPose, path: Path | str) -> None:
-    """In the mean pose the fingers bend towards the palm: that tells a left hand from a right one."""
-    if pose is ManoPose.MEAN and (joints_m[17:21, 2] - joints_m[2:6, 2]).mean() < 0:
+def _check_side(joints_m: np.ndarray, path: Path | str) -> None:
+    """In the mean pose the fingers bend towards the palm: that tells a left hand from a right one. A flat hand does
+    not, so it is the mean pose's joints that are looked at, whichever pose is wanted."""
+    if (joints_m[17:21, 2] - joints_m[2:6, 2]).mean() < 0:
         raise InputError(
             f"MANO file {path}",
             wanted="fingers that bend towards the palm",
