@@ -93,7 +93,10 @@ class SceneRenderer:
         canvas = self._canvas(posed, camera, report)
         if not moved:
             report.skipped(SKIN, "same transforms", f"{1e3 * limits.REUSE_JOINTS_M:g} mm of position")
+        # a picture that fails half way may leave the painter with half of these Gaussians: then the next one poses anew
+        self._posed = None
         rgba, depth_m = self._painter.paint(posed.poses if moved else None, canvas, report)
+        self._posed = posed
         if depth_m is None:
             report.skipped("depth", "not requested", "")
             depth_m = np.zeros(rgba.shape[:2], np.float32)
@@ -121,10 +124,10 @@ class SceneRenderer:
         bones = [transform.bones(joints) for transform, joints in zip(self._transforms, hands, strict=True)]
         poses = [Pose(one, one.root_m - origin_m) for one in bones]
         notes = [sentence for one in bones for sentence in describe_flags(one.flags)]
-        self._posed = _Posed([joints.copy() for joints in hands], poses, notes)
+        posed = _Posed([joints.copy() for joints in hands], poses, notes)
         report.ran(TRANSFORM, 1e3 * (time.perf_counter() - started))
         report.notes += notes
-        return self._posed, True
+        return posed, True
 
     def _canvas(self, posed: _Posed, camera: Camera, report: FrameReport) -> Canvas:
         # the origin of what was posed, also when the hand has moved by less than the limit since
@@ -176,7 +179,7 @@ class HandRenderer:
 
 @dataclass(frozen=True)
 class _Posed:
-    """The hands for which Gaussians were last posed: joints (21, 3) each, transforms, notes for the report."""
+    """The hands of the last finished picture: joints (21, 3) each, transforms, notes for the report."""
 
     hands: list[np.ndarray]
     poses: list[Pose]

@@ -16,6 +16,7 @@ from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import JointTransform
 from jghand_engine.native import library as native_library
+from jghand_engine.splat import painter_native
 from jghand_engine.splat.camera import Camera
 from jghand_engine.splat.frame import Frame, HandRenderer, SceneRenderer
 from jghand_engine.splat.reference import rasterise_reference
@@ -304,6 +305,37 @@ def test_renderer_works_on_after_a_refused_pose(backend: str):
     first = renderer.render(CANONICAL_M, camera())
     with pytest.raises(InputError):
         renderer.render(np.full((21, 3), np.inf), camera())
+    assert np.array_equal(renderer.render(CANONICAL_M, camera()).rgba, first.rgba)
+
+
+def test_renderer_works_on_after_a_refused_camera(backend: str):
+    settings = replace(ALWAYS, gaussians=500, backend=backend)
+    renderer = HandRenderer(RIGHT, settings)
+    view, too_large = camera(60, 50), camera(limits.PICTURE_MAX_PX + 1, 1)
+    first = renderer.render(CANONICAL_M, view)
+    fist = named_pose("fist", CANONICAL_M)
+    with pytest.raises(InputError, match="picture size"):
+        renderer.render(fist, too_large)
+    # the refused picture's pose is posed now, not taken for the one that was drawn ...
+    assert np.array_equal(renderer.render(fist, view).rgba, HandRenderer(RIGHT, settings).render(fist, view).rgba)
+    with pytest.raises(InputError, match="picture size"):
+        renderer.render(fist, too_large)
+    # ... and neither is the one before
+    assert np.array_equal(renderer.render(CANONICAL_M, view).rgba, first.rgba)
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, MemoryError])
+def test_renderer_works_on_after_a_picture_that_failed_half_way(backend: str, error: type[BaseException], monkeypatch):
+    settings = replace(ALWAYS, gaussians=500, backend=backend)
+    renderer = HandRenderer(RIGHT, settings)
+    first, fist = renderer.render(CANONICAL_M, camera()), named_pose("fist", CANONICAL_M)
+    with monkeypatch.context() as patch, pytest.raises(error):
+
+        def fail(self, *_arguments) -> None:
+            raise error
+
+        patch.setattr(painter_native._Work, "tell", fail)  # after skin, raster and shade
+        renderer.render(fist, camera())
     assert np.array_equal(renderer.render(CANONICAL_M, camera()).rgba, first.rgba)
 
 
