@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import signal
 import threading
+import time
 
 import pytest
 
@@ -48,6 +50,63 @@ def test_an_error_in_any_thread_is_raised_and_the_pool_lives_on(pool):
         with pytest.raises(ValueError, match="in the last thread"):
             pool.run(fail)
     assert pool.map(lambda i: i, 3) == [0, 1, 2]
+
+
+def interrupted_after(seconds: float) -> threading.Timer:
+    """A running timer that sends Ctrl-C to the main thread."""
+    main = threading.main_thread().ident
+    assert main is not None
+    timer = threading.Timer(seconds, signal.pthread_kill, (main, signal.SIGINT))
+    timer.start()
+    return timer
+
+
+needs_signals = pytest.mark.skipif(not hasattr(signal, "pthread_kill"), reason="no signals to a thread here")
+
+
+@needs_signals
+@pytest.mark.parametrize("caller_s", [0.0, 0.3], ids=["while it waits", "while it works"])
+def test_ctrl_c_comes_through_only_when_all_threads_are_done(caller_s):
+    pool, done = WorkerPool(3), []
+
+    def work(index: int) -> None:
+        time.sleep(0.4 if index else caller_s)
+        done.append(index)
+
+    timers = [interrupted_after(seconds) for seconds in (0.1, 0.2)]  # also an impatient second one
+    with pytest.raises(KeyboardInterrupt):
+        pool.run(work)
+    assert {1, 2} <= set(done)
+    for timer in timers:
+        timer.join()
+    assert pool.map(lambda i: i, 10) == list(range(10))
+    pool.close()
+
+
+@pytest.mark.parametrize("told", [False, True], ids=["before the worker was told", "after it"])
+def test_ctrl_c_between_the_starts_of_two_threads_leaves_none_behind(monkeypatch, told):
+    pool, done, struck = WorkerPool(4), [], []
+    start = threads._Worker.start
+
+    def interrupted_start(worker, call) -> None:
+        strikes = worker is pool._workers[1] and not struck
+        if told or not strikes:
+            start(worker, call)
+        if strikes:
+            struck.append(True)
+            raise KeyboardInterrupt
+
+    def work(index: int) -> None:
+        time.sleep(0.05)
+        done.append(index)
+
+    monkeypatch.setattr(threads._Worker, "start", interrupted_start)
+    with pytest.raises(KeyboardInterrupt):
+        pool.run(work)
+    assert sorted(done) == [0, 1, 2, 3]  # each once
+    pool.run(work)
+    assert sorted(done) == [0, 0, 1, 1, 2, 2, 3, 3]
+    pool.close()
 
 
 def test_calls_from_several_threads_wait_for_each_other(pool):
