@@ -7,7 +7,8 @@ JGHAND_ENGINE_PYTHON, .envs/engine of this checkout, or `jghand` on the PATH). W
 straight alpha; pictures that are there already are skipped. Every armature of the file that is a JGHand hand and not
 disabled in renders is drawn, several hands in one picture.
 
-Exit codes: 0 done, 2 bad input, 3 try again, 4 out of memory.
+Exit codes: 0 done, 1 a mistake in JGHand, 2 bad input, 3 try again, 4 out of memory, 130 interrupted. The report is
+written whatever the end.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
+import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -28,8 +30,6 @@ from .core.engine_command import engine_command
 from .core.messages import JGHandFailure
 from .core.view import BUILTIN_AVATAR, HandInSpace, Pinhole, picture_request
 
-INTERRUPTED = 130
-
 
 def main(arguments: list[str] | None = None, *, checkout: Path | None = None) -> int:
     """Renders what the command line asks for; returns the exit code.
@@ -38,24 +38,28 @@ def main(arguments: list[str] | None = None, *, checkout: Path | None = None) ->
     """
     options = _parser().parse_args(arguments)
     report = batch.BatchReport(str(options.file), options.preset, total=0)
-    try:
-        code = _guarded(report, lambda: _render(options, report, checkout))
-    except KeyboardInterrupt:
-        code = INTERRUPTED
+    code = _guarded(report, lambda: _render(options, report, checkout))
     if options.report is not None:
         code = _guarded(report, lambda: batch.write_whole(options.report, report.as_json())) or code
     return code
 
 
 def _guarded(report: batch.BatchReport, step: Callable[[], None]) -> int:
-    """Does one step of a run; a failure is noted, told, and turned into its exit code."""
+    """Does one step of a run; whatever ends it is noted, told, and turned into its exit code."""
     try:
         step()
-    except JGHandFailure as failure:
-        report.failed(failure)
-        print(f"render_blend: {failure}", file=sys.stderr)
-        return failure.advice.exit_code
-    return 0
+    except JGHandFailure as error:
+        failure = error
+    except KeyboardInterrupt:
+        failure = JGHandFailure("interrupted")
+    except Exception as error:  # a mistake of ours: the report must not look like that of a run that went well
+        traceback.print_exc()
+        failure = JGHandFailure("internal", f"{type(error).__name__}: {error}")
+    else:
+        return 0
+    report.failed(failure)
+    print(f"render_blend: {failure}", file=sys.stderr)
+    return failure.advice.exit_code
 
 
 def _parser() -> argparse.ArgumentParser:

@@ -99,13 +99,17 @@ class EngineClient:
     ) -> protocol.Message:
         """Sends a request and waits for its reply.
 
-        Raises JGHandFailure: of the engine's own kind when it answers with an error (it lives on), else crashed,
-        killed, hung or protocol (it is ended).
+        Raises JGHandFailure: bad_input for what cannot be sent, the engine's own kind when it answers with an error
+        (it lives on in both cases), else crashed, killed, hung or protocol (it is ended).
         """
         if self._connection is None:
             raise JGHandFailure("crashed", "the engine is not running")
         connection = self._connection
         identity, self._next_id = self._next_id, self._next_id + 1
+        try:
+            protocol.encode({**header, "id": identity}, arrays)
+        except protocol.ProtocolError as error:
+            raise JGHandFailure("bad_input", str(error)) from error
         deadline = time.monotonic() + timeout_s
         self._last_heard = time.monotonic()  # heart-beats from before are still unread
         try:

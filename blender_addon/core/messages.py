@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-# exit codes of a batch run, the same as the engine's
-BAD_INPUT, TRY_AGAIN, OUT_OF_MEMORY = 2, 3, 4
+# exit codes of a batch run: 2 to 4 are the engine's own, 1 is what Python gives a mistake in a program, 130 what a
+# shell gives a command that was interrupted
+MISTAKE, BAD_INPUT, TRY_AGAIN, OUT_OF_MEMORY, INTERRUPTED = 1, 2, 3, 4, 130
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,8 @@ ADVICE = {
     "bad_avatar": Advice("This file is not a JGHand avatar", "Choose another file", BAD_INPUT),
     "bad_input": Advice("The engine cannot use what it was given", "Correct it and try again", BAD_INPUT),
     "retry": Advice("The engine could not do it now", "Try again", TRY_AGAIN),
-    "internal": Advice("The engine made a mistake", "Look at the log and report it", TRY_AGAIN),
+    "internal": Advice("JGHand made a mistake", "Look at the log and report it", MISTAKE),
+    "interrupted": Advice("The run was interrupted", "Start it again to go on where it stopped", INTERRUPTED),
     # what this side refuses
     "not_a_hand": Advice("This armature is not a JGHand hand", "Add a hand, or map its bones first", BAD_INPUT),
     "no_hand": Advice("There is no hand in this scene", "Add a hand first", BAD_INPUT),

@@ -89,11 +89,14 @@ class Message:
 
 
 def encode(header: Mapping[str, Any], arrays: Mapping[str, Array] | None = None) -> list[bytes | memoryview]:
-    """The pieces of a message, to be sent one after the other; ProtocolError when it exceeds a limit."""
+    """The pieces of a message, to be sent one after the other; ProtocolError when it exceeds a limit or is no JSON."""
     _refuse_big_endian()
     arrays = arrays or {}
     entries = [{"name": name, "dtype": a.dtype, "shape": list(a.shape)} for name, a in arrays.items()]
-    text = json.dumps({**header, "arrays": entries}, separators=(",", ":"), allow_nan=False).encode()
+    try:
+        text = json.dumps({**header, "arrays": entries}, separators=(",", ":"), allow_nan=False).encode()
+    except (TypeError, ValueError) as error:  # NaN, infinity, a number of numpy's
+        raise ProtocolError(f"the header cannot be sent as JSON: {error}") from error
     if len(text) > HEADER_MAX_BYTES:
         raise ProtocolError(f"the header has {len(text)} bytes; {HEADER_MAX_BYTES} are allowed")
     sizes = [size for _, _, _, size in _array_entries(entries)]

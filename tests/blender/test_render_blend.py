@@ -4,6 +4,8 @@ way as a user goes it."""
 from __future__ import annotations
 
 import json
+import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -159,7 +161,7 @@ def test_a_scene_whose_hands_are_never_rendered_is_bad_input_and_no_run_of_empty
         ("die", 3, "crashed"),
         ("killed", 4, "killed"),
         ("memory", 4, "out_of_memory"),
-        ("bug", 3, "internal"),
+        ("bug", 1, "internal"),
         ("die_at_start", 3, "crashed"),
         ("wrong_version", 2, "protocol"),
     ],
@@ -180,6 +182,39 @@ def test_pictures_made_before_a_failure_are_kept(engine, blend):
     assert code == 3
     assert files == ["CamPalm/0001.png"]
     assert report["skipped"] == 1
+
+
+def test_a_mistake_of_our_own_is_told_with_its_trace_and_in_the_report(engine, blend, monkeypatch, capsys):
+    def mistake(*_):
+        raise ZeroDivisionError("ours")
+
+    monkeypatch.setattr(camera, "pinhole", mistake)
+    code, _, report = rendered(blend, "--frames", "1")
+    assert code == 1
+    assert report["failure"]["kind"] == "internal"
+    assert "ZeroDivisionError: ours" in report["failure"]["detail"]
+    assert "Traceback" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows cannot send Ctrl-C to one process")
+def test_a_run_that_is_interrupted_says_so_in_its_exit_code_and_its_report(blend, stand_in_command):
+    code = (
+        "import sys; sys.path.insert(0, sys.argv[1]); from blender_addon import cli\n"
+        "cli.engine_command = lambda *_, **__: sys.argv[3:]\n"
+        "print('starts', flush=True); sys.exit(cli.main(sys.argv[2].split('|')))"
+    )
+    report = blend.parent / "report.json"
+    options = [str(blend), "--out", str(blend.parent / "out"), "--report", str(report)]
+    command = [sys.executable, "-c", code, str(ROOT), "|".join(options), *stand_in_command, "slow"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    with process.stdout:
+        while not process.stdout.readline().startswith("frame 1 "):
+            pass
+        process.send_signal(signal.SIGINT)
+        assert process.wait(20) == 130
+    content = json.loads(report.read_text())
+    assert content["failure"]["kind"] == "interrupted"
+    assert (content["wanted"], content["rendered"]) == (4, 1)
 
 
 def test_a_file_that_is_not_there_or_no_blend_file_is_bad_input(engine, tmp_path):

@@ -188,6 +188,12 @@ def test_a_header_too_long_is_refused_by_the_sender():
         protocol.encode({"text": "x" * protocol.HEADER_MAX_BYTES})
 
 
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), np.float32(1), {1}], ids=repr)
+def test_a_header_that_is_no_json_is_refused_by_the_sender(value):
+    with pytest.raises(ProtocolError, match="JSON"):
+        protocol.encode({"fx": value})
+
+
 def test_the_token_decides_and_the_version_is_told(pair):
     token = bytes(range(32))
     deadline = time.monotonic() + 5
