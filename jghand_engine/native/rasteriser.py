@@ -103,7 +103,8 @@ class NativeRasteriser:
         self._job.team = self._team.ctypes.data
         self._job.z_near, self._job.alpha_max = limits.Z_NEAR_M, limits.ALPHA_MAX
         self._arrays: dict[str, np.ndarray] = {}
-        self._inputs: GaussianArrays | None = None  # the kernel reads them again in backward
+        self._prepared: GaussianArrays | None = None  # what is being drawn
+        self._inputs: GaussianArrays | None = None  # what was drawn: the kernel reads them again in backward
         self._planes: np.ndarray | None = None
 
     @property
@@ -149,6 +150,7 @@ class NativeRasteriser:
     ) -> np.ndarray:
         """The first half of `forward`, for who shares one call of a pool with other work: then every thread calls
         `run`, and `finished` says whether the planes (returned here) are drawn or all has to be done again."""
+        self._inputs = None  # no backward pass of a picture that fails half way
         self._set_inputs(gaussians)
         self._set_view(view)
         self._job.log2_alpha_min, self._job.t_stop = self._cut(alpha_min), t_stop
@@ -175,6 +177,7 @@ class NativeRasteriser:
                 wanted=f"at most {limits.MAX_PAIRS} pairs of Gaussian and tile",
                 remedy="Use a smaller picture, fewer or smaller Gaussians.",
             )
+        self._inputs = self._prepared
         return True
 
     def backward(self, plane_gradients: np.ndarray) -> Gradients:
@@ -205,7 +208,7 @@ class NativeRasteriser:
         job.sigma = address(gaussians.sigma_m, np.float32, "sigma_m", (n,))
         job.opacity = address(gaussians.opacity, np.float32, "opacity", (n,))
         job.rgb = address(gaussians.rgb, np.float32, "rgb", (n, 3))
-        self._inputs = gaussians
+        self._prepared = gaussians
 
     def _set_view(self, view: View) -> None:
         largest = limits.PICTURE_MAX_PX
@@ -251,8 +254,10 @@ class NativeRasteriser:
 
     def _reserve_list(self, pairs: int) -> None:
         """Room for `pairs` entries and a quarter more, so that a moving hand does not ask again every frame."""
-        self._job.list_capacity = min(pairs + pairs // 4 + 1024, limits.MAX_PAIRS)
-        self._job.tile_list = self._array("tile_list", (self._job.list_capacity,), np.int32).ctypes.data
+        self._job.list_capacity = 0  # should there be no memory: the old list is gone
+        capacity = min(pairs + pairs // 4 + 1024, limits.MAX_PAIRS)
+        self._job.tile_list = self._array("tile_list", (capacity,), np.int32).ctypes.data
+        self._job.list_capacity = capacity
 
     def _array(self, name: str, shape: tuple[int, ...], dtype: type) -> np.ndarray:
         """This object's memory of that name, made anew when the shape changes."""

@@ -112,7 +112,41 @@ def test_more_pairs_than_the_lists_can_index_is_a_memory_error():
         patch.setattr(module, "address", lambda array, *rest: address(array, *rest) if array is not planes else 0)
         with pytest.raises(MemoryLimitError, match="too many tiles"):
             one.forward(arrays, view, planes=planes)
-    assert one.pairs < 2**31
+    with pytest.raises(InputError, match="forward"):
+        one.backward(np.zeros((5, 8, 8), np.float32))
+
+
+def test_a_picture_that_was_refused_has_no_backward_pass():
+    arrays, view = hand_arrays(50), view_for(20, 12)
+    one, gradient = rasteriser(), np.ones((5, 12, 20), np.float32)
+    one.forward(arrays, view)
+    want = one.backward(gradient)
+    with pytest.raises(InputError, match="picture size"):
+        one.forward(hand_arrays(90), view_for(limits.PICTURE_MAX_PX + 1, 1))
+    with pytest.raises(InputError, match="forward"):
+        one.backward(gradient)
+    one.forward(arrays, view)
+    assert np.array_equal(one.backward(gradient).position_m, want.position_m)
+
+
+def test_a_list_for_which_there_was_no_memory_is_made_later(monkeypatch):
+    small, large, view = hand_arrays(10), hand_arrays(3000), view_for(256, 160)
+    one = rasteriser()
+    one.forward(small, view)
+
+    def scarce(shape, dtype=np.float32):
+        if np.prod(shape) > 4000 and dtype is np.int32:
+            raise MemoryError
+        return aligned_zeros(shape, dtype)
+
+    with monkeypatch.context() as patch, pytest.raises(MemoryLimitError, match="tile_list"):
+        patch.setattr(module, "aligned_zeros", scarce)
+        one.forward(large, view)
+    with pytest.raises(InputError, match="forward"):
+        one.backward(np.zeros((5, 160, 256), np.float32))
+    # small enough for the list that is gone
+    assert np.array_equal(one.forward(small, view), rasteriser().forward(small, view))
+    assert np.array_equal(one.forward(large, view), rasteriser().forward(large, view))
 
 
 def test_aligned_memory_starts_on_a_cache_line():
