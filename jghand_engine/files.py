@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import tempfile
+import secrets
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -44,16 +44,16 @@ def writing(path: Path | str) -> Iterator[Path]:
     """
     target = Path(path)
     make_folder(target.parent)
+    temporary = target.with_name(f".{target.stem}.{secrets.token_hex(6)}{target.suffix}")
     try:
-        handle, name = tempfile.mkstemp(prefix=f".{target.stem}.", suffix=target.suffix, dir=target.parent)
-        os.close(handle)
+        # made here and now, so that a folder without room or rights is told before the work; with the rights of any new
+        # file, which tempfile's private ones are not
+        os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
     except OSError as error:
         raise file_error(target, error) from error
-    temporary = Path(name)
     try:
         yield temporary
         sync(temporary)
-        os.chmod(temporary, 0o666 & ~_umask())
         os.replace(temporary, target)
     except OSError as error:
         raise file_error(target, error) from error
@@ -67,10 +67,3 @@ def sync(path: Path) -> None:
     # opened for writing: Windows refuses to sync what is only read
     with open(path, "rb+") as stream:
         os.fsync(stream.fileno())
-
-
-def _umask() -> int:
-    """The process's umask: mkstemp makes private files, the finished file should have the usual rights."""
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
