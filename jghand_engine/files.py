@@ -44,7 +44,7 @@ def writing(path: Path | str) -> Iterator[Path]:
     """
     target = Path(path)
     make_folder(target.parent)
-    temporary = target.with_name(f".{target.stem}.{secrets.token_hex(6)}{target.suffix}")
+    temporary = target.parent / f".{target.stem}.{secrets.token_hex(6)}{target.suffix}"
     try:
         # made here and now, so that a folder without room or rights is told before the work; with the rights of any new
         # file, which tempfile's private ones are not
