@@ -53,6 +53,8 @@ FPS_MAX = 10_000.0
 DEFAULT_FPS = 30.0
 # a motion file larger than this, packed or unpacked, is refused: an hour at 120 frames per second has 220 MB
 MOTION_MAX_BYTES = 1 << 30
+# the same for .json and .csv, whose numbers take ten times their text while they are read: an hour at 30
+MOTION_TEXT_MAX_BYTES = 1 << 27
 
 # ---- hand: named poses ----------------------------------------------------------------------------------------------
 
@@ -116,8 +118,8 @@ PICKLE_ELEMENTS_MAX = 20_000_000
 # rows of MANO's skin weights sum to 1 within rounding; further off they are no such weights
 MANO_WEIGHT_SUM_TOLERANCE = 1e-3
 OBJ_BYTES_MAX = 64 * 2**20
-# one array of a template file, unpacked
-NPZ_MEMBER_BYTES_MAX = 64 * 2**20
+# all arrays of a template file together, unpacked
+NPZ_BYTES_MAX = 64 * 2**20
 # records inside records: MANO's deepest is a Select of a Ch of an array
 PICKLE_NESTING_MAX = 5
 # radius of the disk that the wrist cap gets in a UV square, at most; and its part of the free circle there

@@ -19,8 +19,6 @@ import json
 import math
 import struct
 import tokenize
-import zipfile
-import zlib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,7 +27,7 @@ from typing import Any
 import numpy as np
 
 from jghand_engine import limits
-from jghand_engine.errors import InputError
+from jghand_engine.errors import InputError, MemoryLimitError
 from jghand_engine.files import writing
 from jghand_engine.hand.joints import JOINT_COUNT, STANDARD_NAMES, Handedness
 from jghand_engine.hand.orders import (
@@ -42,8 +40,11 @@ from jghand_engine.hand.orders import (
     to_level,
 )
 from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.template.archives import read_arrays
 
 _FORMAT, _VERSION = "jghand motion", 1
+# what an archive declares beside its arrays
+_DECLARED = ("order", "unit", "fps", "handedness")
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,7 @@ def read_motion(path: Path | str, motion_format: MotionFormat | None = None) -> 
     """The motion in a file. Missing joints (NaN, null, empty, valid false) stay missing: see PoseSequence.gaps.
 
     InputError for a file that is absent, damaged, of an unknown kind, not declared fully or contradicted, and for
-    joints that are no hand; the message says what to do.
+    joints that are no hand; the message says what to do. MemoryLimitError when memory runs out.
     """
     file, wanted = Path(path), motion_format or MotionFormat()
     reader = _READERS.get(file.suffix.lower())
@@ -89,6 +90,10 @@ def read_motion(path: Path | str, motion_format: MotionFormat | None = None) -> 
         content = reader(file)
     except OSError as error:
         raise InputError(f"cannot read motion file {file}", came=str(error.strerror or error)) from error
+    except MemoryError as error:
+        raise MemoryLimitError(
+            f"motion file {file}", wanted="memory to read it", came="none left", remedy="Cut it into shorter motions."
+        ) from error
     except _DAMAGE as error:
         raise InputError(f"motion file {file}", wanted="an undamaged file", came=_one_line(error)) from error
     return _sequence(file, content, wanted)
@@ -180,16 +185,21 @@ def _check_size(file: Path) -> None:
         size = file.stat().st_size
     except OSError as error:
         raise InputError(f"cannot read motion file {file}", came=str(error.strerror or error)) from error
-    if size > limits.MOTION_MAX_BYTES:
+    text = file.suffix.lower() in (".json", ".csv")
+    most = limits.MOTION_TEXT_MAX_BYTES if text else limits.MOTION_MAX_BYTES
+    if size > most:
         raise InputError(
-            f"motion file {file}", wanted=f"at most {limits.MOTION_MAX_BYTES >> 20} MiB", came=f"{size >> 20} MiB"
+            f"motion file {file}",
+            wanted=f"at most {most / 2**20:.0f} MiB",
+            came=f"{size / 2**20:.0f} MiB",
+            remedy="Cut it into shorter motions, or write it as .npz." if text else "Cut it into shorter motions.",
         )
 
 
-# what numpy, zipfile, json and csv raise on a damaged or hostile file
+# what numpy, json and csv raise on a damaged or hostile file
 _DAMAGE = (
-    *(ValueError, TypeError, KeyError, IndexError, EOFError, OverflowError, SyntaxError, RecursionError, MemoryError),
-    *(zipfile.BadZipFile, zlib.error, csv.Error, NotImplementedError, RuntimeError, AttributeError),
+    *(ValueError, TypeError, KeyError, IndexError, EOFError, OverflowError, SyntaxError, RecursionError),
+    *(csv.Error, NotImplementedError, RuntimeError, AttributeError),
     # numpy reads a header as Python literals: a flipped bit makes it a broken program
     *(tokenize.TokenError, struct.error),
 )
@@ -218,20 +228,21 @@ def _read_npy(file: Path) -> _Content:
 
 
 def _read_npz(file: Path) -> _Content:
-    with zipfile.ZipFile(file) as archive:
-        unpacked = sum(member.file_size for member in archive.infolist())
-    if unpacked > limits.MOTION_MAX_BYTES:
-        raise ValueError(f"it would unpack to {unpacked >> 20} MiB")
-    with np.load(file, allow_pickle=False) as archive:
-        key = "joints_m" if "joints_m" in archive.files else "joints"
-        if key not in archive.files:
-            raise ValueError(f"no array 'joints_m' among {archive.files[:8]}")
-        names = ("order", "unit", "fps", "handedness")
-        declared: dict[str, Any] = {name: archive[name].item() for name in names if name in archive.files}
-        if key == "joints_m" and declared.setdefault("unit", "m") != "m":
-            raise ValueError(f"'joints_m' means metres, and the unit is '{declared['unit']}': call the array 'joints'")
-        valid = archive["valid"].astype(bool) if "valid" in archive.files else None
-        return _Content(_numbers(archive[key]), valid, declared)
+    arrays = read_arrays(
+        file,
+        (),
+        f"motion file {file}",
+        optional=("joints_m", "joints", "valid", *_DECLARED),
+        max_bytes=limits.MOTION_MAX_BYTES,
+    )
+    key = "joints_m" if "joints_m" in arrays else "joints"
+    if key not in arrays:
+        raise ValueError("no array 'joints_m' in it")
+    declared: dict[str, Any] = {name: arrays[name].item() for name in _DECLARED if name in arrays}
+    if key == "joints_m" and declared.setdefault("unit", "m") != "m":
+        raise ValueError(f"'joints_m' means metres, and the unit is '{declared['unit']}': call the array 'joints'")
+    valid = arrays["valid"].astype(bool) if "valid" in arrays else None
+    return _Content(_numbers(arrays[key]), valid, declared)
 
 
 def _write_npz(file: Path, sequence: PoseSequence) -> None:

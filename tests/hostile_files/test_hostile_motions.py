@@ -11,7 +11,7 @@ from hand import sampled_hands as hands
 
 from jghand_engine import limits
 from jghand_engine.datasets.motion_files import MotionFormat, read_motion, write_motion
-from jghand_engine.errors import InputError
+from jghand_engine.errors import InputError, MemoryLimitError
 from jghand_engine.hand.anatomy import pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder
@@ -55,7 +55,7 @@ def test_pickled_objects_are_never_built(tmp_path):
 
 @pytest.mark.parametrize("suffix", [".npz", ".json", ".csv", ".npy"])
 def test_a_file_cut_anywhere_is_an_input_error_or_a_shorter_motion(tmp_path, suffix):
-    motion = pose_sequence_of_names(["open"], hands.canonical_np())
+    motion = pose_sequence_of_names(["open"], hands.canonical_np(), handedness=Handedness.RIGHT)
     path = tmp_path / f"motion{suffix}"
     if suffix == ".npy":
         np.save(path, np.asarray(motion.joints_m))
@@ -85,7 +85,7 @@ def test_random_bytes_are_an_input_error(tmp_path, suffix):
 
 @pytest.mark.parametrize("suffix", [".npz", ".npy"])
 def test_flipped_bits_never_crash(tmp_path, suffix):
-    motion = pose_sequence_of_names(["open"], hands.canonical_np())
+    motion = pose_sequence_of_names(["open"], hands.canonical_np(), handedness=Handedness.RIGHT)
     path = tmp_path / f"motion{suffix}"
     if suffix == ".npz":
         write_motion(path, motion)
@@ -110,9 +110,37 @@ def test_headers_that_promise_too_much_are_refused(tmp_path, shape):
     plain.write_bytes(_header(shape))
     with zipfile.ZipFile(packed, "w") as archive:
         archive.writestr("joints_m.npy", _header(shape))
-    for path in (plain, packed):
-        with pytest.raises(InputError, match="undamaged"):
+    for path, says in ((plain, "undamaged"), (packed, "a whole|the bytes of an array")):
+        with pytest.raises(InputError, match=says):
             read_motion(path, TOLD)
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_an_archive_packed_in_another_way_is_refused(tmp_path, method):
+    path = tmp_path / "motion.npz"
+    with zipfile.ZipFile(path, "w", method) as archive:
+        archive.writestr("joints_m.npy", _array_bytes(np.zeros((2, 21, 3))))
+    with pytest.raises(InputError, match="stored or deflated"):
+        read_motion(path, TOLD)
+
+
+@pytest.mark.parametrize("suffix", [".npz", ".npy", ".json", ".csv"])
+def test_memory_that_runs_out_is_no_damage(tmp_path, monkeypatch, suffix):
+    path = tmp_path / f"motion{suffix}"
+    motion = pose_sequence_of_names(["open"], hands.canonical_np(), handedness=Handedness.RIGHT)
+    if suffix == ".npy":
+        np.save(path, motion.joints_m)
+    else:
+        write_motion(path, motion)
+
+    def too_much(*_, **__):
+        raise MemoryError
+
+    for name in ("_numbers", "_csv_numbers"):
+        monkeypatch.setattr(f"jghand_engine.datasets.motion_files.{name}", too_much)
+    with pytest.raises(MemoryLimitError, match="shorter motions") as caught:
+        read_motion(path, TOLD)
+    assert caught.value.exit_code == 4
 
 
 def test_an_archive_that_would_fill_the_memory_is_refused(tmp_path, monkeypatch):
@@ -127,6 +155,11 @@ def test_an_archive_that_would_fill_the_memory_is_refused(tmp_path, monkeypatch)
 def test_a_file_larger_than_any_motion_is_refused(tmp_path, monkeypatch):
     path = tmp_path / "motion.csv"
     path.write_bytes(b"1," * 1000)
+    monkeypatch.setattr(limits, "MOTION_TEXT_MAX_BYTES", 1000)
+    with pytest.raises(InputError, match=r"at most.*write it as \.npz"):
+        read_motion(path, TOLD)
+    path = tmp_path / "motion.npy"
+    np.save(path, np.zeros((4, 21, 3)))
     monkeypatch.setattr(limits, "MOTION_MAX_BYTES", 1000)
     with pytest.raises(InputError, match="at most"):
         read_motion(path, TOLD)
