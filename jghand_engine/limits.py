@@ -111,9 +111,10 @@ UVD_RANGE_M = 0.010
 
 # ---- template: files of other people -------------------------------------------------------------------------------
 
-# MANO's files have 4 MB and a few thousand operations and 30 MB of numbers; larger ones are not MANO
+# MANO's files have 4 MB and a few thousand operations and 30 MB of numbers; larger ones are not MANO. The bytes bound
+# the file, and once more all that its calls produce; an operation takes half a kilobyte at most
 PICKLE_BYTES_MAX = 64 * 2**20
-PICKLE_OPERATIONS_MAX = 1_000_000
+PICKLE_OPERATIONS_MAX = 200_000
 PICKLE_ELEMENTS_MAX = 20_000_000
 # rows of MANO's skin weights sum to 1 within rounding; further off they are no such weights
 MANO_WEIGHT_SUM_TOLERANCE = 1e-3

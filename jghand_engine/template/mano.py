@@ -129,7 +129,7 @@ def read_mano(path: Path | str) -> dict[str, np.ndarray]:
         missing = [name for name in FIELDS if name not in whole]
         if missing:
             raise InputError(thing, wanted=f"MANO's fields {', '.join(missing)}", came="a file without them")
-        fields = {name: to_array(whole[name], f"{thing}, {name}") for name in FIELDS}
+        fields = {name: to_array(whole[name], f"{thing}, {name}", shape) for name, shape in FIELDS.items()}
     for name, shape in FIELDS.items():
         expect_shape(f"{thing}, {name}", fields[name], shape)
         if fields[name].dtype.kind not in "iuf" or not np.isfinite(fields[name]).all():

@@ -50,47 +50,63 @@ ALLOWED = frozenset(
 _NUMBER = re.compile(r"b1|[iu][1248]|f[248]")
 
 
-def to_array(value: Any, thing: str) -> np.ndarray:
-    """The array that `value` (a record, or a plain number) describes. `thing` names it in the InputError otherwise."""
-    return _to_array(value, thing, 0)
+# of an array; None where any will do
+Shape = tuple[int, ...] | None
 
 
-def _to_array(value: Any, thing: str, depth: int) -> np.ndarray:
+def to_array(value: Any, thing: str, shape: Shape = None) -> np.ndarray:
+    """The array that `value` (a record, or a plain number) describes. `thing` names it in the InputError otherwise.
+
+    shape: what the array must have; compared with what the record declares before anything is built.
+    """
+    return _to_array(value, thing, 0, shape)
+
+
+def _to_array(value: Any, thing: str, depth: int, wanted: Shape = None) -> np.ndarray:
     if depth > PICKLE_NESTING_MAX:
         raise InputError(thing, wanted=f"at most {PICKLE_NESTING_MAX} nested records", came="more")
     if isinstance(value, bool | int | float):
-        return np.asarray(value, dtype=np.float64)
+        return _number(value, thing, wanted)
     if not isinstance(value, Record):
         raise InputError(thing, wanted="an array", came=f"a {type(value).__name__}")
     if value.maker in RECONSTRUCT:
-        return _numpy_array(value, thing)
+        return _numpy_array(value, thing, wanted)
     if value.maker in SCALAR:
-        return _numpy_scalar(value, thing)
+        return _numpy_scalar(value, thing, wanted)
     if value.maker in CSC or value.maker in CSR:
-        return _sparse(value, thing, depth)
+        return _sparse(value, thing, depth, wanted)
     state = _state_dict(value, thing)
     if value.maker == SELECT:
-        return _select(state, thing, depth)
+        return _select(state, thing, depth, wanted)
     if value.maker in CHUMPY and "x" in state:
-        return _to_array(state["x"], thing, depth + 1)
+        return _to_array(state["x"], thing, depth + 1, wanted)
     raise InputError(thing, wanted="an array", came=f"a record of {value.maker} that JGHand cannot rebuild")
 
 
-def _numpy_array(record: Record, thing: str) -> np.ndarray:
+def _number(value: float, thing: str, wanted: Shape) -> np.ndarray:
+    _count((), thing, wanted)
+    try:
+        return np.asarray(float(value))
+    except OverflowError as error:
+        raise InputError(thing, wanted="a number that a float64 can hold", came="a larger one") from error
+
+
+def _numpy_array(record: Record, thing: str, wanted: Shape) -> np.ndarray:
     """State of an ndarray: (version, shape, dtype, column-major?, bytes)."""
     if not (isinstance(record.state, tuple) and len(record.state) in (4, 5)):
         raise InputError(thing, wanted="an array's state", came="another")
     shape, dtype_record, column_major, raw = record.state[-4:]
+    count = _count(shape, thing, wanted)
     dtype = _dtype(dtype_record, thing)
     data = _bytes(raw, thing)
-    count = _count(shape, thing)
     if len(data) != count * dtype.itemsize:
         raise InputError(thing, wanted=f"{count * dtype.itemsize} bytes", came=f"{len(data)}")
     order = "F" if column_major else "C"
     return np.frombuffer(data, dtype=dtype).reshape(shape, order=order).astype(dtype.newbyteorder("="))
 
 
-def _numpy_scalar(record: Record, thing: str) -> np.ndarray:
+def _numpy_scalar(record: Record, thing: str, wanted: Shape) -> np.ndarray:
+    _count((), thing, wanted)
     if len(record.arguments) != 2:
         raise InputError(thing, wanted="a number", came="a broken one")
     dtype, data = _dtype(record.arguments[0], thing), _bytes(record.arguments[1], thing)
@@ -126,14 +142,16 @@ def _bytes(raw: Any, thing: str) -> bytes:
     return raw
 
 
-def _count(shape: Any, thing: str) -> int:
-    """How many numbers an array of `shape` holds."""
-    if not (isinstance(shape, tuple) and all(isinstance(n, int) and n >= 0 for n in shape) and len(shape) <= 8):
+def _count(shape: Any, thing: str, wanted: Shape = None) -> int:
+    """How many numbers an array of `shape` holds; InputError unless it is the wanted one."""
+    if not (isinstance(shape, tuple) and len(shape) <= 8 and all(isinstance(n, int) and n >= 0 for n in shape)):
         raise InputError(thing, wanted="a shape", came="something else")
-    count = math.prod(shape)
-    if max(count, *shape, 0) > PICKLE_ELEMENTS_MAX:
+    # each first: the product of numbers of a million digits takes minutes
+    if max(shape, default=0) > PICKLE_ELEMENTS_MAX or math.prod(shape) > PICKLE_ELEMENTS_MAX:
         raise InputError(thing, wanted=f"at most {PICKLE_ELEMENTS_MAX} numbers", came="more")
-    return count
+    if wanted is not None and shape != wanted:
+        raise InputError(thing, wanted=f"shape {wanted}", came=str(shape))
+    return math.prod(shape)
 
 
 def _state_dict(record: Record, thing: str) -> dict:
@@ -159,11 +177,11 @@ def _integers(value: Any, thing: str, depth: int) -> np.ndarray:
     return array.astype(np.int64).ravel()
 
 
-def _sparse(record: Record, thing: str, depth: int) -> np.ndarray:
+def _sparse(record: Record, thing: str, depth: int, wanted: Shape) -> np.ndarray:
     """A dense copy of a compressed sparse matrix; entries at the same place add up, as in scipy."""
     state = _state_dict(record, thing)
     shape = state.get("_shape", state.get("shape"))
-    _count(shape, thing)
+    _count(shape, thing, wanted)
     if not isinstance(shape, tuple) or len(shape) != 2:
         raise InputError(thing, wanted="a matrix", came="another shape")
     by_column = record.maker in CSC
@@ -181,14 +199,17 @@ def _sparse(record: Record, thing: str, depth: int) -> np.ndarray:
     return dense.T if by_column else dense
 
 
-def _select(state: dict, thing: str, depth: int) -> np.ndarray:
+def _select(state: dict, thing: str, depth: int, wanted: Shape) -> np.ndarray:
     """chumpy's Select: entries `idxs` of the flattened variable `a`, in a preferred shape."""
+    shape = state.get("preferred_shape")
+    if shape is not None:
+        _count(shape, thing, wanted)
     whole = _to_array(_field(state, "a", thing), thing, depth + 1).ravel()
     index = _integers(_field(state, "idxs", thing), thing, depth)
     if len(index) and not (index.min() >= 0 and index.max() < len(whole)):
         raise InputError(thing, wanted="a selection", came="entries that are not there")
-    shape = state.get("preferred_shape")
     if shape is None:
+        _count(index.shape, thing, wanted)
         return whole[index]
     if _count(shape, thing) != len(index):
         raise InputError(thing, wanted="a selection", came="a shape that does not fit")

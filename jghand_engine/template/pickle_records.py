@@ -16,13 +16,11 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from jghand_engine.errors import InputError
-from jghand_engine.limits import PICKLE_OPERATIONS_MAX
+from jghand_engine.limits import PICKLE_BYTES_MAX, PICKLE_OPERATIONS_MAX
 
 _OPERATIONS = {operation.code: operation for operation in pickletools.opcodes}
 # what Python 2 called modules that were renamed
 _RENAMED = {"copy_reg": "copyreg", "__builtin__": "builtins"}
-# the only kinds a dictionary key may have: hashing nested tuples could take for ever
-_KEYS = (str, bytes, int, float, bool, type(None))
 
 
 @dataclass(frozen=True)
@@ -55,7 +53,8 @@ def read_pickle(data: bytes, allowed: Collection[Name], thing: str) -> Any:
     """The value that the pickle `data` describes, with `Name` and `Record` in the place of globals and objects.
 
     `thing` names the file in errors. InputError: a global that is not `allowed` (it is named), a broken or cut file, an
-    operation that needs the outside world, or more than PICKLE_OPERATIONS_MAX operations.
+    operation that needs the outside world, a key that is no text, more than PICKLE_OPERATIONS_MAX operations, or calls
+    that produce more than PICKLE_BYTES_MAX bytes.
     """
     return _Machine(allowed, thing).run(data)
 
@@ -65,6 +64,7 @@ class _Machine:
         self.allowed, self.thing = allowed, thing
         self.stack: list[Any] = []
         self.memo: dict[int, Any] = {}
+        self.produced_bytes = 0
 
     def run(self, data: bytes) -> Any:
         try:
@@ -81,7 +81,7 @@ class _Machine:
 
     def error(self, wanted: str, came: str) -> InputError:
         return InputError(
-            self.thing, wanted=wanted, came=came, remedy="Nothing in it was executed. Use the original file."
+            self.thing, wanted=wanted, came=came[:200], remedy="Nothing in it was executed. Use the original file."
         )
 
     def step(self, name: str, argument: Any) -> None:
@@ -90,7 +90,11 @@ class _Machine:
         elif name in _PUSH:
             self.stack.append(_PUSH[name]())
         elif name in _MEMO_PUT:
-            self.memo[len(self.memo) if argument is None else int(argument)] = self.stack[-1]
+            place = len(self.memo) if argument is None else int(argument)
+            # numbers chosen to collide would make the dictionary slow; real ones count up
+            if not 0 <= place < PICKLE_OPERATIONS_MAX:
+                raise self.error("a whole pickle", "one with a strange number in its memo")
+            self.memo[place] = self.stack[-1]
         elif name in _MEMO_GET:
             if int(argument) not in self.memo:
                 raise self.error("a whole pickle", "one that mentions what it never made")
@@ -134,6 +138,10 @@ class _Machine:
             # how Python 3 writes bytes in old protocols
             if not arguments or not isinstance(arguments[0], str):
                 raise self.error("a pickle of arrays", "bytes without text")
+            # a short file can name one long text many times
+            self.produced_bytes += len(arguments[0])
+            if self.produced_bytes > PICKLE_BYTES_MAX:
+                raise self.error(f"at most {PICKLE_BYTES_MAX} bytes", "more")
             return arguments[0].encode("latin-1")
         return Record(maker, arguments)
 
@@ -157,8 +165,9 @@ class _Machine:
             target = target.items
         if not isinstance(target, dict) or len(pairs) % 2:
             raise self.error("a whole pickle", "items of something that is no dictionary")
-        if not all(isinstance(key, _KEYS) for key in pairs[::2]):
-            raise self.error("text or numbers as keys", "others")
+        # hashes of text are salted; numbers can be chosen to collide, and nested tuples take for ever to hash
+        if not all(isinstance(key, str) for key in pairs[::2]):
+            raise self.error("text as keys", "others")
         target.update(zip(pairs[::2], pairs[1::2], strict=True))
 
     def tuple_of(self, count: int) -> None:

@@ -246,6 +246,77 @@ def test_tuples_that_double_do_not_take_for_ever():
         to_array(read(doubling + b"."), "a test file")
 
 
+def test_a_long_text_that_is_encoded_again_and_again_is_refused():
+    """Each call makes new bytes of the same megabyte; a hundred thousand would fill any memory."""
+    text = b"\x80\x02c_codecs\nencode\nq\x00X" + struct.pack("<I", 2**20) + b"a" * 2**20 + b"\x85q\x01R0"
+    assert read(text + b"N.") is None
+    tracemalloc.start()
+    try:
+        with pytest.raises(InputError, match="at most 67108864 bytes"):
+            read(text + b"(" + b"h\x00h\x01R" * 30_000 + b"l.")
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 100_000_000
+
+
+@pytest.mark.parametrize("key", [b"K\x01", b"N", b"I1\n", b"C\x01a", b")", b"G" + b"\0" * 8])
+def test_a_key_that_is_no_text_is_refused(key):
+    with pytest.raises(InputError, match="text as keys"):
+        read(b"\x80\x03}" + key + b"Ns.")
+
+
+@pytest.mark.parametrize("number", [b"-1", b"200000", str((2**61 - 1) * 7).encode()])
+def test_a_memo_with_strange_numbers_is_refused(number):
+    with pytest.raises(InputError, match="memo"):
+        read(b"Np" + number + b"\n.")
+
+
+def test_errors_about_long_rubbish_are_short():
+    for data in (b"I" + b"9" * 100_000 + b"\n.", b"S'" + b"x" * 100_000 + b"\n.", b"c" + b"o" * 100_000 + b"\ns\n."):
+        with pytest.raises(InputError) as caught:
+            read(data)
+        assert len(str(caught.value)) < 500
+
+
+def test_a_number_beyond_any_float_is_refused():
+    with pytest.raises(InputError, match="float64"):
+        to_array(10**400, "a test file")
+
+
+@pytest.mark.parametrize(
+    "value",
+    [
+        np.zeros((3, 2)),
+        csc(np.zeros((3, 2))),
+        Thing("chumpy.ch", "Ch", {"x": np.zeros((3, 2))}),
+        Thing("chumpy.reordering", "Select", {"a": np.zeros(9), "idxs": np.arange(6), "preferred_shape": (3, 2)}),
+        Thing("chumpy.reordering", "Select", {"a": np.zeros(9), "idxs": np.arange(6)}),
+        1.5,
+    ],
+)
+def test_a_shape_other_than_the_field_s_is_refused(value):
+    record = value if isinstance(value, float) else read(python2_pickle(value))
+    with pytest.raises(InputError, match=r"wanted shape \(2, 3\)"):
+        to_array(record, "a test file", (2, 3))
+
+
+def test_a_field_of_another_shape_is_refused_before_it_is_built(tmp_path):
+    """A sparse matrix of a few bytes would become 160 MB of zeros."""
+    huge = csc(np.zeros((2, 2)))
+    state = {**huge.state, "_shape": (4000, 4000), "indptr": np.zeros(4001, np.int32)}
+    path = tmp_path / "MANO_RIGHT.pkl"
+    path.write_bytes(python2_pickle({**mano_fields(), "J_regressor": Thing(huge.module, huge.name, state)}))
+    tracemalloc.start()
+    try:
+        with pytest.raises(InputError, match=r"J_regressor: wanted shape \(16, 778\), got \(4000, 4000\)"):
+            load_mano(path, handedness=Handedness.RIGHT)
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert peak < 60_000_000
+
+
 def test_too_many_operations_are_refused():
     with pytest.raises(InputError, match="operations"):
         read(b"\x80\x02" + b"N0" * 600_000 + b"N.")
