@@ -4,7 +4,8 @@
 
 The engine runs in a process of its own (--engine-python, the variable
 JGHAND_ENGINE_PYTHON, .envs/engine of this checkout, or `jghand` on the PATH). Writes FOLDER/CAMERA/0001.png, RGBA with
-straight alpha; pictures that are there already are skipped. Every armature of the file that is a JGHand hand and not
+straight alpha; pictures that are there already are skipped, when they were made from the same file with the same
+settings and the same engine. Every armature of the file that is a JGHand hand and not
 disabled in renders is drawn, several hands in one picture.
 
 Exit codes: 0 done, 1 a mistake in JGHand, 2 bad input, 3 try again, 4 out of memory, 130 interrupted. The report is
@@ -18,13 +19,13 @@ import sys
 import time
 import traceback
 from collections.abc import Callable, Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import bpy
 
 from .bridge import armature, camera, scene
-from .core import batch, limits
+from .core import batch, limits, stamp
 from .core.client import EngineClient
 from .core.engine_command import engine_command
 from .core.messages import JGHandFailure
@@ -68,7 +69,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("file", type=Path, help="a .blend file with a JGHand armature")
     parser.add_argument("--out", type=Path, required=True, help="folder for the pictures")
-    parser.add_argument("--camera", metavar="NAME[,NAME]", help="cameras; default: the scene's camera")
+    parser.add_argument(
+        "--camera",
+        action="append",
+        default=[],
+        metavar="NAME[,NAME]",
+        help="cameras; may be given again; default: the scene's camera",
+    )
     parser.add_argument(
         "--frames", type=_frames, metavar="A-B[,STEP]", help="e.g. 1-240 or 1-240,2; default: the scene's range"
     )
@@ -88,57 +95,85 @@ def _frames(text: str) -> list[int]:
         raise argparse.ArgumentTypeError(str(error)) from error
 
 
-def _render(options: argparse.Namespace, report: batch.BatchReport, checkout: Path | None) -> None:
+@dataclass(frozen=True)
+class _Job:
+    """What one run renders."""
+
+    options: argparse.Namespace
+    cameras: list[bpy.types.Object]
+    hands: list[bpy.types.Object]
+    frames: list[int]
+    size: tuple[int, int]
+
+    def path(self, eye: bpy.types.Object, frame: int) -> Path:
+        return batch.picture_path(self.options.out, eye.name, frame)
+
+    @property
+    def avatar(self) -> str:
+        """As the engine knows it."""
+        avatar = self.options.avatar
+        return avatar if avatar == BUILTIN_AVATAR else str(Path(avatar).resolve())
+
+    def stamp_folders(self, engine_version: str) -> None:
+        """Makes sure that no picture of something else lies among this run's."""
+        made_from = {
+            "file": stamp.digest(scene.source_files()),
+            "avatar": self.avatar if self.avatar == BUILTIN_AVATAR else stamp.digest([Path(self.avatar)]),
+            "preset": self.options.preset,
+            "size": f"{self.size[0]} x {self.size[1]}",
+            "engine version": engine_version,
+        }
+        for eye in self.cameras:
+            replaced = [self.path(eye, frame) for frame in self.frames] if self.options.overwrite else None
+            stamp.settle(batch.picture_folder(self.options.out, eye.name), made_from, replaced)
+
+
+def _job(options: argparse.Namespace) -> _Job:
+    """Opens the file and finds in it what is wanted."""
     opened = scene.open_file(options.file, allow_scripts=options.allow_scripts)
     cameras = scene.chosen_cameras(opened, options.camera)
+    batch.check_folders(options.out, [eye.name for eye in cameras])
     frames = options.frames or list(range(opened.frame_start, opened.frame_end + 1, opened.frame_step))
-    report.total = len(frames) * len(cameras)
-    command = engine_command(options.engine_python, checkout=checkout)
     hands = scene.make_evaluated(cameras)
     if not hands:
         raise JGHandFailure("no_hand", str(options.file))
-    with EngineClient.start(command) as engine:
+    return _Job(options, cameras, hands, frames, camera.picture_size(opened.render))
+
+
+def _render(options: argparse.Namespace, report: batch.BatchReport, checkout: Path | None) -> None:
+    job = _job(options)
+    report.total = len(job.frames) * len(job.cameras)
+    with EngineClient.start(engine_command(options.engine_python, checkout=checkout)) as engine:
         report.engine = {key: engine.handshake.get(key) for key in ("engine_version", "device")}
-        _load(engine, _avatar_name(options.avatar))
-        for frame in frames:
-            for line in _render_frame(engine, frame, cameras, hands, options, report):
+        _load(engine, job.avatar)
+        job.stamp_folders(str(report.engine["engine_version"]))
+        for frame in job.frames:
+            for line in _render_frame(engine, frame, job, report):
                 print(line, flush=True)
 
 
-def _render_frame(
-    engine: EngineClient,
-    frame: int,
-    cameras: list[bpy.types.Object],
-    hands: list[bpy.types.Object],
-    options: argparse.Namespace,
-    report: batch.BatchReport,
-) -> Iterator[str]:
+def _render_frame(engine: EngineClient, frame: int, job: _Job, report: batch.BatchReport) -> Iterator[str]:
     """Renders one frame from every camera whose picture is wanted; yields progress lines."""
-    paths = {eye.name: batch.picture_path(options.out, eye.name, frame) for eye in cameras}
-    wanted = [eye for eye in cameras if options.overwrite or not paths[eye.name].exists()]
-    for eye in cameras:
+    wanted = [eye for eye in job.cameras if job.options.overwrite or not job.path(eye, frame).exists()]
+    for eye in job.cameras:
         if eye not in wanted:
-            yield report.skipped(eye.name, frame, paths[eye.name])
+            yield report.skipped(eye.name, frame, job.path(eye, frame))
     if not wanted:
         return
-    depsgraph = scene.evaluated_at(bpy.context.scene, frame, (*hands, *cameras))
+    depsgraph = scene.evaluated_at(bpy.context.scene, frame, (*job.hands, *job.cameras))
     read = [armature.read_hand(hand, depsgraph) for hand in armature.hand_armatures(bpy.context.view_layer)]
-    drawn = [replace(hand, avatar=_avatar_name(options.avatar)) for hand in read]
+    hands = [replace(hand, avatar=job.avatar) for hand in read]
     for eye in wanted:
         started = time.perf_counter()
-        content, details = _picture(engine, camera.pinhole(eye, depsgraph), drawn, options.preset)
-        batch.write_whole(paths[eye.name], content)
-        yield report.rendered(eye.name, frame, paths[eye.name], 1e3 * (time.perf_counter() - started), details)
+        content, details = _picture(engine, camera.pinhole(eye, depsgraph), hands, job.options.preset)
+        batch.write_whole(job.path(eye, frame), content)
+        yield report.rendered(eye.name, frame, job.path(eye, frame), 1e3 * (time.perf_counter() - started), details)
 
 
 def _picture(engine: EngineClient, view: Pinhole, hands: list[HandInSpace], preset: str) -> tuple[bytes, dict]:
     header, arrays = picture_request(view, hands, preset=preset, outputs=["png"])
     reply = engine.request(header, arrays)
     return bytes(reply.arrays["png"].data), {"size": [view.width, view.height], "reports": reply.header["reports"]}
-
-
-def _avatar_name(avatar: str) -> str:
-    return avatar if avatar == BUILTIN_AVATAR else str(Path(avatar).resolve())
 
 
 def _load(engine: EngineClient, avatar: str) -> None:

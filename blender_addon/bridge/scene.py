@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 import bpy
@@ -23,14 +24,24 @@ def open_file(path: Path, *, allow_scripts: bool) -> bpy.types.Scene:
     return bpy.context.scene
 
 
-def chosen_cameras(scene: bpy.types.Scene, names: str | None) -> list[bpy.types.Object]:
-    """The cameras of these names, without names the scene's own. Raises JGHandFailure (not_a_camera)."""
-    if names is None:
+def source_files() -> list[Path]:
+    """The opened file and the libraries that it links, as far as they are there."""
+    names = [bpy.data.filepath, *(bpy.path.abspath(library.filepath) for library in bpy.data.libraries)]
+    return [path for path in map(Path, names) if path.is_file()]
+
+
+def chosen_cameras(scene: bpy.types.Scene, names: Sequence[str]) -> list[bpy.types.Object]:
+    """The cameras of these names, without names the scene's own. Raises JGHandFailure (not_a_camera).
+
+    A name that no camera has may be several, separated by commas.
+    """
+    if not names:
         if scene.camera is None:
             raise JGHandFailure("not_a_camera", "the scene has no camera of its own; name one with --camera")
         return [scene.camera]
     known = [thing.name for thing in scene.objects if thing.type == "CAMERA"]
-    wanted = list(dict.fromkeys(names.split(",")))
+    parts = [[name] if name in known else name.split(",") for name in names]
+    wanted = list(dict.fromkeys(itertools.chain.from_iterable(parts)))
     unknown = [name for name in wanted if name not in known]
     if unknown:
         raise JGHandFailure("not_a_camera", f"{', '.join(unknown)}; the scene has {', '.join(known) or 'none'}")

@@ -7,5 +7,7 @@ view            pinhole cameras, hands in their own space, and the request for a
 wire            the protocol module, from the extension or from the engine's package
 engine_command  where the engine is
 client          the engine as a child process: start, handshake, requests, a clean end
+batch           frames, names and files of a batch run, and its report
+stamp           what the pictures of a folder were made from
 messages        one sentence and one remedy for everything that can fail
 """

@@ -13,6 +13,7 @@ import os
 import re
 import tempfile
 import time
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -35,9 +36,24 @@ def parse_frames(text: str) -> list[int]:
     return frames
 
 
+def picture_folder(folder: Path, camera: str) -> Path:
+    """FOLDER/CAMERA; letters that a file system may refuse become _."""
+    return folder / (re.sub(r"[^\w. -]", "_", camera).strip(". ") or "camera")
+
+
 def picture_path(folder: Path, camera: str, frame: int) -> Path:
-    """FOLDER/CAMERA/0001.png; letters that a file system may refuse become _."""
-    return folder / (re.sub(r"[^\w. -]", "_", camera).strip(". ") or "camera") / f"{frame:04d}.png"
+    """FOLDER/CAMERA/0001.png."""
+    return picture_folder(folder, camera) / f"{frame:04d}.png"
+
+
+def check_folders(folder: Path, cameras: Iterable[str]) -> None:
+    """JGHandFailure (same_folder) when two cameras would share one, on a disk that knows no capital letters either."""
+    taken: dict[str, str] = {}
+    for camera in cameras:
+        name = picture_folder(folder, camera).name.casefold()
+        if name in taken:
+            raise JGHandFailure("same_folder", f"{taken[name]} and {camera}")
+        taken[name] = camera
 
 
 def write_whole(path: Path, content: bytes) -> None:

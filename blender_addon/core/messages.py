@@ -64,8 +64,16 @@ ADVICE = {
     "sheared_camera": Advice(
         "The camera is sheared or mirrored by its parents", "Clear their scale or the camera's parent", BAD_INPUT
     ),
+    "same_folder": Advice(
+        "The pictures of two cameras would lie in one folder", "Rename one of them, or render them apart", BAD_INPUT
+    ),
+    "other_pictures": Advice(
+        "The folder holds pictures of another scene, of other settings or of another engine",
+        "Use --overwrite or another folder",
+        BAD_INPUT,
+    ),
     "bad_file": Advice("This file cannot be opened", "Choose a .blend file", BAD_INPUT),
-    "cannot_write": Advice("The picture cannot be written", "Choose a folder that you may write to", BAD_INPUT),
+    "cannot_write": Advice("The file cannot be written", "Choose a folder that you may write to", BAD_INPUT),
     "disk_full": Advice("The disk is full", "Free some space and start again", TRY_AGAIN),
 }
 

@@ -39,6 +39,14 @@ def test_pictures_lie_below_the_folder_whatever_a_camera_is_called(camera, folde
     assert batch.picture_path(tmp_path, camera, 7) == tmp_path / folder / "0007.png"
 
 
+def test_cameras_that_would_share_a_folder_are_refused(tmp_path):
+    batch.check_folders(tmp_path, ["a", "b", "a.b"])
+    for first, second in (("a/b", "a:b"), ("Cam", "cam"), ("..", "")):
+        with pytest.raises(JGHandFailure, match="folder") as caught:
+            batch.check_folders(tmp_path, ["other", first, second])
+        assert caught.value.detail == f"{first} and {second}"
+
+
 def test_a_file_is_written_whole_or_not_at_all(tmp_path, monkeypatch):
     target = tmp_path / "new" / "0001.png"
     batch.write_whole(target, b"first")

@@ -3,3 +3,4 @@
 from test_batch import *  # noqa: F403
 from test_client import *  # noqa: F403
 from test_posing import *  # noqa: F403
+from test_stamp import *  # noqa: F403

@@ -17,7 +17,7 @@ import pytest
 
 from blender_addon import cli
 from blender_addon.bridge import armature, camera, scene
-from blender_addon.core import posing
+from blender_addon.core import posing, stamp
 from blender_addon.core.messages import JGHandFailure
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -59,7 +59,7 @@ def rendered(blend: Path, *options: object) -> tuple[int, list[str], dict]:
     """Exit code, written files and report of a run."""
     out, report = blend.parent / "out", blend.parent / "report.json"
     code = cli.main([str(blend), "--out", str(out), "--report", str(report), *map(str, options)])
-    files = sorted(str(path.relative_to(out)) for path in out.rglob("*") if path.is_file())
+    files = sorted(str(path.relative_to(out)) for path in out.rglob("*") if path.is_file() and path.name != stamp.NAME)
     return code, files, json.loads(report.read_text())
 
 
@@ -107,6 +107,52 @@ def test_a_run_goes_on_where_the_last_one_stopped(engine, blend):
     _, _, report = rendered(blend, "--overwrite")
     assert report["rendered"] == 4
     assert (out / "0001.png").read_bytes() != b"mine"
+
+
+@pytest.mark.parametrize("change", ["blend", "preset", "size", "avatar", "engine"])
+def test_a_run_does_not_go_on_among_pictures_of_something_else(engine, blend, monkeypatch, change):
+    avatar = blend.parent / "a.jghand"
+    avatar.write_bytes(b"an avatar")
+    options = {"--frames": "1", "--preset": "draft", "--avatar": avatar}
+    assert rendered(blend, *(word for pair in options.items() for word in pair))[0] == 0
+    options["--frames"] = "1-2"
+    if change == "blend":
+        bpy.data.objects["right"].location = (0, 0, 0.1)
+        saved(blend.parent)
+    elif change == "size":
+        camera.set_picture_size(bpy.context.scene.render, 64, 64)
+        saved(blend.parent)
+    elif change == "avatar":
+        avatar.write_bytes(b"another")
+    elif change == "engine":
+        monkeypatch.setenv("JGHAND_STAND_IN_VERSION", "another")
+    else:
+        options["--preset"] = "final"
+    words = [word for pair in options.items() for word in pair]
+    code, files, report = rendered(blend, *words)
+    assert code == 2
+    assert report["failure"]["kind"] == "other_pictures"
+    assert "--overwrite" in report["failure"]["remedy"]
+    assert files == ["CamPalm/0001.png"]
+    code, files, _ = rendered(blend, *words, "--overwrite")
+    assert (code, len(files)) == (0, 2)
+    assert rendered(blend, *words)[2]["skipped"] == 2
+
+
+def test_the_pictures_of_two_cameras_never_lie_in_one_folder(engine, blend):
+    bpy.data.objects["CamSide"].name = "campalm"
+    code, files, report = rendered(saved(blend.parent), "--camera", "CamPalm,campalm")
+    assert code == 2
+    assert report["failure"]["kind"] == "same_folder"
+    assert files == []
+
+
+def test_cameras_may_be_named_one_by_one_and_have_a_comma_in_their_name(engine, blend):
+    bpy.data.objects["CamSide"].name = "side, left"
+    options = ("--frames", "1", "--camera", "CamPalm", "--camera", "side, left")
+    code, files, _ = rendered(saved(blend.parent), *options)
+    assert code == 0
+    assert files == ["CamPalm/0001.png", "side_ left/0001.png"]
 
 
 def test_the_file_itself_stays_as_it_was(engine, blend):

@@ -108,6 +108,7 @@ def main(fault: str) -> int:
         print("{" if fault == "garbage" else json.dumps({**line, "capabilities": []}), flush=True)
         sys.stdin.read()
         return 0
+    server.__version__ = os.environ.get("JGHAND_STAND_IN_VERSION", server.__version__)
     return server.serve(StandInHands(fault))
 
 
