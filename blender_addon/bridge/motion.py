@@ -7,8 +7,12 @@ import numpy as np
 
 from ..core import posing
 from ..core.joints import NAMES
+from ..core.messages import JGHandFailure
 from . import versions
 from .armature import handedness_of, rest_matrices_of
+
+# the channels of a bone that a driver may hold, whatever its keys say
+_CHANNELS = ("location", "rotation_quaternion", "rotation_euler", "rotation_axis_angle", "rotation_mode", "scale")
 
 
 def key_motion(
@@ -23,10 +27,14 @@ def key_motion(
 
     At every key the evaluated bone heads equal the joints, also where bone lengths or the palm change. Between keys
     Blender interpolates linearly. `frames_per_pose` is the scene's frame rate over the motion's. The action before it
-    stays in the file. Raises JGHandFailure (bad_joints, not_a_hand).
+    stays in the file. For that the 21 bones turn by quaternions, have no scale of their own and follow their parents;
+    what else moves them is the artist's, so it is refused and not switched off. Bones above the wrist are not undone.
+    Raises JGHandFailure (bad_joints, not_a_hand, constrained) before anything is changed.
     """
+    _check_free(hand)
     joints = posing.checked_joints(joints_m) / scene.unit_settings.scale_length
     keys = posing.bone_keys(joints, rest_matrices_of(hand), handedness_of(hand))
+    _prepare_bones(hand)
     frames = first_frame + frames_per_pose * np.arange(len(joints))
     action = versions.new_action(hand, f"{hand.name} motion")
     for place, name in enumerate(NAMES):
@@ -35,6 +43,26 @@ def key_motion(
                 curve = versions.new_fcurve(hand, f'pose.bones["{name}"].{channel}', index, name)
                 _fill(curve, frames, values[:, place, index])
     return action
+
+
+def _check_free(hand: bpy.types.Object) -> None:
+    """Refuses a hand whose bones are moved by more than their keys."""
+    bones = [hand.pose.bones[name] for name in NAMES if name in hand.pose.bones]
+    movers = [f"{bone.name}: {rule.name}" for bone in bones for rule in bone.constraints if not rule.mute]
+    drivers = hand.animation_data.drivers if hand.animation_data else ()
+    paths = tuple(f'pose.bones["{bone.name}"].{channel}' for bone in bones for channel in _CHANNELS)
+    movers += [f"driver of {curve.data_path}" for curve in drivers if curve.data_path in paths and not curve.mute]
+    if movers:
+        raise JGHandFailure("constrained", f"{hand.name}, {'; '.join(movers)}")
+
+
+def _prepare_bones(hand: bpy.types.Object) -> None:
+    """What the keys take for granted about the bones."""
+    for name in NAMES:
+        pose = hand.pose.bones[name]
+        pose.rotation_mode = "QUATERNION"
+        pose.scale = (1.0, 1.0, 1.0)
+        pose.bone.use_inherit_rotation = pose.bone.use_local_location = True
 
 
 def _fill(curve: bpy.types.FCurve, frames: np.ndarray, values: np.ndarray) -> None:

@@ -57,6 +57,9 @@ ADVICE = {
     "broken_driver": Advice("A driver does not work, so the pose would be wrong", "Repair or mute it", BAD_INPUT),
     "mirrored": Advice("Mirrored scale is not supported", "Use the other hand instead", BAD_INPUT),
     "zero_scale": Advice("A scale of zero is not supported", "Give the object a scale", BAD_INPUT),
+    "constrained": Advice(
+        "Constraints or drivers move bones of this hand, so keys alone cannot", "Mute or remove them", BAD_INPUT
+    ),
     "bad_joints": Advice("These joints are not a hand's motion", "Check the file", BAD_INPUT),
     "not_a_camera": Advice("There is no camera of this name", "Choose a camera of the scene", BAD_INPUT),
     "panoramic": Advice("Panoramic cameras are not supported", "Choose a perspective camera", BAD_INPUT),

@@ -232,6 +232,41 @@ def test_keying_again_starts_a_new_action_and_keeps_the_old_one(context):
     np.testing.assert_allclose(seen.joints_world_m, joints[3], atol=2e-7)
 
 
+def test_a_hand_that_was_posed_by_hand_takes_a_motion_exactly(context):
+    joints = hands.moving_hand_m("right")
+    hand = armature.build_armature(context, "Hand", posing.rest_joints_m("right", joints), "right")
+    bone = hand.pose.bones["index1"]
+    bone.scale, bone.rotation_mode, bone.rotation_euler = (2, 2, 2), "XYZ", (0.3, 0, 0)
+    hand.data.bones["ring2"].use_inherit_rotation = False
+    hand.data.bones["thumb1"].use_local_location = False
+    motion.key_motion(hand, joints, context.scene)
+    for place in range(len(joints)):
+        seen = armature.read_hand(hand, armature.at_frame(context.scene, 1 + place))
+        np.testing.assert_allclose(seen.joints_world_m, joints[place], atol=2e-7)
+
+
+@pytest.mark.parametrize("mover", ["constraint", "driver"])
+def test_a_hand_that_something_else_moves_takes_no_motion_until_that_is_muted(context, mover):
+    joints = hands.moving_hand_m("right")
+    hand = armature.build_armature(context, "Hand", posing.rest_joints_m("right", joints), "right")
+    bone = hand.pose.bones["index1"]
+    bone.scale = (2, 2, 2)
+    if mover == "constraint":
+        rule = bone.constraints.new("LIMIT_ROTATION")
+        rule.use_limit_x = True
+    else:
+        rule = bone.driver_add("location", 0)
+        rule.driver.expression = "0.01"
+    with pytest.raises(JGHandFailure, match="index1") as caught:
+        motion.key_motion(hand, joints, context.scene)
+    assert caught.value.kind == "constrained"
+    assert bone.scale[0] == 2
+    rule.mute = True
+    motion.key_motion(hand, joints, context.scene)
+    seen = armature.read_hand(hand, armature.at_frame(context.scene, 3))
+    np.testing.assert_allclose(seen.joints_world_m, joints[2], atol=2e-7)
+
+
 def test_constant_bone_lengths_are_keyed_by_rotations_alone(context):
     rest = posing.rest_joints_m("right")
     joints = np.stack([rest, rest])
