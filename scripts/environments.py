@@ -3,7 +3,8 @@
 `.envs/engine` holds the engine (torch, usd-core, the compiled kernels), `.envs/blender` holds Blender as a Python
 module (bpy). They never share one: bpy wants an older numpy and brings its own USD. Each is installed from one
 constraints file. A stamp in the environment remembers what it was made from, so that a second call costs nothing and a
-half-made or outdated environment is finished or made anew.
+half-made or outdated environment is finished or brought up to date. It is made anew only when its interpreter is
+broken, or when it does not work although everything was installed: a failed update must not cost a working one.
 
 Only Linux is tried by the project's tests; the ways of macOS and Windows are written but not tried.
 """
@@ -19,12 +20,14 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 ENVIRONMENTS = ROOT / ".envs"
 STAMP = "jghand_stamp.txt"
+# a package index that PyTorch alone is also looked up in: the one on PyPI brings CUDA along on Linux
+TORCH_INDEX_VARIABLE = "JGHAND_TORCH_INDEX"
 
 # variables that would let another Python's packages leak into an environment
 LEAKING_VARIABLES = ("PYTHONPATH", "PYTHONHOME", "PYTHONSTARTUP", "VIRTUAL_ENV", "CONDA_PREFIX")
@@ -52,7 +55,9 @@ class Environment:
     name: folder below `.envs` and stem of its constraints file · pythons: usable Python versions, best first; a last
     entry of None means "and any newer" · packages: what pip installs · sources: glob patterns whose change asks for a
     new installation · builds: True if the project itself is installed (and its kernels compiled) · check: a statement
-    that must run in the finished environment.
+    that must run in the finished environment, else it is made anew · last_words: statements of the project's own code;
+    what they print is shown, and their failure is no reason to make an environment anew · holds: smaller sets for the
+    same folder that this one has too.
     """
 
     name: str
@@ -61,6 +66,8 @@ class Environment:
     sources: tuple[str, ...]
     builds: bool
     check: str
+    last_words: str = ""
+    holds: tuple[Environment, ...] = ()
 
     @property
     def folder(self) -> Path:
@@ -80,15 +87,24 @@ class Environment:
         return version in self.pythons or (open_ended and version > max(v for v in self.pythons if v))
 
 
+# which kernels draw is told: the fallback is the same picture, slower by a factor that nobody should have to guess
+WHICH_KERNELS = """
+from jghand_engine.native import library
+chosen = library.load()
+print("drawing with", f"the native kernels, variant {chosen.variant}" if chosen else "torch, the slow reference")
+"""
 ENGINE = Environment(
     name="engine",
     pythons=((3, 11), (3, 12), (3, 13), None),
-    packages=("--no-build-isolation", "--editable", ".[dev,video]"),
+    packages=("--no-build-isolation", "--editable", ".[video]"),
     sources=("pyproject.toml", "setup.py", "jghand_engine/native/build.py", "jghand_engine/native/**/*.cpp",
              "jghand_engine/native/**/*.h"),
     builds=True,
-    check="import torch, numpy, pxr, jghand_engine",
+    check="import torch, numpy, pxr",
+    last_words=WHICH_KERNELS,
 )  # fmt: skip
+# the engine with the tools of its tests and checks; whoever only uses it need not have them
+DEVELOPER = replace(ENGINE, packages=(*ENGINE.packages[:-1], ".[dev,video]"), holds=(ENGINE,))
 # bpy 5.0 is built for Python 3.11 and nothing else, bpy 5.2 for Python 3.13 and nothing else
 BLENDER = Environment(
     name="blender",
@@ -111,27 +127,52 @@ def clean_variables() -> dict[str, str]:
 
 
 def ensure(environment: Environment) -> Path:
-    """Makes or updates the environment if that is needed; returns its interpreter. Raises SetupError."""
-    wanted = _fingerprint(environment)
-    stamp = environment.folder / STAMP
-    if stamp.is_file() and stamp.read_text(encoding="utf-8").strip() == wanted and _version_of(environment.python):
+    """Makes or updates the environment if that is needed; returns its interpreter.
+
+    Raises SetupError. An environment that was there is then still there, and the next call tries again.
+    """
+    if is_ready(environment):
         return environment.python
     started = time.perf_counter()
     say(f"Setting up {environment.folder.relative_to(ROOT)}")
-    existed = environment.folder.exists()
+    made = _make(environment)
     try:
-        _fill(environment)
+        _install(environment)
+    except SetupError as error:
+        raise SetupError(f"{error}\n\n{_what_is_left(environment, made)}") from error
+    try:
+        _check(environment)
     except MissingLibraryError:
         raise
-    except SetupError:
-        if not existed:
+    except SetupError as error:
+        if made:
             raise
-        say("  it cannot be brought up to date; making it anew")
+        say(f"  {error}\n  making it anew")
         _remove(environment)
-        _fill(environment)
-    stamp.write_text(wanted + "\n", encoding="utf-8")
+        _make(environment)
+        _install(environment)
+        _check(environment)
+    for line in _run_in(environment, environment.last_words).splitlines():
+        say(f"  {line}")
+    lines = [_fingerprint(one) for one in (environment, *environment.holds)]
+    (environment.folder / STAMP).write_text("\n".join(lines) + "\n", encoding="utf-8")
     say(f"  ready after {time.perf_counter() - started:.0f} s")
     return environment.python
+
+
+def is_ready(environment: Environment) -> bool:
+    """Whether the environment is there, whole and up to date. Changes nothing."""
+    stamp = environment.folder / STAMP
+    if not stamp.is_file() or _fingerprint(environment) not in stamp.read_text(encoding="utf-8").splitlines():
+        return False
+    return _version_of(environment.python) is not None
+
+
+def _what_is_left(environment: Environment, made: bool) -> str:
+    folder = environment.folder.relative_to(ROOT)
+    if made:
+        return f"{folder} is unfinished; starting again goes on from here."
+    return f"{folder} was not brought up to date and is otherwise kept as it was; starting again tries again."
 
 
 # ---- finding an interpreter ------------------------------------------------------------------------------------------
@@ -216,12 +257,6 @@ def _fingerprint(environment: Environment) -> str:
     return digest.hexdigest()
 
 
-def _fill(environment: Environment) -> None:
-    _make(environment)
-    _install(environment)
-    _check(environment)
-
-
 def _remove(environment: Environment) -> None:
     try:
         shutil.rmtree(environment.folder)
@@ -231,18 +266,25 @@ def _remove(environment: Environment) -> None:
         ) from error
 
 
-def _make(environment: Environment) -> None:
-    """Makes the bare environment unless a usable one is there."""
+def _make(environment: Environment) -> bool:
+    """Makes the bare environment unless a usable one is there; returns whether it did."""
     folder = environment.folder
     version = _version_of(environment.python)
-    if version and environment.usable(version):
-        return
+    if version and environment.usable(version) and _has_pip(environment.python):
+        return False
     command = find_python(environment.pythons)
     if folder.exists():
         say("  the environment there is unfinished or of another Python; removing it")
         _remove(environment)
     folder.parent.mkdir(parents=True, exist_ok=True)
     _step(f"making it with {' '.join(command)}", [*command, "-m", "venv", str(folder)])
+    return True
+
+
+def _has_pip(python: Path) -> bool:
+    """False where the making of an environment broke off before pip was in it."""
+    command = [str(python), "-c", "import pip"]
+    return subprocess.run(command, env=clean_variables(), capture_output=True, check=False).returncode == 0
 
 
 def _install(environment: Environment) -> None:
@@ -252,6 +294,9 @@ def _install(environment: Environment) -> None:
     pip = [str(environment.python), "-m", "pip", "install", "--quiet", "-c", str(environment.constraints)]
     if environment.builds:
         _step("installing the build tools", [*pip, "setuptools", "ziglang"], retry=True)
+        if index := os.environ.get(TORCH_INDEX_VARIABLE, "").strip():
+            step = f"installing PyTorch, looked up in {TORCH_INDEX_VARIABLE} too"
+            _step(step, [*pip, "--extra-index-url", index, "torch"], retry=True)
         _step("installing the packages and building the kernels", [*pip, *environment.packages], retry=True)
     else:
         _step("installing the packages", [*pip, *environment.packages], retry=True)
@@ -273,12 +318,17 @@ def _step(text: str, command: list[str], *, retry: bool = False) -> None:
 
 def _check(environment: Environment) -> None:
     """Imports what the environment is for."""
+    _run_in(environment, environment.check)
+
+
+def _run_in(environment: Environment, statements: str) -> str:
+    """Runs statements in the environment and returns what they print. SetupError says why they fail."""
     done = subprocess.run(
-        [str(environment.python), "-c", environment.check],
+        [str(environment.python), "-c", statements],
         cwd=ROOT, env=clean_variables(), capture_output=True, text=True, check=False,
     )  # fmt: skip
     if done.returncode == 0:
-        return
+        return (done.stdout + done.stderr).strip()
     lines = done.stderr.strip().splitlines()
     reason = lines[-1] if lines else f"exit code {done.returncode}"
     text = f"The environment {environment.folder.relative_to(ROOT)} does not work: {reason}"

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import environments
-from environments import BLENDER, ENGINE, ROOT, SetupError
+from environments import BLENDER, DEVELOPER, ROOT, SetupError
 
 PARTS = ("checks", "engine", "blender")
 # pytest's exit code when a selection matches no test: fine for a selection, which may well concern one part only
@@ -101,7 +101,7 @@ def run_pytest(name: str, python: Path, arguments: tuple[str, ...], selective: b
 def run_part(part: str, selection: Selection, require_blender: bool) -> tuple[list[Result], list[str]]:
     """Sets up what the part needs and runs it; returns the lines of the summary and pytest's own."""
     if part == "checks":
-        return run_checks(environments.ensure(ENGINE)), []
+        return run_checks(environments.ensure(DEVELOPER)), []
     paths = selection.engine if part == "engine" else selection.blender
     name = f"pytest, {part}"
     if paths is None:
@@ -109,9 +109,9 @@ def run_part(part: str, selection: Selection, require_blender: bool) -> tuple[li
     arguments = (*paths, *selection.options)
     if part == "engine":
         arguments = (*arguments, "--ignore=tests/blender")
-        result, summary = run_pytest(name, environments.ensure(ENGINE), arguments, selection.selective)
+        result, summary = run_pytest(name, environments.ensure(DEVELOPER), arguments, selection.selective)
         return [result], [summary]
-    environments.ensure(ENGINE)  # Blender's side talks to the real engine
+    environments.ensure(DEVELOPER)  # Blender's side talks to the real engine
     try:
         python = environments.ensure(BLENDER)
     except SetupError as error:

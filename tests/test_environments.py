@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import shutil
 import sys
 from pathlib import Path
 
@@ -11,7 +12,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
 import environments
-from environments import BLENDER, ENGINE, MissingLibraryError, SetupError
+from environments import BLENDER, DEVELOPER, ENGINE, MissingLibraryError, SetupError
 
 THIS = sys.version_info[:2]
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="the stand-ins are shell scripts")
@@ -77,9 +78,14 @@ def test_blender_is_never_made_with_a_python_that_it_is_not_built_for():
 
 
 @pytest.fixture
-def tiny(tmp_path, monkeypatch):
-    """An environment in a project of its own. It is really made, but without pip (which takes seconds), and steps of
-    pip are only said."""
+def tiny_failures():
+    return []
+
+
+@pytest.fixture
+def tiny(tmp_path, monkeypatch, tiny_failures):
+    """An environment in a project of its own. It is really made, but with an empty pip (the real one takes seconds),
+    and steps of pip are only said; one whose text has a word in `tiny_failures` fails."""
     (tmp_path / "constraints").mkdir()
     (tmp_path / "constraints/tiny.txt").write_text("# nothing\n")
     (tmp_path / "source.txt").write_text("one")
@@ -90,8 +96,13 @@ def tiny(tmp_path, monkeypatch):
     def without_pip(text, command, *, retry=False):
         if "venv" in command:
             step(text, [*command, "--without-pip"], retry=retry)
+            folder = Path(command[-1]) / "lib" / f"python{THIS[0]}.{THIS[1]}" / "site-packages" / "pip"
+            folder.mkdir()
+            (folder / "__init__.py").touch()
+        elif any(word in text for word in tiny_failures):
+            raise SetupError(f"This step failed: {text}.")
         else:
-            print(text)
+            print(text, *command)
 
     monkeypatch.setattr(environments, "_step", without_pip)
     return environments.Environment("tiny", (THIS,), ("nothing",), ("*.txt",), builds=False, check="import sys")
@@ -129,6 +140,71 @@ def test_an_environment_without_a_working_python_is_made_anew(tiny, capsys):
     capsys.readouterr()
     environments.ensure(tiny)
     assert "unfinished" in capsys.readouterr().out
+
+
+def test_an_environment_whose_making_broke_off_before_pip_is_made_anew(tiny, capsys):
+    environments.ensure(tiny)
+    (tiny.folder / environments.STAMP).unlink()
+    shutil.rmtree(next(tiny.folder.rglob("site-packages/pip")))
+    capsys.readouterr()
+    environments.ensure(tiny)
+    assert "unfinished" in capsys.readouterr().out
+
+
+def test_an_update_that_fails_keeps_the_environment_and_is_tried_again(tiny, tiny_failures, tmp_path, capsys):
+    environments.ensure(tiny)
+    (tiny.folder / "costly").write_text("two gigabytes")
+    (tmp_path / "source.txt").write_text("two")
+    tiny_failures.append("installing")
+    for _ in range(2):
+        capsys.readouterr()
+        with pytest.raises(
+            SetupError, match=r"failed: installing the packages(.*\n)*.*tiny was not brought up to date"
+        ):
+            environments.ensure(tiny)
+        assert "anew" not in capsys.readouterr().out
+    assert not (tiny.folder / environments.STAMP).exists()
+    tiny_failures.clear()
+    assert environments.ensure(tiny) == tiny.python
+    assert (tiny.folder / "costly").read_text() == "two gigabytes"
+
+
+def test_a_mistake_in_the_projects_own_code_does_not_cost_the_environment(tiny, capsys):
+    environments.ensure(tiny)
+    (tiny.folder / "costly").touch()
+    with pytest.raises(SetupError, match="does not work: SyntaxError"):
+        environments.ensure(dataclasses.replace(tiny, last_words="a typing mistake"))
+    assert (tiny.folder / "costly").exists()
+
+
+def test_what_the_environment_says_last_is_shown(tiny, capsys):
+    environments.ensure(dataclasses.replace(tiny, last_words="print('drawing with', 'chalk')"))
+    assert "  drawing with chalk\n" in capsys.readouterr().out
+
+
+def test_a_larger_set_of_packages_will_do_for_a_smaller_one_and_not_the_other_way(tiny, capsys):
+    large = dataclasses.replace(tiny, packages=("nothing", "tools"), holds=(tiny,))
+    environments.ensure(tiny)
+    assert not environments.is_ready(large)
+    environments.ensure(large)
+    assert environments.is_ready(tiny)
+    assert environments.is_ready(large)
+
+
+def test_using_the_engine_needs_no_tools_of_its_developers():
+    assert not any("dev" in package for package in ENGINE.packages)
+    assert "dev" in DEVELOPER.packages[-1]
+    assert DEVELOPER.folder == ENGINE.folder
+    assert DEVELOPER.holds == (ENGINE,)
+
+
+@pytest.mark.parametrize("index", ["", "https://packages.example/cpu"])
+def test_another_index_is_asked_for_pytorch_alone(tiny, capsys, monkeypatch, index):
+    monkeypatch.setenv(environments.TORCH_INDEX_VARIABLE, index)
+    environments.ensure(dataclasses.replace(tiny, builds=True))
+    steps = [line for line in capsys.readouterr().out.splitlines() if index and index in line]
+    assert len(steps) == bool(index)
+    assert all(line.endswith(f"--extra-index-url {index} torch") for line in steps)
 
 
 def test_an_environment_that_does_not_work_is_made_anew_once(tiny, capsys):
