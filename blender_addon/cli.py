@@ -160,14 +160,31 @@ def _render_frame(engine: EngineClient, frame: int, job: _Job, report: batch.Bat
             yield report.skipped(eye.name, frame, job.path(eye, frame))
     if not wanted:
         return
+    clock = _Clock()
     depsgraph = scene.evaluated_at(bpy.context.scene, frame, (*job.hands, *job.cameras))
     read = [armature.read_hand(hand, depsgraph) for hand in armature.hand_armatures(bpy.context.view_layer)]
     hands = [replace(hand, avatar=job.avatar) for hand in read]
-    for eye in wanted:
-        started = time.perf_counter()
-        content, details = _picture(engine, camera.pinhole(eye, depsgraph), hands, job.options.preset)
-        batch.write_whole(job.path(eye, frame), content)
-        yield report.rendered(eye.name, frame, job.path(eye, frame), 1e3 * (time.perf_counter() - started), details)
+    views = [camera.pinhole(eye, depsgraph) for eye in wanted]
+    evaluate_ms = clock.lap_ms() / len(wanted)
+    for eye, view in zip(wanted, views, strict=True):
+        clock = _Clock()
+        content, details = _picture(engine, view, hands, job.options.preset)
+        request_ms = clock.lap_ms()
+        path = job.path(eye, frame)
+        batch.write_whole(path, content)
+        times = batch.PictureTimes(evaluate_ms, request_ms, clock.lap_ms())
+        yield report.rendered(eye.name, frame, path, times, details)
+
+
+class _Clock:
+    """Milliseconds since the last lap."""
+
+    def __init__(self) -> None:
+        self._then = time.perf_counter()
+
+    def lap_ms(self) -> float:
+        then, self._then = self._then, time.perf_counter()
+        return 1e3 * (self._then - then)
 
 
 def _picture(engine: EngineClient, view: Pinhole, hands: list[HandInSpace], preset: str) -> tuple[bytes, dict]:

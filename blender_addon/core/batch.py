@@ -14,7 +14,7 @@ import re
 import tempfile
 import time
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -77,6 +77,16 @@ def write_whole(path: Path, content: bytes) -> None:
         raise JGHandFailure(kind, f"{path}: {error.strerror or error}") from error
 
 
+@dataclass(frozen=True)
+class PictureTimes:
+    """Milliseconds of one picture. evaluate: Blender's evaluation and the reading of hands and camera, a frame's share
+    alike for all its cameras; request: the engine and the way there and back; write: the file onto the disk."""
+
+    evaluate_ms: float
+    request_ms: float
+    write_ms: float
+
+
 @dataclass
 class BatchReport:
     """What a run did, for people (progress lines) and for machines (a JSON file)."""
@@ -89,9 +99,11 @@ class BatchReport:
     failure: dict[str, str] | None = None
     _started: float = field(default_factory=time.monotonic)
 
-    def rendered(self, camera: str, frame: int, path: Path, milliseconds: float, details: dict[str, Any]) -> str:
+    def rendered(self, camera: str, frame: int, path: Path, times: PictureTimes, details: dict[str, Any]) -> str:
         """Notes a picture; returns its progress line."""
-        self._note(camera, frame, path, skipped=False, milliseconds=round(milliseconds, 3), **details)
+        milliseconds = times.request_ms + times.write_ms
+        spent = {name: round(value, 3) for name, value in {"milliseconds": milliseconds, **asdict(times)}.items()}
+        self._note(camera, frame, path, skipped=False, **spent, **details)
         done = [picture for picture in self.pictures if not picture["skipped"]]
         left_s = (self.total - len(self.pictures)) * (time.monotonic() - self._started) / len(done)
         place = f"{len(self.pictures)} of {self.total}"

@@ -70,9 +70,12 @@ def test_a_folder_that_is_a_file_is_told(tmp_path):
 def test_the_report_counts_what_was_done_and_says_what_failed(tmp_path):
     report = batch.BatchReport("hand.blend", "final", total=3)
     assert "1 of 3" in report.skipped("Cam", 1, tmp_path / "0001.png")
-    assert "2 of 3" in report.rendered("Cam", 2, tmp_path / "0002.png", 8.0, {"size": [4, 3]})
+    assert "2 of 3" in report.rendered("Cam", 2, tmp_path / "0002.png", batch.PictureTimes(1, 5, 3), {"size": [4, 3]})
     report.failed(JGHandFailure("crashed", "exit code 7"))
     content = json.loads(report.as_json())
     assert (content["wanted"], content["rendered"], content["skipped"]) == (3, 1, 1)
     assert content["failure"]["kind"] == "crashed"
-    assert content["pictures"][1]["size"] == [4, 3]
+    picture = content["pictures"][1]
+    assert picture["size"] == [4, 3]
+    times = {name: picture[name] for name in ("milliseconds", "evaluate_ms", "request_ms", "write_ms")}
+    assert times == {"milliseconds": 8, "evaluate_ms": 1, "request_ms": 5, "write_ms": 3}

@@ -77,7 +77,10 @@ def test_every_frame_of_every_camera_becomes_a_picture(engine, blend, capsys):
     assert files == ["CamPalm/0001.png", "CamPalm/0004.png", "CamSide/0001.png", "CamSide/0004.png"]
     assert pixels(blend.parent / "out" / "CamPalm" / "0001.png").shape == (*SIZE[::-1], 4)
     assert (report["wanted"], report["rendered"], report["skipped"], report["failure"]) == (4, 4, 0, None)
-    assert report["pictures"][0]["reports"][0]["total_ms"] > 0
+    for picture in report["pictures"]:
+        assert picture["reports"][0]["total_ms"] > 0
+        assert min(picture[name] for name in ("evaluate_ms", "request_ms", "write_ms")) > 0
+        assert picture["milliseconds"] == pytest.approx(picture["request_ms"] + picture["write_ms"], abs=2e-3)
     lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("frame ")]
     assert len(lines) == 4
     assert "4 of 4" in lines[-1]
