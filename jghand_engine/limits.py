@@ -323,6 +323,8 @@ FRAMING_DIRECTION_MIN = 0.2
 # and how far the length of a quaternion may be from 1 (that of NVIDIA's rule VG.035)
 USD_EXTENT_TOLERANCE_M = 1e-5
 USD_QUATERNION_TOLERANCE = 1e-3
+# ... and how far the weights of a point may be from 1: at 1 m from the origin it then moves by 1 mm
+USD_WEIGHT_SUM_TOLERANCE = 1e-3
 
 # ---- cli: the demo --------------------------------------------------------------------------------------------------
 

@@ -14,9 +14,10 @@ import numpy as np
 from pxr import Sdf, Tf, Usd, UsdGeom, UsdSkel, UsdUtils
 
 from jghand_engine.errors import InputError
-from jghand_engine.exporters.usd_check_splats import splat_findings, time_name
+from jghand_engine.exporters.usd_check_splats import extent_sentence, splat_findings, time_name
 from jghand_engine.exporters.usd_layers import SPLAT_TYPE
 from jghand_engine.exporters.usd_stage import VARIANT_SET
+from jghand_engine.limits import USD_WEIGHT_SUM_TOLERANCE
 
 PURPOSES = [UsdGeom.Tokens.default_, UsdGeom.Tokens.render, UsdGeom.Tokens.proxy, UsdGeom.Tokens.guide]
 
@@ -40,11 +41,11 @@ def check_usd(path: Path | str) -> list[Finding]:
     Raises InputError when the file cannot be opened as a stage.
     """
     findings = []
-    for variant, prim_path in _variants(Path(path)):
+    for variant, prim_paths in _variants(Path(path)).items():
         delegate = UsdUtils.CoalescingDiagnosticDelegate()
         stage = _open(Path(path))
-        if variant:
-            stage.SetEditTarget(stage.GetSessionLayer())
+        stage.SetEditTarget(stage.GetSessionLayer())
+        for prim_path in prim_paths:
             stage.GetPrimAtPath(prim_path).GetVariantSet(VARIANT_SET).SetVariantSelection(variant)
         found = [*_usd_findings(stage), *_stage_findings(stage)]
         found += [("", f"USD warns: {item.commentary}") for item in delegate.TakeUncoalescedDiagnostics()]
@@ -63,14 +64,17 @@ def _open(path: Path) -> Usd.Stage:
     return stage
 
 
-def _variants(path: Path) -> list[tuple[str, Sdf.Path]]:
-    """Every choice of representation on the stage: name and prim that offers it; one '' when there are none."""
+def _variants(path: Path) -> dict[str, list[Sdf.Path]]:
+    """Every choice of representation on the stage and the prims that offer it; '' of none when there is no choice.
+
+    Several hands are switched together: each is seen in each of its variants.
+    """
     stage = _open(path)
+    offered: dict[str, list[Sdf.Path]] = {}
     for prim in stage.Traverse():
-        sets = prim.GetVariantSets()
-        if sets.HasVariantSet(VARIANT_SET):
-            return [(name, prim.GetPath()) for name in sets.GetVariantSet(VARIANT_SET).GetVariantNames()]
-    return [("", Sdf.Path("/"))]
+        for name in prim.GetVariantSet(VARIANT_SET).GetVariantNames():
+            offered.setdefault(name, []).append(prim.GetPath())
+    return offered or {"": []}
 
 
 def _usd_findings(stage: Usd.Stage) -> Iterator[tuple[str, str]]:
@@ -118,6 +122,8 @@ def _point_findings(prim: Usd.Prim) -> Iterator[str]:
             yield f"points hold NaN or infinity at {time_name(time)}"
         if extent is None:
             yield f"there is no extent at {time_name(time)}"
+        elif len(extent) != 2:
+            yield extent_sentence(len(extent), time)
 
 
 def _skin_findings(prim: Usd.Prim) -> Iterator[str]:
@@ -129,5 +135,9 @@ def _skin_findings(prim: Usd.Prim) -> Iterator[str]:
         return
     weights = binding.GetJointWeightsPrimvar().Get()
     size = binding.GetJointWeightsPrimvar().GetElementSize()
-    if weights is not None and np.abs(np.asarray(weights).reshape(-1, size).sum(axis=1) - 1).max(initial=0) > 1e-3:
+    if weights is None:
+        return
+    if size < 1 or len(weights) % size:
+        yield f"{len(weights)} joint weights are not {size} for every point: readers drop them all"
+    elif not np.abs(np.asarray(weights).reshape(-1, size).sum(axis=1) - 1).max(initial=0) <= USD_WEIGHT_SUM_TOLERANCE:
         yield "joint weights of a point do not sum to 1: it will shrink towards the origin"

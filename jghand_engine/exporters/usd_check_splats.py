@@ -85,13 +85,17 @@ def _sample_findings(prim: Usd.Prim, scales: np.ndarray | None, count: int) -> I
         if extent is None:
             yield f"there is no extent at {name}: no viewer can compute one for splats"
             continue
+        if len(extent) != 2:
+            yield extent_sentence(len(extent), time)
+            continue
         now = _values(prim, "scales", time)
         now = scales if now is None else now
         if now is not None and len(now) == count:
             radius = USD_SPLAT_EXTENT_SIGMA * now.max(axis=1, keepdims=True)
             low, high = np.asarray(extent, np.float32)
             below, above = low - (positions - radius).min(axis=0), (positions + radius).max(axis=0) - high
-            if max(below.max(), above.max()) > USD_EXTENT_TOLERANCE_M:
+            # not <=: an extent of NaN holds nothing
+            if not max(below.max(), above.max()) <= USD_EXTENT_TOLERANCE_M:
                 yield f"the extent at {name} does not hold the Gaussians to 3 standard deviations: they get culled"
 
 
@@ -107,6 +111,11 @@ def _values(prim: Usd.Prim, name: str, time: Usd.TimeCode | float | None = None)
     attr = _attribute(prim, name)
     value = attr.Get(Usd.TimeCode.Default() if time is None else time) if attr else None
     return None if value is None else np.asarray(value, np.float32)
+
+
+def extent_sentence(count: int, time: Usd.TimeCode | float) -> str:
+    """What is wrong with an extent of `count` vectors."""
+    return f"the extent at {time_name(time)} has {count} vectors: wanted 2, the corners of a box"
 
 
 def time_name(time: Usd.TimeCode | float) -> str:

@@ -65,6 +65,9 @@ def vectors(array) -> Vt.Vec3fArray:
         ("orientations", Vt.QuatfArray.FromNumpy(np.zeros((COUNT, 4), np.float32)), None, "not unit quaternions"),
         ("extent", None, None, "there is no extent at Default time"),
         ("extent", vectors(np.zeros((2, 3))), 1, "extent at time 1 does not hold the Gaussians"),
+        ("extent", vectors(np.zeros((1, 3))), None, "extent at Default time has 1 vectors"),
+        ("extent", vectors(np.zeros((3, 3))), 2, "extent at time 2 has 3 vectors"),
+        ("extent", vectors(np.full((2, 3), np.nan)), 1, "extent at time 1 does not hold the Gaussians"),
         ("positions", None, None, "positions have no Default value"),
         ("positions", vectors(np.full((COUNT, 3), np.nan)), 2, "NaN or infinity at time 2"),
         ("positions", vectors(np.zeros((3, 3))), 2, "number of positions changes at time 2"),
@@ -110,6 +113,55 @@ def test_weights_that_do_not_sum_to_one_are_reported(export):
     attr.Set(floats(np.asarray(attr.Get()) * 0.9))
     stage.Save()
     assert any("do not sum to 1" in sentence for sentence in sentences(export.stage))
+
+
+def test_weights_that_are_not_so_many_per_point_are_reported(export):
+    stage = Usd.Stage.Open(str(export.stage.parent / "hand.rig.usdc"))
+    attr = stage.GetPrimAtPath("/Rig/Mesh").GetAttribute("primvars:skel:jointWeights")
+    attr.Set(floats(np.asarray(attr.Get())[:-1]))
+    stage.Save()
+    assert any("readers drop them all" in sentence for sentence in sentences(export.stage))
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_points_with_an_extent_that_is_no_box_are_reported(export, count):
+    stage = Usd.Stage.Open(str(export.stage.parent / "hand.splats.usdc"))
+    stage.GetPrimAtPath("/_Points").GetAttribute("extent").Set(vectors(np.zeros((count, 3))), 1)
+    stage.Save()
+    found = sentences(export.stage)
+    assert any(f"has {count} vectors" in sentence and "[points]" in sentence for sentence in found), found
+
+
+def test_both_of_two_hands_are_looked_at_in_every_variant(tmp_path):
+    for side in Handedness:
+        export_usd(tmp_path / side, small_avatar(), lively_motion(side, 3))
+    two = tmp_path / "two.usda"
+    two.write_text(
+        """#usda 1.0
+(
+    defaultPrim = "World"
+    metersPerUnit = 1
+    upAxis = "Y"
+    startTimeCode = 0
+    endTimeCode = 2
+    fallbackPrimTypes = { token[] ParticleField3DGaussianSplat = ["Points"] }
+)
+def Xform "World" (kind = "assembly")
+{
+    def "Right" (references = @./right/hand.usda@) {}
+    def "Left" (references = @./left/hand.usda@) {}
+}
+"""
+    )
+    assert sentences(two) == []
+    stage = Usd.Stage.Open(str(tmp_path / "left" / "hand.splats.usdc"))
+    stage.GetPrimAtPath("/_Points").GetAttribute("extent").Clear()
+    stage.GetPrimAtPath("/Splats").GetAttribute("opacities").Clear()
+    stage.Save()
+    found = sentences(two)
+    assert any(sentence.startswith("[points] /World/Left/Points") for sentence in found), found
+    assert any(sentence.startswith("[splats] /World/Left/Splats") for sentence in found), found
+    assert not any("/World/Right" in sentence for sentence in found), found
 
 
 def test_points_without_default_value_are_reported(export):
