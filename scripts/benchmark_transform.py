@@ -27,6 +27,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 from hand import sampled_hands as hands  # noqa: E402  # pyright: ignore[reportMissingImports]
 
 from jghand_engine.hand.fast_transform import FastTransform  # noqa: E402
+from jghand_engine.hand.joints import Handedness  # noqa: E402
 from jghand_engine.hand.transform import BoneTransforms, JointTransform  # noqa: E402
 
 CANONICAL = hands.canonical()
@@ -69,7 +70,7 @@ def timed(calls: dict[str, Callable[[], object]], runs: int) -> None:
 
 
 def our_transform(swing: str) -> Callable[[torch.Tensor], torch.Tensor]:
-    transform = JointTransform(CANONICAL, swing=swing)
+    transform = JointTransform(CANONICAL, handedness=Handedness.RIGHT, swing=swing)
     return lambda joints: everything(transform.bones(joints))
 
 
@@ -107,7 +108,7 @@ def main() -> None:
     print("1 hand, float64 in, float32 out, the Python call included")
     one = hands.sample(1)[0].numpy()
     for swing in ("euler", "minimal"):
-        fast = FastTransform(CANONICAL, swing=swing)
+        fast = FastTransform(CANONICAL, handedness=Handedness.RIGHT, swing=swing)
         timed({f"{swing}, native": lambda t=fast: t.bones(one)}, 20 * options.runs)
 
 

@@ -53,7 +53,9 @@ def _chunks(count: int) -> Iterator[torch.Tensor]:
 def joint_errors(count: int) -> Iterator[Figure]:
     """Both ends of all bones of random hands and of random point clouds, every mode, both precisions."""
     worst = {(dtype, kind): 0.0 for dtype in (torch.float32, torch.float64) for kind in ("hands", "clouds", "centred")}
-    transforms = [JointTransform(CANONICAL, swing=swing, scale_mode=mode) for swing, mode in MODES]
+    transforms = [
+        JointTransform(CANONICAL, handedness=Handedness.RIGHT, swing=swing, scale_mode=mode) for swing, mode in MODES
+    ]
     generator = torch.Generator().manual_seed(0)
     for chunk in _chunks(count):
         cloud = 0.05 * torch.randn(chunk.shape, dtype=torch.float64, generator=generator)
@@ -79,11 +81,11 @@ def chain_and_symmetry() -> Iterator[Figure]:
     shift = torch.eye(4, dtype=torch.float64)
     shift[:3, 3] = -CANONICAL[0]
     for swing in SWINGS:
-        transform = JointTransform(CANONICAL, swing=swing, scale_mode="uniform")
+        transform = JointTransform(CANONICAL, handedness=Handedness.RIGHT, swing=swing, scale_mode="uniform")
         chain = (factored(transform, CANONICAL, joints) @ shift)[..., :3, :]
         difference = (chain - transform.bones(joints).matrices()[:, 1:]).abs().max().item()
         yield Figure(f"closed form against corrected factors, {swing}", difference, 1e-13)
-    transform = JointTransform(CANONICAL)
+    transform = JointTransform(CANONICAL, handedness=Handedness.RIGHT)
     matrices = transform.bones(joints).matrices()
     R = hands.random_rotations(len(joints), torch.Generator().manual_seed(0))
     moved = R[:, None] @ matrices
@@ -158,7 +160,7 @@ def skin_under_noise() -> Iterator[Figure]:
     template = load_template()
     canonical = torch.tensor(template.joints_m)
     weights, skin = torch.tensor(template.bone_weights), torch.tensor(template.vertices_m)
-    transform = JointTransform(canonical)
+    transform = JointTransform(canonical, handedness=Handedness.RIGHT)
     joints = hands.sample(300, seed=5, palm_m=0.0, bone=0.1, shift_m=0.0, turned=False)
     # the sampled hands look the other way: their palm along -z, the thumb at -x
     joints = joints * torch.tensor([-1.0, 1.0, -1.0], dtype=torch.float64)

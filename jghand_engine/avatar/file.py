@@ -21,8 +21,6 @@ import torch
 
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
 from jghand_engine.avatar.storage import (
-    LEVEL_OF_STANDARD,
-    STANDARD_OF_LEVEL,
     Arrays,
     Storage,
     expected_arrays,
@@ -34,6 +32,7 @@ from jghand_engine.errors import InputError
 from jghand_engine.files import writing
 from jghand_engine.hand.frames import Swing
 from jghand_engine.hand.joints import JOINT_COUNT, STANDARD_NAMES, Handedness
+from jghand_engine.hand.orders import JointOrder, from_level, to_level
 from jghand_engine.hand.transform import ScaleMode, scale_exponent
 from jghand_engine.limits import AVATAR_HEADER_MAX_BYTES, AVATAR_MAX_GAUSSIANS, AVATAR_TEXT_MAX
 
@@ -53,7 +52,7 @@ def save_avatar(path: Path | str, avatar: HandAvatar, *, storage: Storage = Stor
     check_avatar(avatar, thing)
     packed, box_m = pack(_arrays(avatar), storage)
     joints_m = avatar.canonical_joints_m.detach().cpu().to(torch.float64).numpy()
-    packed["canonical_joints_m"] = np.ascontiguousarray(joints_m[LEVEL_OF_STANDARD])
+    packed["canonical_joints_m"] = np.ascontiguousarray(from_level(joints_m, JointOrder.STANDARD))
     description = {
         "format_version": FORMAT_VERSION,
         "name": avatar.info.name,
@@ -105,7 +104,7 @@ def _load(file: Path, thing: str) -> HandAvatar:
         raise InputError(thing, wanted="a .jghand file", came=f"{error}"[:200], remedy=REMEDY) from error
     except OSError as error:
         raise _unreadable(thing, error) from error
-    joints_m = torch.from_numpy(packed.pop("canonical_joints_m")[STANDARD_OF_LEVEL])
+    joints_m = torch.from_numpy(to_level(packed.pop("canonical_joints_m"), JointOrder.STANDARD))
     if about.storage is Storage.COMPACT and int(packed["weight_bone"].max()) >= JOINT_COUNT:
         came = str(int(packed["weight_bone"].max()))
         raise InputError(f"{thing}: weight_bone", wanted=f"bones 0 to {JOINT_COUNT - 1}", came=came, remedy=REMEDY)

@@ -11,9 +11,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from jghand_engine.avatar.skin_marks import MM, TIPS, MarkPainter, SkinMarks
-from jghand_engine.avatar.skin_points import Landmarks, SkinPoints, bump, noise, palm_share, smoothstep, unit
+from jghand_engine.avatar.skin_points import Landmarks, SkinPoints, bump, noise, palm_share, smoothstep
 from jghand_engine.avatar.studio_light import BakedLight, Occluder, Studio, bake_light
+from jghand_engine.colour import linear_to_srgb, srgb_to_linear
 from jghand_engine.template.mesh import HandTemplate
+from jghand_engine.template.surface import unit
 
 # how strongly pigments darken linear red, green, blue (relative, chosen by eye)
 BLOOD = np.array([0.10, 0.62, 0.52])
@@ -75,7 +77,7 @@ def reflectance(points: SkinPoints, marks: SkinMarks, landmarks: Landmarks, look
     tan = look.tan_of_back * (1 - palm) * (1 + 0.10 * noise(p, 3 * MM, look.seed + 4) + 0.06 * speckle)
     tan = tan + 0.30 * marks.wrinkle + 0.06 * noise(p, 25 * MM, look.seed + 5)
     pigment = blood[:, None] * BLOOD + tan[:, None] * MELANIN + 0.27 * marks.vein[:, None] * VENOUS
-    skin = linear(np.array(look.tone)) * np.exp(-pigment)
+    skin = srgb_to_linear(np.array(look.tone)) * np.exp(-pigment)
     return _with_nails(skin, marks, look)
 
 
@@ -100,9 +102,9 @@ def _warm_places(p: np.ndarray, palm: np.ndarray, side: np.ndarray, landmarks: L
 
 def _with_nails(skin: np.ndarray, marks: SkinMarks, look: SkinLook) -> np.ndarray:
     tone = np.array(look.tone)
-    bed = linear(np.clip(tone * [0.99, 0.95, 0.97] + [0.02, 0.0, 0.01], 0, 1))
-    pale = linear(np.clip(0.62 * tone + 0.36, 0, 1))
-    edge = linear(np.clip(0.45 * tone + [0.52, 0.50, 0.46], 0, 1))
+    bed = srgb_to_linear(np.clip(tone * [0.99, 0.95, 0.97] + [0.02, 0.0, 0.01], 0, 1))
+    pale = srgb_to_linear(np.clip(0.62 * tone + 0.36, 0, 1))
+    edge = srgb_to_linear(np.clip(0.45 * tone + [0.52, 0.50, 0.46], 0, 1))
     nail = bed + (pale - bed) * 0.5 * marks.lunula[:, None]
     nail = nail + (edge - nail) * 0.85 * marks.free_edge[:, None]
     return skin + (nail - skin) * marks.nail[:, None]
@@ -137,15 +139,4 @@ def display(radiance: np.ndarray) -> np.ndarray:
     knee = 0.80
     over = np.maximum(radiance - knee, 0)
     rolled = np.minimum(radiance, knee) + (1 - knee) * (1 - np.exp(-over / (1 - knee)))
-    return srgb(rolled)
-
-
-def linear(srgb_value: np.ndarray) -> np.ndarray:
-    """sRGB -> linear (IEC 61966-2-1)."""
-    return np.where(srgb_value <= 0.04045, srgb_value / 12.92, ((srgb_value + 0.055) / 1.055) ** 2.4)
-
-
-def srgb(linear_value: np.ndarray) -> np.ndarray:
-    """Linear -> sRGB (IEC 61966-2-1), clipped to 0..1."""
-    v = np.clip(linear_value, 0, 1)
-    return np.where(v <= 0.0031308, 12.92 * v, 1.055 * v ** (1 / 2.4) - 0.055)
+    return linear_to_srgb(np.clip(rolled, 0, 1))

@@ -6,7 +6,7 @@ are those of the built-in template's canonical hand; along fingers they are rela
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -257,11 +257,6 @@ class MarkPainter:
             parts["lunula"] = np.maximum(parts["lunula"], plate * moon)
             parts["height"] += -fold * 0.40 * MM + near * 0.15 * MM * bump(depth_m + 1.2 * MM, 0.7 * MM)
         return parts
-
-
-def amounts(marks: SkinMarks) -> dict[str, np.ndarray]:
-    """All amounts by name, without the height."""
-    return {f.name: getattr(marks, f.name) for f in fields(marks) if f.name != "height_m"}
 
 
 def _distance_to_curve(xy: np.ndarray, knots: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from jghand_engine.hand.joints import JOINT_COUNT, PARENTS
+from jghand_engine.template.surface import unit
 
 # opposite to the normal of the built-in template's thumb nail: where the thumb's pad is, canonical frame
 THUMB_PALMAR = np.array([-0.93, 0.26, 0.27])
@@ -97,10 +98,6 @@ def smoothstep(low: float, high: float, x: np.ndarray) -> np.ndarray:
 def bump(x: np.ndarray, width: float | np.ndarray) -> np.ndarray:
     """exp(-x^2 / 2 width^2)."""
     return np.exp(-0.5 * (x / width) ** 2)
-
-
-def unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
 
 
 def noise(position_m: np.ndarray, cell_m: float, seed: int) -> np.ndarray:

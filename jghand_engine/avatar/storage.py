@@ -19,15 +19,12 @@ from enum import StrEnum
 
 import numpy as np
 
-from jghand_engine.hand.joints import JOINT_COUNT, LEVEL_NAMES, STANDARD_NAMES
+from jghand_engine.hand.joints import JOINT_COUNT
+from jghand_engine.hand.orders import LEVEL_OF_STANDARD, STANDARD_OF_LEVEL
 from jghand_engine.limits import STORED_WEIGHTS
 
 UINT16_MAX = 65535
 UINT8_MAX = 255
-
-# level index of standard joint 0..20, and back
-LEVEL_OF_STANDARD = np.array([LEVEL_NAMES.index(name) for name in STANDARD_NAMES])
-STANDARD_OF_LEVEL = np.argsort(LEVEL_OF_STANDARD)
 
 
 class Storage(StrEnum):

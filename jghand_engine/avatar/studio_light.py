@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.ndimage import binary_fill_holes, distance_transform_edt
 
-from jghand_engine.avatar.skin_points import unit
+from jghand_engine.template.surface import unit
 
 GRID_STEP_M = 0.0007
 GRID_MARGIN_M = 0.004

@@ -212,7 +212,9 @@ def bending_stretch(points_m: np.ndarray, bone_weights: torch.Tensor, joints_m: 
 
     worst = torch.ones(len(points_m), dtype=torch.float64)
     for name in CLOSED_IN:
-        bones = JointTransform(canonical_m).bones(torch.from_numpy(named_pose(name, joints_m)))
+        bones = JointTransform(canonical_m, handedness=Handedness.RIGHT).bones(
+            torch.from_numpy(named_pose(name, joints_m, handedness=Handedness.RIGHT))
+        )
         linear, offset_m = blend(bone_weights, bones)
         posed_m = apply(linear, skin_m - bones.canonical_root_m) + offset_m
         worst = torch.maximum(worst, gap(posed_m) / gap(skin_m) / posed_radius_scale(linear, bones.scale))

@@ -7,7 +7,7 @@ import torch
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.errors import InputError
-from jghand_engine.hand.joints import JOINT_COUNT
+from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 from jghand_engine.hand.orders import check_hand_size, check_order
 from jghand_engine.hand.transform import JointTransform
 from jghand_engine.limits import (
@@ -69,7 +69,9 @@ def _check_joints(avatar: HandAvatar, thing: str) -> None:
         raise InputError(f"{thing}: canonical_joints_m", wanted="finite values", came="NaN or Inf", remedy=REMEDY)
     try:
         check_hand_size(joints_m)
-        JointTransform(joints_m, swing=avatar.info.swing, scale_mode=avatar.info.scale_mode)
+        JointTransform(
+            joints_m, handedness=Handedness.RIGHT, swing=avatar.info.swing, scale_mode=avatar.info.scale_mode
+        )
         check_order(joints_m)
     except InputError as error:
         raise InputError(

@@ -70,7 +70,7 @@ def read_sequence(path: Path, options: FormatOptions) -> PoseSequence:
 def _from_names(names: str, options: FormatOptions, avatar: HandAvatar) -> PoseSequence:
     motion = PoseMotionOptions(fps=options.fps or limits.DEFAULT_FPS)
     hand = Handedness(options.hand or Handedness.RIGHT)
-    return pose_sequence_of_names(pose_list(names), avatar.canonical_joints_m.numpy(), hand, motion)
+    return pose_sequence_of_names(pose_list(names), avatar.canonical_joints_m.numpy(), handedness=hand, options=motion)
 
 
 def load_hand(avatar: str) -> HandAvatar:

@@ -99,7 +99,7 @@ def named_angles(name: str) -> np.ndarray:
     return np.array(POSES_DEG[name], dtype=np.float64)
 
 
-def named_pose(name: str, canonical_joints_m: np.ndarray, handedness: Handedness = Handedness.RIGHT) -> np.ndarray:
+def named_pose(name: str, canonical_joints_m: np.ndarray, *, handedness: Handedness) -> np.ndarray:
     """(21, 3) level-order joints of a named pose, metres; wrist and palm stay where the canonical hand has them.
 
     canonical_joints_m: (21, 3) right hand. A left hand is the mirror image, x negated.
@@ -113,7 +113,7 @@ class ArticulatedHand:
 
     def __init__(self, canonical_joints_m: np.ndarray) -> None:
         canonical = torch.from_numpy(np.array(canonical_joints_m, dtype=np.float64))
-        transform = JointTransform(canonical, swing=Swing.EULER)
+        transform = JointTransform(canonical, handedness=Handedness.RIGHT, swing=Swing.EULER)
         pose = decompose(transform, canonical)
         # straight fingers that keep their spread and their natural sideways bends; the thumb stays as it is
         straight = pose.angles.reshape(3, 5, 2).clone()
@@ -211,7 +211,8 @@ def minimum_jerk(part: np.ndarray) -> np.ndarray:
 def pose_sequence_of_names(
     names: Sequence[str],
     canonical_joints_m: np.ndarray,
-    handedness: Handedness = Handedness.RIGHT,
+    *,
+    handedness: Handedness,
     options: MotionOptions | None = None,
 ) -> PoseSequence:
     """A motion through named poses: minimum jerk, each finger a little late, the wrist at rest.

@@ -44,7 +44,7 @@ class FastTransform:
         self,
         canonical_joints_m: np.ndarray | torch.Tensor,
         *,
-        handedness: Handedness = Handedness.RIGHT,
+        handedness: Handedness,
         swing: str = Swing.MINIMAL,
         scale_mode: ScaleMode = "axial",
         variant: str = "auto",

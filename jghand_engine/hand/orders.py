@@ -62,6 +62,11 @@ _FROM = {
     # 26 joints of OpenXR: palm, wrist, thumb 4, then metacarpal base and four joints per finger
     JointOrder.OPENXR: (1, 2, 7, 12, 17, 22, 3, 8, 13, 18, 23, 4, 9, 14, 19, 24, 5, 10, 15, 20, 25),
 }
+# for arrays of indices: place of level joint k in the standard order, and the level joint at each standard place
+STANDARD_OF_LEVEL = np.array(_FROM[JointOrder.STANDARD])
+LEVEL_OF_STANDARD = np.argsort(STANDARD_OF_LEVEL)
+for _table in (STANDARD_OF_LEVEL, LEVEL_OF_STANDARD):
+    _table.setflags(write=False)
 _OPENXR_COUNT = 26
 _OPENXR_PALM = 0
 # place of the metacarpal base of index..pinky in OpenXR

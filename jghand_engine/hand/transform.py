@@ -86,7 +86,7 @@ class JointTransform:
         self,
         canonical_joints_m: Tensor | np.ndarray,
         *,
-        handedness: Handedness = Handedness.RIGHT,
+        handedness: Handedness,
         swing: str = Swing.MINIMAL,
         scale_mode: ScaleMode = "axial",
     ) -> None:

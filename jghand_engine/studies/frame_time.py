@@ -64,7 +64,7 @@ def builtin_subject(width: int, height: int, avatar: HandAvatar | None = None, n
     names = ("open", "relaxed", "fist", "pinch", "point", "victory", "open")
     # the motion must not stand still: a hand at rest is not drawn again
     options = MotionOptions(hold_s=0.0, variation_deg=2.0)
-    poses = pose_sequence_of_names(names, canonical, hand.handedness, options).joints_m
+    poses = pose_sequence_of_names(names, canonical, handedness=hand.handedness, options=options).joints_m
     step_m = np.abs(np.diff(poses, axis=0)).max(axis=(1, 2))
     poses = poses[1:][step_m > 2 * limits.REUSE_JOINTS_M]
     middle = torch.from_numpy(poses.mean(axis=(0, 1)))
@@ -174,7 +174,10 @@ def part_cases(library: Library, threads: int) -> Iterator[Case]:
     fast = _fast_transform(avatar)
     yield Case("bone transforms of one pose", "native", lambda: _nothing(fast.bones(next(poses))), threads=1)
     exact = JointTransform(
-        avatar.canonical_joints_m.float(), swing=avatar.info.swing, scale_mode=avatar.info.scale_mode
+        avatar.canonical_joints_m.float(),
+        handedness=avatar.handedness,
+        swing=avatar.info.swing,
+        scale_mode=avatar.info.scale_mode,
     )
     tensors = itertools.cycle(torch.from_numpy(subject.poses).float())
     yield Case("bone transforms of one pose", "torch", lambda: _nothing(exact.bones(next(tensors))), threads=1)

@@ -47,7 +47,9 @@ def test_the_conventions_come_back_as_the_transform_takes_them(tmp_path, swing, 
     again = load_avatar(tmp_path / "hand.jghand")
     assert same(again, avatar)
     assert isinstance(again.info.scale_mode, str) == isinstance(scale_mode, str)
-    transform = JointTransform(again.canonical_joints_m, swing=again.info.swing, scale_mode=again.info.scale_mode)
+    transform = JointTransform(
+        again.canonical_joints_m, handedness=again.handedness, swing=again.info.swing, scale_mode=again.info.scale_mode
+    )
     assert transform.exponent == scale_exponent(scale_mode)
 
 

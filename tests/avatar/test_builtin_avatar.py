@@ -40,7 +40,7 @@ def camera_at(direction, joints_m: torch.Tensor, width: int, height: int, focal_
 
 def posed_template_m(joints_m: torch.Tensor) -> torch.Tensor:
     template = load_template()
-    bones = JointTransform(torch.from_numpy(template.joints_m.copy())).bones(joints_m)
+    bones = JointTransform(torch.from_numpy(template.joints_m.copy()), handedness=Handedness.RIGHT).bones(joints_m)
     linear, offset_m = blend(torch.from_numpy(template.bone_weights.copy()), bones)
     relative_m = torch.from_numpy(template.vertices_m.copy()) - bones.canonical_root_m
     return apply(linear, relative_m) + offset_m + bones.root_m
@@ -92,8 +92,8 @@ DETAIL = (
 @pytest.mark.parametrize("pose", ["open", "fist", "claw"])
 @pytest.mark.parametrize(("count", "width", "height", "focal_px", "eroded", "through"), DETAIL)
 def test_no_background_shines_through_the_skin(avatar, pose, count, width, height, focal_px, eroded, through):
-    joints_m = torch.from_numpy(named_pose(pose, load_template().joints_m))
-    bones = JointTransform(avatar.canonical_joints_m).bones(joints_m.float())
+    joints_m = torch.from_numpy(named_pose(pose, load_template().joints_m, handedness=Handedness.RIGHT))
+    bones = JointTransform(avatar.canonical_joints_m, handedness=Handedness.RIGHT).bones(joints_m.float())
     gaussians = pose_gaussians(avatar.prefix(count), bones)
     for view in VIEWS:
         camera = camera_at(view, joints_m, width, height, focal_px)
@@ -103,8 +103,10 @@ def test_no_background_shines_through_the_skin(avatar, pose, count, width, heigh
 
 
 def test_the_outline_is_that_of_the_template(avatar):
-    joints_m = torch.from_numpy(named_pose("open", load_template().joints_m))
-    gaussians = pose_gaussians(avatar, JointTransform(avatar.canonical_joints_m).bones(joints_m.float()))
+    joints_m = torch.from_numpy(named_pose("open", load_template().joints_m, handedness=Handedness.RIGHT))
+    gaussians = pose_gaussians(
+        avatar, JointTransform(avatar.canonical_joints_m, handedness=Handedness.RIGHT).bones(joints_m.float())
+    )
     for view in VIEWS:
         camera = camera_at(view, joints_m, 1024, 1024, 2900.0)
         alpha = rasterise(gaussians, camera, RenderSettings()).alpha.numpy()
@@ -115,9 +117,9 @@ def test_the_outline_is_that_of_the_template(avatar):
 
 def test_a_hole_would_be_found(avatar):
     """The test above must fail when a patch of skin is missing."""
-    joints_m = torch.from_numpy(named_pose("open", load_template().joints_m))
+    joints_m = torch.from_numpy(named_pose("open", load_template().joints_m, handedness=Handedness.RIGHT))
     camera = camera_at(VIEWS[0], joints_m, 512, 334, 1000.0)
-    bones = JointTransform(avatar.canonical_joints_m).bones(joints_m.float())
+    bones = JointTransform(avatar.canonical_joints_m, handedness=Handedness.RIGHT).bones(joints_m.float())
     posed = pose_gaussians(avatar, bones)
     away = (posed.position_m[:, :2] - joints_m[3, :2].float()).norm(dim=1) > 0.004
     torn = replace(posed, opacity=posed.opacity * away)

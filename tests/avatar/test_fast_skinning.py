@@ -48,7 +48,7 @@ def test_native_skinning_agrees_with_the_float64_chain(library: Library, pose: s
     avatar = load_builtin(handedness=handedness).prefix(5003)
     canonical = avatar.canonical_joints_m.numpy()
     # bones of other lengths, so that radii are scaled too
-    joints = 1.2 * named_pose(pose, canonical, handedness)
+    joints = 1.2 * named_pose(pose, canonical, handedness=handedness)
     joints[1:] += np.random.default_rng(3).normal(0, 2e-3, (20, 3))
     bones = JointTransform(avatar.canonical_joints_m, handedness=handedness).bones(torch.from_numpy(joints))
     exact = pose_gaussians(avatar, bones)
@@ -61,7 +61,7 @@ def test_native_skinning_agrees_with_the_float64_chain(library: Library, pose: s
 
 def test_posed_hand_is_shifted_last(library: Library):
     avatar = load_builtin(handedness=Handedness.RIGHT).prefix(100)
-    joints = named_pose("relaxed", avatar.canonical_joints_m.numpy())
+    joints = named_pose("relaxed", avatar.canonical_joints_m.numpy(), handedness=Handedness.RIGHT)
     near, _ = skinned(library, avatar, joints)
     far, _ = skinned(library, avatar, joints, shift_m=(0.5, -0.25, 2.0))
     assert np.abs(far - near - np.array([0.5, -0.25, 2.0])).max() < 3e-7
@@ -69,7 +69,7 @@ def test_posed_hand_is_shifted_last(library: Library):
 
 def test_native_skinning_gives_the_same_bits_from_any_number_of_threads(library: Library):
     avatar = load_builtin(handedness=Handedness.RIGHT)
-    joints = named_pose("fist", avatar.canonical_joints_m.numpy())
+    joints = named_pose("fist", avatar.canonical_joints_m.numpy(), handedness=Handedness.RIGHT)
     one, two, three = (skinned(library, avatar, joints, threads) for threads in (1, 2, 3))
     for other in (two, three):
         assert np.array_equal(one[0], other[0])

@@ -21,11 +21,11 @@ POSES = ("open", "fist", "point", "pinch", "claw")
 
 
 def joints_of(avatar: HandAvatar, pose: str) -> torch.Tensor:
-    return torch.from_numpy(named_pose(pose, avatar.canonical_joints_m.numpy()))
+    return torch.from_numpy(named_pose(pose, avatar.canonical_joints_m.numpy(), handedness=Handedness.RIGHT))
 
 
 def bones_of(avatar: HandAvatar, joints_m: torch.Tensor, **options) -> BoneTransforms:
-    return JointTransform(avatar.canonical_joints_m, **options).bones(joints_m)
+    return JointTransform(avatar.canonical_joints_m, **{"handedness": avatar.handedness, **options}).bones(joints_m)
 
 
 def random_rotation(seed: int) -> torch.Tensor:
@@ -163,10 +163,10 @@ def test_blended_skinning_moves_the_joints_as_little_as_the_method_says(record_p
     template = load_template()
     canonical_m = torch.from_numpy(template.joints_m.copy())
     weights = WeightField.build(template).query(canonical_m).double()
-    transform = JointTransform(canonical_m)
+    transform = JointTransform(canonical_m, handedness=Handedness.RIGHT)
     errors = []
     for pose in POSES:
-        joints_m = torch.from_numpy(named_pose(pose, template.joints_m))
+        joints_m = torch.from_numpy(named_pose(pose, template.joints_m, handedness=Handedness.RIGHT))
         errors.append(lbs_joint_error_m(weights, canonical_m, transform.bones(joints_m), joints_m))
     worst_mm = 1e3 * torch.stack(errors).max(0).values
     record_property("lbs_joint_error_mm", [round(float(e), 3) for e in worst_mm])

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 
-from jghand_engine.avatar.procedural_skin import SkinLook, display, linear, reflectance, srgb
+from jghand_engine.avatar.procedural_skin import SkinLook, display, reflectance
 from jghand_engine.avatar.skin_marks import MarkPainter
 from jghand_engine.avatar.skin_points import Landmarks, SkinPoints, palm_share
 from jghand_engine.avatar.studio_light import Occluder, Studio, bake_light, sphere_directions

@@ -23,7 +23,9 @@ SMALL = ("--size", "32x24", "--preset", "draft")
 def joints():
     """(F, 21, 3) a good motion, standard order, metres."""
     canonical = load_builtin(handedness=Handedness.RIGHT).canonical_joints_m.numpy()
-    motion = pose_sequence_of_names(["open", "fist"], canonical, options=MotionOptions(hold_s=0.0))
+    motion = pose_sequence_of_names(
+        ["open", "fist"], canonical, handedness=Handedness.RIGHT, options=MotionOptions(hold_s=0.0)
+    )
     return from_level(motion.joints_m, JointOrder.STANDARD)[2:14]
 
 

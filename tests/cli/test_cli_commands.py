@@ -167,7 +167,7 @@ def test_a_real_capture_is_rendered_upright_and_whole(tmp_path, shared_data):
 @pytest.fixture
 def wobbling(tmp_path, avatar):
     """A plain array in standard order whose bones change their length by millimetres, as estimates do."""
-    sequence = pose_sequence_of_names(["open", "fist"], avatar.canonical_joints_m.numpy())
+    sequence = pose_sequence_of_names(["open", "fist"], avatar.canonical_joints_m.numpy(), handedness=Handedness.RIGHT)
     noise = np.random.default_rng(3).normal(0, 2e-3, sequence.joints_m.shape)
     noise[:, 0] = 0
     path = tmp_path / "wobbling.npy"

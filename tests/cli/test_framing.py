@@ -18,7 +18,9 @@ WIDTH, HEIGHT = 512, 334
 
 def motion(handedness=Handedness.RIGHT):
     canonical = load_template().joints_m.copy()
-    return np.stack([named_pose(name, canonical, handedness) for name in ("open", "fist", "spread", "point")])
+    return np.stack(
+        [named_pose(name, canonical, handedness=handedness) for name in ("open", "fist", "spread", "point")]
+    )
 
 
 def pixels(camera, points_m):

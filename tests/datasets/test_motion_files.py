@@ -19,7 +19,7 @@ TOLD = MotionFormat(JointOrder.STANDARD, "m", Handedness.RIGHT, 30.0)
 
 
 def _motion():
-    return pose_sequence_of_names(["open", "fist"], hands.canonical_np())
+    return pose_sequence_of_names(["open", "fist"], hands.canonical_np(), handedness=Handedness.RIGHT)
 
 
 def _with_gaps():

@@ -37,7 +37,7 @@ def _other_hands():
 @pytest.mark.parametrize("name", pose_names())
 def test_poses_keep_wrist_knuckles_and_bone_lengths(name):
     for canonical in _other_hands():
-        joints = named_pose(name, canonical)
+        joints = named_pose(name, canonical, handedness=Handedness.RIGHT)
         assert joints.shape == (21, 3)
         assert np.abs(joints[:6] - canonical[:6]).max() < 1e-15
         assert np.abs(bone_lengths(joints) - bone_lengths(canonical)).max() < 1e-15
@@ -53,9 +53,13 @@ def test_poses_stay_inside_the_ranges(name):
 
 def test_the_rest_pose_of_the_canonical_hand_does_not_matter():
     # the same bones, once straight and once bent at rest: equal bend of the fingers in a fist
-    bent = JointTransform(CANONICAL, swing="euler").frames(torch.from_numpy(named_pose("fist", CANONICAL)))
+    bent = JointTransform(CANONICAL, handedness=Handedness.RIGHT, swing="euler").frames(
+        torch.from_numpy(named_pose("fist", CANONICAL, handedness=Handedness.RIGHT))
+    )
     flat = hands.flat().numpy()
-    straight = JointTransform(flat, swing="euler").frames(torch.from_numpy(named_pose("fist", flat)))
+    straight = JointTransform(flat, handedness=Handedness.RIGHT, swing="euler").frames(
+        torch.from_numpy(named_pose("fist", flat, handedness=Handedness.RIGHT))
+    )
     flexion = [frames.angles.reshape(3, 5, 2)[:, 1:, 0] for frames in (bent, straight)]
     assert (flexion[0] - flexion[1]).abs().max() < np.radians(5)
 
@@ -67,11 +71,11 @@ def _reach(joints):
 
 def test_a_fist_is_closed_towards_the_palm_and_an_open_hand_straight():
     chain = bone_lengths(CANONICAL)[5:].reshape(3, 5)[:, 1:].sum(axis=0)
-    assert (_reach(named_pose("fist", CANONICAL)) < 0.5 * chain).all()
-    assert (_reach(named_pose("open", CANONICAL)) > 0.98 * chain).all()
+    assert (_reach(named_pose("fist", CANONICAL, handedness=Handedness.RIGHT)) < 0.5 * chain).all()
+    assert (_reach(named_pose("open", CANONICAL, handedness=Handedness.RIGHT)) > 0.98 * chain).all()
     # the palm of the sampled hands looks along -z
     knuckle_height = CANONICAL[2:6, 2]
-    assert (named_pose("grasp", CANONICAL)[FINGERTIPS, 2] < knuckle_height - 0.03).all()
+    assert (named_pose("grasp", CANONICAL, handedness=Handedness.RIGHT)[FINGERTIPS, 2] < knuckle_height - 0.03).all()
 
 
 @pytest.mark.parametrize(
@@ -80,13 +84,15 @@ def test_a_fist_is_closed_towards_the_palm_and_an_open_hand_straight():
 )
 def test_counting_poses_stretch_their_fingers_only(name, stretched):
     chain = bone_lengths(CANONICAL)[5:].reshape(3, 5)[:, 1:].sum(axis=0)
-    straight = _reach(named_pose(name, CANONICAL)) > 0.95 * chain
+    straight = _reach(named_pose(name, CANONICAL, handedness=Handedness.RIGHT)) > 0.95 * chain
     assert [finger + 1 for finger in np.flatnonzero(straight)] == stretched
 
 
 def test_spreading_moves_the_fingertips_apart():
     def gaps(name):
-        return np.linalg.norm(np.diff(named_pose(name, CANONICAL)[FINGERTIPS], axis=0), axis=1)
+        return np.linalg.norm(
+            np.diff(named_pose(name, CANONICAL, handedness=Handedness.RIGHT)[FINGERTIPS], axis=0), axis=1
+        )
 
     assert (gaps("spread") > gaps("open") + 0.005).all()
     assert (gaps("flat") < gaps("open")).all()
@@ -99,7 +105,7 @@ def test_tips_touch(name):
     # the sampled hand's thumb starts 30 mm nearer to the wrist's axis than a human one: give it a human one
     canonical[[1, 6, 11, 16]] = [[-0.030, 0.021, -0.007], [-0.048, 0.055, -0.024], [-0.058, 0.074, -0.036],
                                  [-0.068, 0.097, -0.051]]  # fmt: skip
-    joints = named_pose(name, canonical)
+    joints = named_pose(name, canonical, handedness=Handedness.RIGHT)
     assert np.linalg.norm(joints[16] - joints[17]) < 0.001
 
 
@@ -107,14 +113,17 @@ def test_tips_touch_on_the_shared_template(shared_data):
     with np.load(shared_data / "hand_right.npz", allow_pickle=False) as archive:
         template = to_level(archive["joints"].astype(np.float64), JointOrder.STANDARD)
     for name in ("pinch", "ok"):
-        joints = named_pose(name, template)
+        joints = named_pose(name, template, handedness=Handedness.RIGHT)
         # worst observed 0.15 mm; the table alone leaves 28 mm
         assert np.linalg.norm(joints[16] - joints[17]) < 3e-4
 
 
 def test_left_hand_is_the_mirror_image():
     for name in ("pinch", "victory"):
-        right, left = named_pose(name, CANONICAL), named_pose(name, CANONICAL, Handedness.LEFT)
+        right, left = (
+            named_pose(name, CANONICAL, handedness=Handedness.RIGHT),
+            named_pose(name, CANONICAL, handedness=Handedness.LEFT),
+        )
         assert np.array_equal(left, right * [-1, 1, 1])
 
 
@@ -126,19 +135,22 @@ def test_angles_outside_the_ranges_are_clamped():
 
 def test_unknown_pose_lists_the_known():
     with pytest.raises(InputError, match="thumb_up"):
-        named_pose("jazz", CANONICAL)
+        named_pose("jazz", CANONICAL, handedness=Handedness.RIGHT)
     assert set(pose_names()) == set(POSES_DEG)
 
 
 def test_motion_visits_the_poses_smoothly_and_keeps_the_bones():
     options = MotionOptions(fps=60.0, move_s=0.5, hold_s=0.1)
     names = ["open", "fist", "pinch", "open"]
-    sequence = pose_sequence_of_names(names, CANONICAL, options=options)
+    sequence = pose_sequence_of_names(names, CANONICAL, handedness=Handedness.RIGHT, options=options)
     assert len(sequence) == 1 + 6 + 3 * (30 + 6)
     assert sequence.fps == 60.0
     assert sequence.handedness is Handedness.RIGHT
     for k, name in enumerate(names):
-        assert np.abs(sequence.joints_m[6 + 36 * k] - named_pose(name, CANONICAL)).max() < 1e-12
+        assert (
+            np.abs(sequence.joints_m[6 + 36 * k] - named_pose(name, CANONICAL, handedness=Handedness.RIGHT)).max()
+            < 1e-12
+        )
     assert np.ptp(sequence.bone_lengths_m, axis=0).max() < 1e-15
     # no jump: even the fastest joint stays below 3 m/s, and starts and stops softly
     step = np.linalg.norm(np.diff(sequence.joints_m, axis=0), axis=-1)
@@ -147,7 +159,9 @@ def test_motion_visits_the_poses_smoothly_and_keeps_the_bones():
 
 
 def test_fingers_of_a_motion_are_late_by_different_times():
-    sequence = pose_sequence_of_names(["open", "fist"], CANONICAL, options=MotionOptions(hold_s=0.0))
+    sequence = pose_sequence_of_names(
+        ["open", "fist"], CANONICAL, handedness=Handedness.RIGHT, options=MotionOptions(hold_s=0.0)
+    )
     moved = np.linalg.norm(sequence.joints_m - sequence.joints_m[0], axis=-1)
     half = [int(np.argmax(moved[:, tip] > moved[-1, tip] / 2)) for tip in range(16, 21)]
     assert len(set(half)) > 1
@@ -156,7 +170,9 @@ def test_fingers_of_a_motion_are_late_by_different_times():
 def test_variation_depends_on_the_seed_only():
     def motion(seed):
         options = MotionOptions(variation_deg=3.0, seed=seed)
-        return pose_sequence_of_names(["open", "fist"], CANONICAL, options=options).joints_m
+        return pose_sequence_of_names(
+            ["open", "fist"], CANONICAL, handedness=Handedness.RIGHT, options=options
+        ).joints_m
 
     assert np.array_equal(motion(1), motion(1))
     assert not np.array_equal(motion(1), motion(2))
@@ -164,11 +180,11 @@ def test_variation_depends_on_the_seed_only():
 
 def test_impossible_motions_are_refused():
     with pytest.raises(InputError, match="at least one name"):
-        pose_sequence_of_names([], CANONICAL)
+        pose_sequence_of_names([], CANONICAL, handedness=Handedness.RIGHT)
     with pytest.raises(InputError, match="motion options"):
-        pose_sequence_of_names(["open"], CANONICAL, options=MotionOptions(move_s=-1.0))
+        pose_sequence_of_names(["open"], CANONICAL, handedness=Handedness.RIGHT, options=MotionOptions(move_s=-1.0))
     with pytest.raises(InputError, match="frames per second"):
-        pose_sequence_of_names(["open"], CANONICAL, options=MotionOptions(fps=0.0))
+        pose_sequence_of_names(["open"], CANONICAL, handedness=Handedness.RIGHT, options=MotionOptions(fps=0.0))
 
 
 def test_minimum_jerk_starts_and_stops_at_rest():

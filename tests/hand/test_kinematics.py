@@ -44,7 +44,7 @@ def test_interpolation_ends_at_the_given_poses(swing, side):
 @settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 2**20), part=st.floats(0, 1), swing=st.sampled_from(["minimal", "euler"]))
 def test_bone_lengths_go_linearly_and_bones_never_shrink_between(seed, part, swing):
-    transform = JointTransform(CANONICAL, swing=swing)
+    transform = JointTransform(CANONICAL, handedness=Handedness.RIGHT, swing=swing)
     a, b = _pair(Handedness.RIGHT, seed, n=8)
     middle = interpolate(transform, a, b, torch.tensor([part], dtype=torch.float64))[0]
     lengths = [(x[:, 1:] - x[:, hands.STARTS[1:]]).norm(dim=-1) for x in (a, b, middle)]
@@ -52,7 +52,7 @@ def test_bone_lengths_go_linearly_and_bones_never_shrink_between(seed, part, swi
 
 
 def test_half_way_between_straight_and_bent_is_half_bent():
-    transform = JointTransform(CANONICAL)
+    transform = JointTransform(CANONICAL, handedness=Handedness.RIGHT)
     straight = decompose(transform, hands.flat())
 
     def bent(by_rad):
@@ -66,7 +66,7 @@ def test_half_way_between_straight_and_bent_is_half_bent():
 
 
 def test_angles_go_the_short_way_round():
-    transform = JointTransform(CANONICAL)
+    transform = JointTransform(CANONICAL, handedness=Handedness.RIGHT)
     rest = decompose(transform, hands.flat())
 
     def index_bent_to(angle_rad):
@@ -83,19 +83,24 @@ def test_palm_turns_the_short_way():
     joints = hands.canonical()
     R = hands.random_rotations(20, torch.Generator().manual_seed(0))
     turned = joints @ R.transpose(-1, -2)
-    path = interpolate(JointTransform(CANONICAL), joints.expand(20, 21, 3), turned, torch.linspace(0, 1, 9))
-    frames = JointTransform(CANONICAL).frames(path).S0
+    path = interpolate(
+        JointTransform(CANONICAL, handedness=Handedness.RIGHT),
+        joints.expand(20, 21, 3),
+        turned,
+        torch.linspace(0, 1, 9),
+    )
+    frames = JointTransform(CANONICAL, handedness=Handedness.RIGHT).frames(path).S0
     relative = frames[:-1].transpose(-1, -2) @ frames[1:]
     step = torch.arccos(((relative.diagonal(dim1=-2, dim2=-1).sum(-1) - 1) / 2).clamp(-1, 1))
     whole = torch.arccos((R.diagonal(dim1=-2, dim2=-1).sum(-1) - 1) / 2)
     assert (step - whole / 8).abs().max() < 1e-7
     # a hand that only turns keeps its shape
-    inside = decompose(JointTransform(CANONICAL), path)
+    inside = decompose(JointTransform(CANONICAL, handedness=Handedness.RIGHT), path)
     assert (inside.angles - inside.angles[:1]).abs().max() < 1e-12
 
 
 def test_forward_kinematics_is_differentiable():
-    transform = JointTransform(CANONICAL)
+    transform = JointTransform(CANONICAL, handedness=Handedness.RIGHT)
     pose = decompose(transform, hands.sample(1, seed=5)[0])
 
     def joints(angles, lengths):
@@ -107,4 +112,6 @@ def test_forward_kinematics_is_differentiable():
 
 def test_poses_of_different_shape_are_refused():
     with pytest.raises(InputError, match="second pose"):
-        interpolate(JointTransform(CANONICAL), hands.sample(2), hands.sample(3), torch.zeros(1))
+        interpolate(
+            JointTransform(CANONICAL, handedness=Handedness.RIGHT), hands.sample(2), hands.sample(3), torch.zeros(1)
+        )

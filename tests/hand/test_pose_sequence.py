@@ -16,7 +16,9 @@ RIGHT = Handedness.RIGHT
 
 
 def _moving(frames=40):
-    return pose_sequence_of_names(["open", "fist", "open"], hands.canonical_np()).section(0, frames)
+    return pose_sequence_of_names(["open", "fist", "open"], hands.canonical_np(), handedness=Handedness.RIGHT).section(
+        0, frames
+    )
 
 
 def _wobbling(frames=40, wobble_m=0.003):

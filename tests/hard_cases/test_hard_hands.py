@@ -106,7 +106,7 @@ def test_bone_folded_through_its_canonical_direction_is_flagged_and_a_rotation()
     for k in range(3):
         # bones 7, 12, 17 turned round: the pole of the minimal swing
         joints[7 + 5 * k] = (joints[2] if k == 0 else joints[2 + 5 * k]) - (CANONICAL[7] - CANONICAL[2])
-    frames = JointTransform(CANONICAL).frames(joints)
+    frames = JointTransform(CANONICAL, handedness=Handedness.RIGHT).frames(joints)
     assert int(frames.flags) & FrameFlag.SWING_POLE
     assert (frames.S.transpose(-1, -2) @ frames.S - torch.eye(3)).abs().max() < 1e-12
 
@@ -114,7 +114,7 @@ def test_bone_folded_through_its_canonical_direction_is_flagged_and_a_rotation()
 @pytest.mark.parametrize("name", ["all fingers straight", "index collinear with its metacarpal"])
 def test_small_noise_on_straight_fingers_turns_the_frames_little(name):
     joints = hard_hands()[name]
-    transform = JointTransform(CANONICAL)
+    transform = JointTransform(CANONICAL, handedness=Handedness.RIGHT)
     noise = 1e-5 * torch.randn(100, 21, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
     before, after = transform.frames(joints).S, transform.frames(joints + noise).S
     # 0.01 mm on a 20 mm bone is 5e-4 rad; a frame from the cross product of two phalanges would turn by anything

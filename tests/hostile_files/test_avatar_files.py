@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from jghand_engine.avatar.builtin import ASSET
 from jghand_engine.avatar.file import METADATA_KEY, load_avatar
 from jghand_engine.errors import InputError
-from jghand_engine.hand.joints import LEVEL_NAMES, STANDARD_NAMES
+from jghand_engine.hand.joints import LEVEL_NAMES, STANDARD_NAMES, Handedness
 from jghand_engine.hand.transform import JointTransform
 
 WHOLE = Path(str(ASSET)).read_bytes()
@@ -199,7 +199,9 @@ def test_coincident_joints_are_refused(tmp_path):
 
 def bent_sideways(joints_m: np.ndarray) -> np.ndarray:
     """The small finger along its flexion axis, its bones as long as before; standard order."""
-    frames = JointTransform(joints_m[[STANDARD_NAMES.index(name) for name in LEVEL_NAMES]]).canonical
+    frames = JointTransform(
+        joints_m[[STANDARD_NAMES.index(name) for name in LEVEL_NAMES]], handedness=Handedness.RIGHT
+    ).canonical
     lengths_m = np.linalg.norm(np.diff(joints_m[17:], axis=0), axis=1)
     along_m = np.concatenate([[0], np.cumsum(lengths_m)])[:, None]
     return np.concatenate([joints_m[:17], joints_m[17] + along_m * frames.S[:, 1, 4, 0].numpy()])

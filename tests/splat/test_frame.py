@@ -72,7 +72,7 @@ def check_against(frame: Frame, planes: torch.Tensor, *, flips: float) -> None:
 @pytest.mark.parametrize("pose", ["open", "fist"])
 @pytest.mark.parametrize("handedness", list(Handedness))
 def test_native_frame_agrees_with_the_float64_chain(backend: str, pose: str, handedness: Handedness):
-    joints = 1.1 * named_pose(pose, CANONICAL_M, handedness)
+    joints = 1.1 * named_pose(pose, CANONICAL_M, handedness=handedness)
     view = camera()
     settings = replace(ALWAYS, backend=backend)
     frame = HandRenderer(load_builtin(handedness=handedness), settings).render(joints, view)
@@ -82,7 +82,7 @@ def test_native_frame_agrees_with_the_float64_chain(backend: str, pose: str, han
 
 
 def test_torch_backend_paints_the_same_picture():
-    joints, view = named_pose("relaxed", CANONICAL_M), camera(90, 70, focal_px=180.0)
+    joints, view = named_pose("relaxed", CANONICAL_M, handedness=Handedness.RIGHT), camera(90, 70, focal_px=180.0)
     settings = replace(ALWAYS, gaussians=1500, backend="torch")
     frame = HandRenderer(RIGHT, settings).render(joints, view)
     check_against(frame, exact_planes(joints, view, settings), flips=3e-4)
@@ -90,7 +90,7 @@ def test_torch_backend_paints_the_same_picture():
 
 
 def test_frame_has_the_same_bits_from_one_two_and_three_threads(backend: str):
-    joints, view = named_pose("pinch", CANONICAL_M), camera(237, 161)
+    joints, view = named_pose("pinch", CANONICAL_M, handedness=Handedness.RIGHT), camera(237, 161)
     settings = replace(ALWAYS, gaussians=20_000, backend=backend)
     frames = [HandRenderer(RIGHT, replace(settings, threads=n)).render(joints, view) for n in (1, 2, 3)]
     for other in frames[1:]:
@@ -100,7 +100,7 @@ def test_frame_has_the_same_bits_from_one_two_and_three_threads(backend: str):
 
 def test_left_hand_is_the_mirrored_picture_of_the_right(backend: str):
     settings = replace(ALWAYS, backend=backend)
-    joints = named_pose("relaxed", CANONICAL_M)
+    joints = named_pose("relaxed", CANONICAL_M, handedness=Handedness.RIGHT)
     mirror = np.diag([-1.0, 1.0, 1.0])
     view = camera(160, 120)
     seen = view.camera_from_world.clone()
@@ -121,7 +121,7 @@ def test_left_hand_is_the_mirrored_picture_of_the_right(backend: str):
 
 
 def test_hand_a_kilometre_away_loses_nothing(backend: str):
-    joints, view = named_pose("fist", CANONICAL_M), camera()
+    joints, view = named_pose("fist", CANONICAL_M, handedness=Handedness.RIGHT), camera()
     away = np.array([1000.0, -700.0, 300.0])
     moved = view.camera_from_world.clone()
     moved[:3, 3] -= moved[:3, :3] @ torch.from_numpy(away)
@@ -168,7 +168,7 @@ def test_frames_belong_to_the_caller(backend: str):
     first = renderer.render(CANONICAL_M, camera())
     kept = first.rgba.copy()
     first.depth_m[:] = 7
-    renderer.render(named_pose("fist", CANONICAL_M), camera())
+    renderer.render(named_pose("fist", CANONICAL_M, handedness=Handedness.RIGHT), camera())
     assert np.array_equal(first.rgba, kept)
     first.rgba[:] = 7
     again = renderer.render(CANONICAL_M, camera())
@@ -228,7 +228,7 @@ def test_gate_fades_the_shadow_and_says_the_score(backend: str):
     still = renderer.render(CANONICAL_M, camera())
     assert still.report.stage("shadow gate").reason == "score 0.00"
     assert not still.report.stage("shadow + compose").ran
-    fist = renderer.render(named_pose("fist", CANONICAL_M), camera())
+    fist = renderer.render(named_pose("fist", CANONICAL_M, handedness=Handedness.RIGHT), camera())
     assert fist.report.stage("shadow + compose").ran
 
 
@@ -238,7 +238,7 @@ def test_auto_differs_from_all_within_the_stated_bound(backend: str):
     always = HandRenderer(RIGHT, RenderSettings(backend=backend, shadow=ShadowMode.ALWAYS, reuse=False))
     skipped = 0
     for pose in ("open", "flat", "spread", "relaxed", "point", "fist"):
-        joints = named_pose(pose, CANONICAL_M)
+        joints = named_pose(pose, CANONICAL_M, handedness=Handedness.RIGHT)
         a, b = auto.render(joints, view), always.render(joints, view)
         # the bound is s k (1 - V); what the gate leaves out is the static shade that the colours already carry
         hand = b.rgba[..., 3] > 0.5
@@ -253,7 +253,7 @@ def test_auto_differs_from_all_within_the_stated_bound(backend: str):
 
 def test_tiny_hand_gets_no_shadow_pass(backend: str):
     renderer = HandRenderer(RIGHT, replace(ALWAYS, backend=backend, shadow=ShadowMode.GATED))
-    frame = renderer.render(named_pose("fist", CANONICAL_M), camera(focal_px=60.0))
+    frame = renderer.render(named_pose("fist", CANONICAL_M, handedness=Handedness.RIGHT), camera(focal_px=60.0))
     stage = frame.report.stage("shadow + compose")
     assert not stage.ran
     assert stage.reason.startswith("hand ")
@@ -313,7 +313,7 @@ def test_renderer_works_on_after_a_refused_camera(backend: str):
     renderer = HandRenderer(RIGHT, settings)
     view, too_large = camera(60, 50), camera(limits.PICTURE_MAX_PX + 1, 1)
     first = renderer.render(CANONICAL_M, view)
-    fist = named_pose("fist", CANONICAL_M)
+    fist = named_pose("fist", CANONICAL_M, handedness=Handedness.RIGHT)
     with pytest.raises(InputError, match="picture size"):
         renderer.render(fist, too_large)
     # the refused picture's pose is posed now, not taken for the one that was drawn ...
@@ -328,7 +328,7 @@ def test_renderer_works_on_after_a_refused_camera(backend: str):
 def test_renderer_works_on_after_a_picture_that_failed_half_way(backend: str, error: type[BaseException], monkeypatch):
     settings = replace(ALWAYS, gaussians=500, backend=backend)
     renderer = HandRenderer(RIGHT, settings)
-    first, fist = renderer.render(CANONICAL_M, camera()), named_pose("fist", CANONICAL_M)
+    first, fist = renderer.render(CANONICAL_M, camera()), named_pose("fist", CANONICAL_M, handedness=Handedness.RIGHT)
     with monkeypatch.context() as patch, pytest.raises(error):
 
         def fail(self, *_arguments) -> None:
@@ -346,8 +346,8 @@ def test_two_hands_share_one_picture(backend: str):
     settings = replace(ALWAYS, backend=backend, shadow=ShadowMode.OFF)
     left = load_builtin(handedness=Handedness.LEFT)
     joints = [
-        named_pose("open", CANONICAL_M) + np.array([0.09, 0, 0]),
-        named_pose("fist", CANONICAL_M, Handedness.LEFT) - np.array([0.09, 0, 0]),
+        named_pose("open", CANONICAL_M, handedness=Handedness.RIGHT) + np.array([0.09, 0, 0]),
+        named_pose("fist", CANONICAL_M, handedness=Handedness.LEFT) - np.array([0.09, 0, 0]),
     ]
     view = camera(240, 120)
     both = SceneRenderer([RIGHT, left], settings).render(joints, view)

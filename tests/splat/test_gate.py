@@ -49,31 +49,33 @@ def slow_score(joints_m: np.ndarray, canonical_m: np.ndarray) -> float:
 
 @pytest.mark.parametrize("pose", ["open", "relaxed", "fist", "pinch", "point"])
 def test_score_is_that_of_the_method(gate: ShadowGate, pose: str):
-    joints = named_pose(pose, CANONICAL_M)
+    joints = named_pose(pose, CANONICAL_M, handedness=Handedness.RIGHT)
     assert gate.score(joints) == pytest.approx(slow_score(joints, CANONICAL_M), abs=1e-9)
 
 
 def test_score_is_that_of_the_method_when_the_palm_moves_too(gate: ShadowGate):
-    joints = named_pose("relaxed", CANONICAL_M) + np.random.default_rng(2).normal(0, 0.01, (21, 3))
+    joints = named_pose("relaxed", CANONICAL_M, handedness=Handedness.RIGHT) + np.random.default_rng(2).normal(
+        0, 0.01, (21, 3)
+    )
     assert gate.score(joints) == pytest.approx(slow_score(joints, CANONICAL_M), abs=1e-9)
 
 
 def test_canonical_hand_scores_nothing_and_a_fist_much(gate: ShadowGate):
     assert gate.score(CANONICAL_M) == 0
     assert fade(gate.score(CANONICAL_M)) == 0
-    assert fade(gate.score(named_pose("fist", CANONICAL_M))) == 1
+    assert fade(gate.score(named_pose("fist", CANONICAL_M, handedness=Handedness.RIGHT))) == 1
 
 
 def test_score_does_not_depend_on_where_the_hand_is_and_which_it_is(gate: ShadowGate):
-    joints = named_pose("pinch", CANONICAL_M)
+    joints = named_pose("pinch", CANONICAL_M, handedness=Handedness.RIGHT)
     score = gate.score(joints)
     assert gate.score(joints @ rotation(1).T + [3.0, -2.0, 5.0]) == pytest.approx(score, abs=1e-9)
-    left = named_pose("pinch", CANONICAL_M, Handedness.LEFT)
+    left = named_pose("pinch", CANONICAL_M, handedness=Handedness.LEFT)
     assert gate.score(left) == pytest.approx(score, abs=1e-9)
 
 
 def test_a_larger_hand_scores_the_same(gate: ShadowGate):
-    joints = named_pose("pinch", CANONICAL_M)
+    joints = named_pose("pinch", CANONICAL_M, handedness=Handedness.RIGHT)
     assert gate.score(1.3 * joints, 1.3) == pytest.approx(gate.score(joints), rel=1e-9)
 
 

@@ -9,6 +9,7 @@ import pytest
 import torch
 
 from jghand_engine.errors import InputError
+from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import JointTransform
 from jghand_engine.native.library import load
 from jghand_engine.splat.frame import HandRenderer
@@ -32,7 +33,7 @@ def test_volumes_cover_as_much_of_the_picture_as_stated(name: str):
 def test_volumes_can_be_posed_and_lie_around_their_bones():
     hand = synthetic_hand("B", count=2000)
     avatar = hand.avatar
-    JointTransform(avatar.canonical_joints_m)  # raises when the joints are no hand
+    JointTransform(avatar.canonical_joints_m, handedness=Handedness.RIGHT)  # raises when the joints are no hand
     bone = avatar.bone_weights.argmax(1)
     joints = avatar.canonical_joints_m.float()
     parents = torch.tensor([0, 0, 0, 0, 0, 0, *range(1, 16)])
