@@ -6,6 +6,14 @@ compares with this file.
 
 from __future__ import annotations
 
+# ---- colour (IEC 61966-2-1) -----------------------------------------------------------------------------------------
+
+# below this sRGB value the curve is a straight line of this slope
+SRGB_TOE = 0.04045
+SRGB_SLOPE = 12.92
+SRGB_OFFSET = 0.055
+SRGB_EXPONENT = 2.4
+
 # ---- hand: safe rotations and frames (thresholds are relative to the hand size unless a unit is given) --------------
 
 # relative length, sine or distance to a pole below which the gradient (never the value) is damped; larger values
@@ -79,7 +87,8 @@ FIELD_VOXEL_M = 0.003
 FIELD_MARGIN_M = 0.012
 FIELD_SWEEPS = 30
 FIELD_LEVELS = 4
-# a row of weights that is further from 1 than this was not meant as weights (float32 files are 1e-7 off)
+# a row of bone weights, of a template or an avatar, that is further from 1 than this was not meant as weights: float32
+# rounding of 21 summands leaves less than 1e-6
 WEIGHT_SUM_TOLERANCE = 1e-5
 # weights below this are dropped and the rest renormalised: far joints would drag skin by fractions of a millimetre
 WEIGHT_MIN = 1e-3
@@ -143,8 +152,6 @@ DEEP_M = 1e-3
 DEEP_RADII = 1.8
 # weights per Gaussian in a compact file: on the built-in hand the rest holds at most 0.8 % of a row, 0.004 % on average
 STORED_WEIGHTS = 7
-# rows of weights must sum to 1 within this: float32 rounding of 21 summands leaves less than 1e-6
-WEIGHT_SUM_TOLERANCE = 1e-5
 # a file with more Gaussians or a longer header is refused before anything is allocated
 AVATAR_MAX_GAUSSIANS = 1_000_000
 AVATAR_HEADER_MAX_BYTES = 65_536
@@ -274,14 +281,6 @@ DETAIL_MAX = 8000
 PNG_COMPRESSION = 4
 # constant rate factor of H.264: 18 is visually without loss
 VIDEO_CRF = 18
-
-# ---- exporters: colour (IEC 61966-2-1) ------------------------------------------------------------------------------
-
-# below this sRGB value the curve is a straight line of this slope
-SRGB_TOE = 0.04045
-SRGB_SLOPE = 12.92
-SRGB_OFFSET = 0.055
-SRGB_EXPONENT = 2.4
 
 # ---- exporters: USD -------------------------------------------------------------------------------------------------
 

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from pxr import Sdf, Tf, Usd, UsdGeom, Vt
 
+from jghand_engine.colour import srgb_to_linear
 from jghand_engine.errors import RetryError
-from jghand_engine.exporters.colour import srgb_to_linear
 from jghand_engine.exporters.usd_values import floats, vec3f
 from jghand_engine.files import file_error
 

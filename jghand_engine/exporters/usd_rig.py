@@ -15,6 +15,7 @@ from jghand_engine.exporters.usd_splats import Cloud
 from jghand_engine.exporters.usd_values import floats, ints, matrices4d, quatf, vec2f, vec3f, vec3h
 from jghand_engine.limits import USD_MESH_COLOUR_NEIGHBOURS, USD_SAVE_EVERY
 from jghand_engine.template.mesh import HandTemplate
+from jghand_engine.template.surface import vertex_normals
 
 RIG_PATH = "/Rig"
 
@@ -85,17 +86,6 @@ def _add_mesh(stage: Usd.Stage, rig: Rig, skeleton: UsdSkel.Skeleton) -> None:
     binding.CreateJointWeightsPrimvar(False, weights.shape[1]).Set(floats(weights))
     binding.CreateGeomBindTransformAttr(Gf.Matrix4d(1))
     binding.CreateSkeletonRel().SetTargets([skeleton.GetPath()])
-
-
-def vertex_normals(vertices_m: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(V, 3) unit normals, each the area-weighted mean of the faces around the vertex."""
-    corners = vertices_m[faces]
-    face_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normals = np.zeros_like(vertices_m)
-    for corner in range(3):
-        np.add.at(normals, faces[:, corner], face_normals)
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    return normals / np.where(length > 0, length, 1)
 
 
 def vertex_colours(vertices_m: np.ndarray, cloud: Cloud) -> np.ndarray:

@@ -25,12 +25,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from jghand_engine.hand.joints import JOINT_COUNT, LEVEL_NAMES, PARENTS, STANDARD_NAMES, Handedness
+from jghand_engine.hand.joints import JOINT_COUNT, LEVEL_NAMES, PARENTS, Handedness
+from jghand_engine.hand.orders import LEVEL_OF_STANDARD, STANDARD_OF_LEVEL
 from jghand_engine.limits import USD_FINE_SHARE
 
-# level index of the joint at every standard index: files list fingers, the engine levels
-LEVEL_OF_STANDARD = tuple(LEVEL_NAMES.index(name) for name in STANDARD_NAMES)
-STANDARD_OF_LEVEL = tuple(STANDARD_NAMES.index(name) for name in LEVEL_NAMES)
 # columns of an engine frame that become x, y, z of a joint
 JOINT_AXES = (1, 2, 0)
 MIRROR = np.diag([-1.0, 1.0, 1.0])
@@ -136,7 +134,7 @@ def skin_influences(bone_weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     bone = np.argsort(-bone_weights, axis=1, kind="stable")[:, :count]
     weight = np.take_along_axis(bone_weights, bone, axis=1)
     # unused slots point at the first joint: a weight of 0 on whatever joint means nothing
-    skin = np.where(weight > 0, JOINT_COUNT + np.asarray(STANDARD_OF_LEVEL)[bone], 0)
+    skin = np.where(weight > 0, JOINT_COUNT + STANDARD_OF_LEVEL[bone], 0)
     twin = np.where(weight > 0, skin + JOINT_COUNT, 0)
     return (
         np.concatenate([skin, twin], axis=1),

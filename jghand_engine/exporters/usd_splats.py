@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 from pxr import Usd, UsdGeom
 
-from jghand_engine.exporters.colour import srgb_to_linear
+from jghand_engine.colour import srgb_to_linear
 from jghand_engine.exporters.usd_layers import (
     LINEAR,
     SPLAT_TYPE,

@@ -164,9 +164,7 @@ def test_palm_and_back_are_told_apart_on_every_finger():
     assert palm_share(np.array([1.0]))[0] == 1
 
 
-def test_srgb_conversion_is_its_own_inverse_and_display_never_clips_hard():
-    value = np.linspace(0, 1, 101)
-    np.testing.assert_allclose(srgb(linear(value)), value, atol=1e-7)
+def test_display_never_clips_hard():
     shown = display(np.linspace(0, 4, 400)[:, None])
     assert (np.diff(shown[:, 0]) > 0).all()
     assert shown.max() <= 1

@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "exporters"))
 
 from usd_samples import engine_gaussians, engine_mesh, lively_motion, small_avatar
 
-from jghand_engine.exporters.colour import srgb_to_linear
+from jghand_engine.colour import srgb_to_linear
 from jghand_engine.exporters.usd import UsdOptions, export_usd
 from jghand_engine.exporters.usd_stage import Variant
 from jghand_engine.hand.joints import LEVEL_NAMES, Handedness

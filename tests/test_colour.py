@@ -1,6 +1,6 @@
 import numpy as np
 
-from jghand_engine.exporters.colour import linear_to_srgb, srgb_to_linear
+from jghand_engine.colour import linear_to_srgb, srgb_to_linear
 
 
 def test_known_values_of_the_standard():
