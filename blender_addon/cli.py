@@ -28,7 +28,7 @@ from .bridge import armature, camera, scene
 from .core import batch, limits, stamp
 from .core.client import EngineClient
 from .core.engine_command import engine_command
-from .core.messages import JGHandFailure
+from .core.messages import BAD_INPUT, JGHandFailure
 from .core.view import BUILTIN_AVATAR, HandInSpace, Pinhole, picture_request
 
 
@@ -39,28 +39,45 @@ def main(arguments: list[str] | None = None, *, checkout: Path | None = None) ->
     """
     options = _parser().parse_args(arguments)
     report = batch.BatchReport(str(options.file), options.preset, total=0)
-    code = _guarded(report, lambda: _render(options, report, checkout))
+    failure = _failure_of(lambda: _render(options, report, checkout))
+    if failure is not None:
+        log = _keep_log(failure, options)
+        report.failed(failure, log)
+        _tell(failure, log)
     if options.report is not None:
-        code = _guarded(report, lambda: batch.write_whole(options.report, report.as_json())) or code
-    return code
+        unwritten = _failure_of(lambda: batch.write_whole(options.report, report.as_json()))
+        if unwritten is not None:
+            _tell(unwritten)
+            failure = failure or unwritten
+    return failure.advice.exit_code if failure else 0
 
 
-def _guarded(report: batch.BatchReport, step: Callable[[], None]) -> int:
-    """Does one step of a run; whatever ends it is noted, told, and turned into its exit code."""
+def _failure_of(step: Callable[[], None]) -> JGHandFailure | None:
+    """Does one step of a run; returns what ended it early, whatever that was."""
     try:
         step()
-    except JGHandFailure as error:
-        failure = error
+    except JGHandFailure as failure:
+        return failure
     except KeyboardInterrupt:
-        failure = JGHandFailure("interrupted")
+        return JGHandFailure("interrupted")
     except Exception as error:  # a mistake of ours: the report must not look like that of a run that went well
         traceback.print_exc()
-        failure = JGHandFailure("internal", f"{type(error).__name__}: {error}")
-    else:
-        return 0
-    report.failed(failure)
+        return JGHandFailure("internal", f"{type(error).__name__}: {error}")
+    return None
+
+
+def _tell(failure: JGHandFailure, log: Path | None = None) -> None:
     print(f"render_blend: {failure}", file=sys.stderr)
-    return failure.advice.exit_code
+    if log is not None:
+        print(f"render_blend: what the engine printed is in {log}", file=sys.stderr)
+
+
+def _keep_log(failure: JGHandFailure, options: argparse.Namespace) -> Path | None:
+    """What the engine printed before it failed, as a file beside the report, else in the pictures' folder."""
+    if not failure.log or failure.advice.exit_code == BAD_INPUT:
+        return None
+    path = options.report.with_suffix(".engine.log") if options.report else options.out / "engine.log"
+    return None if _failure_of(lambda: batch.write_whole(path, failure.log.encode())) else path
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -84,6 +101,13 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--engine-python", metavar="PATH", help="a Python that has jghand installed")
     parser.add_argument("--overwrite", action="store_true", help="render pictures that are there already again")
     parser.add_argument("--report", type=Path, metavar="FILE.json", help="write what was done, with times, as JSON")
+    parser.add_argument(
+        "--timeout",
+        type=_seconds,
+        default=limits.REQUEST_S,
+        metavar="SECONDS",
+        help=f"how long one picture may take (default {limits.REQUEST_S:g})",
+    )
     parser.add_argument("--allow-scripts", action="store_true", help="let the file run the Python scripts inside it")
     return parser
 
@@ -140,12 +164,22 @@ def _job(options: argparse.Namespace) -> _Job:
     return _Job(options, cameras, hands, frames, camera.picture_size(opened.render))
 
 
+def _seconds(text: str) -> float:
+    try:
+        seconds = float(text)
+    except ValueError:
+        seconds = 0.0
+    if not 0 < seconds <= limits.REQUEST_MAX_S:
+        raise argparse.ArgumentTypeError(f"{text!r}: wanted seconds, more than 0, at most {limits.REQUEST_MAX_S:g}")
+    return seconds
+
+
 def _render(options: argparse.Namespace, report: batch.BatchReport, checkout: Path | None) -> None:
     job = _job(options)
     report.total = len(job.frames) * len(job.cameras)
     with EngineClient.start(engine_command(options.engine_python, checkout=checkout)) as engine:
         report.engine = {key: engine.handshake.get(key) for key in ("engine_version", "device")}
-        _load(engine, job.avatar)
+        _load(engine, job.avatar, max(limits.LOAD_S, options.timeout))
         job.stamp_folders(str(report.engine["engine_version"]))
         for frame in job.frames:
             for line in _render_frame(engine, frame, job, report):
@@ -168,7 +202,7 @@ def _render_frame(engine: EngineClient, frame: int, job: _Job, report: batch.Bat
     evaluate_ms = clock.lap_ms() / len(wanted)
     for eye, view in zip(wanted, views, strict=True):
         clock = _Clock()
-        content, details = _picture(engine, view, hands, job.options.preset)
+        content, details = _picture(engine, view, hands, job.options)
         request_ms = clock.lap_ms()
         path = job.path(eye, frame)
         batch.write_whole(path, content)
@@ -187,15 +221,17 @@ class _Clock:
         return 1e3 * (self._then - then)
 
 
-def _picture(engine: EngineClient, view: Pinhole, hands: list[HandInSpace], preset: str) -> tuple[bytes, dict]:
-    header, arrays = picture_request(view, hands, preset=preset, outputs=["png"])
-    reply = engine.request(header, arrays)
+def _picture(
+    engine: EngineClient, view: Pinhole, hands: list[HandInSpace], options: argparse.Namespace
+) -> tuple[bytes, dict]:
+    header, arrays = picture_request(view, hands, preset=options.preset, outputs=["png"])
+    reply = engine.request(header, arrays, timeout_s=options.timeout)
     return bytes(reply.arrays["png"].data), {"size": [view.width, view.height], "reports": reply.header["reports"]}
 
 
-def _load(engine: EngineClient, avatar: str) -> None:
+def _load(engine: EngineClient, avatar: str, timeout_s: float) -> None:
     try:
-        engine.request({"kind": "load", "avatar": avatar}, timeout_s=limits.LOAD_S)
+        engine.request({"kind": "load", "avatar": avatar}, timeout_s=timeout_s)
     except JGHandFailure as failure:
         if failure.kind == "bad_input":
             raise JGHandFailure("bad_avatar", failure.detail) from failure

@@ -49,10 +49,10 @@ def pinhole(camera: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Pinhole
 def add_camera(context: bpy.types.Context, name: str, view: Pinhole) -> bpy.types.Object:
     """A new camera that sees as `view` does: the inverse of `pinhole` in a scene of the view's size.
 
-    Raises JGHandFailure (not_a_camera) for pixels that are not square.
+    Raises JGHandFailure (pixel_aspect) for pixels that are not square.
     """
     if abs(view.fx / view.fy - 1) > limits.SQUARE_PIXEL_MAX:
-        raise JGHandFailure("not_a_camera", f"{name}: fx {view.fx:g} and fy {view.fy:g} differ, pixels must be square")
+        raise JGHandFailure("pixel_aspect", f"{name}: fx is {view.fx:g}, fy {view.fy:g}")
     unit_m = context.scene.unit_settings.scale_length
     data = bpy.data.cameras.new(name)
     data.sensor_fit = "HORIZONTAL"

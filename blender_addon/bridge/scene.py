@@ -31,13 +31,13 @@ def source_files() -> list[Path]:
 
 
 def chosen_cameras(scene: bpy.types.Scene, names: Sequence[str]) -> list[bpy.types.Object]:
-    """The cameras of these names, without names the scene's own. Raises JGHandFailure (not_a_camera).
+    """The cameras of these names, without names the scene's own. Raises JGHandFailure: not_a_camera, no_camera.
 
     A name that no camera has may be several, separated by commas.
     """
     if not names:
         if scene.camera is None:
-            raise JGHandFailure("not_a_camera", "the scene has no camera of its own; name one with --camera")
+            raise JGHandFailure("no_camera")
         return [scene.camera]
     known = [thing.name for thing in scene.objects if thing.type == "CAMERA"]
     parts = [[name] if name in known else name.split(",") for name in names]

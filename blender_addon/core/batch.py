@@ -96,6 +96,7 @@ class BatchReport:
     total: int
     engine: dict[str, Any] = field(default_factory=dict)
     pictures: list[dict[str, Any]] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
     failure: dict[str, str] | None = None
     _started: float = field(default_factory=time.monotonic)
 
@@ -114,14 +115,15 @@ class BatchReport:
         self._note(camera, frame, path, skipped=True)
         return f"frame {frame} · {camera} · {len(self.pictures)} of {self.total} · there already"
 
-    def failed(self, failure: JGHandFailure) -> None:
-        """Notes why the run ended early."""
+    def failed(self, failure: JGHandFailure, log: Path | None = None) -> None:
+        """Notes why the run ended early, and the file with what the engine printed."""
         advice = failure.advice
         self.failure = {
             "kind": failure.kind,
             "sentence": advice.sentence,
             "remedy": advice.remedy,
             "detail": failure.detail,
+            **({"log": str(log)} if log else {}),
         }
 
     def as_json(self) -> bytes:
@@ -134,6 +136,7 @@ class BatchReport:
             "wanted": self.total,
             "rendered": sum(not picture["skipped"] for picture in self.pictures),
             "skipped": sum(picture["skipped"] for picture in self.pictures),
+            "notes": self.notes,
             "failure": self.failure,
             "pictures": self.pictures,
         }

@@ -100,7 +100,7 @@ class EngineClient:
         """Sends a request and waits for its reply.
 
         Raises JGHandFailure: bad_input for what cannot be sent, the engine's own kind when it answers with an error
-        (it lives on in both cases), else crashed, killed, hung or protocol (it is ended).
+        (it lives on in both cases), else crashed, killed, out_of_memory, hung or broken_stream (it is ended).
         """
         if self._connection is None:
             raise JGHandFailure("crashed", "the engine is not running")
@@ -120,7 +120,7 @@ class EngineClient:
         except (protocol.Disconnected, protocol.ProtocolError, OSError) as error:
             raise self._lost(error) from error
         if not reply.header.get("ok"):
-            raise _failure(reply.header.get("error"))
+            raise self._told(reply.header.get("error"))
         return reply
 
     def close(self) -> None:
@@ -174,9 +174,13 @@ class EngineClient:
             self._connection.sendall(protocol.greeting(token))
             welcome = protocol.receive(self._connection, deadline=deadline)
         except (protocol.Disconnected, protocol.ProtocolError, OSError, ValueError, TypeError) as error:
-            raise JGHandFailure("token", str(error)) from error
+            if self._ends():
+                raise self._ended() from error
+            # an engine that does not know the token leaves without a word
+            kind = "token" if isinstance(error, protocol.Disconnected) else "broken_stream"
+            raise self._failure(kind, str(error)) from error
         if welcome.header.get("kind") != "welcome":
-            raise _failure(welcome.header.get("error"))
+            raise self._told(welcome.header.get("error"))
 
     def _await_handshake(self, deadline: float) -> dict[str, Any]:
         while time.monotonic() < deadline:
@@ -184,7 +188,7 @@ class EngineClient:
                 return json.loads(self._lines.get(timeout=limits.POLL_S))
             if self._process.poll() is not None and self._lines.empty():
                 raise self._ended()
-        raise JGHandFailure("start_timeout", self.log)
+        raise self._failure("start_timeout")
 
     def _drain(self, pipe: IO[bytes], look_for_handshake: bool) -> None:
         """Keeps a pipe of the engine from filling up; remembers its last lines; finds the handshake in stdout."""
@@ -223,28 +227,42 @@ class EngineClient:
 
     def _lost(self, error: Exception) -> JGHandFailure:
         """The failure behind a broken exchange; the engine is ended, since the stream cannot be trusted."""
-        if isinstance(error, TimeoutError):
-            failure = JGHandFailure("hung", str(error))
-        elif isinstance(error, protocol.ProtocolError):
-            failure = JGHandFailure("protocol", str(error))
-        else:
-            with contextlib.suppress(subprocess.TimeoutExpired):
-                self._process.wait(limits.TERMINATE_S)
+        if self._ends():
             failure = self._ended()
+        else:
+            failure = self._failure("hung" if isinstance(error, TimeoutError) else "broken_stream", str(error))
         self.kill()
         return failure
+
+    def _ends(self) -> bool:
+        """Whether the process has ended or is about to: a connection breaks a little before its process is gone."""
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            self._process.wait(limits.TERMINATE_S)
+        return self._process.poll() is not None
 
     def _ended(self) -> JGHandFailure:
         """The failure behind the end of the process."""
         time.sleep(limits.POLL_S)  # its last words may still be on their way
         code, log = self._process.poll(), self.log
         if "No module named" in log and "jghand_engine" in log:
-            return JGHandFailure("no_engine", log)
+            return self._failure("no_engine")
         if code in (-9, 137):
-            return JGHandFailure("killed", log)
+            return self._failure("killed")
         if code == 4:
-            return JGHandFailure("out_of_memory", log)
-        return JGHandFailure("crashed", f"exit code {code}\n{log}".rstrip())
+            return self._failure("out_of_memory")
+        return self._failure("crashed", f"exit code {code}")
+
+    def _told(self, error: Any) -> JGHandFailure:
+        """The failure that the engine reports; its own sentence is the detail."""
+        if not isinstance(error, dict):
+            return self._failure("broken_stream", "an error without a description")
+        detail = "\n".join(str(error[key]) for key in ("sentence", "detail") if error.get(key))
+        return JGHandFailure(str(error.get("kind")), detail, log=self.log)
+
+    def _failure(self, kind: str, what: str = "") -> JGHandFailure:
+        """A failure of the engine, with the last lines that it printed as the detail."""
+        last = list(self._output)[-limits.DETAIL_LINES :]
+        return JGHandFailure(kind, "\n".join([what, *last] if what else last), log=self.log)
 
     def _disconnect(self) -> None:
         if self._connection is not None:
@@ -258,11 +276,3 @@ def _is_handshake(line: str) -> bool:
     except ValueError:
         return False
     return isinstance(content, dict) and "protocol" in content
-
-
-def _failure(error: Any) -> JGHandFailure:
-    """The failure that the engine reports; its own sentence is the detail."""
-    if not isinstance(error, dict):
-        return JGHandFailure("protocol", "an error without a description")
-    detail = "\n".join(str(error[key]) for key in ("sentence", "detail") if error.get(key))
-    return JGHandFailure(str(error.get("kind")), detail)

@@ -11,6 +11,8 @@ WELCOME_S = 5.0
 # one picture of the final preset, and the loading of an avatar (which imports torch)
 REQUEST_S = 60.0
 LOAD_S = 120.0
+# the longest time that may be asked for one picture: a day; beyond some weeks the system's own waits overflow
+REQUEST_MAX_S = 86400.0
 # no sign of life for so long: the engine hangs (it gives one every second)
 SILENCE_S = 30.0
 # how often a wait looks whether the process still lives
@@ -18,8 +20,9 @@ POLL_S = 0.05
 # after stdin was closed the engine may finish; then it is asked to end; then it is ended
 STOP_S = 3.0
 TERMINATE_S = 2.0
-# lines of the engine's own output that are kept for a failure's detail, and letters of one
-LOG_LINES = 60
+# lines of the engine's own output that are kept, those of them that a failure's detail shows, and letters of one
+LOG_LINES = 1000
+DETAIL_LINES = 20
 LOG_LINE_MAX = 2000
 
 # ---- the armature ---------------------------------------------------------------------------------------------------

@@ -33,7 +33,12 @@ ADVICE = {
         OUT_OF_MEMORY,
     ),
     "crashed": Advice("The engine stopped unexpectedly", "Look at the log and start again", TRY_AGAIN),
-    "hung": Advice("The engine does not answer", "Start it again", TRY_AGAIN),
+    "hung": Advice("The engine does not answer in time", "Look at the log, start again, or allow more time", TRY_AGAIN),
+    "broken_stream": Advice(
+        "The connection to the engine broke, or what came over it made no sense",
+        "Look at the log and try again",
+        TRY_AGAIN,
+    ),
     "token": Advice("Another program answered", "Start the engine again", TRY_AGAIN),
     "busy": Advice("The engine serves another program", "Start an engine of your own", TRY_AGAIN),
     "bad_avatar": Advice("This file is not a JGHand avatar", "Choose another file", BAD_INPUT),
@@ -62,6 +67,8 @@ ADVICE = {
     ),
     "bad_joints": Advice("These joints are not a hand's motion", "Check the file", BAD_INPUT),
     "not_a_camera": Advice("There is no camera of this name", "Choose a camera of the scene", BAD_INPUT),
+    "no_camera": Advice("The scene has no camera of its own", "Name one with --camera", BAD_INPUT),
+    "pixel_aspect": Advice("Cameras are made with square pixels only", "Make fx and fy equal", BAD_INPUT),
     "panoramic": Advice("Panoramic cameras are not supported", "Choose a perspective camera", BAD_INPUT),
     "orthographic": Advice("Orthographic cameras are not supported yet", "Choose a perspective camera", BAD_INPUT),
     "sheared_camera": Advice(
@@ -82,9 +89,11 @@ ADVICE = {
 
 
 class JGHandFailure(Exception):  # noqa: N818 - the extension's word for it
-    """Something failed that an artist can do something about. kind: a key of ADVICE; detail: small print."""
+    """Something failed that an artist can do something about. kind: a key of ADVICE; detail: small print; log: what
+    the engine printed last, where it was the engine that failed."""
 
-    def __init__(self, kind: str, detail: str = "") -> None:
+    def __init__(self, kind: str, detail: str = "", *, log: str = "") -> None:
+        self.log = log
         known = kind if kind in ADVICE else "internal"
         self.kind, self.detail = known, detail if known == kind else f"{kind}: {detail}"
         self.advice = ADVICE[known]

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
-try:
-    from . import protocol  # pyright: ignore[reportAttributeAccessIssue]
-except ImportError:
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
     from jghand_engine.service import protocol
+else:
+    try:
+        from . import protocol
+    except ImportError:
+        from jghand_engine.service import protocol
 
 __all__ = ["protocol"]

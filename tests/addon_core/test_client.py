@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 import time
@@ -97,10 +98,29 @@ def test_a_request_that_cannot_be_sent_is_a_failure_and_the_engine_lives_on():
         assert engine.request({"kind": "info"}).header["ok"]
 
 
-def test_an_engine_that_hangs_is_ended_in_time():
+def test_an_engine_that_hangs_is_ended_in_time_and_its_last_words_are_told():
     started = time.monotonic()
-    assert failure_of("hang", timeout_s=0.5).kind == "hung"
+    failure = failure_of("hang", timeout_s=2.0)
     assert time.monotonic() - started < 20
+    assert failure.kind == "hung"
+    assert "in time" in failure.detail
+    assert "the last words" in failure.detail
+    assert "the last words" in failure.log
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows cannot stop a process for a while")
+def test_an_engine_whose_heart_stops_is_ended_before_the_time_of_the_request_is_over(monkeypatch):
+    monkeypatch.setattr(limits, "SILENCE_S", 2.5)
+    started = time.monotonic()
+    failure = failure_of("frozen", timeout_s=300.0)
+    assert time.monotonic() - started < 30
+    assert failure.kind == "hung"
+    assert "no sign of life" in failure.detail
+    assert "the last words" in failure.detail
+
+
+def test_what_makes_no_sense_is_a_broken_stream_and_no_other_version():
+    assert failure_of("rubbish").kind == "broken_stream"
 
 
 def test_an_engine_that_dies_at_once_is_told_with_its_last_words():
@@ -117,7 +137,7 @@ def test_an_engine_without_a_handshake_is_given_up(fault):
     assert caught.value.kind == "start_timeout"
 
 
-@pytest.mark.parametrize(("fault", "kind"), [("wrong_version", "protocol"), ("wrong_port", "token")])
+@pytest.mark.parametrize(("fault", "kind"), [("wrong_version", "protocol"), ("wrong_port", "broken_stream")])
 def test_an_engine_that_is_not_ours_is_told_so(fault, kind):
     with pytest.raises(JGHandFailure) as caught:
         start(fault)
@@ -190,6 +210,18 @@ def test_nothing_here_needs_blender():
     subprocess.run([sys.executable, "-I", "-c", code, str(ROOT)], check=True)
 
 
-def test_the_waits_are_those_that_the_artist_is_promised():
-    assert limits.POLL_S <= 0.05
-    assert limits.STOP_S + limits.TERMINATE_S <= 5
+def test_an_engine_that_will_not_end_is_ended_by_force(monkeypatch):
+    monkeypatch.setattr(limits, "STOP_S", 0.3)
+    monkeypatch.setattr(limits, "TERMINATE_S", 0.3)
+    pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+    process = subprocess.Popen([sys.executable, "-I", str(STAND_IN), "stubborn"], **pipes)
+    started = time.monotonic()
+    EngineClient(process).close()
+    assert process.poll() is not None
+    assert time.monotonic() - started < 20
+
+
+def test_the_death_of_the_engine_is_noticed_long_before_the_time_of_the_request_is_over():
+    started = time.monotonic()
+    assert failure_of("die", timeout_s=300.0).kind == "crashed"
+    assert time.monotonic() - started < 30

@@ -266,6 +266,37 @@ def test_a_run_that_is_interrupted_says_so_in_its_exit_code_and_its_report(blend
     assert (content["wanted"], content["rendered"]) == (4, 1)
 
 
+def test_what_the_engine_printed_before_it_failed_lies_beside_the_report(engine, blend, capsys):
+    engine("die_at_start")
+    code, _, report = rendered(blend)
+    log = blend.parent / "report.engine.log"
+    assert code == 3
+    assert "no torch here" in log.read_text()
+    assert report["failure"]["log"] == str(log)
+    assert str(log) in capsys.readouterr().err
+
+
+def test_without_a_report_the_engines_log_lies_in_the_pictures_folder(engine, blend):
+    engine("die_at_start")
+    assert cli.main([str(blend), "--out", str(blend.parent / "out")]) == 3
+    assert "no torch here" in (blend.parent / "out/engine.log").read_text()
+
+
+def test_a_picture_that_takes_longer_than_it_may_ends_the_run(engine, blend):
+    engine("slow")
+    code, files, report = rendered(blend, "--frames", "1", "--timeout", "0.2")
+    assert (code, files) == (3, [])
+    assert report["failure"]["kind"] == "hung"
+    assert rendered(blend, "--frames", "1", "--timeout", "60")[0] == 0
+
+
+@pytest.mark.parametrize("seconds", ["0", "-1", "nan", "inf", "soon"])
+def test_a_time_that_makes_no_sense_is_bad_input(blend, seconds):
+    with pytest.raises(SystemExit) as caught:
+        rendered(blend, f"--timeout={seconds}")
+    assert caught.value.code == 2
+
+
 def test_a_file_that_is_not_there_or_no_blend_file_is_bad_input(engine, tmp_path):
     for content in (None, b"no blend file"):
         path = tmp_path / "hand.blend"
@@ -281,6 +312,12 @@ def test_a_camera_that_is_not_there_is_bad_input_and_the_others_are_named(engine
     assert code == 2
     assert report["failure"]["kind"] == "not_a_camera"
     assert "CamSide" in capsys.readouterr().err
+
+
+def test_a_scene_without_a_camera_is_bad_input(engine, blend):
+    bpy.context.scene.camera = None
+    code, _, report = rendered(saved(blend.parent))
+    assert (code, report["failure"]["kind"]) == (2, "no_camera")
 
 
 def test_a_scene_without_a_hand_is_bad_input(engine, blend):

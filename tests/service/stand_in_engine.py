@@ -9,10 +9,13 @@ from __future__ import annotations
 
 import json
 import os
+import signal
+import socket
 import struct
 import sys
 import time
 import zlib
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -47,7 +50,11 @@ class StandInHands:
         if self.fault == "killed":
             os.kill(os.getpid(), 9)
         if self.fault == "hang":
+            print("the last words", flush=True)
             time.sleep(600)
+        if self.fault == "frozen":
+            print("the last words", flush=True)
+            os.kill(os.getpid(), signal.SIGSTOP)
         if self.fault == "slow":
             time.sleep(1.5)
         if self.fault == "memory":
@@ -92,6 +99,13 @@ def _discs(hands: list[Hand], view: View) -> tuple[np.ndarray, np.ndarray]:
     return rgba, depth
 
 
+def _send_rubbish_after_welcome(connection: socket.socket, header: Mapping, *rest: object, **more: object) -> None:
+    if header["kind"] == "welcome":
+        connection.sendall(b"".join(protocol.encode(header)))
+    else:
+        connection.sendall(b"rubbish " * 8)
+
+
 def main(fault: str) -> int:
     if fault == "die_at_start":
         print("ImportError: no torch here", file=sys.stderr)
@@ -102,6 +116,11 @@ def main(fault: str) -> int:
         print("a library says hello", flush=True)
     if fault == "flood":
         print("noise\n" * 100_000, flush=True)
+    if fault == "rubbish":
+        protocol.send = _send_rubbish_after_welcome
+    if fault == "stubborn":
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)
+        time.sleep(600)
     if fault in ("garbage", "wrong_version", "wrong_port"):
         version = protocol.PROTOCOL_VERSION + (fault == "wrong_version")
         line = {"protocol": version, "port": 9, "pid": os.getpid(), "engine_version": "x", "device": "x"}
