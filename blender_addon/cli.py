@@ -160,7 +160,8 @@ def _job(options: argparse.Namespace) -> _Job:
     frames = options.frames or list(range(opened.frame_start, opened.frame_end + 1, opened.frame_step))
     hands = scene.make_evaluated(cameras)
     if not hands:
-        raise JGHandFailure("no_hand", str(options.file))
+        instanced = "; ".join(scene.instanced_hands(opened))
+        raise JGHandFailure("no_hand", f"{options.file}; not rendered: {instanced}" if instanced else str(options.file))
     return _Job(options, cameras, hands, frames, camera.picture_size(opened.render))
 
 
@@ -177,6 +178,9 @@ def _seconds(text: str) -> float:
 def _render(options: argparse.Namespace, report: batch.BatchReport, checkout: Path | None) -> None:
     job = _job(options)
     report.total = len(job.frames) * len(job.cameras)
+    report.notes = scene.ignored_settings(bpy.context.scene)
+    for note in report.notes:
+        print(f"note: {note}", flush=True)
     with EngineClient.start(engine_command(options.engine_python, checkout=checkout)) as engine:
         report.engine = {key: engine.handshake.get(key) for key in ("engine_version", "device")}
         _load(engine, job.avatar, max(limits.LOAD_S, options.timeout))

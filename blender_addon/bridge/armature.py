@@ -60,6 +60,11 @@ def hands_at_any_frame(view_layer: bpy.types.ViewLayer) -> list[bpy.types.Object
     return [hand for hand in _hands_of(view_layer) if not hand.hide_render or _is_animated(hand, "hide_render")]
 
 
+def is_hand(thing: bpy.types.Object) -> bool:
+    """Whether an object is an armature that says which hand it is."""
+    return thing.type == "ARMATURE" and HANDEDNESS_PROPERTY in thing
+
+
 def show_to_evaluate(thing: bpy.types.Object) -> None:
     """Undoes the "disable in viewports" of an object: a rig is often switched off there, and then not evaluated."""
     thing.hide_viewport = False
@@ -111,7 +116,7 @@ def _hands_of(view_layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
         thing.name: thing
         for collection in _rendered_collections(view_layer.layer_collection)
         for thing in collection.objects
-        if thing.type == "ARMATURE" and HANDEDNESS_PROPERTY in thing
+        if is_hand(thing)
     }
     return [hands[name] for name in sorted(hands)]
 

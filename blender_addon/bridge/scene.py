@@ -48,6 +48,28 @@ def chosen_cameras(scene: bpy.types.Scene, names: Sequence[str]) -> list[bpy.typ
     return [scene.objects[name] for name in wanted]
 
 
+def ignored_settings(scene: bpy.types.Scene) -> list[str]:
+    """One sentence for every setting of the scene that changes Blender's own pictures and not these."""
+    render = scene.render
+    sentences = []
+    if render.use_border:
+        sentences.append("The render region is ignored: pictures are rendered whole.")
+    if not render.film_transparent:
+        sentences.append("The film is not transparent in this scene; these pictures always are.")
+    return sentences
+
+
+def instanced_hands(scene: bpy.types.Scene) -> list[str]:
+    """The hands that only show as instances of a collection, which are not rendered: "hand, in its instance"."""
+    return [
+        f"{hand.name}, in the instance {thing.name}"
+        for thing in scene.objects
+        if thing.instance_type == "COLLECTION" and thing.instance_collection
+        for hand in thing.instance_collection.all_objects
+        if armature.is_hand(hand)
+    ]
+
+
 def make_evaluated(cameras: list[bpy.types.Object]) -> list[bpy.types.Object]:
     """The hands of the scene, made sure, as the cameras, to be evaluated (in memory; the file stays as it is)."""
     hands = armature.hands_at_any_frame(bpy.context.view_layer)

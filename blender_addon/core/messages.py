@@ -48,7 +48,9 @@ ADVICE = {
     "interrupted": Advice("The run was interrupted", "Start it again to go on where it stopped", INTERRUPTED),
     # what this side refuses
     "not_a_hand": Advice("This armature is not a JGHand hand", "Add a hand, or map its bones first", BAD_INPUT),
-    "no_hand": Advice("There is no hand in this scene", "Add a hand first", BAD_INPUT),
+    "no_hand": Advice(
+        "There is no hand in this scene that is rendered", "Add a hand, or make its instances real", BAD_INPUT
+    ),
     "hidden": Advice(
         "This object is disabled in viewports, so Blender does not evaluate it",
         "Enable it or its collection",

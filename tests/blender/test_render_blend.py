@@ -327,6 +327,32 @@ def test_a_scene_without_a_hand_is_bad_input(engine, blend):
     assert report["failure"]["kind"] == "no_hand"
 
 
+def test_a_hand_that_is_only_instanced_is_named(engine, blend):
+    hand = bpy.data.objects["right"]
+    collection = bpy.data.collections.new("asset")
+    collection.objects.link(hand)
+    bpy.context.scene.collection.objects.unlink(hand)
+    instance = bpy.data.objects.new("placed", None)
+    instance.instance_type, instance.instance_collection = "COLLECTION", collection
+    bpy.context.scene.collection.objects.link(instance)
+    code, _, report = rendered(saved(blend.parent))
+    assert (code, report["failure"]["kind"]) == (2, "no_hand")
+    assert "right, in the instance placed" in report["failure"]["detail"]
+
+
+def test_settings_of_the_scene_that_are_ignored_are_told_once(engine, blend, capsys):
+    render = bpy.context.scene.render
+    render.film_transparent, render.use_border = False, True
+    _, _, report = rendered(saved(blend.parent), "--frames", "1-2")
+    assert len(report["notes"]) == 2
+    lines = capsys.readouterr().out.splitlines()
+    assert [line for line in lines if line.startswith("note: ")] == [f"note: {note}" for note in report["notes"]]
+    assert pixels(blend.parent / "out/CamPalm/0001.png").shape == (*SIZE[::-1], 4)
+    render = bpy.context.scene.render  # of the file that the run opened
+    render.film_transparent, render.use_border = True, False
+    assert rendered(saved(blend.parent), "--frames", "1", "--overwrite")[2]["notes"] == []
+
+
 def test_a_mirrored_hand_is_bad_input(engine, blend):
     bpy.data.objects["right"].scale = (-1, 1, 1)
     code, files, report = rendered(saved(blend.parent))
