@@ -3,9 +3,12 @@
     .envs/blender/bin/python scripts/build_demo_scene.py --motion MOTION.npz --out hand.blend
 
 Runs in a Python that has bpy. MOTION.npz is what `jghand` writes: joints_m (frames, 21, 3) in the standard order, fps,
-handedness. The cameras come from a JSON file, {name: {width, height, fx, fy, cx, cy, camera_from_world}}, or are two,
-CamPalm and CamSide, that show the whole hand over the whole motion. The scene is in metres and its first frame is 1.
+unit "m" and handedness. The cameras come from a JSON file, {name: {width, height, fx, fy, cx, cy, camera_from_world}},
+or are two, CamPalm and CamSide, that show the whole hand over the whole motion. The scene is in metres and its first
+frame is 1.
 """
+
+from __future__ import annotations
 
 import argparse
 import importlib.util
@@ -14,8 +17,10 @@ import sys
 import zipfile
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import numpy as np
+if TYPE_CHECKING:
+    import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
 BAD_INPUT = 2
@@ -37,7 +42,7 @@ class FileError(Exception):
 
 def main(arguments: list[str] | None = None) -> int:
     options = parser().parse_args(arguments)
-    if importlib.util.find_spec("bpy") is None:
+    if any(importlib.util.find_spec(name) is None for name in ("numpy", "bpy")):
         return failed("This needs a Python with bpy: run it with .envs/blender/bin/python.")
     sys.path.insert(0, str(ROOT))
     from blender_addon.core.messages import JGHandFailure
@@ -77,34 +82,58 @@ def failed(sentence: str) -> int:
 
 def read_motion(path: Path) -> Motion:
     """The motion of a file that declares the standard order and metres."""
+    import numpy as np
+
     try:
-        with np.load(path, allow_pickle=False) as archive:
+        loaded = np.load(path, allow_pickle=False)
+        if isinstance(loaded, np.ndarray):
+            raise FileError(f"{path} holds one bare array; wanted an .npz file that says order, unit and handedness")
+        with loaded as archive:
             content = {name: archive[name] for name in archive.files}
     except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
         raise FileError(f"cannot read {path}: {error}") from error
-    missing = [name for name in ("joints_m", "order", "fps", "handedness") if name not in content]
+    missing = [name for name in ("joints_m", "order", "unit", "fps", "handedness") if name not in content]
     if missing:
         raise FileError(f"{path} has no {', '.join(missing)}")
-    if str(content["order"]) != "standard":
-        raise FileError(f"{path}: the joints are in {content['order']} order, wanted standard")
-    fps = float(content["fps"])
+    for name, wanted in (("order", "standard"), ("unit", "m")):
+        if str(content[name]) != wanted:
+            raise FileError(f"{path}: the joints' {name} is {content[name]}, wanted {wanted}")
+    try:
+        fps = float(content["fps"])
+    except (TypeError, ValueError):
+        fps = 0.0
     if not 0 < fps < 1000:
-        raise FileError(f"{path}: {fps:g} frames per second")
+        raise FileError(f"{path}: fps is {content['fps']}, wanted a number from 0 to 1000")
     return Motion(content["joints_m"], fps, str(content["handedness"]))
 
 
 def read_cameras(path: Path) -> dict[str, dict]:
     """Cameras by name, all of one size."""
     try:
-        cameras = json.loads(path.read_text(encoding="utf-8"))
-        sizes = {(camera["width"], camera["height"]) for camera in cameras.values()}
-        for camera in cameras.values():
-            camera["camera_from_world"] = np.array(camera["camera_from_world"], np.float64).reshape(4, 4)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
-        raise FileError(f"cannot read the cameras of {path}: {error!r}") from error
+        cameras = {name: camera_of(entry) for name, entry in json.loads(path.read_text(encoding="utf-8")).items()}
+    except KeyError as error:
+        raise FileError(f"cannot read the cameras of {path}: one has no {error}") from error
+    except (OSError, ValueError, TypeError, AttributeError) as error:
+        raise FileError(f"cannot read the cameras of {path}: {error}") from error
+    sizes = {(camera["width"], camera["height"]) for camera in cameras.values()}
     if len(sizes) != 1:
         raise FileError(f"{path}: a scene has one picture size, the cameras have {len(sizes)}")
     return cameras
+
+
+def camera_of(entry: dict) -> dict:
+    """The numbers of one camera. Raises KeyError for one that is missing, ValueError or TypeError for a wrong one."""
+    import numpy as np
+
+    camera: dict = {name: float(entry[name]) for name in ("width", "height", "fx", "fy", "cx", "cy")}
+    matrix = np.array(entry["camera_from_world"], np.float64).reshape(4, 4)
+    if not (np.isfinite([*camera.values()]).all() and np.isfinite(matrix).all() and np.linalg.det(matrix[:3, :3]) > 0):
+        raise ValueError("numbers that are not finite, or a camera_from_world that is no rotation")
+    for name in ("width", "height", "fx", "fy"):
+        if camera[name] <= 0:
+            raise ValueError(f"{name} is {camera[name]:g}")
+    camera |= {name: round(camera[name]) for name in ("width", "height")}
+    return {**camera, "camera_from_world": matrix}
 
 
 def build(motion: Motion, cameras: dict[str, dict], options: argparse.Namespace) -> None:
@@ -116,17 +145,18 @@ def build(motion: Motion, cameras: dict[str, dict], options: argparse.Namespace)
     from blender_addon.core import posing, view
     from blender_addon.core.messages import JGHandFailure
 
+    joints_m = posing.checked_joints(motion.joints_m)
     bpy.ops.wm.read_factory_settings(use_empty=True)
     context = bpy.context
     scene = context.scene
     scene.render.fps = max(1, round(motion.fps))
     scene.render.fps_base = scene.render.fps / motion.fps
-    scene.frame_start, scene.frame_end = FIRST_FRAME, FIRST_FRAME + len(motion.joints_m) - 1
+    scene.frame_start, scene.frame_end = FIRST_FRAME, FIRST_FRAME + len(joints_m) - 1
     scene.render.film_transparent = True
     scene.view_settings.view_transform = "Standard"  # the hand is a photograph: AgX would change its colours
-    rest = posing.rest_joints_m(motion.handedness, motion.joints_m)
+    rest = posing.rest_joints_m(motion.handedness, joints_m)
     hand = armature.build_armature(context, f"Hand {motion.handedness}", rest, motion.handedness)
-    motions.key_motion(hand, motion.joints_m, scene, first_frame=FIRST_FRAME)
+    motions.key_motion(hand, joints_m, scene, first_frame=FIRST_FRAME)
     camera.set_picture_size(scene.render, *options.size)
     if cameras:
         pinholes = {name: view.Pinhole(**numbers) for name, numbers in cameras.items()}
@@ -134,7 +164,7 @@ def build(motion: Motion, cameras: dict[str, dict], options: argparse.Namespace)
         camera.set_picture_size(scene.render, first.width, first.height)
         eyes = [camera.add_camera(context, name, pinhole) for name, pinhole in pinholes.items()]
     else:
-        eyes = [framing.add_framing_camera(context, name, motion.joints_m, motion.handedness) for name in framing.SIDES]
+        eyes = [framing.add_framing_camera(context, name, joints_m, motion.handedness) for name in framing.SIDES]
     scene.camera = eyes[0]
     scene.frame_set(FIRST_FRAME)
     try:

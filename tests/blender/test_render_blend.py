@@ -486,15 +486,69 @@ def test_the_demo_scene_takes_cameras_from_a_file(context, tmp_path):
 
 @pytest.mark.parametrize(
     "changes",
-    [{"order": "level"}, {"joints_m": np.zeros((3, 20, 3))}, {"handedness": "both"}, {"fps": 0.0}],
-    ids=["another order", "20 joints", "no hand of that name", "no frame rate"],
+    [
+        {"order": "level"},
+        {"unit": "mm"},
+        {"joints_m": np.zeros((3, 20, 3))},
+        {"joints_m": "joints"},
+        {"handedness": "both"},
+        {"fps": 0.0},
+        {"fps": "fast"},
+    ],
+    ids=[
+        "another order",
+        "millimetres",
+        "20 joints",
+        "no joints",
+        "no hand of that name",
+        "no frame rate",
+        "no number",
+    ],
 )
 def test_a_motion_that_cannot_be_used_is_bad_input_and_writes_nothing(tmp_path, changes):
     motion = motion_file(tmp_path, changes=changes)
     done = script("build_demo_scene.py", "--motion", motion, "--out", tmp_path / "hand.blend")
     assert done.returncode == 2
     assert "build_demo_scene:" in done.stderr
+    assert "Traceback" not in done.stderr
     assert not (tmp_path / "hand.blend").exists()
+
+
+def test_a_motion_that_is_a_bare_array_is_bad_input(tmp_path):
+    np.save(tmp_path / "motion.npy", hands.moving_hand_m("right"))
+    done = script("build_demo_scene.py", "--motion", tmp_path / "motion.npy", "--out", tmp_path / "hand.blend")
+    assert done.returncode == 2
+    assert "bare array" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"fx": None}, {"fx": "wide"}, {"fy": 400}, {"width": 0}, {"cx": float("nan")}, {"camera_from_world": [[1]]}],
+    ids=["no fx", "a word", "pixels not square", "no width", "not a number", "no matrix"],
+)
+def test_cameras_that_cannot_be_used_are_bad_input(tmp_path, change):
+    view = {"width": 200, "height": 100, "fx": 300, "fy": 300, "cx": 90, "cy": 55, **change}
+    view = {"camera_from_world": np.eye(4).tolist(), **view}
+    cameras = {"front": {name: value for name, value in view.items() if value is not None}}
+    (tmp_path / "cameras.json").write_text(json.dumps(cameras))
+    files = ["--motion", motion_file(tmp_path), "--cameras", tmp_path / "cameras.json", "--out", tmp_path / "a.blend"]
+    done = script("build_demo_scene.py", *files)
+    assert done.returncode == 2
+    assert "build_demo_scene:" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_python_without_numpy_and_bpy_is_told_which_one_to_use():
+    for name, arguments in (
+        ("build_demo_scene.py", ["--motion", "x.npz", "--out", "x.blend"]),
+        ("render_blend.py", ["x.blend", "--out", "x"]),
+    ):
+        command = [sys.executable, "-I", "-S", str(ROOT / "scripts" / name), *arguments]
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+        assert done.returncode == 2
+        assert ".envs/blender/bin/python" in done.stderr
+        assert "Traceback" not in done.stderr
 
 
 def test_the_real_engine_renders_a_blend_file(engine_python, blend):
