@@ -253,6 +253,9 @@ SHADOW_HAND_MIN_PX = 64.0
 
 # matrices are reused when no joint moved more than this, metres
 REUSE_JOINTS_M = 5e-5
+# ... and the skin then lacks at most this, metres. Joints that move against each other turn bones: the skin of a hand
+# without flags moves by up to 2.9 times their movement in the named poses, 3.4 times in random ones (built-in hand)
+REUSE_SKIN_M = 2e-4
 
 # ---- service: the engine as a process (BLENDER 3, RENDERING 14); what both sides share stands in service/protocol.py
 
@@ -260,7 +263,7 @@ REUSE_JOINTS_M = 5e-5
 HEARTBEAT_S = 1.0
 # a stranger's time to say the token
 GREETING_S = 2.0
-# connections that may be greeting at the same time; more are closed at once
+# connections that may be greeting at the same time; one more, and the oldest is closed
 GREETINGS_MAX = 8
 # after the end of stdin a running request may finish for so long before the process ends regardless
 STOP_GRACE_S = 3.0

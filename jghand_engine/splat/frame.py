@@ -92,7 +92,7 @@ class SceneRenderer:
         posed, moved = self._pose(hands, report)
         canvas = self._canvas(posed, camera, report)
         if not moved:
-            report.skipped(SKIN, "same transforms", f"{1e3 * limits.REUSE_JOINTS_M:g} mm of position")
+            report.skipped(SKIN, "same transforms", report.stages[0].bound)
         # a picture that fails half way may leave the painter with half of these Gaussians: then the next one poses anew
         self._posed = None
         rgba, depth_m = self._painter.paint(posed.poses if moved else None, canvas, report)
@@ -113,11 +113,11 @@ class SceneRenderer:
         started = time.perf_counter()
         if self._posed is not None and self.settings.reuse:
             distance_m = max(float(np.abs(new - old).max()) for new, old in zip(hands, self._posed.hands, strict=True))
-            # per axis, so that no joint moves farther than the limit
-            if distance_m * np.sqrt(3.0) <= limits.REUSE_JOINTS_M:
-                bound = f"{1e3 * limits.REUSE_JOINTS_M:g} mm of position"
-                reason = f"joints moved {1e3 * distance_m:.3f} mm"
-                report.skipped(TRANSFORM, reason, bound)
+            # per axis, so that no joint moves farther than the limit; the skin of a flagged hand may turn without bound
+            most_m = 0.0 if self._posed.notes else limits.REUSE_JOINTS_M
+            if distance_m * np.sqrt(3.0) <= most_m:
+                bound = f"{1e3 * limits.REUSE_SKIN_M:g} mm of skin" if distance_m > 0 else "0"
+                report.skipped(TRANSFORM, f"joints moved {1e3 * distance_m:.3f} mm", bound)
                 report.notes += self._posed.notes
                 return self._posed, False
         origin_m = hands[0][0]

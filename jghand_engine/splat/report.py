@@ -16,7 +16,7 @@ class Stage:
     bound: str = ""
 
     def line(self) -> str:
-        """One line of the receipt: `skin skipped: joints moved 0.01 mm (0.05 mm of position)`."""
+        """One line of the receipt: `skin skipped: joints moved 0.01 mm (0.2 mm of skin)`."""
         if self.ran:
             return f"{self.name} ran, {self.milliseconds:.2f} ms" + (f": {self.reason}" if self.reason else "")
         return f"{self.name} skipped: {self.reason}" + (f" ({self.bound})" if self.bound else "")

@@ -12,7 +12,7 @@ from jghand_engine import limits
 from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.avatar.skinning import pose_gaussians
 from jghand_engine.errors import InputError
-from jghand_engine.hand.anatomy import named_pose
+from jghand_engine.hand.anatomy import named_pose, pose_names
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import JointTransform
 from jghand_engine.native import library as native_library
@@ -191,9 +191,41 @@ def test_small_movements_reuse_the_pose_within_the_bound(backend: str):
     assert {"transform", "skin"} <= names(second, ran=False)
     assert "raster" in names(second, ran=True)
     assert "joints moved 0.020 mm" in second.report.stage("transform").reason
+    assert second.report.stage("skin").bound == second.report.stage("transform").bound == "0.2 mm of skin"
     # steps below the limit do not add up beyond it: the distance is to the joints that were last posed
     third = renderer.render(CANONICAL_M + 4e-5, camera(away_m=0.6))
     assert "transform" in names(third, ran=True)
+
+
+@pytest.mark.parametrize("pose", pose_names())
+def test_joints_that_move_within_the_limit_move_the_skin_within_the_bound(pose: str):
+    avatar = RIGHT.prefix(2000)
+    joints = torch.from_numpy(named_pose(pose, CANONICAL_M, handedness=Handedness.RIGHT))
+    transform = JointTransform(avatar.canonical_joints_m, handedness=Handedness.RIGHT)
+
+    def skin(where: torch.Tensor) -> torch.Tensor:
+        return pose_gaussians(avatar, transform.bones(where)).position_m
+
+    before = skin(joints)
+    generator = torch.Generator().manual_seed(0)
+    step = torch.randn(21, 3, generator=generator, dtype=torch.float64)
+    # uphill: every joint goes as far as it may, the way that moves the farthest point of the skin farther still
+    for _ in range(8):
+        step = (limits.REUSE_JOINTS_M * step / step.norm(dim=-1, keepdim=True)).requires_grad_()
+        farthest = (skin(joints + step) - before).norm(dim=-1).max()
+        (step,) = torch.autograd.grad(farthest, step)
+    assert limits.REUSE_JOINTS_M < float(farthest.detach()) <= limits.REUSE_SKIN_M  # observed 0.125 to 0.138 mm
+
+
+def test_a_flagged_hand_is_reused_only_when_it_stands_still(backend: str):
+    joints = CANONICAL_M.copy()
+    joints[20] = joints[15]  # a bone without length: its direction may turn with any movement
+    renderer = HandRenderer(RIGHT, replace(ALWAYS, backend=backend))
+    renderer.render(joints, camera())
+    assert renderer.render(joints, camera()).report.stage("transform").bound == "0"
+    moved = joints.copy()
+    moved[20, 0] += 1e-6
+    assert "transform" in names(renderer.render(moved, camera()), ran=True)
 
 
 def test_unchanged_pose_and_camera_reuse_the_picture_exactly(backend: str):
