@@ -2,7 +2,8 @@
 
     python scripts/check_transform.py [--hands 100000]
 
-The tests check the same on fewer hands. Exit code 1 when a figure misses its limit.
+The tests check the same on fewer hands. Exit code 1 when a figure misses its limit. A target is what METHOD wished for
+and never measured: whether it is met is said, and changes no exit code.
 """
 
 from __future__ import annotations
@@ -43,6 +44,18 @@ class Figure:
     value: float
     limit: float | None
     unit: str = ""
+    is_target: bool = False
+
+    @property
+    def met(self) -> bool:
+        return self.limit is None or self.value <= self.limit
+
+    def line(self) -> str:
+        limit = mark = ""
+        if self.limit is not None:
+            limit = f"{'target' if self.is_target else 'limit'} {self.limit:g}"
+            mark = "   met" if self.met else "   MISSED"
+        return f"  {self.name:<72} {self.value:10.3g} {self.unit:<3} {limit}{mark}"
 
 
 def _chunks(count: int) -> Iterator[torch.Tensor]:
@@ -156,7 +169,8 @@ def native_agreement() -> Iterator[Figure]:
 
 
 def skin_under_noise() -> Iterator[Figure]:
-    """How far noise of 0.5 mm on every joint moves the built-in hand's skin, over random poses of ordinary hands."""
+    """How far errors of 0.5 mm in every coordinate of every joint move the built-in hand's skin: random poses of
+    ordinary hands, errors of any size up to 0.5 mm, and of +0.5 or -0.5 mm, which is the worst of them."""
     template = load_template()
     canonical = torch.tensor(template.joints_m)
     weights, skin = torch.tensor(template.bone_weights), torch.tensor(template.vertices_m)
@@ -165,18 +179,21 @@ def skin_under_noise() -> Iterator[Figure]:
     # the sampled hands look the other way: their palm along -z, the thumb at -x
     joints = joints * torch.tensor([-1.0, 1.0, -1.0], dtype=torch.float64)
     generator = torch.Generator().manual_seed(0)
-    noisy = joints + 5e-4 * (2 * torch.rand(joints.shape, dtype=torch.float64, generator=generator) - 1)
+    uniform = 2 * torch.rand(joints.shape, dtype=torch.float64, generator=generator) - 1
 
     def posed(batch: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         bones = transform.bones(batch)
         blended = torch.einsum("vj,njab->nvab", weights, bones.matrices())
         return (blended[..., :3] * skin[:, None]).sum(-1) + blended[..., 3], bones.frames.flags
 
-    (before, flags), (after, noisy_flags) = posed(joints), posed(noisy)
-    moved = (after - before).norm(dim=-1)[(flags | noisy_flags) == 0] * 1e3
-    yield Figure(f"skin moved by 0.5 mm noise, {len(moved)} unflagged hands: mean", moved.mean().item(), None, "mm")
-    yield Figure("skin moved by 0.5 mm noise: 99th percentile", moved.flatten().quantile(0.99).item(), None, "mm")
-    yield Figure("skin moved by 0.5 mm noise: largest (target 2)", moved.max().item(), None, "mm")
+    before, flags = posed(joints)
+    for name, error in (("up to 0.5 mm", uniform), ("+-0.5 mm", uniform.sign())):
+        after, noisy_flags = posed(joints + 5e-4 * error)
+        moved = (after - before).norm(dim=-1)[(flags | noisy_flags) == 0] * 1e3
+        of = f"skin moved by errors of {name}"
+        yield Figure(f"{of}, {len(moved)} unflagged hands: mean", moved.mean().item(), None, "mm")
+        yield Figure(f"{of}: 99th percentile", moved.flatten().quantile(0.99).item(), None, "mm")
+        yield Figure(f"{of}: largest", moved.max().item(), 2.0, "mm", is_target=True)
 
 
 def main() -> None:
@@ -193,11 +210,8 @@ def main() -> None:
         skin_under_noise(),
     ):
         for figure in part:
-            good = figure.limit is None or figure.value <= figure.limit
-            missed |= not good
-            limit = "" if figure.limit is None else f"limit {figure.limit:g}"
-            mark = "" if good else "   MISSED"
-            print(f"  {figure.name:<72} {figure.value:10.3g} {figure.unit:<3} {limit}{mark}")
+            missed |= not figure.met and not figure.is_target
+            print(figure.line())
     sys.exit(1 if missed else 0)
 
 
