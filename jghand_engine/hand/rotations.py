@@ -180,10 +180,10 @@ def slerp(a: Tensor, b: Tensor, part: Tensor) -> Tensor:
     """
     cosine = dot(a, b)
     across = b - cosine * a
-    sine = torch.sqrt(dot(across, across))
-    angle = torch.atan2(sine, cosine)
+    sine2 = dot(across, across)
     # below this the chord is the arc to double precision, and sin/sin would divide round-off by round-off
-    near = sine < torch.finfo(a.dtype).eps ** 0.5
+    near = sine2 < torch.finfo(a.dtype).eps
+    angle = torch.atan2(torch.sqrt(torch.where(near, 1.0, sine2)), cosine)
     safe = torch.where(near, 1.0, torch.sin(angle))
     weight_a = torch.where(near, 1 - part, torch.sin((1 - part) * angle) / safe)
     weight_b = torch.where(near, part, torch.sin(part * angle) / safe)

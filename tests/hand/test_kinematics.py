@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jghand_engine.errors import InputError
+from jghand_engine.hand import rotations as rot
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.kinematics import decompose, forward_kinematics, interpolate
 from jghand_engine.hand.transform import JointTransform
@@ -108,6 +109,29 @@ def test_forward_kinematics_is_differentiable():
 
     inputs = (pose.angles.clone().requires_grad_(), pose.length_m.clone().requires_grad_())
     assert torch.autograd.gradcheck(joints, inputs, eps=1e-7, atol=1e-6)
+
+
+def test_interpolation_between_equal_poses_has_the_gradient_of_a_straight_line():
+    transform = JointTransform(CANONICAL, handedness=Handedness.RIGHT)
+    joints = hands.sample(6, palm_m=0.0, turned=False)
+    first, second = joints.clone().requires_grad_(), joints.clone().requires_grad_()
+    weights = torch.randn(3, 6, 21, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
+    parts = torch.tensor([0.0, 0.3, 1.0], dtype=torch.float64)
+    (interpolate(transform, first, second, parts) * weights).sum().backward()
+    assert first.grad is not None
+    assert second.grad is not None
+    share = parts.reshape(3, 1, 1, 1)
+    # both ends are one pose, so there is no arc yet: observed 2e-15
+    assert float((first.grad - ((1 - share) * weights).sum(0)).abs().max()) < 1e-13
+    assert float((second.grad - (share * weights).sum(0)).abs().max()) < 1e-13
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_slerp_between_equal_and_opposite_ends_has_finite_gradients(dtype):
+    a = torch.tensor([[0.6, 0.0, -0.8]], dtype=dtype).T.requires_grad_()
+    for sign in (1.0, -1.0):
+        (gradient,) = torch.autograd.grad(rot.slerp(a, sign * a, torch.tensor([0.25], dtype=dtype)).sum(), a)
+        assert bool(torch.isfinite(gradient).all())
 
 
 def test_poses_of_different_shape_are_refused():
