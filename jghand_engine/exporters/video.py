@@ -6,6 +6,7 @@ The program comes with the optional package imageio-ffmpeg (extra `video`).
 from __future__ import annotations
 
 import contextlib
+import math
 import subprocess
 import tempfile
 from collections.abc import Iterable, Iterator
@@ -44,11 +45,12 @@ def padded_to_even(rgb8: np.ndarray) -> np.ndarray:
 def write_video(path: Path | str, pictures: Iterable[np.ndarray], fps: float) -> int:
     """Writes pictures (H, W, 3) uint8, all of one size, as an MP4 (H.264, yuv420p); returns how many there were.
 
-    The file appears only when it is complete. Raises InputError for no pictures, for unequal sizes and where ffmpeg is
-    missing or refuses; RetryError when it cannot be written.
+    The file appears only when it is complete. Raises InputError for no pictures, for unequal sizes, for a rate that is
+    none, where ffmpeg is missing or does not start, and where the folder may not be written; RetryError when ffmpeg
+    fails, with its last words, or the disk is full.
     """
-    if not fps > 0:
-        raise InputError("video fps", wanted="a positive number", came=str(fps))
+    if not (math.isfinite(fps) and fps > 0):
+        raise InputError("video fps", wanted="a finite number above 0", came=str(fps))
     program = ffmpeg_program()
     stream = iter(pictures)
     first = next(stream, None)
@@ -80,7 +82,12 @@ def _command(program: str, size: tuple[int, int], fps: float, target: Path) -> l
 @contextlib.contextmanager
 def _running(command: list[str], log: IO[bytes], path: Path | str) -> Iterator[IO[bytes]]:
     """Runs ffmpeg, gives its standard input, waits for its end and turns a failure into a typed error."""
-    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=log)
+    try:
+        process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=log)
+    except OSError as error:
+        raise InputError(
+            "video", wanted="an ffmpeg program that starts", came=f"{command[0]}: {error.strerror or error}"
+        ) from error
     assert process.stdin is not None
     broken = False
     try:

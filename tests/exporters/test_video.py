@@ -56,6 +56,19 @@ def test_odd_sizes_are_padded_with_the_border(tmp_path):
     assert decoded(tmp_path / "odd.mp4")[0]["size"] == (48, 34)
 
 
+@pytest.mark.parametrize("fps", [0, -1, float("inf"), float("nan")])
+def test_a_rate_that_is_none_is_refused(tmp_path, fps):
+    with pytest.raises(InputError, match="video fps"):
+        write_video(tmp_path / "x.mp4", moving_square(2), fps)
+
+
+def test_an_ffmpeg_that_does_not_start_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr(video, "ffmpeg_program", lambda: str(tmp_path / "no_ffmpeg"))
+    with pytest.raises(InputError, match=r"ffmpeg program that starts.*no_ffmpeg"):
+        write_video(tmp_path / "x.mp4", moving_square(2), 30)
+    assert list(tmp_path.iterdir()) == []
+
+
 def test_a_video_without_pictures_is_refused(tmp_path):
     with pytest.raises(InputError, match="at least one picture"):
         write_video(tmp_path / "none.mp4", [], 30)
