@@ -1,5 +1,6 @@
 """PNG with straight alpha, flattening, contact sheets."""
 
+import contextlib
 import errno
 
 import numpy as np
@@ -92,6 +93,28 @@ def test_reading_what_is_no_picture_is_an_input_error(tmp_path):
     (tmp_path / "x.png").write_bytes(b"no picture")
     with pytest.raises(InputError, match=r"x\.png"):
         read_png(tmp_path / "x.png")
+
+
+def test_a_picture_that_claims_more_pixels_than_any_is_bad_input(tmp_path, monkeypatch):
+    write_png(tmp_path / "bomb.png", np.zeros((10, 10, 3), np.uint8))
+    monkeypatch.setattr("PIL.Image.MAX_IMAGE_PIXELS", 40)
+    with pytest.raises(InputError, match=r"bomb\.png.*decompression bomb"):
+        read_png(tmp_path / "bomb.png")
+
+
+def test_a_picture_cut_or_damaged_anywhere_is_bad_input_or_a_picture(tmp_path):
+    rng = np.random.default_rng(0)
+    write_png(tmp_path / "x.png", rng.integers(0, 255, (8, 8, 4), dtype=np.uint8))
+    whole = (tmp_path / "x.png").read_bytes()
+    damaged = [whole[:length] for length in range(0, len(whole), 7)]
+    for _ in range(300):
+        changed = bytearray(whole)
+        changed[rng.integers(len(whole))] = rng.integers(256)
+        damaged.append(bytes(changed))
+    for content in damaged:
+        (tmp_path / "x.png").write_bytes(content)
+        with contextlib.suppress(InputError):
+            assert read_png(tmp_path / "x.png").ndim == 3
 
 
 def test_contact_sheet_shows_every_picture_in_its_place():
