@@ -213,6 +213,8 @@ SHADOW_RADIUS_MAX_PX = 96.0
 SHADOW_STEEPNESS_MAX = 80.0
 # |v| is smoothed by this part of the radius: never sqrt(0)
 SHADOW_LENGTH_EPS = 1e-3
+# depth that the kernel gives a pixel without any, metres: farther than the shadow's reach from everything
+SHADOW_FAR_M = 1e6
 # taps per pixel; more cost time and change nothing visible
 SHADOW_SAMPLES_MAX = 256
 # normals come from depth differences over this length, metres: the depth of splats is bumpy by tenths of a millimetre
@@ -292,14 +294,15 @@ SH_C0 = 0.28209479177387814
 # share of every skin weight that goes to the twin joint which carries what half precision lost of a scale; a power of
 # two is exact in float32, and 2^-8 keeps the twin's scale within 12.5 % of the true one (2^-11 / 2^-8)
 USD_FINE_SHARE = 2.0**-8
-# frames between two saves: memory stays flat on long takes, and no slower (EXPORT 5)
+# frames between two saves: a take's Gaussians then never stand in memory together, and no slower (EXPORT 5). Its bones
+# do: 20 kB a frame, 42 kB while the skeleton is made
 USD_SAVE_EVERY = 24
 # half width of a splat's bound in standard deviations: 99.7 % of the kernel
 USD_SPLAT_EXTENT_SIGMA = 3.0
 # horizontal aperture that cameras are written with; only ratios to the focal length matter
 USD_APERTURE = 36.0
-# near and far clipping of exported cameras, metres
-USD_CLIPPING_RANGE_M = (0.01, 10.0)
+# the clipping of an exported camera leaves this factor before and behind the hand, for what else the scene holds
+USD_CLIPPING_ROOM = 2.0
 # part of the free disk that must be left over when an export is expected to fit: other programs write too
 USD_DISK_RESERVE = 0.02
 # bytes of an export beside the samples of positions: layers, static arrays, tables (per Gaussian and fixed, generous)

@@ -142,7 +142,7 @@ def export_usd(
                 len(avatar), motion.handedness, avatar.info, sizes=options.sizes, radiance=options.radiance
             )
             write_interface(temporary, names, avatar.info, about, span, Variant(options.default_variant))
-            write_shot(temporary, names, named_cameras, span)
+            write_shot(temporary, names, named_cameras, sequence.joints_m, span)
         sizes = {path.name: path.stat().st_size for path in sorted(temporary.iterdir())}
     return UsdReport(
         target / names.interface, target / names.shot, len(motion), len(avatar), sizes, clock.seconds, sigma_error

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
+import numpy as np
 from pxr import Kind, Sdf, Usd, UsdGeom
 
 from jghand_engine import __version__
@@ -98,8 +99,11 @@ def _fill_variant(stage: Usd.Stage, variant: Variant, names: LayerNames) -> None
         points.GetPayloads().AddPayload(f"./{names.splats}", POINTS_PATH)
 
 
-def write_shot(folder: Path, names: LayerNames, cameras: Mapping[str, Camera], time: TimeRange) -> None:
-    """/World with the hand and its cameras. Cameras are no siblings of the default prim: validators refuse that."""
+def write_shot(
+    folder: Path, names: LayerNames, cameras: Mapping[str, Camera], joints_m: np.ndarray, time: TimeRange
+) -> None:
+    """/World with the hand and its cameras, which see joints_m (F, 21, 3). Cameras are no siblings of the default prim:
+    validators refuse that."""
     stage = new_layer(folder / names.shot, time)
     world = UsdGeom.Xform.Define(stage, "/World").GetPrim()
     stage.SetDefaultPrim(world)
@@ -108,7 +112,7 @@ def write_shot(folder: Path, names: LayerNames, cameras: Mapping[str, Camera], t
     stage.DefinePrim("/World/Hand").GetReferences().AddReference(f"./{names.interface}")
     UsdGeom.Scope.Define(stage, "/World/Cameras")
     for name, camera in cameras.items():
-        add_camera(stage, f"/World/Cameras/{name}", camera)
+        add_camera(stage, f"/World/Cameras/{name}", camera, joints_m)
     stage.Save()
 
 

@@ -121,12 +121,14 @@ def test_mesh_skinned_by_usd_is_the_engine_s(export):
     assert np.abs(read - engine_mesh(motion)).max() < 2e-7
 
 
-@pytest.mark.parametrize("scale_mode", ["uniform"])
-def test_mesh_is_exact_when_thickness_follows_each_bone(tmp_path, scale_mode):
+@pytest.mark.parametrize(("scale_mode", "swing"), [("uniform", "minimal"), (0.3, "minimal"), ("axial", "euler")])
+def test_mesh_is_exact_in_every_convention(tmp_path, scale_mode, swing):
     motion = lively_motion(Handedness.RIGHT, 12)
-    report = export_usd(tmp_path, small_avatar(scale_mode), motion, some_cameras())
+    report = export_usd(tmp_path, small_avatar(scale_mode, swing), motion, some_cameras())
     read = skinned_mesh(opened(report, Variant.MESH), list(range(12)))
-    assert np.abs(read - engine_mesh(motion, scale_mode)).max() < 2e-7
+    truth = engine_mesh(motion, scale_mode, swing)
+    assert np.abs(read - truth).max() < 2e-7
+    assert np.abs(truth - engine_mesh(motion)).max() > 1e-4, "the convention makes no difference"
 
 
 def test_bones_without_length_and_folded_back_are_as_exact(tmp_path):
@@ -243,6 +245,23 @@ def test_cameras_project_as_the_engine_s(export):
         truth, _ = camera.project(torch.tensor(points))
         # worst observed 3e-5 px, from float32 apertures; 1e-3 px is wanted
         assert np.abs(pixels - truth.numpy()).max() < 1e-4
+
+
+@pytest.mark.parametrize(("distance_m", "scale"), [(0.25, 1.0), (0.6, 1.0), (60.0, 1.0), (0.6, 0.4)])
+def test_cameras_clip_nothing_of_the_hand(tmp_path, distance_m, scale):
+    motion = lively_motion(Handedness.RIGHT, 6)
+    motion = PoseSequence((motion.joints_m - motion.joints_m[:, :1]) * scale, FPS, Handedness.RIGHT)
+    eye = torch.tensor([0.0, 0.0, distance_m])
+    camera = Camera.looking_at(eye, torch.zeros(3), torch.tensor([0.0, 1.0, 0.0]), width=64, height=64, focal_px=99)
+    avatar = small_avatar()
+    report = export_usd(tmp_path, avatar, motion, [camera])
+    stage = Usd.Stage.Open(str(report.shot))
+    near, far = UsdGeom.Camera(stage.GetPrimAtPath("/World/Cameras/cam0")).GetClippingRangeAttr().Get()
+    _, depth_m = camera.project(torch.tensor(engine_gaussians(avatar, motion)[0]))
+    assert near <= max(float(depth_m.min()), 0.01)
+    assert far >= float(depth_m.max())
+    # a depth buffer of 24 bits then tells tenths of a millimetre apart
+    assert far / near < 2000
 
 
 def test_colours_are_display_referred_in_the_splats_and_linear_for_display(export):

@@ -16,7 +16,7 @@ from jghand_engine.template.builtin import load_template
 FPS = 30.0
 
 
-def small_avatar(scale_mode: str = "axial") -> HandAvatar:
+def small_avatar(scale_mode: str | float = "axial", swing: str = "minimal") -> HandAvatar:
     """Gaussians on every second vertex of the built-in hand, in many colours and sizes."""
     template = load_template()
     rng = np.random.default_rng(5)
@@ -24,7 +24,7 @@ def small_avatar(scale_mode: str = "axial") -> HandAvatar:
     position = torch.tensor(template.vertices_m[some], dtype=torch.float32)
     count = len(position)
     return HandAvatar(
-        info=AvatarInfo(name="test", template=template.identifier, licence="CC0-1.0", scale_mode=scale_mode),
+        info=AvatarInfo("test", template.identifier, "CC0-1.0", swing=swing, scale_mode=scale_mode),
         handedness=Handedness.RIGHT,
         canonical_joints_m=torch.tensor(template.joints_m),
         position_m=position,
@@ -61,13 +61,13 @@ def lively_motion(handedness: Handedness, frames: int = 40, *, length_change: fl
     return PoseSequence(joints_m, FPS, handedness)
 
 
-def engine_mesh(sequence: PoseSequence, scale_mode: str = "axial") -> np.ndarray:
+def engine_mesh(sequence: PoseSequence, scale_mode: str | float = "axial", swing: str = "minimal") -> np.ndarray:
     """(F, V, 3) the vertices of the built-in hand as the engine skins them, metres, float64; a left hand's are the
     mirrored template's."""
     template = load_template()
     transform = JointTransform(
-        torch.tensor(template.joints_m), handedness=sequence.handedness, scale_mode=scale_mode
-    )  # fmt: skip
+        torch.tensor(template.joints_m), handedness=sequence.handedness, scale_mode=scale_mode, swing=swing
+    )
     matrices = transform.bones(torch.tensor(sequence.joints_m)).matrices().numpy()
     blended = np.einsum("vi,fiab->fvab", template.bone_weights, matrices)
     return np.einsum("fvab,vb->fva", blended[..., :3], template.vertices_m) + blended[..., 3]
