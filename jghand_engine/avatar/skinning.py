@@ -101,16 +101,3 @@ def pose_gaussians(
             opacity=avatar.opacity.to(dtype),
             rgb=avatar.rgb.to(dtype),
         )
-
-
-def lbs_joint_error_m(
-    joint_weights: torch.Tensor, canonical_joints_m: torch.Tensor, bones: PoseTransforms, joints_m: torch.Tensor
-) -> torch.Tensor:
-    """(21,) metres: how far blended skinning moves each joint from where it belongs (METHOD 3.5).
-
-    The matrices themselves map every joint exactly; this second metric is of the skin's weights. joint_weights (21, 21)
-    are the weights of the field at the canonical joints (21, 3), joints_m (21, 3) the posed joints that made `bones`.
-    """
-    linear, offset_m = blend(joint_weights, bones)
-    relative_m = canonical_joints_m.to(linear.dtype) - bones.canonical_root_m
-    return torch.linalg.vector_norm(apply(linear, relative_m) + offset_m + bones.root_m - joints_m, dim=-1)

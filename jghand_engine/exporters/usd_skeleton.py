@@ -33,7 +33,6 @@ from jghand_engine.limits import USD_FINE_SHARE
 JOINT_AXES = (1, 2, 0)
 MIRROR = np.diag([-1.0, 1.0, 1.0])
 TURN_FLEXION_AXIS = np.diag([1.0, -1.0, 1.0])
-USD_JOINT_COUNT = 3 * JOINT_COUNT
 
 
 @dataclass(frozen=True)

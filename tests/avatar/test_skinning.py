@@ -9,7 +9,7 @@ import torch
 from small_avatars import small_avatar
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.skinning import blend, lbs_joint_error_m, pose_gaussians, turning, volume_scale
+from jghand_engine.avatar.skinning import apply, blend, pose_gaussians, turning, volume_scale
 from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import BoneTransforms, JointTransform
@@ -157,6 +157,17 @@ def test_gradients_reach_positions_and_radii():
         assert gradient is not None
         assert torch.isfinite(gradient).all()
         assert (gradient.flatten(1).abs().sum(1) > 0).all() if gradient.ndim > 1 else (gradient > 0).all()
+
+
+def lbs_joint_error_m(joint_weights, canonical_joints_m, bones, joints_m) -> torch.Tensor:
+    """(21,) metres: how far blended skinning moves each joint from where it belongs (METHOD 3.5).
+
+    The matrices themselves map every joint exactly; this second metric is of the skin's weights: joint_weights (21, 21)
+    are those of the field at the canonical joints.
+    """
+    linear, offset_m = blend(joint_weights, bones)
+    relative_m = canonical_joints_m - bones.canonical_root_m
+    return torch.linalg.vector_norm(apply(linear, relative_m) + offset_m + bones.root_m - joints_m, dim=-1)
 
 
 def test_blended_skinning_moves_the_joints_as_little_as_the_method_says(record_property):

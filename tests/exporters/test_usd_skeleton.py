@@ -4,21 +4,20 @@ from pxr import UsdSkel
 
 from jghand_engine.exporters.usd_skeleton import (
     JOINT_AXES,
-    USD_JOINT_COUNT,
     joint_axes,
     joint_tokens,
     same_hemisphere,
     skin_influences,
     split_scales,
 )
-from jghand_engine.hand.joints import STANDARD_NAMES, Handedness
+from jghand_engine.hand.joints import JOINT_COUNT, STANDARD_NAMES, Handedness
 from jghand_engine.limits import USD_FINE_SHARE
 from jghand_engine.template.builtin import load_template
 
 
 def test_control_joints_are_named_as_everywhere_and_come_first():
     tokens = joint_tokens()
-    assert len(tokens) == USD_JOINT_COUNT
+    assert len(tokens) == 3 * JOINT_COUNT
     assert tuple(token.split("/")[-1] for token in tokens[:21]) == STANDARD_NAMES
     assert tokens[8] == "wrist/index1/index2/index3/index4"
 
