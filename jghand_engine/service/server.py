@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import io
 import json
 import os
 import queue
@@ -21,6 +22,7 @@ import socket
 import sys
 import threading
 import time
+from collections import deque
 from typing import IO, Any
 
 from jghand_engine import __version__, limits
@@ -60,7 +62,8 @@ class Server:
         self._clients: queue.Queue[socket.socket] = queue.Queue()
         self._client: socket.socket | None = None
         self._busy = threading.Lock()
-        self._greetings = threading.BoundedSemaphore(limits.GREETINGS_MAX)
+        self._greetings: deque[socket.socket] = deque()  # the oldest first
+        self._greetings_lock = threading.Lock()
         self._listener = socket.create_server((LOOPBACK, 0), backlog=limits.GREETINGS_MAX)
 
     @property
@@ -104,9 +107,11 @@ class Server:
                 if self._stop.wait(_LOOK_S):
                     return
                 continue
-            if not self._greetings.acquire(blocking=False):
-                connection.close()
-                continue
+            with self._greetings_lock:
+                if len(self._greetings) >= limits.GREETINGS_MAX:
+                    with contextlib.suppress(OSError):  # its thread may be closing it
+                        self._greetings.popleft().shutdown(socket.SHUT_RDWR)
+                self._greetings.append(connection)
             threading.Thread(target=self._greet, args=(connection,), daemon=True, name="greeting").start()
 
     def _greet(self, connection: socket.socket) -> None:
@@ -115,7 +120,7 @@ class Server:
         try:
             deadline = time.monotonic() + limits.GREETING_S
             version = protocol.receive_greeting(connection, self._token, deadline=deadline)
-            if version is None:
+            if version is None or not self._leave_greetings(connection):
                 return
             connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             if version != protocol.PROTOCOL_VERSION:
@@ -128,9 +133,17 @@ class Server:
         except (OSError, Disconnected):
             return  # a stranger that says nothing, too little, or leaves; TimeoutError is an OSError
         finally:
-            self._greetings.release()
+            self._leave_greetings(connection)
             if not admitted:
                 connection.close()
+
+    def _leave_greetings(self, connection: socket.socket) -> bool:
+        """Takes a connection off the list of those that greet; False when it is not there any more."""
+        with self._greetings_lock:
+            if connection not in self._greetings:
+                return False
+            self._greetings.remove(connection)
+            return True
 
     def _serve_client(self, connection: socket.socket) -> None:
         """Answers one client until it leaves, breaks the protocol, or asks for the end."""
@@ -193,11 +206,31 @@ def _refuse(connection: socket.socket, kind: str, sentence: str, deadline: float
 
 
 def _take_stdout() -> IO[str]:
-    """stdout for the handshake alone; what anything else prints afterwards goes to stderr."""
+    """stdout for the handshake alone; what anything else prints afterwards goes to stderr, as long as it is read."""
     sys.stdout.flush()
     mine = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
+    sys.stdout = sys.stderr = io.TextIOWrapper(
+        io.BufferedWriter(_Unbreakable()), encoding="utf-8", errors="replace", line_buffering=True
+    )
     return mine
+
+
+class _Unbreakable(io.RawIOBase):
+    """stderr for people: a pipe that nobody reads any more makes no request fail."""
+
+    def fileno(self) -> int:
+        return 2
+
+    def writable(self) -> bool:
+        return True
+
+    def write(self, content: Any, /) -> int:
+        left = memoryview(content)
+        with contextlib.suppress(OSError):
+            while left:
+                left = left[os.write(2, left) :]
+        return memoryview(content).nbytes
 
 
 def _read_token() -> bytes:
@@ -237,18 +270,3 @@ def _end_with_stdin(server: Server) -> None:
 
 def _log(sentence: str) -> None:
     print(f"jghand engine: {sentence}", file=sys.stderr, flush=True)
-
-
-def main() -> int:
-    """The engine with its own pictures."""
-    from jghand_engine.service.hands import EngineHands
-
-    try:
-        return serve(EngineHands())
-    except InputError as error:
-        _log(str(error))
-        return error.exit_code
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -42,10 +42,16 @@ def stand_in_command() -> list[str]:
 
 @pytest.fixture(scope="session")
 def engine_python() -> str:
-    """The Python of the real engine; a test that wants it is skipped where it is not set up."""
+    """The Python of the real engine; a test that wants it is skipped where it is not set up.
+
+    With JGHAND_REQUIRE_ENGINE=1 it fails there instead: a run that is to show that the two work together.
+    """
     for path in (os.environ.get("JGHAND_ENGINE_PYTHON"), *map(str, (ROOT / ".envs/engine").glob("*/python*"))):
         if path and Path(path).is_file():
             probe = subprocess.run([path, "-I", "-c", "import jghand_engine, torch"], capture_output=True, check=False)
             if probe.returncode == 0:
                 return path
-    pytest.skip("the engine is not installed: run scripts/test.py, or set JGHAND_ENGINE_PYTHON")
+    sentence = "the engine is not installed: run scripts/test.py, or set JGHAND_ENGINE_PYTHON"
+    if os.environ.get("JGHAND_REQUIRE_ENGINE", "0") not in ("", "0"):
+        pytest.fail(sentence)
+    pytest.skip(sentence)
