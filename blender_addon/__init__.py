@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """JGHand for Blender: an armature's 21 joints become a photorealistic hand.
 
     core/     what needs no Blender: joints, poses, cameras as numbers, the engine as a child process, sentences

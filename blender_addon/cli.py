@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Renders the hands of a .blend file without a window: joints from Blender, pictures from the engine.
 
     render_blend.py FILE.blend --camera CamPalm,CamSide --frames 1-60 --out FOLDER

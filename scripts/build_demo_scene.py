@@ -1,3 +1,5 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+# This script imports blender_addon (GPL-3.0-or-later) and bpy (GPL), so it is under the GPL too: blender_addon/LICENSE.
 """Makes a .blend file with a rigged hand that moves and cameras that look at it.
 
     .envs/blender/bin/python scripts/build_demo_scene.py --motion MOTION.npz --out hand.blend

@@ -1,3 +1,5 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+# This script imports blender_addon (GPL-3.0-or-later) and bpy (GPL), so it is under the GPL too: blender_addon/LICENSE.
 """Renders the hands of a .blend file without a window: joints from Blender, pictures from the engine.
 
     .envs/blender/bin/python scripts/render_blend.py FILE.blend --camera CamPalm,CamSide --frames 1-60 --out FOLDER

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The only code that touches Blender's data.
 
 versions   what differs between Blender versions, one function per difference

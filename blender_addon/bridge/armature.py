@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """One armature per hand: building it, finding it, and reading its 21 joints.
 
 A bone's **head** is the joint of the bone's name. The rest pose is an open, relaxed hand, as an animator expects: when

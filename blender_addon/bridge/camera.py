@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """A Blender camera as the pinhole of the engine. Source: BLENDER 6 (the formula), 8.1 (what is honoured)."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Cameras that show a hand over a whole motion: wrist and fingertips inside the picture, with some air."""
 
 from __future__ import annotations

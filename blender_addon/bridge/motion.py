@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """A motion onto an armature, as location and rotation keys of its 21 bones."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The opened file: its cameras and hands, made sure to be evaluated, and whether Blender evaluated them truly."""
 
 from __future__ import annotations

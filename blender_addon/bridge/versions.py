@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """What differs between Blender versions. Features are looked for; version numbers are never compared."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """What the extension knows without Blender: no module here imports bpy, and each is tested with plain Python.
 
 limits          every number, with its reason

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Rendering many frames without a window: which frames, which files, what is written down. Does not use bpy.
 
 A picture appears under its name only when it is whole, and a picture that is there is not made again, so a run that

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The engine as a child process: start, handshake, requests with a time limit, a clean end. Does not use bpy.
 
 Every wait has a time limit and looks whether the process still lives. The engine ends when its stdin does, so it

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Where the engine is: what was asked for, the environment, this checkout, the command `jghand`."""
 
 from __future__ import annotations

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The 21 joints: names, parents, bones, and the hand at rest. The only tables of the extension.
 
 Standard order: the wrist, then thumb, index, middle, ring, pinky, each from the base to the tip. A bone is named after

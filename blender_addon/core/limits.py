@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Every number of the extension: value, unit, why. Source: BLENDER 3.4 and 6."""
 
 from __future__ import annotations

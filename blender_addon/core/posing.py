@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Joint positions to bone matrices and back, in numpy: what a rig's rest pose and its keys are made of.
 
 Every bone's y axis runs along it and its z axis points to the palm's side (for the thumb: to its pad), so that a

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """What the pictures of a folder were made from, so that a run never goes on among pictures of something else.
 
 A small file beside the pictures holds hashes of what decides them. Pictures without one are of unknown origin.

@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """Cameras, hands in their own space, and the request for a picture of them. Source: BLENDER 3.2 and 6."""
 
 from __future__ import annotations

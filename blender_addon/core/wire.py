@@ -1,3 +1,4 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
 """The one module that extension and engine share. The extension's build copies it here; a checkout has it there."""
 
 from __future__ import annotations
@@ -7,9 +8,13 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from jghand_engine.service import protocol
 else:
-    try:
-        from . import protocol
-    except ImportError:
-        from jghand_engine.service import protocol
+    from pathlib import Path
+from typing import TYPE_CHECKING
+
+# the file decides, not whether its import works: a broken copy must not be taken for a missing one
+if TYPE_CHECKING or not Path(__file__).with_name("protocol.py").is_file():
+    from jghand_engine.service import protocol
+else:
+    from . import protocol
 
 __all__ = ["protocol"]

@@ -225,3 +225,24 @@ def test_the_death_of_the_engine_is_noticed_long_before_the_time_of_the_request_
     started = time.monotonic()
     assert failure_of("die", timeout_s=300.0).kind == "crashed"
     assert time.monotonic() - started < 30
+
+
+@pytest.mark.parametrize(
+    ("content", "seen"), [(None, "engine"), ("x = 1", "copy"), ("import nothing_of_that_name", "")]
+)
+def test_the_protocol_is_the_extensions_copy_where_there_is_one_even_a_broken_one(tmp_path, content, seen):
+    core = tmp_path / "addon" / "core"
+    core.mkdir(parents=True)
+    for path in (tmp_path / "addon/__init__.py", core / "__init__.py"):
+        path.touch()
+    (core / "wire.py").write_text((ROOT / "blender_addon/core/wire.py").read_text())
+    if content is not None:
+        (core / "protocol.py").write_text(content)
+    code = (
+        "import sys; sys.path[:0] = sys.argv[1:]; from addon.core.wire import protocol\n"
+        "print('copy' if protocol.__name__ == 'addon.core.protocol' else 'engine')"
+    )
+    command = [sys.executable, "-I", "-c", code, str(tmp_path), str(ROOT)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.stdout.strip() == seen
+    assert ("nothing_of_that_name" in done.stderr) == (seen == "")

