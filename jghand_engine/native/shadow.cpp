@@ -16,7 +16,7 @@ void prepare_depth(const ShadeTask& s, int y) {
     const vf a = load_first(alpha + x, n), d = load_first(sum + x, n);
     const vi valid = a > s.alpha_min;
     const vf z = (d - s.origin * a) / select(valid, a, all(1.f));
-    store(out + x, select(valid, z, all(FAR_M)));  // the lanes beyond the row are padding
+    store(out + x, select(valid, z, all(SHADOW_FAR_M)));  // the lanes beyond the row are padding
     if (s.depth_out) store_first(s.depth_out + row + x, select(valid, z + s.origin, vf{}), n);
     count += __builtin_popcount(bit_mask(valid));
   }

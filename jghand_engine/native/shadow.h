@@ -1,17 +1,15 @@
 // What the forward and the backward pass of the self-shadow share: the task, and one block of 16 pixels of a row.
 //
 // The torch form in splat/shadow.py is the specification (METHOD 5.2). Depth lies in a padded plane. A pixel without
-// depth holds FAR_M: it is farther than the radius from everything, so it occludes nothing and needs no test of its own.
+// depth holds SHADOW_FAR_M: it is farther than the radius from everything, so it occludes nothing and needs no test of its own.
 // The padding is at least the largest sample offset plus one, so that every read of a block is legal.
 #pragma once
 #include <stdint.h>
 
+#include "constants.h"
 #include "vec.h"
 
 namespace jg {
-
-constexpr float FAR_M = 1e6f;
-constexpr int SHADOW_SAMPLES_MAX = 256;
 
 // Mirrored field by field in splat/shadow_native.py.
 struct ShadeTask {
@@ -131,7 +129,7 @@ struct Slope {
   vi any;
 };
 JG_INLINE Slope slope_of(vf z, vf ahead, vf behind, vf ray_ahead, vf ray_behind, vf flat, const ShadeTask& s) {
-  const vi has_f = ahead < FAR_M, has_b = behind < FAR_M;
+  const vi has_f = ahead < SHADOW_FAR_M, has_b = behind < SHADOW_FAR_M;
   const vf f = ahead - z, b = z - behind, size_f = abs(f), size_b = abs(b);
   const vi mean = has_f & has_b & (abs(size_f - size_b) < s.agree * min(size_f, size_b) + s.agree_floor);
   const vi forward = has_f & (~has_b | (size_f < size_b));
@@ -210,7 +208,7 @@ JG_INLINE void sort_taps(Block& b, float step_x, float step_y, const ShadeTask& 
 JG_INLINE bool set_block(Block& b, const float* c, int x0, int y, const ShadeTask& s) {
   const vf lane = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
   b.z = load(c);
-  b.valid = b.z < FAR_M;
+  b.valid = b.z < SHADOW_FAR_M;
   if (!bit_mask(b.valid)) return false;
   const float step_x = 1.f / s.fx, step_y = 1.f / s.fy;
   b.ray_x = (lane + ((float)x0 + 0.5f - s.cx)) * step_x;

@@ -11,8 +11,6 @@
 
 namespace jg {
 
-constexpr int SHADOW_STRIPES = 4;
-
 // Mirrored field by field in splat/shadow_native.py.
 struct ShadeGradient {
   const float* visibility;  // (H, W) of the forward pass
@@ -106,7 +104,7 @@ void finish_row(const ShadeTask& s, const ShadeGradient& g, const Stripes& strip
       store_first(g.out + k * pixels + at, direct, n);
     }
     const vf z = load(s.depth + (int64_t)y * s.stride + x), alpha = load_first(s.picture + 3 * pixels + at, n);
-    const vi valid = z < FAR_M;
+    const vi valid = z < SHADOW_FAR_M;
     vf to_z = {};
     for (int i = 0; i < SHADOW_STRIPES; i++) {
       const int y0 = stripes.begin[i], y1 = stripes.begin[i + 1];

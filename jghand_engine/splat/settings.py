@@ -40,7 +40,11 @@ class RenderSettings:
             ("gaussians", self.gaussians >= 0, "0 (all) or a positive count"),
             ("alpha_min", 0 < self.alpha_min < 1, "a value between 0 and 1"),
             ("t_stop", 0 <= self.t_stop < 1, "a value from 0 to below 1"),
-            ("shadow_samples", 1 <= self.shadow_samples <= limits.SHADOW_SAMPLES_MAX, "1 to 256"),
+            (
+                "shadow_samples",
+                1 <= self.shadow_samples <= limits.SHADOW_SAMPLES_MAX,
+                f"1 to {limits.SHADOW_SAMPLES_MAX}",
+            ),
             ("shadow_strength", 0 <= self.shadow_strength <= 1, "0 to 1"),
             ("threads", self.threads >= 0, "0 (automatic) or a positive count"),
         )

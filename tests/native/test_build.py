@@ -20,6 +20,11 @@ def test_the_kernels_constants_are_those_of_limits():
     assert set(found) - set(shared) == {"LN2", "LOG2E"}
     assert shared == {name: getattr(limits, name) for name in shared}
     assert {"BLUR_PX2", "VAR_MAX_PX2", "RGB_MAX", "POSITION_MAX_M", "TILE_PX", "GRADIENT_STRIPES"} <= set(shared)
+    assert {"SHADOW_FAR_M", "SHADOW_SAMPLES_MAX", "SHADOW_STRIPES"} <= set(shared)
+    # and stand nowhere else
+    for path in build.source_files():
+        if path.name != "constants.h":
+            assert not re.search(rf"constexpr \w+ ({'|'.join(shared)})\b", path.read_text()), path.name
 
 
 @pytest.fixture
