@@ -16,7 +16,8 @@ from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.errors import RetryError
 from jghand_engine.hand.fast_transform import FastBones
-from jghand_engine.native.library import Library, aligned_zeros, new_team
+from jghand_engine.hand.joints import JOINT_COUNT
+from jghand_engine.native.library import Library, address, aligned_zeros, new_team
 
 _LANES = 16
 # bits per axis of the space-filling curve: cells of a hand's 0.2 m / 1024
@@ -96,10 +97,15 @@ class FastSkinning:
         return start, bone.astype(np.int32), weight
 
     def prepare(self, bones: FastBones, into: PosedArrays, shift_m: np.ndarray) -> None:
-        """Sets the next pose. Positions come out relative to the hand's root, plus `shift_m` (3,)."""
+        """Sets the next pose. Positions come out relative to the hand's root, plus `shift_m` (3,).
+
+        InputError names an array that the kernel cannot read or write: `into` needs `rows` rows.
+        """
         linear_offset = np.ascontiguousarray(bones.linear_offset, np.float32)
-        self._task.linear_offset = linear_offset.ctypes.data
-        self._task.position, self._task.sigma = into.position_m.ctypes.data, into.sigma_m.ctypes.data
+        task, rows = self._task, self.rows
+        task.linear_offset = address(linear_offset, np.float32, "linear_offset", (JOINT_COUNT, 3, 4))
+        task.position = address(into.position_m, np.float32, "position_m", (rows, 3), writable=True)
+        task.sigma = address(into.sigma_m, np.float32, "sigma_m", (rows,), writable=True)
         self._task.shift = tuple(shift_m)
         self._task.scale = bones.scale
         self._keep = (linear_offset, into)

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from jghand_engine import limits
-from jghand_engine.errors import InputError
+from jghand_engine.errors import InputError, RetryError
 from jghand_engine.hand.frames import CanonicalHand, Swing
 from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 from jghand_engine.hand.orders import check_joint_shape
@@ -54,6 +54,9 @@ class FastTransform:
         native = library.load(variant)
         self._call = native.call.jg_bone_transforms if native else None
         self._skeleton = _packed(self._reference)
+        if native and (size := native.call.jg_skeleton_bytes()) != self._skeleton.nbytes:
+            wanted = f"a Skeleton of {self._skeleton.nbytes} bytes"
+            raise RetryError(f"native library {native.path.name}", wanted=wanted, came=str(size))
         self._skeleton_address = self._skeleton.ctypes.data
 
     def bones(self, joints_m: np.ndarray) -> FastBones:

@@ -18,7 +18,7 @@ import numpy as np
 from jghand_engine.errors import InputError, JGHandError, RetryError
 from jghand_engine.native import build
 
-ABI = 1
+ABI = 2
 VARIANTS = ("v4", "v3", "neon")
 BACKENDS = ("auto", "torch", *VARIANTS)
 
@@ -39,6 +39,7 @@ SIGNATURES: dict[str, tuple[object, tuple[object, ...]]] = {
     "jg_raster_job_bytes": (_I32, ()),
     "jg_raster_forward": (None, (_P,)),
     "jg_raster_backward": (None, (_P,)),
+    "jg_skeleton_bytes": (_I32, ()),
     "jg_bone_transforms": (_I32, (_P, _P, _P, _P)),
 }
 
@@ -52,10 +53,13 @@ class Library:
     call: ctypes.CDLL
 
 
-def address(array: np.ndarray, dtype: type, name: str, shape: tuple[int, ...] | None = None) -> int:
-    """The address of an array's data for a ctypes call.
+def address(
+    array: np.ndarray, dtype: type, name: str, shape: tuple[int, ...] | None = None, *, writable: bool = False
+) -> int:
+    """The address of an array's data for a ctypes call. writable: the call writes into it.
 
-    A wrong dtype, shape, order or alignment is an InputError that names the array: the kernel cannot see them.
+    A wrong dtype, shape, order, alignment or a read-only output is an InputError that names the array: the kernel
+    cannot see them.
     """
     wanted = np.dtype(dtype)
     if not isinstance(array, np.ndarray) or array.dtype != wanted:
@@ -65,6 +69,8 @@ def address(array: np.ndarray, dtype: type, name: str, shape: tuple[int, ...] | 
         raise InputError(f"array {name}", wanted=f"shape {shape}", came=str(array.shape))
     if not (array.flags.c_contiguous and array.flags.aligned):
         raise InputError(f"array {name}", wanted="contiguous, aligned memory", came="a strided or unaligned view")
+    if writable and not array.flags.writeable:
+        raise InputError(f"array {name}", wanted="memory that may be written", came="a read-only array")
     return array.ctypes.data
 
 

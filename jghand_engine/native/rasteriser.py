@@ -156,7 +156,7 @@ class NativeRasteriser:
         self._job.log2_alpha_min, self._job.t_stop = self._cut(alpha_min), t_stop
         shape = (PLANES, view.height, view.width)
         self._planes = self._array("planes", shape, np.float32) if planes is None else planes
-        self._job.planes = address(self._planes, np.float32, "planes", shape)
+        self._job.planes = address(self._planes, np.float32, "planes", shape, writable=True)
         self._reserve_scratch()
         self._team.fill(0)
         return self._planes

@@ -194,6 +194,8 @@ void store(const Skeleton& s, const Mat& L, Vec posed_pivot, Vec canonical_pivot
 
 }  // namespace
 
+JG_API int32_t jg_skeleton_bytes() { return sizeof(Skeleton); }
+
 // skeleton: `Skeleton` packed as doubles. joints: 21 x 3, metres, level order.
 // matrices: 21 x 3 x 4 root-relative canonical -> posed. scale: of the whole hand. Returns the flags of the frames.
 // A joint that is not finite gives NaN everywhere and the flag NOT_FINITE.

@@ -20,8 +20,6 @@ from jghand_engine.splat.camera import Camera
 from jghand_engine.splat.shadow import ShadowStyle, shade, vogel_disc
 
 _LANES = 16
-# depth of a pixel that has none, metres (FAR_M of native/shadow.h)
-_FAR_M = 1e6
 # rows and columns around the picture: the farthest sample and its neighbour; columns in whole vectors
 _PAD_ROWS = math.ceil(limits.SHADOW_RADIUS_MAX_PX) + 1
 _PAD_COLUMNS = -(-_PAD_ROWS // _LANES) * _LANES
@@ -67,7 +65,7 @@ class NativeShade:
         columns = -(-width // _LANES) * _LANES
         self._stride = columns + 2 * _PAD_COLUMNS
         self._depth = aligned_zeros((height + 2 * _PAD_ROWS, self._stride))
-        self._depth.fill(_FAR_M)
+        self._depth.fill(limits.SHADOW_FAR_M)
         self._row_valid = aligned_zeros((height,), np.int32)
         self._stripes: np.ndarray | None = None
         self._keep: tuple[np.ndarray, ...] = ()
@@ -102,9 +100,9 @@ class NativeShade:
         """
         task, size = self.task, (self.task.height, self.task.width)
         task.picture = address(planes, np.float32, "planes", (5, *size))
-        task.visibility = None if visibility is None else address(visibility, np.float32, "visibility", size)
-        task.rgba = None if rgba is None else address(rgba, np.float32, "rgba", (*size, 4))
-        task.depth_out = None if depth_m is None else address(depth_m, np.float32, "depth_m", size)
+        task.visibility = _output(visibility, "visibility", size)
+        task.rgba = _output(rgba, "rgba", (*size, 4))
+        task.depth_out = _output(depth_m, "depth_m", size)
         self._keep = tuple(array for array in (planes, visibility, rgba, depth_m) if array is not None)
         task.origin = near_m
         task.fx, task.fy, task.cx, task.cy = camera.fx, camera.fy, camera.cx, camera.cy
@@ -140,13 +138,18 @@ class NativeShade:
             visibility=address(visibility, np.float32, "visibility", size),
             darkened=address(darkened, np.float32, "gradient of the darkened colour", (3, *size)),
             stripes=self._stripes.ctypes.data,
-            out=address(out, np.float32, "gradient", (5, *size)),
+            out=address(out, np.float32, "gradient", (5, *size), writable=True),
             pad_columns=_PAD_COLUMNS,
         )
 
     def run_backward(self, gradient: ShadeGradient) -> None:
         """The backward pass; every thread of a team calls it with the same prepared gradient."""
         self._call.jg_shade_backward(self.team.ctypes.data, ctypes.addressof(self.task), ctypes.addressof(gradient))
+
+
+def _output(array: np.ndarray | None, name: str, shape: tuple[int, ...]) -> int | None:
+    """Where a result goes; None: nowhere."""
+    return None if array is None else address(array, np.float32, name, shape, writable=True)
 
 
 def mean_depth_m(planes: torch.Tensor) -> float:

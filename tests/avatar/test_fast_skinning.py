@@ -12,6 +12,7 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.avatar.fast_skinning import FastSkinning, PosedArrays, spatial_order
 from jghand_engine.avatar.skinning import pose_gaussians
+from jghand_engine.errors import InputError
 from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.fast_transform import FastTransform
 from jghand_engine.hand.joints import Handedness
@@ -84,6 +85,34 @@ def test_any_number_of_gaussians_can_be_skinned(library: Library, count: int):
     position, sigma = skinned(library, avatar, avatar.canonical_joints_m.numpy())
     assert np.abs(position - avatar.position_m.numpy()).max() < 1e-7  # the canonical pose changes nothing
     assert np.abs(sigma / avatar.sigma_m.numpy() - 1).max() < 3e-6
+
+
+def _read_only(array: np.ndarray) -> np.ndarray:
+    array.flags.writeable = False
+    return array
+
+
+@pytest.mark.parametrize(
+    ("name", "make", "wanted"),
+    [
+        ("position_m", lambda rows: np.zeros((rows, 3)), "float32"),
+        ("position_m", lambda rows: np.zeros((rows - 16, 3), np.float32), r"\(\d+, 3\)"),
+        ("sigma_m", lambda rows: np.zeros(rows - 1, np.float32), r"shape \(\d+,\)"),
+        ("sigma_m", lambda rows: np.zeros(2 * rows, np.float32)[::2], "contiguous"),
+        ("sigma_m", lambda rows: _read_only(np.zeros(rows, np.float32)), "written"),
+    ],
+)
+def test_arrays_that_the_kernel_cannot_write_into_are_refused_by_name(library: Library, name, make, wanted):
+    avatar = load_builtin(handedness=Handedness.RIGHT).prefix(100)
+    skin = FastSkinning(library, avatar)
+    bones = FastTransform(avatar.canonical_joints_m, handedness=Handedness.RIGHT).bones(
+        avatar.canonical_joints_m.numpy()
+    )
+    good = PosedArrays(np.zeros((skin.rows, 3), np.float32), np.zeros(skin.rows, np.float32))
+    with pytest.raises(InputError, match=f"{name}.*{wanted}"):
+        skin.prepare(bones, replace(good, **{name: make(skin.rows)}), np.zeros(3))
+    with pytest.raises(InputError, match="linear_offset"):
+        skin.prepare(replace(bones, linear_offset=bones.linear_offset[:20]), good, np.zeros(3))
 
 
 def test_spatial_order_is_a_permutation_and_keeps_neighbours_together():

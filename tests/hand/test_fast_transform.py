@@ -5,7 +5,7 @@ import pytest
 import torch
 from hand import sampled_hands as hands
 
-from jghand_engine.errors import InputError
+from jghand_engine.errors import InputError, RetryError
 from jghand_engine.hand.fast_transform import FastTransform
 from jghand_engine.hand.frames import FrameFlag
 from jghand_engine.hand.joints import Handedness
@@ -81,6 +81,14 @@ def test_wrong_shapes_are_named(variant):
         fast.bones(np.zeros((42, 3)))
     with pytest.raises(InputError, match="joints of one hand"):
         fast.bones(np.zeros((5, 21, 3)))
+
+
+@pytest.mark.skipif("auto" not in VARIANTS, reason="no native variant runs on this processor")
+def test_a_library_with_another_skeleton_is_refused(monkeypatch):
+    loaded = library.load()
+    monkeypatch.setattr(loaded.call, "jg_skeleton_bytes", lambda: 8)
+    with pytest.raises(RetryError, match=r"wanted a Skeleton of \d+ bytes, got 8"):
+        FastTransform(CANONICAL, handedness=Handedness.RIGHT)
 
 
 def test_one_transform_serves_many_threads():

@@ -86,6 +86,13 @@ def test_arrays_the_kernel_cannot_read_are_refused_by_name(name, value, wanted):
         rasteriser().forward(GaussianArrays(**parts), view_for(8, 8))
 
 
+def test_memory_that_may_only_be_read_is_refused_for_results():
+    planes = np.zeros((5, 30, 40), np.float32)
+    planes.flags.writeable = False
+    with pytest.raises(InputError, match=r"planes.*written.*read-only"):
+        rasteriser().forward(hand_arrays(10), view_for(40, 30), planes=planes)
+
+
 def test_a_picture_too_large_is_refused():
     with pytest.raises(InputError, match="picture size"):
         rasteriser().forward(hand_arrays(1), View(limits.PICTURE_MAX_PX + 1, 1, 1.0, 1.0, 0, 0, np.eye(3, 4)))
@@ -109,7 +116,11 @@ def test_more_pairs_than_the_lists_can_index_is_a_memory_error():
     view = View(side, side, 1000.0, 1000.0, side / 2, side / 2, np.eye(3, 4))
     one = rasteriser()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(module, "address", lambda array, *rest: address(array, *rest) if array is not planes else 0)
+        patch.setattr(
+            module,
+            "address",
+            lambda array, *rest, **options: address(array, *rest, **options) if array is not planes else 0,
+        )
         with pytest.raises(MemoryLimitError, match="too many tiles"):
             one.forward(arrays, view, planes=planes)
     with pytest.raises(InputError, match="forward"):
