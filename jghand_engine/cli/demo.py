@@ -73,7 +73,8 @@ class Demo:
             write_motion(out / "motion.npz", sequence)
         say(f"{len(sequence)} frames of a {handedness} hand, seen from {' and '.join(CAMERAS)}")
         scene = demo_scene.Scene(sequence, cameras, self.preset, self.avatar.avatar, out)
-        demo_scene.remove_old_results(scene)
+        if note := demo_scene.remove_old_results(scene, keeps_blend=self.blender_python is not None):
+            say(note)
         if self.blender_python is None:
             say(demo_scene.WITHOUT_BLENDER)
             with clock("pictures"):
@@ -97,8 +98,10 @@ class Demo:
         figures = {
             "command": "demo", "hand": self.hand, "frames": len(sequence), "size_px": [width, height],
             "preset": self.preset, "blender": self.blender_python is not None, "seconds": clock.seconds,
-            "stages": timings.figures(), "usd": usd_figures(usd),
+            "backend": timings.backend, "stages": timings.figures(), "usd": usd_figures(usd),
         }  # fmt: skip
+        if scene.blend.exists():
+            figures[demo_scene.BLEND_HASH] = demo_scene.hash_of(scene.blend)
         for path in {out / "report.json", self.report.json or out / "report.json"}:
             write_json(path, figures)
 

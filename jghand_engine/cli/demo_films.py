@@ -64,9 +64,12 @@ def write_readme(scene: Scene) -> None:
         "usd/hand.usda": "the animated hand for other programs; choose its variant splats, points or mesh",
         "usd/hand.shot.usda": "the hand with the cameras of this demo",
     }
+    files |= {path.name: "a hand.blend that was changed before a later demo" for path in scene.previous_blends()}
     there = {name: text for name, text in files.items() if (scene.out / name).exists()}
     lines = ["What this folder holds", ""]
-    lines += [f"{name:<19}{text}" for name, text in {**there, "report.json": "how long everything took"}.items()]
+    there["report.json"] = "how long everything took"
+    width = max(map(len, there)) + 2
+    lines += [f"{name:<{width}}{text}" for name, text in there.items()]
     if scene.blend.exists():
         lines += [
             "",

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
+import hashlib
+import itertools
 import json
+import os
 import re
+import shutil
 import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +28,7 @@ from jghand_engine.cli.options import BUILTIN_AVATAR
 from jghand_engine.cli.render import Target, render_pictures
 from jghand_engine.cli.timings import Timings
 from jghand_engine.errors import InputError, JGHandError, MemoryLimitError, RetryError
-from jghand_engine.files import make_folder
+from jghand_engine.files import file_error, make_folder
 from jghand_engine.hand.anatomy import MotionOptions, pose_sequence_of_names
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.splat.camera import Camera
@@ -31,6 +36,16 @@ from jghand_engine.splat.frame import HandRenderer
 from jghand_engine.splat.settings import preset
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
+# key of report.json: the hand.blend that the demo wrote, to tell one that somebody has changed since
+BLEND_HASH = "blend_sha256"
+# what the engine printed before it failed
+ENGINE_LOG = "engine.log"
+# milliseconds of a picture in render_blend's report; the request holds the whole frame
+BLENDER_TIMES = {
+    "evaluate_ms": "Blender's evaluation",
+    "request_ms": "request (engine, PNG, transport)",
+    "write_ms": "writing the PNG",
+}
 # Blender counts frames from 1, so the demo's files do
 FIRST_FRAME, FRAME_NAME = 1, "{:04d}.png"
 
@@ -53,6 +68,10 @@ class Scene:
     @property
     def blend(self) -> Path:
         return self.out / "hand.blend"
+
+    def previous_blends(self) -> list[Path]:
+        """Files that once were hand.blend and that somebody had changed."""
+        return sorted(self.out.glob("hand.previous*.blend"))
 
     @property
     def cameras_file(self) -> Path:
@@ -79,15 +98,46 @@ def demo_motion(avatar: HandAvatar, poses: list[str]) -> PoseSequence:
     return dataclasses.replace(sequence, joints_m=swayed)
 
 
-def remove_old_results(scene: Scene) -> None:
-    """Removes what an earlier demo made and this one may not make: a longer demo's pictures, a .blend file."""
-    for path in (scene.out / "hand.mp4", scene.blend, scene.cameras_file):
+def remove_old_results(scene: Scene, *, keeps_blend: bool) -> str:
+    """Removes what an earlier demo made and this one may not make: a longer demo's pictures, a .blend file.
+
+    A hand.blend that somebody has changed is kept under another name; the sentence that says so is returned, else ''.
+    keeps_blend: leave a hand.blend that nobody has changed; it will be replaced when the new one is whole.
+    """
+    note = _set_aside_changed_blend(scene)
+    for path in (scene.out / "hand.mp4", scene.out / ENGINE_LOG, *(() if keeps_blend else (scene.blend,))):
         path.unlink(missing_ok=True)
+    scene.cameras_file.unlink(missing_ok=True)
     for name in scene.cameras:
         folder = scene.frames(name).folder
         for path in folder.glob("*.png") if folder.is_dir() else ():
             if re.fullmatch(r"\d{4}\.png", path.name):
                 path.unlink()
+    return note
+
+
+def _set_aside_changed_blend(scene: Scene) -> str:
+    """Renames a hand.blend that is not as the last demo wrote it; says so."""
+    if not scene.blend.exists():
+        return ""
+    written = None
+    with contextlib.suppress(OSError, ValueError, AttributeError):
+        written = json.loads((scene.out / "report.json").read_text(encoding="utf-8")).get(BLEND_HASH)
+    try:
+        if hash_of(scene.blend) == written:
+            return ""
+        names = itertools.chain(["hand.previous.blend"], (f"hand.previous.{i}.blend" for i in itertools.count(2)))
+        kept = next(path for path in map(scene.out.joinpath, names) if not path.exists())
+        scene.blend.rename(kept)
+    except OSError as error:
+        raise file_error(scene.blend, error) from error
+    return f"{scene.blend} is not as the last demo wrote it: it is kept as {kept.name}."
+
+
+def hash_of(path: Path) -> str:
+    """SHA-256 of a file. Raises OSError."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def render_alone(scene: Scene, avatar: HandAvatar) -> Timings:
@@ -112,8 +162,17 @@ class Blender:
         """Makes the .blend file: the rigged armature with the motion on it, and the cameras."""
         cameras = scene.cameras_file
         write_json(cameras, {name: camera_to_dict(camera) for name, camera in scene.cameras.items()})
-        self._run("build_demo_scene.py", ["--motion", scene.out / "motion.npz", "--cameras", cameras,
-                                          "--out", scene.blend])  # fmt: skip
+        # a folder, not a temporary file: Blender would keep a backup of a file that is there
+        with tempfile.TemporaryDirectory(prefix=".blend.", dir=scene.out) as folder:
+            made = Path(folder) / scene.blend.name
+            arguments = ["--motion", scene.out / "motion.npz", "--cameras", cameras, "--out", made]
+            ended = self._run("build_demo_scene.py", arguments)
+            if ended.code:
+                raise _failure(ended)
+            try:
+                os.replace(made, scene.blend)
+            except OSError as error:
+                raise file_error(scene.blend, error) from error
 
     def render(self, scene: Scene) -> Timings:
         """Renders every camera of the .blend file: joints from Blender, pictures from an engine process."""
@@ -127,13 +186,16 @@ class Blender:
                 arguments += ["--avatar", Path(scene.avatar).resolve()]
             total = len(scene.sequence) * len(scene.cameras)
             with progress("Rendering in Blender", total) as bar:
-                self._run("render_blend.py", arguments, on_line=lambda line: _advance(bar, line))
+                ended = self._run("render_blend.py", arguments, on_line=lambda line: _advance(bar, line))
+            if ended.code:
+                told = _told_failure(report)
+                raise _failure(ended, told, _keep_engine_log(told, scene.out) if told else "")
             return _timings_of(json.loads(report.read_text(encoding="utf-8")))
 
     def _run(
         self, script: str, arguments: list[str | Path], on_line: Callable[[str], None] = lambda line: None
-    ) -> None:
-        """Runs one of the project's scripts in Blender's Python. Its exit code decides the kind of error."""
+    ) -> _Ended:
+        """Runs one of the project's scripts in Blender's Python. Raises InputError when one of the two is missing."""
         path = SCRIPTS / script
         if not self.python.is_file():
             raise InputError(f"--blender-python {self.python}", wanted="a Python that has bpy", came="no such file")
@@ -151,8 +213,18 @@ class Blender:
                 code = process.wait()
             finally:
                 process.kill()
-            if code:
-                raise _failure(script, code, log)
+            log.seek(0)
+            lines = [line for line in log.read().splitlines() if line.strip()]
+            return _Ended(script, code, lines[-1] if lines else "")
+
+
+@dataclass(frozen=True)
+class _Ended:
+    """How a script ended. last_line: of what it printed on standard error"""
+
+    script: str
+    code: int
+    last_line: str
 
 
 def _advance(bar: Any, line: str) -> None:
@@ -160,11 +232,35 @@ def _advance(bar: Any, line: str) -> None:
         bar.advance(bar.task_ids[0])
 
 
-def _failure(script: str, code: int, log: IO[str]) -> JGHandError:
-    log.seek(0)
-    lines = [line for line in log.read().splitlines() if line.strip()]
-    kinds: dict[int, type[JGHandError]] = {2: InputError, 4: MemoryLimitError}
-    return kinds.get(code, RetryError)(f"{script} failed", came=lines[-1] if lines else f"exit code {code}")
+def _failure(ended: _Ended, told: dict[str, str] | None = None, more: str = "") -> JGHandError:
+    """The error that the end of a script means.
+
+    told: what render_blend's report says of the failure: sentence, remedy, detail · more: a sentence after the remedy
+    """
+    kinds = {1: JGHandError, 2: InputError, 4: MemoryLimitError}
+    kind = kinds.get(ended.code, RetryError)
+    if not told:
+        return kind(f"{ended.script} failed", came=ended.last_line or f"exit code {ended.code}")
+    detail = f" ({told['detail']})" if told.get("detail") else ""
+    return kind(f"{told['sentence']}{detail}", remedy=f"{told['remedy']}. {more}".strip())
+
+
+def _told_failure(report: Path) -> dict[str, str] | None:
+    """What the report of render_blend says about why it ended early; None if there is none."""
+    with contextlib.suppress(OSError, ValueError):
+        return json.loads(report.read_text(encoding="utf-8"))["failure"]
+    return None
+
+
+def _keep_engine_log(told: dict[str, str], out: Path) -> str:
+    """Copies what the engine printed last, where the report names it, into the demo's folder; says where."""
+    if "log" not in told:
+        return ""
+    try:
+        shutil.copyfile(told["log"], out / ENGINE_LOG)
+    except OSError:
+        return ""  # the failure itself matters more
+    return f"What the engine printed is in {out / ENGINE_LOG}."
 
 
 def _timings_of(report: dict[str, Any]) -> Timings:
@@ -173,9 +269,9 @@ def _timings_of(report: dict[str, Any]) -> Timings:
     for picture in report["pictures"]:
         if picture["skipped"]:
             continue
-        engine_ms = 0.0
         for frame in picture["reports"]:
             timings.add(frame)
-            engine_ms += frame["total_ms"]
-        timings.add_ms("transport and PNG", picture["milliseconds"] - engine_ms)
+        for key, name in BLENDER_TIMES.items():
+            if key in picture:
+                timings.add_ms(name, picture[key])
     return timings

@@ -85,7 +85,7 @@ class Render:
             write_json(self.report.json, {
                 "command": "render", "motion": motion.source, "notes": motion.notes, "avatar": avatar.info.name,
                 "frames": timings.frames, "size_px": [camera.width, camera.height], "preset": self.picture.preset,
-                "seconds": seconds, "stages": timings.figures(),
+                "backend": timings.backend, "seconds": seconds, "stages": timings.figures(),
             })  # fmt: skip
 
     def _camera(self, motion: Motion, size: tuple[int, int]) -> Camera:

@@ -22,12 +22,18 @@ class Timings:
         self._stages: dict[str, list[float]] = {}
         self._skips: dict[str, list[str]] = {}
         self._totals: list[float] = []
+        self._backends: dict[str, None] = {}
         self._others: dict[str, list[float]] = {}
 
     @property
     def frames(self) -> int:
         """How many reports were added."""
         return len(self._totals)
+
+    @property
+    def backend(self) -> str:
+        """What drew: a native variant or torch, the slow reference; several with commas."""
+        return ", ".join(self._backends)
 
     def add(self, report: dict[str, Any]) -> None:
         """Adds one `FrameReport.as_dict()`."""
@@ -38,6 +44,8 @@ class Timings:
             else:
                 self._skips.setdefault(stage["name"], []).append(stage["reason"])
         self._totals.append(report["total_ms"])
+        if report.get("backend"):
+            self._backends[report["backend"]] = None
 
     def add_ms(self, name: str, milliseconds: float) -> None:
         """Adds one measurement that is no part of the frame, as writing a file."""
@@ -61,8 +69,9 @@ class Timings:
         return result
 
     def show(self, title: str) -> None:
-        """Prints `figures` as a table."""
-        say_table(title, ("stage", "median ms", "p95 ms", "ran", "skipped"), self._rows())
+        """Prints `figures` as a table. What drew is added to the title: the slow fallback must be seen."""
+        drawn = f", drawn by backend {self.backend}" if self.backend else ""
+        say_table(title + drawn, ("stage", "median ms", "p95 ms", "ran", "skipped"), self._rows())
 
     def _rows(self) -> list[tuple[str, ...]]:
         rows: list[tuple[str, ...]] = []

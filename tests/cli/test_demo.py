@@ -11,6 +11,7 @@ import pytest
 from jghand_engine.cli import main
 from jghand_engine.datasets.motion_files import read_motion
 from jghand_engine.exporters.pictures import read_png
+from jghand_engine.native.library import best_variant
 
 ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="the extra `video` is not installed")
 
@@ -58,6 +59,11 @@ def test_the_users_own_files_are_kept(folder):
     assert (folder / "frames/front/mine.png").read_bytes() == b"mine"
 
 
+def test_a_blend_file_that_no_demo_wrote_is_kept(folder):
+    assert (folder / "hand.previous.blend").read_bytes() == b"old"
+    assert "hand.previous.blend" in (folder / "README.txt").read_text(encoding="utf-8")
+
+
 def test_the_whole_hand_sways_without_changing_its_bones(folder):
     motion = read_motion(folder / "motion.npz")
     assert np.ptp(motion.bone_lengths_m, axis=0).max() < 1e-12
@@ -69,6 +75,7 @@ def test_the_whole_hand_sways_without_changing_its_bones(folder):
 def test_the_figures_say_that_blender_was_not_there(folder):
     figures = json.loads((folder / "report.json").read_text())
     assert figures["blender"] is False
+    assert figures["backend"] == (best_variant() or "torch")
     assert figures["stages"]["whole frame"]["ran"] == 2 * figures["frames"]
     assert figures["usd"]["frames"] == figures["frames"]
 

@@ -35,6 +35,13 @@ def test_a_stage_that_never_ran_has_no_time():
     assert "median_ms" not in timings.figures()["shadow"]
 
 
+def test_the_table_names_what_drew(capsys):
+    timings = Timings()
+    timings.add(report(3.0, shadow=False) | {"backend": "torch"})
+    timings.show("one picture")
+    assert "one picture, drawn by backend torch" in capsys.readouterr().out
+
+
 def test_the_table_names_every_stage(capsys):
     timings = Timings()
     timings.add(report(3.0, shadow=False))
