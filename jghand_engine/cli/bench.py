@@ -41,6 +41,8 @@ class Bench:
 
         if self.rounds < 1:
             raise InputError("--rounds", wanted="1 or more", came=str(self.rounds))
+        if not self.presets:
+            raise InputError("--presets", wanted="at least one of draft, viewport, final, reference", came="none")
         width, height = pixels(self.size)
         avatar = load_hand(self.avatar.avatar)
         facts = frame_time.machine(self.threads)

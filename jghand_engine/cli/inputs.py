@@ -31,7 +31,7 @@ class Motion:
 def load_motion(options: MotionOptions, avatar: HandAvatar) -> Motion:
     """Reads or makes the motion and repairs it as the options say; named poses take the bone lengths of `avatar`.
 
-    Raises InputError.
+    The whole motion is repaired and then cut, so that a part of it looks as it does in the whole. Raises InputError.
     """
     if (options.motion is None) == (options.poses is None):
         raise InputError("motion", wanted="either --motion FILE or --poses NAME,NAME,…", came="both or none")
@@ -40,13 +40,13 @@ def load_motion(options: MotionOptions, avatar: HandAvatar) -> Motion:
     else:
         sequence, source = _from_names(str(options.poses), options.format, avatar), f"poses {options.poses}"
     part = options.frame_slice()
-    sequence = sequence.section(part.start, part.stop, part.step)
+    shown = sequence.section(part.start, part.stop, part.step)
     notes = []
-    if sequence.gaps:
+    if shown.gaps:
         if options.on_missing == "stop":
-            sequence.without_gaps()
+            shown.without_gaps()
         notes.append(f"{sequence.gaps.sentence()}: the last whole pose was held.")
-        sequence = sequence.with_gaps_held()
+    sequence = sequence.with_gaps_held()
     if not options.keep_bone_lengths:
         wobble_m = sequence.bone_lengths_m.std(0).max()
         if wobble_m > 1e-4:
@@ -55,7 +55,7 @@ def load_motion(options: MotionOptions, avatar: HandAvatar) -> Motion:
                 "median length (--keep-bone-lengths follows the file)."
             )
         sequence = sequence.with_constant_bone_lengths()
-    return Motion(sequence, source, notes)
+    return Motion(sequence.section(part.start, part.stop, part.step), source, notes)
 
 
 def read_sequence(path: Path, options: FormatOptions) -> PoseSequence:
@@ -64,11 +64,12 @@ def read_sequence(path: Path, options: FormatOptions) -> PoseSequence:
     unit = options.unit or ("m" if path.suffix.lower() == ".npy" else None)
     order = None if options.order is None else JointOrder(options.order)
     hand = None if options.hand is None else Handedness(options.hand)
-    return read_motion(path, MotionFormat(order=order, unit=unit, handedness=hand, fps=options.fps))
+    return read_motion(path, MotionFormat(order=order, unit=unit, handedness=hand, fps=options.checked_fps()))
 
 
 def _from_names(names: str, options: FormatOptions, avatar: HandAvatar) -> PoseSequence:
-    motion = PoseMotionOptions(fps=options.fps or limits.DEFAULT_FPS)
+    fps = options.checked_fps()
+    motion = PoseMotionOptions(fps=limits.DEFAULT_FPS if fps is None else fps)
     hand = Handedness(options.hand or Handedness.RIGHT)
     return pose_sequence_of_names(pose_list(names), avatar.canonical_joints_m.numpy(), handedness=hand, options=motion)
 

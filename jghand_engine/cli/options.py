@@ -12,6 +12,7 @@ from typing import Annotated, Literal
 
 import tyro
 
+from jghand_engine import limits
 from jghand_engine.errors import InputError
 
 BUILTIN_AVATAR = "builtin"
@@ -47,6 +48,13 @@ class FormatOptions:
     """Which hand it is. Never guessed: joints alone do not tell."""
     fps: Annotated[float | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="")] = None
     """Frames per second. Left out: 30."""
+
+    def checked_fps(self) -> float | None:
+        """`fps`. InputError when no motion can have it (NaN included)."""
+        if self.fps is not None and not limits.FPS_MIN <= self.fps <= limits.FPS_MAX:
+            wanted = f"{limits.FPS_MIN:g} to {limits.FPS_MAX:g} frames per second"
+            raise InputError("--fps", wanted=wanted, came=f"{self.fps:g}")
+        return self.fps
 
 
 @dataclass(frozen=True)

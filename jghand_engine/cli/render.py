@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,6 +12,7 @@ import tyro
 
 from jghand_engine.cli.console import progress, say, write_json
 from jghand_engine.cli.options import AvatarOptions, File, MotionOptions, PictureOptions, ReportOptions, pixels
+from jghand_engine.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -64,6 +66,7 @@ class Render:
         avatar = avatar.for_hand(motion.sequence.handedness)
         for note in motion.notes:
             say(note)
+        refuse_longer_render(self.out, len(motion.sequence))
         camera = self._camera(motion, size)
         renderer = HandRenderer(avatar, replace(preset(self.picture.preset), threads=self.picture.threads))
         make_folder(self.out)
@@ -98,6 +101,22 @@ class Render:
         sequence = motion.sequence
         return framing_camera(
             sequence.joints_m, sequence.handedness, self.picture.camera, width=size[0], height=size[1]
+        )
+
+
+def refuse_longer_render(folder: Path, count: int) -> None:
+    """InputError when the folder holds pictures that `count` new ones would not replace: two motions would be mixed.
+
+    They are not removed: nothing tells whether they are still wanted.
+    """
+    found = (re.fullmatch(r"frame_(\d{5,})\.png", path.name) for path in folder.glob("frame_*.png"))
+    left = sorted(match[0] for match in found if match and int(match[1]) >= count)
+    if left:
+        raise InputError(
+            f"--out {folder}",
+            wanted=f"a folder without pictures beyond the {count} of this run",
+            came=f"{len(left)} of an earlier one ({left[0]} to {left[-1]})",
+            remedy="Remove them or choose another folder.",
         )
 
 

@@ -203,6 +203,36 @@ def test_an_avatar_that_is_not_there_is_named(tmp_path, command):
     assert "no.jghand" in err
 
 
+@pytest.mark.parametrize("fps", ["0", "-30", "nan", "inf"])
+def test_frames_per_second_that_nothing_can_have_are_refused(tmp_path, command, joints, fps):
+    np.save(tmp_path / "motion.npy", joints)
+    from_file = ("--motion", tmp_path / "motion.npy", "--order", "standard", "--hand", "right")
+    for words in (("--poses", "open"), from_file):
+        code, err = command("render", *words, "--fps", fps, "--out", tmp_path / "out", *SMALL)
+        assert code == 2
+        assert "--fps" in err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_benchmark_of_nothing_is_refused(command):
+    code, err = command("bench", "--presets")
+    assert code == 2
+    assert "--presets" in err
+
+
+def test_pictures_of_a_longer_render_are_neither_mixed_in_nor_removed(tmp_path, command):
+    out = tmp_path / "out"
+    words = ("render", "--poses", "open,fist", "--out", out, *SMALL)
+    assert command(*words, "--frames", "0:3")[0] == 0
+    before = {path.name: path.read_bytes() for path in out.iterdir()}
+    code, err = command(*words, "--frames", "0:1", "--camera", "back")
+    assert code == 2
+    assert "frame_00002.png to frame_00003.png" in err
+    assert {path.name: path.read_bytes() for path in out.iterdir()} == before
+    assert command(*words, "--frames", "0:3", "--camera", "back")[0] == 0, "as many are simply replaced"
+    assert command(*words, "--frames", "0:4")[0] == 0
+
+
 def test_a_full_disk_leaves_nothing_half_written(tmp_path, command, monkeypatch):
     real = os.fsync
     written = []

@@ -186,6 +186,27 @@ def test_estimated_joints_do_not_pulse(wobbling, avatar):
     assert any("median" in note for note in motion.notes)
 
 
+@pytest.mark.parametrize("keep", [True, False])
+def test_a_part_of_a_motion_is_repaired_as_the_whole_is(wobbling, avatar, keep):
+    joints = np.load(wobbling)
+    joints[5:8, 4] = np.nan
+    np.save(wobbling, joints)
+    whole = load_motion(options(wobbling, keep_bone_lengths=keep), avatar)
+    part = load_motion(options(wobbling, keep_bone_lengths=keep, frames="6:12:2"), avatar)
+    assert np.array_equal(part.sequence.joints_m, whole.sequence.joints_m[6:13:2])
+    assert "3 of" in part.notes[0]
+    assert np.array_equal(part.sequence.joints_m[0], whole.sequence.joints_m[4]), "held from before the part"
+
+
+def test_a_gap_outside_the_part_stops_nothing(wobbling, avatar):
+    joints = np.load(wobbling)
+    joints[5, 4] = np.nan
+    np.save(wobbling, joints)
+    assert len(load_motion(options(wobbling, on_missing="stop", frames="6:8"), avatar).sequence) == 3
+    with pytest.raises(InputError, match="all 21 joints"):
+        load_motion(options(wobbling, on_missing="stop", frames="4:8"), avatar)
+
+
 def test_bone_lengths_of_the_file_are_kept_when_asked_for(wobbling, avatar):
     motion = load_motion(options(wobbling, keep_bone_lengths=True), avatar)
     assert np.ptp(motion.sequence.bone_lengths_m, axis=0).max() > 1e-3
