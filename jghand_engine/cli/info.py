@@ -12,7 +12,7 @@ from jghand_engine.cli.console import say, write_json
 from jghand_engine.cli.options import BUILTIN_AVATAR, FormatOptions, ReportOptions
 from jghand_engine.errors import InputError
 
-DESCRIPTION = """Say what is inside an avatar, a motion or a USD file.
+DESCRIPTION = """Say what is inside an avatar, a motion or a USD file, and what is wrong with a USD file.
 
 Examples:
   jghand info hand.jghand
@@ -20,6 +20,7 @@ Examples:
   jghand info capture.npy --order mediapipe --hand right
   jghand info demo_output/usd/hand.usda"""
 
+FINDINGS = "what_is_wrong"
 MOTION_SUFFIXES = (".npz", ".npy", ".json", ".csv")
 USD_SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")
 
@@ -35,7 +36,10 @@ class Info:
         facts = self._facts()
         width = max(len(name) for name in facts)
         for name, value in facts.items():
-            say(f"{name.replace('_', ' '):<{width}}  {_text(value)}")
+            # what is wrong is said in whole sentences, one per line
+            lines = value if name == FINDINGS and value else [_text(value)]
+            for index, line in enumerate(lines):
+                say(f"{'' if index else name.replace('_', ' '):<{width}}  {line}")
         if self.report.json is not None:
             write_json(self.report.json, {"command": "info", "file": self.file, **facts})
 
@@ -113,10 +117,12 @@ def motion_facts(path: Path, options: FormatOptions) -> dict[str, Any]:
 
 
 def usd_facts(path: Path) -> dict[str, Any]:
-    """What a USD stage holds: times, units, variants, and how many prims of each type."""
+    """What a USD stage holds: times, units, variants, how many prims of each type, and what is wrong with it."""
     from collections import Counter
 
     from pxr import Tf, Usd, UsdGeom
+
+    from jghand_engine.exporters.usd_check import check_usd
 
     try:
         stage = Usd.Stage.Open(str(path))
@@ -140,4 +146,5 @@ def usd_facts(path: Path) -> dict[str, Any]:
         "layers": sorted(
             Path(layer.realPath or layer.identifier).name for layer in stage.GetUsedLayers() if not layer.anonymous
         ),
+        FINDINGS: [str(finding) for finding in check_usd(path)],
     }

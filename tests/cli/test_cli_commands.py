@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -13,6 +14,8 @@ from jghand_engine.cli.inputs import load_motion
 from jghand_engine.cli.options import FormatOptions, MotionOptions, colour, pixels
 from jghand_engine.errors import InputError
 from jghand_engine.exporters.pictures import read_png
+from jghand_engine.exporters.usd import UsdOptions
+from jghand_engine.exporters.usd_stage import Variant
 from jghand_engine.hand.anatomy import pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, from_level
@@ -247,6 +250,40 @@ def test_export_writes_a_stage_that_info_understands(tmp_path, capsys):
     shown = capsys.readouterr().out
     assert "ParticleField3DGaussianSplat" in shown
     assert "hand.splats.usdc" in shown
+    assert re.search(r"what is wrong +none", shown)
+
+
+def test_info_says_what_is_wrong_with_a_stage_one_sentence_per_line(tmp_path, capsys):
+    assert run("export", "--poses", "open", "--frames", "0", "--out", tmp_path, "--name", "mine") == 0
+    stage = tmp_path / "mine.usda"
+    stage.write_text(re.sub(r"\s*(fallbackPrimTypes = \{[^}]*\}|defaultPrim = .*)", "", stage.read_text()))
+    capsys.readouterr()
+    assert run("info", stage, "--json", tmp_path / "info.json") == 0
+    findings = json.loads((tmp_path / "info.json").read_text())["what_is_wrong"]
+    lines = capsys.readouterr().out.splitlines()
+    assert any("fallbackPrimTypes" in finding for finding in findings)
+    assert any("no default prim" in finding for finding in findings)
+    assert all(sum(finding in line for line in lines) == 1 for finding in findings)
+
+
+def test_export_hands_its_options_on(tmp_path, monkeypatch):
+    seen = []
+
+    def export(folder, avatar, sequence, cameras, options):
+        seen.append(options)
+        raise InputError("enough seen")
+
+    monkeypatch.setattr("jghand_engine.cli.stage_export.export_stage", export)
+    words = ("--name", "mine", "--radiance", "linear", "--width-factor", "2", "--sizes", "per_frame")
+    assert run("export", "--poses", "open", "--out", tmp_path, *words, "--default-variant", "mesh") == 2
+    [options] = seen
+    assert options == UsdOptions("mine", Variant.MESH, "linear", "per_frame", 2.0)
+
+
+@pytest.mark.parametrize("words", [("--name", "my hand"), ("--width-factor", "0"), ("--width-factor", "nan")])
+def test_export_options_that_make_no_stage_are_refused(tmp_path, words):
+    assert run("export", "--poses", "open", "--out", tmp_path / "out", *words) == 2
+    assert not (tmp_path / "out").exists()
 
 
 def test_bench_measures_every_preset_that_is_named(tmp_path, capsys):
