@@ -17,7 +17,7 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.errors import RetryError
 from jghand_engine.hand.fast_transform import FastBones
 from jghand_engine.hand.joints import JOINT_COUNT
-from jghand_engine.native.library import Library, address, aligned_zeros, new_team
+from jghand_engine.native.binding import Library, address, aligned_zeros, new_team
 
 _LANES = 16
 # bits per axis of the space-filling curve: cells of a hand's 0.2 m / 1024

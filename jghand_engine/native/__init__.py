@@ -1,9 +1,11 @@
 """The compiled kernels: build, choice of variant, threads.
 
 build      compiles every *.cpp of this folder into one library per variant (C headers only, no std::)
-library    loads the right variant, declares its functions (SIGNATURES), checks arrays handed to them
+binding    declares the functions (SIGNATURES), checks arrays handed to them, opens a library file
+selftest   does a library compute on this machine what it should
+library    chooses, builds and tests: `load` gives the library to use
 threads    WorkerPool: all threads make one call, which shares its items between them (team.h)
 
-To add a kernel: write name.cpp, mark its functions JG_API (export.h), declare them in library.SIGNATURES, and raise ABI
-in library.py and library.cpp when a signature changes.
+To add a kernel: write name.cpp, mark its functions JG_API (export.h), declare them in binding.SIGNATURES, and raise ABI
+in binding.py and library.cpp when a signature changes.
 """

@@ -28,7 +28,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from jghand_engine.errors import InputError, RetryError
+from jghand_engine.errors import InputError, JGHandError, RetryError
 from jghand_engine.files import writing
 
 SOURCE_FOLDER = Path(__file__).resolve().parent
@@ -122,14 +122,28 @@ def find_compiler() -> Compiler:
     """JGHAND_CXX, else CXX, else the ziglang wheel of this Python. Without any: RetryError."""
     for variable in ("JGHAND_CXX", "CXX"):
         if command := os.environ.get(variable, "").strip():
-            words = tuple(shlex.split(command))
-            return Compiler(words, " ".join(words), is_zig=False)
+            words = compiler_words(command)
+            return Compiler(words, compiler_name(words), is_zig=False)
     if importlib.util.find_spec("ziglang") is None:
         raise RetryError(
             "no compiler for the native library",
             remedy="Install one with `pip install ziglang==0.17.0`, or name a clang++ in JGHAND_CXX.",
         )
     return Compiler((sys.executable, "-m", "ziglang", "c++"), f"zig {_zig_version()}", is_zig=True)
+
+
+def compiler_words(command: str, *, windows: bool = os.name == "nt") -> tuple[str, ...]:
+    """A command line in words; quotes hold a path with spaces together. On Windows a backslash is part of a path."""
+    try:
+        words = shlex.split(command, posix=not windows)
+    except ValueError as error:
+        raise InputError("JGHAND_CXX or CXX", wanted="a command line", came=f"{command!r}: {error}") from error
+    return tuple(word.strip("\"'") for word in words) if windows else tuple(words)
+
+
+def compiler_name(words: tuple[str, ...]) -> str:
+    """How a compiler is named in a library: in a C string, where backslashes and quotes mean something else."""
+    return " ".join(words).replace("\\", "/").replace('"', "'")
 
 
 def _zig_version() -> str:
@@ -186,13 +200,17 @@ def read_stamp(path: Path) -> Stamp | None:
     return Stamp(match[1].decode(), match[2].decode("utf-8", "replace")) if match else None
 
 
-def is_current(target: Target, folder: Path = LIBRARY_FOLDER) -> bool:
-    """Whether the library was built from the sources as they are, with the compiler that JGHAND_CXX asks for."""
+def has_these_sources(target: Target, folder: Path = LIBRARY_FOLDER) -> bool:
+    """Whether the library was built from the sources as they are, by whatever compiler: then it can be used."""
     stamp = read_stamp(folder / target.file_name)
-    if stamp is None or stamp.sources != source_hash(target):
-        return False
-    wanted = os.environ.get("JGHAND_CXX", "").strip()
-    return not wanted or stamp.compiler == " ".join(shlex.split(wanted))
+    return stamp is not None and stamp.sources == source_hash(target)
+
+
+def is_current(target: Target, folder: Path = LIBRARY_FOLDER) -> bool:
+    """Whether a build would give the same: these sources, and the compiler that JGHAND_CXX asks for."""
+    wanted, stamp = os.environ.get("JGHAND_CXX", "").strip(), read_stamp(folder / target.file_name)
+    by_another = bool(wanted) and stamp is not None and stamp.compiler != compiler_name(compiler_words(wanted))
+    return has_these_sources(target, folder) and not by_another
 
 
 # ---- building -------------------------------------------------------------------------------------------------------
@@ -236,10 +254,16 @@ def main(names: list[str]) -> None:
     if names == ["all"]:
         targets = list(TARGETS.values())
     else:
+        if unknown := [name for name in names if name not in TARGETS]:
+            raise InputError("build target", wanted=f"all | {' | '.join(TARGETS)}", came=", ".join(unknown))
         targets = [TARGETS[name] for name in names] if names else host_targets()
     for path in build_all(targets):
         print(f"{path} {path.stat().st_size} bytes")
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    try:
+        main(sys.argv[1:])
+    except JGHandError as error:
+        print(error, file=sys.stderr)
+        sys.exit(error.exit_code)

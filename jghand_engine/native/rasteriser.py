@@ -14,7 +14,7 @@ import numpy as np
 
 from jghand_engine import limits
 from jghand_engine.errors import InputError, MemoryLimitError
-from jghand_engine.native.library import Library, address, aligned_zeros, new_team
+from jghand_engine.native.binding import Library, address, aligned_zeros, new_team
 from jghand_engine.native.threads import shared_pool
 
 PLANES = 5  # premultiplied R G B, alpha, sum of weight times depth

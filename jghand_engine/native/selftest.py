@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from jghand_engine.errors import RetryError
-from jghand_engine.native.library import Library, new_team
+from jghand_engine.native.binding import Library, new_team
 from jghand_engine.native.rasteriser import GaussianArrays, NativeRasteriser, View, job_bytes
 
 _COUNT, _SIZE, _TOLERANCE = 200, 32, 1e-4

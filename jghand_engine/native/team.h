@@ -15,7 +15,7 @@ extern "C" __declspec(dllimport) int SwitchToThread(void);
 namespace jg {
 
 constexpr int CACHE_LINE = 64;
-constexpr int TEAM_STEPS = 16;  // steps of one call; native/library.py allocates as many
+constexpr int TEAM_STEPS = 16;  // steps of one call; native/binding.py allocates as many
 
 // The counters of one step, alone on their cache lines: threads write them at the same time.
 struct Step {

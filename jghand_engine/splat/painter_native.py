@@ -9,7 +9,7 @@ import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.fast_skinning import FastSkinning, PosedArrays
-from jghand_engine.native.library import Library, aligned_zeros
+from jghand_engine.native.binding import Library, aligned_zeros
 from jghand_engine.native.rasteriser import PLANES, GaussianArrays, NativeRasteriser
 from jghand_engine.native.threads import WorkerPool, shared_pool, thread_count
 from jghand_engine.splat.painter import COMPOSE, RASTER, SAME_PICTURE, SHADOW, SKIN, Canvas, Pose

@@ -17,7 +17,8 @@ import torch
 
 from jghand_engine.avatar.gaussians import Gaussians
 from jghand_engine.errors import InputError
-from jghand_engine.native.library import Library, load
+from jghand_engine.native.binding import Library
+from jghand_engine.native.library import load
 from jghand_engine.native.rasteriser import PLANES, GaussianArrays, NativeRasteriser, View
 from jghand_engine.native.threads import thread_count
 from jghand_engine.splat.camera import Camera

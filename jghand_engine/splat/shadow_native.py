@@ -14,7 +14,7 @@ import torch
 
 from jghand_engine import limits
 from jghand_engine.errors import RetryError
-from jghand_engine.native.library import Library, address, aligned_zeros, new_team
+from jghand_engine.native.binding import Library, address, aligned_zeros, new_team
 from jghand_engine.native.threads import shared_pool
 from jghand_engine.splat.camera import Camera
 from jghand_engine.splat.shadow import ShadowStyle, shade, vogel_disc

@@ -26,8 +26,9 @@ from jghand_engine.hand.anatomy import MotionOptions, pose_sequence_of_names
 from jghand_engine.hand.fast_transform import FastTransform
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import JointTransform
+from jghand_engine.native.binding import Library
 from jghand_engine.native.build import read_stamp
-from jghand_engine.native.library import Library, load
+from jghand_engine.native.library import load
 from jghand_engine.native.rasteriser import GaussianArrays, NativeRasteriser
 from jghand_engine.native.threads import shared_pool, thread_count
 from jghand_engine.splat.camera import Camera

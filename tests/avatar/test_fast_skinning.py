@@ -18,7 +18,7 @@ from jghand_engine.hand.fast_transform import FastTransform
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import JointTransform
 from jghand_engine.native import library as native_library
-from jghand_engine.native.library import Library
+from jghand_engine.native.binding import Library
 from jghand_engine.native.threads import shared_pool
 
 

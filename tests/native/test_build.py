@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import os
 import re
 import shutil
 import subprocess
+import sys
 
 import pytest
 
 from jghand_engine import limits
 from jghand_engine.errors import InputError, RetryError
-from jghand_engine.native import build, library
+from jghand_engine.native import binding, build, library, selftest
 
 
 def test_the_kernels_constants_are_those_of_limits():
@@ -74,6 +76,39 @@ def test_another_compiler_asked_for_by_name_makes_a_library_stale(sources, monke
     monkeypatch.setenv("JGHAND_CXX", "some-other-clang++ --flag")
     assert not build.is_current(target, folder)
     assert build.find_compiler().command == ("some-other-clang++", "--flag")
+    # which does not make it useless: a machine that runs it needs no compiler
+    assert build.has_these_sources(target, folder)
+    assert library._current_library(target.variant) == folder / target.file_name
+
+
+@pytest.mark.parametrize(
+    ("command", "windows", "words"),
+    [
+        ("clang++ -v", False, ("clang++", "-v")),
+        ("'/opt/my compilers/clang++' -v", False, ("/opt/my compilers/clang++", "-v")),
+        (r"C:\LLVM\bin\clang++.exe -v", True, (r"C:\LLVM\bin\clang++.exe", "-v")),
+        (r'"C:\Program Files\LLVM\clang++.exe" -v', True, (r"C:\Program Files\LLVM\clang++.exe", "-v")),
+    ],
+)
+def test_a_compiler_is_named_by_a_path_of_its_system(command, windows, words):
+    assert build.compiler_words(command, windows=windows) == words
+    name = build.compiler_name(words)
+    assert not {"\\", '"'} & set(name)  # it becomes part of a C string
+    assert name.endswith("clang++ -v") or name.endswith("clang++.exe -v")
+
+
+def test_a_command_line_with_an_open_quote_is_refused(monkeypatch):
+    monkeypatch.setenv("JGHAND_CXX", "'clang++")
+    with pytest.raises(InputError, match="command line"):
+        build.find_compiler()
+
+
+def test_a_misspelt_target_is_told_in_a_sentence():
+    command = [sys.executable, "-m", "jghand_engine.native.build", "nosuch"]
+    result = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert result.returncode == 2
+    assert result.stderr.startswith("build target: wanted all | ")
+    assert result.stderr.endswith("got nosuch.\n")
 
 
 def test_line_endings_do_not_make_a_library_stale(sources):
@@ -153,6 +188,13 @@ def test_the_best_variant_is_chosen_and_says_its_name(fresh, capsys):
     assert capsys.readouterr().err == ""
 
 
+@pytest.mark.skipif(os.environ.get("JGHAND_REQUIRE_NATIVE") != "1", reason="JGHAND_REQUIRE_NATIVE is not 1")
+def test_where_native_kernels_are_required_they_run(fresh):
+    """Elsewhere tests of the kernels are skipped where none runs; a broken build must not hide behind that."""
+    assert library.runnable_variants()
+    assert library.load() is not None
+
+
 @native_only
 @pytest.mark.parametrize("variant", library.runnable_variants())
 def test_the_environment_forces_a_variant(variant, fresh, monkeypatch):
@@ -180,26 +222,41 @@ def test_a_misspelt_variant_is_one_visible_line(fresh, monkeypatch, capsys):
 
 
 @native_only
-def test_a_failing_self_test_falls_back_with_one_line(fresh, monkeypatch, capsys):
-    from jghand_engine.native import selftest
-
+def test_failing_self_tests_fall_back_to_torch_with_one_line_each(fresh, monkeypatch, capsys):
     monkeypatch.setattr(selftest, "EXPECTED_PLANES", (0.0,) * 5)
     assert library.load() is None
-    assert "self-test" in capsys.readouterr().err
+    message = capsys.readouterr().err
+    assert message.count("self-test") == message.count("\n") == len(library.runnable_variants())
+    assert message.splitlines()[-1].startswith("jghand: drawing with the slower torch reference: ")
     with pytest.raises(RetryError, match="self-test"):
         library.load(library.runnable_variants()[0])
 
 
+@pytest.mark.skipif(len(library.runnable_variants()) < 2, reason="only one native variant runs here")
+def test_a_variant_that_fails_steps_down_to_the_next(fresh, monkeypatch, capsys):
+    best, second = library.runnable_variants()[:2]
+
+    def check(loaded) -> None:
+        if loaded.variant == best:
+            raise RetryError("self-test of the best")
+
+    monkeypatch.setattr(selftest, "check", check)
+    loaded = library.load()
+    assert loaded is not None
+    assert loaded.variant == second
+    assert capsys.readouterr().err == f"jghand: drawing with the slower kernel {second}: self-test of the best.\n"
+
+
 @native_only
 def test_a_library_with_another_abi_is_refused(fresh, monkeypatch, capsys):
-    monkeypatch.setattr(library, "ABI", 10_000)
+    monkeypatch.setattr(binding, "ABI", 10_000)
     assert library.load() is None
     assert "ABI" in capsys.readouterr().err
 
 
 @native_only
 def test_a_stale_library_that_cannot_be_rebuilt_is_refused(fresh, monkeypatch, capsys):
-    monkeypatch.setattr(build, "is_current", lambda target, folder=None: target.variant == "detector")
+    monkeypatch.setattr(build, "has_these_sources", lambda target, folder=None: target.variant == "detector")
 
     def no_compiler():
         raise RetryError("no compiler for the native library")
@@ -214,7 +271,7 @@ def test_something_that_is_no_library_is_refused(tmp_path):
     path = tmp_path / "library.so"
     path.write_bytes(b"not a library")
     with pytest.raises(RetryError, match="cannot be loaded"):
-        library.open_library(path, "v3")
+        binding.open_library(path, "v3")
 
 
 def test_a_processor_too_old_for_every_variant_gets_the_reference(fresh, monkeypatch, capsys):
@@ -229,7 +286,6 @@ def test_the_self_test_knows_what_the_reference_draws():
     import torch
 
     from jghand_engine.avatar.gaussians import Gaussians
-    from jghand_engine.native import selftest
     from jghand_engine.splat.camera import Camera
     from jghand_engine.splat.reference import rasterise_reference
 

@@ -9,7 +9,8 @@ from splat_scenes import camera_for, hand_gaussians
 from jghand_engine import limits
 from jghand_engine.errors import InputError, MemoryLimitError
 from jghand_engine.native import rasteriser as module
-from jghand_engine.native.library import address, aligned_zeros, load, runnable_variants
+from jghand_engine.native.binding import address, aligned_zeros
+from jghand_engine.native.library import load, runnable_variants
 from jghand_engine.native.rasteriser import GaussianArrays, NativeRasteriser, View
 
 pytestmark = pytest.mark.skipif(not runnable_variants(), reason="no native library runs here")

@@ -14,7 +14,7 @@ from depth_scenes import camera, fingers, plane, planes_of, sphere
 from jghand_engine import limits
 from jghand_engine.errors import InputError
 from jghand_engine.native import library as native_library
-from jghand_engine.native.library import Library
+from jghand_engine.native.binding import Library
 from jghand_engine.splat.shadow import ShadowStyle, normalised_depth, shade, visibility, vogel_disc
 from jghand_engine.splat.shadow_native import NativeShade, darken
 
