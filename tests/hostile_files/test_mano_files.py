@@ -253,7 +253,7 @@ def test_a_long_text_that_is_encoded_again_and_again_is_refused():
     tracemalloc.start()
     try:
         with pytest.raises(InputError, match="at most 67108864 bytes"):
-            read(text + b"(" + b"h\x00h\x01R" * 30_000 + b"l.")
+            read(text + b"(" + b"h\x00h\x01R" * 200 + b"l.")
         _, peak = tracemalloc.get_traced_memory()
     finally:
         tracemalloc.stop()

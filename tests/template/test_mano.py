@@ -106,6 +106,17 @@ def test_the_file_of_the_other_hand_is_noticed(folder, file, handedness, pose):
         load_mano(folder / file, handedness=handedness, pose=pose)
 
 
+def test_the_mean_hand_tells_the_side_even_where_the_flat_one_looks_right(tmp_path):
+    """The flat hand's own slight bend must not decide."""
+    fields = mano_fields()
+    fields["hands_mean"] = -fields["hands_mean"]
+    path = tmp_path / "MANO_RIGHT.pkl"
+    path.write_bytes(python2_pickle(mano_objects(fields)))
+    for pose in ManoPose:
+        with pytest.raises(InputError, match="the other hand"):
+            load_mano(path, handedness=RIGHT, pose=pose)
+
+
 def test_what_rounding_left_of_a_row_of_weights_does_not_move_the_skin(folder, tmp_path):
     fields = mano_fields()
     fields["weights"] = fields["weights"] * (1 + 9e-4 * np.linspace(-1, 1, 778))[:, None]
