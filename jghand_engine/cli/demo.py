@@ -77,12 +77,13 @@ class Demo:
             say(note)
         if self.blender_python is None:
             say(demo_scene.WITHOUT_BLENDER)
+            blend_hash = None
             with clock("pictures"):
                 timings = demo_scene.render_alone(scene, avatar)
         else:
             blender = demo_scene.Blender(self.blender_python)
             with clock("Blender file"):
-                blender.build(scene)
+                blend_hash = blender.build(scene)
             with clock("pictures, through Blender"):
                 timings = blender.render(scene)
         with clock("video and contact sheet"):
@@ -98,11 +99,10 @@ class Demo:
         figures = {
             "command": "demo", "hand": self.hand, "frames": len(sequence), "size_px": [width, height],
             "preset": self.preset, "blender": self.blender_python is not None, "seconds": clock.seconds,
-            "backend": timings.backend, "stages": timings.figures(), "usd": usd_figures(usd),
+            "backend": timings.backend, "stages": timings.figures(), "usd": usd_figures(usd), "finished": True,
+            demo_scene.BLEND_HASH: blend_hash,
         }  # fmt: skip
-        if scene.blend.exists():
-            figures[demo_scene.BLEND_HASH] = demo_scene.hash_of(scene.blend)
-        for path in {out / "report.json", self.report.json or out / "report.json"}:
+        for path in {scene.report, self.report.json or scene.report}:
             write_json(path, figures)
 
 

@@ -74,6 +74,10 @@ class Scene:
         return sorted(self.out.glob("hand.previous*.blend"))
 
     @property
+    def report(self) -> Path:
+        return self.out / "report.json"
+
+    @property
     def cameras_file(self) -> Path:
         return self.out / "cameras.json"
 
@@ -122,7 +126,7 @@ def _set_aside_changed_blend(scene: Scene) -> str:
         return ""
     written = None
     with contextlib.suppress(OSError, ValueError, AttributeError):
-        written = json.loads((scene.out / "report.json").read_text(encoding="utf-8")).get(BLEND_HASH)
+        written = json.loads(scene.report.read_text(encoding="utf-8")).get(BLEND_HASH)
     try:
         if hash_of(scene.blend) == written:
             return ""
@@ -158,8 +162,11 @@ class Blender:
 
     python: Path
 
-    def build(self, scene: Scene) -> None:
-        """Makes the .blend file: the rigged armature with the motion on it, and the cameras."""
+    def build(self, scene: Scene) -> str:
+        """Makes the .blend file: the rigged armature with the motion on it, and the cameras. Returns its hash.
+
+        report.json has the hash at once: a demo that breaks off later must not make its own file look changed.
+        """
         cameras = scene.cameras_file
         write_json(cameras, {name: camera_to_dict(camera) for name, camera in scene.cameras.items()})
         # a folder, not a temporary file: Blender would keep a backup of a file that is there
@@ -170,9 +177,12 @@ class Blender:
             if ended.code:
                 raise _failure(ended)
             try:
+                written = hash_of(made)
                 os.replace(made, scene.blend)
             except OSError as error:
                 raise file_error(scene.blend, error) from error
+        write_json(scene.report, {"command": "demo", "finished": False, BLEND_HASH: written})
+        return written
 
     def render(self, scene: Scene) -> Timings:
         """Renders every camera of the .blend file: joints from Blender, pictures from an engine process."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import subprocess
 import sys
@@ -36,6 +37,9 @@ def test_everything_that_the_page_names_is_there(folder):
 def test_pictures_came_through_blender(folder):
     figures = json.loads((folder / "report.json").read_text())
     assert figures["blender"] is True
+    assert figures["finished"] is True
+    assert figures["blend_sha256"] == hashlib.sha256((folder / "hand.blend").read_bytes()).hexdigest()
+    assert {"Blender's evaluation", "request (engine, PNG, transport)", "writing the PNG"} <= set(figures["stages"])
     assert figures["stages"]["whole frame"]["ran"] == 2 * figures["frames"]
     for camera in ("front", "back"):
         assert len(list((folder / "frames" / camera).glob("0*.png"))) == figures["frames"]

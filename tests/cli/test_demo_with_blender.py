@@ -53,17 +53,11 @@ def write(text):
     return f'Path(given["--out"]).write_text("{text}")'
 
 
-def finish(scene):
-    """What the demo notes at its end."""
-    (scene.out / "report.json").write_text(json.dumps({demo_scene.BLEND_HASH: hash_of(scene.blend)}))
-
-
 def test_a_blend_file_as_the_demo_wrote_it_is_replaced(scene, blender):
     for content in ("first", "second"):
         assert remove_old_results(scene, keeps_blend=True) == ""
         blender(write(content)).build(scene)
         assert scene.blend.read_text() == content
-        finish(scene)
     assert sorted(path.name for path in scene.out.iterdir()) == ["cameras.json", "hand.blend", "report.json"]
 
 
@@ -72,7 +66,6 @@ def test_blend_files_that_were_changed_are_kept_each_under_its_own_name(scene, b
         note = remove_old_results(scene, keeps_blend=True)
         assert bool(note) == bool(count)
         blender(write("made")).build(scene)
-        finish(scene)
         scene.blend.write_text(f"work of day {count}")
     assert [path.name for path in scene.previous_blends()] == ["hand.previous.2.blend", "hand.previous.blend"]
     assert "hand.previous.2.blend" in note
@@ -82,8 +75,8 @@ def test_blend_files_that_were_changed_are_kept_each_under_its_own_name(scene, b
 
 
 def test_a_demo_without_blender_leaves_no_blend_file_of_another_motion(scene, blender):
-    blender(write("made")).build(scene)
-    finish(scene)
+    written = blender(write("made")).build(scene)
+    assert json.loads(scene.report.read_text())[demo_scene.BLEND_HASH] == written == hash_of(scene.blend)
     assert remove_old_results(scene, keeps_blend=False) == ""
     assert not scene.blend.exists()
 
