@@ -118,7 +118,7 @@ def write_motion(path: Path | str, sequence: PoseSequence) -> None:
 def _sequence(file: Path, content: _Content, wanted: MotionFormat) -> PoseSequence:
     order = JointOrder.parse(str(_agreed(file, "order", content, wanted.order, JointOrder.parse)))
     unit = str(_agreed(file, "unit", content, wanted.unit, str))
-    handedness = _handedness(str(_agreed(file, "handedness", content, wanted.handedness, str)))
+    handedness = Handedness(str(_agreed(file, "handedness", content, wanted.handedness, str)))
     if unit not in METRES_PER_UNIT:
         raise InputError(f"unit of {file}", wanted=" or ".join(METRES_PER_UNIT), came=repr(unit))
     joints = content.joints
@@ -152,13 +152,6 @@ def _agreed(file: Path, what: str, content: _Content, given: object, parse: Call
             f"{what} of {file}", wanted=f"'{inside}', which the file declares", came=f"'{given}'", remedy="Drop one."
         )
     return given
-
-
-def _handedness(name: str) -> Handedness:
-    try:
-        return Handedness(name)
-    except ValueError as error:
-        raise InputError("handedness", wanted="right or left", came=repr(name)) from error
 
 
 def _fps(file: Path, content: _Content, wanted: MotionFormat) -> float:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -201,6 +202,21 @@ class MotionOptions:
     variation_deg: float = 0.0
     seed: int = 0
 
+    def check(self) -> None:
+        """InputError names the option that cannot be."""
+        lowest, highest = limits.FPS_MIN, limits.FPS_MAX
+        checks = (
+            ("fps", lowest <= self.fps <= highest, f"{lowest:g} to {highest:g} frames per second"),
+            ("move_s", 0 <= self.move_s < math.inf, "seconds >= 0"),
+            ("hold_s", 0 <= self.hold_s < math.inf, "seconds >= 0"),
+            ("finger_delay", 0 <= self.finger_delay < 1, "a part from 0 to below 1"),
+            ("variation_deg", 0 <= self.variation_deg < math.inf, "degrees >= 0"),
+            ("seed", self.seed >= 0, "0 or a positive number"),
+        )
+        for name, good, wanted in checks:
+            if not good:
+                raise InputError(f"motion option {name}", wanted=wanted, came=str(getattr(self, name)))
+
 
 def minimum_jerk(part: np.ndarray) -> np.ndarray:
     """10 u^3 - 15 u^4 + 6 u^5: from 0 to 1 with speed and acceleration 0 at both ends, as hands move."""
@@ -222,8 +238,7 @@ def pose_sequence_of_names(
     options = options or MotionOptions()
     if not names:
         raise InputError("poses of a motion", wanted="at least one name", came="none")
-    if options.move_s < 0 or options.hold_s < 0 or not 0 <= options.finger_delay < 1:
-        raise InputError("motion options", wanted="seconds >= 0 and a delay in [0, 1)", came=str(options))
+    options.check()
     hand = ArticulatedHand(canonical_joints_m)
     random = np.random.default_rng(options.seed)
     solved = {name: hand.angles_of(name) for name in dict.fromkeys(names)}

@@ -11,6 +11,8 @@ from __future__ import annotations
 
 from enum import StrEnum
 
+from jghand_engine.errors import InputError
+
 FINGERS = ("thumb", "index", "middle", "ring", "pinky")
 JOINT_COUNT = 21
 BONE_COUNT = 20
@@ -27,3 +29,8 @@ class Handedness(StrEnum):
 
     RIGHT = "right"
     LEFT = "left"
+
+    @classmethod
+    def _missing_(cls, value: object) -> Handedness:
+        """Whoever reads a handedness says the same when it is none."""
+        raise InputError("handedness", wanted=" or ".join(cls), came=repr(value)[:200])

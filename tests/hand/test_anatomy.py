@@ -1,5 +1,7 @@
 """Named poses on any canonical hand, and motions through them."""
 
+import math
+
 import numpy as np
 import pytest
 import torch
@@ -109,7 +111,7 @@ def test_tips_touch(name):
     assert np.linalg.norm(joints[16] - joints[17]) < 0.001
 
 
-def test_tips_touch_on_the_shared_template(shared_data):
+def test_tips_touch_on_a_template_built_by_other_code(shared_data):
     with np.load(shared_data / "hand_right.npz", allow_pickle=False) as archive:
         template = to_level(archive["joints"].astype(np.float64), JointOrder.STANDARD)
     for name in ("pinch", "ok"):
@@ -181,10 +183,22 @@ def test_variation_depends_on_the_seed_only():
 def test_impossible_motions_are_refused():
     with pytest.raises(InputError, match="at least one name"):
         pose_sequence_of_names([], CANONICAL, handedness=Handedness.RIGHT)
-    with pytest.raises(InputError, match="motion options"):
-        pose_sequence_of_names(["open"], CANONICAL, handedness=Handedness.RIGHT, options=MotionOptions(move_s=-1.0))
-    with pytest.raises(InputError, match="frames per second"):
-        pose_sequence_of_names(["open"], CANONICAL, handedness=Handedness.RIGHT, options=MotionOptions(fps=0.0))
+
+
+@pytest.mark.parametrize("option", ["fps", "move_s", "hold_s", "finger_delay", "variation_deg"])
+@pytest.mark.parametrize("value", [-1.0, math.nan, math.inf, -math.inf])
+def test_impossible_motion_options_are_named(option: str, value: float):
+    options = MotionOptions(**{option: value})
+    with pytest.raises(InputError, match=f"motion option {option}: wanted .* got {value}"):
+        pose_sequence_of_names(["open", "fist"], CANONICAL, handedness=Handedness.RIGHT, options=options)
+
+
+def test_a_hand_that_is_neither_right_nor_left_is_named():
+    with pytest.raises(InputError, match="handedness: wanted right or left, got 'middle'"):
+        named_pose("open", CANONICAL, handedness="middle")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="handedness"):
+        JointTransform(CANONICAL, handedness=None)  # type: ignore[arg-type]
+    assert Handedness("left") is Handedness.LEFT
 
 
 def test_minimum_jerk_starts_and_stops_at_rest():
