@@ -169,7 +169,9 @@ class _PosedScene:
 
 
 def part_cases(library: Library, threads: int) -> Iterator[Case]:
-    """The transform of one pose and the skinning of 60,000 Gaussians, native and in torch."""
+    """The transform of one pose and the skinning of 60,000 Gaussians, native and in torch with the threads it has."""
+    torch_threads = torch.get_num_threads()
+    in_torch = f"torch, {torch_threads} threads"
     subject = builtin_subject(*SIZES[0])
     avatar, poses = subject.avatar, itertools.cycle(subject.poses)
     fast = _fast_transform(avatar)
@@ -181,7 +183,8 @@ def part_cases(library: Library, threads: int) -> Iterator[Case]:
         scale_mode=avatar.info.scale_mode,
     )
     tensors = itertools.cycle(torch.from_numpy(subject.poses).float())
-    yield Case("bone transforms of one pose", "torch", lambda: _nothing(exact.bones(next(tensors))), threads=1)
+    section = "bone transforms of one pose"
+    yield Case(section, in_torch, lambda: _nothing(exact.bones(next(tensors))), threads=torch_threads)
     skin = FastSkinning(library, avatar)
     into = PosedArrays(np.zeros((skin.rows, 3), np.float32), np.zeros(skin.rows, np.float32))
     bones, matrices = fast.bones(subject.poses[0]), exact.bones(torch.from_numpy(subject.poses[0]).float())
@@ -196,7 +199,7 @@ def part_cases(library: Library, threads: int) -> Iterator[Case]:
     section = f"skinning of {len(avatar):,} Gaussians"
     for count in sorted({1, threads}):
         yield Case(section, f"native, {count} threads", skin_with(count), threads=count)
-    yield Case(section, "torch", lambda: _nothing(pose_gaussians(avatar, matrices)), threads=1)
+    yield Case(section, in_torch, lambda: _nothing(pose_gaussians(avatar, matrices)), threads=torch_threads)
 
 
 def reference_cases(threads: int) -> Iterator[Case]:

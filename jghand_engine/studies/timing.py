@@ -61,7 +61,7 @@ class _Samples:
     wall: list[float] = field(default_factory=list)
     cpu: list[float] = field(default_factory=list)
     free: list[bool] = field(default_factory=list)
-    stages: dict[str, list[float]] = field(default_factory=dict)
+    stages: list[dict[str, float]] = field(default_factory=list)
 
 
 class FreeCores:
@@ -114,9 +114,7 @@ def _take(case: Case, sample: _Samples, control: FreeCores) -> None:
     sample.wall.append(1e3 * wall)
     sample.cpu.append(1e3 * cpu)
     sample.free.append(free)
-    for stage in report.stages if report else ():
-        # a stage that did not run in some frames counts as nothing there
-        sample.stages.setdefault(stage.name, []).append(stage.milliseconds)
+    sample.stages.append({stage.name: stage.milliseconds for stage in report.stages} if report else {})
 
 
 def _lines(case: Case, sample: _Samples, enough: int) -> Iterable[Measurement]:
@@ -125,7 +123,7 @@ def _lines(case: Case, sample: _Samples, enough: int) -> Iterable[Measurement]:
     keep = np.ones_like(free) if disturbed else free
 
     def line(name: str, values: list[float], cpu: list[float] | None) -> Measurement:
-        kept = np.array(values)[keep] if len(values) == len(free) else np.array(values)
+        kept = np.array(values)[keep]
         return Measurement(
             section=case.section,
             name=name,
@@ -138,5 +136,6 @@ def _lines(case: Case, sample: _Samples, enough: int) -> Iterable[Measurement]:
         )
 
     yield line(case.name, sample.wall, sample.cpu)
-    for stage, values in sample.stages.items():
-        yield line(f"  {stage}", values, None)
+    for stage in dict.fromkeys(name for frame in sample.stages for name in frame):
+        # a stage that a frame did not come to took nothing there
+        yield line(f"  {stage}", [frame.get(stage, 0.0) for frame in sample.stages], None)
