@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import importlib.util
 import json
+import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -66,17 +67,35 @@ def numba_cases() -> Iterator[Case]:
         yield Case("scalar loop in numba, raster only, one thread", title, run, rounds=frame_time.FEW, threads=1)
 
 
+def parts_of(text: str) -> list[str]:
+    """The parts named in a list with commas; a misspelt one must not be measured as nothing."""
+    parts = [part.strip() for part in text.split(",")]
+    if unknown := [part for part in parts if part not in PARTS]:
+        raise argparse.ArgumentTypeError(f"wanted some of {','.join(PARTS)}, got {','.join(unknown)}")
+    return parts
+
+
+def commit() -> str:
+    """What was measured: the commit, with a + when files differ from it; empty without git."""
+    command = ["git", "describe", "--always", "--abbrev=12", "--exclude=*", "--dirty=+"]
+    try:
+        folder = Path(__file__).parent
+        return subprocess.run(command, cwd=folder, capture_output=True, text=True, check=True).stdout.strip()
+    except (OSError, subprocess.CalledProcessError):
+        return ""
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--rounds", type=int, default=100, help="samples of every case")
     parser.add_argument("--threads", type=int, default=0, help="0: as many as is sensible")
-    parser.add_argument("--only", default=",".join(PARTS), help=f"some of {','.join(PARTS)}")
+    parser.add_argument("--only", type=parts_of, default=list(PARTS), help=f"some of {','.join(PARTS)}")
     parser.add_argument("--json", type=Path, help="write the figures here too")
     options = parser.parse_args()
     torch.set_num_threads(thread_count(options.threads))
-    facts = frame_time.machine(options.threads)
+    facts = frame_time.machine(options.threads) | ({"commit": name} if (name := commit()) else {})
     say(", ".join(f"{name} {value}" for name, value in facts.items()))
-    chosen = list(cases(options.only.split(","), options.threads))
+    chosen = list(cases(options.only, options.threads))
     with progress("Measuring", WARM_UP + options.rounds) as bar:
         measured = measure(chosen, rounds=options.rounds, warm_up=WARM_UP, tick=lambda: bar.advance(bar.task_ids[0]))
     say_table("Milliseconds", frame_time.COLUMNS, frame_time.rows(measured))

@@ -1,8 +1,9 @@
 """A Gaussian rasteriser as it is usually written for the CPU, for comparison with ours in scripts/benchmark_frame.py.
 
-One thread, one pixel at a time, per tile and Gaussian: the loop of OpenSplat's CPU backend (3 sigma radius, math.exp),
-compiled by numba. It follows the contract of RENDERING 3 in everything else: same projection, same cut-off, same order,
-same planes. Only a development environment has numba; the engine never imports this file.
+One thread, one pixel at a time, per tile and Gaussian: the loop of OpenSplat's CPU backend (a square of tiles around
+each Gaussian, math.exp per pixel), compiled by numba. It follows the contract of RENDERING 3 in what is drawn: same
+projection, same cut-off (so the radius is that of the cut-off, not 3 sigma), same order, same planes. Only a development
+environment has numba; the engine never imports this file.
 """
 
 from __future__ import annotations
@@ -12,10 +13,14 @@ import math
 import numba
 import numpy as np
 
-BLUR_PX2, ALPHA_MIN, ALPHA_MAX, T_STOP, Z_NEAR_M, TILE_PX = 0.3, 1 / 255, 0.999, 1e-4, 0.01, 16
+from jghand_engine import limits
+
+# numba compiles them in as constants (hence no cache on disk: it would not notice new values)
+BLUR_PX2, ALPHA_MIN, ALPHA_MAX = limits.BLUR_PX2, limits.ALPHA_MIN, limits.ALPHA_MAX
+T_STOP, Z_NEAR_M, TILE_PX = limits.T_STOP, limits.Z_NEAR_M, limits.TILE_PX
 
 
-@numba.njit(cache=True, fastmath=False)
+@numba.njit
 def _project(position, sigma, fx, fy, cx, cy):
     """Centre, conic and radius of every Gaussian (camera frame, metres); radius 0 means culled."""
     n = len(sigma)
@@ -38,7 +43,7 @@ def _project(position, sigma, fx, fy, cx, cy):
     return shape
 
 
-@numba.njit(cache=True)
+@numba.njit
 def _tile_lists(shape, order, width, height):
     """Start of each tile's list and the lists, front to back."""
     columns, rows = (width + TILE_PX - 1) // TILE_PX, (height + TILE_PX - 1) // TILE_PX
@@ -63,7 +68,7 @@ def _tile_lists(shape, order, width, height):
     return start, lists
 
 
-@numba.njit(cache=True)
+@numba.njit
 def _blend(shape, position, opacity, rgb, start, lists, planes):
     height, width = planes.shape[1:]
     columns = (width + TILE_PX - 1) // TILE_PX
