@@ -117,13 +117,14 @@ def test_more_pairs_than_the_lists_can_index_is_a_memory_error():
     view = View(side, side, 1000.0, 1000.0, side / 2, side / 2, np.eye(3, 4))
     one = rasteriser()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(
-            module,
-            "address",
-            lambda array, *rest, **options: address(array, *rest, **options) if array is not planes else 0,
-        )
+
+        def unchecked(array, *rest, **options) -> int:
+            return 0 if array is planes else address(array, *rest, **options)
+
+        patch.setattr(module, "address", unchecked)
         with pytest.raises(MemoryLimitError, match="too many tiles"):
             one.forward(arrays, view, planes=planes)
+    assert one._arrays["tile_list"].nbytes < 2**20
     with pytest.raises(InputError, match="forward"):
         one.backward(np.zeros((5, 8, 8), np.float32))
 

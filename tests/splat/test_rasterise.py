@@ -64,7 +64,7 @@ def test_every_picture_size_agrees_with_the_reference(width, height, backend):
 @native
 def test_a_picture_of_1024_squared_agrees_with_the_reference(backend):
     gaussians, camera = hand_gaussians(6000, sigma_mm=(0.8, 1.5)), camera_for(1024, 1024)
-    assert_same_picture(draw(gaussians, camera, backend), exact(gaussians, camera), depth_scale_m=0.7)
+    assert_same_picture(draw(gaussians, camera, backend), exact(gaussians, camera), depth_scale_m=0.7, flips=6)
 
 
 @native
@@ -106,11 +106,11 @@ def test_wide_angle_shifted_principal_point_and_oblong_pixels_agree_with_the_ref
 
 @native
 def test_a_hand_far_from_the_origin_keeps_its_precision(backend):
-    """The kernel works relative to the eye: the picture 1000 km away is that of the rounded positions, no worse."""
+    """The kernel works relative to the eye: the picture 4.6 km away is that of the rounded positions, no worse."""
     shift = torch.tensor([4e3, -2e3, 1e3])
     near = hand_gaussians(1500, sigma_mm=(1, 3))
     gaussians = in_precision(near, torch.float32)
-    gaussians.position_m.add_(shift)  # float32: the positions themselves now step by 0.5 mm
+    gaussians.position_m.add_(shift)  # float32: the positions themselves now step by 0.24 mm
     view = camera_for(120, 80)
     matrix = view.camera_from_world.clone()
     matrix[:3, 3] -= matrix[:3, :3] @ shift.double()
@@ -289,7 +289,7 @@ def test_a_growing_hand_asks_for_longer_lists(backend):
     camera = camera_for(256, 160)
     for sigma_mm in (0.5, 20.0, 80.0, 0.5):
         gaussians = hand_gaussians(800, sigma_mm=(sigma_mm, sigma_mm), opacity=(0.1, 0.3))
-        assert_same_picture(draw(gaussians, camera, backend), exact(gaussians, camera), depth_scale_m=0.7)
+        assert_same_picture(draw(gaussians, camera, backend), exact(gaussians, camera), depth_scale_m=0.7, flips=1)
 
 
 # ---- errors ---------------------------------------------------------------------------------------------------------
