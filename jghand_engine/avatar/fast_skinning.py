@@ -18,22 +18,10 @@ from jghand_engine.errors import RetryError
 from jghand_engine.hand.fast_transform import FastBones
 from jghand_engine.hand.joints import JOINT_COUNT
 from jghand_engine.native.binding import Library, address, aligned_zeros, new_team
+from jghand_engine.native.tasks import LANES, SkinTask
 
-_LANES = 16
 # bits per axis of the space-filling curve: cells of a hand's 0.2 m / 1024
 _MORTON_BITS = 10
-_P, _F32, _I32 = ctypes.c_void_p, ctypes.c_float, ctypes.c_int32
-
-
-class _SkinTask(ctypes.Structure):
-    """SkinTask of native/skin.cpp, field by field."""
-
-    _fields_ = (
-        *((name, _P) for name in ("rest", "block_start", "bone", "weight", "linear_offset", "position", "sigma")),
-        ("shift", _F32 * 3),
-        *((name, _F32) for name in ("scale", "stretch_min", "stretch_max")),
-        ("blocks", _I32),
-    )
 
 
 @dataclass(frozen=True)
@@ -55,18 +43,18 @@ class FastSkinning:
     """
 
     def __init__(self, library: Library, avatar: HandAvatar) -> None:
-        if (size := library.call.jg_skin_task_bytes()) != ctypes.sizeof(_SkinTask):
-            wanted = f"a SkinTask of {ctypes.sizeof(_SkinTask)} bytes"
+        if (size := library.call.jg_skin_task_bytes()) != ctypes.sizeof(SkinTask):
+            wanted = f"a SkinTask of {ctypes.sizeof(SkinTask)} bytes"
             raise RetryError(f"native library {library.path.name}", wanted=wanted, came=str(size))
         self._call = library.call.jg_skin
         position = avatar.position_m.numpy()
         self.order = spatial_order(position)
-        self.rows = -(-len(avatar) // _LANES) * _LANES
+        self.rows = -(-len(avatar) // LANES) * LANES
         self.opacity = self._in_rows(avatar.opacity.numpy())
         self.rgb = self._in_rows(avatar.rgb.numpy())
         self.team = new_team()
-        self._task = _SkinTask(
-            blocks=self.rows // _LANES, stretch_min=limits.SIGMA_STRETCH_MIN, stretch_max=limits.SIGMA_STRETCH_MAX
+        self._task = SkinTask(
+            blocks=self.rows // LANES, stretch_min=limits.SIGMA_STRETCH_MIN, stretch_max=limits.SIGMA_STRETCH_MAX
         )
         relative = position.astype(np.float64) - avatar.canonical_joints_m[0].numpy()
         self._arrays = [self._rest(relative, avatar.sigma_m.numpy()), *self._blocks(avatar.bone_weights.numpy())]
@@ -81,18 +69,18 @@ class FastSkinning:
         return out
 
     def _rest(self, relative_m: np.ndarray, sigma_m: np.ndarray) -> np.ndarray:
-        rest = aligned_zeros((self.rows // _LANES, 4, _LANES))
+        rest = aligned_zeros((self.rows // LANES, 4, LANES))
         columns = np.concatenate([relative_m, sigma_m[:, None]], axis=1)
-        rest[...] = self._in_rows(columns).reshape(-1, _LANES, 4).transpose(0, 2, 1)
+        rest[...] = self._in_rows(columns).reshape(-1, LANES, 4).transpose(0, 2, 1)
         return rest
 
     def _blocks(self, bone_weights: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """For every block the bones with any weight in it, and those weights: block_start, bone, weight."""
-        blocked = self._in_rows(bone_weights).reshape(-1, _LANES, bone_weights.shape[1]).transpose(0, 2, 1)
+        blocked = self._in_rows(bone_weights).reshape(-1, LANES, bone_weights.shape[1]).transpose(0, 2, 1)
         block, bone = np.nonzero((blocked != 0).any(axis=2))
         start = np.zeros(len(blocked) + 1, np.int32)
         np.cumsum(np.bincount(block, minlength=len(blocked)), out=start[1:])
-        weight = aligned_zeros((len(bone), _LANES))
+        weight = aligned_zeros((len(bone), LANES))
         weight[...] = blocked[block, bone]
         return start, bone.astype(np.int32), weight
 

@@ -1,4 +1,5 @@
-"""Does the library compute what it should on this very machine? A tiny picture with known sums, in about a millisecond.
+"""Does the library compute what it should on this very machine? A tiny picture with known sums, a
+posed block of Gaussians and one hand, in two milliseconds.
 
 It guards against what no test of ours can see: a processor that misreports its abilities, a damaged file, another
 compiler's mistake.
@@ -6,25 +7,30 @@ compiler's mistake.
 
 from __future__ import annotations
 
+import ctypes
+from functools import partial
+
 import numpy as np
 
+from jghand_engine import limits
 from jghand_engine.errors import RetryError
-from jghand_engine.native.binding import Library, new_team
+from jghand_engine.native.binding import Library, aligned_zeros, new_team
 from jghand_engine.native.rasteriser import GaussianArrays, NativeRasteriser, View, job_bytes
+from jghand_engine.native.tasks import LANES, ShadeTask, SkinTask, new_shade_task, padded_depth
 
-_COUNT, _SIZE, _TOLERANCE = 200, 32, 1e-4
+_COUNT, _SIZE, _SHADOW_SAMPLES, _TOLERANCE = 200, 32, 16, 1e-4
 # means of the planes R G B A D, and of the gradients with respect to position, sigma, opacity and colour when every
 # pixel of every plane has gradient 1 / pixels; from the float64 reference (tests/native recomputes them)
 EXPECTED_PLANES = (0.29586, 0.37901, 0.284323, 0.596285, 0.319804)
 EXPECTED_GRADIENTS = (0.117767, 1.950287, 0.009067, 0.002981)
+# means of the picture with the shadow, R G B A
+EXPECTED_RGBA = (0.278745, 0.359152, 0.268071, 0.596285)
 
 
 def sample_gaussians() -> GaussianArrays:
     """200 Gaussians without a random generator, half a metre in front of the camera; number 7 is NaN."""
     i = np.arange(_COUNT, dtype=np.float64)
-
-    def spread(step: float) -> np.ndarray:
-        return (i * step) % 1.0
+    spread = partial(_spread, i)
 
     position = np.stack([spread(0.618034) * 0.1 - 0.05, spread(0.754878) * 0.1 - 0.05, 0.5 + spread(0.569840) * 0.1], 1)
     rgb = np.stack([spread(0.245122), spread(0.430160), spread(0.850651)], 1)
@@ -39,20 +45,110 @@ def sample_view() -> View:
 
 def check(library: Library) -> None:
     """RetryError when the library's structures or results are not what this Python expects."""
-    sizes = (library.call.jg_raster_job_bytes(), library.call.jg_team_bytes())
-    expected = (job_bytes(), new_team().nbytes)
+    call = library.call
+    sizes = (call.jg_raster_job_bytes(), call.jg_team_bytes(), call.jg_skin_task_bytes(), call.jg_shade_task_bytes())
+    expected = (job_bytes(), new_team().nbytes, ctypes.sizeof(SkinTask), ctypes.sizeof(ShadeTask))
     if sizes != expected:
         raise _failure(library, f"structures of {expected} bytes", str(sizes))
+    _check_raster_and_shadow(library)
+    _check_skin(library)
+    _check_bones(library)
+
+
+def _check_raster_and_shadow(library: Library) -> None:
     rasteriser = NativeRasteriser(library, threads=1)
     planes = rasteriser.forward(sample_gaussians(), sample_view())
     if rasteriser.invalid != 1:
         raise _failure(library, "one invalid Gaussian left out", str(rasteriser.invalid))
     gradients = rasteriser.backward(np.full_like(planes, 1.0 / _SIZE**2))
     parts = (gradients.position_m, gradients.sigma_m, gradients.opacity, gradients.rgb)
-    came = np.array([*planes.mean((1, 2)), *(np.abs(part).mean() for part in parts)])
-    wanted = np.array([*EXPECTED_PLANES, *EXPECTED_GRADIENTS])
+    rgba = _shaded(library, planes)
+    came = [*planes.mean((1, 2)), *(np.abs(part).mean() for part in parts), *rgba.mean((0, 1))]
+    _compare(library, "sums of a picture", came, [*EXPECTED_PLANES, *EXPECTED_GRADIENTS, *EXPECTED_RGBA])
+
+
+def _shaded(library: Library, planes: np.ndarray) -> np.ndarray:
+    """(H, W, 4) the picture with its shadow at full strength in every channel."""
+    view, task = sample_view(), new_shade_task(_SIZE, _SIZE)
+    index = np.arange(_SHADOW_SAMPLES) + 0.5
+    radius, angle = np.sqrt(index / _SHADOW_SAMPLES), index * limits.GOLDEN_ANGLE_RAD
+    disc = aligned_zeros((2, _SHADOW_SAMPLES))
+    disc[:] = radius * np.cos(angle), radius * np.sin(angle)
+    depth, row_valid, team = padded_depth(task), np.zeros(_SIZE, np.int32), new_team()
+    rgba = np.zeros((_SIZE, _SIZE, 4), np.float32)
+    task.samples, task.darkness = _SHADOW_SAMPLES, (1.0, 1.0, 1.0)
+    task.fx, task.fy, task.cx, task.cy, task.origin = view.fx, view.fy, view.cx, view.cy, 0.5
+    task.radius, task.bias = limits.SHADOW_RADIUS_M, limits.SHADOW_BIAS
+    task.softness, task.gain = limits.SHADOW_SOFTNESS, limits.SHADOW_GAIN
+    task.disc_x, task.disc_y = disc[0].ctypes.data, disc[1].ctypes.data
+    task.picture, task.row_valid, task.rgba = planes.ctypes.data, row_valid.ctypes.data, rgba.ctypes.data
+    library.call.jg_shade(team.ctypes.data, ctypes.addressof(task))
+    del depth  # until here the task pointed to it
+    return rgba
+
+
+def _check_skin(library: Library) -> None:
+    """Sixteen Gaussians between two bones, blended here in double precision."""
+    i = np.arange(LANES)
+    rest = np.stack([_spread(i, 0.62), _spread(i, 0.75), _spread(i, 0.57), 0.001 + 0.001 * _spread(i, 0.25)])
+    share = _spread(i, 0.43)
+    weight = np.stack([share, 1 - share])
+    matrices = np.eye(3, 4) + 0.1 * _spread(np.arange(21 * 12), 0.31).reshape(21, 3, 4)
+    bone, shift = np.array([3, 17], np.int32), (0.1, -0.2, 0.3)
+    arrays = [np.ascontiguousarray(array, np.float32) for array in (rest[None], weight, matrices)]
+    position, sigma = aligned_zeros((LANES, 3)), aligned_zeros((LANES,))
+    block_start, team = np.array([0, 2], np.int32), new_team()
+    task = SkinTask(scale=1.0, stretch_min=limits.SIGMA_STRETCH_MIN, stretch_max=limits.SIGMA_STRETCH_MAX, blocks=1)
+    aligned = [aligned_zeros(array.shape) for array in arrays]
+    for to, array in zip(aligned, arrays, strict=True):
+        to[:] = array
+    task.rest, task.weight, task.linear_offset = (array.ctypes.data for array in aligned)
+    task.block_start, task.bone, task.shift = block_start.ctypes.data, bone.ctypes.data, shift
+    task.position, task.sigma = position.ctypes.data, sigma.ctypes.data
+    library.call.jg_skin(team.ctypes.data, ctypes.addressof(task))
+    blended = np.einsum("en,eij->nij", weight, matrices[bone])
+    wanted = np.einsum("nij,jn->ni", blended[:, :, :3], rest[:3]) + blended[:, :, 3] + np.array(shift)
+    stretch = np.cbrt(np.linalg.det(blended[:, :, :3]))
+    _compare(library, "posed positions", position.ravel(), wanted.ravel())
+    _compare(library, "posed radii, mm", 1e3 * sigma, 1e3 * rest[3] * stretch)
+
+
+def _check_bones(library: Library) -> None:
+    """Both ends of every bone map exactly, whatever the frames are; so an identity is frame enough."""
+    parents = np.array([0, 0, 0, 0, 0, *range(1, 16)])
+    i = np.arange(63.0)
+    canonical = (
+        np.array([0.05, 0.0, 0.0]) + 0.1 * np.stack([_spread(i, 0.62), _spread(i, 0.75), _spread(i, 0.57)], 1)[:21]
+    )
+    joints = np.roll(canonical, 1, axis=1)[::-1] + 0.3
+    canonical = canonical - canonical[0]
+    bone = canonical[1:] - canonical[parents]
+    length = np.linalg.norm(bone, axis=1)
+    half_turn, along, across = np.diag([-1.0, 1.0, -1.0]), [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]
+    options = [1e-14, 0.02, 1e-3, 1e-3, 1e-4, 1e-3, 1e-2, 1e-77, 0.0, 0.0, 1.0]
+    parts = [options, canonical, length, bone / length[:, None], np.tile(np.eye(3), (21, 1)), np.tile(along, (15, 1))]
+    parts += [np.tile(np.eye(3), (15, 1)), np.tile(across, (4, 1)), np.tile(half_turn, (21, 1))]
+    skeleton = np.concatenate([np.ravel(part) for part in parts])
+    if library.call.jg_skeleton_bytes() != skeleton.nbytes:
+        raise _failure(library, f"a Skeleton of {skeleton.nbytes} bytes", str(library.call.jg_skeleton_bytes()))
+    matrices, scale = np.full((21, 3, 4), np.nan), np.empty(1)
+    joints = np.ascontiguousarray(joints)
+    library.call.jg_bone_transforms(skeleton.ctypes.data, joints.ctypes.data, matrices.ctypes.data, scale.ctypes.data)
+    bones = matrices[1:]
+    for ends, wanted in ((canonical[parents], joints[parents]), (canonical[1:], joints[1:])):
+        came = (bones[:, :, :3] @ ends[:, :, None])[..., 0] + bones[:, :, 3]
+        _compare(library, "ends of bones", came.ravel(), (wanted - joints[0]).ravel())
+
+
+def _spread(i: np.ndarray, step: float) -> np.ndarray:
+    """Numbers in 0..1 without a random generator."""
+    return (i * step) % 1.0
+
+
+def _compare(library: Library, what: str, came, wanted) -> None:
+    came, wanted = np.asarray(came, np.float64), np.asarray(wanted, np.float64)
     if not (np.abs(came - wanted) <= _TOLERANCE * np.maximum(1.0, np.abs(wanted))).all():
-        raise _failure(library, f"sums {wanted.round(5).tolist()}", str(came.round(5).tolist()))
+        raise _failure(library, f"{what} {wanted.round(5).tolist()}", str(came.round(5).tolist()))
 
 
 def _failure(library: Library, wanted: str, came: str) -> RetryError:

@@ -15,40 +15,18 @@ import torch
 from jghand_engine import limits
 from jghand_engine.errors import RetryError
 from jghand_engine.native.binding import Library, address, aligned_zeros, new_team
+from jghand_engine.native.tasks import (
+    LANES,
+    PAD_COLUMNS,
+    PAD_ROWS,
+    ShadeGradient,
+    ShadeTask,
+    new_shade_task,
+    padded_depth,
+)
 from jghand_engine.native.threads import shared_pool
 from jghand_engine.splat.camera import Camera
 from jghand_engine.splat.shadow import ShadowStyle, shade, vogel_disc
-
-_LANES = 16
-# rows and columns around the picture: the farthest sample and its neighbour; columns in whole vectors
-_PAD_ROWS = math.ceil(limits.SHADOW_RADIUS_MAX_PX) + 1
-_PAD_COLUMNS = -(-_PAD_ROWS // _LANES) * _LANES
-
-_I32, _F32, _P = ctypes.c_int32, ctypes.c_float, ctypes.c_void_p
-
-
-class ShadeTask(ctypes.Structure):
-    """ShadeTask of native/shadow.h, field by field."""
-
-    _fields_ = (
-        *((name, _I32) for name in ("width", "height", "samples", "stride", "pad_rows")),
-        *((name, _F32) for name in ("fx", "fy", "cx", "cy", "origin")),
-        *((name, _F32) for name in ("radius", "bias", "softness", "gain", "alpha_min")),
-        *((name, _F32) for name in ("reach_min_px", "reach_max_px", "length_eps", "normal_reach", "height_min")),
-        *((name, _F32) for name in ("agree", "agree_floor", "normal_min2")),
-        ("darkness", _F32 * 3),
-        *((name, _P) for name in ("disc_x", "disc_y", "picture", "depth", "row_valid")),
-        *((name, _P) for name in ("visibility", "rgba", "depth_out")),
-    )
-
-
-class ShadeGradient(ctypes.Structure):
-    """ShadeGradient of native/shadow_backward.cpp, field by field."""
-
-    _fields_ = (
-        *((name, _P) for name in ("visibility", "darkened", "stripes", "out")),
-        ("pad_columns", _I32),
-    )
 
 
 class NativeShade:
@@ -62,25 +40,14 @@ class NativeShade:
                     f"native library {library.path.name}", wanted=f"{mirror.__name__} as here", came="other"
                 )
         self._call = call
-        columns = -(-width // _LANES) * _LANES
-        self._stride = columns + 2 * _PAD_COLUMNS
-        self._depth = aligned_zeros((height + 2 * _PAD_ROWS, self._stride))
-        self._depth.fill(limits.SHADOW_FAR_M)
+        self.task = new_shade_task(width, height)
+        self._depth = padded_depth(self.task)
         self._row_valid = aligned_zeros((height,), np.int32)
         self._stripes: np.ndarray | None = None
         self._keep: tuple[np.ndarray, ...] = ()
-        self._disc_samples, self._disc = 0, aligned_zeros((2, _LANES))
+        self._disc_samples, self._disc = 0, aligned_zeros((2, LANES))
         self.team = new_team()
-        self.task = ShadeTask(width=width, height=height, stride=self._stride, pad_rows=_PAD_ROWS)
-        self.task.depth = self._depth.ctypes.data + 4 * (_PAD_ROWS * self._stride + _PAD_COLUMNS)
         self.task.row_valid = self._row_valid.ctypes.data
-        self.task.alpha_min = limits.DEPTH_ALPHA_MIN
-        self.task.reach_min_px, self.task.reach_max_px = limits.SHADOW_RADIUS_MIN_PX, limits.SHADOW_RADIUS_MAX_PX
-        self.task.length_eps = limits.SHADOW_LENGTH_EPS
-        self.task.normal_reach = limits.SHADOW_NORMAL_REACH_M
-        self.task.height_min = limits.SHADOW_HEIGHT_MIN_M
-        self.task.agree, self.task.agree_floor = limits.SHADOW_AGREE, limits.SHADOW_AGREE_FLOOR_M
-        self.task.normal_min2 = limits.SHADOW_NORMAL_MIN2
 
     def prepare(
         self,
@@ -117,7 +84,7 @@ class NativeShade:
             return
         task.darkness = tuple(style.strength * k for k in style.tint)
         task.radius, task.bias, task.softness, task.gain = style.radius_m, style.bias, style.softness, style.gain
-        padded = -(-style.samples // _LANES) * _LANES
+        padded = -(-style.samples // LANES) * LANES
         if style.samples != self._disc_samples:
             self._disc_samples, self._disc = style.samples, aligned_zeros((2, padded))
             self._disc[:, : style.samples] = vogel_disc(style.samples).numpy().T
@@ -131,7 +98,7 @@ class NativeShade:
         """visibility (H, W) of the forward pass, gradient of the darkened colour (3, H, W) -> `out` (5, H, W)."""
         size = (self.task.height, self.task.width)
         if self._stripes is None:
-            self._stripes = aligned_zeros((size[0] + 2 * limits.SHADOW_STRIPES * _PAD_ROWS, self._stride))
+            self._stripes = aligned_zeros((size[0] + 2 * limits.SHADOW_STRIPES * PAD_ROWS, self.task.stride))
         self._keep += (visibility, darkened, out)
         self.team.fill(0)
         return ShadeGradient(
@@ -139,7 +106,7 @@ class NativeShade:
             darkened=address(darkened, np.float32, "gradient of the darkened colour", (3, *size)),
             stripes=self._stripes.ctypes.data,
             out=address(out, np.float32, "gradient", (5, *size), writable=True),
-            pad_columns=_PAD_COLUMNS,
+            pad_columns=PAD_COLUMNS,
         )
 
     def run_backward(self, gradient: ShadeGradient) -> None:

@@ -281,6 +281,17 @@ def test_a_processor_too_old_for_every_variant_gets_the_reference(fresh, monkeyp
 
 
 @native_only
+@pytest.mark.parametrize("name", ["jg_raster_forward", "jg_shade", "jg_skin", "jg_bone_transforms"])
+def test_the_self_test_notices_a_kernel_that_does_nothing(name, monkeypatch):
+    loaded = library.load()
+    assert loaded is not None
+    selftest.check(loaded)
+    monkeypatch.setattr(loaded.call, name, lambda *_arguments: 0)
+    with pytest.raises(RetryError, match="self-test"):
+        selftest.check(loaded)
+
+
+@native_only
 def test_the_self_test_knows_what_the_reference_draws():
     """Its stored sums come from the float64 reference."""
     import torch
@@ -288,6 +299,8 @@ def test_the_self_test_knows_what_the_reference_draws():
     from jghand_engine.avatar.gaussians import Gaussians
     from jghand_engine.splat.camera import Camera
     from jghand_engine.splat.reference import rasterise_reference
+    from jghand_engine.splat.shadow import ShadowStyle
+    from jghand_engine.splat.shadow_native import darken
 
     arrays, view = selftest.sample_gaussians(), selftest.sample_view()
     leaves = [
@@ -302,4 +315,7 @@ def test_the_self_test_knows_what_the_reference_draws():
     gradients = [0.0 if leaf.grad is None else float(leaf.grad.abs().mean()) for leaf in leaves]
     assert means == pytest.approx(selftest.EXPECTED_PLANES, abs=1e-6)
     assert gradients == pytest.approx(selftest.EXPECTED_GRADIENTS, abs=1e-6)
+    style = ShadowStyle(samples=16, tint=(1.0, 1.0, 1.0))
+    shaded = darken(planes.detach(), camera, style).mean((1, 2)).tolist()
+    assert [*shaded, means[3]] == pytest.approx(selftest.EXPECTED_RGBA, abs=1e-6)
     assert picture.invalid_gaussians == 1

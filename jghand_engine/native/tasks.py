@@ -1,0 +1,82 @@
+"""What the calls for skin and shadow take: mirrors of the structures in native/skin.cpp and native/shadow.h, and the
+memory around a depth that the shadow needs. Python that poses and shades fills them, and so does the self-test."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+
+import numpy as np
+
+from jghand_engine import limits
+from jghand_engine.native.binding import aligned_zeros
+
+# elements of one vector of the kernels
+LANES = 16
+# rows and columns around the picture: the farthest sample and its neighbour; columns in whole vectors
+PAD_ROWS = math.ceil(limits.SHADOW_RADIUS_MAX_PX) + 1
+PAD_COLUMNS = -(-PAD_ROWS // LANES) * LANES
+
+_I32, _F32, _P = ctypes.c_int32, ctypes.c_float, ctypes.c_void_p
+
+
+class SkinTask(ctypes.Structure):
+    """SkinTask of native/skin.cpp, field by field."""
+
+    _fields_ = (
+        *((name, _P) for name in ("rest", "block_start", "bone", "weight", "linear_offset", "position", "sigma")),
+        ("shift", _F32 * 3),
+        *((name, _F32) for name in ("scale", "stretch_min", "stretch_max")),
+        ("blocks", _I32),
+    )
+
+
+class ShadeTask(ctypes.Structure):
+    """ShadeTask of native/shadow.h, field by field."""
+
+    _fields_ = (
+        *((name, _I32) for name in ("width", "height", "samples", "stride", "pad_rows")),
+        *((name, _F32) for name in ("fx", "fy", "cx", "cy", "origin")),
+        *((name, _F32) for name in ("radius", "bias", "softness", "gain", "alpha_min")),
+        *((name, _F32) for name in ("reach_min_px", "reach_max_px", "length_eps", "normal_reach", "height_min")),
+        *((name, _F32) for name in ("agree", "agree_floor", "normal_min2")),
+        ("darkness", _F32 * 3),
+        *((name, _P) for name in ("disc_x", "disc_y", "picture", "depth", "row_valid")),
+        *((name, _P) for name in ("visibility", "rgba", "depth_out")),
+    )
+
+
+class ShadeGradient(ctypes.Structure):
+    """ShadeGradient of native/shadow_backward.cpp, field by field."""
+
+    _fields_ = (
+        *((name, _P) for name in ("visibility", "darkened", "stripes", "out")),
+        ("pad_columns", _I32),
+    )
+
+
+def new_shade_task(width: int, height: int) -> ShadeTask:
+    """The task for pictures of one size, with the constants of limits; the caller gives memory and style."""
+    return ShadeTask(
+        width=width,
+        height=height,
+        stride=-(-width // LANES) * LANES + 2 * PAD_COLUMNS,
+        pad_rows=PAD_ROWS,
+        alpha_min=limits.DEPTH_ALPHA_MIN,
+        reach_min_px=limits.SHADOW_RADIUS_MIN_PX,
+        reach_max_px=limits.SHADOW_RADIUS_MAX_PX,
+        length_eps=limits.SHADOW_LENGTH_EPS,
+        normal_reach=limits.SHADOW_NORMAL_REACH_M,
+        height_min=limits.SHADOW_HEIGHT_MIN_M,
+        agree=limits.SHADOW_AGREE,
+        agree_floor=limits.SHADOW_AGREE_FLOOR_M,
+        normal_min2=limits.SHADOW_NORMAL_MIN2,
+    )
+
+
+def padded_depth(task: ShadeTask) -> np.ndarray:
+    """The padded plane of depths of a task, empty; the task points to it. Whoever has the task must keep it."""
+    depth = aligned_zeros((task.height + 2 * PAD_ROWS, task.stride))
+    depth.fill(limits.SHADOW_FAR_M)
+    task.depth = depth.ctypes.data + depth.itemsize * (PAD_ROWS * task.stride + PAD_COLUMNS)
+    return depth
