@@ -2,8 +2,8 @@
 
 One thread, one pixel at a time, per tile and Gaussian: the loop of OpenSplat's CPU backend (a square of tiles around
 each Gaussian, math.exp per pixel), compiled by numba. It follows the contract of RENDERING 3 in what is drawn: same
-projection, same cut-off (so the radius is that of the cut-off, not 3 sigma), same order, same planes. Only a development
-environment has numba; the engine never imports this file.
+projection, same cut-off (so the radius is that of the cut-off, not 3 sigma), same order, same planes. Only a
+development environment has numba; the engine never imports this file.
 """
 
 from __future__ import annotations
