@@ -86,6 +86,7 @@ def test_wrong_shapes_are_named(variant):
 @pytest.mark.skipif("auto" not in VARIANTS, reason="no native variant runs on this processor")
 def test_a_library_with_another_skeleton_is_refused(monkeypatch):
     loaded = library.load()
+    assert loaded is not None
     monkeypatch.setattr(loaded.call, "jg_skeleton_bytes", lambda: 8)
     with pytest.raises(RetryError, match=r"wanted a Skeleton of \d+ bytes, got 8"):
         FastTransform(CANONICAL, handedness=Handedness.RIGHT)
