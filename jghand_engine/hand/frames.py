@@ -20,9 +20,7 @@ from torch import Tensor
 from jghand_engine import limits
 from jghand_engine.errors import InputError
 from jghand_engine.hand import rotations as rot
-from jghand_engine.hand.joints import JOINT_COUNT, LEVEL_NAMES, PARENTS
-
-_PARENT_OF_BONE = list(PARENTS[1:])
+from jghand_engine.hand.joints import JOINT_COUNT, LEVEL_NAMES
 
 
 class Swing(StrEnum):
