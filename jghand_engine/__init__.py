@@ -9,8 +9,10 @@ The rooms, in the order in which data walks through them; a room imports only fr
     template                the canonical hand surface: mesh, UV, skin weights, weight field, sampling
     avatar                  canonical Gaussians of one hand, skinning, the .jghand file
     splat                   Gaussians to pictures: camera, rasteriser, shadow, the frame
-    datasets                files of other people to our data: motions
+    datasets                files of other people to our data: motions, pictures of hands
+    capture                 what a synthetic capture shows: identity, poses, cameras, light
     exporters               pictures, video, USD
+    training                an avatar from pictures: losses, trainer, checkpoints, evaluation, ablations
     studies                 what accuracy costs in time
     service                 the engine as a process for Blender
     cli                     the command `jghand`
