@@ -160,6 +160,25 @@ AVATAR_TEXT_MAX = 500
 # canonical Gaussians further than this from the wrist along an axis, metres, belong to no hand
 AVATAR_REACH_M = 0.5
 
+# ---- datasets -------------------------------------------------------------------------------------------------------
+
+# grey value of a mask file from which a pixel is hand: JPEG smears the edge over some pixels around the middle
+MASK_THRESHOLD = 128
+# samples per pixel edge when a template is projected: steps of 1/16 in the coverage of a pixel
+MASK_SUPERSAMPLING = 4
+# last bytes of a picture file in which its end mark must stand; some cameras pad the file behind it
+PICTURE_TAIL_BYTES = 64
+# by how much a stored camera rotation may fail to be one: text with six digits
+CAMERA_ROTATION_TOLERANCE = 1e-4
+# ... and the skew of a camera that is taken for none, px: none of the data sets has any
+CAMERA_SKEW_MAX_PX = 1e-3
+# the rule by which a set without a split of its own is split: every n-th pose and every n-th camera is for the test
+SPLIT_EVERY_POSE = 5
+SPLIT_EVERY_CAMERA = 6
+# folders between the one that the user names and the one that holds the set, upwards and downwards
+FOLDER_LEVELS_UP = 6
+FOLDER_LEVELS_DOWN = 2
+
 # ---- native: threads ------------------------------------------------------------------------------------------------
 
 # threads taken without being asked, at most; beyond this many nothing was measured
@@ -258,6 +277,37 @@ REUSE_JOINTS_M = 5e-5
 # ... and the skin then lacks at most this, metres. Joints that move against each other turn bones: the skin of a hand
 # without flags moves by up to 2.9 times their movement in the named poses, 3.4 times in random ones (built-in hand)
 REUSE_SKIN_M = 2e-4
+
+# ---- training: losses and metrics -----------------------------------------------------------------------------------
+
+# window and constants of SSIM, which every paper shares (Wang et al. 2004); 0..1 is the range of the pictures
+SSIM_WINDOW_PX = 11
+SSIM_SIGMA_PX = 1.5
+SSIM_K1 = 0.01
+SSIM_K2 = 0.03
+# a learnt offset counts as quadratic below this length, metres: at 0 a plain norm has no gradient, and offsets start
+# there; a hundredth of a millimetre is nothing that could be seen
+OFFSET_LENGTH_EPS_M = 1e-5
+
+# ---- training: the loop -----------------------------------------------------------------------------------------------
+
+# checkpoints that are kept, beside the one with the best fixed view: one more than the last, should that be damaged
+CHECKPOINTS_KEPT = 2
+# seconds between two checkpoints: what kill -9 may lose. Writing one takes some 40 ms (RENDERING 14, promise 20)
+CHECKPOINT_EVERY_S = 60.0
+# seconds to the first preview, which is promised within a minute, and between two later ones
+FIRST_PREVIEW_S = 20.0
+PREVIEW_EVERY_S = 180.0
+# steps that one line of the log averages
+LOG_EVERY_STEPS = 20
+# steps between two copies of the state in memory, to which the guard goes back: a copy costs a few milliseconds
+GUARD_KEEP_STEPS = 50
+# values that are not finite after which a training gives up: one or two happen, more are a fault of the model
+GUARD_RECOVERIES_MAX = 5
+# steps that a training with a time budget is taken to have until its speed is known
+PLANNED_STEPS_AT_FIRST = 10_000
+# seconds between two lines of progress where no terminal shows a bar
+PROGRESS_LINE_S = 15.0
 
 # ---- service: the engine as a process (BLENDER 3, RENDERING 14); what both sides share stands in service/protocol.py
 
