@@ -8,6 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
+from jghand_engine.datasets.masks import template_mask
+from jghand_engine.datasets.pictures_in import read_mask, read_picture
+from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.splat.camera import Camera
 
@@ -57,3 +60,46 @@ class TrainingPicture:
 
     rgb: np.ndarray
     mask: np.ndarray
+
+
+def load_picture(sample: Sample) -> TrainingPicture:
+    """Reads the picture and its mask, and puts the hand on black: colours are multiplied by the mask (of 8-bit straight
+    alpha: premultiplied), so that what is not hand is exactly 0.
+
+    InputError names the file when it is missing, broken, of another size than the camera, or has no alpha where the
+    mask is its alpha.
+    """
+    stored = read_picture(sample.picture)
+    _check_size(sample, sample.picture, stored)
+    rgb, mask = stored[..., :3].astype(np.float32) / 255.0, _mask(sample, stored)
+    return TrainingPicture(rgb * mask[..., None], mask)
+
+
+def _mask(sample: Sample, stored: np.ndarray) -> np.ndarray:
+    if sample.mask_source is MaskSource.TEMPLATE:
+        return template_mask(sample.camera, sample.joints_m, sample.handedness)
+    if sample.mask_source is MaskSource.FILE:
+        if sample.mask is None:
+            raise InputError(f"mask of {sample.picture}", wanted="a mask file", came="none named")
+        mask = read_mask(sample.mask)
+        _check_size(sample, sample.mask, mask)
+        return mask
+    if stored.shape[2] != 4:
+        raise InputError(
+            f"picture {sample.picture}",
+            wanted="an alpha channel, which is its mask",
+            came="none",
+            remedy="Save it as PNG with alpha, or give masks as files.",
+        )
+    return stored[..., 3].astype(np.float32) / 255.0
+
+
+def _check_size(sample: Sample, path: Path, pixels: np.ndarray) -> None:
+    height, width = pixels.shape[:2]
+    if (width, height) != (sample.camera.width, sample.camera.height):
+        raise InputError(
+            f"size of {path}",
+            wanted=f"{sample.camera.width} x {sample.camera.height} pixels, for which its camera is given",
+            came=f"{width} x {height}",
+            remedy="Pictures that were resized need their cameras scaled with them: take the originals.",
+        )

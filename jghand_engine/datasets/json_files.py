@@ -1,0 +1,26 @@
+"""JSON files of data sets, read so that whatever is wrong with one names the file."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from jghand_engine.errors import InputError, MemoryLimitError
+
+
+def read_object(path: Path, remedy: str) -> dict[str, Any]:
+    """The JSON object in a file. InputError, with `remedy`, when it is missing, damaged or no object."""
+    try:
+        content = json.loads(path.read_bytes())
+    except OSError as error:
+        raise InputError(f"cannot read {path}", came=error.strerror or str(error), remedy=remedy) from error
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"{path}", wanted="undamaged JSON", came=str(error)[:200], remedy=remedy) from error
+    except MemoryError as error:
+        raise MemoryLimitError(
+            f"{path}", wanted="memory to read it (about ten times its size)", came="too little", remedy=remedy
+        ) from error
+    if not isinstance(content, dict):
+        raise InputError(f"{path}", wanted="a JSON object", came=type(content).__name__, remedy=remedy)
+    return content
