@@ -285,6 +285,10 @@ SSIM_WINDOW_PX = 11
 SSIM_SIGMA_PX = 1.5
 SSIM_K1 = 0.01
 SSIM_K2 = 0.03
+# weights of the five scales of MS-SSIM, the finest first (Wang, Simoncelli, Bovik 2003)
+MS_SSIM_WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)
+# PSNR of equal pictures is infinite, which no mean survives; 8-bit pictures that differ at all are below 84
+PSNR_MAX_DB = 100.0
 # a learnt offset counts as quadratic below this length, metres: at 0 a plain norm has no gradient, and offsets start
 # there; a hundredth of a millimetre is nothing that could be seen
 OFFSET_LENGTH_EPS_M = 1e-5
@@ -329,6 +333,48 @@ PINHOLE_MAX_PX = 1e9
 RIGID_MAX = 1e-4
 # letters of an error's detail on the wire: with the sentence it must fit the 64 kB header
 DETAIL_MAX = 8000
+
+# ---- capture: the rig ------------------------------------------------------------------------------------------------
+
+# largest turn of the metacarpals of index, middle, ring and pinky, degrees: the first two hardly move, the others make
+# the hollow of the palm (6 and 12: DATA 4)
+CAPTURE_CUP_DEG = (0.5, 1.0, 6.0, 12.0)
+# part of it for a finger that is fully bent at its knuckle, for a thumb wholly across the palm, and for a hand at rest
+CAPTURE_CUP_FLEXION = 0.65
+CAPTURE_CUP_OPPOSITION = 0.30
+CAPTURE_CUP_REST = 0.05
+# how far below flat a stretched finger may press its metacarpal, as a part of the largest turn
+CAPTURE_CUP_FLATTEN = 0.25
+
+# ---- capture: poses --------------------------------------------------------------------------------------------------
+
+# poses of one capture: beyond it the choice of varied ones takes minutes
+CAPTURE_POSES_MAX = 5000
+# transitions and random poses to choose from: so many for every pose, and at least
+CAPTURE_CANDIDATES = 4
+CAPTURE_CANDIDATES_LEAST = 200
+# part of a range that an extreme pose uses: people reach the ends of a table of ranges one joint at a time
+CAPTURE_EXTREME_PART = 0.95
+# largest delay of a finger in a transition, as a part of it
+CAPTURE_FINGER_DELAY = 0.25
+# standard deviation of what is added to angles so that no shape is made twice alike, degrees
+CAPTURE_VARIATION_DEG = 4.0
+# how far a finger of a random pose may leave the others, as a part of the range
+CAPTURE_FINGER_FREEDOM = 0.45
+# DIP flexion that a PIP flexion brings along, and what is left to the finger, degrees (one standard deviation)
+CAPTURE_DIP_OF_PIP = 0.62
+CAPTURE_DIP_LOOSE_DEG = 7.0
+# bones of random poses stay this part of the hand's length (wrist to middle tip) apart: about 11 mm, a little less than
+# a finger is thick, because skin gives way
+CAPTURE_GAP_PART = 0.062
+# the last two bones of a bent finger stay this part of the hand's length away from the metacarpals: finger tips then lie
+# on the palm; judged by eye on pictures of fists
+CAPTURE_PALM_GAP_PART = 0.075
+# flexions are scaled down to this for it, at most, in so many steps
+CAPTURE_EASE_MOST = 0.7
+CAPTURE_EASE_STEPS = 31
+# rounds of alternating projection for the gap between two bones
+CAPTURE_GAP_ROUNDS = 8
 
 # ---- exporters: pictures and video ----------------------------------------------------------------------------------
 
