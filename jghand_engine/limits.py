@@ -166,6 +166,18 @@ AVATAR_REACH_M = 0.5
 MASK_THRESHOLD = 128
 # samples per pixel edge when a template is projected: steps of 1/16 in the coverage of a pixel
 MASK_SUPERSAMPLING = 4
+# grey values between which the avatar papers take a pixel of a projected mask for skin (METHOD 6.1)
+PAPER_MASK_GREY = (10, 200)
+# the same papers leave a picture out when the hand's box is nearer to the border than this or smaller, pixels; when it
+# is as dark as this; when two colour channels differ nowhere by more than this; when the mask has fewer pixels
+PAPER_BORDER_PX = 10
+PAPER_BOX_MIN_PX = 80
+PAPER_DARK = 20
+PAPER_CHANNEL_DIFFERENCE = 1
+PAPER_MASK_MIN_PX = 3000
+# width and height of HanCo's pictures
+HANCO_SIZE_PX = (224, 224)
+HANCO_CAMERAS = 8
 # last bytes of a picture file in which its end mark must stand; some cameras pad the file behind it
 PICTURE_TAIL_BYTES = 64
 # by how much a stored camera rotation may fail to be one: text with six digits
@@ -287,6 +299,10 @@ SSIM_K1 = 0.01
 SSIM_K2 = 0.03
 # weights of the five scales of MS-SSIM, the finest first (Wang, Simoncelli, Bovik 2003)
 MS_SSIM_WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)
+# thinnest box that is measured: what the networks of ST-LPIPS and LPIPS can halve four times
+METRIC_BOX_MIN_PX = 32
+# floor of the length of a feature vector, as both networks were trained with it
+PERCEPTUAL_NORM_EPS = 1e-10
 # PSNR of equal pictures is infinite, which no mean survives; 8-bit pictures that differ at all are below 84
 PSNR_MAX_DB = 100.0
 # a learnt offset counts as quadratic below this length, metres: at 0 a plain norm has no gradient, and offsets start

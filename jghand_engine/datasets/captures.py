@@ -54,6 +54,7 @@ class Capture:
     samples:    the pictures, sorted by sequence, frame and camera
     handedness: of all samples
     protocol:   the name of the protocol by which they were chosen, or None
+    train_sequences, test_sequences: what that protocol learns from and shows; empty: the split is found otherwise
     dropped:    why pictures of the choice were left out, with their number
     notes:      what a user should know, as sentences
     """
@@ -64,6 +65,8 @@ class Capture:
     samples: tuple[Sample, ...]
     handedness: Handedness
     protocol: str | None = None
+    train_sequences: tuple[str, ...] = ()
+    test_sequences: tuple[str, ...] = ()
     dropped: tuple[tuple[str, int], ...] = ()
     notes: tuple[str, ...] = ()
 
@@ -110,6 +113,11 @@ class Capture:
     def only(self, samples: Iterable[Sample]) -> Capture:
         """The same capture with these pictures alone."""
         return replace(self, samples=tuple(samples))
+
+
+def sorted_samples(samples: Iterable[Sample]) -> tuple[Sample, ...]:
+    """In the order of sequence, frame and camera: the same on every machine."""
+    return tuple(sorted(samples, key=lambda sample: (sample.sequence, sample.frame, sample.camera_name)))
 
 
 def _grouped(samples: Sequence[Sample], key: Callable[[Sample], Key]) -> dict[Key, tuple[Sample, ...]]:

@@ -9,18 +9,26 @@ from typing import Any
 from jghand_engine.errors import InputError, MemoryLimitError
 
 
-def read_object(path: Path, remedy: str) -> dict[str, Any]:
-    """The JSON object in a file. InputError, with `remedy`, when it is missing, damaged or no object."""
+def read_json_file(path: Path, remedy: str) -> Any:
+    """What a JSON file holds. InputError, with `remedy`, when it is missing or damaged; MemoryLimitError."""
     try:
-        content = json.loads(path.read_bytes())
+        return json.loads(path.read_bytes())
     except OSError as error:
         raise InputError(f"cannot read {path}", came=error.strerror or str(error), remedy=remedy) from error
     except (ValueError, RecursionError) as error:
         raise InputError(f"{path}", wanted="undamaged JSON", came=str(error)[:200], remedy=remedy) from error
     except MemoryError as error:
         raise MemoryLimitError(
-            f"{path}", wanted="memory to read it (about ten times its size)", came="too little", remedy=remedy
+            f"{path}",
+            wanted="memory to read it (about ten times its size)",
+            came="too little",
+            remedy="Close other programs, or use a machine with more memory.",
         ) from error
+
+
+def read_object(path: Path, remedy: str) -> dict[str, Any]:
+    """The JSON object in a file; errors as in `read_json_file`, and InputError when it holds something else."""
+    content = read_json_file(path, remedy)
     if not isinstance(content, dict):
         raise InputError(f"{path}", wanted="a JSON object", came=type(content).__name__, remedy=remedy)
     return content

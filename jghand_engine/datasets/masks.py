@@ -7,10 +7,12 @@ or thinner. Figures got with it say so.
 from __future__ import annotations
 
 import functools
+from typing import Any
 
 import numpy as np
 import torch
 from PIL import Image, ImageDraw
+from scipy import ndimage
 
 from jghand_engine import limits
 from jghand_engine.avatar.skinning import apply, blend
@@ -27,6 +29,32 @@ def template_mask(camera: Camera, joints_m: np.ndarray, handedness: Handedness) 
     Faces that reach behind the near plane are left out. InputError when a joint is missing.
     """
     return silhouette(camera, posed_template(joints_m, handedness), load_template().faces)
+
+
+def lit_part(mask: np.ndarray, rgb8: np.ndarray) -> np.ndarray:
+    """What the avatar papers keep of a projected mask: pixels neither black nor glaring, of those the largest piece.
+
+    mask: (H, W) coverage · rgb8: (H, W, 3) the picture -> (H, W) float32, 0 or 1. Source: METHOD 6.1. It removes what
+    of the projected hand lies on the black background, and its price is holes in dark and in shining skin.
+    """
+    grey = rgb8[..., :3].mean(axis=-1)
+    low, high = limits.PAPER_MASK_GREY
+    labelled: Any = ndimage.label((mask >= 0.5) & (grey > low) & (grey < high), structure=np.ones((3, 3)))
+    pieces, count = labelled
+    if not count:
+        return np.zeros(mask.shape, np.float32)
+    largest = 1 + int(np.argmax(np.bincount(pieces.ravel())[1:]))
+    return (pieces == largest).astype(np.float32)
+
+
+def template_note(count: int, total: int) -> tuple[str, ...]:
+    """What must be said beside figures when `count` of `total` masks are the projected template."""
+    if not count:
+        return ()
+    return (
+        f"{count} of {total} pictures have no mask: our template, posed and projected, stands in for it, so figures "
+        "are not those of the papers' protocol.",
+    )
 
 
 def posed_template(joints_m: np.ndarray, handedness: Handedness) -> np.ndarray:

@@ -47,6 +47,19 @@ def probe_picture(path: Path) -> PictureFacts:
     return facts
 
 
+def probe_sized(path: Path, size_px: tuple[int, int], source: str) -> PictureFacts:
+    """`probe_picture`, and InputError unless the picture is (width, height) pixels, as `source` says of its camera."""
+    facts = probe_picture(path)
+    if (facts.width, facts.height) != size_px:
+        raise InputError(
+            f"size of {path}",
+            wanted=f"{size_px[0]} x {size_px[1]} pixels, as {source} says",
+            came=f"{facts.width} x {facts.height}",
+            remedy="Pictures that were resized or turned do not fit their cameras: take the originals.",
+        )
+    return facts
+
+
 def read_picture(path: Path) -> np.ndarray:
     """The bytes of a picture file as stored, (H, W, 3) or, with straight alpha, (H, W, 4) uint8, sRGB.
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jghand_engine.datasets.masks import template_mask
+from jghand_engine.datasets.masks import lit_part, template_mask
 from jghand_engine.datasets.pictures_in import read_mask, read_picture
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
@@ -16,11 +16,18 @@ from jghand_engine.splat.camera import Camera
 
 
 class MaskSource(StrEnum):
-    """Where the mask of a picture comes from: a file of its own, the picture's alpha, or the projected template."""
+    """Where the mask of a picture comes from: a file of its own, the picture's alpha, the projected template, or that
+    without what is black or glaring in the picture, as the avatar papers do."""
 
     FILE = "file"
     ALPHA = "alpha"
     TEMPLATE = "template"
+    TEMPLATE_LIT = "template, lit pixels"
+
+    @property
+    def is_projected(self) -> bool:
+        """Whether it is a silhouette of our hand, and so no evidence of where the person's hand is."""
+        return self in (MaskSource.TEMPLATE, MaskSource.TEMPLATE_LIT)
 
 
 @dataclass(frozen=True)
@@ -76,8 +83,9 @@ def load_picture(sample: Sample) -> TrainingPicture:
 
 
 def _mask(sample: Sample, stored: np.ndarray) -> np.ndarray:
-    if sample.mask_source is MaskSource.TEMPLATE:
-        return template_mask(sample.camera, sample.joints_m, sample.handedness)
+    if sample.mask_source.is_projected:
+        mask = template_mask(sample.camera, sample.joints_m, sample.handedness)
+        return lit_part(mask, stored) if sample.mask_source is MaskSource.TEMPLATE_LIT else mask
     if sample.mask_source is MaskSource.FILE:
         if sample.mask is None:
             raise InputError(f"mask of {sample.picture}", wanted="a mask file", came="none named")

@@ -47,11 +47,12 @@ class Split:
 
 
 def split_capture(capture: Capture) -> Split:
-    """The split that belongs to a capture: that of its splits.json, else the fixed rule."""
+    """The split that belongs to a capture: its protocol's, else that of its splits.json, else the fixed rule."""
+    if capture.train_sequences:
+        origin = f"protocol {capture.protocol}"
+        return split_by_sequence(capture, capture.train_sequences, capture.test_sequences, origin)
     file = capture.folder / SPLITS_FILE
-    if file.exists():
-        return split_from_file(capture, file)
-    return split_by_rule(capture)
+    return split_from_file(capture, file) if file.exists() else split_by_rule(capture)
 
 
 def split_by_rule(
