@@ -392,6 +392,38 @@ CAPTURE_EASE_STEPS = 31
 # rounds of alternating projection for the gap between two bones
 CAPTURE_GAP_ROUNDS = 8
 
+# ---- capture: cameras ------------------------------------------------------------------------------------------------
+
+CAPTURE_CAMERAS_MAX = 500
+# edges of a picture, pixels: below nothing is seen of a hand, above Cycles takes minutes a picture
+CAPTURE_SIZE_PX = (16, 4096)
+# distance from the middle of the hands, metres: like the stages of the data sets
+CAPTURE_DISTANCE_M = (0.8, 1.1)
+# largest roll about the viewing direction, degrees
+CAPTURE_ROLL_DEG = 12.0
+# part of the picture left free on each side of all poses
+CAPTURE_MARGIN = 0.03
+# height of the viewing direction beyond which it is steep, and the picture's upper edge is no longer the fingers' way
+CAPTURE_STEEP = 0.85
+# close-ups: distance, and what the shorter edge of the picture shows there, metres: about two fingers' lengths
+CAPTURE_CLOSE_M = 0.45
+CAPTURE_CLOSE_FIELD_M = 0.11
+
+# ---- capture: skin ---------------------------------------------------------------------------------------------------
+
+# edge of the baked texture: 0.4 mm of skin per texel, finer than a pixel of a whole hand at 334 x 512 (0.5 mm)
+CAPTURE_SKIN_PX = 1024
+# edges that a skin picture may have, pixels
+CAPTURE_TEXTURE_PX = (64, 8192)
+# skin this far above the lower edge gives the wrist's cut its colour, metres
+CAPTURE_WRIST_BAND_M = 0.012
+# mottling that a coarse picture cannot hold: (cell in metres, amount), and how strongly it darkens red, green, blue
+CAPTURE_MOTTLING = ((0.0026, 0.022), (0.0011, 0.022))
+CAPTURE_MOTTLING_RGB = (0.55, 1.0, 1.0)
+# depth of a furrow that a picture shows as a dark line, metres, and the shade (sRGB) at which it is nearly reached
+CAPTURE_RELIEF_M = 0.00022
+CAPTURE_RELIEF_SHADE = 0.035
+
 # ---- exporters: pictures and video ----------------------------------------------------------------------------------
 
 # zlib level of PNG files, 0..9: on a hand, level 6 saves 3 % and takes 1.6 times as long, level 1 costs 16 % of size

@@ -42,22 +42,22 @@ class Box:
 
 
 def mask_box(mask: np.ndarray) -> Box:
-    """The box of a mask (H, W), by BOX_RULE, but never thinner than SSIM's window where the picture has room.
+    """The box of a mask (H, W), by BOX_RULE, but never thinner than METRIC_BOX_MIN_PX where the picture has room.
 
     InputError for a mask without any such pixel.
     """
     rows, columns = np.flatnonzero((mask >= 0.5).any(1)), np.flatnonzero((mask >= 0.5).any(0))
     if not len(rows):
         raise InputError("mask", wanted="pixels of a hand (0.5 or more)", came="none")
-    top, bottom = _at_least_window(int(rows[0]), int(rows[-1]) + 1, mask.shape[0])
-    left, right = _at_least_window(int(columns[0]), int(columns[-1]) + 1, mask.shape[1])
+    top, bottom = _wide_enough(int(rows[0]), int(rows[-1]) + 1, mask.shape[0])
+    left, right = _wide_enough(int(columns[0]), int(columns[-1]) + 1, mask.shape[1])
     return Box(top, bottom, left, right)
 
 
-def _at_least_window(first: int, end: int, size: int) -> tuple[int, int]:
-    missing = max(0, limits.SSIM_WINDOW_PX - (end - first))
-    first = max(0, min(first - missing // 2, size - limits.SSIM_WINDOW_PX))
-    return first, min(size, max(end, first + limits.SSIM_WINDOW_PX))
+def _wide_enough(first: int, end: int, size: int) -> tuple[int, int]:
+    missing = max(0, limits.METRIC_BOX_MIN_PX - (end - first))
+    first = max(0, min(first - missing // 2, size - limits.METRIC_BOX_MIN_PX))
+    return first, min(size, max(end, first + limits.METRIC_BOX_MIN_PX))
 
 
 def compare(rgb: np.ndarray, truth: np.ndarray, mask: np.ndarray) -> dict[str, float]:

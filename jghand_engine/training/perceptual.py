@@ -1,0 +1,231 @@
+"""Perceptual distance of two pictures: ST-LPIPS, and exact LPIPS for who has its trunk (DATA 6).
+
+ST-LPIPS (shift-tolerant LPIPS, Ghildyal and Liu, ECCV 2022) is a metric of its own: it forgives shifts by design, so
+its figures stand under its own name and beside no paper's LPIPS. LPIPS (Zhang et al. 2018, version 0.1) needs a trunk
+that was trained on ImageNet and that no package ships: the user brings torchvision's checkpoint, the heads come from
+the package lpips 0.1.4. Neither package is imported (both would import torchvision): only their files of tensors are
+read. Both can be a loss: the gradient goes to the first picture.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from importlib import metadata
+from pathlib import Path
+
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from jghand_engine import limits
+from jghand_engine.errors import InputError
+
+ST_LPIPS, LPIPS = "ST-LPIPS", "LPIPS"
+TRUNKS = ("vgg", "alex")
+ST_LPIPS_MISSING = (
+    "ST-LPIPS: not available (package stlpips-pytorch is not installed; pip install 'jghand[perceptual]')"
+)
+LPIPS_MISSING = "LPIPS: not available (needs the ImageNet trunk: torchvision's checkpoint of vgg16 or alexnet)"
+
+Tensors = Mapping[str, Tensor]
+
+
+@dataclass(frozen=True)
+class PerceptualMetric:
+    """name: what its figures are called, ST-LPIPS or LPIPS · note: what a reader of the figures has to know.
+
+    features: five maps of an (1, 3, H, W) picture in -1..1 · heads: per map, weights (1, C, 1, 1) of its channels.
+    """
+
+    name: str
+    note: str
+    features: Callable[[Tensor], list[Tensor]]
+    heads: tuple[Tensor, ...]
+
+    def distance(self, rgb: Tensor, truth: Tensor) -> Tensor:
+        """Scalar, 0 for equal pictures; (H, W, 3) float32 display-referred sRGB 0..1.
+
+        InputError for unlike shapes or a side below METRIC_BOX_MIN_PX.
+        """
+        if rgb.shape != truth.shape or rgb.dim() != 3 or rgb.shape[2] != 3:
+            raise InputError(f"pictures for {self.name}", wanted="two of one shape (height, width, 3)",
+                             came=f"{tuple(rgb.shape)} and {tuple(truth.shape)}")  # fmt: skip
+        if min(rgb.shape[:2]) < limits.METRIC_BOX_MIN_PX:
+            raise InputError(f"pictures for {self.name}", came=f"{rgb.shape[1]} x {rgb.shape[0]} pixels",
+                             wanted=f"at least {limits.METRIC_BOX_MIN_PX} along each side")  # fmt: skip
+        ours = self.features(_network_input(rgb))
+        with torch.no_grad():
+            theirs = self.features(_network_input(truth))
+        parts = [_map_distance(*maps) for maps in zip(ours, theirs, self.heads, strict=True)]
+        return torch.stack(parts).sum()
+
+
+def _network_input(rgb: Tensor) -> Tensor:
+    return (2 * rgb - 1).permute(2, 0, 1).unsqueeze(0)
+
+
+def _map_distance(ours: Tensor, theirs: Tensor, head: Tensor) -> Tensor:
+    """Weighted squared difference of one pair of feature maps, each of unit length over the channels."""
+    return functional.conv2d((_unit(ours) - _unit(theirs)).square(), head).mean()
+
+
+def _unit(features: Tensor) -> Tensor:
+    # the published norm has a plain root, whose gradient is NaN where all channels are 0 (black regions): the inner
+    # selection keeps 0 away from the root and changes no value
+    square = features.square().sum(1, keepdim=True)
+    length = torch.where(square > 0, torch.where(square > 0, square, 1.0).sqrt(), 0.0)
+    return features / (length + limits.PERCEPTUAL_NORM_EPS)
+
+
+# ---- ST-LPIPS -------------------------------------------------------------------------------------------------------
+
+# per slice: its convolutions, and the filter before it, as they are numbered in the file of weights
+_ST_SLICES = (
+    (1, (0, 2), None),
+    (2, (6, 8), 5),
+    (3, (12, 14, 16), 11),
+    (4, (20, 22, 24), 19),
+    (5, (28, 30, 32), 27),
+)
+
+
+def st_lpips() -> PerceptualMetric | None:
+    """ST-LPIPS with VGG, or None where its package is missing: the caller then prints ST_LPIPS_MISSING."""
+    path = _installed_file("stlpips-pytorch", "weights/vST0.0/vgg_shift_tolerant.pth")
+    return None if path is None else st_lpips_of(_load_tensors(path), str(path))
+
+
+def st_lpips_of(tensors: Tensors, thing: str = "weights of ST-LPIPS") -> PerceptualMetric:
+    """ST-LPIPS from the tensors of its file. InputError names `thing` when one is missing."""
+    wanted = [f"lin{i}.model.1.weight" for i in range(5)] + ["scaling_layer.shift", "scaling_layer.scale"]
+    wanted += [f"{name}.{kind}" for name in _st_convolutions() for kind in ("weight", "bias")]
+    wanted += [f"net.slice{number}.{filter_}.filt" for number, _, filter_ in _ST_SLICES if filter_ is not None]
+    _check_present(tensors, wanted, thing)
+    shift, scale = tensors["scaling_layer.shift"], tensors["scaling_layer.scale"]
+
+    def features(x: Tensor) -> list[Tensor]:
+        x, maps = (x - shift) / scale, []
+        for number, convolutions, filter_ in _ST_SLICES:
+            if filter_ is not None:
+                # pooled with stride 1, then low-passed with stride 2: what makes the features tolerate shifts
+                kernel = tensors[f"net.slice{number}.{filter_}.filt"]
+                x = functional.pad(functional.max_pool2d(x, 2, 1), (2, 2, 2, 2), mode="reflect")
+                x = functional.conv2d(x, kernel, stride=2, groups=x.shape[1])
+            for name in convolutions:
+                layer = f"net.slice{number}.{name}"
+                x = functional.conv2d(x, tensors[f"{layer}.weight"], tensors[f"{layer}.bias"], padding=1).relu()
+            maps.append(x)
+        return maps
+
+    note = "shift-tolerant, VGG; forgives shifts by design, not comparable with LPIPS"
+    return PerceptualMetric(ST_LPIPS, note, features, tuple(tensors[f"lin{i}.model.1.weight"] for i in range(5)))
+
+
+def _st_convolutions() -> Iterator[str]:
+    for number, convolutions, _ in _ST_SLICES:
+        yield from (f"net.slice{number}.{name}" for name in convolutions)
+
+
+# ---- LPIPS ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Trunk:
+    """convolutions: per slice, numbers in torchvision's `features` · pool: kernel and stride of the pooling before the
+    slices `pooled` · strides: stride and padding of the convolutions that differ from 1, 1."""
+
+    convolutions: tuple[tuple[int, ...], ...]
+    pool: tuple[int, int]
+    pooled: tuple[int, ...]
+    strides: Mapping[int, tuple[int, int]]
+
+
+_TRUNKS = {
+    "vgg": _Trunk(((0, 2), (5, 7), (10, 12, 14), (17, 19, 21), (24, 26, 28)), (2, 2), (1, 2, 3, 4), {}),
+    "alex": _Trunk(((0,), (3,), (6,), (8,), (10,)), (3, 2), (1, 2), {0: (4, 2), 3: (1, 2)}),
+}
+_SHIFT = (-0.030, -0.088, -0.188)
+_SCALE = (0.458, 0.448, 0.450)
+
+
+def lpips(trunk: Path | None, kind: str = "vgg") -> PerceptualMetric:
+    """Exact LPIPS 0.1. trunk: torchvision's checkpoint of vgg16 (`kind` vgg) or alexnet (alex).
+
+    InputError without a trunk: a random one gives figures that look like LPIPS and are not.
+    """
+    if kind not in _TRUNKS:
+        raise InputError("trunk of LPIPS", wanted=" or ".join(TRUNKS), came=kind)
+    if trunk is None:
+        raise InputError(LPIPS_MISSING.rstrip(")") + ", none was given)", remedy="Give it, or use ST-LPIPS instead.")
+    if not trunk.is_file():
+        raise InputError(f"trunk of LPIPS {trunk}", wanted="torchvision's checkpoint", came="no such file")
+    heads = _installed_file("lpips", f"weights/v0.1/{kind}.pth")
+    if heads is None:
+        raise InputError("heads of LPIPS", wanted="the package lpips 0.1.4", came="none",
+                         remedy="pip install --no-deps lpips==0.1.4 (without it torchvision comes along).")  # fmt: skip
+    return lpips_of(_load_tensors(trunk), _load_tensors(heads), kind, str(trunk))
+
+
+def lpips_of(trunk: Tensors, heads: Tensors, kind: str, thing: str = "trunk of LPIPS") -> PerceptualMetric:
+    """LPIPS from the tensors of a trunk and of the heads. InputError names `thing` when one is missing."""
+    spec = _TRUNKS[kind]
+    numbers = [number for group in spec.convolutions for number in group]
+    _check_present(trunk, [f"features.{n}.{part}" for n in numbers for part in ("weight", "bias")], thing)
+    _check_present(heads, [f"lin{i}.model.1.weight" for i in range(5)], "heads of LPIPS")
+    shift, scale = (torch.tensor(values).reshape(1, 3, 1, 1) for values in (_SHIFT, _SCALE))
+
+    def features(x: Tensor) -> list[Tensor]:
+        x, maps = (x - shift) / scale, []
+        for place, group in enumerate(spec.convolutions):
+            if place in spec.pooled:
+                x = functional.max_pool2d(x, *spec.pool)
+            for number in group:
+                stride, padding = spec.strides.get(number, (1, 1))
+                weight, bias = trunk[f"features.{number}.weight"], trunk[f"features.{number}.bias"]
+                x = functional.conv2d(x, weight.float(), bias.float(), stride=stride, padding=padding).relu()
+            maps.append(x)
+        return maps
+
+    note = f"version 0.1, {kind}"
+    return PerceptualMetric(LPIPS, note, features, tuple(heads[f"lin{i}.model.1.weight"].float() for i in range(5)))
+
+
+# ---- files ----------------------------------------------------------------------------------------------------------
+
+
+def _installed_file(package: str, ending: str) -> Path | None:
+    """The file of an installed package whose path ends so, without importing the package; None where it is missing."""
+    try:
+        files = metadata.files(package) or []
+    except metadata.PackageNotFoundError:
+        return None
+    found = (Path(str(file.locate())) for file in files if file.as_posix().endswith(ending))
+    return next((path for path in found if path.is_file()), None)
+
+
+def _load_tensors(path: Path) -> Tensors:
+    """The tensors of a .pth file, on the CPU, without gradient. InputError when it holds anything else.
+
+    The house forbids pickle, which these files are. This is the one exception: weights_only builds tensors and nothing
+    else, and the file is one that the user installed or chose. A test holds torch.load to this line.
+    """
+    try:
+        with warnings.catch_warnings():
+            # torch warns of the old form in which the heads of LPIPS were stored
+            warnings.simplefilter("ignore")
+            content = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:
+        # a damaged file ends in whatever its bytes lead to: zip, pickle, key and decoding errors
+        raise InputError(
+            f"weights {path}", wanted="a file of tensors", came=str(error).splitlines()[0][:200]
+        ) from error
+    if not isinstance(content, dict) or not all(isinstance(value, Tensor) for value in content.values()):
+        raise InputError(f"weights {path}", wanted="named tensors and nothing else", came=type(content).__name__)
+    return {str(name): value.detach() for name, value in content.items()}
+
+
+def _check_present(tensors: Tensors, names: list[str], thing: str) -> None:
+    if missing := [name for name in names if name not in tensors]:
+        raise InputError(thing, wanted=f"the tensor {missing[0]}", came=f"none ({len(missing)} are missing)")
