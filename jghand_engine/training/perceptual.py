@@ -229,3 +229,8 @@ def _load_tensors(path: Path) -> Tensors:
 def _check_present(tensors: Tensors, names: list[str], thing: str) -> None:
     if missing := [name for name in names if name not in tensors]:
         raise InputError(thing, wanted=f"the tensor {missing[0]}", came=f"none ({len(missing)} are missing)")
+
+
+def _first_line(error: Exception) -> str:
+    lines = str(error).splitlines()
+    return lines[0][:200] if lines else type(error).__name__
