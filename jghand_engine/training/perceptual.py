@@ -218,9 +218,7 @@ def _load_tensors(path: Path) -> Tensors:
             content = torch.load(path, map_location="cpu", weights_only=True)
     except Exception as error:
         # a damaged file ends in whatever its bytes lead to: zip, pickle, key and decoding errors
-        raise InputError(
-            f"weights {path}", wanted="a file of tensors", came=str(error).splitlines()[0][:200]
-        ) from error
+        raise InputError(f"weights {path}", wanted="a file of tensors", came=_first_line(error)) from error
     if not isinstance(content, dict) or not all(isinstance(value, Tensor) for value in content.values()):
         raise InputError(f"weights {path}", wanted="named tensors and nothing else", came=type(content).__name__)
     return {str(name): value.detach() for name, value in content.items()}
