@@ -124,6 +124,15 @@ class JointTransform:
             self._casts[key] = self.canonical.to(dtype, device)
         return self._casts[key]
 
+    def maps(self, joints: Tensor, frames: ComponentFrames, canonical: CanonicalHand) -> tuple[Tensor, Tensor, Tensor]:
+        """What another transform than this one changes; right-hand space, component first, root-centred.
+
+        joints (3, 21, N) and their frames -> linear parts (3, 3, 21, N), where the bones meet (3, 21, N): here on the
+        joints, and the scale of the whole hand (N,).
+        """
+        linear, scale = _linear_parts(frames, canonical, self.exponent)
+        return linear, joints, scale
+
     def _mirrored(self, vectors: Tensor) -> Tensor:
         """(3, ...) with x negated for a left hand."""
         if self.handedness is Handedness.RIGHT:
@@ -133,10 +142,9 @@ class JointTransform:
     def _component_first(self, joints: Tensor, batch: torch.Size) -> BoneTransforms:
         canonical = self.canonical_hand(joints.dtype, joints.device)
         frames = compute_frames(joints, canonical, self.swing)
-        linear, scale = _linear_parts(frames, canonical, self.exponent)
         root = joints[:, :1]
-        pivot = _pivots(joints - root)
-        offset = _offsets(linear, pivot, canonical)
+        linear, placed, scale = self.maps(joints - root, frames, canonical)
+        offset = _offsets(linear, _pivots(placed), canonical)
         linear, offset, root = self._mirrored(linear), self._mirrored(offset), self._mirrored(root)
         return BoneTransforms(
             linear=linear.permute(3, 2, 0, 1).reshape(*batch, 21, 3, 3),

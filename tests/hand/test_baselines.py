@@ -1,0 +1,116 @@
+"""The transforms that ours is compared with: right where they claim to be, wrong where they must be."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from sampled_hands import canonical, mirrored, random_rotations, sample
+
+from jghand_engine.hand.baselines import HaloLikeTransform, NaiveTransform
+from jghand_engine.hand.joints import PARENTS, Handedness
+from jghand_engine.hand.kinematics import HandPose, decompose, forward_kinematics
+from jghand_engine.hand.transform import JointTransform
+
+STARTS_OF_BONES = list(PARENTS[1:])
+BOTH = (HaloLikeTransform, NaiveTransform)
+
+
+def halo(handedness=Handedness.RIGHT, kind=HaloLikeTransform):
+    return kind(canonical(), handedness=handedness)
+
+
+def same_proportions(n=50):
+    """Hands with the lengths and the palm of the canonical one, in any pose, turned and moved."""
+    ours = JointTransform(canonical(), handedness=Handedness.RIGHT)
+    other, rest = decompose(ours, sample(n)), decompose(ours, canonical())
+    pose = HandPose(other.root_m, random_rotations(n, torch.Generator().manual_seed(1)),
+                    rest.metacarpal.expand(n, 5, 3), other.angles, rest.length_m.expand(n, 20))  # fmt: skip
+    return forward_kinematics(ours, pose)
+
+
+def moved_joints(bones):
+    """(N, 21, 3) where each bone's own matrix takes its end."""
+    matrices = bones.matrices()
+    return (matrices[..., :3] * canonical()[:, None]).sum(-1) + matrices[..., 3]
+
+
+def test_halo_like_is_our_transform_on_hands_of_canonical_proportions():
+    joints = same_proportions()
+    ours = JointTransform(canonical(), handedness=Handedness.RIGHT, scale_mode="uniform").bones(joints)
+    # worst observed 4e-15
+    torch.testing.assert_close(halo().bones(joints).matrices(), ours.matrices(), rtol=0, atol=1e-13)
+
+
+def test_halo_like_keeps_the_canonical_bone_lengths():
+    placed = moved_joints(halo().bones(sample(30)))
+    length = (placed[:, 1:] - placed[:, STARTS_OF_BONES]).norm(dim=-1)
+    wanted = (canonical()[1:] - canonical()[STARTS_OF_BONES]).norm(dim=-1)
+    torch.testing.assert_close(length, wanted.expand(30, 20))
+
+
+def test_halo_like_bones_meet_at_their_joints():
+    bones = halo().bones(sample(30))
+    matrices = bones.matrices()
+    starts = (matrices[:, 6:, :, :3] * canonical()[1:16, None]).sum(-1) + matrices[:, 6:, :, 3]
+    torch.testing.assert_close(starts, moved_joints(bones)[:, 1:16])
+
+
+def test_halo_like_moves_the_palm_as_one_piece():
+    linear = halo().bones(sample(5)).linear
+    torch.testing.assert_close(linear[:, 1:6], linear[:, :1].expand(5, 5, 3, 3))
+
+
+def test_halo_like_misses_the_joints_of_longer_fingers():
+    """Every finger bone a fifth longer: the tips are missed by about a fifth of three bones."""
+    ours = JointTransform(canonical(), handedness=Handedness.RIGHT)
+    pose = decompose(ours, canonical())
+    longer = torch.cat([pose.length_m[:5], 1.2 * pose.length_m[5:]])
+    joints = forward_kinematics(ours, HandPose(pose.root_m, pose.palm, pose.metacarpal, pose.angles, longer))
+    error_m = (moved_joints(halo().bones(joints)) - joints).norm(dim=-1)
+    assert float(error_m[:6].max()) < 1e-12
+    assert bool((error_m[16:] > 0.012).all())
+
+
+def test_the_naive_transform_starts_every_bone_on_its_joint_and_turns_it_the_right_way():
+    joints = sample(30)
+    matrices = halo(kind=NaiveTransform).bones(joints).matrices()
+    starts, ends = STARTS_OF_BONES, list(range(1, 21))
+    at_start = (matrices[:, ends, :, :3] * canonical()[starts, None]).sum(-1) + matrices[:, ends, :, 3]
+    torch.testing.assert_close(at_start, joints[:, starts])
+    along = moved_joints(halo(kind=NaiveTransform).bones(joints))[:, 1:] - joints[:, starts]
+    bone = joints[:, 1:] - joints[:, starts]
+    cosine = torch.nn.functional.cosine_similarity(along, bone, dim=-1)
+    torch.testing.assert_close(cosine, torch.ones_like(cosine))
+
+
+def test_the_naive_transform_tears_a_turned_hand():
+    """Turned about its fingers, a hand keeps its bone directions, so the naive skin does not turn with it."""
+    rest = canonical() - canonical()[0]
+    along = torch.nn.functional.normalize(rest[3], dim=0)
+    flip = 2 * torch.outer(along, along) - torch.eye(3, dtype=torch.float64)
+    naive, ours = (kind(canonical(), handedness=Handedness.RIGHT).bones(rest @ flip.T).linear[3]
+                   for kind in (NaiveTransform, JointTransform))  # fmt: skip
+    torch.testing.assert_close(naive, torch.eye(3, dtype=torch.float64))
+    torch.testing.assert_close(ours, flip)
+
+
+@pytest.mark.parametrize("kind", BOTH)
+def test_baselines_are_rotations(kind):
+    linear = halo(kind=kind).bones(sample(30)).linear
+    identity = torch.eye(3, dtype=torch.float64).expand(30, 21, 3, 3)
+    torch.testing.assert_close(linear @ linear.transpose(-1, -2), identity)
+
+
+@pytest.mark.parametrize("kind", BOTH)
+def test_baselines_treat_a_left_hand_as_the_mirrored_right_one(kind):
+    joints = sample(10)
+    right = halo(kind=kind).bones(joints).matrices()
+    left = halo(Handedness.LEFT, kind).bones(mirrored(joints)).matrices()
+    torch.testing.assert_close(left, right * torch.tensor([-1.0, 1.0, 1.0], dtype=torch.float64)[:, None])
+
+
+@pytest.mark.parametrize("kind", BOTH)
+def test_baselines_have_finite_gradients(kind):
+    joints = sample(10).float().requires_grad_(True)
+    halo(kind=kind).bones(joints).matrices().square().sum().backward()
+    assert torch.isfinite(joints.grad).all()
