@@ -187,6 +187,28 @@ CAMERA_SKEW_MAX_PX = 1e-3
 # the rule by which a set without a split of its own is split: every n-th pose and every n-th camera is for the test
 SPLIT_EVERY_POSE = 5
 SPLIT_EVERY_CAMERA = 6
+# check-data looks at so many pictures of a larger set, and names so many examples of what is wrong
+CHECK_PICTURES = 400
+CHECK_EXAMPLES = 8
+# pictures on which it tries out which mistake would explain joints beside the hand
+CHECK_MISTAKE_PICTURES = 24
+# a joint so near to the mask counts as on it, px: joints lie inside the finger, its silhouette may be cut close
+CHECK_REACH_PX = 3
+# part of the joints on the mask below which a picture is named, and, as the median over all, the set refused; masks
+# that leave out what an object hides have less than 1
+CHECK_ON_MASK_PICTURE_MIN = 0.7
+CHECK_ON_MASK_MIN = 0.85
+# a mask with fewer pixels is empty, one that covers more of its picture is most likely inverted or of something else
+CHECK_MASK_MIN_PX = 50
+CHECK_MASK_MAX = 0.9
+# variation of a bone's length, standard deviation over mean, above which joints are told to be noisy (triangulated
+# ones of real sets vary by a few per cent)
+CHECK_BONE_WOBBLE = 0.08
+# mean bend of the fingers' middle joints away from the palm, as a sine, from which it must be the other hand
+CHECK_CURL = 0.1
+# overlay pictures: enlargement, and how far outside of the picture lines are still drawn, px
+OVERLAY_ZOOM = 2
+OVERLAY_REACH_PX = 20_000
 # folders between the one that the user names and the one that holds the set, upwards and downwards
 FOLDER_LEVELS_UP = 6
 FOLDER_LEVELS_DOWN = 2
@@ -423,6 +445,17 @@ CAPTURE_MOTTLING_RGB = (0.55, 1.0, 1.0)
 # depth of a furrow that a picture shows as a dark line, metres, and the shade (sRGB) at which it is nearly reached
 CAPTURE_RELIEF_M = 0.00022
 CAPTURE_RELIEF_SHADE = 0.035
+
+# ---- capture: plan and worker ----------------------------------------------------------------------------------------
+
+# rays per pixel: 1 is a test, beyond the most the denoiser has nothing left to do
+CAPTURE_SAMPLES = (1, 4096)
+# every so manieth pose, and one of so many cameras, is kept for the test
+CAPTURE_EVERY_POSE = 5
+CAPTURE_EVERY_CAMERA = 6
+# how long Blender may take to end, seconds, and how many lines of its last words are told
+CAPTURE_END_S = 20.0
+CAPTURE_LAST_WORDS = 4
 
 # ---- exporters: pictures and video ----------------------------------------------------------------------------------
 

@@ -15,7 +15,7 @@ from typing import Annotated, Any, Union
 import tyro
 
 from jghand_engine import __version__
-from jghand_engine.cli import bench, demo, export, info, render, serve
+from jghand_engine.cli import bench, check_data, demo, export, info, render, serve
 from jghand_engine.cli.console import say, say_error
 from jghand_engine.cli.failures import explain
 from jghand_engine.cli.options import ReportOptions
@@ -33,6 +33,7 @@ VERBS = {
     "render": (render.Render, render.DESCRIPTION),
     "export": (export.Export, export.DESCRIPTION),
     "info": (info.Info, info.DESCRIPTION),
+    "check-data": (check_data.CheckData, check_data.DESCRIPTION),
     "bench": (bench.Bench, bench.DESCRIPTION),
     "serve": (serve.Serve, serve.DESCRIPTION),
 }

@@ -30,9 +30,9 @@ class MaskSource(StrEnum):
         return self in (MaskSource.TEMPLATE, MaskSource.TEMPLATE_LIT)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Sample:
-    """A picture on disk and what is known of it; nothing is read until `load_picture`.
+    """A picture on disk and what is known of it; nothing is read until `load_picture`. Equal only to itself.
 
     picture:     path of the picture, sRGB
     camera:      OpenCV camera, world -> camera, metres; its size is the picture's

@@ -1,0 +1,57 @@
+"""Options of the commands that read pictures of hands: which of a data set's pictures are meant."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from jghand_engine.cli.options import HandName
+from jghand_engine.errors import InputError
+
+if TYPE_CHECKING:
+    from jghand_engine.datasets.captures import CaptureChoice
+
+_Text = Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")]
+
+
+@dataclass(frozen=True)
+class PictureSetOptions:
+    """Which pictures of the folder are meant, where it holds those of several persons or hands."""
+
+    protocol: Annotated[
+        Literal["test-capture0", "test-capture1", "val-capture0", "hanco-0191"] | None,
+        tyro.conf.arg(help_behavior_hint=""),
+    ] = None
+    """The pictures that published figures stand for: three persons of InterHand2.6M, one sequence of HanCo."""
+    split: Annotated[Literal["train", "val", "test"] | None, tyro.conf.arg(help_behavior_hint="")] = None
+    """Split of InterHand2.6M."""
+    capture: _Text = None
+    """One person's folder of InterHand2.6M, such as Capture0."""
+    sequences: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: all)")] = ()
+    """Only these sequences, such as ROM04_RT_Occlusion, or 0191 of HanCo."""
+    hand: Annotated[HandName | None, tyro.conf.arg(help_behavior_hint="")] = None
+    """Which hand, where both were recorded."""
+    interacting: bool = False
+    """Take pictures that show both hands too; their mask is the projected template."""
+
+    def choice(self) -> CaptureChoice | None:
+        """What `open_capture` takes beside `protocol`; None with a protocol. InputError when both were given."""
+        from jghand_engine.datasets.captures import CaptureChoice
+        from jghand_engine.hand.joints import Handedness
+
+        choice = CaptureChoice(
+            split=self.split,
+            capture=self.capture,
+            sequences=self.sequences or None,
+            handedness=Handedness(self.hand) if self.hand else None,
+            interacting=self.interacting,
+        )
+        if self.protocol is None:
+            return choice
+        if choice != CaptureChoice():
+            raise InputError(
+                "--protocol", wanted="no other choice of pictures beside it", came="both", remedy="Drop one of them."
+            )
+        return None
