@@ -32,7 +32,7 @@ def overlay(sample: Sample) -> np.ndarray:
     draw = ImageDraw.Draw(image)
     points = joint_pixels(sample.camera, sample.joints_m) * zoom - 0.5
     # NaN is not smaller either
-    drawable = (np.abs(points) < limits.OVERLAY_REACH_PX).all(axis=1).tolist()
+    drawable = [bool((np.abs(point) < limits.OVERLAY_REACH_PX).all()) for point in points]
     for joint in range(1, len(points)):
         if drawable[joint] and drawable[PARENTS[joint]]:
             draw.line([*points[PARENTS[joint]], *points[joint]], fill=_colour(joint), width=2 * zoom)
