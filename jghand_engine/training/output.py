@@ -1,0 +1,48 @@
+"""The avatar that a training leaves at its end, and the promise not to overwrite somebody else's file."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.file import save_avatar
+from jghand_engine.errors import InputError
+from jghand_engine.files import writing
+
+
+class Output:
+    """The file `path`. `record` remembers what this training wrote there, so that it may replace its own work."""
+
+    def __init__(self, path: Path, record: Path, *, overwrite: bool = False) -> None:
+        self.path, self._record, self._overwrite = path, record, overwrite
+
+    def check(self) -> None:
+        """InputError when a file is in the way that this training did not write, unless overwriting was asked for."""
+        if self._overwrite or not self.path.exists():
+            return
+        if not self.path.is_file() or _hash(self.path) != self._recorded():
+            raise InputError(
+                f"--out {self.path}", wanted="a new file, or the result of this very training",
+                came="another file" if self.path.is_file() else "a folder",
+                remedy="Name another file, or replace that one with --overwrite.",
+            )  # fmt: skip
+
+    def write(self, avatar: HandAvatar) -> None:
+        """Saves `avatar`. Errors as `check`, which looks again: hours may have passed."""
+        self.check()
+        save_avatar(self.path, avatar)
+        with writing(self._record) as temporary:
+            temporary.write_text(json.dumps({"sha256": _hash(self.path)}) + "\n", encoding="utf-8")
+
+    def _recorded(self) -> str | None:
+        try:
+            return json.loads(self._record.read_text(encoding="utf-8"))["sha256"]
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+
+
+def _hash(path: Path) -> str:
+    with open(path, "rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
