@@ -351,6 +351,11 @@ PLANNED_STEPS_AT_FIRST = 10_000
 # seconds between two lines of progress where no terminal shows a bar
 PROGRESS_LINE_S = 15.0
 
+# ---- studies --------------------------------------------------------------------------------------------------------
+
+# points on the skin of the transformation table: 1.4 mm apart, well below the distances that it tells apart
+TRANSFORM_STUDY_POINTS = 20_000
+
 # ---- service: the engine as a process (BLENDER 3, RENDERING 14); what both sides share stands in service/protocol.py
 
 # seconds between two signs of life; Blender calls the engine slow after 5 s without one

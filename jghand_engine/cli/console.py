@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
@@ -14,6 +14,9 @@ from rich.table import Table
 
 from jghand_engine.errors import InputError
 from jghand_engine.files import writing
+
+if TYPE_CHECKING:
+    from jghand_engine.training.tables import Table
 
 
 def out() -> Console:
@@ -44,6 +47,13 @@ def say_table(title: str, columns: tuple[str, ...], rows: list[tuple[str, ...]])
     out().print(f"\n{title}", style="bold", markup=False)
     # soft wrapping would tear a wide table apart
     Console(highlight=False).print(table)
+
+
+def say_whole_table(table: Table) -> None:
+    """A table with its notes below it."""
+    say_table(table.title, table.columns, list(table.rows))
+    for note in table.notes:
+        say(f"  {note}")
 
 
 @contextmanager
