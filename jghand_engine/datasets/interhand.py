@@ -50,7 +50,7 @@ def read_interhand(
     annotated. InputError too for damaged annotations, when the choice leaves more than one person or hand, and for
     joints that are no hand. Pictures without all 21 joints are left out unless the choice takes them.
 
-    drop_rule: leaves more out, and what has no MANO fit where the set has a file of them
+    drop_rule: leaves more out, beside what has no MANO fit or no mask where the set has those of others
     report:    is told of broken pictures and implausible joints instead of the error, and the reading goes on
     """
     choice = choice or CaptureChoice()
@@ -162,6 +162,8 @@ class _Reader:
         file = self.files.images / picture.file_name
         facts = probe_sized(file, (picture.width, picture.height), self.files.data.name)
         mask = self._mask_file(picture)
+        if self.drop_rule and mask is None and self._person_has_masks(picture):
+            return None, "no mask"
         sample = Sample(
             picture=file,
             camera=tables.camera(picture),
@@ -176,6 +178,9 @@ class _Reader:
             mask=mask,
         )
         return sample, self.drop_rule(sample, picture) if self.drop_rule else None
+
+    def _person_has_masks(self, picture: InterHandPicture) -> bool:
+        return self.files.masks is not None and (self.files.masks / Path(picture.file_name).parts[0]).is_dir()
 
     def _mask_file(self, picture: InterHandPicture) -> Path | None:
         if self.files.masks is None:

@@ -62,7 +62,7 @@ def posed_template(joints_m: np.ndarray, handedness: Handedness) -> np.ndarray:
     if not np.isfinite(joints_m).all():
         raise InputError("joints of a pose", wanted="all 21 joints", came="some that are missing")
     template = load_template()
-    bones = _transform(handedness).bones(torch.as_tensor(joints_m, dtype=torch.float64))
+    bones = _transform(handedness).bones(torch.tensor(joints_m, dtype=torch.float64))
     linear, offset_m = blend(torch.from_numpy(np.array(template.bone_weights)), bones)
     relative_m = torch.from_numpy(np.array(template.vertices_m)) - bones.canonical_root_m
     return (apply(linear, relative_m) + offset_m + bones.root_m).numpy()
@@ -70,7 +70,7 @@ def posed_template(joints_m: np.ndarray, handedness: Handedness) -> np.ndarray:
 
 def silhouette(camera: Camera, vertices_m: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """(H, W) float32: which part of each pixel the projected triangles cover, in steps of MASK_SUPERSAMPLING^-2."""
-    pixels, depth_m = camera.project(torch.as_tensor(vertices_m, dtype=torch.float64))
+    pixels, depth_m = camera.project(torch.tensor(vertices_m, dtype=torch.float64))
     fine = limits.MASK_SUPERSAMPLING
     # pixel (i, j) has its centre at (i + 0.5, j + 0.5), the drawing library's at (i, j)
     corners = pixels.numpy()[faces] * fine - 0.5

@@ -38,7 +38,7 @@ def look_at(sample: Sample) -> Seen:
 
 def joint_pixels(camera: Camera, joints_m: np.ndarray) -> np.ndarray:
     """(21, 2) pixels; NaN for joints that are not known or not before the camera."""
-    pixels, depth_m = camera.project(torch.as_tensor(joints_m, dtype=torch.float64))
+    pixels, depth_m = camera.project(torch.tensor(joints_m, dtype=torch.float64))
     return np.where((depth_m.numpy() > limits.Z_NEAR_M)[:, None], pixels.numpy(), np.nan)
 
 
