@@ -327,6 +327,14 @@ METRIC_BOX_MIN_PX = 32
 PERCEPTUAL_NORM_EPS = 1e-10
 # PSNR of equal pictures is infinite, which no mean survives; 8-bit pictures that differ at all are below 84
 PSNR_MAX_DB = 100.0
+# figures are given apart for pictures whose fingers are bent, on the mean of their joints, below, between and above
+# these angles, degrees: an open, a relaxed, a half closed hand and a fist
+FLEXION_REGIONS_DEG = (15.0, 35.0, 60.0)
+# sheets of pictures: side of the square over that of the hand in it; difference 0..1 that has the darkest colour (a
+# good avatar stays below it nearly everywhere); poses between the two ends (METHOD 6.3)
+SHEET_ROOM = 1.12
+SHEET_DIFFERENCE_FULL = 0.2
+SHEET_STEPS_BETWEEN = 4
 # a learnt offset counts as quadratic below this length, metres: at 0 a plain norm has no gradient, and offsets start
 # there; a hundredth of a millimetre is nothing that could be seen
 OFFSET_LENGTH_EPS_M = 1e-5
@@ -344,6 +352,8 @@ PREVIEW_EVERY_S = 180.0
 LOG_EVERY_STEPS = 20
 # steps between two copies of the state in memory, to which the guard goes back: a copy costs a few milliseconds
 GUARD_KEEP_STEPS = 50
+# ... and at the beginning, where the plan of a time budget has to find the speed
+GUARD_KEEPS_AT_FIRST = (2, 5, 10, 20)
 # values that are not finite after which a training gives up: one or two happen, more are a fault of the model
 GUARD_RECOVERIES_MAX = 5
 # steps that a training with a time budget is taken to have until its speed is known
@@ -410,8 +420,8 @@ CAPTURE_DIP_LOOSE_DEG = 7.0
 # bones of random poses stay this part of the hand's length (wrist to middle tip) apart: about 11 mm, a little less than
 # a finger is thick, because skin gives way
 CAPTURE_GAP_PART = 0.062
-# the last two bones of a bent finger stay this part of the hand's length away from the metacarpals: finger tips then lie
-# on the palm; judged by eye on pictures of fists
+# the last two bones of a bent finger stay this part of the hand's length away from the metacarpals: finger tips then
+# lie on the palm; judged by eye on pictures of fists
 CAPTURE_PALM_GAP_PART = 0.075
 # flexions are scaled down to this for it, at most, in so many steps
 CAPTURE_EASE_MOST = 0.7

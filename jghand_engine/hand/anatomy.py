@@ -61,8 +61,8 @@ class Contact(StrEnum):
     REST = "rest"
 
 
-# poses in which the thumb's tip touches a finger: the angles are solved for each hand
-_CONTACTS = {
+# poses in which the thumb's tip touches a finger (1 index .. 4 pinky): the angles are solved for each hand
+CONTACTS = {
     "pinch": (Contact.TIP, 1),
     "ok": (Contact.TIP, 1),
     "fist": (Contact.REST, 2),
@@ -133,27 +133,45 @@ class ArticulatedHand:
 
     def joints(self, angles_deg: np.ndarray) -> np.ndarray:
         """(F, 5, 4) angles, degrees, clamped to RANGES_DEG -> (F, 21, 3) joints, metres."""
+        turns = self._turns(angles_deg)
+        first = self._neutral[:6].T.unsqueeze(-1).expand(3, 6, turns[0].shape[-1])
+        parts = [first[:, :1], first[:, 1:]]
+        for joint, turn in enumerate(turns):
+            parts.append(parts[-1] + rot.mat_vec(turn, self._bones[:, joint].unsqueeze(-1)))
+        return torch.cat(parts, 1).permute(2, 1, 0).numpy()
+
+    @property
+    def straight_joints_m(self) -> np.ndarray:
+        """(21, 3) joints of the hand whose fingers are straight: what `turns` turns. Metres, level order."""
+        return self._neutral.numpy()
+
+    def turns(self, angles_deg: np.ndarray) -> np.ndarray:
+        """(F, 5, 4) angles, degrees, clamped to RANGES_DEG -> (F, 3, 5, 3, 3) rotations of the three moving bones of
+        each finger, from where they point in the straight hand."""
+        return torch.stack(self._turns(angles_deg)).permute(4, 0, 3, 1, 2).numpy()
+
+    def _turns(self, angles_deg: np.ndarray) -> list[torch.Tensor]:
+        """The same as three matrices (3, 3, finger, frame)."""
         clamped = np.clip(np.asarray(angles_deg, dtype=np.float64), RANGES_DEG[..., 0], RANGES_DEG[..., 1])
         # (angle, finger, frame)
         angle = torch.from_numpy(np.radians(clamped)).permute(2, 1, 0)
-        flexion = (angle[0], angle[2], angle[3])
         turn = rot.axis_rotation(self._abduction_axis[:, 0].unsqueeze(-1), -_SIDE.unsqueeze(-1) * angle[1])
-        first = self._neutral[:6].T.unsqueeze(-1).expand(3, 6, angle.shape[2])
-        parts = [first[:, :1], first[:, 1:]]
-        for joint in range(3):
-            axis = self._flexion_axis[:, joint].unsqueeze(-1)
-            turn = rot.mat_mul(turn, rot.axis_rotation(axis, flexion[joint]))
-            parts.append(parts[-1] + rot.mat_vec(turn, self._bones[:, joint].unsqueeze(-1)))
-        return torch.cat(parts, 1).permute(2, 1, 0).numpy()
+        turns = []
+        for joint, flexion in enumerate((angle[0], angle[2], angle[3])):
+            turn = rot.mat_mul(turn, rot.axis_rotation(self._flexion_axis[:, joint].unsqueeze(-1), flexion))
+            turns.append(turn)
+        return turns
 
     def angles_of(self, name: str) -> np.ndarray:
         """(5, 4) angles of a named pose on this hand, degrees: the table's, solved for contact where tips touch."""
         angles = np.clip(named_angles(name), RANGES_DEG[..., 0], RANGES_DEG[..., 1])
-        return self._touching(angles, *_CONTACTS[name]) if name in _CONTACTS else angles
+        return self.touching(angles, *CONTACTS[name]) if name in CONTACTS else angles
 
-    def _touching(self, angles: np.ndarray, contact: Contact, finger: int) -> np.ndarray:
-        """The nearest angles at which the thumb's tip touches `finger`: Gauss-Newton on the distance, with a pull to
-        the given angles and the ranges as bounds. A hand that cannot reach stays as near as it gets."""
+    def touching(self, angles: np.ndarray, contact: Contact, finger: int) -> np.ndarray:
+        """The nearest angles (5, 4), degrees, at which the thumb's tip touches `finger` (1 index .. 4 pinky).
+
+        Gauss-Newton on the distance, with a pull to the given angles and the ranges as bounds. A hand that cannot reach
+        stays as near as it gets."""
         moving = [(0, k) for k in range(4)]
         if contact is Contact.TIP:
             moving += [(finger, k) for k in range(4)]

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The process: `python jghand_cycles PLAN_FOLDER --threads 2`, jobs as lines of JSON on standard input.
+
+A job is {"pose": 0, "camera": 3, "file": "…/image0.png", "stamp": "…"}; the answer is a line on standard output:
+{"ready": "5.0.1"} once, then {"file": …, "seconds": …} for every picture, or {"error": …, "file": …} and the end. What
+Blender itself prints goes to standard error. The end of the input is the end of the work.
+"""
+
+import argparse
+import json
+import os
+import secrets
+import sys
+import time
+from pathlib import Path
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("plan", type=Path)
+    parser.add_argument("--threads", type=int, default=0)
+    options = parser.parse_args()
+    answers = _own_output()
+    try:
+        import bpy
+    except ImportError as error:
+        _say(answers, {"error": f"this Python cannot import bpy: {error}", "missing": "bpy"})
+        return 3
+    sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+    from jghand_cycles.png import stamped
+    from jghand_cycles.scene import Scene
+
+    plan = json.loads((options.plan / "plan.json").read_text(encoding="utf-8"))
+    scene = Scene(plan["render"], options.plan, options.threads or os.cpu_count() or 1)
+    _say(answers, {"ready": bpy.app.version_string})
+    for line in sys.stdin:
+        job = json.loads(line)
+        started = time.perf_counter()
+        target = Path(job["file"])
+        target.parent.mkdir(parents=True, exist_ok=True)
+        # written beside the target and renamed: no moment shows half a picture
+        temporary = target.with_name(f".{target.stem}.{secrets.token_hex(4)}.png")
+        try:
+            scene.render(job["pose"], plan["cameras"][job["camera"]], temporary)
+            data = stamped(temporary.read_bytes(), job["stamp"])
+            with open(temporary, "wb") as stream:
+                stream.write(data)
+                stream.flush()
+                os.fsync(stream.fileno())
+            os.replace(temporary, target)
+        except (OSError, ValueError, RuntimeError) as error:
+            _say(answers, {"error": f"{type(error).__name__}: {error}", "file": job["file"]})
+            return 1
+        finally:
+            temporary.unlink(missing_ok=True)
+        _say(answers, {"file": job["file"], "seconds": round(time.perf_counter() - started, 3)})
+    return 0
+
+
+def _own_output():
+    """A stream to the real standard output; everything else that prints there goes to standard error."""
+    answers = os.fdopen(os.dup(1), "w", encoding="utf-8")
+    os.dup2(2, 1)
+    return answers
+
+
+def _say(answers, message: dict) -> None:
+    answers.write(json.dumps(message) + "\n")
+    answers.flush()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The scene of a capture: one hand whose vertices change from pose to pose, its skin, the light and one camera."""
+
+from pathlib import Path
+
+import bpy
+import mathutils
+import numpy as np
+
+SENSOR_MM = 36.0
+# clipping of the camera, metres: nearer than any close-up, farther than any stage
+CLIP_M = (0.01, 20.0)
+
+
+class Scene:
+    """Built once from the plan (a dict, see jghand_engine/capture/plan.py) and the folder that its files are in."""
+
+    def __init__(self, plan: dict, folder: Path, threads: int) -> None:
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        self._scene = bpy.context.scene
+        with np.load(folder / "hands.npz", allow_pickle=False) as arrays:
+            self._vertices = arrays["vertices_m"]
+            self._mesh = _mesh(arrays, plan["sampling"]["subdivisions"], self._scene)
+        self._mesh.materials.append(_skin(plan["skin"], folder))
+        _light(plan["light"], self._vertices, self._scene)
+        self._camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
+        self._scene.collection.objects.link(self._camera)
+        self._scene.camera = self._camera
+        _settings(self._scene, plan["sampling"], threads)
+        self._pose = None
+
+    def render(self, pose: int, camera: dict, path: Path) -> None:
+        """Renders one pose through one camera into a PNG file: straight alpha, sRGB."""
+        if pose != self._pose:
+            self._mesh.vertices.foreach_set("co", self._vertices[pose].reshape(-1).astype(np.float32))
+            self._mesh.update()
+            self._pose = pose
+        self._aim(camera)
+        self._scene.render.filepath = str(path)
+        bpy.ops.render.render(write_still=True)
+
+    def _aim(self, camera: dict) -> None:
+        """An OpenCV pinhole, x_cam = R X + t; square pixels."""
+        width, height = camera["width"], camera["height"]
+        self._scene.render.resolution_x, self._scene.render.resolution_y = width, height
+        camera_from_world = np.array(camera["camera_from_world"])
+        rotation = camera_from_world[:3, :3].T
+        matrix = np.eye(4)
+        # Blender's camera looks along -z, with y up
+        matrix[:3, :3] = rotation @ np.diag([1.0, -1.0, -1.0])
+        matrix[:3, 3] = -rotation @ camera_from_world[:3, 3]
+        self._camera.matrix_world = mathutils.Matrix(matrix.tolist())
+        data = self._camera.data
+        data.sensor_fit, data.sensor_width = "HORIZONTAL", SENSOR_MM
+        data.clip_start, data.clip_end = CLIP_M
+        data.lens = camera["fx"] * SENSOR_MM / width
+        # both shifts are in widths
+        data.shift_x = -(camera["cx"] - width / 2) / width
+        data.shift_y = (camera["cy"] - height / 2) / width
+
+
+def _mesh(arrays, subdivisions: int, scene):
+    mesh = bpy.data.meshes.new("hand")
+    mesh.from_pydata(arrays["vertices_m"][0].tolist(), [], arrays["faces"].tolist())
+    mesh.uv_layers.new(name="uv").data.foreach_set("uv", arrays["face_uv"].reshape(-1).astype(np.float32))
+    mesh.polygons.foreach_set("use_smooth", np.ones(len(mesh.polygons), dtype=bool))
+    hand = bpy.data.objects.new("hand", mesh)
+    scene.collection.objects.link(hand)
+    if subdivisions:
+        modifier = hand.modifiers.new("subdivision", "SUBSURF")
+        modifier.levels = modifier.render_levels = subdivisions
+        modifier.uv_smooth = "PRESERVE_BOUNDARIES"
+    return mesh
+
+
+def _skin(look: dict, folder: Path):
+    """Principled skin: reflectance and relief from the plan's pictures, a fine grain, shinier nails."""
+    material = bpy.data.materials.new("skin")
+    material.use_nodes = True
+    tree = material.node_tree
+    new, link = tree.nodes.new, tree.links.new
+    surface = tree.nodes["Principled BSDF"]
+    link(_picture(tree, folder / "skin.png", "sRGB").outputs["Color"], surface.inputs["Base Color"])
+    nail = _picture(tree, folder / "nails.png", "Non-Color").outputs["Color"]
+    for name, key in (("Roughness", "roughness"), ("Specular IOR Level", "specular")):
+        mix = new("ShaderNodeMapRange")
+        mix.inputs["To Min"].default_value = look[key]
+        mix.inputs["To Max"].default_value = look[f"nail_{key}"]
+        link(nail, mix.inputs["Value"])
+        link(mix.outputs["Result"], surface.inputs[name])
+    surface.inputs["Subsurface Weight"].default_value = look["subsurface"]
+    surface.inputs["Subsurface Radius"].default_value = look["radius_m"]
+    surface.inputs["Subsurface Scale"].default_value = 1.0
+    link(_bumps(tree, look, folder), surface.inputs["Normal"])
+    return material
+
+
+def _bumps(tree, look: dict, folder: Path):
+    """The normal of relief and grain together."""
+    new, link = tree.nodes.new, tree.links.new
+    grain = new("ShaderNodeTexVoronoi")
+    grain.feature = "SMOOTH_F1"
+    grain.inputs["Scale"].default_value = look["grain_cells"]
+    link(new("ShaderNodeTexCoord").outputs["UV"], grain.inputs["Vector"])
+    fine = new("ShaderNodeBump")
+    fine.inputs["Strength"].default_value = 1.0
+    fine.inputs["Distance"].default_value = look["grain_m"]
+    link(grain.outputs["Distance"], fine.inputs["Height"])
+    coarse = new("ShaderNodeBump")
+    coarse.inputs["Strength"].default_value = 1.0
+    coarse.inputs["Distance"].default_value = look["relief_range_m"]
+    link(_picture(tree, folder / "relief.png", "Non-Color").outputs["Color"], coarse.inputs["Height"])
+    link(fine.outputs["Normal"], coarse.inputs["Normal"])
+    return coarse.outputs["Normal"]
+
+
+def _picture(tree, path: Path, colour_space: str):
+    node = tree.nodes.new("ShaderNodeTexImage")
+    node.image = bpy.data.images.load(str(path))
+    node.image.colorspace_settings.name = colour_space
+    node.interpolation = "Cubic"
+    return node
+
+
+def _light(light: dict, vertices: np.ndarray, scene) -> None:
+    middle = (vertices.min((0, 1)) + vertices.max((0, 1))) / 2
+    world = bpy.data.worlds.new("world")
+    scene.world = world
+    world.use_nodes = True
+    tree = world.node_tree
+    environment = tree.nodes.new("ShaderNodeTexEnvironment")
+    environment.image = bpy.data.images.load(str(_environment_file(light["hdri"])))
+    turn = tree.nodes.new("ShaderNodeMapping")
+    # the pictures stand on z, our hands on y
+    turn.inputs["Rotation"].default_value = (np.pi / 2, 0.0, np.radians(light["hdri_turn_deg"]))
+    tree.links.new(tree.nodes.new("ShaderNodeTexCoord").outputs["Generated"], turn.inputs["Vector"])
+    tree.links.new(turn.outputs["Vector"], environment.inputs["Vector"])
+    background = tree.nodes["Background"]
+    background.inputs["Strength"].default_value = light["hdri_strength"]
+    tree.links.new(environment.outputs["Color"], background.inputs["Color"])
+    for number, lamp in enumerate(light["lamps"]):
+        data = bpy.data.lights.new(f"lamp{number}", "AREA")
+        data.size, data.energy, data.color = lamp["edge_m"], lamp["watts"], lamp["rgb"]
+        place = mathutils.Vector(lamp["place_m"])
+        lamp_object = bpy.data.objects.new(f"lamp{number}", data)
+        lamp_object.location = place
+        lamp_object.rotation_euler = (mathutils.Vector(middle.tolist()) - place).to_track_quat("-Z", "Y").to_euler()
+        scene.collection.objects.link(lamp_object)
+
+
+def _environment_file(name: str) -> Path:
+    """A file as it is, or one of the environments in Blender's own folder."""
+    if Path(name).suffix:
+        return Path(name)
+    return Path(bpy.utils.resource_path("LOCAL")) / "datafiles" / "studiolights" / "world" / f"{name}.exr"
+
+
+def _settings(scene, sampling: dict, threads: int) -> None:
+    scene.render.engine = "CYCLES"
+    values = {
+        "device": "CPU", "samples": sampling["samples"], "use_denoising": True, "denoiser": "OPENIMAGEDENOISE",
+        "denoising_input_passes": "RGB_ALBEDO_NORMAL", "max_bounces": sampling["bounces"],
+        "transparent_max_bounces": 4, "use_adaptive_sampling": True,
+        "adaptive_threshold": sampling["adaptive_threshold"], "seed": 0,
+    }  # fmt: skip
+    for name, value in values.items():
+        setattr(scene.cycles, name, value)
+    render = scene.render
+    render.threads_mode, render.threads = "FIXED", threads
+    render.use_persistent_data = True
+    render.film_transparent = True
+    render.resolution_percentage = 100
+    render.dither_intensity = 0.0
+    render.image_settings.file_format = "PNG"
+    render.image_settings.color_mode = "RGBA"
+    render.image_settings.color_depth = "8"
+    render.image_settings.compression = 60
+    # plain sRGB, no tone curve
+    scene.view_settings.view_transform = "Standard"
+    scene.view_settings.look = "None"

@@ -1,0 +1,159 @@
+"""`jghand capture`: pictures of a hand to learn from, made with Blender's Cycles."""
+
+from __future__ import annotations
+
+import os
+import re
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from jghand_engine.cli.console import progress, say, write_json
+from jghand_engine.cli.options import File, FormatOptions, ReportOptions, pixels
+from jghand_engine.errors import InputError, RetryError
+
+DESCRIPTION = """Make a training set: pictures of a rigged hand of another shape, path traced from all sides.
+
+The layout is that of InterHand2.6M. Needs Blender as a Python module (bpy) in an environment of its own. A
+capture that was stopped goes on where it was with the same command; pictures that are missing or broken are made
+again.
+
+Examples:
+  jghand capture --identity 3 --cameras 16 --poses 60 --out captures/id3
+  jghand capture --identity adult_woman --skin skin.png --motion dance.npz --out captures/dance
+  jghand capture --identity 3 --out captures/id3 --shard 1/2     and on another machine --shard 2/2"""
+
+# seconds between two lines of progress where no terminal shows a bar
+_LINE_EVERY_S = 60.0
+_OneNumber = tyro.conf.arg(metavar="NUMBER")
+
+
+@dataclass(frozen=True)
+class LookOptions:
+    """Light and skin."""
+
+    skin: File = None
+    """A picture of skin in the template's UV, without light. Left out: JGHand's own procedural skin."""
+    hdri: Annotated[str, tyro.conf.arg(metavar="NAME|FILE")] = "studio"
+    """Light all around: city, courtyard, forest, interior, night, studio, sunrise, sunset, or an .exr or .hdr file."""
+    hdri_strength: Annotated[float, _OneNumber] = 0.55
+    """How bright it is."""
+    hdri_turn: Annotated[float, tyro.conf.arg(metavar="DEGREES")] = 0.0
+    """Turns it about the axis of the fingers."""
+    lamps: Annotated[float, _OneNumber] = 1.0
+    """Brightness of the lamps, relative to their own; 0 leaves them out."""
+
+
+@dataclass(frozen=True)
+class Capture:
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
+    """Where the capture is written."""
+    identity: Annotated[str, tyro.conf.arg(metavar="NUMBER|NAME")]
+    """Whose hand: 0 slim_woman, 1 big_man, 2 old_person, 3 adult_man, 4 adult_woman, 5 child, 6 long_fingers."""
+    cameras: Annotated[int, _OneNumber] = 16
+    """How many, close-ups included."""
+    close_ups: Annotated[int | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="(default: one of eight)")] = (
+        None
+    )
+    """How many of the cameras stand near and see a part of the hand."""
+    poses: Annotated[int, _OneNumber] = 60
+    """How many; every pose is seen by every camera."""
+    size: Annotated[str, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = "334x512"
+    """Pixels."""
+    samples: Annotated[int, _OneNumber] = 16
+    """Rays per pixel; the rest of the noise is filtered away."""
+    subdivisions: Annotated[int, _OneNumber] = 2
+    """How often the mesh is made finer for rendering."""
+    look: LookOptions = field(default_factory=LookOptions)
+    motion: File = None
+    """Poses from this motion instead of the generator: .npz, .npy, .json or .csv."""
+    format: FormatOptions = field(default_factory=FormatOptions)
+    wrist_turn: Annotated[float, tyro.conf.arg(metavar="DEGREES")] = 25.0
+    """How far hands turn as a whole from pose to pose, so that light falls from different sides."""
+    seed: Annotated[int, _OneNumber] = 0
+    """Of poses, cameras and turns."""
+    shard: Annotated[str, tyro.conf.arg(metavar="NUMBER/COUNT")] = "1/1"
+    """Make only this part of the pictures; other machines make the others."""
+    blender_python: File = None
+    """The Python that can import bpy. Left out: that of .envs/blender, else the running one."""
+    threads: Annotated[int, _OneNumber] = 0
+    """Threads of Cycles; 0 takes all."""
+    report: ReportOptions = field(default_factory=ReportOptions)
+
+    def run(self) -> None:
+        from jghand_engine.capture.plan import open_or_make
+        from jghand_engine.capture.worker import fault_of, find_blender_python
+
+        shard = parse_shard(self.shard)
+        options = self._options()
+        python = find_blender_python(self.blender_python)
+        plan = open_or_make(self.out, options)
+        jobs = plan.jobs(self.out, shard)
+        size = options.width, options.height
+        faults = [fault_of(job, size) for job in jobs]
+        todo = [job for job, fault in zip(jobs, faults, strict=True) if fault]
+        spoilt = sum(bool(fault) and fault != "missing" for fault in faults)
+        say(f"{len(plan.pose_names)} poses x {len(plan.cameras)} cameras; shard {self.shard} has {len(jobs)} pictures.")
+        if len(todo) < len(jobs) or spoilt:
+            say(f"{len(jobs) - len(todo)} are there already, {spoilt} are broken or of another plan and made again.")
+        seconds = self._render(todo, python)
+        broken = {job.file: fault for job in todo if (fault := fault_of(job, size))}
+        if broken:
+            file, fault = next(iter(broken.items()))
+            raise RetryError(f"{len(broken)} pictures are not whole, the first {file}: {fault}", remedy="Start again.")
+        each = sum(seconds) / len(seconds) if seconds else 0.0
+        say(f"Wrote {self.out}: {len(todo)} pictures, {each:.1f} s each.")
+        if self.report.json is not None:
+            write_json(self.report.json, {
+                "command": "capture", "pictures": len(jobs), "rendered": len(todo), "remade": spoilt,
+                "seconds_each": each, "poses": list(plan.pose_names), "cameras": len(plan.cameras),
+            })  # fmt: skip
+
+    def _render(self, todo: list, python: Path) -> list[float]:
+        from jghand_engine.capture.worker import render
+
+        seconds: list[float] = []
+        started = shown = time.monotonic()
+        with progress("pictures", len(todo)) as bar:
+            for done in render(self.out, todo, python, self.threads or os.cpu_count() or 1):
+                seconds.append(done.seconds)
+                bar.advance(bar.task_ids[0])
+                now = time.monotonic()
+                if bar.disable and now - shown > _LINE_EVERY_S:
+                    left_s = (now - started) / len(seconds) * (len(todo) - len(seconds))
+                    say(f"{len(seconds)} of {len(todo)} pictures, about {left_s / 60:.0f} minutes left")
+                    shown = now
+        return seconds
+
+    def _options(self):
+        import dataclasses
+
+        from jghand_engine.capture.look import Light, Sampling
+        from jghand_engine.capture.options import CaptureOptions
+        from jghand_engine.cli.inputs import read_sequence
+
+        light = Light()
+        lamps = tuple(dataclasses.replace(lamp, watts=lamp.watts * self.look.lamps) for lamp in light.lamps)
+        light = Light(self.look.hdri, self.look.hdri_strength, self.look.hdri_turn, lamps if self.look.lamps else ())
+        width, height = pixels(self.size)
+        return CaptureOptions(
+            identity=self.identity, cameras=self.cameras,
+            close_ups=self.cameras // 8 if self.close_ups is None else self.close_ups,
+            poses=self.poses, width=width, height=height, skin=self.look.skin,
+            motion=None if self.motion is None else read_sequence(self.motion, self.format),
+            wrist_turn_deg=self.wrist_turn, seed=self.seed, light=light,
+            sampling=Sampling(samples=self.samples, subdivisions=self.subdivisions),
+        )  # fmt: skip
+
+
+def parse_shard(text: str) -> tuple[int, int]:
+    """`2/3` as (2, 3). Raises InputError."""
+    match = re.fullmatch(r"(\d{1,4})/(\d{1,4})", text.strip())
+    if not match or not 1 <= int(match[1]) <= int(match[2]):
+        raise InputError(
+            "--shard", wanted="NUMBER/COUNT with a number from 1 to the count, such as 1/2", came=repr(text)
+        )
+    return int(match[1]), int(match[2])
