@@ -460,6 +460,9 @@ CAPTURE_MOTTLING_RGB = (0.55, 1.0, 1.0)
 # depth of a furrow that a picture shows as a dark line, metres, and the shade (sRGB) at which it is nearly reached
 CAPTURE_RELIEF_M = 0.00022
 CAPTURE_RELIEF_SHADE = 0.035
+# grain of skin that no picture holds: its height and its cells, metres; finer ones are lost between texels
+CAPTURE_GRAIN_M = 0.000012
+CAPTURE_GRAIN_CELL_M = 0.0009
 
 # ---- capture: plan and worker ----------------------------------------------------------------------------------------
 

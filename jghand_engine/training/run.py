@@ -22,6 +22,7 @@ from jghand_engine.limits import (
     CHECKPOINT_EVERY_S,
     FIRST_PREVIEW_S,
     GUARD_KEEP_STEPS,
+    GUARD_KEEPS_AT_FIRST,
     LOG_EVERY_STEPS,
     PREVIEW_EVERY_S,
 )
@@ -34,7 +35,7 @@ from jghand_engine.training.progress import Display, Silent, Status
 from jghand_engine.training.schedule import Budget, Every, StopRequest, Timer, stop_requests
 from jghand_engine.training.snapshot import Course, Snapshot, check_fits
 from jghand_engine.training.trainable import GAUSSIANS, LOSS, Trainable
-from jghand_engine.training.work_folder import Start, WorkFolder
+from jghand_engine.training.work_folder import Start, WorkFolder, check_folder
 
 CHECKPOINTS = Every(seconds=CHECKPOINT_EVERY_S)
 PREVIEWS = Every(seconds=PREVIEW_EVERY_S, first_s=FIRST_PREVIEW_S)
@@ -76,8 +77,7 @@ def train(build: Callable[[], Trainable], options: RunOptions, display: Display 
     folders, JGHandError when the guard gives up, and whatever a step raises; the last checkpoint is then still there.
     """
     shown = display or Silent()
-    output = Output(options.out, options.work / "output.json", overwrite=options.overwrite)
-    output.check()
+    output = check_places(options)
     work = WorkFolder(options.work, options.stamp)
     with work.opened(options.start), closing(_log(work, options)) as log:
         trainable = build()
@@ -88,6 +88,14 @@ def train(build: Callable[[], Trainable], options: RunOptions, display: Display 
         if finished:
             _write_output(output, trainable, options)
         return Outcome(finished, loop.course, loop.psnr)
+
+
+def check_places(options: RunOptions) -> Output:
+    """InputError when the files and folders that `options` name are in use for something else."""
+    check_folder(options.work, options.start)
+    output = Output(options.out, options.work / "output.json", overwrite=options.overwrite)
+    output.check()
+    return output
 
 
 def _log(work: WorkFolder, options: RunOptions) -> Log:
@@ -184,7 +192,7 @@ class Loop:
 
     def _now_and_then(self) -> None:
         step, now_s = self.course.step, time.monotonic()
-        if step % GUARD_KEEP_STEPS == 0:
+        if step % GUARD_KEEP_STEPS == 0 or step in GUARD_KEEPS_AT_FIRST:
             self._plan()
             self._guard.keep(Snapshot.of(self._trainable, self.course))
         if step % self._options.log_steps == 0:

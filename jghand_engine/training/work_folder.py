@@ -34,6 +34,26 @@ class Start(StrEnum):
     FRESH = "fresh"
 
 
+def check_folder(path: Path, start: Start) -> None:
+    """InputError when `path` holds something else than a training, or a training that `start` does not expect."""
+    try:
+        names = {entry.name for entry in path.iterdir()} - {LOCK} if path.exists() else set()
+    except OSError as error:
+        raise file_error(path, error) from error
+    if names and MARK not in names:
+        raise InputError(
+            f"{path}", wanted="a new or empty folder, or one of a training", came=f"one with {min(names)}",
+            remedy="Name another folder with --work.",
+        )  # fmt: skip
+    if start is Start.RESUME and not names:
+        raise InputError(f"{path}", wanted="a training to go on with", came="none", remedy="Leave out --resume.")
+    if start is Start.NEW and names:
+        raise InputError(
+            f"{path}", wanted="a folder without a training", came="one that holds a training",
+            remedy="Go on with it by --resume, forget it by --fresh, or name another folder with --work.",
+        )  # fmt: skip
+
+
 class WorkFolder:
     """The folder `path` of the training whose options are `stamp`."""
 
@@ -47,52 +67,27 @@ class WorkFolder:
     def opened(self, start: Start) -> Iterator[None]:
         """Makes the folder this training's for the duration.
 
-        InputError when it holds something else, or a training that `start` does not expect; RetryError when another
-        process trains there.
+        InputError as `check_folder`; RetryError when another process trains there.
         """
-        self._refuse_foreign_files()
-        if start is Start.RESUME and not self._mark.exists():
-            raise InputError(
-                f"{self.path}", wanted="a training to go on with", came="none", remedy="Leave out --resume."
-            )
+        check_folder(self.path, start)
         make_folder(self.path)
         with locked(self.path / LOCK):
-            if start is Start.NEW and self._mark.exists():
-                raise InputError(
-                    f"{self.path}", wanted="a folder without a training", came="one that holds a training",
-                    remedy="Go on with it by --resume, forget it by --fresh, or name another folder with --work.",
-                )  # fmt: skip
+            # again: another may have trained here meanwhile
+            check_folder(self.path, start)
             self.checkpoints.remove_leftovers()
             if start is Start.FRESH:
                 self._clear()
             if start is not Start.RESUME:
                 content = {"jghand_training": __version__, "stamp": dict(self._stamp)}
-                with writing(self._mark) as temporary:
+                with writing(self.path / MARK) as temporary:
                     temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
             yield
 
-    @property
-    def _mark(self) -> Path:
-        return self.path / MARK
-
-    def _refuse_foreign_files(self) -> None:
-        try:
-            names = {entry.name for entry in self.path.iterdir()} if self.path.exists() else set()
-        except OSError as error:
-            raise file_error(self.path, error) from error
-        if names - {LOCK} and MARK not in names:
-            raise InputError(
-                f"{self.path}", wanted="a new or empty folder, or one of a training",
-                came=f"one with {sorted(names - {LOCK})[0]}", remedy="Name another folder with --work.",
-            )  # fmt: skip
-
     def _clear(self) -> None:
         """Removes what a training leaves and nothing else, except the record of the output, which stays its own."""
-        # the mark first: should this break off, no half-cleared training can be gone on with
-        for path in (self._mark, self.log, self.path / "preview.jghand"):
-            path.unlink(missing_ok=True)
+        # the checkpoints first: should this break off, what is left goes on from its own beginning or not at all
         self.checkpoints.clear()
-        for picture in (self.path / "pictures").glob("step_*.png"):
-            picture.unlink()
+        for path in (self.log, self.path / "preview.jghand", *(self.path / "pictures").glob("step_*.png")):
+            path.unlink(missing_ok=True)
         for folder in (self.board, self.failures):
             shutil.rmtree(folder, ignore_errors=True)

@@ -1,14 +1,9 @@
-"""A small thing that learns: it paints a picture by Adam, fast and in every way like the real one for the loop.
-
-Run as a program it trains with checkpoints every few steps, to be killed: `stand_in.py WORK OUT START STEPS EVERY`.
-"""
+"""A small thing that learns: it paints a picture by Adam, fast and in every way like the real one for the loop."""
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -114,30 +109,3 @@ class StandIn:
         small = load_builtin(handedness=Handedness.RIGHT).prefix(50)
         mean = self._picture().detach().mean((1, 2)).clamp(0, 1)
         return replace(small, rgb=mean.expand(50, 3).contiguous())
-
-
-def main() -> None:
-    from jghand_engine.training.run import RunOptions, train
-    from jghand_engine.training.schedule import Budget, Every
-    from jghand_engine.training.work_folder import Start
-
-    work, out, start, steps, every = sys.argv[1:]
-
-    class Told(StandIn):
-        """Says every step before it does it, so that the killer knows how far it was."""
-
-        def step(self, number: int) -> dict[str, float]:
-            print(number, flush=True)
-            return super().step(number)
-
-    options = RunOptions(
-        Path(out), Path(work), {"seed": 0}, Budget(steps=int(steps)), Start(start), log_steps=3,
-        checkpoint=Every(steps=int(every)), preview=Every(steps=40),
-    )  # fmt: skip
-    outcome = train(Told, options)
-    print("finished" if outcome.finished else "stopped", outcome.course.step, flush=True)
-
-
-if __name__ == "__main__":
-    torch.set_num_threads(1)
-    main()

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import signal
+from dataclasses import replace
 
 import pytest
 import safetensors.torch
 import torch
 from stand_in import StandIn
 
+from jghand_engine import files
 from jghand_engine.errors import InputError, JGHandError
 from jghand_engine.limits import GUARD_RECOVERIES_MAX
 from jghand_engine.training.checkpoint import load_checkpoint
@@ -22,15 +26,17 @@ from jghand_engine.training.work_folder import Start
 
 STAMP = {"seed": 0}
 STATE, PARAMETERS = list(StandIn().tensors()), list(StandIn().tensors())[:5]
-FAULT = 63
+# a step that fails, and the copy of the state that the guard has by then
+FAULT, KEPT, STEPS = 13, 10, 30
 
 
 @pytest.fixture
-def options(tmp_path):
-    """100 steps: beyond the first copy that the guard keeps."""
+def options(tmp_path, monkeypatch):
+    """Beyond the first copies that the guard keeps; nobody waits for the disk."""
+    monkeypatch.setattr(files, "sync", lambda path: None)
     return RunOptions(
-        tmp_path / "hand.jghand", tmp_path / "work", STAMP, Budget(steps=100), log_steps=5,
-        checkpoint=Every(steps=30), preview=Every(steps=1000),
+        tmp_path / "hand.jghand", tmp_path / "work", STAMP, Budget(steps=STEPS), log_steps=5,
+        checkpoint=Every(steps=10), preview=Every(steps=1000),
     )  # fmt: skip
 
 
@@ -73,19 +79,26 @@ PLACES = [
 ]
 
 
-@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
-@pytest.mark.parametrize(("where", "name"), PLACES)
+@pytest.mark.parametrize(
+    ("where", "name", "value"),
+    [
+        *((*place, math.nan) for place in PLACES),
+        (*PLACES[0], math.inf),
+        (*PLACES[7], -math.inf),
+        (*PLACES[-1], math.inf),
+    ],
+)
 def test_one_bad_value_anywhere_is_caught_in_its_step_and_the_training_goes_on(where, name, value, options):
     shown, made = NoNotes(), Broken(where, name, value)
     outcome = train(lambda: made, options, shown)
     assert made.numbers[: FAULT + 1] == list(range(FAULT + 1)), "no step was done with it"
-    assert made.numbers[FAULT + 1 :] == [*range(50, FAULT), *range(FAULT + 1, 100)], (
+    assert made.numbers[FAULT + 1 :] == [*range(KEPT, FAULT), *range(FAULT + 1, STEPS)], (
         "back to the copy, without the step"
     )
     assert outcome.finished
     assert (outcome.course.skipped, outcome.course.recoveries) == ([FAULT], 1)
     assert any(f"{where} {name}" in note for note in shown.notes)
-    last, _ = load_checkpoint(options.work / "checkpoints" / "step_00000100.safetensors")
+    last, _ = load_checkpoint(options.work / "checkpoints" / "step_00000030.safetensors")
     assert all(tensor.isfinite().all() for tensor in last.tensors.values())
 
 
@@ -120,7 +133,7 @@ def test_the_dump_holds_what_was_found(options):
     dump = options.work / "failures" / f"step_{FAULT:08d}"
     about = json.loads((dump / "failure.json").read_text())
     assert about["step"] == FAULT
-    assert about["good_step"] == 50
+    assert about["good_step"] == KEPT
     assert about["stamp"] == STAMP
     assert about["findings"] == [{"kind": "state", "name": "second.decoder.bias", "nan": 0, "inf": 1}]
     found = safetensors.torch.load_file(dump / "found.safetensors")
@@ -131,9 +144,9 @@ def test_the_dump_holds_what_was_found(options):
 def test_the_log_says_what_happened(options):
     train(lambda: Broken("gradient", "planes.uv", math.nan), options)
     (line,) = [line for line in read_log(options.work / "log.jsonl") if "not_finite" in line]
-    assert (line["step"], line["skipped"], line["not_finite"]) == (50, FAULT, "gradient planes.uv (1 NaN)")
+    assert (line["step"], line["skipped"], line["not_finite"]) == (KEPT, FAULT, "gradient planes.uv (1 NaN)")
     steps = [line["step"] for line in read_log(options.work / "log.jsonl") if "loss" in line]
-    assert steps == list(range(5, 101, 5)), "no line twice"
+    assert steps == list(range(5, STEPS + 1, 5)), "no line twice"
 
 
 # ---- replay ----------------------------------------------------------------------------------------------------------
@@ -172,25 +185,19 @@ def test_a_replay_wants_a_dump_and_the_same_options(options, tmp_path):
 
 def test_a_training_that_recovered_and_was_stopped_goes_on_as_if_it_had_not_been(options, tmp_path):
     """The step that is left out stays out, whether it failed before the checkpoint or after it."""
-    from dataclasses import replace
-
     straight = replace(options, work=tmp_path / "straight", out=tmp_path / "straight.jghand")
     train(faulty, straight)
-    for stop in (40, 80):
+    for stop in (8, 20):
         start = Start.RESUME if options.work.exists() else Start.NEW
         train(faulty, replace(options, start=start, budget=Budget(steps=stop)))
     train(faulty, replace(options, start=Start.RESUME))
-    a, b = (load_checkpoint(o.work / "checkpoints" / "step_00000100.safetensors")[0] for o in (straight, options))
+    a, b = (load_checkpoint(o.work / "checkpoints" / "step_00000030.safetensors")[0] for o in (straight, options))
     assert a.course.skipped == b.course.skipped == [FAULT]
     # the schedule of the plan differs: each session was given another number of steps
-    assert a.course.step == b.course.step == 100
+    assert a.course.step == b.course.step == STEPS
 
 
 def test_a_resumed_training_meets_the_same_fault_and_ends_the_same(options, tmp_path):
-    import os
-    import signal
-    from dataclasses import replace
-
     class FaultyAndStopped(StandIn):
         def __init__(self, at):
             super().__init__(faults={FAULT: "planes.d"})
@@ -203,10 +210,10 @@ def test_a_resumed_training_meets_the_same_fault_and_ends_the_same(options, tmp_
 
     straight = replace(options, work=tmp_path / "straight", out=tmp_path / "straight.jghand")
     train(faulty, straight)
-    train(lambda: FaultyAndStopped(57), options)
-    train(lambda: FaultyAndStopped(70), replace(options, start=Start.RESUME))
+    train(lambda: FaultyAndStopped(11), options)
+    train(lambda: FaultyAndStopped(20), replace(options, start=Start.RESUME))
     train(faulty, replace(options, start=Start.RESUME))
-    a, b = (load_checkpoint(o.work / "checkpoints" / "step_00000100.safetensors")[0] for o in (straight, options))
+    a, b = (load_checkpoint(o.work / "checkpoints" / "step_00000030.safetensors")[0] for o in (straight, options))
     assert a.scalars == b.scalars
     assert all(torch.equal(a.tensors[name], b.tensors[name]) for name in a.tensors)
     assert b.course.skipped == [FAULT]
@@ -216,7 +223,7 @@ def test_a_training_that_keeps_failing_gives_up_and_names_what_failed(options):
     class Hopeless(StandIn):
         def step(self, number):
             figures = super().step(number)
-            return {**figures, "loss": math.nan} if number >= 20 else figures
+            return {**figures, "loss": math.nan} if number >= KEPT else figures
 
     with pytest.raises(JGHandError, match=rf"{GUARD_RECOVERIES_MAX + 1} times.*figure loss \(1 NaN\).*--replay"):
         train(Hopeless, options)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import random
 import signal
-import subprocess
-import sys
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,9 +16,11 @@ import pytest
 import torch
 from stand_in import StandIn
 
+from jghand_engine import files
 from jghand_engine.avatar.file import load_avatar
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.exporters.pictures import read_png
+from jghand_engine.training import run
 from jghand_engine.training.checkpoint import load_checkpoint
 from jghand_engine.training.lock import locked
 from jghand_engine.training.log import read_log
@@ -28,8 +31,9 @@ from jghand_engine.training.work_folder import Start
 
 
 @pytest.fixture
-def options(tmp_path):
-    """60 steps, everything often."""
+def options(tmp_path, monkeypatch):
+    """60 steps, everything often; nobody waits for the disk, which only a loss of power would ask for."""
+    monkeypatch.setattr(files, "sync", lambda path: None)
     return RunOptions(
         out=tmp_path / "hand.jghand", work=tmp_path / "work", stamp={"seed": 0, "model": {"planes": 4}},
         budget=Budget(steps=60), log_steps=5, checkpoint=Every(steps=7), preview=Every(steps=20),
@@ -159,22 +163,50 @@ def test_a_damaged_newest_checkpoint_is_passed_over_and_named(options):
 # ---- a time budget ---------------------------------------------------------------------------------------------------
 
 
-def test_a_time_budget_ends_the_training_and_its_schedule(options):
-    made = []
+class Clock:
+    """Stands for the module `time` in the loop: a step takes 1/128 s, later ones 1/64 s."""
 
-    class Slow(StandIn):
-        def __init__(self):
-            super().__init__()
-            made.append(self)
+    def __init__(self) -> None:
+        self.now_s = 1000.0
 
-        def step(self, number):
-            time.sleep(0.002)
-            return super().step(number)
+    def monotonic(self) -> float:
+        return self.now_s
 
-    outcome = train(Slow, replace(options, budget=Budget(seconds=1.0)))
+
+class Timed(StandIn):
+    def __init__(self, clock: Clock) -> None:
+        super().__init__()
+        self._clock = clock
+
+    def step(self, number):
+        self._clock.now_s += 2**-7 if number < 100 else 2**-6
+        return super().step(number)
+
+
+@pytest.fixture
+def clock(monkeypatch):
+    clock = Clock()
+    monkeypatch.setattr(run, "time", clock)
+    return clock
+
+
+def test_a_time_budget_ends_the_training_and_its_schedule(options, clock):
+    made = Timed(clock)
+    outcome = train(lambda: made, replace(options, budget=Budget(seconds=3.125)))
     assert outcome.finished
-    assert outcome.course.step > 60
-    assert made[0].plans[-1] <= 1.5 * outcome.course.step, "the plan comes to agree with the clock"
+    assert outcome.course.seconds == 3.125
+    assert outcome.course.step == 250
+    assert made.plans[0] == 10_000, "nothing is known yet"
+    assert made.plans[2] == 400, "after a few steps the speed is"
+    # planned after 250 steps, where it ends
+    assert made.plans[-2:] == [267, 250], "with three quarters of the time, three quarters of the schedule are spent"
+
+
+def test_a_resumed_time_budget_keeps_its_plan(options, clock):
+    train(lambda: Timed(clock), replace(options, budget=Budget(seconds=0.390625)))
+    made = Timed(clock)
+    train(lambda: made, replace(options, start=Start.RESUME, budget=Budget(seconds=0.78125)))
+    assert made.plans[1] == 100, "half of the time is spent"
 
 
 def test_time_spent_counts_over_all_sessions(options):
@@ -188,52 +220,57 @@ def test_time_spent_counts_over_all_sessions(options):
 # ---- being killed ----------------------------------------------------------------------------------------------------
 
 
-def start_process(work: Path, out: Path, start: Start, steps: int, every: int) -> subprocess.Popen:
-    words = [str(word) for word in (work, out, start, steps, every)]
-    root = Path(__file__).parents[2]
-    environment = {**os.environ, "PYTHONPATH": str(root), "OMP_NUM_THREADS": "1"}
-    return subprocess.Popen(
-        [sys.executable, Path(__file__).with_name("stand_in.py"), *words],
-        cwd=root, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+@contextmanager
+def in_a_process(options: RunOptions) -> Iterator[tuple[int, int]]:
+    """Trains in a process of its own; gives its number and a pipe on which it says every step before it does it."""
+    reads, writes = os.pipe()
+    child = os.fork()
+    if child == 0:
+
+        class Tells(StandIn):
+            def step(self, number):
+                os.write(writes, b"%d\n" % number)
+                return super().step(number)
+
+        try:
+            torch.set_num_threads(1)
+            train(Tells, options)
+            os.write(writes, b"finished\n")
+        finally:
+            os._exit(0)
+    os.close(writes)
+    try:
+        yield child, reads
+    finally:
+        os.waitpid(child, 0)
+        os.close(reads)
 
 
-@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="there is no SIGKILL here")
-def test_kill_9_at_any_moment_loses_at_most_one_interval(tmp_path):
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork here")
+def test_kill_9_at_any_moment_loses_at_most_one_interval(options, tmp_path):
     """Killed again and again at random moments; the course ends as if nothing had happened."""
-    work, out, steps, every = tmp_path / "work", tmp_path / "hand.jghand", 400, 10
-    rng = random.Random(3)
-    start, reached, kills = Start.NEW, 0, 0
-    while kills < 6:
-        process = start_process(work, out, start, steps, every)
-        wanted, delay_s = reached + rng.randrange(5, 45), rng.random() * 0.02
-        began = None
-        for line in process.stdout:
-            if line.startswith("finished"):
-                break
-            began = int(line) if began is None else began
-            reached = max(reached, int(line))
-            if int(line) >= wanted:
-                time.sleep(delay_s)
-                process.send_signal(signal.SIGKILL)
-                kills += 1
-                break
-        rest = [int(line) for line in process.stdout.read().split() if line.isdigit()]
-        reached = max([reached, *rest])
-        process.wait()
-        assert began is not None, process.stderr.read()
-        found = newest(work).course.step
-        # the step that was said last may not have been done
-        assert reached - every <= found + 1 <= reached + 2, f"step {reached} was begun, the checkpoint has {found}"
+    every = 10
+    options = replace(options, budget=Budget(steps=300), checkpoint=Every(steps=every), log_steps=3)
+    rng, start, reached = random.Random(3), Start.NEW, 0
+    for _ in range(12):
+        with in_a_process(replace(options, start=start)) as (child, pipe), os.fdopen(os.dup(pipe)) as lines:
+            wanted = reached + rng.randrange(1, 25)
+            for line in lines:
+                if int(line) >= wanted:
+                    time.sleep(rng.random() * 0.02)
+                    os.kill(child, signal.SIGKILL)
+                    break
+            said = [line, *lines]
+        reached = max([reached, *map(int, said)])
+        found = newest(options.work).course.step
+        assert reached - every <= found <= reached + 1, f"step {reached} was begun, the checkpoint has {found}"
         start = Start.RESUME
-    process = start_process(work, out, start, steps, every)
-    said, errors = process.communicate(timeout=120)
-    assert "finished 400" in said, errors
-    straight = tmp_path / "straight"
-    assert "finished 400" in start_process(straight, tmp_path / "s.jghand", Start.NEW, steps, every).communicate()[0]
-    assert same_state(newest(work), newest(straight))
-    assert curve(work) == curve(straight)
-    leftovers = [path.name for path in (work / "checkpoints").iterdir() if path.name.startswith(".")]
+    assert train(StandIn, replace(options, start=start)).finished
+    straight = replace(options, work=tmp_path / "straight", out=tmp_path / "straight.jghand")
+    train(StandIn, straight)
+    assert same_state(newest(options.work), newest(straight.work))
+    assert curve(options.work) == curve(straight.work)
+    leftovers = [path.name for path in (options.work / "checkpoints").iterdir() if path.name.startswith(".")]
     assert not leftovers, "temporary files of killed saves are removed"
 
 
@@ -349,10 +386,6 @@ def test_going_on_with_another_model_names_the_tensor(options):
 
 
 def test_a_full_disk_is_a_clear_error_and_the_last_checkpoint_stays(options, monkeypatch):
-    import errno
-
-    from jghand_engine import files
-
     class FillsTheDisk(StandIn):
         def step(self, number):
             if number == 20:
