@@ -25,8 +25,8 @@ class PictureSetOptions:
         tyro.conf.arg(help_behavior_hint=""),
     ] = None
     """The pictures that published figures stand for: three persons of InterHand2.6M, one sequence of HanCo."""
-    split: Annotated[Literal["train", "val", "test"] | None, tyro.conf.arg(help_behavior_hint="")] = None
-    """Split of InterHand2.6M."""
+    split: Annotated[Literal["train", "val", "test"] | None, tyro.conf.arg(name="subset", help_behavior_hint="")] = None
+    """Which of the sets that InterHand2.6M itself is divided into."""
     capture: _Text = None
     """One person's folder of InterHand2.6M, such as Capture0."""
     sequences: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: all)")] = ()

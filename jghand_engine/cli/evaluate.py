@@ -1,0 +1,226 @@
+"""`jghand evaluate`: how good an avatar is on pictures that it did not learn from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from jghand_engine.cli.console import progress, say, say_whole_table, write_json
+from jghand_engine.cli.options import File, PresetName, ReportOptions
+from jghand_engine.cli.picture_sets import PictureSetOptions
+from jghand_engine.errors import InputError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from jghand_engine.avatar.avatar import HandAvatar
+    from jghand_engine.datasets.captures import Capture
+    from jghand_engine.datasets.sample import Sample
+    from jghand_engine.hand.joints import Handedness
+    from jghand_engine.splat.camera import Camera
+    from jghand_engine.splat.settings import RenderSettings
+    from jghand_engine.training.evaluate import Evaluation, Picturer
+    from jghand_engine.training.perceptual import PerceptualMetric
+    from jghand_engine.training.tables import Table
+
+DESCRIPTION = """Measure an avatar on pictures that it did not learn from: figures, tables beside the paper's, sheets.
+
+Examples:
+  jghand evaluate id3.jghand captures/id3 --split test --out id3_evaluation
+  jghand evaluate id3.jghand captures/id3 --limit 20 --no-sheets
+  jghand evaluate id3.jghand captures/id3 --beside id3_aniso.jghand      both, on poses between poses"""
+
+TIMED_ROUNDS, WARM_UP = 100, 10
+# pixels of a view that no camera of the capture gives: twice a cell of the sheet
+SHEET_VIEW_PX = 528
+
+
+@dataclass(frozen=True)
+class PerceptualOptions:
+    """Perceptual metrics"""
+
+    perceptual: bool = False
+    """Also ST-LPIPS (and LPIPS, with its trunk): some 2 seconds a picture."""
+    lpips_trunk: File = None
+    """Torchvision's checkpoint of vgg16 or alexnet, which exact LPIPS needs; nobody may ship it."""
+    lpips_kind: Literal["vgg", "alex"] = "vgg"
+    """Which of the two it is."""
+
+    def metrics(self) -> list[PerceptualMetric]:
+        """The metrics that there are; what is missing is said in a line. InputError for an unusable trunk."""
+        from jghand_engine.training import perceptual
+
+        if not self.perceptual and self.lpips_trunk is None:
+            say("Perceptual metrics: off (--perceptual).")
+            return []
+        metrics, stand_in = [], perceptual.st_lpips()
+        if stand_in is None:
+            say(perceptual.ST_LPIPS_MISSING)
+        else:
+            metrics.append(stand_in)
+        if self.lpips_trunk is None:
+            say(perceptual.LPIPS_MISSING)
+        else:
+            metrics.append(perceptual.lpips(self.lpips_trunk, self.lpips_kind))
+        return metrics
+
+
+@dataclass(frozen=True)
+class Evaluate:
+    avatar: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="AVATAR")]
+    """A .jghand file, or builtin."""
+    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")]
+    """InterHand2.6M, HanCo, or what `jghand capture` made."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None
+    """For tables, figures and sheets. Left out: beside the avatar, id3.evaluation for id3.jghand."""
+    split: Literal["test", "train", "all"] = "test"
+    """Pictures that were held out, those that were learnt, or both."""
+    limit: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
+    """At most so many pictures of each kind, evenly spread; 0 takes all."""
+    preset: PresetName = "final"
+    """How the avatar is drawn."""
+    threads: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
+    """Threads of the renderer; 0 chooses."""
+    beside: File = None
+    """Another avatar, shown beside the first on poses between poses: isotropic against anisotropic."""
+    sheets: bool = True
+    """Also write sheets of pictures."""
+    timed: bool = True
+    """Also measure the time per picture, on its own after the rest."""
+    perceptual: PerceptualOptions = field(default_factory=PerceptualOptions)
+    pictures: PictureSetOptions = field(default_factory=PictureSetOptions)
+    report: ReportOptions = field(default_factory=ReportOptions)
+
+    def run(self) -> None:
+        from jghand_engine.cli.inputs import load_hand
+        from jghand_engine.datasets.capture_folder import open_capture
+        from jghand_engine.datasets.splits import split_capture
+        from jghand_engine.files import make_folder
+        from jghand_engine.training.evaluate import avatar_picturer, categories_of
+
+        if self.limit < 0:
+            raise InputError("--limit", wanted="0 or more", came=str(self.limit))
+        avatar, other = load_hand(self.avatar), load_hand(str(self.beside)) if self.beside else None
+        capture = open_capture(self.folder, protocol=self.pictures.protocol, choice=self.pictures.choice())
+        split = split_capture(capture)
+        categories = categories_of(split, self.split, self.limit)
+        out, settings = make_folder(self.out or self._default_out()), self._settings()
+        draw = avatar_picturer(avatar, settings)
+        evaluation = self._measured(draw, capture, categories, split.origin)
+        tables = self._tables(evaluation, avatar, capture, settings)
+        self._write(out, evaluation, tables, settings)
+        if self.sheets:
+            drawers = {Path(self.avatar).stem: draw}
+            if other is not None and self.beside is not None:
+                drawers[self.beside.stem] = avatar_picturer(other, settings)
+            write_sheets(out, evaluation, categories, drawers)
+        say(f"\n{out}: tables.md, evaluation.json{', sheets' if self.sheets else ''}")
+
+    def _default_out(self) -> Path:
+        return Path(self.avatar).with_suffix(".evaluation")
+
+    def _settings(self) -> RenderSettings:
+        from dataclasses import replace
+
+        from jghand_engine.splat.settings import preset
+
+        return replace(preset(self.preset), threads=self.threads)
+
+    def _measured(
+        self, draw: Picturer, capture: Capture, categories: Mapping[str, tuple[Sample, ...]], origin: str
+    ) -> Evaluation:
+        from jghand_engine.training.evaluate import Evaluation, measure_pictures
+        from jghand_engine.training.metrics import FLIP_MISSING, flip_package
+
+        if flip_package() is None:
+            say(FLIP_MISSING)
+        metrics = self.perceptual.metrics()
+        with progress("Measuring", sum(map(len, categories.values()))) as bar:
+            task = bar.task_ids[0]
+            pictures = measure_pictures(categories, draw, perceptual=metrics, tick=lambda: bar.advance(task))
+        return Evaluation(Path(self.avatar).stem, capture.name, origin, pictures)
+
+    def _tables(
+        self, evaluation: Evaluation, avatar: HandAvatar, capture: Capture, settings: RenderSettings
+    ) -> list[Table]:
+        from jghand_engine.training.tables import figures_table, flexion_table, rendering_table
+
+        tables = [rendering_table([evaluation]), figures_table(evaluation, "full"), figures_table(evaluation, "box"),
+                  flexion_table(evaluation)]  # fmt: skip
+        if self.timed:
+            tables.append(timed_table(evaluation.name, avatar, capture, settings))
+        for table in tables:
+            say_whole_table(table)
+        return tables
+
+    def _write(self, out: Path, evaluation: Evaluation, tables: list[Table], settings: RenderSettings) -> None:
+        from jghand_engine.files import writing
+        from jghand_engine.training.metrics import BOX_RULE
+
+        drawn = f"Drawn with preset {self.preset}."
+        with writing(out / "tables.md") as temporary:
+            temporary.write_text("\n".join([drawn, "", *(table.markdown() for table in tables)]), encoding="utf-8")
+        figures = {"command": "evaluate", "preset": self.preset, "settings": vars(settings), "box": BOX_RULE}
+        for path in (out / "evaluation.json", self.report.json):
+            if path is not None:
+                write_json(path, figures | evaluation.as_dict())
+
+
+def timed_table(name: str, avatar: HandAvatar, capture: Capture, settings: RenderSettings) -> Table:
+    """Time per picture of the capture's size, the hand in motion through its poses, nothing read or written."""
+    from dataclasses import replace
+
+    from jghand_engine.studies import frame_time
+    from jghand_engine.studies.timing import measure
+    from jghand_engine.training.tables import inference_table
+
+    sample = capture.samples[0]
+    subject = frame_time.Subject(name, avatar.for_hand(capture.handedness), capture.joints_m(), sample.camera)
+    # a frame that only repeats the last one would say nothing
+    case = frame_time.frame_case(subject, replace(settings, reuse=False), "inference")
+    whole = measure([case], rounds=TIMED_ROUNDS, warm_up=WARM_UP)[0]
+    facts = frame_time.machine(settings.threads)
+    machine = f"{facts['processor']}, {facts['threads']} threads, {facts['backend']}"
+    size = f"{sample.camera.width} x {sample.camera.height}, {len(avatar):,} Gaussians"
+    mark = ", machine not free" if whole.disturbed else ""
+    return inference_table([(f"{name}, {size}{mark}", whole.median_ms, whole.p95_ms)], machine)
+
+
+def write_sheets(
+    out: Path, evaluation: Evaluation, categories: Mapping[str, tuple[Sample, ...]], drawers: Mapping[str, Picturer]
+) -> None:
+    """The sheets of an evaluation. drawers: by name, the evaluated avatar first."""
+    from jghand_engine.exporters.pictures import write_png
+    from jghand_engine.training import sheets
+
+    name, draw = next(iter(drawers.items()))
+    title = f"{name} on {evaluation.capture}"
+    worst = sheets.from_best_to_worst(evaluation.pictures, 8)
+    write_png(out / "best_to_worst.png", sheets.comparison_sheet(worst, draw, f"{title}: from the best to the worst"))
+    for category, pictures in evaluation.groups().items():
+        if category != "all":
+            chosen = sheets.from_best_to_worst(pictures, 6)
+            file = out / f"{category.replace(' ', '_')}.png"
+            write_png(file, sheets.comparison_sheet(chosen, draw, f"{title}: {category}"))
+    samples = [sample for group in categories.values() for sample in group]
+    poses = sheets.varied_samples(categories.get("novel pose", samples), 12)
+    write_png(out / "poses.png", sheets.pose_sheet(poses, draw, f"{title}: poses"))
+    three = sheets.varied_samples(poses, 3)
+    write_png(out / "views.png", sheets.view_sheet(three, framing_cameras, draw, f"{title}: views"))
+    if len({sample.pose for sample in samples}) > 1:
+        pairs = sheets.pairs_of(poses if len(poses) > 1 else samples, 3)
+        between = sheets.between_sheet(pairs, framing_cameras, drawers, f"{' and '.join(drawers)}: poses in between")
+        write_png(out / "between.png", between)
+
+
+def framing_cameras(joints_m: np.ndarray, handedness: Handedness) -> dict[str, Camera]:
+    """Cameras around hands (F, 21, 3), as `jghand render` has them."""
+    from jghand_engine.cli.framing import framing_camera
+
+    views = ("quarter", "front", "side", "back", "outside", "top")
+    size = SHEET_VIEW_PX
+    return {view: framing_camera(joints_m, handedness, view, width=size, height=size) for view in views}
