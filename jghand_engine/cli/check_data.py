@@ -20,7 +20,7 @@ DESCRIPTION = """Look at a folder of pictures to learn from, and say what is wro
 
 Examples:
   jghand check-data captures/id3
-  jghand check-data InterHand2.6M_5fps_batch1 --split test --capture Capture0 --sequences ROM04_RT_Occlusion
+  jghand check-data InterHand2.6M_5fps_batch1 --subset test --capture Capture0 --sequences ROM04_RT_Occlusion
   jghand check-data InterHand2.6M_5fps_batch1 --protocol test-capture0
   jghand check-data HanCo --sequences 0191"""
 

@@ -121,7 +121,7 @@ def _split(root: Path, wanted: str | None) -> str:
         f"data set {root}",
         wanted="the name of one split",
         came=f"annotations of {', '.join(present)}",
-        remedy="Name the split, or a protocol.",
+        remedy="Name the split (--subset), or a protocol.",
     )
 
 

@@ -69,11 +69,14 @@ def posed_template(joints_m: np.ndarray, handedness: Handedness) -> np.ndarray:
 
 
 def silhouette(camera: Camera, vertices_m: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """(H, W) float32: which part of each pixel the projected triangles cover, in steps of MASK_SUPERSAMPLING^-2."""
+    """(H, W) float32: which part of each pixel the projected triangles cover, in steps of MASK_SUPERSAMPLING^-2.
+
+    The drawing library fills every sample that an outline touches: the silhouette is wider by half a sample, an eighth
+    of a pixel, on all sides.
+    """
     pixels, depth_m = camera.project(torch.tensor(vertices_m, dtype=torch.float64))
     fine = limits.MASK_SUPERSAMPLING
-    # pixel (i, j) has its centre at (i + 0.5, j + 0.5), the drawing library's at (i, j)
-    corners = pixels.numpy()[faces] * fine - 0.5
+    corners = pixels.numpy()[faces] * fine
     visible = (depth_m.numpy()[faces] > limits.Z_NEAR_M).all(axis=1)
     canvas = Image.new("L", (camera.width * fine, camera.height * fine))
     draw = ImageDraw.Draw(canvas)
