@@ -8,6 +8,7 @@ import numpy as np
 import torch
 
 from jghand_engine import limits
+from jghand_engine.datasets.json_files import numbers
 from jghand_engine.errors import InputError
 from jghand_engine.splat.camera import Camera
 
@@ -21,17 +22,18 @@ def calibrated_camera(
     translation_m: (3,) metres. InputError when K is no pinhole without skew, or the rotation is none.
     """
     k, r, t = (
-        _numbers(what, *part)
+        _finite(what, *part)
         for part in (("K", intrinsics, (3, 3)), ("R", rotation, (3, 3)), ("t", translation_m, (3,)))
     )
     if not (np.allclose(k[2], (0, 0, 1)) and k[1, 0] == 0 and abs(k[0, 1]) < limits.CAMERA_SKEW_MAX_PX):
         raise InputError(f"K of {what}", wanted="[[fx, 0, cx], [0, fy, cy], [0, 0, 1]]", came=str(k.tolist()))
-    off = float(np.abs(r @ r.T - np.eye(3)).max())
-    if off > limits.CAMERA_ROTATION_TOLERANCE or np.linalg.det(r) < 0:
+    with np.errstate(over="ignore", invalid="ignore"):
+        off = float(np.abs(r @ r.T - np.eye(3)).max())
+    if not off <= limits.CAMERA_ROTATION_TOLERANCE or np.linalg.det(r) < 0:
         raise InputError(
             f"rotation of {what}",
             wanted="a rotation matrix, x_camera = R x_world + t",
-            came=f"a matrix that is {off:.2g} off" if off > limits.CAMERA_ROTATION_TOLERANCE else "a mirroring",
+            came=f"a matrix that is {off:.2g} off" if not off <= limits.CAMERA_ROTATION_TOLERANCE else "a mirroring",
             remedy="Download the camera file again; axes must be OpenCV's (x right, y down, z forward).",
         )
     matrix = np.eye(4)
@@ -39,11 +41,8 @@ def calibrated_camera(
     return Camera(*size_px, k[0, 0], k[1, 1], k[0, 2], k[1, 2], torch.from_numpy(matrix))
 
 
-def _numbers(what: str, part: str, values: Any, shape: tuple[int, ...]) -> np.ndarray:
-    try:
-        array = np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{part} of {what}", wanted=f"numbers of shape {shape}", came=str(error)) from error
-    if array.shape != shape or not np.isfinite(array).all():
-        raise InputError(f"{part} of {what}", wanted=f"finite numbers of shape {shape}", came=f"shape {array.shape}")
+def _finite(what: str, part: str, values: Any, shape: tuple[int, ...]) -> np.ndarray:
+    array = numbers(values, shape, f"{part} of {what}")
+    if not np.isfinite(array).all():
+        raise InputError(f"{part} of {what}", wanted="finite numbers", came="NaN or infinity")
     return array

@@ -20,7 +20,7 @@ from jghand_engine import limits
 from jghand_engine.datasets.cameras import calibrated_camera
 from jghand_engine.datasets.captures import Capture, CaptureChoice, Layout, sorted_samples
 from jghand_engine.datasets.folders import find_roots, one_root, subfolders
-from jghand_engine.datasets.json_files import read_json_file, read_object
+from jghand_engine.datasets.json_files import numbers, read_json_file, read_object
 from jghand_engine.datasets.masks import template_note
 from jghand_engine.datasets.pictures_in import probe_sized
 from jghand_engine.datasets.plausibility import check_joints
@@ -181,12 +181,9 @@ class _Reader:
 
     def _joints(self, sequence: str, frame: int) -> np.ndarray:
         file = self.root / "xyz" / sequence / f"{frame:08d}.json"
-        try:
-            joints_m = np.array(read_json_file(file, _DOWNLOAD), dtype=np.float64)
-        except (TypeError, ValueError) as error:
-            raise InputError(f"{file}", wanted="21 x 3 numbers", came=str(error)[:200], remedy=_DOWNLOAD) from error
-        if joints_m.shape != (JOINT_COUNT, 3) or not np.isfinite(joints_m).all():
-            raise InputError(f"{file}", wanted="21 x 3 numbers", came=f"shape {joints_m.shape}", remedy=_DOWNLOAD)
+        joints_m = numbers(read_json_file(file, _DOWNLOAD), (JOINT_COUNT, 3), str(file), _DOWNLOAD)
+        if not np.isfinite(joints_m).all():
+            raise InputError(f"{file}", wanted="finite numbers", came="NaN or infinity", remedy=_DOWNLOAD)
         return to_level(joints_m, JointOrder.STANDARD)
 
     def _cameras(self, sequence: str, frame: int) -> list[Camera]:
@@ -200,8 +197,5 @@ class _Reader:
 
 
 def _camera(what: str, intrinsics: Any, camera_from_world: Any) -> Camera:
-    try:
-        matrix = np.array(camera_from_world, dtype=np.float64).reshape(4, 4)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"M of {what}", wanted="4 x 4 numbers", came=str(error)[:200], remedy=_DOWNLOAD) from error
+    matrix = numbers(camera_from_world, (4, 4), f"M of {what}", _DOWNLOAD)
     return calibrated_camera(what, limits.HANCO_SIZE_PX, intrinsics, matrix[:3, :3], matrix[:3, 3])

@@ -11,7 +11,7 @@ import numpy as np
 
 from jghand_engine.datasets.cameras import calibrated_camera
 from jghand_engine.datasets.interhand_files import InterHandFiles
-from jghand_engine.datasets.json_files import read_object
+from jghand_engine.datasets.json_files import numbers, read_object
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 from jghand_engine.hand.orders import METRES_PER_UNIT, JointOrder, to_level
@@ -80,7 +80,9 @@ class CaptureTables:
         entry = _entry(self._joints, str(picture.frame), where)
         first = _FIRST_JOINT[handedness]
         hand = slice(first, first + JOINT_COUNT)
-        coordinates = _numbers(_entry(entry, "world_coord", where), (2 * JOINT_COUNT, 3), f"world_coord in {where}")
+        coordinates = numbers(
+            _entry(entry, "world_coord", where), (2 * JOINT_COUNT, 3), f"world_coord in {where}", _REMEDY
+        )
         known = picture.joint_valid & _flags(entry.get("joint_valid", picture.joint_valid), f"joint_valid in {where}")
         valid = to_level(np.repeat(known[hand, None], 3, axis=1), JointOrder.INTERHAND)[:, 0]
         joints_m = to_level(coordinates[hand], JointOrder.INTERHAND) * METRES_PER_UNIT[UNIT]
@@ -105,11 +107,15 @@ class CaptureTables:
     def _camera(self, picture: InterHandPicture) -> Camera:
         what = f"camera {picture.camera} in {self._files.camera}"
         rotation, position, focal, centre = (
-            _numbers(_entry(_entry(self._cameras, name, what), picture.camera, what), shape, f"{name} of {what}")
+            numbers(
+                _entry(_entry(self._cameras, name, what), picture.camera, what), shape, f"{name} of {what}", _REMEDY
+            )
             for name, shape in (("camrot", (3, 3)), ("campos", (3,)), ("focal", (2,)), ("princpt", (2,)))
         )
         intrinsics = [[focal[0], 0, centre[0]], [0, focal[1], centre[1]], [0, 0, 1]]
-        translation_m = -rotation @ (position * METRES_PER_UNIT[UNIT])
+        # absurd numbers become infinite, and are refused as such
+        with np.errstate(over="ignore", invalid="ignore"):
+            translation_m = -rotation @ (position * METRES_PER_UNIT[UNIT])
         return calibrated_camera(what, (picture.width, picture.height), intrinsics, rotation, translation_m)
 
 
@@ -151,13 +157,6 @@ def _entry(table: Any, key: str, where: str) -> Any:
     return table[key]
 
 
-def _numbers(values: Any, shape: tuple[int, ...], what: str) -> np.ndarray:
-    try:
-        return np.array(values, dtype=np.float64).reshape(shape)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise InputError(what, wanted=f"numbers of shape {shape}", came=str(error)[:200], remedy=_REMEDY) from error
-
-
 def _flags(values: Any, what: str) -> np.ndarray:
     """42 flags, listed flat or as 42 x 1 -> (42,) bool."""
-    return _numbers(values, (2 * JOINT_COUNT,), what) > 0
+    return numbers(values, (2 * JOINT_COUNT,), what, _REMEDY) > 0

@@ -6,6 +6,8 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from jghand_engine.errors import InputError, MemoryLimitError
 
 
@@ -32,3 +34,14 @@ def read_object(path: Path, remedy: str) -> dict[str, Any]:
     if not isinstance(content, dict):
         raise InputError(f"{path}", wanted="a JSON object", came=type(content).__name__, remedy=remedy)
     return content
+
+
+def numbers(values: Any, shape: tuple[int, ...], what: str, remedy: str = "") -> np.ndarray:
+    """Nested lists of a file -> float64 of `shape`; a flat list, or one with axes of length 1, is as good.
+
+    `what` names it in the InputError for anything else. NaN and infinity pass.
+    """
+    try:
+        return np.array(values, dtype=np.float64).reshape(shape)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise InputError(what, wanted=f"numbers of shape {shape}", came=str(error)[:200], remedy=remedy) from error

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import io
 import math
-import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,6 +15,7 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from jghand_engine import limits
+from jghand_engine.datasets.pictures_in import read_picture
 from jghand_engine.errors import InputError
 from jghand_engine.files import writing
 
@@ -73,12 +73,7 @@ def write_png(path: Path | str, picture: np.ndarray) -> None:
 
 def read_png(path: Path | str) -> np.ndarray:
     """The bytes of a picture file, (H, W, 3 | 4) uint8, straight alpha. InputError when it cannot be read."""
-    try:
-        with Image.open(path) as image:
-            return np.asarray(image.convert("RGBA" if "A" in image.getbands() else "RGB"))
-    # PIL's readers raise the plain ones on damaged files; a picture of few bytes may claim gigapixels
-    except (OSError, ValueError, SyntaxError, struct.error, Image.DecompressionBombError) as error:
-        raise InputError(f"cannot read the picture {path}", came=str(error)) from error
+    return read_picture(Path(path))
 
 
 # ---- contact sheet ---------------------------------------------------------------------------------------------------

@@ -122,11 +122,11 @@ def test_joints_in_millimetres_and_in_another_order_are_refused(changeable):
 @pytest.mark.parametrize(
     ("part", "content", "named"),
     [
-        ("xyz", [[0, 0, 0]] * 20, r"shape \(20, 3\)"),
-        ("xyz", "nothing", "21 x 3 numbers"),
-        ("xyz", [[None, 0, 0]] * 21, "21 x 3 numbers"),
+        ("xyz", [[0, 0, 0]] * 20, r"shape \(21, 3\)"),
+        ("xyz", "nothing", r"shape \(21, 3\)"),
+        ("xyz", [[None, 0, 0]] * 21, "wanted finite numbers"),
         ("calib", {"K": [], "M": []}, "8 cameras"),
-        ("calib", {"K": [0] * 8, "M": [0] * 8}, "4 x 4 numbers"),
+        ("calib", {"K": [0] * 8, "M": [0] * 8}, r"shape \(4, 4\)"),
         ("calib", [], "a JSON object"),
     ],
 )
