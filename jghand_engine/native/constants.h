@@ -1,4 +1,4 @@
-// The constants of the rasterisation contract and of the shadow. jghand_engine/limits.py says why each has its value; a test compares.
+// The constants of the rasterisation contract, the shadow and the similarity. jghand_engine/limits.py says why each has its value; a test compares.
 #pragma once
 
 namespace jg {
@@ -14,6 +14,7 @@ constexpr int GRADIENT_STRIPES = 4;
 constexpr float SHADOW_FAR_M = 1e6f;
 constexpr int SHADOW_SAMPLES_MAX = 256;
 constexpr int SHADOW_STRIPES = 4;
+constexpr int SSIM_WINDOW_PX = 11;
 
 constexpr float LN2 = 0.6931471805599453f;
 constexpr float LOG2E = 1.4426950408889634f;

@@ -1,5 +1,5 @@
 """Does the library compute what it should on this very machine? A tiny picture with known sums, a
-posed block of Gaussians and one hand, in two milliseconds.
+posed block of Gaussians, one hand and the similarity of two pictures, in two milliseconds.
 
 It guards against what no test of ours can see: a processor that misreports its abilities, a damaged file, another
 compiler's mistake.
@@ -16,7 +16,8 @@ from jghand_engine import limits
 from jghand_engine.errors import RetryError
 from jghand_engine.native.binding import Library, aligned_zeros, new_team
 from jghand_engine.native.rasteriser import GaussianArrays, NativeRasteriser, View, job_bytes
-from jghand_engine.native.tasks import LANES, ShadeTask, SkinTask, new_shade_task, padded_depth
+from jghand_engine.native.ssim import NativeSsim, window
+from jghand_engine.native.tasks import LANES, ShadeTask, SkinTask, SsimTask, new_shade_task, padded_depth
 
 _COUNT, _SIZE, _SHADOW_SAMPLES, _TOLERANCE = 200, 32, 16, 1e-4
 # means of the planes R G B A D, and of the gradients with respect to position, sigma, opacity and colour when every
@@ -46,13 +47,19 @@ def sample_view() -> View:
 def check(library: Library) -> None:
     """RetryError when the library's structures or results are not what this Python expects."""
     call = library.call
-    sizes = (call.jg_raster_job_bytes(), call.jg_team_bytes(), call.jg_skin_task_bytes(), call.jg_shade_task_bytes())
-    expected = (job_bytes(), new_team().nbytes, ctypes.sizeof(SkinTask), ctypes.sizeof(ShadeTask))
+    tasks = (
+        (call.jg_skin_task_bytes, SkinTask),
+        (call.jg_shade_task_bytes, ShadeTask),
+        (call.jg_ssim_task_bytes, SsimTask),
+    )
+    sizes = (call.jg_raster_job_bytes(), call.jg_team_bytes(), *(size() for size, _ in tasks))
+    expected = (job_bytes(), new_team().nbytes, *(ctypes.sizeof(task) for _, task in tasks))
     if sizes != expected:
         raise _failure(library, f"structures of {expected} bytes", str(sizes))
     _check_raster_and_shadow(library)
     _check_skin(library)
     _check_bones(library)
+    _check_similarity(library)
 
 
 def _check_raster_and_shadow(library: Library) -> None:
@@ -138,6 +145,33 @@ def _check_bones(library: Library) -> None:
     for ends, wanted in ((canonical[parents], joints[parents]), (canonical[1:], joints[1:])):
         came = (bones[:, :, :3] @ ends[:, :, None])[..., 0] + bones[:, :, 3]
         _compare(library, "ends of bones", came.ravel(), (wanted - joints[0]).ravel())
+
+
+def _check_similarity(library: Library) -> None:
+    """A small pattern against the formula in double precision; of the gradient its sum, by a finite difference."""
+    index = np.arange(12 * 17 * 3).reshape(12, 17, 3)
+    rgb, truth = _spread(index, 0.62), _spread(index, 0.43)
+    single = (np.ascontiguousarray(picture, np.float32) for picture in (rgb, truth))
+    value, gradient = NativeSsim(library, threads=1).mean_and_gradient(*single)
+    step = 1e-5
+    slope = (_similarity(rgb + step, truth) - _similarity(rgb - step, truth)) / (2 * step)
+    _compare(library, "similarity and its slope", [value, gradient.sum()], [_similarity(rgb, truth), slope])
+
+
+def _similarity(rgb: np.ndarray, truth: np.ndarray) -> float:
+    """Mean SSIM of (H, W, 3) float64 pictures, written out."""
+    weights = np.outer(window(), window())
+
+    def mean(picture: np.ndarray) -> np.ndarray:
+        return np.einsum(
+            "yxcij,ij->yxc", np.lib.stride_tricks.sliding_window_view(picture, weights.shape, (0, 1)), weights
+        )
+
+    mx, my = mean(rgb), mean(truth)
+    spread, product = mean(rgb**2 + truth**2) - mx**2 - my**2, mean(rgb * truth) - mx * my
+    c1, c2 = limits.SSIM_K1**2, limits.SSIM_K2**2
+    parts = (2 * mx * my + c1) * (2 * product + c2) / ((mx**2 + my**2 + c1) * (spread + c2))
+    return float(parts.mean())
 
 
 def _spread(i: np.ndarray, step: float) -> np.ndarray:

@@ -88,17 +88,6 @@ JG_INLINE float highest(vf a) {
   return r;
 }
 
-// The first `count` lanes from p, the others zero: never reads beyond the row.
-JG_INLINE vf load_first(const float* p, int count) {
-  if (count >= LANES) return load(p);
-  vf v = {};
-  memcpy(&v, p, sizeof(float) * (size_t)count);
-  return v;
-}
-JG_INLINE void store_first(float* p, vf v, int count) {
-  memcpy(p, &v, sizeof(float) * (size_t)(count < LANES ? count : LANES));
-}
-
 // Constants of the occlusion curve: softplus argument in powers of two is slope * cosine + shift.
 struct Curve {
   float eps2, radius2, inverse_radius, slope, shift, height_min;

@@ -1,5 +1,6 @@
-"""What the calls for skin and shadow take: mirrors of the structures in native/skin.cpp and native/shadow.h, and the
-memory around a depth that the shadow needs. Python that poses and shades fills them, and so does the self-test."""
+"""What the calls for skin, shadow and similarity take: mirrors of the structures in native/skin.cpp, shadow.h and
+ssim.cpp, and the memory around a depth that the shadow needs. Python that poses, shades and compares fills them, and so
+does the self-test."""
 
 from __future__ import annotations
 
@@ -43,6 +44,17 @@ class ShadeTask(ctypes.Structure):
         ("darkness", _F32 * 3),
         *((name, _P) for name in ("disc_x", "disc_y", "picture", "depth", "row_valid")),
         *((name, _P) for name in ("visibility", "rgba", "depth_out")),
+    )
+
+
+class SsimTask(ctypes.Structure):
+    """SsimTask of native/ssim.cpp, field by field."""
+
+    _fields_ = (
+        *((name, _I32) for name in ("width", "height", "stride", "stripes")),
+        *((name, _F32) for name in ("c1", "c2")),
+        ("weights", _F32 * limits.SSIM_WINDOW_PX),
+        *((name, _P) for name in ("rgb", "truth", "maps", "scratch", "sums", "gradient")),
     )
 
 

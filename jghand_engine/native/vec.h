@@ -39,6 +39,16 @@ JG_INLINE vf load(const float* p) {
 }
 JG_INLINE void store(float* p, vf v) { memcpy(p, &v, sizeof v); }
 JG_INLINE void store(int32_t* p, vi v) { memcpy(p, &v, sizeof v); }
+// The first `count` lanes from p, the others zero: never reads beyond the row.
+JG_INLINE vf load_first(const float* p, int count) {
+  if (count >= LANES) return load(p);
+  vf v = {};
+  memcpy(&v, p, sizeof(float) * (size_t)count);
+  return v;
+}
+JG_INLINE void store_first(float* p, vf v, int count) {
+  memcpy(p, &v, sizeof(float) * (size_t)(count < LANES ? count : LANES));
+}
 JG_INLINE vi bits_of(vf v) {
   vi b;
   memcpy(&b, &v, sizeof b);

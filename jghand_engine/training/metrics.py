@@ -20,6 +20,7 @@ from torch.nn import functional
 
 from jghand_engine import limits
 from jghand_engine.errors import InputError
+from jghand_engine.training.ssim import ssim as mean_ssim
 from jghand_engine.training.ssim import ssim_parts
 
 REGIONS = ("full", "box", "mask")
@@ -100,7 +101,7 @@ def psnr(rgb: np.ndarray, truth: np.ndarray) -> float:
 
 def ssim(rgb: np.ndarray, truth: np.ndarray) -> float:
     """Mean SSIM of (H, W, 3) pictures, see `training.ssim`."""
-    return float(ssim_parts(_tensor(rgb), _tensor(truth))[0].mean())
+    return float(mean_ssim(_tensor(rgb), _tensor(truth)))
 
 
 def ms_ssim(rgb: np.ndarray, truth: np.ndarray) -> float:

@@ -3,12 +3,14 @@
     SSIM = (2 mx my + C1)(2 sxy + C2) / ((mx^2 + my^2 + C1)(sxx + syy + C2))
 
 per channel, with means and (co)variances under an 11 x 11 Gaussian window of sigma 1.5 (Wang et al. 2004; METHOD 4.3).
-Only windows that lie wholly inside the picture count. The five blurred maps of all channels go through one pair of
-one-dimensional convolutions, and so do the three maps that the gradient needs: a loss of every training step.
+Only windows that lie wholly inside the picture count. It is a loss of every training step, so float32 RGB
+pictures on the CPU go through one call of the native kernel, everything else through torch, where the blurred maps of
+all channels share one pair of one-dimensional convolutions. The two agree to rounding.
 """
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -19,6 +21,10 @@ from torch.nn import functional
 
 from jghand_engine import limits
 from jghand_engine.errors import InputError
+from jghand_engine.native.binding import Library
+from jghand_engine.native.library import load
+from jghand_engine.native.ssim import CHANNELS, NativeSsim, window
+from jghand_engine.native.threads import thread_count
 
 C1 = limits.SSIM_K1**2
 C2 = limits.SSIM_K2**2
@@ -31,7 +37,11 @@ def ssim(rgb: Tensor, truth: Tensor) -> Tensor:
     than the window.
     """
     check_pictures(rgb, truth)
-    return _MeanSsim.apply(rgb, truth.detach())  # type: ignore[no-any-return]
+    truth = truth.detach()
+    library = _library_for(rgb, truth)
+    if library is None:
+        return _MeanSsim.apply(rgb, truth)  # type: ignore[no-any-return]
+    return _NativeMeanSsim.apply(rgb, truth, library)  # type: ignore[no-any-return]
 
 
 def ssim_parts(rgb: Tensor, truth: Tensor) -> tuple[Tensor, Tensor]:
@@ -51,6 +61,46 @@ def check_pictures(rgb: Tensor, truth: Tensor) -> None:
     if min(rgb.shape[:2]) < limits.SSIM_WINDOW_PX:
         raise InputError("SSIM", wanted=f"pictures of at least {limits.SSIM_WINDOW_PX} pixels along each side",
                          came=f"{rgb.shape[1]} x {rgb.shape[0]}")  # fmt: skip
+
+
+# ---- native ---------------------------------------------------------------------------------------------------------
+
+_kernels = threading.local()
+
+
+def _library_for(rgb: Tensor, truth: Tensor) -> Library | None:
+    native = all(t.dtype == torch.float32 and t.device.type == "cpu" and t.shape[2] == CHANNELS for t in (rgb, truth))
+    return load() if native else None
+
+
+def _kernel(library: Library) -> NativeSsim:
+    """The kernel's memory, one for each Python thread; no more threads than torch may use."""
+    threads = min(thread_count(0), torch.get_num_threads())
+    key = (library.path, threads)
+    if getattr(_kernels, "key", None) != key:
+        _kernels.key, _kernels.kernel = key, NativeSsim(library, threads)
+    return _kernels.kernel
+
+
+class _NativeMeanSsim(torch.autograd.Function):
+    """As `_MeanSsim`: the gradient comes with the value."""
+
+    @staticmethod
+    def forward(ctx: Any, rgb: Tensor, truth: Tensor, library: Library) -> Tensor:
+        pictures = [tensor.detach().contiguous().numpy() for tensor in (rgb, truth)]
+        if not ctx.needs_input_grad[0]:
+            return torch.tensor(_kernel(library).mean(*pictures))
+        value, gradient = _kernel(library).mean_and_gradient(*pictures)
+        ctx.save_for_backward(torch.from_numpy(gradient))
+        return torch.tensor(value)
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, upstream: Tensor) -> tuple[Tensor | None, None, None]:
+        return (upstream * ctx.saved_tensors[0] if ctx.needs_input_grad[0] else None), None, None
+
+
+# ---- torch ----------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -118,19 +168,15 @@ def _gradient(m: _Moments, value: Tensor, inverse: Tensor, x: Tensor, y: Tensor)
 
 
 @lru_cache(maxsize=8)
-def window(dtype: torch.dtype, device: torch.device) -> Tensor:
-    """(11,) weights of the window along one axis, sum 1."""
-    half = limits.SSIM_WINDOW_PX // 2
-    x = torch.arange(-half, half + 1, dtype=torch.float64)
-    weights = torch.exp(-(x**2) / (2 * limits.SSIM_SIGMA_PX**2))
-    return (weights / weights.sum()).to(device, dtype)
+def _weights(dtype: torch.dtype, device: torch.device) -> Tensor:
+    return torch.from_numpy(window()).to(device, dtype)
 
 
 def _blur(maps: Tensor, *, inside: bool) -> Tensor:
     """(C, H, W) -> the window's mean over every place: wholly inside the picture (smaller by 10), or with zeros
     around it (larger by 10: the transpose of the former)."""
     size = limits.SSIM_WINDOW_PX
-    weights, channels = window(maps.dtype, maps.device), maps.shape[0]
+    weights, channels = _weights(maps.dtype, maps.device), maps.shape[0]
     pad = 0 if inside else size - 1
     # channels last: only so are convolutions of single channels vectorised on CPUs (some 50 times as fast)
     image = maps.unsqueeze(0).contiguous(memory_format=torch.channels_last)

@@ -7,7 +7,10 @@ import torch
 from torch.nn import functional
 
 from jghand_engine.errors import InputError
+from jghand_engine.native.library import load
+from jghand_engine.native.ssim import NativeSsim
 from jghand_engine.training import losses
+from jghand_engine.training import ssim as ssim_module
 from jghand_engine.training.ssim import ssim, ssim_parts
 
 
@@ -55,6 +58,37 @@ def test_ssim_in_single_precision_keeps_its_gradient():
     (ours,) = torch.autograd.grad(ssim(single, b.float()), single)
     error = (ours - exact).norm() / exact.norm()
     assert float(error) < 1e-5  # worst observed 9e-7
+
+
+@pytest.mark.parametrize("size", [(11, 11), (23, 17), (64, 48), (61, 250)])
+def test_the_native_ssim_is_that_of_torch(size, monkeypatch):
+    if load() is None:
+        pytest.skip("no native kernel here")
+    a, b = (picture(*size, seed=seed, dtype=torch.float32) for seed in (0, 1))
+    values, gradients = [], []
+    for library in (load(), None):
+        monkeypatch.setattr(ssim_module, "_library_for", lambda *_, library=library: library)
+        x = a.clone().requires_grad_(True)
+        value = ssim(x, b)
+        value.backward()
+        values.append(float(value.detach()))
+        gradients.append(x.grad)
+    assert values[0] == pytest.approx(values[1], abs=1e-6)  # worst observed 4e-8
+    largest = float(gradients[1].abs().max())
+    torch.testing.assert_close(gradients[0], gradients[1], rtol=0, atol=1e-5 * largest)  # worst observed 2e-6
+
+
+def test_the_native_ssim_does_not_depend_on_threads_or_on_what_was_there_before():
+    if (library := load()) is None:
+        pytest.skip("no native kernel here")
+    pairs = [[picture(*size, seed=s, dtype=torch.float32).numpy() for s in (0, 1)] for size in ((40, 60), (90, 20))]
+    alone, together = NativeSsim(library, 1), NativeSsim(library, 3)
+    first = [alone.mean_and_gradient(*pair) for pair in pairs]
+    for kernel in (alone, together):
+        for pair, (value, gradient) in zip(pairs, first, strict=True):
+            again, same = kernel.mean_and_gradient(*pair)
+            assert again == kernel.mean(*pair) == value
+            assert (same == gradient).all()
 
 
 def test_ssim_scales_its_gradient_with_what_follows():
