@@ -74,7 +74,7 @@ def _mesh(arrays, subdivisions: int, scene):
 
 
 def _skin(look: dict, folder: Path):
-    """Principled skin: reflectance and relief from the plan's pictures, a fine grain, shinier nails."""
+    """Principled skin: reflectance and relief from the plan's pictures, shinier nails."""
     material = bpy.data.materials.new("skin")
     material.use_nodes = True
     tree = material.node_tree
@@ -91,34 +91,23 @@ def _skin(look: dict, folder: Path):
     surface.inputs["Subsurface Weight"].default_value = look["subsurface"]
     surface.inputs["Subsurface Radius"].default_value = look["radius_m"]
     surface.inputs["Subsurface Scale"].default_value = 1.0
-    link(_bumps(tree, look, folder), surface.inputs["Normal"])
+    link(_bump(tree, look, folder), surface.inputs["Normal"])
     return material
 
 
-def _bumps(tree, look: dict, folder: Path):
-    """The normal of relief and grain together."""
-    new, link = tree.nodes.new, tree.links.new
-    grain = new("ShaderNodeTexVoronoi")
-    grain.feature = "SMOOTH_F1"
-    grain.inputs["Scale"].default_value = look["grain_cells"]
-    link(new("ShaderNodeTexCoord").outputs["UV"], grain.inputs["Vector"])
-    fine = new("ShaderNodeBump")
-    fine.inputs["Strength"].default_value = 1.0
-    fine.inputs["Distance"].default_value = look["grain_m"]
-    link(grain.outputs["Distance"], fine.inputs["Height"])
-    coarse = new("ShaderNodeBump")
-    coarse.inputs["Strength"].default_value = 1.0
-    coarse.inputs["Distance"].default_value = look["relief_range_m"]
-    link(_picture(tree, folder / "relief.png", "Non-Color").outputs["Color"], coarse.inputs["Height"])
-    link(fine.outputs["Normal"], coarse.inputs["Normal"])
-    return coarse.outputs["Normal"]
+def _bump(tree, look: dict, folder: Path):
+    """The normal of the relief, whose black and white are `relief_range_m` apart."""
+    bump = tree.nodes.new("ShaderNodeBump")
+    bump.inputs["Strength"].default_value = 1.0
+    bump.inputs["Distance"].default_value = look["relief_range_m"]
+    tree.links.new(_picture(tree, folder / "relief.png", "Non-Color").outputs["Color"], bump.inputs["Height"])
+    return bump.outputs["Normal"]
 
 
 def _picture(tree, path: Path, colour_space: str):
     node = tree.nodes.new("ShaderNodeTexImage")
     node.image = bpy.data.images.load(str(path))
     node.image.colorspace_settings.name = colour_space
-    node.interpolation = "Cubic"
     return node
 
 
@@ -159,7 +148,7 @@ def _settings(scene, sampling: dict, threads: int) -> None:
     scene.render.engine = "CYCLES"
     values = {
         "device": "CPU", "samples": sampling["samples"], "use_denoising": True, "denoiser": "OPENIMAGEDENOISE",
-        "denoising_input_passes": "RGB_ALBEDO_NORMAL", "max_bounces": sampling["bounces"],
+        "denoising_input_passes": "RGB_ALBEDO_NORMAL", "denoising_prefilter": "FAST", "max_bounces": sampling["bounces"],
         "transparent_max_bounces": 4, "use_adaptive_sampling": True,
         "adaptive_threshold": sampling["adaptive_threshold"], "seed": 0,
     }  # fmt: skip

@@ -213,6 +213,29 @@ OVERLAY_REACH_PX = 20_000
 FOLDER_LEVELS_UP = 6
 FOLDER_LEVELS_DOWN = 2
 
+# ---- avatar: the learnt hand (METHOD 4) -----------------------------------------------------------------------------
+
+# logarithm of the strongest light and shade: exp(3) is 20 times, farther than any display reaches
+LIGHT_EXPONENT_MAX = 3.0
+# strongest shade that a pose may add or take, as a logarithm: what the shadow and the light do not explain
+SHADE_MAX = 0.5
+# squared length below which a normal counts as none
+NORMAL_LENGTH2_MIN = 1e-12
+# standard deviation of feature planes at the start (METHOD 4.2)
+PLANE_START_STD = 0.1
+# how far a learnt normal may leave the template's, per unit of the decoder's output
+NORMAL_BEND = 0.3
+# lobes of the gloss at the start: wide, lambda of exp(lambda (cos - 1)), and nearly dark, before the softplus;
+# a sharper lobe than the last is narrower than what a Gaussian of half a millimetre can show
+LOBE_SHARPNESS_START = 5.0
+LOBE_SHARPNESS_MAX = 60.0
+LOBE_RAW_START = -4.5
+# learnable range of the shadow's darkness g (METHOD 5.2: 4 to 12; wider, because a shadow may be better off)
+SHADOW_GAIN_RANGE = (1.0, 12.0)
+# ranges of the angles between neighbouring palm bones (theta^p) and palm planes (theta^n), degrees (METHOD 4.1)
+PALM_NEIGHBOUR_RANGES_DEG = ((0.0, 60.0), (0.0, 30.0), (0.0, 30.0), (0.0, 30.0))
+PALM_PLANE_RANGES_DEG = ((-30.0, 60.0), (-20.0, 40.0), (-20.0, 40.0))
+
 # ---- native: threads ------------------------------------------------------------------------------------------------
 
 # threads taken without being asked, at most; beyond this many nothing was measured
@@ -339,8 +362,16 @@ SHEET_STEPS_BETWEEN = 4
 # there; a hundredth of a millimetre is nothing that could be seen
 OFFSET_LENGTH_EPS_M = 1e-5
 
-# ---- training: the loop -----------------------------------------------------------------------------------------------
+# ---- training: the loop ----------------------------------------------------------------------------------------------
 
+# second moments below this are noise: Adam's own 1e-8 would hold back planes whose texels are seldom seen
+ADAM_EPS = 1e-15
+# pixels kept around the hand when a picture is cut to it: as far as SSIM's window and a stray Gaussian reach
+CROP_MARGIN_PX = 10
+# cut pictures kept in memory, bytes; 60 kB each at 512 x 334, so that 16,000 fit
+PICTURE_CACHE_BYTES = 1_000_000_000
+# visibility below which the shadow is black: its power with the learnt gain has a finite gradient
+VISIBILITY_MIN = 1e-3
 # checkpoints that are kept, beside the one with the best fixed view: one more than the last, should that be damaged
 CHECKPOINTS_KEPT = 2
 # seconds between two checkpoints: what kill -9 may lose. Writing one takes some 40 ms (RENDERING 14, promise 20)

@@ -4,7 +4,7 @@
     python scripts/build_identities.py   # writes jghand_engine/assets/identities.npz
 
 What they are made from, and their licences, are those of the built-in hand: see build_template.py. A capture never
-shows the built-in hand itself, because a method that is fitted with the very shape that made its pictures proves nothing.
+shows the built-in hand itself: a method that is fitted with the very shape that made its pictures proves nothing.
 """
 
 from __future__ import annotations
@@ -37,12 +37,22 @@ IDENTITIES: dict[str, tuple[dict[str, float], dict[str, float]]] = {
         {"r-hand-fingers-distance-incr": 0.5},
     ),
     "adult_man": (
-        {"gender": 1.0, "age": 0.55, "muscle": 0.55, "weight": 0.5, "height": 0.55},
-        {"r-hand-fingers-diameter-incr": 0.1},
+        {"gender": 1.0, "age": 0.55, "muscle": 0.7, "weight": 0.6},
+        {
+            "r-hand-scale-incr": 0.1,
+            "r-hand-fingers-diameter-incr": 0.45,
+            "r-hand-fingers-length-incr": 0.1,
+            "r-hand-fingers-distance-incr": 0.3,
+        },
     ),
     "adult_woman": (
-        {"gender": 0.0, "age": 0.5, "muscle": 0.4, "weight": 0.45, "height": 0.4},
-        {"r-hand-fingers-length-incr": 0.1},
+        {"gender": 0.0, "age": 0.5, "muscle": 0.35, "weight": 0.4, "height": 0.45},
+        {
+            "r-hand-scale-incr": -0.1,
+            "r-hand-fingers-diameter-incr": -0.4,
+            "r-hand-fingers-length-incr": 0.3,
+            "r-hand-fingers-distance-incr": 0.3,
+        },
     ),
     "child": ({"age": 0.28}, {}),
     "long_fingers": (

@@ -66,7 +66,8 @@ def load_identity(wanted: str) -> Identity:
         known = ", ".join(f"{number} {name}" for number, name in enumerate(names))
         raise InputError("identity", wanted=f"a number or a name of {known}", came=repr(wanted))
     shapes, rig = _shapes(), load_fields()
-    weights = rig["weights25"].astype(np.float64)
+    # the wrist took what was left to 1: round-off below 0
+    weights = rig["weights25"].astype(np.float64).clip(0)
     return Identity(
         name=names[place],
         vertices_m=shapes["vertices"][place].astype(np.float64),

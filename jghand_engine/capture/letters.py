@@ -2,7 +2,8 @@
 
 Angles as in `jghand_engine.hand.anatomy`: degrees, thumb first, per finger (MCP flexion, MCP abduction, PIP, DIP), of
 the thumb (CMC flexion, CMC abduction, MCP, IP). Letters that differ only by the direction of the hand appear
-once; J and Z are movements. Typed from descriptions of the alphabet: alike enough to vary the pictures, not to teach spelling.
+once; J and Z are movements. Typed from descriptions of the alphabet: alike enough to vary the
+pictures, not to teach spelling.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ class AreaLight:
 @dataclass(frozen=True)
 class Light:
     """hdri: a name of HDRI_NAMES or a picture file; hdri_turn_deg: its turn about the vertical (+y) axis. The default
-    lamps are large and stand on both sides: a soft key on the palm, a softer one on the back, a weak one from above."""
+    lamps are large and stand on both sides: a soft key on the palm, a softer one on the back, weak ones from above and below."""
 
     hdri: str = "studio"
     hdri_strength: float = 0.55
@@ -29,24 +29,22 @@ class Light:
     lamps: tuple[AreaLight, ...] = (
         AreaLight((0.45, 0.45, 0.65), 0.40, 5.0, (1.0, 0.97, 0.93)),
         AreaLight((-0.55, 0.30, -0.60), 0.50, 5.0, (1.0, 0.98, 0.96)),
-        AreaLight((-0.25, 0.80, 0.10), 0.40, 1.5),
+        AreaLight((-0.25, 0.80, 0.10), 0.40, 1.2),
+        AreaLight((0.25, -0.65, 0.30), 0.50, 2.0),
     )
 
 
 @dataclass(frozen=True)
 class SkinMaterial:
     """The surface under the texture: roughness and specular level of skin and of nails, share of light that scatters
-    below the skin and how far red, green and blue do (metres), and the fine grain of the skin (its cells in the texture
-    square, its height in metres)."""
+    below the skin and how far red, green and blue do (metres)."""
 
-    roughness: float = 0.52
-    specular: float = 0.32
+    roughness: float = 0.55
+    specular: float = 0.25
     nail_roughness: float = 0.28
     nail_specular: float = 0.5
     subsurface: float = 0.22
     radius_m: tuple[float, float, float] = (0.0048, 0.0018, 0.0010)
-    grain_cells: float = 700.0
-    grain_m: float = 0.00005
 
 
 @dataclass(frozen=True)
@@ -54,6 +52,6 @@ class Sampling:
     """Rays per pixel, subdivisions of the mesh, bounces, and the noise at which a pixel is done."""
 
     samples: int = 16
-    subdivisions: int = 2
-    bounces: int = 6
+    subdivisions: int = 1
+    bounces: int = 4
     adaptive_threshold: float = 0.02

@@ -21,6 +21,8 @@ from jghand_engine.hand.joints import FINGERS, PARENTS
 # transitions start and end at these: the shapes that hands really pass between
 _WAYS = ("open", "relaxed", "fist", "spread", "point", "victory", "pinch", "grasp", "claw", "table", "thumb_up", "flat")
 _FINGER_NAMES = FINGERS[1:]
+# named poses that come first whatever is near them: what everybody looks at
+_FIRST = ("open", "fist", "relaxed", "spread", "pinch")
 
 
 @dataclass(frozen=True)
@@ -176,7 +178,7 @@ def _varied(poses: Poses, random: np.random.Generator) -> Poses:
 
 
 def _taking_turns(kinds: list[Poses], count: int) -> Poses:
-    """The kinds in turn, from each the pose farthest from all taken; the first pose is the first of the first kind."""
+    """The kinds in turn, from each the pose farthest from all taken, but _FIRST before."""
     width = RANGES_DEG[..., 1] - RANGES_DEG[..., 0]
     features = [(kind.angles_deg / width).reshape(len(kind), 20) for kind in kinds]
     nearest = [np.full(len(kind), np.inf) for kind in kinds]
@@ -187,7 +189,9 @@ def _taking_turns(kinds: list[Poses], count: int) -> Poses:
             break
         if not (nearest[kind] > 0).any():
             continue
-        best = int(np.argmax(nearest[kind]))
+        first = [kinds[kind].names.index(name) for name in _FIRST if name in kinds[kind].names]
+        waiting = [place for place in first if (kind, place) not in taken]
+        best = waiting[0] if waiting else int(np.argmax(nearest[kind]))
         taken.append((kind, best))
         for other, points in enumerate(features):
             distance = np.linalg.norm(points - features[kind][best], axis=1)

@@ -125,6 +125,7 @@ def _photographic(texels: _Texels, picture: np.ndarray, seed: int) -> tuple[np.n
     px = texels.size / limits.CAPTURE_SKIN_PX
     detail = gaussian_filter(grey, 1.2 * px) - gaussian_filter(grey, 7 * px)
     relief = limits.CAPTURE_RELIEF_M * np.tanh(detail[texels.covered] / limits.CAPTURE_RELIEF_SHADE)
+    relief = relief + limits.CAPTURE_GRAIN_M * noise(position, limits.CAPTURE_GRAIN_CELL_M, seed + 17)
     return np.clip(rgb * np.exp(-pigment), 0, 1), relief * (1 - texels.points.nail)
 
 

@@ -65,7 +65,7 @@ class Capture:
     """Pixels."""
     samples: Annotated[int, _OneNumber] = 16
     """Rays per pixel; the rest of the noise is filtered away."""
-    subdivisions: Annotated[int, _OneNumber] = 2
+    subdivisions: Annotated[int, _OneNumber] = 1
     """How often the mesh is made finer for rendering."""
     look: LookOptions = field(default_factory=LookOptions)
     motion: File = None
