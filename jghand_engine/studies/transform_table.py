@@ -85,11 +85,11 @@ def measure_transforms(
     identity: name or number as `jghand capture` takes it. InputError for one that there is not.
     """
     template, hand = load_template(), RiggedHand(load_identity(identity))
+    pose = hand.pose(varied_poses(hand, poses, seed).angles_deg)
     faces, barycentric = _places(template)
     subject = _subject(template, faces, barycentric)
     transforms = {name: make(template.joints_m) for name, make in TRANSFORMS.items()}
     sums = {name: np.zeros(4) for name in transforms}
-    pose = hand.pose(varied_poses(hand, poses, seed).angles_deg)
     for joints_m, vertices_m in zip(pose.joints_m, hand.skin(pose), strict=True):
         truth_m = np.einsum("sk,skc->sc", barycentric, vertices_m[faces])
         for name, transform in transforms.items():

@@ -1,0 +1,76 @@
+"""`jghand evaluate` and `jghand study` as people use them."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from picture_sets import recorded, write_set
+
+from jghand_engine.cli import main
+from jghand_engine.exporters.pictures import read_png
+
+
+def run(*words):
+    return main([str(word) for word in words])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """A set of two held-out poses and of two held-out cameras."""
+    place = write_set(tmp_path_factory.mktemp("set"), recorded(frames=4, cameras=4))
+    held_out = {"format": 1, "test_frames": {"ROM_JGHAND": [2006, 2018]}, "test_cameras": ["400262", "400265"]}
+    (place / "splits.json").write_text(json.dumps(held_out))
+    return place
+
+
+def test_an_evaluation_leaves_figures_tables_and_sheets(folder, tmp_path, capsys):
+    out = tmp_path / "evaluation"
+    words = ("--out", out, "--limit", 1, "--preset", "draft", "--beside", "jghand_engine/assets/builtin_right.jghand")
+    assert run("evaluate", "builtin", folder, *words) == 0
+    said = capsys.readouterr().out
+    assert "Perceptual metrics: off" in said
+    assert "JGHand (paper)" in said
+    content = json.loads((out / "evaluation.json").read_text())
+    assert content["split"] == "splits.json of the capture"
+    assert {"novel pose", "novel view", "both novel", "all"} <= set(content["means"])
+    assert content["means"]["all"]["pictures"] == 3
+    assert "data differ" in (out / "tables.md").read_text(encoding="utf-8")
+    names = {"best_to_worst", "novel_pose", "novel_view", "both_novel", "poses", "views", "between"}
+    assert {path.stem for path in out.glob("*.png")} == names
+    assert all(min(read_png(path).shape[:2]) > 200 for path in out.glob("*.png"))
+
+
+def test_figures_alone_can_be_had(folder, tmp_path, capsys):
+    words = ("--out", tmp_path, "--limit", 1, "--preset", "draft", "--no-sheets", "--no-timed", "--split", "train")
+    assert run("evaluate", "builtin", folder, *words) == 0
+    assert not list(tmp_path.glob("*.png"))
+    assert list(json.loads((tmp_path / "evaluation.json").read_text())["means"]) == ["learnt"]
+    assert "Inference time" not in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--limit", "-1"), "0 or more"),
+        (("--lpips-trunk", "nowhere.pth"), "no such file"),
+        (("--split", "test", "--sequences", "NONE"), "NONE"),
+    ],
+)
+def test_bad_options_are_refused(folder, tmp_path, capsys, words, said):
+    assert run("evaluate", "builtin", folder, "--out", tmp_path, "--no-sheets", *words) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_a_study_of_the_transform_writes_its_table(tmp_path, capsys):
+    table, figures = tmp_path / "transform.md", tmp_path / "transform.json"
+    assert run("study", "transform", "--identities", "1", "--poses", "1", "--out", table, "--json", figures) == 0
+    assert "HALO-like" in capsys.readouterr().out
+    assert table.read_text(encoding="utf-8").startswith("### Transformation")
+    (scores,) = json.loads(figures.read_text())["scores"].values()
+    assert scores["ours, axial"]["joints_matrices_mm"] < 1e-9
+
+
+def test_a_study_of_no_pose_is_refused(capsys):
+    assert run("study", "transform", "--poses", "0") == 2
+    assert "poses of a capture: wanted 1 to" in capsys.readouterr().err
