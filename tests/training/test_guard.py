@@ -35,7 +35,7 @@ def options(tmp_path, monkeypatch):
     """Beyond the first copies that the guard keeps; nobody waits for the disk."""
     monkeypatch.setattr(files, "sync", lambda path: None)
     return RunOptions(
-        tmp_path / "hand.jghand", tmp_path / "work", STAMP, Budget(steps=STEPS), log_steps=5,
+        tmp_path / "hand.jghand", tmp_path / "work", STAMP, Budget(steps=STEPS), log_steps=4,
         checkpoint=Every(steps=10), preview=Every(steps=1000),
     )  # fmt: skip
 
@@ -146,7 +146,7 @@ def test_the_log_says_what_happened(options):
     (line,) = [line for line in read_log(options.work / "log.jsonl") if "not_finite" in line]
     assert (line["step"], line["skipped"], line["not_finite"]) == (KEPT, FAULT, "gradient planes.uv (1 NaN)")
     steps = [line["step"] for line in read_log(options.work / "log.jsonl") if "loss" in line]
-    assert steps == list(range(5, STEPS + 1, 5)), "no line twice"
+    assert steps == [*range(4, STEPS, 4), STEPS], "no line twice"
 
 
 # ---- replay ----------------------------------------------------------------------------------------------------------
@@ -163,6 +163,13 @@ def test_a_step_that_failed_repeats_from_its_dump(options):
     assert again.step == again.first_step == FAULT
     assert again.findings == again.first_time
     assert (again.findings[0].kind, again.findings[0].name) == ("gradient", "planes.d")
+
+
+def test_a_replay_keeps_to_the_plan_of_its_training(options):
+    train(faulty, options)
+    model = faulty()
+    replay(options.work / "failures" / f"step_{FAULT:08d}", model, STAMP)
+    assert model.plans == [STEPS]
 
 
 def test_a_fault_that_came_from_outside_does_not_repeat(options):
@@ -217,6 +224,16 @@ def test_a_resumed_training_meets_the_same_fault_and_ends_the_same(options, tmp_
     assert a.scalars == b.scalars
     assert all(torch.equal(a.tensors[name], b.tensors[name]) for name in a.tensors)
     assert b.course.skipped == [FAULT]
+
+
+def test_the_best_checkpoint_stays_known_when_the_training_goes_back(options):
+    class BestAt12(StandIn):
+        def fixed_psnr(self):
+            return 30.0 if self.scalars()["count"] == 12 else 20.0
+
+    train(lambda: BestAt12(faults={FAULT: "planes.d"}), replace(options, checkpoint=Every(steps=3)))
+    kept = [path.name for path in sorted((options.work / "checkpoints").iterdir())]
+    assert kept == [f"step_000000{n}.safetensors" for n in (12, 27, 30)]
 
 
 def test_a_training_that_keeps_failing_gives_up_and_names_what_failed(options):
