@@ -148,8 +148,8 @@ def _settings(scene, sampling: dict, threads: int) -> None:
     scene.render.engine = "CYCLES"
     values = {
         "device": "CPU", "samples": sampling["samples"], "use_denoising": True, "denoiser": "OPENIMAGEDENOISE",
-        "denoising_input_passes": "RGB_ALBEDO_NORMAL", "denoising_prefilter": "FAST", "max_bounces": sampling["bounces"],
-        "transparent_max_bounces": 4, "use_adaptive_sampling": True,
+        "denoising_input_passes": "RGB_ALBEDO_NORMAL", "denoising_prefilter": "FAST",
+        "max_bounces": sampling["bounces"], "transparent_max_bounces": 4, "use_adaptive_sampling": True,
         "adaptive_threshold": sampling["adaptive_threshold"], "seed": 0,
     }  # fmt: skip
     for name, value in values.items():

@@ -389,6 +389,9 @@ GUARD_KEEPS_AT_FIRST = (2, 5, 10, 20)
 GUARD_RECOVERIES_MAX = 5
 # steps that a training with a time budget is taken to have until its speed is known
 PLANNED_STEPS_AT_FIRST = 10_000
+# how long `jghand train` trains when it is not told, minutes; and with the paper's configuration, rounds of all pictures
+TRAINING_MINUTES = 60.0
+PAPER_ROUNDS = 30
 # seconds between two lines of progress where no terminal shows a bar
 PROGRESS_LINE_S = 15.0
 

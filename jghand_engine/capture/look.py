@@ -21,7 +21,7 @@ class AreaLight:
 @dataclass(frozen=True)
 class Light:
     """hdri: a name of HDRI_NAMES or a picture file; hdri_turn_deg: its turn about the vertical (+y) axis. The default
-    lamps are large and stand on both sides: a soft key on the palm, a softer one on the back, weak ones from above and below."""
+    lamps are large and on all sides: a soft key on the palm, a softer one on the back, weak ones above and below."""
 
     hdri: str = "studio"
     hdri_strength: float = 0.55

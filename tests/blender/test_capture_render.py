@@ -1,0 +1,117 @@
+"""A real capture with Cycles, as small as can be: what is annotated is what the pictures show."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+
+from jghand_cycles.png import SIGNATURE, STAMP_KEY
+
+WIDTH, HEIGHT, CAMERAS = 64, 96, 3
+# a joint lies 4 to 12 mm below the skin: it cannot be nearer to the outline than the smallest of that, in pixels
+COMMAND = [
+    "capture", "--identity", "adult_woman", "--cameras", str(CAMERAS), "--close-ups", "0", "--poses", "2",
+    "--size", f"{WIDTH}x{HEIGHT}", "--samples", "2", "--subdivisions", "1", "--threads", "1",
+]  # fmt: skip
+
+
+def run(engine_python: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    command = [engine_python, "-m", "jghand_engine", *COMMAND, "--out", str(folder), "--blender-python", sys.executable]
+    return subprocess.run(command, capture_output=True, text=True, check=False)
+
+
+@pytest.fixture(scope="module")
+def captured(engine_python, tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("capture") / "tiny"
+    done = run(engine_python, folder)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+def annotations(folder: Path, name: str) -> dict:
+    return json.loads((folder / f"annotations/train/InterHand2.6M_train_{name}.json").read_text(encoding="utf-8"))
+
+
+def rgba(path: Path) -> np.ndarray:
+    """(H, W, 4) of the file as it is, top row first."""
+    image = bpy.data.images.load(str(path))
+    image.colorspace_settings.name = "Non-Color"
+    image.alpha_mode = "CHANNEL_PACKED"
+    width, height = image.size
+    values = np.array(image.pixels[:], dtype=np.float32).reshape(height, width, 4)[::-1]
+    bpy.data.images.remove(image)
+    return values
+
+
+def seen(folder: Path) -> list[tuple[Path, np.ndarray]]:
+    """Every picture with its 21 joints in pixels, by nothing but the annotations."""
+    data, cameras, joints = (annotations(folder, name) for name in ("data", "camera", "joint_3d"))
+    result = []
+    for image in data["images"]:
+        rig = {name: np.array(values[image["camera"]]) for name, values in cameras[str(image["capture"])].items()}
+        world_mm = np.array(joints[str(image["capture"])][str(image["frame_idx"])]["world_coord"])[:21]
+        camera_mm = (world_mm - rig["campos"]) @ rig["camrot"].T
+        px = camera_mm[:, :2] / camera_mm[:, 2:] * rig["focal"] + rig["princpt"]
+        result.append((folder / "images/train" / image["file_name"], px))
+    return result
+
+
+def test_every_joint_projects_onto_the_hand(captured, context):
+    pictures = seen(captured)
+    assert len(pictures) == 2 * CAMERAS
+    for path, px in pictures:
+        alpha = rgba(path)[..., 3]
+        assert alpha.shape == (HEIGHT, WIDTH)
+        # tips lie on the skin, and half a pixel beside it is not on it: the nearest pixels count
+        column, row = np.floor(px).astype(int).T
+        around = [alpha[np.clip(row + dy, 0, HEIGHT - 1), np.clip(column + dx, 0, WIDTH - 1)]
+                  for dy in (-1, 0, 1) for dx in (-1, 0, 1)]  # fmt: skip
+        on_tips = np.isin(np.arange(21), [0, 4, 8, 12, 16])
+        assert (np.max(around, axis=0)[on_tips] > 0.5).all(), path
+        # the wrist is the last joint, on the cut's inner side; the others lie inside the hand
+        assert (alpha[row, column][~on_tips] > 0.5).all(), path
+
+
+def test_the_outline_is_that_of_the_annotated_box(captured, context):
+    """A shift or a scale of the camera would show here at once."""
+    boxes = {a["image_id"]: a["bbox"] for a in annotations(captured, "data")["annotations"]}
+    for image in annotations(captured, "data")["images"]:
+        alpha = rgba(captured / "images/train" / image["file_name"])[..., 3]
+        row, column = np.nonzero(alpha > 0.5)
+        found = np.array([column.min(), row.min(), column.max() + 1, row.max() + 1])
+        x, y, width, height = boxes[image["id"]]
+        # the box is that of the mesh, the picture that of the mesh made round, which is up to 1 mm smaller: 0.3 px here
+        np.testing.assert_allclose(found, [x, y, x + width, y + height], atol=1.5)
+
+
+def test_pictures_are_lit_hands_with_straight_alpha_and_a_stamp(captured, context):
+    for path, _ in seen(captured):
+        assert path.read_bytes().startswith(SIGNATURE)
+        assert STAMP_KEY.encode() in path.read_bytes()
+        # nothing of the day, the machine or the render time
+        assert b"RenderTime" not in path.read_bytes()
+        values = rgba(path)
+        inside = values[values[..., 3] > 0.99][:, :3]
+        assert 0.25 < inside.mean() < 0.9
+        assert (inside.mean(0)[:-1] > inside.mean(0)[1:]).all()  # skin: red over green over blue
+        edge = (values[..., 3] > 0.2) & (values[..., 3] < 0.8)
+        # premultiplied colour would be dark where alpha is low; observed means within 25 % of the inside
+        assert values[edge][:, 0].mean() > 0.6 * inside[:, 0].mean()
+
+
+def test_the_same_plan_gives_the_same_pictures(captured, engine_python, tmp_path):
+    """A picture that is lost comes back byte for byte, and the others are left alone."""
+    lost, kept = (path for path, _ in seen(captured)[:2])
+    before, kept_at = lost.read_bytes(), kept.stat().st_mtime_ns
+    lost.unlink()
+    done = run(engine_python, captured)
+    assert done.returncode == 0, done.stderr
+    assert "1 pictures" in done.stdout
+    assert lost.read_bytes() == before
+    assert kept.stat().st_mtime_ns == kept_at

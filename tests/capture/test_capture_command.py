@@ -1,0 +1,283 @@
+"""`jghand capture` from end to end with a stand-in for Blender: plan, pictures, resuming, shards, splits, failures."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+
+from jghand_engine import limits
+from jghand_engine.capture import worker
+from jghand_engine.capture.options import CaptureOptions
+from jghand_engine.capture.plan import CapturePlan, make_plan, open_or_make, read_plan
+from jghand_engine.cli import main
+from jghand_engine.datasets.capture_folder import open_capture
+from jghand_engine.datasets.splits import split_capture
+from jghand_engine.errors import InputError, RetryError
+from jghand_engine.hand.anatomy import pose_sequence_of_names
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.template.builtin import load_template
+
+ROOT = Path(__file__).parents[2]
+WORDS = ["capture", "--identity", "3", "--cameras", "7", "--close-ups", "1", "--poses", "6", "--size", "32x48"]
+
+
+@pytest.fixture(autouse=True)
+def _stand_in(monkeypatch):
+    monkeypatch.setattr(worker, "WORKER", Path(__file__).with_name("stand_in_worker.py"))
+    monkeypatch.setattr(limits, "CAPTURE_SKIN_PX", 128)
+
+
+def capture(folder: Path, *words: str) -> int:
+    return main([*WORDS, "--out", str(folder), "--blender-python", sys.executable, *words])
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> Path:
+    """One whole capture, to be copied."""
+    folder = tmp_path_factory.mktemp("capture") / "made"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(worker, "WORKER", Path(__file__).with_name("stand_in_worker.py"))
+        patch.setattr(limits, "CAPTURE_SKIN_PX", 128)
+        assert capture(folder) == 0
+    return folder
+
+
+@pytest.fixture
+def copied(made, tmp_path) -> Path:
+    return Path(shutil.copytree(made, tmp_path / "copied"))
+
+
+def pictures(folder: Path) -> list[Path]:
+    return sorted(folder.glob("images/**/*.png"))
+
+
+def test_a_capture_opens_as_a_data_set_with_exact_cameras_and_joints(made):
+    plan = read_plan(made)
+    assert plan is not None
+    capture = open_capture(made)
+    assert len(capture.samples) == 42
+    names = list(plan.record.cameras)
+    for sample in capture.samples:
+        camera = plan.cameras[names.index(sample.camera_name)]
+        # millimetres in between: observed 1e-16 m and 1e-13
+        np.testing.assert_allclose(sample.joints_m, plan.joints_m[sample.frame], atol=1e-15)
+        difference = sample.camera.camera_from_world - camera.camera_from_world
+        assert float(difference.abs().max()) < 1e-12
+        assert (sample.camera.fx, sample.camera.cx, sample.camera.cy) == (camera.fx, camera.cx, camera.cy)
+        assert sample.handedness is Handedness.RIGHT
+        assert sample.valid.all()
+
+
+def test_the_split_keeps_poses_and_cameras_for_the_test(made):
+    split = split_capture(open_capture(made))
+    frames = {sample.frame for sample in split.train}
+    cameras = {sample.camera_name for sample in split.train}
+    assert len(frames) == 5
+    assert len(cameras) == 6
+    assert all(s.frame not in frames and s.camera_name in cameras for s in split.novel_pose)
+    assert all(s.frame in frames and s.camera_name not in cameras for s in split.novel_view)
+    assert (len(split.train), len(split.novel_pose), len(split.novel_view), len(split.novel_both)) == (30, 6, 5, 1)
+
+
+def test_a_second_run_makes_nothing_again(copied, capsys):
+    times = {path: path.stat().st_mtime_ns for path in pictures(copied)}
+    assert capture(copied) == 0
+    assert "0 pictures" in capsys.readouterr().out
+    assert {path: path.stat().st_mtime_ns for path in pictures(copied)} == times
+
+
+def test_missing_broken_and_foreign_pictures_are_made_again_and_no_others(copied, capsys):
+    every = pictures(copied)
+    before = {path: path.read_bytes() for path in every}
+    every[0].unlink()
+    every[1].write_bytes(before[every[1]][:-30])
+    every[2].write_bytes(b"")
+    damaged = bytearray(before[every[3]])
+    damaged[len(damaged) // 2] ^= 0xFF
+    every[3].write_bytes(bytes(damaged))
+    Image.new("RGBA", (32, 48)).save(every[4])
+    shutil.copy(every[6], every[5])
+    assert capture(copied) == 0
+    out = capsys.readouterr().out
+    assert "5 are broken or of another plan" in out
+    assert "6 pictures" in out
+    assert {path: path.read_bytes() for path in every} == before
+
+
+def test_a_stopped_capture_goes_on(tmp_path, monkeypatch, capsys, made):
+    monkeypatch.setenv("JGHAND_STAND_IN_FAILS_AT", "10")
+    assert capture(tmp_path / "stopped") == 3
+    error = capsys.readouterr().err
+    assert "the stand-in was told to fail" in error
+    assert "same command again" in error
+    assert len(pictures(tmp_path / "stopped")) == 10
+    monkeypatch.delenv("JGHAND_STAND_IN_FAILS_AT")
+    assert capture(tmp_path / "stopped") == 0
+    assert contents(tmp_path / "stopped") == contents(made)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def test_shards_in_any_order_make_the_same_capture(tmp_path, made):
+    for shard in ("3/3", "1/3", "2/3"):
+        assert capture(tmp_path / "sharded", "--shard", shard) == 0
+    assert contents(tmp_path / "sharded") == contents(made)
+
+
+def test_shards_of_two_machines_are_one_capture_when_put_together(tmp_path, made):
+    for number in (1, 2):
+        assert capture(tmp_path / str(number), "--shard", f"{number}/2") == 0
+    together = contents(tmp_path / "1") | contents(tmp_path / "2")
+    first, second = ({path.name for path in pictures(tmp_path / number)} for number in ("1", "2"))
+    assert not first & second
+    assert together == contents(made)
+
+
+def test_a_folder_takes_no_second_capture(copied, capsys):
+    before = contents(copied)
+    assert capture(copied, "--seed", "1") == 2
+    assert "seed" in capsys.readouterr().err
+    assert contents(copied) == before
+
+
+@pytest.mark.parametrize("damage", ["plan.json", "hands.npz", "skin.png"])
+def test_a_damaged_plan_is_told_and_not_replaced(copied, damage, capsys):
+    """What pictures belong to it can no longer be said."""
+    file = copied / "plan" / damage
+    if damage == "skin.png":
+        file.unlink()
+    else:
+        file.write_bytes(file.read_bytes()[:-40])
+    assert capture(copied) == 2
+    assert "the plan of the capture" in capsys.readouterr().err
+
+
+def test_poses_can_come_from_a_motion():
+    plan = plan_of_motion(Handedness.RIGHT)
+    assert plan.pose_names == ("frame_0", "frame_5", "frame_9", "frame_14")
+    mirrored = plan_of_motion(Handedness.LEFT)
+    # a left hand's motion is played by the right hand
+    np.testing.assert_allclose(mirrored.joints_m, plan.joints_m, atol=1e-12)
+
+
+def plan_of_motion(handedness: Handedness) -> CapturePlan:
+    whole = pose_sequence_of_names(["open", "fist"], load_template().joints_m, handedness=handedness)
+    motion = PoseSequence(whole.joints_m[8:23], 30.0, handedness)
+    return make_plan(CaptureOptions("3", cameras=2, close_ups=0, poses=4, width=32, height=48, motion=motion))
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["--shard", "0/2"], "--shard"),
+        (["--shard", "3/2"], "--shard"),
+        (["--shard", "half"], "--shard"),
+        (["--samples", "0"], "samples"),
+        (["--poses", "0"], "poses"),
+        (["--cameras", "0"], "cameras"),
+        (["--wrist-turn", "-1"], "wrist turn"),
+        (["--wrist-turn", "nan"], "wrist turn"),
+        (["--hdri", "moonbase"], "environment"),
+        (["--skin", "absent.png"], "absent.png"),
+        (["--seed", "-1"], "seed"),
+        (["--size", "0x10"], "--size"),
+    ],
+)
+def test_bad_options_are_refused_by_name_and_write_nothing(tmp_path, words, named, capsys):
+    assert capture(tmp_path / "bad", *words) == 2
+    assert named in capsys.readouterr().err
+    assert not pictures(tmp_path / "bad")
+
+
+def test_a_python_that_is_not_there_is_refused(tmp_path, capsys):
+    assert main([*WORDS, "--out", str(tmp_path / "none"), "--blender-python", str(tmp_path / "python")]) == 2
+    assert "--blender-python" in capsys.readouterr().err
+
+
+def test_without_any_blender_the_remedy_is_told(monkeypatch, tmp_path):
+    monkeypatch.setattr(worker, "PROJECT", tmp_path)
+    monkeypatch.setattr(worker.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(InputError, match="--blender-python"):
+        worker.find_blender_python()
+
+
+def test_the_real_worker_says_when_its_python_has_no_bpy(tmp_path, monkeypatch, made):
+    """The engine's own Python has none; where it has, there is nothing to show."""
+    if worker.importlib.util.find_spec("bpy"):
+        pytest.skip("this Python has bpy")
+    monkeypatch.setattr(worker, "WORKER", ROOT / "jghand_cycles" / "__main__.py")
+    plan = read_plan(made)
+    assert plan is not None
+    with pytest.raises(InputError, match="bpy"):
+        list(worker.render(made, plan.jobs(tmp_path), Path(sys.executable), threads=1))
+
+
+def test_a_program_that_is_no_worker_is_told_with_its_last_words(tmp_path, monkeypatch, made):
+    program = tmp_path / "program.py"
+    program.write_text("import sys; print('hello'); sys.exit('no worker at all')", encoding="utf-8")
+    monkeypatch.setattr(worker, "WORKER", program)
+    plan = read_plan(made)
+    assert plan is not None
+    with pytest.raises(RetryError, match="no worker at all"):
+        list(worker.render(made, plan.jobs(tmp_path), Path(sys.executable), threads=1))
+
+
+def test_every_joint_is_inside_the_picture_of_whole_hands(made):
+    plan = read_plan(made)
+    assert plan is not None
+    for camera in plan.cameras[:-1]:
+        matrix = camera.camera_from_world.numpy()
+        seen = plan.joints_m @ matrix[:3, :3].T + matrix[:3, 3]
+        px = seen[..., :2] / seen[..., 2:] * camera.fx + [camera.cx, camera.cy]
+        assert (px > 0).all()
+        assert (px < [camera.width, camera.height]).all()
+
+
+def test_the_plan_in_the_folder_is_the_plan_that_was_made(copied):
+    plan = read_plan(copied)
+    assert plan is not None
+    assert isinstance(plan.cameras[0].camera_from_world, torch.Tensor)
+    stamps = {job.stamp for job in plan.jobs(copied)}
+    assert len(stamps) == 42
+    annotations = json.loads((copied / "annotations/train/InterHand2.6M_train_data.json").read_text())
+    assert {image["file_name"] for image in annotations["images"]} == {
+        path.relative_to(copied / "images/train").as_posix() for path in pictures(copied)
+    }
+
+
+def test_the_stamp_of_a_picture_survives_without_blenders_texts():
+    """The worker's own PNG code, which needs no Blender."""
+    code = (
+        "import sys, io; sys.path.insert(0, sys.argv[1])\n"
+        "from jghand_cycles.png import stamped\n"
+        "from PIL import Image, PngImagePlugin\n"
+        "texts = PngImagePlugin.PngInfo(); texts.add_text('Date', 'today')\n"
+        "raw = io.BytesIO(); Image.new('RGBA', (5, 4), (1, 2, 3, 4)).save(raw, 'PNG', pnginfo=texts)\n"
+        "new = Image.open(io.BytesIO(stamped(raw.getvalue(), 'abc')))\n"
+        "assert new.info == {'jghand-stamp': 'abc'}, new.info\n"
+        "assert new.getpixel((4, 3)) == (1, 2, 3, 4)\n"
+        "for broken in (b'', raw.getvalue()[:-5], raw.getvalue()[5:]):\n"
+        "    try: stamped(broken, 'abc')\n"
+        "    except ValueError: continue\n"
+        "    sys.exit('a broken PNG passed')\n"
+    )
+    subprocess.run([sys.executable, "-c", code, str(ROOT)], check=True)
+
+
+def test_options_that_decide_nothing_of_the_pictures_may_change(copied):
+    """Another folder of the same skin file, other threads: the same capture."""
+    plan = read_plan(copied)
+    assert plan is not None
+    options = CaptureOptions("3", cameras=7, close_ups=1, poses=6, width=32, height=48)
+    assert open_or_make(copied, options).description == plan.description
