@@ -144,6 +144,8 @@ SIGMA_MAX_M = 4e-3
 # posed radius relative to the whole hand's scale: blending rotations shrinks the determinant at flexed knuckles
 SIGMA_STRETCH_MIN = 0.7
 SIGMA_STRETCH_MAX = 1.4
+# length of a quaternion at or below which it is no rotation, and counts as none
+QUATERNION_MIN = 1e-6
 # |det L| / s_g^3 below which the blended rotation is replaced by the palm's
 BLEND_DET_MIN = 1e-3
 # Gaussians deeper than this, metres, grow in a coarser level of detail only until they are this many of their own
@@ -259,6 +261,9 @@ VAR_MAX_PX2 = 1e9
 RGB_MAX = 1e6
 # coordinates beyond this are counted as invalid, metres: depth is blended like a colour, and has the same limit
 POSITION_MAX_M = 1e6
+# a covariance is positive semi-definite when it is with this part of its trace added to the diagonal: what float32
+# leaves of a flat Gaussian has eigenvalues down to -6.3e-8 of the trace
+COVARIANCE_SLACK = 1e-6
 # smallest cut-off of the native kernel: its exponential is good down to 2^-32
 NATIVE_ALPHA_MIN = 1e-9
 # largest picture side: tile coordinates are int16

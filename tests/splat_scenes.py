@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 
+from jghand_engine.avatar.covariance import posed_covariance
 from jghand_engine.avatar.gaussians import Gaussians
 from jghand_engine.native.library import runnable_variants
 from jghand_engine.splat.camera import Camera
@@ -18,6 +20,7 @@ from jghand_engine.splat.settings import RenderSettings
 
 NATIVE = runnable_variants()
 NAMES = ("position_m", "sigma_m", "opacity", "rgb")
+ELLIPSOID_NAMES = ("position_m", "covariance_m2", "opacity", "rgb")  # of these, sigma_m is ignored
 
 # Promise 3 of the contract: a pixel differs by more than rounding and the early stop only where a contribution falls on
 # the other side of the cut, which is worth at most 1/255 of a colour
@@ -69,17 +72,43 @@ def front_camera(width: int, height: int, focal_px: float) -> Camera:
     return Camera(width, height, focal_px, focal_px, width / 2, height / 2, torch.eye(4, dtype=torch.float64))
 
 
+def stretched(gaussians: Gaussians, *, aspect: float = 4.0, seed: int = 5) -> Gaussians:
+    """The same Gaussians as ellipsoids: axes of sigma times 1/aspect .. aspect, turned at random."""
+    generator = torch.Generator().manual_seed(seed)
+    stretch = math.log(aspect) * (2 * torch.rand(len(gaussians), 3, generator=generator) - 1)
+    log_scale = torch.log(gaussians.sigma_m)[:, None] + stretch
+    turn = torch.randn(len(gaussians), 4, generator=generator)
+    covariance_m2 = posed_covariance(log_scale, turn, torch.eye(3).expand(len(gaussians), 3, 3))
+    return replace(gaussians, covariance_m2=covariance_m2)
+
+
+def as_ellipsoids(gaussians: Gaussians) -> Gaussians:
+    """The same spheres, said by covariances."""
+    return replace(gaussians, covariance_m2=gaussians.sigma_m[:, None] ** 2 * torch.tensor([1.0, 0, 0, 1, 0, 1]))
+
+
+def names_of(gaussians: Gaussians) -> tuple[str, ...]:
+    """The tensors that a picture of them depends on."""
+    return NAMES if gaussians.covariance_m2 is None else ELLIPSOID_NAMES
+
+
+def changed(gaussians: Gaussians, change: Callable[[str], torch.Tensor]) -> Gaussians:
+    """Gaussians of what `change` says of the name of each tensor that is there."""
+    names = NAMES if gaussians.covariance_m2 is None else (*NAMES, "covariance_m2")
+    return Gaussians(**{name: change(name) for name in names})
+
+
 def in_precision(gaussians: Gaussians, dtype: torch.dtype, *, grad: bool = False) -> Gaussians:
     """The same values as leaves of the other precision."""
-    return Gaussians(*(getattr(gaussians, name).detach().to(dtype).requires_grad_(grad) for name in NAMES))
+    return changed(gaussians, lambda name: getattr(gaussians, name).detach().to(dtype).requires_grad_(grad))
 
 
 def reordered(gaussians: Gaussians, index: torch.Tensor) -> Gaussians:
-    return Gaussians(*(getattr(gaussians, name)[index].contiguous() for name in NAMES))
+    return changed(gaussians, lambda name: getattr(gaussians, name)[index].contiguous())
 
 
 def joined(*parts: Gaussians) -> Gaussians:
-    return Gaussians(*(torch.cat([getattr(part, name) for part in parts]) for name in NAMES))
+    return changed(parts[0], lambda name: torch.cat([getattr(part, name) for part in parts]))
 
 
 def planes_of(picture: Picture) -> torch.Tensor:
@@ -117,17 +146,19 @@ def assert_same_bits(got: Picture, want: Picture) -> None:
 
 
 def gradients_of(gaussians: Gaussians, camera: Camera, *, dtype=torch.float32, seed: int = 0, **settings):
-    """Gradients (position, sigma, opacity, rgb), float64, of a sum of the planes with random weights of both signs."""
+    """Gradients (position, sigma or covariance, opacity, rgb), float64, of a sum of the planes with random weights of
+    both signs."""
     leaves = in_precision(gaussians, dtype, grad=True)
     backend = settings.pop("backend", "torch")
     planes = planes_of(draw(leaves, camera, backend, **settings))
     generator = torch.Generator().manual_seed(seed)
     weights = torch.randn(planes.shape, generator=generator, dtype=torch.float64).to(dtype)
     (planes * weights).sum().backward()
-    grads = [getattr(leaves, name).grad for name in NAMES]
+    names = names_of(leaves)
+    grads = [getattr(leaves, name).grad for name in names]
     return [
         torch.zeros_like(getattr(leaves, name)).double() if g is None else g.double()
-        for name, g in zip(NAMES, grads, strict=True)
+        for name, g in zip(names, grads, strict=True)
     ]
 
 
@@ -141,9 +172,14 @@ class GradientBounds:
     signed_bias: float
 
 
-def assert_same_gradients(got: list[torch.Tensor], want: list[torch.Tensor], bounds: GradientBounds) -> None:
+def assert_same_gradients(
+    got: list[torch.Tensor],
+    want: list[torch.Tensor],
+    bounds: GradientBounds,
+    names: tuple[str, ...] = NAMES,
+) -> None:
     """The four checks: per element, as a vector, for sparsity, for signed bias."""
-    for name, a, b in zip(NAMES, got, want, strict=True):
+    for name, a, b in zip(names, got, want, strict=True):
         assert bool(torch.isfinite(a).all()), name
         size = float(b.norm())
         if size == 0:

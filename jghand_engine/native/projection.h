@@ -1,5 +1,6 @@
 // From positions to ellipses on the picture (RENDERING 3), sixteen Gaussians at a time. Used forwards and by the chain
-// rule, so that both see the same numbers.
+// rule, so that both see the same numbers. Gaussians are spheres or, when the job has covariances, ellipsoids: what
+// differs is written twice, as overloads on the shape.
 #pragma once
 #include "raster.h"
 #include "vec.h"
@@ -18,7 +19,13 @@ struct Projection {
 
 // Sixteen consecutive Gaussians; fewer are filled up with zeros, which are culled.
 struct Inputs {
-  vf px, py, pz, sigma, opacity, r, g, b;
+  vf px, py, pz, opacity, r, g, b;
+};
+struct Spheres {
+  vf sigma;
+};
+struct Ellipsoids {
+  vf xx, xy, xz, yy, yz, zz;
 };
 
 JG_INLINE Inputs load_inputs(const RasterJob& job, int64_t first, int n) {
@@ -26,27 +33,88 @@ JG_INLINE Inputs load_inputs(const RasterJob& job, int64_t first, int n) {
   if (n == LANES) {
     load_triples(job.position + 3 * first, in.px, in.py, in.pz);
     load_triples(job.rgb + 3 * first, in.r, in.g, in.b);
-    in.sigma = load(job.sigma + first), in.opacity = load(job.opacity + first);
+    in.opacity = load(job.opacity + first);
     return in;
   }
-  float position[3 * LANES] = {}, rgb[3 * LANES] = {}, sigma[LANES] = {}, opacity[LANES] = {};
+  float position[3 * LANES] = {}, rgb[3 * LANES] = {}, opacity[LANES] = {};
   memcpy(position, job.position + 3 * first, 12 * n), memcpy(rgb, job.rgb + 3 * first, 12 * n);
-  memcpy(sigma, job.sigma + first, 4 * n), memcpy(opacity, job.opacity + first, 4 * n);
+  memcpy(opacity, job.opacity + first, 4 * n);
   load_triples(position, in.px, in.py, in.pz), load_triples(rgb, in.r, in.g, in.b);
-  in.sigma = load(sigma), in.opacity = load(opacity);
+  in.opacity = load(opacity);
   return in;
+}
+
+JG_INLINE void load_shapes(const RasterJob& job, int64_t first, int n, Spheres& shapes) {
+  if (n == LANES) {
+    shapes.sigma = load(job.sigma + first);
+    return;
+  }
+  float sigma[LANES] = {};
+  memcpy(sigma, job.sigma + first, 4 * n);
+  shapes.sigma = load(sigma);
+}
+
+JG_INLINE void load_shapes(const RasterJob& job, int64_t first, int n, Ellipsoids& shapes) {
+  vf rows[6];
+  if (n == LANES) {
+    load_sixes(job.covariance + 6 * first, rows);
+  } else {
+    float covariance[6 * LANES] = {};
+    memcpy(covariance, job.covariance + 6 * first, 24 * n);
+    load_sixes(covariance, rows);
+  }
+  shapes = {rows[0], rows[1], rows[2], rows[3], rows[4], rows[5]};
 }
 
 // One row of camera_from_position. In double precision: a hand far from the origin then loses nothing, and depths,
 // which decide the order, are the correctly rounded ones, whatever the frame the positions came in.
 JG_INLINE vf to_camera(const double* row, vf x, vf y, vf z) {
-  typedef double vd __attribute__((vector_size(128)));
-  const vd dx = __builtin_convertvector(x, vd), dy = __builtin_convertvector(y, vd);
-  const vd dz = __builtin_convertvector(z, vd);
-  return __builtin_convertvector(dx * row[0] + dy * row[1] + dz * row[2] + row[3], vf);
+  return narrow(wide(x) * row[0] + wide(y) * row[1] + wide(z) * row[2] + row[3]);
 }
 
-JG_INLINE Projection project(const RasterJob& job, const Inputs& in) {
+JG_INLINE void spread(const RasterJob&, const Spheres& shapes, Projection& p) {
+  // sigma first, then the squares: sigma^2 alone may underflow where the product does not
+  const vf s = shapes.sigma, sx = s * p.jx, sy = s * p.jy, sxz = s * p.jxz, syz = s * p.jyz;
+  const vf xx = sx * sx, yy = sy * sy, xz = sxz * sxz, yz = syz * syz;
+  p.a = xx + xz + BLUR_PX2, p.c = yy + yz + BLUR_PX2, p.b = sxz * syz;
+  // a c - b^2 multiplied out: only positive terms remain, nothing cancels for long thin ellipses
+  const vf det = xx * yy + xx * yz + xz * yy + (xx + xz + yy + yz) * BLUR_PX2 + BLUR_PX2 * BLUR_PX2;
+  p.inverse_det = 1.0f / det;
+}
+
+// A vector of the frame of the positions, per lane.
+struct Vector {
+  vd x, y, z;
+};
+JG_INLINE vd dot(const Vector& a, const Vector& b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+
+// Row of the Jacobian of the picture by the position: j times one row of the rotation plus jz times the last.
+JG_INLINE Vector jacobian_row(const RasterJob& job, int row, vf j, vf jz) {
+  const double *r = job.camera_from_position + 4 * row, *last = job.camera_from_position + 8;
+  const vd wj = wide(j), wz = wide(jz);
+  return {wj * r[0] + wz * last[0], wj * r[1] + wz * last[1], wj * r[2] + wz * last[2]};
+}
+
+JG_INLINE Vector times(const Ellipsoids& s, const Vector& t) {
+  const vd xx = wide(s.xx), xy = wide(s.xy), xz = wide(s.xz), yy = wide(s.yy), yz = wide(s.yz), zz = wide(s.zz);
+  return {xx * t.x + xy * t.y + xz * t.z, xy * t.x + yy * t.y + yz * t.z, xz * t.x + yz * t.y + zz * t.z};
+}
+
+// In double precision: a c - b^2 cannot be multiplied out here, and cancels for long thin ellipses.
+JG_INLINE void spread(const RasterJob& job, const Ellipsoids& shapes, Projection& p) {
+  const Vector tu = jacobian_row(job, 0, p.jx, p.jxz), tv = jacobian_row(job, 1, p.jy, p.jyz);
+  const Vector mu = times(shapes, tu), mv = times(shapes, tv);
+  vd a = dot(tu, mu), b = dot(tu, mv), c = dot(tv, mv);
+  // flat Gaussians may be a rounding error beyond flat: the nearest ellipse that exists. A NaN stays one
+  a = a < 0 ? vd{} : a, c = c < 0 ? vd{} : c;
+  const vd flat = a * c - b * b, det = (flat < 0 ? vd{} : flat) + (a + c) * BLUR_PX2 + BLUR_PX2 * BLUR_PX2;
+  const vf longest = sqrt(narrow(a * c));
+  p.a = narrow(a) + BLUR_PX2, p.c = narrow(c) + BLUR_PX2, p.b = max(min(narrow(b), longest), -longest);
+  p.inverse_det = 1.0f / narrow(det);
+}
+
+template <class Shapes>
+JG_INLINE Projection project(const RasterJob& job, const Inputs& in, const Shapes& shapes) {
   Projection p;
   p.x = to_camera(job.camera_from_position, in.px, in.py, in.pz);
   p.y = to_camera(job.camera_from_position + 4, in.px, in.py, in.pz);
@@ -55,13 +123,7 @@ JG_INLINE Projection project(const RasterJob& job, const Inputs& in) {
   p.jx = p.inverse_z * job.fx, p.jy = p.inverse_z * job.fy;
   p.u = p.jx * p.x, p.v = p.jy * p.y;
   p.jxz = -p.u * p.inverse_z, p.jyz = -p.v * p.inverse_z;
-  // sigma first, then the squares: sigma^2 alone may underflow where the product does not
-  const vf sx = in.sigma * p.jx, sy = in.sigma * p.jy, sxz = in.sigma * p.jxz, syz = in.sigma * p.jyz;
-  const vf xx = sx * sx, yy = sy * sy, xz = sxz * sxz, yz = syz * syz;
-  p.a = xx + xz + BLUR_PX2, p.c = yy + yz + BLUR_PX2, p.b = sxz * syz;
-  // a c - b^2 multiplied out: only positive terms remain, nothing cancels for long thin ellipses
-  const vf det = xx * yy + xx * yz + xz * yy + (xx + xz + yy + yz) * BLUR_PX2 + BLUR_PX2 * BLUR_PX2;
-  p.inverse_det = 1.0f / det;
+  spread(job, shapes, p);
   return p;
 }
 

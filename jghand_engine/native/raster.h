@@ -51,7 +51,8 @@ enum Status : int32_t { DONE = 0, LIST_TOO_SMALL = 1, TOO_MANY_PAIRS = 2 };
 struct RasterJob {
   // the Gaussians, float32
   const float* position;  // (count, 3) m
-  const float* sigma;     // (count) m
+  const float* sigma;     // (count) m; not read when there are covariances
+  const float* covariance;  // (count, 6) m^2, xx xy xz yy yz zz in the frame of the positions; null: spheres
   const float* opacity;   // (count)
   const float* rgb;       // (count, 3)
   // scratch that forward leaves for backward
@@ -73,7 +74,8 @@ struct RasterJob {
   const float* plane_gradients;       // (5, height, width)
   RecordGradient* record_gradients;   // (GRADIENT_STRIPES, count), by slot
   float* position_gradient;           // (count, 3)
-  float* sigma_gradient;              // (count)
+  float* sigma_gradient;              // (count); not written when there are covariances
+  float* covariance_gradient;         // (count, 6); written when there are covariances
   float* opacity_gradient;            // (count)
   float* rgb_gradient;                // (count, 3)
   Team* team;

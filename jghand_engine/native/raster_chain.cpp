@@ -1,4 +1,4 @@
-// The chain rule from a projected Gaussian back to its position, sigma, opacity and colour.
+// The chain rule from a projected Gaussian back to its position, sigma or covariance, opacity and colour.
 #include "projection.h"
 
 namespace jg {
@@ -35,12 +35,52 @@ JG_INLINE RecordGradients gather(const RasterJob& job, const Stripes& stripes, i
   return {rows[0], rows[1], rows[2], rows[3], rows[4], rows[5], rows[6], rows[7], rows[8], rows[9]};
 }
 
-struct InputGradients {
-  vf px, py, pz, sigma, opacity;
+// Gradients of what `spread` of projection.h makes of sixteen shapes and of the Jacobian.
+struct SpreadGradients {
+  vf a, b, c;
+};
+struct JacobianGradients {
+  vf jx, jy, jxz, jyz;
 };
 
-JG_INLINE InputGradients chain_rule(const RasterJob& job, const Inputs& in, const RecordGradients& grad) {
-  const Projection p = project(job, in);
+// a = (s jx)^2 + (s jxz)^2 + blur, c alike, b = (s jxz)(s jyz)
+JG_INLINE JacobianGradients spread_backward(const RasterJob&, const Projection& p, const Spheres& shapes,
+                                            const SpreadGradients& grad, Spheres& out) {
+  const vf s = shapes.sigma, sx = s * p.jx, sy = s * p.jy, sxz = s * p.jxz, syz = s * p.jyz;
+  const vf d_sx = grad.a * sx * 2.0f, d_sy = grad.c * sy * 2.0f;
+  const vf d_sxz = grad.a * sxz * 2.0f + grad.b * syz, d_syz = grad.c * syz * 2.0f + grad.b * sxz;
+  out.sigma = d_sx * p.jx + d_sy * p.jy + d_sxz * p.jxz + d_syz * p.jyz;
+  return {d_sx * s, d_sy * s, d_sxz * s, d_syz * s};
+}
+
+// a = tu S tu + blur, b = tu S tv, c = tv S tv + blur with the rows tu, tv of the Jacobian by the position. An entry
+// beside the diagonal of the covariance S stands for both places.
+JG_INLINE JacobianGradients spread_backward(const RasterJob& job, const Projection& p, const Ellipsoids& shapes,
+                                            const SpreadGradients& grad, Ellipsoids& out) {
+  const Vector tu = jacobian_row(job, 0, p.jx, p.jxz), tv = jacobian_row(job, 1, p.jy, p.jyz);
+  const vd a = wide(grad.a), b = wide(grad.b), c = wide(grad.c);
+  const Vector au = {a * tu.x + b * tv.x * 0.5, a * tu.y + b * tv.y * 0.5, a * tu.z + b * tv.z * 0.5};
+  const Vector cv = {c * tv.x + b * tu.x * 0.5, c * tv.y + b * tu.y * 0.5, c * tv.z + b * tu.z * 0.5};
+  out.xx = narrow(tu.x * au.x + tv.x * cv.x), out.xy = narrow((tu.y * au.x + tv.y * cv.x) * 2.0);
+  out.yy = narrow(tu.y * au.y + tv.y * cv.y), out.xz = narrow((tu.z * au.x + tv.z * cv.x) * 2.0);
+  out.zz = narrow(tu.z * au.z + tv.z * cv.z), out.yz = narrow((tu.z * au.y + tv.z * cv.y) * 2.0);
+  // d(tu) = 2 S (a tu + b/2 tv), d(tv) alike; tu = jx R_0 + jxz R_2, tv = jy R_1 + jyz R_2
+  const Vector d_tu = times(shapes, au), d_tv = times(shapes, cv);
+  auto along = [&](const Vector& t, int row) __attribute__((always_inline)) {
+    const double* r = job.camera_from_position + 4 * row;
+    return narrow((t.x * r[0] + t.y * r[1] + t.z * r[2]) * 2.0);
+  };
+  return {along(d_tu, 0), along(d_tv, 1), along(d_tu, 2), along(d_tv, 2)};
+}
+
+struct InputGradients {
+  vf px, py, pz, opacity;
+};
+
+template <class Shapes>
+JG_INLINE InputGradients chain_rule(const RasterJob& job, const Inputs& in, const Shapes& shapes,
+                                    const RecordGradients& grad, Shapes& d_shapes) {
+  const Projection p = project(job, in, shapes);
   // conic of log2(alpha): xx = -K c/det, xy = 2 K b/det, yy = -K a/det
   const float K = 0.5f * LOG2E;
   const vf xx = p.c * p.inverse_det * -K, xy = p.b * p.inverse_det * (2 * K), yy = p.a * p.inverse_det * -K;
@@ -51,18 +91,14 @@ JG_INLINE InputGradients chain_rule(const RasterJob& job, const Inputs& in, cons
   const vf d_det = (d_xx * xx + d_xy * xy + d_yy * yy) * -p.inverse_det;
   const vf d_a = d_yy * p.inverse_det * -K + d_det * p.c, d_c = d_xx * p.inverse_det * -K + d_det * p.a;
   const vf d_b = d_xy * p.inverse_det * (2 * K) - d_det * p.b * 2.0f;
-  // covariance to sigma and the Jacobian: a = (s jx)^2 + (s jxz)^2 + blur, c alike, b = (s jxz)(s jyz)
-  const vf s = in.sigma, sx = s * p.jx, sy = s * p.jy, sxz = s * p.jxz, syz = s * p.jyz;
-  const vf d_sx = d_a * sx * 2.0f, d_sy = d_c * sy * 2.0f;
-  const vf d_sxz = d_a * sxz * 2.0f + d_b * syz, d_syz = d_c * syz * 2.0f + d_b * sxz;
+  const JacobianGradients d = spread_backward(job, p, shapes, {d_a, d_b, d_c}, d_shapes);
   InputGradients out;
-  out.sigma = d_sx * p.jx + d_sy * p.jy + d_sxz * p.jxz + d_syz * p.jyz;
   // jx = fx/z, u = jx x, jxz = -u/z, so d(jx)/dz = -jx/z, du/dz = jxz, d(jxz)/dz = -2 jxz/z, d(jxz)/dx = -jx/z; in this
   // form nothing is multiplied by z or x before it is divided by z, which could overflow for far Gaussians
-  const vf d_jx = d_sx * s, d_jy = d_sy * s, d_jxz = d_sxz * s, d_jyz = d_syz * s, iz = p.inverse_z;
-  const vf d_x = (d_u - d_jxz * iz) * p.jx, d_y = (d_v - d_jyz * iz) * p.jy;
+  const vf iz = p.inverse_z;
+  const vf d_x = (d_u - d.jxz * iz) * p.jx, d_y = (d_v - d.jyz * iz) * p.jy;
   const vf d_z = grad.z + d_u * p.jxz + d_v * p.jyz -
-                 iz * (d_jx * p.jx + d_jy * p.jy + (d_jxz * p.jxz + d_jyz * p.jyz) * 2.0f);
+                 iz * (d.jx * p.jx + d.jy * p.jy + (d.jxz * p.jxz + d.jyz * p.jyz) * 2.0f);
   // camera frame to the frame of the positions
   float M[12];
   for (int i = 0; i < 12; i++) M[i] = (float)job.camera_from_position[i];
@@ -80,24 +116,46 @@ JG_INLINE void store_some_triples(float* out, int n, vf x, vf y, vf z) {
   memcpy(out, values, 12 * n);
 }
 
-}  // namespace
+// Stores the first n of sixteen gradients of shapes; culled Gaussians may be poisoned: theirs are thrown away, not
+// multiplied by zero.
+JG_INLINE void store_shapes(const RasterJob& job, int64_t first, int n, vi seen, const Spheres& shapes) {
+  const vf sigma = seen ? shapes.sigma : vf{};
+  memcpy(job.sigma_gradient + first, &sigma, 4 * n);
+}
 
-void chain_rule_part(const RasterJob& job, const Stripes& stripes, int32_t part) {
+JG_INLINE void store_shapes(const RasterJob& job, int64_t first, int n, vi seen, const Ellipsoids& s) {
+  vf rows[6] = {s.xx, s.xy, s.xz, s.yy, s.yz, s.zz};
+  for (vf& row : rows) row = seen ? row : vf{};
+  float values[6 * LANES];
+  store_sixes(values, rows);
+  memcpy(job.covariance_gradient + 6 * first, values, 24 * n);
+}
+
+template <class Shapes>
+void chain_rule_range(const RasterJob& job, const Stripes& stripes, int32_t part) {
   const Range range = part_of(job.count, part, job.parts);
   for (int64_t i = range.begin; i < range.end; i += LANES) {
     const int n = range.end - i < LANES ? (int)(range.end - i) : LANES;
     vi seen = {};
     prefetch_rows(job, i + LANES);
     const RecordGradients grad = gather(job, stripes, i, n, seen);
-    const InputGradients out = chain_rule(job, load_inputs(job, i, n), grad);
-    // culled Gaussians may be poisoned: their chain rule is thrown away, not multiplied by zero
+    Shapes shapes, d_shapes;
+    load_shapes(job, i, n, shapes);
+    const InputGradients out = chain_rule(job, load_inputs(job, i, n), shapes, grad, d_shapes);
     auto if_seen = [seen](vf v) __attribute__((always_inline)) { return seen ? v : vf{}; };
-    const vf sigma = if_seen(out.sigma), opacity = if_seen(out.opacity);
+    const vf opacity = if_seen(out.opacity);
     store_some_triples(job.position_gradient + 3 * i, n, if_seen(out.px), if_seen(out.py), if_seen(out.pz));
     store_some_triples(job.rgb_gradient + 3 * i, n, grad.r, grad.g, grad.b);
-    memcpy(job.sigma_gradient + i, &sigma, 4 * n);
     memcpy(job.opacity_gradient + i, &opacity, 4 * n);
+    store_shapes(job, i, n, seen, d_shapes);
   }
+}
+
+}  // namespace
+
+void chain_rule_part(const RasterJob& job, const Stripes& stripes, int32_t part) {
+  if (job.covariance) return chain_rule_range<Ellipsoids>(job, stripes, part);
+  chain_rule_range<Spheres>(job, stripes, part);
 }
 
 }  // namespace jg

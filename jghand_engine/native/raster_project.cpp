@@ -17,8 +17,21 @@ JG_INLINE vi within(vf x, float limit) { return (x <= limit) & (x >= -limit); }
 
 JG_INLINE vi valid_input(const Inputs& in) {
   return within(in.px, POSITION_MAX_M) & within(in.py, POSITION_MAX_M) & within(in.pz, POSITION_MAX_M) &
-         (in.sigma > 0) & (in.sigma < INFINITY) & (in.opacity >= 0) & (in.opacity <= 1) &  //
+         (in.opacity >= 0) & (in.opacity <= 1) &  //
          within(in.r, RGB_MAX) & within(in.g, RGB_MAX) & within(in.b, RGB_MAX);
+}
+
+JG_INLINE vi valid_shapes(const Spheres& shapes) { return (shapes.sigma > 0) & (shapes.sigma < INFINITY); }
+
+// Finite, not zero, and positive semi-definite up to rounding: with a little of the trace added to the diagonal, all
+// leading minors are positive (Sylvester). Flat Gaussians pass, whichever way their rounding went.
+JG_INLINE vi valid_shapes(const Ellipsoids& shapes) {
+  const vd xy = wide(shapes.xy), xz = wide(shapes.xz), yz = wide(shapes.yz);
+  const vd trace = wide(shapes.xx) + wide(shapes.yy) + wide(shapes.zz), slack = trace * COVARIANCE_SLACK;
+  const vd xx = wide(shapes.xx) + slack, yy = wide(shapes.yy) + slack, zz = wide(shapes.zz) + slack;
+  const vd two = xx * yy - xy * xy;
+  const vd three = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz);
+  return __builtin_convertvector((trace > 0) & (trace < INFINITY) & (xx > 0) & (two > 0) & (three > 0), vi);
 }
 
 JG_INLINE void store_records(Record* out, int n, const Projection& p, const Inputs& in, vf u, vf v, vf log2_opacity,
@@ -56,9 +69,8 @@ JG_INLINE void store_rects(TileRect* out, int n, const RasterJob& job, vf u, vf 
   }
 }
 
-}  // namespace
-
-void project_part(const RasterJob& job, int32_t part) {
+template <class Shapes>
+void project_range(const RasterJob& job, int32_t part) {
   const Range range = part_of(job.count, part, job.parts);
   uint64_t* keys = job.sort_a + range.begin;
   PartSummary summary = {0, 0, UINT32_MAX, 0};
@@ -66,13 +78,15 @@ void project_part(const RasterJob& job, int32_t part) {
   for (int64_t i = range.begin; i < range.end; i += LANES) {
     const int n = range.end - i < LANES ? (int)(range.end - i) : LANES;
     const Inputs in = load_inputs(job, i, n);
-    const Projection p = project(job, in);
+    Shapes shapes;
+    load_shapes(job, i, n, shapes);
+    const Projection p = project(job, in, shapes);
     const vf u = p.u + job.cx, v = p.v + job.cy, log2_opacity = log2(in.opacity);
     // alpha reaches the cut on the ellipse q = ln(opacity / alpha_min), whose box is sqrt(k a), sqrt(k c)
     const vf k = (log2_opacity - job.log2_alpha_min) * (2 * LN2), reach = max(k, vf{});
     const vf rx = sqrt(reach * p.a), ry = sqrt(reach * p.c);
 
-    const vi present = first_lanes(n), valid = valid_input(in), in_front = p.z > job.z_near;
+    const vi present = first_lanes(n), valid = valid_input(in) & valid_shapes(shapes), in_front = p.z > job.z_near;
     const vi sized = (p.a < VAR_MAX_PX2) & (p.c < VAR_MAX_PX2);
     const vi on_picture = (u + rx > 0) & (u - rx < (float)job.width) & (v + ry > 0) & (v - ry < (float)job.height);
     const vi seen = present & valid & in_front & sized & (k > 0) & on_picture;
@@ -91,6 +105,13 @@ void project_part(const RasterJob& job, int32_t part) {
     }
   }
   job.summaries[part] = summary;
+}
+
+}  // namespace
+
+void project_part(const RasterJob& job, int32_t part) {
+  if (job.covariance) return project_range<Ellipsoids>(job, part);
+  project_range<Spheres>(job, part);
 }
 
 }  // namespace jg

@@ -24,16 +24,26 @@ _LIST_TOO_SMALL, _TOO_MANY_PAIRS = 1, 2
 _PARTS_PER_THREAD = 4
 
 
+# what arrays of Gaussians are called in the job
+_JOB_NAMES = {
+    "position_m": "position",
+    "sigma_m": "sigma",
+    "covariance_m2": "covariance",
+    "opacity": "opacity",
+    "rgb": "rgb",
+}
+
+
 class _Job(ctypes.Structure):
     """Mirror of RasterJob in native/raster.h, field by field; the self-test compares the sizes."""
 
     _fields_ = (
-        *((name, ctypes.c_void_p) for name in ("position", "sigma", "opacity", "rgb")),
+        *((name, ctypes.c_void_p) for name in ("position", "sigma", "covariance", "opacity", "rgb")),
         *((name, ctypes.c_void_p) for name in ("projected", "projected_rects", "records", "rects", "slots")),
         *((name, ctypes.c_void_p) for name in ("sort_a", "sort_b", "order", "summaries")),
         *((name, ctypes.c_void_p) for name in ("part_cursors", "tile_start", "tile_list", "tile_work", "planes")),
         *((name, ctypes.c_void_p) for name in ("plane_gradients", "record_gradients")),
-        *((f"{name}_gradient", ctypes.c_void_p) for name in ("position", "sigma", "opacity", "rgb")),
+        *((f"{name}_gradient", ctypes.c_void_p) for name in ("position", "sigma", "covariance", "opacity", "rgb")),
         ("team", ctypes.c_void_p),
         *((name, ctypes.c_int64) for name in ("list_capacity", "pairs")),
         ("camera_from_position", ctypes.c_double * 12),
@@ -51,12 +61,16 @@ def job_bytes() -> int:
 
 @dataclass(frozen=True)
 class GaussianArrays:
-    """position_m (N, 3), sigma_m (N,), opacity (N,), rgb (N, 3): contiguous float32, metres, colours 0..1."""
+    """position_m (N, 3), sigma_m (N,), opacity (N,), rgb (N, 3): contiguous float32, metres, colours 0..1.
+
+    covariance_m2: (N, 6) xx, xy, xz, yy, yz, zz in the frame of the positions; then sigma_m is not looked at.
+    """
 
     position_m: np.ndarray
     sigma_m: np.ndarray
     opacity: np.ndarray
     rgb: np.ndarray
+    covariance_m2: np.ndarray | None = None
 
     def __len__(self) -> int:
         return len(self.position_m)
@@ -81,12 +95,14 @@ class View:
 
 @dataclass(frozen=True)
 class Gradients:
-    """Gradients with respect to the four arrays of GaussianArrays, in the same shapes."""
+    """Gradients with respect to the arrays of GaussianArrays, in the same shapes. Of sigma_m and covariance_m2 only
+    what was drawn has one."""
 
     position_m: np.ndarray
-    sigma_m: np.ndarray
     opacity: np.ndarray
     rgb: np.ndarray
+    sigma_m: np.ndarray | None = None
+    covariance_m2: np.ndarray | None = None
 
 
 class NativeRasteriser:
@@ -188,15 +204,16 @@ class NativeRasteriser:
         self._job.plane_gradients = address(plane_gradients, np.float32, "plane_gradients", self._planes.shape)
         records = self._array("record_gradients", (limits.GRADIENT_STRIPES, n, _RECORD_FLOATS), np.float32)
         self._job.record_gradients = records.ctypes.data
-        shapes = {"position": (n, 3), "sigma": (n,), "opacity": (n,), "rgb": (n, 3)}
-        results = [np.empty(shape, np.float32) for shape in shapes.values()]
-        for name, result in zip(shapes, results, strict=True):
-            setattr(self._job, f"{name}_gradient", result.ctypes.data)
+        shapes = {"position_m": (n, 3), "opacity": (n,), "rgb": (n, 3)}
+        shapes |= {"sigma_m": (n,)} if self._inputs.covariance_m2 is None else {"covariance_m2": (n, 6)}
+        results = {name: np.empty(shape, np.float32) for name, shape in shapes.items()}
+        for name, result in results.items():
+            setattr(self._job, f"{_JOB_NAMES[name]}_gradient", result.ctypes.data)
         self._team.fill(0)
         pointer = ctypes.addressof(self._job)
         # looked up every time: after a fork the child has a pool of its own
         shared_pool(self.threads).run(lambda _thread: self.library.call.jg_raster_backward(pointer))
-        return Gradients(*results)
+        return Gradients(**results)
 
     # ---- the job ----------------------------------------------------------------------------------------------------
 
@@ -208,6 +225,8 @@ class NativeRasteriser:
         job.sigma = address(gaussians.sigma_m, np.float32, "sigma_m", (n,))
         job.opacity = address(gaussians.opacity, np.float32, "opacity", (n,))
         job.rgb = address(gaussians.rgb, np.float32, "rgb", (n, 3))
+        covariance = gaussians.covariance_m2
+        job.covariance = None if covariance is None else address(covariance, np.float32, "covariance_m2", (n, 6))
         self._prepared = gaussians
 
     def _set_view(self, view: View) -> None:

@@ -1,5 +1,5 @@
 """Does the library compute what it should on this very machine? A tiny picture with known sums, a
-posed block of Gaussians, one hand and the similarity of two pictures, in two milliseconds.
+picture of ellipsoids, a posed block of Gaussians, one hand and the similarity of two pictures, in two milliseconds.
 
 It guards against what no test of ours can see: a processor that misreports its abilities, a damaged file, another
 compiler's mistake.
@@ -8,6 +8,7 @@ compiler's mistake.
 from __future__ import annotations
 
 import ctypes
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -24,6 +25,9 @@ _COUNT, _SIZE, _SHADOW_SAMPLES, _TOLERANCE = 200, 32, 16, 1e-4
 # pixel of every plane has gradient 1 / pixels; from the float64 reference (tests/native recomputes them)
 EXPECTED_PLANES = (0.29586, 0.37901, 0.284323, 0.596285, 0.319804)
 EXPECTED_GRADIENTS = (0.117767, 1.950287, 0.009067, 0.002981)
+# the same with covariances instead of radii; planes, then gradients
+EXPECTED_PLANES_OF_ELLIPSOIDS = (0.189774, 0.217715, 0.182388, 0.381848, 0.20729)
+EXPECTED_GRADIENTS_OF_ELLIPSOIDS = (0.115688, 102.045218, 0.007946, 0.001909)
 # means of the picture with the shadow, R G B A
 EXPECTED_RGBA = (0.278745, 0.359152, 0.268071, 0.596285)
 
@@ -38,6 +42,18 @@ def sample_gaussians() -> GaussianArrays:
     position[7] = np.nan
     arrays = (position, 0.002 + 0.004 * spread(0.381966), 0.2 + 0.7 * spread(0.324718), rgb)
     return GaussianArrays(*(np.ascontiguousarray(array, np.float32) for array in arrays))
+
+
+def sample_ellipsoids() -> GaussianArrays:
+    """The same Gaussians stretched and turned, each in another way; number 9 has a negative variance."""
+    spheres, entry = sample_gaussians(), np.arange(9.0)[:, None]
+    root = (
+        0.5 * np.eye(3)[..., None] + _spread(_spread(np.arange(_COUNT), 0.381966) + entry, 0.7).reshape(3, 3, -1) - 0.5
+    )
+    root *= spheres.sigma_m
+    covariance = np.einsum("ikn,jkn->ijn", root, root)[[0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]].T
+    covariance[9, 3] *= -1
+    return replace(spheres, covariance_m2=np.ascontiguousarray(covariance, np.float32))
 
 
 def sample_view() -> View:
@@ -57,21 +73,35 @@ def check(library: Library) -> None:
     if sizes != expected:
         raise _failure(library, f"structures of {expected} bytes", str(sizes))
     _check_raster_and_shadow(library)
+    _check_ellipsoids(library)
     _check_skin(library)
     _check_bones(library)
     _check_similarity(library)
 
 
 def _check_raster_and_shadow(library: Library) -> None:
+    planes, gradients = _drawn(library, sample_gaussians(), invalid=1)
+    _compare(library, "sums of a picture", planes.mean((1, 2)), EXPECTED_PLANES)
+    _compare(library, "sums of gradients", gradients, EXPECTED_GRADIENTS)
+    _compare(library, "sums of a shaded picture", _shaded(library, planes).mean((0, 1)), EXPECTED_RGBA)
+
+
+def _check_ellipsoids(library: Library) -> None:
+    planes, gradients = _drawn(library, sample_ellipsoids(), invalid=2)
+    _compare(library, "sums of a picture of ellipsoids", planes.mean((1, 2)), EXPECTED_PLANES_OF_ELLIPSOIDS)
+    _compare(library, "sums of gradients of ellipsoids", gradients, EXPECTED_GRADIENTS_OF_ELLIPSOIDS)
+
+
+def _drawn(library: Library, gaussians: GaussianArrays, *, invalid: int) -> tuple[np.ndarray, list[float]]:
+    """The planes, and the mean gradients of position, sigma or covariance, opacity and colour."""
     rasteriser = NativeRasteriser(library, threads=1)
-    planes = rasteriser.forward(sample_gaussians(), sample_view())
-    if rasteriser.invalid != 1:
-        raise _failure(library, "one invalid Gaussian left out", str(rasteriser.invalid))
+    planes = rasteriser.forward(gaussians, sample_view())
+    if rasteriser.invalid != invalid:
+        raise _failure(library, f"{invalid} invalid Gaussians left out", str(rasteriser.invalid))
     gradients = rasteriser.backward(np.full_like(planes, 1.0 / _SIZE**2))
-    parts = (gradients.position_m, gradients.sigma_m, gradients.opacity, gradients.rgb)
-    rgba = _shaded(library, planes)
-    came = [*planes.mean((1, 2)), *(np.abs(part).mean() for part in parts), *rgba.mean((0, 1))]
-    _compare(library, "sums of a picture", came, [*EXPECTED_PLANES, *EXPECTED_GRADIENTS, *EXPECTED_RGBA])
+    shape = gradients.sigma_m if gradients.covariance_m2 is None else gradients.covariance_m2
+    parts = (gradients.position_m, shape, gradients.opacity, gradients.rgb)
+    return planes, [float(np.abs(part).mean()) for part in parts if part is not None]
 
 
 def _shaded(library: Library, planes: np.ndarray) -> np.ndarray:

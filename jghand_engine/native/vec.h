@@ -12,11 +12,14 @@ namespace jg {
 
 typedef float vf __attribute__((vector_size(64)));
 typedef int32_t vi __attribute__((vector_size(64)));
+typedef double vd __attribute__((vector_size(128)));  // where single precision does not do
 
 constexpr int LANES = 16;
 
 JG_INLINE vf all(float x) { return vf{} + x; }
 JG_INLINE vi all(int32_t x) { return vi{} + x; }
+JG_INLINE vd wide(vf x) { return __builtin_convertvector(x, vd); }
+JG_INLINE vf narrow(vd x) { return __builtin_convertvector(x, vf); }
 // A NaN in `a` gives `b`: comparisons with NaN are false.
 JG_INLINE vf max(vf a, vf b) { return a > b ? a : b; }
 JG_INLINE vf min(vf a, vf b) { return a < b ? a : b; }
@@ -143,6 +146,23 @@ JG_INLINE void store_triples(float* p, vf x, vf y, vf z) {
   float xs[LANES], ys[LANES], zs[LANES];
   store(xs, x), store(ys, y), store(zs, z);
   for (int i = 0; i < LANES; i++) p[3 * i] = xs[i], p[3 * i + 1] = ys[i], p[3 * i + 2] = zs[i];
+}
+
+// Sixteen rows of six, one after the other in memory, as six vectors. A row is two triples.
+JG_INLINE void load_sixes(const float* p, vf out[6]) {
+  vf low[3], high[3];
+  load_triples(p, low[0], low[1], low[2]), load_triples(p + 3 * LANES, high[0], high[1], high[2]);
+  for (int i = 0; i < 3; i++) {
+    out[i] = JG_SHUFFLE(low[i], high[i], 0, 2, 4, 6, 8, 10, 12, 14, 16, 18, 20, 22, 24, 26, 28, 30);
+    out[i + 3] = JG_SHUFFLE(low[i], high[i], 1, 3, 5, 7, 9, 11, 13, 15, 17, 19, 21, 23, 25, 27, 29, 31);
+  }
+}
+
+JG_INLINE void store_sixes(float* p, const vf rows[6]) {
+  float values[6][LANES];
+  for (int k = 0; k < 6; k++) store(values[k], rows[k]);
+  for (int i = 0; i < LANES; i++)
+    for (int k = 0; k < 6; k++) p[6 * i + k] = values[k][i];
 }
 
 // Row i, lane j becomes row j, lane i. Interleaving rows that are half the height apart, four times, transposes.

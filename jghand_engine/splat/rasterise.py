@@ -2,8 +2,9 @@
 
     picture = rasterise(gaussians, camera, settings)
 
-Gradients go to position, sigma, opacity and colour. float32 tensors on the CPU are drawn by the native kernel; float64
-tensors ask for the exact picture and are drawn by the reference, and so is everything where there is no kernel.
+Gradients go to position, sigma or covariance, opacity and colour. float32 tensors on the CPU are drawn by the native
+kernel; float64 tensors ask for the exact picture and are drawn by the reference, and so is everything where there is no
+kernel.
 """
 
 from __future__ import annotations
@@ -41,8 +42,7 @@ def rasterise(gaussians: Gaussians, camera: Camera, settings: RenderSettings | N
     if library is None:
         return rasterise_reference(gaussians, camera, alpha_min=settings.alpha_min)
     lease = _Lease(library, thread_count(settings.threads))
-    tensors = (gaussians.position_m, gaussians.sigma_m, gaussians.opacity, gaussians.rgb)
-    planes = _NativeRaster.apply(*tensors, lease, camera, settings)
+    planes = _NativeRaster.apply(*(getattr(gaussians, name) for name in _NAMES), lease, camera, settings)
     visible, invalid = lease.rasteriser.visible, lease.rasteriser.invalid
     return Picture.from_planes(planes, visible_gaussians=visible, invalid_gaussians=invalid)  # type: ignore[arg-type]
 
@@ -82,15 +82,20 @@ class _Lease:
         weakref.finalize(self, idle.append, self.rasteriser).atexit = False
 
 
+# the tensors of Gaussians, as GaussianArrays and Gradients call them too
+_NAMES = ("position_m", "sigma_m", "opacity", "rgb", "covariance_m2")
+
+
 class _NativeRaster(torch.autograd.Function):
-    """Planes (5, H, W) from the four tensors of Gaussians."""
+    """Planes (5, H, W) from the tensors of Gaussians, in the order of _NAMES."""
 
     @staticmethod
-    def forward(ctx: Any, position_m, sigma_m, opacity, rgb, lease: _Lease, camera: Camera, settings: RenderSettings):
-        tensors = [tensor.detach().contiguous() for tensor in (position_m, sigma_m, opacity, rgb)]
+    def forward(ctx: Any, *inputs: Any):
+        tensors, (lease, camera, settings) = inputs[: len(_NAMES)], inputs[len(_NAMES) :]
+        arrays: list[Any] = [None if tensor is None else tensor.detach().contiguous().numpy() for tensor in tensors]
         planes = torch.empty(PLANES, camera.height, camera.width)
         lease.rasteriser.forward(
-            GaussianArrays(*(tensor.numpy() for tensor in tensors)),
+            GaussianArrays(**dict(zip(_NAMES, arrays, strict=True))),
             view_of(camera),
             alpha_min=settings.alpha_min,
             t_stop=settings.t_stop,
@@ -99,7 +104,7 @@ class _NativeRaster(torch.autograd.Function):
         if any(ctx.needs_input_grad):
             ctx.lease = lease
             # saved, so that torch notices when someone overwrites them before the backward pass
-            ctx.save_for_backward(position_m, sigma_m, opacity, rgb, planes)
+            ctx.save_for_backward(*tensors, planes)
         return planes
 
     @staticmethod
@@ -108,7 +113,10 @@ class _NativeRaster(torch.autograd.Function):
         _ = ctx.saved_tensors  # raises when an input was modified in place
         incoming = np.ascontiguousarray(plane_gradients.detach().to(torch.float32).numpy())
         gradients = ctx.lease.rasteriser.backward(incoming)
-        arrays = (gradients.position_m, gradients.sigma_m, gradients.opacity, gradients.rgb)
-        wanted = ctx.needs_input_grad[: len(arrays)]
-        tensors = [torch.from_numpy(array) if want else None for array, want in zip(arrays, wanted, strict=True)]
+        wanted = zip(_NAMES, ctx.needs_input_grad[: len(_NAMES)], strict=True)
+        tensors = [_tensor(getattr(gradients, name)) if want else None for name, want in wanted]
         return (*tensors, None, None, None)
+
+
+def _tensor(array: np.ndarray | None) -> torch.Tensor | None:
+    return None if array is None else torch.from_numpy(array)

@@ -83,30 +83,83 @@ def _select(
 def _valid(gaussians: Gaussians, position_c: torch.Tensor) -> torch.Tensor:
     """(N,) bool: every value can be drawn. Comparisons with NaN are false."""
     g, reach = gaussians, limits.POSITION_MAX_M
+    covariance = g.covariance_m2
+    shapes = (g.sigma_m > 0) & (g.sigma_m < math.inf) if covariance is None else semi_definite(covariance)
     return (
         (g.position_m.abs() <= reach).all(1)
-        & (g.sigma_m > 0)
-        & (g.sigma_m < math.inf)
+        & shapes
         & (g.opacity >= 0)
         & (g.opacity <= 1)
         & (g.rgb.abs() <= limits.RGB_MAX).all(1)
     )
 
 
+def semi_definite(covariance_m2: torch.Tensor) -> torch.Tensor:
+    """(N,) bool: which of (N, 6) covariances are finite, not zero, and positive semi-definite up to rounding.
+
+    With a little of the trace added to the diagonal, all leading minors are positive (Sylvester's criterion).
+    """
+    xx, xy, xz, yy, yz, zz = covariance_m2.to(torch.float64).unbind(1)
+    trace = xx + yy + zz
+    slack = limits.COVARIANCE_SLACK * trace
+    xx, yy, zz = xx + slack, yy + slack, zz + slack
+    two = xx * yy - xy * xy
+    three = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
+    return (trace > 0) & (trace < math.inf) & (xx > 0) & (two > 0) & (three > 0)
+
+
 def _project(gaussians: Gaussians, position_c: torch.Tensor, kept: torch.Tensor, camera: Camera) -> _Ellipses:
-    """Perspective projection of the centres and of the spheres' covariance, with the low pass added."""
+    """Perspective projection of the centres and of the shapes."""
     x, y, z = position_c[kept].unbind(1)
-    sigma, opacity, rgb = gaussians.sigma_m[kept], gaussians.opacity[kept], gaussians.rgb[kept]
+    opacity, rgb, covariance = gaussians.opacity[kept], gaussians.rgb[kept], gaussians.covariance_m2
     jx, jy = camera.fx / z, camera.fy / z
     u, v = jx * x, jy * y
-    jxz, jyz = -u / z, -v / z
+    jacobian = jx, jy, -u / z, -v / z
+    if covariance is None:
+        shapes = _project_spheres(gaussians.sigma_m[kept], jacobian)
+    else:
+        shapes = _project_ellipsoids(covariance[kept], jacobian, camera)
+    features = torch.cat([rgb, torch.ones_like(z)[:, None], z[:, None]], 1)
+    return _Ellipses(u + camera.cx, v + camera.cy, *shapes, z, opacity, features)
+
+
+_Four = tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]
+
+
+def _project_spheres(sigma: torch.Tensor, jacobian: _Four) -> _Four:
+    """a, b, c and determinant, with the low pass added, from radii (M,) and du/dx, dv/dy, du/dz, dv/dz (M,)."""
+    jx, jy, jxz, jyz = jacobian
     xx, xz, yy, yz = (sigma * jx) ** 2, (sigma * jxz) ** 2, (sigma * jy) ** 2, (sigma * jyz) ** 2
     blur = limits.BLUR_PX2
     a, b, c = xx + xz + blur, (sigma * jxz) * (sigma * jyz), yy + yz + blur
     # a c - b^2 multiplied out: only positive terms remain, nothing cancels for long thin ellipses
-    det = xx * yy + xx * yz + xz * yy + blur * (xx + xz + yy + yz) + blur**2
-    features = torch.cat([rgb, torch.ones_like(z)[:, None], z[:, None]], 1)
-    return _Ellipses(u + camera.cx, v + camera.cy, a, b, c, det, z, opacity, features)
+    return a, b, c, xx * yy + xx * yz + xz * yy + blur * (xx + xz + yy + yz) + blur**2
+
+
+def _project_ellipsoids(covariance: torch.Tensor, jacobian: _Four, camera: Camera) -> _Four:
+    """The same from covariances S (M, 6) of the world: J R S R^T J^T + blur (EWA).
+
+    In float64 on the way, for a c - b^2 cancels for long thin ellipses and cannot be multiplied out here.
+    """
+    blur, rotation = limits.BLUR_PX2, camera.camera_from_world[:3, :3].to(covariance.device)
+    jx, jy, jxz, jyz = (j.to(torch.float64)[:, None] for j in jacobian)
+    tu, tv = jx * rotation[0] + jxz * rotation[2], jy * rotation[1] + jyz * rotation[2]
+    matrix = covariance.to(torch.float64)[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].unflatten(1, (3, 3))
+    mu, mv = (matrix * tu[:, None]).sum(2), (matrix * tv[:, None]).sum(2)
+    a, b, c = (tu * mu).sum(1), (tu * mv).sum(1), (tv * mv).sum(1)
+    # flat Gaussians may be a rounding error beyond flat: the nearest ellipse that exists, with the gradient of others
+    a, c = _set(a, a.detach().clamp_min(0)), _set(c, c.detach().clamp_min(0))
+    flat = a * c - b * b
+    det = _set(flat, flat.detach().clamp_min(0)) + blur * (a + c) + blur**2
+    longest = torch.sqrt((a * c).detach())
+    b = _set(b, b.detach().clamp(-longest, longest))
+    dtype = covariance.dtype
+    return (a + blur).to(dtype), b.to(dtype), (c + blur).to(dtype), det.to(dtype)
+
+
+def _set(tensor: torch.Tensor, value: torch.Tensor) -> torch.Tensor:
+    """`value`, with the gradient of `tensor`."""
+    return value + (tensor - tensor.detach())
 
 
 def _boxes(ellipses: _Ellipses, alpha_min: float) -> torch.Tensor:

@@ -9,14 +9,16 @@ import numpy as np
 import pytest
 import torch
 from splat_scenes import (
-    NAMES,
     NATIVE,
+    changed,
     draw,
     front_camera,
     gaussians_from,
     hand_gaussians,
     in_precision,
+    names_of,
     planes_of,
+    stretched,
 )
 
 from jghand_engine.avatar.gaussians import Gaussians
@@ -31,20 +33,26 @@ POISON = (
     *(math.nan, math.inf, -math.inf, 3.4e38, -3.4e38, 1e30, -1e30, 1e10, -1e10, 1e-38, 1e-45),
     *(0.0, -0.0, -1.0, 1e6, 1 / 255, 1 / 255 - 1e-6, 1 / 255 + 1e-6, 0.01, 1.0, 1 + 1e-6, 2.0),
 )
-SLOTS = [(name, column) for name in NAMES for column in range(3 if name in ("position_m", "rgb") else 1)]
+COLUMNS = {"position_m": 3, "sigma_m": 1, "opacity": 1, "rgb": 3, "covariance_m2": 6}
+SLOTS = [(name, column) for name, columns in COLUMNS.items() for column in range(columns)]
 
 
-def front_hand(count: int) -> Gaussians:
+def front_hand(count: int, *, ellipsoids: bool = False) -> Gaussians:
     hand = hand_gaussians(count, sigma_mm=(2, 5))
     hand.position_m[:, 2] += 0.6
-    return hand
+    return stretched(hand) if ellipsoids else hand
+
+
+def hand_with(name: str, count: int) -> Gaussians:
+    """One that has the tensor `name`."""
+    return front_hand(count, ellipsoids=name == "covariance_m2")
 
 
 def draw_and_differentiate(gaussians: Gaussians, camera: Camera, backend: str) -> tuple[Picture, list[torch.Tensor]]:
     leaves = in_precision(gaussians, torch.float32, grad=True)
     picture = draw(leaves, camera, backend)
     planes_of(picture).sum().backward()
-    return detached(picture), [getattr(leaves, name).grad for name in NAMES]
+    return detached(picture), [getattr(leaves, name).grad for name in names_of(leaves)]
 
 
 def detached(picture: Picture) -> Picture:
@@ -54,8 +62,8 @@ def detached(picture: Picture) -> Picture:
 
 def assert_finite(picture: Picture, gradients: list[torch.Tensor], what: str) -> None:
     assert bool(torch.isfinite(planes_of(picture)).all()), f"picture: {what}"
-    for name, gradient in zip(NAMES, gradients, strict=True):
-        assert gradient is None or bool(torch.isfinite(gradient).all()), f"gradient of {name}: {what}"
+    for place, gradient in enumerate(gradients):
+        assert gradient is None or bool(torch.isfinite(gradient).all()), f"gradient {place}: {what}"
 
 
 @every_backend
@@ -64,7 +72,7 @@ def test_poisoned_values_never_reach_picture_or_gradients(name, column, backend)
     """Promise 10: 22 values in every input slot."""
     camera = front_camera(64, 48, 200.0)
     for value in POISON:
-        hand = front_hand(600)
+        hand = hand_with(name, 600)
         tensor = getattr(hand, name)
         (tensor if tensor.ndim == 1 else tensor[:, column])[::7] = value
         assert_finite(*draw_and_differentiate(hand, camera, backend), f"{name}[{column}] = {value}")
@@ -74,7 +82,7 @@ def test_poisoned_values_never_reach_picture_or_gradients(name, column, backend)
 def test_every_backend_counts_the_same_invalid_gaussians(name, column):
     camera = front_camera(64, 48, 200.0)
     for value in POISON:
-        hand = front_hand(300)
+        hand = hand_with(name, 300)
         tensor = getattr(hand, name)
         (tensor if tensor.ndim == 1 else tensor[:, column])[::7] = value
         pictures = [draw(hand, camera, backend) for backend in BACKENDS]
@@ -87,20 +95,58 @@ INVALID = {
     "sigma_m": [math.nan, math.inf, 0.0, -0.0, -1.0, 1e10],
     "opacity": [math.nan, math.inf, -1.0, 1 + 1e-6, 2.0],
     "rgb": [math.nan, -math.inf, 1.1e6, -3.4e38],
+    "covariance_m2": [math.nan, math.inf, -1.0, -1e-8, 1e30],
 }
 
 
 @every_backend
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", COLUMNS)
 def test_what_the_contract_calls_invalid_is_counted_and_has_no_gradient(name, backend):
     camera = front_camera(64, 48, 200.0)
     for value in INVALID[name]:
-        hand = front_hand(50)
+        hand = hand_with(name, 50)
         tensor = getattr(hand, name)
         (tensor if tensor.ndim == 1 else tensor[:, 0])[11] = value
         picture, gradients = draw_and_differentiate(hand, camera, backend)
         assert picture.invalid_gaussians == 1, value
         assert all(float(gradient[11].abs().sum()) == 0 for gradient in gradients), value
+
+
+NOT_SEMI_DEFINITE = {
+    "nothing": [0, 0, 0, 0, 0, 0],
+    "a negative variance": [1e-6, 0, 0, 1e-6, 0, -1e-9],
+    "two negative variances": [-1e-6, 0, 0, -1e-6, 0, 1e-5],
+    "xy too large": [1e-6, 1.01e-6, 0, 1e-6, 0, 1e-6],
+    "xz too large": [1e-6, 0, 1.01e-6, 1e-6, 0, 1e-6],
+    "yz too large": [1e-6, 0, 0, 1e-6, 1.01e-6, 1e-6],
+    "all three too large together": [1e-6, -0.6e-6, -0.6e-6, 1e-6, -0.6e-6, 1e-6],
+    "beyond rounding": [1e-6, 0, 0, 1e-6, 0, -3e-12],
+}
+
+
+@every_backend
+@pytest.mark.parametrize("what", NOT_SEMI_DEFINITE)
+def test_a_covariance_that_is_none_is_counted_and_changes_nothing_else(what, backend):
+    camera, hand = front_camera(64, 48, 200.0), front_hand(50, ellipsoids=True)
+    assert hand.covariance_m2 is not None
+    hand.covariance_m2[11] = torch.tensor(NOT_SEMI_DEFINITE[what])
+    picture, gradients = draw_and_differentiate(hand, camera, backend)
+    assert picture.invalid_gaussians == 1
+    assert all(float(gradient[11].abs().sum()) == 0 for gradient in gradients)
+    kept = torch.arange(50) != 11
+    without = changed(hand, lambda name: getattr(hand, name)[kept].contiguous())
+    assert torch.equal(planes_of(picture), planes_of(draw(without, camera, backend)))
+
+
+@every_backend
+def test_what_rounding_leaves_of_flat_covariances_is_drawn(backend):
+    camera, hand = front_camera(64, 48, 200.0), front_hand(50, ellipsoids=True)
+    assert hand.covariance_m2 is not None
+    hand.covariance_m2[:] = torch.tensor([1e-5, 1e-5, 0, 1e-5 * (1 - 1e-7), 0, -5e-13])
+    picture, gradients = draw_and_differentiate(hand, camera, backend)
+    assert picture.invalid_gaussians == 0
+    assert picture.visible_gaussians > 40
+    assert_finite(picture, gradients, "flat")
 
 
 SIZES = [(1, 1), (2, 1), (3, 5), (4, 4), (7, 16), (16, 16), (17, 31), (33, 8), (64, 48), (100, 3), (5, 120)]
@@ -112,8 +158,8 @@ def test_200_random_scenes_keep_the_invariants(backend):
     random = np.random.default_rng(11)
     for scene in range(200):
         count, rate = int(random.integers(0, 400)), float(random.uniform(0, 0.95))
-        hand = front_hand(count)
-        for name in NAMES:
+        hand = front_hand(count, ellipsoids=scene % 2 == 1)
+        for name in names_of(hand):
             tensor = getattr(hand, name)
             poisoned = torch.from_numpy(random.uniform(size=tuple(tensor.shape)) < rate)
             values = torch.from_numpy(random.choice(POISON, size=tuple(tensor.shape))).float()
@@ -147,6 +193,18 @@ def test_long_thin_ellipses_at_the_near_plane_stay_finite(backend):
     picture, gradients = draw_and_differentiate(hand, front_camera(64, 48, 100.0), backend)
     assert picture.visible_gaussians > 100
     assert_finite(picture, gradients, "near plane")
+
+
+@every_backend
+@pytest.mark.parametrize("aspect", [1e2, 1e4, 1e8])
+def test_needles_and_flakes_of_any_size_stay_finite(aspect, backend):
+    """Up to kilometres long, and from the near plane to the far: beyond what float32 resolves across them."""
+    hand = stretched(front_hand(600), aspect=aspect)
+    hand.position_m[::2, 2] = torch.linspace(0.0101, 5, 300)
+    picture, gradients = draw_and_differentiate(hand, front_camera(64, 48, 300.0), backend)
+    assert picture.visible_gaussians > 100
+    assert -1e-6 <= float(picture.alpha.min()) <= float(picture.alpha.max()) <= 1 + 1e-6
+    assert_finite(picture, gradients, f"aspect {aspect}")
 
 
 @pytest.mark.parametrize("value", [math.nan, math.inf, 0.0, -1.0])

@@ -21,7 +21,15 @@ def test_the_kernels_constants_are_those_of_limits():
     shared = {name: value for name, value in found.items() if hasattr(limits, name)}
     assert set(found) - set(shared) == {"LN2", "LOG2E"}
     assert shared == {name: getattr(limits, name) for name in shared}
-    assert {"BLUR_PX2", "VAR_MAX_PX2", "RGB_MAX", "POSITION_MAX_M", "TILE_PX", "GRADIENT_STRIPES"} <= set(shared)
+    assert {
+        "BLUR_PX2",
+        "VAR_MAX_PX2",
+        "RGB_MAX",
+        "POSITION_MAX_M",
+        "COVARIANCE_SLACK",
+        "TILE_PX",
+        "GRADIENT_STRIPES",
+    } <= set(shared)
     assert {"SHADOW_FAR_M", "SHADOW_SAMPLES_MAX", "SHADOW_STRIPES"} <= set(shared)
     # and stand nowhere else
     for path in build.source_files():
@@ -319,3 +327,25 @@ def test_the_self_test_knows_what_the_reference_draws():
     shaded = darken(planes.detach(), camera, style).mean((1, 2)).tolist()
     assert [*shaded, means[3]] == pytest.approx(selftest.EXPECTED_RGBA, abs=1e-6)
     assert picture.invalid_gaussians == 1
+
+
+@native_only
+def test_the_self_test_knows_what_the_reference_draws_of_ellipsoids():
+    import torch
+
+    from jghand_engine.avatar.gaussians import Gaussians
+    from jghand_engine.splat.camera import Camera
+    from jghand_engine.splat.reference import rasterise_reference
+
+    arrays, view = selftest.sample_ellipsoids(), selftest.sample_view()
+    names = ("position_m", "sigma_m", "opacity", "rgb", "covariance_m2")
+    leaves = {name: torch.from_numpy(getattr(arrays, name)).double().requires_grad_() for name in names}
+    camera = Camera(view.width, view.height, view.fx, view.fy, view.cx, view.cy, torch.eye(4, dtype=torch.float64))
+    picture = rasterise_reference(Gaussians(**leaves), camera)
+    planes = torch.cat([picture.rgb.permute(2, 0, 1), picture.alpha[None], picture.depth_sum[None]])
+    planes.mean((1, 2)).sum().backward()
+    gradients = [leaves[name].grad for name in ("position_m", "covariance_m2", "opacity", "rgb")]
+    means = [0.0 if gradient is None else float(gradient.abs().mean()) for gradient in gradients]
+    assert planes.detach().mean((1, 2)).tolist() == pytest.approx(selftest.EXPECTED_PLANES_OF_ELLIPSOIDS, abs=1e-6)
+    assert means == pytest.approx(selftest.EXPECTED_GRADIENTS_OF_ELLIPSOIDS, abs=1e-6)
+    assert picture.invalid_gaussians == 2

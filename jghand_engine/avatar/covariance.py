@@ -1,0 +1,31 @@
+"""Ellipsoids on a moving hand: the covariance of a canonical Gaussian after skinning (METHOD 2.8), differentiable."""
+
+from __future__ import annotations
+
+import torch
+
+from jghand_engine.hand.rotations import dot, mat_mul, rotation_of, safe_unit
+from jghand_engine.limits import QUATERNION_MIN
+
+
+def posed_covariance(log_scale: torch.Tensor, quaternion: torch.Tensor, linear: torch.Tensor) -> torch.Tensor:
+    """(N, 6) xx, xy, xz, yy, yz, zz, square metres: L S L^T with S = R diag(scale^2) R^T, for `Gaussians`.
+
+    log_scale:  (N, 3) natural logarithms of standard deviations, metres, along a Gaussian's own axes
+    quaternion: (N, 4) wxyz, turns these axes into the canonical hand's; of any length, and no rotation at length 0.
+                The gradient (never the value) is damped below the length GRADIENT_DAMPING, and 0 at 0.
+    linear:     (N, 3, 3) blended linear maps of `skinning.blend`, mirrored and collapsed ones too; its dtype is that of
+                the result
+
+    As (L R scale)(L R scale)^T, by multiply-add without GEMM: the diagonal is a sum of squares, never negative.
+    """
+    with torch.autocast(linear.device.type, enabled=False):
+        dtype = linear.dtype
+        # components first: long contiguous rows (hand/rotations.py)
+        maps, scale, turn = (
+            tensor.movedim(0, -1).contiguous()
+            for tensor in (linear, torch.exp(log_scale.to(dtype)), quaternion.to(dtype))
+        )
+        none = turn.new_tensor([1.0, 0.0, 0.0, 0.0])[:, None]
+        axes = mat_mul(maps, rotation_of(safe_unit(turn, none, QUATERNION_MIN)[0]) * scale)
+        return torch.stack([dot(axes[i], axes[j]) for i in range(3) for j in range(i, 3)], -1)
