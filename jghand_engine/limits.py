@@ -382,7 +382,7 @@ CHECKPOINTS_KEPT = 2
 # seconds between two checkpoints: what kill -9 may lose. Writing one takes some 40 ms (RENDERING 14, promise 20)
 CHECKPOINT_EVERY_S = 60.0
 # seconds to the first preview, which is promised within a minute, and between two later ones
-FIRST_PREVIEW_S = 20.0
+FIRST_PREVIEW_S = 15.0
 PREVIEW_EVERY_S = 180.0
 # steps that one line of the log averages
 LOG_EVERY_STEPS = 20

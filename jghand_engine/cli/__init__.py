@@ -15,7 +15,7 @@ from typing import Annotated, Any, Union
 import tyro
 
 from jghand_engine import __version__
-from jghand_engine.cli import bench, capture, check_data, demo, evaluate, export, info, render, serve, study
+from jghand_engine.cli import ablate, bench, capture, check_data, demo, evaluate, export, info, render, serve, study, train
 from jghand_engine.cli.console import say, say_error
 from jghand_engine.cli.failures import explain
 from jghand_engine.cli.options import ReportOptions
@@ -35,7 +35,9 @@ VERBS = {
     "info": (info.Info, info.DESCRIPTION),
     "check-data": (check_data.CheckData, check_data.DESCRIPTION),
     "capture": (capture.Capture, capture.DESCRIPTION),
+    "train": (train.Train, train.DESCRIPTION),
     "evaluate": (evaluate.Evaluate, evaluate.DESCRIPTION),
+    "ablate": (ablate.Ablate, ablate.DESCRIPTION),
     "bench": (bench.Bench, bench.DESCRIPTION),
     "study": (study.Study, study.DESCRIPTION),
     "serve": (serve.Serve, serve.DESCRIPTION),

@@ -38,6 +38,8 @@ from jghand_engine.training.trainable import GAUSSIANS, LOSS, Trainable
 from jghand_engine.training.work_folder import Start, WorkFolder, check_folder
 
 CHECKPOINTS = Every(seconds=CHECKPOINT_EVERY_S)
+# of the values that are not finite, so many are said; the dump has them all
+FINDINGS_SAID = 3
 PREVIEWS = Every(seconds=PREVIEW_EVERY_S, first_s=FIRST_PREVIEW_S)
 
 
@@ -182,9 +184,10 @@ class Loop:
         self.course.best_step, self.course.best_psnr = best
         self._take_time()
         self._log.cut_after(self.course.step)
-        self._log.write(self.course.step, {}, not_finite=str(findings[0]), skipped=number)
+        what = "; ".join(str(finding) for finding in findings[:FINDINGS_SAID])
+        self._log.write(self.course.step, {}, not_finite=what, skipped=number)
         self._display.note(
-            f"Step {number} gave values that are not finite, first {findings[0]}: back to step {self.course.step}, "
+            f"Step {number} gave values that are not finite, first {what}: back to step {self.course.step}, "
             f"step {number} is left out. {dump} holds what repeats it."
         )
 

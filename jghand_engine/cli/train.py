@@ -1,0 +1,193 @@
+"""`jghand train`: an avatar from pictures of one hand."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from jghand_engine import limits
+from jghand_engine.cli.console import err, say, write_json
+from jghand_engine.cli.failures import STOPPED
+from jghand_engine.cli.options import File, ReportOptions
+from jghand_engine.cli.picture_sets import PictureSetOptions
+from jghand_engine.errors import InputError
+
+if TYPE_CHECKING:
+    from jghand_engine.training.options import TrainOptions
+    from jghand_engine.training.perceptual import PerceptualMetric
+    from jghand_engine.training.run import Outcome, RunOptions
+    from jghand_engine.training.schedule import Budget
+    from jghand_engine.training.trainable import Trainable
+
+DESCRIPTION = """Learn a hand from pictures of it: `jghand capture` makes them, InterHand2.6M and HanCo have them.
+
+Examples:
+  jghand train captures/id3 --out id3.jghand --minutes 60
+  jghand train captures/id3 --out id3.jghand --resume
+  jghand train InterHand2.6M_5fps --protocol test-capture0 --out capture0.jghand --preset paper-faithful
+
+It can be stopped at any time with Ctrl-C, or be killed, and goes on with --resume."""
+
+_Number = tyro.conf.arg(metavar="NUMBER", help_behavior_hint="")
+
+
+@dataclass(frozen=True)
+class StartOptions:
+    """Beginning and going on"""
+
+    work: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None
+    """Checkpoints, log and previews. Left out: beside --out, id3.training for id3.jghand."""
+    resume: bool = False
+    """Go on where the training in that folder stands, with the options that it began with."""
+    fresh: bool = False
+    """Forget the training that the folder holds, and begin anew."""
+    overwrite: bool = False
+    """Replace --out even if it is not the result of this training."""
+
+
+@dataclass(frozen=True)
+class Train:
+    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")]
+    """InterHand2.6M, HanCo, or what `jghand capture` made."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE.jghand")]
+    """The avatar."""
+    preset: Literal["default", "paper-faithful"] = "default"
+    """What is learnt, and how: our best, or as close to the paper as it says."""
+    minutes: Annotated[float | None, _Number] = None
+    """Train for so long, all sessions together. Left out, and no --steps: 60, or 30 rounds of all pictures with
+    paper-faithful. How many steps that makes depends on the machine; --steps does not."""
+    steps: Annotated[int | None, _Number] = None
+    """Train for so many steps; with --minutes: until the first of both."""
+    seed: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
+    """The same seed and --steps give the same avatar on the same machine."""
+    all_pictures: bool = False
+    """Learn from the held-out pictures too: for an avatar that is used, not for one that is judged."""
+    tensorboard: bool = False
+    """Also write the curves for TensorBoard, into the work folder."""
+    replay: File = None
+    """Instead of training: repeat a step that gave values that are not finite, from its folder in failures/."""
+    start: StartOptions = field(default_factory=StartOptions)
+    pictures: PictureSetOptions = field(default_factory=PictureSetOptions)
+    report: ReportOptions = field(default_factory=ReportOptions)
+
+    def run(self) -> int:
+        """0 when the training is finished, the exit code of a stop when somebody stopped it."""
+        from jghand_engine.avatar.avatar import AvatarInfo
+        from jghand_engine.datasets.capture_folder import open_capture
+        from jghand_engine.datasets.splits import split_capture
+        from jghand_engine.template.builtin import load_template
+        from jghand_engine.training.progress import display
+        from jghand_engine.training.run import check_places, train
+        from jghand_engine.training.stamp import stamp_of
+        from jghand_engine.training.step import HandTraining, Material
+
+        # what can be refused is refused before the pictures are looked at, of which there may be many
+        run = self._run_options()
+        if self.replay is None:
+            check_places(run)
+        capture = open_capture(self.folder, protocol=self.pictures.protocol, choice=self.pictures.choice())
+        split = split_capture(capture)
+        learnt = capture.samples if self.all_pictures else split.train
+        options, perceptual = self._train_options()
+        run = replace(run, stamp=stamp_of(options, learnt), budget=self._budget(len(learnt)))
+        say(f"{capture.name}: {len(learnt)} of {len(capture)} pictures to learn from ({split.origin})")
+
+        def build() -> HandTraining:
+            say("Placing the Gaussians …")
+            shown = (split.test or learnt)[len(split.test or learnt) // 2]
+            info = AvatarInfo(self.out.stem, template="", licence=f"that of the pictures: {capture.name}")
+            return HandTraining(Material(learnt, shown, load_template(), info, perceptual), options)
+
+        if self.replay is not None:
+            return self._replayed(build(), run)
+        with display(err()) as shown_progress:
+            outcome = train(build, run, shown_progress)
+        self._say(outcome, run)
+        return 0 if outcome.finished else STOPPED
+
+    # ---- options -----------------------------------------------------------------------------------------------------
+
+    def _run_options(self) -> RunOptions:
+        """How the training runs; its stamp is added when the pictures are known. InputError for what makes no sense."""
+        from jghand_engine.training.run import RunOptions
+        from jghand_engine.training.work_folder import Start
+
+        if self.out.suffix != ".jghand":
+            raise InputError("--out", wanted="a file that ends with .jghand", came=str(self.out))
+        if self.start.resume and self.start.fresh:
+            raise InputError("--resume and --fresh", wanted="one of them", came="both")
+        return RunOptions(
+            out=self.out,
+            work=self.start.work or self.out.with_suffix(".training"),
+            stamp={},
+            budget=self._budget(),
+            start=Start.RESUME if self.start.resume else Start.FRESH if self.start.fresh else Start.NEW,
+            overwrite=self.start.overwrite,
+            tensorboard=self.tensorboard,
+        )
+
+    def _budget(self, pictures: int = 1) -> Budget:
+        """How long to train on so many pictures. InputError for what makes no sense."""
+        from jghand_engine.training.schedule import Budget
+
+        if self.minutes is not None and not 0 < self.minutes < math.inf:
+            raise InputError("--minutes", wanted="more than 0", came=f"{self.minutes:g}")
+        if self.steps is not None and self.steps < 1:
+            raise InputError("--steps", wanted="1 or more", came=str(self.steps))
+        if self.steps is None and self.minutes is None:
+            if self.preset == "paper-faithful":
+                return Budget(steps=limits.PAPER_ROUNDS * pictures)
+            return Budget(seconds=60.0 * limits.TRAINING_MINUTES)
+        return Budget(self.steps, None if self.minutes is None else 60.0 * self.minutes)
+
+    def _train_options(self) -> tuple[TrainOptions, PerceptualMetric | None]:
+        """What is learnt, and the perceptual metric, where the preset wants one and there is one."""
+        from jghand_engine.training import perceptual
+        from jghand_engine.training.options import PRESETS
+
+        options = replace(PRESETS[self.preset], seed=self.seed)
+        if not options.loss.perceptual:
+            return options, None
+        metric = perceptual.st_lpips()
+        if metric is None:
+            say(f"{perceptual.ST_LPIPS_MISSING}. The training goes without the perceptual term.")
+            options = replace(options, loss=replace(options.loss, perceptual=0.0))
+        return options, metric
+
+    # ---- results -----------------------------------------------------------------------------------------------------
+
+    def _say(self, outcome: Outcome, run: RunOptions) -> None:
+        from jghand_engine.training.progress import duration
+
+        course = outcome.course
+        done = f"{course.step} steps in {duration(course.seconds)}"
+        if outcome.finished:
+            say(f"{run.out}: {outcome.psnr:.2f} dB on the fixed view after {done}. Log and pictures: {run.work}")
+            say(f"How good it is: jghand evaluate {run.out} {self.folder}")
+        else:
+            say(f"Stopped after {done}. Nothing is lost: the same command with --resume goes on.")
+        if course.recoveries:
+            what = "step" if course.recoveries == 1 else "steps"
+            say(f"{course.recoveries} {what} gave values that are not finite, left out: {run.work / 'failures'}")
+        if self.report.json is not None:
+            write_json(self.report.json, {
+                "command": "train", "folder": str(self.folder), "out": str(run.out), "work": str(run.work),
+                "finished": outcome.finished, "steps": course.step, "seconds": course.seconds,
+                "fixed_view_psnr_db": outcome.psnr, "skipped_steps": course.skipped, "stamp": dict(run.stamp),
+            })  # fmt: skip
+
+    def _replayed(self, training: Trainable, run: RunOptions) -> int:
+        from jghand_engine.training.replay import replay
+
+        again = replay(Path(str(self.replay)), training, run.stamp)
+        first = "; ".join(str(finding) for finding in again.first_time)
+        say(f"When it happened, step {again.first_step}: {first}")
+        if again.step is None:
+            say("Repeated: everything stayed finite. What damaged it came from outside of the arithmetic.")
+        else:
+            say(f"Repeated, step {again.step}: {'; '.join(str(finding) for finding in again.findings)}")
+        return 0
