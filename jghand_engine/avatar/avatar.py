@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import torch
 
+from jghand_engine.avatar.learnt import Learnt
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import ScaleMode
 from jghand_engine.limits import DEEP_M, DEEP_RADII, SIGMA_MAX_M, UVD_RANGE_M
@@ -40,9 +41,10 @@ class HandAvatar:
     position_m:           (N, 3) float32, canonical centres, metres
     sigma_m:              (N,)   float32, canonical radii, metres
     opacity:              (N,)   float32, 0..1
-    rgb:                  (N, 3) float32, display-referred sRGB 0..1
+    rgb:                  (N, 3) float32, display-referred sRGB 0..1; of a trained avatar without its light
     bone_weights:         (N, 21) float32, rows sum to 1, column i = B_i
     uvd:                  (N, 3) float32, texture coordinates and normalised signed distance, 0..1
+    learnt:               what training adds; None for a painted avatar
     """
 
     info: AvatarInfo
@@ -54,6 +56,7 @@ class HandAvatar:
     rgb: torch.Tensor
     bone_weights: torch.Tensor
     uvd: torch.Tensor
+    learnt: Learnt | None = None
 
     def __len__(self) -> int:
         return self.position_m.shape[0]
@@ -70,7 +73,8 @@ class HandAvatar:
         if count <= 0 or count >= len(self):
             return self
         arrays = ("position_m", "sigma_m", "opacity", "rgb", "bone_weights", "uvd")
-        shorter = replace(self, **{name: getattr(self, name)[:count] for name in arrays})
+        learnt = None if self.learnt is None else self.learnt.prefix(count)
+        shorter = replace(self, learnt=learnt, **{name: getattr(self, name)[:count] for name in arrays})
         scale = sigma_scale_for_prefix(count, len(self))
         return replace(shorter, sigma_m=_grown(shorter.sigma_m, scale, shorter.uvd[:, 2]))
 

@@ -263,4 +263,4 @@ def _arrays(avatar: HandAvatar) -> Arrays:
 
 def _avatar(info: AvatarInfo, handedness: Handedness, joints_m: torch.Tensor, arrays: Arrays) -> HandAvatar:
     tensors = {name: torch.from_numpy(np.ascontiguousarray(getattr(arrays, name))) for name in ARRAY_NAMES}
-    return HandAvatar(info, handedness, joints_m.to(torch.float64), **tensors)
+    return HandAvatar(info, handedness, joints_m.to(torch.float64), learnt=None, **tensors)

@@ -5,12 +5,17 @@ This is the differentiable form, in any floating dtype; the native path of the r
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import torch
 
 from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.correctives import Correction
 from jghand_engine.avatar.gaussians import Gaussians
+from jghand_engine.avatar.light import gloss, lit, unit
+from jghand_engine.errors import InputError
+from jghand_engine.hand.frames import HandFrames
 from jghand_engine.limits import BLEND_DET_MIN, SIGMA_STRETCH_MAX, SIGMA_STRETCH_MIN
 
 
@@ -77,27 +82,108 @@ def turning(linear: torch.Tensor, bones: PoseTransforms) -> torch.Tensor:
     return torch.where(sound[:, None, None], linear / size[:, None, None], palm)
 
 
-def pose_gaussians(
-    avatar: HandAvatar, bones: PoseTransforms, *, pose_offset_m: torch.Tensor | None = None
-) -> Gaussians:
-    """Canonical Gaussians -> Gaussians of one pose, in the frame of the joints that made `bones`.
+@dataclass(frozen=True)
+class SkinMaps:
+    """How the skin of one pose moves: what skinning needs of the bones for every Gaussian, and nothing of the avatar
+    that training changes.
 
-    bones:         transforms of one pose (no batch axis); its dtype is that of the result.
-    pose_offset_m: (N, 3) metres, offsets in canonical axes added after skinning, turned and scaled with the hand.
+    linear (N, 3, 3), offset_m (N, 3): root-relative blended maps · radius (N,): posed over canonical radius ·
+    turning (N, 3, 3): see `turning`; None when nothing is attached to the skin
+    """
+
+    linear: torch.Tensor
+    offset_m: torch.Tensor
+    radius: torch.Tensor
+    turning: torch.Tensor | None
+
+
+def skin_maps(bone_weights: torch.Tensor, bones: PoseTransforms, *, turned: bool) -> SkinMaps:
+    """The maps of Gaussians with `bone_weights` (N, 21) under `bones` of one pose; `turned`: with `turning`."""
+    with torch.autocast(bones.linear.device.type, enabled=False):
+        linear, offset_m = blend(bone_weights, bones)
+        radius = posed_radius_scale(linear, bones.scale)
+        return SkinMaps(linear, offset_m, radius, turning(linear, bones) if turned else None)
+
+
+@dataclass(frozen=True)
+class PosedSkin:
+    """One pose of an avatar before anybody looks at it.
+
+    matt: Gaussians with the colour that is the same from everywhere · normal: (N, 3) unit, world, and shine: (N,) of a
+    trained avatar, else None
+    """
+
+    matt: Gaussians
+    normal: torch.Tensor | None = None
+    shine: torch.Tensor | None = None
+
+
+def pose_skin(
+    avatar: HandAvatar, bones: PoseTransforms, correction: Correction | None = None, maps: SkinMaps | None = None
+) -> PosedSkin:
+    """Canonical Gaussians -> those of one pose, in the frame of the joints that made `bones`.
+
+    bones: transforms of one pose (no batch axis); its dtype is that of the result · correction: of that pose, for a
+    trained avatar · maps: as `skin_maps` makes them, where they are known already
 
     Position: blend [L | t] root-relative, add the root last (METHOD 2.9): the result stays exact far from the origin.
     Radius: sigma * |det L|^(1/3), clamped to SIGMA_STRETCH_MIN..MAX times s_g * sigma (METHOD 2.8).
     """
+    learnt = avatar.learnt
     with torch.autocast(bones.linear.device.type, enabled=False):
         dtype = bones.linear.dtype
-        linear, offset_m = blend(avatar.bone_weights, bones)
+        maps = maps or skin_maps(avatar.bone_weights, bones, turned=learnt is not None or correction is not None)
         relative_m = avatar.position_m.to(dtype) - bones.canonical_root_m.to(dtype)
-        position_m = apply(linear, relative_m) + offset_m
-        if pose_offset_m is not None:
-            position_m = position_m + bones.scale * apply(turning(linear, bones), pose_offset_m.to(dtype))
-        return Gaussians(
+        position_m = apply(maps.linear, relative_m) + maps.offset_m
+        if correction is not None:
+            offset_m = correction.offset_m.to(dtype)
+            in_world = learnt is not None and learnt.world_offsets
+            position_m = position_m + (offset_m if in_world else bones.scale * apply(_turned(maps), offset_m))
+        rgb, normal, shine = avatar.rgb.to(dtype), None, None
+        if learnt is not None:
+            normal = unit(apply(_turned(maps), learnt.normal.to(dtype)))
+            shade = None if correction is None else correction.shade.to(dtype)
+            rgb, shine = lit(rgb, normal, learnt.light.to(dtype), shade), learnt.shine.to(dtype)
+        gaussians = Gaussians(
             position_m=position_m + bones.root_m,
-            sigma_m=avatar.sigma_m.to(dtype) * posed_radius_scale(linear, bones.scale),
+            sigma_m=avatar.sigma_m.to(dtype) * maps.radius,
             opacity=avatar.opacity.to(dtype),
-            rgb=avatar.rgb.to(dtype),
+            rgb=rgb,
         )
+        return PosedSkin(gaussians, normal, shine)
+
+
+def seen_from(skin: PosedSkin, eye_m: torch.Tensor, avatar: HandAvatar) -> Gaussians:
+    """The Gaussians with what they reflect towards the eye (3,), in the frame of `skin`.
+
+    Where the skin lies decides which way to the eye is, but it is not pulled about by it: no gradient goes there.
+    """
+    if avatar.learnt is None or skin.normal is None or skin.shine is None:
+        return skin.matt
+    to_eye = unit(eye_m.to(skin.normal.dtype) - skin.matt.position_m.detach())
+    reflected = skin.shine[:, None] * gloss(skin.normal, to_eye, avatar.learnt.light.to(skin.normal.dtype))
+    return replace(skin.matt, rgb=skin.matt.rgb + reflected)
+
+
+def pose_gaussians(
+    avatar: HandAvatar, bones: PoseTransforms, *, frames: HandFrames | None = None, eye_m: torch.Tensor | None = None
+) -> Gaussians:
+    """Canonical Gaussians -> what is drawn of one pose, in the frame of the joints that made `bones`.
+
+    frames: of the same pose; a trained avatar with correctives needs them (InputError) · eye_m: (3,) where the camera
+    stands; None leaves out what only that camera would see mirrored
+    """
+    correctives = None if avatar.learnt is None else avatar.learnt.correctives
+    correction = None
+    if correctives is not None:
+        if frames is None:
+            raise InputError("pose of a trained avatar", wanted="its frames, for the joint angles", came="none")
+        correction = correctives(frames)
+    skin = pose_skin(avatar, bones, correction)
+    return skin.matt if eye_m is None else seen_from(skin, eye_m, avatar)
+
+
+def _turned(maps: SkinMaps) -> torch.Tensor:
+    if maps.turning is None:
+        raise InputError("maps of the skin", wanted="those with `turned`", came="none")
+    return maps.turning

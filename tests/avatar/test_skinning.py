@@ -9,7 +9,9 @@ import torch
 from small_avatars import small_avatar
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.skinning import apply, blend, pose_gaussians, turning, volume_scale
+from jghand_engine.avatar.correctives import Correction
+from jghand_engine.avatar.gaussians import Gaussians
+from jghand_engine.avatar.skinning import apply, blend, pose_gaussians, pose_skin, turning, volume_scale
 from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import BoneTransforms, JointTransform
@@ -26,6 +28,10 @@ def joints_of(avatar: HandAvatar, pose: str) -> torch.Tensor:
 
 def bones_of(avatar: HandAvatar, joints_m: torch.Tensor, **options) -> BoneTransforms:
     return JointTransform(avatar.canonical_joints_m, **{"handedness": avatar.handedness, **options}).bones(joints_m)
+
+
+def posed_with(avatar: HandAvatar, bones: BoneTransforms, offset_m: torch.Tensor) -> Gaussians:
+    return pose_skin(avatar, bones, Correction(offset_m, torch.zeros_like(offset_m))).matt
 
 
 def random_rotation(seed: int) -> torch.Tensor:
@@ -52,8 +58,8 @@ def test_turning_moving_and_scaling_the_joints_does_the_same_to_the_gaussians(po
     joints_m, R, size = joints_of(avatar, pose), random_rotation(1), 1.3
     shift_m = torch.tensor([0.3, -2.0, 0.7], dtype=torch.float64)
     offset_m = 0.002 * torch.randn(len(avatar), 3, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
-    here = pose_gaussians(avatar, bones_of(avatar, joints_m), pose_offset_m=offset_m)
-    there = pose_gaussians(avatar, bones_of(avatar, size * joints_m @ R.T + shift_m), pose_offset_m=offset_m)
+    here = posed_with(avatar, bones_of(avatar, joints_m), offset_m)
+    there = posed_with(avatar, bones_of(avatar, size * joints_m @ R.T + shift_m), offset_m)
     # worst seen 6e-16 m
     torch.testing.assert_close(there.position_m, size * here.position_m @ R.T + shift_m, atol=5e-15, rtol=0)
     torch.testing.assert_close(there.sigma_m, size * here.sigma_m, atol=0, rtol=1e-12)
@@ -64,9 +70,9 @@ def test_a_left_hand_is_the_mirror_image_of_a_right_hand(pose):
     avatar, mirror = small_avatar(), torch.tensor([-1.0, 1.0, 1.0], dtype=torch.float64)
     joints_m = joints_of(avatar, pose)
     offset_m = torch.full((len(avatar), 3), 0.001, dtype=torch.float64)
-    right = pose_gaussians(avatar, bones_of(avatar, joints_m), pose_offset_m=offset_m)
+    right = posed_with(avatar, bones_of(avatar, joints_m), offset_m)
     bones = bones_of(avatar, joints_m * mirror, handedness=Handedness.LEFT)
-    left = pose_gaussians(avatar.for_hand(Handedness.LEFT), bones, pose_offset_m=offset_m)
+    left = posed_with(avatar.for_hand(Handedness.LEFT), bones, offset_m)
     torch.testing.assert_close(left.position_m, right.position_m * mirror, atol=1e-16, rtol=0)
     torch.testing.assert_close(left.sigma_m, right.sigma_m, atol=0, rtol=1e-14)
 
@@ -124,7 +130,7 @@ def test_a_collapsed_blend_has_finite_gradients():
     avatar, bones = collapsed(small_avatar())
     linear = bones.linear.clone().requires_grad_(True)
     offset_m = torch.full((len(avatar), 3), 1e-3, dtype=torch.float64)
-    posed = pose_gaussians(avatar, replace(bones, linear=linear), pose_offset_m=offset_m)
+    posed = posed_with(avatar, replace(bones, linear=linear), offset_m)
     (posed.position_m.sum() + posed.sigma_m.sum()).backward()
     assert linear.grad is not None
     assert torch.isfinite(posed.position_m).all()
@@ -137,7 +143,7 @@ def test_gradients_with_respect_to_the_joints_are_those_of_finite_differences(po
     offset_m = torch.full((12, 3), 1e-3, dtype=torch.float64)
 
     def posed(joints_m: torch.Tensor) -> torch.Tensor:
-        g = pose_gaussians(avatar, bones_of(avatar, joints_m), pose_offset_m=offset_m)
+        g = posed_with(avatar, bones_of(avatar, joints_m), offset_m)
         return torch.cat([g.position_m.flatten(), 100 * g.sigma_m])
 
     # millimetre noise moves the hand off straight fingers, where gradients are damped on purpose (METHOD 2.10)

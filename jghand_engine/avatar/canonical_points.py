@@ -1,0 +1,59 @@
+"""Where the Gaussians of a hand that is going to be learnt start: in a thin shell under the template's skin."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from scipy.spatial import KDTree
+
+from jghand_engine.avatar.untrained import bone_areas, shared_out, take_turns
+from jghand_engine.template.mesh import HandTemplate
+from jghand_engine.template.sampling import sample_shell
+from jghand_engine.template.weight_field import WeightField
+
+
+@dataclass(frozen=True)
+class CanonicalPoints:
+    """N points whose every prefix covers the hand; float32 but for the joints.
+
+    position_m: (N, 3) · normal: (N, 3) unit, of the skin above · uvd: (N, 3) 0..1 · bone_weights: (N, 21)
+    sigma_m: (N,) half the mean distance to the three nearest (METHOD 4.2) · joints_m: (21, 3) float64, canonical
+    template: its identifier
+    """
+
+    position_m: torch.Tensor
+    normal: torch.Tensor
+    uvd: torch.Tensor
+    bone_weights: torch.Tensor
+    sigma_m: torch.Tensor
+    joints_m: torch.Tensor
+    template: str
+
+    def __len__(self) -> int:
+        return self.position_m.shape[0]
+
+
+def place_points(
+    template: HandTemplate, count: int, *, depth_m: float, area_power: float, seed: int
+) -> CanonicalPoints:
+    """`count` points in the shell of `depth_m` under the skin; the same arguments give the same points.
+
+    area_power: bones share the points as their area to this power: 0 equally, as the paper does, 1 evenly over the
+    skin. InputError for numbers out of range.
+    """
+    counts = shared_out(bone_areas(template) ** area_power, count)
+    sample = sample_shell(template, per_bone=int(counts.max()), depth_m=depth_m, seed=seed)
+    chosen, _ = take_turns(sample.bone, counts)
+    position_m = sample.position_m[chosen]
+    nearest = np.asarray(KDTree(position_m).query(position_m, k=4)[0])[:, 1:]
+    return CanonicalPoints(
+        position_m=torch.from_numpy(position_m).float(),
+        normal=torch.from_numpy(sample.normal[chosen]).float(),
+        uvd=torch.from_numpy(sample.uvd[chosen]).float(),
+        bone_weights=WeightField.build(template).query(position_m).float(),
+        sigma_m=torch.from_numpy(0.5 * nearest.mean(1)).float(),
+        joints_m=torch.from_numpy(template.joints_m.copy()),
+        template=template.identifier,
+    )

@@ -1,0 +1,44 @@
+"""What a trained avatar knows beyond its canonical Gaussians: normals, light, correctives, the look of its shadow."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+
+from jghand_engine.avatar.correctives import Correctives
+from jghand_engine.avatar.light import Light
+from jghand_engine.limits import SHADOW_GAIN, SHADOW_TINT
+
+
+@dataclass(frozen=True)
+class ShadowLook:
+    """How dark the self-shadow is: gain and strength per colour channel of METHOD 5.2, both learnt."""
+
+    gain: float = SHADOW_GAIN
+    tint: tuple[float, float, float] = SHADOW_TINT
+
+
+@dataclass(frozen=True)
+class Learnt:
+    """normal: (N, 3) float32 unit, canonical frame, outward · shine: (N,) float32, 0 and up, how much is reflected
+    light: of the capture, in the world's frame · correctives: None when the pose changes nothing but the bones
+    shadow: its look, None when it was trained without · world_offsets: offsets are in world axes, as the paper prints
+    it, instead of turning with the hand (METHOD 2.9)
+    """
+
+    normal: torch.Tensor
+    shine: torch.Tensor
+    light: Light
+    correctives: Correctives | None
+    shadow: ShadowLook | None
+    world_offsets: bool = False
+
+    def prefix(self, count: int) -> Learnt:
+        """The same for the first `count` Gaussians."""
+        return replace(
+            self,
+            normal=self.normal[:count],
+            shine=self.shine[:count],
+            correctives=None if self.correctives is None else self.correctives.prefix(count),
+        )

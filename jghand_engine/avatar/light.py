@@ -1,0 +1,81 @@
+"""The light that a hand was learnt in: what falls on the skin from every side, and what the skin reflects of it.
+
+A capture stands still in its light while the hand turns in it, so colours alone would learn the light of the poses
+they were seen in. Split off, it carries over to every pose: the same finger is darker where it turns from the lamps.
+Everything is in the world's frame, that of the joints.
+
+    colour = albedo * exp(sum_k Y_k(n) irradiance_k) + shine * gloss(n, eye)
+
+Y_k are real spherical harmonics up to degree 3, without their constants: irradiance of a distant environment is nearly
+contained in the first nine (Ramamoorthi and Hanrahan 2001); the exponent keeps it positive, and display-referred
+colours multiply like light up to a power. The gloss is a sum of spherical Gaussians around the mirrored direction
+(Wang et al. 2009): few smooth lobes, which hold for cameras that were not learnt from; free harmonics do not.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import torch
+from torch import Tensor
+
+from jghand_engine.limits import LIGHT_EXPONENT_MAX, NORMAL_LENGTH2_MIN
+
+SH_COUNT = 16
+
+
+@dataclass(frozen=True)
+class Light:
+    """irradiance: (16, 3) coefficients of the logarithm, in the order of `harmonics`
+    lobe_direction: (K, 3) towards the lights, of any length · lobe_sharpness: (K,) lambda of exp(lambda (cos - 1))
+    lobe_rgb: (K, 3) display-referred, 0 and up · rim: () how much more is reflected at grazing angles, 0 and up
+    """
+
+    irradiance: Tensor
+    lobe_direction: Tensor
+    lobe_sharpness: Tensor
+    lobe_rgb: Tensor
+    rim: Tensor
+
+    def to(self, dtype: torch.dtype) -> Light:
+        """The same light in another precision."""
+        return Light(**{f.name: getattr(self, f.name).to(dtype) for f in fields(self)})
+
+
+def harmonics(normal: Tensor) -> Tensor:
+    """(N, 16) real spherical harmonics, degrees 0 to 3, without constants, of unit vectors (N, 3)."""
+    x, y, z = normal.unbind(-1)
+    xx, yy, zz = x * x, y * y, z * z
+    return torch.stack(
+        [
+            torch.ones_like(x), x, y, z,
+            x * y, y * z, z * x, xx - yy, 3 * zz - 1,
+            y * (3 * xx - yy), x * y * z, y * (5 * zz - 1), z * (5 * zz - 3), x * (5 * zz - 1), z * (xx - yy),
+            x * (xx - 3 * yy),
+        ],
+        -1,
+    )  # fmt: skip
+
+
+def unit(vector: Tensor) -> Tensor:
+    """(..., 3) of length 1; a zero vector stays zero and has a finite gradient."""
+    return vector * (vector * vector).sum(-1, keepdim=True).clamp_min(NORMAL_LENGTH2_MIN).rsqrt()
+
+
+def lit(albedo: Tensor, normal: Tensor, light: Light, shade: Tensor | None = None) -> Tensor:
+    """(N, 3) colour of matt skin. albedo: (N, 3) · normal: (N, 3) unit, world · shade: (N, 3) logarithm of what the
+    pose adds or takes."""
+    exponent = harmonics(normal) @ light.irradiance
+    if shade is not None:
+        exponent = exponent + shade
+    return albedo * exponent.clamp(-LIGHT_EXPONENT_MAX, LIGHT_EXPONENT_MAX).exp()
+
+
+def gloss(normal: Tensor, to_eye: Tensor, light: Light) -> Tensor:
+    """(N, 3) what a surface of shine 1 reflects towards the eye. normal, to_eye: (N, 3) unit, world."""
+    facing = (normal * to_eye).sum(-1, keepdim=True)
+    mirrored = 2 * facing * normal - to_eye
+    cosine = mirrored @ unit(light.lobe_direction).T
+    lobes = torch.exp(light.lobe_sharpness * (cosine - 1)) @ light.lobe_rgb
+    fresnel = (1 - facing.clamp(0, 1)) ** 5
+    return lobes * (1 + light.rim * fresnel)

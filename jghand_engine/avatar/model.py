@@ -1,0 +1,156 @@
+"""The learnable hand of METHOD 4.1: feature planes and decoders that give a HandAvatar, with gradients to all of them.
+
+There is one way of posing, `skinning.pose_skin`, for learning and for drawing: the model makes an avatar whose tensors
+remember how they were made, or, when learning is over, one whose tensors are plain numbers.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+
+import torch
+from torch import Tensor, nn
+
+from jghand_engine import limits
+from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar, sigma_scale_for_prefix
+from jghand_engine.avatar.canonical_points import CanonicalPoints
+from jghand_engine.avatar.correctives import PoseNet, PoseNetShape
+from jghand_engine.avatar.learnt import Learnt, ShadowLook
+from jghand_engine.avatar.light import SH_COUNT, Light, unit
+from jghand_engine.avatar.planes import IdentityPlanes
+from jghand_engine.hand.joints import Handedness
+
+# towards the corners of a cube: where the lobes of the gloss begin
+_LOBES = [(x, y, z) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]
+
+
+class OffsetFrame(StrEnum):
+    """Axes of the pose's offsets: turned with the hand (METHOD 2.9), or the world's, as the paper prints it."""
+
+    TURNED = "turned"
+    WORLD = "world"
+
+
+@dataclass(frozen=True)
+class ModelOptions:
+    """What is learnt; METHOD 4.2 has the two configurations.
+
+    gaussians: how many · shell_depth_m: how deep under the skin they start · area_power: see `place_points`
+    swing, scale_mode: as `JointTransform` takes them · offset_frame: of the pose's offsets · pose: the shape of the
+    pose's network · plane_texels, depth_texels: of the identity planes · hidden: width of the identity decoder
+    identity_reach_m: longest identity offset along an axis · opacity_bias: before the sigmoid, at the start
+    lit: whether the light of the capture is learnt apart from the colours · glossy: whether reflections are
+    """
+
+    gaussians: int = 40_000
+    shell_depth_m: float = 0.001
+    area_power: float = 0.78
+    swing: str = "minimal"
+    scale_mode: str = "axial"
+    offset_frame: OffsetFrame = OffsetFrame.TURNED
+    pose: PoseNetShape = field(default_factory=PoseNetShape)
+    plane_texels: int = 256
+    depth_texels: int = 32
+    hidden: int = 128
+    identity_reach_m: float = 0.008
+    opacity_bias: float = 2.0
+    lit: bool = True
+    glossy: bool = True
+
+
+class LearnedHand(nn.Module):
+    """points: where its Gaussians start · options: what is learnt · seed: of the random start of the parameters."""
+
+    def __init__(self, points: CanonicalPoints, options: ModelOptions, seed: int) -> None:
+        super().__init__()
+        self.options, self.points = options, points
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(seed)
+            self._make_parameters()
+
+    def _make_parameters(self) -> None:
+        options, points = self.options, self.points
+        self.planes = IdentityPlanes(points.uvd, texels=options.plane_texels, depth_texels=options.depth_texels)
+        self.trunk = nn.Sequential(
+            nn.Linear(self.planes.width, options.hidden),
+            nn.ReLU(),
+            nn.Linear(options.hidden, options.hidden),
+            nn.ReLU(),
+        )
+        # one layer for all heads: offset 3, colour 3, opacity 1, normal 3, shine 1
+        self.heads = nn.Linear(options.hidden, 11)
+        self.log_sigma = nn.Parameter(points.sigma_m.log())
+        self.pose_net = PoseNet(points.bone_weights, points.uvd, options.pose)
+        self.irradiance = nn.Parameter(torch.zeros(SH_COUNT, 3))
+        self.lobe_direction = nn.Parameter(torch.tensor(_LOBES))
+        self.lobe_log_sharpness = nn.Parameter(torch.full((len(_LOBES),), math.log(limits.LOBE_SHARPNESS_START)))
+        self.lobe_raw_rgb = nn.Parameter(torch.full((len(_LOBES), 3), limits.LOBE_RAW_START))
+        self.raw_rim = nn.Parameter(torch.zeros(()))
+        self.log_shadow_gain = nn.Parameter(torch.tensor(math.log(limits.SHADOW_GAIN)))
+        self.shadow_tint = nn.Parameter(torch.tensor(limits.SHADOW_TINT))
+        for plane in (self.planes.uv.texels, self.planes.ud.texels, self.planes.vd.texels, self.pose_net.angles.planes):
+            nn.init.normal_(plane, std=limits.PLANE_START_STD)
+        for last in (self.heads, self.pose_net.out):
+            nn.init.zeros_(last.weight)
+            nn.init.zeros_(last.bias)
+        with torch.no_grad():
+            self.heads.bias[6] = options.opacity_bias
+
+    def avatar(self, info: AvatarInfo, *, handedness: Handedness, count: int = 0) -> HandAvatar:
+        """The hand as it is now, with gradients. count: of its Gaussians, a prefix whose radii grow as
+        `HandAvatar.prefix` says; 0: all."""
+        count = count or len(self.points)
+        points, options = self.points, self.options
+        out = self.heads(self.trunk(self.planes(count)))
+        offset_m = options.identity_reach_m * torch.tanh(out[:, :3])
+        # the gradient of a radius at its limit is zero, as the clamp has it
+        sigma_m = self.log_sigma[:count].clamp(math.log(limits.SIGMA_MIN_M), math.log(limits.SIGMA_MAX_M)).exp()
+        return HandAvatar(
+            info=replace(info, template=points.template, swing=options.swing, scale_mode=options.scale_mode),
+            handedness=handedness,
+            canonical_joints_m=points.joints_m,
+            position_m=points.position_m[:count] + offset_m,
+            sigma_m=sigma_m * sigma_scale_for_prefix(count, len(points)),
+            opacity=torch.sigmoid(out[:, 6]),
+            rgb=torch.sigmoid(out[:, 3:6]),
+            bone_weights=points.bone_weights[:count],
+            uvd=points.uvd[:count],
+            learnt=Learnt(
+                normal=unit(points.normal[:count] + limits.NORMAL_BEND * out[:, 7:10]),
+                shine=torch.sigmoid(out[:, 10]) if options.glossy else torch.zeros(count),
+                light=self.light(),
+                correctives=self.pose_net if count == len(points) else self.pose_net.prefix(count),
+                shadow=self.shadow_look(),
+                world_offsets=options.offset_frame is OffsetFrame.WORLD,
+            ),
+        )
+
+    def light(self) -> Light:
+        """The light as it is now, with gradients."""
+        irradiance = self.irradiance if self.options.lit else torch.zeros_like(self.irradiance)
+        return Light(
+            irradiance=irradiance,
+            lobe_direction=self.lobe_direction,
+            lobe_sharpness=self.lobe_log_sharpness.clamp(max=math.log(limits.LOBE_SHARPNESS_MAX)).exp(),
+            lobe_rgb=nn.functional.softplus(self.lobe_raw_rgb),
+            rim=nn.functional.softplus(self.raw_rim),
+        )
+
+    def shadow_look(self) -> ShadowLook:
+        """The shadow's constants as plain numbers, inside the range that METHOD 5.2 allows."""
+        low, high = limits.SHADOW_GAIN_RANGE
+        gain = float(self.log_shadow_gain.detach().exp().clamp(low, high))
+        red, green, blue = self.shadow_tint.detach().clamp(0, 1).tolist()
+        return ShadowLook(gain, (red, green, blue))
+
+    def spread_radii(self, known: int, nearest: Tensor) -> None:
+        """Gives Gaussians from `known` on the learnt growth of their neighbour among the first `known`.
+
+        nearest: (N - known,) index of that neighbour. Called when a finer level of detail joins the training.
+        """
+        with torch.no_grad():
+            start = self.points.sigma_m.log()
+            growth = self.log_sigma[:known] - start[:known]
+            self.log_sigma[known : known + len(nearest)] = start[known : known + len(nearest)] + growth[nearest]

@@ -1,0 +1,306 @@
+"""One step of learning a hand: a pose, some pictures of it, the loss, the update. METHOD 4.
+
+Everything is drawn by the functions that draw the finished avatar (`avatar.skinning`, `splat`). What a pose needs of
+the bones never changes while training, and is computed once per pose.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from scipy.spatial import KDTree
+from torch import Tensor
+
+from jghand_engine import limits
+from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
+from jghand_engine.avatar.canonical_points import place_points
+from jghand_engine.avatar.model import LearnedHand
+from jghand_engine.avatar.pose_features import octave_of_wave
+from jghand_engine.avatar.skinning import PosedSkin, SkinMaps, pose_skin, seen_from, skin_maps
+from jghand_engine.datasets.sample import Sample
+from jghand_engine.errors import InputError
+from jghand_engine.hand.baselines import HaloLikeTransform
+from jghand_engine.hand.transform import BoneTransforms, JointTransform
+from jghand_engine.native.library import load as load_native
+from jghand_engine.native.threads import thread_count
+from jghand_engine.splat.camera import Camera
+from jghand_engine.splat.gate import ShadowGate, fade
+from jghand_engine.splat.rasterise import rasterise
+from jghand_engine.splat.settings import RenderSettings
+from jghand_engine.splat.shadow import ShadowStyle
+from jghand_engine.splat.shadow_native import darken
+from jghand_engine.template.mesh import HandTemplate
+from jghand_engine.training.losses import l1_loss, mask_loss, offset_loss, ssim_loss
+from jghand_engine.training.options import TrainOptions, Transform, at_part
+from jghand_engine.training.perceptual import PerceptualMetric
+from jghand_engine.training.pictures import Pictures, View
+from jghand_engine.training.trainable import GAUSSIANS, LOSS
+
+
+@dataclass(frozen=True)
+class Material:
+    """What a hand is learnt from. train: pictures to learn from, of one hand · shown: the fixed view of progress
+    template: where the Gaussians start · info: names of the finished avatar · perceptual: a metric, or None"""
+
+    train: Sequence[Sample]
+    shown: Sample
+    template: HandTemplate
+    info: AvatarInfo
+    perceptual: PerceptualMetric | None = None
+
+
+@dataclass(frozen=True)
+class _PosedBones:
+    """What never changes of one pose: transforms, maps of the skin, strength of the shadow 0..1."""
+
+    bones: BoneTransforms
+    maps: SkinMaps
+    shadow: float
+
+
+class HandTraining:
+    """A Trainable (training.trainable): learns `material` as `options` say."""
+
+    def __init__(self, material: Material, options: TrainOptions) -> None:
+        if len({sample.handedness for sample in material.train}) != 1:
+            raise InputError("pictures to learn from", wanted="one hand, right or left", came="none or both")
+        self.options, self._material = options, material
+        self._handedness = material.train[0].handedness
+        model = options.model
+        points = place_points(
+            material.template,
+            model.gaussians,
+            depth_m=model.shell_depth_m,
+            area_power=model.area_power,
+            seed=options.seed,
+        )
+        self.hand = LearnedHand(points, model, options.seed)
+        self._transform = self._new_transform(points.joints_m)
+        self._gate = ShadowGate(points.joints_m.numpy())
+        self._poses = _by_pose(material.train)
+        self._names = sorted(self._poses)
+        self._known: dict[tuple[str, int], _PosedBones] = {}
+        self._pictures = Pictures()
+        self._settings = RenderSettings()
+        self._library = load_native("auto")
+        self._octave = octave_of_wave(model.pose.octaves)
+        self._optimiser = self._new_optimiser()
+        self._steps = 1
+        self._count = 0
+
+    def _new_transform(self, joints_m: Tensor) -> JointTransform:
+        model = self.options.model
+        if self.options.transform is Transform.HALO_LIKE:
+            return HaloLikeTransform(joints_m, handedness=self._handedness, swing=model.swing)
+        return JointTransform(joints_m, handedness=self._handedness, swing=model.swing, scale_mode=model.scale_mode)
+
+    def _new_optimiser(self) -> torch.optim.Adam:
+        schedule, hand = self.options.schedule, self.hand
+        fast = [hand.log_sigma, hand.pose_net.angles.planes, *hand.planes.parameters()]
+        known = {id(parameter) for parameter in fast}
+        slow = [parameter for parameter in hand.parameters() if id(parameter) not in known]
+        groups = [{"params": slow, "lr": schedule.rate}, {"params": fast, "lr": schedule.plane_rate}]
+        # the fused form is four times as fast on the CPU and gives the same bits every time
+        return torch.optim.Adam(groups, eps=limits.ADAM_EPS, fused=True)
+
+    # ---- Trainable ---------------------------------------------------------------------------------------------------
+
+    def plan(self, steps: int) -> None:
+        """See Trainable."""
+        self._steps = max(steps, 1)
+
+    def step(self, number: int) -> dict[str, float]:
+        """See Trainable. Its poses go round in a new random order each time; the cameras are drawn anew."""
+        part = min(number / self._steps, 1.0)
+        self._refine(part)
+        stride = int(at_part(self.options.schedule.strides, part))
+        samples = self._draw(number)
+        views = [self._pictures.view(sample, stride) for sample in samples]
+        self._set_rates(number, part)
+        terms = self._terms(samples[0], views, part)
+        loss = torch.stack(list(terms.values())).sum()
+        self._optimiser.zero_grad(set_to_none=True)
+        loss.backward()
+        norm = torch.nn.utils.get_total_norm(list(self.gradients().values()), foreach=True)
+        # shortened by a norm that is not finite, all gradients would be so too, and hide which one it was
+        if bool(torch.isfinite(norm)):
+            longest = self.options.schedule.gradient_norm
+            torch.nn.utils.clip_grads_with_norm_(self.hand.parameters(), longest, norm, foreach=True)
+            self._optimiser.step()
+        figures = {name: float(term.detach()) for name, term in terms.items()}
+        return {LOSS: float(loss.detach()), GAUSSIANS: float(self._count), "gradient": float(norm), **figures}
+
+    def tensors(self) -> dict[str, Tensor]:
+        """See Trainable: parameters under their names, Adam's moments behind `adam.`."""
+        named = {name: parameter.data for name, parameter in self.hand.named_parameters()}
+        for name, parameter in self.hand.named_parameters():
+            state = self._state_of(parameter)
+            named |= {f"adam.{name}.{moment}": state[moment] for moment in ("exp_avg", "exp_avg_sq", "step")}
+        return named
+
+    def load_tensors(self, tensors: Mapping[str, Tensor]) -> None:
+        """See Trainable."""
+        with torch.no_grad():
+            for name, own in self.tensors().items():
+                own.copy_(tensors[name])
+
+    def scalars(self) -> dict[str, Any]:
+        """See Trainable: how many Gaussians take part so far."""
+        return {"count": self._count}
+
+    def load_scalars(self, scalars: Mapping[str, Any]) -> None:
+        """See Trainable."""
+        self._count = int(scalars["count"])
+
+    def gradients(self) -> dict[str, Tensor]:
+        """See Trainable."""
+        return {name: parameter.grad for name, parameter in self.hand.named_parameters() if parameter.grad is not None}
+
+    def preview(self) -> np.ndarray:
+        """See Trainable."""
+        view, ours = self._shown()
+        return torch.cat([view.rgb, ours], 1).numpy()
+
+    def fixed_psnr(self) -> float:
+        """See Trainable: on the cut of the fixed view."""
+        view, ours = self._shown()
+        return float(-10 * torch.log10((view.rgb - ours).square().mean().clamp_min(1e-10)))
+
+    def avatar(self) -> HandAvatar:
+        """See Trainable."""
+        from jghand_engine.training.bake import bake
+
+        return bake(self.hand, self._material.info, self._transform, self._joints_m(), self.options.shadow)
+
+    # ---- what a step does --------------------------------------------------------------------------------------------
+
+    def _draw(self, number: int) -> list[Sample]:
+        """Pictures of one pose by different cameras."""
+        turn, place = divmod(number, len(self._names))
+        order = np.random.default_rng([self.options.seed, turn]).permutation(len(self._names))
+        samples = self._poses[self._names[order[place]]]
+        chosen = np.random.default_rng([self.options.seed, turn, place]).permutation(len(samples))
+        return [samples[index] for index in chosen[: self.options.schedule.views]]
+
+    def _refine(self, part: float) -> None:
+        """Lets the Gaussians of a finer level of detail join, with the radii of their neighbours."""
+        total = len(self.hand.points)
+        wanted = max(1, round(total * at_part(self.options.schedule.levels, part)))
+        if wanted <= self._count:  # a plan that grows longer takes none away
+            return
+        if self._count:
+            position_m = self.hand.points.position_m.numpy()
+            _, nearest = KDTree(position_m[: self._count]).query(position_m[self._count : wanted])
+            self.hand.spread_radii(self._count, torch.from_numpy(np.asarray(nearest)))
+        self._count = wanted
+
+    def _set_rates(self, number: int, part: float) -> None:
+        schedule = self.options.schedule
+        factor = schedule.last_part**part * min(1.0, (number + 1) / schedule.warm_up_steps)
+        for group, rate in zip(self._optimiser.param_groups, (schedule.rate, schedule.plane_rate), strict=True):
+            group["lr"] = rate * factor
+
+    def _terms(self, sample: Sample, views: Sequence[View], part: float) -> dict[str, Tensor]:
+        """The weighted terms of the loss of one pose."""
+        weights, avatar = self.options.loss, self._live()
+        posed = self._posed_bones(sample)
+        skin, offset_m = self._pose(avatar, posed, part)
+        terms: dict[str, list[Tensor]] = {"l1": [], "ssim": [], "mask": [], "perceptual": []}
+        for view in views:
+            rgb, alpha = self._draw_view(avatar, skin, posed.shadow, view.camera)
+            terms["l1"].append(weights.l1 * l1_loss(rgb, view.rgb))
+            terms["mask"].append(weights.mask * mask_loss(alpha, view.mask))
+            if weights.ssim:
+                terms["ssim"].append(weights.ssim * ssim_loss(rgb, view.rgb))
+            if self._material.perceptual is not None and part >= self.options.schedule.perceptual_from:
+                terms["perceptual"].append(weights.perceptual * self._material.perceptual.distance(rgb, view.rgb))
+        mean = {name: torch.stack(values).mean() for name, values in terms.items() if values}
+        moved_m = avatar.position_m - self.hand.points.position_m[: self._count]
+        mean["offset"] = weights.offset * offset_loss(moved_m, offset_m, hand_size_m=self._hand_size_m())
+        if weights.roughness:
+            mean["roughness"] = weights.roughness * self.hand.planes.roughness()
+        return mean
+
+    def _live(self, count: int = 0) -> HandAvatar:
+        return self.hand.avatar(self._material.info, handedness=self._handedness, count=count or self._count)
+
+    def _pose(self, avatar: HandAvatar, posed: _PosedBones, part: float) -> tuple[PosedSkin, Tensor]:
+        """The skin of a pose, and its offsets (N, 3) metres."""
+        correction = self.hand.pose_net(posed.bones.frames, len(avatar), self._wave_weight(part))
+        maps = _first(posed.maps, len(avatar))
+        return pose_skin(avatar, posed.bones, correction, maps), correction.offset_m
+
+    def _wave_weight(self, part: float) -> Tensor | None:
+        """How much each wave of the encoding counts: octave after octave, each faded in by half a cosine."""
+        waves = self.options.schedule.waves
+        if waves is None or part >= waves[1]:
+            return None
+        progress = (part - waves[0]) / (waves[1] - waves[0]) * (float(self._octave.max()) + 1)
+        return 0.5 - 0.5 * torch.cos(torch.pi * (progress - self._octave).clamp(0, 1))
+
+    def _draw_view(self, avatar: HandAvatar, skin: PosedSkin, shadow: float, camera: Camera) -> tuple[Tensor, Tensor]:
+        """Colour (H, W, 3) and alpha (H, W) of one view, with gradients."""
+        eye_m = -(camera.camera_from_world[:3, :3].T @ camera.camera_from_world[:3, 3])
+        picture = rasterise(seen_from(skin, eye_m, avatar), camera, self._settings)
+        if not (self.options.shadow and shadow > 0):
+            return picture.rgb, picture.alpha
+        # drawn in white on white the shadow pass gives the visibility itself; its constants are learnt outside of it
+        white = torch.ones_like(picture.alpha)[None].expand(3, -1, -1)
+        planes = torch.cat([white, picture.alpha[None], picture.depth_sum[None]])
+        style = ShadowStyle(samples=self.options.shadow_samples, tint=(1.0, 1.0, 1.0))
+        seen = darken(planes, camera, style, library=self._library, threads=thread_count(0))[0]
+        gain = self.hand.log_shadow_gain.exp() / style.gain
+        seen = seen.clamp_min(limits.VISIBILITY_MIN) ** gain
+        tint = shadow * self.hand.shadow_tint.clamp(0, 1)
+        return picture.rgb * (1 - tint * (1 - seen[..., None])), picture.alpha
+
+    def _posed_bones(self, sample: Sample) -> _PosedBones:
+        if sample.pose not in self._known:
+            joints_m = torch.from_numpy(sample.joints_m).float()
+            bones = self._transform.bones(joints_m)
+            maps = skin_maps(self.hand.points.bone_weights, bones, turned=True)
+            strength = fade(self._gate.score(sample.joints_m, float(bones.scale)))
+            self._known[sample.pose] = _PosedBones(bones, maps, strength)
+        return self._known[sample.pose]
+
+    def _shown(self) -> tuple[View, Tensor]:
+        """The fixed view and ours of it, 0..1."""
+        with torch.no_grad():
+            view, avatar = self._pictures.view(self._material.shown), self._live()
+            posed = self._posed_bones(self._material.shown)
+            skin, _ = self._pose(avatar, posed, 1.0)
+            rgb, _ = self._draw_view(avatar, skin, posed.shadow, view.camera)
+            return view, rgb.clamp(0, 1)
+
+    def _joints_m(self) -> Tensor:
+        """(P, 21, 3) joints of all poses that are learnt from."""
+        return torch.from_numpy(np.stack([self._poses[name][0].joints_m for name in self._names]))
+
+    def _hand_size_m(self) -> float:
+        """Canonical wrist to the tip of the middle finger."""
+        joints_m = self.hand.points.joints_m
+        return float((joints_m[18] - joints_m[0]).norm())
+
+    def _state_of(self, parameter: torch.nn.Parameter) -> dict[str, Tensor]:
+        """Adam's moments of a parameter; zeros before its first step, as Adam itself would begin."""
+        state = self._optimiser.state[parameter]
+        if not state:
+            state["step"] = torch.zeros(())
+            state["exp_avg"], state["exp_avg_sq"] = torch.zeros_like(parameter), torch.zeros_like(parameter)
+        return state
+
+
+def _by_pose(samples: Sequence[Sample]) -> dict[tuple[str, int], list[Sample]]:
+    poses: dict[tuple[str, int], list[Sample]] = {}
+    for sample in samples:
+        poses.setdefault(sample.pose, []).append(sample)
+    return poses
+
+
+def _first(maps: SkinMaps, count: int) -> SkinMaps:
+    turning = None if maps.turning is None else maps.turning[:count]
+    return SkinMaps(maps.linear[:count], maps.offset_m[:count], maps.radius[:count], turning)
