@@ -87,7 +87,7 @@ def silhouette(camera: Camera, vertices_m: np.ndarray, faces: np.ndarray) -> np.
 
 
 def _touches(corners: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """(F,) whether a triangle's box overlaps the canvas: far outside, coordinates overflow the drawing library."""
+    """(F,) whether a triangle's box overlaps the canvas; the others need not be drawn."""
     return ((corners.max(axis=1) >= 0) & (corners.min(axis=1) <= np.array(size))).all(axis=1)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import shutil
 
 import numpy as np
@@ -12,7 +13,9 @@ from picture_sets import LEFT, edited, recorded, write_hanco, write_set
 from PIL import Image
 
 from jghand_engine.datasets.check_data import check_data, curl_towards_palm, facts
+from jghand_engine.datasets.masks import template_mask
 from jghand_engine.datasets.overlay import overlay
+from jghand_engine.datasets.projection import joints_on_mask, part_on_mask
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, from_level
 
@@ -228,3 +231,21 @@ def test_the_overlay_shows_the_joints_where_they_are_and_rings_those_beside_the_
     assert not red.any()
     sets.write_picture(sample.picture, np.zeros((512, 334), np.float32))
     assert (overlay(sample) == [255, 0, 0]).all(-1).sum() > 100
+
+
+def test_joints_beyond_the_picture_tell_nothing_only_where_the_hand_reaches_its_border():
+    view, joints = sets.look(0.0, 334, 512), np.array(sets.pose(0))
+    mask = template_mask(view, joints, Handedness.RIGHT)
+    assert joints_on_mask(view, joints, mask).tolist() == [1.0] * 21
+    # the picture ends above the wrist and the thumb's first joint
+    wrist_row = int(view.project(torch.tensor(joints))[0][0, 1])
+    cut = dataclasses.replace(view, height=wrist_row - 20)
+    on = joints_on_mask(cut, joints, mask[: cut.height])
+    assert np.isnan(on[0])
+    assert part_on_mask(cut, joints, mask[: cut.height]) == 1.0
+    # the same joints, but the hand in the picture ends before the border
+    shrunk = np.where(np.arange(cut.height)[:, None] < cut.height - 40, mask[: cut.height], 0)
+    assert joints_on_mask(cut, joints, shrunk)[0] == 0
+    joints[7] = np.nan
+    assert np.isnan(joints_on_mask(view, joints, mask)[7])
+    assert part_on_mask(view, joints * np.nan, mask) == 0
