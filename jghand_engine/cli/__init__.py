@@ -15,7 +15,20 @@ from typing import Annotated, Any, Union
 import tyro
 
 from jghand_engine import __version__
-from jghand_engine.cli import ablate, bench, capture, check_data, demo, evaluate, export, info, render, serve, study, train
+from jghand_engine.cli import (
+    ablate,
+    bench,
+    capture,
+    check_data,
+    demo,
+    evaluate,
+    export,
+    info,
+    render,
+    serve,
+    study,
+    train,
+)
 from jghand_engine.cli.console import say, say_error
 from jghand_engine.cli.failures import explain
 from jghand_engine.cli.options import ReportOptions

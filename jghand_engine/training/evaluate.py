@@ -99,7 +99,8 @@ class Evaluation:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data for JSON: means of every group, and every picture."""
-        groups = {**self.groups(), **{f"fingers {name}": group for name, group in self.regions().items()}}
+        by_flexion = {f"fingers {name}": group for name, group in self.regions().items()}
+        groups = {**self.groups(), "all": self.pictures, **by_flexion}
         return {
             "avatar": self.name,
             "capture": self.capture,

@@ -23,6 +23,7 @@ from jghand_engine.hand.transform import JointTransform
 from jghand_engine.splat.camera import Camera
 from jghand_engine.template.builtin import load_template
 from jghand_engine.training.evaluate import Picturer, PictureScore, spread
+from jghand_engine.training.metrics import psnr
 
 # cameras that see all of the hands (F, 21, 3), by a short name
 Cameras = Callable[[np.ndarray, Handedness], Mapping[str, Camera]]
@@ -87,6 +88,20 @@ def comparison_sheet(pictures: Sequence[PictureScore], draw: Picturer, title: st
         ]  # fmt: skip
     sheet = _sheet(cells, min(6, len(cells)))
     return _with_head(sheet, title, "PSNR of the full picture on black; difference: mean over the channels", scale=True)
+
+
+def variant_sheet(samples: Sequence[Sample], drawers: Mapping[str, Picturer], title: str) -> np.ndarray:
+    """Each sample in a row of its own: the truth, then what each drawer makes of it; (H, W, 3) uint8."""
+    cells: list[Cell] = []
+    for sample in samples:
+        truth = load_picture(sample)
+        square = _Square.around(truth.mask)
+        cells.append(Cell(f"truth · {_where(sample)}", square.hand(truth.rgb, truth.mask)))
+        for name, draw in drawers.items():
+            rgba = draw(sample.joints_m, sample.handedness, sample.camera)
+            label = f"{name} · {psnr(np.clip(rgba[..., :3], 0, 1), truth.rgb):.1f} dB"
+            cells.append(Cell(label, square.hand(rgba[..., :3], rgba[..., 3])))
+    return _with_head(_sheet(cells, 1 + len(drawers)), title, "PSNR of the full picture on black")
 
 
 def from_best_to_worst(pictures: Sequence[PictureScore], count: int) -> tuple[PictureScore, ...]:

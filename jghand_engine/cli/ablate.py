@@ -1,0 +1,158 @@
+"""`jghand ablate`: what each part of the method is worth, on the user's own pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from jghand_engine.cli.console import err, progress, say, say_whole_table, write_json
+from jghand_engine.cli.failures import STOPPED
+from jghand_engine.cli.options import ReportOptions
+from jghand_engine.cli.picture_sets import PictureSetOptions
+from jghand_engine.errors import InputError
+
+if TYPE_CHECKING:
+    from jghand_engine.avatar.avatar import HandAvatar
+    from jghand_engine.datasets.captures import Capture
+    from jghand_engine.datasets.splits import Split
+    from jghand_engine.training.ablation import Build, Measured, TestPictures
+    from jghand_engine.training.options import TrainOptions
+    from jghand_engine.training.perceptual import PerceptualMetric
+    from jghand_engine.training.schedule import Budget
+
+DESCRIPTION = """Train with parts of the method taken out, one at a time, and print the paper's ablation table.
+
+Examples:
+  jghand ablate captures/id3 --steps 4000 --out id3_ablation
+  jghand ablate captures/id3 --steps 4000 --out id3_ablation --variants "w/o shadow" full
+
+It can be stopped with Ctrl-C; the same command goes on where it stood."""
+
+
+@dataclass(frozen=True)
+class Ablate:
+    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")]
+    """InterHand2.6M, HanCo, or what `jghand capture` made."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
+    """For trainings, avatars, the table and a sheet of pictures."""
+    steps: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 4000
+    """Steps of each training, the same for all."""
+    variants: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME", help_behavior_hint="(default: all)")] = ()
+    """Only these rows of the table, such as "w/o shadow" and full."""
+    preset: Literal["default", "paper-faithful"] = "default"
+    """What the parts are taken out of."""
+    seed: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
+    """The same seed gives the same avatars on the same machine."""
+    limit: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
+    """Measure at most so many pictures of each kind, evenly spread; 0 takes all."""
+    pictures: PictureSetOptions = field(default_factory=PictureSetOptions)
+    report: ReportOptions = field(default_factory=ReportOptions)
+
+    def run(self) -> int:
+        """0 when all variants are trained and measured, the exit code of a stop when somebody stopped."""
+        from jghand_engine.datasets.capture_folder import open_capture
+        from jghand_engine.datasets.splits import split_capture
+        from jghand_engine.training.ablation import TestPictures, chosen_variants
+        from jghand_engine.training.evaluate import categories_of
+        from jghand_engine.training.options import PRESETS
+        from jghand_engine.training.schedule import Budget
+
+        for name, value, least in (("--steps", self.steps, 1), ("--limit", self.limit, 0)):
+            if value < least:
+                raise InputError(name, wanted=f"{least} or more", came=str(value))
+        variants = chosen_variants(replace(PRESETS[self.preset], seed=self.seed), self.variants)
+        capture = open_capture(self.folder, protocol=self.pictures.protocol, choice=self.pictures.choice())
+        split = split_capture(capture)
+        tested = TestPictures(categories_of(split, "test", self.limit), capture.name, split.origin)
+        build, results = self._builder(capture, split), {}
+        for name, options in variants.items():
+            say(f"\n{name}")
+            avatar = self._trained(name, options, split, build, Budget(self.steps))
+            if avatar is None:
+                say("Stopped. Nothing is lost: the same command goes on.")
+                return STOPPED
+            results[name] = measured(name, avatar, options, tested)
+        self._show(results, tested)
+        return 0
+
+    def _builder(self, capture: Capture, split: Split) -> Build:
+        from jghand_engine.avatar.avatar import AvatarInfo
+        from jghand_engine.template.builtin import load_template
+        from jghand_engine.training.step import HandTraining, Material
+
+        perceptual = self._perceptual()
+        info = AvatarInfo("ablation", template="", licence=f"that of the pictures: {capture.name}")
+
+        def build(options: TrainOptions) -> HandTraining:
+            shown = split.test[len(split.test) // 2]
+            return HandTraining(Material(split.train, shown, load_template(), info, perceptual), options)
+
+        return build
+
+    def _perceptual(self) -> PerceptualMetric | None:
+        from jghand_engine.training.options import PRESETS
+        from jghand_engine.training.perceptual import ST_LPIPS_MISSING, st_lpips
+
+        if not PRESETS[self.preset].loss.perceptual:
+            return None
+        metric = st_lpips()
+        if metric is None:
+            say(ST_LPIPS_MISSING)
+        return metric
+
+    def _trained(
+        self, name: str, options: TrainOptions, split: Split, build: Build, budget: Budget
+    ) -> HandAvatar | None:
+        from jghand_engine.training.ablation import train_variant, variant_folder
+        from jghand_engine.training.progress import display
+        from jghand_engine.training.run import RunOptions
+        from jghand_engine.training.stamp import stamp_of
+        from jghand_engine.training.work_folder import Start
+
+        place = variant_folder(self.out, name)
+        run = RunOptions(
+            out=place.with_suffix(".jghand"),
+            work=place,
+            stamp=stamp_of(options, split.train),
+            budget=budget,
+            start=Start.RESUME if place.is_dir() and any(place.iterdir()) else Start.NEW,
+        )
+        with display(err()) as shown:
+            return train_variant(build, options, run, shown)
+
+    def _show(self, results: Mapping[str, Measured], tested: TestPictures) -> None:
+        from jghand_engine.exporters.pictures import write_png
+        from jghand_engine.files import writing
+        from jghand_engine.training import sheets
+        from jghand_engine.training.tables import ablation_table
+
+        table = ablation_table({name: one.evaluation for name, one in results.items()})
+        say_whole_table(table)
+        with writing(self.out / "ablation.md") as temporary:
+            temporary.write_text(
+                f"{self.steps} steps each, preset {self.preset}.\n\n{table.markdown()}", encoding="utf-8"
+            )
+        figures = {
+            "command": "ablate", "preset": self.preset, "steps": self.steps, "seed": self.seed,
+            "variants": {name: one.evaluation.as_dict() for name, one in results.items()},
+        }  # fmt: skip
+        for path in (self.out / "ablation.json", self.report.json):
+            if path is not None:
+                write_json(path, figures)
+        samples = sheets.varied_samples([s for group in tested.categories.values() for s in group], 6)
+        drawers = {name: one.draw for name, one in results.items()}
+        write_png(self.out / "ablation.png", sheets.variant_sheet(samples, drawers, f"Ablation on {tested.capture}"))
+        say(f"\n{self.out}: ablation.md, ablation.json, ablation.png, the avatars and their trainings")
+
+
+def measured(name: str, avatar: HandAvatar, options: TrainOptions, tested: TestPictures) -> Measured:
+    """Figures of a trained variant, behind a bar of progress."""
+    from jghand_engine.training.ablation import measure_variant
+
+    with progress("Measuring", sum(map(len, tested.categories.values()))) as bar:
+        task = bar.task_ids[0]
+        return measure_variant(name, avatar, options, tested, lambda: bar.advance(task))

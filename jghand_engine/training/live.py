@@ -1,0 +1,65 @@
+"""Drawing an avatar that the renderer of users cannot draw: one whose bones follow the joints in another way.
+
+Everything is drawn by the functions that training draws with (`avatar.skinning`, `splat`), at full accuracy and without
+the shortcuts of frames that follow one another. All rows of an ablation are drawn by it, so that they differ in nothing
+else.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.skinning import pose_gaussians
+from jghand_engine.errors import InputError
+from jghand_engine.hand.baselines import HaloLikeTransform
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.transform import JointTransform
+from jghand_engine.native.library import load
+from jghand_engine.native.threads import thread_count
+from jghand_engine.splat.camera import Camera
+from jghand_engine.splat.gate import ShadowGate, fade
+from jghand_engine.splat.rasterise import rasterise
+from jghand_engine.splat.settings import RenderSettings
+from jghand_engine.splat.shadow import ShadowStyle
+from jghand_engine.splat.shadow_native import darken
+from jghand_engine.training.options import TrainOptions, Transform
+
+
+class LiveHand:
+    """A Picturer (training.evaluate). avatar: what was learnt · transform: how it was learnt to follow the joints."""
+
+    def __init__(self, avatar: HandAvatar, transform: JointTransform, settings: RenderSettings) -> None:
+        self._avatar, self._transform, self._settings = avatar, transform, settings
+        self._gate = ShadowGate(avatar.canonical_joints_m.numpy())
+        self._library = load(settings.backend)
+
+    def __call__(self, joints_m: np.ndarray, handedness: Handedness, camera: Camera) -> np.ndarray:
+        """(21, 3) world joints -> (H, W, 4) float32 premultiplied sRGB. InputError for the other hand."""
+        if handedness is not self._transform.handedness:
+            raise InputError("hand to draw", wanted=self._transform.handedness, came=handedness)
+        with torch.no_grad():
+            bones = self._transform.bones(torch.from_numpy(np.ascontiguousarray(joints_m)).float())
+            turn, shift = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
+            gaussians = pose_gaussians(self._avatar, bones, frames=bones.frames, eye_m=-(turn.T @ shift))
+            picture = rasterise(gaussians, camera, self._settings)
+            planes = torch.cat([picture.rgb.permute(2, 0, 1), picture.alpha[None], picture.depth_sum[None]])
+            look = self._avatar.learnt.shadow if self._avatar.learnt is not None else None
+            strength = fade(self._gate.score(joints_m, float(bones.scale))) if look is not None else 0.0
+            if look is not None and strength > 0:
+                style = ShadowStyle(
+                    samples=self._settings.shadow_samples, gain=look.gain, tint=look.tint, strength=strength
+                )
+                rgb = darken(planes, camera, style, library=self._library, threads=thread_count(self._settings.threads))
+                planes = torch.cat([rgb, planes[3:]])
+            return planes[:4].permute(1, 2, 0).contiguous().numpy()
+
+
+def live_hand(avatar: HandAvatar, options: TrainOptions, settings: RenderSettings) -> LiveHand:
+    """An avatar that was trained with `options`, with the transform that they name."""
+    joints_m, hand, model = avatar.canonical_joints_m, avatar.handedness, options.model
+    if options.transform is Transform.HALO_LIKE:
+        return LiveHand(avatar, HaloLikeTransform(joints_m, handedness=hand, swing=model.swing), settings)
+    ours = JointTransform(joints_m, handedness=hand, swing=model.swing, scale_mode=model.scale_mode)
+    return LiveHand(avatar, ours, settings)
