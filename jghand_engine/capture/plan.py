@@ -12,6 +12,7 @@ import dataclasses
 import hashlib
 import io
 import json
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -175,13 +176,20 @@ def write_plan(folder: Path, plan: CapturePlan) -> None:
         np.savez_compressed(
             stream, vertices_m=plan.vertices_m, joints_m=plan.joints_m, faces=plan.faces, face_uv=plan.face_uv
         )
-    write_interhand(folder, plan.record)
+    annotate(folder, plan)
     _write(folder / "splits.json", (json.dumps(plan.split(), indent=2) + "\n").encode())
     content = {
         "format": FORMAT, "options": plan.description, "render": plan.render, "poses": list(plan.pose_names),
         "cameras": [_camera_json(camera) for camera in plan.cameras],
     }  # fmt: skip
     _write(folder / FOLDER / "plan.json", (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
+
+
+def annotate(folder: Path, plan: CapturePlan, poses: Collection[int] | None = None) -> None:
+    """Writes the annotations of all poses, or of these only: of an unfinished capture those that are whole."""
+    record = plan.record
+    kept = {pose: joints for pose, joints in record.joints_m.items() if poses is None or pose in poses}
+    write_interhand(folder, dataclasses.replace(record, joints_m=kept))
 
 
 def read_plan(folder: Path) -> CapturePlan | None:

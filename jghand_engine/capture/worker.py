@@ -83,6 +83,10 @@ def render(folder: Path, jobs: Sequence[Job], python: Path, threads: int) -> Ite
         return
     if not WORKER.is_file():
         raise InputError("the package jghand_cycles", wanted=f"it beside the engine, {WORKER}", came="no such file")
+    for job in jobs:
+        # what a killed worker left; other shards have other poses, and so other names
+        for left in job.file.parent.glob(f".{job.file.stem}.*{job.file.suffix}"):
+            left.unlink(missing_ok=True)
     with tempfile.TemporaryFile() as log, _process(folder, python, threads, log) as process:
         _answer(process, log, python)
         for job in jobs:

@@ -77,6 +77,8 @@ class Capture:
     """Of poses, cameras and turns."""
     shard: Annotated[str, tyro.conf.arg(metavar="NUMBER/COUNT")] = "1/1"
     """Make only this part of the pictures; other machines make the others."""
+    finished_only: bool = False
+    """Make no picture, and annotate only poses whose pictures are all there: to use a capture before its end."""
     blender_python: File = None
     """The Python that can import bpy. Left out: that of .envs/blender, else the running one."""
     threads: Annotated[int, _OneNumber] = 0
@@ -84,13 +86,17 @@ class Capture:
     report: ReportOptions = field(default_factory=ReportOptions)
 
     def run(self) -> None:
-        from jghand_engine.capture.plan import open_or_make
+        from jghand_engine.capture.plan import annotate, open_or_make
         from jghand_engine.capture.worker import fault_of, find_blender_python
 
         shard = parse_shard(self.shard)
         options = self._options()
+        if self.finished_only:
+            self._annotate_finished(options)
+            return
         python = find_blender_python(self.blender_python)
         plan = open_or_make(self.out, options)
+        annotate(self.out, plan)
         jobs = plan.jobs(self.out, shard)
         size = options.width, options.height
         faults = [fault_of(job, size) for job in jobs]
@@ -111,6 +117,18 @@ class Capture:
                 "command": "capture", "pictures": len(jobs), "rendered": len(todo), "remade": spoilt,
                 "seconds_each": each, "poses": list(plan.pose_names), "cameras": len(plan.cameras),
             })  # fmt: skip
+
+    def _annotate_finished(self, options) -> None:
+        from jghand_engine.capture.plan import annotate, open_or_make
+        from jghand_engine.capture.worker import fault_of
+
+        plan = open_or_make(self.out, options)
+        unfinished = {job.pose for job in plan.jobs(self.out) if fault_of(job, (options.width, options.height))}
+        finished = set(range(len(plan.pose_names))) - unfinished
+        if not finished:
+            raise InputError(f"the capture in {self.out}", wanted="at least one pose with all pictures", came="none")
+        annotate(self.out, plan, finished)
+        say(f"Annotated {len(finished)} of {len(plan.pose_names)} poses; without --finished-only it is all of them.")
 
     def _render(self, todo: list, python: Path) -> list[float]:
         from jghand_engine.capture.worker import render

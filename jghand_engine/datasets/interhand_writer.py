@@ -1,7 +1,7 @@
 """Writes annotations in the layout of InterHand2.6M v1.0, so that one loader serves its captures and ours. DATA 5.
 
-Millimetres, x_camera = R (X - campos) with OpenCV axes, joints tip first with the right hand in places 0 to 20; the hand
-that is not there is filled with ones and marked as not valid.
+Millimetres, x_camera = R (X - campos) with OpenCV axes, joints tip first with the right hand in places 0 to 20; the
+hand that is not there is filled with ones and marked as not valid.
 """
 
 from __future__ import annotations

@@ -15,6 +15,7 @@ from PIL import Image
 
 from jghand_engine import limits
 from jghand_engine.capture import worker
+from jghand_engine.capture.identities import identity_names
 from jghand_engine.capture.options import CaptureOptions
 from jghand_engine.capture.plan import CapturePlan, make_plan, open_or_make, read_plan
 from jghand_engine.cli import main
@@ -106,7 +107,10 @@ def test_missing_broken_and_foreign_pictures_are_made_again_and_no_others(copied
     every[3].write_bytes(bytes(damaged))
     Image.new("RGBA", (32, 48)).save(every[4])
     shutil.copy(every[6], every[5])
+    half = every[0].with_name(".image0.0badcafe.png")
+    half.write_bytes(b"what a killed worker left")
     assert capture(copied) == 0
+    assert not half.exists()
     out = capsys.readouterr().out
     assert "5 are broken or of another plan" in out
     assert "6 pictures" in out
@@ -142,6 +146,19 @@ def test_shards_of_two_machines_are_one_capture_when_put_together(tmp_path, made
     first, second = ({path.name for path in pictures(tmp_path / number)} for number in ("1", "2"))
     assert not first & second
     assert together == contents(made)
+
+
+def test_an_unfinished_capture_can_be_used_and_finished_later(tmp_path, monkeypatch, capsys, made):
+    folder = tmp_path / "unfinished"
+    assert capture(folder, "--finished-only") == 2
+    monkeypatch.setenv("JGHAND_STAND_IN_FAILS_AT", "17")
+    assert capture(folder) == 3
+    assert capture(folder, "--finished-only") == 0
+    assert "2 of 6 poses" in capsys.readouterr().out
+    assert len(open_capture(folder).samples) == 14
+    monkeypatch.delenv("JGHAND_STAND_IN_FAILS_AT")
+    assert capture(folder) == 0
+    assert contents(folder) == contents(made)
 
 
 def test_a_folder_takes_no_second_capture(copied, capsys):
@@ -273,6 +290,14 @@ def test_the_stamp_of_a_picture_survives_without_blenders_texts():
         "    sys.exit('a broken PNG passed')\n"
     )
     subprocess.run([sys.executable, "-c", code, str(ROOT)], check=True)
+
+
+def test_help_names_every_identity(capsys):
+    with pytest.raises(SystemExit):
+        main(["capture", "--help"])
+    text = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    for number, name in enumerate(identity_names()):
+        assert f"{number} {name}" in text
 
 
 def test_options_that_decide_nothing_of_the_pictures_may_change(copied):
