@@ -11,6 +11,7 @@ import numpy as np
 import torch
 
 from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.learnt import ShadowLook
 from jghand_engine.avatar.skinning import pose_gaussians
 from jghand_engine.errors import InputError
 from jghand_engine.hand.baselines import HaloLikeTransform
@@ -21,7 +22,7 @@ from jghand_engine.native.threads import thread_count
 from jghand_engine.splat.camera import Camera
 from jghand_engine.splat.gate import ShadowGate, fade
 from jghand_engine.splat.rasterise import rasterise
-from jghand_engine.splat.settings import RenderSettings
+from jghand_engine.splat.settings import RenderSettings, ShadowMode
 from jghand_engine.splat.shadow import ShadowStyle
 from jghand_engine.splat.shadow_native import darken
 from jghand_engine.training.options import TrainOptions, Transform
@@ -45,8 +46,8 @@ class LiveHand:
             gaussians = pose_gaussians(self._avatar, bones, frames=bones.frames, eye_m=-(turn.T @ shift))
             picture = rasterise(gaussians, camera, self._settings)
             planes = torch.cat([picture.rgb.permute(2, 0, 1), picture.alpha[None], picture.depth_sum[None]])
-            look = self._avatar.learnt.shadow if self._avatar.learnt is not None else None
-            strength = fade(self._gate.score(joints_m, float(bones.scale))) if look is not None else 0.0
+            look = ShadowLook() if self._avatar.learnt is None else self._avatar.learnt.shadow
+            strength = self._shadow_strength(joints_m, float(bones.scale))
             if look is not None and strength > 0:
                 style = ShadowStyle(
                     samples=self._settings.shadow_samples, gain=look.gain, tint=look.tint, strength=strength
@@ -54,6 +55,11 @@ class LiveHand:
                 rgb = darken(planes, camera, style, library=self._library, threads=thread_count(self._settings.threads))
                 planes = torch.cat([rgb, planes[3:]])
             return planes[:4].permute(1, 2, 0).contiguous().numpy()
+
+    def _shadow_strength(self, joints_m: np.ndarray, scale: float) -> float:
+        if self._settings.shadow is ShadowMode.GATED:
+            return self._settings.shadow_strength * fade(self._gate.score(joints_m, scale))
+        return self._settings.shadow_strength if self._settings.shadow is ShadowMode.ALWAYS else 0.0
 
 
 def live_hand(avatar: HandAvatar, options: TrainOptions, settings: RenderSettings) -> LiveHand:

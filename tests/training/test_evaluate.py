@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 from picture_sets import LEFT, RIGHT, pose, recorded, write_set
 
 from jghand_engine.datasets.capture_folder import open_capture
-from jghand_engine.datasets.sample import load_picture
+from jghand_engine.datasets.sample import MaskSource, load_picture
 from jghand_engine.datasets.splits import split_by_rule
 from jghand_engine.errors import InputError
 from jghand_engine.training import tables
@@ -181,6 +183,15 @@ def test_the_ablation_says_what_each_variant_loses(capture, split, evaluation):
     assert float(row[3]) == pytest.approx(-20 * np.log10(2), abs=0.01)
     assert row[5:] == ("0.954", "30.92", "-2.52")
     assert cells_of(table, "w/o trans")[1:5] == ("-",) * 4
+
+
+def test_masks_of_our_own_silhouette_are_told(evaluation):
+    assert not any("projected" in note for note in tables.figures_table(evaluation, "box").notes)
+    picture = evaluation.pictures[0]
+    sample = replace(picture.sample, mask_source=MaskSource.TEMPLATE)
+    ours = Evaluation("a", "b", "c", (replace(picture, sample=sample),))
+    for table in (tables.figures_table(ours, "box"), tables.rendering_table([ours])):
+        assert any("projected" in note for note in table.notes)
 
 
 def test_markdown_has_a_head_a_rule_and_all_rows(evaluation):
