@@ -225,6 +225,8 @@ SHADE_MAX = 0.5
 NORMAL_LENGTH2_MIN = 1e-12
 # standard deviation of feature planes at the start (METHOD 4.2)
 PLANE_START_STD = 0.1
+# logarithm of the longest and shortest axis of a Gaussian over its radius: 20 times, a needle
+LOG_STRETCH_MAX = 3.0
 # how far a learnt normal may leave the template's, per unit of the decoder's output
 NORMAL_BEND = 0.3
 # lobes of the gloss at the start: wide, lambda of exp(lambda (cos - 1)), and nearly dark, before the softplus;
@@ -234,6 +236,18 @@ LOBE_SHARPNESS_MAX = 60.0
 LOBE_RAW_START = -4.5
 # learnable range of the shadow's darkness g (METHOD 5.2: 4 to 12; wider, because a shadow may be better off)
 SHADOW_GAIN_RANGE = (1.0, 12.0)
+# what a file may hold of what was learnt; beyond it nothing was learnt from pictures, and memory or floats run out:
+# lobes of the gloss; colour, rim and shine that they may have; gain of the shadow; octaves of an encoding, widths and
+# texels of the pose's network, and its weights
+LIGHT_LOBES_MAX = 64
+LIGHT_VALUE_MAX = 1e3
+SHADOW_GAIN_MAX = 100.0
+POSE_NET_OCTAVES_MAX = 12
+POSE_NET_WIDTH_MAX = 1024
+POSE_NET_TEXELS_MAX = 256
+POSE_NET_WEIGHT_MAX = 1e4
+# by how much the length of a stored normal may be off 1
+NORMAL_LENGTH_TOLERANCE = 1e-3
 # ranges of the angles between neighbouring palm bones (theta^p) and palm planes (theta^n), degrees (METHOD 4.1)
 PALM_NEIGHBOUR_RANGES_DEG = ((0.0, 60.0), (0.0, 30.0), (0.0, 30.0), (0.0, 30.0))
 PALM_PLANE_RANGES_DEG = ((-30.0, 60.0), (-20.0, 40.0), (-20.0, 40.0))
@@ -394,7 +408,7 @@ GUARD_KEEPS_AT_FIRST = (2, 5, 10, 20)
 GUARD_RECOVERIES_MAX = 5
 # steps that a training with a time budget is taken to have until its speed is known
 PLANNED_STEPS_AT_FIRST = 10_000
-# how long `jghand train` trains when it is not told, minutes; and with the paper's configuration, rounds of all pictures
+# how long `jghand train` trains when it is not told, minutes; with the paper's configuration rounds of all pictures
 TRAINING_MINUTES = 60.0
 PAPER_ROUNDS = 30
 # seconds between two lines of progress where no terminal shows a bar

@@ -20,11 +20,26 @@ class ShadowLook:
 
 
 @dataclass(frozen=True)
+class Ellipsoid:
+    """How canonical Gaussians differ from spheres of their sigma.
+
+    log_stretch: (N, 3) logarithm of each axis over sigma · quaternion: (N, 4) wxyz of any length, turns the axes
+    """
+
+    log_stretch: torch.Tensor
+    quaternion: torch.Tensor
+
+    def prefix(self, count: int) -> Ellipsoid:
+        """The same for the first `count` Gaussians."""
+        return Ellipsoid(self.log_stretch[:count], self.quaternion[:count])
+
+
+@dataclass(frozen=True)
 class Learnt:
     """normal: (N, 3) float32 unit, canonical frame, outward · shine: (N,) float32, 0 and up, how much is reflected
     light: of the capture, in the world's frame · correctives: None when the pose changes nothing but the bones
     shadow: its look, None when it was trained without · world_offsets: offsets are in world axes, as the paper prints
-    it, instead of turning with the hand (METHOD 2.9)
+    it, instead of turning with the hand (METHOD 2.9) · ellipsoid: of Gaussians that are no spheres, else None
     """
 
     normal: torch.Tensor
@@ -33,6 +48,7 @@ class Learnt:
     correctives: Correctives | None
     shadow: ShadowLook | None
     world_offsets: bool = False
+    ellipsoid: Ellipsoid | None = None
 
     def prefix(self, count: int) -> Learnt:
         """The same for the first `count` Gaussians."""
@@ -41,4 +57,5 @@ class Learnt:
             normal=self.normal[:count],
             shine=self.shine[:count],
             correctives=None if self.correctives is None else self.correctives.prefix(count),
+            ellipsoid=None if self.ellipsoid is None else self.ellipsoid.prefix(count),
         )

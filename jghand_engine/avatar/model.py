@@ -17,7 +17,7 @@ from jghand_engine import limits
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar, sigma_scale_for_prefix
 from jghand_engine.avatar.canonical_points import CanonicalPoints
 from jghand_engine.avatar.correctives import PoseNet, PoseNetShape
-from jghand_engine.avatar.learnt import Learnt, ShadowLook
+from jghand_engine.avatar.learnt import Ellipsoid, Learnt, ShadowLook
 from jghand_engine.avatar.light import SH_COUNT, Light, unit
 from jghand_engine.avatar.planes import IdentityPlanes
 from jghand_engine.hand.joints import Handedness
@@ -33,6 +33,15 @@ class OffsetFrame(StrEnum):
     WORLD = "world"
 
 
+class Shape(StrEnum):
+    """Of the Gaussians (METHOD 4.3): iso, one radius each; soft-iso, three that a term of the loss keeps alike; aniso,
+    three without that term."""
+
+    ISO = "iso"
+    SOFT_ISO = "soft-iso"
+    ANISO = "aniso"
+
+
 @dataclass(frozen=True)
 class ModelOptions:
     """What is learnt; METHOD 4.2 has the two configurations.
@@ -41,6 +50,7 @@ class ModelOptions:
     swing, scale_mode: as `JointTransform` takes them · offset_frame: of the pose's offsets · pose: the shape of the
     pose's network · plane_texels, depth_texels: of the identity planes · hidden: width of the identity decoder
     identity_reach_m: longest identity offset along an axis · opacity_bias: before the sigmoid, at the start
+    shape: of the Gaussians
     lit: whether the light of the capture is learnt apart from the colours · glossy: whether reflections are
     """
 
@@ -56,6 +66,7 @@ class ModelOptions:
     hidden: int = 128
     identity_reach_m: float = 0.008
     opacity_bias: float = 2.0
+    shape: Shape = Shape.ISO
     lit: bool = True
     glossy: bool = True
 
@@ -82,6 +93,9 @@ class LearnedHand(nn.Module):
         # one layer for all heads: offset 3, colour 3, opacity 1, normal 3, shine 1
         self.heads = nn.Linear(options.hidden, 11)
         self.log_sigma = nn.Parameter(points.sigma_m.log())
+        if options.shape is not Shape.ISO:
+            self.log_stretch = nn.Parameter(torch.zeros(len(points), 3))
+            self.quaternion = nn.Parameter(torch.tensor([1.0, 0.0, 0.0, 0.0]).repeat(len(points), 1))
         self.pose_net = PoseNet(points.bone_weights, points.uvd, options.pose)
         self.irradiance = nn.Parameter(torch.zeros(SH_COUNT, 3))
         self.lobe_direction = nn.Parameter(torch.tensor(_LOBES))
@@ -124,8 +138,20 @@ class LearnedHand(nn.Module):
                 correctives=self.pose_net if count == len(points) else self.pose_net.prefix(count),
                 shadow=self.shadow_look(),
                 world_offsets=options.offset_frame is OffsetFrame.WORLD,
+                ellipsoid=self.ellipsoid(count),
             ),
         )
+
+    def ellipsoid(self, count: int) -> Ellipsoid | None:
+        """Of the first `count` Gaussians, with gradients; None for spheres."""
+        if self.options.shape is Shape.ISO:
+            return None
+        stretch = self.log_stretch[:count].clamp(-limits.LOG_STRETCH_MAX, limits.LOG_STRETCH_MAX)
+        return Ellipsoid(stretch, self.quaternion[:count])
+
+    def light_parameters(self) -> list[nn.Parameter]:
+        """What the light is made of: few numbers that every pixel speaks for."""
+        return [self.irradiance, self.lobe_direction, self.lobe_log_sharpness, self.lobe_raw_rgb, self.raw_rim]
 
     def light(self) -> Light:
         """The light as it is now, with gradients."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from enum import StrEnum
 
 from jghand_engine.avatar.correctives import PoseNetShape
-from jghand_engine.avatar.model import ModelOptions, OffsetFrame
+from jghand_engine.avatar.model import ModelOptions, OffsetFrame, Shape
 
 
 class Transform(StrEnum):
@@ -18,14 +18,15 @@ class Transform(StrEnum):
 
 @dataclass(frozen=True)
 class LossWeights:
-    """Of the terms of METHOD 4.3, and of the roughness of the feature planes (METHOD 4.2)."""
+    """Of the terms of METHOD 4.3, and of the roughness of the feature planes (METHOD 4.2). The isotropy counts only
+    where a Gaussian has three radii that should be alike, `Shape.SOFT_ISO`: of one radius it is constant."""
 
     l1: float = 1.0
     ssim: float = 0.2
     perceptual: float = 0.0
     mask: float = 0.2
     offset: float = 0.1
-    isotropy: float = 0.0
+    isotropy: float = 0.05
     roughness: float = 1e-4
 
 
@@ -34,7 +35,7 @@ class Schedule:
     """Everything that changes while training; parts are of the planned steps, 0..1.
 
     views: pictures of one pose per step; decoding once for all of them is what makes a step cheap
-    rate, plane_rate: of Adam, for networks and for planes and radii; both decay exponentially to `last_part` of that
+    rate, plane_rate: of Adam, for networks, and for planes, radii and light; both fall exponentially to `last_part`
     warm_up_steps: over which the rates rise · gradient_norm: above which gradients are shortened
     levels: (from part, part of the Gaussians) in rising order · strides: (from part, every how many pixels)
     waves: (from part, to part) over which the octaves of the encoding come in; None: all from the start
@@ -103,5 +104,8 @@ def ablations(options: TrainOptions) -> dict[str, TrainOptions]:
     return {
         "w/o trans": replace(options, transform=Transform.HALO_LIKE),
         "w/o shadow": replace(options, shadow=False),
+        "w/o iso": replace(
+            options, model=replace(options.model, shape=Shape.ANISO), loss=replace(options.loss, isotropy=0.0)
+        ),
         "full": options,
     }

@@ -18,7 +18,7 @@ from torch import Tensor
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
 from jghand_engine.avatar.canonical_points import place_points
-from jghand_engine.avatar.model import LearnedHand
+from jghand_engine.avatar.model import LearnedHand, Shape
 from jghand_engine.avatar.pose_features import octave_of_wave
 from jghand_engine.avatar.skinning import PosedSkin, SkinMaps, pose_skin, seen_from, skin_maps
 from jghand_engine.datasets.sample import Sample
@@ -34,7 +34,7 @@ from jghand_engine.splat.settings import RenderSettings
 from jghand_engine.splat.shadow import ShadowStyle
 from jghand_engine.splat.shadow_native import darken
 from jghand_engine.template.mesh import HandTemplate
-from jghand_engine.training.losses import l1_loss, mask_loss, offset_loss, ssim_loss
+from jghand_engine.training.losses import isotropy_loss, l1_loss, mask_loss, offset_loss, ssim_loss
 from jghand_engine.training.options import TrainOptions, Transform, at_part
 from jghand_engine.training.perceptual import PerceptualMetric
 from jghand_engine.training.pictures import Pictures, View
@@ -100,7 +100,7 @@ class HandTraining:
 
     def _new_optimiser(self) -> torch.optim.Adam:
         schedule, hand = self.options.schedule, self.hand
-        fast = [hand.log_sigma, hand.pose_net.angles.planes, *hand.planes.parameters()]
+        fast = [hand.log_sigma, hand.pose_net.angles.planes, *hand.planes.parameters(), *hand.light_parameters()]
         known = {id(parameter) for parameter in fast}
         slow = [parameter for parameter in hand.parameters() if id(parameter) not in known]
         groups = [{"params": slow, "lr": schedule.rate}, {"params": fast, "lr": schedule.plane_rate}]
@@ -221,6 +221,12 @@ class HandTraining:
         mean = {name: torch.stack(values).mean() for name, values in terms.items() if values}
         moved_m = avatar.position_m - self.hand.points.position_m[: self._count]
         mean["offset"] = weights.offset * offset_loss(moved_m, offset_m, hand_size_m=self._hand_size_m())
+        if (
+            self.options.model.shape is Shape.SOFT_ISO
+            and avatar.learnt is not None
+            and avatar.learnt.ellipsoid is not None
+        ):
+            mean["isotropy"] = weights.isotropy * isotropy_loss(avatar.learnt.ellipsoid.log_stretch.exp())
         if weights.roughness:
             mean["roughness"] = weights.roughness * self.hand.planes.roughness()
         return mean
