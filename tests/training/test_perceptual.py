@@ -50,6 +50,12 @@ def test_st_lpips_of_equal_pictures_is_zero(st_lpips):
     assert float(st_lpips.distance(picture(), picture())) == 0
 
 
+@pytest.mark.parametrize(("sigma", "published"), [(1, 0.0498722), (4, 0.6487374)])
+def test_st_lpips_is_that_of_its_package(st_lpips, sigma, published):
+    """The values that the package itself gives for these pictures."""
+    assert float(st_lpips.distance(blurred(picture(), sigma), picture())) == pytest.approx(published, rel=1e-4)
+
+
 def test_st_lpips_grows_with_blur(st_lpips):
     distances = [float(st_lpips.distance(blurred(picture(), sigma), picture())) for sigma in (0.5, 1, 2, 4)]
     assert distances == sorted(distances)
