@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import signal
 
 import numpy as np
@@ -13,6 +14,7 @@ import torch
 from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.cli import main
 from jghand_engine.cli.failures import STOPPED
+from jghand_engine.datasets.capture_folder import open_capture
 from jghand_engine.errors import InputError
 from jghand_engine.exporters.pictures import read_png
 from jghand_engine.hand.anatomy import named_pose
@@ -88,10 +90,18 @@ def test_every_variant_has_a_folder_of_its_own(tmp_path):
     assert variant_folder(tmp_path, "w/o trans") == tmp_path / "without_trans"
 
 
+@pytest.fixture(scope="module")
+def two_poses_held_out(small_capture, tmp_path_factory):
+    folder = shutil.copytree(small_capture, tmp_path_factory.mktemp("split") / "small")
+    (sequence,) = open_capture(folder).sequences
+    (folder / "splits.json").write_text(json.dumps({"format": 1, "test_frames": {sequence: [10, 40]}}))
+    return folder
+
+
 @pytest.fixture
-def ablate(small_capture, tiny, tmp_path, capsys):
+def ablate(two_poses_held_out, tiny, tmp_path, capsys):
     def run(*words):
-        code = main(["ablate", str(small_capture), "--out", str(tmp_path / "out"), *map(str, words)])
+        code = main(["ablate", str(two_poses_held_out), "--out", str(tmp_path / "out"), *map(str, words)])
         said = capsys.readouterr()
         assert "Traceback" not in said.err
         return code, said.out, said.err
@@ -100,14 +110,15 @@ def ablate(small_capture, tiny, tmp_path, capsys):
 
 
 def test_an_ablation_leaves_a_table_figures_and_a_sheet(ablate, tmp_path):
-    code, out, err = ablate("--steps", 4, "--variants", "full", "w/o trans")
+    code, out, err = ablate("--steps", 4, "--limit", 4, "--variants", "full", "w/o trans", "w/o iso")
     assert code == 0, err
     assert "Ablation" in out
     content = json.loads((tmp_path / "out" / "ablation.json").read_text())
-    assert list(content["variants"]) == ["w/o trans", "full"]
+    assert list(content["variants"]) == ["w/o trans", "w/o iso", "full"]
     assert content["variants"]["full"]["means"]["all"]["psnr_full"] > 0
     assert "w/o shadow | - |" in (tmp_path / "out" / "ablation.md").read_text()
     assert read_png(tmp_path / "out" / "ablation.png").shape[1] > 800
+    assert read_png(tmp_path / "out" / "isotropic_anisotropic.png").shape[1] > 1600
 
 
 def test_a_stopped_ablation_goes_on_with_the_same_command(ablate, monkeypatch, tmp_path):
