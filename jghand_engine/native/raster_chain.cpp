@@ -124,11 +124,11 @@ JG_INLINE void store_shapes(const RasterJob& job, int64_t first, int n, vi seen,
 }
 
 JG_INLINE void store_shapes(const RasterJob& job, int64_t first, int n, vi seen, const Ellipsoids& s) {
-  vf rows[6] = {s.xx, s.xy, s.xz, s.yy, s.yz, s.zz};
-  for (vf& row : rows) row = seen ? row : vf{};
-  float values[6 * LANES];
-  store_sixes(values, rows);
-  memcpy(job.covariance_gradient + 6 * first, values, 24 * n);
+  vf rows[LANES] = {s.xx, s.xy, s.xz, s.yy, s.yz, s.zz};
+  for (int k = 0; k < 6; k++) rows[k] = seen ? rows[k] : vf{};
+  transpose(rows);
+  float* out = job.covariance_gradient + 6 * first;
+  for (int lane = 0; lane < n; lane++) memcpy(out + 6 * lane, &rows[lane], 24);
 }
 
 template <class Shapes>

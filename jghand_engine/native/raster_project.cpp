@@ -24,14 +24,14 @@ JG_INLINE vi valid_input(const Inputs& in) {
 JG_INLINE vi valid_shapes(const Spheres& shapes) { return (shapes.sigma > 0) & (shapes.sigma < INFINITY); }
 
 // Finite, not zero, and positive semi-definite up to rounding: with a little of the trace added to the diagonal, all
-// leading minors are positive (Sylvester). Flat Gaussians pass, whichever way their rounding went.
+// leading minors are positive (Sylvester; then the trace is too). Flat Gaussians pass, however they were rounded.
 JG_INLINE vi valid_shapes(const Ellipsoids& shapes) {
   const vd xy = wide(shapes.xy), xz = wide(shapes.xz), yz = wide(shapes.yz);
   const vd trace = wide(shapes.xx) + wide(shapes.yy) + wide(shapes.zz), slack = trace * COVARIANCE_SLACK;
   const vd xx = wide(shapes.xx) + slack, yy = wide(shapes.yy) + slack, zz = wide(shapes.zz) + slack;
   const vd two = xx * yy - xy * xy;
   const vd three = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz);
-  return __builtin_convertvector((trace > 0) & (trace < INFINITY) & (xx > 0) & (two > 0) & (three > 0), vi);
+  return __builtin_convertvector((trace < INFINITY) & (xx > 0) & (two > 0) & (three > 0), vi);
 }
 
 JG_INLINE void store_records(Record* out, int n, const Projection& p, const Inputs& in, vf u, vf v, vf log2_opacity,

@@ -158,13 +158,6 @@ JG_INLINE void load_sixes(const float* p, vf out[6]) {
   }
 }
 
-JG_INLINE void store_sixes(float* p, const vf rows[6]) {
-  float values[6][LANES];
-  for (int k = 0; k < 6; k++) store(values[k], rows[k]);
-  for (int i = 0; i < LANES; i++)
-    for (int k = 0; k < 6; k++) p[6 * i + k] = values[k][i];
-}
-
 // Row i, lane j becomes row j, lane i. Interleaving rows that are half the height apart, four times, transposes.
 JG_INLINE void transpose(vf rows[LANES]) {
   vf other[LANES];

@@ -97,7 +97,8 @@ def _valid(gaussians: Gaussians, position_c: torch.Tensor) -> torch.Tensor:
 def semi_definite(covariance_m2: torch.Tensor) -> torch.Tensor:
     """(N,) bool: which of (N, 6) covariances are finite, not zero, and positive semi-definite up to rounding.
 
-    With a little of the trace added to the diagonal, all leading minors are positive (Sylvester's criterion).
+    With a little of the trace added to the diagonal, all leading minors are positive (Sylvester's criterion). The trace
+    is then positive too.
     """
     xx, xy, xz, yy, yz, zz = covariance_m2.to(torch.float64).unbind(1)
     trace = xx + yy + zz
@@ -105,7 +106,7 @@ def semi_definite(covariance_m2: torch.Tensor) -> torch.Tensor:
     xx, yy, zz = xx + slack, yy + slack, zz + slack
     two = xx * yy - xy * xy
     three = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz)
-    return (trace > 0) & (trace < math.inf) & (xx > 0) & (two > 0) & (three > 0)
+    return (trace < math.inf) & (xx > 0) & (two > 0) & (three > 0)
 
 
 def _project(gaussians: Gaussians, position_c: torch.Tensor, kept: torch.Tensor, camera: Camera) -> _Ellipses:

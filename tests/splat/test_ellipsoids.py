@@ -288,6 +288,26 @@ def test_flat_gaussians_are_drawn_from_every_side(flat, backend):
     assert all(bool(torch.isfinite(gradient).all()) for gradient in gradients)
 
 
+@every_backend
+def test_a_huge_needle_beyond_flat_is_the_needle(backend):
+    """Where rounding is many pixels large: without the clamp, alpha would grow along the needle, not fall."""
+    deviation = 1732 / 500  # 1732 px, seen from 1 m
+    beyond = 1 + 1.5e-6  # the correlation of x and y
+    needle = gaussians_from([[-2100 / 500, -2100 / 500, 1]], [1.0], [0.5], [[1, 1, 1]])
+    covariance = deviation**2 * torch.tensor([[1.0, beyond, 0, 1.0, 0, 0]])
+    camera = front_camera(9, 9, 500.0)
+    picture = draw(replace(needle, covariance_m2=covariance), camera, backend)
+    assert picture.visible_gaussians == 1
+    want = 0.5 * math.exp(-0.5 * 2 * 2100**2 / (2 * 1732**2))
+    # float32 resolves the exponent to 0.2 here
+    assert float(picture.alpha[4, 4]) == pytest.approx(want, rel=0.4)
+    assert float(picture.alpha[0, 8]) < float(picture.alpha[4, 4])
+    round_off = rasterise_reference(
+        in_precision(replace(needle, covariance_m2=covariance), torch.float64), front_camera(9, 9, 500.0)
+    )
+    assert float(round_off.alpha[4, 4]) == pytest.approx(want, rel=1e-3)
+
+
 # ---- errors ---------------------------------------------------------------------------------------------------------
 
 
