@@ -389,6 +389,8 @@ ADAM_EPS = 1e-15
 CROP_MARGIN_PX = 10
 # cut pictures kept in memory, bytes; 60 kB each at 512 x 334, so that 16,000 fit
 PICTURE_CACHE_BYTES = 1_000_000_000
+# ... and of what a pose needs of the bones, bytes; 3.5 MB each at 40,000 Gaussians
+POSE_CACHE_BYTES = 2_000_000_000
 # visibility below which the shadow is black: its power with the learnt gain has a finite gradient
 VISIBILITY_MIN = 1e-3
 # checkpoints that are kept, beside the one with the best fixed view: one more than the last, should that be damaged

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,6 +12,7 @@ from jghand_engine.datasets.sample import Sample, load_picture
 from jghand_engine.errors import InputError
 from jghand_engine.limits import CROP_MARGIN_PX, PICTURE_CACHE_BYTES, SSIM_WINDOW_PX
 from jghand_engine.splat.camera import Camera
+from jghand_engine.training.recent import Recent
 
 
 @dataclass(frozen=True)
@@ -35,21 +35,12 @@ class Pictures:
     """Loads samples, cuts them to the hand with a margin, and keeps as many as fit into PICTURE_CACHE_BYTES."""
 
     def __init__(self) -> None:
-        self._kept: OrderedDict[str, _Kept] = OrderedDict()
-        self._bytes = 0
+        self._kept: Recent[_Kept] = Recent(PICTURE_CACHE_BYTES, lambda kept: kept.rgb.nbytes + kept.mask.nbytes)
 
     def view(self, sample: Sample, stride: int = 1) -> View:
         """The picture of a sample; stride 2 averages 2 x 2 pixels into one. InputError as `load_picture`, or when no
         pixel of it shows the hand."""
-        key = str(sample.picture)
-        kept = self._kept.pop(key, None)
-        if kept is None:
-            kept = _cut(sample)
-            self._bytes += kept.rgb.nbytes + kept.mask.nbytes
-        self._kept[key] = kept
-        while self._bytes > PICTURE_CACHE_BYTES and len(self._kept) > 1:
-            _, oldest = self._kept.popitem(last=False)
-            self._bytes -= oldest.rgb.nbytes + oldest.mask.nbytes
+        kept = self._kept.get(sample.picture, lambda: _cut(sample))
         rgb, mask = torch.from_numpy(kept.rgb).float() / 255.0, torch.from_numpy(kept.mask).float() / 255.0
         view = View(rgb, mask, kept.camera)
         return view if stride == 1 else coarser(view, stride)

@@ -38,6 +38,7 @@ from jghand_engine.training.losses import isotropy_loss, l1_loss, mask_loss, off
 from jghand_engine.training.options import TrainOptions, Transform, at_part
 from jghand_engine.training.perceptual import PerceptualMetric
 from jghand_engine.training.pictures import Pictures, View
+from jghand_engine.training.recent import Recent
 from jghand_engine.training.trainable import GAUSSIANS, LOSS
 
 
@@ -61,6 +62,12 @@ class _PosedBones:
     maps: SkinMaps
     shadow: float
 
+    def nbytes(self) -> int:
+        """Memory of the maps, bytes; the rest is small."""
+        maps = self.maps
+        tensors = (maps.linear, maps.offset_m, maps.radius, maps.turning)
+        return sum(tensor.nbytes for tensor in tensors if tensor is not None)
+
 
 class HandTraining:
     """A Trainable (training.trainable): learns `material` as `options` say."""
@@ -83,7 +90,7 @@ class HandTraining:
         self._gate = ShadowGate(points.joints_m.numpy())
         self._poses = _by_pose(material.train)
         self._names = sorted(self._poses)
-        self._known: dict[tuple[str, int], _PosedBones] = {}
+        self._known: Recent[_PosedBones] = Recent(limits.POSE_CACHE_BYTES, _PosedBones.nbytes)
         self._pictures = Pictures()
         self._settings = RenderSettings()
         self._library = load_native("auto")
@@ -265,13 +272,12 @@ class HandTraining:
         return picture.rgb * (1 - tint * (1 - seen[..., None])), picture.alpha
 
     def _posed_bones(self, sample: Sample) -> _PosedBones:
-        if sample.pose not in self._known:
-            joints_m = torch.from_numpy(sample.joints_m).float()
-            bones = self._transform.bones(joints_m)
-            maps = skin_maps(self.hand.points.bone_weights, bones, turned=True)
-            strength = fade(self._gate.score(sample.joints_m, float(bones.scale)))
-            self._known[sample.pose] = _PosedBones(bones, maps, strength)
-        return self._known[sample.pose]
+        return self._known.get(sample.pose, lambda: self._new_posed_bones(sample.joints_m))
+
+    def _new_posed_bones(self, joints_m: np.ndarray) -> _PosedBones:
+        bones = self._transform.bones(torch.from_numpy(joints_m).float())
+        maps = skin_maps(self.hand.points.bone_weights, bones, turned=True)
+        return _PosedBones(bones, maps, fade(self._gate.score(joints_m, float(bones.scale))))
 
     def _shown(self) -> tuple[View, Tensor]:
         """The fixed view and ours of it, 0..1."""
