@@ -1,0 +1,62 @@
+"""Makes the avatar that JGHand ships anew: a capture with a photographic skin, a training on all its pictures.
+
+    python scripts/train_builtin.py --skin SKIN.png            # jghand_engine/assets/builtin_right.jghand
+
+SKIN.png is a picture of skin in the template's UV. The shipped avatar was made with `young_lightskinned_male_diffuse`
+of MakeHuman's skins (CC0-1.0), baked into that UV. Half an hour of Cycles and an hour of training on two cores; what is
+there already is kept, so it goes on where it was stopped.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import tyro
+
+from jghand_engine.avatar.file import load_avatar, save_avatar
+from jghand_engine.avatar.storage import Storage
+
+ASSETS = Path(__file__).resolve().parents[1] / "jghand_engine" / "assets"
+CAPTURE = (
+    *("--identity", "adult_woman", "--cameras", "14", "--close-ups", "2", "--poses", "44", "--wrist-turn", "20"),
+    *("--samples", "16", "--subdivisions", "2", "--size", "334x512"),
+)
+LICENCE = (
+    "CC0-1.0 AND Apache-2.0, see NOTICE: learnt from path-traced pictures of MakeHuman's hand (CC0-1.0) on a rig with "
+    "SOMA's joints (Apache-2.0), with a MakeHuman skin (CC0-1.0), in Blender's studio light (CC0-1.0)"
+)
+
+
+@dataclass(frozen=True)
+class Options:
+    """skin: the picture · work: folder of the capture and the training · minutes: of training · out: the file"""
+
+    skin: Path
+    work: Path = Path("builtin")
+    minutes: float = 60.0
+    out: Path = ASSETS / "builtin_right.jghand"
+
+
+def main(options: Options) -> None:
+    capture, trained = options.work / "capture", options.work / "trained.jghand"
+    run("capture", "--out", capture, "--skin", options.skin, *CAPTURE)
+    goes_on = ["--resume"] if trained.with_suffix(".training").exists() else []
+    run("train", capture, "--out", trained, "--minutes", options.minutes, "--all-pictures", *goes_on)
+    avatar = load_avatar(trained)
+    avatar = replace(avatar, info=replace(avatar.info, name="JGHand built-in", licence=LICENCE))
+    save_avatar(options.out, avatar, storage=Storage.COMPACT)
+    print(f"{options.out}: {len(avatar)} Gaussians, {options.out.stat().st_size / 1e6:.2f} MB")
+
+
+def run(*words: object) -> None:
+    """A command of `jghand`; its failure ends this script with the same code."""
+    code = subprocess.run([sys.executable, "-m", "jghand_engine", *map(str, words)]).returncode
+    if code:
+        raise SystemExit(code)
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Options, description=__doc__))
