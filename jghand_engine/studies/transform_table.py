@@ -139,15 +139,15 @@ def transform_table(scores: dict[str, dict[str, TransformScore]], poses: int) ->
             rows.append((name, identity, *cells))
     for name, sets in PAPER_TRANSFORM.items():
         for capture, (joints, chamfer) in zip(("test/Capture0", "test/Capture1"), sets, strict=True):
-            rows.append((name, capture, f"{joints:.4f} *", NONE, f"{chamfer:.2f} *", NONE))
+            rows.append((name, capture, f"{joints:.4f} †", NONE, f"{chamfer:.2f} †", NONE))
     return Table(
         f"Transformation, {poses} poses of each hand, millimetres",
         columns,
         tuple(rows),
         (
             f"Joints: mean over {JOINT_COUNT} joints. Truth: a mesh of other proportions, posed by its own 25 joints.",
-            "naive and HALO-like are written from descriptions (METHOD 2.2), not from anybody's code.",
-            "* In the paper's units, which it does not give (metres fit the joints).",
+            "naive and HALO-like are written from descriptions (METHOD 2.2), not from code; they keep the template's lengths.",
+            "† In the paper's units, which it does not give (metres fit the joints).",
             CAVEAT,
         ),
     )
