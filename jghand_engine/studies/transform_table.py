@@ -146,7 +146,7 @@ def transform_table(scores: dict[str, dict[str, TransformScore]], poses: int) ->
         tuple(rows),
         (
             f"Joints: mean over {JOINT_COUNT} joints. Truth: a mesh of other proportions, posed by its own 25 joints.",
-            "naive and HALO-like are written from descriptions (METHOD 2.2), not from code; they keep the template's lengths.",
+            "naive and HALO-like: written from descriptions (METHOD 2.2), not code; they keep the template's lengths.",
             "† In the paper's units, which it does not give (metres fit the joints).",
             CAVEAT,
         ),
