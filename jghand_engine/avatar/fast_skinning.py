@@ -49,7 +49,7 @@ class FastSkinning:
         self._call = library.call.jg_skin
         position = avatar.position_m.numpy()
         self.order = spatial_order(position)
-        self.rows = -(-len(avatar) // LANES) * LANES
+        self.rows = padded_rows(len(avatar))
         self.opacity = self._in_rows(avatar.opacity.numpy())
         self.rgb = self._in_rows(avatar.rgb.numpy())
         self.team = new_team()
@@ -102,6 +102,11 @@ class FastSkinning:
     def run(self) -> None:
         """Poses the avatar; every thread of a team calls it."""
         self._call(self.team.ctypes.data, ctypes.addressof(self._task))
+
+
+def padded_rows(count: int) -> int:
+    """Rows that `count` Gaussians take: whole blocks."""
+    return -(-count // LANES) * LANES
 
 
 def spatial_order(position_m: np.ndarray) -> np.ndarray:

@@ -5,12 +5,16 @@ handedness, joint_names (the order of the joints and of the weight columns), swi
 gaussians, position_box_m, pose_statistics. swing and scale_mode are what `JointTransform` takes: a scale mode is a name
 or the number of the blended one. The arrays are those of `storage.expected_arrays` and
 canonical_joints_m (21, 3) float64. Files keep the standard joint order; the engine's level order ends here.
+
+A trained avatar has format_version 2, a description `learnt` and the arrays of `learnt_storage`. Avatars that were not
+trained are still written as version 1, which older JGHands read.
 """
 
 from __future__ import annotations
 
 import json
 import unicodedata
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +24,7 @@ import safetensors.numpy
 import torch
 
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
+from jghand_engine.avatar.learnt_storage import LearntAbout, expected_learnt_arrays, pack_learnt, unpack_learnt
 from jghand_engine.avatar.storage import (
     Arrays,
     Storage,
@@ -36,7 +41,9 @@ from jghand_engine.hand.orders import JointOrder, from_level, to_level
 from jghand_engine.hand.transform import ScaleMode, scale_exponent
 from jghand_engine.limits import AVATAR_HEADER_MAX_BYTES, AVATAR_MAX_GAUSSIANS, AVATAR_TEXT_MAX
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
+# the newest without anything learnt
+PAINTED_VERSION = 1
 METADATA_KEY = "jghand"
 ARRAY_NAMES = ("position_m", "sigma_m", "opacity", "rgb", "bone_weights", "uvd")
 
@@ -53,8 +60,8 @@ def save_avatar(path: Path | str, avatar: HandAvatar, *, storage: Storage = Stor
     packed, box_m = pack(_arrays(avatar), storage)
     joints_m = avatar.canonical_joints_m.detach().cpu().to(torch.float64).numpy()
     packed["canonical_joints_m"] = np.ascontiguousarray(from_level(joints_m, JointOrder.STANDARD))
-    description = {
-        "format_version": FORMAT_VERSION,
+    description: dict[str, Any] = {
+        "format_version": PAINTED_VERSION if avatar.learnt is None else FORMAT_VERSION,
         "name": avatar.info.name,
         "template": avatar.info.template,
         "licence": avatar.info.licence,
@@ -68,6 +75,9 @@ def save_avatar(path: Path | str, avatar: HandAvatar, *, storage: Storage = Stor
         "position_box_m": box_m,
         "pose_statistics": {name: list(range_) for name, range_ in avatar.info.pose_statistics.items()},
     }
+    if avatar.learnt is not None:
+        description["learnt"] = LearntAbout.of(avatar.learnt).as_dict()
+        packed |= pack_learnt(avatar.learnt, storage)
     try:
         text = json.dumps(description, allow_nan=False)
     except (TypeError, ValueError, RecursionError) as error:
@@ -85,7 +95,10 @@ def save_avatar(path: Path | str, avatar: HandAvatar, *, storage: Storage = Stor
 def stored_form(avatar: HandAvatar, storage: Storage) -> HandAvatar:
     """The avatar that a reader gets back when `avatar` is saved with `storage`."""
     packed, box_m = pack(_arrays(avatar), storage)
-    return _avatar(avatar.info, avatar.handedness, avatar.canonical_joints_m, unpack(packed, storage, box_m))
+    stored = _avatar(avatar.info, avatar.handedness, avatar.canonical_joints_m, unpack(packed, storage, box_m))
+    if avatar.learnt is None:
+        return stored
+    return _with_learnt(stored, pack_learnt(avatar.learnt, storage), LearntAbout.of(avatar.learnt))
 
 
 def load_avatar(path: Path | str) -> HandAvatar:
@@ -108,7 +121,10 @@ def _load(file: Path, thing: str) -> HandAvatar:
     if about.storage is Storage.COMPACT and int(packed["weight_bone"].max()) >= JOINT_COUNT:
         came = str(int(packed["weight_bone"].max()))
         raise InputError(f"{thing}: weight_bone", wanted=f"bones 0 to {JOINT_COUNT - 1}", came=came, remedy=REMEDY)
-    avatar = _avatar(about.info, about.handedness, joints_m, unpack(packed, about.storage, about.box_m))
+    plain = {name: packed.pop(name) for name in expected_arrays(about.storage)}
+    avatar = _avatar(about.info, about.handedness, joints_m, unpack(plain, about.storage, about.box_m))
+    if about.learnt is not None:
+        avatar = _with_learnt(avatar, packed, about.learnt)
     check_avatar(avatar, thing)
     return avatar
 
@@ -140,6 +156,10 @@ class _Description:
             scale_mode=self._scale_mode(),
             pose_statistics=self._pose_statistics(),
         )
+        self.learnt = LearntAbout.parsed(self._fields.get("learnt"), self._wrong) if self._is_learnt() else None
+
+    def _is_learnt(self) -> bool:
+        return self._fields["format_version"] > PAINTED_VERSION
 
     def _wrong(self, name: str, wanted: str, came: object) -> InputError:
         return InputError(f"{self._thing}: {name}", wanted=wanted, came=repr(came)[:200], remedy=REMEDY)
@@ -243,6 +263,8 @@ def _read_arrays(thing: str, content: Any, about: _Description) -> dict[str, np.
     """All arrays of a file; their names, types and shapes are checked before any is read."""
     wanted = {name: (dtype, (about.gaussians, *rest)) for name, (dtype, rest) in expected_arrays(about.storage).items()}
     wanted["canonical_joints_m"] = ("F64", (JOINT_COUNT, 3))
+    if about.learnt is not None:
+        wanted |= expected_learnt_arrays(about.learnt, about.gaussians, about.storage)
     names = set(content.keys())
     if names != set(wanted):
         missing, unknown = sorted(set(wanted) - names), sorted(names - set(wanted))
@@ -264,3 +286,7 @@ def _arrays(avatar: HandAvatar) -> Arrays:
 def _avatar(info: AvatarInfo, handedness: Handedness, joints_m: torch.Tensor, arrays: Arrays) -> HandAvatar:
     tensors = {name: torch.from_numpy(np.ascontiguousarray(getattr(arrays, name))) for name in ARRAY_NAMES}
     return HandAvatar(info, handedness, joints_m.to(torch.float64), learnt=None, **tensors)
+
+
+def _with_learnt(avatar: HandAvatar, packed: dict[str, np.ndarray], about: LearntAbout) -> HandAvatar:
+    return replace(avatar, learnt=unpack_learnt(packed, about, avatar.bone_weights, avatar.uvd))

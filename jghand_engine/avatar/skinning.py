@@ -12,7 +12,9 @@ import torch
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.correctives import Correction
+from jghand_engine.avatar.covariance import posed_covariance
 from jghand_engine.avatar.gaussians import Gaussians
+from jghand_engine.avatar.learnt import Ellipsoid
 from jghand_engine.avatar.light import gloss, lit, unit
 from jghand_engine.errors import InputError
 from jghand_engine.hand.frames import HandFrames
@@ -149,6 +151,7 @@ def pose_skin(
             sigma_m=avatar.sigma_m.to(dtype) * maps.radius,
             opacity=avatar.opacity.to(dtype),
             rgb=rgb,
+            covariance_m2=None if learnt is None else _covariance(avatar.sigma_m, learnt.ellipsoid, maps.linear),
         )
         return PosedSkin(gaussians, normal, shine)
 
@@ -165,6 +168,19 @@ def seen_from(skin: PosedSkin, eye_m: torch.Tensor, avatar: HandAvatar) -> Gauss
     return replace(skin.matt, rgb=skin.matt.rgb + reflected)
 
 
+def posed_skin(avatar: HandAvatar, bones: PoseTransforms, frames: HandFrames | None) -> PosedSkin:
+    """The skin of a finished avatar: `pose_skin` with the correction that its own correctives give for `frames`.
+
+    InputError when it has correctives and there are no frames.
+    """
+    correctives = None if avatar.learnt is None else avatar.learnt.correctives
+    if correctives is None:
+        return pose_skin(avatar, bones)
+    if frames is None:
+        raise InputError("pose of a trained avatar", wanted="its frames, for the joint angles", came="none")
+    return pose_skin(avatar, bones, correctives(frames))
+
+
 def pose_gaussians(
     avatar: HandAvatar, bones: PoseTransforms, *, frames: HandFrames | None = None, eye_m: torch.Tensor | None = None
 ) -> Gaussians:
@@ -173,14 +189,15 @@ def pose_gaussians(
     frames: of the same pose; a trained avatar with correctives needs them (InputError) · eye_m: (3,) where the camera
     stands; None leaves out what only that camera would see mirrored
     """
-    correctives = None if avatar.learnt is None else avatar.learnt.correctives
-    correction = None
-    if correctives is not None:
-        if frames is None:
-            raise InputError("pose of a trained avatar", wanted="its frames, for the joint angles", came="none")
-        correction = correctives(frames)
-    skin = pose_skin(avatar, bones, correction)
+    skin = posed_skin(avatar, bones, frames)
     return skin.matt if eye_m is None else seen_from(skin, eye_m, avatar)
+
+
+def _covariance(sigma_m: torch.Tensor, ellipsoid: Ellipsoid | None, linear: torch.Tensor) -> torch.Tensor | None:
+    if ellipsoid is None:
+        return None
+    log_scale = sigma_m.log()[:, None] + ellipsoid.log_stretch
+    return posed_covariance(log_scale, ellipsoid.quaternion, linear)
 
 
 def _turned(maps: SkinMaps) -> torch.Tensor:

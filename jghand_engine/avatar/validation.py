@@ -6,6 +6,9 @@ import numpy as np
 import torch
 
 from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.correctives import PoseNet
+from jghand_engine.avatar.learnt import Learnt
+from jghand_engine.avatar.light import SH_COUNT
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 from jghand_engine.hand.orders import check_hand_size, check_order
@@ -13,6 +16,11 @@ from jghand_engine.hand.transform import JointTransform
 from jghand_engine.limits import (
     AVATAR_MAX_GAUSSIANS,
     AVATAR_REACH_M,
+    LIGHT_LOBES_MAX,
+    LIGHT_VALUE_MAX,
+    NORMAL_LENGTH_TOLERANCE,
+    POSE_NET_WEIGHT_MAX,
+    SHADOW_GAIN_MAX,
     SIGMA_MAX_M,
     SIGMA_MIN_M,
     WEIGHT_SUM_TOLERANCE,
@@ -39,6 +47,44 @@ def check_avatar(avatar: HandAvatar, thing: str) -> None:
     total = avatar.bone_weights.to(torch.float64).sum(1)
     off = (total - 1).abs() > WEIGHT_SUM_TOLERANCE
     _refuse(thing, "bone_weights", f"rows that sum to 1 within {WEIGHT_SUM_TOLERANCE}", off, total)
+    if avatar.learnt is not None:
+        _check_learnt(avatar.learnt, len(avatar), thing)
+
+
+def _check_learnt(learnt: Learnt, count: int, thing: str) -> None:
+    light, lobes = learnt.light, learnt.light.lobe_direction.shape[0]
+    if lobes > LIGHT_LOBES_MAX:
+        raise InputError(f"{thing}: lobes of the light", wanted=f"at most {LIGHT_LOBES_MAX}", came=str(lobes))
+    # name: values, shape, least and greatest of each number
+    most = LIGHT_VALUE_MAX
+    ranges = {
+        "normal": (learnt.normal, (count, 3), -2.0, 2.0),
+        "shine": (learnt.shine, (count,), 0.0, most),
+        "light irradiance": (light.irradiance, (SH_COUNT, 3), -most, most),
+        "light lobe_direction": (light.lobe_direction, (lobes, 3), -most, most),
+        "light lobe_sharpness": (light.lobe_sharpness, (lobes,), 0.0, most),
+        "light lobe_rgb": (light.lobe_rgb, (lobes, 3), 0.0, most),
+        "light rim": (light.rim, (), 0.0, most),
+    }
+    if isinstance(learnt.correctives, PoseNet):
+        for name, tensor in learnt.correctives.state_dict().items():
+            ranges[f"pose_net {name}"] = (tensor, tuple(tensor.shape), -POSE_NET_WEIGHT_MAX, POSE_NET_WEIGHT_MAX)
+    for name, (values, shape, low, high) in ranges.items():
+        if tuple(values.shape) != shape:
+            came = f"shape {tuple(values.shape)}"
+            raise InputError(f"{thing}: {name}", wanted=f"shape {shape}", came=came, remedy=REMEDY)
+        flat = values.detach().reshape(-1)
+        _refuse(thing, name, f"values of {low:g} to {high:g}", ~((flat >= low) & (flat <= high)), flat, of="number")
+    length = learnt.normal.norm(dim=-1)
+    _refuse(thing, "normal", "vectors of length 1", (length - 1).abs() > NORMAL_LENGTH_TOLERANCE, length)
+    _check_shadow(learnt, thing)
+
+
+def _check_shadow(learnt: Learnt, thing: str) -> None:
+    look = learnt.shadow
+    if look is not None and not (0 <= look.gain <= SHADOW_GAIN_MAX and all(0 <= part <= 1 for part in look.tint)):
+        wanted = f"a gain of 0 to {SHADOW_GAIN_MAX:g} and a tint of 0 to 1"
+        raise InputError(f"{thing}: look of the shadow", wanted=wanted, came=str(look), remedy=REMEDY)
 
 
 def _check_shapes(avatar: HandAvatar, thing: str) -> None:
@@ -79,14 +125,14 @@ def _check_joints(avatar: HandAvatar, thing: str) -> None:
         ) from error
 
 
-def _refuse(thing: str, name: str, wanted: str, bad: torch.Tensor, values: torch.Tensor) -> None:
-    """InputError about the first Gaussian where `bad` (N,) or (N, C) holds."""
+def _refuse(thing: str, name: str, wanted: str, bad: torch.Tensor, values: torch.Tensor, of: str = "Gaussian") -> None:
+    """InputError about the first row, which is called `of`, where `bad` (N,) or (N, C) holds."""
     if not bool(bad.any()):
         return
     first = bad.nonzero()[0]
     raise InputError(
         f"{thing}: {name}",
         wanted=wanted,
-        came=f"{float(values[tuple(first)]):.6g} at Gaussian {int(first[0])} ({int(bad.sum())} such values)",
+        came=f"{float(values[tuple(first)]):.6g} at {of} {int(first[0])} ({int(bad.sum())} such values)",
         remedy=REMEDY,
     )

@@ -12,7 +12,7 @@ import torch
 
 from jghand_engine import limits
 from jghand_engine.errors import InputError, RetryError
-from jghand_engine.hand.frames import CanonicalHand, Swing
+from jghand_engine.hand.frames import CanonicalHand, HandFrames, Swing
 from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 from jghand_engine.hand.orders import check_joint_shape
 from jghand_engine.hand.transform import JointTransform, ScaleMode
@@ -68,6 +68,10 @@ class FastTransform:
         # a hand too large for float32 becomes infinite without a word: the kernels cull it
         with np.errstate(over="ignore"):
             return FastBones(matrices.astype(np.float32), root, scale, flags)
+
+    def frames(self, joints_m: np.ndarray) -> HandFrames:
+        """(21, 3) level-order joints, metres -> their frames, float64, of the torch transform."""
+        return self._reference.frames(torch.from_numpy(np.ascontiguousarray(joints_m, np.float64)))
 
     def bones64(self, joints_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, int]:
         """The same before rounding: (21, 3, 4) float64 matrices, root, scale, flags."""

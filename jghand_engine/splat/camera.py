@@ -64,6 +64,12 @@ class Camera:
         matrix[:3, :3], matrix[:3, 3] = rotation, -rotation @ eye
         return cls(width, height, focal_px, focal_px, width / 2, height / 2, matrix)
 
+    @property
+    def eye_m(self) -> torch.Tensor:
+        """(3,) float64 where the camera stands, world metres."""
+        rotation, offset_m = self.camera_from_world[:3, :3], self.camera_from_world[:3, 3]
+        return -(rotation.T @ offset_m)
+
     def scaled(self, factor: float) -> Camera:
         """The same view with `factor` times as many pixels along each side (rounded to whole pixels)."""
         width, height = max(1, round(self.width * factor)), max(1, round(self.height * factor))

@@ -18,9 +18,10 @@ import torch
 
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.learnt import ShadowLook
 from jghand_engine.errors import InputError
 from jghand_engine.hand.fast_transform import FastTransform
-from jghand_engine.hand.frames import describe_flags
+from jghand_engine.hand.frames import HandFrames, describe_flags
 from jghand_engine.hand.joints import JOINT_COUNT, LEVEL_NAMES
 from jghand_engine.hand.orders import check_joint_shape
 from jghand_engine.native import library as native_library
@@ -69,6 +70,10 @@ class SceneRenderer:
             )
             for avatar in self._avatars
         ]
+        looks = [ShadowLook() if avatar.learnt is None else avatar.learnt.shadow for avatar in self._avatars]
+        self._looks = [look for look in looks if look is not None]
+        # colours that were learnt under a shadow that fades with the pose have in them what it leaves out
+        self._is_learnt = any(avatar.learnt is not None for avatar in self._avatars)
         self._gates = [ShadowGate(avatar.canonical_joints_m.numpy()) for avatar in self._avatars]
         self._painter = self._new_painter()
         self._posed: _Posed | None = None
@@ -122,20 +127,32 @@ class SceneRenderer:
                 return self._posed, False
         origin_m = hands[0][0]
         bones = [transform.bones(joints) for transform, joints in zip(self._transforms, hands, strict=True)]
-        poses = [Pose(one, one.root_m - origin_m) for one in bones]
+        frames = [self._frames(place, joints) for place, joints in enumerate(hands)]
+        poses = [Pose(one, one.root_m - origin_m, own) for one, own in zip(bones, frames, strict=True)]
         notes = [sentence for one in bones for sentence in describe_flags(one.flags)]
         posed = _Posed([joints.copy() for joints in hands], poses, notes)
         report.ran(TRANSFORM, 1e3 * (time.perf_counter() - started))
         report.notes += notes
         return posed, True
 
+    def _frames(self, place: int, joints_m: np.ndarray) -> HandFrames | None:
+        """The frames of a hand whose avatar wants to know its joint angles."""
+        learnt = self._avatars[place].learnt
+        return None if learnt is None or learnt.correctives is None else self._transforms[place].frames(joints_m)
+
     def _canvas(self, posed: _Posed, camera: Camera, report: FrameReport) -> Canvas:
         # the origin of what was posed, also when the hand has moved by less than the limit since
         from_origin = camera.camera_from_world.clone()
         from_origin[:3, 3] += from_origin[:3, :3] @ torch.from_numpy(posed.hands[0][0])
         strength = self._shadow_strength(posed, camera, report)
-        style = ShadowStyle(samples=self.settings.shadow_samples, strength=strength) if strength > 0 else None
+        style = self._shadow_style(strength) if strength > 0 else None
         return Canvas(replace(camera, camera_from_world=from_origin), float(from_origin[2, 3]), style)
+
+    def _shadow_style(self, strength: float) -> ShadowStyle:
+        """One pass shades all hands: hands of different looks get the mean of them."""
+        gain = float(np.mean([look.gain for look in self._looks]))
+        red, green, blue = np.mean([look.tint for look in self._looks], axis=0).tolist()
+        return ShadowStyle(self.settings.shadow_samples, strength, gain=gain, tint=(red, green, blue))
 
     def _shadow_strength(self, posed: _Posed, camera: Camera, report: FrameReport) -> float:
         """0..1; decided by mode, size on the picture and the gate, with a line in the report."""
@@ -143,10 +160,13 @@ class SceneRenderer:
         if settings.shadow is ShadowMode.OFF or settings.shadow_strength == 0:
             report.skipped(SHADOW, "switched off", "")
             return 0.0
-        if settings.shadow is ShadowMode.ALWAYS:
+        if not self._looks:
+            report.skipped(SHADOW, "the avatar was learnt without one", "0")
+            return 0.0
+        if settings.shadow is ShadowMode.ALWAYS and not self._is_learnt:
             return settings.shadow_strength
         size_px = max(_extent_px(joints, camera) for joints in posed.hands)
-        if size_px < limits.SHADOW_HAND_MIN_PX:
+        if size_px < limits.SHADOW_HAND_MIN_PX and settings.shadow is not ShadowMode.ALWAYS:
             report.skipped(SHADOW, f"hand {size_px:.0f} px", "a few pixels of crease")
             return 0.0
         started = time.perf_counter()

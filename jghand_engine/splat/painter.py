@@ -15,9 +15,10 @@ import torch
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.gaussians import Gaussians
-from jghand_engine.avatar.skinning import pose_gaussians
+from jghand_engine.avatar.torch_posing import TorchPosing
 from jghand_engine.errors import InputError
 from jghand_engine.hand.fast_transform import FastBones
+from jghand_engine.hand.frames import HandFrames
 from jghand_engine.splat.camera import Camera
 from jghand_engine.splat.picture import Picture
 from jghand_engine.splat.rasterise import rasterise
@@ -34,10 +35,12 @@ SAME_PICTURE = "same pose, camera and settings"
 
 @dataclass(frozen=True)
 class Pose:
-    """One hand of a picture: its bone transforms, and its root relative to the picture's origin (3,), metres."""
+    """One hand of a picture: its bone transforms, its root relative to the picture's origin (3,), metres, and its
+    frames where its avatar has correctives."""
 
     bones: FastBones
     shift_m: np.ndarray
+    frames: HandFrames | None = None
 
 
 @dataclass(frozen=True)
@@ -48,6 +51,11 @@ class Canvas:
     camera: Camera
     near_m: float
     style: ShadowStyle | None
+
+    @property
+    def eye_m(self) -> np.ndarray:
+        """(3,) where the camera stands, relative to the picture's origin, metres."""
+        return self.camera.eye_m.numpy()
 
     def same_view(self, other: Canvas | None) -> bool:
         """Whether the two see the same Gaussians in the same way, shadow aside."""
@@ -85,6 +93,7 @@ class TorchPainter:
     def __init__(self, avatars: Sequence[HandAvatar], settings: RenderSettings) -> None:
         self._avatars = avatars
         self._settings = replace(settings, backend="torch")
+        self._hands = [TorchPosing(avatar) for avatar in avatars]
         self._gaussians: Gaussians | None = None
         self._drawn: tuple[Canvas, Picture] | None = None
 
@@ -115,7 +124,7 @@ class TorchPainter:
         if self._gaussians is None:
             raise InputError("picture", wanted="a pose", came="none")
         started = time.perf_counter()
-        picture = rasterise(self._gaussians, canvas.camera, self._settings)
+        picture = rasterise(self._coloured(self._gaussians, canvas), canvas.camera, self._settings)
         self._drawn = (canvas, picture)
         report.ran(RASTER, 1e3 * (time.perf_counter() - started))
         return picture
@@ -123,15 +132,25 @@ class TorchPainter:
     def _posed(self, poses: Sequence[Pose]) -> Gaussians:
         """All hands' Gaussians relative to the picture's origin."""
         parts = [
-            pose_gaussians(avatar, _RootRelative.of(avatar, pose))
-            for avatar, pose in zip(self._avatars, poses, strict=True)
+            hand.pose(RootRelative.of(avatar, pose), pose.frames).matt
+            for hand, avatar, pose in zip(self._hands, self._avatars, poses, strict=True)
         ]
         fields = ("position_m", "sigma_m", "opacity", "rgb")
         return Gaussians(*(torch.cat([getattr(part, name) for part in parts]) for name in fields))
 
+    def _coloured(self, gaussians: Gaussians, canvas: Canvas) -> Gaussians:
+        """The same as they look from the camera; kept for the next picture from there."""
+        first = 0
+        for hand, avatar in zip(self._hands, self._avatars, strict=True):
+            rgb = hand.rgb(canvas.eye_m)
+            if rgb is not None:
+                gaussians.rgb[first : first + len(avatar)] = rgb
+            first += len(avatar)
+        return gaussians
+
 
 @dataclass(frozen=True)
-class _RootRelative:
+class RootRelative:
     """FastBones as torch tensors (avatar.skinning.PoseTransforms), around the picture's origin, not the world's."""
 
     linear: torch.Tensor
@@ -141,7 +160,7 @@ class _RootRelative:
     scale: torch.Tensor
 
     @classmethod
-    def of(cls, avatar: HandAvatar, pose: Pose) -> _RootRelative:
+    def of(cls, avatar: HandAvatar, pose: Pose) -> RootRelative:
         matrices = torch.from_numpy(np.asarray(pose.bones.linear_offset, np.float32))
         return cls(
             linear=matrices[:, :, :3],

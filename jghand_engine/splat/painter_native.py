@@ -8,10 +8,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.fast_skinning import FastSkinning, PosedArrays
+from jghand_engine.avatar.fast_skinning import FastSkinning, PosedArrays, padded_rows
 from jghand_engine.native.binding import Library, aligned_zeros
 from jghand_engine.native.rasteriser import PLANES, GaussianArrays, NativeRasteriser
 from jghand_engine.native.threads import WorkerPool, shared_pool, thread_count
+from jghand_engine.splat.learnt_rows import LearntRows
 from jghand_engine.splat.painter import COMPOSE, RASTER, SAME_PICTURE, SHADOW, SKIN, Canvas, Pose
 from jghand_engine.splat.rasterise import view_of
 from jghand_engine.splat.report import FrameReport
@@ -25,38 +26,54 @@ class NativePainter:
     def __init__(self, library: Library, avatars: Sequence[HandAvatar], settings: RenderSettings) -> None:
         self.backend, self.threads = library.variant, thread_count(settings.threads)
         self._library, self._settings = library, settings
-        self._skins = [FastSkinning(library, avatar) for avatar in avatars]
-        rows = sum(skin.rows for skin in self._skins)
+        rows = sum(padded_rows(len(avatar)) for avatar in avatars)
         self._gaussians = GaussianArrays(
             position_m=aligned_zeros((rows, 3)),
             sigma_m=aligned_zeros((rows,)),
             opacity=aligned_zeros((rows,)),
             rgb=aligned_zeros((rows, 3)),
         )
-        self._places: list[PosedArrays] = []
+        # by the place of their avatar: painted hands in the team of threads, trained ones by torch before it
+        self._skins: dict[int, tuple[FastSkinning, PosedArrays]] = {}
+        self._learnt: dict[int, LearntRows] = {}
         first = 0
-        for skin in self._skins:
-            place = slice(first, first + skin.rows)
-            self._gaussians.opacity[place], self._gaussians.rgb[place] = skin.opacity, skin.rgb
-            self._places.append(PosedArrays(self._gaussians.position_m[place], self._gaussians.sigma_m[place]))
-            first += skin.rows
+        for place, avatar in enumerate(avatars):
+            mine = slice(first, first + padded_rows(len(avatar)))
+            self._add_hand(place, avatar, mine)
+            first = mine.stop
         self._padding = rows - sum(len(avatar) for avatar in avatars)
         self._rasteriser = NativeRasteriser(library, self.threads)
         self._shade: NativeShade | None = None
         self._planes: np.ndarray = aligned_zeros((PLANES, 0, 0))
         self._drawn: Canvas | None = None  # what the planes show
 
+    def _add_hand(self, place: int, avatar: HandAvatar, rows: slice) -> None:
+        all_rows = self._gaussians
+        mine = GaussianArrays(
+            all_rows.position_m[rows], all_rows.sigma_m[rows], all_rows.opacity[rows], all_rows.rgb[rows]
+        )
+        if avatar.learnt is not None:
+            self._learnt[place] = LearntRows(avatar, mine)
+            return
+        skin = FastSkinning(self._library, avatar)
+        mine.opacity[:], mine.rgb[:] = skin.opacity, skin.rgb
+        self._skins[place] = (skin, PosedArrays(mine.position_m, mine.sigma_m))
+
     def paint(
         self, poses: Sequence[Pose] | None, canvas: Canvas, report: FrameReport
     ) -> tuple[np.ndarray, np.ndarray | None]:
         """See Painter."""
+        started = time.perf_counter()
         if poses is not None:
-            for skin, pose, place in zip(self._skins, poses, self._places, strict=True):
-                skin.prepare(pose.bones, place, pose.shift_m)
+            self._pose(poses)
             self._drawn = None
         keeps_picture = self._drawn is not None and canvas.same_view(self._drawn)
         self._drawn = None  # what follows may fail half way
         camera, settings = canvas.camera, self._settings
+        if not keeps_picture:
+            for hand in self._learnt.values():
+                hand.colour(canvas.eye_m)
+        before_ms = 1e3 * (time.perf_counter() - started) if self._learnt else 0.0
         if not keeps_picture:
             self._planes = self._rasteriser.prepare(
                 self._gaussians, view_of(camera), alpha_min=settings.alpha_min, t_stop=settings.t_stop
@@ -65,13 +82,22 @@ class NativePainter:
         depth_m = np.empty((camera.height, camera.width), np.float32) if settings.depth else None
         shade = self._shade_for(camera.width, camera.height)
         shade.prepare(self._planes, camera, canvas.style, near_m=canvas.near_m, rgba=rgba, depth_m=depth_m)
-        work = _Work([] if poses is None else self._skins, None if keeps_picture else self._rasteriser, shade)
+        skins = [] if poses is None else [skin for skin, _ in self._skins.values()]
+        work = _Work(skins, None if keeps_picture else self._rasteriser, shade)
         work.run(shared_pool(self.threads))
         self._drawn = canvas
+        if poses is not None or (self._learnt and not keeps_picture):
+            report.ran(SKIN, before_ms + work.skin_ms)
         work.tell(report, COMPOSE if canvas.style is None else SHADOW)
         report.visible_gaussians = self._rasteriser.visible
         report.invalid_gaussians = self._rasteriser.invalid - self._padding
         return rgba, depth_m
+
+    def _pose(self, poses: Sequence[Pose]) -> None:
+        for place, (skin, into) in self._skins.items():
+            skin.prepare(poses[place].bones, into, poses[place].shift_m)
+        for place, hand in self._learnt.items():
+            hand.pose(poses[place])
 
     def _shade_for(self, width: int, height: int) -> NativeShade:
         if self._shade is None or (self._shade.task.width, self._shade.task.height) != (width, height):
@@ -109,11 +135,14 @@ class _Work:
         self._shade.run()
         times[3] = time.perf_counter()
 
+    @property
+    def skin_ms(self) -> float:
+        """How long posing took."""
+        return 1e3 * (self._times[1] - self._times[0])
+
     def tell(self, report: FrameReport, last: str) -> None:
-        """Writes the stages into the report; `last` is what the shade call did."""
-        skin_ms, raster_ms, shade_ms = (1e3 * float(step) for step in np.diff(self._times))
-        if self._skins:
-            report.ran(SKIN, skin_ms)
+        """Writes the stages after the skin into the report; `last` is what the shade call did."""
+        _, raster_ms, shade_ms = (1e3 * float(step) for step in np.diff(self._times))
         if self._rasteriser is None:
             report.skipped(RASTER, SAME_PICTURE, "0")
         else:

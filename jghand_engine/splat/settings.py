@@ -10,7 +10,10 @@ from jghand_engine.errors import InputError
 
 
 class ShadowMode(StrEnum):
-    """off: never; gated: fades in when the pose brings parts of the hand together; always: on every frame."""
+    """off: never; gated: fades in when the pose brings parts of the hand together; always: on every frame.
+
+    A trained avatar has learnt its colours under the shadow that fades: `always` only draws it on small pictures too.
+    """
 
     OFF = "off"
     GATED = "gated"

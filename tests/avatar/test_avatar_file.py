@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import errno
-from dataclasses import replace
+import json
+from dataclasses import fields, replace
 from pathlib import Path
 
 import pytest
+import safetensors
 import torch
-from small_avatars import small_avatar
+from small_avatars import small_avatar, trained_avatar
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.file import ARRAY_NAMES, load_avatar, save_avatar, stored_form
+from jghand_engine.avatar.correctives import PoseNetShape
+from jghand_engine.avatar.file import ARRAY_NAMES, METADATA_KEY, load_avatar, save_avatar, stored_form
+from jghand_engine.avatar.learnt import Learnt, ShadowLook
+from jghand_engine.avatar.light import Light
 from jghand_engine.avatar.storage import Storage
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.hand.frames import Swing
@@ -23,7 +28,25 @@ from jghand_engine.limits import SIGMA_MIN_M
 def same(one: HandAvatar, other: HandAvatar) -> bool:
     equal = all(torch.equal(getattr(one, name), getattr(other, name)) for name in ARRAY_NAMES)
     joints = torch.equal(one.canonical_joints_m, other.canonical_joints_m)
-    return equal and joints and one.info == other.info and one.handedness == other.handedness
+    learnt = same_learnt(one.learnt, other.learnt)
+    return equal and joints and learnt and one.info == other.info and one.handedness == other.handedness
+
+
+def same_learnt(one: Learnt | None, other: Learnt | None) -> bool:
+    if one is None or other is None:
+        return one is other
+    tensors = [
+        [learnt.normal, learnt.shine, *(getattr(learnt.light, f.name) for f in fields(Light)), *net_tensors(learnt)]
+        for learnt in (one, other)
+    ]
+    equal = all(torch.equal(a, b) for a, b in zip(*tensors, strict=True))
+    return equal and one.shadow == other.shadow and one.world_offsets == other.world_offsets
+
+
+def net_tensors(learnt: Learnt) -> list[torch.Tensor]:
+    """The network's weights, and what it reads of the Gaussians."""
+    net = learnt.correctives
+    return [] if net is None else [*net.state_dict().values(), net._constant]
 
 
 def test_an_exact_file_returns_every_bit(tmp_path):
@@ -176,6 +199,106 @@ def test_a_full_disk_leaves_the_old_file_as_it_was(tmp_path, monkeypatch):
         save_avatar(path, small_avatar(seed=2))
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["hand.jghand"]
+
+
+# ---- trained avatars -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("storage", list(Storage))
+def test_a_trained_avatar_comes_back_as_promised(tmp_path, storage):
+    avatar = trained_avatar()
+    save_avatar(tmp_path / "hand.jghand", avatar, storage=storage)
+    again = load_avatar(tmp_path / "hand.jghand")
+    assert same(again, stored_form(avatar, storage))
+    if storage is Storage.EXACT:
+        assert same(again, avatar)
+    assert not any(tensor.requires_grad for tensor in net_tensors(again.learnt))
+
+
+def test_a_trained_avatar_without_correctives_or_shadow_comes_back(tmp_path):
+    avatar = trained_avatar()
+    avatar = replace(avatar, learnt=replace(avatar.learnt, correctives=None, shadow=None, world_offsets=True))
+    save_avatar(tmp_path / "hand.jghand", avatar)
+    assert same(load_avatar(tmp_path / "hand.jghand"), avatar)
+
+
+@pytest.mark.parametrize("shaded", [False, True])
+def test_a_network_of_any_shape_comes_back(tmp_path, shaded):
+    shape = PoseNetShape((1, 0, 3), 3, 2, 5, level1=False, reach_m=0.004, shaded=shaded)
+    avatar = trained_avatar(shape=shape)
+    save_avatar(tmp_path / "hand.jghand", avatar)
+    assert same(load_avatar(tmp_path / "hand.jghand"), avatar)
+
+
+def test_saving_a_compact_trained_avatar_again_changes_nothing():
+    for seed in range(20):
+        once = stored_form(trained_avatar(500, seed), Storage.COMPACT)
+        assert same(stored_form(once, Storage.COMPACT), once)
+
+
+def test_compact_storage_of_what_was_learnt_costs_what_its_table_says():
+    avatar = trained_avatar(20_000)
+    stored = stored_form(avatar, Storage.COMPACT).learnt
+    cosine = (stored.normal.double() * avatar.learnt.normal.double()).sum(-1)
+    sine = torch.linalg.cross(stored.normal.double(), avatar.learnt.normal.double()).norm(dim=-1)
+    assert float(torch.rad2deg(torch.atan2(sine, cosine)).max()) < 0.004  # observed 0.0029
+    assert float((stored.shine / avatar.learnt.shine - 1).abs().max()) <= 0.5e-3
+    assert torch.equal(stored.light.irradiance, avatar.learnt.light.irradiance)
+    net = [net.state_dict() for net in (stored.correctives, avatar.learnt.correctives)]
+    assert all(float(((net[0][k] - net[1][k]) / net[1][k]).abs().max()) < 0.5e-3 for k in net[0])
+
+
+def test_normals_along_the_axes_and_on_the_folds_survive():
+    axes = torch.cat([torch.eye(3), -torch.eye(3)])
+    folds = torch.tensor([[1.0, 1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, -1.0, -1.0], [1.0, 0.0, -1.0]]) / 2**0.5
+    normal = torch.cat([axes, folds])
+    avatar = trained_avatar(len(normal))
+    stored = stored_form(replace(avatar, learnt=replace(avatar.learnt, normal=normal)), Storage.COMPACT)
+    assert float((stored.learnt.normal - normal).abs().max()) < 5e-5
+
+
+def test_an_avatar_that_was_not_trained_is_written_for_older_readers(tmp_path):
+    for avatar, version in ((small_avatar(), 1), (trained_avatar(), 2)):
+        save_avatar(tmp_path / "hand.jghand", avatar)
+        with safetensors.safe_open(str(tmp_path / "hand.jghand"), framework="numpy") as content:
+            assert json.loads(content.metadata()[METADATA_KEY])["format_version"] == version
+
+
+def test_reading_a_network_draws_no_random_numbers(tmp_path):
+    save_avatar(tmp_path / "hand.jghand", trained_avatar())
+    torch.manual_seed(3)
+    wanted = torch.rand(1)
+    torch.manual_seed(3)
+    load_avatar(tmp_path / "hand.jghand")
+    assert torch.equal(torch.rand(1), wanted)
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"normal": torch.zeros(200, 3)}, "normal.*length 1"),
+        ({"normal": torch.full((200, 3), NAN)}, "normal"),
+        ({"normal": torch.ones(199, 3)}, "normal.*shape"),
+        ({"shine": torch.full((200,), -0.1)}, "shine"),
+        ({"shine": torch.full((200,), 2e3)}, "shine"),
+        ({"shadow": ShadowLook(gain=NAN)}, "shadow"),
+        ({"shadow": ShadowLook(tint=(0.1, 0.2, 1.5))}, "shadow"),
+    ],
+)
+def test_what_no_training_can_give_is_not_written(tmp_path, change, named):
+    avatar = trained_avatar()
+    with pytest.raises(InputError, match=named):
+        save_avatar(tmp_path / "bad.jghand", replace(avatar, learnt=replace(avatar.learnt, **change)))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_weight_that_half_precision_cannot_hold_is_not_written(tmp_path):
+    avatar = trained_avatar()
+    with torch.no_grad():
+        avatar.learnt.correctives.out.weight[0, 0] = 1e6
+    for storage in Storage:
+        with pytest.raises(InputError, match=r"pose_net out\.weight"):
+            save_avatar(tmp_path / "bad.jghand", avatar, storage=storage)
 
 
 def test_a_missing_file_is_named(tmp_path):

@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
+from jghand_engine.avatar.correctives import PoseNet, PoseNetShape
+from jghand_engine.avatar.learnt import Learnt, ShadowLook
+from jghand_engine.avatar.light import SH_COUNT, Light
 from jghand_engine.hand.joints import JOINT_COUNT, PARENTS, Handedness
 from jghand_engine.template.builtin import load_template
 
@@ -32,3 +37,23 @@ def small_avatar(count: int = 200, seed: int = 0) -> HandAvatar:
         bone_weights=weights.float(),
         uvd=torch.rand(count, 3, generator=g),
     )
+
+
+def trained_avatar(count: int = 200, seed: int = 0, shape: PoseNetShape | None = None) -> HandAvatar:
+    """The same with everything that training adds, random but strong enough to be seen."""
+    avatar, g = small_avatar(count, seed), torch.Generator().manual_seed(1000 + seed)
+    shape = shape or PoseNetShape(octaves=(4, 4, 2), angle_channels=8, angle_texels=6, hidden=32)
+    net = PoseNet(avatar.bone_weights, avatar.uvd, shape).requires_grad_(False)
+    for tensor in net.state_dict().values():
+        tensor.copy_(0.25 * torch.randn(tensor.shape, generator=g))
+    net.angles.planes.data *= 6
+    light = Light(
+        irradiance=0.2 * torch.randn(SH_COUNT, 3, generator=g),
+        lobe_direction=torch.randn(5, 3, generator=g),
+        lobe_sharpness=2 + 20 * torch.rand(5, generator=g),
+        lobe_rgb=0.3 * torch.rand(5, 3, generator=g),
+        rim=torch.tensor(0.7),
+    )
+    normal = torch.nn.functional.normalize(torch.randn(count, 3, generator=g), dim=-1)
+    look = ShadowLook(gain=5.0, tint=(0.4, 0.6, 0.7))
+    return replace(avatar, learnt=Learnt(normal, torch.rand(count, generator=g), light, net, look))

@@ -1,0 +1,215 @@
+"""How what training adds to an avatar lies in a file: arrays, and the JSON that says their shapes.
+
+| array            | exact        | compact                  | price of compact, at most                              |
+| ---------------- | ------------ | ------------------------ | ------------------------------------------------------ |
+| normal           | float32 x 3  | octahedral, uint16 x 2   | 0.004 degrees                                          |
+| shine            | float32      | float16                  | 0.05 %                                                 |
+| light.*          | float32      | float32                  | nothing                                                |
+| pose_net.*       | float32      | float16                  | 0.05 % of every weight                                 |
+
+The network reads where a Gaussian sits, and its bones; both stand in the file already, and its first layer's input is
+made from them when the file is read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, fields
+from typing import Any
+
+import numpy as np
+import torch
+
+from jghand_engine import limits
+from jghand_engine.avatar.correctives import PoseNet, PoseNetShape
+from jghand_engine.avatar.learnt import Learnt, ShadowLook
+from jghand_engine.avatar.light import SH_COUNT, Light
+from jghand_engine.avatar.storage import UINT16_MAX, Storage
+from jghand_engine.errors import InputError
+
+NORMAL, PACKED_NORMAL, SHINE = "normal", "normal_octahedral", "shine"
+LIGHT, NET = "light.", "pose_net."
+
+# name, what was wanted, what came -> the error that names the file
+Wrong = Callable[[str, str, object], InputError]
+
+
+@dataclass(frozen=True)
+class LearntAbout:
+    """What the JSON says: lobes of the light's gloss · shape of the network, None for none · the rest as in Learnt."""
+
+    lobes: int
+    net: PoseNetShape | None
+    shadow: ShadowLook | None
+    world_offsets: bool
+
+    @classmethod
+    def of(cls, learnt: Learnt) -> LearntAbout:
+        """InputError for correctives that are no network: only their exact form is written."""
+        net = learnt.correctives
+        if net is not None and not isinstance(net, PoseNet):
+            raise InputError("correctives of an avatar", wanted="the exact network", came=type(net).__name__)
+        lobes = learnt.light.lobe_direction.shape[0]
+        return cls(lobes, None if net is None else net.shape, learnt.shadow, learnt.world_offsets)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON."""
+        return asdict(self)
+
+    @classmethod
+    def parsed(cls, value: object, wrong: Wrong) -> LearntAbout:
+        """The inverse of `as_dict`, every field looked at."""
+        if not isinstance(value, dict):
+            raise wrong("learnt", "an object", value)
+        lobes, world_offsets = value.get("lobes"), value.get("world_offsets")
+        if not isinstance(lobes, int) or not _is_count(lobes, limits.LIGHT_LOBES_MAX):
+            raise wrong("learnt lobes", f"a count of 0 to {limits.LIGHT_LOBES_MAX}", lobes)
+        if not isinstance(world_offsets, bool):
+            raise wrong("learnt world_offsets", "true or false", world_offsets)
+        return cls(
+            lobes, _parsed_net(value.get("net"), wrong), _parsed_shadow(value.get("shadow"), wrong), world_offsets
+        )
+
+
+def _parsed_shadow(value: object, wrong: Wrong) -> ShadowLook | None:
+    if value is None:
+        return None
+    gain, tint = (value.get("gain"), value.get("tint")) if isinstance(value, dict) else (None, None)
+    if not _is_number(gain, 0, limits.SHADOW_GAIN_MAX):
+        raise wrong("learnt shadow gain", f"a number of 0 to {limits.SHADOW_GAIN_MAX:g}", gain)
+    if not (isinstance(tint, list) and len(tint) == 3 and all(_is_number(part, 0, 1) for part in tint)):
+        raise wrong("learnt shadow tint", "three numbers of 0 to 1", tint)
+    red, green, blue = map(float, tint)
+    return ShadowLook(float(gain), (red, green, blue))  # type: ignore[arg-type]
+
+
+def _parsed_net(value: object, wrong: Wrong) -> PoseNetShape | None:
+    if value is None:
+        return None
+    if not isinstance(value, dict):
+        raise wrong("learnt net", "an object", value)
+    octaves = value.get("octaves")
+    most = limits.POSE_NET_OCTAVES_MAX
+    counts = octaves if isinstance(octaves, list) and len(octaves) == 3 else ()
+    if not (counts and all(_is_count(count, most) for count in counts) and any(counts)):
+        raise wrong("learnt net octaves", f"three counts of 0 to {most}, not all 0", octaves)
+    sizes = {}
+    for name, least, most in (
+        ("angle_channels", 1, limits.POSE_NET_WIDTH_MAX),
+        ("angle_texels", 2, limits.POSE_NET_TEXELS_MAX),
+        ("hidden", 1, limits.POSE_NET_WIDTH_MAX),
+    ):
+        sizes[name] = value.get(name)
+        if not (_is_count(sizes[name], most) and sizes[name] >= least):
+            raise wrong(f"learnt net {name}", f"a count of {least} to {most}", sizes[name])
+    for name in ("level1", "shaded"):
+        if not isinstance(value.get(name), bool):
+            raise wrong(f"learnt net {name}", "true or false", value.get(name))
+    reach_m = value.get("reach_m")
+    if not _is_number(reach_m, 0, limits.AVATAR_REACH_M):
+        raise wrong("learnt net reach_m", f"a length of 0 to {limits.AVATAR_REACH_M} m", reach_m)
+    return PoseNetShape(
+        octaves=(counts[0], counts[1], counts[2]),
+        level1=value["level1"],
+        shaded=value["shaded"],
+        reach_m=float(reach_m),  # type: ignore[arg-type]
+        **sizes,
+    )
+
+
+def _is_count(value: object, most: int) -> bool:
+    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= most
+
+
+def _is_number(value: object, low: float, high: float) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and low <= value <= high
+
+
+# ---- arrays ----------------------------------------------------------------------------------------------------------
+
+
+def expected_learnt_arrays(about: LearntAbout, gaussians: int, storage: Storage) -> dict[str, tuple[str, tuple]]:
+    """Name -> (safetensors dtype, shape) of every array that training adds."""
+    exact = storage is Storage.EXACT
+    arrays: dict[str, tuple[str, tuple]] = {SHINE: ("F32" if exact else "F16", (gaussians,))}
+    arrays |= {NORMAL: ("F32", (gaussians, 3))} if exact else {PACKED_NORMAL: ("U16", (gaussians, 2))}
+    for name, shape in _light_shapes(about.lobes).items():
+        arrays[LIGHT + name] = ("F32", shape)
+    if about.net is not None:
+        for name, shape in _net_shapes(about.net).items():
+            arrays[NET + name] = ("F32" if exact else "F16", shape)
+    return arrays
+
+
+def _light_shapes(lobes: int) -> dict[str, tuple[int, ...]]:
+    return {
+        "irradiance": (SH_COUNT, 3), "lobe_direction": (lobes, 3), "lobe_sharpness": (lobes,), "lobe_rgb": (lobes, 3),
+        "rim": (1,),
+    }  # fmt: skip
+
+
+def _net_shapes(shape: PoseNetShape) -> dict[str, tuple[int, ...]]:
+    with torch.device("meta"):
+        net = PoseNet(torch.zeros(1, 21), torch.zeros(1, 3), shape)
+    return {name: tuple(tensor.shape) for name, tensor in net.state_dict().items()}
+
+
+def pack_learnt(learnt: Learnt, storage: Storage) -> dict[str, np.ndarray]:
+    """Arrays as they stand in a file."""
+    exact = storage is Storage.EXACT
+    real = np.float32 if exact else np.float16
+    normal = _numpy(learnt.normal)
+    packed = {SHINE: _numpy(learnt.shine)}
+    packed |= {NORMAL: normal} if exact else {PACKED_NORMAL: octahedral(normal)}
+    for f in fields(Light):
+        packed[LIGHT + f.name] = np.atleast_1d(_numpy(getattr(learnt.light, f.name)))
+    with np.errstate(over="ignore"):  # what becomes infinite is refused when the file is read once before it is named
+        packed[SHINE] = packed[SHINE].astype(real)
+        if isinstance(learnt.correctives, PoseNet):
+            for name, tensor in learnt.correctives.state_dict().items():
+                packed[NET + name] = _numpy(tensor).astype(real)
+    return {name: np.ascontiguousarray(array) for name, array in packed.items()}
+
+
+def unpack_learnt(
+    packed: dict[str, np.ndarray], about: LearntAbout, bone_weights: torch.Tensor, uvd: torch.Tensor
+) -> Learnt:
+    """The inverse of `pack_learnt`. bone_weights, uvd: of the avatar, as they were read."""
+    normal = packed[NORMAL] if NORMAL in packed else octahedral_normal(packed[PACKED_NORMAL])
+    values = {f.name: _tensor(packed[LIGHT + f.name]) for f in fields(Light)}
+    values["rim"] = values["rim"].reshape(())
+    net = None
+    if about.net is not None:
+        with torch.random.fork_rng(devices=[]):  # a new network draws random numbers: nobody else should notice
+            net = PoseNet(bone_weights, uvd, about.net).requires_grad_(False)
+        net.load_state_dict({name: _tensor(packed[NET + name]) for name in net.state_dict()})
+    return Learnt(_tensor(normal), _tensor(packed[SHINE]), Light(**values), net, about.shadow, about.world_offsets)
+
+
+def octahedral(normal: np.ndarray) -> np.ndarray:
+    """(N, 2) uint16 of unit vectors (N, 3): the octahedron |x| + |y| + |z| = 1 unfolded into a square."""
+    vector = normal.astype(np.float64)
+    vector = vector / np.maximum(np.abs(vector).sum(-1, keepdims=True), np.finfo(np.float64).tiny)
+    square = np.where(vector[:, 2:] < 0, _folded(vector[:, :2]), vector[:, :2])
+    return np.rint((square + 1) / 2 * UINT16_MAX).astype(np.uint16)
+
+
+def octahedral_normal(packed: np.ndarray) -> np.ndarray:
+    """(N, 3) float32 unit vectors: the inverse of `octahedral`."""
+    square = packed.astype(np.float64) / UINT16_MAX * 2 - 1
+    height = 1 - np.abs(square).sum(-1, keepdims=True)
+    vector = np.concatenate([np.where(height < 0, _folded(square), square), height], -1)
+    return (vector / np.linalg.norm(vector, axis=-1, keepdims=True)).astype(np.float32)
+
+
+def _folded(square: np.ndarray) -> np.ndarray:
+    """The corners of the square turned inwards, which is the lower half of the octahedron; its own inverse."""
+    return (1 - np.abs(square[:, ::-1])) * np.where(square < 0, -1.0, 1.0)
+
+
+def _numpy(tensor: torch.Tensor) -> np.ndarray:
+    return tensor.detach().cpu().to(torch.float32).numpy()
+
+
+def _tensor(array: np.ndarray) -> torch.Tensor:
+    return torch.from_numpy(np.ascontiguousarray(array, np.float32))
