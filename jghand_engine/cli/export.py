@@ -14,7 +14,8 @@ from jghand_engine.cli.options import AvatarOptions, MotionOptions, ReportOption
 DESCRIPTION = """Write a motion as OpenUSD: hand.usda with its layers (splats, points, skeleton and mesh, cameras).
 
 The skeleton has 63 joints: the 21 that drive the hand, with the names of the motion's joints, and those that
-carry the skin between them.
+carry the skin between them. A trained avatar has colours of its own in every frame, in the light that it was
+learnt in; what its skin mirrors depends on the camera, and is left out.
 
 Examples:
   jghand export --poses open,fist --hand right --out usd

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
 from jghand_engine.cli.console import say, write_json
 from jghand_engine.cli.options import BUILTIN_AVATAR, FormatOptions, ReportOptions
 from jghand_engine.errors import InputError
+
+if TYPE_CHECKING:
+    from jghand_engine.avatar.avatar import HandAvatar
 
 DESCRIPTION = """Say what is inside an avatar, a motion or a USD file, and what is wrong with a USD file.
 
@@ -92,6 +95,23 @@ def avatar_facts(avatar: str) -> dict[str, Any]:
         "hand_length_mm": 1e3 * hand_length(loaded.canonical_joints_m.numpy()),
         "conventions": {"swing": loaded.info.swing, "scale": loaded.info.scale_mode},
         "angles_seen_in_training": len(loaded.info.pose_statistics),
+        "learnt": learnt_facts(loaded),
+    }
+
+
+def learnt_facts(avatar: HandAvatar) -> dict[str, Any]:
+    """What training added to an avatar; empty for one that was painted."""
+    from jghand_engine.avatar.correctives import PoseNet
+
+    learnt = avatar.learnt
+    if learnt is None:
+        return {}
+    shape = learnt.correctives.shape if isinstance(learnt.correctives, PoseNet) else None
+    return {
+        "light": f"{len(learnt.light.lobe_sharpness)} lobes of gloss",
+        "correctives": "none" if shape is None else f"network of width {shape.hidden}",
+        "offsets_up_to_mm": 0.0 if shape is None else 1e3 * shape.reach_m,
+        "shadow": "none" if learnt.shadow is None else f"gain {learnt.shadow.gain:.3g}",
     }
 
 

@@ -5,6 +5,9 @@
     hand.rig.usdc     skeleton, animation, skinned mesh                           usd_rig, usd_skeleton
     hand.shot.usda    the hand and the cameras                                    usd_stage, usd_cameras
 
+The colours of a trained avatar change with the pose, as its light falls on it: every frame then has its own, and the
+file is three times as large. What its skin mirrors depends on the camera, and is left out, as is the self-shadow.
+
 Everything is written into a folder beside the target and moved when it is complete, all files or none.
 """
 
@@ -127,7 +130,7 @@ def export_usd(
     template = template_of(avatar, options.template, motion.handedness)
     names = LayerNames(options.name)
     target = make_folder(folder)
-    check_space(target, len(avatar), len(motion), options)
+    check_space(target, len(avatar), len(motion), options, coloured=motion.colours_move)
     span = TimeRange(len(motion), float(sequence.fps))
     clock = _Clock()
     with usd_errors(target), _arriving(target, names) as temporary:
@@ -138,9 +141,7 @@ def export_usd(
             write_rig(temporary / names.rig, Rig(skeleton, template, colours), span)
         sigma_error = _write_splats(temporary / names.splats, motion, cloud, span, options, clock, progress)
         with clock("stage"):
-            about = describe(
-                len(avatar), motion.handedness, avatar.info, sizes=options.sizes, radiance=options.radiance
-            )
+            about = describe(avatar, motion.handedness, sizes=options.sizes, radiance=options.radiance)
             write_interface(temporary, names, avatar.info, about, span, Variant(options.default_variant))
             write_shot(temporary, names, named_cameras, sequence.joints_m, span)
         sizes = {path.name: path.stat().st_size for path in sorted(temporary.iterdir())}
@@ -174,10 +175,13 @@ def template_of(avatar: HandAvatar, template: HandTemplate | None, handedness: H
     return mirrored(template) if handedness is Handedness.LEFT else template
 
 
-def check_space(folder: Path, gaussians: int, frames: int, options: UsdOptions) -> None:
-    """Raises RetryError when the export cannot fit on the disk of `folder`: said before minutes of work, not after."""
-    # a position is three float32; per-frame sizes add three scales and a width
-    sample = 12 if options.sizes == "constant" else 28
+def check_space(folder: Path, gaussians: int, frames: int, options: UsdOptions, *, coloured: bool = False) -> None:
+    """Raises RetryError when the export cannot fit on the disk of `folder`: said before minutes of work, not after.
+
+    coloured: whether every frame has colours of its own
+    """
+    # a position is three float32; per-frame sizes add three scales and a width, colours two times three
+    sample = (12 if options.sizes == "constant" else 28) + (24 if coloured else 0)
     expected = gaussians * (frames + 1) * sample + gaussians * USD_STATIC_BYTES_PER_GAUSSIAN + USD_STATIC_BYTES
     with usd_errors(folder):
         free = shutil.disk_usage(folder).free * (1 - USD_DISK_RESERVE)
@@ -209,7 +213,7 @@ def _write_splats(
             if not per_frame:
                 sigma_error = max(sigma_error, float(np.abs(cloud.sigma_m / posed.sigma_m - 1).max(initial=0)))
         with clock("splats"):
-            layer.put(index, posed.positions_m, posed.sigma_m if per_frame else None)
+            layer.put(index, posed.positions_m, posed.sigma_m if per_frame else None, posed.rgb)
         if progress:
             progress(index + 1, span.frames)
     with clock("splats"):

@@ -13,6 +13,7 @@ from jghand_engine.avatar.skinning import pose_gaussians
 from jghand_engine.errors import InputError
 from jghand_engine.exporters.usd_skeleton import JOINT_AXES, MIRROR, BonePoses, joint_axes
 from jghand_engine.exporters.usd_splats import Cloud
+from jghand_engine.hand.frames import HandFrames
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.hand.transform import BoneTransforms, JointTransform
@@ -20,15 +21,18 @@ from jghand_engine.hand.transform import BoneTransforms, JointTransform
 
 @dataclass(frozen=True)
 class PosedFrame:
-    """Centres (N, 3) and radii (N,) of the Gaussians in one frame, metres, float32."""
+    """Centres (N, 3) and radii (N,) of the Gaussians in one frame, metres, float32; rgb (N, 3) display-referred sRGB
+    where the colours change with the pose, else None."""
 
     positions_m: np.ndarray
     sigma_m: np.ndarray
+    rgb: np.ndarray | None
 
 
 class HandMotion:
     """An avatar driven by a sequence, of the hand the sequence names. All bones are computed once, in float64.
 
+    A trained avatar is posed with its offsets, light and shade; what it mirrors depends on the camera, and is left out.
     Raises InputError for a sequence with gaps.
     """
 
@@ -59,17 +63,25 @@ class HandMotion:
         """The Gaussians as the engine draws them in one frame."""
         bones = _one_frame(self._bones32, index)
         with torch.inference_mode():
-            gaussians = pose_gaussians(self.avatar, bones)
-        return PosedFrame(gaussians.position_m.numpy(), gaussians.sigma_m.numpy())
+            gaussians = pose_gaussians(self.avatar, bones, frames=bones.frames)
+        rgb = gaussians.rgb.clamp(0, 1).numpy() if self.colours_move else None
+        return PosedFrame(gaussians.position_m.numpy(), gaussians.sigma_m.numpy(), rgb)
+
+    @property
+    def colours_move(self) -> bool:
+        """Whether the colours change with the pose: those of a trained avatar turn in its light."""
+        return self.avatar.learnt is not None
 
     def cloud(self) -> Cloud:
-        """The Gaussians at rest: canonical, mirrored for a left hand; radii at the mean scale of the motion."""
+        """The Gaussians at rest: canonical, mirrored for a left hand; radii at the mean scale of the motion; colours
+        that change are those of the first frame."""
         avatar = self.avatar
+        rgb = self.frame(0).rgb
         return Cloud(
             rest_m=self.mirrored(avatar.position_m.numpy()).astype(np.float32),
             sigma_m=(avatar.sigma_m.numpy() * self.mean_scale).astype(np.float32),
             opacity=avatar.opacity.numpy().astype(np.float32),
-            rgb=avatar.rgb.numpy().astype(np.float32),
+            rgb=(avatar.rgb.numpy() if rgb is None else rgb).astype(np.float32),
         )
 
     def mirrored(self, points_m: np.ndarray) -> np.ndarray:
@@ -123,4 +135,6 @@ def _in_precision(bones: BoneTransforms, dtype: torch.dtype) -> BoneTransforms:
 
 def _one_frame(bones: BoneTransforms, index: int) -> BoneTransforms:
     names = ("linear", "offset_m", "root_m", "scale")
-    return dataclasses.replace(bones, **{name: getattr(bones, name)[index] for name in names})
+    parts = {field.name: getattr(bones.frames, field.name)[index] for field in dataclasses.fields(HandFrames)}
+    maps = {name: getattr(bones, name)[index] for name in names}
+    return dataclasses.replace(bones, frames=HandFrames(**parts), **maps)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from pxr import Usd, UsdGeom
+from pxr import Usd, UsdGeom, Vt
 
 from jghand_engine.colour import srgb_to_linear
 from jghand_engine.exporters.usd_layers import (
@@ -31,6 +31,7 @@ from jghand_engine.limits import SH_C0, USD_SAVE_EVERY, USD_SPLAT_EXTENT_SIGMA
 
 SPLATS_PATH = "/Splats"
 POINTS_PATH = "/_Points"
+HARMONICS = "radiance:sphericalHarmonicsCoefficients"
 
 
 @dataclass(frozen=True)
@@ -47,8 +48,8 @@ class Cloud:
 class SplatLayer:
     """Writes the layer frame by frame; the file is complete after `finish`.
 
-    radiance: "srgb" keeps the avatar's colours, "linear" writes light. width_factor: diameter of the points in
-    two standard deviations.
+    What does not change is written once. radiance: "srgb" keeps the avatar's colours, "linear" writes light.
+    width_factor: diameter of the points in two standard deviations.
     """
 
     def __init__(self, path: Path, cloud: Cloud, time: TimeRange, *, radiance: str, width_factor: float) -> None:
@@ -67,15 +68,25 @@ class SplatLayer:
         self._widths[0].SetMetadata("interpolation", "vertex")
         points.SetWidthsInterpolation(UsdGeom.Tokens.vertex)
         self._extents = [attribute(splats, "extent", TYPES.Float3Array), points.CreateExtentAttr()]
+        self._colours = _Colours([splats, points.GetPrim()], radiance)
         self._sigma_m = cloud.sigma_m
         self._unsaved = 0
         # samples without a Default value show nothing in several readers
         self._put_sizes(cloud.sigma_m, Usd.TimeCode.Default())
         self._put_positions(cloud.rest_m, cloud.sigma_m, Usd.TimeCode.Default())
 
-    def put(self, frame: int, positions_m: np.ndarray, sigma_m: np.ndarray | None = None) -> None:
-        """One time sample: centres (N, 3) and, unless the radii stay as they are, radii (N,); metres, float32."""
+    def put(
+        self,
+        frame: int,
+        positions_m: np.ndarray,
+        sigma_m: np.ndarray | None = None,
+        rgb: np.ndarray | None = None,
+    ) -> None:
+        """One time sample: centres (N, 3) and, unless they stay as they are, radii (N,), metres, and colours (N, 3),
+        display-referred sRGB; float32."""
         time = Usd.TimeCode(frame)
+        if rgb is not None:
+            self._colours.put(rgb, time)
         if sigma_m is not None:
             self._put_sizes(sigma_m, time)
         self._put_positions(positions_m, self._sigma_m if sigma_m is None else sigma_m, time)
@@ -108,10 +119,7 @@ class SplatLayer:
         uniform(prim, "sortingModeHint", TYPES.Token, "zDepth")
         # the schema falls back to degree 3 and would drop our single coefficient as too short
         uniform(prim, "radiance:sphericalHarmonicsDegree", TYPES.Int, 0)
-        colour = srgb_to_linear(cloud.rgb) if radiance == "linear" else cloud.rgb
-        harmonics = attribute(
-            prim, "radiance:sphericalHarmonicsCoefficients", TYPES.Float3Array, vec3f((colour - 0.5) / SH_C0)
-        )
+        harmonics = attribute(prim, HARMONICS, TYPES.Float3Array, harmonics_of(cloud.rgb, radiance))
         harmonics.SetMetadata("interpolation", "vertex")
         harmonics.SetMetadata("elementSize", 1)
         Usd.ColorSpaceAPI.Apply(prim).CreateColorSpaceNameAttr(LINEAR if radiance == "linear" else SRGB)
@@ -125,6 +133,28 @@ class SplatLayer:
         prim.SetTypeName("Points")
         display_primvars(prim, cloud.rgb, cloud.opacity)
         return UsdGeom.Points(prim)
+
+
+class _Colours:
+    """The attributes that carry the colours of prims, which were written without times before."""
+
+    def __init__(self, prims: list[Usd.Prim], radiance: str) -> None:
+        self._radiance = radiance
+        self._harmonics = [prim.GetAttribute(HARMONICS) for prim in prims if prim.HasAttribute(HARMONICS)]
+        self._display = [UsdGeom.PrimvarsAPI(prim).GetPrimvar("displayColor").GetAttr() for prim in prims]
+
+    def put(self, rgb: np.ndarray, time: Usd.TimeCode) -> None:
+        harmonics, display = harmonics_of(rgb, self._radiance), vec3f(srgb_to_linear(rgb))
+        for target in self._harmonics:
+            target.Set(harmonics, time)
+        for target in self._display:
+            target.Set(display, time)
+
+
+def harmonics_of(rgb: np.ndarray, radiance: str) -> Vt.Vec3fArray:
+    """The coefficient of degree 0 that gives a display-referred colour (N, 3), or its light."""
+    colour = srgb_to_linear(rgb) if radiance == "linear" else rgb
+    return vec3f((colour - 0.5) / SH_C0)
 
 
 def bound(positions_m: np.ndarray, radius_m: np.ndarray) -> np.ndarray:

@@ -11,7 +11,7 @@ import numpy as np
 from pxr import Kind, Sdf, Usd, UsdGeom
 
 from jghand_engine import __version__
-from jghand_engine.avatar.avatar import AvatarInfo
+from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
 from jghand_engine.exporters.usd_cameras import add_camera
 from jghand_engine.exporters.usd_layers import TYPES, TimeRange, announce_fallback, new_layer, uniform
 from jghand_engine.exporters.usd_splats import POINTS_PATH
@@ -119,16 +119,17 @@ def write_shot(
 IMAGE_STATES = {"srgb": "display-referred sRGB", "linear": "linear light"}
 
 
-def describe(
-    gaussians: int, handedness: Handedness, info: AvatarInfo, *, sizes: str, radiance: str
-) -> dict[str, object]:
+def describe(avatar: HandAvatar, handedness: Handedness, *, sizes: str, radiance: str) -> dict[str, object]:
     """customData of the hand: what a client cannot see from the attributes. imageState is that of the radiance."""
+    learnt = avatar.learnt
     return {
-        "gaussians": gaussians,
+        "gaussians": len(avatar),
         "handedness": str(handedness),
         "imageState": IMAGE_STATES[radiance],
-        "licence": info.licence,
+        "licence": avatar.info.licence,
         # learnt pose offsets are in the per-frame positions; the skinned mesh shows plain skinning
-        "offsets": "none",
+        "offsets": "none" if learnt is None or learnt.correctives is None else "in the positions of the splats",
+        "colours": "constant" if learnt is None else "per frame, in the light of the capture",
+        "gloss": "none" if learnt is None else "left out: it depends on the camera",
         "sizes": sizes,
     }

@@ -1,0 +1,97 @@
+"""Trained avatars in USD: offsets in the positions, the light of every frame in the colours, no gloss."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from pxr import Usd, UsdGeom
+from small_avatars import trained_avatar
+from usd_samples import lively_motion
+
+from jghand_engine.avatar.skinning import pose_gaussians
+from jghand_engine.colour import srgb_to_linear
+from jghand_engine.errors import RetryError
+from jghand_engine.exporters.usd import UsdOptions, check_space, export_usd
+from jghand_engine.exporters.usd_check import check_usd
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.transform import JointTransform
+from jghand_engine.limits import SH_C0
+from jghand_engine.template.builtin import load_template
+
+FRAMES = 4
+
+
+@pytest.fixture(scope="module", params=[Handedness.RIGHT, Handedness.LEFT])
+def export(request, tmp_path_factory):
+    avatar = trained_avatar(400)
+    avatar = replace(avatar, info=replace(avatar.info, template=load_template().identifier))
+    motion = lively_motion(request.param, FRAMES)
+    report = export_usd(tmp_path_factory.mktemp("usd"), avatar, motion)
+    transform = JointTransform(avatar.canonical_joints_m, handedness=request.param)
+    posed = []
+    for joints_m in motion.joints_m:
+        bones = transform.bones(torch.tensor(joints_m))
+        posed.append(pose_gaussians(avatar, bones, frames=bones.frames))
+    return report, posed
+
+
+def prim(report, variant: str) -> tuple[Usd.Prim, Usd.Prim, Usd.Stage]:
+    """The hand, what a variant shows, and the stage, which must outlive both."""
+    stage = Usd.Stage.Open(str(report.stage))
+    hand = stage.GetDefaultPrim()
+    hand.GetVariantSets().GetVariantSet("representation").SetVariantSelection(variant)
+    return hand, stage.GetPrimAtPath(f"/Hand/{variant.capitalize()}"), stage
+
+
+def test_nothing_is_wrong_with_the_stage(export):
+    assert check_usd(export[0].stage) == []
+
+
+def test_splats_are_where_the_engine_puts_them_in_the_light_of_every_frame(export):
+    report, posed = export
+    _, splats, _stage = prim(report, "splats")
+    for index, gaussians in enumerate(posed):
+        positions = np.array(splats.GetAttribute("positions").Get(index))
+        assert np.abs(positions - gaussians.position_m.numpy()).max() < 1e-6
+        harmonics = np.array(splats.GetAttribute("radiance:sphericalHarmonicsCoefficients").Get(index))
+        assert np.abs(0.5 + SH_C0 * harmonics - gaussians.rgb.clamp(0, 1).numpy()).max() < 1e-5
+    assert float((posed[0].rgb.clamp(0, 1) - posed[2].rgb.clamp(0, 1)).abs().max()) > 0.1
+
+
+def test_points_and_display_colours_follow(export):
+    report, posed = export
+    for variant in ("splats", "points"):
+        _, shown, _stage = prim(report, variant)
+        colour = UsdGeom.PrimvarsAPI(shown).GetPrimvar("displayColor")
+        assert len(colour.GetTimeSamples()) == FRAMES
+        for index, gaussians in enumerate(posed):
+            wanted = srgb_to_linear(gaussians.rgb.clamp(0, 1).numpy())
+            assert np.abs(np.array(colour.Get(index)) - wanted).max() < 1e-5
+
+
+def test_a_reader_without_time_sees_the_first_frame_s_colours(export):
+    report, posed = export
+    _, splats, _stage = prim(report, "splats")
+    harmonics = np.array(splats.GetAttribute("radiance:sphericalHarmonicsCoefficients").Get())
+    assert np.abs(0.5 + SH_C0 * harmonics - posed[0].rgb.clamp(0, 1).numpy()).max() < 1e-5
+
+
+def test_the_stage_says_what_is_in_it_and_what_is_not(export):
+    hand, _, _stage = prim(export[0], "splats")
+    about = {key: hand.GetCustomDataByKey(f"jghand:{key}") for key in ("offsets", "colours", "gloss")}
+    assert "positions" in about["offsets"]
+    assert "per frame" in about["colours"]
+    assert "left out" in about["gloss"]
+
+
+def test_room_for_colours_is_asked_for(tmp_path, monkeypatch):
+    class Usage:
+        free = 4_500_000
+
+    monkeypatch.setattr("shutil.disk_usage", lambda _: Usage)
+    check_space(tmp_path, 1000, 100, UsdOptions())
+    with pytest.raises(RetryError, match="too small"):
+        check_space(tmp_path, 1000, 100, UsdOptions(), coloured=True)
