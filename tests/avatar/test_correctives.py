@@ -1,0 +1,155 @@
+"""The network of the pose: what it computes, how far it may go, and its prefixes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+from small_avatars import small_avatar
+from small_hands import SMALL_NET, frames_of, stirred
+from torch.nn import functional
+
+from jghand_engine.avatar.correctives import PoseNet, PoseNetShape
+from jghand_engine.avatar.pose_features import positional_encoding
+from jghand_engine.limits import SHADE_MAX
+
+AVATAR = small_avatar(60)
+
+
+def net_of(shape: PoseNetShape = SMALL_NET, *, by: float = 0.4) -> PoseNet:
+    net = PoseNet(AVATAR.bone_weights, AVATAR.uvd, shape)
+    stirred(net, by=by)
+    return net
+
+
+def plain_network(net: PoseNet, frames, wave_weight=None) -> torch.Tensor:
+    """(N, 6) of the network as METHOD 4.1 has it: encoding and each Gaussian's own mix of pose features side by side
+    into one first layer."""
+    encoding = positional_encoding(AVATAR.uvd, net.shape.octaves)
+    if wave_weight is not None:
+        encoding = encoding * wave_weight
+    features = AVATAR.bone_weights @ net.angles(frames)
+    first = torch.cat([net.encoding_in.weight, net.angles_in.weight], 1)
+    hidden = functional.relu(torch.cat([encoding, features], 1) @ first.T + net.encoding_in.bias)
+    return net.out(functional.relu(net.middle(hidden)))
+
+
+@pytest.mark.parametrize("annealed", [False, True])
+def test_the_split_first_layer_is_the_plain_network(annealed):
+    net, frames = net_of(), frames_of("fist")
+    weight = torch.linspace(0, 1, 2 * sum(SMALL_NET.octaves)) if annealed else None
+    out = plain_network(net, frames, weight)
+    got = net(frames, wave_weight=weight)
+    # worst seen over 24 networks and poses: 1.7e-8 m and 8e-7
+    torch.testing.assert_close(got.offset_m, SMALL_NET.reach_m * torch.tanh(out[:, :3]), atol=2e-8, rtol=0)
+    torch.testing.assert_close(got.shade, SHADE_MAX * torch.tanh(out[:, 3:]), atol=9e-7, rtol=0)
+    assert float(got.offset_m.detach().abs().mean()) > 1e-4
+
+
+def test_the_split_first_layer_has_the_gradients_of_the_plain_network():
+    net, frames = net_of(), frames_of("fist")
+    pull = torch.randn(60, 6, generator=torch.Generator().manual_seed(3))
+
+    def gradients(offset_m: torch.Tensor, shade: torch.Tensor) -> list[torch.Tensor]:
+        loss = (torch.cat([100 * offset_m, shade], 1) * pull).sum()
+        return list(torch.autograd.grad(loss, list(net.parameters())))
+
+    got = net(frames)
+    out = plain_network(net, frames)
+    wanted = gradients(SMALL_NET.reach_m * torch.tanh(out[:, :3]), SHADE_MAX * torch.tanh(out[:, 3:]))
+    for ours, theirs in zip(gradients(got.offset_m, got.shade), wanted, strict=True):
+        # worst seen 2.3e-6 of the largest, over 24 networks and poses
+        torch.testing.assert_close(ours, theirs, atol=3e-6 * float(theirs.abs().max()), rtol=0)
+
+
+def test_waves_that_do_not_count_yet_are_not_seen():
+    net, frames = net_of(), frames_of()
+    none = net(frames, wave_weight=torch.zeros(2 * sum(SMALL_NET.octaves)))
+    elsewhere = PoseNet(AVATAR.bone_weights, AVATAR.uvd.flip(0), SMALL_NET)
+    elsewhere.load_state_dict(net.state_dict())
+    assert torch.equal(none.offset_m, elsewhere(frames, wave_weight=torch.zeros(10)).offset_m)
+    assert not torch.equal(net(frames).offset_m, elsewhere(frames).offset_m)
+    assert torch.equal(net(frames).offset_m, net(frames, wave_weight=torch.ones(10)).offset_m)
+
+
+def test_no_weight_carries_an_offset_beyond_its_reach_nor_a_shade_beyond_its_limit():
+    net = net_of(replace(SMALL_NET, reach_m=0.004), by=30.0)
+    got = net(frames_of("claw"))
+    for values, limit in ((got.offset_m, 0.004), (got.shade, SHADE_MAX)):
+        # 0.004 in float32 is a little more than 0.004
+        assert 0.99 * limit < float(values.detach().abs().max()) <= limit * (1 + 6e-8)
+
+
+def test_a_network_without_shade_gives_none():
+    net = net_of(replace(SMALL_NET, shaded=False))
+    assert net.out.out_features == 3
+    got = net(frames_of())
+    assert got.shade.shape == (60, 3)
+    assert not got.shade.any()
+    assert got.offset_m.any()
+
+
+def test_the_pose_changes_what_the_network_says():
+    net = net_of()
+    one, other = net(frames_of("open")), net(frames_of("fist"))
+    assert float((one.offset_m - other.offset_m).detach().abs().max()) > 1e-3
+    assert float((one.shade - other.shade).detach().abs().max()) > 0.05
+
+
+# ---- prefixes --------------------------------------------------------------------------------------------------------
+
+
+def test_a_prefix_says_the_same_of_the_first_gaussians():
+    net, frames = net_of(), frames_of()
+    whole = net(frames)
+    for shorter in (net(frames, 17), net.prefix(17)(frames)):
+        # no difference seen; a matrix product of another height may add up in another order
+        torch.testing.assert_close(shorter.offset_m, whole.offset_m[:17], atol=2e-8, rtol=0)
+        torch.testing.assert_close(shorter.shade, whole.shade[:17], atol=9e-7, rtol=0)
+
+
+def test_a_prefix_shares_its_parameters():
+    net = net_of()
+    shorter = net.prefix(17)
+    mine, theirs = dict(net.named_parameters()), dict(shorter.named_parameters())
+    assert list(mine) == list(theirs)
+    assert all(mine[name] is theirs[name] for name in mine)
+    shorter(frames_of()).offset_m.sum().backward()
+    assert all(parameter.grad is not None and parameter.grad.any() for parameter in net.parameters())
+    # and a prefix of a prefix is one
+    frames = frames_of()
+    torch.testing.assert_close(shorter.prefix(5)(frames).shade, net(frames, 5).shade)
+
+
+def test_gaussians_beyond_a_prefix_pull_at_nothing():
+    net, frames = net_of(), frames_of()
+    (through_prefix,) = torch.autograd.grad(net.prefix(9)(frames).shade.sum(), net.out.weight)
+    (through_rows,) = torch.autograd.grad(net(frames).shade[:9].sum(), net.out.weight)
+    torch.testing.assert_close(through_prefix, through_rows)
+
+
+# ---- gradients -------------------------------------------------------------------------------------------------------
+
+
+def test_gradients_of_every_parameter_are_those_of_finite_differences():
+    shape = PoseNetShape(octaves=(1, 1, 1), angle_channels=2, angle_texels=2, hidden=4)
+    avatar = small_avatar(6)
+    net = PoseNet(avatar.bone_weights, avatar.uvd, shape)
+    stirred(net)
+    net, frames = net.double(), frames_of("relaxed")
+    names = [name for name, _ in net.named_parameters()]
+
+    def correction(*parameters: torch.Tensor) -> torch.Tensor:
+        got = torch.func.functional_call(net, dict(zip(names, parameters, strict=True)), (frames,))
+        return torch.cat([100 * got.offset_m, got.shade], 1)
+
+    assert torch.autograd.gradcheck(correction, tuple(net.parameters()), eps=1e-6, atol=1e-5, rtol=1e-3)
+
+
+def test_what_a_checkpoint_holds_of_the_network_is_its_weights():
+    """Encoding and skin weights follow from the points."""
+    assert sorted(net_of().state_dict()) == sorted(
+        ["angles.planes", "angles_in.weight", "encoding_in.bias", "encoding_in.weight", "middle.bias", "middle.weight",
+         "out.bias", "out.weight"]
+    )  # fmt: skip
