@@ -35,9 +35,6 @@ class Poses:
     def __len__(self) -> int:
         return len(self.names)
 
-    def first(self, count: int) -> Poses:
-        return Poses(self.names[:count], self.angles_deg[:count])
-
 
 def varied_poses(hand: RiggedHand, count: int, seed: int) -> Poses:
     """`count` different poses of `hand`, the same for the same seed. InputError for a count that is no count."""
@@ -178,7 +175,7 @@ def _varied(poses: Poses, random: np.random.Generator) -> Poses:
 
 
 def _taking_turns(kinds: list[Poses], count: int) -> Poses:
-    """The kinds in turn, from each the pose farthest from all taken, but _FIRST before."""
+    """The kinds in turn, from each the pose farthest from all taken, but _FIRST before. InputError for too many."""
     width = RANGES_DEG[..., 1] - RANGES_DEG[..., 0]
     features = [(kind.angles_deg / width).reshape(len(kind), 20) for kind in kinds]
     nearest = [np.full(len(kind), np.inf) for kind in kinds]
@@ -187,6 +184,10 @@ def _taking_turns(kinds: list[Poses], count: int) -> Poses:
         kind = turn % len(kinds)
         if len(taken) == count:
             break
+        if not any((left > 0).any() for left in nearest):
+            raise InputError(
+                "poses of a capture", wanted=f"at most the {len(taken)} different ones of this hand", came=str(count)
+            )
         if not (nearest[kind] > 0).any():
             continue
         first = [kinds[kind].names.index(name) for name in _FIRST if name in kinds[kind].names]

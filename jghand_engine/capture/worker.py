@@ -21,6 +21,7 @@ from PIL import Image
 
 from jghand_engine import limits
 from jghand_engine.capture.plan import FOLDER, Job
+from jghand_engine.datasets.pictures_in import probe_picture
 from jghand_engine.errors import InputError, RetryError
 
 PROJECT = Path(__file__).resolve().parents[2]
@@ -42,19 +43,22 @@ class Finished:
 
 
 def fault_of(job: Job, size: tuple[int, int]) -> str:
-    """What is wrong with a job's picture, '' for a whole picture of this plan. Decodes it wholly."""
+    """What is wrong with a job's picture, '' for a whole picture of this plan.
+
+    By the same test as on opening a data set, so that what is refused there is made again here.
+    """
     if not job.file.exists():
         return "missing"
     try:
+        probe_picture(job.file)
         with Image.open(job.file) as picture:
             stamp = picture.info.get(STAMP_KEY)
             if picture.format != "PNG" or picture.mode != "RGBA" or picture.size != size:
                 return (
                     f"{picture.format} {picture.mode} {picture.size[0]}x{picture.size[1]}, not a picture of this plan"
                 )
-            picture.load()
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
-        return f"broken: {error}"
+    except InputError as error:
+        return f"broken: {error.came}"
     return "" if stamp == job.stamp else "made for another plan"
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from jghand_engine import limits
 from jghand_engine.capture.identities import load_identity
 from jghand_engine.capture.letters import LETTER_CONTACTS, LETTERS_DEG
 from jghand_engine.capture.poses import (
@@ -110,3 +111,10 @@ def test_thumbs_reach_what_they_should_touch(hand, kind):
 def test_an_impossible_number_of_poses_is_refused(hand, count):
     with pytest.raises(InputError, match="poses of a capture"):
         varied_poses(hand, count, seed=0)
+
+
+def test_more_poses_than_a_hand_has_are_refused_instead_of_sought_for_ever(hand, monkeypatch):
+    monkeypatch.setattr(limits, "CAPTURE_CANDIDATES", 0)
+    monkeypatch.setattr(limits, "CAPTURE_CANDIDATES_LEAST", 1)
+    with pytest.raises(InputError, match="at most the"):
+        varied_poses(hand, 300, seed=0)
