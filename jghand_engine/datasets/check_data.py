@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -118,10 +119,15 @@ def facts(report: DataReport) -> dict[str, Any]:
 
 
 def _errors(troubles: Sequence[InputError]) -> list[Finding]:
-    """Each kind of trouble once, with a few examples: a thousand missing pictures are one finding."""
-    shown = [Finding(True, str(trouble)) for trouble in troubles[: limits.CHECK_EXAMPLES]]
-    if len(troubles) > len(shown):
-        shown.append(Finding(True, f"… and {len(troubles) - len(shown)} more like these."))
+    """A few examples of each kind of trouble: a thousand missing pictures must not hide joints in a wrong unit."""
+    kinds: dict[tuple[str, str], list[InputError]] = {}
+    for trouble in troubles:
+        kinds.setdefault((re.sub(r"\d+", "", trouble.came), trouble.remedy), []).append(trouble)
+    shown = []
+    for alike in kinds.values():
+        shown += [Finding(True, str(trouble)) for trouble in alike[: limits.CHECK_EXAMPLES]]
+        if len(alike) > limits.CHECK_EXAMPLES:
+            shown.append(Finding(True, f"… and {len(alike) - limits.CHECK_EXAMPLES} more like these."))
     return shown
 
 

@@ -12,22 +12,29 @@ from jghand_engine.errors import InputError
 def find_roots(folder: Path, is_root: Callable[[Path], bool]) -> list[Path]:
     """The folders that hold a data set: `folder` itself, or else the nearest above it, or else those nearest below.
 
-    InputError when `folder` is not there or cannot be looked into.
+    InputError when `folder` is not there. Folders that cannot be looked into, such as a disk's lost+found, hold none.
     """
     if not folder.is_dir():
         came = "a file" if folder.exists() else "no such folder"
         raise InputError(f"data set {folder}", wanted="a folder", came=came, remedy="Check the name.")
     inside = folder.resolve()
     for candidate in [inside, *list(inside.parents)[: limits.FOLDER_LEVELS_UP]]:
-        if is_root(candidate):
+        if _holds(is_root, candidate):
             return [candidate]
     level = [inside]
     for _ in range(limits.FOLDER_LEVELS_DOWN):
         level = [below for above in level for below in subfolders(above)]
-        found = [candidate for candidate in level if is_root(candidate)]
+        found = [candidate for candidate in level if _holds(is_root, candidate)]
         if found:
             return found
     return []
+
+
+def _holds(is_root: Callable[[Path], bool], folder: Path) -> bool:
+    try:
+        return is_root(folder)
+    except OSError:
+        return False
 
 
 def subfolders(folder: Path) -> list[Path]:

@@ -168,9 +168,12 @@ def test_all_broken_pictures_are_told_in_one_go(changeable):
 def test_a_thousand_missing_pictures_are_not_a_thousand_lines(changeable):
     for file in sorted(changeable.rglob("*.png"))[:12]:
         file.unlink()
+    sorted(changeable.rglob("*.png"))[0].write_bytes(b"no picture")
     told = errors(check_data(changeable))
-    assert len(told) == 9
-    assert told[-1] == "… and 4 more like these."
+    assert len(told) == 10
+    # ... and do not hide what else is wrong
+    assert [text for text in told if "more like these" in text] == ["… and 4 more like these."]
+    assert sum("no such file" in text for text in told) == 8
 
 
 def test_empty_masks_and_masks_of_the_whole_picture_are_told(changeable):
