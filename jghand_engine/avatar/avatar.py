@@ -8,8 +8,10 @@ from dataclasses import dataclass, field, replace
 import torch
 
 from jghand_engine.avatar.learnt import Learnt
+from jghand_engine.errors import InputError
+from jghand_engine.hand.baselines import Transform, transform_called
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.transform import ScaleMode
+from jghand_engine.hand.transform import JointTransform, ScaleMode
 from jghand_engine.limits import DEEP_M, DEEP_RADII, SIGMA_MAX_M, UVD_RANGE_M
 
 
@@ -18,6 +20,7 @@ class AvatarInfo:
     """What is written beside the arrays of an avatar.
 
     swing, scale_mode: as `JointTransform` takes them.
+    transform: how its bones follow the joints; another than JOINTS is only drawn by what measures ablations.
     pose_statistics: per-angle minimum and maximum of the training poses, radians, by name; empty when nothing was
     trained.
     """
@@ -27,6 +30,7 @@ class AvatarInfo:
     licence: str
     swing: str = "minimal"
     scale_mode: ScaleMode = "axial"
+    transform: Transform = Transform.JOINTS
     pose_statistics: dict[str, tuple[float, float]] = field(default_factory=dict)
 
 
@@ -65,6 +69,17 @@ class HandAvatar:
         """The same avatar, driven by joints of the named hand."""
         return replace(self, handedness=Handedness(handedness))
 
+    def bone_transform(self) -> JointTransform:
+        """The transform from joints to bones that this avatar was made for."""
+        info = self.info
+        return transform_called(
+            info.transform,
+            self.canonical_joints_m,
+            handedness=self.handedness,
+            swing=info.swing,
+            scale_mode=info.scale_mode,
+        )
+
     def prefix(self, count: int) -> HandAvatar:
         """The first `count` Gaussians: a level of detail, since they are in farthest-point order.
 
@@ -76,7 +91,18 @@ class HandAvatar:
         learnt = None if self.learnt is None else self.learnt.prefix(count)
         shorter = replace(self, learnt=learnt, **{name: getattr(self, name)[:count] for name in arrays})
         scale = sigma_scale_for_prefix(count, len(self))
-        return replace(shorter, sigma_m=_grown(shorter.sigma_m, scale, shorter.uvd[:, 2]))
+        return replace(shorter, sigma_m=grown_radii(shorter.sigma_m, scale, shorter.uvd[:, 2]))
+
+
+def check_follows_joints(avatar: HandAvatar) -> None:
+    """InputError for an avatar that learnt to follow the joints in another way than the renderer moves it."""
+    if avatar.info.transform is not Transform.JOINTS:
+        raise InputError(
+            f"avatar {avatar.info.name}: transform from joints to bones",
+            wanted=Transform.JOINTS,
+            came=avatar.info.transform,
+            remedy="It was trained to be compared, for `jghand ablate`, which draws it. Take the variant `full`.",
+        )
 
 
 def sigma_scale_for_prefix(count: int, total: int) -> float:
@@ -84,8 +110,13 @@ def sigma_scale_for_prefix(count: int, total: int) -> float:
     return math.sqrt(total / count) if 0 < count < total else 1.0
 
 
-def _grown(sigma_m: torch.Tensor, scale: float, uvd_depth: torch.Tensor) -> torch.Tensor:
-    """Radii times `scale`, but what lies deep under the skin does not grow through it: it would show as a halo."""
+def grown_radii(sigma_m: torch.Tensor, scale: float, uvd_depth: torch.Tensor) -> torch.Tensor:
+    """Radii (N,) times `scale`, but what lies deep under the skin does not grow through it: it would show as a halo.
+
+    sigma_m: metres · uvd_depth: (N,) the third of the UVD coordinates. A scale of 1 changes no bit.
+    """
+    if scale == 1.0:
+        return sigma_m
     depth_m = (0.5 - uvd_depth) * (2 * UVD_RANGE_M)
     limit_m = torch.where(depth_m > DEEP_M, depth_m / DEEP_RADII, torch.inf)
     return torch.maximum(sigma_m, torch.minimum(sigma_m * scale, limit_m)).clamp(max=SIGMA_MAX_M)

@@ -1,10 +1,11 @@
 """The .jghand file: one avatar as safetensors with a JSON description. Reading it never runs code.
 
 The safetensors metadata holds one key, `jghand`, a JSON object: format_version, name, template, licence, units,
-handedness, joint_names (the order of the joints and of the weight columns), swing, scale_mode, storage,
+handedness, joint_names (the order of the joints and of the weight columns), swing, scale_mode, transform, storage,
 gaussians, position_box_m, pose_statistics. swing and scale_mode are what `JointTransform` takes: a scale mode is a name
-or the number of the blended one. The arrays are those of `storage.expected_arrays` and
-canonical_joints_m (21, 3) float64. Files keep the standard joint order; the engine's level order ends here.
+or the number of the blended one. transform is that of `AvatarInfo`; `joints` where it is left out. The arrays are those
+of `storage.expected_arrays` and canonical_joints_m (21, 3) float64. Files keep the standard joint order; the engine's
+level order ends here.
 
 A trained avatar has format_version 2, a description `learnt` and the arrays of `learnt_storage`. Avatars that were not
 trained are still written as version 1, which older JGHands read.
@@ -35,6 +36,7 @@ from jghand_engine.avatar.storage import (
 from jghand_engine.avatar.validation import REMEDY, check_avatar
 from jghand_engine.errors import InputError
 from jghand_engine.files import writing
+from jghand_engine.hand.baselines import Transform
 from jghand_engine.hand.frames import Swing
 from jghand_engine.hand.joints import JOINT_COUNT, STANDARD_NAMES, Handedness
 from jghand_engine.hand.orders import JointOrder, from_level, to_level
@@ -70,6 +72,7 @@ def save_avatar(path: Path | str, avatar: HandAvatar, *, storage: Storage = Stor
         "joint_names": list(STANDARD_NAMES),
         "swing": avatar.info.swing,
         "scale_mode": avatar.info.scale_mode,
+        "transform": avatar.info.transform,
         "storage": storage.value,
         "gaussians": len(avatar),
         "position_box_m": box_m,
@@ -154,6 +157,7 @@ class _Description:
             licence=self._text("licence"),
             swing=self._one_of("swing", tuple(Swing)),
             scale_mode=self._scale_mode(),
+            transform=Transform(self._one_of("transform", tuple(Transform), "joints")),
             pose_statistics=self._pose_statistics(),
         )
         self.learnt = LearntAbout.parsed(self._fields.get("learnt"), self._wrong) if self._is_learnt() else None
@@ -176,14 +180,14 @@ class _Description:
                 remedy="The file was written by a newer JGHand: update JGHand.",
             )
 
-    def _text(self, name: str) -> str:
-        value = self._fields.get(name)
+    def _text(self, name: str, left_out: str | None = None) -> str:
+        value = self._fields.get(name, left_out)
         if not _is_text(value):
             raise self._wrong(name, f"a text of one line, at most {AVATAR_TEXT_MAX} characters", value)
         return value
 
-    def _one_of(self, name: str, choices: tuple[str, ...]) -> str:
-        value = self._text(name)
+    def _one_of(self, name: str, choices: tuple[str, ...], left_out: str | None = None) -> str:
+        value = self._text(name, left_out)
         if value not in choices:
             raise self._wrong(name, " or ".join(choices), value)
         return value

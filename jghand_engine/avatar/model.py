@@ -14,7 +14,7 @@ import torch
 from torch import Tensor, nn
 
 from jghand_engine import limits
-from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar, sigma_scale_for_prefix
+from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar, grown_radii, sigma_scale_for_prefix
 from jghand_engine.avatar.canonical_points import CanonicalPoints
 from jghand_engine.avatar.correctives import PoseNet, PoseNetShape
 from jghand_engine.avatar.learnt import Ellipsoid, Learnt, ShadowLook
@@ -126,7 +126,7 @@ class LearnedHand(nn.Module):
             handedness=handedness,
             canonical_joints_m=points.joints_m,
             position_m=points.position_m[:count] + offset_m,
-            sigma_m=sigma_m * sigma_scale_for_prefix(count, len(points)),
+            sigma_m=grown_radii(sigma_m, sigma_scale_for_prefix(count, len(points)), points.uvd[:count, 2]),
             opacity=torch.sigmoid(out[:, 6]),
             rgb=torch.sigmoid(out[:, 3:6]),
             bone_weights=points.bone_weights[:count],
@@ -165,11 +165,15 @@ class LearnedHand(nn.Module):
         )
 
     def shadow_look(self) -> ShadowLook:
-        """The shadow's constants as plain numbers, inside the range that METHOD 5.2 allows."""
-        low, high = limits.SHADOW_GAIN_RANGE
-        gain = float(self.log_shadow_gain.detach().exp().clamp(low, high))
-        red, green, blue = self.shadow_tint.detach().clamp(0, 1).tolist()
-        return ShadowLook(gain, (red, green, blue))
+        """The shadow's constants as plain numbers."""
+        gain, tint = self.shadow()
+        red, green, blue = tint.tolist()
+        return ShadowLook(float(gain), (red, green, blue))
+
+    def shadow(self) -> tuple[Tensor, Tensor]:
+        """Gain () and tint (3,) of the shadow as they are now, with gradients, inside their ranges."""
+        low, high = map(math.log, limits.SHADOW_GAIN_RANGE)
+        return self.log_shadow_gain.clamp(low, high).exp(), self.shadow_tint.clamp(0, 1)
 
     def spread_radii(self, known: int, nearest: Tensor) -> None:
         """Gives Gaussians from `known` on the learnt growth of their neighbour among the first `known`.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -18,11 +18,9 @@ from jghand_engine.errors import InputError
 
 if TYPE_CHECKING:
     from jghand_engine.avatar.avatar import HandAvatar
-    from jghand_engine.datasets.captures import Capture
     from jghand_engine.datasets.splits import Split
     from jghand_engine.training.ablation import Build, Measured, TestPictures
     from jghand_engine.training.options import TrainOptions
-    from jghand_engine.training.perceptual import PerceptualMetric
     from jghand_engine.training.schedule import Budget
 
 DESCRIPTION = """Train with parts of the method taken out, one at a time, and print the paper's ablation table.
@@ -58,55 +56,36 @@ class Ablate:
 
     def run(self) -> int:
         """0 when all variants are trained and measured, the exit code of a stop when somebody stopped."""
+        from jghand_engine.cli.learning import material, train_options
         from jghand_engine.datasets.capture_folder import open_capture
         from jghand_engine.datasets.splits import split_capture
         from jghand_engine.training.ablation import TestPictures, chosen_variants
         from jghand_engine.training.evaluate import categories_of
-        from jghand_engine.training.options import PRESETS
         from jghand_engine.training.schedule import Budget
+        from jghand_engine.training.step import HandTraining
 
         for name, value, least in (("--steps", self.steps, 1), ("--limit", self.limit, 0)):
             if value < least:
                 raise InputError(name, wanted=f"{least} or more", came=str(value))
-        variants = chosen_variants(replace(PRESETS[self.preset], seed=self.seed), self.variants)
+        full, perceptual = train_options(self.preset, self.seed)
+        variants = chosen_variants(full, self.variants)
         capture = open_capture(self.folder, protocol=self.pictures.protocol, choice=self.pictures.choice())
         split = split_capture(capture)
         tested = TestPictures(categories_of(split, "test", self.limit), capture.name, split.origin)
-        build, results = self._builder(capture, split), {}
+        results = {}
+
+        def build(options: TrainOptions) -> HandTraining:
+            return HandTraining(material("ablation", capture.name, split.train, split.test, perceptual), options)
+
         for name, options in variants.items():
             say(f"\n{name}")
             avatar = self._trained(name, options, split, build, Budget(self.steps))
             if avatar is None:
                 say("Stopped. Nothing is lost: the same command goes on.")
                 return STOPPED
-            results[name] = measured(name, avatar, options, tested)
+            results[name] = measured(name, avatar, tested)
         self._show(results, tested)
         return 0
-
-    def _builder(self, capture: Capture, split: Split) -> Build:
-        from jghand_engine.avatar.avatar import AvatarInfo
-        from jghand_engine.template.builtin import load_template
-        from jghand_engine.training.step import HandTraining, Material
-
-        perceptual = self._perceptual()
-        info = AvatarInfo("ablation", template="", licence=f"that of the pictures: {capture.name}")
-
-        def build(options: TrainOptions) -> HandTraining:
-            shown = split.test[len(split.test) // 2]
-            return HandTraining(Material(split.train, shown, load_template(), info, perceptual), options)
-
-        return build
-
-    def _perceptual(self) -> PerceptualMetric | None:
-        from jghand_engine.training.options import PRESETS
-        from jghand_engine.training.perceptual import ST_LPIPS_MISSING, st_lpips
-
-        if not PRESETS[self.preset].loss.perceptual:
-            return None
-        metric = st_lpips()
-        if metric is None:
-            say(ST_LPIPS_MISSING)
-        return metric
 
     def _trained(
         self, name: str, options: TrainOptions, split: Split, build: Build, budget: Budget
@@ -159,10 +138,10 @@ class Ablate:
         say(f"\n{self.out}: ablation.md, ablation.json, sheets, the avatars and their trainings")
 
 
-def measured(name: str, avatar: HandAvatar, options: TrainOptions, tested: TestPictures) -> Measured:
+def measured(name: str, avatar: HandAvatar, tested: TestPictures) -> Measured:
     """Figures of a trained variant, behind a bar of progress."""
     from jghand_engine.training.ablation import measure_variant
 
     with progress("Measuring", sum(map(len, tested.categories.values()))) as bar:
         task = bar.task_ids[0]
-        return measure_variant(name, avatar, options, tested, lambda: bar.advance(task))
+        return measure_variant(name, avatar, tested, lambda: bar.advance(task))

@@ -93,7 +93,11 @@ def avatar_facts(avatar: str) -> dict[str, Any]:
         },
         "size_mm": [1e3 * float(edge) for edge in extent_m],
         "hand_length_mm": 1e3 * hand_length(loaded.canonical_joints_m.numpy()),
-        "conventions": {"swing": loaded.info.swing, "scale": loaded.info.scale_mode},
+        "conventions": {
+            "swing": loaded.info.swing,
+            "scale": loaded.info.scale_mode,
+            "transform": str(loaded.info.transform),
+        },
         "angles_seen_in_training": len(loaded.info.pose_statistics),
         "learnt": learnt_facts(loaded),
     }

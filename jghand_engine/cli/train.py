@@ -17,8 +17,6 @@ from jghand_engine.cli.picture_sets import PictureSetOptions
 from jghand_engine.errors import InputError
 
 if TYPE_CHECKING:
-    from jghand_engine.training.options import TrainOptions
-    from jghand_engine.training.perceptual import PerceptualMetric
     from jghand_engine.training.run import Outcome, RunOptions
     from jghand_engine.training.schedule import Budget
     from jghand_engine.training.trainable import Trainable
@@ -76,31 +74,28 @@ class Train:
 
     def run(self) -> int:
         """0 when the training is finished, the exit code of a stop when somebody stopped it."""
-        from jghand_engine.avatar.avatar import AvatarInfo
+        from jghand_engine.cli.learning import material, train_options
         from jghand_engine.datasets.capture_folder import open_capture
         from jghand_engine.datasets.splits import split_capture
-        from jghand_engine.template.builtin import load_template
         from jghand_engine.training.progress import display
         from jghand_engine.training.run import check_places, train
         from jghand_engine.training.stamp import stamp_of
-        from jghand_engine.training.step import HandTraining, Material
+        from jghand_engine.training.step import HandTraining
 
         # what can be refused is refused before the pictures are looked at, of which there may be many
         run = self._run_options()
+        options, perceptual = train_options(self.preset, self.seed)
         if self.replay is None:
             check_places(run)
         capture = open_capture(self.folder, protocol=self.pictures.protocol, choice=self.pictures.choice())
         split = split_capture(capture)
         learnt = capture.samples if self.all_pictures else split.train
-        options, perceptual = self._train_options()
         run = replace(run, stamp=stamp_of(options, learnt), budget=self._budget(len(learnt)))
         say(f"{capture.name}: {len(learnt)} of {len(capture)} pictures to learn from ({split.origin})")
 
         def build() -> HandTraining:
             say("Placing the Gaussians …")
-            shown = (split.test or learnt)[len(split.test or learnt) // 2]
-            info = AvatarInfo(self.out.stem, template="", licence=f"that of the pictures: {capture.name}")
-            return HandTraining(Material(learnt, shown, load_template(), info, perceptual), options)
+            return HandTraining(material(self.out.stem, capture.name, learnt, split.test, perceptual), options)
 
         if self.replay is not None:
             return self._replayed(build(), run)
@@ -143,20 +138,6 @@ class Train:
                 return Budget(steps=limits.PAPER_ROUNDS * pictures)
             return Budget(seconds=60.0 * limits.TRAINING_MINUTES)
         return Budget(self.steps, None if self.minutes is None else 60.0 * self.minutes)
-
-    def _train_options(self) -> tuple[TrainOptions, PerceptualMetric | None]:
-        """What is learnt, and the perceptual metric, where the preset wants one and there is one."""
-        from jghand_engine.training import perceptual
-        from jghand_engine.training.options import PRESETS
-
-        options = replace(PRESETS[self.preset], seed=self.seed)
-        if not options.loss.perceptual:
-            return options, None
-        metric = perceptual.st_lpips()
-        if metric is None:
-            say(f"{perceptual.ST_LPIPS_MISSING}. The training goes without the perceptual term.")
-            options = replace(options, loss=replace(options.loss, perceptual=0.0))
-        return options, metric
 
     # ---- results -----------------------------------------------------------------------------------------------------
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.avatar import HandAvatar, check_follows_joints
 from jghand_engine.avatar.skinning import pose_gaussians
 from jghand_engine.errors import InputError
 from jghand_engine.exporters.usd_skeleton import JOINT_AXES, MIRROR, BonePoses, joint_axes
@@ -16,7 +16,7 @@ from jghand_engine.exporters.usd_splats import Cloud
 from jghand_engine.hand.frames import HandFrames
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import PoseSequence
-from jghand_engine.hand.transform import BoneTransforms, JointTransform
+from jghand_engine.hand.transform import BoneTransforms
 
 
 @dataclass(frozen=True)
@@ -33,19 +33,15 @@ class HandMotion:
     """An avatar driven by a sequence, of the hand the sequence names. All bones are computed once, in float64.
 
     A trained avatar is posed with its offsets, light and shade; what it mirrors depends on the camera, and is left out.
-    Raises InputError for a sequence with gaps.
+    Raises InputError for a sequence with gaps, and for an avatar whose bones do not end at the joints.
     """
 
     def __init__(self, avatar: HandAvatar, sequence: PoseSequence) -> None:
         check_sequence(sequence)
+        check_follows_joints(avatar)
         self.handedness = Handedness(sequence.handedness)
         self.avatar = avatar.for_hand(self.handedness)
-        self._transform = JointTransform(
-            avatar.canonical_joints_m,
-            handedness=self.handedness,
-            swing=avatar.info.swing,
-            scale_mode=avatar.info.scale_mode,
-        )
+        self._transform = self.avatar.bone_transform()
         self._joints_m = torch.tensor(sequence.joints_m, dtype=torch.float64)
         self._bones = self._transform.bones(self._joints_m)
         # pose_gaussians works in the precision of its bones; positions are stored as float32

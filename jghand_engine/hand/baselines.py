@@ -6,6 +6,8 @@ Both are written from the description in METHOD 2.2 and 6.2, not from anybody's 
 
 from __future__ import annotations
 
+from enum import StrEnum
+
 import numpy as np
 import torch
 from torch import Tensor
@@ -13,7 +15,28 @@ from torch import Tensor
 from jghand_engine.hand import rotations as rot
 from jghand_engine.hand.frames import CanonicalHand, ComponentFrames, Swing, swing_of
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.transform import JointTransform
+from jghand_engine.hand.transform import JointTransform, ScaleMode
+
+
+class Transform(StrEnum):
+    """From joints to bones: ours, or that of the ablation "w/o trans"."""
+
+    JOINTS = "joints"
+    HALO_LIKE = "halo-like"
+
+
+def transform_called(
+    kind: Transform,
+    canonical_joints_m: Tensor | np.ndarray,
+    *,
+    handedness: Handedness,
+    swing: str = Swing.MINIMAL,
+    scale_mode: ScaleMode = "axial",
+) -> JointTransform:
+    """The transform `kind`; the rest as `JointTransform` takes it. A HALO-like one has no use for the scale mode."""
+    if kind is Transform.HALO_LIKE:
+        return HaloLikeTransform(canonical_joints_m, handedness=handedness, swing=swing)
+    return JointTransform(canonical_joints_m, handedness=handedness, swing=swing, scale_mode=scale_mode)
 
 
 class _RigidTransform(JointTransform):

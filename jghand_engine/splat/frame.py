@@ -17,7 +17,7 @@ import numpy as np
 import torch
 
 from jghand_engine import limits
-from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.avatar import HandAvatar, check_follows_joints
 from jghand_engine.avatar.learnt import ShadowLook
 from jghand_engine.errors import InputError
 from jghand_engine.hand.fast_transform import FastTransform
@@ -53,12 +53,15 @@ class SceneRenderer:
     """Renders any number of hands into one picture, each driven by its own joints. One picture at a time.
 
     avatars: one per hand, each with its handedness · settings: how (splat.settings); `settings.gaussians` is per hand.
+    InputError for an avatar whose bones do not follow the joints by `JointTransform`.
     """
 
     def __init__(self, avatars: Sequence[HandAvatar], settings: RenderSettings | None = None) -> None:
         self.settings = settings or RenderSettings()
         if not avatars:
             raise InputError("hands of a picture", wanted="at least one avatar", came="none")
+        for avatar in avatars:
+            check_follows_joints(avatar)
         self._avatars = [avatar.prefix(self.settings.gaussians) for avatar in avatars]
         self._transforms = [
             FastTransform(

@@ -16,7 +16,7 @@ from jghand_engine.datasets.sample import Sample
 from jghand_engine.errors import InputError
 from jghand_engine.splat.settings import preset
 from jghand_engine.training.evaluate import Evaluation, Picturer, measure_pictures
-from jghand_engine.training.live import live_hand
+from jghand_engine.training.live import LiveHand
 from jghand_engine.training.options import TrainOptions, ablations
 from jghand_engine.training.progress import Display
 from jghand_engine.training.run import RunOptions, train
@@ -67,14 +67,18 @@ def train_variant(build: Build, options: TrainOptions, run: RunOptions, display:
         made.append(build(options))
         return made[-1]
 
-    outcome = train(make, run, display)
+    try:
+        outcome = train(make, run, display)
+    except InputError as error:
+        if "--fresh" not in (error.remedy or ""):
+            raise
+        remedy = "Take the options and pictures that it began with, or name another folder with --out."
+        raise InputError(error.thing, wanted=error.wanted, came=error.came, remedy=remedy) from error
     return made[-1].avatar() if outcome.finished else None
 
 
-def measure_variant(
-    name: str, avatar: HandAvatar, options: TrainOptions, pictures: TestPictures, tick: Callable[[], None]
-) -> Measured:
+def measure_variant(name: str, avatar: HandAvatar, pictures: TestPictures, tick: Callable[[], None]) -> Measured:
     """Figures of a trained variant on the test pictures, as preset final draws it. tick: called after each picture."""
-    draw = live_hand(avatar, options, preset("final"))
+    draw = LiveHand(avatar, preset("final"))
     scores = measure_pictures(pictures.categories, draw, tick=tick)
     return Measured(Evaluation(name, pictures.capture, pictures.origin, scores), draw)

@@ -1,4 +1,4 @@
-"""Drawing an avatar that the renderer of users cannot draw: one whose bones follow the joints in another way.
+"""Drawing an avatar that the renderer of users refuses: one whose bones follow the joints in another way.
 
 Everything is drawn by the functions that training draws with (`avatar.skinning`, `splat`), at full accuracy and without
 the shortcuts of frames that follow one another. All rows of an ablation are drawn by it, so that they differ in nothing
@@ -14,9 +14,7 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.learnt import ShadowLook
 from jghand_engine.avatar.skinning import pose_gaussians
 from jghand_engine.errors import InputError
-from jghand_engine.hand.baselines import HaloLikeTransform
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.transform import JointTransform
 from jghand_engine.native.library import load
 from jghand_engine.native.threads import thread_count
 from jghand_engine.splat.camera import Camera
@@ -25,14 +23,13 @@ from jghand_engine.splat.rasterise import rasterise
 from jghand_engine.splat.settings import RenderSettings, ShadowMode
 from jghand_engine.splat.shadow import ShadowStyle
 from jghand_engine.splat.shadow_native import darken
-from jghand_engine.training.options import TrainOptions, Transform
 
 
 class LiveHand:
-    """A Picturer (training.evaluate). avatar: what was learnt · transform: how it was learnt to follow the joints."""
+    """A Picturer (training.evaluate). avatar: what was learnt; its bones follow the joints as it names it."""
 
-    def __init__(self, avatar: HandAvatar, transform: JointTransform, settings: RenderSettings) -> None:
-        self._avatar, self._transform, self._settings = avatar, transform, settings
+    def __init__(self, avatar: HandAvatar, settings: RenderSettings) -> None:
+        self._avatar, self._transform, self._settings = avatar, avatar.bone_transform(), settings
         self._gate = ShadowGate(avatar.canonical_joints_m.numpy())
         self._library = load(settings.backend)
 
@@ -42,8 +39,7 @@ class LiveHand:
             raise InputError("hand to draw", wanted=self._transform.handedness, came=handedness)
         with torch.no_grad():
             bones = self._transform.bones(torch.from_numpy(np.ascontiguousarray(joints_m)).float())
-            turn, shift = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
-            gaussians = pose_gaussians(self._avatar, bones, frames=bones.frames, eye_m=-(turn.T @ shift))
+            gaussians = pose_gaussians(self._avatar, bones, frames=bones.frames, eye_m=camera.eye_m)
             picture = rasterise(gaussians, camera, self._settings)
             planes = torch.cat([picture.rgb.permute(2, 0, 1), picture.alpha[None], picture.depth_sum[None]])
             look = ShadowLook() if self._avatar.learnt is None else self._avatar.learnt.shadow
@@ -57,15 +53,9 @@ class LiveHand:
             return planes[:4].permute(1, 2, 0).contiguous().numpy()
 
     def _shadow_strength(self, joints_m: np.ndarray, scale: float) -> float:
-        if self._settings.shadow is ShadowMode.GATED:
-            return self._settings.shadow_strength * fade(self._gate.score(joints_m, scale))
-        return self._settings.shadow_strength if self._settings.shadow is ShadowMode.ALWAYS else 0.0
-
-
-def live_hand(avatar: HandAvatar, options: TrainOptions, settings: RenderSettings) -> LiveHand:
-    """An avatar that was trained with `options`, with the transform that they name."""
-    joints_m, hand, model = avatar.canonical_joints_m, avatar.handedness, options.model
-    if options.transform is Transform.HALO_LIKE:
-        return LiveHand(avatar, HaloLikeTransform(joints_m, handedness=hand, swing=model.swing), settings)
-    ours = JointTransform(joints_m, handedness=hand, swing=model.swing, scale_mode=model.scale_mode)
-    return LiveHand(avatar, ours, settings)
+        """As `splat.frame`: colours that were learnt under a shadow that fades have in them what it leaves out."""
+        if self._settings.shadow is ShadowMode.OFF:
+            return 0.0
+        if self._settings.shadow is ShadowMode.ALWAYS and self._avatar.learnt is None:
+            return self._settings.shadow_strength
+        return self._settings.shadow_strength * fade(self._gate.score(joints_m, scale))

@@ -10,7 +10,7 @@ from torch.nn import functional
 
 from jghand_engine.datasets.sample import Sample, load_picture
 from jghand_engine.errors import InputError
-from jghand_engine.limits import CROP_MARGIN_PX, PICTURE_CACHE_BYTES, SSIM_WINDOW_PX
+from jghand_engine.limits import CROP_MARGIN_PX, METRIC_BOX_MIN_PX, PICTURE_CACHE_BYTES, SSIM_WINDOW_PX
 from jghand_engine.splat.camera import Camera
 from jghand_engine.training.recent import Recent
 
@@ -66,8 +66,8 @@ def _cut(sample: Sample) -> _Kept:
     if not len(rows):
         raise InputError(f"mask of {sample.picture}", wanted="a hand in the picture", came="an empty mask",
                          remedy="Leave that picture out, or look at it with `jghand check-data`.")  # fmt: skip
-    # at stride 2 still larger than the window of SSIM
-    least = 2 * SSIM_WINDOW_PX + 2
+    # at stride 2 still larger than the window of SSIM, and no thinner than perceptual metrics want it
+    least = max(2 * SSIM_WINDOW_PX + 2, METRIC_BOX_MIN_PX)
     top, bottom = _span(rows, picture.mask.shape[0], least)
     left, right = _span(columns, picture.mask.shape[1], least)
     camera = sample.camera

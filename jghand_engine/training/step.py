@@ -7,7 +7,7 @@ the bones never changes while training, and is computed once per pose.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -23,8 +23,8 @@ from jghand_engine.avatar.pose_features import octave_of_wave
 from jghand_engine.avatar.skinning import PosedSkin, SkinMaps, pose_skin, seen_from, skin_maps
 from jghand_engine.datasets.sample import Sample
 from jghand_engine.errors import InputError
-from jghand_engine.hand.baselines import HaloLikeTransform
-from jghand_engine.hand.transform import BoneTransforms, JointTransform
+from jghand_engine.hand.baselines import transform_called
+from jghand_engine.hand.transform import BoneTransforms
 from jghand_engine.native.library import load as load_native
 from jghand_engine.native.threads import thread_count
 from jghand_engine.splat.camera import Camera
@@ -34,8 +34,9 @@ from jghand_engine.splat.settings import RenderSettings
 from jghand_engine.splat.shadow import ShadowStyle
 from jghand_engine.splat.shadow_native import darken
 from jghand_engine.template.mesh import HandTemplate
+from jghand_engine.training.bake import bake
 from jghand_engine.training.losses import isotropy_loss, l1_loss, mask_loss, offset_loss, ssim_loss
-from jghand_engine.training.options import TrainOptions, Transform, at_part
+from jghand_engine.training.options import TrainOptions, at_part
 from jghand_engine.training.perceptual import PerceptualMetric
 from jghand_engine.training.pictures import Pictures, View
 from jghand_engine.training.recent import Recent
@@ -86,7 +87,14 @@ class HandTraining:
             seed=options.seed,
         )
         self.hand = LearnedHand(points, model, options.seed)
-        self._transform = self._new_transform(points.joints_m)
+        self._info = replace(material.info, transform=options.transform)
+        self._transform = transform_called(
+            options.transform,
+            points.joints_m,
+            handedness=self._handedness,
+            swing=model.swing,
+            scale_mode=model.scale_mode,
+        )
         self._gate = ShadowGate(points.joints_m.numpy())
         self._poses = _by_pose(material.train)
         self._names = sorted(self._poses)
@@ -98,12 +106,6 @@ class HandTraining:
         self._optimiser = self._new_optimiser()
         self._steps = 1
         self._count = 0
-
-    def _new_transform(self, joints_m: Tensor) -> JointTransform:
-        model = self.options.model
-        if self.options.transform is Transform.HALO_LIKE:
-            return HaloLikeTransform(joints_m, handedness=self._handedness, swing=model.swing)
-        return JointTransform(joints_m, handedness=self._handedness, swing=model.swing, scale_mode=model.scale_mode)
 
     def _new_optimiser(self) -> torch.optim.Adam:
         schedule, hand = self.options.schedule, self.hand
@@ -179,9 +181,7 @@ class HandTraining:
 
     def avatar(self) -> HandAvatar:
         """See Trainable."""
-        from jghand_engine.training.bake import bake
-
-        return bake(self.hand, self._material.info, self._transform, self._joints_m(), self.options.shadow)
+        return bake(self.hand, self._info, self._transform, self._joints_m(), self.options.shadow)
 
     # ---- what a step does --------------------------------------------------------------------------------------------
 
@@ -239,7 +239,7 @@ class HandTraining:
         return mean
 
     def _live(self, count: int = 0) -> HandAvatar:
-        return self.hand.avatar(self._material.info, handedness=self._handedness, count=count or self._count)
+        return self.hand.avatar(self._info, handedness=self._handedness, count=count or self._count)
 
     def _pose(self, avatar: HandAvatar, posed: _PosedBones, part: float) -> tuple[PosedSkin, Tensor]:
         """The skin of a pose, and its offsets (N, 3) metres."""
@@ -257,8 +257,7 @@ class HandTraining:
 
     def _draw_view(self, avatar: HandAvatar, skin: PosedSkin, shadow: float, camera: Camera) -> tuple[Tensor, Tensor]:
         """Colour (H, W, 3) and alpha (H, W) of one view, with gradients."""
-        eye_m = -(camera.camera_from_world[:3, :3].T @ camera.camera_from_world[:3, 3])
-        picture = rasterise(seen_from(skin, eye_m, avatar), camera, self._settings)
+        picture = rasterise(seen_from(skin, camera.eye_m, avatar), camera, self._settings)
         if not (self.options.shadow and shadow > 0):
             return picture.rgb, picture.alpha
         # drawn in white on white the shadow pass gives the visibility itself; its constants are learnt outside of it
@@ -266,10 +265,9 @@ class HandTraining:
         planes = torch.cat([white, picture.alpha[None], picture.depth_sum[None]])
         style = ShadowStyle(samples=self.options.shadow_samples, tint=(1.0, 1.0, 1.0))
         seen = darken(planes, camera, style, library=self._library, threads=thread_count(0))[0]
-        gain = self.hand.log_shadow_gain.exp() / style.gain
-        seen = seen.clamp_min(limits.VISIBILITY_MIN) ** gain
-        tint = shadow * self.hand.shadow_tint.clamp(0, 1)
-        return picture.rgb * (1 - tint * (1 - seen[..., None])), picture.alpha
+        gain, tint = self.hand.shadow()
+        seen = seen.clamp_min(limits.VISIBILITY_MIN) ** (gain / style.gain)
+        return picture.rgb * (1 - shadow * tint * (1 - seen[..., None])), picture.alpha
 
     def _posed_bones(self, sample: Sample) -> _PosedBones:
         return self._known.get(sample.pose, lambda: self._new_posed_bones(sample.joints_m))

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 import safetensors
+import safetensors.numpy
 import torch
 from small_avatars import small_avatar, trained_avatar
 
@@ -19,6 +20,7 @@ from jghand_engine.avatar.learnt import Learnt, ShadowLook
 from jghand_engine.avatar.light import Light
 from jghand_engine.avatar.storage import Storage
 from jghand_engine.errors import InputError, RetryError
+from jghand_engine.hand.baselines import HaloLikeTransform, Transform
 from jghand_engine.hand.frames import Swing
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import JointTransform, scale_exponent
@@ -74,6 +76,27 @@ def test_the_conventions_come_back_as_the_transform_takes_them(tmp_path, swing, 
         again.canonical_joints_m, handedness=again.handedness, swing=again.info.swing, scale_mode=again.info.scale_mode
     )
     assert transform.exponent == scale_exponent(scale_mode)
+
+
+def test_a_file_says_how_the_bones_follow_the_joints(tmp_path):
+    avatar = small_avatar()
+    avatar = replace(avatar, info=replace(avatar.info, transform=Transform.HALO_LIKE))
+    save_avatar(tmp_path / "halo.jghand", avatar)
+    again = load_avatar(tmp_path / "halo.jghand")
+    assert same(again, avatar)
+    assert isinstance(again.bone_transform(), HaloLikeTransform)
+
+
+def test_a_file_that_does_not_say_how_the_bones_follow_the_joints_means_the_usual_way(tmp_path):
+    """As those of the first JGHand."""
+    path = tmp_path / "hand.jghand"
+    save_avatar(path, small_avatar())
+    with safetensors.safe_open(path, framework="numpy") as content:
+        about = json.loads(content.metadata()["jghand"])
+        arrays = {name: content.get_tensor(name) for name in content.keys()}  # noqa: SIM118
+    assert about.pop("transform") == "joints"
+    path.write_bytes(safetensors.numpy.save(arrays, {"jghand": json.dumps(about)}))
+    assert same(load_avatar(path), small_avatar())
 
 
 def test_saving_a_compact_avatar_again_changes_nothing():
@@ -136,6 +159,7 @@ NAN = float("nan")
     ("change", "named"),
     [
         ({"swing": "maximal"}, "swing"),
+        ({"transform": "guessed"}, "transform.*joints or halo-like"),
         ({"scale_mode": "alpha"}, "scale mode"),
         ({"scale_mode": NAN}, "scale mode"),
         ({"scale_mode": True}, "scale mode"),

@@ -1,5 +1,7 @@
 """The exported stage holds what the engine computes, in every variant, for both hands."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -11,6 +13,7 @@ from jghand_engine.exporters import usd as usd_module
 from jghand_engine.exporters.usd import UsdOptions, export_usd
 from jghand_engine.exporters.usd_check import check_usd
 from jghand_engine.exporters.usd_stage import Variant
+from jghand_engine.hand.baselines import Transform
 from jghand_engine.hand.joints import LEVEL_NAMES, Handedness
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.splat.camera import Camera
@@ -378,6 +381,14 @@ def test_another_template_than_the_avatar_s_is_refused(tmp_path):
     other = type(avatar)(**{**vars(avatar), "canonical_joints_m": avatar.canonical_joints_m * 1.1})
     with pytest.raises(InputError, match="template"):
         export_usd(tmp_path, other, lively_motion(Handedness.RIGHT, 2))
+
+
+def test_an_avatar_that_follows_the_joints_in_another_way_is_refused(tmp_path):
+    avatar = small_avatar()
+    other = replace(avatar, info=replace(avatar.info, transform=Transform.HALO_LIKE))
+    with pytest.raises(InputError, match="transform"):
+        export_usd(tmp_path, other, lively_motion(Handedness.RIGHT, 2))
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize(

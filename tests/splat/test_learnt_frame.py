@@ -12,7 +12,9 @@ from small_avatars import small_avatar, trained_avatar
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.learnt import ShadowLook
 from jghand_engine.avatar.skinning import pose_gaussians
+from jghand_engine.errors import InputError
 from jghand_engine.hand.anatomy import named_pose
+from jghand_engine.hand.baselines import Transform
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import JointTransform
 from jghand_engine.native import library as native_library
@@ -149,6 +151,13 @@ NEAR = camera(size=(160, 140), focal_px=450.0)
 
 def shadowed(avatar: HandAvatar, mode: ShadowMode, pose: str = "fist") -> Frame:
     return HandRenderer(avatar, replace(PLAIN, shadow=mode)).render(joints_of(pose), NEAR)
+
+
+def test_an_avatar_that_follows_the_joints_in_another_way_is_refused():
+    """The renderer would draw it, and draw it wrong."""
+    other = replace(AVATAR, info=replace(AVATAR.info, transform=Transform.HALO_LIKE))
+    with pytest.raises(InputError, match=r"avatar small: transform.*wanted joints, got halo-like"):
+        SceneRenderer([AVATAR, other], PLAIN)
 
 
 def test_the_shadow_has_the_learnt_look():

@@ -6,6 +6,7 @@ import json
 import os
 import shutil
 import signal
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,19 +14,21 @@ import torch
 from small_avatars import trained_avatar
 
 from jghand_engine.avatar.builtin import load_builtin
+from jghand_engine.avatar.file import load_avatar
 from jghand_engine.cli import main
 from jghand_engine.cli.failures import STOPPED
 from jghand_engine.datasets.capture_folder import open_capture
 from jghand_engine.errors import InputError
 from jghand_engine.exporters.pictures import read_png
 from jghand_engine.hand.anatomy import named_pose
+from jghand_engine.hand.baselines import Transform
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.splat.camera import Camera
 from jghand_engine.splat.frame import HandRenderer
 from jghand_engine.splat.settings import RenderSettings
 from jghand_engine.training.ablation import chosen_variants, variant_folder
-from jghand_engine.training.live import live_hand
-from jghand_engine.training.options import TrainOptions, Transform, ablations
+from jghand_engine.training.live import LiveHand
+from jghand_engine.training.options import TrainOptions, ablations
 from jghand_engine.training.step import HandTraining
 
 COUNT = 3000
@@ -50,7 +53,7 @@ def posed(avatar, name):
 def test_what_is_trained_is_drawn_as_users_see_it(camera, name):
     """With its light, gloss, correctives and shadow."""
     avatar, settings = trained_avatar(2000), RenderSettings(reuse=False)
-    renderer, live = HandRenderer(avatar, settings), live_hand(avatar, TrainOptions(), settings)
+    renderer, live = HandRenderer(avatar, settings), LiveHand(avatar, settings)
     wanted = renderer.render(posed(avatar, name), camera).rgba
     came = live(posed(avatar, name), Handedness.RIGHT, camera)
     # worst observed 2e-5: positions are relative to the wrist there
@@ -60,7 +63,7 @@ def test_what_is_trained_is_drawn_as_users_see_it(camera, name):
 @pytest.mark.parametrize("name", ["open", "point"])
 def test_a_painted_avatar_is_drawn_as_users_see_it(avatar, camera, name):
     settings = RenderSettings(reuse=False)
-    renderer, live = HandRenderer(avatar, settings), live_hand(avatar, TrainOptions(), settings)
+    renderer, live = HandRenderer(avatar, settings), LiveHand(avatar, settings)
     wanted = renderer.render(posed(avatar, name), camera).rgba
     came = live(posed(avatar, name), Handedness.RIGHT, camera)
     # worst observed 2e-6 without shadow; with it 4.4e-3, at one pixel whose taps round the other way
@@ -68,7 +71,7 @@ def test_a_painted_avatar_is_drawn_as_users_see_it(avatar, camera, name):
     assert np.abs(came - wanted).mean() < 1e-5
 
 
-def test_the_transform_that_the_options_name_is_used(avatar, camera):
+def test_the_transform_that_the_avatar_names_is_used(avatar, camera):
     """On a hand with fingers a quarter longer, the transforms differ."""
     joints = posed(avatar, "open")
     longer = joints.copy()
@@ -76,7 +79,9 @@ def test_the_transform_that_the_options_name_is_used(avatar, camera):
         for joint in range(level, level + 5):
             longer[joint] = longer[joint - 5] + 1.25 * (joints[joint] - joints[joint - 5])
     ours, halo = (
-        live_hand(avatar, TrainOptions(transform=kind), RenderSettings())(longer, Handedness.RIGHT, camera)
+        LiveHand(replace(avatar, info=replace(avatar.info, transform=kind)), RenderSettings())(
+            longer, Handedness.RIGHT, camera
+        )
         for kind in (Transform.JOINTS, Transform.HALO_LIKE)
     )
     top = [int(np.flatnonzero((rgba[..., 3] > 0.5).any(1))[0]) for rgba in (ours, halo)]
@@ -85,7 +90,7 @@ def test_the_transform_that_the_options_name_is_used(avatar, camera):
 
 def test_the_other_hand_is_refused(avatar, camera):
     with pytest.raises(InputError, match="right"):
-        live_hand(avatar, TrainOptions(), RenderSettings())(posed(avatar, "open"), Handedness.LEFT, camera)
+        LiveHand(avatar, RenderSettings())(posed(avatar, "open"), Handedness.LEFT, camera)
 
 
 def test_variants_are_chosen_by_name_in_the_papers_order():
@@ -127,6 +132,8 @@ def test_an_ablation_leaves_a_table_figures_and_a_sheet(ablate, tmp_path):
     assert "Ablation" in out
     content = json.loads((tmp_path / "out" / "ablation.json").read_text())
     assert list(content["variants"]) == ["w/o trans", "w/o iso", "full"]
+    for name, transform in (("without_trans", Transform.HALO_LIKE), ("full", Transform.JOINTS)):
+        assert load_avatar(tmp_path / "out" / f"{name}.jghand").info.transform is transform
     assert content["variants"]["full"]["means"]["all"]["psnr_full"] > 0
     assert "w/o shadow | - |" in (tmp_path / "out" / "ablation.md").read_text()
     assert read_png(tmp_path / "out" / "ablation.png").shape[1] > 800
@@ -148,6 +155,11 @@ def test_a_stopped_ablation_goes_on_with_the_same_command(ablate, monkeypatch, t
     assert "goes on" in out
     assert ablate("--steps", 5, "--variants", "full")[0] == 0
     assert steps == [0, 1, 2, 3, 4]
+    code, _, err = ablate("--steps", 5, "--variants", "full", "--seed", 1)
+    assert code == 2
+    assert "options.seed: wanted 0" in err
+    assert "--out" in err
+    assert "--fresh" not in err, "which this command does not have"
 
 
 @pytest.mark.parametrize(

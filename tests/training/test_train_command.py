@@ -98,6 +98,7 @@ def test_somebodys_file_is_not_replaced(train, tmp_path):
     [
         (("--steps", 0), "--steps"),
         (("--minutes", 0), "--minutes"),
+        (("--steps", 1, "--seed", -1), "--seed"),
         (("--minutes", "nan"), "--minutes"),
         (("--resume", "--fresh"), "--resume and --fresh"),
         (("--resume",), "Leave out --resume"),

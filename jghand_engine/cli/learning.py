@@ -1,0 +1,51 @@
+"""What the commands that learn a hand share: from a preset and a seed, and from pictures, to a training."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from jghand_engine.cli.console import say
+from jghand_engine.errors import InputError
+
+if TYPE_CHECKING:
+    from jghand_engine.datasets.sample import Sample
+    from jghand_engine.training.options import TrainOptions
+    from jghand_engine.training.perceptual import PerceptualMetric
+    from jghand_engine.training.step import Material
+
+
+def train_options(preset: str, seed: int) -> tuple[TrainOptions, PerceptualMetric | None]:
+    """What is learnt, and the perceptual metric where the preset wants one.
+
+    Where there is none, a line says so, and the options have no such term: they are what a training is known by.
+    InputError for a seed below 0.
+    """
+    from jghand_engine.training import perceptual
+    from jghand_engine.training.options import PRESETS
+
+    if seed < 0:
+        raise InputError("--seed", wanted="0 or more", came=str(seed))
+    options = replace(PRESETS[preset], seed=seed)
+    if not options.loss.perceptual:
+        return options, None
+    metric = perceptual.st_lpips()
+    if metric is None:
+        say(f"{perceptual.ST_LPIPS_MISSING}. The training goes without the perceptual term.")
+        options = replace(options, loss=replace(options.loss, perceptual=0.0))
+    return options, metric
+
+
+def material(
+    name: str, capture: str, learnt: Sequence[Sample], held_out: Sequence[Sample], perceptual: PerceptualMetric | None
+) -> Material:
+    """The pictures of `capture` for an avatar called `name`; progress is shown on a picture that is held out, or else
+    on one that is learnt."""
+    from jghand_engine.avatar.avatar import AvatarInfo
+    from jghand_engine.template.builtin import load_template
+    from jghand_engine.training.step import Material
+
+    choice = held_out or learnt
+    info = AvatarInfo(name, template="", licence=f"that of the pictures: {capture}")
+    return Material(learnt, choice[len(choice) // 2], load_template(), info, perceptual)
