@@ -5,7 +5,7 @@ its own rig of 25 joints. Each transform is given the 21 joints of that hand and
 
     joints, matrices   mean distance of B_i j_i from joint i over the 21 joints: does the transform itself hit them
     joints, skinned    the same for the joint blended by the skin weights at its place (METHOD 3.5)
-    Chamfer-L1         mean distance to the other surface's nearest point, both ways averaged
+    Chamfer-L1         mean distance to the nearest of the points on the other surface, both ways averaged
     skin               mean distance of corresponding points of the two surfaces: also sees twist, which Chamfer hides
 
 Part of the last two is the shape of the other hand itself (thickness, fingernails), which no transform can know.
