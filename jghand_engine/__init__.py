@@ -3,6 +3,7 @@
 The rooms, in the order in which data walks through them; a room imports only from rooms above it:
 
     limits, errors, files   constants, error kinds, atomic writing
+    lock                    one process per piece of work
     colour                  sRGB and linear light
     native                  the compiled kernels: build, choice of variant, threads
     hand                    joints, orders, handedness, frames, the joint transform, poses, pose sequences

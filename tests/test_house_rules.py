@@ -18,7 +18,7 @@ ENGINE, ADDON, CYCLES = ROOT / "jghand_engine", ROOT / "blender_addon", ROOT / "
 
 # rooms in the order in which data walks; a room imports only from rooms above it (and from itself)
 ROOMS = (
-    ("limits", "errors", "files", "colour"),
+    ("limits", "errors", "files", "lock", "colour"),
     ("native",),
     ("hand",),
     ("template",),

@@ -55,21 +55,26 @@ def identity_names() -> tuple[str, ...]:
     return tuple(str(name) for name in _shapes()["names"])
 
 
-def load_identity(wanted: str) -> Identity:
-    """The identity of a name or of a number from 0; InputError lists them."""
+def identity_name(wanted: str) -> str:
+    """The name of the identity that is called so or has that number from 0; InputError lists them."""
     names = identity_names()
     if wanted.isdecimal() and int(wanted) < len(names):
-        place = int(wanted)
-    elif wanted in names:
-        place = names.index(wanted)
-    else:
-        known = ", ".join(f"{number} {name}" for number, name in enumerate(names))
-        raise InputError("identity", wanted=f"a number or a name of {known}", came=repr(wanted))
+        return names[int(wanted)]
+    if wanted in names:
+        return wanted
+    known = ", ".join(f"{number} {name}" for number, name in enumerate(names))
+    raise InputError("identity", wanted=f"a number or a name of {known}", came=repr(wanted))
+
+
+def load_identity(wanted: str) -> Identity:
+    """The identity of a name or of a number from 0; InputError lists them."""
+    name = identity_name(wanted)
+    place = identity_names().index(name)
     shapes, rig = _shapes(), load_fields()
     # the wrist took what was left to 1: round-off below 0
     weights = rig["weights25"].astype(np.float64).clip(0)
     return Identity(
-        name=names[place],
+        name=name,
         vertices_m=shapes["vertices"][place].astype(np.float64),
         faces=rig["faces"].astype(np.int64),
         face_uv=rig["face_uv"].astype(np.float64),

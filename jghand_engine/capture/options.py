@@ -38,6 +38,7 @@ class CaptureOptions:
     def check(self) -> None:
         """InputError names what cannot be; what other rooms check is left to them."""
         least, most = limits.CAPTURE_SAMPLES
+        watts = [lamp.watts for lamp in self.light.lamps] or [0.0]
         checks = (
             ("samples", least <= self.sampling.samples <= most, f"{least} to {most} rays per pixel"),
             ("wrist turn", 0 <= self.wrist_turn_deg <= 180, "0 to 180 degrees"),
@@ -45,10 +46,12 @@ class CaptureOptions:
             ("poses of a capture", 1 <= self.poses <= limits.CAPTURE_POSES_MAX, f"1 to {limits.CAPTURE_POSES_MAX}"),
             ("subdivisions", 0 <= self.sampling.subdivisions <= 4, "0 to 4"),
             ("strength of the environment", 0 <= self.light.hdri_strength < math.inf, "0 or more"),
+            ("turn of the environment", math.isfinite(self.light.hdri_turn_deg), "degrees"),
+            ("brightness of the lamps", all(0 <= lamp < math.inf for lamp in watts), "0 or more"),
         )
         came = (
             self.sampling.samples, self.wrist_turn_deg, self.seed, self.poses, self.sampling.subdivisions,
-            self.light.hdri_strength,
+            self.light.hdri_strength, self.light.hdri_turn_deg, min(watts),
         )  # fmt: skip
         for (name, good, wanted), value in zip(checks, came, strict=True):
             if not good:
@@ -65,7 +68,7 @@ class CaptureOptions:
         }
         motion = None
         if self.motion is not None:
-            motion = hashlib.sha256(self.motion.joints_m.tobytes()).hexdigest()
+            motion = hashlib.sha256(self.motion.handedness.encode() + self.motion.joints_m.tobytes()).hexdigest()
         light = dataclasses.asdict(self.light)
         if Path(self.light.hdri).suffix:
             light["hdri"] = _hash(Path(self.light.hdri))

@@ -24,15 +24,17 @@ from PIL import Image
 
 from jghand_engine import limits
 from jghand_engine.capture.cameras import CameraPlan, plan_cameras
-from jghand_engine.capture.identities import load_identity
+from jghand_engine.capture.identities import identity_name, load_identity
 from jghand_engine.capture.options import CaptureOptions
 from jghand_engine.capture.poses import varied_poses
 from jghand_engine.capture.rig import RiggedHand, RigPose
 from jghand_engine.capture.skin import make_skin
 from jghand_engine.datasets.interhand_writer import RecordedHand, write_interhand
+from jghand_engine.datasets.splits import SPLITS_FILE, SPLITS_FORMAT
 from jghand_engine.errors import InputError
 from jghand_engine.files import writing
 from jghand_engine.hand import rotations as rot
+from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.splat.camera import Camera
 from jghand_engine.template.archives import read_arrays
@@ -114,7 +116,9 @@ class CapturePlan:
         tests = len(names) // limits.CAPTURE_EVERY_CAMERA
         chosen = {names[int((k + 0.5) * len(names) / tests)] for k in range(tests)}
         test_frames = frames[limits.CAPTURE_EVERY_POSE - 1 :: limits.CAPTURE_EVERY_POSE]
-        return {"format": 1, "test_frames": {self.record.sequence: test_frames}, "test_cameras": sorted(chosen)}
+        return {
+            "format": SPLITS_FORMAT, "test_frames": {self.record.sequence: test_frames}, "test_cameras": sorted(chosen)
+        }  # fmt: skip
 
 
 def make_plan(options: CaptureOptions) -> CapturePlan:
@@ -177,7 +181,7 @@ def write_plan(folder: Path, plan: CapturePlan) -> None:
             stream, vertices_m=plan.vertices_m, joints_m=plan.joints_m, faces=plan.faces, face_uv=plan.face_uv
         )
     annotate(folder, plan)
-    _write(folder / "splits.json", (json.dumps(plan.split(), indent=2) + "\n").encode())
+    _write(folder / SPLITS_FILE, (json.dumps(plan.split(), indent=2) + "\n").encode())
     content = {
         "format": FORMAT, "options": plan.description, "render": plan.render, "poses": list(plan.pose_names),
         "cameras": [_camera_json(camera) for camera in plan.cameras],
@@ -212,7 +216,9 @@ def read_plan(folder: Path) -> CapturePlan | None:
             return None
         raise InputError(thing, wanted="all its files", came=f"no {error.filename}", remedy=remedy) from error
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(thing, wanted="a whole plan", came=f"{type(error).__name__}: {error}"[:200]) from error
+        raise InputError(
+            thing, wanted="a whole plan", came=f"{type(error).__name__}: {error}"[:200], remedy=remedy
+        ) from error
 
 
 def open_or_make(folder: Path, options: CaptureOptions) -> CapturePlan:
@@ -226,8 +232,8 @@ def open_or_make(folder: Path, options: CaptureOptions) -> CapturePlan:
         plan = make_plan(options)
         write_plan(folder, plan)
         return plan
-    asked = json.loads(json.dumps(options.description()))
-    other = sorted(name for name in asked if asked[name] != present.description.get(name))
+    asked, began = _named(json.loads(json.dumps(options.description()))), _named(present.description)
+    other = sorted(name for name in asked if asked[name] != began.get(name))
     if other:
         raise InputError(
             f"the capture in {folder}",
@@ -238,10 +244,15 @@ def open_or_make(folder: Path, options: CaptureOptions) -> CapturePlan:
     return present
 
 
+def _named(description: dict[str, Any]) -> dict[str, Any]:
+    """The same, with the hand's name: it may be called by its number too."""
+    return {**description, "identity": identity_name(str(description.get("identity")))}
+
+
 def _of_motion(hand: RiggedHand, motion: PoseSequence, count: int) -> tuple[tuple[str, ...], RigPose]:
     """`count` frames of a motion, evenly spread, on this hand; as a whole it stays in the canonical frame."""
     whole = motion.with_gaps_held()
-    right = whole.mirrored() if whole.handedness == "left" else whole
+    right = whole.mirrored() if whole.handedness is Handedness.LEFT else whole
     frames = np.unique(np.linspace(0, len(right) - 1, min(count, len(right))).round().astype(int))
     return tuple(f"frame_{frame}" for frame in frames), hand.follow(right.joints_m[frames], upright=True)
 

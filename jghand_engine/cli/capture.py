@@ -7,13 +7,16 @@ import re
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
 from jghand_engine.cli.console import progress, say, write_json
 from jghand_engine.cli.options import File, FormatOptions, ReportOptions, pixels
 from jghand_engine.errors import InputError, RetryError
+
+if TYPE_CHECKING:
+    from jghand_engine.capture.plan import CapturePlan
 
 DESCRIPTION = """Make a training set: pictures of a rigged hand of another shape, path traced from all sides.
 
@@ -86,10 +89,13 @@ class Capture:
     report: ReportOptions = field(default_factory=ReportOptions)
 
     def run(self) -> None:
-        from jghand_engine.capture.plan import annotate, open_or_make
-        from jghand_engine.capture.worker import fault_of, find_blender_python
+        from jghand_engine.capture.plan import FOLDER, annotate, open_or_make
+        from jghand_engine.capture.worker import find_blender_python
+        from jghand_engine.lock import locked
 
         shard = parse_shard(self.shard)
+        if self.threads < 0:
+            raise InputError("--threads", wanted="0 or more", came=str(self.threads))
         options = self._options()
         if self.finished_only:
             self._annotate_finished(options)
@@ -97,8 +103,19 @@ class Capture:
         python = find_blender_python(self.blender_python)
         plan = open_or_make(self.out, options)
         annotate(self.out, plan)
+        lock = self.out / FOLDER / f"shard_{shard[0]}_of_{shard[1]}.lock"
+        with locked(lock, work=f"capture of shard {self.shard}", remedy="Wait until it has ended, or take another."):
+            self._make(plan, shard, python)
+        # --finished-only may have left poses out meanwhile
+        if all(job.file.exists() for job in plan.jobs(self.out)):
+            annotate(self.out, plan)
+
+    def _make(self, plan: CapturePlan, shard: tuple[int, int], python: Path) -> None:
+        """Makes what is missing or broken of a shard, and says so."""
+        from jghand_engine.capture.worker import fault_of
+
         jobs = plan.jobs(self.out, shard)
-        size = options.width, options.height
+        size = pixels(self.size)
         faults = [fault_of(job, size) for job in jobs]
         todo = [job for job, fault in zip(jobs, faults, strict=True) if fault]
         spoilt = sum(bool(fault) and fault != "missing" for fault in faults)

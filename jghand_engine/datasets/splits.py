@@ -18,7 +18,7 @@ from jghand_engine.datasets.sample import Sample
 from jghand_engine.errors import InputError
 
 SPLITS_FILE = "splits.json"
-_VERSION = 1
+SPLITS_FORMAT = 1
 
 
 @dataclass(frozen=True)
@@ -120,9 +120,9 @@ def _nth(names: Iterable[Any], every: int) -> list[Any]:
 
 def _content(file: Path) -> dict[str, Any]:
     content = read_object(file, "Write the split again.")
-    if content.get("format") != _VERSION:
+    if content.get("format") != SPLITS_FORMAT:
         came = repr(content.get("format"))[:80]
-        raise InputError(f"{file}", wanted=f'a split with "format": {_VERSION}', came=came)
+        raise InputError(f"{file}", wanted=f'a split with "format": {SPLITS_FORMAT}', came=came)
     frames, cameras = content.get("test_frames", {}), content.get("test_cameras", [])
     sound = (
         isinstance(frames, dict)

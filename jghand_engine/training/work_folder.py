@@ -20,8 +20,8 @@ from pathlib import Path
 from jghand_engine import __version__
 from jghand_engine.errors import InputError
 from jghand_engine.files import file_error, make_folder, writing
+from jghand_engine.lock import locked
 from jghand_engine.training.checkpoint import CheckpointFolder, Stamp
-from jghand_engine.training.lock import locked
 
 LOCK, MARK = "lock", "training.json"
 
@@ -71,7 +71,8 @@ class WorkFolder:
         """
         check_folder(self.path, start)
         make_folder(self.path)
-        with locked(self.path / LOCK):
+        remedy = "Wait until it has ended, or name another folder with --work."
+        with locked(self.path / LOCK, work="training", remedy=remedy):
             # again: another may have trained here meanwhile
             check_folder(self.path, start)
             self.checkpoints.remove_leftovers()

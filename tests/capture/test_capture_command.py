@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -25,6 +26,7 @@ from jghand_engine.errors import InputError, RetryError
 from jghand_engine.hand.anatomy import pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.lock import locked
 from jghand_engine.template.builtin import load_template
 
 ROOT = Path(__file__).parents[2]
@@ -133,7 +135,11 @@ def test_a_stopped_capture_goes_on(tmp_path, monkeypatch, capsys, made):
 
 
 def contents(folder: Path) -> dict[str, bytes]:
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and path.suffix != ".lock"
+    }
 
 
 def test_shards_in_any_order_make_the_same_capture(tmp_path, made):
@@ -162,6 +168,28 @@ def test_an_unfinished_capture_can_be_used_and_finished_later(tmp_path, monkeypa
     monkeypatch.delenv("JGHAND_STAND_IN_FAILS_AT")
     assert capture(folder) == 0
     assert contents(folder) == contents(made)
+
+
+def test_finishing_annotates_what_was_left_out_meanwhile(tmp_path, monkeypatch, made):
+    """--finished-only may run while pictures are still being made."""
+    folder, render = Path(shutil.copytree(made, tmp_path / "copied")), worker.render
+    pictures(folder)[-1].unlink()
+
+    def interrupted(*arguments):
+        assert capture(folder, "--finished-only") == 0
+        assert len(open_capture(folder).samples) == 35
+        yield from render(*arguments)
+
+    monkeypatch.setattr(worker, "render", interrupted)
+    assert capture(folder) == 0
+    assert len(open_capture(folder).samples) == 42
+
+
+def test_one_shard_is_made_by_one_process(copied, capsys):
+    with locked(copied / "plan" / "shard_1_of_2.lock"):
+        assert capture(copied, "--shard", "1/2") == 3
+        assert f"process {os.getpid()}" in capsys.readouterr().err
+        assert capture(copied, "--shard", "2/2") == 0
 
 
 def test_a_folder_takes_no_second_capture(copied, capsys):
@@ -209,6 +237,9 @@ def plan_of_motion(handedness: Handedness) -> CapturePlan:
         (["--wrist-turn", "-1"], "wrist turn"),
         (["--wrist-turn", "nan"], "wrist turn"),
         (["--hdri", "moonbase"], "environment"),
+        (["--hdri-turn", "nan"], "turn of the environment"),
+        (["--lamps", "-1"], "brightness of the lamps"),
+        (["--lamps", "nan"], "brightness of the lamps"),
         (["--skin", "absent.png"], "absent.png"),
         (["--seed", "-1"], "seed"),
         (["--size", "0x10"], "--size"),
@@ -304,8 +335,9 @@ def test_help_names_every_identity(capsys):
 
 
 def test_options_that_decide_nothing_of_the_pictures_may_change(copied):
-    """Another folder of the same skin file, other threads: the same capture."""
+    """The hand's name instead of its number: the same capture."""
     plan = read_plan(copied)
     assert plan is not None
-    options = CaptureOptions("3", cameras=7, close_ups=1, poses=6, width=32, height=48)
-    assert open_or_make(copied, options).description == plan.description
+    for identity in ("3", "adult_man"):
+        options = CaptureOptions(identity, cameras=7, close_ups=1, poses=6, width=32, height=48)
+        assert open_or_make(copied, options).description == plan.description

@@ -20,9 +20,9 @@ from jghand_engine import files
 from jghand_engine.avatar.file import load_avatar
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.exporters.pictures import read_png
+from jghand_engine.lock import locked
 from jghand_engine.training import run
 from jghand_engine.training.checkpoint import load_checkpoint
-from jghand_engine.training.lock import locked
 from jghand_engine.training.log import read_log
 from jghand_engine.training.run import RunOptions, train
 from jghand_engine.training.schedule import Budget, Every

@@ -1,4 +1,4 @@
-"""One training per folder: a lock that the system takes back when its process ends, however it ends."""
+"""One process per piece of work: a lock that the system takes back when its process ends, however it ends."""
 
 from __future__ import annotations
 
@@ -13,8 +13,11 @@ from jghand_engine.files import file_error
 
 
 @contextlib.contextmanager
-def locked(path: Path) -> Iterator[None]:
-    """Holds the lock file `path` for the duration. RetryError when another process (or thread) holds it."""
+def locked(path: Path, *, work: str = "work", remedy: str = "Wait until it has ended.") -> Iterator[None]:
+    """Holds the lock file `path` for the duration. RetryError when another process (or thread) holds it.
+
+    work: what is done meanwhile, for the error
+    """
     try:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
     except OSError as error:
@@ -23,9 +26,9 @@ def locked(path: Path) -> Iterator[None]:
         if not _take(descriptor):
             holder = os.pread(descriptor, 20, 1).decode("ascii", "replace") if hasattr(os, "pread") else "unknown"
             raise RetryError(
-                f"{path.parent}", wanted="a folder that no other training writes",
+                f"{path.parent}", wanted=f"a folder in which no other {work} is under way",
                 came=f"one in use by process {holder.strip() or 'unknown'}",
-                remedy="Wait until it has ended, or name another folder with --work.",
+                remedy=remedy,
             )  # fmt: skip
         # the first byte is what Windows locks and others then cannot read
         os.write(descriptor, f" {os.getpid():<12d}\n".encode())
