@@ -8,7 +8,7 @@ import torch
 
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
 from jghand_engine.avatar.correctives import PoseNet, PoseNetShape
-from jghand_engine.avatar.learnt import Learnt, ShadowLook
+from jghand_engine.avatar.learnt import Ellipsoid, Learnt, ShadowLook
 from jghand_engine.avatar.light import SH_COUNT, Light
 from jghand_engine.hand.joints import JOINT_COUNT, PARENTS, Handedness
 from jghand_engine.template.builtin import load_template
@@ -57,3 +57,11 @@ def trained_avatar(count: int = 200, seed: int = 0, shape: PoseNetShape | None =
     normal = torch.nn.functional.normalize(torch.randn(count, 3, generator=g), dim=-1)
     look = ShadowLook(gain=5.0, tint=(0.4, 0.6, 0.7))
     return replace(avatar, learnt=Learnt(normal, torch.rand(count, generator=g), light, net, look))
+
+
+def ellipsoid_avatar(count: int = 200, seed: int = 0) -> HandAvatar:
+    """A trained one whose Gaussians are no spheres."""
+    avatar, g = trained_avatar(count, seed), torch.Generator().manual_seed(2000 + seed)
+    shape = Ellipsoid(0.6 * torch.randn(count, 3, generator=g).clamp(-2, 2), torch.randn(count, 4, generator=g))
+    assert avatar.learnt is not None
+    return replace(avatar, learnt=replace(avatar.learnt, ellipsoid=shape))

@@ -6,6 +6,7 @@
 | shine            | float32      | float16                  | 0.05 %                                                 |
 | light.*          | float32      | float32                  | nothing                                                |
 | pose_net.*       | float32      | float16                  | 0.05 % of every weight                                 |
+| ellipsoid.*      | float32      | float16                  | 0.05 %                                                 |
 
 The network reads where a Gaussian sits, and its bones; both stand in the file already, and its first layer's input is
 made from them when the file is read.
@@ -22,13 +23,13 @@ import torch
 
 from jghand_engine import limits
 from jghand_engine.avatar.correctives import PoseNet, PoseNetShape
-from jghand_engine.avatar.learnt import Learnt, ShadowLook
+from jghand_engine.avatar.learnt import Ellipsoid, Learnt, ShadowLook
 from jghand_engine.avatar.light import SH_COUNT, Light
 from jghand_engine.avatar.storage import UINT16_MAX, Storage
 from jghand_engine.errors import InputError
 
 NORMAL, PACKED_NORMAL, SHINE = "normal", "normal_octahedral", "shine"
-LIGHT, NET = "light.", "pose_net."
+LIGHT, NET, ELLIPSOID = "light.", "pose_net.", "ellipsoid."
 
 # name, what was wanted, what came -> the error that names the file
 Wrong = Callable[[str, str, object], InputError]
@@ -36,12 +37,14 @@ Wrong = Callable[[str, str, object], InputError]
 
 @dataclass(frozen=True)
 class LearntAbout:
-    """What the JSON says: lobes of the light's gloss · shape of the network, None for none · the rest as in Learnt."""
+    """What the JSON says: lobes of the light's gloss · shape of the network, None for none · whether the Gaussians are
+    ellipsoids · the rest as in Learnt."""
 
     lobes: int
     net: PoseNetShape | None
     shadow: ShadowLook | None
     world_offsets: bool
+    ellipsoids: bool
 
     @classmethod
     def of(cls, learnt: Learnt) -> LearntAbout:
@@ -50,7 +53,8 @@ class LearntAbout:
         if net is not None and not isinstance(net, PoseNet):
             raise InputError("correctives of an avatar", wanted="the exact network", came=type(net).__name__)
         lobes = learnt.light.lobe_direction.shape[0]
-        return cls(lobes, None if net is None else net.shape, learnt.shadow, learnt.world_offsets)
+        shape = None if net is None else net.shape
+        return cls(lobes, shape, learnt.shadow, learnt.world_offsets, learnt.ellipsoid is not None)
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -61,14 +65,14 @@ class LearntAbout:
         """The inverse of `as_dict`, every field looked at."""
         if not isinstance(value, dict):
             raise wrong("learnt", "an object", value)
-        lobes, world_offsets = value.get("lobes"), value.get("world_offsets")
+        lobes = value.get("lobes")
         if not isinstance(lobes, int) or not _is_count(lobes, limits.LIGHT_LOBES_MAX):
             raise wrong("learnt lobes", f"a count of 0 to {limits.LIGHT_LOBES_MAX}", lobes)
-        if not isinstance(world_offsets, bool):
-            raise wrong("learnt world_offsets", "true or false", world_offsets)
-        return cls(
-            lobes, _parsed_net(value.get("net"), wrong), _parsed_shadow(value.get("shadow"), wrong), world_offsets
-        )
+        for name in ("world_offsets", "ellipsoids"):
+            if not isinstance(value.get(name), bool):
+                raise wrong(f"learnt {name}", "true or false", value.get(name))
+        net, shadow = _parsed_net(value.get("net"), wrong), _parsed_shadow(value.get("shadow"), wrong)
+        return cls(lobes, net, shadow, value["world_offsets"], value["ellipsoids"])
 
 
 def _parsed_shadow(value: object, wrong: Wrong) -> ShadowLook | None:
@@ -138,6 +142,9 @@ def expected_learnt_arrays(about: LearntAbout, gaussians: int, storage: Storage)
     if about.net is not None:
         for name, shape in _net_shapes(about.net).items():
             arrays[NET + name] = ("F32" if exact else "F16", shape)
+    if about.ellipsoids:
+        for name, width in (("log_stretch", 3), ("quaternion", 4)):
+            arrays[ELLIPSOID + name] = ("F32" if exact else "F16", (gaussians, width))
     return arrays
 
 
@@ -168,6 +175,9 @@ def pack_learnt(learnt: Learnt, storage: Storage) -> dict[str, np.ndarray]:
         if isinstance(learnt.correctives, PoseNet):
             for name, tensor in learnt.correctives.state_dict().items():
                 packed[NET + name] = _numpy(tensor).astype(real)
+        if learnt.ellipsoid is not None:
+            for f in fields(Ellipsoid):
+                packed[ELLIPSOID + f.name] = _numpy(getattr(learnt.ellipsoid, f.name)).astype(real)
     return {name: np.ascontiguousarray(array) for name, array in packed.items()}
 
 
@@ -183,7 +193,18 @@ def unpack_learnt(
         with torch.random.fork_rng(devices=[]):  # a new network draws random numbers: nobody else should notice
             net = PoseNet(bone_weights, uvd, about.net).requires_grad_(False)
         net.load_state_dict({name: _tensor(packed[NET + name]) for name in net.state_dict()})
-    return Learnt(_tensor(normal), _tensor(packed[SHINE]), Light(**values), net, about.shadow, about.world_offsets)
+    ellipsoid = None
+    if about.ellipsoids:
+        ellipsoid = Ellipsoid(**{f.name: _tensor(packed[ELLIPSOID + f.name]) for f in fields(Ellipsoid)})
+    return Learnt(
+        normal=_tensor(normal),
+        shine=_tensor(packed[SHINE]),
+        light=Light(**values),
+        correctives=net,
+        shadow=about.shadow,
+        world_offsets=about.world_offsets,
+        ellipsoid=ellipsoid,
+    )
 
 
 def octahedral(normal: np.ndarray) -> np.ndarray:

@@ -18,6 +18,7 @@ from jghand_engine.limits import (
     AVATAR_REACH_M,
     LIGHT_LOBES_MAX,
     LIGHT_VALUE_MAX,
+    LOG_STRETCH_MAX,
     NORMAL_LENGTH_TOLERANCE,
     POSE_NET_WEIGHT_MAX,
     SHADOW_GAIN_MAX,
@@ -69,6 +70,9 @@ def _check_learnt(learnt: Learnt, count: int, thing: str) -> None:
     if isinstance(learnt.correctives, PoseNet):
         for name, tensor in learnt.correctives.state_dict().items():
             ranges[f"pose_net {name}"] = (tensor, tuple(tensor.shape), -POSE_NET_WEIGHT_MAX, POSE_NET_WEIGHT_MAX)
+    if learnt.ellipsoid is not None:
+        ranges["ellipsoid log_stretch"] = (learnt.ellipsoid.log_stretch, (count, 3), -LOG_STRETCH_MAX, LOG_STRETCH_MAX)
+        ranges["ellipsoid quaternion"] = (learnt.ellipsoid.quaternion, (count, 4), -most, most)
     for name, (values, shape, low, high) in ranges.items():
         if tuple(values.shape) != shape:
             came = f"shape {tuple(values.shape)}"

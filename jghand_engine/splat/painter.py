@@ -136,7 +136,12 @@ class TorchPainter:
             for hand, avatar, pose in zip(self._hands, self._avatars, poses, strict=True)
         ]
         fields = ("position_m", "sigma_m", "opacity", "rgb")
-        return Gaussians(*(torch.cat([getattr(part, name) for part in parts]) for name in fields))
+        covariance_m2 = None
+        if any(part.covariance_m2 is not None for part in parts):
+            covariance_m2 = torch.cat([covariance_of(part) for part in parts])
+        return Gaussians(
+            *(torch.cat([getattr(part, name) for part in parts]) for name in fields), covariance_m2=covariance_m2
+        )
 
     def _coloured(self, gaussians: Gaussians, canvas: Canvas) -> Gaussians:
         """The same as they look from the camera; kept for the next picture from there."""
@@ -147,6 +152,14 @@ class TorchPainter:
                 gaussians.rgb[first : first + len(avatar)] = rgb
             first += len(avatar)
         return gaussians
+
+
+def covariance_of(gaussians: Gaussians) -> torch.Tensor:
+    """(N, 6) as in `Gaussians`, of spheres too."""
+    if gaussians.covariance_m2 is not None:
+        return gaussians.covariance_m2
+    sphere = gaussians.sigma_m.new_tensor([1.0, 0.0, 0.0, 1.0, 0.0, 1.0])
+    return gaussians.sigma_m[:, None] ** 2 * sphere
 
 
 @dataclass(frozen=True)

@@ -12,12 +12,12 @@ from jghand_engine.avatar.fast_skinning import FastSkinning, PosedArrays, padded
 from jghand_engine.native.binding import Library, aligned_zeros
 from jghand_engine.native.rasteriser import PLANES, GaussianArrays, NativeRasteriser
 from jghand_engine.native.threads import WorkerPool, shared_pool, thread_count
-from jghand_engine.splat.learnt_rows import LearntRows
 from jghand_engine.splat.painter import COMPOSE, RASTER, SAME_PICTURE, SHADOW, SKIN, Canvas, Pose
 from jghand_engine.splat.rasterise import view_of
 from jghand_engine.splat.report import FrameReport
 from jghand_engine.splat.settings import RenderSettings
 from jghand_engine.splat.shadow_native import NativeShade
+from jghand_engine.splat.torch_rows import TorchRows
 
 
 class NativePainter:
@@ -32,10 +32,11 @@ class NativePainter:
             sigma_m=aligned_zeros((rows,)),
             opacity=aligned_zeros((rows,)),
             rgb=aligned_zeros((rows, 3)),
+            covariance_m2=aligned_zeros((rows, 6)) if any(map(_has_ellipsoids, avatars)) else None,
         )
         # by the place of their avatar: painted hands in the team of threads, trained ones by torch before it
         self._skins: dict[int, tuple[FastSkinning, PosedArrays]] = {}
-        self._learnt: dict[int, LearntRows] = {}
+        self._by_torch: dict[int, TorchRows] = {}
         first = 0
         for place, avatar in enumerate(avatars):
             mine = slice(first, first + padded_rows(len(avatar)))
@@ -48,12 +49,16 @@ class NativePainter:
         self._drawn: Canvas | None = None  # what the planes show
 
     def _add_hand(self, place: int, avatar: HandAvatar, rows: slice) -> None:
-        all_rows = self._gaussians
+        every = self._gaussians
         mine = GaussianArrays(
-            all_rows.position_m[rows], all_rows.sigma_m[rows], all_rows.opacity[rows], all_rows.rgb[rows]
+            every.position_m[rows],
+            every.sigma_m[rows],
+            every.opacity[rows],
+            every.rgb[rows],
+            None if every.covariance_m2 is None else every.covariance_m2[rows],
         )
-        if avatar.learnt is not None:
-            self._learnt[place] = LearntRows(avatar, mine)
+        if avatar.learnt is not None or mine.covariance_m2 is not None:
+            self._by_torch[place] = TorchRows(avatar, mine)
             return
         skin = FastSkinning(self._library, avatar)
         mine.opacity[:], mine.rgb[:] = skin.opacity, skin.rgb
@@ -71,9 +76,9 @@ class NativePainter:
         self._drawn = None  # what follows may fail half way
         camera, settings = canvas.camera, self._settings
         if not keeps_picture:
-            for hand in self._learnt.values():
+            for hand in self._by_torch.values():
                 hand.colour(canvas.eye_m)
-        before_ms = 1e3 * (time.perf_counter() - started) if self._learnt else 0.0
+        before_ms = 1e3 * (time.perf_counter() - started) if self._by_torch else 0.0
         if not keeps_picture:
             self._planes = self._rasteriser.prepare(
                 self._gaussians, view_of(camera), alpha_min=settings.alpha_min, t_stop=settings.t_stop
@@ -86,7 +91,7 @@ class NativePainter:
         work = _Work(skins, None if keeps_picture else self._rasteriser, shade)
         work.run(shared_pool(self.threads))
         self._drawn = canvas
-        if poses is not None or (self._learnt and not keeps_picture):
+        if poses is not None or (self._by_torch and not keeps_picture):
             report.ran(SKIN, before_ms + work.skin_ms)
         work.tell(report, COMPOSE if canvas.style is None else SHADOW)
         report.visible_gaussians = self._rasteriser.visible
@@ -96,7 +101,7 @@ class NativePainter:
     def _pose(self, poses: Sequence[Pose]) -> None:
         for place, (skin, into) in self._skins.items():
             skin.prepare(poses[place].bones, into, poses[place].shift_m)
-        for place, hand in self._learnt.items():
+        for place, hand in self._by_torch.items():
             hand.pose(poses[place])
 
     def _shade_for(self, width: int, height: int) -> NativeShade:
@@ -104,6 +109,10 @@ class NativePainter:
             self._shade = None  # the old buffers first: both together may not fit
             self._shade = NativeShade(self._library, width, height)
         return self._shade
+
+
+def _has_ellipsoids(avatar: HandAvatar) -> bool:
+    return avatar.learnt is not None and avatar.learnt.ellipsoid is not None
 
 
 class _Work:

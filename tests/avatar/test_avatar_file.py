@@ -11,7 +11,7 @@ import pytest
 import safetensors
 import safetensors.numpy
 import torch
-from small_avatars import small_avatar, trained_avatar
+from small_avatars import ellipsoid_avatar, small_avatar, trained_avatar
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.correctives import PoseNetShape
@@ -38,7 +38,13 @@ def same_learnt(one: Learnt | None, other: Learnt | None) -> bool:
     if one is None or other is None:
         return one is other
     tensors = [
-        [learnt.normal, learnt.shine, *(getattr(learnt.light, f.name) for f in fields(Light)), *net_tensors(learnt)]
+        [
+            learnt.normal,
+            learnt.shine,
+            *(getattr(learnt.light, f.name) for f in fields(Light)),
+            *net_tensors(learnt),
+            *(() if learnt.ellipsoid is None else (learnt.ellipsoid.log_stretch, learnt.ellipsoid.quaternion)),
+        ]
         for learnt in (one, other)
     ]
     equal = all(torch.equal(a, b) for a, b in zip(*tensors, strict=True))
@@ -229,8 +235,9 @@ def test_a_full_disk_leaves_the_old_file_as_it_was(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("storage", list(Storage))
-def test_a_trained_avatar_comes_back_as_promised(tmp_path, storage):
-    avatar = trained_avatar()
+@pytest.mark.parametrize("make", [trained_avatar, ellipsoid_avatar])
+def test_a_trained_avatar_comes_back_as_promised(tmp_path, storage, make):
+    avatar = make()
     save_avatar(tmp_path / "hand.jghand", avatar, storage=storage)
     again = load_avatar(tmp_path / "hand.jghand")
     assert same(again, stored_form(avatar, storage))

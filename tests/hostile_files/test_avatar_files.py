@@ -15,9 +15,11 @@ import safetensors
 import safetensors.numpy
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from small_avatars import ellipsoid_avatar
 
 from jghand_engine.avatar.builtin import ASSET
-from jghand_engine.avatar.file import METADATA_KEY, load_avatar
+from jghand_engine.avatar.file import METADATA_KEY, load_avatar, save_avatar
+from jghand_engine.avatar.storage import Storage
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import LEVEL_NAMES, STANDARD_NAMES, Handedness
 from jghand_engine.hand.transform import JointTransform
@@ -235,5 +237,94 @@ def test_flipped_bytes_give_an_avatar_or_an_input_error(tmp_path, data):
     path = tmp_path / "flipped.jghand"
     path.write_bytes(bytes(good))
     # anything else than these two outcomes fails the test
+    with contextlib.suppress(InputError):
+        assert len(load_avatar(path)) == 50
+
+
+# ---- what training adds ----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module", params=list(Storage))
+def learnt_parts(request, tmp_path_factory) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """The same of a trained avatar with ellipsoids, that is, with everything."""
+    path = tmp_path_factory.mktemp("learnt") / "hand.jghand"
+    save_avatar(path, ellipsoid_avatar(50), storage=request.param)
+    with safetensors.safe_open(str(path), framework="numpy") as content:
+        return safetensors.numpy.load_file(path), json.loads(content.metadata()[METADATA_KEY])
+
+
+LEARNT_FIELDS: dict[str, list[Any]] = {
+    "lobes": [None, -1, 4, 6, 65, 10**12, True, "5", 5.0],
+    "world_offsets": [None, 0, "no"],
+    "ellipsoids": [None, 1, False],
+    "shadow": [1, [], {}, {"gain": -1, "tint": [0, 0, 0]}, {"gain": 1, "tint": [0, 0]}, {"gain": 1, "tint": [0, 0, 2]}],
+    "net": [None, 1, [], {}],
+}
+NET_FIELDS: dict[str, list[Any]] = {
+    "octaves": [None, [], [4, 4], [4, 4, 13], [0, 0, 0], [4, 4, -1], [4, 4, True], [4, 4, 3], [4.0, 4, 2]],
+    "angle_channels": [None, 0, -1, 9, 10**9, "8"],
+    "angle_texels": [None, 1, 7, 10**6],
+    "hidden": [None, 0, 33, 10**6],
+    "level1": [None, 1],
+    "shaded": [None, False],
+    "reach_m": [None, -0.1, 1.0, float("nan"), float("inf"), 10**400, True],
+}
+
+
+def learnt_refused(path: Path, parts: tuple[dict[str, np.ndarray], dict[str, Any]], learnt: Any) -> None:
+    arrays, about = parts
+    refused(written(path, arrays, {**about, "learnt": learnt}))
+
+
+@pytest.mark.parametrize("value", [None, 1, [], {}])
+def test_a_trained_avatar_without_its_description_is_refused(tmp_path, learnt_parts, value):
+    learnt_refused(tmp_path / "wrong.jghand", learnt_parts, value)
+
+
+def test_what_was_learnt_is_refused_in_a_version_that_does_not_know_it(tmp_path, learnt_parts):
+    arrays, about = learnt_parts
+    refused(written(tmp_path / "old.jghand", arrays, {**about, "format_version": 1}), "unknown")
+
+
+@pytest.mark.parametrize(("field", "value"), [(f, v) for f, values in LEARNT_FIELDS.items() for v in values])
+def test_a_wrong_description_of_what_was_learnt_is_refused(tmp_path, learnt_parts, field, value):
+    learnt_refused(tmp_path / "wrong.jghand", learnt_parts, {**learnt_parts[1]["learnt"], field: value})
+
+
+@pytest.mark.parametrize(("field", "value"), [(f, v) for f, values in NET_FIELDS.items() for v in values])
+def test_a_wrong_description_of_the_network_is_refused(tmp_path, learnt_parts, field, value):
+    learnt = learnt_parts[1]["learnt"]
+    learnt_refused(tmp_path / "wrong.jghand", learnt_parts, {**learnt, "net": {**learnt["net"], field: value}})
+
+
+def test_every_learnt_array_is_missed_and_its_length_and_type_looked_at(tmp_path, learnt_parts):
+    arrays, about = learnt_parts
+    for name in set(arrays) - set(parts()[0]):
+        path = tmp_path / "wrong.jghand"
+        refused(written(path, {k: a for k, a in arrays.items() if k != name}, about), name)
+        refused(written(path, {**arrays, name: arrays[name][:-1]}, about), name)
+        refused(written(path, {**arrays, name: arrays[name].astype(np.int64)}, about), name)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 6e4])
+def test_learnt_numbers_that_no_training_gives_are_refused(tmp_path, learnt_parts, value):
+    arrays, about = learnt_parts
+    for name in set(arrays) - set(parts()[0]):
+        if arrays[name].dtype in (np.float16, np.float32) and name not in ("position_m", "opacity", "rgb", "uvd"):
+            bad = arrays[name].copy()
+            bad.reshape(-1)[-1] = value
+            refused(written(tmp_path / "value.jghand", {**arrays, name: bad}, about))
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_flipped_bytes_of_a_trained_file_give_an_avatar_or_an_input_error(tmp_path, learnt_parts, data):
+    good = bytearray(written(tmp_path / "good.jghand", *learnt_parts).read_bytes())
+    header = 8 + int.from_bytes(good[:8], "little")
+    for _ in range(data.draw(st.integers(1, 6))):
+        at = data.draw(st.integers(0, header - 1) | st.integers(0, len(good) - 1))
+        good[at] = data.draw(st.integers(0, 255))
+    path = tmp_path / "flipped.jghand"
+    path.write_bytes(bytes(good))
     with contextlib.suppress(InputError):
         assert len(load_avatar(path)) == 50

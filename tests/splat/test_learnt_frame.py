@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from small_avatars import small_avatar, trained_avatar
+from small_avatars import ellipsoid_avatar, small_avatar, trained_avatar
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.learnt import ShadowLook
@@ -21,6 +21,7 @@ from jghand_engine.native import library as native_library
 from jghand_engine.splat.camera import Camera
 from jghand_engine.splat.frame import Frame, HandRenderer, SceneRenderer
 from jghand_engine.splat.gate import ShadowGate, fade
+from jghand_engine.splat.painter import covariance_of
 from jghand_engine.splat.reference import rasterise_reference
 from jghand_engine.splat.settings import RenderSettings, ShadowMode
 from jghand_engine.splat.shadow import ShadowStyle
@@ -59,7 +60,11 @@ def exact(avatars: list[HandAvatar], joints: list[np.ndarray], view: Camera) -> 
         bones = transform.bones(torch.from_numpy(joints_m))
         parts.append(pose_gaussians(avatar, bones, frames=bones.frames, eye_m=view.eye_m))
     fields = ("position_m", "sigma_m", "opacity", "rgb")
-    both = replace(parts[0], **{name: torch.cat([getattr(part, name) for part in parts]) for name in fields})
+    both = replace(
+        parts[0],
+        covariance_m2=torch.cat([covariance_of(part) for part in parts]),
+        **{name: torch.cat([getattr(part, name) for part in parts]) for name in fields},
+    )
     picture = rasterise_reference(both, view, alpha_min=PLAIN.alpha_min)
     return torch.cat([picture.rgb, picture.alpha[..., None]], -1).numpy()
 
@@ -106,6 +111,15 @@ def test_trained_and_painted_hands_stand_in_one_picture(settings):
     check(scene.render(joints, view), exact(avatars, joints, view))
     moved = [joints[0], joints_of("open"), joints[2]]
     check(scene.render(moved, view), exact(avatars, moved, view))
+
+
+def test_ellipsoids_are_drawn_beside_spheres_and_painted_hands(settings):
+    avatars = [ellipsoid_avatar(1501), small_avatar(700, 1), trained_avatar(600, 2)]
+    joints = [joints_of("fist"), beside(joints_of("open"), 0.05), beside(joints_of("point"), -0.1)]
+    scene, view = SceneRenderer(avatars, settings), camera()
+    frame = scene.render(joints, view)
+    check(frame, exact(avatars, joints, view))
+    assert frame.report.invalid_gaussians == 0
 
 
 def test_the_same_pose_from_elsewhere_reflects_what_is_seen_from_there(settings):
