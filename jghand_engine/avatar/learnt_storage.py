@@ -68,11 +68,12 @@ class LearntAbout:
         lobes = value.get("lobes")
         if not isinstance(lobes, int) or not _is_count(lobes, limits.LIGHT_LOBES_MAX):
             raise wrong("learnt lobes", f"a count of 0 to {limits.LIGHT_LOBES_MAX}", lobes)
-        for name in ("world_offsets", "ellipsoids"):
-            if not isinstance(value.get(name), bool):
-                raise wrong(f"learnt {name}", "true or false", value.get(name))
+        world_offsets, ellipsoids = value.get("world_offsets"), value.get("ellipsoids", False)
+        for name, told in (("world_offsets", world_offsets), ("ellipsoids", ellipsoids)):
+            if not isinstance(told, bool):
+                raise wrong(f"learnt {name}", "true or false", told)
         net, shadow = _parsed_net(value.get("net"), wrong), _parsed_shadow(value.get("shadow"), wrong)
-        return cls(lobes, net, shadow, value["world_offsets"], value["ellipsoids"])
+        return cls(lobes, net, shadow, world_offsets, ellipsoids)
 
 
 def _parsed_shadow(value: object, wrong: Wrong) -> ShadowLook | None:
