@@ -7,9 +7,9 @@ from pathlib import Path
 
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.builtin import load_builtin
+from jghand_engine.avatar.builtin import load_builtin, load_trained
 from jghand_engine.avatar.file import load_avatar
-from jghand_engine.cli.options import BUILTIN_AVATAR, FormatOptions, MotionOptions, pose_list
+from jghand_engine.cli.options import BUILTIN_AVATAR, TRAINED_AVATAR, FormatOptions, MotionOptions, pose_list
 from jghand_engine.datasets.motion_files import MotionFormat, read_motion
 from jghand_engine.errors import InputError
 from jghand_engine.hand.anatomy import MotionOptions as PoseMotionOptions
@@ -75,5 +75,6 @@ def _from_names(names: str, options: FormatOptions, avatar: HandAvatar) -> PoseS
 
 
 def load_hand(avatar: str) -> HandAvatar:
-    """The avatar of a file, or the built-in one."""
-    return load_builtin(handedness=Handedness.RIGHT) if avatar == BUILTIN_AVATAR else load_avatar(Path(avatar))
+    """The avatar of a file, or one of those that JGHand ships, by its name."""
+    shipped = {BUILTIN_AVATAR: load_builtin, TRAINED_AVATAR: load_trained}
+    return shipped[avatar](handedness=Handedness.RIGHT) if avatar in shipped else load_avatar(Path(avatar))

@@ -16,6 +16,7 @@ from jghand_engine import limits
 from jghand_engine.errors import InputError
 
 BUILTIN_AVATAR = "builtin"
+TRAINED_AVATAR = "trained"
 
 OrderName = Literal["standard", "openpose", "mediapipe", "mano21", "interhand", "mano16_tips", "openxr", "level"]
 UnitName = Literal["m", "cm", "mm"]
@@ -89,7 +90,7 @@ class AvatarOptions:
     """Which hand is shown."""
 
     avatar: Annotated[str, tyro.conf.arg(metavar="FILE")] = BUILTIN_AVATAR
-    """A .jghand file, or the hand that comes with JGHand."""
+    """A .jghand file, or a hand that comes with JGHand: builtin, painted, or trained, learnt from pictures."""
 
 
 @dataclass(frozen=True)

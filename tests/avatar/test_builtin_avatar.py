@@ -9,14 +9,15 @@ import numpy as np
 import pytest
 import torch
 from PIL import Image, ImageDraw
-from scipy.ndimage import binary_erosion, distance_transform_edt
+from scipy.ndimage import binary_erosion, distance_transform_edt, label
 
-from jghand_engine.avatar.builtin import ASSET, load_builtin
+from jghand_engine.avatar.builtin import ASSET, TRAINED_ASSET, load_builtin, load_trained
 from jghand_engine.avatar.skinning import apply, blend, pose_gaussians
 from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import JointTransform
 from jghand_engine.splat.camera import Camera
+from jghand_engine.splat.frame import HandRenderer
 from jghand_engine.splat.rasterise import rasterise
 from jghand_engine.splat.settings import RenderSettings
 from jghand_engine.template.builtin import load_template
@@ -126,3 +127,26 @@ def test_a_hole_would_be_found(avatar):
     alpha = rasterise(torn, camera, RenderSettings()).alpha.numpy()
     inside = binary_erosion(template_mask(joints_m, camera), iterations=2)
     assert 1 - alpha[inside].min() > 0.5
+
+
+def test_the_trained_avatar_has_its_light_its_angles_and_its_licence_with_it():
+    avatar = load_trained(handedness=Handedness.RIGHT)
+    assert avatar.learnt is not None
+    assert avatar.learnt.correctives is not None
+    assert len(avatar.info.pose_statistics) == 30
+    assert "CC0-1.0" in avatar.info.licence
+    assert TRAINED_ASSET.stat().st_size < 12e6
+
+
+@pytest.mark.parametrize("pose", ["open", "fist"])
+def test_the_trained_avatar_is_closed_and_keeps_to_the_hand(pose):
+    avatar = load_trained(handedness=Handedness.RIGHT)
+    joints_m = torch.from_numpy(named_pose(pose, avatar.canonical_joints_m.numpy(), handedness=Handedness.RIGHT))
+    camera = camera_at((0, 0, 1), joints_m, 200, 260, 600)
+    frame = HandRenderer(avatar, RenderSettings()).render(joints_m, camera)
+    solid = frame.rgba[..., 3] > 0.5
+    # one piece without holes: no specks beside it, nothing shines through the palm
+    _, count = label(solid)
+    assert count == 1
+    inside = binary_erosion(solid, iterations=4)
+    assert frame.rgba[..., 3][inside].min() > 0.98
