@@ -73,7 +73,7 @@ class LearntAbout:
             if not isinstance(told, bool):
                 raise wrong(f"learnt {name}", "true or false", told)
         net, shadow = _parsed_net(value.get("net"), wrong), _parsed_shadow(value.get("shadow"), wrong)
-        return cls(lobes, net, shadow, world_offsets, ellipsoids)
+        return cls(lobes, net, shadow, bool(world_offsets), ellipsoids)
 
 
 def _parsed_shadow(value: object, wrong: Wrong) -> ShadowLook | None:

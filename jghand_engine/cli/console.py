@@ -16,7 +16,7 @@ from jghand_engine.errors import InputError
 from jghand_engine.files import writing
 
 if TYPE_CHECKING:
-    from jghand_engine.training.tables import Table
+    from jghand_engine.training.tables import Table as Figures
 
 
 def out() -> Console:
@@ -49,7 +49,7 @@ def say_table(title: str, columns: tuple[str, ...], rows: list[tuple[str, ...]])
     Console(highlight=False).print(table)
 
 
-def say_whole_table(table: Table) -> None:
+def say_whole_table(table: Figures) -> None:
     """A table with its notes below it."""
     say_table(table.title, table.columns, list(table.rows))
     for note in table.notes:

@@ -27,7 +27,7 @@ def overlay(sample: Sample) -> np.ndarray:
     image = Image.fromarray(_on_grey(stored)).resize((width * zoom, height * zoom), Image.Resampling.LANCZOS)
     pixels = np.array(image)
     hand = np.repeat(np.repeat(outlined, zoom, axis=0), zoom, axis=1)
-    pixels[hand & ~ndimage.binary_erosion(hand)] = _OUTLINE
+    pixels[hand & np.logical_not(ndimage.binary_erosion(hand))] = _OUTLINE
     image = Image.fromarray(pixels)
     draw = ImageDraw.Draw(image)
     points = joint_pixels(sample.camera, sample.joints_m) * zoom - 0.5
