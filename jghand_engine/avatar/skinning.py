@@ -78,10 +78,11 @@ def turning(linear: torch.Tensor, bones: PoseTransforms) -> torch.Tensor:
     """The blended rotation (up to shear) L / |det L|^(1/3), (N, 3, 3); the palm's where the blend has collapsed.
 
     It turns what is attached to the skin in canonical axes, such as a learnt offset, with the hand (METHOD 2.9).
+    0, which loses what is attached, of a hand without any size, whose palm has no rotation either.
     """
     size, sound = volume_scale(linear, bones.scale)
-    palm = bones.linear[0] / bones.scale
-    return torch.where(sound[:, None, None], linear / size[:, None, None], palm)
+    palm = bones.linear[0] / bones.scale.clamp_min(torch.finfo(linear.dtype).tiny)
+    return torch.where(sound[:, None, None], linear / torch.where(sound, size, 1.0)[:, None, None], palm)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,40 @@
+"""A training that takes milliseconds a step: painted pictures, 300 Gaussians."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import torch
+from small_hands import INFO, SMALL_MODEL, small_points, stirred
+
+from jghand_engine.datasets.sample import Sample
+from jghand_engine.template.builtin import load_template
+from jghand_engine.training import step
+from jghand_engine.training.options import Schedule, TrainOptions
+from jghand_engine.training.perceptual import PerceptualMetric
+from jghand_engine.training.step import HandTraining, Material
+
+SMALL = TrainOptions(model=SMALL_MODEL, schedule=Schedule(views=2), shadow_samples=4)
+
+
+def small_training(
+    monkeypatch,
+    samples: Sequence[Sample],
+    options: TrainOptions = SMALL,
+    *,
+    moved: bool = True,
+    perceptual: PerceptualMetric | None = None,
+) -> HandTraining:
+    """moved: as if it had learnt something, all Gaussians taking part."""
+    monkeypatch.setattr(step, "place_points", lambda template, count, **how: small_points(count))
+    shown = samples[0] if samples else None
+    training = HandTraining(Material(samples, shown, load_template(), INFO, perceptual), options)  # type: ignore[arg-type]
+    if moved:
+        stirred(training.hand)
+        training.load_scalars({"count": options.model.gaussians})
+    return training
+
+
+def parameters_of(training: HandTraining) -> dict[str, torch.Tensor]:
+    """Copies of all parameters by name."""
+    return {name: parameter.detach().clone() for name, parameter in training.hand.named_parameters()}
