@@ -166,7 +166,8 @@ class LearnedHand(nn.Module):
 
     def shadow_look(self) -> ShadowLook:
         """The shadow's constants as plain numbers."""
-        gain, tint = self.shadow()
+        with torch.no_grad():
+            gain, tint = self.shadow()
         red, green, blue = tint.tolist()
         return ShadowLook(float(gain), (red, green, blue))
 
