@@ -7,7 +7,6 @@ compares with this file.
 from __future__ import annotations
 
 # ---- colour (IEC 61966-2-1) -----------------------------------------------------------------------------------------
-
 # below this sRGB value the curve is a straight line of this slope
 SRGB_TOE = 0.04045
 SRGB_SLOPE = 12.92
@@ -15,7 +14,6 @@ SRGB_OFFSET = 0.055
 SRGB_EXPONENT = 2.4
 
 # ---- hand: safe rotations and frames (thresholds are relative to the hand size unless a unit is given) --------------
-
 # relative length, sine or distance to a pole below which the gradient (never the value) is damped; larger values
 # bend gradients of ordinary hands, smaller ones let 1/|b| through
 GRADIENT_DAMPING = 0.05
@@ -41,7 +39,6 @@ CANONICAL_PALM_SINE_MIN = 0.04
 CANONICAL_POLE_MIN = 0.02
 
 # ---- hand: plausibility of joints ---------------------------------------------------------------------------------
-
 # index..pinky: metacarpal at least this times the proximal phalanx (anatomy; a wrong joint order breaks it)
 METACARPAL_RATIO_MIN = 1.3
 # index..pinky: first phalanx at least this times the second; below 1 because video estimates shorten the pinky's
@@ -65,7 +62,6 @@ MOTION_MAX_BYTES = 1 << 30
 MOTION_TEXT_MAX_BYTES = 1 << 27
 
 # ---- hand: named poses ----------------------------------------------------------------------------------------------
-
 # tips touch: air of this part of the finger chain's length (about 3 mm) weighs as much as turning one joint by the
 # pull; a weaker pull bends fingers oddly to close the last tenth of a millimetre
 TOUCH_PART = 0.02
@@ -77,7 +73,6 @@ TOUCH_STEPS = 8
 TOUCH_DIFFERENCE_DEG = 1e-3
 
 # ---- template -------------------------------------------------------------------------------------------------------
-
 # spread of the split of the wrist's weight over the metacarpals, metres (assumed; METHOD 2.7)
 PALM_SPLIT_SIGMA_M = 0.012
 # distance from the wrist over which the palm blends to the wrist matrix, metres (assumed)
@@ -119,7 +114,6 @@ SHELL_DRAWS_MAX = 1000
 UVD_RANGE_M = 0.010
 
 # ---- template: files of other people -------------------------------------------------------------------------------
-
 # MANO's files have 4 MB and a few thousand operations and 30 MB of numbers; larger ones are not MANO. The bytes bound
 # the file, and once more all that its calls produce; an operation takes half a kilobyte at most
 PICKLE_BYTES_MAX = 64 * 2**20
@@ -137,7 +131,6 @@ CAP_UV_RADIUS_MAX = 0.06
 CAP_UV_FILL = 0.8
 
 # ---- avatar ---------------------------------------------------------------------------------------------------------
-
 # radius of a Gaussian, metres
 SIGMA_MIN_M = 1e-4
 SIGMA_MAX_M = 4e-3
@@ -163,7 +156,6 @@ AVATAR_TEXT_MAX = 500
 AVATAR_REACH_M = 0.5
 
 # ---- datasets -------------------------------------------------------------------------------------------------------
-
 # grey value of a mask file from which a pixel is hand: JPEG smears the edge over some pixels around the middle
 MASK_THRESHOLD = 128
 # samples per pixel edge when a template is projected: steps of 1/16 in the coverage of a pixel
@@ -216,7 +208,6 @@ FOLDER_LEVELS_UP = 6
 FOLDER_LEVELS_DOWN = 2
 
 # ---- avatar: the learnt hand (METHOD 4) -----------------------------------------------------------------------------
-
 # logarithm of the strongest light and shade: exp(3) is 20 times, farther than any display reaches
 LIGHT_EXPONENT_MAX = 3.0
 # strongest shade that a pose may add or take, as a logarithm: what the shadow and the light do not explain
@@ -248,17 +239,29 @@ POSE_NET_TEXELS_MAX = 256
 POSE_NET_WEIGHT_MAX = 1e4
 # by how much the length of a stored normal may be off 1
 NORMAL_LENGTH_TOLERANCE = 1e-3
+# cheaper tiers of the correctives: what one may lose of the accuracy to be taken unasked, dB (RENDERING 5); largest basis
+TIER_LOST_MAX_DB = 0.1
+BASIS_MAX = 64
+# distilling: poses that are made up; wobble of flexion, abduction and palm angles, degrees; how far beyond the known
+# range, degrees: as far as the angles of a hand between two learnt poses go
+DISTIL_POSES = 400
+DISTIL_WOBBLE_DEG = (8.0, 3.0)
+DISTIL_WOBBLE_PALM_DEG = 2.0
+DISTIL_BEYOND_DEG = 5.0
+# penalty on directions, per pose, for numbers of variance 1; variance of a component over the largest below which it is
+# noise; Gaussians at once: bounds the memory to some 400 MB
+DISTIL_RIDGE = 1e-4
+DISTIL_VARIANCE_MIN = 1e-6
+DISTIL_GAUSSIANS_AT_ONCE = 2048
 # ranges of the angles between neighbouring palm bones (theta^p) and palm planes (theta^n), degrees (METHOD 4.1)
 PALM_NEIGHBOUR_RANGES_DEG = ((0.0, 60.0), (0.0, 30.0), (0.0, 30.0), (0.0, 30.0))
 PALM_PLANE_RANGES_DEG = ((-30.0, 60.0), (-20.0, 40.0), (-20.0, 40.0))
 
 # ---- native: threads ------------------------------------------------------------------------------------------------
-
 # threads taken without being asked, at most; beyond this many nothing was measured
 AUTOMATIC_THREADS = 8
 
 # ---- splat: the rasterisation contract (RENDERING 3 and 8) ----------------------------------------------------------
-
 # pixel footprint added to the projected variance, px^2; weights are trained with it
 BLUR_PX2 = 0.3
 # contribution below which a Gaussian does not touch a pixel: one 8-bit step
@@ -296,7 +299,6 @@ REFERENCE_PAIRS_AT_ONCE = 4_000_000
 DEPTH_ALPHA_MIN = 0.05
 
 # ---- splat: shadow (METHOD 5.2) -------------------------------------------------------------------------------------
-
 SHADOW_RADIUS_M = 0.020
 SHADOW_BIAS = 0.15
 SHADOW_SOFTNESS = 0.05
@@ -347,7 +349,6 @@ GATE_PENETRATION_MAX = 1.5
 SHADOW_HAND_MIN_PX = 64.0
 
 # ---- splat: reuse between frames ------------------------------------------------------------------------------------
-
 # matrices are reused when no joint moved more than this, metres
 REUSE_JOINTS_M = 5e-5
 # ... and the skin then lacks at most this, metres. Joints that move against each other turn bones: the skin of a hand
@@ -355,7 +356,6 @@ REUSE_JOINTS_M = 5e-5
 REUSE_SKIN_M = 2e-4
 
 # ---- training: losses and metrics -----------------------------------------------------------------------------------
-
 # window and constants of SSIM, which every paper shares (Wang et al. 2004); 0..1 is the range of the pictures
 SSIM_WINDOW_PX = 11
 SSIM_SIGMA_PX = 1.5
@@ -382,7 +382,6 @@ SHEET_STEPS_BETWEEN = 4
 OFFSET_LENGTH_EPS_M = 1e-5
 
 # ---- training: the loop ----------------------------------------------------------------------------------------------
-
 # second moments below this are noise: Adam's own 1e-8 would hold back planes whose texels are seldom seen
 ADAM_EPS = 1e-15
 # pixels kept around the hand when a picture is cut to it: as far as SSIM's window and a stray Gaussian reach
@@ -417,7 +416,6 @@ PAPER_ROUNDS = 30
 PROGRESS_LINE_S = 15.0
 
 # ---- studies --------------------------------------------------------------------------------------------------------
-
 # points on the skin of the transformation table: 1.4 mm apart, well below the distances that it tells apart
 TRANSFORM_STUDY_POINTS = 20_000
 
@@ -443,7 +441,6 @@ RIGID_MAX = 1e-4
 DETAIL_MAX = 8000
 
 # ---- capture: the rig ------------------------------------------------------------------------------------------------
-
 # largest turn of the metacarpals of index, middle, ring and pinky, degrees: the first two hardly move, the others make
 # the hollow of the palm (6 and 12: DATA 4)
 CAPTURE_CUP_DEG = (0.5, 1.0, 6.0, 12.0)
@@ -455,7 +452,6 @@ CAPTURE_CUP_REST = 0.05
 CAPTURE_CUP_FLATTEN = 0.25
 
 # ---- capture: poses --------------------------------------------------------------------------------------------------
-
 # poses of one capture: beyond it the choice of varied ones takes minutes
 CAPTURE_POSES_MAX = 5000
 # transitions and random poses to choose from: so many for every pose, and at least
@@ -485,7 +481,6 @@ CAPTURE_EASE_STEPS = 31
 CAPTURE_GAP_ROUNDS = 8
 
 # ---- capture: cameras ------------------------------------------------------------------------------------------------
-
 CAPTURE_CAMERAS_MAX = 500
 # edges of a picture, pixels: below nothing is seen of a hand, above Cycles takes minutes a picture
 CAPTURE_SIZE_PX = (16, 4096)
@@ -502,7 +497,6 @@ CAPTURE_CLOSE_M = 0.45
 CAPTURE_CLOSE_FIELD_M = 0.11
 
 # ---- capture: skin ---------------------------------------------------------------------------------------------------
-
 # edge of the baked texture: 0.4 mm of skin per texel, finer than a pixel of a whole hand at 334 x 512 (0.5 mm)
 CAPTURE_SKIN_PX = 1024
 # edges that a skin picture may have, pixels
@@ -520,7 +514,6 @@ CAPTURE_GRAIN_M = 0.000012
 CAPTURE_GRAIN_CELL_M = 0.0009
 
 # ---- capture: plan and worker ----------------------------------------------------------------------------------------
-
 # rays per pixel: 1 is a test, beyond the most the denoiser has nothing left to do
 CAPTURE_SAMPLES = (1, 4096)
 # every so manieth pose, and one of so many cameras, is kept for the test
@@ -531,14 +524,12 @@ CAPTURE_END_S = 20.0
 CAPTURE_LAST_WORDS = 4
 
 # ---- exporters: pictures and video ----------------------------------------------------------------------------------
-
 # zlib level of PNG files, 0..9: on a hand, level 6 saves 3 % and takes 1.6 times as long, level 1 costs 16 % of size
 PNG_COMPRESSION = 4
 # constant rate factor of H.264: 18 is visually without loss
 VIDEO_CRF = 18
 
 # ---- exporters: USD -------------------------------------------------------------------------------------------------
-
 # spherical harmonics of band 0: colour = 0.5 + SH_C0 * coefficient
 SH_C0 = 0.28209479177387814
 # share of every skin weight that goes to the twin joint which carries what half precision lost of a scale; a power of
@@ -562,7 +553,6 @@ USD_STATIC_BYTES = 2_000_000
 USD_MESH_COLOUR_NEIGHBOURS = 8
 
 # ---- cli: framing of a motion ---------------------------------------------------------------------------------------
-
 # focal length over the longer edge of the picture: a long lens, which does not make near fingers look swollen
 FRAMING_FOCAL = 2.2
 # part of the picture that the hand may fill
@@ -582,7 +572,6 @@ USD_QUATERNION_TOLERANCE = 1e-3
 USD_WEIGHT_SUM_TOLERANCE = 1e-3
 
 # ---- cli: the demo --------------------------------------------------------------------------------------------------
-
 # rate, seconds of a move and of a stop: quick enough for a video of a few seconds, slow enough to see
 DEMO_FPS = 30.0
 DEMO_MOVE_S = 0.6

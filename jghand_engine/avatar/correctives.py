@@ -1,7 +1,7 @@
 """What the pose changes on the skin beyond skinning: offsets and shade of every Gaussian, from the joint angles.
 
 METHOD 4.1: a small network reads where a Gaussian sits (positional encoding of u, v, d) and the angles of the joints
-near it (pose features, mixed by its skin weights). This is the exact form; `baked.py` has the cheaper tiers.
+near it (pose features, mixed by its skin weights). This is the exact form; `tiers.py` has the cheaper ones.
 """
 
 from __future__ import annotations
@@ -13,8 +13,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from jghand_engine.avatar.pose_features import AnglePlanes, positional_encoding
-from jghand_engine.hand.frames import HandFrames
+from jghand_engine.avatar.pose_features import AnglePlanes, PoseAngles, positional_encoding
 from jghand_engine.limits import SHADE_MAX
 
 
@@ -29,7 +28,7 @@ class Correction:
 class Correctives(Protocol):
     """Gives the correction of one pose for all Gaussians of an avatar."""
 
-    def __call__(self, frames: HandFrames) -> Correction: ...
+    def __call__(self, frames: PoseAngles) -> Correction: ...
 
     def prefix(self, count: int) -> Correctives:
         """The same for the first `count` Gaussians."""
@@ -70,7 +69,7 @@ class PoseNet(nn.Module):
         constant = torch.cat([positional_encoding(uvd.double(), shape.octaves).float(), bone_weights], -1)
         self.register_buffer("_constant", constant, persistent=False)
 
-    def forward(self, frames: HandFrames, count: int | None = None, wave_weight: Tensor | None = None) -> Correction:
+    def forward(self, frames: PoseAngles, count: int | None = None, wave_weight: Tensor | None = None) -> Correction:
         """Of the first `count` Gaussians. wave_weight: (waves,) 0..1, by which the encoding is annealed."""
         constant: Tensor = self._constant[:count]  # type: ignore[index]
         encoding = self.encoding_in.weight if wave_weight is None else self.encoding_in.weight * wave_weight
@@ -87,10 +86,24 @@ class PoseNet(nn.Module):
 
     def prefix(self, count: int) -> PoseNet:
         """The same network for the first `count` Gaussians; parameters are shared."""
-        shorter = PoseNet.__new__(PoseNet)
-        nn.Module.__init__(shorter)
-        shorter.shape = self.shape
+        return self.part(slice(count))
+
+    def part(self, rows: slice) -> PoseNet:
+        """The same network for some of the Gaussians; parameters are shared."""
+        other = PoseNet.__new__(PoseNet)
+        nn.Module.__init__(other)
+        other.shape = self.shape
         for name in ("angles", "encoding_in", "angles_in", "middle", "out"):
-            setattr(shorter, name, getattr(self, name))
-        shorter.register_buffer("_constant", self._constant[:count], persistent=False)  # type: ignore[index]
-        return shorter
+            setattr(other, name, getattr(self, name))
+        other.register_buffer("_constant", self._constant[rows], persistent=False)  # type: ignore[index]
+        return other
+
+    @property
+    def encoding(self) -> Tensor:
+        """(N, waves) the positional encoding of the Gaussians."""
+        return self._constant[:, : self.encoding_in.in_features]  # type: ignore[index]
+
+    @property
+    def bone_weights(self) -> Tensor:
+        """(N, 21) by which the features of the bones are mixed."""
+        return self._constant[:, self.encoding_in.in_features :]  # type: ignore[index]

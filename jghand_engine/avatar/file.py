@@ -14,7 +14,6 @@ trained are still written as version 1, which older JGHands read.
 from __future__ import annotations
 
 import json
-import unicodedata
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -33,6 +32,7 @@ from jghand_engine.avatar.storage import (
     pack,
     unpack,
 )
+from jghand_engine.avatar.texts import is_text
 from jghand_engine.avatar.validation import REMEDY, check_avatar
 from jghand_engine.errors import InputError
 from jghand_engine.files import writing
@@ -182,7 +182,7 @@ class _Description:
 
     def _text(self, name: str, left_out: str | None = None) -> str:
         value = self._fields.get(name, left_out)
-        if not _is_text(value):
+        if not is_text(value):
             raise self._wrong(name, f"a text of one line, at most {AVATAR_TEXT_MAX} characters", value)
         return value
 
@@ -218,7 +218,7 @@ class _Description:
         if not isinstance(value, dict):
             raise self._wrong("pose_statistics", "an object", value)
         for name, range_ in value.items():
-            if not _is_text(name):
+            if not is_text(name):
                 raise self._wrong("pose_statistics", f"names of at most {AVATAR_TEXT_MAX} characters", name)
             if (
                 not (isinstance(range_, list) and len(range_) == 2 and all(map(_finite, range_)))
@@ -226,15 +226,6 @@ class _Description:
             ):
                 raise self._wrong(f"pose_statistics {name}", "minimum and maximum", range_)
         return {name: (float(low), float(high)) for name, (low, high) in value.items()}
-
-
-def _is_text(value: object) -> bool:
-    """Whether `value` is a text that can be shown in a line and encoded: no control characters, no surrogates."""
-    return (
-        isinstance(value, str)
-        and len(value) <= AVATAR_TEXT_MAX
-        and not any(unicodedata.category(letter) in ("Cc", "Cs", "Zl", "Zp") for letter in value)
-    )
 
 
 def _finite(value: object) -> bool:

@@ -6,8 +6,9 @@ from dataclasses import dataclass, replace
 
 import torch
 
-from jghand_engine.avatar.correctives import Correctives
+from jghand_engine.avatar.correctives import Correctives, PoseNet
 from jghand_engine.avatar.light import Light
+from jghand_engine.avatar.tiers import Baked, CachedNet, Price, Tier, choose
 from jghand_engine.limits import SHADOW_GAIN, SHADOW_TINT
 
 
@@ -40,6 +41,7 @@ class Learnt:
     light: of the capture, in the world's frame · correctives: None when the pose changes nothing but the bones
     shadow: its look, None when it was trained without · world_offsets: offsets are in world axes, as the paper prints
     it, instead of turning with the hand (METHOD 2.9) · ellipsoid: of Gaussians that are no spheres, else None
+    baked: cheaper tiers of the correctives, and what they cost; None where nothing was measured
     """
 
     normal: torch.Tensor
@@ -49,6 +51,18 @@ class Learnt:
     shadow: ShadowLook | None
     world_offsets: bool = False
     ellipsoid: Ellipsoid | None = None
+    baked: Baked | None = None
+
+    def with_tier(self, wanted: Tier) -> tuple[Learnt, Price | None]:
+        """The same with the correctives of a tier, and its price where it has one. InputError for a tier without."""
+        net = self.correctives
+        if not isinstance(net, PoseNet):
+            return self, None
+        price = choose(self.baked, wanted)
+        if price is None or price.tier is Tier.EXACT or self.baked is None:
+            return self, price
+        cheaper = self.baked.linear if price.tier is Tier.LINEAR else CachedNet(net)
+        return replace(self, correctives=cheaper), price
 
     def prefix(self, count: int) -> Learnt:
         """The same for the first `count` Gaussians."""
@@ -58,4 +72,5 @@ class Learnt:
             shine=self.shine[:count],
             correctives=None if self.correctives is None else self.correctives.prefix(count),
             ellipsoid=None if self.ellipsoid is None else self.ellipsoid.prefix(count),
+            baked=None if self.baked is None else self.baked.prefix(count),
         )

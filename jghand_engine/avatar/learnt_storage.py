@@ -7,6 +7,7 @@
 | light.*          | float32      | float32                  | nothing                                                |
 | pose_net.*       | float32      | float16                  | 0.05 % of every weight                                 |
 | ellipsoid.*      | float32      | float16                  | 0.05 %                                                 |
+| linear.*         | as it is used: int8 directions with a scale, constants as float16; nothing lost by writing    |
 
 The network reads where a Gaussian sits, and its bones; both stand in the file already, and its first layer's input is
 made from them when the file is read.
@@ -26,25 +27,75 @@ from jghand_engine.avatar.correctives import PoseNet, PoseNetShape
 from jghand_engine.avatar.learnt import Ellipsoid, Learnt, ShadowLook
 from jghand_engine.avatar.light import SH_COUNT, Light
 from jghand_engine.avatar.storage import UINT16_MAX, Storage
+from jghand_engine.avatar.texts import is_text
+from jghand_engine.avatar.tiers import Baked, LinearCorrectives, Price, Tier, basis_most
 from jghand_engine.errors import InputError
 
 NORMAL, PACKED_NORMAL, SHINE = "normal", "normal_octahedral", "shine"
-LIGHT, NET, ELLIPSOID = "light.", "pose_net.", "ellipsoid."
+LIGHT, NET, ELLIPSOID, LINEAR = "light.", "pose_net.", "ellipsoid.", "linear."
 
+# no figure of a tier is larger
+PRICE_MAX = 1e9
 # name, what was wanted, what came -> the error that names the file
 Wrong = Callable[[str, str, object], InputError]
 
 
 @dataclass(frozen=True)
+class BakedAbout:
+    """What the JSON says of tiers: size of the linear one's basis, 0 for none · the rest as in Baked."""
+
+    basis: int
+    prices: tuple[Price, ...]
+    measured_on: str
+
+    @classmethod
+    def of(cls, baked: Baked) -> BakedAbout:
+        return cls(0 if baked.linear is None else baked.linear.basis, baked.prices, baked.measured_on)
+
+    @classmethod
+    def parsed(cls, value: object, net: PoseNetShape | None, wrong: Wrong) -> BakedAbout:
+        """Every field looked at. A linear tier has a price, and a price of it is of the tier that there is."""
+        if not isinstance(value, dict) or net is None:
+            raise wrong("learnt baked", "an object, beside a network", value)
+        basis, prices, measured_on = value.get("basis"), value.get("prices"), value.get("measured_on")
+        if not isinstance(basis, int) or not _is_count(basis, min(limits.BASIS_MAX, basis_most(net))):
+            raise wrong("learnt baked basis", f"a count of 0 to {limits.BASIS_MAX}, as the features give", basis)
+        if not (isinstance(measured_on, str) and is_text(measured_on)):
+            raise wrong("learnt baked measured_on", "a text of one line", measured_on)
+        if not isinstance(prices, list) or len(prices) > len(Tier):
+            raise wrong("learnt baked prices", "a list of tiers", prices)
+        parsed = tuple(_parsed_price(price, basis, wrong) for price in prices)
+        if len({price.tier for price in parsed}) != len(parsed):
+            raise wrong("learnt baked prices", "one of each tier", prices)
+        return cls(basis, parsed, measured_on)
+
+
+def _parsed_price(value: object, basis: int, wrong: Wrong) -> Price:
+    names = [f.name for f in fields(Price)]
+    if not isinstance(value, dict) or set(value) != set(names):
+        raise wrong("learnt baked price", f"an object of {', '.join(names)}", value)
+    if value["tier"] not in (Tier.EXACT, Tier.CACHED, Tier.LINEAR):
+        raise wrong("learnt baked price tier", "exact, cached or linear", value["tier"])
+    tier = Tier(value["tier"])
+    if value["basis"] != (basis if tier is Tier.LINEAR else 0) or (tier is Tier.LINEAR and basis == 0):
+        raise wrong("learnt baked price basis", f"that of the tier in the file, {basis}", value["basis"])
+    for name in ("frame_ms", "megabytes", "psnr_db", "lost_db"):
+        if not _is_number(value[name], -PRICE_MAX, PRICE_MAX):
+            raise wrong(f"learnt baked price {name}", "a finite number", value[name])
+    return Price(**{**value, "tier": tier})
+
+
+@dataclass(frozen=True)
 class LearntAbout:
     """What the JSON says: lobes of the light's gloss · shape of the network, None for none · whether the Gaussians are
-    ellipsoids · the rest as in Learnt."""
+    ellipsoids · what it says of cheaper tiers, None where nothing was measured · the rest as in Learnt."""
 
     lobes: int
     net: PoseNetShape | None
     shadow: ShadowLook | None
     world_offsets: bool
     ellipsoids: bool
+    baked: BakedAbout | None
 
     @classmethod
     def of(cls, learnt: Learnt) -> LearntAbout:
@@ -54,7 +105,8 @@ class LearntAbout:
             raise InputError("correctives of an avatar", wanted="the exact network", came=type(net).__name__)
         lobes = learnt.light.lobe_direction.shape[0]
         shape = None if net is None else net.shape
-        return cls(lobes, shape, learnt.shadow, learnt.world_offsets, learnt.ellipsoid is not None)
+        baked = None if learnt.baked is None or net is None else BakedAbout.of(learnt.baked)
+        return cls(lobes, shape, learnt.shadow, learnt.world_offsets, learnt.ellipsoid is not None, baked)
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -73,7 +125,8 @@ class LearntAbout:
             if not isinstance(told, bool):
                 raise wrong(f"learnt {name}", "true or false", told)
         net, shadow = _parsed_net(value.get("net"), wrong), _parsed_shadow(value.get("shadow"), wrong)
-        return cls(lobes, net, shadow, bool(world_offsets), ellipsoids)
+        baked = None if value.get("baked") is None else BakedAbout.parsed(value["baked"], net, wrong)
+        return cls(lobes, net, shadow, bool(world_offsets), ellipsoids, baked)
 
 
 def _parsed_shadow(value: object, wrong: Wrong) -> ShadowLook | None:
@@ -143,6 +196,9 @@ def expected_learnt_arrays(about: LearntAbout, gaussians: int, storage: Storage)
     if about.net is not None:
         for name, shape in _net_shapes(about.net).items():
             arrays[NET + name] = ("F32" if exact else "F16", shape)
+    if about.net is not None and about.baked is not None and about.baked.basis:
+        for name, kind in _linear_arrays(about.net, about.baked.basis, gaussians).items():
+            arrays[LINEAR + name] = kind
     if about.ellipsoids:
         for name, width in (("log_stretch", 3), ("quaternion", 4)):
             arrays[ELLIPSOID + name] = ("F32" if exact else "F16", (gaussians, width))
@@ -162,6 +218,33 @@ def _net_shapes(shape: PoseNetShape) -> dict[str, tuple[int, ...]]:
     return {name: tuple(tensor.shape) for name, tensor in net.state_dict().items()}
 
 
+def _linear_arrays(net: PoseNetShape, basis: int, gaussians: int) -> dict[str, tuple[str, tuple]]:
+    return {
+        "mean": ("F32", (net.angle_channels,)),
+        "projection": ("F32", (net.angle_channels, min(basis, net.angle_channels))),
+        "constant": ("F16", (gaussians, 6)),
+        "direction": ("I8", (gaussians, basis, 6)),
+        "scale": ("F32", (gaussians, 2)),
+    }
+
+
+def _pack_linear(linear: LinearCorrectives) -> dict[str, np.ndarray]:
+    packed = {LINEAR + name: _numpy(getattr(linear, name)) for name in ("mean", "projection", "scale")}
+    packed[LINEAR + "constant"] = _numpy(linear.constant).astype(np.float16)
+    packed[LINEAR + "direction"] = linear.direction.numpy()
+    return packed
+
+
+def _unpack_linear(packed: dict[str, np.ndarray], net: PoseNet, bone_weights: torch.Tensor) -> LinearCorrectives:
+    names = ("mean", "projection", "constant", "scale")
+    return LinearCorrectives(
+        angles=net.angles,
+        bone_weights=bone_weights,
+        direction=torch.from_numpy(np.ascontiguousarray(packed[LINEAR + "direction"])),
+        **{name: _tensor(packed[LINEAR + name]) for name in names},
+    )
+
+
 def pack_learnt(learnt: Learnt, storage: Storage) -> dict[str, np.ndarray]:
     """Arrays as they stand in a file."""
     exact = storage is Storage.EXACT
@@ -176,6 +259,8 @@ def pack_learnt(learnt: Learnt, storage: Storage) -> dict[str, np.ndarray]:
         if isinstance(learnt.correctives, PoseNet):
             for name, tensor in learnt.correctives.state_dict().items():
                 packed[NET + name] = _numpy(tensor).astype(real)
+        if learnt.baked is not None and learnt.baked.linear is not None:
+            packed |= _pack_linear(learnt.baked.linear)
         if learnt.ellipsoid is not None:
             for f in fields(Ellipsoid):
                 packed[ELLIPSOID + f.name] = _numpy(getattr(learnt.ellipsoid, f.name)).astype(real)
@@ -194,6 +279,10 @@ def unpack_learnt(
         with torch.random.fork_rng(devices=[]):  # a new network draws random numbers: nobody else should notice
             net = PoseNet(bone_weights, uvd, about.net).requires_grad_(False)
         net.load_state_dict({name: _tensor(packed[NET + name]) for name in net.state_dict()})
+    baked = None
+    if about.baked is not None and net is not None:
+        linear = _unpack_linear(packed, net, bone_weights) if about.baked.basis else None
+        baked = Baked(linear, about.baked.prices, about.baked.measured_on)
     ellipsoid = None
     if about.ellipsoids:
         ellipsoid = Ellipsoid(**{f.name: _tensor(packed[ELLIPSOID + f.name]) for f in fields(Ellipsoid)})
@@ -205,6 +294,7 @@ def unpack_learnt(
         shadow=about.shadow,
         world_offsets=about.world_offsets,
         ellipsoid=ellipsoid,
+        baked=baked,
     )
 
 

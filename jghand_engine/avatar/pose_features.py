@@ -7,6 +7,8 @@ the angles near a joint weigh most: 1/2, 1/4, 1/8, 1/8 at the finger tips.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import torch
 from torch import Tensor, nn
 from torch.nn import functional
@@ -20,18 +22,41 @@ _NEIGHBOUR_OF_FINGER = (0, 0, 1, 2, 3)
 _PLANE_OF_FINGER = (0, 0, 1, 2, 2)
 
 
+@dataclass(frozen=True)
+class Angles:
+    """What pose features need to know of the frames of one pose, radians: angles (15, 2) flexion and abduction of bones
+    6..20 · palm_p (4,), palm_n (3,): between neighbouring palm bones, and palm planes."""
+
+    angles: Tensor
+    palm_p: Tensor
+    palm_n: Tensor
+
+    @classmethod
+    def of(cls, flat: Tensor) -> Angles:
+        """From (37,), as `flat_angles` has them."""
+        return cls(flat[:30].reshape(15, 2), flat[30:34], flat[34:37])
+
+
+PoseAngles = HandFrames | Angles
+
+
+def flat_angles(pose: PoseAngles) -> Tensor:
+    """(37,) the angles of a pose in a row."""
+    return torch.cat([pose.angles.reshape(-1), pose.palm_p, pose.palm_n])
+
+
 def normalised(angle_rad: Tensor, range_deg: Tensor) -> Tensor:
     """Angles (..., k) -> -1..1 over their ranges (k, 2); beyond the ends they go on, the lookup clamps."""
     low, high = torch.deg2rad(range_deg.to(angle_rad.dtype)).unbind(-1)
     return (angle_rad - low) / (high - low) * 2 - 1
 
 
-def finger_angles(frames: HandFrames) -> Tensor:
+def finger_angles(frames: PoseAngles) -> Tensor:
     """(15, 2) normalised flexion and abduction of bones 6..20 of one pose."""
     return normalised(frames.angles.reshape(-1), torch.from_numpy(FRAME_RANGES_DEG).reshape(-1, 2)).reshape(15, 2)
 
 
-def palm_angles(frames: HandFrames) -> Tensor:
+def palm_angles(frames: PoseAngles) -> Tensor:
     """(5, 2) normalised angles of the metacarpals 1..5 of one pose: between palm bones, and between palm planes."""
     neighbour = normalised(frames.palm_p, torch.tensor(PALM_NEIGHBOUR_RANGES_DEG))
     plane = normalised(frames.palm_n, torch.tensor(PALM_PLANE_RANGES_DEG))
@@ -49,7 +74,7 @@ class AnglePlanes(nn.Module):
         self.level1 = level1
         self.planes = nn.Parameter(torch.zeros(16, channels, texels, texels))
 
-    def forward(self, frames: HandFrames) -> Tensor:
+    def forward(self, frames: PoseAngles) -> Tensor:
         """(21, channels) features F_0..F_20 of one pose; F_0 is the mean of the metacarpals'."""
         fingers, palm = finger_angles(frames).to(self.planes.dtype), palm_angles(frames).to(self.planes.dtype)
         level1 = _look_up(self.planes[:1].expand(5, -1, -1, -1), palm if self.level1 else torch.zeros_like(palm))

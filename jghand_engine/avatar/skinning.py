@@ -16,8 +16,8 @@ from jghand_engine.avatar.covariance import posed_covariance
 from jghand_engine.avatar.gaussians import Gaussians
 from jghand_engine.avatar.learnt import Ellipsoid
 from jghand_engine.avatar.light import gloss, lit, unit
+from jghand_engine.avatar.pose_features import PoseAngles
 from jghand_engine.errors import InputError
-from jghand_engine.hand.frames import HandFrames
 from jghand_engine.limits import BLEND_DET_MIN, SIGMA_STRETCH_MAX, SIGMA_STRETCH_MIN
 
 
@@ -169,7 +169,7 @@ def seen_from(skin: PosedSkin, eye_m: torch.Tensor, avatar: HandAvatar) -> Gauss
     return replace(skin.matt, rgb=skin.matt.rgb + reflected)
 
 
-def posed_skin(avatar: HandAvatar, bones: PoseTransforms, frames: HandFrames | None) -> PosedSkin:
+def posed_skin(avatar: HandAvatar, bones: PoseTransforms, frames: PoseAngles | None) -> PosedSkin:
     """The skin of a finished avatar: `pose_skin` with the correction that its own correctives give for `frames`.
 
     InputError when it has correctives and there are no frames.
@@ -183,7 +183,7 @@ def posed_skin(avatar: HandAvatar, bones: PoseTransforms, frames: HandFrames | N
 
 
 def pose_gaussians(
-    avatar: HandAvatar, bones: PoseTransforms, *, frames: HandFrames | None = None, eye_m: torch.Tensor | None = None
+    avatar: HandAvatar, bones: PoseTransforms, *, frames: PoseAngles | None = None, eye_m: torch.Tensor | None = None
 ) -> Gaussians:
     """Canonical Gaussians -> what is drawn of one pose, in the frame of the joints that made `bones`.
 

@@ -6,9 +6,9 @@ import numpy as np
 import torch
 
 from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.pose_features import PoseAngles
 from jghand_engine.avatar.skinning import PosedSkin, PoseTransforms, posed_skin, seen_from
 from jghand_engine.errors import InputError
-from jghand_engine.hand.frames import HandFrames
 
 
 class TorchPosing:
@@ -19,7 +19,7 @@ class TorchPosing:
         self._skin: PosedSkin | None = None
         self._eye_m: np.ndarray | None = None
 
-    def pose(self, bones: PoseTransforms, frames: HandFrames | None) -> PosedSkin:
+    def pose(self, bones: PoseTransforms, frames: PoseAngles | None) -> PosedSkin:
         """The next pose. frames: of the same joints; None for an avatar without correctives."""
         with torch.no_grad():
             self._skin = posed_skin(self._avatar, bones, frames)

@@ -73,6 +73,11 @@ def _check_learnt(learnt: Learnt, count: int, thing: str) -> None:
     if learnt.ellipsoid is not None:
         ranges["ellipsoid log_stretch"] = (learnt.ellipsoid.log_stretch, (count, 3), -LOG_STRETCH_MAX, LOG_STRETCH_MAX)
         ranges["ellipsoid quaternion"] = (learnt.ellipsoid.quaternion, (count, 4), -most, most)
+    if learnt.baked is not None and learnt.baked.linear is not None:
+        linear = learnt.baked.linear
+        for part, last in (("mean", ()), ("projection", ()), ("constant", (count, 6)), ("scale", (count, 2))):
+            values = getattr(linear, part)
+            ranges[f"linear {part}"] = (values, last or tuple(values.shape), -POSE_NET_WEIGHT_MAX, POSE_NET_WEIGHT_MAX)
     for name, (values, shape, low, high) in ranges.items():
         if tuple(values.shape) != shape:
             came = f"shape {tuple(values.shape)}"

@@ -19,6 +19,7 @@ import torch
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar, check_follows_joints
 from jghand_engine.avatar.learnt import ShadowLook
+from jghand_engine.avatar.tiers import Tier
 from jghand_engine.errors import InputError
 from jghand_engine.hand.fast_transform import FastTransform
 from jghand_engine.hand.frames import HandFrames, describe_flags
@@ -62,7 +63,9 @@ class SceneRenderer:
             raise InputError("hands of a picture", wanted="at least one avatar", came="none")
         for avatar in avatars:
             check_follows_joints(avatar)
-        self._avatars = [avatar.prefix(self.settings.gaussians) for avatar in avatars]
+        chosen = [_with_tier(avatar.prefix(self.settings.gaussians), self.settings.correctives) for avatar in avatars]
+        self._avatars = [avatar for avatar, _ in chosen]
+        self._tiers = ", ".join(dict.fromkeys(told for _, told in chosen if told))
         self._transforms = [
             FastTransform(
                 avatar.canonical_joints_m,
@@ -134,7 +137,7 @@ class SceneRenderer:
         poses = [Pose(one, one.root_m - origin_m, own) for one, own in zip(bones, frames, strict=True)]
         notes = [sentence for one in bones for sentence in describe_flags(one.flags)]
         posed = _Posed([joints.copy() for joints in hands], poses, notes)
-        report.ran(TRANSFORM, 1e3 * (time.perf_counter() - started))
+        report.ran(TRANSFORM, 1e3 * (time.perf_counter() - started), self._tiers)
         report.notes += notes
         return posed, True
 
@@ -207,6 +210,15 @@ class _Posed:
     hands: list[np.ndarray]
     poses: list[Pose]
     notes: list[str]
+
+
+def _with_tier(avatar: HandAvatar, wanted: Tier) -> tuple[HandAvatar, str]:
+    """The avatar with the correctives to draw it with, and a phrase about them; the phrase is empty without any."""
+    if avatar.learnt is None or avatar.learnt.correctives is None:
+        return avatar, ""
+    learnt, price = avatar.learnt.with_tier(wanted)
+    told = str(Tier.EXACT) if price is None else f"{price.name} ({price.lost_db:.2f} dB lost)"
+    return replace(avatar, learnt=learnt), f"correctives {told}"
 
 
 def _checked_hand(joints_m: np.ndarray | torch.Tensor) -> np.ndarray:

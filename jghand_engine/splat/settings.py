@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 
 from jghand_engine import limits
+from jghand_engine.avatar.tiers import Tier
 from jghand_engine.errors import InputError
 
 
@@ -23,7 +24,8 @@ class ShadowMode(StrEnum):
 @dataclass(frozen=True)
 class RenderSettings:
     """gaussians: how many of the avatar's Gaussians (a prefix; 0 = all) · alpha_min, t_stop: cut-offs of the blend ·
-    shadow, shadow_samples, shadow_strength: the self-shadow pass · threads: 0 = as many as is sensible ·
+    shadow, shadow_samples, shadow_strength: the self-shadow pass · correctives: how the corrections of a trained
+    avatar's pose are found (avatar.tiers) · threads: 0 = as many as is sensible ·
     backend: "auto", "torch" (the reference), "v3", "v4" or "neon" (native) · depth: whether the frame carries depth ·
     reuse: whether stages whose input has hardly changed keep their last result, within the bound in the report."""
 
@@ -33,6 +35,7 @@ class RenderSettings:
     shadow: ShadowMode = ShadowMode.GATED
     shadow_samples: int = 16
     shadow_strength: float = 1.0
+    correctives: Tier = Tier.AUTO
     threads: int = 0
     backend: str = "auto"
     depth: bool = True
@@ -49,6 +52,7 @@ class RenderSettings:
                 f"1 to {limits.SHADOW_SAMPLES_MAX}",
             ),
             ("shadow_strength", 0 <= self.shadow_strength <= 1, "0 to 1"),
+            ("correctives", self.correctives in tuple(Tier), " | ".join(Tier)),
             ("threads", self.threads >= 0, "0 (automatic) or a positive count"),
         )
         for name, good, wanted in checks:
@@ -60,9 +64,14 @@ class RenderSettings:
 PRESETS: dict[str, RenderSettings] = {
     "draft": RenderSettings(gaussians=20_000, alpha_min=1 / 64, t_stop=1e-2, shadow=ShadowMode.OFF),
     "viewport": RenderSettings(),
-    "final": RenderSettings(alpha_min=1 / 1024, shadow_samples=64),
+    "final": RenderSettings(alpha_min=1 / 1024, shadow_samples=64, correctives=Tier.EXACT),
     "reference": RenderSettings(
-        alpha_min=1 / 16384, t_stop=1e-6, shadow=ShadowMode.ALWAYS, shadow_samples=64, reuse=False
+        alpha_min=1 / 16384,
+        t_stop=1e-6,
+        shadow=ShadowMode.ALWAYS,
+        shadow_samples=64,
+        correctives=Tier.EXACT,
+        reuse=False,
     ),
 }
 

@@ -1,0 +1,199 @@
+"""Cheaper tiers of the correctives: the cached one is exact, the linear one near, and none is used without a price."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+from small_avatars import trained_avatar
+
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.correctives import Correctives, PoseNet, PoseNetShape
+from jghand_engine.avatar.distil import distil, poses_near
+from jghand_engine.avatar.file import load_avatar, save_avatar, stored_form
+from jghand_engine.avatar.learnt_storage import pack_learnt
+from jghand_engine.avatar.pose_features import Angles, flat_angles
+from jghand_engine.avatar.storage import Storage
+from jghand_engine.avatar.tiers import Baked, CachedNet, LinearCorrectives, Price, Tier, basis_most, numbers_of
+from jghand_engine.errors import InputError
+from jghand_engine.hand.anatomy import named_pose, pose_names
+from jghand_engine.splat.camera import Camera
+from jghand_engine.splat.frame import HandRenderer
+from jghand_engine.splat.settings import RenderSettings, preset
+
+SHAPE = PoseNetShape(octaves=(3, 3, 2), angle_channels=6, angle_texels=5, hidden=24)
+AVATAR = trained_avatar(400, shape=SHAPE)
+# ripples of a few degrees would be no hand: planes as smooth as learnt ones
+AVATAR.learnt.correctives.angles.planes.data *= 0.15
+NET = AVATAR.learnt.correctives
+
+
+def known_poses() -> torch.Tensor:
+    joints = [
+        named_pose(name, AVATAR.canonical_joints_m.numpy(), handedness=AVATAR.handedness) for name in pose_names()
+    ]
+    transform = AVATAR.bone_transform()
+    return torch.stack([flat_angles(transform.frames(torch.from_numpy(each))) for each in joints]).float()
+
+
+KNOWN = known_poses()
+POSES = torch.cat([KNOWN, poses_near(KNOWN, 150, seed=1)])
+TIERS = distil(NET, POSES, (1, 3, 6, 14))
+
+
+def both(correctives: Correctives, pose: torch.Tensor) -> torch.Tensor:
+    correction = correctives(Angles.of(pose))
+    return torch.cat([correction.offset_m, correction.shade], -1)
+
+
+def error_of(correctives: Correctives, poses: torch.Tensor) -> torch.Tensor:
+    """(6,) root of the mean square over poses and Gaussians, against the network."""
+    return torch.stack([both(correctives, pose) - both(NET, pose) for pose in poses]).square().mean((0, 1)).sqrt()
+
+
+def test_the_cached_network_is_the_network():
+    cached = CachedNet(NET)
+    for pose in KNOWN:
+        assert float((both(cached, pose) - both(NET, pose)).abs().max()) < 1e-6  # observed 2e-7
+        assert torch.equal(both(cached.prefix(70), pose), both(CachedNet(NET.prefix(70)), pose))
+
+
+def test_a_larger_basis_is_nearer_and_a_small_one_much_better_than_none():
+    fresh = poses_near(KNOWN, 20, seed=2)
+    errors = [error_of(TIERS[basis], fresh) for basis in sorted(TIERS)]
+    changes = torch.stack([both(NET, pose) for pose in fresh]).std(0).square().mean(0).sqrt()
+    for larger, smaller in zip(errors[1:], errors[:-1], strict=True):
+        assert bool((larger < smaller).all())
+    assert bool((errors[-1] < 0.2 * changes).all()), errors[-1] / changes
+
+
+def test_a_linear_network_is_distilled_exactly():
+    """But for the steps of int8 and half precision: a network whose output is linear in the features."""
+    linear = PoseNet(AVATAR.bone_weights, AVATAR.uvd, SHAPE).requires_grad_(False)
+    linear.load_state_dict(NET.state_dict())
+    linear.encoding_in.bias += 100.0  # every unit of both layers is far inside its linear part
+    linear.middle.weight.abs_()
+    linear.out.weight *= 1e-5
+    linear.out.bias.zero_()
+    tier = distil(linear, POSES, (6,))[6]
+    for pose in KNOWN:
+        wanted = both(linear, pose)
+        change = wanted - both(linear, KNOWN[0])
+        assert float((both(tier, pose) - wanted).abs().max()) < 0.02 * float(change.abs().max()) + 3e-6
+
+
+def test_a_prefix_of_a_linear_tier_is_that_of_its_gaussians():
+    assert torch.equal(both(TIERS[6].prefix(50), KNOWN[3]), both(TIERS[6], KNOWN[3])[:50])
+
+
+def test_numbers_beyond_the_features_are_products_of_them():
+    features, mean, projection = torch.randn(21, 3), torch.randn(3), torch.randn(3, 3)
+    numbers = numbers_of(features, mean, projection, 9)
+    a, b, c = numbers[:, :3].unbind(-1)
+    assert torch.allclose(numbers[:, 3:], torch.stack([a * a, a * b, b * b, a * c, b * c, c * c], -1))
+    assert torch.equal(numbers_of(features, mean, projection[:, :2], 2), numbers[:, :2])
+    assert basis_most(PoseNetShape(angle_channels=3)) == 9
+
+
+def test_made_up_poses_stay_near_the_known_ones():
+    made = poses_near(KNOWN, 200, seed=7)
+    beyond = torch.deg2rad(torch.tensor(5.001))
+    assert bool((made >= KNOWN.amin(0) - beyond).all())
+    assert bool((made <= KNOWN.amax(0) + beyond).all())
+    assert torch.equal(made, poses_near(KNOWN, 200, seed=7))
+    assert not torch.equal(made, poses_near(KNOWN, 200, seed=8))
+
+
+# ---- prices ----------------------------------------------------------------------------------------------------------
+
+EXACT, CACHED = Price(Tier.EXACT, 0, 40.0, 0.0, 33.0, 0.0), Price(Tier.CACHED, 0, 30.0, 0.0, 33.0, 0.0)
+
+
+def linear_price(lost_db: float) -> Price:
+    return Price(Tier.LINEAR, 6, 10.0, 0.1, 33.0 - lost_db, lost_db)
+
+
+def baked_avatar(*prices: Price, linear: LinearCorrectives | None = TIERS[6]) -> HandAvatar:
+    return replace(AVATAR, learnt=replace(AVATAR.learnt, baked=Baked(linear, prices, "held-out pictures")))
+
+
+@pytest.mark.parametrize(
+    ("prices", "wanted", "taken"),
+    [
+        ((EXACT, CACHED, linear_price(0.05)), Tier.AUTO, LinearCorrectives),
+        ((EXACT, CACHED, linear_price(0.11)), Tier.AUTO, CachedNet),
+        ((EXACT, linear_price(0.11)), Tier.AUTO, PoseNet),
+        ((EXACT, CACHED, linear_price(0.11)), Tier.LINEAR, LinearCorrectives),
+        ((EXACT, CACHED, linear_price(0.05)), Tier.EXACT, PoseNet),
+        ((), Tier.AUTO, PoseNet),
+        ((), Tier.EXACT, PoseNet),
+    ],
+)
+def test_the_cheapest_tier_that_loses_little_is_taken(prices, wanted, taken):
+    learnt, _ = baked_avatar(*prices).learnt.with_tier(wanted)
+    assert isinstance(learnt.correctives, taken)
+
+
+def test_a_tier_without_a_price_is_refused():
+    for avatar, wanted in (
+        (AVATAR, Tier.CACHED),
+        (AVATAR, Tier.LINEAR),
+        (baked_avatar(EXACT, CACHED), Tier.LINEAR),
+        (baked_avatar(EXACT, linear_price(0.0)), Tier.CACHED),
+    ):
+        with pytest.raises(InputError, match=r"tier.*jghand bake"):
+            HandRenderer(avatar, RenderSettings(correctives=wanted))
+
+
+def test_an_unknown_tier_is_refused():
+    with pytest.raises(InputError, match="correctives"):
+        RenderSettings(correctives="best")
+
+
+def test_the_frame_says_what_it_took_and_what_that_costs():
+    avatar = baked_avatar(EXACT, CACHED, linear_price(0.04))
+    joints = AVATAR.canonical_joints_m.numpy()
+    view = torch.eye(4, dtype=torch.float64)
+    view[2, 3] = 0.5
+    camera = Camera(60, 60, 100.0, 100.0, 30.0, 30.0, view)
+    for settings, told in ((RenderSettings(), "linear-6 (0.04 dB lost)"), (preset("final"), "exact (0.00 dB lost)")):
+        report = HandRenderer(avatar, settings).render(joints, camera).report
+        assert told in report.stage("transform").reason
+
+
+# ---- the file --------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("storage", list(Storage))
+def test_tiers_come_back_from_a_file_bit_for_bit(tmp_path, storage):
+    avatar = baked_avatar(EXACT, CACHED, linear_price(0.05))
+    save_avatar(tmp_path / "hand.jghand", avatar, storage=storage)
+    again, stored = load_avatar(tmp_path / "hand.jghand").learnt.baked, stored_form(avatar, storage).learnt.baked
+    assert again.prices == avatar.learnt.baked.prices
+    assert again.measured_on == "held-out pictures"
+    for name in ("mean", "projection", "constant", "direction", "scale"):
+        assert torch.equal(getattr(again.linear, name), getattr(TIERS[6], name)), name
+    for pose in KNOWN[:3]:
+        assert torch.equal(both(again.linear, pose), both(stored.linear, pose))
+
+
+def test_prices_without_a_linear_tier_come_back(tmp_path):
+    save_avatar(tmp_path / "hand.jghand", baked_avatar(EXACT, CACHED, linear=None))
+    baked = load_avatar(tmp_path / "hand.jghand").learnt.baked
+    assert baked.linear is None
+    assert [price.tier for price in baked.prices] == [Tier.EXACT, Tier.CACHED]
+
+
+def test_a_shipped_avatar_with_a_linear_tier_fits_into_12_megabytes():
+    """Of 40,000 Gaussians, at the size of the trained network; bytes per Gaussian grow with nothing else."""
+    count, shape = 1000, PoseNetShape()
+    avatar = trained_avatar(count, shape=shape)
+    net = avatar.learnt.correctives
+    linear = distil(net, poses_near(KNOWN, 20, seed=0), (16,))[16]
+    avatar = replace(avatar, learnt=replace(avatar.learnt, baked=Baked(linear, (), "")))
+    packed = pack_learnt(avatar.learnt, Storage.COMPACT)
+    per_gaussian = sum(a.nbytes for name, a in packed.items() if len(a) == count and not name.startswith("pose_net"))
+    fixed = sum(a.nbytes for a in packed.values()) - per_gaussian
+    plain = 39 * count
+    assert fixed + 40 * (per_gaussian + plain) < 12e6  # observed 6.9e6
