@@ -11,18 +11,24 @@ from torch import Tensor
 
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
 from jghand_engine.avatar.model import LearnedHand
-from jghand_engine.hand.joints import LEVEL_NAMES
+from jghand_engine.avatar.pose_range import angle_name
 from jghand_engine.hand.transform import JointTransform
 
 Record = TypeVar("Record")
 
 
 def bake(
-    hand: LearnedHand, info: AvatarInfo, transform: JointTransform, joints_m: Tensor, with_shadow: bool
+    hand: LearnedHand,
+    info: AvatarInfo,
+    transform: JointTransform,
+    joints_m: Tensor,
+    with_shadow: bool,
+    wave_weight: Tensor | None = None,
 ) -> HandAvatar:
     """The hand as it is now, without gradients, apart from what goes on learning.
 
-    joints_m: (P, 21, 3) float64 poses that were learnt from; their joint angles become the avatar's ranges.
+    joints_m: (P, 21, 3) float64 poses that were learnt from; their joint angles become the avatar's ranges ·
+    wave_weight: how much of each wave of the encoding has been learnt with, 0..1; None: all.
     """
     with torch.no_grad():
         avatar = hand.avatar(
@@ -31,6 +37,8 @@ def bake(
         if avatar.learnt is not None:
             learnt = _detached(avatar.learnt)
             net = copy.deepcopy(hand.pose_net).requires_grad_(False)
+            if wave_weight is not None:
+                net.encoding_in.weight *= wave_weight
             shadow = learnt.shadow if with_shadow else None
             avatar = replace(_detached(avatar), learnt=replace(learnt, correctives=net, shadow=shadow))
         return avatar
@@ -41,9 +49,9 @@ def angle_ranges(transform: JointTransform, joints_m: Tensor) -> dict[str, tuple
     angles = transform.bones(joints_m).frames.angles
     low, high = angles.amin(0), angles.amax(0)
     return {
-        f"{LEVEL_NAMES[bone - 5]} {name}": (float(low[bone - 6, k]), float(high[bone - 6, k]))
+        angle_name(bone, kind): (float(low[bone - 6, kind]), float(high[bone - 6, kind]))
         for bone in range(6, 21)
-        for k, name in enumerate(("flexion", "abduction"))
+        for kind in (0, 1)
     }
 
 

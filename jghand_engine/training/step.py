@@ -106,6 +106,8 @@ class HandTraining:
         self._optimiser = self._new_optimiser()
         self._steps = 1
         self._count = 0
+        # of the training that is over, for what is shown and baked: as much of the encoding as has been learnt
+        self._part = 0.0
 
     def _new_optimiser(self) -> torch.optim.Adam:
         schedule, hand = self.options.schedule, self.hand
@@ -124,7 +126,7 @@ class HandTraining:
 
     def step(self, number: int) -> dict[str, float]:
         """See Trainable. Its poses go round in a new random order each time; the cameras are drawn anew."""
-        part = min(number / self._steps, 1.0)
+        self._part = part = min(number / self._steps, 1.0)
         self._refine(part)
         stride = int(at_part(self.options.schedule.strides, part))
         samples = self._draw(number)
@@ -158,12 +160,12 @@ class HandTraining:
                 own.copy_(tensors[name])
 
     def scalars(self) -> dict[str, Any]:
-        """See Trainable: how many Gaussians take part so far."""
-        return {"count": self._count}
+        """See Trainable: how many Gaussians take part so far, and the part of the training that is over."""
+        return {"count": self._count, "part": self._part}
 
     def load_scalars(self, scalars: Mapping[str, Any]) -> None:
         """See Trainable."""
-        self._count = int(scalars["count"])
+        self._count, self._part = int(scalars["count"]), float(scalars.get("part", 1.0))
 
     def gradients(self) -> dict[str, Tensor]:
         """See Trainable."""
@@ -181,7 +183,8 @@ class HandTraining:
 
     def avatar(self) -> HandAvatar:
         """See Trainable."""
-        return bake(self.hand, self._info, self._transform, self._joints_m(), self.options.shadow)
+        waves = self._wave_weight(self._part)
+        return bake(self.hand, self._info, self._transform, self._joints_m(), self.options.shadow, waves)
 
     # ---- what a step does --------------------------------------------------------------------------------------------
 
@@ -282,7 +285,7 @@ class HandTraining:
         with torch.no_grad():
             view, avatar = self._pictures.view(self._material.shown), self._live()
             posed = self._posed_bones(self._material.shown)
-            skin, _ = self._pose(avatar, posed, 1.0)
+            skin, _ = self._pose(avatar, posed, self._part)
             rgb, _ = self._draw_view(avatar, skin, posed.shadow, view.camera)
             return view, rgb.clamp(0, 1)
 

@@ -102,8 +102,8 @@ def test_normals_are_those_of_the_skin_above(points, surface):
 
 def test_skin_weights_are_those_of_the_field(points, one_weight_field):
     wanted = one_weight_field().query(points.position_m.double().numpy())
-    # asked at places rounded to float32; worst seen 1.3e-6
-    torch.testing.assert_close(points.bone_weights, wanted.float(), atol=2e-6, rtol=0)
+    # asked at places rounded to float32, 1.5e-8 m of voxels of 3 mm; worst seen over six samples 2.6e-6
+    torch.testing.assert_close(points.bone_weights, wanted.float(), atol=4e-6, rtol=0)
     torch.testing.assert_close(points.bone_weights.sum(1), torch.ones(COUNT), atol=1e-6, rtol=0)
 
 

@@ -13,9 +13,14 @@ from small_hands import SMALL_MODEL
 from small_trainings import SMALL, parameters_of, small_training
 
 from jghand_engine.avatar.model import Shape
+from jghand_engine.avatar.skinning import seen_from
 from jghand_engine.datasets.sample import Sample
 from jghand_engine.errors import InputError
 from jghand_engine.hand.baselines import HaloLikeTransform
+from jghand_engine.splat.rasterise import rasterise
+from jghand_engine.splat.settings import RenderSettings
+from jghand_engine.splat.shadow import ShadowStyle
+from jghand_engine.splat.shadow_native import darken
 from jghand_engine.training.options import LossWeights, Schedule, TrainOptions, Transform
 from jghand_engine.training.step import HandTraining
 
@@ -325,8 +330,17 @@ def test_the_shadow_darkens_by_strength_and_tint(build, samples):
     one, two = (picture(gain, 1.0, 1.0)[lit] / bare[lit] for gain in (4.0, 8.0))
     assert 0.2 < float(one.min()) < 0.95
     torch.testing.assert_close(two, one.square(), atol=2e-6, rtol=0)
-    part = picture(4.0, 0.5, 0.6)[lit] / bare[lit]
-    torch.testing.assert_close(part, 1 - 0.3 * (1 - one), atol=1e-6, rtol=0)
+    part = picture(4.0, 0.5, 0.6)
+    torch.testing.assert_close(part[lit] / bare[lit], 1 - 0.3 * (1 - one), atol=1e-6, rtol=0)
+    # and it is the shadow that the finished avatar will have
+    with torch.no_grad():
+        avatar = training._live()
+        seen = seen_from(training._pose(avatar, posed, 1.0)[0], view.camera.eye_m, avatar)
+        flat = rasterise(seen, view.camera, RenderSettings())
+        planes = torch.cat([flat.rgb.permute(2, 0, 1), flat.alpha[None], flat.depth_sum[None]])
+    style = ShadowStyle(samples=SMALL.shadow_samples, strength=0.6, gain=4.0, tint=(0.5, 0.5, 0.5))
+    # worst seen 1.2e-6
+    torch.testing.assert_close(part, darken(planes, view.camera, style).permute(1, 2, 0), atol=2e-6, rtol=0)
 
 
 def test_long_gradients_are_shortened(build):
@@ -403,6 +417,27 @@ def test_the_fixed_view_stands_beside_the_truth(build, samples):
     assert np.array_equal(truth, training._pictures.view(samples[0]).rgb.numpy())
     error = float(((truth.astype(np.float64) - ours) ** 2).mean())
     assert training.fixed_psnr() == pytest.approx(-10 * math.log10(error), abs=1e-4)
+
+
+def test_what_is_shown_and_baked_early_is_what_is_being_learnt(build, samples):
+    """Octaves that have not come in yet have random weights: they are left out, not added as noise."""
+    training = build(scheduled(waves=(0.0, 1.0)), samples[3:6])
+    training.plan(10)
+    training.step(3)
+    frames, weight = training._posed_bones(samples[3]).bones.frames, training._wave_weight(0.3)
+    with torch.no_grad():
+        learnt, all_waves = training.hand.pose_net(frames, None, weight), training.hand.pose_net(frames)
+        baked = training.avatar().learnt.correctives(frames)
+    torch.testing.assert_close(baked.offset_m, learnt.offset_m, atol=2e-8, rtol=0)
+    assert float((baked.offset_m - all_waves.offset_m).abs().max()) > 1e-3
+    shown = training.fixed_psnr()
+    # a training that goes on from there shows the same, before its next step
+    again = build(scheduled(waves=(0.0, 1.0)), samples[3:6])
+    again.load_tensors(training.tensors())
+    again.load_scalars(training.scalars())
+    assert again.fixed_psnr() == shown
+    training.load_scalars({**training.scalars(), "part": 1.0})
+    assert training.fixed_psnr() != shown
 
 
 def test_looking_at_the_fixed_view_changes_nothing(build):
