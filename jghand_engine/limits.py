@@ -239,9 +239,12 @@ POSE_NET_TEXELS_MAX = 256
 POSE_NET_WEIGHT_MAX = 1e4
 # by how much the length of a stored normal may be off 1
 NORMAL_LENGTH_TOLERANCE = 1e-3
-# cheaper tiers of the correctives: what one may lose of the accuracy to be taken unasked, dB (RENDERING 5); largest basis
+# cheaper tiers of the correctives: what one may lose to be taken unasked, dB (RENDERING 5); largest basis
 TIER_LOST_MAX_DB = 0.1
 BASIS_MAX = 64
+# how far a joint may leave the range of angles that was trained, degrees, before it is told: the skin of a good avatar
+# carries on so far (assumed)
+POSE_RANGE_TOLERANCE_DEG = 8.0
 # distilling: poses that are made up; wobble of flexion, abduction and palm angles, degrees; how far beyond the known
 # range, degrees: as far as the angles of a hand between two learnt poses go
 DISTIL_POSES = 400
@@ -416,6 +419,8 @@ PAPER_ROUNDS = 30
 PROGRESS_LINE_S = 15.0
 
 # ---- studies --------------------------------------------------------------------------------------------------------
+# accuracy of the paper's avatars (RENDERING 9.1): what an error beside it costs is said of a model as good as this, dB
+MODEL_PSNR_DB = 33.4
 # points on the skin of the transformation table: 1.4 mm apart, well below the distances that it tells apart
 TRANSFORM_STUDY_POINTS = 20_000
 
