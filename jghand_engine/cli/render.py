@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
     import numpy as np
 
+    from jghand_engine.avatar.avatar import HandAvatar
+    from jghand_engine.avatar.pose_range import OutOfRange
     from jghand_engine.cli.inputs import Motion
     from jghand_engine.cli.timings import Timings
     from jghand_engine.splat.camera import Camera
@@ -82,11 +84,15 @@ class Render:
             for _ in pictures:
                 pass
         seconds = time.perf_counter() - started
+        unseen = out_of_range(avatar, motion)
         timings.show(f"{timings.frames} pictures of {camera.width} x {camera.height}, {len(avatar)} Gaussians")
         say(f"Done in {seconds:.1f} s: {self.out}" + (f" and {self.video}" if self.video else ""))
+        for one in unseen:
+            say(f"Frame {one.frame}: {one.sentence()}.")
         if self.report.json is not None:
             write_json(self.report.json, {
                 "command": "render", "motion": motion.source, "notes": motion.notes, "avatar": avatar.info.name,
+                "out_of_range": [one.as_dict() for one in unseen],
                 "frames": timings.frames, "size_px": [camera.width, camera.height], "preset": self.picture.preset,
                 "backend": timings.backend, "seconds": seconds, "stages": timings.figures(),
             })  # fmt: skip
@@ -102,6 +108,15 @@ class Render:
         return framing_camera(
             sequence.joints_m, sequence.handedness, self.picture.camera, width=size[0], height=size[1]
         )
+
+
+def out_of_range(avatar: HandAvatar, motion: Motion) -> list[OutOfRange]:
+    """Angles that the avatar was not trained on, each once, in the frame where it is farthest outside."""
+    import torch
+
+    from jghand_engine.avatar.pose_range import range_report
+
+    return range_report(avatar, avatar.bone_transform().frames(torch.from_numpy(motion.sequence.joints_m)))
 
 
 def refuse_longer_render(folder: Path, count: int) -> None:

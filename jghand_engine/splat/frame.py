@@ -19,6 +19,7 @@ import torch
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar, check_follows_joints
 from jghand_engine.avatar.learnt import ShadowLook
+from jghand_engine.avatar.pose_range import outside, trained_range
 from jghand_engine.avatar.tiers import Tier
 from jghand_engine.errors import InputError
 from jghand_engine.hand.fast_transform import FastTransform
@@ -76,6 +77,7 @@ class SceneRenderer:
             )
             for avatar in self._avatars
         ]
+        self._ranges = [trained_range(avatar.info) for avatar in self._avatars]
         looks = [ShadowLook() if avatar.learnt is None else avatar.learnt.shadow for avatar in self._avatars]
         self._looks = [look for look in looks if look is not None]
         # colours that were learnt under a shadow that fades with the pose have in them what it leaves out
@@ -129,22 +131,29 @@ class SceneRenderer:
             if distance_m * np.sqrt(3.0) <= most_m:
                 bound = f"{1e3 * limits.REUSE_SKIN_M:g} mm of skin" if distance_m > 0 else "0"
                 report.skipped(TRANSFORM, f"joints moved {1e3 * distance_m:.3f} mm", bound)
-                report.notes += self._posed.notes
+                report.notes += self._posed.notes + self._posed.unseen
                 return self._posed, False
         origin_m = hands[0][0]
         bones = [transform.bones(joints) for transform, joints in zip(self._transforms, hands, strict=True)]
         frames = [self._frames(place, joints) for place, joints in enumerate(hands)]
+        unseen = [note for place, own in enumerate(frames) if own is not None for note in self._unseen(place, own)]
         poses = [Pose(one, one.root_m - origin_m, own) for one, own in zip(bones, frames, strict=True)]
         notes = [sentence for one in bones for sentence in describe_flags(one.flags)]
-        posed = _Posed([joints.copy() for joints in hands], poses, notes)
+        posed = _Posed([joints.copy() for joints in hands], poses, notes, unseen)
         report.ran(TRANSFORM, 1e3 * (time.perf_counter() - started), self._tiers)
-        report.notes += notes
+        report.notes += notes + unseen
         return posed, True
 
     def _frames(self, place: int, joints_m: np.ndarray) -> HandFrames | None:
         """The frames of a hand whose avatar wants to know its joint angles."""
         learnt = self._avatars[place].learnt
-        return None if learnt is None or learnt.correctives is None else self._transforms[place].frames(joints_m)
+        wanted = self._ranges[place] is not None or (learnt is not None and learnt.correctives is not None)
+        return self._transforms[place].frames(joints_m) if wanted else None
+
+    def _unseen(self, place: int, frames: HandFrames) -> list[str]:
+        """Sentences about joints that are bent as the avatar never saw them."""
+        trained = self._ranges[place]
+        return [] if trained is None else [one.sentence() for one in outside(frames.angles, trained)]
 
     def _canvas(self, posed: _Posed, camera: Camera, report: FrameReport) -> Canvas:
         # the origin of what was posed, also when the hand has moved by less than the limit since
@@ -205,11 +214,13 @@ class HandRenderer:
 
 @dataclass(frozen=True)
 class _Posed:
-    """The hands of the last finished picture: joints (21, 3) each, transforms, notes for the report."""
+    """The hands of the last finished picture: joints (21, 3) each, transforms, notes for the report: of what is wrong
+    with a hand, and of what its avatar never saw."""
 
     hands: list[np.ndarray]
     poses: list[Pose]
     notes: list[str]
+    unseen: list[str]
 
 
 def _with_tier(avatar: HandAvatar, wanted: Tier) -> tuple[HandAvatar, str]:
