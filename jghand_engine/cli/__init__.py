@@ -17,6 +17,7 @@ import tyro
 from jghand_engine import __version__
 from jghand_engine.cli import (
     ablate,
+    bake,
     bench,
     capture,
     check_data,
@@ -50,6 +51,7 @@ VERBS = {
     "capture": (capture.Capture, capture.DESCRIPTION),
     "train": (train.Train, train.DESCRIPTION),
     "evaluate": (evaluate.Evaluate, evaluate.DESCRIPTION),
+    "bake": (bake.Bake, bake.DESCRIPTION),
     "ablate": (ablate.Ablate, ablate.DESCRIPTION),
     "bench": (bench.Bench, bench.DESCRIPTION),
     "study": (study.Study, study.DESCRIPTION),

@@ -13,6 +13,7 @@ from jghand_engine.errors import InputError
 if TYPE_CHECKING:
     from jghand_engine.datasets.captures import CaptureChoice
 
+ProtocolName = Literal["test-capture0", "test-capture1", "val-capture0", "hanco-0191"]
 _Text = Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")]
 
 
@@ -20,10 +21,7 @@ _Text = Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="
 class PictureSetOptions:
     """Which pictures of the folder are meant, where it holds those of several persons or hands."""
 
-    protocol: Annotated[
-        Literal["test-capture0", "test-capture1", "val-capture0", "hanco-0191"] | None,
-        tyro.conf.arg(help_behavior_hint=""),
-    ] = None
+    protocol: Annotated[ProtocolName | None, tyro.conf.arg(help_behavior_hint="")] = None
     """The pictures that published figures stand for: three persons of InterHand2.6M, one sequence of HanCo."""
     split: Annotated[Literal["train", "val", "test"] | None, tyro.conf.arg(name="subset", help_behavior_hint="")] = None
     """Which of the sets that InterHand2.6M itself is divided into."""

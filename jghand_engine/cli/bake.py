@@ -1,0 +1,127 @@
+"""`jghand bake`: cheaper ways to the corrections of a trained avatar's poses, and what they cost."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from jghand_engine import limits
+from jghand_engine.cli.console import progress, say, say_table, write_json
+from jghand_engine.cli.options import ReportOptions
+from jghand_engine.cli.picture_sets import ProtocolName
+from jghand_engine.errors import InputError
+
+if TYPE_CHECKING:
+    from jghand_engine.avatar.avatar import HandAvatar
+    from jghand_engine.studies.tier_prices import Offer
+    from jghand_engine.studies.tier_yardsticks import Yardstick
+
+DESCRIPTION = """Prepare a trained avatar for fast drawing, and say what each way costs.
+
+What a pose changes on the skin comes from a network. `bake` adds a linear form of it, which is quick, measures how much
+accuracy that loses and how much time it saves, and writes both into the avatar. The renderer then takes the quickest
+form that loses at most 0.1 dB; presets final and reference always take the network.
+
+Examples:
+  jghand bake id3.jghand --capture captures/id3 --out id3_fast.jghand
+  jghand bake id3.jghand --out id3_fast.jghand            without pictures: against the network itself"""
+
+
+@dataclass(frozen=True)
+class Bake:
+    avatar: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="AVATAR")]
+    """A trained .jghand file."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE")]
+    """The avatar with its tiers."""
+    capture: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None
+    """The pictures it was trained on: poses come from there, and accuracy is measured on those held out."""
+    basis: Annotated[str, tyro.conf.arg(metavar="K,K,…")] = "4,8,16,32"
+    """Sizes of the linear form to try; the smallest that loses at most 0.1 dB is kept."""
+    storage: Literal["compact", "exact"] = "compact"
+    """How the avatar is written: compact is a third of the size."""
+    limit: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 40
+    """At most so many held-out pictures of each kind; 0 takes all."""
+    poses: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = limits.DISTIL_POSES
+    """Poses to make up around the known ones, for the linear form to be fitted to."""
+    protocol: Annotated[ProtocolName | None, tyro.conf.arg(help_behavior_hint="")] = None
+    """Which pictures of a data set, as for `jghand train`."""
+    report: ReportOptions = field(default_factory=ReportOptions)
+
+    def run(self) -> None:
+        import torch
+
+        from jghand_engine.avatar.distil import distil, poses_near
+        from jghand_engine.avatar.file import load_avatar, save_avatar, stored_form
+        from jghand_engine.avatar.storage import Storage
+        from jghand_engine.avatar.tiers import basis_most
+        from jghand_engine.studies.tier_prices import baked, pose_net_of, price_tiers
+
+        storage = Storage(self.storage)
+        # what is measured is what will be read again
+        avatar = stored_form(load_avatar(self.avatar), storage)
+        net = pose_net_of(avatar)
+        bases = self._bases(min(limits.BASIS_MAX, basis_most(net.shape)))
+        yard = self._yardstick(avatar)
+        known = yard.known_poses(avatar)
+        poses = torch.cat([known, poses_near(known, self.poses, seed=0)])
+        with progress("Distilling", 100) as bar:
+            linear = distil(net, poses, bases, tick=lambda part: bar.update(bar.task_ids[0], completed=100 * part))
+        say(f"Measuring {len(linear) + 2} tiers on {yard.measured_on}.")
+        offers = price_tiers(avatar, linear, yard)
+        finished = baked(avatar, offers, yard.measured_on)
+        save_avatar(self.out, finished, storage=storage)
+        self._tell(offers, finished, yard.measured_on)
+
+    def _bases(self, most: int) -> list[int]:
+        try:
+            bases = sorted({int(word) for word in self.basis.split(",") if word.strip()})
+        except ValueError:
+            bases = []
+        if not bases or not all(1 <= basis <= most for basis in bases):
+            wanted = f"numbers of 1 to {most}, such as 4,8"
+            raise InputError("--basis", wanted=wanted, came=repr(self.basis))
+        for name, value in (("--limit", self.limit), ("--poses", self.poses)):
+            if value < 0:
+                raise InputError(name, wanted="0 or more", came=str(value))
+        return bases
+
+    def _yardstick(self, avatar: HandAvatar) -> Yardstick:
+        from jghand_engine.studies.tier_yardsticks import ExactPictures, HeldOutPictures
+
+        if self.capture is None:
+            return ExactPictures(avatar)
+        from jghand_engine.datasets.capture_folder import open_capture
+        from jghand_engine.datasets.splits import split_capture
+
+        capture = open_capture(self.capture, protocol=self.protocol)
+        return HeldOutPictures(capture, split_capture(capture), self.limit)
+
+    def _tell(self, offers: Sequence[Offer], avatar: HandAvatar, measured_on: str) -> None:
+        from jghand_engine.avatar.tiers import Tier
+
+        kept = {price.name for price in avatar.learnt.baked.prices}  # type: ignore[union-attr]
+        rows = [
+            (
+                offer.price.name,
+                f"{offer.price.frame_ms:.1f}",
+                f"{offer.price.megabytes:.2f}",
+                f"{offer.price.psnr_db:.2f}",
+                f"{offer.price.lost_db:.3f}",
+                "yes" if offer.price.name in kept else "",
+            )
+            for offer in offers
+        ]
+        say_table(f"Tiers, on {measured_on}", ("tier", "frame ms", "MB", "PSNR dB", "lost dB", "kept"), rows)
+        learnt = avatar.learnt
+        taken = None if learnt is None else learnt.with_tier(Tier.AUTO)[1]
+        say(f"The renderer takes {taken.name if taken else 'exact'} unless told otherwise.")
+        say(f"{self.out}: {len(avatar)} Gaussians, {self.out.stat().st_size / 1e6:.1f} MB")
+        if self.report.json is not None:
+            write_json(self.report.json, {
+                "command": "bake", "measured_on": measured_on, "bytes": self.out.stat().st_size,
+                "tiers": [{**vars(offer.price), "kept": offer.price.name in kept} for offer in offers],
+            })  # fmt: skip

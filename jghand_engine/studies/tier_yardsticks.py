@@ -1,0 +1,145 @@
+"""What the accuracy of a tier is measured with: pictures that were held out, or the exact tier's own pictures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from jghand_engine import limits
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.pose_features import flat_angles
+from jghand_engine.avatar.pose_range import trained_range
+from jghand_engine.datasets.captures import Capture
+from jghand_engine.datasets.splits import Split
+from jghand_engine.splat.frame import HandRenderer
+from jghand_engine.splat.settings import preset
+from jghand_engine.studies.frame_time import Subject, builtin_subject
+from jghand_engine.training.evaluate import avatar_picturer, categories_of, means, measure_pictures
+
+# pictures are drawn as `jghand evaluate` draws them
+PRESET = "final"
+# pixels of the pictures of made-up poses, and every how manieth pose of their motion
+SIZE_PX = (512, 334)
+EVERY_POSE = 8
+
+
+class Yardstick(Protocol):
+    """measured_on: in words, for the avatar's description."""
+
+    @property
+    def measured_on(self) -> str: ...
+
+    def known_poses(self, avatar: HandAvatar) -> Tensor:
+        """(P, 37) angles of poses that the avatar knows."""
+        ...
+
+    def psnr_db(self, avatar: HandAvatar) -> float:
+        """How near its pictures come."""
+        ...
+
+    def lost_db(self, exact_db: float, psnr_db: float) -> float:
+        """What a tier of `psnr_db` loses of the exact one's accuracy."""
+        ...
+
+    def subject(self, avatar: HandAvatar) -> Subject:
+        """A motion before a camera, for times."""
+        ...
+
+
+class HeldOutPictures:
+    """Pictures of a capture that the avatar did not learn from. limit: of each kind, at most; 0: all."""
+
+    def __init__(self, capture: Capture, split: Split, limit: int) -> None:
+        self._capture, self._split = capture, split
+        self._categories = categories_of(split, "test", limit)
+
+    @property
+    def measured_on(self) -> str:
+        """See Yardstick."""
+        counts = ", ".join(f"{len(samples)} of {kind}" for kind, samples in self._categories.items())
+        return f"held-out pictures of {self._capture.name} ({counts}), preset {PRESET}"
+
+    def known_poses(self, avatar: HandAvatar) -> Tensor:
+        """See Yardstick: the poses of the pictures that were learnt."""
+        poses = {sample.pose: sample.joints_m for sample in self._split.train}
+        return _flat(avatar.for_hand(self._capture.handedness), np.stack(list(poses.values())))
+
+    def psnr_db(self, avatar: HandAvatar) -> float:
+        """See Yardstick: mean over whole pictures, over black."""
+        return means(measure_pictures(self._categories, avatar_picturer(avatar, preset(PRESET))))["psnr_full"]
+
+    def lost_db(self, exact_db: float, psnr_db: float) -> float:
+        """See Yardstick."""
+        return exact_db - psnr_db
+
+    def subject(self, avatar: HandAvatar) -> Subject:
+        """See Yardstick."""
+        hand = avatar.for_hand(self._capture.handedness)
+        return Subject(self._capture.name, hand, self._capture.joints_m(), self._capture.samples[0].camera)
+
+
+class ExactPictures:
+    """The exact tier's own pictures of named poses and those between them."""
+
+    def __init__(self, exact: HandAvatar) -> None:
+        self._exact = exact
+
+    @property
+    def measured_on(self) -> str:
+        """See Yardstick."""
+        against = f"{len(self._poses_m)} made-up poses against the exact tier, preset {PRESET}"
+        return f"{against}; lost of an avatar of {limits.MODEL_PSNR_DB:g} dB"
+
+    @cached_property
+    def _subject(self) -> Subject:
+        return builtin_subject(*SIZE_PX, self._exact, self._exact.info.name)
+
+    @property
+    def _poses_m(self) -> np.ndarray:
+        return self._subject.poses[::EVERY_POSE]
+
+    def known_poses(self, avatar: HandAvatar) -> Tensor:
+        """See Yardstick: those poses, kept inside the angles that were trained."""
+        poses = _flat(avatar, self._subject.poses[:: EVERY_POSE // 2])
+        limits_rad = trained_range(avatar.info)
+        if limits_rad is not None:
+            low, high = torch.from_numpy(limits_rad).float().reshape(2, 30)
+            poses[:, :30] = torch.minimum(torch.maximum(poses[:, :30], low), high)
+        return poses
+
+    @cached_property
+    def _wanted(self) -> list[np.ndarray]:
+        return self._pictures(self._exact)
+
+    def _pictures(self, avatar: HandAvatar) -> list[np.ndarray]:
+        renderer = HandRenderer(avatar, preset(PRESET))
+        frames = (renderer.render(pose_m, self._subject.camera) for pose_m in self._poses_m)
+        return [np.clip(frame.rgba[..., :3], 0, 1) for frame in frames]
+
+    def psnr_db(self, avatar: HandAvatar) -> float:
+        """See Yardstick: of all pictures together."""
+        pairs = zip(self._pictures(avatar), self._wanted, strict=True)
+        error = float(np.mean([np.square(ours - theirs).mean() for ours, theirs in pairs]))
+        return min(-10 * math.log10(max(error, 1e-30)), limits.PSNR_MAX_DB)
+
+    def lost_db(self, exact_db: float, psnr_db: float) -> float:
+        """See Yardstick: of an avatar of MODEL_PSNR_DB, when an independent error is added (RENDERING 9.1)."""
+        if psnr_db >= exact_db:
+            return 0.0
+        return 10 * math.log10(1 + 10 ** ((limits.MODEL_PSNR_DB - psnr_db) / 10))
+
+    def subject(self, avatar: HandAvatar) -> Subject:
+        """See Yardstick."""
+        return self._subject
+
+
+def _flat(avatar: HandAvatar, joints_m: Sequence[np.ndarray] | np.ndarray) -> Tensor:
+    """(P, 37) float32 angles of joints (P, 21, 3)."""
+    transform = avatar.bone_transform()
+    return torch.stack([flat_angles(transform.frames(torch.from_numpy(np.array(each)))) for each in joints_m]).float()

@@ -1,0 +1,129 @@
+"""`jghand bake`: tiers with prices, measured against the network or on held-out pictures, in a file that is drawn."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+from picture_sets import recorded, write_set
+from small_avatars import small_avatar, trained_avatar
+
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.correctives import PoseNetShape
+from jghand_engine.avatar.file import load_avatar, save_avatar, stored_form
+from jghand_engine.avatar.storage import Storage
+from jghand_engine.avatar.tiers import LinearCorrectives, Tier
+from jghand_engine.cli import main
+from jghand_engine.studies import tier_prices
+from jghand_engine.studies.tier_prices import Offer, best_linear
+from jghand_engine.studies.tier_yardsticks import ExactPictures
+from jghand_engine.template.builtin import load_template
+
+
+def run(*words):
+    return main([str(word) for word in words])
+
+
+@pytest.fixture(autouse=True)
+def few_rounds(monkeypatch):
+    """Times are not what is tested."""
+    monkeypatch.setattr(tier_prices, "FRAME_ROUNDS", 2)
+    monkeypatch.setattr(tier_prices, "WARM_UP", 1)
+
+
+@pytest.fixture(scope="module")
+def trained() -> HandAvatar:
+    avatar = trained_avatar(300, shape=PoseNetShape((3, 3, 2), angle_channels=4, angle_texels=5, hidden=16))
+    avatar.learnt.correctives.angles.planes.data *= 0.15
+    return replace(avatar, info=replace(avatar.info, template=load_template().identifier))
+
+
+@pytest.fixture
+def file(trained, tmp_path):
+    save_avatar(tmp_path / "hand.jghand", trained)
+    return tmp_path / "hand.jghand"
+
+
+@pytest.mark.parametrize("storage", ["compact", "exact"])
+def test_tiers_are_priced_and_written(file, trained, tmp_path, capsys, storage):
+    out, told = tmp_path / "fast.jghand", tmp_path / "told.json"
+    assert run("bake", file, "--out", out, "--basis", "1,4,9", "--poses", 40, "--storage", storage, "--json", told) == 0
+    said = capsys.readouterr().out
+    for name in ("exact", "cached", "linear-1", "linear-4", "linear-9", "frame ms", "lost dB", "made-up poses"):
+        assert name in said
+    tiers = {f"{t['tier']}-{t['basis']}": t for t in json.loads(told.read_text())["tiers"]}
+    assert tiers["exact-0"]["lost_db"] == 0
+    assert tiers["cached-0"]["lost_db"] < 1e-3
+    lost = [tiers[f"linear-{basis}"]["lost_db"] for basis in (1, 4, 9)]
+    assert lost[0] > lost[1] > lost[2] > 0
+    assert all(tier["frame_ms"] > 0 for tier in tiers.values())
+    baked = load_avatar(out)
+    plain = stored_form(trained, Storage(storage))
+    assert (baked.rgb == plain.rgb).all()
+    kept = [price for price in baked.learnt.baked.prices if price.tier is Tier.LINEAR]
+    assert len(kept) == 1
+    assert tiers[kept[0].name]["kept"]
+    assert baked.learnt.baked.linear.basis == kept[0].basis
+    assert "against the exact tier" in baked.learnt.baked.measured_on
+    # a fast avatar can be baked again
+    assert run("bake", out, "--out", out, "--basis", "2", "--poses", 10) == 0
+    assert load_avatar(out).learnt.baked.linear.basis == 2
+
+
+def test_pictures_that_were_held_out_are_the_better_yardstick(file, tmp_path, capsys):
+    folder = write_set(tmp_path / "set", recorded(frames=4, cameras=4))
+    held_out = {"format": 1, "test_frames": {"ROM_JGHAND": [2006, 2018]}, "test_cameras": ["400262", "400265"]}
+    (folder / "splits.json").write_text(json.dumps(held_out))
+    words = ("--capture", folder, "--limit", 1, "--basis", "4", "--poses", 20)
+    assert run("bake", file, "--out", tmp_path / "fast.jghand", *words) == 0
+    assert "1 of both novel" in capsys.readouterr().out
+    prices = load_avatar(tmp_path / "fast.jghand").learnt.baked.prices
+    assert {price.tier for price in prices} == {Tier.EXACT, Tier.CACHED, Tier.LINEAR}
+    exact, cached, _ = prices
+    assert abs(exact.psnr_db - cached.psnr_db) < 1e-3
+    assert 3 < exact.psnr_db < 60
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--basis", "0"), "--basis"),
+        (("--basis", "4,many"), "--basis"),
+        (("--basis", "65"), "1 to 14"),
+        (("--basis", "15"), "1 to 14"),
+        (("--basis", "4", "--limit", "-1"), "--limit"),
+        (("--basis", "4", "--capture", "nowhere"), "nowhere"),
+    ],
+)
+def test_wrong_options_are_named(file, tmp_path, capsys, words, said):
+    assert run("bake", file, "--out", tmp_path / "fast.jghand", *words) == 2
+    assert said in capsys.readouterr().err
+    assert not (tmp_path / "fast.jghand").exists()
+
+
+def test_a_painted_avatar_has_nothing_to_bake(tmp_path, capsys):
+    save_avatar(tmp_path / "painted.jghand", small_avatar())
+    assert run("bake", tmp_path / "painted.jghand", "--out", tmp_path / "fast.jghand") == 2
+    assert "trained avatar" in capsys.readouterr().err
+
+
+def test_the_smallest_basis_that_loses_little_is_kept(trained):
+    def offer(basis: int, lost_db: float) -> Offer:
+        price = tier_prices.Price(Tier.LINEAR, basis, 1.0, 1.0, 30.0, lost_db)
+        return Offer(price, LinearCorrectives(None, *[None] * 6))
+
+    offers = [Offer(tier_prices.Price(Tier.EXACT, 0, 9.0, 0.1, 30.0, 0.0))]
+    assert best_linear(offers) is None
+    offers += [offer(4, 0.3), offer(8, 0.09), offer(16, 0.01)]
+    assert best_linear(offers).price.basis == 8
+    assert best_linear(offers[:2]).price.basis == 4
+    assert best_linear([offers[0], offer(4, 0.3), offer(8, 0.2)]).price.basis == 8
+
+
+def test_an_independent_error_costs_what_the_sum_of_errors_says(trained):
+    yard = ExactPictures(trained)
+    assert yard.lost_db(100.0, 100.0) == 0
+    assert yard.lost_db(100.0, 33.4) == pytest.approx(3.0103, abs=1e-4)
+    assert yard.lost_db(100.0, 59.0) == pytest.approx(0.012, abs=1e-3)
+    assert yard.psnr_db(trained) == 100.0
