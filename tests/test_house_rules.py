@@ -165,7 +165,8 @@ def test_no_constant_is_given_twice():
     """The second value would silently win."""
     assigned = [
         target.id
-        for node in tree_of(ENGINE / "limits.py").body
+        for path in python_files(ENGINE / "limits")
+        for node in tree_of(path).body
         if isinstance(node, ast.Assign | ast.AnnAssign)
         for target in (node.targets if isinstance(node, ast.Assign) else [node.target])
         if isinstance(target, ast.Name)

@@ -1,0 +1,81 @@
+"""Limits of avatars, drawn and learnt."""
+
+from __future__ import annotations
+
+# ---- avatar ---------------------------------------------------------------------------------------------------------
+# radius of a Gaussian, metres
+SIGMA_MIN_M = 1e-4
+SIGMA_MAX_M = 4e-3
+# posed radius relative to the whole hand's scale: blending rotations shrinks the determinant at flexed knuckles
+SIGMA_STRETCH_MIN = 0.7
+SIGMA_STRETCH_MAX = 1.4
+# length of a quaternion at or below which it is no rotation, and counts as none
+QUATERNION_MIN = 1e-6
+# |det L| / s_g^3 below which the blended rotation is replaced by the palm's
+BLEND_DET_MIN = 1e-3
+# Gaussians deeper than this, metres, grow in a coarser level of detail only until they are this many of their own
+# radii below the skin: further grown they would show as a halo around the hand
+DEEP_M = 1e-3
+DEEP_RADII = 1.8
+# weights per Gaussian in a compact file: on the built-in hand the rest holds at most 0.8 % of a row, 0.004 % on average
+STORED_WEIGHTS = 7
+# a file with more Gaussians or a longer header is refused before anything is allocated
+AVATAR_MAX_GAUSSIANS = 1_000_000
+AVATAR_HEADER_MAX_BYTES = 65_536
+# characters of one text in an avatar's description (name, template, licence, an angle's name): they are shown in a line
+AVATAR_TEXT_MAX = 500
+# canonical Gaussians further than this from the wrist along an axis, metres, belong to no hand
+AVATAR_REACH_M = 0.5
+
+# ---- avatar: the learnt hand (METHOD 4) -----------------------------------------------------------------------------
+# logarithm of the strongest light and shade: exp(3) is 20 times, farther than any display reaches
+LIGHT_EXPONENT_MAX = 3.0
+# strongest shade that a pose may add or take, as a logarithm: what the shadow and the light do not explain
+SHADE_MAX = 0.5
+# squared length below which a normal counts as none
+NORMAL_LENGTH2_MIN = 1e-12
+# standard deviation of feature planes at the start (METHOD 4.2)
+PLANE_START_STD = 0.1
+# logarithm of the longest and shortest axis of a Gaussian over its radius: 20 times, a needle
+LOG_STRETCH_MAX = 3.0
+# how far a learnt normal may leave the template's, per unit of the decoder's output
+NORMAL_BEND = 0.3
+# lobes of the gloss at the start: wide, lambda of exp(lambda (cos - 1)), and nearly dark, before the softplus;
+# a sharper lobe than the last is narrower than what a Gaussian of half a millimetre can show
+LOBE_SHARPNESS_START = 5.0
+LOBE_SHARPNESS_MAX = 60.0
+LOBE_RAW_START = -4.5
+# learnable range of the shadow's darkness g (METHOD 5.2: 4 to 12; wider, because a shadow may be better off)
+SHADOW_GAIN_RANGE = (1.0, 12.0)
+# what a file may hold of what was learnt; beyond it nothing was learnt from pictures, and memory or floats run out:
+# lobes of the gloss; colour, rim and shine that they may have; gain of the shadow; octaves of an encoding, widths and
+# texels of the pose's network, and its weights
+LIGHT_LOBES_MAX = 64
+LIGHT_VALUE_MAX = 1e3
+SHADOW_GAIN_MAX = 100.0
+POSE_NET_OCTAVES_MAX = 12
+POSE_NET_WIDTH_MAX = 1024
+POSE_NET_TEXELS_MAX = 256
+POSE_NET_WEIGHT_MAX = 1e4
+# by how much the length of a stored normal may be off 1
+NORMAL_LENGTH_TOLERANCE = 1e-3
+# cheaper tiers of the correctives: what one may lose to be taken unasked, dB (RENDERING 5); largest basis
+TIER_LOST_MAX_DB = 0.1
+BASIS_MAX = 64
+# how far a joint may leave the range of angles that was trained, degrees, before it is told: the skin of a good avatar
+# carries on so far (assumed)
+POSE_RANGE_TOLERANCE_DEG = 8.0
+# distilling: poses that are made up; wobble of flexion, abduction and palm angles, degrees; how far beyond the known
+# range, degrees: as far as the angles of a hand between two learnt poses go
+DISTIL_POSES = 400
+DISTIL_WOBBLE_DEG = (8.0, 3.0)
+DISTIL_WOBBLE_PALM_DEG = 2.0
+DISTIL_BEYOND_DEG = 5.0
+# penalty on directions, per pose, for numbers of variance 1; variance of a component over the largest below which it is
+# noise; Gaussians at once: bounds the memory to some 400 MB
+DISTIL_RIDGE = 1e-4
+DISTIL_VARIANCE_MIN = 1e-6
+DISTIL_GAUSSIANS_AT_ONCE = 2048
+# ranges of the angles between neighbouring palm bones (theta^p) and palm planes (theta^n), degrees (METHOD 4.1)
+PALM_NEIGHBOUR_RANGES_DEG = ((0.0, 60.0), (0.0, 30.0), (0.0, 30.0), (0.0, 30.0))
+PALM_PLANE_RANGES_DEG = ((-30.0, 60.0), (-20.0, 40.0), (-20.0, 40.0))

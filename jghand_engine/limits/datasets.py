@@ -1,0 +1,55 @@
+"""Limits of data sets."""
+
+from __future__ import annotations
+
+# ---- datasets -------------------------------------------------------------------------------------------------------
+# grey value of a mask file from which a pixel is hand: JPEG smears the edge over some pixels around the middle
+MASK_THRESHOLD = 128
+# samples per pixel edge when a template is projected: steps of 1/16 in the coverage of a pixel
+MASK_SUPERSAMPLING = 4
+# grey values between which the avatar papers take a pixel of a projected mask for skin (METHOD 6.1)
+PAPER_MASK_GREY = (10, 200)
+# the same papers leave a picture out when the hand's box is nearer to the border than this or smaller, pixels; when it
+# is as dark as this; when two colour channels differ nowhere by more than this; when the mask has fewer pixels
+PAPER_BORDER_PX = 10
+PAPER_BOX_MIN_PX = 80
+PAPER_DARK = 20
+PAPER_CHANNEL_DIFFERENCE = 1
+PAPER_MASK_MIN_PX = 3000
+# width and height of HanCo's pictures
+HANCO_SIZE_PX = (224, 224)
+HANCO_CAMERAS = 8
+# last bytes of a picture file in which its end mark must stand; some cameras pad the file behind it
+PICTURE_TAIL_BYTES = 64
+# by how much a stored camera rotation may fail to be one: text with six digits
+CAMERA_ROTATION_TOLERANCE = 1e-4
+# ... and the skew of a camera that is taken for none, px: none of the data sets has any
+CAMERA_SKEW_MAX_PX = 1e-3
+# the rule by which a set without a split of its own is split: every n-th pose and every n-th camera is for the test
+SPLIT_EVERY_POSE = 5
+SPLIT_EVERY_CAMERA = 6
+# check-data looks at so many pictures of a larger set, and names so many examples of what is wrong
+CHECK_PICTURES = 400
+CHECK_EXAMPLES = 8
+# pictures on which it tries out which mistake would explain joints beside the hand
+CHECK_MISTAKE_PICTURES = 24
+# a joint so near to the mask counts as on it, px: joints lie inside the finger, its silhouette may be cut close
+CHECK_REACH_PX = 3
+# part of the joints on the mask below which a picture is named, and, as the median over all, the set refused; masks
+# that leave out what an object hides have less than 1
+CHECK_ON_MASK_PICTURE_MIN = 0.7
+CHECK_ON_MASK_MIN = 0.85
+# a mask with fewer pixels is empty, one that covers more of its picture is most likely inverted or of something else
+CHECK_MASK_MIN_PX = 50
+CHECK_MASK_MAX = 0.9
+# variation of a bone's length, standard deviation over mean, above which joints are told to be noisy (triangulated
+# ones of real sets vary by a few per cent)
+CHECK_BONE_WOBBLE = 0.08
+# mean bend of the fingers' middle joints away from the palm, as a sine, from which it must be the other hand
+CHECK_CURL = 0.1
+# overlay pictures: enlargement, and how far outside of the picture lines are still drawn, px
+OVERLAY_ZOOM = 2
+OVERLAY_REACH_PX = 20_000
+# folders between the one that the user names and the one that holds the set, upwards and downwards
+FOLDER_LEVELS_UP = 6
+FOLDER_LEVELS_DOWN = 2

@@ -1,0 +1,32 @@
+"""Limits of exported files."""
+
+from __future__ import annotations
+
+# ---- exporters: pictures and video ----------------------------------------------------------------------------------
+# zlib level of PNG files, 0..9: on a hand, level 6 saves 3 % and takes 1.6 times as long, level 1 costs 16 % of size
+PNG_COMPRESSION = 4
+# constant rate factor of H.264: 18 is visually without loss
+VIDEO_CRF = 18
+
+# ---- exporters: USD -------------------------------------------------------------------------------------------------
+# spherical harmonics of band 0: colour = 0.5 + SH_C0 * coefficient
+SH_C0 = 0.28209479177387814
+# share of every skin weight that goes to the twin joint which carries what half precision lost of a scale; a power of
+# two is exact in float32, and 2^-8 keeps the twin's scale within 12.5 % of the true one (2^-11 / 2^-8)
+USD_FINE_SHARE = 2.0**-8
+# frames between two saves: a take's Gaussians then never stand in memory together, and no slower (EXPORT 5). Its bones
+# do: 20 kB a frame, 42 kB while the skeleton is made
+USD_SAVE_EVERY = 24
+# half width of a splat's bound in standard deviations: 99.7 % of the kernel
+USD_SPLAT_EXTENT_SIGMA = 3.0
+# horizontal aperture that cameras are written with; only ratios to the focal length matter
+USD_APERTURE = 36.0
+# the clipping of an exported camera leaves this factor before and behind the hand, for what else the scene holds
+USD_CLIPPING_ROOM = 2.0
+# part of the free disk that must be left over when an export is expected to fit: other programs write too
+USD_DISK_RESERVE = 0.02
+# bytes of an export beside the samples of positions: layers, static arrays, tables (per Gaussian and fixed, generous)
+USD_STATIC_BYTES_PER_GAUSSIAN = 80
+USD_STATIC_BYTES = 2_000_000
+# Gaussians around a vertex whose mean colour the exported mesh gets
+USD_MESH_COLOUR_NEIGHBOURS = 8

@@ -1,0 +1,23 @@
+"""Limits of the engine as a process."""
+
+from __future__ import annotations
+
+# ---- service: the engine as a process (BLENDER 3, RENDERING 14); what both sides share stands in service/protocol.py
+# seconds between two signs of life; Blender calls the engine slow after 5 s without one
+HEARTBEAT_S = 1.0
+# a stranger's time to say the token
+GREETING_S = 2.0
+# connections that may be greeting at the same time; one more, and the oldest is closed
+GREETINGS_MAX = 8
+# after the end of stdin a running request may finish for so long before the process ends regardless
+STOP_GRACE_S = 3.0
+# hands in one picture; each costs as much as the first
+PICTURE_HANDS_MAX = 16
+# renderers that are kept: one per set of hands and settings, each with its hands' arrays in memory
+RENDERERS_MAX = 8
+# focal length and principal point, px: a view a million times narrower than any lens is a mistake
+PINHOLE_MAX_PX = 1e9
+# by how much a rotation on the wire may fail to be one: twice the rounding of Blender's float32 matrices, and no scale
+RIGID_MAX = 1e-4
+# letters of an error's detail on the wire: with the sentence it must fit the 64 kB header
+DETAIL_MAX = 8000
