@@ -6,12 +6,19 @@ proposed piece cannot hold anything nearer, else it asks for more. So the result
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 from scipy.spatial import KDTree
 
-from jghand_engine.limits import CLOSEST_BATCH, CLOSEST_FIRST_CANDIDATES, CLOSEST_PIECE_RADIUS_M, CLOSEST_PIECES_MAX
+from jghand_engine.limits import (
+    CLOSEST_BATCH,
+    CLOSEST_FIRST_CANDIDATES,
+    CLOSEST_PIECE_RADIUS_M,
+    CLOSEST_PIECES_MAX,
+    CLOSEST_ROUNDING,
+)
 from jghand_engine.template.surface import edge_normals, face_normals, vertex_normals
 
 
@@ -30,6 +37,16 @@ class ClosestPoints:
     barycentric: np.ndarray
     signed_m: np.ndarray
 
+    def rows(self, chosen: np.ndarray) -> ClosestPoints:
+        """Those of the points `chosen` (indices)."""
+        return ClosestPoints(self.point_m[chosen], self.face[chosen], self.barycentric[chosen], self.signed_m[chosen])
+
+    @classmethod
+    def joined(cls, parts: Sequence[ClosestPoints]) -> ClosestPoints:
+        """Those of several sets of points, one after the other."""
+        names = [field.name for field in fields(cls)]
+        return cls(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+
 
 class Surface:
     """A closed surface (vertices (V, 3) metres, faces (F, 3), counter-clockwise from outside) that can be asked."""
@@ -39,7 +56,8 @@ class Surface:
         self._normals = face_normals(vertices_m, faces)
         self._edge_normals = edge_normals(faces, self._normals)
         self._corner_normals = vertex_normals(vertices_m, faces)[faces]
-        centres, self._piece_face, self.piece_radius_m = _pieces(self.corners_m)
+        centres, self._piece_face, self._piece_radii_m = _pieces(self.corners_m)
+        self.piece_radius_m = float(self._piece_radii_m.max())
         self._tree = KDTree(centres)
 
     def normals(self, face: np.ndarray, barycentric: np.ndarray) -> np.ndarray:
@@ -75,14 +93,16 @@ class Surface:
         """Face, barycentrics, squared distance of the best among the nearest pieces, and whether none can be better."""
         reach, piece = self._tree.query(points_m, k=candidates)
         reach, piece = reach.reshape(len(points_m), -1), piece.reshape(len(points_m), -1)
-        faces = self._piece_face[piece]
-        bary, squared = closest_on_triangle(np.repeat(points_m, faces.shape[1], axis=0), self.corners_m[faces.ravel()])
-        squared = squared.reshape(faces.shape)
-        best = squared.argmin(axis=1)
-        rows = np.arange(len(points_m))
-        least = squared[rows, best]
+        # the nearest centre is a point of the surface: what is farther than it with all of its piece cannot be nearest
+        possible = reach - self._piece_radii_m[piece] <= reach[:, :1] * (1 + CLOSEST_ROUNDING)
+        row, face = _each_once(self._piece_face[piece], possible)
+        bary, squared = closest_on_triangle(points_m[row], self.corners_m[face])
+        starts = np.searchsorted(row, np.arange(len(points_m)))
+        least = np.minimum.reduceat(squared, starts)
+        ties = np.flatnonzero(squared == least[row])
+        best = ties[np.searchsorted(row[ties], np.arange(len(points_m)))]
         finished = (reach[:, -1] - self.piece_radius_m >= np.sqrt(least)) | (candidates == self._tree.n)
-        return faces[rows, best], bary.reshape(*faces.shape, 3)[rows, best], least, finished
+        return face[best], bary[best], least, finished
 
     def _pseudonormals(self, face: np.ndarray, bary: np.ndarray) -> np.ndarray:
         """Normals of the feature (face, edge or corner) that the closest point lies on.
@@ -133,6 +153,19 @@ def closest_on_triangle(points: np.ndarray, corners: np.ndarray) -> tuple[np.nda
     return bary, _dot(gap, gap)
 
 
+def _each_once(faces: np.ndarray, possible: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and faces (M,) of the entries of (N, K) that are possible, each face once a row, in the order of the rows
+    and, within a row, of the entries."""
+    row, column = np.nonzero(possible)
+    face = faces[row, column]
+    # stable, so that the first of equal ones comes first
+    order = np.argsort(row * (int(faces.max()) + 1) + face, kind="stable")
+    first = np.ones(len(order), dtype=bool)
+    first[1:] = (np.diff(row[order]) != 0) | (np.diff(face[order]) != 0)
+    kept = np.sort(order[first])
+    return row[kept], face[kept]
+
+
 def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.einsum("nc,nc->n", a, b)
 
@@ -140,19 +173,19 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def _pieces(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """Splits faces at the middle of the longest edge until every piece is small.
 
-    Returns centres (P, 3), the face of each piece (P,), and the largest distance from a centre to its piece's corners.
+    Returns centres (P, 3), the face of each piece (P,), and the distance (P,) from each centre to the farthest corner.
     """
     face = np.arange(len(corners))
-    done_centres, done_faces, largest = [], [], 0.0
+    done_centres, done_faces, done_radii = [], [], []
     while len(corners):
         centre = corners.mean(axis=1)
         radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
         small = (radius <= CLOSEST_PIECE_RADIUS_M) | (2 * len(corners) > CLOSEST_PIECES_MAX)
         done_centres.append(centre[small])
         done_faces.append(face[small])
-        largest = max(largest, float(radius[small].max(initial=0)))
+        done_radii.append(radius[small])
         corners, face = _halved(corners[~small]), np.repeat(face[~small], 2)
-    return np.concatenate(done_centres), np.concatenate(done_faces), largest
+    return np.concatenate(done_centres), np.concatenate(done_faces), np.concatenate(done_radii)
 
 
 def _halved(corners: np.ndarray) -> np.ndarray:

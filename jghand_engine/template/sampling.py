@@ -64,10 +64,10 @@ def sample_shell(
     if not 0 < depth_m <= UVD_RANGE_M:
         raise InputError("depth of the shell", wanted=f"0..{UVD_RANGE_M} m", came=f"{depth_m} m")
     surface = Surface(template.vertices_m, template.faces)
-    points_m = _draw(template, surface, per_bone, depth_m, np.random.default_rng(seed))
+    points_m, drawn = _draw(template, surface, per_bone, depth_m, np.random.default_rng(seed))
     order = farthest_point_order(points_m)
-    ranked_m = np.take_along_axis(points_m, order[..., None], axis=1).transpose(1, 0, 2).reshape(-1, 3)
-    near = surface.closest(ranked_m)
+    ranked = (order + per_bone * np.arange(BONE_COUNT)[:, None]).T.ravel()
+    ranked_m, near = points_m.reshape(-1, 3)[ranked], drawn.rows(ranked)
     return ShellSample(
         position_m=ranked_m,
         bone=np.tile(np.arange(1, JOINT_COUNT), per_bone),
@@ -120,14 +120,16 @@ def farthest_point_order(points_m: np.ndarray) -> np.ndarray:
 
 def _draw(
     template: HandTemplate, surface: Surface, per_bone: int, depth_m: float, random: np.random.Generator
-) -> np.ndarray:
-    """(20, per_bone, 3) points, uniform in the part of the shell that belongs to each bone, by rejection."""
+) -> tuple[np.ndarray, ClosestPoints]:
+    """(20, per_bone, 3) points, uniform in the part of the shell that belongs to each bone, by rejection; and, for
+    20 * per_bone, what is closest to them."""
     cells_m, half_m = _shell_cells(template, surface, depth_m)
     reach = bone_distances(cells_m, template.joints_m)
     # distances change by at most the way gone: other cells cannot hold a point nearest to this bone
     possible = reach <= reach.min(axis=1, keepdims=True) + 2 * np.sqrt(3) * half_m
     cells_of_bone = [np.flatnonzero(possible[:, k]) for k in range(BONE_COUNT)]
     found: list[list[np.ndarray]] = [[] for _ in range(BONE_COUNT)]
+    closest: list[list[ClosestPoints]] = [[] for _ in range(BONE_COUNT)]
     count, drawn = np.zeros(BONE_COUNT, dtype=int), np.zeros(BONE_COUNT, dtype=int)
     while (count < per_bone).any():
         wanted = np.where(count < per_bone, _draws(per_bone, count, drawn), 0)
@@ -142,12 +144,16 @@ def _draw(
             cell = random.choice(cells_of_bone[k], wanted[k])
             points_m = cells_m[cell] + random.uniform(-half_m, half_m, (wanted[k], 3))
             kept = points_m[_nearest_bone(points_m, template.joints_m, random) == k]
-            signed = surface.closest(kept).signed_m
-            kept = kept[(signed <= 0) & (signed >= -depth_m)]
+            near = surface.closest(kept)
+            inside = np.flatnonzero((near.signed_m <= 0) & (near.signed_m >= -depth_m))
+            kept = kept[inside]
             found[k].append(kept)
+            closest[k].append(near.rows(inside))
             count[k] += len(kept)
             drawn[k] += wanted[k]
-    return np.stack([np.concatenate(parts)[:per_bone] for parts in found])
+    first = np.arange(per_bone)
+    near = ClosestPoints.joined([ClosestPoints.joined(parts).rows(first) for parts in closest])
+    return np.stack([np.concatenate(parts)[:per_bone] for parts in found]), near
 
 
 def _draws(per_bone: int, count: np.ndarray, drawn: np.ndarray) -> np.ndarray:

@@ -7,6 +7,7 @@ import pytest
 import trimesh
 
 from jghand_engine.errors import InputError
+from jghand_engine.template import closest
 from jghand_engine.template.builtin import load_template
 from jghand_engine.template.closest import Surface, closest_on_triangle
 from jghand_engine.template.layout import room_for_disk
@@ -168,3 +169,17 @@ def test_a_point_that_is_nearly_as_far_from_everything_still_finds_its_closest()
     _, squared = closest_on_triangle(np.repeat(points, count, axis=0), np.tile(surface.corners_m, (50, 1, 1)))
     distance = np.abs(surface.closest(points).signed_m)
     np.testing.assert_allclose(distance, np.sqrt(squared.reshape(50, count).min(axis=1)), rtol=1e-13)
+
+
+def test_how_many_candidates_are_asked_for_does_not_change_the_closest_face(hand, monkeypatch):
+    """Not even where two faces are equally near, as all along an edge."""
+    rng = np.random.default_rng(0)
+    corners = hand.vertices_m[hand.faces[rng.integers(len(hand.faces), size=300)]]
+    points = np.concatenate([points_around(hand, 300), corners.mean(1), corners[:, :2].mean(1), corners[:, 0]])
+    found = []
+    for count in (2, 32, 500):
+        monkeypatch.setattr(closest, "CLOSEST_FIRST_CANDIDATES", count)
+        found.append(Surface(hand.vertices_m, hand.faces).closest(points))
+    for other in found[1:]:
+        for name in ("point_m", "face", "barycentric", "signed_m"):
+            np.testing.assert_array_equal(getattr(found[0], name), getattr(other, name))
