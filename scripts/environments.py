@@ -104,7 +104,7 @@ ENGINE = Environment(
     last_words=WHICH_KERNELS,
 )  # fmt: skip
 # the engine with the tools of its tests and checks; whoever only uses it need not have them
-DEVELOPER = replace(ENGINE, packages=(*ENGINE.packages[:-1], ".[dev,video,metrics,perceptual]"), holds=(ENGINE,))
+DEVELOPER = replace(ENGINE, packages=(*ENGINE.packages[:-1], ".[dev,video,metrics,perceptual,study]"), holds=(ENGINE,))
 # bpy 5.0 is built for Python 3.11 and nothing else, bpy 5.2 for Python 3.13 and nothing else
 BLENDER = Environment(
     name="blender",
