@@ -22,7 +22,7 @@ class Scene:
             self._vertices = arrays["vertices_m"]
             self._mesh = _mesh(arrays, plan["sampling"]["subdivisions"], self._scene)
         self._mesh.materials.append(_skin(plan["skin"], folder))
-        _light(plan["light"], self._vertices, self._scene)
+        _light(plan["light"], folder, self._vertices, self._scene)
         self._camera = bpy.data.objects.new("camera", bpy.data.cameras.new("camera"))
         self._scene.collection.objects.link(self._camera)
         self._scene.camera = self._camera
@@ -111,14 +111,14 @@ def _picture(tree, path: Path, colour_space: str):
     return node
 
 
-def _light(light: dict, vertices: np.ndarray, scene) -> None:
+def _light(light: dict, folder: Path, vertices: np.ndarray, scene) -> None:
     middle = (vertices.min((0, 1)) + vertices.max((0, 1))) / 2
     world = bpy.data.worlds.new("world")
     scene.world = world
     world.use_nodes = True
     tree = world.node_tree
     environment = tree.nodes.new("ShaderNodeTexEnvironment")
-    environment.image = bpy.data.images.load(str(_environment_file(light["hdri"])))
+    environment.image = bpy.data.images.load(str(_environment_file(light["hdri"], folder)))
     turn = tree.nodes.new("ShaderNodeMapping")
     # the pictures stand on z, our hands on y
     turn.inputs["Rotation"].default_value = (np.pi / 2, 0.0, np.radians(light["hdri_turn_deg"]))
@@ -137,10 +137,10 @@ def _light(light: dict, vertices: np.ndarray, scene) -> None:
         scene.collection.objects.link(lamp_object)
 
 
-def _environment_file(name: str) -> Path:
-    """A file as it is, or one of the environments in Blender's own folder."""
+def _environment_file(name: str, folder: Path) -> Path:
+    """A file in the plan's folder, or one of the environments in Blender's own."""
     if Path(name).suffix:
-        return Path(name)
+        return folder / name
     return Path(bpy.utils.resource_path("LOCAL")) / "datafiles" / "studiolights" / "world" / f"{name}.exr"
 
 

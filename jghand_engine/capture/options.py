@@ -70,7 +70,7 @@ class CaptureOptions:
         if self.motion is not None:
             motion = hashlib.sha256(self.motion.handedness.encode() + self.motion.joints_m.tobytes()).hexdigest()
         light = dataclasses.asdict(self.light)
-        if Path(self.light.hdri).suffix:
+        if is_file(self.light.hdri):
             light["hdri"] = _hash(Path(self.light.hdri))
         return {
             **plain,
@@ -82,8 +82,18 @@ class CaptureOptions:
         }
 
 
-def _hash(file: Path) -> str:
+def is_file(environment: str) -> bool:
+    """Whether an environment is a picture file, and not one of those that come with Blender."""
+    return bool(Path(environment).suffix)
+
+
+def read_input(file: Path) -> bytes:
+    """The content of a user's file. InputError when it cannot be read."""
     try:
-        return hashlib.sha256(file.read_bytes()).hexdigest()
+        return file.read_bytes()
     except OSError as error:
         raise InputError(f"cannot read {file}: {error.strerror}", remedy="Check the name.") from error
+
+
+def _hash(file: Path) -> str:
+    return hashlib.sha256(read_input(file)).hexdigest()

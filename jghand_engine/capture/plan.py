@@ -3,6 +3,7 @@
 plan/plan.json     options, cameras, names of poses, what the worker needs to know
 plan/hands.npz     vertices_m (P, V, 3), joints_m (P, 21, 3) level order, faces, face_uv
 plan/skin.png, relief.png, nails.png
+plan/light.exr or .hdr   the environment, when it is a file of the user's
 annotations/…      InterHand2.6M, splits.json         written with the plan, so that any shard may be the first
 """
 
@@ -25,7 +26,7 @@ from PIL import Image
 from jghand_engine import limits
 from jghand_engine.capture.cameras import CameraPlan, plan_cameras
 from jghand_engine.capture.identities import identity_name, load_identity
-from jghand_engine.capture.options import CaptureOptions
+from jghand_engine.capture.options import CaptureOptions, is_file, read_input
 from jghand_engine.capture.poses import varied_poses
 from jghand_engine.capture.rig import RiggedHand, RigPose
 from jghand_engine.capture.skin import make_skin
@@ -59,7 +60,8 @@ class Job:
 @dataclass(frozen=True)
 class CapturePlan:
     """description: of the options, JSON; render: what the worker is told, JSON; pose_names (P); joints_m (P, 21, 3)
-    level order and vertices_m (P, V, 3) float32, world, metres; faces, face_uv; cameras; skin_files: name -> bytes."""
+    level order and vertices_m (P, V, 3) float32, world, metres; faces, face_uv; cameras; files: name -> bytes, of the
+    skin and of an environment that is the user's."""
 
     description: dict[str, Any]
     render: dict[str, Any]
@@ -69,7 +71,7 @@ class CapturePlan:
     faces: np.ndarray
     face_uv: np.ndarray
     cameras: tuple[Camera, ...]
-    skin_files: dict[str, bytes]
+    files: dict[str, bytes]
 
     @cached_property
     def record(self) -> RecordedHand:
@@ -104,8 +106,8 @@ class CapturePlan:
     @cached_property
     def _shared(self) -> hashlib._Hash:
         digest = hashlib.sha256(f"{FORMAT} {json.dumps(self.render, sort_keys=True)}".encode())
-        for name in sorted(self.skin_files):
-            digest.update(self.skin_files[name])
+        for name in sorted(self.files):
+            digest.update(self.files[name])
         digest.update(np.ascontiguousarray(self.faces).tobytes() + np.ascontiguousarray(self.face_uv).tobytes())
         return digest
 
@@ -139,9 +141,11 @@ def make_plan(options: CaptureOptions) -> CapturePlan:
     low, high = float(skin.relief_m.min()), float(skin.relief_m.max())
     relief = np.rint((skin.relief_m - low) / max(high - low, np.finfo(float).tiny) * 65535).astype(np.uint16)
     material = {**dataclasses.asdict(options.material), "relief_range_m": high - low}
-    light = dataclasses.asdict(options.light)
-    if Path(options.light.hdri).suffix:
-        light["hdri"] = str(Path(options.light.hdri).resolve())
+    light, environment = dataclasses.asdict(options.light), {}
+    if is_file(options.light.hdri):
+        # a copy: the capture may go on in another place, where that file is not
+        light["hdri"] = f"light{Path(options.light.hdri).suffix.lower()}"
+        environment[light["hdri"]] = read_input(Path(options.light.hdri))
     return CapturePlan(
         description=json.loads(json.dumps(options.description())),
         render=json.loads(
@@ -153,10 +157,11 @@ def make_plan(options: CaptureOptions) -> CapturePlan:
         faces=hand.identity.faces,
         face_uv=hand.identity.face_uv.astype(np.float32),
         cameras=tuple(plan_cameras(camera_plan, vertices_m, posed.joints_m)),
-        skin_files={
+        files={
             "skin.png": _png(Image.fromarray(skin.rgb8)),
             "relief.png": _png(Image.fromarray(relief)),
             "nails.png": _png(Image.fromarray(np.rint(255 * skin.nail).astype(np.uint8))),
+            **environment,
         },
     )
 
@@ -174,7 +179,7 @@ def wrist_turns(count: int, largest_deg: float, seed: int) -> np.ndarray:
 
 def write_plan(folder: Path, plan: CapturePlan) -> None:
     """Writes plan, annotations and split; each file whole or not at all, the plan itself last."""
-    for name, data in plan.skin_files.items():
+    for name, data in plan.files.items():
         _write(folder / FOLDER / name, data)
     with writing(folder / FOLDER / "hands.npz") as path, open(path, "wb") as stream:
         np.savez_compressed(
@@ -206,10 +211,12 @@ def read_plan(folder: Path) -> CapturePlan | None:
         if content["format"] != FORMAT:
             raise InputError(thing, wanted=f"format {FORMAT}", came=str(content["format"]), remedy=remedy)
         hands = read_arrays(folder / FOLDER / "hands.npz", ("vertices_m", "joints_m", "faces", "face_uv"), thing)
-        skin = {name: (folder / FOLDER / name).read_bytes() for name in ("skin.png", "relief.png", "nails.png")}
+        environment = str(content["render"]["light"]["hdri"])
+        names = ["skin.png", "relief.png", "nails.png", *([environment] if is_file(environment) else [])]
+        files = {name: (folder / FOLDER / name).read_bytes() for name in names}
         return CapturePlan(
             content["options"], content["render"], tuple(content["poses"]), hands["joints_m"], hands["vertices_m"],
-            hands["faces"], hands["face_uv"], tuple(_camera(one) for one in content["cameras"]), skin,
+            hands["faces"], hands["face_uv"], tuple(_camera(one) for one in content["cameras"]), files,
         )  # fmt: skip
     except FileNotFoundError as error:
         if not file.exists():
@@ -227,11 +234,32 @@ def open_or_make(folder: Path, options: CaptureOptions) -> CapturePlan:
     InputError when the folder holds a capture with other options.
     """
     options.check()
-    present = read_plan(folder)
-    if present is None:
+    plan = _opened(folder, options)
+    if plan is None:
         plan = make_plan(options)
         write_plan(folder, plan)
-        return plan
+    return plan
+
+
+def open_begun(folder: Path, options: CaptureOptions) -> CapturePlan:
+    """The plan that is in `folder`; nothing is written. InputError when there is none, or one of other options."""
+    options.check()
+    plan = _opened(folder, options)
+    if plan is None:
+        raise InputError(
+            f"--out {folder}",
+            wanted="a capture that was begun",
+            came="a folder without a plan" if folder.is_dir() else "no such folder",
+            remedy="Check the name, or begin it without --finished-only.",
+        )
+    return plan
+
+
+def _opened(folder: Path, options: CaptureOptions) -> CapturePlan | None:
+    """The plan of the folder, None when there is none. InputError when it is one of other options."""
+    present = read_plan(folder)
+    if present is None:
+        return None
     asked, began = _named(json.loads(json.dumps(options.description()))), _named(present.description)
     other = sorted(name for name in asked if asked[name] != began.get(name))
     if other:

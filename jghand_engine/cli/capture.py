@@ -41,7 +41,8 @@ class LookOptions:
     skin: File = None
     """A picture of skin in the template's UV, without light. Left out: JGHand's own procedural skin."""
     hdri: Annotated[str, tyro.conf.arg(metavar="NAME|FILE")] = "studio"
-    """Light all around: city, courtyard, forest, interior, night, studio, sunrise, sunset, or an .exr or .hdr file."""
+    """Light all around: city, courtyard, forest, interior, night, studio, sunrise, sunset, or an .exr or .hdr file,
+    which is copied into the capture."""
     hdri_strength: Annotated[float, _OneNumber] = 0.55
     """How bright it is."""
     hdri_turn: Annotated[float, tyro.conf.arg(metavar="DEGREES")] = 0.0
@@ -90,8 +91,8 @@ class Capture:
 
     def run(self) -> None:
         from jghand_engine.capture.plan import FOLDER, annotate, open_or_make
+        from jghand_engine.capture.shards import shard_locked
         from jghand_engine.capture.worker import find_blender_python
-        from jghand_engine.lock import locked
 
         shard = parse_shard(self.shard)
         if self.threads < 0:
@@ -103,8 +104,7 @@ class Capture:
         python = find_blender_python(self.blender_python)
         plan = open_or_make(self.out, options)
         annotate(self.out, plan)
-        lock = self.out / FOLDER / f"shard_{shard[0]}_of_{shard[1]}.lock"
-        with locked(lock, work=f"capture of shard {self.shard}", remedy="Wait until it has ended, or take another."):
+        with shard_locked(self.out / FOLDER, shard):
             self._make(plan, shard, python)
         # --finished-only may have left poses out meanwhile
         if all(job.file.exists() for job in plan.jobs(self.out)):
@@ -136,10 +136,10 @@ class Capture:
             })  # fmt: skip
 
     def _annotate_finished(self, options) -> None:
-        from jghand_engine.capture.plan import annotate, open_or_make
+        from jghand_engine.capture.plan import annotate, open_begun
         from jghand_engine.capture.worker import fault_of
 
-        plan = open_or_make(self.out, options)
+        plan = open_begun(self.out, options)
         unfinished = {job.pose for job in plan.jobs(self.out) if fault_of(job, (options.width, options.height))}
         finished = set(range(len(plan.pose_names))) - unfinished
         if not finished:

@@ -19,6 +19,7 @@ from jghand_engine.capture import worker
 from jghand_engine.capture.identities import identity_names
 from jghand_engine.capture.options import CaptureOptions
 from jghand_engine.capture.plan import CapturePlan, make_plan, open_or_make, read_plan
+from jghand_engine.capture.shards import overlapping
 from jghand_engine.cli import main
 from jghand_engine.datasets.capture_folder import open_capture
 from jghand_engine.datasets.splits import split_capture
@@ -159,7 +160,6 @@ def test_shards_of_two_machines_are_one_capture_when_put_together(tmp_path, made
 
 def test_an_unfinished_capture_can_be_used_and_finished_later(tmp_path, monkeypatch, capsys, made):
     folder = tmp_path / "unfinished"
-    assert capture(folder, "--finished-only") == 2
     monkeypatch.setenv("JGHAND_STAND_IN_FAILS_AT", "17")
     assert capture(folder) == 3
     assert capture(folder, "--finished-only") == 0
@@ -168,6 +168,16 @@ def test_an_unfinished_capture_can_be_used_and_finished_later(tmp_path, monkeypa
     monkeypatch.delenv("JGHAND_STAND_IN_FAILS_AT")
     assert capture(folder) == 0
     assert contents(folder) == contents(made)
+
+
+def test_finished_only_begins_no_capture_in_a_mistyped_folder(tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+    for folder, came in ((tmp_path / "mistyped", "no such folder"), (tmp_path / "empty", "a folder without a plan")):
+        assert capture(folder, "--finished-only") == 2
+        error = capsys.readouterr().err
+        assert f"--out {folder}" in error
+        assert came in error
+    assert [path.name for path in tmp_path.rglob("*")] == ["empty"]
 
 
 def test_finishing_annotates_what_was_left_out_meanwhile(tmp_path, monkeypatch, made):
@@ -190,6 +200,43 @@ def test_one_shard_is_made_by_one_process(copied, capsys):
         assert capture(copied, "--shard", "1/2") == 3
         assert f"process {os.getpid()}" in capsys.readouterr().err
         assert capture(copied, "--shard", "2/2") == 0
+
+
+def test_shards_of_different_counts_do_not_make_the_same_picture_at_once(copied, capsys):
+    with locked(copied / "plan" / "shard_2_of_4.lock"):
+        for shard in ("1/1", "2/2", "2/3"):
+            assert capture(copied, "--shard", shard) == 3
+            assert "shard 2/4" in capsys.readouterr().err
+        for shard in ("1/2", "3/4", "4/6"):
+            assert capture(copied, "--shard", shard) == (3 if shard == "4/6" else 0)
+    assert capture(copied) == 0
+
+
+def test_shards_overlap_exactly_where_they_have_a_pose_in_common():
+    shards = [(number, count) for count in range(1, 7) for number in range(1, count + 1)]
+    for one in shards:
+        for other in shards:
+            both = set(range(one[0], 100, one[1])) & set(range(other[0], 100, other[1]))
+            assert overlapping(one, other) == bool(both)
+
+
+def test_the_users_environment_goes_into_the_capture(tmp_path, capsys):
+    """It then goes on where that file is not, or lies elsewhere."""
+    file = tmp_path / "Sky.HDR"
+    file.write_bytes(b"light")
+    folder, words = tmp_path / "capture", ("--poses", "1", "--cameras", "1", "--close-ups", "0")
+    assert capture(folder, *words, "--hdri", str(file)) == 0
+    assert (folder / "plan" / "light.hdr").read_bytes() == b"light"
+    assert str(tmp_path) not in (folder / "plan" / "plan.json").read_text(encoding="utf-8")
+    moved = tmp_path / "moved"
+    folder.rename(moved)
+    file.unlink()
+    capsys.readouterr()
+    assert capture(moved, *words, "--hdri", str(moved / "plan" / "light.hdr")) == 0
+    assert "0 pictures" in capsys.readouterr().out
+    (moved / "plan" / "light.hdr").unlink()
+    with pytest.raises(InputError, match=r"light\.hdr"):
+        read_plan(moved)
 
 
 def test_a_folder_takes_no_second_capture(copied, capsys):

@@ -1,0 +1,61 @@
+"""Parts of a capture that several processes make at once: no two may make the same picture."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import re
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+from jghand_engine.errors import RetryError
+from jghand_engine.limits import CAPTURE_LOCK_WAIT_S
+from jghand_engine.lock import locked
+
+_NAME = re.compile(r"shard_(\d+)_of_(\d+)\.lock")
+_REMEDY = "Wait until it has ended, or take a shard that has no picture in common with it, of the same count."
+
+
+def overlapping(one: tuple[int, int], other: tuple[int, int]) -> bool:
+    """Whether two shards (number from 1, count) can have a pose in common: every count-th pose from number on."""
+    return (one[0] - other[0]) % math.gcd(one[1], other[1]) == 0
+
+
+@contextlib.contextmanager
+def shard_locked(folder: Path, shard: tuple[int, int]) -> Iterator[None]:
+    """Holds a shard of the capture whose plan is in `folder`. RetryError while another process makes any of its
+    pictures, as this shard or as one of another count."""
+    with contextlib.ExitStack() as held:
+        # one after the other, or two could look for each other before either has its lock
+        with _turn(folder):
+            held.enter_context(_locked(folder, shard))
+            for file in sorted(folder.glob("shard_*_of_*.lock")):
+                if match := _NAME.fullmatch(file.name):
+                    other = int(match[1]), int(match[2])
+                    if other != shard and overlapping(shard, other):
+                        with _locked(folder, other):
+                            pass
+        yield
+
+
+def _locked(folder: Path, shard: tuple[int, int]) -> contextlib.AbstractContextManager[None]:
+    number, count = shard
+    file = folder / f"shard_{number}_of_{count}.lock"
+    return locked(file, work=f"capture of shard {number}/{count}", remedy=_REMEDY)
+
+
+@contextlib.contextmanager
+def _turn(folder: Path) -> Iterator[None]:
+    """Holds the lock under which shards are taken; others hold it for moments only, and are waited for."""
+    until_s = time.monotonic() + CAPTURE_LOCK_WAIT_S
+    with contextlib.ExitStack() as held:
+        while True:
+            try:
+                held.enter_context(locked(folder / "shards.lock", work="start of a capture"))
+                break
+            except RetryError:
+                if time.monotonic() > until_s:
+                    raise
+                time.sleep(CAPTURE_LOCK_WAIT_S / 100)
+        yield
