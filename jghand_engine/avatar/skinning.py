@@ -18,6 +18,7 @@ from jghand_engine.avatar.learnt import Ellipsoid
 from jghand_engine.avatar.light import gloss, lit, unit
 from jghand_engine.avatar.pose_features import PoseAngles
 from jghand_engine.errors import InputError
+from jghand_engine.hand.joints import Handedness
 from jghand_engine.limits import BLEND_DET_MIN, SIGMA_STRETCH_MAX, SIGMA_STRETCH_MIN
 
 
@@ -141,7 +142,9 @@ def pose_skin(
         if correction is not None:
             offset_m = correction.offset_m.to(dtype)
             in_world = learnt is not None and learnt.world_offsets
-            position_m = position_m + (offset_m if in_world else bones.scale * apply(_turned(maps), offset_m))
+            position_m = position_m + (
+                _of_hand(avatar.handedness, offset_m) if in_world else bones.scale * apply(_turned(maps), offset_m)
+            )
         rgb, normal, shine = avatar.rgb.to(dtype), None, None
         if learnt is not None:
             normal = unit(apply(_turned(maps), learnt.normal.to(dtype)))
@@ -199,6 +202,11 @@ def _covariance(sigma_m: torch.Tensor, ellipsoid: Ellipsoid | None, linear: torc
         return None
     log_scale = sigma_m.log()[:, None] + ellipsoid.log_stretch
     return posed_covariance(log_scale, ellipsoid.quaternion, linear)
+
+
+def _of_hand(handedness: Handedness, vectors: torch.Tensor) -> torch.Tensor:
+    """Vectors (N, 3) in the axes of the right-hand model -> those of the hand: a left one is its mirror image in x."""
+    return vectors if handedness is Handedness.RIGHT else vectors * vectors.new_tensor([-1.0, 1.0, 1.0])
 
 
 def _turned(maps: SkinMaps) -> torch.Tensor:

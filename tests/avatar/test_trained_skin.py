@@ -228,6 +228,17 @@ def test_offsets_turn_and_grow_with_the_hand_or_stay_in_the_world():
     torch.testing.assert_close(in_world, more.offset_m, atol=1e-15, rtol=0)
 
 
+@pytest.mark.parametrize("pose", POSES)
+def test_a_left_hand_with_offsets_in_the_world_is_the_mirror_image_of_the_right_one(pose):
+    """Its axes are mirrored with it."""
+    right = replace(AVATAR, learnt=replace(learnt_of(AVATAR), world_offsets=True))
+    left, joints_m, more = right.for_hand(Handedness.LEFT), torch.from_numpy(joints_of(pose)), correction()
+    posed = pose_skin(right, bones_of(joints_m), more).matt.position_m
+    other = pose_skin(left, left.bone_transform().bones(joints_m * MIRROR), more).matt.position_m
+    # the same arithmetic but for signs; exact where observed
+    torch.testing.assert_close(other * MIRROR, posed, atol=1e-16, rtol=0)
+
+
 def test_shade_is_a_factor_of_the_colour():
     bones, more = bones_of(joints_of("claw")), correction()
     plain = pose_skin(AVATAR, bones, replace(more, shade=torch.zeros_like(more.shade))).matt.rgb
