@@ -13,7 +13,11 @@ from jghand_engine.files import writing
 
 
 class Output:
-    """The file `path`. `record` remembers what this training wrote there, so that it may replace its own work."""
+    """The file `path`. `record` remembers what this training wrote there, so that it may replace its own work.
+
+    The record is written first and names both the file to come and the one before: whenever a process is killed, what
+    lies at `path` is known.
+    """
 
     def __init__(self, path: Path, record: Path, *, overwrite: bool = False) -> None:
         self.path, self._record, self._overwrite = path, record, overwrite
@@ -22,7 +26,7 @@ class Output:
         """InputError when a file is in the way that this training did not write, unless overwriting was asked for."""
         if self._overwrite or not self.path.exists():
             return
-        if not self.path.is_file() or _hash(self.path) != self._recorded():
+        if not self.path.is_file() or _hash(self.path) not in self._recorded():
             raise InputError(
                 f"--out {self.path}", wanted="a new file, or the result of this very training",
                 came="another file" if self.path.is_file() else "a folder",
@@ -32,15 +36,27 @@ class Output:
     def write(self, avatar: HandAvatar) -> None:
         """Saves `avatar`. Errors as `check`, which looks again: hours may have passed."""
         self.check()
-        save_avatar(self.path, avatar)
-        with writing(self._record) as temporary:
-            temporary.write_text(json.dumps({"sha256": _hash(self.path)}) + "\n", encoding="utf-8")
-
-    def _recorded(self) -> str | None:
+        staged = self._record.with_name("finished.jghand")
         try:
-            return json.loads(self._record.read_text(encoding="utf-8"))["sha256"]
+            save_avatar(staged, avatar)
+            content = staged.read_bytes()
+            before = [_hash(self.path)] if self.path.is_file() else []
+            self._remember([hashlib.sha256(content).hexdigest(), *before])
+            with writing(self.path) as temporary:
+                temporary.write_bytes(content)
+        finally:
+            staged.unlink(missing_ok=True)
+
+    def _remember(self, hashes: list[str]) -> None:
+        with writing(self._record) as temporary:
+            temporary.write_text(json.dumps({"sha256": hashes}) + "\n", encoding="utf-8")
+
+    def _recorded(self) -> list[str]:
+        try:
+            hashes = json.loads(self._record.read_text(encoding="utf-8"))["sha256"]
         except (OSError, ValueError, KeyError, TypeError):
-            return None
+            return []
+        return hashes if isinstance(hashes, list) else [hashes]
 
 
 def _hash(path: Path) -> str:
