@@ -86,7 +86,11 @@ class CaptureTables:
         known = picture.joint_valid & _flags(entry.get("joint_valid", picture.joint_valid), f"joint_valid in {where}")
         valid = to_level(np.repeat(known[hand, None], 3, axis=1), JointOrder.INTERHAND)[:, 0]
         joints_m = to_level(coordinates[hand], JointOrder.INTERHAND) * METRES_PER_UNIT[UNIT]
-        valid &= np.isfinite(joints_m).all(axis=1)
+        if not np.isfinite(joints_m[valid]).all():
+            raise InputError(
+                f"world_coord in {where}", wanted="numbers for joints that are marked as valid",
+                came="NaN or infinity", remedy=_REMEDY,
+            )  # fmt: skip
         joints_m[~valid] = np.nan
         return joints_m, valid
 

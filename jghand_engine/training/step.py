@@ -76,6 +76,7 @@ class HandTraining:
     def __init__(self, material: Material, options: TrainOptions) -> None:
         if len({sample.handedness for sample in material.train}) != 1:
             raise InputError("pictures to learn from", wanted="one hand, right or left", came="none or both")
+        _check_joints(material)
         self.options, self._material = options, material
         self._handedness = material.train[0].handedness
         model = options.model
@@ -305,6 +306,14 @@ class HandTraining:
             state["step"] = torch.zeros(())
             state["exp_avg"], state["exp_avg_sq"] = torch.zeros_like(parameter), torch.zeros_like(parameter)
         return state
+
+
+def _check_joints(material: Material) -> None:
+    """One joint that is not known would make a whole step's gradients unknown."""
+    for sample in (*material.train, material.shown):
+        if not np.isfinite(sample.joints_m).all():
+            raise InputError(f"joints of {sample.picture}", wanted="21 known joints", came="NaN or infinity",
+                             remedy="Leave that pose out, or look at it with `jghand check-data`.")  # fmt: skip
 
 
 def _by_pose(samples: Sequence[Sample]) -> dict[tuple[str, int], list[Sample]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +16,7 @@ from small_trainings import SMALL, parameters_of, small_training
 
 from jghand_engine.avatar.model import Shape
 from jghand_engine.avatar.skinning import pose_skin, seen_from
+from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.training.guard import find_non_finite
 from jghand_engine.training.losses import offset_loss
@@ -59,11 +61,13 @@ def test_a_degenerate_hand_teaches_finite_gradients(name, dtype):
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("joint", [0, 3, 20])
 def test_joints_that_are_no_numbers_are_noticed_and_teach_nothing(monkeypatch, tmp_path, value, joint):
-    """A loader lets none through; should one come all the same, the step says so and changes nothing."""
+    """Neither loaders nor the training let one in; should one come all the same, the step changes nothing."""
     good = painted_samples(tmp_path, ("open",))
-    joints_m = good[0].joints_m.copy()
-    joints_m[joint] = value
-    training = small_training(monkeypatch, [replace(sample, joints_m=joints_m) for sample in good])
+    training = small_training(monkeypatch, good)
+    for sample in good:
+        sample.joints_m[joint] = value
+    with pytest.raises(InputError, match=re.escape(str(good[0].picture))):
+        small_training(monkeypatch, good)
     before = parameters_of(training)
     assert find_non_finite(training.step(0), training) != []
     assert [name for name, tensor in parameters_of(training).items() if not torch.equal(tensor, before[name])] == []
