@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 
 import numpy as np
@@ -86,6 +87,17 @@ def test_a_picture_with_an_unknown_joint_is_left_out_and_counted(changeable, kin
     # the thumb's tip is joint 16 of the level order
     assert np.isnan(unknown[0].joints_m[16]).all()
     assert np.isfinite(np.delete(unknown[0].joints_m, 16, 0)).all()
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_a_joint_that_is_marked_as_valid_but_no_number_is_refused_by_its_frame(changeable, value):
+    with edited(changeable, "joint_3d") as content:
+        content["0"]["2000"]["world_coord"][5][1] = value
+    with pytest.raises(InputError, match=r"world_coord in .*frame 2000: .*NaN"):
+        read_interhand(changeable)
+    told = []
+    assert len(read_interhand(changeable, report=told.append)) == 2
+    assert len(told) == 2
 
 
 def test_both_hands_in_a_set_must_be_told_apart_by_the_user(tmp_path):
