@@ -7,6 +7,7 @@ from dataclasses import replace
 import torch
 
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
+from jghand_engine.avatar.cast_shadow import CastShadow, own_flesh, place_anchors
 from jghand_engine.avatar.correctives import PoseNet, PoseNetShape
 from jghand_engine.avatar.learnt import Ellipsoid, Learnt, ShadowLook
 from jghand_engine.avatar.light import SH_COUNT, Light
@@ -56,7 +57,10 @@ def trained_avatar(count: int = 200, seed: int = 0, shape: PoseNetShape | None =
     )
     normal = torch.nn.functional.normalize(torch.randn(count, 3, generator=g), dim=-1)
     look = ShadowLook(gain=5.0, tint=(0.4, 0.6, 0.7))
-    return replace(avatar, learnt=Learnt(normal, torch.rand(count, generator=g), light, net, look))
+    anchors = place_anchors(avatar.position_m, normal, avatar.bone_weights, 60)
+    lamp_rgb = torch.rand(20, 3, generator=g) ** 3
+    cast = CastShadow(lamp_rgb, anchors, own_flesh(anchors, avatar.canonical_joints_m))
+    return replace(avatar, learnt=Learnt(normal, torch.rand(count, generator=g), light, net, look, cast=cast))
 
 
 def ellipsoid_avatar(count: int = 200, seed: int = 0) -> HandAvatar:

@@ -16,6 +16,17 @@ from jghand_engine.limits import DEEP_M, DEEP_RADII, SIGMA_MAX_M, UVD_RANGE_M
 
 
 @dataclass(frozen=True)
+class LearntFrom:
+    """The pictures that an avatar was learnt from. capture: its name · split: how the others were held out · pictures:
+    how many · digest: of which they are, see `datasets.picture_digest`."""
+
+    capture: str
+    split: str
+    pictures: int
+    digest: str
+
+
+@dataclass(frozen=True)
 class AvatarInfo:
     """What is written beside the arrays of an avatar.
 
@@ -23,6 +34,7 @@ class AvatarInfo:
     transform: how its bones follow the joints; another than JOINTS is only drawn by what measures ablations.
     pose_statistics: per-angle minimum and maximum of the training poses, radians, by name; empty when nothing was
     trained.
+    learnt_from: the pictures; None when nothing was trained, or by a JGHand that did not write it down.
     """
 
     name: str
@@ -32,6 +44,7 @@ class AvatarInfo:
     scale_mode: ScaleMode = "axial"
     transform: Transform = Transform.JOINTS
     pose_statistics: dict[str, tuple[float, float]] = field(default_factory=dict)
+    learnt_from: LearntFrom | None = None
 
 
 @dataclass(frozen=True)

@@ -3,9 +3,9 @@
 The safetensors metadata holds one key, `jghand`, a JSON object: format_version, name, template, licence, units,
 handedness, joint_names (the order of the joints and of the weight columns), swing, scale_mode, transform, storage,
 gaussians, position_box_m, pose_statistics. swing and scale_mode are what `JointTransform` takes: a scale mode is a name
-or the number of the blended one. transform is that of `AvatarInfo`; `joints` where it is left out. The arrays are those
-of `storage.expected_arrays` and canonical_joints_m (21, 3) float64. Files keep the standard joint order; the engine's
-level order ends here.
+or the number of the blended one. transform is that of `AvatarInfo`; `joints` where it is left out. learnt_from, which
+may be left out, is that of `AvatarInfo`. The arrays are those of `storage.expected_arrays` and canonical_joints_m
+(21, 3) float64. Files keep the standard joint order; the engine's level order ends here.
 
 A trained avatar has format_version 2, a description `learnt` and the arrays of `learnt_storage`. Avatars that were not
 trained are still written as version 1, which older JGHands read.
@@ -14,7 +14,7 @@ trained are still written as version 1, which older JGHands read.
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ import safetensors
 import safetensors.numpy
 import torch
 
-from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
+from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar, LearntFrom
 from jghand_engine.avatar.learnt_storage import LearntAbout, expected_learnt_arrays, pack_learnt, unpack_learnt
 from jghand_engine.avatar.storage import (
     Arrays,
@@ -78,6 +78,8 @@ def save_avatar(path: Path | str, avatar: HandAvatar, *, storage: Storage = Stor
         "position_box_m": box_m,
         "pose_statistics": {name: list(range_) for name, range_ in avatar.info.pose_statistics.items()},
     }
+    if avatar.info.learnt_from is not None:
+        description["learnt_from"] = asdict(avatar.info.learnt_from)
     if avatar.learnt is not None:
         description["learnt"] = LearntAbout.of(avatar.learnt).as_dict()
         packed |= pack_learnt(avatar.learnt, storage)
@@ -159,6 +161,7 @@ class _Description:
             scale_mode=self._scale_mode(),
             transform=Transform(self._one_of("transform", tuple(Transform), "joints")),
             pose_statistics=self._pose_statistics(),
+            learnt_from=self._learnt_from(),
         )
         self.learnt = LearntAbout.parsed(self._fields.get("learnt"), self._wrong) if self._is_learnt() else None
 
@@ -212,6 +215,17 @@ class _Description:
         if not rows or not all(isinstance(row, list) and len(row) == 3 and all(map(_finite, row)) for row in rows):
             raise self._wrong("position_box_m", "two corners of three finite numbers", value)
         return rows
+
+    def _learnt_from(self) -> LearntFrom | None:
+        value = self._fields.get("learnt_from")
+        if value is None:
+            return None
+        texts = [value.get(name) for name in ("capture", "split", "digest")] if isinstance(value, dict) else [None]
+        count = value.get("pictures") if isinstance(value, dict) else None
+        if not all(map(is_text, texts)) or not isinstance(count, int) or isinstance(count, bool) or count < 1:
+            raise self._wrong("learnt_from", "capture, split and digest as texts, and how many pictures", value)
+        capture, split, digest = (str(text) for text in texts)
+        return LearntFrom(capture, split, count, digest)
 
     def _pose_statistics(self) -> dict[str, tuple[float, float]]:
         value = self._fields.get("pose_statistics")
@@ -284,4 +298,4 @@ def _avatar(info: AvatarInfo, handedness: Handedness, joints_m: torch.Tensor, ar
 
 
 def _with_learnt(avatar: HandAvatar, packed: dict[str, np.ndarray], about: LearntAbout) -> HandAvatar:
-    return replace(avatar, learnt=unpack_learnt(packed, about, avatar.bone_weights, avatar.uvd))
+    return replace(avatar, learnt=unpack_learnt(packed, about, avatar))

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import torch
 
+from jghand_engine.avatar.cast_shadow import CastShadow
 from jghand_engine.avatar.correctives import Correctives, PoseNet
 from jghand_engine.avatar.light import Light
 from jghand_engine.avatar.tiers import Baked, CachedNet, Price, Tier, choose
@@ -41,6 +42,7 @@ class Learnt:
     light: of the capture, in the world's frame · correctives: None when the pose changes nothing but the bones
     shadow: its look, None when it was trained without · world_offsets: offsets are in world axes, as the paper prints
     it, instead of turning with the hand (METHOD 2.9) · ellipsoid: of Gaussians that are no spheres, else None
+    cast: shadows that its parts cast on each other, None when it was trained without
     baked: cheaper tiers of the correctives, and what they cost; None where nothing was measured
     """
 
@@ -51,6 +53,7 @@ class Learnt:
     shadow: ShadowLook | None
     world_offsets: bool = False
     ellipsoid: Ellipsoid | None = None
+    cast: CastShadow | None = None
     baked: Baked | None = None
 
     def with_tier(self, wanted: Tier) -> tuple[Learnt, Price | None]:
@@ -72,5 +75,6 @@ class Learnt:
             shine=self.shine[:count],
             correctives=None if self.correctives is None else self.correctives.prefix(count),
             ellipsoid=None if self.ellipsoid is None else self.ellipsoid.prefix(count),
+            cast=None if self.cast is None else self.cast.prefix(count),
             baked=None if self.baked is None else self.baked.prefix(count),
         )

@@ -7,6 +7,12 @@
 | light.*          | float32      | float32                  | nothing                                                |
 | pose_net.*       | float32      | float16                  | 0.05 % of every weight                                 |
 | ellipsoid.*      | float32      | float16                  | 0.05 %                                                 |
+| cast.lamp_rgb    | float32      | float32                  | nothing                                                |
+| cast.position_m  | float32 x 3  | float32 x 3              | nothing                                                |
+| cast.normal      | float32 x 3  | octahedral, uint16 x 2   | 0.004 degrees                                          |
+| cast.bone_weights| float32 x 21 | float16 x 21             | 0.05 % of every weight                                 |
+| cast.nearest     | uint16 x 3   | uint16 x 3               | nothing                                                |
+| cast.share       | uint8 x 3    | uint8 x 3                | nothing: they are learnt with in eight bits            |
 | linear.*         | as it is used: int8 directions with a scale, constants as float16; nothing lost by writing    |
 
 The network reads where a Gaussian sits, and its bones; both stand in the file already, and its first layer's input is
@@ -23,6 +29,8 @@ import numpy as np
 import torch
 
 from jghand_engine import limits
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.cast_shadow import ANCHOR_NEIGHBOURS, SHARE_UNITS, Anchors, CastShadow, own_flesh
 from jghand_engine.avatar.correctives import PoseNet, PoseNetShape
 from jghand_engine.avatar.learnt import Ellipsoid, Learnt, ShadowLook
 from jghand_engine.avatar.light import SH_COUNT, Light
@@ -30,9 +38,10 @@ from jghand_engine.avatar.storage import UINT16_MAX, Storage
 from jghand_engine.avatar.texts import is_text
 from jghand_engine.avatar.tiers import Baked, LinearCorrectives, Price, Tier, basis_most
 from jghand_engine.errors import InputError
+from jghand_engine.hand.joints import JOINT_COUNT
 
 NORMAL, PACKED_NORMAL, SHINE = "normal", "normal_octahedral", "shine"
-LIGHT, NET, ELLIPSOID, LINEAR = "light.", "pose_net.", "ellipsoid.", "linear."
+LIGHT, NET, ELLIPSOID, CAST, LINEAR = "light.", "pose_net.", "ellipsoid.", "cast.", "linear."
 
 # no figure of a tier is larger
 PRICE_MAX = 1e9
@@ -86,15 +95,35 @@ def _parsed_price(value: object, basis: int, wrong: Wrong) -> Price:
 
 
 @dataclass(frozen=True)
+class CastAbout:
+    """What the JSON says of the cast shadow: its lamps and its anchors, at least one of each."""
+
+    lamps: int
+    anchors: int
+
+    @classmethod
+    def parsed(cls, value: object, wrong: Wrong) -> CastAbout:
+        """Every field looked at."""
+        lamps, anchors = (value.get("lamps"), value.get("anchors")) if isinstance(value, dict) else (None, None)
+        if not (isinstance(lamps, int) and _is_count(lamps, limits.CAST_LAMPS_MAX) and lamps > 0 and lamps % 2 == 0):
+            raise wrong("learnt cast lamps", f"an even count of 2 to {limits.CAST_LAMPS_MAX}", lamps)
+        if not (isinstance(anchors, int) and _is_count(anchors, UINT16_MAX) and anchors > 0):
+            raise wrong("learnt cast anchors", f"a count of 1 to {UINT16_MAX}", anchors)
+        return cls(lamps, anchors)
+
+
+@dataclass(frozen=True)
 class LearntAbout:
     """What the JSON says: lobes of the light's gloss · shape of the network, None for none · whether the Gaussians are
-    ellipsoids · what it says of cheaper tiers, None where nothing was measured · the rest as in Learnt."""
+    ellipsoids · the cast shadow, None where there is none · what it says of cheaper tiers, None where nothing was
+    measured · the rest as in Learnt."""
 
     lobes: int
     net: PoseNetShape | None
     shadow: ShadowLook | None
     world_offsets: bool
     ellipsoids: bool
+    cast: CastAbout | None
     baked: BakedAbout | None
 
     @classmethod
@@ -106,7 +135,8 @@ class LearntAbout:
         lobes = learnt.light.lobe_direction.shape[0]
         shape = None if net is None else net.shape
         baked = None if learnt.baked is None or net is None else BakedAbout.of(learnt.baked)
-        return cls(lobes, shape, learnt.shadow, learnt.world_offsets, learnt.ellipsoid is not None, baked)
+        cast = None if learnt.cast is None else CastAbout(len(learnt.cast.lamp_rgb), len(learnt.cast.anchors))
+        return cls(lobes, shape, learnt.shadow, learnt.world_offsets, learnt.ellipsoid is not None, cast, baked)
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON."""
@@ -126,7 +156,8 @@ class LearntAbout:
                 raise wrong(f"learnt {name}", "true or false", told)
         net, shadow = _parsed_net(value.get("net"), wrong), _parsed_shadow(value.get("shadow"), wrong)
         baked = None if value.get("baked") is None else BakedAbout.parsed(value["baked"], net, wrong)
-        return cls(lobes, net, shadow, bool(world_offsets), ellipsoids, baked)
+        cast = None if value.get("cast") is None else CastAbout.parsed(value["cast"], wrong)
+        return cls(lobes, net, shadow, bool(world_offsets), ellipsoids, cast, baked)
 
 
 def _parsed_shadow(value: object, wrong: Wrong) -> ShadowLook | None:
@@ -199,6 +230,9 @@ def expected_learnt_arrays(about: LearntAbout, gaussians: int, storage: Storage)
     if about.net is not None and about.baked is not None and about.baked.basis:
         for name, kind in _linear_arrays(about.net, about.baked.basis, gaussians).items():
             arrays[LINEAR + name] = kind
+    if about.cast is not None:
+        for name, kind in _cast_arrays(about.cast, gaussians, storage).items():
+            arrays[CAST + name] = kind
     if about.ellipsoids:
         for name, width in (("log_stretch", 3), ("quaternion", 4)):
             arrays[ELLIPSOID + name] = ("F32" if exact else "F16", (gaussians, width))
@@ -226,6 +260,45 @@ def _linear_arrays(net: PoseNetShape, basis: int, gaussians: int) -> dict[str, t
         "direction": ("I8", (gaussians, basis, 6)),
         "scale": ("F32", (gaussians, 2)),
     }
+
+
+def _cast_arrays(about: CastAbout, gaussians: int, storage: Storage) -> dict[str, tuple[str, tuple]]:
+    exact = storage is Storage.EXACT
+    normal = (NORMAL, ("F32", (about.anchors, 3))) if exact else (PACKED_NORMAL, ("U16", (about.anchors, 2)))
+    return {
+        "lamp_rgb": ("F32", (about.lamps, 3)),
+        "position_m": ("F32", (about.anchors, 3)),
+        "bone_weights": ("F32" if exact else "F16", (about.anchors, JOINT_COUNT)),
+        "nearest": ("U16", (gaussians, ANCHOR_NEIGHBOURS)),
+        "share": ("U8", (gaussians, ANCHOR_NEIGHBOURS)),
+        normal[0]: normal[1],
+    }
+
+
+def _pack_cast(cast: CastShadow, storage: Storage) -> dict[str, np.ndarray]:
+    anchors, normal = cast.anchors, _numpy(cast.anchors.normal)
+    packed = {
+        "lamp_rgb": _numpy(cast.lamp_rgb),
+        "position_m": _numpy(anchors.position_m),
+        "nearest": anchors.nearest.numpy().astype(np.uint16),
+        "share": np.rint(SHARE_UNITS * anchors.share.numpy()).astype(np.uint8),
+        "bone_weights": _numpy(anchors.bone_weights).astype(np.float32 if storage is Storage.EXACT else np.float16),
+    }
+    packed |= {NORMAL: normal} if storage is Storage.EXACT else {PACKED_NORMAL: octahedral(normal)}
+    return {CAST + name: array for name, array in packed.items()}
+
+
+def _unpack_cast(packed: dict[str, np.ndarray], canonical_joints_m: torch.Tensor) -> CastShadow:
+    own = {name.removeprefix(CAST): array for name, array in packed.items() if name.startswith(CAST)}
+    normal = own[NORMAL] if NORMAL in own else octahedral_normal(own[PACKED_NORMAL])
+    anchors = Anchors(
+        _tensor(own["position_m"]),
+        _tensor(normal),
+        _tensor(own["bone_weights"]),
+        torch.from_numpy(own["nearest"].astype(np.int64)),
+        _tensor(own["share"]) / SHARE_UNITS,
+    )
+    return CastShadow(_tensor(own["lamp_rgb"]), anchors, own_flesh(anchors, canonical_joints_m))
 
 
 def _pack_linear(linear: LinearCorrectives) -> dict[str, np.ndarray]:
@@ -261,23 +334,24 @@ def pack_learnt(learnt: Learnt, storage: Storage) -> dict[str, np.ndarray]:
                 packed[NET + name] = _numpy(tensor).astype(real)
         if learnt.baked is not None and learnt.baked.linear is not None:
             packed |= _pack_linear(learnt.baked.linear)
+        if learnt.cast is not None:
+            packed |= _pack_cast(learnt.cast, storage)
         if learnt.ellipsoid is not None:
             for f in fields(Ellipsoid):
                 packed[ELLIPSOID + f.name] = _numpy(getattr(learnt.ellipsoid, f.name)).astype(real)
     return {name: np.ascontiguousarray(array) for name, array in packed.items()}
 
 
-def unpack_learnt(
-    packed: dict[str, np.ndarray], about: LearntAbout, bone_weights: torch.Tensor, uvd: torch.Tensor
-) -> Learnt:
-    """The inverse of `pack_learnt`. bone_weights, uvd: of the avatar, as they were read."""
+def unpack_learnt(packed: dict[str, np.ndarray], about: LearntAbout, avatar: HandAvatar) -> Learnt:
+    """The inverse of `pack_learnt`. avatar: what it is added to, as it was read."""
+    bone_weights = avatar.bone_weights
     normal = packed[NORMAL] if NORMAL in packed else octahedral_normal(packed[PACKED_NORMAL])
     values = {f.name: _tensor(packed[LIGHT + f.name]) for f in fields(Light)}
     values["rim"] = values["rim"].reshape(())
     net = None
     if about.net is not None:
         with torch.random.fork_rng(devices=[]):  # a new network draws random numbers: nobody else should notice
-            net = PoseNet(bone_weights, uvd, about.net).requires_grad_(False)
+            net = PoseNet(bone_weights, avatar.uvd, about.net).requires_grad_(False)
         net.load_state_dict({name: _tensor(packed[NET + name]) for name in net.state_dict()})
     baked = None
     if about.baked is not None and net is not None:
@@ -294,6 +368,7 @@ def unpack_learnt(
         shadow=about.shadow,
         world_offsets=about.world_offsets,
         ellipsoid=ellipsoid,
+        cast=None if about.cast is None else _unpack_cast(packed, avatar.canonical_joints_m),
         baked=baked,
     )
 

@@ -16,6 +16,7 @@ from torch import Tensor, nn
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar, grown_radii, sigma_scale_for_prefix
 from jghand_engine.avatar.canonical_points import CanonicalPoints
+from jghand_engine.avatar.cast_shadow import CastShadow, own_flesh, place_anchors
 from jghand_engine.avatar.correctives import PoseNet, PoseNetShape
 from jghand_engine.avatar.learnt import Ellipsoid, Learnt, ShadowLook
 from jghand_engine.avatar.light import SH_COUNT, Light, unit
@@ -52,6 +53,7 @@ class ModelOptions:
     identity_reach_m: longest identity offset along an axis · opacity_bias: before the sigmoid, at the start
     shape: of the Gaussians
     lit: whether the light of the capture is learnt apart from the colours · glossy: whether reflections are
+    cast_shadow: whether its lamps are, which the fingers hide from the palm
     """
 
     gaussians: int = 40_000
@@ -69,6 +71,7 @@ class ModelOptions:
     shape: Shape = Shape.ISO
     lit: bool = True
     glossy: bool = True
+    cast_shadow: bool = True
 
 
 class LearnedHand(nn.Module):
@@ -77,6 +80,8 @@ class LearnedHand(nn.Module):
     def __init__(self, points: CanonicalPoints, options: ModelOptions, seed: int) -> None:
         super().__init__()
         self.options, self.points = options, points
+        self._anchors = place_anchors(points.position_m, points.normal, points.bone_weights, limits.ANCHORS)
+        self._own = own_flesh(self._anchors, points.joints_m)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self._make_parameters()
@@ -102,8 +107,11 @@ class LearnedHand(nn.Module):
         self.lobe_log_sharpness = nn.Parameter(torch.full((len(_LOBES),), math.log(limits.LOBE_SHARPNESS_START)))
         self.lobe_raw_rgb = nn.Parameter(torch.full((len(_LOBES), 3), limits.LOBE_RAW_START))
         self.raw_rim = nn.Parameter(torch.zeros(()))
-        self.log_shadow_gain = nn.Parameter(torch.tensor(math.log(limits.SHADOW_GAIN)))
-        self.shadow_tint = nn.Parameter(torch.tensor(limits.SHADOW_TINT))
+        if options.cast_shadow:
+            self.raw_lamps = nn.Parameter(torch.zeros(limits.LAMPS, 3))
+        low, high = limits.SHADOW_GAIN_RANGE
+        self.raw_shadow_gain = nn.Parameter(torch.logit(torch.tensor(math.log(limits.SHADOW_GAIN / low, high / low))))
+        self.raw_shadow_tint = nn.Parameter(torch.logit(torch.tensor(limits.SHADOW_TINT)))
         for plane in (self.planes.uv.texels, self.planes.ud.texels, self.planes.vd.texels, self.pose_net.angles.planes):
             nn.init.normal_(plane, std=limits.PLANE_START_STD)
         for last in (self.heads, self.pose_net.out):
@@ -139,6 +147,7 @@ class LearnedHand(nn.Module):
                 shadow=self.shadow_look(),
                 world_offsets=options.offset_frame is OffsetFrame.WORLD,
                 ellipsoid=self.ellipsoid(count),
+                cast=self.cast_shadow(count),
             ),
         )
 
@@ -151,7 +160,15 @@ class LearnedHand(nn.Module):
 
     def light_parameters(self) -> list[nn.Parameter]:
         """What the light is made of: few numbers that every pixel speaks for."""
-        return [self.irradiance, self.lobe_direction, self.lobe_log_sharpness, self.lobe_raw_rgb, self.raw_rim]
+        few = [self.irradiance, self.lobe_direction, self.lobe_log_sharpness, self.lobe_raw_rgb, self.raw_rim]
+        few += [self.raw_shadow_gain, self.raw_shadow_tint]
+        return [*few, self.raw_lamps] if self.options.cast_shadow else few
+
+    def cast_shadow(self, count: int) -> CastShadow | None:
+        """On the first `count` Gaussians, with gradients; None where it is not learnt."""
+        if not self.options.cast_shadow:
+            return None
+        return CastShadow(torch.softmax(limits.LAMP_RATE * self.raw_lamps, 0), self._anchors.prefix(count), self._own)
 
     def light(self) -> Light:
         """The light as it is now, with gradients."""
@@ -173,8 +190,9 @@ class LearnedHand(nn.Module):
 
     def shadow(self) -> tuple[Tensor, Tensor]:
         """Gain () and tint (3,) of the shadow as they are now, with gradients, inside their ranges."""
-        low, high = map(math.log, limits.SHADOW_GAIN_RANGE)
-        return self.log_shadow_gain.clamp(low, high).exp(), self.shadow_tint.clamp(0, 1)
+        low, high = limits.SHADOW_GAIN_RANGE
+        gain = low * (high / low) ** torch.sigmoid(self.raw_shadow_gain)
+        return gain, torch.sigmoid(self.raw_shadow_tint)
 
     def spread_radii(self, known: int, nearest: Tensor) -> None:
         """Gives Gaussians from `known` on the learnt growth of their neighbour among the first `known`.

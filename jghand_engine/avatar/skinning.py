@@ -11,6 +11,7 @@ from typing import Protocol
 import torch
 
 from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.cast_shadow import CastShadow, LampsSeen, exponent, lamps_seen
 from jghand_engine.avatar.correctives import Correction
 from jghand_engine.avatar.covariance import posed_covariance
 from jghand_engine.avatar.gaussians import Gaussians
@@ -122,13 +123,33 @@ class PosedSkin:
     shine: torch.Tensor | None = None
 
 
+def see_lamps(shadow: CastShadow, canonical_joints_m: torch.Tensor, bones: PoseTransforms) -> LampsSeen:
+    """What the skin of one pose sees of the lamps, without the pose's correction: it moves skin by less than an edge
+    of a shadow is wide. canonical_joints_m: (21, 3) of the avatar."""
+    anchors = shadow.anchors
+    with torch.autocast(bones.linear.device.type, enabled=False):
+        maps = skin_maps(anchors.bone_weights, bones, turned=True)
+        dtype = bones.linear.dtype
+        root_m = bones.canonical_root_m.to(dtype)
+        position_m = apply(maps.linear, anchors.position_m.to(dtype) - root_m) + maps.offset_m
+        normal = unit(apply(_turned(maps), anchors.normal.to(dtype)))
+        # bone i ends at joint i
+        joints_m = apply(bones.linear, canonical_joints_m.to(dtype) - root_m) + bones.offset_m
+        return lamps_seen(shadow, position_m, normal, joints_m, bones.scale)
+
+
 def pose_skin(
-    avatar: HandAvatar, bones: PoseTransforms, correction: Correction | None = None, maps: SkinMaps | None = None
+    avatar: HandAvatar,
+    bones: PoseTransforms,
+    correction: Correction | None = None,
+    *,
+    maps: SkinMaps | None = None,
+    seen: LampsSeen | None = None,
 ) -> PosedSkin:
     """Canonical Gaussians -> those of one pose, in the frame of the joints that made `bones`.
 
     bones: transforms of one pose (no batch axis); its dtype is that of the result · correction: of that pose, for a
-    trained avatar · maps: as `skin_maps` makes them, where they are known already
+    trained avatar · maps, seen: as `skin_maps` and `see_lamps` make them, where they are known already
 
     Position: blend [L | t] root-relative, add the root last (METHOD 2.9): the result stays exact far from the origin.
     Radius: sigma * |det L|^(1/3), clamped to SIGMA_STRETCH_MIN..MAX times s_g * sigma (METHOD 2.8).
@@ -149,6 +170,9 @@ def pose_skin(
         if learnt is not None:
             normal = unit(apply(_turned(maps), learnt.normal.to(dtype)))
             shade = None if correction is None else correction.shade.to(dtype)
+            if learnt.cast is not None:
+                fallen = exponent(learnt.cast, seen or see_lamps(learnt.cast, avatar.canonical_joints_m, bones))
+                shade = fallen if shade is None else shade + fallen
             rgb, shine = lit(rgb, normal, learnt.light.to(dtype), shade), learnt.shine.to(dtype)
         gaussians = Gaussians(
             position_m=position_m + bones.root_m,

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 
 from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.cast_shadow import ANCHOR_NEIGHBOURS, CastShadow
 from jghand_engine.avatar.correctives import PoseNet
 from jghand_engine.avatar.learnt import Learnt
 from jghand_engine.avatar.light import SH_COUNT
@@ -16,6 +17,7 @@ from jghand_engine.hand.transform import JointTransform
 from jghand_engine.limits import (
     AVATAR_MAX_GAUSSIANS,
     AVATAR_REACH_M,
+    CAST_SUM_TOLERANCE,
     LIGHT_LOBES_MAX,
     LIGHT_VALUE_MAX,
     LOG_STRETCH_MAX,
@@ -73,6 +75,8 @@ def _check_learnt(learnt: Learnt, count: int, thing: str) -> None:
     if learnt.ellipsoid is not None:
         ranges["ellipsoid log_stretch"] = (learnt.ellipsoid.log_stretch, (count, 3), -LOG_STRETCH_MAX, LOG_STRETCH_MAX)
         ranges["ellipsoid quaternion"] = (learnt.ellipsoid.quaternion, (count, 4), -most, most)
+    if learnt.cast is not None:
+        ranges |= _cast_ranges(learnt.cast, count)
     if learnt.baked is not None and learnt.baked.linear is not None:
         linear = learnt.baked.linear
         for part, last in (("mean", ()), ("projection", ()), ("constant", (count, 6)), ("scale", (count, 2))):
@@ -84,9 +88,31 @@ def _check_learnt(learnt: Learnt, count: int, thing: str) -> None:
             raise InputError(f"{thing}: {name}", wanted=f"shape {shape}", came=came, remedy=REMEDY)
         flat = values.detach().reshape(-1)
         _refuse(thing, name, f"values of {low:g} to {high:g}", ~((flat >= low) & (flat <= high)), flat, of="number")
-    length = learnt.normal.norm(dim=-1)
-    _refuse(thing, "normal", "vectors of length 1", (length - 1).abs() > NORMAL_LENGTH_TOLERANCE, length)
+    _check_lengths(thing, "normal", learnt.normal)
+    if learnt.cast is not None:
+        _check_lengths(thing, "cast normal", learnt.cast.anchors.normal)
+        for name, rows in (("bone_weights", learnt.cast.anchors.bone_weights), ("share", learnt.cast.anchors.share)):
+            total = rows.double().sum(1)
+            wanted = f"rows that sum to 1 within {CAST_SUM_TOLERANCE:g}"
+            _refuse(thing, f"cast {name}", wanted, (total - 1).abs() > CAST_SUM_TOLERANCE, total)
     _check_shadow(learnt, thing)
+
+
+def _cast_ranges(cast: CastShadow, count: int) -> dict[str, tuple[torch.Tensor, tuple[int, ...], float, float]]:
+    anchors = cast.anchors
+    return {
+        "cast lamp_rgb": (cast.lamp_rgb, (len(cast.lamp_rgb), 3), 0.0, LIGHT_VALUE_MAX),
+        "cast position_m": (anchors.position_m, (len(anchors), 3), -2 * AVATAR_REACH_M, 2 * AVATAR_REACH_M),
+        "cast normal": (anchors.normal, (len(anchors), 3), -2.0, 2.0),
+        "cast bone_weights": (anchors.bone_weights, (len(anchors), JOINT_COUNT), 0.0, 1.0),
+        "cast nearest": (anchors.nearest, (count, ANCHOR_NEIGHBOURS), 0, len(anchors) - 1),
+        "cast share": (anchors.share, (count, ANCHOR_NEIGHBOURS), 0.0, 1.0),
+    }
+
+
+def _check_lengths(thing: str, name: str, vector: torch.Tensor) -> None:
+    length = vector.norm(dim=-1)
+    _refuse(thing, name, "vectors of length 1", (length - 1).abs() > NORMAL_LENGTH_TOLERANCE, length)
 
 
 def _check_shadow(learnt: Learnt, thing: str) -> None:

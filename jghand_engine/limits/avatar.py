@@ -79,3 +79,30 @@ DISTIL_GAUSSIANS_AT_ONCE = 2048
 # ranges of the angles between neighbouring palm bones (theta^p) and palm planes (theta^n), degrees (METHOD 4.1)
 PALM_NEIGHBOUR_RANGES_DEG = ((0.0, 60.0), (0.0, 30.0), (0.0, 30.0), (0.0, 30.0))
 PALM_PLANE_RANGES_DEG = ((-30.0, 60.0), (-20.0, 40.0), (-20.0, 40.0))
+
+# ---- avatar: cast shadows -------------------------------------------------------------------------------------------
+# lamps around the hand, and points of the skin at which they are counted: one per 20 mm^2
+LAMPS = 64
+# logarithm of a lamp's brightness per unit of its parameter: lamps differ much more than other parameters do
+LAMP_RATE = 10.0
+ANCHORS = 2048
+# distances of a Gaussian to its anchors count as longer by this, metres: no anchor takes all
+ANCHOR_SOFTENING_M = 1e-4
+# flesh is a point's own up to this many radii from its bone, and wholly foreign from this many on
+OWN_FLESH_RADII = (1.15, 1.6)
+# edges of shadows: softness of the capsule's surface, as a part of its radius, and half width of a lamp per distance
+# (64 lamps on a sphere are 0.25 in radius; sharper edges learnt poses a little better, with less than half of it)
+FLESH_SOFTNESS = 0.2
+LAMP_HALF_WIDTH = 0.15
+# floors against division by zero: squared length of a capsule's axis (m^2), squared sine between ray and axis, width of
+# an edge (m)
+CAPSULE_LENGTH2_MIN = 1e-12
+CAPSULE_SINE2_MIN = 1e-3
+CAPSULE_WIDTH_MIN_M = 1e-6
+# light that reaches skin which sees no lamp, of all lamps together: bounced from other skin
+LAMPS_LEFT_MIN = 0.003
+# display-referred colours go with light to this power
+LIGHT_TO_DISPLAY = 1 / 2.2
+# what a file may hold: lamps; by how much shares and weights of an anchor, of 16 bits, may sum to something else than 1
+CAST_LAMPS_MAX = 256
+CAST_SUM_TOLERANCE = 5e-3

@@ -18,9 +18,10 @@ from torch import Tensor
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
 from jghand_engine.avatar.canonical_points import place_points
+from jghand_engine.avatar.cast_shadow import LampsSeen
 from jghand_engine.avatar.model import LearnedHand, Shape
 from jghand_engine.avatar.pose_features import octave_of_wave
-from jghand_engine.avatar.skinning import PosedSkin, SkinMaps, pose_skin, seen_from, skin_maps
+from jghand_engine.avatar.skinning import PosedSkin, SkinMaps, pose_skin, see_lamps, seen_from, skin_maps
 from jghand_engine.datasets.sample import Sample
 from jghand_engine.errors import InputError
 from jghand_engine.hand.baselines import transform_called
@@ -57,16 +58,19 @@ class Material:
 
 @dataclass(frozen=True)
 class _PosedBones:
-    """What never changes of one pose: transforms, maps of the skin, strength of the shadow 0..1."""
+    """What never changes of one pose: transforms, maps of the skin, strength of the shadow 0..1, and which
+    lamps are seen."""
 
     bones: BoneTransforms
     maps: SkinMaps
     shadow: float
+    seen: LampsSeen | None
 
     def nbytes(self) -> int:
         """Memory of the maps, bytes; the rest is small."""
         maps = self.maps
-        tensors = (maps.linear, maps.offset_m, maps.radius, maps.turning)
+        tensors = [maps.linear, maps.offset_m, maps.radius, maps.turning]
+        tensors += [] if self.seen is None else [self.seen.open, self.seen.seen]
         return sum(tensor.nbytes for tensor in tensors if tensor is not None)
 
 
@@ -249,7 +253,7 @@ class HandTraining:
         """The skin of a pose, and its offsets (N, 3) metres."""
         correction = self.hand.pose_net(posed.bones.frames, len(avatar), self._wave_weight(part))
         maps = _first(posed.maps, len(avatar))
-        return pose_skin(avatar, posed.bones, correction, maps), correction.offset_m
+        return pose_skin(avatar, posed.bones, correction, maps=maps, seen=posed.seen), correction.offset_m
 
     def _wave_weight(self, part: float) -> Tensor | None:
         """How much each wave of the encoding counts: octave after octave, each faded in by half a cosine."""
@@ -279,7 +283,10 @@ class HandTraining:
     def _new_posed_bones(self, joints_m: np.ndarray) -> _PosedBones:
         bones = self._transform.bones(torch.from_numpy(joints_m).float())
         maps = skin_maps(self.hand.points.bone_weights, bones, turned=True)
-        return _PosedBones(bones, maps, fade(self._gate.score(joints_m, float(bones.scale))))
+        cast = self.hand.cast_shadow(1)
+        with torch.no_grad():
+            seen = None if cast is None else see_lamps(cast, self.hand.points.joints_m, bones)
+        return _PosedBones(bones, maps, fade(self._gate.score(joints_m, float(bones.scale))), seen)
 
     def _shown(self) -> tuple[View, Tensor]:
         """The fixed view and ours of it, 0..1."""

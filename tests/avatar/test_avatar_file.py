@@ -208,6 +208,18 @@ def test_joints_in_single_precision_and_names_of_any_script_can_be_saved(tmp_pat
     assert torch.equal(again.canonical_joints_m, avatar.canonical_joints_m.double())
 
 
+def test_the_pictures_that_an_avatar_was_learnt_from_are_kept(tmp_path):
+    learnt_from = LearntFrom("id3 train/Capture0", "splits.json of the capture", 360, "0123456789abcdef")
+    avatar = small_avatar()
+    save_avatar(tmp_path / "hand.jghand", replace(avatar, info=replace(avatar.info, learnt_from=learnt_from)))
+    assert load_avatar(tmp_path / "hand.jghand").info.learnt_from == learnt_from
+
+
+def test_any_name_can_be_made_one_that_is_written():
+    assert as_text("two\nlines\x1b" + "x" * 600) == "twolines" + "x" * 492
+    assert as_text("手 · d'Ève") == "手 · d'Ève"
+
+
 def test_joints_in_millimetres_are_not_written(tmp_path):
     avatar = small_avatar()
     with pytest.raises(InputError, match=r"wrist to middle tip.*metres"):

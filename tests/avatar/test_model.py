@@ -17,7 +17,7 @@ from jghand_engine.hand.joints import Handedness
 
 RIGHT = Handedness.RIGHT
 # the constants of the shadow are learnt through the picture: see tests/training/test_step.py
-OF_THE_SHADOW = {"log_shadow_gain", "shadow_tint"}
+OF_THE_SHADOW = {"raw_shadow_gain", "raw_shadow_tint"}
 
 
 def avatar_of(hand: LearnedHand, count: int = 0) -> HandAvatar:

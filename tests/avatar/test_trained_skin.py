@@ -184,7 +184,7 @@ def test_correctives_read_the_same_angles_of_a_left_hand():
 def test_maps_that_are_known_already_change_no_bit(dtype):
     bones = bones_of(torch.from_numpy(joints_of("fist")).to(dtype))
     maps = skin_maps(AVATAR.bone_weights, bones, turned=True)
-    fresh, known = pose_skin(elliptic(), bones, correction()), pose_skin(elliptic(), bones, correction(), maps)
+    fresh, known = pose_skin(elliptic(), bones, correction()), pose_skin(elliptic(), bones, correction(), maps=maps)
     for name in ("position_m", "sigma_m", "rgb", "covariance_m2"):
         assert torch.equal(getattr(fresh.matt, name), getattr(known.matt, name))
     assert torch.equal(normals(fresh), normals(known))
@@ -208,10 +208,10 @@ def test_maps_without_turning_are_refused_where_something_is_attached_to_the_ski
     bones = bones_of(joints_of("fist"))
     maps = skin_maps(AVATAR.bone_weights, bones, turned=False)
     with pytest.raises(InputError, match="turned"):
-        pose_skin(AVATAR, bones, correction(), maps)
+        pose_skin(AVATAR, bones, correction(), maps=maps)
     with pytest.raises(InputError, match="turned"):
-        pose_skin(small_avatar(150), bones, correction(), maps)
-    pose_skin(small_avatar(150), bones, None, maps)
+        pose_skin(small_avatar(150), bones, correction(), maps=maps)
+    pose_skin(small_avatar(150), bones, None, maps=maps)
 
 
 def test_offsets_turn_and_grow_with_the_hand_or_stay_in_the_world():

@@ -12,6 +12,7 @@ from painted_samples import mirrored, painted_samples
 from small_hands import SMALL_MODEL
 from small_trainings import SMALL, parameters_of, small_training
 
+from jghand_engine import limits
 from jghand_engine.avatar.model import Shape
 from jghand_engine.avatar.skinning import seen_from
 from jghand_engine.datasets.sample import Sample
@@ -171,6 +172,7 @@ def test_planes_radii_and_light_learn_at_the_faster_rate(build):
     assert fast == {
         "log_sigma", "planes.uv.texels", "planes.ud.texels", "planes.vd.texels", "pose_net.angles.planes",
         "irradiance", "lobe_direction", "lobe_log_sharpness", "lobe_raw_rgb", "raw_rim",
+        "raw_lamps", "raw_shadow_gain", "raw_shadow_tint",
     }  # fmt: skip
     assert slow | fast == set(names.values())
     assert not slow & fast
@@ -309,7 +311,7 @@ def test_a_step_moves_every_parameter(build, samples, shape):
 def test_without_shadow_nothing_of_it_is_learnt(build, samples):
     training = build(replace(SMALL, shadow=False), samples[3:6])
     training.step(0)
-    assert not set(training.gradients()) & {"log_shadow_gain", "shadow_tint"}
+    assert not set(training.gradients()) & {"raw_shadow_gain", "raw_shadow_tint"}
 
 
 def test_the_shadow_darkens_by_strength_and_tint(build, samples):
@@ -319,8 +321,9 @@ def test_the_shadow_darkens_by_strength_and_tint(build, samples):
 
     def picture(gain: float, tint: float, strength: float) -> torch.Tensor:
         with torch.no_grad():
-            training.hand.log_shadow_gain.fill_(math.log(gain))
-            training.hand.shadow_tint.fill_(tint)
+            low, high = limits.SHADOW_GAIN_RANGE
+            training.hand.raw_shadow_gain.copy_(torch.logit(torch.tensor(math.log(gain / low, high / low))))
+            training.hand.raw_shadow_tint.fill_(math.log(tint / (1 - tint)) if tint < 1 else math.inf)
             avatar = training._live()
             skin, _ = training._pose(avatar, posed, 1.0)
             return training._draw_view(avatar, skin, strength, view.camera)[0]

@@ -1,0 +1,188 @@
+"""Shadows that the fingers cast on the hand, in the light that the hand was learnt in.
+
+The distant light is a set of lamps all around, in fixed directions of the world, each with a learnt colour. A point of
+the skin loses those that a bone's flesh, a soft capsule, stands before:
+
+    exponent = EXPONENT * log( sum_k colour_k max(n.w_k, 0) seen_k / sum_k colour_k max(n.w_k, 0) )
+
+It is added to the exponent of `light.lit`: the harmonics say how bright a lone surface is, the lamps what is missing.
+Soft shadows change little over a few millimetres, so this is computed at anchors and spread to the Gaussians by fixed
+weights. What a bone hides in the canonical pose from the skin around it is in the colours already, and left out.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from scipy.spatial import KDTree
+from torch import Tensor
+
+from jghand_engine import limits
+from jghand_engine.errors import InputError
+from jghand_engine.hand.joints import PARENTS
+
+ANCHOR_NEIGHBOURS = 3
+# shares of anchors are whole numbers of these
+SHARE_UNITS = 255
+
+
+@dataclass(frozen=True)
+class Anchors:
+    """Where the skin's shadow is computed, and how it is spread.
+
+    position_m: (A, 3), normal: (A, 3) unit, bone_weights: (A, 21): canonical, float32
+    nearest: (N, 3) int64 of the anchors around each Gaussian · share: (N, 3) float32 of each, sums to 1
+    """
+
+    position_m: Tensor
+    normal: Tensor
+    bone_weights: Tensor
+    nearest: Tensor
+    share: Tensor
+
+    def __len__(self) -> int:
+        return self.position_m.shape[0]
+
+    def prefix(self, count: int) -> Anchors:
+        """The same for the first `count` Gaussians."""
+        return replace(self, nearest=self.nearest[:count], share=self.share[:count])
+
+    def spread(self, values: Tensor) -> Tensor:
+        """(N, C) at the Gaussians of values (A, C) at the anchors."""
+        share = self.share.to(values.dtype)
+        return sum((share[:, k, None] * values[self.nearest[:, k]] for k in range(1, ANCHOR_NEIGHBOURS)),
+                   share[:, :1] * values[self.nearest[:, 0]])  # fmt: skip
+
+
+def place_anchors(position_m: Tensor, normal: Tensor, bone_weights: Tensor, count: int) -> Anchors:
+    """Anchors at the first `count` of N canonical points, whose every prefix covers the hand.
+
+    position_m: (N, 3), normal: (N, 3) unit, bone_weights: (N, 21)
+    """
+    count = min(count, len(position_m))
+    tree = KDTree(position_m[:count].double().numpy())
+    neighbours = min(ANCHOR_NEIGHBOURS, count)
+    distance_m, nearest = tree.query(position_m.double().numpy(), k=list(range(1, neighbours + 1)))  # type: ignore[arg-type]
+    spare = ANCHOR_NEIGHBOURS - neighbours
+    share = np.pad(1 / (distance_m + limits.ANCHOR_SOFTENING_M), ((0, 0), (0, spare)))
+    # eight bits, as a file holds them: what is drawn from the file is what was learnt
+    share = np.rint(SHARE_UNITS * share / share.sum(1, keepdims=True))
+    share[:, 0] += SHARE_UNITS - share.sum(1)
+    return Anchors(
+        position_m[:count].float(),
+        normal[:count].float(),
+        bone_weights[:count].float(),
+        torch.from_numpy(np.pad(nearest, ((0, 0), (0, spare)))),
+        torch.from_numpy(share / SHARE_UNITS).float(),
+    )
+
+
+def lamp_directions(count: int) -> Tensor:
+    """(count, 3) float64 unit vectors towards the lamps, count even: a Fibonacci lattice on the half sphere x > 0,
+    then its mirror image, so that left hands are learnt as well as right ones. InputError for an odd count."""
+    if count % 2 or count < 2:
+        raise InputError("lamps", wanted="an even number", came=str(count))
+    index = torch.arange(count // 2, dtype=torch.float64) + 0.5
+    height = 1 - 2 * index / count
+    radius, turn = (1 - height * height).sqrt(), math.pi * (1 + math.sqrt(5)) * index
+    half = torch.stack([height, radius * turn.cos(), radius * turn.sin()], -1)
+    return torch.cat([half, half * torch.tensor([-1.0, 1.0, 1.0], dtype=torch.float64)])
+
+
+@dataclass(frozen=True)
+class CastShadow:
+    """lamp_rgb: (K, 3) what each lamp sends, 0 and up; only their ratios count · anchors: see there
+    own: (A, 20) 0..1 how much the flesh of each bone is the anchor's own, which casts nothing on it"""
+
+    lamp_rgb: Tensor
+    anchors: Anchors
+    own: Tensor
+
+    def prefix(self, count: int) -> CastShadow:
+        """The same for the first `count` Gaussians."""
+        return replace(self, anchors=self.anchors.prefix(count))
+
+
+def own_flesh(anchors: Anchors, canonical_joints_m: Tensor) -> Tensor:
+    """(A, 20) how much each bone's flesh is an anchor's own: 1 on it, 0 well away from it, in the canonical pose."""
+    start, end, radius_m = capsules(canonical_joints_m, torch.ones((), dtype=torch.float64))
+    to_point = anchors.position_m.double()[:, None] - start
+    along = end - start
+    part = ((to_point * along).sum(-1) / (along * along).sum(-1)).clamp(0, 1)
+    distance_m = (to_point - part[..., None] * along).norm(dim=-1)
+    near, far = limits.OWN_FLESH_RADII
+    return 1 - _smooth((distance_m / radius_m - near) / (far - near)).float()
+
+
+def capsules(joints_m: Tensor, hand_scale: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Start (20, 3), end (20, 3) and radius (20,) of the bones' flesh. joints_m: (21, 3), level order."""
+    radius_m = 1e-3 * torch.tensor(limits.GATE_CAPSULE_RADII_MM, dtype=joints_m.dtype, device=joints_m.device)
+    return joints_m[list(PARENTS[1:])], joints_m[1:], radius_m * hand_scale
+
+
+@dataclass(frozen=True)
+class LampsSeen:
+    """What anchors see of the lamps in one pose. open: (A, K) cosine towards each, 0 and up, as if nothing stood
+    before it · seen: (A, K) the same times the part 0..1 that is seen"""
+
+    open: Tensor
+    seen: Tensor
+
+
+def lamps_seen(
+    shadow: CastShadow, position_m: Tensor, normal: Tensor, joints_m: Tensor, hand_scale: Tensor
+) -> LampsSeen:
+    """position_m, normal: (A, 3) of the posed anchors · joints_m: (21, 3) posed · hand_scale: (), all in one frame."""
+    direction = lamp_directions(len(shadow.lamp_rgb)).to(normal)
+    cosine = (normal @ direction.T).clamp_min(0)
+    hidden = 1 - shadow.own.to(position_m)
+    visible = torch.ones_like(cosine)
+    for bone, (start, end, radius_m) in enumerate(zip(*capsules(joints_m, hand_scale), strict=True)):
+        stands_free = past_capsule(position_m, direction, start, end, radius_m)
+        visible = visible * (1 - hidden[:, bone, None] * (1 - stands_free))
+    return LampsSeen(cosine, cosine * visible)
+
+
+def past_capsule(position_m: Tensor, direction: Tensor, start: Tensor, end: Tensor, radius_m: Tensor) -> Tensor:
+    """(A, K) how much of each lamp shines past one capsule: 0 behind it, 1 well beside it, smooth between.
+
+    The least distance between ray and axis decides, by two rounds of alternating projection, which are exact where
+    neither end of the axis nor the ray's own start is nearest. The edge widens with the way to the capsule, like
+    that of a lamp of LAMP_HALF_WIDTH. position_m: (A, 3) · direction: (K, 3) unit · start, end: (3,)
+    """
+    axis, from_start = end - start, position_m - start
+    length2 = (axis * axis).sum().clamp_min(limits.CAPSULE_LENGTH2_MIN)
+    axis_along = direction @ axis
+    point_along_axis = from_start @ axis
+    point_along_ray = from_start @ direction.T
+    # |from_start + t direction - s axis|^2 is least over all t at this s
+    sine2 = (length2 - axis_along * axis_along).clamp_min(limits.CAPSULE_SINE2_MIN * length2)
+    s = ((point_along_axis[:, None] - axis_along * point_along_ray) / sine2).clamp(0, 1)
+    t = (s * axis_along - point_along_ray).clamp_min(0)
+    s = ((point_along_axis[:, None] + t * axis_along) / length2).clamp(0, 1)
+    # |m|^2 + t^2 + s^2 |a|^2 + 2 t m.d - 2 s m.a - 2 s t a.d, without any (A, K, 3)
+    distance2 = (
+        (from_start * from_start).sum(-1, keepdim=True)
+        + t * (t + 2 * point_along_ray - 2 * s * axis_along)
+        + s * (s * length2 - 2 * point_along_axis[:, None])
+    )
+    distance = distance2.clamp_min(limits.CAPSULE_LENGTH2_MIN).sqrt()
+    width = limits.FLESH_SOFTNESS * radius_m + limits.LAMP_HALF_WIDTH * t
+    return _smooth(0.5 + 0.5 * (distance - radius_m) / width.clamp_min(limits.CAPSULE_WIDTH_MIN_M))
+
+
+def exponent(shadow: CastShadow, seen: LampsSeen) -> Tensor:
+    """(N, 3) what the cast shadow adds to the exponent of `light.lit`, 0 where all lamps are seen."""
+    rgb = shadow.lamp_rgb.to(seen.open.dtype)
+    bounced = (limits.LAMPS_LEFT_MIN * rgb.sum(0)).clamp_min(torch.finfo(rgb.dtype).tiny)
+    left = (seen.seen @ rgb + bounced) / (seen.open @ rgb + bounced)
+    return shadow.anchors.spread(limits.LIGHT_TO_DISPLAY * left.log())
+
+
+def _smooth(part: Tensor) -> Tensor:
+    """Smoothstep of part, clamped to 0..1."""
+    t = part.clamp(0, 1)
+    return t * t * (3 - 2 * t)

@@ -1,0 +1,282 @@
+"""Shadows that fingers cast: which lamps a point of the skin sees past soft capsules, and what it loses with them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from small_avatars import trained_avatar
+
+from jghand_engine import limits
+from jghand_engine.avatar.cast_shadow import (
+    CastShadow,
+    LampsSeen,
+    capsules,
+    exponent,
+    lamp_directions,
+    lamps_seen,
+    own_flesh,
+    past_capsule,
+    place_anchors,
+)
+from jghand_engine.avatar.skinning import pose_skin, see_lamps
+from jghand_engine.errors import InputError
+from jghand_engine.hand.anatomy import named_pose
+from jghand_engine.hand.joints import PARENTS
+
+AVATAR = trained_avatar(300)
+CAST: CastShadow = AVATAR.learnt.cast  # type: ignore[union-attr,assignment]
+CANONICAL_M = AVATAR.canonical_joints_m
+
+
+def random(*shape: int, seed: int = 0) -> torch.Tensor:
+    return torch.randn(*shape, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
+
+
+def unit(vector: torch.Tensor) -> torch.Tensor:
+    return torch.nn.functional.normalize(vector, dim=-1)
+
+
+def bones_of(name: str, dtype: torch.dtype = torch.float64):
+    joints_m = named_pose(name, CANONICAL_M.numpy(), handedness=AVATAR.handedness)
+    return AVATAR.bone_transform().bones(torch.from_numpy(joints_m).to(dtype))
+
+
+# ---- lamps and capsules ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("count", [2, 20, 64, 256])
+def test_lamps_stand_all_around(count):
+    direction = lamp_directions(count)
+    torch.testing.assert_close(direction.norm(dim=1), torch.ones(count, dtype=torch.float64))
+    # no side has more of them: an evenly lit sphere has no mean direction
+    assert float(direction.mean(0).norm()) < 1e-12 + 2 / count
+    second = direction.T @ direction / count
+    # observed 0.025 for 20, less for more
+    assert float((second - torch.eye(3) / 3).abs().max()) < (0.4 if count == 2 else 0.03)
+
+
+def test_the_mirror_image_of_the_lamps_are_the_lamps():
+    direction = lamp_directions(64)
+    mirrored = direction * torch.tensor([-1.0, 1.0, 1.0])
+    assert float(torch.cdist(direction, mirrored).amin(1).max()) < 1e-7  # cdist squares and roots
+
+
+def test_an_odd_number_of_lamps_has_no_mirror_image():
+    with pytest.raises(InputError, match="an even number"):
+        lamp_directions(7)
+
+
+def least_distance(point: torch.Tensor, direction: torch.Tensor, start: torch.Tensor, end: torch.Tensor) -> float:
+    """Between a ray and a segment, by brute force."""
+    s = torch.linspace(0, 1, 4001, dtype=torch.float64)[:, None]
+    spot = start + s * (end - start) - point
+    t = (spot @ direction).clamp_min(0)[:, None]
+    return float((spot - t * direction).norm(dim=1).min())
+
+
+def test_rays_pass_a_capsule_as_far_as_they_truly_do():
+    """Where the edge is: half of the light passes at a distance of one radius, all of it well beside, none inside."""
+    start, end, radius = 0.1 * random(3, seed=1), 0.1 * random(3, seed=2), torch.tensor(0.03, dtype=torch.float64)
+    point, direction = 0.3 * random(60, 3, seed=3), unit(random(40, 3, seed=4))
+    passed = past_capsule(point, direction, start, end, radius)
+    wrong = 0
+    for a in range(60):
+        for k in range(40):
+            distance = least_distance(point[a], direction[k], start, end)
+            if distance < 0.5 * float(radius):
+                wrong += float(passed[a, k]) > 0.5
+            if distance > 2.5 * float(radius) + 0.15 * 1.5:
+                wrong += float(passed[a, k]) < 1.0
+    # two rounds of projection do not find the least distance of every ray
+    assert wrong <= 0.002 * 60 * 40, wrong
+
+
+def test_a_ray_that_leaves_the_capsule_behind_passes_it():
+    start, end = torch.tensor([0.0, -1.0, 0.0]).double(), torch.tensor([0.0, 1.0, 0.0]).double()
+    point = torch.tensor([[0.5, 0.0, 0.0]]).double()
+    towards, away = torch.tensor([[-1.0, 0.0, 0.0]]).double(), torch.tensor([[1.0, 0.0, 0.0]]).double()
+    radius = torch.tensor(0.1).double()
+    assert float(past_capsule(point, towards, start, end, radius)) == 0.0
+    assert float(past_capsule(point, away, start, end, radius)) == 1.0
+
+
+def test_edges_are_soft_and_widen_with_the_distance():
+    start, end = torch.tensor([0.0, -9.0, 1.0]).double(), torch.tensor([0.0, 9.0, 1.0]).double()
+    radius, up = torch.tensor(0.01).double(), torch.tensor([[0.0, 0.0, 1.0]]).double()
+    beside = torch.linspace(0, 0.6, 601, dtype=torch.float64)
+
+    def partly(height: float) -> int:
+        point = torch.stack([beside, torch.zeros_like(beside), torch.full_like(beside, height)], -1)
+        passed = past_capsule(point, up, start, end, radius)[:, 0]
+        assert bool((passed.diff() >= 0).all())
+        return int(((passed > 0) & (passed < 1)).sum())
+
+    near, far = partly(0.8), partly(-1.0)
+    assert 0 < near < far
+    # half a lamp's width per metre of way
+    assert far == pytest.approx(1e3 * (limits.LAMP_HALF_WIDTH * 2.0 + 2e-3 + 0.01), abs=15)
+
+
+# ---- what is one's own -----------------------------------------------------------------------------------------------
+
+
+def test_flesh_is_ones_own_on_its_bone_and_not_elsewhere():
+    own = own_flesh(CAST.anchors, CANONICAL_M)
+    assert own.shape == (60, 20)
+    start, end, radius_m = capsules(CANONICAL_M, torch.tensor(1.0).double())
+    for a, point in enumerate(CAST.anchors.position_m.double()):
+        along = torch.linspace(0, 1, 201, dtype=torch.float64)[:, None, None]
+        distance = (start + along * (end - start) - point).norm(dim=-1).amin(0) / radius_m
+        near, far = limits.OWN_FLESH_RADII
+        assert bool((own[a][distance < near] == 1).all())
+        assert bool((own[a][distance > far + 1e-4] == 0).all())
+
+
+def test_capsules_run_from_joint_to_joint_and_grow_with_the_hand():
+    start, end, radius_m = capsules(CANONICAL_M, torch.tensor(2.0).double())
+    for bone in range(20):
+        assert torch.equal(start[bone], CANONICAL_M[PARENTS[bone + 1]])
+        assert torch.equal(end[bone], CANONICAL_M[bone + 1])
+    torch.testing.assert_close(radius_m, 2e-3 * torch.tensor(limits.GATE_CAPSULE_RADII_MM).double())
+
+
+# ---- the loss of light -----------------------------------------------------------------------------------------------
+
+
+def seen_of(name: str, cast: CastShadow = CAST) -> LampsSeen:
+    return see_lamps(cast, CANONICAL_M, bones_of(name))
+
+
+def test_what_sees_all_lamps_loses_nothing():
+    seen = seen_of("fist")
+    assert not exponent(CAST, LampsSeen(seen.open, seen.open)).any()
+
+
+def test_a_fist_takes_more_light_than_a_flat_hand():
+    """Also here, where the anchors lie in the flesh and look anywhere."""
+    loss = {name: exponent(CAST, seen_of(name)) for name in ("flat", "fist")}
+    assert bool((loss["fist"] <= 1e-6).all())
+    assert float(loss["fist"].mean()) < 2 * float(loss["flat"].mean())
+    assert float(loss["fist"].min()) < -0.3
+
+
+def test_only_the_hidden_lamp_and_its_colour_are_missing():
+    """Lamp 3 is red and hidden from everybody, lamp 5 is green and seen."""
+    rgb = torch.zeros(20, 3, dtype=torch.float64)
+    rgb[3, 0] = rgb[5, 1] = 1.0
+    open_ = torch.rand(60, 20, dtype=torch.float64, generator=torch.Generator().manual_seed(5)) + 0.1
+    seen = open_.clone()
+    seen[:, 3] = 0.0
+    loss = exponent(replace(CAST, lamp_rgb=rgb), LampsSeen(open_, seen))
+    darkest = limits.LIGHT_TO_DISPLAY * math.log(limits.LAMPS_LEFT_MIN / (0.1 + limits.LAMPS_LEFT_MIN))
+    assert bool((loss[:, 0] < 0.3 * darkest).all())
+    assert bool((loss[:, 0] >= limits.LIGHT_TO_DISPLAY * math.log(limits.LAMPS_LEFT_MIN / 1.11)).all())
+    assert not loss[:, 1:].any()
+
+
+def test_brighter_lamps_of_the_same_ratios_cast_the_same_shadow():
+    seen = seen_of("fist")
+    brighter = replace(CAST, lamp_rgb=7 * CAST.lamp_rgb)
+    torch.testing.assert_close(exponent(brighter, seen), exponent(CAST, seen))
+
+
+def test_no_light_at_all_is_no_shadow():
+    assert not exponent(replace(CAST, lamp_rgb=torch.zeros(20, 3)), seen_of("fist")).any()
+
+
+def test_a_nudge_of_the_joints_changes_the_shadow_a_little():
+    joints_m = named_pose("fist", CANONICAL_M.numpy(), handedness=AVATAR.handedness)
+    nudged_m = joints_m + 1e-5 * np.random.default_rng(0).uniform(-1, 1, joints_m.shape)
+    transform = AVATAR.bone_transform()
+    here, there = (
+        exponent(CAST, see_lamps(CAST, CANONICAL_M, transform.bones(torch.from_numpy(j)))) for j in (joints_m, nudged_m)
+    )
+    # observed 0.013: ten micrometres
+    assert 0 < float((here - there).abs().max()) < 0.03
+
+
+def test_the_shadow_is_that_of_a_hand_anywhere_and_of_any_size():
+    joints_m = named_pose("fist", CANONICAL_M.numpy(), handedness=AVATAR.handedness)
+    transform = AVATAR.bone_transform()
+    wanted = seen_of("fist")
+    for moved_m in (joints_m + 1000.0, 1.3 * joints_m):
+        got = see_lamps(CAST, CANONICAL_M, transform.bones(torch.from_numpy(moved_m)))
+        torch.testing.assert_close(got.seen, wanted.seen, atol=1e-6, rtol=0)
+
+
+def test_gradients_of_the_joints_are_those_of_differences():
+    position, normal = 0.1 * random(4, 3, seed=7), unit(random(4, 3, seed=8))
+    small = replace(CAST, lamp_rgb=torch.rand(4, 3), own=torch.zeros(4, 20), anchors=CAST.anchors.prefix(5))
+    joints_m = CANONICAL_M + 0.01 * random(21, 3, seed=9)
+
+    def loss(joints: torch.Tensor, points: torch.Tensor) -> torch.Tensor:
+        seen = lamps_seen(small, points, normal, joints, torch.tensor(1.0).double())
+        return ((seen.seen + 0.1) / (seen.open + 0.1)).log()
+
+    inputs = (joints_m.requires_grad_(), position.requires_grad_())
+    assert torch.autograd.gradcheck(loss, inputs, eps=1e-7, atol=1e-4)
+
+
+def test_bones_of_no_length_cast_the_shadow_of_a_ball():
+    point = torch.tensor([[0.0, 0.0, 0.0]]).double()
+    centre = torch.tensor([0.0, 0.0, 0.2], dtype=torch.float64, requires_grad=True)
+    direction = lamp_directions(64)
+    passed = past_capsule(point, direction, centre, centre, torch.tensor(0.05).double())
+    passed.sum().backward()
+    assert bool(torch.isfinite(passed).all())
+    assert bool(torch.isfinite(centre.grad).all())
+    hidden = direction[:, 2] > math.cos(math.asin(0.02 / 0.2))
+    assert bool((passed[0, hidden] < 0.5).all())
+    assert bool((passed[0, direction[:, 2] < 0.5] == 1).all())
+
+
+# ---- spreading -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 60])
+def test_shares_are_whole_255ths_that_sum_to_one(count):
+    anchors = place_anchors(AVATAR.position_m, random(300, 3).float(), AVATAR.bone_weights, count)
+    assert len(anchors) == count
+    units = 255 * anchors.share.double()
+    assert float((units - units.round()).abs().max()) < 1e-4
+    assert bool((units.round().sum(1) == 255).all())
+    assert bool((anchors.share >= 0).all())
+    torch.testing.assert_close(anchors.spread(torch.ones(count, 3)), torch.ones(300, 3))
+
+
+def test_an_anchor_keeps_its_own_value_and_others_mix_their_nearest():
+    anchors = CAST.anchors
+    values = torch.rand(60, 3)
+    spread = anchors.spread(values)
+    assert float((spread[:60] - values).abs().max()) < 0.1  # its neighbours have a share of some per cent
+    distance = torch.cdist(AVATAR.position_m, anchors.position_m)
+    assert torch.equal(anchors.nearest.sort(1).values, distance.topk(3, largest=False).indices.sort(1).values)
+
+
+def test_a_prefix_spreads_the_same_to_fewer():
+    values = torch.rand(60, 3)
+    assert torch.equal(CAST.prefix(70).anchors.spread(values), CAST.anchors.spread(values)[:70])
+
+
+# ---- on the skin -----------------------------------------------------------------------------------------------------
+
+
+def test_the_skin_is_darker_by_the_cast_shadow():
+    bones = bones_of("fist")
+    bare = replace(AVATAR, learnt=replace(AVATAR.learnt, cast=None))
+    with_, without = pose_skin(AVATAR, bones).matt.rgb, pose_skin(bare, bones).matt.rgb
+    clear = without > 1e-6
+    torch.testing.assert_close(
+        (with_ / without)[clear], exponent(CAST, seen_of("fist")).exp()[clear], atol=1e-9, rtol=1e-6
+    )
+
+
+def test_what_is_known_of_the_lamps_is_not_computed_again():
+    bones, seen = bones_of("fist"), seen_of("flat")
+    other = pose_skin(AVATAR, bones, seen=seen).matt.rgb
+    assert not torch.equal(other, pose_skin(AVATAR, bones).matt.rgb)
+    assert torch.equal(pose_skin(AVATAR, bones, seen=seen_of("fist")).matt.rgb, pose_skin(AVATAR, bones).matt.rgb)
