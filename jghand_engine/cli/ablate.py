@@ -57,7 +57,6 @@ class Ablate:
     def run(self) -> int:
         """0 when all variants are trained and measured, the exit code of a stop when somebody stopped."""
         from jghand_engine.cli.learning import material, train_options
-        from jghand_engine.datasets.capture_folder import open_capture
         from jghand_engine.datasets.splits import split_capture
         from jghand_engine.training.ablation import TestPictures, chosen_variants
         from jghand_engine.training.evaluate import categories_of
@@ -69,13 +68,13 @@ class Ablate:
                 raise InputError(name, wanted=f"{least} or more", came=str(value))
         full, perceptual = train_options(self.preset, self.seed)
         variants = chosen_variants(full, self.variants)
-        capture = open_capture(self.folder, protocol=self.pictures.protocol, choice=self.pictures.choice())
+        capture = self.pictures.open(self.folder)
         split = split_capture(capture)
         tested = TestPictures(categories_of(split, "test", self.limit), capture.name, split.origin)
         results = {}
 
         def build(options: TrainOptions) -> HandTraining:
-            return HandTraining(material("ablation", capture.name, split.train, split.test, perceptual), options)
+            return HandTraining(material("ablation", capture.name, split, perceptual), options)
 
         for name, options in variants.items():
             say(f"\n{name}")

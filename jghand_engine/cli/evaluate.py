@@ -97,20 +97,24 @@ class Evaluate:
 
     def run(self) -> None:
         from jghand_engine.cli.inputs import load_hand
-        from jghand_engine.datasets.capture_folder import open_capture
         from jghand_engine.datasets.splits import split_capture
         from jghand_engine.files import make_folder
         from jghand_engine.training.evaluate import avatar_picturer, categories_of
+        from jghand_engine.training.held_out import held_out
 
         if self.limit < 0:
             raise InputError("--limit", wanted="0 or more", came=str(self.limit))
         avatar, other = load_hand(self.avatar), load_hand(str(self.beside)) if self.beside else None
-        capture = open_capture(self.folder, protocol=self.pictures.protocol, choice=self.pictures.choice())
-        split = split_capture(capture)
-        categories = categories_of(split, self.split, self.limit)
+        capture = self.pictures.open(self.folder)
+        told = held_out(avatar, capture, split_capture(capture))
+        if told.warning:
+            say(f"Warning: {told.warning}")
+        # of an avatar that learnt all of them, none was held out
+        which = self.split if told.split.test else "train"
+        categories = categories_of(told.split, which, self.limit)
         out, settings = make_folder(self.out or self._default_out()), self._settings()
         draw = avatar_picturer(avatar, settings)
-        evaluation = self._measured(draw, capture, categories, split.origin)
+        evaluation = self._measured(draw, capture, categories, told.split.origin)
         tables = self._tables(evaluation, avatar, capture, settings)
         self._write(out, evaluation, tables, settings)
         if self.sheets:

@@ -98,6 +98,7 @@ def avatar_facts(avatar: str) -> dict[str, Any]:
             "scale": loaded.info.scale_mode,
             "transform": str(loaded.info.transform),
         },
+        "learnt_from": {} if loaded.info.learnt_from is None else vars(loaded.info.learnt_from),
         "angles_seen_in_training": len(loaded.info.pose_statistics),
         "learnt": learnt_facts(loaded),
     }

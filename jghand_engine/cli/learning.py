@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -10,7 +9,7 @@ from jghand_engine.cli.console import say
 from jghand_engine.errors import InputError
 
 if TYPE_CHECKING:
-    from jghand_engine.datasets.sample import Sample
+    from jghand_engine.datasets.splits import Split
     from jghand_engine.training.options import TrainOptions
     from jghand_engine.training.perceptual import PerceptualMetric
     from jghand_engine.training.step import Material
@@ -37,15 +36,17 @@ def train_options(preset: str, seed: int) -> tuple[TrainOptions, PerceptualMetri
     return options, metric
 
 
-def material(
-    name: str, capture: str, learnt: Sequence[Sample], held_out: Sequence[Sample], perceptual: PerceptualMetric | None
-) -> Material:
+def material(name: str, capture: str, split: Split, perceptual: PerceptualMetric | None) -> Material:
     """The pictures of `capture` for an avatar called `name`; progress is shown on a picture that is held out, or else
     on one that is learnt."""
-    from jghand_engine.avatar.avatar import AvatarInfo
+    from jghand_engine.avatar.avatar import AvatarInfo, LearntFrom
+    from jghand_engine.avatar.texts import as_text
+    from jghand_engine.datasets.picture_digest import picture_digest
     from jghand_engine.template.builtin import load_template
     from jghand_engine.training.step import Material
 
-    choice = held_out or learnt
-    info = AvatarInfo(name, template="", licence=f"that of the pictures: {capture}")
-    return Material(learnt, choice[len(choice) // 2], load_template(), info, perceptual)
+    choice = split.test or split.train
+    learnt_from = LearntFrom(as_text(capture), as_text(split.origin), len(split.train), picture_digest(split.train))
+    licence = as_text(f"that of the pictures: {capture}")
+    info = AvatarInfo(as_text(name), template="", licence=licence, learnt_from=learnt_from)
+    return Material(split.train, choice[len(choice) // 2], load_template(), info, perceptual)

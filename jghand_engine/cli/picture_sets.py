@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
+from jghand_engine.cli.console import say
 from jghand_engine.cli.options import HandName
 from jghand_engine.errors import InputError
 
 if TYPE_CHECKING:
-    from jghand_engine.datasets.captures import CaptureChoice
+    from jghand_engine.datasets.captures import Capture, CaptureChoice
 
 ProtocolName = Literal["test-capture0", "test-capture1", "val-capture0", "hanco-0191"]
 _Text = Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")]
@@ -33,6 +35,15 @@ class PictureSetOptions:
     """Which hand, where both were recorded."""
     interacting: bool = False
     """Take pictures that show both hands too; their mask is the projected template."""
+
+    def open(self, folder: Path) -> Capture:
+        """The pictures of `folder` that are meant; what is left out of them is said. Errors as `open_capture`."""
+        from jghand_engine.datasets.capture_folder import open_capture
+
+        capture = open_capture(folder, protocol=self.protocol, choice=self.choice())
+        for why, count in capture.dropped:
+            say(f"Left out: {count} {'picture' if count == 1 else 'pictures'}, {why}")
+        return capture
 
     def choice(self) -> CaptureChoice | None:
         """What `open_capture` takes beside `protocol`; None with a protocol. InputError when both were given."""

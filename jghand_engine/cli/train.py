@@ -29,8 +29,8 @@ Examples:
   jghand train InterHand2.6M_5fps --protocol test-capture0 --out capture0.jghand --preset paper-faithful
 
 It can be stopped at any time with Ctrl-C, or be killed, and goes on with --resume. The line of progress shows the PSNR
-of one picture, held out where any is, cut to the hand: some decibels below that of the same picture with its background,
-which `jghand evaluate` prints too."""
+of one picture, held out where any is, cut to the hand: some decibels below that of whole pictures with their
+background, which `jghand evaluate` prints first."""
 
 _Number = tyro.conf.arg(metavar="NUMBER", help_behavior_hint="")
 
@@ -77,7 +77,6 @@ class Train:
     def run(self) -> int:
         """0 when the training is finished, the exit code of a stop when somebody stopped it."""
         from jghand_engine.cli.learning import material, train_options
-        from jghand_engine.datasets.capture_folder import open_capture
         from jghand_engine.datasets.splits import split_capture
         from jghand_engine.training.progress import display
         from jghand_engine.training.run import check_places, train
@@ -89,15 +88,15 @@ class Train:
         options, perceptual = train_options(self.preset, self.seed)
         if self.replay is None:
             check_places(run)
-        capture = open_capture(self.folder, protocol=self.pictures.protocol, choice=self.pictures.choice())
+        capture = self.pictures.open(self.folder)
         split = split_capture(capture)
-        learnt = capture.samples if self.all_pictures else split.train
-        run = replace(run, stamp=stamp_of(options, learnt), budget=self._budget(len(learnt)))
-        say(f"{capture.name}: {len(learnt)} of {len(capture)} pictures to learn from ({split.origin})")
+        split = split.all_learnt() if self.all_pictures else split
+        run = replace(run, stamp=stamp_of(options, split.train), budget=self._budget(len(split.train)))
+        say(f"{capture.name}: {len(split.train)} of {len(capture)} pictures to learn from ({split.origin})")
 
         def build() -> HandTraining:
             say("Placing the Gaussians …")
-            return HandTraining(material(self.out.stem, capture.name, learnt, split.test, perceptual), options)
+            return HandTraining(material(self.out.stem, capture.name, split, perceptual), options)
 
         if self.replay is not None:
             return self._replayed(build(), run)
@@ -149,7 +148,8 @@ class Train:
         course = outcome.course
         done = f"{course.step} steps in {duration(course.seconds)}"
         if outcome.finished:
-            say(f"{run.out}: {outcome.psnr:.2f} dB on the fixed view, cut to the hand, after {done}. Log and pictures: {run.work}")
+            say(f"{run.out}: {outcome.psnr:.2f} dB on the fixed view, cut to the hand, after {done}.")
+            say(f"Log and pictures: {run.work}")
             say(f"How good it is: jghand evaluate {run.out} {self.folder}")
         else:
             say(f"Stopped after {done}. Nothing is lost: the same command with --resume goes on.")

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from jghand_engine import limits
-from jghand_engine.datasets.captures import Capture
+from jghand_engine.datasets.captures import Capture, sorted_samples
 from jghand_engine.datasets.json_files import read_object
 from jghand_engine.datasets.sample import Sample
 from jghand_engine.errors import InputError
@@ -39,6 +39,10 @@ class Split:
     def test(self) -> tuple[Sample, ...]:
         """All pictures that are not learnt from."""
         return self.novel_pose + self.novel_view + self.novel_both
+
+    def all_learnt(self) -> Split:
+        """The same pictures, all of them to learn from and none to be judged by."""
+        return Split(sorted_samples(self.train + self.test), (), (), (), "all pictures")
 
     def categories(self) -> dict[str, tuple[Sample, ...]]:
         """The kinds of test pictures by name, those that there are."""

@@ -17,8 +17,8 @@ from jghand_engine.limits import PROGRESS_LINE_S
 @dataclass(frozen=True)
 class Status:
     """Where a training stands. step, steps: done, planned · loss: mean since the last line of the log, None before
-    the first step · psnr: of the fixed view, cut to the hand, dB, None before it was measured · gaussians: as the step says it ·
-    steps_per_s · seconds_left: to the end, None while unknown."""
+    the first step · psnr: of the fixed view, cut to the hand, dB, None before it was measured · gaussians: as
+    the step says it · steps_per_s · seconds_left: to the end, None while unknown."""
 
     step: int
     steps: int

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
+from jghand_engine.datasets.picture_digest import picture_names
 from jghand_engine.datasets.sample import Sample
 
 if TYPE_CHECKING:
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
 
 def stamp_of(options: DataclassInstance, pictures: Sequence[Sample]) -> dict[str, Any]:
     """Options (dataclasses of plain values) and which pictures are learnt from, wherever their folder lies now."""
-    lines = [f"{one.capture} {one.sequence} {one.frame} {one.camera_name}" for one in pictures]
+    lines = picture_names(pictures)
     digest = hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
     # as it will be read back: tuples become lists, enumerations their text
     return json.loads(json.dumps({"pictures": len(lines), "which pictures": digest, "options": asdict(options)}))

@@ -13,12 +13,13 @@ import safetensors.numpy
 import torch
 from small_avatars import ellipsoid_avatar, small_avatar, trained_avatar
 
-from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.avatar import HandAvatar, LearntFrom
 from jghand_engine.avatar.correctives import PoseNetShape
 from jghand_engine.avatar.file import ARRAY_NAMES, METADATA_KEY, load_avatar, save_avatar, stored_form
 from jghand_engine.avatar.learnt import Learnt, ShadowLook
 from jghand_engine.avatar.light import Light
 from jghand_engine.avatar.storage import Storage
+from jghand_engine.avatar.texts import as_text
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.hand.baselines import HaloLikeTransform, Transform
 from jghand_engine.hand.frames import Swing

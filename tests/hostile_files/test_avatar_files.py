@@ -127,6 +127,23 @@ def test_a_wrong_description_is_refused(tmp_path, field, value):
     refused(written(tmp_path / "wrong.jghand", arrays, {**about, field: value}))
 
 
+@pytest.mark.parametrize(
+    "value",
+    [
+        [],
+        "all",
+        {},
+        {"capture": "a", "split": "b", "digest": "c"},
+        {"capture": "a", "split": "b", "digest": "c", "pictures": 0},
+        {"capture": "a", "split": 7, "digest": "c", "pictures": 1},
+        {"capture": "two\nlines", "split": "b", "digest": "c", "pictures": 1},
+    ],
+)
+def test_what_an_avatar_was_learnt_from_is_refused_where_it_is_unreadable(tmp_path, value):
+    arrays, about = parts()
+    refused(written(tmp_path / "wrong.jghand", arrays, {**about, "learnt_from": value}))
+
+
 @pytest.mark.parametrize("field", FIELDS)
 def test_a_missing_description_field_is_refused(tmp_path, field):
     arrays, about = parts()
@@ -259,6 +276,15 @@ LEARNT_FIELDS: dict[str, list[Any]] = {
     "ellipsoids": [None, 1, False],
     "shadow": [1, [], {}, {"gain": -1, "tint": [0, 0, 0]}, {"gain": 1, "tint": [0, 0]}, {"gain": 1, "tint": [0, 0, 2]}],
     "net": [None, 1, [], {}],
+    "cast": [
+        None,
+        1,
+        [],
+        {},
+        {"lamps": 20},
+        *({"lamps": lamps, "anchors": 50} for lamps in (0, 7, 18, -20, 10**9, "20", True)),
+        *({"lamps": 20, "anchors": anchors} for anchors in (0, 49, -1, 65536, 50.0, None)),
+    ],
 }
 NET_FIELDS: dict[str, list[Any]] = {
     "octaves": [None, [], [4, 4], [4, 4, 13], [0, 0, 0], [4, 4, -1], [4, 4, True], [4, 4, 3], [4.0, 4, 2]],
@@ -314,6 +340,16 @@ def test_learnt_numbers_that_no_training_gives_are_refused(tmp_path, learnt_part
             bad = arrays[name].copy()
             bad.reshape(-1)[-1] = value
             refused(written(tmp_path / "value.jghand", {**arrays, name: bad}, about))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("nearest", 50), ("nearest", 65535), ("share", 255), ("bone_weights", 0.5)]
+)
+def test_anchors_that_are_not_there_or_share_too_much_are_refused(tmp_path, learnt_parts, name, value):
+    arrays, about = learnt_parts
+    bad = arrays[f"cast.{name}"].copy()
+    bad[3] = value
+    refused(written(tmp_path / "value.jghand", {**arrays, f"cast.{name}": bad}, about), name)
 
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])

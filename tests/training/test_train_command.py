@@ -49,6 +49,9 @@ def test_a_folder_becomes_an_avatar(train, tmp_path):
     avatar = load_avatar(tmp_path / "tiny.jghand")
     assert avatar.info.name == "tiny"
     assert "small" in avatar.info.licence
+    learnt_from = avatar.info.learnt_from
+    assert learnt_from is not None
+    assert (learnt_from.pictures, len(learnt_from.digest)) == (20, 16)
     assert (tmp_path / "tiny.training" / "pictures" / "step_00000005.png").exists()
     figures = json.loads((tmp_path / "figures.json").read_text())
     assert (figures["finished"], figures["steps"], figures["stamp"]["options"]["seed"]) == (True, 5, 0)

@@ -1,0 +1,71 @@
+"""Whether pictures were held out: an avatar says which it was learnt from, and others are warned of."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from picture_sets import recorded, write_set
+from small_avatars import small_avatar, trained_avatar
+
+from jghand_engine.avatar.avatar import LearntFrom
+from jghand_engine.datasets.capture_folder import open_capture
+from jghand_engine.datasets.picture_digest import picture_digest
+from jghand_engine.datasets.splits import split_by_rule
+from jghand_engine.training.held_out import ALL_LEARNT, NOT_KNOWN, held_out
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory):
+    return open_capture(write_set(tmp_path_factory.mktemp("set"), recorded(frames=4, cameras=4)))
+
+
+@pytest.fixture(scope="module")
+def split(capture):
+    return split_by_rule(capture, every_pose=2, every_camera=2)
+
+
+def learnt_from(samples):
+    avatar = trained_avatar(20)
+    told = LearntFrom("set", "a rule", len(samples), picture_digest(samples))
+    return replace(avatar, info=replace(avatar.info, learnt_from=told))
+
+
+def test_what_was_held_out_is_measured_without_a_word(capture, split):
+    told = held_out(learnt_from(split.train), capture, split)
+    assert told.split is split
+    assert told.warning == ""
+
+
+def test_pictures_that_were_all_learnt_are_called_so(capture, split):
+    told = held_out(learnt_from(capture.samples), capture, split)
+    assert "learnt from all pictures" in told.warning
+    assert told.split.origin == ALL_LEARNT
+    assert told.split.train == capture.samples
+    assert told.split.test == ()
+
+
+def test_another_choice_of_pictures_is_told(capture, split):
+    told = held_out(learnt_from(split.train[1:]), capture, split)
+    assert f"{len(split.train) - 1} pictures of set (a rule)" in told.warning
+    assert told.split.test == split.test
+    assert told.split.origin.endswith(NOT_KNOWN)
+
+
+def test_an_avatar_that_does_not_say_is_told(capture, split):
+    told = held_out(trained_avatar(20), capture, split)
+    assert "does not say" in told.warning
+    assert told.split.origin.endswith(NOT_KNOWN)
+
+
+def test_a_painted_avatar_was_learnt_from_nothing(capture, split):
+    assert held_out(small_avatar(20), capture, split).warning == ""
+
+
+def test_the_digest_stands_for_the_pictures_in_any_order_and_for_their_poses(capture, split):
+    digest = picture_digest(capture.samples)
+    assert picture_digest(capture.samples[::-1]) == digest
+    assert picture_digest(split.train) != digest
+    # captures of our own name their pictures alike
+    other = [replace(sample, joints_m=sample.joints_m * 1.01) for sample in capture.samples]
+    assert picture_digest(other) != digest
