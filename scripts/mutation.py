@@ -58,7 +58,7 @@ ROOMS = {
         ("tests/template", "tests/hostile_files/test_template_files.py"),
     ),
     "splat": Room(
-        ("camera", "gate", "reference", "rasterise", "shadow", "picture", "inputs", "torch_rows"),
+        ("camera", "gate", "reference", "rasterise", "shadow", "picture", "inputs"),
         ("tests/splat", "tests/hard_cases/test_hard_splats.py"),
     ),
 }

@@ -21,11 +21,16 @@ def posed_covariance(log_scale: torch.Tensor, quaternion: torch.Tensor, linear: 
     """
     with torch.autocast(linear.device.type, enabled=False):
         dtype = linear.dtype
-        # components first: long contiguous rows (hand/rotations.py)
-        maps, scale, turn = (
-            tensor.movedim(0, -1).contiguous()
-            for tensor in (linear, torch.exp(log_scale.to(dtype)), quaternion.to(dtype))
-        )
-        none = turn.new_tensor([1.0, 0.0, 0.0, 0.0])[:, None]
-        axes = mat_mul(maps, rotation_of(safe_unit(turn, none, QUATERNION_MIN)[0]) * scale)
+        maps = linear.movedim(0, -1).contiguous()
+        axes = mat_mul(maps, canonical_axes(log_scale.to(dtype), quaternion.to(dtype)))
         return torch.stack([dot(axes[i], axes[j]) for i in range(3) for j in range(i, 3)], -1)
+
+
+def canonical_axes(log_scale: torch.Tensor, quaternion: torch.Tensor) -> torch.Tensor:
+    """(3, 3, N) R diag(scale): the axes of ellipsoids as columns, metres; arguments as above, of one dtype.
+
+    Components first: long contiguous rows (hand/rotations.py).
+    """
+    scale, turn = (tensor.movedim(0, -1).contiguous() for tensor in (torch.exp(log_scale), quaternion))
+    none = turn.new_tensor([1.0, 0.0, 0.0, 0.0])[:, None]
+    return rotation_of(safe_unit(turn, none, QUATERNION_MIN)[0]) * scale

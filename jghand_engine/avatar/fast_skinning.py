@@ -14,6 +14,7 @@ import numpy as np
 
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.covariance import canonical_axes
 from jghand_engine.errors import RetryError
 from jghand_engine.hand.fast_transform import FastBones
 from jghand_engine.hand.joints import JOINT_COUNT
@@ -26,63 +27,90 @@ _MORTON_BITS = 10
 
 @dataclass(frozen=True)
 class PosedArrays:
-    """Where one avatar's Gaussians go: rows of the picture's arrays, (N, 3) and (N,) float32, contiguous.
+    """Where one avatar's Gaussians go: rows of the picture's arrays, (N, 3), (N,) and (N, 6) float32, contiguous.
 
     N is the avatar's `FastSkinning.rows`: its Gaussians rounded up to whole blocks; the rest is never drawn.
+    covariance_m2: as in `Gaussians`, of spheres too; None where no hand of the picture has ellipsoids.
     """
 
     position_m: np.ndarray
     sigma_m: np.ndarray
+    covariance_m2: np.ndarray | None = None
 
 
-class FastSkinning:
-    """Poses one avatar again and again, without gradients.
+class Blocks:
+    """Gaussians in blocks of sixteen neighbours, as the kernels read them.
 
-    order: (N,) which Gaussian of the avatar stands in each row · rows: N rounded up to a multiple of 16; rows beyond N
-    have sigma 0, opacity 0 · opacity (rows,), rgb (rows, 3): in that order, float32
+    order: (N,) which Gaussian stands in each row · rows: N rounded up to a multiple of 16
     """
 
-    def __init__(self, library: Library, avatar: HandAvatar) -> None:
-        if (size := library.call.jg_skin_task_bytes()) != ctypes.sizeof(SkinTask):
-            wanted = f"a SkinTask of {ctypes.sizeof(SkinTask)} bytes"
-            raise RetryError(f"native library {library.path.name}", wanted=wanted, came=str(size))
-        self._call = library.call.jg_skin
-        position = avatar.position_m.numpy()
-        self.order = spatial_order(position)
-        self.rows = padded_rows(len(avatar))
-        self.opacity = self._in_rows(avatar.opacity.numpy())
-        self.rgb = self._in_rows(avatar.rgb.numpy())
-        self.team = new_team()
-        self._task = SkinTask(
-            blocks=self.rows // LANES, stretch_min=limits.SIGMA_STRETCH_MIN, stretch_max=limits.SIGMA_STRETCH_MAX
-        )
-        relative = position.astype(np.float64) - avatar.canonical_joints_m[0].numpy()
-        self._arrays = [self._rest(relative, avatar.sigma_m.numpy()), *self._blocks(avatar.bone_weights.numpy())]
-        for name, array in zip(("rest", "block_start", "bone", "weight"), self._arrays, strict=True):
-            setattr(self._task, name, array.ctypes.data)
-        self._keep: tuple[object, ...] = ()
+    def __init__(self, position_m: np.ndarray) -> None:
+        self.order = spatial_order(position_m)
+        self.rows = padded_rows(len(position_m))
 
-    def _in_rows(self, values: np.ndarray) -> np.ndarray:
-        """(N, …) of the avatar -> (rows, …) in this order, zeros at the end."""
-        out = aligned_zeros((self.rows, *values.shape[1:]))
+    @property
+    def count(self) -> int:
+        """How many blocks."""
+        return self.rows // LANES
+
+    def in_rows(self, values: np.ndarray, dtype: type = np.float32) -> np.ndarray:
+        """(N, …) in the Gaussians' own order -> (rows, …) in this one, zeros at the end."""
+        out = aligned_zeros((self.rows, *values.shape[1:]), dtype)
         out[: len(values)] = values[self.order]
         return out
 
-    def _rest(self, relative_m: np.ndarray, sigma_m: np.ndarray) -> np.ndarray:
-        rest = aligned_zeros((self.rows // LANES, 4, LANES))
-        columns = np.concatenate([relative_m, sigma_m[:, None]], axis=1)
-        rest[...] = self._in_rows(columns).reshape(-1, LANES, 4).transpose(0, 2, 1)
-        return rest
+    def blocked(self, values: np.ndarray, dtype: type = np.float32) -> np.ndarray:
+        """(N, C) -> (blocks, C, 16)."""
+        out = aligned_zeros((self.count, values.shape[1], LANES), dtype)
+        out[...] = self.in_rows(values, dtype).reshape(-1, LANES, values.shape[1]).transpose(0, 2, 1)
+        return out
 
-    def _blocks(self, bone_weights: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """For every block the bones with any weight in it, and those weights: block_start, bone, weight."""
-        blocked = self._in_rows(bone_weights).reshape(-1, LANES, bone_weights.shape[1]).transpose(0, 2, 1)
+    def bones(self, bone_weights: np.ndarray) -> dict[str, np.ndarray]:
+        """For every block the bones with any weight in it, and those weights: block_start, bone, weight of SkinTask."""
+        blocked = self.blocked(bone_weights)
         block, bone = np.nonzero((blocked != 0).any(axis=2))
-        start = np.zeros(len(blocked) + 1, np.int32)
-        np.cumsum(np.bincount(block, minlength=len(blocked)), out=start[1:])
+        start = np.zeros(self.count + 1, np.int32)
+        np.cumsum(np.bincount(block, minlength=self.count), out=start[1:])
         weight = aligned_zeros((len(bone), LANES))
         weight[...] = blocked[block, bone]
-        return start, bone.astype(np.int32), weight
+        return {"block_start": start, "bone": bone.astype(np.int32), "weight": weight}
+
+
+class FastSkinning:
+    """Poses one avatar again and again, without gradients; colours stay as they are (`fast_learnt` for trained ones).
+
+    blocks: what the order of the rows comes from · rows beyond the avatar have sigma 0, opacity 0 · opacity (rows,), rgb (rows, 3): in
+    that order, float32
+    """
+
+    def __init__(self, library: Library, avatar: HandAvatar) -> None:
+        check_task(library, library.call.jg_skin_task_bytes(), SkinTask)
+        self._call = library.call.jg_skin
+        position = avatar.position_m.numpy()
+        self.blocks = Blocks(position)
+        self.opacity = self.blocks.in_rows(avatar.opacity.numpy())
+        self.rgb = self.blocks.in_rows(avatar.rgb.numpy())
+        self.team = new_team()
+        self.task = SkinTask(
+            blocks=self.blocks.count, stretch_min=limits.SIGMA_STRETCH_MIN, stretch_max=limits.SIGMA_STRETCH_MAX
+        )
+        relative = position.astype(np.float64) - avatar.canonical_joints_m[0].numpy()
+        rest = np.concatenate([relative, avatar.sigma_m.numpy()[:, None]], axis=1)
+        self._arrays = {"rest": self.blocks.blocked(rest)} | self.blocks.bones(avatar.bone_weights.numpy())
+        if (axes := ellipsoid_axes(avatar)) is not None:
+            self._arrays["axes"] = self.blocks.blocked(axes)
+        point(self.task, self._arrays)
+        self._keep: tuple[object, ...] = ()
+
+    @property
+    def order(self) -> np.ndarray:
+        """(N,) which Gaussian of the avatar stands in each row."""
+        return self.blocks.order
+
+    @property
+    def rows(self) -> int:
+        """Of the arrays that a pose is written into."""
+        return self.blocks.rows
 
     def prepare(self, bones: FastBones, into: PosedArrays, shift_m: np.ndarray) -> None:
         """Sets the next pose. Positions come out relative to the hand's root, plus `shift_m` (3,).
@@ -90,18 +118,48 @@ class FastSkinning:
         InputError names an array that the kernel cannot read or write: `into` needs `rows` rows.
         """
         linear_offset = np.ascontiguousarray(bones.linear_offset, np.float32)
-        task, rows = self._task, self.rows
+        task, rows, covariance = self.task, self.rows, into.covariance_m2
         task.linear_offset = address(linear_offset, np.float32, "linear_offset", (JOINT_COUNT, 3, 4))
         task.position = address(into.position_m, np.float32, "position_m", (rows, 3), writable=True)
         task.sigma = address(into.sigma_m, np.float32, "sigma_m", (rows,), writable=True)
-        self._task.shift = tuple(shift_m)
-        self._task.scale = bones.scale
+        task.covariance = (
+            None if covariance is None else address(covariance, np.float32, "covariance_m2", (rows, 6), writable=True)
+        )
+        task.shift = tuple(shift_m)
+        task.scale, task.inverse_scale = bones.scale, inverse_scale(bones)
         self._keep = (linear_offset, into)
         self.team.fill(0)
 
     def run(self) -> None:
         """Poses the avatar; every thread of a team calls it."""
-        self._call(self.team.ctypes.data, ctypes.addressof(self._task))
+        self._call(self.team.ctypes.data, ctypes.addressof(self.task))
+
+
+def check_task(library: Library, size: int, mirror: type[ctypes.Structure]) -> None:
+    """RetryError when the library's structure is not of the size of its mirror."""
+    if size != ctypes.sizeof(mirror):
+        wanted = f"a {mirror.__name__} of {ctypes.sizeof(mirror)} bytes"
+        raise RetryError(f"native library {library.path.name}", wanted=wanted, came=str(size))
+
+
+def point(task: ctypes.Structure, arrays: dict[str, np.ndarray]) -> None:
+    """Lets the task's fields point to arrays, which the caller keeps."""
+    for name, array in arrays.items():
+        setattr(task, name, array.ctypes.data)
+
+
+def inverse_scale(bones: FastBones) -> float:
+    """1 / s_g, finite for a hand without size."""
+    return 1.0 / max(bones.scale, float(np.finfo(np.float32).tiny))
+
+
+def ellipsoid_axes(avatar: HandAvatar) -> np.ndarray | None:
+    """(N, 9) float64 the axes of its ellipsoids in the canonical hand, metres, row by row; None for spheres."""
+    ellipsoid = None if avatar.learnt is None else avatar.learnt.ellipsoid
+    if ellipsoid is None:
+        return None
+    log_scale = avatar.sigma_m.double().log()[:, None] + ellipsoid.log_stretch
+    return canonical_axes(log_scale, ellipsoid.quaternion.double()).permute(2, 0, 1).reshape(-1, 9).numpy()
 
 
 def padded_rows(count: int) -> int:

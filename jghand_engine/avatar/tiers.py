@@ -70,19 +70,19 @@ class CachedNet:
     """The network with its first layer's view of the Gaussians computed once."""
 
     def __init__(self, net: PoseNet) -> None:
-        self._net = net
+        self.net = net
         with torch.no_grad():
             self._places = functional.linear(net.encoding, net.encoding_in.weight, net.encoding_in.bias)
 
     def __call__(self, frames: PoseAngles) -> Correction:
         """See Correctives."""
-        net = self._net
+        net = self.net
         from_angles = net.angles_in(net.angles(frames))
         return net.finish(functional.relu(torch.addmm(self._places, net.bone_weights, from_angles)))
 
     def prefix(self, count: int) -> CachedNet:
         """See Correctives."""
-        return CachedNet(self._net.prefix(count))
+        return CachedNet(self.net.prefix(count))
 
 
 @dataclass(frozen=True)

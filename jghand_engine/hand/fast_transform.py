@@ -5,18 +5,21 @@ In torch one hand takes over a millisecond, because each of some hundred small o
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
 
 from jghand_engine import limits
 from jghand_engine.errors import InputError, RetryError
-from jghand_engine.hand.frames import CanonicalHand, HandFrames, Swing
+from jghand_engine.hand.frames import CanonicalHand, FrameFlag, Swing
 from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 from jghand_engine.hand.orders import check_joint_shape
 from jghand_engine.hand.transform import JointTransform, ScaleMode
 from jghand_engine.native import library
+
+# flexion and abduction of 15 bones, 4 angles between palm bones and 3 between palm planes
+ANGLES = 37
 
 
 @dataclass(frozen=True)
@@ -25,12 +28,14 @@ class FastBones:
 
     linear_offset: (21, 3, 4) float32, x_posed_m - root_m = linear_offset @ [x_m - canonical_root_m, 1]
     root_m: (3,) float64 · scale: of the whole hand, s_g · flags: bits of FrameFlag
+    angles_rad: (37,) float64, flexion and abduction of bones 6..20, then palm_p and palm_n of `HandFrames`
     """
 
     linear_offset: np.ndarray
     root_m: np.ndarray
     scale: float
     flags: int
+    angles_rad: np.ndarray
 
 
 class FastTransform:
@@ -64,17 +69,13 @@ class FastTransform:
 
         InputError for another shape.
         """
-        matrices, root, scale, flags = self.bones64(joints_m)
+        bones = self.bones64(joints_m)
         # a hand too large for float32 becomes infinite without a word: the kernels cull it
         with np.errstate(over="ignore"):
-            return FastBones(matrices.astype(np.float32), root, scale, flags)
+            return replace(bones, linear_offset=bones.linear_offset.astype(np.float32))
 
-    def frames(self, joints_m: np.ndarray) -> HandFrames:
-        """(21, 3) level-order joints, metres -> their frames, float64, of the torch transform."""
-        return self._reference.frames(torch.from_numpy(np.ascontiguousarray(joints_m, np.float64)))
-
-    def bones64(self, joints_m: np.ndarray) -> tuple[np.ndarray, np.ndarray, float, int]:
-        """The same before rounding: (21, 3, 4) float64 matrices, root, scale, flags."""
+    def bones64(self, joints_m: np.ndarray) -> FastBones:
+        """The same with matrices before rounding, float64."""
         joints = np.ascontiguousarray(joints_m, dtype=np.float64)
         if joints.shape != (JOINT_COUNT, 3):
             check_joint_shape(joints)
@@ -83,11 +84,15 @@ class FastTransform:
         if self._call is None:
             bones = self._reference.bones(torch.from_numpy(joints))
             matrices = torch.cat([bones.linear, bones.offset_m.unsqueeze(-1)], -1)
-            return matrices.numpy(), root, float(bones.scale), int(bones.frames.flags)
-        matrices = np.empty((JOINT_COUNT, 3, 4))
-        scale = np.empty(1)
-        flags = self._call(self._skeleton_address, joints.ctypes.data, matrices.ctypes.data, scale.ctypes.data)
-        return matrices, root, float(scale[0]), flags
+            frames = bones.frames
+            angles = torch.cat([frames.angles.flatten(), frames.palm_p, frames.palm_n])
+            if frames.flags & FrameFlag.NOT_FINITE:
+                angles = torch.full_like(angles, torch.nan)
+            return FastBones(matrices.numpy(), root, float(bones.scale), int(frames.flags), angles.numpy())
+        matrices, scale, angles = np.empty((JOINT_COUNT, 3, 4)), np.empty(1), np.empty(ANGLES)
+        outputs = (array.ctypes.data for array in (matrices, scale, angles))
+        flags = self._call(self._skeleton_address, joints.ctypes.data, *outputs)
+        return FastBones(matrices, root, float(scale[0]), flags, angles)
 
 
 def _packed(transform: JointTransform) -> np.ndarray:

@@ -13,7 +13,7 @@ import numpy as np
 
 from jghand_engine.errors import InputError, RetryError
 
-ABI = 4
+ABI = 5
 
 _P, _I32, _I64, _F32 = ctypes.c_void_p, ctypes.c_int32, ctypes.c_int64, ctypes.c_float
 
@@ -24,6 +24,9 @@ SIGNATURES: dict[str, tuple[object, tuple[object, ...]]] = {
     "jg_variant": (ctypes.c_char_p, ()),
     "jg_skin_task_bytes": (_I32, ()),
     "jg_skin": (None, (_P, _P)),
+    "jg_learnt_task_bytes": (_I32, ()),
+    "jg_learnt_pose": (None, (_P, _P)),
+    "jg_learnt_gloss": (None, (_P, _P)),
     "jg_shade_task_bytes": (_I32, ()),
     "jg_shade_gradient_bytes": (_I32, ()),
     "jg_shade": (None, (_P, _P)),
@@ -35,7 +38,7 @@ SIGNATURES: dict[str, tuple[object, tuple[object, ...]]] = {
     "jg_raster_forward": (None, (_P,)),
     "jg_raster_backward": (None, (_P,)),
     "jg_skeleton_bytes": (_I32, ()),
-    "jg_bone_transforms": (_I32, (_P, _P, _P, _P)),
+    "jg_bone_transforms": (_I32, (_P, _P, _P, _P, _P)),
 }
 
 

@@ -16,6 +16,7 @@ import numpy as np
 from jghand_engine import limits
 from jghand_engine.errors import RetryError
 from jghand_engine.native.binding import Library, aligned_zeros, new_team
+from jghand_engine.native.learnt_tasks import NETWORK_TILE, CorrectiveKind, LearntTask
 from jghand_engine.native.rasteriser import GaussianArrays, NativeRasteriser, View, job_bytes
 from jghand_engine.native.ssim import NativeSsim, window
 from jghand_engine.native.tasks import LANES, ShadeTask, SkinTask, SsimTask, new_shade_task, padded_depth
@@ -65,6 +66,7 @@ def check(library: Library) -> None:
     call = library.call
     tasks = (
         (call.jg_skin_task_bytes, SkinTask),
+        (call.jg_learnt_task_bytes, LearntTask),
         (call.jg_shade_task_bytes, ShadeTask),
         (call.jg_ssim_task_bytes, SsimTask),
     )
@@ -75,6 +77,7 @@ def check(library: Library) -> None:
     _check_raster_and_shadow(library)
     _check_ellipsoids(library)
     _check_skin(library)
+    _check_trained_skin(library)
     _check_bones(library)
     _check_similarity(library)
 
@@ -135,7 +138,13 @@ def _check_skin(library: Library) -> None:
     arrays = [np.ascontiguousarray(array, np.float32) for array in (rest[None], weight, matrices)]
     position, sigma = aligned_zeros((LANES, 3)), aligned_zeros((LANES,))
     block_start, team = np.array([0, 2], np.int32), new_team()
-    task = SkinTask(scale=1.0, stretch_min=limits.SIGMA_STRETCH_MIN, stretch_max=limits.SIGMA_STRETCH_MAX, blocks=1)
+    task = SkinTask(
+        scale=1.0,
+        inverse_scale=1.0,
+        stretch_min=limits.SIGMA_STRETCH_MIN,
+        stretch_max=limits.SIGMA_STRETCH_MAX,
+        blocks=1,
+    )
     aligned = [aligned_zeros(array.shape) for array in arrays]
     for to, array in zip(aligned, arrays, strict=True):
         to[:] = array
@@ -148,6 +157,58 @@ def _check_skin(library: Library) -> None:
     stretch = np.cbrt(np.linalg.det(blended[:, :, :3]))
     _compare(library, "posed positions", position.ravel(), wanted.ravel())
     _compare(library, "posed radii, mm", 1e3 * sigma, 1e3 * rest[3] * stretch)
+
+
+def _check_trained_skin(library: Library) -> None:
+    """Sixteen Gaussians of one bone that stands still: what a network, light and gloss make of them, here in double
+    precision."""
+    numbers = iter(np.split(_spread(np.arange(2000), 0.7548) - 0.5, 250))
+    shapes = {"look": (7, 16), "places": (8, 16), "features": (21, 8), "middle": (8, 8), "middle_bias": (8,)}
+    shapes |= {"out": (8, 6), "irradiance": (16, 3), "lobe": (1, 7)}
+
+    def some(shape: tuple[int, ...]) -> np.ndarray:
+        out = aligned_zeros(shape)
+        out.ravel()[:] = np.concatenate([next(numbers) for _ in range(-(-out.size // 8))])[: out.size]
+        return out
+
+    arrays = {name: some(shape) for name, shape in shapes.items()}
+    rest, weight = some((4, LANES)), np.ones((1, LANES), np.float32)
+    matrices = np.tile(np.eye(3, 4, dtype=np.float32), (21, 1, 1))
+    block_start, bone = np.array([0, 1], np.int32), np.array([2], np.int32)
+    results = {"position": (LANES, 3), "sigma": (LANES,)}, {"matt": (6, LANES), "rgb": (LANES, 3)}
+    posed, seen = ({name: aligned_zeros(shape) for name, shape in each.items()} for each in results)
+    task = LearntTask(rim=0.5, exponent_max=3.0, length2_min=1e-12, hidden=NETWORK_TILE, lobes=1)
+    task.correctives, task.reach, task.eye = CorrectiveKind.NETWORK, (0.1, 0.5), (0.1, 0.2, 2.0)
+    task.skin = SkinTask(scale=1.0, inverse_scale=1.0, stretch_min=0.5, stretch_max=2.0, blocks=1)
+    given = {"rest": rest, "weight": weight, "block_start": block_start, "bone": bone, "linear_offset": matrices}
+    for into, named in ((task.skin, given | posed), (task, arrays | seen)):
+        for name, array in named.items():
+            setattr(into, name, array.ctypes.data)
+    for function in (library.call.jg_learnt_pose, library.call.jg_learnt_gloss):
+        team = new_team()
+        function(team.ctypes.data, ctypes.addressof(task))
+    _compare(library, "skin of a network", np.hstack([posed["position"], seen["rgb"]]).ravel(), _trained(arrays, rest))
+
+
+def _trained(arrays: dict[str, np.ndarray], rest: np.ndarray) -> np.ndarray:
+    """(16 * 6,) position and colour of the Gaussians above, written out."""
+    a = {name: array.astype(np.float64) for name, array in arrays.items()}
+    first = np.maximum(a["places"].T + a["features"][2], 0)
+    second = np.maximum(first @ a["middle"] + a["middle_bias"], 0)
+    correction = np.tanh(second @ a["out"]) * np.repeat([0.1, 0.5], 3)
+    position, normal = rest[:3].T + correction[:, :3], a["look"][:3].T
+    normal = normal / np.linalg.norm(normal, axis=1, keepdims=True)
+    (x, y, z), one = normal.T, np.ones(LANES)
+    xx, yy, zz = x * x, y * y, z * z
+    waves = [one, x, y, z, x * y, y * z, z * x, xx - yy, 3 * zz - 1, y * (3 * xx - yy), x * y * z, y * (5 * zz - 1)]
+    waves += [z * (5 * zz - 3), x * (5 * zz - 1), z * (xx - yy), x * (xx - 3 * yy)]
+    matt = a["look"][3:6].T * np.exp(np.clip(np.stack(waves, 1) @ a["irradiance"] + correction[:, 3:], -3, 3))
+    eye = np.array([0.1, 0.2, 2.0]) - position
+    eye = eye / np.linalg.norm(eye, axis=1, keepdims=True)
+    facing, lobe = (normal * eye).sum(1), a["lobe"][0]
+    mirrored = 2 * facing[:, None] * normal - eye
+    strength = a["look"][6] * np.exp2((mirrored @ lobe[:3] - 1) * lobe[3]) * (1 + 0.5 * (1 - facing.clip(0, 1)) ** 5)
+    return np.hstack([position, matt + strength[:, None] * lobe[4:]]).ravel()
 
 
 def _check_bones(library: Library) -> None:
@@ -168,9 +229,10 @@ def _check_bones(library: Library) -> None:
     skeleton = np.concatenate([np.ravel(part) for part in parts])
     if library.call.jg_skeleton_bytes() != skeleton.nbytes:
         raise _failure(library, f"a Skeleton of {skeleton.nbytes} bytes", str(library.call.jg_skeleton_bytes()))
-    matrices, scale = np.full((21, 3, 4), np.nan), np.empty(1)
+    matrices, scale, angles = np.full((21, 3, 4), np.nan), np.empty(1), np.empty(37)
     joints = np.ascontiguousarray(joints)
-    library.call.jg_bone_transforms(skeleton.ctypes.data, joints.ctypes.data, matrices.ctypes.data, scale.ctypes.data)
+    outputs = (array.ctypes.data for array in (matrices, scale, angles))
+    library.call.jg_bone_transforms(skeleton.ctypes.data, joints.ctypes.data, *outputs)
     bones = matrices[1:]
     for ends, wanted in ((canonical[parents], joints[parents]), (canonical[1:], joints[1:])):
         came = (bones[:, :, :3] @ ends[:, :, None])[..., 0] + bones[:, :, 3]

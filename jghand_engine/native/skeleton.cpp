@@ -8,7 +8,8 @@
 
 namespace {
 
-constexpr int JOINTS = 21, BONES = 20, PHALANGES = 15, FINGERS = 5;
+constexpr int JOINTS = 21, BONES = 20, PHALANGES = 15, FINGERS = 5, PLANES = 4;
+constexpr int ANGLES = 2 * PHALANGES + PLANES + PLANES - 1;
 
 enum Flag { ZERO_BONE = 1, PALM_CLAMPED = 2, SWING_POLE = 4, NO_PALM = 8, NOT_FINITE = 16 };
 
@@ -46,7 +47,7 @@ struct Skeleton {
   Mat palm;
   Vec u[PHALANGES];
   Mat swing[PHALANGES];
-  Vec palm_normal[4];
+  Vec palm_normal[PLANES];
   Mat palm_flip, metacarpal_flip[FINGERS], swing_flip[PHALANGES];
 };
 
@@ -96,7 +97,7 @@ bool swing_minimal(Vec u, const Skeleton& s, int phalanx, Mat& Q) {
 
 struct Frames {
   Mat frame[BONES], palm;
-  Vec direction[BONES];
+  Vec direction[BONES], palm_normal[PLANES], u[PHALANGES];
   double relative_length[BONES], size;
   int flags;
 };
@@ -115,11 +116,12 @@ bool palm_frame(const Skeleton& s, const Vec bone[BONES], Mat& palm) {
 // Directions and frames of the metacarpals; returns flags.
 int metacarpal_frames(const Skeleton& s, const Vec bone[BONES], Frames& frames) {
   const Mat turn = frames.palm * transposed(s.palm);
-  Vec normal[4], finger_normal[FINGERS];
+  Vec* const normal = frames.palm_normal;
+  Vec finger_normal[FINGERS];
   int flags = 0;
   for (int f = 0; f < FINGERS; f++)
     if (!unit(bone[f], turn * s.direction[f], s.zero_bone, frames.direction[f])) flags |= ZERO_BONE;
-  for (int k = 0; k < 4; k++) {
+  for (int k = 0; k < PLANES; k++) {
     const Vec plane = cross(frames.direction[k], frames.direction[k + 1]), expected = turn * s.palm_normal[k];
     const double height = dot(plane, expected);
     if (height < 2 * s.palm_clamp) flags |= PALM_CLAMPED;
@@ -143,7 +145,7 @@ int phalanx_frames(const Skeleton& s, const Vec bone[BONES], Frames& frames) {
   for (int i = FINGERS; i < BONES; i++) {
     const Mat& parent = frames.frame[i - FINGERS];
     const int phalanx = i - FINGERS;
-    Vec u;
+    Vec& u = frames.u[phalanx];
     Mat Q;
     if (!unit(bone[i], parent * s.u[phalanx], s.zero_bone, frames.direction[i])) flags |= ZERO_BONE;
     unit(transposed_times(parent, frames.direction[i]), s.u[phalanx], s.zero_bone, u);
@@ -181,6 +183,31 @@ double radial_scale(const Skeleton& s, double along, double whole) {
   return whole * pow(fmax(ratio, s.scale_ratio_min), s.exponent);
 }
 
+// atan2, 0 where both are within the threshold.
+double safe_angle(double y, double x, double threshold) {
+  return fabs(x) > threshold || fabs(y) > threshold ? atan2(y, x) : 0;
+}
+
+// The angles of METHOD 2.4, radians: flexion and abduction of bones 6..20, then those between neighbouring palm bones
+// and those between neighbouring palm planes; `HandFrames` in hand/frames.py.
+void store_angles(const Skeleton& s, const Frames& frames, double* out) {
+  for (const Vec& u : frames.u) {
+    const double square = u.x * u.x + u.z * u.z;
+    const bool far = square > s.swing_pole * s.swing_pole;
+    *out++ = far ? atan2(u.x, u.z) : 0;
+    *out++ = atan2(-u.y, far ? sqrt(square) : s.swing_pole);
+  }
+  for (int k = 0; k < PLANES; k++) {
+    const Vec a = frames.direction[k], b = frames.direction[k + 1], normal = cross(a, b);
+    const double square = dot(normal, normal);
+    *out++ = safe_angle(square > s.zero_bone * s.zero_bone ? sqrt(square) : 0, dot(a, b), 0);
+  }
+  for (int k = 0; k + 1 < PLANES; k++) {
+    const Vec a = frames.palm_normal[k], b = frames.palm_normal[k + 1];
+    *out++ = safe_angle(dot(cross(a, b), frames.direction[k + 1]), dot(a, b), s.zero_bone);
+  }
+}
+
 // [L | offset] as 3 x 4, row by row; x is negated for a left hand.
 void store(const Skeleton& s, const Mat& L, Vec posed_pivot, Vec canonical_pivot, double* out) {
   const Vec offset = posed_pivot - L * canonical_pivot;
@@ -197,19 +224,23 @@ void store(const Skeleton& s, const Mat& L, Vec posed_pivot, Vec canonical_pivot
 JG_API int32_t jg_skeleton_bytes() { return sizeof(Skeleton); }
 
 // skeleton: `Skeleton` packed as doubles. joints: 21 x 3, metres, level order.
-// matrices: 21 x 3 x 4 root-relative canonical -> posed. scale: of the whole hand. Returns the flags of the frames.
+// matrices: 21 x 3 x 4 root-relative canonical -> posed. scale: of the whole hand. angles: 37, see `store_angles`.
+// Returns the flags of the frames.
 // A joint that is not finite gives NaN everywhere and the flag NOT_FINITE.
-JG_API int32_t jg_bone_transforms(const double* skeleton, const double* joints, double* matrices, double* scale) {
+JG_API int32_t jg_bone_transforms(const double* skeleton, const double* joints, double* matrices, double* scale,
+                                  double* angles) {
   const Skeleton& s = *reinterpret_cast<const Skeleton*>(skeleton);
   Vec joint[JOINTS];
   for (int i = 0; i < 3 * JOINTS; i++) {
     if (isfinite(joints[i])) continue;
     for (int k = 0; k < JOINTS * 12; k++) matrices[k] = NAN;
+    for (int k = 0; k < ANGLES; k++) angles[k] = NAN;
     *scale = NAN;
     return NOT_FINITE;
   }
   for (int i = 0; i < JOINTS; i++) joint[i] = {s.mirror * joints[3 * i], joints[3 * i + 1], joints[3 * i + 2]};
   const Frames frames = compute_frames(s, joint);
+  store_angles(s, frames, angles);
 
   double sum = 0, canonical_sum = 0;
   for (int i = 0; i < BONES; i++) sum += frames.relative_length[i], canonical_sum += s.length[i];

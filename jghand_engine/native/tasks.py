@@ -1,6 +1,6 @@
-"""What the calls for skin, shadow and similarity take: mirrors of the structures in native/skin.cpp, shadow.h and
-ssim.cpp, and the memory around a depth that the shadow needs. Python that poses, shades and compares fills them, and so
-does the self-test."""
+"""What the calls for skin, shadow and similarity take: mirrors of the structures in native/skin.h, shadow.h and
+ssim.cpp, and the memory around a depth that the shadow needs. Python that poses, shades and compares fills them, and
+so does the self-test; what trained skin takes is in learnt_tasks.py."""
 
 from __future__ import annotations
 
@@ -22,12 +22,13 @@ _I32, _F32, _P = ctypes.c_int32, ctypes.c_float, ctypes.c_void_p
 
 
 class SkinTask(ctypes.Structure):
-    """SkinTask of native/skin.cpp, field by field."""
+    """SkinTask of native/skin.h, field by field."""
 
     _fields_ = (
-        *((name, _P) for name in ("rest", "block_start", "bone", "weight", "linear_offset", "position", "sigma")),
+        *((name, _P) for name in ("rest", "block_start", "bone", "weight", "axes", "linear_offset")),
+        *((name, _P) for name in ("position", "sigma", "covariance")),
         ("shift", _F32 * 3),
-        *((name, _F32) for name in ("scale", "stretch_min", "stretch_max")),
+        *((name, _F32) for name in ("scale", "inverse_scale", "stretch_min", "stretch_max")),
         ("blocks", _I32),
     )
 

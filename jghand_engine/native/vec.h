@@ -114,7 +114,20 @@ JG_INLINE vf exp2_of_negative(vf e) {
 #endif
 }
 
-// log2 for x in (0, 1], absolute error below one unit in the last place of the result. Anything below the smallest
+// 2^e for any e; below -126 and for NaN 2^-126, above 126 2^126. Relative error 3e-7.
+JG_INLINE vf exp2(vf e) {
+  const vf inside = min(max(e, all(-126.f)), all(126.f));
+  const vi n = floor_to_int(inside);
+  const vf f = inside - __builtin_convertvector(n, vf);
+  vf p = f * 0.0018775766948238015f + 0.00898933969438076f;
+  p = p * f + 0.05582631751894951f;
+  p = p * f + 0.24015361070632935f;
+  p = p * f + 0.6931530833244324f;
+  p = p * f + 1.0f;
+  return float_of(bits_of(p) + (n << 23));
+}
+
+// log2 for x > 0, absolute error below one unit in the last place of the result. Anything below the smallest
 // normal number, and NaN, counts as that number, so that the result is finite for every x but +inf.
 JG_INLINE vf log2(vf x) {
   // x = m 2^n with m in [sqrt(1/2), sqrt(2)), log2(m) = 2/ln2 atanh(t)
@@ -146,6 +159,13 @@ JG_INLINE void store_triples(float* p, vf x, vf y, vf z) {
   float xs[LANES], ys[LANES], zs[LANES];
   store(xs, x), store(ys, y), store(zs, z);
   for (int i = 0; i < LANES; i++) p[3 * i] = xs[i], p[3 * i + 1] = ys[i], p[3 * i + 2] = zs[i];
+}
+
+JG_INLINE void store_sixes(float* p, const vf rows[6]) {
+  float columns[6][LANES];
+  for (int k = 0; k < 6; k++) store(columns[k], rows[k]);
+  for (int i = 0; i < LANES; i++)
+    for (int k = 0; k < 6; k++) p[6 * i + k] = columns[k][i];
 }
 
 // Sixteen rows of six, one after the other in memory, as six vectors. A row is two triples.

@@ -19,11 +19,12 @@ import torch
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar, check_follows_joints
 from jghand_engine.avatar.learnt import ShadowLook
+from jghand_engine.avatar.pose_features import Angles
 from jghand_engine.avatar.pose_range import outside, trained_range
 from jghand_engine.avatar.tiers import Tier
 from jghand_engine.errors import InputError
-from jghand_engine.hand.fast_transform import FastTransform
-from jghand_engine.hand.frames import HandFrames, describe_flags
+from jghand_engine.hand.fast_transform import FastBones, FastTransform
+from jghand_engine.hand.frames import describe_flags
 from jghand_engine.hand.joints import JOINT_COUNT, LEVEL_NAMES
 from jghand_engine.hand.orders import check_joint_shape
 from jghand_engine.native import library as native_library
@@ -135,25 +136,20 @@ class SceneRenderer:
                 return self._posed, False
         origin_m = hands[0][0]
         bones = [transform.bones(joints) for transform, joints in zip(self._transforms, hands, strict=True)]
-        frames = [self._frames(place, joints) for place, joints in enumerate(hands)]
-        unseen = [note for place, own in enumerate(frames) if own is not None for note in self._unseen(place, own)]
-        poses = [Pose(one, one.root_m - origin_m, own) for one, own in zip(bones, frames, strict=True)]
+        unseen = [note for place, own in enumerate(bones) for note in self._unseen(place, own)]
+        poses = [Pose(one, one.root_m - origin_m) for one in bones]
         notes = [sentence for one in bones for sentence in describe_flags(one.flags)]
         posed = _Posed([joints.copy() for joints in hands], poses, notes, unseen)
         report.ran(TRANSFORM, 1e3 * (time.perf_counter() - started), self._tiers)
         report.notes += notes + unseen
         return posed, True
 
-    def _frames(self, place: int, joints_m: np.ndarray) -> HandFrames | None:
-        """The frames of a hand whose avatar wants to know its joint angles."""
-        learnt = self._avatars[place].learnt
-        wanted = self._ranges[place] is not None or (learnt is not None and learnt.correctives is not None)
-        return self._transforms[place].frames(joints_m) if wanted else None
-
-    def _unseen(self, place: int, frames: HandFrames) -> list[str]:
+    def _unseen(self, place: int, bones: FastBones) -> list[str]:
         """Sentences about joints that are bent as the avatar never saw them."""
         trained = self._ranges[place]
-        return [] if trained is None else [one.sentence() for one in outside(frames.angles, trained)]
+        if trained is None:
+            return []
+        return [one.sentence() for one in outside(Angles.of(torch.from_numpy(bones.angles_rad)).angles, trained)]
 
     def _canvas(self, posed: _Posed, camera: Camera, report: FrameReport) -> Canvas:
         # the origin of what was posed, also when the hand has moved by less than the limit since

@@ -15,10 +15,10 @@ import torch
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.gaussians import Gaussians
-from jghand_engine.avatar.torch_posing import TorchPosing
+from jghand_engine.avatar.pose_features import Angles
+from jghand_engine.avatar.torch_posing import TorchPosing, reflects
 from jghand_engine.errors import InputError
 from jghand_engine.hand.fast_transform import FastBones
-from jghand_engine.hand.frames import HandFrames
 from jghand_engine.splat.camera import Camera
 from jghand_engine.splat.picture import Picture
 from jghand_engine.splat.rasterise import rasterise
@@ -28,19 +28,22 @@ from jghand_engine.splat.shadow import ShadowStyle
 from jghand_engine.splat.shadow_native import darken
 
 # names of the stages that painters run
-SKIN, RASTER, SHADOW, COMPOSE = "skin", "raster", "shadow + compose", "compose"
+SKIN, GLOSS, RASTER, SHADOW, COMPOSE = "skin", "gloss", "raster", "shadow + compose", "compose"
 # why the raster was skipped
 SAME_PICTURE = "same pose, camera and settings"
 
 
 @dataclass(frozen=True)
 class Pose:
-    """One hand of a picture: its bone transforms, its root relative to the picture's origin (3,), metres, and its
-    frames where its avatar has correctives."""
+    """One hand of a picture: its bone transforms, and its root relative to the picture's origin (3,), metres."""
 
     bones: FastBones
     shift_m: np.ndarray
-    frames: HandFrames | None = None
+
+    @property
+    def angles(self) -> Angles:
+        """Its joint angles, for correctives."""
+        return Angles.of(torch.from_numpy(self.bones.angles_rad))
 
 
 @dataclass(frozen=True)
@@ -123,8 +126,9 @@ class TorchPainter:
             return self._drawn[1]
         if self._gaussians is None:
             raise InputError("picture", wanted="a pose", came="none")
+        coloured = self._coloured(self._gaussians, canvas, report)
         started = time.perf_counter()
-        picture = rasterise(self._coloured(self._gaussians, canvas), canvas.camera, self._settings)
+        picture = rasterise(coloured, canvas.camera, self._settings)
         self._drawn = (canvas, picture)
         report.ran(RASTER, 1e3 * (time.perf_counter() - started))
         return picture
@@ -132,7 +136,7 @@ class TorchPainter:
     def _posed(self, poses: Sequence[Pose]) -> Gaussians:
         """All hands' Gaussians relative to the picture's origin."""
         parts = [
-            hand.pose(RootRelative.of(avatar, pose), pose.frames).matt
+            hand.pose(RootRelative.of(avatar, pose.bones, pose.shift_m), pose.angles).matt
             for hand, avatar, pose in zip(self._hands, self._avatars, poses, strict=True)
         ]
         fields = ("position_m", "sigma_m", "opacity", "rgb")
@@ -143,14 +147,17 @@ class TorchPainter:
             *(torch.cat([getattr(part, name) for part in parts]) for name in fields), covariance_m2=covariance_m2
         )
 
-    def _coloured(self, gaussians: Gaussians, canvas: Canvas) -> Gaussians:
+    def _coloured(self, gaussians: Gaussians, canvas: Canvas, report: FrameReport) -> Gaussians:
         """The same as they look from the camera; kept for the next picture from there."""
-        first = 0
+        started, first, changed = time.perf_counter(), 0, False
         for hand, avatar in zip(self._hands, self._avatars, strict=True):
             rgb = hand.rgb(canvas.eye_m)
             if rgb is not None:
                 gaussians.rgb[first : first + len(avatar)] = rgb
+                changed |= reflects(avatar)
             first += len(avatar)
+        if changed:
+            report.ran(GLOSS, 1e3 * (time.perf_counter() - started))
         return gaussians
 
 
@@ -173,12 +180,13 @@ class RootRelative:
     scale: torch.Tensor
 
     @classmethod
-    def of(cls, avatar: HandAvatar, pose: Pose) -> RootRelative:
-        matrices = torch.from_numpy(np.asarray(pose.bones.linear_offset, np.float32))
+    def of(cls, avatar: HandAvatar, bones: FastBones, shift_m: np.ndarray) -> RootRelative:
+        """shift_m: (3,) the hand's root relative to the picture's origin."""
+        matrices = torch.from_numpy(np.asarray(bones.linear_offset, np.float32))
         return cls(
             linear=matrices[:, :, :3],
             offset_m=matrices[:, :, 3],
-            root_m=torch.from_numpy(pose.shift_m.astype(np.float32)),
+            root_m=torch.from_numpy(shift_m.astype(np.float32)),
             canonical_root_m=avatar.canonical_joints_m[0],
-            scale=torch.tensor(pose.bones.scale, dtype=torch.float32),
+            scale=torch.tensor(bones.scale, dtype=torch.float32),
         )

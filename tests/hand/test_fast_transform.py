@@ -26,14 +26,18 @@ def test_agrees_with_the_torch_transform(variant, handedness, mode, swing):
     options = {"handedness": handedness, "swing": swing, "scale_mode": mode}
     bones = JointTransform(CANONICAL, **options).bones(joints)
     wanted = torch.cat([bones.linear, bones.offset_m.unsqueeze(-1)], -1).numpy()
+    frames = bones.frames
+    angles = torch.cat([frames.angles.flatten(1), frames.palm_p, frames.palm_n], 1).numpy()
     fast = FastTransform(CANONICAL, **options, variant=variant)
     for k, one in enumerate(joints.numpy()):
-        matrices, root, scale, flags = fast.bones64(one)
+        found = fast.bones64(one)
         # worst observed 3e-15
-        assert np.abs(matrices - wanted[k]).max() < 2e-14
-        assert abs(scale - float(bones.scale[k])) < 1e-14
-        assert flags == int(bones.frames.flags[k])
-        assert np.array_equal(root, one[0])
+        assert np.abs(found.linear_offset - wanted[k]).max() < 2e-14
+        assert abs(found.scale - float(bones.scale[k])) < 1e-14
+        assert found.flags == int(bones.frames.flags[k])
+        assert np.array_equal(found.root_m, one[0])
+        # worst observed ANGLES
+        assert np.abs(found.angles_rad - angles[k]).max() < 1e-13
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
@@ -53,12 +57,12 @@ def test_result_is_float32_root_relative(variant):
 def test_other_memory_layouts_and_types_of_joints_are_read_right(variant):
     fast = FastTransform(CANONICAL, handedness=Handedness.RIGHT, variant=variant)
     joints = np.round(hands.sample(1)[0].numpy(), 3)
-    wanted = fast.bones64(joints)[0]
+    wanted = fast.bones64(joints).linear_offset
     strided = np.zeros((21, 6))[:, ::2]
     strided[:] = joints
-    assert np.array_equal(fast.bones64(strided)[0], wanted)
-    assert np.array_equal(fast.bones64(np.asfortranarray(joints))[0], wanted)
-    assert np.abs(fast.bones64(joints.astype(np.float32))[0] - wanted).max() < 1e-5
+    assert np.array_equal(fast.bones64(strided).linear_offset, wanted)
+    assert np.array_equal(fast.bones64(np.asfortranarray(joints)).linear_offset, wanted)
+    assert np.abs(fast.bones64(joints.astype(np.float32)).linear_offset - wanted).max() < 1e-5
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
@@ -71,6 +75,7 @@ def test_a_bad_joint_gives_nan_and_its_flag(variant, bad):
         bones = fast.bones(joints)
         assert np.isnan(bones.linear_offset[..., :3]).all()
         assert np.isnan(bones.scale)
+        assert np.isnan(bones.angles_rad).all()
         assert bones.flags == FrameFlag.NOT_FINITE
 
 
@@ -97,7 +102,7 @@ def test_one_transform_serves_many_threads():
 
     fast = FastTransform(CANONICAL, handedness=Handedness.RIGHT)
     joints = hands.sample(64).numpy()
-    alone = [fast.bones64(one)[0] for one in joints]
+    alone = [fast.bones64(one).linear_offset for one in joints]
     with ThreadPoolExecutor(4) as pool:
-        together = list(pool.map(lambda one: fast.bones64(one)[0], joints))
+        together = list(pool.map(lambda one: fast.bones64(one).linear_offset, joints))
     assert all(np.array_equal(a, b) for a, b in zip(alone, together, strict=True))

@@ -130,12 +130,16 @@ def test_native_transform_agrees(name, swing, mode):
     options = {"handedness": _handedness(name), "swing": swing, "scale_mode": mode}
     bones = JointTransform(CANONICAL, **options).bones(joints)
     wanted = torch.cat([bones.linear, bones.offset_m.unsqueeze(-1)], -1).numpy()
-    matrices, root, scale, flags = FastTransform(CANONICAL, **options).bones64(joints.numpy())
+    found = FastTransform(CANONICAL, **options).bones64(joints.numpy())
     # worst observed 1.2e-14, beside the abduction pole
-    assert np.abs(matrices - wanted).max() <= 1e-13 * np.abs(wanted).max()
-    assert abs(scale - float(bones.scale)) <= 1e-14 * scale
-    assert flags == int(bones.frames.flags)
-    assert np.array_equal(root, joints[0].numpy())
+    assert np.abs(found.linear_offset - wanted).max() <= 1e-13 * np.abs(wanted).max()
+    assert abs(found.scale - float(bones.scale)) <= 1e-14 * found.scale
+    assert found.flags == int(bones.frames.flags)
+    assert np.array_equal(found.root_m, joints[0].numpy())
+    frames = bones.frames
+    angles = torch.cat([frames.angles.flatten(), frames.palm_p, frames.palm_n]).numpy()
+    # worst observed ANGLES
+    assert np.abs(found.angles_rad - angles).max() < 1e-12
 
 
 @pytest.mark.parametrize("swing", SWINGS)

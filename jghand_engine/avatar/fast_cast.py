@@ -1,0 +1,86 @@
+"""The shadows that fingers cast, as the kernel of trained skin takes them (native/learnt_cast.cpp); `cast_shadow.py` is
+the specification."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from jghand_engine import limits
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.cast_shadow import CastShadow, capsules, lamp_directions
+from jghand_engine.avatar.fast_skinning import Blocks, point
+from jghand_engine.hand.fast_transform import FastBones
+from jghand_engine.hand.joints import BONE_COUNT
+from jghand_engine.native.binding import aligned_zeros
+from jghand_engine.native.learnt_tasks import LearntTask
+from jghand_engine.native.tasks import LANES
+
+
+class FastCast:
+    """Fills in a task what the shadows of its poses are found from. It must live as long as the task.
+
+    blocks: of the avatar's Gaussians
+    """
+
+    def __init__(self, cast: CastShadow, avatar: HandAvatar, blocks: Blocks, task: LearntTask) -> None:
+        anchors, root_m = cast.anchors, avatar.canonical_joints_m[0].double()
+        own = Blocks(anchors.position_m.numpy())
+        rest = torch.cat([anchors.position_m.double() - root_m, anchors.normal.double()], 1)
+        self._joints_m = (avatar.canonical_joints_m.double() - root_m).numpy()
+        self._direction, lamp = _lamps(cast.lamp_rgb.detach())
+        groups = len(lamp)
+        self._capsule = aligned_zeros((BONE_COUNT, 8))
+        self._capsule_lamp = aligned_zeros((BONE_COUNT, groups, 2, LANES))
+        self._arrays = {
+            "rest": own.blocked(rest.numpy()),
+            **own.bones(anchors.bone_weights.numpy()),
+            "foreign": own.blocked(1 - cast.own.double().numpy()),
+            "lamp": lamp,
+            "capsule": self._capsule,
+            "capsule_lamp": self._capsule_lamp,
+            "fallen": aligned_zeros((own.rows, 4)),
+        }
+        row_of_anchor = np.argsort(own.order)
+        self._around = {
+            "nearest": blocks.blocked(row_of_anchor[anchors.nearest.numpy()], np.int32),
+            "share": blocks.blocked(anchors.share.numpy()),
+        }
+        shadow = task.cast
+        shadow.blocks, shadow.groups = own.count, groups
+        total = cast.lamp_rgb.detach().double().sum(0) * limits.LAMPS_LEFT_MIN
+        shadow.bounced = tuple(total.clamp_min(torch.finfo(torch.float32).tiny).tolist())
+        shadow.softness, shadow.lamp_width = limits.FLESH_SOFTNESS, limits.LAMP_HALF_WIDTH
+        shadow.width_min, shadow.distance2_min = limits.CAPSULE_WIDTH_MIN_M, limits.CAPSULE_LENGTH2_MIN
+        shadow.to_display = limits.LIGHT_TO_DISPLAY
+        point(shadow, self._arrays)
+        point(task, self._around)
+
+    def prepare(self, bones: FastBones) -> None:
+        """Sets the capsules of the next pose."""
+        matrices = bones.linear_offset.astype(np.float64)
+        # bone i ends at joint i
+        joints_m = np.einsum("ijk,ik->ij", matrices[:, :, :3], self._joints_m) + matrices[:, :, 3]
+        ends = capsules(torch.from_numpy(joints_m), torch.tensor(bones.scale, dtype=torch.float64))
+        start, end, radius_m = (values.numpy() for values in ends)
+        axis = end - start
+        length2 = np.maximum((axis * axis).sum(1), limits.CAPSULE_LENGTH2_MIN)
+        along = axis @ self._direction.T
+        sine2 = np.maximum(length2[:, None] - along * along, limits.CAPSULE_SINE2_MIN * length2[:, None])
+        self._capsule[:, :3], self._capsule[:, 3:6] = start, axis
+        self._capsule[:, 6], self._capsule[:, 7] = 1 / length2, radius_m
+        self._capsule_lamp[:, :, 0] = along.reshape(BONE_COUNT, -1, LANES)
+        self._capsule_lamp[:, :, 1] = (1 / sine2).reshape(BONE_COUNT, -1, LANES)
+
+
+def _lamps(rgb: torch.Tensor) -> tuple[np.ndarray, np.ndarray]:
+    """Directions (16 groups, 3) float64, and lamps (groups, 6, 16) as the kernel has them. Those of one group stand
+    near each other, so that skin turns away from all of them at once; black ones fill up the last group."""
+    direction = lamp_directions(len(rgb)).numpy()
+    order = np.lexsort((direction[:, 2], direction[:, 1] > 0, direction[:, 0] > 0))
+    spare = -len(rgb) % LANES
+    direction = np.pad(direction[order], ((0, spare), (0, 0)), mode="edge")
+    both = np.concatenate([direction, np.pad(rgb.double().numpy()[order], ((0, spare), (0, 0)))], 1)
+    lamp = aligned_zeros((len(both) // LANES, 6, LANES))
+    lamp[...] = both.reshape(-1, LANES, 6).transpose(0, 2, 1)
+    return direction, lamp
