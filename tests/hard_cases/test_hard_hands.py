@@ -138,8 +138,8 @@ def test_native_transform_agrees(name, swing, mode):
     assert np.array_equal(found.root_m, joints[0].numpy())
     frames = bones.frames
     angles = torch.cat([frames.angles.flatten(), frames.palm_p, frames.palm_n]).numpy()
-    # worst observed ANGLES
-    assert np.abs(found.angles_rad - angles).max() < 1e-12
+    # worst observed 1.2e-14, beside the abduction pole
+    assert np.abs(found.angles_rad - angles).max() < 2e-14
 
 
 @pytest.mark.parametrize("swing", SWINGS)
