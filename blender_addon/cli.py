@@ -30,7 +30,7 @@ from .core import batch, limits, stamp
 from .core.client import EngineClient
 from .core.engine_command import engine_command
 from .core.messages import BAD_INPUT, JGHandFailure
-from .core.view import BUILTIN_AVATAR, HandInSpace, Pinhole, picture_request
+from .core.view import BUILTIN_AVATAR, SHIPPED_AVATARS, HandInSpace, Pinhole, picture_request
 
 
 def main(arguments: list[str] | None = None, *, checkout: Path | None = None) -> int:
@@ -98,7 +98,7 @@ def _parser() -> argparse.ArgumentParser:
         "--frames", type=_frames, metavar="A-B[,STEP]", help="e.g. 1-240 or 1-240,2; default: the scene's range"
     )
     parser.add_argument("--preset", default="final", help="draft, viewport, final (default) or reference")
-    parser.add_argument("--avatar", default=BUILTIN_AVATAR, help="a .jghand file; default: the built-in avatar")
+    parser.add_argument("--avatar", default=BUILTIN_AVATAR, help="a .jghand file, builtin or painted")
     parser.add_argument("--engine-python", metavar="PATH", help="a Python that has jghand installed")
     parser.add_argument("--overwrite", action="store_true", help="render pictures that are there already again")
     parser.add_argument("--report", type=Path, metavar="FILE.json", help="write what was done, with times, as JSON")
@@ -137,13 +137,13 @@ class _Job:
     def avatar(self) -> str:
         """As the engine knows it."""
         avatar = self.options.avatar
-        return avatar if avatar == BUILTIN_AVATAR else str(Path(avatar).resolve())
+        return avatar if avatar in SHIPPED_AVATARS else str(Path(avatar).resolve())
 
     def stamp_folders(self, engine_version: str) -> None:
         """Makes sure that no picture of something else lies among this run's."""
         made_from = {
             "file": stamp.digest(scene.source_files()),
-            "avatar": self.avatar if self.avatar == BUILTIN_AVATAR else stamp.digest([Path(self.avatar)]),
+            "avatar": self.avatar if self.avatar in SHIPPED_AVATARS else stamp.digest([Path(self.avatar)]),
             "preset": self.options.preset,
             "size": f"{self.size[0]} x {self.size[1]}",
             "engine version": engine_version,

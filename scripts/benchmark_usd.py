@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from jghand_engine.avatar.builtin import load_builtin
+from jghand_engine.avatar.builtin import load_painted
 from jghand_engine.exporters.usd import UsdReport, export_usd
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import PoseSequence
@@ -36,7 +36,7 @@ def swaying_hand(canonical_joints_m: np.ndarray, frames: int) -> PoseSequence:
 
 
 def one_run(folder: Path, gaussians: int, frames: int) -> tuple[UsdReport, float]:
-    avatar = load_builtin(handedness=Handedness.RIGHT).prefix(gaussians)
+    avatar = load_painted(handedness=Handedness.RIGHT).prefix(gaussians)
     motion = swaying_hand(avatar.canonical_joints_m.numpy(), frames)
     with tempfile.TemporaryDirectory(dir=folder) as temporary:
         start = time.perf_counter()

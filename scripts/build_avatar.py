@@ -1,6 +1,6 @@
 """Builds the avatar that JGHand ships: the built-in template, sampled and painted with JGHand's own procedural skin.
 
-    python scripts/build_avatar.py                              # jghand_engine/assets/builtin_right.jghand
+    python scripts/build_avatar.py                              # jghand_engine/assets/painted_right.jghand
     python scripts/build_avatar.py --look.tone 0.55 0.38 0.29 --out my_hand.jghand
 
 One to two minutes of processor time. The same options give the same file, byte for byte, with the same packages.
@@ -29,7 +29,7 @@ ASSETS = Path(__file__).resolve().parents[1] / "jghand_engine" / "assets"
 class Options:
     """out: the file to write; look, layers: every knob of the making."""
 
-    out: Path = ASSETS / "builtin_right.jghand"
+    out: Path = ASSETS / "painted_right.jghand"
     name: str = "JGHand built-in"
     licence: str = "MIT AND CC0-1.0 AND Apache-2.0, see NOTICE"
     storage: Storage = Storage.COMPACT

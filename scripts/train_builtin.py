@@ -1,6 +1,6 @@
 """Makes the trained avatar that JGHand ships anew: a capture with a photographic skin, a training on it.
 
-    python scripts/train_builtin.py --skin SKIN.png            # jghand_engine/assets/trained_right.jghand
+    python scripts/train_builtin.py --skin SKIN.png            # jghand_engine/assets/builtin_right.jghand
 
 SKIN.png is a picture of skin in the template's UV. The shipped avatar was made with `young_lightskinned_male_diffuse`
 of MakeHuman's skins (CC0-1.0), baked into that UV, and 20 minutes of training on the pictures that its capture does not
@@ -37,7 +37,7 @@ class Options:
     skin: Path
     work: Path = Path("builtin")
     minutes: float = 20.0
-    out: Path = ASSETS / "trained_right.jghand"
+    out: Path = ASSETS / "builtin_right.jghand"
 
 
 def main(options: Options) -> None:

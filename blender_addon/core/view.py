@@ -13,6 +13,8 @@ from .wire import protocol
 
 # the avatar that comes with the engine
 BUILTIN_AVATAR = "builtin"
+# avatars that the engine brings along, by name instead of file
+SHIPPED_AVATARS = (BUILTIN_AVATAR, "painted")
 
 
 @dataclass(frozen=True)

@@ -4,31 +4,35 @@ from __future__ import annotations
 
 import functools
 from importlib.resources import as_file, files
-from importlib.resources.abc import Traversable
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.file import load_avatar
+from jghand_engine.avatar.shipped import BUILTIN, PAINTED, SHIPPED
 from jghand_engine.hand.joints import Handedness
 
 ASSETS = files("jghand_engine") / "assets"
-ASSET = ASSETS / "builtin_right.jghand"
-TRAINED_ASSET = ASSETS / "trained_right.jghand"
+
+
+def load_avatar_called(name: str) -> HandAvatar:
+    """A right hand: that of a file, or a shipped one by its name. InputError for a file that is none."""
+    return _load_right(name) if name in SHIPPED else load_avatar(name)
 
 
 def load_builtin(*, handedness: Handedness) -> HandAvatar:
-    """The painted avatar, driven by joints of the named hand. A damaged installation raises InputError.
+    """The avatar learnt from a path-traced capture of a photographic skin (scripts/train_builtin.py), driven by joints
+    of the named hand. A damaged installation raises InputError.
 
     It is read once; everybody gets the same tensors and changes none of them.
     """
-    return _load_right(ASSET).for_hand(handedness)
+    return _load_right(BUILTIN).for_hand(handedness)
 
 
-def load_trained(*, handedness: Handedness) -> HandAvatar:
-    """The avatar learnt from a path-traced capture of a photographic skin (scripts/train_builtin.py); as above."""
-    return _load_right(TRAINED_ASSET).for_hand(handedness)
+def load_painted(*, handedness: Handedness) -> HandAvatar:
+    """The painted avatar (scripts/build_avatar.py), which nothing was learnt for; as above."""
+    return _load_right(PAINTED).for_hand(handedness)
 
 
 @functools.cache
-def _load_right(asset: Traversable) -> HandAvatar:
-    with as_file(asset) as path:
+def _load_right(name: str) -> HandAvatar:
+    with as_file(ASSETS / f"{name}_right.jghand") as path:
         return load_avatar(path)

@@ -34,7 +34,7 @@ class Bench:
     report: ReportOptions = field(default_factory=ReportOptions)
 
     def run(self) -> None:
-        from jghand_engine.cli.inputs import load_hand
+        from jghand_engine.avatar.builtin import load_avatar_called
         from jghand_engine.splat.settings import preset
         from jghand_engine.studies import frame_time
         from jghand_engine.studies.timing import measure
@@ -44,7 +44,7 @@ class Bench:
         if not self.presets:
             raise InputError("--presets", wanted="at least one of draft, viewport, final, reference", came="none")
         width, height = pixels(self.size)
-        avatar = load_hand(self.avatar.avatar)
+        avatar = load_avatar_called(self.avatar.avatar)
         facts = frame_time.machine(self.threads)
         subject = frame_time.builtin_subject(width, height, avatar, avatar.info.name)
         cases = [

@@ -43,9 +43,9 @@ class Demo:
     report: ReportOptions = field(default_factory=ReportOptions)
 
     def run(self) -> None:
+        from jghand_engine.avatar.builtin import load_avatar_called
         from jghand_engine.cli import demo_films, demo_scene
         from jghand_engine.cli.framing import framing_camera
-        from jghand_engine.cli.inputs import load_hand
         from jghand_engine.cli.stage_export import export_stage, usd_figures
         from jghand_engine.datasets.motion_files import write_motion
         from jghand_engine.exporters.usd import UsdOptions
@@ -64,7 +64,7 @@ class Demo:
         clock = Clock()
         with clock("hand and motion"):
             handedness = Handedness(self.hand)
-            avatar = load_hand(self.avatar.avatar).for_hand(handedness)
+            avatar = load_avatar_called(self.avatar.avatar).for_hand(handedness)
             sequence = demo_scene.demo_motion(avatar, pose_list(self.poses))
             cameras = {
                 name: framing_camera(sequence.joints_m, handedness, name, width=width, height=height)

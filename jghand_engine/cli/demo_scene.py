@@ -22,9 +22,9 @@ import numpy as np
 
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.shipped import SHIPPED
 from jghand_engine.cli.camera_file import camera_to_dict
 from jghand_engine.cli.console import progress, write_json
-from jghand_engine.cli.options import BUILTIN_AVATAR
 from jghand_engine.cli.render import Target, render_pictures
 from jghand_engine.cli.timings import Timings
 from jghand_engine.errors import InputError, JGHandError, MemoryLimitError, RetryError
@@ -192,7 +192,7 @@ class Blender:
                 scene.blend, "--camera", ",".join(scene.cameras), "--out", scene.out / "frames", "--preset",
                 scene.preset, "--overwrite", "--report", report, "--engine-python", sys.executable,
             ]  # fmt: skip
-            if scene.avatar != BUILTIN_AVATAR:
+            if scene.avatar not in SHIPPED:
                 arguments += ["--avatar", Path(scene.avatar).resolve()]
             total = len(scene.sequence) * len(scene.cameras)
             with progress("Rendering in Blender", total) as bar:

@@ -96,7 +96,7 @@ class Evaluate:
     report: ReportOptions = field(default_factory=ReportOptions)
 
     def run(self) -> None:
-        from jghand_engine.cli.inputs import load_hand
+        from jghand_engine.avatar.builtin import load_avatar_called
         from jghand_engine.datasets.splits import split_capture
         from jghand_engine.files import make_folder
         from jghand_engine.training.evaluate import avatar_picturer, categories_of
@@ -104,7 +104,7 @@ class Evaluate:
 
         if self.limit < 0:
             raise InputError("--limit", wanted="0 or more", came=str(self.limit))
-        avatar, other = load_hand(self.avatar), load_hand(str(self.beside)) if self.beside else None
+        avatar, other = load_avatar_called(self.avatar), load_avatar_called(str(self.beside)) if self.beside else None
         capture = self.pictures.open(self.folder)
         told = held_out(avatar, capture, split_capture(capture))
         if told.warning:

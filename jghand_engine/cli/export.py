@@ -44,8 +44,9 @@ class Export:
     report: ReportOptions = field(default_factory=ReportOptions)
 
     def run(self) -> None:
+        from jghand_engine.avatar.builtin import load_avatar_called
         from jghand_engine.cli.framing import framing_camera
-        from jghand_engine.cli.inputs import load_hand, load_motion
+        from jghand_engine.cli.inputs import load_motion
         from jghand_engine.cli.stage_export import export_stage, usd_figures
         from jghand_engine.exporters.usd import UsdOptions
         from jghand_engine.exporters.usd_stage import Variant
@@ -54,7 +55,7 @@ class Export:
             name=self.name, default_variant=Variant(self.default_variant), radiance=self.radiance,
             sizes=self.sizes, width_factor=self.width_factor,
         )  # fmt: skip
-        avatar = load_hand(self.avatar.avatar)
+        avatar = load_avatar_called(self.avatar.avatar)
         motion = load_motion(self.motion, avatar)
         sequence = motion.sequence
         for note in motion.notes:

@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 
+from jghand_engine.avatar.shipped import SHIPPED
 from jghand_engine.cli.console import say, write_json
-from jghand_engine.cli.options import BUILTIN_AVATAR, FormatOptions, ReportOptions
+from jghand_engine.cli.options import FormatOptions, ReportOptions
 from jghand_engine.errors import InputError
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ class Info:
             write_json(self.report.json, {"command": "info", "file": self.file, **facts})
 
     def _facts(self) -> dict[str, Any]:
-        if self.file == BUILTIN_AVATAR:
+        if self.file in SHIPPED:
             return avatar_facts(self.file)
         path = Path(self.file)
         if not path.is_file():
@@ -75,10 +76,10 @@ def _text(value: Any) -> str:
 
 def avatar_facts(avatar: str) -> dict[str, Any]:
     """What an avatar is; reading it checks every value."""
-    from jghand_engine.cli.inputs import load_hand
+    from jghand_engine.avatar.builtin import load_avatar_called
     from jghand_engine.hand.orders import hand_length
 
-    loaded = load_hand(avatar)
+    loaded = load_avatar_called(avatar)
     extent_m = loaded.position_m.amax(0) - loaded.position_m.amin(0)
     return {
         "kind": "avatar",

@@ -7,9 +7,7 @@ from pathlib import Path
 
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.builtin import load_builtin, load_trained
-from jghand_engine.avatar.file import load_avatar
-from jghand_engine.cli.options import BUILTIN_AVATAR, TRAINED_AVATAR, FormatOptions, MotionOptions, pose_list
+from jghand_engine.cli.options import FormatOptions, MotionOptions, pose_list
 from jghand_engine.datasets.motion_files import MotionFormat, read_motion
 from jghand_engine.errors import InputError
 from jghand_engine.hand.anatomy import MotionOptions as PoseMotionOptions
@@ -72,9 +70,3 @@ def _from_names(names: str, options: FormatOptions, avatar: HandAvatar) -> PoseS
     motion = PoseMotionOptions(fps=limits.DEFAULT_FPS if fps is None else fps)
     hand = Handedness(options.hand or Handedness.RIGHT)
     return pose_sequence_of_names(pose_list(names), avatar.canonical_joints_m.numpy(), handedness=hand, options=motion)
-
-
-def load_hand(avatar: str) -> HandAvatar:
-    """The avatar of a file, or one of those that JGHand ships, by its name."""
-    shipped = {BUILTIN_AVATAR: load_builtin, TRAINED_AVATAR: load_trained}
-    return shipped[avatar](handedness=Handedness.RIGHT) if avatar in shipped else load_avatar(Path(avatar))

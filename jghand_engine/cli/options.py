@@ -13,10 +13,8 @@ from typing import Annotated, Literal
 import tyro
 
 from jghand_engine import limits
+from jghand_engine.avatar.shipped import BUILTIN
 from jghand_engine.errors import InputError
-
-BUILTIN_AVATAR = "builtin"
-TRAINED_AVATAR = "trained"
 
 OrderName = Literal["standard", "openpose", "mediapipe", "mano21", "interhand", "mano16_tips", "openxr", "level"]
 UnitName = Literal["m", "cm", "mm"]
@@ -89,8 +87,8 @@ class MotionOptions:
 class AvatarOptions:
     """Which hand is shown."""
 
-    avatar: Annotated[str, tyro.conf.arg(metavar="FILE")] = BUILTIN_AVATAR
-    """A .jghand file, or a hand that comes with JGHand: builtin, painted, or trained, learnt from pictures."""
+    avatar: Annotated[str, tyro.conf.arg(metavar="FILE")] = BUILTIN
+    """A .jghand file, or a hand that comes with JGHand: builtin, learnt from pictures, or painted."""
 
 
 @dataclass(frozen=True)

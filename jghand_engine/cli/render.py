@@ -51,8 +51,9 @@ class Render:
     def run(self) -> None:
         from dataclasses import replace
 
+        from jghand_engine.avatar.builtin import load_avatar_called
         from jghand_engine.cli.camera_file import camera_to_dict
-        from jghand_engine.cli.inputs import load_hand, load_motion
+        from jghand_engine.cli.inputs import load_motion
         from jghand_engine.cli.timings import Timings
         from jghand_engine.exporters.video import ffmpeg_program
         from jghand_engine.files import make_folder
@@ -63,7 +64,7 @@ class Render:
         size, background = pixels(self.picture.size), self.picture.background_rgb()
         if self.video is not None:
             ffmpeg_program()
-        avatar = load_hand(self.avatar.avatar)
+        avatar = load_avatar_called(self.avatar.avatar)
         motion = load_motion(self.motion, avatar)
         avatar = avatar.for_hand(motion.sequence.handedness)
         for note in motion.notes:

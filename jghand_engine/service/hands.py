@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from jghand_engine.splat.frame import SceneRenderer
 
 # the name on the wire of the avatar that comes with JGHand
-BUILTIN = "builtin"
 
 
 class _Key(NamedTuple):
@@ -111,11 +110,6 @@ class EngineHands:
         return self._avatars[name].for_hand(Handedness(handedness))
 
     def _read(self, avatar: str) -> HandAvatar:
-        if avatar == BUILTIN:
-            from jghand_engine.avatar.builtin import load_builtin
-            from jghand_engine.hand.joints import Handedness
+        from jghand_engine.avatar.builtin import load_avatar_called
 
-            return load_builtin(handedness=Handedness.RIGHT)
-        from jghand_engine.avatar.file import load_avatar
-
-        return load_avatar(avatar)
+        return load_avatar_called(avatar)

@@ -11,7 +11,7 @@ import torch
 from PIL import Image, ImageDraw
 from scipy.ndimage import binary_erosion, distance_transform_edt, label
 
-from jghand_engine.avatar.builtin import ASSET, TRAINED_ASSET, load_builtin, load_trained
+from jghand_engine.avatar.builtin import ASSET, TRAINED_ASSET, load_builtin, load_painted
 from jghand_engine.avatar.skinning import apply, blend, pose_gaussians
 from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import Handedness
@@ -28,7 +28,7 @@ VIEWS = ((0, 0, 1), (0, 0, -1), (1, 0, 0.15), (-1, 0, 0.1), (0.1, 1, 0.35), (0.2
 
 @pytest.fixture(scope="module")
 def avatar():
-    return load_builtin(handedness=Handedness.RIGHT)
+    return load_painted(handedness=Handedness.RIGHT)
 
 
 def camera_at(direction, joints_m: torch.Tensor, width: int, height: int, focal_px: float) -> Camera:
@@ -65,7 +65,7 @@ def test_it_has_the_promised_size(avatar):
 
 
 def test_left_and_right_share_one_model(avatar):
-    left = load_builtin(handedness=Handedness.LEFT)
+    left = load_painted(handedness=Handedness.LEFT)
     assert left.handedness == Handedness.LEFT
     assert left.position_m is avatar.position_m
 
@@ -130,7 +130,7 @@ def test_a_hole_would_be_found(avatar):
 
 
 def test_the_trained_avatar_has_its_light_its_angles_and_its_licence_with_it():
-    avatar = load_trained(handedness=Handedness.RIGHT)
+    avatar = load_builtin(handedness=Handedness.RIGHT)
     assert avatar.learnt is not None
     assert avatar.learnt.correctives is not None
     assert len(avatar.info.pose_statistics) == 30
@@ -140,7 +140,7 @@ def test_the_trained_avatar_has_its_light_its_angles_and_its_licence_with_it():
 
 @pytest.mark.parametrize("pose", ["open", "fist"])
 def test_the_trained_avatar_is_closed_and_keeps_to_the_hand(pose):
-    avatar = load_trained(handedness=Handedness.RIGHT)
+    avatar = load_builtin(handedness=Handedness.RIGHT)
     joints_m = torch.from_numpy(named_pose(pose, avatar.canonical_joints_m.numpy(), handedness=Handedness.RIGHT))
     camera = camera_at((0, 0, 1), joints_m, 200, 260, 600)
     frame = HandRenderer(avatar, RenderSettings()).render(joints_m, camera)

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.builtin import load_builtin
+from jghand_engine.avatar.builtin import load_painted
 from jghand_engine.avatar.fast_skinning import FastSkinning, PosedArrays, spatial_order
 from jghand_engine.avatar.skinning import pose_gaussians
 from jghand_engine.errors import InputError
@@ -46,7 +46,7 @@ def skinned(library: Library, avatar: HandAvatar, joints_m: np.ndarray, threads:
 @pytest.mark.parametrize("handedness", list(Handedness))
 @pytest.mark.parametrize("pose", ["open", "fist", "pinch"])
 def test_native_skinning_agrees_with_the_float64_chain(library: Library, pose: str, handedness: Handedness):
-    avatar = load_builtin(handedness=handedness).prefix(5003)
+    avatar = load_painted(handedness=handedness).prefix(5003)
     canonical = avatar.canonical_joints_m.numpy()
     # bones of other lengths, so that radii are scaled too
     joints = 1.2 * named_pose(pose, canonical, handedness=handedness)
@@ -61,7 +61,7 @@ def test_native_skinning_agrees_with_the_float64_chain(library: Library, pose: s
 
 
 def test_posed_hand_is_shifted_last(library: Library):
-    avatar = load_builtin(handedness=Handedness.RIGHT).prefix(100)
+    avatar = load_painted(handedness=Handedness.RIGHT).prefix(100)
     joints = named_pose("relaxed", avatar.canonical_joints_m.numpy(), handedness=Handedness.RIGHT)
     near, _ = skinned(library, avatar, joints)
     far, _ = skinned(library, avatar, joints, shift_m=(0.5, -0.25, 2.0))
@@ -69,7 +69,7 @@ def test_posed_hand_is_shifted_last(library: Library):
 
 
 def test_native_skinning_gives_the_same_bits_from_any_number_of_threads(library: Library):
-    avatar = load_builtin(handedness=Handedness.RIGHT)
+    avatar = load_painted(handedness=Handedness.RIGHT)
     joints = named_pose("fist", avatar.canonical_joints_m.numpy(), handedness=Handedness.RIGHT)
     one, two, three = (skinned(library, avatar, joints, threads) for threads in (1, 2, 3))
     for other in (two, three):
@@ -79,7 +79,7 @@ def test_native_skinning_gives_the_same_bits_from_any_number_of_threads(library:
 
 @pytest.mark.parametrize("count", [1, 15, 16, 17])
 def test_any_number_of_gaussians_can_be_skinned(library: Library, count: int):
-    avatar = load_builtin(handedness=Handedness.RIGHT)
+    avatar = load_painted(handedness=Handedness.RIGHT)
     arrays = ("position_m", "sigma_m", "opacity", "rgb", "bone_weights", "uvd")
     avatar = replace(avatar, **{name: getattr(avatar, name)[:count] for name in arrays})
     position, sigma = skinned(library, avatar, avatar.canonical_joints_m.numpy())
@@ -103,7 +103,7 @@ def _read_only(array: np.ndarray) -> np.ndarray:
     ],
 )
 def test_arrays_that_the_kernel_cannot_write_into_are_refused_by_name(library: Library, name, make, wanted):
-    avatar = load_builtin(handedness=Handedness.RIGHT).prefix(100)
+    avatar = load_painted(handedness=Handedness.RIGHT).prefix(100)
     skin = FastSkinning(library, avatar)
     bones = FastTransform(avatar.canonical_joints_m, handedness=Handedness.RIGHT).bones(
         avatar.canonical_joints_m.numpy()
@@ -116,7 +116,7 @@ def test_arrays_that_the_kernel_cannot_write_into_are_refused_by_name(library: L
 
 
 def test_spatial_order_is_a_permutation_and_keeps_neighbours_together():
-    points = load_builtin(handedness=Handedness.RIGHT).position_m.numpy()
+    points = load_painted(handedness=Handedness.RIGHT).position_m.numpy()
     order = spatial_order(points)
     assert np.array_equal(np.sort(order), np.arange(len(points)))
     step = np.linalg.norm(np.diff(points[order], axis=0), axis=1)

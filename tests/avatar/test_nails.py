@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jghand_engine.avatar.builtin import load_builtin
+from jghand_engine.avatar.builtin import load_painted
 from jghand_engine.avatar.procedural_skin import SkinLook, skin_rgb
 from jghand_engine.avatar.skin_marks import TIPS, MarkPainter, fit_nails
 from jghand_engine.avatar.skin_points import Landmarks, SkinPoints
@@ -22,7 +22,7 @@ from jghand_engine.template.texture import sample_bilinear
 @pytest.fixture(scope="module")
 def shipped() -> tuple[SkinPoints, np.ndarray]:
     """The skin over some Gaussians of the shipped avatar, all those on nails among them, and their colours (N, 3)."""
-    template, avatar = load_template(), load_builtin(handedness=Handedness.RIGHT)
+    template, avatar = load_template(), load_painted(handedness=Handedness.RIGHT)
     with (ASSETS / "nails.png").open("rb") as stream:
         mask = np.asarray(Image.open(stream).convert("L"), dtype=float) / 255
     uvd = avatar.uvd.double().numpy()

@@ -9,7 +9,7 @@ import os
 import numpy as np
 import pytest
 
-from jghand_engine.avatar.builtin import ASSET, load_builtin
+from jghand_engine.avatar.builtin import ASSET, load_painted
 from jghand_engine.cli import main
 from jghand_engine.hand.anatomy import MotionOptions, pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
@@ -22,7 +22,7 @@ SMALL = ("--size", "32x24", "--preset", "draft")
 @pytest.fixture(scope="module")
 def joints():
     """(F, 21, 3) a good motion, standard order, metres."""
-    canonical = load_builtin(handedness=Handedness.RIGHT).canonical_joints_m.numpy()
+    canonical = load_painted(handedness=Handedness.RIGHT).canonical_joints_m.numpy()
     motion = pose_sequence_of_names(
         ["open", "fist"], canonical, handedness=Handedness.RIGHT, options=MotionOptions(hold_s=0.0)
     )

@@ -29,9 +29,9 @@ def run(*words):
 
 @pytest.fixture(scope="module")
 def avatar():
-    from jghand_engine.avatar.builtin import load_builtin
+    from jghand_engine.avatar.builtin import load_painted
 
-    return load_builtin(handedness=Handedness.RIGHT)
+    return load_painted(handedness=Handedness.RIGHT)
 
 
 # ---- help and arguments ----------------------------------------------------------------------------------------------

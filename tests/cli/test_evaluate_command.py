@@ -26,7 +26,7 @@ def folder(tmp_path_factory):
 
 def test_an_evaluation_leaves_figures_tables_and_sheets(folder, tmp_path, capsys):
     out = tmp_path / "evaluation"
-    words = ("--out", out, "--limit", 1, "--preset", "draft", "--beside", "jghand_engine/assets/builtin_right.jghand")
+    words = ("--out", out, "--limit", 1, "--preset", "draft", "--beside", "jghand_engine/assets/painted_right.jghand")
     assert run("evaluate", "builtin", folder, *words) == 0
     said = capsys.readouterr().out
     assert "Perceptual metrics: off" in said

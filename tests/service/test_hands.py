@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from jghand_engine import limits
-from jghand_engine.avatar.builtin import load_builtin
+from jghand_engine.avatar.builtin import load_painted
 from jghand_engine.avatar.file import save_avatar
+from jghand_engine.avatar.shipped import BUILTIN
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, to_level
 from jghand_engine.service.commands import Hand, View
-from jghand_engine.service.hands import BUILTIN, EngineHands
+from jghand_engine.service.hands import EngineHands
 from jghand_engine.splat.camera import Camera
 from jghand_engine.splat.frame import HandRenderer
 from jghand_engine.splat.settings import preset
@@ -40,7 +41,7 @@ def test_a_picture_is_that_of_the_renderer_in_its_own_process(source, right):
 
     came = source.render([right], VIEW)
     camera = Camera(120, 90, 200.0, 200.0, 60.0, 45.0, torch.from_numpy(right.camera_from_hand))
-    renderer = HandRenderer(load_builtin(handedness=Handedness.RIGHT), preset("draft"))
+    renderer = HandRenderer(load_painted(handedness=Handedness.RIGHT), preset("draft"))
     frame = renderer.render(to_level(right.joints_m, JointOrder.STANDARD), camera)
     np.testing.assert_array_equal(came.rgba, frame.rgba)
     np.testing.assert_array_equal(came.depth_m, frame.depth_m)
@@ -102,7 +103,7 @@ def test_a_renderer_is_kept_and_only_the_last_few_are(source, right):
 
 def test_an_avatar_that_changed_on_disk_is_seen_after_loading_it_again(source, right, tmp_path):
     path = tmp_path / "hand.jghand"
-    avatar = load_builtin(handedness=Handedness.RIGHT).prefix(5000)
+    avatar = load_painted(handedness=Handedness.RIGHT).prefix(5000)
     hand = replace(right, avatar=str(path))
     pictures = []
     for colour in (avatar.rgb, 1 - avatar.rgb):

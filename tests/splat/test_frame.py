@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from jghand_engine import limits
-from jghand_engine.avatar.builtin import load_builtin
+from jghand_engine.avatar.builtin import load_painted
 from jghand_engine.avatar.skinning import pose_gaussians
 from jghand_engine.errors import InputError
 from jghand_engine.hand.anatomy import named_pose, pose_names
@@ -25,7 +25,7 @@ from jghand_engine.splat.shadow import ShadowStyle
 from jghand_engine.splat.shadow_native import darken
 
 COUNT = 4000
-RIGHT = load_builtin(handedness=Handedness.RIGHT)
+RIGHT = load_painted(handedness=Handedness.RIGHT)
 CANONICAL_M = RIGHT.canonical_joints_m.numpy()
 NATIVE = native_library.runnable_variants()
 ALWAYS = RenderSettings(gaussians=COUNT, shadow=ShadowMode.ALWAYS, shadow_samples=32)
@@ -47,7 +47,7 @@ def camera(width: int = 150, height: int = 120, *, away_m: float = 0.5, focal_px
 
 def exact_planes(pose_m: np.ndarray, view: Camera, settings: RenderSettings, handedness=Handedness.RIGHT):
     """(5, H, W) float64 by the torch chain: darkened R G B, alpha, sum of weight times depth."""
-    avatar = load_builtin(handedness=handedness).prefix(settings.gaussians)
+    avatar = load_painted(handedness=handedness).prefix(settings.gaussians)
     bones = JointTransform(avatar.canonical_joints_m, handedness=handedness).bones(torch.from_numpy(pose_m))
     picture = rasterise_reference(pose_gaussians(avatar, bones), view, alpha_min=settings.alpha_min)
     planes = torch.cat([picture.rgb.permute(2, 0, 1), picture.alpha[None], picture.depth_sum[None]])
@@ -75,7 +75,7 @@ def test_native_frame_agrees_with_the_float64_chain(backend: str, pose: str, han
     joints = 1.1 * named_pose(pose, CANONICAL_M, handedness=handedness)
     view = camera()
     settings = replace(ALWAYS, backend=backend)
-    frame = HandRenderer(load_builtin(handedness=handedness), settings).render(joints, view)
+    frame = HandRenderer(load_painted(handedness=handedness), settings).render(joints, view)
     # observed: three pixels of 18,000
     check_against(frame, exact_planes(joints, view, settings, handedness), flips=3e-4)
     assert float(frame.rgba[..., 3].mean()) > 0.05
@@ -108,14 +108,14 @@ def test_left_hand_is_the_mirrored_picture_of_the_right(backend: str):
     flip = torch.diag(torch.tensor([-1.0, 1.0, 1.0, 1.0], dtype=torch.float64))
     mirrored = replace(view, camera_from_world=flip @ seen @ flip, cx=view.width - view.cx)
     right = HandRenderer(RIGHT, settings).render(joints, view)
-    left = HandRenderer(load_builtin(handedness=Handedness.LEFT), settings).render(joints @ mirror, mirrored)
+    left = HandRenderer(load_painted(handedness=Handedness.LEFT), settings).render(joints @ mirror, mirrored)
     error = np.abs(right.rgba - left.rgba[:, ::-1]).max(-1)
     # sample disc and tie order are not mirrored, so the shadow differs a little: compare it apart
     assert float(np.abs(right.rgba - left.rgba[:, ::-1])[..., 3].max()) < 1e-4 + 1 / 255
     assert float(np.median(error[right.rgba[..., 3] > 0.5])) < 0.01
     plain = replace(settings, shadow=ShadowMode.OFF)
     right = HandRenderer(RIGHT, plain).render(joints, view)
-    left = HandRenderer(load_builtin(handedness=Handedness.LEFT), plain).render(joints @ mirror, mirrored)
+    left = HandRenderer(load_painted(handedness=Handedness.LEFT), plain).render(joints @ mirror, mirrored)
     error = np.abs(right.rgba - left.rgba[:, ::-1]).max(-1)
     assert float((error > 1.1e-4).mean()) < 1e-3
 
@@ -380,7 +380,7 @@ def test_renderer_works_on_after_a_picture_that_failed_half_way(backend: str, er
 
 def test_two_hands_share_one_picture(backend: str):
     settings = replace(ALWAYS, backend=backend, shadow=ShadowMode.OFF)
-    left = load_builtin(handedness=Handedness.LEFT)
+    left = load_painted(handedness=Handedness.LEFT)
     joints = [
         named_pose("open", CANONICAL_M, handedness=Handedness.RIGHT) + np.array([0.09, 0, 0]),
         named_pose("fist", CANONICAL_M, handedness=Handedness.LEFT) - np.array([0.09, 0, 0]),

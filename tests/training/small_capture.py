@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from jghand_engine.avatar.builtin import load_builtin
+from jghand_engine.avatar.builtin import load_painted
 from jghand_engine.datasets.interhand_writer import RecordedHand, write_interhand
 from jghand_engine.exporters.pictures import write_png
 from jghand_engine.hand.anatomy import MotionOptions, pose_sequence_of_names
@@ -24,7 +24,7 @@ DISTANCE_M, HAND_M = 0.5, 0.24
 
 def write_small_capture(folder: Path, *, poses: int = 6, size_px: tuple[int, int] = (64, 48)) -> Path:
     """`poses` poses between open and fist, seen by four cameras; every fifth pose is for the test, by the rule."""
-    avatar = load_builtin(handedness=Handedness.RIGHT)
+    avatar = load_painted(handedness=Handedness.RIGHT)
     motion = pose_sequence_of_names(
         ["open", "fist"], avatar.canonical_joints_m.numpy(), handedness=Handedness.RIGHT,
         options=MotionOptions(hold_s=0.0),

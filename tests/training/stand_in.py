@@ -10,7 +10,7 @@ import numpy as np
 import torch
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.builtin import load_builtin
+from jghand_engine.avatar.builtin import load_painted
 from jghand_engine.hand.joints import Handedness
 
 SHAPES = {
@@ -106,6 +106,6 @@ class StandIn:
         return float(-10 * (self._picture().detach() - self._truth).square().mean().log10())
 
     def avatar(self) -> HandAvatar:
-        small = load_builtin(handedness=Handedness.RIGHT).prefix(50)
+        small = load_painted(handedness=Handedness.RIGHT).prefix(50)
         mean = self._picture().detach().mean((1, 2)).clamp(0, 1)
         return replace(small, rgb=mean.expand(50, 3).contiguous())

@@ -13,7 +13,7 @@ import pytest
 import torch
 from small_avatars import trained_avatar
 
-from jghand_engine.avatar.builtin import load_builtin
+from jghand_engine.avatar.builtin import load_painted
 from jghand_engine.avatar.file import load_avatar
 from jghand_engine.cli import main
 from jghand_engine.cli.failures import STOPPED
@@ -36,7 +36,7 @@ COUNT = 3000
 
 @pytest.fixture(scope="module")
 def avatar():
-    return load_builtin(handedness=Handedness.RIGHT).prefix(COUNT)
+    return load_painted(handedness=Handedness.RIGHT).prefix(COUNT)
 
 
 @pytest.fixture(scope="module")

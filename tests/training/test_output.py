@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 
 from jghand_engine import files
-from jghand_engine.avatar.builtin import load_builtin
+from jghand_engine.avatar.builtin import load_painted
 from jghand_engine.avatar.file import load_avatar
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
@@ -19,7 +19,7 @@ from jghand_engine.training.output import Output
 @pytest.fixture(scope="module")
 def avatars():
     """Two of 20 Gaussians that differ."""
-    first = load_builtin(handedness=Handedness.RIGHT).prefix(20)
+    first = load_painted(handedness=Handedness.RIGHT).prefix(20)
     return first, replace(first, opacity=first.opacity * 0.5)
 
 
