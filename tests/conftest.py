@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import os
 import signal
+import tempfile
 from pathlib import Path
 
 import pytest
 
+# points that are placed in one test serve the others; the user's own cache is neither used nor filled
+_CACHE = tempfile.TemporaryDirectory(prefix="jghand_tests_", ignore_cleanup_errors=True)
+
 
 def pytest_configure() -> None:
     """Ctrl-C interrupts, also where the tests were started in the background of a shell, which has it ignored."""
+    os.environ["JGHAND_CACHE_DIR"] = _CACHE.name
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 

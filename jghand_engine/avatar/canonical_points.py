@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import torch
 from scipy.spatial import KDTree
 
+from jghand_engine.avatar.points_cache import points_file, read_points, write_points
 from jghand_engine.avatar.untrained import bone_areas, shared_out, take_turns
 from jghand_engine.template.mesh import HandTemplate
 from jghand_engine.template.sampling import sample_shell
@@ -41,8 +42,18 @@ def place_points(
     """`count` points in the shell of `depth_m` under the skin; the same arguments give the same points.
 
     area_power: bones share the points as their area to this power: 0 equally, as the paper does, 1 evenly over the
-    skin. InputError for numbers out of range.
+    skin. InputError for numbers out of range. Points that were placed before come from the user's cache.
     """
+    file = points_file(template, {"count": count, "depth_m": depth_m, "area_power": area_power, "seed": seed})
+    found = read_points(file)
+    if found is None or found.keys() != {f.name for f in fields(CanonicalPoints)} - {"template"}:
+        placed = _placed(template, count, depth_m=depth_m, area_power=area_power, seed=seed)
+        write_points(file, {name: value.contiguous() for name, value in vars(placed).items() if name != "template"})
+        return placed
+    return CanonicalPoints(**found, template=template.identifier)
+
+
+def _placed(template: HandTemplate, count: int, *, depth_m: float, area_power: float, seed: int) -> CanonicalPoints:
     counts = shared_out(bone_areas(template) ** area_power, count)
     sample = sample_shell(template, per_bone=int(counts.max()), depth_m=depth_m, seed=seed)
     chosen, _ = take_turns(sample.bone, counts)

@@ -22,6 +22,8 @@ STORED_WEIGHTS = 7
 # a file with more Gaussians or a longer header is refused before anything is allocated
 AVATAR_MAX_GAUSSIANS = 1_000_000
 AVATAR_HEADER_MAX_BYTES = 65_536
+# placed points that the user's cache keeps, the newest: 5 MB each at 40,000 Gaussians
+POINTS_CACHE_FILES = 8
 # characters of one text in an avatar's description (name, template, licence, an angle's name): they are shown in a line
 AVATAR_TEXT_MAX = 500
 # canonical Gaussians further than this from the wrist along an axis, metres, belong to no hand

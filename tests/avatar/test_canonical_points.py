@@ -23,6 +23,12 @@ COUNT, DEPTH_M = 400, 0.0015
 FIELDS = ("position_m", "normal", "uvd", "bone_weights", "sigma_m", "joints_m")
 
 
+@pytest.fixture(autouse=True)
+def _no_cache(monkeypatch, tmp_path):
+    """Each test places its points itself."""
+    monkeypatch.setenv("JGHAND_CACHE_DIR", str(tmp_path))
+
+
 @pytest.fixture(scope="module", autouse=True)
 def one_weight_field():
     """The field takes seconds and depends on the template alone; so do the shell's cells, but for the depth."""
