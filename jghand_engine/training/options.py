@@ -49,8 +49,8 @@ class Schedule:
 
 @dataclass(frozen=True)
 class TrainOptions:
-    """model: what is learnt · loss: what counts as good · schedule: in which order · shadow: whether the self-shadow
-    is part of the picture · shadow_samples: its taps · transform: how the bones follow the joints · seed: of all that
+    """model: what is learnt · loss: what counts as good · schedule: in which order · shadow: whether the screen's
+    self-shadow is part of the picture; the cast one is the model's · shadow_samples: its taps · transform: how the bones follow the joints · seed: of all that
     is random"""
 
     model: ModelOptions = field(default_factory=ModelOptions)
@@ -78,6 +78,7 @@ PAPER_FAITHFUL = TrainOptions(
         opacity_bias=-2.2,
         lit=False,
         glossy=False,
+        cast_shadow=False,
     ),
     loss=LossWeights(perceptual=0.2, offset=1.0, isotropy=0.05, roughness=0.0),
     schedule=Schedule(
@@ -96,10 +97,11 @@ def at_part(stages: tuple[tuple[float, float], ...], part: float) -> float:
 
 
 def ablations(options: TrainOptions) -> dict[str, TrainOptions]:
-    """The rows of the paper's ablation table, from the full configuration (METHOD 6.2)."""
+    """The rows of the paper's ablation table, from the full configuration (METHOD 6.2). Without shadow is without both:
+    that of the screen, and that which fingers cast."""
     return {
         "w/o trans": replace(options, transform=Transform.HALO_LIKE),
-        "w/o shadow": replace(options, shadow=False),
+        "w/o shadow": replace(options, shadow=False, model=replace(options.model, cast_shadow=False)),
         "w/o iso": replace(
             options, model=replace(options.model, shape=Shape.ANISO), loss=replace(options.loss, isotropy=0.0)
         ),
