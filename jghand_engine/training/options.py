@@ -50,8 +50,8 @@ class Schedule:
 @dataclass(frozen=True)
 class TrainOptions:
     """model: what is learnt · loss: what counts as good · schedule: in which order · shadow: whether the screen's
-    self-shadow is part of the picture; the cast one is the model's · shadow_samples: its taps · transform: how the bones follow the joints · seed: of all that
-    is random"""
+    self-shadow is part of the picture; the cast one is the model's · shadow_samples: its taps · transform: how the
+    bones follow the joints · seed: of all that is random"""
 
     model: ModelOptions = field(default_factory=ModelOptions)
     loss: LossWeights = field(default_factory=LossWeights)

@@ -11,7 +11,7 @@ import torch
 from PIL import Image, ImageDraw
 from scipy.ndimage import binary_erosion, distance_transform_edt, label
 
-from jghand_engine.avatar.builtin import ASSET, TRAINED_ASSET, load_builtin, load_painted
+from jghand_engine.avatar.builtin import ASSETS, TRAINED_ASSET, load_builtin, load_painted
 from jghand_engine.avatar.skinning import apply, blend, pose_gaussians
 from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import Handedness
@@ -59,7 +59,7 @@ def template_mask(joints_m: torch.Tensor, camera: Camera) -> np.ndarray:
 
 def test_it_has_the_promised_size(avatar):
     assert len(avatar) == 60_000
-    assert Path(str(ASSET)).stat().st_size < 2_500_000
+    assert Path(str((ASSETS / "painted_right.jghand"))).stat().st_size < 2_500_000
     assert avatar.info.template == load_template().identifier
     np.testing.assert_array_equal(avatar.canonical_joints_m.numpy(), load_template().joints_m)
 

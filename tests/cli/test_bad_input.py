@@ -9,7 +9,7 @@ import os
 import numpy as np
 import pytest
 
-from jghand_engine.avatar.builtin import ASSET, load_painted
+from jghand_engine.avatar.builtin import ASSETS, load_painted
 from jghand_engine.cli import main
 from jghand_engine.hand.anatomy import MotionOptions, pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
@@ -187,7 +187,7 @@ def test_a_folder_that_the_system_refuses_is_named(tmp_path, command, monkeypatc
 
 @pytest.mark.parametrize("part", [0.0, 0.001, 0.5, 0.999])
 def test_a_truncated_avatar_is_refused(tmp_path, command, part):
-    content = ASSET.read_bytes()
+    content = (ASSETS / "painted_right.jghand").read_bytes()
     (tmp_path / "torn.jghand").write_bytes(content[: int(part * len(content))])
     words = ("--poses", "open", "--out", tmp_path / "out", "--avatar", tmp_path / "torn.jghand")
     code, err = command("render", *words, *SMALL)

@@ -6,6 +6,7 @@ import json
 from dataclasses import replace
 
 import pytest
+import torch
 from picture_sets import recorded, write_set
 from small_avatars import small_avatar, trained_avatar
 
@@ -17,7 +18,7 @@ from jghand_engine.avatar.tiers import LinearCorrectives, Tier
 from jghand_engine.cli import main
 from jghand_engine.studies import tier_prices
 from jghand_engine.studies.tier_prices import Offer, best_linear
-from jghand_engine.studies.tier_yardsticks import ExactPictures
+from jghand_engine.studies.tier_yardsticks import ExactPictures, _flat
 from jghand_engine.template.builtin import load_template
 
 
@@ -77,7 +78,10 @@ def test_pictures_that_were_held_out_are_the_better_yardstick(file, tmp_path, ca
     (folder / "splits.json").write_text(json.dumps(held_out))
     words = ("--capture", folder, "--limit", 1, "--basis", "4", "--poses", 20)
     assert run("bake", file, "--out", tmp_path / "fast.jghand", *words) == 0
-    assert "1 of both novel" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    # the linear tier is fitted to learnt poses: from a new view they would say little of it
+    assert "1 of both novel" in said
+    assert "novel view" not in said
     prices = load_avatar(tmp_path / "fast.jghand").learnt.baked.prices
     assert {price.tier for price in prices} == {Tier.EXACT, Tier.CACHED, Tier.LINEAR}
     exact, cached, _ = prices
@@ -119,6 +123,13 @@ def test_the_smallest_basis_that_loses_little_is_kept(trained):
     assert best_linear(offers).price.basis == 8
     assert best_linear(offers[:2]).price.basis == 4
     assert best_linear([offers[0], offer(4, 0.3), offer(8, 0.2)]).price.basis == 8
+
+
+def test_made_up_poses_are_not_measured_where_the_tier_was_fitted(trained):
+    yard = ExactPictures(trained)
+    measured = _flat(trained, yard._poses_m)
+    nearest = torch.cdist(measured, yard.known_poses(trained), p=float("inf")).amin(1)
+    assert float(torch.rad2deg(nearest).median()) > 3.0  # observed MEDIAN
 
 
 def test_an_independent_error_costs_what_the_sum_of_errors_says(trained):
