@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,7 +10,7 @@ import torch
 from PIL import Image, ImageDraw
 from scipy.ndimage import binary_erosion, distance_transform_edt, label
 
-from jghand_engine.avatar.builtin import ASSETS, TRAINED_ASSET, load_builtin, load_painted
+from jghand_engine.avatar.builtin import ASSETS, load_builtin, load_painted
 from jghand_engine.avatar.skinning import apply, blend, pose_gaussians
 from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import Handedness
@@ -59,7 +58,7 @@ def template_mask(joints_m: torch.Tensor, camera: Camera) -> np.ndarray:
 
 def test_it_has_the_promised_size(avatar):
     assert len(avatar) == 60_000
-    assert Path(str((ASSETS / "painted_right.jghand"))).stat().st_size < 2_500_000
+    assert (ASSETS / "painted_right.jghand").stat().st_size < 2_500_000
     assert avatar.info.template == load_template().identifier
     np.testing.assert_array_equal(avatar.canonical_joints_m.numpy(), load_template().joints_m)
 
@@ -135,7 +134,7 @@ def test_the_trained_avatar_has_its_light_its_angles_and_its_licence_with_it():
     assert avatar.learnt.correctives is not None
     assert len(avatar.info.pose_statistics) == 30
     assert "CC0-1.0" in avatar.info.licence
-    assert TRAINED_ASSET.stat().st_size < 12e6
+    assert (ASSETS / "builtin_right.jghand").stat().st_size < 12e6
 
 
 @pytest.mark.parametrize("pose", ["open", "fist"])
