@@ -24,11 +24,12 @@ def small_training(
     *,
     moved: bool = True,
     perceptual: PerceptualMetric | None = None,
+    device: torch.device = step.CPU,
 ) -> HandTraining:
     """moved: as if it had learnt something, all Gaussians taking part."""
     monkeypatch.setattr(step, "place_points", lambda template, count, **how: small_points(count))
     shown = samples[0] if samples else None
-    training = HandTraining(Material(samples, shown, load_template(), INFO, perceptual), options)  # type: ignore[arg-type]
+    training = HandTraining(Material(samples, shown, load_template(), INFO, perceptual), options, device)  # type: ignore[arg-type]
     if moved:
         stirred(training.hand)
         training.load_scalars({"count": options.model.gaussians})

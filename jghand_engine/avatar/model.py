@@ -7,7 +7,7 @@ remember how they were made, or, when learning is over, one whose tensors are pl
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from enum import StrEnum
 
 import torch
@@ -21,6 +21,7 @@ from jghand_engine.avatar.correctives import PoseNet, PoseNetShape
 from jghand_engine.avatar.learnt import Ellipsoid, Learnt, ShadowLook
 from jghand_engine.avatar.light import SH_COUNT, Light, unit
 from jghand_engine.avatar.planes import IdentityPlanes
+from jghand_engine.avatar.records import mapped
 from jghand_engine.hand.joints import Handedness
 
 # towards the corners of a cube: where the lobes of the gloss begin
@@ -141,7 +142,7 @@ class LearnedHand(nn.Module):
             uvd=points.uvd[:count],
             learnt=Learnt(
                 normal=unit(points.normal[:count] + limits.NORMAL_BEND * out[:, 7:10]),
-                shine=torch.sigmoid(out[:, 10]) if options.glossy else torch.zeros(count),
+                shine=torch.sigmoid(out[:, 10]) if options.glossy else out.new_zeros(count),
                 light=self.light(),
                 correctives=self.pose_net if count == len(points) else self.pose_net.prefix(count),
                 shadow=self.shadow_look(),
@@ -150,6 +151,15 @@ class LearnedHand(nn.Module):
                 cast=self.cast_shadow(count),
             ),
         )
+
+    def on(self, device: torch.device) -> LearnedHand:
+        """Moves parameters and Gaussians to `device`; canonical joints stay in float64 on the CPU. Returns itself."""
+        self.to(device)
+        names = [f.name for f in fields(self.points) if f.name not in ("joints_m", "template")]
+        self.points = replace(self.points, **{name: getattr(self.points, name).to(device) for name in names})
+        self._anchors = mapped(self._anchors, lambda tensor: tensor.to(device))
+        self._own = self._own.to(device)
+        return self
 
     def ellipsoid(self, count: int) -> Ellipsoid | None:
         """Of the first `count` Gaussians, with gradients; None for spheres."""
@@ -201,5 +211,5 @@ class LearnedHand(nn.Module):
         """
         with torch.no_grad():
             start = self.points.sigma_m.log()
-            growth = self.log_sigma[:known] - start[:known]
-            self.log_sigma[known : known + len(nearest)] = start[known : known + len(nearest)] + growth[nearest]
+            growth = (self.log_sigma[:known] - start[:known])[nearest.to(start.device)]
+            self.log_sigma[known : known + len(nearest)] = start[known : known + len(nearest)] + growth

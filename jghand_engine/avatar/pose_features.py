@@ -47,7 +47,7 @@ def flat_angles(pose: PoseAngles) -> Tensor:
 
 def normalised(angle_rad: Tensor, range_deg: Tensor) -> Tensor:
     """Angles (..., k) -> -1..1 over their ranges (k, 2); beyond the ends they go on, the lookup clamps."""
-    low, high = torch.deg2rad(range_deg.to(angle_rad.dtype)).unbind(-1)
+    low, high = torch.deg2rad(range_deg.to(angle_rad)).unbind(-1)
     return (angle_rad - low) / (high - low) * 2 - 1
 
 

@@ -191,7 +191,7 @@ def seen_from(skin: PosedSkin, eye_m: torch.Tensor, avatar: HandAvatar) -> Gauss
     """
     if avatar.learnt is None or skin.normal is None or skin.shine is None:
         return skin.matt
-    to_eye = unit(eye_m.to(skin.normal.dtype) - skin.matt.position_m.detach())
+    to_eye = unit(eye_m.to(skin.normal) - skin.matt.position_m.detach())
     reflected = skin.shine[:, None] * gloss(skin.normal, to_eye, avatar.learnt.light.to(skin.normal.dtype))
     return replace(skin.matt, rgb=skin.matt.rgb + reflected)
 

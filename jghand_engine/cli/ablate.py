@@ -12,6 +12,7 @@ import tyro
 from jghand_engine.cli.console import err, progress, say, say_whole_table, write_json
 from jghand_engine.cli.evaluate import framing_cameras
 from jghand_engine.cli.failures import STOPPED
+from jghand_engine.cli.learning import DeviceName
 from jghand_engine.cli.options import ReportOptions
 from jghand_engine.cli.picture_sets import PictureSetOptions
 from jghand_engine.errors import InputError
@@ -49,6 +50,8 @@ class Ablate:
     """What the parts are taken out of."""
     seed: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
     """The same seed gives the same avatars on the same machine."""
+    device: DeviceName = "auto"
+    """Where torch's part of the trainings runs, as of `jghand train`."""
     limit: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
     """Measure at most so many pictures of each kind, evenly spread; 0 takes all."""
     pictures: PictureSetOptions = field(default_factory=PictureSetOptions)
@@ -56,7 +59,7 @@ class Ablate:
 
     def run(self) -> int:
         """0 when all variants are trained and measured, the exit code of a stop when somebody stopped."""
-        from jghand_engine.cli.learning import material, train_options
+        from jghand_engine.cli.learning import device_called, material, train_options
         from jghand_engine.datasets.splits import split_capture
         from jghand_engine.training.ablation import TestPictures, chosen_variants
         from jghand_engine.training.evaluate import categories_of
@@ -66,7 +69,8 @@ class Ablate:
         for name, value, least in (("--steps", self.steps, 1), ("--limit", self.limit, 0)):
             if value < least:
                 raise InputError(name, wanted=f"{least} or more", came=str(value))
-        full, perceptual = train_options(self.preset, self.seed)
+        device = device_called(self.device)
+        full, perceptual = train_options(self.preset, self.seed, device)
         variants = chosen_variants(full, self.variants)
         capture = self.pictures.open(self.folder)
         split = split_capture(capture)
@@ -74,7 +78,7 @@ class Ablate:
         results = {}
 
         def build(options: TrainOptions) -> HandTraining:
-            return HandTraining(material("ablation", capture.name, split, perceptual), options)
+            return HandTraining(material("ablation", capture.name, split, perceptual), options, device)
 
         for name, options in variants.items():
             say(f"\n{name}")

@@ -3,19 +3,39 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from jghand_engine.cli.console import say
 from jghand_engine.errors import InputError
 
 if TYPE_CHECKING:
+    import torch
+
     from jghand_engine.datasets.splits import Split
     from jghand_engine.training.options import TrainOptions
     from jghand_engine.training.perceptual import PerceptualMetric
     from jghand_engine.training.step import Material
 
 
-def train_options(preset: str, seed: int) -> tuple[TrainOptions, PerceptualMetric | None]:
+DeviceName = Literal["auto", "cpu", "cuda", "mps"]
+
+
+def device_called(name: DeviceName) -> torch.device:
+    """The device of that name; auto: a CUDA one where there is one, else the CPU. InputError when torch has it not."""
+    import torch
+
+    there = {"cpu": True, "cuda": torch.cuda.is_available(), "mps": torch.backends.mps.is_available()}
+    if name == "auto":
+        name = "cuda" if there["cuda"] else "cpu"
+    if not there[name]:
+        raise InputError("--device", wanted=f"one that torch {torch.__version__} can use here", came=name,
+                         remedy="Take --device cpu, or install a torch for that device.")  # fmt: skip
+    return torch.device(name)
+
+
+def train_options(
+    preset: str, seed: int, device: torch.device | None = None
+) -> tuple[TrainOptions, PerceptualMetric | None]:
     """What is learnt, and the perceptual metric where the preset wants one.
 
     Where there is none, a line says so, and the options have no such term: they are what a training is known by.
@@ -29,7 +49,7 @@ def train_options(preset: str, seed: int) -> tuple[TrainOptions, PerceptualMetri
     options = replace(PRESETS[preset], seed=seed)
     if not options.loss.perceptual:
         return options, None
-    metric = perceptual.st_lpips()
+    metric = perceptual.st_lpips(device)
     if metric is None:
         say(f"{perceptual.ST_LPIPS_MISSING}. The training goes without the perceptual term.")
         options = replace(options, loss=replace(options.loss, perceptual=0.0))

@@ -12,6 +12,7 @@ import tyro
 from jghand_engine import limits
 from jghand_engine.cli.console import err, say, write_json
 from jghand_engine.cli.failures import STOPPED
+from jghand_engine.cli.learning import DeviceName
 from jghand_engine.cli.options import File, ReportOptions
 from jghand_engine.cli.picture_sets import PictureSetOptions
 from jghand_engine.errors import InputError
@@ -68,6 +69,9 @@ class Train:
     """Learn from the held-out pictures too: for an avatar that is used, not for one that is judged."""
     tensorboard: bool = False
     """Also write the curves for TensorBoard, into the work folder."""
+    device: DeviceName = "auto"
+    """Where torch's part runs; pictures are drawn on the CPU. auto takes CUDA where there is it. Not part of what a
+    training is known by: it goes on on another device, though not to the same bits."""
     replay: File = None
     """Instead of training: repeat a step that gave values that are not finite, from its folder in failures/."""
     start: StartOptions = field(default_factory=StartOptions)
@@ -76,7 +80,7 @@ class Train:
 
     def run(self) -> int:
         """0 when the training is finished, the exit code of a stop when somebody stopped it."""
-        from jghand_engine.cli.learning import material, train_options
+        from jghand_engine.cli.learning import device_called, material, train_options
         from jghand_engine.datasets.splits import split_capture
         from jghand_engine.training.progress import display
         from jghand_engine.training.run import check_places, train
@@ -85,7 +89,8 @@ class Train:
 
         # what can be refused is refused before the pictures are looked at, of which there may be many
         run = self._run_options()
-        options, perceptual = train_options(self.preset, self.seed)
+        device = device_called(self.device)
+        options, perceptual = train_options(self.preset, self.seed, device)
         if self.replay is None:
             check_places(run)
         capture = self.pictures.open(self.folder)
@@ -96,7 +101,7 @@ class Train:
 
         def build() -> HandTraining:
             say("Placing the Gaussians …")
-            return HandTraining(material(self.out.stem, capture.name, split, perceptual), options)
+            return HandTraining(material(self.out.stem, capture.name, split, perceptual), options, device)
 
         if self.replay is not None:
             return self._replayed(build(), run)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import copy
-from dataclasses import fields, is_dataclass, replace
-from typing import Any, TypeVar
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -12,9 +11,8 @@ from torch import Tensor
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
 from jghand_engine.avatar.model import LearnedHand
 from jghand_engine.avatar.pose_range import angle_name
+from jghand_engine.avatar.records import mapped
 from jghand_engine.hand.transform import JointTransform
-
-Record = TypeVar("Record")
 
 
 def bake(
@@ -25,7 +23,7 @@ def bake(
     with_shadow: bool,
     wave_weight: Tensor | None = None,
 ) -> HandAvatar:
-    """The hand as it is now, without gradients, apart from what goes on learning.
+    """The hand as it is now, on the CPU, without gradients, apart from what goes on learning.
 
     joints_m: (P, 21, 3) float64 poses that were learnt from; their joint angles become the avatar's ranges ·
     wave_weight: how much of each wave of the encoding has been learnt with, 0..1; None: all.
@@ -35,12 +33,12 @@ def bake(
             replace(info, pose_statistics=angle_ranges(transform, joints_m)), handedness=transform.handedness
         )
         if avatar.learnt is not None:
-            learnt = _detached(avatar.learnt)
-            net = copy.deepcopy(hand.pose_net).requires_grad_(False)
+            learnt = mapped(avatar.learnt, _plain)
+            net = copy.deepcopy(hand.pose_net).requires_grad_(False).cpu()
             if wave_weight is not None:
-                net.encoding_in.weight *= wave_weight
+                net.encoding_in.weight *= wave_weight.cpu()
             shadow = learnt.shadow if with_shadow else None
-            avatar = replace(_detached(avatar), learnt=replace(learnt, correctives=net, shadow=shadow))
+            avatar = replace(mapped(avatar, _plain), learnt=replace(learnt, correctives=net, shadow=shadow))
         return avatar
 
 
@@ -55,13 +53,6 @@ def angle_ranges(transform: JointTransform, joints_m: Tensor) -> dict[str, tuple
     }
 
 
-def _detached(record: Record) -> Record:
-    """A frozen dataclass whose tensors are copies without history, in nested records too."""
-    values: dict[str, Any] = {}
-    for f in fields(record):  # type: ignore[arg-type]
-        value = getattr(record, f.name)
-        if isinstance(value, Tensor):
-            values[f.name] = value.detach().clone()
-        elif is_dataclass(value) and not isinstance(value, type):
-            values[f.name] = _detached(value)
-    return replace(record, **values)  # type: ignore[type-var]
+def _plain(tensor: Tensor) -> Tensor:
+    """A copy on the CPU without history."""
+    return tensor.detach().cpu().clone()

@@ -91,10 +91,15 @@ _ST_SLICES = (
 )
 
 
-def st_lpips() -> PerceptualMetric | None:
-    """ST-LPIPS with VGG, or None where its package is missing: the caller then prints ST_LPIPS_MISSING."""
+def st_lpips(device: torch.device | None = None) -> PerceptualMetric | None:
+    """ST-LPIPS with VGG, or None where its package is missing: the caller then prints ST_LPIPS_MISSING.
+
+    device: where its pictures are compared; left out: the CPU
+    """
     path = _installed_file("stlpips-pytorch", "weights/vST0.0/vgg_shift_tolerant.pth")
-    return None if path is None else st_lpips_of(_load_tensors(path), str(path))
+    if path is None:
+        return None
+    return st_lpips_of({name: tensor.to(device or "cpu") for name, tensor in _load_tensors(path).items()}, str(path))
 
 
 def st_lpips_of(tensors: Tensors, thing: str = "weights of ST-LPIPS") -> PerceptualMetric:

@@ -2,6 +2,10 @@
 
 Everything is drawn by the functions that draw the finished avatar (`avatar.skinning`, `splat`). What a pose needs of
 the bones never changes while training, and is computed once per pose.
+
+What is learnt lies on the training's device: planes, networks, skin, Adam. Rasteriser, shadow and the losses of
+pictures run on the CPU; posed Gaussians go there and their gradients come back (`_draw_view`). On the CPU nothing is
+copied.
 """
 
 from __future__ import annotations
@@ -21,6 +25,7 @@ from jghand_engine.avatar.canonical_points import place_points
 from jghand_engine.avatar.cast_shadow import LampsSeen
 from jghand_engine.avatar.model import LearnedHand, Shape
 from jghand_engine.avatar.pose_features import octave_of_wave
+from jghand_engine.avatar.records import mapped
 from jghand_engine.avatar.skinning import PosedSkin, SkinMaps, pose_skin, see_lamps, seen_from, skin_maps
 from jghand_engine.datasets.sample import Sample
 from jghand_engine.errors import InputError
@@ -42,6 +47,8 @@ from jghand_engine.training.perceptual import PerceptualMetric
 from jghand_engine.training.pictures import Pictures, View
 from jghand_engine.training.recent import Recent
 from jghand_engine.training.trainable import GAUSSIANS, LOSS
+
+CPU = torch.device("cpu")
 
 
 @dataclass(frozen=True)
@@ -75,13 +82,13 @@ class _PosedBones:
 
 
 class HandTraining:
-    """A Trainable (training.trainable): learns `material` as `options` say."""
+    """A Trainable (training.trainable): learns `material` as `options` say, with torch's part on `device`."""
 
-    def __init__(self, material: Material, options: TrainOptions) -> None:
+    def __init__(self, material: Material, options: TrainOptions, device: torch.device = CPU) -> None:
         if len({sample.handedness for sample in material.train}) != 1:
             raise InputError("pictures to learn from", wanted="one hand, right or left", came="none or both")
         _check_joints(material)
-        self.options, self._material = options, material
+        self.options, self._material, self._device = options, material, device
         self._handedness = material.train[0].handedness
         model = options.model
         points = place_points(
@@ -91,7 +98,11 @@ class HandTraining:
             area_power=model.area_power,
             seed=options.seed,
         )
-        self.hand = LearnedHand(points, model, options.seed)
+        hand = LearnedHand(points, model, options.seed)
+        # of the CPU, where bones and what they do to the skin are computed, once a pose
+        with torch.no_grad():
+            self._points, self._cast = points, hand.cast_shadow(1)
+        self.hand = hand.on(device)
         self._info = replace(material.info, transform=options.transform)
         self._transform = transform_called(
             options.transform,
@@ -107,7 +118,9 @@ class HandTraining:
         self._pictures = Pictures()
         self._settings = RenderSettings()
         self._library = load_native("auto")
-        self._octave = octave_of_wave(model.pose.octaves)
+        self._octave = octave_of_wave(model.pose.octaves).to(device)
+        # fused and joined forms of the update are tried on the CPU; Metal takes the plain ones
+        self._fast = device.type != "mps"
         self._optimiser = self._new_optimiser()
         self._steps = 1
         self._count = 0
@@ -121,7 +134,7 @@ class HandTraining:
         slow = [parameter for parameter in hand.parameters() if id(parameter) not in known]
         groups = [{"params": slow, "lr": schedule.rate}, {"params": fast, "lr": schedule.plane_rate}]
         # the fused form is four times as fast on the CPU and gives the same bits every time
-        return torch.optim.Adam(groups, eps=limits.ADAM_EPS, fused=True)
+        return torch.optim.Adam(groups, eps=limits.ADAM_EPS, fused=self._fast)
 
     # ---- Trainable ---------------------------------------------------------------------------------------------------
 
@@ -138,14 +151,14 @@ class HandTraining:
         views = [self._pictures.view(sample, stride) for sample in samples]
         self._set_rates(number, part)
         terms = self._terms(samples[0], views, part)
-        loss = torch.stack(list(terms.values())).sum()
+        loss = torch.stack([term.cpu() for term in terms.values()]).sum()
         self._optimiser.zero_grad(set_to_none=True)
         loss.backward()
-        norm = torch.nn.utils.get_total_norm(list(self.gradients().values()), foreach=True)
+        norm = torch.nn.utils.get_total_norm(list(self.gradients().values()), foreach=self._fast)
         # shortened by a norm that is not finite, all gradients would be so too, and hide which one it was
         if bool(torch.isfinite(norm)):
             longest = self.options.schedule.gradient_norm
-            torch.nn.utils.clip_grads_with_norm_(self.hand.parameters(), longest, norm, foreach=True)
+            torch.nn.utils.clip_grads_with_norm_(self.hand.parameters(), longest, norm, foreach=self._fast)
             self._optimiser.step()
         figures = {name: float(term.detach()) for name, term in terms.items()}
         return {LOSS: float(loss.detach()), GAUSSIANS: float(self._count), "gradient": float(norm), **figures}
@@ -208,7 +221,7 @@ class HandTraining:
         if wanted <= self._count:  # a plan that grows longer takes none away
             return
         if self._count:
-            position_m = self.hand.points.position_m.numpy()
+            position_m = self._points.position_m.numpy()
             _, nearest = KDTree(position_m[: self._count]).query(position_m[self._count : wanted])
             self.hand.spread_radii(self._count, torch.from_numpy(np.asarray(nearest)))
         self._count = wanted
@@ -232,7 +245,8 @@ class HandTraining:
             if weights.ssim:
                 terms["ssim"].append(weights.ssim * ssim_loss(rgb, view.rgb))
             if self._material.perceptual is not None and part >= self.options.schedule.perceptual_from:
-                terms["perceptual"].append(weights.perceptual * self._material.perceptual.distance(rgb, view.rgb))
+                unlike = self._material.perceptual.distance(rgb.to(self._device), view.rgb.to(self._device))
+                terms["perceptual"].append(weights.perceptual * unlike.cpu())
         mean = {name: torch.stack(values).mean() for name, values in terms.items() if values}
         moved_m = avatar.position_m - self.hand.points.position_m[: self._count]
         mean["offset"] = weights.offset * offset_loss(moved_m, offset_m, hand_size_m=self._hand_size_m())
@@ -265,7 +279,8 @@ class HandTraining:
 
     def _draw_view(self, avatar: HandAvatar, skin: PosedSkin, shadow: float, camera: Camera) -> tuple[Tensor, Tensor]:
         """Colour (H, W, 3) and alpha (H, W) of one view, with gradients."""
-        picture = rasterise(seen_from(skin, camera.eye_m, avatar), camera, self._settings)
+        gaussians = mapped(seen_from(skin, camera.eye_m, avatar), Tensor.cpu)
+        picture = rasterise(gaussians, camera, self._settings)
         if not (self.options.shadow and shadow > 0):
             return picture.rgb, picture.alpha
         # drawn in white on white the shadow pass gives the visibility itself; its constants are learnt outside of it
@@ -273,7 +288,7 @@ class HandTraining:
         planes = torch.cat([white, picture.alpha[None], picture.depth_sum[None]])
         style = ShadowStyle(samples=self.options.shadow_samples, tint=(1.0, 1.0, 1.0))
         seen = darken(planes, camera, style, library=self._library, threads=thread_count(0))[0]
-        gain, tint = self.hand.shadow()
+        gain, tint = (number.cpu() for number in self.hand.shadow())
         seen = seen.clamp_min(limits.VISIBILITY_MIN) ** (gain / style.gain)
         return picture.rgb * (1 - shadow * tint * (1 - seen[..., None])), picture.alpha
 
@@ -282,11 +297,11 @@ class HandTraining:
 
     def _new_posed_bones(self, joints_m: np.ndarray) -> _PosedBones:
         bones = self._transform.bones(torch.from_numpy(joints_m).float())
-        maps = skin_maps(self.hand.points.bone_weights, bones, turned=True)
-        cast = self.hand.cast_shadow(1)
+        maps = skin_maps(self._points.bone_weights, bones, turned=True)
         with torch.no_grad():
-            seen = None if cast is None else see_lamps(cast, self.hand.points.joints_m, bones)
-        return _PosedBones(bones, maps, fade(self._gate.score(joints_m, float(bones.scale))), seen)
+            seen = None if self._cast is None else see_lamps(self._cast, self._points.joints_m, bones)
+        posed = _PosedBones(bones, maps, fade(self._gate.score(joints_m, float(bones.scale))), seen)
+        return mapped(posed, lambda tensor: tensor.to(self._device))
 
     def _shown(self) -> tuple[View, Tensor]:
         """The fixed view and ours of it, 0..1."""
@@ -310,7 +325,7 @@ class HandTraining:
         """Adam's moments of a parameter; zeros before its first step, as Adam itself would begin."""
         state = self._optimiser.state[parameter]
         if not state:
-            state["step"] = torch.zeros(())
+            state["step"] = torch.zeros((), device=self._device if self._fast else "cpu")
             state["exp_avg"], state["exp_avg_sq"] = torch.zeros_like(parameter), torch.zeros_like(parameter)
         return state
 
