@@ -181,6 +181,8 @@ def everything(avatar: HandAvatar) -> torch.Tensor:
     ]  # fmt: skip
     if learnt.ellipsoid is not None:
         parts += [learnt.ellipsoid.log_stretch, learnt.ellipsoid.quaternion]
+    if learnt.cast is not None:
+        parts.append(learnt.cast.lamp_rgb)
     g = torch.Generator().manual_seed(12)
     return torch.stack([(part * torch.randn(part.shape, generator=g)).sum() for part in parts]).sum()
 
