@@ -138,7 +138,7 @@ def view_sheet(samples: Sequence[Sample], cameras: Cameras, draw: Picturer, titl
         columns = len(views)
         for name, camera in views.items():
             rgba = draw(sample.joints_m, sample.handedness, camera)
-            cells.append(Cell(f"{name} · {sample.frame}", _cut_out(rgba)))
+            cells.append(Cell(f"{name} · pose {sample.frame}", _cut_out(rgba)))
     return _with_head(_sheet(cells, columns), title, "Each row: one pose that was not learnt, from new sides")
 
 
