@@ -1,6 +1,6 @@
 """Where the milliseconds of a frame go, on this machine, beside the torch reference and a scalar loop.
 
-    python scripts/benchmark_frame.py [--rounds 100] [--threads 0] [--only frame,raster] [--json FILE]
+    python scripts/benchmark_frame.py [--rounds 100] [--threads 0] [--only frame,trained] [--json FILE]
 
 Cases take turns, after a warm-up; samples during which the machine was not free are dropped; medians and p95. Nothing
 is a sum of stages. Files and sockets are not part of it.
@@ -27,7 +27,7 @@ from jghand_engine.studies import frame_time
 from jghand_engine.studies.timing import Case, measure
 
 WARM_UP = 10
-PARTS = ("frame", "raster", "parts", "reference", "numba")
+PARTS = ("frame", "trained", "raster", "parts", "reference", "numba")
 
 
 def cases(parts: list[str], threads: int) -> Iterator[Case]:
@@ -35,6 +35,8 @@ def cases(parts: list[str], threads: int) -> Iterator[Case]:
     count = thread_count(threads)
     if "frame" in parts:
         yield from frame_time.whole_frame_cases(frame_time.every_frame_shadowed(threads))
+    if "trained" in parts:
+        yield from frame_time.trained_cases(frame_time.every_frame_shadowed(threads))
     if "raster" in parts and library:
         yield from frame_time.raster_and_shadow_cases(library, count)
     if "parts" in parts and library:

@@ -9,7 +9,7 @@ import itertools
 import os
 import platform
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,10 +18,11 @@ import torch
 
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.builtin import load_builtin
+from jghand_engine.avatar.builtin import load_builtin, load_painted
 from jghand_engine.avatar.fast_skinning import FastSkinning, PosedArrays
 from jghand_engine.avatar.gaussians import Gaussians
 from jghand_engine.avatar.skinning import pose_gaussians
+from jghand_engine.avatar.tiers import Tier
 from jghand_engine.hand.anatomy import MotionOptions, pose_sequence_of_names
 from jghand_engine.hand.fast_transform import FastTransform
 from jghand_engine.hand.joints import Handedness
@@ -58,9 +59,9 @@ class Subject:
     camera: Camera
 
 
-def builtin_subject(width: int, height: int, avatar: HandAvatar | None = None, name: str = "built-in") -> Subject:
-    """The built-in avatar (or another) in motion; the hand fills the height of the picture."""
-    hand = avatar or load_builtin(handedness=Handedness.RIGHT)
+def builtin_subject(width: int, height: int, avatar: HandAvatar | None = None, name: str = "painted") -> Subject:
+    """The painted avatar (or another) in motion; the hand fills the height of the picture."""
+    hand = avatar or load_painted(handedness=Handedness.RIGHT)
     canonical = hand.canonical_joints_m.numpy()
     names = ("open", "relaxed", "fist", "pinch", "point", "victory", "open")
     # the motion must not stand still: a hand at rest is not drawn again
@@ -107,6 +108,36 @@ def frame_case(subject: Subject, settings: RenderSettings, section: str) -> Case
 
     def run() -> FrameReport:
         return renderer.render(next(poses), subject.camera).report
+
+    return Case(section, _title(subject), run, threads=thread_count(settings.threads))
+
+
+def trained_cases(settings: RenderSettings, avatar: HandAvatar | None = None) -> Iterator[Case]:
+    """Whole frames of the trained hand, or another one, by every tier of its correctives that has a price, and by the
+    network; then of a camera that moves around a hand that does not."""
+    subject = builtin_subject(*SIZES[0], avatar or load_builtin(handedness=Handedness.RIGHT), "trained")
+    for tier in tiers_of(subject.avatar):
+        section = f"whole frame, 64 samples where the pose asks for them, correctives {tier}"
+        yield frame_case(subject, replace(settings, correctives=tier), section)
+    yield moving_camera_case(subject, replace(settings, reuse=True), "the same pose from another camera, 64 samples")
+
+
+def tiers_of(avatar: HandAvatar) -> list[Tier]:
+    """The tiers that its correctives can be found by."""
+    baked = None if avatar.learnt is None else avatar.learnt.baked
+    priced = [] if baked is None else [price.tier for price in baked.prices]
+    return list(dict.fromkeys([Tier.EXACT, *priced]))
+
+
+def moving_camera_case(subject: Subject, settings: RenderSettings, section: str) -> Case:
+    """One pose, seen from two places in turn."""
+    renderer, sideways = HandRenderer(subject.avatar, settings), torch.eye(4, dtype=torch.float64)
+    sideways[0, 3] = 0.01
+    moved = replace(subject.camera, camera_from_world=sideways @ subject.camera.camera_from_world)
+    cameras = itertools.cycle([subject.camera, moved])
+
+    def run() -> FrameReport:
+        return renderer.render(subject.poses[0], next(cameras)).report
 
     return Case(section, _title(subject), run, threads=thread_count(settings.threads))
 
@@ -224,9 +255,10 @@ def posed_gaussians(subject: Subject) -> Gaussians:
         swing=info.swing,
         scale_mode=info.scale_mode,
     )
+    bones = transform.bones(torch.from_numpy(subject.poses[0]))
     with torch.no_grad():
-        exact = pose_gaussians(subject.avatar, transform.bones(torch.from_numpy(subject.poses[0])))
-    return Gaussians(*(getattr(exact, name).float() for name in ("position_m", "sigma_m", "opacity", "rgb")))
+        exact = pose_gaussians(subject.avatar, bones, frames=bones.frames)
+    return Gaussians(**{name: None if tensor is None else tensor.float() for name, tensor in vars(exact).items()})
 
 
 def reference_picture(gaussians: Gaussians, camera: Camera) -> None:

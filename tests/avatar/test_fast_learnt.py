@@ -159,7 +159,7 @@ def test_native_skin_is_the_one_that_training_uses(library, name, pose):
     check(avatar, bones, natively(library, avatar, bones))
 
 
-@pytest.mark.parametrize("name", ["network", "linear-8", "ellipsoids"])
+@pytest.mark.parametrize("name", ["network", "linear-8", "ellipsoids", "world offsets"])
 def test_left_hands_are_lit_as_the_world_lights_them(library, name):
     avatar = KINDS[name].for_hand(Handedness.LEFT)
     bones = bones_of_hand(avatar, joints_of("claw", Handedness.LEFT))

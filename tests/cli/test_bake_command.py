@@ -129,7 +129,7 @@ def test_made_up_poses_are_not_measured_where_the_tier_was_fitted(trained):
     yard = ExactPictures(trained)
     measured = _flat(trained, yard._poses_m)
     nearest = torch.cdist(measured, yard.known_poses(trained), p=float("inf")).amin(1)
-    assert float(torch.rad2deg(nearest).median()) > 3.0  # observed MEDIAN
+    assert float(torch.rad2deg(nearest).median()) > 10.0  # observed 14
 
 
 def test_an_independent_error_costs_what_the_sum_of_errors_says(trained):

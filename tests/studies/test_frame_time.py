@@ -7,7 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from small_avatars import ellipsoid_avatar, trained_avatar
 
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.tiers import Baked, Price, Tier
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import JointTransform
@@ -60,6 +63,36 @@ def test_poses_move_in_every_frame(subject: frame_time.Subject):
     assert float(inside.all(-1).double().mean()) > 0.9  # the tips of volume B stand a little beyond the edge
 
 
+def baked_avatar() -> HandAvatar:
+    avatar = trained_avatar(300)
+    prices = tuple(Price(tier, 0, 1.0, 0.0, 33.0, 0.0) for tier in (Tier.EXACT, Tier.CACHED))
+    return replace(avatar, learnt=replace(avatar.learnt, baked=Baked(None, prices, "nothing")))
+
+
+def test_trained_hands_are_measured_by_every_tier_that_has_a_price():
+    assert frame_time.tiers_of(baked_avatar()) == [Tier.EXACT, Tier.CACHED]
+    assert frame_time.tiers_of(trained_avatar(20)) == [Tier.EXACT]
+
+
+@needs_native
+def test_a_camera_that_moves_alone_asks_for_gloss_and_raster_only():
+    subject = frame_time.builtin_subject(64, 42, trained_avatar(300), "small")
+    settings = replace(frame_time.every_frame_shadowed(1), reuse=True)
+    case = frame_time.moving_camera_case(subject, settings, "moved")
+    reports = [case.run() for _ in range(3)]
+    assert [[stage.name for stage in report.stages if stage.ran][:2] for report in reports] == [
+        ["transform", "shadow gate"], ["shadow gate", "gloss"], ["shadow gate", "gloss"]
+    ]  # fmt: skip
+    assert all(report.stage("raster").ran for report in reports)
+
+
+def test_posed_gaussians_of_a_trained_hand_keep_their_shape_and_correctives():
+    subject = frame_time.builtin_subject(64, 42, ellipsoid_avatar(100), "small")
+    posed = frame_time.posed_gaussians(subject)
+    assert posed.covariance_m2 is not None
+    assert posed.covariance_m2.dtype == torch.float32
+
+
 @needs_native
 def test_every_kind_of_case_runs_and_fits_the_table(monkeypatch):
     monkeypatch.setattr(frame_time, "SIZES", ((64, 42),))
@@ -74,6 +107,7 @@ def test_every_kind_of_case_runs_and_fits_the_table(monkeypatch):
         *frame_time.raster_and_shadow_cases(library, 1),
         *frame_time.part_cases(library, 1),
         *frame_time.reference_cases(1),
+        *frame_time.trained_cases(frame_time.every_frame_shadowed(1), baked_avatar()),
     ]
     measured = measure(cases, rounds=2, warm_up=1)
     table = frame_time.rows(measured)
