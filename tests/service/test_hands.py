@@ -10,7 +10,8 @@ import pytest
 from jghand_engine import limits
 from jghand_engine.avatar.builtin import load_painted
 from jghand_engine.avatar.file import save_avatar
-from jghand_engine.avatar.shipped import BUILTIN
+from jghand_engine.avatar.shipped import PAINTED
+from jghand_engine.avatar.storage import Storage
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, to_level
@@ -30,10 +31,10 @@ def source() -> EngineHands:
 
 @pytest.fixture(scope="module")
 def right(source) -> Hand:
-    """The built-in hand at rest, half a metre before the camera, palm towards it."""
+    """The painted hand at rest, half a metre before the camera, palm towards it."""
     camera_from_hand = np.diag([1.0, -1, -1, 1])
     camera_from_hand[:3, 3] = (0, 0.09, 0.5)
-    return Hand(BUILTIN, "right", source.load(BUILTIN).canonical_joints_m, camera_from_hand)
+    return Hand(PAINTED, "right", source.load(PAINTED).canonical_joints_m, camera_from_hand)
 
 
 def test_a_picture_is_that_of_the_renderer_in_its_own_process(source, right):
@@ -111,6 +112,27 @@ def test_an_avatar_that_changed_on_disk_is_seen_after_loading_it_again(source, r
         assert source.load(str(path)).facts["gaussians"] == 5000
         pictures.append(source.render([hand], VIEW).rgba)
     assert np.abs(pictures[0] - pictures[1]).max() > 0.2
+
+
+def test_a_trained_hand_reflects_towards_the_camera_of_each_picture(source, right, tmp_path):
+    import torch
+    from small_avatars import trained_avatar
+
+    avatar, path = trained_avatar(2000), tmp_path / "trained.jghand"
+    save_avatar(path, avatar, storage=Storage.EXACT)
+    hand, view = replace(right, avatar=str(path)), replace(VIEW, preset="viewport")
+    dark = replace(avatar, learnt=replace(avatar.learnt, shine=torch.zeros(2000)))
+    turn = np.array([[0.96, 0, 0.28, 0], [0, 1, 0, 0], [-0.28, 0, 0.96, 0], [0, 0, 0, 1]])
+    for camera_from_hand in (right.camera_from_hand, right.camera_from_hand @ turn):
+        came = source.render([replace(hand, camera_from_hand=camera_from_hand)], view)
+        camera = Camera(120, 90, 200.0, 200.0, 60.0, 45.0, torch.from_numpy(camera_from_hand))
+        wanted, matt = (
+            HandRenderer(one, preset("viewport")).render(to_level(right.joints_m, JointOrder.STANDARD), camera).rgba
+            for one in (avatar, dark)
+        )
+        np.testing.assert_array_equal(came.rgba, wanted)
+        assert np.abs(wanted - matt).max() > 0.05
+        assert any(stage["name"] == "gloss" and stage["ran"] for stage in came.report["stages"])
 
 
 def test_a_png_is_encoded(source, right):
