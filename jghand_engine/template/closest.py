@@ -170,7 +170,7 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.einsum("nc,nc->n", a, b)
 
 
-def _pieces(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+def _pieces(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Splits faces at the middle of the longest edge until every piece is small.
 
     Returns centres (P, 3), the face of each piece (P,), and the distance (P,) from each centre to the farthest corner.
