@@ -1,7 +1,8 @@
 """Cheaper ways to the corrections of a pose, each at a price that was measured and is written into the avatar.
 
     exact    the network, every frame
-    cached   the network, but what its first layer makes of a Gaussian's place is computed once: equal but for rounding
+    cached   the network, but what its first layer makes of a Gaussian's place is computed once: equal but for rounding.
+             The compiled skin (`fast_correctives.py`) always does so, and there the two are one
     linear   K numbers of every bone, mixed by the skin weights like the pose features they are made of, times K
              directions of every Gaussian: what the network does around the poses it was distilled on (`distil.py`)
 

@@ -190,10 +190,11 @@ def test_a_shipped_avatar_with_a_linear_tier_fits_into_12_megabytes():
     count, shape = 1000, PoseNetShape()
     avatar = trained_avatar(count, shape=shape)
     net = avatar.learnt.correctives
-    linear = distil(net, poses_near(KNOWN, 20, seed=0), (16,))[16]
+    linear = distil(net, poses_near(KNOWN, 20, seed=0), (32,))[32]
     avatar = replace(avatar, learnt=replace(avatar.learnt, baked=Baked(linear, (), "")))
     packed = pack_learnt(avatar.learnt, Storage.COMPACT)
     per_gaussian = sum(a.nbytes for name, a in packed.items() if len(a) == count and not name.startswith("pose_net"))
     fixed = sum(a.nbytes for a in packed.values()) - per_gaussian
     plain = 39 * count
-    assert fixed + 40 * (per_gaussian + plain) < 12e6  # observed 6.9e6
+    size = fixed + 40 * (per_gaussian + plain)
+    assert size < 12e6, size  # observed 10.8e6
