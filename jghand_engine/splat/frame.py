@@ -110,6 +110,7 @@ class SceneRenderer:
         # a picture that fails half way may leave the painter with half of these Gaussians: then the next one poses anew
         self._posed = None
         rgba, depth_m = self._painter.paint(posed.poses if moved else None, canvas, report)
+        report.explain(SKIN, self._tiers)
         self._posed = posed
         if depth_m is None:
             report.skipped("depth", "not requested", "")
@@ -140,7 +141,7 @@ class SceneRenderer:
         poses = [Pose(one, one.root_m - origin_m) for one in bones]
         notes = [sentence for one in bones for sentence in describe_flags(one.flags)]
         posed = _Posed([joints.copy() for joints in hands], poses, notes, unseen)
-        report.ran(TRANSFORM, 1e3 * (time.perf_counter() - started), self._tiers)
+        report.ran(TRANSFORM, 1e3 * (time.perf_counter() - started))
         report.notes += notes + unseen
         return posed, True
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,10 @@ class FrameReport:
 
     def skipped(self, name: str, reason: str, bound: str) -> None:
         self.stages.append(Stage(name, False, 0.0, reason, bound))
+
+    def explain(self, name: str, reason: str) -> None:
+        """Gives a stage that ran a reason; a stage that did not keeps its own."""
+        self.stages = [replace(one, reason=reason) if one.name == name and one.ran else one for one in self.stages]
 
     def stage(self, name: str) -> Stage | None:
         """The stage of that name, if the frame came to it."""

@@ -159,7 +159,7 @@ def test_the_frame_says_what_it_took_and_what_that_costs():
     camera = Camera(60, 60, 100.0, 100.0, 30.0, 30.0, view)
     for settings, told in ((RenderSettings(), "linear-6 (0.04 dB lost)"), (preset("final"), "exact (0.00 dB lost)")):
         report = HandRenderer(avatar, settings).render(joints, camera).report
-        assert told in report.stage("transform").reason
+        assert told in report.stage("skin").reason
 
 
 # ---- the file --------------------------------------------------------------------------------------------------------
