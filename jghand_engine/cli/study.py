@@ -1,4 +1,4 @@
-"""`jghand study`: studies that need no pictures; so far the table of the transform from joints to skin."""
+"""`jghand study`: studies that need no pictures."""
 
 from __future__ import annotations
 
@@ -10,28 +10,39 @@ import tyro
 
 from jghand_engine.cli.console import progress, say, say_whole_table, write_json
 from jghand_engine.cli.options import ReportOptions
+from jghand_engine.cli.study_stability import run_stability
 from jghand_engine.errors import InputError
 
-DESCRIPTION = """Measure parts of the method by themselves: transform compares ways from joints to skin.
+DESCRIPTION = """Measure parts of the method by themselves: ways from joints to skin, numerical stability.
 
 Examples:
   jghand study transform
-  jghand study transform --identities 1 3 --poses 40 --out transform.md"""
+  jghand study transform --identities 1 3 --poses 40 --out transform.md
+  jghand study stability --out study/"""
 
 
 @dataclass(frozen=True)
 class Study:
-    name: Annotated[Literal["transform"], tyro.conf.Positional]
-    """transform: naive, HALO-like and our transform, on hands of other proportions, beside the paper's table."""
+    name: Annotated[Literal["transform", "stability"], tyro.conf.Positional]
+    """transform: naive, HALO-like and our transform, on hands of other proportions, beside the paper's table.
+    stability: hard hands and pictures (singular poses, units, distances, opacities), ours beside the usual formulas."""
     identities: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME")] = ("1", "2")
-    """Hands that give the truth, by name or number, as `jghand capture` takes them."""
+    """transform: hands that give the truth, by name or number, as `jghand capture` takes them."""
     poses: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 30
-    """Varied poses of each hand."""
-    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
-    """Also write the table to this file, as Markdown."""
+    """transform: varied poses of each hand."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
+    """transform: also write the table to this file, as Markdown. stability: folder of its pages, else study/."""
+    checkout: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None
+    """stability: also renew docs/STABILITY.md and the README's section in this checkout of JGHand."""
     report: ReportOptions = field(default_factory=ReportOptions)
 
     def run(self) -> None:
+        if self.name == "stability":
+            run_stability(self.out, self.checkout, self.report.json)
+        else:
+            self._run_transform()
+
+    def _run_transform(self) -> None:
         from jghand_engine.capture.identities import load_identity
         from jghand_engine.files import writing
         from jghand_engine.studies.transform_table import measure_transforms, transform_table

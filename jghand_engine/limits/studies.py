@@ -7,3 +7,41 @@ from __future__ import annotations
 MODEL_PSNR_DB = 33.4
 # points on the skin of the transformation table: 1.4 mm apart, well below the distances that it tells apart
 TRANSFORM_STUDY_POINTS = 20_000
+
+# ---- studies: numerical stability -----------------------------------------------------------------------------------
+# distances, as parts of the hand's size, at which hands beside a singularity are tried as well
+STABILITY_JITTERS = (1e-12, 1e-9, 1e-7, 1e-5, 1e-3)
+# hands at each of those distances
+STABILITY_BESIDE = 20
+# error of the joints whose effect on the skin is measured, metres: that of a good motion capture
+STABILITY_NUDGE_M = 5e-4
+# nudges tried for every hand, in random directions
+STABILITY_NUDGES = 64
+# points of the skin that are watched, of the template's 1610
+STABILITY_SKIN_POINTS = 400
+# what a nudge may move any of them by, metres (METHOD 2.11)
+STABILITY_SKIN_MAX_M = 2e-3
+# gradient times hand size (METHOD 2.11)
+STABILITY_GRADIENT_MAX = 1e5
+# float32 against float64, metres on a hand of ordinary size (METHOD 2.11, of the joints)
+STABILITY_PRECISION_MAX_M = 5e-7
+# promise 3 of RENDERING 14: a pixel differs by less from the reference, unless a contribution falls on the other side
+# of the cut, which is worth one 8-bit step
+STABILITY_PIXEL_MAX = 1.1e-4
+STABILITY_FLIP_MAX = 1 / 255
+# pixels of a small picture in which that may happen
+STABILITY_FLIPPED_MAX = 2
+# how far everything in a picture is moved to see whether a pixel jumps, metres
+STABILITY_PICTURE_NUDGE_M = 1e-6
+# Gaussians and side of the picture in which a hand is compared with the reference
+STABILITY_GAUSSIANS = 1500
+STABILITY_PICTURE_PX = 64
+# ... and what a pixel may change by then, in 8-bit steps: one contribution at the cut, and the movement itself
+STABILITY_STEPS_MAX = 1.1
+# the usual guards of the formulas that ours are set against: "length + eps", clipped arc cosine
+USUAL_EPS = 1e-8
+USUAL_CLIP = 1e-6
+# side of the hands drawn both ways, pixels; resolution and colours of the picture's file: below 300 kB together
+STABILITY_VIEW_PX = 300
+STABILITY_DPI = 110
+STABILITY_COLOURS = 128
