@@ -258,7 +258,9 @@ def posed_gaussians(subject: Subject) -> Gaussians:
     bones = transform.bones(torch.from_numpy(subject.poses[0]))
     with torch.no_grad():
         exact = pose_gaussians(subject.avatar, bones, frames=bones.frames)
-    return Gaussians(**{name: None if tensor is None else tensor.float() for name, tensor in vars(exact).items()})
+    spheres = Gaussians(*(getattr(exact, name).float() for name in ("position_m", "sigma_m", "opacity", "rgb")))
+    covariance_m2 = exact.covariance_m2
+    return spheres if covariance_m2 is None else replace(spheres, covariance_m2=covariance_m2.float())
 
 
 def reference_picture(gaussians: Gaussians, camera: Camera) -> None:
