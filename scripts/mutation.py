@@ -3,40 +3,41 @@
     python scripts/mutation.py hand                          150 mutants of hand/, chosen by seed 0
     python scripts/mutation.py splat --mutants 60 --seed 1   others
     python scripts/mutation.py hand --only rotations frames  some modules of a room
-    python scripts/mutation.py --summary                     what is known, as Markdown (for tests/README.md)
+    python scripts/mutation.py --summary                     what is known, written into tests/README.md
 
-A score is the share of mutants that a test kills (fails, or does not end in time). Each room's mutants meet only that
-room's tests. Results are kept in tests/mutation.json, survivors with their lines, so that somebody can look at them.
+A score is the share of mutants that a test kills: it fails, or takes more processor time than allowed (counted apart).
+Each room's mutants meet only that room's tests. Results are kept in tests/mutation.json with every survivor's line.
 
-Why not one of the tools: mutmut and cosmic-ray write mutants to files, of the working tree or of a copy that the
-compiled kernels and assets must follow into, start Python (and torch: seconds) anew or cannot choose a sample by a
-seed. Here nothing is written: mutants live in the memory of a forked process that has torch loaded already, and see
-the tests that touch the changed function, quick ones first. Needs a system with fork (Linux, macOS).
+Why not one of the tools: mutmut and cosmic-ray write mutants to files, of the working tree or of a copy that kernels
+and assets must follow into, start Python (and torch: seconds) for each, or cannot choose a sample by a seed. Here
+nothing is written: pytest collects once, then every mutant gets a forked process in which the changed function's code
+is put in place, and which runs the tests that touch it, quick ones first. So only what stands in a function can be
+changed, not constants and defaults of a module. Needs a system with fork (Linux, macOS).
 """
 
 from __future__ import annotations
 
 import argparse
 import ast
-import importlib
-import importlib.abc
-import importlib.util
+import gc
 import json
 import os
 import random
-import signal
+import resource
 import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from types import CodeType, ModuleType
+from types import CodeType, FunctionType
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "tests" / "mutation.json"
+README = ROOT / "tests" / "README.md"
+BEGIN, END = "<!-- scripts/mutation.py: begin -->", "<!-- scripts/mutation.py: end -->"
 WANTED = 0.85
 
 
@@ -79,11 +80,12 @@ _NAMES = {"sin": "cos", "cos": "sin", "min": "max", "max": "min", "amin": "amax"
 
 @dataclass(frozen=True)
 class Mutant:
-    """One change. place: the node's number in ast.walk, and which of its variants · function: innermost one, or None"""
+    """One change. place: the node's number in ast.walk, and which of its variants · function: qualified name of the
+    outermost one around it"""
 
     module: str
     line: int
-    function: str | None
+    function: str
     change: str
     place: tuple[int, int]
 
@@ -111,7 +113,8 @@ def variants(node: ast.AST) -> Iterator[tuple[str, Callable[[], None]]]:
     elif isinstance(node, ast.Constant) and isinstance(node.value, bool):
         yield f"{node.value} -> {not node.value}", lambda: setattr(node, "value", not node.value)
     elif isinstance(node, ast.Constant) and isinstance(node.value, int):
-        yield f"{node.value} -> {node.value + 1}", lambda: setattr(node, "value", node.value + 1)
+        more = node.value + 1
+        yield f"{node.value} -> {more}", lambda: setattr(node, "value", more)
     elif isinstance(node, ast.Constant) and isinstance(node.value, float):
         value = 2 * node.value if node.value else 1.0
         yield f"{node.value} -> {value}", lambda: setattr(node, "value", value)
@@ -126,8 +129,7 @@ def mutants_of(module: str, source: str) -> list[Mutant]:
     """Every mutant of a module's text; texts, annotations and the words of errors are left alone."""
     tree = ast.parse(source)
     left_alone: set[ast.AST] = set()
-    function: dict[ast.AST, str | None] = {}
-    _note_functions(tree, (), None, function)
+    function = dict(_functions(tree, ""))
     for node in ast.walk(tree):
         parts: list[ast.AST | None] = []
         if isinstance(node, ast.Raise | ast.Assert | ast.Import | ast.ImportFrom):
@@ -135,55 +137,57 @@ def mutants_of(module: str, source: str) -> list[Mutant]:
         elif isinstance(node, ast.arg | ast.AnnAssign):
             parts = [node.annotation]
         elif isinstance(node, ast.FunctionDef):
-            parts = [node.returns, *node.decorator_list]
+            defaults = (default for default in (*node.args.defaults, *node.args.kw_defaults))
+            parts = [node.returns, *node.decorator_list, *defaults]
         elif isinstance(node, ast.ClassDef):
             parts = [*node.decorator_list, *node.bases]
         left_alone |= {below for part in parts if part is not None for below in ast.walk(part)}
     return [
         Mutant(module, getattr(node, "lineno", 0), function[node], change, (number, which))
         for number, node in enumerate(ast.walk(tree))
-        if node not in left_alone
+        if node not in left_alone and node in function
         for which, (change, _) in enumerate(variants(node))
     ]
 
 
-def _note_functions(node: ast.AST, path: tuple[str, ...], inside: str | None, found: dict) -> None:
-    found[node] = inside
+def _functions(node: ast.AST, path: str) -> Iterator[tuple[ast.AST, str]]:
+    """Every node inside a function, with the qualified name of the outermost one."""
     for child in ast.iter_child_nodes(node):
         if isinstance(child, ast.FunctionDef):
-            below = (*path, child.name)
-            _note_functions(child, (*below, "<locals>"), ".".join(below), found)
-        elif isinstance(child, ast.ClassDef):
-            _note_functions(child, (*path, child.name), inside, found)
+            yield from ((below, path + child.name) for below in ast.walk(child))
         else:
-            _note_functions(child, path, inside, found)
+            yield from _functions(child, f"{path}{child.name}." if isinstance(child, ast.ClassDef) else path)
 
 
-def mutated_code(mutant: Mutant, source: str, path: Path) -> CodeType:
-    """The module with the change, compiled."""
+def mutated_codes(mutant: Mutant, source: str, path: Path) -> dict[str, CodeType]:
+    """The codes of the module's functions with the change, by qualified name."""
     tree = ast.parse(source)
     number, which = mutant.place
     node = next(node for place, node in enumerate(ast.walk(tree)) if place == number)
     list(variants(node))[which][1]()
-    return compile(ast.fix_missing_locations(tree), str(path), "exec")
+    found: dict[str, CodeType] = {}
+    to_see = [compile(ast.fix_missing_locations(tree), str(path), "exec", dont_inherit=True)]
+    while to_see:
+        for constant in to_see.pop().co_consts:
+            if isinstance(constant, CodeType):
+                found[constant.co_qualname] = constant
+                to_see.append(constant)
+    return found
 
 
-class MutatedModule(importlib.abc.MetaPathFinder, importlib.abc.Loader):
-    """Gives one module another code when it is imported."""
-
-    def __init__(self, name: str, path: Path, code: CodeType) -> None:
-        self._name, self._path, self._code = name, path, code
-
-    def find_spec(self, fullname: str, path: Any, target: Any = None) -> Any:
-        if fullname != self._name:
-            return None
-        return importlib.util.spec_from_file_location(fullname, self._path, loader=self)
-
-    def create_module(self, spec: Any) -> ModuleType | None:
-        return None
-
-    def exec_module(self, module: ModuleType) -> None:
-        exec(self._code, module.__dict__)
+def put_in_place(mutant: Mutant, source: str, path: Path) -> bool:
+    """Gives the living function the changed code; whether there was one."""
+    code = mutated_codes(mutant, source, path)[mutant.function]
+    living = [
+        thing
+        for thing in gc.get_objects()
+        if isinstance(thing, FunctionType)
+        and thing.__code__.co_filename == str(path)
+        and thing.__code__.co_qualname == mutant.function
+    ]
+    for function in living:
+        function.__code__ = code
+    return bool(living)
 
 
 # ---- tests ----------------------------------------------------------------------------------------------------------
@@ -191,113 +195,83 @@ class MutatedModule(importlib.abc.MetaPathFinder, importlib.abc.Loader):
 
 @dataclass(frozen=True)
 class Known:
-    """Of a run without a change. seconds: of each test · touched: functions (file, qualified name) of each test file"""
+    """Of a run without a change. seconds: of each test · touched: tests by the function (file:name) they call"""
 
     seconds: dict[str, float]
-    touched: dict[str, set[tuple[str, str]]]
+    touched: dict[str, list[str]]
 
-    def tests_for(self, path: Path, function: str | None) -> list[str]:
-        """The tests of all files that touch a function, quick ones first; all tests when that cannot be said."""
-        files = set(self.touched)
-        if function is not None:
-            files = {file for file, functions in self.touched.items() if (str(path), function) in functions}
-        return sorted((test for test in self.seconds if test.split("::")[0] in files), key=self.seconds.__getitem__)
+    def items_for(self, function: str, items: list[Any]) -> list[Any]:
+        """The tests that touch a function, quick ones first."""
+        names = set(self.touched.get(function, ()))
+        return sorted((item for item in items if item.nodeid in names), key=lambda item: self.seconds[item.nodeid])
 
 
-class Recorder:
-    """A pytest plugin that writes what Known holds."""
-
-    def __init__(self, watched: set[str]) -> None:
-        self._watched = watched
-        self.seconds: dict[str, float] = {}
-        self.touched: dict[str, set[tuple[str, str]]] = {}
-        self._now: set[tuple[str, str]] = set()
-
-    def profile(self, frame: Any, event: str, _argument: Any) -> None:
-        if event == "call" and frame.f_code.co_filename in self._watched:
-            self._now.add((frame.f_code.co_filename, frame.f_code.co_qualname))
+class Reports:
+    """A pytest plugin that ends the process at the first failure."""
 
     def pytest_runtest_logreport(self, report: Any) -> None:
-        self.seconds[report.nodeid] = self.seconds.get(report.nodeid, 0.0) + report.duration
-        self.touched.setdefault(report.nodeid.split("::")[0], set()).update(self._now)
-        if report.when == "teardown":
-            self._now.clear()
+        if report.failed:
+            os._exit(1)
 
 
-class Chosen:
-    """A pytest plugin that runs certain tests only, in a certain order."""
-
-    def __init__(self, tests: Sequence[str]) -> None:
-        self._place = {test: place for place, test in enumerate(tests)}
-
-    def pytest_collection_modifyitems(self, items: list[Any]) -> None:
-        items[:] = sorted((i for i in items if i.nodeid in self._place), key=lambda i: self._place[i.nodeid])
+def run(items: list[Any], around: Callable[[Any, Callable[[], None]], None] = lambda item, work: work()) -> None:
+    """Runs collected tests in their order."""
+    for place, item in enumerate(items):
+        following = items[place + 1] if place + 1 < len(items) else None
+        around(item, lambda i=item, f=following: i.config.hook.pytest_runtest_protocol(item=i, nextitem=f))
 
 
-def run_pytest(paths: Sequence[str], plugin: object) -> int:
-    import pytest
-
-    options = ["-x", "-q", "-p", "no:cacheprovider", "--no-header", "--tb=no", "--hypothesis-seed=0"]
-    return int(pytest.main([*options, *paths], plugins=[plugin]))
-
-
-def in_child(work: Callable[[], int], seconds: float) -> int | None:
-    """The exit code of `work` in a forked process without output; None when it did not end in time."""
+def in_child(work: Callable[[], None], cpu_seconds: int) -> int:
+    """The exit code of `work` in a forked, silent process: 0 when it came to its end; below 0 when it took more
+    processor time than allowed."""
     child = os.fork()
     if child == 0:
         code = 70
         try:
-            os.setpgid(0, 0)
+            resource.setrlimit(resource.RLIMIT_CPU, (cpu_seconds, cpu_seconds))
             silence = os.open(os.devnull, os.O_WRONLY)
             os.dup2(silence, 1)
             os.dup2(silence, 2)
-            code = work()
+            work()
+            code = 0
         finally:
             os._exit(code)
-    end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        done, status = os.waitpid(child, os.WNOHANG)
-        if done:
-            return os.waitstatus_to_exitcode(status)
-        time.sleep(0.02)
-    os.killpg(child, signal.SIGKILL)
-    os.waitpid(child, 0)
-    return None
+    return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 
 
-def learn(room: Room, paths: set[str]) -> Known:
-    """Runs the room's tests once without a change."""
+def learn(items: list[Any], watched: set[str]) -> Known:
+    """Runs the tests once without a change, and notes which functions each of them calls."""
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "known.json"
 
-        def work() -> int:
-            recorder = Recorder(paths)
-            sys.setprofile(recorder.profile)
-            code = run_pytest(room.tests, recorder)
-            sys.setprofile(None)
-            touched = {test: sorted(functions) for test, functions in recorder.touched.items()}
-            file.write_text(json.dumps([recorder.seconds, touched]))
-            return code
+        def work() -> None:
+            seconds: dict[str, float] = {}
+            touched: dict[str, set[str]] = {}
+            now: set[str] = set()
+
+            def profile(frame: Any, event: str, _argument: Any) -> None:
+                if event == "call" and frame.f_code.co_filename in watched:
+                    name = frame.f_code.co_qualname.split(".<locals>")[0]
+                    now.add(f"{frame.f_code.co_filename}:{name}")
+
+            def around(item: Any, test: Callable[[], None]) -> None:
+                now.clear()
+                began = time.process_time()
+                sys.setprofile(profile)
+                try:
+                    test()
+                finally:
+                    sys.setprofile(None)
+                seconds[item.nodeid] = time.process_time() - began
+                for function in now:
+                    touched.setdefault(function, set()).add(item.nodeid)
+
+            run(items, around)
+            file.write_text(json.dumps([seconds, {name: sorted(tests) for name, tests in touched.items()}]))
 
         if (code := in_child(work, 3600)) != 0:
-            sys.exit(f"the tests do not pass without a change (exit code {code}); try: pytest {' '.join(room.tests)}")
-        seconds, touched = json.loads(file.read_text())
-    return Known(seconds, {test: {(a, b) for a, b in functions} for test, functions in touched.items()})
-
-
-def is_killed(mutant: Mutant, room: str, known: Known, seconds: float) -> bool | None:
-    """Whether a test notices the mutant; None when no test touches it at all."""
-    path = ROOT / "jghand_engine" / room / f"{mutant.module}.py"
-    tests = known.tests_for(path, mutant.function)
-    if not tests:
-        return None
-    code = mutated_code(mutant, path.read_text(encoding="utf-8"), path)
-
-    def work() -> int:
-        sys.meta_path.insert(0, MutatedModule(f"jghand_engine.{room}.{mutant.module}", path, code))
-        return run_pytest(sorted({test.split("::")[0] for test in tests}), Chosen(tests))
-
-    return in_child(work, seconds) != 0
+            sys.exit(f"the tests do not pass without a change (exit code {code})")
+        return Known(*json.loads(file.read_text()))
 
 
 # ---- results --------------------------------------------------------------------------------------------------------
@@ -309,7 +283,10 @@ def read_results() -> dict[str, Any]:
 
 def summary(results: dict[str, Any]) -> str:
     """Markdown: a line per module and per room."""
-    lines = ["| room | module | mutants tried | of | killed | score |", "| --- | --- | ---: | ---: | ---: | ---: |"]
+    lines = [
+        "| room | module | mutants tried | of | killed | of these out of time | score |",
+        "| --- | --- | ---: | ---: | ---: | ---: | ---: |",
+    ]
     for room, result in results.items():
         total: Counter[str] = Counter()
         for module, count in result["modules"].items():
@@ -321,50 +298,85 @@ def summary(results: dict[str, Any]) -> str:
 
 def _line(room: str, module: str, count: dict[str, int]) -> str:
     score = f"{count['killed'] / count['tried']:.0%}" if count["tried"] else "-"
-    return f"| {room} | {module} | {count['tried']} | {count['possible']} | {count['killed']} | {score} |"
+    numbers = (count["tried"], count["possible"], count["killed"], count["out_of_time"], score)
+    return f"| {room} | {module} | " + " | ".join(map(str, numbers)) + " |"
 
 
-def measure(room_name: str, options: argparse.Namespace) -> None:
-    room = ROOMS[room_name]
-    modules = [module for module in room.modules if not options.only or module in options.only]
-    folder = ROOT / "jghand_engine" / room_name
-    every = [m for module in modules for m in mutants_of(module, (folder / f"{module}.py").read_text(encoding="utf-8"))]
-    chosen = random.Random(options.seed).sample(every, min(options.mutants, len(every)))
-    print(f"{room_name}: {len(chosen)} of {len(every)} mutants; the tests without a change first", flush=True)
-    known = learn(room, {str(folder / f"{module}.py") for module in modules})
-    possible = Counter(mutant.module for mutant in every)
-    counts = {module: {"tried": 0, "possible": possible[module], "killed": 0} for module in modules}
-    survivors, spent = [], Counter[str]()
-    for mutant in chosen:
-        if spent[mutant.module] > options.module_minutes * 60:
-            continue
-        began = time.monotonic()
-        killed = is_killed(mutant, room_name, known, options.mutant_seconds)
-        spent[mutant.module] += int(time.monotonic() - began)
-        counts[mutant.module]["tried"] += 1
-        counts[mutant.module]["killed"] += bool(killed)
-        if not killed:
-            survivors.append(mutant.as_dict() | {"tested": killed is not None})
-            print(f"  survived: {mutant.module}.py:{mutant.line} {mutant.change} ({mutant.function})", flush=True)
-        results = read_results()
-        results[room_name] = {"seed": options.seed, "modules": counts, "survivors": survivors}
-        RESULTS.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
-    print(summary({room_name: results[room_name]}) if chosen else "nothing to change")
+class Measurement:
+    """A pytest plugin: instead of running the collected tests it tries mutants on them."""
+
+    def __init__(self, room: str, options: argparse.Namespace) -> None:
+        self._room, self._options = room, options
+        self._folder = ROOT / "jghand_engine" / room
+        self._modules = [m for m in ROOMS[room].modules if not options.only or m in options.only]
+        self._sources = {m: (self._folder / f"{m}.py").read_text(encoding="utf-8") for m in self._modules}
+
+    def pytest_runtestloop(self, session: Any) -> bool:
+        every = [mutant for module, source in self._sources.items() for mutant in mutants_of(module, source)]
+        chosen = random.Random(self._options.seed).sample(every, min(self._options.mutants, len(every)))
+        print(f"\n{self._room}: {len(chosen)} of {len(every)} mutants; the tests without a change first", flush=True)
+        known = learn(session.items, {str(self._path(module)) for module in self._modules})
+        print(f"{len(session.items)} tests, {sum(known.seconds.values()):.0f} s; now the mutants", flush=True)
+        possible = Counter(mutant.module for mutant in every)
+        counts = {m: {"tried": 0, "possible": possible[m], "killed": 0, "out_of_time": 0} for m in self._modules}
+        survivors: list[dict[str, Any]] = []
+        spent: Counter[str] = Counter()
+        for mutant in chosen:
+            if spent[mutant.module] > self._options.module_minutes * 60:
+                continue
+            began = time.monotonic()
+            items = known.items_for(f"{self._path(mutant.module)}:{mutant.function}", session.items)
+            code = self._fate(mutant, items)
+            spent[mutant.module] += round(time.monotonic() - began)
+            count = counts[mutant.module]
+            count["tried"] += 1
+            count["killed"] += code != 0
+            count["out_of_time"] += code < 0
+            if code == 0:
+                survivors.append({**mutant.as_dict(), "tests": len(items)})
+                where = f"{mutant.module}.py:{mutant.line}"
+                print(f"  survived {len(items)} tests: {where} {mutant.change} ({mutant.function})", flush=True)
+            if not self._options.dry:
+                results = read_results()
+                about = {"seed": self._options.seed, "tests": list(self._options.tests or ROOMS[self._room].tests)}
+                results[self._room] = {**about, "modules": counts, "survivors": survivors}
+                RESULTS.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+        print(summary({self._room: {"modules": counts}}), flush=True)
+        return True
+
+    def _path(self, module: str) -> Path:
+        return self._folder / f"{module}.py"
+
+    def _fate(self, mutant: Mutant, items: list[Any]) -> int:
+        """0: no test noticed."""
+        if not items:
+            return 0
+
+        def work() -> None:
+            if put_in_place(mutant, self._sources[mutant.module], self._path(mutant.module)):
+                run(items)
+
+        return in_child(work, self._options.mutant_seconds)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("room", nargs="?", choices=ROOMS)
     parser.add_argument("--only", nargs="+", metavar="MODULE", help="modules of the room")
+    parser.add_argument("--tests", nargs="+", metavar="PATH", help="only these of the room's tests: a lower bound")
     parser.add_argument("--mutants", type=int, default=150, help="how many, chosen at random")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument(
-        "--mutant-seconds", type=float, default=300.0, help="a mutant that takes longer counts as killed"
+        "--mutant-seconds", type=int, default=300, help="processor time after which one counts as killed"
     )
-    parser.add_argument("--module-minutes", type=float, default=60.0, help="then the next module's turn comes")
+    parser.add_argument("--module-minutes", type=float, default=60.0, help="then no more mutants of that module")
+    parser.add_argument("--dry", action="store_true", help="keep no results")
     parser.add_argument("--summary", action="store_true")
     options = parser.parse_args()
     if options.summary:
+        text = README.read_text(encoding="utf-8")
+        inner = f"{BEGIN}\n{summary(read_results())}\n"
+        README.write_text(text[: text.index(BEGIN)] + inner + text[text.index(END) :], encoding="utf-8")
         print(summary(read_results()))
         return
     if options.room is None:
@@ -373,10 +385,11 @@ def main() -> None:
     os.nice(19)
     os.chdir(ROOT)
     sys.path.insert(0, str(ROOT))
-    # loaded once, and shared by all forked processes; nothing of the engine
-    for name in ("hypothesis", "numpy", "pytest", "scipy.spatial", "torch", "trimesh"):
-        importlib.import_module(name)
-    measure(options.room, options)
+    import pytest
+
+    quiet = ["-q", "-p", "no:cacheprovider", "--no-header", "--tb=no", "--hypothesis-seed=0", "-s"]
+    paths = options.tests or ROOMS[options.room].tests
+    pytest.main([*quiet, *paths], plugins=[Reports(), Measurement(options.room, options)])
 
 
 if __name__ == "__main__":

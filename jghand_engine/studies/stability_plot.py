@@ -41,8 +41,10 @@ def draw_figure(curves: Sequence[Curve], views: Sequence[ViewPair]) -> Figure:
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    style: dict[Any, Any] = {"font.family": "DejaVu Sans", "svg.fonttype": "path", "text.color": INK, "axes.labelcolor": QUIET,
-             "xtick.color": QUIET, "ytick.color": QUIET, "axes.edgecolor": "#c9c7c1"}  # fmt: skip
+    style: dict[Any, Any] = {
+        "font.family": "DejaVu Sans", "svg.fonttype": "path", "text.color": INK, "axes.labelcolor": QUIET,
+        "xtick.color": QUIET, "ytick.color": QUIET, "axes.edgecolor": "#c9c7c1",
+    }  # fmt: skip
     with mpl.rc_context(style):
         rows = -(-len(curves) // _COLUMNS)
         figure = Figure(figsize=(14, 4.3 + 3.4 * rows), facecolor=PAGE)
