@@ -59,7 +59,7 @@ def trained_avatar(count: int = 200, seed: int = 0, shape: PoseNetShape | None =
     look = ShadowLook(gain=5.0, tint=(0.4, 0.6, 0.7))
     anchors = place_anchors(avatar.position_m, normal, avatar.bone_weights, 60)
     lamp_rgb = torch.rand(20, 3, generator=g) ** 3
-    cast = CastShadow(lamp_rgb, anchors, own_flesh(anchors, avatar.canonical_joints_m))
+    cast = CastShadow(lamp_rgb, torch.tensor([0.4, 0.3, 0.2]), anchors, own_flesh(anchors, avatar.canonical_joints_m))
     return replace(avatar, learnt=Learnt(normal, torch.rand(count, generator=g), light, net, look, cast=cast))
 
 

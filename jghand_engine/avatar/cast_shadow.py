@@ -3,9 +3,11 @@
 The distant light is a set of lamps all around, in fixed directions of the world, each with a learnt colour. A point of
 the skin loses those that a bone's flesh, a soft capsule, stands before:
 
-    exponent = EXPONENT * log( sum_k colour_k max(n.w_k, 0) seen_k / sum_k colour_k max(n.w_k, 0) )
+    exponent = LIGHT_TO_DISPLAY * log( (sum_k colour_k max(n.w_k, 0) seen_k + bounced)
+                                       / (sum_k colour_k max(n.w_k, 0) + bounced) )
 
 It is added to the exponent of `light.lit`: the harmonics say how bright a lone surface is, the lamps what is missing.
+What skin throws back onto skin is the same everywhere, and learnt too; it is redder than the lamps.
 Soft shadows change little over a few millimetres, so this is computed at anchors and spread to the Gaussians by fixed
 weights. What a bone hides in the canonical pose from the skin around it is in the colours already, and left out.
 """
@@ -94,10 +96,12 @@ def lamp_directions(count: int) -> Tensor:
 
 @dataclass(frozen=True)
 class CastShadow:
-    """lamp_rgb: (K, 3) what each lamp sends, 0 and up; only their ratios count · anchors: see there
+    """lamp_rgb: (K, 3) what each lamp sends, bounced_rgb: (3,) what reaches skin that sees none, 0 and up; only their
+    ratios count · anchors: see there
     own: (A, 20) 0..1 how much the flesh of each bone is the anchor's own, which casts nothing on it"""
 
     lamp_rgb: Tensor
+    bounced_rgb: Tensor
     anchors: Anchors
     own: Tensor
 
@@ -177,7 +181,7 @@ def past_capsule(position_m: Tensor, direction: Tensor, start: Tensor, end: Tens
 def exponent(shadow: CastShadow, seen: LampsSeen) -> Tensor:
     """(N, 3) what the cast shadow adds to the exponent of `light.lit`, 0 where all lamps are seen."""
     rgb = shadow.lamp_rgb.to(seen.open.dtype)
-    bounced = (limits.LAMPS_LEFT_MIN * rgb.sum(0)).clamp_min(torch.finfo(rgb.dtype).tiny)
+    bounced = shadow.bounced_rgb.to(rgb.dtype).clamp_min(limits.BOUNCED_MIN)
     left = (seen.seen @ rgb + bounced) / (seen.open @ rgb + bounced)
     return shadow.anchors.spread(limits.LIGHT_TO_DISPLAY * left.log())
 

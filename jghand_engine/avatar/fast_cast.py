@@ -48,8 +48,7 @@ class FastCast:
         }
         shadow = task.cast
         shadow.blocks, shadow.groups = own.count, groups
-        total = cast.lamp_rgb.detach().double().sum(0) * limits.LAMPS_LEFT_MIN
-        shadow.bounced = tuple(total.clamp_min(torch.finfo(torch.float32).tiny).tolist())
+        shadow.bounced = tuple(cast.bounced_rgb.detach().clamp_min(limits.BOUNCED_MIN).tolist())
         shadow.softness, shadow.lamp_width = limits.FLESH_SOFTNESS, limits.LAMP_HALF_WIDTH
         shadow.width_min, shadow.distance2_min = limits.CAPSULE_WIDTH_MIN_M, limits.CAPSULE_LENGTH2_MIN
         shadow.to_display = limits.LIGHT_TO_DISPLAY

@@ -7,7 +7,7 @@
 | light.*          | float32      | float32                  | nothing                                                |
 | pose_net.*       | float32      | float16                  | 0.05 % of every weight                                 |
 | ellipsoid.*      | float32      | float16                  | 0.05 %                                                 |
-| cast.lamp_rgb    | float32      | float32                  | nothing                                                |
+| cast.*_rgb       | float32      | float32                  | nothing                                                |
 | cast.position_m  | float32 x 3  | float32 x 3              | nothing                                                |
 | cast.normal      | float32 x 3  | octahedral, uint16 x 2   | 0.004 degrees                                          |
 | cast.bone_weights| float32 x 21 | float16 x 21             | 0.05 % of every weight                                 |
@@ -267,6 +267,7 @@ def _cast_arrays(about: CastAbout, gaussians: int, storage: Storage) -> dict[str
     normal = (NORMAL, ("F32", (about.anchors, 3))) if exact else (PACKED_NORMAL, ("U16", (about.anchors, 2)))
     return {
         "lamp_rgb": ("F32", (about.lamps, 3)),
+        "bounced_rgb": ("F32", (3,)),
         "position_m": ("F32", (about.anchors, 3)),
         "bone_weights": ("F32" if exact else "F16", (about.anchors, JOINT_COUNT)),
         "nearest": ("U16", (gaussians, ANCHOR_NEIGHBOURS)),
@@ -279,6 +280,7 @@ def _pack_cast(cast: CastShadow, storage: Storage) -> dict[str, np.ndarray]:
     anchors, normal = cast.anchors, _numpy(cast.anchors.normal)
     packed = {
         "lamp_rgb": _numpy(cast.lamp_rgb),
+        "bounced_rgb": _numpy(cast.bounced_rgb),
         "position_m": _numpy(anchors.position_m),
         "nearest": anchors.nearest.numpy().astype(np.uint16),
         "share": np.rint(SHARE_UNITS * anchors.share.numpy()).astype(np.uint8),
@@ -298,7 +300,9 @@ def _unpack_cast(packed: dict[str, np.ndarray], canonical_joints_m: torch.Tensor
         torch.from_numpy(own["nearest"].astype(np.int64)),
         _tensor(own["share"]) / SHARE_UNITS,
     )
-    return CastShadow(_tensor(own["lamp_rgb"]), anchors, own_flesh(anchors, canonical_joints_m))
+    return CastShadow(
+        _tensor(own["lamp_rgb"]), _tensor(own["bounced_rgb"]), anchors, own_flesh(anchors, canonical_joints_m)
+    )
 
 
 def _pack_linear(linear: LinearCorrectives) -> dict[str, np.ndarray]:

@@ -110,6 +110,7 @@ class LearnedHand(nn.Module):
         self.raw_rim = nn.Parameter(torch.zeros(()))
         if options.cast_shadow:
             self.raw_lamps = nn.Parameter(torch.zeros(limits.LAMPS, 3))
+            self.raw_bounced = nn.Parameter(torch.logit(torch.full((3,), limits.BOUNCED_START)))
         low, high = limits.SHADOW_GAIN_RANGE
         self.raw_shadow_gain = nn.Parameter(torch.logit(torch.tensor(math.log(limits.SHADOW_GAIN / low, high / low))))
         self.raw_shadow_tint = nn.Parameter(torch.logit(torch.tensor(limits.SHADOW_TINT)))
@@ -142,7 +143,9 @@ class LearnedHand(nn.Module):
             uvd=points.uvd[:count],
             learnt=Learnt(
                 normal=unit(points.normal[:count] + limits.NORMAL_BEND * out[:, 7:10]),
-                shine=torch.sigmoid(out[:, 10]) if options.glossy else out.new_zeros(count),
+                shine=torch.exp(limits.SHINE_SPREAD * torch.tanh(out[:, 10]))
+                if options.glossy
+                else out.new_zeros(count),
                 light=self.light(),
                 correctives=self.pose_net if count == len(points) else self.pose_net.prefix(count),
                 shadow=self.shadow_look(),
@@ -172,13 +175,14 @@ class LearnedHand(nn.Module):
         """What the light is made of: few numbers that every pixel speaks for."""
         few = [self.irradiance, self.lobe_direction, self.lobe_log_sharpness, self.lobe_raw_rgb, self.raw_rim]
         few += [self.raw_shadow_gain, self.raw_shadow_tint]
-        return [*few, self.raw_lamps] if self.options.cast_shadow else few
+        return [*few, self.raw_lamps, self.raw_bounced] if self.options.cast_shadow else few
 
     def cast_shadow(self, count: int) -> CastShadow | None:
         """On the first `count` Gaussians, with gradients; None where it is not learnt."""
         if not self.options.cast_shadow:
             return None
-        return CastShadow(torch.softmax(limits.LAMP_RATE * self.raw_lamps, 0), self._anchors.prefix(count), self._own)
+        lamp_rgb = torch.softmax(limits.LAMP_RATE * self.raw_lamps, 0)
+        return CastShadow(lamp_rgb, torch.sigmoid(self.raw_bounced), self._anchors.prefix(count), self._own)
 
     def light(self) -> Light:
         """The light as it is now, with gradients."""

@@ -102,6 +102,7 @@ def _cast_ranges(cast: CastShadow, count: int) -> dict[str, tuple[torch.Tensor, 
     anchors = cast.anchors
     return {
         "cast lamp_rgb": (cast.lamp_rgb, (len(cast.lamp_rgb), 3), 0.0, LIGHT_VALUE_MAX),
+        "cast bounced_rgb": (cast.bounced_rgb, (3,), 0.0, LIGHT_VALUE_MAX),
         "cast position_m": (anchors.position_m, (len(anchors), 3), -2 * AVATAR_REACH_M, 2 * AVATAR_REACH_M),
         "cast normal": (anchors.normal, (len(anchors), 3), -2.0, 2.0),
         "cast bone_weights": (anchors.bone_weights, (len(anchors), JOINT_COUNT), 0.0, 1.0),

@@ -42,6 +42,9 @@ PLANE_START_STD = 0.1
 LOG_STRETCH_MAX = 3.0
 # how far a learnt normal may leave the template's, per unit of the decoder's output
 NORMAL_BEND = 0.3
+# logarithm of the greatest and least shine over their middle: skin is equally glossy nearly everywhere, and cameras that
+# were not learnt from show what was taken for gloss
+SHINE_SPREAD = 0.5
 # lobes of the gloss at the start: wide, lambda of exp(lambda (cos - 1)), and nearly dark, before the softplus;
 # a sharper lobe than the last is narrower than what a Gaussian of half a millimetre can show
 LOBE_SHARPNESS_START = 5.0
@@ -101,8 +104,10 @@ LAMP_HALF_WIDTH = 0.15
 CAPSULE_LENGTH2_MIN = 1e-12
 CAPSULE_SINE2_MIN = 1e-3
 CAPSULE_WIDTH_MIN_M = 1e-6
-# light that reaches skin which sees no lamp, of all lamps together: bounced from other skin
-LAMPS_LEFT_MIN = 0.003
+# light that reaches skin which sees no lamp, from other skin, over that of all lamps together, at the start; and its
+# floor, against division by zero
+BOUNCED_START = 0.03
+BOUNCED_MIN = 1e-12
 # display-referred colours go with light to this power
 LIGHT_TO_DISPLAY = 1 / 2.2
 # what a file may hold: lamps; by how much shares and weights of an anchor, of 16 bits, may sum to something else than 1

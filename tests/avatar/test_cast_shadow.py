@@ -171,21 +171,22 @@ def test_only_the_hidden_lamp_and_its_colour_are_missing():
     open_ = torch.rand(60, 20, dtype=torch.float64, generator=torch.Generator().manual_seed(5)) + 0.1
     seen = open_.clone()
     seen[:, 3] = 0.0
-    loss = exponent(replace(CAST, lamp_rgb=rgb), LampsSeen(open_, seen))
-    darkest = limits.LIGHT_TO_DISPLAY * math.log(limits.LAMPS_LEFT_MIN / (0.1 + limits.LAMPS_LEFT_MIN))
-    assert bool((loss[:, 0] < 0.3 * darkest).all())
-    assert bool((loss[:, 0] >= limits.LIGHT_TO_DISPLAY * math.log(limits.LAMPS_LEFT_MIN / 1.11)).all())
+    bounced = torch.tensor([0.05, 0.02, 0.01], dtype=torch.float64)
+    loss = exponent(replace(CAST, lamp_rgb=rgb, bounced_rgb=bounced), LampsSeen(open_, seen))
+    alone = CAST.anchors.spread((0.05 / (open_[:, 3:4] + 0.05)).log() * limits.LIGHT_TO_DISPLAY)
+    torch.testing.assert_close(loss[:, :1], alone)
     assert not loss[:, 1:].any()
 
 
 def test_brighter_lamps_of_the_same_ratios_cast_the_same_shadow():
     seen = seen_of("fist")
-    brighter = replace(CAST, lamp_rgb=7 * CAST.lamp_rgb)
+    brighter = replace(CAST, lamp_rgb=7 * CAST.lamp_rgb, bounced_rgb=7 * CAST.bounced_rgb)
     torch.testing.assert_close(exponent(brighter, seen), exponent(CAST, seen))
 
 
 def test_no_light_at_all_is_no_shadow():
-    assert not exponent(replace(CAST, lamp_rgb=torch.zeros(20, 3)), seen_of("fist")).any()
+    dark = replace(CAST, lamp_rgb=torch.zeros(20, 3), bounced_rgb=torch.zeros(3))
+    assert not exponent(dark, seen_of("fist")).any()
 
 
 def test_a_nudge_of_the_joints_changes_the_shadow_a_little():

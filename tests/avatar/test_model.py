@@ -99,8 +99,9 @@ def test_no_weight_carries_anything_out_of_its_range():
     sigma_m = avatar.sigma_m.detach()
     assert float(sigma_m.min()) == pytest.approx(limits.SIGMA_MIN_M)
     assert float(sigma_m.max()) == pytest.approx(limits.SIGMA_MAX_M)
-    for unit_range in (avatar.rgb, avatar.opacity, learnt.shine):
+    for unit_range in (avatar.rgb, avatar.opacity):
         assert 0 <= float(unit_range.detach().min()) <= float(unit_range.detach().max()) <= 1
+    assert float(learnt.shine.detach().log().abs().max()) == pytest.approx(limits.SHINE_SPREAD)
     torch.testing.assert_close(learnt.normal.detach().norm(dim=1), torch.ones(300), atol=2e-7, rtol=0)
     light = learnt.light
     assert float(light.lobe_sharpness.detach().max()) == pytest.approx(limits.LOBE_SHARPNESS_MAX)
@@ -182,7 +183,7 @@ def everything(avatar: HandAvatar) -> torch.Tensor:
     if learnt.ellipsoid is not None:
         parts += [learnt.ellipsoid.log_stretch, learnt.ellipsoid.quaternion]
     if learnt.cast is not None:
-        parts.append(learnt.cast.lamp_rgb)
+        parts += [learnt.cast.lamp_rgb, learnt.cast.bounced_rgb]
     g = torch.Generator().manual_seed(12)
     return torch.stack([(part * torch.randn(part.shape, generator=g)).sum() for part in parts]).sum()
 

@@ -146,8 +146,10 @@ def test_render_writes_a_video_of_every_frame(tmp_path):
 
 
 def test_a_left_hand_is_the_mirror_image_of_a_right_one(tmp_path):
+    """Of an avatar without a light of its own, which would stay where it is."""
+    painted = ("--avatar", "painted", "--camera", "front")
     for hand in ("right", "left"):
-        words = ("render", "--poses", "point", "--frames", "0", "--out", tmp_path / hand, *SMALL, "--camera", "front")
+        words = ("render", "--poses", "point", "--frames", "0", "--out", tmp_path / hand, *SMALL, *painted)
         assert run(*words, "--hand", hand) == 0
     right, left = (read_png(tmp_path / hand / "frame_00000.png").astype(int) for hand in ("right", "left"))
     assert np.abs(right - left[:, ::-1]).max() <= 1, "worst seen 0; another compiler may round once"
@@ -226,11 +228,12 @@ def test_named_poses_have_the_avatars_bones(avatar):
 # ---- the other verbs -------------------------------------------------------------------------------------------------
 
 
-def test_info_tells_what_an_avatar_is(tmp_path, capsys):
-    assert run("info", "builtin", "--json", tmp_path / "info.json") == 0
+@pytest.mark.parametrize(("name", "gaussians"), [("builtin", 40_000), ("painted", 60_000)])
+def test_info_tells_what_an_avatar_is(tmp_path, capsys, name, gaussians):
+    assert run("info", name, "--json", tmp_path / "info.json") == 0
     facts = json.loads((tmp_path / "info.json").read_text())
     assert facts["kind"] == "avatar"
-    assert facts["gaussians"] == 60_000
+    assert facts["gaussians"] == gaussians
     assert facts["licence"] in capsys.readouterr().out
 
 

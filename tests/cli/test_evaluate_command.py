@@ -32,7 +32,7 @@ def test_an_evaluation_leaves_figures_tables_and_sheets(folder, tmp_path, capsys
     assert "Perceptual metrics: off" in said
     assert "JGHand (paper)" in said
     content = json.loads((out / "evaluation.json").read_text())
-    assert content["split"] == "splits.json of the capture"
+    assert content["split"] == "splits.json of the capture; whether they were held out is not known"
     assert {"novel pose", "novel view", "both novel", "all"} <= set(content["means"])
     assert content["means"]["all"]["pictures"] == 3
     assert "data differ" in (out / "tables.md").read_text(encoding="utf-8")

@@ -133,7 +133,7 @@ def test_a_hand_beside_the_picture_teaches_nothing_but_harms_nothing(monkeypatch
     assert find_non_finite(figures, training) == []
     # what it cost is what the picture shows
     assert figures["mask"] > 0.05
-    for name in ("irradiance", "lobe_raw_rgb", "raw_shadow_gain", "raw_lamps", "log_sigma"):
+    for name in ("irradiance", "lobe_raw_rgb", "raw_shadow_gain", "raw_lamps", "raw_bounced", "log_sigma"):
         gradient = training.gradients().get(name)
         assert gradient is None or not gradient.any()
 

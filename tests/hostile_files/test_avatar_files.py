@@ -17,20 +17,20 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from small_avatars import ellipsoid_avatar
 
-from jghand_engine.avatar.builtin import ASSET
+from jghand_engine.avatar.builtin import ASSETS
 from jghand_engine.avatar.file import METADATA_KEY, load_avatar, save_avatar
 from jghand_engine.avatar.storage import Storage
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import LEVEL_NAMES, STANDARD_NAMES, Handedness
 from jghand_engine.hand.transform import JointTransform
 
-WHOLE = Path(str(ASSET)).read_bytes()
+WHOLE = Path(str(ASSETS / "painted_right.jghand")).read_bytes()
 
 
 def parts() -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """A small valid file as arrays and description, cut from the built-in avatar."""
     arrays = {name: a if name == "canonical_joints_m" else a[:50] for name, a in safetensors.numpy.load(WHOLE).items()}
-    with safetensors.safe_open(str(ASSET), framework="numpy") as content:
+    with safetensors.safe_open(str(ASSETS / "painted_right.jghand"), framework="numpy") as content:
         about = json.loads(content.metadata()[METADATA_KEY])
     return arrays, {**about, "gaussians": 50}
 

@@ -172,7 +172,7 @@ def test_planes_radii_and_light_learn_at_the_faster_rate(build):
     assert fast == {
         "log_sigma", "planes.uv.texels", "planes.ud.texels", "planes.vd.texels", "pose_net.angles.planes",
         "irradiance", "lobe_direction", "lobe_log_sharpness", "lobe_raw_rgb", "raw_rim",
-        "raw_lamps", "raw_shadow_gain", "raw_shadow_tint",
+        "raw_lamps", "raw_bounced", "raw_shadow_gain", "raw_shadow_tint",
     }  # fmt: skip
     assert slow | fast == set(names.values())
     assert not slow & fast
