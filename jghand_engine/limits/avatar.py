@@ -42,8 +42,8 @@ PLANE_START_STD = 0.1
 LOG_STRETCH_MAX = 3.0
 # how far a learnt normal may leave the template's, per unit of the decoder's output
 NORMAL_BEND = 0.3
-# logarithm of the greatest and least shine over their middle: skin is equally glossy nearly everywhere, and cameras that
-# were not learnt from show what was taken for gloss
+# logarithm of the greatest and least shine over their middle: skin is equally glossy nearly everywhere, and cameras
+# that were not learnt from show what was taken for gloss
 SHINE_SPREAD = 0.5
 # lobes of the gloss at the start: wide, lambda of exp(lambda (cos - 1)), and nearly dark, before the softplus;
 # a sharper lobe than the last is narrower than what a Gaussian of half a millimetre can show
