@@ -314,12 +314,20 @@ class Measurement:
     def pytest_runtestloop(self, session: Any) -> bool:
         every = [mutant for module, source in self._sources.items() for mutant in mutants_of(module, source)]
         chosen = random.Random(self._options.seed).sample(every, min(self._options.mutants, len(every)))
+        if self._options.again:
+            survived = [(m["module"], m["line"], m["change"]) for m in read_results()[self._room]["survivors"]]
+            chosen = [mutant for mutant in every if (mutant.module, mutant.line, mutant.change) in survived]
         print(f"\n{self._room}: {len(chosen)} of {len(every)} mutants; the tests without a change first", flush=True)
         known = learn(session.items, {str(self._path(module)) for module in self._modules})
         print(f"{len(session.items)} tests, {sum(known.seconds.values()):.0f} s; now the mutants", flush=True)
         possible = Counter(mutant.module for mutant in every)
         counts = {m: {"tried": 0, "possible": possible[m], "killed": 0, "out_of_time": 0} for m in self._modules}
         survivors: list[dict[str, Any]] = []
+        if self._options.again:
+            # what was killed stays killed
+            before = read_results()[self._room]
+            lost = Counter(mutant["module"] for mutant in before["survivors"])
+            counts = {m: {**count, "tried": count["tried"] - lost[m]} for m, count in before["modules"].items()}
         spent: Counter[str] = Counter()
         for mutant in chosen:
             if spent[mutant.module] > self._options.module_minutes * 60:
@@ -370,6 +378,7 @@ def main() -> None:
         "--mutant-seconds", type=int, default=300, help="processor time after which one counts as killed"
     )
     parser.add_argument("--module-minutes", type=float, default=60.0, help="then no more mutants of that module")
+    parser.add_argument("--again", action="store_true", help="try the survivors again, after tests were added")
     parser.add_argument("--dry", action="store_true", help="keep no results")
     parser.add_argument("--summary", action="store_true")
     options = parser.parse_args()

@@ -17,6 +17,8 @@ STABILITY_BESIDE = 20
 STABILITY_NUDGE_M = 5e-4
 # nudges tried for every hand, in random directions
 STABILITY_NUDGES = 64
+# hands and nudges where a network has to be asked for each of them
+STABILITY_FEW = 15
 # points of the skin that are watched, of the template's 1610
 STABILITY_SKIN_POINTS = 400
 # what a nudge may move any of them by, metres (METHOD 2.11)

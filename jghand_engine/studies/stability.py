@@ -63,6 +63,12 @@ class Stability:
         return [_narrow_table([*self.hands, *self.correctives]), *self.tables()[1:]]
 
     @property
+    def missed(self) -> list[str]:
+        """Sentences: what misses which bound."""
+        rows = [*self.hands, *self.correctives, *self.pictures]
+        return [f"{row.name}: {'; '.join(row.missed)}" for row in rows if row.missed]
+
+    @property
     def verdict(self) -> str:
         """One sentence."""
         rows = [*self.hands, *self.correctives, *self.pictures]
@@ -107,7 +113,8 @@ def _hand_table(hands: list[HandRow], correctives: list[HandRow]) -> Table:
         columns,
         tuple(_hand_cells(row) for row in [*hands, *correctives]),
         (
-            "Finite: values and gradients in float32 and float64, of the hand and of 100 hands beside it.",
+            "Finite: values and gradients in float32 and float64, of the hand and of 100 hands beside it "
+            f"(trained: {limits.STABILITY_FEW}).",
             f"Gradient: the largest, times the size of the hand; bound {limits.STABILITY_GRADIENT_MAX:.0e}. "
             "float32: how far the skin is from where float64 has it.",
             f"Nudge: how far the skin moves when every joint is off by {nudge} (in any direction; at last, by so much "

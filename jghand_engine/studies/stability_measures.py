@@ -135,11 +135,19 @@ def usual(joints_m: Tensor, dtype: torch.dtype, *, handedness: Handedness) -> Sk
 # ---- one number each ------------------------------------------------------------------------------------------------
 
 
-def measure(formulation: Formulation, case: HandCase) -> Measured:
-    """All numbers of a formulation on a case."""
+def measure(
+    formulation: Formulation,
+    case: HandCase,
+    *,
+    hands_beside: int = limits.STABILITY_BESIDE,
+    nudges: int = limits.STABILITY_NUDGES,
+) -> Measured:
+    """All numbers of a formulation on a case. hands_beside: at each of the distances · nudges: how many of each kind"""
     to_mm = 1e3 * template_size_m() / case.size_m
-    single, double = (_differentiated(formulation, case, dtype) for dtype in (torch.float32, torch.float64))
-    nudged, axes = (moved_mm(formulation, case, nudge) for nudge in (random_nudges(), axis_nudges()))
+    single, double = (
+        _differentiated(formulation, beside(case, hands_beside), dtype) for dtype in (torch.float32, torch.float64)
+    )
+    nudged, axes = (moved_mm(formulation, case, nudge) for nudge in (random_nudges(nudges), axis_nudges(nudges)))
     exact = formulation(case.joints_m[None], torch.float64).skin
     rounded = formulation(case.joints_m[None], torch.float32).skin
     return Measured(
@@ -151,10 +159,8 @@ def measure(formulation: Formulation, case: HandCase) -> Measured:
     )
 
 
-def _differentiated(formulation: Formulation, case: HandCase, dtype: torch.dtype) -> tuple[bool, float]:
-    """Whether values and gradients are finite, and the largest gradient times the size of its hand; of the hand and
-    those beside it."""
-    joints_m = beside(case, limits.STABILITY_BESIDE)
+def _differentiated(formulation: Formulation, joints_m: Tensor, dtype: torch.dtype) -> tuple[bool, float]:
+    """Whether values and gradients are finite, and the largest gradient times the size of its hand (N, 21, 3)."""
     sizes_m = (joints_m - joints_m[:, :1]).abs().amax((1, 2))
     # where all joints coincide there is no natural unit: metres
     sizes_m = torch.where(sizes_m > 0, sizes_m, 1.0)
@@ -212,7 +218,8 @@ def correctives_row(case: HandCase) -> HandRow:
         return Skin(torch.stack([one.position_m for one in posed]), rgb)
 
     # the network is evaluated hand by hand: fewer of them
-    measured = measure(learnt, case)
+    few = limits.STABILITY_FEW
+    measured = measure(learnt, case, hands_beside=few // len(limits.STABILITY_JITTERS), nudges=few)
     picture = hand_picture(avatar, case)
     name = f"trained hand, {case.name}"
     return HandRow(name, flags, measured, None, picture, misses(measured, picture, flagged=bool(flags)))

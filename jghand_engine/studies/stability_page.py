@@ -29,6 +29,11 @@ _HONEST = (
     "whose palm is a point, or a bone without length, has no right answer; JGHand gives a finite one and says so "
     "(last column)."
 )
+_LEARNT = (
+    "The rows of the trained hand contain what it has learnt to add to each pose (its correctives). They answer to "
+    "small errors of the joints more strongly than the bones do, on ordinary poses too: compare their nudges with "
+    "those of the same hand without."
+)
 
 
 def markdown_page(study: Stability, picture: str = PICTURE) -> str:
@@ -39,6 +44,9 @@ def markdown_page(study: Stability, picture: str = PICTURE) -> str:
         f"![Hands drawn both ways, and error against distance to each singularity]({picture})",
         *_WHY,
         _HONEST,
+        _LEARNT,
+        "What misses a bound:",
+        "\n".join(f"* {sentence}" for sentence in study.missed),
         *(table.markdown().rstrip() for table in study.tables()),
     ]
     return "\n\n".join(parts) + "\n"
@@ -74,7 +82,8 @@ def html_page(study: Stability, svg: str) -> str:
         f"<h1>{TITLE}</h1>",
         f"<p class=lead>{html.escape(study.verdict)}</p>",
         f"<figure>{svg}</figure>",
-        *(f"<p>{html.escape(text)}</p>" for text in (*_WHY, _HONEST)),
+        *(f"<p>{html.escape(text)}</p>" for text in (*_WHY, _HONEST, _LEARNT, "What misses a bound:")),
+        f"<ul>{''.join(f'<li>{html.escape(sentence)}</li>' for sentence in study.missed)}</ul>",
         *(_html_table(table) for table in study.tables()),
         f"<footer>Made by <code>{html.escape(COMMAND)}</code></footer>",
     ]

@@ -47,9 +47,9 @@ def draw_figure(curves: Sequence[Curve], views: Sequence[ViewPair]) -> Figure:
     }  # fmt: skip
     with mpl.rc_context(style):
         rows = -(-len(curves) // _COLUMNS)
-        figure = Figure(figsize=(14, 4.3 + 3.4 * rows), facecolor=PAGE)
+        figure = Figure(figsize=(14, 4.0 + 3.4 * rows), facecolor=PAGE)
         outer = figure.add_gridspec(
-            1 + rows, 1, height_ratios=[0.9, *[1.0] * rows], hspace=0.5, left=0.055, right=0.985, top=0.885, bottom=0.06
+            1 + rows, 1, height_ratios=[0.8, *[1.0] * rows], hspace=0.5, left=0.055, right=0.985, top=0.885, bottom=0.06
         )
         _draw_head(figure)
         upper = outer[0].subgridspec(1, len(views), wspace=0.05)
