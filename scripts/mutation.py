@@ -90,7 +90,8 @@ class Mutant:
     place: tuple[int, int]
 
     def as_dict(self) -> dict[str, Any]:
-        return {"module": self.module, "line": self.line, "function": self.function, "change": self.change}
+        about = {"module": self.module, "line": self.line, "function": self.function, "change": self.change}
+        return {**about, "place": list(self.place)}
 
 
 def variants(node: ast.AST) -> Iterator[tuple[str, Callable[[], None]]]:
@@ -315,8 +316,8 @@ class Measurement:
         every = [mutant for module, source in self._sources.items() for mutant in mutants_of(module, source)]
         chosen = random.Random(self._options.seed).sample(every, min(self._options.mutants, len(every)))
         if self._options.again:
-            survived = [(m["module"], m["line"], m["change"]) for m in read_results()[self._room]["survivors"]]
-            chosen = [mutant for mutant in every if (mutant.module, mutant.line, mutant.change) in survived]
+            survived = [(m["module"], tuple(m["place"])) for m in read_results()[self._room]["survivors"]]
+            chosen = [mutant for mutant in every if (mutant.module, mutant.place) in survived]
         print(f"\n{self._room}: {len(chosen)} of {len(every)} mutants; the tests without a change first", flush=True)
         known = learn(session.items, {str(self._path(module)) for module in self._modules})
         print(f"{len(session.items)} tests, {sum(known.seconds.values()):.0f} s; now the mutants", flush=True)

@@ -7,6 +7,7 @@ import pytest
 import torch
 from hand import sampled_hands as hands
 
+from jghand_engine import limits
 from jghand_engine.errors import InputError
 from jghand_engine.hand.anatomy import (
     FRAME_RANGES_DEG,
@@ -139,6 +140,31 @@ def test_unknown_pose_lists_the_known():
     with pytest.raises(InputError, match="thumb_up"):
         named_pose("jazz", CANONICAL, handedness=Handedness.RIGHT)
     assert set(pose_names()) == set(POSES_DEG)
+
+
+def test_turns_carry_the_straight_bones_to_the_posed_ones():
+    """They turn bones from where they point in the straight hand, one after the other along the finger."""
+    hand = ArticulatedHand(CANONICAL)
+    angles = np.stack([named_angles("fist"), named_angles("victory")])
+    turns, joints, straight = hand.turns(angles), hand.joints(angles), hand.straight_joints_m
+    assert turns.shape == (2, 3, 5, 3, 3)
+    bones = (joints[:, 6:] - joints[:, 1:16]).reshape(2, 3, 5, 3)
+    at_rest = (straight[6:] - straight[1:16]).reshape(3, 5, 3)
+    assert np.abs(np.einsum("fklab,klb->fkla", turns, at_rest) - bones).max() < 1e-15
+
+
+def test_the_ends_of_what_motion_options_may_be_are_allowed():
+    least = {"move_s": 0.0, "hold_s": 0.0, "finger_delay": 0.0, "variation_deg": 0.0, "seed": 0}
+    for fps in (limits.FPS_MIN, limits.FPS_MAX):
+        MotionOptions(fps=fps, **least).check()
+    with pytest.raises(InputError, match="finger_delay"):
+        MotionOptions(finger_delay=1.0).check()
+
+
+def test_a_motion_without_time_is_its_poses():
+    options = MotionOptions(fps=30.0, move_s=0.0, hold_s=0.0, finger_delay=0.0)
+    sequence = pose_sequence_of_names(["open", "fist", "open"], CANONICAL, handedness=Handedness.RIGHT, options=options)
+    assert len(sequence) == 3
 
 
 def test_motion_visits_the_poses_smoothly_and_keeps_the_bones():
