@@ -63,14 +63,21 @@ def test_killed_at_200_random_moments_of_a_save_the_newest_checkpoint_is_whole(s
     folder, rng = CheckpointFolder(tmp_path, STAMP), random.Random(5)
     folder.save(big)
     for _ in range(200):
+        begun, begins = os.pipe()
         child = os.fork()
         if child == 0:
             while True:
                 big.course.step += 1
+                os.write(begins, b".")
                 folder.save(big)
-        time.sleep(rng.random() * 0.02)
+        # from the child's own word that a save begins: on a busy machine it may not have run at all before
+        for _ in range(rng.randint(1, 3)):
+            os.read(begun, 1)
+        time.sleep(rng.random() * 0.01)
         os.kill(child, signal.SIGKILL)
         os.waitpid(child, 0)
+        os.close(begun)
+        os.close(begins)
         found, damaged = folder.newest()
         assert found is not None
         assert not damaged
