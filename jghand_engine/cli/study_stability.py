@@ -15,9 +15,10 @@ if TYPE_CHECKING:
 
 def run_stability(out: Path | None, checkout: Path | None, json: Path | None) -> None:
     """out: folder of what is written · checkout: a checkout of JGHand whose docs and README get the page, too."""
+    from jghand_engine.studies.figures import check_matplotlib, png_of, svg_of
     from jghand_engine.studies.stability import COUNT, measure_stability
     from jghand_engine.studies.stability_page import PICTURE, html_page, markdown_page
-    from jghand_engine.studies.stability_plot import check_matplotlib, draw_figure, png_of, svg_of
+    from jghand_engine.studies.stability_plot import draw_figure
     from jghand_engine.studies.stability_views import view_pairs
 
     folder = Path("study") if out is None else out

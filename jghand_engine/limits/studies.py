@@ -43,7 +43,10 @@ STABILITY_STEPS_MAX = 1.1
 # the usual guards of the formulas that ours are set against: "length + eps", clipped arc cosine
 USUAL_EPS = 1e-8
 USUAL_CLIP = 1e-6
-# side of the hands drawn both ways, pixels; resolution and colours of the picture's file: below 300 kB together
+# side of the hands drawn both ways, pixels
 STABILITY_VIEW_PX = 300
-STABILITY_DPI = 110
-STABILITY_COLOURS = 128
+
+# ---- studies: their pictures -----------------------------------------------------------------------------------------
+# resolution and colours of a picture's file: below 300 kB together
+PLOT_DPI = 110
+PLOT_COLOURS = 128

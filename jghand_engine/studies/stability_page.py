@@ -5,14 +5,14 @@ from __future__ import annotations
 import html
 import textwrap
 
-from jghand_engine.errors import InputError
+from jghand_engine.studies.pages import Section, html_document, html_table
 from jghand_engine.studies.stability import Stability
-from jghand_engine.training.tables import Table
 
 TITLE = "Hard cases stay stable"
 COMMAND = "jghand study stability --out study/"
 PICTURE = "stability.png"
-BEGIN, END = "<!-- jghand study stability: begin -->", "<!-- jghand study stability: end -->"
+SECTION = Section("stability")
+BEGIN, END = SECTION.begin, SECTION.end
 
 _WHY = (
     "A hand has places where the usual formulas break: a finger that is exactly straight, or turned to the side, has "
@@ -55,8 +55,7 @@ def markdown_page(study: Stability, picture: str = PICTURE) -> str:
 def readme_section(study: Stability, picture: str) -> str:
     """The part of a README, between its marks."""
     crossed = {curve.name: curve for curve in study.curves}["straight_twist"]
-    return "\n".join([
-        BEGIN,
+    return SECTION.filled(
         f"![What careful formulas buy: hands and curves, usual and ours]({picture})",
         "",
         textwrap.fill(
@@ -65,15 +64,12 @@ def readme_section(study: Stability, picture: str) -> str:
             "[docs/STABILITY.md](docs/STABILITY.md) explains the picture and has every case.",
             width=120, break_on_hyphens=False, break_long_words=False,
         ),
-        END,
-    ])  # fmt: skip
+    )  # fmt: skip
 
 
 def with_section(text: str, section: str) -> str:
     """A README's text with the section renewed. InputError when its marks are missing."""
-    if BEGIN not in text or END not in text:
-        raise InputError("README.md", wanted=f"the marks {BEGIN} and {END}", came="none")
-    return text[: text.index(BEGIN)] + section + text[text.index(END) + len(END) :]
+    return SECTION.renewed(text, section)
 
 
 def html_page(study: Stability, svg: str) -> str:
@@ -84,38 +80,7 @@ def html_page(study: Stability, svg: str) -> str:
         f"<figure>{svg}</figure>",
         *(f"<p>{html.escape(text)}</p>" for text in (*_WHY, _HONEST, _LEARNT, "What misses a bound:")),
         f"<ul>{''.join(f'<li>{html.escape(sentence)}</li>' for sentence in study.missed)}</ul>",
-        *(_html_table(table) for table in study.tables()),
+        *(html_table(table) for table in study.tables()),
         f"<footer>Made by <code>{html.escape(COMMAND)}</code></footer>",
     ]
-    head = f"<meta charset=utf-8><meta name=viewport content='width=device-width'><title>{TITLE}</title>"
-    return (
-        f"<!doctype html><html lang=en><head>{head}<style>{_STYLE}</style></head><body>{''.join(body)}</body></html>\n"
-    )
-
-
-def _html_table(table: Table) -> str:
-    head = "".join(f"<th>{html.escape(column)}</th>" for column in table.columns)
-    rows = "".join(
-        f"<tr{' class=missed' if any('✗' in cell for cell in row) else ''}>"
-        + "".join(f"<td>{html.escape(cell)}</td>" for cell in row)
-        + "</tr>"
-        for row in table.rows
-    )
-    notes = "".join(f"<li>{html.escape(note)}</li>" for note in table.notes)
-    return (
-        f"<h2>{html.escape(table.title)}</h2><div class=wide><table><thead><tr>{head}</tr></thead>"
-        f"<tbody>{rows}</tbody></table></div><ul>{notes}</ul>"
-    )
-
-
-_STYLE = """
-body{font:16px/1.55 system-ui,sans-serif;color:#2b2b2e;background:#faf9f6;
-max-width:1180px;margin:2rem auto;padding:0 1rem}
-h1{font-size:2rem;margin:0}h2{margin-top:2.5rem}.lead{font-size:1.15rem;color:#0b7a75}
-figure{margin:1rem 0}figure svg{width:100%;height:auto}.wide{overflow-x:auto}
-table{border-collapse:collapse;font-size:.86rem}
-th,td{padding:.3rem .6rem;text-align:right;border-bottom:1px solid #e2e0da}
-th{position:sticky;top:0;background:#f0eee8;vertical-align:bottom}
-td:first-child,th:first-child,td:last-child{text-align:left}
-tr.missed td{background:#fbe9e2}li,footer{color:#6b6b6e;font-size:.9rem}
-"""
+    return html_document(TITLE, body)

@@ -5,15 +5,12 @@ Needs matplotlib (the extra `study`).
 
 from __future__ import annotations
 
-import io
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from PIL import Image
 
-from jghand_engine import limits
-from jghand_engine.errors import InputError
+from jghand_engine.studies.figures import INK, OURS, PAGE, QUIET, STYLE, UNSEEN, USUAL
 from jghand_engine.studies.stability_curves import Curve
 from jghand_engine.studies.stability_views import ViewPair
 
@@ -21,19 +18,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-OURS, USUAL, INK, QUIET, PAGE, UNSEEN = "#0b7a75", "#d1603d", "#2b2b2e", "#6b6b6e", "#faf9f6", "#e7f1e6"
 _COLUMNS = 4
-
-
-def check_matplotlib() -> None:
-    """InputError where the extra is missing; asked before anything is measured."""
-    try:
-        import matplotlib  # noqa: F401
-    except ImportError as error:
-        remedy = "Install it: pip install -c constraints/engine.txt matplotlib (the extra `study`)."
-        raise InputError(
-            "matplotlib, for the plot", wanted="an installed package", came="none", remedy=remedy
-        ) from error
 
 
 def draw_figure(curves: Sequence[Curve], views: Sequence[ViewPair]) -> Figure:
@@ -41,11 +26,7 @@ def draw_figure(curves: Sequence[Curve], views: Sequence[ViewPair]) -> Figure:
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
-    style: dict[Any, Any] = {
-        "font.family": "DejaVu Sans", "svg.fonttype": "path", "text.color": INK, "axes.labelcolor": QUIET,
-        "xtick.color": QUIET, "ytick.color": QUIET, "axes.edgecolor": "#c9c7c1",
-    }  # fmt: skip
-    with mpl.rc_context(style):
+    with mpl.rc_context(STYLE):
         rows = -(-len(curves) // _COLUMNS)
         figure = Figure(figsize=(14, 4.0 + 3.4 * rows), facecolor=PAGE)
         outer = figure.add_gridspec(
@@ -75,7 +56,7 @@ def _draw_view(axes: Axes, view: ViewPair) -> None:
     gap = np.ones((view.usual.shape[0], 4, 3), np.uint8) * 250
     axes.imshow(np.concatenate([view.usual, gap, view.ours], 1), interpolation="lanczos")
     axes.set_axis_off()
-    axes.set_anchor("N")
+    axes.set_anchor("NW")
     axes.set_title(view.title, fontsize=12.5, loc="left", weight="bold", color=INK, pad=6)
     for x, colour, name in ((0.03, USUAL, "usual"), (0.53, OURS, "JGHand")):
         axes.text(x, 0.04, name, transform=axes.transAxes, fontsize=11, color=colour, weight="bold")
@@ -117,21 +98,3 @@ def _range(curve: Curve) -> tuple[float, float]:
     high = 10.0 ** np.ceil(np.log10(max(values.max(), curve.visible or 0)) + 0.3)
     low = 10.0 ** np.floor(np.log10(values.min()) - 0.9)
     return max(low, high * 1e-10), high
-
-
-def png_of(figure: Figure) -> bytes:
-    """The figure as a PNG of few colours, small enough for a repository."""
-    plain = io.BytesIO()
-    figure.savefig(plain, format="png", dpi=limits.STABILITY_DPI, facecolor=PAGE)
-    image = Image.open(plain).convert("RGB").quantize(limits.STABILITY_COLOURS, dither=Image.Dither.NONE)
-    packed = io.BytesIO()
-    image.save(packed, format="png", optimize=True)
-    return packed.getvalue()
-
-
-def svg_of(figure: Figure) -> str:
-    """The figure as an SVG element, to stand in a page."""
-    text = io.StringIO()
-    figure.savefig(text, format="svg", facecolor=PAGE, metadata={"Date": None})
-    svg = text.getvalue()
-    return svg[svg.index("<svg") :]

@@ -13,7 +13,7 @@ from PIL import Image
 
 from jghand_engine.cli import main
 from jghand_engine.errors import InputError
-from jghand_engine.studies import stability, stability_plot, stability_views
+from jghand_engine.studies import figures, stability, stability_plot, stability_views
 from jghand_engine.studies.stability import Stability, short
 from jghand_engine.studies.stability_curves import AutocastRow, Curve
 from jghand_engine.studies.stability_measures import HandRow, Measured
@@ -56,7 +56,7 @@ def test_the_page_has_every_case_and_says_what_is_missed(study):
 
 
 def test_the_html_page_needs_nothing_from_outside(study):
-    svg = stability_plot.svg_of(stability_plot.draw_figure(study.curves, views()))
+    svg = figures.svg_of(stability_plot.draw_figure(study.curves, views()))
     page = html_page(study, svg)
     assert "<script" not in page
     assert "good &lt;hand&gt;" in page
@@ -65,7 +65,7 @@ def test_the_html_page_needs_nothing_from_outside(study):
 
 
 def test_the_picture_is_small_and_opens(study):
-    picture = stability_plot.png_of(stability_plot.draw_figure(study.curves, views()))
+    picture = figures.png_of(stability_plot.draw_figure(study.curves, views()))
     assert len(picture) < 300_000
     assert Image.open(io.BytesIO(picture)).width > 1200
 
