@@ -1,10 +1,11 @@
-"""Makes the trained avatar that JGHand ships anew: a capture with a photographic skin, a training on it.
+"""Makes the built-in avatar anew: a capture with a photographic skin, a training on it.
 
     python scripts/train_builtin.py --skin SKIN.png            # jghand_engine/assets/builtin_right.jghand
 
 SKIN.png is a picture of skin in the template's UV. The shipped avatar was made with `young_lightskinned_male_diffuse`
-of MakeHuman's skins (CC0-1.0), baked into that UV, and 20 minutes of training on the pictures that its capture does not
-hold out. Half an hour of Cycles comes before; what is there already is kept, so it goes on where it was stopped.
+of MakeHuman's skins (CC0-1.0), baked into that UV, and 36 minutes of training on the pictures that its capture does not
+hold out. Half an hour of Cycles comes before, and some minutes of `jghand bake` after; what is there already is kept, so
+it goes on where it was stopped.
 """
 
 from __future__ import annotations
@@ -36,17 +37,18 @@ class Options:
 
     skin: Path
     work: Path = Path("builtin")
-    minutes: float = 20.0
+    minutes: float = 36.0
     out: Path = ASSETS / "builtin_right.jghand"
 
 
 def main(options: Options) -> None:
-    capture, trained = options.work / "capture", options.work / "trained.jghand"
+    capture, trained, baked = (options.work / name for name in ("capture", "trained.jghand", "baked.jghand"))
     run("capture", "--out", capture, "--skin", options.skin, *CAPTURE)
     goes_on = ["--resume"] if trained.with_suffix(".training").exists() else []
     run("train", capture, "--out", trained, "--minutes", options.minutes, *goes_on)
-    avatar = load_avatar(trained)
-    avatar = replace(avatar, info=replace(avatar.info, name="JGHand trained", licence=LICENCE))
+    run("bake", trained, "--capture", capture, "--out", baked)
+    avatar = load_avatar(baked)
+    avatar = replace(avatar, info=replace(avatar.info, name="JGHand built-in", licence=LICENCE))
     save_avatar(options.out, avatar, storage=Storage.COMPACT)
     print(f"{options.out}: {len(avatar)} Gaussians, {options.out.stat().st_size / 1e6:.2f} MB")
 
