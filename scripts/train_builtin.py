@@ -4,8 +4,8 @@
 
 SKIN.png is a picture of skin in the template's UV. The shipped avatar was made with `young_lightskinned_male_diffuse`
 of MakeHuman's skins (CC0-1.0), baked into that UV, and 36 minutes of training on the pictures that its capture does not
-hold out. Half an hour of Cycles comes before, and some minutes of `jghand bake` after; what is there already is kept, so
-it goes on where it was stopped.
+hold out. Half an hour of Cycles comes before, and some minutes of `jghand bake` after; what is there already is kept,
+so it goes on where it was stopped.
 """
 
 from __future__ import annotations
