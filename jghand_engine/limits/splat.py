@@ -89,6 +89,12 @@ GATE_PENETRATION_MAX = 1.5
 # hands smaller than this on the picture get no shadow pass, px
 SHADOW_HAND_MIN_PX = 64.0
 
+# ---- splat: half resolution ------------------------------------------------------------------------------------------
+# depths that differ by less are of one surface, metres: less than a finger's thickness, more than a pixel's slope
+SAME_SURFACE_M = 0.005
+# rows of the small picture that one thread enlarges at a time: what they become stays in a core's cache
+HALF_BAND_ROWS = 16
+
 # ---- splat: reuse between frames ------------------------------------------------------------------------------------
 # matrices are reused when no joint moved more than this, metres
 REUSE_JOINTS_M = 5e-5
