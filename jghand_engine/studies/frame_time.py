@@ -9,27 +9,25 @@ import itertools
 import os
 import platform
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import torch
 
-from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin, load_painted
 from jghand_engine.avatar.fast_skinning import FastSkinning, PosedArrays
 from jghand_engine.avatar.gaussians import Gaussians
 from jghand_engine.avatar.skinning import pose_gaussians
 from jghand_engine.avatar.tiers import Tier
-from jghand_engine.hand.anatomy import MotionOptions, pose_sequence_of_names
 from jghand_engine.hand.fast_transform import FastTransform
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import JointTransform
 from jghand_engine.native.binding import Library
 from jghand_engine.native.build import read_stamp
 from jghand_engine.native.library import load
+from jghand_engine.native.machine import processor
 from jghand_engine.native.rasteriser import GaussianArrays, NativeRasteriser
 from jghand_engine.native.threads import shared_pool, thread_count
 from jghand_engine.splat.camera import Camera
@@ -40,6 +38,7 @@ from jghand_engine.splat.report import FrameReport
 from jghand_engine.splat.settings import RenderSettings, ShadowMode
 from jghand_engine.splat.shadow import ShadowStyle
 from jghand_engine.splat.shadow_native import NativeShade, darken
+from jghand_engine.splat.subject import Subject, moving_subject
 from jghand_engine.studies.synthetic_hands import synthetic_hand
 from jghand_engine.studies.timing import Case, Measurement
 
@@ -49,36 +48,9 @@ SAMPLES = 64
 FEW = 3
 
 
-@dataclass(frozen=True)
-class Subject:
-    """A hand in motion before a camera. poses: (F, 21, 3) metres, level order"""
-
-    name: str
-    avatar: HandAvatar
-    poses: np.ndarray
-    camera: Camera
-
-
 def builtin_subject(width: int, height: int, avatar: HandAvatar | None = None, name: str = "painted") -> Subject:
     """The painted avatar (or another) in motion; the hand fills the height of the picture."""
-    hand = avatar or load_painted(handedness=Handedness.RIGHT)
-    canonical = hand.canonical_joints_m.numpy()
-    names = ("open", "relaxed", "fist", "pinch", "point", "victory", "open")
-    # the motion must not stand still: a hand at rest is not drawn again
-    options = MotionOptions(hold_s=0.0, variation_deg=2.0)
-    poses = pose_sequence_of_names(names, canonical, handedness=hand.handedness, options=options).joints_m
-    step_m = np.abs(np.diff(poses, axis=0)).max(axis=(1, 2))
-    poses = poses[1:][step_m > 2 * limits.REUSE_JOINTS_M]
-    middle = torch.from_numpy(poses.mean(axis=(0, 1)))
-    camera = Camera.looking_at(
-        middle + torch.tensor([0.15, 0.0, 0.6], dtype=torch.float64),
-        middle,
-        torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64),
-        width=width,
-        height=height,
-        focal_px=3.0 * height,
-    )
-    return Subject(name, hand, poses, camera)
+    return moving_subject(name, avatar or load_painted(handedness=Handedness.RIGHT), width, height)
 
 
 def volume_subject(name: str, width: int, height: int) -> Subject:
@@ -294,7 +266,7 @@ def machine(threads: int, backend: str = "auto") -> dict[str, Any]:
     library = load(backend)
     stamp = read_stamp(library.path) if library else None
     return {
-        "processor": _processor(),
+        "processor": processor(),
         "cores": os.cpu_count(),
         "threads": thread_count(threads),
         "backend": library.variant if library else "torch",
@@ -304,17 +276,6 @@ def machine(threads: int, backend: str = "auto") -> dict[str, Any]:
         "system": platform.platform(),
         "load": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
     }
-
-
-def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return platform.processor() or platform.machine()
-    facts = dict(line.split(":", 1) for line in lines if ":" in line)
-    stripped = {key.strip(): value.strip() for key, value in facts.items()}
-    family = f" (family {stripped['cpu family']})" if "cpu family" in stripped else ""
-    return stripped.get("model name", platform.machine()) + family
 
 
 def rows(measurements: list[Measurement]) -> list[tuple[str, ...]]:

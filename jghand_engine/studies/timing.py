@@ -7,7 +7,6 @@ there really were, and disturbed samples are dropped.
 
 from __future__ import annotations
 
-import hashlib
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
@@ -15,12 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from jghand_engine.native.threads import WorkerPool
+from jghand_engine.native.machine import FreeCores
 from jghand_engine.splat.report import FrameReport
 
-# share of the wanted cores that the control must have seen, and how many bytes it hashes per core (about 1 ms)
+# share of the wanted cores that the control must have seen
 FREE_PART = 0.9
-CONTROL_BYTES = 1 << 21
 
 
 @dataclass(frozen=True)
@@ -62,22 +60,6 @@ class _Samples:
     cpu: list[float] = field(default_factory=list)
     free: list[bool] = field(default_factory=list)
     stages: list[dict[str, float]] = field(default_factory=list)
-
-
-class FreeCores:
-    """How many of `threads` cores the machine really gives us now."""
-
-    def __init__(self, threads: int) -> None:
-        self._pool = WorkerPool(threads)
-        self._bytes = bytes(CONTROL_BYTES)
-
-    def __call__(self) -> float:
-        wall, cpu = time.perf_counter(), time.process_time()
-        self._pool.run(lambda _thread: hashlib.sha1(self._bytes, usedforsecurity=False).digest())
-        return (time.process_time() - cpu) / (time.perf_counter() - wall)
-
-    def close(self) -> None:
-        self._pool.close()
 
 
 def measure(
