@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
@@ -45,3 +46,10 @@ class Picture:
     def from_planes(cls, planes: torch.Tensor, *, visible_gaussians: int, invalid_gaussians: int) -> Picture:
         """From planes (5, H, W): premultiplied R G B, alpha, sum of weight times depth."""
         return cls(planes[:3].permute(1, 2, 0), planes[3], planes[4], visible_gaussians, invalid_gaussians)
+
+
+def decibels(mean_square: float) -> float:
+    """Peak signal to noise of values 0..1; capped at PSNR_MAX_DB, which equal pictures have."""
+    if mean_square <= 10 ** (-limits.PSNR_MAX_DB / 10):
+        return limits.PSNR_MAX_DB
+    return -10 * math.log10(mean_square)

@@ -9,7 +9,6 @@ Pictures are compared as float32, clipped to 0..1, not rounded to bytes. Papers 
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import lru_cache
 from types import ModuleType
@@ -20,6 +19,7 @@ from torch.nn import functional
 
 from jghand_engine import limits
 from jghand_engine.errors import InputError
+from jghand_engine.splat.picture import decibels
 from jghand_engine.training.ssim import ssim as mean_ssim
 from jghand_engine.training.ssim import ssim_parts
 
@@ -93,10 +93,7 @@ def checked_picture(name: str, picture: np.ndarray, mask: np.ndarray) -> np.ndar
 
 def psnr(rgb: np.ndarray, truth: np.ndarray) -> float:
     """Peak signal to noise, dB, of values 0..1 of any shape; capped at PSNR_MAX_DB, which equal pictures have."""
-    mean_square = float(np.mean(np.square(rgb.astype(np.float64) - truth)))
-    if mean_square <= 10 ** (-limits.PSNR_MAX_DB / 10):
-        return limits.PSNR_MAX_DB
-    return -10 * math.log10(mean_square)
+    return decibels(float(np.mean(np.square(rgb.astype(np.float64) - truth))))
 
 
 def ssim(rgb: np.ndarray, truth: np.ndarray) -> float:
