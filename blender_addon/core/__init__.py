@@ -3,6 +3,8 @@
 
 limits          every number, with its reason
 joints          names, parents and bones of the 21 joints; the rest hand
+conventions     how other people name the bones of a hand
+bone_maps       which bones of somebody else's rig are the 21 joints
 posing          joint positions to bone matrices and back (numpy)
 view            pinhole cameras, hands in their own space, and the request for a picture (numpy)
 wire            the protocol module, from the extension or from the engine's package

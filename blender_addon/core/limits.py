@@ -43,6 +43,12 @@ OPPOSITE_COSINE = -0.999999
 # part by which fx and fy of a camera may differ and still mean square pixels
 SQUARE_PIXEL_MAX = 1e-6
 
+# ---- other people's rigs --------------------------------------------------------------------------------------------
+
+# so many of the 16 joints other than tips must have a bone before a convention counts as recognised: a wrist and one
+# finger. Fewer are chance hits (a lone "wrist" empty)
+RECOGNISED_MIN = 4
+
 # ---- new cameras ----------------------------------------------------------------------------------------------------
 
 # a hand is looked at from near

@@ -49,6 +49,7 @@ ADVICE = {
     "interrupted": Advice("The run was interrupted", "Start it again to go on where it stopped", INTERRUPTED),
     # what this side refuses
     "not_a_hand": Advice("This armature is not a JGHand hand", "Add a hand, or map its bones first", BAD_INPUT),
+    "bad_bone_map": Advice("This armature's bones do not make a whole hand", "Complete the bone map", BAD_INPUT),
     "no_hand": Advice(
         "There is no hand in this scene that is rendered", "Add a hand, or make its instances real", BAD_INPUT
     ),

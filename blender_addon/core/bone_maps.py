@@ -1,0 +1,269 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which bones of somebody else's rig are the 21 joints, found from their names alone.
+
+A joint is the head of a bone; a finger's tip is the head of a tip bone or, where the rig has none, the tail of the last
+bone. Nothing is guessed silently: what is missing is listed, and where two answers are possible there is none until
+somebody chooses. Order of the bones, and bones that are no part of a hand, play no role. Source: BLENDER 6; the names
+and where they come from are in `conventions`.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+
+from . import limits
+from .conventions import CONVENTIONS, Convention
+from .joints import FINGERS, HANDEDNESSES, LEFT, NAMES, RIGHT, TIPS, WRIST
+from .messages import JGHandFailure
+
+HEAD, TAIL = "head", "tail"
+ENDS = (HEAD, TAIL)
+# the joints that need a bone of their own
+_NEEDED = tuple(place for place in range(len(NAMES)) if place not in TIPS)
+_COPY = re.compile(r"\.\d{3,}$")
+
+
+@dataclass(frozen=True)
+class JointSource:
+    """Where a joint is read: a bone's name (or an object's) and which end of it, "head" or "tail"."""
+
+    bone: str
+    end: str = HEAD
+
+
+@dataclass(frozen=True)
+class BoneMap:
+    """21 sources in the standard order, None where there is none, with sentences about them.
+
+    convention: the title of what was recognised, "" for a map made by hand · missing: one sentence for everything that
+    has no bone or more than one · notes: what is worth knowing and no obstacle.
+    """
+
+    handedness: str
+    sources: tuple[JointSource | None, ...]
+    convention: str = ""
+    missing: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    @property
+    def complete(self) -> bool:
+        return all(source is not None for source in self.sources)
+
+    def with_source(self, joint: str, source: JointSource | None) -> BoneMap:
+        """The map with one joint changed by hand; its sentences follow. JGHandFailure (bad_bone_map): no such joint."""
+        if joint not in NAMES:
+            raise JGHandFailure("bad_bone_map", f"there is no joint {joint!r}")
+        place = NAMES.index(joint)
+        sources = (*self.sources[:place], source, *self.sources[place + 1 :])
+        kept = [text for text in self.missing if text.split(" ", 1)[0] != joint]
+        if source is None:
+            kept.append(f"{joint} has no bone.")
+        return BoneMap(self.handedness, sources, self.convention, tuple(kept), self.notes)
+
+    def as_json(self) -> str:
+        """For a property of the armature: {"handedness": …, "joints": {"wrist": ["hand.R", "head"], …}}."""
+        joints = {
+            name: [source.bone, source.end]
+            for name, source in zip(NAMES, self.sources, strict=True)
+            if source is not None
+        }
+        return json.dumps({"handedness": self.handedness, "joints": joints}, ensure_ascii=False)
+
+
+@dataclass(frozen=True)
+class Recognition:
+    """What the names of a rig say about one hand.
+
+    candidates: the possible maps, one when there is no doubt, none when nothing was recognised · sentences: what to
+    tell, in the order to tell it.
+    """
+
+    handedness: str
+    candidates: tuple[BoneMap, ...]
+    sentences: tuple[str, ...]
+
+    @property
+    def bone_map(self) -> BoneMap | None:
+        """The map when there is exactly one answer; it may miss joints. None when somebody has to choose."""
+        return self.candidates[0] if len(self.candidates) == 1 else None
+
+
+def recognise(names: Iterable[str], handedness: str, *, tails: bool = True) -> Recognition:
+    """Looks for the 21 joints of one hand among bone names.
+
+    tails: whether the tip of a finger may be the tail of its last bone; objects have no tail.
+    """
+    if handedness not in HANDEDNESSES:
+        raise JGHandFailure("bad_bone_map", f"handedness {handedness!r}, wanted {' or '.join(HANDEDNESSES)}")
+    index = _Index(names)
+    found = [candidate for convention in CONVENTIONS for candidate in _candidates(convention, index, handedness, tails)]
+    best = max((candidate.score for candidate in found), default=0)
+    if best < limits.RECOGNISED_MIN:
+        known = ", ".join(convention.title for convention in CONVENTIONS)
+        return Recognition(
+            handedness,
+            (),
+            (f"No bones of a {handedness} hand were recognised. Known names: {known}. Choose the bones by hand.",),
+        )
+    unique: dict[tuple[JointSource | None, ...], BoneMap] = {}
+    for candidate in found:
+        if candidate.score == best:
+            unique.setdefault(candidate.bone_map.sources, candidate.bone_map)
+    maps = tuple(unique.values())
+    if len(maps) == 1:
+        only = maps[0]
+        return Recognition(handedness, maps, (f"Recognised: {only.convention}.", *only.missing, *only.notes))
+    return Recognition(handedness, maps, (_doubt(maps, handedness),))
+
+
+def hands_in(names: Sequence[str]) -> tuple[str, ...]:
+    """The hands of which the names show at least a wrist and a finger: right, left, both or none."""
+    return tuple(side for side in (RIGHT, LEFT) if recognise(names, side).candidates)
+
+
+def from_json(text: str) -> BoneMap:
+    """The map that `as_json` wrote; JGHandFailure (bad_bone_map) for anything else."""
+    try:
+        content = json.loads(text)
+        handedness, joints = content["handedness"], content["joints"]
+        sources = {name: JointSource(str(bone), str(end)) for name, (bone, end) in joints.items()}
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        raise JGHandFailure("bad_bone_map", f"not readable: {error}") from error
+    if handedness not in HANDEDNESSES:
+        raise JGHandFailure("bad_bone_map", f"handedness {handedness!r}, wanted {' or '.join(HANDEDNESSES)}")
+    unknown = [name for name in sources if name not in NAMES]
+    if unknown:
+        raise JGHandFailure("bad_bone_map", f"no joints of a hand: {', '.join(unknown)}")
+    wrong = [name for name, source in sources.items() if source.end not in ENDS]
+    if wrong:
+        raise JGHandFailure("bad_bone_map", f"neither head nor tail: {', '.join(wrong)}")
+    missing = tuple(f"{name} has no bone." for name in NAMES if name not in sources)
+    return BoneMap(handedness, tuple(sources.get(name) for name in NAMES), missing=missing)
+
+
+def by_hand(handedness: str, sources: Sequence[JointSource | None]) -> BoneMap:
+    """A map from 21 sources, standard order."""
+    if len(sources) != len(NAMES):
+        raise JGHandFailure("bad_bone_map", f"wanted {len(NAMES)} joints, got {len(sources)}")
+    missing = tuple(f"{name} has no bone." for name, source in zip(NAMES, sources, strict=True) if source is None)
+    return BoneMap(handedness, tuple(sources), missing=missing)
+
+
+def _key(name: str) -> str:
+    """A name without case and separators."""
+    return "".join(letter for letter in name.casefold() if letter.isalnum())
+
+
+class _Index:
+    """Names by their keys; copies (`.001`) stand apart, because they are another set of the same bones."""
+
+    def __init__(self, names: Iterable[str]) -> None:
+        self.sets: dict[str, dict[str, list[str]]] = {}
+        for name in sorted(set(names)):
+            copy = _COPY.search(name)
+            suffix = copy.group() if copy else ""
+            keys = self.sets.setdefault(suffix, {})
+            keys.setdefault(_key(name[: len(name) - len(suffix)]), []).append(name)
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    bone_map: BoneMap
+    score: int
+
+
+def _candidates(convention: Convention, index: _Index, handedness: str, tails: bool) -> list[_Candidate]:
+    """One candidate for each set of bones (prefix and copy) that shows any bone of the convention.
+
+    Names without a side need the wrist among them: "index1" alone also ends the names of other conventions.
+    """
+    wanted = convention.names(handedness)
+    keys = [[_key(name) for name in alternatives] for alternatives in wanted]
+    result = []
+    for suffix in sorted(index.sets):
+        known = index.sets[suffix]
+        prefixes = {
+            name[: -len(key)] for place in _NEEDED for key in keys[place] for name in known if name.endswith(key)
+        }
+        if not convention.says_side:
+            prefixes = {
+                prefix for prefix in prefixes if _may_be(prefix, handedness) and prefix + keys[WRIST][0] in known
+            }
+        of_sets = {
+            prefix: _candidate(convention, wanted, keys, known, prefix, handedness, tails)
+            for prefix in sorted(prefixes)
+        }
+        result += _preferred(convention, of_sets)
+    return result
+
+
+def _candidate(
+    convention: Convention,
+    wanted: tuple[tuple[str, ...], ...],
+    keys: list[list[str]],
+    known: dict[str, list[str]],
+    prefix: str,
+    handedness: str,
+    tails: bool,
+) -> _Candidate:
+    sources: list[JointSource | None] = []
+    missing, from_tails = [], []
+    for place, joint in enumerate(NAMES):
+        names = next((known[prefix + key] for key in keys[place] if prefix + key in known), [])
+        source = JointSource(names[0]) if len(names) == 1 else None
+        last = sources[place - 1] if place in TIPS else None
+        if len(names) > 1:
+            missing.append(f"{joint} may be {' or '.join(names)}: choose one.")
+        elif source is None and place in TIPS and tails:
+            source = JointSource(last.bone, TAIL) if last is not None else None
+            if source is not None:
+                from_tails.append(joint)
+            else:
+                missing.append(f"{joint} has no bone: neither a tip bone nor a last bone with a tail.")
+        elif source is None:
+            missing.append(f"{joint} has no bone: looked for {wanted[place][0]}.")
+        sources.append(source)
+    notes = []
+    if from_tails:
+        fingers = [finger for finger in FINGERS if f"{finger}4" in from_tails]
+        notes.append(f"No tip bones: the tips of {', '.join(fingers)} are the tails of the last bones.")
+    bone_map = BoneMap(handedness, tuple(sources), convention.title, tuple(missing), tuple(notes))
+    return _Candidate(bone_map, sum(sources[place] is not None for place in _NEEDED))
+
+
+def _preferred(convention: Convention, of_sets: dict[str, _Candidate]) -> list[_Candidate]:
+    """Of several sets that a convention ranks (DEF- before ORG-) the best that finds the most, and a note about it."""
+    ranked = [prefix for prefix in convention.prefixes if prefix in of_sets]
+    others = [candidate for prefix, candidate in of_sets.items() if prefix not in ranked]
+    if not ranked:
+        return others
+    most = max(of_sets[prefix].score for prefix in ranked)
+    good = [prefix for prefix in ranked if of_sets[prefix].score == most]
+    chosen = of_sets[good[0]]
+    if len(good) > 1:
+        also = ", ".join(f"{prefix.upper()}-" if prefix else "plain" for prefix in good[1:])
+        note = f"The rig has these bones several times ({also} too): those with {good[0].upper()}- are used."
+        bone_map = replace(chosen.bone_map, notes=(*chosen.bone_map.notes, note))
+        chosen = replace(chosen, bone_map=bone_map)
+    return [*others, chosen]
+
+
+def _may_be(prefix: str, handedness: str) -> bool:
+    """Whether what stands before a name without a side does not say that it is the other hand."""
+    other = LEFT if handedness == RIGHT else RIGHT
+    return other not in prefix and prefix != other[0]
+
+
+def _doubt(maps: tuple[BoneMap, ...], handedness: str) -> str:
+    shown = []
+    for bone_map in maps:
+        first = next(source.bone for source in bone_map.sources if source is not None)
+        shown.append(f"{bone_map.convention} ({first})")
+    differing = [name for place, name in enumerate(NAMES) if len({bone_map.sources[place] for bone_map in maps}) > 1]
+    return (
+        f"Several sets of bones may be the {handedness} hand: {'; '.join(shown)}. "
+        f"They differ in {', '.join(differing)}. Choose one."
+    )

@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How other people name the bones of a hand: one table per convention.
+
+Names here are templates: `{side}` is right or left, `{s}` is r or l, `{finger}` the convention's word for a finger.
+They are compared without regard to case and separators, after any prefix (`mixamorig:`, `DEF-`, `J_Bip_`), so that only
+what tells conventions apart matters: the words, their order and the zeros of the numbers.
+
+Sources
+    rigify     `rigify/metarigs/human.py` of the Rigify that comes with Blender (hand.L, palm.01.L, f_index.01.L,
+               thumb.01.L); its generator adds DEF-, ORG- and MCH-. Palm bones are not joints of ours.
+    mixamo     skeletons that Mixamo downloads hold (mixamorig:RightHandThumb1 to 4, mixamorig9: and so on where several
+               were loaded); the same words in HumanIK and in MPFB's `rigs/standard/rig.mixamo*.json`.
+    vrm1, vrm0 vrm-c/vrm-specification, VRMC_vrm-1.0/humanoid.md (ThumbMetacarpal, ThumbProximal, ThumbDistal) and 0.0
+               (ThumbProximal, ThumbIntermediate, ThumbDistal): **the same word names another bone**. The form
+               `index_proximal.R` is what saturday06/VRM-Addon-for-Blender gives its own armature.
+    vroid      the same add-on, `human_bone_mapper/vroid_mapping.py` (J_Bip_R_Index1, and symmetrised Index1_R).
+    makehuman  MPFB's `rigs/standard/rig.default.json`, `human_bone_mapper/mpfb_mapping.py` (wrist.R, finger1-1.R for
+               the thumb to finger5-3.R; metacarpal1.R to 4 are not joints of ours).
+    unreal     Epic's mannequins (hand_r, thumb_01_r, index_01_r; UE5 adds index_metacarpal_r), MPFB's game engine rig.
+    auto_rig_pro  remap presets of its users, e.g. thumb1.l, c_thumb2.l, c_thumb3.l, index1.l, c_index2.l: the first
+               bone deforms and has a control c_index1.l beside it, the others are their own controls;
+               c_index1_base.l is the metacarpal.
+    mediapipe  the landmark names of MediaPipe Hands (WRIST, THUMB_CMC, INDEX_FINGER_MCP), as FreeMoCap's empties have
+               them with right_hand_ before.
+    jghand     core/joints.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from .joints import FINGERS, NAMES
+
+# what exporters and importers add to the last bone of a chain for its tip
+_TIP_ENDINGS = ("_end", "_tip", "_nub")
+
+
+@dataclass(frozen=True)
+class Convention:
+    """Templates of one way to name a hand.
+
+    key, title: for programs and for people · wrist: alternatives, the best first · fingers: its words, thumb first ·
+    bones: three tuples of alternatives, from the knuckle outwards · thumb: the same for a thumb that is named otherwise
+    · tips: alternatives for a bone whose head is the finger's tip · prefixes: which of several sets of the same bones
+    to take, the best first.
+    """
+
+    key: str
+    title: str
+    wrist: tuple[str, ...]
+    fingers: tuple[str, ...]
+    bones: tuple[tuple[str, ...], ...]
+    thumb: tuple[tuple[str, ...], ...] = ()
+    tips: tuple[str, ...] = ()
+    prefixes: tuple[str, ...] = ()
+
+    @property
+    def says_side(self) -> bool:
+        """Whether its names tell a right hand from a left one."""
+        return any("{s" in template for template in self.wrist)
+
+    def names(self, handedness: str) -> tuple[tuple[str, ...], ...]:
+        """For each of the 21 joints, standard order, the names that a bone there may have, the best first."""
+        result = [self._filled(self.wrist, "", handedness)]
+        for finger, word in zip(FINGERS, self.fingers, strict=True):
+            bones = self.thumb if finger == "thumb" and self.thumb else self.bones
+            tips = tuple(last + ending for last in bones[-1] for ending in _TIP_ENDINGS)
+            result += [self._filled(alternatives, word, handedness) for alternatives in (*bones, (*self.tips, *tips))]
+        return tuple(result)
+
+    def _filled(self, templates: tuple[str, ...], finger: str, handedness: str) -> tuple[str, ...]:
+        side = handedness.capitalize()
+        return tuple(template.format(side=side, s=side[0], finger=finger) for template in templates)
+
+
+_ENGLISH = ("Thumb", "Index", "Middle", "Ring", "Pinky")
+_LITTLE = ("Thumb", "Index", "Middle", "Ring", "Little")
+
+
+def _numbered(*templates: str) -> tuple[tuple[str, ...], ...]:
+    """Three tuples of alternatives from templates with a `#` for the bone's number."""
+    return tuple(tuple(template.replace("#", str(number)) for template in templates) for number in (1, 2, 3))
+
+
+def _phalanges(*words: str) -> tuple[tuple[str, ...], ...]:
+    return tuple((f"{{side}}{{finger}}{word}", f"{{finger}}_{word}.{{s}}") for word in words)
+
+
+# the order decides which name is shown where two conventions find the very same bones
+CONVENTIONS = (
+    Convention(
+        "jghand",
+        "JGHand",
+        wrist=(NAMES[0],),
+        fingers=FINGERS,
+        bones=_numbered("{finger}#"),
+        tips=("{finger}4",),
+    ),
+    Convention(
+        "rigify",
+        "Rigify",
+        wrist=("hand.{s}",),
+        fingers=("thumb", "f_index", "f_middle", "f_ring", "f_pinky"),
+        bones=_numbered("{finger}.0#.{s}"),
+        prefixes=("def", "org", "", "mch"),
+    ),
+    Convention(
+        "mixamo",
+        "Mixamo",
+        wrist=("{side}Hand",),
+        fingers=_ENGLISH,
+        bones=_numbered("{side}Hand{finger}#"),
+        tips=("{side}Hand{finger}4",),
+    ),
+    Convention(
+        "vrm1",
+        "VRM 1",
+        wrist=("{side}Hand", "hand.{s}"),
+        fingers=_LITTLE,
+        bones=_phalanges("Proximal", "Intermediate", "Distal"),
+        thumb=_phalanges("Metacarpal", "Proximal", "Distal"),
+    ),
+    Convention(
+        "vrm0",
+        "VRM 0",
+        wrist=("{side}Hand", "hand.{s}"),
+        fingers=_LITTLE,
+        bones=_phalanges("Proximal", "Intermediate", "Distal"),
+    ),
+    Convention(
+        "vroid",
+        "VRoid",
+        wrist=("{s}_Hand", "Hand_{s}"),
+        fingers=_LITTLE,
+        bones=_numbered("{s}_{finger}#", "{finger}#_{s}"),
+    ),
+    Convention(
+        "makehuman",
+        "MakeHuman, MPFB",
+        wrist=("wrist.{s}",),
+        fingers=("finger1", "finger2", "finger3", "finger4", "finger5"),
+        bones=_numbered("{finger}-#.{s}"),
+    ),
+    Convention(
+        "unreal",
+        "Unreal mannequin",
+        wrist=("hand_{s}",),
+        fingers=("thumb", "index", "middle", "ring", "pinky"),
+        bones=_numbered("{finger}_0#_{s}"),
+        tips=("{finger}_04_{s}",),
+    ),
+    Convention(
+        "auto_rig_pro",
+        "Auto-Rig Pro",
+        wrist=("hand.{s}",),
+        fingers=("thumb", "index", "middle", "ring", "pinky"),
+        bones=(
+            ("{finger}1.{s}", "c_{finger}1.{s}"),
+            ("c_{finger}2.{s}", "{finger}2.{s}"),
+            ("c_{finger}3.{s}", "{finger}3.{s}"),
+        ),
+        prefixes=("", "c"),
+    ),
+    Convention(
+        "mediapipe",
+        "MediaPipe",
+        wrist=("wrist",),
+        fingers=FINGERS,
+        bones=tuple((f"{{finger}}_finger_{joint}", f"{{finger}}_{joint}") for joint in ("mcp", "pip", "dip")),
+        thumb=(("thumb_cmc",), ("thumb_mcp",), ("thumb_ip",)),
+        tips=("{finger}_finger_tip", "{finger}_tip"),
+    ),
+)
