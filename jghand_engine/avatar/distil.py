@@ -24,7 +24,7 @@ INT8_MAX = 127
 
 def poses_near(known: Tensor, count: int, seed: int) -> Tensor:
     """(count, 37) poses near `known` (P, 37): fingers of different ones, between two of them, with some wobble, but not
-    farther than DISTIL_BEYOND_DEG from the range of angles that they span."""
+    farther than DISTIL_BEYOND_DEG from the range of angles that they span. count: 0 and up."""
     g = torch.Generator().manual_seed(seed)
     beyond = math.radians(limits.DISTIL_BEYOND_DEG)
     low, high = known.amin(0) - beyond, known.amax(0) + beyond
@@ -42,7 +42,7 @@ def poses_near(known: Tensor, count: int, seed: int) -> Tensor:
         between = torch.lerp(mixed, other, 0.5 * torch.rand((), generator=g))
         moved = between + torch.deg2rad(wobble_deg) * torch.randn(37, generator=g)
         poses.append(torch.minimum(torch.maximum(moved, low), high))
-    return torch.stack(poses)
+    return torch.stack(poses) if poses else known.new_zeros((0, 37))
 
 
 def distil(

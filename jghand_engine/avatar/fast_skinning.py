@@ -79,8 +79,8 @@ class Blocks:
 class FastSkinning:
     """Poses one avatar again and again, without gradients; colours stay as they are (`fast_learnt` for trained ones).
 
-    blocks: what the order of the rows comes from · rows beyond the avatar have sigma 0, opacity 0 · opacity (rows,), rgb (rows, 3): in
-    that order, float32
+    blocks: what the order of the rows comes from · opacity (rows,), rgb (rows, 3): in that order, float32 · rows beyond
+    the avatar have sigma 0 and opacity 0
     """
 
     def __init__(self, library: Library, avatar: HandAvatar) -> None:

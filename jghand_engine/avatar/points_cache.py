@@ -11,6 +11,7 @@ import hashlib
 import json
 import os
 import sys
+import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -32,9 +33,12 @@ Points = dict[str, torch.Tensor]
 
 def cache_folder() -> Path:
     """Where this user's caches are kept; JGHAND_CACHE_DIR names another place."""
-    home = Path.home()
     if named := os.environ.get("JGHAND_CACHE_DIR"):
         return Path(named)
+    try:
+        home = Path.home()
+    except RuntimeError:  # a user without a home, as in some containers
+        home = Path(tempfile.gettempdir())
     if sys.platform == "win32":
         return Path(os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local") / "jghand" / "cache"
     if sys.platform == "darwin":
@@ -44,7 +48,8 @@ def cache_folder() -> Path:
 
 def points_file(template: HandTemplate, numbers: Mapping[str, float]) -> Path:
     """The file for the points of `template` under `numbers`, whether it is there or not."""
-    digest = hashlib.sha256(json.dumps([template.identifier, dict(numbers), torch.__version__]).encode())
+    about = [template.identifier, template.skin_face_count, dict(numbers), torch.__version__]
+    digest = hashlib.sha256(json.dumps(about).encode())
     for array in (template.vertices_m, template.faces, template.face_uv, template.bone_weights, template.joints_m):
         digest.update(f"{array.dtype} {array.shape}".encode() + array.tobytes())
     for pattern in _CODE:

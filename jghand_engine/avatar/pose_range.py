@@ -36,7 +36,7 @@ class OutOfRange:
     beyond_rad: float
 
     def sentence(self) -> str:
-        """`index1 flexion 105°: 12° outside the 0° to 93° that the avatar was trained on`"""
+        """`index1 flexion 105°: 12° outside the 0° to 93° that was trained`"""
         angle, low, high, beyond = (
             math.degrees(value) for value in (self.angle_rad, self.low_rad, self.high_rad, self.beyond_rad)
         )

@@ -30,17 +30,20 @@ Examples:
   jghand bake id3.jghand --capture captures/id3 --out id3_fast.jghand
   jghand bake id3.jghand --out id3_fast.jghand            without pictures: against the network itself"""
 
+# said of prices that were measured on pictures which the avatar may have learnt from
+NOT_CERTAIN = "it may have learnt from them"
+
 
 @dataclass(frozen=True)
 class Bake:
-    avatar: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="AVATAR")]
-    """A trained .jghand file."""
-    out: Annotated[Path, tyro.conf.arg(metavar="FILE")]
-    """The avatar with its tiers."""
+    avatar: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="AVATAR")]
+    """A trained .jghand file, or builtin."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE.jghand")]
+    """The avatar, and its forms with what they cost."""
     capture: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None
     """The pictures it was trained on: poses come from there, and accuracy is measured on those held out."""
     basis: Annotated[str, tyro.conf.arg(metavar="K,K,…")] = "4,8,16,32"
-    """Sizes of the linear form to try; the smallest that loses at most 0.1 dB is kept."""
+    """Sizes of the linear form to try; the smallest that loses at most 0.1 dB is kept, else the most accurate."""
     storage: Literal["compact", "exact"] = "compact"
     """How the avatar is written: compact is a third of the size."""
     limit: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 40
@@ -54,15 +57,18 @@ class Bake:
     def run(self) -> None:
         import torch
 
+        from jghand_engine.avatar.builtin import load_avatar_called
         from jghand_engine.avatar.distil import distil, poses_near
-        from jghand_engine.avatar.file import load_avatar, save_avatar, stored_form
+        from jghand_engine.avatar.file import save_avatar, stored_form
         from jghand_engine.avatar.storage import Storage
         from jghand_engine.avatar.tiers import basis_most
         from jghand_engine.studies.tier_prices import baked, pose_net_of, price_tiers
 
+        if self.out.suffix != ".jghand":
+            raise InputError("--out", wanted="a file that ends with .jghand", came=str(self.out))
         storage = Storage(self.storage)
         # what is measured is what will be read again
-        avatar = stored_form(load_avatar(self.avatar), storage)
+        avatar = stored_form(load_avatar_called(self.avatar), storage)
         net = pose_net_of(avatar)
         bases = self._bases(min(limits.BASIS_MAX, basis_most(net.shape)))
         yard = self._yardstick(avatar)
@@ -96,9 +102,14 @@ class Bake:
             return ExactPictures(avatar)
         from jghand_engine.datasets.capture_folder import open_capture
         from jghand_engine.datasets.splits import split_capture
+        from jghand_engine.training.held_out import held_out
 
         capture = open_capture(self.capture, protocol=self.protocol)
-        return HeldOutPictures(capture, split_capture(capture), self.limit)
+        split = split_capture(capture)
+        told = held_out(avatar, capture, split)
+        if told.warning:
+            say(f"Warning: {told.warning}")
+        return HeldOutPictures(capture, split, self.limit, NOT_CERTAIN if told.warning else "")
 
     def _tell(self, offers: Sequence[Offer], avatar: HandAvatar, measured_on: str) -> None:
         from jghand_engine.avatar.tiers import Tier

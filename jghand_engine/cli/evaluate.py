@@ -72,7 +72,7 @@ class PerceptualOptions:
 @dataclass(frozen=True)
 class Evaluate:
     avatar: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="AVATAR")]
-    """A .jghand file, or builtin."""
+    """A .jghand file, or a hand that comes with JGHand: builtin or painted."""
     folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")]
     """InterHand2.6M, HanCo, or what `jghand capture` made."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None
@@ -87,10 +87,10 @@ class Evaluate:
     """Threads of the renderer; 0 chooses."""
     beside: File = None
     """Another avatar, shown beside the first on poses between poses: isotropic against anisotropic."""
-    sheets: bool = True
-    """Also write sheets of pictures."""
-    timed: bool = True
-    """Also measure the time per picture, on its own after the rest."""
+    sheets: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True
+    """Leave out the sheets of pictures."""
+    timed: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = True
+    """Leave out the time per picture, which is measured on its own after the rest."""
     perceptual: PerceptualOptions = field(default_factory=PerceptualOptions)
     pictures: PictureSetOptions = field(default_factory=PictureSetOptions)
     report: ReportOptions = field(default_factory=ReportOptions)

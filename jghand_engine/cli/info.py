@@ -32,7 +32,7 @@ USD_SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")
 @dataclass(frozen=True)
 class Info:
     file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-    """A .jghand avatar (or the word builtin), a motion (.npz, .npy, .json, .csv) or a USD file."""
+    """A .jghand avatar (or the word builtin or painted), a motion (.npz, .npy, .json, .csv) or a USD file."""
     format: FormatOptions = field(default_factory=FormatOptions)
     report: ReportOptions = field(default_factory=ReportOptions)
 
@@ -118,7 +118,12 @@ def learnt_facts(avatar: HandAvatar) -> dict[str, Any]:
         "correctives": "none" if shape is None else f"network of width {shape.hidden}",
         "offsets_up_to_mm": 0.0 if shape is None else 1e3 * shape.reach_m,
         "shadow": "none" if learnt.shadow is None else f"gain {learnt.shadow.gain:.3g}",
-    }
+        "cast_shadow": "none" if learnt.cast is None else f"{len(learnt.cast.lamp_rgb)} lamps",
+        "tiers": {} if learnt.baked is None else {
+            **{one.name: f"{one.frame_ms:.3g} ms, {one.lost_db:.2f} dB lost" for one in learnt.baked.prices},
+            "measured on": learnt.baked.measured_on,
+        },
+    }  # fmt: skip
 
 
 def motion_facts(path: Path, options: FormatOptions) -> dict[str, Any]:

@@ -58,13 +58,14 @@ class Yardstick(Protocol):
 
 class HeldOutPictures:
     """Pictures of a capture that the avatar did not learn from. limit: of each kind, at most; 0: all.
+    doubt: what is to be told of them where the avatar may have learnt from them; empty where it has not.
 
     Pictures of learnt poses are left out where there are others: tiers are fitted to these poses, which would flatter
     them.
     """
 
-    def __init__(self, capture: Capture, split: Split, limit: int) -> None:
-        self._capture, self._split = capture, split
+    def __init__(self, capture: Capture, split: Split, limit: int, doubt: str = "") -> None:
+        self._capture, self._split, self._doubt = capture, split, doubt
         unseen = replace(split, novel_view=()) if split.novel_pose or split.novel_both else split
         self._categories = categories_of(unseen, "test", limit)
 
@@ -72,7 +73,8 @@ class HeldOutPictures:
     def measured_on(self) -> str:
         """See Yardstick."""
         counts = ", ".join(f"{len(samples)} of {kind}" for kind, samples in self._categories.items())
-        return f"held-out pictures of {self._capture.name} ({counts}), preset {PRESET}"
+        told = f"held-out pictures of {self._capture.name} ({counts}), preset {PRESET}"
+        return f"{told}; {self._doubt}" if self._doubt else told
 
     def known_poses(self, avatar: HandAvatar) -> Tensor:
         """See Yardstick: the poses of the pictures that were learnt."""

@@ -55,6 +55,8 @@ def test_whatever_decides_the_points_is_in_the_name(folder, monkeypatch, tmp_pat
     moved = replace(template, vertices_m=template.vertices_m * (1 + 1e-12))
     files = [points_file(template, {**NUMBERS, "count": 50}), points_file(moved, {**NUMBERS, "count": 50})]
     files += [points_file(template, {**NUMBERS, "count": 50, name: 0.5}) for name in NUMBERS]
+    closed = replace(template, skin_face_count=template.skin_face_count - 1)
+    files.append(points_file(closed, {**NUMBERS, "count": 50}))
     monkeypatch.setattr(points_cache, "PACKAGE", tmp_path)
     files.append(points_file(template, {**NUMBERS, "count": 50}))
     assert len(set(files)) == len(files)
@@ -76,6 +78,18 @@ def test_a_folder_that_cannot_be_written_is_no_trouble(folder, placings):
     place_points(load_template(), 50, **NUMBERS)
     place_points(load_template(), 50, **NUMBERS)
     assert placings == [50, 50]
+
+
+def test_a_user_without_a_home_can_train(monkeypatch):
+    def homeless():
+        raise RuntimeError("Could not determine home directory.")
+
+    monkeypatch.setattr(points_cache.Path, "home", homeless)
+    for name in ("JGHAND_CACHE_DIR", "XDG_CACHE_HOME", "LOCALAPPDATA"):
+        monkeypatch.delenv(name, raising=False)
+    assert points_cache.cache_folder().is_absolute()
+    monkeypatch.setenv("JGHAND_CACHE_DIR", "elsewhere")
+    assert str(points_cache.cache_folder()) == "elsewhere"
 
 
 def test_the_oldest_files_go(folder, placings, monkeypatch):

@@ -103,6 +103,7 @@ def test_made_up_poses_stay_near_the_known_ones():
     assert bool((made <= KNOWN.amax(0) + beyond).all())
     assert torch.equal(made, poses_near(KNOWN, 200, seed=7))
     assert not torch.equal(made, poses_near(KNOWN, 200, seed=8))
+    assert poses_near(KNOWN, 0, seed=7).shape == (0, 37)
 
 
 # ---- prices ----------------------------------------------------------------------------------------------------------

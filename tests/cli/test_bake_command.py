@@ -81,6 +81,9 @@ def test_pictures_that_were_held_out_are_the_better_yardstick(file, tmp_path, ca
     said = capsys.readouterr().out
     # the linear tier is fitted to learnt poses: from a new view they would say little of it
     assert "1 of both novel" in said
+    # this avatar says nothing of its pictures: whoever reads the prices has to know
+    assert "Warning: The avatar does not say which pictures" in said
+    assert "may have learnt" in load_avatar(tmp_path / "fast.jghand").learnt.baked.measured_on
     assert "novel view" not in said
     prices = load_avatar(tmp_path / "fast.jghand").learnt.baked.prices
     assert {price.tier for price in prices} == {Tier.EXACT, Tier.CACHED, Tier.LINEAR}
@@ -97,6 +100,8 @@ def test_pictures_that_were_held_out_are_the_better_yardstick(file, tmp_path, ca
         (("--basis", "65"), "1 to 14"),
         (("--basis", "15"), "1 to 14"),
         (("--basis", "4", "--limit", "-1"), "--limit"),
+        (("--basis", "4", "--poses", "-1"), "--poses"),
+        (("--basis", "4", "--out", "fast.safetensors"), ".jghand"),
         (("--basis", "4", "--capture", "nowhere"), "nowhere"),
     ],
 )

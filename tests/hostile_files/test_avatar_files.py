@@ -6,6 +6,7 @@ import contextlib
 import json
 import pickle
 import tracemalloc
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,13 +14,15 @@ import numpy as np
 import pytest
 import safetensors
 import safetensors.numpy
+import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from small_avatars import ellipsoid_avatar
+from small_avatars import ellipsoid_avatar, trained_avatar
 
 from jghand_engine.avatar.builtin import ASSETS
 from jghand_engine.avatar.file import METADATA_KEY, load_avatar, save_avatar
 from jghand_engine.avatar.storage import Storage
+from jghand_engine.avatar.tiers import Baked, LinearCorrectives, Price, Tier
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import LEVEL_NAMES, STANDARD_NAMES, Handedness
 from jghand_engine.hand.transform import JointTransform
@@ -263,7 +266,7 @@ def test_flipped_bytes_give_an_avatar_or_an_input_error(tmp_path, data):
 
 @pytest.fixture(scope="module", params=list(Storage))
 def learnt_parts(request, tmp_path_factory) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
-    """The same of a trained avatar with ellipsoids, that is, with everything."""
+    """The same of a trained avatar with ellipsoids: with everything but tiers, which come below."""
     path = tmp_path_factory.mktemp("learnt") / "hand.jghand"
     save_avatar(path, ellipsoid_avatar(50), storage=request.param)
     with safetensors.safe_open(str(path), framework="numpy") as content:
@@ -364,3 +367,87 @@ def test_flipped_bytes_of_a_trained_file_give_an_avatar_or_an_input_error(tmp_pa
     path.write_bytes(bytes(good))
     with contextlib.suppress(InputError):
         assert len(load_avatar(path)) == 50
+
+
+# ---- what `jghand bake` adds -----------------------------------------------------------------------------------------
+
+BASIS = 12  # more than the features of the small network: products too
+
+
+@pytest.fixture(scope="module")
+def baked_parts(tmp_path_factory) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """The same of a trained avatar with a linear tier."""
+    avatar, g = trained_avatar(50), torch.Generator().manual_seed(3)
+    assert avatar.learnt is not None
+    net: Any = avatar.learnt.correctives
+    channels = net.shape.angle_channels
+    linear = LinearCorrectives(
+        net.angles,
+        torch.zeros(channels),
+        torch.randn(channels, channels, generator=g),
+        avatar.bone_weights,
+        torch.zeros(50, 6),
+        torch.randint(-127, 128, (50, BASIS, 6), generator=g, dtype=torch.int8),
+        torch.full((50, 2), 1e-5),
+    )
+    prices = (Price(Tier.EXACT, 0, 9.0, 0.1, 30.0, 0.0), Price(Tier.LINEAR, BASIS, 1.0, 0.1, 29.9, 0.1))
+    learnt = replace(avatar.learnt, baked=Baked(linear, prices, "pictures"))
+    path = tmp_path_factory.mktemp("baked") / "hand.jghand"
+    save_avatar(path, replace(avatar, learnt=learnt))
+    with safetensors.safe_open(str(path), framework="numpy") as content:
+        return safetensors.numpy.load_file(path), json.loads(content.metadata()[METADATA_KEY])
+
+
+BAKED_FIELDS: dict[str, list[Any]] = {
+    "basis": [None, -1, 0, 11, 13, 45, 65, 10**12, True, "12", 12.0],
+    "measured_on": [None, 3, "two\nlines"],
+    "prices": [None, {}, [1], [{}]],
+}
+PRICE_FIELDS: dict[str, list[Any]] = {
+    "tier": [None, "auto", "free", ["linear"], "exact"],
+    "basis": [None, 0, 11, "12"],
+    "frame_ms": [None, "1", float("nan"), float("inf"), 10**400, True],
+    "lost_db": [None, float("nan")],
+    "bribe": [1],
+}
+
+
+@pytest.mark.parametrize(("field", "value"), [(f, v) for f, values in BAKED_FIELDS.items() for v in values])
+def test_a_wrong_description_of_tiers_is_refused(tmp_path, baked_parts, field, value):
+    learnt = baked_parts[1]["learnt"]
+    learnt_refused(tmp_path / "wrong.jghand", baked_parts, {**learnt, "baked": {**learnt["baked"], field: value}})
+
+
+@pytest.mark.parametrize(("field", "value"), [(f, v) for f, values in PRICE_FIELDS.items() for v in values])
+def test_a_wrong_price_is_refused(tmp_path, baked_parts, field, value):
+    learnt = baked_parts[1]["learnt"]
+    exact, linear = learnt["baked"]["prices"]
+    prices = [exact, {**linear, field: value}]
+    learnt_refused(tmp_path / "wrong.jghand", baked_parts, {**learnt, "baked": {**learnt["baked"], "prices": prices}})
+
+
+@pytest.mark.parametrize("baked", [[], 1, {}, None])
+def test_tiers_without_their_description_are_refused(tmp_path, baked_parts, baked):
+    learnt_refused(tmp_path / "wrong.jghand", baked_parts, {**baked_parts[1]["learnt"], "baked": baked})
+
+
+def test_tiers_of_no_network_are_refused(tmp_path, baked_parts):
+    learnt_refused(tmp_path / "wrong.jghand", baked_parts, {**baked_parts[1]["learnt"], "net": None})
+
+
+def test_every_array_of_a_tier_is_missed_and_its_length_type_and_values_looked_at(tmp_path, baked_parts):
+    arrays, about = baked_parts
+    names = [name for name in arrays if name.startswith("linear.")]
+    assert len(names) == 5
+    for name in names:
+        path = tmp_path / "wrong.jghand"
+        refused(written(path, {k: a for k, a in arrays.items() if k != name}, about), name)
+        for part in ([slice(-1)], [slice(None), slice(-1)]):
+            if len(part) <= arrays[name].ndim:
+                refused(written(path, {**arrays, name: arrays[name][tuple(part)]}, about), name)
+        refused(written(path, {**arrays, name: arrays[name].astype(np.int64)}, about), name)
+        if arrays[name].dtype != np.int8:  # every number of eight bits is a direction
+            for value in (np.nan, np.inf, 6e4):
+                bad = arrays[name].copy()
+                bad.reshape(-1)[-1] = value
+                refused(written(path, {**arrays, name: bad}, about), "linear")
