@@ -118,14 +118,17 @@ class FastNetwork:
             "middle_bias": _aligned(np.pad(weights["middle.bias"], (0, extra))),
             "out": _aligned(out),
         }
+        # what the network says of a pose is kept: a hand that moves as a whole takes it again
+        self._arrays["given"] = aligned_zeros((blocks.count, 6, LANES))
         point(task, self._arrays)
-        task.correctives, task.hidden = CorrectiveKind.NETWORK, hidden
+        task.hidden = hidden
         # without a shade its outputs are 0
         task.out_bias = tuple(np.pad(weights["out.bias"], (0, 6 - len(weights["out.bias"]))))
         task.reach = (net.shape.reach_m, SHADE_MAX)
 
     def prepare(self, task: LearntTask, angles_rad: np.ndarray) -> None:
         """See FastCorrectives."""
+        task.correctives = CorrectiveKind.NETWORK
         self._bones[...] = self._features(angles_rad) @ self._angles_in
 
 

@@ -21,7 +21,7 @@ from jghand_engine.errors import InputError
 from jghand_engine.hand.fast_transform import FastBones
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.native.binding import Library, address, aligned_zeros, new_team
-from jghand_engine.native.learnt_tasks import LearntTask
+from jghand_engine.native.learnt_tasks import CorrectiveKind, LearntTask
 from jghand_engine.native.tasks import LANES
 
 
@@ -61,8 +61,17 @@ class FastLearntSkin:
             arrays["matt"] = aligned_zeros((blocks.count, 6, LANES))
         return arrays
 
-    def prepare(self, bones: FastBones, into: PosedArrays, rgb: np.ndarray, shift_m: np.ndarray) -> None:
+    def prepare(
+        self,
+        bones: FastBones,
+        into: PosedArrays,
+        rgb: np.ndarray,
+        shift_m: np.ndarray,
+        *,
+        keeps_correctives: bool = False,
+    ) -> None:
         """Sets the next pose; `into` and `shift_m` as for FastSkinning, rgb (rows, 3) float32 for the colours.
+        keeps_correctives: whether those of the last pose that was run are used again.
 
         InputError names an array that the kernel cannot read or write.
         """
@@ -71,7 +80,10 @@ class FastLearntSkin:
         task.rgb = address(rgb, np.float32, "rgb", (self.skin.rows, 3), writable=True)
         task.skin = self.skin.task
         task.palm = tuple((bones.linear_offset[0, :, :3].astype(np.float64) * inverse_scale(bones)).ravel())
-        self._correctives.prepare(task, bones.angles_rad)
+        if not keeps_correctives:
+            self._correctives.prepare(task, bones.angles_rad)
+        elif task.given is not None:
+            task.correctives = CorrectiveKind.GIVEN
         if self._cast is not None:
             self._cast.prepare(bones)
         self._keep = (into, rgb)

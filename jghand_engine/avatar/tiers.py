@@ -114,6 +114,13 @@ class LinearCorrectives:
         """(N, K, 6) float32."""
         return self.direction.float() * self.scale.repeat_interleave(3, 1)[:, None]
 
+    def longest_offset_m(self) -> float:
+        """What no offset exceeds along an axis, in any pose: features are means of the planes' texels."""
+        texels = self.angles.planes.detach().movedim(1, -1).flatten(0, -2)
+        largest = ((texels - self.mean) @ self.projection).abs().amax(0)
+        numbers = numbers_of(largest, torch.zeros_like(largest), torch.eye(len(largest)).to(largest), self.basis)
+        return float((self.constant[:, :3].abs() + numbers @ self._directions[..., :3].abs()).max())
+
     def numbers(self, frames: PoseAngles) -> Tensor:
         """(21, K) of the bones of one pose."""
         return numbers_of(self.angles(frames), self.mean, self.projection, self.basis)

@@ -218,6 +218,11 @@ def rebuilt(root_m: np.ndarray, directions: np.ndarray, lengths_m: np.ndarray) -
     return joints
 
 
+def pose_between(first_m: np.ndarray, second_m: np.ndarray, part: float) -> np.ndarray:
+    """Joints (21, 3) at `part`, 0..1, of the way between two poses (21, 3): bones turn and keep their lengths."""
+    return _between(first_m[None], second_m[None], np.full((1, 1, 1), part))[0]
+
+
 def _between(first: np.ndarray, second: np.ndarray, part: np.ndarray) -> np.ndarray:
     """Joints at `part` (F, 1, 1) of the way: wrists and lengths linear, directions along the great circle."""
     a, b = (torch.from_numpy(bone_directions(joints)).movedim(-1, 0) for joints in (first, second))

@@ -95,9 +95,59 @@ SAME_SURFACE_M = 0.005
 # rows of the small picture that one thread enlarges at a time: what they become stays in a core's cache
 HALF_BAND_ROWS = 16
 
+# ---- splat: so many milliseconds a frame -----------------------------------------------------------------------------
+# part of a budget that 95 % of the measured frames may take: the rest is for whoever shows the picture
+BUDGET_PART = 0.9
+# how long a machine that knows nothing of itself measures, seconds
+BUDGET_SECONDS = 2.0
+# pictures smaller than this lose more by half the size than by fewer Gaussians (built-in hand), pixels
+HALF_PIXELS_MIN = 600_000
+# accuracy of a whole picture over black from which on an artist sees no difference, has to look for it, sees it at once
+LOOKS_SAME_DB = 45.0
+LOOKS_ALIKE_DB = 38.0
+LOOKS_CLOSE_DB = 30.0
+
 # ---- splat: reuse between frames ------------------------------------------------------------------------------------
 # matrices are reused when no joint moved more than this, metres
 REUSE_JOINTS_M = 5e-5
 # ... and the skin then lacks at most this, metres. Joints that move against each other turn bones: the skin of a hand
 # without flags moves by up to 2.9 times their movement in the named poses, 3.4 times in random ones (built-in hand)
 REUSE_SKIN_M = 2e-4
+# ... and the correctives when no angle changed more than this, radians: a hand that moves as a whole keeps them
+REUSE_ANGLE_RAD = 1e-3
+# ... and the skin then lacks at most this, metres (worst of the built-in hand's named poses: see tests/splat)
+REUSE_CORRECTION_M = 1e-4
+
+# ---- splat: only the effects a scene calls for (RENDERING 11) -------------------------------------------------------
+# a hand whose median Gaussian is smaller than this on the picture is drawn larger and averaged, px: the low pass of
+# 0.55 px would swell it. It fades in down to the second size, and is never switched
+FILTER_SIGMA_PX = 0.5
+FILTER_SIGMA_FULL_PX = 0.35
+# times larger at most, and pixels of such a drawing at most
+FILTER_FACTOR_MAX = 8
+FILTER_PIXELS_MAX = 4_000_000
+# when the hand's box is smaller than this part of the picture, only the box is drawn
+CROP_PART_MAX = 0.5
+# its edges stand at multiples of this, px: tiles stay where they were, and buffers are seldom made anew
+CROP_STEP_PX = 64
+# the faint tail: contributions between 1/255 and this, and what the picture keeps without them (RENDERING 9.1), dB
+TAIL_ALPHA_MIN = 1.0 / 1024.0
+TAIL_PSNR_DB = 57.0
+# what may be missing from a picture that moves, or is out of focus, as a part of the contrast; more exposures cost more
+MOTION_ERROR_MAX = 1 / 64
+FOCUS_ERROR_MAX = 1 / 20
+# an edge of a splatted picture: largest slope per px and largest change of slope per px^2 of a step blurred by the
+# rasteriser's low pass, 1 / (s sqrt(2 pi)) and 0.242 / s^2 with s^2 = 0.3 px^2
+EDGE_SLOPE = 0.73
+EDGE_CURVATURE = 0.81
+# what a disc of n sunflower samples misjudges of a half plane: at most 1.4 / n^0.75 (worst of n = 4 to 256)
+DISC_DISCREPANCY = 1.4
+# estimated cost on one core of the machine of RENDERING, milliseconds per Gaussian, per pixel, per pixel and sample
+SKIN_MS = 5e-6
+NETWORK_MS = 2.7e-4
+LINEAR_MS = 2e-5
+CAST_MS = 2e-5
+RASTER_MS = 1.3e-4
+TAIL_MS = 1.3e-5
+MAP_MS = 1e-6
+SHADOW_MS = 3e-7

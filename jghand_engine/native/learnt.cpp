@@ -86,8 +86,10 @@ void pose_blocks(const LearntTask& t, int32_t begin, int32_t end) {
     vf correction[NETWORK_BLOCKS][CORRECTION] = {};
     if (t.correctives == NETWORK) network_correction(t, block, count, correction);
     for (int b = 0; b < count; b++) {
+      float* given = t.given ? t.given + CORRECTION * LANES * (int64_t)(block + b) : nullptr;
+      if (t.correctives == NETWORK && given) memcpy(given, correction[b], sizeof *correction);
       if (t.correctives == LINEAR) linear_correction(t, block + b, correction[b]);
-      if (t.correctives == GIVEN) memcpy(correction[b], t.given + CORRECTION * LANES * (int64_t)(block + b), sizeof *correction);
+      if (t.correctives == GIVEN) memcpy(correction[b], given, sizeof *correction);
       pose_block(t, block + b, correction[b]);
     }
   }

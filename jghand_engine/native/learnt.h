@@ -33,7 +33,7 @@ struct LearntTask {
   CastTask cast;
   const float* look;            // (blocks, 7, 16): unit normal, albedo, shine
   // correctives
-  const float* given;           // (blocks, 6, 16): offset, metres, and shade
+  float* given;                 // (blocks, 6, 16): offset, metres, and shade; the network leaves its own there, if not null
   const int8_t* direction;      // (blocks, basis, 6, 16)
   const float* constant;        // (blocks, 8, 16): offset and shade, then one step of `direction` of either
   const float* numbers;         // (21, basis)

@@ -11,12 +11,33 @@ from dataclasses import dataclass, replace
 
 import torch
 
+from jghand_engine import limits
 from jghand_engine.errors import InputError
 
 
 @dataclass(frozen=True)
+class Lens:
+    """A thin lens. aperture_m: diameter of its opening, metres, 0 = a pinhole · focus_m: depth that is sharp, metres"""
+
+    aperture_m: float
+    focus_m: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.aperture_m) and self.aperture_m >= 0):
+            raise InputError("lens: aperture_m", wanted="0 or a diameter in metres", came=str(self.aperture_m))
+        if not (math.isfinite(self.focus_m) and self.focus_m > limits.Z_NEAR_M):
+            wanted = f"a depth beyond the near plane, {limits.Z_NEAR_M:g} m"
+            raise InputError("lens: focus_m", wanted=wanted, came=str(self.focus_m))
+
+    def blur_px(self, focal_px: float, depth_m: float) -> float:
+        """Diameter of the disc that a point at `depth_m` becomes, pixels."""
+        return focal_px * self.aperture_m * abs(depth_m - self.focus_m) / (depth_m * self.focus_m)
+
+
+@dataclass(frozen=True)
 class Camera:
-    """width, height: pixels; fx, fy, cx, cy: pixels; camera_from_world: (4, 4) float64 rigid map, metres."""
+    """width, height: pixels; fx, fy, cx, cy: pixels; camera_from_world: (4, 4) float64 rigid map, metres; lens: None
+    for a pinhole, through which everything is sharp (`rasterise` knows no other)."""
 
     width: int
     height: int
@@ -25,6 +46,7 @@ class Camera:
     cx: float
     cy: float
     camera_from_world: torch.Tensor
+    lens: Lens | None = None
 
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1:
@@ -77,6 +99,20 @@ class Camera:
         return replace(
             self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy
         )
+
+    def through(self, x_m: float, y_m: float) -> Camera:
+        """The pinhole at a place of the lens, metres from its middle along the picture's axes. What is in focus stays
+        where it was in the picture."""
+        if self.lens is None:
+            return self
+        matrix = self.camera_from_world.clone()
+        matrix[:2, 3] -= torch.tensor([x_m, y_m], dtype=torch.float64)
+        cx, cy = (c + f * at / self.lens.focus_m for c, f, at in ((self.cx, self.fx, x_m), (self.cy, self.fy, y_m)))
+        return replace(self, cx=cx, cy=cy, camera_from_world=matrix, lens=None)
+
+    def part(self, left: int, top: int, width: int, height: int) -> Camera:
+        """The camera of a rectangle of the picture, pixels."""
+        return replace(self, width=width, height=height, cx=self.cx - left, cy=self.cy - top)
 
     def project(self, points_m: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """World points (..., 3) in metres -> pixels (..., 2) and depth along the view axis (...) in metres."""

@@ -3,8 +3,8 @@
     renderer = HandRenderer(load_builtin(handedness=Handedness.RIGHT), preset("viewport"))
     frame = renderer.render(joints_m, camera)
 
-Every stage that can be skipped has a cheap test, a reason and a bound in the report (RENDERING 11). Positions are kept
-relative to the first hand's root and the root is added in double precision: a hand 1 km away loses nothing.
+What is done is decided in `effects.py`; here it is done. Positions are kept relative to the first hand's root and the
+root is added in double precision: a hand 1 km away loses nothing.
 """
 
 from __future__ import annotations
@@ -18,7 +18,6 @@ import torch
 
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar, check_follows_joints
-from jghand_engine.avatar.learnt import ShadowLook
 from jghand_engine.avatar.pose_features import Angles
 from jghand_engine.avatar.pose_range import outside, trained_range
 from jghand_engine.avatar.tiers import Tier
@@ -29,14 +28,27 @@ from jghand_engine.hand.joints import JOINT_COUNT, LEVEL_NAMES
 from jghand_engine.hand.orders import check_joint_shape
 from jghand_engine.native import library as native_library
 from jghand_engine.splat.camera import Camera
-from jghand_engine.splat.gate import ShadowGate, contact_between, fade
+from jghand_engine.splat.effect_plan import Box, Effect, EffectPlan
+from jghand_engine.splat.effects import (
+    HandFacts,
+    Kept,
+    Scene,
+    equipped,
+    hand_box,
+    plan_effects,
+    same_shape,
+    standing_still,
+)
+from jghand_engine.splat.exposure import Shutter, exposures
+from jghand_engine.splat.half import enlarged_colour, enlarged_depth, halved, repeated
+from jghand_engine.splat.mean_picture import Drawn, MeanPicture, averaged_down
 from jghand_engine.splat.painter import SHADOW, SKIN, Canvas, Painter, Pose, TorchPainter
 from jghand_engine.splat.painter_native import NativePainter
 from jghand_engine.splat.report import FrameReport
-from jghand_engine.splat.settings import RenderSettings, ShadowMode
-from jghand_engine.splat.shadow import ShadowStyle
+from jghand_engine.splat.settings import RenderSettings
+from jghand_engine.splat.shadow import ShadowStyle, surface_normals
 
-TRANSFORM, GATE = "transform", "shadow gate"
+TRANSFORM, PLAN, ENLARGE = "transform", "plan", "enlarge"
 
 
 @dataclass(frozen=True)
@@ -45,11 +57,15 @@ class Frame:
 
     rgba:    (H, W, 4) float32, premultiplied, display-referred sRGB, row 0 at the top
     depth_m: (H, W) float32, metres along the view axis, 0 where there is nothing (everywhere with settings.depth off)
+    normal:  (H, W, 3) float32 unit, towards the camera, in its axes, 0 where there is nothing; None unless requested
+    ids:     (H, W) uint8, 0 = nothing, k = the k-th hand covers most of what is covered; None unless requested
     """
 
     rgba: np.ndarray
     depth_m: np.ndarray
     report: FrameReport
+    normal: np.ndarray | None = None
+    ids: np.ndarray | None = None
 
 
 class SceneRenderer:
@@ -65,9 +81,11 @@ class SceneRenderer:
             raise InputError("hands of a picture", wanted="at least one avatar", came="none")
         for avatar in avatars:
             check_follows_joints(avatar)
-        chosen = [_with_tier(avatar.prefix(self.settings.gaussians), self.settings.correctives) for avatar in avatars]
+        allowed = [equipped(avatar.prefix(self.settings.gaussians), self.settings) for avatar in avatars]
+        chosen = [_with_tier(avatar, self.settings.correctives) for avatar in allowed]
         self._avatars = [avatar for avatar, _ in chosen]
         self._tiers = ", ".join(dict.fromkeys(told for _, told in chosen if told))
+        self._facts = [HandFacts(avatar) for avatar in self._avatars]
         self._transforms = [
             FastTransform(
                 avatar.canonical_joints_m,
@@ -79,13 +97,10 @@ class SceneRenderer:
             for avatar in self._avatars
         ]
         self._ranges = [trained_range(avatar.info) for avatar in self._avatars]
-        looks = [ShadowLook() if avatar.learnt is None else avatar.learnt.shadow for avatar in self._avatars]
-        self._looks = [look for look in looks if look is not None]
-        # colours that were learnt under a shadow that fades with the pose have in them what it leaves out
-        self._is_learnt = any(avatar.learnt is not None for avatar in self._avatars)
-        self._gates = [ShadowGate(avatar.canonical_joints_m.numpy()) for avatar in self._avatars]
+        self._looks = [facts.look for facts in self._facts if facts.look is not None]
         self._painter = self._new_painter()
         self._posed: _Posed | None = None
+        self._drawn: Canvas | None = None  # what the painter's picture shows
 
     def _new_painter(self) -> Painter:
         library = native_library.load(self.settings.backend)
@@ -93,57 +108,79 @@ class SceneRenderer:
             return TorchPainter(self._avatars, self.settings)
         return NativePainter(library, self._avatars, self.settings)
 
-    def render(self, joints_m: Sequence[np.ndarray | torch.Tensor], camera: Camera) -> Frame:
+    def render(
+        self, joints_m: Sequence[np.ndarray | torch.Tensor], camera: Camera, shutter: Shutter | None = None
+    ) -> Frame:
         """One picture. joints_m: per hand (21, 3), level order, metres, in the frame the camera is given in.
+        shutter: how the hands move around these joints while it is open; None for a moment.
 
         InputError names a joint that is not finite; to hold the last good pose is the motion's business
         (`PoseSequence.with_gaps_held`).
         """
+        if not self.settings.half:
+            return self._render(joints_m, camera, shutter)
+        return _enlarged(self._render(joints_m, halved(camera), shutter), camera)
+
+    def _render(self, joints_m: Sequence[np.ndarray | torch.Tensor], camera: Camera, shutter: Shutter | None) -> Frame:
         started = time.perf_counter()
         report = FrameReport(backend=self._painter.backend, threads=self._painter.threads)
         report.gaussians = sum(map(len, self._avatars))
         hands = self._checked(joints_m)
-        posed, moved = self._pose(hands, report)
-        canvas = self._canvas(posed, camera, report)
-        if not moved:
-            report.skipped(SKIN, "same transforms", report.stages[0].bound)
-        # a picture that fails half way may leave the painter with half of these Gaussians: then the next one poses anew
-        self._posed = None
-        rgba, depth_m = self._painter.paint(posed.poses if moved else None, canvas, report)
+        if shutter is not None:
+            shutter = Shutter(self._checked(shutter.opens_m), self._checked(shutter.closes_m))
+        shot = self._pose(hands, report)
+        report.plan = plan = self._plan(shot, camera, shutter, report)
+        report.notes += shot.posed.notes + shot.posed.unseen
+        if plan.exposures == 1:
+            drawn = self._picture(shot, replace(camera, lens=None), plan, report)
+        else:
+            mean = MeanPicture(camera.width, camera.height)
+            for moment_m, pinhole in exposures(hands, camera, shutter, plan.exposures):
+                mean.add(self._picture(self._pose(moment_m, report), pinhole, plan, report), 1 / plan.exposures)
+            drawn = mean.drawn()
         report.explain(SKIN, self._tiers)
-        self._posed = posed
-        if depth_m is None:
-            report.skipped("depth", "not requested", "")
-            depth_m = np.zeros(rgba.shape[:2], np.float32)
+        frame = self._finished(drawn, camera, plan, report)
         report.total_ms = 1e3 * (time.perf_counter() - started)
-        return Frame(rgba, depth_m, report)
+        return frame
 
     def _checked(self, joints_m: Sequence[np.ndarray | torch.Tensor]) -> list[np.ndarray]:
         if len(joints_m) != len(self._avatars):
             raise InputError("hands of a picture", wanted=f"joints of {len(self._avatars)}", came=str(len(joints_m)))
         return [_checked_hand(joints) for joints in joints_m]
 
-    def _pose(self, hands: list[np.ndarray], report: FrameReport) -> tuple[_Posed, bool]:
-        """The bone transforms, and whether they are new."""
-        started = time.perf_counter()
-        if self._posed is not None and self.settings.reuse:
-            distance_m = max(float(np.abs(new - old).max()) for new, old in zip(hands, self._posed.hands, strict=True))
-            # per axis, so that no joint moves farther than the limit; the skin of a flagged hand may turn without bound
-            most_m = 0.0 if self._posed.notes else limits.REUSE_JOINTS_M
-            if distance_m * np.sqrt(3.0) <= most_m:
-                bound = f"{1e3 * limits.REUSE_SKIN_M:g} mm of skin" if distance_m > 0 else "0"
-                report.skipped(TRANSFORM, f"joints moved {1e3 * distance_m:.3f} mm", bound)
-                report.notes += self._posed.notes + self._posed.unseen
-                return self._posed, False
+    # ---- the pose ----------------------------------------------------------------------------------------------------
+
+    def _pose(self, hands: list[np.ndarray], report: FrameReport) -> _Shot:
+        """The bone transforms, and whether they are new. Nothing is kept of it before it is painted."""
+        started, last, settings = time.perf_counter(), self._posed, self.settings
+        moved_m = standing_still(hands, None if last is None else last.kept, settings)
+        if last is not None and moved_m is not None:
+            bound = f"{1e3 * limits.REUSE_SKIN_M:g} mm of skin" if moved_m > 0 else "0"
+            report.skipped(TRANSFORM, f"joints moved {1e3 * moved_m:.3f} mm", bound)
+            return _Shot(last, moved_m)
         origin_m = hands[0][0]
         bones = [transform.bones(joints) for transform, joints in zip(self._transforms, hands, strict=True)]
+        corrected = self._corrected_rad(last)
+        poses = [
+            Pose(one, one.root_m - origin_m, keeps_correctives=same_shape(one, angles_rad, settings))
+            for one, angles_rad in zip(bones, corrected, strict=True)
+        ]
         unseen = [note for place, own in enumerate(bones) for note in self._unseen(place, own)]
-        poses = [Pose(one, one.root_m - origin_m) for one in bones]
         notes = [sentence for one in bones for sentence in describe_flags(one.flags)]
-        posed = _Posed([joints.copy() for joints in hands], poses, notes, unseen)
+        angles = [
+            old if pose.keeps_correctives and old is not None else pose.bones.angles_rad
+            for pose, old in zip(poses, corrected, strict=True)
+        ]
+        kept = Kept([joints.copy() for joints in hands], bool(notes), angles)
         report.ran(TRANSFORM, 1e3 * (time.perf_counter() - started))
-        report.notes += notes + unseen
-        return posed, True
+        return _Shot(_Posed(kept, poses, notes, unseen), None)
+
+    def _corrected_rad(self, last: _Posed | None) -> list[np.ndarray | None]:
+        """Per hand the angles of correctives that can be used again; None for none."""
+        if last is None or not self._painter.keeps_correctives:
+            return [None] * len(self._facts)
+        pairs = zip(self._facts, last.kept.corrected_rad, strict=True)
+        return [angles_rad if facts.keeps_correctives else None for facts, angles_rad in pairs]
 
     def _unseen(self, place: int, bones: FastBones) -> list[str]:
         """Sentences about joints that are bent as the avatar never saw them."""
@@ -152,13 +189,74 @@ class SceneRenderer:
             return []
         return [one.sentence() for one in outside(Angles.of(torch.from_numpy(bones.angles_rad)).angles, trained)]
 
-    def _canvas(self, posed: _Posed, camera: Camera, report: FrameReport) -> Canvas:
+    def _plan(self, shot: _Shot, camera: Camera, shutter: Shutter | None, report: FrameReport) -> EffectPlan:
+        started, posed = time.perf_counter(), shot.posed
+        scene = Scene(
+            posed.kept.joints_m,
+            [pose.bones for pose in posed.poses],
+            camera,
+            shutter,
+            shot.moved_m,
+            reshaped=not all(pose.keeps_correctives for pose in posed.poses),
+        )
+        plan = plan_effects(scene, self._facts, self.settings)
+        report.ran(PLAN, 1e3 * (time.perf_counter() - started))
+        if not plan.runs(Effect.SKIN):
+            report.skipped(SKIN, "same transforms", plan[Effect.SKIN].bound)
+        if plan.strength == 0:
+            report.skipped(SHADOW, plan[Effect.SHADOW].reason, plan[Effect.SHADOW].bound)
+        if not plan.runs(Effect.DEPTH):
+            report.skipped(str(Effect.DEPTH), plan[Effect.DEPTH].reason, plan[Effect.DEPTH].bound)
+        return plan
+
+    # ---- the picture -------------------------------------------------------------------------------------------------
+
+    def _picture(self, shot: _Shot, camera: Camera, plan: EffectPlan, report: FrameReport) -> Drawn:
+        """One moment through one pinhole: of the whole picture or of the hands' box in it."""
+        posed, box = shot.posed, None
+        if plan.crops or plan.enlarged > 1:
+            bones = [pose.bones for pose in posed.poses]
+            box = hand_box(posed.kept.joints_m, bones, self._facts, camera, plan.alpha_min)
+        box = box or Box(0, 0, camera.width, camera.height)
+        part, drawn = camera.part(*box), []
+        if plan.plain > 0:
+            drawn.append((self._painted(shot, part, box, plan, report), plan.plain))
+        if plan.plain < 1:
+            # what was posed for the picture above stays
+            again = shot if plan.plain == 0 else _Shot(posed, 0.0)
+            large = self._painted(again, part.scaled(plan.enlarged), box, plan, report)
+            drawn.append((averaged_down(large, plan.enlarged), 1 - plan.plain))
+        if len(drawn) == 1:
+            return drawn[0][0]
+        mean = MeanPicture(camera.width, camera.height)
+        for one, weight in drawn:
+            mean.add(one, weight)
+        return mean.drawn()
+
+    def _painted(self, shot: _Shot, camera: Camera, box: Box, plan: EffectPlan, report: FrameReport) -> Drawn:
+        canvas = self._canvas(shot.posed, camera, plan)
+        poses = None if shot.moved_m is not None else shot.posed.poses
+        keeps = poses is None and not self.settings.effects.forced and canvas.same_view(self._drawn)
+        # a picture that fails half way may leave the painter with half of these Gaussians: then the next one poses anew
+        self._posed = self._drawn = None
+        rgba, depth_m = self._painter.paint(poses, canvas, report, keeps_picture=keeps)
+        weights = self._hand_weights(rgba, canvas, report) if plan.runs(Effect.IDS) else None
+        self._posed, self._drawn = shot.posed, canvas
+        return Drawn(box, rgba, depth_m, weights)
+
+    def _hand_weights(self, rgba: np.ndarray, canvas: Canvas, report: FrameReport) -> np.ndarray:
+        """(H, W, hands) how much of the pixel each hand covers."""
+        started = time.perf_counter()
+        weights = rgba[..., 3:] if len(self._avatars) == 1 else self._painter.hand_weights(canvas)
+        report.ran(str(Effect.IDS), 1e3 * (time.perf_counter() - started))
+        return weights
+
+    def _canvas(self, posed: _Posed, camera: Camera, plan: EffectPlan) -> Canvas:
         # the origin of what was posed, also when the hand has moved by less than the limit since
         from_origin = camera.camera_from_world.clone()
-        from_origin[:3, 3] += from_origin[:3, :3] @ torch.from_numpy(posed.hands[0][0])
-        strength = self._shadow_strength(posed, camera, report)
-        style = self._shadow_style(strength) if strength > 0 else None
-        return Canvas(replace(camera, camera_from_world=from_origin), float(from_origin[2, 3]), style)
+        from_origin[:3, 3] += from_origin[:3, :3] @ torch.from_numpy(posed.kept.joints_m[0][0])
+        style = self._shadow_style(plan.strength) if plan.strength > 0 else None
+        return Canvas(replace(camera, camera_from_world=from_origin), float(from_origin[2, 3]), style, plan.alpha_min)
 
     def _shadow_style(self, strength: float) -> ShadowStyle:
         """One pass shades all hands: hands of different looks get the mean of them."""
@@ -166,31 +264,20 @@ class SceneRenderer:
         red, green, blue = np.mean([look.tint for look in self._looks], axis=0).tolist()
         return ShadowStyle(self.settings.shadow_samples, strength, gain=gain, tint=(red, green, blue))
 
-    def _shadow_strength(self, posed: _Posed, camera: Camera, report: FrameReport) -> float:
-        """0..1; decided by mode, size on the picture and the gate, with a line in the report."""
-        settings = self.settings
-        if settings.shadow is ShadowMode.OFF or settings.shadow_strength == 0:
-            report.skipped(SHADOW, "switched off", "")
-            return 0.0
-        if not self._looks:
-            report.skipped(SHADOW, "the avatar was learnt without one", "0")
-            return 0.0
-        if settings.shadow is ShadowMode.ALWAYS and not self._is_learnt:
-            return settings.shadow_strength
-        size_px = max(_extent_px(joints, camera) for joints in posed.hands)
-        if size_px < limits.SHADOW_HAND_MIN_PX and settings.shadow is not ShadowMode.ALWAYS:
-            report.skipped(SHADOW, f"hand {size_px:.0f} px", "a few pixels of crease")
-            return 0.0
-        started = time.perf_counter()
-        scores = [
-            gate.score(joints, pose.bones.scale)
-            for gate, joints, pose in zip(self._gates, posed.hands, posed.poses, strict=True)
-        ]
-        score = max(scores) + contact_between(posed.hands)
-        report.ran(GATE, 1e3 * (time.perf_counter() - started), f"score {score:.2f}")
-        if (strength := fade(score)) == 0:
-            report.skipped(SHADOW, f"gate {score:.2f}", "1 % of the hand's pixels occluded by over 0.2 (METHOD 5.4)")
-        return strength * settings.shadow_strength
+    def _finished(self, drawn: Drawn, camera: Camera, plan: EffectPlan, report: FrameReport) -> Frame:
+        whole = drawn.laid_out(camera.width, camera.height)
+        normal = ids = None
+        if plan.runs(Effect.NORMALS) and whole.depth_m is not None:
+            started = time.perf_counter()
+            normal = surface_normals(torch.from_numpy(whole.depth_m), camera).numpy()
+            report.ran(str(Effect.NORMALS), 1e3 * (time.perf_counter() - started))
+        if plan.runs(Effect.IDS) and whole.weights is not None:
+            covered = whole.weights.sum(-1) > limits.DEPTH_ALPHA_MIN
+            ids = np.where(covered, 1 + whole.weights.argmax(-1), 0).astype(np.uint8)
+        depth_m = whole.depth_m if plan.runs(Effect.DEPTH) else None
+        if depth_m is None:
+            depth_m = np.zeros(whole.rgba.shape[:2], np.float32)
+        return Frame(whole.rgba, depth_m, report, normal, ids)
 
 
 class HandRenderer:
@@ -200,24 +287,47 @@ class HandRenderer:
         self._scene = SceneRenderer([avatar], settings)
         self.settings = self._scene.settings
 
-    def render(self, joints_m: np.ndarray | torch.Tensor, camera: Camera) -> Frame:
-        """One picture. joints_m: (21, 3), level order, metres, in the frame the camera is given in.
+    def render(self, joints_m: np.ndarray | torch.Tensor, camera: Camera, shutter: Shutter | None = None) -> Frame:
+        """One picture. joints_m: (21, 3), level order, metres, in the frame the camera is given in. shutter: as for
+        SceneRenderer, of one hand.
 
         InputError names a joint that is not finite; to hold the last good pose is the motion's business
         (`PoseSequence.with_gaps_held`).
         """
-        return self._scene.render([joints_m], camera)
+        return self._scene.render([joints_m], camera, shutter)
+
+
+def _enlarged(frame: Frame, camera: Camera) -> Frame:
+    """A frame of `halved(camera)` as one of `camera`."""
+    started, report = time.perf_counter(), frame.report
+    size = camera.width, camera.height
+    rgba = enlarged_colour(frame.rgba, *size, report.threads)
+    # without depth the zeros stay zeros
+    depth_m = enlarged_depth(frame.depth_m, *size, report.threads)
+    normal, ids = (None if each is None else repeated(each, *size) for each in (frame.normal, frame.ids))
+    spent_ms = 1e3 * (time.perf_counter() - started)
+    report.ran(ENLARGE, spent_ms)
+    report.total_ms += spent_ms
+    return Frame(rgba, depth_m, report, normal, ids)
 
 
 @dataclass(frozen=True)
 class _Posed:
-    """The hands of the last finished picture: joints (21, 3) each, transforms, notes for the report: of what is wrong
-    with a hand, and of what its avatar never saw."""
+    """Hands in a pose: what the next picture may keep of it, transforms, notes for the report: of what is wrong with a
+    hand, and of what its avatar never saw."""
 
-    hands: list[np.ndarray]
+    kept: Kept
     poses: list[Pose]
     notes: list[str]
     unseen: list[str]
+
+
+@dataclass(frozen=True)
+class _Shot:
+    """A pose to be drawn. moved_m: None when it is new; else how far the joints moved since the painter got it."""
+
+    posed: _Posed
+    moved_m: float | None
 
 
 def _with_tier(avatar: HandAvatar, wanted: Tier) -> tuple[HandAvatar, str]:
@@ -245,12 +355,3 @@ def _checked_hand(joints_m: np.ndarray | torch.Tensor) -> np.ndarray:
             remedy="Hold the last good pose: PoseSequence.with_gaps_held().",
         )
     return joints
-
-
-def _extent_px(joints_m: np.ndarray, camera: Camera) -> float:
-    """The longer side of the box around the hand on the picture; infinite when the camera is inside it."""
-    pixels, depth = camera.project(torch.from_numpy(joints_m))
-    if not bool((depth > limits.Z_NEAR_M).all()):
-        return float("inf")
-    flesh_px = 2e-3 * max(limits.GATE_CAPSULE_RADII_MM) * max(camera.fx, camera.fy) / float(depth.min())
-    return float((pixels.amax(0) - pixels.amin(0)).max()) + flesh_px

@@ -63,6 +63,19 @@ def contact_between(hands_m: Sequence[np.ndarray]) -> float:
     return total
 
 
+def gap_between(hands_m: Sequence[np.ndarray]) -> float:
+    """At least how far, metres, the nearest two of several hands (21, 3) are apart: the gap of the boxes around their
+    capsules of scale 1. Infinite for one hand."""
+    flesh_m = float(_RADII_M.max())
+    boxes = [(hand.min(0) - flesh_m, hand.max(0) + flesh_m) for hand in hands_m]
+    gaps = [
+        float(np.linalg.norm(np.maximum(np.maximum(low - other_high, other_low - high), 0.0)))
+        for index, (low, high) in enumerate(boxes)
+        for other_low, other_high in boxes[index + 1 :]
+    ]
+    return min(gaps, default=float("inf"))
+
+
 def fade(score: float) -> float:
     """Strength of the shadow, 0..1: smoothstep of the score between GATE_LOW and GATE_HIGH."""
     t = min(max((score - limits.GATE_LOW) / (limits.GATE_HIGH - limits.GATE_LOW), 0.0), 1.0)

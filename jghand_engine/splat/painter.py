@@ -35,10 +35,12 @@ SAME_PICTURE = "same pose, camera and settings"
 
 @dataclass(frozen=True)
 class Pose:
-    """One hand of a picture: its bone transforms, and its root relative to the picture's origin (3,), metres."""
+    """One hand of a picture: its bone transforms, and its root relative to the picture's origin (3,), metres.
+    keeps_correctives: whether those of the last pose are used again"""
 
     bones: FastBones
     shift_m: np.ndarray
+    keeps_correctives: bool = False
 
     @property
     def angles(self) -> Angles:
@@ -49,11 +51,12 @@ class Pose:
 @dataclass(frozen=True)
 class Canvas:
     """What to paint. camera: of the picture's origin, that is camera_from_world @ translation(origin) · near_m: depth
-    of the origin, metres · style: of the shadow, None for none."""
+    of the origin, metres · style: of the shadow, None for none · alpha_min: cut-off of the blend."""
 
     camera: Camera
     near_m: float
     style: ShadowStyle | None
+    alpha_min: float
 
     @property
     def eye_m(self) -> np.ndarray:
@@ -62,7 +65,7 @@ class Canvas:
 
     def same_view(self, other: Canvas | None) -> bool:
         """Whether the two see the same Gaussians in the same way, shadow aside."""
-        if other is None:
+        if other is None or self.alpha_min != other.alpha_min:
             return False
         mine, theirs = self.camera, other.camera
         numbers = ("width", "height", "fx", "fy", "cx", "cy")
@@ -72,43 +75,50 @@ class Canvas:
 
 
 class Painter(Protocol):
-    """Paints hands, whose avatars it knows, again and again."""
+    """Paints hands, whose avatars it knows, again and again. keeps_correctives: whether it can (`Pose`)."""
 
     backend: str
     threads: int
+    keeps_correctives: bool
 
     def paint(
-        self, poses: Sequence[Pose] | None, canvas: Canvas, report: FrameReport
+        self, poses: Sequence[Pose] | None, canvas: Canvas, report: FrameReport, *, keeps_picture: bool = False
     ) -> tuple[np.ndarray, np.ndarray | None]:
         """-> rgba (H, W, 4) float32 premultiplied, depth (H, W) float32 metres or None. Both belong to the caller.
 
-        poses: one per avatar; None keeps the Gaussians of the last call, and for the same view also what was drawn of
-        them.
+        poses: one per avatar; None keeps the Gaussians of the last call · keeps_picture: also what was drawn of them,
+        in the same view
         """
+        ...
+
+    def hand_weights(self, canvas: Canvas) -> np.ndarray:
+        """(H, W, hands) how much of a pixel each hand covers, of the Gaussians of the last call."""
         ...
 
 
 class TorchPainter:
     """Paints with the reference functions: no compiled code, seconds per picture."""
 
-    backend, threads = "torch", 1
+    backend, threads, keeps_correctives = "torch", 1, False
 
     def __init__(self, avatars: Sequence[HandAvatar], settings: RenderSettings) -> None:
         self._avatars = avatars
         self._settings = replace(settings, backend="torch")
         self._hands = [TorchPosing(avatar) for avatar in avatars]
         self._gaussians: Gaussians | None = None
-        self._drawn: tuple[Canvas, Picture] | None = None
+        self._drawn: Picture | None = None
 
     def paint(
-        self, poses: Sequence[Pose] | None, canvas: Canvas, report: FrameReport
+        self, poses: Sequence[Pose] | None, canvas: Canvas, report: FrameReport, *, keeps_picture: bool = False
     ) -> tuple[np.ndarray, np.ndarray | None]:
         """See Painter."""
         with torch.no_grad():
             if poses is not None:
                 started = time.perf_counter()
-                self._gaussians, self._drawn = self._posed(poses), None
+                self._gaussians = self._posed(poses)
                 report.ran(SKIN, 1e3 * (time.perf_counter() - started))
+            if not keeps_picture:
+                self._drawn = None
             picture = self._picture(canvas, report)
             report.visible_gaussians, report.invalid_gaussians = picture.visible_gaussians, picture.invalid_gaussians
             started = time.perf_counter()
@@ -121,17 +131,30 @@ class TorchPainter:
         return rgba, depth_m
 
     def _picture(self, canvas: Canvas, report: FrameReport) -> Picture:
-        if self._drawn is not None and canvas.same_view(self._drawn[0]):
+        if self._drawn is not None:
             report.skipped(RASTER, SAME_PICTURE, "0")
-            return self._drawn[1]
+            return self._drawn
         if self._gaussians is None:
             raise InputError("picture", wanted="a pose", came="none")
         coloured = self._coloured(self._gaussians, canvas, report)
         started = time.perf_counter()
-        picture = rasterise(coloured, canvas.camera, self._settings)
-        self._drawn = (canvas, picture)
+        picture = rasterise(coloured, canvas.camera, replace(self._settings, alpha_min=canvas.alpha_min))
+        self._drawn = picture
         report.ran(RASTER, 1e3 * (time.perf_counter() - started))
         return picture
+
+    def hand_weights(self, canvas: Canvas) -> np.ndarray:
+        """See Painter."""
+        if self._gaussians is None:
+            raise InputError("picture", wanted="a pose", came="none")
+        settings = replace(self._settings, alpha_min=canvas.alpha_min)
+        owner = owners([len(avatar) for avatar in self._avatars])
+        planes = []
+        with torch.no_grad():
+            for first in range(0, len(self._avatars), 3):
+                rgb = torch.from_numpy(hand_colours(owner, first)).to(self._gaussians.rgb)
+                planes.append(rasterise(replace(self._gaussians, rgb=rgb), canvas.camera, settings).rgb.numpy())
+        return np.concatenate(planes, -1)[..., : len(self._avatars)].astype(np.float32)
 
     def _posed(self, poses: Sequence[Pose]) -> Gaussians:
         """All hands' Gaussians relative to the picture's origin."""
@@ -159,6 +182,16 @@ class TorchPainter:
         if changed:
             report.ran(GLOSS, 1e3 * (time.perf_counter() - started))
         return gaussians
+
+
+def owners(counts: Sequence[int]) -> np.ndarray:
+    """(N,) which hand each row is of, for hands of so many rows."""
+    return np.repeat(np.arange(len(counts)), counts)
+
+
+def hand_colours(owner: np.ndarray, first: int) -> np.ndarray:
+    """(N, 3) float32 colours: 1 in the channel of the row's hand, among three hands from `first` on."""
+    return (owner[:, None] == np.arange(first, first + 3)).astype(np.float32)
 
 
 def covariance_of(gaussians: Gaussians) -> torch.Tensor:

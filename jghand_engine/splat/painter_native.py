@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -13,7 +14,18 @@ from jghand_engine.avatar.fast_skinning import FastSkinning, PosedArrays, padded
 from jghand_engine.native.binding import Library, aligned_zeros
 from jghand_engine.native.rasteriser import PLANES, GaussianArrays, NativeRasteriser
 from jghand_engine.native.threads import WorkerPool, shared_pool, thread_count
-from jghand_engine.splat.painter import COMPOSE, GLOSS, RASTER, SAME_PICTURE, SHADOW, SKIN, Canvas, Pose
+from jghand_engine.splat.painter import (
+    COMPOSE,
+    GLOSS,
+    RASTER,
+    SAME_PICTURE,
+    SHADOW,
+    SKIN,
+    Canvas,
+    Pose,
+    hand_colours,
+    owners,
+)
 from jghand_engine.splat.rasterise import view_of
 from jghand_engine.splat.report import FrameReport
 from jghand_engine.splat.settings import RenderSettings
@@ -22,6 +34,8 @@ from jghand_engine.splat.shadow_native import NativeShade
 
 class NativePainter:
     """See painter.Painter. One picture at a time."""
+
+    keeps_correctives = True
 
     def __init__(self, library: Library, avatars: Sequence[HandAvatar], settings: RenderSettings) -> None:
         self.backend, self.threads = library.variant, thread_count(settings.threads)
@@ -44,22 +58,18 @@ class NativePainter:
         self._rasteriser = NativeRasteriser(library, self.threads)
         self._shade: NativeShade | None = None
         self._planes: np.ndarray = aligned_zeros((PLANES, 0, 0))
-        self._drawn: Canvas | None = None  # what the planes show
 
     def paint(
-        self, poses: Sequence[Pose] | None, canvas: Canvas, report: FrameReport
+        self, poses: Sequence[Pose] | None, canvas: Canvas, report: FrameReport, *, keeps_picture: bool = False
     ) -> tuple[np.ndarray, np.ndarray | None]:
         """See Painter."""
         if poses is not None:
             for hand, pose in zip(self._hands, poses, strict=True):
                 hand.prepare(pose)
-            self._drawn = None
-        keeps_picture = self._drawn is not None and canvas.same_view(self._drawn)
-        self._drawn = None  # what follows may fail half way
         camera, settings = canvas.camera, self._settings
         if not keeps_picture:
             self._planes = self._rasteriser.prepare(
-                self._gaussians, view_of(camera), alpha_min=settings.alpha_min, t_stop=settings.t_stop
+                self._gaussians, view_of(camera), alpha_min=canvas.alpha_min, t_stop=settings.t_stop
             )
         rgba = np.empty((camera.height, camera.width, 4), np.float32)
         depth_m = np.empty((camera.height, camera.width), np.float32) if settings.depth else None
@@ -73,11 +83,22 @@ class NativePainter:
             shade=shade,
         )
         work.run(shared_pool(self.threads))
-        self._drawn = canvas
         work.tell(report, COMPOSE if canvas.style is None else SHADOW)
         report.visible_gaussians = self._rasteriser.visible
         report.invalid_gaussians = self._rasteriser.invalid - self._padding
         return rgba, depth_m
+
+    def hand_weights(self, canvas: Canvas) -> np.ndarray:
+        """See Painter."""
+        owner = owners([hand.rows for hand in self._hands])
+        rasteriser, planes = NativeRasteriser(self._library, self.threads), []
+        for first in range(0, len(self._hands), 3):
+            coloured = replace(self._gaussians, rgb=hand_colours(owner, first))
+            drawn = rasteriser.forward(
+                coloured, view_of(canvas.camera), alpha_min=canvas.alpha_min, t_stop=self._settings.t_stop
+            )
+            planes.append(drawn[:3].transpose(1, 2, 0).copy())
+        return np.concatenate(planes, -1)[..., : len(self._hands)]
 
     def _shade_for(self, width: int, height: int) -> NativeShade:
         if self._shade is None or (self._shade.task.width, self._shade.task.height) != (width, height):
@@ -102,7 +123,7 @@ class _PaintedHand:
         self._skin = FastSkinning(library, avatar)
         into.opacity[:], into.rgb[:] = self._skin.opacity, self._skin.rgb
         self._into = PosedArrays(into.position_m, into.sigma_m, into.covariance_m2)
-        self.run, self.teams = self._skin.run, [self._skin.team]
+        self.run, self.teams, self.rows = self._skin.run, [self._skin.team], len(into)
 
     def prepare(self, pose: Pose) -> None:
         self._skin.prepare(pose.bones, self._into, pose.shift_m)
@@ -121,11 +142,11 @@ class _TrainedHand:
         self._skin = FastLearntSkin(library, avatar)
         into.opacity[:] = self._skin.skin.opacity
         self._into, self._rgb = PosedArrays(into.position_m, into.sigma_m, into.covariance_m2), into.rgb
-        self.run, self.teams = self._skin.run, [self._skin.team, self._skin.gloss_team]
+        self.run, self.teams, self.rows = self._skin.run, [self._skin.team, self._skin.gloss_team], len(into)
         self.prepare_gloss, self.run_gloss = self._skin.prepare_gloss, self._skin.run_gloss
 
     def prepare(self, pose: Pose) -> None:
-        self._skin.prepare(pose.bones, self._into, self._rgb, pose.shift_m)
+        self._skin.prepare(pose.bones, self._into, self._rgb, pose.shift_m, keeps_correctives=pose.keeps_correctives)
 
 
 class _Work:

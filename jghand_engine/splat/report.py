@@ -4,6 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 
+from jghand_engine.splat.effect_plan import Effect, EffectPlan
+
+# effects that are stages of their own; the others are parts of stages
+STAGE_OF_EFFECT = {
+    Effect.SKIN: "skin",
+    Effect.SHADOW: "shadow + compose",
+    Effect.NORMALS: "normals",
+    Effect.IDS: "ids",
+}
+
 
 @dataclass(frozen=True)
 class Stage:
@@ -27,7 +37,7 @@ class FrameReport:
     """The receipt that comes with every picture.
 
     invalid_gaussians: not drawable, left out · visible_gaussians: drawn · gaussians: posed · notes: what was unusual
-    about the hand · backend: "torch" or the native variant
+    about the hand · backend: "torch" or the native variant · plan: which effects were decided to run
     """
 
     stages: list[Stage] = field(default_factory=list)
@@ -38,12 +48,21 @@ class FrameReport:
     notes: list[str] = field(default_factory=list)
     backend: str = ""
     threads: int = 1
+    plan: EffectPlan | None = None
 
     def ran(self, name: str, milliseconds: float, reason: str = "") -> None:
+        """Adds a stage, or the time of running it again."""
+        for place, one in enumerate(self.stages):
+            if one.name == name:
+                again = one.milliseconds + milliseconds
+                self.stages[place] = Stage(name, True, again, reason or (one.reason if one.ran else ""))
+                return
         self.stages.append(Stage(name, True, milliseconds, reason))
 
     def skipped(self, name: str, reason: str, bound: str) -> None:
-        self.stages.append(Stage(name, False, 0.0, reason, bound))
+        """Adds a stage, unless it is there already: what was skipped once may have run before or after."""
+        if self.stage(name) is None:
+            self.stages.append(Stage(name, False, 0.0, reason, bound))
 
     def explain(self, name: str, reason: str) -> None:
         """Gives a stage that ran a reason; a stage that did not keeps its own."""
@@ -57,7 +76,13 @@ class FrameReport:
         """The receipt in words."""
         total = f"frame {self.total_ms:.2f} ms, {self.backend}, {self.threads} thread{'s' if self.threads > 1 else ''}"
         counts = f"{self.visible_gaussians} of {self.gaussians} Gaussians drawn, {self.invalid_gaussians} invalid"
-        return [total, counts, *(stage.line() for stage in self.stages), *self.notes]
+        planned = [] if self.plan is None else [one.line(self.effect_ms(one.effect)) for one in self.plan.decisions]
+        return [total, counts, *planned, *(stage.line() for stage in self.stages), *self.notes]
+
+    def effect_ms(self, effect: Effect) -> float | None:
+        """What the effect took, where it is a stage of its own; None else."""
+        stage = self.stage(STAGE_OF_EFFECT.get(effect, ""))
+        return stage.milliseconds if stage is not None and stage.ran else None
 
     def as_dict(self) -> dict:
         """Plain data for JSON and for the wire."""
@@ -70,4 +95,5 @@ class FrameReport:
             "invalid_gaussians": self.invalid_gaussians,
             "notes": list(self.notes),
             "stages": [vars(stage) for stage in self.stages],
+            "effects": [] if self.plan is None else [one.as_dict() for one in self.plan.decisions],
         }

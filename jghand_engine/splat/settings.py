@@ -4,10 +4,15 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import TYPE_CHECKING
 
 from jghand_engine import limits
 from jghand_engine.avatar.tiers import Tier
 from jghand_engine.errors import InputError
+from jghand_engine.splat.effect_plan import AUTO, Choice
+
+if TYPE_CHECKING:
+    from jghand_engine.avatar.avatar import HandAvatar
 
 
 class ShadowMode(StrEnum):
@@ -26,8 +31,11 @@ class RenderSettings:
     """gaussians: how many of the avatar's Gaussians (a prefix; 0 = all) · alpha_min, t_stop: cut-offs of the blend ·
     shadow, shadow_samples, shadow_strength: the self-shadow pass · correctives: how the corrections of a trained
     avatar's pose are found (avatar.tiers) · threads: 0 = as many as is sensible ·
-    backend: "auto", "torch" (the reference), "v3", "v4" or "neon" (native) · depth: whether the frame carries depth ·
-    reuse: whether stages whose input has hardly changed keep their last result, within the bound in the report."""
+    backend: "auto", "torch" (the reference), "v3", "v4" or "neon" (native) · depth, normals, ids: maps that the frame
+    carries · effects: which may run (`effect_plan.Choice`) · antialias: whether hands that are much smaller than they
+    were learnt are drawn larger and averaged; not where a picture is compared with what was learnt ·
+    reuse: whether stages whose input has hardly changed keep their last result, within the bound in the report ·
+    half: draw at half the width and height, then enlarge (`half`)."""
 
     gaussians: int = 0
     alpha_min: float = limits.ALPHA_MIN
@@ -39,7 +47,12 @@ class RenderSettings:
     threads: int = 0
     backend: str = "auto"
     depth: bool = True
+    normals: bool = False
+    ids: bool = False
+    effects: Choice = AUTO
+    antialias: bool = False
     reuse: bool = True
+    half: bool = False
 
     def __post_init__(self) -> None:
         checks = (
@@ -58,6 +71,19 @@ class RenderSettings:
         for name, good, wanted in checks:
             if not good:
                 raise InputError(f"render setting {name}", wanted=wanted, came=str(getattr(self, name)))
+
+    @classmethod
+    def for_budget(
+        cls, budget_ms: float, avatar: HandAvatar | None = None, size_px: tuple[int, int] = (512, 334), threads: int = 0
+    ) -> RenderSettings:
+        """The most accurate settings that draw a frame of `avatar` (None: the built-in hand) in `budget_ms` on this
+        machine, as its profile says (`budget.best_for`). Without a profile two seconds of drawing make one."""
+        from jghand_engine.avatar.builtin import load_builtin
+        from jghand_engine.hand.joints import Handedness
+        from jghand_engine.splat.budget import best_for
+
+        hand = avatar or load_builtin(handedness=Handedness.RIGHT)
+        return best_for(budget_ms, hand, size_px, threads).settings
 
 
 # the presets of RENDERING 9.4; `viewport` is the default

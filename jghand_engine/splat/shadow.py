@@ -107,6 +107,15 @@ def shade(
     return rgb * (1 - darkness[..., None] * rgb.new_tensor(style.tint))
 
 
+def surface_normals(depth_m: torch.Tensor, camera: Camera) -> torch.Tensor:
+    """Unit normals (H, W, 3) towards the camera, in its axes, of a depth map (H, W), metres, 0 where there is none;
+    there they are 0."""
+    valid = depth_m > 0
+    depth_m = torch.where(valid, depth_m, 1.0)
+    normal = _normals(_unproject(depth_m, camera), depth_m, valid, camera)
+    return torch.where(valid[..., None], normal, 0.0)
+
+
 def _unproject(depth_m: torch.Tensor, camera: Camera) -> torch.Tensor:
     """Points (H, W, 3) in the camera frame, metres."""
     height, width = depth_m.shape

@@ -18,6 +18,7 @@ from jghand_engine.hand.transform import JointTransform
 from jghand_engine.native import library as native_library
 from jghand_engine.splat import painter_native
 from jghand_engine.splat.camera import Camera
+from jghand_engine.splat.effect_plan import Effect
 from jghand_engine.splat.frame import Frame, HandRenderer, SceneRenderer
 from jghand_engine.splat.reference import rasterise_reference
 from jghand_engine.splat.settings import RenderSettings, ShadowMode
@@ -258,7 +259,7 @@ def test_reuse_can_be_switched_off(backend: str):
 def test_gate_fades_the_shadow_and_says_the_score(backend: str):
     renderer = HandRenderer(RIGHT, replace(ALWAYS, backend=backend, shadow=ShadowMode.GATED))
     still = renderer.render(CANONICAL_M, camera())
-    assert still.report.stage("shadow gate").reason == "score 0.00"
+    assert still.report.plan[Effect.SHADOW].reason == "gate 0.00"
     assert not still.report.stage("shadow + compose").ran
     fist = renderer.render(named_pose("fist", CANONICAL_M, handedness=Handedness.RIGHT), camera())
     assert fist.report.stage("shadow + compose").ran

@@ -1,0 +1,132 @@
+"""What may be done for a picture beyond the least, which of it was asked for, and what was decided: plain data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import NamedTuple
+
+from jghand_engine.errors import InputError
+
+
+class Effect(StrEnum):
+    """A pass over the hand or the picture that a scene may do without."""
+
+    SKIN = "skin"
+    CORRECTIVES = "correctives"
+    CAST = "cast-shadow"
+    ANISOTROPY = "anisotropy"
+    FILTER = "filter"
+    SHADOW = "self-shadow"
+    BETWEEN = "hand-shadow"
+    DEPTH = "depth"
+    NORMALS = "normals"
+    IDS = "ids"
+    MOTION = "motion-blur"
+    FOCUS = "depth-of-field"
+    TAIL = "faint-tail"
+    WHOLE = "whole-picture"
+
+
+# without a skin there is no picture; it is only reused
+CHOOSABLE = tuple(effect for effect in Effect if effect is not Effect.SKIN)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Which effects may run. None in `named`: all of them · forced: whether they run on every frame, called for or not,
+    and nothing is reused"""
+
+    named: frozenset[Effect] | None = None
+    forced: bool = False
+
+    @classmethod
+    def parse(cls, text: str) -> Choice:
+        """auto (what a scene calls for), all (everything, always), none, or names of effects with commas, which run
+        when they are called for. InputError names an unknown one."""
+        words = [word.strip() for word in text.split(",") if word.strip()]
+        if words == ["auto"]:
+            return cls()
+        if words == ["all"]:
+            return cls(forced=True)
+        if words == ["none"]:
+            return cls(frozenset())
+        unknown = [word for word in words if word not in CHOOSABLE]
+        if unknown or not words:
+            wanted = f"auto | all | none | names of {', '.join(CHOOSABLE)}"
+            raise InputError("effects", wanted=wanted, came=", ".join(unknown) or repr(text))
+        return cls(frozenset(map(Effect, words)))
+
+    def allows(self, effect: Effect) -> bool:
+        """Whether the effect may run at all."""
+        return self.named is None or effect in self.named
+
+
+AUTO = Choice()
+
+
+class Box(NamedTuple):
+    """A rectangle of the picture, pixels."""
+
+    left: int
+    top: int
+    width: int
+    height: int
+
+
+@dataclass(frozen=True)
+class Decision:
+    """About one effect. reason: why · bound: in words, how far the picture may be from one with (or, of what runs,
+    without) the effect · worst: the same as the largest difference of a channel, 0..1, None where none is known ·
+    estimated_ms: of running it, on one core"""
+
+    effect: Effect
+    runs: bool
+    reason: str
+    bound: str = ""
+    worst: float | None = None
+    estimated_ms: float = 0.0
+
+    def line(self, measured_ms: float | None = None) -> str:
+        """One line of the receipt: `self-shadow   skipped  gate 0.21; at most …; would be about 0.4 ms`."""
+        if self.runs:
+            cost = f"{measured_ms:.2f} ms" if measured_ms is not None else f"about {self.estimated_ms:.2g} ms"
+        else:
+            cost = f"saved about {self.estimated_ms:.2g} ms" if self.estimated_ms else ""
+        bound = f"{'without' if self.runs else 'off by'}: {self.bound}" if self.bound else ""
+        told = "; ".join(part for part in (self.reason, bound, cost) if part)
+        return f"{self.effect:<15}{'ran' if self.runs else 'skipped':<9}{told}"
+
+    def as_dict(self) -> dict:
+        """Plain data for JSON and for the wire."""
+        return vars(self) | {"effect": str(self.effect)}
+
+
+@dataclass(frozen=True)
+class EffectPlan:
+    """How one picture is made.
+
+    decisions: one per effect · strength: of the shadow pass, 0..1 · alpha_min: cut-off of the blend · enlarged: times
+    that a small hand is drawn larger and averaged, 1 = not · plain: share, 0..1, of the picture that is not ·
+    exposures: pictures that are averaged for motion and focus · crops: whether only the hand's box is drawn
+    """
+
+    decisions: tuple[Decision, ...] = field(default=())
+    strength: float = 0.0
+    alpha_min: float = 0.0
+    enlarged: int = 1
+    plain: float = 0.0
+    exposures: int = 1
+    crops: bool = True
+
+    def __getitem__(self, effect: Effect) -> Decision:
+        return next(decision for decision in self.decisions if decision.effect is effect)
+
+    def runs(self, effect: Effect) -> bool:
+        """Whether it was decided to run the effect."""
+        return self[effect].runs
+
+    @property
+    def skipped_worst(self) -> float:
+        """Sum of what the skipped effects may change of a channel; infinite where one has no such bound."""
+        return sum(float("inf") if one.worst is None else one.worst for one in self.decisions if not one.runs)

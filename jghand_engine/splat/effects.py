@@ -1,0 +1,504 @@
+"""Which effects a scene calls for: every decision about a picture stands here (RENDERING 11).
+
+    plan = plan_effects(scene, hands, settings)
+
+Each effect has a cheap test, a bound on what is lost without it and an estimate of its cost. `frame.py` and the
+painters obey. What does not run is neither computed nor allocated.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import torch
+
+from jghand_engine import limits
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.correctives import Correctives, PoseNet
+from jghand_engine.avatar.learnt import ShadowLook
+from jghand_engine.avatar.tiers import CachedNet, LinearCorrectives
+from jghand_engine.hand.fast_transform import FastBones
+from jghand_engine.hand.joints import JOINT_COUNT
+from jghand_engine.splat.camera import Camera
+from jghand_engine.splat.effect_plan import Box, Decision, Effect, EffectPlan
+from jghand_engine.splat.exposure import Shutter, focus_count, focus_error, motion_count, motion_error, travel_px
+from jghand_engine.splat.gate import ShadowGate, contact_between, fade, gap_between
+from jghand_engine.splat.settings import RenderSettings, ShadowMode
+
+NOT_ALLOWED = "not among the chosen effects"
+ONE_STEP = 1.0 / 255.0
+
+
+class HandFacts:
+    """What plans need to know of an avatar, found once.
+
+    avatar: as it is drawn, see `equipped` · look: of its shadow, None where it was learnt without one ·
+    keeps_correctives: whether it is worth while to use those of the last pose again · sigma_m: of its median Gaussian ·
+    offset_m: the longest offset of its correctives along an axis
+    """
+
+    def __init__(self, avatar: HandAvatar) -> None:
+        self.avatar, self.learnt = avatar, avatar.learnt
+        self.gate = ShadowGate(avatar.canonical_joints_m.numpy())
+        self.look = ShadowLook() if self.learnt is None else self.learnt.shadow
+        net = None if self.learnt is None else self.learnt.correctives
+        # a linear tier is found as fast as it is read
+        self.keeps_correctives = net is not None and not isinstance(net, LinearCorrectives)
+        self.sigma_m = float(avatar.sigma_m.median()) if len(avatar) else 0.0
+        self._corners_m = _corners(avatar)
+        self.offset_m = 0.0 if self.learnt is None else _longest_offset_m(self.learnt.correctives)
+        self._sigma_max_m = self._longest_radius_m()
+
+    def _longest_radius_m(self) -> float:
+        """The largest standard deviation that a pose of scale 1 gives a Gaussian."""
+        if not len(self.avatar):
+            return 0.0
+        if self.learnt is None or self.learnt.ellipsoid is None:
+            return float(self.avatar.sigma_m.max()) * limits.SIGMA_STRETCH_MAX
+        # the blended map stretches these like the corners; twice is more than it does to the skin of a hand
+        return 2 * float((self.avatar.sigma_m * self.learnt.ellipsoid.log_stretch.amax(1).exp()).max())
+
+    def reach_m(self, bones: FastBones, alpha_min: float) -> float:
+        """How far from its skinned place a Gaussian of that pose may touch a picture with this cut-off."""
+        seen = math.sqrt(2 * math.log(1 / alpha_min)) * self._sigma_max_m
+        return (seen + math.sqrt(3) * self.offset_m) * max(bones.scale, 1.0)
+
+    def corners_m(self, bones: FastBones) -> np.ndarray:
+        """(K, 3) points relative to the hand's root whose hull holds every skinned place."""
+        moved = np.einsum("ijk,ick->icj", bones.linear_offset[:, :, :3], self._corners_m)
+        moved += bones.linear_offset[:, None, :, 3]
+        used = np.isfinite(self._corners_m).all((1, 2))
+        return moved[used].reshape(-1, 3)
+
+
+def _longest_offset_m(correctives: Correctives | None) -> float:
+    """The longest offset along an axis that correctives can give, metres; infinite for unknown ones."""
+    if correctives is None:
+        return 0.0
+    net = correctives.net if isinstance(correctives, CachedNet) else correctives
+    if isinstance(net, PoseNet):
+        return net.shape.reach_m
+    return net.longest_offset_m() if isinstance(net, LinearCorrectives) else math.inf
+
+
+def _corners(avatar: HandAvatar) -> np.ndarray:
+    """(21, 8, 3) corners of the boxes around what each bone moves, canonical, root-relative; NaN for none.
+
+    A skinned point is a mean of the places where its bones would carry it, each inside its bone's box: all of them lie
+    in the hull of the boxes.
+    """
+    relative = avatar.position_m.double().numpy() - avatar.canonical_joints_m[0].numpy()
+    corners = np.full((JOINT_COUNT, 8, 3), np.nan)
+    for bone, weights in enumerate((avatar.bone_weights != 0).numpy().T):
+        if weights.any():
+            low, high = relative[weights].min(0), relative[weights].max(0)
+            corners[bone] = np.stack(np.meshgrid(*np.stack([low, high], 1), indexing="ij"), -1).reshape(8, 3)
+    return corners
+
+
+def equipped(avatar: HandAvatar, settings: RenderSettings) -> HandAvatar:
+    """The avatar without what may not be drawn of it: no memory is taken for that, and no time."""
+    learnt, allows = avatar.learnt, settings.effects.allows
+    if learnt is None:
+        return avatar
+    without = {
+        Effect.CORRECTIVES: {"correctives": None, "baked": None},
+        Effect.CAST: {"cast": None},
+        Effect.ANISOTROPY: {"ellipsoid": None},
+    }
+    for effect, change in without.items():
+        if not allows(effect):
+            learnt = replace(learnt, **change)
+    return replace(avatar, learnt=learnt)
+
+
+# ---- reuse ----------------------------------------------------------------------------------------------------------
+
+
+class Kept(NamedTuple):
+    """What the last picture leaves. joints_m: per hand (21, 3) as they were posed · flagged: whether a hand was odd ·
+    corrected_rad: per hand the angles (37,) of its correctives"""
+
+    joints_m: list[np.ndarray]
+    flagged: bool
+    corrected_rad: list[np.ndarray]
+
+
+def standing_still(joints_m: Sequence[np.ndarray], kept: Kept | None, settings: RenderSettings) -> float | None:
+    """How far the joints moved along an axis since they were posed, metres; None when they have to be posed again."""
+    if kept is None or not settings.reuse or settings.effects.forced:
+        return None
+    distance_m = max(float(np.abs(new - old).max()) for new, old in zip(joints_m, kept.joints_m, strict=True))
+    # per axis, so that no joint moves farther than the limit; the skin of a flagged hand may turn without bound
+    most_m = 0.0 if kept.flagged else limits.REUSE_JOINTS_M
+    return distance_m if distance_m * math.sqrt(3.0) <= most_m else None
+
+
+def same_shape(bones: FastBones, corrected_rad: np.ndarray | None, settings: RenderSettings) -> bool:
+    """Whether a hand moved as a whole: its correctives stay."""
+    if corrected_rad is None or not settings.reuse or settings.effects.forced:
+        return False
+    return bool(np.abs(bones.angles_rad - corrected_rad).max() <= limits.REUSE_ANGLE_RAD)
+
+
+# ---- the plan -------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What is to be drawn. joints_m: per hand (21, 3), level order, metres · bones: their transforms · camera, shutter:
+    None for a moment · moved_m: of a pose that is reused, how far its joints moved; None for a new one · reshaped:
+    whether the correctives of any hand have to be computed"""
+
+    joints_m: Sequence[np.ndarray]
+    bones: Sequence[FastBones]
+    camera: Camera
+    shutter: Shutter | None = None
+    moved_m: float | None = None
+    reshaped: bool = True
+
+
+def plan_effects(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings) -> EffectPlan:
+    """Decides about every effect of one picture."""
+    skin = _skin(scene, hands)
+    strength, shadows = _shadows(scene, hands, settings)
+    alpha_min, tail = _tail(hands, settings)
+    (enlarged, plain), smooth = _filter(scene, hands, settings, alpha_min)
+    exposures, time_and_lens = _exposures(scene, hands, settings)
+    crops, whole = _whole(scene, hands, settings, alpha_min)
+    decisions = (
+        skin,
+        _correctives(scene, hands, settings),
+        _cast(scene, hands, settings),
+        _anisotropy(hands, settings),
+        smooth,
+        *shadows,
+        *_maps(scene, settings),
+        *time_and_lens,
+        tail,
+        whole,
+    )
+    return EffectPlan(decisions, strength, alpha_min, enlarged, plain, exposures, crops)
+
+
+def _count(hands: Sequence[HandFacts]) -> int:
+    return sum(len(hand.avatar) for hand in hands)
+
+
+def _skin(scene: Scene, hands: Sequence[HandFacts]) -> Decision:
+    cost = _count(hands) * limits.SKIN_MS
+    if scene.moved_m is None:
+        return Decision(Effect.SKIN, True, "new pose", "no picture", None, cost)
+    bound = f"{1e3 * limits.REUSE_SKIN_M:g} mm of skin" if scene.moved_m > 0 else "0"
+    reason = f"joints moved {1e3 * scene.moved_m:.3f} mm"
+    return Decision(Effect.SKIN, False, reason, bound, 0.0 if scene.moved_m == 0 else None, cost)
+
+
+def _correctives(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings) -> Decision:
+    if not settings.effects.allows(Effect.CORRECTIVES):
+        return Decision(Effect.CORRECTIVES, False, NOT_ALLOWED, "up to 10 mm of skin, and the shade of creases")
+    corrected = [hand for hand in hands if hand.learnt is not None and hand.learnt.correctives is not None]
+    if not corrected:
+        return Decision(Effect.CORRECTIVES, False, "no avatar has any", "0", 0.0)
+    linear = [isinstance(hand.learnt.correctives, LinearCorrectives) for hand in corrected if hand.learnt]
+    cost = sum(
+        len(hand.avatar) * (limits.LINEAR_MS if cheap else limits.NETWORK_MS)
+        for hand, cheap in zip(corrected, linear, strict=True)
+    )
+    reach = max(hand.offset_m for hand in corrected)
+    if scene.moved_m is not None:
+        return Decision(Effect.CORRECTIVES, False, "the skin is kept", "as of skin", None, cost)
+    if not scene.reshaped:
+        bound = f"{1e3 * limits.REUSE_CORRECTION_M:g} mm of skin"
+        return Decision(Effect.CORRECTIVES, False, "the hand moved as a whole", bound, None, cost)
+    return Decision(Effect.CORRECTIVES, True, "joints turned", f"up to {1e3 * reach:g} mm along an axis", None, cost)
+
+
+def _cast(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings) -> Decision:
+    if not settings.effects.allows(Effect.CAST):
+        return Decision(Effect.CAST, False, NOT_ALLOWED, "shadows of the fingers on the hand")
+    casting = [hand for hand in hands if hand.learnt is not None and hand.learnt.cast is not None]
+    if not casting:
+        return Decision(Effect.CAST, False, "no avatar has learnt any", "0", 0.0)
+    cost = sum(len(hand.avatar) for hand in casting) * limits.CAST_MS
+    if scene.moved_m is not None:
+        return Decision(Effect.CAST, False, "the skin is kept", "as of skin", None, cost)
+    return Decision(Effect.CAST, True, "hands turn in their light", "shadows of the fingers", 1.0, cost)
+
+
+def _anisotropy(hands: Sequence[HandFacts], settings: RenderSettings) -> Decision:
+    stretched = [
+        hand.learnt.ellipsoid for hand in hands if hand.learnt is not None and hand.learnt.ellipsoid is not None
+    ]
+    if not settings.effects.allows(Effect.ANISOTROPY):
+        return Decision(Effect.ANISOTROPY, False, NOT_ALLOWED, "spheres in place of ellipsoids")
+    if not stretched:
+        return Decision(Effect.ANISOTROPY, False, "all Gaussians are spheres, projected exactly", "0", 0.0)
+    longest = max(float(one.log_stretch.abs().max()) for one in stretched)
+    return Decision(Effect.ANISOTROPY, True, "ellipsoids", f"axes up to {math.exp(longest):.1f} times as long", 1.0)
+
+
+# ---- shadow ---------------------------------------------------------------------------------------------------------
+
+
+def _shadows(
+    scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings
+) -> tuple[float, tuple[Decision, Decision]]:
+    """Strength 0..1 of the pass that shades all hands, and why: parts of a hand, and hands, near each other."""
+    looks = [hand.look for hand in hands if hand.look is not None]
+    cost = _hand_pixels(scene, hands) * settings.shadow_samples * limits.SHADOW_MS
+    darkest = settings.shadow_strength * max((max(look.tint) for look in looks), default=0.0)
+
+    def neither(reason: str, bound: str, worst: float | None) -> tuple[float, tuple[Decision, Decision]]:
+        own, other = (Decision(one, False, reason, bound, worst, cost) for one in (Effect.SHADOW, Effect.BETWEEN))
+        return 0.0, (own, replace(other, estimated_ms=0.0) if len(hands) > 1 else _alone())
+
+    if settings.shadow is ShadowMode.OFF or settings.shadow_strength == 0:
+        return neither("switched off", "", darkest)
+    if not looks:
+        return neither("the avatar was learnt without one", "0", 0.0)
+    allowed = [settings.effects.allows(effect) for effect in (Effect.SHADOW, Effect.BETWEEN)]
+    if not any(allowed):
+        return neither(NOT_ALLOWED, _darkness(darkest), darkest)
+    always = settings.shadow is ShadowMode.ALWAYS or settings.effects.forced
+    # colours that were learnt under a shadow that fades with the pose have in them what it leaves out
+    learnt = any(hand.learnt is not None for hand in hands)
+    size_px = max(_extent_px(joints, scene.camera) for joints in scene.joints_m)
+    if size_px < limits.SHADOW_HAND_MIN_PX and not always:
+        return neither(f"hand {size_px:.0f} px", "a few pixels of crease", darkest)
+    own = _own_score(scene, hands) if allowed[0] else 0.0
+    gap_m = gap_between(scene.joints_m) if allowed[1] else math.inf
+    contact = contact_between(scene.joints_m) if gap_m < limits.GATE_RADIUS_M else 0.0
+    full = always and not learnt and allowed[0]
+    strength = (1.0 if full else fade(own + contact)) * settings.shadow_strength
+    bound, worst = ("0: learnt as it is drawn", 0.0) if learnt else (_GATE_BOUND, darkest)
+
+    def decision(effect: Effect, mine: bool, reason: str, cost: float) -> Decision:
+        runs = strength > 0 and mine
+        return Decision(effect, runs, reason, _darkness(darkest) if runs else bound, darkest if runs else worst, cost)
+
+    told = "on every frame" if full else f"gate {own:.2f}"
+    self_shadow = decision(Effect.SHADOW, full or own > 0, told if allowed[0] else NOT_ALLOWED, cost)
+    return strength, (self_shadow, _between(scene, allowed[1], gap_m, contact, decision))
+
+
+_GATE_BOUND = "1 % of the hand's pixels occluded by over 0.2 (METHOD 5.4)"
+
+
+def _between(scene: Scene, allowed: bool, gap_m: float, contact: float, decision) -> Decision:
+    if len(scene.joints_m) < 2:
+        return _alone()
+    if not allowed:
+        return replace(decision(Effect.BETWEEN, False, NOT_ALLOWED, 0.0), bound="shadows of a hand on the other")
+    if contact == 0:
+        # beyond the radius of influence nothing of the score is left, and the pass itself reaches a third of it
+        return Decision(Effect.BETWEEN, False, f"next hand {1e3 * gap_m:.0f} mm away", "0", 0.0)
+    return decision(Effect.BETWEEN, True, f"hands touch, score {contact:.2f}", 0.0)
+
+
+def _alone() -> Decision:
+    return Decision(Effect.BETWEEN, False, "one hand", "0", 0.0)
+
+
+def _darkness(darkest: float) -> str:
+    return f"darker by up to {100 * darkest:.0f} %"
+
+
+def _own_score(scene: Scene, hands: Sequence[HandFacts]) -> float:
+    pairs = zip(hands, scene.joints_m, scene.bones, strict=True)
+    return max(hand.gate.score(joints, bones.scale) for hand, joints, bones in pairs)
+
+
+def _extent_px(joints_m: np.ndarray, camera: Camera) -> float:
+    """The longer side of the box around the hand on the picture; infinite when the camera is inside it."""
+    pixels, depth = camera.project(torch.from_numpy(joints_m))
+    if not bool((depth > limits.Z_NEAR_M).all()):
+        return math.inf
+    flesh_px = 2e-3 * max(limits.GATE_CAPSULE_RADII_MM) * max(camera.fx, camera.fy) / float(depth.min())
+    return float((pixels.amax(0) - pixels.amin(0)).max()) + flesh_px
+
+
+# ---- picture --------------------------------------------------------------------------------------------------------
+
+
+def _tail(hands: Sequence[HandFacts], settings: RenderSettings) -> tuple[float, Decision]:
+    """The cut-off, and whether that keeps what is fainter than one 8-bit step."""
+    alpha_min, cost = settings.alpha_min, _count(hands) * limits.TAIL_MS
+    if settings.effects.forced:
+        alpha_min = min(alpha_min, limits.TAIL_ALPHA_MIN)
+    elif not settings.effects.allows(Effect.TAIL):
+        alpha_min = max(alpha_min, limits.ALPHA_MIN)
+    runs = alpha_min < limits.ALPHA_MIN
+    bound = f"not below {limits.TAIL_PSNR_DB:g} dB" if alpha_min <= limits.ALPHA_MIN else "see `jghand study accuracy`"
+    return alpha_min, Decision(Effect.TAIL, runs, f"cut 1/{1 / alpha_min:.0f}", bound, None, cost)
+
+
+def _filter(
+    scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings, alpha_min: float
+) -> tuple[tuple[int, float], Decision]:
+    """How many times larger the hand is drawn, and the share of the picture that is not."""
+    cost = _count(hands) * limits.RASTER_MS
+
+    def not_run(reason: str, bound: str, worst: float | None = None) -> tuple[tuple[int, float], Decision]:
+        return (1, 1.0), Decision(Effect.FILTER, False, reason, bound, worst, cost)
+
+    if not settings.antialias:
+        return not_run("pictures as they were learnt", "0 where the hand is as large as that", 0.0)
+    if not settings.effects.allows(Effect.FILTER):
+        return not_run(NOT_ALLOWED, "small hands swell by up to 2 px")
+    trios = zip(hands, scene.joints_m, scene.bones, strict=True)
+    sizes = [_sigma_px(hand, joints, bones, scene.camera) for hand, joints, bones in trios]
+    sigma_px = min(sizes)
+    if sigma_px >= limits.FILTER_SIGMA_PX:
+        return not_run(f"Gaussians of {sigma_px:.2g} px", "0: as learnt", 0.0)
+    camera = scene.camera
+    box = hand_box(scene.joints_m, scene.bones, hands, camera, alpha_min) or Box(0, 0, camera.width, camera.height)
+    most = math.isqrt(max(limits.FILTER_PIXELS_MAX // max(box.width * box.height, 1), 1))
+    wanted = math.ceil(limits.FILTER_SIGMA_PX / max(sigma_px, 1e-9))
+    enlarged = min(wanted, limits.FILTER_FACTOR_MAX, most)
+    if enlarged < 2:
+        return not_run(f"Gaussians of {sigma_px:.2g} px, but the picture is too large", "hands swell by up to 2 px")
+    part = (sigma_px - limits.FILTER_SIGMA_FULL_PX) / (limits.FILTER_SIGMA_PX - limits.FILTER_SIGMA_FULL_PX)
+    plain = min(max(part, 0.0), 1.0)
+    reason = f"Gaussians of {sigma_px:.2g} px, drawn {enlarged} times larger"
+    return (enlarged, plain), Decision(Effect.FILTER, True, reason, "the hand swells by up to 2 px", 1.0, cost)
+
+
+def _sigma_px(hand: HandFacts, joints_m: np.ndarray, bones: FastBones, camera: Camera) -> float:
+    """The hand's median Gaussian on the picture; infinite when the camera is inside it."""
+    _, depth = camera.project(torch.from_numpy(joints_m))
+    nearest_m = float(depth.min())
+    if not nearest_m > limits.Z_NEAR_M:
+        return math.inf
+    return hand.sigma_m * bones.scale * max(camera.fx, camera.fy) / nearest_m
+
+
+def _maps(scene: Scene, settings: RenderSettings) -> list[Decision]:
+    cost = scene.camera.width * scene.camera.height * limits.MAP_MS
+    decisions = []
+    for effect, wanted in (
+        (Effect.DEPTH, settings.depth),
+        (Effect.NORMALS, settings.normals),
+        (Effect.IDS, settings.ids),
+    ):
+        runs = wanted and settings.effects.allows(effect)
+        reason = "requested" if runs else (NOT_ALLOWED if wanted else "not requested")
+        decisions.append(Decision(effect, runs, reason, "" if not wanted else "no map", 0.0, cost))
+    return decisions
+
+
+def _exposures(
+    scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings
+) -> tuple[int, tuple[Decision, Decision]]:
+    """How many pictures are averaged, and what for."""
+    allows, once = settings.effects.allows, _count(hands) * (limits.RASTER_MS + limits.SKIN_MS)
+    times, lenses = 1, 1
+    if scene.shutter is None:
+        motion = Decision(Effect.MOTION, False, "no shutter", "0", 0.0)
+    elif not allows(Effect.MOTION):
+        motion = Decision(Effect.MOTION, False, NOT_ALLOWED, "moving edges are sharp", 1.0)
+    else:
+        length_px = travel_px(scene.shutter, scene.joints_m, scene.camera)
+        times = motion_count(length_px)
+        error = motion_error(length_px, times)
+        motion = _averaged(Effect.MOTION, times, f"joints travel {length_px:.1f} px", error, once)
+    lens = scene.camera.lens
+    if lens is None or lens.aperture_m == 0:
+        focus = Decision(Effect.FOCUS, False, "a pinhole", "0", 0.0)
+    elif not allows(Effect.FOCUS):
+        focus = Decision(Effect.FOCUS, False, NOT_ALLOWED, "everything is sharp", 1.0)
+    else:
+        disc_px = _disc_px(scene, hands)
+        lenses = focus_count(disc_px)
+        focus = _averaged(Effect.FOCUS, lenses, f"discs of {disc_px:.1f} px", focus_error(disc_px, lenses), once)
+    return max(times, lenses), (motion, focus)
+
+
+def _averaged(effect: Effect, count: int, reason: str, error: float, once_ms: float) -> Decision:
+    """Of averaging `count` pictures, which misses `error` of the contrast of an edge."""
+    missed = f"{100 * error:.1g} % of an edge's contrast"
+    if count == 1:
+        return Decision(effect, False, reason, missed, error, once_ms)
+    told = f"{reason}, {count} pictures, which miss {missed}"
+    return Decision(effect, True, told, "sharp edges", 1.0, (count - 1) * once_ms)
+
+
+def _disc_px(scene: Scene, hands: Sequence[HandFacts]) -> float:
+    """Diameter of the largest disc that a point of the hands becomes."""
+    camera, lens = scene.camera, scene.camera.lens
+    if lens is None:
+        return 0.0
+    flesh_m = 1e-3 * max(limits.GATE_CAPSULE_RADII_MM) * max(bones.scale for bones in scene.bones)
+    depths = torch.cat([camera.project(torch.from_numpy(joints))[1] for joints in scene.joints_m])
+    ends = (max(float(depths.min()) - flesh_m, limits.Z_NEAR_M), max(float(depths.max()) + flesh_m, limits.Z_NEAR_M))
+    return max(lens.blur_px(max(camera.fx, camera.fy), depth) for depth in ends)
+
+
+def _whole(
+    scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings, alpha_min: float
+) -> tuple[bool, Decision]:
+    """Whether only the hand's box is drawn."""
+    camera = scene.camera
+    pixels = camera.width * camera.height
+    if settings.effects.forced:
+        return False, Decision(Effect.WHOLE, True, "on every frame", "0", 0.0, pixels * limits.MAP_MS)
+    box = hand_box(scene.joints_m, scene.bones, hands, camera, alpha_min)
+    part = 1.0 if box is None else box.width * box.height / pixels
+    if part > limits.CROP_PART_MAX:
+        reason = f"the hand's box is {100 * part:.0f} % of it"
+        return False, Decision(Effect.WHOLE, True, reason, "0", 0.0, pixels * limits.MAP_MS)
+    reason = f"the hand's box is {100 * part:.0f} % of it"
+    # centres of pixels are rounded elsewhere: a contribution at the cut may fall on its other side
+    return True, Decision(Effect.WHOLE, False, reason, "one 8-bit step", ONE_STEP, (1 - part) * pixels * limits.MAP_MS)
+
+
+def _hand_pixels(scene: Scene, hands: Sequence[HandFacts]) -> float:
+    """Pixels that the hands cover, roughly: the boxes of their joints, half filled."""
+    total = 0.0
+    for joints in scene.joints_m:
+        side = min(_extent_px(joints, scene.camera), max(scene.camera.width, scene.camera.height))
+        total += 0.5 * side * min(side, scene.camera.height)
+    return total
+
+
+def hand_box(
+    joints_m: Sequence[np.ndarray],
+    bones: Sequence[FastBones],
+    hands: Sequence[HandFacts],
+    camera: Camera,
+    alpha_min: float,
+) -> Box | None:
+    """The part of the picture outside of which nothing of the hands is seen; None when that is not known, as for a
+    camera between the fingers. Its edges stand at multiples of CROP_STEP_PX."""
+    origin = camera.camera_from_world.numpy()
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    for joints, own, hand in zip(joints_m, bones, hands, strict=True):
+        corners, reach_m = hand.corners_m(own), hand.reach_m(own, alpha_min)
+        if not len(corners):
+            continue
+        points = (corners + joints[0]) @ origin[:3, :3].T + origin[:3, 3]
+        nearest_m = float(points[:, 2].min()) - reach_m
+        if not (np.isfinite(points).all() and limits.Z_NEAR_M < nearest_m < math.inf):
+            return None
+        slope = points[:, :2] / points[:, 2:]
+        focal = np.array([camera.fx, camera.fy])
+        pixels = slope * focal + np.array([camera.cx, camera.cy])
+        # a ball of radius r at depth z covers r (1 + tan) / (z - r) of the plane at depth 1, and the low pass comes on
+        # top: a Gaussian of opacity 1 is cut where its exponent is ln(1 / alpha_min)
+        margin = focal * reach_m * (1 + np.abs(slope).max(0)) / nearest_m
+        margin += math.sqrt(2 * math.log(1 / alpha_min) * limits.BLUR_PX2) + 1
+        low, high = np.minimum(low, pixels.min(0) - margin), np.maximum(high, pixels.max(0) + margin)
+    return _on_grid(low, high, camera)
+
+
+def _on_grid(low: np.ndarray, high: np.ndarray, camera: Camera) -> Box:
+    """The rectangle from `low` to `high`, pixels, widened to the grid and cut to the picture; at least a step wide."""
+    size, step = np.array([camera.width, camera.height]), limits.CROP_STEP_PX
+    last = (size - 1) // step * step
+    first = np.clip(np.floor(np.clip(low, 0, size) / step) * step, 0, last).astype(int)
+    end = np.minimum(np.maximum(np.ceil(np.clip(high, 0, size) / step) * step, first + step), size).astype(int)
+    return Box(int(first[0]), int(first[1]), int(end[0] - first[0]), int(end[1] - first[1]))
