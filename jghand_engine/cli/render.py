@@ -25,13 +25,15 @@ if TYPE_CHECKING:
     from jghand_engine.cli.timings import Timings
     from jghand_engine.splat.camera import Camera
     from jghand_engine.splat.frame import HandRenderer
+    from jghand_engine.splat.settings import RenderSettings
 
 DESCRIPTION = """Render a motion as numbered PNG pictures with alpha, and as a video if you name one.
 
 Examples:
   jghand render --poses open,fist,point --hand right --out pictures --video hand.mp4
   jghand render --motion capture.npy --order mediapipe --hand right --fps 30 --out pictures
-  jghand render --motion wave.npz --camera front --size 1024x1024 --frames 0:99 --out pictures"""
+  jghand render --motion wave.npz --camera front --size 1024x1024 --frames 0:99 --out pictures
+  jghand render --poses open,fist --budget-ms 16 --out pictures"""
 
 # what a transparent picture lies on in a video
 VIDEO_BACKGROUND = (0.91, 0.90, 0.89)
@@ -43,14 +45,14 @@ class Render:
     """Where frame_00000.png and so on, and camera.json, are written."""
     video: File = None
     """Also write an MP4 video to this file."""
+    budget_ms: Annotated[float | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="")] = None
+    """Instead of a preset: the best settings that draw a picture in so many milliseconds on this machine."""
     motion: MotionOptions = field(default_factory=MotionOptions)
     avatar: AvatarOptions = field(default_factory=AvatarOptions)
     picture: PictureOptions = field(default_factory=PictureOptions)
     report: ReportOptions = field(default_factory=ReportOptions)
 
     def run(self) -> None:
-        from dataclasses import replace
-
         from jghand_engine.avatar.builtin import load_avatar_called
         from jghand_engine.cli.camera_file import camera_to_dict
         from jghand_engine.cli.inputs import load_motion
@@ -58,7 +60,6 @@ class Render:
         from jghand_engine.exporters.video import ffmpeg_program
         from jghand_engine.files import make_folder
         from jghand_engine.splat.frame import HandRenderer
-        from jghand_engine.splat.settings import preset
 
         # what can be refused is refused before anything is written
         size, background = pixels(self.picture.size), self.picture.background_rgb()
@@ -71,7 +72,8 @@ class Render:
             say(note)
         refuse_longer_render(self.out, len(motion.sequence))
         camera = self._camera(motion, size)
-        renderer = HandRenderer(avatar, replace(preset(self.picture.preset), threads=self.picture.threads))
+        settings, chosen = self._settings(avatar, camera)
+        renderer = HandRenderer(avatar, settings)
         make_folder(self.out)
         timings = Timings()
         started = time.perf_counter()
@@ -94,9 +96,23 @@ class Render:
             write_json(self.report.json, {
                 "command": "render", "motion": motion.source, "notes": motion.notes, "avatar": avatar.info.name,
                 "out_of_range": [one.as_dict() for one in unseen],
-                "frames": timings.frames, "size_px": [camera.width, camera.height], "preset": self.picture.preset,
+                "frames": timings.frames, "size_px": [camera.width, camera.height], "preset": chosen,
                 "backend": timings.backend, "seconds": seconds, "stages": timings.figures(),
             })  # fmt: skip
+
+    def _settings(self, avatar: HandAvatar, camera: Camera) -> tuple[RenderSettings, str]:
+        """How pictures are made, and what that is called."""
+        from dataclasses import replace
+
+        from jghand_engine.splat.settings import preset
+
+        if self.budget_ms is None:
+            return replace(preset(self.picture.preset), threads=self.picture.threads), self.picture.preset
+        from jghand_engine.splat.budget import best_for
+
+        chosen = best_for(self.budget_ms, avatar, (camera.width, camera.height), self.picture.threads)
+        say(chosen.sentence())
+        return chosen.settings, chosen.rated.name
 
     def _camera(self, motion: Motion, size: tuple[int, int]) -> Camera:
         if self.picture.camera_file is not None:
