@@ -115,6 +115,32 @@ class PictureOptions:
         return colour(self.background)
 
 
+@dataclass(frozen=True)
+class EffectOptions:
+    """Which effects are simulated, and what the camera does."""
+
+    effects: Annotated[str, tyro.conf.arg(metavar="auto|all|none|NAME,…")] = "auto"
+    """auto: what the scene calls for. all: everything on every frame. none: only what no picture can do without.
+    Names: these alone, when they are called for (docs/EFFECTS.md lists them)."""
+    shutter: Annotated[float, tyro.conf.arg(metavar="PART")] = 0.0
+    """Motion blur: the part of the time between frames that the shutter is open, such as 0.5 (180 degrees)."""
+    aperture: Annotated[float, tyro.conf.arg(metavar="MM")] = 0.0
+    """Depth of field: diameter of the lens's opening in millimetres, such as 10; 0 is a pinhole."""
+    focus: Annotated[float | None, tyro.conf.arg(metavar="METRES", help_behavior_hint="(default: the hand)")] = None
+    """Depth that is sharp, in metres from the camera."""
+    explain: bool = False
+    """Print for the first frame what ran and what did not, why, and what it cost; and the sum over all frames."""
+
+    def check(self) -> None:
+        """InputError for what no camera can do."""
+        if not 0 <= self.shutter <= 1:
+            raise InputError("--shutter", wanted="0 to 1", came=f"{self.shutter:g}")
+        if not 0 <= self.aperture <= limits.APERTURE_MAX_MM:
+            raise InputError("--aperture", wanted=f"0 to {limits.APERTURE_MAX_MM:g} mm", came=f"{self.aperture:g}")
+        if self.focus is not None and not self.focus > limits.Z_NEAR_M:
+            raise InputError("--focus", wanted=f"metres beyond {limits.Z_NEAR_M:g}", came=f"{self.focus:g}")
+
+
 def colour(text: str) -> tuple[float, float, float]:
     """`#rrggbb` as sRGB 0..1. Raises InputError."""
     match = re.fullmatch(r"#?([0-9a-fA-F]{2})([0-9a-fA-F]{2})([0-9a-fA-F]{2})", text.strip())

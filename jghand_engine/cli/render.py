@@ -11,7 +11,15 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from jghand_engine.cli.console import progress, say, write_json
-from jghand_engine.cli.options import AvatarOptions, File, MotionOptions, PictureOptions, ReportOptions, pixels
+from jghand_engine.cli.options import (
+    AvatarOptions,
+    EffectOptions,
+    File,
+    MotionOptions,
+    PictureOptions,
+    ReportOptions,
+    pixels,
+)
 from jghand_engine.errors import InputError
 
 if TYPE_CHECKING:
@@ -22,8 +30,10 @@ if TYPE_CHECKING:
     from jghand_engine.avatar.avatar import HandAvatar
     from jghand_engine.avatar.pose_range import OutOfRange
     from jghand_engine.cli.inputs import Motion
+    from jghand_engine.cli.receipts import Receipts
     from jghand_engine.cli.timings import Timings
     from jghand_engine.splat.camera import Camera
+    from jghand_engine.splat.effect_plan import Choice
     from jghand_engine.splat.frame import HandRenderer
     from jghand_engine.splat.settings import RenderSettings
 
@@ -50,12 +60,16 @@ class Render:
     motion: MotionOptions = field(default_factory=MotionOptions)
     avatar: AvatarOptions = field(default_factory=AvatarOptions)
     picture: PictureOptions = field(default_factory=PictureOptions)
+    effect: EffectOptions = field(default_factory=EffectOptions)
     report: ReportOptions = field(default_factory=ReportOptions)
 
     def run(self) -> None:
+        from dataclasses import replace
+
         from jghand_engine.avatar.builtin import load_avatar_called
         from jghand_engine.cli.camera_file import camera_to_dict
         from jghand_engine.cli.inputs import load_motion
+        from jghand_engine.cli.receipts import Receipts
         from jghand_engine.cli.timings import Timings
         from jghand_engine.exporters.video import ffmpeg_program
         from jghand_engine.files import make_folder
@@ -63,6 +77,7 @@ class Render:
 
         # what can be refused is refused before anything is written
         size, background = pixels(self.picture.size), self.picture.background_rgb()
+        effects = self._effects()
         if self.video is not None:
             ffmpeg_program()
         avatar = load_avatar_called(self.avatar.avatar)
@@ -73,12 +88,14 @@ class Render:
         refuse_longer_render(self.out, len(motion.sequence))
         camera = self._camera(motion, size)
         settings, chosen = self._settings(avatar, camera)
-        renderer = HandRenderer(avatar, settings)
+        renderer = HandRenderer(avatar, replace(settings, effects=effects, antialias=True, depth=False))
+        through = self._with_lens(camera, motion)
         make_folder(self.out)
         timings = Timings()
         started = time.perf_counter()
         write_json(self.out / "camera.json", camera_to_dict(camera))
-        pictures = render_pictures(renderer, motion.sequence.joints_m, camera, Target(self.out, background), timings)
+        receipts, target = Receipts(), Target(self.out, background, shutter=self.effect.shutter)
+        pictures = render_pictures(renderer, motion.sequence.joints_m, through, target, timings, receipts)
         if self.video is not None:
             from jghand_engine.exporters.video import write_video
 
@@ -89,6 +106,8 @@ class Render:
         seconds = time.perf_counter() - started
         unseen = out_of_range(avatar, motion)
         timings.show(f"{timings.frames} pictures of {camera.width} x {camera.height}, {len(avatar)} Gaussians")
+        if self.effect.explain:
+            receipts.show()
         say(f"Done in {seconds:.1f} s: {self.out}" + (f" and {self.video}" if self.video else ""))
         for one in unseen:
             say(f"Frame {one.frame}: {one.sentence()}.")
@@ -98,7 +117,28 @@ class Render:
                 "out_of_range": [one.as_dict() for one in unseen],
                 "frames": timings.frames, "size_px": [camera.width, camera.height], "preset": chosen,
                 "backend": timings.backend, "seconds": seconds, "stages": timings.figures(),
+                "effects": receipts.figures(),
             })  # fmt: skip
+
+    def _effects(self) -> Choice:
+        from jghand_engine.splat.effect_plan import Choice
+
+        self.effect.check()
+        return Choice.parse(self.effect.effects)
+
+    def _with_lens(self, camera: Camera, motion: Motion) -> Camera:
+        """The camera with its lens, focused on the middle of the motion unless told otherwise."""
+        if self.effect.aperture == 0:
+            return camera
+        from dataclasses import replace
+
+        import torch
+
+        from jghand_engine.splat.camera import Lens
+
+        middle_m = torch.from_numpy(motion.sequence.joints_m.reshape(-1, 3).mean(0))
+        focus_m = float(camera.project(middle_m)[1]) if self.effect.focus is None else self.effect.focus
+        return replace(camera, lens=Lens(1e-3 * self.effect.aperture, focus_m))
 
     def _settings(self, avatar: HandAvatar, camera: Camera) -> tuple[RenderSettings, str]:
         """How pictures are made, and what that is called."""
@@ -155,29 +195,39 @@ def refuse_longer_render(folder: Path, count: int) -> None:
 @dataclass(frozen=True)
 class Target:
     """Where pictures go. background: sRGB 0..1 that they are laid on, None keeps them transparent · name: pattern of
-    the files, filled with the frame's number · first: number of the first frame · text: of the progress bar."""
+    the files, filled with the frame's number · first: number of the first frame · text: of the progress bar ·
+    shutter: the part of the time between frames that it is open."""
 
     folder: Path
     background: tuple[float, float, float] | None = None
     name: str = "frame_{:05d}.png"
     first: int = 0
     text: str = "Rendering"
+    shutter: float = 0.0
 
     def path(self, index: int) -> Path:
         return self.folder / self.name.format(self.first + index)
 
 
 def render_pictures(
-    renderer: HandRenderer, joints_m: np.ndarray, camera: Camera, target: Target, timings: Timings
+    renderer: HandRenderer,
+    joints_m: np.ndarray,
+    camera: Camera,
+    target: Target,
+    timings: Timings,
+    receipts: Receipts | None = None,
 ) -> Iterator[np.ndarray]:
     """Renders (F, 21, 3) level-order joints, writes every frame's PNG, and yields the frame as (H, W, 3) uint8 on a
     background, as a video wants it."""
     from jghand_engine.exporters.pictures import flatten, write_png
+    from jghand_engine.splat.exposure import shutter_at
 
     with progress(target.text, len(joints_m)) as bar:
         for index, pose_m in enumerate(joints_m):
-            frame = renderer.render(pose_m, camera)
+            frame = renderer.render(pose_m, camera, shutter_at(joints_m, index, target.shutter))
             timings.add(frame.report.as_dict())
+            if receipts is not None:
+                receipts.add(frame.report)
             flat = flatten(frame.rgba, target.background or VIDEO_BACKGROUND)
             started = time.perf_counter()
             write_png(target.path(index), frame.rgba if target.background is None else flat)

@@ -30,3 +30,5 @@ DEMO_HOLD_S = 0.2
 DEMO_SWAY_DEG = 35.0
 # moments of the motion on the contact sheet
 SHEET_COLUMNS = 8
+# the widest lens that `jghand render` takes, millimetres: one that sees around the hand
+APERTURE_MAX_MM = 200.0

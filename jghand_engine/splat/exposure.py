@@ -36,6 +36,15 @@ class Shutter:
         return [pose_between(first, second, 2 * part - 1) for first, second in pairs]
 
 
+def shutter_at(joints_m: np.ndarray, index: int, open_for: float) -> Shutter | None:
+    """The shutter of one frame of a motion (F, 21, 3), open around it for a part, 0..1, of the time between frames.
+    None for 0. Before the first frame and after the last one nothing moves."""
+    if open_for == 0:
+        return None
+    before, here, after = (joints_m[np.clip(index + step, 0, len(joints_m) - 1)] for step in (-1, 0, 1))
+    return Shutter([pose_between(here, before, open_for / 2)], [pose_between(here, after, open_for / 2)])
+
+
 def travel_px(shutter: Shutter, middle_m: Sequence[np.ndarray], camera: Camera) -> float:
     """The longest way of a joint on the picture while the shutter is open; infinite when it passes the near plane."""
     longest = 0.0
@@ -50,8 +59,8 @@ def travel_px(shutter: Shutter, middle_m: Sequence[np.ndarray], camera: Camera) 
 def motion_error(length_px: float, count: int) -> float:
     """What `count` evenly spread pictures miss of an edge that moves by `length_px`, as a part of its contrast.
 
-    Steps of up to a pixel: the midpoint rule on an edge as soft as the rasteriser's low pass makes it. Longer ones
-    leave stairs of 1 / count, which are off by half of that.
+    Steps of up to a pixel: the midpoint rule on an edge as steep as splats make it. Longer ones leave stairs of
+    1 / count, which are off by half of that.
     """
     step = length_px / count
     if step > 1.0:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from jghand_engine.splat.effect_plan import Effect, EffectPlan
 
@@ -97,3 +98,29 @@ class FrameReport:
             "stages": [vars(stage) for stage in self.stages],
             "effects": [] if self.plan is None else [one.as_dict() for one in self.plan.decisions],
         }
+
+
+class EffectSums:
+    """Receipts of many frames, summed up."""
+
+    def __init__(self) -> None:
+        self._sums: dict[str, dict[str, Any]] = {}
+
+    def add(self, report: FrameReport) -> None:
+        """Adds one frame's."""
+        for one in () if report.plan is None else report.plan.decisions:
+            empty = {"ran": 0, "skipped": 0, "saved_ms": 0.0, "ms": 0.0, "reason": ""}
+            entry = self._sums.setdefault(str(one.effect), empty)
+            if one.runs:
+                measured_ms = report.effect_ms(one.effect)
+                entry["ran"] += 1
+                entry["ms"] += one.estimated_ms if measured_ms is None else measured_ms
+            else:
+                entry["skipped"] += 1
+                entry["saved_ms"] += one.estimated_ms
+                entry["reason"] = one.reason
+
+    def figures(self) -> dict[str, dict[str, Any]]:
+        """By effect: frames it ran on and was skipped on, the last reason why, ms that it took (measured where it is a
+        stage of its own, else estimated) and that skipping it saved (estimated)."""
+        return self._sums
