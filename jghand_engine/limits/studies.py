@@ -50,3 +50,28 @@ STABILITY_VIEW_PX = 300
 # resolution and colours of a picture's file: below 300 kB together
 PLOT_DPI = 110
 PLOT_COLOURS = 128
+
+# ---- studies: accuracy against time ----------------------------------------------------------------------------------
+# contribution below which a Gaussian does not touch a pixel of the picture that all others are measured against
+ACCURACY_ALPHA_MIN = 1e-6
+# poses of such pictures, which take seconds each, and how many pixels they have all together at most
+ACCURACY_POSES = 6
+ACCURACY_PIXELS = 1_200_000
+# prefixes of an avatar's Gaussians, and sizes of the linear form of its correctives, that are compared
+ACCURACY_COUNTS = (10_000, 20_000, 30_000, 40_000, 60_000, 120_000)
+ACCURACY_BASES = (4, 8, 16, 32)
+# made-up poses that the linear forms are fitted to: fewer than `jghand bake` takes, for time
+ACCURACY_DISTIL_POSES = 60
+# frames of each setting, and those before them that are not counted (RENDERING 9.3)
+ACCURACY_ROUNDS = 100
+ACCURACY_WARM_UP = 10
+# pictures of each kind of a capture that every setting is compared with, where nobody says another number
+ACCURACY_PICTURES = 3
+# side of the part of the picture that is shown of a setting, pixels
+ACCURACY_CROP_PX = 150
+# curves of growing time: Gaussians, sizes up to 4K, hands, poses in a batch; frames of each point
+GROWTH_GAUSSIANS = (10_000, 30_000, 100_000, 300_000, 1_000_000)
+GROWTH_SIZES_PX = ((256, 167), (512, 334), (1024, 668), (1920, 1080), (3840, 2160))
+GROWTH_HANDS = (1, 2, 4)
+GROWTH_POSES = (1, 10, 100, 1000)
+GROWTH_ROUNDS = 12
