@@ -163,7 +163,9 @@ class _Description:
             pose_statistics=self._pose_statistics(),
             learnt_from=self._learnt_from(),
         )
-        self.learnt = LearntAbout.parsed(self._fields.get("learnt"), self._wrong) if self._is_learnt() else None
+        self.learnt = None
+        if self._is_learnt():
+            self.learnt = LearntAbout.parsed(self._fields.get("learnt"), self.gaussians, self._wrong)
 
     def _is_learnt(self) -> bool:
         return self._fields["format_version"] > PAINTED_VERSION

@@ -143,8 +143,8 @@ class LearntAbout:
         return asdict(self)
 
     @classmethod
-    def parsed(cls, value: object, wrong: Wrong) -> LearntAbout:
-        """The inverse of `as_dict`, every field looked at."""
+    def parsed(cls, value: object, gaussians: int, wrong: Wrong) -> LearntAbout:
+        """The inverse of `as_dict`, every field looked at. gaussians: how many the file has."""
         if not isinstance(value, dict):
             raise wrong("learnt", "an object", value)
         lobes = value.get("lobes")
@@ -155,6 +155,9 @@ class LearntAbout:
             if not isinstance(told, bool):
                 raise wrong(f"learnt {name}", "true or false", told)
         net, shadow = _parsed_net(value.get("net"), wrong), _parsed_shadow(value.get("shadow"), wrong)
+        if net is not None and gaussians * net.hidden > limits.POSE_NET_UNITS_MAX:
+            most = limits.POSE_NET_UNITS_MAX // gaussians
+            raise wrong("learnt net hidden", f"at most {most} units for each of {gaussians} Gaussians", net.hidden)
         baked = None if value.get("baked") is None else BakedAbout.parsed(value["baked"], net, wrong)
         cast = None if value.get("cast") is None else CastAbout.parsed(value["cast"], wrong)
         return cls(lobes, net, shadow, bool(world_offsets), ellipsoids, cast, baked)

@@ -62,6 +62,9 @@ POSE_NET_OCTAVES_MAX = 12
 POSE_NET_WIDTH_MAX = 1024
 POSE_NET_TEXELS_MAX = 256
 POSE_NET_WEIGHT_MAX = 1e4
+# Gaussians times the width of the pose's network: drawing without compiled code holds about three layers of so many
+# float32, 0.8 GB together; a trained hand has 60,000 x 128, an eighth of it
+POSE_NET_UNITS_MAX = 64_000_000
 # by how much the length of a stored normal may be off 1
 NORMAL_LENGTH_TOLERANCE = 1e-3
 # cheaper tiers of the correctives: what one may lose to be taken unasked, dB (RENDERING 5); largest basis

@@ -326,6 +326,14 @@ def test_a_wrong_description_of_the_network_is_refused(tmp_path, learnt_parts, f
     learnt_refused(tmp_path / "wrong.jghand", learnt_parts, {**learnt, "net": {**learnt["net"], field: value}})
 
 
+def test_a_network_too_wide_for_so_many_gaussians_is_refused_before_anything_is_allocated(tmp_path, learnt_parts):
+    """A valid file of some megabytes would take gigabytes to draw."""
+    arrays, about = learnt_parts
+    wide = {**about["learnt"], "net": {**about["learnt"]["net"], "hidden": 1024}}
+    path = written(tmp_path / "wide.jghand", arrays, {**about, "gaussians": 62_501, "learnt": wide})
+    refused(path, "hidden: wanted at most 1023 units for each of 62501 Gaussians")
+
+
 def test_every_learnt_array_is_missed_and_its_length_and_type_looked_at(tmp_path, learnt_parts):
     arrays, about = learnt_parts
     for name in set(arrays) - set(parts()[0]):
