@@ -86,11 +86,14 @@ def _parsed_price(value: object, basis: int, wrong: Wrong) -> Price:
     if value["tier"] not in (Tier.EXACT, Tier.CACHED, Tier.LINEAR):
         raise wrong("learnt baked price tier", "exact, cached or linear", value["tier"])
     tier = Tier(value["tier"])
-    if value["basis"] != (basis if tier is Tier.LINEAR else 0) or (tier is Tier.LINEAR and basis == 0):
+    wanted = basis if tier is Tier.LINEAR else 0
+    unusable = tier is Tier.LINEAR and basis == 0
+    if unusable or value["basis"] != wanted or not _is_count(value["basis"], wanted):
         raise wrong("learnt baked price basis", f"that of the tier in the file, {basis}", value["basis"])
-    for name in ("frame_ms", "megabytes", "psnr_db", "lost_db"):
-        if not _is_number(value[name], -PRICE_MAX, PRICE_MAX):
-            raise wrong(f"learnt baked price {name}", "a finite number", value[name])
+    # an accuracy may be below 0 dB, and a tier nearer to the pictures than the network; time and size are never below 0
+    for name, least in (("frame_ms", 0.0), ("megabytes", 0.0), ("psnr_db", -PRICE_MAX), ("lost_db", -PRICE_MAX)):
+        if not _is_number(value[name], least, PRICE_MAX):
+            raise wrong(f"learnt baked price {name}", f"a number of {least:g} to {PRICE_MAX:g}", value[name])
     return Price(**{**value, "tier": tier})
 
 

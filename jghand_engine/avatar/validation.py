@@ -10,6 +10,7 @@ from jghand_engine.avatar.cast_shadow import ANCHOR_NEIGHBOURS, CastShadow
 from jghand_engine.avatar.correctives import PoseNet
 from jghand_engine.avatar.learnt import Learnt
 from jghand_engine.avatar.light import SH_COUNT
+from jghand_engine.avatar.tiers import LinearCorrectives
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 from jghand_engine.hand.orders import check_hand_size, check_order
@@ -18,6 +19,7 @@ from jghand_engine.limits import (
     AVATAR_MAX_GAUSSIANS,
     AVATAR_REACH_M,
     CAST_SUM_TOLERANCE,
+    LIGHT_EXPONENT_MAX,
     LIGHT_LOBES_MAX,
     LIGHT_VALUE_MAX,
     LOG_STRETCH_MAX,
@@ -78,10 +80,7 @@ def _check_learnt(learnt: Learnt, count: int, thing: str) -> None:
     if learnt.cast is not None:
         ranges |= _cast_ranges(learnt.cast, count)
     if learnt.baked is not None and learnt.baked.linear is not None:
-        linear = learnt.baked.linear
-        for part, last in (("mean", ()), ("projection", ()), ("constant", (count, 6)), ("scale", (count, 2))):
-            values = getattr(linear, part)
-            ranges[f"linear {part}"] = (values, last or tuple(values.shape), -POSE_NET_WEIGHT_MAX, POSE_NET_WEIGHT_MAX)
+        ranges |= _linear_ranges(learnt.baked.linear, count)
     for name, (values, shape, low, high) in ranges.items():
         if tuple(values.shape) != shape:
             came = f"shape {tuple(values.shape)}"
@@ -96,6 +95,24 @@ def _check_learnt(learnt: Learnt, count: int, thing: str) -> None:
             wanted = f"rows that sum to 1 within {CAST_SUM_TOLERANCE:g}"
             _refuse(thing, f"cast {name}", wanted, (total - 1).abs() > CAST_SUM_TOLERANCE, total)
     _check_shadow(learnt, thing)
+
+
+def _linear_ranges(
+    linear: LinearCorrectives, count: int
+) -> dict[str, tuple[torch.Tensor, tuple[int, ...], float, float]]:
+    """Constants, and what a number of 1 adds, which is its standard deviation, move a Gaussian nowhere beyond a hand.
+    What the largest number that the planes can give adds is no bound: products of numbers reach hundreds on a trained
+    hand, in poses that no hand takes."""
+    steps = torch.iinfo(torch.int8).max * linear.scale
+    ranges = {}
+    for part in ("mean", "projection"):
+        values = getattr(linear, part)
+        ranges[f"linear {part}"] = (values, tuple(values.shape), -POSE_NET_WEIGHT_MAX, POSE_NET_WEIGHT_MAX)
+    for part, column, most in (("offset", 0, AVATAR_REACH_M), ("shade", 1, LIGHT_EXPONENT_MAX)):
+        constant = linear.constant[:, 3 * column : 3 * column + 3]
+        ranges[f"linear constant of the {part}"] = (constant, (count, 3), -most, most)
+        ranges[f"linear scale of the {part}"] = (steps[:, column], (count,), -most, most)
+    return ranges
 
 
 def _cast_ranges(cast: CastShadow, count: int) -> dict[str, tuple[torch.Tensor, tuple[int, ...], float, float]]:

@@ -414,7 +414,8 @@ BAKED_FIELDS: dict[str, list[Any]] = {
 PRICE_FIELDS: dict[str, list[Any]] = {
     "tier": [None, "auto", "free", ["linear"], "exact"],
     "basis": [None, 0, 11, "12"],
-    "frame_ms": [None, "1", float("nan"), float("inf"), 10**400, True],
+    "frame_ms": [None, "1", float("nan"), float("inf"), 10**400, True, -0.1],
+    "megabytes": [-1],
     "lost_db": [None, float("nan")],
     "bribe": [1],
 }
@@ -432,6 +433,30 @@ def test_a_wrong_price_is_refused(tmp_path, baked_parts, field, value):
     exact, linear = learnt["baked"]["prices"]
     prices = [exact, {**linear, field: value}]
     learnt_refused(tmp_path / "wrong.jghand", baked_parts, {**learnt, "baked": {**learnt["baked"], "prices": prices}})
+
+
+def test_true_is_no_basis(tmp_path, baked_parts):
+    arrays, about = baked_parts
+    exact, linear = about["learnt"]["baked"]["prices"]
+    baked = {**about["learnt"]["baked"], "basis": 1, "prices": [exact, {**linear, "basis": True}]}
+    about = {**about, "learnt": {**about["learnt"], "baked": baked}}
+    refused(written(tmp_path / "true.jghand", arrays, about), "price basis")
+
+
+@pytest.mark.parametrize(
+    ("name", "column", "value", "said"),
+    [
+        ("constant", 2, 0.51, "constant of the offset"),
+        ("constant", 3, -3.1, "constant of the shade"),
+        ("scale", 0, 0.0040, "scale of the offset"),
+        ("scale", 1, 0.0240, "scale of the shade"),
+    ],
+)
+def test_a_tier_that_moves_or_shades_beyond_any_hand_is_refused(tmp_path, baked_parts, name, column, value, said):
+    arrays, about = baked_parts
+    bad = arrays[f"linear.{name}"].copy()
+    bad[7, column] = value
+    refused(written(tmp_path / "far.jghand", {**arrays, f"linear.{name}": bad}, about), said)
 
 
 @pytest.mark.parametrize("baked", [[], 1, {}, None])
