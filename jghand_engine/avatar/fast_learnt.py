@@ -1,5 +1,5 @@
-"""Posing a trained avatar with the native library: the same as `skinning.posed_skin` and `seen_from`. First all that the
-pose decides, then what is reflected towards the camera, which is all that a camera that moves alone asks for.
+"""Posing a trained avatar with the native library: the same as `skinning.posed_skin` and `seen_from`. First all that
+the pose decides, then what is reflected towards the camera, which is all that a camera that moves alone asks for.
 """
 
 from __future__ import annotations
