@@ -25,7 +25,7 @@ from pathlib import Path
 
 import bpy
 
-from .bridge import armature, camera, scene
+from .bridge import armature, camera, scene, sources
 from .core import batch, limits, stamp
 from .core.client import EngineClient
 from .core.engine_command import engine_command
@@ -201,7 +201,8 @@ def _render_frame(engine: EngineClient, frame: int, job: _Job, report: batch.Bat
         return
     clock = _Clock()
     depsgraph = scene.evaluated_at(bpy.context.scene, frame, (*job.hands, *job.cameras))
-    read = [armature.read_hand(hand, depsgraph) for hand in armature.hand_armatures(bpy.context.view_layer)]
+    things = armature.hand_armatures(bpy.context.view_layer)
+    read = [hand for thing in things for hand in sources.read_hands(thing, depsgraph)]
     hands = [replace(hand, avatar=job.avatar) for hand in read]
     views = [camera.pinhole(eye, depsgraph) for eye in wanted]
     evaluate_ms = clock.lap_ms() / len(wanted)

@@ -25,6 +25,9 @@ from . import versions
 
 # custom property of the armature object: which hand it is; an armature that has it is a hand
 HANDEDNESS_PROPERTY = "jghand_handedness"
+# custom properties of a foreign armature, one bone map per hand, and of an empty that stands for 21 objects (`sources`)
+MAP_PROPERTIES = {side: f"jghand_bone_map_{side}" for side in HANDEDNESSES}
+OBJECT_PROPERTIES = {name: f"jghand_joint_{name}" for name in NAMES}
 
 
 def build_armature(context: bpy.types.Context, name: str, joints_m: np.ndarray, handedness: str) -> bpy.types.Object:
@@ -40,7 +43,7 @@ def build_armature(context: bpy.types.Context, name: str, joints_m: np.ndarray, 
     hand.id_properties_ui(HANDEDNESS_PROPERTY).update(description="Which hand this armature is: right or left")
     hand.show_in_front = True
     context.scene.collection.objects.link(hand)
-    with _edit_mode(context, hand):
+    with edit_mode(context, hand):
         _add_bones(armature, matrices, unit_m)
     for place, bone in enumerate(armature.bones):
         bone.use_deform = place not in TIPS
@@ -64,6 +67,12 @@ def hands_at_any_frame(view_layer: bpy.types.ViewLayer) -> list[bpy.types.Object
 def is_hand(thing: bpy.types.Object) -> bool:
     """Whether an object is an armature that says which hand it is."""
     return thing.type == "ARMATURE" and HANDEDNESS_PROPERTY in thing
+
+
+def is_foreign(thing: bpy.types.Object) -> bool:
+    """Whether an object is a foreign armature with a bone map, or stands for 21 objects."""
+    marks = MAP_PROPERTIES.values() if thing.type == "ARMATURE" else OBJECT_PROPERTIES.values()
+    return not is_hand(thing) and any(mark in thing for mark in marks)
 
 
 def show_to_evaluate(thing: bpy.types.Object) -> None:
@@ -94,15 +103,27 @@ def read_hand(hand: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> HandInS
     act on the joints, never on what is drawn. Raises JGHandFailure: not_a_hand, mirrored, zero_scale, hidden.
     """
     evaluated = evaluated_object(hand, depsgraph)
-    unit_m = depsgraph.scene.unit_settings.scale_length
-    heads = _heads(evaluated)
+    return in_hand_space(evaluated, _heads(evaluated), handedness_of(hand), depsgraph.scene)
+
+
+def heads_of(hand: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> np.ndarray:
+    """(21, 3) evaluated bone heads of our armature in its own space and unit, standard order."""
+    return _heads(evaluated_object(hand, depsgraph))
+
+
+def in_hand_space(
+    evaluated: bpy.types.Object, joints: np.ndarray, handedness: str, scene: bpy.types.Scene
+) -> HandInSpace:
+    """(21, 3) joints in the space and unit of an evaluated object -> the hand. Raises JGHandFailure: mirrored,
+    zero_scale."""
+    unit_m = scene.unit_settings.scale_length
     world = np.array(evaluated.matrix_world, dtype=np.float64)
     linear = world[:3, :3]
-    _check_scale(linear, hand.name)
+    _check_scale(linear, evaluated.name)
     rotation = posing.polar_rotation(linear)
     world_from_hand = np.eye(4)
     world_from_hand[:3, :3], world_from_hand[:3, 3] = rotation, unit_m * world[:3, 3]
-    return HandInSpace(handedness_of(hand), unit_m * heads @ (rotation.T @ linear).T, world_from_hand)
+    return HandInSpace(handedness, unit_m * joints @ (rotation.T @ linear).T, world_from_hand)
 
 
 def at_frame(scene: bpy.types.Scene, frame: float) -> bpy.types.Depsgraph:
@@ -117,7 +138,7 @@ def _hands_of(view_layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
         thing.name: thing
         for collection in _rendered_collections(view_layer.layer_collection)
         for thing in collection.objects
-        if is_hand(thing)
+        if is_hand(thing) or is_foreign(thing)
     }
     return [hands[name] for name in sorted(hands)]
 
@@ -173,11 +194,12 @@ def _add_bones(armature: bpy.types.Armature, matrices: np.ndarray, unit_m: float
 
 
 @contextlib.contextmanager
-def _edit_mode(context: bpy.types.Context, thing: bpy.types.Object) -> Iterator[None]:
-    """Edit mode of one object; what was active before is active again afterwards."""
+def edit_mode(context: bpy.types.Context, thing: bpy.types.Object) -> Iterator[None]:
+    """Edit mode of one object; what was active before is active again afterwards, in the mode that it was in."""
     layer = context.view_layer
     before = layer.objects.active
-    if before is not None and before.mode != "OBJECT":
+    mode = before.mode if before is not None else "OBJECT"
+    if mode != "OBJECT":
         bpy.ops.object.mode_set(mode="OBJECT")
     layer.objects.active = thing
     bpy.ops.object.mode_set(mode="EDIT")
@@ -186,6 +208,8 @@ def _edit_mode(context: bpy.types.Context, thing: bpy.types.Object) -> Iterator[
     finally:
         bpy.ops.object.mode_set(mode="OBJECT")
         layer.objects.active = before
+        if mode != "OBJECT":
+            bpy.ops.object.mode_set(mode=mode)
 
 
 def rest_matrices_of(hand: bpy.types.Object) -> np.ndarray:

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import bpy
 import numpy as np
 
@@ -23,20 +25,25 @@ def key_motion(
     *,
     first_frame: float = 1.0,
     frames_per_pose: float = 1.0,
+    key_frames: Sequence[float] | None = None,
 ) -> bpy.types.Action:
     """Keys (F, 21, 3) joints, metres in the space of the armature object, standard order; returns the new action.
 
     At every key the evaluated bone heads equal the joints, also where bone lengths or the palm change. Between keys
-    Blender interpolates linearly. `frames_per_pose` is the scene's frame rate over the motion's. The action before it
-    stays in the file. For that the 21 bones turn by quaternions, have no scale of their own and follow their parents;
-    what else moves them is the artist's, so it is refused and not switched off. Bones above the wrist are not undone.
+    Blender interpolates linearly. `frames_per_pose` is the scene's frame rate over the motion's; `key_frames` places
+    every key instead. The action before it stays in the file. For that the 21 bones turn by quaternions, have no scale
+    of their own and follow their parents; what else moves them is the artist's, so it is refused and not switched off.
+    Bones above the wrist are not undone.
     Raises JGHandFailure (bad_joints, not_a_hand, constrained) before anything is changed.
     """
-    _check_free(hand)
+    check_free(hand)
     joints = posing.checked_joints(joints_m) / scene.unit_settings.scale_length
     keys = posing.bone_keys(joints, rest_matrices_of(hand), handedness_of(hand))
     _prepare_bones(hand)
-    frames = first_frame + frames_per_pose * np.arange(len(joints))
+    if key_frames is None:
+        frames = first_frame + frames_per_pose * np.arange(len(joints))
+    else:
+        frames = np.array(key_frames, dtype=np.float64)
     action = versions.new_action(hand, f"{hand.name} motion")
     for place, name in enumerate(NAMES):
         for channel, values in (("location", keys.location), ("rotation_quaternion", keys.quaternion)):
@@ -46,10 +53,15 @@ def key_motion(
     return action
 
 
-def _check_free(hand: bpy.types.Object) -> None:
-    """Refuses a hand whose bones are moved by more than their keys."""
+def check_free(hand: bpy.types.Object, *, but: Sequence[str] = ()) -> None:
+    """Refuses a hand whose bones are moved by more than their keys and constraints with the names `but`."""
     bones = [hand.pose.bones[name] for name in NAMES if name in hand.pose.bones]
-    movers = [f"{bone.name}: {rule.name}" for bone in bones for rule in bone.constraints if not rule.mute]
+    movers = [
+        f"{bone.name}: {rule.name}"
+        for bone in bones
+        for rule in bone.constraints
+        if not (rule.mute or rule.name in but)
+    ]
     drivers = hand.animation_data.drivers if hand.animation_data else ()
     paths = tuple(f'pose.bones["{bone.name}"].{channel}' for bone in bones for channel in _CHANNELS)
     movers += [f"driver of {curve.data_path}" for curve in drivers if curve.data_path in paths and not curve.mute]

@@ -10,10 +10,13 @@ from bpy_extras import anim_utils
 
 
 def new_action(owner: bpy.types.ID, name: str) -> bpy.types.Action:
-    """A fresh action with a slot for `owner`, made its active one. The action before it stays in the file."""
+    """A fresh action with a slot for `owner`, made its active one. The action before it stays in the file, also when
+    that is saved."""
     action = bpy.data.actions.new(name)
     slot = action.slots.new(owner.id_type, owner.name)
     animation = owner.animation_data or owner.animation_data_create()
+    if animation.action is not None and animation.action.library is None:
+        animation.action.use_fake_user = True
     animation.action = action
     animation.action_slot = slot
     return action

@@ -6,6 +6,7 @@ joints          names, parents and bones of the 21 joints; the rest hand
 conventions     how other people name the bones of a hand
 bone_maps       which bones of somebody else's rig are the 21 joints
 posing          joint positions to bone matrices and back (numpy)
+controls        finger controls as numbers: axes, what their turns do, joint ranges (numpy)
 view            pinhole cameras, hands in their own space, and the request for a picture (numpy)
 wire            the protocol module, from the extension or from the engine's package
 engine_command  where the engine is

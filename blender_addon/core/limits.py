@@ -49,6 +49,34 @@ SQUARE_PIXEL_MAX = 1e-6
 # finger. Fewer are chance hits (a lone "wrist" empty)
 RECOGNISED_MIN = 4
 
+# ---- finger controls ------------------------------------------------------------------------------------------------
+
+# flexion of the three bones at a full curl, degrees from straight: those of the engine's pose "fist"; thumb, fingers
+CURL_DEG = ((16.0, 44.0, 44.0), (86.0, 107.0, 66.0))
+# turn of a control that means a full curl, how far it goes the other way, and the turn that means a full spread
+CURL_FULL_DEG = 90.0
+CURL_BACK_DEG = 20.0
+SPREAD_FULL_DEG = 25.0
+# what a full splay spreads of each finger, thumb first: the engine's pose "spread", the little finger counts one
+SPLAY_PARTS = (0.8, 0.75, 0.0, 0.65, 1.0)
+# lowest and highest angle of a joint, degrees: flexion and spread of the first bone, flexion of the second and third;
+# thumb (from its rest), fingers (from straight). The same as the engine's `hand.anatomy.RANGES_DEG`; a test compares
+JOINT_RANGES_DEG = (
+    ((-15.0, 45.0), (-15.0, 35.0), (-10.0, 55.0), (-15.0, 85.0)),
+    ((-25.0, 92.0), (-22.0, 25.0), (-5.0, 112.0), (-8.0, 82.0)),
+)
+# the middle and last joints are hinges, with some play: METHOD 4.1
+SIDEWAYS_RANGE_DEG = 15.0
+# turn of a bone about itself: passive play of a knuckle, and what swings about two axes have of it (assumed)
+TWIST_RANGE_DEG = 30.0
+# turns of the solver for a tip that is held somewhere; Blender's own number, enough for three bones
+IK_ITERATIONS = 500
+# how large the shapes of the controls are drawn, metres: radius of a ring around a finger, of a ball at a tip; half the
+# width and depth of the bracelet around the palm, and its way from the wrist
+FINGER_SHAPE_M = 0.014
+TIP_SHAPE_M = 0.006
+HAND_SHAPE_M = (0.062, 0.03, 0.05)
+
 # ---- new cameras ----------------------------------------------------------------------------------------------------
 
 # a hand is looked at from near

@@ -70,6 +70,11 @@ ADVICE = {
         "Constraints or drivers move bones of this hand, so keys alone cannot", "Mute or remove them", BAD_INPUT
     ),
     "bad_joints": Advice("These joints are not a hand's motion", "Check the file", BAD_INPUT),
+    "not_editable": Advice(
+        "The bones of this armature cannot be changed: it is hidden, or linked from another file",
+        "Show it, or make it local",
+        BAD_INPUT,
+    ),
     "not_a_camera": Advice("There is no camera of this name", "Choose a camera of the scene", BAD_INPUT),
     "no_camera": Advice("The scene has no camera of its own", "Name one with --camera", BAD_INPUT),
     "pixel_aspect": Advice("Cameras are made with square pixels only", "Make fx and fy equal", BAD_INPUT),

@@ -1,0 +1,140 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Hands that are no armature of ours: a foreign rig through its bone maps, or 21 objects, one per joint.
+
+What a hand is made of is stored on an object, so that it is saved, duplicated, appended and undone with it: on the
+foreign armature one bone map per hand, as text; on an empty 21 pointers to objects, which survive renaming.
+Source: BLENDER 6.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import bpy
+import numpy as np
+
+from ..core import bone_maps
+from ..core.bone_maps import BoneMap, Recognition
+from ..core.joints import HANDEDNESSES, NAMES
+from ..core.messages import JGHandFailure
+from ..core.view import HandInSpace
+from . import armature
+
+
+def recognise(rig: bpy.types.Object, handedness: str) -> Recognition:
+    """The bones of one hand in an armature, by their names. JGHandFailure (not_a_hand): no armature."""
+    return bone_maps.recognise(_bones(rig).keys(), handedness)
+
+
+def recognise_objects(objects: Sequence[bpy.types.Object], handedness: str) -> Recognition:
+    """The joints of one hand among objects, by their names; `objects_of` turns its map into objects."""
+    return bone_maps.recognise([thing.name for thing in objects], handedness, tails=False)
+
+
+def objects_of(bone_map: BoneMap, objects: Sequence[bpy.types.Object]) -> list[bpy.types.Object]:
+    """The 21 objects that a map of object names means, standard order. JGHandFailure: bad_bone_map."""
+    known = {thing.name: thing for thing in objects}
+    _check_whole(bone_map, known)
+    return [known[source.bone] for source in bone_map.sources if source is not None]
+
+
+def store_map(rig: bpy.types.Object, bone_map: BoneMap) -> None:
+    """Makes a foreign armature a hand, or two, one call each; it may still miss joints."""
+    _bones(rig)
+    name = armature.MAP_PROPERTIES[bone_map.handedness]
+    rig[name] = bone_map.as_json()
+    rig.id_properties_ui(name).update(description=f"Bones of the {bone_map.handedness} hand, as JGHand reads them")
+
+
+def store_objects(holder: bpy.types.Object, objects: Sequence[bpy.types.Object], handedness: str) -> None:
+    """Makes an object (an empty) stand for a hand of 21 objects, standard order. JGHandFailure: bad_bone_map."""
+    if len(objects) != len(NAMES) or len(set(objects)) != len(NAMES):
+        raise JGHandFailure("bad_bone_map", f"wanted {len(NAMES)} different objects, got {len(set(objects))}")
+    if handedness not in HANDEDNESSES:
+        raise JGHandFailure("bad_bone_map", f"handedness {handedness!r}, wanted {' or '.join(HANDEDNESSES)}")
+    for name, thing in zip(NAMES, objects, strict=True):
+        holder[armature.OBJECT_PROPERTIES[name]] = thing
+    holder[armature.HANDEDNESS_PROPERTY] = handedness
+
+
+def forget(thing: bpy.types.Object) -> None:
+    """Makes a foreign armature, or an empty for 21 objects, no hand any more."""
+    if armature.is_foreign(thing):
+        names = [*armature.MAP_PROPERTIES.values(), *armature.OBJECT_PROPERTIES.values()]
+        if thing.type != "ARMATURE":
+            names.append(armature.HANDEDNESS_PROPERTY)
+        for name in names:
+            if name in thing:
+                del thing[name]
+
+
+def stored_maps(rig: bpy.types.Object) -> list[BoneMap]:
+    """The bone maps of an armature, right before left. JGHandFailure: bad_bone_map."""
+    return [bone_maps.from_json(str(rig[name])) for name in armature.MAP_PROPERTIES.values() if name in rig]
+
+
+def read_hands(thing: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> list[HandInSpace]:
+    """Every hand that an object is or stands for: our armature one, a foreign one up to two, an empty one.
+
+    Raises JGHandFailure: not_a_hand, mirrored, zero_scale, hidden, bad_bone_map.
+    """
+    if armature.is_hand(thing):
+        return [armature.read_hand(thing, depsgraph)]
+    if not armature.is_foreign(thing):
+        raise JGHandFailure("not_a_hand", thing.name)
+    if thing.type == "ARMATURE":
+        return [read_mapped(thing, bone_map, depsgraph) for bone_map in stored_maps(thing)]
+    objects = [thing.get(armature.OBJECT_PROPERTIES[name]) for name in NAMES]
+    gone = [name for name, joint in zip(NAMES, objects, strict=True) if joint is None]
+    if gone:
+        raise JGHandFailure("bad_bone_map", f"{thing.name}: the objects of {', '.join(gone)} were deleted")
+    return [read_objects(objects, armature.handedness_of(thing), depsgraph)]
+
+
+def read_mapped(rig: bpy.types.Object, bone_map: BoneMap, depsgraph: bpy.types.Depsgraph) -> HandInSpace:
+    """The 21 joints of the *evaluated* foreign armature (constraints, drivers and IK included), in metres.
+
+    Raises JGHandFailure: not_a_hand, mirrored, zero_scale, hidden, bad_bone_map (a joint without a bone).
+    """
+    evaluated = armature.evaluated_object(rig, depsgraph)
+    if evaluated.pose is None:
+        raise JGHandFailure("not_a_hand", f"{rig.name} is no armature")
+    bones = evaluated.pose.bones
+    _check_whole(bone_map, bones)
+    sources = [source for source in bone_map.sources if source is not None]
+    ends = {}
+    for end in bone_maps.ENDS:
+        ends[end] = np.empty((len(bones), 3), np.float32)
+        bones.foreach_get(end, ends[end].ravel())
+    joints = np.array([ends[source.end][bones.find(source.bone)] for source in sources], dtype=np.float64)
+    return armature.in_hand_space(evaluated, joints, bone_map.handedness, depsgraph.scene)
+
+
+def read_objects(objects: Sequence[bpy.types.Object], handedness: str, depsgraph: bpy.types.Depsgraph) -> HandInSpace:
+    """The hand whose 21 joints are the origins of objects, standard order; hand space lies at the wrist, unturned.
+
+    Only places count: a joint's own rotation and scale mean nothing. Raises JGHandFailure: hidden, bad_bone_map.
+    """
+    if len(objects) != len(NAMES):
+        raise JGHandFailure("bad_bone_map", f"wanted {len(NAMES)} objects, got {len(objects)}")
+    places = [armature.evaluated_object(thing, depsgraph).matrix_world.translation for thing in objects]
+    world_m = np.array(places, dtype=np.float64) * depsgraph.scene.unit_settings.scale_length
+    world_from_hand = np.eye(4)
+    world_from_hand[:3, 3] = world_m[0]
+    return HandInSpace(handedness, world_m - world_m[0], world_from_hand)
+
+
+def _bones(rig: bpy.types.Object) -> bpy.types.ArmatureBones:
+    if not isinstance(rig.data, bpy.types.Armature):
+        raise JGHandFailure("not_a_hand", f"{rig.name} is no armature")
+    return rig.data.bones
+
+
+def _check_whole(bone_map: BoneMap, known: object) -> None:
+    """Refuses a map with a joint that has no source, or whose source is not there any more."""
+    empty = [name for name, source in zip(NAMES, bone_map.sources, strict=True) if source is None]
+    if empty:
+        raise JGHandFailure("bad_bone_map", f"no bone for {', '.join(empty)}")
+    gone = [source.bone for source in bone_map.sources if source is not None and source.bone not in known]  # type: ignore
+    if gone:
+        raise JGHandFailure("bad_bone_map", f"not there any more: {', '.join(gone)}")

@@ -1,0 +1,134 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The finger controls as numbers: where they stand, what a turn of them does, and how far joints go.
+
+A finger control turns like its finger: about its x axis it curls the finger, about its z axis it spreads it, positive
+away from the middle finger (the middle finger itself: to the thumb's side), on both hands. To make both signs so, the
+axes of some controls point backwards; the shapes drawn for them do not. The control of the hand does the same to all
+fingers: fist and splay. Angles of joints are anatomical: flexion 0 is a straight finger, so what the rest pose is bent
+already counts. Sources: METHOD 4.1 and DATA 8 for the ranges; BLENDER 6 for the axes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from . import limits
+from .joints import FINGERS, NAMES, RIGHT, WRIST
+
+HAND_CONTROL = "control_hand"
+FINGER_CONTROLS = tuple(f"control_{finger}" for finger in FINGERS)
+TIP_CONTROLS = tuple(f"tip_{finger}" for finger in FINGERS)
+CONTROLS = (HAND_CONTROL, *FINGER_CONTROLS, *TIP_CONTROLS)
+
+_BACKWARDS = np.diag([1.0, -1.0, -1.0])
+
+
+@dataclass(frozen=True)
+class Move:
+    """What full turns of a control do to one bone, about the bone's own axes, radians.
+
+    flexion: at CURL_FULL_DEG of the control's x; a bone that `goes_back` follows the control the other way too, as far
+    as that goes · spread: at SPREAD_FULL_DEG of its z, the same the other way with the other sign.
+    """
+
+    bone: str
+    flexion: float
+    goes_back: bool
+    spread: float
+
+
+@dataclass(frozen=True)
+class JointRange:
+    """How far a bone turns about its own axes from the rest pose: (low, high) about x, y and z, radians. A hinge
+    turns about x alone but for some play."""
+
+    bone: str
+    hinge: bool
+    x: tuple[float, float]
+    y: tuple[float, float]
+    z: tuple[float, float]
+
+
+def moving_bones(finger: int) -> tuple[str, str, str]:
+    """The three bones of a finger that turn, from the palm outwards."""
+    return tuple(NAMES[1 + 4 * finger + level] for level in range(3))  # type: ignore[return-value]
+
+
+def control_matrices(rest: np.ndarray, handedness: str) -> dict[str, np.ndarray]:
+    """(21, 4, 4) rest matrices -> the matrix (4, 4) of every control at rest, in the same space and unit."""
+    result = {HAND_CONTROL: rest[WRIST].copy()}
+    for finger, name in enumerate(FINGER_CONTROLS):
+        result[name] = rest[1 + 4 * finger].copy()
+        if spread_sign(finger, handedness) < 0:
+            result[name][:3, :3] = result[name][:3, :3] @ _BACKWARDS
+    for finger, name in enumerate(TIP_CONTROLS):
+        result[name] = rest[4 + 4 * finger].copy()
+    return result
+
+
+def spread_sign(finger: int, handedness: str) -> float:
+    """The sign of the turn about a finger bone's z axis that leads away from the middle finger."""
+    to_thumb = finger <= FINGERS.index("middle")
+    return -1.0 if to_thumb == (handedness == RIGHT) else 1.0
+
+
+def finger_moves(rest: np.ndarray, finger: int, handedness: str) -> tuple[Move, ...]:
+    """What the control of a finger does to its three bones. rest: (21, 4, 4)."""
+    full = np.radians(limits.CURL_DEG[0 if finger == 0 else 1]) - (0.0 if finger == 0 else rest_flexions(rest)[finger])
+    spread = spread_sign(finger, handedness) * np.radians(limits.SPREAD_FULL_DEG)
+    return tuple(
+        Move(bone, float(full[level]), level == 0, float(spread) if level == 0 else 0.0)
+        for level, bone in enumerate(moving_bones(finger))
+    )
+
+
+def hand_moves(rest: np.ndarray, finger: int, handedness: str) -> tuple[Move, ...]:
+    """What the control of the hand does to the three bones of a finger."""
+    part = limits.SPLAY_PARTS[finger]
+    return tuple(
+        Move(move.bone, move.flexion, move.goes_back, part * move.spread)
+        for move in finger_moves(rest, finger, handedness)
+    )
+
+
+def joint_ranges(rest: np.ndarray, handedness: str) -> tuple[JointRange, ...]:
+    """The ranges of the 15 bones that turn, as turns from the rest pose, which always lies within.
+
+    rest: (21, 4, 4).
+    """
+    result = []
+    flexions = rest_flexions(rest)
+    twist = np.radians(limits.TWIST_RANGE_DEG)
+    for finger in range(len(FINGERS)):
+        table = np.radians(limits.JOINT_RANGES_DEG[0 if finger == 0 else 1])
+        sideways = np.radians(limits.SIDEWAYS_RANGE_DEG)
+        sign = spread_sign(finger, handedness)
+        for level, bone in enumerate(moving_bones(finger)):
+            # the thumb's angles are counted from its rest already
+            bent = 0.0 if finger == 0 else flexions[finger, level]
+            low, high = table[0 if level == 0 else level + 1] - bent
+            spread = sorted(sign * table[1]) if level == 0 else (-sideways, sideways)
+            result.append(
+                JointRange(
+                    bone,
+                    level > 0,
+                    (float(min(low, 0.0)), float(max(high, 0.0))),
+                    (-float(twist), float(twist)),
+                    (float(spread[0]), float(spread[1])),
+                )
+            )
+    return tuple(result)
+
+
+def rest_flexions(rest: np.ndarray) -> np.ndarray:
+    """(5, 3) how far each moving bone is bent at rest against its parent bone (the first one: against the palm)."""
+    result = np.empty((len(FINGERS), 3))
+    for finger in range(len(FINGERS)):
+        for level in range(3):
+            place = 1 + 4 * finger + level
+            parent = WRIST if level == 0 else place - 1
+            along = rest[parent, :3, :3].T @ rest[place, :3, 1]
+            result[finger, level] = np.arcsin(np.clip(along[2], -1.0, 1.0))
+    return result

@@ -1,0 +1,223 @@
+"""Finger controls move the hand as they say, change nothing by being there, and cost nobody a key."""
+
+from __future__ import annotations
+
+import bpy
+import hands
+import numpy as np
+import pytest
+
+from blender_addon.bridge import armature, controls, motion, versions
+from blender_addon.core import posing
+from blender_addon.core.controls import CONTROLS, FINGER_CONTROLS, HAND_CONTROL, TIP_CONTROLS
+from blender_addon.core.joints import FINGERS, HANDEDNESSES, NAMES, TIPS
+from blender_addon.core.messages import JGHandFailure
+
+# float32 of a bone chain through constraints; worst observed 1.6e-7 m
+EXACT_M = 5e-7
+
+
+def controlled_hand(context: bpy.types.Context, handedness: str) -> bpy.types.Object:
+    hand = armature.build_armature(context, handedness, posing.rest_joints_m(handedness), handedness)
+    controls.add_controls(context, hand)
+    return hand
+
+
+def joints_of(context: bpy.types.Context, hand: bpy.types.Object) -> np.ndarray:
+    context.view_layer.update()
+    return armature.read_hand(hand, context.evaluated_depsgraph_get()).joints_m
+
+
+@pytest.mark.parametrize("handedness", HANDEDNESSES)
+@pytest.mark.parametrize("unit_m", [1.0, 0.01])
+def test_neutral_controls_change_nothing_and_need_no_script(context, handedness, unit_m):
+    context.scene.unit_settings.scale_length = unit_m
+    hand = controlled_hand(context, handedness)
+    np.testing.assert_allclose(joints_of(context, hand), posing.rest_joints_m(handedness), atol=EXACT_M)
+    assert controls.has_controls(hand)
+    assert hand.animation_data is None or not hand.animation_data.drivers
+    assert not any(hand.data.bones[name].use_deform for name in CONTROLS)
+
+
+@pytest.mark.parametrize("handedness", HANDEDNESSES)
+def test_curl_fist_spread_and_splay_move_the_fingers_they_name(context, handedness):
+    hand = controlled_hand(context, handedness)
+    rest = joints_of(context, hand)
+    across = rest[NAMES.index("index1")] - rest[NAMES.index("pinky1")]
+    for finger, name in zip(FINGERS, FINGER_CONTROLS, strict=True):
+        bone, tip = hand.pose.bones[name], NAMES.index(f"{finger}4")
+        others = [place for place, joint in enumerate(NAMES) if not joint.startswith(finger)]
+        bone.rotation_euler = (np.pi / 2, 0, 0)
+        curled = joints_of(context, hand)
+        np.testing.assert_allclose(curled[others], rest[others], atol=EXACT_M)
+        if finger == "thumb":
+            assert np.linalg.norm(curled[tip] - rest[tip]) > 0.03
+        else:  # the tip comes to the palm
+            assert np.linalg.norm(curled[tip] - curled[tip - 3]) < 0.55 * np.linalg.norm(rest[tip] - rest[tip - 3])
+            assert curled[tip, 2] > 0
+        bone.rotation_euler = (0, 0, np.radians(15))
+        spread = joints_of(context, hand)
+        if finger == "middle":  # to the thumb's side
+            assert (spread[tip] - rest[tip]) @ across > 0
+        else:
+            middle = rest[NAMES.index("middle4")]
+            assert np.linalg.norm(spread[tip] - middle) > np.linalg.norm(rest[tip] - middle) + 0.005
+        bone.rotation_euler = (0, 0, 0)
+    hand.pose.bones[HAND_CONTROL].rotation_euler = (np.pi / 2, 0, 0)
+    fist = joints_of(context, hand)
+    tips = list(TIPS[1:])
+    assert (np.linalg.norm(fist[tips] - fist[0], axis=-1) < 0.65 * np.linalg.norm(rest[tips] - rest[0], axis=-1)).all()
+    hand.pose.bones[HAND_CONTROL].rotation_euler = (0, 0, np.radians(25))
+    splayed = joints_of(context, hand)
+    wide = np.linalg.norm(splayed[NAMES.index("index4")] - splayed[NAMES.index("pinky4")])
+    assert wide > 1.2 * np.linalg.norm(rest[NAMES.index("index4")] - rest[NAMES.index("pinky4")])
+
+
+def test_left_controls_are_the_mirror_image_of_right_ones(context):
+    seen = {}
+    for handedness in HANDEDNESSES:
+        hand = controlled_hand(context, handedness)
+        for at, name in enumerate((HAND_CONTROL, *FINGER_CONTROLS)):
+            hand.pose.bones[name].rotation_euler = (0.1 + 0.1 * at, 0, 0.05 * at)
+        seen[handedness] = joints_of(context, hand)
+    np.testing.assert_allclose(seen["left"], seen["right"] * (-1, 1, 1), atol=EXACT_M)
+
+
+@pytest.mark.parametrize("handedness", HANDEDNESSES)
+def test_a_held_tip_stays_and_does_not_jump_when_it_is_taken(context, handedness):
+    hand = controlled_hand(context, handedness)
+    hand.pose.bones[FINGER_CONTROLS[1]].rotation_euler = (0.5, 0, 0)
+    before = joints_of(context, hand)
+    controls.hold_tip(hand, "index")
+    # the solver stops this near; worst observed 7e-6 m
+    np.testing.assert_allclose(joints_of(context, hand), before, atol=3e-5)
+    hand.pose.bones[TIP_CONTROLS[1]].location.z -= 0.02
+    moved = joints_of(context, hand)
+    place = hand.pose.bones[TIP_CONTROLS[1]].head
+    np.testing.assert_allclose(moved[NAMES.index("index4")], place, atol=1e-3)
+    assert np.linalg.norm(moved[NAMES.index("index4")] - before[NAMES.index("index4")]) > 0.015
+    hand.pose.bones["wrist"].location = (0.005, 0, 0.005)
+    assert np.linalg.norm(joints_of(context, hand)[NAMES.index("index4")] - place) < 1e-3
+    controls.reset_controls(hand)
+    hand.pose.bones["wrist"].location = (0, 0, 0)
+    np.testing.assert_allclose(joints_of(context, hand), posing.rest_joints_m(handedness), atol=EXACT_M)
+
+
+def test_joint_limits_stop_a_finger_and_can_be_switched_off(context):
+    hand = controlled_hand(context, "right")
+    hand.pose.bones["index2"].rotation_quaternion = (np.cos(-0.5), np.sin(-0.5), 0, 0)
+    limited = joints_of(context, hand)
+    controls.use_joint_limits(hand, False)
+    free = joints_of(context, hand)
+    place = NAMES.index("index3")
+    assert np.linalg.norm(free[place] - limited[place]) > 0.005
+    fingertip = limited[place] - limited[place - 1]
+    knuckle = limited[place - 1] - limited[place - 2]
+    angle = np.degrees(np.arccos(fingertip @ knuckle / np.linalg.norm(fingertip) / np.linalg.norm(knuckle)))
+    # five degrees beyond straight, and what the finger is bent sideways at rest
+    assert angle == pytest.approx(5, abs=3)
+
+
+def test_adding_and_removing_keeps_every_key_and_every_joint(context):
+    joints = hands.moving_hand_m("left")
+    hand = hands.keyed_hand(context, "left", joints)
+    action = hand.animation_data.action
+    before = [(curve.data_path, [tuple(key.co) for key in curve.keyframe_points]) for curve in versions.fcurves(hand)]
+    controls.add_controls(context, hand)
+    controls.use_joint_limits(hand, False)
+    for place in range(len(joints)):
+        seen = armature.read_hand(hand, armature.at_frame(context.scene, 1 + place))
+        np.testing.assert_allclose(seen.joints_world_m, joints[place], atol=EXACT_M)
+    bone = hand.pose.bones[HAND_CONTROL]
+    bone.rotation_euler = (0.3, 0, 0)
+    bone.keyframe_insert("rotation_euler", frame=2)
+    controls.remove_controls(context, hand)
+    assert set(hand.data.bones.keys()) == set(NAMES)
+    assert controls.COLLECTION not in hand.data.collections
+    assert not any(bone.constraints for bone in hand.pose.bones)
+    assert not any(bone.lock_ik_y or bone.use_ik_limit_x for bone in hand.pose.bones)
+    assert hand.animation_data.action is action
+    curves = versions.fcurves(hand)
+    after = [(curve.data_path, [tuple(key.co) for key in curve.keyframe_points]) for curve in curves]
+    assert after[: len(before)] == before
+    for place in range(len(joints)):
+        seen = armature.read_hand(hand, armature.at_frame(context.scene, 1 + place))
+        np.testing.assert_allclose(seen.joints_world_m, joints[place], atol=EXACT_M)
+    controls.add_controls(context, hand)  # the key of the control works again
+    armature.at_frame(context.scene, 2)
+    assert hand.pose.bones[HAND_CONTROL].rotation_euler.x == pytest.approx(0.3)
+
+
+def test_adding_twice_is_adding_once(context):
+    hand = controlled_hand(context, "right")
+    hand.pose.bones[FINGER_CONTROLS[2]].rotation_euler = (0.4, 0, 0.1)
+    before = joints_of(context, hand)
+    count = [len(bone.constraints) for bone in hand.pose.bones]
+    controls.add_controls(context, hand)
+    assert [len(bone.constraints) for bone in hand.pose.bones] == count
+    np.testing.assert_allclose(joints_of(context, hand), before, atol=EXACT_M)
+
+
+def test_what_is_seen_can_be_baked_into_the_bare_armature(context):
+    hand = controlled_hand(context, "right")
+    bone = hand.pose.bones[HAND_CONTROL]
+    for frame, angle in ((1, 0.0), (5, 1.2)):
+        bone.rotation_euler = (angle, 0, 0)
+        bone.keyframe_insert("rotation_euler", frame=frame)
+    old = hand.animation_data.action
+    seen = [armature.read_hand(hand, armature.at_frame(context.scene, frame)).joints_m for frame in range(1, 6)]
+    controls.bake_controls(context, hand, range(1, 6))
+    assert set(hand.data.bones.keys()) == set(NAMES)
+    assert old.use_fake_user
+    for frame, wanted in zip(range(1, 6), seen, strict=True):
+        baked = armature.read_hand(hand, armature.at_frame(context.scene, frame)).joints_m
+        np.testing.assert_allclose(baked, wanted, atol=EXACT_M)
+
+
+def test_a_motion_is_keyed_under_muted_controls(context):
+    joints = hands.moving_hand_m("right")
+    hand = controlled_hand(context, "right")
+    with pytest.raises(JGHandFailure) as caught:
+        motion.key_motion(hand, joints, context.scene)
+    assert caught.value.kind == "constrained"
+    controls.mute_controls(hand, True)
+    assert controls.controls_are_muted(hand)
+    motion.key_motion(hand, joints, context.scene)
+    seen = armature.read_hand(hand, armature.at_frame(context.scene, 3))
+    # the rest hand is not the motion's, but its joints are
+    np.testing.assert_allclose(seen.joints_world_m, joints[2], atol=EXACT_M)
+
+
+def test_hands_that_share_their_bones_part_before_one_gets_controls(context):
+    hand = armature.build_armature(context, "a", posing.rest_joints_m("right"), "right")
+    twin = hand.copy()
+    context.scene.collection.objects.link(twin)
+    controls.add_controls(context, hand)
+    assert controls.has_controls(hand)
+    assert not controls.has_controls(twin)
+    assert set(twin.data.bones.keys()) == set(NAMES)
+
+
+def test_controls_are_for_our_visible_armature_only(context):
+    hand = armature.build_armature(context, "a", posing.rest_joints_m("right"), "right")
+    hand.hide_set(True)
+    with pytest.raises(JGHandFailure) as caught:
+        controls.add_controls(context, hand)
+    assert caught.value.kind == "not_editable"
+    empty = bpy.data.objects.new("x", None)
+    with pytest.raises(JGHandFailure) as caught:
+        controls.add_controls(context, empty)
+    assert caught.value.kind == "not_a_hand"
+    with pytest.raises(JGHandFailure) as caught:
+        controls.hold_tip(hand, "index")
+    assert caught.value.kind == "not_a_hand"
+
+
+def test_pose_mode_is_left_as_it_was(context):
+    hand = armature.build_armature(context, "a", posing.rest_joints_m("right"), "right")
+    context.view_layer.objects.active = hand
+    bpy.ops.object.mode_set(mode="POSE")
+    controls.add_controls(context, hand)
+    assert context.mode == "POSE"
+    controls.remove_controls(context, hand)
+    assert context.mode == "POSE"
