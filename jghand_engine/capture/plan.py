@@ -29,6 +29,7 @@ from jghand_engine.capture.identities import identity_name, load_identity
 from jghand_engine.capture.options import CaptureOptions, is_file, read_input
 from jghand_engine.capture.poses import varied_poses
 from jghand_engine.capture.rig import RiggedHand, RigPose
+from jghand_engine.capture.shards import alone
 from jghand_engine.capture.skin import make_skin
 from jghand_engine.datasets.interhand_writer import RecordedHand, write_interhand
 from jghand_engine.datasets.splits import SPLITS_FILE, SPLITS_FORMAT
@@ -231,14 +232,20 @@ def read_plan(folder: Path) -> CapturePlan | None:
 def open_or_make(folder: Path, options: CaptureOptions) -> CapturePlan:
     """The plan of `folder`: the one that is there, if it was made with the same options, else a new one, written.
 
-    InputError when the folder holds a capture with other options.
+    Of processes that begin at once only one writes its plan. InputError when the folder holds a capture with other
+    options.
     """
     options.check()
     plan = _opened(folder, options)
-    if plan is None:
-        plan = make_plan(options)
-        write_plan(folder, plan)
-    return plan
+    if plan is not None:
+        return plan
+    # takes long, refuses, and writes nothing: another process may begin the capture meanwhile
+    made = make_plan(options)
+    with alone(folder / FOLDER):
+        plan = _opened(folder, options)
+        if plan is None:
+            write_plan(folder, made)
+    return plan or made
 
 
 def open_begun(folder: Path, options: CaptureOptions) -> CapturePlan:

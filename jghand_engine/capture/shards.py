@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from jghand_engine.errors import RetryError
+from jghand_engine.files import make_folder
 from jghand_engine.limits import CAPTURE_LOCK_WAIT_S
 from jghand_engine.lock import locked
 
@@ -28,7 +29,7 @@ def shard_locked(folder: Path, shard: tuple[int, int]) -> Iterator[None]:
     pictures, as this shard or as one of another count."""
     with contextlib.ExitStack() as held:
         # one after the other, or two could look for each other before either has its lock
-        with _turn(folder):
+        with alone(folder):
             held.enter_context(_locked(folder, shard))
             for file in sorted(folder.glob("shard_*_of_*.lock")):
                 if match := _NAME.fullmatch(file.name):
@@ -46,8 +47,11 @@ def _locked(folder: Path, shard: tuple[int, int]) -> contextlib.AbstractContextM
 
 
 @contextlib.contextmanager
-def _turn(folder: Path) -> Iterator[None]:
-    """Holds the lock under which shards are taken; others hold it for moments only, and are waited for."""
+def alone(folder: Path) -> Iterator[None]:
+    """Holds the lock under which the plan and the annotations are written and shards are taken. Others hold it for
+    moments only, and are waited for; RetryError after CAPTURE_LOCK_WAIT_S. folder: of the plan, made where it is not.
+    """
+    make_folder(folder)
     until_s = time.monotonic() + CAPTURE_LOCK_WAIT_S
     with contextlib.ExitStack() as held:
         while True:
@@ -57,5 +61,5 @@ def _turn(folder: Path) -> Iterator[None]:
             except RetryError:
                 if time.monotonic() > until_s:
                     raise
-                time.sleep(CAPTURE_LOCK_WAIT_S / 100)
+                time.sleep(CAPTURE_LOCK_WAIT_S / 600)
         yield

@@ -91,7 +91,7 @@ class Capture:
 
     def run(self) -> None:
         from jghand_engine.capture.plan import FOLDER, annotate, open_or_make
-        from jghand_engine.capture.shards import shard_locked
+        from jghand_engine.capture.shards import alone, shard_locked
         from jghand_engine.capture.worker import find_blender_python
 
         shard = parse_shard(self.shard)
@@ -103,12 +103,14 @@ class Capture:
             return
         python = find_blender_python(self.blender_python)
         plan = open_or_make(self.out, options)
-        annotate(self.out, plan)
+        with alone(self.out / FOLDER):
+            annotate(self.out, plan)
         with shard_locked(self.out / FOLDER, shard):
             self._make(plan, shard, python)
         # --finished-only may have left poses out meanwhile
         if all(job.file.exists() for job in plan.jobs(self.out)):
-            annotate(self.out, plan)
+            with alone(self.out / FOLDER):
+                annotate(self.out, plan)
 
     def _make(self, plan: CapturePlan, shard: tuple[int, int], python: Path) -> None:
         """Makes what is missing or broken of a shard, and says so."""
@@ -136,7 +138,8 @@ class Capture:
             })  # fmt: skip
 
     def _annotate_finished(self, options) -> None:
-        from jghand_engine.capture.plan import annotate, open_begun
+        from jghand_engine.capture.plan import FOLDER, annotate, open_begun
+        from jghand_engine.capture.shards import alone
         from jghand_engine.capture.worker import fault_of
 
         plan = open_begun(self.out, options)
@@ -144,7 +147,8 @@ class Capture:
         finished = set(range(len(plan.pose_names))) - unfinished
         if not finished:
             raise InputError(f"the capture in {self.out}", wanted="at least one pose with all pictures", came="none")
-        annotate(self.out, plan, finished)
+        with alone(self.out / FOLDER):
+            annotate(self.out, plan, finished)
         say(f"Annotated {len(finished)} of {len(plan.pose_names)} poses; without --finished-only it is all of them.")
 
     def _render(self, todo: list, python: Path) -> list[float]:

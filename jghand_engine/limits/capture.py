@@ -81,8 +81,9 @@ CAPTURE_SAMPLES = (1, 4096)
 # every so manieth pose, and one of so many cameras, is kept for the test
 CAPTURE_EVERY_POSE = 5
 CAPTURE_EVERY_CAMERA = 6
-# waiting for another process that is just taking its shard, seconds: it needs milliseconds
-CAPTURE_LOCK_WAIT_S = 5.0
+# waiting for another process that is just taking its shard or writing the plan, seconds: it needs milliseconds, or a
+# few seconds on a slow disk
+CAPTURE_LOCK_WAIT_S = 30.0
 # how long Blender may take to end, seconds, and how many lines of its last words are told
 CAPTURE_END_S = 20.0
 CAPTURE_LAST_WORDS = 4

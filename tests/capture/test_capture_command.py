@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import os
 import shutil
@@ -15,7 +16,8 @@ import torch
 from PIL import Image
 
 from jghand_engine import limits
-from jghand_engine.capture import worker
+from jghand_engine.capture import plan as plan_module
+from jghand_engine.capture import shards, worker
 from jghand_engine.capture.identities import identity_names
 from jghand_engine.capture.options import CaptureOptions
 from jghand_engine.capture.plan import CapturePlan, make_plan, open_or_make, read_plan
@@ -210,6 +212,38 @@ def test_shards_of_different_counts_do_not_make_the_same_picture_at_once(copied,
         for shard in ("1/2", "3/4", "4/6"):
             assert capture(copied, "--shard", shard) == (3 if shard == "4/6" else 0)
     assert capture(copied) == 0
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_of_two_processes_that_begin_a_capture_at_once_only_one_writes_its_plan(tmp_path, monkeypatch, seed):
+    """The other one begins and writes while the first is still making its plan; with other options it is refused."""
+    folder, first = tmp_path / "raced", CaptureOptions("3", cameras=4, close_ups=0, poses=2, width=32, height=48)
+    other, plans = dataclasses.replace(first, seed=seed), []
+
+    def overtaken(options: CaptureOptions) -> CapturePlan:
+        if options is first:
+            plans.append(open_or_make(folder, other))
+        return make_plan(options)
+
+    monkeypatch.setattr(plan_module, "make_plan", overtaken)
+    if seed:
+        with pytest.raises(InputError, match="another seed"):
+            open_or_make(folder, first)
+    else:
+        assert open_or_make(folder, first).description == plans[0].description
+    again = read_plan(folder)
+    assert again is not None
+    assert again.description == plans[0].description
+    np.testing.assert_array_equal(again.vertices_m, plans[0].vertices_m)
+
+
+def test_a_plan_is_not_written_while_another_process_writes(tmp_path, monkeypatch):
+    monkeypatch.setattr(shards, "CAPTURE_LOCK_WAIT_S", 0.05)
+    options = CaptureOptions("3", cameras=4, close_ups=0, poses=2, width=32, height=48)
+    with shards.alone(tmp_path / "plan"), pytest.raises(RetryError, match="start of a capture"):
+        open_or_make(tmp_path, options)
+    assert not list((tmp_path / "plan").glob("*.json"))
+    open_or_make(tmp_path, options)
 
 
 def test_shards_overlap_exactly_where_they_have_a_pose_in_common():
