@@ -1,4 +1,4 @@
-"""`jghand study`: studies that need no pictures."""
+"""`jghand study`: parts of the method, measured by themselves."""
 
 from __future__ import annotations
 
@@ -9,7 +9,9 @@ from typing import Annotated, Literal
 import tyro
 
 from jghand_engine.cli.console import progress, say, say_whole_table, write_json
-from jghand_engine.cli.options import ReportOptions
+from jghand_engine.cli.options import AvatarOptions, File, FormatOptions, ReportOptions
+from jghand_engine.cli.study_accuracy import AccuracyOptions, AccuracyRequest, run_accuracy
+from jghand_engine.cli.study_effects import EffectsRequest, run_effects
 from jghand_engine.cli.study_stability import run_stability
 from jghand_engine.errors import InputError
 
@@ -18,26 +20,47 @@ DESCRIPTION = """Measure parts of the method by themselves: ways from joints to 
 Examples:
   jghand study transform
   jghand study transform --identities 1 3 --poses 40 --out transform.md
-  jghand study stability --out study/"""
+  jghand study stability --out study/
+  jghand study effects --out study/
+  jghand study accuracy builtin --capture captures/id3 --out study/"""
 
 
 @dataclass(frozen=True)
 class Study:
-    name: Annotated[Literal["transform", "stability"], tyro.conf.Positional]
+    name: Annotated[Literal["transform", "stability", "effects", "accuracy"], tyro.conf.Positional]
     """transform: naive, HALO-like and our transform, on hands of other proportions, beside the paper's table.
-    stability: hard hands and pictures (singular poses, units, distances, opacities), ours beside the usual formulas."""
+    stability: hard hands and pictures (singular poses, units, distances, opacities), ours beside the usual formulas.
+    effects: what is skipped on a motion, how wrong that is and what it saves.
+    accuracy: what every setting costs in time and accuracy; `jghand render --budget-ms` chooses from it."""
+    of: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[AVATAR]", help_behavior_hint="")] = None
+    """accuracy: a .jghand file, builtin or painted, as with --avatar."""
     identities: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME")] = ("1", "2")
     """transform: hands that give the truth, by name or number, as `jghand capture` takes them."""
     poses: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 30
     """transform: varied poses of each hand."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
-    """transform: also write the table to this file, as Markdown. stability: folder of its pages, else study/."""
+    """transform: also write the table to this file, as Markdown. Other studies: folder of its pages, else study/."""
     checkout: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None
-    """stability: also renew docs/STABILITY.md and the README's section in this checkout of JGHand."""
+    """stability, accuracy: also renew its page in docs/ and the README's section in this checkout of JGHand."""
+    avatar: AvatarOptions = field(default_factory=AvatarOptions)
+    motion: File = None
+    """effects: joint positions over time. Left out: named poses with ways between them."""
+    format: FormatOptions = field(default_factory=FormatOptions)
+    capture: File = None
+    """Folder of a capture. effects: its pictures tell what the shadow's gate may skip. accuracy: also compare with the
+    held-out ones."""
+    accuracy: AccuracyOptions = field(default_factory=AccuracyOptions)
     report: ReportOptions = field(default_factory=ReportOptions)
 
     def run(self) -> None:
-        if self.name == "stability":
+        if self.name == "effects":
+            request = (self.avatar.avatar, self.motion, self.format, self.capture, self.out, self.report.json)
+            run_effects(EffectsRequest(*request))
+        elif self.name == "accuracy":
+            run_accuracy(AccuracyRequest(
+                self.of or self.avatar.avatar, self.capture, self.out, self.checkout, self.report.json, self.accuracy
+            ))  # fmt: skip
+        elif self.name == "stability":
             run_stability(self.out, self.checkout, self.report.json)
         else:
             self._run_transform()

@@ -82,6 +82,8 @@ GATE_HIGH = 1.0
 GATE_CAPSULE_RADII_MM = (
     *(16.0,) * 5, 10.0, 9.0, 9.0, 8.5, 7.5, 9.0, 8.0, 8.0, 7.8, 7.0, 8.0, 7.2, 7.2, 7.0, 6.2,
 )  # fmt: skip
+# occlusion that is seen: the part of the hand's pixels beyond it is what the gate is judged by (METHOD 5.4)
+GATE_NEED = 0.2
 # samples along each capsule's axis: 5 x 5 distances per pair of bones; penetration is capped (a deep overlap of two
 # bones must not hide the others)
 GATE_SAMPLES = 5

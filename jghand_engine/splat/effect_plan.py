@@ -34,11 +34,11 @@ CHOOSABLE = tuple(effect for effect in Effect if effect is not Effect.SKIN)
 
 @dataclass(frozen=True)
 class Choice:
-    """Which effects may run. None in `named`: all of them · forced: whether they run on every frame, called for or not,
-    and nothing is reused"""
+    """Which effects may run. None in `named`: all of them · forced: those that run on every frame, called for or not;
+    the forced skin and correctives are never reused"""
 
     named: frozenset[Effect] | None = None
-    forced: bool = False
+    forced: frozenset[Effect] = frozenset()
 
     @classmethod
     def parse(cls, text: str) -> Choice:
@@ -48,7 +48,7 @@ class Choice:
         if words == ["auto"]:
             return cls()
         if words == ["all"]:
-            return cls(forced=True)
+            return cls(forced=frozenset(Effect))
         if words == ["none"]:
             return cls(frozenset())
         unknown = [word for word in words if word not in CHOOSABLE]
@@ -60,6 +60,10 @@ class Choice:
     def allows(self, effect: Effect) -> bool:
         """Whether the effect may run at all."""
         return self.named is None or effect in self.named
+
+    def forces(self, effect: Effect) -> bool:
+        """Whether the effect runs on every frame on which it can."""
+        return effect in self.forced
 
 
 AUTO = Choice()

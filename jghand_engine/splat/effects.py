@@ -130,7 +130,7 @@ class Kept(NamedTuple):
 
 def standing_still(joints_m: Sequence[np.ndarray], kept: Kept | None, settings: RenderSettings) -> float | None:
     """How far the joints moved along an axis since they were posed, metres; None when they have to be posed again."""
-    if kept is None or not settings.reuse or settings.effects.forced:
+    if kept is None or not settings.reuse or settings.effects.forces(Effect.SKIN):
         return None
     distance_m = max(float(np.abs(new - old).max()) for new, old in zip(joints_m, kept.joints_m, strict=True))
     # per axis, so that no joint moves farther than the limit; the skin of a flagged hand may turn without bound
@@ -140,7 +140,7 @@ def standing_still(joints_m: Sequence[np.ndarray], kept: Kept | None, settings: 
 
 def same_shape(bones: FastBones, corrected_rad: np.ndarray | None, settings: RenderSettings) -> bool:
     """Whether a hand moved as a whole: its correctives stay."""
-    if corrected_rad is None or not settings.reuse or settings.effects.forced:
+    if corrected_rad is None or not settings.reuse or settings.effects.forces(Effect.CORRECTIVES):
         return False
     return bool(np.abs(bones.angles_rad - corrected_rad).max() <= limits.REUSE_ANGLE_RAD)
 
@@ -264,7 +264,7 @@ def _shadows(
     allowed = [settings.effects.allows(effect) for effect in (Effect.SHADOW, Effect.BETWEEN)]
     if not any(allowed):
         return neither(NOT_ALLOWED, _darkness(darkest), darkest)
-    always = settings.shadow is ShadowMode.ALWAYS or settings.effects.forced
+    always = settings.shadow is ShadowMode.ALWAYS or settings.effects.forces(Effect.SHADOW)
     # colours that were learnt under a shadow that fades with the pose have in them what it leaves out
     learnt = any(hand.learnt is not None for hand in hands)
     size_px = max(_extent_px(joints, scene.camera) for joints in scene.joints_m)
@@ -328,7 +328,7 @@ def _extent_px(joints_m: np.ndarray, camera: Camera) -> float:
 def _tail(hands: Sequence[HandFacts], settings: RenderSettings) -> tuple[float, Decision]:
     """The cut-off, and whether that keeps what is fainter than one 8-bit step."""
     alpha_min, cost = settings.alpha_min, _count(hands) * limits.TAIL_MS
-    if settings.effects.forced:
+    if settings.effects.forces(Effect.TAIL):
         alpha_min = min(alpha_min, limits.TAIL_ALPHA_MIN)
     elif not settings.effects.allows(Effect.TAIL):
         alpha_min = max(alpha_min, limits.ALPHA_MIN)
@@ -444,7 +444,7 @@ def _whole(
     """Whether only the hand's box is drawn."""
     camera = scene.camera
     pixels = camera.width * camera.height
-    if settings.effects.forced:
+    if settings.effects.forces(Effect.WHOLE):
         return False, Decision(Effect.WHOLE, True, "on every frame", "0", 0.0, pixels * limits.MAP_MS)
     box = hand_box(scene.joints_m, scene.bones, hands, camera, alpha_min)
     part = 1.0 if box is None else box.width * box.height / pixels

@@ -236,7 +236,7 @@ class SceneRenderer:
     def _painted(self, shot: _Shot, camera: Camera, box: Box, plan: EffectPlan, report: FrameReport) -> Drawn:
         canvas = self._canvas(shot.posed, camera, plan)
         poses = None if shot.moved_m is not None else shot.posed.poses
-        keeps = poses is None and not self.settings.effects.forced and canvas.same_view(self._drawn)
+        keeps = poses is None and not self.settings.effects.forces(Effect.SKIN) and canvas.same_view(self._drawn)
         # a picture that fails half way may leave the painter with half of these Gaussians: then the next one poses anew
         self._posed = self._drawn = None
         rgba, depth_m = self._painter.paint(poses, canvas, report, keeps_picture=keeps)

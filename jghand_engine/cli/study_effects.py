@@ -1,0 +1,118 @@
+"""`jghand study effects`: what is skipped on a motion, what that costs in accuracy and saves in time."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from jghand_engine.cli.console import progress, say, say_whole_table, write_json
+from jghand_engine.errors import InputError
+from jghand_engine.files import make_folder, writing
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from jghand_engine.avatar.avatar import HandAvatar
+    from jghand_engine.cli.options import FormatOptions
+    from jghand_engine.splat.camera import Camera
+    from jghand_engine.studies.effects_study import EffectsStudy, GateRow
+
+PICTURE = "effects.png"
+SIZE_PX = (512, 334)
+# pictures of a capture that calibrate the gate, at most, evenly spread
+CAPTURE_PICTURES = 200
+
+
+@dataclass(frozen=True)
+class EffectsRequest:
+    """avatar: name or file · motion: file, None for named poses · format: of the file · capture: folder of pictures for
+    the gate, None for named poses · out: folder · json: another place for the figures · threads"""
+
+    avatar: str
+    motion: Path | None
+    format: FormatOptions
+    capture: Path | None
+    out: Path | None
+    json: Path | None
+
+
+def run_effects(request: EffectsRequest) -> None:
+    """Measures, prints, and writes EFFECTS.md's table, effects.json and effects.png."""
+    from jghand_engine.avatar.builtin import load_avatar_called
+    from jghand_engine.studies.effects_plot import draw_figure
+    from jghand_engine.studies.figures import check_matplotlib, png_of
+
+    folder = Path("study") if request.out is None else request.out
+    if folder.exists() and not folder.is_dir():
+        raise InputError("--out", wanted="a folder", came=f"the file {folder}")
+    check_matplotlib()
+    study = _measured(load_avatar_called(request.avatar), request)
+    for table in study.tables():
+        say_whole_table(table)
+    make_folder(folder)
+    _write(folder / PICTURE, png_of(draw_figure(study)))
+    markdown = "\n".join([f"![What ran on each frame, and what that saved]({PICTURE})", ""])
+    _write(folder / "effects.md", (markdown + "\n" + "\n".join(t.markdown() for t in study.tables())).encode())
+    content = {"command": "study effects", **study.as_dict()}
+    write_json(folder / "effects.json", content)
+    if request.json is not None:
+        write_json(request.json, content)
+    say(f"{folder / PICTURE} written; effects.md and effects.json are beside it")
+
+
+def _measured(avatar: HandAvatar, request: EffectsRequest) -> EffectsStudy:
+    from jghand_engine.cli.framing import framing_camera
+    from jghand_engine.splat.settings import preset
+    from jghand_engine.studies import effects_study as study
+
+    poses, avatar, told = _poses(avatar, request)
+    width, height = SIZE_PX
+    camera = framing_camera(poses, avatar.handedness, "quarter", width=width, height=height)
+    subject = study.Subject("motion", avatar, poses, [camera] * len(poses))
+    settings = replace(preset("viewport"), antialias=True)
+    with progress("Measuring", len(poses) + 5 * study.SOME) as bar:
+        task = bar.task_ids[0]
+        rows, strip = study.effects_of_motion(subject, settings, lambda: bar.advance(task))
+        rows += study.maps_and_cameras(subject, settings, lambda: bar.advance(task))
+    rows.append(study.hands_approaching(avatar, poses[0], camera, settings))
+    title = f"{avatar.info.name}, {told}, {len(poses)} frames of {width} x {height}"
+    return study.EffectsStudy(title, rows, _gate(avatar, camera, request), strip)
+
+
+def _poses(avatar: HandAvatar, request: EffectsRequest) -> tuple[np.ndarray, HandAvatar, str]:
+    """Joints of the motion, the avatar of that hand, and what it is."""
+    from jghand_engine.studies.effects_study import named_motion
+
+    if request.motion is None:
+        return named_motion(avatar), avatar, "named poses with ways between them"
+    from jghand_engine.cli.inputs import read_sequence
+
+    sequence = read_sequence(request.motion, request.format).with_gaps_held().with_constant_bone_lengths()
+    return sequence.joints_m, avatar.for_hand(sequence.handedness), request.motion.name
+
+
+def _gate(avatar: HandAvatar, camera: Camera, request: EffectsRequest) -> list[GateRow]:
+    """Each named pose, or pictures of the capture."""
+    from jghand_engine.hand.anatomy import named_pose, pose_names
+    from jghand_engine.splat.frame import HandRenderer
+    from jghand_engine.splat.settings import ShadowMode, preset
+    from jghand_engine.studies.effects_study import gate_row
+
+    settings = replace(preset("viewport"), shadow=ShadowMode.OFF)
+    if request.capture is None:
+        renderer, canonical = HandRenderer(avatar, settings), avatar.canonical_joints_m.numpy()
+        poses = {name: named_pose(name, canonical, handedness=avatar.handedness) for name in pose_names()}
+        return [gate_row(renderer, avatar, (name, joints_m, camera)) for name, joints_m in poses.items()]
+    from jghand_engine.datasets.capture_folder import open_capture
+
+    capture = open_capture(request.capture)
+    avatar = avatar.for_hand(capture.handedness)
+    renderer = HandRenderer(avatar, settings)
+    step = -(-len(capture.samples) // CAPTURE_PICTURES)
+    return [gate_row(renderer, avatar, sample) for sample in capture.samples[::step]]
+
+
+def _write(path: Path, content: bytes) -> None:
+    with writing(path) as temporary:
+        temporary.write_bytes(content)

@@ -1,0 +1,304 @@
+"""What skipping effects saves and costs: frames of a motion as the scene calls for them, beside frames on which one
+effect is forced. `jghand study effects`.
+
+Both are drawn in turn by one process, so that a busy machine hits both alike.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import torch
+
+from jghand_engine import limits
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.learnt import ShadowLook
+from jghand_engine.datasets.sample import Sample, load_picture
+from jghand_engine.hand.anatomy import MotionOptions, pose_sequence_of_names
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.splat.camera import Camera, Lens
+from jghand_engine.splat.effect_plan import CHOOSABLE, Choice, Effect
+from jghand_engine.splat.exposure import shutter_at
+from jghand_engine.splat.frame import Frame, HandRenderer, SceneRenderer
+from jghand_engine.splat.gate import ShadowGate, fade
+from jghand_engine.splat.settings import RenderSettings
+from jghand_engine.splat.shadow import ShadowStyle
+from jghand_engine.splat.shadow_native import darken
+from jghand_engine.training.metrics import psnr
+from jghand_engine.training.tables import NONE, Table, number
+
+POSES = ("open", "spread", "open", "relaxed", "fist", "point", "victory", "pinch", "open")
+# effects that can be forced on every frame of a hand alone; the others are measured in scenes of their own
+FORCED = (Effect.SKIN, Effect.CORRECTIVES, Effect.SHADOW, Effect.TAIL, Effect.WHOLE)
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A hand in motion before a camera. poses: (F, 21, 3) metres · cameras: one per frame"""
+
+    name: str
+    avatar: HandAvatar
+    poses: np.ndarray
+    cameras: Sequence[Camera]
+
+
+@dataclass
+class EffectRow:
+    """One effect in one scene. errors: worst difference of a channel, 0..1, on each frame that skipped it · saved_ms:
+    how much longer the frame took with it, where it could run · bounds: as the receipts state them"""
+
+    effect: Effect
+    scene: str
+    frames: int = 0
+    errors: list[float] = field(default_factory=list)
+    saved_ms: list[float] = field(default_factory=list)
+    bounds: set[str] = field(default_factory=set)
+
+    def as_dict(self) -> dict:
+        """Plain data for JSON."""
+        return {
+            "effect": str(self.effect), "scene": self.scene, "frames": self.frames, "skipped": len(self.errors),
+            "worst_error": max(self.errors, default=None), "saved_ms_median": self.saved_median_ms,
+            "saved_ms": sum(self.saved_ms), "bounds": sorted(self.bounds),
+        }  # fmt: skip
+
+    @property
+    def saved_median_ms(self) -> float | None:
+        """Of the frames that skipped it; None without any."""
+        return float(np.median(self.saved_ms)) if self.saved_ms else None
+
+
+@dataclass(frozen=True)
+class GateRow:
+    """One picture of the calibration. score: of the gate · strength: what it lets through · occluded: part of the
+    hand's pixels that the whole shadow darkens by over 0.2 of its tint · darkest: largest difference of a channel
+    between no shadow and the whole one · truth_db: PSNR of the hand without and with it; None without a picture"""
+
+    name: str
+    score: float
+    strength: float
+    occluded: float
+    darkest: float
+    truth_db: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True)
+class EffectsStudy:
+    """Everything that was measured. subject: in words · strip: for the picture: per frame what ran"""
+
+    subject: str
+    rows: list[EffectRow]
+    gate: list[GateRow]
+    strip: dict[Effect, list[bool]]
+
+    def as_dict(self) -> dict:
+        """Plain data for JSON."""
+        return {
+            "subject": self.subject,
+            "effects": [row.as_dict() for row in self.rows],
+            "gate": [vars(row) for row in self.gate],
+            "gate_summary": self.gate_summary(),
+            "strip": {str(effect): runs for effect, runs in self.strip.items()},
+        }
+
+    def gate_summary(self) -> dict:
+        """Of the pictures that the gate skips."""
+        skipped = [row for row in self.gate if row.strength == 0]
+        with_truth = [row.truth_db for row in self.gate if row.truth_db is not None and row.strength == 0]
+        return {
+            "pictures": len(self.gate),
+            "skipped": len(skipped),
+            "worst_occluded": max((row.occluded for row in skipped), default=None),
+            "worst_difference": max((row.darkest for row in skipped), default=None),
+            "truth_db_without": float(np.mean([pair[0] for pair in with_truth])) if with_truth else None,
+            "truth_db_with": float(np.mean([pair[1] for pair in with_truth])) if with_truth else None,
+        }
+
+    def tables(self) -> list[Table]:
+        """What is printed."""
+        return [self._effects_table(), *([self._gate_table()] if self.gate else [])]
+
+    def _effects_table(self) -> Table:
+        rows = [
+            (
+                row.effect, row.scene, str(row.frames), f"{100 * len(row.errors) / max(row.frames, 1):.0f} %",
+                NONE if not row.errors else f"{255 * max(row.errors):.2g}", number(row.saved_median_ms, 2),
+                number(sum(row.saved_ms), 0) if row.saved_ms else NONE, "; ".join(sorted(row.bounds)) or NONE,
+            )
+            for row in self.rows
+        ]  # fmt: skip
+        columns = ("Effect", "Scene", "frames", "skipped", "worst error, 8-bit steps", "ms saved a frame",
+                   "ms saved in all", "Bound")  # fmt: skip
+        notes = (
+            f"{self.subject}. Worst error: the largest difference of any channel of any pixel on the frames that skip "
+            "the effect, from the same frames with it.",
+            "ms: median over those frames, the whole frame with the effect minus the whole frame without it.",
+        )
+        return Table("Effects skipped", columns, tuple(rows), notes)
+
+    def _gate_table(self) -> Table:
+        summary = self.gate_summary()
+        part, darkest = summary["worst_occluded"], summary["worst_difference"]
+        cells = (
+            "shadow gate", str(summary["pictures"]), str(summary["skipped"]),
+            NONE if part is None else f"{100 * part:.2f} %", NONE if darkest is None else f"{255 * darkest:.1f}",
+            number(summary["truth_db_without"], 2), number(summary["truth_db_with"], 2),
+        )  # fmt: skip
+        columns = ("", "pictures", "skipped", "worst: pixels occluded by over 0.2", "worst: 8-bit steps",
+                   "dB without", "dB with")  # fmt: skip
+        notes = (
+            "dB: against the captured pictures that the gate skips, on the hand alone, without and with all of the shadow.",
+        )
+        return Table("The gate against the whole shadow", columns, (cells,), notes)
+
+
+# ---- scenes ---------------------------------------------------------------------------------------------------------
+
+
+def named_motion(avatar: HandAvatar, poses: Sequence[str] = POSES) -> np.ndarray:
+    """(F, 21, 3) named poses with ways between them; in the last third the hand moves as a whole."""
+    options = MotionOptions(hold_s=0.3, variation_deg=0.0)
+    canonical = avatar.canonical_joints_m.numpy()
+    joints = pose_sequence_of_names(poses, canonical, handedness=avatar.handedness, options=options).joints_m
+    still = joints[-1]
+    part = np.linspace(0, 1, len(joints) // 3)[1:, None, None]
+    return np.concatenate([joints, still + part * np.array([0.03, 0.02, 0.0])])
+
+
+def effects_of_motion(
+    subject: Subject, settings: RenderSettings, tick: Callable[[], None]
+) -> tuple[list[EffectRow], dict[Effect, list[bool]]]:
+    """Frames as the scene calls for them against frames on which one effect is forced; and what ran on each frame."""
+    plain = HandRenderer(subject.avatar, settings)
+    others = {
+        effect: HandRenderer(subject.avatar, replace(settings, effects=Choice(forced=frozenset([effect]))))
+        for effect in FORCED
+    }
+    rows = {effect: EffectRow(effect, subject.name) for effect in FORCED}
+    strip: dict[Effect, list[bool]] = {effect: [] for effect in Effect}
+    for joints, camera in zip(subject.poses, subject.cameras, strict=True):
+        auto = plain.render(joints, camera)
+        for decision in auto.report.plan.decisions if auto.report.plan else ():
+            strip[decision.effect].append(decision.runs)
+        for effect, renderer in others.items():
+            _compare(rows[effect], auto, renderer.render(joints, camera))
+        tick()
+    return list(rows.values()), strip
+
+
+def _compare(row: EffectRow, auto: Frame, other: Frame) -> None:
+    """Adds a frame, and, where it skipped the effect, what that changed and saved."""
+    row.frames += 1
+    decision = auto.report.plan[row.effect] if auto.report.plan else None
+    forced = other.report.plan[row.effect] if other.report.plan else None
+    if decision is None or decision.runs:
+        return
+    row.bounds.add(decision.bound)
+    row.errors.append(float(np.abs(auto.rgba - other.rgba).max()))
+    if forced is not None and forced.runs:
+        row.saved_ms.append(other.report.total_ms - auto.report.total_ms)
+
+
+def maps_and_cameras(subject: Subject, settings: RenderSettings, tick: Callable[[], None]) -> list[EffectRow]:
+    """Maps that nobody asked for, a shutter and a lens that the scene does not have, a hand that is large enough."""
+    rows = []
+    depth = replace(settings, depth=False)
+    askers = {
+        Effect.DEPTH: replace(depth, depth=True),
+        Effect.NORMALS: replace(depth, normals=True),
+        Effect.IDS: replace(depth, ids=True),
+    }
+    bare = HandRenderer(subject.avatar, replace(depth, reuse=False))
+    for effect, asking in askers.items():
+        row, asked = EffectRow(effect, subject.name), HandRenderer(subject.avatar, replace(asking, reuse=False))
+        for joints, camera in _few(subject):
+            _compare(row, bare.render(joints, camera), asked.render(joints, camera))
+            tick()
+        rows.append(row)
+    rows.append(_opened(Effect.MOTION, subject, bare, tick))
+    rows.append(_opened(Effect.FOCUS, subject, bare, tick))
+    return rows
+
+
+SOME = 8
+
+
+def _few(subject: Subject) -> Iterator[tuple[np.ndarray, Camera]]:
+    """SOME frames, evenly spread."""
+    for index in np.linspace(0, len(subject.poses) - 1, SOME).astype(int):
+        yield subject.poses[index], subject.cameras[index]
+
+
+def _opened(effect: Effect, subject: Subject, renderer: HandRenderer, tick: Callable[[], None]) -> EffectRow:
+    """What a shutter of half the time, or a lens of 8 mm, costs, which is saved where there is none. Without a
+    shutter nothing is blurred: there is no error."""
+    row = EffectRow(effect, subject.name)
+    for index in np.linspace(0, len(subject.poses) - 1, SOME).astype(int):
+        joints, camera = subject.poses[index], subject.cameras[index]
+        still = renderer.render(joints, camera)
+        if effect is Effect.MOTION:
+            opened = renderer.render(joints, camera, shutter_at(subject.poses, int(index), 0.5))
+        else:
+            depth_m = float(camera.project(torch.from_numpy(joints[0]))[1])
+            opened = renderer.render(joints, replace(camera, lens=Lens(0.008, depth_m)))
+        row.frames += 1
+        row.errors.append(0.0)
+        row.bounds.add(still.report.plan[effect].bound if still.report.plan else "")
+        row.saved_ms.append(opened.report.total_ms - still.report.total_ms)
+        tick()
+    return row
+
+
+def hands_approaching(avatar: HandAvatar, pose: np.ndarray, camera: Camera, settings: RenderSettings) -> EffectRow:
+    """Two hands at distances from touching to apart: with the shadow between them, and without it."""
+    row, pair = EffectRow(Effect.BETWEEN, "two hands"), [avatar, avatar]
+    without = Choice(frozenset(effect for effect in CHOOSABLE if effect is not Effect.BETWEEN))
+    both, alone = (SceneRenderer(pair, replace(settings, effects=choice)) for choice in (Choice(), without))
+    for gap_m in np.linspace(0.1, 0.4, SOME):
+        joints = [pose, pose + np.array([gap_m, 0.0, 0.0])]
+        auto, other = both.render(joints, camera), alone.render(joints, camera)
+        row.frames += 1
+        if auto.report.plan and not auto.report.plan.runs(Effect.BETWEEN):
+            row.bounds.add(auto.report.plan[Effect.BETWEEN].bound)
+            row.errors.append(float(np.abs(auto.rgba - other.rgba).max()))
+    return row
+
+
+# ---- the gate -------------------------------------------------------------------------------------------------------
+
+
+def gate_row(renderer: HandRenderer, avatar: HandAvatar, sample: Sample | tuple[str, np.ndarray, Camera]) -> GateRow:
+    """renderer: of `avatar`, without shadow, with depth · sample: of a capture, or a name with joints and a camera."""
+    truth = None
+    if isinstance(sample, Sample):
+        name, joints_m, camera = f"{sample.sequence}/{sample.frame}", sample.joints_m, sample.camera
+        truth = load_picture(sample)
+    else:
+        name, joints_m, camera = sample
+    frame = renderer.render(joints_m, camera)
+    look = ShadowLook() if avatar.learnt is None else avatar.learnt.shadow or ShadowLook()
+    planes = torch.from_numpy(np.concatenate([frame.rgba, (frame.rgba[..., 3] * frame.depth_m)[..., None]], -1))
+    planes = planes.permute(2, 0, 1).double()
+    style = ShadowStyle(gain=look.gain, tint=(1.0, 1.0, 1.0), samples=32)
+    visible = (darken(planes, camera, style) / planes[:3].clamp_min(1e-6))[1].numpy()
+    hand = frame.rgba[..., 3] > 0.5
+    occlusion = np.where(hand, 1 - visible, 0.0)
+    shaded = frame.rgba[..., :3] * (1 - occlusion[..., None] * np.array(look.tint, np.float32))
+    score = ShadowGate(avatar.canonical_joints_m.numpy()).score(joints_m, _scale(avatar, joints_m))
+    truth_db = None
+    if truth is not None:
+        inside = truth.mask >= 0.5
+        truth_db = tuple(
+            psnr(np.asarray(rgb[inside], np.float32), truth.rgb[inside]) for rgb in (frame.rgba[..., :3], shaded)
+        )
+    darkest = float(np.abs(shaded - frame.rgba[..., :3]).max())
+    occluded = float((occlusion[hand] > limits.GATE_NEED).mean()) if hand.any() else 0.0
+    return GateRow(name, score, fade(score), occluded, darkest, truth_db)  # type: ignore[arg-type]
+
+
+def _scale(avatar: HandAvatar, joints_m: np.ndarray) -> float:
+    """s_g: how large the hand is beside its avatar."""
+    bones = avatar.for_hand(Handedness.RIGHT).bone_transform().bones(torch.from_numpy(joints_m))
+    return float(bones.scale)
