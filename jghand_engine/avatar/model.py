@@ -121,6 +121,7 @@ class LearnedHand(nn.Module):
             nn.init.zeros_(last.bias)
         with torch.no_grad():
             self.heads.bias[6] = options.opacity_bias
+        self.keep_in_range()
 
     def avatar(self, info: AvatarInfo, *, handedness: Handedness, count: int = 0) -> HandAvatar:
         """The hand as it is now, with gradients. count: of its Gaussians, a prefix whose radii grow as
@@ -129,8 +130,7 @@ class LearnedHand(nn.Module):
         points, options = self.points, self.options
         out = self.heads(self.trunk(self.planes(count)))
         offset_m = options.identity_reach_m * torch.tanh(out[:, :3])
-        # the gradient of a radius at its limit is zero, as the clamp has it
-        sigma_m = self.log_sigma[:count].clamp(math.log(limits.SIGMA_MIN_M), math.log(limits.SIGMA_MAX_M)).exp()
+        sigma_m = self.log_sigma[:count].exp()
         return HandAvatar(
             info=replace(info, template=points.template, swing=options.swing, scale_mode=options.scale_mode),
             handedness=handedness,
@@ -168,8 +168,7 @@ class LearnedHand(nn.Module):
         """Of the first `count` Gaussians, with gradients; None for spheres."""
         if self.options.shape is Shape.ISO:
             return None
-        stretch = self.log_stretch[:count].clamp(-limits.LOG_STRETCH_MAX, limits.LOG_STRETCH_MAX)
-        return Ellipsoid(stretch, self.quaternion[:count])
+        return Ellipsoid(self.log_stretch[:count], self.quaternion[:count])
 
     def light_parameters(self) -> list[nn.Parameter]:
         """What the light is made of: few numbers that every pixel speaks for."""
@@ -190,7 +189,7 @@ class LearnedHand(nn.Module):
         return Light(
             irradiance=irradiance,
             lobe_direction=self.lobe_direction,
-            lobe_sharpness=self.lobe_log_sharpness.clamp(max=math.log(limits.LOBE_SHARPNESS_MAX)).exp(),
+            lobe_sharpness=self.lobe_log_sharpness.exp(),
             lobe_rgb=nn.functional.softplus(self.lobe_raw_rgb),
             rim=nn.functional.softplus(self.raw_rim),
         )
@@ -208,6 +207,17 @@ class LearnedHand(nn.Module):
         gain = low * (high / low) ** torch.sigmoid(self.raw_shadow_gain)
         return gain, torch.sigmoid(self.raw_shadow_tint)
 
+    def keep_in_range(self) -> None:
+        """Brings radii, stretches and lobes that left their range back to its edge, after every change of parameters.
+
+        A clamp while the avatar is made would take the gradient of what is beyond the edge: it could never return.
+        """
+        with torch.no_grad():
+            self.log_sigma.clamp_(math.log(limits.SIGMA_MIN_M), math.log(limits.SIGMA_MAX_M))
+            self.lobe_log_sharpness.clamp_(max=math.log(limits.LOBE_SHARPNESS_MAX))
+            if self.options.shape is not Shape.ISO:
+                self.log_stretch.clamp_(-limits.LOG_STRETCH_MAX, limits.LOG_STRETCH_MAX)
+
     def spread_radii(self, known: int, nearest: Tensor) -> None:
         """Gives Gaussians from `known` on the learnt growth of their neighbour among the first `known`.
 
@@ -217,3 +227,4 @@ class LearnedHand(nn.Module):
             start = self.points.sigma_m.log()
             growth = (self.log_sigma[:known] - start[:known])[nearest.to(start.device)]
             self.log_sigma[known : known + len(nearest)] = start[known : known + len(nearest)] + growth
+        self.keep_in_range()

@@ -160,6 +160,7 @@ class HandTraining:
             longest = self.options.schedule.gradient_norm
             torch.nn.utils.clip_grads_with_norm_(self.hand.parameters(), longest, norm, foreach=self._fast)
             self._optimiser.step()
+            self.hand.keep_in_range()
         figures = {name: float(term.detach()) for name, term in terms.items()}
         return {LOSS: float(loss.detach()), GAUSSIANS: float(self._count), "gradient": float(norm), **figures}
 
@@ -176,6 +177,7 @@ class HandTraining:
         with torch.no_grad():
             for name, own in self.tensors().items():
                 own.copy_(tensors[name])
+        self.hand.keep_in_range()
 
     def scalars(self) -> dict[str, Any]:
         """See Trainable: how many Gaussians take part so far, and the part of the training that is over."""

@@ -92,6 +92,7 @@ def test_the_avatar_has_the_conventions_it_is_trained_with():
 def test_no_weight_carries_anything_out_of_its_range():
     hand = small_hand(replace(SMALL_MODEL, shape=Shape.ANISO))
     stirred(hand, by=50.0)
+    hand.keep_in_range()
     avatar, learnt = avatar_of(hand), learnt_of(hand)
     moved_m = (avatar.position_m - hand.points.position_m).detach().abs()
     # to the rounding of positions
@@ -115,14 +116,36 @@ def test_no_weight_carries_anything_out_of_its_range():
     assert all(bool(torch.isfinite(tensor).all()) for tensor in (avatar.position_m, learnt.normal, light.lobe_rgb))
 
 
-def test_a_radius_at_its_limit_is_not_pulled_any_further():
-    hand = small_hand()
+def test_a_radius_a_stretch_and_a_lobe_that_were_pushed_past_their_limits_can_return():
+    hand = small_hand(replace(SMALL_MODEL, shape=Shape.ANISO))
     with torch.no_grad():
         hand.log_sigma[0], hand.log_sigma[1] = math.log(1e-6), math.log(0.1)
-    avatar_of(hand).sigma_m.sum().backward()
-    assert hand.log_sigma.grad is not None
-    assert not hand.log_sigma.grad[:2].any()
-    assert bool((hand.log_sigma.grad[2:] > 0).all())
+        hand.log_stretch[0], hand.log_stretch[1] = -9.0, 9.0
+        hand.lobe_log_sharpness[0] = 9.0
+    hand.keep_in_range()
+    parameters = (hand.log_sigma, hand.log_stretch, hand.lobe_log_sharpness)
+    optimiser = torch.optim.SGD(parameters, lr=1.0)
+    avatar, learnt = avatar_of(hand), learnt_of(hand)
+    assert learnt.ellipsoid is not None
+    # towards the middle of each range
+    loss = (avatar.sigma_m[1] - avatar.sigma_m[0]).log() + learnt.light.lobe_sharpness[0].log()
+    (loss + (learnt.ellipsoid.log_stretch[1] - learnt.ellipsoid.log_stretch[0]).sum()).backward()
+    optimiser.step()
+    hand.keep_in_range()
+    sigma_m = avatar_of(hand).sigma_m
+    assert float(sigma_m[0].detach()) > 1.02 * limits.SIGMA_MIN_M  # observed 1.026
+    assert float(sigma_m[1].detach()) < 0.4 * limits.SIGMA_MAX_M  # observed 0.36
+    assert hand.log_stretch[:2].detach().abs().max() == limits.LOG_STRETCH_MAX - 1
+    assert float(hand.lobe_log_sharpness[0].detach()) == pytest.approx(math.log(limits.LOBE_SHARPNESS_MAX) - 1)
+
+
+def test_what_is_in_its_range_is_left_alone():
+    hand, same = (
+        small_hand(replace(SMALL_MODEL, shape=Shape.ANISO)),
+        small_hand(replace(SMALL_MODEL, shape=Shape.ANISO)),
+    )
+    hand.keep_in_range()
+    assert equal(hand, same)
 
 
 # ---- options ---------------------------------------------------------------------------------------------------------

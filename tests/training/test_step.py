@@ -358,6 +358,18 @@ def test_long_gradients_are_shortened(build):
     assert float(norm) == pytest.approx(figures["gradient"], rel=1e-4)
 
 
+def test_after_a_step_and_after_loading_no_radius_is_beyond_its_limit(build):
+    training, most = build(), math.log(limits.SIGMA_MAX_M)
+    with torch.no_grad():
+        training.hand.log_sigma += 1.0
+    beyond = {name: tensor.clone() for name, tensor in training.tensors().items()}
+    assert float(beyond["log_sigma"].max()) > most
+    training.step(0)
+    assert float(training.hand.log_sigma.detach().max()) <= most
+    training.load_tensors(beyond)
+    assert float(training.hand.log_sigma.detach().max()) == pytest.approx(most)
+
+
 def test_a_gradient_that_is_not_finite_changes_nothing(build):
     training = build()
     training.step(0)
