@@ -21,12 +21,13 @@ DeviceName = Literal["auto", "cpu", "cuda", "mps"]
 
 
 def device_called(name: DeviceName) -> torch.device:
-    """The device of that name; auto: a CUDA one where there is one, else the CPU. InputError when torch has it not."""
+    """The device of that name. auto is the CPU: no training was tried on another one yet. InputError when torch has it
+    not."""
     import torch
 
-    there = {"cpu": True, "cuda": torch.cuda.is_available(), "mps": torch.backends.mps.is_available()}
     if name == "auto":
-        name = "cuda" if there["cuda"] else "cpu"
+        return torch.device("cpu")
+    there = {"cpu": True, "cuda": torch.cuda.is_available(), "mps": torch.backends.mps.is_available()}
     if not there[name]:
         raise InputError("--device", wanted=f"one that torch {torch.__version__} can use here", came=name,
                          remedy="Take --device cpu, or install a torch for that device.")  # fmt: skip

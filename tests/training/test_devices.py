@@ -23,6 +23,8 @@ from jghand_engine.avatar.pose_features import octave_of_wave
 from jghand_engine.avatar.records import mapped
 from jghand_engine.avatar.skinning import pose_skin, see_lamps, seen_from, skin_maps
 from jghand_engine.cli import main
+from jghand_engine.cli.learning import device_called
+from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.training.losses import isotropy_loss, offset_loss
 
@@ -122,3 +124,12 @@ def test_a_training_on_a_gpu_follows_that_on_the_cpu(monkeypatch, tmp_path):
     for name, tensor in parameters_of(there).items():
         assert torch.equal(parameters_of(here)[name], tensor.cpu())
     assert here.avatar().position_m.device == there.avatar().position_m.device
+
+
+def test_a_device_that_was_never_tried_is_not_taken_unasked(monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    assert device_called("auto") == torch.device("cpu")
+    assert device_called("cuda") == torch.device("cuda")
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    with pytest.raises(InputError, match="--device cpu"):
+        device_called("cuda")
