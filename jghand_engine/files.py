@@ -35,6 +35,25 @@ def make_folder(path: Path | str) -> Path:
     return folder
 
 
+def check_place(path: Path, *, overwrite: bool, wanted: str = "a new file") -> None:
+    """For --out of a command that takes long: looks at the start whether `path` can be written at the end.
+
+    InputError when a file is there that nobody asked to overwrite, or a folder; as `writing` where the folder of `path`
+    cannot be written.
+    """
+    if path.is_dir() or (path.exists() and not overwrite):
+        came = "a folder" if path.is_dir() else "another file"
+        remedy = "Name another file, or replace that one with --overwrite."
+        raise InputError(f"--out {path}", wanted=wanted, came=came, remedy=remedy)
+    folder = make_folder(path.parent)
+    probe = folder / f".{path.stem}.{secrets.token_hex(6)}{path.suffix}"
+    try:
+        os.close(os.open(probe, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+        probe.unlink()
+    except OSError as error:
+        raise file_error(path, error) from error
+
+
 @contextlib.contextmanager
 def writing(path: Path | str) -> Iterator[Path]:
     """Gives a temporary path in the target's folder; on success it is synced and renamed onto `path`.

@@ -46,7 +46,7 @@ def main(options: Options) -> None:
     run("capture", "--out", capture, "--skin", options.skin, *CAPTURE)
     goes_on = ["--resume"] if trained.with_suffix(".training").exists() else []
     run("train", capture, "--out", trained, "--minutes", options.minutes, *goes_on)
-    run("bake", trained, "--capture", capture, "--out", baked)
+    run("bake", trained, capture, "--out", baked, "--overwrite")
     avatar = load_avatar(baked)
     avatar = replace(avatar, info=replace(avatar.info, name="JGHand built-in", licence=LICENCE))
     save_avatar(options.out, avatar, storage=Storage.COMPACT)

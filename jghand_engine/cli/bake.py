@@ -12,7 +12,7 @@ import tyro
 from jghand_engine import limits
 from jghand_engine.cli.console import progress, say, say_table, write_json
 from jghand_engine.cli.options import ReportOptions
-from jghand_engine.cli.picture_sets import ProtocolName
+from jghand_engine.cli.picture_sets import PictureSetOptions
 from jghand_engine.errors import InputError
 
 if TYPE_CHECKING:
@@ -27,7 +27,7 @@ accuracy that loses and how much time it saves, and writes both into the avatar.
 form that loses at most 0.1 dB; presets final and reference always take the network.
 
 Examples:
-  jghand bake id3.jghand --capture captures/id3 --out id3_fast.jghand
+  jghand bake id3.jghand captures/id3 --out id3_fast.jghand
   jghand bake id3.jghand --out id3_fast.jghand            without pictures: against the network itself"""
 
 # said of prices that were measured on pictures which the avatar may have learnt from
@@ -40,8 +40,10 @@ class Bake:
     """A trained .jghand file, or builtin."""
     out: Annotated[Path, tyro.conf.arg(metavar="FILE.jghand")]
     """The avatar, and its forms with what they cost."""
-    capture: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None
+    folder: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None
     """The pictures it was trained on: poses come from there, and accuracy is measured on those held out."""
+    overwrite: bool = False
+    """Replace --out if it is there."""
     basis: Annotated[str, tyro.conf.arg(metavar="K,K,…")] = "4,8,16,32"
     """Sizes of the linear form to try; the smallest that loses at most 0.1 dB is kept, else the most accurate."""
     storage: Literal["compact", "exact"] = "compact"
@@ -50,8 +52,7 @@ class Bake:
     """At most so many held-out pictures of each kind; 0 takes all."""
     poses: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = limits.DISTIL_POSES
     """Poses to make up around the known ones, for the linear form to be fitted to."""
-    protocol: Annotated[ProtocolName | None, tyro.conf.arg(help_behavior_hint="")] = None
-    """Which pictures of a data set, as for `jghand train`."""
+    pictures: PictureSetOptions = field(default_factory=PictureSetOptions)
     report: ReportOptions = field(default_factory=ReportOptions)
 
     def run(self) -> None:
@@ -62,10 +63,15 @@ class Bake:
         from jghand_engine.avatar.file import save_avatar, stored_form
         from jghand_engine.avatar.storage import Storage
         from jghand_engine.avatar.tiers import basis_most
+        from jghand_engine.files import check_place
         from jghand_engine.studies.tier_prices import baked, pose_net_of, price_tiers
 
         if self.out.suffix != ".jghand":
             raise InputError("--out", wanted="a file that ends with .jghand", came=str(self.out))
+        if self.folder is None and self.pictures != PictureSetOptions():
+            remedy = "Give the folder of the pictures after the avatar, or drop the choice of pictures."
+            raise InputError("pictures of which folder", wanted="a folder of pictures", came="none", remedy=remedy)
+        check_place(self.out, overwrite=self.overwrite)
         storage = Storage(self.storage)
         # what is measured is what will be read again
         avatar = stored_form(load_avatar_called(self.avatar), storage)
@@ -98,13 +104,12 @@ class Bake:
     def _yardstick(self, avatar: HandAvatar) -> Yardstick:
         from jghand_engine.studies.tier_yardsticks import ExactPictures, HeldOutPictures
 
-        if self.capture is None:
+        if self.folder is None:
             return ExactPictures(avatar)
-        from jghand_engine.datasets.capture_folder import open_capture
         from jghand_engine.datasets.splits import split_capture
         from jghand_engine.training.held_out import held_out
 
-        capture = open_capture(self.capture, protocol=self.protocol)
+        capture = self.pictures.open(self.folder)
         split = split_capture(capture)
         told = held_out(avatar, capture, split)
         if told.warning:

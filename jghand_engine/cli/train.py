@@ -70,8 +70,8 @@ class Train:
     tensorboard: bool = False
     """Also write the curves for TensorBoard, into the work folder."""
     device: DeviceName = "auto"
-    """Where torch's part runs; pictures are drawn on the CPU. auto is the CPU: cuda and mps are written, but no training
-    was tried on them yet. A training that was stopped can be resumed on another device, though not to the same bits."""
+    """Where torch's part runs; pictures are drawn on the CPU. auto is the CPU: cuda and mps have never been
+    tried. A training that was stopped can be resumed on another device, though not to the same bits."""
     replay: File = None
     """Instead of training: repeat a step that gave values that are not finite, from its folder in failures/."""
     start: StartOptions = field(default_factory=StartOptions)

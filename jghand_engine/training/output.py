@@ -8,8 +8,7 @@ from pathlib import Path
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.file import save_avatar
-from jghand_engine.errors import InputError
-from jghand_engine.files import writing
+from jghand_engine.files import check_place, writing
 
 
 class Output:
@@ -23,15 +22,11 @@ class Output:
         self.path, self._record, self._overwrite = path, record, overwrite
 
     def check(self) -> None:
-        """InputError when a file is in the way that this training did not write, unless overwriting was asked for."""
-        if self._overwrite or not self.path.exists():
-            return
-        if not self.path.is_file() or _hash(self.path) not in self._recorded():
-            raise InputError(
-                f"--out {self.path}", wanted="a new file, or the result of this very training",
-                came="another file" if self.path.is_file() else "a folder",
-                remedy="Name another file, or replace that one with --overwrite.",
-            )  # fmt: skip
+        """InputError when a file is in the way that this training did not write, unless overwriting was asked for;
+        errors as `check_place` where nothing can be written."""
+        ours = self.path.is_file() and _hash(self.path) in self._recorded()
+        wanted = "a new file, or the result of this very training"
+        check_place(self.path, overwrite=self._overwrite or ours, wanted=wanted)
 
     def write(self, avatar: HandAvatar) -> None:
         """Saves `avatar`. Errors as `check`, which looks again: hours may have passed."""

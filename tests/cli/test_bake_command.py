@@ -16,6 +16,7 @@ from jghand_engine.avatar.file import load_avatar, save_avatar, stored_form
 from jghand_engine.avatar.storage import Storage
 from jghand_engine.avatar.tiers import LinearCorrectives, Tier
 from jghand_engine.cli import main
+from jghand_engine.cli.bake import Bake
 from jghand_engine.studies import tier_prices
 from jghand_engine.studies.tier_prices import Offer, best_linear
 from jghand_engine.studies.tier_yardsticks import ExactPictures, _flat
@@ -68,7 +69,7 @@ def test_tiers_are_priced_and_written(file, trained, tmp_path, capsys, storage):
     assert baked.learnt.baked.linear.basis == kept[0].basis
     assert "against the exact tier" in baked.learnt.baked.measured_on
     # a fast avatar can be baked again
-    assert run("bake", out, "--out", out, "--basis", "2", "--poses", 10) == 0
+    assert run("bake", out, "--out", out, "--basis", "2", "--poses", 10, "--overwrite") == 0
     assert load_avatar(out).learnt.baked.linear.basis == 2
 
 
@@ -76,7 +77,7 @@ def test_pictures_that_were_held_out_are_the_better_yardstick(file, tmp_path, ca
     folder = write_set(tmp_path / "set", recorded(frames=4, cameras=4))
     held_out = {"format": 1, "test_frames": {"ROM_JGHAND": [2006, 2018]}, "test_cameras": ["400262", "400265"]}
     (folder / "splits.json").write_text(json.dumps(held_out))
-    words = ("--capture", folder, "--limit", 1, "--basis", "4", "--poses", 20)
+    words = (folder, "--limit", 1, "--basis", "4", "--poses", 20)
     assert run("bake", file, "--out", tmp_path / "fast.jghand", *words) == 0
     said = capsys.readouterr().out
     # the linear tier is fitted to learnt poses: from a new view they would say little of it
@@ -102,13 +103,31 @@ def test_pictures_that_were_held_out_are_the_better_yardstick(file, tmp_path, ca
         (("--basis", "4", "--limit", "-1"), "--limit"),
         (("--basis", "4", "--poses", "-1"), "--poses"),
         (("--basis", "4", "--out", "fast.safetensors"), ".jghand"),
-        (("--basis", "4", "--capture", "nowhere"), "nowhere"),
+        (("nowhere", "--basis", "4"), "nowhere"),
+        (("--basis", "4", "--capture", "Capture0"), "pictures of which folder"),
+        (("--basis", "4", "--out", "."), ".jghand"),
     ],
 )
 def test_wrong_options_are_named(file, tmp_path, capsys, words, said):
     assert run("bake", file, "--out", tmp_path / "fast.jghand", *words) == 2
     assert said in capsys.readouterr().err
     assert not (tmp_path / "fast.jghand").exists()
+
+
+def test_a_place_that_cannot_be_written_is_told_at_the_start(file, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(Bake, "_yardstick", lambda *_: pytest.fail("the work had begun"))
+    (tmp_path / "in_the_way").write_text("a file")
+    (tmp_path / "folder.jghand").mkdir()
+    content = file.read_bytes()
+    for out, said in (
+        (file, "--overwrite"),
+        (tmp_path / "folder.jghand", "a folder"),
+        (tmp_path / "in_the_way" / "fast.jghand", "in the way"),
+    ):
+        assert run("bake", file, "--out", out, "--basis", "4") == 2
+        assert said in capsys.readouterr().err
+    assert file.read_bytes() == content
+    assert not list(tmp_path.glob(".*"))
 
 
 def test_a_painted_avatar_has_nothing_to_bake(tmp_path, capsys):
