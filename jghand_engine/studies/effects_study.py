@@ -149,7 +149,7 @@ class EffectsStudy:
         columns = ("", "pictures", "skipped", "worst: pixels occluded by over 0.2", "worst: 8-bit steps",
                    "dB without", "dB with")  # fmt: skip
         notes = (
-            "dB: against the captured pictures that the gate skips, on the hand alone, without and with all of the shadow.",
+            "dB: against the captured pictures that the gate skips, on the hand alone, without the shadow and with it.",
         )
         return Table("The gate against the whole shadow", columns, (cells,), notes)
 
@@ -159,7 +159,7 @@ class EffectsStudy:
 
 def named_motion(avatar: HandAvatar, poses: Sequence[str] = POSES) -> np.ndarray:
     """(F, 21, 3) named poses with ways between them; in the last third the hand moves as a whole."""
-    options = MotionOptions(hold_s=0.3, variation_deg=0.0)
+    options = MotionOptions(fps=15.0, hold_s=0.3, variation_deg=0.0)
     canonical = avatar.canonical_joints_m.numpy()
     joints = pose_sequence_of_names(poses, canonical, handedness=avatar.handedness, options=options).joints_m
     still = joints[-1]
