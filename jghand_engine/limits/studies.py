@@ -67,6 +67,8 @@ ACCURACY_ROUNDS = 100
 ACCURACY_WARM_UP = 10
 # pictures of each kind of a capture that every setting is compared with, where nobody says another number
 ACCURACY_PICTURES = 3
+# part by which medians of one run differ without a reason: a preset is on the front unless something is faster by more
+FRONT_NOISE = 0.05
 # side of the part of the picture that is shown of a setting, pixels
 ACCURACY_CROP_PX = 150
 # curves of growing time: Gaussians, sizes up to 4K, hands, poses in a batch; frames of each point

@@ -11,12 +11,13 @@ the page     accuracy_plot, accuracy_page
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
+from jghand_engine import limits
 from jghand_engine.splat.settings import PRESETS
 from jghand_engine.studies.accuracy_growth import Growth
 from jghand_engine.studies.accuracy_reference import Error
@@ -83,10 +84,11 @@ class Accuracy:
     @property
     def headline(self) -> str:
         """What a reader wants to know: the quickest that looks the same, and what less time takes away."""
-        same = [row for row in self.front if row.looks == "looks the same"]
-        less = [row for row in self.front if same and (row.median_ms or 0) < (same[0].median_ms or 0)]
-        told = [f"{row.median_ms:.0f} ms: {row.looks}" for row in [*same[:1], *less[::-1]][:3]]
-        return "; ".join(told) or "nothing can be chosen"
+        same = [row for row in self.front if row.error.psnr_db >= limits.LOOKS_SAME_DB]
+        less = [row for row in self.front if not same or (row.median_ms or 0) < (same[0].median_ms or 0)]
+        # of several that look alike the most exact one
+        told = {row.looks: f"{row.median_ms:.0f} ms: {row.looks}" for row in [*less, *same[:1]]}
+        return "; ".join([*told.values()][::-1][:3]) or "nothing can be chosen"
 
     @property
     def warning(self) -> str:
@@ -98,14 +100,11 @@ class Accuracy:
     @property
     def beaten(self) -> list[str]:
         """Sentences: presets that are no points of the front, and what is better."""
-        sentences = []
-        for row in self.rows:
-            if row.preset and not row.on_front:
-                better = next(
-                    (one.name for one in self.front if _at_least_as_good(one, row)), "another of equal figures"
-                )
-                sentences.append(f"Preset {row.name} is not on the front: {better} is as accurate and no slower.")
-        return sentences
+        return [
+            f"Preset {row.name} is not on the front: {better.name} is as accurate and takes {better.median_ms:.1f} ms."
+            for row in self.rows
+            if row.preset and not row.on_front and (better := faster_than(row, self.rows)) is not None
+        ]
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data for JSON."""
@@ -126,7 +125,15 @@ class Accuracy:
 
     def short_tables(self) -> list[Table]:
         """What can be chosen, for a terminal."""
-        return [self._table(TOGETHER)]
+        rows = sorted((row for row in self.rows if row.axis == TOGETHER), key=lambda row: row.median_ms or 0)
+        cells = tuple(
+            (row.name, _ms(row.median_ms, row.disturbed), _ms(row.p95_ms, row.disturbed),
+             number(row.error.psnr_db, 1), number(row.truth.get("psnr_full"), 2), _marked(row))
+            for row in rows
+        )  # fmt: skip
+        columns = ("Setting", "ms", "95 %", "dB", "PSNR", "Looks")
+        notes = ("All columns, and every axis alone, are in ACCURACY.md and accuracy.html.",)
+        return [Table(_TITLES[TOGETHER], columns, cells, self._notes(TOGETHER) + notes)]
 
     def _table(self, axis: str) -> Table:
         rows = [row for row in self.rows if row.axis == axis]
@@ -139,7 +146,7 @@ class Accuracy:
                 f"**{row.name}**" if row.preset else row.name,
                 _ms(row.median_ms, row.disturbed), _ms(row.p95_ms, row.disturbed), number(row.error.psnr_db, 1),
                 number(255 * row.error.worst, 1), *(_metric(row.truth.get(name), name) for name in metrics),
-                (f"● {row.looks}" if row.on_front else row.looks) or NONE,
+                _marked(row),
             )
             for row in rows
         )  # fmt: skip
@@ -151,7 +158,7 @@ class Accuracy:
             return (_SEPARABLE_NOTE,) if axis == BLEND else ()
         truth = (f"PSNR and so on: against {self.truth}.",) if self.truth else ()
         return (
-            "●: on the front, nothing is both faster and more accurate. Bold: presets.",
+            "●: on the front, nothing is both faster and more accurate.",
             f"dB: whole picture over black, against the same hand drawn in float64 with nothing left out, {self.poses} "
             "poses together; worst: of any pixel and channel.",
             *truth,
@@ -193,9 +200,20 @@ def _ms(value: float | None, disturbed: bool) -> str:
     return NONE if value is None else f"{value:.1f}{' ✗' if disturbed else ''}"
 
 
+def _marked(row: Row) -> str:
+    return (f"● {row.looks}" if row.on_front else row.looks) or NONE
+
+
 def _metric(value: float | None, name: str) -> str:
     return number(value, 2 if name.startswith("psnr") else 3)
 
 
-def _at_least_as_good(one: Row, other: Row) -> bool:
-    return (one.median_ms or 0) <= (other.median_ms or 0) and one.error.psnr_db >= other.error.psnr_db
+def faster_than(row: Row, rows: Sequence[Row]) -> Row | None:
+    """The fastest that can be chosen, is as accurate as `row` and faster by more than times vary; None for none."""
+    limit_ms = (row.median_ms or 0) * (1 - limits.FRONT_NOISE)
+    better = [
+        one
+        for one in rows
+        if one.axis == TOGETHER and one.error.psnr_db >= row.error.psnr_db and (one.median_ms or 0) < limit_ms
+    ]
+    return min(better, key=lambda one: one.median_ms or 0, default=None)

@@ -17,7 +17,7 @@ from jghand_engine.splat.frame import HandRenderer
 from jghand_engine.splat.profile import Profile, Rated, how_it_looks, left_out, pareto_front
 from jghand_engine.splat.settings import PRESETS
 from jghand_engine.splat.subject import Subject, moving_subject
-from jghand_engine.studies.accuracy import Accuracy, Picture, Row
+from jghand_engine.studies.accuracy import Accuracy, Picture, Row, faster_than
 from jghand_engine.studies.accuracy_growth import Growth, Reach, growth_cases
 from jghand_engine.studies.accuracy_reference import Error, ExactPictures64, pose_count, spread_poses
 from jghand_engine.studies.accuracy_variants import BLEND, SEPARABLE, TOGETHER, Variant, linear_tiers, variants
@@ -140,15 +140,17 @@ def _described(rows: Sequence[Row], compared: Sequence[Variant], subject: Subjec
     """With the front, words, and pictures of the finger tips of what can be chosen."""
     front = pareto_front((row.median_ms or 0.0, row.error.psnr_db, row) for row in rows if row.axis == TOGETHER)
     total, described = len(subject.avatar), []
-    pose_m = subject.poses[len(subject.poses) // 3]
+    # where finger tips are seen best: the fingers straightest
+    pose_m = subject.poses[np.linalg.norm(subject.poses[:, -4:] - subject.poses[:, :1], axis=-1).mean(1).argmax()]
     for row, variant in zip(rows, [*compared, None], strict=True):
         if variant is None or row.axis != TOGETHER:
             described.append(row)
             continue
         causes = _worst_first(left_out(variant.settings, total), variant, rows, compared, total)
         picture = _drawer(variant, subject)(pose_m)
+        on_front = any(row is one for one in front) or (row.preset and faster_than(row, rows) is None)
         described.append(replace(
-            row, looks=how_it_looks(row.error.psnr_db, causes), on_front=any(row is one for one in front),
+            row, looks=how_it_looks(row.error.psnr_db, causes), on_front=on_front,
             crop=finger_tips(picture, pose_m, subject),
         ))  # fmt: skip
     return described
