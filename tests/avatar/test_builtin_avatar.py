@@ -12,9 +12,11 @@ from scipy.ndimage import binary_erosion, distance_transform_edt, label
 
 from jghand_engine.avatar.builtin import ASSETS, load_builtin, load_painted
 from jghand_engine.avatar.skinning import apply, blend, pose_gaussians
+from jghand_engine.avatar.tiers import Tier
 from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import JointTransform
+from jghand_engine.limits import TIER_LOST_MAX_DB
 from jghand_engine.splat.camera import Camera
 from jghand_engine.splat.frame import HandRenderer
 from jghand_engine.splat.rasterise import rasterise
@@ -132,9 +134,21 @@ def test_the_trained_avatar_has_its_light_its_angles_and_its_licence_with_it():
     avatar = load_builtin(handedness=Handedness.RIGHT)
     assert avatar.learnt is not None
     assert avatar.learnt.correctives is not None
+    assert avatar.learnt.cast is not None
     assert len(avatar.info.pose_statistics) == 30
+    assert avatar.info.learnt_from is not None
+    assert avatar.info.learnt_from.pictures == 432
     assert "CC0-1.0" in avatar.info.licence
     assert (ASSETS / "builtin_right.jghand").stat().st_size < 12e6
+
+
+def test_the_trained_avatar_is_drawn_by_its_quick_tier_and_loses_nothing_that_counts():
+    learnt = load_builtin(handedness=Handedness.RIGHT).learnt
+    assert learnt is not None
+    _, price = learnt.with_tier(Tier.AUTO)
+    assert price is not None
+    assert price.tier is Tier.LINEAR
+    assert price.lost_db <= TIER_LOST_MAX_DB
 
 
 @pytest.mark.parametrize("pose", ["open", "fist"])
