@@ -22,11 +22,12 @@ from torch.nn import functional
 from jghand_engine.avatar.correctives import Correction, PoseNet, PoseNetShape
 from jghand_engine.avatar.pose_features import AnglePlanes, PoseAngles
 from jghand_engine.errors import InputError
-from jghand_engine.limits import TIER_LOST_MAX_DB
+from jghand_engine.limits import TIER_FASTER_MAX, TIER_LOST_MAX_DB
 
 
 class Tier(StrEnum):
-    """auto takes the fastest one that loses at most TIER_LOST_MAX_DB, the exact one where nothing was measured."""
+    """auto takes the linear one where it loses at most TIER_LOST_MAX_DB and its frame takes at most TIER_FASTER_MAX of
+    the exact one's; else the exact one. The cached one is what compiled code does for the exact one anyway."""
 
     AUTO = "auto"
     EXACT = "exact"
@@ -161,8 +162,11 @@ def choose(baked: Baked | None, wanted: Tier) -> Price | None:
     """
     prices = () if baked is None else baked.prices
     if wanted is Tier.AUTO:
-        cheap = [price for price in prices if price.lost_db <= TIER_LOST_MAX_DB]
-        return min(cheap, key=lambda price: price.frame_ms, default=_priced(prices, Tier.EXACT))
+        exact, linear = _priced(prices, Tier.EXACT), _priced(prices, Tier.LINEAR)
+        if linear is None or linear.lost_db > TIER_LOST_MAX_DB:
+            return exact
+        faster = exact is None or linear.frame_ms <= TIER_FASTER_MAX * exact.frame_ms
+        return linear if faster else exact
     price = _priced(prices, wanted)
     if price is None and wanted is not Tier.EXACT:
         priced = [str(Tier.AUTO), str(Tier.EXACT), *(str(price.tier) for price in prices)]

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
 DESCRIPTION = """Prepare a trained avatar for fast drawing, and say what each way costs.
 
 What a pose changes on the skin comes from a network. `bake` adds a linear form of it, which is quick, measures how much
-accuracy that loses and how much time it saves, and writes both into the avatar. The renderer then takes the quickest
-form that loses at most 0.1 dB; presets final and reference always take the network.
+accuracy that loses and how much time it saves, and writes both into the avatar. The renderer then takes the linear form
+where it loses at most 0.1 dB and saves a tenth of a frame or more; presets final and reference always take the network.
 
 Examples:
   jghand bake id3.jghand captures/id3 --out id3_fast.jghand
@@ -62,8 +62,11 @@ class Bake:
         from jghand_engine.avatar.distil import distil, poses_near
         from jghand_engine.avatar.file import save_avatar, stored_form
         from jghand_engine.avatar.storage import Storage
+        from jghand_engine.avatar.texts import as_text
         from jghand_engine.avatar.tiers import basis_most
         from jghand_engine.files import check_place
+        from jghand_engine.native.machine import processor
+        from jghand_engine.native.threads import thread_count
         from jghand_engine.studies.tier_prices import baked, pose_net_of, price_tiers
 
         if self.out.suffix != ".jghand":
@@ -82,11 +85,12 @@ class Bake:
         poses = torch.cat([known, poses_near(known, self.poses, seed=0)])
         with progress("Distilling", 100) as bar:
             linear = distil(net, poses, bases, tick=lambda part: bar.update(bar.task_ids[0], completed=100 * part))
-        say(f"Measuring {len(linear) + 2} tiers on {yard.measured_on}.")
+        measured_on = as_text(f"{yard.measured_on}; times on {processor()}, {thread_count(0)} threads")
+        say(f"Measuring {len(linear) + 2} tiers on {measured_on}.")
         offers = price_tiers(avatar, linear, yard)
-        finished = baked(avatar, offers, yard.measured_on)
+        finished = baked(avatar, offers, measured_on)
         save_avatar(self.out, finished, storage=storage)
-        self._tell(offers, finished, yard.measured_on)
+        self._tell(offers, finished, measured_on)
 
     def _bases(self, most: int) -> list[int]:
         try:

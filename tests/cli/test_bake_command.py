@@ -17,6 +17,7 @@ from jghand_engine.avatar.storage import Storage
 from jghand_engine.avatar.tiers import LinearCorrectives, Tier
 from jghand_engine.cli import main
 from jghand_engine.cli.bake import Bake
+from jghand_engine.native.machine import processor
 from jghand_engine.studies import tier_prices
 from jghand_engine.studies.tier_prices import Offer, best_linear
 from jghand_engine.studies.tier_yardsticks import ExactPictures, _flat
@@ -68,6 +69,7 @@ def test_tiers_are_priced_and_written(file, trained, tmp_path, capsys, storage):
     assert tiers[kept[0].name]["kept"]
     assert baked.learnt.baked.linear.basis == kept[0].basis
     assert "against the exact tier" in baked.learnt.baked.measured_on
+    assert processor() in baked.learnt.baked.measured_on
     # a fast avatar can be baked again
     assert run("bake", out, "--out", out, "--basis", "2", "--poses", 10, "--overwrite") == 0
     assert load_avatar(out).learnt.baked.linear.basis == 2
