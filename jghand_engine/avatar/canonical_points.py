@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 from scipy.spatial import KDTree
 
-from jghand_engine.avatar.points_cache import points_file, read_points, write_points
+from jghand_engine.avatar.points_cache import Points, points_file, read_points, write_points
 from jghand_engine.avatar.untrained import bone_areas, shared_out, take_turns
+from jghand_engine.hand.joints import JOINT_COUNT
 from jghand_engine.template.mesh import HandTemplate
 from jghand_engine.template.sampling import sample_shell
 from jghand_engine.template.weight_field import WeightField
@@ -46,11 +47,19 @@ def place_points(
     """
     file = points_file(template, {"count": count, "depth_m": depth_m, "area_power": area_power, "seed": seed})
     found = read_points(file)
-    if found is None or found.keys() != {f.name for f in fields(CanonicalPoints)} - {"template"}:
+    if found is None or not _is_of(found, count):
         placed = _placed(template, count, depth_m=depth_m, area_power=area_power, seed=seed)
         write_points(file, {name: value.contiguous() for name, value in vars(placed).items() if name != "template"})
         return placed
     return CanonicalPoints(**found, template=template.identifier)
+
+
+def _is_of(found: Points, count: int) -> bool:
+    """Whether a file of the cache has the arrays of `count` points, in their shapes and types."""
+    shapes = {"position_m": (count, 3), "normal": (count, 3), "uvd": (count, 3), "bone_weights": (count, JOINT_COUNT)}
+    wanted = {name: (shape, torch.float32) for name, shape in {**shapes, "sigma_m": (count,)}.items()}
+    wanted["joints_m"] = ((JOINT_COUNT, 3), torch.float64)
+    return {name: (tuple(array.shape), array.dtype) for name, array in found.items()} == wanted
 
 
 def _placed(template: HandTemplate, count: int, *, depth_m: float, area_power: float, seed: int) -> CanonicalPoints:

@@ -15,8 +15,10 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
+import numpy as np
 import safetensors
 import safetensors.torch
+import scipy
 import torch
 
 from jghand_engine.errors import JGHandError
@@ -26,7 +28,7 @@ from jghand_engine.template.mesh import HandTemplate
 
 PACKAGE = Path(__file__).resolve().parents[1]
 # what placing is made of: a change of any of them makes other points, perhaps
-_CODE = ("avatar/canonical_points.py", "avatar/untrained.py", "limits/template.py", "template/*.py")
+_CODE = ("avatar/canonical_points.py", "avatar/untrained.py", "hand/joints.py", "limits/template.py", "template/*.py")
 
 Points = dict[str, torch.Tensor]
 
@@ -48,7 +50,8 @@ def cache_folder() -> Path:
 
 def points_file(template: HandTemplate, numbers: Mapping[str, float]) -> Path:
     """The file for the points of `template` under `numbers`, whether it is there or not."""
-    about = [template.identifier, template.skin_face_count, dict(numbers), torch.__version__]
+    libraries = [torch.__version__, np.__version__, scipy.__version__]
+    about = [template.identifier, template.skin_face_count, dict(numbers), libraries]
     digest = hashlib.sha256(json.dumps(about).encode())
     for array in (template.vertices_m, template.faces, template.face_uv, template.bone_weights, template.joints_m):
         digest.update(f"{array.dtype} {array.shape}".encode() + array.tobytes())

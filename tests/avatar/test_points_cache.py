@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
+import safetensors.torch
+import scipy
 import torch
 
 from jghand_engine.avatar import canonical_points, points_cache
@@ -57,6 +60,9 @@ def test_whatever_decides_the_points_is_in_the_name(folder, monkeypatch, tmp_pat
     files += [points_file(template, {**NUMBERS, "count": 50, name: 0.5}) for name in NUMBERS]
     closed = replace(template, skin_face_count=template.skin_face_count - 1)
     files.append(points_file(closed, {**NUMBERS, "count": 50}))
+    for library in (torch, np, scipy):
+        monkeypatch.setattr(library, "__version__", "another")
+        files.append(points_file(template, {**NUMBERS, "count": 50}))
     monkeypatch.setattr(points_cache, "PACKAGE", tmp_path)
     files.append(points_file(template, {**NUMBERS, "count": 50}))
     assert len(set(files)) == len(files)
@@ -71,6 +77,33 @@ def test_a_damaged_file_is_as_none_and_is_replaced(folder, placings, content):
     assert placings == [50, 50]
     assert same(place_points(load_template(), 50, **NUMBERS), second)
     assert placings == [50, 50]
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda points: {**points, "normal": points["normal"][:-1]},
+        lambda points: {**points, "sigma_m": points["sigma_m"].double()},
+        lambda points: {**points, "joints_m": points["joints_m"].float()},
+        lambda points: {name: array for name, array in points.items() if name != "uvd"},
+        lambda points: {**points, "more": points["uvd"].clone()},
+    ],
+)
+def test_a_file_of_other_arrays_is_as_none_and_is_replaced(folder, placings, change):
+    place_points(load_template(), 50, **NUMBERS)
+    (file,) = folder.iterdir()
+    file.write_bytes(safetensors.torch.save(change(safetensors.torch.load(file.read_bytes()))))
+    place_points(load_template(), 50, **NUMBERS)
+    place_points(load_template(), 50, **NUMBERS)
+    assert placings == [50, 50]
+
+
+def test_the_tree_of_joints_is_in_the_name(folder, monkeypatch, tmp_path):
+    monkeypatch.setattr(points_cache, "PACKAGE", tmp_path)
+    before = points_file(load_template(), NUMBERS)
+    (tmp_path / "hand").mkdir()
+    (tmp_path / "hand" / "joints.py").write_text("PARENTS = ()")
+    assert points_file(load_template(), NUMBERS) != before
 
 
 def test_a_folder_that_cannot_be_written_is_no_trouble(folder, placings):
