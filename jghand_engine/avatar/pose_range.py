@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -44,7 +44,7 @@ class OutOfRange:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data for JSON."""
-        return vars(self)
+        return asdict(self)
 
 
 def trained_range(info: AvatarInfo) -> np.ndarray | None:
