@@ -32,10 +32,12 @@ def draw_figure(study: EffectsStudy) -> Figure:
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(11, 8.4), facecolor=PAGE)
         grid = figure.add_gridspec(2, 2, height_ratios=(1.25, 1), hspace=0.38, wspace=0.42, left=0.17, right=0.97,
-                                   top=0.87, bottom=0.09)  # fmt: skip
+                                   top=0.86, bottom=0.09)  # fmt: skip
         figure.text(0.02, 0.955, "Only what the scene calls for", fontsize=20, weight="bold", color=INK)
-        text = f"{study.subject}: each column is a frame, a filled cell is work that was done"
-        figure.text(0.02, 0.918, text, fontsize=11, color=QUIET)
+        figure.text(
+            0.02, 0.92, "Each column is a frame; a filled cell is work that was done.", fontsize=11.5, color=QUIET
+        )
+        figure.text(0.02, 0.895, study.subject, fontsize=9.5, color=QUIET)
         _draw_strip(figure.add_subplot(grid[0, :]), study)
         _draw_savings(figure.add_subplot(grid[1, 0]), study)
         _draw_gate(figure.add_subplot(grid[1, 1]), study)
@@ -74,15 +76,16 @@ def _draw_savings(axes: Axes, study: EffectsStudy) -> None:
 
 
 def _draw_gate(axes: Axes, study: EffectsStudy) -> None:
-    axes.set_title("Which poses get a self-shadow", fontsize=12, weight="bold", loc="left", color=INK)
+    axes.set_title("How dark the self-shadow of a pose is", fontsize=12, weight="bold", loc="left", color=INK)
     axes.axvspan(1e-2, limits.GATE_LOW, color=UNSEEN, lw=0)
     axes.set_xscale("log")
     for row in study.gate:
         colour = QUIET if row.strength == 0 else USUAL
-        axes.plot(max(row.score, 1.1e-2), 100 * row.occluded, "o", color=colour, ms=5, alpha=0.7)
-    axes.text(1.2e-2, axes.get_ylim()[1], "skipped", va="top", color="#5c8a58", fontsize=9.5)
+        axes.plot(max(row.score, 1.1e-2), 255 * row.darkest, "o", color=colour, ms=5, alpha=0.7)
+    axes.text(0.02, 0.97, "skipped", va="top", transform=axes.transAxes, color="#5c8a58", fontsize=9.5)
     axes.set_xlim(left=1e-2)
     axes.set_xlabel("how near the fingers are to each other (gate)", fontsize=9.5)
-    axes.set_ylabel("% of the hand in clear shadow", fontsize=9.5)
+    axes.set_ylabel("darkest pixel, steps of 255", fontsize=9.5)
+    axes.set_ylim(bottom=0)
     for side in ("top", "right"):
         axes.spines[side].set_visible(False)

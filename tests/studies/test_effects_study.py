@@ -1,0 +1,66 @@
+"""The study of effects: what is skipped on a motion, how wrong that is and what it saves."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from small_avatars import trained_avatar
+
+from jghand_engine.hand.anatomy import named_pose
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.splat.camera import Camera
+from jghand_engine.splat.effect_plan import Effect
+from jghand_engine.splat.frame import HandRenderer
+from jghand_engine.splat.settings import RenderSettings, ShadowMode
+from jghand_engine.studies import effects_study as study
+
+AVATAR = trained_avatar(1500)
+
+
+def subject(frames: int = 24) -> study.Subject:
+    poses = study.named_motion(AVATAR, ("open", "fist"))
+    poses = poses[np.linspace(0, len(poses) - 1, frames).astype(int)]
+    middle = torch.from_numpy(poses.mean((0, 1)))
+    eye = middle + torch.tensor([0.1, 0.1, 0.5], dtype=torch.float64)
+    up = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
+    view = Camera.looking_at(eye, middle, up, width=96, height=80, focal_px=200.0)
+    return study.Subject("motion", AVATAR, poses, [view] * frames)
+
+
+def test_the_motion_rests_bends_and_moves_as_a_whole():
+    ticks = []
+    rows, strip = study.effects_of_motion(subject(), RenderSettings(threads=1), lambda: ticks.append(1))
+    assert len(ticks) == 24
+    assert any(strip[Effect.SKIN])
+    assert not all(strip[Effect.SKIN])
+    by_effect = {row.effect: row for row in rows}
+    assert by_effect[Effect.SKIN].frames == 24
+    skin = by_effect[Effect.SKIN].as_dict()
+    assert 0 < skin["skipped"] < 24
+    # frames that rest are the same to a bit, others within the limit of the joints
+    assert skin["worst_error"] < 0.1
+
+
+def test_tables_and_figures_say_the_same():
+    rows, strip = study.effects_of_motion(subject(6), RenderSettings(threads=1), lambda: None)
+    rows += study.maps_and_cameras(subject(6), RenderSettings(threads=1), lambda: None)
+    made = study.EffectsStudy("a test", rows, [], strip)
+    (table,) = made.tables()
+    assert len(table.rows) == len(rows) == len(made.as_dict()["effects"])
+    assert made.gate_summary()["skipped"] == 0
+
+
+@pytest.mark.parametrize("name", ["open", "fist"])
+def test_the_gate_is_judged_by_the_shadow_that_would_be_drawn(name: str):
+    joints = named_pose(name, AVATAR.canonical_joints_m.numpy(), handedness=Handedness.RIGHT)
+    view = replace(subject(2).cameras[0], fx=400.0, fy=400.0, width=160, height=140, cx=80.0, cy=70.0)
+    bare = HandRenderer(AVATAR, RenderSettings(shadow=ShadowMode.OFF))
+    row = study.gate_row(bare, AVATAR, (name, joints, view))
+    assert (row.strength == 0) == (name == "open")
+    if name == "fist":
+        drawn = HandRenderer(AVATAR, RenderSettings(shadow_samples=32)).render(joints, view).rgba
+        plain = bare.render(joints, view).rgba
+        assert row.darkest == pytest.approx(float(np.abs(drawn - plain).max()), abs=0.05)
