@@ -53,16 +53,16 @@ def test_lamps_stand_all_around(count):
     direction = lamp_directions(count)
     torch.testing.assert_close(direction.norm(dim=1), torch.ones(count, dtype=torch.float64))
     # no side has more of them: an evenly lit sphere has no mean direction
-    assert float(direction.mean(0).norm()) < 1e-12 + 2 / count
+    assert float(direction.mean(0).norm()) < 1.8 / count  # observed 1.73 / count for 2, 1.08 for more
     second = direction.T @ direction / count
-    # observed 0.025 for 20, less for more
-    assert float((second - torch.eye(3) / 3).abs().max()) < (0.4 if count == 2 else 0.03)
+    # observed 0.318 for 2, 0.025 for 20, less for more
+    assert float((second - torch.eye(3) / 3).abs().max()) < (0.33 if count == 2 else 0.026)
 
 
 def test_the_mirror_image_of_the_lamps_are_the_lamps():
     direction = lamp_directions(64)
     mirrored = direction * torch.tensor([-1.0, 1.0, 1.0])
-    assert float(torch.cdist(direction, mirrored).amin(1).max()) < 1e-7  # cdist squares and roots
+    assert float(torch.cdist(direction, mirrored).amin(1).max()) < 2e-8  # cdist squares and roots: observed 1.5e-8
 
 
 def test_an_odd_number_of_lamps_has_no_mirror_image():
@@ -197,7 +197,7 @@ def test_a_nudge_of_the_joints_changes_the_shadow_a_little():
         exponent(CAST, see_lamps(CAST, CANONICAL_M, transform.bones(torch.from_numpy(j)))) for j in (joints_m, nudged_m)
     )
     # observed 0.013: ten micrometres
-    assert 0 < float((here - there).abs().max()) < 0.03
+    assert 0 < float((here - there).abs().max()) < 0.014
 
 
 def test_the_shadow_is_that_of_a_hand_anywhere_and_of_any_size():
@@ -206,7 +206,8 @@ def test_the_shadow_is_that_of_a_hand_anywhere_and_of_any_size():
     wanted = seen_of("fist")
     for moved_m in (joints_m + 1000.0, 1.3 * joints_m):
         got = see_lamps(CAST, CANONICAL_M, transform.bones(torch.from_numpy(moved_m)))
-        torch.testing.assert_close(got.seen, wanted.seen, atol=1e-6, rtol=0)
+        # observed 1.2e-11, a kilometre away
+        torch.testing.assert_close(got.seen, wanted.seen, atol=1.5e-11, rtol=0)
 
 
 def test_gradients_of_the_joints_are_those_of_differences():
@@ -219,7 +220,8 @@ def test_gradients_of_the_joints_are_those_of_differences():
         return ((seen.seen + 0.1) / (seen.open + 0.1)).log()
 
     inputs = (joints_m.requires_grad_(), position.requires_grad_())
-    assert torch.autograd.gradcheck(loss, inputs, eps=1e-7, atol=1e-4)
+    # the differences themselves are known to some 1e-7
+    assert torch.autograd.gradcheck(loss, inputs, eps=1e-7, atol=1e-6)
 
 
 def test_bones_of_no_length_cast_the_shadow_of_a_ball():
@@ -243,7 +245,7 @@ def test_shares_are_whole_255ths_that_sum_to_one(count):
     anchors = place_anchors(AVATAR.position_m, random(300, 3).float(), AVATAR.bone_weights, count)
     assert len(anchors) == count
     units = 255 * anchors.share.double()
-    assert float((units - units.round()).abs().max()) < 1e-4
+    assert float((units - units.round()).abs().max()) < 8e-6  # observed 7.6e-6: float32
     assert bool((units.round().sum(1) == 255).all())
     assert bool((anchors.share >= 0).all())
     torch.testing.assert_close(anchors.spread(torch.ones(count, 3)), torch.ones(300, 3))
@@ -251,9 +253,10 @@ def test_shares_are_whole_255ths_that_sum_to_one(count):
 
 def test_an_anchor_keeps_its_own_value_and_others_mix_their_nearest():
     anchors = CAST.anchors
-    values = torch.rand(60, 3)
+    values = torch.rand(60, 3, generator=torch.Generator().manual_seed(0))
     spread = anchors.spread(values)
-    assert float((spread[:60] - values).abs().max()) < 0.1  # its neighbours have a share of some per cent
+    # its neighbours have a share of some per cent: worst of 50 draws 0.043
+    assert float((spread[:60] - values).abs().max()) < 0.045
     distance = torch.cdist(AVATAR.position_m, anchors.position_m)
     assert torch.equal(anchors.nearest.sort(1).values, distance.topk(3, largest=False).indices.sort(1).values)
 
@@ -271,8 +274,9 @@ def test_the_skin_is_darker_by_the_cast_shadow():
     bare = replace(AVATAR, learnt=replace(AVATAR.learnt, cast=None))
     with_, without = pose_skin(AVATAR, bones).matt.rgb, pose_skin(bare, bones).matt.rgb
     clear = without > 1e-6
+    # observed 4.4e-16
     torch.testing.assert_close(
-        (with_ / without)[clear], exponent(CAST, seen_of("fist")).exp()[clear], atol=1e-9, rtol=1e-6
+        (with_ / without)[clear], exponent(CAST, seen_of("fist")).exp()[clear], atol=0, rtol=6e-16
     )
 
 

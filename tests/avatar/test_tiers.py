@@ -55,7 +55,7 @@ def error_of(correctives: Correctives, poses: torch.Tensor) -> torch.Tensor:
 def test_the_cached_network_is_the_network():
     cached = CachedNet(NET)
     for pose in KNOWN:
-        assert float((both(cached, pose) - both(NET, pose)).abs().max()) < 1e-6  # observed 2e-7
+        assert float((both(cached, pose) - both(NET, pose)).abs().max()) < 2.2e-7  # observed 1.94e-7
         assert torch.equal(both(cached.prefix(70), pose), both(CachedNet(NET.prefix(70)), pose))
 
 
@@ -65,7 +65,7 @@ def test_a_larger_basis_is_nearer_and_a_small_one_much_better_than_none():
     changes = torch.stack([both(NET, pose) for pose in fresh]).std(0).square().mean(0).sqrt()
     for larger, smaller in zip(errors[1:], errors[:-1], strict=True):
         assert bool((larger < smaller).all())
-    assert bool((errors[-1] < 0.2 * changes).all()), errors[-1] / changes
+    assert bool((errors[-1] < 0.12 * changes).all()), errors[-1] / changes  # observed 0.106
 
 
 def test_a_linear_network_is_distilled_exactly():
@@ -77,10 +77,13 @@ def test_a_linear_network_is_distilled_exactly():
     linear.out.weight *= 1e-5
     linear.out.bias.zero_()
     tier = distil(linear, POSES, (6,))[6]
-    for pose in KNOWN:
-        wanted = both(linear, pose)
-        change = wanted - both(linear, KNOWN[0])
-        assert float((both(tier, pose) - wanted).abs().max()) < 0.02 * float(change.abs().max()) + 3e-6
+    wanted, got = (torch.stack([both(each, pose) for pose in KNOWN]) for each in (linear, tier))
+    # the constant, of half precision: observed 4.8e-7 of 1.4e-3
+    assert float((got[0] - wanted[0]).abs().max()) < 5.2e-7
+    # what the pose changes, in offset and in shade: observed 1.6 % and 1.0 % of the largest change in that pose
+    for part in (slice(0, 3), slice(3, 6)):
+        change, ours = (each[1:, :, part] - each[0, :, part] for each in (wanted, got))
+        assert bool(((ours - change).abs().amax((1, 2)) < 0.018 * change.abs().amax((1, 2))).all())
 
 
 def test_a_prefix_of_a_linear_tier_is_that_of_its_gaussians():
