@@ -6,6 +6,7 @@ armature   one armature per hand: building it, finding it, reading its 21 joints
 sources    hands that are no armature of ours: foreign rigs through bone maps, 21 objects
 controls   finger controls on our armature: curl, spread, fist, splay, held tips, joint limits
 shapes     what the controls look like
+pose_library  the poses as Blender pose assets, in a folder made on demand
 motion     a motion onto an armature, as keys
 camera     a Blender camera as a pinhole, and back
 scene      the opened file: its cameras and hands, and whether Blender evaluated them truly

@@ -25,6 +25,8 @@ from ..core.messages import JGHandFailure
 from . import armature, motion, shapes
 
 COLLECTION = "JGHand Controls"
+# the tips' controls, hidden until one is held: they stay where they are while the fingers move
+TIP_COLLECTION = "JGHand Tips"
 # names of the constraints, in the order in which they act; what has such a name is ours
 FIST, CURL, LIMIT, TIP = RULES = ("JGHand Fist", "JGHand Curl", "JGHand Limit", "JGHand Tip")
 # the constraint that keeps a control itself in its range
@@ -64,9 +66,9 @@ def remove_controls(context: bpy.types.Context, hand: bpy.types.Object) -> None:
         for name in CONTROLS:
             if name in hand.data.edit_bones:
                 hand.data.edit_bones.remove(hand.data.edit_bones[name])
-    collection = hand.data.collections.get(COLLECTION)
-    if collection is not None:
-        hand.data.collections.remove(collection)
+    for name in (COLLECTION, TIP_COLLECTION):
+        if name in hand.data.collections:
+            hand.data.collections.remove(hand.data.collections[name])
 
 
 def bake_controls(context: bpy.types.Context, hand: bpy.types.Object, frames: Sequence[int]) -> bpy.types.Action:
@@ -109,6 +111,7 @@ def hold_tip(hand: bpy.types.Object, finger: str, part: float = 1.0) -> None:
     if part > 0:
         put_tip_controls(hand, [finger])
     rule.influence = part
+    show_held_tips(hand)
 
 
 def tip_rule(hand: bpy.types.Object, finger: int) -> bpy.types.KinematicConstraint:
@@ -130,10 +133,17 @@ def put_tip_controls(hand: bpy.types.Object, fingers: Sequence[str] = FINGERS) -
         hand.pose.bones[name].location = at_rest.inverted() @ Vector(head)
 
 
+def show_held_tips(hand: bpy.types.Object) -> None:
+    """Shows the tips' controls when a tip is held, and hides them when none is."""
+    held = any(tip_rule(hand, finger).influence > 0 for finger in range(len(FINGERS)))
+    hand.data.collections[TIP_COLLECTION].is_visible = held
+
+
 def reset_controls(hand: bpy.types.Object) -> None:
     """Every control to its neutral place; the hand then shows the keys of its 21 bones."""
     for finger in range(len(FINGERS)):
         tip_rule(hand, finger).influence = 0.0
+    show_held_tips(hand)
     for name in CONTROLS:
         bone = hand.pose.bones[name]
         bone.location, bone.rotation_euler = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
@@ -179,10 +189,12 @@ def _make_bones(data: bpy.types.Armature, matrices: dict[str, np.ndarray], unit_
 
 
 def _collect_bones(data: bpy.types.Armature) -> None:
-    """The controls in a bone collection of their own, which can be hidden, in colours of their kind."""
-    collection = data.collections.get(COLLECTION) or data.collections.new(COLLECTION)
+    """The controls in bone collections of their own, which can be hidden, in colours of their kind."""
+    for name in (COLLECTION, TIP_COLLECTION):
+        if name not in data.collections:
+            data.collections.new(name).is_visible = name == COLLECTION
     for name in CONTROLS:
-        collection.assign(data.bones[name])
+        data.collections[TIP_COLLECTION if name in TIP_CONTROLS else COLLECTION].assign(data.bones[name])
         data.bones[name].color.palette = shapes.PALETTES[_kind(name)]
 
 

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import bpy
 import numpy as np
@@ -11,8 +12,9 @@ import numpy as np
 from ..core import posing
 from ..core.joints import NAMES
 from ..core.messages import JGHandFailure
+from ..core.motion_files import MotionFile
 from . import versions
-from .armature import handedness_of, rest_matrices_of
+from .armature import build_armature, handedness_of, rest_matrices_of
 
 # the channels of a bone that a driver may hold, whatever its keys say
 _CHANNELS = ("location", "rotation_quaternion", "rotation_euler", "rotation_axis_angle", "rotation_mode", "scale")
@@ -51,6 +53,40 @@ def key_motion(
                 curve = versions.new_fcurve(hand, f'pose.bones["{name}"].{channel}', index, name)
                 _fill(curve, frames, values[:, place, index])
     return action
+
+
+@dataclass(frozen=True)
+class ImportedMotion:
+    """A motion on an armature. notes: what was repaired, in sentences."""
+
+    hand: bpy.types.Object
+    action: bpy.types.Action
+    notes: tuple[str, ...]
+
+
+def import_motion(
+    context: bpy.types.Context,
+    motion: MotionFile,
+    name: str,
+    *,
+    hand: bpy.types.Object | None = None,
+    first_frame: float = 1.0,
+) -> ImportedMotion:
+    """Keys the motion of a file, at the scene's frame rate, on an armature of ours or on a new one of its proportions.
+
+    The joints are keyed where they are, in the armature object's space. The scene's frame rate and range stay.
+    Raises JGHandFailure: other_hand and what `key_motion` raises, before anything is changed.
+    """
+    scene = context.scene
+    if hand is None:
+        rest = posing.rest_joints_m(motion.handedness, motion.joints_m)
+        hand = build_armature(context, name, rest, motion.handedness)
+    elif handedness_of(hand) != motion.handedness:
+        raise JGHandFailure("other_hand", f"{hand.name}: {handedness_of(hand)}, the motion: {motion.handedness}")
+    scene_fps = scene.render.fps / scene.render.fps_base
+    action = key_motion(hand, motion.joints_m, scene, first_frame=first_frame, frames_per_pose=scene_fps / motion.fps)
+    action.name = name
+    return ImportedMotion(hand, action, motion.notes)
 
 
 def check_free(hand: bpy.types.Object, *, but: Sequence[str] = ()) -> None:

@@ -103,12 +103,13 @@ def joint_ranges(rest: np.ndarray, handedness: str) -> tuple[JointRange, ...]:
     twist = np.radians(limits.TWIST_RANGE_DEG)
     for finger in range(len(FINGERS)):
         table = np.radians(limits.JOINT_RANGES_DEG[0 if finger == 0 else 1])
-        sideways = np.radians(limits.SIDEWAYS_RANGE_DEG)
+        sideways = np.radians(limits.SIDEWAYS_RANGE_DEG[0 if finger == 0 else 1])
         sign = spread_sign(finger, handedness)
         for level, bone in enumerate(moving_bones(finger)):
             # the thumb's angles are counted from its rest already
             bent = 0.0 if finger == 0 else flexions[finger, level]
-            low, high = table[0 if level == 0 else level + 1] - bent
+            play = np.radians(limits.THUMB_PLAY_DEG) if finger == level == 0 else 0.0
+            low, high = table[0 if level == 0 else level + 1] - bent + (-play, play)
             spread = sorted(sign * table[1]) if level == 0 else (-sideways, sideways)
             result.append(
                 JointRange(

@@ -65,8 +65,11 @@ JOINT_RANGES_DEG = (
     ((-15.0, 45.0), (-15.0, 35.0), (-10.0, 55.0), (-15.0, 85.0)),
     ((-25.0, 92.0), (-22.0, 25.0), (-5.0, 112.0), (-8.0, 82.0)),
 )
-# the middle and last joints are hinges, with some play: METHOD 4.1
-SIDEWAYS_RANGE_DEG = 15.0
+# the middle and last joints are hinges, with some play (METHOD 4.1); thumb, fingers. The thumb's axes here follow its
+# nail and lie up to 30 degrees from the engine's, so that its hinges seem to bend sideways too and its first joint goes
+# a little further: by what the engine's named poses need (25.4 and 4.1)
+SIDEWAYS_RANGE_DEG = (26.0, 15.0)
+THUMB_PLAY_DEG = 5.0
 # turn of a bone about itself: passive play of a knuckle, and what swings about two axes have of it (assumed)
 TWIST_RANGE_DEG = 30.0
 # turns of the solver for a tip that is held somewhere; Blender's own number, enough for three bones
@@ -76,6 +79,26 @@ IK_ITERATIONS = 500
 FINGER_SHAPE_M = 0.014
 TIP_SHAPE_M = 0.006
 HAND_SHAPE_M = (0.062, 0.03, 0.05)
+
+# ---- pictures of poses ----------------------------------------------------------------------------------------------
+
+# Blender shows assets at up to this size
+PREVIEW_PX = 128
+# what the picture shows of the space around the wrist: a flat hand with some air, metres
+PREVIEW_WIDTH_M = 0.21
+PREVIEW_CENTRE_M = (0.0, 0.082)
+# skin around a joint, the part of it at a tip, and the distance of the balls that make a limb, metres
+PREVIEW_RADIUS_M = 0.0085
+PREVIEW_TIP_PART = 0.75
+PREVIEW_STEP_M = 0.002
+
+# ---- motion files ---------------------------------------------------------------------------------------------------
+
+# an hour at 120 frames a second is 218 MB as numbers of eight bytes
+MOTION_MAX_BYTES = 512 * 2**20
+# frames per second that a motion may have: the engine's bounds
+FPS_MIN = 0.1
+FPS_MAX = 10_000.0
 
 # ---- new cameras ----------------------------------------------------------------------------------------------------
 

@@ -75,6 +75,13 @@ ADVICE = {
         "Show it, or make it local",
         BAD_INPUT,
     ),
+    "bad_motion": Advice(
+        "This file is no motion that JGHand can read",
+        "Choose an .npz, .json or .csv motion that says its order, unit, frame rate and hand",
+        BAD_INPUT,
+    ),
+    "other_hand": Advice("This motion is of the other hand", "Choose an armature of that hand", BAD_INPUT),
+    "no_pose": Advice("There is no pose of this name", "Choose one of the list", BAD_INPUT),
     "not_a_camera": Advice("There is no camera of this name", "Choose a camera of the scene", BAD_INPUT),
     "no_camera": Advice("The scene has no camera of its own", "Name one with --camera", BAD_INPUT),
     "pixel_aspect": Advice("Cameras are made with square pixels only", "Make fx and fy equal", BAD_INPUT),

@@ -12,6 +12,7 @@ from blender_addon.bridge import armature, motion, versions
 from blender_addon.core import posing
 from blender_addon.core.joints import HANDEDNESSES, NAMES, PARENTS, TAILS, TIPS
 from blender_addon.core.messages import JGHandFailure
+from blender_addon.core.motion_files import MotionFile
 
 # float32 of a bone chain near the origin; worst observed 4.3e-8 m
 EXACT_M = 1e-7
@@ -289,3 +290,24 @@ def test_the_rig_survives_saving_and_loading(context, tmp_path):
     seen = armature.read_hand(hand, armature.at_frame(bpy.context.scene, 5))
     assert seen.handedness == "left"
     np.testing.assert_allclose(seen.joints_world_m, joints[4], atol=2e-7)
+
+
+def test_a_motion_file_becomes_keys_at_the_scenes_frame_rate(context):
+    context.scene.render.fps, context.scene.render.fps_base = 30, 1.001
+    joints = hands.moving_hand_m("left")
+    read = MotionFile(joints, 60.0, "left", ("a note",))
+    imported = motion.import_motion(context, read, "Wave", first_frame=10)
+    assert (imported.action.name, imported.notes) == ("Wave", ("a note",))
+    assert imported.hand.animation_data.action is imported.action
+    for place in range(len(joints)):
+        frame = 10 + place * 30 / 1.001 / 60
+        seen = armature.read_hand(imported.hand, armature.at_frame(context.scene, frame))
+        # float32 of a frame number between two keys; worst observed 2.3e-7 m
+        np.testing.assert_allclose(seen.joints_world_m, joints[place], atol=1e-6)
+    again = motion.import_motion(context, read, "Again", hand=imported.hand)
+    assert again.hand is imported.hand
+    assert imported.action.use_fake_user
+    right = armature.build_armature(context, "Right", posing.rest_joints_m("right"), "right")
+    with pytest.raises(JGHandFailure) as caught:
+        motion.import_motion(context, read, "Other", hand=right)
+    assert caught.value.kind == "other_hand"

@@ -88,7 +88,9 @@ def test_a_held_tip_stays_and_does_not_jump_when_it_is_taken(context, handedness
     hand = controlled_hand(context, handedness)
     hand.pose.bones[FINGER_CONTROLS[1]].rotation_euler = (0.5, 0, 0)
     before = joints_of(context, hand)
+    assert not hand.data.collections[controls.TIP_COLLECTION].is_visible
     controls.hold_tip(hand, "index")
+    assert hand.data.collections[controls.TIP_COLLECTION].is_visible
     # the solver stops this near; worst observed 7e-6 m
     np.testing.assert_allclose(joints_of(context, hand), before, atol=3e-5)
     hand.pose.bones[TIP_CONTROLS[1]].location.z -= 0.02
@@ -133,7 +135,7 @@ def test_adding_and_removing_keeps_every_key_and_every_joint(context):
     bone.keyframe_insert("rotation_euler", frame=2)
     controls.remove_controls(context, hand)
     assert set(hand.data.bones.keys()) == set(NAMES)
-    assert controls.COLLECTION not in hand.data.collections
+    assert not {controls.COLLECTION, controls.TIP_COLLECTION} & set(hand.data.collections.keys())
     assert not any(bone.constraints for bone in hand.pose.bones)
     assert not any(bone.lock_ik_y or bone.use_ik_limit_x for bone in hand.pose.bones)
     assert hand.animation_data.action is action

@@ -2,5 +2,8 @@
 
 from test_batch import *  # noqa: F403
 from test_client import *  # noqa: F403
+from test_controls_numbers import *  # noqa: F403
+from test_motions_without_engine import *  # noqa: F403
+from test_poses import *  # noqa: F403
 from test_posing import *  # noqa: F403
 from test_stamp import *  # noqa: F403

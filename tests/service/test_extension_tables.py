@@ -2,22 +2,30 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from blender_addon.core import joints as extension
-from blender_addon.core import posing
+from blender_addon.core import limits as extension_limits
+from blender_addon.core import motion_files, posing
 from blender_addon.core.messages import ADVICE
+from jghand_engine import limits
+from jghand_engine.datasets.motion_files import write_motion
 from jghand_engine.errors import InputError, MemoryLimitError, RetryError
+from jghand_engine.hand.anatomy import RANGES_DEG
 from jghand_engine.hand.joints import LEVEL_NAMES, PARENTS, STANDARD_NAMES, Handedness
 from jghand_engine.hand.orders import JointOrder, from_level
+from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.service.commands import error_header
 from jghand_engine.splat.settings import PRESETS
 from jghand_engine.template.builtin import load_template
+from scripts import build_pose_table
 
 
 def test_joints_have_the_same_names_in_the_same_order():
@@ -45,3 +53,37 @@ def test_every_kind_of_error_of_the_engine_has_a_sentence_and_the_engines_own_ex
 
 def test_the_preset_of_a_batch_run_exists():
     assert "final" in PRESETS
+
+
+def test_joints_go_as_far():
+    thumb, *fingers = RANGES_DEG
+    assert [list(map(list, table)) for table in extension_limits.JOINT_RANGES_DEG] == [
+        thumb.tolist(),
+        fingers[0].tolist(),
+    ]
+    assert all((finger == fingers[0]).all() for finger in fingers)
+
+
+def test_motions_may_be_as_slow_and_as_fast():
+    assert (extension_limits.FPS_MIN, extension_limits.FPS_MAX) == (limits.FPS_MIN, limits.FPS_MAX)
+
+
+@pytest.mark.parametrize("suffix", ["npz", "json", "csv"])
+def test_the_extension_reads_the_motions_that_the_engine_writes(tmp_path, suffix):
+    joints = np.asarray(load_template().joints_m) + np.linspace(0, 0.1, 5)[:, None, None]
+    joints[2, 7] = np.nan
+    motion = PoseSequence(joints, 24.0, Handedness.LEFT)
+    write_motion(tmp_path / f"motion.{suffix}", motion)
+    read = motion_files.read_motion(tmp_path / f"motion.{suffix}")
+    np.testing.assert_array_equal(read.joints_m, from_level(motion.with_gaps_held().joints_m, JointOrder.STANDARD))
+    assert (read.fps, read.handedness, len(read.notes)) == (24.0, "left", 1)
+
+
+def test_the_pose_table_is_what_the_engine_poses():
+    table = build_pose_table.pose_table()
+    known = json.loads(build_pose_table.TABLE.read_text(encoding="utf-8"))
+    assert [pose["name"] for pose in known["poses"]] == [pose["name"] for pose in table["poses"]]
+    for pose, wanted in zip(known["poses"], table["poses"], strict=True):
+        for bone, turn in wanted["bones"].items():
+            # one unit of the last digit: another machine may round the other way
+            np.testing.assert_allclose(pose["bones"][bone], turn, atol=1.1e-5, err_msg=f"{pose['name']}, {bone}")

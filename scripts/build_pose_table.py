@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+# This script imports blender_addon (GPL-3.0-or-later), so it is under the GPL too: blender_addon/LICENSE.
+"""Writes the poses of the Blender extension's library from the engine's named poses and the manual alphabet.
+
+    .envs/engine/bin/python scripts/build_pose_table.py
+
+Writes blender_addon/assets/poses.json: for the right hand, the turn of every finger bone from the armature's rest pose.
+Run it again when a pose changes; a test fails until that is done. `scripts/build_pose_library.py` makes Blender's pose
+assets of it.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from blender_addon.core import posing  # noqa: E402  (the line above finds it)
+from blender_addon.core.joints import NAMES, RIGHT, TIPS, WRIST  # noqa: E402
+from jghand_engine.files import writing  # noqa: E402
+from jghand_engine.hand.anatomy import POSES_DEG, ArticulatedHand  # noqa: E402
+from jghand_engine.hand.fingerspelling import LETTERS_DEG, SAME_SHAPE, letter_angles  # noqa: E402
+from jghand_engine.hand.orders import JointOrder, from_level, to_level  # noqa: E402
+
+TABLE = ROOT / "blender_addon" / "assets" / "poses.json"
+# digits of a quaternion: a tip of 20 cm is then right to a few micrometres
+DIGITS = 5
+
+
+def main() -> None:
+    with writing(TABLE) as part:
+        part.write_text(as_text(pose_table()), encoding="utf-8")
+    print(f"wrote {TABLE.relative_to(ROOT)}")
+
+
+def pose_table() -> dict:
+    """The content of the table."""
+    rest_m = posing.rest_joints_m(RIGHT)
+    hand = ArticulatedHand(to_level(rest_m, JointOrder.STANDARD))
+    poses = {name: ("pose", "", hand.angles_of(name)) for name in POSES_DEG}
+    for letter in LETTERS_DEG:
+        same = " and ".join(sorted(other for other, shape in SAME_SHAPE.items() if shape == letter))
+        title = f"Hand shape of {letter}{f', also of {same},' if same else ''} in the American manual alphabet"
+        poses[f"ASL {letter}"] = ("letter", title, letter_angles(letter, hand))
+    joints = from_level(hand.joints(np.stack([angles for *_, angles in poses.values()])), JointOrder.STANDARD)
+    turns = posing.bone_keys(joints, posing.rest_matrices(rest_m, RIGHT), RIGHT).quaternion
+    return {
+        "format": "jghand poses",
+        "version": 1,
+        "poses": [
+            {"name": name, "kind": kind, "description": text, "bones": _bones(of_pose)}
+            for (name, (kind, text, _)), of_pose in zip(poses.items(), turns, strict=True)
+        ],
+    }
+
+
+def as_text(table: dict) -> str:
+    """JSON with one line per bone, so that a change of a pose reads as one."""
+    poses = []
+    for pose in table["poses"]:
+        bones = ",\n".join(f'   "{name}": {json.dumps(turn)}' for name, turn in pose["bones"].items())
+        head = ", ".join(f'"{key}": {json.dumps(pose[key])}' for key in ("name", "kind", "description"))
+        poses.append(f'  {{{head}, "bones": {{\n{bones}}}}}')
+    listed = ",\n".join(poses)
+    return f'{{"format": "{table["format"]}", "version": {table["version"]}, "poses": [\n{listed}\n]}}\n'
+
+
+def _bones(turns: np.ndarray) -> dict[str, list[float]]:
+    """(21, 4) w, x, y, z -> those of the 15 bones that turn, w positive."""
+    moving = [place for place in range(len(NAMES)) if place != WRIST and place not in TIPS]
+    signed = turns * np.where(turns[:, :1] < 0, -1.0, 1.0)
+    return {NAMES[place]: [round(float(part), DIGITS) + 0.0 for part in signed[place]] for place in moving}
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,89 @@
+"""The poses of the library are whole, mirrored for the left hand, and drawn without an engine."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+from blender_addon.core import pose_picture, poses, posing
+from blender_addon.core.joints import HANDEDNESSES, LEFT, NAMES, RIGHT, TIPS, WRIST
+from blender_addon.core.messages import JGHandFailure
+
+MOVING = [name for place, name in enumerate(NAMES) if place != WRIST and place not in TIPS]
+
+
+def joints_of(pose: poses.HandPose) -> np.ndarray:
+    rest = posing.rest_matrices(posing.rest_joints_m(pose.handedness), pose.handedness)
+    return poses.posed_joints(rest, pose.quaternions)
+
+
+@pytest.mark.parametrize("handedness", HANDEDNESSES)
+def test_every_pose_turns_every_finger_bone_and_has_a_name_of_its_own(handedness):
+    every = poses.all_poses(handedness)
+    assert {"flat", "relaxed", "fist", "point", "pinch", "ASL A", "ASL Y"} <= {pose.name for pose in every}
+    assert len({pose.title for pose in every}) == len(every)
+    for pose in every:
+        assert sorted(pose.turns) == sorted(MOVING)
+        # five digits
+        np.testing.assert_allclose(np.linalg.norm(pose.quaternions, axis=-1), 1, atol=2e-5)
+        assert (handedness, pose.kind) in poses.CATALOGS
+
+
+def test_left_poses_are_the_mirror_images_of_right_ones():
+    for right, left in zip(poses.all_poses(RIGHT), poses.all_poses(LEFT), strict=True):
+        assert left.name == right.name
+        np.testing.assert_allclose(joints_of(left), joints_of(right) * (-1, 1, 1), atol=1e-12)
+
+
+def test_a_fist_is_small_and_a_point_points_with_the_index_finger_alone():
+    flat, fist, point = (joints_of(poses.pose_named(name, RIGHT)) for name in ("flat", "fist", "point"))
+    tips = list(TIPS[1:])
+    reach = [np.linalg.norm(hand[tips] - hand[0], axis=-1) for hand in (flat, fist, point)]
+    assert (reach[1] < 0.6 * reach[0]).all()
+    assert reach[2][0] > 0.9 * reach[0][0]
+    assert (reach[2][1:] < 0.6 * reach[0][1:]).all()
+
+
+def test_the_tips_of_a_pinch_meet():
+    pinch = joints_of(poses.pose_named("pinch", RIGHT))
+    # the solver stops 2 mm apart: as near as joint ranges and its pull allow
+    assert np.linalg.norm(pinch[NAMES.index("thumb4")] - pinch[NAMES.index("index4")]) < 0.004
+
+
+def test_a_pose_that_is_not_there_is_refused_with_the_list():
+    with pytest.raises(JGHandFailure, match="fist"):
+        poses.pose_named("nothing", RIGHT)
+    with pytest.raises(JGHandFailure, match="both"):
+        poses.all_poses("both")
+
+
+def test_a_broken_table_is_told(tmp_path, monkeypatch):
+    for text in ("", "{}", json.dumps([])):
+        path = tmp_path / "poses.json"
+        path.write_text(text)
+        monkeypatch.setattr(poses, "TABLE", path)
+        poses._entries.cache_clear()
+        with pytest.raises(JGHandFailure) as caught:
+            poses.all_poses(RIGHT)
+        assert caught.value.kind == "bad_file"
+    monkeypatch.undo()
+    poses._entries.cache_clear()
+
+
+@pytest.mark.parametrize("handedness", HANDEDNESSES)
+def test_pictures_show_the_whole_hand_at_one_scale(handedness):
+    shown = {
+        name: pose_picture.pose_picture(joints_of(poses.pose_named(name, handedness))) for name in ("flat", "fist")
+    }
+    for picture in shown.values():
+        assert picture.shape == (128, 128, 4)
+        assert picture.min() >= 0
+        assert picture.max() <= 1
+        edge = np.concatenate([picture[0], picture[-1], picture[:, 0], picture[:, -1]])[:, 3]
+        assert edge.sum() == 0
+    assert shown["fist"][..., 3].sum() < 0.7 * shown["flat"][..., 3].sum()
+    # the thumb is on the side of the hand that it is on
+    columns = shown["flat"][70:90, :, 3].sum(0).nonzero()[0]
+    assert (columns.mean() > 64) == (handedness == RIGHT)

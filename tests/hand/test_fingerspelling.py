@@ -1,0 +1,44 @@
+"""Letters of the manual alphabet are hand shapes within the ranges of the joints, each one another."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from jghand_engine.errors import InputError
+from jghand_engine.hand.anatomy import RANGES_DEG, ArticulatedHand
+from jghand_engine.hand.fingerspelling import LETTERS_DEG, SAME_SHAPE, letter_angles
+from jghand_engine.template.builtin import load_template
+
+
+@pytest.fixture(scope="module")
+def hand() -> ArticulatedHand:
+    return ArticulatedHand(load_template().joints_m)
+
+
+def test_every_letter_but_z_has_a_shape_within_the_ranges(hand):
+    alphabet = {chr(code) for code in range(ord("A"), ord("Z"))}
+    assert {*LETTERS_DEG, *SAME_SHAPE} == alphabet
+    for letter in sorted(alphabet):
+        angles = letter_angles(letter, hand)
+        assert (angles >= RANGES_DEG[..., 0]).all(), letter
+        assert (angles <= RANGES_DEG[..., 1]).all(), letter
+
+
+def test_letters_with_shapes_of_their_own_look_different(hand):
+    joints = hand.joints(np.stack([letter_angles(letter, hand) for letter in LETTERS_DEG]))
+    for (one, first), (other, second) in itertools.combinations(zip(LETTERS_DEG, joints, strict=True), 2):
+        # the nearest two: see the message when this fails
+        assert np.linalg.norm(first - second, axis=-1).max() > 0.015, (one, other)
+
+
+def test_letters_that_differ_by_the_wrist_alone_share_a_shape(hand):
+    for letter, shape in SAME_SHAPE.items():
+        np.testing.assert_array_equal(letter_angles(letter, hand), letter_angles(shape, hand))
+
+
+def test_what_is_no_letter_is_refused_with_the_list(hand):
+    with pytest.raises(InputError, match="A, B, C"):
+        letter_angles("Z", hand)
