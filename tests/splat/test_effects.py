@@ -187,9 +187,10 @@ def test_what_may_not_be_drawn_of_an_avatar_takes_no_memory():
     assert bare.correctives is None
     assert bare.cast is None
     assert bare.ellipsoid is None
-    painter = SceneRenderer([avatar], replace(SMALL, effects=Choice.parse("none")))._painter
-    assert painter._gaussians.covariance_m2 is None
-    assert SceneRenderer([avatar], SMALL)._painter._gaussians.covariance_m2 is not None
+    for choice, none in (("none", True), ("auto", False)):
+        painter = SceneRenderer([avatar], replace(SMALL, effects=Choice.parse(choice)))._painter
+        assert isinstance(painter, painter_native.NativePainter)
+        assert (painter._gaussians.covariance_m2 is None) == none
 
 
 def test_maps_that_nobody_asked_for_are_not_made(monkeypatch):
