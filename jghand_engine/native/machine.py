@@ -11,6 +11,8 @@ from jghand_engine.native.threads import WorkerPool
 
 # how many bytes a control of free cores hashes per core: about 1 ms
 CONTROL_BYTES = 1 << 21
+# share of the wanted cores that a control must have seen for the machine to be called free
+FREE_PART = 0.9
 
 
 def processor() -> str:

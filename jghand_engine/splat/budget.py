@@ -19,7 +19,7 @@ import numpy as np
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.errors import InputError
-from jghand_engine.native.machine import FreeCores
+from jghand_engine.native.machine import FREE_PART, FreeCores
 from jghand_engine.native.threads import thread_count
 from jghand_engine.splat.frame import HandRenderer
 from jghand_engine.splat.picture import decibels
@@ -38,7 +38,6 @@ from jghand_engine.splat.subject import Subject, moving_subject
 
 # poses whose accuracy is measured, and rounds of all settings at least
 _POSES, _ROUNDS_MIN = 3, 5
-_FREE_PART = 0.9
 
 
 @dataclass(frozen=True)
@@ -133,7 +132,7 @@ def measure_quickly(
     try:
         while turn < _ROUNDS_MIN or time.perf_counter() - started < seconds:
             pose_m = subject.poses[turn % len(subject.poses)]
-            free.append(control() >= _FREE_PART * threads)
+            free.append(control() >= FREE_PART * threads)
             for name, renderer in renderers.items():
                 times[name].append(renderer.render(pose_m, subject.camera).report.total_ms)
             turn += 1

@@ -14,11 +14,8 @@ from typing import Any
 
 import numpy as np
 
-from jghand_engine.native.machine import FreeCores
+from jghand_engine.native.machine import FREE_PART, FreeCores
 from jghand_engine.splat.report import FrameReport
-
-# share of the wanted cores that the control must have seen
-FREE_PART = 0.9
 
 
 @dataclass(frozen=True)
