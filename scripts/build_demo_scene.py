@@ -4,8 +4,8 @@
 
     .envs/blender/bin/python scripts/build_demo_scene.py --motion MOTION.npz --out hand.blend
 
-Runs in a Python that has bpy. MOTION.npz is what `jghand` writes: joints_m (frames, 21, 3) in the standard order, fps,
-unit "m" and handedness. The cameras come from a JSON file, {name: {width, height, fx, fy, cx, cy, camera_from_world}},
+Runs in a Python that has bpy. MOTION.npz (or .json, .csv) is what `jghand` writes: joints_m (frames, 21, 3), order,
+unit, fps and handedness. The cameras come from a JSON file, {name: {width, height, fx, fy, cx, cy, camera_from_world}},
 or are two, CamPalm and CamSide, that show the whole hand over the whole motion. The scene is in metres and its first
 frame is 1.
 """
@@ -16,26 +16,15 @@ import argparse
 import importlib.util
 import json
 import sys
-import zipfile
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    import numpy as np
+    from blender_addon.core.motion_files import MotionFile
 
 ROOT = Path(__file__).resolve().parents[1]
 BAD_INPUT = 2
 FIRST_FRAME = 1
-
-
-@dataclass(frozen=True)
-class Motion:
-    """joints_m: (F, 21, 3) standard order, metres."""
-
-    joints_m: np.ndarray
-    fps: float
-    handedness: str
 
 
 class FileError(Exception):
@@ -48,9 +37,12 @@ def main(arguments: list[str] | None = None) -> int:
         return failed("This needs a Python with bpy: run it with .envs/blender/bin/python.")
     sys.path.insert(0, str(ROOT))
     from blender_addon.core.messages import JGHandFailure
+    from blender_addon.core.motion_files import read_motion
 
     try:
         motion = read_motion(options.motion)
+        for note in motion.notes:
+            print(f"note: {note}")
         cameras = read_cameras(options.cameras) if options.cameras else {}
         build(motion, cameras, options)
     except FileError as error:
@@ -82,33 +74,6 @@ def failed(sentence: str) -> int:
     return BAD_INPUT
 
 
-def read_motion(path: Path) -> Motion:
-    """The motion of a file that declares the standard order and metres."""
-    import numpy as np
-
-    try:
-        loaded = np.load(path, allow_pickle=False)
-        if isinstance(loaded, np.ndarray):
-            raise FileError(f"{path} holds one bare array; wanted an .npz file that says order, unit and handedness")
-        with loaded as archive:
-            content = {name: archive[name] for name in archive.files}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        raise FileError(f"cannot read {path}: {error}") from error
-    missing = [name for name in ("joints_m", "order", "unit", "fps", "handedness") if name not in content]
-    if missing:
-        raise FileError(f"{path} has no {', '.join(missing)}")
-    for name, wanted in (("order", "standard"), ("unit", "m")):
-        if str(content[name]) != wanted:
-            raise FileError(f"{path}: the joints' {name} is {content[name]}, wanted {wanted}")
-    try:
-        fps = float(content["fps"])
-    except (TypeError, ValueError):
-        fps = 0.0
-    if not 0 < fps < 1000:
-        raise FileError(f"{path}: fps is {content['fps']}, wanted a number from 0 to 1000")
-    return Motion(content["joints_m"], fps, str(content["handedness"]))
-
-
 def read_cameras(path: Path) -> dict[str, dict]:
     """Cameras by name, all of one size."""
     try:
@@ -138,7 +103,7 @@ def camera_of(entry: dict) -> dict:
     return {**camera, "camera_from_world": matrix}
 
 
-def build(motion: Motion, cameras: dict[str, dict], options: argparse.Namespace) -> None:
+def build(motion: MotionFile, cameras: dict[str, dict], options: argparse.Namespace) -> None:
     """Makes the scene in memory and saves it, compressed."""
     import bpy  # pyright: ignore[reportMissingImports]
 
@@ -147,7 +112,7 @@ def build(motion: Motion, cameras: dict[str, dict], options: argparse.Namespace)
     from blender_addon.core import posing, view
     from blender_addon.core.messages import JGHandFailure
 
-    joints_m = posing.checked_joints(motion.joints_m)
+    joints_m = motion.joints_m
     bpy.ops.wm.read_factory_settings(use_empty=True)
     context = bpy.context
     scene = context.scene

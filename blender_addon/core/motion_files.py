@@ -104,7 +104,7 @@ def _checked(path: Path, joints: np.ndarray, valid: np.ndarray | None, declared:
             raise JGHandFailure("bad_motion", f"{path}: 'valid' is {valid.shape}, wanted {whole.shape}")
         whole &= valid
     joints = joints[:, list(_ORDERS[order])] * _METRES[unit]
-    held, notes = _held(path, joints, whole.all(axis=1))
+    held, notes = _held(path, joints, np.logical_and.reduce(whole, axis=1))
     return MotionFile(held, fps, handedness, notes)
 
 

@@ -487,7 +487,7 @@ def test_the_demo_scene_takes_cameras_from_a_file(context, tmp_path):
 @pytest.mark.parametrize(
     "changes",
     [
-        {"order": "level"},
+        {"order": "mano16_tips"},
         {"unit": "mm"},
         {"joints_m": np.zeros((3, 20, 3))},
         {"joints_m": "joints"},
@@ -518,7 +518,7 @@ def test_a_motion_that_is_a_bare_array_is_bad_input(tmp_path):
     np.save(tmp_path / "motion.npy", hands.moving_hand_m("right"))
     done = script("build_demo_scene.py", "--motion", tmp_path / "motion.npy", "--out", tmp_path / "hand.blend")
     assert done.returncode == 2
-    assert "bare array" in done.stderr
+    assert "wanted one of .npz, .json, .csv, got .npy" in done.stderr
     assert "Traceback" not in done.stderr
 
 
