@@ -69,8 +69,8 @@ POSE_NET_UNITS_MAX = 64_000_000
 NORMAL_LENGTH_TOLERANCE = 1e-3
 # cheaper tiers of the correctives: what one may lose to be taken unasked, dB (RENDERING 5); largest basis
 TIER_LOST_MAX_DB = 0.1
-# ... and how much of the exact tier's frame it may take: what is saved is to be more than two medians of one thing differ
-# by on a busy machine, some percent
+# ... and how much of the exact tier's frame it may take: what is saved is to be more than what two medians of one thing
+# differ by on a busy machine, some percent
 TIER_FASTER_MAX = 0.9
 BASIS_MAX = 64
 # how far a joint may leave the range of angles that was trained, degrees, before it is told: the skin of a good avatar
