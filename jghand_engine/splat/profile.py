@@ -32,6 +32,7 @@ from jghand_engine.splat.effect_plan import CHOOSABLE, Choice, Effect
 from jghand_engine.splat.settings import RenderSettings, ShadowMode
 
 FORMAT = 1
+APPROXIMATE = "approximate creases"
 NO_CORRECTIVES = Choice(frozenset(CHOOSABLE) - {Effect.CORRECTIVES})
 
 
@@ -73,9 +74,10 @@ def how_it_looks(psnr_db: float, causes: Sequence[str]) -> str:
     """A few words for who does not know decibels. causes: what is left out, see `left_out`, the worst first."""
     if psnr_db >= limits.LOOKS_SAME_DB:
         return "looks the same"
-    what = causes[0] if causes else "soft"
+    # nothing else is left: correctives of a cheaper tier
+    what = causes[0] if causes else APPROXIMATE
     if psnr_db >= limits.LOOKS_ALIKE_DB:
-        return f"nearly the same: a trace of {what}"
+        return f"nearly the same ({what})"
     return what if psnr_db >= limits.LOOKS_CLOSE_DB else f"clearly {what}" if what.startswith("soft") else what
 
 

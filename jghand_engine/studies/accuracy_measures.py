@@ -11,10 +11,11 @@ import torch
 
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.tiers import Tier
 from jghand_engine.datasets.sample import Sample, load_picture
 from jghand_engine.errors import InputError
 from jghand_engine.splat.frame import HandRenderer
-from jghand_engine.splat.profile import Profile, Rated, how_it_looks, left_out, pareto_front
+from jghand_engine.splat.profile import APPROXIMATE, Profile, Rated, how_it_looks, left_out, pareto_front
 from jghand_engine.splat.settings import PRESETS
 from jghand_engine.splat.subject import Subject, moving_subject
 from jghand_engine.studies.accuracy import Accuracy, Picture, Row, faster_than
@@ -146,7 +147,10 @@ def _described(rows: Sequence[Row], compared: Sequence[Variant], subject: Subjec
         if variant is None or row.axis != TOGETHER:
             described.append(row)
             continue
-        causes = _worst_first(left_out(variant.settings, total), variant, rows, compared, total)
+        words = left_out(variant.settings, total)
+        if _is_approximate(variant, subject.avatar):
+            words["tier"] = APPROXIMATE
+        causes = _worst_first(words, variant, rows, compared, total)
         picture = _drawer(variant, subject)(pose_m)
         on_front = any(row is one for one in front) or (row.preset and faster_than(row, rows) is None)
         described.append(replace(
@@ -156,12 +160,23 @@ def _described(rows: Sequence[Row], compared: Sequence[Variant], subject: Subjec
     return described
 
 
+def _is_approximate(variant: Variant, avatar: HandAvatar) -> bool:
+    """Whether its correctives are of the linear tier."""
+    if avatar.learnt is None or "correctives" in left_out(variant.settings, len(avatar)):
+        return False
+    price = avatar.learnt.with_tier(variant.settings.correctives)[1]
+    return price is not None and price.tier is Tier.LINEAR
+
+
 def _worst_first(
     words: Mapping[str, str], variant: Variant, rows: Sequence[Row], compared: Sequence[Variant], total: int
 ) -> list[str]:
     """The words for what is left out, that first which alone costs the most accuracy, as the axes were measured."""
 
     def alone(axis: str) -> float:
+        if axis == "tier":
+            # preset viewport leaves out nothing else that is seen
+            return min(row.error.psnr_db for row in rows if row.preset and row.name == "viewport")
         pairs = zip(rows, compared, strict=False)
         same = [
             row.error.psnr_db

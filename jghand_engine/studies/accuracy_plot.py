@@ -6,6 +6,7 @@ Needs matplotlib (the extra `study`).
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
@@ -65,7 +66,9 @@ def shown_rows(study: Accuracy) -> list[Row]:
 
 def _draw_head(figure: Figure, study: Accuracy) -> None:
     figure.text(0.05, 0.972, "What accuracy costs in time", fontsize=20, weight="bold")
-    figure.text(0.05, 0.953, study.headline, fontsize=13, color=OURS, weight="bold")
+    figure.text(
+        0.05, 0.953, study.headline, fontsize=13 if len(study.headline) < 110 else 10.5, color=OURS, weight="bold"
+    )
     busy = "    THE MACHINE WAS BUSY: the times are too long." if study.disturbed else ""
     figure.text(0.05, 0.936, f"{study.how_timed}.{busy}", fontsize=9, color=USUAL if busy else QUIET)
 
@@ -74,8 +77,16 @@ def _draw_crop(axes: Axes, row: Row) -> None:
     if row.crop is not None:
         axes.imshow(row.crop, interpolation="lanczos")
     axes.set_axis_off()
-    axes.set_title(f"{row.median_ms:.1f} ms", fontsize=16, weight="bold", loc="left", color=INK, pad=20)
-    axes.text(0, 1.02, row.looks, transform=axes.transAxes, fontsize=10.5, color=_colour(row), weight="bold")
+    axes.set_title(f"{row.median_ms:.1f} ms", fontsize=16, weight="bold", loc="left", color=INK, pad=32)
+    axes.text(
+        0,
+        1.02,
+        textwrap.fill(row.looks, 30),
+        transform=axes.transAxes,
+        fontsize=10.5,
+        color=_colour(row),
+        weight="bold",
+    )
     axes.text(0, -0.07, row.name, transform=axes.transAxes, fontsize=9, color=QUIET)
 
 
@@ -178,7 +189,7 @@ def _draw_growth(axes: Axes, panel: str, points: Sequence[Growth]) -> None:
     if points:
         axes.plot([one.x for one in points], [one.median_ms for one in points], "o-", color=OURS, lw=2, ms=5)
         for one in (points[0], points[-1]):
-            axes.annotate(f"{one.median_ms:.3g} ms", (one.x, one.median_ms), xytext=(0, 7), ha="center",
+            axes.annotate(f"{one.median_ms:,.{0 if one.median_ms >= 100 else 1}f} ms", (one.x, one.median_ms), xytext=(0, 7), ha="center",
                           textcoords="offset points", fontsize=8, color=INK)  # fmt: skip
         axes.set_xticks([one.x for one in points], [_many(one.x) for one in points], fontsize=8)
         axes.minorticks_off()

@@ -77,9 +77,10 @@ def test_a_budget_that_is_no_time_is_refused(budget_ms):
 
 def test_words_say_what_one_sees():
     assert how_it_looks(60, ["soft fingertips"]) == "looks the same"
-    assert how_it_looks(40, ["soft fingertips"]) == "nearly the same: a trace of soft fingertips"
+    assert how_it_looks(40, ["soft fingertips"]) == "nearly the same (soft fingertips)"
     assert how_it_looks(33, ["thin edges", "soft fingertips"]) == "thin edges"
     assert how_it_looks(25, ["soft fingertips"]) == "clearly soft fingertips"
+    assert how_it_looks(41, []) == "nearly the same (approximate creases)"
     assert left_out(PRESETS["final"], 40_000) == {}
     assert set(left_out(PRESETS["draft"], 40_000)) == {"Gaussians", "shadow", "blend"}
     assert "Gaussians" not in left_out(PRESETS["draft"], 20_000)
