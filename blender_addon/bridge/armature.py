@@ -75,6 +75,12 @@ def is_foreign(thing: bpy.types.Object) -> bool:
     return not is_hand(thing) and any(mark in thing for mark in marks)
 
 
+def parts_of(thing: bpy.types.Object) -> list[bpy.types.Object]:
+    """What has to be evaluated for a hand: the object itself, and the objects that it stands for."""
+    joints = [thing.get(mark) for mark in OBJECT_PROPERTIES.values()]
+    return [thing, *(joint for joint in joints if joint is not None)]
+
+
 def show_to_evaluate(thing: bpy.types.Object) -> None:
     """Undoes the "disable in viewports" of an object: a rig is often switched off there, and then not evaluated."""
     thing.hide_viewport = False

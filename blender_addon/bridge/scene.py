@@ -75,7 +75,8 @@ def make_evaluated(cameras: list[bpy.types.Object]) -> list[bpy.types.Object]:
     """The hands of the scene, made sure, as the cameras, to be evaluated (in memory; the file stays as it is)."""
     hands = armature.hands_at_any_frame(bpy.context.view_layer)
     for thing in (*hands, *cameras):
-        armature.show_to_evaluate(thing)
+        for part in armature.parts_of(thing):
+            armature.show_to_evaluate(part)
     return hands
 
 
@@ -87,7 +88,8 @@ def evaluated_at(scene: bpy.types.Scene, frame: float, things: Iterable[bpy.type
     """
     depsgraph = armature.at_frame(scene, frame)
     _check_scripts()
-    broken = [description for thing in things for description in _broken_drivers(thing)]
+    parts = [part for thing in things for part in armature.parts_of(thing)]
+    broken = [description for part in parts for description in _broken_drivers(part)]
     if broken:
         raise JGHandFailure("broken_driver", f"frame {frame:g}: {'; '.join(broken)}")
     return depsgraph
@@ -100,7 +102,7 @@ def _check_scripts() -> None:
 
 def _broken_drivers(thing: bpy.types.Object) -> Iterator[str]:
     """The drivers of an object and of its data that are switched on and do not work."""
-    for owner in (thing, thing.data):
+    for owner in (thing, thing.data) if thing.data else (thing,):
         for curve in owner.animation_data.drivers if owner.animation_data else ():
             if not (curve.mute or curve.driver.is_valid):
                 yield f"{thing.name}: {curve.data_path} = {curve.driver.expression}"

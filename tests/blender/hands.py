@@ -12,7 +12,7 @@ from mathutils import Euler, Matrix, Vector
 
 from blender_addon.bridge import armature, motion
 from blender_addon.core import posing
-from blender_addon.core.joints import PARENTS
+from blender_addon.core.joints import HANDEDNESSES, NAMES, PARENTS
 
 # object transforms that a hand must survive: location, rotation, scale
 PLACES = {
@@ -41,6 +41,31 @@ def keyed_hand(context: bpy.types.Context, handedness: str, joints_m: np.ndarray
     hand = armature.build_armature(context, handedness, posing.rest_joints_m(handedness, joints_m), handedness)
     motion.key_motion(hand, joints_m, context.scene)
     return hand
+
+
+def mixamo_rig(context: bpy.types.Context) -> tuple[bpy.types.Object, dict[str, np.ndarray]]:
+    """An armature with two hands, as Mixamo names them, without tip bones, under an arm that can move."""
+    data = bpy.data.armatures.new("Body")
+    rig = bpy.data.objects.new("Body", data)
+    context.scene.collection.objects.link(rig)
+    context.view_layer.objects.active = rig
+    bpy.ops.object.mode_set(mode="EDIT")
+    joints = {}
+    for side in HANDEDNESSES:
+        at = posing.rest_joints_m(side) + np.array([0.6 if side == "left" else -0.6, 0.0, 1.2])
+        joints[side] = at
+        names = [f"mixamorig:{side.title()}Hand"]
+        names += [f"{names[0]}{name[:-1].title()}{name[-1]}" for name in NAMES[1:]]
+        arm = data.edit_bones.new(f"mixamorig:{side.title()}ForeArm")
+        arm.head, arm.tail = Vector(at[0]) + Vector((0, -0.25, 0)), at[0]
+        for place, name in enumerate(names):
+            if place and place % 4 == 0:
+                continue
+            bone = data.edit_bones.new(name)
+            bone.head, bone.tail = at[place], at[9 if place == 0 else place + 1]
+            bone.parent = data.edit_bones[names[PARENTS[place]]] if place else arm
+    bpy.ops.object.mode_set(mode="OBJECT")
+    return rig, joints
 
 
 def put(thing: bpy.types.Object, place: tuple) -> None:

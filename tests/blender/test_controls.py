@@ -223,3 +223,51 @@ def test_pose_mode_is_left_as_it_was(context):
     assert context.mode == "POSE"
     controls.remove_controls(context, hand)
     assert context.mode == "POSE"
+
+
+@pytest.mark.parametrize("linked", [False, True])
+def test_a_duplicated_hand_has_controls_of_its_own(context, linked):
+    hand = controlled_hand(context, "right")
+    hand.select_set(True)
+    context.view_layer.objects.active = hand
+    bpy.ops.object.duplicate(linked=linked)
+    twin = context.view_layer.objects.active
+    assert twin is not hand
+    rest = joints_of(context, hand)
+    twin.pose.bones[HAND_CONTROL].rotation_euler.x = 1.0
+    assert np.linalg.norm(joints_of(context, twin) - rest, axis=-1).max() > 0.03
+    np.testing.assert_allclose(joints_of(context, hand), rest, atol=EXACT_M)
+    controls.remove_controls(context, twin)
+    assert controls.has_controls(hand)
+
+
+def test_an_appended_hand_keeps_its_controls(context, tmp_path):
+    hand = controlled_hand(context, "left")
+    hand.pose.bones[HAND_CONTROL].rotation_euler.x = 0.8
+    wanted = joints_of(context, hand)
+    path = str(tmp_path / "hand.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    with bpy.data.libraries.load(path) as (_there, here):
+        here.objects = ["left"]
+    (appended,) = here.objects
+    bpy.context.scene.collection.objects.link(appended)
+    np.testing.assert_allclose(joints_of(bpy.context, appended), wanted, atol=EXACT_M)
+    assert appended.pose.bones[HAND_CONTROL].custom_shape is not None
+
+
+def test_undo_takes_the_controls_away_and_redo_brings_them_back(context):
+    hand = armature.build_armature(context, "hand", posing.rest_joints_m("right"), "right")
+    bpy.ops.ed.undo_push(message="bare")
+    controls.add_controls(context, hand)
+    bpy.ops.ed.undo_push(message="controls")
+    bpy.ops.ed.undo()
+    hand = bpy.data.objects["hand"]  # every reference dies on undo
+    assert not controls.has_controls(hand)
+    assert not any(bone.constraints for bone in hand.pose.bones)
+    bpy.ops.ed.redo()
+    hand = bpy.data.objects["hand"]
+    assert controls.has_controls(hand)
+    hand.pose.bones[HAND_CONTROL].rotation_euler.x = 1.0
+    rest = posing.rest_joints_m("right")
+    assert np.linalg.norm(joints_of(bpy.context, hand) - rest, axis=-1).max() > 0.03

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from blender_addon import cli
-from blender_addon.bridge import armature, camera, scene
+from blender_addon.bridge import armature, camera, scene, sources
 from blender_addon.core import posing, stamp
 from blender_addon.core.messages import JGHandFailure
 
@@ -182,6 +182,35 @@ def test_two_hands_are_drawn_into_one_picture_the_nearer_in_front(engine, contex
         wrist = camera.pinhole(context.scene.camera, context.evaluated_depsgraph_get()).project(np.array([0, 0, 0.05]))
         colour = pixels(tmp_path / "out/Camera/0001.png")[int(wrist[1]), int(wrist[0])]
         np.testing.assert_array_equal(colour, (1, 1, 1, 1) if nearer == "right" else (0, 0, 1, 1))
+
+
+def test_the_hands_of_a_foreign_rig_and_of_21_objects_are_drawn_too(engine, context, tmp_path):
+    rig, joints = hands.mixamo_rig(context)
+    for handedness in joints:
+        sources.store_map(rig, sources.recognise(rig, handedness).bone_map)
+    things = []
+    for place in posing.rest_joints_m("left") + joints["left"][0] - (0.6, 0, 0):
+        things.append(bpy.data.objects.new("joint", None))
+        things[-1].location = place
+        things[-1].hide_viewport = True  # as riggers leave them
+        context.scene.collection.objects.link(things[-1])
+    holder = bpy.data.objects.new("Hand", None)
+    context.scene.collection.objects.link(holder)
+    sources.store_objects(holder, things, "left")
+    eye = hands.camera_on(context, (0, 0, 0), 1)
+    eye.matrix_world = np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 3.2, 1.0]])
+    camera.set_picture_size(context.scene.render, 600, 100)  # wide enough for the stand-in's discs
+    context.scene.camera = eye
+    code, _, report = rendered(saved(tmp_path), "--frames", "1")
+    assert (code, report["rendered"]) == (0, 1)
+    context = bpy.context
+    view = camera.pinhole(context.scene.camera, context.evaluated_depsgraph_get())
+    picture = pixels(tmp_path / "out/Camera/0001.png")
+    shown = {"right": joints["right"][0], "left": joints["left"][0], "objects": joints["left"][0] - (0.6, 0, 0)}
+    for name, wrist in shown.items():  # the stand-in draws a right hand white, a left one blue
+        column, row, _ = view.project(wrist).astype(int)
+        near = picture[row - 4 : row + 5, column - 4 : column + 5].reshape(-1, 4)
+        assert {tuple(colour) for colour in near if colour[3]} == {(1, 1, 1, 1) if name == "right" else (0, 0, 1, 1)}
 
 
 def test_a_hand_that_is_switched_off_in_a_frame_leaves_the_picture_empty(engine, blend):

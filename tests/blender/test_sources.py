@@ -11,40 +11,15 @@ from mathutils import Vector
 from blender_addon.bridge import armature, sources
 from blender_addon.core import bone_maps, posing
 from blender_addon.core.bone_maps import JointSource
-from blender_addon.core.joints import HANDEDNESSES, NAMES, PARENTS
+from blender_addon.core.joints import HANDEDNESSES, NAMES
 from blender_addon.core.messages import JGHandFailure
 
 # float32 of a bone chain a metre from the origin; worst observed 2e-7 m
 EXACT_M = 1e-6
 
 
-def mixamo_rig(context: bpy.types.Context) -> tuple[bpy.types.Object, dict[str, np.ndarray]]:
-    """An armature with two hands, as Mixamo names them, without tip bones, under an arm that can move."""
-    data = bpy.data.armatures.new("Body")
-    rig = bpy.data.objects.new("Body", data)
-    context.scene.collection.objects.link(rig)
-    context.view_layer.objects.active = rig
-    bpy.ops.object.mode_set(mode="EDIT")
-    joints = {}
-    for side in HANDEDNESSES:
-        at = posing.rest_joints_m(side) + np.array([0.6 if side == "left" else -0.6, 0.0, 1.2])
-        joints[side] = at
-        names = [f"mixamorig:{side.title()}Hand"]
-        names += [f"{names[0]}{name[:-1].title()}{name[-1]}" for name in NAMES[1:]]
-        arm = data.edit_bones.new(f"mixamorig:{side.title()}ForeArm")
-        arm.head, arm.tail = Vector(at[0]) + Vector((0, -0.25, 0)), at[0]
-        for place, name in enumerate(names):
-            if place and place % 4 == 0:
-                continue
-            bone = data.edit_bones.new(name)
-            bone.head, bone.tail = at[place], at[9 if place == 0 else place + 1]
-            bone.parent = data.edit_bones[names[PARENTS[place]]] if place else arm
-    bpy.ops.object.mode_set(mode="OBJECT")
-    return rig, joints
-
-
 def test_both_hands_of_a_character_are_read_posed_and_constrained(context):
-    rig, joints = mixamo_rig(context)
+    rig, joints = hands.mixamo_rig(context)
     for side in HANDEDNESSES:
         sources.store_map(rig, sources.recognise(rig, side).bone_map)
     assert armature.is_foreign(rig)
@@ -130,7 +105,7 @@ def test_21_objects_serve_as_a_hand_wherever_they_hang(context):
 
 
 def test_a_map_that_is_not_whole_or_whose_bones_went_away_is_refused_by_name(context):
-    rig, _ = mixamo_rig(context)
+    rig, _ = hands.mixamo_rig(context)
     found = sources.recognise(rig, "right").bone_map
     depsgraph = context.evaluated_depsgraph_get()
     with pytest.raises(JGHandFailure, match="no bone for ring2"):
@@ -146,7 +121,7 @@ def test_a_map_that_is_not_whole_or_whose_bones_went_away_is_refused_by_name(con
 
 @pytest.mark.parametrize(("scale", "kind"), [((-1, 1, 1), "mirrored"), ((0, 1, 1), "zero_scale")])
 def test_a_foreign_rig_is_refused_for_the_same_reasons_as_ours(context, scale, kind):
-    rig, _ = mixamo_rig(context)
+    rig, _ = hands.mixamo_rig(context)
     found = sources.recognise(rig, "right").bone_map
     rig.scale = scale
     context.view_layer.update()
