@@ -189,7 +189,8 @@ def _draw_growth(axes: Axes, panel: str, points: Sequence[Growth]) -> None:
     if points:
         axes.plot([one.x for one in points], [one.median_ms for one in points], "o-", color=OURS, lw=2, ms=5)
         for one in (points[0], points[-1]):
-            axes.annotate(f"{one.median_ms:,.{0 if one.median_ms >= 100 else 1}f} ms", (one.x, one.median_ms), xytext=(0, 7), ha="center",
+            told = f"{one.median_ms:,.{0 if one.median_ms >= 100 else 1}f} ms"
+            axes.annotate(told, (one.x, one.median_ms), xytext=(0, 7), ha="center",
                           textcoords="offset points", fontsize=8, color=INK)  # fmt: skip
         axes.set_xticks([one.x for one in points], [_many(one.x) for one in points], fontsize=8)
         axes.minorticks_off()
