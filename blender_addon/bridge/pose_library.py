@@ -3,7 +3,7 @@
 
 The folder is made on demand by the Blender that uses it, and not shipped: it then has the file format and the kind of
 actions of that Blender (4.5 to 5.2 differ in both), the package stays small and free of binaries, and a pose that is
-corrected in the table reaches everybody with the next release. Making it takes about a second.
+corrected in the table reaches everybody with the next release. Making it took 3 s of one core (5.0.1), pictures most.
 """
 
 from __future__ import annotations
