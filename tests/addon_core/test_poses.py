@@ -41,15 +41,16 @@ def test_a_fist_is_small_and_a_point_points_with_the_index_finger_alone():
     flat, fist, point = (joints_of(poses.pose_named(name, RIGHT)) for name in ("flat", "fist", "point"))
     tips = list(TIPS[1:])
     reach = [np.linalg.norm(hand[tips] - hand[0], axis=-1) for hand in (flat, fist, point)]
-    assert (reach[1] < 0.6 * reach[0]).all()
+    # observed 0.35 to 0.44
+    assert (reach[1] < 0.5 * reach[0]).all()
     assert reach[2][0] > 0.9 * reach[0][0]
-    assert (reach[2][1:] < 0.6 * reach[0][1:]).all()
+    assert (reach[2][1:] < 0.5 * reach[0][1:]).all()
 
 
 def test_the_tips_of_a_pinch_meet():
     pinch = joints_of(poses.pose_named("pinch", RIGHT))
-    # the solver stops 2 mm apart: as near as joint ranges and its pull allow
-    assert np.linalg.norm(pinch[NAMES.index("thumb4")] - pinch[NAMES.index("index4")]) < 0.004
+    # observed 0.13 mm: the solver is pulled to the given angles too
+    assert np.linalg.norm(pinch[NAMES.index("thumb4")] - pinch[NAMES.index("index4")]) < 0.0003
 
 
 def test_a_pose_that_is_not_there_is_refused_with_the_list():

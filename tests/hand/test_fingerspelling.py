@@ -30,8 +30,8 @@ def test_every_letter_but_z_has_a_shape_within_the_ranges(hand):
 def test_letters_with_shapes_of_their_own_look_different(hand):
     joints = hand.joints(np.stack([letter_angles(letter, hand) for letter in LETTERS_DEG]))
     for (one, first), (other, second) in itertools.combinations(zip(LETTERS_DEG, joints, strict=True), 2):
-        # the nearest two: see the message when this fails
-        assert np.linalg.norm(first - second, axis=-1).max() > 0.015, (one, other)
+        # the nearest two, U and V: 23 mm
+        assert np.linalg.norm(first - second, axis=-1).max() > 0.02, (one, other)
 
 
 def test_letters_that_differ_by_the_wrist_alone_share_a_shape(hand):
