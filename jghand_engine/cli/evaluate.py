@@ -168,7 +168,7 @@ class Evaluate:
         drawn = f"Drawn with preset {self.preset}."
         with writing(out / "tables.md") as temporary:
             temporary.write_text("\n".join([drawn, "", *(table.markdown() for table in tables)]), encoding="utf-8")
-        figures = {"command": "evaluate", "preset": self.preset, "settings": vars(settings), "box": BOX_RULE}
+        figures = {"command": "evaluate", "preset": self.preset, "settings": settings.as_dict(), "box": BOX_RULE}
         for path in (out / "evaluation.json", self.report.json):
             if path is not None:
                 write_json(path, figures | evaluation.as_dict())

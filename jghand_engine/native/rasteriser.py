@@ -34,6 +34,14 @@ _JOB_NAMES = {
 }
 
 
+def check_picture_size(width: int, height: int) -> None:
+    """InputError for a picture that no kernel draws."""
+    largest = limits.PICTURE_MAX_PX
+    if not (1 <= width <= largest and 1 <= height <= largest):
+        came = f"{width} x {height}"
+        raise InputError("picture size", wanted=f"1 to {largest} pixels along each side", came=came)
+
+
 class _Job(ctypes.Structure):
     """Mirror of RasterJob in native/raster.h, field by field; the self-test compares the sizes."""
 
@@ -230,10 +238,7 @@ class NativeRasteriser:
         self._prepared = gaussians
 
     def _set_view(self, view: View) -> None:
-        largest = limits.PICTURE_MAX_PX
-        if not (1 <= view.width <= largest and 1 <= view.height <= largest):
-            came = f"{view.width} x {view.height}"
-            raise InputError("picture size", wanted=f"1 to {largest} pixels along each side", came=came)
+        check_picture_size(view.width, view.height)
         job = self._job
         job.width, job.height = view.width, view.height
         job.tiles_x, job.tiles_y = -(-view.width // limits.TILE_PX), -(-view.height // limits.TILE_PX)

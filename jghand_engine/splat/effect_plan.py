@@ -57,6 +57,14 @@ class Choice:
             raise InputError("effects", wanted=wanted, came=", ".join(unknown) or repr(text))
         return cls(frozenset(map(Effect, words)))
 
+    def __str__(self) -> str:
+        """The words that `parse` takes."""
+        if self.forced:
+            return "all"
+        if self.named is None:
+            return "auto"
+        return ",".join(sorted(self.named)) or "none"
+
     def allows(self, effect: Effect) -> bool:
         """Whether the effect may run at all."""
         return self.named is None or effect in self.named

@@ -27,6 +27,7 @@ from jghand_engine.hand.frames import describe_flags
 from jghand_engine.hand.joints import JOINT_COUNT, LEVEL_NAMES
 from jghand_engine.hand.orders import check_joint_shape
 from jghand_engine.native import library as native_library
+from jghand_engine.native.rasteriser import check_picture_size
 from jghand_engine.splat.camera import Camera
 from jghand_engine.splat.effect_plan import Box, Effect, EffectPlan
 from jghand_engine.splat.effects import (
@@ -117,6 +118,8 @@ class SceneRenderer:
         InputError names a joint that is not finite; to hold the last good pose is the motion's business
         (`PoseSequence.with_gaps_held`).
         """
+        # what is drawn may be the hand's box alone
+        check_picture_size(camera.width, camera.height)
         if not self.settings.half:
             return self._render(joints_m, camera, shutter)
         return _enlarged(self._render(joints_m, halved(camera), shutter), camera)

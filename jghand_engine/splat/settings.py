@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from jghand_engine import limits
 from jghand_engine.avatar.tiers import Tier
@@ -71,6 +71,10 @@ class RenderSettings:
         for name, good, wanted in checks:
             if not good:
                 raise InputError(f"render setting {name}", wanted=wanted, came=str(getattr(self, name)))
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON: every setting by its name; effects in the words that `Choice.parse` takes."""
+        return {**vars(self), "effects": str(self.effects)}
 
     @classmethod
     def for_budget(

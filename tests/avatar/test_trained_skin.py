@@ -10,6 +10,7 @@ from small_avatars import small_avatar, trained_avatar
 from small_hands import bones_of, joints_of
 
 from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.cast_shadow import exponent
 from jghand_engine.avatar.correctives import Correction
 from jghand_engine.avatar.learnt import Ellipsoid, Learnt
 from jghand_engine.avatar.light import gloss, harmonics, lit, unit
@@ -19,6 +20,7 @@ from jghand_engine.avatar.skinning import (
     pose_gaussians,
     pose_skin,
     posed_skin,
+    see_lamps,
     seen_from,
     skin_maps,
     turning,
@@ -71,6 +73,13 @@ def matrices(covariance_m2: torch.Tensor | None) -> torch.Tensor:
     return covariance_m2[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
 
 
+def fallen(avatar: HandAvatar, bones: BoneTransforms) -> torch.Tensor:
+    """What the shadows that its fingers cast add to the exponent, in the world's light."""
+    cast = learnt_of(avatar).cast
+    assert cast is not None
+    return exponent(cast, see_lamps(cast, avatar.canonical_joints_m, bones))
+
+
 # ---- the light stays where it is -------------------------------------------------------------------------------------
 
 
@@ -94,6 +103,7 @@ def test_the_skin_takes_the_light_of_the_place_it_turns_to(pose):
     R, more, learnt = rotation(), correction(), learnt_of(AVATAR)
     here, there = (pose_skin(AVATAR, turned_bones(pose, turn), more) for turn in (torch.eye(3).double(), R))
     falling = harmonics(normals(here) @ R.T) @ learnt.light.irradiance.double() + more.shade
+    falling = falling + fallen(AVATAR, turned_bones(pose, R))
     wanted = AVATAR.rgb.double() * falling.clamp(-3, 3).exp()
     # worst seen 4e-15
     torch.testing.assert_close(there.matt.rgb, wanted, atol=1e-14, rtol=0)
@@ -166,7 +176,8 @@ def test_a_left_hand_is_the_mirror_image_in_everything_but_light(pose):
     )
     # the lamps are not mirrored: the left hand is lit as the world lights its own normals
     light = learnt_of(avatar).light.to(torch.float64)
-    torch.testing.assert_close(left.matt.rgb, lit(avatar.rgb.double(), normals(left), light, more.shade))
+    shade = more.shade + fallen(avatar, bones_of(left_joints, Handedness.LEFT))
+    torch.testing.assert_close(left.matt.rgb, lit(avatar.rgb.double(), normals(left), light, shade))
 
 
 def test_correctives_read_the_same_angles_of_a_left_hand():

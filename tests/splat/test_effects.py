@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -62,6 +63,12 @@ def test_a_choice_is_read_as_it_is_written():
     assert some.allows(Effect.SHADOW)
     assert not some.allows(Effect.TAIL)
     assert not some.forces(Effect.SHADOW)
+
+
+@pytest.mark.parametrize("text", ["auto", "all", "none", "depth", "depth,self-shadow"])
+def test_a_choice_is_written_as_it_is_read(text: str):
+    assert str(Choice.parse(text)) == text
+    assert json.loads(json.dumps(replace(SMALL, effects=Choice.parse(text)).as_dict()))["effects"] == text
 
 
 @pytest.mark.parametrize("text", ["", "shadows", "all,depth", "skin"])

@@ -81,7 +81,7 @@ def test_a_camera_that_moves_alone_asks_for_gloss_and_raster_only():
     case = frame_time.moving_camera_case(subject, settings, "moved")
     reports = [case.run() for _ in range(3)]
     assert [[stage.name for stage in report.stages if stage.ran][:2] for report in reports] == [
-        ["transform", "shadow gate"], ["shadow gate", "gloss"], ["shadow gate", "gloss"]
+        ["transform", "plan"], ["plan", "gloss"], ["plan", "gloss"]
     ]  # fmt: skip
     assert all(report.stage("raster").ran for report in reports)
 
