@@ -112,6 +112,8 @@ class CastAbout:
             raise wrong("learnt cast lamps", f"an even count of 2 to {limits.CAST_LAMPS_MAX}", lamps)
         if not (isinstance(anchors, int) and _is_count(anchors, UINT16_MAX) and anchors > 0):
             raise wrong("learnt cast anchors", f"a count of 1 to {UINT16_MAX}", anchors)
+        if lamps * anchors > limits.CAST_PAIRS_MAX:
+            raise wrong("learnt cast", f"lamps times anchors of at most {limits.CAST_PAIRS_MAX:,}", value)
         return cls(lamps, anchors)
 
 

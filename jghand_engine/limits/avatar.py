@@ -118,4 +118,6 @@ BOUNCED_MIN = 1e-12
 LIGHT_TO_DISPLAY = 1 / 2.2
 # what a file may hold: lamps; by how much shares and weights of an anchor, of 16 bits, may sum to something else than 1
 CAST_LAMPS_MAX = 256
+# ... and anchors times lamps: the torch form holds some ten float32 for each; ours has 131,072 pairs
+CAST_PAIRS_MAX = 4_000_000
 CAST_SUM_TOLERANCE = 5e-3

@@ -287,6 +287,7 @@ LEARNT_FIELDS: dict[str, list[Any]] = {
         {"lamps": 20},
         *({"lamps": lamps, "anchors": 50} for lamps in (0, 7, 18, -20, 10**9, "20", True)),
         *({"lamps": 20, "anchors": anchors} for anchors in (0, 49, -1, 65536, 50.0, None)),
+        {"lamps": 256, "anchors": 65535},
     ],
 }
 NET_FIELDS: dict[str, list[Any]] = {
