@@ -21,6 +21,7 @@ import numpy as np
 import torch
 from scipy.spatial import KDTree
 from torch import Tensor
+from torch.utils.checkpoint import checkpoint
 
 from jghand_engine import limits
 from jghand_engine.errors import InputError
@@ -145,7 +146,10 @@ def lamps_seen(
     hidden = 1 - shadow.own.to(position_m)
     visible = torch.ones_like(cosine)
     for bone, (start, end, radius_m) in enumerate(zip(*capsules(joints_m, hand_scale), strict=True)):
-        stands_free = past_capsule(position_m, direction, start, end, radius_m)
+        # with gradients, what lies between is computed again in the backward pass: it would fill gigabytes
+        stands_free: Tensor = checkpoint(
+            past_capsule, position_m, direction, start, end, radius_m, use_reentrant=False, preserve_rng_state=False
+        )  # type: ignore[assignment]
         visible = visible * (1 - hidden[:, bone, None] * (1 - stands_free))
     return LampsSeen(cosine, cosine * visible)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 
 import torch
@@ -17,6 +17,7 @@ from torch import Tensor
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin, load_painted
+from jghand_engine.avatar.cast_shadow import own_flesh, place_anchors
 from jghand_engine.avatar.gaussians import Gaussians
 from jghand_engine.avatar.skinning import apply, pose_gaussians
 from jghand_engine.hand.frames import describe_flags
@@ -208,7 +209,7 @@ def hand_row(case: HandCase) -> HandRow:
 
 def correctives_row(case: HandCase) -> HandRow:
     """The row of a hand far outside what the trained avatar has learnt from: skin and picture with its correctives."""
-    avatar = load_builtin(handedness=case.handedness).prefix(limits.STABILITY_GAUSSIANS)
+    avatar = _with_fewer_anchors(load_builtin(handedness=case.handedness).prefix(limits.STABILITY_GAUSSIANS))
     transform = avatar.bone_transform()
     flags = describe_flags(int(transform.frames(case.joints_m - case.joints_m[:1]).flags))
 
@@ -223,6 +224,16 @@ def correctives_row(case: HandCase) -> HandRow:
     picture = hand_picture(avatar, case)
     name = f"trained hand, {case.name}"
     return HandRow(name, flags, measured, None, picture, misses(measured, picture, flagged=bool(flags)))
+
+
+def _with_fewer_anchors(avatar: HandAvatar) -> HandAvatar:
+    """Its cast shadow at so few anchors that the gradients of many hands fit into memory together."""
+    learnt = avatar.learnt
+    if learnt is None or learnt.cast is None:
+        return avatar
+    anchors = place_anchors(avatar.position_m, learnt.normal, avatar.bone_weights, limits.STABILITY_ANCHORS)
+    cast = replace(learnt.cast, anchors=anchors, own=own_flesh(anchors, avatar.canonical_joints_m))
+    return replace(avatar, learnt=replace(learnt, cast=cast))
 
 
 def misses(measured: Measured, picture: PictureError, *, flagged: bool) -> list[str]:
