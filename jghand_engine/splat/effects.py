@@ -38,7 +38,8 @@ class HandFacts:
 
     avatar: as it is drawn, see `equipped` · look: of its shadow, None where it was learnt without one ·
     keeps_correctives: whether it is worth while to use those of the last pose again · sigma_m: of its median Gaussian ·
-    offset_m: the longest offset of its correctives along an axis
+    offset_m: the longest offset of its correctives along an axis · log_stretch: the largest of an axis of its
+    ellipsoids, None for spheres
     """
 
     def __init__(self, avatar: HandAvatar) -> None:
@@ -51,6 +52,8 @@ class HandFacts:
         self.sigma_m = float(avatar.sigma_m.median()) if len(avatar) else 0.0
         self._corners_m = _corners(avatar)
         self.offset_m = 0.0 if self.learnt is None else _longest_offset_m(self.learnt.correctives)
+        ellipsoid = None if self.learnt is None else self.learnt.ellipsoid
+        self.log_stretch = float(ellipsoid.log_stretch.abs().max()) if ellipsoid is not None and len(avatar) else None
         self._sigma_max_m = self._longest_radius_m()
 
     def _longest_radius_m(self) -> float:
@@ -204,10 +207,8 @@ def _correctives(scene: Scene, hands: Sequence[HandFacts], settings: RenderSetti
     corrected = [hand for hand in hands if hand.learnt is not None and hand.learnt.correctives is not None]
     if not corrected:
         return Decision(Effect.CORRECTIVES, False, "no avatar has any", "0", 0.0)
-    linear = [isinstance(hand.learnt.correctives, LinearCorrectives) for hand in corrected if hand.learnt]
     cost = sum(
-        len(hand.avatar) * (limits.LINEAR_MS if cheap else limits.NETWORK_MS)
-        for hand, cheap in zip(corrected, linear, strict=True)
+        len(hand.avatar) * (limits.NETWORK_MS if hand.keeps_correctives else limits.LINEAR_MS) for hand in corrected
     )
     reach = max(hand.offset_m for hand in corrected)
     if scene.moved_m is not None:
@@ -231,15 +232,13 @@ def _cast(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings) ->
 
 
 def _anisotropy(hands: Sequence[HandFacts], settings: RenderSettings) -> Decision:
-    stretched = [
-        hand.learnt.ellipsoid for hand in hands if hand.learnt is not None and hand.learnt.ellipsoid is not None
-    ]
+    stretched = [hand.log_stretch for hand in hands if hand.log_stretch is not None]
     if not settings.effects.allows(Effect.ANISOTROPY):
         return Decision(Effect.ANISOTROPY, False, NOT_ALLOWED, "spheres in place of ellipsoids")
     if not stretched:
         return Decision(Effect.ANISOTROPY, False, "all Gaussians are spheres, projected exactly", "0", 0.0)
-    longest = max(float(one.log_stretch.abs().max()) for one in stretched)
-    return Decision(Effect.ANISOTROPY, True, "ellipsoids", f"axes up to {math.exp(longest):.1f} times as long", 1.0)
+    longest = math.exp(max(stretched))
+    return Decision(Effect.ANISOTROPY, True, "ellipsoids", f"axes up to {longest:.1f} times as long", 1.0)
 
 
 # ---- shadow ---------------------------------------------------------------------------------------------------------
