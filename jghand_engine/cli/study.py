@@ -12,6 +12,7 @@ from jghand_engine.cli.console import progress, say, say_whole_table, write_json
 from jghand_engine.cli.options import AvatarOptions, File, FormatOptions, ReportOptions
 from jghand_engine.cli.study_accuracy import AccuracyOptions, AccuracyRequest, run_accuracy
 from jghand_engine.cli.study_effects import EffectsRequest, run_effects
+from jghand_engine.cli.study_files import Places
 from jghand_engine.cli.study_stability import run_stability
 from jghand_engine.errors import InputError
 
@@ -53,15 +54,14 @@ class Study:
     report: ReportOptions = field(default_factory=ReportOptions)
 
     def run(self) -> None:
+        places = Places(self.out, self.checkout, self.report.json)
         if self.name == "effects":
             request = (self.avatar.avatar, self.motion, self.format, self.capture, self.out, self.report.json)
             run_effects(EffectsRequest(*request))
         elif self.name == "accuracy":
-            run_accuracy(AccuracyRequest(
-                self.of or self.avatar.avatar, self.capture, self.out, self.checkout, self.report.json, self.accuracy
-            ))  # fmt: skip
+            run_accuracy(AccuracyRequest(self.of or self.avatar.avatar, self.capture, places, self.accuracy))
         elif self.name == "stability":
-            run_stability(self.out, self.checkout, self.report.json)
+            run_stability(places)
         else:
             self._run_transform()
 

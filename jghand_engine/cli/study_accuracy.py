@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from jghand_engine.cli.console import say, say_whole_table, write_json
+from jghand_engine.cli.console import say, say_whole_table
 from jghand_engine.cli.options import pixels
+from jghand_engine.cli.study_files import Pages, Places, write_pages
 from jghand_engine.errors import InputError
-from jghand_engine.files import make_folder, writing
 
 if TYPE_CHECKING:
     from jghand_engine.avatar.avatar import HandAvatar
@@ -47,14 +47,11 @@ class AccuracyOptions:
 
 @dataclass(frozen=True)
 class AccuracyRequest:
-    """avatar: as users call it · capture: folder, None for none · out: folder of what is written · checkout: whose docs
-    and README get the page, too · json: also write the figures there"""
+    """avatar: as users call it · capture: folder, None for none"""
 
     avatar: str
     capture: Path | None
-    out: Path | None
-    checkout: Path | None
-    json: Path | None
+    places: Places
     options: AccuracyOptions
 
 
@@ -66,7 +63,8 @@ def run_accuracy(request: AccuracyRequest) -> None:
     from jghand_engine.studies.accuracy_measures import Plan, measure_accuracy, profile_of
     from jghand_engine.studies.figures import check_matplotlib
 
-    folder, options, name = _folder(request.out, request.checkout), request.options, request.avatar
+    options, name = request.options, request.avatar
+    request.places.check()
     for option, value in (("--rounds", options.rounds), ("--limit", options.limit)):
         if value < 1:
             raise InputError(option, wanted="1 or more", came=str(value))
@@ -82,7 +80,7 @@ def run_accuracy(request: AccuracyRequest) -> None:
     say(study.headline)
     kept = write_profile(avatar, size_px, thread_count(options.threads), profile_of(study, plan))
     say("`jghand render --budget-ms` chooses from this." if kept else "The profile could not be kept.")
-    _write(folder, study, request.json, request.checkout)
+    _write(study, request.places)
 
 
 def _log_beside(name: str) -> Path | None:
@@ -113,43 +111,11 @@ def _truth(avatar: HandAvatar, folder: Path, limit: int) -> Truth:
     return held_out_truth(capture.name, categories, told.split.origin, [] if stand_in is None else [stand_in])
 
 
-def _folder(out: Path | None, checkout: Path | None) -> Path:
-    """Where everything goes; what can be refused is refused before anything is measured."""
-    folder = Path("study") if out is None else out
-    if folder.exists() and not folder.is_dir():
-        raise InputError("--out", wanted="a folder", came=f"the file {folder}")
-    if checkout is not None and not (checkout / "docs").is_dir():
-        raise InputError("--checkout", wanted="a folder that holds docs/ and README.md", came=str(checkout))
-    return folder
-
-
-def _write(folder: Path, study: Accuracy, json: Path | None, checkout: Path | None) -> None:
+def _write(study: Accuracy, places: Places) -> None:
     from jghand_engine.studies.accuracy_page import PICTURE, SECTION, html_page, markdown_page, readme_section
     from jghand_engine.studies.accuracy_plot import draw_figure
     from jghand_engine.studies.figures import png_of, svg_of
 
     figure = draw_figure(study)
-    picture, page = png_of(figure), markdown_page(study).encode()
-    make_folder(folder)
-    files = {PICTURE: picture, "ACCURACY.md": page, "accuracy.html": html_page(study, svg_of(figure)).encode()}
-    for name, content in files.items():
-        _write_file(folder / name, content)
-    content = {"command": "study accuracy", **study.as_dict()}
-    for path in (folder / "accuracy.json", json):
-        if path is not None:
-            write_json(path, content)
-    say(f"{folder / 'accuracy.html'} written; accuracy.png, ACCURACY.md and accuracy.json are beside it")
-    if checkout is None:
-        return
-    readme = checkout / "README.md"
-    text = SECTION.renewed(readme.read_text(encoding="utf-8"), readme_section(study, f"docs/{PICTURE}"))
-    for path, content in (
-        (checkout / "docs" / PICTURE, picture), (checkout / "docs" / "ACCURACY.md", page), (readme, text.encode())
-    ):  # fmt: skip
-        _write_file(path, content)
-    say(f"{checkout / 'docs' / 'ACCURACY.md'} and the README's section renewed")
-
-
-def _write_file(path: Path, content: bytes) -> None:
-    with writing(path) as temporary:
-        temporary.write_bytes(content)
+    page, readme = html_page(study, svg_of(figure)), readme_section(study, f"docs/{PICTURE}")
+    write_pages(Pages(SECTION, png_of(figure), markdown_page(study), page, readme, study.as_dict()), places)

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jghand_engine.cli.console import progress, say, say_whole_table, write_json
-from jghand_engine.errors import InputError
-from jghand_engine.files import make_folder, writing
+from jghand_engine.cli.study_files import study_folder, write_bytes
+from jghand_engine.files import make_folder
 
 if TYPE_CHECKING:
     import numpy as np
@@ -27,7 +27,7 @@ CAPTURE_PICTURES = 200
 @dataclass(frozen=True)
 class EffectsRequest:
     """avatar: name or file · motion: file, None for named poses · format: of the file · capture: folder of pictures for
-    the gate, None for named poses · out: folder · json: another place for the figures · threads"""
+    the gate, None for named poses · out: folder · json: another place for the figures"""
 
     avatar: str
     motion: Path | None
@@ -43,17 +43,15 @@ def run_effects(request: EffectsRequest) -> None:
     from jghand_engine.studies.effects_plot import draw_figure
     from jghand_engine.studies.figures import check_matplotlib, png_of
 
-    folder = Path("study") if request.out is None else request.out
-    if folder.exists() and not folder.is_dir():
-        raise InputError("--out", wanted="a folder", came=f"the file {folder}")
+    folder = study_folder(request.out)
     check_matplotlib()
     study = _measured(load_avatar_called(request.avatar), request)
     for table in study.tables():
         say_whole_table(table)
     make_folder(folder)
-    _write(folder / PICTURE, png_of(draw_figure(study)))
+    write_bytes(folder / PICTURE, png_of(draw_figure(study)))
     markdown = "\n".join([f"![What ran on each frame, and what that saved]({PICTURE})", ""])
-    _write(folder / "effects.md", (markdown + "\n" + "\n".join(t.markdown() for t in study.tables())).encode())
+    write_bytes(folder / "effects.md", (markdown + "\n" + "\n".join(t.markdown() for t in study.tables())).encode())
     content = {"command": "study effects", **study.as_dict()}
     write_json(folder / "effects.json", content)
     if request.json is not None:
@@ -111,8 +109,3 @@ def _gate(avatar: HandAvatar, camera: Camera, request: EffectsRequest) -> list[G
     renderer = HandRenderer(avatar, settings)
     step = -(-len(capture.samples) // CAPTURE_PICTURES)
     return [gate_row(renderer, avatar, sample) for sample in capture.samples[::step]]
-
-
-def _write(path: Path, content: bytes) -> None:
-    with writing(path) as temporary:
-        temporary.write_bytes(content)

@@ -12,7 +12,6 @@ TITLE = "Hard cases stay stable"
 COMMAND = "jghand study stability --out study/"
 PICTURE = "stability.png"
 SECTION = Section("stability")
-BEGIN, END = SECTION.begin, SECTION.end
 
 _WHY = (
     "A hand has places where the usual formulas break: a finger that is exactly straight, or turned to the side, has "
@@ -65,11 +64,6 @@ def readme_section(study: Stability, picture: str) -> str:
             width=120, break_on_hyphens=False, break_long_words=False,
         ),
     )  # fmt: skip
-
-
-def with_section(text: str, section: str) -> str:
-    """A README's text with the section renewed. InputError when its marks are missing."""
-    return SECTION.renewed(text, section)
 
 
 def html_page(study: Stability, svg: str) -> str:

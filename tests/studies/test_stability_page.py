@@ -17,7 +17,7 @@ from jghand_engine.studies import figures, stability, stability_plot, stability_
 from jghand_engine.studies.stability import Stability, short
 from jghand_engine.studies.stability_curves import AutocastRow, Curve
 from jghand_engine.studies.stability_measures import HandRow, Measured
-from jghand_engine.studies.stability_page import BEGIN, END, html_page, markdown_page, with_section
+from jghand_engine.studies.stability_page import SECTION, html_page, markdown_page
 from jghand_engine.studies.stability_pictures import PictureError, PictureRow
 from jghand_engine.studies.stability_views import ViewPair
 
@@ -79,9 +79,10 @@ def test_numbers_are_short(value, text):
 
 
 def test_only_the_marked_part_of_a_readme_changes():
-    assert with_section(f"a\n{BEGIN}\nold\n{END}\nb\n", f"{BEGIN}\nnew\n{END}") == f"a\n{BEGIN}\nnew\n{END}\nb\n"
+    begin, end = SECTION.begin, SECTION.end
+    assert SECTION.renewed(f"a\n{begin}\nold\n{end}\nb\n", f"{begin}\nnew\n{end}") == f"a\n{begin}\nnew\n{end}\nb\n"
     with pytest.raises(InputError, match="marks"):
-        with_section("nothing", "new")
+        SECTION.renewed("nothing", "new")
 
 
 def test_the_command_writes_folder_and_checkout(study, tmp_path, monkeypatch, capsys):
@@ -89,7 +90,7 @@ def test_the_command_writes_folder_and_checkout(study, tmp_path, monkeypatch, ca
     monkeypatch.setattr(stability_views, "view_pairs", views)
     checkout = tmp_path / "checkout"
     (checkout / "docs").mkdir(parents=True)
-    (checkout / "README.md").write_text(f"# Name\n{BEGIN}\n{END}\n", encoding="utf-8")
+    (checkout / "README.md").write_text(f"# Name\n{SECTION.begin}\n{SECTION.end}\n", encoding="utf-8")
     out = tmp_path / "study"
     assert main(["study", "stability", "--out", str(out), "--checkout", str(checkout)]) == 0
     assert "2 meet every bound" in capsys.readouterr().out
