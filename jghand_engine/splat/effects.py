@@ -249,7 +249,8 @@ def _shadows(
 ) -> tuple[float, tuple[Decision, Decision]]:
     """Strength 0..1 of the pass that shades all hands, and why: parts of a hand, and hands, near each other."""
     looks = [hand.look for hand in hands if hand.look is not None]
-    cost = _hand_pixels(scene, hands) * settings.shadow_samples * limits.SHADOW_MS
+    extents_px = [_extent_px(joints, scene.camera) for joints in scene.joints_m]
+    cost = _hand_pixels(extents_px, scene.camera) * settings.shadow_samples * limits.SHADOW_MS
     darkest = settings.shadow_strength * max((max(look.tint) for look in looks), default=0.0)
 
     def neither(reason: str, bound: str, worst: float | None) -> tuple[float, tuple[Decision, Decision]]:
@@ -266,7 +267,7 @@ def _shadows(
     always = settings.shadow is ShadowMode.ALWAYS or settings.effects.forces(Effect.SHADOW)
     # colours that were learnt under a shadow that fades with the pose have in them what it leaves out
     learnt = any(hand.learnt is not None for hand in hands)
-    size_px = max(_extent_px(joints, scene.camera) for joints in scene.joints_m)
+    size_px = max(extents_px)
     if size_px < limits.SHADOW_HAND_MIN_PX and not always:
         return neither(f"hand {size_px:.0f} px", "a few pixels of crease", darkest)
     own = _own_score(scene, hands) if allowed[0] else 0.0
@@ -455,13 +456,10 @@ def _whole(
     return True, Decision(Effect.WHOLE, False, reason, "one 8-bit step", ONE_STEP, (1 - part) * pixels * limits.MAP_MS)
 
 
-def _hand_pixels(scene: Scene, hands: Sequence[HandFacts]) -> float:
-    """Pixels that the hands cover, roughly: the boxes of their joints, half filled."""
-    total = 0.0
-    for joints in scene.joints_m:
-        side = min(_extent_px(joints, scene.camera), max(scene.camera.width, scene.camera.height))
-        total += 0.5 * side * min(side, scene.camera.height)
-    return total
+def _hand_pixels(extents_px: Sequence[float], camera: Camera) -> float:
+    """Pixels that hands of these extents cover, roughly: the boxes of their joints, half filled."""
+    sides = [min(extent_px, max(camera.width, camera.height)) for extent_px in extents_px]
+    return sum(0.5 * side * min(side, camera.height) for side in sides)
 
 
 def hand_box(
