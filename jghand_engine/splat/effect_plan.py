@@ -120,7 +120,7 @@ class EffectPlan:
 
     decisions: one per effect · strength: of the shadow pass, 0..1 · alpha_min: cut-off of the blend · enlarged: times
     that a small hand is drawn larger and averaged, 1 = not · plain: share, 0..1, of the picture that is not ·
-    exposures: pictures that are averaged for motion and focus · crops: whether only the hand's box is drawn
+    exposures: pictures that are averaged for motion and focus
     """
 
     decisions: tuple[Decision, ...] = field(default=())
@@ -129,7 +129,6 @@ class EffectPlan:
     enlarged: int = 1
     plain: float = 0.0
     exposures: int = 1
-    crops: bool = True
 
     def __getitem__(self, effect: Effect) -> Decision:
         return next(decision for decision in self.decisions if decision.effect is effect)

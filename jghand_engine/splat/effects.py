@@ -172,7 +172,6 @@ def plan_effects(scene: Scene, hands: Sequence[HandFacts], settings: RenderSetti
     alpha_min, tail = _tail(hands, settings)
     (enlarged, plain), smooth = _filter(scene, hands, settings, alpha_min)
     exposures, time_and_lens = _exposures(scene, hands, settings)
-    crops, whole = _whole(scene, hands, settings, alpha_min)
     decisions = (
         skin,
         _correctives(scene, hands, settings),
@@ -183,9 +182,9 @@ def plan_effects(scene: Scene, hands: Sequence[HandFacts], settings: RenderSetti
         *_maps(scene, settings),
         *time_and_lens,
         tail,
-        whole,
+        _whole(scene, hands, settings, alpha_min),
     )
-    return EffectPlan(decisions, strength, alpha_min, enlarged, plain, exposures, crops)
+    return EffectPlan(decisions, strength, alpha_min, enlarged, plain, exposures)
 
 
 def _count(hands: Sequence[HandFacts]) -> int:
@@ -438,22 +437,19 @@ def _disc_px(scene: Scene, hands: Sequence[HandFacts]) -> float:
     return max(lens.blur_px(max(camera.fx, camera.fy), depth) for depth in ends)
 
 
-def _whole(
-    scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings, alpha_min: float
-) -> tuple[bool, Decision]:
-    """Whether only the hand's box is drawn."""
+def _whole(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings, alpha_min: float) -> Decision:
+    """Whether more than the hand's box is drawn."""
     camera = scene.camera
     pixels = camera.width * camera.height
     if settings.effects.forces(Effect.WHOLE):
-        return False, Decision(Effect.WHOLE, True, "on every frame", "0", 0.0, pixels * limits.MAP_MS)
+        return Decision(Effect.WHOLE, True, "on every frame", "0", 0.0, pixels * limits.MAP_MS)
     box = hand_box(scene.joints_m, scene.bones, hands, camera, alpha_min)
     part = 1.0 if box is None else box.width * box.height / pixels
-    if part > limits.CROP_PART_MAX:
-        reason = f"the hand's box is {100 * part:.0f} % of it"
-        return False, Decision(Effect.WHOLE, True, reason, "0", 0.0, pixels * limits.MAP_MS)
     reason = f"the hand's box is {100 * part:.0f} % of it"
+    if part > limits.CROP_PART_MAX:
+        return Decision(Effect.WHOLE, True, reason, "0", 0.0, pixels * limits.MAP_MS)
     # centres of pixels are rounded elsewhere: a contribution at the cut may fall on its other side
-    return True, Decision(Effect.WHOLE, False, reason, "one 8-bit step", ONE_STEP, (1 - part) * pixels * limits.MAP_MS)
+    return Decision(Effect.WHOLE, False, reason, "one 8-bit step", ONE_STEP, (1 - part) * pixels * limits.MAP_MS)
 
 
 def _hand_pixels(extents_px: Sequence[float], camera: Camera) -> float:

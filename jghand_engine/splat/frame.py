@@ -217,7 +217,7 @@ class SceneRenderer:
     def _picture(self, shot: _Shot, camera: Camera, plan: EffectPlan, report: FrameReport) -> Drawn:
         """One moment through one pinhole: of the whole picture or of the hands' box in it."""
         posed, box = shot.posed, None
-        if plan.crops or plan.enlarged > 1:
+        if plan.enlarged > 1 or not plan.runs(Effect.WHOLE):
             bones = [pose.bones for pose in posed.poses]
             box = hand_box(posed.kept.joints_m, bones, self._facts, camera, plan.alpha_min)
         box = box or Box(0, 0, camera.width, camera.height)
