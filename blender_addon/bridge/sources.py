@@ -8,14 +8,14 @@ Source: BLENDER 6.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 
 import bpy
 import numpy as np
 
 from ..core import bone_maps
-from ..core.bone_maps import BoneMap, Recognition
-from ..core.joints import HANDEDNESSES, NAMES
+from ..core.bone_maps import BoneMap, JointSource, Recognition
+from ..core.joints import NAMES
 from ..core.messages import JGHandFailure
 from ..core.view import HandInSpace
 from . import armature
@@ -34,8 +34,7 @@ def recognise_objects(objects: Sequence[bpy.types.Object], handedness: str) -> R
 def objects_of(bone_map: BoneMap, objects: Sequence[bpy.types.Object]) -> list[bpy.types.Object]:
     """The 21 objects that a map of object names means, standard order. JGHandFailure: bad_bone_map."""
     known = {thing.name: thing for thing in objects}
-    _check_whole(bone_map, known)
-    return [known[source.bone] for source in bone_map.sources if source is not None]
+    return [known[source.bone] for source in _whole_sources(bone_map, known)]
 
 
 def store_map(rig: bpy.types.Object, bone_map: BoneMap) -> None:
@@ -50,8 +49,7 @@ def store_objects(holder: bpy.types.Object, objects: Sequence[bpy.types.Object],
     """Makes an object (an empty) stand for a hand of 21 objects, standard order. JGHandFailure: bad_bone_map."""
     if len(objects) != len(NAMES) or len(set(objects)) != len(NAMES):
         raise JGHandFailure("bad_bone_map", f"wanted {len(NAMES)} different objects, got {len(set(objects))}")
-    if handedness not in HANDEDNESSES:
-        raise JGHandFailure("bad_bone_map", f"handedness {handedness!r}, wanted {' or '.join(HANDEDNESSES)}")
+    bone_maps.check_handedness(handedness)
     for name, thing in zip(NAMES, objects, strict=True):
         holder[armature.OBJECT_PROPERTIES[name]] = thing
     holder[armature.HANDEDNESS_PROPERTY] = handedness
@@ -100,8 +98,7 @@ def read_mapped(rig: bpy.types.Object, bone_map: BoneMap, depsgraph: bpy.types.D
     if evaluated.pose is None:
         raise JGHandFailure("not_a_hand", f"{rig.name} is no armature")
     bones = evaluated.pose.bones
-    _check_whole(bone_map, bones)
-    sources = [source for source in bone_map.sources if source is not None]
+    sources = _whole_sources(bone_map, bones)
     ends = {}
     for end in bone_maps.ENDS:
         ends[end] = np.empty((len(bones), 3), np.float32)
@@ -130,11 +127,13 @@ def _bones(rig: bpy.types.Object) -> bpy.types.ArmatureBones:
     return rig.data.bones
 
 
-def _check_whole(bone_map: BoneMap, known: object) -> None:
-    """Refuses a map with a joint that has no source, or whose source is not there any more."""
+def _whole_sources(bone_map: BoneMap, known: Container[str]) -> list[JointSource]:
+    """The 21 sources; refuses a map with a joint that has no source, or whose source is not there any more."""
     empty = [name for name, source in zip(NAMES, bone_map.sources, strict=True) if source is None]
     if empty:
         raise JGHandFailure("bad_bone_map", f"no bone for {', '.join(empty)}")
-    gone = [source.bone for source in bone_map.sources if source is not None and source.bone not in known]  # type: ignore
+    sources = [source for source in bone_map.sources if source is not None]
+    gone = [source.bone for source in sources if source.bone not in known]
     if gone:
         raise JGHandFailure("bad_bone_map", f"not there any more: {', '.join(gone)}")
+    return sources

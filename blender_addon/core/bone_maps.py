@@ -96,8 +96,7 @@ def recognise(names: Iterable[str], handedness: str, *, tails: bool = True) -> R
 
     tails: whether the tip of a finger may be the tail of its last bone; objects have no tail.
     """
-    if handedness not in HANDEDNESSES:
-        raise JGHandFailure("bad_bone_map", f"handedness {handedness!r}, wanted {' or '.join(HANDEDNESSES)}")
+    check_handedness(handedness)
     index = _Index(names)
     found = [candidate for convention in CONVENTIONS for candidate in _candidates(convention, index, handedness, tails)]
     best = max((candidate.score for candidate in found), default=0)
@@ -132,16 +131,14 @@ def from_json(text: str) -> BoneMap:
         sources = {name: JointSource(str(bone), str(end)) for name, (bone, end) in joints.items()}
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise JGHandFailure("bad_bone_map", f"not readable: {error}") from error
-    if handedness not in HANDEDNESSES:
-        raise JGHandFailure("bad_bone_map", f"handedness {handedness!r}, wanted {' or '.join(HANDEDNESSES)}")
+    check_handedness(handedness)
     unknown = [name for name in sources if name not in NAMES]
     if unknown:
         raise JGHandFailure("bad_bone_map", f"no joints of a hand: {', '.join(unknown)}")
     wrong = [name for name, source in sources.items() if source.end not in ENDS]
     if wrong:
         raise JGHandFailure("bad_bone_map", f"neither head nor tail: {', '.join(wrong)}")
-    missing = tuple(f"{name} has no bone." for name in NAMES if name not in sources)
-    return BoneMap(handedness, tuple(sources.get(name) for name in NAMES), missing=missing)
+    return by_hand(handedness, [sources.get(name) for name in NAMES])
 
 
 def by_hand(handedness: str, sources: Sequence[JointSource | None]) -> BoneMap:
@@ -150,6 +147,12 @@ def by_hand(handedness: str, sources: Sequence[JointSource | None]) -> BoneMap:
         raise JGHandFailure("bad_bone_map", f"wanted {len(NAMES)} joints, got {len(sources)}")
     missing = tuple(f"{name} has no bone." for name, source in zip(NAMES, sources, strict=True) if source is None)
     return BoneMap(handedness, tuple(sources), missing=missing)
+
+
+def check_handedness(handedness: str) -> None:
+    """JGHandFailure (bad_bone_map) for what is no hand's side."""
+    if handedness not in HANDEDNESSES:
+        raise JGHandFailure("bad_bone_map", f"handedness {handedness!r}, wanted {' or '.join(HANDEDNESSES)}")
 
 
 def _key(name: str) -> str:
