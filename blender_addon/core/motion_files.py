@@ -28,6 +28,7 @@ import numpy as np
 from . import limits
 from .joints import FINGERS, HANDEDNESSES, NAMES
 from .messages import JGHandFailure
+from .posing import last_good_frames
 
 _METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 # for each joint of the standard order its place in the file's order: level by level, and the standard itself
@@ -114,10 +115,9 @@ def _held(path: Path, joints: np.ndarray, whole: np.ndarray) -> tuple[np.ndarray
         return joints, ()
     if not whole.any():
         raise JGHandFailure("bad_motion", f"{path}: no frame has all 21 joints")
-    source = np.maximum.accumulate(np.where(whole, np.arange(len(whole)), -1))
-    source[source < 0] = int(np.argmax(whole))
     count = int((~whole).sum())
-    return joints[source], (f"{count} of {len(whole)} frames miss joints; they hold the last whole pose.",)
+    note = f"{count} of {len(whole)} frames miss joints; they hold the last whole pose."
+    return joints[last_good_frames(whole)], (note,)
 
 
 def _read_npz(path: Path) -> tuple[np.ndarray, np.ndarray | None, Mapping[str, Any]]:

@@ -14,11 +14,12 @@ from pathlib import Path
 
 import numpy as np
 
-from .joints import HANDEDNESSES, LEFT, NAMES, PARENTS
+from .joints import LEFT, NAMES, PARENTS
 from .messages import JGHandFailure
+from .posing import check_handedness
 
 TABLE = Path(__file__).resolve().parents[1] / "assets" / "poses.json"
-POSE, LETTER = KINDS = ("pose", "letter")
+POSE, LETTER = "pose", "letter"
 _MIRROR = np.array([1.0, 1.0, -1.0, -1.0])
 
 # Catalogs of the library: identities must never change, or assets lose their place. Made once at random.
@@ -57,8 +58,7 @@ class HandPose:
 
 def all_poses(handedness: str) -> tuple[HandPose, ...]:
     """Every pose of the table for one hand. Raises JGHandFailure: not_a_hand, bad_file (a broken installation)."""
-    if handedness not in HANDEDNESSES:
-        raise JGHandFailure("not_a_hand", f"handedness {handedness!r}, wanted {' or '.join(HANDEDNESSES)}")
+    check_handedness(handedness)
     mirror = _MIRROR if handedness == LEFT else np.ones(4)
     return tuple(
         HandPose(

@@ -36,7 +36,7 @@ def rest_joints_m(handedness: str, like_m: np.ndarray | None = None) -> np.ndarr
     like_m: (F, 21, 3) joints of a motion, metres; the rest hand then has its median bone lengths, so that a motion
     with constant lengths is keyed by rotations (and the place of the knuckles in the palm) alone.
     """
-    _check_handedness(handedness)
+    check_handedness(handedness)
     joints = np.array(REST_RIGHT_M)
     if handedness == LEFT:
         joints = joints * (-1.0, 1.0, 1.0)
@@ -54,7 +54,7 @@ def rest_joints_m(handedness: str, like_m: np.ndarray | None = None) -> np.ndarr
 
 def rest_matrices(joints: np.ndarray, handedness: str) -> np.ndarray:
     """(21, 3) joints of a rest pose -> (21, 4, 4) bone matrices: columns x, y, z, head; any unit."""
-    _check_handedness(handedness)
+    check_handedness(handedness)
     joints = checked_joints(joints[None])[0]
     _check_bones(joints)
     palm = palm_axes(joints[None], handedness)[0]
@@ -123,7 +123,8 @@ def polar_rotation(linear: np.ndarray) -> np.ndarray:
     return left @ right
 
 
-def _check_handedness(handedness: str) -> None:
+def check_handedness(handedness: str) -> None:
+    """JGHandFailure (not_a_hand) for what is no hand's side."""
     if handedness not in HANDEDNESSES:
         raise JGHandFailure("not_a_hand", f"handedness {handedness!r}, wanted {' or '.join(HANDEDNESSES)}")
 
@@ -147,8 +148,13 @@ def palm_axes(joints: np.ndarray, handedness: str) -> np.ndarray:
     good &= _sine(middle, normal) > limits.PALM_SINE_MIN
     if not good.any():
         raise JGHandFailure("bad_joints", "wrist and knuckles lie on a line in every frame")
-    last_good = np.maximum.accumulate(np.where(good, np.arange(len(good)), int(np.argmax(good))))
+    last_good = last_good_frames(good)
     return _axes_along(middle[last_good], normal[last_good])
+
+
+def last_good_frames(good: np.ndarray) -> np.ndarray:
+    """(F,) whether a frame is good, as one is at least -> (F,) the last good frame, before the first good one that."""
+    return np.maximum.accumulate(np.where(good, np.arange(len(good)), int(np.argmax(good))))
 
 
 def _sine(a: np.ndarray, b: np.ndarray) -> np.ndarray:
