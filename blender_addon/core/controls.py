@@ -10,7 +10,7 @@ already counts. Sources: METHOD 4.1 and DATA 8 for the ranges; BLENDER 6 for the
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -76,7 +76,7 @@ def spread_sign(finger: int, handedness: str) -> float:
 
 def finger_moves(rest: np.ndarray, finger: int, handedness: str) -> tuple[Move, ...]:
     """What the control of a finger does to its three bones. rest: (21, 4, 4)."""
-    full = np.radians(limits.CURL_DEG[0 if finger == 0 else 1]) - (0.0 if finger == 0 else rest_flexions(rest)[finger])
+    full = np.radians(limits.CURL_DEG[0 if finger == 0 else 1]) - rest_flexions(rest)[finger]
     spread = spread_sign(finger, handedness) * np.radians(limits.SPREAD_FULL_DEG)
     return tuple(
         Move(bone, float(full[level]), level == 0, float(spread) if level == 0 else 0.0)
@@ -87,10 +87,7 @@ def finger_moves(rest: np.ndarray, finger: int, handedness: str) -> tuple[Move, 
 def hand_moves(rest: np.ndarray, finger: int, handedness: str) -> tuple[Move, ...]:
     """What the control of the hand does to the three bones of a finger."""
     part = limits.SPLAY_PARTS[finger]
-    return tuple(
-        Move(move.bone, move.flexion, move.goes_back, part * move.spread)
-        for move in finger_moves(rest, finger, handedness)
-    )
+    return tuple(replace(move, spread=part * move.spread) for move in finger_moves(rest, finger, handedness))
 
 
 def joint_ranges(rest: np.ndarray, handedness: str) -> tuple[JointRange, ...]:
@@ -106,10 +103,8 @@ def joint_ranges(rest: np.ndarray, handedness: str) -> tuple[JointRange, ...]:
         sideways = np.radians(limits.SIDEWAYS_RANGE_DEG[0 if finger == 0 else 1])
         sign = spread_sign(finger, handedness)
         for level, bone in enumerate(moving_bones(finger)):
-            # the thumb's angles are counted from its rest already
-            bent = 0.0 if finger == 0 else flexions[finger, level]
             play = np.radians(limits.THUMB_PLAY_DEG) if finger == level == 0 else 0.0
-            low, high = table[0 if level == 0 else level + 1] - bent + (-play, play)
+            low, high = table[0 if level == 0 else level + 1] - flexions[finger, level] + (-play, play)
             spread = sorted(sign * table[1]) if level == 0 else (-sideways, sideways)
             result.append(
                 JointRange(
@@ -124,9 +119,12 @@ def joint_ranges(rest: np.ndarray, handedness: str) -> tuple[JointRange, ...]:
 
 
 def rest_flexions(rest: np.ndarray) -> np.ndarray:
-    """(5, 3) how far each moving bone is bent at rest against its parent bone (the first one: against the palm)."""
-    result = np.empty((len(FINGERS), 3))
-    for finger in range(len(FINGERS)):
+    """(5, 3) how far each moving bone is bent at rest against its parent bone (the first one: against the palm).
+
+    The thumb's are zero: its angles are counted from its rest already.
+    """
+    result = np.zeros((len(FINGERS), 3))
+    for finger in range(1, len(FINGERS)):
         for level in range(3):
             place = 1 + 4 * finger + level
             parent = WRIST if level == 0 else place - 1
