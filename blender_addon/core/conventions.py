@@ -39,13 +39,12 @@ _TIP_ENDINGS = ("_end", "_tip", "_nub")
 class Convention:
     """Templates of one way to name a hand.
 
-    key, title: for programs and for people · wrist: alternatives, the best first · fingers: its words, thumb first ·
+    title: what people are told · wrist: alternatives, the best first · fingers: its words, thumb first ·
     bones: three tuples of alternatives, from the knuckle outwards · thumb: the same for a thumb that is named otherwise
     · tips: alternatives for a bone whose head is the finger's tip · prefixes: which of several sets of the same bones
     to take, the best first.
     """
 
-    key: str
     title: str
     wrist: tuple[str, ...]
     fingers: tuple[str, ...]
@@ -89,7 +88,6 @@ def _phalanges(*words: str) -> tuple[tuple[str, ...], ...]:
 # the order decides which name is shown where two conventions find the very same bones
 CONVENTIONS = (
     Convention(
-        "jghand",
         "JGHand",
         wrist=(NAMES[0],),
         fingers=FINGERS,
@@ -97,7 +95,6 @@ CONVENTIONS = (
         tips=("{finger}4",),
     ),
     Convention(
-        "rigify",
         "Rigify",
         wrist=("hand.{s}",),
         fingers=("thumb", "f_index", "f_middle", "f_ring", "f_pinky"),
@@ -105,7 +102,6 @@ CONVENTIONS = (
         prefixes=("def", "org", "", "mch"),
     ),
     Convention(
-        "mixamo",
         "Mixamo",
         wrist=("{side}Hand",),
         fingers=_ENGLISH,
@@ -113,7 +109,6 @@ CONVENTIONS = (
         tips=("{side}Hand{finger}4",),
     ),
     Convention(
-        "vrm1",
         "VRM 1",
         wrist=("{side}Hand", "hand.{s}"),
         fingers=_LITTLE,
@@ -121,39 +116,34 @@ CONVENTIONS = (
         thumb=_phalanges("Metacarpal", "Proximal", "Distal"),
     ),
     Convention(
-        "vrm0",
         "VRM 0",
         wrist=("{side}Hand", "hand.{s}"),
         fingers=_LITTLE,
         bones=_phalanges("Proximal", "Intermediate", "Distal"),
     ),
     Convention(
-        "vroid",
         "VRoid",
         wrist=("{s}_Hand", "Hand_{s}"),
         fingers=_LITTLE,
         bones=_numbered("{s}_{finger}#", "{finger}#_{s}"),
     ),
     Convention(
-        "makehuman",
         "MakeHuman, MPFB",
         wrist=("wrist.{s}",),
         fingers=("finger1", "finger2", "finger3", "finger4", "finger5"),
         bones=_numbered("{finger}-#.{s}"),
     ),
     Convention(
-        "unreal",
         "Unreal mannequin",
         wrist=("hand_{s}",),
-        fingers=("thumb", "index", "middle", "ring", "pinky"),
+        fingers=FINGERS,
         bones=_numbered("{finger}_0#_{s}"),
         tips=("{finger}_04_{s}",),
     ),
     Convention(
-        "auto_rig_pro",
         "Auto-Rig Pro",
         wrist=("hand.{s}",),
-        fingers=("thumb", "index", "middle", "ring", "pinky"),
+        fingers=FINGERS,
         bones=(
             ("{finger}1.{s}", "c_{finger}1.{s}"),
             ("c_{finger}2.{s}", "{finger}2.{s}"),
@@ -162,7 +152,6 @@ CONVENTIONS = (
         prefixes=("", "c"),
     ),
     Convention(
-        "mediapipe",
         "MediaPipe",
         wrist=("wrist",),
         fingers=FINGERS,
