@@ -1,4 +1,5 @@
-"""Writing files so that nothing is ever half-written: a temporary name beside the target, then one rename."""
+"""Writing files so that nothing is ever half-written: a temporary name beside the target, then one rename. And where a
+user's caches lie."""
 
 from __future__ import annotations
 
@@ -6,6 +7,8 @@ import contextlib
 import errno
 import os
 import secrets
+import sys
+import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -33,6 +36,21 @@ def make_folder(path: Path | str) -> Path:
     except OSError as error:
         raise file_error(folder, error) from error
     return folder
+
+
+def cache_folder() -> Path:
+    """Where this user's caches are kept; JGHAND_CACHE_DIR names another place."""
+    if named := os.environ.get("JGHAND_CACHE_DIR"):
+        return Path(named)
+    try:
+        home = Path.home()
+    except RuntimeError:  # a user without a home, as in some containers
+        home = Path(tempfile.gettempdir())
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local") / "jghand" / "cache"
+    if sys.platform == "darwin":
+        return home / "Library" / "Caches" / "jghand"
+    return Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache") / "jghand"
 
 
 def check_place(path: Path, *, overwrite: bool, wanted: str = "a new file") -> None:

@@ -24,6 +24,7 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 from jghand_engine import limits
+from jghand_engine.avatar.planes import weighted_rows
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import PARENTS
 
@@ -55,9 +56,7 @@ class Anchors:
 
     def spread(self, values: Tensor) -> Tensor:
         """(N, C) at the Gaussians of values (A, C) at the anchors."""
-        share = self.share.to(values.dtype)
-        return sum((share[:, k, None] * values[self.nearest[:, k]] for k in range(1, ANCHOR_NEIGHBOURS)),
-                   share[:, :1] * values[self.nearest[:, 0]])  # fmt: skip
+        return weighted_rows(values, self.nearest.T, self.share.T.to(values.dtype))
 
 
 def place_anchors(position_m: Tensor, normal: Tensor, bone_weights: Tensor, count: int) -> Anchors:
@@ -146,7 +145,7 @@ def lamps_seen(
     hidden = 1 - shadow.own.to(position_m)
     visible = torch.ones_like(cosine)
     for bone, (start, end, radius_m) in enumerate(zip(*capsules(joints_m, hand_scale), strict=True)):
-        # with gradients, what lies between is computed again in the backward pass: it would fill gigabytes
+        # with gradients, what lies between is computed again in the backward pass: it would be twice the memory
         stands_free: Tensor = checkpoint(
             past_capsule, position_m, direction, start, end, radius_m, use_reentrant=False, preserve_rng_state=False
         )  # type: ignore[assignment]

@@ -81,8 +81,9 @@ class LearnedHand(nn.Module):
     def __init__(self, points: CanonicalPoints, options: ModelOptions, seed: int) -> None:
         super().__init__()
         self.options, self.points = options, points
-        self._anchors = place_anchors(points.position_m, points.normal, points.bone_weights, limits.ANCHORS)
-        self._own = own_flesh(self._anchors, points.joints_m)
+        if options.cast_shadow:
+            self._anchors = place_anchors(points.position_m, points.normal, points.bone_weights, limits.ANCHORS)
+            self._own = own_flesh(self._anchors, points.joints_m)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self._make_parameters()
@@ -160,8 +161,9 @@ class LearnedHand(nn.Module):
         self.to(device)
         names = [f.name for f in fields(self.points) if f.name not in ("joints_m", "template")]
         self.points = replace(self.points, **{name: getattr(self.points, name).to(device) for name in names})
-        self._anchors = mapped(self._anchors, lambda tensor: tensor.to(device))
-        self._own = self._own.to(device)
+        if self.options.cast_shadow:
+            self._anchors = mapped(self._anchors, lambda tensor: tensor.to(device))
+            self._own = self._own.to(device)
         return self
 
     def ellipsoid(self, count: int) -> Ellipsoid | None:

@@ -33,7 +33,7 @@ class FixedLookup(nn.Module):
 
     def forward(self, count: int) -> Tensor:
         """(count, channels) features of the first `count` points."""
-        return _Gather.apply(self.texels, self._corner[:, :count], self._weight[:, :count])  # type: ignore[index]
+        return weighted_rows(self.texels, self._corner[:, :count], self._weight[:, :count])  # type: ignore[index]
 
     def roughness(self) -> Tensor:
         """Mean squared difference of neighbouring texels: the total variation that METHOD 4.2 keeps small."""
@@ -41,25 +41,33 @@ class FixedLookup(nn.Module):
         return plane.diff(dim=0).square().mean() + plane.diff(dim=1).square().mean()
 
 
+def weighted_rows(table: Tensor, index: Tensor, weight: Tensor) -> Tensor:
+    """(N, C) the sum of K rows of a table (R, C) for each of N points, with a gradient for the table alone.
+
+    index: (K, N) int64 · weight: (K, N) in the table's dtype
+    """
+    return _Gather.apply(table, index, weight)  # type: ignore[return-value]
+
+
 class _Gather(torch.autograd.Function):
-    """Weighted sum of four rows of a table; the gradient goes to the table."""
+    """See weighted_rows."""
 
     @staticmethod
-    def forward(ctx: Any, table: Tensor, corner: Tensor, weight: Tensor) -> Tensor:
-        ctx.save_for_backward(corner, weight)
+    def forward(ctx: Any, table: Tensor, index: Tensor, weight: Tensor) -> Tensor:
+        ctx.save_for_backward(index, weight)
         ctx.rows = table.shape[0]
-        out = table[corner[0]] * weight[0, :, None]
-        for k in range(1, 4):
-            out.addcmul_(table[corner[k]], weight[k, :, None])
+        out = table[index[0]] * weight[0, :, None]
+        for k in range(1, len(index)):
+            out.addcmul_(table[index[k]], weight[k, :, None])
         return out
 
     @staticmethod
     @torch.autograd.function.once_differentiable
     def backward(ctx: Any, gradient: Tensor):  # type: ignore[override]
-        corner, weight = ctx.saved_tensors
+        index, weight = ctx.saved_tensors
         out = gradient.new_zeros(ctx.rows, gradient.shape[1])
-        for k in range(4):
-            out.index_add_(0, corner[k], gradient * weight[k, :, None])
+        for k in range(len(index)):
+            out.index_add_(0, index[k], gradient * weight[k, :, None])
         return out, None, None
 
 

@@ -9,9 +9,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-import os
-import sys
-import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -22,7 +19,7 @@ import scipy
 import torch
 
 from jghand_engine.errors import JGHandError
-from jghand_engine.files import writing
+from jghand_engine.files import cache_folder, writing
 from jghand_engine.limits import POINTS_CACHE_FILES
 from jghand_engine.template.mesh import HandTemplate
 
@@ -31,21 +28,6 @@ PACKAGE = Path(__file__).resolve().parents[1]
 _CODE = ("avatar/canonical_points.py", "avatar/untrained.py", "hand/joints.py", "limits/template.py", "template/*.py")
 
 Points = dict[str, torch.Tensor]
-
-
-def cache_folder() -> Path:
-    """Where this user's caches are kept; JGHAND_CACHE_DIR names another place."""
-    if named := os.environ.get("JGHAND_CACHE_DIR"):
-        return Path(named)
-    try:
-        home = Path.home()
-    except RuntimeError:  # a user without a home, as in some containers
-        home = Path(tempfile.gettempdir())
-    if sys.platform == "win32":
-        return Path(os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local") / "jghand" / "cache"
-    if sys.platform == "darwin":
-        return home / "Library" / "Caches" / "jghand"
-    return Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache") / "jghand"
 
 
 def points_file(template: HandTemplate, numbers: Mapping[str, float]) -> Path:

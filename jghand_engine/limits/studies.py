@@ -37,7 +37,7 @@ STABILITY_FLIPPED_MAX = 2
 STABILITY_PICTURE_NUDGE_M = 1e-6
 # Gaussians and side of the picture in which a hand is compared with the reference
 STABILITY_GAUSSIANS = 1500
-# anchors of its cast shadow: gradients of 35 hands at 2,048 of them would take 12 GB
+# anchors of its cast shadow: at all 2,048 the gradients of one row's hands took 6 GB
 STABILITY_ANCHORS = 128
 STABILITY_PICTURE_PX = 64
 # ... and what a pixel may change by then, in 8-bit steps: one contribution at the cut, and the movement itself

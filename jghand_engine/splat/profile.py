@@ -21,10 +21,9 @@ from typing import Any, TypeVar
 import jghand_engine
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.points_cache import cache_folder
 from jghand_engine.avatar.tiers import Tier
 from jghand_engine.errors import InputError, JGHandError
-from jghand_engine.files import writing
+from jghand_engine.files import cache_folder, writing
 from jghand_engine.native.build import read_stamp
 from jghand_engine.native.library import load
 from jghand_engine.native.machine import processor

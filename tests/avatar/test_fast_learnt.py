@@ -23,22 +23,12 @@ from jghand_engine.avatar.tiers import CachedNet, LinearCorrectives
 from jghand_engine.errors import InputError
 from jghand_engine.hand.fast_transform import FastBones, FastTransform
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.native import library as native_library
 from jghand_engine.native.binding import Library
 from jghand_engine.native.threads import shared_pool
 from jghand_engine.splat.painter import RootRelative
 
 AVATAR = trained_avatar(601)
 EYE_M = np.array([0.1, 0.2, 0.45])
-
-
-@pytest.fixture(scope="module", params=native_library.runnable_variants() or ["none"])
-def library(request) -> Library:
-    if request.param == "none":
-        pytest.skip("no native variant runs on this processor")
-    loaded = native_library.load(request.param)
-    assert loaded is not None
-    return loaded
 
 
 def learnt_of(avatar: HandAvatar) -> Learnt:

@@ -17,18 +17,8 @@ from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.fast_transform import FastTransform
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import JointTransform
-from jghand_engine.native import library as native_library
 from jghand_engine.native.binding import Library
 from jghand_engine.native.threads import shared_pool
-
-
-@pytest.fixture(scope="module", params=native_library.runnable_variants() or ["none"])
-def library(request) -> Library:
-    if request.param == "none":
-        pytest.skip("no native variant runs on this processor")
-    loaded = native_library.load(request.param)
-    assert loaded is not None
-    return loaded
 
 
 def skinned(library: Library, avatar: HandAvatar, joints_m: np.ndarray, threads: int = 1, shift_m=(0.0, 0.0, 0.0)):

@@ -245,20 +245,23 @@ def test_a_canonical_hand_that_no_joints_can_drive_is_refused(tmp_path, change, 
     refused(written(tmp_path / "joints.jghand", arrays, about), named)
 
 
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(st.data())
-def test_flipped_bytes_give_an_avatar_or_an_input_error(tmp_path, data):
-    good = bytearray(written(tmp_path / "good.jghand", *parts()).read_bytes())
+def read_with_flipped_bytes(path: Path, data: st.DataObject) -> None:
+    """A whole avatar or an InputError: anything else fails the test."""
+    good = bytearray(path.read_bytes())
     header = 8 + int.from_bytes(good[:8], "little")
     # half of the flips in the header, where the harm is
     for _ in range(data.draw(st.integers(1, 6))):
         at = data.draw(st.integers(0, header - 1) | st.integers(0, len(good) - 1))
         good[at] = data.draw(st.integers(0, 255))
-    path = tmp_path / "flipped.jghand"
     path.write_bytes(bytes(good))
-    # anything else than these two outcomes fails the test
     with contextlib.suppress(InputError):
         assert len(load_avatar(path)) == 50
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.data())
+def test_flipped_bytes_give_an_avatar_or_an_input_error(tmp_path, data):
+    read_with_flipped_bytes(written(tmp_path / "good.jghand", *parts()), data)
 
 
 # ---- what training adds ----------------------------------------------------------------------------------------------
@@ -367,15 +370,7 @@ def test_anchors_that_are_not_there_or_share_too_much_are_refused(tmp_path, lear
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
 def test_flipped_bytes_of_a_trained_file_give_an_avatar_or_an_input_error(tmp_path, learnt_parts, data):
-    good = bytearray(written(tmp_path / "good.jghand", *learnt_parts).read_bytes())
-    header = 8 + int.from_bytes(good[:8], "little")
-    for _ in range(data.draw(st.integers(1, 6))):
-        at = data.draw(st.integers(0, header - 1) | st.integers(0, len(good) - 1))
-        good[at] = data.draw(st.integers(0, 255))
-    path = tmp_path / "flipped.jghand"
-    path.write_bytes(bytes(good))
-    with contextlib.suppress(InputError):
-        assert len(load_avatar(path)) == 50
+    read_with_flipped_bytes(written(tmp_path / "good.jghand", *learnt_parts), data)
 
 
 # ---- what `jghand bake` adds -----------------------------------------------------------------------------------------

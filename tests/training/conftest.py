@@ -7,11 +7,14 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from picture_sets import recorded, write_set
 from small_capture import write_small_capture
 
 from jghand_engine.avatar.canonical_points import CanonicalPoints
 from jghand_engine.avatar.correctives import PoseNetShape
 from jghand_engine.avatar.model import ModelOptions
+from jghand_engine.datasets.capture_folder import open_capture
+from jghand_engine.datasets.splits import split_by_rule
 from jghand_engine.template.builtin import load_template
 from jghand_engine.training import options as options_module
 from jghand_engine.training import step
@@ -52,3 +55,15 @@ def tiny(monkeypatch) -> TrainOptions:
     paper = replace(options_module.PAPER_FAITHFUL, model=TINY.model, shadow_samples=4)
     monkeypatch.setitem(options_module.PRESETS, "paper-faithful", paper)
     return TINY
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory):
+    """A set of 4 poses and 4 cameras."""
+    return open_capture(write_set(tmp_path_factory.mktemp("set"), recorded(frames=4, cameras=4)))
+
+
+@pytest.fixture(scope="module")
+def split(capture):
+    """Of `capture`, half of its poses and cameras held out."""
+    return split_by_rule(capture, every_pose=2, every_camera=2)

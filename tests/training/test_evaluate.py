@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from picture_sets import LEFT, RIGHT, pose, recorded, write_set
+from picture_sets import LEFT, RIGHT, pose
 
-from jghand_engine.datasets.capture_folder import open_capture
 from jghand_engine.datasets.sample import MaskSource, load_picture
 from jghand_engine.datasets.splits import split_by_rule
 from jghand_engine.errors import InputError
@@ -23,16 +22,6 @@ from jghand_engine.training.evaluate import (
     spread,
 )
 from jghand_engine.training.perceptual import PerceptualMetric
-
-
-@pytest.fixture(scope="module")
-def capture(tmp_path_factory):
-    return open_capture(write_set(tmp_path_factory.mktemp("set"), recorded(frames=4, cameras=4)))
-
-
-@pytest.fixture(scope="module")
-def split(capture):
-    return split_by_rule(capture, every_pose=2, every_camera=2)
 
 
 def truth_but(capture, error):

@@ -4,25 +4,11 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import pytest
-from picture_sets import recorded, write_set
 from small_avatars import small_avatar, trained_avatar
 
 from jghand_engine.avatar.avatar import LearntFrom
-from jghand_engine.datasets.capture_folder import open_capture
 from jghand_engine.datasets.picture_digest import picture_digest
-from jghand_engine.datasets.splits import split_by_rule
 from jghand_engine.training.held_out import ALL_LEARNT, NOT_KNOWN, held_out
-
-
-@pytest.fixture(scope="module")
-def capture(tmp_path_factory):
-    return open_capture(write_set(tmp_path_factory.mktemp("set"), recorded(frames=4, cameras=4)))
-
-
-@pytest.fixture(scope="module")
-def split(capture):
-    return split_by_rule(capture, every_pose=2, every_camera=2)
 
 
 def learnt_from(samples):
