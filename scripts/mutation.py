@@ -138,8 +138,7 @@ def mutants_of(module: str, source: str) -> list[Mutant]:
         elif isinstance(node, ast.arg | ast.AnnAssign):
             parts = [node.annotation]
         elif isinstance(node, ast.FunctionDef):
-            defaults = (default for default in (*node.args.defaults, *node.args.kw_defaults))
-            parts = [node.returns, *node.decorator_list, *defaults]
+            parts = [node.returns, *node.decorator_list, *node.args.defaults, *node.args.kw_defaults]
         elif isinstance(node, ast.ClassDef):
             parts = [*node.decorator_list, *node.bases]
         left_alone |= {below for part in parts if part is not None for below in ast.walk(part)}

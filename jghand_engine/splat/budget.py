@@ -95,12 +95,11 @@ def best_for(budget_ms: float, avatar: HandAvatar, size_px: tuple[int, int], thr
     count = thread_count(threads)
     profile = read_profile(avatar, size_px, count)
     if profile is None or profile.disturbed:
-        measured = measure_quickly(
+        profile = measure_quickly(
             moving_subject(avatar.info.name, avatar, *size_px), candidates(avatar, size_px), count
         )
         # a disturbed measurement is better than none, and replaced by the next one
-        profile = measured
-        write_profile(avatar, size_px, count, measured)
+        write_profile(avatar, size_px, count, profile)
     return choose(profile, budget_ms, len(avatar), threads)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from enum import StrEnum
 from typing import NamedTuple
 
@@ -123,12 +123,12 @@ class EffectPlan:
     exposures: pictures that are averaged for motion and focus
     """
 
-    decisions: tuple[Decision, ...] = field(default=())
-    strength: float = 0.0
-    alpha_min: float = 0.0
-    enlarged: int = 1
-    plain: float = 0.0
-    exposures: int = 1
+    decisions: tuple[Decision, ...]
+    strength: float
+    alpha_min: float
+    enlarged: int
+    plain: float
+    exposures: int
 
     def __getitem__(self, effect: Effect) -> Decision:
         return next(decision for decision in self.decisions if decision.effect is effect)

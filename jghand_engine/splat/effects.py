@@ -22,7 +22,6 @@ from jghand_engine.avatar.correctives import Correctives, PoseNet
 from jghand_engine.avatar.learnt import ShadowLook
 from jghand_engine.avatar.tiers import CachedNet, LinearCorrectives
 from jghand_engine.hand.fast_transform import FastBones
-from jghand_engine.hand.joints import JOINT_COUNT
 from jghand_engine.splat.camera import Camera
 from jghand_engine.splat.effect_plan import Box, Decision, Effect, EffectPlan
 from jghand_engine.splat.exposure import Shutter, focus_count, focus_error, motion_count, motion_error, travel_px
@@ -50,7 +49,7 @@ class HandFacts:
         # a linear tier is found as fast as it is read
         self.keeps_correctives = net is not None and not isinstance(net, LinearCorrectives)
         self.sigma_m = float(avatar.sigma_m.median()) if len(avatar) else 0.0
-        self._corners_m = _corners(avatar)
+        self._moving, self._corners_m = _corners(avatar)
         self.offset_m = 0.0 if self.learnt is None else _longest_offset_m(self.learnt.correctives)
         ellipsoid = None if self.learnt is None else self.learnt.ellipsoid
         self.log_stretch = float(ellipsoid.log_stretch.abs().max()) if ellipsoid is not None and len(avatar) else None
@@ -72,10 +71,9 @@ class HandFacts:
 
     def corners_m(self, bones: FastBones) -> np.ndarray:
         """(K, 3) points relative to the hand's root whose hull holds every skinned place."""
-        moved = np.einsum("ijk,ick->icj", bones.linear_offset[:, :, :3], self._corners_m)
-        moved += bones.linear_offset[:, None, :, 3]
-        used = np.isfinite(self._corners_m).all((1, 2))
-        return moved[used].reshape(-1, 3)
+        maps = bones.linear_offset[self._moving]
+        moved = np.einsum("ijk,ick->icj", maps[:, :, :3], self._corners_m)
+        return (moved + maps[:, None, :, 3]).reshape(-1, 3)
 
 
 def _longest_offset_m(correctives: Correctives | None) -> float:
@@ -88,19 +86,18 @@ def _longest_offset_m(correctives: Correctives | None) -> float:
     return net.longest_offset_m() if isinstance(net, LinearCorrectives) else math.inf
 
 
-def _corners(avatar: HandAvatar) -> np.ndarray:
-    """(21, 8, 3) corners of the boxes around what each bone moves, canonical, root-relative; NaN for none.
+def _corners(avatar: HandAvatar) -> tuple[np.ndarray, np.ndarray]:
+    """(21,) bool which bones move anything; (bones, 8, 3) corners of the boxes around it, canonical, root-relative.
 
     A skinned point is a mean of the places where its bones would carry it, each inside its bone's box: all of them lie
     in the hull of the boxes.
     """
     relative = avatar.position_m.double().numpy() - avatar.canonical_joints_m[0].numpy()
-    corners = np.full((JOINT_COUNT, 8, 3), np.nan)
-    for bone, weights in enumerate((avatar.bone_weights != 0).numpy().T):
-        if weights.any():
-            low, high = relative[weights].min(0), relative[weights].max(0)
-            corners[bone] = np.stack(np.meshgrid(*np.stack([low, high], 1), indexing="ij"), -1).reshape(8, 3)
-    return corners
+    moves = (avatar.bone_weights != 0).numpy().T
+    moving = moves.any(1)
+    ends = [(relative[rows].min(0), relative[rows].max(0)) for rows in moves[moving]]
+    corners = [np.stack(np.meshgrid(*np.stack(pair, 1), indexing="ij"), -1).reshape(8, 3) for pair in ends]
+    return moving, np.array(corners).reshape(-1, 8, 3)
 
 
 def equipped(avatar: HandAvatar, settings: RenderSettings) -> HandAvatar:

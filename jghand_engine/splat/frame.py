@@ -18,11 +18,10 @@ import torch
 
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar, check_follows_joints
-from jghand_engine.avatar.pose_features import Angles
 from jghand_engine.avatar.pose_range import outside, trained_range
 from jghand_engine.avatar.tiers import Tier
 from jghand_engine.errors import InputError
-from jghand_engine.hand.fast_transform import FastBones, FastTransform
+from jghand_engine.hand.fast_transform import FastTransform
 from jghand_engine.hand.frames import describe_flags
 from jghand_engine.hand.joints import JOINT_COUNT, LEVEL_NAMES
 from jghand_engine.hand.orders import check_joint_shape
@@ -158,8 +157,6 @@ class SceneRenderer:
         started, last, settings = time.perf_counter(), self._posed, self.settings
         moved_m = standing_still(hands, None if last is None else last.kept, settings)
         if last is not None and moved_m is not None:
-            bound = f"{1e3 * limits.REUSE_SKIN_M:g} mm of skin" if moved_m > 0 else "0"
-            report.skipped(TRANSFORM, f"joints moved {1e3 * moved_m:.3f} mm", bound)
             return _Shot(last, moved_m)
         origin_m = hands[0][0]
         bones = [transform.bones(joints) for transform, joints in zip(self._transforms, hands, strict=True)]
@@ -168,7 +165,7 @@ class SceneRenderer:
             Pose(one, one.root_m - origin_m, keeps_correctives=same_shape(one, angles_rad, settings))
             for one, angles_rad in zip(bones, corrected, strict=True)
         ]
-        unseen = [note for place, own in enumerate(bones) for note in self._unseen(place, own)]
+        unseen = [note for trained, pose in zip(self._ranges, poses, strict=True) for note in _unseen(trained, pose)]
         notes = [sentence for one in bones for sentence in describe_flags(one.flags)]
         angles = [
             old if pose.keeps_correctives and old is not None else pose.bones.angles_rad
@@ -185,13 +182,6 @@ class SceneRenderer:
         pairs = zip(self._facts, last.kept.corrected_rad, strict=True)
         return [angles_rad if facts.keeps_correctives else None for facts, angles_rad in pairs]
 
-    def _unseen(self, place: int, bones: FastBones) -> list[str]:
-        """Sentences about joints that are bent as the avatar never saw them."""
-        trained = self._ranges[place]
-        if trained is None:
-            return []
-        return [one.sentence() for one in outside(Angles.of(torch.from_numpy(bones.angles_rad)).angles, trained)]
-
     def _plan(self, shot: _Shot, camera: Camera, shutter: Shutter | None, report: FrameReport) -> EffectPlan:
         started, posed = time.perf_counter(), shot.posed
         scene = Scene(
@@ -203,9 +193,12 @@ class SceneRenderer:
             reshaped=not all(pose.keeps_correctives for pose in posed.poses),
         )
         plan = plan_effects(scene, self._facts, self.settings)
+        skin = plan[Effect.SKIN]
+        if not skin.runs:
+            report.skipped(TRANSFORM, skin.reason, skin.bound)
         report.ran(PLAN, 1e3 * (time.perf_counter() - started))
-        if not plan.runs(Effect.SKIN):
-            report.skipped(SKIN, "same transforms", plan[Effect.SKIN].bound)
+        if not skin.runs:
+            report.skipped(SKIN, "same transforms", skin.bound)
         if plan.strength == 0:
             report.skipped(SHADOW, plan[Effect.SHADOW].reason, plan[Effect.SHADOW].bound)
         if not plan.runs(Effect.DEPTH):
@@ -340,6 +333,11 @@ def _with_tier(avatar: HandAvatar, wanted: Tier) -> tuple[HandAvatar, str]:
     learnt, price = avatar.learnt.with_tier(wanted)
     told = str(Tier.EXACT) if price is None else f"{price.name} ({price.lost_db:.2f} dB lost)"
     return replace(avatar, learnt=learnt), f"correctives {told}"
+
+
+def _unseen(trained: np.ndarray | None, pose: Pose) -> list[str]:
+    """Sentences about joints that are bent as the avatar never saw them."""
+    return [] if trained is None else [one.sentence() for one in outside(pose.angles.angles, trained)]
 
 
 def _checked_hand(joints_m: np.ndarray | torch.Tensor) -> np.ndarray:

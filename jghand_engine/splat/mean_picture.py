@@ -29,15 +29,13 @@ class Drawn:
         if self.box == whole:
             return self
 
-        def placed(values: np.ndarray | None) -> np.ndarray | None:
-            if values is None:
-                return None
+        def placed(values: np.ndarray) -> np.ndarray:
             out = np.zeros((height, width, *values.shape[2:]), np.float32)
             out[_rows_and_columns(self.box)] = values
             return out
 
-        rgba = placed(self.rgba)
-        return Drawn(whole, self.rgba if rgba is None else rgba, placed(self.depth_m), placed(self.weights))
+        depth_m, weights = (None if each is None else placed(each) for each in (self.depth_m, self.weights))
+        return Drawn(whole, placed(self.rgba), depth_m, weights)
 
 
 class MeanPicture:
@@ -76,11 +74,10 @@ def averaged_down(large: Drawn, factor: int) -> Drawn:
     """A picture that was drawn `factor` times larger than its box, at the size of the box."""
 
     def pooled(values: np.ndarray) -> np.ndarray:
-        rows, columns = values.shape[0] // factor, values.shape[1] // factor
         # one axis after the other: each is a sum of slices, which NumPy does fast
         high = sum(values[step::factor] for step in range(factor))
         both = sum(high[:, step::factor] for step in range(factor))  # type: ignore[index]
-        return np.asarray(both, np.float32)[:rows, :columns] / (factor * factor)
+        return np.asarray(both, np.float32) / (factor * factor)
 
     depth_m = None
     if large.depth_m is not None:

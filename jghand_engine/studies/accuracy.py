@@ -59,7 +59,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Everything that was measured. learning: minutes and PSNR of a held-out view · notes: sentences"""
+    """Everything that was measured. learning: minutes and PSNR of a held-out view"""
 
     avatar: str
     gaussians: int

@@ -18,7 +18,7 @@ from jghand_engine.splat.report import FrameReport
 from jghand_engine.splat.settings import RenderSettings
 from jghand_engine.splat.subject import Subject, moving_subject
 from jghand_engine.studies.frame_time import frame_case
-from jghand_engine.studies.synthetic_hands import VOLUMES, synthetic_hand
+from jghand_engine.studies.synthetic_hands import synthetic_hand
 from jghand_engine.studies.timing import Case, Measurement
 
 GAUSSIANS, PIXELS, HANDS, POSES = (
@@ -110,9 +110,3 @@ def _scene_case(subject: Subject, hands: int, settings: RenderSettings) -> Case:
 
 def _nothing(_result: object) -> None:
     """A case returns a report or nothing."""
-
-
-def known_volume() -> str:
-    """What the curve of Gaussians is measured on, in words."""
-    low, high = VOLUMES["B"][0]
-    return f"synthetic hand B, radii {low:g} to {high:g} mm at 60,000 Gaussians"

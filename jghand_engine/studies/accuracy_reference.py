@@ -36,14 +36,11 @@ class Error:
 class ExactPictures64:
     """The pictures of some poses (P, 21, 3), all Gaussians, nothing cut off, nothing stopped, in float64."""
 
-    def __init__(self, subject: Subject, poses_m: np.ndarray, tick: Callable[[], None] = lambda: None) -> None:
+    def __init__(self, subject: Subject, poses_m: np.ndarray) -> None:
         self._subject, self.poses_m = subject, poses_m
         # whether there is a shadow, and how strong, is decided by the renderer
         self._renderer = HandRenderer(subject.avatar, PRESETS["reference"])
-        self.pictures: list[np.ndarray] = []
-        for pose_m in poses_m:
-            self.pictures.append(self._exact(pose_m))
-            tick()
+        self.pictures = [self._exact(pose_m) for pose_m in poses_m]
 
     def error(self, draw: Callable[[np.ndarray], np.ndarray]) -> Error:
         """Of what `draw` makes of joints (21, 3): (H, W, 3 or 4) premultiplied."""

@@ -72,12 +72,12 @@ class Stability:
     def verdict(self) -> str:
         """One sentence."""
         rows = [*self.hands, *self.correctives, *self.pictures]
-        missed = [row for row in rows if row.missed]
+        missed = len(self.missed)
         finite = sum(row.ours.finite for row in [*self.hands, *self.correctives])
         finite += sum(row.error.finite and row.gradient_finite for row in self.pictures)
         return (
             f"{finite} of {len(rows)} hard cases have finite values and gradients; "
-            f"{len(rows) - len(missed)} meet every bound, {len(missed)} miss one."
+            f"{len(rows) - missed} meet every bound, {missed} miss one."
         )
 
 

@@ -236,18 +236,13 @@ def far_away() -> Curve:
 
     def error_mm(way: Formulation, distance_m: float) -> float:
         joints_m = (base + distance_m * direction)[None]
-        return 1e3 * float((way(joints_m, F32).skin.double() - _ours(joints_m, F64).skin).norm(dim=-1).max())
+        return 1e3 * float((way(joints_m, F32).skin.double() - way(joints_m, F64).skin).norm(dim=-1).max())
 
-    mine = np.array([error_mm(_ours, x) for x in metres])
-
-    def usual_error_mm(distance_m: float) -> float:
-        joints_m = (base + distance_m * direction)[None]
-        return 1e3 * float((_usual(joints_m, F32).skin.double() - _usual(joints_m, F64).skin).norm(dim=-1).max())
-
+    mine, theirs = _both(metres.tolist(), error_mm)
     return Curve(
         "far_away", "The hand is far from home", "How far the skin is off, float32",
         "metres from the origin", "error of the skin, mm",
-        "absolute coordinates", metres, mine, np.array([usual_error_mm(x) for x in metres]), visible=0.1,
+        "absolute coordinates", metres, mine, theirs, visible=0.1,
     )  # fmt: skip
 
 

@@ -169,7 +169,7 @@ def _places_and_units() -> dict[str, Tensor]:
     up_down = torch.where(torch.arange(20) % 2 == 0, 1.5, 0.5).double()
     generator = torch.Generator().manual_seed(0)
     cloud = 0.06 * torch.randn(21, 3, dtype=torch.float64, generator=generator)
-    cases = {
+    return {
         "millimetres": base * 1e3,
         "kilometres": base * 1e-3,
         "units of 1e12": base * 1e12,
@@ -183,7 +183,6 @@ def _places_and_units() -> dict[str, Tensor]:
         "random points that are no hand": cloud,
         "mirrored hand declared as a right one": mirrored(base),
     }
-    return cases
 
 
 def mirrored(joints_m: Tensor) -> Tensor:

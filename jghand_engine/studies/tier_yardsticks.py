@@ -20,6 +20,7 @@ from jghand_engine.datasets.captures import Capture
 from jghand_engine.datasets.splits import Split
 from jghand_engine.hand.anatomy import MotionOptions, pose_names, pose_sequence_of_names
 from jghand_engine.splat.frame import HandRenderer
+from jghand_engine.splat.picture import decibels
 from jghand_engine.splat.settings import preset
 from jghand_engine.studies.frame_time import Subject, builtin_subject
 from jghand_engine.training.evaluate import avatar_picturer, categories_of, means, measure_pictures
@@ -140,7 +141,7 @@ class ExactPictures:
         """See Yardstick: of all pictures together."""
         pairs = zip(self._pictures(avatar), self._wanted, strict=True)
         error = float(np.mean([np.square(ours - theirs).mean() for ours, theirs in pairs]))
-        return min(-10 * math.log10(max(error, 1e-30)), limits.PSNR_MAX_DB)
+        return decibels(error)
 
     def lost_db(self, exact_db: float, psnr_db: float) -> float:
         """See Yardstick: of an avatar of MODEL_PSNR_DB, when an independent error is added (RENDERING 9.1)."""
