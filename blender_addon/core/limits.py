@@ -111,3 +111,13 @@ WRIST_SKIN_M = 0.045
 MARGIN = 0.06
 # focal length of new cameras, mm on a 36 mm sensor: a portrait lens, little perspective on so near a thing
 LENS_MM = 85.0
+
+# ---- settings of pictures -------------------------------------------------------------------------------------------
+
+# a viewport picture at sixty frames a second
+BUDGET_MS = 16.0
+# below this part of its splats a hand has holes
+DENSITY_MIN = 0.1
+# sub-frames of motion blur: enough for a finger that crosses its own width; beyond, seconds a frame for nothing
+MOTION_SAMPLES = 8
+MOTION_SAMPLES_MAX = 64

@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What holds for this user and machine: where the engine is, and how long it may take."""
+
+from __future__ import annotations
+
+import bpy
+
+from .bridge.classes import register_classes, unregister_classes
+from .core import limits
+
+
+class JGHandPreferences(bpy.types.AddonPreferences):
+    """Preferences of the extension."""
+
+    bl_idname = __package__
+
+    engine_python: bpy.props.StringProperty(
+        name="Engine's Python",
+        description="Python interpreter that has the JGHand engine installed. Empty: found by itself",
+        subtype="FILE_PATH",
+    )  # type: ignore[valid-type]
+    render_timeout_s: bpy.props.FloatProperty(
+        name="Longest Wait per Frame",
+        description="How long one rendered frame may take before the render fails with a report",
+        default=limits.REQUEST_S,
+        min=1.0,
+        soft_max=600.0,
+        subtype="TIME_ABSOLUTE",
+        unit="TIME_ABSOLUTE",
+    )  # type: ignore[valid-type]
+
+    def draw(self, _context: bpy.types.Context) -> None:
+        """The page in Blender's preferences."""
+        column = self.layout.column()
+        column.use_property_split = True
+        column.prop(self, "engine_python")
+        column.prop(self, "render_timeout_s")
+
+
+def preferences() -> JGHandPreferences | None:
+    """The user's preferences; None while the package is used without being enabled as an extension."""
+    addon = bpy.context.preferences.addons.get(__package__)
+    return addon.preferences if addon is not None else None
+
+
+def register() -> None:
+    """Adds the preferences."""
+    register_classes((JGHandPreferences,))
+
+
+def unregister() -> None:
+    """Takes them away; what the user chose stays."""
+    unregister_classes((JGHandPreferences,))

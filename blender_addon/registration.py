@@ -1,0 +1,34 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the extension adds to Blender, in one ordered list of modules; taken away in the opposite order.
+
+Every module of the list has `register()` and `unregister()`. Both may be called twice: a reload that failed half-way
+must not leave Blender with half an extension that cannot be removed.
+"""
+
+from __future__ import annotations
+
+from types import ModuleType
+
+from . import preferences, properties
+
+# a module comes after those whose classes it uses
+MODULES: tuple[ModuleType, ...] = (preferences, properties)
+
+
+def register() -> None:
+    """Adds everything; when a module fails, what was added before it is taken away again and the error goes on."""
+    done: list[ModuleType] = []
+    try:
+        for module in MODULES:
+            module.register()
+            done.append(module)
+    except Exception:
+        for module in reversed(done):
+            module.unregister()
+        raise
+
+
+def unregister() -> None:
+    """Takes everything away."""
+    for module in reversed(MODULES):
+        module.unregister()
