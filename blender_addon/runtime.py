@@ -1,21 +1,26 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The one thing that the extension keeps beside Blender's data: its link to the engine.
+"""What the extension keeps beside Blender's data: its link to the engine, and the newest receipts of pictures.
 
-Made on first use, ended with the extension, with Blender (`atexit`), or by the user; opening another file does not end
-it. Everything else that belongs to a hand lives on the hand's object.
+The link is made on first use, ended with the extension, with Blender (`atexit`), or by the user; opening another file
+does not end it. Everything else that belongs to a hand lives on the hand's object.
 """
 
 from __future__ import annotations
 
 import atexit
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from .core.engine_command import engine_command
 from .core.link import EngineLink
 from .preferences import preferences
 
+# kinds of pictures whose receipts are kept
+VIEWPORT, RENDER = "viewport", "render"
+
 _link: EngineLink | None = None
+_reports: dict[str, Mapping[str, Any]] = {}
 
 
 def link() -> EngineLink:
@@ -32,6 +37,19 @@ def use_link(other: EngineLink | None) -> None:
     if _link is not None and _link is not other:
         _link.close()
     _link = other
+
+
+def set_report(kind: str, report: Mapping[str, Any]) -> None:
+    """Keeps the receipt of the newest picture of a kind (VIEWPORT, RENDER): one of a reply's `reports`, as it came.
+
+    From any thread; the panel reads it when it is drawn.
+    """
+    _reports[kind] = report
+
+
+def last_report(kind: str) -> Mapping[str, Any] | None:
+    """The receipt of the newest picture of a kind; None before the first."""
+    return _reports.get(kind)
 
 
 def command() -> Sequence[str]:
@@ -56,3 +74,4 @@ def unregister() -> None:
 
 def _end() -> None:
     use_link(None)
+    _reports.clear()
