@@ -42,7 +42,7 @@ class Study:
     out: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
     """transform: also write the table to this file, as Markdown. Other studies: folder of its pages, else study/."""
     checkout: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None
-    """stability, accuracy: also renew its page in docs/ and the README's section in this checkout of JGHand."""
+    """Also renew the study's part of docs/ and README in this checkout of JGHand (not of transform)."""
     avatar: AvatarOptions = field(default_factory=AvatarOptions)
     motion: File = None
     """effects: joint positions over time. Left out: named poses with ways between them."""
@@ -56,8 +56,7 @@ class Study:
     def run(self) -> None:
         places = Places(self.out, self.checkout, self.report.json)
         if self.name == "effects":
-            request = (self.avatar.avatar, self.motion, self.format, self.capture, self.out, self.report.json)
-            run_effects(EffectsRequest(*request))
+            run_effects(EffectsRequest(self.avatar.avatar, self.motion, self.format, self.capture, places))
         elif self.name == "accuracy":
             run_accuracy(AccuracyRequest(self.of or self.avatar.avatar, self.capture, places, self.accuracy))
         elif self.name == "stability":

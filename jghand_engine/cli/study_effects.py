@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jghand_engine.cli.console import progress, say, say_whole_table, write_json
-from jghand_engine.cli.study_files import study_folder, write_bytes
+from jghand_engine.cli.study_files import Places, study_folder, write_bytes
 from jghand_engine.files import make_folder
 
 if TYPE_CHECKING:
@@ -27,36 +27,54 @@ CAPTURE_PICTURES = 200
 @dataclass(frozen=True)
 class EffectsRequest:
     """avatar: name or file · motion: file, None for named poses · format: of the file · capture: folder of pictures for
-    the gate, None for named poses · out: folder · json: another place for the figures"""
+    the gate, None for named poses · places: where everything goes"""
 
     avatar: str
     motion: Path | None
     format: FormatOptions
     capture: Path | None
-    out: Path | None
-    json: Path | None
+    places: Places
 
 
 def run_effects(request: EffectsRequest) -> None:
-    """Measures, prints, and writes EFFECTS.md's table, effects.json and effects.png."""
+    """Measures, prints, and writes effects.md, effects.json and effects.png; in a checkout also its part of docs/."""
     from jghand_engine.avatar.builtin import load_avatar_called
     from jghand_engine.studies.effects_plot import draw_figure
     from jghand_engine.studies.figures import check_matplotlib, png_of
 
-    folder = study_folder(request.out)
+    request.places.check()
+    folder = study_folder(request.places.out)
     check_matplotlib()
     study = _measured(load_avatar_called(request.avatar), request)
     for table in study.tables():
         say_whole_table(table)
+    picture = png_of(draw_figure(study))
+    section = [
+        f"![What ran on each frame, and what that saved]({PICTURE})",
+        "",
+        *(t.markdown() for t in study.tables()),
+    ]
     make_folder(folder)
-    write_bytes(folder / PICTURE, png_of(draw_figure(study)))
-    markdown = "\n".join([f"![What ran on each frame, and what that saved]({PICTURE})", ""])
-    write_bytes(folder / "effects.md", (markdown + "\n" + "\n".join(t.markdown() for t in study.tables())).encode())
+    write_bytes(folder / PICTURE, picture)
+    write_bytes(folder / "effects.md", "\n".join(section).encode())
     content = {"command": "study effects", **study.as_dict()}
-    write_json(folder / "effects.json", content)
-    if request.json is not None:
-        write_json(request.json, content)
+    for path in (folder / "effects.json", request.places.json):
+        if path is not None:
+            write_json(path, content)
     say(f"{folder / PICTURE} written; effects.md and effects.json are beside it")
+    if request.places.checkout is not None:
+        _renew_docs(request.places.checkout / "docs", picture, section)
+
+
+def _renew_docs(docs: Path, picture: bytes, section: list[str]) -> None:
+    """The picture, and the part of EFFECTS.md that was measured."""
+    from jghand_engine.studies.pages import Section
+
+    part, page = Section("effects"), docs / "EFFECTS.md"
+    text = part.renewed(page.read_text(encoding="utf-8"), part.filled("", *section), page.name)
+    write_bytes(docs / PICTURE, picture)
+    write_bytes(page, text.encode())
+    say(f"{page} renewed")
 
 
 def _measured(avatar: HandAvatar, request: EffectsRequest) -> EffectsStudy:

@@ -1,4 +1,4 @@
-"""What the pages of all studies share: tables and documents in HTML, the part of a README that a study fills."""
+"""What the pages of all studies share: tables and documents in HTML, the part of a page that a study fills."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from jghand_engine.training.tables import Table
 
 @dataclass(frozen=True)
 class Section:
-    """The part of a README between two marks. study: its name."""
+    """The part of a page between two marks. study: its name."""
 
     study: str
 
@@ -28,10 +28,10 @@ class Section:
         """The section with its marks."""
         return "\n".join([self.begin, *lines, self.end])
 
-    def renewed(self, text: str, section: str) -> str:
-        """A README's text with the section (as `filled` makes it) renewed. InputError when its marks are missing."""
+    def renewed(self, text: str, section: str, page: str = "README.md") -> str:
+        """A page's text with the section (as `filled` makes it) renewed. InputError when its marks are missing."""
         if self.begin not in text or self.end not in text:
-            raise InputError("README.md", wanted=f"the marks {self.begin} and {self.end}", came="none")
+            raise InputError(page, wanted=f"the marks {self.begin} and {self.end}", came="none")
         return text[: text.index(self.begin)] + section + text[text.index(self.end) + len(self.end) :]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -50,7 +51,24 @@ def test_tables_and_figures_say_the_same():
     made = study.EffectsStudy("a test", rows, [], strip)
     (table,) = made.tables()
     assert len(table.rows) == len(rows) == len(made.as_dict()["effects"])
-    assert made.gate_summary()["skipped"] == 0
+
+
+def test_a_tighter_gate_skips_more_and_says_the_worst_of_what_it_skips():
+    rows = [
+        study.GateRow("apart", 0.1, 0.0, 0.0, 0.01, (30.0, 30.1)),
+        study.GateRow("near", 3.0, 1.0, 0.02, 0.05, (28.0, 30.0)),
+        study.GateRow("fist", 50.0, 1.0, 0.3, 0.4, None),
+    ]
+    made = study.EffectsStudy("a test", [], rows, {})
+    by_score = {row["score"]: row for row in made.gate_rows()}
+    assert [row["skipped"] for row in by_score.values()] == [1, 1, 2, 2, 2, 3]
+    assert by_score[4.0] == {
+        "score": 4.0, "skipped": 2, "occluded": 0.02, "darkest": 0.05, "db_without": 29.0, "db_with": 30.05,
+    }  # fmt: skip
+    assert by_score[None]["darkest"] == 0.4
+    *_, everything = made.tables()[1].rows
+    assert everything[1] == "3 of 3"
+    assert json.dumps(made.as_dict(), allow_nan=False)
 
 
 @pytest.mark.parametrize("name", ["open", "fist"])
