@@ -1,10 +1,11 @@
-"""Makes the project's two Python environments, with nothing but the standard library.
+"""Makes the project's Python environments, with nothing but the standard library.
 
 `.envs/engine` holds the engine (torch, usd-core, the compiled kernels), `.envs/blender` holds Blender as a Python
-module (bpy). They never share one: bpy wants an older numpy and brings its own USD. Each is installed from one
-constraints file. A stamp in the environment remembers what it was made from, so that a second call costs nothing and a
-half-made or outdated environment is finished or brought up to date. It is made anew only when its interpreter is
-broken, or when it does not work although everything was installed: a failed update must not cost a working one.
+module (bpy), `.envs/blender52` a newer Blender for tests, where there is a Python for it. They never share one: bpy
+wants an older numpy and brings its own USD. Each is installed from one constraints file. A stamp in the environment
+remembers what it was made from, so that a second call costs nothing and a half-made or outdated environment is finished
+or brought up to date. It is made anew only when its interpreter is broken, or when it does not work although everything
+was installed: a failed update must not cost a working one.
 
 Only Linux is tried by the project's tests; the ways of macOS and Windows are written but not tried.
 """
@@ -20,7 +21,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -57,7 +58,7 @@ class Environment:
     new installation · builds: True if the project itself is installed (and its kernels compiled) · check: a statement
     that must run in the finished environment, else it is made anew · last_words: statements of the project's own code;
     what they print is shown, and their failure is no reason to make an environment anew · holds: smaller sets for the
-    same folder that this one has too.
+    same folder that this one has too · constrained_as: another stem of the constraints file.
     """
 
     name: str
@@ -68,6 +69,7 @@ class Environment:
     check: str
     last_words: str = ""
     holds: tuple[Environment, ...] = ()
+    constrained_as: str = field(default="", repr=False)  # the file itself is part of the fingerprint
 
     @property
     def folder(self) -> Path:
@@ -75,7 +77,7 @@ class Environment:
 
     @property
     def constraints(self) -> Path:
-        return ROOT / "constraints" / f"{self.name}.txt"
+        return ROOT / "constraints" / f"{self.constrained_as or self.name}.txt"
 
     @property
     def python(self) -> Path:
@@ -114,6 +116,8 @@ BLENDER = Environment(
     builds=False,
     check="import bpy",
 )
+# the long-term version, beside the one above, for the tests of what differs between them
+BLENDER52 = replace(BLENDER, name="blender52", pythons=((3, 13),), constrained_as="blender")
 
 
 def say(text: str) -> None:

@@ -1,11 +1,12 @@
 """Sets everything up, then passes the project's checks and tests.
 
     python scripts/test.py                     everything
-    python scripts/test.py --only engine       one part: checks, engine or blender
+    python scripts/test.py --only engine       one part: checks, engine, blender or blender52
     python scripts/test.py -k fist -x          what this script does not know goes to pytest
     python scripts/test.py tests/hand          a path runs only the tests below it
 
-Needs nothing but Python 3.11 or newer. The exit code is 0 when everything passed, else 1.
+Needs nothing but Python 3.11 or newer. The part blender52, the extension in Blender 5.2, wants a Python 3.13 on the
+machine and is left out without one. The exit code is 0 when everything passed, else 1.
 """
 
 import sys
@@ -21,9 +22,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import environments
-from environments import BLENDER, DEVELOPER, ROOT, SetupError
+from environments import BLENDER, BLENDER52, DEVELOPER, ROOT, SetupError
 
-PARTS = ("checks", "engine", "blender")
+PARTS = ("checks", "engine", "blender", "blender52")
 # pytest's exit code when a selection matches no test: fine for a selection, which may well concern one part only
 NO_TESTS = 5
 
@@ -112,13 +113,26 @@ def run_part(part: str, selection: Selection, require_blender: bool) -> tuple[li
         result, summary = run_pytest(name, environments.ensure(DEVELOPER), arguments, selection.selective)
         return [result], [summary]
     environments.ensure(DEVELOPER)  # Blender's side talks to the real engine
+    if part == "blender52" and (reason := why_no_second_blender()):
+        return [Result(name, None, note=reason)], []
     try:
-        python = environments.ensure(BLENDER)
+        python = environments.ensure(BLENDER if part == "blender" else BLENDER52)
     except SetupError as error:
         print(f"\n{error}", file=sys.stderr, flush=True)
         return [Result(name, False if require_blender else None, note="there is no Blender environment, see above")], []
     result, summary = run_pytest(name, python, arguments, selection.selective)
     return [result], [summary]
+
+
+def why_no_second_blender() -> str:
+    """Why the newer Blender is not tried beside the other; empty if it is."""
+    try:
+        environments.find_python(BLENDER52.pythons)
+        first = environments.find_python(BLENDER.pythons)
+    except SetupError:
+        return "there is no Python 3.13 on this machine"
+    same = environments.find_python(BLENDER52.pythons) == first
+    return "the part blender has that version here" if same else ""
 
 
 def print_summary(results: list[Result], summaries: list[str]) -> None:

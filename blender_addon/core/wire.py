@@ -3,12 +3,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from jghand_engine.service import protocol
-else:
-    from pathlib import Path
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 # the file decides, not whether its import works: a broken copy must not be taken for a missing one

@@ -1,0 +1,128 @@
+"""Builds the Blender extension: the zip that an artist installs, and the index of a repository that serves it.
+
+    python scripts/build_extension.py                       dist/jghand-0.1.0.zip, dist/index.json and index.html
+    python scripts/build_extension.py --out FOLDER          the same in another folder
+    python scripts/build_extension.py --zip-only            no index, and no check by Blender
+
+The zip needs nothing but Python 3.11 or newer. It holds `blender_addon` and a copy of the one module that extension and
+engine share; the same files give the same bytes. Blender's own tool checks it and writes the index; the tool comes with
+every Blender as a module (`.envs/blender`, made by scripts/test.py) and needs no Blender to run. A folder with the
+results on any web server is a repository: its address is that of index.json.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import subprocess
+import sys
+import tomllib
+import zipfile
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[1]
+SOURCE = ROOT / "blender_addon"
+MANIFEST = "blender_manifest.toml"
+# what lies elsewhere in the project and at these places in the zip
+FROM_ELSEWHERE = {
+    "core/protocol.py": ROOT / "jghand_engine" / "service" / "protocol.py",
+    "LICENSE-MIT": ROOT / "LICENSE",  # of that file
+}
+# what an extension may hold; anything else in the folder is there by mistake
+KNOWN_SUFFIXES = {".py", ".toml", ".json", ".blend", ".npz", ".png"}
+KNOWN_NAMES = {"LICENSE", "NOTICE"}
+PASSED_OVER = {"__pycache__", ".pytest_cache", ".ruff_cache"}
+# the first moment that a zip can name, and rights that everybody can read: both are part of a zip's bytes
+MOMENT = (1980, 1, 1, 0, 0, 0)
+RIGHTS = 0o100644
+# a file of Git LFS that was never fetched
+POINTER = b"version https://git-lfs"
+TOOL = "bl_pkg/cli/blender_ext.py"
+
+
+class BuildError(Exception):
+    """The extension cannot be built; the text says why and what to do."""
+
+
+def members(source: Path = SOURCE) -> dict[str, Path]:
+    """Name in the zip -> file, sorted by name. BuildError: a file that nobody expects in an extension."""
+    found = dict(FROM_ELSEWHERE)
+    for path in _files(source):
+        name = path.relative_to(source).as_posix()
+        if path.suffix not in KNOWN_SUFFIXES and path.name not in KNOWN_NAMES:
+            raise BuildError(f"{path} is of no kind that an extension holds. Move it away, or add it to this script.")
+        if name in FROM_ELSEWHERE:
+            raise BuildError(f"{path} is put there by this script. Delete it.")
+        found[name] = path
+    return dict(sorted(found.items()))
+
+
+def _files(folder: Path) -> Iterator[Path]:
+    for path in folder.iterdir():
+        if path.name in PASSED_OVER:
+            continue
+        if path.is_dir():
+            yield from _files(path)
+        else:
+            yield path
+
+
+def build(out: Path, source: Path = SOURCE) -> Path:
+    """Writes the zip into folder `out` and returns its path: {id}-{version}.zip, as the manifest says."""
+    manifest = tomllib.loads((source / MANIFEST).read_text(encoding="utf-8"))
+    out.mkdir(parents=True, exist_ok=True)
+    path = out / f"{manifest['id']}-{manifest['version']}.zip"
+    unfinished = path.with_suffix(".part")
+    with zipfile.ZipFile(unfinished, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
+        for name, file in members(source).items():
+            content = file.read_bytes()
+            if content.startswith(POINTER):
+                raise BuildError(f"{file} is a pointer of Git LFS. Fetch the file itself (git lfs pull).")
+            entry = zipfile.ZipInfo(name, MOMENT)
+            entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, RIGHTS << 16
+            entry.create_system = 3  # else Windows and the others write different bytes
+            archive.writestr(entry, content)
+    os.replace(unfinished, path)
+    return path
+
+
+def find_tool() -> Path | None:
+    """Blender's tool for extensions, in one of the project's environments; the newest Blender's, if there are more."""
+    return max((ROOT / ".envs").glob(f"blender*/**/{TOOL}"), key=lambda path: path.parents[4].name, default=None)
+
+
+def run_tool(tool: Path, *arguments: object) -> None:
+    """Runs Blender's tool; BuildError with what it said when it finds something wrong."""
+    command = [sys.executable, str(tool), *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        raise BuildError(f"Blender's tool says no to: {' '.join(map(str, arguments))}\n{done.stdout}{done.stderr}")
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=ROOT / "dist", help="folder for the results (default dist)")
+    parser.add_argument("--zip-only", action="store_true", help="write the zip alone, unchecked")
+    options = parser.parse_args()
+    path = build(options.out)
+    print(f"{path}: {path.stat().st_size / 1000:.0f} kB")
+    if options.zip_only:
+        return 0
+    tool = find_tool()
+    if tool is None:
+        raise BuildError(
+            "Blender's tool for extensions was not found, so the zip is not checked and there is no index.\n"
+            "Run `python scripts/test.py --only blender` once, which makes .envs/blender, or use --zip-only."
+        )
+    run_tool(tool, "validate", path)
+    run_tool(tool, "server-generate", "--repo-dir", options.out, "--html")
+    print(f"{options.out / 'index.json'}: every zip of this folder, for Blender's list of repositories")
+    return 0
+
+
+if __name__ == "__main__":
+    try:
+        sys.exit(main())
+    except BuildError as problem:
+        sys.exit(str(problem))

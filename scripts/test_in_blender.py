@@ -1,0 +1,154 @@
+"""Tries the extension in a real Blender window, step by step, and keeps pictures of the screen.
+
+    python scripts/test_in_blender.py                         every story of tests/in_blender
+    python scripts/test_in_blender.py installed               one story
+    python scripts/test_in_blender.py installed the_side_bar_has_its_tab     only some of its steps
+    python scripts/test_in_blender.py /tmp/look.py            a story that lies elsewhere
+
+A story is a file of small functions (tests/in_blender/__init__.py says how they look); each story gets a Blender of its
+own, with an empty profile into which the freshly built zip is installed. Pictures, logs and results lie in
+build/in_blender/STORY. Needs Blender, Xvfb, xdotool and ImageMagick; where they are not installed, a folder with all of
+them is made from Debian's packages (root, mmdebstrap, two minutes, 1.3 GB; scripts/blender_folder.py). The exit code is
+0 when every step passed, 1 when one failed, 77 when it cannot be tried here, which the last line then explains.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import build_extension
+from blender_folder import NotPossibleError, Place, find_place
+
+ROOT = Path(__file__).resolve().parents[1]
+STORIES = ROOT / "tests" / "in_blender"
+HELPERS = {"__init__", "driver", "window", "pictures"}
+FOLDER_VARIABLE = "JGHAND_BLENDER_FOLDER"
+ENGINE_VARIABLE = "JGHAND_ENGINE_PYTHON"
+CANNOT = 77
+SCREEN = "1280x800"
+# starts the screen on a free number, then the rest of its arguments; ends the screen with them
+WITH_SCREEN = """
+number=$(mktemp)
+Xvfb -displayfd 3 -screen 0 "$1x24" +extension GLX 3>"$number" 2>/dev/null & screen=$!
+shift
+for _ in $(seq 100); do [ -s "$number" ] && break; sleep 0.1; done
+DISPLAY=":$(cat "$number")"; export DISPLAY
+rm -f "$number"
+"$@"; status=$?
+kill "$screen"
+exit $status
+"""
+
+
+def engine_python() -> Path:
+    """The interpreter of the engine's environment."""
+    named = os.environ.get(ENGINE_VARIABLE)
+    for path in (Path(named) if named else None, ROOT / ".envs/engine/bin/python"):
+        if path is not None and path.is_file():
+            return path
+    raise NotPossibleError(f"the engine is not set up (python scripts/test.py, or {ENGINE_VARIABLE})")
+
+
+def seen_by_engine(python: Path) -> list[Path]:
+    """Folders that this Python needs: its environment, and the installation that it was made from."""
+    code = "import sys; print(sys.prefix); print(sys.base_prefix)"
+    done = subprocess.run([str(python), "-I", "-c", code], capture_output=True, text=True, check=True)
+    return [Path(line) for line in done.stdout.splitlines()]
+
+
+def story_file(name: str) -> Path:
+    path = STORIES / f"{name}.py" if "/" not in name else Path(name).resolve()
+    if not path.is_file():
+        known = ", ".join(stories())
+        raise NotPossibleError(f"there is no story {name}; there are {known}")
+    return path
+
+
+def stories() -> list[str]:
+    return sorted(path.stem for path in STORIES.glob("*.py") if path.stem not in HELPERS)
+
+
+def run_story(place: Place, archive: Path, story: Path, steps: list[str], options: argparse.Namespace) -> bool:
+    """Runs one story and says how its steps went; returns whether all passed."""
+    out = options.out / story.stem
+    if out.exists():
+        shutil.rmtree(out)
+    out.mkdir(parents=True)
+    python = engine_python()
+    variables = {
+        "HOME": str(out), "TMPDIR": "/tmp", "BLENDER_USER_RESOURCES": str(out / "profile"),
+        "LIBGL_ALWAYS_SOFTWARE": "1", "GALLIUM_DRIVER": "llvmpipe", ENGINE_VARIABLE: str(python),
+        "JGHAND_CACHE_DIR": str(out.parent / "cache"), "OMP_NUM_THREADS": os.environ.get("OMP_NUM_THREADS", "2"),
+    }  # fmt: skip
+    width, height = options.screen.split("x")
+    blender = [
+        "blender", "--no-window-focus", "--gpu-backend", "opengl", "--window-geometry", "0", "0", width, height,
+        "--python-exit-code", "1", "--python", str(STORIES / "driver.py"),
+        "--", str(archive), str(out), str(story), *steps,
+    ]  # fmt: skip
+    seen = [ROOT, out.parent, archive.parent, story.parent, *seen_by_engine(python)]
+    command = place.command(["bash", "-c", WITH_SCREEN, "screen", options.screen, *blender], seen, variables)
+    started = time.perf_counter()
+    log = out / "blender.log"
+    with log.open("wb") as stream:
+        process = subprocess.Popen(command, stdout=stream, stderr=subprocess.STDOUT, start_new_session=True)
+        try:
+            code = process.wait(timeout=options.timeout)
+        except (subprocess.TimeoutExpired, KeyboardInterrupt) as error:
+            os.killpg(process.pid, 9)
+            process.wait()
+            if isinstance(error, KeyboardInterrupt):
+                raise
+            code = None
+    return _say(story, out, code, time.perf_counter() - started)
+
+
+def _say(story: Path, out: Path, code: int | None, seconds: float) -> bool:
+    results_file = out / "results.json"
+    results = json.loads(results_file.read_text(encoding="utf-8")) if results_file.exists() else []
+    print(f"\n{story.stem}: {seconds:.0f} s, {out}")
+    for result in results:
+        print(f"  {'ok    ' if result['ok'] else 'FAILED'} {result.get('seconds', 0):6.1f} s  {result['name']}")
+        if not result["ok"]:
+            print("         " + result.get("problem", "").replace("\n", "\n         "))
+    passed = bool(results) and all(result["ok"] for result in results) and code == 0
+    if not passed:
+        end = "it ran out of time" if code is None else f"Blender ended with {code}"
+        last = (out / "blender.log").read_text(encoding="utf-8", errors="replace").splitlines()[-15:]
+        print(f"  {end}; the end of its log:", *last, sep="\n    ")
+    return passed
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("story", nargs="?", help="a story of tests/in_blender, or a file; default: all of them")
+    parser.add_argument("steps", nargs="*", help="names of its steps, without `step_`; default: all")
+    parser.add_argument("--out", type=Path, default=ROOT / "build" / "in_blender", help="folder for the results")
+    parser.add_argument(
+        "--folder", type=Path, default=os.environ.get(FOLDER_VARIABLE) or ROOT / ".envs" / "blender_window",
+        help=f"folder with Debian and Blender, kept for the next time (default {FOLDER_VARIABLE} or .envs/blender_window)",
+    )  # fmt: skip
+    parser.add_argument("--screen", default=SCREEN, metavar="WxH", help=f"size of the screen (default {SCREEN})")
+    parser.add_argument("--timeout", type=float, default=600, help="seconds that one story may take (default 600)")
+    options = parser.parse_args()
+    options.out = options.out.resolve()
+    try:
+        files = [story_file(name) for name in ([options.story] if options.story else stories())]
+        place = find_place(Path(options.folder))
+        archive = build_extension.build(options.out / "zip")
+        passed = [run_story(place, archive, file, options.steps, options) for file in files]
+    except NotPossibleError as error:
+        print(f"not tried: {error}")
+        return CANNOT
+    return 0 if all(passed) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())
