@@ -14,17 +14,30 @@ REQUEST_S = 60.0
 LOAD_S = 120.0
 # the longest time that may be asked for one picture: a day; beyond some weeks the system's own waits overflow
 REQUEST_MAX_S = 86400.0
-# no sign of life for so long: the engine hangs (it gives one every second)
+# no sign of life for so long: the engine is slow, then it hangs (it gives one every second)
+SLOW_S = 5.0
 SILENCE_S = 30.0
-# how often a wait looks whether the process still lives
+# how often a wait looks whether the process still lives; the link's thread, while the engine is ready, is woken by
+# whatever comes and looks this often besides
 POLL_S = 0.05
+LOOK_S = 1.0
+# between two starts after a failure, and how many of them there are unless the user asks for one
+RESTART_S = 5.0
+RESTARTS_MAX = 3
+# pictures that failed and are not asked for again, the newest
+REFUSED_MAX = 64
 # after stdin was closed the engine may finish; then it is asked to end; then it is ended
 STOP_S = 3.0
 TERMINATE_S = 2.0
+# after the end of the process, what it printed last may still be on its way
+LAST_WORDS_S = 0.2
 # lines of the engine's own output that are kept, those of them that a failure's detail shows, and letters of one
 LOG_LINES = 1000
 DETAIL_LINES = 20
 LOG_LINE_MAX = 2000
+# log files that are kept, the newest, and how long one may grow (a library that floods its output)
+LOG_FILES = 5
+LOG_FILE_MAX_BYTES = 8 * 2**20
 
 # ---- the armature ---------------------------------------------------------------------------------------------------
 
@@ -121,3 +134,53 @@ DENSITY_MIN = 0.1
 # sub-frames of motion blur: enough for a finger that crosses its own width; beyond, seconds a frame for nothing
 MOTION_SAMPLES = 8
 MOTION_SAMPLES_MAX = 64
+
+# ---- pictures in the viewport (BLENDER 5 and 7.1) -------------------------------------------------------------------
+
+# how often the timer looks: nothing is open, a request is open, and at the least while its answer is due. Blender's own
+# loop sleeps 5 ms between looks
+IDLE_TICK_S = 0.1
+OPEN_TICK_S = 0.05
+SHORTEST_TICK_S = 0.005
+# while playing a view waits so long for its picture, or one frame if that is shorter: Blender's main thread is then
+# never blocked for 50 ms
+PLAY_WAIT_S = 0.04
+# after so many late frames in a row nobody waits any more, until an answer was fast enough again: a hung engine costs
+# playback nothing
+LATE_PATIENCE = 3
+# a view that is orbited waits so long for the picture from the new side, where recent pictures came that fast; longer
+# is felt as stutter
+ORBIT_WAIT_S = 0.025
+# after the last change: the settings of the viewport instead of the fast ones, and then the settings of renders
+SETTLE_S = 0.15
+SHARPEN_S = 0.6
+# pixels of one picture: while something moves (a little more than 512 x 334), while nothing moves, and the most that is
+# asked for at all (a 4K screen); larger views are drawn from a smaller picture
+MOVING_PIXELS_MAX = 200_000
+STILL_PIXELS_MAX = 1_000_000
+SHARP_PIXELS_MAX = 8_300_000
+# the part of a view that can show a hand ends so far from its joints, metres: skin, forearm, and the blur of splats
+REACH_M = 0.06
+# and is rounded outwards to so many pixels, so that a small move keeps the picture's size
+CROP_STEP_PX = 32
+# requests and failures that a view remembers
+ASKS_KEPT = 8
+FAILURES_KEPT = 32
+# how often, at most, panels are drawn again for figures that change with every picture
+PANEL_TICK_S = 0.5
+# an orthographic view of Blender has things behind its camera: the engine's camera stands so far in front of the
+# nearest joint, metres
+ORTHO_ROOM_M = 0.5
+
+# ---- jobs: child processes of the engine's command line -----------------------------------------------------------------
+
+# a job that was asked to stop finishes a step and writes a checkpoint, or a picture; then it is asked again, then ended
+JOB_STOP_S = 30.0
+# after its end: what it printed last may still be on its way
+JOB_LAST_WORDS_S = 1.0
+# the end of Blender waits so long for all jobs together; what needs longer ends by itself
+JOB_END_S = 2.0
+# bytes of one line of a job, letters of its text, and notes that are kept
+JOB_LINE_MAX = 65536
+JOB_TEXT_MAX = 300
+JOB_NOTES = 5

@@ -40,6 +40,9 @@ ADVICE = {
         "Look at the log and try again",
         TRY_AGAIN,
     ),
+    "stopped": Advice("The engine was stopped", "Start it again when it is needed", TRY_AGAIN),
+    "cancelled": Advice("This was cancelled", "Start it again when it is wanted", INTERRUPTED),
+    "device_lost": Advice("The graphics driver stopped the engine", "Restart the engine, or let it use the processor", TRY_AGAIN),
     "token": Advice("Another program answered", "Start the engine again", TRY_AGAIN),
     "busy": Advice("The engine serves another program", "Start an engine of your own", TRY_AGAIN),
     "bad_avatar": Advice("This file is not a JGHand avatar", "Choose another file", BAD_INPUT),
@@ -47,6 +50,7 @@ ADVICE = {
     "retry": Advice("The engine could not do it now", "Try again", TRY_AGAIN),
     "internal": Advice("JGHand made a mistake", "Look at the log and report it", MISTAKE),
     "interrupted": Advice("The run was interrupted", "Start it again to go on where it stopped", INTERRUPTED),
+    "job_running": Advice("This is running already", "Wait until it has ended, or cancel it", TRY_AGAIN),
     # what this side refuses
     "not_a_hand": Advice("This armature is not a JGHand hand", "Add a hand, or map its bones first", BAD_INPUT),
     "bad_bone_map": Advice("This armature's bones do not make a whole hand", "Complete the bone map", BAD_INPUT),

@@ -32,6 +32,7 @@ from jghand_engine.cli import (
 )
 from jghand_engine.cli.console import say, say_error
 from jghand_engine.cli.failures import explain
+from jghand_engine.cli.machine import started_by_a_program
 from jghand_engine.cli.options import ReportOptions
 
 DESCRIPTION = """JGHand: 21 joint positions go in, a photorealistic hand comes out.
@@ -75,19 +76,20 @@ def main(arguments: Sequence[str] | None = None) -> int:
         say(f"jghand {__version__}")
         return 0
     verb: Any = tyro.cli(_parsed_type(words), prog="jghand", description=DESCRIPTION, args=words, config=STYLE)
-    try:
-        return verb.run() or 0
-    except (Exception, KeyboardInterrupt) as error:
-        if _wants_traceback(verb):
-            traceback.print_exc()
-        failure = explain(error)
-        say_error(failure.sentence)
-        return failure.exit_code
-
-
-def _wants_traceback(verb: Any) -> bool:
     report = getattr(verb, "report", None)
-    return bool(os.environ.get("JGHAND_DEBUG")) or (isinstance(report, ReportOptions) and report.traceback)
+    report = report if isinstance(report, ReportOptions) else ReportOptions()
+    with started_by_a_program(report.progress_json) as lines:
+        try:
+            return verb.run() or 0
+        except (Exception, KeyboardInterrupt) as error:
+            if os.environ.get("JGHAND_DEBUG") or report.traceback:
+                traceback.print_exc()
+            failure = explain(error)
+            if lines is not None:
+                lines.error(failure, error)
+            else:
+                say_error(failure.sentence)
+            return failure.exit_code
 
 
 def _parsed_type(words: Sequence[str]) -> Any:

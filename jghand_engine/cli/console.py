@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from jghand_engine.cli.machine import JsonProgress, json_lines
 from jghand_engine.errors import InputError
 from jghand_engine.files import writing
 
@@ -58,7 +59,14 @@ def say_whole_table(table: Figures) -> None:
 
 @contextmanager
 def progress(text: str, total: int) -> Iterator[Progress]:
-    """A bar with one task; call `advance(task_id=0)`. It stands on standard error and vanishes where nobody looks."""
+    """A bar with one task; call `advance(task_id=0)`. It stands on standard error and vanishes where nobody looks, or
+    is told in lines to the program that started this one."""
+    lines = json_lines()
+    if lines is not None:
+        told = JsonProgress(lines)
+        told.add_task(text, total=total)
+        yield told
+        return
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=err(), transient=False, disable=not err().is_terminal) as bar:
         bar.add_task(text, total=total)

@@ -33,6 +33,9 @@ class ReportOptions:
     """Also write the figures to this file."""
     traceback: bool = False
     """After an error show where in the program it happened (also: JGHAND_DEBUG=1)."""
+    progress_json: bool = False
+    """For programs that start this one: progress and errors as lines of JSON on standard error, and a stop as by
+    Ctrl-C when standard input ends."""
 
 
 @dataclass(frozen=True)

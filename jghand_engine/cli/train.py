@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -81,6 +82,7 @@ class Train:
     def run(self) -> int:
         """0 when the training is finished, the exit code of a stop when somebody stopped it."""
         from jghand_engine.cli.learning import device_called, material, train_options
+        from jghand_engine.cli.machine import JsonTraining, json_lines
         from jghand_engine.datasets.splits import split_capture
         from jghand_engine.training.progress import display
         from jghand_engine.training.run import check_places, train
@@ -105,7 +107,8 @@ class Train:
 
         if self.replay is not None:
             return self._replayed(build(), run)
-        with display(err()) as shown_progress:
+        lines = json_lines()
+        with nullcontext(JsonTraining(lines)) if lines else display(err()) as shown_progress:
             outcome = train(build, run, shown_progress)
         self._say(outcome, run)
         return 0 if outcome.finished else STOPPED

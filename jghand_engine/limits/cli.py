@@ -32,3 +32,10 @@ DEMO_SWAY_DEG = 35.0
 SHEET_COLUMNS = 8
 # the widest lens that `jghand render` takes, millimetres: one that sees around the hand
 APERTURE_MAX_MM = 200.0
+
+# ---- cli: commands that another program started -----------------------------------------------------------------------
+# seconds between two lines of progress: a panel is not read faster, and a pipe is not flooded
+PROGRESS_JSON_S = 0.25
+# seconds after the end of standard input until such a command ends regardless: a step of a training and its checkpoint
+# take a few, a picture of a capture up to a minute
+STOP_WITHOUT_INPUT_S = 90.0

@@ -1,0 +1,278 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Jobs: child processes of the engine's command line, with progress, pause and cancel. Does not use bpy.
+
+A job is asked to stop by the end of its standard input, which is Ctrl-C to the engine on every system and also reaches
+it when Blender dies: a training writes its checkpoint. What does not listen is ended by force. Jobs belong to the
+running Blender, not to the opened file. Nothing here blocks but `wait` and `close`, which have a limit.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import signal
+import subprocess
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+from . import job_state, limits
+from .client import cleaned_environment
+from .job_state import JobState, Phase
+from .messages import JGHandFailure
+
+# what every job gets; see jghand_engine/cli/machine.py
+PROGRESS_OPTION = "--progress-json"
+
+
+@dataclass(frozen=True)
+class JobSpec:
+    """What is to be done. kind: what sort of job · title: for people · command: program and arguments · folder: where
+    its results and what it needs to go on lie · resume: the command that goes on after a pause, empty where there is
+    none · on_done: called once, on the thread that ticks, when it is done; a JGHandFailure makes the job a failed one.
+    """
+
+    kind: str
+    title: str
+    command: tuple[str, ...]
+    folder: Path
+    resume: tuple[str, ...] = ()
+    on_done: Callable[[], None] | None = None
+
+
+class Job:
+    """One running or finished job."""
+
+    def __init__(self, spec: JobSpec, *, environment: Mapping[str, str] = os.environ) -> None:
+        """Starts it. A program that is not there makes a failed job, not an exception."""
+        self.spec = spec
+        self.state = JobState()
+        self._environment = environment
+        self._start(spec.command)
+
+    @property
+    def log(self) -> str:
+        """The last lines that it printed, but for progress."""
+        return "\n".join(self._output)
+
+    @property
+    def is_over(self) -> bool:
+        """Whether its process has ended and was noticed to."""
+        return self.state.phase.is_over
+
+    @property
+    def silent_s(self) -> float:
+        """Seconds since it last said anything."""
+        return time.monotonic() - self._heard_s
+
+    def tick(self) -> bool:
+        """Looks what happened since the last time; True when the state is another one."""
+        before = self.state
+        if self.is_over:
+            return False
+        self._take_news()
+        process = self._process
+        code = process.poll() if process is not None else None
+        if process is not None and code is None:
+            self._insist()
+        elif code is not None:
+            self._end(code)
+        return self.state != before
+
+    def pause(self) -> None:
+        """Asks a job that can go on later to stop."""
+        if self.spec.resume:
+            self._ask(pause=True)
+
+    def cancel(self) -> None:
+        """Asks it to stop. A paused job is cancelled at once; what it has written stays."""
+        if self.state.phase is Phase.PAUSED:
+            self.state = job_state.JobState(Phase.CANCELLED, self.state.text)
+            return
+        self._ask(pause=False)
+
+    def go_on(self) -> None:
+        """Starts a paused job, or one that failed, again where it stands."""
+        if self.is_over and self.state.phase is not Phase.DONE and self.spec.resume:
+            self.state = JobState(notes=self.state.notes)
+            self._start(self.spec.resume)
+
+    def wait(self, timeout_s: float, *, cancelled: Callable[[], bool] = lambda: False) -> bool:
+        """Blocks until it is over, at most so long, asking `cancelled` all the while; True when it is over."""
+        until = time.monotonic() + timeout_s
+        while not self.is_over and time.monotonic() < until:
+            self.tick()
+            if self.state.phase is Phase.RUNNING and cancelled():
+                self.cancel()
+            if self._process is not None and not self.is_over:
+                with contextlib.suppress(subprocess.TimeoutExpired):
+                    self._process.wait(limits.POLL_S)
+        return self.is_over
+
+    def kill(self) -> None:
+        """Ends it at once, with the processes that it started."""
+        process = self._process
+        if process is not None and process.poll() is None:
+            _signal_all(process, getattr(signal, "SIGKILL", signal.SIGTERM))
+            process.wait()
+        self.tick()
+
+    def let_go(self) -> None:
+        """The end of Blender: the job is asked to stop and not looked at any more. It ends by itself, a training with
+        its checkpoint."""
+        self._close_input()
+
+    # ---- the process -------------------------------------------------------------------------------------------------
+
+    def _start(self, command: tuple[str, ...]) -> None:
+        self._output: deque[str] = deque(maxlen=limits.LOG_LINES)
+        self._notes: deque[Mapping[str, Any]] = deque(maxlen=limits.JOB_NOTES)
+        self._progress: Mapping[str, Any] | None = None
+        self._error: Mapping[str, Any] | None = None
+        self._heard_s = time.monotonic()
+        self._asked_s: float | None = None
+        self._process: subprocess.Popen[bytes] | None = None
+        self._readers: list[threading.Thread] = []
+        try:
+            self._process = subprocess.Popen(
+                [*command, PROGRESS_OPTION],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.PIPE,
+                env=cleaned_environment(self._environment),
+                **_OF_ITS_OWN,
+            )
+        except OSError as error:
+            failure = JGHandFailure("no_interpreter", f"{command[0]}: {error.strerror or error}")
+            self.state = job_state.failed(self.state, failure)
+            return
+        for pipe in (self._process.stdout, self._process.stderr):
+            reader = threading.Thread(target=self._read, args=(pipe,), daemon=True, name="jghand job")
+            reader.start()
+            self._readers.append(reader)
+
+    def _read(self, pipe: IO[bytes]) -> None:
+        """Keeps a pipe from filling up. However much comes, only the newest is kept."""
+        with pipe:
+            for raw in iter(lambda: pipe.readline(limits.JOB_LINE_MAX), b""):
+                line = raw.decode("utf-8", "replace").rstrip()
+                self._heard_s = time.monotonic()
+                content = job_state.parse_line(line)
+                if content is None:
+                    if line:
+                        self._output.append(line[: limits.LOG_LINE_MAX])
+                elif content["jghand"] == "error":
+                    self._error = content
+                elif content["jghand"] == "note":
+                    self._notes.append(content)
+                else:
+                    self._progress = content
+
+    def _take_news(self) -> None:
+        progress, self._progress = self._progress, None
+        if progress is not None:
+            self.state = job_state.heard(self.state, progress)
+        while self._notes:
+            self.state = job_state.heard(self.state, self._notes.popleft())
+
+    def _end(self, code: int) -> None:
+        for reader in self._readers:  # its last words may still be on their way
+            reader.join(limits.JOB_LAST_WORDS_S)
+        self._take_news()
+        self._close_input()
+        can_pause = bool(self.spec.resume)
+        self.state = job_state.ended(self.state, code, self._error, self.log, can_pause=can_pause)
+        if self.state.phase is Phase.DONE and self.spec.on_done is not None:
+            try:
+                self.spec.on_done()
+            except JGHandFailure as failure:
+                self.state = job_state.failed(self.state, failure)
+
+    def _ask(self, *, pause: bool) -> None:
+        self.state = job_state.asked_to_stop(self.state, pause=pause)
+        if self._asked_s is None and not self.is_over:
+            self._asked_s = time.monotonic()
+            self._close_input()
+
+    def _insist(self) -> None:
+        """Ends by force what does not answer a request to stop."""
+        if self._asked_s is None or self._process is None:
+            return
+        waited_s = time.monotonic() - self._asked_s
+        if waited_s > limits.JOB_STOP_S + limits.TERMINATE_S:
+            _signal_all(self._process, getattr(signal, "SIGKILL", signal.SIGTERM))
+        elif waited_s > limits.JOB_STOP_S:
+            _signal_all(self._process, signal.SIGTERM)
+
+    def _close_input(self) -> None:
+        if self._process is not None and self._process.stdin is not None:
+            with contextlib.suppress(OSError):
+                self._process.stdin.close()
+
+
+class JobTable:
+    """The jobs of this Blender, the newest of each key. Kept beside the opened file, so that opening another one ends
+    nothing."""
+
+    def __init__(self) -> None:
+        self._jobs: dict[str, Job] = {}
+
+    def start(self, key: str, spec: JobSpec) -> Job:
+        """Starts a job. JGHandFailure (job_running) while the one of that key runs."""
+        old = self._jobs.get(key)
+        if old is not None and not old.is_over:
+            raise JGHandFailure("job_running", old.spec.title)
+        self._jobs[key] = Job(spec)
+        return self._jobs[key]
+
+    def get(self, key: str) -> Job | None:
+        """The newest job of a key."""
+        return self._jobs.get(key)
+
+    def forget(self, key: str) -> None:
+        """Takes a job that is over off the list."""
+        job = self._jobs.get(key)
+        if job is not None and job.is_over:
+            del self._jobs[key]
+
+    @property
+    def running(self) -> list[Job]:
+        """Those whose process may still live."""
+        return [job for job in self._jobs.values() if not job.is_over]
+
+    def tick(self) -> bool:
+        """Looks after all of them; True when one changed, and a panel is to be drawn anew."""
+        changed = [job.tick() for job in self.running]  # every one of them, also after one that changed
+        return any(changed)
+
+    def close(self) -> None:
+        """The end of Blender or of the extension: all are asked to stop and a moment is given to them. Those that need
+        longer, as a training for its checkpoint, end by themselves."""
+        running = self.running
+        for job in running:
+            job.let_go()
+        until = time.monotonic() + limits.JOB_END_S
+        for job in running:
+            job.wait(max(until - time.monotonic(), 0.0))
+        self._jobs.clear()
+
+
+# a process group of its own: a Ctrl-C in Blender's terminal is Blender's, and all that a job starts ends with it
+_OF_ITS_OWN: dict[str, Any] = (
+    {"creationflags": getattr(subprocess, "CREATE_NO_WINDOW", 0)} if os.name == "nt" else {"start_new_session": True}
+)
+
+
+def _signal_all(process: subprocess.Popen[bytes], number: int) -> None:
+    """Sends a signal to a job and to the processes that it started."""
+    with contextlib.suppress(OSError):
+        if hasattr(os, "killpg"):
+            os.killpg(process.pid, number)
+        elif number == signal.SIGTERM:
+            process.terminate()
+        else:
+            process.kill()

@@ -1,0 +1,168 @@
+"""Commands that another program started: progress as lines of JSON, and an end of its input that means Ctrl-C.
+
+With --progress-json every line of standard error that begins with `{` is one object whose key `jghand` says what it is:
+
+    {"jghand": "progress", "text": "Writing USD", "done": 3, "total": 12, "eta_s": 1.5}   eta_s: null while unknown
+    {"jghand": "training", "text": "step 40 of 900 · …", "done": 40, "total": 900, "eta_s": 3100.0}
+    {"jghand": "note", "text": "Going on at step 40."}
+    {"jghand": "error", "kind": "retry", "text": "…", "exit_code": 3}
+
+Results stay on standard output. The end of standard input stops the command as Ctrl-C does, on every system and also
+when the program that started it was killed: a training then writes its checkpoint.
+"""
+
+from __future__ import annotations
+
+import _thread
+import contextlib
+import errno
+import json
+import math
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from typing import IO, TYPE_CHECKING, Any
+
+from rich.progress import Progress
+
+from jghand_engine.cli.failures import FAULT, STOPPED, Failure
+from jghand_engine.limits import PROGRESS_JSON_S, STOP_WITHOUT_INPUT_S
+
+if TYPE_CHECKING:
+    from jghand_engine.training.progress import Status
+
+# what an exit code is called, as in the replies of the service
+_KINDS = {FAULT: "internal", 2: "bad_input", 3: "retry", 4: "out_of_memory", STOPPED: "cancelled"}
+
+
+class JsonLines:
+    """Writes the lines. Progress is at most one line every PROGRESS_JSON_S, but its first and its last always."""
+
+    def __init__(self, stream: IO[str]) -> None:
+        self._stream = stream
+        self._lock = threading.Lock()
+        self._last_s = -math.inf
+
+    def progress(self, text: str, done: float, total: float, eta_s: float | None, *, kind: str = "progress") -> None:
+        """How far a command is."""
+        now_s = time.monotonic()
+        if now_s - self._last_s < PROGRESS_JSON_S and 0 < done < total:
+            return
+        self._last_s = now_s
+        eta = None if eta_s is None or not math.isfinite(eta_s) else round(eta_s, 1)
+        self._write(jghand=kind, text=text, done=done, total=total, eta_s=eta)
+
+    def note(self, text: str) -> None:
+        """Something that happened."""
+        self._write(jghand="note", text=text)
+
+    def error(self, failure: Failure, error: BaseException) -> None:
+        """What ended the command."""
+        kind = "disk_full" if _disk_is_full(error) else _KINDS.get(failure.exit_code, "internal")
+        self._write(jghand="error", kind=kind, text=failure.sentence, exit_code=failure.exit_code)
+
+    def _write(self, **content: Any) -> None:
+        # whoever read along may be gone; a training still has its checkpoint to write
+        with self._lock, contextlib.suppress(OSError, ValueError):
+            self._stream.write(json.dumps(content) + "\n")
+            self._stream.flush()
+
+
+def _disk_is_full(error: BaseException | None) -> bool:
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
+            return True
+        error = error.__cause__
+    return False
+
+
+_lines: JsonLines | None = None
+
+
+def json_lines() -> JsonLines | None:
+    """The lines of this process, None where people read along."""
+    return _lines
+
+
+@contextlib.contextmanager
+def started_by_a_program(wanted: bool) -> Iterator[JsonLines | None]:
+    """While it lasts, progress goes out as lines, and the end of standard input is Ctrl-C. Nothing unless `wanted`."""
+    global _lines
+    if not wanted:
+        yield None
+        return
+    # whoever starts children in the background may have told them to ignore it
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    _lines = JsonLines(sys.stderr)
+    threading.Thread(target=_await_end_of_input, args=(_lines,), daemon=True, name="jghand stdin").start()
+    try:
+        yield _lines
+    finally:
+        _lines = None
+
+
+def _await_end_of_input(of: JsonLines) -> None:
+    try:
+        # not sys.stdin: a daemon thread that holds its lock at the end of the process would abort it
+        while os.read(sys.__stdin__.fileno() if sys.__stdin__ else 0, 4096):
+            pass
+    except (OSError, ValueError):
+        return  # there is no standard input
+    if _lines is not of:
+        return
+    main = threading.main_thread().ident
+    # nobody is left who could end a command that does not listen
+    watchdog = threading.Timer(STOP_WITHOUT_INPUT_S, os._exit, (STOPPED,))
+    watchdog.daemon = True
+    watchdog.start()
+    if hasattr(signal, "pthread_kill") and main is not None:
+        # a signal wakes the main thread from whatever it waits for
+        signal.pthread_kill(main, signal.SIGINT)
+    else:
+        _thread.interrupt_main()
+
+
+class JsonProgress(Progress):
+    """rich's bookkeeping of a bar whose one task is told in lines instead of drawn."""
+
+    def __init__(self, lines: JsonLines) -> None:
+        super().__init__(disable=True)
+        self._json = lines
+
+    def add_task(self, *args: Any, **options: Any) -> Any:
+        """As rich's."""
+        task = super().add_task(*args, **options)
+        self._tell(task)
+        return task
+
+    def update(self, task_id: Any, **changes: Any) -> None:
+        """As rich's."""
+        super().update(task_id, **changes)
+        self._tell(task_id)
+
+    def advance(self, task_id: Any, advance: float = 1) -> None:
+        """As rich's."""
+        super().advance(task_id, advance)
+        self._tell(task_id)
+
+    def _tell(self, task_id: Any) -> None:
+        task = self._tasks[task_id]
+        self._json.progress(task.description, task.completed, task.total or 0, task.time_remaining)
+
+
+class JsonTraining:
+    """Where a training says how it goes (`training.progress.Display`), in lines."""
+
+    def __init__(self, lines: JsonLines) -> None:
+        self._lines = lines
+
+    def update(self, status: Status) -> None:
+        """Where it stands."""
+        self._lines.progress(status.sentence(), status.step, status.steps, status.seconds_left, kind="training")
+
+    def note(self, sentence: str) -> None:
+        """Something that happened."""
+        self._lines.note(sentence)

@@ -1,0 +1,267 @@
+"""Jobs end in time whatever their program does, say why, and take nothing of Blender with them."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from blender_addon.core import job_state, limits
+from blender_addon.core.job_state import JobState, Phase
+from blender_addon.core.jobs import Job, JobSpec, JobTable
+from blender_addon.core.messages import ADVICE, JGHandFailure
+
+STAND_IN = Path(__file__).with_name("stand_in_job.py")
+ROOT = Path(__file__).resolve().parents[2]
+LONG_S = 20.0
+
+posix = pytest.mark.skipif(os.name == "nt", reason="the stand-in uses signals of POSIX")
+
+
+def spec(folder: Path, *words: str, resume: bool = False, **more) -> JobSpec:
+    command = (sys.executable, "-I", str(STAND_IN), *words)
+    return JobSpec("test", "Testing", command, folder, resume=command if resume else (), **more)
+
+
+def ended(job: Job, wait_s: float = LONG_S) -> JobState:
+    assert job.wait(wait_s), f"still {job.state}"
+    assert job._process is None or job._process.poll() is not None
+    return job.state
+
+
+def until_it_counts(job: Job) -> None:
+    until = time.monotonic() + LONG_S
+    while not job.state.total and time.monotonic() < until:
+        job.tick()
+        time.sleep(0.01)
+    assert job.state.text == "Counting"
+
+
+# ---- states ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_line_of_progress_becomes_a_sentence_with_the_remaining_time():
+    line = '{"jghand": "progress", "text": "Baking", "done": 34, "total": 240, "eta_s": 12}'
+    content = job_state.parse_line(line)
+    assert content is not None
+    state = job_state.heard(JobState(), content)
+    assert state.sentence() == "Baking 34 of 240 · 12 s left"
+    assert state.fraction == pytest.approx(34 / 240)
+
+
+def test_the_sentence_of_a_training_is_not_counted_twice():
+    content = {
+        "jghand": "training",
+        "text": "step 4 of 9 · loss 0.1 · 7 s left",
+        "done": 4,
+        "total": 9,
+        "eta_s": 7.0,
+    }
+    assert job_state.heard(JobState(), content).sentence() == "step 4 of 9 · loss 0.1 · 7 s left"
+
+
+@pytest.mark.parametrize("line", ["", "text", "{", "[]", "{}", '{"jghand": 1}', "{" * 5000, "{" + "[" * 200000])
+def test_any_other_line_is_no_news(line):
+    assert job_state.parse_line(line) is None
+
+
+@pytest.mark.parametrize("phase", Phase)
+@pytest.mark.parametrize("code", [0, 1, 2, 3, 4, 130, 137, -9, -15])
+@pytest.mark.parametrize("can_pause", [True, False])
+def test_the_end_of_a_process_always_ends_the_job(phase, code, can_pause):
+    state = job_state.ended(JobState(phase), code, None, "", can_pause=can_pause)
+    assert state.phase.is_over
+    assert (state.failure is not None) == (state.phase is Phase.FAILED)
+    assert state.sentence()
+
+
+def test_a_job_that_is_being_cancelled_cannot_be_paused_any_more():
+    cancelling = job_state.asked_to_stop(JobState(), pause=False)
+    assert job_state.asked_to_stop(cancelling, pause=True) is cancelling
+    assert job_state.asked_to_stop(replace(cancelling, phase=Phase.PAUSING), pause=False).phase is Phase.CANCELLING
+
+
+@pytest.mark.parametrize(
+    ("code", "error", "log", "kind"),
+    [
+        (3, {"kind": "disk_full", "text": "full"}, "", "disk_full"),
+        (2, {"kind": "bad_input", "text": "wanted 1, got 2"}, "", "bad_input"),
+        (1, {"kind": "made up", "text": ""}, "", "internal"),
+        (1, None, "python: No module named jghand_engine", "no_engine"),
+        (2, None, "usage: jghand", "protocol"),
+        (4, None, "", "out_of_memory"),
+        (-9, None, "", "killed"),
+        (137, None, "", "killed"),
+        (1, None, "Traceback", "crashed"),
+    ],
+)
+def test_every_bad_end_has_its_sentence(code, error, log, kind):
+    failure = job_state.failure_of(code, error, log)
+    assert failure.kind == kind
+    assert failure.advice is ADVICE[kind]
+
+
+# ---- processes -------------------------------------------------------------------------------------------------------
+
+
+@posix
+def test_a_job_runs_says_how_far_it_is_and_is_done(tmp_path):
+    done = []
+    job = Job(spec(tmp_path, "short", on_done=lambda: done.append(True)))
+    seen = set()
+    while not job.is_over:
+        job.tick()
+        seen.add(job.state.fraction)
+        time.sleep(0.005)
+    assert job.state.phase is Phase.DONE
+    assert done == [True]
+    assert len(seen) > 2
+    assert not job.tick()
+
+
+@posix
+def test_what_fails_after_the_end_makes_it_a_failed_job(tmp_path):
+    def full():
+        raise JGHandFailure("disk_full", "stamp")
+
+    state = ended(Job(spec(tmp_path, "short", on_done=full)))
+    assert state.phase is Phase.FAILED
+    assert state.failure is not None
+    assert state.failure.kind == "disk_full"
+
+
+@posix
+def test_a_cancelled_training_writes_its_checkpoint_first(tmp_path):
+    job = Job(spec(tmp_path, "long", str(tmp_path / "checkpoint"), resume=True))
+    until_it_counts(job)
+    job.cancel()
+    assert job.state.phase is Phase.CANCELLING
+    assert ended(job).phase is Phase.CANCELLED
+    assert (tmp_path / "checkpoint").read_text() == "checkpoint"
+
+
+@posix
+def test_a_paused_training_goes_on_and_can_be_cancelled_while_it_is_paused(tmp_path):
+    job = Job(spec(tmp_path, "long", str(tmp_path / "checkpoint"), resume=True))
+    until_it_counts(job)
+    job.pause()
+    assert ended(job).phase is Phase.PAUSED
+    job.go_on()
+    assert job.state.phase is Phase.RUNNING
+    until_it_counts(job)
+    job.pause()
+    ended(job)
+    job.cancel()
+    assert job.state.phase is Phase.CANCELLED
+
+
+@posix
+def test_a_job_without_a_way_to_go_on_is_not_paused(tmp_path):
+    job = Job(spec(tmp_path, "long"))
+    job.pause()
+    assert job.state.phase is Phase.RUNNING
+    job.cancel()
+    ended(job)
+
+
+@posix
+def test_a_program_that_does_not_listen_is_ended_by_force(tmp_path, monkeypatch):
+    monkeypatch.setattr(limits, "JOB_STOP_S", 0.2)
+    monkeypatch.setattr(limits, "TERMINATE_S", 0.2)
+    job = Job(spec(tmp_path, "deaf"))
+    until_it_counts(job)
+    job.cancel()
+    assert ended(job).phase is Phase.CANCELLED
+
+
+@posix
+@pytest.mark.parametrize(("fault", "kind"), [("die", "crashed"), ("killed", "killed"), ("disk full", "disk_full")])
+def test_a_program_that_fails_says_why(tmp_path, fault, kind):
+    state = ended(Job(spec(tmp_path, fault)))
+    assert state.phase is Phase.FAILED
+    assert state.failure is not None
+    assert state.failure.kind == kind
+
+
+@posix
+def test_a_flood_of_output_neither_blocks_nor_fills_memory(tmp_path):
+    job = Job(spec(tmp_path, "flood"))
+    assert ended(job, 60.0).phase is Phase.DONE
+    assert job.state.done == 19999
+    assert len(job._output) <= limits.LOG_LINES
+    assert max(map(len, job._output)) <= limits.LOG_LINE_MAX
+
+
+@posix
+def test_nonsense_on_standard_error_is_survived(tmp_path):
+    assert ended(Job(spec(tmp_path, "nonsense"))).phase is Phase.DONE
+
+
+def test_a_program_that_is_not_there_is_a_failed_job(tmp_path):
+    job = Job(JobSpec("test", "Testing", (str(tmp_path / "python"),), tmp_path))
+    assert job.state.phase is Phase.FAILED
+    assert job.state.failure is not None
+    assert job.state.failure.kind == "no_interpreter"
+    job.tick()
+    job.cancel()
+    job.kill()
+
+
+# ---- the table -------------------------------------------------------------------------------------------------------
+
+
+@posix
+def test_one_job_of_a_key_runs_at_a_time_and_others_beside_it(tmp_path):
+    table = JobTable()
+    first = table.start("train", spec(tmp_path, "long"))
+    with pytest.raises(JGHandFailure) as caught:
+        table.start("train", spec(tmp_path, "long"))
+    assert caught.value.kind == "job_running"
+    other = table.start("bake", spec(tmp_path, "short"))
+    ended(other)
+    assert table.running == [first]
+    first.cancel()
+    ended(first)
+    assert table.start("train", spec(tmp_path, "short")) is table.get("train")
+    ended(table.get("train"))  # type: ignore[arg-type]
+    table.forget("train")
+    assert table.get("train") is None
+
+
+@posix
+def test_the_end_of_blender_ends_jobs_politely_and_soon(tmp_path):
+    table = JobTable()
+    polite = table.start("train", spec(tmp_path, "long", str(tmp_path / "checkpoint"), resume=True))
+    until_it_counts(polite)
+    deaf = table.start("bake", spec(tmp_path, "deaf"))
+    until_it_counts(deaf)
+    started = time.monotonic()
+    table.close()
+    assert time.monotonic() - started < limits.JOB_END_S + 2
+    assert (tmp_path / "checkpoint").exists()
+    deaf.kill()
+
+
+@posix
+def test_a_job_notices_that_blender_was_killed(tmp_path):
+    """The end of its standard input reaches it from whatever ended its parent."""
+    code = f"""
+import os, sys, time
+sys.path.insert(0, {str(ROOT)!r})
+from pathlib import Path
+from blender_addon.core.jobs import Job, JobSpec
+job = Job(JobSpec("t", "T", (sys.executable, "-I", {str(STAND_IN)!r}, "long", {str(tmp_path / "left")!r}), Path()))
+while not job.state.total:
+    job.tick()
+os.kill(os.getpid(), 9)
+"""
+    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=60).returncode == -9
+    until = time.monotonic() + LONG_S
+    while not (tmp_path / "left").exists() and time.monotonic() < until:
+        time.sleep(0.02)
+    assert (tmp_path / "left").read_text() == "checkpoint"
