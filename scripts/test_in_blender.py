@@ -133,7 +133,7 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=ROOT / "build" / "in_blender", help="folder for the results")
     parser.add_argument(
         "--folder", type=Path, default=os.environ.get(FOLDER_VARIABLE) or ROOT / ".envs" / "blender_window",
-        help=f"folder with Debian and Blender, kept for the next time (default {FOLDER_VARIABLE} or .envs/blender_window)",
+        help=f"folder with Debian and Blender, made once (default {FOLDER_VARIABLE}, else .envs/blender_window)",
     )  # fmt: skip
     parser.add_argument("--screen", default=SCREEN, metavar="WxH", help=f"size of the screen (default {SCREEN})")
     parser.add_argument("--timeout", type=float, default=600, help="seconds that one story may take (default 600)")

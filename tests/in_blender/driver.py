@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Runs a story inside Blender: `blender --python driver.py -- ZIP OUT STORY.py [STEP ...]`.
 
-Installs the zip into the (empty) profile, then walks through the steps from a timer, so that Blender draws and reacts as
-it does for an artist. OUT/results.json says how every step went; Blender ends afterwards the ordinary way.
+Installs the zip into the (empty) profile, then walks through the steps from a timer, so that Blender draws and reacts
+as it does for an artist. OUT/results.json says how every step went; Blender ends afterwards the ordinary way.
 """
 
 from __future__ import annotations
