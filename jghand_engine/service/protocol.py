@@ -17,12 +17,12 @@ import socket
 import struct
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 # compared with strict equality on both sides; raise it with every change of a message
-PROTOCOL_VERSION = 1
+PROTOCOL_VERSION = 2
 # the header is names, numbers and a FrameReport: 64 kB is plenty and bounds the work on hostile JSON
 HEADER_MAX_BYTES = 64 * 1024
 # a 16 K x 4 K float picture; bounds what one message can make the other side allocate
@@ -131,16 +131,63 @@ def receive(connection: socket.socket, *, deadline: float | None = None) -> Mess
 
     Raises TimeoutError, Disconnected, or ProtocolError before it has allocated anything that the limits forbid.
     """
+    message, between_messages = _reading(), True
+    try:
+        while True:
+            _fill(next(message), connection, deadline, between_messages=between_messages)
+            between_messages = False
+    except StopIteration as whole:
+        return whole.value
+
+
+class Receiver:
+    """Reads messages from a connection that does not block, as far as they have come."""
+
+    def __init__(self, connection: socket.socket) -> None:
+        self._connection = connection
+        self._begin()
+
+    def receive(self) -> Message | None:
+        """The next whole message, None while it is on its way. Raises Disconnected or ProtocolError."""
+        while True:
+            try:
+                step = self._connection.recv_into(self._missing)
+            except (BlockingIOError, InterruptedError):
+                return None
+            except ConnectionError as error:
+                raise Disconnected(f"the connection broke: {error}") from error
+            if step == 0:
+                raise Disconnected("the other side closed the connection", clean=self._clean)
+            self._clean = False
+            self._missing = self._missing[step:]
+            if not self._missing:
+                try:
+                    self._missing = memoryview(next(self._message))
+                except StopIteration as whole:
+                    self._begin()
+                    return whole.value
+
+    def _begin(self) -> None:
+        self._message, self._clean = _reading(), True
+        self._missing = memoryview(next(self._message))
+
+
+def _reading() -> Generator[bytearray, None, Message]:
+    """Reads one message: yields buffers to be filled one after the other, and returns the message."""
     _refuse_big_endian()
-    (length,) = _LENGTH.unpack(_receive_exactly(connection, _LENGTH.size, deadline, between_messages=True))
+    prefix = bytearray(_LENGTH.size)
+    yield prefix
+    (length,) = _LENGTH.unpack(prefix)
     if not 2 <= length <= HEADER_MAX_BYTES:
         raise ProtocolError(f"a header of {length} bytes; 2 to {HEADER_MAX_BYTES} are allowed")
-    header = _parse_header(_receive_exactly(connection, length, deadline))
-    entries = _array_entries(header.pop("arrays", []))
-    arrays = {
-        name: Array(dtype, shape, memoryview(_receive_exactly(connection, size, deadline)))
-        for name, dtype, shape, size in entries
-    }
+    text = bytearray(length)
+    yield text
+    header = _parse_header(text)
+    arrays = {}
+    for name, dtype, shape, size in _array_entries(header.pop("arrays", [])):
+        content = bytearray(size)
+        yield content
+        arrays[name] = Array(dtype, shape, memoryview(content))
     return Message(header, arrays)
 
 
@@ -154,17 +201,16 @@ def receive_greeting(connection: socket.socket, token: bytes, *, deadline: float
 
     The token is compared in constant time, and nothing else of a stranger is looked at.
     """
-    came, version = _GREETING.unpack(_receive_exactly(connection, GREETING_BYTES, deadline, between_messages=True))
+    content = bytearray(GREETING_BYTES)
+    _fill(content, connection, deadline, between_messages=True)
+    came, version = _GREETING.unpack(content)
     return version if hmac.compare_digest(came, token) else None
 
 
-def _receive_exactly(
-    connection: socket.socket, count: int, deadline: float | None, *, between_messages: bool = False
-) -> bytearray:
-    """`count` bytes, or Disconnected; `deadline` bounds the whole wait, not each piece of it."""
-    buffer = bytearray(count)
+def _fill(buffer: bytearray, connection: socket.socket, deadline: float | None, *, between_messages: bool) -> None:
+    """Fills the buffer whole, or Disconnected; `deadline` bounds the whole wait, not each piece of it."""
     view, got = memoryview(buffer), 0
-    while got < count:
+    while got < len(buffer):
         connection.settimeout(_seconds_left(deadline))
         try:
             step = connection.recv_into(view[got:])
@@ -173,7 +219,6 @@ def _receive_exactly(
         if step == 0:
             raise Disconnected("the other side closed the connection", clean=between_messages and got == 0)
         got += step
-    return buffer
 
 
 def _seconds_left(deadline: float | None) -> float | None:
