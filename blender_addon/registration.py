@@ -9,10 +9,10 @@ from __future__ import annotations
 
 from types import ModuleType
 
-from . import preferences, properties
+from . import preferences, properties, runtime
 
 # a module comes after those whose classes it uses
-MODULES: tuple[ModuleType, ...] = (preferences, properties)
+MODULES: tuple[ModuleType, ...] = (preferences, properties, runtime)
 
 
 def register() -> None:

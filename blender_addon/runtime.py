@@ -8,9 +8,12 @@ does not end it. Everything else that belongs to a hand lives on the hand's obje
 from __future__ import annotations
 
 import atexit
+import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
+
+import bpy
 
 from .core.engine_command import engine_command
 from .core.link import EngineLink
@@ -20,23 +23,26 @@ from .preferences import preferences
 VIEWPORT, RENDER = "viewport", "render"
 
 _link: EngineLink | None = None
+_lock = threading.Lock()  # a render thread may want the link while the main thread makes it
 _reports: dict[str, Mapping[str, Any]] = {}
 
 
 def link() -> EngineLink:
     """The link to the engine, not started yet when it is new."""
     global _link
-    if _link is None:
-        _link = EngineLink(command)
-    return _link
+    with _lock:
+        if _link is None:
+            _link = EngineLink(command, log_folder=_log_folder())
+        return _link
 
 
 def use_link(other: EngineLink | None) -> None:
     """Puts another link in place, after ending the one before (for tests: one to a stand-in)."""
     global _link
-    if _link is not None and _link is not other:
-        _link.close()
-    _link = other
+    with _lock:
+        before, _link = _link, other
+    if before is not None and before is not other:
+        before.close()
 
 
 def set_report(kind: str, report: Mapping[str, Any]) -> None:
@@ -59,6 +65,14 @@ def command() -> Sequence[str]:
         chosen.engine_python or None if chosen is not None else None,
         checkout=Path(__file__).resolve().parent.parent,
     )
+
+
+def _log_folder() -> Path | None:
+    """Where an extension may write; a package that is not installed as one keeps no files."""
+    try:
+        return Path(bpy.utils.extension_path_user(__package__, path="logs", create=True))
+    except (ValueError, OSError):
+        return None
 
 
 def register() -> None:

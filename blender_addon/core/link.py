@@ -33,8 +33,9 @@ Arrays = Mapping[str, protocol.Array]
 
 @dataclass(frozen=True)
 class Status:
-    """state: "stopped", "starting", "ready", "slow", "stopping" or "failed"; since_s: for how many seconds; failure:
-    why it failed; handshake: what the engine said of itself, empty before it did; busy: whether it works on something."""
+    """state: "stopped", "starting", "ready", "slow", "stopping" or "failed"; since_s: for how many seconds (0 for one
+    that was never started); failure: why it failed; handshake: what the engine said of itself, empty before it did;
+    busy: whether it works on something."""
 
     state: str
     since_s: float
