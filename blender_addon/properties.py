@@ -9,8 +9,10 @@ from __future__ import annotations
 
 import bpy
 
+from .bridge import armature, bone_list, pose_pictures
 from .bridge.classes import register_classes, unregister_classes
-from .core import limits
+from .core import limits, poses
+from .core.joints import FINGERS, RIGHT
 
 # identifier, name, tooltip, icon, number in files
 PRESETS = (
@@ -19,6 +21,55 @@ PRESETS = (
     ("final", "Final", "What the avatar looks like, for renders", "NONE", 2),
     ("reference", "Reference", "Slow and exact, for comparisons", "NONE", 3),
 )
+HANDS = (
+    ("right", "Right", "The right hand", "NONE", 0),
+    ("left", "Left", "The left hand", "NONE", 1),
+)
+ENDS = (
+    ("head", "Head", "The joint is where the bone begins", "NONE", 0),
+    ("tail", "Tail", "The joint is where the bone ends: the tip of a finger that has no bone of its own", "NONE", 1),
+)
+FINGER_ITEMS = tuple((name, name.capitalize(), f"The {name} finger", "NONE", at) for at, name in enumerate(FINGERS))
+
+# Blender keeps no texts of dynamic items: they are remembered here, by hand and by whether there are pictures
+_pose_items: dict[tuple[str, bool], list[tuple[str, str, str, int, int]]] = {}
+
+
+def pose_items(_owner: object, context: bpy.types.Context | None) -> list[tuple[str, str, str, int, int]]:
+    """The named poses with their pictures, of the hand that is active; numbers are places in the table."""
+    hand = context.object if context is not None else None
+    handedness = armature.handedness_of(hand) if hand is not None and armature.is_hand(hand) else RIGHT
+    key = (handedness, pose_pictures.are_made())
+    if key not in _pose_items:
+        _pose_items[key] = [
+            (
+                pose.name,
+                pose.title.partition(" (")[0],
+                pose.description or f"A hand pose: {pose.name.replace('_', ' ')}",
+                pose_pictures.icon_of(pose.name, handedness),
+                place,
+            )
+            for place, pose in enumerate(poses.all_poses(handedness))
+        ]
+    return _pose_items[key]
+
+
+class JGHandJoint(bpy.types.PropertyGroup):
+    """One row of a foreign armature's bone map: `name` is the joint, the rest is read from the stored map."""
+
+    bone: bpy.props.StringProperty(
+        name="Bone",
+        description="The bone of the rig that begins or ends at this joint",
+        get=lambda self: bone_list.bone_of(self.id_data, self.name),
+        set=lambda self, bone: bone_list.set_bone(self.id_data, self.name, bone),
+    )  # type: ignore[valid-type]
+    end: bpy.props.EnumProperty(
+        name="End",
+        description="Which end of the bone the joint is",
+        items=ENDS,
+        get=lambda self: bone_list.end_of(self.id_data, self.name),
+        set=lambda self, place: bone_list.set_end(self.id_data, self.name, place),
+    )  # type: ignore[valid-type]
 
 
 class JGHandObjectSettings(bpy.types.PropertyGroup):
@@ -34,6 +85,14 @@ class JGHandObjectSettings(bpy.types.PropertyGroup):
         description="Draw the avatar of this hand in Solid and Material Preview",
         default=True,
     )  # type: ignore[valid-type]
+    map_hand: bpy.props.EnumProperty(
+        name="Hand",
+        description="Whose bones the list shows",
+        items=HANDS,
+        default="right",
+    )  # type: ignore[valid-type]
+    joints: bpy.props.CollectionProperty(type=JGHandJoint)  # type: ignore[valid-type]
+    active_joint: bpy.props.IntProperty(name="Joint", description="The joint that is selected in the list")  # type: ignore[valid-type]
 
 
 class JGHandSceneSettings(bpy.types.PropertyGroup):
@@ -97,19 +156,35 @@ class JGHandSceneSettings(bpy.types.PropertyGroup):
     )  # type: ignore[valid-type]
 
 
-_CLASSES = (JGHandObjectSettings, JGHandSceneSettings)
+class JGHandWindowSettings(bpy.types.PropertyGroup):
+    """`window_manager.jghand`: what is chosen in the panels and belongs to no file."""
+
+    pose: bpy.props.EnumProperty(
+        name="Pose",
+        description="The pose that Apply gives to the selected hands",
+        items=pose_items,
+    )  # type: ignore[valid-type]
+
+
+_OWNERS = (
+    (bpy.types.Object, JGHandObjectSettings),
+    (bpy.types.Scene, JGHandSceneSettings),
+    (bpy.types.WindowManager, JGHandWindowSettings),
+)
+_CLASSES = (JGHandJoint, *(settings for _, settings in _OWNERS))
 
 
 def register() -> None:
-    """Adds `object.jghand` and `scene.jghand`."""
+    """Adds `object.jghand`, `scene.jghand` and `window_manager.jghand`."""
     register_classes(_CLASSES)
-    bpy.types.Object.jghand = bpy.props.PointerProperty(type=JGHandObjectSettings)
-    bpy.types.Scene.jghand = bpy.props.PointerProperty(type=JGHandSceneSettings)
+    for owner, settings in _OWNERS:
+        owner.jghand = bpy.props.PointerProperty(type=settings)
 
 
 def unregister() -> None:
     """Takes them away; what files hold stays in them."""
-    for owner in (bpy.types.Scene, bpy.types.Object):
+    for owner, _ in reversed(_OWNERS):
         if hasattr(owner, "jghand"):
             del owner.jghand
     unregister_classes(_CLASSES)
+    _pose_items.clear()

@@ -77,14 +77,26 @@ def bake_controls(context: bpy.types.Context, hand: bpy.types.Object, frames: Se
     Raises JGHandFailure: not_editable, constrained (something else than the controls moves the bones), and what reading
     a hand raises; before anything is changed.
     """
+    for _ in bake_steps(context, hand, frames):
+        pass
+    return hand.animation_data.action
+
+
+def bake_steps(context: bpy.types.Context, hand: bpy.types.Object, frames: Sequence[int]) -> Iterator[float]:
+    """The same in steps, each with the part of the frames that is read; whoever stops half-way changes nothing."""
     _check_editable(context, hand)
     motion.check_free(hand, but=RULES)
     scene, before = context.scene, context.scene.frame_current_final
     unit_m = scene.unit_settings.scale_length
-    joints = [armature.heads_of(hand, armature.at_frame(scene, frame)) * unit_m for frame in frames]
-    armature.at_frame(scene, before)
+    joints = []
+    try:
+        for frame in frames:
+            joints.append(armature.heads_of(hand, armature.at_frame(scene, frame)) * unit_m)
+            yield len(joints) / len(frames)
+    finally:
+        armature.at_frame(scene, before)
     remove_controls(context, hand)
-    return motion.key_motion(hand, np.stack(joints), scene, key_frames=frames)
+    motion.key_motion(hand, np.stack(joints), scene, key_frames=frames)
 
 
 def mute_controls(hand: bpy.types.Object, muted: bool) -> None:
@@ -96,6 +108,11 @@ def mute_controls(hand: bpy.types.Object, muted: bool) -> None:
 def controls_are_muted(hand: bpy.types.Object) -> bool:
     """Whether every rule of the layer is off."""
     return all(rule.mute for rule in _rules(hand))
+
+
+def joint_limits_are_used(hand: bpy.types.Object) -> bool:
+    """Whether any joint has its limits."""
+    return any(rule.name == LIMIT and not rule.mute for rule in _rules(hand))
 
 
 def use_joint_limits(hand: bpy.types.Object, used: bool) -> None:

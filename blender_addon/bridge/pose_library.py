@@ -8,6 +8,7 @@ corrected in the table reaches everybody with the next release. Making it took 3
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import bpy
@@ -19,7 +20,7 @@ from ..core.controls import FINGER_CONTROLS, HAND_CONTROL
 from ..core.joints import HANDEDNESSES
 from ..core.messages import JGHandFailure
 from ..core.poses import HandPose
-from . import armature, versions
+from . import versions
 
 LIBRARY_NAME = "JGHand"
 BLEND = "jghand_poses.blend"
@@ -27,31 +28,27 @@ BLEND = "jghand_poses.blend"
 CATALOG_FILE = "blender_assets.cats.txt"
 
 
-def apply_pose(hand: bpy.types.Object, pose: HandPose) -> None:
-    """Turns the finger bones of our armature; the wrist, and the controls, stay as they are.
-
-    Raises JGHandFailure: not_a_hand, also for a pose of the other hand.
-    """
-    if armature.handedness_of(hand) != pose.handedness:
-        raise JGHandFailure("not_a_hand", f"{hand.name} is no {pose.handedness} hand")
-    for name, turn in pose.turns.items():
-        bone = hand.pose.bones[name]
-        bone.rotation_mode = "QUATERNION"
-        bone.rotation_quaternion = turn
-
-
 def build_library(folder: Path) -> Path:
     """Writes the asset library into a folder, which is made; returns its .blend file. The open file stays as it is.
 
     Raises JGHandFailure: cannot_write, disk_full, bad_file.
     """
+    for _ in library_steps(folder):
+        pass
+    return folder / BLEND
+
+
+def library_steps(folder: Path) -> Iterator[float]:
+    """The same in steps, each with the part that is done; whoever stops half-way leaves the open file as it was."""
     wanted = [pose for side in HANDEDNESSES for pose in poses.all_poses(side)]
     write_whole(folder / CATALOG_FILE, _catalogs().encode())
     path = folder / BLEND
     moved = _move_away({pose.title for pose in wanted})
     made = []
     try:
-        made = [_asset(pose) for pose in wanted]
+        for pose in wanted:
+            made.append(_asset(pose))
+            yield len(made) / len(wanted)
         bpy.data.libraries.write(str(path), set(made), fake_user=True, compress=True)
     except (OSError, RuntimeError) as error:
         raise JGHandFailure("cannot_write", f"{path}: {error}") from error
@@ -60,7 +57,6 @@ def build_library(folder: Path) -> Path:
             bpy.data.actions.remove(action)
         for action, name in moved:
             action.name = name
-    return path
 
 
 def use_library(folder: Path) -> None:

@@ -66,6 +66,11 @@ def forget(thing: bpy.types.Object) -> None:
                 del thing[name]
 
 
+def forget_map(rig: bpy.types.Object, handedness: str) -> None:
+    """Takes one hand of a foreign armature away."""
+    rig.pop(armature.MAP_PROPERTIES[handedness], None)
+
+
 def stored_maps(rig: bpy.types.Object) -> list[BoneMap]:
     """The bone maps of an armature, right before left. JGHandFailure: bad_bone_map."""
     return [bone_maps.from_json(str(rig[name])) for name in armature.MAP_PROPERTIES.values() if name in rig]

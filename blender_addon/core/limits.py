@@ -104,6 +104,11 @@ PREVIEW_CENTRE_M = (0.0, 0.082)
 PREVIEW_RADIUS_M = 0.0085
 PREVIEW_TIP_PART = 0.75
 PREVIEW_STEP_M = 0.002
+# the same in menus, pixels, and the pause between two of them, seconds: one takes some 20 ms of Blender's main thread;
+# the pause while an animation plays
+MENU_PICTURE_PX = 96
+PICTURE_REST_S = 0.05
+PICTURE_PAUSE_S = 1.0
 
 # ---- motion files ---------------------------------------------------------------------------------------------------
 
@@ -184,3 +189,9 @@ JOB_END_S = 2.0
 JOB_LINE_MAX = 65536
 JOB_TEXT_MAX = 300
 JOB_NOTES = 5
+
+# ---- work that takes a while on Blender's main thread ---------------------------------------------------------------
+
+# one turn of it, between two of which Blender draws and hears Esc, and the time between turns
+WORK_TURN_S = 0.03
+WORK_REST_S = 0.005

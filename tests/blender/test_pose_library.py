@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_addon.bridge import armature, controls, pose_library
+from blender_addon.bridge import armature, controls, hand_poses, pose_library
 from blender_addon.core import poses, posing
 from blender_addon.core.joints import HANDEDNESSES, NAMES
 from blender_addon.core.messages import JGHandFailure
@@ -69,7 +69,7 @@ def test_every_pose_lies_within_the_joint_limits_of_the_controls(context, handed
     hand = armature.build_armature(context, "Hand", posing.rest_joints_m(handedness), handedness)
     controls.add_controls(context, hand)
     for pose in poses.all_poses(handedness):
-        pose_library.apply_pose(hand, pose)
+        hand_poses.take_pose(hand, pose)
         away = np.linalg.norm(joints_of(context, hand) - wanted_of(pose.name, handedness), axis=-1)
         assert away.max() < 5e-7, (pose.name, NAMES[int(away.argmax())], away.max())
 
@@ -77,7 +77,7 @@ def test_every_pose_lies_within_the_joint_limits_of_the_controls(context, handed
 def test_a_pose_of_the_other_hand_is_refused(context):
     hand = armature.build_armature(context, "Hand", posing.rest_joints_m("left"), "left")
     with pytest.raises(JGHandFailure, match="no right hand"):
-        pose_library.apply_pose(hand, poses.pose_named("fist", "right"))
+        hand_poses.take_pose(hand, poses.pose_named("fist", "right"))
 
 
 def test_the_library_becomes_one_of_the_users_once(context, library):

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Small pictures of the poses for menus, made one at a time beside Blender's own work, when they are first asked for.
+
+All of them take over a second, so the timer makes one per turn and rests while an animation plays. Without a window
+there are no icons, and none are made.
+"""
+
+from __future__ import annotations
+
+import bpy
+import bpy.utils.previews
+import numpy as np
+
+from ..core import limits, pose_picture, poses, posing
+from ..core.joints import HANDEDNESSES, RIGHT
+
+_icons: bpy.utils.previews.ImagePreviewCollection | None = None
+_waiting: list[str] = []
+
+
+def icon_of(name: str, handedness: str) -> int:
+    """Blender's number of a pose's picture; 0 before all are made."""
+    return _icons[_key(name, handedness)].icon_id if _icons is not None and are_made() else 0
+
+
+def are_made() -> bool:
+    """Whether there is a picture of every pose."""
+    return _icons is not None and not _waiting
+
+
+def ask() -> None:
+    """Starts the making, unless it is done, under way, or of no use."""
+    global _icons
+    if bpy.app.background or _icons is not None:
+        return
+    _icons = bpy.utils.previews.new()
+    _waiting.extend(pose.name for pose in poses.all_poses(RIGHT))
+    bpy.app.timers.register(_make_one, first_interval=limits.PICTURE_REST_S)
+
+
+def register() -> None:
+    """Nothing is made before it is asked for."""
+
+
+def unregister() -> None:
+    """Frees the pictures."""
+    global _icons
+    if bpy.app.timers.is_registered(_make_one):
+        bpy.app.timers.unregister(_make_one)
+    _waiting.clear()
+    if _icons is not None:
+        bpy.utils.previews.remove(_icons)
+        _icons = None
+
+
+def _make_one() -> float | None:
+    """The timer: one pose, right and left; None when all are there."""
+    if not _waiting or _icons is None:
+        return None
+    if any(window.screen.is_animation_playing for window in bpy.context.window_manager.windows):
+        return limits.PICTURE_PAUSE_S
+    name = _waiting.pop(0)
+    rest = posing.rest_matrices(posing.rest_joints_m(RIGHT), RIGHT)
+    turns = poses.pose_named(name, RIGHT).quaternions
+    picture = pose_picture.pose_picture(poses.posed_joints(rest, turns), limits.MENU_PICTURE_PX)
+    for handedness in HANDEDNESSES:
+        _store(_key(name, handedness), picture if handedness == RIGHT else picture[:, ::-1])
+    if _waiting:
+        return limits.PICTURE_REST_S
+    _redraw_sidebars()
+    return None
+
+
+def _store(key: str, picture: np.ndarray) -> None:
+    icon = _icons.new(key)
+    icon.image_size = icon.icon_size = (picture.shape[1], picture.shape[0])
+    pixels = np.ascontiguousarray(picture[::-1], np.float32).ravel()
+    icon.image_pixels_float.foreach_set(pixels)
+    icon.icon_pixels_float.foreach_set(pixels)
+
+
+def _redraw_sidebars() -> None:
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                area.tag_redraw()
+
+
+def _key(name: str, handedness: str) -> str:
+    return f"{name} {handedness}"

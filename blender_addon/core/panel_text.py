@@ -1,0 +1,275 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the panels say, as plain text: the engine's state, a picture's receipt, a bone map. Does not use bpy.
+
+A receipt is a `FrameReport.as_dict()` of the engine as it came over the wire; it may be of another version, so nothing
+in it is taken for granted. Every sentence is made from a template that goes through `translate`. Tooltips have no
+final full stop, as Blender's have none.
+"""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from .joints import NAMES
+
+Translate = Callable[[str], str]
+
+# the engine's words for stages and effects -> what an artist reads
+STAGES = {
+    "transform": "Bones",
+    "plan": "Plan",
+    "skin": "Skin",
+    "gloss": "Gloss",
+    "raster": "Drawing",
+    "shadow + compose": "Shadow",
+    "compose": "Compose",
+    "enlarge": "Enlarge",
+    "normals": "Normals",
+    "ids": "Ids",
+}
+EFFECTS = {
+    "skin": "Skin",
+    "correctives": "Learnt Skin Detail",
+    "cast-shadow": "Shadows in the Light",
+    "anisotropy": "Long Splats",
+    "filter": "Small Hand Filter",
+    "self-shadow": "Self-Shadow",
+    "hand-shadow": "Shadow on Other Hand",
+    "depth": "Depth",
+    "normals": "Normals",
+    "ids": "Ids",
+    "motion-blur": "Motion Blur",
+    "depth-of-field": "Depth of Field",
+    "faint-tail": "Faint Edges",
+    "whole-picture": "Whole Picture",
+}
+# `OutOfRange.sentence()` of the engine: index1 flexion 105°: 12° outside the 0° to 93° that was trained
+_OUTSIDE = re.compile(
+    r"(?P<joint>[a-z]+\d) (?P<angle>\w+) -?[\d.]+°: (?P<beyond>[\d.]+)° outside the .* that was trained"
+)
+# remedies that a button can do: failure -> operator and label
+_MENDS = {
+    "no_interpreter": ("jghand.open_preferences", "Choose Python"),
+    "no_engine": ("jghand.open_preferences", "Choose Python"),
+    "protocol": ("jghand.check_engine", "Check"),
+}
+_START = ("jghand.start_engine", "Try Again")
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line of a panel. value: a figure beside it · part: 0 to 1, its share of a whole · tip: the small print ·
+    good: whether nothing is wrong with it."""
+
+    text: str
+    value: str = ""
+    part: float = 0.0
+    tip: str = ""
+    good: bool = True
+
+
+@dataclass(frozen=True)
+class Button:
+    """An operator and what stands on its button."""
+
+    operator: str
+    label: str
+
+
+@dataclass(frozen=True)
+class StatusText:
+    """The state of the engine. text: one line, with since when · remedy: what an artist can do, "" when all is well ·
+    detail: the small print."""
+
+    text: str
+    good: bool
+    remedy: str = ""
+    detail: str = ""
+    buttons: tuple[Button, ...] = ()
+
+
+@dataclass(frozen=True)
+class ReceiptText:
+    """A receipt in lines. warnings: what an artist should look at, the joint out of its trained range first."""
+
+    total: Line
+    stages: tuple[Line, ...]
+    effects: tuple[Line, ...]
+    warnings: tuple[Line, ...]
+
+
+def duration(seconds: float) -> str:
+    """ "12 s", "3 min", "2 h"."""
+    if seconds < 60:
+        return f"{max(seconds, 0):.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 3600 else f"{seconds / 3600:.0f} h"
+
+
+def milliseconds(value: float) -> str:
+    """ "7.3 ms", "31 ms"."""
+    return f"{value:.1f} ms" if value < 9.95 else f"{value:.0f} ms"
+
+
+def wrapped(text: str, letters: int) -> list[str]:
+    """The lines of a paragraph that is so many letters wide."""
+    return textwrap.wrap(text, max(letters, 12), break_long_words=True) or [""]
+
+
+def status_text(status: Any, frame_ms: float | None = None, translate: Translate = str) -> StatusText:
+    """The state of the engine's link (`core.link.Status`). frame_ms: the whole last picture, None before one."""
+    since, state = duration(status.since_s), status.state
+    if state == "failed":
+        return _failed(status.failure, since, translate)
+    if state == "stopped":
+        text = translate("Engine off: it starts with the first picture")
+        return StatusText(text, True, buttons=(Button("jghand.start_engine", "Start Engine"),))
+    stop = Button("jghand.stop_engine", "Stop")
+    if state == "starting":
+        return StatusText(translate("Starting…  {since}").format(since=since), True, buttons=(stop,))
+    if state == "stopping":
+        return StatusText(translate("Stopping…  {since}").format(since=since), True)
+    if state == "slow":
+        text = translate("Not answering for {since}").format(since=since)
+        remedy = translate("It may be working: wait, or restart it")
+        return StatusText(text, False, remedy, buttons=(Button("jghand.restart_engine", "Restart"), stop))
+    facts = status.handshake or {}
+    parts = [translate("Ready"), str(facts.get("device", "")).upper() or None]
+    parts.append(milliseconds(frame_ms) if frame_ms is not None else None)
+    detail = translate("Running for {since}, version {version}, process {pid}").format(
+        since=since, version=facts.get("engine_version", "?"), pid=facts.get("pid", "?")
+    )
+    return StatusText(" · ".join(part for part in parts if part), True, detail=detail, buttons=(stop,))
+
+
+def receipt_text(report: Mapping[str, Any], budget_ms: float | None = None, translate: Translate = str) -> ReceiptText:
+    """The lines of a receipt. budget_ms: what a picture was allowed to take, None without a budget."""
+    total_ms = _number(report.get("total_ms"))
+    return ReceiptText(
+        _total(report, total_ms, budget_ms, translate),
+        tuple(_stage(stage, total_ms, translate) for stage in _mappings(report.get("stages"))),
+        tuple(_effect(effect, translate) for effect in _mappings(report.get("effects"))),
+        _warnings(report, translate),
+    )
+
+
+def map_lines(sources: Sequence[Any], known: Sequence[str], translate: Translate = str) -> list[Line]:
+    """What a bone map misses. sources: 21 of `bone_maps.JointSource` or None; known: the bones that there are."""
+    bones = set(known)
+    empty = [name for name, source in zip(NAMES, sources, strict=True) if source is None]
+    gone = [
+        f"{name} ({source.bone})"
+        for name, source in zip(NAMES, sources, strict=True)
+        if source is not None and source.bone not in bones
+    ]
+    lines = []
+    if empty:
+        text = translate("{count} of 21 joints have no bone: {names}").format(count=len(empty), names=_listed(empty))
+        lines.append(Line(text, good=False))
+    if gone:
+        text = translate("Bones that are gone: {names}").format(names=_listed(gone))
+        lines.append(Line(text, good=False))
+    twice = _used_twice(sources)
+    if twice:
+        lines.append(Line(translate("Several joints on one place: {names}").format(names=_listed(twice)), good=False))
+    return lines or [Line(translate("All 21 joints have a bone"))]
+
+
+def _failed(failure: Any, since: str, translate: Translate) -> StatusText:
+    log = Button("jghand.show_log", "Show Log")
+    if failure is None:
+        return StatusText(translate("The engine stopped"), False, buttons=(Button(*_START), log))
+    mend = Button(*_MENDS.get(failure.kind, _START))
+    detail = translate("{since} ago").format(since=since)
+    detail = f"{detail} · {failure.detail}" if failure.detail else detail
+    sentence, remedy = translate(failure.advice.sentence), translate(failure.advice.remedy)
+    return StatusText(sentence, False, remedy, detail, (mend, log))
+
+
+def _total(report: Mapping[str, Any], total_ms: float, budget_ms: float | None, translate: Translate) -> Line:
+    drawn, posed = (int(_number(report.get(name))) for name in ("visible_gaussians", "gaussians"))
+    text = translate("{drawn:,} of {posed:,} splats").format(drawn=drawn, posed=posed)
+    threads = int(_number(report.get("threads"), 1))
+    backend = str(report.get("backend", "")) or "?"
+    tip = translate("Drawn by {backend} on {threads} threads").format(backend=backend, threads=threads)
+    if budget_ms is None:
+        return Line(text, milliseconds(total_ms), 1.0, tip)
+    tip = translate("{tip}; the budget is {budget}").format(tip=tip, budget=milliseconds(budget_ms))
+    return Line(text, milliseconds(total_ms), min(total_ms / max(budget_ms, 1e-3), 1.0), tip, total_ms <= budget_ms)
+
+
+def _stage(stage: Mapping[str, Any], total_ms: float, translate: Translate) -> Line:
+    name = str(stage.get("name", "?"))
+    label = translate(STAGES.get(name, name.capitalize()))
+    if not stage.get("ran"):
+        return Line(label, translate("skipped"), tip=_why(stage, translate("Skipped"), translate), good=False)
+    spent_ms = _number(stage.get("milliseconds"))
+    part = min(spent_ms / total_ms, 1.0) if total_ms > 0 else 0.0
+    return Line(label, milliseconds(spent_ms), part, _why(stage, translate("Ran"), translate))
+
+
+def _effect(effect: Mapping[str, Any], translate: Translate) -> Line:
+    name, ran = str(effect.get("effect", "?")), bool(effect.get("runs"))
+    label = translate(EFFECTS.get(name, name.replace("-", " ").title()))
+    cost_ms = _number(effect.get("estimated_ms"))
+    value = translate("about {time}").format(time=milliseconds(cost_ms)) if ran and cost_ms > 0 else ""
+    return Line(label, value, tip=_why(effect, translate("Ran") if ran else translate("Not run"), translate), good=ran)
+
+
+def _why(entry: Mapping[str, Any], word: str, translate: Translate) -> str:
+    """ "Not run: no finger is near another. Difference to a picture with it: at most 0.2 %" """
+    reason, bound = str(entry.get("reason") or ""), str(entry.get("bound") or "")
+    text = f"{word}: {reason}" if reason else word
+    if bound:
+        ran = entry.get("runs", entry.get("ran"))
+        template = translate("Without it: {bound}") if ran else translate("Off by: {bound}")
+        text = f"{text.rstrip('.')}. {template.format(bound=bound)}"
+    return text.rstrip(".")
+
+
+def _warnings(report: Mapping[str, Any], translate: Translate) -> tuple[Line, ...]:
+    outside, others = [], []
+    for note in (str(note) for note in report.get("notes") or ()):
+        match = _OUTSIDE.fullmatch(note)
+        if match is None:
+            others.append(Line(note.rstrip("."), tip=note.rstrip("."), good=False))
+            continue
+        template = translate("{joint}: {angle} {beyond}° beyond training")
+        text = template.format(
+            joint=match["joint"], angle=translate(match["angle"]), beyond=round(float(match["beyond"]))
+        )
+        tip = translate("{note}. Such a pose was in no picture that the avatar learnt from, so its skin is a guess")
+        outside.append(Line(text, tip=tip.format(note=note), good=False))
+    invalid = int(_number(report.get("invalid_gaussians")))
+    if invalid:
+        text = translate("{count} splats could not be drawn").format(count=invalid)
+        others.append(Line(text, tip=translate("Their numbers are not finite: the avatar may be damaged"), good=False))
+    return (*outside, *others)
+
+
+def _listed(names: Sequence[str], most: int = 6) -> str:
+    return ", ".join(names[:most]) + (", …" if len(names) > most else "")
+
+
+def _used_twice(sources: Sequence[Any]) -> list[str]:
+    seen: dict[tuple[str, str], str] = {}
+    twice = []
+    for name, source in zip(NAMES, sources, strict=True):
+        if source is None:
+            continue
+        place = (source.bone, source.end)
+        if place in seen:
+            twice.append(f"{seen[place]} = {name}")
+        seen.setdefault(place, name)
+    return twice
+
+
+def _mappings(values: Any) -> list[Mapping[str, Any]]:
+    return [value for value in values if isinstance(value, Mapping)] if isinstance(values, list | tuple) else []
+
+
+def _number(value: Any, otherwise: float = 0.0) -> float:
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else otherwise
