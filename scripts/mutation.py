@@ -3,10 +3,14 @@
     python scripts/mutation.py hand                          150 mutants of hand/, chosen by seed 0
     python scripts/mutation.py splat --mutants 60 --seed 1   others
     python scripts/mutation.py hand --only rotations frames  some modules of a room
+    python scripts/mutation.py hand --more --minutes 9       goes on where the last run stopped
+    python scripts/mutation.py hand --again                  the survivors once more, after tests were added
     python scripts/mutation.py --summary                     what is known, written into tests/README.md
 
 A score is the share of mutants that a test kills: it fails, or takes more processor time than allowed (counted apart).
 Each room's mutants meet only that room's tests. Results are kept in tests/mutation.json with every survivor's line.
+A change that nobody can notice may be marked there, by hand, one by one: an entry of the room's list "equivalent" with
+the survivor's module, function, change, code and column, and the reason. The mark lapses when the line is changed.
 
 Why not one of the tools: mutmut and cosmic-ray write mutants to files, of the working tree or of a copy that kernels
 and assets must follow into, start Python (and torch: seconds) for each, or cannot choose a sample by a seed. Here
@@ -29,7 +33,7 @@ import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from types import CodeType, FunctionType
 from typing import Any
@@ -81,17 +85,15 @@ _NAMES = {"sin": "cos", "cos": "sin", "min": "max", "max": "min", "amin": "amax"
 @dataclass(frozen=True)
 class Mutant:
     """One change. place: the node's number in ast.walk, and which of its variants · function: qualified name of the
-    outermost one around it"""
+    outermost one around it · code, column: the line without its indent, and where in it the node begins"""
 
     module: str
     line: int
     function: str
     change: str
+    code: str
+    column: int
     place: tuple[int, int]
-
-    def as_dict(self) -> dict[str, Any]:
-        about = {"module": self.module, "line": self.line, "function": self.function, "change": self.change}
-        return {**about, "place": list(self.place)}
 
 
 def variants(node: ast.AST) -> Iterator[tuple[str, Callable[[], None]]]:
@@ -128,7 +130,7 @@ def variants(node: ast.AST) -> Iterator[tuple[str, Callable[[], None]]]:
 
 def mutants_of(module: str, source: str) -> list[Mutant]:
     """Every mutant of a module's text; texts, annotations and the words of errors are left alone."""
-    tree = ast.parse(source)
+    tree, lines = ast.parse(source), source.splitlines()
     left_alone: set[ast.AST] = set()
     function = dict(_functions(tree, ""))
     for node in ast.walk(tree):
@@ -142,12 +144,15 @@ def mutants_of(module: str, source: str) -> list[Mutant]:
         elif isinstance(node, ast.ClassDef):
             parts = [*node.decorator_list, *node.bases]
         left_alone |= {below for part in parts if part is not None for below in ast.walk(part)}
-    return [
-        Mutant(module, getattr(node, "lineno", 0), function[node], change, (number, which))
-        for number, node in enumerate(ast.walk(tree))
-        if node not in left_alone and node in function
-        for which, (change, _) in enumerate(variants(node))
-    ]
+    found = []
+    for number, node in enumerate(ast.walk(tree)):
+        changes = [] if node in left_alone or node not in function else list(variants(node))
+        for which, (change, _) in enumerate(changes):
+            line = getattr(node, "lineno", 1)
+            code = lines[line - 1].strip()
+            column = getattr(node, "col_offset", 0) - lines[line - 1].index(code)
+            found.append(Mutant(module, line, function[node], change, code, column, (number, which)))
+    return found
 
 
 def _functions(node: ast.AST, path: str) -> Iterator[tuple[ast.AST, str]]:
@@ -200,9 +205,9 @@ class Known:
     seconds: dict[str, float]
     touched: dict[str, list[str]]
 
-    def items_for(self, function: str, items: list[Any]) -> list[Any]:
-        """The tests that touch a function, quick ones first."""
-        names = set(self.touched.get(function, ()))
+    def items_for(self, function: str, items: list[Any], longest_s: float) -> list[Any]:
+        """The tests that touch a function, quick ones first; none that takes longer than that."""
+        names = {name for name in self.touched.get(function, ()) if self.seconds[name] <= longest_s}
         return sorted((item for item in items if item.nodeid in names), key=lambda item: self.seconds[item.nodeid])
 
 
@@ -239,39 +244,42 @@ def in_child(work: Callable[[], None], cpu_seconds: int) -> int:
     return os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
 
 
-def learn(items: list[Any], watched: set[str]) -> Known:
-    """Runs the tests once without a change, and notes which functions each of them calls."""
-    with tempfile.TemporaryDirectory() as folder:
-        file = Path(folder) / "known.json"
+def learn(items: list[Any], watched: set[str], kept: Path) -> Known:
+    """Runs the tests once without a change, and notes which functions each of them calls; not those that `kept`, a
+    line of JSON for each, already knows."""
+    notes = [json.loads(line) for line in kept.read_text(encoding="utf-8").splitlines()] if kept.exists() else []
+    noted = {test for test, _, _ in notes}
 
-        def work() -> None:
-            seconds: dict[str, float] = {}
-            touched: dict[str, set[str]] = {}
-            now: set[str] = set()
+    def work() -> None:
+        now: set[str] = set()
 
-            def profile(frame: Any, event: str, _argument: Any) -> None:
-                if event == "call" and frame.f_code.co_filename in watched:
-                    name = frame.f_code.co_qualname.split(".<locals>")[0]
-                    now.add(f"{frame.f_code.co_filename}:{name}")
+        def profile(frame: Any, event: str, _argument: Any) -> None:
+            if event == "call" and frame.f_code.co_filename in watched:
+                name = frame.f_code.co_qualname.split(".<locals>")[0]
+                now.add(f"{frame.f_code.co_filename}:{name}")
 
-            def around(item: Any, test: Callable[[], None]) -> None:
-                now.clear()
-                began = time.process_time()
-                sys.setprofile(profile)
-                try:
-                    test()
-                finally:
-                    sys.setprofile(None)
-                seconds[item.nodeid] = time.process_time() - began
-                for function in now:
-                    touched.setdefault(function, set()).add(item.nodeid)
+        def around(item: Any, test: Callable[[], None]) -> None:
+            now.clear()
+            began = time.process_time()
+            sys.setprofile(profile)
+            try:
+                test()
+            finally:
+                sys.setprofile(None)
+            with kept.open("a", encoding="utf-8") as stream:
+                stream.write(json.dumps([item.nodeid, time.process_time() - began, sorted(now)]) + "\n")
 
-            run(items, around)
-            file.write_text(json.dumps([seconds, {name: sorted(tests) for name, tests in touched.items()}]))
+        run([item for item in items if item.nodeid not in noted], around)
 
-        if (code := in_child(work, 3600)) != 0:
-            sys.exit(f"the tests do not pass without a change (exit code {code})")
-        return Known(*json.loads(file.read_text()))
+    if (code := in_child(work, 3600)) != 0:
+        sys.exit(f"the tests do not pass without a change (exit code {code})")
+    seconds: dict[str, float] = {}
+    touched: dict[str, list[str]] = {}
+    for test, took, functions in map(json.loads, kept.read_text(encoding="utf-8").splitlines()):
+        seconds[test] = took
+        for function in functions:
+            touched.setdefault(function, []).append(test)
+    return Known(seconds, touched)
 
 
 # ---- results --------------------------------------------------------------------------------------------------------
@@ -281,25 +289,41 @@ def read_results() -> dict[str, Any]:
     return json.loads(RESULTS.read_text(encoding="utf-8")) if RESULTS.exists() else {}
 
 
+def is_equivalent(survivor: dict[str, Any], marks: list[dict[str, Any]]) -> bool:
+    """Whether a mark names this survivor."""
+    names = ("module", "function", "change", "code", "column")
+    return any(all(mark[name] == survivor[name] for name in names) for mark in marks)
+
+
 def summary(results: dict[str, Any]) -> str:
     """Markdown: a line per module and per room."""
     lines = [
-        "| room | module | mutants tried | of | killed | of these out of time | score |",
-        "| --- | --- | ---: | ---: | ---: | ---: | ---: |",
+        "| room | module | mutants tried | of | killed | of these out of time | equivalent | score | of the others |",
+        "| --- | --- | ---: | ---: | ---: | ---: | ---: | ---: | ---: |",
     ]
     for room, result in results.items():
+        equivalent = Counter(
+            survivor["module"]
+            for survivor in result["survivors"]
+            if is_equivalent(survivor, result.get("equivalent", []))
+        )
         total: Counter[str] = Counter()
         for module, count in result["modules"].items():
             total.update(count)
-            lines.append(_line(room, module, count))
-        lines.append(_line(f"**{room}**", "all", total))
+            lines.append(_line(room, module, count, equivalent[module]))
+        lines.append(_line(f"**{room}**", "all", total, equivalent.total()))
     return "\n".join(lines)
 
 
-def _line(room: str, module: str, count: dict[str, int]) -> str:
-    score = f"{count['killed'] / count['tried']:.0%}" if count["tried"] else "-"
-    numbers = (count["tried"], count["possible"], count["killed"], count["out_of_time"], score)
+def _line(room: str, module: str, count: dict[str, int], equivalent: int) -> str:
+    tried, killed = count["tried"], count["killed"]
+    scores = [f"{killed / of:.0%}" if of else "-" for of in (tried, tried - equivalent)]
+    numbers = (tried, count["possible"], killed, count["out_of_time"], equivalent, *scores)
     return f"| {room} | {module} | " + " | ".join(map(str, numbers)) + " |"
+
+
+def _is(survivor: dict[str, Any], mutant: Mutant) -> bool:
+    return (survivor["module"], tuple(survivor["place"])) == (mutant.module, mutant.place)
 
 
 class Measurement:
@@ -313,44 +337,70 @@ class Measurement:
 
     def pytest_runtestloop(self, session: Any) -> bool:
         every = [mutant for module, source in self._sources.items() for mutant in mutants_of(module, source)]
-        chosen = random.Random(self._options.seed).sample(every, min(self._options.mutants, len(every)))
-        if self._options.again:
-            survived = [(m["module"], tuple(m["place"])) for m in read_results()[self._room]["survivors"]]
-            chosen = [mutant for mutant in every if (mutant.module, mutant.place) in survived]
+        result, chosen = self._begin(every)
         print(f"\n{self._room}: {len(chosen)} of {len(every)} mutants; the tests without a change first", flush=True)
-        known = learn(session.items, {str(self._path(module)) for module in self._modules})
+        with tempfile.TemporaryDirectory() as folder:
+            kept = self._options.known or Path(folder) / "known.jsonl"
+            known = learn(session.items, {str(self._path(module)) for module in self._modules}, kept)
         print(f"{len(session.items)} tests, {sum(known.seconds.values()):.0f} s; now the mutants", flush=True)
-        possible = Counter(mutant.module for mutant in every)
-        counts = {m: {"tried": 0, "possible": possible[m], "killed": 0, "out_of_time": 0} for m in self._modules}
-        survivors: list[dict[str, Any]] = []
-        if self._options.again:
-            # what was killed stays killed
-            before = read_results()[self._room]
-            lost = Counter(mutant["module"] for mutant in before["survivors"])
-            counts = {m: {**count, "tried": count["tried"] - lost[m]} for m, count in before["modules"].items()}
         spent: Counter[str] = Counter()
+        end = time.monotonic() + 60 * self._options.minutes
         for mutant in chosen:
-            if spent[mutant.module] > self._options.module_minutes * 60:
-                continue
             began = time.monotonic()
-            items = known.items_for(f"{self._path(mutant.module)}:{mutant.function}", session.items)
-            code = self._fate(mutant, items)
+            if began > end:
+                print("the time is over: --more goes on from here", flush=True)
+                break
+            if self._options.again:
+                # what was killed stays killed
+                result["survivors"] = [m for m in result["survivors"] if not _is(m, mutant)]
+                result["modules"][mutant.module]["tried"] -= 1
+            else:
+                result["sample"] += 1
+            if spent[mutant.module] <= self._options.module_minutes * 60:
+                self._try(mutant, known, session.items, result)
             spent[mutant.module] += round(time.monotonic() - began)
-            count = counts[mutant.module]
-            count["tried"] += 1
-            count["killed"] += code != 0
-            count["out_of_time"] += code < 0
-            if code == 0:
-                survivors.append({**mutant.as_dict(), "tests": len(items)})
-                where = f"{mutant.module}.py:{mutant.line}"
-                print(f"  survived {len(items)} tests: {where} {mutant.change} ({mutant.function})", flush=True)
             if not self._options.dry:
-                results = read_results()
-                about = {"seed": self._options.seed, "tests": list(self._options.tests or ROOMS[self._room].tests)}
-                results[self._room] = {**about, "modules": counts, "survivors": survivors}
-                RESULTS.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
-        print(summary({self._room: {"modules": counts}}), flush=True)
+                RESULTS.write_text(
+                    json.dumps({**read_results(), self._room: result}, indent=1) + "\n", encoding="utf-8"
+                )
+        print(summary({self._room: result}), flush=True)
         return True
+
+    def _begin(self, every: list[Mutant]) -> tuple[dict[str, Any], list[Mutant]]:
+        """What is known before, and the mutants to try."""
+        options, before = self._options, read_results().get(self._room, {})
+        possible = Counter(mutant.module for mutant in every)
+        tests = list(options.tests or ROOMS[self._room].tests)
+        about = {"seed": options.seed, "tests": tests, "longest_test_s": options.test_seconds}
+        order = random.Random(options.seed).sample(every, len(every))
+        if not (options.again or options.more):
+            empty = {m: {"tried": 0, "possible": possible[m], "killed": 0, "out_of_time": 0} for m in self._modules}
+            marks = before.get("equivalent", [])
+            result = {**about, "sample": 0, "modules": empty, "survivors": [], "equivalent": marks}
+            return result, order[: options.mutants]
+        if {module: count["possible"] for module, count in before["modules"].items()} != dict(possible):
+            sys.exit("the modules are not those of the results: begin anew, without --again and --more")
+        if options.again:
+            return before, [mutant for mutant in every if any(_is(m, mutant) for m in before["survivors"])]
+        if before["seed"] != options.seed:
+            sys.exit(f"the results are of seed {before['seed']}: begin anew, or give that seed")
+        return {**before, **about}, order[before["sample"] : options.mutants]
+
+    def _try(self, mutant: Mutant, known: Known, items: list[Any], result: dict[str, Any]) -> None:
+        function = f"{self._path(mutant.module)}:{mutant.function}"
+        touching = known.items_for(function, items, self._options.test_seconds)
+        code = self._fate(mutant, touching)
+        count = result["modules"][mutant.module]
+        count["tried"] += 1
+        count["killed"] += code != 0
+        count["out_of_time"] += code < 0
+        if code == 0:
+            result["survivors"].append({**asdict(mutant), "place": list(mutant.place), "tests": len(touching)})
+        words = "survived" if code == 0 else "was killed by"
+        marked = is_equivalent(asdict(mutant), result["equivalent"])
+        if marked or code == 0:
+            where = f"{mutant.module}.py:{mutant.line}:{mutant.column} {mutant.change} ({mutant.function})"
+            print(f"  {words} {len(touching)} tests: {where}{', marked as equivalent' * marked}", flush=True)
 
     def _path(self, module: str) -> Path:
         return self._folder / f"{module}.py"
@@ -378,6 +428,10 @@ def main() -> None:
         "--mutant-seconds", type=int, default=300, help="processor time after which one counts as killed"
     )
     parser.add_argument("--module-minutes", type=float, default=60.0, help="then no more mutants of that module")
+    parser.add_argument("--test-seconds", type=float, default=60.0, help="no test that takes longer: a lower bound")
+    parser.add_argument("--minutes", type=float, default=600.0, help="then no more mutants")
+    parser.add_argument("--more", action="store_true", help="go on with the sample, up to --mutants")
+    parser.add_argument("--known", type=Path, metavar="FILE", help="keeps which tests touch what, for the next run")
     parser.add_argument("--again", action="store_true", help="try the survivors again, after tests were added")
     parser.add_argument("--dry", action="store_true", help="keep no results")
     parser.add_argument("--summary", action="store_true")

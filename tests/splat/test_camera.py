@@ -2,13 +2,28 @@
 
 from __future__ import annotations
 
+import math
+
+import numpy as np
 import pytest
 import torch
 
 from jghand_engine.errors import InputError
-from jghand_engine.splat.camera import Camera
+from jghand_engine.limits import Z_NEAR_M
+from jghand_engine.splat.camera import Camera, Lens
 
 UP = torch.tensor([0.0, 1.0, 0.0])
+EYE_M, TARGET_M = torch.tensor([0.3, 0.2, 0.9]), torch.tensor([0.0, 0.1, 0.0])
+
+
+def oblong() -> Camera:
+    """No two of its numbers are equal."""
+    view = Camera.looking_at(EYE_M, TARGET_M, UP, width=64, height=48, focal_px=70.0).camera_from_world
+    return Camera(64, 48, 70.0, 90.0, 20.0, 31.0, view)
+
+
+def points_m(count: int) -> torch.Tensor:
+    return 0.1 * torch.randn(count, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(0))
 
 
 def test_the_target_lands_in_the_middle_and_up_is_up() -> None:
@@ -38,10 +53,81 @@ def test_a_scaled_camera_sees_the_same_view() -> None:
     torch.testing.assert_close(relative, camera.project(point)[0] / torch.tensor([512, 334]))
 
 
+def test_a_camera_is_scaled_to_one_pixel_at_least() -> None:
+    assert (oblong().scaled(1e-6).width, oblong().scaled(1e-6).height) == (1, 1)
+    # whole pixels: 0.3 of 64 x 48 is 19.2 x 14.4
+    assert (oblong().scaled(0.3).width, oblong().scaled(0.3).height) == (19, 14)
+
+
+def test_points_are_projected_by_the_matrix_of_the_pinhole() -> None:
+    """K [R | t] in homogeneous coordinates."""
+    view, points = oblong(), points_m(20)
+    intrinsic = np.array([[view.fx, 0, view.cx], [0, view.fy, view.cy], [0, 0, 1]])
+    homogeneous = np.concatenate([points.numpy(), np.ones((20, 1))], 1)
+    pixels = homogeneous @ view.camera_from_world.numpy()[:3].T @ intrinsic.T
+    got, depth = view.project(points)
+    np.testing.assert_allclose(got, pixels[:, :2] / pixels[:, 2:], rtol=1e-13)
+    np.testing.assert_allclose(depth, pixels[:, 2], rtol=1e-13)
+    assert view.project(points.reshape(4, 5, 3))[0].shape == (4, 5, 2)
+
+
+def test_the_eye_is_where_it_was_put() -> None:
+    torch.testing.assert_close(oblong().eye_m, EYE_M.double())
+
+
+def test_a_part_of_the_picture_sees_its_points_where_the_whole_does() -> None:
+    view, points = oblong(), points_m(20)
+    part = view.part(5, 11, 30, 20)
+    assert (part.width, part.height) == (30, 20)
+    torch.testing.assert_close(part.project(points)[0], view.project(points)[0] - torch.tensor([5.0, 11.0]))
+
+
+def test_through_a_place_of_the_lens_the_focus_stays_and_the_rest_moves() -> None:
+    """By similar triangles: a place of the lens moves a point by f * place * (1 / focus - 1 / depth)."""
+    pinhole, place_m = oblong(), (0.004, -0.007)
+    view = Camera(64, 48, 70.0, 90.0, 20.0, 31.0, pinhole.camera_from_world, Lens(aperture_m=0.02, focus_m=0.8))
+    points = points_m(20)
+    there = view.through(*place_m)
+    assert there.lens is None
+    pixels, depth = pinhole.project(points)
+    away = torch.tensor([70 * place_m[0], 90 * place_m[1]], dtype=torch.float64) * (1 / 0.8 - 1 / depth)[:, None]
+    torch.testing.assert_close(there.project(points)[0], pixels + away, rtol=1e-12, atol=1e-12)
+    assert pinhole.through(*place_m) is pinhole
+
+
+def test_a_point_becomes_a_disc_as_wide_as_the_pinholes_of_the_lens_spread_it() -> None:
+    lens = Lens(aperture_m=0.02, focus_m=0.8)
+    for depth_m in (0.3, 0.8, 2.5):
+        wide = 50.0 * 0.02 * abs(1 / 0.8 - 1 / depth_m)
+        assert lens.blur_px(50.0, depth_m) == pytest.approx(wide, abs=1e-14)
+
+
+def test_the_ends_of_what_a_lens_may_be() -> None:
+    assert Lens(0.0, math.nextafter(Z_NEAR_M, 1)).blur_px(50.0, 1.0) == 0
+    for aperture_m, focus_m, name in (
+        (-1e-9, 0.5, "aperture_m"),
+        (math.inf, 0.5, "aperture_m"),
+        (math.nan, 0.5, "aperture_m"),
+        (0.01, Z_NEAR_M, "focus_m"),
+        (0.01, -1.0, "focus_m"),
+        (0.01, math.inf, "focus_m"),
+    ):
+        with pytest.raises(InputError, match=f"lens: {name}"):
+            Lens(aperture_m, focus_m)
+
+
+def test_the_smallest_picture_has_one_pixel() -> None:
+    assert Camera(1, 1, 1e-3, 1e-3, -5.0, 7.0, torch.eye(4)).camera_from_world.dtype == torch.float64
+
+
 @pytest.mark.parametrize(
     "change",
     [
         {"width": 0},
+        {"height": 0},
+        {"cy": float("nan")},
+        {"fy": float("inf")},
+        {"camera_from_world": torch.eye(4) + torch.diag(torch.tensor([0.0, math.inf, 0.0]), 1)},
         {"fx": float("nan")},
         {"fy": 0.0},
         {"fx": -3.0},

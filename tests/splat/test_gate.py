@@ -8,7 +8,7 @@ import pytest
 from jghand_engine import limits
 from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.splat.gate import ShadowGate, contact_between, fade
+from jghand_engine.splat.gate import ShadowGate, _far_pairs, contact_between, fade, gap_between
 from jghand_engine.template.builtin import load_template
 
 CANONICAL_M = load_template().joints_m
@@ -24,27 +24,40 @@ def rotation(seed: int) -> np.ndarray:
     return q * np.sign(np.linalg.det(q))
 
 
-def slow_score(joints_m: np.ndarray, canonical_m: np.ndarray) -> float:
-    """METHOD 5.4 in plain loops."""
-    parents = [0] * 5 + list(range(1, 16))
-    radii = np.array(limits.GATE_CAPSULE_RADII_MM) * 1e-3
+PARENTS = [0] * 5 + list(range(1, 16))
+RADII_M = np.array(limits.GATE_CAPSULE_RADII_MM) * 1e-3
 
-    def penetration(joints: np.ndarray, a: int, b: int) -> float:
-        part = np.linspace(0, 1, 5)[:, None]
-        first = joints[parents[a]] + part * (joints[a + 1] - joints[parents[a]])
-        second = joints[parents[b]] + part * (joints[b + 1] - joints[parents[b]])
-        gap = np.linalg.norm(first[:, None] - second[None], axis=-1).min() - radii[a] - radii[b]
-        return float(np.clip(1 - gap / 0.06, 0, 1.5) ** 2)
 
-    total = 0.0
+def penetration(joints_a: np.ndarray, a: int, joints_b: np.ndarray, b: int) -> float:
+    part = np.linspace(0, 1, 5)[:, None]
+    first = joints_a[PARENTS[a]] + part * (joints_a[a + 1] - joints_a[PARENTS[a]])
+    second = joints_b[PARENTS[b]] + part * (joints_b[b + 1] - joints_b[PARENTS[b]])
+    gap = np.linalg.norm(first[:, None] - second[None], axis=-1).min() - RADII_M[a] - RADII_M[b]
+    return float(np.clip(1 - gap / 0.06, 0, 1.5) ** 2)
+
+
+def far_pairs() -> list[tuple[int, int]]:
+    """Bones that are not neighbours, in plain loops."""
+    pairs = []
     for a in range(20):
         for b in range(a + 1, 20):
-            chained = parents[a] == b + 1 or parents[b] == a + 1
-            siblings = parents[a] == parents[b] != 0
-            if chained or siblings or (a < 5 and b < 5):
-                continue
-            total += max(penetration(joints_m, a, b) - penetration(canonical_m, a, b), 0.0)
-    return total
+            chained = PARENTS[a] == b + 1 or PARENTS[b] == a + 1
+            siblings = PARENTS[a] == PARENTS[b] != 0
+            if not (chained or siblings or (a < 5 and b < 5)):
+                pairs.append((a, b))
+    return pairs
+
+
+def slow_score(joints_m: np.ndarray, canonical_m: np.ndarray) -> float:
+    """METHOD 5.4 in plain loops."""
+    return sum(
+        max(penetration(joints_m, a, joints_m, b) - penetration(canonical_m, a, canonical_m, b), 0.0)
+        for a, b in far_pairs()
+    )
+
+
+def test_the_pairs_of_the_score_are_those_that_are_not_neighbours():
+    assert list(zip(*(side.tolist() for side in _far_pairs()), strict=True)) == far_pairs()
 
 
 @pytest.mark.parametrize("pose", ["open", "relaxed", "fist", "pinch", "point"])
@@ -93,6 +106,40 @@ def test_fade_is_smooth_and_ends_at_its_thresholds():
     assert np.abs(np.diff(strength)).max() < 4e-3  # no step: nothing pops
     assert fade(limits.GATE_LOW) == 0
     assert fade(limits.GATE_HIGH) == 1
+
+
+def test_fade_is_the_smoothstep_between_its_thresholds():
+    low, high = limits.GATE_LOW, limits.GATE_HIGH
+    for part, strength in ((0.25, 0.15625), (0.5, 0.5), (0.75, 0.84375)):
+        assert fade(low + part * (high - low)) == pytest.approx(strength, abs=1e-12)
+
+
+def test_contact_is_the_sum_over_all_bones_of_different_hands():
+    hands = [CANONICAL_M + 0.7, CANONICAL_M @ rotation(3).T + 0.72, CANONICAL_M @ rotation(4).T + [0.65, 0.7, 0.75]]
+    slow = sum(
+        penetration(hands[i], a, hands[j], b) for i, j in ((0, 1), (0, 2), (1, 2)) for a in range(20) for b in range(20)
+    )
+    assert slow > 10
+    assert contact_between(hands) == pytest.approx(slow, rel=1e-9)
+
+
+def test_the_gap_between_hands_is_that_of_the_nearest_two_boxes():
+    flesh_m = 2 * 0.016
+    boxes = np.ptp(CANONICAL_M, axis=0)
+    for away, gap in (
+        ([0.5, 0.0, 0.0], 0.5 - boxes[0] - flesh_m),
+        ([0.0, -0.5, 0.0], 0.5 - boxes[1] - flesh_m),
+        ([0.3, 0.0, 0.4], np.hypot(0.3 - boxes[0] - flesh_m, 0.4 - boxes[2] - flesh_m)),
+        ([0.0, 0.0, 0.01], 0.0),
+    ):
+        for hands in ([CANONICAL_M, CANONICAL_M + away], [CANONICAL_M + away, CANONICAL_M]):
+            assert gap_between(hands) == pytest.approx(gap, abs=1e-12)
+    far, near = (CANONICAL_M + np.array([0.0, up, 0.0]) for up in (9.0, 8.7))
+    assert gap_between([CANONICAL_M, far, near]) == pytest.approx(max(0.3 - boxes[1] - flesh_m, 0), abs=1e-12)
+    assert gap_between([CANONICAL_M]) == np.inf
+    # a promise: what is farther apart than the radius of influence casts nothing
+    beyond = np.array([0.0, boxes[1] + flesh_m + limits.GATE_RADIUS_M, 0.0])
+    assert contact_between([CANONICAL_M, CANONICAL_M + beyond]) == 0
 
 
 def test_two_hands_shade_each_other_only_when_they_are_near():
