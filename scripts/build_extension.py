@@ -100,6 +100,12 @@ def run_tool(tool: Path, *arguments: object) -> None:
         raise BuildError(f"Blender's tool says no to: {' '.join(map(str, arguments))}\n{done.stdout}{done.stderr}")
 
 
+def check_and_index(tool: Path, archive: Path) -> None:
+    """Lets Blender's tool check the zip, then write index.json and index.html of the zips in its folder."""
+    run_tool(tool, "validate", archive)
+    run_tool(tool, "server-generate", "--repo-dir", archive.parent, "--html")
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=ROOT / "dist", help="folder for the results (default dist)")
@@ -115,8 +121,7 @@ def main() -> int:
             "Blender's tool for extensions was not found, so the zip is not checked and there is no index.\n"
             "Run `python scripts/test.py --only blender` once, which makes .envs/blender, or use --zip-only."
         )
-    run_tool(tool, "validate", path)
-    run_tool(tool, "server-generate", "--repo-dir", options.out, "--html")
+    check_and_index(tool, path)
     print(f"{options.out / 'index.json'}: every zip of this folder, for Blender's list of repositories")
     return 0
 
