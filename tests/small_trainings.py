@@ -28,8 +28,7 @@ def small_training(
 ) -> HandTraining:
     """moved: as if it had learnt something, all Gaussians taking part."""
     monkeypatch.setattr(step, "place_points", lambda template, count, **how: small_points(count))
-    shown = samples[0] if samples else None
-    training = HandTraining(Material(samples, shown, load_template(), INFO, perceptual), options, device)  # type: ignore[arg-type]
+    training = HandTraining(Material(samples, samples[:1], load_template(), INFO, perceptual), options, device)
     if moved:
         stirred(training.hand)
         training.load_scalars({"count": options.model.gaussians})

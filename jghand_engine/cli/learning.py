@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING, Literal
 
+from jghand_engine import limits
 from jghand_engine.cli.console import say
 from jghand_engine.errors import InputError
 
@@ -58,8 +59,8 @@ def train_options(
 
 
 def material(name: str, capture: str, split: Split, perceptual: PerceptualMetric | None) -> Material:
-    """The pictures of `capture` for an avatar called `name`; progress is shown on a picture that is held out, or else
-    on one that is learnt."""
+    """The pictures of `capture` for an avatar called `name`; progress is judged by some that are held out, or else
+    by some that are learnt."""
     from jghand_engine.avatar.avatar import AvatarInfo, LearntFrom
     from jghand_engine.avatar.texts import as_text
     from jghand_engine.datasets.picture_digest import picture_digest
@@ -67,7 +68,10 @@ def material(name: str, capture: str, split: Split, perceptual: PerceptualMetric
     from jghand_engine.training.step import Material
 
     choice = split.test or split.train
+    count = min(len(choice), limits.JUDGED_VIEWS)
+    # the middle of each of so many equal parts
+    judged = [choice[(2 * part + 1) * len(choice) // (2 * count)] for part in range(count)]
     learnt_from = LearntFrom(as_text(capture), as_text(split.origin), len(split.train), picture_digest(split.train))
     licence = as_text(f"that of the pictures: {capture}")
     info = AvatarInfo(as_text(name), template="", licence=licence, learnt_from=learnt_from)
-    return Material(split.train, choice[len(choice) // 2], load_template(), info, perceptual)
+    return Material(split.train, judged, load_template(), info, perceptual)

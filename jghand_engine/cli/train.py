@@ -156,7 +156,7 @@ class Train:
         course = outcome.course
         done = f"{course.step} steps in {duration(course.seconds)}"
         if outcome.finished:
-            say(f"{run.out}: {outcome.psnr:.2f} dB on the fixed view, cut to the hand, after {done}.")
+            say(f"{run.out}: {outcome.psnr:.2f} dB on the fixed views, cut to the hand, after {done}.")
             say(f"Log and pictures: {run.work}")
             say(f"How good it is: jghand evaluate {run.out} {self.folder}")
         else:

@@ -39,7 +39,10 @@ PICTURE_CACHE_BYTES = 1_000_000_000
 POSE_CACHE_BYTES = 2_000_000_000
 # visibility below which the shadow is black: its power with the learnt gain has a finite gradient
 VISIBILITY_MIN = 1e-3
-# checkpoints that are kept, beside the one with the best fixed view: one more than the last, should that be damaged
+# held-out views by which a training is judged while it runs: one alone can fall while their mean rises. Drawing one
+# takes some 100 ms, once a minute
+JUDGED_VIEWS = 8
+# checkpoints that are kept, beside the one with the best fixed views: one more than the last, should that be damaged
 CHECKPOINTS_KEPT = 2
 # seconds between two checkpoints: what kill -9 may lose. Writing one takes some 40 ms (RENDERING 14, promise 20)
 CHECKPOINT_EVERY_S = 60.0

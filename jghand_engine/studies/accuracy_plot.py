@@ -175,7 +175,7 @@ def _draw_learning(axes: Axes, study: Accuracy) -> None:
     axes.plot(minutes, psnr_db, color=OURS, lw=2)
     axes.set_title("Training: accuracy against minutes", **_TITLE)
     axes.set_xlabel("minutes", fontsize=9)
-    axes.set_ylabel("one held-out view, cut to the hand, dB", fontsize=8)
+    axes.set_ylabel("held out, cut to the hand, dB", fontsize=8)
     _plain(axes)
 
 

@@ -109,9 +109,9 @@ class EffectsStudy:
         }
 
     def gate_rows(self) -> list[dict]:
-        """What would be skipped, were the gate closed below a score: as it is, tighter, and always. Per threshold:
-        the score (None: never open), the pictures skipped, the worst of them (part of the hand occluded, difference), and their mean
-        PSNR against the captured pictures without the shadow and with it."""
+        """What would be skipped, were the gate closed below a score: as it is, tighter, and always. Per threshold: the
+        score (None: never open), the pictures skipped, the worst of them (part of the hand occluded, difference), and
+        their mean PSNR against the captured pictures without the shadow and with it."""
         return [_skipped_below(self.gate, score) for score in (limits.GATE_LOW, *CLOSED_BELOW)]
 
     def tables(self) -> list[Table]:

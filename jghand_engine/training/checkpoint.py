@@ -108,7 +108,7 @@ def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, An
 
 
 class CheckpointFolder:
-    """The checkpoints of one training, named by their step: the last two, and the one with the best fixed view."""
+    """The checkpoints of one training, named by their step: the last two, and the one with the best fixed views."""
 
     def __init__(self, folder: Path, stamp: Stamp) -> None:
         self._folder, self._stamp = folder, stamp

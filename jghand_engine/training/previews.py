@@ -1,4 +1,4 @@
-"""Previews of a training: the fixed view as a picture, truth beside ours, and the avatar as it is so far."""
+"""Previews of a training: the first fixed view as a picture, truth beside ours, and the avatar as it is so far."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Previews:
         self.pictures, self.avatar = folder / "pictures", folder / "preview.jghand"
 
     def write_picture(self, step: int, trainable: Trainable) -> Path:
-        """Writes the fixed view. InputError or RetryError when the disk does not let it."""
+        """Writes the first fixed view. InputError or RetryError when the disk does not let it."""
         path = self.pictures / f"step_{step:08d}.png"
         write_png(path, to_bytes(trainable.preview()))
         return path

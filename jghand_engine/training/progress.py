@@ -17,7 +17,7 @@ from jghand_engine.limits import PROGRESS_LINE_S
 @dataclass(frozen=True)
 class Status:
     """Where a training stands. step, steps: done, planned · loss: mean since the last line of the log, None before
-    the first step · psnr: of the fixed view, cut to the hand, dB, None before it was measured · gaussians: as
+    the first step · psnr: mean of the fixed views, cut to the hand, dB, None before it was measured · gaussians: as
     the step says it · steps_per_s · seconds_left: to the end, None while unknown."""
 
     step: int
@@ -33,7 +33,7 @@ class Status:
         if self.loss is not None:
             parts.append(f"loss {self.loss:.4f}")
         if self.psnr is not None:
-            parts.append(f"fixed view {self.psnr:.2f} dB")
+            parts.append(f"fixed views {self.psnr:.2f} dB")
         if self.gaussians is not None:
             parts.append(f"{self.gaussians} Gaussians")
         if self.steps_per_s is not None:

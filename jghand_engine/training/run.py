@@ -65,7 +65,7 @@ class RunOptions:
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a training ended. finished: else somebody stopped it, and it can go on · psnr: of the fixed view, dB."""
+    """How a training ended. finished: else somebody stopped it, and it can go on · psnr: of the fixed views, dB."""
 
     finished: bool
     course: Course

@@ -22,7 +22,7 @@ class Course:
     seconds:       time spent so far, over all sessions
     skipped:       numbers of steps that are left out because they gave values that are not finite
     recoveries:    how often the guard had to go back
-    best_step, best_psnr: the checkpoint with the best fixed view, dB
+    best_step, best_psnr: the checkpoint with the best fixed views, dB
     sums, summed:  the figures since the last line of the log, added up, and how many steps they are of
     """
 

@@ -53,11 +53,12 @@ CPU = torch.device("cpu")
 
 @dataclass(frozen=True)
 class Material:
-    """What a hand is learnt from. train: pictures to learn from, of one hand · shown: the fixed view of progress
-    template: where the Gaussians start · info: names of the finished avatar · perceptual: a metric, or None"""
+    """What a hand is learnt from. train: pictures to learn from, of one hand · judged: fixed views by which progress is
+    judged, at least one; the first is shown · template: where the Gaussians start · info: names of the finished avatar
+    perceptual: a metric, or None"""
 
     train: Sequence[Sample]
-    shown: Sample
+    judged: Sequence[Sample]
     template: HandTemplate
     info: AvatarInfo
     perceptual: PerceptualMetric | None = None
@@ -193,13 +194,14 @@ class HandTraining:
 
     def preview(self) -> np.ndarray:
         """See Trainable."""
-        view, ours = self._shown()
+        view, ours = self._drawn(self._material.judged[0])
         return torch.cat([view.rgb, ours], 1).numpy()
 
     def fixed_psnr(self) -> float:
-        """See Trainable: on the cut of the fixed view."""
-        view, ours = self._shown()
-        return float(-10 * torch.log10((view.rgb - ours).square().mean().clamp_min(1e-10)))
+        """See Trainable: on the cuts of the fixed views."""
+        pairs = [self._drawn(sample) for sample in self._material.judged]
+        errors = torch.stack([(view.rgb - ours).square().mean() for view, ours in pairs])
+        return float(-10 * torch.log10(errors.clamp_min(1e-10)).mean())
 
     def avatar(self) -> HandAvatar:
         """See Trainable."""
@@ -305,11 +307,11 @@ class HandTraining:
         posed = _PosedBones(bones, maps, fade(self._gate.score(joints_m, float(bones.scale))), seen)
         return mapped(posed, lambda tensor: tensor.to(self._device))
 
-    def _shown(self) -> tuple[View, Tensor]:
-        """The fixed view and ours of it, 0..1."""
+    def _drawn(self, sample: Sample) -> tuple[View, Tensor]:
+        """A view and ours of it, 0..1."""
         with torch.no_grad():
-            view, avatar = self._pictures.view(self._material.shown), self._live()
-            posed = self._posed_bones(self._material.shown)
+            view, avatar = self._pictures.view(sample), self._live()
+            posed = self._posed_bones(sample)
             skin, _ = self._pose(avatar, posed, self._part)
             rgb, _ = self._draw_view(avatar, skin, posed.shadow, view.camera)
             return view, rgb.clamp(0, 1)
@@ -334,7 +336,7 @@ class HandTraining:
 
 def _check_joints(material: Material) -> None:
     """One joint that is not known would make a whole step's gradients unknown."""
-    for sample in (*material.train, material.shown):
+    for sample in (*material.train, *material.judged):
         if not np.isfinite(sample.joints_m).all():
             raise InputError(f"joints of {sample.picture}", wanted="21 known joints", came="NaN or infinity",
                              remedy="Leave that pose out, or look at it with `jghand check-data`.")  # fmt: skip

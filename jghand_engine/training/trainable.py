@@ -62,7 +62,7 @@ class Trainable(Protocol):
         ...
 
     def fixed_psnr(self) -> float:
-        """PSNR of that fixed view, dB."""
+        """Mean PSNR of some fixed views, that one among them, dB."""
         ...
 
     def avatar(self) -> HandAvatar:

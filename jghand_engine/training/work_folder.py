@@ -4,7 +4,7 @@ training.json   says that the folder is a training's, and with which options it 
 lock            held while a training runs here
 checkpoints/    step_00000500.safetensors: the last two and the best
 log.jsonl       figures, a line per interval (see log.py); tensorboard/ the same for TensorBoard
-pictures/       the fixed view over time, truth beside ours; preview.jghand is the newest avatar
+pictures/       the first fixed view over time, truth beside ours; preview.jghand is the newest avatar
 failures/       steps that gave values that are not finite, to be repeated (see guard.py)
 """
 

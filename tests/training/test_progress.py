@@ -17,7 +17,7 @@ STATUS = Status(120, 4000, loss=0.01234, psnr=31.456, gaussians=15000, steps_per
 def test_a_status_is_one_line():
     assert (
         STATUS.sentence()
-        == "step 120 of 4000 · loss 0.0123 · fixed view 31.46 dB · 15000 Gaussians · 2.50 steps/s · 26 min left"
+        == "step 120 of 4000 · loss 0.0123 · fixed views 31.46 dB · 15000 Gaussians · 2.50 steps/s · 26 min left"
     )
     assert Status(0, 10).sentence() == "step 0 of 10"
 

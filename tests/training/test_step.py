@@ -434,6 +434,18 @@ def test_the_fixed_view_stands_beside_the_truth(build, samples):
     assert training.fixed_psnr() == pytest.approx(-10 * math.log10(error), abs=1e-4)
 
 
+def test_a_training_is_judged_by_the_mean_of_its_fixed_views(build, samples):
+    alone = []
+    for sample in samples[:2]:
+        training = build()
+        training._material = replace(training._material, judged=[sample])
+        alone.append(training.fixed_psnr())
+    both = build()
+    both._material = replace(both._material, judged=samples[:2])
+    assert alone[0] != pytest.approx(alone[1], abs=1e-3)
+    assert both.fixed_psnr() == pytest.approx(sum(alone) / 2, abs=1e-4)
+
+
 def test_what_is_shown_and_baked_early_is_what_is_being_learnt(build, samples):
     """Octaves that have not come in yet have random weights: they are left out, not added as noise."""
     training = build(scheduled(waves=(0.0, 1.0)), samples[3:6])
