@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,11 +16,16 @@ BUILTIN_AVATAR = "builtin"
 # avatars that the engine brings along, by name instead of file
 SHIPPED_AVATARS = (BUILTIN_AVATAR, "painted")
 
+# Trained hands learnt their light in captures, where +y is up and +z looks at the viewer; in Blender +z is up and the
+# viewer of the front view stands at -y. The engine's world is the captures', so that light comes from above here too.
+LIGHT_FROM_WORLD = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+
 
 @dataclass(frozen=True)
 class Pinhole:
     """width, height, fx, fy, cx, cy: pixels, (0, 0) is the top-left corner; camera_from_world: (4, 4) rigid, metres,
-    OpenCV axes (x right, y down, z forward)."""
+    OpenCV axes (x right, y down, z forward). aperture_m, focus_m: diameter of a lens, 0 for none, and the depth that it
+    shows sharp, metres. orthographic: parallel rays; fx and fy are pixels per metre then."""
 
     width: int
     height: int
@@ -29,12 +34,16 @@ class Pinhole:
     cx: float
     cy: float
     camera_from_world: np.ndarray
+    aperture_m: float = 0.0
+    focus_m: float = 1.0
+    orthographic: bool = False
 
     def project(self, points_m: np.ndarray) -> np.ndarray:
         """World points (..., 3), metres -> (..., 3): u and v in pixels, depth along the view axis in metres."""
         p = points_m @ self.camera_from_world[:3, :3].T + self.camera_from_world[:3, 3]
         z = p[..., 2]
-        return np.stack([self.fx * p[..., 0] / z + self.cx, self.fy * p[..., 1] / z + self.cy, z], -1)
+        scale = np.ones_like(z) if self.orthographic else z
+        return np.stack([self.fx * p[..., 0] / scale + self.cx, self.fy * p[..., 1] / scale + self.cy, z], -1)
 
 
 @dataclass(frozen=True)
@@ -52,24 +61,62 @@ class HandInSpace:
         return self.joints_m @ self.world_from_hand[:3, :3].T + self.world_from_hand[:3, 3]
 
 
+@dataclass(frozen=True)
+class Moment:
+    """What is seen at one moment of a picture: the same hands, in the same order, at each. weight: its part of the mean
+    of all, in any unit."""
+
+    view: Pinhole
+    hands: Sequence[HandInSpace]
+    weight: float = 1.0
+
+
 def picture_request(
-    pinhole: Pinhole, hands: Sequence[HandInSpace], *, preset: str, outputs: Sequence[str]
+    view: Pinhole,
+    hands: Sequence[HandInSpace],
+    *,
+    outputs: Sequence[str],
+    preset: str = "viewport",
+    settings: Mapping[str, Any] | None = None,
 ) -> tuple[dict[str, Any], dict[str, protocol.Array]]:
-    """Header and arrays of a `render_picture` request: all hands of one view in one request."""
+    """Header and arrays of a `render_picture` request: all hands of one view in one request.
+
+    outputs: of rgba_f32, rgba_u8, depth, ids, png. settings: of budget_ms, density, shadow_strength, correctives,
+    effects, as `picture_request.PictureSettings` of the engine has them; what is left out is the preset's.
+    """
+    return moments_request([Moment(view, hands)], outputs=outputs, preset=preset, settings=settings)
+
+
+def moments_request(
+    moments: Sequence[Moment],
+    *,
+    outputs: Sequence[str],
+    preset: str = "viewport",
+    settings: Mapping[str, Any] | None = None,
+) -> tuple[dict[str, Any], dict[str, protocol.Array]]:
+    """The same for a picture of several moments in the order of time (motion blur): the engine averages them in linear
+    light; depth and ids are those of the middle one."""
+    first = moments[0]
+    views = [moment.view for moment in moments]
     header = {
         "kind": "render_picture",
-        "width": pinhole.width,
-        "height": pinhole.height,
-        "fx": pinhole.fx,
-        "fy": pinhole.fy,
-        "cx": pinhole.cx,
-        "cy": pinhole.cy,
-        "preset": preset,
+        "width": first.view.width,
+        "height": first.view.height,
+        "orthographic": first.view.orthographic,
+        "settings": {"preset": preset, **(settings or {})},
         "outputs": list(outputs),
-        "hands": [{"avatar": hand.avatar, "handedness": hand.handedness} for hand in hands],
+        "hands": [{"avatar": hand.avatar, "handedness": hand.handedness} for hand in first.hands],
     }
-    if not hands:
-        return header, {}
-    joints = np.stack([hand.joints_m for hand in hands]).astype("<f4")
-    cameras = np.stack([pinhole.camera_from_world @ hand.world_from_hand for hand in hands]).astype("<f8")
-    return header, {"joints": protocol.Array.of(joints), "camera_from_hand": protocol.Array.of(cameras)}
+    world_from_light = LIGHT_FROM_WORLD.T
+    numbers = {
+        "pinholes": [(view.fx, view.fy, view.cx, view.cy) for view in views],
+        "lenses": [(view.aperture_m, view.focus_m) for view in views],
+        "weights": [moment.weight for moment in moments],
+        "camera_from_world": [view.camera_from_world @ world_from_light for view in views],
+    }
+    if first.hands:
+        numbers["joints"] = [[hand.joints_m for hand in moment.hands] for moment in moments]
+        numbers["world_from_hand"] = [
+            [LIGHT_FROM_WORLD @ hand.world_from_hand for hand in moment.hands] for moment in moments
+        ]
+    return header, {name: protocol.Array.of(np.array(values, "<f8")) for name, values in numbers.items()}

@@ -15,6 +15,14 @@ STOP_GRACE_S = 3.0
 PICTURE_HANDS_MAX = 16
 # renderers that are kept: one per set of hands and settings, each with its hands' arrays in memory
 RENDERERS_MAX = 8
+# moments of one picture with motion blur: as many as the extension may ask for
+EXPOSURES_MAX = 64
+# renderers of other settings are asked for one frame in so many milliseconds; a minute is no frame any more
+BUDGET_MAX_MS = 60_000.0
+# letters of a text among the settings of a picture
+SETTING_TEXT_MAX = 200
+# metres of places in a request: beyond any scene, and far from where float64 overflows
+REQUEST_NUMBER_MAX = 1e9
 # focal length and principal point, px: a view a million times narrower than any lens is a mistake
 PINHOLE_MAX_PX = 1e9
 # by how much a rotation on the wire may fail to be one: twice the rounding of Blender's float32 matrices, and no scale

@@ -7,6 +7,7 @@ broken installation is an answer that Blender can show.
 from __future__ import annotations
 
 from collections import OrderedDict
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -14,21 +15,23 @@ import numpy as np
 
 from jghand_engine import limits
 from jghand_engine.errors import InputError
-from jghand_engine.service.commands import Hand, LoadedAvatar, Painting, View
+from jghand_engine.service.commands import Cancelled, LoadedAvatar, Painting, never
+from jghand_engine.service.picture_request import Exposure, HandAsked, PictureRequest, PictureSettings
 
 if TYPE_CHECKING:
     from jghand_engine.avatar.avatar import HandAvatar
     from jghand_engine.splat.frame import SceneRenderer
-
-# the name on the wire of the avatar that comes with JGHand
+    from jghand_engine.splat.moments import Moment
+    from jghand_engine.splat.settings import RenderSettings
 
 
 class _Key(NamedTuple):
-    """What a renderer is made for: (avatar, handedness) of every hand, a preset, and whether it draws depth."""
+    """What a renderer is made for. The strength of shadows is none of it: that changes while a renderer lives."""
 
-    hands: tuple[tuple[str, str], ...]
-    preset: str
+    hands: tuple[HandAsked, ...]
+    settings: PictureSettings
     depth: bool
+    size_px: tuple[int, int] | None
 
 
 class EngineHands:
@@ -46,7 +49,7 @@ class EngineHands:
 
         loaded = self._read(avatar)
         self._avatars[avatar] = loaded
-        for key in [key for key in self._renderers if avatar in dict(key.hands)]:
+        for key in [key for key in self._renderers if avatar in (hand.avatar for hand in key.hands)]:
             del self._renderers[key]
         facts = {
             "avatar": avatar,
@@ -58,28 +61,22 @@ class EngineHands:
         }
         return LoadedAvatar(facts, from_level(loaded.canonical_joints_m.numpy(), JointOrder.STANDARD))
 
-    def render(self, hands: list[Hand], view: View) -> Painting:
-        """All hands in one picture: their Gaussians are drawn together, so that hands may interlock.
+    def render(self, picture: PictureRequest, cancelled: Callable[[], bool] = never) -> Painting:
+        """All hands in one picture: their Gaussians are drawn together, so that hands may interlock. A request's world
+        is the one of the renderer, in which trained hands have their light."""
+        from jghand_engine.splat.moments import render_moments
 
-        The first hand's space is the picture's world; the others are brought into it.
-        """
-        import torch
+        moments = [_moment(exposure, picture) for exposure in picture.exposures]
+        weights = [exposure.weight for exposure in picture.exposures]
+        renderer = self._renderer(picture)
 
-        from jghand_engine.hand.orders import JointOrder, to_level
-        from jghand_engine.splat.camera import Camera
+        def check() -> None:
+            if cancelled():
+                raise Cancelled
 
-        camera_from_world = hands[0].camera_from_hand
-        joints_m = []
-        for hand in hands:
-            world_from_hand = np.linalg.solve(camera_from_world, hand.camera_from_hand)
-            joints = hand.joints_m @ world_from_hand[:3, :3].T + world_from_hand[:3, 3]
-            joints_m.append(to_level(joints, JointOrder.STANDARD))
-        camera = Camera(
-            view.width, view.height, view.fx, view.fy, view.cx, view.cy, torch.from_numpy(camera_from_world)
-        )
-        key = _Key(tuple((hand.avatar, hand.handedness) for hand in hands), view.preset, view.depth)
-        frame = self._renderer(key).render(joints_m, camera)
-        return Painting(frame.rgba, frame.depth_m, frame.report.as_dict())
+        frame = render_moments(renderer, moments, weights, middle=picture.middle, between=check)
+        ids = renderer.bone_ids(moments[picture.middle].camera) if picture.ids else None
+        return Painting(frame.rgba, frame.report.as_dict(), frame.depth_m, ids)
 
     def encode_png(self, rgba: np.ndarray) -> bytes:
         """(H, W, 4) premultiplied float32 -> the bytes of a PNG with straight alpha."""
@@ -87,29 +84,80 @@ class EngineHands:
 
         return encode_png(rgba)
 
-    def _renderer(self, key: _Key) -> SceneRenderer:
+    def _renderer(self, picture: PictureRequest) -> SceneRenderer:
         from jghand_engine.splat.frame import SceneRenderer
-        from jghand_engine.splat.settings import preset
 
+        asked = replace(picture.settings, shadow_strength=1.0)
+        size_px = (picture.width, picture.height) if asked.budget_ms is not None else None
+        key = _Key(picture.hands, asked, picture.depth, size_px)
         if key not in self._renderers:
-            settings = replace(preset(key.preset), depth=key.depth)
-            avatars = [self._avatar(name, handedness) for name, handedness in key.hands]
+            avatars = [self._avatar(hand) for hand in picture.hands]
+            settings = replace(_settings(asked, avatars, size_px), depth=picture.depth)
+            drawn = [_thinned(avatar, settings.gaussians, asked.density) for avatar in avatars]
             while len(self._renderers) >= limits.RENDERERS_MAX:
                 self._renderers.popitem(last=False)
-            self._renderers[key] = SceneRenderer(avatars, settings)
+            self._renderers[key] = SceneRenderer(drawn, replace(settings, gaussians=0))
         self._renderers.move_to_end(key)
-        return self._renderers[key]
+        renderer = self._renderers[key]
+        renderer.settings = replace(renderer.settings, shadow_strength=picture.settings.shadow_strength)
+        return renderer
 
-    def _avatar(self, name: str, handedness: str) -> HandAvatar:
+    def _avatar(self, hand: HandAsked) -> HandAvatar:
         from jghand_engine.hand.joints import Handedness
 
-        if handedness not in list(Handedness):
-            raise InputError("handedness", wanted=" | ".join(Handedness), came=handedness)
-        if name not in self._avatars:
-            self.load(name)
-        return self._avatars[name].for_hand(Handedness(handedness))
+        if hand.handedness not in list(Handedness):
+            raise InputError("handedness", wanted=" | ".join(Handedness), came=hand.handedness[:80])
+        if hand.avatar not in self._avatars:
+            self.load(hand.avatar)
+        return self._avatars[hand.avatar].for_hand(Handedness(hand.handedness))
 
     def _read(self, avatar: str) -> HandAvatar:
         from jghand_engine.avatar.builtin import load_avatar_called
 
         return load_avatar_called(avatar)
+
+
+def _settings(asked: PictureSettings, avatars: list[HandAvatar], size_px: tuple[int, int] | None) -> RenderSettings:
+    """The preset, or what the budget buys, each hand taking an equal part of it; then what was asked for by name."""
+    from jghand_engine.avatar.tiers import Tier
+    from jghand_engine.splat.effect_plan import Choice
+    from jghand_engine.splat.settings import RenderSettings, preset
+
+    settings = preset(asked.preset)
+    if asked.budget_ms is not None and size_px is not None:
+        largest = max(avatars, key=len)
+        settings = RenderSettings.for_budget(asked.budget_ms / len(avatars), largest, size_px)
+    if asked.correctives is not None:
+        if asked.correctives not in tuple(Tier):
+            raise InputError("settings: correctives", wanted=" | ".join(Tier), came=asked.correctives[:80])
+        settings = replace(settings, correctives=Tier(asked.correctives))
+    if asked.effects != "auto":
+        settings = replace(settings, effects=Choice.parse(asked.effects))
+    return settings
+
+
+def _thinned(avatar: HandAvatar, gaussians: int, density: float) -> HandAvatar:
+    """So many of an avatar's Gaussians (0 = all), and of them the part that was asked for."""
+    count = min(gaussians, len(avatar)) if gaussians else len(avatar)
+    return avatar.prefix(max(1, round(density * count)))
+
+
+def _moment(exposure: Exposure, picture: PictureRequest) -> Moment:
+    import torch
+
+    from jghand_engine.hand.orders import JointOrder, to_level
+    from jghand_engine.splat.camera import Camera, Lens
+    from jghand_engine.splat.moments import Moment
+
+    camera = Camera(
+        picture.width,
+        picture.height,
+        exposure.fx,
+        exposure.fy,
+        exposure.cx,
+        exposure.cy,
+        torch.from_numpy(np.ascontiguousarray(exposure.camera_from_world)),
+        Lens(exposure.aperture_m, exposure.focus_m) if exposure.aperture_m > 0 else None,
+        orthographic=picture.orthographic,
+    )
+    return Moment(list(to_level(exposure.joints_world_m, JointOrder.STANDARD)), camera)

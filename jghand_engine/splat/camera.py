@@ -37,7 +37,8 @@ class Lens:
 @dataclass(frozen=True)
 class Camera:
     """width, height: pixels; fx, fy, cx, cy: pixels; camera_from_world: (4, 4) float64 rigid map, metres; lens: None
-    for a pinhole, through which everything is sharp (`rasterise` knows no other)."""
+    for a pinhole, through which everything is sharp (`rasterise` knows no other). orthographic: parallel rays, without
+    a lens; fx and fy are pixels per metre then."""
 
     width: int
     height: int
@@ -47,6 +48,7 @@ class Camera:
     cy: float
     camera_from_world: torch.Tensor
     lens: Lens | None = None
+    orthographic: bool = False
 
     def __post_init__(self) -> None:
         if self.width < 1 or self.height < 1:
@@ -63,6 +65,8 @@ class Camera:
         matrix = torch.as_tensor(self.camera_from_world, dtype=torch.float64)
         if matrix.shape != (4, 4) or not bool(torch.isfinite(matrix).all()):
             raise InputError("camera_from_world", wanted="a finite 4 x 4 matrix", came=f"shape {tuple(matrix.shape)}")
+        if self.orthographic and self.lens is not None:
+            raise InputError("orthographic camera", wanted="no lens", came=str(self.lens))
         object.__setattr__(self, "camera_from_world", matrix)
 
     @classmethod
@@ -119,6 +123,7 @@ class Camera:
         matrix = self.camera_from_world.to(points_m.dtype)
         p = points_m @ matrix[:3, :3].T + matrix[:3, 3]
         depth = p[..., 2]
-        u = self.fx * p[..., 0] / depth + self.cx
-        v = self.fy * p[..., 1] / depth + self.cy
+        scale = torch.ones_like(depth) if self.orthographic else depth
+        u = self.fx * p[..., 0] / scale + self.cx
+        v = self.fy * p[..., 1] / scale + self.cy
         return torch.stack([u, v], -1), depth

@@ -24,7 +24,15 @@ from jghand_engine.avatar.tiers import CachedNet, LinearCorrectives
 from jghand_engine.hand.fast_transform import FastBones
 from jghand_engine.splat.camera import Camera
 from jghand_engine.splat.effect_plan import Box, Decision, Effect, EffectPlan
-from jghand_engine.splat.exposure import Shutter, focus_count, focus_error, motion_count, motion_error, travel_px
+from jghand_engine.splat.exposure import (
+    Shutter,
+    disc_of_depths,
+    focus_count,
+    focus_error,
+    motion_count,
+    motion_error,
+    travel_px,
+)
 from jghand_engine.splat.gate import ShadowGate, contact_between, fade, gap_between
 from jghand_engine.splat.settings import RenderSettings, ShadowMode
 
@@ -425,13 +433,9 @@ def _averaged(effect: Effect, count: int, reason: str, error: float, once_ms: fl
 
 def _disc_px(scene: Scene, hands: Sequence[HandFacts]) -> float:
     """Diameter of the largest disc that a point of the hands becomes."""
-    camera, lens = scene.camera, scene.camera.lens
-    if lens is None:
-        return 0.0
     flesh_m = 1e-3 * max(limits.GATE_CAPSULE_RADII_MM) * max(bones.scale for bones in scene.bones)
-    depths = torch.cat([camera.project(torch.from_numpy(joints))[1] for joints in scene.joints_m])
-    ends = (max(float(depths.min()) - flesh_m, limits.Z_NEAR_M), max(float(depths.max()) + flesh_m, limits.Z_NEAR_M))
-    return max(lens.blur_px(max(camera.fx, camera.fy), depth) for depth in ends)
+    depths = torch.cat([scene.camera.project(torch.from_numpy(joints))[1] for joints in scene.joints_m])
+    return disc_of_depths(scene.camera, float(depths.min()) - flesh_m, float(depths.max()) + flesh_m)
 
 
 def _whole(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings, alpha_min: float) -> Decision:

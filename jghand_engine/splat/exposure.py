@@ -77,6 +77,15 @@ def focus_error(disc_px: float, count: int) -> float:
     return min(edges, smooth)
 
 
+def disc_of_depths(camera: Camera, nearest_m: float, farthest_m: float) -> float:
+    """Diameter of the largest disc that a point between these depths becomes, pixels."""
+    lens = camera.lens
+    if lens is None:
+        return 0.0
+    ends = (max(depth_m, limits.Z_NEAR_M) for depth_m in (nearest_m, farthest_m))
+    return max(lens.blur_px(max(camera.fx, camera.fy), depth_m) for depth_m in ends)
+
+
 def motion_count(length_px: float) -> int:
     """The least number of pictures within MOTION_ERROR_MAX."""
     most = math.ceil(0.5 / limits.MOTION_ERROR_MAX)
@@ -97,14 +106,14 @@ def exposures(
     are a sunflower, in an order that has nothing to do with time."""
     disc = vogel_disc(count).numpy() if camera.lens is not None else np.zeros((count, 2))
     radius_m = 0.0 if camera.lens is None else camera.lens.aperture_m / 2
-    stride = _coprime_near(count)
+    stride = coprime_near(count)
     for index in range(count):
         x, y = radius_m * disc[index * stride % count]
         joints = list(middle_m) if shutter is None else shutter.at((index + 0.5) / count, middle_m)
         yield joints, camera.through(float(x), float(y))
 
 
-def _coprime_near(count: int) -> int:
+def coprime_near(count: int) -> int:
     """A stride that visits every one of `count` places, near the golden section of them."""
     stride = max(1, round(count * 0.618))
     while math.gcd(stride, count) != 1:

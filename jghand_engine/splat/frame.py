@@ -19,6 +19,7 @@ import torch
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar, check_follows_joints
 from jghand_engine.avatar.pose_range import outside, trained_range
+from jghand_engine.avatar.skin_bones import bone_numbers
 from jghand_engine.avatar.tiers import Tier
 from jghand_engine.errors import InputError
 from jghand_engine.hand.fast_transform import FastTransform
@@ -101,6 +102,7 @@ class SceneRenderer:
         self._painter = self._new_painter()
         self._posed: _Posed | None = None
         self._drawn: Canvas | None = None  # what the painter's picture shows
+        self._bones: list[np.ndarray] | None = None  # per hand the bone of each Gaussian, once somebody asks
 
     def _new_painter(self) -> Painter:
         library = native_library.load(self.settings.backend)
@@ -119,6 +121,8 @@ class SceneRenderer:
         """
         # what is drawn may be the hand's box alone
         check_picture_size(camera.width, camera.height)
+        if camera.orthographic:
+            raise InputError("camera", wanted="a perspective one", came="an orthographic one, which is not drawn yet")
         if not self.settings.half:
             return self._render(joints_m, camera, shutter)
         return _enlarged(self._render(joints_m, halved(camera), shutter), camera)
@@ -144,6 +148,20 @@ class SceneRenderer:
         frame = self._finished(drawn, camera, plan, report)
         report.total_ms = 1e3 * (time.perf_counter() - started)
         return frame
+
+    def bone_ids(self, camera: Camera) -> np.ndarray:
+        """(H, W) uint8: which bone covers most of a pixel, of the hands as they were drawn last, through the middle of
+        the camera's lens: the number, 1..20, of the joint of the standard order at which it ends; 0 for nothing.
+
+        InputError when nothing was drawn yet.
+        """
+        check_picture_size(camera.width, camera.height)
+        if self._posed is None:
+            raise InputError("bones of a picture", wanted="a picture drawn before", came="none")
+        if self._bones is None:
+            self._bones = [bone_numbers(avatar) for avatar in self._avatars]
+        canvas = self._canvas(self._posed, replace(camera, lens=None), 0.0, limits.ALPHA_MIN)
+        return self._painter.part_map(canvas, self._bones)
 
     def _checked(self, joints_m: Sequence[np.ndarray | torch.Tensor]) -> list[np.ndarray]:
         if len(joints_m) != len(self._avatars):
@@ -230,7 +248,7 @@ class SceneRenderer:
         return mean.drawn()
 
     def _painted(self, shot: _Shot, camera: Camera, box: Box, plan: EffectPlan, report: FrameReport) -> Drawn:
-        canvas = self._canvas(shot.posed, camera, plan)
+        canvas = self._canvas(shot.posed, camera, plan.strength, plan.alpha_min)
         poses = None if shot.moved_m is not None else shot.posed.poses
         keeps = poses is None and not self.settings.effects.forces(Effect.SKIN) and canvas.same_view(self._drawn)
         # a picture that fails half way may leave the painter with half of these Gaussians: then the next one poses anew
@@ -247,12 +265,12 @@ class SceneRenderer:
         report.ran(str(Effect.IDS), 1e3 * (time.perf_counter() - started))
         return weights
 
-    def _canvas(self, posed: _Posed, camera: Camera, plan: EffectPlan) -> Canvas:
+    def _canvas(self, posed: _Posed, camera: Camera, strength: float, alpha_min: float) -> Canvas:
         # the origin of what was posed, also when the hand has moved by less than the limit since
         from_origin = camera.camera_from_world.clone()
         from_origin[:3, 3] += from_origin[:3, :3] @ torch.from_numpy(posed.kept.joints_m[0][0])
-        style = self._shadow_style(plan.strength) if plan.strength > 0 else None
-        return Canvas(replace(camera, camera_from_world=from_origin), float(from_origin[2, 3]), style, plan.alpha_min)
+        style = self._shadow_style(strength) if strength > 0 else None
+        return Canvas(replace(camera, camera_from_world=from_origin), float(from_origin[2, 3]), style, alpha_min)
 
     def _shadow_style(self, strength: float) -> ShadowStyle:
         """One pass shades all hands: hands of different looks get the mean of them."""

@@ -6,13 +6,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
 import torch
 
+from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.gaussians import Gaussians
 from jghand_engine.avatar.pose_features import Angles
@@ -95,6 +96,11 @@ class Painter(Protocol):
         """(H, W, hands) how much of a pixel each hand covers, of the Gaussians of the last call."""
         ...
 
+    def part_map(self, canvas: Canvas, parts: Sequence[np.ndarray]) -> np.ndarray:
+        """(H, W) uint8 number of the part that covers most of the pixel, 0 where hardly anything does, of the Gaussians
+        of the last call. parts: per hand the number, from 1, of the part that each of its Gaussians belongs to."""
+        ...
+
 
 class TorchPainter:
     """Paints with the reference functions: no compiled code, seconds per picture."""
@@ -145,16 +151,22 @@ class TorchPainter:
 
     def hand_weights(self, canvas: Canvas) -> np.ndarray:
         """See Painter."""
+        numbers = owners([len(avatar) for avatar in self._avatars])
+        return hand_weights(len(self._avatars), lambda first: self._coverage(canvas, numbers, first))
+
+    def part_map(self, canvas: Canvas, parts: Sequence[np.ndarray]) -> np.ndarray:
+        """See Painter."""
+        numbers = np.concatenate(parts)
+        return heaviest_part(int(numbers.max()), lambda first: self._coverage(canvas, numbers, first))
+
+    def _coverage(self, canvas: Canvas, numbers: np.ndarray, first: int) -> np.ndarray:
+        """(H, W, 3) how much of a pixel the Gaussians of these numbers cover: `first` and the next two."""
         if self._gaussians is None:
             raise InputError("picture", wanted="a pose", came="none")
         settings = replace(self._settings, alpha_min=canvas.alpha_min)
-        owner = owners([len(avatar) for avatar in self._avatars])
-        planes = []
         with torch.no_grad():
-            for first in range(0, len(self._avatars), 3):
-                rgb = torch.from_numpy(hand_colours(owner, first)).to(self._gaussians.rgb)
-                planes.append(rasterise(replace(self._gaussians, rgb=rgb), canvas.camera, settings).rgb.numpy())
-        return np.concatenate(planes, -1)[..., : len(self._avatars)].astype(np.float32)
+            rgb = torch.from_numpy(part_colours(numbers, first)).to(self._gaussians.rgb)
+            return rasterise(replace(self._gaussians, rgb=rgb), canvas.camera, settings).rgb.numpy()
 
     def _posed(self, poses: Sequence[Pose]) -> Gaussians:
         """All hands' Gaussians relative to the picture's origin."""
@@ -189,9 +201,28 @@ def owners(counts: Sequence[int]) -> np.ndarray:
     return np.repeat(np.arange(len(counts)), counts)
 
 
-def hand_colours(owner: np.ndarray, first: int) -> np.ndarray:
-    """(N, 3) float32 colours: 1 in the channel of the row's hand, among three hands from `first` on."""
-    return (owner[:, None] == np.arange(first, first + 3)).astype(np.float32)
+def part_colours(numbers: np.ndarray, first: int) -> np.ndarray:
+    """(N, 3) float32 colours: 1 in the channel of the row's number, among three numbers from `first` on."""
+    return (numbers[:, None] == np.arange(first, first + 3)).astype(np.float32)
+
+
+def hand_weights(hands: int, coverage: Callable[[int], np.ndarray]) -> np.ndarray:
+    """(H, W, hands) float32 from `coverage(first)` (H, W, 3) of the hands `first` and the next two."""
+    planes = [coverage(first) for first in range(0, hands, 3)]
+    return np.concatenate(planes, -1)[..., :hands].astype(np.float32)
+
+
+def heaviest_part(parts: int, coverage: Callable[[int], np.ndarray]) -> np.ndarray:
+    """(H, W) uint8, see Painter.part_map, from `coverage(first)` (H, W, 3) of the parts `first` and the next two."""
+    heaviest, total, numbers = np.float32(0), np.float32(0), np.uint8(0)
+    for first in range(1, parts + 1, 3):
+        covered = coverage(first)
+        total = total + covered.sum(-1)
+        here = covered.argmax(-1)
+        most = np.take_along_axis(covered, here[..., None], -1)[..., 0]
+        numbers = np.where(most > heaviest, (first + here).astype(np.uint8), numbers)
+        heaviest = np.maximum(heaviest, most)
+    return np.where(total > limits.DEPTH_ALPHA_MIN, numbers, 0).astype(np.uint8)
 
 
 def covariance_of(gaussians: Gaussians) -> torch.Tensor:

@@ -23,8 +23,10 @@ from jghand_engine.splat.painter import (
     SKIN,
     Canvas,
     Pose,
-    hand_colours,
+    hand_weights,
+    heaviest_part,
     owners,
+    part_colours,
 )
 from jghand_engine.splat.rasterise import view_of
 from jghand_engine.splat.report import FrameReport
@@ -90,15 +92,23 @@ class NativePainter:
 
     def hand_weights(self, canvas: Canvas) -> np.ndarray:
         """See Painter."""
-        owner = owners([hand.rows for hand in self._hands])
-        rasteriser, planes = NativeRasteriser(self._library, self.threads), []
-        for first in range(0, len(self._hands), 3):
-            coloured = replace(self._gaussians, rgb=hand_colours(owner, first))
-            drawn = rasteriser.forward(
-                coloured, view_of(canvas.camera), alpha_min=canvas.alpha_min, t_stop=self._settings.t_stop
-            )
-            planes.append(drawn[:3].transpose(1, 2, 0).copy())
-        return np.concatenate(planes, -1)[..., : len(self._hands)]
+        numbers = owners([hand.rows for hand in self._hands])
+        rasteriser = NativeRasteriser(self._library, self.threads)
+        return hand_weights(len(self._hands), lambda first: self._coverage(rasteriser, canvas, numbers, first))
+
+    def part_map(self, canvas: Canvas, parts: Sequence[np.ndarray]) -> np.ndarray:
+        """See Painter."""
+        numbers = np.concatenate([hand.in_rows(one) for hand, one in zip(self._hands, parts, strict=True)])
+        rasteriser = NativeRasteriser(self._library, self.threads)
+        return heaviest_part(int(numbers.max()), lambda first: self._coverage(rasteriser, canvas, numbers, first))
+
+    def _coverage(self, rasteriser: NativeRasteriser, canvas: Canvas, numbers: np.ndarray, first: int) -> np.ndarray:
+        """(H, W, 3) how much of a pixel the Gaussians of these numbers cover: `first` and the next two."""
+        coloured = replace(self._gaussians, rgb=part_colours(numbers, first))
+        drawn = rasteriser.forward(
+            coloured, view_of(canvas.camera), alpha_min=canvas.alpha_min, t_stop=self._settings.t_stop
+        )
+        return drawn[:3].transpose(1, 2, 0).copy()
 
     def _shade_for(self, width: int, height: int) -> NativeShade:
         if self._shade is None or (self._shade.task.width, self._shade.task.height) != (width, height):
@@ -124,6 +134,7 @@ class _PaintedHand:
         into.opacity[:], into.rgb[:] = self._skin.opacity, self._skin.rgb
         self._into = PosedArrays(into.position_m, into.sigma_m, into.covariance_m2)
         self.run, self.teams, self.rows = self._skin.run, [self._skin.team], len(into)
+        self.in_rows = self._skin.blocks.in_rows
 
     def prepare(self, pose: Pose) -> None:
         self._skin.prepare(pose.bones, self._into, pose.shift_m)
@@ -144,6 +155,7 @@ class _TrainedHand:
         self._into, self._rgb = PosedArrays(into.position_m, into.sigma_m, into.covariance_m2), into.rgb
         self.run, self.teams, self.rows = self._skin.run, [self._skin.team, self._skin.gloss_team], len(into)
         self.prepare_gloss, self.run_gloss = self._skin.prepare_gloss, self._skin.run_gloss
+        self.in_rows = self._skin.skin.blocks.in_rows
 
     def prepare(self, pose: Pose) -> None:
         self._skin.prepare(pose.bones, self._into, self._rgb, pose.shift_m, keeps_correctives=pose.keeps_correctives)

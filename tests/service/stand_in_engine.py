@@ -15,7 +15,7 @@ import struct
 import sys
 import time
 import zlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -24,7 +24,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from jghand_engine.errors import InputError, MemoryLimitError
 from jghand_engine.service import protocol, server
-from jghand_engine.service.commands import Hand, LoadedAvatar, Painting, View
+from jghand_engine.service.commands import Cancelled, LoadedAvatar, Painting, never
+from jghand_engine.service.picture_request import Exposure, PictureRequest
 
 # radius of a joint's disc, metres
 DISC_M = 0.004
@@ -44,7 +45,7 @@ class StandInHands:
         joints = np.stack([np.linspace(0, 0.1, 21), np.zeros(21), np.zeros(21)], -1)
         return LoadedAvatar({"avatar": avatar, "gaussians": 21}, joints)
 
-    def render(self, hands: list[Hand], view: View) -> Painting:
+    def render(self, picture: PictureRequest, cancelled: Callable[[], bool] = never) -> Painting:
         if self.fault == "die":
             os._exit(7)
         if self.fault == "killed":
@@ -63,8 +64,16 @@ class StandInHands:
             raise ZeroDivisionError("a bug")
         if self.fault == "print":
             print("printed by a library " * 10000)
-        rgba, depth = _discs(hands, view)
-        return Painting(rgba, depth, {"total_ms": 1.0, "stages": []})
+        total = sum(exposure.weight for exposure in picture.exposures)
+        rgba, depth, ids = (np.zeros((picture.height, picture.width, *more), np.float32) for more in ((4,), (), ()))
+        for index, exposure in enumerate(picture.exposures):
+            if cancelled():
+                raise Cancelled
+            colour, near_m, numbers = _discs(picture, exposure)
+            rgba += exposure.weight / total * colour
+            if index == picture.middle:
+                depth, ids = near_m, numbers
+        return Painting(rgba, {"total_ms": 1.0, "stages": []}, depth, ids)
 
     def encode_png(self, rgba: np.ndarray) -> bytes:
         """The smallest PNG writer there is."""
@@ -81,22 +90,25 @@ class StandInHands:
         )
 
 
-def _discs(hands: list[Hand], view: View) -> tuple[np.ndarray, np.ndarray]:
-    x, y = np.meshgrid(np.arange(view.width) + 0.5, np.arange(view.height) + 0.5)
-    rgba = np.zeros((view.height, view.width, 4), np.float32)
-    depth = np.zeros((view.height, view.width), np.float32)
+def _discs(picture: PictureRequest, moment: Exposure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Colour, depth, and the number of the joint, of one moment."""
+    size = (picture.height, picture.width)
+    x, y = np.meshgrid(np.arange(picture.width) + 0.5, np.arange(picture.height) + 0.5)
+    rgba, depth, ids = np.zeros((*size, 4), np.float32), np.zeros(size, np.float32), np.zeros(size, np.uint8)
+    turn, offset_m = moment.camera_from_world[:3, :3], moment.camera_from_world[:3, 3]
     points = [
-        (*point, (1, 1, 1, 1) if hand.handedness == "right" else (0, 0, 1, 1))
-        for hand in hands
-        for point in hand.joints_m @ hand.camera_from_hand[:3, :3].T + hand.camera_from_hand[:3, 3]
+        (*point, number, (1, 1, 1, 1) if hand.handedness == "right" else (0, 0, 1, 1))
+        for hand, joints in zip(picture.hands, moment.joints_world_m, strict=True)
+        for number, point in enumerate(joints @ turn.T + offset_m)
     ]
-    for px, py, pz, colour in sorted(points, key=lambda point: -point[2]):
+    for px, py, pz, number, colour in sorted(points, key=lambda point: -point[2]):
         if pz <= 0:
             continue
-        u, v = view.fx * px / pz + view.cx, view.fy * py / pz + view.cy
-        inside = ((x - u) / view.fx) ** 2 + ((y - v) / view.fy) ** 2 <= (DISC_M / pz) ** 2
-        rgba[inside], depth[inside] = colour, pz
-    return rgba, depth
+        scale = 1.0 if picture.orthographic else pz
+        u, v = moment.fx * px / scale + moment.cx, moment.fy * py / scale + moment.cy
+        inside = ((x - u) / moment.fx) ** 2 + ((y - v) / moment.fy) ** 2 <= (DISC_M / scale) ** 2
+        rgba[inside], depth[inside], ids[inside] = colour, pz, max(number, 1)
+    return rgba, depth, ids
 
 
 def _send_rubbish_after_welcome(connection: socket.socket, header: Mapping, *rest: object, **more: object) -> None:
@@ -120,7 +132,7 @@ def main(fault: str) -> int:
         protocol.send = _send_rubbish_after_welcome
     if fault == "stubborn":
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
-        time.sleep(600)
+        server._end_with_stdin = lambda _: None
     if fault in ("garbage", "wrong_version", "wrong_port"):
         version = protocol.PROTOCOL_VERSION + (fault == "wrong_version")
         line = {"protocol": version, "port": 9, "pid": os.getpid(), "engine_version": "x", "device": "x"}

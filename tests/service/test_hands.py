@@ -2,26 +2,52 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
+from small_avatars import trained_avatar
 
 from jghand_engine import limits
 from jghand_engine.avatar.builtin import load_painted
 from jghand_engine.avatar.file import save_avatar
 from jghand_engine.avatar.shipped import PAINTED
 from jghand_engine.avatar.storage import Storage
+from jghand_engine.colour import srgb_to_linear
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, to_level
-from jghand_engine.service.commands import Hand, View
+from jghand_engine.service.commands import Cancelled
 from jghand_engine.service.hands import EngineHands
+from jghand_engine.service.picture_request import Exposure, HandAsked, PictureRequest, PictureSettings
 from jghand_engine.splat.camera import Camera
 from jghand_engine.splat.frame import HandRenderer
-from jghand_engine.splat.settings import preset
+from jghand_engine.splat.settings import RenderSettings, preset
 
-VIEW = View(120, 90, 200.0, 200.0, 60.0, 45.0, "draft", depth=True)
+PINHOLE = (200.0, 200.0, 60.0, 45.0)
+DRAFT = PictureSettings("draft")
+# half a metre before the palm of a hand that points up
+CAMERA_FROM_WORLD = np.diag([1.0, -1, -1, 1])
+CAMERA_FROM_WORLD[:3, 3] = (0, 0.09, 0.5)
+
+
+@dataclass(frozen=True)
+class Hand:
+    joints_m: np.ndarray
+    avatar: str = PAINTED
+    handedness: str = "right"
+    world_from_hand: np.ndarray = field(default_factory=lambda: np.eye(4))
+
+
+def exposure(hands: list[Hand], camera_from_world: np.ndarray = CAMERA_FROM_WORLD, **more) -> Exposure:
+    joints, places = (np.stack([getattr(hand, name) for hand in hands]) for name in ("joints_m", "world_from_hand"))
+    return Exposure(*PINHOLE, camera_from_world, joints, places, **more)
+
+
+def asked(hands: list[Hand], *moments: Exposure, **more) -> PictureRequest:
+    """120 x 90 pixels of hands; without moments at one, from CAMERA_FROM_WORLD."""
+    entries = tuple(HandAsked(hand.avatar, hand.handedness) for hand in hands)
+    return PictureRequest(120, 90, entries, moments or (exposure(hands),), **{"settings": DRAFT, "depth": True, **more})
 
 
 @pytest.fixture(scope="module")
@@ -31,17 +57,15 @@ def source() -> EngineHands:
 
 @pytest.fixture(scope="module")
 def right(source) -> Hand:
-    """The painted hand at rest, half a metre before the camera, palm towards it."""
-    camera_from_hand = np.diag([1.0, -1, -1, 1])
-    camera_from_hand[:3, 3] = (0, 0.09, 0.5)
-    return Hand(PAINTED, "right", source.load(PAINTED).canonical_joints_m, camera_from_hand)
+    """The painted hand at rest."""
+    return Hand(source.load(PAINTED).canonical_joints_m)
 
 
 def test_a_picture_is_that_of_the_renderer_in_its_own_process(source, right):
     import torch
 
-    came = source.render([right], VIEW)
-    camera = Camera(120, 90, 200.0, 200.0, 60.0, 45.0, torch.from_numpy(right.camera_from_hand))
+    came = source.render(asked([right]))
+    camera = Camera(120, 90, *PINHOLE, torch.from_numpy(CAMERA_FROM_WORLD))
     renderer = HandRenderer(load_painted(handedness=Handedness.RIGHT), preset("draft"))
     frame = renderer.render(to_level(right.joints_m, JointOrder.STANDARD), camera)
     np.testing.assert_array_equal(came.rgba, frame.rgba)
@@ -55,29 +79,29 @@ def test_where_the_hands_own_space_is_does_not_matter(source, right):
     elsewhere = replace(
         right,
         joints_m=right.joints_m @ turn[:3, :3].T + turn[:3, 3],
-        camera_from_hand=right.camera_from_hand @ np.linalg.inv(turn),
+        world_from_hand=np.linalg.inv(turn),
     )
     # worst observed 0: positions are kept relative to the root
-    np.testing.assert_allclose(source.render([elsewhere], VIEW).rgba, source.render([right], VIEW).rgba, atol=1e-6)
+    np.testing.assert_allclose(source.render(asked([elsewhere])).rgba, source.render(asked([right])).rgba, atol=1e-6)
 
 
 def test_a_left_hand_is_the_mirror_image_of_a_right_one(source, right):
     left = replace(right, handedness="left", joints_m=right.joints_m * (-1, 1, 1))
-    mirrored = source.render([left], VIEW).rgba[:, ::-1]
+    mirrored = source.render(asked([left])).rgba[:, ::-1]
     # worst observed 0.0075: roundings decide about a Gaussian at the cut-off, which is 1/64 in this preset
-    np.testing.assert_allclose(mirrored, source.render([right], VIEW).rgba, atol=1 / 64)
+    np.testing.assert_allclose(mirrored, source.render(asked([right])).rgba, atol=1 / 64)
 
 
 def test_the_nearer_of_two_hands_covers_the_other_whatever_their_order(source, right):
-    nearer = replace(right, handedness="left", camera_from_hand=right.camera_from_hand.copy())
-    nearer.camera_from_hand[2, 3] = 0.4
-    one, other = source.render([right, nearer], VIEW), source.render([nearer, right], VIEW)
+    nearer = replace(right, handedness="left", world_from_hand=np.eye(4))
+    nearer.world_from_hand[2, 3] = 0.1
+    one, other = source.render(asked([right, nearer])), source.render(asked([nearer, right]))
     # worst observed 2.5e-6 of rounding, because positions are kept relative to the first hand; a Gaussian at the
     # contract's cut-off may fall on either side of it (observed: 16 of 43200 values, by 4.3e-4 at most)
     difference = np.abs(one.rgba - other.rgba)
     assert (difference > 5e-6).mean() < 5e-4
     assert difference.max() < limits.ALPHA_MIN
-    alone = source.render([nearer], VIEW)
+    alone = source.render(asked([nearer]))
     solid = alone.rgba[..., 3] > 0.998
     assert solid.sum() > 300
     # worst observed 0.0031 and 0.15 mm: the two thousandths that shine through, and where a block of pixels stops
@@ -87,18 +111,18 @@ def test_the_nearer_of_two_hands_covers_the_other_whatever_their_order(source, r
 
 
 def test_depth_is_left_out_when_nobody_asks_for_it(source, right):
-    assert source.render([right], VIEW).depth_m.any()
-    assert not source.render([right], replace(VIEW, depth=False)).depth_m.any()
+    assert source.render(asked([right])).depth_m.any()
+    assert not source.render(asked([right], depth=False)).depth_m.any()
 
 
 def test_a_renderer_is_kept_and_only_the_last_few_are(source, right):
     fresh = EngineHands()
     for _ in range(2):
-        fresh.render([right], VIEW)
-        fresh.render([right], replace(VIEW, preset="viewport"))
+        fresh.render(asked([right]))
+        fresh.render(asked([right], settings=PictureSettings("viewport")))
     assert len(fresh._renderers) == 2
     for count in range(3, 12):
-        fresh.render([right] * count, replace(VIEW, width=8, height=6))
+        fresh.render(replace(asked([right] * count), width=8, height=6))
     assert len(fresh._renderers) == 8
 
 
@@ -110,22 +134,22 @@ def test_an_avatar_that_changed_on_disk_is_seen_after_loading_it_again(source, r
     for colour in (avatar.rgb, 1 - avatar.rgb):
         save_avatar(path, replace(avatar, rgb=colour))
         assert source.load(str(path)).facts["gaussians"] == 5000
-        pictures.append(source.render([hand], VIEW).rgba)
+        pictures.append(source.render(asked([hand])).rgba)
     assert np.abs(pictures[0] - pictures[1]).max() > 0.2
 
 
 def test_a_trained_hand_reflects_towards_the_camera_of_each_picture(source, right, tmp_path):
     import torch
-    from small_avatars import trained_avatar
 
     avatar, path = trained_avatar(2000), tmp_path / "trained.jghand"
     save_avatar(path, avatar, storage=Storage.EXACT)
-    hand, view = replace(right, avatar=str(path)), replace(VIEW, preset="viewport")
+    hand = replace(right, avatar=str(path))
     dark = replace(avatar, learnt=replace(avatar.learnt, shine=torch.zeros(2000)))
     turn = np.array([[0.96, 0, 0.28, 0], [0, 1, 0, 0], [-0.28, 0, 0.96, 0], [0, 0, 0, 1]])
-    for camera_from_hand in (right.camera_from_hand, right.camera_from_hand @ turn):
-        came = source.render([replace(hand, camera_from_hand=camera_from_hand)], view)
-        camera = Camera(120, 90, 200.0, 200.0, 60.0, 45.0, torch.from_numpy(camera_from_hand))
+    for camera_from_world in (CAMERA_FROM_WORLD, CAMERA_FROM_WORLD @ turn):
+        moment = exposure([hand], camera_from_world)
+        came = source.render(asked([hand], moment, settings=PictureSettings("viewport")))
+        camera = Camera(120, 90, *PINHOLE, torch.from_numpy(camera_from_world))
         wanted, matt = (
             HandRenderer(one, preset("viewport")).render(to_level(right.joints_m, JointOrder.STANDARD), camera).rgba
             for one in (avatar, dark)
@@ -136,15 +160,178 @@ def test_a_trained_hand_reflects_towards_the_camera_of_each_picture(source, righ
 
 
 def test_a_png_is_encoded(source, right):
-    assert source.encode_png(source.render([right], VIEW).rgba).startswith(b"\x89PNG")
+    assert source.encode_png(source.render(asked([right])).rgba).startswith(b"\x89PNG")
 
 
 @pytest.mark.parametrize("changes", [{"handedness": "both"}, {"avatar": "/nowhere.jghand"}])
 def test_what_is_not_there_is_bad_input(source, right, changes):
     with pytest.raises(InputError):
-        source.render([replace(right, **changes)], VIEW)
+        source.render(asked([replace(right, **changes)]))
 
 
-def test_an_unknown_preset_is_bad_input(source, right):
-    with pytest.raises(InputError, match="preset"):
-        source.render([right], replace(VIEW, preset="best"))
+@pytest.mark.parametrize("name", ["preset", "correctives", "effects"])
+def test_a_setting_that_nobody_knows_is_bad_input(source, right, name):
+    with pytest.raises(InputError, match=name):
+        source.render(asked([right], settings=replace(DRAFT, **{name: "best"})))
+
+
+# ---- the world and its light ----------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def trained(source, right, tmp_path_factory) -> Hand:
+    path = tmp_path_factory.mktemp("avatars") / "trained.jghand"
+    save_avatar(path, trained_avatar(2000), storage=Storage.EXACT)
+    return replace(right, avatar=str(path))
+
+
+def about_up(angle_rad: float) -> np.ndarray:
+    turn = np.eye(4)
+    turn[[0, 2], [0, 2]] = np.cos(angle_rad)
+    turn[0, 2], turn[2, 0] = np.sin(angle_rad), -np.sin(angle_rad)
+    return turn
+
+
+def test_the_light_stays_in_the_world_while_a_hand_and_its_camera_turn(source, right, trained):
+    """Hand and camera together turned: the same picture of a painted hand, another light on a trained one."""
+    turn = about_up(1.2)
+    for hand, changes in ((right, False), (trained, True)):
+        turned = replace(hand, world_from_hand=turn)
+        one = source.render(asked([hand])).rgba
+        other = source.render(asked([turned], exposure([turned], CAMERA_FROM_WORLD @ turn.T))).rgba
+        np.testing.assert_allclose(other[..., 3], one[..., 3], atol=0.02)
+        assert bool(np.abs(other - one).mean() > 0.01) is changes
+
+
+def test_a_hand_a_kilometre_away_is_drawn_as_one_at_the_origin(source, trained):
+    far = np.eye(4)
+    far[:3, 3] = (700, -600, 400)
+    moved = replace(trained, world_from_hand=far)
+    came = source.render(asked([moved], exposure([moved], CAMERA_FROM_WORLD @ np.linalg.inv(far))))
+    wanted = source.render(asked([trained]))
+    # worst observed 2e-6: positions are kept relative to the root and added in double precision
+    np.testing.assert_allclose(came.rgba, wanted.rgba, atol=1e-5)
+    np.testing.assert_allclose(came.depth_m, wanted.depth_m, atol=1e-6)
+
+
+# ---- bones ----------------------------------------------------------------------------------------------------------
+
+
+def test_ids_name_the_bone_that_ends_at_a_joint(source, right):
+    """In the middle between two joints of a finger lies the bone that ends at the second one."""
+    ids = source.render(asked([right], ids=True)).ids
+    assert ids.dtype == np.uint8
+    assert ids.max() <= 20
+    view = CAMERA_FROM_WORLD
+    for joint in (3, 4, 6, 7, 8, 10, 11, 12, 14, 15, 16, 18, 19, 20):
+        x, y, z = 0.5 * (right.joints_m[joint - 1] + right.joints_m[joint]) @ view[:3, :3].T + view[:3, 3]
+        assert ids[int(200 * y / z + 45), int(200 * x / z + 60)] == joint
+    x, y, z = 0.5 * (right.joints_m[0] + right.joints_m[9]) @ view[:3, :3].T + view[:3, 3]
+    assert ids[int(200 * y / z + 45), int(200 * x / z + 60)] in (5, 9, 13)  # the palm is moved by several bones
+    assert not source.render(asked([right], ids=True)).rgba[ids == 0, 3].max() > 0.5
+
+
+# ---- several moments ------------------------------------------------------------------------------------------------
+
+
+def moved(hand: Hand, x_m: float) -> Hand:
+    place = np.eye(4)
+    place[0, 3] = x_m
+    return replace(hand, world_from_hand=place)
+
+
+def test_moments_are_averaged_in_linear_light_and_the_middle_one_gives_depth_and_ids(source, right):
+    at = [moved(right, x_m) for x_m in (-0.02, 0.0, 0.03)]
+    came = source.render(asked([right], *(exposure([hand]) for hand in at), ids=True))
+    alone = [source.render(asked([hand], ids=True)) for hand in at]
+    mean = np.mean([linear(one.rgba) for one in alone], 0)
+    # worst observed 2e-6
+    np.testing.assert_allclose(linear(came.rgba), mean, atol=1e-5)
+    np.testing.assert_array_equal(came.depth_m, alone[1].depth_m)
+    np.testing.assert_array_equal(came.ids, alone[1].ids)
+    told = {effect["effect"]: effect for effect in came.report["effects"]}
+    assert told["motion-blur"]["runs"]
+    assert "3 pictures" in told["motion-blur"]["reason"]
+
+
+def linear(rgba: np.ndarray) -> np.ndarray:
+    alpha = rgba[..., 3:]
+    straight = np.divide(rgba[..., :3], alpha, out=np.zeros_like(rgba[..., :3]), where=alpha > 0)
+    return np.concatenate([srgb_to_linear(straight) * alpha, alpha], -1)
+
+
+def test_a_moment_counts_by_its_weight(source, right):
+    at = [moved(right, x_m) for x_m in (0.0, 0.06)]
+    moments = [exposure([hand], weight=weight) for hand, weight in zip(at, (3.0, 1.0), strict=True)]
+    came = source.render(asked([right], *moments)).rgba[..., 3]
+    alone = [source.render(asked([hand])).rgba[..., 3] for hand in at]
+    np.testing.assert_allclose(came, 0.75 * alone[0] + 0.25 * alone[1], atol=1e-5)
+
+
+def test_a_lens_blurs_what_is_out_of_focus_and_leaves_depth_sharp(source, right):
+    sharp = source.render(asked([right]))
+    focused, blurred = (
+        source.render(asked([right], exposure([right], aperture_m=0.02, focus_m=focus_m))) for focus_m in (0.5, 0.9)
+    )
+    edges = [np.abs(np.diff(picture.rgba[..., 3], axis=1)).max() for picture in (sharp, focused, blurred)]
+    assert edges[1] > 0.7 * edges[0]
+    assert edges[2] < 0.5 * edges[0]
+    np.testing.assert_allclose(blurred.depth_m, sharp.depth_m, atol=1e-6)
+    told = {effect["effect"]: effect for effect in blurred.report["effects"]}
+    assert told["depth-of-field"]["runs"]
+
+
+def test_a_long_picture_can_be_cancelled_between_its_parts(source, right):
+    asked_of = []
+
+    def cancelled() -> bool:
+        asked_of.append(True)
+        return len(asked_of) > 2
+
+    with pytest.raises(Cancelled):
+        source.render(asked([right], *[exposure([moved(right, 0.01 * k)]) for k in range(8)]), cancelled)
+    assert len(asked_of) == 3
+
+
+# ---- settings -------------------------------------------------------------------------------------------------------
+
+
+def test_density_draws_a_part_of_the_gaussians(source, right):
+    counts = [source.render(asked([right], settings=replace(DRAFT, density=d))).report["gaussians"] for d in (1, 0.25)]
+    assert counts == [20_000, 5_000]
+
+
+def test_the_strength_of_shadows_needs_no_other_renderer(right):
+    fresh, fist = EngineHands(), fist_of(right)
+    settings = PictureSettings("viewport")
+    large = replace(exposure([fist]), fx=800.0, fy=800.0, cx=240.0, cy=180.0)
+    pictures = []
+    for strength in (1.0, 0.0):
+        request = asked([fist], large, settings=replace(settings, shadow_strength=strength))
+        pictures.append(fresh.render(replace(request, width=480, height=360)).rgba)
+    assert len(fresh._renderers) == 1
+    assert (pictures[1] - pictures[0]).max() > 0.02
+
+
+def fist_of(hand: Hand) -> Hand:
+    from jghand_engine.avatar.builtin import load_painted
+    from jghand_engine.hand.anatomy import ArticulatedHand, named_angles
+    from jghand_engine.hand.orders import from_level
+
+    canonical = load_painted(handedness=Handedness.RIGHT).canonical_joints_m.numpy()
+    joints = ArticulatedHand(canonical).joints(named_angles("fist")[None])[0]
+    return replace(hand, joints_m=from_level(joints, JointOrder.STANDARD))
+
+
+def test_a_budget_chooses_settings(source, right, monkeypatch):
+    asked_for = []
+
+    def bought(budget_ms, avatar, size_px, threads=0):
+        asked_for.append((budget_ms, size_px))
+        return preset("draft")
+
+    monkeypatch.setattr(RenderSettings, "for_budget", bought)
+    for _ in range(2):
+        report = source.render(asked([right], settings=PictureSettings("final", budget_ms=9.0))).report
+    assert asked_for == [(9.0, (120, 90))]
+    assert report["gaussians"] == 20_000

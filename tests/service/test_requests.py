@@ -7,10 +7,11 @@ import pytest
 from stand_in_engine import StandInHands
 
 from jghand_engine.errors import InputError, MemoryLimitError, RetryError
-from jghand_engine.service.commands import Commands, error_header
+from jghand_engine.service.commands import Cancelled, Commands, error_header
 from jghand_engine.service.protocol import Array, Message
 
-VIEW = {"width": 40, "height": 30, "fx": 80.0, "fy": 80, "cx": 20.0, "cy": 15.0, "preset": "final"}
+VIEW = {"width": 40, "height": 30, "settings": {"preset": "final"}}
+PINHOLE = (80.0, 80.0, 20.0, 15.0)
 RIGHT = {"avatar": "builtin", "handedness": "right"}
 LEFT = {"avatar": "builtin", "handedness": "left"}
 
@@ -21,11 +22,18 @@ def joints_at(depth_m: float) -> np.ndarray:
     return joints
 
 
-def request(*, hands=(RIGHT,), joints=None, cameras=None, **changes) -> Message:
-    joints = np.stack([joints_at(0.3)] * len(hands)) if joints is None else joints
-    cameras = np.tile(np.eye(4), (len(hands), 1, 1)) if cameras is None else cameras
+def request(*, hands=(RIGHT,), joints=None, arrays=None, **changes) -> Message:
+    """One moment of hands 0.3 m before the camera; `arrays` are other or more arrays, None takes one away."""
+    joints = np.stack([joints_at(0.3)] * len(hands))[None] if joints is None else joints
+    values = {
+        "pinholes": np.array([PINHOLE]),
+        "camera_from_world": np.eye(4)[None].copy(),
+        "joints": joints,
+        "world_from_hand": np.tile(np.eye(4), (1, max(len(hands), 1), 1, 1)),
+        **(arrays or {}),
+    }
     header = {"kind": "render_picture", **VIEW, "outputs": ["rgba_f32"], "hands": list(hands), **changes}
-    return Message(header, {"joints": Array.of(joints), "camera_from_hand": Array.of(cameras)})
+    return Message(header, {name: Array.of(array) for name, array in values.items() if array is not None})
 
 
 def run(message: Message) -> dict[str, np.ndarray]:
@@ -34,11 +42,13 @@ def run(message: Message) -> dict[str, np.ndarray]:
 
 
 def test_a_picture_comes_in_every_form_that_is_asked_for():
-    arrays = run(request(outputs=["rgba_f32", "rgba_u8", "depth", "png"]))
+    arrays = run(request(outputs=["rgba_f32", "rgba_u8", "depth", "ids", "png"]))
     assert arrays["rgba_f32"].shape == (30, 40, 4)
     np.testing.assert_array_equal(arrays["rgba_u8"], np.rint(arrays["rgba_f32"] * 255))
     assert arrays["depth"][15, 20] == pytest.approx(0.3)
     assert arrays["depth"][0, 0] == 0
+    assert arrays["ids"].dtype == np.uint8
+    assert (arrays["ids"] > 0).sum() == (arrays["depth"] > 0).sum() > 0
     assert bytes(arrays["png"][:4]) == b"\x89PNG"
 
 
@@ -48,7 +58,7 @@ def test_the_nearer_hand_covers_the_farther_one_whatever_their_order(order):
     arrays = run(
         request(
             hands=[hands[i][0] for i in order],
-            joints=np.stack([hands[i][1] for i in order]),
+            joints=np.stack([hands[i][1] for i in order])[None],
             outputs=["rgba_f32", "depth"],
         )
     )
@@ -57,47 +67,138 @@ def test_the_nearer_hand_covers_the_farther_one_whatever_their_order(order):
 
 
 def test_no_hand_at_all_is_an_empty_picture():
-    header = {"kind": "render_picture", **VIEW, "outputs": ["rgba_f32", "depth"], "hands": []}
-    arrays = run(Message(header))
+    none = {"joints": None, "world_from_hand": None}
+    arrays = run(request(hands=[], joints=NAN, arrays=none, outputs=["rgba_f32", "depth", "ids"]))
     assert arrays["rgba_f32"].shape == (30, 40, 4)
     assert not arrays["rgba_f32"].any()
     assert not arrays["depth"].any()
+    assert not arrays["ids"].any()
 
 
-NAN = np.full((1, 21, 3), np.nan, np.float32)
-WRONG = {
+def test_several_moments_become_one_picture():
+    """Half the time here, half the time there; depth is that of the middle one, the first of two."""
+    arrays = run(
+        request(
+            outputs=["rgba_f32", "depth"],
+            joints=np.stack([joints_at(0.3), joints_at(0.2)])[:, None],
+            arrays={
+                "pinholes": np.array([PINHOLE, (80.0, 80.0, 5.0, 15.0)]),
+                "camera_from_world": np.tile(np.eye(4), (2, 1, 1)),
+                "world_from_hand": np.tile(np.eye(4), (2, 1, 1, 1)),
+                "weights": np.array([1.0, 3.0]),
+            },
+        )
+    )
+    np.testing.assert_allclose(arrays["rgba_f32"][15, 20], 0.25)
+    np.testing.assert_allclose(arrays["rgba_f32"][15, 5], 0.75)
+    assert arrays["depth"][15, 20] == pytest.approx(0.3)
+    assert arrays["depth"][15, 5] == 0
+
+
+def test_where_a_hand_lies_in_the_world_counts_together_with_the_camera():
+    place = np.eye(4)
+    place[:3, 3] = (700.0, -20.0, 0.1)
+    camera = np.eye(4)
+    camera[:3, 3] = (-700.0, 20.0, 0.0)
+    arrays = {"world_from_hand": place[None, None], "camera_from_world": camera[None]}
+    depth = run(request(outputs=["depth"], arrays=arrays))["depth"]
+    assert depth[15, 20] == pytest.approx(0.4)
+
+
+def test_parallel_rays_show_far_hands_as_large_as_near_ones():
+    pixels_per_metre = np.array([(200.0, 200.0, 20.0, 15.0)])
+    near, far = (
+        run(request(joints=joints_at(z)[None, None], orthographic=True, arrays={"pinholes": pixels_per_metre}))
+        for z in (0.3, 3.0)
+    )
+    np.testing.assert_array_equal(near["rgba_f32"], far["rgba_f32"])
+
+
+NAN = np.full((1, 1, 21, 3), np.nan, np.float32)
+MIRROR, TWICE = (np.diag([x, y, z, 1.0])[None] for x, y, z in ((-1, 1, 1), (2, 2, 2)))
+WRONG_HEADERS = {
     "an unknown request": {"kind": "train"},
     "a request without a kind": {"kind": None},
     "no width": {"width": 0},
     "a width with a fraction": {"width": 40.5},
     "a width that is true": {"width": True},
-    "a focal length that is a text": {"fx": "50"},
-    "a focal length without end": {"fx": 1e300},
     "no outputs": {"outputs": []},
     "an unknown output": {"outputs": ["exr"]},
-    "a preset that is no text": {"preset": 3},
+    "an output that is a list": {"outputs": [["png"]]},
     "hands that are no list": {"hands": RIGHT},
     "a hand that is no object": {"hands": ["right"]},
     "a hand without an avatar": {"hands": [{"handedness": "right"}]},
     "more hands than joints": {"hands": [RIGHT, LEFT]},
-    "20 joints": {"joints": np.zeros((1, 20, 3), np.float32)},
-    "42 joints": {"joints": np.zeros((1, 42, 3), np.float32)},
-    "joints as whole numbers": {"joints": np.zeros((1, 21, 3), np.int32)},
+    "a hundred hands": {"hands": [RIGHT] * 100},
+    "parallel rays that are a number": {"orthographic": 1},
+    "settings that are a text": {"settings": "final"},
+    "an unknown setting": {"settings": {"quality": "best"}},
+    "a preset that is no text": {"settings": {"preset": 3}},
+    "a preset without end": {"settings": {"preset": "final" * 1000}},
+    "no time at all": {"settings": {"budget_ms": 0}},
+    "a time that is a text": {"settings": {"budget_ms": "16"}},
+    "a time without end": {"settings": {"budget_ms": 1e300}},
+    "no density": {"settings": {"density": 0}},
+    "more than all": {"settings": {"density": 1.5}},
+    "a density that is true": {"settings": {"density": True}},
+    "a shadow darker than dark": {"settings": {"shadow_strength": 2}},
+    "effects that are a list": {"settings": {"effects": ["all"]}},
+}
+WRONG_ARRAYS = {
+    "no pinhole": {"pinholes": None},
+    "three numbers of a pinhole": {"pinholes": np.ones((1, 3))},
+    "a focal length of nothing": {"pinholes": np.array([(0.0, 80, 20, 15)])},
+    "a focal length without end": {"pinholes": np.array([(1e300, 80, 20, 15)])},
+    "a focal length that is no number": {"pinholes": np.array([(np.nan, 80, 20, 15)])},
+    "more moments than anybody needs": {"pinholes": np.ones((1000, 4))},
+    "more moments than cameras": {"pinholes": np.ones((2, 4))},
+    "a lens behind its picture": {"lenses": np.array([(0.01, -1.0)])},
+    "a lens of less than nothing": {"lenses": np.array([(-0.01, 1.0)])},
+    "a lens without focus": {"lenses": np.array([(0.01, np.inf)])},
+    "a moment that never was": {"weights": np.array([0.0])},
+    "a moment that counts against": {"weights": np.array([-1.0])},
+    "20 joints": {"joints": np.zeros((1, 1, 20, 3), np.float32)},
+    "42 joints": {"joints": np.zeros((1, 1, 42, 3), np.float32)},
+    "no joints": {"joints": None},
+    "joints of another moment": {"joints": np.zeros((2, 1, 21, 3), np.float32)},
+    "joints as whole numbers": {"joints": np.zeros((1, 1, 21, 3), np.int32)},
     "joints that are not numbers": {"joints": NAN},
-    "a camera without translation": {"cameras": np.zeros((1, 3, 3))},
-    "a camera that scales": {"cameras": np.diag([2.0, 2, 2, 1])[None].copy()},
-    "a camera that mirrors": {"cameras": np.diag([-1.0, 1, 1, 1])[None].copy()},
-    "a camera of nothing": {"cameras": np.zeros((1, 4, 4))},
+    "joints beyond the stars": {"joints": np.full((1, 1, 21, 3), 1e30)},
+    "a camera without translation": {"camera_from_world": np.zeros((1, 3, 3))},
+    "a camera that scales": {"camera_from_world": TWICE},
+    "a camera that mirrors": {"camera_from_world": MIRROR},
+    "a camera of nothing": {"camera_from_world": np.zeros((1, 4, 4))},
+    "a camera beyond the stars": {"camera_from_world": np.full((1, 4, 4), 1e308)},
+    "a place that scales": {"world_from_hand": TWICE[None]},
+    "a place that mirrors": {"world_from_hand": MIRROR[None]},
+    "a place that is not there": {"world_from_hand": None},
+    "a place that is no number": {"world_from_hand": np.full((1, 1, 4, 4), np.nan)},
 }
 
 
-@pytest.mark.parametrize("changes", WRONG.values(), ids=WRONG.keys())
+@pytest.mark.parametrize("changes", WRONG_HEADERS.values(), ids=WRONG_HEADERS.keys())
 def test_a_wrong_request_is_bad_input(changes):
-    good = {"hands": (RIGHT,), "joints": np.stack([joints_at(0.3)]), "cameras": np.eye(4)[None].copy()}
-    message = request(**{**good, **{k: v for k, v in changes.items() if k in good and k != "hands"}})
-    message.header.update({k: v for k, v in changes.items() if k not in ("joints", "cameras")})
+    message = request()
+    message.header.update(changes)
     with pytest.raises(InputError):
         run(message)
+
+
+@pytest.mark.parametrize("changes", WRONG_ARRAYS.values(), ids=WRONG_ARRAYS.keys())
+def test_a_wrong_array_is_bad_input(changes):
+    with pytest.raises(InputError):
+        run(request(arrays=changes))
+
+
+def test_parallel_rays_go_through_no_lens():
+    with pytest.raises(InputError, match="orthographic"):
+        run(request(orthographic=True, arrays={"lenses": np.array([(0.01, 1.0)])}))
+
+
+def test_a_request_that_is_cancelled_says_so():
+    with pytest.raises(Cancelled) as caught:
+        Commands(StandInHands()).run(request(), lambda: True)
+    assert error_header(caught.value)["kind"] == "cancelled"
 
 
 def test_a_picture_beyond_one_message_is_refused_before_it_is_drawn():

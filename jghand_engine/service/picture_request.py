@@ -1,0 +1,258 @@
+"""What a `render_picture` request may ask for, read from its message and checked before anything is drawn.
+
+The world of a request is the one in which trained hands learnt their light: metres, +y up, +z towards whoever looks at
+the palm of a hand that points up (as captures have it, `capture.look`). A hand's own space lies in it by
+`world_from_hand`, a camera by `camera_from_world`; everything is float64 or float32 on the wire and float64 here, so
+that a hand far from the origin loses nothing. Joints are in the standard order. Source: BLENDER 3.2.
+
+A picture of more than one moment (motion blur) carries each as one exposure, in the order of time.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from jghand_engine import limits
+from jghand_engine.errors import InputError, MemoryLimitError
+from jghand_engine.service.protocol import PAYLOAD_MAX_BYTES, Message
+
+# outputs that a picture may be asked for -> bytes per pixel (png: at most, with some room for its own bytes)
+OUTPUT_BYTES = {"rgba_f32": 16, "rgba_u8": 4, "depth": 4, "ids": 1, "png": 5}
+JOINTS = 21
+
+
+@dataclass(frozen=True)
+class PictureSettings:
+    """preset: name of a preset of RenderSettings · budget_ms: instead of the preset's, the most accurate settings that
+    draw a frame in so many milliseconds; None for the preset · density: part of each avatar's Gaussians that is drawn ·
+    shadow_strength: 0..1 · correctives: a tier of `avatar.tiers`, None for the preset's · effects: in the words of
+    `effect_plan.Choice`"""
+
+    preset: str = "viewport"
+    budget_ms: float | None = None
+    density: float = 1.0
+    shadow_strength: float = 1.0
+    correctives: str | None = None
+    effects: str = "auto"
+
+    @classmethod
+    def parse(cls, value: Any) -> PictureSettings:
+        """From the JSON object of a request; InputError names what is unknown or cannot be."""
+        if not isinstance(value, dict):
+            raise InputError("settings", wanted="an object", came=repr(value)[:80])
+        unknown = [name for name in value if name not in _CHECKS]
+        if unknown:
+            raise InputError("settings", wanted=" | ".join(_CHECKS), came=", ".join(map(str, unknown))[:80])
+        for name, given in value.items():
+            check, wanted = _CHECKS[name]
+            if not check(given):
+                raise InputError(f"settings: {name}", wanted=wanted, came=repr(given)[:80])
+        return cls(**value)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _is_text(value: Any) -> bool:
+    return isinstance(value, str) and 0 < len(value) <= limits.SETTING_TEXT_MAX
+
+
+_CHECKS = {
+    "preset": (_is_text, "the name of a preset"),
+    "budget_ms": (
+        lambda v: v is None or (_is_number(v) and 0 < v <= limits.BUDGET_MAX_MS),
+        f"null, or milliseconds above 0, at most {limits.BUDGET_MAX_MS:g}",
+    ),
+    "density": (lambda v: _is_number(v) and 0 < v <= 1, "a part above 0, at most 1"),
+    "shadow_strength": (lambda v: _is_number(v) and 0 <= v <= 1, "a number from 0 to 1"),
+    "correctives": (lambda v: v is None or _is_text(v), "null, or the name of a tier"),
+    "effects": (_is_text, "auto | all | none | names of effects"),
+}
+
+
+@dataclass(frozen=True)
+class HandAsked:
+    """avatar: as it was loaded; handedness: "right" or "left"."""
+
+    avatar: str
+    handedness: str
+
+
+@dataclass(frozen=True)
+class Exposure:
+    """One moment of a picture. fx, fy, cx, cy: pixels (orthographic: fx and fy are pixels per metre) · aperture_m,
+    focus_m: of a thin lens, aperture 0 for a pinhole · camera_from_world: (4, 4) rigid, metres, OpenCV axes ·
+    joints_m: (n, 21, 3) in each hand's own space · world_from_hand: (n, 4, 4) rigid, metres ·
+    weight: of this moment in the mean of all"""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    camera_from_world: np.ndarray
+    joints_m: np.ndarray
+    world_from_hand: np.ndarray
+    aperture_m: float = 0.0
+    focus_m: float = 1.0
+    weight: float = 1.0
+
+    @property
+    def joints_world_m(self) -> np.ndarray:
+        """(n, 21, 3) float64 in the world, metres."""
+        turn, offset_m = self.world_from_hand[:, :3, :3], self.world_from_hand[:, None, :3, 3]
+        return np.einsum("nab,njb->nja", turn, self.joints_m) + offset_m
+
+
+@dataclass(frozen=True)
+class PictureRequest:
+    """One picture. width, height: pixels · hands: at least one, or none for an empty picture · exposures: at least one,
+    in the order of time; the middle one is the picture's moment · depth, ids: whether these maps are wanted"""
+
+    width: int
+    height: int
+    hands: tuple[HandAsked, ...]
+    exposures: tuple[Exposure, ...]
+    settings: PictureSettings = field(default_factory=PictureSettings)
+    orthographic: bool = False
+    depth: bool = False
+    ids: bool = False
+
+    @property
+    def middle(self) -> int:
+        """Which exposure shows the picture's moment: depth and ids are its."""
+        return (len(self.exposures) - 1) // 2
+
+
+def read_request(message: Message) -> tuple[PictureRequest, list[str]]:
+    """The picture that a message asks for, and the outputs it is wanted in.
+
+    Raises InputError, or MemoryLimitError for a picture that one message cannot carry.
+    """
+    header = message.header
+    width, height = (_whole(header, name, limits.PICTURE_MAX_PX) for name in ("width", "height"))
+    outputs = _outputs(header)
+    _check_size(width, height, outputs)
+    orthographic = header.get("orthographic", False)
+    if type(orthographic) is not bool:
+        raise InputError("orthographic", wanted="true or false", came=repr(orthographic)[:80])
+    hands = _hands(header)
+    request = PictureRequest(
+        width,
+        height,
+        hands,
+        _exposures(message, len(hands)),
+        PictureSettings.parse(header.get("settings", {})),
+        orthographic,
+        depth="depth" in outputs,
+        ids="ids" in outputs,
+    )
+    if orthographic and any(exposure.aperture_m > 0 for exposure in request.exposures):
+        raise InputError("lenses", wanted="an aperture of 0 for an orthographic camera", came="an open lens")
+    return request, outputs
+
+
+def text_of(header: dict[str, Any], name: str) -> str:
+    """A text of a header that is not empty; InputError."""
+    value = header.get(name)
+    if not isinstance(value, str) or not value:
+        raise InputError(name, wanted="a text", came=repr(value)[:80])
+    return value
+
+
+def _outputs(header: dict[str, Any]) -> list[str]:
+    outputs = header.get("outputs")
+    if not (isinstance(outputs, list) and outputs and all(isinstance(o, str) and o in OUTPUT_BYTES for o in outputs)):
+        raise InputError("outputs", wanted="a list of " + " | ".join(OUTPUT_BYTES), came=repr(outputs)[:80])
+    return list(dict.fromkeys(outputs))
+
+
+def _check_size(width: int, height: int, outputs: list[str]) -> None:
+    """Refuses a picture that one message cannot carry, before it is drawn."""
+    size = width * height * sum(OUTPUT_BYTES[name] for name in outputs)
+    if size > PAYLOAD_MAX_BYTES:
+        raise MemoryLimitError(
+            f"a picture of {width} x {height} pixels",
+            wanted=f"at most {PAYLOAD_MAX_BYTES} bytes in one message",
+            came=f"{size}",
+            remedy="Ask for a smaller picture or fewer outputs.",
+        )
+
+
+def _hands(header: dict[str, Any]) -> tuple[HandAsked, ...]:
+    entries = header.get("hands")
+    if not (isinstance(entries, list) and len(entries) <= limits.PICTURE_HANDS_MAX):
+        raise InputError("hands", wanted=f"a list of at most {limits.PICTURE_HANDS_MAX}", came=repr(entries)[:80])
+    for entry in entries:
+        if not isinstance(entry, dict):
+            raise InputError("hand", wanted="an object with avatar and handedness", came=repr(entry)[:80])
+    return tuple(HandAsked(text_of(entry, "avatar"), text_of(entry, "handedness")) for entry in entries)
+
+
+def _exposures(message: Message, hands: int) -> tuple[Exposure, ...]:
+    """Every moment: arrays pinholes (m, 4), lenses (m, 2; left out: pinholes), weights (m; left out: all alike),
+    camera_from_world (m, 4, 4), and where there are hands joints (m, n, 21, 3) and world_from_hand (m, n, 4, 4)."""
+    came = message.arrays.get("pinholes")
+    count = came.shape[0] if came is not None else 0
+    if not 1 <= count <= limits.EXPOSURES_MAX:
+        wanted = f"fx, fy, cx, cy of 1 to {limits.EXPOSURES_MAX} exposures"
+        raise InputError("array pinholes", wanted=wanted, came="nothing" if came is None else str(came.shape))
+    pinholes = _numbers(message, "pinholes", (count, 4))
+    if not (np.abs(pinholes) < limits.PINHOLE_MAX_PX).all() or not (pinholes[:, :2] > 0).all():
+        raise InputError("array pinholes", wanted="pixels, fx and fy above 0", came=str(pinholes.tolist())[:80])
+    lenses = np.tile((0.0, 1.0), (count, 1))
+    if "lenses" in message.arrays:
+        lenses = _numbers(message, "lenses", (count, 2))
+        if not (lenses[:, 0] >= 0).all() or not (lenses[:, 1] > limits.Z_NEAR_M).all():
+            wanted = f"an aperture of 0 or more and a focus beyond {limits.Z_NEAR_M:g}, metres"
+            raise InputError("array lenses", wanted=wanted, came=str(lenses.tolist())[:80])
+    weights = np.ones(count)
+    if "weights" in message.arrays:
+        weights = _numbers(message, "weights", (count,))
+        if not (weights >= 0).all() or not weights.sum() > 0:
+            raise InputError("array weights", wanted="0 or more, not all 0", came=str(weights.tolist())[:80])
+    cameras = _rigid(message, "camera_from_world", (count, 4, 4))
+    joints, places = np.zeros((count, 0, JOINTS, 3)), np.zeros((count, 0, 4, 4))
+    if hands:
+        joints = _numbers(message, "joints", (count, hands, JOINTS, 3))
+        places = _rigid(message, "world_from_hand", (count, hands, 4, 4))
+    return tuple(
+        Exposure(*map(float, pinholes[i]), cameras[i], joints[i], places[i], *map(float, lenses[i]), float(weights[i]))
+        for i in range(count)
+    )
+
+
+def _rigid(message: Message, name: str, shape: tuple[int, ...]) -> np.ndarray:
+    maps = _numbers(message, name, shape)
+    turns = maps[..., :3, :3]
+    errors = np.abs(np.swapaxes(turns, -1, -2) @ turns - np.eye(3))
+    if not (
+        (errors < limits.RIGID_MAX).all()
+        and (np.linalg.det(turns) > 0).all()
+        and (maps[..., 3, :] == (0, 0, 0, 1)).all()
+    ):
+        raise InputError(f"array {name}", wanted="a rotation and a translation", came="a scaled or mirrored map")
+    return maps
+
+
+def _numbers(message: Message, name: str, shape: tuple[int, ...]) -> np.ndarray:
+    """An array of the message as float64, of exactly this shape, its numbers finite and no farther than any scene."""
+    array = message.arrays.get(name)
+    if array is None or array.dtype not in ("<f4", "<f8") or array.shape != shape:
+        came = "nothing" if array is None else f"{array.dtype} {array.shape}"
+        raise InputError(f"array {name}", wanted=f"floats of shape {shape}", came=came)
+    values = np.asarray(array.view()).astype(np.float64)
+    if not (np.abs(values) <= limits.REQUEST_NUMBER_MAX).all():  # false for NaN too
+        wanted = f"finite numbers up to {limits.REQUEST_NUMBER_MAX:g}"
+        raise InputError(f"array {name}", wanted=wanted, came="NaN, infinity or a larger one")
+    return values
+
+
+def _whole(header: dict[str, Any], name: str, largest: int) -> int:
+    value = header.get(name)
+    if type(value) is not int or not 1 <= value <= largest:
+        raise InputError(name, wanted=f"a whole number from 1 to {largest}", came=repr(value)[:80])
+    return value

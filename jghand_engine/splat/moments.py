@@ -1,0 +1,191 @@
+"""One picture of several moments, each with its own pose and its own camera: motion blur and depth of field for whoever
+knows the scene between two frames, as Blender does.
+
+    frame = render_moments(renderer, moments, weights, middle=1)
+
+Moments are averaged in linear light, premultiplied: what a camera's sensor adds up, and what a compositor that works in
+linear light makes of the picture afterwards is then right at its edges too. (`exposure`, for motions that the engine
+knows itself, averages as pictures are blended, display-referred: those are laid over backgrounds as they are.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from jghand_engine import limits
+from jghand_engine.colour import linear_to_srgb, srgb_to_linear
+from jghand_engine.errors import InputError
+from jghand_engine.splat.camera import Camera
+from jghand_engine.splat.effect_plan import Decision, Effect, EffectPlan
+from jghand_engine.splat.exposure import (
+    coprime_near,
+    disc_of_depths,
+    focus_count,
+    focus_error,
+    motion_error,
+)
+from jghand_engine.splat.frame import Frame, SceneRenderer
+from jghand_engine.splat.report import FrameReport
+from jghand_engine.splat.shadow import vogel_disc
+
+
+@dataclass(frozen=True)
+class Moment:
+    """joints_m: per hand (21, 3), level order, metres, in the frame of the camera · camera: with its lens"""
+
+    joints_m: Sequence[np.ndarray]
+    camera: Camera
+
+
+def render_moments(
+    renderer: SceneRenderer,
+    moments: Sequence[Moment],
+    weights: Sequence[float] = (1.0,),
+    *,
+    middle: int = 0,
+    between: Callable[[], None] = lambda: None,
+) -> Frame:
+    """The mean of all moments. Depth is that of the middle one, through the middle of its lens, and the renderer is
+    left with the hands of that moment.
+
+    weights: one per moment, 0 or more, some above · between: called before each picture; may raise to end it all.
+    InputError for moments of different sizes, or weights that are none.
+    """
+    _check(moments, weights)
+    lens_px = _disc_px(moments[middle])
+    needed = focus_count(lens_px) if _has_lens(moments) else 1
+    each = -(-needed // len(moments))
+    if len(moments) == 1 and each == 1:
+        between()
+        return renderer.render(moments[0].joints_m, replace(moments[0].camera, lens=None))
+    mean, reports = _LinearMean(moments[0].camera), []
+    total, depth_m = sum(weights), None
+    # the middle one last: what the renderer knows afterwards is its hands
+    order = [index for index in range(len(moments)) if index != middle] + [middle]
+    for index in order:
+        for pinhole in _pinholes(moments[index].camera, index, each, len(moments)):
+            between()
+            frame = renderer.render(moments[index].joints_m, pinhole)
+            mean.add(frame.rgba, weights[index] / total / each)
+            reports.append(frame.report)
+            depth_m = frame.depth_m
+    if _has_lens(moments) and renderer.settings.depth:
+        between()
+        frame = renderer.render(moments[middle].joints_m, replace(moments[middle].camera, lens=None))
+        reports.append(frame.report)
+        depth_m = frame.depth_m
+    assert depth_m is not None  # the middle moment was drawn
+    plan = _told(reports[-1].plan, moments, each, lens_px)
+    return Frame(mean.rgba(), depth_m, _summed(reports, plan))
+
+
+def _check(moments: Sequence[Moment], weights: Sequence[float]) -> None:
+    sizes = {(moment.camera.width, moment.camera.height) for moment in moments}
+    if len(sizes) != 1:
+        raise InputError("moments of a picture", wanted="at least one, all of one size", came=str(sorted(sizes)))
+    good = len(weights) == len(moments) and all(0 <= weight < np.inf for weight in weights) and sum(weights) > 0
+    if not good:
+        raise InputError("weights of moments", wanted=f"{len(moments)} of 0 or more, not all 0", came=str(weights)[:80])
+
+
+def _has_lens(moments: Sequence[Moment]) -> bool:
+    return any(moment.camera.lens is not None and moment.camera.lens.aperture_m > 0 for moment in moments)
+
+
+def _pinholes(camera: Camera, index: int, each: int, moments: int) -> list[Camera]:
+    """So many pinholes on the lens of one moment: its share of a sunflower over the whole lens, the places of which
+    have nothing to do with time."""
+    if camera.lens is None:
+        return [camera] * each
+    count = each * moments
+    places = camera.lens.aperture_m / 2 * vogel_disc(count).numpy()
+    stride = coprime_near(count)
+    chosen = [places[(index * each + turn) * stride % count] for turn in range(each)]
+    return [camera.through(float(x), float(y)) for x, y in chosen]
+
+
+def _disc_px(moment: Moment) -> float:
+    """Diameter of the largest disc that a point of the hands becomes."""
+    if moment.camera.lens is None:
+        return 0.0
+    depths_m = torch.cat([moment.camera.project(torch.from_numpy(joints))[1] for joints in moment.joints_m])
+    flesh_m = 1e-3 * max(limits.GATE_CAPSULE_RADII_MM)
+    return disc_of_depths(moment.camera, float(depths_m.min()) - flesh_m, float(depths_m.max()) + flesh_m)
+
+
+class _LinearMean:
+    """Sums pictures in linear light. Where there is nothing nothing is computed."""
+
+    def __init__(self, camera: Camera) -> None:
+        self._sum = np.zeros((camera.height, camera.width, 4), np.float32)
+
+    def add(self, rgba: np.ndarray, weight: float) -> None:
+        """Adds a premultiplied, display-referred picture (H, W, 4)."""
+        covered = rgba[..., 3] > 0
+        values = rgba[covered]
+        alpha = values[:, 3:]
+        values[:, :3] = srgb_to_linear(values[:, :3] / alpha) * alpha
+        self._sum[covered] += np.float32(weight) * values
+
+    def rgba(self) -> np.ndarray:
+        """(H, W, 4) the mean, premultiplied and display-referred as the pictures were."""
+        covered = self._sum[..., 3] > 0
+        values = self._sum[covered]
+        alpha = values[:, 3:]
+        values[:, :3] = linear_to_srgb(values[:, :3] / alpha) * alpha
+        out = np.zeros_like(self._sum)
+        out[covered] = values
+        return out
+
+
+# ---- the receipt ----------------------------------------------------------------------------------------------------
+
+
+def _summed(reports: Sequence[FrameReport], plan: EffectPlan | None) -> FrameReport:
+    """One receipt of all pictures: times are added, notes said once, the rest is that of the last one."""
+    last = reports[-1]
+    whole = replace(last, stages=[], notes=[], plan=plan)
+    for report in reports:
+        for stage in report.stages:
+            if stage.ran:
+                whole.ran(stage.name, stage.milliseconds, stage.reason)
+            else:
+                whole.skipped(stage.name, stage.reason, stage.bound)
+    whole.notes = list(dict.fromkeys(note for report in reports for note in report.notes))
+    whole.total_ms = sum(report.total_ms for report in reports)
+    return whole
+
+
+def _told(plan: EffectPlan | None, moments: Sequence[Moment], each: int, lens_px: float) -> EffectPlan | None:
+    """The plan of one picture with what was averaged."""
+    if plan is None:
+        return None
+    count = len(moments) * each
+    told = {}
+    if len(moments) > 1:
+        length_px = _travel_px(moments)
+        missed = motion_error(length_px, len(moments))
+        told[Effect.MOTION] = _averaged(Effect.MOTION, len(moments), f"joints travel {length_px:.1f} px", missed)
+    if _has_lens(moments):
+        missed = focus_error(lens_px, count)
+        told[Effect.FOCUS] = _averaged(Effect.FOCUS, count, f"discs of {lens_px:.1f} px", missed)
+    decisions = tuple(told.get(one.effect, one) for one in plan.decisions)
+    return replace(plan, decisions=decisions, exposures=count)
+
+
+def _averaged(effect: Effect, count: int, reason: str, error: float) -> Decision:
+    missed = f"{reason}, {count} pictures, which miss {100 * error:.1g} % of an edge's contrast"
+    return Decision(effect, True, missed, "sharp edges", 1.0)
+
+
+def _travel_px(moments: Sequence[Moment]) -> float:
+    """The longest way of a joint on the picture; infinite when it passes the near plane."""
+    seen = [moment.camera.project(torch.from_numpy(np.stack(moment.joints_m))) for moment in moments]
+    if not all(bool((depth > limits.Z_NEAR_M).all()) for _, depth in seen):
+        return float("inf")
+    pixels = torch.stack([place for place, _ in seen])
+    return float((pixels[1:] - pixels[:-1]).norm(dim=-1).sum(0).max())
