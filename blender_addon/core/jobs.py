@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from . import job_state, limits
-from .client import cleaned_environment
+from .process import cleaned_environment
 from .job_state import JobState, Phase
 from .messages import JGHandFailure
 

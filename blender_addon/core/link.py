@@ -118,7 +118,8 @@ class EngineLink:
         self._closing = False
         self._thread: threading.Thread | None = None
         self._wake_sender: socket.socket | None = None
-        # these belong to the thread
+        # these belong to the thread; run: the number under which the machine knows the process
+        self._run = 0
         self._process: EngineProcess | None = None
         self._connection: socket.socket | None = None
         self._receiver: protocol.Receiver | None = None
@@ -173,8 +174,8 @@ class EngineLink:
         """Ends the engine, whatever it does, and starts a new one; returns at once."""
         with self._changed_condition:
             self._refused.clear()
-            if self._find_command():
-                self._handle(machine.RestartAsked(time.monotonic()))
+            self._find_command()
+            self._handle(machine.RestartAsked(time.monotonic()))
 
     def close(self) -> None:
         """Ends engine and thread; waits for both, bounded. The link cannot be used afterwards. May be called twice."""
@@ -248,6 +249,14 @@ class EngineLink:
             if place is not None and place.flying is not None:
                 self._give_up(place.flying)
 
+    def wait_until_ready(self) -> None:
+        """Waits for an engine that is starting. Raises JGHandFailure when there will be none."""
+        with self._changed_condition:
+            while isinstance(self._state, machine.Starting | machine.Stopping) and self._works():
+                self._changed_condition.wait(limits.POLL_S)
+            if not isinstance(self._state, machine.Ready):
+                raise self._failure or JGHandFailure("stopped")
+
     def request(
         self,
         header: Mapping[str, Any],
@@ -279,7 +288,7 @@ class EngineLink:
                     self._give_up(call)
                     raise self._with_words("hung", "no reply in time")
                 if not self._works():
-                    raise self._with_words("internal", "the link's thread ended")
+                    raise self._failure or self._with_words("stopped")
                 self._changed_condition.wait(max(0.0, min(limits.POLL_S, deadline - now_s)))
             if cancelled():
                 with self._changed_condition:
@@ -306,19 +315,16 @@ class EngineLink:
         """Tells the machine that an engine is wanted; finds the command where that will start one."""
         now_s = time.monotonic()
         idle = isinstance(self._state, machine.Stopped | machine.Failed | machine.Stopping)
-        if idle and machine.may_start(self._state, asker, now_s) and not self._find_command():
-            return
+        if idle and machine.may_start(self._state, asker, now_s):
+            self._find_command()
         self._handle(machine.StartAsked(now_s, asker))
 
-    def _find_command(self) -> bool:
-        """Looks anew for the engine; without one, that is the failure, and everybody who waits hears of it."""
-        if self._closing:
-            return False
+    def _find_command(self) -> None:
+        """Looks anew for the engine; the thread starts it, or tells why there is none."""
         try:
             self._spawn = tuple(self._command())
         except JGHandFailure as failure:
             self._spawn = failure
-        return True
 
     def _handle(self, event: machine.Event) -> None:
         """Feeds an event to the machine; what it decides about answers is done at once, the rest by the thread."""
@@ -327,7 +333,9 @@ class EngineLink:
             return
         before = self._state
         self._state, effects = machine.transition(before, event)
-        if isinstance(self._state, machine.Failed) and self._state is not before:
+        if not isinstance(self._state, machine.Failed):
+            self._failure = None
+        elif self._state is not before:
             self._failure = self._with_words(self._state.kind, self._state.detail)
         for effect in effects:
             if isinstance(effect, machine.Release):
@@ -394,7 +402,7 @@ class EngineLink:
             receiver, self._wake_sender = socket.socketpair()
             for end in (receiver, self._wake_sender):
                 end.setblocking(False)
-            self._thread = threading.Thread(target=self._run, args=(receiver,), daemon=True, name="jghand link")
+            self._thread = threading.Thread(target=self._work, args=(receiver,), daemon=True, name="jghand link")
             self._thread.start()
         if self._wake_sender is not None:
             with contextlib.suppress(OSError):  # full: it is awake already; closed: it has ended
@@ -402,7 +410,7 @@ class EngineLink:
 
     # ---- the thread --------------------------------------------------------------------------------------------------
 
-    def _run(self, wake: socket.socket) -> None:
+    def _work(self, wake: socket.socket) -> None:
         try:
             while not self._is_over():
                 self._do_effects()
@@ -412,17 +420,18 @@ class EngineLink:
                 self._look_at_clock()
         except Exception as error:  # a mistake of ours must not leave anybody waiting
             self._log.write(traceback.format_exc())
+            self._forget_process(kill=True)
             with self._changed_condition:
-                self._closing = True
-                self._state = machine.Failed(self._state.run, kind="internal", since_s=time.monotonic())
-                self._failure = self._with_words("internal", f"{type(error).__name__}: {error}")
-                self._changed = True
-                self._release(self._failure)
+                self._effects.clear()
+                self._handle(machine.Broke(time.monotonic(), self._state.run, "internal", repr(error)))
+                self._handle(machine.Exited(time.monotonic(), self._state.run, "internal", repr(error)))
         finally:
             self._forget_process(kill=True)
             with self._changed_condition:
-                sender, self._wake_sender = self._wake_sender, None
+                sender, self._wake_sender, self._thread = self._wake_sender, None, None
                 self._changed_condition.notify_all()
+                if self._effects:  # somebody wants it again already
+                    self._wake()
             for end in (wake, sender):
                 if end is not None:
                     end.close()
@@ -444,6 +453,7 @@ class EngineLink:
                     self._start_process(effect.run, spawn)
                 case machine.Kill():
                     self._forget_process(kill=True)
+                    self._say(machine.Exited(time.monotonic(), self._run, "killed"))
                 case machine.CloseStdin() if self._process is not None:
                     self._process.close_stdin()
                 case machine.Terminate() if self._process is not None:
@@ -451,6 +461,7 @@ class EngineLink:
 
     def _start_process(self, run: int, spawn: Sequence[str] | JGHandFailure) -> None:
         self._forget_process(kill=True)
+        self._run = run
         try:
             if isinstance(spawn, JGHandFailure):
                 raise spawn
@@ -471,10 +482,8 @@ class EngineLink:
 
     def _look_at_process(self) -> None:
         """Notices the handshake and the end of the process."""
-        process, run = self._process, self._state.run
+        process, run = self._process, self._run
         if process is None:
-            if isinstance(self._state, machine.Stopping):  # stopped before it was started
-                self._say(machine.Exited(time.monotonic(), run))
             return
         if not process.runs:
             self._read()  # what it said before it ended
@@ -485,9 +494,9 @@ class EngineLink:
             try:
                 self._connect(process, process.handshake)
             except JGHandFailure as failure:
-                self._break(run, failure.kind, failure.detail)
+                self._say(machine.Broke(time.monotonic(), run, failure.kind, failure.detail))
             except (OSError, ValueError, TypeError) as error:
-                self._break(run, "broken_stream", str(error))
+                self._lose(run, "broken_stream", str(error))
 
     def _connect(self, process: EngineProcess, handshake: Mapping[str, Any]) -> None:
         theirs = handshake.get("protocol")
@@ -500,18 +509,15 @@ class EngineLink:
         self._receiver = protocol.Receiver(self._connection)
         self._outgoing.append(memoryview(protocol.greeting(process.token)))
 
-    def _break(self, run: int, kind: str, detail: str) -> None:
-        """The engine cannot be used any more; when that is because it ends, that is told instead."""
+    def _lose(self, run: int, kind: str, detail: str) -> None:
+        """The connection broke; when that is because the process ends, that is told instead."""
         process = self._process
         if process is not None and process.ends_within(limits.TERMINATE_S):
             kind, detail = process.why_it_ended()
         self._say(machine.Broke(time.monotonic(), run, kind, detail))
 
     def _forget_process(self, *, kill: bool) -> None:
-        if self._connection is not None:
-            self._connection.close()
-        self._connection = self._receiver = None
-        self._outgoing.clear()
+        self._disconnect()
         if self._process is not None:
             if kill:
                 self._process.kill()
@@ -583,7 +589,7 @@ class EngineLink:
 
     def _read(self) -> None:
         """Takes in all that has come."""
-        run = self._state.run
+        run = self._run
         try:
             while self._receiver is not None and (message := self._receiver.receive()) is not None:
                 self._say(machine.Heard(time.monotonic(), run))
@@ -593,10 +599,10 @@ class EngineLink:
             starting = isinstance(self._state, machine.Starting)
             self._disconnect()
             if not isinstance(self._state, machine.Stopping):
-                self._break(run, "token" if starting else "broken_stream", str(error))
+                self._lose(run, "token" if starting else "broken_stream", str(error))
         except (protocol.ProtocolError, OSError) as error:
             self._disconnect()
-            self._break(run, "broken_stream", str(error))
+            self._say(machine.Broke(time.monotonic(), run, "broken_stream", str(error)))
 
     def _disconnect(self) -> None:
         if self._connection is not None:
@@ -646,7 +652,7 @@ class EngineLink:
             if call is not None and isinstance(self._state, machine.Ready):
                 given_up = call.given_up_s is not None and now_s - call.given_up_s > limits.SILENCE_S
                 if given_up or (call.slot is not None and now_s - call.sent_s > limits.LOAD_S):
-                    self._handle(machine.Broke(now_s, self._state.run, "hung", "a request does not end"))
+                    self._handle(machine.Broke(now_s, self._run, "hung", "a request does not end"))
             self._handle(machine.Tick(now_s))
 
 

@@ -12,17 +12,22 @@ import numpy as np
 import pytest
 
 from blender_addon.core import limits
-from blender_addon.core.client import EngineClient, cleaned_environment
+from blender_addon.core.client import EngineClient
 from blender_addon.core.engine_command import VARIABLE, engine_command
 from blender_addon.core.messages import ADVICE, JGHandFailure
+from blender_addon.core.process import cleaned_environment
 from blender_addon.core.view import HandInSpace, Pinhole, picture_request
 
 ROOT = Path(__file__).resolve().parents[2]
 STAND_IN = ROOT / "tests" / "service" / "stand_in_engine.py"
 
 
-def start(*faults: str, **options) -> EngineClient:
-    return EngineClient.start([sys.executable, "-I", str(STAND_IN), *faults], **options)
+def start(*faults: str) -> EngineClient:
+    return EngineClient.start([sys.executable, "-I", str(STAND_IN), *faults])
+
+
+def process_of(engine: EngineClient) -> subprocess.Popen:
+    return engine._link._process.popen
 
 
 def picture():
@@ -35,7 +40,7 @@ def picture():
 def failure_of(*faults: str, **options) -> JGHandFailure:
     """What a picture fails with; checks that the engine is gone afterwards."""
     with pytest.raises(JGHandFailure) as caught, start(*faults) as engine:
-        process = engine._process
+        process = process_of(engine)
         try:
             engine.request(*picture(), **options)
         finally:
@@ -50,7 +55,7 @@ def test_a_picture_is_asked_for_and_comes():
         reply = engine.request(*picture())
         assert reply.arrays["rgba_u8"].shape == (48, 64, 4)
         assert np.asarray(reply.arrays["rgba_u8"].view())[24, 32, 3] == 255
-        process = engine._process
+        process = process_of(engine)
     assert process.poll() == 0
 
 
@@ -131,9 +136,10 @@ def test_an_engine_that_dies_at_once_is_told_with_its_last_words():
 
 
 @pytest.mark.parametrize("fault", ["silent", "garbage"])
-def test_an_engine_without_a_handshake_is_given_up(fault):
+def test_an_engine_without_a_handshake_is_given_up(fault, monkeypatch):
+    monkeypatch.setattr(limits, "HANDSHAKE_S", 1.0)
     with pytest.raises(JGHandFailure) as caught:
-        start(fault, timeout_s=1.0)
+        start(fault)
     assert caught.value.kind == "start_timeout"
 
 
@@ -213,10 +219,10 @@ def test_nothing_here_needs_blender():
 def test_an_engine_that_will_not_end_is_ended_by_force(monkeypatch):
     monkeypatch.setattr(limits, "STOP_S", 0.3)
     monkeypatch.setattr(limits, "TERMINATE_S", 0.3)
-    pipes = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
-    process = subprocess.Popen([sys.executable, "-I", str(STAND_IN), "stubborn"], **pipes)
+    engine = start("stubborn")
+    process = process_of(engine)
     started = time.monotonic()
-    EngineClient(process).close()
+    engine.close()
     assert process.poll() is not None
     assert time.monotonic() - started < 20
 
