@@ -1,17 +1,23 @@
-"""`jghand export`: a motion becomes a USD stage with splats, points, skeleton, skinned mesh and camera."""
+"""`jghand export`: a motion becomes a USD stage (splats, points, skeleton, skinned mesh, camera) or PLY files."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from jghand_engine.cli.console import say, write_json
+from jghand_engine.cli.console import progress, say, write_json
 from jghand_engine.cli.options import AvatarOptions, MotionOptions, ReportOptions
+from jghand_engine.errors import InputError
 
-DESCRIPTION = """Write a motion as OpenUSD: hand.usda with its layers (splats, points, skeleton and mesh, cameras).
+if TYPE_CHECKING:
+    from jghand_engine.avatar.avatar import HandAvatar
+    from jghand_engine.hand.sequence import PoseSequence
+
+DESCRIPTION = """Write a motion as OpenUSD (hand.usda with its layers: splats, points, skeleton and mesh, cameras) or as
+splat files (hand.0000.ply and so on).
 
 The skeleton has 63 joints: the 21 that drive the hand, with the names of the motion's joints, and those that
 carry the skin between them. A trained avatar has colours of its own in every frame, in the light that it was
@@ -19,16 +25,17 @@ learnt in; what its skin mirrors depends on the camera, and is left out.
 
 Examples:
   jghand export --poses open,fist --hand right --out usd
-  jghand export --motion capture.npy --order mediapipe --hand right --out usd"""
+  jghand export --motion capture.npy --order mediapipe --hand right --out usd
+  jghand export ply --poses open,fist --out splats"""
 
 # the picture that the stage's cameras are made for
 CAMERA_PX = (1024, 1024)
 
 
 @dataclass(frozen=True)
-class Export:
-    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
-    """Where NAME.usda and its layers are written."""
+class UsdStageOptions:
+    """What a USD stage holds"""
+
     default_variant: Literal["splats", "points", "mesh"] = "splats"
     """What a program shows that cannot choose: splats for renderers that know them, points for Blender."""
     sizes: Literal["constant", "per_frame"] = "constant"
@@ -37,39 +44,94 @@ class Export:
     """Colours of the splats: srgb as a screen shows them, for most viewers; linear as light, for path tracers."""
     width_factor: Annotated[float, tyro.conf.arg(metavar="NUMBER")] = 1.0
     """Size of the points of variant points: 1 is two standard deviations of a splat; more closes gaps between them."""
+
+
+@dataclass(frozen=True)
+class PlyFileOptions:
+    """What PLY files hold"""
+
+    axes: Literal["rdf", "rub"] = "rdf"
+    """Axes of the numbers: rdf (x right, y down, z forward) as splat viewers expect it, or rub (y up)."""
+
+
+@dataclass(frozen=True)
+class Export:
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
+    """Where the files are written."""
+    format: Annotated[Literal["usd", "ply"], tyro.conf.Positional] = "usd"
+    """usd: one animated stage. ply: a file of splats for every frame."""
     name: Annotated[str, tyro.conf.arg(metavar="NAME")] = "hand"
     """Stem of the files: letters, digits and _."""
+    first_frame: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
+    """Number of the first frame in the files."""
+    up: Literal["y", "z"] = "y"
+    """The axis that points up in the world of the motion. USD says it, PLY files are turned."""
+    usd: UsdStageOptions = field(default_factory=UsdStageOptions)
+    ply: PlyFileOptions = field(default_factory=PlyFileOptions)
     motion: MotionOptions = field(default_factory=MotionOptions)
     avatar: AvatarOptions = field(default_factory=AvatarOptions)
     report: ReportOptions = field(default_factory=ReportOptions)
 
     def run(self) -> None:
         from jghand_engine.avatar.builtin import load_avatar_called
-        from jghand_engine.cli.framing import framing_camera
         from jghand_engine.cli.inputs import load_motion
-        from jghand_engine.cli.stage_export import export_stage, usd_figures
-        from jghand_engine.exporters.usd import UsdOptions
-        from jghand_engine.exporters.usd_stage import Variant
 
-        options = UsdOptions(
-            name=self.name, default_variant=Variant(self.default_variant), radiance=self.radiance,
-            sizes=self.sizes, width_factor=self.width_factor,
-        )  # fmt: skip
+        self._check_options()
         avatar = load_avatar_called(self.avatar.avatar)
         motion = load_motion(self.motion, avatar)
         sequence = motion.sequence
         for note in motion.notes:
             say(note)
+        write = self._write_usd if self.format == "usd" else self._write_ply
+        figures = write(avatar.for_hand(sequence.handedness), sequence)
+        if self.report.json is not None:
+            write_json(self.report.json, {
+                "command": "export", "format": self.format, "motion": motion.source, "notes": motion.notes,
+                "avatar": avatar.info.name, **figures,
+            })  # fmt: skip
+
+    def _check_options(self) -> None:
+        """InputError for options of the other format: they would change nothing."""
+        unused = {"usd": self.ply != PlyFileOptions(), "ply": self.usd != UsdStageOptions()}
+        if unused[self.format]:
+            other = "ply" if self.format == "usd" else "usd"
+            raise InputError(
+                f"an option of jghand export {other}", wanted=f"options of {self.format}", came="one without effect",
+                remedy=f"Leave it out, or write jghand export {other}.",
+            )  # fmt: skip
+
+    def _write_usd(self, avatar: HandAvatar, sequence: PoseSequence) -> dict[str, Any]:
+        from jghand_engine.cli.framing import framing_camera
+        from jghand_engine.cli.stage_export import export_stage, usd_figures
+        from jghand_engine.exporters.usd import UsdOptions
+        from jghand_engine.exporters.usd_stage import Variant
+
+        options = UsdOptions(
+            name=self.name, default_variant=Variant(self.usd.default_variant), radiance=self.usd.radiance,
+            sizes=self.usd.sizes, width_factor=self.usd.width_factor, first_frame=self.first_frame, up=self.up,
+        )  # fmt: skip
         width, height = CAMERA_PX
         cameras = {
             name: framing_camera(sequence.joints_m, sequence.handedness, name, width=width, height=height)
             for name in ("front", "back")
         }
-        report = export_stage(self.out, avatar.for_hand(sequence.handedness), sequence, cameras, options)
+        report = export_stage(self.out, avatar, sequence, cameras, options)
         size = sum(report.bytes.values())
         say(f"Wrote {report.stage}: {report.frames} frames, {size / 1e6:.1f} MB, {sum(report.seconds.values()):.1f} s")
-        if self.report.json is not None:
-            write_json(self.report.json, {
-                "command": "export", "motion": motion.source, "notes": motion.notes, "avatar": avatar.info.name,
-                **usd_figures(report),
-            })  # fmt: skip
+        return usd_figures(report)
+
+    def _write_ply(self, avatar: HandAvatar, sequence: PoseSequence) -> dict[str, Any]:
+        from jghand_engine.exporters.ply import PlyOptions, export_ply
+
+        options = PlyOptions(self.name, self.ply.axes, self.first_frame, self.up)
+        with progress("Writing PLY", len(sequence)) as bar:
+            task = bar.task_ids[0]
+            report = export_ply(
+                self.out, avatar, sequence, options, progress=lambda done, _: bar.update(task, completed=done)
+            )
+        first, last = report.files[0], report.files[-1]
+        say(f"Wrote {first} to {last.name}: {len(report.files)} frames, {report.bytes / 1e6:.1f} MB")
+        return {
+            "files": [str(path) for path in report.files], "frames": len(report.files),
+            "gaussians": report.gaussians, "bytes": report.bytes,
+        }  # fmt: skip

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import hashlib
 import math
 import os
 import re
@@ -28,6 +29,7 @@ from typing import Literal
 
 import numpy as np
 
+from jghand_engine import __version__
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.exporters.usd_layers import TimeRange, usd_errors
@@ -38,6 +40,7 @@ from jghand_engine.exporters.usd_splats import Cloud, SplatLayer
 from jghand_engine.exporters.usd_stage import LayerNames, Variant, describe, write_interface, write_shot
 from jghand_engine.files import file_error, make_folder, sync
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.orders import JointOrder, from_level
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.limits import USD_DISK_RESERVE, USD_STATIC_BYTES, USD_STATIC_BYTES_PER_GAUSSIAN
 from jghand_engine.splat.camera import Camera
@@ -56,6 +59,8 @@ class UsdOptions:
                      2.3 times the size of the file
     width_factor:    diameter of the points of variant `points`, in two standard deviations
     template:        surface of the avatar; None takes the built-in one
+    first_frame:     time code of the first frame
+    up:              the axis of the motion's world that points up; written down, nothing is turned
     """
 
     name: str = "hand"
@@ -64,6 +69,8 @@ class UsdOptions:
     sizes: Literal["constant", "per_frame"] = "constant"
     width_factor: float = 1.0
     template: HandTemplate | None = None
+    first_frame: int = 0
+    up: Literal["y", "z"] = "y"
 
     def __post_init__(self) -> None:
         if not IDENTIFIER.fullmatch(self.name):
@@ -73,6 +80,7 @@ class UsdOptions:
         for thing, value, wanted in (
             ("radiance", self.radiance, ("srgb", "linear")),
             ("sizes", self.sizes, ("constant", "per_frame")),
+            ("up", self.up, ("y", "z")),
         ):
             if value not in wanted:
                 raise InputError(thing, wanted=" or ".join(wanted), came=repr(value))
@@ -131,7 +139,7 @@ def export_usd(
     names = LayerNames(options.name)
     target = make_folder(folder)
     check_space(target, len(avatar), len(motion), options, coloured=motion.colours_move)
-    span = TimeRange(len(motion), float(sequence.fps))
+    span = TimeRange(len(motion), float(sequence.fps), options.first_frame, options.up)
     clock = _Clock()
     with usd_errors(target), _arriving(target, names) as temporary:
         with clock("rig"):
@@ -142,12 +150,27 @@ def export_usd(
         sigma_error = _write_splats(temporary / names.splats, motion, cloud, span, options, clock, progress)
         with clock("stage"):
             about = describe(avatar, motion.handedness, sizes=options.sizes, radiance=options.radiance)
-            write_interface(temporary, names, avatar.info, about, span, Variant(options.default_variant))
+            default = Variant(options.default_variant)
+            write_interface(temporary, names, avatar.info, about, made_from(avatar, sequence), span, default)
             write_shot(temporary, names, named_cameras, sequence.joints_m, span)
         sizes = {path.name: path.stat().st_size for path in sorted(temporary.iterdir())}
     return UsdReport(
         target / names.interface, target / names.shot, len(motion), len(avatar), sizes, clock.seconds, sigma_error
     )
+
+
+def made_from(avatar: HandAvatar, sequence: PoseSequence) -> dict[str, str]:
+    """What tells whether a stage is still that of an avatar and a motion: SHA-256 of the avatar's Gaussians and of the
+    joints (F, 21, 3) float32 little-endian metres in standard order, and the engine's version."""
+    gaussians = hashlib.sha256()
+    for tensor in (avatar.position_m, avatar.sigma_m, avatar.opacity, avatar.rgb, avatar.bone_weights):
+        gaussians.update(np.ascontiguousarray(tensor.numpy()))
+    joints_m = from_level(sequence.joints_m, JointOrder.STANDARD).astype("<f4")
+    return {
+        "engine_version": __version__,
+        "avatar_sha256": gaussians.hexdigest(),
+        "joints_sha256": hashlib.sha256(np.ascontiguousarray(joints_m)).hexdigest(),
+    }
 
 
 def name_cameras(cameras: Mapping[str, Camera] | Sequence[Camera]) -> dict[str, Camera]:

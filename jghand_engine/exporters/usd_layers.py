@@ -26,21 +26,28 @@ TYPES: Any = Sdf.ValueTypeNames
 
 @dataclass(frozen=True)
 class TimeRange:
-    """Frames 0 .. frames - 1; one time code is one frame."""
+    """What all layers of an export agree on. frames: how many; one time code is one frame · first: number of the first
+    one · up: the axis, y or z, that points up in the world of the motion; nothing is turned."""
 
     frames: int
     fps: float
+    first: int = 0
+    up: str = "y"
+
+    def code(self, index: int) -> Usd.TimeCode:
+        """The time of the frame with this index, counted from 0."""
+        return Usd.TimeCode(self.first + index)
 
 
 def new_layer(path: Path, time: TimeRange) -> Usd.Stage:
-    """A new stage on `path` with JGHand's units (metres, Y up) and time, written on `Save()`."""
+    """A new stage on `path` in metres, with the axes and the times of the export, written on `Save()`."""
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
-    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z if time.up == "z" else UsdGeom.Tokens.y)
     stage.SetTimeCodesPerSecond(time.fps)
     stage.SetFramesPerSecond(time.fps)
-    stage.SetStartTimeCode(0)
-    stage.SetEndTimeCode(time.frames - 1)
+    stage.SetStartTimeCode(time.first)
+    stage.SetEndTimeCode(time.first + time.frames - 1)
     return stage
 
 

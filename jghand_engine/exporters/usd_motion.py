@@ -22,11 +22,13 @@ from jghand_engine.hand.transform import BoneTransforms
 @dataclass(frozen=True)
 class PosedFrame:
     """Centres (N, 3) and radii (N,) of the Gaussians in one frame, metres, float32; rgb (N, 3) display-referred sRGB
-    where the colours change with the pose, else None."""
+    where the colours change with the pose, else None; covariance_m2 (N, 6) xx, xy, xz, yy, yz, zz square metres of
+    ellipsoids, None for balls."""
 
     positions_m: np.ndarray
     sigma_m: np.ndarray
     rgb: np.ndarray | None
+    covariance_m2: np.ndarray | None = None
 
 
 class HandMotion:
@@ -61,7 +63,8 @@ class HandMotion:
         with torch.inference_mode():
             gaussians = pose_gaussians(self.avatar, bones, frames=bones.frames)
         rgb = gaussians.rgb.clamp(0, 1).numpy() if self.colours_move else None
-        return PosedFrame(gaussians.position_m.numpy(), gaussians.sigma_m.numpy(), rgb)
+        covariance = None if gaussians.covariance_m2 is None else gaussians.covariance_m2.numpy()
+        return PosedFrame(gaussians.position_m.numpy(), gaussians.sigma_m.numpy(), rgb, covariance)
 
     @property
     def colours_move(self) -> bool:

@@ -43,10 +43,10 @@ def write_rig(path: Path, rig: Rig, time: TimeRange) -> None:
     animation = UsdSkel.Animation.Define(stage, f"{RIG_PATH}/Skeleton/Anim")
     UsdSkel.BindingAPI.Apply(skeleton.GetPrim()).CreateAnimationSourceRel().SetTargets([animation.GetPath()])
     _add_mesh(stage, rig, skeleton)
-    _animate(stage, animation, rig)
+    _animate(stage, animation, rig, time)
 
 
-def _animate(stage: Usd.Stage, animation: UsdSkel.Animation, rig: Rig) -> None:
+def _animate(stage: Usd.Stage, animation: UsdSkel.Animation, rig: Rig, span: TimeRange) -> None:
     animation.CreateJointsAttr(rig.skeleton.tokens)
     translations, rotations = animation.CreateTranslationsAttr(), animation.CreateRotationsAttr()
     scales = animation.CreateScalesAttr()
@@ -59,7 +59,7 @@ def _animate(stage: Usd.Stage, animation: UsdSkel.Animation, rig: Rig) -> None:
     # Default values are the rest pose: Blender and others read them before any sample
     put(rig.skeleton.default, 0, Usd.TimeCode.Default())
     for frame in range(len(rig.skeleton.motion.scales)):
-        put(rig.skeleton.motion, frame, Usd.TimeCode(frame))
+        put(rig.skeleton.motion, frame, span.code(frame))
         if frame % USD_SAVE_EVERY == USD_SAVE_EVERY - 1:
             stage.Save()
     stage.Save()

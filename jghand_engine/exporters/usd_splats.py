@@ -53,7 +53,7 @@ class SplatLayer:
     """
 
     def __init__(self, path: Path, cloud: Cloud, time: TimeRange, *, radiance: str, width_factor: float) -> None:
-        self.stage = new_layer(path, time)
+        self.stage, self._time = new_layer(path, time), time
         announce_fallback(self.stage)
         self._width_factor = width_factor
         splats, points = self._define_splats(cloud, radiance), self._define_points(cloud)
@@ -82,9 +82,9 @@ class SplatLayer:
         sigma_m: np.ndarray | None = None,
         rgb: np.ndarray | None = None,
     ) -> None:
-        """One time sample: centres (N, 3) and, unless they stay as they are, radii (N,), metres, and colours (N, 3),
-        display-referred sRGB; float32."""
-        time = Usd.TimeCode(frame)
+        """The time sample of a frame, counted from 0: centres (N, 3) and, unless they stay as they are, radii (N,),
+        metres, and colours (N, 3), display-referred sRGB; float32."""
+        time = self._time.code(frame)
         if rgb is not None:
             self._colours.put(rgb, time)
         if sigma_m is not None:

@@ -58,18 +58,25 @@ class LayerNames:
 
 
 def write_interface(
-    folder: Path, names: LayerNames, info: AvatarInfo, about: Mapping[str, object], time: TimeRange, default: Variant
+    folder: Path,
+    names: LayerNames,
+    info: AvatarInfo,
+    about: Mapping[str, object],
+    stamp: Mapping[str, str],
+    time: TimeRange,
+    default: Variant,
 ) -> None:
     """The layer that others reference: /Hand with the rig and the variants, heavy layers as payloads.
 
-    about: what is written as customData `jghand`, by name.
+    about: what is written as customData `jghand` of the hand, by name · stamp: what it was made from, as
+    customLayerData `jghand`.
     """
     stage = new_layer(folder / names.interface, time)
     # an Xform: a SkelRoot here would stop the bounds at what is skinned, and the splats would have none
     hand = UsdGeom.Xform.Define(stage, "/Hand").GetPrim()
     stage.SetDefaultPrim(hand)
     announce_fallback(stage)
-    stage.GetRootLayer().customLayerData = {"creator": f"JGHand {__version__}"}
+    stage.GetRootLayer().customLayerData = {"creator": f"JGHand {__version__}", "jghand": dict(stamp)}
     model = Usd.ModelAPI(hand)
     model.SetKind(Kind.Tokens.component)
     model.SetAssetName(info.name)

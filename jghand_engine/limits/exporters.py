@@ -8,6 +8,12 @@ PNG_COMPRESSION = 4
 # constant rate factor of H.264: 18 is visually without loss
 VIDEO_CRF = 18
 
+# ---- exporters: PLY -------------------------------------------------------------------------------------------------
+# opacity is written as a logit, which 0 and 1 have none of; the step of 8 bits is 4000 times larger
+PLY_OPACITY_MARGIN = 1e-6
+# part of the free disk that must be left over, as for USD
+PLY_DISK_RESERVE = 0.02
+
 # ---- exporters: USD -------------------------------------------------------------------------------------------------
 # spherical harmonics of band 0: colour = 0.5 + SH_C0 * coefficient
 SH_C0 = 0.28209479177387814

@@ -283,6 +283,21 @@ def test_export_hands_its_options_on(tmp_path, monkeypatch):
     assert options == UsdOptions("mine", Variant.MESH, "linear", "per_frame", 2.0)
 
 
+def test_export_writes_splat_files_too(tmp_path, capsys):
+    figures = tmp_path / "figures.json"
+    words = ("--frames", "0:1", "--out", tmp_path, "--first-frame", "9", "--up", "z", "--json", figures)
+    assert run("export", "ply", "--poses", "open", "--avatar", "painted", *words) == 0
+    assert sorted(path.name for path in tmp_path.glob("*.ply")) == ["hand.0009.ply", "hand.0010.ply"]
+    assert json.loads(figures.read_text())["bytes"] == sum(path.stat().st_size for path in tmp_path.glob("*.ply"))
+    assert "2 frames" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("words", [("ply", "--radiance", "linear"), ("usd", "--axes", "rub")])
+def test_export_refuses_an_option_of_the_other_format(tmp_path, words, capsys):
+    assert run("export", *words, "--poses", "open", "--out", tmp_path / "out") == 2
+    assert "without effect" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize("words", [("--name", "my hand"), ("--width-factor", "0"), ("--width-factor", "nan")])
 def test_export_options_that_make_no_stage_are_refused(tmp_path, words):
     assert run("export", "--poses", "open", "--out", tmp_path / "out", *words) == 2

@@ -481,3 +481,33 @@ def test_a_folder_in_the_place_of_a_file_is_refused_before_the_work(tmp_path):
     with pytest.raises(InputError, match="in the way"):
         export_usd(tmp_path, small_avatar(), lively_motion(Handedness.RIGHT, 2))
     assert [path.name for path in tmp_path.iterdir()] == ["hand.usda"]
+
+
+@pytest.mark.parametrize("variant", list(Variant))
+def test_frames_may_begin_anywhere_and_z_may_point_up(tmp_path, variant):
+    """Numbers and axes of another program's world are written down; the joints stay as they are."""
+    motion = lively_motion(Handedness.RIGHT, 3)
+    options = UsdOptions(default_variant=variant, first_frame=-7, up="z")
+    report = export_usd(tmp_path, small_avatar(), motion, options=options)
+    assert check_usd(report.stage) == []
+    for path in (report.stage, report.shot):
+        stage = Usd.Stage.Open(str(path))
+        assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (-7, -5)
+        assert UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z
+    centres, _ = engine_gaussians(small_avatar(), motion)
+    written = values(report, Variant.SPLATS, "/Hand/Splats", "positions", (-7, -6, -5))
+    assert np.abs(written - centres).max() <= 1e-6
+    stage = opened(report, Variant.SPLATS)
+    animation = stage.GetPrimAtPath("/Hand/Rig/Skeleton/Anim")
+    assert animation.GetAttribute("rotations").GetTimeSamples() == [-7, -6, -5]
+
+
+def test_a_stage_says_what_it_was_made_from(tmp_path):
+    avatar, motion = small_avatar(), lively_motion(Handedness.RIGHT, 2)
+    stage = Usd.Stage.Open(str(export_usd(tmp_path, avatar, motion).stage))
+    stamp = stage.GetRootLayer().customLayerData["jghand"]
+    assert stamp == usd_module.made_from(avatar, motion)
+    moved = replace(motion, joints_m=motion.joints_m + 1e-6)
+    brighter = replace(avatar, rgb=avatar.rgb * 0.999)
+    assert usd_module.made_from(avatar, moved)["joints_sha256"] != stamp["joints_sha256"]
+    assert usd_module.made_from(brighter, motion)["avatar_sha256"] != stamp["avatar_sha256"]

@@ -1,0 +1,123 @@
+"""PLY files hold what the engine computes, in the layout and the axes that splat viewers expect."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from scipy.spatial.transform import Rotation
+from small_avatars import ellipsoid_avatar
+from usd_samples import engine_gaussians, lively_motion, small_avatar
+
+from jghand_engine.avatar.skinning import pose_gaussians
+from jghand_engine.errors import InputError, RetryError
+from jghand_engine.exporters import ply as ply_module
+from jghand_engine.exporters.ply import BYTES_PER_GAUSSIAN, PlyOptions, export_ply
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.limits import SH_C0
+
+FRAMES = 3
+# worst observed: the steps of float32 at 0.5 m, and what logit and logarithm lose of opacity and size
+POSITION_ERROR_M, SHARE_ERROR = 1e-7, 2e-6
+COVARIANCE_ERROR_M2 = 1e-11
+
+
+def fields(path) -> dict[str, np.ndarray]:
+    """A reader of its own: by name, as the header says."""
+    content = path.read_bytes()
+    end = content.index(b"end_header\n") + len(b"end_header\n")
+    lines = content[:end].decode("ascii").splitlines()
+    assert lines[:2] == ["ply", "format binary_little_endian 1.0"]
+    names = [line.split()[2] for line in lines if line.startswith("property float ")]
+    (count,) = [int(line.split()[2]) for line in lines if line.startswith("element vertex ")]
+    table = np.frombuffer(content, "<f4", offset=end).reshape(count, len(names))
+    return {name: table[:, place] for place, name in enumerate(names)}
+
+
+def columns(data: dict[str, np.ndarray], *names: str) -> np.ndarray:
+    return np.stack([data[name] for name in names], -1).astype(np.float64)
+
+
+@pytest.fixture(scope="module", params=list(Handedness))
+def exported(request, tmp_path_factory):
+    avatar, motion = small_avatar(), lively_motion(request.param, FRAMES)
+    report = export_ply(tmp_path_factory.mktemp("ply"), avatar, motion, PlyOptions(first_frame=7))
+    return report, avatar, motion
+
+
+def test_there_is_a_file_for_every_frame_with_its_number(exported):
+    report, avatar, _ = exported
+    assert [path.name for path in report.files] == ["hand.0007.ply", "hand.0008.ply", "hand.0009.ply"]
+    assert report.bytes == sum(path.stat().st_size for path in report.files)
+    assert 0 < report.files[0].stat().st_size - BYTES_PER_GAUSSIAN * len(avatar) < 1000
+
+
+def test_positions_colours_opacities_and_sizes_are_the_engines(exported):
+    report, avatar, motion = exported
+    centres, radii = engine_gaussians(avatar, motion)
+    for path, centre, radius in zip(report.files, centres, radii, strict=True):
+        data = fields(path)
+        assert np.abs(columns(data, "x", "y", "z") * [1, -1, -1] - centre).max() <= POSITION_ERROR_M
+        rgb = columns(data, "f_dc_0", "f_dc_1", "f_dc_2") * SH_C0 + 0.5
+        assert np.abs(rgb - avatar.rgb.numpy()).max() <= SHARE_ERROR
+        opacity = 1 / (1 + np.exp(-data["opacity"].astype(np.float64)))
+        assert np.abs(opacity - avatar.opacity.numpy()).max() <= SHARE_ERROR
+        sizes = np.exp(columns(data, "scale_0", "scale_1", "scale_2"))
+        assert np.abs(sizes / radius[:, None] - 1).max() <= SHARE_ERROR
+        assert (columns(data, "rot_0", "rot_1", "rot_2", "rot_3") == [1, 0, 0, 0]).all()
+        assert (columns(data, "nx", "ny", "nz") == 0).all()
+
+
+def test_another_reader_finds_the_same_points(exported):
+    report, *_ = exported
+    read = trimesh.load(report.files[0], process=False)
+    assert np.allclose(read.vertices, columns(fields(report.files[0]), "x", "y", "z"), rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("up", ["y", "z"])
+@pytest.mark.parametrize("axes", ["rdf", "rub"])
+def test_axes_are_turned_and_never_mirrored(tmp_path, axes, up):
+    turn = PlyOptions(axes=axes, up=up).axes_from_world
+    assert np.linalg.det(turn) == pytest.approx(1)
+    up_in_file = turn @ {"y": [0, 1, 0], "z": [0, 0, 1]}[up]
+    assert up_in_file.tolist() == {"rdf": [0, -1, 0], "rub": [0, 1, 0]}[axes]
+
+
+@pytest.mark.parametrize("up", ["y", "z"])
+def test_ellipsoids_keep_their_shape_and_turn_with_the_axes(tmp_path, up):
+    avatar, motion = ellipsoid_avatar(), lively_motion(Handedness.RIGHT, 1)
+    options = PlyOptions(up=up)
+    data = fields(export_ply(tmp_path, avatar, motion, options).files[0])
+    turns = Rotation.from_quat(columns(data, "rot_0", "rot_1", "rot_2", "rot_3"), scalar_first=True).as_matrix()
+    sizes = np.exp(columns(data, "scale_0", "scale_1", "scale_2"))
+    written = np.einsum("nab,nb,ncb->nac", turns, sizes**2, turns)
+    bones = avatar.bone_transform().bones(torch.tensor(motion.joints_m[0]))
+    posed = pose_gaussians(avatar, bones, frames=bones.frames).covariance_m2
+    assert posed is not None
+    six = posed.numpy().astype(np.float64)
+    whole = six[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+    wanted = options.axes_from_world @ whole @ options.axes_from_world.T
+    assert np.abs(written - wanted).max() <= COVARIANCE_ERROR_M2
+
+
+def test_a_longer_sequence_of_that_name_is_not_mixed_with_a_new_one(tmp_path):
+    avatar = small_avatar()
+    export_ply(tmp_path, avatar, lively_motion(Handedness.RIGHT, 3))
+    with pytest.raises(InputError, match=r"hand\.0002\.ply"):
+        export_ply(tmp_path, avatar, lively_motion(Handedness.RIGHT, 2))
+    export_ply(tmp_path, avatar, lively_motion(Handedness.RIGHT, 2), PlyOptions(name="other"))
+
+
+def test_a_disk_that_is_too_small_is_told_before_the_work(tmp_path, monkeypatch):
+    usage = type("Usage", (), {"free": 1000})
+    monkeypatch.setattr(ply_module.shutil, "disk_usage", lambda _: usage)
+    with pytest.raises(RetryError, match="too small"):
+        export_ply(tmp_path, small_avatar(), lively_motion(Handedness.RIGHT, 2))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("wrong", [{"name": "a/b"}, {"name": ""}, {"axes": "xyz"}, {"up": "x"}])
+def test_options_that_make_no_file_are_refused(wrong):
+    with pytest.raises(InputError):
+        PlyOptions(**wrong)
