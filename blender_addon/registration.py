@@ -10,9 +10,17 @@ from __future__ import annotations
 from types import ModuleType
 
 from . import preferences, properties, runtime
+from .bridge import pose_pictures
+from .operators import bone_map, finger_controls, hand, motion, picture, pose
 
 # a module comes after those whose classes it uses
-MODULES: tuple[ModuleType, ...] = (preferences, properties, runtime)
+MODULES: tuple[ModuleType, ...] = (
+    preferences,
+    properties,
+    runtime,
+    pose_pictures,
+    *(hand, bone_map, pose, finger_controls, motion, picture),
+)
 
 
 def register() -> None:

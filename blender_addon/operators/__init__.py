@@ -1,0 +1,11 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What an artist can do, one module per thing. An operator does one thing and leaves the how to `bridge` and `core`.
+
+common           failures as reports, polls that say what is missing, long work in turns
+hand             add, select and forget hands, rigs and objects that are hands
+bone_map         the bones of a foreign rig
+pose             poses: take, copy to the other hand, reset, make assets
+finger_controls  curl, spread, held tips, joint limits
+motion           motion files as keys
+picture          the scene's settings for pictures, cameras, small print
+"""

@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What operators share: a failure becomes a report, a poll says what is missing, long work goes on in turns."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import bpy
+from bpy.app.translations import pgettext_rpt as rpt_
+
+from ..bridge import armature, controls
+from ..core import limits
+from ..core.messages import JGHandFailure
+
+DONE, CANCELLED = {"FINISHED"}, {"CANCELLED"}
+# what operators are registered as: changing data, importing, changing nothing that undo knows, plumbing of panels
+UNDOABLE, UNDOABLE_IMPORT = {"REGISTER", "UNDO"}, {"REGISTER", "UNDO", "PRESET"}
+REGISTERED, PLUMBING, UNDOABLE_PLUMBING = {"REGISTER"}, {"INTERNAL"}, {"REGISTER", "UNDO", "INTERNAL"}
+INFO, WARNING, ERROR = {"INFO"}, {"WARNING"}, {"ERROR"}
+
+
+def sentence_of(failure: JGHandFailure) -> str:
+    """What a report says: the sentence, the remedy, the small print."""
+    advice = failure.advice
+    text = f"{rpt_(advice.sentence)}. {rpt_(advice.remedy)}"
+    return f"{text} ({failure.detail})" if failure.detail else text
+
+
+class Reporting:
+    """An operator whose `run(context)` may raise JGHandFailure: it becomes an error report, and nothing is undone that
+    was not done. `run` returns nothing; a sentence it wants to tell goes through `tell` or `warn`."""
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Blender's entry."""
+        try:
+            self.run(context)
+        except JGHandFailure as failure:
+            self.report(ERROR, sentence_of(failure))
+            return CANCELLED
+        return DONE
+
+    def tell(self, *sentences: str) -> None:
+        """One report of all that was done, none of nothing."""
+        text = " ".join(sentence for sentence in sentences if sentence)
+        if text:
+            self.report(INFO, text)
+
+    def warn(self, *sentences: str) -> None:
+        """The same for what an artist should look at."""
+        self.report(WARNING, " ".join(sentences))
+
+
+class InTurns(Reporting):
+    """An operator whose `steps(context)` is a generator of the part that is done, 0 to 1. In a window it works a turn
+    at a time: the status bar says how far it is, and Esc ends it; else it works through.
+
+    `finished(context)` is called at the end. What `steps` holds open it must put back when it is closed half-way.
+    """
+
+    working = ""
+    _steps: Iterator[float] | None = None
+    _timer: bpy.types.Timer | None = None
+    _started = 0.0
+
+    def run(self, context: bpy.types.Context) -> None:
+        """All of it."""
+        for _ in self.steps(context):
+            pass
+        self.finished(context)
+
+    def finished(self, _context: bpy.types.Context) -> None:
+        """What is left to do, or to tell, at the end."""
+
+    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
+        """Begins to work in turns where there is a window."""
+        if bpy.app.background or context.window is None:
+            return self.execute(context)
+        self._steps, self._started = self.steps(context), time.monotonic()
+        self._timer = context.window_manager.event_timer_add(limits.WORK_REST_S, window=context.window)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """One turn; everything else waits, so that nothing changes under it."""
+        if event.type == "ESC":
+            self.cancel(context)
+            self.report(INFO, rpt_("Cancelled: nothing was changed"))
+            return CANCELLED
+        if event.type != "TIMER":
+            return {"RUNNING_MODAL"}
+        try:
+            part = self._turn()
+            if part is None:
+                self.finished(context)
+        except JGHandFailure as failure:
+            self.cancel(context)
+            self.report(ERROR, sentence_of(failure))
+            return CANCELLED
+        except BaseException:
+            self.cancel(context)
+            raise
+        if part is None:
+            self.cancel(context)
+            return DONE
+        context.workspace.status_text_set(self._progress(part))
+        return {"RUNNING_MODAL"}
+
+    def cancel(self, context: bpy.types.Context) -> None:
+        """Ends the turns, at the end and half-way; Blender calls it too, when a window closes."""
+        if self._timer is not None:
+            context.window_manager.event_timer_remove(self._timer)
+            self._timer = None
+        if self._steps is not None:
+            self._steps.close()
+            self._steps = None
+        context.workspace.status_text_set(None)
+
+    def _turn(self) -> float | None:
+        """The part that is done after one turn; None at the end."""
+        ends = time.monotonic() + limits.WORK_TURN_S
+        part: float | None = 0.0
+        while time.monotonic() < ends:
+            part = next(self._steps, None)
+            if part is None:
+                break
+        return part
+
+    def _progress(self, part: float) -> str:
+        left_s = (time.monotonic() - self._started) * (1.0 - part) / max(part, 1e-3)
+        template = rpt_("{working}  {percent}%  ·  {left} s left  ·  Esc cancels")
+        return template.format(working=rpt_(self.working), percent=round(100 * part), left=round(left_s))
+
+
+def missing(operator: type, sentence: str) -> bool:
+    """For `poll`: says what is missing; False."""
+    operator.poll_message_set(sentence)
+    return False
+
+
+def active_hand(context: bpy.types.Context) -> bpy.types.Object | None:
+    """The active object where it is an armature of ours."""
+    thing = context.object
+    return thing if thing is not None and armature.is_hand(thing) else None
+
+
+def chosen_hands(context: bpy.types.Context) -> list[bpy.types.Object]:
+    """The active armature of ours, then the others that are selected."""
+    hands = [thing for thing in (context.object, *context.view_layer.objects.selected) if thing is not None]
+    return list(dict.fromkeys(hand for hand in hands if armature.is_hand(hand)))
+
+
+def poll_hand(operator: type, context: bpy.types.Context) -> bool:
+    """Whether a hand of ours is active and may be changed."""
+    hand = active_hand(context)
+    if hand is None:
+        return missing(operator, "Select a JGHand armature")
+    if context.mode == "EDIT_ARMATURE":
+        return missing(operator, "Leave edit mode first")
+    if not hand.is_editable:
+        return missing(operator, "This hand is linked from another file: make it local, or an override, first")
+    return True
+
+
+def poll_controls(operator: type, context: bpy.types.Context) -> bool:
+    """The same, with finger controls."""
+    return poll_hand(operator, context) and (
+        controls.has_controls(active_hand(context)) or missing(operator, "Add finger controls first")
+    )
+
+
+def keys_itself(context: bpy.types.Context) -> bool:
+    """Whether Blender keys whatever is posed."""
+    return context.scene.tool_settings.use_keyframe_insert_auto
+
+
+def make_active(context: bpy.types.Context, thing: bpy.types.Object) -> None:
+    """The one selected object."""
+    for other in list(context.view_layer.objects.selected):
+        other.select_set(False)
+    thing.select_set(True)
+    context.view_layer.objects.active = thing
+
+
+def object_mode(context: bpy.types.Context) -> None:
+    """Leaves whatever mode the active object is in."""
+    if context.mode != "OBJECT" and context.view_layer.objects.active is not None:
+        bpy.ops.object.mode_set(mode="OBJECT")
+
+
+def link_to_active_collection(context: bpy.types.Context, thing: bpy.types.Object) -> None:
+    """Puts a new object where Blender's own operators put theirs; where that is hidden it stays in the scene's."""
+    layer = context.view_layer.active_layer_collection
+    if not layer.is_visible or thing.name in layer.collection.objects:
+        return
+    for collection in list(thing.users_collection):
+        collection.objects.unlink(thing)
+    layer.collection.objects.link(thing)
+
+
+def set_all(properties: Any, **values: Any) -> None:
+    """For buttons: what `layout.operator` returned, with these properties."""
+    for name, value in values.items():
+        setattr(properties, name, value)

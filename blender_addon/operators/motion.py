@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Motion files as keys of a hand, chosen or dropped into the viewport."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+from bpy.app.translations import pgettext_rpt as rpt_
+from bpy_extras.io_utils import ImportHelper
+
+from ..bridge import armature, controls, motion
+from ..bridge.classes import register_classes, unregister_classes
+from ..core.messages import JGHandFailure
+from ..core.motion_files import MotionFile, read_motion
+from . import common
+from .common import UNDOABLE_IMPORT, Reporting, missing
+
+SUFFIXES = (".npz", ".json", ".csv")
+_TARGETS = (
+    ("AUTO", "Active or New", "The active hand, where it is of the motion's side; else a new one", "NONE", 0),
+    ("ACTIVE", "Active Hand", "The active hand only", "NONE", 1),
+    ("NEW", "New Hand", "A new hand with the bone lengths of the motion", "NONE", 2),
+)
+
+
+class ImportMotion(Reporting, ImportHelper, bpy.types.Operator):
+    """Operator: a motion file onto a hand."""
+
+    bl_idname = "jghand.import_motion"
+    bl_label = "Import Motion"
+    bl_description = (
+        "Key the motion of an .npz, .json or .csv file, as jghand writes them, on the active hand or on a new one. "
+        "The action before it stays in the file"
+    )
+    bl_options = UNDOABLE_IMPORT
+
+    filename_ext = ".npz"
+    filter_glob: bpy.props.StringProperty(default=";".join(f"*{suffix}" for suffix in SUFFIXES), options={"HIDDEN"})  # type: ignore[valid-type]
+    target: bpy.props.EnumProperty(name="Onto", description="Which hand takes it", items=_TARGETS)  # type: ignore[valid-type]
+    first_frame: bpy.props.IntProperty(name="First Frame", description="Where the motion begins", default=1)  # type: ignore[valid-type]
+    use_scene_range: bpy.props.BoolProperty(
+        name="Set Scene Range",
+        description="Make the scene's frame range that of the motion",
+        default=False,
+    )  # type: ignore[valid-type]
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if context.scene is None or not context.scene.is_editable:
+            return missing(cls, "This scene is linked from another file")
+        return True
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Asks for a file, unless one was dropped."""
+        if self.filepath and Path(self.filepath).suffix.lower() in SUFFIXES and Path(self.filepath).is_file():
+            return self.execute(context)
+        return ImportHelper.invoke(self, context, event)
+
+    def draw(self, _context: bpy.types.Context) -> None:
+        """The options beside the files."""
+        column = self.layout.column()
+        column.use_property_split = True
+        column.use_property_decorate = False
+        column.prop(self, "target")
+        column.prop(self, "first_frame")
+        column.prop(self, "use_scene_range")
+
+    def run(self, context: bpy.types.Context) -> None:
+        path = Path(bpy.path.abspath(self.filepath))
+        content = read_motion(path)
+        common.object_mode(context)
+        hand = self._hand(context, content)
+        told = _free(hand) if hand is not None and controls.has_controls(hand) else ""
+        done = motion.import_motion(context, content, path.stem, hand=hand, first_frame=self.first_frame)
+        if hand is None:
+            common.link_to_active_collection(context, done.hand)
+        elif told:
+            controls.reset_controls(hand)
+            controls.mute_controls(hand, False)
+            controls.use_joint_limits(hand, False)
+        common.make_active(context, done.hand)
+        last = self._range(context, content)
+        frames = rpt_("{count} frames from {first} to {last} on {name}.").format(
+            count=len(content.joints_m), first=self.first_frame, last=last, name=done.hand.name
+        )
+        if done.notes:
+            self.warn(frames, *done.notes, told)
+        else:
+            self.tell(frames, told)
+
+    def _hand(self, context: bpy.types.Context, content: MotionFile) -> bpy.types.Object | None:
+        """The hand that takes the motion; None for a new one."""
+        active = common.active_hand(context)
+        if self.target == "NEW":
+            return None
+        if self.target == "ACTIVE" and active is None:
+            raise JGHandFailure("not_a_hand", rpt_("no hand is active"))
+        fits = active is not None and active.is_editable and armature.handedness_of(active) == content.handedness
+        return active if fits or self.target == "ACTIVE" else None
+
+    def _range(self, context: bpy.types.Context, content: MotionFile) -> int:
+        """The last whole frame of the motion; the scene's range follows where that is wanted."""
+        scene = context.scene
+        scene_fps = scene.render.fps / scene.render.fps_base
+        last = self.first_frame + round((len(content.joints_m) - 1) * scene_fps / content.fps)
+        if self.use_scene_range:
+            scene.frame_start, scene.frame_end = self.first_frame, max(last, self.first_frame)
+        return last
+
+
+class MotionDrop(bpy.types.FileHandler):
+    """Motion files dropped into the viewport."""
+
+    bl_idname = "JGHAND_FH_motion"
+    bl_label = "JGHand motion"
+    bl_import_operator = "jghand.import_motion"
+    bl_file_extensions = ";".join(SUFFIXES)
+
+    @classmethod
+    def poll_drop(cls, context: bpy.types.Context) -> bool:
+        """Where it may be dropped."""
+        return context.area is not None and context.area.type == "VIEW_3D"
+
+
+def _free(hand: bpy.types.Object) -> str:
+    """Switches the control layer off, so that keys alone move the bones; what is told about it."""
+    controls.mute_controls(hand, True)
+    return rpt_("Finger controls are neutral and joint limits off, so that the motion is kept exactly.")
+
+
+_CLASSES = (ImportMotion, MotionDrop)
+
+
+def _import_menu(self: bpy.types.Menu, _context: bpy.types.Context) -> None:
+    """In Blender's own File > Import."""
+    self.layout.operator("jghand.import_motion", text="JGHand Motion (.npz, .json, .csv)")
+
+
+def register() -> None:
+    """Adds the operator, its place in Blender's menu, and what may be dropped."""
+    register_classes(_CLASSES)
+    bpy.types.TOPBAR_MT_file_import.remove(_import_menu)
+    bpy.types.TOPBAR_MT_file_import.append(_import_menu)
+
+
+def unregister() -> None:
+    """Takes them away."""
+    bpy.types.TOPBAR_MT_file_import.remove(_import_menu)
+    unregister_classes(_CLASSES)

@@ -1,0 +1,160 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Poses of our hands: taking one, giving it to the other hand, going back to rest, making them assets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import bpy
+from bpy.app.translations import pgettext_rpt as rpt_
+
+from ..bridge import armature, folders, hand_poses, pose_library
+from ..bridge.classes import register_classes, unregister_classes
+from ..core import poses
+from ..properties import pose_items
+from . import common
+from .common import REGISTERED, UNDOABLE, InTurns, Reporting, missing, poll_hand
+
+
+class _Posing(Reporting):
+    """Poses hands, and keys them where Blender keys by itself or where it is asked for."""
+
+    use_keys: bpy.props.BoolProperty(
+        name="Insert Keys",
+        description="Key the fingers at this frame. Blender's Auto Keying does so in any case",
+        default=False,
+    )  # type: ignore[valid-type]
+
+    def posed(self, context: bpy.types.Context, hands: list[bpy.types.Object]) -> None:
+        """What follows when hands were posed."""
+        for hand in hands:
+            if self.use_keys or common.keys_itself(context):
+                hand_poses.key_pose(hand, context.scene.frame_current_final)
+            hand.update_tag()
+
+
+class ApplyPose(_Posing, bpy.types.Operator):
+    """Operator: the selected hands take a pose."""
+
+    bl_idname = "jghand.apply_pose"
+    bl_label = "Apply Pose"
+    bl_description = (
+        "Give this pose to the fingers of the selected hands, right and left alike. Controls go to neutral, held tips "
+        "are let go, the wrist stays"
+    )
+    bl_options = UNDOABLE
+
+    pose: bpy.props.EnumProperty(name="Pose", description="The pose", items=pose_items)  # type: ignore[valid-type]
+    part: bpy.props.FloatProperty(
+        name="Part",
+        description="How far from the present pose towards this one",
+        subtype="FACTOR",
+        default=1.0,
+        min=0.0,
+        max=1.0,
+        options={"SKIP_SAVE"},
+    )  # type: ignore[valid-type]
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return poll_hand(cls, context)
+
+    def run(self, context: bpy.types.Context) -> None:
+        hands = common.chosen_hands(context)
+        for hand in hands:
+            hand_poses.take_pose(hand, poses.pose_named(self.pose, armature.handedness_of(hand)), self.part)
+        self.posed(context, hands)
+
+
+class FlipPose(_Posing, bpy.types.Operator):
+    """Operator: another hand takes the mirrored pose of the active one."""
+
+    bl_idname = "jghand.flip_pose"
+    bl_label = "Flip to Other Hand"
+    bl_description = (
+        "Give this hand's pose, mirrored, to the other selected hands, or to the one other hand of the scene. "
+        "A hand of the same side gets it as it is"
+    )
+    bl_options = UNDOABLE
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not poll_hand(cls, context):
+            return False
+        return bool(_others(context)) or missing(cls, "Select the hand that is to take the pose, or add one")
+
+    def run(self, context: bpy.types.Context) -> None:
+        source, targets = context.object, _others(context)
+        for target in targets:
+            hand_poses.copy_pose(source, target)
+        self.posed(context, targets)
+        self.tell(rpt_("Posed {names}.").format(names=", ".join(target.name for target in targets)))
+
+
+class ResetPose(_Posing, bpy.types.Operator):
+    """Operator: fingers and controls back to rest."""
+
+    bl_idname = "jghand.reset_pose"
+    bl_label = "Reset Pose"
+    bl_description = "Put the fingers and controls of the selected hands back to rest; the wrist stays"
+    bl_options = UNDOABLE
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return poll_hand(cls, context)
+
+    def run(self, context: bpy.types.Context) -> None:
+        hands = common.chosen_hands(context)
+        for hand in hands:
+            hand_poses.reset_pose(hand)
+        self.posed(context, hands)
+
+
+class MakePoseAssets(InTurns, bpy.types.Operator):
+    """Operator: the poses as an asset library of this user."""
+
+    bl_idname = "jghand.make_pose_assets"
+    bl_label = "Make Pose Assets"
+    bl_description = (
+        "Write all poses as an asset library, so that Blender's pose library shows them with pictures, blends and "
+        "searches them. It is written into the extension's folder, and added to the preferences"
+    )
+    bl_options = REGISTERED
+
+    working = "Making pose assets"
+
+    def steps(self, _context: bpy.types.Context) -> Iterator[float]:
+        """A step per pose."""
+        yield from pose_library.library_steps(folders.user_folder("poses"))
+
+    def finished(self, context: bpy.types.Context) -> None:
+        pose_library.use_library(folders.user_folder("poses"))
+        context.preferences.is_dirty = True  # so that Blender saves it with the other preferences
+        self.tell(rpt_("The poses are in the asset library JGHand: in pose mode the asset shelf shows them."))
+
+
+def _others(context: bpy.types.Context) -> list[bpy.types.Object]:
+    """The selected hands besides the active one; without any, the one other hand that can be seen."""
+    source = context.object
+    others = [hand for hand in common.chosen_hands(context) if hand is not source]
+    if not others:
+        there = [
+            thing
+            for thing in context.view_layer.objects
+            if armature.is_hand(thing) and thing is not source and thing.visible_get(view_layer=context.view_layer)
+        ]
+        others = there if len(there) == 1 else []
+    return [hand for hand in others if hand.is_editable]
+
+
+_CLASSES = (ApplyPose, FlipPose, ResetPose, MakePoseAssets)
+
+
+def register() -> None:
+    """Adds the operators."""
+    register_classes(_CLASSES)
+
+
+def unregister() -> None:
+    """Takes them away."""
+    unregister_classes(_CLASSES)
