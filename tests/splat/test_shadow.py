@@ -3,19 +3,27 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import mmap
 import sys
 
 import numpy as np
 import pytest
 import torch
-from depth_scenes import camera, fingers, plane, planes_of, sphere
+from depth_scenes import camera, fingers, plane, planes_of, rays, sphere
 
 from jghand_engine import limits
 from jghand_engine.errors import InputError
 from jghand_engine.native import library as native_library
 from jghand_engine.native.binding import Library
-from jghand_engine.splat.shadow import ShadowStyle, normalised_depth, shade, visibility, vogel_disc
+from jghand_engine.splat.shadow import (
+    ShadowStyle,
+    normalised_depth,
+    shade,
+    surface_normals,
+    visibility,
+    vogel_disc,
+)
 from jghand_engine.splat.shadow_native import NativeShade, darken
 
 STYLE = ShadowStyle(samples=64)
@@ -78,6 +86,100 @@ def test_sample_disc_is_even_and_inside_the_unit_circle():
     disc = vogel_disc(64)
     assert float(disc.norm(dim=-1).max()) < 1
     assert float(disc.mean(0).abs().max()) < 0.05
+
+
+def test_samples_lie_on_a_sunflower_of_equal_areas():
+    """The k-th of n is sqrt((k + 1/2) / n) from the middle, each a golden angle of 137.5 degrees further."""
+    for count in (1, 2, 7):
+        golden_rad = math.pi * (3 - math.sqrt(5))
+        places = [(math.sqrt((k + 0.5) / count), (k + 0.5) * golden_rad) for k in range(count)]
+        expected = [[radius * math.cos(angle), radius * math.sin(angle)] for radius, angle in places]
+        torch.testing.assert_close(vogel_disc(count), torch.tensor(expected, dtype=torch.float64), rtol=0, atol=1e-14)
+
+
+@pytest.mark.parametrize("normal", [(0.0, 0.0, -1.0), (0.6, 0.0, -1.0), (-0.3, 0.9, -1.0)])
+def test_normals_of_a_plane_are_its_own_and_unit_to_its_edges(normal: tuple[float, float, float]):
+    view = camera(40, 30, 300.0, fy=340.0, off_centre=4.0)
+    depth = plane(view, normal, 0.5)
+    depth[10:20, 5:15] = 0  # a hole
+    unit = torch.tensor(normal, dtype=torch.float64) / math.hypot(*normal)
+    normals = surface_normals(depth, view)
+    torch.testing.assert_close(normals[depth > 0], unit.expand(int((depth > 0).sum()), 3), rtol=0, atol=1e-9)
+    assert float(normals[depth == 0].abs().max()) == 0
+
+
+def test_normals_of_a_sphere_point_away_from_its_middle():
+    view = camera(80, 80, 900.0, off_centre=2.0)
+    depth = sphere(view, (0.0, 0.0, 0.6), 0.02)
+    points = torch.where(torch.isfinite(depth), depth, 0.0)[..., None] * rays(view)
+    outwards = (points - torch.tensor([0.0, 0.0, 0.6], dtype=torch.float64)) / 0.02
+    normals = surface_normals(points[..., 2], view)
+    # the smaller of two one-sided differences leans to the middle: worst observed 9.0 degrees
+    front = torch.isfinite(depth) & (outwards[..., 2] < -0.5)
+    assert int(front.sum()) > 2000
+    assert float((normals * outwards).sum(-1)[front].min()) > math.cos(math.radians(9.5))
+
+
+def test_a_pixel_without_neighbours_faces_the_camera():
+    depth = torch.zeros(9, 7, dtype=torch.float64)
+    depth[4, 3] = 0.5
+    normals = surface_normals(depth, camera(7, 9, 100.0))
+    assert normals[4, 3].tolist() == [0, 0, -1]
+    assert float(normals.abs().sum()) == 1
+
+
+def test_a_normal_never_spans_a_silhouette():
+    """A slanted plane in front of a far wall: at its edge only the difference along the plane counts."""
+    view = camera(60, 60, 600.0)
+    slanted = (0.5, 0.2, -1.0)
+    depth = plane(view, slanted, 0.5)
+    depth[:, 30:] = 0.9
+    depth[45:, :] = 0.9
+    near = depth < 0.8
+    unit = torch.tensor(slanted, dtype=torch.float64) / math.hypot(*slanted)
+    normals = surface_normals(depth, view)
+    torch.testing.assert_close(normals[near], unit.expand(int(near.sum()), 3), rtol=0, atol=1e-9)
+
+
+def brute_visibility(depth: torch.Tensor, view, style: ShadowStyle) -> torch.Tensor:
+    """METHOD 5.2 for the pixels of a depth map in plain loops; the normals are those of `surface_normals`."""
+    height, width = depth.shape
+    points = (depth[..., None] * rays(view)).tolist()
+    normals, disc = surface_normals(depth, view).tolist(), vogel_disc(style.samples).tolist()
+    result = torch.ones_like(depth)
+    for row in range(height):
+        for column in range(width):
+            if depth[row, column] == 0:
+                continue
+            reach_x, reach_y = (
+                min(max(focal * style.radius_m / float(depth[row, column]), 1.0), 96.0) for focal in (view.fx, view.fy)
+            )
+            total = 0.0
+            for x, y in disc:
+                i, j = column + round(x * reach_x), row + round(y * reach_y)
+                if not (0 <= i < width and 0 <= j < height) or depth[j, i] == 0:
+                    continue
+                v = [a - b for a, b in zip(points[j][i], points[row][column], strict=True)]
+                length = math.sqrt(sum(c * c for c in v) + (1e-3 * style.radius_m) ** 2)
+                height_m = sum(a * b for a, b in zip(v, normals[row][column], strict=True)) - 4e-4
+                curve = style.softness * math.log1p(math.exp((height_m / length - style.bias) / style.softness))
+                total += curve * max(1 - length / style.radius_m, 0) ** 2
+            result[row, column] = math.exp(-style.gain * total / style.samples)
+    return result
+
+
+@pytest.mark.parametrize(("focal_px", "samples", "darkest"), [(12.0, 12, 1.0), (150.0, 12, 0.5), (5000.0, 100, 0.8)])
+def test_visibility_is_that_of_the_method(focal_px: float, samples: int, darkest: float):
+    """At the smallest reach on the picture, where a neighbour is too far to occlude; at an ordinary one; at the
+    largest."""
+    view = camera(24, 18, focal_px, fy=1.1 * focal_px, off_centre=1.5)
+    depth = torch.minimum(plane(view, (0.3, -0.2, -1.0), 0.5), sphere(view, (0.0, 0.0, 0.49), 0.01))
+    depth[9:12, 10:15] -= 0.005
+    depth[3:6, 2:9] = 0
+    style = ShadowStyle(samples=samples, radius_m=0.03, bias=0.1, softness=0.06, gain=50.0)
+    got = visibility(depth, depth > 0, view, style)
+    torch.testing.assert_close(got, brute_visibility(depth, view, style), rtol=0, atol=1e-9)
+    assert float(got.min()) < darkest
 
 
 @pytest.mark.parametrize("kind", ["empty", "single pixel", "alpha 1e-6", "one by one", "one row", "depth zero"])
@@ -152,16 +254,39 @@ def test_only_the_colour_is_darkened_and_by_the_tint():
         {"samples": 0},
         {"samples": 257},
         {"radius_m": 0.0},
+        {"radius_m": math.inf},
+        {"bias": math.nan},
         {"softness": 0.0},
+        {"softness": math.inf},
         {"softness": 1e-3},
-        {"gain": -1.0},
+        {"softness": math.nextafter(1.15 / 80, 0)},
+        {"gain": -1e-9},
+        {"gain": math.inf},
         {"tint": (0.5, 0.5, 1.5)},
+        {"tint": (-1e-9, 0.5, 0.5)},
+        {"tint": (0.5, 0.5)},
         {"strength": float("nan")},
+        {"strength": -1e-9},
+        {"strength": 1 + 1e-9},
     ],
 )
 def test_impossible_styles_are_refused(wrong: dict):
     with pytest.raises(InputError, match=f"shadow {next(iter(wrong))}"):
         ShadowStyle(**wrong)
+
+
+@pytest.mark.parametrize(
+    "least_or_most",
+    [
+        {"samples": 1, "strength": 0.0, "gain": 0.0, "tint": (0.0, 0.0, 0.0)},
+        {"samples": 256, "strength": 1.0, "gain": 1e3, "tint": (1.0, 1.0, 1.0)},
+        {"softness": 1.25 / 80, "bias": 0.25},
+        {"softness": 1.25 / 80, "bias": -0.25},
+        {"radius_m": 5e-324},
+    ],
+)
+def test_the_ends_of_what_a_style_may_be(least_or_most: dict):
+    ShadowStyle(**least_or_most)
 
 
 # ---- the kernel -----------------------------------------------------------------------------------------------------
