@@ -21,7 +21,7 @@ from jghand_engine import limits
 from jghand_engine.splat.settings import PRESETS
 from jghand_engine.studies.accuracy_growth import Growth
 from jghand_engine.studies.accuracy_reference import Error
-from jghand_engine.studies.accuracy_variants import AXES, BLEND, SEPARABLE, TOGETHER
+from jghand_engine.studies.accuracy_variants import AXES, BLEND, HALF_SHADOW, SEPARABLE, SHADOW, TOGETHER
 from jghand_engine.training.tables import NONE, Table, number
 
 Picture = np.ndarray
@@ -155,7 +155,7 @@ class Accuracy:
 
     def _notes(self, axis: str) -> tuple[str, ...]:
         if axis != TOGETHER:
-            return (_SEPARABLE_NOTE,) if axis == BLEND else ()
+            return _NOTES.get(axis, ())
         truth = (f"PSNR and so on: against {self.truth}.",) if self.truth else ()
         return (
             "●: on the front, nothing is both faster and more accurate.",
@@ -190,10 +190,16 @@ class Accuracy:
 _METRICS = {"psnr_full": "PSNR", "psnr_box": "PSNR, box", "ssim_full": "SSIM", "ssim_box": "SSIM, box",
             "flip_box": "FLIP, box", "st_lpips_box": "ST-LPIPS, box", "lpips_box": "LPIPS, box"}  # fmt: skip
 _TITLES = {TOGETHER: "What can be chosen"}
-_SEPARABLE_NOTE = (
-    f"{SEPARABLE}: its accuracy only. On a prototype its kernel was slower than ours (docs/RENDERING.md 6.2); it is "
-    "not built."
-)
+_NOTES = {
+    BLEND: (
+        f"{SEPARABLE}: its accuracy only. On a prototype its kernel was slower than ours (docs/RENDERING.md 6.2); it "
+        "is not built.",
+    ),
+    SHADOW: (
+        f"{HALF_SHADOW}: its accuracy only. It is not built: what it could save is part of the difference between "
+        "the shadow of 64 samples and none.",
+    ),
+}
 
 
 def _ms(value: float | None, disturbed: bool) -> str:

@@ -21,7 +21,16 @@ from jghand_engine.splat.subject import Subject, moving_subject
 from jghand_engine.studies.accuracy import Accuracy, Picture, Row, faster_than
 from jghand_engine.studies.accuracy_growth import Growth, Reach, growth_cases
 from jghand_engine.studies.accuracy_reference import Error, ExactPictures64, pose_count, spread_poses
-from jghand_engine.studies.accuracy_variants import BLEND, SEPARABLE, TOGETHER, Variant, linear_tiers, variants
+from jghand_engine.studies.accuracy_variants import (
+    BLEND,
+    HALF_SHADOW,
+    SEPARABLE,
+    SHADOW,
+    TOGETHER,
+    Variant,
+    linear_tiers,
+    variants,
+)
 from jghand_engine.studies.frame_time import frame_case, machine
 from jghand_engine.studies.timing import Case, Measurement, measure
 from jghand_engine.training.evaluate import avatar_picturer, means, measure_pictures
@@ -70,7 +79,6 @@ def measure_accuracy(plan: Plan, say: Callable[[str], None] = lambda _text: None
     exact = ExactPictures64(subject, spread_poses(subject, poses))
     say(f"Comparing {len(compared)} settings with them")
     errors = [exact.error(_drawer(variant, subject)) for variant in compared]
-    circles = exact.error(exact.circles)
     scores: list[Mapping[str, float]] = [{} for _ in compared]
     if plan.truth is not None:
         say(f"Comparing {len(compared)} settings with {plan.truth.count} pictures of the capture")
@@ -81,11 +89,14 @@ def measure_accuracy(plan: Plan, say: Callable[[str], None] = lambda _text: None
         _row(variant, error, truth, measured.get(str(number), []))
         for number, (variant, error, truth) in enumerate(zip(compared, errors, scores, strict=True))
     ]
-    rows.append(Row(BLEND, SEPARABLE, None, None, {}, circles))
     rows = _described(rows, compared, subject)
     if plan.truth is not None and plan.truth.perceptual:
         say("Perceptual metrics of the front")
         rows = [_with_perceptual(row, compared, plan) for row in rows]
+    rows += [
+        Row(axis, name, None, None, {}, exact.error(draw))
+        for axis, name, draw in ((BLEND, SEPARABLE, exact.circles), (SHADOW, HALF_SHADOW, exact.half_shadow))
+    ]
     return Accuracy(
         plan.name, len(plan.avatar), plan.size_px, machine(plan.threads), tuple(rows), tuple(growth), poses,
         "" if plan.truth is None else plan.truth.origin, tuple(learning),
@@ -143,8 +154,8 @@ def _described(rows: Sequence[Row], compared: Sequence[Variant], subject: Subjec
     total, described = len(subject.avatar), []
     # where finger tips are seen best: the fingers straightest
     pose_m = subject.poses[np.linalg.norm(subject.poses[:, -4:] - subject.poses[:, :1], axis=-1).mean(1).argmax()]
-    for row, variant in zip(rows, [*compared, None], strict=True):
-        if variant is None or row.axis != TOGETHER:
+    for row, variant in zip(rows, compared, strict=True):
+        if row.axis != TOGETHER:
             described.append(row)
             continue
         words = left_out(variant.settings, total)

@@ -16,11 +16,12 @@ from jghand_engine.avatar.learnt import ShadowLook
 from jghand_engine.avatar.skinning import pose_gaussians
 from jghand_engine.native.library import load
 from jghand_engine.splat.frame import HandRenderer
+from jghand_engine.splat.half import enlarged_colour, halved
 from jghand_engine.splat.picture import Picture, decibels
 from jghand_engine.splat.rasterise import rasterise
 from jghand_engine.splat.reference import rasterise_reference
 from jghand_engine.splat.settings import PRESETS
-from jghand_engine.splat.shadow import ShadowStyle, shade
+from jghand_engine.splat.shadow import ShadowStyle, normalised_depth, shade, visibility
 from jghand_engine.splat.shadow_native import darken
 from jghand_engine.splat.subject import Subject
 
@@ -71,6 +72,26 @@ class ExactPictures64:
                 return picture.rgb.numpy()
             planes = torch.cat([picture.rgb.permute(2, 0, 1), picture.alpha[None], picture.depth_sum[None]])
             return darken(planes, self._subject.camera, style, library=self._library).permute(1, 2, 0).numpy()
+
+    def half_shadow(self, pose_m: np.ndarray) -> np.ndarray:
+        """(H, W, 3) with the shadow found at half the width and height and interpolated, weighted by whether a pixel
+        shows the hand (METHOD 5.3); else preset final. Only its accuracy."""
+        camera, small = self._subject.camera, halved(self._subject.camera)
+        with torch.no_grad():
+            gaussians = self._posed(pose_m)
+            picture, low = (rasterise(gaussians, view, PRESETS["final"]) for view in (camera, small))
+            style = self._style(pose_m)
+            if style is None:
+                return picture.rgb.numpy()
+            depth_m, valid = normalised_depth(low.depth_sum, low.alpha)
+            seen = torch.where(valid, visibility(depth_m, valid, small, style), 0.0)
+            planes = torch.stack([seen, seen, seen, valid.to(seen)], -1)
+            weighted = enlarged_colour(planes.float().numpy(), camera.width, camera.height)
+            share = weighted[..., 3]
+            # where no pixel near shows the hand there is nothing to darken
+            lit = np.divide(weighted[..., 0], share, out=np.ones_like(share), where=share > 0)
+            darkness = style.strength * (1 - torch.from_numpy(lit))[..., None] * picture.rgb.new_tensor(style.tint)
+            return (picture.rgb * (1 - darkness)).numpy()
 
     @cached_property
     def _library(self):

@@ -30,6 +30,7 @@ GAUSSIANS, CORRECTIVES, BLEND, RESOLUTION, SHADOW, STORED, THREADS = (
 )  # fmt: skip
 AXES = (TOGETHER, GAUSSIANS, CORRECTIVES, BLEND, RESOLUTION, SHADOW, STORED, THREADS)
 SEPARABLE = "separable exponential (circles)"
+HALF_SHADOW = "gated, 64 samples, half the width and height"
 _SHADOW_SAMPLES = (8, 16, 32, 64)
 
 
