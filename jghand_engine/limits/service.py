@@ -11,6 +11,8 @@ GREETING_S = 2.0
 GREETINGS_MAX = 8
 # after the end of stdin a running request may finish for so long before the process ends regardless
 STOP_GRACE_S = 3.0
+# requests of a client that wait; one more is read when one is taken
+REQUESTS_WAITING_MAX = 16
 # hands in one picture; each costs as much as the first
 PICTURE_HANDS_MAX = 16
 # renderers that are kept: one per set of hands and settings, each with its hands' arrays in memory

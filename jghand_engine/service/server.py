@@ -4,8 +4,9 @@ The parent writes a token line to stdin; the first stdout line is the handshake 
 socket on the loopback, and the end of stdin ends the process, whatever became of the parent. Nothing heavy is imported
 before the handshake. Source: BLENDER 3.1 to 3.4, RENDERING 14 (26).
 
-Threads: the main thread answers requests one after the other; one accepts connections and one each checks greetings;
-one sends the heart-beat; one watches stdin.
+Threads: the main thread answers requests one after the other; one reads the client's messages, so that it can cancel
+what runs; one accepts connections and one each checks greetings; one sends the heart-beat; one watches stdin. All of
+them sleep until something comes: an idle engine uses no processor.
 """
 
 from __future__ import annotations
@@ -23,17 +24,21 @@ import sys
 import threading
 import time
 from collections import deque
+from collections.abc import Callable
 from typing import IO, Any
 
 from jghand_engine import __version__, limits
 from jghand_engine.errors import InputError
 from jghand_engine.service import protocol
-from jghand_engine.service.commands import Commands, PictureSource, Reply, error_header
+from jghand_engine.service.commands import Cancelled, Commands, PictureSource, Reply, error_header
 from jghand_engine.service.protocol import Disconnected, Message, ProtocolError
+from jghand_engine.service.requests import Requests
 
 LOOPBACK = "127.0.0.1"
-# how often the main thread looks whether it should end while nobody is connected, seconds
-_LOOK_S = 0.2
+# a request that is no request: the client does not want the answer to another one any more
+CANCEL = "cancel"
+# the pause after a connection that could not be accepted (no more file handles), seconds
+_ACCEPT_REST_S = 0.2
 
 
 def serve(source: PictureSource) -> int:
@@ -59,7 +64,7 @@ class Server:
         self._commands = Commands(source)
         self._token = token
         self._stop = threading.Event()
-        self._clients: queue.Queue[socket.socket] = queue.Queue()
+        self._clients: queue.Queue[socket.socket | None] = queue.Queue()  # None: the end
         self._client: socket.socket | None = None
         self._busy = threading.Lock()
         self._greetings: deque[socket.socket] = deque()  # the oldest first
@@ -79,20 +84,22 @@ class Server:
             "pid": os.getpid(),
             "engine_version": __version__,
             "device": self._commands.source.device,
-            "capabilities": self._commands.capabilities,
+            "capabilities": [*self._commands.capabilities, CANCEL],
         }
 
     def run(self) -> None:
         """Answers clients until `stop`."""
         threading.Thread(target=self._accept, daemon=True, name="accept").start()
         while not self._stop.is_set():
-            with contextlib.suppress(queue.Empty):
-                self._serve_client(self._clients.get(timeout=_LOOK_S))
+            client = self._clients.get()
+            if client is not None:
+                self._serve_client(client)
         self._listener.close()
 
     def stop(self) -> None:
         """Ends `run` from another thread, also while it waits for a message."""
         self._stop.set()
+        self._clients.put(None)
         client = self._client
         for connection in (self._listener, client):
             if connection is not None:
@@ -104,7 +111,7 @@ class Server:
             try:
                 connection, _ = self._listener.accept()
             except OSError:
-                if self._stop.wait(_LOOK_S):
+                if self._stop.wait(_ACCEPT_REST_S):
                     return
                 continue
             with self._greetings_lock:
@@ -148,45 +155,78 @@ class Server:
     def _serve_client(self, connection: socket.socket) -> None:
         """Answers one client until it leaves, breaks the protocol, or asks for the end."""
         self._client = connection
-        sending, gone = threading.Lock(), threading.Event()
+        requests, sending, gone = Requests(), threading.Lock(), threading.Event()
         beat = threading.Thread(target=_beat, args=(connection, sending, gone), daemon=True, name="heart-beat")
+        read = threading.Thread(target=self._read, args=(connection, requests, sending), daemon=True, name="read")
         try:
             connection.settimeout(None)
             with sending:
                 protocol.send(connection, {"kind": "welcome"})
             beat.start()
-            while not self._stop.is_set():
-                message = protocol.receive(connection)
-                header, reply = self._answer(message)
+            read.start()
+            while not self._stop.is_set() and (message := requests.take()) is not None:
+                header, reply = self._answer(message, requests.is_cancelled)
                 with sending:
                     protocol.send(connection, header, reply.arrays)
                 if reply.last:
                     self._stop.set()
         except Disconnected as error:
-            if not error.clean and not self._stop.is_set():
-                _log(f"the client left: {error}")
-        except (ProtocolError, OSError) as error:
+            self._tell(error)
+        except OSError as error:
             _log(f"the client was cut off: {error}")
         finally:
             gone.set()
             self._client = None
+            requests.end()
+            with contextlib.suppress(OSError):  # wakes the thread that reads
+                connection.shutdown(socket.SHUT_RDWR)
             connection.close()
             self._busy.release()
 
-    def _answer(self, message: Message) -> tuple[dict[str, Any], Reply]:
-        """The reply to a request; every failure is a reply too."""
-        identity = message.header.get("id")
-        same = {"id": identity if type(identity) is int else None, "kind": "reply"}
+    def _read(self, connection: socket.socket, requests: Requests, sending: threading.Lock) -> None:
+        """Takes in a client's messages until it leaves or breaks the protocol."""
         try:
-            reply = self._commands.run(message)
-            header = {**same, "ok": True, **reply.header}
+            while True:
+                message = protocol.receive(connection)
+                if message.header.get("kind") != CANCEL:
+                    requests.put(message)
+                elif requests.cancel(message.header.get("id")):
+                    with sending:
+                        protocol.send(connection, _failed(message, error_header(Cancelled())))
+        except Disconnected as error:
+            self._tell(error)
+        except (ProtocolError, OSError, ValueError) as error:  # ValueError: the other thread closed the connection
+            if not self._stop.is_set() and connection.fileno() >= 0:
+                _log(f"the client was cut off: {error}")
+        finally:
+            requests.end()
+
+    def _tell(self, error: Disconnected) -> None:
+        if not error.clean and not self._stop.is_set():
+            _log(f"the client left: {error}")
+
+    def _answer(self, message: Message, cancelled: Callable[[], bool]) -> tuple[dict[str, Any], Reply]:
+        """The reply to a request; every failure is a reply too."""
+        try:
+            reply = self._commands.run(message, cancelled)
+            header = {**_to(message), "ok": True, **reply.header}
             protocol.encode(header, reply.arrays)  # a reply that cannot be sent becomes an error that can
             return header, reply
         except Exception as error:  # whatever it is, the client hears of it and the engine lives on
             failure = error_header(error)
         if failure["kind"] == "out_of_memory":
             gc.collect()
-        return {**same, "ok": False, "error": failure}, Reply({}, {})
+        return _failed(message, failure), Reply({}, {})
+
+
+def _to(message: Message) -> dict[str, Any]:
+    """What makes a reply the one to this request."""
+    identity = message.header.get("id")
+    return {"id": identity if type(identity) is int else None, "kind": "reply"}
+
+
+def _failed(message: Message, failure: dict[str, str]) -> dict[str, Any]:
+    return {**_to(message), "ok": False, "error": failure}
 
 
 def _beat(connection: socket.socket, sending: threading.Lock, gone: threading.Event) -> None:

@@ -2,7 +2,8 @@
 
     python stand_in_engine.py [FAULT]
 
-Runs in the engine's and in Blender's environment. FAULT: one of the names in `main` and `StandInHands.render`.
+Runs in the engine's and in Blender's environment. FAULT: one of the names in `main`, or of those in
+`StandInHands._misbehave`, with ":N" for one that comes with the N-th picture.
 """
 
 from __future__ import annotations
@@ -37,7 +38,9 @@ class StandInHands:
     device = "stand-in"
 
     def __init__(self, fault: str = "") -> None:
-        self.fault = fault
+        """fault: NAME, or NAME:N to behave well before the N-th picture."""
+        self.fault, _, first = fault.partition(":")
+        self._first, self._pictures = int(first or 1), 0
 
     def load(self, avatar: str) -> LoadedAvatar:
         if avatar != "builtin" and not Path(avatar).is_file():
@@ -46,24 +49,9 @@ class StandInHands:
         return LoadedAvatar({"avatar": avatar, "gaussians": 21}, joints)
 
     def render(self, picture: PictureRequest, cancelled: Callable[[], bool] = never) -> Painting:
-        if self.fault == "die":
-            os._exit(7)
-        if self.fault == "killed":
-            os.kill(os.getpid(), 9)
-        if self.fault == "hang":
-            print("the last words", flush=True)
-            time.sleep(600)
-        if self.fault == "frozen":
-            print("the last words", flush=True)
-            os.kill(os.getpid(), signal.SIGSTOP)
-        if self.fault == "slow":
-            time.sleep(1.5)
-        if self.fault == "memory":
-            raise MemoryLimitError("a picture", wanted="less")
-        if self.fault == "bug":
-            raise ZeroDivisionError("a bug")
-        if self.fault == "print":
-            print("printed by a library " * 10000)
+        self._pictures += 1
+        if self._pictures >= self._first:
+            self._misbehave(cancelled)
         total = sum(exposure.weight for exposure in picture.exposures)
         rgba, depth, ids = (np.zeros((picture.height, picture.width, *more), np.float32) for more in ((4,), (), ()))
         for index, exposure in enumerate(picture.exposures):
@@ -74,6 +62,34 @@ class StandInHands:
             if index == picture.middle:
                 depth, ids = near_m, numbers
         return Painting(rgba, {"total_ms": 1.0, "stages": []}, depth, ids)
+
+    def _misbehave(self, cancelled: Callable[[], bool]) -> None:
+        match self.fault:
+            case "die":
+                os._exit(7)
+            case "killed":
+                os.kill(os.getpid(), signal.SIGKILL)
+            case "hang":
+                print("the last words", flush=True)
+                time.sleep(600)
+            case "frozen":
+                print("the last words", flush=True)
+                os.kill(os.getpid(), signal.SIGSTOP)
+            case "slow":
+                time.sleep(1.5)
+            case "late":
+                time.sleep(0.2)
+            case "patient":  # long, but to be stopped
+                for _ in range(6000):
+                    if cancelled():
+                        raise Cancelled
+                    time.sleep(0.01)
+            case "memory":
+                raise MemoryLimitError("a picture", wanted="less")
+            case "bug":
+                raise ZeroDivisionError("a bug")
+            case "print":
+                print("printed by a library " * 10000)
 
     def encode_png(self, rgba: np.ndarray) -> bytes:
         """The smallest PNG writer there is."""
@@ -139,6 +155,8 @@ def main(fault: str) -> int:
         print("{" if fault == "garbage" else json.dumps({**line, "capabilities": []}), flush=True)
         sys.stdin.read()
         return 0
+    if fault == "mute":
+        server._beat = lambda *_: None
     server.__version__ = os.environ.get("JGHAND_STAND_IN_VERSION", server.__version__)
     return server.serve(StandInHands(fault))
 

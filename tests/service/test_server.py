@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import secrets
 import socket
 import struct
@@ -94,15 +95,23 @@ def is_cut_off(connection: socket.socket) -> bool:
 
 
 PICTURE = {
-    **{"kind": "render_picture", "id": 5, "width": 64, "height": 48, "preset": "draft", "outputs": ["rgba_u8"]},
-    **{"fx": 80, "fy": 80, "cx": 32, "cy": 24, "hands": [{"avatar": "builtin", "handedness": "right"}]},
+    **{"kind": "render_picture", "id": 5, "width": 64, "height": 48, "outputs": ["rgba_u8"]},
+    **{"settings": {"preset": "draft"}, "hands": [{"avatar": "builtin", "handedness": "right"}]},
 }
 
 
-def picture_arrays() -> dict[str, Array]:
-    joints = np.zeros((1, 21, 3), np.float32)
+def picture_arrays(moments: int = 1) -> dict[str, Array]:
+    joints = np.zeros((moments, 1, 21, 3))
     joints[..., 2] = 0.3
-    return {"joints": Array.of(joints), "camera_from_hand": Array.of(np.eye(4)[None].copy())}
+    numbers = {
+        "pinholes": np.tile([80.0, 80.0, 32.0, 24.0], (moments, 1)),
+        "lenses": np.tile([0.0, 1.0], (moments, 1)),
+        "weights": np.ones(moments),
+        "camera_from_world": np.tile(np.eye(4), (moments, 1, 1)),
+        "joints": joints,
+        "world_from_hand": np.tile(np.eye(4), (moments, 1, 1, 1)),
+    }
+    return {name: Array.of(np.ascontiguousarray(values)) for name, values in numbers.items()}
 
 
 def test_the_handshake_says_what_the_client_must_know(engine):
@@ -255,6 +264,76 @@ def test_clients_that_die_in_the_middle_leave_nothing_behind(engine):
     assert resident_kb() - before < 5000
     threads = len(list(Path(f"/proc/{engine.process.pid}/task").iterdir()))
     assert threads < 20
+
+
+def test_a_request_that_waits_is_cancelled_at_once_and_one_that_runs_stops():
+    engine = started("patient")
+    with engine.connected() as connection:
+        receive(connection)
+        for number in (1, 2, 3):
+            protocol.send(connection, {**PICTURE, "id": number}, picture_arrays())
+        protocol.send(connection, {"kind": "info", "id": 4})
+        for number in (3, 2, 1, 99):
+            protocol.send(connection, {"kind": "cancel", "id": number})
+        replies = []
+        while len(replies) < 4:
+            message = receive(connection)
+            if message.header["kind"] == "reply":
+                replies.append(message.header)
+        assert {reply["id"]: reply.get("error", {}).get("kind") for reply in replies} == {
+            **dict.fromkeys((1, 2, 3), "cancelled"),
+            4: None,
+        }
+        assert replies[-1]["ok"]
+    assert ended(engine) == 0
+
+
+def test_a_picture_that_nobody_waits_for_any_more_stops():
+    engine = started("patient")
+    with engine.connected() as connection:
+        receive(connection)
+        protocol.send(connection, PICTURE, picture_arrays())
+        assert receive(connection).header["kind"] == "heartbeat"
+    deadline = time.monotonic() + PATIENCE_S
+    while time.monotonic() < deadline:
+        with engine.connected() as later:
+            if receive(later).header["kind"] == "welcome":
+                break
+    else:
+        pytest.fail("the place of the client that left was never given back")
+    assert ended(engine) == 0
+
+
+def test_more_requests_than_may_wait_are_all_answered(engine):
+    count = 5 * limits.REQUESTS_WAITING_MAX
+    with engine.connected() as connection:
+        receive(connection)
+        for number in range(count):
+            protocol.send(connection, {"kind": "info", "id": number})
+        numbers = []
+        while len(numbers) < count:
+            message = receive(connection)
+            if message.header["kind"] == "reply":
+                numbers.append(message.header["id"])
+    assert numbers == list(range(count))
+
+
+def test_an_engine_that_nobody_asks_uses_no_processor(engine):
+    def used_s() -> float:
+        fields = Path(f"/proc/{engine.process.pid}/stat").read_text().rsplit(")", 1)[1].split()
+        return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+    if not Path("/proc/self/stat").exists():
+        pytest.skip("processor time is read from Linux's /proc")
+    with engine.connected() as connection:
+        receive(connection)
+        answer(connection, PICTURE, picture_arrays())
+        before_s = used_s()
+        deadline = time.monotonic() + 2.0
+        while time.monotonic() < deadline:
+            assert receive(connection).header["kind"] == "heartbeat"
+        # worst observed 0.00 s; one tick of the clock is 0.01 s
+        assert used_s() - before_s <= 0.05
 
 
 def test_shutdown_is_answered_and_ends_the_process(engine):

@@ -1,0 +1,63 @@
+"""The requests of one client: taken in the order in which they came, cancelled by their number. No socket here."""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+
+from jghand_engine import limits
+from jghand_engine.service.protocol import Message
+
+
+class Requests:
+    """A queue between the thread that reads a client's messages and the one that answers them."""
+
+    def __init__(self) -> None:
+        self._waiting: deque[Message] = deque()
+        self._changed = threading.Condition()
+        self._running: Message | None = None
+        self._cancelled = False
+        self._over = False
+
+    def put(self, message: Message) -> None:
+        """Adds a request; waits while too many wait already, so that a client that floods is slowed down."""
+        with self._changed:
+            self._changed.wait_for(lambda: self._over or len(self._waiting) < limits.REQUESTS_WAITING_MAX)
+            if not self._over:
+                self._waiting.append(message)
+                self._changed.notify_all()
+
+    def take(self) -> Message | None:
+        """Waits for the next request, which is running from now on; None when the client is gone."""
+        with self._changed:
+            self._running = None
+            self._changed.wait_for(lambda: self._over or bool(self._waiting))
+            if self._over:
+                return None
+            self._running, self._cancelled = self._waiting.popleft(), False
+            self._changed.notify_all()
+            return self._running
+
+    def cancel(self, identity: object) -> bool:
+        """Cancels a request. True: it waited, will not run, and is to be answered so; False: it runs, and is told to
+        stop, or there is none of this number (any more)."""
+        with self._changed:
+            for message in self._waiting:
+                if message.header.get("id") == identity:
+                    self._waiting.remove(message)
+                    self._changed.notify_all()
+                    return True
+            if self._running is not None and self._running.header.get("id") == identity:
+                self._cancelled = True
+            return False
+
+    def end(self) -> None:
+        """The client is gone: nobody wants what waits, nor what runs."""
+        with self._changed:
+            self._over = self._cancelled = True
+            self._waiting.clear()
+            self._changed.notify_all()
+
+    def is_cancelled(self) -> bool:
+        """Whether the running request is to stop."""
+        return self._cancelled
