@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the extension keeps beside Blender's data: its link to the engine, and the newest receipts of pictures.
+"""What the extension keeps beside Blender's data: its link to the engine, its jobs, the newest receipts of pictures.
 
 The link is made on first use, ended with the extension, with Blender (`atexit`), or by the user; opening another file
 does not end it. Everything else that belongs to a hand lives on the hand's object.
@@ -15,16 +15,20 @@ from typing import Any
 
 import bpy
 
-from .core.engine_command import engine_command
+from .core.engine_command import engine_command, engine_program
+from .core.jobs import JobTable
 from .core.link import EngineLink
 from .preferences import preferences
 
 # kinds of pictures whose receipts are kept
 VIEWPORT, RENDER = "viewport", "render"
 
+_CHECKOUT = Path(__file__).resolve().parent.parent
+
 _link: EngineLink | None = None
 _lock = threading.Lock()  # a render thread may want the link while the main thread makes it
 _reports: dict[str, Mapping[str, Any]] = {}
+_jobs = JobTable()
 
 
 def link() -> EngineLink:
@@ -60,11 +64,22 @@ def last_report(kind: str) -> Mapping[str, Any] | None:
 
 def command() -> Sequence[str]:
     """How to start the engine, as preferences, environment and PATH say now. JGHandFailure: no_interpreter."""
+    return engine_command(_chosen_python(), checkout=_CHECKOUT)
+
+
+def program() -> Sequence[str]:
+    """The words before a verb of the engine's command line, for jobs. JGHandFailure: no_interpreter."""
+    return engine_program(_chosen_python(), checkout=_CHECKOUT)
+
+
+def jobs() -> JobTable:
+    """The jobs of this Blender: exports, captures, trainings."""
+    return _jobs
+
+
+def _chosen_python() -> str | None:
     chosen = preferences()
-    return engine_command(
-        chosen.engine_python or None if chosen is not None else None,
-        checkout=Path(__file__).resolve().parent.parent,
-    )
+    return chosen.engine_python or None if chosen is not None else None
 
 
 def _log_folder() -> Path | None:
@@ -88,4 +103,5 @@ def unregister() -> None:
 
 def _end() -> None:
     use_link(None)
+    _jobs.close()
     _reports.clear()

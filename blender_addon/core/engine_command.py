@@ -18,7 +18,15 @@ _INTERPRETERS = ("bin/python", "Scripts/python.exe")
 def engine_command(
     python: str | None = None, *, checkout: Path | None = None, environment: Mapping[str, str] = os.environ
 ) -> tuple[str, ...]:
-    """The command that starts the engine. The first that is given wins; a given one that does not exist is a failure.
+    """The command that starts the engine as a service; as `engine_program`."""
+    return (*engine_program(python, checkout=checkout, environment=environment), *_SERVE)
+
+
+def engine_program(
+    python: str | None = None, *, checkout: Path | None = None, environment: Mapping[str, str] = os.environ
+) -> tuple[str, ...]:
+    """The words before a verb of the engine's command line. The first place that is given wins; a given one that does
+    not exist is a failure.
 
     python: path of an interpreter that has jghand installed; then the variable JGHAND_ENGINE_PYTHON; then
     `checkout`/.envs/engine; then `jghand` on the PATH. Raises JGHandFailure (no_interpreter).
@@ -34,9 +42,9 @@ def engine_command(
                 return _module(str(checkout / ".envs/engine" / name))
     script = shutil.which("jghand", path=environment.get("PATH"))
     if script:
-        return (script, *_SERVE)
+        return (script,)
     raise JGHandFailure("no_interpreter", f"neither {VARIABLE}, nor .envs/engine, nor a command jghand")
 
 
 def _module(python: str) -> tuple[str, ...]:
-    return (python, "-I", "-m", "jghand_engine", *_SERVE)
+    return (python, "-I", "-m", "jghand_engine")

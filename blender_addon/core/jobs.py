@@ -23,7 +23,7 @@ from typing import IO, Any
 from . import job_state, limits
 from .process import cleaned_environment
 from .job_state import JobState, Phase
-from .messages import JGHandFailure
+from .messages import INTERRUPTED, JGHandFailure
 
 # what every job gets; see jghand_engine/cli/machine.py
 PROGRESS_OPTION = "--progress-json"
@@ -33,7 +33,8 @@ PROGRESS_OPTION = "--progress-json"
 class JobSpec:
     """What is to be done. kind: what sort of job · title: for people · command: program and arguments · folder: where
     its results and what it needs to go on lie · resume: the command that goes on after a pause, empty where there is
-    none · on_done: called once, on the thread that ticks, when it is done; a JGHandFailure makes the job a failed one.
+    none · on_done: called once, on the thread that ticks, when it is done; a JGHandFailure makes the job a failed one ·
+    more: commands that follow, one after the other, each after the one before has succeeded.
     """
 
     kind: str
@@ -42,6 +43,7 @@ class JobSpec:
     folder: Path
     resume: tuple[str, ...] = ()
     on_done: Callable[[], None] | None = None
+    more: tuple[tuple[str, ...], ...] = ()
 
 
 class Job:
@@ -52,6 +54,7 @@ class Job:
         self.spec = spec
         self.state = JobState()
         self._environment = environment
+        self._waiting = deque(spec.more)
         self._start(spec.command)
 
     @property
@@ -185,8 +188,13 @@ class Job:
         self._take_news()
         self._close_input()
         can_pause = bool(self.spec.resume)
+        if code == 0 and self._waiting and self.state.phase is Phase.CANCELLING:
+            code = INTERRUPTED  # what was to follow does not
         self.state = job_state.ended(self.state, code, self._error, self.log, can_pause=can_pause)
-        if self.state.phase is Phase.DONE and self.spec.on_done is not None:
+        if self.state.phase is Phase.DONE and self._waiting:
+            self.state = JobState(text=self.spec.title, notes=self.state.notes)
+            self._start(self._waiting.popleft())
+        elif self.state.phase is Phase.DONE and self.spec.on_done is not None:
             try:
                 self.spec.on_done()
             except JGHandFailure as failure:

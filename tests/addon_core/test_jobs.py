@@ -212,6 +212,40 @@ def test_a_program_that_is_not_there_is_a_failed_job(tmp_path):
     job.kill()
 
 
+@posix
+def test_the_steps_of_a_job_follow_one_another_and_the_end_is_told_once(tmp_path):
+    done = []
+    more = tuple((sys.executable, "-I", str(STAND_IN), "short") for _ in range(2))
+    started = time.monotonic()
+    assert ended(Job(spec(tmp_path, "short", more=more, on_done=lambda: done.append(True)))).phase is Phase.DONE
+    assert done == [True]
+    assert time.monotonic() - started > 3 * 3 * 0.02
+
+
+@posix
+@pytest.mark.parametrize("fault", ["die", "killed"])
+def test_a_step_that_fails_is_the_last_one(tmp_path, fault):
+    steps = (
+        (sys.executable, "-I", str(STAND_IN), fault),
+        (
+            sys.executable,
+            str(tmp_path / "never"),
+        ),
+    )
+    state = ended(Job(spec(tmp_path, "short", more=steps)))
+    assert state.failure is not None
+    assert state.failure.kind in ("crashed", "killed")
+
+
+@posix
+def test_no_step_follows_one_that_was_cancelled(tmp_path):
+    job = Job(spec(tmp_path, "long", more=((sys.executable, "-I", str(STAND_IN), "long", str(tmp_path / "never")),)))
+    until_it_counts(job)
+    job.cancel()
+    assert ended(job).phase is Phase.CANCELLED
+    assert not (tmp_path / "never").exists()
+
+
 # ---- the table -------------------------------------------------------------------------------------------------------
 
 
