@@ -15,6 +15,7 @@ from scipy.spatial import KDTree
 from jghand_engine.limits import (
     CLOSEST_BATCH,
     CLOSEST_FIRST_CANDIDATES,
+    CLOSEST_FLAT,
     CLOSEST_PIECE_RADIUS_M,
     CLOSEST_PIECES_MAX,
     CLOSEST_ROUNDING,
@@ -75,7 +76,8 @@ class Surface:
         while len(open_points):
             candidates = min(candidates, self._tree.n)
             unfinished = []
-            for batch in np.array_split(open_points, 1 + len(open_points) * candidates // CLOSEST_BATCH):
+            batches = min(len(open_points), 1 + len(open_points) * candidates // CLOSEST_BATCH)
+            for batch in np.array_split(open_points, batches):
                 result = self._best_of(points_m[batch], candidates)
                 face[batch], bary[batch], squared[batch], finished = result
                 unfinished.append(batch[~finished])
@@ -131,9 +133,11 @@ def closest_on_triangle(points: np.ndarray, corners: np.ndarray) -> tuple[np.nda
     d11, d12, d22 = _dot(ab, ab), _dot(ab, ac), _dot(ac, ac)
     d1p, d2p = _dot(ab, ap), _dot(ac, ap)
     determinant = d11 * d22 - d12 * d12
-    safe = np.where(determinant > 0, determinant, 1)
+    # of a triangle without area rounding leaves a determinant of either sign; it is its edges
+    has_area = determinant > CLOSEST_FLAT * d11 * d22
+    safe = np.where(has_area, determinant, 1)
     v, w = (d22 * d1p - d12 * d2p) / safe, (d11 * d2p - d12 * d1p) / safe
-    inside = (determinant > 0) & (v > 0) & (w > 0) & (v + w < 1)
+    inside = has_area & (v > 0) & (w > 0) & (v + w < 1)
     bary = np.stack([1 - v - w, v, w], axis=1)
     squared = np.where(inside, _dot(ap, ap) - v * d1p - w * d2p, np.inf)
     squared = np.where(inside, np.maximum(squared, 0), np.inf)
