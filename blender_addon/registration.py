@@ -10,8 +10,13 @@ from __future__ import annotations
 from types import ModuleType
 
 from . import preferences, properties, runtime
-from .bridge import pose_pictures
-from .operators import bone_map, finger_controls, hand, motion, picture, pose
+from .bridge import pose_pictures, sync
+from .operators import bone_map, finger_controls, hand, help_page, motion, picture, pose
+from .panels import advanced, bones, quality
+from .panels import hand as hand_panel
+from .panels import motion as motion_panel
+from .panels import picture as picture_panels
+from .panels import pose as pose_panels
 
 # a module comes after those whose classes it uses
 MODULES: tuple[ModuleType, ...] = (
@@ -19,7 +24,9 @@ MODULES: tuple[ModuleType, ...] = (
     properties,
     runtime,
     pose_pictures,
-    *(hand, bone_map, pose, finger_controls, motion, picture),
+    sync,
+    *(help_page, hand, bone_map, pose, finger_controls, motion, picture),
+    *(hand_panel, bones, pose_panels, motion_panel, picture_panels, quality, advanced),
 )
 
 

@@ -1,0 +1,102 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Where panels are, in which order, and the pieces they are drawn of."""
+
+from __future__ import annotations
+
+import bpy
+from bpy.app.translations import pgettext_iface as iface_
+
+from ..bridge import armature
+from ..core import panel_text
+from ..core.panel_text import Line
+
+# the order of the tab; room is left between them
+HAND, BONES, POSE, MOTION, VIEW, RENDER, QUALITY, OUTPUT, TRAIN, ADVANCED = range(0, 100, 10)
+CLOSED = {"DEFAULT_CLOSED"}
+# letters of the interface's font in a pixel, and what a panel keeps free at its sides
+_LETTER_PX, _MARGIN_PX = 6.6, 60
+_LETTERS = 40
+
+
+class Sidebar:
+    """A panel of the tab."""
+
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "JGHand"
+    # section of the help page that its question mark opens
+    help_section = ""
+
+    def draw_header_preset(self, _context: bpy.types.Context) -> None:
+        """A question mark at the right of the header."""
+        if self.help_section:
+            button = self.layout.operator("jghand.open_help", text="", icon="QUESTION", emboss=False)
+            button.section = self.help_section
+
+
+def active(context: bpy.types.Context) -> bpy.types.Object | None:
+    """The active object where it is a hand, ours or not."""
+    thing = context.object
+    return thing if thing is not None and is_any_hand(thing) else None
+
+
+def is_any_hand(thing: bpy.types.Object) -> bool:
+    """Whether an object is a hand, ours or not."""
+    return thing.type in ("ARMATURE", "EMPTY") and (armature.is_hand(thing) or armature.is_foreign(thing))
+
+
+def hands_of(context: bpy.types.Context) -> list[bpy.types.Object]:
+    """All hands of the view layer, by name."""
+    return sorted(filter(is_any_hand, context.view_layer.objects), key=lambda thing: thing.name)
+
+
+def any_hand(context: bpy.types.Context) -> bool:
+    """Whether there is a hand: without one, the tab shows nothing but how to add one."""
+    return active(context) is not None or any(map(is_any_hand, context.view_layer.objects))
+
+
+def has_operator(name: str) -> bool:
+    """Whether an operator is registered."""
+    family, _, action = name.partition(".")
+    return hasattr(bpy.types, f"{family.upper()}_OT_{action}")
+
+
+def paragraph(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, *, icon: str = "NONE") -> None:
+    """Text that is longer than the sidebar is wide."""
+    column = layout.column(align=True)
+    column.scale_y = 0.8
+    first = icon
+    for line in panel_text.wrapped(iface_(text), _letters(context) - (4 if icon != "NONE" else 0)):
+        column.label(text=line, icon=first, translate=False)
+        if first != "NONE":
+            first = "BLANK1"
+
+
+def explained(layout: bpy.types.UILayout, line: Line, *, icon: str = "NONE") -> None:
+    """A line with its small print as tooltip."""
+    row = layout.row()
+    row.alignment = "LEFT"
+    if not line.tip:
+        row.label(text=line.text, icon=icon, translate=False)
+        return
+    row.operator("jghand.explain", text=line.text, icon=icon, emboss=False, translate=False).text = line.tip
+
+
+def figure(layout: bpy.types.UILayout, line: Line) -> None:
+    """A line with its value at the right, as a bar of its part of the whole."""
+    row = layout.split(factor=0.45)
+    explained(row, line)
+    if line.part > 0:
+        row.progress(factor=line.part, text=line.value, translate=False)
+    else:
+        value = row.row()
+        value.active = False
+        value.label(text=line.value, translate=False)
+
+
+def _letters(context: bpy.types.Context) -> int:
+    """How many letters fit into a line of the sidebar."""
+    if context.region is None or context.region.width <= 1:
+        return _LETTERS
+    scale = context.preferences.system.ui_scale
+    return int((context.region.width / scale - _MARGIN_PX) / _LETTER_PX)
