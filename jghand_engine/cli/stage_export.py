@@ -34,4 +34,5 @@ def usd_figures(report: UsdReport) -> dict[str, Any]:
         "bytes": dict(report.bytes),
         "seconds": dict(report.seconds),
         "sigma_error": report.sigma_error,
+        "made_from": dict(report.made_from),
     }

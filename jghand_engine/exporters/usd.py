@@ -94,7 +94,7 @@ class UsdReport:
 
     stage: path of the interface layer · shot: path of the shot · bytes: size by file name ·
     seconds: time by stage of the work · sigma_error: largest relative difference between a written radius and the
-    engine's (0 with sizes per frame)
+    engine's (0 with sizes per frame) · made_from: what the function of that name says
     """
 
     stage: Path
@@ -104,6 +104,7 @@ class UsdReport:
     bytes: Mapping[str, int] = field(default_factory=dict)
     seconds: Mapping[str, float] = field(default_factory=dict)
     sigma_error: float = 0.0
+    made_from: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def write_ms_per_frame(self) -> float:
@@ -149,14 +150,14 @@ def export_usd(
             write_rig(temporary / names.rig, Rig(skeleton, template, colours), span)
         sigma_error = _write_splats(temporary / names.splats, motion, cloud, span, options, clock, progress)
         with clock("stage"):
+            stamp = made_from(avatar, sequence)
             about = describe(avatar, motion.handedness, sizes=options.sizes, radiance=options.radiance)
             default = Variant(options.default_variant)
-            write_interface(temporary, names, avatar.info, about, made_from(avatar, sequence), span, default)
+            write_interface(temporary, names, avatar.info, about, stamp, span, default)
             write_shot(temporary, names, named_cameras, sequence.joints_m, span)
         sizes = {path.name: path.stat().st_size for path in sorted(temporary.iterdir())}
-    return UsdReport(
-        target / names.interface, target / names.shot, len(motion), len(avatar), sizes, clock.seconds, sigma_error
-    )
+    stage, shot = target / names.interface, target / names.shot
+    return UsdReport(stage, shot, len(motion), len(avatar), sizes, clock.seconds, sigma_error, stamp)
 
 
 def made_from(avatar: HandAvatar, sequence: PoseSequence) -> dict[str, str]:
