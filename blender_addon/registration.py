@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from types import ModuleType
 
-from . import preferences, properties, runtime
+from . import preferences, properties, render_engine, runtime
 from .bridge import pose_pictures, sync
 from .operators import bone_map, finger_controls, hand, help_page, motion, picture, pose
 from .panels import advanced, bones, quality
@@ -25,6 +25,7 @@ MODULES: tuple[ModuleType, ...] = (
     runtime,
     pose_pictures,
     sync,
+    render_engine,
     *(help_page, hand, bone_map, pose, finger_controls, motion, picture),
     *(hand_panel, bones, pose_panels, motion_panel, picture_panels, quality, advanced),
 )

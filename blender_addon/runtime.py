@@ -10,15 +10,30 @@ from __future__ import annotations
 import atexit
 import threading
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import bpy
 
+from .core import limits
 from .core.engine_command import engine_command, engine_program
 from .core.jobs import JobTable
 from .core.link import EngineLink
+from .core.messages import JGHandFailure
 from .preferences import preferences
+
+
+@dataclass(frozen=True)
+class RenderNote:
+    """How the newest rendered frame went. failure: None when it is there; evaluate_ms: Blender's evaluation and the
+    reading of hands and camera; request_ms: the engine and the way there and back"""
+
+    failure: JGHandFailure | None
+    reports: Sequence[Mapping[str, Any]] = ()
+    evaluate_ms: float = 0.0
+    request_ms: float = 0.0
+
 
 # kinds of pictures whose receipts are kept
 VIEWPORT, RENDER = "viewport", "render"
@@ -28,6 +43,8 @@ _CHECKOUT = Path(__file__).resolve().parent.parent
 _link: EngineLink | None = None
 _lock = threading.Lock()  # a render thread may want the link while the main thread makes it
 _reports: dict[str, Mapping[str, Any]] = {}
+_render_note: RenderNote | None = None
+_render_timeout_s: float | None = None
 _jobs = JobTable()
 
 
@@ -60,6 +77,29 @@ def set_report(kind: str, report: Mapping[str, Any]) -> None:
 def last_report(kind: str) -> Mapping[str, Any] | None:
     """The receipt of the newest picture of a kind; None before the first."""
     return _reports.get(kind)
+
+
+def note_render(note: RenderNote | None) -> None:
+    """Keeps how a rendered frame went, for batch runs: Blender itself says no more than that it failed."""
+    global _render_note
+    _render_note = note
+
+
+def last_render() -> RenderNote | None:
+    """How the newest rendered frame went; None when none was since `note_render(None)`."""
+    return _render_note
+
+
+def use_render_timeout(seconds: float | None) -> None:
+    """How long a rendered frame may take, whatever the preferences say; None: what they say."""
+    global _render_timeout_s
+    _render_timeout_s = seconds
+
+
+def render_timeout_s() -> float:
+    """How long a rendered frame may take."""
+    chosen = preferences()
+    return _render_timeout_s or (chosen.render_timeout_s if chosen is not None else limits.REQUEST_S)
 
 
 def command() -> Sequence[str]:

@@ -59,6 +59,11 @@ def hand_armatures(view_layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
     return [hand for hand in _hands_of(view_layer) if not hand.hide_render]
 
 
+def rendered_hands(depsgraph: bpy.types.Depsgraph) -> list[bpy.types.Object]:
+    """The hands that a render shows at the frame of its depsgraph, by name; their visibility may be animated."""
+    return [hand for hand in _hands_of(depsgraph.view_layer) if not hand.evaluated_get(depsgraph).hide_render]
+
+
 def hands_at_any_frame(view_layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
     """The hands of a view layer that take part in renders now or, being animated so, at another frame, by name."""
     return [hand for hand in _hands_of(view_layer) if not hand.hide_render or _is_animated(hand, "hide_render")]

@@ -8,6 +8,7 @@ import numpy as np
 from mathutils import Matrix
 
 from ..core import limits
+from ..core.cropping import Part
 from ..core.messages import JGHandFailure
 from ..core.view import Pinhole
 from .armature import evaluated_object
@@ -23,28 +24,54 @@ def picture_size(render: bpy.types.RenderSettings) -> tuple[int, int]:
 
 
 def pinhole(camera: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Pinhole:
-    """The *evaluated* camera (lens, shift, sensor fit, pixel aspect, unit of the scene) as a pinhole in metres.
+    """The *evaluated* camera (lens, shift, sensor fit, pixel aspect, depth of field, unit of the scene), metres.
 
-    Raises JGHandFailure: not_a_camera, panoramic, orthographic, sheared_camera, hidden.
+    Raises JGHandFailure: not_a_camera, panoramic, orthographic_lens, sheared_camera, hidden.
     """
     if camera.type != "CAMERA":
         raise JGHandFailure("not_a_camera", camera.name)
     evaluated = evaluated_object(camera, depsgraph)
     _check_kind(evaluated)
     scene = depsgraph.scene
+    unit_m = scene.unit_settings.scale_length
     width, height = picture_size(scene.render)
     p = evaluated.calc_matrix_camera(
         depsgraph, x=width, y=height, scale_x=scene.render.pixel_aspect_x, scale_y=scene.render.pixel_aspect_y
     )
+    orthographic = evaluated.data.type == "ORTHO"
+    # where the axis goes through the picture: a shift is in the third column, and in the fourth without perspective
+    aside = (p[0][3], p[1][3]) if orthographic else (-p[0][2], -p[1][2])
+    per_m = 1.0 / unit_m if orthographic else 1.0
+    camera_from_world = _camera_from_world(evaluated, unit_m)
+    aperture_m, focus_m = _lens(evaluated, unit_m)
     return Pinhole(
         width,
         height,
-        fx=width * p[0][0] / 2,
-        fy=height * p[1][1] / 2,
-        cx=width * (1 - p[0][2]) / 2,
-        cy=height * (1 + p[1][2]) / 2,
-        camera_from_world=_camera_from_world(evaluated, scene.unit_settings.scale_length),
+        fx=width * p[0][0] / 2 * per_m,
+        fy=height * p[1][1] / 2 * per_m,
+        cx=width * (1 + aside[0]) / 2,
+        cy=height * (1 - aside[1]) / 2,
+        camera_from_world=camera_from_world,
+        aperture_m=aperture_m,
+        focus_m=focus_m,
+        orthographic=orthographic,
     )
+
+
+def region(render: bpy.types.RenderSettings) -> Part:
+    """The part of the picture that is rendered, the whole or the render region, rounded as Blender rounds it.
+
+    Raises JGHandFailure (empty_region).
+    """
+    width, height = picture_size(render)
+    if not render.use_border:
+        return Part(0, 0, width, height)
+    # Blender multiplies in single precision and cuts; it counts rows from the bottom
+    left, right = (int(np.float32(edge) * np.float32(width)) for edge in (render.border_min_x, render.border_max_x))
+    bottom, top = (int(np.float32(edge) * np.float32(height)) for edge in (render.border_min_y, render.border_max_y))
+    if right - left < limits.REGION_MIN_PX or top - bottom < limits.REGION_MIN_PX:
+        raise JGHandFailure("empty_region")
+    return Part(left, height - top, right, height - bottom)
 
 
 def add_camera(context: bpy.types.Context, name: str, view: Pinhole) -> bpy.types.Object:
@@ -76,10 +103,35 @@ def set_picture_size(render: bpy.types.RenderSettings, width: int, height: int) 
 
 
 def _check_kind(camera: bpy.types.Object) -> None:
-    if camera.data.type == "ORTHO":
-        raise JGHandFailure("orthographic", camera.name)
-    if camera.data.type != "PERSP":
+    if camera.data.type not in ("PERSP", "ORTHO"):
         raise JGHandFailure("panoramic", camera.name)
+    if camera.data.type == "ORTHO" and camera.data.dof.use_dof:
+        raise JGHandFailure("orthographic_lens", camera.name)
+
+
+def _lens(camera: bpy.types.Object, unit_m: float) -> tuple[float, float]:
+    """Diameter of the aperture, 0 without depth of field, and the depth that is sharp, metres, of an evaluated camera.
+
+    As Cycles has it: the aperture is a part of the focal length in thousandths of a Blender unit, whatever that is.
+    """
+    depth_of_field = camera.data.dof
+    if not depth_of_field.use_dof:
+        return 0.0, 1.0
+    return 1e-3 * camera.data.lens / depth_of_field.aperture_fstop * unit_m, unit_m * _focus_distance(camera)
+
+
+def _focus_distance(camera: bpy.types.Object) -> float:
+    """Blender units along the view axis: to the object, or the bone of it, that the camera focuses on, else as set."""
+    depth_of_field = camera.data.dof
+    focused = depth_of_field.focus_object
+    if focused is None:
+        return depth_of_field.focus_distance
+    place = focused.matrix_world
+    bone = focused.pose.bones.get(depth_of_field.focus_subtarget) if focused.pose is not None else None
+    if bone is not None:
+        place = place @ bone.matrix
+    axis = camera.matrix_world.col[2].to_3d().normalized()
+    return abs((place.translation - camera.matrix_world.translation).dot(axis))
 
 
 def _camera_from_world(camera: bpy.types.Object, unit_m: float) -> np.ndarray:

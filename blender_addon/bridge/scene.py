@@ -95,6 +95,28 @@ def evaluated_at(scene: bpy.types.Scene, frame: float, things: Iterable[bpy.type
     return depsgraph
 
 
+def check_drivers(things: Iterable[bpy.types.Object]) -> None:
+    """Whether the drivers of hands and cameras work. Raises JGHandFailure: scripts_blocked, broken_driver.
+
+    Of a file whose scripts are blocked, only the drivers that are needed matter, and those of them that are Python.
+    """
+    parts = [part for thing in things for part in armature.parts_of(thing)]
+    broken = [description for part in parts for description in _broken_drivers(part)]
+    if broken:
+        raise JGHandFailure("broken_driver", "; ".join(broken))
+    if bpy.app.autoexec_fail and any(_has_scripts(part) for part in parts):
+        raise JGHandFailure("scripts_blocked", bpy.app.autoexec_fail_message)
+
+
+def _has_scripts(thing: bpy.types.Object) -> bool:
+    """Whether an object or its data has drivers that only Python can compute."""
+    return any(
+        curve.driver.type == "SCRIPTED" and not curve.driver.is_simple_expression and not curve.mute
+        for owner in ((thing, thing.data) if thing.data else (thing,))
+        for curve in (owner.animation_data.drivers if owner.animation_data else ())
+    )
+
+
 def _check_scripts() -> None:
     if bpy.app.autoexec_fail:
         raise JGHandFailure("scripts_blocked", bpy.app.autoexec_fail_message)

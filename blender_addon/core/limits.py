@@ -177,7 +177,7 @@ PANEL_TICK_S = 0.5
 # nearest joint, metres
 ORTHO_ROOM_M = 0.5
 
-# ---- jobs: child processes of the engine's command line -----------------------------------------------------------------
+# ---- jobs: child processes of the engine's command line ---------------------------------------------------------------
 
 # a job that was asked to stop finishes a step and writes a checkpoint, or a picture; then it is asked again, then ended
 JOB_STOP_S = 30.0
@@ -195,3 +195,28 @@ JOB_NOTES = 5
 # one turn of it, between two of which Blender draws and hears Esc, and the time between turns
 WORK_TURN_S = 0.03
 WORK_REST_S = 0.005
+
+# ---- renders --------------------------------------------------------------------------------------------------------
+
+# depth of nothing, Blender units: what Blender's own engines write, and Z combine expects
+NOTHING_DEPTH = 1e10
+# how much a part of the picture a region has to be: Blender draws none of fewer pixels
+REGION_MIN_PX = 1
+
+# ---- exports, bakes, trainings ----------------------------------------------------------------------------------------
+
+# what a USD stage holds beside its samples: skeleton, mesh, what does not move (measured: the painted hand, 4.7 MB)
+USD_STATIC_BYTES = 5_000_000
+# Gaussians of the avatar that comes with JGHand; a test compares
+BUILTIN_GAUSSIANS = 40_000
+# bytes of a bake's stamp, and those of a training's log that are read at a time
+STAMP_MAX_BYTES = 2**20
+LOG_READ_BYTES = 2**20
+# a joint that is further from where it was baked has moved: above Blender's rounding, below what is seen
+BAKE_MOVED_M = 2e-5
+# the picture of a loss: size, air around it, thickness of the line in pixels; sRGB and alpha of ground and line
+CURVE_PX = (256, 96)
+CURVE_MARGIN_PX = 4
+CURVE_LINE_PX = 2
+CURVE_GROUND = (0.12, 0.12, 0.12, 1.0)
+CURVE_LINE = (0.85, 0.62, 0.35, 1.0)

@@ -52,6 +52,10 @@ ADVICE = {
     "retry": Advice("The engine could not do it now", "Try again", TRY_AGAIN),
     "internal": Advice("JGHand made a mistake", "Look at the log and report it", MISTAKE),
     "interrupted": Advice("The run was interrupted", "Start it again to go on where it stopped", INTERRUPTED),
+    "no_place": Advice("There is no folder to write to yet", "Save the file first, or choose a folder", BAD_INPUT),
+    "no_bake": Advice("There is no finished bake here", "Bake the hand, or choose the folder of a bake", BAD_INPUT),
+    "stale_bake": Advice("The bake is not of what the scene has now", "Bake again, or play it as it is", BAD_INPUT),
+    "no_usd": Advice("This Blender cannot read or write USD", "Use a Blender that was built with USD", BAD_INPUT),
     "job_running": Advice("This is running already", "Wait until it has ended, or cancel it", TRY_AGAIN),
     # what this side refuses
     "not_a_hand": Advice("This armature is not a JGHand hand", "Add a hand, or map its bones first", BAD_INPUT),
@@ -91,8 +95,16 @@ ADVICE = {
     "not_a_camera": Advice("There is no camera of this name", "Choose a camera of the scene", BAD_INPUT),
     "no_camera": Advice("The scene has no camera of its own", "Name one with --camera", BAD_INPUT),
     "pixel_aspect": Advice("Cameras are made with square pixels only", "Make fx and fy equal", BAD_INPUT),
-    "panoramic": Advice("Panoramic cameras are not supported", "Choose a perspective camera", BAD_INPUT),
-    "orthographic": Advice("Orthographic cameras are not supported yet", "Choose a perspective camera", BAD_INPUT),
+    "panoramic": Advice(
+        "Panoramic cameras are not supported", "Choose a perspective or orthographic camera", BAD_INPUT
+    ),
+    "orthographic_lens": Advice(
+        "Orthographic cameras have no depth of field here", "Switch it off, or choose a perspective camera", BAD_INPUT
+    ),
+    "stereo": Advice(
+        "Stereoscopy and multiple views are not supported", "Switch them off and render each view", BAD_INPUT
+    ),
+    "empty_region": Advice("The render region has no pixels", "Draw it larger, or switch it off", BAD_INPUT),
     "sheared_camera": Advice(
         "The camera is sheared or mirrored by its parents", "Clear their scale or the camera's parent", BAD_INPUT
     ),

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The moments of a rendered picture: the hands and the camera at one frame, or at sub-frames while the shutter is open.
+
+Blender evaluates no sub-frames for an engine that is not its own; the engine asks for each. Source: BLENDER 5 and 8.2.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import bpy
+import numpy as np
+
+from ..core.cropping import Part, picture_of
+from ..core.messages import JGHandFailure
+from ..core.view import HandInSpace, Moment
+from . import armature, camera, scene, seen_hands, sources
+
+# where in the open time of the shutter its frame lies
+_FRAME_AT = {"START": 0.0, "CENTER": 0.5, "END": 1.0}
+
+
+def read_moments(
+    depsgraph: bpy.types.Depsgraph, eye: bpy.types.Object, part: Part, frame_set: Callable[[int, float], None]
+) -> list[Moment]:
+    """Everything that a picture shows of a part of the view, in the order of time.
+
+    frame_set: moves the scene, and evaluates `depsgraph`, to a frame and a part of the way to the next. The scene is
+    where it was afterwards. Raises JGHandFailure: what `camera.pinhole` and `sources.read_hands` do, no_hand,
+    scripts_blocked, broken_driver.
+    """
+    if not armature.hands_at_any_frame(depsgraph.view_layer):
+        instanced = "; ".join(scene.instanced_hands(depsgraph.scene))
+        raise JGHandFailure("no_hand", f"not rendered: {instanced}" if instanced else "")
+    things = armature.rendered_hands(depsgraph)
+    scene.check_drivers((*things, eye))
+    times = shutter_times(depsgraph.scene)
+    if len(times) == 1:
+        return [_moment(things, eye, part, depsgraph)]
+    whole, subframe = depsgraph.scene.frame_current, depsgraph.scene.frame_subframe
+    moments = []
+    try:
+        for time, weight in times:
+            frame = whole + subframe + time
+            frame_set(int(np.floor(frame)), float(frame - np.floor(frame)))
+            moments.append(replace(_moment(things, eye, part, depsgraph), weight=weight))
+    finally:
+        frame_set(whole, subframe)
+    return moments if _moves(moments) else moments[:1]
+
+
+def shutter_times(current: bpy.types.Scene) -> list[tuple[float, float]]:
+    """When the scene is looked at for one frame: frames after it, and how open the shutter is then."""
+    render = current.render
+    if not render.use_motion_blur or render.motion_blur_shutter <= 0:
+        return [(0.0, 1.0)]
+    count = current.jghand.motion_samples
+    places = (np.arange(count) + 0.5) / count
+    curve = render.motion_blur_shutter_curve
+    curve.update()
+    openness = [max(0.0, curve.evaluate(curve.curves[0], place)) for place in places]
+    if not sum(openness) > 0:  # a curve that never opens
+        openness = [1.0] * count
+    times = render.motion_blur_shutter * (places - _FRAME_AT[render.motion_blur_position])
+    return list(zip(times.tolist(), openness, strict=True))
+
+
+def _moment(
+    things: list[bpy.types.Object], eye: bpy.types.Object, part: Part, depsgraph: bpy.types.Depsgraph
+) -> Moment:
+    hands: list[HandInSpace] = []
+    for thing in things:
+        avatar = seen_hands.avatar_of(thing)
+        hands += [replace(hand, avatar=avatar) for hand in sources.read_hands(thing, depsgraph)]
+    return Moment(picture_of(camera.pinhole(eye, depsgraph), part, part.pixels), hands)
+
+
+def _moves(moments: list[Moment]) -> bool:
+    """Whether anything is not the same at all moments."""
+    first = moments[0]
+    return any(_numbers(moment) != _numbers(first) for moment in moments[1:])
+
+
+def _numbers(moment: Moment) -> list[object]:
+    view = moment.view
+    numbers: list[object] = [view.fx, view.fy, view.cx, view.cy, view.aperture_m, view.focus_m]
+    numbers.append(view.camera_from_world.tobytes())
+    return numbers + [part.tobytes() for hand in moment.hands for part in (hand.joints_m, hand.world_from_hand)]

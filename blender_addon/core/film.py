@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The engine's picture as Blender's passes: display colours to scene-linear, depth in Blender's unit, rows from the
+bottom. Does not use bpy. Source: BLENDER 7.3 (what must be written where), 8.1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from . import limits
+
+
+def scene_linear(rgba: np.ndarray) -> np.ndarray:
+    """(H, W, 4) premultiplied, display-referred sRGB -> the same premultiplied in linear light, float32.
+
+    The curve is that of straight colour, so alpha is divided out and multiplied in again.
+    """
+    out = np.zeros(rgba.shape, np.float32)
+    covered = rgba[..., 3] > 0
+    values = rgba[covered].astype(np.float32)
+    alpha = values[:, 3:]
+    values[:, :3] = _decoded(values[:, :3] / alpha) * alpha
+    out[covered] = values
+    return out
+
+
+def over(rgba: np.ndarray, background: Sequence[float]) -> np.ndarray:
+    """A premultiplied linear picture on an opaque colour, linear too."""
+    out = np.empty_like(rgba)
+    out[..., :3] = rgba[..., :3] + (1 - rgba[..., 3:]) * np.asarray(background, np.float32)
+    out[..., 3] = 1
+    return out
+
+
+def depth_units(depth_m: np.ndarray, unit_m: float) -> np.ndarray:
+    """(H, W) metres along the view axis, 0 = nothing -> Blender units, with what a Z combine takes for nothing."""
+    return np.where(depth_m > 0, depth_m / np.float32(unit_m), np.float32(limits.NOTHING_DEPTH)).astype(np.float32)
+
+
+def from_bottom(values: np.ndarray) -> np.ndarray:
+    """(H, W, …) with row 0 at the top -> flat float32 as a pass of Blender takes it."""
+    return np.ascontiguousarray(values[::-1], np.float32).ravel()
+
+
+def _decoded(srgb: np.ndarray) -> np.ndarray:
+    """IEC 61966-2-1."""
+    curve = ((np.maximum(srgb, 0) + np.float32(0.055)) / np.float32(1.055)) ** np.float32(2.4)
+    return np.where(srgb <= np.float32(0.04045), srgb / np.float32(12.92), curve)

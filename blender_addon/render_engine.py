@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The render engine JGHand: F12, animations and `blender -b -a` draw the hands of a scene through its camera.
+
+A frame that cannot be exact fails the render with a report and writes nothing: `error_set` and exceptions would let
+Blender write an empty picture and go on (BLENDER 8.3). Source: BLENDER 8.
+"""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Iterator
+from typing import Any
+
+import bpy
+import numpy as np
+
+from . import runtime
+from .bridge import camera, moments
+from .bridge.classes import register_classes, unregister_classes
+from .bridge.viewport_engine import ViewportEngine
+from .bridge.world import background
+from .core import film
+from .core.cropping import Part
+from .core.messages import JGHandFailure
+from .core.view import Moment, moments_request
+from .operators.common import sentence_of
+from .runtime import RenderNote
+
+COMBINED, DEPTH, IDS = "Combined", "Depth", "JGHandId"
+# Blender's own panels that show what this engine honours; those of other engines stay hidden
+_PANELS_OF_OTHERS = (
+    *("CAMERA_PT_presets", "CAMERA_PT_safe_areas_presets", "DATA_PT_context_camera", "DATA_PT_lens"),
+    *("DATA_PT_camera", "DATA_PT_camera_animation", "DATA_PT_camera_background_image", "DATA_PT_camera_display"),
+    *("DATA_PT_camera_display_composition_guides", "DATA_PT_camera_dof", "DATA_PT_camera_dof_aperture"),
+    *("DATA_PT_camera_safe_areas", "DATA_PT_camera_safe_areas_center_cut", "DATA_PT_custom_props_camera"),
+    *("RENDER_PT_color_management", "RENDER_PT_color_management_advanced", "RENDER_PT_color_management_curves"),
+    *("RENDER_PT_color_management_white_balance", "RENDER_PT_color_management_working_space"),
+    *("RENDER_PT_encoding", "RENDER_PT_encoding_audio", "RENDER_PT_encoding_video", "RENDER_PT_format"),
+    *("RENDER_PT_frame_range", "RENDER_PT_output", "RENDER_PT_output_color_management"),
+    *("RENDER_PT_output_pixel_density", "RENDER_PT_post_processing", "RENDER_PT_stamp", "RENDER_PT_stamp_burn"),
+    *("RENDER_PT_stamp_note", "RENDER_PT_time_stretching", "OBJECT_PT_custom_props", "OBJECT_PT_visibility"),
+    *("VIEWLAYER_PT_context_layer", "VIEWLAYER_PT_layer", "WORLD_PT_animation", "WORLD_PT_context_world"),
+    *("WORLD_PT_custom_props", "WORLD_PT_viewport_display"),
+)
+
+
+class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
+    """Draws hands with the JGHand engine."""
+
+    bl_idname = "JGHAND"
+    bl_label = "JGHand"
+    bl_use_postprocess = True
+    bl_use_eevee_viewport = True
+    bl_use_gpu_context = False
+
+    def update_render_passes(self, scene: bpy.types.Scene | None = None, renderlayer: Any = None) -> None:
+        """Which passes the compositor may have of a view layer."""
+        self.register_pass(scene, renderlayer, COMBINED, 4, "RGBA", "COLOR")
+        if renderlayer is not None and renderlayer.use_pass_z:
+            self.register_pass(scene, renderlayer, DEPTH, 1, "Z", "VALUE")
+        if scene is not None and scene.jghand.use_pass_ids:
+            self.register_pass(scene, renderlayer, IDS, 1, "X", "VALUE")
+
+    def render(self, depsgraph: bpy.types.Depsgraph) -> None:
+        """One frame of one view layer. A failure is an error report, which ends the render and writes no file."""
+        failure = None
+        try:
+            self._render(depsgraph)
+        except JGHandFailure as reason:
+            failure = reason
+        except Exception as error:  # a mistake of ours must not become an empty picture either
+            traceback.print_exc()
+            failure = JGHandFailure("internal", f"{type(error).__name__}: {error}")
+        if failure is not None:
+            runtime.note_render(RenderNote(failure=failure))
+            if failure.kind != "cancelled" or not self.test_break():
+                self.report({"ERROR"}, sentence_of(failure))
+
+    def _render(self, depsgraph: bpy.types.Depsgraph) -> None:
+        clock = time.perf_counter()
+        scene = depsgraph.scene
+        if scene.render.use_multiview:
+            raise JGHandFailure("stereo")
+        eye = self.camera_override or scene.camera
+        if eye is None:
+            raise JGHandFailure("no_camera")
+        part = camera.region(scene.render)
+        seen = moments.read_moments(depsgraph, eye.original, part, self.frame_set)
+        evaluated = time.perf_counter()
+        wanted = {COMBINED: "rgba_f32", **_other_outputs(scene, depsgraph.view_layer)}
+        reply = self._ask(seen, list(wanted.values()), scene)
+        answered = time.perf_counter()
+        arrays = {name: np.asarray(reply.arrays[output].view()) for name, output in wanted.items()}
+        self._fill(part, depsgraph.view_layer.name, dict(_passes(arrays, depsgraph)))
+        self._tell(reply.header.get("reports", []), seen, (evaluated - clock, answered - evaluated))
+
+    def _ask(self, seen: list[Moment], outputs: list[str], scene: bpy.types.Scene) -> Any:
+        """The engine's answer. Escape, and whatever else stops the render, ends the wait: JGHandFailure (cancelled)."""
+        self.update_stats("JGHand", "Waiting for the engine")
+        header, arrays = moments_request(
+            seen,
+            outputs=outputs,
+            preset=scene.jghand.render_preset,
+            settings={"shadow_strength": scene.jghand.shadow_strength},
+        )
+        return runtime.link().request(header, arrays, timeout_s=runtime.render_timeout_s(), cancelled=self.test_break)
+
+    def _fill(self, part: Part, layer: str, values: dict[str, np.ndarray]) -> None:
+        result = self.begin_result(0, 0, part.width, part.height, layer=layer)
+        if (result.resolution_x, result.resolution_y) != (part.width, part.height):
+            came = f"{part.width} x {part.height}, Blender wants {result.resolution_x} x {result.resolution_y}"
+            self.end_result(result, cancel=True)
+            raise JGHandFailure("internal", f"the size of the picture: {came}")
+        for each in result.layers[0].passes:  # a pass that the view layer does not ask for is not there
+            if each.name in values:
+                each.rect.foreach_set(values[each.name])
+        self.end_result(result)
+
+    def _tell(self, reports: list[dict[str, Any]], seen: list[Moment], times: tuple[float, float]) -> None:
+        evaluate_ms, request_ms = (1e3 * seconds for seconds in times)
+        if reports:
+            runtime.set_report(runtime.RENDER, reports[0])
+        runtime.note_render(RenderNote(None, reports, evaluate_ms, request_ms))
+        counts = [f"{len(seen[0].hands)} hands"] + ([f"{len(seen)} sub-frames"] if len(seen) > 1 else [])
+        drawn = [f"{report.get('total_ms', 0):.0f} ms in the engine" for report in reports]
+        self.update_stats("JGHand", " · ".join([*counts, *drawn]))
+        self.update_progress(1.0)
+
+
+def _other_outputs(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> dict[str, str]:
+    """Pass -> output of the engine, of what this view layer asks for besides the colour."""
+    wanted = {}
+    if layer.use_pass_z:
+        wanted[DEPTH] = "depth"
+    if scene.jghand.use_pass_ids:
+        wanted[IDS] = "ids"
+    return wanted
+
+
+def _passes(arrays: dict[str, np.ndarray], depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[str, np.ndarray]]:
+    """The passes as Blender takes them."""
+    scene = depsgraph.scene
+    combined = film.scene_linear(arrays[COMBINED])
+    if not scene.render.film_transparent:
+        combined = film.over(combined, background(scene.world))
+    yield COMBINED, film.from_bottom(combined)
+    if DEPTH in arrays:
+        yield DEPTH, film.from_bottom(film.depth_units(arrays[DEPTH], scene.unit_settings.scale_length))
+    if IDS in arrays:
+        yield IDS, film.from_bottom(arrays[IDS])
+
+
+_CLASSES = (JGHandRenderEngine,)
+
+
+def _panels() -> Iterator[set[str]]:
+    """The sets in which Blender's panels say for which engines they show themselves."""
+    for name in _PANELS_OF_OTHERS:
+        engines = getattr(getattr(bpy.types, name, None), "COMPAT_ENGINES", None)
+        if isinstance(engines, set):
+            yield engines
+
+
+def register() -> None:
+    """Adds the engine."""
+    register_classes(_CLASSES)
+    for engines in _panels():
+        engines.add(JGHandRenderEngine.bl_idname)
+
+
+def unregister() -> None:
+    """Takes it away."""
+    for engines in _panels():
+        engines.discard(JGHandRenderEngine.bl_idname)
+    unregister_classes(_CLASSES)
