@@ -109,6 +109,11 @@ class JGHandSceneSettings(bpy.types.PropertyGroup):
         items=PRESETS,
         default="viewport",
     )  # type: ignore[valid-type]
+    sharpen_when_still: bpy.props.BoolProperty(
+        name="Sharpen When Still",
+        description="After a pause, draw the viewport with the settings of renders",
+        default=True,
+    )  # type: ignore[valid-type]
     use_viewport_budget: bpy.props.BoolProperty(
         name="Frame Budget",
         description="Choose the most accurate measured settings that draw a viewport picture in the given time",

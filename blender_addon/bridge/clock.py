@@ -1,0 +1,63 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""One timer of Blender's for the whole extension: it calls one function, which says when it wants to be called again.
+
+Timers never fire in `blender -b` nor in the bpy module: what they do must not matter there. Source: BLENDER 5.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import bpy
+
+_tick: Callable[[], float] | None = None
+_next_s = 0.0
+_inside = False
+
+
+def start(tick: Callable[[], float]) -> None:
+    """Calls `tick` from now on, on the main thread; it returns the seconds until the next call."""
+    global _tick
+    stop()
+    _tick = tick
+    _schedule(0.0)
+
+
+def stop() -> None:
+    """Ends it; may be called when it was never started."""
+    global _tick
+    _tick = None
+    if bpy.app.timers.is_registered(_call):
+        bpy.app.timers.unregister(_call)
+
+
+def hasten(seconds: float) -> None:
+    """Makes sure that the next call comes within so many seconds."""
+    if _tick is not None and not _inside and time.monotonic() + seconds < _next_s:
+        bpy.app.timers.unregister(_call)
+        _schedule(seconds)
+
+
+def runs() -> bool:
+    """Whether it was started."""
+    return _tick is not None
+
+
+def _schedule(seconds: float) -> None:
+    global _next_s
+    _next_s = time.monotonic() + seconds
+    bpy.app.timers.register(_call, first_interval=seconds, persistent=True)
+
+
+def _call() -> float | None:
+    global _next_s, _inside
+    if _tick is None:
+        return None
+    _inside = True
+    try:
+        seconds = _tick()
+    finally:
+        _inside = False
+    _next_s = time.monotonic() + seconds
+    return seconds

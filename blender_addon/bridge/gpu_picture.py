@@ -1,0 +1,176 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A picture of the engine as textures, and drawing it into a view. Only to be used while Blender draws.
+
+The engine's picture is display-referred sRGB, premultiplied. What a custom shader writes into a view is taken as
+linear, so the shader decodes it (on straight colours) and the view shows the engine's numbers. Each pixel is tested
+against the scene at its own depth. Source: BLENDER 7.2 and 7.3.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import bpy
+import gpu
+import numpy as np
+from gpu_extras.batch import batch_for_shader
+
+from ..core.cropping import Part
+
+_VERTEX = """
+void main()
+{
+  uv = pos;
+  gl_Position = vec4(mix(place.xy, place.zw, pos), 0.0, 1.0);
+}
+"""
+
+# The picture may have fewer pixels than the part of the view that it fills: colours are blended between four pixels,
+# decoded; depths never are, a depth half way between a finger and nothing would float in front of everything.
+_FRAGMENT = """
+vec4 colour_at(ivec2 at)
+{
+  vec4 c = texelFetch(picture, clamp(at, ivec2(0), textureSize(picture, 0) - 1), 0);
+  if (c.a <= 0.0) {
+    return vec4(0.0);
+  }
+  vec3 shown = min(c.rgb / c.a, vec3(1.0));
+  vec3 linear = mix(shown / 12.92, pow((shown + 0.055) / 1.055, vec3(2.4)), step(vec3(0.04045), shown));
+  return vec4(linear * c.a, c.a);
+}
+
+float depth_at(ivec2 at)
+{
+  return texelFetch(depth_m, clamp(at, ivec2(0), textureSize(depth_m, 0) - 1), 0).r;
+}
+
+void main()
+{
+  vec2 at = vec2(uv.x, 1.0 - uv.y) * vec2(textureSize(picture, 0));
+  ivec2 here = ivec2(floor(at));
+  vec4 colour;
+  float depth = depth_at(here);
+  if (smooth_it == 0) {
+    colour = colour_at(here);
+  }
+  else {
+    ivec2 first = ivec2(floor(at - 0.5));
+    vec2 part = at - 0.5 - vec2(first);
+    vec4 above = mix(colour_at(first), colour_at(first + ivec2(1, 0)), part.x);
+    vec4 below = mix(colour_at(first + ivec2(0, 1)), colour_at(first + ivec2(1, 1)), part.x);
+    colour = mix(above, below, part.y);
+    if (depth <= 0.0) {
+      depth = max(max(depth_at(first), depth_at(first + ivec2(1, 0))),
+                  max(depth_at(first + ivec2(0, 1)), depth_at(first + ivec2(1, 1))));
+    }
+  }
+  if (colour.a < 0.5 / 255.0) {
+    discard;
+  }
+  vec2 clip = clip_from_depth.xz * depth + clip_from_depth.yw;
+  float between = 0.5 * clip.x / clip.y + 0.5;
+  if (between < 0.0 || between > 1.0) {
+    discard;
+  }
+  gl_FragDepth = between;
+  shown_colour = colour;
+}
+"""
+
+_CORNERS = ((0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0))
+
+
+@dataclass
+class _Tools:
+    """shader: for pictures; quad: its four corners."""
+
+    shader: gpu.types.GPUShader
+    quad: gpu.types.GPUBatch
+
+
+_tools: _Tools | None = None
+# textures that no view needs any more: freed when Blender draws the next time, which has the right context for it
+_unwanted: list[GpuPicture] = []
+
+
+class GpuPicture:
+    """Textures of one picture. Keep it until the drawing is over: one that is freed earlier leaves the view black.
+
+    rgba: (H, W, 4) uint8, sRGB, premultiplied, top row first; depth_m: (H, W) float32 along the view axis, 0 = nothing.
+    """
+
+    def __init__(self, rgba: np.ndarray, depth_m: np.ndarray) -> None:
+        self.height, self.width = depth_m.shape
+        self._colour = self._texture(np.multiply(rgba, np.float32(1 / 255), dtype=np.float32), 4, "RGBA8")
+        self._depth = self._texture(depth_m.astype(np.float32, copy=False), 1, "R32F")
+
+    def draw(
+        self, part: Part, region: tuple[int, int], clip: tuple[float, float, float, float], *, behind_scene: bool
+    ) -> None:
+        """Fills a part of a view of that many pixels. clip: as `ViewCamera.clip_of_depth` gives it; behind_scene:
+        whether things of the scene that are nearer hide it."""
+        tools = _made_tools()
+        _unwanted.clear()
+        width, height = region
+        left, right = 2 * part.left / width - 1, 2 * part.right / width - 1
+        bottom, top = 1 - 2 * part.bottom / height, 1 - 2 * part.top / height
+        gpu.state.blend_set("ALPHA_PREMULT")
+        gpu.state.depth_test_set("LESS_EQUAL" if behind_scene else "NONE")
+        gpu.state.depth_mask_set(False)
+        try:
+            tools.shader.bind()
+            tools.shader.uniform_float("place", (left, bottom, right, top))
+            tools.shader.uniform_float("clip_from_depth", clip)
+            same_size = (part.width, part.height) == (self.width, self.height)
+            tools.shader.uniform_int("smooth_it", 0 if same_size else 1)
+            tools.shader.uniform_sampler("picture", self._colour)
+            tools.shader.uniform_sampler("depth_m", self._depth)
+            tools.quad.draw(tools.shader)
+        finally:
+            gpu.state.depth_test_set("NONE")
+            gpu.state.blend_set("NONE")
+
+    def _texture(self, values: np.ndarray, channels: int, kind: str) -> gpu.types.GPUTexture:
+        flat = np.ascontiguousarray(values).ravel()
+        data = gpu.types.Buffer("FLOAT", self.width * self.height * channels, flat)
+        return gpu.types.GPUTexture((self.width, self.height), format=kind, data=data)
+
+
+def discard(picture: GpuPicture | None) -> None:
+    """Frees a picture when Blender draws the next time."""
+    if picture is not None:
+        _unwanted.append(picture)
+
+
+def forget() -> None:
+    """Lets go of shader and textures, with the extension."""
+    global _tools
+    _tools = None
+    _unwanted.clear()
+
+
+def can_draw() -> bool:
+    """Whether there is a screen to draw on."""
+    return not bpy.app.background
+
+
+def _made_tools() -> _Tools:
+    global _tools
+    if _tools is None:
+        between = gpu.types.GPUStageInterfaceInfo("jghand_picture_between")
+        between.smooth("VEC2", "uv")
+        info = gpu.types.GPUShaderCreateInfo()
+        info.push_constant("VEC4", "place")
+        info.push_constant("VEC4", "clip_from_depth")
+        info.push_constant("INT", "smooth_it")
+        info.sampler(0, "FLOAT_2D", "picture")
+        info.sampler(1, "FLOAT_2D", "depth_m")
+        info.vertex_in(0, "VEC2", "pos")
+        info.vertex_out(between)
+        info.fragment_out(0, "VEC4", "shown_colour")
+        info.depth_write("ANY")
+        info.vertex_source(_VERTEX)
+        info.fragment_source(_FRAGMENT)
+        shader = gpu.shader.create_from_info(info)
+        _tools = _Tools(shader, batch_for_shader(shader, "TRI_STRIP", {"pos": _CORNERS}))
+    return _tools

@@ -1,0 +1,26 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Rendered mode: the same pictures as in Solid, drawn by the render engine. Source: BLENDER 7.2 and 7.3.
+
+What `view_draw` writes is scene-linear, and the scene's view transform is applied to it: under Standard the view shows
+the engine's numbers, under AgX it does not.
+"""
+
+from __future__ import annotations
+
+import bpy
+
+from . import rendering, views
+
+
+class ViewportEngine:
+    """What a `bpy.types.RenderEngine` needs to show hands in 3D views: inherit from both."""
+
+    def view_update(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
+        """Something changed in the scene. Every draw looks for itself what there is to show."""
+
+    def view_draw(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
+        """Draws one 3D view."""
+        if rendering.now():
+            views.show_again(context, views.RENDERED)
+        else:
+            views.show(context, depsgraph, views.RENDERED)

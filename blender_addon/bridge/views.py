@@ -1,0 +1,292 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The 3D views that show hands: what each wants, what it asked the engine for, and the picture it has.
+
+Everything is asked anew whenever Blender draws a view: no reference to Blender's data is kept between two draws, so
+undo, duplicating, appending and opening files need no care. A view is known by the address of its region, which is
+only ever compared. When and what is asked is decided by core/pacing.py. Source: BLENDER 5 and 7.1.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import bpy
+import numpy as np
+
+from .. import runtime
+from ..core import cropping, limits, pacing
+from ..core.cropping import Part
+from ..core.link import Answer
+from ..core.messages import JGHandFailure
+from ..core.pacing import Activity, Moment, Pace, ViewSettings, Want
+from ..core.view import HandInSpace, picture_request
+from . import clock, gpu_picture, seen_hands
+from .view_camera import ViewCamera, view_camera
+
+# kinds of views: a draw handler in Solid and Material Preview, the render engine in Rendered
+SOLID, RENDERED = "viewport", "rendered"
+_OUTPUTS = ("rgba_u8", "depth")
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where a picture belongs: a part of the view, and how far its camera stood back, metres."""
+
+    part: Part
+    room_m: float
+
+
+@dataclass
+class View:
+    """One region and one kind. names: of the objects that are shown, for sentences · came: the newest picture, not yet
+    textures · seen_s: when it was drawn last"""
+
+    region: int
+    kind: str
+    camera: ViewCamera | None = None
+    hands: list[HandInSpace] = field(default_factory=list)
+    part: Part | None = None
+    settings: ViewSettings = field(default_factory=ViewSettings)
+    pace: Pace = field(default_factory=Pace)
+    places: dict[str, Place] = field(default_factory=dict)
+    came: tuple[np.ndarray, np.ndarray] | None = None
+    picture: gpu_picture.GpuPicture | None = None
+    place: Place | None = None
+    taken: Answer | None = None
+    failure: JGHandFailure | None = None
+    unreadable: list[tuple[str, JGHandFailure]] = field(default_factory=list)
+    round_trip_s: float = 0.0
+
+    @property
+    def slot(self) -> str:
+        """The view's place at the link."""
+        return f"{self.kind}:{self.region:x}"
+
+
+_views: dict[tuple[int, str], View] = {}
+# when Blender came to the present frame, on the clock of time.monotonic()
+_step_s = 0.0
+
+
+def now_s() -> float:
+    """The clock of everything here."""
+    return time.monotonic()
+
+
+def begin_step() -> None:
+    """Blender came to another frame: what views wait for is counted from here."""
+    global _step_s
+    _step_s = now_s()
+
+
+def moment_of(scene: bpy.types.Scene) -> Moment:
+    """What the user does, and whether the engine answers."""
+    activity = Activity.POSING
+    for window in bpy.context.window_manager.windows:
+        if window.screen.is_scrubbing:
+            activity = Activity.SCRUBBING
+        elif window.screen.is_animation_playing:
+            activity = Activity.PLAYING
+    render = scene.render
+    frame_s = render.fps_base / render.fps
+    return Moment(now_s(), activity, frame_s, _step_s, runtime.link().status.state == "ready")
+
+
+def settings_of(scene: bpy.types.Scene) -> ViewSettings:
+    """What the scene says about its viewport pictures."""
+    chosen = scene.jghand
+    return ViewSettings(
+        preset=chosen.viewport_preset,
+        sharp_preset=chosen.render_preset if chosen.sharpen_when_still else None,
+        budget_ms=chosen.viewport_budget_ms if chosen.use_viewport_budget else None,
+        density=chosen.viewport_density,
+        shadow_strength=chosen.shadow_strength,
+    )
+
+
+# ---- drawing ---------------------------------------------------------------------------------------------------------
+
+
+def show(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph, kind: str) -> None:
+    """Draws the hands into the view that Blender draws now; asks for a new picture where that is needed."""
+    region = context.region
+    things = seen_hands.hands_in(context.scene, context.view_layer, context.space_data, switched_on_only=kind == SOLID)
+    view = _views.get((region.as_pointer(), kind))
+    if not things:
+        if view is not None:
+            remove(view)
+        return
+    if view is None:
+        view = _views[region.as_pointer(), kind] = View(region.as_pointer(), kind)
+    view.settings = settings_of(context.scene)
+    view.camera = view_camera(region, context.region_data, context.scene.unit_settings.scale_length)
+    view.hands, view.unreadable = seen_hands.read(things, depsgraph)
+    view.part = cropping.part_with(view.camera.whole, view.hands)
+    if view.part is None:
+        return
+    moment = moment_of(context.scene)
+    look(view, moment, drawing=True)
+    if pacing.may_show(view.pace, moment):
+        _draw(view)
+
+
+def show_again(context: bpy.types.Context, kind: str) -> None:
+    """Draws the picture that a view has, if it is of the view's side; reads nothing and asks for nothing."""
+    view = _views.get((context.region.as_pointer(), kind))
+    shown = view.pace.shown if view is not None else None
+    if view is None or shown is None or not context.scene.jghand.show_in_viewport:
+        return
+    view.camera = view_camera(context.region, context.region_data, context.scene.unit_settings.scale_length)
+    if pacing.digest(view.camera.parts) == shown.want.camera:
+        _draw(view)
+
+
+def _draw(view: View) -> None:
+    if view.came is not None:
+        gpu_picture.discard(view.picture)
+        view.picture = gpu_picture.GpuPicture(*view.came)
+        view.came = None
+    if view.picture is None or view.place is None or view.camera is None:
+        return
+    whole = view.camera.whole
+    view.picture.draw(
+        view.place.part,
+        (whole.width, whole.height),
+        view.camera.clip_of_depth(view.place.room_m),
+        behind_scene=view.kind == SOLID,
+    )
+
+
+# ---- asking ----------------------------------------------------------------------------------------------------------
+
+
+def look(view: View, moment: Moment, *, drawing: bool) -> None:
+    """Takes what came, asks for what is needed, and while drawing waits for it as long as that is allowed."""
+    take(view, moment)
+    if view.camera is None or view.part is None:
+        return
+    view.pace, decision = pacing.step(view.pace, _want(view), moment, view.settings)
+    if decision.ask is not None:
+        _ask(view, decision.ask)
+    if not drawing:
+        return
+    if decision.wait_for is not None:
+        answer = runtime.link().wait(view.slot, decision.wait_for, decision.wait_s)
+        if answer is None:
+            view.pace = pacing.gave_up_waiting(view.pace)
+        take(view, moment)
+    if view.pace.shown is None or view.pace.shown.want != view.pace.want:
+        view.pace = pacing.missed(view.pace, moment)
+
+
+def read_again(view: View, things: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> None:
+    """Reads the hands of a view that is not drawn yet, from where it looked last."""
+    view.hands, view.unreadable = seen_hands.read(things, depsgraph)
+    view.part = cropping.part_with(view.camera.whole, view.hands) if view.camera is not None else None
+
+
+def take(view: View, moment: Moment) -> bool:
+    """Takes the newest answer; True when the view has something else to show or to say."""
+    answer = runtime.link().answer(view.slot)
+    if answer is None or answer is view.taken:
+        return False
+    view.taken = answer
+    view.round_trip_s = answer.round_trip_ms / 1e3
+    kind = answer.failure.kind if answer.failure is not None else None
+    tag = str(answer.tag)
+    view.pace, accepted = pacing.answered(view.pace, tag, kind, view.round_trip_s, moment.frame_s)
+    before, view.failure = view.failure, answer.failure if view.pace.failure() is not None else None
+    if accepted and answer.message is not None:
+        arrays = answer.message.arrays
+        view.came = np.asarray(arrays["rgba_u8"].view()), np.asarray(arrays["depth"].view())
+        view.place = view.places.get(tag)
+        for report in answer.message.header.get("reports", [])[:1]:
+            runtime.set_report(runtime.VIEWPORT, report)
+    return accepted or view.failure is not before
+
+
+def _want(view: View) -> Want:
+    assert view.camera is not None  # `look` has checked it
+    assert view.part is not None
+    parts: list[bytes | str] = [repr(view.settings)]
+    for hand in view.hands:
+        parts += [hand.avatar, hand.handedness, hand.joints_m.tobytes(), hand.world_from_hand.tobytes()]
+    return Want(pacing.digest(parts), pacing.digest(view.camera.parts), view.part.pixels)
+
+
+def _ask(view: View, ask: pacing.Ask) -> None:
+    assert view.camera is not None
+    assert view.part is not None
+    whole, room_m = view.camera.in_front_of(view.hands)
+    pinhole = cropping.picture_of(whole, view.part, ask.quality.pixels_max)
+    header, arrays = picture_request(pinhole, view.hands, outputs=_OUTPUTS, settings=ask.quality.settings())
+    kept = {each.tag for each in view.pace.asks}
+    view.places = {tag: place for tag, place in view.places.items() if tag in kept}
+    view.places[ask.tag] = Place(view.part, room_m)
+    runtime.link().ask(view.slot, header, arrays, ask.tag)
+    clock.hasten(next_look_s(view))
+
+
+def next_look_s(view: View) -> float:
+    """In how many seconds the answer that a view waits for should be looked for: when the last one had come by then."""
+    since_s = now_s() - view.pace.asks[-1].asked_s if view.pace.asks else 0.0
+    return min(max(view.round_trip_s - since_s, limits.SHORTEST_TICK_S), limits.OPEN_TICK_S)
+
+
+# ---- all views -------------------------------------------------------------------------------------------------------
+
+
+def all_views() -> list[View]:
+    """Every view that shows hands."""
+    return list(_views.values())
+
+
+def remove(view: View) -> None:
+    """Forgets a view: it is gone, or has no hand any more."""
+    _views.pop((view.region, view.kind), None)
+    gpu_picture.discard(view.picture)
+    runtime.link().drop(view.slot)
+
+
+def clear() -> None:
+    """Forgets every view, as when another file was opened: the next draw begins anew."""
+    for view in all_views():
+        remove(view)
+    seen_hands.forget()
+
+
+def forget_failures() -> None:
+    """Lets every view ask again for what failed, or for what an engine that is gone was asked for."""
+    for view in all_views():
+        view.pace, view.failure = pacing.forgotten(view.pace), None
+
+
+def open_regions() -> Iterator[tuple[bpy.types.Window, bpy.types.Area, bpy.types.Region]]:
+    """The regions of all windows that draw 3D views."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type == "VIEW_3D":
+                for region in area.regions:
+                    if region.type == "WINDOW":
+                        yield window, area, region
+
+
+# ---- what panels show ------------------------------------------------------------------------------------------------
+
+
+def late_frames() -> int:
+    """How many frames of this or the last playback were drawn without their picture, in the view where it was most."""
+    return max((view.pace.late for view in _views.values()), default=0)
+
+
+def problems() -> list[tuple[str, JGHandFailure]]:
+    """Why hands, by the name of their object, or whole views ("") do not show: each only once."""
+    found: dict[tuple[str, str], tuple[str, JGHandFailure]] = {}
+    for view in _views.values():
+        for name, failure in view.unreadable:
+            found[name, failure.kind] = (name, failure)
+        if view.failure is not None:
+            found["", view.failure.kind] = ("", view.failure)
+    return list(found.values())
