@@ -94,8 +94,6 @@ SHADOW_HAND_MIN_PX = 64.0
 # ---- splat: half resolution ------------------------------------------------------------------------------------------
 # depths that differ by less are of one surface, metres: less than a finger's thickness, more than a pixel's slope
 SAME_SURFACE_M = 0.005
-# rows of the small picture that one thread enlarges at a time: what they become stays in a core's cache
-HALF_BAND_ROWS = 16
 
 # ---- splat: so many milliseconds a frame -----------------------------------------------------------------------------
 # part of a budget that 95 % of the measured frames may take: the rest is for whoever shows the picture

@@ -13,7 +13,7 @@ import numpy as np
 
 from jghand_engine.errors import InputError, RetryError
 
-ABI = 5
+ABI = 6
 
 _P, _I32, _I64, _F32 = ctypes.c_void_p, ctypes.c_int32, ctypes.c_int64, ctypes.c_float
 
@@ -33,6 +33,8 @@ SIGNATURES: dict[str, tuple[object, tuple[object, ...]]] = {
     "jg_shade_backward": (None, (_P, _P, _P)),
     "jg_ssim_task_bytes": (_I32, ()),
     "jg_ssim": (None, (_P, _P)),
+    "jg_enlarge_task_bytes": (_I32, ()),
+    "jg_enlarge": (None, (_P, _P)),
     "jg_team_bytes": (_I32, ()),
     "jg_raster_job_bytes": (_I32, ()),
     "jg_raster_forward": (None, (_P,)),

@@ -41,7 +41,7 @@ from jghand_engine.splat.effects import (
     standing_still,
 )
 from jghand_engine.splat.exposure import Shutter, exposures
-from jghand_engine.splat.half import enlarged_colour, enlarged_depth, halved, repeated
+from jghand_engine.splat.half import enlarged, halved, repeated
 from jghand_engine.splat.mean_picture import Drawn, MeanPicture, averaged_down
 from jghand_engine.splat.painter import SHADOW, SKIN, Canvas, Painter, Pose, TorchPainter
 from jghand_engine.splat.painter_native import NativePainter
@@ -315,9 +315,8 @@ def _enlarged(frame: Frame, camera: Camera) -> Frame:
     """A frame of `halved(camera)` as one of `camera`."""
     started, report = time.perf_counter(), frame.report
     size = camera.width, camera.height
-    rgba = enlarged_colour(frame.rgba, *size, report.threads)
     # without depth the zeros stay zeros
-    depth_m = enlarged_depth(frame.depth_m, *size, report.threads)
+    rgba, depth_m = enlarged(frame.rgba, frame.depth_m, camera, native_library.load(report.backend), report.threads)
     normal, ids = (None if each is None else repeated(each, *size) for each in (frame.normal, frame.ids))
     spent_ms = 1e3 * (time.perf_counter() - started)
     report.ran(ENLARGE, spent_ms)

@@ -7,13 +7,13 @@ much as drawing, so they are not. Depths are kept apart: a mean of finger and pa
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 
 from jghand_engine import limits
-from jghand_engine.native.threads import shared_pool
+from jghand_engine.native.binding import Library
+from jghand_engine.native.enlarge import native_enlarged
 from jghand_engine.splat.camera import Camera
 
 
@@ -30,67 +30,49 @@ def halved(camera: Camera) -> Camera:
     )
 
 
-def enlarged_colour(rgba: np.ndarray, width: int, height: int, threads: int = 1) -> np.ndarray:
+def enlarged(
+    rgba: np.ndarray, depth_m: np.ndarray, camera: Camera, library: Library | None = None, threads: int = 1
+) -> tuple[np.ndarray, np.ndarray]:
+    """(H, W, 4) float32 premultiplied and (H, W) float32 metres, 0 where there is nothing, of `halved(camera)` -> those
+    of `camera`. By the compiled kernel where there is a library."""
+    if library is None:
+        return enlarged_colour(rgba, camera.width, camera.height), enlarged_depth(depth_m, camera.width, camera.height)
+    return native_enlarged(library, rgba, depth_m, (camera.width, camera.height), threads)
+
+
+def enlarged_colour(rgba: np.ndarray, width: int, height: int) -> np.ndarray:
     """(H, W, 4) float32 premultiplied of `halved` -> (height, width, 4), interpolated; beyond the edge it goes on."""
-    out = np.empty((height, width, 4), np.float32)
-
-    def band(rows: np.ndarray, target: np.ndarray) -> None:
-        tall = np.empty((2 * (len(rows) - 2), rows.shape[1] + 2, 4), np.float32)
-        middle = np.float32(0.75) * rows[1:-1]
-        np.add(middle, np.float32(0.25) * rows[:-2], out=tall[0::2, 1:-1])
-        np.add(middle, np.float32(0.25) * rows[2:], out=tall[1::2, 1:-1])
-        tall[:, 0], tall[:, -1] = tall[:, 1], tall[:, -2]
-        tall = tall[: len(target)]
-        middle = np.float32(0.75) * tall[:, 1:-1]
-        left, right = (np.float32(0.25) * side for side in (tall[:, :-2], tall[:, 2:]))
-        np.add(middle, left, out=target[:, 0::2])
-        np.add(middle[:, : width // 2], right[:, : width // 2], out=target[:, 1::2])
-
-    _in_bands(rgba, out, band, threads)
-    return out
+    return np.swapaxes(_doubled(np.swapaxes(_doubled(rgba, height), 0, 1), width), 0, 1)
 
 
-def enlarged_depth(depth_m: np.ndarray, width: int, height: int, threads: int = 1) -> np.ndarray:
+def _doubled(values: np.ndarray, count: int) -> np.ndarray:
+    """Twice as many rows, or one less: three quarters of the nearest and one of the next."""
+    edged = np.concatenate([values[:1], values, values[-1:]])
+    out = np.empty((2 * len(values), *values.shape[1:]), np.float32)
+    for place, beside in ((0, edged[:-2]), (1, edged[2:])):
+        out[place::2] = np.float32(0.75) * values + np.float32(0.25) * beside
+    return out[:count]
+
+
+def enlarged_depth(depth_m: np.ndarray, width: int, height: int) -> np.ndarray:
     """(H, W) float32 metres, 0 where there is nothing -> (height, width): the mean of those of the four nearest pixels
     that show the same surface as the nearest one does."""
     out = np.empty((height, width), np.float32)
-
-    def band(rows: np.ndarray, target: np.ndarray) -> None:
-        wide = np.pad(rows, ((0, 0), (1, 1)), mode="edge")
-        nearest = wide[1:-1, 1:-1]
-        for down in (0, 1):
-            for across in (0, 1):
-                y, x = 2 * down - 1, 2 * across - 1
-                total, weight = 9 * nearest, np.full_like(nearest, 9)
-                for dy, dx, share in ((y, 0, 3), (0, x, 3), (y, x, 1)):
-                    other = wide[1 + dy : len(wide) - 1 + dy, 1 + dx : wide.shape[1] - 1 + dx]
-                    same = share * (np.abs(other - nearest) < limits.SAME_SURFACE_M)
-                    total += same * other
-                    weight += same
-                place = target[down::2, across::2]
-                place[...] = (total / weight)[: place.shape[0], : place.shape[1]]
-
-    _in_bands(depth_m, out, band, threads)
+    edged = np.pad(depth_m, 1, mode="edge")
+    for down in (0, 1):
+        for across in (0, 1):
+            y, x = 2 * down - 1, 2 * across - 1
+            total, weight = 9 * depth_m, np.full_like(depth_m, 9)
+            for dy, dx, share in ((y, 0, 3), (0, x, 3), (y, x, 1)):
+                other = edged[1 + dy : len(edged) - 1 + dy, 1 + dx : edged.shape[1] - 1 + dx]
+                same = share * (np.abs(other - depth_m) < limits.SAME_SURFACE_M)
+                total += same * other
+                weight += same
+            place = out[down::2, across::2]
+            place[...] = (total / weight)[: place.shape[0], : place.shape[1]]
     return out
 
 
 def repeated(values: np.ndarray, width: int, height: int) -> np.ndarray:
     """(H, W, …) -> (height, width, …): what cannot be mixed, such as the numbers of hands."""
     return values.repeat(2, 0).repeat(2, 1)[:height, :width]
-
-
-def _in_bands(
-    small: np.ndarray, large: np.ndarray, band: Callable[[np.ndarray, np.ndarray], None], threads: int
-) -> None:
-    """Calls `band` for pieces that stay in the cache: rows of `small` and one more on each side, rows of `large`."""
-    edged = np.concatenate([small[:1], small, small[-1:]])
-    step = limits.HALF_BAND_ROWS
-
-    def one(index: int) -> None:
-        first = index * step
-        band(edged[first : first + step + 2], large[2 * first : 2 * (first + step)])
-
-    if small.any():
-        shared_pool(threads).map(one, -(-len(small) // step))
-    else:
-        large.fill(0)

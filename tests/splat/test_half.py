@@ -11,6 +11,8 @@ from small_avatars import small_avatar
 from jghand_engine.avatar.builtin import load_painted
 from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.native.enlarge import native_enlarged
+from jghand_engine.native.library import load, runnable_variants
 from jghand_engine.splat.camera import Camera
 from jghand_engine.splat.frame import HandRenderer
 from jghand_engine.splat.half import enlarged_colour, enlarged_depth, halved
@@ -28,18 +30,27 @@ def test_a_slope_is_enlarged_exactly(width, height):
         return np.stack([x[None, :] + 2 * y[:, None]] * 4, -1).astype(np.float32)
 
     small = plane((width + 1) // 2, (height + 1) // 2, 2.0)
-    large = enlarged_colour(small, width, height, threads=2)
+    large = enlarged_colour(small, width, height)
     assert large.shape == (height, width, 4)
     inside = (slice(1, -2), slice(1, -2))
     assert np.allclose(large[inside], plane(width, height, 1.0)[inside], atol=1e-4)
 
 
-def test_bands_do_not_show():
-    small = np.random.default_rng(0).random((50, 30, 4), np.float32)
-    whole = enlarged_colour(small, 60, 100)
-    # rows far from where the bands begin in either of the two
-    shifted = enlarged_colour(small[5:], 60, 90)
-    assert np.array_equal(whole[12:], shifted[2:])
+@pytest.mark.parametrize("library", [load(name) for name in runnable_variants()], ids=lambda library: library.variant)
+@pytest.mark.parametrize(("width", "height", "threads"), [(60, 100, 1), (61, 99, 2), (2, 3, 2), (1, 1, 1)])
+def test_the_kernel_does_what_the_specification_says(library, width, height, threads):
+    size = (height + 1) // 2, (width + 1) // 2
+    generator = np.random.default_rng(width)
+    rgba = generator.random((*size, 4), np.float32)
+    depth_m = generator.choice(np.float32([0.5, 0.502, 0.53]), size)
+    # a hole, empty rows above and below, and single pixels with nothing beside them
+    drawn = generator.random(size) < 0.5
+    drawn[: size[0] // 4], drawn[-(size[0] // 4) :] = False, False
+    drawn[0, 0] = True
+    rgba, depth_m = rgba * drawn[..., None], depth_m * drawn
+    large, large_depth_m = native_enlarged(library, rgba, depth_m, (width, height), threads)
+    assert np.allclose(large, enlarged_colour(rgba, width, height), atol=1e-7)
+    assert np.allclose(large_depth_m, enlarged_depth(depth_m, width, height), atol=1e-7)
 
 
 def test_depths_of_finger_and_palm_are_kept_apart_and_nothing_stays_nothing():
