@@ -54,21 +54,38 @@ def pose_items(_owner: object, context: bpy.types.Context | None) -> list[tuple[
     return _pose_items[key]
 
 
+# properties' functions have names of their own: a lambda in an annotation would not see this module
+def _bone(row: JGHandJoint) -> str:
+    return bone_list.bone_of(row.id_data, row.name)
+
+
+def _set_bone(row: JGHandJoint, bone: str) -> None:
+    bone_list.set_bone(row.id_data, row.name, bone)
+
+
+def _end(row: JGHandJoint) -> int:
+    return bone_list.end_of(row.id_data, row.name)
+
+
+def _set_end(row: JGHandJoint, place: int) -> None:
+    bone_list.set_end(row.id_data, row.name, place)
+
+
 class JGHandJoint(bpy.types.PropertyGroup):
     """One row of a foreign armature's bone map: `name` is the joint, the rest is read from the stored map."""
 
     bone: bpy.props.StringProperty(
         name="Bone",
         description="The bone of the rig that begins or ends at this joint",
-        get=lambda self: bone_list.bone_of(self.id_data, self.name),
-        set=lambda self, bone: bone_list.set_bone(self.id_data, self.name, bone),
+        get=_bone,
+        set=_set_bone,
     )  # type: ignore[valid-type]
     end: bpy.props.EnumProperty(
         name="End",
         description="Which end of the bone the joint is",
         items=ENDS,
-        get=lambda self: bone_list.end_of(self.id_data, self.name),
-        set=lambda self, place: bone_list.set_end(self.id_data, self.name, place),
+        get=_end,
+        set=_set_end,
     )  # type: ignore[valid-type]
 
 

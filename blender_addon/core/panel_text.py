@@ -8,6 +8,7 @@ final full stop, as Blender's have none.
 
 from __future__ import annotations
 
+import math
 import re
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
@@ -133,9 +134,10 @@ def status_text(status: Any, frame_ms: float | None = None, translate: Translate
     if state == "stopping":
         return StatusText(translate("Stopping…  {since}").format(since=since), True)
     if state == "slow":
-        text = translate("Not answering for {since}").format(since=since)
-        remedy = translate("It may be working: wait, or restart it")
-        return StatusText(text, False, remedy, buttons=(Button("jghand.restart_engine", "Restart"), stop))
+        text = translate("The engine is not answering")
+        remedy = translate("It may be at work: wait, or restart it")
+        detail = translate("Running for {since}").format(since=since)
+        return StatusText(text, False, remedy, detail, (Button("jghand.restart_engine", "Restart"), stop))
     facts = status.handshake or {}
     parts = [translate("Ready"), str(facts.get("device", "")).upper() or None]
     parts.append(milliseconds(frame_ms) if frame_ms is not None else None)
@@ -272,4 +274,5 @@ def _mappings(values: Any) -> list[Mapping[str, Any]]:
 
 
 def _number(value: Any, otherwise: float = 0.0) -> float:
-    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else otherwise
+    is_number = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    return float(value) if is_number else otherwise

@@ -25,6 +25,27 @@ _EITHER = (("BOTH", "Both", "Every hand that is found", "NONE", -1), *HANDS)
 _choices: dict[str, list[tuple[str, str, str]]] = {side: [] for side in HANDEDNESSES}
 
 
+def _choice_items(context: bpy.types.Context | None, side: str) -> list[tuple[str, str, str]]:
+    rig = context.object if context is not None else None
+    candidates = sources.recognise(rig, side).candidates if rig is not None and rig.type == "ARMATURE" else ()
+    items = [("NONE", "Choose", "Several sets of bones may be this hand")]
+    for place, bone_map in enumerate(candidates):
+        first = next(source.bone for source in bone_map.sources if source is not None)
+        items.append((str(place), f"{bone_map.convention} ({first})", f"Bones as {bone_map.convention} names them"))
+    if _choices[side] != items:
+        _choices[side] = items
+    return _choices[side]
+
+
+# items' functions have names of their own: a lambda in an annotation would not see this module
+def _right_choices(_operator: UseArmature, context: bpy.types.Context | None) -> list[tuple[str, str, str]]:
+    return _choice_items(context, "right")
+
+
+def _left_choices(_operator: UseArmature, context: bpy.types.Context | None) -> list[tuple[str, str, str]]:
+    return _choice_items(context, "left")
+
+
 class AddHand(Reporting, bpy.types.Operator):
     """Operator: a hand of ours at the 3D cursor."""
 
@@ -100,12 +121,12 @@ class UseArmature(Reporting, bpy.types.Operator):
     right: bpy.props.EnumProperty(
         name="Right Hand",
         description="Which of several sets of bones is the right hand",
-        items=lambda self, context: _choice_items(context, "right"),
+        items=_right_choices,
     )  # type: ignore[valid-type]
     left: bpy.props.EnumProperty(
         name="Left Hand",
         description="Which of several sets of bones is the left hand",
-        items=lambda self, context: _choice_items(context, "left"),
+        items=_left_choices,
     )  # type: ignore[valid-type]
 
     @classmethod
@@ -281,18 +302,6 @@ def add_camera(context: bpy.types.Context, hand: bpy.types.Object) -> bpy.types.
 def _recognised(rig: bpy.types.Object, handedness: str) -> list[Recognition]:
     sides = HANDEDNESSES if handedness == "BOTH" else (handedness,)
     return [sources.recognise(rig, side) for side in sides]
-
-
-def _choice_items(context: bpy.types.Context | None, side: str) -> list[tuple[str, str, str]]:
-    rig = context.object if context is not None else None
-    candidates = sources.recognise(rig, side).candidates if rig is not None and rig.type == "ARMATURE" else ()
-    items = [("NONE", "Choose", "Several sets of bones may be this hand")]
-    for place, bone_map in enumerate(candidates):
-        first = next(source.bone for source in bone_map.sources if source is not None)
-        items.append((str(place), f"{bone_map.convention} ({first})", f"Bones as {bone_map.convention} names them"))
-    if _choices[side] != items:
-        _choices[side] = items
-    return _choices[side]
 
 
 def _chosen_map(found: Recognition, choice: str) -> BoneMap | None:

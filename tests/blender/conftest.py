@@ -34,6 +34,16 @@ def context():
     return bpy.context
 
 
+@pytest.fixture
+def extension(context):
+    """The same with the extension switched on."""
+    import blender_addon
+
+    blender_addon.register()
+    yield context
+    blender_addon.unregister()
+
+
 @pytest.fixture(scope="session")
 def stand_in_command() -> list[str]:
     """An engine that draws discs and needs no torch."""

@@ -68,6 +68,19 @@ def mixamo_rig(context: bpy.types.Context) -> tuple[bpy.types.Object, dict[str, 
     return rig, joints
 
 
+def joint_empties(context: bpy.types.Context, handedness: str) -> list[bpy.types.Object]:
+    """21 selected empties where the joints of a resting hand are, named after them, standard order."""
+    things = []
+    for name, place in zip(NAMES, posing.rest_joints_m(handedness), strict=True):
+        thing = bpy.data.objects.new(f"{handedness}_{name}", None)
+        thing.location = place
+        context.scene.collection.objects.link(thing)
+        thing.select_set(True)
+        things.append(thing)
+    context.view_layer.update()
+    return things
+
+
 def put(thing: bpy.types.Object, place: tuple) -> None:
     location, rotation, scale = place
     thing.matrix_world = Matrix.LocRotScale(Vector(location), Euler(rotation), Vector(scale))

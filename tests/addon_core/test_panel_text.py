@@ -1,0 +1,195 @@
+"""What the panels say, from what the engine says."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from blender_addon.core import panel_text
+from blender_addon.core.bone_maps import JointSource
+from blender_addon.core.joints import NAMES
+from blender_addon.core.link import Status
+from blender_addon.core.messages import ADVICE, JGHandFailure
+
+HANDSHAKE = {"device": "cpu", "engine_version": "0.1.0", "pid": 42}
+
+
+@pytest.mark.parametrize(
+    ("status", "text", "good", "buttons"),
+    [
+        (Status("stopped", 0.0), "Engine off: it starts with the first picture", True, ["jghand.start_engine"]),
+        (Status("starting", 12.4), "Starting…  12 s", True, ["jghand.stop_engine"]),
+        (Status("ready", 200.0, None, HANDSHAKE), "Ready · CPU · 7.2 ms", True, ["jghand.stop_engine"]),
+        (
+            Status("slow", 90.0, None, HANDSHAKE),
+            "The engine is not answering",
+            False,
+            ["jghand.restart_engine", "jghand.stop_engine"],
+        ),
+        (Status("stopping", 1.0), "Stopping…  1 s", True, []),
+    ],
+)
+def test_every_state_has_a_line_and_the_buttons_that_fit(status, text, good, buttons):
+    said = panel_text.status_text(status, 7.24)
+    assert (said.text, said.good) == (text, good)
+    assert [button.operator for button in said.buttons] == buttons
+
+
+@pytest.mark.parametrize("kind", ADVICE)
+def test_every_failure_says_what_happened_when_and_what_to_do(kind):
+    said = panel_text.status_text(Status("failed", 130.0, JGHandFailure(kind, "line 7")))
+    assert not said.good
+    assert said.text == ADVICE[kind].sentence
+    assert said.remedy == ADVICE[kind].remedy
+    assert said.detail == "2 min ago · line 7"
+    assert len(said.buttons) == 2
+
+
+def test_a_ready_engine_says_since_when_in_the_small_print():
+    assert "2 h" in panel_text.status_text(Status("ready", 7300.0, None, HANDSHAKE)).detail
+
+
+RECEIPT = {
+    "total_ms": 7.24,
+    "backend": "avx2",
+    "threads": 2,
+    "gaussians": 60000,
+    "visible_gaussians": 51000,
+    "invalid_gaussians": 0,
+    "notes": [],
+    "stages": [
+        {"name": "skin", "ran": True, "milliseconds": 1.81, "reason": "", "bound": ""},
+        {"name": "raster", "ran": True, "milliseconds": 3.62, "reason": "", "bound": ""},
+        {
+            "name": "shadow + compose",
+            "ran": False,
+            "milliseconds": 0.0,
+            "reason": "gate 0.21",
+            "bound": "at most 0.2 %",
+        },
+    ],
+    "effects": [
+        {
+            "effect": "self-shadow",
+            "runs": False,
+            "reason": "no finger is near another",
+            "bound": "at most 0.2 %",
+            "worst": 0.002,
+            "estimated_ms": 0.4,
+        },
+        {
+            "effect": "correctives",
+            "runs": True,
+            "reason": "joints turned",
+            "bound": "up to 4 mm along an axis",
+            "worst": None,
+            "estimated_ms": 1.2,
+        },
+    ],
+}
+
+
+def test_a_receipt_becomes_bars_of_the_stages_that_ran():
+    said = panel_text.receipt_text(RECEIPT)
+    assert (said.total.text, said.total.value, said.total.good) == ("51,000 of 60,000 splats", "7.2 ms", True)
+    assert "avx2" in said.total.tip
+    skin, raster, shadow = said.stages
+    assert (skin.text, skin.value, skin.part) == ("Skin", "1.8 ms", 0.25)
+    assert (raster.text, raster.part) == ("Drawing", 0.5)
+    assert (shadow.text, shadow.value, shadow.part) == ("Shadow", "skipped", 0.0)
+    assert shadow.tip == "Skipped: gate 0.21. Off by: at most 0.2 %"
+
+
+def test_effects_say_whether_they_ran_and_why_in_a_tooltip_without_a_final_full_stop():
+    not_run, ran = panel_text.receipt_text(RECEIPT).effects
+    assert (not_run.text, not_run.good) == ("Self-Shadow", False)
+    assert not_run.tip == "Not run: no finger is near another. Off by: at most 0.2 %"
+    assert (ran.text, ran.good, ran.value) == ("Learnt Skin Detail", True, "about 1.2 ms")
+    assert ran.tip == "Ran: joints turned. Without it: up to 4 mm along an axis"
+
+
+def test_a_picture_over_its_budget_is_told():
+    assert panel_text.receipt_text(RECEIPT, budget_ms=8.0).total.good
+    over = panel_text.receipt_text(RECEIPT, budget_ms=5.0).total
+    assert not over.good
+    assert "budget is 5.0 ms" in over.tip
+
+
+def test_a_joint_out_of_its_trained_range_is_named_before_everything_else():
+    notes = ["The palm is nearly a line.", "index1 flexion 105°: 12° outside the 0° to 93° that was trained"]
+    first, second = panel_text.receipt_text({**RECEIPT, "notes": notes}).warnings
+    assert first.text == "index1: flexion 12° beyond training"
+    assert first.tip.startswith(notes[1])
+    assert not first.tip.endswith(".")
+    assert second.text == "The palm is nearly a line"
+
+
+def test_the_engines_own_sentence_about_a_joint_is_understood():
+    pose_range = pytest.importorskip("jghand_engine.avatar.pose_range", reason="the engine is not installed")
+    for angle in (1.9, -0.6):
+        one = pose_range.OutOfRange("thumb2 abduction", 0, angle, -0.2, 0.6, abs(angle) - 0.2)
+        (said,) = panel_text.receipt_text({"notes": [one.sentence()]}).warnings
+        assert said.text.startswith("thumb2: abduction ")
+
+
+def test_every_stage_and_effect_of_the_engine_has_a_name_for_people():
+    plan = pytest.importorskip("jghand_engine.splat.effect_plan", reason="the engine is not installed")
+    assert set(panel_text.EFFECTS) == {str(effect) for effect in plan.Effect}
+
+
+def test_damaged_splats_are_told():
+    (said,) = panel_text.receipt_text({**RECEIPT, "invalid_gaussians": 3}).warnings
+    assert said.text.startswith("3 splats")
+
+
+@pytest.mark.parametrize(
+    "report",
+    [
+        {},
+        {"total_ms": None, "stages": None, "effects": "x", "notes": None},
+        {"stages": [{}, 3], "effects": [{}], "notes": [7], "total_ms": True},
+        {"total_ms": math.inf, "stages": [{"name": "skin", "ran": True, "milliseconds": 1.0}]},
+    ],
+)
+def test_a_receipt_of_another_version_is_shown_as_far_as_it_goes(report):
+    said = panel_text.receipt_text(report, budget_ms=10.0)
+    assert all(0.0 <= line.part <= 1.0 for line in (said.total, *said.stages))
+
+
+def whole_map() -> list[JointSource | None]:
+    return [JointSource(f"bone {name}") for name in NAMES]
+
+
+def test_a_bone_map_says_what_it_misses():
+    sources = whole_map()
+    bones = [source.bone for source in sources]
+    (said,) = panel_text.map_lines(sources, bones)
+    assert said.good
+    sources[3] = None
+    sources[5] = JointSource("renamed")
+    sources[9] = sources[10]
+    lines = panel_text.map_lines(sources, bones)
+    assert [line.good for line in lines] == [False, False, False]
+    assert "1 of 21 joints have no bone: thumb3" in lines[0].text
+    assert "index1 (renamed)" in lines[1].text
+    assert "middle1 = middle2" in lines[2].text
+
+
+def test_everything_that_is_said_goes_through_the_translation():
+    heard = []
+
+    def translate(text: str) -> str:
+        heard.append(text)
+        return text
+
+    panel_text.status_text(Status("failed", 1.0, JGHandFailure("crashed")), None, translate)
+    panel_text.receipt_text(RECEIPT, 5.0, translate)
+    panel_text.map_lines(whole_map(), [], translate)
+    assert {"The engine stopped unexpectedly", "Self-Shadow", "{drawn:,} of {posed:,} splats"} <= set(heard)
+
+
+def test_durations_and_paragraphs_are_short():
+    assert [panel_text.duration(s) for s in (0, 59, 61, 7200)] == ["0 s", "59 s", "1 min", "2 h"]
+    assert panel_text.wrapped("one two three four", 12) == ["one two", "three four"]
+    assert panel_text.wrapped("", 40) == [""]
