@@ -1,4 +1,4 @@
-"""`jghand export`: a motion becomes a USD stage (splats, points, skeleton, skinned mesh, camera) or PLY files."""
+"""`jghand export`: a motion becomes a USD stage (splats, points, skeleton, skinned mesh, camera) or splat files."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from jghand_engine.hand.sequence import PoseSequence
 
 DESCRIPTION = """Write a motion as OpenUSD (hand.usda with its layers: splats, points, skeleton and mesh, cameras) or as
-splat files (hand.0000.ply and so on).
+splat files, one for every frame (hand.0000.ply and so on).
 
 The skeleton has 63 joints: the 21 that drive the hand, with the names of the motion's joints, and those that
 carry the skin between them. A trained avatar has colours of its own in every frame, in the light that it was
@@ -26,7 +26,8 @@ learnt in; what its skin mirrors depends on the camera, and is left out.
 Examples:
   jghand export --poses open,fist --hand right --out usd
   jghand export --motion capture.npy --order mediapipe --hand right --out usd
-  jghand export ply --poses open,fist --out splats"""
+  jghand export ply --poses open,fist --out splats
+  jghand export splats --as glb --poses fist --frames 0 --out splats"""
 
 # the picture that the stage's cameras are made for
 CAMERA_PX = (1024, 1024)
@@ -47,27 +48,31 @@ class UsdStageOptions:
 
 
 @dataclass(frozen=True)
-class PlyFileOptions:
-    """What PLY files hold"""
+class SplatFileOptions:
+    """What splat files hold"""
 
-    axes: Literal["rdf", "rub"] = "rdf"
-    """Axes of the numbers: rdf (x right, y down, z forward) as splat viewers expect it, or rub (y up)."""
+    format: Annotated[Literal["ply", "splat", "glb", "spz", "sog"], tyro.conf.arg(name="as")] = "ply"
+    """ply and glb keep every number as it is; splat, spz and sog are 2, 6 and 9 times smaller than ply. sog needs the
+    extra formats."""
+    axes: Annotated[Literal["rdf", "rub"] | None, tyro.conf.arg(help_behavior_hint="")] = None
+    """Axes of the numbers: rdf (x right, y down, z forward), which viewers expect of ply, splat and sog, or rub (y up),
+    which glb and spz always have."""
 
 
 @dataclass(frozen=True)
 class Export:
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     """Where the files are written."""
-    format: Annotated[Literal["usd", "ply"], tyro.conf.Positional] = "usd"
-    """usd: one animated stage. ply: a file of splats for every frame."""
+    format: Annotated[Literal["usd", "splats", "ply"], tyro.conf.Positional] = "usd"
+    """usd: one animated stage. splats: a file of splats for every frame. ply: the same as PLY."""
     name: Annotated[str, tyro.conf.arg(metavar="NAME")] = "hand"
     """Stem of the files: letters, digits and _."""
     first_frame: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
     """Number of the first frame in the files."""
     up: Literal["y", "z"] = "y"
-    """The axis that points up in the world of the motion. USD says it, PLY files are turned."""
+    """The axis that points up in the world of the motion. USD says it, splat files are turned."""
     usd: UsdStageOptions = field(default_factory=UsdStageOptions)
-    ply: PlyFileOptions = field(default_factory=PlyFileOptions)
+    splats: SplatFileOptions = field(default_factory=SplatFileOptions)
     motion: MotionOptions = field(default_factory=MotionOptions)
     avatar: AvatarOptions = field(default_factory=AvatarOptions)
     report: ReportOptions = field(default_factory=ReportOptions)
@@ -82,7 +87,7 @@ class Export:
         sequence = motion.sequence
         for note in motion.notes:
             say(note)
-        write = self._write_usd if self.format == "usd" else self._write_ply
+        write = self._write_usd if self.format == "usd" else self._write_splats
         figures = write(avatar.for_hand(sequence.handedness), sequence)
         if self.report.json is not None:
             write_json(self.report.json, {
@@ -91,10 +96,14 @@ class Export:
             })  # fmt: skip
 
     def _check_options(self) -> None:
-        """InputError for options of the other format: they would change nothing."""
-        unused = {"usd": self.ply != PlyFileOptions(), "ply": self.usd != UsdStageOptions()}
-        if unused[self.format]:
-            other = "ply" if self.format == "usd" else "usd"
+        """InputError for options of another format: they would change nothing."""
+        chosen = self.splats.format
+        unused = {
+            "splats": self.format == "usd" and self.splats != SplatFileOptions(),
+            "splats --as " + chosen: self.format == "ply" and chosen != "ply",
+            "usd": self.format != "usd" and self.usd != UsdStageOptions(),
+        }
+        for other in (other for other, given in unused.items() if given):
             raise InputError(
                 f"an option of jghand export {other}", wanted=f"options of {self.format}", came="one without effect",
                 remedy=f"Leave it out, or write jghand export {other}.",
@@ -120,18 +129,19 @@ class Export:
         say(f"Wrote {report.stage}: {report.frames} frames, {size / 1e6:.1f} MB, {sum(report.seconds.values()):.1f} s")
         return usd_figures(report)
 
-    def _write_ply(self, avatar: HandAvatar, sequence: PoseSequence) -> dict[str, Any]:
-        from jghand_engine.exporters.ply import PlyOptions, export_ply
+    def _write_splats(self, avatar: HandAvatar, sequence: PoseSequence) -> dict[str, Any]:
+        from jghand_engine.exporters.splat_files import SplatOptions, export_splats
 
-        options = PlyOptions(self.name, self.ply.axes, self.first_frame, self.up)
-        with progress("Writing PLY", len(sequence)) as bar:
+        options = SplatOptions(self.splats.format, self.name, self.splats.axes, self.first_frame, self.up)
+        with progress(f"Writing {options.format}", len(sequence)) as bar:
             task = bar.task_ids[0]
-            report = export_ply(
+            report = export_splats(
                 self.out, avatar, sequence, options, progress=lambda done, _: bar.update(task, completed=done)
             )
         first, last = report.files[0], report.files[-1]
-        say(f"Wrote {first} to {last.name}: {len(report.files)} frames, {report.bytes / 1e6:.1f} MB")
+        which = f"{first} to {last.name}" if len(report.files) > 1 else str(first)
+        say(f"Wrote {which}: {len(report.files)} frames, {report.bytes / 1e6:.1f} MB, axes {report.axes}")
         return {
-            "files": [str(path) for path in report.files], "frames": len(report.files),
+            "files": [str(path) for path in report.files], "frames": len(report.files), "axes": report.axes,
             "gaussians": report.gaussians, "bytes": report.bytes,
         }  # fmt: skip

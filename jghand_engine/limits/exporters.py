@@ -8,11 +8,18 @@ PNG_COMPRESSION = 4
 # constant rate factor of H.264: 18 is visually without loss
 VIDEO_CRF = 18
 
-# ---- exporters: PLY -------------------------------------------------------------------------------------------------
-# opacity is written as a logit, which 0 and 1 have none of; the step of 8 bits is 4000 times larger
+# ---- exporters: splat files -----------------------------------------------------------------------------------------
+# opacity is written to PLY as a logit, which 0 and 1 have none of; the step of 8 bits is 4000 times larger
 PLY_OPACITY_MARGIN = 1e-6
 # part of the free disk that must be left over, as for USD
-PLY_DISK_RESERVE = 0.02
+SPLAT_DISK_RESERVE = 0.02
+# bits of a position in SPZ behind the point: steps of 0.004 mm, and 32 m on each side of the origin
+SPZ_FRACTIONAL_BITS = 18
+# what SPZ multiplies the harmonics of band 0 by before it cuts them to 0..1, and where its sizes begin
+SPZ_COLOUR_SCALE = 0.15
+SPZ_LN_SIGMA_MIN = -10.0
+# gzip's level, 0..9, as the format's own library has it
+SPZ_GZIP_LEVEL = 6
 
 # ---- exporters: USD -------------------------------------------------------------------------------------------------
 # spherical harmonics of band 0: colour = 0.5 + SH_C0 * coefficient

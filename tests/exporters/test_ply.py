@@ -12,8 +12,10 @@ from usd_samples import engine_gaussians, lively_motion, small_avatar
 
 from jghand_engine.avatar.skinning import pose_gaussians
 from jghand_engine.errors import InputError, RetryError
-from jghand_engine.exporters import ply as ply_module
-from jghand_engine.exporters.ply import BYTES_PER_GAUSSIAN, PlyOptions, export_ply
+from jghand_engine.exporters import splat_files
+from jghand_engine.exporters.ply import BYTES_PER_GAUSSIAN
+from jghand_engine.exporters.splat_cloud import AXES_FROM_RUB, RUB_FROM_UP
+from jghand_engine.exporters.splat_files import SplatOptions, export_splats
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.limits import SH_C0
 
@@ -42,7 +44,7 @@ def columns(data: dict[str, np.ndarray], *names: str) -> np.ndarray:
 @pytest.fixture(scope="module", params=list(Handedness))
 def exported(request, tmp_path_factory):
     avatar, motion = small_avatar(), lively_motion(request.param, FRAMES)
-    report = export_ply(tmp_path_factory.mktemp("ply"), avatar, motion, PlyOptions(first_frame=7))
+    report = export_splats(tmp_path_factory.mktemp("ply"), avatar, motion, SplatOptions(first_frame=7))
     return report, avatar, motion
 
 
@@ -78,7 +80,7 @@ def test_another_reader_finds_the_same_points(exported):
 @pytest.mark.parametrize("up", ["y", "z"])
 @pytest.mark.parametrize("axes", ["rdf", "rub"])
 def test_axes_are_turned_and_never_mirrored(tmp_path, axes, up):
-    turn = PlyOptions(axes=axes, up=up).axes_from_world
+    turn = AXES_FROM_RUB[axes] @ RUB_FROM_UP[up]
     assert np.linalg.det(turn) == pytest.approx(1)
     up_in_file = turn @ {"y": [0, 1, 0], "z": [0, 0, 1]}[up]
     assert up_in_file.tolist() == {"rdf": [0, -1, 0], "rub": [0, 1, 0]}[axes]
@@ -87,8 +89,8 @@ def test_axes_are_turned_and_never_mirrored(tmp_path, axes, up):
 @pytest.mark.parametrize("up", ["y", "z"])
 def test_ellipsoids_keep_their_shape_and_turn_with_the_axes(tmp_path, up):
     avatar, motion = ellipsoid_avatar(), lively_motion(Handedness.RIGHT, 1)
-    options = PlyOptions(up=up)
-    data = fields(export_ply(tmp_path, avatar, motion, options).files[0])
+    options = SplatOptions(up=up)
+    data = fields(export_splats(tmp_path, avatar, motion, options).files[0])
     turns = Rotation.from_quat(columns(data, "rot_0", "rot_1", "rot_2", "rot_3"), scalar_first=True).as_matrix()
     sizes = np.exp(columns(data, "scale_0", "scale_1", "scale_2"))
     written = np.einsum("nab,nb,ncb->nac", turns, sizes**2, turns)
@@ -97,27 +99,28 @@ def test_ellipsoids_keep_their_shape_and_turn_with_the_axes(tmp_path, up):
     assert posed is not None
     six = posed.numpy().astype(np.float64)
     whole = six[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
-    wanted = options.axes_from_world @ whole @ options.axes_from_world.T
+    turn = AXES_FROM_RUB["rdf"] @ RUB_FROM_UP[up]
+    wanted = turn @ whole @ turn.T
     assert np.abs(written - wanted).max() <= COVARIANCE_ERROR_M2
 
 
 def test_a_longer_sequence_of_that_name_is_not_mixed_with_a_new_one(tmp_path):
     avatar = small_avatar()
-    export_ply(tmp_path, avatar, lively_motion(Handedness.RIGHT, 3))
+    export_splats(tmp_path, avatar, lively_motion(Handedness.RIGHT, 3))
     with pytest.raises(InputError, match=r"hand\.0002\.ply"):
-        export_ply(tmp_path, avatar, lively_motion(Handedness.RIGHT, 2))
-    export_ply(tmp_path, avatar, lively_motion(Handedness.RIGHT, 2), PlyOptions(name="other"))
+        export_splats(tmp_path, avatar, lively_motion(Handedness.RIGHT, 2))
+    export_splats(tmp_path, avatar, lively_motion(Handedness.RIGHT, 2), SplatOptions(name="other"))
 
 
 def test_a_disk_that_is_too_small_is_told_before_the_work(tmp_path, monkeypatch):
     usage = type("Usage", (), {"free": 1000})
-    monkeypatch.setattr(ply_module.shutil, "disk_usage", lambda _: usage)
+    monkeypatch.setattr(splat_files.shutil, "disk_usage", lambda _: usage)
     with pytest.raises(RetryError, match="too small"):
-        export_ply(tmp_path, small_avatar(), lively_motion(Handedness.RIGHT, 2))
+        export_splats(tmp_path, small_avatar(), lively_motion(Handedness.RIGHT, 2))
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("wrong", [{"name": "a/b"}, {"name": ""}, {"axes": "xyz"}, {"up": "x"}])
+@pytest.mark.parametrize("wrong", [{"name": "a/b"}, {"name": ""}, {"axes": "xyz"}, {"up": "x"}, {"format": "obj"}])
 def test_options_that_make_no_file_are_refused(wrong):
     with pytest.raises(InputError):
-        PlyOptions(**wrong)
+        SplatOptions(**wrong)

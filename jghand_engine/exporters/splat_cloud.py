@@ -1,0 +1,66 @@
+"""Gaussians as splat files know them: centres, sizes along three axes, turns, opacity, colour; and in which axes.
+
+Only colours of degree 0 are written: what the skin of a trained avatar mirrors depends on the camera, and is left out,
+as is the self-shadow.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from jghand_engine.exporters.usd_motion import PosedFrame
+from jghand_engine.exporters.usd_splats import Cloud
+
+# maps of column vectors to RUB (x right, y up, z towards the viewer) from a world with that axis up
+RUB_FROM_UP = {"y": np.eye(3), "z": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])}
+# rdf is what viewers take for granted where a format does not say, as photogrammetry has it: x right, y down, z forward
+AXES_FROM_RUB = {"rub": np.eye(3), "rdf": np.diag([1.0, -1.0, -1.0])}
+
+
+@dataclass(frozen=True)
+class SplatCloud:
+    """N Gaussians. positions_m (N, 3) metres · scales_m (N, 3) sigma, metres · rotations_wxyz (N, 4) unit quaternions ·
+    opacity (N,) 0..1 · rgb (N, 3) display-referred sRGB 0..1 · axes: those of the numbers, a key of AXES_FROM_RUB."""
+
+    positions_m: np.ndarray
+    scales_m: np.ndarray
+    rotations_wxyz: np.ndarray
+    opacity: np.ndarray
+    rgb: np.ndarray
+    axes: str = "rub"
+
+    def __len__(self) -> int:
+        return len(self.positions_m)
+
+    @classmethod
+    def of_frame(cls, posed: PosedFrame, still: Cloud, *, axes: str, up: str) -> SplatCloud:
+        """The Gaussians of a frame, whose world has the axis `up` upwards, in `axes`. still: what does not move."""
+        axes_from_world = AXES_FROM_RUB[axes] @ RUB_FROM_UP[up]
+        scales_m, rotations = _shapes(posed.sigma_m, posed.covariance_m2, axes_from_world)
+        count = len(posed.positions_m)
+        return cls(
+            posed.positions_m @ axes_from_world.T,
+            np.broadcast_to(scales_m, (count, 3)),
+            np.broadcast_to(rotations, (count, 4)),
+            still.opacity,
+            np.clip(still.rgb if posed.rgb is None else posed.rgb, 0, 1),
+            axes,
+        )
+
+
+def _shapes(
+    sigma_m: np.ndarray, covariance_m2: np.ndarray | None, axes_from_world: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Scales and rotations: of balls, or of ellipsoids (N, 6) by the axes of their covariance."""
+    if covariance_m2 is None:
+        return sigma_m[:, None], np.array([[1.0, 0.0, 0.0, 0.0]])
+    xx, xy, xz, yy, yz, zz = covariance_m2.astype(np.float64).T
+    whole = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], -1).reshape(-1, 3, 3)
+    variances, axes = np.linalg.eigh(axes_from_world @ whole @ axes_from_world.T)
+    # a rotation has no mirror image in it
+    axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]
+    smallest = np.finfo(np.float32).tiny
+    return np.sqrt(np.maximum(variances, smallest)), Rotation.from_matrix(axes).as_quat(scalar_first=True)
