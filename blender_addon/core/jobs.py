@@ -21,9 +21,9 @@ from pathlib import Path
 from typing import IO, Any
 
 from . import job_state, limits
-from .process import cleaned_environment
 from .job_state import JobState, Phase
 from .messages import INTERRUPTED, JGHandFailure
+from .process import cleaned_environment
 
 # what every job gets; see jghand_engine/cli/machine.py
 PROGRESS_OPTION = "--progress-json"

@@ -177,7 +177,7 @@ PANEL_TICK_S = 0.5
 # nearest joint, metres
 ORTHO_ROOM_M = 0.5
 
-# ---- jobs: child processes of the engine's command line ---------------------------------------------------------------
+# ---- jobs: child processes of the engine's command line --------------------------------------------------------------
 
 # a job that was asked to stop finishes a step and writes a checkpoint, or a picture; then it is asked again, then ended
 JOB_STOP_S = 30.0
@@ -203,12 +203,14 @@ NOTHING_DEPTH = 1e10
 # how much a part of the picture a region has to be: Blender draws none of fewer pixels
 REGION_MIN_PX = 1
 
-# ---- exports, bakes, trainings ----------------------------------------------------------------------------------------
+# ---- exports, bakes, trainings ---------------------------------------------------------------------------------------
 
 # what a USD stage holds beside its samples: skeleton, mesh, what does not move (measured: the painted hand, 4.7 MB)
 USD_STATIC_BYTES = 5_000_000
 # Gaussians of the avatar that comes with JGHand; a test compares
 BUILTIN_GAUSSIANS = 40_000
+# diameter of a baked point in two standard deviations of its splat: balls of this size close the skin
+POINT_WIDTH_FACTOR = 2.0
 # bytes of a bake's stamp, and those of a training's log that are read at a time
 STAMP_MAX_BYTES = 2**20
 LOG_READ_BYTES = 2**20

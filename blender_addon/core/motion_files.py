@@ -13,6 +13,7 @@ Nothing is ever unpickled. Formats: DATA 8, `jghand_engine.datasets.motion_files
 from __future__ import annotations
 
 import csv
+import io
 import json
 import math
 import struct
@@ -26,6 +27,7 @@ from typing import Any
 import numpy as np
 
 from . import limits
+from .batch import write_whole
 from .joints import FINGERS, HANDEDNESSES, NAMES
 from .messages import JGHandFailure
 from .posing import last_good_frames
@@ -78,6 +80,25 @@ def read_motion(path: Path) -> MotionFile:
     except MemoryError as error:
         raise JGHandFailure("out_of_memory", str(path)) from error
     return _checked(path, joints.astype(np.float64), valid, declared)
+
+
+def write_motion(path: Path, motion: MotionFile) -> None:
+    """Writes `.npz`, standard order, metres, everything declared inside; never half-written.
+
+    JGHandFailure: cannot_write, disk_full; bad_motion for another suffix, whose kind cannot say what it holds.
+    """
+    if path.suffix.lower() != ".npz":
+        raise JGHandFailure("bad_motion", f"{path}: wanted .npz, got {path.suffix or 'no suffix'}")
+    stream = io.BytesIO()
+    np.savez_compressed(
+        stream,
+        joints_m=np.asarray(motion.joints_m, dtype=np.float64),
+        order=np.array("standard"),
+        unit=np.array("m"),
+        fps=np.array(motion.fps),
+        handedness=np.array(motion.handedness),
+    )
+    write_whole(path, stream.getvalue())
 
 
 def _checked(path: Path, joints: np.ndarray, valid: np.ndarray | None, declared: Mapping[str, Any]) -> MotionFile:
