@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import bpy
 
+from . import output_settings
 from .bridge import armature, bone_list, pose_pictures
 from .bridge.classes import register_classes, unregister_classes
 from .core import limits, poses
@@ -102,6 +103,11 @@ class JGHandObjectSettings(bpy.types.PropertyGroup):
         description="Draw the avatar of this hand in Solid and Material Preview",
         default=True,
     )  # type: ignore[valid-type]
+    bake: bpy.props.StringProperty(
+        name="Bake",
+        description="Folder of this hand's bake. Empty: it was not baked",
+        subtype="DIR_PATH",
+    )  # type: ignore[valid-type]
     map_hand: bpy.props.EnumProperty(
         name="Hand",
         description="Whose bones the list shows",
@@ -113,7 +119,10 @@ class JGHandObjectSettings(bpy.types.PropertyGroup):
 
 
 class JGHandSceneSettings(bpy.types.PropertyGroup):
-    """`scene.jghand`: how pictures of this scene are made."""
+    """`scene.jghand`: how pictures of this scene are made, and what is written of it."""
+
+    output: bpy.props.PointerProperty(type=output_settings.JGHandOutputSettings)  # type: ignore[valid-type]
+    training: bpy.props.PointerProperty(type=output_settings.JGHandTrainingSettings)  # type: ignore[valid-type]
 
     show_in_viewport: bpy.props.BoolProperty(
         name="Show Hands",
@@ -193,7 +202,7 @@ _OWNERS = (
     (bpy.types.Scene, JGHandSceneSettings),
     (bpy.types.WindowManager, JGHandWindowSettings),
 )
-_CLASSES = (JGHandJoint, *(settings for _, settings in _OWNERS))
+_CLASSES = (JGHandJoint, *output_settings.CLASSES, *(settings for _, settings in _OWNERS))
 
 
 def register() -> None:

@@ -1,0 +1,162 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What lies in the folder of a bake, what it was made from, and whether that is still so. Does not use bpy.
+
+NAME.usda and its layers    plays wherever USD is read, no engine and no extension needed
+NAME.npz                    the joints, to compare with and to export from again
+bake.json                   the stamp, written last: a folder without it holds no finished bake
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from . import limits
+from .batch import write_whole
+from .messages import JGHandFailure
+from .motion_files import read_motion
+from .recording import Recording, avatar_digest
+
+STAMP = "bake.json"
+_FORMAT, _VERSION = "jghand bake", 1
+
+
+@dataclass(frozen=True)
+class BakedHand:
+    """One hand of a bake. name: stem of its files · avatar: what `avatar_digest` said · joints_sha256: of what was
+    baked · first_frame, frames, fps: of the scene · engine_version · gaussians."""
+
+    name: str
+    handedness: str
+    avatar: str
+    joints_sha256: str
+    first_frame: int
+    frames: int
+    fps: float
+    engine_version: str
+    gaussians: int
+
+    def stage(self, folder: Path) -> Path:
+        """The layer that plays."""
+        return folder / f"{self.name}.usda"
+
+    def motion(self, folder: Path) -> Path:
+        """The joints."""
+        return folder / f"{self.name}.npz"
+
+    def figures(self, folder: Path) -> Path:
+        """What the engine said about the export."""
+        return folder / f"{self.name}.json"
+
+
+def write_stamp(folder: Path, recordings: Sequence[Recording]) -> None:
+    """Finishes a bake: reads what the engine did of every hand, and stamps the folder.
+
+    JGHandFailure: cannot_write, disk_full; internal where the engine wrote another motion than it was given.
+    """
+    hands = []
+    for recording in recordings:
+        figures = _figures(folder / f"{recording.name}.json")
+        made_from = figures.get("made_from", {})
+        if made_from.get("joints_sha256") != recording.digest:
+            raise JGHandFailure("internal", f"{recording.name}: the engine wrote other joints than it was given")
+        hands.append(
+            BakedHand(
+                name=recording.name,
+                handedness=recording.handedness,
+                avatar=avatar_digest(recording.avatar),
+                joints_sha256=recording.digest,
+                first_frame=recording.first_frame,
+                frames=len(recording.joints_m),
+                fps=recording.fps,
+                engine_version=str(made_from.get("engine_version", "")),
+                gaussians=int(figures.get("gaussians", 0)),
+            )
+        )
+    content = {"format": _FORMAT, "version": _VERSION, "hands": [asdict(hand) for hand in hands]}
+    write_whole(folder / STAMP, json.dumps(content, indent=1).encode())
+
+
+def unstamp(folder: Path) -> None:
+    """Before its files are written anew: a bake that is cut off is none. JGHandFailure: cannot_write."""
+    try:
+        (folder / STAMP).unlink(missing_ok=True)
+    except OSError as error:
+        raise JGHandFailure("cannot_write", f"{folder / STAMP}: {error.strerror or error}") from error
+
+
+def read_bake(folder: Path) -> list[BakedHand]:
+    """The hands of a finished bake. JGHandFailure (no_bake): there is none, or its files are not all there."""
+    try:
+        if (folder / STAMP).stat().st_size > limits.STAMP_MAX_BYTES:
+            raise ValueError("too large")
+        content = json.loads((folder / STAMP).read_text(encoding="utf-8"))
+        if content["format"] != _FORMAT or content["version"] != _VERSION:
+            raise ValueError(f"format {content['format']!r}, version {content['version']!r}")
+        hands = [_hand(entry) for entry in content["hands"]]
+    except OSError as error:
+        raise JGHandFailure("no_bake", f"{folder}: {error.strerror or error}") from error
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        raise JGHandFailure("no_bake", f"{folder / STAMP}: {str(error)[:200]}") from error
+    for hand in hands:
+        if not hand.stage(folder).is_file():
+            raise JGHandFailure("no_bake", f"{hand.stage(folder)} is not there")
+    return hands
+
+
+def _hand(entry: Mapping[str, Any]) -> BakedHand:
+    hand = BakedHand(**{name: kind(entry[name]) for name, kind in _KINDS.items()})
+    # the stem becomes a path: it never leaves the folder
+    if not hand.name.isidentifier() or not hand.name.isascii():
+        raise ValueError(f"name {hand.name[:40]!r}")
+    return hand
+
+
+_KINDS = {
+    **dict.fromkeys(("name", "handedness", "avatar", "joints_sha256", "engine_version"), str),
+    **dict.fromkeys(("first_frame", "frames", "gaussians"), int),
+    "fps": float,
+}
+
+
+def stale_reasons(
+    hand: BakedHand, *, recording: Recording | None = None, avatar: str | None = None, engine_version: str | None = None
+) -> list[str]:
+    """Why a bake does not show what the scene has now, as far as that is given; [] when nothing speaks against it."""
+    reasons = []
+    if recording is not None:
+        if (recording.first_frame, len(recording.joints_m), recording.fps) != (hand.first_frame, hand.frames, hand.fps):
+            reasons.append("the frames or the frame rate are others")
+        elif recording.digest != hand.joints_sha256:
+            reasons.append("the hand moves in another way")
+        avatar = recording.avatar
+    if avatar is not None and avatar_digest(avatar) != hand.avatar:
+        reasons.append("the avatar is another one")
+    if engine_version is not None and hand.engine_version and engine_version != hand.engine_version:
+        reasons.append("the engine is of another version")
+    return reasons
+
+
+def moved_at(hand: BakedHand, folder: Path, frame: float, joints_m: np.ndarray) -> bool:
+    """Whether the hand is elsewhere now than in the bake. joints_m: (21, 3) in the world, metres, at this frame.
+
+    False where the bake has no such frame, and between frames. JGHandFailure (bad_motion).
+    """
+    place = round(frame) - hand.first_frame
+    if frame != round(frame) or not 0 <= place < hand.frames:
+        return False
+    baked_m = read_motion(hand.motion(folder)).joints_m[place]
+    return bool(np.abs(baked_m - joints_m).max() > limits.BAKE_MOVED_M)
+
+
+def _figures(path: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise JGHandFailure("internal", f"{path}: {error}") from error
+    return content if isinstance(content, dict) else {}

@@ -1,0 +1,132 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A hand over a range of frames, as the scene has it: what is exported and baked. Does not use bpy.
+
+Joints are in the world of the scene, in metres, with z up, as Blender has it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import re
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from . import limits
+from .messages import JGHandFailure
+from .motion_files import MotionFile, write_motion
+from .view import BUILTIN_AVATAR
+
+# bytes of one Gaussian and frame; as jghand_engine/exporters/usd.py and ply.py write them
+_PLY_BYTES, _POSITION_BYTES, _SIZE_BYTES, _COLOUR_BYTES = 68, 12, 16, 24
+
+
+@dataclass(frozen=True)
+class Recording:
+    """name: stem of files, unique among those of one export · handedness · avatar: an absolute path or a shipped name ·
+    joints_m: (F, 21, 3) float64, standard order, metres, in the world, z up · first_frame: of the scene · fps."""
+
+    name: str
+    handedness: str
+    avatar: str
+    joints_m: np.ndarray
+    first_frame: int
+    fps: float
+
+    @property
+    def frames(self) -> range:
+        """The scene's frames."""
+        return range(self.first_frame, self.first_frame + len(self.joints_m))
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the joints as the engine stamps its exports with: float32, little-endian, standard order."""
+        return hashlib.sha256(np.ascontiguousarray(self.joints_m.astype("<f4"))).hexdigest()
+
+    def save(self, path: Path) -> None:
+        """Writes a motion file. JGHandFailure: cannot_write, disk_full."""
+        write_motion(path, MotionFile(self.joints_m, self.fps, self.handedness))
+
+
+def file_names(names: Sequence[str]) -> list[str]:
+    """Names that file systems and USD accept, for names of objects; those that would be the same get numbers."""
+    taken: set[str] = set()
+    result = []
+    for name in names:
+        stem = re.sub(r"\W", "_", name, flags=re.ASCII).strip("_") or "hand"
+        stem = f"_{stem}" if stem[0].isdigit() else stem
+        chosen, number = stem, 2
+        while chosen.casefold() in taken:
+            chosen, number = f"{stem}_{number}", number + 1
+        taken.add(chosen.casefold())
+        result.append(chosen)
+    return result
+
+
+def avatar_digest(avatar: str) -> str:
+    """What tells avatars apart: SHA-256 of a file, the name of one that the engine brings along."""
+    path = Path(avatar)
+    if avatar == BUILTIN_AVATAR or not path.is_file():
+        return avatar
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+@dataclass(frozen=True)
+class SizeEstimate:
+    """bytes: of all files together · free: of the disk, None where that is not known."""
+
+    bytes: int
+    free: int | None
+
+    @property
+    def fits(self) -> bool:
+        """Whether there is room for it."""
+        return self.free is None or self.bytes < self.free
+
+    def sentence(self) -> str:
+        """For a panel."""
+        text = f"about {readable(self.bytes)}"
+        return text if self.free is None or self.fits else f"{text}, and only {readable(self.free)} are free"
+
+
+def estimate(
+    folder: Path | None, gaussians: Sequence[int], frames: int, *, ply: bool, sizes: bool = False, colours: bool = True
+) -> SizeEstimate:
+    """What an export of hands with so many Gaussians each takes. sizes: radii in every frame · colours: whether
+    colours change with the pose, as a trained avatar's do."""
+    total = sum(gaussians)
+    if ply:
+        size = total * frames * _PLY_BYTES
+    else:
+        sample = _POSITION_BYTES + _SIZE_BYTES * sizes + _COLOUR_BYTES * colours
+        size = total * (frames + 1) * sample + len(gaussians) * limits.USD_STATIC_BYTES
+    free = None
+    while folder is not None and not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    if folder is not None and folder.exists():
+        try:
+            free = shutil.disk_usage(folder).free
+        except OSError:
+            free = None
+    return SizeEstimate(size, free)
+
+
+def readable(size: float) -> str:
+    """`720 kB`, `46 MB`, `1.3 GB`."""
+    for unit, factor in (("GB", 1e9), ("MB", 1e6)):
+        if size >= factor:
+            value = size / factor
+            return f"{value:.1f} {unit}" if value < 9.95 else f"{value:.0f} {unit}"
+    return f"{size / 1e3:.0f} kB"
+
+
+def check_place(folder: str, *, saved: bool) -> None:
+    """JGHandFailure (no_place) for no folder, and for one beside a file that has no place yet."""
+    if not folder.strip():
+        raise JGHandFailure("no_place", "no folder is chosen")
+    if folder.startswith("//") and not saved:
+        raise JGHandFailure("no_place", "the folder is beside the file, and that was never saved")
