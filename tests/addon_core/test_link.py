@@ -1,0 +1,595 @@
+"""The link to the engine: the newest picture wins, exact requests are answered, and nothing that the engine does (or
+does not) makes the calling thread wait, leaves somebody waiting, or leaves a process behind."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import socket
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from unittest import mock
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from blender_addon.core import limits
+from blender_addon.core.link import Answer, EngineLink
+from blender_addon.core.messages import JGHandFailure
+from blender_addon.core.view import HandInSpace, Pinhole, picture_request
+from blender_addon.core.wire import protocol
+
+ROOT = Path(__file__).resolve().parents[2]
+STAND_IN = ROOT / "tests" / "service" / "stand_in_engine.py"
+# the machine may be busy with other tests
+PATIENCE_S = 30.0
+# far more than a call that does not wait takes on a busy machine, far less than any of the faults lasts
+AT_ONCE_S = 1.0
+
+
+def picture(x_m: float = 0.0):
+    joints = np.zeros((21, 3))
+    joints[:, 0], joints[:, 2] = x_m, 0.3
+    hand = HandInSpace("right", joints, np.eye(4))
+    return picture_request(Pinhole(64, 48, 80, 80, 32, 24, np.eye(4)), [hand], preset="draft", outputs=["rgba_u8"])
+
+
+def command(*faults: str) -> list[str]:
+    return [sys.executable, "-I", str(STAND_IN), *faults]
+
+
+@contextlib.contextmanager
+def linked(*faults: str, **options) -> Iterator[EngineLink]:
+    link = EngineLink(lambda: command(*faults), **options)
+    try:
+        yield link
+    finally:
+        link.close()
+        assert link._process is None
+        assert link._thread is None
+
+
+def until(condition: Callable[[], object], what: str = "it") -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < deadline, f"{what} never happened"
+        time.sleep(0.005)
+
+
+def answered(link: EngineLink, tag: object, slot: str = "viewport") -> Answer:
+    answer = link.wait(slot, tag, PATIENCE_S)
+    assert answer is not None
+    return answer
+
+
+def pid_of(link: EngineLink) -> int:
+    return link.request({"kind": "info"}, timeout_s=PATIENCE_S).header["pid"]
+
+
+# ---- pictures --------------------------------------------------------------------------------------------------------
+
+
+def test_a_picture_starts_the_engine_and_comes():
+    with linked() as link:
+        assert (link.status.state, link.status.since_s, link.answer("viewport")) == ("stopped", 0.0, None)
+        link.ask("viewport", *picture(), tag="a")
+        assert link.status.state == "starting"
+        answer = answered(link, "a")
+        assert answer.failure is None
+        assert answer.message.arrays["rgba_u8"].shape == (48, 64, 4)
+        assert answer.round_trip_ms > 0
+        assert link.answer("viewport") == answer
+        assert link.status.state == "ready"
+        assert link.status.handshake["device"] == "stand-in"
+
+
+def test_a_tick_tells_of_every_change_once():
+    with linked() as link:
+        assert not link.tick()
+        link.ask("viewport", *picture(), tag=1)
+        assert link.tick()
+        answered(link, 1)
+        assert link.tick()
+        assert not link.tick()
+
+
+def test_every_slot_gets_its_picture():
+    with linked("late") as link:
+        for slot in "abc":
+            link.ask(slot, *picture(), tag=slot)
+        for slot in "abc":
+            assert answered(link, slot, slot).failure is None
+
+
+def test_what_is_on_its_way_already_is_not_asked_for_twice():
+    with linked("late") as link:
+        link.ask("viewport", *picture(), tag="a")
+        until(lambda: link.status.busy)
+        link.ask("viewport", *picture(), tag="b")
+        link.ask("viewport", *picture(), tag="a")
+        answered(link, "a")
+        assert link.wait("viewport", "b", 1.0) is None
+        assert link._slots["viewport"].waiting is None
+
+
+def test_a_picture_that_nobody_asked_for_is_not_waited_for():
+    with linked() as link:
+        assert link.wait("viewport", "never", PATIENCE_S) is None
+        link.ask("viewport", *picture(), tag="a")
+        assert link.wait("viewport", "b", PATIENCE_S) is None
+
+
+def test_a_wait_ends_when_its_time_is_over():
+    with linked("hang") as link:
+        link.ask("viewport", *picture(), tag="a")
+        assert link.wait("viewport", "a", 0.05) is None
+
+
+def test_a_slot_that_is_dropped_gets_nothing_and_its_picture_stops():
+    with linked("patient") as link:
+        link.ask("viewport", *picture(), tag="a")
+        until(lambda: link.status.busy)
+        link.drop("viewport")
+        link.drop("viewport")
+        assert link.answer("viewport") is None
+        assert pid_of(link)  # the engine is free again
+        assert link.answer("viewport") is None
+
+
+def test_a_picture_that_failed_is_not_asked_for_again_until_the_user_starts_anew():
+    with linked("memory") as link:
+        link.ask("viewport", *picture(), tag="a")
+        assert answered(link, "a").failure.kind == "out_of_memory"
+        sent = link._next_id
+        for _ in range(5):
+            link.ask("viewport", *picture(), tag="a")
+            assert link.answer("viewport").failure.kind == "out_of_memory"
+        assert link._next_id == sent
+        link.start()
+        link.ask("viewport", *picture(), tag="a")
+        assert link._next_id == sent + 1
+
+
+def test_a_picture_that_cannot_be_sent_is_a_failure():
+    with linked() as link:
+        link.ask("viewport", {"kind": "render_picture", "width": float("nan")}, None, tag="a")
+        assert link.answer("viewport").failure.kind == "bad_input"
+
+
+# ---- exact requests --------------------------------------------------------------------------------------------------
+
+
+def test_exact_requests_of_many_threads_are_all_answered():
+    replies = []
+
+    def work(number: int) -> None:
+        for turn in range(5):
+            reply = link.request(*picture(), timeout_s=PATIENCE_S)
+            replies.append((number, turn, reply.header["ok"]))
+
+    with linked() as link:
+        threads = [threading.Thread(target=work, args=(number,)) for number in range(6)]
+        for thread in threads:
+            thread.start()
+        link.ask("viewport", *picture(), tag="between")
+        for thread in threads:
+            thread.join(PATIENCE_S)
+        assert answered(link, "between").failure is None
+    assert sorted(replies) == [(number, turn, True) for number in range(6) for turn in range(5)]
+
+
+def test_a_request_that_is_cancelled_ends_in_the_engine_too():
+    with linked("patient") as link:
+        asked = iter([False, False, True])
+        with pytest.raises(JGHandFailure) as caught:
+            link.request(*picture(), timeout_s=PATIENCE_S, cancelled=lambda: next(asked))
+        assert caught.value.kind == "cancelled"
+        assert pid_of(link)
+
+
+def test_a_request_that_waits_for_another_can_be_cancelled():
+    with linked("patient") as link:
+        link.ask("viewport", *picture(), tag="a")
+        until(lambda: link.status.busy)
+        with pytest.raises(JGHandFailure) as caught:
+            link.request({"kind": "info"}, timeout_s=PATIENCE_S, cancelled=lambda: True)
+        assert caught.value.kind == "cancelled"
+        assert not link._exact
+
+
+def test_a_request_that_takes_too_long_is_given_up_and_the_next_one_is_answered():
+    with linked("patient") as link:
+        with pytest.raises(JGHandFailure) as caught:
+            link.request(*picture(), timeout_s=0.1)
+        assert caught.value.kind == "hung"
+        assert pid_of(link)
+        assert link.status.state == "ready"
+
+
+def test_an_engine_that_does_not_stop_what_was_given_up_is_ended(monkeypatch):
+    monkeypatch.setattr(limits, "SILENCE_S", 2.0)
+    with linked("hang") as link:
+        with pytest.raises(JGHandFailure):
+            link.request(*picture(), timeout_s=0.1)
+        until(lambda: link.status.state == "failed")
+        assert link.status.failure.kind == "hung"
+        assert "does not end" in link.status.failure.detail
+
+
+# ---- what may happen to the engine -----------------------------------------------------------------------------------
+
+# fault of the stand-in -> kind of the failure that a picture ends in
+FAULTS = {
+    "die_at_start": "crashed",
+    "wrong_version": "protocol",
+    "wrong_port": "broken_stream",
+    "rubbish": "broken_stream",
+    "die:3": "crashed",
+    "killed": "killed",
+    "memory": "out_of_memory",
+    "bug": "internal",
+    "flood": None,
+    "chatty": None,
+    "print": None,
+    "late": None,
+    "hang": None,
+    "frozen": None,
+    "silent": None,
+    "garbage": None,
+}
+
+
+@pytest.mark.parametrize(("fault", "kind"), FAULTS.items(), ids=FAULTS.keys())
+def test_whatever_the_engine_does_the_main_thread_is_never_kept(fault, kind, monkeypatch):
+    """Asks, looks and ticks as the viewport does, for a second or until the failure is there; every call is quick."""
+    monkeypatch.setattr(limits, "STOP_S", 0.3)
+    longest_s, answers = 0.0, []
+    with linked(fault) as link:
+        deadline = time.monotonic() + (0.8 if kind is None else PATIENCE_S)
+        tag = 0
+        while time.monotonic() < deadline and not (kind and answers and answers[-1].failure):
+            calls: list[Callable[[], object]] = [
+                lambda: link.tick(),
+                lambda: link.status,
+                lambda: link.answer("viewport"),
+                lambda tag=tag: link.ask("viewport", *picture(), tag=tag),
+                lambda: link.log,
+            ]
+            for call in calls:
+                begun = time.perf_counter()
+                call()
+                longest_s = max(longest_s, time.perf_counter() - begun)
+            answer = link.answer("viewport")
+            if answer is not None and (not answers or answers[-1] is not answer):
+                answers.append(answer)
+            if answer is not None and answer.tag == tag:
+                tag += 1
+            time.sleep(0.002)
+    assert longest_s < AT_ONCE_S
+    if kind is not None:
+        assert answers[-1].failure.kind == kind
+
+
+def test_an_engine_that_is_killed_from_outside_is_noticed_by_everybody():
+    if os.name == "nt":
+        pytest.skip("killing by signal")
+    caught = []
+
+    def render() -> None:
+        try:
+            link.request(*picture(), timeout_s=PATIENCE_S)
+        except JGHandFailure as failure:
+            caught.append(failure.kind)
+
+    with linked("hang") as link:
+        pid = pid_of(link)
+        link.ask("viewport", *picture(), tag="a")
+        until(lambda: link.status.busy)
+        thread = threading.Thread(target=render)
+        thread.start()
+        until(lambda: link._exact)
+        os.kill(pid, signal.SIGKILL)
+        answer = answered(link, "a")
+        thread.join(PATIENCE_S)
+        assert (answer.failure.kind, caught) == ("killed", ["killed"])
+        assert link.status.state == "failed"
+        assert link.status.failure.kind == "killed"
+
+
+def test_a_crashed_engine_is_started_again_but_not_with_what_crashed_it(monkeypatch):
+    monkeypatch.setattr(limits, "RESTART_S", 0.2)
+    with linked("die:2") as link:
+        link.ask("viewport", *picture(), tag="good")
+        assert answered(link, "good").failure is None
+        link.ask("viewport", *picture(), tag="bad")
+        assert answered(link, "bad").failure.kind == "crashed"
+        time.sleep(0.3)
+        link.ask("viewport", *picture(), tag="bad")
+        assert link.status.state == "failed"
+        link.ask("viewport", *picture(), tag="next")
+        assert link.status.state == "starting"
+        assert answered(link, "next").failure is None
+
+
+def test_after_a_few_crashes_only_the_user_starts_it_again(monkeypatch):
+    monkeypatch.setattr(limits, "RESTART_S", 0.0)
+    with linked("die") as link:
+        for tag in range(limits.RESTARTS_MAX + 1):
+            link.ask("viewport", *picture(), tag=tag)
+            assert answered(link, tag).failure.kind == "crashed"
+        run = link._run
+        link.ask("viewport", *picture(), tag="one more")
+        assert link.answer("viewport").failure.kind == "crashed"
+        assert link._run == run
+        link.start()
+        until(lambda: link.status.state == "ready")
+
+
+def test_an_engine_that_says_nothing_is_slow_and_its_picture_still_comes(monkeypatch):
+    monkeypatch.setattr(limits, "SLOW_S", 0.5)
+    monkeypatch.setattr(limits, "LOOK_S", 0.1)
+    with linked("mute") as link:
+        link.start()
+        until(lambda: link.status.state == "slow")
+        assert link.tick()
+        link.ask("viewport", *picture(), tag="a")
+        assert answered(link, "a").failure is None
+        assert link.status.state == "ready"
+
+
+def test_no_engine_is_a_failure_and_a_button_looks_anew(tmp_path):
+    found: list[list[str]] = []
+
+    def look() -> list[str]:
+        if not found:
+            raise JGHandFailure("no_interpreter", "nowhere")
+        return found[0]
+
+    link = EngineLink(look)
+    try:
+        link.ask("viewport", *picture(), tag="a")
+        assert answered(link, "a").failure.kind == "no_interpreter"
+        with pytest.raises(JGHandFailure) as caught:
+            link.request({"kind": "info"})
+        assert caught.value.kind == "no_interpreter"
+        found.append([str(tmp_path / "nothing")])
+        link.start()
+        until(lambda: link.status.state == "failed")
+        assert link.status.failure.kind == "no_interpreter"
+        found[0] = command()
+        link.start()
+        until(lambda: link.status.state == "ready")
+    finally:
+        link.close()
+
+
+# ---- start and stop --------------------------------------------------------------------------------------------------
+
+
+def test_a_restart_is_another_process_and_waiting_pictures_are_told():
+    with linked() as link:
+        first = pid_of(link)
+        link.restart()
+        assert pid_of(link) != first
+        assert link.status.state == "ready"
+
+
+def test_a_stopped_engine_waits_for_somebody_who_wants_it_by_name():
+    with linked("patient") as link:
+        first = pid_of(link)
+        link.ask("viewport", *picture(), tag="a")
+        until(lambda: link.status.busy)
+        link.stop()
+        assert link.answer("viewport").failure.kind == "stopped"
+        until(lambda: link.status.state == "stopped")
+        link.ask("viewport", *picture(), tag="a")
+        assert link.status.state == "stopped"
+        assert link.answer("viewport").failure.kind == "stopped"
+        assert pid_of(link) != first
+
+
+def test_stopping_while_it_starts_leaves_nothing():
+    with linked("silent") as link:
+        link.start()
+        link.stop()
+        until(lambda: link.status.state == "stopped")
+        assert link._process is None
+
+
+def test_every_wild_order_of_start_and_stop_ends_where_the_last_one_said():
+    with linked() as link:
+        for _ in range(5):
+            link.start()
+            link.stop()
+            link.restart()
+            link.stop()
+            link.start()
+        until(lambda: link.status.state == "ready")
+        link.restart()
+        link.stop()
+        until(lambda: link.status.state == "stopped")
+
+
+def test_a_closed_link_starts_nothing():
+    link = EngineLink(command)
+    link.start()
+    link.close()
+    link.close()
+    link.start()
+    link.ask("viewport", *picture(), tag="a")
+    assert link.answer("viewport").failure.kind == "stopped"
+    with pytest.raises(JGHandFailure) as caught:
+        link.request({"kind": "info"})
+    assert caught.value.kind == "stopped"
+    assert link._process is None
+
+
+def test_a_mistake_in_the_link_is_a_failure_and_not_the_end(monkeypatch):
+    with linked() as link:
+        assert pid_of(link)
+        monkeypatch.setattr(link, "_take", lambda *_: 1 / 0)
+        with pytest.raises(JGHandFailure) as caught:
+            link.request({"kind": "info"}, timeout_s=PATIENCE_S)
+        assert caught.value.kind == "internal"
+        monkeypatch.undo()
+        link.start()
+        assert pid_of(link)
+
+
+def test_the_log_is_kept_in_a_file_and_old_ones_go(tmp_path):
+    for number in range(9):
+        (tmp_path / f"engine-2020010{number}.log").write_text("old")
+        os.utime(tmp_path / f"engine-2020010{number}.log", (number, number))
+    with linked("chatty", log_folder=tmp_path) as link:
+        assert link.log_path is None
+        assert pid_of(link)
+        path = link.log_path
+        until(lambda: "a library says hello" in link.log)
+    assert "a library says hello" in path.read_text()
+    assert len(list(tmp_path.iterdir())) == limits.LOG_FILES
+
+
+def test_a_log_that_is_flooded_ends(tmp_path, monkeypatch):
+    monkeypatch.setattr(limits, "LOG_FILE_MAX_BYTES", 1000)
+    with linked("flood", log_folder=tmp_path) as link:
+        assert pid_of(link)
+        path = link.log_path
+        until(lambda: link.log.count("noise") == limits.LOG_LINES)
+    assert path.stat().st_size < 1100
+    assert path.read_text().endswith("left out\n")
+
+
+def test_a_folder_that_cannot_be_written_is_no_reason_to_have_no_engine(tmp_path):
+    (tmp_path / "file").touch()
+    with linked(log_folder=tmp_path / "file") as link:
+        assert pid_of(link)
+        assert link.log_path is None
+
+
+# ---- engines that say anything ---------------------------------------------------------------------------------------
+
+
+class AnyEngine:
+    """A process with a good handshake, whose socket is in the hands of the test."""
+
+    def __init__(self) -> None:
+        self._listener = socket.create_server(("127.0.0.1", 0))
+        line = {"protocol": protocol.PROTOCOL_VERSION, "port": self._listener.getsockname()[1], "pid": 0}
+        code = f"import sys; print({json.dumps(json.dumps(line))}, flush=True); sys.stdin.read()"
+        self.link = EngineLink(lambda: [sys.executable, "-I", "-S", "-c", code])
+        self.link.start()
+        self._listener.settimeout(PATIENCE_S)
+        self.connection, _ = self._listener.accept()
+        self.connection.settimeout(PATIENCE_S)
+
+    def close(self) -> None:
+        self.connection.close()
+        self._listener.close()
+        self.link.close()
+
+    def __enter__(self) -> AnyEngine:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+VALUES = st.recursive(
+    st.none() | st.booleans() | st.integers(-(2**40), 2**40) | st.floats(allow_nan=False) | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner, max_size=3),
+    max_leaves=6,
+)
+HEADERS = st.fixed_dictionaries(
+    {},
+    optional={
+        "kind": st.sampled_from(["welcome", "refused", "reply", "progress", "heartbeat", "x"]) | VALUES,
+        "id": st.integers(0, 3) | VALUES,
+        "ok": VALUES,
+        "error": st.fixed_dictionaries({}, optional={"kind": VALUES, "sentence": VALUES, "detail": VALUES}) | VALUES,
+        "fraction": VALUES,
+        "text": VALUES,
+        "eta_s": VALUES,
+    },
+)
+
+
+@settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
+@given(st.lists(HEADERS, max_size=6), st.binary(max_size=60), st.booleans())
+def test_whatever_comes_over_the_wire_nobody_waits_for_ever(headers, rubbish, welcomed):
+    # its process lives on: whether it is about to end need not be found out here
+    with mock.patch.object(limits, "TERMINATE_S", 0.02), AnyEngine() as engine:
+        if welcomed:
+            protocol.send(engine.connection, {"kind": "welcome"})
+        engine.link.ask("viewport", *picture(), tag="a")
+        with contextlib.suppress(OSError, protocol.Disconnected):
+            for header in headers:
+                protocol.send(engine.connection, header)
+            engine.connection.sendall(rubbish)
+            engine.connection.shutdown(socket.SHUT_WR)
+        answer = engine.link.wait("viewport", "a", PATIENCE_S)
+        assert answer is not None
+        assert (answer.message is None) != (answer.failure is None)
+        assert engine.link._thread.is_alive()
+
+
+def test_of_all_that_was_asked_meanwhile_only_the_newest_is_sent():
+    with AnyEngine() as engine:
+        protocol.send(engine.connection, {"kind": "welcome"})
+        assert protocol.receive_greeting(engine.connection, engine.link._process.token, deadline=time.monotonic() + 9)
+        for tag in range(1, 50):
+            engine.link.ask("viewport", *picture(), tag=tag)
+            if tag == 1:
+                until(lambda: engine.link.status.busy)
+        for tag in (1, 49):
+            asked = protocol.receive(engine.connection)
+            assert asked.header["id"] == tag
+            protocol.send(engine.connection, {"kind": "reply", "id": tag, "ok": True})
+            assert answered(engine.link, tag).failure is None
+        until(lambda: not engine.link.status.busy)
+
+
+def test_progress_is_heard_while_the_engine_works():
+    with AnyEngine() as engine:
+        protocol.send(engine.connection, {"kind": "welcome"})
+        until(lambda: engine.link.status.state == "ready")
+        engine.link.ask("viewport", *picture(), tag="a")
+        until(lambda: engine.link.status.busy)
+        assert engine.link.progress() is None
+        protocol.send(engine.connection, {"kind": "progress", "id": 1, "fraction": 0.25, "text": "loads", "eta_s": 3})
+        until(lambda: engine.link.progress() is not None)
+        progress = engine.link.progress()
+        assert (progress.fraction, progress.text, progress.eta_s) == (0.25, "loads", 3.0)
+        protocol.send(engine.connection, {"kind": "reply", "id": 1, "ok": True})
+        answered(engine.link, "a")
+        assert engine.link.progress() is None
+
+
+def test_a_reply_that_comes_in_pieces_is_one_reply():
+    with AnyEngine() as engine:
+        protocol.send(engine.connection, {"kind": "welcome"})
+        engine.link.ask("viewport", *picture(), tag="a")
+        values = np.arange(3000, dtype="<f4")
+        content = b"".join(protocol.encode({"kind": "reply", "id": 1, "ok": True}, {"x": protocol.Array.of(values)}))
+        until(lambda: engine.link.status.busy)
+        for start in range(0, len(content), 997):
+            engine.connection.sendall(content[start : start + 997])
+            time.sleep(0.001)
+        answer = answered(engine.link, "a")
+        np.testing.assert_array_equal(np.asarray(answer.message.arrays["x"].view()), values)
+
+
+def test_an_answer_to_something_else_is_not_taken_for_this_one():
+    with AnyEngine() as engine:
+        protocol.send(engine.connection, {"kind": "welcome"})
+        engine.link.ask("viewport", *picture(), tag="a")
+        until(lambda: engine.link.status.busy)
+        protocol.send(engine.connection, {"kind": "reply", "id": 77, "ok": True, "other": True})
+        protocol.send(engine.connection, {"kind": "reply", "id": 1, "ok": True, "other": False})
+        assert answered(engine.link, "a").message.header["other"] is False
