@@ -119,7 +119,6 @@ class JGHandTrainingSettings(bpy.types.PropertyGroup):
         name="Resolution",
         description="Width and height of the pictures",
         size=2,
-        subtype="PIXEL",
         default=(334, 512),
         min=16,
         max=8192,
