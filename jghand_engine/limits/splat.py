@@ -17,6 +17,8 @@ Z_NEAR_M = 0.01
 VAR_MAX_PX2 = 1e9
 # colours beyond this overflow float32 in the gradients; counted as invalid
 RGB_MAX = 1e6
+# metres at which parallel rays are taken to meet: their directions differ by 1e-7 over a hand then, float32's rounding
+PARALLEL_EYE_M = 1e6
 # coordinates beyond this are counted as invalid, metres: depth is blended like a colour, and has the same limit
 POSITION_MAX_M = 1e6
 # a covariance is positive semi-definite when it is with this part of its trace added to the diagonal: what float32

@@ -9,7 +9,7 @@ namespace jg {
 
 struct Projection {
   vf x, y, z;         // camera frame, m
-  vf inverse_z;
+  vf inverse_z;       // of parallel rays: 1
   vf u, v;            // centre relative to the principal point, px
   vf jx, jy;          // du/dx, dv/dy, px/m
   vf jxz, jyz;        // du/dz, dv/dz, px/m
@@ -119,10 +119,10 @@ JG_INLINE Projection project(const RasterJob& job, const Inputs& in, const Shape
   p.x = to_camera(job.camera_from_position, in.px, in.py, in.pz);
   p.y = to_camera(job.camera_from_position + 4, in.px, in.py, in.pz);
   p.z = to_camera(job.camera_from_position + 8, in.px, in.py, in.pz);
-  p.inverse_z = 1.0f / p.z;
+  p.inverse_z = job.orthographic ? all(1.0f) : 1.0f / p.z;
   p.jx = p.inverse_z * job.fx, p.jy = p.inverse_z * job.fy;
   p.u = p.jx * p.x, p.v = p.jy * p.y;
-  p.jxz = -p.u * p.inverse_z, p.jyz = -p.v * p.inverse_z;
+  p.jxz = job.orthographic ? vf{} : -p.u * p.inverse_z, p.jyz = job.orthographic ? vf{} : -p.v * p.inverse_z;
   spread(job, shapes, p);
   return p;
 }

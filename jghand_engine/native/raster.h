@@ -89,6 +89,7 @@ struct RasterJob {
   int32_t parts;                      // how finely the Gaussians are shared between threads; does not change the result
   int32_t visible, invalid;           // out
   int32_t status;                     // out
+  int32_t orthographic;               // 1: parallel rays; fx and fy are px per metre then
 };
 
 // Steps of the forward call. Ranges of Gaussians or of tiles are given as the item of a step.

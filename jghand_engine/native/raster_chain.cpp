@@ -96,9 +96,10 @@ JG_INLINE InputGradients chain_rule(const RasterJob& job, const Inputs& in, cons
   // jx = fx/z, u = jx x, jxz = -u/z, so d(jx)/dz = -jx/z, du/dz = jxz, d(jxz)/dz = -2 jxz/z, d(jxz)/dx = -jx/z; in this
   // form nothing is multiplied by z or x before it is divided by z, which could overflow for far Gaussians
   const vf iz = p.inverse_z;
-  const vf d_x = (d_u - d.jxz * iz) * p.jx, d_y = (d_v - d.jyz * iz) * p.jy;
-  const vf d_z = grad.z + d_u * p.jxz + d_v * p.jyz -
-                 iz * (d.jx * p.jx + d.jy * p.jy + (d.jxz * p.jxz + d.jyz * p.jyz) * 2.0f);
+  vf d_x = (d_u - d.jxz * iz) * p.jx, d_y = (d_v - d.jyz * iz) * p.jy;
+  vf d_z = grad.z + d_u * p.jxz + d_v * p.jyz -
+           iz * (d.jx * p.jx + d.jy * p.jy + (d.jxz * p.jxz + d.jyz * p.jyz) * 2.0f);
+  if (job.orthographic) d_x = d_u * p.jx, d_y = d_v * p.jy, d_z = grad.z;  // jx is a constant
   // camera frame to the frame of the positions
   float M[12];
   for (int i = 0; i < 12; i++) M[i] = (float)job.camera_from_position[i];

@@ -58,7 +58,7 @@ class _Job(ctypes.Structure):
         *((name, ctypes.c_float) for name in ("fx", "fy", "cx", "cy", "z_near")),
         *((name, ctypes.c_float) for name in ("log2_alpha_min", "alpha_max", "t_stop")),
         *((name, ctypes.c_int32) for name in ("count", "width", "height", "tiles_x", "tiles_y")),
-        *((name, ctypes.c_int32) for name in ("parts", "visible", "invalid", "status")),
+        *((name, ctypes.c_int32) for name in ("parts", "visible", "invalid", "status", "orthographic")),
     )
 
 
@@ -86,7 +86,8 @@ class GaussianArrays:
 
 @dataclass(frozen=True)
 class View:
-    """A pinhole camera for the kernel: pixels, and camera_from_position (3, 4) float64, metres.
+    """A pinhole camera for the kernel, or one of parallel rays (`splat.camera.Camera`): pixels, and
+    camera_from_position (3, 4) float64, metres.
 
     The matrix maps the frame the positions are given in to the camera frame: world positions, positions relative to
     the hand's root (put the root into the last column), or camera-frame positions with `np.eye(3, 4)`.
@@ -99,6 +100,7 @@ class View:
     cx: float
     cy: float
     camera_from_position: np.ndarray
+    orthographic: bool = False
 
 
 @dataclass(frozen=True)
@@ -243,6 +245,7 @@ class NativeRasteriser:
         job.width, job.height = view.width, view.height
         job.tiles_x, job.tiles_y = -(-view.width // limits.TILE_PX), -(-view.height // limits.TILE_PX)
         job.fx, job.fy, job.cx, job.cy = view.fx, view.fy, view.cx, view.cy
+        job.orthographic = view.orthographic
         job.camera_from_position[:] = np.asarray(view.camera_from_position, np.float64).ravel().tolist()
 
     @staticmethod

@@ -17,6 +17,7 @@ struct ShadeTask {
   int32_t samples;  // 0: no shadow, only compose
   int32_t stride;   // floats from row to row of the padded depth; a multiple of 16
   int32_t pad_rows;
+  int32_t orthographic;  // 1: parallel rays; fx and fy are px per metre then
   float fx, fy, cx, cy;
   float origin;  // m; depths are kept relative to it, so that the rounding of 0.6 m does not tilt the normals
   float radius, bias, softness, gain;
@@ -99,7 +100,7 @@ JG_INLINE Curve curve_of(const ShadeTask& s) {
           s.height_min, -s.gain * s.softness / (float)s.samples};
 }
 
-// 16 pixels of one row: depth relative to the origin, ray (x/z, y/z), unit normal; and its taps. Where the offset is the same for all pixels
+// 16 pixels of one row: depth relative to the origin, ray (x/z, y/z; zero where rays are parallel), unit normal; and its taps. Where the offset is the same for all pixels
 // of the block (three quarters and more) the tap is one contiguous load, elsewhere a gather.
 struct Block {
   vf z, ray_x, ray_y, nx, ny, nz;
@@ -140,8 +141,8 @@ JG_INLINE Slope slope_along(const Block& b, vf z, const float* c, vf ray, float 
   step = select(b.valid, step, all(most));
   const bool same = !bit_mask(step != all(most));
   const vi offset = to_int(step) * stride;
-  const vf change = step / focal;
-  return slope_of(b.z, load_at(c, offset, same), load_at(c, -offset, same), ray + change, ray - change, change * z, s);
+  const vf change = step / focal, turn = s.orthographic ? vf{} : change;
+  return slope_of(b.z, load_at(c, offset, same), load_at(c, -offset, same), ray + turn, ray - turn, change * z, s);
 }
 
 JG_INLINE void set_normal(Block& b, vf z, const float* c, const ShadeTask& s) {
@@ -171,19 +172,27 @@ JG_INLINE int append(int32_t* list, int count, int first, uint32_t mask) {
 #endif
 }
 
+// A step of the picture is so many times (turn z + base) long at the relative depth z: along rays that spread it grows
+// with depth, along parallel ones it does not.
+struct Reach {
+  float turn, base;
+};
+JG_INLINE Reach reach_of(const ShadeTask& s) { return s.orthographic ? Reach{0.f, 1.f} : Reach{1.f, s.origin}; }
+
 // Rounding is monotonous: when the least and the greatest reach in the block land on the same pixel, all do.
 JG_INLINE void sort_taps(Block& b, float step_x, float step_y, const ShadeTask& s) {
   const vf least = all(s.reach_min_px), most = all(s.reach_max_px);
   const float x_lo = lowest(select(b.valid, b.reach_x, most)), x_hi = highest(select(b.valid, b.reach_x, least));
   const float y_lo = lowest(select(b.valid, b.reach_y, most)), y_hi = highest(select(b.valid, b.reach_y, least));
+  const Reach reach = reach_of(s);
   b.same_count = b.mixed_count = 0;
   for (int k = 0; k < s.samples; k += LANES) {
     const vf dx = load(s.disc_x + k), dy = load(s.disc_y + k);
     const vf x = round_even(dx * x_lo), y = round_even(dy * y_lo);
-    store(b.shift_x + k, x * step_x);
-    store(b.shift_y + k, y * step_y);
-    store(b.base_x + k, x * step_x * s.origin);
-    store(b.base_y + k, y * step_y * s.origin);
+    store(b.shift_x + k, x * step_x * reach.turn);
+    store(b.shift_y + k, y * step_y * reach.turn);
+    store(b.base_x + k, x * step_x * reach.base);
+    store(b.base_y + k, y * step_y * reach.base);
     store(b.offset + k, to_int(y) * s.stride + to_int(x));
     const uint32_t wanted = s.samples - k >= LANES ? 0xffffu : (1u << (s.samples - k)) - 1;
     const uint32_t same = bit_mask((x == round_even(dx * x_hi)) & (y == round_even(dy * y_hi)));
@@ -200,9 +209,9 @@ JG_INLINE bool set_block(Block& b, const float* c, int x0, int y, const ShadeTas
   b.valid = b.z < SHADOW_FAR_M;
   if (!bit_mask(b.valid)) return false;
   const float step_x = 1.f / s.fx, step_y = 1.f / s.fy;
-  b.ray_x = (lane + ((float)x0 + 0.5f - s.cx)) * step_x;
-  b.ray_y = all(((float)y + 0.5f - s.cy) * step_y);
-  const vf z = b.z + s.origin;
+  b.ray_x = s.orthographic ? vf{} : (lane + ((float)x0 + 0.5f - s.cx)) * step_x;
+  b.ray_y = s.orthographic ? vf{} : all(((float)y + 0.5f - s.cy) * step_y);
+  const vf z = s.orthographic ? all(1.f) : b.z + s.origin;
   set_normal(b, z, c, s);
   const vf reach = s.radius / z, least = all(s.reach_min_px), most = all(s.reach_max_px);
   b.reach_x = min(max(s.fx * reach, least), most);
@@ -243,6 +252,7 @@ template <class Same, class Mixed>
 JG_INLINE void for_taps(const Block& b, const Curve& curve, const float* c, const ShadeTask& s, Same same, Mixed mixed) {
   const vi lane = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 15};
   const float step_x = 1.f / s.fx, step_y = 1.f / s.fy;
+  const Reach reach = reach_of(s);
   for (int i = 0; i < b.same_count; i++) {
     const int k = b.same[i];
     const Shift shift = {all(b.shift_x[k]), all(b.shift_y[k]), all(b.base_x[k]), all(b.base_y[k])};
@@ -253,7 +263,7 @@ JG_INLINE void for_taps(const Block& b, const Curve& curve, const float* c, cons
     const vf x = round_even(b.reach_x * s.disc_x[k]), y = round_even(b.reach_y * s.disc_y[k]);
     const vi index = to_int(y) * s.stride + to_int(x) + lane;
     const vf sx = x * step_x, sy = y * step_y;
-    const Shift shift = {sx, sy, sx * s.origin, sy * s.origin};
+    const Shift shift = {sx * reach.turn, sy * reach.turn, sx * reach.base, sy * reach.base};
     mixed(index, shift, tap_of(b, curve, gather(c, index), shift));
   }
 }

@@ -37,7 +37,7 @@ class ShadeTask(ctypes.Structure):
     """ShadeTask of native/shadow.h, field by field."""
 
     _fields_ = (
-        *((name, _I32) for name in ("width", "height", "samples", "stride", "pad_rows")),
+        *((name, _I32) for name in ("width", "height", "samples", "stride", "pad_rows", "orthographic")),
         *((name, _F32) for name in ("fx", "fy", "cx", "cy", "origin")),
         *((name, _F32) for name in ("radius", "bias", "softness", "gain", "alpha_min")),
         *((name, _F32) for name in ("reach_min_px", "reach_max_px", "length_eps", "normal_reach", "height_min")),

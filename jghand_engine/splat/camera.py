@@ -92,9 +92,15 @@ class Camera:
 
     @property
     def eye_m(self) -> torch.Tensor:
-        """(3,) float64 where the camera stands, world metres."""
+        """(3,) float64 where the camera stands, world metres. Of parallel rays: so far away that they might meet
+        there."""
         rotation, offset_m = self.camera_from_world[:3, :3], self.camera_from_world[:3, 3]
-        return -(rotation.T @ offset_m)
+        away_m = limits.PARALLEL_EYE_M if self.orthographic else 0.0
+        return -(rotation.T @ offset_m) - away_m * rotation[2]
+
+    def px_per_metre(self, depth_m: float) -> float:
+        """How large a metre is on the picture at a depth, pixels, along the axis on which it is larger."""
+        return max(self.fx, self.fy) / (1.0 if self.orthographic else depth_m)
 
     def scaled(self, factor: float) -> Camera:
         """The same view with `factor` times as many pixels along each side (rounded to whole pixels)."""

@@ -322,7 +322,7 @@ def _extent_px(joints_m: np.ndarray, camera: Camera) -> float:
     pixels, depth = camera.project(torch.from_numpy(joints_m))
     if not bool((depth > limits.Z_NEAR_M).all()):
         return math.inf
-    flesh_px = 2e-3 * max(limits.GATE_CAPSULE_RADII_MM) * max(camera.fx, camera.fy) / float(depth.min())
+    flesh_px = 2e-3 * max(limits.GATE_CAPSULE_RADII_MM) * camera.px_per_metre(float(depth.min()))
     return float((pixels.amax(0) - pixels.amin(0)).max()) + flesh_px
 
 
@@ -378,7 +378,7 @@ def _sigma_px(hand: HandFacts, joints_m: np.ndarray, bones: FastBones, camera: C
     nearest_m = float(depth.min())
     if not nearest_m > limits.Z_NEAR_M:
         return math.inf
-    return hand.sigma_m * bones.scale * max(camera.fx, camera.fy) / nearest_m
+    return hand.sigma_m * bones.scale * camera.px_per_metre(nearest_m)
 
 
 def _maps(scene: Scene, settings: RenderSettings) -> list[Decision]:
@@ -478,12 +478,12 @@ def hand_box(
         nearest_m = float(points[:, 2].min()) - reach_m
         if not (np.isfinite(points).all() and limits.Z_NEAR_M < nearest_m < math.inf):
             return None
-        slope = points[:, :2] / points[:, 2:]
+        slope = points[:, :2] if camera.orthographic else points[:, :2] / points[:, 2:]
         focal = np.array([camera.fx, camera.fy])
         pixels = slope * focal + np.array([camera.cx, camera.cy])
         # a ball of radius r at depth z covers r (1 + tan) / (z - r) of the plane at depth 1, and the low pass comes on
         # top: a Gaussian of opacity 1 is cut where its exponent is ln(1 / alpha_min)
-        margin = focal * reach_m * (1 + np.abs(slope).max(0)) / nearest_m
+        margin = focal * reach_m * (1.0 if camera.orthographic else (1 + np.abs(slope).max(0)) / nearest_m)
         margin += math.sqrt(2 * math.log(1 / alpha_min) * limits.BLUR_PX2) + 1
         low, high = np.minimum(low, pixels.min(0) - margin), np.maximum(high, pixels.max(0) + margin)
     return _on_grid(low, high, camera)

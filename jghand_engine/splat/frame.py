@@ -121,8 +121,6 @@ class SceneRenderer:
         """
         # what is drawn may be the hand's box alone
         check_picture_size(camera.width, camera.height)
-        if camera.orthographic:
-            raise InputError("camera", wanted="a perspective one", came="an orthographic one, which is not drawn yet")
         if not self.settings.half:
             return self._render(joints_m, camera, shutter)
         return _enlarged(self._render(joints_m, halved(camera), shutter), camera)

@@ -70,7 +70,7 @@ class Canvas:
             return False
         mine, theirs = self.camera, other.camera
         numbers = ("width", "height", "fx", "fy", "cx", "cy")
-        if any(getattr(mine, name) != getattr(theirs, name) for name in numbers):
+        if any(getattr(mine, name) != getattr(theirs, name) for name in (*numbers, "orthographic")):
             return False
         return bool(torch.equal(mine.camera_from_world, theirs.camera_from_world))
 

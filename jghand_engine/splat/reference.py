@@ -110,12 +110,14 @@ def semi_definite(covariance_m2: torch.Tensor) -> torch.Tensor:
 
 
 def _project(gaussians: Gaussians, position_c: torch.Tensor, kept: torch.Tensor, camera: Camera) -> _Ellipses:
-    """Perspective projection of the centres and of the shapes."""
+    """Projection of the centres and of the shapes."""
     x, y, z = position_c[kept].unbind(1)
     opacity, rgb, covariance = gaussians.opacity[kept], gaussians.rgb[kept], gaussians.covariance_m2
-    jx, jy = camera.fx / z, camera.fy / z
+    scale = torch.ones_like(z) if camera.orthographic else z
+    jx, jy = camera.fx / scale, camera.fy / scale
     u, v = jx * x, jy * y
-    jacobian = jx, jy, -u / z, -v / z
+    flat = torch.zeros_like(z)
+    jacobian = (jx, jy, flat, flat) if camera.orthographic else (jx, jy, -u / z, -v / z)
     if covariance is None:
         shapes = _project_spheres(gaussians.sigma_m[kept], jacobian)
     else:

@@ -121,7 +121,13 @@ def _unproject(depth_m: torch.Tensor, camera: Camera) -> torch.Tensor:
     height, width = depth_m.shape
     y = (torch.arange(height, dtype=depth_m.dtype) + 0.5 - camera.cy) / camera.fy
     x = (torch.arange(width, dtype=depth_m.dtype) + 0.5 - camera.cx) / camera.fx
-    return torch.stack([x[None, :] * depth_m, y[:, None] * depth_m, depth_m], -1)
+    spread = _spread(depth_m, camera)
+    return torch.stack([x[None, :] * spread, y[:, None] * spread, depth_m], -1)
+
+
+def _spread(depth_m: torch.Tensor, camera: Camera) -> torch.Tensor:
+    """How far apart rays are at a depth that are 1 apart at depth 1: that depth, or 1 where they are parallel."""
+    return torch.ones_like(depth_m) if camera.orthographic else depth_m
 
 
 def _taps(
@@ -131,7 +137,7 @@ def _taps(
     height, width = depth_m.shape
     row, column = valid.nonzero().unbind(-1)
     disc = vogel_disc(style.samples).to(depth_m.dtype)
-    reach = style.radius_m / depth_m[valid]
+    reach = style.radius_m / _spread(depth_m, camera)[valid]
     lo, hi = limits.SHADOW_RADIUS_MIN_PX, limits.SHADOW_RADIUS_MAX_PX
     x = column[:, None] + ((camera.fx * reach).clamp(lo, hi)[:, None] * disc[:, 0]).round().long()
     y = row[:, None] + ((camera.fy * reach).clamp(lo, hi)[:, None] * disc[:, 1]).round().long()
@@ -146,14 +152,15 @@ def _normals(points: torch.Tensor, depth_m: torch.Tensor, valid: torch.Tensor, c
     """
     tangents = []
     for axis, focal in ((0, camera.fy), (1, camera.fx)):
-        step_px = (focal * limits.SHADOW_NORMAL_REACH_M / depth_m).clamp(
+        step_px = (focal * limits.SHADOW_NORMAL_REACH_M / _spread(depth_m, camera)).clamp(
             limits.SHADOW_RADIUS_MIN_PX, limits.SHADOW_RADIUS_MAX_PX
         )
         tangents.append(_tangent(points, valid, step_px.round().long(), axis))
     normal = torch.linalg.cross(*tangents)
     square = (normal * normal).sum(-1, keepdim=True)
     normal = normal / torch.sqrt(square.clamp_min(limits.SHADOW_NORMAL_MIN2))
-    return torch.where((normal * points).sum(-1, keepdim=True) > 0, -normal, normal)
+    away = normal[..., 2:] if camera.orthographic else (normal * points).sum(-1, keepdim=True)
+    return torch.where(away > 0, -normal, normal)
 
 
 def _tangent(points: torch.Tensor, valid: torch.Tensor, step: torch.Tensor, axis: int) -> torch.Tensor:

@@ -73,6 +73,7 @@ class NativeShade:
         self._keep = tuple(array for array in (planes, visibility, rgba, depth_m) if array is not None)
         task.origin = near_m
         task.fx, task.fy, task.cx, task.cy = camera.fx, camera.fy, camera.cx, camera.cy
+        task.orthographic = camera.orthographic
         self._set_style(style)
         self.team.fill(0)
 
@@ -156,8 +157,8 @@ def darken(
 ) -> torch.Tensor:
     """The darkened premultiplied colour (3, H, W) of planes (5, H, W): R G B, alpha, sum of weight * z. Differentiable.
 
-    With a `library` and float32 planes by the compiled kernel, else by torch.
+    With a `library` and float32 planes by the compiled kernel, else by torch; so are gradients of parallel rays.
     """
-    if library is None or planes.dtype != torch.float32:
+    if library is None or planes.dtype != torch.float32 or camera.orthographic:
         return shade(planes[:3].permute(1, 2, 0), planes[3], planes[4], camera, style).permute(2, 0, 1)
     return _NativeShading.apply(planes.contiguous(), library, camera, style, threads)
