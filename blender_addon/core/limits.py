@@ -29,6 +29,8 @@ REFUSED_MAX = 64
 # after stdin was closed the engine may finish; then it is asked to end; then it is ended
 STOP_S = 3.0
 TERMINATE_S = 2.0
+# a check imports all that the engine needs; from a slow disk that takes as long as a start
+CHECK_S = 60.0
 # after the end of the process, what it printed last may still be on its way
 LAST_WORDS_S = 0.2
 # lines of the engine's own output that are kept, those of them that a failure's detail shows, and letters of one
@@ -49,6 +51,8 @@ REST_BONE_MIN = 1e-2
 PALM_SINE_MIN = 1e-3
 # det of the normalised axes of an object: below it, its scale is (nearly) zero in some direction
 SCALE_MIN = 1e-6
+# det of an object's axes below which it is flat and can hide nothing that is inside of it
+FLAT_DETERMINANT = 1e-12
 # a camera whose normalised axes leave orthogonality by more than this is sheared by its parents
 SHEAR_MAX = 1e-4
 # cosine below which two directions count as opposite: the smallest rotation between them has no axis of its own
@@ -92,6 +96,8 @@ IK_ITERATIONS = 500
 FINGER_SHAPE_M = 0.014
 TIP_SHAPE_M = 0.006
 HAND_SHAPE_M = (0.062, 0.03, 0.05)
+# and of the empty that stands for a hand of objects
+HOLDER_SHAPE_M = 0.02
 
 # ---- pictures of poses ----------------------------------------------------------------------------------------------
 
@@ -185,6 +191,11 @@ JOB_STOP_S = 30.0
 JOB_LAST_WORDS_S = 1.0
 # the end of Blender waits so long for all jobs together; what needs longer ends by itself
 JOB_END_S = 2.0
+# how often jobs are looked after, and how often the folder of a training is read; without a window, or for a script, a
+# job is waited for a day
+JOB_LOOK_S = 0.25
+TRAINING_LOOK_S = 3.0
+JOB_WAIT_S = 86400.0
 # bytes of one line of a job, letters of its text, and notes that are kept
 JOB_LINE_MAX = 65536
 JOB_TEXT_MAX = 300

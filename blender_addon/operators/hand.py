@@ -12,7 +12,7 @@ from mathutils import Vector
 
 from ..bridge import armature, bone_list, controls, framing, sources
 from ..bridge.classes import register_classes, unregister_classes
-from ..core import bone_maps, posing
+from ..core import bone_maps, limits, posing
 from ..core.bone_maps import BoneMap, Recognition
 from ..core.joints import HANDEDNESSES, NAMES, RIGHT
 from ..core.messages import JGHandFailure
@@ -223,7 +223,10 @@ class UseObjects(Reporting, bpy.types.Operator):
     ) -> bpy.types.Object:
         joints = sources.objects_of(bone_map, things)
         holder = bpy.data.objects.new(f"{bone_map.handedness.capitalize()} Hand (objects)", None)
-        holder.empty_display_type, holder.empty_display_size = "SPHERE", 0.02 / context.scene.unit_settings.scale_length
+        holder.empty_display_type, holder.empty_display_size = (
+            "SPHERE",
+            limits.HOLDER_SHAPE_M / context.scene.unit_settings.scale_length,
+        )
         context.scene.collection.objects.link(holder)
         common.link_to_active_collection(context, holder)
         holder.location = joints[0].matrix_world.translation
@@ -268,13 +271,10 @@ class SelectHand(Reporting, bpy.types.Operator):
 
     bl_idname = "jghand.select_hand"
     bl_label = "Select Hand"
+    bl_description = "Make this hand the active object"
     bl_options = UNDOABLE_PLUMBING
 
     uid: bpy.props.IntProperty(name="Object", options={"SKIP_SAVE", "HIDDEN"})  # type: ignore[valid-type]
-
-    @classmethod
-    def description(cls, _context: bpy.types.Context, _properties: bpy.types.OperatorProperties) -> str:
-        return "Make this hand the active object"
 
     def run(self, context: bpy.types.Context) -> None:
         hand = next((thing for thing in context.view_layer.objects if thing.session_uid == self.uid), None)
@@ -321,9 +321,9 @@ def _meshes_around(context: bpy.types.Context, place: Vector) -> Iterator[bpy.ty
     for thing in context.view_layer.objects:
         if thing.type != "MESH" or not thing.visible_get(view_layer=context.view_layer) or not thing.data.polygons:
             continue
-        if abs(thing.matrix_world.determinant()) < 1e-12:
+        if abs(thing.matrix_world.determinant()) < limits.FLAT_DETERMINANT:
             continue
-        local = thing.matrix_world.inverted() @ place
+        local = np.array(thing.matrix_world.inverted() @ place)
         corners = np.array(thing.bound_box)
         if (corners.min(0) < local).all() and (local < corners.max(0)).all():
             yield thing

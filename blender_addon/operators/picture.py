@@ -94,6 +94,7 @@ class Explain(bpy.types.Operator):
 
     bl_idname = "jghand.explain"
     bl_label = "Explain"
+    bl_description = "Say why"
     bl_options = PLUMBING
 
     text: bpy.props.StringProperty(options={"SKIP_SAVE", "HIDDEN"})  # type: ignore[valid-type]

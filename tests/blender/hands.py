@@ -68,6 +68,20 @@ def mixamo_rig(context: bpy.types.Context) -> tuple[bpy.types.Object, dict[str, 
     return rig, joints
 
 
+def named_bones(context: bpy.types.Context, names: list[str]) -> bpy.types.Object:
+    """An armature with bones of these names and no meaning, active."""
+    data = bpy.data.armatures.new("Rig")
+    rig = bpy.data.objects.new("Rig", data)
+    context.scene.collection.objects.link(rig)
+    context.view_layer.objects.active = rig
+    bpy.ops.object.mode_set(mode="EDIT")
+    for place, name in enumerate(names):
+        bone = data.edit_bones.new(name)
+        bone.head, bone.tail = (0.01 * place, 0.0, 0.0), (0.01 * place, 0.02 + 0.001 * place, 0.0)
+    bpy.ops.object.mode_set(mode="OBJECT")
+    return rig
+
+
 def joint_empties(context: bpy.types.Context, handedness: str) -> list[bpy.types.Object]:
     """21 selected empties where the joints of a resting hand are, named after them, standard order."""
     things = []

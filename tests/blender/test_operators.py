@@ -1,0 +1,534 @@
+"""Every operator does its one thing in a real scene, says what is missing, and can be undone."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import bpy
+import hands
+import numpy as np
+import pytest
+from recording_layout import operator_type
+
+from blender_addon import properties
+from blender_addon.bridge import armature, controls, folders, hand_poses, pose_library, sources, versions
+from blender_addon.core import bone_maps, poses, posing
+from blender_addon.core.controls import FINGER_CONTROLS, HAND_CONTROL
+from blender_addon.core.joints import HANDEDNESSES, NAMES
+from blender_addon.operators import bone_map, finger_controls, hand, help_page, motion, picture, pose
+from blender_addon.operators.common import UNDOABLE
+
+OPERATORS = [
+    each
+    for module in (bone_map, finger_controls, hand, help_page, motion, picture, pose)
+    for each in vars(module).values()
+    if isinstance(each, type) and issubclass(each, bpy.types.Operator) and each.__module__ == module.__name__
+]
+# float32 of bone chains through constraints; worst observed 3.4e-7 m
+EXACT_M = 1e-6
+
+
+def add(side: str = "right", **options: object) -> bpy.types.Object:
+    assert bpy.ops.jghand.add_hand(handedness=side, **options) == {"FINISHED"}
+    return bpy.context.object
+
+
+def joints_of(context: bpy.types.Context, thing: bpy.types.Object) -> np.ndarray:
+    context.view_layer.update()
+    return armature.read_hand(thing, context.evaluated_depsgraph_get()).joints_m
+
+
+def posed(name: str, side: str) -> np.ndarray:
+    rest = posing.rest_matrices(posing.rest_joints_m(side), side)
+    return poses.posed_joints(rest, poses.pose_named(name, side).quaternions)
+
+
+def refuses(operator: object, **options: object) -> str:
+    """The sentence with which an operator refuses, by its poll or by a report."""
+    with pytest.raises(RuntimeError) as caught:
+        operator(**options)
+    return str(caught.value)
+
+
+@pytest.mark.parametrize("side", HANDEDNESSES)
+def test_add_hand_makes_a_hand_at_the_cursor_with_all_it_needs(extension, side):
+    extension.scene.cursor.location = (1, 2, 3)
+    thing = add(side)
+    assert armature.handedness_of(thing) == side
+    assert tuple(thing.location) == (1, 2, 3)
+    assert extension.view_layer.objects.active == thing
+    assert thing.select_get()
+    assert controls.has_controls(thing)
+    camera = extension.scene.camera
+    joints = armature.read_hand(thing, extension.evaluated_depsgraph_get()).joints_world_m
+    pixels = hands.blenders_pixels(extension.scene, camera, joints, (1920, 1080))
+    assert (pixels > 0).all()
+    assert (pixels < (1920, 1080)).all()
+    # a tenth of the picture at the least: the camera is on the hand
+    assert np.ptp(pixels[:, 1]) > 300
+
+
+def test_add_hand_leaves_a_camera_that_is_there_and_adds_as_many_hands_as_wanted(extension):
+    first = add("right", use_controls=False)
+    assert not controls.has_controls(first)
+    camera = extension.scene.camera
+    second = add("right")
+    assert second.name != first.name
+    assert extension.scene.camera is camera
+    assert not first.select_get()
+    assert len(armature.hand_armatures(extension.view_layer)) == 2
+
+
+def test_add_hand_goes_into_the_active_collection_and_out_of_any_mode(extension):
+    thing = add()
+    inner = bpy.data.collections.new("Inner")
+    extension.scene.collection.children.link(inner)
+    extension.view_layer.active_layer_collection = extension.view_layer.layer_collection.children["Inner"]
+    bpy.ops.object.mode_set(mode="POSE")
+    other = add("left")
+    assert other.users_collection == (inner,)
+    assert thing.users_collection == (extension.scene.collection,)
+    inner.hide_viewport = True  # there nothing can be made: the scene's own collection takes it
+    assert add("left").users_collection == (extension.scene.collection,)
+
+
+def test_add_hand_warns_of_a_thing_that_hides_it(extension, capfd):
+    bpy.ops.mesh.primitive_cube_add(location=(0, 0, 0))
+    add()
+    assert "inside Cube" in capfd.readouterr().out
+    extension.scene.cursor.location = (5, 0, 0)
+    add()
+    assert "inside" not in capfd.readouterr().out
+
+
+def test_undo_takes_a_hand_away_and_redo_brings_it_back_whole(extension):
+    bpy.ops.ed.undo_push(message="empty")
+    add("left")
+    bpy.context.object.jghand.avatar = "somebody.jghand"
+    bpy.ops.ed.undo_push(message="hand")
+    bpy.ops.ed.undo()
+    assert not armature.hand_armatures(bpy.context.view_layer)
+    bpy.ops.ed.redo()
+    (thing,) = armature.hand_armatures(bpy.context.view_layer)
+    assert thing.jghand.avatar == "somebody.jghand"
+    np.testing.assert_allclose(joints_of(bpy.context, thing), posing.rest_joints_m("left"), atol=EXACT_M)
+
+
+def test_a_character_becomes_two_hands_and_is_forgotten_one_by_one(extension):
+    rig, joints = hands.mixamo_rig(extension)
+    assert bpy.ops.jghand.use_armature() == {"FINISHED"}
+    seen = sources.read_hands(rig, extension.evaluated_depsgraph_get())
+    for one, side in zip(seen, HANDEDNESSES, strict=True):
+        np.testing.assert_allclose(one.joints_world_m, joints[side], atol=EXACT_M)
+    bpy.ops.jghand.forget(handedness="right")
+    assert [one.handedness for one in sources.read_hands(rig, extension.evaluated_depsgraph_get())] == ["left"]
+    bpy.ops.jghand.forget()
+    assert not armature.is_foreign(rig)
+
+
+def test_where_two_answers_are_possible_nothing_is_taken_until_one_is_chosen(extension):
+    rig = hands.named_bones(extension, _doubtful_names())
+    assert len(sources.recognise(rig, "right").candidates) == 2
+    assert "Choose one" in refuses(bpy.ops.jghand.use_armature)
+    assert not armature.is_foreign(rig)
+    assert bpy.ops.jghand.use_armature(handedness="right", right="1") == {"FINISHED"}
+    (stored,) = sources.stored_maps(rig)
+    assert stored.sources == sources.recognise(rig, "right").candidates[1].sources
+
+
+def _doubtful_names() -> list[str]:
+    """Two sets of the same bones, told apart by their prefixes only."""
+    return [f"{prefix}:RightHand{word}" for prefix in ("one", "two") for word in ("", *_mixamo_words())]
+
+
+def _mixamo_words() -> list[str]:
+    return [f"{finger}{level}" for finger in ("Thumb", "Index", "Middle", "Ring", "Pinky") for level in (1, 2, 3, 4)]
+
+
+def test_a_rig_that_nobody_knows_gets_an_empty_list_to_fill_by_hand(extension):
+    rig = hands.named_bones(extension, [f"bone {place}" for place in range(21)])
+    assert bpy.ops.jghand.use_armature() == {"FINISHED"}
+    (stored,) = sources.stored_maps(rig)
+    assert stored.sources == (None,) * 21
+    for place, row in enumerate(rig.jghand.joints):
+        row.bone = f"bone {place}"
+    rig.jghand.joints["thumb4"].bone, rig.jghand.joints["thumb4"].end = "bone 3", "tail"
+    (stored,) = sources.stored_maps(rig)
+    assert stored.complete
+    assert stored.sources[4] == bone_maps.JointSource("bone 3", "tail")
+    (seen,) = sources.read_hands(rig, extension.evaluated_depsgraph_get())
+    bone = rig.data.bones["bone 3"]
+    np.testing.assert_allclose(seen.joints_world_m[4], rig.matrix_world @ bone.tail_local, atol=EXACT_M)
+
+
+def test_finding_bones_again_keeps_what_was_chosen_and_fills_what_is_missing(extension):
+    rig, _ = hands.mixamo_rig(extension)
+    bpy.ops.jghand.use_armature()
+    rows = rig.jghand.joints
+    rows["index1"].bone = "mixamorig:RightHandMiddle1"
+    rows["index2"].bone = ""
+    rows["index3"].bone = "gone"
+    assert bpy.ops.jghand.fill_bone_map() == {"FINISHED"}
+    assert rows["index1"].bone.endswith("Middle1")
+    assert rows["index2"].bone.endswith("Index2")
+    assert rows["index3"].bone.endswith("Index3")
+    bpy.ops.jghand.fill_bone_map(only_missing=False)
+    assert rows["index1"].bone.endswith("Index1")
+
+
+def test_a_map_that_a_script_stored_gets_its_rows(extension):
+    rig, _ = hands.mixamo_rig(extension)
+    sources.store_map(rig, sources.recognise(rig, "right").bone_map)
+    assert len(rig.jghand.joints) == 0
+    bpy.ops.jghand.edit_bone_map()
+    assert rig.jghand.joints["wrist"].bone == "mixamorig:RightHand"
+
+
+def test_21_selected_objects_become_a_hand(extension):
+    hands.joint_empties(extension, "left")
+    assert bpy.ops.jghand.use_objects() == {"FINISHED"}
+    holder = extension.object
+    (seen,) = sources.read_hands(holder, extension.evaluated_depsgraph_get())
+    np.testing.assert_allclose(seen.joints_world_m, posing.rest_joints_m("left"), atol=EXACT_M)
+    bpy.ops.jghand.forget()
+    assert not armature.is_foreign(holder)
+
+
+def test_objects_of_which_one_has_another_name_are_refused_by_name(extension):
+    things = hands.joint_empties(extension, "right")
+    things[6].name = "something"
+    assert "index2" in refuses(bpy.ops.jghand.use_objects)
+
+
+@pytest.mark.parametrize("side", HANDEDNESSES)
+@pytest.mark.parametrize("name", ["flat", "relaxed", "fist", "point", "pinch", "ASL V"])
+def test_a_pose_is_applied_whatever_the_controls_were(extension, side, name):
+    thing = add(side)
+    thing.pose.bones[HAND_CONTROL].rotation_euler.x = 0.5
+    controls.hold_tip(thing, "index")
+    assert bpy.ops.jghand.apply_pose(pose=name) == {"FINISHED"}
+    np.testing.assert_allclose(joints_of(extension, thing), posed(name, side), atol=EXACT_M)
+
+
+def test_half_a_pose_lies_between(extension):
+    thing = add()
+    bpy.ops.jghand.apply_pose(pose="open")
+    bone = thing.pose.bones["index2"]
+    start = bone.rotation_quaternion.copy()
+    bpy.ops.jghand.apply_pose(pose="fist", part=0.5)
+    half = bone.rotation_quaternion.copy()
+    bpy.ops.jghand.apply_pose(pose="fist")
+    whole = start.rotation_difference(bone.rotation_quaternion).angle
+    assert start.rotation_difference(half).angle == pytest.approx(whole / 2, abs=1e-3)
+
+
+def test_a_pose_goes_to_all_selected_hands_each_of_its_side(extension):
+    right, left = add("right"), add("left")
+    right.select_set(True)
+    bpy.ops.jghand.apply_pose(pose="fist")
+    for thing, side in ((right, "right"), (left, "left")):
+        np.testing.assert_allclose(joints_of(extension, thing), posed("fist", side), atol=EXACT_M)
+
+
+def test_a_pose_is_keyed_where_it_is_asked_for_and_with_auto_keying(extension):
+    thing = add()
+    extension.scene.frame_set(7)
+    bpy.ops.jghand.apply_pose(pose="fist")
+    assert not versions.fcurves(thing)
+    bpy.ops.jghand.apply_pose(pose="fist", use_keys=True)
+    curves = {curve.data_path for curve in versions.fcurves(thing)}
+    assert {f'pose.bones["{name}"].rotation_quaternion' for name in hand_poses.MOVING_BONES} <= curves
+    extension.scene.tool_settings.use_keyframe_insert_auto = True
+    extension.scene.frame_set(20)
+    bpy.ops.jghand.apply_pose(pose="flat")
+    assert {key.co[0] for curve in versions.fcurves(thing) for key in curve.keyframe_points} == {7.0, 20.0}
+    extension.scene.frame_set(7)
+    np.testing.assert_allclose(joints_of(extension, thing), posed("fist", "right"), atol=EXACT_M)
+
+
+def test_bones_that_an_artist_keeps_in_euler_angles_stay_so(extension):
+    thing = add(use_controls=False)
+    for mode, name in (("XYZ", "index1"), ("AXIS_ANGLE", "index2"), ("ZYX", "thumb1")):
+        thing.pose.bones[name].rotation_mode = mode
+    bpy.ops.jghand.apply_pose(pose="fist", use_keys=True)
+    assert thing.pose.bones["index1"].rotation_mode == "XYZ"
+    np.testing.assert_allclose(joints_of(extension, thing), posed("fist", "right"), atol=EXACT_M)
+    extension.scene.frame_set(3)
+    np.testing.assert_allclose(joints_of(extension, thing), posed("fist", "right"), atol=EXACT_M)
+
+
+def test_the_other_hand_takes_the_mirrored_pose_and_the_controls(extension):
+    right, left = add("right"), add("left")
+    bpy.ops.jghand.apply_pose(pose="point")
+    for at, name in enumerate((HAND_CONTROL, *FINGER_CONTROLS)):
+        left.pose.bones[name].rotation_euler = (0.05 * at, 0, 0.03)
+    extension.view_layer.update()
+    controls.hold_tip(left, "pinky")
+    left.pose.bones["tip_pinky"].location += controls.Vector((0.004, -0.003, 0.002))
+    assert bpy.ops.jghand.flip_pose() == {"FINISHED"}
+    wanted = joints_of(extension, left) * (-1, 1, 1)
+    np.testing.assert_allclose(joints_of(extension, right), wanted, atol=EXACT_M)
+
+
+def test_a_hand_of_the_same_side_takes_the_pose_as_it_is(extension):
+    first, second = add("right"), add("right", use_controls=False)
+    first.select_set(True)
+    bpy.ops.jghand.apply_pose(pose="victory")
+    bpy.ops.jghand.reset_pose()
+    second.pose.bones["index1"].rotation_quaternion = (math.cos(0.2), math.sin(0.2), 0, 0)
+    bpy.ops.jghand.flip_pose()
+    np.testing.assert_allclose(joints_of(extension, first), joints_of(extension, second), atol=EXACT_M)
+
+
+def test_flip_needs_a_hand_to_take_the_pose(extension):
+    add()
+    assert "Select the hand that is to take the pose" in refuses(bpy.ops.jghand.flip_pose)
+    add("left")
+    add("left")
+    assert "Select the hand that is to take the pose" in refuses(bpy.ops.jghand.flip_pose)
+
+
+def test_reset_puts_fingers_and_controls_to_rest_and_leaves_the_wrist(extension):
+    thing = add()
+    bpy.ops.jghand.apply_pose(pose="fist")
+    thing.pose.bones[HAND_CONTROL].rotation_euler.x = 0.4
+    thing.pose.bones["index2"].location = (0, 0.01, 0)
+    thing.pose.bones["wrist"].location = (0, 0.05, 0)
+    bpy.ops.jghand.reset_pose()
+    wanted = posing.rest_joints_m("right") + np.array(thing.pose.bones["wrist"].matrix.translation)
+    np.testing.assert_allclose(joints_of(extension, thing), wanted, atol=EXACT_M)
+    assert thing.pose.bones["wrist"].location.y == pytest.approx(0.05)
+
+
+def test_finger_controls_come_go_and_are_muted(extension):
+    thing = add(use_controls=False)
+    assert "Add finger controls first" in refuses(bpy.ops.jghand.joint_limits)
+    bpy.ops.jghand.add_controls()
+    assert controls.has_controls(thing)
+    assert controls.joint_limits_are_used(thing)
+    bpy.ops.jghand.joint_limits()
+    assert not controls.joint_limits_are_used(thing)
+    bpy.ops.jghand.joint_limits()
+    assert controls.joint_limits_are_used(thing)
+    bpy.ops.jghand.mute_controls()
+    assert controls.controls_are_muted(thing)
+    assert "muted" in refuses(bpy.ops.jghand.hold_tip, finger="index")
+    bpy.ops.jghand.mute_controls()
+    bpy.ops.jghand.hold_tip(finger="ring")
+    assert controls.tip_rule(thing, 3).influence == 1
+    bpy.ops.jghand.hold_tip(finger="ring", hold=False)
+    assert controls.tip_rule(thing, 3).influence == 0
+    bpy.ops.jghand.remove_controls()
+    assert not controls.has_controls(thing)
+
+
+def test_baking_keys_what_is_seen_over_the_scenes_range(extension):
+    thing = add()
+    scene = extension.scene
+    scene.frame_start, scene.frame_end = 3, 6
+    bone = thing.pose.bones[HAND_CONTROL]
+    for frame, angle in ((3, 0.0), (6, 1.0)):
+        bone.rotation_euler.x = angle
+        bone.keyframe_insert("rotation_euler", frame=frame)
+    seen = [armature.read_hand(thing, armature.at_frame(scene, frame)).joints_m for frame in range(3, 7)]
+    scene.frame_set(4)
+    assert bpy.ops.jghand.bake_controls() == {"FINISHED"}
+    assert scene.frame_current == 4
+    for frame, wanted in zip(range(3, 7), seen, strict=True):
+        baked = armature.read_hand(thing, armature.at_frame(scene, frame)).joints_m
+        np.testing.assert_allclose(baked, wanted, atol=EXACT_M)
+
+
+def test_baking_that_is_stopped_half_way_changes_nothing(extension):
+    thing = add()
+    scene = extension.scene
+    scene.frame_set(11)
+    steps = controls.bake_steps(extension, thing, range(1, 100))
+    assert next(steps) == pytest.approx(1 / 99)
+    next(steps)
+    steps.close()
+    assert scene.frame_current == 11
+    assert controls.has_controls(thing)
+    assert thing.animation_data is None or thing.animation_data.action is None
+
+
+def write_motion(path: Path, joints_m: np.ndarray, side: str, fps: float = 24.0) -> Path:
+    np.savez(path, joints_m=joints_m, order="standard", unit="m", fps=fps, handedness=side)
+    return path
+
+
+@pytest.mark.parametrize("side", HANDEDNESSES)
+def test_a_motion_goes_onto_the_active_hand_exactly_with_controls_on_it(extension, tmp_path, side):
+    joints = hands.moving_hand_m(side)
+    path = write_motion(tmp_path / "wave.npz", joints, side)
+    thing = add(side)
+    thing.pose.bones[HAND_CONTROL].rotation_euler.x = 0.7
+    assert bpy.ops.jghand.import_motion(filepath=str(path), first_frame=10, use_scene_range=True) == {"FINISHED"}
+    assert extension.object == thing
+    assert thing.animation_data.action.name == "wave"
+    assert (extension.scene.frame_start, extension.scene.frame_end) == (10, 14)
+    for place, wanted in enumerate(joints):
+        seen = armature.read_hand(thing, armature.at_frame(extension.scene, 10 + place))
+        np.testing.assert_allclose(seen.joints_world_m, wanted, atol=EXACT_M)
+    # the controls act on top again
+    thing.pose.bones[HAND_CONTROL].rotation_euler.x = 0.7
+    assert np.abs(joints_of(extension, thing) - joints[-1]).max() > 0.01
+
+
+def test_a_motion_of_the_other_side_or_without_a_hand_makes_a_new_hand(extension, tmp_path):
+    joints = hands.moving_hand_m("left")
+    path = str(write_motion(tmp_path / "wave.npz", joints, "left"))
+    right = add("right")
+    assert bpy.ops.jghand.import_motion(filepath=path) == {"FINISHED"}
+    made = extension.object
+    assert made != right
+    assert armature.handedness_of(made) == "left"
+    right.select_set(True)
+    extension.view_layer.objects.active = right
+    assert "other hand" in refuses(bpy.ops.jghand.import_motion, filepath=path, target="ACTIVE")
+    extension.view_layer.objects.active = None
+    assert "no hand is active" in refuses(bpy.ops.jghand.import_motion, filepath=path, target="ACTIVE")
+
+
+def test_a_motion_with_gaps_says_so(extension, tmp_path, capfd):
+    joints = hands.moving_hand_m("right").tolist()
+    joints[2][5] = None
+    content = {"format": "jghand motion", "version": 1, "order": "standard", "unit": "m", "fps": 24}
+    path = tmp_path / "gap.json"
+    path.write_text(json.dumps({**content, "handedness": "right", "joints": joints}))
+    bpy.ops.jghand.import_motion(filepath=str(path))
+    assert "1 of 5 frames miss joints" in capfd.readouterr().out
+
+
+def test_a_file_that_is_no_motion_changes_nothing(extension, tmp_path):
+    path = tmp_path / "text.csv"
+    path.write_text("a,b\n1,2\n")
+    before = len(bpy.data.objects)
+    assert "no motion that JGHand can read" in refuses(bpy.ops.jghand.import_motion, filepath=str(path))
+    assert len(bpy.data.objects) == before
+
+
+def test_motion_files_can_be_dropped_into_the_viewport(extension):
+    handler = bpy.types.JGHAND_FH_motion
+    assert handler.bl_import_operator == "jghand.import_motion"
+    assert set(handler.bl_file_extensions.split(";")) == {".npz", ".json", ".csv"}
+    assert "filepath" in operator_type("jghand.import_motion").properties
+
+
+def test_selecting_a_hand_stays_in_pose_mode(extension):
+    first, second = add("right"), add("left")
+    bpy.ops.object.mode_set(mode="POSE")
+    bpy.ops.jghand.select_hand(uid=first.session_uid)
+    assert extension.object == first
+    assert extension.mode == "POSE"
+    assert not second.select_get()
+    second.hide_set(True)
+    assert "evaluate" in refuses(bpy.ops.jghand.select_hand, uid=second.session_uid)
+    assert "view layer" in refuses(bpy.ops.jghand.select_hand, uid=2**30)
+
+
+def test_standard_colours_undo_look_exposure_and_curves(extension):
+    view = extension.scene.view_settings
+    view.view_transform, view.exposure, view.gamma = "AgX", 2.0, 1.5
+    view.look = "AgX - Punchy"
+    view.use_curve_mapping = True
+    bpy.ops.jghand.use_standard()
+    assert (view.view_transform, view.look, view.exposure, view.gamma) == ("Standard", "None", 0.0, 1.0)
+    assert not view.use_curve_mapping
+
+
+def test_a_camera_is_added_for_a_hand_of_any_kind(extension):
+    hands.mixamo_rig(extension)
+    assert "Select a hand" in refuses(bpy.ops.jghand.add_camera)
+    bpy.ops.jghand.use_armature()
+    bpy.ops.jghand.add_camera()
+    assert extension.scene.camera.name == "Hand Camera"
+
+
+def test_the_pose_library_is_made_on_demand_and_used(extension, tmp_path, monkeypatch):
+    monkeypatch.setattr(folders, "user_folder", lambda name: tmp_path / name)
+    assert bpy.ops.jghand.make_pose_assets() == {"FINISHED"}
+    assert (tmp_path / "poses" / pose_library.BLEND).is_file()
+    libraries = extension.preferences.filepaths.asset_libraries
+    assert str(tmp_path / "poses") in {library.path for library in libraries}
+
+
+def test_the_users_folder_is_there_also_without_an_installed_extension():
+    folder = folders.user_folder("poses")
+    assert folder.is_dir()
+    assert folder.name == "poses"
+
+
+def test_help_opens_a_section_that_the_page_has(extension, monkeypatch):
+    import webbrowser
+
+    opened = []
+    monkeypatch.setattr(webbrowser, "open", lambda url, *_: opened.append(url) or True)
+    page = help_page.PAGE.read_text(encoding="utf-8")
+    from test_panels import PANELS
+
+    sections = {panel.help_section for panel in PANELS.values() if getattr(panel, "help_section", "")}
+    assert len(sections) > 5
+    for section in sections:
+        assert f'<h2 id="{section}">' in page, section
+        bpy.ops.jghand.open_help(section=section)
+    assert all(url.startswith("file://") for url in opened)
+
+
+def test_explain_says_its_text(extension, capfd):
+    assert picture.Explain.description(extension, type("P", (), {"text": "why"})) == "why"
+    bpy.ops.jghand.explain(text="because")
+    assert "because" in capfd.readouterr().out
+
+
+def test_without_the_engine_in_blender_use_engine_says_so(extension):
+    if any(getattr(each, "bl_idname", "") == picture.ENGINE for each in bpy.types.RenderEngine.__subclasses__()):
+        assert bpy.ops.jghand.use_engine() == {"FINISHED"}
+        assert extension.scene.render.engine == picture.ENGINE
+        assert "already" in refuses(bpy.ops.jghand.use_engine)
+    else:
+        assert "JGHAND" in refuses(bpy.ops.jghand.use_engine)
+
+
+def test_what_changes_data_can_be_undone_and_plumbing_is_not_searched_for():
+    for operator in OPERATORS:
+        plumbing = {"explain", "open_help", "open_preferences"}
+        if operator.bl_idname.partition(".")[2] in plumbing:
+            assert operator.bl_options == {"INTERNAL"}, operator
+        elif operator.bl_idname != "jghand.make_pose_assets":  # writes files and a preference, nothing of the scene
+            assert operator.bl_options >= UNDOABLE, operator
+
+
+def test_every_poll_says_what_is_missing_in_an_empty_scene(extension):
+    always = {"add_hand", "import_motion", "use_standard", "use_engine", "make_pose_assets"}
+    always |= {"explain", "open_help", "open_preferences", "select_hand"}
+    for operator in OPERATORS:
+        name = operator.bl_idname.partition(".")[2]
+        if name in always:
+            continue
+        said = refuses(getattr(bpy.ops.jghand, name))
+        assert "failed, context is incorrect" not in said, name
+        assert said.strip().splitlines()[-1].split("poll() ")[-1], name
+
+
+def test_names_and_tooltips_follow_blenders_habits(extension):
+    operators = [operator_type(operator.bl_idname) for operator in OPERATORS]
+    for operator in operators:
+        assert operator.description, operator
+        assert not operator.description.endswith("."), operator
+    for owner in (*operators, *(each.bl_rna for each in properties._CLASSES)):
+        for one in owner.properties:
+            if one.identifier in ("rna_type", "name") or one.is_hidden:
+                continue
+            assert one.name, (owner, one)
+            assert not one.description.endswith("."), (owner.identifier, one.identifier)
+
+
+def test_joints_are_the_rows_of_the_list_in_the_standard_order(extension):
+    rig, _ = hands.mixamo_rig(extension)
+    bpy.ops.jghand.use_armature()
+    assert [row.name for row in rig.jghand.joints] == list(NAMES)
+    bpy.ops.jghand.use_armature()
+    assert len(rig.jghand.joints) == 21
