@@ -28,6 +28,7 @@ import json
 import os
 import random
 import resource
+import signal
 import sys
 import tempfile
 import time
@@ -212,10 +213,14 @@ class Known:
 
 
 class Reports:
-    """A pytest plugin that ends the process at the first failure."""
+    """A pytest plugin that ends the process at the first failure, and leaves the failed test's name in a file."""
+
+    def __init__(self, killer: Path) -> None:
+        self._killer = killer
 
     def pytest_runtest_logreport(self, report: Any) -> None:
         if report.failed:
+            self._killer.write_text(report.nodeid, encoding="utf-8")
             os._exit(1)
 
 
@@ -329,8 +334,8 @@ def _is(survivor: dict[str, Any], mutant: Mutant) -> bool:
 class Measurement:
     """A pytest plugin: instead of running the collected tests it tries mutants on them."""
 
-    def __init__(self, room: str, options: argparse.Namespace) -> None:
-        self._room, self._options = room, options
+    def __init__(self, room: str, options: argparse.Namespace, killer: Path) -> None:
+        self._room, self._options, self._killer = room, options, killer
         self._folder = ROOT / "jghand_engine" / room
         self._modules = [m for m in ROOMS[room].modules if not options.only or m in options.only]
         self._sources = {m: (self._folder / f"{m}.py").read_text(encoding="utf-8") for m in self._modules}
@@ -393,20 +398,22 @@ class Measurement:
         count = result["modules"][mutant.module]
         count["tried"] += 1
         count["killed"] += code != 0
-        count["out_of_time"] += code < 0
+        count["out_of_time"] += code in (-signal.SIGXCPU, -signal.SIGKILL)
         if code == 0:
             result["survivors"].append({**asdict(mutant), "place": list(mutant.place), "tests": len(touching)})
-        words = "survived" if code == 0 else "was killed by"
         marked = is_equivalent(asdict(mutant), result["equivalent"])
-        if marked or code == 0:
+        if marked or code == 0 or self._options.verbose:
+            killer = self._killer.read_text(encoding="utf-8") if code > 0 else f"signal {-code}"
+            fate = f"survived {len(touching)} tests" if code == 0 else f"killed by {killer}"
             where = f"{mutant.module}.py:{mutant.line}:{mutant.column} {mutant.change} ({mutant.function})"
-            print(f"  {words} {len(touching)} tests: {where}{', marked as equivalent' * marked}", flush=True)
+            print(f"  {where}{', marked as equivalent' * marked}: {fate}", flush=True)
 
     def _path(self, module: str) -> Path:
         return self._folder / f"{module}.py"
 
     def _fate(self, mutant: Mutant, items: list[Any]) -> int:
         """0: no test noticed."""
+        self._killer.unlink(missing_ok=True)
         if not items:
             return 0
 
@@ -414,7 +421,10 @@ class Measurement:
             if put_in_place(mutant, self._sources[mutant.module], self._path(mutant.module)):
                 run(items)
 
-        return in_child(work, self._options.mutant_seconds)
+        code = in_child(work, self._options.mutant_seconds)
+        if code > 0 and not self._killer.exists():
+            sys.exit(f"{mutant}: its process ended by {code} without a failed test")
+        return code
 
 
 def main() -> None:
@@ -433,6 +443,7 @@ def main() -> None:
     parser.add_argument("--more", action="store_true", help="go on with the sample, up to --mutants")
     parser.add_argument("--known", type=Path, metavar="FILE", help="keeps which tests touch what, for the next run")
     parser.add_argument("--again", action="store_true", help="try the survivors again, after tests were added")
+    parser.add_argument("--verbose", action="store_true", help="say of every mutant which test killed it")
     parser.add_argument("--dry", action="store_true", help="keep no results")
     parser.add_argument("--summary", action="store_true")
     options = parser.parse_args()
@@ -452,7 +463,9 @@ def main() -> None:
 
     quiet = ["-q", "-p", "no:cacheprovider", "--no-header", "--tb=no", "--hypothesis-seed=0", "-s"]
     paths = options.tests or ROOMS[options.room].tests
-    pytest.main([*quiet, *paths], plugins=[Reports(), Measurement(options.room, options)])
+    with tempfile.TemporaryDirectory() as folder:
+        killer = Path(folder) / "killer"
+        pytest.main([*quiet, *paths], plugins=[Reports(killer), Measurement(options.room, options, killer)])
 
 
 if __name__ == "__main__":

@@ -11,7 +11,19 @@ from jghand_engine.template import closest
 from jghand_engine.template.builtin import load_template
 from jghand_engine.template.closest import Surface, closest_on_triangle
 from jghand_engine.template.layout import room_for_disk
-from jghand_engine.template.surface import boundary_loop, fan_faces, is_closed, vertex_normals
+from jghand_engine.template.surface import (
+    boundary_loop,
+    directed_edges,
+    disk_uv,
+    edge_normals,
+    enclosed_volume,
+    face_normals,
+    fan_faces,
+    is_closed,
+    surface_area,
+    unit,
+    vertex_normals,
+)
 from jghand_engine.template.texture import rasterise_uv, sample_bilinear
 
 
@@ -111,6 +123,85 @@ def test_surfaces_without_exactly_one_opening_are_refused(hand):
         boundary_loop(hand.faces)
     with pytest.raises(InputError):
         boundary_loop(np.delete(hand.faces, [0, 1500], axis=0))
+
+
+def test_an_open_chain_and_two_openings_are_not_one_loop(hand):
+    for faces, came in (
+        ([[0, 1, 2], [2, 3, 4]], "6 open edges"),  # two triangles that share a corner
+        ([[0, 1, 2], [3, 4, 5]], "several"),
+    ):
+        with pytest.raises(InputError, match=f"one loop, got {came}"):
+            boundary_loop(np.array(faces))
+    skin = hand.faces[: hand.skin_face_count]
+    inside = next(k for k in range(len(skin)) if not set(skin[k]) & set(boundary_loop(skin)))
+    with pytest.raises(InputError, match="got several"):
+        boundary_loop(np.delete(skin, inside, axis=0))
+
+
+def test_the_loop_of_a_triangle_runs_along_its_edges():
+    np.testing.assert_array_equal(boundary_loop(np.array([[7, 3, 5]])), [3, 5, 7])
+    np.testing.assert_array_equal(boundary_loop(np.array([[3, 7, 5]])), [3, 7, 5])
+    np.testing.assert_array_equal(directed_edges(np.array([[7, 3, 5]])), [[7, 3], [3, 5], [5, 7]])
+
+
+def test_closed_means_every_edge_once_in_each_direction():
+    tetrahedron = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    assert is_closed(tetrahedron)
+    assert not is_closed(np.concatenate([tetrahedron, tetrahedron]))  # every edge twice
+    assert not is_closed(tetrahedron[:3])
+    turned = tetrahedron.copy()
+    turned[0] = turned[0, ::-1]
+    assert not is_closed(turned)
+
+
+def test_a_fan_is_laid_out_as_a_disk_of_equal_pieces():
+    count, centre, radius = 7, (0.4, 0.6), 0.2
+    corners = disk_uv(count, centre, radius)
+    np.testing.assert_array_equal(corners[:, 2], [centre] * count)
+    np.testing.assert_allclose(np.linalg.norm(corners[:, :2] - centre, axis=2), radius, rtol=1e-14)
+    # the first corner of a face is the next face's second, one step of the circle further
+    np.testing.assert_array_equal(corners[:, 0], np.roll(corners[:, 1], -1, axis=0))
+    edge1, edge2 = corners[:, 0] - centre, corners[:, 1] - centre
+    sine = (edge2[:, 0] * edge1[:, 1] - edge2[:, 1] * edge1[:, 0]) / radius**2
+    np.testing.assert_allclose(sine, np.sin(2 * np.pi / count), rtol=1e-12)
+    np.testing.assert_allclose(corners[0, 1], [0.6, 0.6], rtol=1e-14)
+
+
+def test_volume_area_and_normals_of_a_box():
+    box = trimesh.creation.box((0.2, 0.3, 0.5))
+    vertices, faces = np.asarray(box.vertices), np.asarray(box.faces)
+    assert enclosed_volume(vertices + 5, faces) == pytest.approx(0.03)
+    assert enclosed_volume(vertices, faces[:, ::-1]) == pytest.approx(-0.03)
+    assert surface_area(vertices, faces) == pytest.approx(2 * (0.06 + 0.1 + 0.15))
+    normals = face_normals(vertices, faces)
+    outwards = vertices[faces].mean(axis=1)
+    np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1)
+    np.testing.assert_allclose(np.abs(normals).max(axis=1), 1)
+    assert (np.einsum("fc,fc->f", normals, outwards) > 0).all()
+    # at a corner of a box the three planes weigh the same, however its sides are cut into triangles
+    np.testing.assert_allclose(vertex_normals(vertices, faces), np.sign(vertices) / np.sqrt(3), atol=1e-15)
+
+
+def test_an_edge_s_normal_is_the_mean_of_its_two_faces(hand):
+    normals = face_normals(hand.vertices_m, hand.faces)
+    found = edge_normals(hand.faces, normals)
+    at_edge: dict[frozenset[int], np.ndarray] = {}
+    for face, corners in enumerate(hand.faces.tolist()):
+        for k in range(3):
+            edge = frozenset((corners[k], corners[(k + 1) % 3]))
+            at_edge[edge] = at_edge.get(edge, 0) + normals[face]
+    for face in range(0, len(hand.faces), 17):
+        for k in range(3):
+            both = at_edge[frozenset((int(hand.faces[face, k]), int(hand.faces[face, (k + 1) % 3])))]
+            np.testing.assert_allclose(found[face, k], both / np.linalg.norm(both), atol=1e-14)
+    alone = np.array([[0.0, 0, 1]])
+    np.testing.assert_array_equal(edge_normals(np.array([[0, 1, 2]]), alone), [[[0, 0, 1]] * 3])
+
+
+def test_a_vector_without_length_stays_zero():
+    np.testing.assert_array_equal(
+        unit(np.array([[0.0, 0, 0], [0, -2, 0], [1e-150, 0, 0]])), [[0, 0, 0], [0, -1, 0], [1, 0, 0]]
+    )
 
 
 def test_normals_point_outwards(hand):
