@@ -145,13 +145,13 @@ def at_frame(scene: bpy.types.Scene, frame: float) -> bpy.types.Depsgraph:
 
 
 def _hands_of(view_layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
-    hands = {
-        thing.name: thing
+    hands = {  # names are no keys: a linked hand may have the name of one of this file
+        thing.session_uid: thing
         for collection in _rendered_collections(view_layer.layer_collection)
         for thing in collection.objects
         if is_hand(thing) or is_foreign(thing)
     }
-    return [hands[name] for name in sorted(hands)]
+    return sorted(hands.values(), key=lambda hand: (hand.name, hand.library is not None, hand.session_uid))
 
 
 def _is_animated(thing: bpy.types.Object, data_path: str) -> bool:

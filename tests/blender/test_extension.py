@@ -36,12 +36,37 @@ def test_every_file_says_its_licence_and_the_notice_names_the_sources_of_the_joi
         assert source in notice
 
 
-def test_registering_again_and_again_leaves_nothing_behind(context):
-    lists = {
-        name: value for name in dir(bpy.app.handlers) if isinstance(value := getattr(bpy.app.handlers, name), list)
-    }
-    before = {name: len(value) for name, value in lists.items()}
+def test_registering_again_and_again_leaves_nothing_behind_and_says_nothing(context, capfd):
+    def there() -> dict[str, set[str]]:
+        handlers = {
+            f"handler {name}": {str(function) for function in value}
+            for name in dir(bpy.app.handlers)
+            if isinstance(value := getattr(bpy.app.handlers, name), list)
+        }
+        owners = (bpy.types.Object, bpy.types.Scene, bpy.types.WindowManager, bpy.types.WorkSpace)
+        menus = (bpy.types.VIEW3D_MT_armature_add, bpy.types.TOPBAR_MT_file_import, bpy.types.TOPBAR_MT_file_export)
+        return {
+            **handlers,
+            "types": set(dir(bpy.types)),
+            "properties": {f"{owner.__name__}.{name}" for owner in owners for name in dir(owner)},
+            "menus": {str(entry) for menu in menus for entry in getattr(menu.draw, "_draw_funcs", ())},
+            "engines": {each.__name__ for each in bpy.types.RenderEngine.__subclasses__() if each.is_registered},
+        }
+
+    before = there()
+    capfd.readouterr()
     for _ in range(3):
         blender_addon.register()
         blender_addon.unregister()
-    assert {name: len(value) for name, value in lists.items()} == before
+    after = there()
+    assert {name: after[name] ^ before[name] for name in before if after[name] != before[name]} == {}
+    said = capfd.readouterr()
+    assert (said.out, said.err) == ("", "")
+
+
+def test_registering_twice_is_registering_once(context):
+    blender_addon.register()
+    blender_addon.register()
+    blender_addon.unregister()
+    blender_addon.unregister()
+    assert not hasattr(bpy.types.Object, "jghand")
