@@ -8,6 +8,7 @@ from hand import sampled_hands as hands
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from jghand_engine import limits
 from jghand_engine.hand import rotations as rot
 
 F64 = torch.float64
@@ -91,6 +92,39 @@ def test_minimal_swing_stays_a_rotation_at_its_pole():
     assert not away.any()
     assert _orthonormality(minimal) < 1e-12
     assert (minimal[:, 2] + canonical).abs().max() < 1e-12
+
+
+@pytest.mark.parametrize("part", [0.5, 0.99, 1.01, 2.0])
+def test_a_swing_is_away_from_its_poles_beyond_their_caps(part):
+    """The cap is an angle, SWING_POLE, about each pole."""
+    angle = part * limits.SWING_POLE
+    canonical, side = _units(200), _perpendicular(_units(200))
+    Q = rot.swing_euler(canonical)[0]
+    beside = -math.cos(angle) * canonical + math.sin(angle) * side
+    minimal, away = rot.swing_minimal(beside, canonical, Q, rot.half_turn(Q[:, 1]))
+    assert (away == (part > 1)).all()
+    assert _orthonormality(minimal) < 1e-12
+    turn = torch.linspace(0, 6, 200, dtype=F64)
+    for pole in (1.0, -1.0):
+        sine = math.sin(angle)
+        beside = torch.stack(
+            [sine * torch.cos(turn), torch.full_like(turn, pole * math.cos(angle)), sine * torch.sin(turn)]
+        )
+        euler, away = rot.swing_euler(beside)
+        assert (away == (part > 1)).all()
+        assert _orthonormality(euler) < 1e-12
+
+
+def test_what_is_at_a_threshold_is_below_it():
+    v = torch.tensor([[0.25, 0.25 + 1e-9, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, -3.0]], dtype=F64)
+    fallback = torch.tensor([[0.0], [1.0], [0.0]], dtype=F64)
+    unit, good = rot.safe_unit(v, fallback, 0.25)
+    assert good.tolist() == [False, True, True]
+    assert unit.T.tolist() == [[0, 1, 0], [1, 0, 0], [0, 0, -1]]
+    assert rot.safe_length(v, 0.25).tolist() == [0, pytest.approx(0.25 + 1e-9), 3]
+    y, x = torch.tensor([0.25, 0.3, 0.0, -0.25, 0.0, -0.3]), torch.tensor([-0.25, 0.0, -0.3, 0.2, 0.25, -0.3])
+    expected = [0, math.pi / 2, math.pi, 0, 0, -3 * math.pi / 4]
+    assert rot.safe_atan2(y, x, 0.25).tolist() == pytest.approx(expected)
 
 
 @pytest.mark.parametrize("length", [0.0, 1e-30, 1e-12, 1e-3, 1.0])
