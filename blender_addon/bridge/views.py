@@ -197,7 +197,7 @@ def take(view: View, moment: Moment) -> bool:
     kind = answer.failure.kind if answer.failure is not None else None
     tag = str(answer.tag)
     view.pace, accepted = pacing.answered(view.pace, tag, kind, view.round_trip_s, moment.frame_s)
-    before, view.failure = view.failure, answer.failure if view.pace.failure() is not None else None
+    before, view.failure = view.failure, answer.failure
     if accepted and answer.message is not None:
         arrays = answer.message.arrays
         view.came = np.asarray(arrays["rgba_u8"].view()), np.asarray(arrays["depth"].view())
@@ -287,6 +287,6 @@ def problems() -> list[tuple[str, JGHandFailure]]:
     for view in _views.values():
         for name, failure in view.unreadable:
             found[name, failure.kind] = (name, failure)
-        if view.failure is not None:
+        if view.failure is not None and view.pace.failure() is not None:
             found["", view.failure.kind] = ("", view.failure)
     return list(found.values())

@@ -77,7 +77,10 @@ def test_the_first_picture_has_the_viewports_settings_and_becomes_sharp_after_a_
     view.draw(A)
     view.answer()
     view.pass_s(5.0)
-    assert [(ask.grade, ask.quality.preset) for ask in view.asked] == [(Grade.STILL, "viewport"), (Grade.SHARP, "final")]
+    assert [(ask.grade, ask.quality.preset) for ask in view.asked] == [
+        (Grade.STILL, "viewport"),
+        (Grade.SHARP, "final"),
+    ]
 
 
 def test_a_pose_that_is_dragged_is_drawn_fast_then_better_then_sharp():
