@@ -9,6 +9,12 @@ from .bridge.classes import register_classes, unregister_classes
 from .core import limits
 
 
+def _look_again(_preferences: bpy.types.AddonPreferences, _context: bpy.types.Context) -> None:
+    from . import runtime  # here: it needs the preferences
+
+    runtime.look_again()
+
+
 class JGHandPreferences(bpy.types.AddonPreferences):
     """Preferences of the extension."""
 
@@ -18,6 +24,7 @@ class JGHandPreferences(bpy.types.AddonPreferences):
         name="Engine's Python",
         description="Python interpreter that has the JGHand engine installed. Empty: found by itself",
         subtype="FILE_PATH",
+        update=_look_again,
     )  # type: ignore[valid-type]
     render_timeout_s: bpy.props.FloatProperty(
         name="Longest Wait per Frame",
@@ -35,6 +42,9 @@ class JGHandPreferences(bpy.types.AddonPreferences):
         column.use_property_split = True
         column.prop(self, "engine_python")
         column.prop(self, "render_timeout_s")
+        from .operators.engine import draw_check  # here: what draws needs what is kept, which needs the preferences
+
+        draw_check(self.layout)
 
 
 def preferences() -> JGHandPreferences | None:

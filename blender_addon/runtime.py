@@ -17,7 +17,8 @@ from typing import Any
 import bpy
 
 from .core import limits
-from .core.engine_command import engine_command, engine_program
+from .core.engine_check import EngineCheck
+from .core.engine_command import engine_command, engine_program, find_engine
 from .core.jobs import JobTable
 from .core.link import EngineLink
 from .core.messages import JGHandFailure
@@ -46,6 +47,7 @@ _reports: dict[str, Mapping[str, Any]] = {}
 _render_note: RenderNote | None = None
 _render_timeout_s: float | None = None
 _jobs = JobTable()
+_check: EngineCheck | None = None
 
 
 def link() -> EngineLink:
@@ -112,6 +114,35 @@ def program() -> Sequence[str]:
     return engine_program(_chosen_python(), checkout=_CHECKOUT)
 
 
+def start_check() -> EngineCheck:
+    """Looks anew which engine there is; returns at once. The newest check is kept for those who draw it."""
+    global _check
+    forget_check()
+    python = _chosen_python()
+    _check = EngineCheck(lambda: find_engine(python, checkout=_CHECKOUT), checkout=_CHECKOUT)
+    return _check
+
+
+def check() -> EngineCheck | None:
+    """The newest check; None when there was none."""
+    return _check
+
+
+def forget_check() -> None:
+    """Ends a check that runs, and forgets it."""
+    global _check
+    before, _check = _check, None
+    if before is not None:
+        before.close()
+
+
+def look_again() -> None:
+    """The engine may be another one from now on: what runs, or failed, is started anew, and a check is out of date."""
+    forget_check()
+    if _link is not None and _link.status.state != "stopped":
+        _link.restart()
+
+
 def jobs() -> JobTable:
     """The jobs of this Blender: exports, captures, trainings."""
     return _jobs
@@ -142,6 +173,7 @@ def unregister() -> None:
 
 
 def _end() -> None:
+    forget_check()
     use_link(None)
     _jobs.close()
     _reports.clear()

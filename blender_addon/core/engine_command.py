@@ -1,50 +1,111 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Where the engine is: what was asked for, the environment, this checkout, the command `jghand`."""
+"""Where the engine is: what was asked for, the environment, this checkout, the command `jghand`, JGHand's scripts."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 import shutil
+import sys
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 from .messages import JGHandFailure
 
 VARIABLE = "JGHAND_ENGINE_PYTHON"
+# a file of one line: the interpreter of the environment that scripts/ made last (scripts/environments.py writes it)
+NOTE = "engine_python.txt"
 _SERVE = ("serve", "--stdio-handshake")
 _INTERPRETERS = ("bin/python", "Scripts/python.exe")
+
+
+@dataclass(frozen=True)
+class FoundEngine:
+    """origin: how it was found, in words · program: the words before a verb of its command line · python: its
+    interpreter, None where only a command is known"""
+
+    origin: str
+    program: tuple[str, ...]
+    python: str | None
 
 
 def engine_command(
     python: str | None = None, *, checkout: Path | None = None, environment: Mapping[str, str] = os.environ
 ) -> tuple[str, ...]:
-    """The command that starts the engine as a service; as `engine_program`."""
+    """The command that starts the engine as a service; as `find_engine`."""
     return (*engine_program(python, checkout=checkout, environment=environment), *_SERVE)
 
 
 def engine_program(
     python: str | None = None, *, checkout: Path | None = None, environment: Mapping[str, str] = os.environ
 ) -> tuple[str, ...]:
-    """The words before a verb of the engine's command line. The first place that is given wins; a given one that does
-    not exist is a failure.
+    """The words before a verb of the engine's command line; as `find_engine`."""
+    return find_engine(python, checkout=checkout, environment=environment).program
+
+
+def find_engine(
+    python: str | None = None, *, checkout: Path | None = None, environment: Mapping[str, str] = os.environ
+) -> FoundEngine:
+    """The engine. The first that is given wins; a given one that does not exist is a failure.
 
     python: path of an interpreter that has jghand installed; then the variable JGHAND_ENGINE_PYTHON; then
-    `checkout`/.envs/engine; then `jghand` on the PATH. Raises JGHandFailure (no_interpreter).
+    `checkout`/.envs/engine; then `jghand` on the PATH; then the environment that JGHand's scripts made.
+    Raises JGHandFailure (no_interpreter).
     """
-    for origin, path in (("--engine-python", python), (VARIABLE, environment.get(VARIABLE))):
+    for origin, path in (("The Python that was chosen", python), (VARIABLE, environment.get(VARIABLE))):
         if path:
             if not Path(path).is_file():
-                raise JGHandFailure("no_interpreter", f"{origin} names {path}, which is no file")
-            return _module(path)
+                raise JGHandFailure("no_interpreter", f"{origin}: {path} is no file")
+            return _by_python(origin, path)
     if checkout is not None:
         for name in _INTERPRETERS:
             if (checkout / ".envs/engine" / name).is_file():
-                return _module(str(checkout / ".envs/engine" / name))
+                return _by_python("The environment of this checkout", str(checkout / ".envs/engine" / name))
     script = shutil.which("jghand", path=environment.get("PATH"))
     if script:
-        return (script,)
+        return FoundEngine("The command jghand on the PATH", (script,), _python_of(script))
+    made = _made_by_scripts(environment)
+    if made is not None:
+        return _by_python("The environment that JGHand's scripts made", made)
     raise JGHandFailure("no_interpreter", f"neither {VARIABLE}, nor .envs/engine, nor a command jghand")
 
 
-def _module(python: str) -> tuple[str, ...]:
-    return (python, "-I", "-m", "jghand_engine")
+def note_folder(environment: Mapping[str, str], platform: str = sys.platform) -> Path | None:
+    """Where the scripts note what they made; JGHAND_CONFIG_DIR names another place. None for a user without a home."""
+    if named := environment.get("JGHAND_CONFIG_DIR"):
+        return Path(named)
+    if platform == "win32":
+        base, below = environment.get("LOCALAPPDATA"), "jghand"
+    elif platform == "darwin":
+        base, below = environment.get("HOME"), "Library/Application Support/jghand"
+    else:
+        base, below = environment.get("XDG_CONFIG_HOME"), "jghand"
+        if not base:
+            base, below = environment.get("HOME"), ".config/jghand"
+    return Path(base) / below if base else None
+
+
+def _made_by_scripts(environment: Mapping[str, str]) -> str | None:
+    folder = note_folder(environment)
+    if folder is None:
+        return None
+    with contextlib.suppress(OSError, ValueError):
+        python = (folder / NOTE).read_text(encoding="utf-8").strip()
+        if python and Path(python).is_file():
+            return python
+    return None
+
+
+def _by_python(origin: str, path: str) -> FoundEngine:
+    return FoundEngine(origin, (path, "-I", "-m", "jghand_engine"), path)
+
+
+def _python_of(script: str) -> str | None:
+    """The interpreter beside a command of an environment; links to such a command are followed."""
+    folders = dict.fromkeys((Path(script).parent, Path(script).resolve().parent))
+    for folder in folders:
+        for name in ("python", "python3", "python.exe"):
+            if (folder / name).is_file() and (folder.parent / "pyvenv.cfg").is_file():
+                return str(folder / name)
+    return None

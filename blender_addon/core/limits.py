@@ -31,6 +31,8 @@ STOP_S = 3.0
 TERMINATE_S = 2.0
 # a check imports all that the engine needs; from a slow disk that takes as long as a start
 CHECK_S = 60.0
+# how often its operator looks whether it is done
+CHECK_LOOK_S = 0.1
 # after the end of the process, what it printed last may still be on its way
 LAST_WORDS_S = 0.2
 # lines of the engine's own output that are kept, those of them that a failure's detail shows, and letters of one
@@ -222,6 +224,8 @@ USD_STATIC_BYTES = 5_000_000
 BUILTIN_GAUSSIANS = 40_000
 # diameter of a baked point in two standard deviations of its splat: balls of this size close the skin
 POINT_WIDTH_FACTOR = 2.0
+# letters of a text on an avatar's card
+CARD_TEXT_MAX = 300
 # bytes of a bake's stamp, and those of a training's log that are read at a time
 STAMP_MAX_BYTES = 2**20
 LOG_READ_BYTES = 2**20

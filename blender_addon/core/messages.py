@@ -25,6 +25,9 @@ class Advice:
 ADVICE = {
     "no_interpreter": Advice("No engine is set up", "Choose the engine's Python", BAD_INPUT),
     "no_engine": Advice("This Python has no JGHand engine", "Install it there and try again", BAD_INPUT),
+    "broken_engine": Advice(
+        "The engine's Python lacks something that it needs", "Install it there and try again", BAD_INPUT
+    ),
     "protocol": Advice("Extension and engine are of different versions", "Update the older one", BAD_INPUT),
     "start_timeout": Advice("The engine did not start in time", "Look at the log and try again", TRY_AGAIN),
     "out_of_memory": Advice("The memory is full", "Choose a smaller picture or quality preset", OUT_OF_MEMORY),
@@ -55,6 +58,9 @@ ADVICE = {
     "no_place": Advice("There is no folder to write to yet", "Save the file first, or choose a folder", BAD_INPUT),
     "no_bake": Advice("There is no finished bake here", "Bake the hand, or choose the folder of a bake", BAD_INPUT),
     "stale_bake": Advice("The bake is not of what the scene has now", "Bake again, or play it as it is", BAD_INPUT),
+    "no_pictures": Advice(
+        "There are no pictures to learn from", "Render a training set, or choose its folder", BAD_INPUT
+    ),
     "no_usd": Advice("This Blender cannot read or write USD", "Use a Blender that was built with USD", BAD_INPUT),
     "job_running": Advice("This is running already", "Wait until it has ended, or cancel it", TRY_AGAIN),
     # what this side refuses

@@ -7,5 +7,6 @@ bone_map         the bones of a foreign rig
 pose             poses: take, copy to the other hand, reset, make assets
 finger_controls  curl, spread, held tips, joint limits
 motion           motion files as keys
+engine           check, start, stop, log
 picture          the scene's settings for pictures, cameras, small print
 """
