@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
 from jghand_engine.errors import InputError
-from jghand_engine.limits import Z_NEAR_M
+from jghand_engine.limits import PARALLEL_EYE_M, Z_NEAR_M
 from jghand_engine.splat.camera import Camera, Lens
 
 UP = torch.tensor([0.0, 1.0, 0.0])
@@ -73,6 +74,26 @@ def test_points_are_projected_by_the_matrix_of_the_pinhole() -> None:
 
 def test_the_eye_is_where_it_was_put() -> None:
     torch.testing.assert_close(oblong().eye_m, EYE_M.double())
+
+
+def test_parallel_rays_draw_a_metre_equally_large_at_every_depth() -> None:
+    view, points = replace(oblong(), orthographic=True), points_m(20)
+    inside = points @ view.camera_from_world[:3, :3].T + view.camera_from_world[:3, 3]
+    pixels, depth = view.project(points)
+    size, middle = torch.tensor([70.0, 90.0], dtype=torch.float64), torch.tensor([20.0, 31.0], dtype=torch.float64)
+    torch.testing.assert_close(pixels, inside[:, :2] * size + middle, rtol=1e-13, atol=0)
+    torch.testing.assert_close(depth, inside[:, 2])
+    # they come from far behind
+    behind = torch.linalg.inv(view.camera_from_world) @ torch.tensor([0, 0, -PARALLEL_EYE_M, 1], dtype=torch.float64)
+    torch.testing.assert_close(view.eye_m, behind[:3])
+    with pytest.raises(InputError, match="orthographic camera: wanted no lens"):
+        replace(view, lens=Lens(0.01, 0.5))
+
+
+def test_a_metre_is_as_many_pixels_as_along_the_longer_axis() -> None:
+    for view in (oblong(), replace(oblong(), fx=90.0, fy=70.0)):
+        assert view.px_per_metre(0.3) == pytest.approx(300.0)
+        assert replace(view, orthographic=True).px_per_metre(0.3) == 90.0
 
 
 def test_a_part_of_the_picture_sees_its_points_where_the_whole_does() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -34,6 +35,9 @@ def contract_pixel(gaussians: Gaussians, camera, i: int, j: int, alpha_min: floa
             continue
         u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
         jx, jy, jxz, jyz = camera.fx / z, camera.fy / z, -camera.fx * x / z**2, -camera.fy * y / z**2
+        if camera.orthographic:
+            u, v = camera.fx * x + camera.cx, camera.fy * y + camera.cy
+            jx, jy, jxz, jyz = camera.fx, camera.fy, 0.0, 0.0
         a, c = sigma**2 * (jx**2 + jxz**2) + 0.3, sigma**2 * (jy**2 + jyz**2) + 0.3
         b = sigma**2 * jxz * jyz
         dx, dy = i + 0.5 - u, j + 0.5 - v
@@ -47,10 +51,14 @@ def contract_pixel(gaussians: Gaussians, camera, i: int, j: int, alpha_min: floa
     return sums
 
 
-@pytest.mark.parametrize("alpha_min", [limits.ALPHA_MIN, 1 / 16384])
-def test_every_pixel_is_what_the_contract_says(alpha_min):
+@pytest.mark.parametrize(
+    ("alpha_min", "orthographic"), [(limits.ALPHA_MIN, False), (1 / 16384, False), (limits.ALPHA_MIN, True)]
+)
+def test_every_pixel_is_what_the_contract_says(alpha_min, orthographic):
     gaussians = in_precision(hand_gaussians(60, sigma_mm=(2, 12), opacity=(0.002, 1.0)), torch.float64)
     camera = camera_for(23, 18)
+    if orthographic:
+        camera = replace(camera, fx=110.0, fy=130.0, cx=9.0, orthographic=True)
     planes = planes_of(rasterise_reference(gaussians, camera, alpha_min=alpha_min))
     worst = max(
         abs(float(planes[channel, j, i]) - value)

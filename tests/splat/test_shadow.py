@@ -6,6 +6,7 @@ import ctypes
 import math
 import mmap
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -108,6 +109,14 @@ def test_normals_of_a_plane_are_its_own_and_unit_to_its_edges(normal: tuple[floa
     assert float(normals[depth == 0].abs().max()) == 0
 
 
+def test_normals_of_a_plane_in_parallel_rays_are_its_own():
+    view = replace(camera(40, 30, 600.0, fy=680.0, off_centre=4.0), orthographic=True)
+    places = rays(view)
+    depth = 0.5 + 0.6 * places[..., 0] - 0.2 * places[..., 1]
+    unit = torch.tensor([0.6, -0.2, -1.0], dtype=torch.float64) / math.hypot(0.6, 0.2, 1.0)
+    torch.testing.assert_close(surface_normals(depth, view), unit.expand(30, 40, 3), rtol=0, atol=1e-9)
+
+
 def test_normals_of_a_sphere_point_away_from_its_middle():
     view = camera(80, 80, 900.0, off_centre=2.0)
     depth = sphere(view, (0.0, 0.0, 0.6), 0.02)
@@ -141,19 +150,24 @@ def test_a_normal_never_spans_a_silhouette():
     torch.testing.assert_close(normals[near], unit.expand(int(near.sum()), 3), rtol=0, atol=1e-9)
 
 
+def points_of(depth: torch.Tensor, view) -> torch.Tensor:
+    """(H, W, 3) where each pixel's ray meets its depth."""
+    spread = torch.ones_like(depth) if view.orthographic else depth
+    return torch.cat([rays(view)[..., :2] * spread[..., None], depth[..., None]], -1)
+
+
 def brute_visibility(depth: torch.Tensor, view, style: ShadowStyle) -> torch.Tensor:
     """METHOD 5.2 for the pixels of a depth map in plain loops; the normals are those of `surface_normals`."""
     height, width = depth.shape
-    points = (depth[..., None] * rays(view)).tolist()
+    points = points_of(depth, view).tolist()
     normals, disc = surface_normals(depth, view).tolist(), vogel_disc(style.samples).tolist()
     result = torch.ones_like(depth)
     for row in range(height):
         for column in range(width):
             if depth[row, column] == 0:
                 continue
-            reach_x, reach_y = (
-                min(max(focal * style.radius_m / float(depth[row, column]), 1.0), 96.0) for focal in (view.fx, view.fy)
-            )
+            away = 1.0 if view.orthographic else float(depth[row, column])
+            reach_x, reach_y = (min(max(focal * style.radius_m / away, 1.0), 96.0) for focal in (view.fx, view.fy))
             total = 0.0
             for x, y in disc:
                 i, j = column + round(x * reach_x), row + round(y * reach_y)
@@ -168,18 +182,21 @@ def brute_visibility(depth: torch.Tensor, view, style: ShadowStyle) -> torch.Ten
     return result
 
 
+@pytest.mark.parametrize("orthographic", [False, True])
 @pytest.mark.parametrize(("focal_px", "samples", "darkest"), [(12.0, 12, 1.0), (150.0, 12, 0.5), (5000.0, 100, 0.8)])
-def test_visibility_is_that_of_the_method(focal_px: float, samples: int, darkest: float):
+def test_visibility_is_that_of_the_method(focal_px: float, samples: int, darkest: float, orthographic: bool):
     """At the smallest reach on the picture, where a neighbour is too far to occlude; at an ordinary one; at the
     largest."""
     view = camera(24, 18, focal_px, fy=1.1 * focal_px, off_centre=1.5)
     depth = torch.minimum(plane(view, (0.3, -0.2, -1.0), 0.5), sphere(view, (0.0, 0.0, 0.49), 0.01))
     depth[9:12, 10:15] -= 0.005
     depth[3:6, 2:9] = 0
+    if orthographic:
+        view = replace(view, fx=2 * view.fx, fy=2 * view.fy, orthographic=True)
     style = ShadowStyle(samples=samples, radius_m=0.03, bias=0.1, softness=0.06, gain=50.0)
     got = visibility(depth, depth > 0, view, style)
     torch.testing.assert_close(got, brute_visibility(depth, view, style), rtol=0, atol=1e-9)
-    assert float(got.min()) < darkest
+    assert float(got.min()) <= darkest
 
 
 @pytest.mark.parametrize("kind", ["empty", "single pixel", "alpha 1e-6", "one by one", "one row", "depth zero"])
