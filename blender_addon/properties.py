@@ -12,6 +12,7 @@ import bpy
 from . import output_settings
 from .bridge import armature, bone_list, pose_pictures
 from .bridge.classes import register_classes, unregister_classes
+from .bridge.versions import path_options
 from .core import limits, poses
 from .core.joints import FINGERS, RIGHT
 
@@ -97,6 +98,7 @@ class JGHandObjectSettings(bpy.types.PropertyGroup):
         name="Avatar",
         description="File of the avatar that is drawn on this hand. Empty: the one that comes with JGHand",
         subtype="FILE_PATH",
+        options=path_options(),
     )  # type: ignore[valid-type]
     show_in_viewport: bpy.props.BoolProperty(
         name="Show in Viewport",
@@ -107,6 +109,7 @@ class JGHandObjectSettings(bpy.types.PropertyGroup):
         name="Bake",
         description="Folder of this hand's bake. Empty: it was not baked",
         subtype="DIR_PATH",
+        options=path_options(),
     )  # type: ignore[valid-type]
     map_hand: bpy.props.EnumProperty(
         name="Hand",
@@ -150,6 +153,7 @@ class JGHandSceneSettings(bpy.types.PropertyGroup):
         default=limits.BUDGET_MS,
         min=1.0,
         soft_max=100.0,
+        precision=1,
     )  # type: ignore[valid-type]
     viewport_density: bpy.props.FloatProperty(
         name="Density",

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 import re
-import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -115,9 +114,17 @@ def milliseconds(value: float) -> str:
     return f"{value:.1f} ms" if value < 9.95 else f"{value:.0f} ms"
 
 
-def wrapped(text: str, letters: int) -> list[str]:
-    """The lines of a paragraph that is so many letters wide."""
-    return textwrap.wrap(text, max(letters, 12), break_long_words=True) or [""]
+def wrapped(text: str, width: float, width_of: Callable[[str], float] = len) -> list[str]:
+    """The lines of a paragraph. width: of the widest line, in what `width_of` measures (letters, or pixels of a font);
+    a word that is wider has a line of its own."""
+    lines = [""]
+    for word in text.split():
+        longer = f"{lines[-1]} {word}".strip()
+        if lines[-1] and width_of(longer) > width:
+            lines.append(word)
+        else:
+            lines[-1] = longer
+    return lines
 
 
 def status_text(status: Any, frame_ms: float | None = None, translate: Translate = str) -> StatusText:

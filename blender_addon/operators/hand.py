@@ -87,6 +87,7 @@ class AddHand(Reporting, bpy.types.Operator):
         hand = armature.build_armature(context, name, posing.rest_joints_m(self.handedness), self.handedness)
         common.link_to_active_collection(context, hand)
         hand.location = context.scene.cursor.location
+        hand.data.display_type = "STICK"  # thicker bones hide the hand that is drawn on them
         if self.use_controls:
             controls.add_controls(context, hand)
         common.make_active(context, hand)

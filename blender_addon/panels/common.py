@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import blf
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
@@ -13,9 +14,12 @@ from ..core.panel_text import Line
 # the order of the tab; room is left between them
 HAND, BONES, POSE, MOTION, VIEW, RENDER, QUALITY, OUTPUT, TRAIN, ADVANCED = range(0, 100, 10)
 CLOSED = {"DEFAULT_CLOSED"}
-# letters of the interface's font in a pixel, and what a panel keeps free at its sides
-_LETTER_PX, _MARGIN_PX = 6.6, 60
-_LETTERS = 40
+# Blender's own, which labels have
+_FONT = 0
+# pixels, at the interface's scale of one, that a panel keeps free at its sides, and that an icon takes
+_MARGIN_PX, _ICON_PX = 46, 20
+# a sidebar without a window
+_WIDTH_PX = 240
 
 
 class Sidebar:
@@ -65,11 +69,13 @@ def paragraph(layout: bpy.types.UILayout, context: bpy.types.Context, text: str,
     """Text that is longer than the sidebar is wide."""
     column = layout.column(align=True)
     column.scale_y = 0.8
-    first = icon
-    for line in panel_text.wrapped(iface_(text), _letters(context) - (4 if icon != "NONE" else 0)):
-        column.label(text=line, icon=first, translate=False)
-        if first != "NONE":
-            first = "BLANK1"
+    scale = context.preferences.system.ui_scale
+    width = context.region.width if context.region is not None and context.region.width > 1 else _WIDTH_PX * scale
+    room = width - (_MARGIN_PX + (_ICON_PX if icon != "NONE" else 0)) * scale
+    blf.size(_FONT, context.preferences.ui_styles[0].widget.points * scale)
+    for line in panel_text.wrapped(iface_(text), room, lambda line: blf.dimensions(_FONT, line)[0]):
+        column.label(text=line, icon=icon, translate=False)
+        icon = "BLANK1" if icon != "NONE" else icon
 
 
 def explained(layout: bpy.types.UILayout, line: Line, *, icon: str = "NONE") -> None:
@@ -92,11 +98,3 @@ def figure(layout: bpy.types.UILayout, line: Line) -> None:
         value = row.row()
         value.active = False
         value.label(text=line.value, translate=False)
-
-
-def _letters(context: bpy.types.Context) -> int:
-    """How many letters fit into a line of the sidebar."""
-    if context.region is None or context.region.width <= 1:
-        return _LETTERS
-    scale = context.preferences.system.ui_scale
-    return int((context.region.width / scale - _MARGIN_PX) / _LETTER_PX)

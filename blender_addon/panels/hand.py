@@ -97,8 +97,8 @@ def _draw_hands(layout: bpy.types.UILayout, context: bpy.types.Context, hands: l
         )
         select.uid = hand.session_uid
         shown = hand.jghand.show_in_viewport
-        row.prop(hand.jghand, "show_in_viewport", text="", icon="HIDE_OFF" if shown else "HIDE_ON")
-        row.prop(hand, "hide_render", text="")
+        row.prop(hand.jghand, "show_in_viewport", text="", icon="HIDE_OFF" if shown else "HIDE_ON", emboss=False)
+        row.prop(hand, "hide_render", text="", emboss=False)
 
 
 def _draw_active(layout: bpy.types.UILayout, hand: bpy.types.Object) -> None:

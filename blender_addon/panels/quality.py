@@ -35,11 +35,11 @@ class QualityPanel(Sidebar, bpy.types.Panel):
         row.prop(settings, "use_viewport_budget", text="")
         budget = row.row(align=True)
         budget.active = settings.use_viewport_budget
-        budget.prop(settings, "viewport_budget_ms", text="")
+        budget.prop(settings, "viewport_budget_ms", text="ms")
         preset = column.row()
         preset.active = not settings.use_viewport_budget
-        preset.prop(settings, "viewport_preset")
-        column.prop(settings, "shadow_strength", slider=True)
+        preset.prop(settings, "viewport_preset", text="Preset")
+        column.prop(settings, "shadow_strength", text="Shadow", slider=True)
         receipt = receipt_of(context, runtime.VIEWPORT)
         if receipt is None:
             common.paragraph(layout, context, "No picture yet: its times will stand here.")
