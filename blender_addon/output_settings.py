@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import bpy
 
+from .bridge.versions import path_options
 from .core import limits
 
 FORMATS = (
@@ -42,19 +43,19 @@ TRAINING_PRESETS = (
 class JGHandOutputSettings(bpy.types.PropertyGroup):
     """`scene.jghand.output`: what is written, and where."""
 
-    format: bpy.props.EnumProperty(
-        name="Format", description="What Export writes", items=FORMATS, default="usd"
-    )  # type: ignore[valid-type]
+    format: bpy.props.EnumProperty(name="Format", description="What Export writes", items=FORMATS, default="usd")  # type: ignore[valid-type]
     folder: bpy.props.StringProperty(
         name="Folder",
         description="Where exports are written; // is the folder of this file",
         subtype="DIR_PATH",
+        options=path_options(),
         default="//jghand_export",
     )  # type: ignore[valid-type]
     bake_folder: bpy.props.StringProperty(
         name="Bake Folder",
         description="Where bakes are written, a folder for each hand; // is the folder of this file",
         subtype="DIR_PATH",
+        options=path_options(),
         default="//jghand_bake",
     )  # type: ignore[valid-type]
     hands: bpy.props.EnumProperty(
@@ -85,9 +86,7 @@ class JGHandOutputSettings(bpy.types.PropertyGroup):
         soft_max=4.0,
         max=100.0,
     )  # type: ignore[valid-type]
-    axes: bpy.props.EnumProperty(
-        name="Axes", description="Axes of the numbers in PLY files", items=AXES, default="rdf"
-    )  # type: ignore[valid-type]
+    axes: bpy.props.EnumProperty(name="Axes", description="Axes of the numbers in PLY files", items=AXES, default="rdf")  # type: ignore[valid-type]
 
 
 class JGHandTrainingSettings(bpy.types.PropertyGroup):
@@ -97,6 +96,7 @@ class JGHandTrainingSettings(bpy.types.PropertyGroup):
         name="Training Set",
         description="Folder of the pictures to learn from: one that Render Training Set made, InterHand2.6M or HanCo",
         subtype="DIR_PATH",
+        options=path_options(),
         default="//jghand_capture",
     )  # type: ignore[valid-type]
     identity: bpy.props.StringProperty(
@@ -131,6 +131,7 @@ class JGHandTrainingSettings(bpy.types.PropertyGroup):
         name="Avatar",
         description="The file of the avatar that is learnt",
         subtype="FILE_PATH",
+        options=path_options(),
         default="//my_hand.jghand",
     )  # type: ignore[valid-type]
     preset: bpy.props.EnumProperty(

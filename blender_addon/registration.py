@@ -9,26 +9,33 @@ from __future__ import annotations
 
 from types import ModuleType
 
-from . import preferences, properties, render_engine, runtime
-from .bridge import pose_pictures, sync
-from .operators import bone_map, finger_controls, hand, help_page, motion, picture, pose
-from .panels import advanced, bones, quality
+from . import cli_command, preferences, properties, render_engine, runtime
+from .bridge import cards, job_watch, pose_pictures, sync, usd_hook
+from .operators import bone_map, engine, export, finger_controls, hand, help_page, motion, picture, pose, training
+from .panels import advanced, bones, output, quality
 from .panels import hand as hand_panel
 from .panels import motion as motion_panel
 from .panels import picture as picture_panels
 from .panels import pose as pose_panels
+from .panels import training as training_panels
 
 # a module comes after those whose classes it uses
 MODULES: tuple[ModuleType, ...] = (
     preferences,
     properties,
     runtime,
-    pose_pictures,
+    *(pose_pictures, job_watch, cards, usd_hook),
     sync,
     render_engine,
-    *(help_page, hand, bone_map, pose, finger_controls, motion, picture),
-    *(hand_panel, bones, pose_panels, motion_panel, picture_panels, quality, advanced),
+    cli_command,
+    *(help_page, engine, hand, bone_map, pose, finger_controls, motion, picture, export, training),
+    *(hand_panel, bones, pose_panels, motion_panel, picture_panels, quality, output, training_panels, advanced),
 )
+
+
+def is_registered() -> bool:
+    """Whether everything is there."""
+    return render_engine.JGHandRenderEngine.is_registered
 
 
 def register() -> None:

@@ -57,3 +57,24 @@ def still_action(name: str, curves: Iterable[tuple[str, int, float, str]]) -> bp
         curve.group = bag.groups.get(group) or bag.groups.new(group)
         curve.keyframe_points.insert(1.0, value)
     return action
+
+
+def has_native_splats() -> bool:
+    """Whether this Blender draws Gaussian splats itself."""
+    kind = bpy.types.PointCloud.bl_rna.properties.get("type")
+    return kind is not None and "GAUSSIAN_SPLAT" in getattr(kind, "enum_items", ())
+
+
+def write_png(settings: bpy.types.ImageFormatSettings) -> None:
+    """Makes a scene write PNG; where it does already, its depth, colours and compression stay."""
+    if hasattr(settings, "media_type"):  # 5.0 and later; which formats there are depends on it
+        settings.media_type = "IMAGE"
+    if settings.file_format != "PNG":
+        settings.file_format, settings.color_mode, settings.color_depth = "PNG", "RGBA", "8"
+
+
+def path_options(*more: str) -> set[str]:
+    """Options of a property that is a path and may begin with `//`; 4.5 takes that for granted where it knows no
+    option for it."""
+    known = "is_path_supports_blend_relative" in bpy.types.StringProperty.bl_rna.properties
+    return {*more, *({"PATH_SUPPORTS_BLEND_RELATIVE"} if known else ())}

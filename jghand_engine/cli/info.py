@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -15,6 +16,7 @@ from jghand_engine.errors import InputError
 
 if TYPE_CHECKING:
     from jghand_engine.avatar.avatar import HandAvatar
+    from jghand_engine.avatar.tiers import Baked
 
 DESCRIPTION = """Say what is inside an avatar, a motion or a USD file, and what is wrong with a USD file.
 
@@ -63,7 +65,8 @@ class Info:
         else:
             wanted = ", ".join((".jghand", *MOTION_SUFFIXES, *USD_SUFFIXES))
             raise InputError(f"{path}", wanted=f"a file of the kind {wanted}", came=suffix or "no suffix")
-        return {**facts, "bytes": path.stat().st_size}
+        about = path.stat()
+        return {**facts, "bytes": about.st_size, "written": time.strftime("%Y-%m-%d", time.localtime(about.st_mtime))}
 
 
 def _text(value: Any) -> str:
@@ -119,11 +122,20 @@ def learnt_facts(avatar: HandAvatar) -> dict[str, Any]:
         "offsets_up_to_mm": 0.0 if shape is None else 1e3 * shape.reach_m,
         "shadow": "none" if learnt.shadow is None else f"gain {learnt.shadow.gain:.3g}",
         "cast_shadow": "none" if learnt.cast is None else f"{len(learnt.cast.lamp_rgb)} lamps",
+        "psnr_db": _accuracy(learnt.baked),
         "tiers": {} if learnt.baked is None else {
             **{one.name: f"{one.frame_ms:.3g} ms, {one.lost_db:.2f} dB lost" for one in learnt.baked.prices},
             "measured on": learnt.baked.measured_on,
         },
     }  # fmt: skip
+
+
+def _accuracy(baked: Baked | None) -> str:
+    """What was measured of the exact tier, and on which pictures."""
+    from jghand_engine.avatar.tiers import Tier
+
+    prices = [] if baked is None else [one.psnr_db for one in baked.prices if one.name == Tier.EXACT]
+    return f"{prices[0]:.2f} on {baked.measured_on}" if baked is not None and prices else "not measured"
 
 
 def motion_facts(path: Path, options: FormatOptions) -> dict[str, Any]:

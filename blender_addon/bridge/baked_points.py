@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A bake as an object that plays: Blender's own import of the stage's points, with a look that shows their colours.
+
+The object needs neither engine nor extension afterwards: a point cloud whose cache modifier reads the USD file, and a
+material of Blender's own nodes. Points are balls, so edges are harder than those of splats; builds that know Gaussian
+splats import those instead.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+
+from ..core.bakes import BakedHand
+from ..core.messages import JGHandFailure
+
+# custom property of a playing object: the folder of its bake
+BAKE_PROPERTY = "jghand_bake"
+MATERIAL = "JGHand Points"
+# prims of the stage that are drawn: what the variants hold
+_PATHS = "/Hand/Points,/Hand/Splats"
+
+
+def play(context: bpy.types.Context, hand: BakedHand, folder: Path) -> bpy.types.Object:
+    """Imports the points of one baked hand into the scene. JGHandFailure: no_usd, no_bake."""
+    if not hasattr(bpy.ops.wm, "usd_import"):
+        raise JGHandFailure("no_usd")
+    before = set(bpy.data.objects)
+    try:
+        bpy.ops.wm.usd_import(
+            filepath=str(hand.stage(folder)), prim_path_mask=_PATHS, set_frame_range=False, relative_path=True
+        )
+    except RuntimeError as error:
+        raise JGHandFailure("no_bake", f"{hand.stage(folder)}: {error}") from error
+    added = [thing for thing in bpy.data.objects if thing not in before]
+    clouds = [thing for thing in added if thing.type == "POINTCLOUD"]
+    if not clouds:
+        for thing in added:
+            bpy.data.objects.remove(thing)
+        raise JGHandFailure("no_usd", "its import brought no points")
+    cloud = clouds[0]
+    cloud.name = cloud.data.name = f"{hand.name} baked"
+    cloud[BAKE_PROPERTY] = str(folder)
+    unit_m = context.scene.unit_settings.scale_length
+    cloud.scale = [size / unit_m for size in cloud.scale]
+    if not cloud.data.materials:
+        cloud.data.materials.append(points_material())
+    return cloud
+
+
+def playing(scene: bpy.types.Scene, folder: Path) -> list[bpy.types.Object]:
+    """The objects of a scene that play a bake."""
+    return [thing for thing in scene.objects if str(thing.get(BAKE_PROPERTY, "")) == str(folder)]
+
+
+def points_material() -> bpy.types.Material:
+    """Shows the colours of the points as they are: no light falls on them, as on a photograph."""
+    known = bpy.data.materials.get(MATERIAL)
+    if known is not None and known.library is None:
+        return known
+    material = bpy.data.materials.new(MATERIAL)
+    if material.node_tree is None:  # until 4.5
+        material.use_nodes = True
+    tree = material.node_tree
+    tree.nodes.clear()
+    colour = tree.nodes.new("ShaderNodeAttribute")
+    colour.attribute_name, colour.location = "displayColor", (-300, 0)
+    glow = tree.nodes.new("ShaderNodeEmission")
+    output = tree.nodes.new("ShaderNodeOutputMaterial")
+    output.location = (300, 0)
+    tree.links.new(colour.outputs["Color"], glow.inputs["Color"])
+    tree.links.new(glow.outputs["Emission"], output.inputs["Surface"])
+    return material

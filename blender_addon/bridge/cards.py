@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The cards of avatars, asked from the engine once per file and kept beside the opened one."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+import bpy
+
+from .. import runtime
+from ..core import engine_words, limits
+from ..core.avatar_card import Card, read_card
+from ..core.job_state import Phase
+from ..core.jobs import JobSpec
+from ..core.messages import JGHandFailure
+from ..core.view import SHIPPED_AVATARS
+from . import folders, job_watch
+
+# (avatar, time of its last change) -> its card
+_cards: dict[tuple[str, int], Card] = {}
+
+
+def card_of(avatar: str) -> Card | None:
+    """The card of an avatar, None while it was not asked for."""
+    return _cards.get(_key(avatar))
+
+
+def ask(avatar: str, *, wait: bool = False) -> None:
+    """Asks the engine for a card, unless it is there or another one is being asked for.
+
+    JGHandFailure: no_interpreter, and with `wait` why there is none.
+    """
+    key = _key(avatar)
+    job = runtime.jobs().get(job_watch.CARD)
+    if key in _cards or (job is not None and not job.is_over and not wait):
+        return
+    figures = folders.user_folder("jobs") / "card.json"
+    command = (*runtime.program(), *engine_words.info(avatar, figures))
+    spec = JobSpec("card", "Reading the avatar", command, figures.parent, on_done=partial(_keep, key, figures))
+    job = runtime.jobs().start(job_watch.CARD, spec)
+    job_watch.start()
+    if wait or bpy.app.background:
+        job.wait(limits.LOAD_S)
+        if job.state.failure is not None:
+            raise job.state.failure
+        if job.state.phase is not Phase.DONE:
+            job.kill()
+            raise JGHandFailure("hung", avatar)
+
+
+def gaussians_of(avatar: str) -> tuple[int, bool]:
+    """How many Gaussians an avatar has and whether it is learnt, for estimates: of a card that is not known yet, those
+    of the avatar that comes with JGHand."""
+    card = card_of(avatar)
+    return (card.gaussians, card.learnt) if card is not None else (limits.BUILTIN_GAUSSIANS, True)
+
+
+def register() -> None:
+    """Nothing is asked for before it is wanted."""
+
+
+def unregister() -> None:
+    """Forgets them."""
+    _cards.clear()
+
+
+def _key(avatar: str) -> tuple[str, int]:
+    if avatar in SHIPPED_AVATARS:
+        return avatar, 0
+    try:
+        return avatar, Path(avatar).stat().st_mtime_ns
+    except OSError:
+        return avatar, -1
+
+
+def _keep(key: tuple[str, int], figures: Path) -> None:
+    _cards[key] = read_card(figures)

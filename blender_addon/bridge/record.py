@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Hands over a range of frames, as Blender evaluates them: constraints, drivers, controls and IK included."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import bpy
+import numpy as np
+
+from ..core.messages import JGHandFailure
+from ..core.recording import Recording, file_names
+from . import scene, sources
+from .seen_hands import avatar_of
+
+
+def record_steps(
+    context: bpy.types.Context, things: Sequence[bpy.types.Object], frames: range, into: list[Recording]
+) -> Iterator[float]:
+    """Goes through the frames and yields the part that is done; at the end one recording per hand is in `into`.
+
+    things: objects that are hands, a foreign rig counts up to two. The scene's frame is put back at the end, also when
+    this is closed half-way. JGHandFailure: no_hand, and what `sources.read_hands` and `scene.evaluated_at` raise.
+    """
+    if not things or not len(frames):
+        raise JGHandFailure("no_hand")
+    now = context.scene
+    before = now.frame_current, now.frame_subframe
+    read: list[list[np.ndarray]] = []
+    try:
+        for place, frame in enumerate(frames):
+            depsgraph = scene.evaluated_at(now, frame, things)
+            hands = [hand for thing in things for hand in sources.read_hands(thing, depsgraph)]
+            read.append([hand.joints_world_m for hand in hands])
+            yield (place + 1) / len(frames)
+    finally:
+        now.frame_set(before[0], subframe=before[1])
+    owners = [thing for thing in things for _ in sources.read_hands(thing, context.evaluated_depsgraph_get())]
+    twice = {thing.name for thing in owners if owners.count(thing) > 1}
+    names = file_names(
+        [
+            f"{thing.name}_{hand.handedness}" if thing.name in twice else thing.name
+            for thing, hand in zip(owners, hands, strict=True)
+        ]
+    )
+    fps = now.render.fps / now.render.fps_base
+    for place, (thing, hand) in enumerate(zip(owners, hands, strict=True)):
+        joints_m = np.stack([frame[place] for frame in read])
+        into.append(Recording(names[place], hand.handedness, avatar_of(thing), joints_m, frames[0], fps))
+
+
+def joints_now(context: bpy.types.Context, thing: bpy.types.Object) -> dict[str, np.ndarray]:
+    """(21, 3) joints in the world, metres, by handedness, of the frame that is shown."""
+    hands = sources.read_hands(thing, context.evaluated_depsgraph_get())
+    return {hand.handedness: hand.joints_world_m for hand in hands}

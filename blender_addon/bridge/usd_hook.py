@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Blender's own USD export gets the baked splats of the scene's hands.
+
+Blender calls the hook with its stage when everything else is written. The splats come from the bake of each hand, made
+by the engine before: its layers are put beside the exported file and referenced. A hand without a bake, or with one of
+another pose or avatar, is left out and that is said. Nothing here may ever throw: Blender would end the process.
+
+Only registered where Blender's `pxr` can be imported, for the same reason. No reference to a stage outlives a call: USD
+refuses to write a file whose layer somebody holds. Source: BLENDER 9.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import shutil
+import traceback
+from pathlib import Path
+from typing import Any
+
+import bpy
+
+from ..core import bakes
+from ..core.messages import JGHandFailure
+from . import armature, sources
+from .classes import register_classes, unregister_classes
+from .seen_hands import avatar_of
+
+SPLAT_TYPE = "ParticleField3DGaussianSplat"
+# what the last export did and did not, in sentences, for the panel and the operator
+notes: list[str] = []
+
+
+class JGHandUsdHook(bpy.types.USDHook):
+    """The hook; see the module."""
+
+    bl_idname = "jghand_usd_hook"
+    bl_label = "JGHand Splats"
+    bl_description = "Add the baked splats of JGHand hands to Blender's USD exports"
+
+    @staticmethod
+    def on_export(export_context: Any) -> bool:
+        """Blender's entry, at the end of an export."""
+        notes.clear()
+        try:
+            notes.extend(add_splats(export_context.get_stage(), export_context.get_depsgraph()))
+        except Exception as error:
+            # anything else that left here would take Blender and the artist's scene with it
+            traceback.print_exc()
+            notes.append(f"The splats were left out: {error}")
+        return True
+
+
+def add_splats(stage: Any, depsgraph: bpy.types.Depsgraph) -> list[str]:
+    """Puts the baked hands of a scene on Blender's stage; returns what was done and what was not, in sentences."""
+    target = Path(stage.GetRootLayer().realPath).parent
+    said = []
+    for thing in depsgraph.scene.objects:
+        if not (armature.is_hand(thing) or armature.is_foreign(thing)):
+            continue
+        try:
+            for hand, folder in usable_bakes(thing, depsgraph):
+                _bring_layers(hand, folder, target)
+                _reference(stage, hand, depsgraph.scene)
+                said.append(f"{hand.name}: {hand.gaussians} splats, frames {hand.first_frame} to {_last(hand)}.")
+        except JGHandFailure as failure:
+            said.append(f"{thing.name}: left out. {failure}")
+    return said
+
+
+def usable_bakes(thing: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> list[tuple[bakes.BakedHand, Path]]:
+    """The bakes of a hand's object and their folder, when they still show it. JGHandFailure: no_bake, stale_bake.
+
+    Looked at are the avatar and the pose of the frame that is evaluated; going through all frames would take the time
+    of a bake.
+    """
+    if not thing.jghand.bake:
+        raise JGHandFailure("no_bake", f"{thing.name} was not baked")
+    folder = Path(bpy.path.abspath(thing.jghand.bake, library=thing.library))
+    found = bakes.read_bake(folder)
+    now = {hand.handedness: hand.joints_world_m for hand in sources.read_hands(thing, depsgraph)}
+    reasons = []
+    for hand in found:
+        reasons += bakes.stale_reasons(hand, avatar=avatar_of(thing))
+        joints_m = now.get(hand.handedness)
+        if joints_m is not None and bakes.moved_at(hand, folder, depsgraph.scene.frame_current_final, joints_m):
+            reasons.append("the hand moves in another way")
+    if reasons:
+        raise JGHandFailure("stale_bake", f"{thing.name}: {', '.join(dict.fromkeys(reasons))}")
+    return [(hand, folder) for hand in found]
+
+
+def _last(hand: bakes.BakedHand) -> int:
+    return hand.first_frame + hand.frames - 1
+
+
+def _bring_layers(hand: bakes.BakedHand, folder: Path, target: Path) -> None:
+    """The layers beside the exported file: linked where the disk can, else copied."""
+    for suffix in (".rig.usdc", ".splats.usdc", ".usda"):
+        source, copy = folder / f"{hand.name}{suffix}", target / f"{hand.name}{suffix}"
+        if copy.exists() and copy.samefile(source):
+            continue
+        try:
+            copy.unlink(missing_ok=True)
+            with contextlib.suppress(OSError):
+                os.link(source, copy)
+            if not copy.exists():
+                shutil.copyfile(source, copy)
+        except OSError as error:
+            raise JGHandFailure("cannot_write", f"{copy}: {error.strerror or error}") from error
+
+
+def _reference(stage: Any, hand: bakes.BakedHand, scene: bpy.types.Scene) -> None:
+    """One prim under Blender's own root, so that it is turned and scaled as everything else is."""
+    from pxr import Gf, Usd, UsdGeom, Vt
+
+    unit_m = scene.unit_settings.scale_length
+    root = stage.GetDefaultPrim()
+    turn = Gf.Matrix4d(1.0)
+    if root and "Blender" in root.GetCustomData():
+        path = root.GetPath().AppendChild(hand.name)
+        scale = 1.0 / unit_m
+    else:
+        # an export without a root: every object carries the turn and the unit itself
+        path = f"/{hand.name}"
+        scale = 1.0 / UsdGeom.GetStageMetersPerUnit(stage)
+        if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y:
+            turn.SetRotate(Gf.Rotation(Gf.Vec3d(1, 0, 0), -90))
+    taken = stage.GetPrimAtPath(path)
+    if taken:
+        path = f"{path}_splats"
+    prim = UsdGeom.Xform.Define(stage, path)
+    prim.AddTransformOp().Set(Gf.Matrix4d(1.0).SetScale(scale) * turn)
+    prim.GetPrim().GetReferences().AddReference(f"./{hand.name}.usda")
+    prim.GetPrim().GetVariantSets().GetVariantSet("representation").SetVariantSelection(scene.jghand.output.variant)
+    # read from the root layer only: without it a USD that knows no splats shows nothing
+    stage.SetMetadata("fallbackPrimTypes", {SPLAT_TYPE: Vt.TokenArray(["Points"])})
+    stage.SetStartTimeCode(min(stage.GetStartTimeCode(), hand.first_frame))
+    stage.SetEndTimeCode(max(stage.GetEndTimeCode(), _last(hand)))
+    if not stage.HasAuthoredTimeCodeRange():
+        stage.SetTimeCodesPerSecond(hand.fps)
+    del prim, taken, root, Usd
+
+
+def can_hook() -> bool:
+    """Whether this Blender's USD can be reached from Python; makes it so."""
+    try:
+        bpy.utils.expose_bundled_modules()
+        from pxr import Usd  # noqa: F401 - what a hook's stage is made of
+    except (ImportError, AttributeError):
+        return False
+    return True
+
+
+def register() -> None:
+    """Adds the hook where it can work."""
+    if can_hook():
+        register_classes((JGHandUsdHook,))
+
+
+def unregister() -> None:
+    """Takes it away."""
+    unregister_classes((JGHandUsdHook,))
+    notes.clear()

@@ -1,0 +1,265 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Pictures to learn a hand from, learning it, and avatars from disk."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+from bpy.app.translations import pgettext_rpt as rpt_
+
+from .. import runtime
+from ..bridge import armature, cards, job_watch
+from ..bridge.classes import register_classes, unregister_classes
+from ..bridge.seen_hands import avatar_of
+from ..core import engine_words
+from ..core.engine_words import CaptureChoices, TrainChoices
+from ..core.job_state import Phase
+from ..core.jobs import JobSpec
+from ..core.messages import JGHandFailure
+from ..core.recording import Recording
+from ..core.training_folder import folder_of
+from .common import PLUMBING, REGISTERED, UNDOABLE, Reporting, missing
+from .output_common import StartsJob, place, poll_job, scratch
+
+STARTS = (
+    ("new", "New", "There is no training yet", "NONE", 0),
+    ("resume", "Go On", "Go on where the training stands", "NONE", 1),
+    ("fresh", "Start Anew", "Forget the training that the folder holds", "NONE", 2),
+)
+
+
+class RenderTrainingSet(StartsJob, bpy.types.Operator):
+    """Operator: pictures of a rigged hand, path traced."""
+
+    bl_idname = "jghand.render_training_set"
+    bl_label = "Render Training Set"
+    bl_description = (
+        "Make pictures of a rigged hand from all sides, path traced in a process of its own. "
+        "What is there already is kept: the same again goes on where it was stopped"
+    )
+    bl_options = REGISTERED
+
+    key = job_watch.CAPTURE
+    watched = False
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if context.scene.jghand.training.use_motion and not _active_hand(context):
+            return missing(cls, "Select the hand whose poses are taken")
+        return poll_job(cls, job_watch.CAPTURE)
+
+    def recorded_hands(self, context: bpy.types.Context) -> list[bpy.types.Object]:
+        hand = _active_hand(context)
+        return [hand] if hand is not None and context.scene.jghand.training.use_motion else []
+
+    def prepare(self, context: bpy.types.Context) -> None:
+        place(context, context.scene.jghand.training.capture_folder)
+        runtime.program()
+
+    def job(self, context: bpy.types.Context, recordings: list[Recording]) -> JobSpec:
+        settings = context.scene.jghand.training
+        self._folder = place(context, settings.capture_folder)
+        motion = None
+        if recordings:
+            motion = scratch("capture.npz")
+            recordings[0].save(motion)
+        choices = CaptureChoices(
+            identity=settings.identity,
+            cameras=settings.cameras,
+            poses=settings.poses,
+            size=tuple(settings.size),
+            samples=settings.samples,
+            seed=settings.seed,
+            threads=0,
+        )
+        command = (*runtime.program(), *engine_words.capture(self._folder, choices, motion))
+        return JobSpec("capture", "Rendering the training set", command, self._folder, resume=command)
+
+    def done(self, _context: bpy.types.Context) -> str:
+        return rpt_("The training set is in {folder}.").format(folder=self._folder)
+
+
+class Train(StartsJob, bpy.types.Operator):
+    """Operator: an avatar from pictures."""
+
+    bl_idname = "jghand.train"
+    bl_label = "Train Avatar"
+    bl_description = (
+        "Learn an avatar from the training set, in a process of its own that goes on while you work, "
+        "also in another file. It can be paused; quitting Blender pauses it too"
+    )
+    bl_options = REGISTERED
+
+    start: bpy.props.EnumProperty(name="Start", description="Where to begin", items=STARTS, default="new")  # type: ignore[valid-type]
+
+    key = job_watch.TRAINING
+    watched = False
+
+    @classmethod
+    def poll(cls, _context: bpy.types.Context) -> bool:
+        return poll_job(cls, job_watch.TRAINING)
+
+    @classmethod
+    def description(cls, _context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
+        """The tooltip says what becomes of an earlier training."""
+        if properties.start == "resume":
+            return "Go on with this training where it stands, in a process of its own"
+        if properties.start == "fresh":
+            return "Begin anew: the training that the folder holds is lost"
+        return cls.bl_description
+
+    def recorded_hands(self, _context: bpy.types.Context) -> list[bpy.types.Object]:
+        return []
+
+    def prepare(self, context: bpy.types.Context) -> None:
+        settings = context.scene.jghand.training
+        pictures, out = place(context, settings.capture_folder), place(context, settings.avatar_file)
+        if not pictures.is_dir():
+            raise JGHandFailure("no_pictures", f"{pictures} is not there")
+        if out.suffix != ".jghand":
+            raise JGHandFailure("bad_input", f"{out}: wanted a file that ends with .jghand")
+        runtime.program()
+
+    def job(self, context: bpy.types.Context, _recordings: list[Recording]) -> JobSpec:
+        settings = context.scene.jghand.training
+        pictures, self._out = place(context, settings.capture_folder), place(context, settings.avatar_file)
+        choices = TrainChoices(
+            preset=settings.preset,
+            minutes=settings.minutes,
+            seed=settings.seed,
+            all_pictures=settings.all_pictures,
+            overwrite=settings.overwrite,
+        )
+        begin = "" if self.start == "new" else self.start
+        program = runtime.program()
+        work = folder_of(self._out)
+        job_watch.look_at_training(work)
+        return JobSpec(
+            "training",
+            "Training",
+            (*program, *engine_words.train(pictures, self._out, choices, begin)),
+            work,
+            resume=(*program, *engine_words.train(pictures, self._out, choices, "resume")),
+        )
+
+    def done(self, _context: bpy.types.Context) -> str:
+        return rpt_("The avatar is {file}.").format(file=self._out)
+
+
+class PauseTraining(Reporting, bpy.types.Operator):
+    """Operator: the training writes a checkpoint and its process ends."""
+
+    bl_idname = "jghand.pause_training"
+    bl_label = "Pause"
+    bl_description = "Stop training for now: a checkpoint is written, and the processor is free until it goes on"
+    bl_options = PLUMBING
+
+    def run(self, _context: bpy.types.Context) -> None:
+        job = runtime.jobs().get(job_watch.TRAINING)
+        if job is None or job.is_over:
+            raise JGHandFailure("bad_input", "no training runs")
+        job.pause()
+        job_watch.start()
+
+
+class ResumeTraining(Reporting, bpy.types.Operator):
+    """Operator: a paused training goes on."""
+
+    bl_idname = "jghand.resume_training"
+    bl_label = "Resume"
+    bl_description = "Go on with the training where it was paused"
+    bl_options = PLUMBING
+
+    def run(self, _context: bpy.types.Context) -> None:
+        job = runtime.jobs().get(job_watch.TRAINING)
+        if job is None or not job.is_over or job.state.phase is Phase.DONE:
+            raise JGHandFailure("bad_input", "no training is paused")
+        job.go_on()
+        job_watch.start()
+
+
+class LoadAvatar(Reporting, bpy.types.Operator):
+    """Operator: an avatar file on the selected hands."""
+
+    bl_idname = "jghand.load_avatar"
+    bl_label = "Load Avatar"
+    bl_description = "Choose the avatar file that is drawn on the selected hands"
+    bl_options = UNDOABLE
+
+    filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})  # type: ignore[valid-type]
+    filter_glob: bpy.props.StringProperty(default="*.jghand", options={"HIDDEN"})  # type: ignore[valid-type]
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return bool(_hands(context)) or missing(cls, "Select a hand")
+
+    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
+        if self.filepath:
+            return self.execute(context)
+        context.window_manager.fileselect_add(self)
+        return {"RUNNING_MODAL"}
+
+    def run(self, context: bpy.types.Context) -> None:
+        path = Path(bpy.path.abspath(self.filepath))
+        if path.suffix != ".jghand" or not path.is_file():
+            raise JGHandFailure("bad_avatar", f"{path}: wanted a file that ends with .jghand")
+        for thing in _hands(context):
+            thing.jghand.avatar = self.filepath
+            thing.update_tag()
+        cards.ask(str(path.absolute()))
+
+
+class ReadCard(Reporting, bpy.types.Operator):
+    """Operator: what the avatar of the active hand says of itself."""
+
+    bl_idname = "jghand.read_card"
+    bl_label = "Read Card"
+    bl_description = "Read whose hand this avatar is, under which licence, from when it is and how good"
+    bl_options = PLUMBING
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return _active_hand(context) is not None or missing(cls, "Select a hand")
+
+    def run(self, context: bpy.types.Context) -> None:
+        hand = _active_hand(context)
+        if hand is not None:
+            cards.ask(avatar_of(hand))
+
+
+class DropAvatar(bpy.types.FileHandler):
+    """Avatar files that are dropped into the viewport."""
+
+    bl_idname = "JGHAND_FH_avatar"
+    bl_label = "JGHand Avatar"
+    bl_import_operator = LoadAvatar.bl_idname
+    bl_file_extensions = ".jghand"
+
+    @classmethod
+    def poll_drop(cls, context: bpy.types.Context) -> bool:
+        """Onto a 3D view with a selected hand."""
+        return context.area is not None and context.area.type == "VIEW_3D" and bool(_hands(context))
+
+
+def _active_hand(context: bpy.types.Context) -> bpy.types.Object | None:
+    thing = context.object
+    return thing if thing is not None and (armature.is_hand(thing) or armature.is_foreign(thing)) else None
+
+
+def _hands(context: bpy.types.Context) -> list[bpy.types.Object]:
+    chosen = {thing for thing in (context.object, *context.view_layer.objects.selected) if thing is not None}
+    return [thing for thing in chosen if armature.is_hand(thing) or armature.is_foreign(thing)]
+
+
+_CLASSES = (RenderTrainingSet, Train, PauseTraining, ResumeTraining, LoadAvatar, ReadCard, DropAvatar)
+
+
+def register() -> None:
+    """Adds the operators."""
+    register_classes(_CLASSES)
+
+
+def unregister() -> None:
+    """Takes them away."""
+    unregister_classes(_CLASSES)

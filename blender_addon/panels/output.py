@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Bake and export."""
+
+from __future__ import annotations
+
+import bpy
+from bpy.app.translations import pgettext_iface as iface_
+
+from .. import runtime
+from ..bridge import cards, job_watch, versions
+from ..bridge.classes import register_classes, unregister_classes
+from ..bridge.seen_hands import avatar_of
+from ..core.job_state import Phase
+from ..core.recording import SizeEstimate, estimate
+from ..operators import output_common
+from . import common
+from .common import Sidebar
+
+
+class OutputPanel(Sidebar, bpy.types.Panel):
+    """What hands and which frames, and the job that writes them."""
+
+    bl_idname = "VIEW3D_PT_jghand_output"
+    bl_label = "Bake & Export"
+    bl_order = common.OUTPUT
+    bl_options = common.CLOSED
+    help_section = "export"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return common.any_hand(context)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, settings = self.layout, context.scene.jghand.output
+        draw_job(layout, context, job_watch.OUTPUT)
+        column = _column(layout)
+        column.row().prop(settings, "hands", expand=True)
+        column.prop(settings, "use_scene_range")
+        if not settings.use_scene_range:
+            rows = column.column(align=True)
+            rows.prop(settings, "frame_start")
+            rows.prop(settings, "frame_end")
+
+
+class BakePanel(Sidebar, bpy.types.Panel):
+    """Bakes."""
+
+    bl_idname = "VIEW3D_PT_jghand_bake"
+    bl_label = "Bake"
+    bl_parent_id = OutputPanel.bl_idname
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, settings = self.layout, context.scene.jghand.output
+        column = _column(layout)
+        column.prop(settings, "bake_folder")
+        if not versions.has_native_splats():
+            column.prop(settings, "width_factor")
+        layout.operator("jghand.bake", icon="RENDER_ANIMATION")
+        _draw_estimate(layout, context, settings.bake_folder, ply=False, sizes=False)
+        hand = common.active(context)
+        if hand is None or not hand.jghand.bake:
+            return
+        row = layout.row(align=True)
+        row.operator("jghand.play_bake", icon="PLAY")
+        row.operator("jghand.check_bake", text="", icon="CHECKMARK")
+        row.operator("jghand.clear_bake", text="", icon="TRASH")
+
+
+class ExportPanel(Sidebar, bpy.types.Panel):
+    """Exports."""
+
+    bl_idname = "VIEW3D_PT_jghand_export"
+    bl_label = "Export"
+    bl_parent_id = OutputPanel.bl_idname
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, settings = self.layout, context.scene.jghand.output
+        column = _column(layout)
+        column.prop(settings, "format")
+        column.prop(settings, "folder")
+        if settings.format == "usd":
+            column.prop(settings, "variant")
+            column.prop(settings, "sizes")
+            column.prop(settings, "radiance")
+            column.prop(settings, "width_factor")
+        elif settings.format == "ply":
+            column.prop(settings, "axes")
+        layout.operator("jghand.export", icon="EXPORT")
+        if settings.format != "motion":
+            ply = settings.format == "ply"
+            _draw_estimate(layout, context, settings.folder, ply=ply, sizes=settings.sizes == "per_frame")
+        layout.operator("jghand.export_scene_usd", icon="SCENE_DATA")
+
+
+def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context, key: str) -> None:
+    """A job's progress with its button while it runs; afterwards why it failed, until the next one."""
+    job = runtime.jobs().get(key)
+    if job is None:
+        return
+    state = job.state
+    if not job.is_over:
+        row = layout.row(align=True)
+        row.progress(factor=state.fraction or 0.0, text=state.sentence(), translate=False)
+        row.operator("jghand.cancel_job", text="", icon="CANCEL").key = key
+        if job.silent_s > _SILENT_S:
+            text = iface_("It has said nothing for {minutes} min").format(minutes=round(job.silent_s / 60))
+            layout.label(text=text, icon="TIME", translate=False)
+    elif state.phase is Phase.FAILED and state.failure is not None:
+        common.paragraph(layout, context, iface_(state.failure.advice.sentence) + ".", icon="ERROR")
+        common.paragraph(layout, context, iface_(state.failure.advice.remedy) + ".")
+        if state.failure.detail:
+            common.paragraph(layout, context, state.failure.detail.splitlines()[0])
+        layout.operator("jghand.show_job_log", icon="TEXT").key = key
+
+
+# a picture of a capture takes a minute at most: longer silence is told
+_SILENT_S = 120.0
+
+
+def size_estimate(context: bpy.types.Context, folder: str, *, ply: bool, sizes: bool) -> SizeEstimate:
+    """What an export of the chosen hands and frames takes."""
+    found = [cards.gaussians_of(avatar_of(thing)) for thing in output_common.hands_to_write(context)]
+    try:
+        target = output_common.place(context, folder)
+    except output_common.JGHandFailure:
+        target = None
+    frames = len(output_common.frames_to_write(context))
+    learnt = any(learnt for _, learnt in found)
+    return estimate(target, [count for count, _ in found], frames, ply=ply, sizes=sizes, colours=learnt)
+
+
+def _draw_estimate(
+    layout: bpy.types.UILayout, context: bpy.types.Context, folder: str, *, ply: bool, sizes: bool
+) -> None:
+    if not output_common.hands_to_write(context):
+        return
+    size = size_estimate(context, folder, ply=ply, sizes=sizes)
+    layout.label(text=size.sentence(), icon="NONE" if size.fits else "ERROR", translate=False)
+
+
+def _column(layout: bpy.types.UILayout) -> bpy.types.UILayout:
+    column = layout.column()
+    column.use_property_split = True
+    column.use_property_decorate = False
+    return column
+
+
+_CLASSES = (OutputPanel, BakePanel, ExportPanel)
+
+
+def register() -> None:
+    """Adds the panels."""
+    register_classes(_CLASSES)
+
+
+def unregister() -> None:
+    """Takes them away."""
+    unregister_classes(_CLASSES)

@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The training set, the training with its loss and newest picture, and the card of the avatar."""
+
+from __future__ import annotations
+
+import bpy
+
+from .. import runtime
+from ..bridge import cards, job_watch
+from ..bridge.classes import register_classes, unregister_classes
+from ..bridge.seen_hands import avatar_of
+from ..core.job_state import Phase
+from ..core.messages import JGHandFailure
+from ..core.training_folder import TrainingFolder, folder_of
+from ..operators import output_common
+from . import common
+from .common import Sidebar
+from .output import draw_job
+
+
+class TrainPanel(Sidebar, bpy.types.Panel):
+    """Learning an avatar."""
+
+    bl_idname = "VIEW3D_PT_jghand_train"
+    bl_label = "Train"
+    bl_order = common.TRAIN
+    bl_options = common.CLOSED
+    help_section = "training"
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, settings = self.layout, context.scene.jghand.training
+        column = layout.column()
+        column.use_property_split = True
+        column.use_property_decorate = False
+        column.prop(settings, "capture_folder")
+        column.prop(settings, "avatar_file")
+        column.prop(settings, "preset")
+        column.prop(settings, "minutes")
+        column.prop(settings, "all_pictures")
+        draw_job(layout, context, job_watch.TRAINING)
+        seen = _training_folder(context)
+        _draw_buttons(layout, seen)
+        if seen is not None:
+            _draw_course(layout, seen)
+
+
+class TrainingSetPanel(Sidebar, bpy.types.Panel):
+    """Pictures to learn from."""
+
+    bl_idname = "VIEW3D_PT_jghand_training_set"
+    bl_label = "Training Set"
+    bl_parent_id = TrainPanel.bl_idname
+    bl_options = common.CLOSED
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, settings = self.layout, context.scene.jghand.training
+        column = layout.column()
+        column.use_property_split = True
+        column.use_property_decorate = False
+        for name in ("identity", "cameras"):
+            column.prop(settings, name)
+        column.prop(settings, "use_motion")
+        if not settings.use_motion:
+            column.prop(settings, "poses")
+        for name in ("size", "samples", "seed"):
+            column.prop(settings, name)
+        draw_job(layout, context, job_watch.CAPTURE)
+        layout.operator("jghand.render_training_set", icon="RENDER_STILL")
+
+
+class CardPanel(Sidebar, bpy.types.Panel):
+    """What the avatar of the active hand says of itself."""
+
+    bl_idname = "VIEW3D_PT_jghand_card"
+    bl_label = "Avatar"
+    bl_order = common.TRAIN - 1
+    bl_options = common.CLOSED
+    help_section = "avatar"
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return common.active(context) is not None
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.layout
+        layout.operator("jghand.load_avatar", icon="FILE_FOLDER")
+        card = cards.card_of(avatar_of(context.object))
+        if card is None:
+            draw_job(layout, context, job_watch.CARD)
+            layout.operator("jghand.read_card", icon="INFO")
+            return
+        for name, value in card.lines():
+            row = layout.split(factor=0.3)
+            row.label(text=name)
+            common.paragraph(row, context, value)
+
+
+def _training_folder(context: bpy.types.Context) -> TrainingFolder | None:
+    """What is known of the training: of the one that runs, else of the one beside the avatar's file."""
+    job = runtime.jobs().get(job_watch.TRAINING)
+    if job is not None:
+        return job_watch.look_at_training(job.spec.folder)
+    try:
+        return job_watch.look_at_training(
+            folder_of(output_common.place(context, context.scene.jghand.training.avatar_file))
+        )
+    except JGHandFailure:
+        return None
+
+
+def _draw_buttons(layout: bpy.types.UILayout, seen: TrainingFolder | None) -> None:
+    job = runtime.jobs().get(job_watch.TRAINING)
+    row = layout.row(align=True)
+    if job is not None and not job.is_over:
+        row.operator("jghand.pause_training", icon="PAUSE")
+        row.operator("jghand.cancel_job", text="Stop", icon="CANCEL").key = job_watch.TRAINING
+    elif job is not None and job.state.phase is Phase.PAUSED:
+        row.operator("jghand.resume_training", icon="PLAY")
+        row.operator("jghand.cancel_job", text="Stop", icon="CANCEL").key = job_watch.TRAINING
+    elif seen is not None and seen.can_go_on:
+        row.operator("jghand.train", text="Go On", icon="PLAY").start = "resume"
+        row.operator("jghand.train", text="Start Anew", icon="FILE_REFRESH").start = "fresh"
+    else:
+        row.operator("jghand.train", icon="PLAY").start = "new"
+
+
+def _draw_course(layout: bpy.types.UILayout, seen: TrainingFolder) -> None:
+    if seen.sentence():
+        layout.label(text=seen.sentence(), translate=False)
+    if job_watch.curve_icon():
+        layout.template_icon(icon_value=job_watch.curve_icon(), scale=5.0)
+    if job_watch.preview_icon():
+        layout.template_icon(icon_value=job_watch.preview_icon(), scale=8.0)
+    if seen.avatar is not None:
+        layout.operator("jghand.load_avatar", text="Use Preview", icon="HIDE_OFF").filepath = str(seen.avatar)
+
+
+_CLASSES = (CardPanel, TrainPanel, TrainingSetPanel)
+
+
+def register() -> None:
+    """Adds the panels."""
+    register_classes(_CLASSES)
+
+
+def unregister() -> None:
+    """Takes them away."""
+    unregister_classes(_CLASSES)

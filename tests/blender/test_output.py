@@ -1,0 +1,293 @@
+"""Exports, bakes and Blender's own USD export: what is written is what the scene shows."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import bpy
+import numpy as np
+import pytest
+from hands import PLACES, keyed_hand, mixamo_rig, moving_hand_m, put
+
+import blender_addon
+from blender_addon import runtime
+from blender_addon.bridge import baked_points, job_watch, record, sources, usd_hook
+from blender_addon.core import bakes
+from blender_addon.core.engine_command import VARIABLE
+from blender_addon.core.motion_files import read_motion
+
+FRAMES = 4
+# float32 of Blender's bones, half a metre from the origin
+JOINT_ERROR_M = 1e-6
+
+
+@pytest.fixture
+def extension(context):
+    """The extension in an empty scene; the painted avatar on hands keeps exports small and quick."""
+    blender_addon.register()
+    context.scene.frame_start, context.scene.frame_end = 3, 2 + FRAMES
+    yield context
+    for job in runtime.jobs().running:
+        job.kill()
+    blender_addon.unregister()
+
+
+@pytest.fixture
+def engine(engine_python, monkeypatch):
+    """The real engine for jobs."""
+    monkeypatch.setenv(VARIABLE, engine_python)
+    return engine_python
+
+
+def a_hand(context, handedness="right", place="moved and turned"):
+    hand = keyed_hand(context, handedness, moving_hand_m(handedness, FRAMES))
+    for bag in hand.animation_data.action.layers[0].strips[0].channelbags:
+        for curve in bag.fcurves:
+            for key in curve.keyframe_points:
+                key.co.x += 2
+    put(hand, PLACES[place])
+    hand.jghand.avatar = "painted"
+    context.view_layer.objects.active = hand
+    hand.select_set(True)
+    context.view_layer.update()
+    return hand
+
+
+def seen_joints(context, hand) -> np.ndarray:
+    """(F, 21, 3) in the world, frame by frame, by another way than the recording's."""
+    joints = []
+    for frame in range(context.scene.frame_start, context.scene.frame_end + 1):
+        context.scene.frame_set(frame)
+        (one,) = sources.read_hands(hand, context.evaluated_depsgraph_get())
+        joints.append(one.joints_world_m)
+    return np.array(joints)
+
+
+# ---- recordings ------------------------------------------------------------------------------------------------------
+
+
+def test_a_motion_file_holds_the_joints_of_the_world_and_the_scene_stays_where_it_was(extension, tmp_path):
+    hand = a_hand(extension)
+    wanted = seen_joints(extension, hand)
+    extension.scene.frame_set(4)
+    settings = extension.scene.jghand.output
+    settings.format, settings.folder = "motion", str(tmp_path)
+    assert bpy.ops.jghand.export() == {"FINISHED"}
+    assert extension.scene.frame_current == 4
+    motion = read_motion(tmp_path / f"{hand.name}.npz")
+    assert (motion.handedness, motion.fps) == ("right", 24)
+    assert np.abs(motion.joints_m - wanted).max() <= JOINT_ERROR_M
+
+
+def test_the_engine_reads_the_motion_file_back_to_the_same_joints(extension, engine_python, tmp_path):
+    hand = a_hand(extension)
+    settings = extension.scene.jghand.output
+    settings.format, settings.folder = "motion", str(tmp_path)
+    bpy.ops.jghand.export()
+    code = """
+import sys, numpy as np
+from jghand_engine.datasets.motion_files import read_motion
+from jghand_engine.hand.orders import JointOrder, from_level
+motion = read_motion(sys.argv[1])
+np.savez(sys.argv[2], joints=from_level(motion.joints_m, JointOrder.STANDARD), fps=motion.fps)
+"""
+    command = [engine_python, "-I", "-c", code, str(tmp_path / f"{hand.name}.npz"), str(tmp_path / "back.npz")]
+    subprocess.run(command, check=True, timeout=120)
+    back = np.load(tmp_path / "back.npz")
+    assert np.abs(back["joints"] - seen_joints(extension, hand)).max() <= JOINT_ERROR_M
+    assert back["fps"] == 24
+
+
+def test_a_rig_with_two_hands_is_two_recordings(extension):
+    rig, joints = mixamo_rig(extension)
+    for side in joints:
+        sources.store_map(rig, sources.recognise(rig, side).bone_map)
+    into = []
+    parts = list(record.record_steps(extension, [rig], range(1, 3), into))
+    assert parts == [0.5, 1.0]
+    assert [(one.name, one.handedness) for one in into] == [("Body_right", "right"), ("Body_left", "left")]
+
+
+def test_recording_that_is_given_up_puts_the_frame_back(extension):
+    hand = a_hand(extension)
+    extension.scene.frame_set(17)
+    steps = record.record_steps(extension, [hand], range(3, 9), [])
+    next(steps)
+    steps.close()
+    assert extension.scene.frame_current == 17
+
+
+def test_a_hand_that_cannot_be_read_is_a_report_and_nothing_is_written(extension, tmp_path):
+    hand = a_hand(extension)
+    hand.scale.x = -1
+    settings = extension.scene.jghand.output
+    settings.format, settings.folder = "motion", str(tmp_path / "out")
+    with pytest.raises(RuntimeError, match="Mirrored"):
+        bpy.ops.jghand.export()
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_folder_beside_a_file_that_was_never_saved_is_refused(extension):
+    a_hand(extension)
+    extension.scene.jghand.output.format = "motion"
+    with pytest.raises(RuntimeError, match="Save the file first"):
+        bpy.ops.jghand.export()
+
+
+# ---- jobs ------------------------------------------------------------------------------------------------------------
+
+
+def test_ply_files_are_numbered_as_the_scenes_frames(extension, engine, tmp_path):
+    hand = a_hand(extension)
+    settings = extension.scene.jghand.output
+    settings.format, settings.folder = "ply", str(tmp_path)
+    assert bpy.ops.jghand.export() == {"FINISHED"}
+    assert sorted(path.name for path in tmp_path.iterdir()) == [f"{hand.name}.{n:04d}.ply" for n in (3, 4, 5, 6)]
+
+
+def test_what_the_engine_refuses_is_told_with_its_own_words(extension, engine, tmp_path):
+    hand = a_hand(extension)
+    hand.jghand.avatar = str(tmp_path / "none.jghand")
+    extension.scene.jghand.output.folder = str(tmp_path)
+    with pytest.raises(RuntimeError, match=r"none\.jghand"):
+        bpy.ops.jghand.export()
+    job = runtime.jobs().get(job_watch.OUTPUT)
+    assert job is not None
+    assert job.state.failure is not None
+    assert bpy.ops.jghand.show_job_log(key=job_watch.OUTPUT) == {"FINISHED"}
+
+
+@pytest.fixture
+def baked(extension, engine, tmp_path):
+    """A scene, saved, with a baked hand: (context, hand, joints)."""
+    hand = a_hand(extension)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+    hand = bpy.context.object
+    extension.scene.jghand.output.bake_folder = "//bakes"
+    assert bpy.ops.jghand.bake() == {"FINISHED"}
+    return bpy.context, hand, seen_joints(bpy.context, hand)
+
+
+def cloud_positions(context, cloud) -> np.ndarray:
+    """(N, 3) in the world, Blender units."""
+    now = cloud.evaluated_get(context.evaluated_depsgraph_get())
+    values = np.zeros(len(now.data.attributes["position"].data) * 3, np.float32)
+    now.data.attributes["position"].data.foreach_get("vector", values)
+    world = np.array(now.matrix_world)
+    return values.reshape(-1, 3) @ world[:3, :3].T + world[:3, 3]
+
+
+def test_a_bake_plays_where_the_hand_is_without_engine_and_extension(baked, tmp_path, monkeypatch):
+    context, hand, joints = baked
+    monkeypatch.delenv(VARIABLE)
+    if bpy.ops.jghand.play_bake() != {"FINISHED"}:
+        pytest.fail("the bake does not play")
+    (cloud,) = baked_points.playing(context.scene, Path(bpy.path.abspath(hand.jghand.bake)))
+    name = cloud.name
+    blender_addon.unregister()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+    # the farm has the file and the bake elsewhere, and nothing of JGHand
+    moved = tmp_path / "farm"
+    moved.mkdir()
+    shutil.move(tmp_path / "scene.blend", moved / "scene.blend")
+    shutil.move(tmp_path / "bakes", moved / "bakes")
+    bpy.ops.wm.open_mainfile(filepath=str(moved / "scene.blend"))
+    cloud = bpy.data.objects[name]
+    seen = []
+    for place, frame in enumerate(range(3, 3 + FRAMES)):
+        bpy.context.scene.frame_set(frame)
+        positions = cloud_positions(bpy.context, cloud)
+        # the skin is around the joints: no joint is further from it than a palm is thick
+        far = [np.linalg.norm(positions - joint, axis=1).min() for joint in joints[place]]
+        assert max(far) < 0.03
+        seen.append(positions)
+    assert np.abs(np.diff(seen, axis=0)).max() > 0.005, "it moves"
+    assert cloud.data.materials[0].name == baked_points.MATERIAL
+    blender_addon.register()
+
+
+def test_a_bake_of_another_pose_is_said_and_not_played(baked):
+    context, hand, _ = baked
+    hand.location.x += 0.01
+    context.view_layer.update()
+    with pytest.raises(RuntimeError, match="moves in another way"):
+        bpy.ops.jghand.play_bake()
+    with pytest.raises(RuntimeError, match="moves in another way"):
+        bpy.ops.jghand.check_bake()
+    assert bpy.ops.jghand.play_bake(accept_stale=True) == {"FINISHED"}
+    assert bpy.ops.jghand.clear_bake() == {"FINISHED"}
+    assert not [thing for thing in context.scene.objects if thing.type == "POINTCLOUD"]
+    assert hand.jghand.show_in_viewport
+
+
+def test_a_bake_of_another_avatar_or_of_other_frames_is_said(baked):
+    context, hand, _ = baked
+    assert bpy.ops.jghand.check_bake() == {"FINISHED"}
+    context.scene.frame_end += 1
+    with pytest.raises(RuntimeError, match="frames"):
+        bpy.ops.jghand.check_bake()
+    context.scene.frame_end -= 1
+    hand.jghand.avatar = ""
+    with pytest.raises(RuntimeError, match="avatar"):
+        bpy.ops.jghand.play_bake()
+
+
+def test_a_bake_that_was_cut_off_is_none(baked):
+    _, hand, _ = baked
+    folder = Path(bpy.path.abspath(hand.jghand.bake))
+    (folder / bakes.STAMP).unlink()
+    with pytest.raises(RuntimeError, match="no finished bake"):
+        bpy.ops.jghand.play_bake()
+
+
+# ---- Blender's own USD export ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("y_up", [False, True])
+@pytest.mark.parametrize("with_root", [True, False])
+def test_blenders_own_usd_export_has_the_splats_where_the_hand_is(baked, tmp_path, y_up, with_root):
+    from pxr import Usd, UsdGeom
+
+    *_, joints = baked
+    name = f"whole_{y_up}_{with_root}.usdc"
+    options = {} if with_root else {"root_prim_path": ""}
+    bpy.ops.mesh.primitive_cube_add()
+    bpy.ops.wm.usd_export(filepath=str(tmp_path / name), export_animation=True, convert_orientation=y_up, **options)
+    assert "left out" not in " ".join(usd_hook.notes)
+    stage = Usd.Stage.Open(str(tmp_path / name))
+    (prim,) = [prim for prim in stage.Traverse() if prim.GetTypeName() == usd_hook.SPLAT_TYPE]
+    assert stage.GetPrimAtPath("/root/Cube" if with_root else "/Cube")
+    turn = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]]) if y_up else np.eye(3)
+    for place, frame in enumerate(range(3, 3 + FRAMES)):
+        world = np.array(UsdGeom.XformCache(frame).GetLocalToWorldTransform(prim))
+        positions = np.array(prim.GetAttribute("positions").Get(frame))
+        positions = positions @ world[:3, :3] + world[3, :3]
+        far = [np.linalg.norm(positions - turn @ joint, axis=1).min() for joint in joints[place]]
+        assert max(far) < 0.03
+    assert stage.GetMetadata("fallbackPrimTypes")
+    assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (3, 2 + FRAMES)
+
+
+def test_a_stale_or_missing_bake_is_left_out_and_told(baked, tmp_path):
+    from pxr import Usd
+
+    context, hand, _ = baked
+    hand.location.x += 0.01
+    context.view_layer.update()
+    path = tmp_path / "whole.usdc"
+    assert bpy.ops.jghand.export_scene_usd(filepath=str(path)) == {"FINISHED"}
+    stage = Usd.Stage.Open(str(path))
+    assert not [prim for prim in stage.Traverse() if prim.GetTypeName() == usd_hook.SPLAT_TYPE]
+    assert any("left out" in note and "another way" in note for note in usd_hook.notes)
+
+
+def test_nothing_that_goes_wrong_in_the_hook_leaves_it(extension, tmp_path, monkeypatch):
+    def broken(*_):
+        raise ZeroDivisionError("on purpose")
+
+    monkeypatch.setattr(usd_hook, "add_splats", broken)
+    bpy.ops.wm.usd_export(filepath=str(tmp_path / "whole.usdc"))
+    assert (tmp_path / "whole.usdc").exists()
+    assert any("on purpose" in note for note in usd_hook.notes)
