@@ -7,10 +7,11 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from .. import runtime
-from ..bridge import armature
+from ..bridge import armature, views
 from ..bridge.classes import register_classes, unregister_classes
 from ..core import panel_text
 from ..core.joints import NAMES
+from ..core.messages import JGHandFailure
 from . import common
 from .common import Sidebar
 
@@ -33,6 +34,7 @@ class HandPanel(Sidebar, bpy.types.Panel):
             _draw_empty(layout, context)
             return
         _draw_hands(layout, context, hands)
+        _draw_problems(layout, context, status.failure)
         hand = common.active(context)
         if hand is not None:
             _draw_active(layout, hand)
@@ -99,6 +101,19 @@ def _draw_hands(layout: bpy.types.UILayout, context: bpy.types.Context, hands: l
         shown = hand.jghand.show_in_viewport
         row.prop(hand.jghand, "show_in_viewport", text="", icon="HIDE_OFF" if shown else "HIDE_ON", emboss=False)
         row.prop(hand, "hide_render", text="", emboss=False)
+
+
+def _draw_problems(layout: bpy.types.UILayout, context: bpy.types.Context, told: JGHandFailure | None) -> None:
+    """Why hands do not show, unless it is what the engine's own line tells already."""
+    for name, failure in views.problems():
+        if told is not None and failure.kind == told.kind:
+            continue
+        box = layout.box()
+        sentence = iface_(failure.advice.sentence)
+        common.paragraph(box, context, f"{name}: {sentence}" if name else sentence, icon="ERROR")
+        common.paragraph(box, context, failure.advice.remedy, icon="BLANK1")
+        if failure.detail:
+            common.explained(box, panel_text.Line(iface_("Details"), tip=failure.detail), icon="INFO")
 
 
 def _draw_active(layout: bpy.types.UILayout, hand: bpy.types.Object) -> None:

@@ -6,7 +6,9 @@ from __future__ import annotations
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
+from ..bridge import views
 from ..bridge.classes import register_classes, unregister_classes
+from ..core import panel_text
 from ..operators.picture import ENGINE
 from . import common
 from .common import Sidebar
@@ -35,6 +37,13 @@ class ViewPanel(Sidebar, bpy.types.Panel):
         column.use_property_split = True
         column.use_property_decorate = False
         column.prop(settings, "viewport_density", slider=True)
+        late = views.late_frames()
+        if late:
+            text = iface_("Late: {count}").format(count=late)
+            tip = iface_(
+                "Frames of the last playback that were drawn before their picture came. A budget or density helps"
+            )
+            common.explained(layout, panel_text.Line(text, tip=tip), icon="INFO")
         shading = getattr(context.space_data, "shading", None)
         text = _shading_hint(shading.type if shading is not None else "SOLID", context.scene.render.engine)
         if text:

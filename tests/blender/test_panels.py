@@ -10,7 +10,7 @@ import pytest
 from recording_layout import RecordingLayout, draw, draw_rows
 
 from blender_addon import registration, runtime
-from blender_addon.bridge import controls, pose_pictures
+from blender_addon.bridge import controls, pose_pictures, views
 from blender_addon.core.link import Status
 from blender_addon.core.messages import JGHandFailure
 from blender_addon.panels import advanced, bones, hand, motion, picture, pose, quality
@@ -171,6 +171,23 @@ def test_a_failed_engine_is_told_even_in_an_empty_scene(extension, engine):
     seen = draw(hand.HandPanel, extension)
     assert "No engine is set up" in text_of(seen)
     assert "jghand.open_preferences" in seen.operators
+
+
+def test_a_hand_that_cannot_be_shown_says_why_once(extension, engine, monkeypatch):
+    add()
+    found = [("Right Hand", JGHandFailure("mirrored", "small print")), ("", JGHandFailure("killed"))]
+    monkeypatch.setattr(views, "problems", lambda: found)
+    engine.status = Status("failed", 5.0, JGHandFailure("killed"))
+    said = text_of(draw(hand.HandPanel, extension))
+    assert "Right Hand: Mirrored scale is not supported" in said
+    assert said.count("The system ended the engine") == 1
+
+
+def test_late_pictures_are_counted(extension, engine, monkeypatch):
+    add()
+    assert "Late" not in text_of(draw(picture.ViewPanel, extension))
+    monkeypatch.setattr(views, "late_frames", lambda: 7)
+    assert "Late: 7" in draw(picture.ViewPanel, extension).texts
 
 
 def test_quality_shows_what_the_last_picture_did_and_why(extension, engine):
