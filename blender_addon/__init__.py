@@ -7,7 +7,8 @@
     preferences.py   what holds for this user and machine: where the engine is
     runtime.py       the one link to the engine
     registration.py  the ordered list of what is added to Blender
-    cli.py           rendering without a window (`scripts/render_blend.py`)
+    render_engine.py F12, animations and `blender -b -a`
+    cli.py           many frames without a window (`blender --command jghand render`, `scripts/render_blend.py`)
 
 Pictures come from the engine, a process of its own (`jghand serve`); Blender's Python never imports torch.
 

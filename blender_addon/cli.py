@@ -1,13 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Renders the hands of a .blend file without a window: joints from Blender, pictures from the engine.
+"""Renders the hands of a .blend file without a window, as F12 does: `blender_addon.render_engine` draws, Blender saves.
 
+    blender --command jghand render FILE.blend --out FOLDER
     render_blend.py FILE.blend --camera CamPalm,CamSide --frames 1-60 --out FOLDER
 
-The engine runs in a process of its own (--engine-python, the variable
-JGHAND_ENGINE_PYTHON, .envs/engine of this checkout, or `jghand` on the PATH). Writes FOLDER/CAMERA/0001.png, RGBA with
-straight alpha; pictures that are there already are skipped, when they were made from the same file with the same
-settings and the same engine. Every armature of the file that is a JGHand hand and not
+The engine runs in a process of its own (--engine-python, the preferences, the variable JGHAND_ENGINE_PYTHON,
+.envs/engine of this checkout, or `jghand` on the PATH). Writes FOLDER/CAMERA/0001.png with the file's own settings of
+film, colours, size and region, whatever engine the file is set to; pictures that are there already are skipped, when
+they were made from the same file with the same settings and the same engine. Every hand of the file that is not
 disabled in renders is drawn, several hands in one picture.
+
+`blender -b FILE.blend -a` with the engine set to JGHand writes the same pictures, to the file's own output path. They
+are the same bytes where the file's metadata leave out date and render time, which these never have.
 
 Exit codes: 0 done, 1 a mistake in JGHand, 2 bad input, 3 try again, 4 out of memory, 130 interrupted. The report is
 written whatever the end.
@@ -17,30 +21,43 @@ from __future__ import annotations
 
 import argparse
 import sys
+import tempfile
 import time
 import traceback
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import bpy
 
-from .bridge import armature, camera, scene, sources
+from . import registration, runtime
+from .bridge import armature, camera, scene, seen_hands, versions
 from .core import batch, limits, stamp
-from .core.client import EngineClient
 from .core.engine_command import engine_command
+from .core.link import EngineLink
 from .core.messages import BAD_INPUT, JGHandFailure
-from .core.view import BUILTIN_AVATAR, SHIPPED_AVATARS, HandInSpace, Pinhole, picture_request
+from .core.view import BUILTIN_AVATAR, SHIPPED_AVATARS
+from .preferences import preferences
+from .properties import PRESETS
+from .render_engine import JGHandRenderEngine
 
 
-def main(arguments: list[str] | None = None, *, checkout: Path | None = None) -> int:
+def main(arguments: list[str] | None = None, *, checkout: Path | None = None, program: str = "render_blend.py") -> int:
     """Renders what the command line asks for; returns the exit code.
 
-    checkout: a folder that may hold .envs/engine.
+    checkout: a folder that may hold .envs/engine · program: what was called, for the help.
     """
-    options = _parser().parse_args(arguments)
-    report = batch.BatchReport(str(options.file), options.preset, total=0)
-    failure = _failure_of(lambda: _render(options, report, checkout))
+    options = _parser(program).parse_args(arguments)
+    report = batch.BatchReport(str(options.file), options.preset or "", total=0)
+    ours = not registration.is_registered()
+    registration.register()
+    try:
+        failure = _failure_of(lambda: _render(options, report, checkout))
+    finally:
+        runtime.use_link(None)
+        runtime.use_render_timeout(None)
+        if ours:
+            registration.unregister()
     if failure is not None:
         log = _keep_log(failure, options)
         report.failed(failure, log)
@@ -81,9 +98,9 @@ def _keep_log(failure: JGHandFailure, options: argparse.Namespace) -> Path | Non
     return None if _failure_of(lambda: batch.write_whole(path, failure.log.encode())) else path
 
 
-def _parser() -> argparse.ArgumentParser:
+def _parser(program: str) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
-        prog="render_blend.py", description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+        prog=program, description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("file", type=Path, help="a .blend file with a JGHand armature")
     parser.add_argument("--out", type=Path, required=True, help="folder for the pictures")
@@ -92,13 +109,13 @@ def _parser() -> argparse.ArgumentParser:
         action="append",
         default=[],
         metavar="NAME[,NAME]",
-        help="cameras; may be given again; default: the scene's camera",
+        help="cameras; may be given again; default: the scene's camera, or those of its markers",
     )
     parser.add_argument(
         "--frames", type=_frames, metavar="A-B[,STEP]", help="e.g. 1-240 or 1-240,2; default: the scene's range"
     )
-    parser.add_argument("--preset", default="final", help="draft, viewport, final (default) or reference")
-    parser.add_argument("--avatar", default=BUILTIN_AVATAR, help="a .jghand file, builtin or painted")
+    parser.add_argument("--preset", choices=[preset[0] for preset in PRESETS], help="default: the scene's")
+    parser.add_argument("--avatar", help="a .jghand file, builtin or painted, for all hands; default: each hand's own")
     parser.add_argument("--engine-python", metavar="PATH", help="a Python that has jghand installed")
     parser.add_argument("--overwrite", action="store_true", help="render pictures that are there already again")
     parser.add_argument("--report", type=Path, metavar="FILE.json", help="write what was done, with times, as JSON")
@@ -125,28 +142,30 @@ class _Job:
     """What one run renders."""
 
     options: argparse.Namespace
+    scene: bpy.types.Scene
     cameras: list[bpy.types.Object]
-    hands: list[bpy.types.Object]
     frames: list[int]
-    size: tuple[int, int]
 
     def path(self, eye: bpy.types.Object, frame: int) -> Path:
         return batch.picture_path(self.options.out, eye.name, frame)
 
     @property
-    def avatar(self) -> str:
-        """As the engine knows it."""
-        avatar = self.options.avatar
-        return avatar if avatar in SHIPPED_AVATARS else str(Path(avatar).resolve())
+    def avatars(self) -> list[str]:
+        """Of all hands, as the engine knows them."""
+        hands = armature.hands_at_any_frame(bpy.context.view_layer)
+        return sorted({seen_hands.avatar_of(hand) for hand in hands})
 
     def stamp_folders(self, engine_version: str) -> None:
         """Makes sure that no picture of something else lies among this run's."""
+        names = [avatar for avatar in self.avatars if avatar in SHIPPED_AVATARS]
+        files = [Path(avatar) for avatar in self.avatars if avatar not in SHIPPED_AVATARS]
         made_from = {
             "file": stamp.digest(scene.source_files()),
-            "avatar": self.avatar if self.avatar in SHIPPED_AVATARS else stamp.digest([Path(self.avatar)]),
-            "preset": self.options.preset,
-            "size": f"{self.size[0]} x {self.size[1]}",
+            "avatar": " ".join([*names, *([stamp.digest(files)] if files else [])]),
+            "preset": self.scene.jghand.render_preset,
+            "size": "{} x {}".format(*camera.picture_size(self.scene.render)),
             "engine version": engine_version,
+            "Blender version": bpy.app.version_string,
         }
         for eye in self.cameras:
             replaced = [self.path(eye, frame) for frame in self.frames] if self.options.overwrite else None
@@ -159,11 +178,17 @@ def _job(options: argparse.Namespace) -> _Job:
     cameras = scene.chosen_cameras(opened, options.camera)
     batch.check_folders(options.out, [eye.name for eye in cameras])
     frames = options.frames or list(range(opened.frame_start, opened.frame_end + 1, opened.frame_step))
-    hands = scene.make_evaluated(cameras)
+    hands = armature.hands_at_any_frame(bpy.context.view_layer)
     if not hands:
         instanced = "; ".join(scene.instanced_hands(opened))
         raise JGHandFailure("no_hand", f"{options.file}; not rendered: {instanced}" if instanced else str(options.file))
-    return _Job(options, cameras, hands, frames, camera.picture_size(opened.render))
+    if options.avatar is not None:
+        chosen = options.avatar if options.avatar in SHIPPED_AVATARS else str(Path(options.avatar).resolve())
+        for hand in hands:
+            hand.jghand.avatar = "" if chosen == BUILTIN_AVATAR else chosen
+    if options.preset is not None:
+        opened.jghand.render_preset = options.preset
+    return _Job(options, opened, cameras, frames)
 
 
 def _seconds(text: str) -> float:
@@ -178,20 +203,49 @@ def _seconds(text: str) -> float:
 
 def _render(options: argparse.Namespace, report: batch.BatchReport, checkout: Path | None) -> None:
     job = _job(options)
+    report.preset = job.scene.jghand.render_preset
     report.total = len(job.frames) * len(job.cameras)
-    report.notes = scene.ignored_settings(bpy.context.scene)
+    report.notes = scene.notes_on(job.scene)
     for note in report.notes:
         print(f"note: {note}", flush=True)
-    with EngineClient.start(engine_command(options.engine_python, checkout=checkout)) as engine:
-        report.engine = {key: engine.handshake.get(key) for key in ("engine_version", "device")}
-        _load(engine, job.avatar, max(limits.LOAD_S, options.timeout))
-        job.stamp_folders(str(report.engine["engine_version"]))
+    link = _start_engine(options, checkout)
+    report.engine = {key: link.status.handshake.get(key) for key in ("engine_version", "device")}
+    for avatar in job.avatars:
+        _load(link, avatar, max(limits.LOAD_S, options.timeout))
+    job.stamp_folders(str(report.engine["engine_version"]))
+    _prepare(job)
+    with tempfile.TemporaryDirectory(prefix="jghand_") as folder:
         for frame in job.frames:
-            for line in _render_frame(engine, frame, job, report):
+            for line in _render_frame(frame, job, report, Path(folder)):
                 print(line, flush=True)
 
 
-def _render_frame(engine: EngineClient, frame: int, job: _Job, report: batch.BatchReport) -> Iterator[str]:
+def _start_engine(options: argparse.Namespace, checkout: Path | None) -> EngineLink:
+    chosen = preferences()
+    python = options.engine_python or (chosen.engine_python if chosen is not None else None) or None
+    words = engine_command(python, checkout=checkout)
+    link = EngineLink(lambda: words)
+    runtime.use_link(link)
+    runtime.use_render_timeout(options.timeout)
+    link.start()
+    link.wait_until_ready()
+    return link
+
+
+def _prepare(job: _Job) -> None:
+    """Sets the scene, in memory, so that Blender writes what is wanted; nothing that depends on the clock."""
+    render = job.scene.render
+    render.engine = JGHandRenderEngine.bl_idname
+    versions.write_png(render.image_settings)
+    render.use_file_extension = True
+    render.use_stamp_date = render.use_stamp_render_time = False
+    render.use_stamp_memory = render.use_stamp_hostname = False
+    if job.options.camera:
+        for marker in job.scene.timeline_markers:
+            marker.camera = None  # which else would choose the camera
+
+
+def _render_frame(frame: int, job: _Job, report: batch.BatchReport, folder: Path) -> Iterator[str]:
     """Renders one frame from every camera whose picture is wanted; yields progress lines."""
     wanted = [eye for eye in job.cameras if job.options.overwrite or not job.path(eye, frame).exists()]
     for eye in job.cameras:
@@ -199,21 +253,19 @@ def _render_frame(engine: EngineClient, frame: int, job: _Job, report: batch.Bat
             yield report.skipped(eye.name, frame, job.path(eye, frame))
     if not wanted:
         return
-    clock = _Clock()
-    depsgraph = scene.evaluated_at(bpy.context.scene, frame, (*job.hands, *job.cameras))
-    things = armature.hand_armatures(bpy.context.view_layer)
-    read = [hand for thing in things for hand in sources.read_hands(thing, depsgraph)]
-    hands = [replace(hand, avatar=job.avatar) for hand in read]
-    views = [camera.pinhole(eye, depsgraph) for eye in wanted]
-    evaluate_ms = clock.lap_ms() / len(wanted)
-    for eye, view in zip(wanted, views, strict=True):
+    job.scene.frame_set(frame)
+    scene.check_scripts()
+    for eye in wanted:
+        if job.options.camera:
+            job.scene.camera = eye
         clock = _Clock()
-        content, details = _picture(engine, view, hands, job.options)
+        content, note = _picture(job.scene, folder / "picture.png")
         request_ms = clock.lap_ms()
         path = job.path(eye, frame)
         batch.write_whole(path, content)
-        times = batch.PictureTimes(evaluate_ms, request_ms, clock.lap_ms())
-        yield report.rendered(eye.name, frame, path, times, details)
+        times = batch.PictureTimes(note.evaluate_ms, request_ms - note.evaluate_ms, clock.lap_ms())
+        size = list(camera.picture_size(job.scene.render))
+        yield report.rendered(eye.name, frame, path, times, {"size": size, "reports": list(note.reports)})
 
 
 class _Clock:
@@ -227,17 +279,33 @@ class _Clock:
         return 1e3 * (self._then - then)
 
 
-def _picture(
-    engine: EngineClient, view: Pinhole, hands: list[HandInSpace], options: argparse.Namespace
-) -> tuple[bytes, dict]:
-    header, arrays = picture_request(view, hands, preset=options.preset, outputs=["png"])
-    reply = engine.request(header, arrays, timeout_s=options.timeout)
-    return bytes(reply.arrays["png"].data), {"size": [view.width, view.height], "reports": reply.header["reports"]}
+def _picture(current: bpy.types.Scene, path: Path) -> tuple[bytes, runtime.RenderNote]:
+    """One picture as Blender renders and saves it. Raises JGHandFailure: what the render engine does, cannot_write.
 
-
-def _load(engine: EngineClient, avatar: str, timeout_s: float) -> None:
+    It is saved where no name can be a template, and moved by us: a path of Blender's is not always what it says.
+    """
+    runtime.note_render(None)
+    current.render.filepath = str(path)
+    path.unlink(missing_ok=True)
+    told = ""
     try:
-        engine.request({"kind": "load", "avatar": avatar}, timeout_s=timeout_s)
+        bpy.ops.render.render(write_still=True, scene=current.name)
+    except RuntimeError as error:  # an error report of the engine, or of Blender
+        told = str(error)
+    note = runtime.last_render()
+    if note is not None and note.failure is not None:
+        raise JGHandFailure("interrupted") if note.failure.kind == "cancelled" else note.failure
+    if told or note is None:
+        raise JGHandFailure("internal", told or "Blender did not render")
+    try:
+        return path.read_bytes(), note
+    except OSError as error:
+        raise JGHandFailure("cannot_write", f"{path}: {error.strerror or error}") from error
+
+
+def _load(link: EngineLink, avatar: str, timeout_s: float) -> None:
+    try:
+        link.request({"kind": "load", "avatar": avatar}, timeout_s=timeout_s)
     except JGHandFailure as failure:
         if failure.kind == "bad_input":
             raise JGHandFailure("bad_avatar", failure.detail) from failure

@@ -6,8 +6,8 @@
 
 Runs in a Python that has bpy. MOTION.npz (or .json, .csv) is what `jghand` writes: joints_m (frames, 21, 3), order,
 unit, fps and handedness. The cameras come from a JSON file, {name: {width, height, fx, fy, cx, cy, camera_from_world}},
-or are two, CamPalm and CamSide, that show the whole hand over the whole motion. The scene is in metres and its first
-frame is 1.
+or are two, CamPalm and CamSide, that show the whole hand over the whole motion. The scene is in metres, its first
+frame is 1, and what is +y in the motion is up, +z, in Blender.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ import argparse
 import importlib.util
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -106,32 +107,46 @@ def camera_of(entry: dict) -> dict:
 def build(motion: MotionFile, cameras: dict[str, dict], options: argparse.Namespace) -> None:
     """Makes the scene in memory and saves it, compressed."""
     import bpy  # pyright: ignore[reportMissingImports]
+    from mathutils import Matrix  # pyright: ignore[reportMissingImports]
 
+    from blender_addon import registration
     from blender_addon.bridge import armature, camera, framing
     from blender_addon.bridge import motion as motions
     from blender_addon.core import posing, view
     from blender_addon.core.messages import JGHandFailure
 
     joints_m = motion.joints_m
+    registration.register()  # its engine and its properties are saved with the file
     bpy.ops.wm.read_factory_settings(use_empty=True)
     context = bpy.context
     scene = context.scene
     scene.render.fps = max(1, round(motion.fps))
     scene.render.fps_base = scene.render.fps / motion.fps
     scene.frame_start, scene.frame_end = FIRST_FRAME, FIRST_FRAME + len(joints_m) - 1
+    scene.render.engine = "JGHAND"
     scene.render.film_transparent = True
+    scene.render.image_settings.color_mode = "RGBA"
+    scene.render.dither_intensity = 0.0  # the engine's own pictures have none
     scene.view_settings.view_transform = "Standard"  # the hand is a photograph: AgX would change its colours
     rest = posing.rest_joints_m(motion.handedness, joints_m)
     hand = armature.build_armature(context, f"Hand {motion.handedness}", rest, motion.handedness)
     motions.key_motion(hand, joints_m, scene, first_frame=FIRST_FRAME)
+    # in motions +y is up, in Blender +z
+    world_from_motion = view.LIGHT_FROM_WORLD.T
+    hand.matrix_world = Matrix(world_from_motion)
     camera.set_picture_size(scene.render, *options.size)
     if cameras:
         pinholes = {name: view.Pinhole(**numbers) for name, numbers in cameras.items()}
+        pinholes = {
+            name: replace(pinhole, camera_from_world=pinhole.camera_from_world @ view.LIGHT_FROM_WORLD)
+            for name, pinhole in pinholes.items()
+        }
         first = next(iter(pinholes.values()))
         camera.set_picture_size(scene.render, first.width, first.height)
         eyes = [camera.add_camera(context, name, pinhole) for name, pinhole in pinholes.items()]
     else:
-        eyes = [framing.add_framing_camera(context, name, joints_m, motion.handedness) for name in framing.SIDES]
+        turned_m = joints_m @ world_from_motion[:3, :3].T
+        eyes = [framing.add_framing_camera(context, name, turned_m, motion.handedness) for name in framing.SIDES]
     scene.camera = eyes[0]
     scene.frame_set(FIRST_FRAME)
     try:

@@ -34,7 +34,7 @@ def read_moments(
         instanced = "; ".join(scene.instanced_hands(depsgraph.scene))
         raise JGHandFailure("no_hand", f"not rendered: {instanced}" if instanced else "")
     things = armature.rendered_hands(depsgraph)
-    scene.check_drivers((*things, eye))
+    scene.check_drivers((*things, eye), depsgraph)
     times = shutter_times(depsgraph.scene)
     if len(times) == 1:
         return [_moment(things, eye, part, depsgraph)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The opened file: its cameras and hands, made sure to be evaluated, and whether Blender evaluated them truly."""
+"""The opened file: its cameras, what its settings do to pictures, and whether Blender evaluated it truly."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def open_file(path: Path, *, allow_scripts: bool) -> bpy.types.Scene:
         bpy.ops.wm.open_mainfile(filepath=str(path.resolve()), load_ui=False, use_scripts=allow_scripts)
     except RuntimeError as error:
         raise JGHandFailure("bad_file", f"{path}: {error}") from error
-    _check_scripts()
+    check_scripts()
     return bpy.context.scene
 
 
@@ -49,15 +49,12 @@ def chosen_cameras(scene: bpy.types.Scene, names: Sequence[str]) -> list[bpy.typ
     return [scene.objects[name] for name in wanted]
 
 
-def ignored_settings(scene: bpy.types.Scene) -> list[str]:
-    """One sentence for every setting of the scene that changes Blender's own pictures and not these."""
-    render = scene.render
-    sentences = []
-    if render.use_border:
-        sentences.append("The render region is ignored: pictures are rendered whole.")
-    if not render.film_transparent:
-        sentences.append("The film is not transparent in this scene; these pictures always are.")
-    return sentences
+def notes_on(scene: bpy.types.Scene) -> list[str]:
+    """One sentence for every setting of the scene that makes its pictures other than those of the engine."""
+    view = scene.view_settings
+    if view.view_transform != "Standard":
+        return [f"The view transform is {view.view_transform}: colours differ from the capture; Standard keeps them."]
+    return []
 
 
 def instanced_hands(scene: bpy.types.Scene) -> list[str]:
@@ -71,15 +68,6 @@ def instanced_hands(scene: bpy.types.Scene) -> list[str]:
     ]
 
 
-def make_evaluated(cameras: list[bpy.types.Object]) -> list[bpy.types.Object]:
-    """The hands of the scene, made sure, as the cameras, to be evaluated (in memory; the file stays as it is)."""
-    hands = armature.hands_at_any_frame(bpy.context.view_layer)
-    for thing in (*hands, *cameras):
-        for part in armature.parts_of(thing):
-            armature.show_to_evaluate(part)
-    return hands
-
-
 def evaluated_at(scene: bpy.types.Scene, frame: float, things: Iterable[bpy.types.Object]) -> bpy.types.Depsgraph:
     """What Blender evaluated at a frame, when it evaluated `things` truly.
 
@@ -87,7 +75,7 @@ def evaluated_at(scene: bpy.types.Scene, frame: float, things: Iterable[bpy.type
     Raises JGHandFailure: scripts_blocked, broken_driver.
     """
     depsgraph = armature.at_frame(scene, frame)
-    _check_scripts()
+    check_scripts()
     parts = [part for thing in things for part in armature.parts_of(thing)]
     broken = [description for part in parts for description in _broken_drivers(part)]
     if broken:
@@ -95,17 +83,18 @@ def evaluated_at(scene: bpy.types.Scene, frame: float, things: Iterable[bpy.type
     return depsgraph
 
 
-def check_drivers(things: Iterable[bpy.types.Object]) -> None:
-    """Whether the drivers of hands and cameras work. Raises JGHandFailure: scripts_blocked, broken_driver.
+def check_drivers(things: Iterable[bpy.types.Object], depsgraph: bpy.types.Depsgraph) -> None:
+    """Whether the drivers of hands and cameras work where they were evaluated. Raises JGHandFailure: scripts_blocked,
+    broken_driver.
 
     Of a file whose scripts are blocked, only the drivers that are needed matter, and those of them that are Python.
     """
-    parts = [part for thing in things for part in armature.parts_of(thing)]
+    parts = [part.evaluated_get(depsgraph) for thing in things for part in armature.parts_of(thing)]
+    if bpy.app.autoexec_fail and any(_has_scripts(part) for part in parts):
+        raise JGHandFailure("scripts_blocked", bpy.app.autoexec_fail_message)
     broken = [description for part in parts for description in _broken_drivers(part)]
     if broken:
         raise JGHandFailure("broken_driver", "; ".join(broken))
-    if bpy.app.autoexec_fail and any(_has_scripts(part) for part in parts):
-        raise JGHandFailure("scripts_blocked", bpy.app.autoexec_fail_message)
 
 
 def _has_scripts(thing: bpy.types.Object) -> bool:
@@ -117,7 +106,8 @@ def _has_scripts(thing: bpy.types.Object) -> bool:
     )
 
 
-def _check_scripts() -> None:
+def check_scripts() -> None:
+    """JGHandFailure (scripts_blocked) when Blender met Python in the file that it may not run."""
     if bpy.app.autoexec_fail:
         raise JGHandFailure("scripts_blocked", bpy.app.autoexec_fail_message)
 

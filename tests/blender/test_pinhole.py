@@ -143,13 +143,60 @@ def test_an_animated_camera_is_seen_at_the_frame(context):
     assert views[1].fx > views[0].fx + 10
 
 
-@pytest.mark.parametrize(("kind", "failure"), [("ORTHO", "orthographic"), ("PANO", "panoramic")])
-def test_a_camera_that_is_no_pinhole_is_refused(context, kind, failure):
-    eye = hands.camera_on(context, (0, 0, 0), 1)
-    eye.data.type = kind
+@pytest.mark.parametrize("unit_m", [1.0, 0.01])
+@pytest.mark.parametrize("shift", [(0.0, 0.0), (0.13, -0.21)])
+def test_an_orthographic_camera_projects_as_blender_does(context, unit_m, shift):
+    context.scene.unit_settings.scale_length = unit_m
+    context.scene.render.pixel_aspect_x = 1.5
+    hand = hands.keyed_hand(context, "right", hands.moving_hand_m("right"))
+    set_size(context.scene, (512, 334))
+    eye = hands.camera_on(context, (0, 0.1 / unit_m, 0), 0.6 / unit_m, type="ORTHO", ortho_scale=0.4 / unit_m)
+    eye.data.shift_x, eye.data.shift_y = shift
+    armature.at_frame(context.scene, 2)
+    assert disagreement_px(context, hand, eye) < AGREES_PX
+    view = camera.pinhole(eye, context.evaluated_depsgraph_get())
+    assert view.orthographic
+    assert view.fx == pytest.approx(512 / 0.4, rel=1e-5)
+
+
+def test_a_panoramic_camera_is_refused(context):
+    eye = hands.camera_on(context, (0, 0, 0), 1, type="PANO")
     with pytest.raises(JGHandFailure) as caught:
         camera.pinhole(eye, context.evaluated_depsgraph_get())
-    assert caught.value.kind == failure
+    assert caught.value.kind == "panoramic"
+
+
+def test_depth_of_field_is_that_of_the_camera(context):
+    context.scene.unit_settings.scale_length = 0.1
+    eye = hands.camera_on(context, (0, 0, 0), 5, lens=80)
+    depth_of_field = eye.data.dof
+    depth_of_field.use_dof, depth_of_field.aperture_fstop, depth_of_field.focus_distance = True, 4.0, 3.0
+    view = camera.pinhole(eye, context.evaluated_depsgraph_get())
+    assert view.aperture_m == pytest.approx(0.1 * 0.080 / 4, rel=1e-5)
+    assert view.focus_m == pytest.approx(0.3, rel=1e-6)
+    depth_of_field.focus_object = bpy.data.objects.new("Focus", None)
+    context.scene.collection.objects.link(depth_of_field.focus_object)
+    depth_of_field.focus_object.location = (0.2, 0, 0)
+    context.view_layer.update()
+    axis = np.array(eye.matrix_world.col[2])[:3]
+    view = camera.pinhole(eye, context.evaluated_depsgraph_get())
+    # the depth along the view axis, not the distance
+    assert view.focus_m == pytest.approx(0.1 * (5 - 0.2 * axis[0]), rel=1e-5)
+    hand = hands.keyed_hand(context, "right", hands.moving_hand_m("right"))
+    depth_of_field.focus_object, depth_of_field.focus_subtarget = hand, "index4"
+    context.view_layer.update()
+    depsgraph = context.evaluated_depsgraph_get()
+    view = camera.pinhole(eye, depsgraph)
+    tip = armature.read_hand(hand, depsgraph).joints_world_m[8]
+    assert view.focus_m == pytest.approx(view.project(tip)[2], rel=1e-5)
+
+
+def test_an_orthographic_camera_with_depth_of_field_is_refused(context):
+    eye = hands.camera_on(context, (0, 0, 0), 1, type="ORTHO")
+    eye.data.dof.use_dof = True
+    with pytest.raises(JGHandFailure) as caught:
+        camera.pinhole(eye, context.evaluated_depsgraph_get())
+    assert caught.value.kind == "orthographic_lens"
 
 
 def test_what_is_no_camera_is_refused(context):

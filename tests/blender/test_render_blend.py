@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import struct
 import subprocess
 import sys
 from pathlib import Path
@@ -19,6 +20,7 @@ from blender_addon import cli
 from blender_addon.bridge import armature, camera, scene, sources
 from blender_addon.core import posing, stamp
 from blender_addon.core.messages import JGHandFailure
+from blender_addon.core.view import LIGHT_FROM_WORLD
 
 ROOT = Path(__file__).resolve().parents[2]
 SIZE = (128, 84)
@@ -50,7 +52,11 @@ def blend(context, tmp_path) -> Path:
 
 
 def saved(folder: Path) -> Path:
+    """The scene as a file, its film transparent and its colours as the engine has them."""
     path = folder / "hand.blend"
+    scene = bpy.context.scene
+    scene.render.film_transparent, scene.render.dither_intensity = True, 0.0
+    scene.view_settings.view_transform = "Standard"
     bpy.ops.wm.save_as_mainfile(filepath=str(path), compress=True)
     return path
 
@@ -369,17 +375,26 @@ def test_a_hand_that_is_only_instanced_is_named(engine, blend):
     assert "right, in the instance placed" in report["failure"]["detail"]
 
 
-def test_settings_of_the_scene_that_are_ignored_are_told_once(engine, blend, capsys):
-    render = bpy.context.scene.render
-    render.film_transparent, render.use_border = False, True
-    _, _, report = rendered(saved(blend.parent), "--frames", "1-2")
-    assert len(report["notes"]) == 2
+def test_what_a_view_transform_does_is_told_once(engine, blend, capsys):
+    saved(blend.parent)
+    bpy.context.scene.view_settings.view_transform = "AgX"
+    bpy.ops.wm.save_mainfile()
+    _, _, report = rendered(blend, "--frames", "1-2")
+    assert len(report["notes"]) == 1
+    assert "AgX" in report["notes"][0]
     lines = capsys.readouterr().out.splitlines()
     assert [line for line in lines if line.startswith("note: ")] == [f"note: {note}" for note in report["notes"]]
-    assert pixels(blend.parent / "out/CamPalm/0001.png").shape == (*SIZE[::-1], 4)
-    render = bpy.context.scene.render  # of the file that the run opened
-    render.film_transparent, render.use_border = True, False
     assert rendered(saved(blend.parent), "--frames", "1", "--overwrite")[2]["notes"] == []
+
+
+def test_region_film_and_depth_of_the_file_are_honoured(engine, blend):
+    render = bpy.context.scene.render
+    render.use_border, render.use_crop_to_border = True, True
+    render.border_min_x, render.border_max_x, render.border_min_y, render.border_max_y = 0.25, 0.75, 0.0, 0.5
+    render.image_settings.color_mode, render.image_settings.color_depth = "RGB", "16"
+    assert rendered(saved(blend.parent), "--frames", "1")[0] == 0
+    content = (blend.parent / "out/CamPalm/0001.png").read_bytes()
+    assert struct.unpack(">IIBB", content[16:26]) == (SIZE[0] // 2, SIZE[1] // 2, 16, 2)
 
 
 def test_a_mirrored_hand_is_bad_input(engine, blend):
@@ -409,9 +424,9 @@ def test_a_python_driver_that_is_blocked_ends_the_run_and_works_when_it_is_allow
 def test_a_driver_that_blender_blocks_only_when_the_hand_is_evaluated_ends_the_run_too(engine, blend, monkeypatch):
     driven(bpy.data.objects["right"], "location", "[0.1 for _ in (1,)][0]")
     saved(blend.parent)
-    monkeypatch.setattr(scene, "_check_scripts", lambda: None)
+    monkeypatch.setattr(scene, "check_scripts", lambda: None)
     code, _, report = rendered(blend, "--frames", "1")
-    assert (code, report["failure"]["kind"]) == (2, "broken_driver")
+    assert (code, report["failure"]["kind"]) == (2, "scripts_blocked")
 
 
 @pytest.mark.parametrize(("name", "part"), [("right", "object"), ("CamPalm", "object"), ("CamPalm", "data")])
@@ -495,7 +510,8 @@ def test_the_demo_scene_is_built_from_a_motion_file(context, tmp_path):
     assert camera.picture_size(built.render) == (512, 334)
     (hand,) = armature.hand_armatures(bpy.context.view_layer)
     seen = armature.read_hand(hand, armature.at_frame(built, 3))
-    np.testing.assert_allclose(seen.joints_world_m, hands.moving_hand_m("left", frames=3)[2], atol=2e-7)
+    x, y, z = hands.moving_hand_m("left", frames=3)[2].T  # in motions +y is up
+    np.testing.assert_allclose(seen.joints_world_m, np.stack([x, -z, y], -1), atol=2e-7)
 
 
 def test_the_demo_scene_takes_cameras_from_a_file(context, tmp_path):
@@ -510,7 +526,9 @@ def test_the_demo_scene_takes_cameras_from_a_file(context, tmp_path):
     seen = camera.pinhole(bpy.data.objects["front"], bpy.context.evaluated_depsgraph_get())
     assert (seen.width, seen.height) == (200, 100)
     assert (seen.fx, seen.cx, seen.cy) == pytest.approx((300, 90, 55), abs=1e-3)
-    np.testing.assert_allclose(seen.camera_from_world, matrix, atol=1e-6)
+    # in cameras of motions +y is up
+    np.testing.assert_allclose(seen.camera_from_world @ LIGHT_FROM_WORLD.T, matrix, atol=1e-6)
+    assert bpy.context.scene.render.film_transparent
 
 
 @pytest.mark.parametrize(
