@@ -8,8 +8,10 @@ the engine's numbers, under AgX it does not.
 from __future__ import annotations
 
 import bpy
+import gpu
 
 from . import rendering, views
+from .world import background
 
 
 class ViewportEngine:
@@ -19,7 +21,10 @@ class ViewportEngine:
         """Something changed in the scene. Every draw looks for itself what there is to show."""
 
     def view_draw(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
-        """Draws one 3D view."""
+        """Draws one 3D view: the world's colour, unless the film is transparent, and the hands before it."""
+        scene = depsgraph.scene
+        if not scene.render.film_transparent:
+            gpu.state.active_framebuffer_get().clear(color=(*background(scene.world), 1.0))
         if rendering.now():
             views.show_again(context, views.RENDERED)
         else:
