@@ -206,10 +206,12 @@ class Server:
             _log(f"the client left: {error}")
 
     def _answer(self, message: Message, cancelled: Callable[[], bool]) -> tuple[dict[str, Any], Reply]:
-        """The reply to a request; every failure is a reply too."""
+        """The reply to a request, with what it took here; every failure is a reply too."""
+        begun = time.perf_counter()
         try:
             reply = self._commands.run(message, cancelled)
-            header = {**_to(message), "ok": True, **reply.header}
+            took_ms = round(1e3 * (time.perf_counter() - begun), 3)
+            header = {**_to(message), "ok": True, "took_ms": took_ms, **reply.header}
             protocol.encode(header, reply.arrays)  # a reply that cannot be sent becomes an error that can
             return header, reply
         except Exception as error:  # whatever it is, the client hears of it and the engine lives on

@@ -41,6 +41,7 @@ class StandInHands:
         """fault: NAME, or NAME:N to behave well before the N-th picture."""
         self.fault, _, first = fault.partition(":")
         self._first, self._pictures = int(first or 1), 0
+        self._canvas: np.ndarray | None = None
 
     def load(self, avatar: str) -> LoadedAvatar:
         if avatar != "builtin" and not Path(avatar).is_file():
@@ -52,6 +53,8 @@ class StandInHands:
         self._pictures += 1
         if self._pictures >= self._first:
             self._misbehave(cancelled)
+        if self.fault == "blank":  # for measuring the way there and back
+            return self._blank(picture)
         total = sum(exposure.weight for exposure in picture.exposures)
         rgba, depth, ids = (np.zeros((picture.height, picture.width, *more), np.float32) for more in ((4,), (), ()))
         for index, exposure in enumerate(picture.exposures):
@@ -62,6 +65,12 @@ class StandInHands:
             if index == picture.middle:
                 depth, ids = near_m, numbers
         return Painting(rgba, {"total_ms": 1.0, "stages": []}, depth, ids)
+
+    def _blank(self, picture: PictureRequest) -> Painting:
+        size = (picture.height, picture.width)
+        if self._canvas is None or self._canvas.shape[:2] != size:
+            self._canvas = np.zeros((*size, 4), np.float32)
+        return Painting(self._canvas, {"total_ms": 0.0, "stages": []})
 
     def _misbehave(self, cancelled: Callable[[], bool]) -> None:
         match self.fault:

@@ -136,6 +136,7 @@ def test_requests_are_answered_with_their_own_number(engine):
         reply = answer(connection, PICTURE, picture_arrays())
         assert reply.header["ok"]
         assert reply.header["id"] == 5
+        assert reply.header["took_ms"] > 0
         assert reply.arrays["rgba_u8"].shape == (48, 64, 4)
 
 

@@ -1,0 +1,302 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+# This script imports blender_addon (GPL-3.0-or-later), so it is under the GPL too: blender_addon/LICENSE.
+"""What the way between Blender and the engine costs, and what it does to Blender when the engine fails.
+
+    python scripts/benchmark_link.py [--quick] [--only round-trip,blocks,cycles,memory] [--engine-python PATH]
+
+    round-trip  a picture of 512 x 334 there and back, less what the engine itself took; wanted: <= 1 ms
+    blocks      the longest time the main thread is kept while it plays, with engines that are late, that hang, that are
+                frozen by the system and that are killed, 200 trials; wanted: none over 50 ms
+    cycles      1,000 times start, picture, stop: processes, ports, handles, threads, shared memory left; wanted: none
+    memory      10,000 pictures: growth of this process and of the engine; wanted: < 10 MB
+    idle        processor time of both sides while nobody asks, over 20 s; wanted: none
+
+Runs with any Python that has numpy. Without --engine-python the engine is the stand-in of the tests, which draws
+nothing; with it, round-trip, memory and idle use the real one. Figures of a busy machine mean nothing: the load is
+printed too. Exit code 1 when a figure misses what is wanted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+import random
+import signal
+import statistics
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from blender_addon.core import limits
+from blender_addon.core.link import EngineLink
+from blender_addon.core.messages import JGHandFailure
+from blender_addon.core.posing import rest_joints_m
+from blender_addon.core.view import HandInSpace, Pinhole, picture_request
+
+ROOT = Path(__file__).resolve().parents[1]
+PARTS = ("round-trip", "blocks", "cycles", "memory", "idle")
+SIZE = (512, 334)
+FRAME_S = 1 / 24
+PATIENCE_S = 120.0
+ROUND_TRIP_MS, BLOCK_MS, GROWTH_MB, IDLE_S = 1.0, 50.0, 10.0, 0.1
+
+
+@dataclass
+class Figures:
+    """What is printed, and whether all of it is as wanted."""
+
+    missed: list[str] = field(default_factory=list)
+
+    def say(self, name: str, text: str, good: bool | None = None) -> None:
+        verdict = "" if good is None else "  ok" if good else "  MISSED"
+        print(f"{name:44}{text}{verdict}", flush=True)
+        if good is False:
+            self.missed.append(name)
+
+
+@dataclass(frozen=True)
+class Plan:
+    """How much of everything."""
+
+    command: tuple[str, ...]
+    pictures: int
+    trials: int
+    cycles: int
+    frames: int
+    idle_s: float
+
+
+def stand_in(*faults: str) -> tuple[str, ...]:
+    return (sys.executable, "-I", str(ROOT / "tests/service/stand_in_engine.py"), *faults)
+
+
+@contextmanager
+def linked(command: tuple[str, ...]) -> Iterator[EngineLink]:
+    link = EngineLink(lambda: command)
+    try:
+        yield link
+    finally:
+        link.close()
+
+
+def picture(turn: int, outputs: tuple[str, ...] = ("rgba_u8",)):
+    """The rest hand, moved a little with every turn, as it fills the viewport."""
+    width, height = SIZE
+    joints = rest_joints_m("right") + np.array([1e-4 * (turn % 50), -0.09, 0.0])
+    view = np.eye(4)
+    view[2, 3] = 0.45
+    hand = HandInSpace("right", joints, np.eye(4))
+    return picture_request(Pinhole(width, height, 900, 900, width / 2, height / 2, view), [hand], outputs=outputs)
+
+
+# ---- the parts -------------------------------------------------------------------------------------------------------
+
+
+def round_trip(plan: Plan, figures: Figures) -> None:
+    with linked(plan.command) as link:
+        for outputs in (("rgba_u8",), ("rgba_u8", "depth"), ("rgba_f32", "depth")):
+            there_and_back, whole = [], []
+            for turn in range(plan.pictures + 10):
+                link.ask("viewport", *picture(turn, outputs), tag=(outputs, turn))
+                answer = link.wait("viewport", (outputs, turn), PATIENCE_S)
+                if answer is None or answer.message is None:
+                    raise SystemExit(f"no picture came: {answer and answer.failure}")
+                if turn >= 10:
+                    whole.append(answer.round_trip_ms)
+                    there_and_back.append(answer.round_trip_ms - answer.message.header["took_ms"])
+            median, p95 = statistics.median(there_and_back), np.percentile(there_and_back, 95)
+            text = f"{median:6.2f} ms median, {p95:6.2f} p95; with the engine's own {statistics.median(whole):6.2f}"
+            name = f"there and back, {SIZE[0]} x {SIZE[1]}, {' + '.join(outputs)}"
+            figures.say(name, text, median <= ROUND_TRIP_MS if outputs == ("rgba_u8",) else None)
+
+
+def blocks(plan: Plan, figures: Figures) -> None:
+    """Plays as the viewport does: every frame asks, waits a little, looks, ticks. The engine gets its trouble at a
+    random moment."""
+    troubles = {
+        "late (200 ms a picture)": ("late", None),
+        "hung in a picture": ("hang:5", None),
+        "frozen by the system": ("blank", getattr(signal, "SIGSTOP", None)),
+        "killed": ("blank", getattr(signal, "SIGKILL", None)),
+    }
+    dice = random.Random(0)
+    longest: dict[str, list[float]] = {name: [] for name in troubles}
+    others: list[float] = []
+    for trial in range(plan.trials):
+        name = list(troubles)[trial % len(troubles)]
+        fault, sent = troubles[name]
+        with linked(stand_in(fault)) as link:
+            link.start()
+            link.wait_until_ready()
+            pid, at = link.status.handshake["pid"], time.monotonic() + dice.uniform(0.0, 0.5)
+            worst_s = 0.0
+            for frame in range(24):
+                if sent is not None and time.monotonic() > at:
+                    os.kill(pid, sent)
+                    sent = None
+                begun = time.perf_counter()
+                request = picture(frame)
+                ready = time.perf_counter()
+                link.ask("viewport", *request, tag=frame)
+                asked = time.perf_counter()
+                link.wait("viewport", frame, min(limits.PLAY_WAIT_S, FRAME_S))
+                waited = time.perf_counter()
+                link.answer("viewport"), link.tick(), link.status
+                done = time.perf_counter()
+                worst_s = max(worst_s, done - begun)
+                others += [asked - ready, done - waited]
+                time.sleep(max(0.0, FRAME_S - (done - begun)))
+            longest[name].append(1e3 * worst_s)
+            if sent is None and troubles[name][1] == getattr(signal, "SIGSTOP", None):
+                os.kill(pid, signal.SIGKILL)  # or closing would wait for it to listen
+    over = sum(value > BLOCK_MS for values in longest.values() for value in values)
+    for name, values in longest.items():
+        text = f"{max(values):6.1f} ms longest, {statistics.median(values):6.1f} median of {len(values)} trials"
+        figures.say(f"main thread kept, engine {name}", text)
+    figures.say("calls that do not wait (ask, answer, tick)", f"{1e3 * max(others):6.1f} ms longest")
+    figures.say(f"trials with a block over {BLOCK_MS:.0f} ms", f"{over} of {plan.trials}", over == 0)
+
+
+def cycles(plan: Plan, figures: Figures) -> None:
+    left_before, handles_before = left(), handles()
+    begun = time.perf_counter()
+    for turn in range(plan.cycles):
+        with linked(stand_in("blank")) as link:
+            link.request(*picture(turn), timeout_s=PATIENCE_S)
+    seconds = (time.perf_counter() - begun) / plan.cycles
+    figures.say(f"{plan.cycles} cycles of start, picture, stop", f"{1e3 * seconds:6.0f} ms each")
+    for name, before in left_before.items():
+        new = left()[name] - before
+        figures.say(f"{name} left", str(len(new)) + (f": {sorted(new)[:5]}" if new else ""), not new)
+    grown = handles() - handles_before
+    figures.say("open handles and threads more", str(grown), grown <= 0)
+
+
+def memory(plan: Plan, figures: Figures) -> None:
+    with linked(plan.command) as link:
+        before: tuple[float, float] = (0.0, 0.0)
+        warm_up = min(500, plan.frames // 4)
+        for turn in range(plan.frames + warm_up):
+            link.ask("viewport", *picture(turn, ("rgba_u8", "depth")), tag=turn)
+            answer = link.wait("viewport", turn, PATIENCE_S)
+            if answer is None or answer.message is None:
+                raise SystemExit(f"no picture came: {answer and answer.failure}")
+            if turn == warm_up:
+                before = (resident_mb(os.getpid()), resident_mb(link.status.handshake["pid"]))
+        after = (resident_mb(os.getpid()), resident_mb(link.status.handshake["pid"]))
+    for name, one, other in zip(("this process", "the engine"), before, after, strict=True):
+        growth = other - one
+        text = f"{growth:6.1f} MB more after {plan.frames} pictures ({other:.0f} MB)"
+        figures.say(f"memory of {name}", text, growth < GROWTH_MB)
+
+
+def idle(plan: Plan, figures: Figures) -> None:
+    with linked(plan.command) as link:
+        for turn in range(20):
+            link.request(*picture(turn), timeout_s=PATIENCE_S)
+        time.sleep(1.0)  # thread pools that wait for more work
+        pid = link.status.handshake["pid"]
+        begun = (processor_s(os.getpid()), processor_s(pid))
+        time.sleep(plan.idle_s)
+        used = [now - then for now, then in zip((processor_s(os.getpid()), processor_s(pid)), begun, strict=True)]
+    for name, seconds in zip(("this process", "the engine"), used, strict=True):
+        text = f"{seconds:6.2f} s of processor in {plan.idle_s:.0f} s"
+        figures.say(f"idle, {name}", text, seconds <= IDLE_S)
+
+
+# ---- what the system says ------------------------------------------------------------------------------------------
+
+
+def left() -> dict[str, set[str]]:
+    """Child processes, listening ports, shared memory; empty where there is no /proc."""
+    children, ports = set(), set()
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = path.read_text().rsplit(")", 1)[1].split()
+        except OSError:
+            continue
+        if fields[1] == str(os.getpid()):
+            children.add(path.parent.name)
+    owned = {os.readlink(path) for path in Path("/proc/self/fd").glob("*") if path.is_symlink() and path.exists()}
+    tcp = Path("/proc/net/tcp")
+    for row in tcp.read_text().splitlines()[1:] if tcp.exists() else ():
+        fields = row.split()
+        if fields[3] == "0A" and f"socket:[{fields[9]}]" in owned:
+            ports.add(fields[1])
+    memory = {path.name for path in Path("/dev/shm").glob("*")} if Path("/dev/shm").is_dir() else set()
+    return {"processes": children, "ports": ports, "shared memory": memory}
+
+
+def handles() -> int:
+    """Open files and sockets of this process, and its threads."""
+    if not Path("/proc/self").exists():
+        return 0
+    return sum(len(list(Path("/proc/self", name).iterdir())) for name in ("fd", "task"))
+
+
+def resident_mb(pid: int) -> float:
+    status = Path(f"/proc/{pid}/status")
+    if not status.exists():
+        return 0.0
+    return int(next(line for line in status.read_text().splitlines() if line.startswith("VmRSS")).split()[1]) / 1024
+
+
+def processor_s(pid: int) -> float:
+    stat = Path(f"/proc/{pid}/stat")
+    if not stat.exists():
+        return 0.0
+    fields = stat.read_text().rsplit(")", 1)[1].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+def machine() -> str:
+    """Processor, cores, load, Python."""
+    name = platform.processor() or platform.machine()
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.exists():
+        lines = [line.split(":", 1)[1].strip() for line in cpuinfo.read_text().splitlines() if "model name" in line]
+        name = lines[0] if lines else name
+    load = f", load {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else ""
+    return f"{name}, {os.cpu_count()} cores{load}, {platform.system()}, Python {platform.python_version()}"
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--quick", action="store_true", help="a few of everything, to see that it runs")
+    parser.add_argument("--only", default=",".join(PARTS), help=f"some of {','.join(PARTS)}")
+    parser.add_argument("--engine-python", metavar="PATH", help="a Python that has jghand installed")
+    options = parser.parse_args()
+    parts = options.only.split(",")
+    if unknown := [part for part in parts if part not in PARTS]:
+        parser.error(f"--only: wanted some of {','.join(PARTS)}, got {','.join(unknown)}")
+    command = stand_in("blank")
+    if options.engine_python:
+        command = (options.engine_python, "-I", "-m", "jghand_engine", "serve", "--stdio-handshake")
+    plan = Plan(command, 20, 8, 5, 200, 3.0) if options.quick else Plan(command, 300, 200, 1000, 10_000, 20.0)
+    figures = Figures()
+    print(machine())
+    print(f"the engine is {'the real one' if options.engine_python else 'a stand-in that draws nothing'}")
+    todo: dict[str, Callable[[Plan, Figures], None]] = {
+        **{"round-trip": round_trip, "blocks": blocks, "cycles": cycles, "memory": memory, "idle": idle}
+    }
+    try:
+        for part in parts:
+            todo[part](plan, figures)
+    except JGHandFailure as failure:
+        print(f"the engine failed: {failure}", file=sys.stderr)
+        return 2
+    if figures.missed:
+        print("not as wanted: " + ", ".join(figures.missed))
+    return 1 if figures.missed else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
