@@ -58,6 +58,9 @@ def test_a_texel_exactly_at_the_widened_edge_belongs_to_the_triangle():
     assert covered[9, 20]
     assert not covered[20, 8]
     assert not covered[8, 20]
+    # across the long edge, where the third corner's part is 1 - 1 - 0.02
+    assert covered[11, 60]
+    assert not covered[12, 60]
 
 
 @pytest.mark.parametrize("shape", [(5, 9), (1, 1), (1, 6), (8, 2)])

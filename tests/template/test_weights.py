@@ -11,6 +11,7 @@ from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import PARENTS
 from jghand_engine.hand.orders import JointOrder, to_level
 from jghand_engine.limits import PALM_SPLIT_SIGMA_M, WEIGHT_MIN, WEIGHT_SUM_TOLERANCE, WRIST_BLEND_M
+from jghand_engine.template import weights as weights_module
 from jghand_engine.template.builtin import load_template
 from jghand_engine.template.weights import (
     bone_weights,
@@ -130,6 +131,13 @@ def test_rows_may_miss_one_by_rounding():
         else:
             with pytest.raises(InputError, match="weights: wanted rows that sum to 1"):
                 check_weight_rows(rows, "weights")
+
+
+def test_an_error_equal_to_what_is_allowed_is_allowed(monkeypatch):
+    monkeypatch.setattr(weights_module, "WEIGHT_SUM_TOLERANCE", 0.5)
+    check_weight_rows(1.5 * np.eye(21), "weights")
+    with pytest.raises(InputError, match="sum to 1"):
+        check_weight_rows(math.nextafter(1.5, 2) * np.eye(21), "weights")
 
 
 @pytest.mark.parametrize("shape", [(21,), (1, 20), (2, 1, 21)])
