@@ -55,8 +55,8 @@ class SplatFileOptions:
     """ply and glb keep every number as it is; splat, spz and sog are 2, 6 and 9 times smaller than ply. sog needs the
     extra formats."""
     axes: Annotated[Literal["rdf", "rub"] | None, tyro.conf.arg(help_behavior_hint="")] = None
-    """Axes of the numbers: rdf (x right, y down, z forward), which viewers expect of ply, splat and sog, or rub (y up),
-    which glb and spz always have."""
+    """Axes of the numbers. Left out: rdf (x right, y down, z forward), which viewers expect of ply, splat and sog, or
+    rub (y up), which is glTF's and SPZ's own."""
 
 
 @dataclass(frozen=True)

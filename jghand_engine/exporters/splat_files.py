@@ -1,7 +1,7 @@
 """A motion as splat files, one per frame: PLY, .splat, GLB, SPZ or SOG.
 
-Axes (EXPORT 7): glTF and SPZ say what theirs are, x right, y up, z towards the viewer; the others have no field for it
-and get what viewers take for granted, x right, y down, z forward.
+Axes (EXPORT 7): for glTF and SPZ it is written down what theirs are, x right, y up, z towards the viewer (some readers
+of SPZ do not keep to it); the others get what viewers take for granted, x right, y down, z forward.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ FORMATS = {
     "ply": SplatFormat(ply.ply_bytes, ply.BYTES_PER_GAUSSIAN, ("rdf", "rub")),
     "splat": SplatFormat(dot_splat.splat_bytes, dot_splat.BYTES_PER_GAUSSIAN, ("rdf", "rub")),
     "glb": SplatFormat(gltf_splats.glb_bytes, gltf_splats.BYTES_PER_GAUSSIAN, ("rub",)),
-    "spz": SplatFormat(spz.spz_bytes, spz.BYTES_PER_GAUSSIAN, ("rub",)),
+    "spz": SplatFormat(spz.spz_bytes, spz.BYTES_PER_GAUSSIAN, ("rub", "rdf")),
     "sog": SplatFormat(sog.sog_bytes, sog.BYTES_PER_GAUSSIAN, ("rdf", "rub"), sog.converter),
 }
 

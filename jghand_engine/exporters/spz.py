@@ -26,7 +26,7 @@ BYTES_PER_GAUSSIAN = 20
 
 
 def spz_bytes(cloud: SplatCloud) -> bytes:
-    """The content of a file. The cloud's axes must be rub, which SPZ documents as its own."""
+    """The content of a file. SPZ documents axes rub as its own; the cloud's are written as they are."""
     bits = fractional_bits(cloud.positions_m)
     harmonics = (cloud.rgb - 0.5) / SH_C0
     parts = (
