@@ -89,21 +89,24 @@ class SizeEstimate:
 
     def sentence(self) -> str:
         """For a panel."""
-        text = f"about {readable(self.bytes)}"
+        text = f"Up to {readable(self.bytes)}"
         return text if self.free is None or self.fits else f"{text}, and only {readable(self.free)} are free"
 
 
 def estimate(
     folder: Path | None, gaussians: Sequence[int], frames: int, *, ply: bool, sizes: bool = False, colours: bool = True
 ) -> SizeEstimate:
-    """What an export of hands with so many Gaussians each takes. sizes: radii in every frame · colours: whether
-    colours change with the pose, as a trained avatar's do."""
+    """What an export of hands with so many Gaussians each takes at most: frames that are alike are stored once.
+
+    sizes: radii in every frame · colours: whether colours change with the pose, as a trained avatar's do.
+    """
     total = sum(gaussians)
     if ply:
         size = total * frames * _PLY_BYTES
     else:
         sample = _POSITION_BYTES + _SIZE_BYTES * sizes + _COLOUR_BYTES * colours
-        size = total * (frames + 1) * sample + len(gaussians) * limits.USD_STATIC_BYTES
+        still = total * limits.USD_STATIC_GAUSSIAN_BYTES + len(gaussians) * limits.USD_STATIC_BYTES
+        size = total * (frames + 1) * sample + still
     free = None
     while folder is not None and not folder.exists() and folder != folder.parent:
         folder = folder.parent

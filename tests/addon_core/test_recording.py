@@ -1,0 +1,263 @@
+"""What is exported and baked: names, sizes, stamps, and the words that the engine's command line understands."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from blender_addon.core import bakes, engine_words, limits
+from blender_addon.core.engine_words import CaptureChoices, TrainChoices, UsdChoices
+from blender_addon.core.messages import JGHandFailure
+from blender_addon.core.motion_files import MotionFile, read_motion, write_motion
+from blender_addon.core.posing import rest_joints_m
+from blender_addon.core.recording import (
+    Recording,
+    SizeEstimate,
+    avatar_digest,
+    check_place,
+    estimate,
+    file_names,
+    readable,
+)
+
+
+def a_recording(frames: int = 3, **more) -> Recording:
+    joints = np.tile(rest_joints_m("right"), (frames, 1, 1))
+    joints += 0.01 * np.arange(frames)[:, None, None]
+    values = {"name": "Hand", "handedness": "right", "avatar": "builtin", "first_frame": 7, "fps": 24.0, **more}
+    return Recording(joints_m=joints, **values)
+
+
+# ---- names and places ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("names", "expected"),
+    [
+        (["Hand"], ["Hand"]),
+        (["Hand.R", "Hand_R", "hand.r"], ["Hand_R", "Hand_R_2", "hand_r_3"]),
+        (["Рука", "../..", "3D hand", ""], ["hand", "hand_2", "_3D_hand", "hand_3"]),
+    ],
+)
+def test_names_of_objects_become_names_of_files_each_its_own(names, expected):
+    found = file_names(names)
+    assert found == expected
+    assert all(name.isidentifier() and name.isascii() for name in found)
+
+
+@pytest.mark.parametrize(("folder", "saved", "fine"), [("", True, False), ("//x", False, False), ("//x", True, True)])
+def test_a_folder_beside_a_file_needs_a_file(folder, saved, fine):
+    if fine:
+        check_place(folder, saved=saved)
+    else:
+        with pytest.raises(JGHandFailure) as caught:
+            check_place(folder, saved=saved)
+        assert caught.value.kind == "no_place"
+
+
+# ---- motion files ----------------------------------------------------------------------------------------------------
+
+
+def test_a_motion_that_is_written_is_read_back_to_the_bit(tmp_path):
+    recording = a_recording()
+    recording.save(tmp_path / "motion.npz")
+    back = read_motion(tmp_path / "motion.npz")
+    assert (back.joints_m == recording.joints_m).all()
+    assert (back.fps, back.handedness, back.notes) == (24.0, "right", ())
+
+
+def test_the_engine_reads_it_back_too(tmp_path):
+    engine = pytest.importorskip("jghand_engine.datasets.motion_files", reason="needs the engine's packages")
+    from jghand_engine.hand.orders import JointOrder, from_level
+
+    recording = a_recording()
+    recording.save(tmp_path / "motion.npz")
+    back = engine.read_motion(tmp_path / "motion.npz")
+    assert (from_level(back.joints_m, JointOrder.STANDARD) == recording.joints_m).all()
+    assert (back.fps, str(back.handedness)) == (24.0, "right")
+
+
+def test_a_motion_has_no_other_suffix_than_its_own(tmp_path):
+    with pytest.raises(JGHandFailure) as caught:
+        write_motion(tmp_path / "motion.json", MotionFile(a_recording().joints_m, 24.0, "right"))
+    assert caught.value.kind == "bad_motion"
+
+
+def test_the_engine_stamps_a_motion_as_this_side_does(tmp_path):
+    usd = pytest.importorskip("jghand_engine.exporters.usd", reason="needs the engine's packages")
+    from jghand_engine.avatar.builtin import load_painted
+    from jghand_engine.datasets.motion_files import read_motion as engine_read
+    from jghand_engine.hand.joints import Handedness
+
+    recording = a_recording()
+    recording.save(tmp_path / "motion.npz")
+    stamp = usd.made_from(load_painted(handedness=Handedness.RIGHT), engine_read(tmp_path / "motion.npz"))
+    assert stamp["joints_sha256"] == recording.digest
+
+
+# ---- sizes -----------------------------------------------------------------------------------------------------------
+
+
+def test_sizes_are_said_in_few_digits():
+    assert [readable(size) for size in (720e3, 4.08e6, 45.9e6, 1.34e9)] == ["720 kB", "4.1 MB", "46 MB", "1.3 GB"]
+
+
+def test_a_disk_that_is_too_small_is_told():
+    assert SizeEstimate(10, None).fits
+    assert "only 1 kB are free" in SizeEstimate(10_000_000, 1000).sentence()
+
+
+def test_the_estimate_of_an_export_is_its_size(tmp_path):
+    """Of a motion without two frames alike. Worst observed: 6 % too much of a USD stage, which packs colours a bit."""
+    pytest.importorskip("torch", reason="needs the engine's packages")
+    from jghand_engine.avatar.builtin import load_builtin
+    from jghand_engine.datasets.motion_files import read_motion as engine_read
+    from jghand_engine.exporters.splat_files import export_splats
+    from jghand_engine.exporters.usd import export_usd
+    from jghand_engine.hand.joints import Handedness
+
+    avatar = load_builtin(handedness=Handedness.RIGHT)
+    assert len(avatar) == limits.BUILTIN_GAUSSIANS
+    still = a_recording(12)
+    moving_m = still.joints_m + np.random.default_rng(0).normal(0, 2e-3, still.joints_m.shape)
+    replace(still, joints_m=moving_m).save(tmp_path / "motion.npz")
+    motion = engine_read(tmp_path / "motion.npz")
+    for ply, written in (
+        (True, export_splats(tmp_path / "ply", avatar, motion).bytes),
+        (False, sum(export_usd(tmp_path / "usd", avatar, motion).bytes.values())),
+    ):
+        size = estimate(tmp_path / "not" / "there", [len(avatar)], len(motion), ply=ply)
+        assert size.fits
+        assert size.bytes == pytest.approx(written, rel=0.1)
+
+
+# ---- bakes -----------------------------------------------------------------------------------------------------------
+
+
+def a_bake(folder: Path, recording: Recording) -> list[bakes.BakedHand]:
+    """As a job leaves it."""
+    folder.mkdir(exist_ok=True)
+    recording.save(folder / f"{recording.name}.npz")
+    (folder / f"{recording.name}.usda").write_text("#usda 1.0\n")
+    made_from = {"engine_version": "0.1.0", "joints_sha256": recording.digest}
+    (folder / f"{recording.name}.json").write_text(json.dumps({"gaussians": 9, "made_from": made_from}))
+    bakes.write_stamp(folder, [recording])
+    return bakes.read_bake(folder)
+
+
+def test_a_bake_knows_what_it_was_made_from(tmp_path):
+    recording = a_recording()
+    (hand,) = a_bake(tmp_path, recording)
+    assert (hand.first_frame, hand.frames, hand.fps, hand.gaussians) == (7, 3, 24.0, 9)
+    assert bakes.stale_reasons(hand, recording=recording, engine_version="0.1.0") == []
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        ({"first_frame": 8}, "frames"),
+        ({"fps": 25.0}, "frame rate"),
+        ({"joints_m": a_recording().joints_m + 1e-6}, "moves"),
+        ({"avatar": "painted"}, "avatar"),
+    ],
+)
+def test_a_bake_of_something_else_is_stale(tmp_path, change, word):
+    recording = a_recording()
+    (hand,) = a_bake(tmp_path, recording)
+    (reason,) = bakes.stale_reasons(hand, recording=replace(recording, **change))
+    assert word in reason
+
+
+def test_a_bake_of_another_engine_is_stale_where_that_is_known(tmp_path):
+    (hand,) = a_bake(tmp_path, a_recording())
+    assert "engine" in bakes.stale_reasons(hand, engine_version="9.9")[0]
+    assert bakes.stale_reasons(hand, engine_version=None) == []
+
+
+def test_an_avatar_that_was_changed_on_disk_is_another_one(tmp_path):
+    file = tmp_path / "a.jghand"
+    file.write_bytes(b"one")
+    before = avatar_digest(str(file))
+    file.write_bytes(b"two")
+    assert avatar_digest(str(file)) != before
+
+
+def test_a_hand_that_moved_at_one_frame_is_seen(tmp_path):
+    recording = a_recording()
+    (hand,) = a_bake(tmp_path, recording)
+    assert not bakes.moved_at(hand, tmp_path, 8.0, recording.joints_m[1])
+    assert bakes.moved_at(hand, tmp_path, 8.0, recording.joints_m[1] + 1e-4)
+    assert not bakes.moved_at(hand, tmp_path, 8.5, recording.joints_m[1] + 1)
+    assert not bakes.moved_at(hand, tmp_path, 99.0, recording.joints_m[1] + 1)
+
+
+def test_an_engine_that_wrote_another_motion_makes_no_bake(tmp_path):
+    recording = a_recording()
+    a_bake(tmp_path, recording)
+    bakes.unstamp(tmp_path)
+    with pytest.raises(JGHandFailure, match="other joints"):
+        bakes.write_stamp(tmp_path, [replace(recording, joints_m=recording.joints_m + 1)])
+    with pytest.raises(JGHandFailure) as caught:
+        bakes.read_bake(tmp_path)
+    assert caught.value.kind == "no_bake"
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda content: "",
+        lambda content: "[]",
+        lambda content: "[" * 100000,
+        lambda content: content.replace('"Hand"', '"../../Hand"'),
+        lambda content: content.replace('"version": 1', '"version": 2'),
+        lambda content: content.replace('"frames": 3', '"frames": "x"'),
+        lambda content: content.replace('"fps"', '"f"'),
+        lambda content: content + " " * limits.STAMP_MAX_BYTES,
+    ],
+)
+def test_a_damaged_or_hostile_stamp_is_no_bake(tmp_path, damage):
+    a_bake(tmp_path, a_recording())
+    stamp = tmp_path / bakes.STAMP
+    stamp.write_text(damage(stamp.read_text()))
+    with pytest.raises(JGHandFailure) as caught:
+        bakes.read_bake(tmp_path)
+    assert caught.value.kind == "no_bake"
+
+
+def test_a_bake_whose_stage_is_gone_is_none(tmp_path):
+    (hand,) = a_bake(tmp_path, a_recording())
+    hand.stage(tmp_path).unlink()
+    with pytest.raises(JGHandFailure):
+        bakes.read_bake(tmp_path)
+
+
+# ---- the words of jobs -----------------------------------------------------------------------------------------------
+
+
+def all_words() -> list[tuple[str, ...]]:
+    recording, there = a_recording(first_frame=-3), Path("/a folder")
+    capture = CaptureChoices("3", 16, 60, (334, 512), 16, 0, 0)
+    training = TrainChoices("paper-faithful", 12.5, 3, True, True)
+    return [
+        engine_words.export_usd(recording, there / "m.npz", there, there / "f.json", UsdChoices("points")),
+        engine_words.export_ply(recording, there / "m.npz", there, there / "f.json", "rub"),
+        engine_words.capture(there, capture),
+        engine_words.capture(there, capture, there / "m.npz"),
+        *(engine_words.train(there, there / "a.jghand", training, start) for start in ("", "resume", "fresh")),
+        engine_words.info("builtin", there / "f.json"),
+    ]
+
+
+@pytest.mark.parametrize("words", all_words(), ids=lambda words: " ".join(words[:2]))
+def test_the_engine_understands_the_words_of_a_job(words):
+    tyro = pytest.importorskip("tyro", reason="needs the engine's packages")
+    from blender_addon.core.jobs import PROGRESS_OPTION
+    from jghand_engine import cli
+
+    verb = tyro.cli(cli._parsed_type(words), args=[*words, PROGRESS_OPTION], config=cli.STYLE)
+    assert type(verb).__name__.lower() == words[0]
+    assert verb.report.progress_json
