@@ -76,7 +76,7 @@ ADVICE = {
     ),
     "scripts_blocked": Advice(
         "This file needs its Python scripts or drivers, and they are blocked",
-        "If you trust the file, run with --allow-scripts",
+        "If you trust the file, allow them; batch runs do with --allow-scripts",
         BAD_INPUT,
     ),
     "broken_driver": Advice("A driver does not work, so the pose would be wrong", "Repair or mute it", BAD_INPUT),

@@ -1,0 +1,512 @@
+"""The render engine: F12 and animations with their passes, what a scene may ask for, and failing so that Blender writes
+nothing. A stand-in engine draws discs; at the end the real one draws a hand."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from pathlib import Path
+
+import bpy
+import hands
+import numpy as np
+import pytest
+
+from blender_addon import cli, registration, render_engine, runtime
+from blender_addon.bridge import armature, camera, moments
+from blender_addon.core import limits, posing
+from blender_addon.core.link import EngineLink
+from blender_addon.core.view import picture_request
+
+SIZE = (96, 64)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def extension(stand_in_command) -> Iterator[None]:
+    registration.register()
+    runtime.use_link(EngineLink(lambda: stand_in_command))
+    yield
+    runtime.use_link(None)
+    registration.unregister()
+
+
+@pytest.fixture
+def scene(context, tmp_path) -> bpy.types.Scene:
+    """A hand that moves over frames 1 to 4, and a camera; colours and film as the engine has them."""
+    hands.keyed_hand(context, "right", hands.moving_hand_m("right", frames=4))
+    scene = context.scene
+    scene.camera = hands.camera_on(context, (0, 0.09, 0), 0.5)
+    camera.set_picture_size(scene.render, *SIZE)
+    scene.render.engine = "JGHAND"
+    scene.render.film_transparent, scene.render.dither_intensity = True, 0.0
+    scene.view_settings.view_transform = "Standard"
+    scene.render.image_settings.file_format, scene.render.image_settings.color_mode = "PNG", "RGBA"
+    scene.render.filepath = str(tmp_path / "picture.png")
+    scene.frame_start, scene.frame_end = 1, 4
+    return scene
+
+
+def f12() -> np.ndarray:
+    """Renders the current frame; (H, W, 4) of the file, straight alpha, top row first."""
+    path = Path(bpy.context.scene.render.filepath)
+    path.unlink(missing_ok=True)
+    assert bpy.ops.render.render(write_still=True) == {"FINISHED"}
+    return pixels(path)
+
+
+def pixels(path: Path) -> np.ndarray:
+    image = bpy.data.images.load(str(path))
+    values = np.array(image.pixels[:], np.float32).reshape(image.size[1], image.size[0], 4)[::-1]
+    bpy.data.images.remove(image)
+    return values
+
+
+def layers(scene: bpy.types.Scene, folder: Path) -> dict[str, np.ndarray]:
+    """Renders the current frame; (H, W) of every channel of every pass, top row first, by "Layer.Pass.channel"."""
+    settings = scene.render.image_settings
+    if hasattr(settings, "media_type"):
+        settings.media_type = "MULTI_LAYER_IMAGE"
+    settings.file_format, settings.color_depth = "OPEN_EXR_MULTILAYER", "32"
+    scene.render.filepath = str(folder / "layers.exr")
+    bpy.ops.render.render(write_still=True)
+    bpy.utils.expose_bundled_modules()
+    import OpenImageIO
+
+    file, found, part = OpenImageIO.ImageInput.open(str(folder / "layers.exr")), {}, 0
+    while file.seek_subimage(part, 0):
+        values = file.read_image(part, 0, 0, file.spec().nchannels, OpenImageIO.FLOAT)
+        found |= {name: values[..., place] for place, name in enumerate(file.spec().channelnames)}
+        part += 1
+    return {name.partition(".")[2]: values for name, values in found.items()}
+
+
+def asked(scene: bpy.types.Scene, *outputs: str) -> tuple[np.ndarray, ...]:
+    """What the engine itself answers about this scene."""
+    depsgraph = bpy.context.evaluated_depsgraph_get()
+    seen = [armature.read_hand(hand, depsgraph) for hand in armature.hand_armatures(bpy.context.view_layer)]
+    view = camera.pinhole(scene.camera, depsgraph)
+    reply = runtime.link().request(*picture_request(view, seen, preset="final", outputs=outputs))
+    return tuple(np.asarray(reply.arrays[name].view()) for name in outputs)
+
+
+# ---- pictures and passes --------------------------------------------------------------------------------------------
+
+
+def test_f12_writes_the_engines_picture(scene):
+    (wanted,) = asked(scene, "rgba_f32")
+    assert wanted[..., 3].sum() > 10
+    np.testing.assert_array_equal(f12(), wanted)  # discs are opaque or nothing, white or nothing
+
+
+def test_an_animation_writes_every_frame_as_it_is_posed(scene, tmp_path):
+    scene.render.filepath = str(tmp_path / "frame_")
+    bpy.ops.render.render(animation=True)
+    pictures = [pixels(tmp_path / f"frame_{frame:04d}.png") for frame in (1, 2, 3, 4)]
+    for frame, picture in enumerate(pictures, 1):
+        scene.frame_set(frame)
+        np.testing.assert_array_equal(picture, asked(scene, "rgba_f32")[0])
+    assert all(np.abs(one - other).max() == 1 for one, other in itertools.pairwise(pictures))
+
+
+def test_depth_and_bones_are_passes_on_demand(scene, tmp_path):
+    depth_m, ids = asked(scene, "depth", "ids")
+    assert set(layers(scene, tmp_path)) == {f"Combined.{channel}" for channel in "RGBA"}
+    scene.view_layers[0].use_pass_z = scene.jghand.use_pass_ids = True
+    passes = layers(scene, tmp_path)
+    np.testing.assert_array_equal(passes["JGHandId.X"], ids)
+    seen = depth_m > 0
+    np.testing.assert_allclose(passes["Depth.Z"][seen], depth_m[seen])
+    assert (passes["Depth.Z"][~seen] == np.float32(1e10)).all()
+
+
+def test_depth_is_in_blender_units(scene, tmp_path):
+    """The same scene in Blender units, of half a metre each, has the same numbers."""
+    scene.view_layers[0].use_pass_z = True
+    of_metres = layers(scene, tmp_path)["Depth.Z"]
+    scene.unit_settings.scale_length = 0.5
+    of_half_metres = layers(scene, tmp_path)["Depth.Z"]
+    seen = (of_metres < 1e9) & (of_half_metres < 1e9)
+    assert seen.sum() > 20
+    # the stand-in's discs have a size in metres, so that another one may be in front
+    assert (np.abs(of_half_metres[seen] - of_metres[seen]) < 1e-6).mean() > 0.9
+
+
+def test_what_is_behind_the_hand_is_the_world(scene):
+    world = bpy.data.worlds.new("World")
+    scene.world, scene.render.film_transparent = world, False
+    node = (
+        next((node for node in world.node_tree.nodes if node.type == "BACKGROUND"), None) if world.use_nodes else None
+    )
+    if node is not None:
+        node.inputs["Color"].default_value, node.inputs["Strength"].default_value = (0.2, 0.05, 0.4, 1.0), 0.5
+        wanted = (0.1, 0.025, 0.2)
+    else:
+        world.color = wanted = (0.1, 0.025, 0.2)
+    empty = asked(scene, "rgba_f32")[0][..., 3] == 0
+    picture = f12()
+    assert (picture[..., 3] == 1).all()
+    encoded = [12.92 * c if c <= 0.0031308 else 1.055 * c ** (1 / 2.4) - 0.055 for c in wanted]
+    np.testing.assert_allclose(picture[empty][:, :3], np.tile(encoded, (empty.sum(), 1)), atol=0.6 / 255)
+    assert (picture[~empty] == 1).all()
+
+
+def test_two_hands_are_one_picture_the_nearer_in_front(scene):
+    armature.build_armature(bpy.context, "left", posing.rest_joints_m("left"), "left")
+    (wanted,) = asked(scene, "rgba_f32")
+    picture = f12()
+    np.testing.assert_array_equal(picture, wanted)
+    colours = {tuple(colour) for colour in picture[picture[..., 3] > 0]}
+    assert colours == {(1, 1, 1, 1), (0, 0, 1, 1)}  # the stand-in draws a left hand blue
+
+
+# ---- what a scene may ask for ---------------------------------------------------------------------------------------
+
+VIEWS = {
+    "half size": {"resolution_percentage": 50},
+    "oblong pixels": {"pixel_aspect_x": 1.6},
+    "upright pixels": {"pixel_aspect_y": 1.4},
+    "shifted": {"shift_x": 0.12, "shift_y": -0.2},
+    "orthographic": {"type": "ORTHO", "ortho_scale": 0.3},
+    "orthographic, shifted, oblong": {"type": "ORTHO", "ortho_scale": 0.3, "shift_y": 0.1, "pixel_aspect_x": 1.6},
+}
+
+
+@pytest.mark.parametrize("settings", VIEWS.values(), ids=VIEWS.keys())
+def test_joints_are_drawn_where_blender_projects_them(scene, settings):
+    camera.set_picture_size(scene.render, 4 * SIZE[0], 4 * SIZE[1])
+    for name, value in settings.items():
+        owner = scene.render if hasattr(scene.render, name) else scene.camera.data
+        setattr(owner, name, value)
+    picture = f12()
+    size = camera.picture_size(scene.render)
+    assert picture.shape == (*size[::-1], 4)
+    (hand,) = armature.hand_armatures(bpy.context.view_layer)
+    seen = armature.read_hand(hand, bpy.context.evaluated_depsgraph_get())
+    places = hands.blenders_pixels(scene, scene.camera, seen.joints_world_m, size)
+    inside = [place for place in places if (place > 4).all() and (place < np.array(size) - 4).all()]
+    assert len(inside) > 5
+    assert all(picture[int(row), int(column), 3] == 1 for column, row in inside)
+    assert 0 < (picture[..., 3] == 1).sum() < 0.2 * picture[..., 3].size
+
+
+@pytest.mark.parametrize("region", [(0.25, 0.8, 0.1, 0.55), (0.0, 0.333, 0.501, 1.0), (0.41, 0.421, 0.0, 1.0)])
+def test_a_region_is_the_same_part_of_the_whole_picture(scene, region):
+    whole = f12()
+    render = scene.render
+    render.use_border = True
+    render.border_min_x, render.border_max_x, render.border_min_y, render.border_max_y = region
+    render.use_crop_to_border = True
+    part = camera.region(render)
+    wanted = whole[part.top : part.bottom, part.left : part.right]
+    np.testing.assert_array_equal(f12(), wanted)
+    render.use_crop_to_border = False
+    framed = f12()
+    assert framed.shape == whole.shape
+    np.testing.assert_array_equal(framed[part.top : part.bottom, part.left : part.right], wanted)
+    framed[part.top : part.bottom, part.left : part.right] = 0
+    assert not framed[..., 3].any()
+
+
+def test_a_hand_that_is_hidden_in_renders_at_a_frame_is_not_in_its_picture(scene):
+    hand = bpy.data.objects["right"]
+    for frame, hidden in ((1, False), (2, True)):
+        hand.hide_render = hidden
+        hand.keyframe_insert("hide_render", frame=frame)
+    scene.frame_set(1)
+    assert f12().any()
+    scene.frame_set(2)
+    assert not f12().any()
+
+
+def test_a_rig_that_is_switched_off_in_viewports_is_rendered(scene):
+    wanted = f12()
+    bpy.data.objects["right"].hide_viewport = True
+    np.testing.assert_array_equal(f12(), wanted)
+
+
+def test_the_avatar_of_each_hand_is_asked_for(scene, tmp_path):
+    avatar = tmp_path / "mine.jghand"
+    bpy.data.objects["right"].jghand.avatar = str(avatar)
+    avatar.touch()
+    asked_for = []
+    link = runtime.link()
+    request = link.request
+
+    def spy(header, *rest, **more):
+        asked_for.append(header)
+        return request(header, *rest, **more)
+
+    link.request = spy
+    try:
+        scene.jghand.render_preset, scene.jghand.shadow_strength = "draft", 0.5
+        f12()
+    finally:
+        del link.request
+    assert [hand["avatar"] for hand in asked_for[0]["hands"]] == [str(avatar)]
+    assert asked_for[0]["settings"] == {"preset": "draft", "shadow_strength": 0.5}
+
+
+# ---- motion blur ----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def sliding(scene) -> bpy.types.Scene:
+    """The hand moves along x by 40 mm a frame, as a whole."""
+    hand = bpy.data.objects["right"]
+    hand.animation_data_clear()
+    for frame, x in ((0, -0.04), (4, 0.12)):
+        hand.location.x = x
+        hand.keyframe_insert("location", frame=frame)
+    for curve in armature.versions.fcurves(hand):
+        for key in curve.keyframe_points:
+            key.interpolation = "LINEAR"
+    scene.render.use_motion_blur, scene.render.motion_blur_shutter = True, 0.5
+    scene.jghand.motion_samples = 4
+    scene.frame_set(2)
+    return scene
+
+
+@pytest.mark.parametrize(("position", "first"), [("START", 0.0), ("CENTER", -0.25), ("END", -0.5)])
+def test_motion_blur_is_the_mean_of_subframes(sliding, position, first):
+    sliding.render.motion_blur_position = position
+    blurred = f12()
+    assert (sliding.frame_current, sliding.frame_subframe) == (2, 0.0)
+    alone = []
+    for place in (0.5, 1.5, 2.5, 3.5):
+        frame = 2 + first + 0.5 * place / 4
+        sliding.frame_set(int(frame // 1), subframe=frame % 1)
+        alone.append(asked(sliding, "rgba_f32")[0][..., 3])
+    np.testing.assert_allclose(blurred[..., 3], np.mean(alone, 0), atol=0.51 / 255)
+    assert 0.2 < np.median(blurred[..., 3][(blurred[..., 3] > 0)]) < 0.8
+
+
+def test_the_shutters_curve_weighs_the_subframes(sliding):
+    curve = sliding.render.motion_blur_shutter_curve
+    points = curve.curves[0].points
+    while len(points) > 2:
+        points.remove(points[1])
+    points[0].location, points[-1].location = (0.0, 0.0), (1.0, 1.0)
+    for point in points:
+        point.handle_type = "VECTOR"
+    curve.update()
+    times = moments.shutter_times(sliding)
+    weights = np.array([weight for _, weight in times])
+    np.testing.assert_allclose(weights / weights[-1], np.array([1, 3, 5, 7]) / 7, atol=0.02)
+    assert [time for time, _ in times] == pytest.approx([-0.1875, -0.0625, 0.0625, 0.1875])
+
+
+def test_a_camera_that_moves_blurs_a_hand_that_does_not(sliding):
+    hand = bpy.data.objects["right"]
+    hand.animation_data_clear()
+    eye = sliding.camera
+    for frame, x in ((1, 0.0), (3, 0.1)):
+        eye.location.x += x
+        eye.keyframe_insert("location", frame=frame)
+    sliding.frame_set(2)
+    blurred = f12()[..., 3]
+    assert ((blurred > 0.1) & (blurred < 0.9)).sum() > 20
+
+
+def test_what_does_not_move_is_drawn_once(sliding):
+    bpy.data.objects["right"].animation_data_clear()
+    assert set(np.unique(f12()[..., 3])) == {0.0, 1.0}
+
+
+def test_every_frame_of_an_animation_is_blurred_around_itself(sliding, tmp_path):
+    sliding.render.filepath = str(tmp_path / "frame_")
+    sliding.frame_start, sliding.frame_end = 1, 2
+    bpy.ops.render.render(animation=True)
+    for frame in (1, 2):
+        came = pixels(tmp_path / f"frame_{frame:04d}.png")
+        sliding.frame_set(frame)
+        sliding.render.filepath = str(tmp_path / "alone.png")
+        np.testing.assert_array_equal(f12(), came)
+
+
+# ---- failing --------------------------------------------------------------------------------------------------------
+
+
+def refused(scene: bpy.types.Scene, words: str) -> None:
+    """A still and an animation both end with these words, and nothing is written."""
+    folder = Path(scene.render.filepath).parent
+    for options in ({"write_still": True}, {"animation": True}):
+        with pytest.raises(RuntimeError, match=words):
+            bpy.ops.render.render(**options)
+        assert not list(folder.glob("*.png"))
+
+
+def test_no_camera_is_said(scene):
+    scene.camera = None
+    with pytest.raises(RuntimeError, match="camera"):
+        bpy.ops.render.render(write_still=True)
+
+
+def test_a_scene_without_hands_is_said(scene):
+    bpy.data.objects.remove(bpy.data.objects["right"])
+    refused(scene, "no hand in this scene")
+
+
+def test_a_panoramic_camera_is_said(scene):
+    scene.camera.data.type = "PANO"
+    refused(scene, "Panoramic cameras are not supported")
+
+
+def test_stereo_is_said(scene):
+    scene.render.use_multiview = True
+    refused(scene, "multiple views are not supported")
+
+
+def test_a_mirrored_hand_is_said(scene):
+    bpy.data.objects["right"].scale.x = -1
+    refused(scene, "Mirrored scale is not supported")
+
+
+def test_a_driver_of_the_hand_that_blender_may_not_run_is_said(scene):
+    bpy.data.objects["right"].driver_add("location", 0).driver.expression = "nonsense(3)"
+    refused(scene, "they are blocked")
+
+
+def test_a_broken_driver_of_the_hand_is_said(scene):
+    driver = bpy.data.objects["right"].driver_add("location", 0).driver
+    driver.type = "AVERAGE"
+    driver.variables.new()  # of nothing
+    refused(scene, "A driver does not work")
+
+
+def test_a_mistake_of_our_own_fails_the_render_instead_of_writing_an_empty_picture(scene, monkeypatch, capsys):
+    def mistake(*_):
+        raise ZeroDivisionError("ours")
+
+    monkeypatch.setattr(render_engine.film, "scene_linear", mistake)
+    refused(scene, "ZeroDivisionError: ours")
+    assert "Traceback" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [("die", "stopped unexpectedly"), ("memory", "memory is full"), ("bug", "JGHand made a mistake")],
+)
+def test_an_engine_that_fails_fails_the_render(scene, stand_in_command, fault, words):
+    before = runtime.link()
+    faulty = EngineLink(lambda: [*stand_in_command, fault])
+    runtime._link = faulty
+    try:
+        refused_once(scene, words)
+    finally:
+        runtime._link = before
+        faulty.close()
+    assert f12().any()
+
+
+def refused_once(scene: bpy.types.Scene, words: str) -> None:
+    with pytest.raises(RuntimeError, match=words):
+        bpy.ops.render.render(animation=True)
+    assert not list(Path(scene.render.filepath).parent.glob("*.png"))
+
+
+def test_a_picture_that_takes_too_long_fails_the_render(scene, stand_in_command):
+    before = runtime.link()
+    slow = EngineLink(lambda: [*stand_in_command, "slow"])
+    runtime._link = slow
+    runtime.use_render_timeout(0.2)
+    try:
+        refused_once(scene, "does not answer in time")
+    finally:
+        runtime._link = before
+        runtime.use_render_timeout(None)
+        slow.close()
+
+
+# ---- Blender's other ways to render ---------------------------------------------------------------------------------
+
+
+def test_an_animation_and_a_batch_run_write_the_same_bytes(scene, tmp_path, monkeypatch, stand_in_command):
+    """As far as the file's metadata leave out the clock; that is all in which they may differ."""
+    scene.render.use_motion_blur, scene.jghand.motion_samples, scene.jghand.render_preset = True, 3, "viewport"
+    scene.render.film_transparent, scene.render.dither_intensity = False, 1.0
+    scene.view_settings.view_transform = "AgX"
+    scene.world = bpy.data.worlds.new("World")
+    scene.render.use_stamp_date = scene.render.use_stamp_render_time = False
+    scene.render.filepath = str(tmp_path / "animation_")
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "hand.blend"))
+    bpy.ops.render.render(animation=True)
+    monkeypatch.setattr(cli, "engine_command", lambda *_, **__: stand_in_command)
+    for run in ("one", "two"):
+        assert cli.main([str(tmp_path / "hand.blend"), "--out", str(tmp_path / run)]) == 0
+    runtime.use_link(EngineLink(lambda: stand_in_command))  # a run ends the link it used
+    for frame in (1, 2, 3, 4):
+        contents = {
+            path.read_bytes()
+            for path in (
+                tmp_path / f"animation_{frame:04d}.png",
+                *(tmp_path / run / "Camera" / f"{frame:04d}.png" for run in ("one", "two")),
+            )
+        }
+        assert len(contents) == 1
+
+
+def test_registering_again_and_again_leaves_blenders_panels_as_they_were():
+    registration.unregister()
+    before = {name: set(getattr(bpy.types, name).COMPAT_ENGINES) for name in ("DATA_PT_lens", "RENDER_PT_format")}
+    assert all("JGHAND" not in engines for engines in before.values())
+    for _ in range(3):
+        registration.register()
+        assert all("JGHAND" in getattr(bpy.types, name).COMPAT_ENGINES for name in before)
+        registration.unregister()
+    assert {name: set(getattr(bpy.types, name).COMPAT_ENGINES) for name in before} == before
+    registration.register()
+
+
+# ---- the real engine ------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def real_engine(engine_python, extension) -> Iterator[EngineLink]:
+    from blender_addon.core.engine_command import engine_command
+
+    link = EngineLink(lambda: engine_command(engine_python))
+    yield link
+    link.close()
+
+
+def with_link(link: EngineLink):
+    runtime._link, before = link, runtime.link()
+    return before
+
+
+@pytest.mark.parametrize(("dither", "steps"), [(0.0, 1.0), (1.0, 1.5)])
+def test_under_standard_the_picture_is_the_engines_own(scene, real_engine, dither, steps):
+    """Premultiplied and within one 8-bit step, at edges and inside. Blender's writer dithers by half a step more,
+    unless that is off."""
+    scene.render.dither_intensity = dither
+    before = with_link(real_engine)
+    try:
+        (wanted,) = asked(scene, "rgba_f32")
+        came = f12()
+    finally:
+        runtime._link = before
+    assert 0.05 < (wanted[..., 3] > 0.5).mean() < 0.8
+    assert (wanted[..., 3] > 0.02).sum() > (wanted[..., 3] > 0.98).sum() + 50  # there are soft edges
+    premultiplied = np.concatenate([came[..., :3] * came[..., 3:], came[..., 3:]], -1)
+    assert np.abs(premultiplied - np.clip(wanted, 0, 1)).max() < 1.01 * steps / 255
+
+
+def test_depth_of_field_and_bones_come_from_the_real_engine(scene, real_engine, tmp_path):
+    scene.view_layers[0].use_pass_z = scene.jghand.use_pass_ids = True
+    scene.jghand.render_preset = "draft"
+    before = with_link(real_engine)
+    try:
+        sharp = layers(scene, tmp_path)
+        depth_of_field = scene.camera.data.dof
+        depth_of_field.use_dof, depth_of_field.aperture_fstop, depth_of_field.focus_distance = True, 0.8, 0.9
+        blurred = layers(scene, tmp_path)
+    finally:
+        runtime._link = before
+    edge = [np.abs(np.diff(passes["Combined.A"], axis=1)).max() for passes in (sharp, blurred)]
+    assert edge[1] < 0.6 * edge[0]
+    np.testing.assert_allclose(blurred["Depth.Z"], sharp["Depth.Z"], rtol=1e-5)
+    np.testing.assert_array_equal(blurred["JGHandId.X"], sharp["JGHandId.X"])
+    numbers = np.unique(sharp["JGHandId.X"])
+    assert set(numbers) <= set(range(21))
+    assert len(numbers) > 8
+    assert limits.NOTHING_DEPTH in sharp["Depth.Z"]
