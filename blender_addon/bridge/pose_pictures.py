@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Small pictures of the poses for menus, made one at a time beside Blender's own work, when they are first asked for.
 
-All of them take over a second, so the timer makes one per turn and rests while an animation plays. Without a window
-there are no icons, and none are made.
+All of them take over a second, so a timer makes one or two per turn and rests while an animation plays. Without a
+window there are no icons, and none are made.
 """
 
 from __future__ import annotations
+
+import time
 
 import bpy
 import bpy.utils.previews
@@ -35,7 +37,7 @@ def ask() -> None:
         return
     _icons = bpy.utils.previews.new()
     _waiting.extend(pose.name for pose in poses.all_poses(RIGHT))
-    bpy.app.timers.register(_make_one, first_interval=limits.PICTURE_REST_S)
+    bpy.app.timers.register(_make_some, first_interval=limits.PICTURE_REST_S)
 
 
 def register() -> None:
@@ -45,30 +47,36 @@ def register() -> None:
 def unregister() -> None:
     """Frees the pictures."""
     global _icons
-    if bpy.app.timers.is_registered(_make_one):
-        bpy.app.timers.unregister(_make_one)
+    if bpy.app.timers.is_registered(_make_some):
+        bpy.app.timers.unregister(_make_some)
     _waiting.clear()
     if _icons is not None:
         bpy.utils.previews.remove(_icons)
         _icons = None
 
 
-def _make_one() -> float | None:
-    """The timer: one pose, right and left; None when all are there."""
-    if not _waiting or _icons is None:
-        return None
+def _make_some() -> float | None:
+    """The timer: as many poses as fit into a turn, one at the least; None when all are there."""
+    ends = time.monotonic() + limits.WORK_TURN_S
     if any(window.screen.is_animation_playing for window in bpy.context.window_manager.windows):
         return limits.PICTURE_PAUSE_S
-    name = _waiting.pop(0)
+    while _waiting and _icons is not None:
+        _make(_waiting.pop(0))
+        if time.monotonic() > ends:
+            break
+    if _waiting:
+        return limits.PICTURE_REST_S
+    _redraw_sidebars()
+    return None
+
+
+def _make(name: str) -> None:
+    """The pictures of one pose, right and left."""
     rest = posing.rest_matrices(posing.rest_joints_m(RIGHT), RIGHT)
     turns = poses.pose_named(name, RIGHT).quaternions
     picture = pose_picture.pose_picture(poses.posed_joints(rest, turns), limits.MENU_PICTURE_PX)
     for handedness in HANDEDNESSES:
         _store(_key(name, handedness), picture if handedness == RIGHT else picture[:, ::-1])
-    if _waiting:
-        return limits.PICTURE_REST_S
-    _redraw_sidebars()
-    return None
 
 
 def _store(key: str, picture: np.ndarray) -> None:

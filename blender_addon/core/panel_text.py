@@ -147,7 +147,10 @@ def status_text(status: Any, frame_ms: float | None = None, translate: Translate
         return StatusText(text, False, remedy, detail, (Button("jghand.restart_engine", "Restart"), stop))
     facts = status.handshake or {}
     parts = [translate("Ready"), str(facts.get("device", "")).upper() or None]
-    parts.append(milliseconds(frame_ms) if frame_ms is not None else None)
+    if frame_ms is not None:
+        parts.append(milliseconds(frame_ms))
+    elif status.busy:  # it reads the avatar and warms up
+        parts.append(translate("first picture…"))
     detail = translate("Running for {since}, version {version}, process {pid}").format(
         since=since, version=facts.get("engine_version", "?"), pid=facts.get("pid", "?")
     )
@@ -159,7 +162,11 @@ def receipt_text(report: Mapping[str, Any], budget_ms: float | None = None, tran
     total_ms = _number(report.get("total_ms"))
     return ReceiptText(
         _total(report, total_ms, budget_ms, translate),
-        tuple(_stage(stage, total_ms, translate) for stage in _mappings(report.get("stages"))),
+        # what ran, in its order, then what was skipped
+        tuple(
+            _stage(stage, total_ms, translate)
+            for stage in sorted(_mappings(report.get("stages")), key=lambda stage: not stage.get("ran"))
+        ),
         tuple(_effect(effect, translate) for effect in _mappings(report.get("effects"))),
         _warnings(report, translate),
     )
@@ -200,14 +207,18 @@ def _failed(failure: Any, since: str, translate: Translate) -> StatusText:
 
 def _total(report: Mapping[str, Any], total_ms: float, budget_ms: float | None, translate: Translate) -> Line:
     drawn, posed = (int(_number(report.get(name))) for name in ("visible_gaussians", "gaussians"))
-    text = translate("{drawn:,} of {posed:,} splats").format(drawn=drawn, posed=posed)
-    threads = int(_number(report.get("threads"), 1))
-    backend = str(report.get("backend", "")) or "?"
-    tip = translate("Drawn by {backend} on {threads} threads").format(backend=backend, threads=threads)
+    tip = translate("{drawn:,} of {posed:,} splats, drawn by {backend} on {threads} threads").format(
+        drawn=drawn,
+        posed=posed,
+        backend=str(report.get("backend", "")) or "?",
+        threads=int(_number(report.get("threads"), 1)),
+    )
     if budget_ms is None:
-        return Line(text, milliseconds(total_ms), 1.0, tip)
+        return Line(translate("Last Picture"), milliseconds(total_ms), 1.0, tip)
     tip = translate("{tip}; the budget is {budget}").format(tip=tip, budget=milliseconds(budget_ms))
-    return Line(text, milliseconds(total_ms), min(total_ms / max(budget_ms, 1e-3), 1.0), tip, total_ms <= budget_ms)
+    part, good = min(total_ms / max(budget_ms, 1e-3), 1.0), total_ms <= budget_ms
+    text = translate("Last Picture") if good else translate("Over Budget")
+    return Line(text, milliseconds(total_ms), part, tip, good)
 
 
 def _stage(stage: Mapping[str, Any], total_ms: float, translate: Translate) -> Line:

@@ -18,7 +18,7 @@ _ROWS = 8
 
 
 class JointList(bpy.types.UIList):
-    """A row per joint: its name, the bone with search, which end of it."""
+    """A row per joint: its name and its bone; where that is missing, a search for one."""
 
     bl_idname = "JGHAND_UL_joints"
 
@@ -27,12 +27,15 @@ class JointList(bpy.types.UIList):
         rig = item.id_data
         row = layout.split(factor=0.28)
         row.label(text=item.name, translate=False)
-        row = row.row(align=True)
-        row.alert = item.bone not in rig.data.bones
-        row.prop_search(item, "bone", rig.data, "bones", text="", icon="BONE_DATA")
-        end = row.row(align=True)
-        end.scale_x = 0.75
-        end.prop(item, "end", text="")
+        if item.bone in rig.data.bones:
+            row = row.split(factor=0.8)
+            row.label(text=item.bone, icon="BONE_DATA", translate=False)
+            end = row.row()
+            end.active = False
+            end.label(text="tail" if item.end == "tail" else "")
+        else:
+            row.alert = True
+            row.prop_search(item, "bone", rig.data, "bones", text="", icon="ERROR")
 
 
 class BonesPanel(Sidebar, bpy.types.Panel):
@@ -70,9 +73,21 @@ def _draw_map(layout: bpy.types.UILayout, context: bpy.types.Context, rig: bpy.t
         layout.operator("jghand.edit_bone_map", icon="GREASEPENCIL")
         return
     layout.template_list("JGHAND_UL_joints", "", settings, "joints", settings, "active_joint", rows=_ROWS)
+    _draw_joint(layout, rig)
     row = layout.row(align=True)
     row.operator("jghand.fill_bone_map", icon="FILE_REFRESH")
     row.operator("jghand.forget", text="", icon="X").handedness = settings.map_hand
+
+
+def _draw_joint(layout: bpy.types.UILayout, rig: bpy.types.Object) -> None:
+    """The joint that is selected in the list."""
+    settings = rig.jghand
+    if not 0 <= settings.active_joint < len(settings.joints):
+        return
+    joint = settings.joints[settings.active_joint]
+    column = layout.column(align=True)
+    column.prop_search(joint, "bone", rig.data, "bones", text="", icon="BONE_DATA")
+    column.row(align=True).prop(joint, "end", expand=True)
 
 
 def _draw_objects(layout: bpy.types.UILayout, context: bpy.types.Context, holder: bpy.types.Object) -> None:
@@ -88,6 +103,7 @@ def _draw_objects(layout: bpy.types.UILayout, context: bpy.types.Context, holder
     for name in NAMES:
         if armature.OBJECT_PROPERTIES[name] in holder:
             column.prop(holder, f'["{armature.OBJECT_PROPERTIES[name]}"]', text=name, translate=False)
+    layout.operator("jghand.forget", icon="X")
 
 
 _CLASSES = (JointList, BonesPanel)

@@ -50,11 +50,13 @@ def draw_status(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     status = panel_text.status_text(runtime.link().status, frame_ms, iface_)
     buttons = [button for button in status.buttons if common.has_operator(button.operator)]
     if status.good:
-        row = layout.row(align=True)
+        row = layout.split(factor=0.87)
         common.explained(row, panel_text.Line(status.text, tip=status.detail))
+        ends = row.row()
+        ends.alignment = "RIGHT"
         for button in buttons:
-            icon = "PLAY" if button.operator.endswith("start_engine") else "CANCEL"
-            row.operator(button.operator, text="", icon=icon, emboss=False)
+            icon = "PLAY" if button.operator.endswith("start_engine") else "QUIT"
+            ends.operator(button.operator, text="", icon=icon, emboss=False)
         return
     box = layout.box().column()
     common.paragraph(box, context, status.text, icon="ERROR")
@@ -121,12 +123,7 @@ def _draw_active(layout: bpy.types.UILayout, hand: bpy.types.Object) -> None:
     column = layout.column()
     column.use_property_split = True
     column.use_property_decorate = False
-    row = column.row(align=True)
-    row.prop(hand.jghand, "avatar", placeholder="Built-in")
-    if common.has_operator("jghand.load_avatar"):
-        row.operator("jghand.load_avatar", text="", icon="INFO")
-    if armature.is_foreign(hand):
-        layout.operator("jghand.forget", icon="X")
+    column.prop(hand.jghand, "avatar", placeholder="Built-in")
 
 
 def _icon(hand: bpy.types.Object) -> str:

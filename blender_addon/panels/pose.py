@@ -29,10 +29,10 @@ class PosePanel(Sidebar, bpy.types.Panel):
         chosen = context.window_manager.jghand
         pose_pictures.ask()
         split = self.layout.split(factor=0.42)
+        column = split.column(align=True)
         if pose_pictures.are_made():
-            split.template_icon_view(chosen, "pose", show_labels=True, scale=5.0, scale_popup=5.0)
-        else:
-            split.prop(chosen, "pose", text="")
+            column.template_icon_view(chosen, "pose", show_labels=True, scale=4.0, scale_popup=5.0)
+        column.prop(chosen, "pose", text="")
         column = split.column()
         row = column.row()
         row.scale_y = 1.4

@@ -46,6 +46,13 @@ def test_every_failure_says_what_happened_when_and_what_to_do(kind):
     assert len(said.buttons) == 2
 
 
+def test_before_the_first_picture_a_busy_engine_says_what_it_is_at():
+    assert (
+        panel_text.status_text(Status("ready", 3.0, None, HANDSHAKE, busy=True)).text == "Ready · CPU · first picture…"
+    )
+    assert panel_text.status_text(Status("ready", 3.0, None, HANDSHAKE)).text == "Ready · CPU"
+
+
 def test_a_ready_engine_says_since_when_in_the_small_print():
     assert "2 h" in panel_text.status_text(Status("ready", 7300.0, None, HANDSHAKE)).detail
 
@@ -92,8 +99,8 @@ RECEIPT = {
 
 def test_a_receipt_becomes_bars_of_the_stages_that_ran():
     said = panel_text.receipt_text(RECEIPT)
-    assert (said.total.text, said.total.value, said.total.good) == ("51,000 of 60,000 splats", "7.2 ms", True)
-    assert "avx2" in said.total.tip
+    assert (said.total.text, said.total.value, said.total.good) == ("Last Picture", "7.2 ms", True)
+    assert said.total.tip == "51,000 of 60,000 splats, drawn by avx2 on 2 threads"
     skin, raster, shadow = said.stages
     assert (skin.text, skin.value, skin.part) == ("Skin", "1.8 ms", 0.25)
     assert (raster.text, raster.part) == ("Drawing", 0.5)
@@ -112,7 +119,7 @@ def test_effects_say_whether_they_ran_and_why_in_a_tooltip_without_a_final_full_
 def test_a_picture_over_its_budget_is_told():
     assert panel_text.receipt_text(RECEIPT, budget_ms=8.0).total.good
     over = panel_text.receipt_text(RECEIPT, budget_ms=5.0).total
-    assert not over.good
+    assert (over.text, over.good) == ("Over Budget", False)
     assert "budget is 5.0 ms" in over.tip
 
 
@@ -186,7 +193,7 @@ def test_everything_that_is_said_goes_through_the_translation():
     panel_text.status_text(Status("failed", 1.0, JGHandFailure("crashed")), None, translate)
     panel_text.receipt_text(RECEIPT, 5.0, translate)
     panel_text.map_lines(whole_map(), [], translate)
-    assert {"The engine stopped unexpectedly", "Self-Shadow", "{drawn:,} of {posed:,} splats"} <= set(heard)
+    assert {"The engine stopped unexpectedly", "Self-Shadow", "Over Budget"} <= set(heard)
 
 
 def test_durations_and_paragraphs_are_short():

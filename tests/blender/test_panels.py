@@ -113,12 +113,15 @@ def test_the_bones_of_a_foreign_rig_are_a_list_that_says_what_is_missing(extensi
     seen = draw(bones.BonesPanel, extension)
     assert "All 21 joints have a bone" in text_of(seen)
     rows = draw_rows(bones.JointList, extension, rig.jghand, rig.jghand.joints)
-    assert len([one for one in rows.drawn if one.function == "prop_search"]) == 21
+    assert {"thumb4", "mixamorig:RightHandThumb3", "tail"} <= set(rows.texts)
+    assert not [one for one in rows.drawn if one.function == "prop_search"]
     rig.jghand.joints["index2"].bone = ""
     rig.jghand.joints["ring1"].bone = "nothing of that name"
     said = text_of(draw(bones.BonesPanel, extension))
     assert "1 of 21 joints have no bone: index2" in said
     assert "ring1 (nothing of that name)" in " ".join(said.split())
+    rows = draw_rows(bones.JointList, extension, rig.jghand, rig.jghand.joints)
+    assert len([one for one in rows.drawn if one.function == "prop_search"]) == 2
     rig.jghand.map_hand = "left"
     assert "All 21 joints have a bone" in text_of(draw(bones.BonesPanel, extension))
     bpy.ops.jghand.forget(handedness="left")
@@ -197,7 +200,7 @@ def test_quality_shows_what_the_last_picture_did_and_why(extension, engine):
     extension.scene.jghand.viewport_budget_ms = 5.0
     seen = draw(quality.QualityPanel, extension)
     assert "index1: flexion 12° beyond training" in seen.texts
-    assert "51,000 of 60,000 splats" in seen.texts
+    assert "Over Budget" in seen.texts
     bars = [one.arguments for one in seen.drawn if one.function == "progress"]
     assert [(bar["text"], bar["factor"]) for bar in bars] == [("7.2 ms", 1.0), ("3.6 ms", 0.5)]
     effects = draw(quality.EffectsPanel, extension)
@@ -245,7 +248,7 @@ def test_advanced_shows_the_engine_and_the_last_render(extension, engine):
     runtime.set_report(runtime.RENDER, RECEIPT)
     seen = draw(advanced.AdvancedPanel, extension)
     assert {"Device", "cpu", "Process", "7"} <= set(seen.texts)
-    assert "51,000 of 60,000 splats" in seen.texts
+    assert "Last Picture" in seen.texts
 
 
 def test_panels_stand_in_the_tab_in_the_order_of_work():
@@ -261,9 +264,10 @@ def test_pictures_of_poses_are_made_for_both_hands_and_mirrored(extension, monke
     monkeypatch.setattr(pose_pictures, "_store", lambda key, picture: stored.update({key: picture}))
     monkeypatch.setattr(pose_pictures, "_icons", {})
     monkeypatch.setattr(pose_pictures, "_waiting", ["point", "flat"])
-    assert pose_pictures._make_one() is not None
+    monkeypatch.setattr(pose_pictures.limits, "WORK_TURN_S", 0.0)
+    assert pose_pictures._make_some() is not None
     assert not pose_pictures.are_made()
-    assert pose_pictures._make_one() is None
+    assert pose_pictures._make_some() is None
     assert set(stored) == {f"{name} {side}" for name in ("point", "flat") for side in ("right", "left")}
     assert (stored["point left"] == stored["point right"][:, ::-1]).all()
     assert stored["point right"][..., 3].mean() > 0.05
