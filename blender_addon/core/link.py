@@ -369,6 +369,8 @@ class EngineLink:
         self._changed_condition.notify_all()
 
     def _answer_slot(self, place: _Slot, answer: Answer) -> None:
+        if _says_the_same(place.answer, answer):
+            return  # or a view that is drawn again for every answer, and asks when it is drawn, would never rest
         place.answer = answer
         self._changed = True
         self._changed_condition.notify_all()
@@ -654,6 +656,13 @@ class EngineLink:
                 if given_up or (call.slot is not None and now_s - call.sent_s > limits.LOAD_S):
                     self._handle(machine.Broke(now_s, self._run, "hung", "a request does not end"))
             self._handle(machine.Tick(now_s))
+
+
+def _says_the_same(before: Answer | None, now: Answer) -> bool:
+    """Whether the same request failed for the same reason."""
+    if before is None or before.tag != now.tag or before.failure is None or now.failure is None:
+        return False
+    return (before.failure.kind, before.failure.detail) == (now.failure.kind, now.failure.detail)
 
 
 def _told(error: Any, log: str) -> JGHandFailure:

@@ -14,7 +14,7 @@ from enum import Enum
 from . import limits
 
 # after these a new start may help; after the others somebody must mend something first
-PASSING = frozenset({"crashed", "killed", "hung", "out_of_memory", "device_lost", "broken_stream", "start_timeout"})
+PASSING = frozenset({"crashed", "killed", "hung", "out_of_memory", "broken_stream", "start_timeout"})
 
 
 # ---- states ----------------------------------------------------------------------------------------------------------

@@ -395,6 +395,26 @@ def test_a_stopped_engine_waits_for_somebody_who_wants_it_by_name():
         assert pid_of(link) != first
 
 
+def test_a_view_that_asks_whenever_something_changed_comes_to_rest_without_an_engine():
+    with linked() as link:
+        link.stop()
+        asked = 0
+        while link.tick() or not asked:
+            link.ask("viewport", *picture(), tag="a")
+            asked += 1
+            assert asked < 5
+        answer = link.answer("viewport")
+        link.ask("viewport", *picture(), tag="a")
+        assert link.answer("viewport") is answer
+
+
+def test_two_links_have_two_engines():
+    with linked() as one, linked() as other:
+        assert pid_of(one) != pid_of(other)
+        one.stop()
+        assert pid_of(other)
+
+
 def test_stopping_while_it_starts_leaves_nothing():
     with linked("silent") as link:
         link.start()
