@@ -43,7 +43,7 @@ ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "tests" / "mutation.json"
 README = ROOT / "tests" / "README.md"
 BEGIN, END = "<!-- scripts/mutation.py: begin -->", "<!-- scripts/mutation.py: end -->"
-WANTED = 0.85
+MEMORY_BYTES = 6 << 30
 
 
 @dataclass(frozen=True)
@@ -239,6 +239,8 @@ def in_child(work: Callable[[], None], cpu_seconds: int) -> int:
         code = 70
         try:
             resource.setrlimit(resource.RLIMIT_CPU, (cpu_seconds, cpu_seconds))
+            # a loop without an end takes memory too
+            resource.setrlimit(resource.RLIMIT_DATA, (MEMORY_BYTES, MEMORY_BYTES))
             silence = os.open(os.devnull, os.O_WRONLY)
             os.dup2(silence, 1)
             os.dup2(silence, 2)

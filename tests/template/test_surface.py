@@ -130,6 +130,9 @@ def test_an_open_chain_and_two_openings_are_not_one_loop(hand):
     for faces, came in (
         ([[0, 1, 2], [2, 3, 4]], "6 open edges"),  # two triangles that share a corner
         ([[0, 1, 2], [3, 4, 5]], "several"),
+        # faces that share an edge in the same direction: a chain that ends, and one that runs into itself
+        ([[2, 0, 4], [1, 0, 2], [4, 0, 2]], "an open chain"),
+        ([[4, 0, 3], [2, 5, 4], [4, 5, 3], [3, 2, 4]], "an open chain"),
     ):
         with pytest.raises(InputError, match=f"one loop, got {came}"):
             boundary_loop(np.array(faces))
