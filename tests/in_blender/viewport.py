@@ -1,0 +1,336 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The hand in the viewport: it is there, right in colour and depth, follows what happens, and blocks nobody.
+
+A software driver encodes what a draw handler writes with an approximation of its own, up to 3/255 off (Mesa, llvmpipe):
+what the shader writes is therefore also read from a target of floats, where nothing is encoded.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import signal
+import time
+from types import ModuleType
+
+import bpy
+import numpy as np
+
+from in_blender.pictures import changed, skin
+
+# largest difference of a colour on the screen from the engine's: in Solid on a software driver, and in Rendered
+SOLID_MAX, RENDERED_MAX = 3, 1
+# pixels of skin that a hand has at least in the view of `_begin`
+HAND_PX = 15_000
+
+
+def step_a_new_hand_shows_in_solid_and_becomes_sharp(window):
+    yield from _begin(window)
+    yield lambda: _is_sharp(window)
+    assert _skin(window) > HAND_PX
+    window.picture("solid")
+
+
+def step_its_shader_writes_the_engines_colours(window):
+    written = []
+    draw = _draw_into_floats(window, written)
+    handle = bpy.types.SpaceView3D.draw_handler_add(draw, (), "WINDOW", "POST_PIXEL")
+    window.redraw()
+    yield lambda: written
+    bpy.types.SpaceView3D.draw_handler_remove(handle, "WINDOW")
+    linear = written[0].astype(np.float64)
+    encoded = np.where(linear <= 0.0031308, linear * 12.92, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055)
+    assert np.abs(encoded * 255 - np.arange(256)).max() < 1e-3
+
+
+def step_on_the_screen_they_are_the_same_whatever_the_view_transform(window):
+    for transform in ("Standard", "AgX"):
+        bpy.context.scene.view_settings.view_transform = transform
+        yield 0.7
+        assert _largest_difference(window) <= SOLID_MAX
+    bpy.context.scene.view_settings.view_transform = "Standard"
+    yield 0.5
+
+
+def step_a_nearer_thing_hides_it_and_a_farther_one_does_not(window):
+    whole = _skin(window)
+    bpy.ops.mesh.primitive_cube_add(size=0.06, location=(0.0, 0.06, 0.06))
+    cube = bpy.context.object
+    yield 0.7
+    assert _skin(window) < whole - 3000
+    window.picture("behind_a_cube")
+    cube.location.z = -0.08
+    yield 0.7
+    assert _skin(window) > whole - 300
+    bpy.data.objects.remove(cube)
+    yield 0.5
+
+
+def step_it_follows_a_pose(window):
+    before = window.crop(window.screen())
+    hand = _hand()
+    for name in ("index1", "index2", "index3"):
+        hand.pose.bones[name].rotation_quaternion = (0.85, 0.5, 0.0, 0.0)
+    window.redraw()
+    yield 0.2
+    yield lambda: _is_sharp(window)
+    after = window.crop(window.screen())
+    assert changed(before, after, 40).sum() > 1000
+
+
+def step_it_is_gone_while_it_is_hidden(window):
+    for hide, show in (
+        (lambda: _hand().hide_set(True), lambda: _hand().hide_set(False)),
+        (lambda: _switch(hand=False), lambda: _switch(hand=True)),
+        (lambda: _switch(scene=False), lambda: _switch(scene=True)),
+    ):
+        hide()
+        window.redraw()
+        yield 0.5
+        assert _skin(window) < 200
+        show()
+        window.redraw()
+        yield 0.3
+        yield lambda: _is_sharp(window)
+        yield 0.3
+        assert _skin(window) > HAND_PX / 2
+
+
+def step_a_local_view_of_something_else_does_not_show_it(window):
+    bpy.ops.mesh.primitive_cube_add(size=0.01, location=(0.3, 0.3, 0.0))
+    cube = bpy.context.object
+    with window.override():
+        bpy.ops.view3d.localview(frame_selected=False)
+    yield 0.7
+    assert _skin(window) < 200
+    with window.override():
+        bpy.ops.view3d.localview(frame_selected=False)
+    bpy.data.objects.remove(cube)
+    yield lambda: _is_sharp(window)
+    yield 0.3
+    assert _skin(window) > HAND_PX / 2
+
+
+def step_undo_and_redo_take_it_away_and_bring_it_back(window):
+    with window.override():
+        bpy.ops.ed.undo_push(message="hand")
+        bpy.data.objects.remove(_hand())
+        bpy.ops.ed.undo_push(message="removed")
+    yield 0.5
+    assert _skin(window) < 200
+    with window.override():
+        bpy.ops.ed.undo()
+    yield lambda: _is_sharp(window)
+    yield 0.3
+    assert _skin(window) > HAND_PX / 2
+
+
+def step_an_orthographic_view_shows_it_too(window):
+    view = window.space().region_3d
+    view.view_perspective = "ORTHO"
+    window.redraw()
+    yield 0.3
+    yield lambda: _is_sharp(window)
+    yield 0.3
+    assert _skin(window) > HAND_PX / 2
+    assert not _part(window, ".bridge.views").problems()
+    view.view_perspective = "PERSP"
+    window.redraw()
+    yield 0.3
+    yield lambda: _is_sharp(window)
+
+
+def step_rendered_mode_shows_the_engines_colours(window):
+    bpy.context.scene.render.engine = "JGHAND"
+    bpy.context.scene.view_settings.view_transform = "Standard"
+    window.space().overlay.show_overlays = False
+    yield from window.shading("RENDERED")
+    yield lambda: _is_sharp(window)
+    yield 0.7
+    assert _largest_difference(window) <= RENDERED_MAX
+    window.picture("rendered")
+    yield from window.shading("SOLID")
+    yield lambda: _is_sharp(window)
+
+
+def step_nothing_is_asked_while_nothing_changes(window):
+    runtime = window.runtime()
+    asked, original = [], runtime.link().ask
+    runtime.link().ask = lambda *args: (asked.append(args), original(*args))
+    try:
+        for _ in range(5):
+            window.redraw()
+            yield 0.2
+    finally:
+        del runtime.link().ask
+    assert not asked
+
+
+def step_playing_shows_new_pictures_and_waits_no_longer_than_a_frame(window):
+    waits, pictures = _watch_waits(window), _watch_pictures(window)
+    yield from _play(window, 4.0)
+    assert len(pictures) >= 3  # a software driver draws two frames a second
+    assert max(waits, default=0.0) < 0.05, f"blocked for {max(waits):.3f} s"
+    print(
+        "JGHAND playing:", len(pictures), "pictures,", _part(window, ".bridge.views").late_frames(), "late", flush=True
+    )
+
+
+def step_playing_goes_on_while_the_engine_hangs(window):
+    pid = window.runtime().link().status.handshake["pid"]
+    waits = _watch_waits(window)
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        yield from _play(window, 3.0)
+    finally:
+        os.kill(pid, signal.SIGCONT)
+    late = _part(window, ".bridge.views").late_frames()
+    assert max(waits, default=0.0) < 0.05, f"blocked for {max(waits):.3f} s"
+    assert len(waits) <= _part(window, ".core.limits").LATE_PATIENCE, "a hung engine is waited for again and again"
+    assert late > len(waits)
+    yield lambda: _is_sharp(window)
+
+
+def step_a_killed_engine_is_said_and_comes_back_with_the_next_pose(window):
+    os.kill(window.runtime().link().status.handshake["pid"], signal.SIGKILL)
+    yield lambda: window.runtime().link().status.state == "failed"
+    time_s = time.monotonic()
+    yield lambda: time.monotonic() - time_s > 5.5  # no earlier is it started again
+    _hand().location.x += 0.01
+    window.redraw()
+    yield lambda: window.runtime().link().status.state == "ready"
+    yield lambda: _is_sharp(window)
+    yield 0.3
+    assert _skin(window) > HAND_PX / 2
+
+
+def step_another_file_begins_anew(window):
+    path = str(window.out / "hand.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    bpy.ops.wm.open_mainfile(filepath=path)
+    yield 1.0
+    yield lambda: _is_sharp(window)
+    yield 0.3
+    assert _skin(window) > HAND_PX / 2
+    window.picture("opened_again")
+
+
+# ---- parts -----------------------------------------------------------------------------------------------------------
+
+
+def _part(window, name: str) -> ModuleType:
+    """A module of the extension."""
+    return importlib.import_module(name, window.addon.__name__)
+
+
+def _hand() -> bpy.types.Object:
+    return next(thing for thing in bpy.context.scene.objects if "jghand_handedness" in thing)
+
+
+def _begin(window):
+    for thing in list(bpy.context.scene.objects):
+        if thing.type == "MESH":
+            bpy.data.objects.remove(thing)
+    bpy.ops.jghand.add_hand()
+    bpy.context.scene.view_settings.view_transform = "Standard"
+    overlay = window.space().overlay
+    overlay.show_overlays = False
+    yield from window.look_at((0.0, 0.09, 0.0), 0.5, (0.6, 0.0, 0.3))
+
+
+def _is_sharp(window) -> bool:
+    """Whether every view has the best picture of what it wants."""
+    shown = _part(window, ".bridge.views").all_views()
+    paces = [view.pace for view in shown]
+    return bool(paces) and all(
+        p.grade == 2 and p.shown and p.shown.want == p.want and p.shown.grade == 2 for p in paces
+    )
+
+
+def _skin(window) -> int:
+    return int(skin(window.crop(window.screen())).sum())
+
+
+def _switch(*, hand: bool = True, scene: bool = True) -> None:
+    _hand().jghand.show_in_viewport = hand
+    bpy.context.scene.jghand.show_in_viewport = scene
+
+
+def _largest_difference(window) -> int:
+    """Between the screen and the engine's picture, where that is opaque, of 255."""
+    (view,) = _part(window, ".bridge.views").all_views()
+    wanted = np.asarray(view.taken.message.arrays["rgba_u8"].view()).astype(int)
+    region, part = window.region(), view.place.part
+    top = window.window.height - (region.y + region.height)
+    screen = window.screen().astype(int)
+    there = screen[top + part.top : top + part.bottom, region.x + part.left : region.x + part.right]
+    assert there.shape[:2] == wanted.shape[:2], "the picture was not drawn in its own size"
+    return int(np.abs(there - wanted[..., :3])[wanted[..., 3] == 255].max())
+
+
+def _draw_into_floats(window, written: list):
+    """A draw handler that draws a picture of all 256 values and keeps what the shader wrote."""
+    import gpu
+
+    textures, cropping = _part(window, ".bridge.gpu_picture"), _part(window, ".core.cropping")
+    rgba = np.zeros((256, 1, 4), np.uint8)
+    rgba[..., 0], rgba[..., 3] = np.arange(256)[:, None], 255
+
+    def draw() -> None:
+        if written:
+            return
+        target = gpu.types.GPUOffScreen(1, 256, format="RGBA32F")
+        with target.bind():
+            frame = gpu.state.active_framebuffer_get()
+            frame.clear(color=(0, 0, 0, 0), depth=1.0)
+            picture = textures.GpuPicture(rgba, np.ones((256, 1), np.float32))
+            picture.draw(cropping.Part(0, 0, 1, 256), (1, 256), (0.0, 0.5, 0.0, 1.0), behind_scene=False)
+            pixels = frame.read_color(0, 0, 1, 256, 4, 0, "FLOAT")
+            pixels.dimensions = 4 * 256
+            written.append(np.array(pixels, np.float32).reshape(256, 4)[::-1, 0])
+        target.free()
+
+    return draw
+
+
+def _watch_waits(window) -> list[float]:
+    """Seconds of every wait for the engine from now on."""
+    link, waits = window.runtime().link(), []
+    wait = type(link).wait
+
+    def watched(*args):
+        started = time.perf_counter()
+        answer = wait(link, *args)
+        waits.append(time.perf_counter() - started)
+        return answer
+
+    link.wait = watched
+    return waits
+
+
+def _watch_pictures(window) -> list[int]:
+    """An entry for every picture that becomes textures from now on."""
+    textures, made = _part(window, ".bridge.gpu_picture"), []
+
+    class Watched(textures.GpuPicture):
+        def __init__(self, rgba: np.ndarray, depth_m: np.ndarray) -> None:
+            super().__init__(rgba, depth_m)
+            made.append(len(made))
+
+    textures.GpuPicture = Watched
+    return made
+
+
+def _play(window, seconds: float):
+    """Plays a waving finger."""
+    bone = _hand().pose.bones["index1"]
+    for frame, angle in ((1, 0.0), (30, 0.8), (60, 0.0)):
+        bone.rotation_quaternion = (np.cos(angle / 2), np.sin(angle / 2), 0, 0)
+        bone.keyframe_insert("rotation_quaternion", frame=frame)
+    bpy.context.scene.frame_end = 60
+    with window.override():
+        bpy.ops.screen.animation_play()
+    yield seconds
+    with window.override():
+        bpy.ops.screen.animation_cancel(restore_frame=False)
+    yield lambda: _is_sharp(window)
