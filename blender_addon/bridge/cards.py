@@ -6,8 +6,6 @@ from __future__ import annotations
 from functools import partial
 from pathlib import Path
 
-import bpy
-
 from .. import runtime
 from ..core import engine_words, limits
 from ..core.avatar_card import Card, read_card
@@ -40,7 +38,7 @@ def ask(avatar: str, *, wait: bool = False) -> None:
     spec = JobSpec("card", "Reading the avatar", command, figures.parent, on_done=partial(_keep, key, figures))
     job = runtime.jobs().start(job_watch.CARD, spec)
     job_watch.start()
-    if wait or bpy.app.background:
+    if wait:
         job.wait(limits.LOAD_S)
         if job.state.failure is not None:
             raise job.state.failure

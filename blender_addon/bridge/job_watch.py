@@ -26,9 +26,14 @@ _icons: bpy.utils.previews.ImagePreviewCollection | None = None
 _looked_turns = 0
 
 
+def timers_fire() -> bool:
+    """Whether somebody looks after a job that nobody waits for: timers never fire without a window."""
+    return not bpy.app.background
+
+
 def start() -> None:
     """Begins to look, unless it does already."""
-    if not bpy.app.background and not bpy.app.timers.is_registered(_tick):
+    if timers_fire() and not bpy.app.timers.is_registered(_tick):
         bpy.app.timers.register(_tick, first_interval=limits.JOB_LOOK_S, persistent=True)
 
 

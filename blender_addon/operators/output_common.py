@@ -74,11 +74,9 @@ class StartsJob(InTurns):
 
     def run(self, context: bpy.types.Context) -> None:
         super().run(context)
-        job = self._job
-        if job is None or not (bpy.app.background or self.wait):
-            return
-        job.wait(limits.JOB_WAIT_S)
-        self._end(context, job)
+        if self._job is not None and (self.wait or not job_watch.timers_fire()):
+            self._job.wait(limits.JOB_WAIT_S)
+            self._end(context, self._job)
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """First the turns, which nothing may disturb; then a look at the job now and then."""

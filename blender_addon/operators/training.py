@@ -207,7 +207,8 @@ class LoadAvatar(Reporting, bpy.types.Operator):
         for thing in _hands(context):
             thing.jghand.avatar = self.filepath
             thing.update_tag()
-        cards.ask(str(path.absolute()))
+        if job_watch.timers_fire():
+            cards.ask(str(path.absolute()))
 
 
 class ReadCard(Reporting, bpy.types.Operator):
@@ -225,7 +226,7 @@ class ReadCard(Reporting, bpy.types.Operator):
     def run(self, context: bpy.types.Context) -> None:
         hand = _active_hand(context)
         if hand is not None:
-            cards.ask(avatar_of(hand))
+            cards.ask(avatar_of(hand), wait=not job_watch.timers_fire())
 
 
 class DropAvatar(bpy.types.FileHandler):

@@ -1,0 +1,210 @@
+"""Training sets, trainings and avatars from Blender, with a stand-in for the engine's command line."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from pathlib import Path
+
+import bpy
+import pytest
+from recording_layout import draw
+
+from blender_addon import runtime
+from blender_addon.bridge import cards, job_watch
+from blender_addon.core.job_state import Phase
+from blender_addon.core.jobs import Job
+from blender_addon.panels import output, training
+
+STAND_IN = Path(__file__).parents[1] / "addon_core" / "stand_in_job.py"
+LONG_S = 20.0
+FACTS = {
+    "kind": "avatar",
+    "name": "Ana's hand",
+    "licence": "CC0-1.0",
+    "gaussians": 12345,
+    "learnt_from": {"pictures": 99, "capture": "ana", "split": "", "digest": ""},
+    "learnt": {"psnr_db": "31.20 on held-out pictures"},
+    "written": "2026-11-20",
+}
+
+
+@pytest.fixture
+def place(extension, tmp_path, monkeypatch):
+    """A saved file beside a folder of pictures; jobs are the stand-in, which counts until it is stopped, and operators
+    return when they have started it, as with a window."""
+    monkeypatch.setattr(runtime, "program", lambda: (sys.executable, "-I", str(STAND_IN), "long"))
+    monkeypatch.setattr(job_watch, "timers_fire", lambda: True)
+    monkeypatch.setattr(job_watch, "start", lambda: None)
+    (tmp_path / "pictures").mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+    bpy.context.scene.jghand.training.capture_folder = "//pictures"
+    yield tmp_path
+    for job in runtime.jobs().running:
+        job.kill()
+    for key in (job_watch.TRAINING, job_watch.CAPTURE, job_watch.CARD, job_watch.OUTPUT):
+        runtime.jobs().forget(key)
+
+
+def running(key: str) -> Job:
+    """The job of a key, once it has said how far it is."""
+    job = runtime.jobs().get(key)
+    assert job is not None
+    until = time.monotonic() + LONG_S
+    while not job.state.total and time.monotonic() < until:
+        job.tick()
+        time.sleep(0.01)
+    assert job.state.phase is Phase.RUNNING
+    return job
+
+
+def text_of(panel) -> str:
+    return " ".join(draw(panel, bpy.context).texts)
+
+
+def operators_of(panel) -> list[str]:
+    return draw(panel, bpy.context).operators
+
+
+# ---- training --------------------------------------------------------------------------------------------------------
+
+
+def test_a_training_goes_on_while_another_file_is_opened_and_is_paused_and_resumed(place):
+    assert bpy.ops.jghand.train() == {"FINISHED"}
+    job = running(job_watch.TRAINING)
+    assert job.spec.folder == place / "my_hand.training"
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    assert job.tick() or job.state.phase is Phase.RUNNING
+    assert runtime.jobs().get(job_watch.TRAINING) is job
+    assert bpy.ops.jghand.pause_training() == {"FINISHED"}
+    assert job.wait(LONG_S)
+    assert job.state.phase is Phase.PAUSED
+    assert bpy.ops.jghand.resume_training() == {"FINISHED"}
+    running(job_watch.TRAINING)
+    assert bpy.ops.jghand.cancel_job(key=job_watch.TRAINING) == {"FINISHED"}
+    assert job.wait(LONG_S)
+    assert job.state.phase is Phase.CANCELLED
+
+
+def test_only_one_training_runs_at_a_time(place):
+    bpy.ops.jghand.train()
+    running(job_watch.TRAINING)
+    with pytest.raises(RuntimeError, match="running already"):
+        bpy.ops.jghand.train()
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "told"),
+    [
+        ("capture_folder", "//none", "no pictures"),
+        ("capture_folder", "", "no folder"),
+        ("avatar_file", "//hand.ply", "ends with .jghand"),
+    ],
+)
+def test_what_cannot_be_trained_is_told_before_anything_starts(place, name, value, told):
+    setattr(bpy.context.scene.jghand.training, name, value)
+    with pytest.raises(RuntimeError, match=told):
+        bpy.ops.jghand.train()
+    assert runtime.jobs().get(job_watch.TRAINING) is None
+
+
+def test_the_panel_offers_what_can_be_done_with_the_training(place):
+    assert "jghand.train" in operators_of(training.TrainPanel)
+    bpy.ops.jghand.train()
+    job = running(job_watch.TRAINING)
+    assert "Counting" in text_of(training.TrainPanel)
+    assert {"jghand.pause_training", "jghand.cancel_job"} <= set(operators_of(training.TrainPanel))
+    job.pause()
+    job.wait(LONG_S)
+    assert "jghand.resume_training" in operators_of(training.TrainPanel)
+
+
+def test_a_training_of_an_earlier_day_can_go_on(place):
+    work = place / "my_hand.training"
+    work.mkdir()
+    (work / "training.json").write_text("{}")
+    (work / "log.jsonl").write_text('{"step": 5, "loss": 0.5}\n{"step": 5, "psnr": 20.0}\n')
+    (work / "preview.jghand").write_bytes(b"")
+    seen = draw(training.TrainPanel, bpy.context)
+    assert seen.operators.count("jghand.train") == 2, "go on, and start anew"
+    assert "step 5, loss 0.5000, fixed view 20.00 dB (best 20.00)" in seen.texts
+    assert bpy.ops.jghand.train(start="resume") == {"FINISHED"}
+    assert "--resume" in running(job_watch.TRAINING).spec.command
+
+
+def test_a_failed_job_says_why_until_the_next_one(place, monkeypatch):
+    monkeypatch.setattr(runtime, "program", lambda: (sys.executable, "-I", str(STAND_IN), "disk full"))
+    bpy.ops.jghand.train()
+    job = runtime.jobs().get(job_watch.TRAINING)
+    assert job.wait(LONG_S)
+    text = text_of(training.TrainPanel)
+    assert "The disk is full" in text
+    assert "cannot write x" in text
+    assert "jghand.show_job_log" in operators_of(training.TrainPanel)
+
+
+# ---- training set ----------------------------------------------------------------------------------------------------
+
+
+def test_a_training_set_is_asked_for_in_the_engines_words(place):
+    settings = bpy.context.scene.jghand.training
+    settings.identity, settings.cameras, settings.poses, settings.size = "child", 4, 7, (64, 96)
+    assert bpy.ops.jghand.render_training_set() == {"FINISHED"}
+    words = " ".join(running(job_watch.CAPTURE).spec.command)
+    assert f"capture --out {place / 'pictures'} --identity child --cameras 4 --poses 7 --size 64x96" in words
+
+
+def test_the_poses_of_a_training_set_may_be_those_of_a_hand(place):
+    bpy.context.scene.jghand.training.use_motion = True
+    with pytest.raises(RuntimeError, match="Select the hand"):
+        bpy.ops.jghand.render_training_set()
+    bpy.ops.jghand.add_hand(handedness="left")
+    bpy.context.scene.frame_end = 3
+    assert bpy.ops.jghand.render_training_set() == {"FINISHED"}
+    words = running(job_watch.CAPTURE).spec.command
+    assert Path(words[words.index("--motion") + 1]).is_file()
+
+
+# ---- avatars ---------------------------------------------------------------------------------------------------------
+
+
+def test_an_avatar_is_put_on_the_selected_hands_and_its_card_is_asked_for(place):
+    bpy.ops.jghand.add_hand(handedness="right")
+    file = place / "ana.jghand"
+    file.write_bytes(b"")
+    assert bpy.ops.jghand.load_avatar(filepath=str(file)) == {"FINISHED"}
+    assert bpy.context.object.jghand.avatar == str(file)
+    assert runtime.jobs().get(job_watch.CARD).spec.command[-4:-2] == ("info", str(file))
+
+
+@pytest.mark.parametrize("name", ["none.jghand", "scene.blend"])
+def test_what_is_no_avatar_is_not_put_on_a_hand(place, name):
+    bpy.ops.jghand.add_hand(handedness="right")
+    with pytest.raises(RuntimeError, match="not a JGHand avatar"):
+        bpy.ops.jghand.load_avatar(filepath=str(place / name))
+    assert bpy.context.object.jghand.avatar == ""
+
+
+def test_the_card_is_shown_until_the_file_changes(place):
+    bpy.ops.jghand.add_hand(handedness="right")
+    file = place / "ana.jghand"
+    file.write_bytes(b"")
+    bpy.context.object.jghand.avatar = str(file)
+    assert "jghand.read_card" in operators_of(training.CardPanel)
+    (place / "card.json").write_text(json.dumps(FACTS))
+    cards._keep(cards._key(str(file)), place / "card.json")
+    text = text_of(training.CardPanel)
+    for value in ("Ana's hand", "CC0-1.0", "99 pictures of ana", "2026-11-20", "31.20 on held-out pictures"):
+        assert value in text
+    assert cards.gaussians_of(str(file)) == (12345, True)
+    file.write_bytes(b"another")
+    assert "jghand.read_card" in operators_of(training.CardPanel)
+
+
+def test_the_size_of_an_export_is_said_before_the_click(place):
+    bpy.ops.jghand.add_hand(handedness="right")
+    bpy.context.scene.frame_end = 100
+    assert "Up to " in text_of(output.ExportPanel)
+    bpy.context.scene.jghand.output.format = "ply"
+    assert "Up to 272 MB" in text_of(output.ExportPanel)
