@@ -16,9 +16,9 @@ import numpy as np
 import pytest
 
 from blender_addon.bridge import armature, camera
-from blender_addon.core.client import EngineClient
 from blender_addon.core.engine_command import engine_command
 from blender_addon.core.joints import HANDEDNESSES
+from blender_addon.core.link import EngineLink
 from blender_addon.core.view import HandInSpace, Pinhole, picture_request
 
 # worst observed 0.020 px (a Gaussian's middle is not quite its centroid in perspective); the promise is 0.5
@@ -43,18 +43,19 @@ def avatars(engine_python, tmp_path_factory) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def engine(engine_python) -> Iterator[EngineClient]:
-    with EngineClient.start(engine_command(engine_python)) as engine:
-        yield engine
+def engine(engine_python) -> Iterator[EngineLink]:
+    link = EngineLink(lambda: engine_command(engine_python))
+    yield link
+    link.close()
 
 
-def picture(engine: EngineClient, view: Pinhole, *seen: HandInSpace) -> tuple[np.ndarray, np.ndarray]:
+def picture(engine: EngineLink, view: Pinhole, *seen: HandInSpace) -> tuple[np.ndarray, np.ndarray]:
     """(H, W, 4) premultiplied and (H, W) depth in metres."""
     reply = engine.request(*picture_request(view, seen, preset="draft", outputs=["rgba_f32", "depth"]))
     return tuple(np.asarray(reply.arrays[name].view()) for name in ("rgba_f32", "depth"))
 
 
-def check_joints(context: bpy.types.Context, engine: EngineClient, avatars: list[str], eye: bpy.types.Object) -> None:
+def check_joints(context: bpy.types.Context, engine: EngineLink, avatars: list[str], eye: bpy.types.Object) -> None:
     """Compares every joint of the only hand in the scene, at the current frame, with Blender's own projection."""
     depsgraph = context.evaluated_depsgraph_get()
     (hand,) = armature.hand_armatures(context.view_layer)

@@ -2,84 +2,87 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import subprocess
 import sys
 import time
-from pathlib import Path
+from collections.abc import Iterator
 
 import numpy as np
 import pytest
+from stand_ins import ROOT, linked, picture
 
 from blender_addon.core import limits
-from blender_addon.core.client import EngineClient
 from blender_addon.core.engine_command import VARIABLE, engine_command
+from blender_addon.core.link import EngineLink
 from blender_addon.core.messages import ADVICE, JGHandFailure
 from blender_addon.core.process import cleaned_environment
-from blender_addon.core.view import HandInSpace, Pinhole, picture_request
-
-ROOT = Path(__file__).resolve().parents[2]
-STAND_IN = ROOT / "tests" / "service" / "stand_in_engine.py"
 
 
-def start(*faults: str) -> EngineClient:
-    return EngineClient.start([sys.executable, "-I", str(STAND_IN), *faults])
+@contextlib.contextmanager
+def ready(*faults: str) -> Iterator[EngineLink]:
+    """A link whose engine is ready; JGHandFailure when it does not become so."""
+    with linked(*faults) as link:
+        link.start()
+        link.wait_until_ready()
+        yield link
 
 
-def process_of(engine: EngineClient) -> subprocess.Popen:
-    return engine._link._process.popen
+def failure_of_start(*faults: str) -> JGHandFailure:
+    """What a start fails with."""
+    with pytest.raises(JGHandFailure) as caught, ready(*faults):
+        pass
+    return caught.value
 
 
-def picture():
-    joints = np.zeros((21, 3))
-    joints[:, 2] = 0.3
-    pinhole = Pinhole(64, 48, 80, 80, 32, 24, np.eye(4))
-    return picture_request(pinhole, [HandInSpace("right", joints, np.eye(4))], preset="draft", outputs=["rgba_u8"])
+def failure_of_command(*command: str) -> JGHandFailure:
+    """What a start with this command fails with."""
+    link = EngineLink(lambda: command)
+    link.start()
+    with pytest.raises(JGHandFailure) as caught:
+        link.wait_until_ready()
+    link.close()
+    return caught.value
 
 
 def failure_of(*faults: str, **options) -> JGHandFailure:
-    """What a picture fails with; checks that the engine is gone afterwards."""
-    with pytest.raises(JGHandFailure) as caught, start(*faults) as engine:
-        process = process_of(engine)
-        try:
-            engine.request(*picture(), **options)
-        finally:
-            alive = engine.alive
-    assert process.poll() is not None
-    assert not alive or caught.value.kind in ("out_of_memory", "internal")
+    """What a picture fails with."""
+    with pytest.raises(JGHandFailure) as caught, ready(*faults) as engine:
+        engine.request(*picture(), **options)
     return caught.value
 
 
 def test_a_picture_is_asked_for_and_comes():
-    with start() as engine:
+    with ready() as engine:
         reply = engine.request(*picture())
         assert reply.arrays["rgba_u8"].shape == (48, 64, 4)
         assert np.asarray(reply.arrays["rgba_u8"].view())[24, 32, 3] == 255
-        process = process_of(engine)
+        process = engine._process.popen
     assert process.poll() == 0
 
 
 def test_a_long_pause_between_requests_does_no_harm():
-    with start() as engine:
+    with ready() as engine:
         engine.request({"kind": "info"})
         time.sleep(2.5)  # two heart-beats wait to be read
         assert engine.request({"kind": "info"}).header["ok"]
 
 
 def test_a_request_may_take_longer_than_a_heart_beat():
-    with start("slow") as engine:
+    with ready("slow") as engine:
         assert engine.request(*picture()).header["ok"]
 
 
 def test_a_chatty_engine_is_understood_and_its_words_are_kept():
-    with start("chatty") as engine:
+    with ready("chatty") as engine:
         assert engine.request({"kind": "info"}).header["ok"]
         assert "a library says hello" in engine.log
 
 
 @pytest.mark.parametrize("fault", ["flood", "print"])
 def test_an_engine_that_floods_its_output_does_not_block(fault):
-    with start(fault) as engine:
+    with ready(fault) as engine:
         assert engine.request(*picture()).header["ok"]
 
 
@@ -95,7 +98,7 @@ def test_a_mistake_of_the_engine_is_told_with_its_trace():
 
 
 def test_a_request_that_cannot_be_sent_is_a_failure_and_the_engine_lives_on():
-    with start() as engine:
+    with ready() as engine:
         for header in ({"kind": "info", "fx": float("nan")}, {"kind": "info", "text": "x" * 100_000}):
             with pytest.raises(JGHandFailure) as caught:
                 engine.request(header)
@@ -129,41 +132,33 @@ def test_what_makes_no_sense_is_a_broken_stream_and_no_other_version():
 
 
 def test_an_engine_that_dies_at_once_is_told_with_its_last_words():
-    with pytest.raises(JGHandFailure) as caught:
-        start("die_at_start")
-    assert caught.value.kind == "crashed"
-    assert "no torch here" in caught.value.detail
+    failure = failure_of_start("die_at_start")
+    assert failure.kind == "crashed"
+    assert "no torch here" in failure.detail
 
 
 @pytest.mark.parametrize("fault", ["silent", "garbage"])
 def test_an_engine_without_a_handshake_is_given_up(fault, monkeypatch):
     monkeypatch.setattr(limits, "HANDSHAKE_S", 1.0)
-    with pytest.raises(JGHandFailure) as caught:
-        start(fault)
-    assert caught.value.kind == "start_timeout"
+    assert failure_of_start(fault).kind == "start_timeout"
 
 
 @pytest.mark.parametrize(("fault", "kind"), [("wrong_version", "protocol"), ("wrong_port", "broken_stream")])
 def test_an_engine_that_is_not_ours_is_told_so(fault, kind):
-    with pytest.raises(JGHandFailure) as caught:
-        start(fault)
-    assert caught.value.kind == kind
+    assert failure_of_start(fault).kind == kind
 
 
 def test_a_python_that_does_not_exist_is_told_so(tmp_path):
-    with pytest.raises(JGHandFailure) as caught:
-        EngineClient.start([str(tmp_path / "python"), "-m", "jghand_engine"])
-    assert caught.value.kind == "no_interpreter"
+    assert failure_of_command(str(tmp_path / "python"), "-m", "jghand_engine").kind == "no_interpreter"
 
 
 def test_a_python_without_the_engine_is_told_so():
-    with pytest.raises(JGHandFailure) as caught:
-        EngineClient.start([sys.executable, "-I", "-S", "-m", "jghand_engine", "serve", "--stdio-handshake"])
-    assert caught.value.kind == "no_engine"
+    failure = failure_of_command(sys.executable, "-I", "-S", "-m", "jghand_engine", "serve", "--stdio-handshake")
+    assert failure.kind == "no_engine"
 
 
-def test_after_a_failure_the_client_says_that_there_is_no_engine():
-    with start("die") as engine:
+def test_after_a_failure_there_is_no_engine():
+    with ready("die") as engine:
         with pytest.raises(JGHandFailure):
             engine.request(*picture())
         with pytest.raises(JGHandFailure) as caught:
@@ -210,8 +205,9 @@ def test_every_failure_has_a_sentence_without_numbers():
 
 def test_nothing_here_needs_blender():
     code = (
-        "import sys; sys.path.insert(0, sys.argv[1]); sys.modules['bpy'] = None\n"
-        "from blender_addon.core import batch, client, engine_command, joints, limits, messages, posing, view, wire"
+        "import importlib, pkgutil, sys; sys.path.insert(0, sys.argv[1]); sys.modules['bpy'] = None\n"
+        "import blender_addon.core as core\n"
+        "for module in pkgutil.iter_modules(core.__path__): importlib.import_module(f'{core.__name__}.{module.name}')"
     )
     subprocess.run([sys.executable, "-I", "-c", code, str(ROOT)], check=True)
 
@@ -219,10 +215,9 @@ def test_nothing_here_needs_blender():
 def test_an_engine_that_will_not_end_is_ended_by_force(monkeypatch):
     monkeypatch.setattr(limits, "STOP_S", 0.3)
     monkeypatch.setattr(limits, "TERMINATE_S", 0.3)
-    engine = start("stubborn")
-    process = process_of(engine)
     started = time.monotonic()
-    engine.close()
+    with ready("stubborn") as engine:
+        process = engine._process.popen
     assert process.poll() is not None
     assert time.monotonic() - started < 20
 

@@ -1,0 +1,48 @@
+"""Links to the stand-in engine, for tests. It runs in any Python that has numpy."""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from blender_addon.core.link import EngineLink
+from blender_addon.core.view import HandInSpace, Pinhole, picture_request
+
+ROOT = Path(__file__).resolve().parents[2]
+STAND_IN = ROOT / "tests" / "service" / "stand_in_engine.py"
+# the machine may be busy with other tests
+PATIENCE_S = 30.0
+
+
+def picture(x_m: float = 0.0):
+    joints = np.zeros((21, 3))
+    joints[:, 0], joints[:, 2] = x_m, 0.3
+    hand = HandInSpace("right", joints, np.eye(4))
+    return picture_request(Pinhole(64, 48, 80, 80, 32, 24, np.eye(4)), [hand], preset="draft", outputs=["rgba_u8"])
+
+
+def command(*faults: str) -> list[str]:
+    return [sys.executable, "-I", str(STAND_IN), *faults]
+
+
+@contextlib.contextmanager
+def linked(*faults: str, **options) -> Iterator[EngineLink]:
+    link = EngineLink(lambda: command(*faults), **options)
+    try:
+        yield link
+    finally:
+        link.close()
+        assert link._process is None
+        assert link._thread is None
+
+
+def until(condition: Callable[[], object], what: str = "it") -> None:
+    deadline = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < deadline, f"{what} never happened"
+        time.sleep(0.005)
