@@ -29,7 +29,6 @@ PACKAGES = (
 )  # fmt: skip
 # what a run on this machine itself needs
 PROGRAMS = ("blender", "Xvfb", "xdotool", "import")
-FINISHED = "jghand_finished"
 
 
 class NotPossibleError(Exception):
@@ -72,7 +71,7 @@ def find_place(folder: Path) -> Place:
         raise NotPossibleError(f"{', '.join(PROGRAMS)} are not all installed, and a folder with them needs root")
     if subprocess.run(["unshare", "--mount", "true"], capture_output=True, check=False).returncode:
         raise NotPossibleError("this system does not allow mounts, which a folder with Blender needs")
-    if not (folder / FINISHED).exists():
+    if not folder.is_dir():
         make_folder(folder)
     return Place(folder.resolve())
 
@@ -81,8 +80,12 @@ def make_folder(folder: Path) -> None:
     """Unpacks Debian with PACKAGES into `folder`. NotPossibleError when that cannot be done."""
     if shutil.which("mmdebstrap") is None:
         raise NotPossibleError("mmdebstrap is not installed (apt-get install -y mmdebstrap)")
-    if folder.exists() and any(folder.iterdir()):
-        raise NotPossibleError(f"{folder} is not finished, and not empty. Delete it and start again")
+    # never deleted from here: what broke off may still have the system's /dev and /proc mounted in it
+    unfinished = folder.with_name(f"{folder.name}.unfinished")
+    if unfinished.exists():
+        raise NotPossibleError(
+            f"{unfinished} is being made, or broke off. Wait, or delete it when nothing is mounted in it"
+        )
     folder.parent.mkdir(parents=True, exist_ok=True)
     print(f"Making {folder}: Debian {SUITE} with Blender, about 1.3 GB and two minutes", flush=True)
     command = [
@@ -92,12 +95,12 @@ def make_folder(folder: Path) -> None:
         "--aptopt=Acquire::Check-Valid-Until \"false\"",
         "--dpkgopt=path-exclude=/usr/share/doc/*", "--dpkgopt=path-exclude=/usr/share/man/*",
         "--dpkgopt=path-exclude=/usr/share/locale/*",
-        SUITE, str(folder), os.environ.get(MIRROR_VARIABLE) or _mirror(),
+        SUITE, str(unfinished), os.environ.get(MIRROR_VARIABLE) or _mirror(),
     ]  # fmt: skip
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
         raise NotPossibleError(f"the folder could not be made: {' / '.join(done.stderr.strip().splitlines()[-3:])}")
-    (folder / FINISHED).touch()
+    os.rename(unfinished, folder)
 
 
 def _mirror() -> str:

@@ -2,7 +2,7 @@
 
     python scripts/test_in_blender.py                         every story of tests/in_blender
     python scripts/test_in_blender.py installed               one story
-    python scripts/test_in_blender.py installed the_side_bar_has_its_tab     only some of its steps
+    python scripts/test_in_blender.py installed the_side_bar_has_its_tab     some of its steps, in this order
     python scripts/test_in_blender.py /tmp/look.py            a story that lies elsewhere
 
 A story is a file of small functions (tests/in_blender/__init__.py says how they look); each story gets a Blender of its
@@ -57,10 +57,14 @@ def engine_python() -> Path:
 
 
 def seen_by_engine(python: Path) -> list[Path]:
-    """Folders that this Python needs: its environment, and the installation that it was made from."""
-    code = "import sys; print(sys.prefix); print(sys.base_prefix)"
+    """Folders that this Python needs: its environment, what that was made from, and the place of the engine's code."""
+    code = """if True:
+        import importlib.util, pathlib, sys
+        engine = importlib.util.find_spec("jghand_engine")
+        print(sys.prefix, sys.base_prefix, pathlib.Path(engine.origin).parents[1] if engine else "", sep="\\n")
+    """
     done = subprocess.run([str(python), "-I", "-c", code], capture_output=True, text=True, check=True)
-    return [Path(line) for line in done.stdout.splitlines()]
+    return [Path(line) for line in done.stdout.splitlines() if line]
 
 
 def story_file(name: str) -> Path:

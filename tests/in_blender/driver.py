@@ -123,7 +123,10 @@ def load(story: str) -> list[Callable]:
 
 def main(archive: str, out: str, story: str, *names: str) -> None:
     bpy.context.preferences.view.show_splash = False
-    steps = [step for step in load(story) if not names or step.__name__.removeprefix("step_") in names]
+    steps = load(story)
+    if names:
+        named = {step.__name__.removeprefix("step_"): step for step in steps}
+        steps = [named[name] for name in names]
     window = Window(Path(out))
     walk = Walk(steps, window)
 

@@ -6,6 +6,7 @@ Places on the screen are in Blender's way: pixels from the window's lower left c
 
 from __future__ import annotations
 
+import importlib
 import subprocess
 from collections.abc import Generator
 from pathlib import Path
@@ -18,6 +19,10 @@ import numpy as np
 from in_blender.pictures import read_ppm, write_png
 
 Waits = Generator[Any, None, None]
+
+
+# by its name xdotool takes the level of the key that wants Alt too
+F12 = "96"
 
 
 class Window:
@@ -94,6 +99,20 @@ class Window:
         _xdotool("click", 1)
         yield 0.6
 
+    def press(self) -> Waits:
+        """The left button goes down, and stays."""
+        _xdotool("mousedown", 1)
+        yield 0.3
+
+    def drag(self, x: float, y: float) -> Waits:
+        """Moves a pointer whose button is down."""
+        _xdotool("mousemove", round(x), round(self.window.height - y))
+        yield 0.15
+
+    def release(self) -> Waits:
+        _xdotool("mouseup", 1)
+        yield 0.4
+
     def point_at_view(self) -> Waits:
         """Keys go to the area below the pointer."""
         region = self.region()
@@ -101,7 +120,7 @@ class Window:
 
     def key(self, name: str) -> Waits:
         """Presses a key, such as F12, Escape, ctrl+z."""
-        _xdotool("key", name)
+        _xdotool("key", name.replace("F12", F12))
         yield 0.5
 
     # ---- things that many steps want ----
@@ -132,12 +151,54 @@ class Window:
         self.redraw()
         yield 0.5
 
-    def runtime(self):
-        """The extension's own module of that name."""
-        import importlib
+    def call(self, operator: str, **properties: object) -> set[str]:
+        """Calls an operator (`jghand.add_hand`) as a button of the side bar does."""
+        family, _, action = operator.partition(".")
+        with self.override():
+            return getattr(getattr(bpy.ops, family), action)(
+                "INVOKE_DEFAULT", True, **properties
+            )  # True: can be undone
 
+    def module(self, name: str) -> ModuleType:
+        """A module of the installed extension, such as `bridge.views`."""
         assert self.addon is not None
-        return importlib.import_module(".runtime", self.addon.__name__)
+        return importlib.import_module(f"{self.addon.__name__}.{name}")
+
+    def runtime(self) -> ModuleType:
+        """The extension's module of that name, with the link to the engine."""
+        return self.module("runtime")
+
+    def ready(self) -> Waits:
+        """Waits until the engine runs; AssertionError says why it does not."""
+        yield lambda: self.runtime().link().status.state in ("ready", "failed")
+        status = self.runtime().link().status
+        assert status.state == "ready", status.failure
+
+    def settle(self) -> Waits:
+        """Waits until every view shows the picture that it wants in the end, and half a second more."""
+        yield from self.ready()
+        views, pacing = self.module("bridge.views"), self.module("core.pacing")
+        quiet = 0
+
+        def rests() -> bool:
+            nonlocal quiet
+            shown = list(views.all_views())
+            done = shown and not any(
+                pacing.is_open(view.pace) or view.pace.shown is None or pacing.due_s(view.pace, view.settings) < 1e9
+                for view in shown
+            )
+            quiet = quiet + 1 if done and not self.runtime().link().status.busy else 0
+            return quiet >= 10
+
+        yield rests
+        self.redraw()
+        yield 0.3
+
+    def hide_overlays(self, hide: bool = True) -> None:
+        """Bones, grid and gizmos away, so that nothing but the picture is there."""
+        space = self.space()
+        space.overlay.show_overlays = not hide
+        space.show_gizmo = not hide
 
 
 def _xdotool(*arguments: object) -> None:
