@@ -49,6 +49,27 @@ def play(context: bpy.types.Context, hand: BakedHand, folder: Path) -> bpy.types
     return cloud
 
 
+def stop(context: bpy.types.Context, folder: Path) -> int:
+    """Takes the objects that play a bake out of the scene; returns how many there were.
+
+    Their cache goes with them: USD keeps a file that is open as it was read, and a new bake would not be seen.
+    """
+    old = playing(context.scene, folder)
+    for thing in old:
+        cloud = thing.data
+        bpy.data.objects.remove(thing)
+        if not cloud.users:
+            bpy.data.pointclouds.remove(cloud)
+    bpy.data.batch_remove([cache for cache in bpy.data.cache_files if _is_in(cache, folder) and not cache.users])
+    if old:
+        context.view_layer.update()
+    return len(old)
+
+
+def _is_in(cache: bpy.types.CacheFile, folder: Path) -> bool:
+    return folder in Path(bpy.path.abspath(cache.filepath, library=cache.library)).parents
+
+
 def playing(scene: bpy.types.Scene, folder: Path) -> list[bpy.types.Object]:
     """The objects of a scene that play a bake."""
     return [thing for thing in scene.objects if str(thing.get(BAKE_PROPERTY, "")) == str(folder)]

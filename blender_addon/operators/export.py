@@ -18,7 +18,7 @@ from ..core.engine_words import UsdChoices
 from ..core.jobs import JobSpec
 from ..core.messages import JGHandFailure
 from ..core.recording import Recording
-from . import common, output_common
+from . import output_common
 from .common import PLUMBING, REGISTERED, UNDOABLE, Reporting, missing
 from .output_common import StartsJob, place, poll_hands, scratch
 
@@ -102,7 +102,6 @@ class Bake(StartsJob, bpy.types.Operator):
     def job(self, context: bpy.types.Context, recordings: list[Recording]) -> JobSpec:
         folder = place(context, context.scene.jghand.output.bake_folder)
         things = things_of(context, self._uids)
-        self._told = []
         commands = []
         stamped = []
         shown = "splats" if versions.has_native_splats() else "points"
@@ -118,10 +117,14 @@ class Bake(StartsJob, bpy.types.Operator):
             stamped.append((target, own))
             thing.jghand.bake = _beside_the_file(context, target)
         finish = partial(_stamp_all, stamped)
-        self._folder = folder
+        self._folder, self._targets = folder, [target for target, _ in stamped]
         return JobSpec("bake", "Baking", commands[0], folder, on_done=finish, more=tuple(commands[1:]))
 
-    def done(self, _context: bpy.types.Context) -> str:
+    def done(self, context: bpy.types.Context) -> str:
+        for target in self._targets:
+            # what plays the bake before is shown the new one
+            if baked_points.stop(context, target):
+                _play_all(context, target)
         return rpt_("Baked into {folder}.").format(folder=self._folder)
 
 
@@ -154,11 +157,8 @@ class PlayBake(Reporting, bpy.types.Operator):
         reasons = stale_now(context, thing, hands, folder)
         if reasons and not self.accept_stale:
             raise JGHandFailure("stale_bake", f"{thing.name}: {', '.join(reasons)}")
-        for old in baked_points.playing(context.scene, folder):
-            bpy.data.objects.remove(old)
-        for hand in hands:
-            baked_points.play(context, hand, folder)
-        common.make_active(context, thing)
+        baked_points.stop(context, folder)
+        _play_all(context, folder)
         thing.jghand.show_in_viewport = False
         if reasons:
             self.warn(rpt_("The bake is played as it is, but {reasons}.").format(reasons=", ".join(reasons)))
@@ -217,8 +217,7 @@ class ClearBake(Reporting, bpy.types.Operator):
 
     def run(self, context: bpy.types.Context) -> None:
         thing = context.object
-        for old in baked_points.playing(context.scene, _bake_folder(thing)):
-            bpy.data.objects.remove(old)
+        baked_points.stop(context, _bake_folder(thing))
         thing.jghand.bake = ""
         thing.jghand.show_in_viewport = True
 
@@ -325,6 +324,17 @@ def things_of(context: bpy.types.Context, uids: list[int]) -> list[bpy.types.Obj
     if any(uid not in by_uid for uid in uids):
         raise JGHandFailure("no_hand", "it was deleted meanwhile")
     return [by_uid[uid] for uid in uids]
+
+
+def _play_all(context: bpy.types.Context, folder: Path) -> None:
+    """Plays all hands of a bake; what was active and selected stays so."""
+    layer = context.view_layer.objects
+    active, selected = layer.active, list(layer.selected)
+    for hand in bakes.read_bake(folder):
+        baked_points.play(context, hand, folder).select_set(False)
+    for thing in selected:
+        thing.select_set(True)
+    layer.active = active
 
 
 def _choices(context: bpy.types.Context) -> UsdChoices:

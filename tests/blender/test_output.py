@@ -222,6 +222,23 @@ def test_a_bake_of_another_pose_is_said_and_not_played(baked):
     assert hand.jghand.show_in_viewport
 
 
+def test_what_plays_a_bake_shows_the_new_one_when_it_is_baked_again(baked):
+    """USD keeps an open file as it was read: without care the old frames would play on."""
+    context, hand, _ = baked
+    bpy.ops.jghand.play_bake()
+    folder = Path(bpy.path.abspath(hand.jghand.bake))
+    context.scene.frame_set(3)
+    before = cloud_positions(context, baked_points.playing(context.scene, folder)[0])
+    hand.location.x += 0.25
+    context.view_layer.update()
+    assert bpy.ops.jghand.bake() == {"FINISHED"}
+    assert context.object == hand
+    (cloud,) = baked_points.playing(context.scene, folder)
+    after = cloud_positions(context, cloud)
+    assert np.abs(after - before - [0.25, 0, 0]).max() < 1e-5
+    assert len(bpy.data.cache_files) == 1
+
+
 def test_a_bake_of_another_avatar_or_of_other_frames_is_said(baked):
     context, hand, _ = baked
     assert bpy.ops.jghand.check_bake() == {"FINISHED"}
