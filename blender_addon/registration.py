@@ -10,8 +10,20 @@ from __future__ import annotations
 from types import ModuleType
 
 from . import cli_command, preferences, properties, render_engine, runtime
-from .bridge import cards, job_watch, pose_pictures, sync, usd_hook
-from .operators import bone_map, engine, export, finger_controls, hand, help_page, motion, picture, pose, training
+from .bridge import cards, guard, job_watch, pose_pictures, sync, usd_hook
+from .operators import (
+    bone_map,
+    combine,
+    engine,
+    export,
+    finger_controls,
+    hand,
+    help_page,
+    motion,
+    picture,
+    pose,
+    training,
+)
 from .panels import advanced, bones, output, quality
 from .panels import hand as hand_panel
 from .panels import motion as motion_panel
@@ -26,9 +38,10 @@ MODULES: tuple[ModuleType, ...] = (
     runtime,
     *(pose_pictures, job_watch, cards, usd_hook),
     sync,
+    guard,
     render_engine,
     cli_command,
-    *(help_page, engine, hand, bone_map, pose, finger_controls, motion, picture, export, training),
+    *(help_page, engine, hand, bone_map, pose, finger_controls, motion, picture, combine, export, training),
     *(hand_panel, bones, pose_panels, motion_panel, picture_panels, quality, output, training_panels, advanced),
 )
 

@@ -16,7 +16,7 @@ import bpy
 import numpy as np
 
 from . import runtime
-from .bridge import camera, moments
+from .bridge import camera, guard, moments
 from .bridge.classes import register_classes, unregister_classes
 from .bridge.viewport_engine import ViewportEngine
 from .bridge.world import background
@@ -74,6 +74,7 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
             failure = JGHandFailure("internal", f"{type(error).__name__}: {error}")
         if failure is not None:
             runtime.note_render(RenderNote(failure=failure))
+            guard.hands_failed(depsgraph.scene.original, failure)
             if failure.kind != "cancelled" or not self.test_break():
                 self.report({"ERROR"}, sentence_of(failure))
 
@@ -85,8 +86,10 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
         eye = self.camera_override or scene.camera
         if eye is None:
             raise JGHandFailure("no_camera")
-        part = camera.region(scene.render)
-        seen = moments.read_moments(depsgraph, eye.original, part, self.frame_set)
+        # what is composited has the size of the scene that it is for
+        size = (self.resolution_x, self.resolution_y)
+        part = camera.region(scene.render, size)
+        seen = moments.read_moments(depsgraph, moments.Frame(eye.original, size, part), self.frame_set)
         evaluated = time.perf_counter()
         wanted = {COMBINED: "rgba_f32", **_other_outputs(scene, depsgraph.view_layer)}
         reply = self._ask(seen, list(wanted.values()), scene)
@@ -111,7 +114,7 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
         if (result.resolution_x, result.resolution_y) != (part.width, part.height):
             came = f"{part.width} x {part.height}, Blender wants {result.resolution_x} x {result.resolution_y}"
             self.end_result(result, cancel=True)
-            raise JGHandFailure("internal", f"the size of the picture: {came}")
+            raise JGHandFailure("other_region", came)
         for each in result.layers[0].passes:  # a pass that the view layer does not ask for is not there
             if each.name in values:
                 each.rect.foreach_set(values[each.name])

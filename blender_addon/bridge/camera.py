@@ -23,9 +23,10 @@ def picture_size(render: bpy.types.RenderSettings) -> tuple[int, int]:
     return max(1, render.resolution_x * percentage // 100), max(1, render.resolution_y * percentage // 100)
 
 
-def pinhole(camera: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Pinhole:
+def pinhole(camera: bpy.types.Object, depsgraph: bpy.types.Depsgraph, size: tuple[int, int] | None = None) -> Pinhole:
     """The *evaluated* camera (lens, shift, sensor fit, pixel aspect, depth of field, unit of the scene), metres.
 
+    size: of the picture, where it is not the scene's own.
     Raises JGHandFailure: not_a_camera, panoramic, orthographic_lens, sheared_camera, hidden.
     """
     if camera.type != "CAMERA":
@@ -34,7 +35,7 @@ def pinhole(camera: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Pinhole
     _check_kind(evaluated)
     scene = depsgraph.scene
     unit_m = scene.unit_settings.scale_length
-    width, height = picture_size(scene.render)
+    width, height = size or picture_size(scene.render)
     p = evaluated.calc_matrix_camera(
         depsgraph, x=width, y=height, scale_x=scene.render.pixel_aspect_x, scale_y=scene.render.pixel_aspect_y
     )
@@ -58,12 +59,12 @@ def pinhole(camera: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> Pinhole
     )
 
 
-def region(render: bpy.types.RenderSettings) -> Part:
+def region(render: bpy.types.RenderSettings, size: tuple[int, int] | None = None) -> Part:
     """The part of the picture that is rendered, the whole or the render region, rounded as Blender rounds it.
 
-    Raises JGHandFailure (empty_region).
+    size: of the picture, where it is not the scene's own. Raises JGHandFailure (empty_region).
     """
-    width, height = picture_size(render)
+    width, height = size or picture_size(render)
     if not render.use_border:
         return Part(0, 0, width, height)
     # Blender multiplies in single precision and cuts; it counts rows from the bottom

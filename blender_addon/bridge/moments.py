@@ -7,7 +7,7 @@ Blender evaluates no sub-frames for an engine that is not its own; the engine as
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import bpy
 import numpy as np
@@ -21,10 +21,17 @@ from . import armature, camera, scene, seen_hands, sources
 _FRAME_AT = {"START": 0.0, "CENTER": 0.5, "END": 1.0}
 
 
-def read_moments(
-    depsgraph: bpy.types.Depsgraph, eye: bpy.types.Object, part: Part, frame_set: Callable[[int, float], None]
-) -> list[Moment]:
-    """Everything that a picture shows of a part of the view, in the order of time.
+@dataclass(frozen=True)
+class Frame:
+    """What of a view is drawn. eye: the camera · size: of the whole picture, pixels · part: of it that is drawn"""
+
+    eye: bpy.types.Object
+    size: tuple[int, int]
+    part: Part
+
+
+def read_moments(depsgraph: bpy.types.Depsgraph, frame: Frame, frame_set: Callable[[int, float], None]) -> list[Moment]:
+    """Everything that a picture shows, in the order of time.
 
     frame_set: moves the scene, and evaluates `depsgraph`, to a frame and a part of the way to the next. The scene is
     where it was afterwards. Raises JGHandFailure: what `camera.pinhole` and `sources.read_hands` do, no_hand,
@@ -34,17 +41,17 @@ def read_moments(
         instanced = "; ".join(scene.instanced_hands(depsgraph.scene))
         raise JGHandFailure("no_hand", f"not rendered: {instanced}" if instanced else "")
     things = armature.rendered_hands(depsgraph)
-    scene.check_drivers((*things, eye), depsgraph)
+    scene.check_drivers((*things, frame.eye), depsgraph)
     times = shutter_times(depsgraph.scene)
     if len(times) == 1:
-        return [_moment(things, eye, part, depsgraph)]
+        return [_moment(things, frame, depsgraph)]
     whole, subframe = depsgraph.scene.frame_current, depsgraph.scene.frame_subframe
     moments = []
     try:
         for time, weight in times:
-            frame = whole + subframe + time
-            frame_set(int(np.floor(frame)), float(frame - np.floor(frame)))
-            moments.append(replace(_moment(things, eye, part, depsgraph), weight=weight))
+            at = whole + subframe + time
+            frame_set(int(np.floor(at)), float(at - np.floor(at)))
+            moments.append(replace(_moment(things, frame, depsgraph), weight=weight))
     finally:
         frame_set(whole, subframe)
     return moments if _moves(moments) else moments[:1]
@@ -66,14 +73,13 @@ def shutter_times(current: bpy.types.Scene) -> list[tuple[float, float]]:
     return list(zip(times.tolist(), openness, strict=True))
 
 
-def _moment(
-    things: list[bpy.types.Object], eye: bpy.types.Object, part: Part, depsgraph: bpy.types.Depsgraph
-) -> Moment:
+def _moment(things: list[bpy.types.Object], frame: Frame, depsgraph: bpy.types.Depsgraph) -> Moment:
     hands: list[HandInSpace] = []
     for thing in things:
         avatar = seen_hands.avatar_of(thing)
         hands += [replace(hand, avatar=avatar) for hand in sources.read_hands(thing, depsgraph)]
-    return Moment(picture_of(camera.pinhole(eye, depsgraph), part, part.pixels), hands)
+    whole = camera.pinhole(frame.eye, depsgraph, frame.size)
+    return Moment(picture_of(whole, frame.part, frame.part.pixels), hands)
 
 
 def _moves(moments: list[Moment]) -> bool:

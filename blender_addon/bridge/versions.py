@@ -78,3 +78,52 @@ def path_options(*more: str) -> set[str]:
     option for it."""
     known = "is_path_supports_blend_relative" in bpy.types.StringProperty.bl_rna.properties
     return {*more, *({"PATH_SUPPORTS_BLEND_RELATIVE"} if known else ())}
+
+
+def compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree | None:
+    """The compositor's nodes of a scene; None while it has none."""
+    if hasattr(scene, "compositing_node_group"):  # 5.0 and later
+        return scene.compositing_node_group
+    return scene.node_tree if scene.use_nodes else None
+
+
+def ensure_compositor_tree(scene: bpy.types.Scene) -> bpy.types.NodeTree:
+    """The same, made where there is none."""
+    tree = compositor_tree(scene)
+    if tree is None and hasattr(scene, "compositing_node_group"):
+        tree = scene.compositing_node_group = bpy.data.node_groups.new(scene.name, "CompositorNodeTree")
+    elif tree is None:
+        scene.use_nodes = True
+        tree = scene.node_tree
+    return tree
+
+
+def remove_compositor_tree(scene: bpy.types.Scene) -> None:
+    """Leaves a scene without compositor's nodes."""
+    if not hasattr(scene, "compositing_node_group"):
+        scene.use_nodes = False
+        return
+    tree = scene.compositing_node_group
+    scene.compositing_node_group = None
+    if tree is not None and not tree.users:
+        bpy.data.node_groups.remove(tree)
+
+
+def compositor_output(tree: bpy.types.NodeTree) -> bpy.types.Node:
+    """The node whose first input is the finished picture, made where there is none."""
+    if bpy.types.Scene.bl_rna.properties.get("compositing_node_group") is None:  # 4.5
+        found = [node for node in tree.nodes if node.bl_idname == "CompositorNodeComposite"]
+        return next((node for node in found if node.mute is False), None) or tree.nodes.new("CompositorNodeComposite")
+    found = [node for node in tree.nodes if node.bl_idname == "NodeGroupOutput"]
+    output = next((node for node in found if node.is_active_output), None) or tree.nodes.new("NodeGroupOutput")
+    if not any(item.item_type == "SOCKET" and item.in_out == "OUTPUT" for item in tree.interface.items_tree):
+        tree.interface.new_socket("Image", in_out="OUTPUT", socket_type="NodeSocketColor")
+    return output
+
+
+def use_alpha(combine: bpy.types.Node) -> None:
+    """Makes a Z Combine node mix what is half transparent."""
+    if hasattr(combine, "use_alpha"):  # 4.5
+        combine.use_alpha = True
+    else:
+        combine.inputs["Use Alpha"].default_value = True

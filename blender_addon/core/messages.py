@@ -107,6 +107,11 @@ ADVICE = {
     "stereo": Advice(
         "Stereoscopy and multiple views are not supported", "Switch them off and render each view", BAD_INPUT
     ),
+    "other_region": Advice(
+        "The render region is not that of the scene that the hands are combined with",
+        "Press Combine with Scene again",
+        BAD_INPUT,
+    ),
     "empty_region": Advice("The render region has no pixels", "Draw it larger, or switch it off", BAD_INPUT),
     "sheared_camera": Advice(
         "The camera is sheared or mirrored by its parents", "Clear their scale or the camera's parent", BAD_INPUT

@@ -6,7 +6,7 @@ from __future__ import annotations
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from ..bridge import views
+from ..bridge import combination, views
 from ..bridge.classes import register_classes, unregister_classes
 from ..core import panel_text
 from ..operators.picture import ENGINE
@@ -81,8 +81,10 @@ class RenderPanel(Sidebar, bpy.types.Panel):
             column.prop(scene.render, "motion_blur_shutter")
         column.prop(scene.jghand, "use_pass_ids")
         _draw_camera(layout, context)
-        if common.has_operator("jghand.combine"):
-            layout.operator("jghand.combine", icon="NODE_COMPOSITING")
+        if not ours:
+            layout.operator("jghand.combine_with_scene", icon="NODE_COMPOSITING")
+            if combination.hands_scene_of(scene) is not None:
+                layout.operator("jghand.remove_combination", icon="X")
 
 
 def _draw_colours(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Hands in the picture of Cycles or EEVEE: a second scene with the hands, rendered by JGHand, combined by depth.
+
+One scene has one engine, so the hands get a scene of their own, which shares objects and camera with the first. The
+compositor of the first takes, per pixel, what is nearer. Nodes that are there already stay: ours go between the last of
+them and the output. What is ours carries a mark, so that it can be brought up to date and taken away again.
+Source: BLENDER 8.4.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import bpy
+
+from ..core.messages import JGHandFailure
+from . import armature, versions
+
+# custom properties of the first scene: the scene of its hands, whether its compositor is ours, whether a view layer had
+# its depth before; of the scene of the hands, and of nodes: that they are ours
+HANDS_SCENE, OWN_TREE, HAD_DEPTH = "jghand_hands_scene", "jghand_own_compositor", "jghand_had_depth"
+MARK = "jghand_combination"
+# what the scene of the hands has as the first one has it
+_SCENE = ("frame_start", "frame_end", "frame_step", "camera")
+_RENDER = (
+    *("resolution_x", "resolution_y", "resolution_percentage", "pixel_aspect_x", "pixel_aspect_y", "fps", "fps_base"),
+    *("use_border", "use_crop_to_border", "border_min_x", "border_max_x", "border_min_y", "border_max_y"),
+    *("use_motion_blur", "motion_blur_shutter", "motion_blur_position", "frame_map_old", "frame_map_new"),
+)
+_HANDS = ("render_preset", "shadow_strength", "motion_samples")
+_GAP_PX = 250
+
+
+def hands_scene_of(scene: bpy.types.Scene) -> bpy.types.Scene | None:
+    """The scene with the hands of a combined one."""
+    hands = scene.get(HANDS_SCENE)
+    return hands if isinstance(hands, bpy.types.Scene) else None
+
+
+def is_hands_scene(scene: bpy.types.Scene) -> bool:
+    """Whether a scene is there for the hands of another."""
+    return MARK in scene
+
+
+def combine(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bpy.types.Scene:
+    """Sets everything up, or brings it up to date. Returns the scene of the hands.
+
+    layer: the view layer that is combined with. Raises JGHandFailure: no_hand, no_camera.
+    """
+    hands = armature.hands_at_any_frame(layer)
+    if not hands:
+        raise JGHandFailure("no_hand", scene.name)
+    if scene.camera is None:
+        raise JGHandFailure("no_camera")
+    ours = hands_scene_of(scene)
+    if ours is None:
+        ours = bpy.data.scenes.new(f"{scene.name} Hands")
+        ours[MARK] = True
+        scene[HANDS_SCENE] = ours
+    _share(scene, ours, hands)
+    if HAD_DEPTH not in scene:
+        scene[HAD_DEPTH] = layer.use_pass_z
+    layer.use_pass_z = True
+    scene.render.use_compositing = True
+    had_tree = versions.compositor_tree(scene) is not None
+    tree = versions.ensure_compositor_tree(scene)
+    if not had_tree:
+        scene[OWN_TREE] = True
+    if not _nodes(tree):
+        _insert(tree, scene, layer, ours)
+    return ours
+
+
+def remove(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> None:
+    """Takes away what `combine` made, nothing else."""
+    tree = versions.compositor_tree(scene)
+    if tree is not None:
+        _take_out(tree)
+        if scene.get(OWN_TREE):
+            versions.remove_compositor_tree(scene)
+    ours = hands_scene_of(scene)
+    if ours is not None:
+        bpy.data.scenes.remove(ours)
+    if HAD_DEPTH in scene:
+        layer.use_pass_z = bool(scene[HAD_DEPTH])
+    for name in (HANDS_SCENE, OWN_TREE, HAD_DEPTH):
+        if name in scene:
+            del scene[name]
+
+
+def _share(scene: bpy.types.Scene, ours: bpy.types.Scene, hands: list[bpy.types.Object]) -> None:
+    """Makes the scene of the hands show what the first one does, from the same side, in the same time."""
+    for owner, of, names in (
+        (ours, scene, _SCENE),
+        (ours.render, scene.render, _RENDER),
+        (ours.jghand, scene.jghand, _HANDS),
+    ):
+        for name in names:
+            setattr(owner, name, getattr(of, name))
+    ours.unit_settings.scale_length = scene.unit_settings.scale_length
+    ours.render.engine, ours.render.film_transparent = "JGHAND", True
+    ours.view_layers[0].use_pass_z = True
+    cameras = [marker.camera for marker in scene.timeline_markers if marker.camera is not None]
+    parts = [part for hand in hands for part in armature.parts_of(hand)]
+    wanted = dict.fromkeys((*parts, scene.camera, *cameras))
+    for thing in list(ours.collection.objects):
+        if thing not in wanted:
+            ours.collection.objects.unlink(thing)
+    for thing in wanted:
+        if thing.name not in ours.collection.objects:
+            ours.collection.objects.link(thing)
+    ours.timeline_markers.clear()
+    for marker in scene.timeline_markers:
+        if marker.camera is not None:
+            ours.timeline_markers.new(marker.name, frame=marker.frame).camera = marker.camera
+
+
+# ---- nodes ----------------------------------------------------------------------------------------------------------
+
+
+def _nodes(tree: bpy.types.NodeTree) -> list[bpy.types.Node]:
+    """Those that are ours."""
+    return [node for node in tree.nodes if node.get(MARK)]
+
+
+def _insert(
+    tree: bpy.types.NodeTree, scene: bpy.types.Scene, layer: bpy.types.ViewLayer, ours: bpy.types.Scene
+) -> None:
+    """Combines what goes into the output with the hands, by depth. Sockets are taken by their place: names change."""
+    output = versions.compositor_output(tree)
+    before = output.inputs[0].links[0].from_socket if output.inputs[0].links else None
+    here = _layer_node(tree, scene, layer) or _new_node(tree, "CompositorNodeRLayers", output, (-3, 0))
+    if here.get(MARK):
+        here.scene, here.layer = scene, layer.name
+    theirs = _new_node(tree, "CompositorNodeRLayers", output, (-3, -2))
+    theirs.scene, theirs.layer = ours, ours.view_layers[0].name
+    nearer = _new_node(tree, "CompositorNodeZcombine", output, (-1, 0))
+    versions.use_alpha(nearer)
+    sources = (before or here.outputs["Image"], here.outputs["Depth"], theirs.outputs["Image"], theirs.outputs["Depth"])
+    for place, socket in enumerate(sources):
+        tree.links.new(socket, nearer.inputs[place])
+    tree.links.new(nearer.outputs[0], output.inputs[0])
+
+
+def _take_out(tree: bpy.types.NodeTree) -> None:
+    """Removes our nodes; what they combined with the hands goes into the output again."""
+    for node in _nodes(tree):
+        if node.bl_idname == "CompositorNodeZcombine" and node.inputs[0].links:
+            source = node.inputs[0].links[0].from_socket
+            for target in [link.to_socket for link in node.outputs[0].links]:
+                if not source.node.get(MARK):
+                    tree.links.new(source, target)
+    for node in _nodes(tree):
+        tree.nodes.remove(node)
+
+
+def _layer_node(tree: bpy.types.NodeTree, scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bpy.types.Node | None:
+    """A node that is there already and shows this view layer."""
+    return next(
+        (
+            node
+            for node in tree.nodes
+            if node.bl_idname == "CompositorNodeRLayers" and node.scene == scene and node.layer == layer.name
+        ),
+        None,
+    )
+
+
+def _new_node(tree: bpy.types.NodeTree, kind: str, beside: bpy.types.Node, place: tuple[int, int]) -> Any:
+    """A node of ours, so many gaps beside another."""
+    node = tree.nodes.new(kind)
+    node[MARK] = True
+    x, y = beside.location
+    if place[0] == -1:  # room for it between the output and what is before it
+        beside.location.x = x + _GAP_PX
+        x += _GAP_PX
+    node.location = (x + place[0] * _GAP_PX, y + place[1] * _GAP_PX)
+    return node

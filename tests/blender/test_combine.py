@@ -1,0 +1,248 @@
+"""Hands in pictures of Cycles: in front of things, behind them, and away again without a trace."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+
+import bpy
+import hands
+import numpy as np
+import pytest
+
+from blender_addon import registration, runtime
+from blender_addon.bridge import armature, camera, combination, versions
+from blender_addon.core import posing
+from blender_addon.core.link import EngineLink
+
+SIZE = (216, 144)  # the stand-in's discs are several pixels wide
+
+
+@pytest.fixture(scope="module", autouse=True)
+def extension(stand_in_command) -> Iterator[None]:
+    registration.register()
+    runtime.use_link(EngineLink(lambda: stand_in_command))
+    yield
+    runtime.use_link(None)
+    registration.unregister()
+
+
+@pytest.fixture
+def scene(context, tmp_path) -> bpy.types.Scene:
+    """A hand above a wall that glows grey and fills the picture; the camera looks down on both. Cycles, one sample."""
+    armature.build_armature(context, "right", posing.rest_joints_m("right"), "right")
+    bpy.ops.mesh.primitive_plane_add(size=4.0, location=(0, 0, -0.1))
+    wall = context.object
+    wall.name = "wall"
+    material = bpy.data.materials.new("glow")
+    material.use_nodes = True
+    tree = material.node_tree
+    tree.nodes.clear()
+    glow, output = tree.nodes.new("ShaderNodeEmission"), tree.nodes.new("ShaderNodeOutputMaterial")
+    glow.inputs["Color"].default_value = (0.2, 0.2, 0.2, 1.0)
+    tree.links.new(glow.outputs[0], output.inputs[0])
+    wall.data.materials.append(material)
+    eye = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    eye.location = (0, 0.08, 0.5)
+    scene = context.scene
+    scene.collection.objects.link(eye)
+    scene.camera = eye
+    camera.set_picture_size(scene.render, *SIZE)
+    scene.render.engine = "CYCLES"
+    scene.cycles.samples, scene.cycles.use_denoising = 1, False
+    scene.view_settings.view_transform, scene.render.dither_intensity = "Standard", 0.0
+    scene.render.filepath = str(tmp_path / "picture.png")
+    return scene
+
+
+def f12() -> np.ndarray:
+    """(H, W, 3) of the current frame, top row first."""
+    scene = bpy.context.scene
+    scene.render.image_settings.file_format, scene.render.image_settings.color_mode = "PNG", "RGBA"
+    bpy.ops.render.render(write_still=True)
+    image = bpy.data.images.load(scene.render.filepath)
+    values = np.array(image.pixels[:], np.float32).reshape(image.size[1], image.size[0], 4)[::-1]
+    bpy.data.images.remove(image)
+    return values[..., :3]
+
+
+def covered(picture: np.ndarray) -> int:
+    """Pixels that the stand-in's white discs cover."""
+    return int((picture > 0.99).all(-1).sum())
+
+
+GREY = 0.4845  # 0.2 in linear light
+
+
+def test_the_nearer_of_hand_and_wall_is_seen(scene):
+    assert bpy.ops.jghand.combine_with_scene() == {"FINISHED"}
+    in_front = f12()
+    assert covered(in_front) > 20
+    # the combination softens the rim of the discs
+    assert (np.abs(in_front - GREY).max(-1) > 0.01).mean() < 0.05
+    bpy.data.objects["wall"].location.z = 0.1  # now between hand and camera
+    behind = f12()
+    assert covered(behind) == 0
+    np.testing.assert_allclose(behind, GREY, atol=0.01)
+
+
+def test_the_hands_follow_frame_and_pose_of_the_scene(scene):
+    hand = bpy.data.objects["right"]
+    for frame, x in ((1, 0.0), (2, 0.05)):
+        hand.location.x = x
+        hand.keyframe_insert("location", frame=frame)
+    bpy.ops.jghand.combine_with_scene()
+    places = []
+    for frame in (1, 2):
+        scene.frame_set(frame)
+        places.append(hands.centroid((f12() > 0.99).all(-1)))
+    # 0.05 m at half a metre, of a picture 0.36 m wide there; the hand itself is nearer
+    assert 0.9 < (places[1][0] - places[0][0]) / (0.05 / 0.36 * SIZE[0]) < 1.2
+    assert places[1][1] == pytest.approx(places[0][1], abs=0.5)
+
+
+def test_size_and_region_are_those_of_the_scene(scene):
+    bpy.ops.jghand.combine_with_scene()
+    whole = f12()
+    camera.set_picture_size(scene.render, 2 * SIZE[0], 2 * SIZE[1])
+    half_white = (1 + GREY) / 2  # in the middle of the softened rim
+    assert (f12() > half_white).sum() == pytest.approx(4 * (whole > half_white).sum(), rel=0.1)
+    camera.set_picture_size(scene.render, *SIZE)
+    render = scene.render
+    render.use_border, render.use_crop_to_border = True, True
+    render.border_min_x, render.border_max_x, render.border_min_y, render.border_max_y = 0.25, 0.75, 0.25, 0.75
+    bpy.ops.jghand.combine_with_scene()
+    part = camera.region(render)
+    difference = np.abs(f12() - whole[part.top : part.bottom, part.left : part.right])
+    # the rim is softened with what is beside it, and beside the region nothing is
+    assert (difference > 0.01).mean() < 0.005
+
+
+def test_a_picture_whose_hand_failed_does_not_stay_on_disk(scene, tmp_path):
+    """Blender writes it, whatever the hands' scene reports; and older pictures are not touched."""
+    bpy.ops.jghand.combine_with_scene()
+    hand, path = bpy.data.objects["right"], scene.render.filepath
+    older = tmp_path / "picture0001.png"
+    older.write_bytes(b"mine")
+    os.utime(older, (0, 0))
+    hand.scale.x = -1
+    bpy.ops.render.render(write_still=True)
+    assert list(tmp_path.glob("*.png")) == [older]
+    assert runtime.last_render().failure.kind == "mirrored"
+    assert scene.render.filepath == path
+    hand.scale.x = 1
+    assert covered(f12()) > 20
+
+
+def test_an_animation_ends_at_the_frame_whose_hands_fail(scene, tmp_path):
+    bpy.ops.jghand.combine_with_scene()
+    hand = bpy.data.objects["right"]
+    for frame, x in ((1, 1.0), (2, 1.0), (3, -1.0)):
+        hand.scale.x = x
+        hand.keyframe_insert("scale", frame=frame)
+    for curve in versions.fcurves(hand):
+        for key in curve.keyframe_points:
+            key.interpolation = "CONSTANT"
+    scene.render.filepath, scene.frame_end = str(tmp_path / "frame_"), 4
+    with pytest.raises(RuntimeError, match="Mirrored scale"):
+        bpy.ops.render.render(animation=True)
+    assert sorted(path.name for path in tmp_path.glob("*.png")) == ["frame_0001.png", "frame_0002.png"]
+    assert scene.render.filepath == str(tmp_path / "frame_")
+
+
+def test_a_second_time_brings_it_up_to_date_and_makes_nothing_twice(scene):
+    bpy.ops.jghand.combine_with_scene()
+    ours = combination.hands_scene_of(scene)
+    nodes = len(versions.compositor_tree(scene).nodes)
+    armature.build_armature(bpy.context, "left", posing.rest_joints_m("left"), "left")
+    bpy.data.objects.remove(bpy.data.objects["right"])
+    scene.frame_end = 77
+    bpy.ops.jghand.combine_with_scene()
+    assert combination.hands_scene_of(scene) == ours
+    assert {thing.name for thing in ours.collection.objects} == {"left", "Camera"}
+    assert ours.frame_end == 77
+    assert len(versions.compositor_tree(scene).nodes) == nodes
+    assert len(bpy.data.scenes) == 2
+
+
+def test_removing_leaves_nothing(scene):
+    wanted = f12()
+    before = {name: len(getattr(bpy.data, name)) for name in ("scenes", "node_groups", "objects", "cameras")}
+    bpy.ops.jghand.combine_with_scene()
+    assert bpy.ops.jghand.remove_combination() == {"FINISHED"}
+    assert {name: len(getattr(bpy.data, name)) for name in before} == before
+    assert versions.compositor_tree(scene) is None
+    assert not scene.view_layers[0].use_pass_z
+    assert not [name for name in scene.keys() if name.startswith("jghand_")]  # noqa: SIM118 - no dictionary
+    np.testing.assert_array_equal(f12(), wanted)
+
+
+def own_nodes(scene: bpy.types.Scene) -> bpy.types.Node:
+    """A compositor of the user's, which makes the picture half as bright; returns its node."""
+    tree = versions.ensure_compositor_tree(scene)
+    output = versions.compositor_output(tree)
+    picture = tree.nodes.new("CompositorNodeRLayers")
+    dim = tree.nodes.new("CompositorNodeExposure")
+    dim.inputs[1].default_value = -1.0
+    tree.links.new(picture.outputs["Image"], dim.inputs[0])
+    tree.links.new(dim.outputs[0], output.inputs[0])
+    return dim
+
+
+def test_nodes_of_the_user_stay_and_work_before_ours(scene):
+    dim = own_nodes(scene)
+    tree = versions.compositor_tree(scene)
+    alone = f12()
+    before = {(link.from_socket, link.to_socket) for link in tree.links}
+    count = len(tree.nodes)
+    bpy.ops.jghand.combine_with_scene()
+    combined = f12()
+    assert covered(combined) > 20  # the hand is not dimmed
+    assert (np.abs(combined - alone).max(-1) > 0.01).mean() < 0.05
+    bpy.ops.jghand.remove_combination()
+    assert versions.compositor_tree(scene) == tree
+    assert len(tree.nodes) == count
+    assert {(link.from_socket, link.to_socket) for link in tree.links} == before
+    assert dim.name in tree.nodes
+    np.testing.assert_array_equal(f12(), alone)
+
+
+def test_undo_takes_it_back(scene):
+    bpy.ops.ed.undo_push(message="before")
+    bpy.ops.jghand.combine_with_scene()
+    bpy.ops.ed.undo_push(message="combined")
+    assert len(bpy.data.scenes) == 2
+    bpy.ops.ed.undo()
+    assert len(bpy.data.scenes) == 1
+    assert combination.hands_scene_of(bpy.context.scene) is None
+    assert versions.compositor_tree(bpy.context.scene) is None
+
+
+def test_what_is_missing_is_said(scene):
+    scene.render.engine = "JGHAND"
+    with pytest.raises(RuntimeError, match="Choose Cycles or EEVEE first"):
+        bpy.ops.jghand.combine_with_scene()
+    with pytest.raises(RuntimeError, match="not combined"):
+        bpy.ops.jghand.remove_combination()
+    scene.render.engine = "CYCLES"
+    scene.camera = None
+    with pytest.raises(RuntimeError, match="no camera"):
+        bpy.ops.jghand.combine_with_scene()
+    bpy.data.objects.remove(bpy.data.objects["right"])
+    scene.camera = bpy.data.objects["Camera"]
+    with pytest.raises(RuntimeError, match="no hand"):
+        bpy.ops.jghand.combine_with_scene()
+
+
+def test_timeline_markers_choose_the_camera_of_the_hands_too(scene):
+    other = bpy.data.objects.new("Other", bpy.data.cameras.new("Other"))
+    other.location = (0.08, 0.08, 0.5)
+    scene.collection.objects.link(other)
+    for frame, eye in ((1, bpy.data.objects["Camera"]), (2, other)):
+        scene.timeline_markers.new(eye.name, frame=frame).camera = eye
+    bpy.ops.jghand.combine_with_scene()
+    places = []
+    for frame in (1, 2):
+        scene.frame_set(frame)
+        places.append(hands.centroid((f12() > 0.99).all(-1)))
+    assert places[1][0] < places[0][0] - 5
