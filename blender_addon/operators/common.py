@@ -39,6 +39,7 @@ class Reporting:
         except JGHandFailure as failure:
             self.report(ERROR, sentence_of(failure))
             return CANCELLED
+        redraw(context)
         return DONE
 
     def tell(self, *sentences: str) -> None:
@@ -103,6 +104,7 @@ class InTurns(Reporting):
             raise
         if part is None:
             self.cancel(context)
+            redraw(context)
             return DONE
         context.workspace.status_text_set(self._progress(part))
         return {"RUNNING_MODAL"}
@@ -131,6 +133,13 @@ class InTurns(Reporting):
         left_s = (time.monotonic() - self._started) * (1.0 - part) / max(part, 1e-3)
         template = rpt_("{working}  {percent}%  ·  {left} s left  ·  Esc cancels")
         return template.format(working=rpt_(self.working), percent=round(100 * part), left=round(left_s))
+
+
+def redraw(context: bpy.types.Context) -> None:
+    """Views and their sidebars show what was done, whoever did it."""
+    for area in context.screen.areas if context.screen is not None else ():
+        if area.type == "VIEW_3D":
+            area.tag_redraw()
 
 
 def missing(operator: type, sentence: str) -> bool:

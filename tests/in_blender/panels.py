@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The tab as an artist meets it: empty, with a hand, with a pose chosen from pictures, with somebody else's rig."""
+
+from __future__ import annotations
+
+import importlib
+
+import bpy
+
+
+def _module(window, name):
+    return importlib.import_module(f".{name}", window.addon.__name__)
+
+
+def step_an_empty_scene_shows_one_button(window):
+    for thing in list(bpy.data.objects):
+        bpy.data.objects.remove(thing)
+    yield from window.open_sidebar("JGHand")
+    window.picture("empty")
+
+
+def step_a_hand_is_added_looked_at_and_listed(window):
+    with window.override():
+        bpy.ops.jghand.add_hand("INVOKE_DEFAULT", True, handedness="right")
+    yield 1.0
+    hand = bpy.context.view_layer.objects.active
+    assert hand.name == "Right Hand"
+    assert bpy.context.scene.camera is not None
+    assert window.space().region_3d.view_distance < 1.0  # the view has turned to it
+    window.picture("hand")
+
+
+def step_poses_get_their_pictures(window):
+    pictures = _module(window, "bridge.pose_pictures")
+    yield pictures.are_made
+    assert pictures.icon_of("fist", "right") > 0
+    assert pictures.icon_of("fist", "left") != pictures.icon_of("fist", "right")
+    yield 1.0
+    window.picture("poses")
+
+
+def step_baking_ends_with_escape_and_changes_nothing(window):
+    controls = _module(window, "bridge.controls")
+    hand = bpy.data.objects["Right Hand"]
+    bpy.context.scene.frame_end = 20000
+    with window.override():
+        assert bpy.ops.jghand.bake_controls("INVOKE_DEFAULT", True) == {"RUNNING_MODAL"}
+    yield 2.0
+    window.picture("baking")
+    yield from window.point_at_view()
+    yield from window.key("Escape")
+    yield 1.0
+    assert controls.has_controls(hand)
+    assert hand.animation_data is None
+    assert bpy.context.scene.frame_current == 1
+    window.picture("cancelled")
+
+
+def step_baking_ends_by_itself(window):
+    controls = _module(window, "bridge.controls")
+    bpy.context.scene.frame_end = 12
+    with window.override():
+        bpy.ops.jghand.bake_controls("INVOKE_DEFAULT", True)
+    yield lambda: not controls.has_controls(bpy.data.objects["Right Hand"])
+    assert bpy.data.objects["Right Hand"].animation_data.action is not None
+
+
+def step_undo_brings_the_controls_back(window):
+    controls = _module(window, "bridge.controls")
+    with window.override():
+        bpy.ops.ed.undo()
+    yield 0.5
+    assert controls.has_controls(bpy.data.objects["Right Hand"])
+
+
+def step_a_foreign_rig_shows_its_bones_and_what_is_missing(window):
+    data = bpy.data.armatures.new("Body")
+    rig = bpy.data.objects.new("Body", data)
+    bpy.context.scene.collection.objects.link(rig)
+    bpy.context.view_layer.objects.active = rig
+    words = [f"{f}{level}" for f in ("Thumb", "Index", "Middle", "Ring", "Pinky") for level in (1, 2, 3)]
+    with window.override():
+        bpy.ops.object.mode_set(mode="EDIT")
+        for place, word in enumerate(("", *words)):
+            bone = data.edit_bones.new(f"mixamorig:RightHand{word}")
+            bone.head, bone.tail = (0.01 * place, 0, 0), (0.01 * place, 0.03, 0)
+        bpy.ops.object.mode_set(mode="OBJECT")
+        bpy.ops.jghand.use_armature("INVOKE_DEFAULT", True)
+    rig.jghand.joints["index2"].bone = ""
+    window.redraw()
+    yield 2.0
+    window.picture("rig")
+    with window.override():
+        bpy.ops.jghand.fill_bone_map("INVOKE_DEFAULT", True)
+    yield 1.0
+    assert rig.jghand.joints["index2"].bone == "mixamorig:RightHandIndex2"
+    window.picture("rig_whole")
