@@ -183,6 +183,14 @@ def test_flat_covariances_may_be_a_part_of_their_trace_beyond_flat():
             assert (semi_definite(upper(matrices)).numpy() == good).all()
 
 
+def test_without_the_slack_a_flat_covariance_is_refused_to_the_last_bit(monkeypatch):
+    monkeypatch.setattr(limits, "COVARIANCE_SLACK", 0.0)
+    for place in (0, 3, 5):
+        rows = torch.tensor([[1.0, 0, 0, 1, 0, 1]] * 2, dtype=F64)
+        rows[:, place] = torch.tensor([0.0, 1e-300], dtype=F64)
+        assert semi_definite(rows).tolist() == [False, True]
+
+
 def test_no_infinite_covariance_is_semi_definite():
     for places in itertools.product([0.0, 1.0, math.inf], repeat=3):
         if math.inf in places:
