@@ -69,6 +69,11 @@ def use_library(folder: Path) -> None:
     libraries.new(name=LIBRARY_NAME, directory=str(folder))
 
 
+def is_used() -> bool:
+    """Whether the library is one of the user's."""
+    return LIBRARY_NAME in bpy.context.preferences.filepaths.asset_libraries
+
+
 def _asset(pose: HandPose) -> bpy.types.Action:
     """An action of one frame with what the pose says, marked as an asset, with a picture."""
     curves = [

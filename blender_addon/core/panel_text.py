@@ -172,6 +172,14 @@ def receipt_text(report: Mapping[str, Any], budget_ms: float | None = None, tran
     )
 
 
+def shortened(name: str, names: Sequence[str]) -> str:
+    """A bone's name without what all of them begin with: the end of a name tells bones apart, and lists are narrow."""
+    first, last = min(filter(None, names), default=""), max(names, default="")
+    prefix = first[: next((at for at, (a, b) in enumerate(zip(first, last, strict=False)) if a != b), len(first))]
+    rest = name[len(prefix) :] if name.startswith(prefix) else name
+    return f"…{rest}" if rest and len(prefix) > 1 and rest != name else name
+
+
 def map_lines(sources: Sequence[Any], known: Sequence[str], translate: Translate = str) -> list[Line]:
     """What a bone map misses. sources: 21 of `bone_maps.JointSource` or None; known: the bones that there are."""
     bones = set(known)

@@ -133,6 +133,30 @@ class MakePoseAssets(InTurns, bpy.types.Operator):
         self.tell(rpt_("The poses are in the asset library JGHand: in pose mode the asset shelf shows them."))
 
 
+class ShowPoseShelf(Reporting, bpy.types.Operator):
+    """Operator: pose mode with Blender's shelf of pose assets."""
+
+    bl_idname = "jghand.show_pose_shelf"
+    bl_label = "Show Pose Shelf"
+    bl_description = (
+        "Go to pose mode and show Blender's shelf of pose assets below the view: drag over a picture to blend, "
+        "click to apply to the selected bones, or to all without a selection"
+    )
+    bl_options = UNDOABLE
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not poll_hand(cls, context):
+            return False
+        return pose_library.is_used() or missing(cls, "Make the pose assets first")
+
+    def run(self, context: bpy.types.Context) -> None:
+        if context.mode != "POSE":
+            bpy.ops.object.mode_set(mode="POSE")
+        if context.area is not None and context.area.type == "VIEW_3D":
+            context.space_data.show_region_asset_shelf = True
+
+
 def _others(context: bpy.types.Context) -> list[bpy.types.Object]:
     """The selected hands besides the active one; without any, the one other hand that can be seen."""
     source = context.object
@@ -147,7 +171,7 @@ def _others(context: bpy.types.Context) -> list[bpy.types.Object]:
     return [hand for hand in others if hand.is_editable]
 
 
-_CLASSES = (ApplyPose, FlipPose, ResetPose, MakePoseAssets)
+_CLASSES = (ApplyPose, FlipPose, ResetPose, MakePoseAssets, ShowPoseShelf)
 
 
 def register() -> None:

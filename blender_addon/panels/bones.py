@@ -29,7 +29,8 @@ class JointList(bpy.types.UIList):
         row.label(text=item.name, translate=False)
         if item.bone in rig.data.bones:
             row = row.split(factor=0.8)
-            row.label(text=item.bone, icon="BONE_DATA", translate=False)
+            names = [joint.bone for joint in rig.jghand.joints]
+            row.label(text=panel_text.shortened(item.bone, names), icon="BONE_DATA", translate=False)
             end = row.row()
             end.active = False
             end.label(text="tail" if item.end == "tail" else "")

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..bridge import armature, controls, pose_pictures
+from ..bridge import armature, controls, pose_library, pose_pictures
 from ..bridge.classes import register_classes, unregister_classes
 from ..core.controls import FINGER_CONTROLS, HAND_CONTROL
 from ..core.joints import FINGERS
@@ -39,7 +39,12 @@ class PosePanel(Sidebar, bpy.types.Panel):
         row.operator("jghand.apply_pose", text="Apply", icon="CHECKMARK").pose = chosen.pose
         column.operator("jghand.flip_pose", text="Flip to Other", icon="MOD_MIRROR")
         column.operator("jghand.reset_pose", text="Reset", icon="LOOP_BACK")
-        self.layout.operator("jghand.make_pose_assets", icon="ASSET_MANAGER")
+        row = self.layout.row(align=True)
+        if pose_library.is_used():
+            row.operator("jghand.show_pose_shelf", icon="ASSET_MANAGER")
+            row.operator("jghand.make_pose_assets", text="", icon="FILE_REFRESH")
+        else:
+            row.operator("jghand.make_pose_assets", icon="ASSET_MANAGER")
 
 
 class ControlsPanel(Sidebar, bpy.types.Panel):

@@ -183,6 +183,14 @@ def test_a_bone_map_says_what_it_misses():
     assert "middle1 = middle2" in lines[2].text
 
 
+def test_a_list_shows_the_end_of_names_that_tells_bones_apart():
+    names = ["mixamorig:RightHand", "mixamorig:RightHandIndex1", ""]
+    assert panel_text.shortened(names[1], names) == "…Index1"
+    assert panel_text.shortened(names[0], names) == names[0]
+    assert panel_text.shortened("other", names) == "other"
+    assert panel_text.shortened("hand.R", ["hand.R", "f_index.01.R"]) == "hand.R"
+
+
 def test_everything_that_is_said_goes_through_the_translation():
     heard = []
 

@@ -453,6 +453,9 @@ def test_the_pose_library_is_made_on_demand_and_used(extension, tmp_path, monkey
     assert (tmp_path / "poses" / pose_library.BLEND).is_file()
     libraries = extension.preferences.filepaths.asset_libraries
     assert str(tmp_path / "poses") in {library.path for library in libraries}
+    add()
+    assert bpy.ops.jghand.show_pose_shelf() == {"FINISHED"}
+    assert extension.mode == "POSE"
 
 
 def test_the_users_folder_is_there_also_without_an_installed_extension():

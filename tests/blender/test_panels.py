@@ -10,7 +10,7 @@ import pytest
 from recording_layout import RecordingLayout, draw, draw_rows
 
 from blender_addon import registration, runtime
-from blender_addon.bridge import controls, pose_pictures, views
+from blender_addon.bridge import controls, pose_library, pose_pictures, views
 from blender_addon.core.link import Status
 from blender_addon.core.messages import JGHandFailure
 from blender_addon.panels import advanced, bones, hand, motion, picture, pose, quality
@@ -113,7 +113,7 @@ def test_the_bones_of_a_foreign_rig_are_a_list_that_says_what_is_missing(extensi
     seen = draw(bones.BonesPanel, extension)
     assert "All 21 joints have a bone" in text_of(seen)
     rows = draw_rows(bones.JointList, extension, rig.jghand, rig.jghand.joints)
-    assert {"thumb4", "mixamorig:RightHandThumb3", "tail"} <= set(rows.texts)
+    assert {"thumb4", "…Thumb3", "tail"} <= set(rows.texts)
     assert not [one for one in rows.drawn if one.function == "prop_search"]
     rig.jghand.joints["index2"].bone = ""
     rig.jghand.joints["ring1"].bone = "nothing of that name"
@@ -148,6 +148,13 @@ def test_every_hand_has_a_row_that_selects_it(extension, engine):
     rows = [one for one in seen.drawn if one.arguments.get("operator") == "jghand.select_hand"]
     assert [one.settings["uid"] for one in rows] == [second.session_uid, first.session_uid]
     assert [one.arguments["depress"] for one in rows] == [True, False]
+
+
+def test_pose_assets_are_made_once_and_then_shown(extension, engine, tmp_path):
+    add()
+    assert "jghand.make_pose_assets" in draw(pose.PosePanel, extension).operators
+    pose_library.use_library(tmp_path)
+    assert "jghand.show_pose_shelf" in draw(pose.PosePanel, extension).operators
 
 
 @pytest.mark.parametrize(
