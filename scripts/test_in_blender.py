@@ -114,6 +114,17 @@ def run_story(place: Place, archive: Path, story: Path, steps: list[str], option
     return _say(story, out, code, time.perf_counter() - started)
 
 
+def engine_that_is_left(out: Path) -> str:
+    """The process of an engine that outlives its Blender; empty if there is none."""
+    file = out / "engine.pid"
+    pid = file.read_text(encoding="utf-8").strip() if file.exists() else ""
+    for _ in range(50):
+        if not pid or not Path(f"/proc/{pid}").exists():
+            return ""
+        time.sleep(0.1)
+    return pid
+
+
 def _say(story: Path, out: Path, code: int | None, seconds: float) -> bool:
     results_file = out / "results.json"
     results = json.loads(results_file.read_text(encoding="utf-8")) if results_file.exists() else []
@@ -122,9 +133,11 @@ def _say(story: Path, out: Path, code: int | None, seconds: float) -> bool:
         print(f"  {'ok    ' if result['ok'] else 'FAILED'} {result.get('seconds', 0):6.1f} s  {result['name']}")
         if not result["ok"]:
             print("         " + result.get("problem", "").replace("\n", "\n         "))
-    passed = bool(results) and all(result["ok"] for result in results) and code == 0
+    left = engine_that_is_left(out)
+    passed = bool(results) and all(result["ok"] for result in results) and code == 0 and not left
     if not passed:
         end = "it ran out of time" if code is None else f"Blender ended with {code}"
+        end += f"; the engine, process {left}, did not end with it" if left else ""
         last = (out / "blender.log").read_text(encoding="utf-8", errors="replace").splitlines()[-15:]
         print(f"  {end}; the end of its log:", *last, sep="\n    ")
     return passed

@@ -91,6 +91,9 @@ class Walk:
         (self._window.out / "results.json").write_text(json.dumps(self.results, indent=1), encoding="utf-8")
 
     def _quit(self) -> None:
+        if self._window.addon is not None:
+            engine = self._window.runtime().link().status.handshake.get("pid", "")
+            (self._window.out / "engine.pid").write_text(str(engine))  # it must end with this Blender
         bpy.ops.wm.quit_blender()
 
 

@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The engine dies, and Blender goes on: a sentence, a button, a picture, and never a lost scene."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+import bpy
+
+from in_blender.pictures import skin
+
+
+def kill_engine(window):
+    os.kill(window.runtime().link().status.handshake["pid"], signal.SIGKILL)
+    yield lambda: window.runtime().link().status.state == "failed"
+    yield 0.7
+
+
+def step_a_hand_is_there(window):
+    bpy.data.objects.remove(bpy.data.objects["Cube"])
+    yield from window.open_sidebar()
+    window.call("jghand.add_hand", handedness="left")
+    yield from window.settle()
+    assert skin(window.crop(window.picture("left_hand"))).mean() > 0.03
+
+
+def step_a_killed_engine_is_a_sentence_with_a_remedy(window):
+    yield from kill_engine(window)
+    failure = window.runtime().link().status.failure
+    assert failure.kind == "killed"
+    assert failure.advice.sentence
+    assert failure.advice.remedy
+    window.picture("killed")
+
+
+def step_its_button_brings_the_picture_back(window):
+    assert window.call("jghand.start_engine") == {"FINISHED"}
+    yield from window.settle()
+    assert skin(window.crop(window.picture("started_again"))).mean() > 0.03
+
+
+def step_f12_starts_a_dead_engine_itself(window):
+    window.call("jghand.use_engine")
+    window.call("jghand.add_camera")
+    scene = bpy.context.scene
+    scene.render.resolution_x, scene.render.resolution_y = 320, 240
+    scene.render.filepath = str(window.out / "after_death.png")
+    yield from window.settle()
+    yield from kill_engine(window)
+    with window.override():
+        bpy.ops.render.render("INVOKE_DEFAULT", write_still=True)
+    yield lambda: not bpy.app.is_job_running("RENDER")
+    yield 1.0
+    window.picture("rendered_after_death")
+    assert (window.out / "after_death.png").exists()
+    assert window.runtime().link().status.state == "ready"
+
+
+def step_no_engine_at_all_is_a_sentence_too(window):
+    """The preference wins over everything else; an interpreter that is not there is named."""
+    preferences = bpy.context.preferences.addons[window.addon.__name__].preferences
+    preferences.engine_python = "/nowhere/python"
+    window.runtime().link().restart()
+    yield lambda: window.runtime().link().status.state == "failed"
+    yield 0.7
+    window.picture("no_engine")
+    failure = window.runtime().link().status.failure
+    assert failure.kind == "no_interpreter"
+    assert "/nowhere/python" in failure.detail
+    preferences.engine_python = ""
+    window.runtime().link().restart()
+    yield from window.settle()
