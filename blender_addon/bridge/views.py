@@ -22,7 +22,7 @@ from ..core.link import Answer
 from ..core.messages import JGHandFailure
 from ..core.pacing import Activity, Moment, Pace, ViewSettings, Want
 from ..core.view import HandInSpace, picture_request
-from . import clock, gpu_picture, seen_hands
+from . import clock, gpu_picture, seen_hands, shown_bones
 from .view_camera import ViewCamera, view_camera
 
 # kinds of views: a draw handler in Solid and Material Preview, the render engine in Rendered
@@ -129,6 +129,8 @@ def show(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph, kind: str) 
     moment = moment_of(context.scene)
     look(view, moment, drawing=True)
     if pacing.may_show(view.pace, moment):
+        if kind == SOLID:
+            shown_bones.keep_visible(things, context)
         _draw(view)
 
 

@@ -181,6 +181,11 @@ ASKS_KEPT = 8
 FAILURES_KEPT = 32
 # how often, at most, panels are drawn again for figures that change with every picture
 PANEL_TICK_S = 0.5
+# how wide the picture of a hand is left open for its bones and for the wires of its controls, pixels: no wider than
+# Blender draws them; and the most wires of one control
+BONE_CUT_PX = 3.0
+SHAPE_CUT_PX = 1.5
+SHAPE_EDGES_MAX = 512
 # an orthographic view of Blender has things behind its camera: the engine's camera stands so far in front of the
 # nearest joint, metres
 ORTHO_ROOM_M = 0.5

@@ -78,6 +78,29 @@ def step_it_follows_a_pose(window):
     assert changed(before, after, 40).sum() > 1000
 
 
+def step_bones_that_are_shown_in_front_are_seen_before_it(window):
+    space = window.space()
+    without = _hand().show_in_front
+    space.overlay.show_overlays = True
+    views = {}
+    for name, in_front, shown in (("hand", False, True), ("bones", True, False), ("both", True, True)):
+        _hand().show_in_front = in_front
+        _switch(scene=shown)
+        window.redraw()
+        yield 0.3
+        yield lambda shown=shown: not shown or _is_sharp(window)
+        yield 0.5
+        views[name] = window.crop(window.screen()).copy()
+    window.picture("bones_in_front")
+    hand = skin(views["hand"])
+    bones = hand & ~changed(views["bones"], views["both"], 3) & changed(views["hand"], views["both"], 30)
+    assert bones.sum() > 300, f"{bones.sum()} pixels of bones"
+    assert (hand & ~changed(views["hand"], views["both"], 3)).sum() > 0.8 * hand.sum()
+    _hand().show_in_front = without
+    space.overlay.show_overlays = False
+    yield 0.3
+
+
 def step_it_is_gone_while_it_is_hidden(window):
     for hide, show in (
         (lambda: _hand().hide_set(True), lambda: _hand().hide_set(False)),
@@ -333,4 +356,3 @@ def _play(window, seconds: float):
     yield seconds
     with window.override():
         bpy.ops.screen.animation_cancel(restore_frame=False)
-    yield lambda: _is_sharp(window)

@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How long a change of pose takes to become a new picture in Blender's viewport, besides Blender's own work.
+
+    python scripts/benchmark_viewport.py [--out FOLDER]
+
+Runs in a real Blender window (scripts/test_in_blender.py says what that needs) with the real engine. For each pose, in
+ms: `ask` reading the evaluated hand and sending the request; `engine` from then until the answer is there, with the way
+to the engine and back; `show` making textures and drawing them (on a machine without a graphics card the software
+driver does part of that later, in Blender's own drawing). `picture` is their sum. Evaluating the pose and drawing the
+rest of the view are Blender's own and left out; the timer that looks for the answer is too, it adds up to 5 ms.
+Besides: what a redraw costs in which nothing changed, and a tick of the timer.
+
+A median of warm poses; the pictures are those of something that moves, of 512 x 334 pixels. The file is also the story
+that Blender runs.
+"""
+
+from __future__ import annotations
+
+import importlib
+import json
+import statistics
+import sys
+import time
+from pathlib import Path
+
+SIZE = (512, 334)
+WARM_UP, POSES = 10, 100
+RESULT = "viewport.json"
+
+
+def step_measure(window):
+    """The story: one step, which writes OUT/viewport.json."""
+    import bpy
+
+    part = {name: importlib.import_module(f".{name}", window.addon.__name__) for name in _MODULES}
+    views = part["bridge.views"]
+    for thing in [thing for thing in bpy.context.scene.objects if thing.type == "MESH"]:
+        bpy.data.objects.remove(thing)
+    bpy.ops.jghand.add_hand()
+    hand = next(thing for thing in bpy.context.scene.objects if "jghand_handedness" in thing)
+    yield from window.look_at((0.0, 0.09, 0.0), 0.4, (0.6, 0.0, 0.3))
+    yield lambda: views.all_views() and views.all_views()[0].pace.shown
+    _fix_the_size(part)
+    window.redraw()
+    yield 2.0
+    figures = _measure(bpy, part, window, hand)
+    window.picture("measured")
+    (window.out / RESULT).write_text(json.dumps(figures), encoding="utf-8")
+
+
+_MODULES = ("bridge.views", "bridge.sync", "core.cropping", "core.pacing", "core.limits", "runtime")
+
+
+def _fix_the_size(part) -> None:
+    """Every picture is of the same part of the view, the one around the hand's middle."""
+    cropping, limits = part["core.cropping"], part["core.limits"]
+    original = cropping.part_with
+
+    def fixed(view, hands):
+        seen = original(view, hands)
+        if seen is None:
+            return None
+        left = max(0, min(view.width - SIZE[0], (seen.left + seen.right - SIZE[0]) // 2))
+        top = max(0, min(view.height - SIZE[1], (seen.top + seen.bottom - SIZE[1]) // 2))
+        return cropping.Part(left, top, left + SIZE[0], top + SIZE[1])
+
+    cropping.part_with = fixed
+    assert SIZE[0] * SIZE[1] <= limits.MOVING_PIXELS_MAX
+
+
+def _measure(bpy, part, window, hand) -> dict[str, list[float]]:
+    views, runtime = part["bridge.views"], part["runtime"]
+    times = {name: [] for name in ("evaluate", "ask", "engine", "show", "picture", "redraw", "still", "tick")}
+    show, inside = views.show, []
+
+    def timed(*args) -> None:
+        started = time.perf_counter()
+        show(*args)
+        inside.append(time.perf_counter() - started)
+
+    views.show = timed
+    (view,) = views.all_views()
+    bone = hand.pose.bones["index1"]
+    scene, layer, space = bpy.context.scene, bpy.context.view_layer, window.space()
+    things = part["bridge.views"].seen_hands.hands_in(scene, layer, space, switched_on_only=True)
+    with window.override():
+        for index in range(WARM_UP + POSES):
+            started = time.perf_counter()
+            angle = 0.3 + 0.01 * (index % 40)
+            bone.rotation_quaternion = (1.0, angle, 0.0, 0.0)
+            layer.update()
+            posed = time.perf_counter()
+            views.read_again(view, things, bpy.context.evaluated_depsgraph_get())
+            views.look(view, views.moment_of(scene), drawing=False)
+            asked = time.perf_counter()
+            answer = runtime.link().wait(view.slot, view.pace.asks[-1].tag, 10.0)
+            answered = time.perf_counter()
+            assert answer is not None
+            assert answer.failure is None, answer.failure
+            inside.clear()
+            bpy.ops.wm.redraw_timer(type="DRAW_WIN", iterations=1)
+            drawn = time.perf_counter()
+            shown = max(inside)
+            if index < WARM_UP:
+                continue
+            row = {"evaluate": posed - started, "ask": asked - posed, "engine": answered - asked, "show": shown}
+            row |= {"picture": asked - posed + answered - asked + shown, "redraw": drawn - answered}
+            for name, seconds in row.items():
+                times[name].append(1e3 * seconds)
+        for _ in range(10):
+            inside.clear()
+            bpy.ops.wm.redraw_timer(type="DRAW_WIN", iterations=1)
+            times["still"].append(1e3 * max(inside))
+    for _ in range(200):
+        started = time.perf_counter()
+        part["bridge.sync"].tick()
+        times["tick"].append(1e3 * (time.perf_counter() - started))
+    views.show = show
+    assert view.came is None
+    assert (view.picture.width, view.picture.height) == SIZE
+    return times
+
+
+def main() -> int:
+    import argparse
+
+    sys.path.insert(0, str(Path(__file__).parent))
+    import test_in_blender
+
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, default=test_in_blender.ROOT / "build" / "benchmark_viewport")
+    options = parser.parse_args()
+    sys.argv = [sys.argv[0], str(Path(__file__).resolve()), "--out", str(options.out)]
+    code = test_in_blender.main()
+    result = options.out / Path(__file__).stem / RESULT
+    if code == 0 and result.is_file():
+        figures = json.loads(result.read_text(encoding="utf-8"))
+        print(f"\n{SIZE[0]} x {SIZE[1]}, ms       median      p95")
+        for name, values in figures.items():
+            print(f"  {name:12} {statistics.median(values):12.2f} {sorted(values)[int(0.95 * len(values))]:8.2f}")
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())
