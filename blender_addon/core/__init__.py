@@ -12,7 +12,12 @@ motion_files    motions in files that say what they hold (numpy)
 view            pinhole cameras, hands in their own space, and the request for a picture (numpy)
 wire            the protocol module, from the extension or from the engine's package
 engine_command  where the engine is
-client          the engine as a child process: start, handshake, requests, a clean end
+engine_check    what that engine is made of, what is missing, what mends it
+link            the engine as everybody sees it: pictures, exact requests, its state
+state           what becomes of its process, decided by a pure function
+waiting         who waits for what of it
+answers         what it gives back
+connection      one process and the socket to it; process has its pipes and its log
 batch           frames, names and files of a batch run, and its report
 stamp           what the pictures of a folder were made from
 messages        one sentence and one remedy for everything that can fail

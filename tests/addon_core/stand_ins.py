@@ -37,7 +37,7 @@ def linked(*faults: str, **options) -> Iterator[EngineLink]:
         yield link
     finally:
         link.close()
-        assert link._process is None
+        assert link._engine is None
         assert link._thread is None
 
 

@@ -58,7 +58,7 @@ def test_a_picture_is_asked_for_and_comes():
         reply = engine.request(*picture())
         assert reply.arrays["rgba_u8"].shape == (48, 64, 4)
         assert np.asarray(reply.arrays["rgba_u8"].view())[24, 32, 3] == 255
-        process = engine._process.popen
+        process = engine._engine.process.popen
     assert process.poll() == 0
 
 
@@ -217,7 +217,7 @@ def test_an_engine_that_will_not_end_is_ended_by_force(monkeypatch):
     monkeypatch.setattr(limits, "TERMINATE_S", 0.3)
     started = time.monotonic()
     with ready("stubborn") as engine:
-        process = engine._process.popen
+        process = engine._engine.process.popen
     assert process.poll() is not None
     assert time.monotonic() - started < 20
 

@@ -65,7 +65,7 @@ def test_a_start_that_fails_is_told_and_the_log_can_be_read(stand_in):
 
 def test_disabling_the_extension_ends_the_engine(stand_in):
     bpy.ops.jghand.start_engine()
-    process = runtime.link()._process.popen
+    process = runtime.link()._engine.process.popen
     runtime.unregister()
     assert process.poll() == 0
 

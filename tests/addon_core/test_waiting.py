@@ -1,0 +1,160 @@
+"""Whatever is asked, answered, given up and released in whatever order: everybody gets what is his, and nothing old."""
+
+from __future__ import annotations
+
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+
+from blender_addon.core import limits
+from blender_addon.core.messages import JGHandFailure
+from blender_addon.core.waiting import Call, Waiting
+from blender_addon.core.wire import protocol
+
+SLOTS = st.sampled_from("ab")
+TAGS = st.integers(0, 5)
+HEADER = {"kind": "info"}
+
+
+def reply(call: Call, **more: object) -> protocol.Message:
+    return protocol.Message({"kind": "reply", "id": call.id, "ok": True, "tag": call.tag, **more})
+
+
+class Histories(RuleBasedStateMachine):
+    """Two slots and exact requests against what they should be, kept in the simplest way."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.waiting = Waiting()
+        self.wanted: dict[str, int] = {}  # slot -> the tag that it wants
+        self.exact: list[Call] = []  # in their order, not answered and not given up
+        self.refused: set[int] = set()
+        self.now_s = 0.0
+
+    @rule(slot=SLOTS, tag=TAGS)
+    def ask(self, slot: str, tag: int) -> None:
+        needs = self.waiting.ask(slot, HEADER, None, tag)
+        if tag in self.refused and not self.waiting.expects(slot, tag):
+            assert not needs
+            assert self.waiting.answer(slot).failure is not None
+            self.wanted.pop(slot, None)
+        else:
+            self.wanted[slot] = tag
+            assert self.waiting.expects(slot, tag)
+
+    @rule()
+    def append(self) -> None:
+        self.exact.append(self.waiting.append(HEADER, None))
+
+    @rule()
+    def send(self) -> None:
+        before = self.waiting.flying
+        call = self.waiting.next(self.now_s)
+        if before is not None:
+            assert call is None
+        elif self.exact:
+            assert call is self.exact[0]
+        elif call is not None:
+            assert call.tag == self.wanted[call.slot]
+        else:
+            assert not self.wanted
+
+    @precondition(lambda self: self.waiting.flying is not None)
+    @rule(kind=st.sampled_from(["", "", "bad_input", "cancelled"]))
+    def answer(self, kind: str) -> None:
+        call = self.waiting.flying
+        more = {"ok": False, "error": {"kind": kind}} if kind else {}
+        self.waiting.take(reply(call, **more), self.now_s, "")
+        assert self.waiting.flying is None
+        if call.slot is None:
+            assert call.answer is not None
+            assert (call.answer.message is None) == bool(kind)
+            self.exact = [each for each in self.exact if each is not call]
+            return
+        if kind == "bad_input":
+            self.refused.add(call.tag)
+        if self.wanted.get(call.slot) == call.tag and call.given_up_s is None:
+            assert self.waiting.answer(call.slot).tag == call.tag
+            del self.wanted[call.slot]
+
+    @precondition(lambda self: self.waiting.flying is not None)
+    @rule(number=st.integers(-5, -1))
+    def answer_to_something_else(self, number: int) -> None:
+        before = self.waiting.flying
+        self.waiting.take(protocol.Message({"kind": "reply", "id": number, "ok": True}), self.now_s, "")
+        assert self.waiting.flying is before
+
+    @precondition(lambda self: self.exact)
+    @rule(data=st.data())
+    def give_up(self, data: st.DataObject) -> None:
+        call = data.draw(st.sampled_from(self.exact))
+        self.waiting.give_up(call, self.now_s)
+        self.exact.remove(call)
+        assert (call.id in self.waiting.cancels) == (call is self.waiting.flying)
+
+    @rule(slot=SLOTS)
+    def drop(self, slot: str) -> None:
+        self.waiting.drop(slot, self.now_s)
+        self.wanted.pop(slot, None)
+        assert self.waiting.answer(slot) is None
+
+    @rule(kind=st.sampled_from(["crashed", "stopped"]))
+    def release(self, kind: str) -> None:
+        flying = self.waiting.flying
+        self.waiting.release(JGHandFailure(kind))
+        if flying is not None and flying.slot is not None and kind == "crashed":
+            self.refused.add(flying.tag)
+        for call in self.exact:
+            assert call.answer.failure.kind == kind
+        for slot, tag in self.wanted.items():
+            assert self.waiting.answer(slot).tag == tag
+        self.exact, self.wanted = [], {}
+        assert self.waiting.next(self.now_s) is None
+        assert not self.waiting.cancels
+
+    @rule()
+    def forget(self) -> None:
+        self.waiting.forget_refused()
+        self.refused.clear()
+
+    @invariant()
+    def nobody_is_forgotten(self) -> None:
+        for slot, tag in self.wanted.items():
+            assert self.waiting.expects(slot, tag)
+
+
+TestHistories = Histories.TestCase
+TestHistories.settings = settings(max_examples=150, stateful_step_count=40, deadline=None)
+
+
+def test_slots_take_turns():
+    waiting = Waiting()
+    sent = []
+    for turn in range(6):
+        for slot in "abc":
+            waiting.ask(slot, HEADER, None, (slot, turn))
+        call = waiting.next(0.0)
+        sent.append(call.slot)
+        waiting.take(reply(call), 0.0, "")
+    assert sent == list("abcabc")
+
+
+def test_only_so_many_failures_are_remembered():
+    waiting = Waiting()
+    for tag in range(limits.REFUSED_MAX + 1):
+        waiting.ask("a", HEADER, None, tag)
+        waiting.take(reply(waiting.next(0.0), ok=False, error={"kind": "bad_input"}), 0.0, "")
+    assert waiting.ask("a", HEADER, None, 0)
+    assert not waiting.ask("b", HEADER, None, limits.REFUSED_MAX)
+
+
+def test_what_takes_too_long_is_known():
+    waiting = Waiting()
+    waiting.ask("a", HEADER, None, 0)
+    assert not waiting.is_overdue(1e6)
+    call = waiting.next(0.0)
+    assert not waiting.is_overdue(limits.LOAD_S)
+    assert waiting.is_overdue(limits.LOAD_S + 1)
+    waiting.give_up(call, 1.0)
+    assert not waiting.is_overdue(limits.SILENCE_S)
+    assert waiting.is_overdue(limits.SILENCE_S + 2)
