@@ -59,6 +59,11 @@ def still_action(name: str, curves: Iterable[tuple[str, int, float, str]]) -> bp
     return action
 
 
+def has_usd() -> bool:
+    """Whether this Blender was built with USD; some Linux distributions leave it out."""
+    return bool(getattr(bpy.app.build_options, "usd", False))
+
+
 def has_native_splats() -> bool:
     """Whether this Blender draws Gaussian splats itself."""
     kind = bpy.types.PointCloud.bl_rna.properties.get("type")
@@ -127,3 +132,10 @@ def use_alpha(combine: bpy.types.Node) -> None:
         combine.use_alpha = True
     else:
         combine.inputs["Use Alpha"].default_value = True
+
+
+def world_tree(world: bpy.types.World) -> bpy.types.NodeTree | None:
+    """The nodes of a world that are used; None where it has only a colour."""
+    # since 5.0 nodes are used wherever they are; asking `use_nodes` warns there
+    always = bpy.types.Scene.bl_rna.properties.get("compositing_node_group") is not None
+    return world.node_tree if always or world.use_nodes else None

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import bpy
 
+from . import versions
+
 
 def background(world: bpy.types.World | None) -> tuple[float, float, float]:
     """The world's colour, scene-linear: that of its background node, with the strength, where the node has one colour;
@@ -21,7 +23,7 @@ def background(world: bpy.types.World | None) -> tuple[float, float, float]:
 
 def _background_node(world: bpy.types.World) -> bpy.types.Node | None:
     """The background that goes straight into the output that is used."""
-    tree = world.node_tree if world.use_nodes else None
+    tree = versions.world_tree(world)
     output = tree.get_output_node("ALL") if tree is not None else None
     if output is None or not output.inputs["Surface"].links:
         return None

@@ -18,19 +18,23 @@ def scene_linear(rgba: np.ndarray) -> np.ndarray:
     The curve is that of straight colour, so alpha is divided out and multiplied in again.
     """
     out = np.zeros(rgba.shape, np.float32)
-    covered = rgba[..., 3] > 0
-    values = rgba[covered].astype(np.float32)
-    alpha = values[:, 3:]
-    values[:, :3] = _decoded(values[:, :3] / alpha) * alpha
-    out[covered] = values
+    box = _covered(rgba[..., 3])
+    values, alpha = rgba[box], rgba[box][..., 3]
+    divisor = np.where(alpha > 0, alpha, np.float32(1))
+    for channel in range(3):  # one after the other: small arrays stay in the cache
+        out[box][..., channel] = _decoded(values[..., channel] / divisor) * alpha
+    out[box][..., 3] = alpha
     return out
 
 
 def over(rgba: np.ndarray, background: Sequence[float]) -> np.ndarray:
     """A premultiplied linear picture on an opaque colour, linear too."""
     out = np.empty_like(rgba)
-    out[..., :3] = rgba[..., :3] + (1 - rgba[..., 3:]) * np.asarray(background, np.float32)
-    out[..., 3] = 1
+    out[...] = (*background, 1)
+    box = _covered(rgba[..., 3])
+    values, behind = rgba[box], 1 - rgba[box][..., 3]
+    for channel, colour in enumerate(background):
+        out[box][..., channel] = values[..., channel] + behind * np.float32(colour)
     return out
 
 
@@ -42,6 +46,15 @@ def depth_units(depth_m: np.ndarray, unit_m: float) -> np.ndarray:
 def from_bottom(values: np.ndarray) -> np.ndarray:
     """(H, W, …) with row 0 at the top -> flat float32 as a pass of Blender takes it."""
     return np.ascontiguousarray(values[::-1], np.float32).ravel()
+
+
+def _covered(alpha: np.ndarray) -> tuple[slice, slice]:
+    """The rows and columns outside of which a picture is empty."""
+    sides = []
+    for axis in (1, 0):
+        places = np.flatnonzero(alpha.any(axis))
+        sides.append(slice(places[0], places[-1] + 1) if len(places) else slice(0, 0))
+    return sides[0], sides[1]
 
 
 def _decoded(srgb: np.ndarray) -> np.ndarray:

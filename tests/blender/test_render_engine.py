@@ -134,9 +134,8 @@ def test_depth_is_in_blender_units(scene, tmp_path):
 def test_what_is_behind_the_hand_is_the_world(scene):
     world = bpy.data.worlds.new("World")
     scene.world, scene.render.film_transparent = world, False
-    node = (
-        next((node for node in world.node_tree.nodes if node.type == "BACKGROUND"), None) if world.use_nodes else None
-    )
+    tree = armature.versions.world_tree(world)
+    node = next((node for node in tree.nodes if node.type == "BACKGROUND"), None) if tree is not None else None
     if node is not None:
         node.inputs["Color"].default_value, node.inputs["Strength"].default_value = (0.2, 0.05, 0.4, 1.0), 0.5
         wanted = (0.1, 0.025, 0.2)
