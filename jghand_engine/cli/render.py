@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from jghand_engine.avatar.pose_range import OutOfRange
     from jghand_engine.cli.inputs import Motion
     from jghand_engine.cli.receipts import Receipts
+    from jghand_engine.cli.render_passes import PassWriter
     from jghand_engine.cli.timings import Timings
     from jghand_engine.splat.camera import Camera
     from jghand_engine.splat.effect_plan import Choice
@@ -43,7 +44,8 @@ Examples:
   jghand render --poses open,fist,point --hand right --out pictures --video hand.mp4
   jghand render --motion capture.npy --order mediapipe --hand right --fps 30 --out pictures
   jghand render --motion wave.npz --camera front --size 1024x1024 --frames 0:99 --out pictures
-  jghand render --poses open,fist --budget-ms 16 --out pictures"""
+  jghand render --poses open,fist --budget-ms 16 --out pictures
+  jghand render --motion wave.npz --out truth --passes depth,normal,ids,alpha,joints"""
 
 # what a transparent picture lies on in a video
 VIDEO_BACKGROUND = (0.91, 0.90, 0.89)
@@ -57,6 +59,9 @@ class Render:
     """Also write an MP4 video to this file."""
     budget_ms: Annotated[float | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="")] = None
     """Instead of a preset: the best settings that draw a picture in so many milliseconds on this machine."""
+    passes: Annotated[str | None, tyro.conf.arg(metavar="NAME,NAME,…", help_behavior_hint="")] = None
+    """Ground truth beside the pictures: depth, normal, ids (of hand and bones) and alpha as EXR (extra formats), joints
+    in 3D and 2D and which are visible; and the cameras for COLMAP and nerfstudio. docs/FORMATS.md says what is what."""
     motion: MotionOptions = field(default_factory=MotionOptions)
     avatar: AvatarOptions = field(default_factory=AvatarOptions)
     picture: PictureOptions = field(default_factory=PictureOptions)
@@ -78,6 +83,7 @@ class Render:
         # what can be refused is refused before anything is written
         size, background = pixels(self.picture.size), self.picture.background_rgb()
         effects = self._effects()
+        passes = self._passes()
         if self.video is not None:
             ffmpeg_program()
         avatar = load_avatar_called(self.avatar.avatar)
@@ -88,14 +94,17 @@ class Render:
         refuse_longer_render(self.out, len(motion.sequence))
         camera = self._camera(motion, size)
         settings, chosen = self._settings(avatar, camera)
-        renderer = HandRenderer(avatar, replace(settings, effects=effects, antialias=True, depth=False))
+        settings = replace(settings, effects=effects, antialias=True, depth=False)
+        renderer = HandRenderer(avatar, settings if passes is None else passes.settings(settings))
         through = self._with_lens(camera, motion)
+        if passes is not None:
+            passes.start(avatar, renderer, motion.sequence.joints_m, camera)
         make_folder(self.out)
         timings = Timings()
         started = time.perf_counter()
         write_json(self.out / "camera.json", camera_to_dict(camera))
         receipts, target = Receipts(), Target(self.out, background, shutter=self.effect.shutter)
-        pictures = render_pictures(renderer, motion.sequence.joints_m, through, target, timings, receipts)
+        pictures = render_pictures(renderer, motion.sequence.joints_m, through, target, timings, receipts, passes)
         if self.video is not None:
             from jghand_engine.exporters.video import write_video
 
@@ -103,6 +112,8 @@ class Render:
         else:
             for _ in pictures:
                 pass
+        if passes is not None:
+            passes.finish()
         seconds = time.perf_counter() - started
         unseen = out_of_range(avatar, motion)
         timings.show(f"{timings.frames} pictures of {camera.width} x {camera.height}, {len(avatar)} Gaussians")
@@ -125,6 +136,13 @@ class Render:
 
         self.effect.check()
         return Choice.parse(self.effect.effects)
+
+    def _passes(self) -> PassWriter | None:
+        if self.passes is None:
+            return None
+        from jghand_engine.cli.render_passes import PassWriter
+
+        return PassWriter(self.passes, self.out, self.effect)
 
     def _with_lens(self, camera: Camera, motion: Motion) -> Camera:
         """The camera with its lens, focused on the middle of the motion unless told otherwise."""
@@ -216,9 +234,10 @@ def render_pictures(
     target: Target,
     timings: Timings,
     receipts: Receipts | None = None,
+    passes: PassWriter | None = None,
 ) -> Iterator[np.ndarray]:
-    """Renders (F, 21, 3) level-order joints, writes every frame's PNG, and yields the frame as (H, W, 3) uint8 on a
-    background, as a video wants it."""
+    """Renders (F, 21, 3) level-order joints, writes every frame's PNG and passes, and yields the frame as (H, W, 3)
+    uint8 on a background, as a video wants it."""
     from jghand_engine.exporters.pictures import flatten, write_png
     from jghand_engine.splat.exposure import shutter_at
 
@@ -232,5 +251,9 @@ def render_pictures(
             started = time.perf_counter()
             write_png(target.path(index), frame.rgba if target.background is None else flat)
             timings.add_ms("writing the PNG", 1e3 * (time.perf_counter() - started))
+            if passes is not None:
+                started = time.perf_counter()
+                passes.add(index, frame, target.path(index))
+                timings.add_ms("passes", 1e3 * (time.perf_counter() - started))
             bar.advance(bar.task_ids[0])
             yield flat

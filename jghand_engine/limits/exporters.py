@@ -21,6 +21,15 @@ SPZ_LN_SIGMA_MIN = -10.0
 # gzip's level, 0..9, as the format's own library has it
 SPZ_GZIP_LEVEL = 6
 
+# ---- exporters: passes ----------------------------------------------------------------------------------------------
+# the skin around a joint is what lies in a slab of this half thickness across its bone: thin beside the shortest bone
+JOINT_SLAB_M = 0.004
+# which of the distances of that skin counts, percent: the largest are strays of the neighbouring finger
+JOINT_REACH_PERCENTILE = 95.0
+# a joint is visible when what is before it begins at most so many times that far from it: rays come in at an angle and
+# bent joints bulge, seen 1.3; what hides a joint begins from 1.6 on, and the thickness of a finger away as a rule
+JOINT_REACH_ROOM = 1.45
+
 # ---- exporters: USD -------------------------------------------------------------------------------------------------
 # spherical harmonics of band 0: colour = 0.5 + SH_C0 * coefficient
 SH_C0 = 0.28209479177387814

@@ -308,6 +308,10 @@ class HandRenderer:
         """
         return self._scene.render([joints_m], camera, shutter)
 
+    def bone_ids(self, camera: Camera) -> np.ndarray:
+        """As SceneRenderer's."""
+        return self._scene.bone_ids(camera)
+
 
 def _enlarged(frame: Frame, camera: Camera) -> Frame:
     """A frame of `halved(camera)` as one of `camera`."""

@@ -1,0 +1,90 @@
+"""`jghand render --passes`: ground truth beside the pictures.
+
+passes/frame_00000.exr    the maps of a picture, as channels
+joints.json               joints of every picture in 3D and 2D, and which of them one sees
+colmap/, transforms.json  the camera of every picture, for COLMAP and for nerfstudio
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from jghand_engine import __version__
+from jghand_engine.cli.console import write_json
+from jghand_engine.cli.options import EffectOptions
+from jghand_engine.errors import InputError
+from jghand_engine.exporters.camera_files import Shot, write_colmap, write_transforms
+from jghand_engine.exporters.exr import exr_package, write_exr
+from jghand_engine.exporters.passes import JOINTS, MAPS, JointWitness, channels, pass_names
+from jghand_engine.hand.joints import STANDARD_NAMES
+from jghand_engine.splat.effect_plan import Effect
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from jghand_engine.avatar.avatar import HandAvatar
+    from jghand_engine.splat.camera import Camera
+    from jghand_engine.splat.frame import Frame, HandRenderer
+    from jghand_engine.splat.settings import RenderSettings
+
+
+class PassWriter:
+    """Writes the passes in `text` into `folder`, picture by picture. InputError for unknown names, for a lens or
+    shutter, through which a pixel shows more than one place, and where the package for EXR is missing."""
+
+    def __init__(self, text: str, folder: Path, effect: EffectOptions) -> None:
+        self.names, self._folder = pass_names(text), folder
+        self._maps = [name for name in self.names if name in MAPS]
+        self._seen: list[dict] = []
+        self._shots: list[Shot] = []
+        if effect.shutter or effect.aperture:
+            raise InputError(
+                "--passes",
+                wanted="a moment through a pinhole",
+                came="--shutter or --aperture",
+                remedy="Render the passes in a run of their own, without them.",
+            )
+        if self._maps:
+            exr_package()
+
+    def settings(self, settings: RenderSettings) -> RenderSettings:
+        """The same with the maps that the passes need, in whole resolution. InputError where --effects forbids one."""
+        wanted = {Effect.DEPTH: set(self.names) != {"alpha"}, Effect.NORMALS: "normal" in self.names}
+        forbidden = [effect for effect, needed in wanted.items() if needed and not settings.effects.allows(effect)]
+        if forbidden:
+            raise InputError(
+                "--effects", wanted=f"also {' and '.join(forbidden)}, for --passes", came=str(settings.effects)
+            )
+        return replace(settings, depth=wanted[Effect.DEPTH], normals=wanted[Effect.NORMALS], half=False)
+
+    def start(self, avatar: HandAvatar, renderer: HandRenderer, joints_m: np.ndarray, camera: Camera) -> None:
+        """What is drawn. joints_m: (F, 21, 3) level order"""
+        self._renderer, self._joints_m, self._camera = renderer, joints_m, camera
+        self._hand, self._witness = avatar.handedness, JointWitness(avatar)
+
+    def add(self, index: int, frame: Frame, picture: Path) -> None:
+        """Writes the maps of a frame that was drawn just now, and keeps its joints."""
+        bones = self._renderer.bone_ids(self._camera) if "ids" in self.names else None
+        if self._maps:
+            about = {"jghand": __version__, "units": "metres", "axes": "camera: x right, y down, z forward"}
+            write_exr(self.path(picture), channels(frame, bones, self._maps), about)
+        if JOINTS in self.names:
+            view = self._witness.look(self._joints_m[index], self._camera, frame.depth_m)
+            self._seen.append({"picture": picture.name, **view.as_dict()})
+        self._shots.append(Shot(picture.name, self._camera))
+
+    def path(self, picture: Path) -> Path:
+        """The file of the maps of a picture."""
+        return self._folder / "passes" / f"{picture.stem}.exr"
+
+    def finish(self) -> None:
+        """Writes the files about all pictures."""
+        if JOINTS in self.names:
+            write_json(self._folder / "joints.json", {
+                "order": "standard", "names": list(STANDARD_NAMES), "unit": "m", "hand": str(self._hand),
+                "frames": self._seen,
+            })  # fmt: skip
+        write_colmap(self._folder / "colmap", self._shots)
+        write_transforms(self._folder / "transforms.json", self._shots)
