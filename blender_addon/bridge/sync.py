@@ -53,12 +53,9 @@ def _look_after(shown: list[views.View]) -> float:
         if views.take(view, moment):
             region.tag_redraw()
             _redraw_panels(soon=False)
-        if pacing.due_s(view.pace, view.settings) <= moment.now_s:
+        if views.is_due(view):
             views.look(view, moment, drawing=False)
-        due_s = pacing.due_s(view.pace, view.settings) - moment.now_s
-        if pacing.is_open(view.pace):
-            due_s = min(due_s, views.next_look_s(view))
-        soonest_s = min(soonest_s, max(due_s, limits.SHORTEST_TICK_S))
+        soonest_s = min(soonest_s, views.next_look_s(view))
     return soonest_s
 
 

@@ -8,6 +8,7 @@ only ever compared. When and what is asked is decided by core/pacing.py. Source:
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -231,10 +232,21 @@ def _ask(view: View, ask: pacing.Ask) -> None:
     clock.hasten(next_look_s(view))
 
 
+def is_due(view: View) -> bool:
+    """Whether a view should get a better picture now, though nothing changed."""
+    return view.part is not None and pacing.due_s(view.pace, view.settings) <= now_s()
+
+
 def next_look_s(view: View) -> float:
-    """In how many seconds the answer that a view waits for should be looked for: when the last one had come by then."""
-    since_s = now_s() - view.pace.asks[-1].asked_s if view.pace.asks else 0.0
-    return min(max(view.round_trip_s - since_s, limits.SHORTEST_TICK_S), limits.OPEN_TICK_S)
+    """In how many seconds a view should be looked at again: when a better picture is due, and while an answer is
+    awaited when the last one had come by then, and less and less often afterwards; inf when nothing is to come."""
+    if view.camera is None or view.part is None:
+        return math.inf
+    wait_s = pacing.due_s(view.pace, view.settings) - now_s()
+    if pacing.is_open(view.pace):
+        left_s = view.round_trip_s - (now_s() - view.pace.asks[-1].asked_s)
+        wait_s = min(wait_s, abs(left_s), limits.OPEN_TICK_S)
+    return max(wait_s, limits.SHORTEST_TICK_S)
 
 
 # ---- all views -------------------------------------------------------------------------------------------------------

@@ -317,6 +317,28 @@ def test_whatever_changes_the_picture_is_asked_for(link, extension, change):
     assert len(view.pace.asks) == len(before) + 1
 
 
+def test_the_timer_rests_once_everything_is_there(link, extension):
+    context = extension
+    context.scene.jghand.sharpen_when_still = False
+    view = view_on(context, add_hand(context))
+    assert limits.SHORTEST_TICK_S <= views.next_look_s(view) <= limits.OPEN_TICK_S
+    wait_for(context, view)
+    assert views.next_look_s(view) == float("inf")
+    assert not views.is_due(view)
+
+
+def test_a_hand_that_left_the_view_keeps_no_timer_busy(link, extension):
+    context = extension
+    hand = add_hand(context)
+    view = view_on(context, hand)
+    hand.location.x = 50.0
+    context.view_layer.update()
+    look(context, view, hand)
+    assert view.part is None
+    assert views.next_look_s(view) == float("inf")
+    assert not views.is_due(view)
+
+
 def test_a_failure_is_told_with_the_view_and_asked_for_no_more(full_link, extension):
     context = extension
     context.scene.jghand.sharpen_when_still = False
