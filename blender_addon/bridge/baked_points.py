@@ -14,6 +14,7 @@ import bpy
 
 from ..core.bakes import BakedHand
 from ..core.messages import JGHandFailure
+from . import versions
 
 # custom property of a playing object: the folder of its bake
 BAKE_PROPERTY = "jghand_bake"
@@ -24,7 +25,7 @@ _PATHS = "/Hand/Points,/Hand/Splats"
 
 def play(context: bpy.types.Context, hand: BakedHand, folder: Path) -> bpy.types.Object:
     """Imports the points of one baked hand into the scene. JGHandFailure: no_usd, no_bake."""
-    if not hasattr(bpy.ops.wm, "usd_import"):
+    if not versions.has_usd():
         raise JGHandFailure("no_usd")
     before = set(bpy.data.objects)
     try:

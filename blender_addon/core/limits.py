@@ -238,7 +238,7 @@ LOG_READ_BYTES = 2**20
 # a joint that is further from where it was baked has moved: above Blender's rounding, below what is seen
 BAKE_MOVED_M = 2e-5
 # the picture of a loss: size, air around it, thickness of the line in pixels; sRGB and alpha of ground and line
-CURVE_PX = (256, 96)
+CURVE_PX = (256, 160)
 CURVE_MARGIN_PX = 4
 CURVE_LINE_PX = 2
 CURVE_GROUND = (0.12, 0.12, 0.12, 1.0)

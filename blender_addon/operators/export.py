@@ -148,6 +148,8 @@ class PlayBake(Reporting, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
+        if not versions.has_usd():
+            return missing(cls, "This Blender was built without USD, so it cannot play a bake")
         return _poll_baked(cls, context)
 
     def run(self, context: bpy.types.Context) -> None:
@@ -235,8 +237,8 @@ class ExportSceneUsd(Reporting, bpy.types.Operator):
 
     @classmethod
     def poll(cls, _context: bpy.types.Context) -> bool:
-        if not hasattr(bpy.ops.wm, "usd_export"):
-            return missing(cls, "This Blender cannot write USD")
+        if not versions.has_usd():
+            return missing(cls, "This Blender was built without USD")
         if not getattr(usd_hook.JGHandUsdHook, "is_registered", False):
             return missing(cls, "This Blender's USD cannot be reached from Python, so splats cannot be added")
         return True

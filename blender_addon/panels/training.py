@@ -41,7 +41,7 @@ class TrainPanel(Sidebar, bpy.types.Panel):
         seen = _training_folder(context)
         _draw_buttons(layout, seen)
         if seen is not None:
-            _draw_course(layout, seen)
+            _draw_course(layout, context, seen)
 
 
 class TrainingSetPanel(Sidebar, bpy.types.Panel):
@@ -124,13 +124,16 @@ def _draw_buttons(layout: bpy.types.UILayout, seen: TrainingFolder | None) -> No
         row.operator("jghand.train", icon="PLAY").start = "new"
 
 
-def _draw_course(layout: bpy.types.UILayout, seen: TrainingFolder) -> None:
+# height of a picture in heights of a button: as wide as the sidebar is at first
+_PICTURE_UNITS = 9.0
+
+
+def _draw_course(layout: bpy.types.UILayout, context: bpy.types.Context, seen: TrainingFolder) -> None:
     if seen.sentence():
-        layout.label(text=seen.sentence(), translate=False)
-    if job_watch.curve_icon():
-        layout.template_icon(icon_value=job_watch.curve_icon(), scale=5.0)
-    if job_watch.preview_icon():
-        layout.template_icon(icon_value=job_watch.preview_icon(), scale=8.0)
+        common.paragraph(layout, context, seen.sentence())
+    for icon in (job_watch.curve_icon(), job_watch.preview_icon()):
+        if icon:
+            layout.template_icon(icon_value=icon, scale=_PICTURE_UNITS)
     if seen.avatar is not None:
         layout.operator("jghand.load_avatar", text="Use Preview", icon="HIDE_OFF").filepath = str(seen.avatar)
 

@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Bakes, exports and trainings as an artist meets them: progress, Esc, another file, what plays without the engine."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sys
+import time
+from pathlib import Path
+
+import bpy
+import numpy as np
+
+FRAMES = 24
+
+
+def step_the_panels_of_output_and_training_alone(window):
+    """The others are tried elsewhere; without them these are seen whole on one screen, and open."""
+    for name in ("pose", "bones", "motion", "picture", "quality", "advanced"):
+        window.module(f"panels.{name}").unregister()
+    for name in ("output", "training"):
+        module = window.module(f"panels.{name}")
+        module.unregister()
+        for panel in module._CLASSES:
+            panel.bl_options = set()
+        module.register()
+
+
+def step_an_animated_hand(window):
+    for thing in list(bpy.data.objects):
+        bpy.data.objects.remove(thing)
+    scene = bpy.context.scene
+    scene.frame_start, scene.frame_end = 1, FRAMES
+    yield from window.open_sidebar("JGHand")
+    window.call("jghand.add_hand", handedness="right")
+    yield 1.0
+    hand = bpy.context.view_layer.objects.active
+    hand.jghand.avatar = "painted"
+    for frame, pose in ((1, "flat"), (FRAMES, "fist")):
+        scene.frame_set(frame)
+        window.call("jghand.apply_pose", pose=pose, use_keys=True)
+        yield 0.2
+    scene.frame_set(12)
+    bpy.ops.wm.save_as_mainfile(filepath=str(window.out / "scene.blend"))
+    yield 0.5
+
+
+def step_escape_ends_the_reading_of_an_animation(window):
+    scene = bpy.context.scene
+    scene.frame_end = 20000
+    assert window.call("jghand.bake") == {"RUNNING_MODAL"}
+    yield 1.5
+    window.picture("reading")
+    yield from window.point_at_view()
+    yield from window.key("Escape")
+    yield 1.0
+    assert scene.frame_current == 12
+    assert window.runtime().jobs().get("output") is None
+    scene.frame_end = FRAMES
+
+
+def step_escape_ends_the_job_and_leaves_no_bake(window):
+    jobs = window.runtime().jobs()
+    window.call("jghand.bake")
+    yield lambda: jobs.get("output") is not None
+    window.redraw()
+    yield 1.0
+    window.picture("baking")
+    yield from window.point_at_view()
+    yield from window.key("Escape")
+    yield lambda: jobs.get("output").is_over
+    assert jobs.get("output").state.phase.value == "cancelled"
+    assert not list(window.out.glob("jghand_bake/*/bake.json"))
+
+
+def step_a_bake_is_made_beside_blenders_own_work(window):
+    jobs = window.runtime().jobs()
+    started = time.monotonic()
+    window.call("jghand.bake")
+    yield lambda: jobs.get("output").state.phase.value == "done"
+    print(f"JGHAND baked {FRAMES} frames in {time.monotonic() - started:.1f} s", flush=True)
+    (stamp,) = window.out.glob("jghand_bake/*/bake.json")
+    assert json.loads(stamp.read_text())["hands"][0]["frames"] == FRAMES
+    window.redraw()
+    yield 0.5
+    window.picture("baked")
+
+
+def step_the_bake_plays_as_an_object(window):
+    hand = bpy.context.view_layer.objects.active
+    if not bpy.app.build_options.usd:
+        window.redraw()
+        yield 0.5
+        window.picture("no_usd")
+        return
+    window.call("jghand.play_bake")
+    yield 1.0
+    (cloud,) = [thing for thing in bpy.data.objects if thing.type == "POINTCLOUD"]
+    assert bpy.context.view_layer.objects.active == hand
+    seen = []
+    for frame in (1, 12, FRAMES):
+        bpy.context.scene.frame_set(frame)
+        yield 0.5
+        now = cloud.evaluated_get(bpy.context.evaluated_depsgraph_get())
+        values = np.zeros(len(now.data.attributes["position"].data) * 3, np.float32)
+        now.data.attributes["position"].data.foreach_get("vector", values)
+        seen.append(values)
+    assert np.abs(seen[0] - seen[1]).max() > 0.005
+    assert np.abs(seen[1] - seen[2]).max() > 0.005
+    window.space().shading.type = "MATERIAL"
+    window.redraw()
+    yield 4.0
+    window.picture("playing")
+    window.space().shading.type = "SOLID"
+
+
+def step_a_bake_of_another_pose_is_not_played_silently(window):
+    hand = bpy.context.view_layer.objects.active
+    hand.location.x += 0.1
+    yield 0.3
+    problem = ""
+    try:
+        with window.override():
+            (bpy.ops.jghand.play_bake if bpy.app.build_options.usd else bpy.ops.jghand.check_bake)()
+    except RuntimeError as error:
+        problem = str(error)
+    assert "another way" in problem, problem
+    window.picture("stale")
+    hand.location.x -= 0.1
+    window.call("jghand.clear_bake")
+    yield 0.3
+    assert not [thing for thing in bpy.data.objects if thing.type == "POINTCLOUD"]
+
+
+def step_usd_ply_and_motion_files_are_exported(window):
+    jobs, settings = window.runtime().jobs(), bpy.context.scene.jghand.output
+    for kind, pattern, count in (("usd", "*.usda", 2), ("ply", "*.ply", FRAMES), ("motion", "*.npz", 1)):
+        settings.format, settings.folder = kind, f"//{kind}"
+        jobs.forget("output")
+        window.call("jghand.export")
+        if kind != "motion":
+            yield lambda: jobs.get("output") is not None and jobs.get("output").state.phase.value == "done"
+        folder = window.out / kind
+        yield lambda folder=folder, pattern=pattern, count=count: len(list(folder.glob(pattern))) == count
+    window.picture("exported")
+
+
+def step_a_training_survives_opening_another_file(window):
+    """The engine's command line is stood in for by a program that counts: what is tried is Blender's side."""
+    runtime, table = window.runtime(), window.runtime().jobs()
+    stand_in = Path(__file__).parents[1] / "addon_core" / "stand_in_job.py"
+    runtime.program = lambda: (sys.executable, "-I", str(stand_in), "long")
+    pictures = window.out / "jghand_capture"
+    pictures.mkdir()
+    work = window.out / "my_hand.training"
+    (work / "pictures").mkdir(parents=True)
+    (work / "training.json").write_text("{}")
+    shots = sorted(window.out.glob("*_baked.png"))
+    shutil.copy(shots[-1], work / "pictures" / "step_00000500.png")
+    lines = [json.dumps({"step": step, "loss": 3.0 / (1 + step) + 0.1}) for step in range(0, 2000, 25)]
+    (work / "log.jsonl").write_text("\n".join([*lines, '{"step": 2000, "psnr": 27.1}', ""]))
+    window.call("jghand.train", start="resume")
+    yield lambda: table.get("training").state.total > 0
+    bpy.context.scene.jghand.output.format = "usd"
+    window.redraw()
+    yield 1.5
+    window.picture("training")
+    job = table.get("training")
+    bpy.ops.wm.open_mainfile(filepath=str(window.out / "scene.blend"))
+    yield 1.0
+    assert table.get("training") is job
+    before = job.state.done
+    yield lambda: job.state.done > before  # the timer looks after it in the other file too
+    bpy.ops.jghand.pause_training()
+    yield lambda: job.state.phase.value == "paused"
+    bpy.ops.jghand.resume_training()
+    yield lambda: job.state.phase.value == "running" and job.state.total > 0
+    bpy.ops.jghand.cancel_job(key="training")
+    yield lambda: job.state.phase.value == "cancelled"
