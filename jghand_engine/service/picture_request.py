@@ -220,7 +220,15 @@ def _exposures(message: Message, hands: int) -> tuple[Exposure, ...]:
         joints = _numbers(message, "joints", (count, hands, JOINTS, 3))
         places = _rigid(message, "world_from_hand", (count, hands, 4, 4))
     return tuple(
-        Exposure(*map(float, pinholes[i]), cameras[i], joints[i], places[i], *map(float, lenses[i]), float(weights[i]))
+        Exposure(
+            *map(float, pinholes[i]),
+            camera_from_world=cameras[i],
+            joints_m=joints[i],
+            world_from_hand=places[i],
+            aperture_m=float(lenses[i, 0]),
+            focus_m=float(lenses[i, 1]),
+            weight=float(weights[i]),
+        )
         for i in range(count)
     )
 

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from stand_in_engine import StandInHands
 
 from jghand_engine.errors import InputError, MemoryLimitError, RetryError
@@ -219,3 +223,44 @@ def test_every_failure_has_its_kind():
         answer = error_header(error)
     assert answer["kind"] == "internal"
     assert len(answer["detail"]) <= 8000
+
+
+# ---- anything at all ------------------------------------------------------------------------------------------------
+
+SCALARS = (
+    st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(max_size=8)
+)
+ANYTHING = st.recursive(
+    SCALARS, lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner, max_size=3)
+)
+FIELDS = ("width", "height", "outputs", "hands", "settings", "orthographic", "kind")
+SHAPES = st.lists(st.integers(1, 5), min_size=1, max_size=4)
+ARRAYS = ("pinholes", "lenses", "weights", "camera_from_world", "joints", "world_from_hand")
+NUMBERS = st.sampled_from([0.0, 1.0, -1.0, np.nan, np.inf, 1e308, 1e-308])
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.sampled_from(FIELDS), ANYTHING)
+def test_whatever_stands_in_a_header_is_a_picture_or_bad_input(name, value):
+    message = request()
+    message.header[name] = value
+    with contextlib.suppress(InputError, MemoryLimitError):
+        run(message)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.sampled_from(ARRAYS), SHAPES, NUMBERS, st.sampled_from([np.float32, np.float64, np.uint8, np.int32]))
+def test_whatever_comes_as_an_array_is_a_picture_or_bad_input(name, shape, number, dtype):
+    with np.errstate(all="ignore"):
+        array = np.full(shape, number).astype(dtype)
+    with contextlib.suppress(InputError):
+        run(request(arrays={name: array}))
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.integers(0, 15), NUMBERS)
+def test_whatever_number_stands_in_a_camera_is_a_picture_or_bad_input(place, number):
+    camera = np.eye(4)
+    camera.flat[place] = number
+    with contextlib.suppress(InputError):
+        run(request(arrays={"camera_from_world": camera[None]}))
