@@ -31,6 +31,8 @@ ENDS = (
     ("head", "Head", "The joint is where the bone begins", "NONE", 0),
     ("tail", "Tail", "The joint is where the bone ends: the tip of a finger that has no bone of its own", "NONE", 1),
 )
+# a hand that is linked from another file, and overridden, keeps settings of its own
+OVERRIDABLE = {"LIBRARY_OVERRIDABLE"}
 FINGER_ITEMS = tuple((name, name.capitalize(), f"The {name} finger", "NONE", at) for at, name in enumerate(FINGERS))
 
 # Blender keeps no texts of dynamic items: they are remembered here, by hand and by whether there are pictures
@@ -99,23 +101,27 @@ class JGHandObjectSettings(bpy.types.PropertyGroup):
         description="File of the avatar that is drawn on this hand. Empty: the one that comes with JGHand",
         subtype="FILE_PATH",
         options=path_options(),
+        override=OVERRIDABLE,
     )  # type: ignore[valid-type]
     show_in_viewport: bpy.props.BoolProperty(
         name="Show in Viewport",
         description="Draw the avatar of this hand in Solid and Material Preview",
         default=True,
+        override=OVERRIDABLE,
     )  # type: ignore[valid-type]
     bake: bpy.props.StringProperty(
         name="Bake",
         description="Folder of this hand's bake. Empty: it was not baked",
         subtype="DIR_PATH",
         options=path_options(),
+        override=OVERRIDABLE,
     )  # type: ignore[valid-type]
     map_hand: bpy.props.EnumProperty(
         name="Hand",
         description="Whose bones the list shows",
         items=HANDS,
         default="right",
+        override=OVERRIDABLE,
     )  # type: ignore[valid-type]
     joints: bpy.props.CollectionProperty(type=JGHandJoint)  # type: ignore[valid-type]
     active_joint: bpy.props.IntProperty(name="Joint", description="The joint that is selected in the list")  # type: ignore[valid-type]
@@ -213,7 +219,7 @@ def register() -> None:
     """Adds `object.jghand`, `scene.jghand` and `window_manager.jghand`."""
     register_classes(_CLASSES)
     for owner, settings in _OWNERS:
-        owner.jghand = bpy.props.PointerProperty(type=settings)
+        owner.jghand = bpy.props.PointerProperty(type=settings, override=OVERRIDABLE)
 
 
 def unregister() -> None:

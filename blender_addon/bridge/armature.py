@@ -38,6 +38,7 @@ def build_armature(context: bpy.types.Context, name: str, joints_m: np.ndarray, 
     matrices = posing.rest_matrices(np.asarray(joints_m), handedness)
     unit_m = context.scene.unit_settings.scale_length
     armature = bpy.data.armatures.new(name)
+    armature.display_type = "STICK"  # thicker bones hide the hand that is drawn on them
     hand = bpy.data.objects.new(name, armature)
     hand[HANDEDNESS_PROPERTY] = handedness
     hand.id_properties_ui(HANDEDNESS_PROPERTY).update(description="Which hand this armature is: right or left")

@@ -101,23 +101,23 @@ def bake_steps(context: bpy.types.Context, hand: bpy.types.Object, frames: Seque
 
 def mute_controls(hand: bpy.types.Object, muted: bool) -> None:
     """Switches the effect of the whole layer off or on; a motion can be keyed while it is off."""
-    for rule in _rules(hand):
+    for rule in rules_of(hand):
         rule.mute = muted
 
 
 def controls_are_muted(hand: bpy.types.Object) -> bool:
     """Whether every rule of the layer is off."""
-    return all(rule.mute for rule in _rules(hand))
+    return all(rule.mute for rule in rules_of(hand))
 
 
 def joint_limits_are_used(hand: bpy.types.Object) -> bool:
     """Whether any joint has its limits."""
-    return any(rule.name == LIMIT and not rule.mute for rule in _rules(hand))
+    return any(rule.name == LIMIT and not rule.mute for rule in rules_of(hand))
 
 
 def use_joint_limits(hand: bpy.types.Object, used: bool) -> None:
     """Switches the anatomical limits of the 15 moving bones on or off; tips keep them in any case."""
-    for rule in _rules(hand):
+    for rule in rules_of(hand):
         if rule.name == LIMIT:
             rule.mute = not used
 
@@ -178,7 +178,7 @@ def _check_editable(context: bpy.types.Context, hand: bpy.types.Object) -> None:
         hand.data = hand.data.copy()
 
 
-def _rules(hand: bpy.types.Object) -> Iterator[bpy.types.Constraint]:
+def rules_of(hand: bpy.types.Object) -> Iterator[bpy.types.Constraint]:
     """The constraints of the layer on the 21 bones."""
     for name in NAMES:
         if name in hand.pose.bones:

@@ -82,12 +82,13 @@ class Button:
 
 @dataclass(frozen=True)
 class StatusText:
-    """The state of the engine. text: one line, with since when · remedy: what an artist can do, "" when all is well ·
-    detail: the small print."""
+    """The state of the engine. text: one line · remedy: what an artist can do, "" when all is well · since: since when,
+    where the line does not say it · detail: the small print."""
 
     text: str
     good: bool
     remedy: str = ""
+    since: str = ""
     detail: str = ""
     buttons: tuple[Button, ...] = ()
 
@@ -143,8 +144,8 @@ def status_text(status: Any, frame_ms: float | None = None, translate: Translate
     if state == "slow":
         text = translate("The engine is not answering")
         remedy = translate("It may be at work: wait, or restart it")
-        detail = translate("Running for {since}").format(since=since)
-        return StatusText(text, False, remedy, detail, (Button("jghand.restart_engine", "Restart"), stop))
+        running = translate("Running for {since}").format(since=since)
+        return StatusText(text, False, remedy, running, buttons=(Button("jghand.restart_engine", "Restart"), stop))
     facts = status.handshake or {}
     parts = [translate("Ready"), str(facts.get("device", "")).upper() or None]
     if frame_ms is not None:
@@ -207,10 +208,9 @@ def _failed(failure: Any, since: str, translate: Translate) -> StatusText:
     if failure is None:
         return StatusText(translate("The engine stopped"), False, buttons=(Button(*_START), log))
     mend = Button(*_MENDS.get(failure.kind, _START))
-    detail = translate("{since} ago").format(since=since)
-    detail = f"{detail} · {failure.detail}" if failure.detail else detail
     sentence, remedy = translate(failure.advice.sentence), translate(failure.advice.remedy)
-    return StatusText(sentence, False, remedy, detail, (mend, log))
+    ago = translate("{since} ago").format(since=since)
+    return StatusText(sentence, False, remedy, ago, failure.detail, (mend, log))
 
 
 def _total(report: Mapping[str, Any], total_ms: float, budget_ms: float | None, translate: Translate) -> Line:

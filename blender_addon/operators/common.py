@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Iterator
 from typing import Any
@@ -135,6 +136,19 @@ class InTurns(Reporting):
         return template.format(working=rpt_(self.working), percent=round(100 * part), left=round(left_s))
 
 
+@contextlib.contextmanager
+def wait_cursor(context: bpy.types.Context) -> Iterator[None]:
+    """The pointer that says wait, for what takes a second at most and cannot be cut into turns."""
+    window = None if bpy.app.background else context.window
+    if window is not None:
+        window.cursor_modal_set("WAIT")
+    try:
+        yield
+    finally:
+        if window is not None:
+            window.cursor_modal_restore()
+
+
 def redraw(context: bpy.types.Context) -> None:
     """Views and their sidebars show what was done, whoever did it."""
     for area in context.screen.areas if context.screen is not None else ():
@@ -144,7 +158,7 @@ def redraw(context: bpy.types.Context) -> None:
 
 def missing(operator: type, sentence: str) -> bool:
     """For `poll`: says what is missing; False."""
-    operator.poll_message_set(sentence)
+    operator.poll_message_set(rpt_(sentence))
     return False
 
 

@@ -87,7 +87,6 @@ class AddHand(Reporting, bpy.types.Operator):
         hand = armature.build_armature(context, name, posing.rest_joints_m(self.handedness), self.handedness)
         common.link_to_active_collection(context, hand)
         hand.location = context.scene.cursor.location
-        hand.data.display_type = "STICK"  # thicker bones hide the hand that is drawn on them
         if self.use_controls:
             controls.add_controls(context, hand)
         common.make_active(context, hand)
@@ -203,7 +202,7 @@ class UseObjects(Reporting, bpy.types.Operator):
             return missing(cls, "Go to object mode first")
         count = len(context.view_layer.objects.selected)
         if count < len(NAMES):
-            return missing(cls, f"Select 21 objects, one per joint: {count} are selected")
+            return missing(cls, rpt_("Select 21 objects, one per joint: {count} are selected").format(count=count))
         return True
 
     def run(self, context: bpy.types.Context) -> None:

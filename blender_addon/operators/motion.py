@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from pathlib import Path
 
 import bpy
@@ -36,6 +38,8 @@ class ImportMotion(Reporting, ImportHelper, bpy.types.Operator):
     bl_options = UNDOABLE_IMPORT
 
     filename_ext = ".npz"
+    # not remembered: a path that is there when the operator is called was dropped, and is taken without asking
+    filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})  # type: ignore[valid-type]
     filter_glob: bpy.props.StringProperty(default=";".join(f"*{suffix}" for suffix in SUFFIXES), options={"HIDDEN"})  # type: ignore[valid-type]
     target: bpy.props.EnumProperty(name="Onto", description="Which hand takes it", items=_TARGETS)  # type: ignore[valid-type]
     first_frame: bpy.props.IntProperty(name="First Frame", description="Where the motion begins", default=1)  # type: ignore[valid-type]
@@ -67,18 +71,24 @@ class ImportMotion(Reporting, ImportHelper, bpy.types.Operator):
         column.prop(self, "use_scene_range")
 
     def run(self, context: bpy.types.Context) -> None:
-        path = Path(bpy.path.abspath(self.filepath))
+        with common.wait_cursor(context):
+            self._import(context, Path(bpy.path.abspath(self.filepath)))
+
+    def _import(self, context: bpy.types.Context, path: Path) -> None:
         content = read_motion(path)
         common.object_mode(context)
         hand = self._hand(context, content)
-        told = _free(hand) if hand is not None and controls.has_controls(hand) else ""
-        done = motion.import_motion(context, content, path.stem, hand=hand, first_frame=self.first_frame)
+        controlled = hand is not None and controls.has_controls(hand)
+        with _controls_off(hand) if controlled else contextlib.nullcontext():
+            done = motion.import_motion(context, content, path.stem, hand=hand, first_frame=self.first_frame)
+        told = ""
         if hand is None:
             common.link_to_active_collection(context, done.hand)
-        elif told:
+        elif controlled:
             controls.reset_controls(hand)
             controls.mute_controls(hand, False)
             controls.use_joint_limits(hand, False)
+            told = rpt_("Finger controls are neutral and joint limits off, so that the motion is kept exactly.")
         common.make_active(context, done.hand)
         last = self._range(context, content)
         frames = rpt_("{count} frames from {first} to {last} on {name}.").format(
@@ -123,10 +133,16 @@ class MotionDrop(bpy.types.FileHandler):
         return context.area is not None and context.area.type == "VIEW_3D"
 
 
-def _free(hand: bpy.types.Object) -> str:
-    """Switches the control layer off, so that keys alone move the bones; what is told about it."""
+@contextlib.contextmanager
+def _controls_off(hand: bpy.types.Object) -> Iterator[None]:
+    """Without the control layer keys alone move the bones; what else moves them still refuses a motion."""
+    rules = {rule: rule.mute for rule in controls.rules_of(hand)}
     controls.mute_controls(hand, True)
-    return rpt_("Finger controls are neutral and joint limits off, so that the motion is kept exactly.")
+    try:
+        yield
+    finally:
+        for rule, muted in rules.items():
+            rule.mute = muted
 
 
 _CLASSES = (ImportMotion, MotionDrop)

@@ -62,8 +62,8 @@ def draw_status(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     common.paragraph(box, context, status.text, icon="ERROR")
     if status.remedy:
         common.paragraph(box, context, status.remedy, icon="BLANK1")
-    if status.detail:
-        common.explained(box, panel_text.Line(iface_("Details"), tip=status.detail), icon="INFO")
+    if status.since or status.detail:
+        common.explained(box, panel_text.Line(status.since or iface_("Details"), tip=status.detail), icon="INFO")
     row = box.row(align=True)
     for button in buttons:
         row.operator(button.operator, text=button.label)
@@ -114,7 +114,7 @@ def _draw_problems(layout: bpy.types.UILayout, context: bpy.types.Context, told:
         sentence = iface_(failure.advice.sentence)
         common.paragraph(box, context, f"{name}: {sentence}" if name else sentence, icon="ERROR")
         common.paragraph(box, context, failure.advice.remedy, icon="BLANK1")
-        if failure.detail:
+        if failure.detail not in ("", name):
             common.explained(box, panel_text.Line(iface_("Details"), tip=failure.detail), icon="INFO")
 
 

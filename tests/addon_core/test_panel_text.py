@@ -42,7 +42,7 @@ def test_every_failure_says_what_happened_when_and_what_to_do(kind):
     assert not said.good
     assert said.text == ADVICE[kind].sentence
     assert said.remedy == ADVICE[kind].remedy
-    assert said.detail == "2 min ago · line 7"
+    assert (said.since, said.detail) == ("2 min ago", "line 7")
     assert len(said.buttons) == 2
 
 

@@ -97,7 +97,7 @@ def test_hands_of_another_file_keep_their_settings(extension, tmp_path, linked):
         bpy.ops.jghand.apply_pose(pose="fist")
 
 
-def test_a_library_override_of_a_hand_can_be_posed(extension, tmp_path):
+def test_a_library_override_of_a_hand_can_be_posed_and_has_settings_of_its_own(extension, tmp_path):
     two_hands()
     path = str(tmp_path / "hands.blend")
     bpy.ops.wm.save_as_mainfile(filepath=path)
@@ -111,6 +111,15 @@ def test_a_library_override_of_a_hand_can_be_posed(extension, tmp_path):
     own.select_set(True)
     bpy.ops.jghand.apply_pose(pose="fist")
     assert np.abs(joints_of(own) - posing.rest_joints_m("right")).max() > 0.05
+    assert own.jghand.avatar == "right.jghand"
+    own.jghand.avatar = "other.jghand"
+    own.jghand.show_in_viewport = False
+    name = own.name
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "shot.blend"))
+    own = next(thing for thing in bpy.data.objects if thing.name == name and thing.override_library)
+    assert (own.jghand.avatar, own.jghand.show_in_viewport) == ("other.jghand", False)
 
 
 def test_undo_and_redo_of_a_bone_that_was_chosen(extension):

@@ -392,6 +392,15 @@ def test_a_motion_of_the_other_side_or_without_a_hand_makes_a_new_hand(extension
     assert "no hand is active" in refuses(bpy.ops.jghand.import_motion, filepath=path, target="ACTIVE")
 
 
+def test_a_motion_that_is_refused_leaves_the_controls_as_they_were(extension, tmp_path):
+    path = str(write_motion(tmp_path / "wave.npz", hands.moving_hand_m("right"), "right"))
+    thing = add("right")
+    thing.pose.bones["index1"].constraints.new("COPY_ROTATION").name = "Mine"
+    before = [(rule.name, rule.mute) for bone in thing.pose.bones for rule in bone.constraints]
+    assert "index1: Mine" in refuses(bpy.ops.jghand.import_motion, filepath=path)
+    assert [(rule.name, rule.mute) for bone in thing.pose.bones for rule in bone.constraints] == before
+
+
 def test_a_motion_with_gaps_says_so(extension, tmp_path, capfd):
     joints = hands.moving_hand_m("right").tolist()
     joints[2][5] = None
@@ -414,7 +423,8 @@ def test_motion_files_can_be_dropped_into_the_viewport(extension):
     handler = bpy.types.JGHAND_FH_motion
     assert handler.bl_import_operator == "jghand.import_motion"
     assert set(handler.bl_file_extensions.split(";")) == {".npz", ".json", ".csv"}
-    assert "filepath" in operator_type("jghand.import_motion").properties
+    # a remembered path would be taken for one that was dropped
+    assert operator_type("jghand.import_motion").properties["filepath"].is_skip_save
 
 
 def test_selecting_a_hand_stays_in_pose_mode(extension):

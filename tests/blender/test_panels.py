@@ -20,6 +20,7 @@ PANELS = {
     for module in registration.MODULES
     for panel in vars(module).values()
     if isinstance(panel, type) and issubclass(panel, bpy.types.Panel) and hasattr(panel, "bl_idname")
+    if panel.bl_space_type == "VIEW_3D"
 }
 READY = Status("ready", 90.0, None, {"device": "cpu", "engine_version": "0.1.0", "pid": 7, "protocol": 2})
 RECEIPT = {
