@@ -21,6 +21,9 @@ RENDERERS_MAX = 8
 EXPOSURES_MAX = 64
 # renderers of other settings are asked for one frame in so many milliseconds; a minute is no frame any more
 BUDGET_MAX_MS = 60_000.0
+# sizes that are measured for budgets: widths, px, about half as many pixels more from one to the next; width over height
+BUDGET_WIDTHS_PX = (256, 384, 512, 640, 768, 1024, 1280, 1536, 1920, 2560, 3840)
+BUDGET_ASPECT = 1.5
 # letters of a text among the settings of a picture
 SETTING_TEXT_MAX = 200
 # metres of places in a request: beyond any scene, and far from where float64 overflows

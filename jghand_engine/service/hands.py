@@ -88,7 +88,7 @@ class EngineHands:
         from jghand_engine.splat.frame import SceneRenderer
 
         asked = replace(picture.settings, shadow_strength=1.0)
-        size_px = (picture.width, picture.height) if asked.budget_ms is not None else None
+        size_px = _measured_size(picture.width * picture.height) if asked.budget_ms is not None else None
         key = _Key(picture.hands, asked, picture.depth, size_px)
         if key not in self._renderers:
             avatars = [self._avatar(hand) for hand in picture.hands]
@@ -134,6 +134,14 @@ def _settings(asked: PictureSettings, avatars: list[HandAvatar], size_px: tuple[
     if asked.effects != "auto":
         settings = replace(settings, effects=Choice.parse(asked.effects))
     return settings
+
+
+def _measured_size(pixels: int) -> tuple[int, int]:
+    """The least size of a few that has so many pixels: each is measured for two seconds when it is first met, and a
+    view's pictures change theirs all the time."""
+    widths = limits.BUDGET_WIDTHS_PX
+    sizes = [(width, round(width / limits.BUDGET_ASPECT)) for width in widths]
+    return next((size for size in sizes if size[0] * size[1] >= pixels), sizes[-1])
 
 
 def _thinned(avatar: HandAvatar, gaussians: int, density: float) -> HandAvatar:

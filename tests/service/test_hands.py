@@ -324,6 +324,7 @@ def fist_of(hand: Hand) -> Hand:
 
 
 def test_a_budget_chooses_settings(source, right, monkeypatch):
+    """What is measured for it is one of a few sizes, not each that a view ever has."""
     asked_for = []
 
     def bought(budget_ms, avatar, size_px, threads=0):
@@ -331,7 +332,10 @@ def test_a_budget_chooses_settings(source, right, monkeypatch):
         return preset("draft")
 
     monkeypatch.setattr(RenderSettings, "for_budget", bought)
-    for _ in range(2):
-        report = source.render(asked([right], settings=PictureSettings("final", budget_ms=9.0))).report
-    assert asked_for == [(9.0, (120, 90))]
+    request = asked([right], settings=PictureSettings("final", budget_ms=9.0))
+    for width, height in ((120, 90), (150, 100), (80, 400)):
+        report = source.render(replace(request, width=width, height=height)).report
+    assert asked_for == [(9.0, (256, 171))]
     assert report["gaussians"] == 20_000
+    source.render(replace(request, width=512, height=334))
+    assert asked_for[1:] == [(9.0, (512, 341))]
