@@ -21,7 +21,7 @@ RENDERERS_MAX = 8
 EXPOSURES_MAX = 64
 # renderers of other settings are asked for one frame in so many milliseconds; a minute is no frame any more
 BUDGET_MAX_MS = 60_000.0
-# sizes that are measured for budgets: widths, px, about half as many pixels more from one to the next; width over height
+# sizes that are measured for budgets: widths, px, each with about twice the pixels of the one before; width over height
 BUDGET_WIDTHS_PX = (256, 384, 512, 640, 768, 1024, 1280, 1536, 1920, 2560, 3840)
 BUDGET_ASPECT = 1.5
 # letters of a text among the settings of a picture
