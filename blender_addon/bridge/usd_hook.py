@@ -11,8 +11,6 @@ refuses to write a file whose layer somebody holds. Source: BLENDER 9.
 
 from __future__ import annotations
 
-import contextlib
-import os
 import shutil
 import traceback
 from pathlib import Path
@@ -31,7 +29,7 @@ SPLAT_TYPE = "ParticleField3DGaussianSplat"
 notes: list[str] = []
 
 
-class JGHandUsdHook(bpy.types.USDHook):
+class JGHandUsdHook(getattr(bpy.types, "USDHook", object)):  # a Blender may be built without USD
     """The hook; see the module."""
 
     bl_idname = "jghand_usd_hook"
@@ -95,24 +93,26 @@ def _last(hand: bakes.BakedHand) -> int:
 
 
 def _bring_layers(hand: bakes.BakedHand, folder: Path, target: Path) -> None:
-    """The layers beside the exported file: linked where the disk can, else copied."""
+    """Copies of the layers beside the exported file, so that both can be given away."""
     for suffix in (".rig.usdc", ".splats.usdc", ".usda"):
         source, copy = folder / f"{hand.name}{suffix}", target / f"{hand.name}{suffix}"
-        if copy.exists() and copy.samefile(source):
-            continue
         try:
-            copy.unlink(missing_ok=True)
-            with contextlib.suppress(OSError):
-                os.link(source, copy)
-            if not copy.exists():
-                shutil.copyfile(source, copy)
+            if copy.exists() and (copy.samefile(source) or _same(source, copy)):
+                continue
+            shutil.copy2(source, copy)
         except OSError as error:
             raise JGHandFailure("cannot_write", f"{copy}: {error.strerror or error}") from error
 
 
+def _same(source: Path, copy: Path) -> bool:
+    """Whether a copy is of this very file: size and time, which copies keep."""
+    one, other = source.stat(), copy.stat()
+    return (one.st_size, int(one.st_mtime)) == (other.st_size, int(other.st_mtime))
+
+
 def _reference(stage: Any, hand: bakes.BakedHand, scene: bpy.types.Scene) -> None:
     """One prim under Blender's own root, so that it is turned and scaled as everything else is."""
-    from pxr import Gf, Usd, UsdGeom, Vt
+    from pxr import Gf, UsdGeom, Vt
 
     unit_m = scene.unit_settings.scale_length
     root = stage.GetDefaultPrim()
@@ -126,8 +126,7 @@ def _reference(stage: Any, hand: bakes.BakedHand, scene: bpy.types.Scene) -> Non
         scale = 1.0 / UsdGeom.GetStageMetersPerUnit(stage)
         if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y:
             turn.SetRotate(Gf.Rotation(Gf.Vec3d(1, 0, 0), -90))
-    taken = stage.GetPrimAtPath(path)
-    if taken:
+    if stage.GetPrimAtPath(path):
         path = f"{path}_splats"
     prim = UsdGeom.Xform.Define(stage, path)
     prim.AddTransformOp().Set(Gf.Matrix4d(1.0).SetScale(scale) * turn)
@@ -135,15 +134,16 @@ def _reference(stage: Any, hand: bakes.BakedHand, scene: bpy.types.Scene) -> Non
     prim.GetPrim().GetVariantSets().GetVariantSet("representation").SetVariantSelection(scene.jghand.output.variant)
     # read from the root layer only: without it a USD that knows no splats shows nothing
     stage.SetMetadata("fallbackPrimTypes", {SPLAT_TYPE: Vt.TokenArray(["Points"])})
-    stage.SetStartTimeCode(min(stage.GetStartTimeCode(), hand.first_frame))
-    stage.SetEndTimeCode(max(stage.GetEndTimeCode(), _last(hand)))
-    if not stage.HasAuthoredTimeCodeRange():
+    if not stage.HasAuthoredTimeCodeRange():  # a still was exported: Blender wrote no times
+        stage.SetStartTimeCode(hand.first_frame)
+        stage.SetEndTimeCode(_last(hand))
         stage.SetTimeCodesPerSecond(hand.fps)
-    del prim, taken, root, Usd
 
 
 def can_hook() -> bool:
     """Whether this Blender's USD can be reached from Python; makes it so."""
+    if not hasattr(bpy.types, "USDHook"):
+        return False
     try:
         bpy.utils.expose_bundled_modules()
         from pxr import Usd  # noqa: F401 - what a hook's stage is made of

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import subprocess
 from pathlib import Path
@@ -285,6 +286,38 @@ def test_blenders_own_usd_export_has_the_splats_where_the_hand_is(baked, tmp_pat
         assert max(far) < 0.03
     assert stage.GetMetadata("fallbackPrimTypes")
     assert (stage.GetStartTimeCode(), stage.GetEndTimeCode()) == (3, 2 + FRAMES)
+
+
+def test_usd_core_finds_the_baked_splats_in_blenders_export(baked, engine, tmp_path):
+    """Read by another USD, newer than Blender's; what it finds wrong is Blender's own skeleton, and nothing of ours."""
+    _, hand, _ = baked
+    code = """
+import json, sys
+import numpy as np
+from pxr import Usd
+from jghand_engine.exporters.usd_check import check_usd
+whole, bake, report = sys.argv[1:]
+def positions(path):
+    stage = Usd.Stage.Open(path)
+    stage.SetEditTarget(stage.GetSessionLayer())
+    for prim in stage.Traverse():
+        if prim.GetVariantSets().HasVariantSet("representation"):
+            prim.GetVariantSet("representation").SetVariantSelection("splats")
+    (prim,) = [one for one in stage.Traverse() if one.GetTypeName() == "ParticleField3DGaussianSplat"]
+    return np.stack([np.array(prim.GetAttribute("positions").Get(frame)) for frame in (3, 4, 5, 6)])
+same = bool((positions(whole) == positions(bake)).all())
+json.dump({"same": same, "found": [str(one) for one in check_usd(whole)]}, open(report, "w"))
+"""
+    folder = Path(bpy.path.abspath(hand.jghand.bake))
+    for name in ("whole.usdc", "whole.usdz"):
+        (tmp_path / "out").mkdir(exist_ok=True)
+        path, report = tmp_path / "out" / name, tmp_path / "report.json"
+        assert bpy.ops.jghand.export_scene_usd(filepath=str(path)) == {"FINISHED"}
+        command = [engine, "-I", "-c", code, str(path), str(folder / f"{hand.name}.usda"), str(report)]
+        subprocess.run(command, check=True, timeout=120)
+        said = json.loads(report.read_text())
+        assert said["same"]
+        assert [one for one in said["found"] if "InvalidSkelBindingAPIApply" not in one] == []
 
 
 def test_a_stale_or_missing_bake_is_left_out_and_told(baked, tmp_path):

@@ -128,7 +128,7 @@ def test_a_training_of_an_earlier_day_can_go_on(place):
     (work / "preview.jghand").write_bytes(b"")
     seen = draw(training.TrainPanel, bpy.context)
     assert seen.operators.count("jghand.train") == 2, "go on, and start anew"
-    assert "step 5, loss 0.5000, fixed view 20.00 dB (best 20.00)" in seen.texts
+    assert "step 5, loss 0.5000, fixed view 20.00 dB (best 20.00)" in " ".join(seen.texts)
     assert bpy.ops.jghand.train(start="resume") == {"FINISHED"}
     assert "--resume" in running(job_watch.TRAINING).spec.command
 
