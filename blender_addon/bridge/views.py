@@ -176,7 +176,8 @@ def look(view: View, moment: Moment, *, drawing: bool) -> None:
     if not drawing:
         return
     if decision.wait_for is not None:
-        answer = runtime.link().wait(view.slot, decision.wait_for, decision.wait_s)
+        left_s = max(0.0, moment.now_s + decision.wait_s - now_s())  # asking took its time, too
+        answer = runtime.link().wait(view.slot, decision.wait_for, left_s)
         if answer is None:
             view.pace = pacing.gave_up_waiting(view.pace)
         take(view, moment)
