@@ -11,4 +11,9 @@ motion     a motion onto an armature, as keys
 camera     a Blender camera as a pinhole, and back
 scene      the opened file: its cameras and hands, and whether Blender evaluated them truly
 framing    cameras that show a hand over a whole motion
+views      the 3D views that show hands: what each wants, asked for, and has
+seen_hands   which hands a view shows, read for it; view_camera is its pinhole
+picture    the draw handler in Solid and Material Preview; viewport_engine the same in Rendered
+gpu_picture  a picture as textures, drawn with depth; shown_bones keeps bones visible before it
+sync       handlers and timer (clock) that keep views up to date; rendering says whether Blender renders
 """

@@ -18,6 +18,8 @@ state           what becomes of its process, decided by a pure function
 waiting         who waits for what of it
 answers         what it gives back
 connection      one process and the socket to it; process has its pipes and its log
+pacing          when a view asks for a picture, how good a one, how long it waits, which one it may show
+cropping        the part of a view that can show hands
 batch           frames, names and files of a batch run, and its report
 stamp           what the pictures of a folder were made from
 messages        one sentence and one remedy for everything that can fail
