@@ -10,6 +10,7 @@ knows itself, averages as pictures are blended, display-referred: those are laid
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -19,13 +20,16 @@ import torch
 from jghand_engine import limits
 from jghand_engine.colour import linear_to_srgb, srgb_to_linear
 from jghand_engine.errors import InputError
-from jghand_engine.splat.camera import Camera
+from jghand_engine.hand.rotations import slerp_rotation
+from jghand_engine.hand.sequence import pose_between
+from jghand_engine.splat.camera import Camera, Lens
 from jghand_engine.splat.effect_plan import Decision, Effect, EffectPlan
 from jghand_engine.splat.exposure import (
     coprime_near,
     disc_of_depths,
     focus_count,
     focus_error,
+    motion_count,
     motion_error,
 )
 from jghand_engine.splat.frame import Frame, SceneRenderer
@@ -49,38 +53,76 @@ def render_moments(
     middle: int = 0,
     between: Callable[[], None] = lambda: None,
 ) -> Frame:
-    """The mean of all moments. Depth is that of the middle one, through the middle of its lens, and the renderer is
-    left with the hands of that moment.
+    """The mean of all moments. Where they are too far from each other to look like a movement, more are put between
+    them. Depth is that of the middle one, through the middle of its lens, and the renderer is left with its hands.
 
     weights: one per moment, 0 or more, some above · between: called before each picture; may raise to end it all.
     InputError for moments of different sizes, or weights that are none.
     """
     _check(moments, weights)
+    seen, shares = filled(moments, weights)
     lens_px = _disc_px(moments[middle])
     needed = focus_count(lens_px) if _has_lens(moments) else 1
-    each = -(-needed // len(moments))
-    if len(moments) == 1 and each == 1:
+    each = -(-needed // len(seen))
+    sharp = Moment(moments[middle].joints_m, replace(moments[middle].camera, lens=None))
+    if len(seen) == 1 and each == 1:
         between()
-        return renderer.render(moments[0].joints_m, replace(moments[0].camera, lens=None))
-    mean, reports = _LinearMean(moments[0].camera), []
-    total, depth_m = sum(weights), None
-    # the middle one last: what the renderer knows afterwards is its hands
-    order = [index for index in range(len(moments)) if index != middle] + [middle]
-    for index in order:
-        for pinhole in _pinholes(moments[index].camera, index, each, len(moments)):
+        return renderer.render(sharp.joints_m, sharp.camera)
+    mean, reports = _LinearMean(sharp.camera), []
+    for index, (moment, share) in enumerate(zip(seen, shares, strict=True)):
+        for pinhole in _pinholes(moment.camera, index, each, len(seen)):
             between()
-            frame = renderer.render(moments[index].joints_m, pinhole)
-            mean.add(frame.rgba, weights[index] / total / each)
+            frame = renderer.render(moment.joints_m, pinhole)
+            mean.add(frame.rgba, share / each)
             reports.append(frame.report)
-            depth_m = frame.depth_m
-    if _has_lens(moments) and renderer.settings.depth:
-        between()
-        frame = renderer.render(moments[middle].joints_m, replace(moments[middle].camera, lens=None))
-        reports.append(frame.report)
-        depth_m = frame.depth_m
-    assert depth_m is not None  # the middle moment was drawn
-    plan = _told(reports[-1].plan, moments, each, lens_px)
-    return Frame(mean.rgba(), depth_m, _summed(reports, plan))
+    between()
+    last = renderer.render(sharp.joints_m, sharp.camera)
+    reports.append(last.report)
+    plan = _told(last.report.plan, seen, each, lens_px)
+    return Frame(mean.rgba(), last.depth_m, _summed(reports, plan))
+
+
+def filled(moments: Sequence[Moment], weights: Sequence[float]) -> tuple[list[Moment], list[float]]:
+    """As many moments as the movement needs on the picture (`exposure.motion_count`), evenly spread over the same time,
+    and their shares, which sum to 1. Between two that are given bones turn, and cameras too; before the first and after
+    the last one, by half a step, they go on so."""
+    count = len(moments)
+    steps = -(-motion_count(_travel_px(moments)) // count) if count > 1 else 1
+    if steps == 1:
+        return list(moments), [weight / sum(weights) for weight in weights]
+    seen, shares = [], []
+    for place in range(count * steps):
+        at = (place + 0.5) / steps - 0.5
+        first = min(max(math.floor(at), 0), count - 2)
+        part = at - first
+        seen.append(_moment_between(moments[first], moments[first + 1], part))
+        shares.append(max(0.0, (1 - part) * weights[first] + part * weights[first + 1]))
+    total = sum(shares)
+    return seen, [share / total for share in shares]
+
+
+def _moment_between(first: Moment, second: Moment, part: float) -> Moment:
+    joints = [pose_between(a, b, part) for a, b in zip(first.joints_m, second.joints_m, strict=True)]
+    return Moment(joints, _camera_between(first.camera, second.camera, part))
+
+
+def _camera_between(first: Camera, second: Camera, part: float) -> Camera:
+    """Numbers and places linear, directions along the shortest turn."""
+    a, b = first.camera_from_world, second.camera_from_world
+    turn = slerp_rotation(a[:3, :3, None], b[:3, :3, None], torch.tensor([part], dtype=torch.float64))[..., 0]
+    eye_m = torch.lerp(-a[:3, :3].T @ a[:3, 3], -b[:3, :3].T @ b[:3, 3], part)
+    matrix = torch.eye(4, dtype=torch.float64)
+    matrix[:3, :3], matrix[:3, 3] = turn, -turn @ eye_m
+
+    def mixed(x: float, y: float) -> float:
+        return (1 - part) * x + part * y
+
+    numbers = {name: mixed(getattr(first, name), getattr(second, name)) for name in ("fx", "fy", "cx", "cy")}
+    lens = first.lens
+    if first.lens is not None and second.lens is not None:
+        focus_m = mixed(first.lens.focus_m, second.lens.focus_m)
+        lens = Lens(max(0.0, mixed(first.lens.aperture_m, second.lens.aperture_m)), focus_m)
+    return replace(first, camera_from_world=matrix, lens=lens, **numbers)
 
 
 def _check(moments: Sequence[Moment], weights: Sequence[float]) -> None:
