@@ -12,7 +12,7 @@ from blender_addon.core.waiting import Call, Waiting
 from blender_addon.core.wire import protocol
 
 SLOTS = st.sampled_from("ab")
-TAGS = st.integers(0, 5)
+TAGS = st.integers(0, 2)
 HEADER = {"kind": "info"}
 
 
@@ -63,6 +63,7 @@ class Histories(RuleBasedStateMachine):
     @rule(kind=st.sampled_from(["", "", "bad_input", "cancelled"]))
     def answer(self, kind: str) -> None:
         call = self.waiting.flying
+        before = self.waiting.answer(call.slot) if call.slot is not None else None
         more = {"ok": False, "error": {"kind": kind}} if kind else {}
         self.waiting.take(reply(call, **more), self.now_s, "")
         assert self.waiting.flying is None
@@ -73,7 +74,9 @@ class Histories(RuleBasedStateMachine):
             return
         if kind == "bad_input":
             self.refused.add(call.tag)
-        if self.wanted.get(call.slot) == call.tag and call.given_up_s is None:
+        if call.given_up_s is not None:
+            assert self.waiting.answer(call.slot) is before
+        elif self.wanted.get(call.slot) == call.tag:
             assert self.waiting.answer(call.slot).tag == call.tag
             del self.wanted[call.slot]
 
@@ -158,3 +161,14 @@ def test_what_takes_too_long_is_known():
     waiting.give_up(call, 1.0)
     assert not waiting.is_overdue(limits.SILENCE_S)
     assert waiting.is_overdue(limits.SILENCE_S + 2)
+
+
+def test_what_is_wanted_again_while_the_engine_is_at_it_is_not_followed_by_what_was_wanted_between():
+    waiting = Waiting()
+    waiting.ask("a", HEADER, None, 1)
+    call = waiting.next(0.0)
+    waiting.ask("a", HEADER, None, 2)
+    assert not waiting.ask("a", HEADER, None, 1)
+    waiting.take(reply(call), 0.0, "")
+    assert waiting.answer("a").tag == 1
+    assert waiting.next(0.0) is None
