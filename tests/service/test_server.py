@@ -11,11 +11,14 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from jghand_engine import limits
 from jghand_engine.service import protocol
@@ -241,6 +244,53 @@ def test_a_client_that_breaks_the_protocol_is_cut_off_and_the_engine_lives_on(en
             while True:
                 receive(connection)
     assert engine.process.poll() is None
+
+
+NUMBERS = st.integers(-(2**40), 2**40) | st.floats(allow_nan=False, allow_infinity=False)
+VALUES = st.recursive(
+    st.none() | st.booleans() | NUMBERS | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner, max_size=3),
+    max_leaves=6,
+)
+REQUESTS = st.fixed_dictionaries(
+    {},
+    optional={
+        "kind": st.sampled_from(["info", "load", "render_picture", "cancel", "x"]) | VALUES,
+        "id": st.integers(0, 3) | VALUES,
+        "width": st.integers(1, 64) | VALUES,
+        "height": st.integers(1, 64) | VALUES,
+        "outputs": st.just(["png"]) | VALUES,
+        "hands": st.just(PICTURE["hands"]) | VALUES,
+        "settings": st.just({"preset": "draft"}) | VALUES,
+        "avatar": VALUES,
+    },
+)
+
+
+def test_whatever_is_asked_is_answered_and_whatever_comes_over_the_wire_the_engine_lives_on(engine):
+    @settings(max_examples=60, deadline=None)
+    @given(st.lists(REQUESTS, max_size=5), st.binary(max_size=40))
+    def ask(requests, rubbish):
+        for _ in range(1000):  # until the client before is forgotten
+            connection = engine.connected()
+            if receive(connection).header["kind"] == "welcome":
+                break
+            connection.close()
+            time.sleep(0.005)
+        with connection:
+            for request in requests:
+                protocol.send(connection, request, picture_arrays())
+            wanted = sum(request.get("kind") != "cancel" for request in requests)
+            while wanted:
+                header = receive(connection).header
+                if header["kind"] == "reply":
+                    wanted -= 1
+                    assert header["ok"] or header["error"]["kind"] in ("bad_input", "out_of_memory", "cancelled")
+            with suppress(OSError):
+                connection.sendall(rubbish)
+        assert engine.process.poll() is None
+
+    ask()
 
 
 def test_clients_that_die_in_the_middle_leave_nothing_behind(engine):
