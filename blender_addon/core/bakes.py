@@ -8,6 +8,7 @@ bake.json                   the stamp, written last: a folder without it holds n
 
 from __future__ import annotations
 
+import functools
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -150,8 +151,18 @@ def moved_at(hand: BakedHand, folder: Path, frame: float, joints_m: np.ndarray) 
     place = round(frame) - hand.first_frame
     if frame != round(frame) or not 0 <= place < hand.frames:
         return False
-    baked_m = read_motion(hand.motion(folder)).joints_m[place]
-    return bool(np.abs(baked_m - joints_m).max() > limits.BAKE_MOVED_M)
+    motion = hand.motion(folder)
+    try:
+        baked_m = _joints(motion, motion.stat().st_mtime_ns)
+    except OSError as error:
+        raise JGHandFailure("no_bake", f"{motion}: {error.strerror or error}") from error
+    return bool(np.abs(baked_m[place] - joints_m).max() > limits.BAKE_MOVED_M)
+
+
+@functools.lru_cache(maxsize=8)
+def _joints(motion: Path, _changed_ns: int) -> np.ndarray:
+    """The joints of a bake, read once: a panel compares with them whenever it is drawn."""
+    return read_motion(motion).joints_m
 
 
 def _figures(path: Path) -> dict[str, Any]:

@@ -6,6 +6,7 @@ Joints are in the world of the scene, in metres, with z up, as Blender has it.
 
 from __future__ import annotations
 
+import functools
 import hashlib
 import re
 import shutil
@@ -18,7 +19,7 @@ import numpy as np
 from . import limits
 from .messages import JGHandFailure
 from .motion_files import MotionFile, write_motion
-from .view import BUILTIN_AVATAR
+from .view import SHIPPED_AVATARS
 
 # bytes of one Gaussian and frame; as jghand_engine/exporters/usd.py and ply.py write them
 _PLY_BYTES, _POSITION_BYTES, _SIZE_BYTES, _COLOUR_BYTES = 68, 12, 16, 24
@@ -69,8 +70,14 @@ def file_names(names: Sequence[str]) -> list[str]:
 def avatar_digest(avatar: str) -> str:
     """What tells avatars apart: SHA-256 of a file, the name of one that the engine brings along."""
     path = Path(avatar)
-    if avatar == BUILTIN_AVATAR or not path.is_file():
+    if avatar in SHIPPED_AVATARS or not path.is_file():
         return avatar
+    about = path.stat()
+    return _file_digest(path, about.st_mtime_ns, about.st_size)
+
+
+@functools.lru_cache(maxsize=32)
+def _file_digest(path: Path, _changed_ns: int, _size: int) -> str:
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 

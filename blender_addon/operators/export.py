@@ -154,7 +154,7 @@ class PlayBake(Reporting, bpy.types.Operator):
 
     def run(self, context: bpy.types.Context) -> None:
         thing = context.object
-        folder = _bake_folder(thing)
+        folder = bake_folder(thing)
         hands = bakes.read_bake(folder)
         reasons = stale_now(context, thing, hands, folder)
         if reasons and not self.accept_stale:
@@ -186,7 +186,7 @@ class CheckBake(StartsJob, bpy.types.Operator):
         return [context.object]
 
     def job(self, context: bpy.types.Context, recordings: list[Recording]) -> None:
-        folder = _bake_folder(context.object)
+        folder = bake_folder(context.object)
         found = {hand.handedness: hand for hand in bakes.read_bake(folder)}
         reasons = []
         for recording in recordings:
@@ -219,7 +219,7 @@ class ClearBake(Reporting, bpy.types.Operator):
 
     def run(self, context: bpy.types.Context) -> None:
         thing = context.object
-        baked_points.stop(context, _bake_folder(thing))
+        baked_points.stop(context, bake_folder(thing))
         thing.jghand.bake = ""
         thing.jghand.show_in_viewport = True
 
@@ -365,7 +365,8 @@ def _beside_the_file(context: bpy.types.Context, folder: Path) -> str:
     return str(folder)
 
 
-def _bake_folder(thing: bpy.types.Object) -> Path:
+def bake_folder(thing: bpy.types.Object) -> Path:
+    """The folder of a hand's bake."""
     return Path(bpy.path.abspath(thing.jghand.bake, library=thing.library)).absolute()
 
 

@@ -7,12 +7,14 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from .. import runtime
-from ..bridge import cards, job_watch, versions
+from ..bridge import baked_points, cards, job_watch, versions
 from ..bridge.classes import register_classes, unregister_classes
 from ..bridge.seen_hands import avatar_of
+from ..core import bakes
 from ..core.job_state import Phase
+from ..core.messages import JGHandFailure
 from ..core.recording import SizeEstimate, estimate
-from ..operators import output_common
+from ..operators import export, output_common
 from . import common
 from .common import Sidebar
 
@@ -60,6 +62,7 @@ class BakePanel(Sidebar, bpy.types.Panel):
         hand = common.active(context)
         if hand is None or not hand.jghand.bake:
             return
+        _draw_bake(layout, context, hand)
         row = layout.row(align=True)
         row.operator("jghand.play_bake", icon="PLAY")
         row.operator("jghand.check_bake", text="", icon="CHECKMARK")
@@ -92,6 +95,25 @@ class ExportPanel(Sidebar, bpy.types.Panel):
         layout.operator("jghand.export_scene_usd", icon="SCENE_DATA")
 
 
+def _draw_bake(layout: bpy.types.UILayout, context: bpy.types.Context, hand: bpy.types.Object) -> None:
+    """What the bake of a hand holds, and why it does not show what is seen now."""
+    try:
+        folder = export.bake_folder(hand)
+        baked = bakes.read_bake(folder)
+        reasons = export.stale_now(context, hand, baked, folder)
+    except JGHandFailure as failure:
+        common.paragraph(layout, context, iface_(failure.advice.sentence) + ".", icon="ERROR")
+        return
+    first, count = baked[0].first_frame, baked[0].frames
+    text = iface_("Baked: frames {first} to {last}").format(first=first, last=first + count - 1)
+    layout.label(text=text, icon="CHECKMARK" if not reasons else "BLANK1", translate=False)
+    if reasons:
+        plays = bool(baked_points.playing(context.scene, folder))
+        what = "What plays here is not what the scene has" if plays else "The bake is not what the scene has"
+        said = f"{iface_(what)}: {', '.join(map(iface_, reasons))}."
+        common.paragraph(layout, context, said, icon="ERROR")
+
+
 def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context, key: str) -> None:
     """A job's progress with its button while it runs; afterwards why it failed, until the next one."""
     job = runtime.jobs().get(key)
@@ -122,7 +144,7 @@ def size_estimate(context: bpy.types.Context, folder: str, *, ply: bool, sizes: 
     found = [cards.gaussians_of(avatar_of(thing)) for thing in output_common.hands_to_write(context)]
     try:
         target = output_common.place(context, folder)
-    except output_common.JGHandFailure:
+    except JGHandFailure:
         target = None
     frames = len(output_common.frames_to_write(context))
     learnt = any(learnt for _, learnt in found)

@@ -11,6 +11,7 @@ import bpy
 import numpy as np
 import pytest
 from hands import PLACES, keyed_hand, mixamo_rig, moving_hand_m, put
+from recording_layout import draw
 
 import blender_addon
 from blender_addon import runtime
@@ -18,6 +19,7 @@ from blender_addon.bridge import baked_points, job_watch, record, sources, usd_h
 from blender_addon.core import bakes
 from blender_addon.core.engine_command import VARIABLE
 from blender_addon.core.motion_files import read_motion
+from blender_addon.panels import output
 
 FRAMES = 4
 # float32 of Blender's bones, half a metre from the origin
@@ -238,6 +240,20 @@ def test_what_plays_a_bake_shows_the_new_one_when_it_is_baked_again(baked):
     after = cloud_positions(context, cloud)
     assert np.abs(after - before - [0.25, 0, 0]).max() < 1e-5
     assert len(bpy.data.cache_files) == 1
+
+
+def test_the_panel_says_what_is_baked_and_that_what_plays_is_stale(baked):
+    context, hand, _ = baked
+    context.scene.frame_set(4)
+    assert "Baked: frames 3 to 6" in " ".join(draw(output.BakePanel, context).texts)
+    assert "not what" not in " ".join(draw(output.BakePanel, context).texts)
+    hand.location.x += 0.01
+    context.view_layer.update()
+    assert "The bake is not what the scene has: the hand moves" in " ".join(draw(output.BakePanel, context).texts)
+    bpy.ops.jghand.play_bake(accept_stale=True)
+    assert "What plays here is not what the scene has" in " ".join(draw(output.BakePanel, context).texts)
+    (Path(bpy.path.abspath(hand.jghand.bake)) / bakes.STAMP).unlink()
+    assert "no finished bake" in " ".join(draw(output.BakePanel, context).texts)
 
 
 def test_a_bake_of_another_avatar_or_of_other_frames_is_said(baked):
