@@ -21,8 +21,8 @@ SUITE = "sid"
 DEBIAN = "http://deb.debian.org/debian"
 MIRROR_VARIABLE = "JGHAND_DEBIAN_MIRROR"
 PACKAGES = (
-    # the extension system wants the last two, and apt takes them for optional
-    "blender", "python3-cattr", "python3-requests",
+    # JGHand and the extension system want the last three, and apt takes them for optional
+    "blender", "python3-numpy", "python3-cattr", "python3-requests",
     # a screen without a monitor, a hand on mouse and keyboard, pictures of the screen
     "xvfb", "xauth", "xdotool", "imagemagick",
     "libgl1", "libglx-mesa0", "libegl1", "libegl-mesa0", "libgl1-mesa-dri", "fonts-dejavu-core", "ca-certificates",
