@@ -1,4 +1,4 @@
-"""`jghand info`: what is inside an avatar, a motion or a USD file."""
+"""`jghand info`: what is inside an avatar, a motion, a USD file or a splat file."""
 
 from __future__ import annotations
 
@@ -18,23 +18,26 @@ if TYPE_CHECKING:
     from jghand_engine.avatar.avatar import HandAvatar
     from jghand_engine.avatar.tiers import Baked
 
-DESCRIPTION = """Say what is inside an avatar, a motion or a USD file, and what is wrong with a USD file.
+DESCRIPTION = """Say what is inside an avatar, a motion, a USD or a splat file, and what is wrong with one of these two.
 
 Examples:
   jghand info hand.jghand
   jghand info builtin
   jghand info capture.npy --order mediapipe --hand right
-  jghand info demo_output/usd/hand.usda"""
+  jghand info demo_output/usd/hand.usda
+  jghand info hand.0000.ply"""
 
 FINDINGS = "what_is_wrong"
 MOTION_SUFFIXES = (".npz", ".npy", ".json", ".csv")
 USD_SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")
+SPLAT_SUFFIXES = (".ply", ".splat", ".glb", ".spz")
 
 
 @dataclass(frozen=True)
 class Info:
     file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-    """A .jghand avatar (or the word builtin or painted), a motion (.npz, .npy, .json, .csv) or a USD file."""
+    """A .jghand avatar (or the word builtin or painted), a motion (.npz, .npy, .json, .csv), a USD file, or
+    a splat file (.ply, .splat, .glb, .spz)."""
     format: FormatOptions = field(default_factory=FormatOptions)
     report: ReportOptions = field(default_factory=ReportOptions)
 
@@ -62,8 +65,10 @@ class Info:
             facts = motion_facts(path, self.format)
         elif suffix in USD_SUFFIXES:
             facts = usd_facts(path)
+        elif suffix in SPLAT_SUFFIXES:
+            facts = splat_facts(path)
         else:
-            wanted = ", ".join((".jghand", *MOTION_SUFFIXES, *USD_SUFFIXES))
+            wanted = ", ".join((".jghand", *MOTION_SUFFIXES, *USD_SUFFIXES, *SPLAT_SUFFIXES))
             raise InputError(f"{path}", wanted=f"a file of the kind {wanted}", came=suffix or "no suffix")
         about = path.stat()
         return {**facts, "bytes": about.st_size, "written": time.strftime("%Y-%m-%d", time.localtime(about.st_mtime))}
@@ -191,3 +196,19 @@ def usd_facts(path: Path) -> dict[str, Any]:
         ),
         FINDINGS: [str(finding) for finding in check_usd(path)],
     }
+
+
+def splat_facts(path: Path) -> dict[str, Any]:
+    """What a splat file holds, and what is suspicious about it."""
+    from jghand_engine.exporters.splat_reading import read_splats
+
+    read = read_splats(path)
+    cloud = read.cloud
+    facts: dict[str, Any] = {"kind": f"{read.format} splats", "gaussians": len(cloud)}
+    if len(cloud):
+        facts |= {
+            "size_m": [float(edge) for edge in cloud.positions_m.max(0) - cloud.positions_m.min(0)],
+            "sigma_m": {"smallest": float(cloud.scales_m.min()), "largest": float(cloud.scales_m.max())},
+            "opacity": {"smallest": float(cloud.opacity.min()), "largest": float(cloud.opacity.max())},
+        }
+    return {**facts, "axes": cloud.axes or "not said", FINDINGS: list(read.findings)}

@@ -21,6 +21,18 @@ SPZ_LN_SIGMA_MIN = -10.0
 # gzip's level, 0..9, as the format's own library has it
 SPZ_GZIP_LEVEL = 6
 
+# ---- exporters: splat files that are read ---------------------------------------------------------------------------
+# bytes of a PLY header; those of splats with all harmonics have 1.5 kB
+PLY_HEADER_BYTES_MAX = 65_536
+# bytes of the description in a GLB: JSON takes up to thirty times its size in memory; ours has 1.5 kB
+GLB_JSON_BYTES_MAX = 262_144
+# times that an SPZ file may grow when it is unpacked; hands grow to 1.8 times their size, a bomb of zeros to 1000
+SPZ_RATIO_MAX = 16
+# bytes that are unpacked at once
+SPZ_CHUNK_BYTES = 65_536
+# a median size above which nobody meant metres
+SPLAT_SIGMA_SANE_M = 1.0
+
 # ---- exporters: passes ----------------------------------------------------------------------------------------------
 # the skin around a joint is what lies in a slab of this half thickness across its bone: thin beside the shortest bone
 JOINT_SLAB_M = 0.004
