@@ -10,7 +10,7 @@ from __future__ import annotations
 from types import ModuleType
 
 from . import cli_command, preferences, properties, render_engine, runtime
-from .bridge import cards, guard, job_watch, pose_pictures, sync, usd_hook
+from .bridge import cards, guard, job_watch, left_out, pose_pictures, sync, usd_hook
 from .operators import (
     bone_map,
     combine,
@@ -39,6 +39,7 @@ MODULES: tuple[ModuleType, ...] = (
     *(pose_pictures, job_watch, cards, usd_hook),
     sync,
     guard,
+    left_out,
     render_engine,
     cli_command,
     *(help_page, engine, hand, bone_map, pose, finger_controls, motion, picture, combine, export, training),

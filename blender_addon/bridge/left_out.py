@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Says so when a picture is rendered that leaves the hands out: Cycles, EEVEE and Workbench do not draw them.
+
+The viewport shows hands in Solid and Material Preview whatever the scene renders with, so F12 with another engine would
+be empty without a word. Said once per scene and session: some pictures are meant to be without hands. In a window it is
+a menu with the two ways to get them, without one a line on stderr.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import bpy
+from bpy.app.handlers import persistent
+from bpy.app.translations import pgettext_iface as iface_
+
+from . import armature, combination
+
+ENGINE = "JGHAND"
+
+_said: set[int] = set()
+# a render's handler may run on a thread of its own: it notes the engine's name, the timer on the main thread shows it
+_pending = ""
+
+
+def hands_left_out(scene: bpy.types.Scene) -> list[str]:
+    """Names of the hands that the scene has and its own engine will not draw; empty for scenes where they are drawn."""
+    if scene.render.engine == ENGINE or combination.hands_scene_of(scene) or combination.is_hands_scene(scene):
+        return []
+    if not scene.jghand.show_in_viewport:
+        return []
+    found = {hand.name for layer in scene.view_layers if layer.use for hand in armature.hands_at_any_frame(layer)}
+    return sorted(found)
+
+
+@persistent
+def on_render(scene: bpy.types.Scene, *_: Any) -> None:
+    """A render begins."""
+    global _pending
+    if scene is None or scene.session_uid in _said or not hands_left_out(scene):
+        return
+    _said.add(scene.session_uid)
+    if bpy.app.background:
+        print(f"JGHand: {sentence(scene.render.engine)} {iface_(_REMEDY)}", file=sys.stderr, flush=True)
+    else:
+        _pending = scene.render.engine
+
+
+_REMEDY = "Use the JGHand engine, or Combine with Scene."
+
+
+def sentence(engine: str) -> str:
+    """What is to be said about a picture of this engine."""
+    name = engine.removeprefix("BLENDER_").removesuffix("_NEXT").replace("_", " ").title()
+    name = {"Eevee": "EEVEE"}.get(name, name)
+    return iface_("This picture has no hands: {engine} does not draw them.").format(engine=name)
+
+
+def show() -> None:
+    """Shows what is noted, if anything is; for the timer, once no render runs."""
+    global _pending
+    if not _pending:
+        return
+    text, _pending = sentence(_pending), ""
+    windows = bpy.context.window_manager.windows
+    if not windows:
+        return
+
+    def draw(menu: bpy.types.Menu, _context: bpy.types.Context) -> None:
+        menu.layout.operator("jghand.use_engine", icon="RESTRICT_RENDER_OFF")
+        menu.layout.operator("jghand.combine_with_scene", icon="NODE_COMPOSITING")
+
+    with bpy.context.temp_override(window=windows[-1]):  # the newest: that of the picture, if it has one
+        bpy.context.window_manager.popup_menu(draw, title=text, icon="INFO")
+
+
+def register() -> None:
+    """Looks at every render from now on."""
+    if on_render not in bpy.app.handlers.render_init:
+        bpy.app.handlers.render_init.append(on_render)
+
+
+def unregister() -> None:
+    """Does not look any more."""
+    global _pending
+    if on_render in bpy.app.handlers.render_init:
+        bpy.app.handlers.render_init.remove(on_render)
+    _said.clear()
+    _pending = ""
