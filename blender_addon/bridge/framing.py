@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Cameras that show a hand over a whole motion: wrist and fingertips inside the picture, with some air."""
+"""Cameras and views that show a hand whole: wrist and fingertips inside the picture, with some air."""
 
 from __future__ import annotations
 
 import bpy
 import numpy as np
-from mathutils import Matrix
+from mathutils import Matrix, Vector
 
 from ..core import limits, posing
 from ..core.joints import LEFT, WRIST
@@ -41,6 +41,28 @@ def add_framing_camera(
     distance = np.median((place - points) @ back)
     camera.matrix_world = _matrix(axes, place + back * distance * limits.MARGIN)
     return camera
+
+
+def turn_view_to(area: bpy.types.Area, joints_m: np.ndarray, unit_m: float) -> None:
+    """Shows (21, 3) world joints, metres, in a 3D view, beside the bars that lie over it. The direction stays."""
+    space, region = area.spaces.active, next(region for region in area.regions if region.type == "WINDOW")
+    bars = {region.type: region.width for region in area.regions if region.type in ("UI", "TOOLS") and region.width > 1}
+    left, right = bars.get("TOOLS", 0), bars.get("UI", 0)
+    if not bpy.context.preferences.system.use_region_overlap:
+        left = right = 0
+    points = np.asarray(joints_m, dtype=np.float64) / unit_m
+    centre = (points.min(0) + points.max(0)) / 2
+    radius = (np.linalg.norm(points - centre, axis=-1).max() + limits.WRIST_SKIN_M / unit_m) * (1.0 + limits.MARGIN)
+    largest = max(region.width, region.height)
+    seen = max(min(region.width - left - right, region.height), largest * limits.VIEW_PART_MIN)
+    # a view shows its sensor over the larger side, at the distance of what it turns about
+    distance = radius * space.lens / limits.VIEW_SENSOR_MM * 2.0 * largest / seen
+    pixel = distance * limits.VIEW_SENSOR_MM / space.lens / largest
+    view = space.region_3d
+    if view.view_perspective == "CAMERA":
+        view.view_perspective = "PERSP"
+    aside = view.view_rotation @ Vector((1.0, 0.0, 0.0)) * (right - left) / 2.0 * pixel
+    view.view_location, view.view_distance = Vector(centre) + aside, distance
 
 
 def _skin_points(joints: np.ndarray) -> np.ndarray:

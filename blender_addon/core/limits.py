@@ -137,6 +137,10 @@ WRIST_SKIN_M = 0.045
 MARGIN = 0.06
 # focal length of new cameras, mm on a 36 mm sensor: a portrait lens, little perspective on so near a thing
 LENS_MM = 85.0
+# Blender's 3D views have a sensor of this width, mm; and what is kept of a view at the least for what it shows, where
+# its bars leave nothing
+VIEW_SENSOR_MM = 72.0
+VIEW_PART_MIN = 0.2
 
 # ---- settings of pictures -------------------------------------------------------------------------------------------
 

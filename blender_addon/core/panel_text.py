@@ -134,7 +134,7 @@ def status_text(status: Any, frame_ms: float | None = None, translate: Translate
     if state == "failed":
         return _failed(status.failure, since, translate)
     if state == "stopped":
-        text = translate("Engine off: it starts with the first picture")
+        text = translate("Engine off: starts when needed")
         return StatusText(text, True, buttons=(Button("jghand.start_engine", "Start Engine"),))
     stop = Button("jghand.stop_engine", "Stop")
     if state == "starting":

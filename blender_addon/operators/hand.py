@@ -96,7 +96,7 @@ class AddHand(Reporting, bpy.types.Operator):
         if camera is not None:
             told += " " + rpt_("The scene had no camera: {name} shows the hand.").format(name=camera.name)
         if self.use_view:
-            _look_at_selected(context)
+            _look_at(context, hand)
         around = next(_meshes_around(context, hand.location), None)
         if around is not None:
             self.warn(told, rpt_("It is inside {name}, which hides it in the viewport.").format(name=around.name))
@@ -329,15 +329,12 @@ def _meshes_around(context: bpy.types.Context, place: Vector) -> Iterator[bpy.ty
             yield thing
 
 
-def _look_at_selected(context: bpy.types.Context) -> None:
-    """Turns the view that the button was pressed in to what is selected; elsewhere nothing happens."""
-    area = context.area
-    if bpy.app.background or area is None or area.type != "VIEW_3D":
+def _look_at(context: bpy.types.Context, hand: bpy.types.Object) -> None:
+    """Turns the view that the button was pressed in to a hand; elsewhere nothing happens."""
+    if bpy.app.background or context.area is None or context.area.type != "VIEW_3D":
         return
-    region = next((region for region in area.regions if region.type == "WINDOW"), None)
-    if region is not None:
-        with context.temp_override(area=area, region=region):
-            bpy.ops.view3d.view_selected()
+    joints_m = armature.read_hand(hand, context.evaluated_depsgraph_get()).joints_world_m
+    framing.turn_view_to(context.area, joints_m, context.scene.unit_settings.scale_length)
 
 
 _CLASSES = (

@@ -18,7 +18,7 @@ HANDSHAKE = {"device": "cpu", "engine_version": "0.1.0", "pid": 42}
 @pytest.mark.parametrize(
     ("status", "text", "good", "buttons"),
     [
-        (Status("stopped", 0.0), "Engine off: it starts with the first picture", True, ["jghand.start_engine"]),
+        (Status("stopped", 0.0), "Engine off: starts when needed", True, ["jghand.start_engine"]),
         (Status("starting", 12.4), "Starting…  12 s", True, ["jghand.stop_engine"]),
         (Status("ready", 200.0, None, HANDSHAKE), "Ready · CPU · 7.2 ms", True, ["jghand.stop_engine"]),
         (

@@ -12,6 +12,18 @@ def _module(window, name):
     return importlib.import_module(f".{name}", window.addon.__name__)
 
 
+def _assert_seen(window, hand):
+    """All joints lie in what the bars leave of the view."""
+    from bpy_extras.view3d_utils import location_3d_to_region_2d
+
+    region, view = window.region(), window.space().region_3d
+    right = region.width - window.region("UI").width
+    for bone in hand.pose.bones:
+        place = location_3d_to_region_2d(region, view, hand.matrix_world @ bone.head)
+        assert 0 < place.x < right, (bone.name, place, right)
+        assert 0 < place.y < region.height, (bone.name, place)
+
+
 def step_an_empty_scene_shows_one_button(window):
     for thing in list(bpy.data.objects):
         bpy.data.objects.remove(thing)
@@ -26,7 +38,7 @@ def step_a_hand_is_added_looked_at_and_listed(window):
     hand = bpy.context.view_layer.objects.active
     assert hand.name == "Right Hand"
     assert bpy.context.scene.camera is not None
-    assert window.space().region_3d.view_distance < 1.0  # the view has turned to it
+    _assert_seen(window, hand)
     window.picture("hand")
 
 
