@@ -141,19 +141,22 @@ class Job:
         self._process: subprocess.Popen[bytes] | None = None
         self._readers: list[threading.Thread] = []
         try:
-            self._process = subprocess.Popen(
+            process = subprocess.Popen(
                 [*command, PROGRESS_OPTION],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
                 env=cleaned_environment(self._environment),
-                **_OF_ITS_OWN,
+                creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
+                # a Ctrl-C in Blender's terminal is Blender's, and all that a job starts ends with it
+                start_new_session=os.name != "nt",
             )
         except OSError as error:
             failure = JGHandFailure("no_interpreter", f"{command[0]}: {error.strerror or error}")
             self.state = job_state.failed(self.state, failure)
             return
-        for pipe in (self._process.stdout, self._process.stderr):
+        self._process = process
+        for pipe in (process.stdout, process.stderr):
             reader = threading.Thread(target=self._read, args=(pipe,), daemon=True, name="jghand job")
             reader.start()
             self._readers.append(reader)
@@ -267,12 +270,6 @@ class JobTable:
         for job in running:
             job.wait(max(until - time.monotonic(), 0.0))
         self._jobs.clear()
-
-
-# a process group of its own: a Ctrl-C in Blender's terminal is Blender's, and all that a job starts ends with it
-_OF_ITS_OWN: dict[str, Any] = (
-    {"creationflags": getattr(subprocess, "CREATE_NO_WINDOW", 0)} if os.name == "nt" else {"start_new_session": True}
-)
 
 
 def _signal_all(process: subprocess.Popen[bytes], number: int) -> None:

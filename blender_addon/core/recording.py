@@ -45,7 +45,7 @@ class Recording:
     @property
     def digest(self) -> str:
         """SHA-256 of the joints as the engine stamps its exports with: float32, little-endian, standard order."""
-        return hashlib.sha256(np.ascontiguousarray(self.joints_m.astype("<f4"))).hexdigest()
+        return hashlib.sha256(self.joints_m.astype("<f4").tobytes()).hexdigest()
 
     def save(self, path: Path) -> None:
         """Writes a motion file. JGHandFailure: cannot_write, disk_full."""

@@ -165,12 +165,12 @@ def made_from(avatar: HandAvatar, sequence: PoseSequence) -> dict[str, str]:
     joints (F, 21, 3) float32 little-endian metres in standard order, and the engine's version."""
     gaussians = hashlib.sha256()
     for tensor in (avatar.position_m, avatar.sigma_m, avatar.opacity, avatar.rgb, avatar.bone_weights):
-        gaussians.update(np.ascontiguousarray(tensor.numpy()))
+        gaussians.update(tensor.numpy().tobytes())
     joints_m = from_level(sequence.joints_m, JointOrder.STANDARD).astype("<f4")
     return {
         "engine_version": __version__,
         "avatar_sha256": gaussians.hexdigest(),
-        "joints_sha256": hashlib.sha256(np.ascontiguousarray(joints_m)).hexdigest(),
+        "joints_sha256": hashlib.sha256(joints_m.tobytes()).hexdigest(),
     }
 
 
