@@ -79,7 +79,9 @@ def _hands_of(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.ty
             thing is not None and thing.session_uid == uid for thing, (_, uid) in zip(things, _found[key], strict=True)
         ):
             return [thing for thing in things if thing is not None]
-    things = sorted((thing for thing in layer.objects if _is_hand(thing)), key=lambda thing: thing.name)
+    # an object that was deleted a moment ago is None here
+    things = [thing for thing in layer.objects if thing is not None and _is_hand(thing)]
+    things.sort(key=lambda thing: thing.name)
     _found[key] = [(thing.name, thing.session_uid) for thing in things]
     return things
 

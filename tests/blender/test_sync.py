@@ -198,6 +198,25 @@ def test_hands_that_come_go_or_change_their_name_are_noticed(extension, installe
     assert seen(context) == wanted[change]
 
 
+def test_another_object_of_the_same_name_is_not_taken_for_the_hand(extension):
+    context = extension
+    hand = add_hand(context)
+    assert seen(context) == ["right"]
+    bpy.data.objects.remove(hand)
+    context.scene.collection.objects.link(bpy.data.objects.new("right", None))
+    context.view_layer.update()
+    assert seen(context) == []
+
+
+def test_after_an_undo_hands_are_looked_for_anew(extension):
+    context = extension
+    assert seen(context) == []
+    add_hand(context)
+    assert seen(context) == []  # nobody was told
+    sync.on_undo(context.scene)
+    assert seen(context) == ["right"]
+
+
 def test_undo_brings_a_hand_back_and_nothing_holds_the_old_one(extension, installed):
     context = extension
     bpy.ops.ed.undo_push(message="empty")
@@ -300,6 +319,7 @@ def test_nothing_is_asked_for_while_nothing_changes(link, extension, monkeypatch
 @pytest.mark.parametrize("change", ["pose", "place", "avatar", "shadow"])
 def test_whatever_changes_the_picture_is_asked_for(link, extension, change):
     context = extension
+    context.scene.jghand.sharpen_when_still = False
     hand = add_hand(context)
     view = view_on(context, hand)
     wait_for(context, view)
