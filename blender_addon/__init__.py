@@ -3,6 +3,8 @@
 
     core/            what needs no Blender: joints, poses, cameras as numbers, the engine as a child process, sentences
     bridge/          the only code that touches Blender's data: armature, motion, camera, version differences
+    operators/       what an artist can do
+    panels/          the sidebar's tab
     properties.py    what is saved with a file: settings of a hand and of a scene
     preferences.py   what holds for this user and machine: where the engine is
     runtime.py       the one link to the engine

@@ -6,11 +6,15 @@ armature   one armature per hand: building it, finding it, reading its 21 joints
 sources    hands that are no armature of ours: foreign rigs through bone maps, 21 objects
 controls   finger controls on our armature: curl, spread, fist, splay, held tips, joint limits
 shapes     what the controls look like
+hand_poses   taking a pose, the other hand's pose, rest; keys of them
+pose_pictures  small pictures of the poses for menus
+bone_list  a bone map as rows that Blender can show and edit
+folders    where the extension may write
 pose_library  the poses as Blender pose assets, in a folder made on demand
 motion     a motion onto an armature, as keys
 camera     a Blender camera as a pinhole, and back
 scene      the opened file: its cameras and hands, and whether Blender evaluated them truly
-framing    cameras that show a hand over a whole motion
+framing    cameras and views that show a hand whole
 views      the 3D views that show hands: what each wants, asked for, and has
 seen_hands   which hands a view shows, read for it; view_camera is its pinhole
 picture    the draw handler in Solid and Material Preview; viewport_engine the same in Rendered

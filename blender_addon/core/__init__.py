@@ -22,5 +22,6 @@ pacing          when a view asks for a picture, how good a one, how long it wait
 cropping        the part of a view that can show hands
 batch           frames, names and files of a batch run, and its report
 stamp           what the pictures of a folder were made from
+panel_text      what panels say: the engine's state, a picture's receipt, a bone map
 messages        one sentence and one remedy for everything that can fail
 """

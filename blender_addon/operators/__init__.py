@@ -8,5 +8,6 @@ pose             poses: take, copy to the other hand, reset, make assets
 finger_controls  curl, spread, held tips, joint limits
 motion           motion files as keys
 engine           check, start, stop, log
+help_page        the page that explains the panels
 picture          the scene's settings for pictures, cameras, small print
 """
