@@ -54,7 +54,7 @@ def add_splats(stage: Any, depsgraph: bpy.types.Depsgraph) -> list[str]:
     target = Path(stage.GetRootLayer().realPath).parent
     said = []
     for thing in depsgraph.scene.objects:
-        if not (armature.is_hand(thing) or armature.is_foreign(thing)):
+        if not (armature.is_hand(thing) or armature.is_foreign(thing)) or not _is_exported(stage, thing):
             continue
         try:
             for hand, folder in usable_bakes(thing, depsgraph):
@@ -64,6 +64,14 @@ def add_splats(stage: Any, depsgraph: bpy.types.Depsgraph) -> list[str]:
         except JGHandFailure as failure:
             said.append(f"{thing.name}: left out. {failure}")
     return said
+
+
+def _is_exported(stage: Any, thing: bpy.types.Object) -> bool:
+    """Whether Blender wrote an object at all: selected ones only may have been asked for."""
+    from pxr import Tf
+
+    names = {thing.name, Tf.MakeValidIdentifier(thing.name)}
+    return any(prim.GetName() in names for prim in stage.Traverse())
 
 
 def usable_bakes(thing: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> list[tuple[bakes.BakedHand, Path]]:

@@ -336,6 +336,23 @@ json.dump({"same": same, "found": [str(one) for one in check_usd(whole)]}, open(
         assert [one for one in said["found"] if "InvalidSkelBindingAPIApply" not in one] == []
 
 
+def test_a_hand_that_is_not_exported_brings_no_splats(baked, tmp_path):
+    from pxr import Usd
+
+    context, hand, _ = baked
+    bpy.ops.mesh.primitive_cube_add()
+    assert context.selected_objects == [bpy.data.objects["Cube"]]
+    bpy.ops.wm.usd_export(filepath=str(tmp_path / "cube.usdc"), selected_objects_only=True)
+    assert usd_hook.notes == []
+    hand.select_set(True)
+    bpy.ops.wm.usd_export(filepath=str(tmp_path / "both.usdc"), selected_objects_only=True)
+    found = {}
+    for name in ("cube", "both"):
+        stage = Usd.Stage.Open(str(tmp_path / f"{name}.usdc"))
+        found[name] = sum(prim.GetTypeName() == usd_hook.SPLAT_TYPE for prim in stage.Traverse())
+    assert found == {"cube": 0, "both": 1}
+
+
 def test_a_stale_or_missing_bake_is_left_out_and_told(baked, tmp_path):
     from pxr import Usd
 

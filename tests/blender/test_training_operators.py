@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import subprocess
 import sys
 import time
 from pathlib import Path
@@ -17,7 +19,8 @@ from blender_addon.core.job_state import Phase
 from blender_addon.core.jobs import Job
 from blender_addon.panels import output, training
 
-STAND_IN = Path(__file__).parents[1] / "addon_core" / "stand_in_job.py"
+ROOT = Path(__file__).resolve().parents[2]
+STAND_IN = ROOT / "tests" / "addon_core" / "stand_in_job.py"
 LONG_S = 20.0
 FACTS = {
     "kind": "avatar",
@@ -208,3 +211,32 @@ def test_the_size_of_an_export_is_said_before_the_click(place):
     assert "Up to " in text_of(output.ExportPanel)
     bpy.context.scene.jghand.output.format = "ply"
     assert "Up to 272 MB" in text_of(output.ExportPanel)
+
+
+# ---- the end of Blender ----------------------------------------------------------------------------------------------
+
+
+def test_blender_that_ends_lets_a_training_write_its_checkpoint(tmp_path):
+    code = f"""
+import sys, time
+sys.path[:0] = {[str(ROOT), str(ROOT / "tests" / "addon_core")]!r}
+import bpy
+import blender_addon
+from blender_addon import runtime
+from blender_addon.core.jobs import JobSpec
+from pathlib import Path
+bpy.ops.wm.read_factory_settings(use_empty=True)
+blender_addon.register()
+words = (sys.executable, "-I", {str(STAND_IN)!r}, "long", {str(tmp_path / "checkpoint")!r})
+job = runtime.jobs().start("training", JobSpec("training", "Training", words, Path(), resume=words))
+while not job.state.total:
+    job.tick()
+    time.sleep(0.02)
+"""
+    command = [sys.executable, "-c", code]
+    environment = {**os.environ, "BLENDER_USER_RESOURCES": str(tmp_path / "profile")}
+    subprocess.run(command, env=environment, check=True, timeout=120)
+    until = time.monotonic() + LONG_S
+    while not (tmp_path / "checkpoint").exists() and time.monotonic() < until:
+        time.sleep(0.05)
+    assert (tmp_path / "checkpoint").read_text() == "checkpoint"
