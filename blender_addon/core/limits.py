@@ -165,9 +165,9 @@ PLAY_WAIT_S = 0.04
 # after so many late frames in a row nobody waits any more, until an answer was fast enough again: a hung engine costs
 # playback nothing
 LATE_PATIENCE = 3
-# a view that is orbited waits so long for the picture from the new side, where recent pictures came that fast; longer
-# is felt as stutter
-ORBIT_WAIT_S = 0.025
+# a view that is orbited waits so long for the picture from the new side, where recent pictures came that fast: a view
+# that turns 25 times a second with its hand is better than a faster one without
+ORBIT_WAIT_S = 0.04
 # after the last change: the settings of the viewport instead of the fast ones, and then the settings of renders
 SETTLE_S = 0.15
 SHARPEN_S = 0.6
