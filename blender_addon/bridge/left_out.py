@@ -57,6 +57,11 @@ def sentence(engine: str) -> str:
     return iface_("This picture has no hands: {engine} does not draw them.").format(engine=name)
 
 
+def was_said(scene: bpy.types.Scene) -> bool:
+    """Whether it was said of this scene, and shown."""
+    return scene.session_uid in _said and not _pending
+
+
 def show() -> None:
     """Shows what is noted, if anything is; for the timer, once no render runs."""
     global _pending

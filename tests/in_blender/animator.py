@@ -51,6 +51,22 @@ def step_material_preview_shows_the_same_hand(window):
     assert skin(view_picture(window, "material_preview")).mean() > 0.05
 
 
+def step_a_picture_without_hands_says_so(window):
+    """F12 with an engine that draws no hands: a menu names it and offers the two ways to get them."""
+    scene = bpy.context.scene
+    scene.render.engine = "BLENDER_WORKBENCH"
+    scene.render.resolution_x, scene.render.resolution_y = SIZE
+    yield from window.point_at_view()
+    yield from window.key("F12")
+    yield lambda: window.module("bridge.left_out").was_said(scene)
+    yield 1.0
+    window.picture("without_hands")
+    yield from window.key("Escape")
+    close_other_windows(window)
+    scene.render.engine = "BLENDER_EEVEE"
+    yield 0.5
+
+
 def step_rendered_mode_shows_it_with_our_engine(window):
     yield from window.shading("RENDERED")
     window.picture("rendered_with_eevee")
@@ -152,7 +168,6 @@ def step_the_camera_button_frames_the_hand(window):
     scene = bpy.context.scene
     scene.frame_set(1)
     assert window.call("jghand.add_camera") == {"FINISHED"}
-    scene.render.resolution_x, scene.render.resolution_y = SIZE
     window.space().region_3d.view_perspective = "CAMERA"
     window.redraw()
     yield from window.settle()
