@@ -16,7 +16,7 @@ import bpy
 import numpy as np
 
 from . import runtime
-from .bridge import camera, guard, moments
+from .bridge import camera, combination, guard, moments
 from .bridge.classes import register_classes, unregister_classes
 from .bridge.viewport_engine import ViewportEngine
 from .bridge.world import background
@@ -135,7 +135,8 @@ def _other_outputs(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> dict[s
     """Pass -> output of the engine, of what this view layer asks for besides the colour."""
     wanted = {}
     if layer.use_pass_z:
-        wanted[DEPTH] = "depth"
+        # what is blurred has to be somewhere when pictures are combined by depth
+        wanted[DEPTH] = "depth_covered" if combination.is_hands_scene(scene.original) else "depth"
     if scene.jghand.use_pass_ids:
         wanted[IDS] = "ids"
     return wanted

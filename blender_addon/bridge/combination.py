@@ -98,6 +98,7 @@ def _share(scene: bpy.types.Scene, ours: bpy.types.Scene, hands: list[bpy.types.
         for name in names:
             setattr(owner, name, getattr(of, name))
     ours.unit_settings.scale_length = scene.unit_settings.scale_length
+    _copy_curve(scene.render.motion_blur_shutter_curve, ours.render.motion_blur_shutter_curve)
     ours.render.engine, ours.render.film_transparent = "JGHAND", True
     ours.view_layers[0].use_pass_z = True
     cameras = [marker.camera for marker in scene.timeline_markers if marker.camera is not None]
@@ -113,6 +114,17 @@ def _share(scene: bpy.types.Scene, ours: bpy.types.Scene, hands: list[bpy.types.
     for marker in scene.timeline_markers:
         if marker.camera is not None:
             ours.timeline_markers.new(marker.name, frame=marker.frame).camera = marker.camera
+
+
+def _copy_curve(source: bpy.types.CurveMapping, target: bpy.types.CurveMapping) -> None:
+    wanted, points = source.curves[0].points, target.curves[0].points
+    while len(points) > len(wanted):
+        points.remove(points[len(points) - 2])  # the ends stay
+    while len(points) < len(wanted):
+        points.new(0.5, 0.5)
+    for point, place in zip(points, wanted, strict=True):
+        point.location, point.handle_type = place.location, place.handle_type
+    target.update()
 
 
 # ---- nodes ----------------------------------------------------------------------------------------------------------
@@ -135,10 +147,17 @@ def _insert(
     theirs = _new_node(tree, "CompositorNodeRLayers", output, (-3, -2))
     theirs.scene, theirs.layer = ours, ours.view_layers[0].name
     nearer = _new_node(tree, "CompositorNodeZcombine", output, (-1, 0))
-    versions.use_alpha(nearer)
-    sources = (before or here.outputs["Image"], here.outputs["Depth"], theirs.outputs["Image"], theirs.outputs["Depth"])
-    for place, socket in enumerate(sources):
-        tree.links.new(socket, nearer.inputs[place])
+    versions.combine_soft_edges(nearer)
+    pictures = (before or here.outputs["Image"], theirs.outputs["Image"])
+    for place, (picture, depth) in enumerate(
+        zip(pictures, (here.outputs["Depth"], theirs.outputs["Depth"]), strict=True)
+    ):
+        # Z Combine multiplies the nearer picture by its alpha, as if it were straight: soft edges would become dark
+        straight = _new_node(tree, "CompositorNodePremulKey", output, (-2, -2 * place))
+        versions.make_straight(straight)
+        tree.links.new(picture, straight.inputs[0])
+        tree.links.new(straight.outputs[0], nearer.inputs[2 * place])
+        tree.links.new(depth, nearer.inputs[2 * place + 1])
     tree.links.new(nearer.outputs[0], output.inputs[0])
 
 
@@ -147,6 +166,8 @@ def _take_out(tree: bpy.types.NodeTree) -> None:
     for node in _nodes(tree):
         if node.bl_idname == "CompositorNodeZcombine" and node.inputs[0].links:
             source = node.inputs[0].links[0].from_socket
+            if source.node.get(MARK) and source.node.inputs and source.node.inputs[0].links:  # what makes it straight
+                source = source.node.inputs[0].links[0].from_socket
             for target in [link.to_socket for link in node.outputs[0].links]:
                 if not source.node.get(MARK):
                     tree.links.new(source, target)

@@ -37,7 +37,7 @@ def read_moments(depsgraph: bpy.types.Depsgraph, frame: Frame, frame_set: Callab
     where it was afterwards. Raises JGHandFailure: what `camera.pinhole` and `sources.read_hands` do, no_hand,
     scripts_blocked, broken_driver.
     """
-    if not armature.hands_at_any_frame(depsgraph.view_layer):
+    if not any(armature.hands_at_any_frame(layer) for layer in depsgraph.scene.original.view_layers):
         instanced = "; ".join(scene.instanced_hands(depsgraph.scene))
         raise JGHandFailure("no_hand", f"not rendered: {instanced}" if instanced else "")
     things = armature.rendered_hands(depsgraph)

@@ -126,12 +126,12 @@ def compositor_output(tree: bpy.types.NodeTree) -> bpy.types.Node:
     return output
 
 
-def use_alpha(combine: bpy.types.Node) -> None:
-    """Makes a Z Combine node mix what is half transparent."""
+def combine_soft_edges(combine: bpy.types.Node) -> None:
+    """Makes a Z Combine node mix what is half transparent, and leave its edges as they are."""
     if hasattr(combine, "use_alpha"):  # 4.5
-        combine.use_alpha = True
+        combine.use_alpha, combine.use_antialias_z = True, False
     else:
-        combine.inputs["Use Alpha"].default_value = True
+        combine.inputs["Use Alpha"].default_value, combine.inputs["Anti-Alias"].default_value = True, False
 
 
 def world_tree(world: bpy.types.World) -> bpy.types.NodeTree | None:
@@ -139,3 +139,11 @@ def world_tree(world: bpy.types.World) -> bpy.types.NodeTree | None:
     # since 5.0 nodes are used wherever they are; asking `use_nodes` warns there
     always = bpy.types.Scene.bl_rna.properties.get("compositing_node_group") is not None
     return world.node_tree if always or world.use_nodes else None
+
+
+def make_straight(convert: bpy.types.Node) -> None:
+    """Makes an Alpha Convert node divide alpha out."""
+    if hasattr(convert, "mapping"):  # 4.5
+        convert.mapping = "PREMUL_TO_STRAIGHT"
+    else:
+        convert.inputs["Type"].default_value = "To Straight"

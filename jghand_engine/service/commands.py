@@ -32,12 +32,14 @@ def never() -> bool:
 class Painting:
     """rgba: (H, W, 4) float32 premultiplied, display-referred sRGB; depth_m: (H, W) float32 along the view axis, 0 =
     nothing; ids: (H, W) uint8, 1..20 the bone that ends at that joint of the standard order, 0 = nothing; both only
-    where they were asked for; report: FrameReport as plain data."""
+    where they were asked for; covered_depth_m: (H, W) float32, the mean depth of all that covers a pixel, also where
+    only blur does; report: FrameReport as plain data."""
 
     rgba: np.ndarray
     report: dict[str, Any]
     depth_m: np.ndarray | None = None
     ids: np.ndarray | None = None
+    covered_depth_m: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
@@ -118,6 +120,7 @@ class Commands:
             "rgba_f32": lambda: _array(rgba, np.float32),
             "rgba_u8": lambda: _array(np.rint(np.clip(rgba, 0.0, 1.0) * 255.0), np.uint8),
             "depth": lambda: _array(_or_nothing(picture.depth_m, size), np.float32),
+            "depth_covered": lambda: _array(_or_nothing(picture.covered_depth_m, size), np.float32),
             "ids": lambda: _array(_or_nothing(picture.ids, size), np.uint8),
             "png": lambda: Array.of(self.source.encode_png(np.asarray(rgba, np.float32))),
         }

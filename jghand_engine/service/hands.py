@@ -74,9 +74,9 @@ class EngineHands:
             if cancelled():
                 raise Cancelled
 
-        frame = render_moments(renderer, moments, weights, middle=picture.middle, between=check)
+        frame, covered_depth_m = render_moments(renderer, moments, weights, middle=picture.middle, between=check)
         ids = renderer.bone_ids(moments[picture.middle].camera) if picture.ids else None
-        return Painting(frame.rgba, frame.report.as_dict(), frame.depth_m, ids)
+        return Painting(frame.rgba, frame.report.as_dict(), frame.depth_m, ids, covered_depth_m)
 
     def encode_png(self, rgba: np.ndarray) -> bytes:
         """(H, W, 4) premultiplied float32 -> the bytes of a PNG with straight alpha."""

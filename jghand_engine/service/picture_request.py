@@ -20,7 +20,7 @@ from jghand_engine.errors import InputError, MemoryLimitError
 from jghand_engine.service.protocol import PAYLOAD_MAX_BYTES, Message
 
 # outputs that a picture may be asked for -> bytes per pixel (png: at most, with some room for its own bytes)
-OUTPUT_BYTES = {"rgba_f32": 16, "rgba_u8": 4, "depth": 4, "ids": 1, "png": 5}
+OUTPUT_BYTES = {"rgba_f32": 16, "rgba_u8": 4, "depth": 4, "depth_covered": 4, "ids": 1, "png": 5}
 JOINTS = 21
 
 
@@ -147,7 +147,7 @@ def read_request(message: Message) -> tuple[PictureRequest, list[str]]:
         _exposures(message, len(hands)),
         PictureSettings.parse(header.get("settings", {})),
         orthographic,
-        depth="depth" in outputs,
+        depth="depth" in outputs or "depth_covered" in outputs,
         ids="ids" in outputs,
     )
     if orthographic and any(exposure.aperture_m > 0 for exposure in request.exposures):

@@ -52,9 +52,11 @@ def render_moments(
     *,
     middle: int = 0,
     between: Callable[[], None] = lambda: None,
-) -> Frame:
+) -> tuple[Frame, np.ndarray]:
     """The mean of all moments. Where they are too far from each other to look like a movement, more are put between
     them. Depth is that of the middle one, through the middle of its lens, and the renderer is left with its hands.
+    Besides, (H, W) float32: the mean depth, metres, of all that covers a pixel, blur too: what a combination by depth
+    needs.
 
     weights: one per moment, 0 or more, some above · between: called before each picture; may raise to end it all.
     InputError for moments of different sizes, or weights that are none.
@@ -67,19 +69,20 @@ def render_moments(
     sharp = Moment(moments[middle].joints_m, replace(moments[middle].camera, lens=None))
     if len(seen) == 1 and each == 1:
         between()
-        return renderer.render(sharp.joints_m, sharp.camera)
+        frame = renderer.render(sharp.joints_m, sharp.camera)
+        return frame, frame.depth_m
     mean, reports = _LinearMean(sharp.camera), []
     for index, (moment, share) in enumerate(zip(seen, shares, strict=True)):
         for pinhole in _pinholes(moment.camera, index, each, len(seen)):
             between()
             frame = renderer.render(moment.joints_m, pinhole)
-            mean.add(frame.rgba, share / each)
+            mean.add(frame, share / each)
             reports.append(frame.report)
     between()
     last = renderer.render(sharp.joints_m, sharp.camera)
     reports.append(last.report)
     plan = _told(last.report.plan, seen, each, lens_px)
-    return Frame(mean.rgba(), last.depth_m, _summed(reports, plan))
+    return Frame(mean.rgba(), last.depth_m, _summed(reports, plan)), mean.depth_m()
 
 
 def filled(moments: Sequence[Moment], weights: Sequence[float]) -> tuple[list[Moment], list[float]]:
@@ -164,11 +167,15 @@ class _LinearMean:
 
     def __init__(self, camera: Camera) -> None:
         self._sum = np.zeros((camera.height, camera.width, 4), np.float32)
+        self._depth_sum, self._depth_weight = np.zeros((2, camera.height, camera.width), np.float32)
 
-    def add(self, rgba: np.ndarray, weight: float) -> None:
-        """Adds a premultiplied, display-referred picture (H, W, 4)."""
-        covered = rgba[..., 3] > 0
-        values = rgba[covered]
+    def add(self, frame: Frame, weight: float) -> None:
+        """Adds a picture."""
+        covered = frame.rgba[..., 3] > 0
+        values, depth_m = frame.rgba[covered], frame.depth_m[covered]
+        counts = np.float32(weight) * values[:, 3] * (depth_m > 0)
+        self._depth_sum[covered] += counts * depth_m
+        self._depth_weight[covered] += counts
         alpha = values[:, 3:]
         values[:, :3] = srgb_to_linear(values[:, :3] / alpha) * alpha
         self._sum[covered] += np.float32(weight) * values
@@ -182,6 +189,11 @@ class _LinearMean:
         out = np.zeros_like(self._sum)
         out[covered] = values
         return out
+
+    def depth_m(self) -> np.ndarray:
+        """(H, W) the mean depth of what covers each pixel; 0 where hardly anything does."""
+        seen = self._depth_weight > limits.DEPTH_ALPHA_MIN
+        return np.where(seen, self._depth_sum / np.where(seen, self._depth_weight, 1), 0).astype(np.float32)
 
 
 # ---- the receipt ----------------------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ import hands
 import numpy as np
 import pytest
 
-from blender_addon import cli
+from blender_addon import cli, cli_command, registration
 from blender_addon.bridge import armature, camera, scene, sources
 from blender_addon.core import posing, stamp
 from blender_addon.core.messages import JGHandFailure
@@ -90,6 +90,26 @@ def test_every_frame_of_every_camera_becomes_a_picture(engine, blend, capsys):
     lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith("frame ")]
     assert len(lines) == 4
     assert "4 of 4" in lines[-1]
+
+
+def test_the_command_of_an_installed_extension_is_the_same_run(engine, blend, capsys):
+    registration.register()
+    try:
+        for words in ([], ["train"], ["render"], ["render", "x.blend"], ["render", "x.blend", "--frames", "4-1"]):
+            assert cli_command.command(words) == 2
+        assert cli_command.command(["--help"]) == 0
+        assert cli_command.command(["render", "--help"]) == 0
+        assert "--command jghand render" in capsys.readouterr().out
+        options = [str(blend), "--frames", "1-2", "--out"]
+        assert cli_command.command(["render", *options, str(blend.parent / "command")]) == 0
+        assert registration.is_registered()
+    finally:
+        registration.unregister()
+    assert cli.main([*options, str(blend.parent / "script")]) == 0
+    assert not registration.is_registered()
+    for frame in ("0001.png", "0002.png"):
+        one, other = ((blend.parent / folder / "CamPalm" / frame).read_bytes() for folder in ("command", "script"))
+        assert one == other
 
 
 def test_without_options_the_scenes_own_camera_and_range_are_rendered(engine, blend):

@@ -61,8 +61,9 @@ def pixels(path: Path) -> np.ndarray:
     return values
 
 
-def layers(scene: bpy.types.Scene, folder: Path) -> dict[str, np.ndarray]:
-    """Renders the current frame; (H, W) of every channel of every pass, top row first, by "Layer.Pass.channel"."""
+def layers(scene: bpy.types.Scene, folder: Path, *, names: bool = False) -> dict[str, np.ndarray]:
+    """Renders the current frame; (H, W) of every channel of every pass, top row first, by "Pass.channel", and with the
+    view layer's name before it where names are wanted."""
     settings = scene.render.image_settings
     if hasattr(settings, "media_type"):
         settings.media_type = "MULTI_LAYER_IMAGE"
@@ -77,7 +78,7 @@ def layers(scene: bpy.types.Scene, folder: Path) -> dict[str, np.ndarray]:
         values = file.read_image(part, 0, 0, file.spec().nchannels, OpenImageIO.FLOAT)
         found |= {name: values[..., place] for place, name in enumerate(file.spec().channelnames)}
         part += 1
-    return {name.partition(".")[2]: values for name, values in found.items()}
+    return {name if names else name.partition(".")[2]: values for name, values in found.items()}
 
 
 def asked(scene: bpy.types.Scene, *outputs: str) -> tuple[np.ndarray, ...]:
@@ -156,6 +157,20 @@ def test_two_hands_are_one_picture_the_nearer_in_front(scene):
     np.testing.assert_array_equal(picture, wanted)
     colours = {tuple(colour) for colour in picture[picture[..., 3] > 0]}
     assert colours == {(1, 1, 1, 1), (0, 0, 1, 1)}  # the stand-in draws a left hand blue
+
+
+def test_every_view_layer_shows_its_own_hands(scene, tmp_path):
+    hand = bpy.data.objects["right"]
+    collection = bpy.data.collections.new("hands")
+    scene.collection.children.link(collection)
+    collection.objects.link(hand)
+    scene.collection.objects.unlink(hand)
+    without = scene.view_layers.new("without")
+    without.layer_collection.children["hands"].exclude = True
+    first = scene.view_layers[0].name
+    passes = layers(scene, tmp_path, names=True)
+    assert passes[f"{first}.Combined.A"].any()
+    assert not passes["without.Combined.A"].any()
 
 
 # ---- what a scene may ask for ---------------------------------------------------------------------------------------

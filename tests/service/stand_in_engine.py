@@ -56,15 +56,19 @@ class StandInHands:
         if self.fault == "blank":  # for measuring the way there and back
             return self._blank(picture)
         total = sum(exposure.weight for exposure in picture.exposures)
-        rgba, depth, ids = (np.zeros((picture.height, picture.width, *more), np.float32) for more in ((4,), (), ()))
+        rgba, depth, ids, behind, near = (
+            np.zeros((picture.height, picture.width, *more), np.float32) for more in ((4,), (), (), (), ())
+        )
         for index, exposure in enumerate(picture.exposures):
             if cancelled():
                 raise Cancelled
             colour, near_m, numbers = _discs(picture, exposure)
             rgba += exposure.weight / total * colour
+            behind, near = behind + exposure.weight * (near_m > 0), near + exposure.weight * near_m
             if index == picture.middle:
                 depth, ids = near_m, numbers
-        return Painting(rgba, {"total_ms": 1.0, "stages": []}, depth, ids)
+        covered = near / np.where(behind > 0, behind, 1)
+        return Painting(rgba, {"total_ms": 1.0, "stages": []}, depth, ids, covered)
 
     def _blank(self, picture: PictureRequest) -> Painting:
         size = (picture.height, picture.width)

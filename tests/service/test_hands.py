@@ -256,6 +256,10 @@ def test_moments_are_averaged_in_linear_light_and_the_middle_one_gives_depth_and
     np.testing.assert_allclose(linear(came.rgba), mean, atol=1e-5)
     np.testing.assert_array_equal(came.depth_m, alone[1].depth_m)
     np.testing.assert_array_equal(came.ids, alone[1].ids)
+    anywhere = np.max([one.depth_m > 0 for one in alone], 0)
+    solid = np.max([one.rgba[..., 3] > 0.9 for one in alone], 0)
+    assert (came.covered_depth_m[solid] > 0.4).all()
+    assert not came.covered_depth_m[~anywhere].any()
     told = {effect["effect"]: effect for effect in came.report["effects"]}
     assert told["motion-blur"]["runs"]
     assert "3 pictures" in told["motion-blur"]["reason"]

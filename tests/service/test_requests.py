@@ -83,7 +83,7 @@ def test_several_moments_become_one_picture():
     """Half the time here, half the time there; depth is that of the middle one, the first of two."""
     arrays = run(
         request(
-            outputs=["rgba_f32", "depth"],
+            outputs=["rgba_f32", "depth", "depth_covered"],
             joints=np.stack([joints_at(0.3), joints_at(0.2)])[:, None],
             arrays={
                 "pinholes": np.array([PINHOLE, (80.0, 80.0, 5.0, 15.0)]),
@@ -97,6 +97,8 @@ def test_several_moments_become_one_picture():
     np.testing.assert_allclose(arrays["rgba_f32"][15, 5], 0.75)
     assert arrays["depth"][15, 20] == pytest.approx(0.3)
     assert arrays["depth"][15, 5] == 0
+    assert arrays["depth_covered"][15, 20] == pytest.approx(0.3)
+    assert arrays["depth_covered"][15, 5] == pytest.approx(0.2)
 
 
 def test_where_a_hand_lies_in_the_world_counts_together_with_the_camera():
