@@ -292,7 +292,22 @@ def test_export_writes_splat_files_too(tmp_path, capsys):
     assert "2 frames" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("words", [("ply", "--radiance", "linear"), ("usd", "--axes", "rub")])
+def test_a_single_frame_becomes_one_file_of_the_format_that_is_named(tmp_path, capsys):
+    words = ("--frames", "0", "--out", tmp_path, "--name", "fist", "--avatar", "painted")
+    assert run("export", "splats", "--as", "glb", "--poses", "fist", *words) == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["fist.0000.glb"]
+    assert "axes rub" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("ply", "--radiance", "linear"),
+        ("usd", "--axes", "rub"),
+        ("ply", "--as", "glb"),
+        ("splats", "--sizes", "per_frame"),
+    ],
+)
 def test_export_refuses_an_option_of_the_other_format(tmp_path, words, capsys):
     assert run("export", *words, "--poses", "open", "--out", tmp_path / "out") == 2
     assert "without effect" in capsys.readouterr().err

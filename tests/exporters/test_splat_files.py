@@ -10,15 +10,18 @@ import sys
 
 import numpy as np
 import pytest
+import torch
 from scipy.spatial.transform import Rotation
+from small_avatars import trained_avatar
 from usd_samples import engine_gaussians, lively_motion, small_avatar
 
+from jghand_engine.avatar.skinning import pose_gaussians
 from jghand_engine.colour import srgb_to_linear
 from jghand_engine.errors import InputError
 from jghand_engine.exporters.dot_splat import splat_bytes
 from jghand_engine.exporters.gltf_splats import EXTENSION, glb_bytes
 from jghand_engine.exporters.splat_cloud import SplatCloud
-from jghand_engine.exporters.splat_files import FORMATS, SplatOptions, export_splats
+from jghand_engine.exporters.splat_files import FORMATS, SplatMotion, SplatOptions, export_splats
 from jghand_engine.exporters.spz import fractional_bits, spz_bytes
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.limits import SH_C0
@@ -144,6 +147,17 @@ def test_spz_keeps_as_many_bits_as_the_farthest_gaussian_leaves(farthest_m, bits
 def test_equal_hands_give_equal_files():
     for kind in (kind for name, kind in FORMATS.items() if name != "sog"):
         assert kind.encode(some_cloud(kind.axes[0])) == kind.encode(some_cloud(kind.axes[0]))
+
+
+def test_a_trained_hand_has_the_colours_of_every_frame(tmp_path):
+    avatar, motion = trained_avatar(), lively_motion(Handedness.RIGHT, 2)
+    clouds = SplatMotion(avatar, motion, axes="rub")
+    for index, joints_m in enumerate(motion.joints_m):
+        bones = avatar.bone_transform().bones(torch.tensor(joints_m))
+        rgb = pose_gaussians(avatar, bones, frames=bones.frames).rgb.clamp(0, 1).numpy()
+        # worst observed 3e-6: the export poses in float32
+        assert np.abs(clouds.cloud(index).rgb - rgb).max() < 5e-6
+    assert np.abs(clouds.cloud(1).rgb - clouds.cloud(0).rgb).max() > 0.01
 
 
 @pytest.mark.parametrize("format", ["splat", "glb", "spz"])
