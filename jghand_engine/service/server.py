@@ -25,7 +25,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from typing import IO, Any
+from typing import IO, Any, NoReturn
 
 from jghand_engine import __version__, limits
 from jghand_engine.errors import InputError
@@ -41,8 +41,8 @@ CANCEL = "cancel"
 _ACCEPT_REST_S = 0.2
 
 
-def serve(source: PictureSource) -> int:
-    """Runs the engine until stdin ends or a client asks for the end; returns the exit code.
+def serve(source: PictureSource) -> NoReturn:
+    """Runs the engine until stdin ends or a client asks for the end, and then ends the process.
 
     stdout carries the handshake line and nothing else: whatever is printed afterwards goes to stderr.
     """
@@ -54,7 +54,8 @@ def serve(source: PictureSource) -> int:
     with handshake_out:
         handshake_out.write(json.dumps(server.handshake()) + "\n")
     server.run()
-    return 0
+    sys.stderr.flush()
+    os._exit(0)  # nothing is left to be written, and to take torch apart takes seconds
 
 
 class Server:
