@@ -60,7 +60,7 @@ def stop(context: bpy.types.Context, folder: Path) -> int:
         cloud = thing.data
         bpy.data.objects.remove(thing)
         if not cloud.users:
-            bpy.data.pointclouds.remove(cloud)
+            bpy.data.batch_remove([cloud])
     bpy.data.batch_remove([cache for cache in bpy.data.cache_files if _is_in(cache, folder) and not cache.users])
     if old:
         context.view_layer.update()

@@ -112,9 +112,10 @@ PREVIEW_CENTRE_M = (0.0, 0.082)
 PREVIEW_RADIUS_M = 0.0085
 PREVIEW_TIP_PART = 0.75
 PREVIEW_STEP_M = 0.002
-# the same in menus, pixels, and the pause between two of them, seconds: one takes some 20 ms of Blender's main thread;
-# the pause while an animation plays
+# the same in menus, pixels; how long Blender's main thread makes them at a time (one takes some 20 ms), the pause
+# between two times, and while an animation plays, seconds
 MENU_PICTURE_PX = 96
+PICTURE_TURN_S = 0.03
 PICTURE_REST_S = 0.05
 PICTURE_PAUSE_S = 1.0
 
@@ -214,8 +215,10 @@ JOB_NOTES = 5
 
 # ---- work that takes a while on Blender's main thread ---------------------------------------------------------------
 
-# one turn of it, between two of which Blender draws and hears Esc, and the time between turns
-WORK_TURN_S = 0.03
+# one turn of it, between two of which Blender draws and hears Esc (which is to be answered within 0.2 s); the time
+# between turns; and how often the status bar is drawn anew, which draws the whole window
+WORK_TURN_S = 0.1
+WORK_TELL_S = 0.25
 WORK_REST_S = 0.005
 
 # ---- renders --------------------------------------------------------------------------------------------------------
@@ -247,3 +250,5 @@ CURVE_MARGIN_PX = 4
 CURVE_LINE_PX = 2
 CURVE_GROUND = (0.12, 0.12, 0.12, 1.0)
 CURVE_LINE = (0.85, 0.62, 0.35, 1.0)
+# a million Gaussians in a frame of the extension's own cache
+CACHE_FRAME_MAX_BYTES = 32_000_000

@@ -10,10 +10,10 @@ import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 
 from .. import runtime
-from ..bridge import baked_points, job_watch, record, usd_hook, versions
+from ..bridge import baked_points, cache_player, job_watch, record, usd_hook, versions
 from ..bridge.classes import register_classes, unregister_classes
 from ..bridge.seen_hands import avatar_of
-from ..core import bakes, engine_words
+from ..core import bakes, engine_words, splat_cache
 from ..core.engine_words import UsdChoices
 from ..core.jobs import JobSpec
 from ..core.messages import JGHandFailure
@@ -105,7 +105,8 @@ class Bake(StartsJob, bpy.types.Operator):
         commands = []
         stamped = []
         shown = "splats" if versions.has_native_splats() else "points"
-        choices = UsdChoices(shown, "constant", "srgb", context.scene.jghand.output.width_factor)
+        settings = context.scene.jghand.output
+        choices = UsdChoices(shown, "constant", "srgb", settings.width_factor)
         for thing, own in _by_object(things, recordings, context):
             target = folder / own[0].name
             bakes.unstamp(target)
@@ -114,6 +115,11 @@ class Bake(StartsJob, bpy.types.Operator):
                 recording.save(motion)
                 words = engine_words.export_usd(recording, motion, target, figures, choices)
                 commands.append((*runtime.program(), *words))
+                splat_cache.clear(target, recording.name)
+                if settings.use_cache or not versions.has_usd():
+                    out = splat_cache.cache_folder(target, recording.name)
+                    words = engine_words.export_cache(recording, motion, out, scratch("cache.json"))
+                    commands.append((*runtime.program(), *words))
             stamped.append((target, own))
             thing.jghand.bake = _beside_the_file(context, target)
         finish = partial(_stamp_all, stamped)
@@ -148,8 +154,6 @@ class PlayBake(Reporting, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if not versions.has_usd():
-            return missing(cls, "This Blender was built without USD, so it cannot play a bake")
         return _poll_baked(cls, context)
 
     def run(self, context: bpy.types.Context) -> None:
@@ -333,7 +337,10 @@ def _play_all(context: bpy.types.Context, folder: Path) -> None:
     layer = context.view_layer.objects
     active, selected = layer.active, list(layer.selected)
     for hand in bakes.read_bake(folder):
-        baked_points.play(context, hand, folder).select_set(False)
+        if versions.has_usd():
+            baked_points.play(context, hand, folder).select_set(False)
+        else:
+            cache_player.play(context, hand, folder, width=context.scene.jghand.output.width_factor)
     for thing in selected:
         thing.select_set(True)
     layer.active = active

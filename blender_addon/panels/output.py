@@ -57,6 +57,8 @@ class BakePanel(Sidebar, bpy.types.Panel):
         column.prop(settings, "bake_folder")
         if not versions.has_native_splats():
             column.prop(settings, "width_factor")
+        if versions.has_usd():
+            column.prop(settings, "use_cache")
         layout.operator("jghand.bake", icon="RENDER_ANIMATION")
         _draw_estimate(layout, context, settings.bake_folder, ply=False, sizes=False)
         hand = common.active(context)

@@ -15,7 +15,7 @@ from recording_layout import draw
 
 import blender_addon
 from blender_addon import runtime
-from blender_addon.bridge import baked_points, job_watch, record, sources, usd_hook
+from blender_addon.bridge import baked_points, cache_player, job_watch, record, sources, usd_hook, versions
 from blender_addon.core import bakes
 from blender_addon.core.engine_command import VARIABLE
 from blender_addon.core.motion_files import read_motion
@@ -274,6 +274,63 @@ def test_a_bake_that_was_cut_off_is_none(baked):
     (folder / bakes.STAMP).unlink()
     with pytest.raises(RuntimeError, match="no finished bake"):
         bpy.ops.jghand.play_bake()
+
+
+def evaluated_points(context, thing) -> dict[str, np.ndarray]:
+    """What the nodes make of a playing mesh: position, radius, colour."""
+    geometry = thing.evaluated_get(context.evaluated_depsgraph_get()).evaluated_geometry()
+    attributes = geometry.pointcloud.attributes
+    result = {}
+    for name, kind, width in (("position", "vector", 3), ("radius", "value", 1), ("displayColor", "color", 4)):
+        values = np.zeros(len(attributes[name].data) * width, np.float32)
+        attributes[name].data.foreach_get(kind, values)
+        result[name] = values.reshape(-1, width)
+    return result
+
+
+def test_the_extension_alone_plays_what_usd_plays_elsewhere(extension, engine, tmp_path, monkeypatch):
+    """A Blender without USD shows the same points, sizes and colours; worst observed: half a step of 8 bits."""
+    hand = a_hand(extension)
+    extension.scene.jghand.output.bake_folder = str(tmp_path / "bakes")
+    extension.scene.jghand.output.use_cache = True
+    assert bpy.ops.jghand.bake() == {"FINISHED"}
+    folder = tmp_path / "bakes" / hand.name
+    bpy.ops.jghand.play_bake()
+    (cloud,) = baked_points.playing(extension.scene, folder)
+    monkeypatch.setattr(versions, "has_usd", lambda: False)
+    (baked,) = bakes.read_bake(folder)
+    played = cache_player.play(extension, baked, folder, width=2.0)
+    for frame in (3, 5, 6):
+        extension.scene.frame_set(frame)
+        data = evaluated_points(extension, played)
+        assert np.abs(data["position"] - cloud_positions(extension, cloud)).max() < 1e-6
+        now = cloud.evaluated_get(extension.evaluated_depsgraph_get()).data.attributes
+        radius = np.zeros(len(data["radius"]), np.float32)
+        now["radius"].data.foreach_get("value", radius)
+        # the stage has the radii of the mean hand, and this hand's bones change their lengths
+        assert np.median(data["radius"][:, 0] / radius) == pytest.approx(1, abs=0.1)
+        colour = np.zeros(len(radius) * 4, np.float32)
+        now["displayColor"].data.foreach_get("color", colour)
+        assert np.abs(data["displayColor"][:, :3] - colour.reshape(-1, 4)[:, :3]).max() < 0.006
+    extension.scene.frame_set(99)  # beyond the bake it rests
+    assert np.abs(evaluated_points(extension, played)["position"] - data["position"]).max() == 0
+    bpy.ops.jghand.clear_bake()
+    assert not baked_points.playing(extension.scene, folder)
+
+
+def test_frames_of_a_longer_bake_are_not_left_over(extension, engine, tmp_path):
+    hand = a_hand(extension)
+    settings = extension.scene.jghand.output
+    settings.bake_folder, settings.use_cache = str(tmp_path), True
+    bpy.ops.jghand.bake()
+    assert len(list(tmp_path.glob("*/*.cache/*.splat"))) == FRAMES
+    extension.scene.frame_end -= 1
+    bpy.ops.jghand.bake()
+    assert len(list(tmp_path.glob("*/*.cache/*.splat"))) == FRAMES - 1
+    settings.use_cache = False
+    bpy.ops.jghand.bake()
+    assert not list(tmp_path.glob("*/*.cache/*.splat"))
+    assert bakes.read_bake(tmp_path / hand.name)[0].frames == FRAMES - 1
 
 
 # ---- Blender's own USD export ----------------------------------------------------------------------------------------

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Plays a bake in a Blender that was built without USD, by the extension alone: no engine.
+
+The object is a mesh of loose vertices that a handler moves at every frame, and Blender's own nodes that make balls of
+them. Its frames are read from the bake's `.splat` files. Where Blender has USD, `baked_points` plays instead, and not
+even the extension is needed then. Renders want Lock Interface, as with every handler (BLENDER 8.2).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import bpy
+import numpy as np
+from bpy.app.handlers import persistent
+
+from ..core.bakes import BakedHand
+from ..core.messages import JGHandFailure
+from ..core.splat_cache import CachedFrame, frame_path, read_frame
+from .baked_points import BAKE_PROPERTY, points_material
+
+# custom properties of a playing mesh: stem of its files, and the frames that there are
+NAME_PROPERTY, RANGE_PROPERTY = "jghand_bake_name", "jghand_bake_range"
+GROUP = "JGHand Points"
+
+
+def play(context: bpy.types.Context, hand: BakedHand, folder: Path, *, width: float) -> bpy.types.Object:
+    """An object that plays one baked hand. width: diameter of a ball in two standard deviations.
+
+    JGHandFailure: no_bake where the bake has no frames of its own for this player.
+    """
+    first = read_frame(frame_path(folder, hand.name, hand.first_frame))
+    mesh = bpy.data.meshes.new(f"{hand.name} baked")
+    mesh.vertices.add(len(first.positions_m))
+    for name, kind in (("radius", "FLOAT"), ("displayColor", "FLOAT_COLOR")):
+        mesh.attributes.new(name, kind, "POINT")
+    mesh.materials.append(points_material())
+    thing = bpy.data.objects.new(mesh.name, mesh)
+    thing[BAKE_PROPERTY], thing[NAME_PROPERTY] = str(folder), hand.name
+    thing[RANGE_PROPERTY] = [hand.first_frame, hand.first_frame + hand.frames - 1]
+    thing.scale = [1.0 / context.scene.unit_settings.scale_length] * 3
+    modifier = thing.modifiers.new("Balls", "NODES")
+    modifier.node_group = _balls(width)
+    context.scene.collection.objects.link(thing)
+    show_frame(thing, context.scene.frame_current)
+    return thing
+
+
+def show_frame(thing: bpy.types.Object, frame: int) -> None:
+    """Moves a playing object to a frame; beyond its range it stays at the end. JGHandFailure: no_bake."""
+    first, last = thing[RANGE_PROPERTY]
+    folder = Path(bpy.path.abspath(str(thing[BAKE_PROPERTY]), library=thing.library))
+    _fill(thing.data, read_frame(frame_path(folder, str(thing[NAME_PROPERTY]), min(max(frame, first), last))))
+    thing.data.update_tag()
+
+
+def register() -> None:
+    """Adds the handler."""
+    if _on_frame not in bpy.app.handlers.frame_change_post:
+        bpy.app.handlers.frame_change_post.append(_on_frame)
+
+
+def unregister() -> None:
+    """Takes it away; playing objects stay as they are."""
+    if _on_frame in bpy.app.handlers.frame_change_post:
+        bpy.app.handlers.frame_change_post.remove(_on_frame)
+
+
+@persistent
+def _on_frame(scene: bpy.types.Scene, _depsgraph: bpy.types.Depsgraph | None = None) -> None:
+    for thing in scene.objects:
+        if NAME_PROPERTY in thing and thing.type == "MESH":
+            try:
+                show_frame(thing, scene.frame_current)
+            except JGHandFailure as failure:
+                print(f"JGHand: {thing.name}: {failure}")  # a handler that throws is switched off by nobody
+
+
+def _fill(mesh: bpy.types.Mesh, frame: CachedFrame) -> None:
+    if len(mesh.vertices) != len(frame.positions_m):
+        raise JGHandFailure("no_bake", "its frames are of different avatars")
+    mesh.vertices.foreach_set("co", np.ascontiguousarray(frame.positions_m, np.float32).ravel())
+    mesh.attributes["radius"].data.foreach_set("value", np.ascontiguousarray(frame.radius_m, np.float32))
+    mesh.attributes["displayColor"].data.foreach_set("color", np.ascontiguousarray(frame.rgba, np.float32).ravel())
+    mesh.update()
+
+
+def _balls(width: float) -> bpy.types.NodeTree:
+    """Nodes: vertices become points of their own radius, with the object's material."""
+    tree = bpy.data.node_groups.new(GROUP, "GeometryNodeTree")
+    for direction in ("INPUT", "OUTPUT"):
+        tree.interface.new_socket("Geometry", in_out=direction, socket_type="NodeSocketGeometry")
+    start, end = tree.nodes.new("NodeGroupInput"), tree.nodes.new("NodeGroupOutput")
+    radius = tree.nodes.new("GeometryNodeInputNamedAttribute")
+    radius.data_type = "FLOAT"
+    radius.inputs["Name"].default_value = "radius"
+    wide = tree.nodes.new("ShaderNodeMath")
+    wide.operation = "MULTIPLY"
+    wide.inputs[1].default_value = width
+    points = tree.nodes.new("GeometryNodeMeshToPoints")
+    look = tree.nodes.new("GeometryNodeSetMaterial")
+    look.inputs["Material"].default_value = points_material()
+    tree.links.new(start.outputs[0], points.inputs["Mesh"])
+    tree.links.new(radius.outputs["Attribute"], wide.inputs[0])
+    tree.links.new(wide.outputs[0], points.inputs["Radius"])
+    tree.links.new(points.outputs[0], look.inputs["Geometry"])
+    tree.links.new(look.outputs[0], end.inputs[0])
+    return tree
