@@ -186,6 +186,18 @@ def test_volume_area_and_normals_of_a_box():
     np.testing.assert_allclose(vertex_normals(vertices, faces), np.sign(vertices) / np.sqrt(3), atol=1e-15)
 
 
+def test_corners_of_half_a_turn_and_of_none_weigh_what_they_are():
+    """The cosine of a flat corner may be rounded to beyond 1 on either side."""
+    random = np.random.default_rng(0)
+    ends = random.normal(size=(300, 2, 3))
+    flat = np.concatenate([ends, ends.mean(axis=1, keepdims=True)], axis=1)
+    faces = np.arange(900).reshape(300, 3)
+    with np.errstate(all="raise"):
+        normals = vertex_normals(flat.reshape(-1, 3), faces)
+    length = np.linalg.norm(normals, axis=1)
+    assert (np.isclose(length, 1) | (length == 0)).all()
+
+
 def test_an_edge_s_normal_is_the_mean_of_its_two_faces(hand):
     normals = face_normals(hand.vertices_m, hand.faces)
     found = edge_normals(hand.faces, normals)
