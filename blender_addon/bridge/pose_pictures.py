@@ -57,7 +57,7 @@ def unregister() -> None:
 
 def _make_some() -> float | None:
     """The timer: as many poses as fit into a turn, one at the least; None when all are there."""
-    ends = time.monotonic() + limits.WORK_TURN_S
+    ends = time.monotonic() + limits.PICTURE_TURN_S
     if any(window.screen.is_animation_playing for window in bpy.context.window_manager.windows):
         return limits.PICTURE_PAUSE_S
     while _waiting and _icons is not None:

@@ -22,12 +22,15 @@ def pose_picture(joints_m: np.ndarray, size: int = limits.PREVIEW_PX) -> np.ndar
     picture, depth = np.zeros((size, size, 4)), np.full((size, size), -np.inf)
     scale = size / limits.PREVIEW_WIDTH_M
     left, bottom = np.array(limits.PREVIEW_CENTRE_M) - limits.PREVIEW_WIDTH_M / 2
+    pixels = np.array(joints_m)
+    pixels[:, 0], pixels[:, 1] = (pixels[:, 0] - left) * scale, size - (pixels[:, 1] - bottom) * scale
+    pixels[:, 2] *= scale
     for start, end, first, last in _limbs():
         length = np.linalg.norm(joints_m[end] - joints_m[start])
-        for part in np.linspace(0, 1, 2 + int(length / limits.PREVIEW_STEP_M)):
-            centre = (1 - part) * joints_m[start] + part * joints_m[end]
-            at = np.array([(centre[0] - left) * scale, size - (centre[1] - bottom) * scale])
-            _ball(picture, depth, at, centre[2] * scale, ((1 - part) * first + part * last) * scale)
+        parts = np.linspace(0, 1, 2 + int(length / limits.PREVIEW_STEP_M))[:, None]
+        centres = (1 - parts) * pixels[start] + parts * pixels[end]
+        radii = ((1 - parts) * first + parts * last) * scale
+        _limb(picture, depth, centres, radii[:, 0])
     return picture
 
 
@@ -40,18 +43,21 @@ def _limbs() -> list[tuple[int, int, float, float]]:
     return [(start, end, float(radius[start]), float(radius[end])) for start, end in (*bones, *_WEB)]
 
 
-def _ball(picture: np.ndarray, depth: np.ndarray, at: np.ndarray, height: float, radius: float) -> None:
-    """Draws one lit ball, in pixels, where it is nearer than what is there."""
+def _limb(picture: np.ndarray, depth: np.ndarray, centres: np.ndarray, radii: np.ndarray) -> None:
+    """Draws lit balls, (N, 3) and (N,) pixels, where they are nearer than each other and than what is there."""
     size = len(picture)
-    low = np.clip(np.floor(at - radius).astype(int), 0, size)
-    high = np.clip(np.ceil(at + radius).astype(int) + 1, 0, size)
-    rows, columns = np.mgrid[low[1] : high[1], low[0] : high[0]]
-    x, y = (columns + 0.5 - at[0]) / radius, -(rows + 0.5 - at[1]) / radius
-    inside = x * x + y * y < 1
-    z = np.sqrt(np.where(inside, 1 - x * x - y * y, 0.0))
+    low = np.clip(np.floor((centres[:, :2] - radii[:, None]).min(0)).astype(int), 0, size)
+    high = np.clip(np.ceil((centres[:, :2] + radii[:, None]).max(0)).astype(int) + 1, 0, size)
+    rows, columns = np.mgrid[low[1] : high[1], low[0] : high[0]] + 0.5
+    radius = radii[:, None, None]
+    x, y = (columns - centres[:, 0, None, None]) / radius, (centres[:, 1, None, None] - rows) / radius
+    z = np.sqrt(np.maximum(1 - x * x - y * y, 0.0))
+    height = np.where(z > 0, centres[:, 2, None, None] + radius * z, -np.inf)
+    nearest = height.argmax(0)[None]
+    x, y, z, height = (np.take_along_axis(values, nearest, 0)[0] for values in (x, y, z, height))
     window = (slice(low[1], high[1]), slice(low[0], high[0]))
-    nearer = inside & (height + radius * z > depth[window])
+    nearer = height > depth[window]
     light = np.clip(_LIGHT[0] * x + _LIGHT[1] * y + _LIGHT[2] * z, 0, 1)
     colour = _SKIN * (0.25 + 0.75 * light)[..., None]
-    depth[window] = np.where(nearer, height + radius * z, depth[window])
+    depth[window] = np.where(nearer, height, depth[window])
     picture[window] = np.where(nearer[..., None], np.concatenate([colour, np.ones((*x.shape, 1))], -1), picture[window])

@@ -64,7 +64,7 @@ class InTurns(Reporting):
     working = ""
     _steps: Iterator[float] | None = None
     _timer: bpy.types.Timer | None = None
-    _started = 0.0
+    _started = _told = 0.0
 
     def run(self, context: bpy.types.Context) -> None:
         """All of it."""
@@ -107,7 +107,9 @@ class InTurns(Reporting):
             self.cancel(context)
             redraw(context)
             return DONE
-        context.workspace.status_text_set(self._progress(part))
+        if time.monotonic() - self._told > limits.WORK_TELL_S:
+            context.workspace.status_text_set(self._progress(part))
+            self._told = time.monotonic()
         return {"RUNNING_MODAL"}
 
     def cancel(self, context: bpy.types.Context) -> None:

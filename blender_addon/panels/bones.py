@@ -29,7 +29,8 @@ class JointList(bpy.types.UIList):
         row.label(text=item.name, translate=False)
         if item.bone in rig.data.bones:
             row = row.split(factor=0.8)
-            names = [joint.bone for joint in rig.jghand.joints]
+            bone_map = bone_list.shown_map(rig)
+            names = [source.bone for source in bone_map.sources if source is not None] if bone_map is not None else []
             row.label(text=panel_text.shortened(item.bone, names), icon="BONE_DATA", translate=False)
             end = row.row()
             end.active = False

@@ -272,7 +272,7 @@ def test_pictures_of_poses_are_made_for_both_hands_and_mirrored(extension, monke
     monkeypatch.setattr(pose_pictures, "_store", lambda key, picture: stored.update({key: picture}))
     monkeypatch.setattr(pose_pictures, "_icons", {})
     monkeypatch.setattr(pose_pictures, "_waiting", ["point", "flat"])
-    monkeypatch.setattr(pose_pictures.limits, "WORK_TURN_S", 0.0)
+    monkeypatch.setattr(pose_pictures.limits, "PICTURE_TURN_S", 0.0)
     assert pose_pictures._make_some() is not None
     assert not pose_pictures.are_made()
     assert pose_pictures._make_some() is None
