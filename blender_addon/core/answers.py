@@ -17,13 +17,14 @@ Arrays = Mapping[str, protocol.Array]
 class Status:
     """state: "stopped", "starting", "ready", "slow", "stopping" or "failed"; since_s: for how many seconds (0 for one
     that was never started); failure: why it failed; handshake: what the engine said of itself, empty before it did;
-    busy: whether it works on something."""
+    busy: whether it works on something; doing: what of it takes long, if it says so."""
 
     state: str
     since_s: float
     failure: JGHandFailure | None = None
     handshake: Mapping[str, Any] = field(default_factory=dict)
     busy: bool = False
+    doing: str = ""
 
 
 @dataclass(frozen=True)

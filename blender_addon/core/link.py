@@ -80,7 +80,9 @@ class EngineLink:
             state = self._state
             name = "slow" if _is_slow(state) else _NAMES[type(state)]
             since_s = time.monotonic() - state.since_s if state.since_s else 0.0
-            return Status(name, since_s, self._failure, self._handshake, self._waiting.flying is not None)
+            progress, busy = self._waiting.progress, self._waiting.flying is not None
+            doing = progress.text if progress is not None else ""
+            return Status(name, since_s, self._failure, self._handshake, busy, doing)
 
     @property
     def log(self) -> str:

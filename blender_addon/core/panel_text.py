@@ -148,7 +148,9 @@ def status_text(status: Any, frame_ms: float | None = None, translate: Translate
         return StatusText(text, False, remedy, running, buttons=(Button("jghand.restart_engine", "Restart"), stop))
     facts = status.handshake or {}
     parts = [translate("Ready"), str(facts.get("device", "")).upper() or None]
-    if frame_ms is not None:
+    if status.doing:
+        parts.append(f"{translate(status.doing)}…")
+    elif frame_ms is not None:
         parts.append(milliseconds(frame_ms))
     elif status.busy:  # it reads the avatar and warms up
         parts.append(translate("first picture…"))

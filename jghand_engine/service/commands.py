@@ -51,9 +51,10 @@ class LoadedAvatar:
 
 
 class PictureSource(Protocol):
-    """Whoever makes the pictures: the engine, or a stand-in in a test."""
+    """Whoever makes the pictures: the engine, or a stand-in in a test. doing: what takes long just now, else ""."""
 
     device: str
+    doing: str
 
     def load(self, avatar: str) -> LoadedAvatar:
         """Loads an avatar by path ("builtin" for the one that comes with JGHand)."""

@@ -7,7 +7,8 @@ broken installation is an answer that Blender can show.
 from __future__ import annotations
 
 from collections import OrderedDict
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -40,6 +41,7 @@ class EngineHands:
     device = "cpu"
 
     def __init__(self) -> None:
+        self.doing = ""
         self._avatars: dict[str, HandAvatar] = {}
         self._renderers: OrderedDict[_Key, SceneRenderer] = OrderedDict()
 
@@ -64,7 +66,8 @@ class EngineHands:
     def render(self, picture: PictureRequest, cancelled: Callable[[], bool] = never) -> Painting:
         """All hands in one picture: their Gaussians are drawn together, so that hands may interlock. A request's world
         is the one of the renderer, in which trained hands have their light."""
-        from jghand_engine.splat.moments import render_moments
+        with self._telling("Loading PyTorch"):
+            from jghand_engine.splat.moments import render_moments
 
         moments = [_moment(exposure, picture) for exposure in picture.exposures]
         weights = [exposure.weight for exposure in picture.exposures]
@@ -84,6 +87,15 @@ class EngineHands:
 
         return encode_png(rgba)
 
+    @contextmanager
+    def _telling(self, doing: str) -> Iterator[None]:
+        """Says what takes long while it does."""
+        self.doing = doing
+        try:
+            yield
+        finally:
+            self.doing = ""
+
     def _renderer(self, picture: PictureRequest) -> SceneRenderer:
         from jghand_engine.splat.frame import SceneRenderer
 
@@ -91,12 +103,13 @@ class EngineHands:
         size_px = _measured_size(picture.width * picture.height) if asked.budget_ms is not None else None
         key = _Key(picture.hands, asked, picture.depth, size_px)
         if key not in self._renderers:
-            avatars = [self._avatar(hand) for hand in picture.hands]
-            settings = replace(_settings(asked, avatars, size_px), depth=picture.depth)
-            drawn = [_thinned(avatar, settings.gaussians, asked.density) for avatar in avatars]
-            while len(self._renderers) >= limits.RENDERERS_MAX:
-                self._renderers.popitem(last=False)
-            self._renderers[key] = SceneRenderer(drawn, replace(settings, gaussians=0))
+            with self._telling("Loading the avatar"):
+                avatars = [self._avatar(hand) for hand in picture.hands]
+                settings = replace(_settings(asked, avatars, size_px), depth=picture.depth)
+                drawn = [_thinned(avatar, settings.gaussians, asked.density) for avatar in avatars]
+                while len(self._renderers) >= limits.RENDERERS_MAX:
+                    self._renderers.popitem(last=False)
+                self._renderers[key] = SceneRenderer(drawn, replace(settings, gaussians=0))
         self._renderers.move_to_end(key)
         renderer = self._renderers[key]
         renderer.settings = replace(renderer.settings, shadow_strength=picture.settings.shadow_strength)

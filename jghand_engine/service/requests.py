@@ -58,6 +58,12 @@ class Requests:
             self._waiting.clear()
             self._changed.notify_all()
 
+    @property
+    def running_id(self) -> object:
+        """The number of the request that runs; None while there is none."""
+        running = self._running
+        return running.header.get("id") if running is not None else None
+
     def is_cancelled(self) -> bool:
         """Whether the running request is to stop."""
         return self._cancelled

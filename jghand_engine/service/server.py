@@ -157,7 +157,8 @@ class Server:
         """Answers one client until it leaves, breaks the protocol, or asks for the end."""
         self._client = connection
         requests, sending, gone = Requests(), threading.Lock(), threading.Event()
-        beat = threading.Thread(target=_beat, args=(connection, sending, gone), daemon=True, name="heart-beat")
+        signs = self._signs_of_life(requests)
+        beat = threading.Thread(target=_beat, args=(connection, sending, gone, signs), daemon=True, name="heart-beat")
         read = threading.Thread(target=self._read, args=(connection, requests, sending), daemon=True, name="read")
         try:
             connection.settimeout(None)
@@ -183,6 +184,17 @@ class Server:
                 connection.shutdown(socket.SHUT_RDWR)
             connection.close()
             self._busy.release()
+
+    def _signs_of_life(self, requests: Requests) -> Callable[[], list[dict[str, Any]]]:
+        """What a heart-beat says: that the process lives, and what takes long just now."""
+
+        def signs() -> list[dict[str, Any]]:
+            doing, identity = self._commands.source.doing, requests.running_id
+            tells = bool(doing) and type(identity) is int
+            progress = {"kind": "progress", "id": identity, "fraction": None, "text": doing, "eta_s": None}
+            return [{"kind": "heartbeat"}, *([progress] if tells else [])]
+
+        return signs
 
     def _read(self, connection: socket.socket, requests: Requests, sending: threading.Lock) -> None:
         """Takes in a client's messages until it leaves or breaks the protocol."""
@@ -232,13 +244,19 @@ def _failed(message: Message, failure: dict[str, str]) -> dict[str, Any]:
     return {**_to(message), "ok": False, "error": failure}
 
 
-def _beat(connection: socket.socket, sending: threading.Lock, gone: threading.Event) -> None:
+def _beat(
+    connection: socket.socket,
+    sending: threading.Lock,
+    gone: threading.Event,
+    signs: Callable[[], list[dict[str, Any]]],
+) -> None:
     """Says once a second that the process lives; skipped while the client does not read."""
     while not gone.wait(limits.HEARTBEAT_S):
         with sending:
             try:
                 if not gone.is_set() and select.select([], [connection], [], 0)[1]:
-                    protocol.send(connection, {"kind": "heartbeat"})
+                    for sign in signs():
+                        protocol.send(connection, sign)
             except (OSError, ValueError, Disconnected):
                 return  # the connection is closed; whoever reads it notices
 

@@ -561,6 +561,16 @@ def test_progress_is_heard_while_the_engine_works():
         assert engine.link.progress() is None
 
 
+def test_what_takes_long_is_told():
+    with linked("slow") as link:
+        link.ask("viewport", *picture(), tag="a")
+        until(lambda: link.progress() is not None)
+        assert link.progress().text == "Taking my time"
+        assert link.status.doing == "Taking my time"
+        answered(link, "a")
+        assert link.status.doing == ""
+
+
 def test_a_reply_that_comes_in_pieces_is_one_reply():
     with AnyEngine() as engine:
         protocol.send(engine.connection, {"kind": "welcome"})

@@ -42,6 +42,7 @@ class StandInHands:
         self.fault, _, first = fault.partition(":")
         self._first, self._pictures = int(first or 1), 0
         self._canvas: np.ndarray | None = None
+        self.doing = ""
 
     def load(self, avatar: str) -> LoadedAvatar:
         if avatar != "builtin" and not Path(avatar).is_file():
@@ -89,6 +90,7 @@ class StandInHands:
                 print("the last words", flush=True)
                 os.kill(os.getpid(), signal.SIGSTOP)
             case "slow":
+                self.doing = "Taking my time"
                 time.sleep(1.5)
             case "late":
                 time.sleep(0.2)
@@ -169,7 +171,7 @@ def main(fault: str) -> int:
         sys.stdin.read()
         return 0
     if fault == "mute":
-        server._beat = lambda *_: None
+        server._beat = lambda *_: None  # says nothing
     server.__version__ = os.environ.get("JGHAND_STAND_IN_VERSION", server.__version__)
     return server.serve(StandInHands(fault))
 

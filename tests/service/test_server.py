@@ -177,6 +177,7 @@ def test_the_heart_beats_during_a_long_request():
         while kinds[-1] != "reply":
             kinds.append(receive(connection).header["kind"])
     assert "heartbeat" in kinds
+    assert "progress" in kinds
     assert ended(engine) == 0
 
 
