@@ -23,6 +23,8 @@ from .wire import protocol
 # what a picture needs, and what the engine's command line needs besides
 PACKAGES = ("numpy", "torch", "safetensors", "PIL", "scipy", "tyro", "rich", "pxr", "trimesh")
 _MARK = "JGHAND CHECK "
+# what a terminal calls any Python
+_ANY_PYTHON = "py" if os.name == "nt" else "python3"
 # asks a Python about itself; runs there, with nothing but its own packages
 _PROBE = f"""
 import importlib, json, sys
@@ -201,7 +203,7 @@ class EngineCheck:
         if self._checkout is not None:
             script, where = str(self._checkout / script), ""
         nothing = (Finding("Engine", "none was found", False),)
-        return CheckResult(nothing, failure.kind, failure.detail, f'python3 "{script}" --only checks', where)
+        return CheckResult(nothing, failure.kind, failure.detail, f'{_ANY_PYTHON} "{script}" --only checks', where)
 
 
 def _of(found: FoundEngine) -> tuple[Finding, ...]:

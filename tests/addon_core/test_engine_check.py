@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 
 import environments
 
-from blender_addon.core import limits
+from blender_addon.core import engine_check, limits
 from blender_addon.core.engine_check import CheckResult, EngineCheck
 from blender_addon.core.engine_command import NOTE, FoundEngine, find_engine, note_folder
 from blender_addon.core.wire import protocol
@@ -146,7 +146,7 @@ def test_no_engine_at_all_is_mended_by_the_scripts():
     assert check.over
     result = check.wait(0.0)
     assert result.failure == "no_interpreter"
-    assert result.mend == f'python3 "{ROOT / "scripts/test.py"}" --only checks'
+    assert result.mend == f'{engine_check._ANY_PYTHON} "{ROOT / "scripts/test.py"}" --only checks'
     assert Path(result.mend.split('"')[1]).is_file()
     assert result.remedy == "Choose the engine's Python"
 
