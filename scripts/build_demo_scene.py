@@ -45,7 +45,7 @@ def main(arguments: list[str] | None = None) -> int:
         for note in motion.notes:
             print(f"note: {note}")
         cameras = read_cameras(options.cameras) if options.cameras else {}
-        build(motion, cameras, options)
+        _build_registered(motion, cameras, options)
     except FileError as error:
         return failed(str(error))
     except JGHandFailure as failure:
@@ -104,19 +104,28 @@ def camera_of(entry: dict) -> dict:
     return {**camera, "camera_from_world": matrix}
 
 
+def _build_registered(motion: MotionFile, cameras: dict[str, dict], options: argparse.Namespace) -> None:
+    """Builds with the extension's engine and properties, which are saved with the file."""
+    from blender_addon import registration
+
+    registration.register()
+    try:
+        build(motion, cameras, options)
+    finally:
+        registration.unregister()
+
+
 def build(motion: MotionFile, cameras: dict[str, dict], options: argparse.Namespace) -> None:
     """Makes the scene in memory and saves it, compressed."""
     import bpy  # pyright: ignore[reportMissingImports]
     from mathutils import Matrix  # pyright: ignore[reportMissingImports]
 
-    from blender_addon import registration
     from blender_addon.bridge import armature, camera, framing
     from blender_addon.bridge import motion as motions
     from blender_addon.core import posing, view
     from blender_addon.core.messages import JGHandFailure
 
     joints_m = motion.joints_m
-    registration.register()  # its engine and its properties are saved with the file
     bpy.ops.wm.read_factory_settings(use_empty=True)
     context = bpy.context
     scene = context.scene

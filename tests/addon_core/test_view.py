@@ -1,0 +1,92 @@
+"""What a picture request says of cameras and hands."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from blender_addon.core.posing import rest_joints_m
+from blender_addon.core.view import HandInSpace, Moment, Pinhole, moments_request, picture_request
+from jghand_engine.service.picture_request import read_request
+from jghand_engine.service.protocol import Message
+
+
+def rigid(seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    turn, _ = np.linalg.qr(rng.standard_normal((3, 3)))
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = turn * np.linalg.det(turn), rng.uniform(-5, 5, 3)
+    return matrix
+
+
+VIEW = Pinhole(96, 64, 120.0, 130.0, 40.0, 33.0, rigid(1))
+HANDS = [
+    HandInSpace(side, rest_joints_m(side), rigid(seed), f"{side}.jghand") for seed, side in ((2, "right"), (3, "left"))
+]
+
+
+def understood(header, arrays):
+    """What the engine makes of it."""
+    return read_request(Message(header, arrays))
+
+
+def test_the_engine_sees_every_joint_where_the_pinhole_does():
+    request, outputs = understood(*picture_request(VIEW, HANDS, outputs=["rgba_u8", "depth"], preset="draft"))
+    assert (request.width, request.height, outputs) == (96, 64, ["rgba_u8", "depth"])
+    assert [(hand.avatar, hand.handedness) for hand in request.hands] == [
+        ("right.jghand", "right"),
+        ("left.jghand", "left"),
+    ]
+    (exposure,) = request.exposures
+    for hand, joints_m in zip(HANDS, exposure.joints_world_m, strict=True):
+        seen = Pinhole(96, 64, exposure.fx, exposure.fy, exposure.cx, exposure.cy, exposure.camera_from_world)
+        np.testing.assert_allclose(seen.project(joints_m), VIEW.project(hand.joints_world_m), atol=1e-9)
+
+
+def test_up_in_blender_is_up_in_the_light_of_captures():
+    """+z of Blender is +y of captures; who looks from the front (-y) stands where captures look at the palm from."""
+    upright = np.array([[1.0, 0, 0, 2], [0, 0, -1, 3], [0, 1, 0, 4], [0, 0, 0, 1]])  # +y of the hand along +z
+    hand = replace(HANDS[0], world_from_hand=upright)
+    request, _ = understood(*picture_request(VIEW, [hand], outputs=["png"]))
+    place = request.exposures[0].world_from_hand[0]
+    np.testing.assert_allclose(place[:3, :3], np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(place[:3, 3], (2, 4, -3))
+
+
+def test_settings_lens_and_rays_arrive():
+    view = replace(VIEW, aperture_m=0.01, focus_m=0.7)
+    settings = {"budget_ms": 9.5, "density": 0.5, "shadow_strength": 0.25}
+    request, _ = understood(*picture_request(view, HANDS, outputs=["ids"], preset="final", settings=settings))
+    assert (request.exposures[0].aperture_m, request.exposures[0].focus_m) == (0.01, 0.7)
+    assert request.ids
+    assert not request.depth
+    assert (request.settings.preset, request.settings.budget_ms) == ("final", 9.5)
+    assert (request.settings.density, request.settings.shadow_strength) == (0.5, 0.25)
+    request, _ = understood(*picture_request(replace(VIEW, orthographic=True), [], outputs=["png"]))
+    assert request.orthographic
+    assert request.hands == ()
+
+
+def test_moments_arrive_in_their_order_with_their_weights():
+    moments = [
+        Moment(replace(VIEW, fx=100.0 + k), [replace(hand, world_from_hand=rigid(10 + k)) for hand in HANDS], 1.0 + k)
+        for k in range(3)
+    ]
+    request, _ = understood(*moments_request(moments, outputs=["depth_covered"]))
+    assert [exposure.fx for exposure in request.exposures] == [100, 101, 102]
+    assert [exposure.weight for exposure in request.exposures] == [1, 2, 3]
+    assert request.depth
+    for moment, exposure in zip(moments, request.exposures, strict=True):
+        came = exposure.camera_from_world @ exposure.world_from_hand
+        wanted = [moment.view.camera_from_world @ hand.world_from_hand for hand in moment.hands]
+        np.testing.assert_allclose(came, wanted, atol=1e-9)
+
+
+def test_parallel_rays_project_what_is_far_as_large_as_what_is_near():
+    view = Pinhole(96, 64, 200.0, 200.0, 48.0, 32.0, np.eye(4), orthographic=True)
+    near, far = view.project(np.array([[0.1, -0.05, 0.3], [0.1, -0.05, 30.0]]))
+    assert near[:2] == pytest.approx((68.0, 22.0))
+    assert far[:2] == pytest.approx(near[:2])
+    assert far[2] == 30.0
