@@ -54,6 +54,8 @@ def _look_after(shown: list[views.View]) -> float:
         if views.take(view, moment):
             region.tag_redraw()
             _redraw_panels(soon=False)
+        elif view.drawn and not pacing.may_show(view.pace, moment):  # no newer picture came in time
+            region.tag_redraw()
         if views.is_due(view):
             views.look(view, moment, drawing=False)
         soonest_s = min(soonest_s, views.next_look_s(view))

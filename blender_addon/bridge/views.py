@@ -41,8 +41,9 @@ class Place:
 
 @dataclass
 class View:
-    """One region and one kind. names: of the objects that are shown, for sentences · came: the newest picture, not yet
-    textures · seen_s: when it was drawn last"""
+    """One region (its address) and one kind of drawing. part: that can show the hands, None when they are out of sight ·
+    places: of the pictures that were asked for, by tag · came: the newest picture, not yet textures · taken: the newest
+    answer that was looked at · unreadable: hands by name, and why · drawn: whether the last draw showed a picture"""
 
     region: int
     kind: str
@@ -59,6 +60,7 @@ class View:
     failure: JGHandFailure | None = None
     unreadable: list[tuple[str, JGHandFailure]] = field(default_factory=list)
     round_trip_s: float = 0.0
+    drawn: bool = False
 
     @property
     def slot(self) -> str:
@@ -129,7 +131,8 @@ def show(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph, kind: str) 
         return
     moment = moment_of(context.scene)
     look(view, moment, drawing=True)
-    if pacing.may_show(view.pace, moment):
+    view.drawn = pacing.may_show(view.pace, moment)
+    if view.drawn:
         if kind == SOLID:
             shown_bones.keep_visible(things, context)
         _draw(view)
@@ -200,7 +203,7 @@ def take(view: View, moment: Moment) -> bool:
     view.round_trip_s = answer.round_trip_ms / 1e3
     kind = answer.failure.kind if answer.failure is not None else None
     tag = str(answer.tag)
-    view.pace, accepted = pacing.answered(view.pace, tag, kind, view.round_trip_s, moment.frame_s)
+    view.pace, accepted = pacing.answered(view.pace, tag, kind, view.round_trip_s, moment)
     before, view.failure = view.failure, answer.failure
     if accepted and answer.message is not None:
         arrays = answer.message.arrays

@@ -118,6 +118,9 @@ MENU_PICTURE_PX = 96
 PICTURE_TURN_S = 0.03
 PICTURE_REST_S = 0.05
 PICTURE_PAUSE_S = 1.0
+# how often, and how many times, the shelf of pose assets is tried, seconds: it is there once a view was drawn
+SHELF_S = 0.2
+SHELF_TRIES = 10
 
 # ---- motion files ---------------------------------------------------------------------------------------------------
 
@@ -172,6 +175,8 @@ ORBIT_WAIT_S = 0.04
 # after the last change: the settings of the viewport instead of the fast ones, and then the settings of renders
 SETTLE_S = 0.15
 SHARPEN_S = 0.6
+# a picture of an earlier pose is shown for so long while no newer one comes: afterwards it would be taken for the truth
+STALE_S = 2.0
 # pixels of one picture: while something moves (a little more than 512 x 334), while nothing moves, and the most that is
 # asked for at all (a 4K screen); larger views are drawn from a smaller picture
 MOVING_PIXELS_MAX = 200_000

@@ -6,7 +6,7 @@ clock, no engine, no Blender. Source: BLENDER 7.1.
 
 While something moves pictures are made fast; when it stops they get the settings of the viewport, and after a pause
 those of renders. A picture from another side than the view's is never shown; one of an earlier pose is, as long as the
-right one is on its way.
+right one is on its way, though not for long.
 """
 
 from __future__ import annotations
@@ -112,8 +112,10 @@ class Moment:
 
 @dataclass(frozen=True)
 class Pace:
-    """What one view remembers. grade: wanted at the last look · late: frames of this or the last playback whose picture
-    came too late · fast_enough: whether the last picture of something that moved came within an orbit's patience"""
+    """What one view remembers. grade: wanted at the last look · behind_s: since when the picture that is shown is of
+    something else than wanted, and no other came; inf while it is right · late: frames of this or the last playback
+    whose picture came too late · fast_enough: whether the last picture of something that moved came within an orbit's
+    patience"""
 
     want: Want | None = None
     changed_s: float = 0.0
@@ -121,6 +123,7 @@ class Pace:
     grade: Grade = Grade.MOVING
     asks: tuple[Ask, ...] = ()
     shown: Ask | None = None
+    behind_s: float = math.inf
     failures: tuple[tuple[str, str], ...] = ()
     late: int = 0
     late_in_a_row: int = 0
@@ -189,9 +192,8 @@ def due_s(pace: Pace, settings: ViewSettings) -> float:
     return math.inf
 
 
-def answered(pace: Pace, tag: str, failure: str | None, round_trip_s: float, frame_s: float) -> tuple[Pace, bool]:
-    """An answer came. failure: its kind, None for a picture; frame_s: as in Moment. Returns whether its picture is to
-    be shown from now on."""
+def answered(pace: Pace, tag: str, failure: str | None, round_trip_s: float, moment: Moment) -> tuple[Pace, bool]:
+    """An answer came. failure: its kind, None for a picture. Returns whether its picture is to be shown from now on."""
     ask = next((each for each in reversed(pace.asks) if each.tag == tag), None)
     if ask is None:
         return pace, False
@@ -202,11 +204,11 @@ def answered(pace: Pace, tag: str, failure: str | None, round_trip_s: float, fra
         return replace(pace, failures=(*pace.failures, (tag, failure))[-limits.FAILURES_KEPT :]), False
     if ask.grade is Grade.MOVING:
         pace = replace(pace, fast_enough=round_trip_s <= limits.ORBIT_WAIT_S)
-        if round_trip_s <= _play_wait_s(frame_s):
+        if round_trip_s <= _play_wait_s(moment.frame_s):
             pace = replace(pace, late_in_a_row=0)
     if not _is_better(pace, ask):
         return pace, False
-    return replace(pace, shown=ask), True
+    return replace(pace, shown=ask, behind_s=math.inf if ask.want == pace.want else moment.now_s), True
 
 
 def missed(pace: Pace, moment: Moment) -> Pace:
@@ -227,7 +229,9 @@ def may_show(pace: Pace, moment: Moment) -> bool:
     """Whether the picture that the view has may be drawn in it now."""
     if pace.shown is None or pace.want is None or pace.shown.want.camera != pace.want.camera:
         return False
-    return pace.shown.want == pace.want or (moment.answering and is_open(pace))
+    if pace.shown.want == pace.want:
+        return True
+    return moment.answering and is_open(pace) and moment.now_s - pace.behind_s <= limits.STALE_S
 
 
 def is_open(pace: Pace) -> bool:
@@ -242,7 +246,10 @@ def camera_rests(pace: Pace) -> bool:
 
 def forgotten(pace: Pace) -> Pace:
     """Asks and failures do not count any more, as after a new start of the engine; the late counter stays."""
-    return Pace(want=pace.want, changed_s=pace.changed_s, activity=pace.activity, shown=pace.shown, late=pace.late)
+    return replace(
+        Pace(), want=pace.want, changed_s=pace.changed_s, activity=pace.activity,
+        shown=pace.shown, behind_s=pace.behind_s, late=pace.late,
+    )  # fmt: skip
 
 
 # ---- parts -----------------------------------------------------------------------------------------------------------
@@ -258,7 +265,10 @@ def _noticed(pace: Pace, want: Want, moment: Moment) -> Pace:
         changed_s = moment.now_s - 2 * limits.SETTLE_S
     elif want != pace.want or moment.activity is not Activity.POSING:
         changed_s = moment.now_s
-    return replace(pace, want=want, changed_s=changed_s, activity=moment.activity)
+    behind_s = math.inf
+    if pace.shown is not None and pace.shown.want != want:
+        behind_s = min(pace.behind_s, moment.now_s)
+    return replace(pace, want=want, changed_s=changed_s, activity=moment.activity, behind_s=behind_s)
 
 
 def _grade(pace: Pace, moment: Moment, settings: ViewSettings) -> Grade:

@@ -38,7 +38,7 @@ class View:
         return decision
 
     def answer(self, which: int = -1, failure: str | None = None, took_s: float = 0.01) -> bool:
-        self.pace, shown = pacing.answered(self.pace, self.asked[which].tag, failure, took_s, FRAME_S)
+        self.pace, shown = pacing.answered(self.pace, self.asked[which].tag, failure, took_s, self.moment())
         return shown
 
     def pass_s(self, seconds: float) -> None:
@@ -158,6 +158,21 @@ def test_with_a_slow_engine_a_drag_shows_the_newest_pose_that_came():
     view.now_s += 0.02
     view.draw(C)
     assert view.answer(0, took_s=0.3)
+    assert view.shows() == B
+
+
+def test_an_earlier_pose_is_shown_for_a_short_time_only_while_nothing_newer_comes():
+    view = view_of(A)
+    for want in (B, C, B):
+        view.draw(want)
+        view.now_s += limits.STALE_S / 2
+    assert view.shows() is None
+    view.draw(C)
+    assert view.answer(-2)
+    assert view.shows() == B
+    view.now_s += limits.STALE_S * 1.1
+    assert view.shows() is None
+    view.draw(B)
     assert view.shows() == B
 
 
