@@ -10,7 +10,7 @@ from __future__ import annotations
 from types import ModuleType
 
 from . import cli_command, preferences, properties, render_engine, runtime
-from .bridge import cache_player, cards, guard, job_watch, left_out, pose_pictures, sync, usd_hook
+from .bridge import cache_player, cards, guard, job_watch, left_out, pose_pictures, pose_shelf, sync, usd_hook
 from .operators import (
     bone_map,
     combine,
@@ -36,7 +36,7 @@ MODULES: tuple[ModuleType, ...] = (
     preferences,
     properties,
     runtime,
-    *(pose_pictures, job_watch, cards, usd_hook, cache_player),
+    *(pose_pictures, pose_shelf, job_watch, cards, usd_hook, cache_player),
     sync,
     guard,
     left_out,

@@ -7,7 +7,7 @@ sources    hands that are no armature of ours: foreign rigs through bone maps, 2
 controls   finger controls on our armature: curl, spread, fist, splay, held tips, joint limits
 shapes     what the controls look like
 hand_poses   taking a pose, the other hand's pose, rest; keys of them
-pose_pictures  small pictures of the poses for menus
+pose_pictures  small pictures of the poses for menus; pose_shelf shows the assets
 bone_list  a bone map as rows that Blender can show and edit
 folders    where the extension may write
 pose_library  the poses as Blender pose assets, in a folder made on demand

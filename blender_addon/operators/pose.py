@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 
-from ..bridge import armature, folders, hand_poses, pose_library
+from ..bridge import armature, folders, hand_poses, pose_library, pose_shelf
 from ..bridge.classes import register_classes, unregister_classes
 from ..core import poses
 from ..properties import pose_items
@@ -153,8 +153,7 @@ class ShowPoseShelf(Reporting, bpy.types.Operator):
     def run(self, context: bpy.types.Context) -> None:
         if context.mode != "POSE":
             bpy.ops.object.mode_set(mode="POSE")
-        if context.area is not None and context.area.type == "VIEW_3D":
-            context.space_data.show_region_asset_shelf = True
+        pose_shelf.show()
 
 
 def _others(context: bpy.types.Context) -> list[bpy.types.Object]:

@@ -107,3 +107,19 @@ def step_a_foreign_rig_shows_its_bones_and_what_is_missing(window):
     yield 1.0
     assert rig.jghand.joints["index2"].bone == "mixamorig:RightHandIndex2"
     window.picture("rig_whole")
+
+
+def step_pose_assets_are_made_and_shown(window):
+    library = _module(window, "bridge.pose_library")
+    hand = bpy.data.objects["Right Hand"]
+    with window.override():
+        bpy.ops.jghand.select_hand(uid=hand.session_uid)
+        bpy.ops.jghand.make_pose_assets("INVOKE_DEFAULT")
+    yield library.is_used
+    assert not any(action.asset_data for action in bpy.data.actions)  # nothing of it is left in the file
+    with window.override():
+        bpy.ops.jghand.show_pose_shelf("INVOKE_DEFAULT", True)
+    yield lambda: window.space().show_region_asset_shelf
+    yield 3.0
+    assert bpy.context.mode == "POSE"
+    window.picture("shelf")
