@@ -41,9 +41,9 @@ class Place:
 
 @dataclass
 class View:
-    """One region (its address) and one kind of drawing. part: that can show the hands, None when they are out of sight ·
-    places: of the pictures that were asked for, by tag · came: the newest picture, not yet textures · taken: the newest
-    answer that was looked at · unreadable: hands by name, and why · drawn: whether the last draw showed a picture"""
+    """One region (its address) and one kind of drawing. part: that can show the hands, None when they are out of sight
+    · places: of the pictures that were asked for, by tag · came: the newest picture, not yet textures · taken: the
+    newest answer that was looked at · unreadable: hands by name, and why · drawn: whether the last draw showed one"""
 
     region: int
     kind: str
