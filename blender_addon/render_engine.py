@@ -95,7 +95,9 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
         reply = self._ask(seen, list(wanted.values()), scene)
         answered = time.perf_counter()
         arrays = {name: np.asarray(reply.arrays[output].view()) for name, output in wanted.items()}
-        self._fill(part, depsgraph.view_layer.name, dict(_passes(arrays, depsgraph)))
+        drawn = _drawn(arrays, depsgraph.scene)
+        arrays = {name: values[drawn.top : drawn.bottom, drawn.left : drawn.right] for name, values in arrays.items()}
+        self._fill(part, drawn, depsgraph.view_layer.name, dict(_passes(arrays, depsgraph)))
         self._tell(reply.header.get("reports", []), seen, (evaluated - clock, answered - evaluated))
 
     def _ask(self, seen: list[Moment], outputs: list[str], scene: bpy.types.Scene) -> Any:
@@ -109,10 +111,11 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
         )
         return runtime.link().request(header, arrays, timeout_s=runtime.render_timeout_s(), cancelled=self.test_break)
 
-    def _fill(self, part: Part, layer: str, values: dict[str, np.ndarray]) -> None:
-        result = self.begin_result(0, 0, part.width, part.height, layer=layer)
-        if (result.resolution_x, result.resolution_y) != (part.width, part.height):
-            came = f"{part.width} x {part.height}, Blender wants {result.resolution_x} x {result.resolution_y}"
+    def _fill(self, part: Part, drawn: Part, layer: str, values: dict[str, np.ndarray]) -> None:
+        """Hands over what was drawn of a part of the view; the rest of it stays empty."""
+        result = self.begin_result(drawn.left, part.height - drawn.bottom, drawn.width, drawn.height, layer=layer)
+        if (result.resolution_x, result.resolution_y) != (drawn.width, drawn.height):
+            came = f"{drawn.width} x {drawn.height}, Blender wants {result.resolution_x} x {result.resolution_y}"
             self.end_result(result, cancel=True)
             raise JGHandFailure("other_region", came)
         for each in result.layers[0].passes:  # a pass that the view layer does not ask for is not there
@@ -140,6 +143,16 @@ def _other_outputs(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> dict[s
     if scene.jghand.use_pass_ids:
         wanted[IDS] = "ids"
     return wanted
+
+
+def _drawn(arrays: dict[str, np.ndarray], scene: bpy.types.Scene) -> Part:
+    """What of the picture has to be handed over: all of it, or, where the rest is as empty as Blender's passes are
+    anyway, what covers anything."""
+    height, width = arrays[COMBINED].shape[:2]
+    rows, columns = film.covered(arrays[COMBINED][..., 3])
+    if not scene.render.film_transparent or DEPTH in arrays or rows.start == rows.stop:
+        return Part(0, 0, width, height)
+    return Part(columns.start, rows.start, columns.stop, rows.stop)
 
 
 def _passes(arrays: dict[str, np.ndarray], depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[str, np.ndarray]]:

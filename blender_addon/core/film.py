@@ -18,11 +18,11 @@ def scene_linear(rgba: np.ndarray) -> np.ndarray:
     The curve is that of straight colour, so alpha is divided out and multiplied in again.
     """
     out = np.zeros(rgba.shape, np.float32)
-    box = _covered(rgba[..., 3])
+    box = covered(rgba[..., 3])
     values, alpha = rgba[box], rgba[box][..., 3]
     divisor = np.where(alpha > 0, alpha, np.float32(1))
     for channel in range(3):  # one after the other: small arrays stay in the cache
-        out[box][..., channel] = _decoded(values[..., channel] / divisor) * alpha
+        out[box][..., channel] = linear_of(values[..., channel] / divisor) * alpha
     out[box][..., 3] = alpha
     return out
 
@@ -31,7 +31,7 @@ def over(rgba: np.ndarray, background: Sequence[float]) -> np.ndarray:
     """A premultiplied linear picture on an opaque colour, linear too."""
     out = np.empty_like(rgba)
     out[...] = (*background, 1)
-    box = _covered(rgba[..., 3])
+    box = covered(rgba[..., 3])
     values, behind = rgba[box], 1 - rgba[box][..., 3]
     for channel, colour in enumerate(background):
         out[box][..., channel] = values[..., channel] + behind * np.float32(colour)
@@ -48,8 +48,8 @@ def from_bottom(values: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(values[::-1], np.float32).ravel()
 
 
-def _covered(alpha: np.ndarray) -> tuple[slice, slice]:
-    """The rows and columns outside of which a picture is empty."""
+def covered(alpha: np.ndarray) -> tuple[slice, slice]:
+    """The rows and columns outside of which a picture (H, W) is empty."""
     sides = []
     for axis in (1, 0):
         places = np.flatnonzero(alpha.any(axis))
@@ -57,7 +57,7 @@ def _covered(alpha: np.ndarray) -> tuple[slice, slice]:
     return sides[0], sides[1]
 
 
-def _decoded(srgb: np.ndarray) -> np.ndarray:
-    """IEC 61966-2-1."""
+def linear_of(srgb: np.ndarray) -> np.ndarray:
+    """Display-referred sRGB -> linear light, float32 of any shape (IEC 61966-2-1)."""
     curve = ((np.maximum(srgb, 0) + np.float32(0.055)) / np.float32(1.055)) ** np.float32(2.4)
     return np.where(srgb <= np.float32(0.04045), srgb / np.float32(12.92), curve)
