@@ -28,6 +28,7 @@ sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
 
 import check_splat_files as clients  # noqa: E402
 
+from jghand_engine.avatar.avatar import HandAvatar  # noqa: E402
 from jghand_engine.avatar.builtin import load_avatar_called  # noqa: E402
 from jghand_engine.avatar.gaussians import Gaussians  # noqa: E402
 from jghand_engine.cli.camera_file import camera_to_dict  # noqa: E402
@@ -83,6 +84,14 @@ def psnr_db(one: np.ndarray, other: np.ndarray) -> float:
     return decibels(float(np.square((one.astype(float) - other) / 255).mean()))
 
 
+def posed(name: str, pose: str) -> tuple[HandAvatar, PoseSequence, Camera]:
+    """An avatar in a named pose, and the camera that both renderers look through."""
+    avatar = load_avatar_called(name)
+    joints_m = named_pose(pose, avatar.canonical_joints_m.numpy(), handedness=avatar.handedness)
+    camera = framing_camera(joints_m[None], avatar.handedness, "quarter", width=512, height=512)
+    return avatar, PoseSequence(joints_m[None], 30.0, avatar.handedness), camera
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True)
@@ -92,11 +101,8 @@ def main() -> int:
     if browser() is None:
         print("There is no Chromium here; JGHAND_CHROMIUM names one.", file=sys.stderr)
         return 1
-    avatar = load_avatar_called(options.avatar)
-    joints_m = named_pose(options.pose, avatar.canonical_joints_m.numpy(), handedness=avatar.handedness)
-    camera = framing_camera(joints_m[None], avatar.handedness, "quarter", width=512, height=512)
-    sequence = PoseSequence(joints_m[None], 30.0, avatar.handedness)
-    whole = flatten(HandRenderer(avatar, preset("viewport")).render(joints_m, camera).rgba, BLACK)
+    avatar, sequence, camera = posed(options.avatar, options.pose)
+    whole = flatten(HandRenderer(avatar, preset("viewport")).render(sequence.joints_m[0], camera).rgba, BLACK)
     ours = drawn_by_us(SplatMotion(avatar, sequence, axes="rub").cloud(0), camera)
     with tempfile.TemporaryDirectory() as folder:
         ply = Path(folder) / "hand.ply"

@@ -75,6 +75,7 @@ class Render:
         from jghand_engine.cli.camera_file import camera_to_dict
         from jghand_engine.cli.inputs import load_motion
         from jghand_engine.cli.receipts import Receipts
+        from jghand_engine.cli.render_passes import refuse_older_truth
         from jghand_engine.cli.timings import Timings
         from jghand_engine.exporters.video import ffmpeg_program
         from jghand_engine.files import make_folder
@@ -92,6 +93,7 @@ class Render:
         for note in motion.notes:
             say(note)
         refuse_longer_render(self.out, len(motion.sequence))
+        refuse_older_truth(self.out, () if passes is None else passes.names)
         camera = self._camera(motion, size)
         settings, chosen = self._settings(avatar, camera)
         settings = replace(settings, effects=effects, antialias=True, depth=False)

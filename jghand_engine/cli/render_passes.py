@@ -7,6 +7,7 @@ colmap/, transforms.json  the camera of every picture, for COLMAP and for nerfst
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -88,3 +89,20 @@ class PassWriter:
             })  # fmt: skip
         write_colmap(self._folder / "colmap", self._shots)
         write_transforms(self._folder / "transforms.json", self._shots)
+
+
+def refuse_older_truth(folder: Path, names: Sequence[str] = ()) -> None:
+    """InputError when `folder` holds ground truth that a run which writes the passes `names` would leave as it is: it
+    would not be true of the new pictures."""
+    written = {
+        "passes": any(name in MAPS for name in names), "joints.json": JOINTS in names,
+        "colmap": bool(names), "transforms.json": bool(names),
+    }  # fmt: skip
+    left = [name for name, again in written.items() if not again and (folder / name).exists()]
+    if left:
+        raise InputError(
+            f"--out {folder}",
+            wanted="a folder without ground truth of other pictures",
+            came=f"{', '.join(left)} of an earlier run",
+            remedy="Remove them, choose another folder, or name the same --passes.",
+        )

@@ -25,7 +25,7 @@ SPZ_GZIP_LEVEL = 6
 # bytes of a PLY header; those of splats with all harmonics have 1.5 kB
 PLY_HEADER_BYTES_MAX = 65_536
 # bytes of the description in a GLB: JSON takes up to thirty times its size in memory; ours has 1.5 kB
-GLB_JSON_BYTES_MAX = 262_144
+GLB_JSON_BYTES_MAX = 65_536
 # times that an SPZ file may grow when it is unpacked; hands grow to 1.8 times their size, a bomb of zeros to 1000
 SPZ_RATIO_MAX = 16
 # bytes that are unpacked at once

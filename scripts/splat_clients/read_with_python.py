@@ -26,7 +26,7 @@ def table(positions, ln_sigma, rotations_wxyz, harmonics, logit):
 
 
 def with_gsply(path: Path):
-    import gsply
+    import gsply  # pyright: ignore[reportMissingImports]
 
     readers = {
         ".ply": lambda p: gsply.plyread(p),
@@ -39,7 +39,7 @@ def with_gsply(path: Path):
 
 def with_gaussforge(path: Path):
     """Its own reading gives no arrays in this version: it converts to PLY, whose fields are read by name."""
-    import gaussforge
+    import gaussforge  # pyright: ignore[reportMissingImports]
 
     answer = gaussforge.GaussForge().convert(path.read_bytes(), path.suffix[1:], "ply")
     if "error" in answer:
@@ -65,7 +65,7 @@ def of_ply(content: bytes):
 
 
 def with_fourdgs(path: Path):
-    import fourdgs.gltf
+    import fourdgs.gltf  # pyright: ignore[reportMissingImports]
 
     data = fourdgs.gltf.from_gltf(str(path)).gaussians
     turns = np.asarray(data.rotations)[:, [3, 0, 1, 2]]

@@ -82,3 +82,13 @@ def test_what_cannot_be_true_is_refused_before_anything_is_written(tmp_path, cap
     assert render(tmp_path / "new", *words) == 2
     assert sentence in capsys.readouterr().err
     assert not (tmp_path / "new").exists()
+
+
+def test_truth_of_other_pictures_is_not_left_beside_new_ones(tmp_path, capsys):
+    assert render(tmp_path, "--passes", "joints") == 0
+    assert render(tmp_path, "--passes", "joints") == 0
+    assert render(tmp_path) == 2
+    assert "joints.json, colmap, transforms.json of an earlier run" in capsys.readouterr().err
+    (tmp_path / "passes").mkdir()
+    assert render(tmp_path, "--passes", "joints") == 2
+    assert "got passes of an earlier run" in capsys.readouterr().err

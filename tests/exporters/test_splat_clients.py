@@ -14,10 +14,11 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
 import check_splat_files
+import show_splat_file
 from check_splat_files import CLIENTS, SUBJECTS, Client, Difference, Found, clients
 
 from jghand_engine.errors import InputError
-from jghand_engine.exporters.splat_files import FORMATS
+from jghand_engine.exporters.splat_files import FORMATS, SplatMotion
 
 PAIRS = [(client, format) for client in clients() for format in client.formats]
 
@@ -71,3 +72,18 @@ def test_khronos_validator_finds_nothing_but_the_extension_that_it_does_not_know
     known = [issue for issue in issues if "KHR_gaussian_splatting" in issue["message"] + issue["pointer"]]
     assert issues == known
     assert {issue["code"] for issue in known} <= {"UNSUPPORTED_EXTENSION", "MESH_PRIMITIVE_INVALID_ATTRIBUTE"}
+
+
+def test_another_renderer_draws_our_picture_of_a_ply_file(tmp_path):
+    packages = ("@sparkjsdev/spark", "playwright-core", "three")
+    if not all(check_splat_files.node_has(package)() for package in packages):
+        pytest.skip("Spark is not there (scripts/check_splat_files.py --install)")
+    if show_splat_file.browser() is None:
+        pytest.skip("there is no Chromium (JGHAND_CHROMIUM names one)")
+    avatar, sequence, camera = show_splat_file.posed("builtin", "point")
+    path = tmp_path / "hand.ply"
+    path.write_bytes(FORMATS["ply"].encode(SplatMotion(avatar, sequence, axes="rdf").cloud(0)))
+    theirs = show_splat_file.drawn_by_spark(path, camera, show_splat_file.AS_LEARNT)
+    ours = show_splat_file.drawn_by_us(SplatMotion(avatar, sequence, axes="rub").cloud(0), camera)
+    # seen 54.0 dB
+    assert show_splat_file.psnr_db(ours, theirs) > 53

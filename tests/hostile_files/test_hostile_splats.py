@@ -169,7 +169,8 @@ def test_the_parts_these_are_made_from_are_read(tmp_path):
     [
         b"", b"{", b"[]", b"null", b"[" * 100_000, b'{"meshes":' * 20_000, b'{"meshes": 7}', b'{"meshes": [7]}',
         b'{"meshes": [{"primitives": {}}]}', b'{"meshes": [{"primitives": [[]]}]}', b"\xff\xfe", b"1" * 5000,
-        b'{"meshes": [{"primitives": [{"extensions": 3}]}]}', b" " * 262_145,
+        b'{"meshes": [{"primitives": [{"extensions": 3}]}]}', b" " * 65_537,
+        b'{"meshes": [' + b"[]," * 21_000 + b"[]]}", b'{"meshes": [' + b'{"a":0},' * 8_000 + b"7]}",
     ],
 )  # fmt: skip
 def test_descriptions_that_are_none_are_refused(tmp_path, text):
