@@ -16,6 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from . import limits
+from .film import linear_of
 from .messages import JGHandFailure
 
 _GAUSSIAN = np.dtype([("position", "<f4", 3), ("sigma", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)])
@@ -56,8 +57,7 @@ def read_frame(path: Path) -> CachedFrame:
     if not np.isfinite(table["position"]).all() or not np.isfinite(table["sigma"]).all():
         raise JGHandFailure("no_bake", f"{path}: numbers that are not finite")
     rgba = table["rgba"].astype(np.float32) / 255
-    colour = rgba[:, :3]
-    rgba[:, :3] = np.where(colour <= 0.04045, colour / 12.92, ((colour + 0.055) / 1.055) ** 2.4)
+    rgba[:, :3] = linear_of(rgba[:, :3])
     return CachedFrame(table["position"] @ _WORLD_FROM_FILE.T, table["sigma"].max(axis=1), rgba)
 
 
