@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Blender's shelf of pose assets below the 3D views: it is there once a view was drawn in pose mode, so a timer tries."""
+"""Blender's shelf of pose assets below the 3D views: there once a view was drawn in pose mode, so a timer tries."""
 
 from __future__ import annotations
 
