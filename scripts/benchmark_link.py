@@ -35,7 +35,7 @@ import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from blender_addon.core import pacing
+from blender_addon.core import limits, pacing
 from blender_addon.core.link import EngineLink
 from blender_addon.core.messages import JGHandFailure
 from blender_addon.core.posing import rest_joints_m
@@ -105,9 +105,9 @@ class Player:
 
     def show(self, frame: int) -> float:
         """One frame; returns how long it waited for its picture, seconds."""
-        self._take()
         now_s, answering = time.monotonic(), self._link.status.state == "ready"
         moment = pacing.Moment(now_s, pacing.Activity.PLAYING, FRAME_S, now_s, answering)
+        self._take(moment)
         want = pacing.Want(f"frame {frame}", "camera", SIZE[0] * SIZE[1])
         self._pace, decision = pacing.step(self._pace, want, moment, pacing.ViewSettings())
         if decision.ask is not None:
@@ -116,18 +116,18 @@ class Player:
         if decision.wait_for is not None:
             self._link.wait("viewport", decision.wait_for, decision.wait_s)
         waited_s = time.perf_counter() - begun
-        self._take()
+        self._take(moment)
         if self._pace.shown is None or self._pace.shown.want != want:
             self._pace = pacing.missed(self._pace, moment)
         self._link.tick()
         return waited_s
 
-    def _take(self) -> None:
+    def _take(self, moment: pacing.Moment) -> None:
         answer = self._link.answer("viewport")
         if answer is not None and answer is not self._taken:
             self._taken = answer
             kind = answer.failure.kind if answer.failure is not None else None
-            self._pace, _ = pacing.answered(self._pace, str(answer.tag), kind, answer.round_trip_ms / 1e3, FRAME_S)
+            self._pace, _ = pacing.answered(self._pace, str(answer.tag), kind, answer.round_trip_ms / 1e3, moment)
 
 
 # ---- the parts -------------------------------------------------------------------------------------------------------
@@ -184,6 +184,13 @@ def blocks(plan: Plan, figures: Figures) -> None:
             longest[name].append(1e3 * worst_s)
             if sent is None and troubles[name][1] == getattr(signal, "SIGSTOP", None):
                 os.kill(pid, signal.SIGKILL)  # or closing would wait for it to listen
+    slept = []
+    for _ in range(10 * plan.trials):
+        begun = time.perf_counter()
+        time.sleep(limits.PLAY_WAIT_S)
+        slept.append(1e3 * (time.perf_counter() - begun))
+    text = f"{max(slept):6.1f} ms longest, {np.percentile(slept, 99):6.1f} p99 of {len(slept)}"
+    figures.say(f"control: a sleep of {1e3 * limits.PLAY_WAIT_S:.0f} ms on this machine", text)
     over = sum(value > BLOCK_MS for values in longest.values() for value in values)
     for name, values in longest.items():
         text = f"{max(values):6.1f} ms longest, {statistics.median(values):6.1f} median of {len(values)} trials"
