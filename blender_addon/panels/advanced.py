@@ -44,11 +44,25 @@ class AdvancedPanel(Sidebar, bpy.types.Panel):
             if common.has_operator(name):
                 actions.operator(name, icon=icon)
         actions.operator("jghand.open_preferences", icon="PREFERENCES")
+        _draw_check(layout, context)
         receipt = receipt_of(context, runtime.RENDER)
         if receipt is not None:
             layout.label(text=iface_("Last Rendered Frame"))
             draw_receipt(layout, context, receipt)
             draw_effects(layout, receipt)
+
+
+def _draw_check(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """What the newest check came to, in short; the preferences show all of it."""
+    check = runtime.check()
+    result = check.result if check is not None else None
+    if result is None:
+        return
+    common.paragraph(layout, context, result.sentence, icon="CHECKMARK" if result.good else "ERROR")
+    if result.remedy:
+        common.paragraph(layout, context, result.remedy, icon="BLANK1")
+    if result.mend:
+        layout.operator("jghand.copy_command", icon="COPYDOWN").text = result.mend
 
 
 def register() -> None:

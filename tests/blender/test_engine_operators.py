@@ -8,7 +8,7 @@ from pathlib import Path
 
 import bpy
 import pytest
-from recording_layout import RecordingLayout, operator_type
+from recording_layout import RecordingLayout, draw, operator_type
 
 from blender_addon import preferences, runtime
 from blender_addon.core.engine_check import CheckResult, Finding
@@ -16,6 +16,7 @@ from blender_addon.core.engine_command import VARIABLE
 from blender_addon.core.link import EngineLink
 from blender_addon.core.messages import JGHandFailure
 from blender_addon.operators import engine
+from blender_addon.panels import advanced
 
 
 @pytest.fixture
@@ -117,6 +118,14 @@ def test_the_result_is_drawn(extension, result):
     assert result.findings[0].value in seen
     assert result.mend in seen
     assert ("jghand.copy_command" in layout.operators) == bool(result.mend)
+
+
+def test_the_sidebar_shows_the_result_in_short(extension, monkeypatch):
+    monkeypatch.setenv(VARIABLE, "/nowhere/python")
+    bpy.ops.jghand.check_engine()
+    layout = draw(advanced.AdvancedPanel, extension)
+    assert "No engine is set up" in " ".join(layout.texts)
+    assert "jghand.copy_command" in layout.operators
 
 
 def test_the_preferences_draw_the_button_and_the_newest_result(extension, monkeypatch):
