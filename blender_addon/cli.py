@@ -20,6 +20,8 @@ written whatever the end.
 from __future__ import annotations
 
 import argparse
+import contextlib
+import signal
 import sys
 import tempfile
 import time
@@ -52,7 +54,8 @@ def main(arguments: list[str] | None = None, *, checkout: Path | None = None, pr
     ours = not registration.is_registered()
     registration.register()
     try:
-        failure = _failure_of(lambda: _render(options, report, checkout))
+        with _interrupts():
+            failure = _failure_of(lambda: _render(options, report, checkout))
     finally:
         runtime.use_link(None)
         runtime.use_render_timeout(None)
@@ -82,6 +85,30 @@ def _failure_of(step: Callable[[], None]) -> JGHandFailure | None:
         traceback.print_exc()
         return JGHandFailure("internal", f"{type(error).__name__}: {error}")
     return None
+
+
+_rendering = False
+
+
+@contextlib.contextmanager
+def _interrupts() -> Iterator[None]:
+    """Ctrl-C ends the run: while Blender renders by giving the picture up, for an exception would be lost there."""
+
+    def interrupt(*_: object) -> None:
+        runtime.give_up_render(True)
+        if not _rendering:
+            raise KeyboardInterrupt
+
+    try:
+        before = signal.signal(signal.SIGINT, interrupt)
+    except ValueError:  # not the main thread: it is somebody else's business
+        yield
+        return
+    try:
+        yield
+    finally:
+        runtime.give_up_render(False)
+        signal.signal(signal.SIGINT, before)
 
 
 def _tell(failure: JGHandFailure, log: Path | None = None) -> None:
@@ -284,14 +311,19 @@ def _picture(current: bpy.types.Scene, path: Path) -> tuple[bytes, runtime.Rende
 
     It is saved where no name can be a template, and moved by us: a path of Blender's is not always what it says.
     """
+    global _rendering
     runtime.note_render(None)
     current.render.filepath = str(path)
     path.unlink(missing_ok=True)
-    told = ""
+    told, _rendering = "", True
     try:
         bpy.ops.render.render(write_still=True, scene=current.name)
     except RuntimeError as error:  # an error report of the engine, or of Blender
         told = str(error)
+    finally:
+        _rendering = False
+    if runtime.render_given_up():
+        raise JGHandFailure("interrupted")
     note = runtime.last_render()
     if note is not None and note.failure is not None:
         raise JGHandFailure("interrupted") if note.failure.kind == "cancelled" else note.failure

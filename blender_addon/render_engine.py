@@ -69,6 +69,8 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
             self._render(depsgraph)
         except JGHandFailure as reason:
             failure = reason
+        except KeyboardInterrupt:
+            failure = JGHandFailure("interrupted")
         except Exception as error:  # a mistake of ours must not become an empty picture either
             traceback.print_exc()
             failure = JGHandFailure("internal", f"{type(error).__name__}: {error}")
@@ -109,7 +111,10 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
             preset=scene.jghand.render_preset,
             settings={"shadow_strength": scene.jghand.shadow_strength},
         )
-        return runtime.link().request(header, arrays, timeout_s=runtime.render_timeout_s(), cancelled=self.test_break)
+        return runtime.link().request(header, arrays, timeout_s=runtime.render_timeout_s(), cancelled=self._is_given_up)
+
+    def _is_given_up(self) -> bool:
+        return self.test_break() or runtime.render_given_up()
 
     def _fill(self, part: Part, drawn: Part, layer: str, values: dict[str, np.ndarray]) -> None:
         """Hands over what was drawn of a part of the view; the rest of it stays empty."""

@@ -46,6 +46,7 @@ _lock = threading.Lock()  # a render thread may want the link while the main thr
 _reports: dict[str, Mapping[str, Any]] = {}
 _render_note: RenderNote | None = None
 _render_timeout_s: float | None = None
+_render_given_up = False
 _jobs = JobTable()
 _check: EngineCheck | None = None
 
@@ -102,6 +103,18 @@ def render_timeout_s() -> float:
     """How long a rendered frame may take."""
     chosen = preferences()
     return _render_timeout_s or (chosen.render_timeout_s if chosen is not None else limits.REQUEST_S)
+
+
+def give_up_render(given_up: bool) -> None:
+    """Whether the picture that is rendered is not wanted any more: for batch runs, which Ctrl-C ends. An exception
+    would be lost in Blender, which writes an empty picture then."""
+    global _render_given_up
+    _render_given_up = given_up
+
+
+def render_given_up() -> bool:
+    """Whether it was given up."""
+    return _render_given_up
 
 
 def command() -> Sequence[str]:
