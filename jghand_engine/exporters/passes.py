@@ -1,10 +1,12 @@
 """Ground truth of a picture: maps of what each pixel shows, and where the joints are and whether one sees them.
 
-Z             metres along the view axis, 0 where there is nothing: the mean of what covers the pixel
-normal.X Y Z  unit, towards the camera, in its axes (x right, y down, z forward), 0 where there is nothing
-ids.hand      1 where the hand is, 0 elsewhere
-ids.bone      the bone that covers most: the number, 1..20, of the joint of the standard order at which it ends
-A             how much of the pixel is covered, 0..1, as the picture was blended
+The channels:
+
+    Z             metres along the view axis, 0 where there is nothing: the mean of what covers the pixel
+    normal.X Y Z  unit, towards the camera, in its axes (x right, y down, z forward), 0 where there is nothing
+    hand_id       1 where the hand is, 0 elsewhere
+    bone_id       the bone that covers most: the number, 1..20, of the joint of the standard order at which it ends
+    A             how much of the pixel is covered, 0..1, as the picture was blended
 """
 
 from __future__ import annotations
@@ -62,8 +64,8 @@ def channels(frame: Frame, bone_ids: np.ndarray | None, names: Sequence[str]) ->
         normal = np.where(covered[..., None], frame.normal, np.float32(0))
         found |= {f"normal.{axis}": normal[..., place] for place, axis in enumerate("XYZ")}
     if "ids" in names and bone_ids is not None:
-        found["ids.hand"] = covered.astype(np.uint32)
-        found["ids.bone"] = np.where(covered, _without_holes(bone_ids), 0).astype(np.uint32)
+        found["hand_id"] = covered.astype(np.uint32)
+        found["bone_id"] = np.where(covered, _without_holes(bone_ids), 0).astype(np.uint32)
     return found
 
 

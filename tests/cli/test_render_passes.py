@@ -59,13 +59,13 @@ def test_maps_are_channels_of_an_exr_file(tmp_path):
         found = {name: channel.pixels for name, channel in content.channels().items()}
         assert content.header()["units"] == "metres"
     floats = {"A", "Z", "normal.X", "normal.Y", "normal.Z"}
-    assert set(found) == floats | {"ids.hand", "ids.bone"}
+    assert set(found) == floats | {"hand_id", "bone_id"}
     assert all(found[name].dtype == np.float32 for name in floats)
-    assert all(found[name].dtype == np.uint32 for name in ("ids.hand", "ids.bone"))
+    assert all(found[name].dtype == np.uint32 for name in ("hand_id", "bone_id"))
     assert all(values.shape == (120, 160) for values in found.values())
     alpha = read_png(tmp_path / "frame_00000.png")[..., 3] / 255
     assert np.abs(found["A"] - alpha).max() <= 0.5 / 255 + 1e-6
-    assert ((found["Z"] > 0) == (found["ids.hand"] == 1)).all()
+    assert ((found["Z"] > 0) == (found["hand_id"] == 1)).all()
     assert not (tmp_path / "joints.json").exists()
 
 

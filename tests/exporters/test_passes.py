@@ -143,8 +143,8 @@ def test_a_pixel_has_the_bone_of_the_gaussians_that_it_unprojects_to(shown, pose
     _, nearest = KDTree(centres[0]).query(hand.unprojected(hand.inner()))
     bones = bone_numbers(hand.avatar)[nearest]
     # seen: 97.9 to 98.6 %; the others lie where one bone's skin meets the next one's
-    assert (hand.maps["ids.bone"][hand.inner()] == bones).mean() > 0.975
-    assert set(np.unique(hand.maps["ids.bone"])) <= set(range(21))
+    assert (hand.maps["bone_id"][hand.inner()] == bones).mean() > 0.975
+    assert set(np.unique(hand.maps["bone_id"])) <= set(range(21))
 
 
 def test_maps_end_where_the_hand_ends(shown):
@@ -152,8 +152,8 @@ def test_maps_end_where_the_hand_ends(shown):
     nothing = hand.maps["A"] <= 0.05
     assert (hand.maps["Z"] > 0).sum() > 1000
     assert ((hand.maps["Z"] == 0) == nothing).all()
-    assert ((hand.maps["ids.hand"] == 0) == nothing).all()
-    assert ((hand.maps["ids.bone"] == 0) == nothing).all()
+    assert ((hand.maps["hand_id"] == 0) == nothing).all()
+    assert ((hand.maps["bone_id"] == 0) == nothing).all()
     assert all((hand.maps[f"normal.{axis}"][nothing] == 0).all() for axis in "XYZ")
     assert np.array_equal(hand.maps["A"], hand.frame.rgba[..., 3])
 
