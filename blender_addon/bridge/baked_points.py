@@ -12,6 +12,7 @@ from pathlib import Path
 
 import bpy
 
+from ..core import limits
 from ..core.bakes import BakedHand
 from ..core.messages import JGHandFailure
 from . import versions
@@ -82,6 +83,7 @@ def points_material() -> bpy.types.Material:
     if known is not None and known.library is None:
         return known
     material = bpy.data.materials.new(MATERIAL)
+    material.diffuse_color = limits.POINTS_SOLID_RGBA  # Solid mode knows no colours of points
     if material.node_tree is None:  # until 4.5
         material.use_nodes = True
     tree = material.node_tree

@@ -22,7 +22,8 @@ from .motion_files import MotionFile, write_motion
 from .view import SHIPPED_AVATARS
 
 # bytes of one Gaussian and frame; as jghand_engine/exporters/usd.py and ply.py write them
-_PLY_BYTES, _POSITION_BYTES, _SIZE_BYTES, _COLOUR_BYTES = 68, 12, 16, 24
+_PLY_BYTES, _CACHE_BYTES = 68, 32
+_POSITION_BYTES, _SIZE_BYTES, _COLOUR_BYTES = 12, 16, 24
 
 
 @dataclass(frozen=True)
@@ -100,20 +101,28 @@ class SizeEstimate:
         return text if self.free is None or self.fits else f"{text}, and only {readable(self.free)} are free"
 
 
-def estimate(
-    folder: Path | None, gaussians: Sequence[int], frames: int, *, ply: bool, sizes: bool = False, colours: bool = True
-) -> SizeEstimate:
-    """What an export of hands with so many Gaussians each takes at most: frames that are alike are stored once.
+@dataclass(frozen=True)
+class Written:
+    """What is written of every frame. ply: PLY files instead of USD · sizes: radii in every frame of USD · cache: also
+    frames for Blenders without USD."""
 
-    sizes: radii in every frame · colours: whether colours change with the pose, as a trained avatar's do.
-    """
-    total = sum(gaussians)
-    if ply:
-        size = total * frames * _PLY_BYTES
-    else:
-        sample = _POSITION_BYTES + _SIZE_BYTES * sizes + _COLOUR_BYTES * colours
-        still = total * limits.USD_STATIC_GAUSSIAN_BYTES + len(gaussians) * limits.USD_STATIC_BYTES
-        size = total * (frames + 1) * sample + still
+    ply: bool = False
+    sizes: bool = False
+    cache: bool = False
+
+    def bytes(self, gaussians: int, frames: int, *, learnt: bool) -> int:
+        """Size of one hand at most: frames that are alike are stored once. learnt: whether its colours change with the
+        pose, as a trained avatar's do."""
+        if self.ply:
+            return gaussians * frames * _PLY_BYTES
+        sample = _POSITION_BYTES + _SIZE_BYTES * self.sizes + _COLOUR_BYTES * learnt
+        still = gaussians * limits.USD_STATIC_GAUSSIAN_BYTES + limits.USD_STATIC_BYTES
+        return gaussians * (frames + 1) * sample + still + gaussians * frames * _CACHE_BYTES * self.cache
+
+
+def estimate(folder: Path | None, hands: Sequence[tuple[int, bool]], frames: int, written: Written) -> SizeEstimate:
+    """What an export takes at most. hands: of each, how many Gaussians it has and whether it is learnt."""
+    size = sum(written.bytes(gaussians, frames, learnt=learnt) for gaussians, learnt in hands)
     free = None
     while folder is not None and not folder.exists() and folder != folder.parent:
         folder = folder.parent

@@ -13,7 +13,7 @@ from ..bridge.seen_hands import avatar_of
 from ..core import bakes
 from ..core.job_state import Phase
 from ..core.messages import JGHandFailure
-from ..core.recording import SizeEstimate, estimate
+from ..core.recording import Written, estimate
 from ..operators import export, output_common
 from . import common
 from .common import Sidebar
@@ -60,7 +60,8 @@ class BakePanel(Sidebar, bpy.types.Panel):
         if versions.has_usd():
             column.prop(settings, "use_cache")
         layout.operator("jghand.bake", icon="RENDER_ANIMATION")
-        _draw_estimate(layout, context, settings.bake_folder, ply=False, sizes=False)
+        cache = settings.use_cache or not versions.has_usd()
+        _draw_estimate(layout, context, settings.bake_folder, Written(cache=cache))
         hand = common.active(context)
         if hand is None or not hand.jghand.bake:
             return
@@ -92,8 +93,8 @@ class ExportPanel(Sidebar, bpy.types.Panel):
             column.prop(settings, "axes")
         layout.operator("jghand.export", icon="EXPORT")
         if settings.format != "motion":
-            ply = settings.format == "ply"
-            _draw_estimate(layout, context, settings.folder, ply=ply, sizes=settings.sizes == "per_frame")
+            written = Written(ply=settings.format == "ply", sizes=settings.sizes == "per_frame")
+            _draw_estimate(layout, context, settings.folder, written)
         layout.operator("jghand.export_scene_usd", icon="SCENE_DATA")
 
 
@@ -141,24 +142,17 @@ def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context, key: str) -
 _SILENT_S = 120.0
 
 
-def size_estimate(context: bpy.types.Context, folder: str, *, ply: bool, sizes: bool) -> SizeEstimate:
-    """What an export of the chosen hands and frames takes."""
-    found = [cards.gaussians_of(avatar_of(thing)) for thing in output_common.hands_to_write(context)]
+def _draw_estimate(layout: bpy.types.UILayout, context: bpy.types.Context, folder: str, written: Written) -> None:
+    """What the chosen hands and frames take, before the click."""
+    things = output_common.hands_to_write(context)
+    if not things:
+        return
     try:
         target = output_common.place(context, folder)
     except JGHandFailure:
-        target = None
-    frames = len(output_common.frames_to_write(context))
-    learnt = any(learnt for _, learnt in found)
-    return estimate(target, [count for count, _ in found], frames, ply=ply, sizes=sizes, colours=learnt)
-
-
-def _draw_estimate(
-    layout: bpy.types.UILayout, context: bpy.types.Context, folder: str, *, ply: bool, sizes: bool
-) -> None:
-    if not output_common.hands_to_write(context):
-        return
-    size = size_estimate(context, folder, ply=ply, sizes=sizes)
+        target = None  # said after the click, with what to do
+    hands = [cards.gaussians_of(avatar_of(thing)) for thing in things]
+    size = estimate(target, hands, len(output_common.frames_to_write(context)), written)
     layout.label(text=size.sentence(), icon="NONE" if size.fits else "ERROR", translate=False)
 
 

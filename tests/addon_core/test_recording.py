@@ -17,6 +17,7 @@ from blender_addon.core.posing import rest_joints_m
 from blender_addon.core.recording import (
     Recording,
     SizeEstimate,
+    Written,
     avatar_digest,
     check_place,
     estimate,
@@ -130,7 +131,7 @@ def test_the_estimate_of_an_export_is_its_size(tmp_path):
         (True, export_splats(tmp_path / "ply", avatar, motion).bytes),
         (False, sum(export_usd(tmp_path / "usd", avatar, motion).bytes.values())),
     ):
-        size = estimate(tmp_path / "not" / "there", [len(avatar)], len(motion), ply=ply)
+        size = estimate(tmp_path / "not" / "there", [(len(avatar), True)], len(motion), Written(ply=ply))
         assert size.fits
         assert size.bytes == pytest.approx(written, rel=0.1)
 
