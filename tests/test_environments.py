@@ -12,7 +12,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
 import environments
-from environments import BLENDER, DEVELOPER, ENGINE, MissingLibraryError, SetupError
+from environments import BLENDER, BLENDER52, DEVELOPER, ENGINE, MissingLibraryError, SetupError
 
 THIS = sys.version_info[:2]
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="the stand-ins are shell scripts")
@@ -68,6 +68,12 @@ def test_a_missing_python_is_named_with_a_way_to_get_it(only_these_pythons):
 
 def test_a_newer_python_than_any_named_will_do_where_that_is_allowed(only_these_pythons):
     assert environments.find_python(((3, 1), None)) == [sys.executable]
+
+
+def test_the_second_blender_is_pinned_by_the_same_file_and_lies_elsewhere():
+    assert BLENDER52.constraints == BLENDER.constraints
+    assert BLENDER52.folder != BLENDER.folder
+    assert [version for version in ((3, 11), (3, 12), (3, 13), (3, 14)) if BLENDER52.usable(version)] == [(3, 13)]
 
 
 def test_blender_is_never_made_with_a_python_that_it_is_not_built_for():
