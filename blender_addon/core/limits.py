@@ -164,8 +164,8 @@ IDLE_TICK_S = 0.1
 OPEN_TICK_S = 0.05
 SHORTEST_TICK_S = 0.005
 # while playing a view waits so long for its picture, or one frame if that is shorter: Blender's main thread is then
-# never blocked for 50 ms
-PLAY_WAIT_S = 0.04
+# never blocked for 50 ms, though a busy system wakes a sleeper up to 12 ms late (`scripts/benchmark_link.py`)
+PLAY_WAIT_S = 0.033
 # after so many late frames in a row nobody waits any more, until an answer was fast enough again: a hung engine costs
 # playback nothing
 LATE_PATIENCE = 3

@@ -22,7 +22,7 @@ class JointList(bpy.types.UIList):
 
     bl_idname = "JGHAND_UL_joints"
 
-    def draw_item(self, _context, layout, _data, item, _icon, _active_data, _active_property, _index=0, _flag=0):
+    def draw_item(self, _context, layout, _data, item, _icon, _active_data, _active_property):
         """One row."""
         rig = item.id_data
         row = layout.split(factor=0.28)

@@ -156,5 +156,5 @@ def draw_rows(list_type: type, context: Any, data: Any, items: Any) -> Recording
     """Draws every row of a list."""
     layout = RecordingLayout()
     for place, item in enumerate(items):
-        list_type.draw_item(SimpleNamespace(), context, layout, data, item, 0, data, "", place, 0)
+        list_type.draw_item(SimpleNamespace(), context, layout, data, item, 0, data, "")
     return layout
