@@ -132,7 +132,9 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
         evaluate_ms, request_ms = (1e3 * seconds for seconds in times)
         if reports:
             runtime.set_report(runtime.RENDER, reports[0])
-        runtime.note_render(RenderNote(None, reports, evaluate_ms, request_ms))
+        before = runtime.last_render()
+        if before is None or before.failure is None:  # another view layer of this frame may have failed
+            runtime.note_render(RenderNote(None, reports, evaluate_ms, request_ms))
         counts = [f"{len(seen[0].hands)} hands"] + ([f"{len(seen)} sub-frames"] if len(seen) > 1 else [])
         drawn = [f"{report.get('total_ms', 0):.0f} ms in the engine" for report in reports]
         self.update_stats("JGHand", " · ".join([*counts, *drawn]))

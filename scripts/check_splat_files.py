@@ -4,8 +4,8 @@
     python scripts/check_splat_files.py                     compares with those that are there
     python scripts/check_splat_files.py --page docs/FORMATS.md      and writes the table into the page
 
-To be run with the engine's Python. The programs are pinned in scripts/splat_clients/: loaders of three.js and
-PlayCanvas' splat-transform (need Node), gsply, gaussforge and fourdgs (Python, in an environment of their own).
+To be run with the engine's Python. The programs are pinned in scripts/splat_clients/: loaders of three.js, PlayCanvas
+and its splat-transform (need Node), gsply, gaussforge and fourdgs (Python, in an environment of their own).
 
 Two hands' worth of Gaussians are compared: the built-in hand in a pose, and ellipsoids in all directions. Exit code 1
 when a difference is above what the format's own precision allows.
@@ -132,7 +132,7 @@ TRANSFORM_ADDS, GAUSSFORGE_ADDS = Difference(0, 0, 0.015, 0, 0), Difference(0, 0
 @dataclass(frozen=True)
 class Client:
     """name and version of a program · formats: that it reads · read: the found Gaussians of a file · there: whether it
-    is installed · adds: what the program's own precision adds to the format's"""
+    is installed · adds: what the program's own precision adds to the format's · sorts: whether it has an order of its own"""
 
     name: str
     version: str
@@ -140,6 +140,12 @@ class Client:
     read: Callable[[Path], Found]
     there: Callable[[], bool]
     adds: Difference = NOTHING
+    sorts: bool = False
+
+    def find(self, path: Path, wanted: Found) -> Found:
+        """What it reads from a file, in the order of `wanted` where that is not kept."""
+        found = self.read(path)
+        return found.in_order_of(wanted) if self.sorts or path.suffix == ".sog" else found
 
     def limit(self, format: str) -> Difference:
         pairs = (
@@ -164,6 +170,9 @@ def clients() -> list[Client]:
         Client(
             "splat-transform", packages[transform], formats[transform], _by_transform, node_has(transform),
             TRANSFORM_ADDS,
+        ),
+        Client(
+            "playcanvas", packages["playcanvas"], ("glb",), _by_playcanvas, node_has("playcanvas"), sorts=True
         ),
         *(
             Client(name, pins[name], kinds, lambda path, name=name: _by_python(name, path), python_is_there, adds)
@@ -211,6 +220,13 @@ def _by_three(path: Path) -> Found:
         table = Path(folder) / "table"
         node("read_with_three.mjs", path, table)
         return Found.of_covariances(_table(table, 13))
+
+
+def _by_playcanvas(path: Path) -> Found:
+    with tempfile.TemporaryDirectory() as folder:
+        table = Path(folder) / "table"
+        node("read_with_playcanvas.mjs", path, table)
+        return Found.of_ellipsoids(_table(table, 14))
 
 
 def _by_python(client: str, path: Path) -> Found:
@@ -298,8 +314,7 @@ def compare(folder: Path) -> Iterator[Row]:
             wanted = Found.of_cloud(cloud)
             for client in clients():
                 if format in client.formats and client.there():
-                    found = client.read(path)
-                    found = found.in_order_of(wanted) if format == "sog" else found
+                    found = client.find(path, wanted)
                     yield Row(format, client, subject, path.stat().st_size, Difference.between(found, wanted))
 
 

@@ -18,6 +18,7 @@ from pathlib import Path
 import bpy
 from bpy.app.handlers import persistent
 
+from .. import runtime
 from ..core.messages import JGHandFailure
 from . import combination
 
@@ -39,6 +40,7 @@ def _frame_begins(scene: bpy.types.Scene, *_: object) -> None:
     global _failure, _began_s
     if not combination.is_hands_scene(scene):
         _failure, _began_s = None, time.time()
+        runtime.note_render(None)
 
 
 @persistent

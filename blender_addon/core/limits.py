@@ -170,8 +170,8 @@ PLAY_WAIT_S = 0.033
 # playback nothing
 LATE_PATIENCE = 3
 # a view that is orbited waits so long for the picture from the new side, where recent pictures came that fast: a view
-# that turns 25 times a second with its hand is better than a faster one without
-ORBIT_WAIT_S = 0.04
+# that turns 30 times a second with its hand is better than a faster one without
+ORBIT_WAIT_S = 0.033
 # after the last change: the settings of the viewport instead of the fast ones, and then the settings of renders
 SETTLE_S = 0.15
 SHARPEN_S = 0.6

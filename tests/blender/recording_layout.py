@@ -155,6 +155,6 @@ def draw(panel: type, context: Any) -> RecordingLayout | None:
 def draw_rows(list_type: type, context: Any, data: Any, items: Any) -> RecordingLayout:
     """Draws every row of a list."""
     layout = RecordingLayout()
-    for place, item in enumerate(items):
+    for item in items:
         list_type.draw_item(SimpleNamespace(), context, layout, data, item, 0, data, "")
     return layout

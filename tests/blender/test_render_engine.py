@@ -16,6 +16,7 @@ from blender_addon import cli, registration, render_engine, runtime
 from blender_addon.bridge import armature, camera, moments
 from blender_addon.core import limits, posing
 from blender_addon.core.link import EngineLink
+from blender_addon.core.messages import JGHandFailure
 from blender_addon.core.view import picture_request
 
 SIZE = (96, 64)
@@ -171,6 +172,25 @@ def test_every_view_layer_shows_its_own_hands(scene, tmp_path):
     passes = layers(scene, tmp_path, names=True)
     assert passes[f"{first}.Combined.A"].any()
     assert not passes["without.Combined.A"].any()
+
+
+def test_a_view_layer_that_fails_is_not_forgotten_over_the_next_one(scene, monkeypatch):
+    scene.view_layers.new("second")
+    fill, count = render_engine.JGHandRenderEngine._fill, []
+
+    def first_fails(*parts):
+        count.append(1)
+        if len(count) == 1:
+            raise JGHandFailure("out_of_memory")
+        fill(*parts)
+
+    monkeypatch.setattr(render_engine.JGHandRenderEngine, "_fill", first_fails)
+    with pytest.raises(RuntimeError, match="memory is full"):
+        bpy.ops.render.render(write_still=True)
+    assert runtime.last_render().failure.kind == "out_of_memory"
+    monkeypatch.undo()
+    f12()
+    assert runtime.last_render().failure is None
 
 
 # ---- what a scene may ask for ---------------------------------------------------------------------------------------
