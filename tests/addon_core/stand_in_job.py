@@ -69,4 +69,5 @@ def main(fault, file):
 
 if __name__ == "__main__":
     words = [word for word in sys.argv[1:] if not word.startswith("--")]
-    sys.exit(main(words[0], words[1] if len(words) > 1 else ""))
+    files = [word.removeprefix("file=") for word in words if word.startswith("file=")]
+    sys.exit(main(words[0], files[0] if files else ""))

@@ -137,7 +137,7 @@ def test_what_fails_after_the_end_makes_it_a_failed_job(tmp_path):
 
 @posix
 def test_a_cancelled_training_writes_its_checkpoint_first(tmp_path):
-    job = Job(spec(tmp_path, "long", str(tmp_path / "checkpoint"), resume=True))
+    job = Job(spec(tmp_path, "long", f"file={tmp_path / 'checkpoint'}", resume=True))
     until_it_counts(job)
     job.cancel()
     assert job.state.phase is Phase.CANCELLING
@@ -147,7 +147,7 @@ def test_a_cancelled_training_writes_its_checkpoint_first(tmp_path):
 
 @posix
 def test_a_paused_training_goes_on_and_can_be_cancelled_while_it_is_paused(tmp_path):
-    job = Job(spec(tmp_path, "long", str(tmp_path / "checkpoint"), resume=True))
+    job = Job(spec(tmp_path, "long", f"file={tmp_path / 'checkpoint'}", resume=True))
     until_it_counts(job)
     job.pause()
     assert ended(job).phase is Phase.PAUSED
@@ -270,7 +270,7 @@ def test_one_job_of_a_key_runs_at_a_time_and_others_beside_it(tmp_path):
 @posix
 def test_the_end_of_blender_ends_jobs_politely_and_soon(tmp_path):
     table = JobTable()
-    polite = table.start("train", spec(tmp_path, "long", str(tmp_path / "checkpoint"), resume=True))
+    polite = table.start("train", spec(tmp_path, "long", f"file={tmp_path / 'checkpoint'}", resume=True))
     until_it_counts(polite)
     deaf = table.start("bake", spec(tmp_path, "deaf"))
     until_it_counts(deaf)
