@@ -132,7 +132,8 @@ TRANSFORM_ADDS, GAUSSFORGE_ADDS = Difference(0, 0, 0.015, 0, 0), Difference(0, 0
 @dataclass(frozen=True)
 class Client:
     """name and version of a program · formats: that it reads · read: the found Gaussians of a file · there: whether it
-    is installed · adds: what the program's own precision adds to the format's · sorts: whether it has an order of its own"""
+    is installed · adds: what the program's own precision adds to the format's · sorts: whether it has an order of its
+    own"""
 
     name: str
     version: str
