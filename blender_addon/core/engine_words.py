@@ -43,7 +43,7 @@ def _of(recording: Recording, motion: Path, out: Path, figures: Path) -> tuple[s
         *("--motion", str(motion), "--avatar", recording.avatar, "--out", str(out), "--name", recording.name),
         *("--first-frame", str(recording.first_frame), "--up", "z"),
         # the hand that is seen: nothing is repaired on the way
-        *("--keep-bone-lengths", "--on-missing", "stop", "--json", str(figures)),
+        *("--keep-bone-lengths", "--on-missing", "stop", "--any-proportions", "--json", str(figures)),
     )
 
 
@@ -67,7 +67,7 @@ def capture(out: Path, choices: CaptureChoices, motion: Path | None = None) -> t
         *("--cameras", str(choices.cameras), "--poses", str(choices.poses)),
         *("--size", f"{choices.size[0]}x{choices.size[1]}", "--samples", str(choices.samples)),
         *("--seed", str(choices.seed), "--threads", str(choices.threads)),
-        *(("--motion", str(motion)) if motion is not None else ()),
+        *(("--motion", str(motion), "--any-proportions") if motion is not None else ()),
     )
 
 

@@ -62,7 +62,7 @@ def read_sequence(path: Path, options: FormatOptions) -> PoseSequence:
     unit = options.unit or ("m" if path.suffix.lower() == ".npy" else None)
     order = None if options.order is None else JointOrder(options.order)
     hand = None if options.hand is None else Handedness(options.hand)
-    return read_motion(path, MotionFormat(order=order, unit=unit, handedness=hand, fps=options.checked_fps()))
+    return read_motion(path, MotionFormat(order, unit, hand, options.checked_fps(), not options.any_proportions))
 
 
 def _from_names(names: str, options: FormatOptions, avatar: HandAvatar) -> PoseSequence:

@@ -50,6 +50,8 @@ class FormatOptions:
     """Which hand it is. Never guessed: joints alone do not tell."""
     fps: Annotated[float | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="")] = None
     """Frames per second. Left out: 30."""
+    any_proportions: bool = False
+    """Take joints whose bone lengths are no hand's, such as a cartoon's: a wrong order or unit is not noticed then."""
 
     def checked_fps(self) -> float | None:
         """`fps`. InputError when no motion can have it (NaN included)."""

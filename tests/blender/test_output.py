@@ -393,6 +393,31 @@ json.dump({"same": same, "found": [str(one) for one in check_usd(whole)]}, open(
         assert [one for one in said["found"] if "InvalidSkelBindingAPIApply" not in one] == []
 
 
+def test_a_scene_in_centimetres_is_baked_played_and_exported_in_its_own_unit(extension, engine, tmp_path):
+    from pxr import Usd, UsdGeom
+
+    extension.scene.unit_settings.scale_length = 0.01
+    hand = keyed_hand(extension, "right", moving_hand_m("right", FRAMES))
+    hand.jghand.avatar = "painted"
+    extension.view_layer.objects.active = hand
+    extension.scene.jghand.output.bake_folder = str(tmp_path / "bakes")
+    assert bpy.ops.jghand.bake() == {"FINISHED"}
+    bpy.ops.jghand.play_bake()
+    (cloud,) = baked_points.playing(extension.scene, tmp_path / "bakes" / hand.name)
+    extension.scene.frame_set(3)
+    wrist = np.array(hand.matrix_world @ hand.pose.bones["wrist"].head)
+    size = np.ptp(cloud_positions(extension, cloud), axis=0).max()
+    assert 10 < size < 30, "a hand is some twenty centimetres long"
+    assert np.linalg.norm(cloud_positions(extension, cloud) - wrist, axis=1).min() < 3
+    assert bpy.ops.jghand.export_scene_usd(filepath=str(tmp_path / "whole.usdc")) == {"FINISHED"}
+    stage = Usd.Stage.Open(str(tmp_path / "whole.usdc"))
+    (prim,) = [prim for prim in stage.Traverse() if prim.GetTypeName() == usd_hook.SPLAT_TYPE]
+    frame = extension.scene.frame_current
+    world = np.array(UsdGeom.XformCache(frame).GetLocalToWorldTransform(prim))
+    positions = np.array(prim.GetAttribute("positions").Get(frame)) @ world[:3, :3] + world[3, :3]
+    assert np.abs(positions - cloud_positions(extension, cloud)).max() < 1e-4, "as Blender wrote everything else"
+
+
 def test_a_hand_that_is_not_exported_brings_no_splats(baked, tmp_path):
     from pxr import Usd
 

@@ -10,7 +10,7 @@ import pytest
 
 from jghand_engine import __version__
 from jghand_engine.cli import VERBS, main
-from jghand_engine.cli.inputs import load_motion
+from jghand_engine.cli.inputs import load_motion, read_sequence
 from jghand_engine.cli.options import FormatOptions, MotionOptions, colour, pixels
 from jghand_engine.errors import InputError
 from jghand_engine.exporters.pictures import read_png
@@ -326,3 +326,18 @@ def test_bench_measures_every_preset_that_is_named(tmp_path, capsys):
     assert {one["section"] for one in report["measurements"]} == {"preset draft", "preset viewport"}
     assert report["machine"]["cores"] > 0
     assert "preset viewport" in capsys.readouterr().out
+
+
+def test_a_hand_of_odd_proportions_is_taken_when_it_is_said_to_be_one(tmp_path):
+    """A cartoon's: the check of bone lengths, which finds wrong orders and units, is left out."""
+    from jghand_engine.datasets.motion_files import write_motion
+    from jghand_engine.hand.sequence import PoseSequence
+    from jghand_engine.template.builtin import load_template
+
+    joints_m = 30 * load_template().joints_m[None]
+    joints_m[:, 6:] *= 0.5
+    write_motion(tmp_path / "odd.npz", PoseSequence(joints_m, 30.0, Handedness.RIGHT))
+    with pytest.raises(InputError):
+        read_sequence(tmp_path / "odd.npz", FormatOptions())
+    read = read_sequence(tmp_path / "odd.npz", FormatOptions(any_proportions=True))
+    assert np.abs(read.joints_m - joints_m).max() == 0
