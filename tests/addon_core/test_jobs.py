@@ -284,12 +284,13 @@ def test_the_end_of_blender_ends_jobs_politely_and_soon(tmp_path):
 @posix
 def test_a_job_notices_that_blender_was_killed(tmp_path):
     """The end of its standard input reaches it from whatever ended its parent."""
+    file = f"file={tmp_path / 'left'}"
     code = f"""
 import os, sys, time
 sys.path.insert(0, {str(ROOT)!r})
 from pathlib import Path
 from blender_addon.core.jobs import Job, JobSpec
-job = Job(JobSpec("t", "T", (sys.executable, "-I", {str(STAND_IN)!r}, "long", {str(tmp_path / "left")!r}), Path()))
+job = Job(JobSpec("t", "T", (sys.executable, "-I", {str(STAND_IN)!r}, "long", {file!r}), Path()))
 while not job.state.total:
     job.tick()
 os.kill(os.getpid(), 9)
