@@ -179,6 +179,13 @@ def test_slerp_is_exact_at_its_ends_and_defined_between_equal_and_opposite_vecto
         assert (middle.norm(dim=0) - 1).abs().max() < 1e-12
 
 
+def test_between_opposite_vectors_the_answer_is_the_first_up_to_the_middle_and_then_the_second():
+    """No great circle is distinguished, and in the middle the mixture has no length."""
+    a = _units(50)
+    for part, end in ((0.3, a), (0.5 - 1e-8, a), (0.5, a), (0.5 + 1e-8, -a), (0.7, -a)):
+        assert (rot.slerp(a, -a, torch.tensor(part, dtype=F64)) - end).abs().max() < 1e-15
+
+
 def test_quaternions_and_rotations_are_the_same_turns():
     R = hands.random_rotations(200, torch.Generator().manual_seed(0)).permute(1, 2, 0)
     half_turns = rot.half_turn(torch.eye(3, dtype=F64))
