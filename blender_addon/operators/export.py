@@ -17,7 +17,7 @@ from ..core import bakes, engine_words, splat_cache
 from ..core.engine_words import UsdChoices
 from ..core.jobs import JobSpec
 from ..core.messages import JGHandFailure
-from ..core.recording import Recording
+from ..core.recording import Recording, file_names
 from . import output_common
 from .common import PLUMBING, REGISTERED, UNDOABLE, Reporting, missing
 from .output_common import StartsJob, place, poll_hands, scratch
@@ -107,8 +107,9 @@ class Bake(StartsJob, bpy.types.Operator):
         shown = "splats" if versions.has_native_splats() else "points"
         settings = context.scene.jghand.output
         choices = UsdChoices(shown, "constant", "srgb", settings.width_factor)
-        for thing, own in _by_object(things, recordings, context):
-            target = folder / own[0].name
+        names = file_names([thing.name for thing in things])
+        for (thing, own), name in zip(_by_object(things, recordings, context), names, strict=True):
+            target = folder / name
             bakes.unstamp(target)
             for recording in own:
                 motion, figures = target / f"{recording.name}.npz", target / f"{recording.name}.json"

@@ -418,6 +418,32 @@ def test_a_scene_in_centimetres_is_baked_played_and_exported_in_its_own_unit(ext
     assert np.abs(positions - cloud_positions(extension, cloud)).max() < 1e-4, "as Blender wrote everything else"
 
 
+def test_both_hands_of_a_foreign_rig_are_baked_played_and_exported(extension, engine, tmp_path):
+    from pxr import Usd
+
+    rig, joints = mixamo_rig(extension)
+    for side in joints:
+        sources.store_map(rig, sources.recognise(rig, side).bone_map)
+    rig.jghand.avatar = "painted"
+    extension.scene.frame_end = 4
+    settings = extension.scene.jghand.output
+    settings.bake_folder, settings.hands = str(tmp_path / "bakes"), "all"
+    assert bpy.ops.jghand.bake() == {"FINISHED"}
+    folder = Path(rig.jghand.bake)
+    assert folder.name == "Body"
+    assert [hand.handedness for hand in bakes.read_bake(folder)] == ["right", "left"]
+    extension.view_layer.objects.active = rig
+    assert bpy.ops.jghand.check_bake() == {"FINISHED"}
+    assert bpy.ops.jghand.play_bake() == {"FINISHED"}
+    for cloud, side in zip(baked_points.playing(extension.scene, folder), ("right", "left"), strict=True):
+        far = np.linalg.norm(cloud_positions(extension, cloud) - joints[side][9], axis=1).min()
+        assert far < 0.03, f"{cloud.name} is not the {side} hand"
+    assert bpy.ops.jghand.export_scene_usd(filepath=str(tmp_path / "whole.usdc")) == {"FINISHED"}
+    stage = Usd.Stage.Open(str(tmp_path / "whole.usdc"))
+    found = [prim.GetPath() for prim in stage.Traverse() if prim.GetTypeName() == usd_hook.SPLAT_TYPE]
+    assert sorted(map(str, found)) == ["/root/Body_left/Splats", "/root/Body_right/Splats"]
+
+
 def test_a_hand_that_is_not_exported_brings_no_splats(baked, tmp_path):
     from pxr import Usd
 
