@@ -5,9 +5,9 @@
     bridge/          the only code that touches Blender's data: armature, motion, camera, version differences
     operators/       what an artist can do
     panels/          the sidebar's tab
-    properties.py    what is saved with a file: settings of a hand and of a scene
+    properties.py    what is saved with a file: settings of a hand and of a scene, of output in output_settings.py
     preferences.py   what holds for this user and machine: where the engine is
-    runtime.py       the one link to the engine
+    runtime.py       the one link to the engine, and the jobs
     registration.py  the ordered list of what is added to Blender
     render_engine.py F12, animations and `blender -b -a`
     cli.py           many frames without a window (`blender --command jghand render`, `scripts/render_blend.py`)

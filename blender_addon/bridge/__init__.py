@@ -20,4 +20,8 @@ seen_hands   which hands a view shows, read for it; view_camera is its pinhole
 picture    the draw handler in Solid and Material Preview; viewport_engine the same in Rendered
 gpu_picture  a picture as textures, drawn with depth; shown_bones keeps bones visible before it
 sync       handlers and timer (clock) that keep views up to date; rendering says whether Blender renders
+record     hands over a range of frames
+baked_points  a bake as an object that plays by Blender's own USD; cache_player the same without USD
+usd_hook   Blender's own USD export gets the baked splats
+job_watch  looks after jobs, and after what a training shows; cards keeps what avatars say of themselves
 """

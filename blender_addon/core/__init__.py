@@ -22,6 +22,11 @@ pacing          when a view asks for a picture, how good a one, how long it wait
 cropping        the part of a view that can show hands
 batch           frames, names and files of a batch run, and its report
 stamp           what the pictures of a folder were made from
+jobs            child processes of the engine's command line: progress, pause, cancel; job_state decides, purely
+engine_words    the words of their commands
+recording       a hand over a range of frames, what is exported and baked, and how large that gets (numpy)
+bakes           what lies in the folder of a bake, and whether it is still so; splat_cache reads its frames (numpy)
+training_folder  what a training leaves on disk: loss, previews; avatar_card what an avatar says of itself
 panel_text      what panels say: the engine's state, a picture's receipt, a bone map
 messages        one sentence and one remedy for everything that can fail
 """

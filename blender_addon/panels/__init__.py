@@ -8,5 +8,7 @@ pose        poses and finger controls
 motion      motion files
 picture     what the viewport and renders show
 quality     how good and how fast, and what the last picture did
+output      bake and export, and how a job stands
+training    training set, training with its loss and preview, the avatar's card
 advanced    the engine's small print
 """
