@@ -114,7 +114,7 @@ DEVELOPER = replace(ENGINE, packages=(*ENGINE.packages[:-1], ".[dev,video,metric
 BLENDER = Environment(
     name="blender",
     pythons=((3, 11), (3, 13)),
-    packages=("bpy", "numpy", "pytest"),
+    packages=("bpy", "numpy", "pytest", "hypothesis"),
     sources=(),
     builds=False,
     check="import bpy",

@@ -25,6 +25,8 @@ import environments
 from environments import BLENDER, BLENDER52, DEVELOPER, ROOT, SetupError
 
 PARTS = ("checks", "engine", "blender", "blender52")
+# what is tried in Blender's Python: all that needs Blender, and the part of the extension that does not
+BLENDER_PATHS = ("tests/blender", "tests/addon_core")
 # pytest's exit code when a selection matches no test: fine for a selection, which may well concern one part only
 NO_TESTS = 5
 
@@ -52,7 +54,7 @@ class Selection:
         paths = [a for a in arguments if not a.startswith("-") and (ROOT / a.split("::")[0]).exists()]
         options = tuple(a for a in arguments if a not in paths)
         if not paths:
-            return cls(options, ("tests",), ("tests/blender",))
+            return cls(options, ("tests",), BLENDER_PATHS)
         blender = tuple(path for path in paths if (ROOT / path).is_relative_to(ROOT / "tests" / "blender"))
         engine = tuple(path for path in paths if path not in blender)
         return cls(options, engine or None, blender or None)
