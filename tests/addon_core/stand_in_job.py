@@ -1,4 +1,4 @@
-"""A program that behaves like `jghand … --progress-json`, or misbehaves: usage: stand_in_job.py FAULT [FILE]
+"""A program that behaves like `jghand … --progress-json`, or misbehaves: usage: stand_in_job.py FAULT [file=FILE] …
 
 Knows nothing of JGHand. The end of its standard input is its Ctrl-C, unless the fault is not to listen.
 """

@@ -239,7 +239,9 @@ def test_a_step_that_fails_is_the_last_one(tmp_path, fault):
 
 @posix
 def test_no_step_follows_one_that_was_cancelled(tmp_path):
-    job = Job(spec(tmp_path, "long", more=((sys.executable, "-I", str(STAND_IN), "long", str(tmp_path / "never")),)))
+    job = Job(
+        spec(tmp_path, "long", more=((sys.executable, "-I", str(STAND_IN), "long", f"file={tmp_path / 'never'}"),))
+    )
     until_it_counts(job)
     job.cancel()
     assert ended(job).phase is Phase.CANCELLED

@@ -227,7 +227,7 @@ from blender_addon.core.jobs import JobSpec
 from pathlib import Path
 bpy.ops.wm.read_factory_settings(use_empty=True)
 blender_addon.register()
-words = (sys.executable, "-I", {str(STAND_IN)!r}, "long", {str(tmp_path / "checkpoint")!r})
+words = (sys.executable, "-I", {str(STAND_IN)!r}, "long", {"file=" + str(tmp_path / "checkpoint")!r})
 job = runtime.jobs().start("training", JobSpec("training", "Training", words, Path(), resume=words))
 while not job.state.total:
     job.tick()
