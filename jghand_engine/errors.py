@@ -41,6 +41,10 @@ class RetryError(JGHandError):
     exit_code = 3
 
 
+class DiskFullError(RetryError):
+    """There is no room left on the disk, or too little for what is to be written."""
+
+
 class MemoryLimitError(JGHandError):
     """The request does not fit into memory."""
 

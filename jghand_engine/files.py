@@ -12,13 +12,13 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from jghand_engine.errors import InputError, JGHandError, RetryError
+from jghand_engine.errors import DiskFullError, InputError, JGHandError, RetryError
 
 
 def file_error(path: Path, error: OSError) -> JGHandError:
     """The JGHandError that says what an OSError on `path` means to a user."""
     if error.errno in (errno.ENOSPC, errno.EDQUOT):
-        return RetryError(f"cannot write {path}: the disk is full", remedy="Free some space and try again.")
+        return DiskFullError(f"cannot write {path}: the disk is full", remedy="Free some space and try again.")
     if error.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
         return InputError(f"cannot write {path}: permission denied", remedy="Choose a folder that you may write to.")
     if error.errno in (errno.ENOTDIR, errno.EEXIST, errno.EISDIR):

@@ -29,11 +29,13 @@ from typing import IO, TYPE_CHECKING, Any
 from rich.progress import Progress
 
 from jghand_engine.cli.failures import FAULT, STOPPED, Failure
+from jghand_engine.errors import DiskFullError
 from jghand_engine.limits import PROGRESS_JSON_S, STOP_WITHOUT_INPUT_S
 
 if TYPE_CHECKING:
     from jghand_engine.training.progress import Status
 
+_FULL = (errno.ENOSPC, errno.EDQUOT)
 # what an exit code is called, as in the replies of the service
 _KINDS = {FAULT: "internal", 2: "bad_input", 3: "retry", 4: "out_of_memory", STOPPED: "cancelled"}
 
@@ -61,7 +63,8 @@ class JsonLines:
 
     def error(self, failure: Failure, error: BaseException) -> None:
         """What ended the command."""
-        kind = "disk_full" if _disk_is_full(error) else _KINDS.get(failure.exit_code, "internal")
+        full = isinstance(error, DiskFullError) or (isinstance(error, OSError) and error.errno in _FULL)
+        kind = "disk_full" if full else _KINDS.get(failure.exit_code, "internal")
         self._write(jghand="error", kind=kind, text=failure.sentence, exit_code=failure.exit_code)
 
     def _write(self, **content: Any) -> None:
@@ -69,14 +72,6 @@ class JsonLines:
         with self._lock, contextlib.suppress(OSError, ValueError):
             self._stream.write(json.dumps(content) + "\n")
             self._stream.flush()
-
-
-def _disk_is_full(error: BaseException | None) -> bool:
-    while error is not None:
-        if isinstance(error, OSError) and error.errno in (errno.ENOSPC, errno.EDQUOT):
-            return True
-        error = error.__cause__
-    return False
 
 
 _lines: JsonLines | None = None

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.errors import InputError, RetryError
+from jghand_engine.errors import DiskFullError, InputError
 from jghand_engine.exporters import dot_splat, gltf_splats, ply, sog, spz
 from jghand_engine.exporters.splat_cloud import AXES_FROM_RUB, RUB_FROM_UP, SplatCloud
 from jghand_engine.exporters.usd_motion import HandMotion
@@ -155,7 +155,7 @@ def _check_space(folder: Path, expected: int) -> None:
     except OSError as error:
         raise file_error(folder, error) from error
     if expected > free:
-        raise RetryError(
+        raise DiskFullError(
             f"cannot write the splat files in {folder}: the disk is too small",
             wanted=f"{expected / 1e6:.0f} MB",
             came=f"{free / 1e6:.0f} MB free",

@@ -31,7 +31,7 @@ import numpy as np
 
 from jghand_engine import __version__
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.errors import InputError, RetryError
+from jghand_engine.errors import DiskFullError, InputError
 from jghand_engine.exporters.usd_layers import TimeRange, usd_errors
 from jghand_engine.exporters.usd_motion import HandMotion
 from jghand_engine.exporters.usd_rig import Rig, vertex_colours, write_rig
@@ -210,7 +210,7 @@ def check_space(folder: Path, gaussians: int, frames: int, options: UsdOptions, 
     with usd_errors(folder):
         free = shutil.disk_usage(folder).free * (1 - USD_DISK_RESERVE)
     if expected > free:
-        raise RetryError(
+        raise DiskFullError(
             f"cannot write the USD stage in {folder}: the disk is too small",
             wanted=f"{expected / 1e6:.0f} MB",
             came=f"{free / 1e6:.0f} MB free",

@@ -13,7 +13,7 @@ import pytest
 from jghand_engine.cli.console import progress
 from jghand_engine.cli.failures import explain
 from jghand_engine.cli.machine import JsonLines, JsonProgress, JsonTraining, json_lines
-from jghand_engine.errors import InputError, RetryError
+from jghand_engine.errors import DiskFullError, InputError, RetryError
 from jghand_engine.files import file_error
 from jghand_engine.training.progress import Status
 
@@ -56,6 +56,7 @@ def test_a_training_tells_its_step_its_sentence_and_what_happened():
     [
         (InputError("joints", wanted="21", came="20"), "bad_input"),
         (RetryError("the engine is busy"), "retry"),
+        (DiskFullError("cannot write the stage: the disk is too small"), "disk_full"),
         (OSError(errno.ENOSPC, "No space left on device", "x"), "disk_full"),
         (MemoryError(), "out_of_memory"),
         (KeyboardInterrupt(), "cancelled"),
