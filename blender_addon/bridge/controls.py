@@ -19,7 +19,19 @@ import numpy as np
 from mathutils import Vector
 
 from ..core import controls, limits
-from ..core.controls import CONTROLS, FINGER_CONTROLS, HAND_CONTROL, TIP_CONTROLS, JointRange, Move
+from ..core.controls import (
+    CONTROLS,
+    CURL,
+    FINGER_CONTROLS,
+    FIST,
+    HAND_CONTROL,
+    LIMIT,
+    RULES,
+    TIP,
+    TIP_CONTROLS,
+    JointRange,
+    Move,
+)
 from ..core.joints import FINGERS, NAMES, WRIST
 from ..core.messages import JGHandFailure
 from . import armature, motion, shapes
@@ -27,10 +39,10 @@ from . import armature, motion, shapes
 COLLECTION = "JGHand Controls"
 # the tips' controls, hidden until one is held: they stay where they are while the fingers move
 TIP_COLLECTION = "JGHand Tips"
-# names of the constraints, in the order in which they act; what has such a name is ours
-FIST, CURL, LIMIT, TIP = RULES = ("JGHand Fist", "JGHand Curl", "JGHand Limit", "JGHand Tip")
 # the constraint that keeps a control itself in its range
 RANGE = "JGHand Range"
+# what was changed and may be keyed: a bone or a constraint, and its property
+Touched = tuple[bpy.types.bpy_struct, str]
 
 
 def has_controls(hand: bpy.types.Object) -> bool:
@@ -45,7 +57,8 @@ def add_controls(context: bpy.types.Context, hand: bpy.types.Object) -> None:
     """
     handedness = armature.handedness_of(hand)
     rest = armature.rest_matrices_of(hand)
-    _check_editable(context, hand)
+    check_editable(context, hand)
+    _own_bones(hand)
     unit_m = context.scene.unit_settings.scale_length
     _remove_rules(hand)
     with armature.edit_mode(context, hand):
@@ -60,7 +73,8 @@ def remove_controls(context: bpy.types.Context, hand: bpy.types.Object) -> None:
 
     The hand falls back to the keys of its 21 bones; `bake_controls` keeps what is seen instead.
     """
-    _check_editable(context, hand)
+    check_editable(context, hand)
+    _own_bones(hand)
     _remove_rules(hand)
     with armature.edit_mode(context, hand):
         for name in CONTROLS:
@@ -77,26 +91,30 @@ def bake_controls(context: bpy.types.Context, hand: bpy.types.Object, frames: Se
     Raises JGHandFailure: not_editable, constrained (something else than the controls moves the bones), and what reading
     a hand raises; before anything is changed.
     """
-    for _ in bake_steps(context, hand, frames):
+    for _ in bake_steps(context, [hand], frames):
         pass
     return hand.animation_data.action
 
 
-def bake_steps(context: bpy.types.Context, hand: bpy.types.Object, frames: Sequence[int]) -> Iterator[float]:
-    """The same in steps, each with the part of the frames that is read; whoever stops half-way changes nothing."""
-    _check_editable(context, hand)
-    motion.check_free(hand, but=RULES)
+def bake_steps(context: bpy.types.Context, hands: Sequence[bpy.types.Object], frames: Sequence[int]) -> Iterator[float]:
+    """The same for several hands in steps, each with the part of the frames that is read; whoever stops half-way
+    changes nothing."""
+    for hand in hands:
+        check_editable(context, hand)
+        motion.check_free(hand, but=RULES)
     scene, before = context.scene, context.scene.frame_current_final
     unit_m = scene.unit_settings.scale_length
     joints = []
     try:
         for frame in frames:
-            joints.append(armature.heads_of(hand, armature.at_frame(scene, frame)) * unit_m)
+            depsgraph = armature.at_frame(scene, frame)
+            joints.append([armature.heads_of(hand, depsgraph) * unit_m for hand in hands])
             yield len(joints) / len(frames)
     finally:
         armature.at_frame(scene, before)
-    remove_controls(context, hand)
-    motion.key_motion(hand, np.stack(joints), scene, key_frames=frames)
+    for hand, moves in zip(hands, np.stack(joints, axis=1), strict=True):
+        remove_controls(context, hand)
+        motion.key_motion(hand, moves, scene, key_frames=frames)
 
 
 def mute_controls(hand: bpy.types.Object, muted: bool) -> None:
@@ -122,13 +140,19 @@ def use_joint_limits(hand: bpy.types.Object, used: bool) -> None:
             rule.mute = not used
 
 
-def hold_tip(hand: bpy.types.Object, finger: str, part: float = 1.0) -> None:
-    """Lets a finger reach for its tip control, wholly (1), partly, or not (0); the control moves to the tip first."""
+def hold_tip(hand: bpy.types.Object, finger: str, part: float = 1.0) -> list[Touched]:
+    """Lets a finger reach for its tip control, wholly (1), partly, or not (0); the control moves to the tip first.
+
+    Returns what it changed.
+    """
     rule = tip_rule(hand, FINGERS.index(finger))
+    touched: list[Touched] = [(rule, "influence")]
     if part > 0:
         put_tip_controls(hand, [finger])
+        touched.append((hand.pose.bones[TIP_CONTROLS[FINGERS.index(finger)]], "location"))
     rule.influence = part
     show_held_tips(hand)
+    return touched
 
 
 def tip_rule(hand: bpy.types.Object, finger: int) -> bpy.types.KinematicConstraint:
@@ -156,24 +180,36 @@ def show_held_tips(hand: bpy.types.Object) -> None:
     hand.data.collections[TIP_COLLECTION].is_visible = held
 
 
-def reset_controls(hand: bpy.types.Object) -> None:
-    """Every control to its neutral place; the hand then shows the keys of its 21 bones."""
-    for finger in range(len(FINGERS)):
-        tip_rule(hand, finger).influence = 0.0
+def reset_controls(hand: bpy.types.Object) -> list[Touched]:
+    """Every control to its neutral place; the hand then shows the keys of its 21 bones. Returns what it changed."""
+    rules = [tip_rule(hand, finger) for finger in range(len(FINGERS))]
+    for rule in rules:
+        rule.influence = 0.0
     show_held_tips(hand)
-    for name in CONTROLS:
-        bone = hand.pose.bones[name]
-        bone.location, bone.rotation_euler = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+    bones = [(hand.pose.bones[name], controls.channel(name)) for name in CONTROLS]
+    for bone, channel in bones:
+        setattr(bone, channel, (0.0, 0.0, 0.0))
+    return [*((rule, "influence") for rule in rules), *bones]
 
 
-def _check_editable(context: bpy.types.Context, hand: bpy.types.Object) -> None:
-    """Refuses what Blender cannot edit; bones shared with other objects become the hand's own."""
+def bones_are_own(hand: bpy.types.Object) -> bool:
+    """Whether bones and constraints of a hand can be added and removed: not those that another file has, which an
+    override does not change."""
+    return hand.is_editable and hand.data.is_editable and not (hand.override_library or hand.data.override_library)
+
+
+def check_editable(context: bpy.types.Context, hand: bpy.types.Object) -> None:
+    """Refuses what Blender cannot edit. JGHandFailure: not_a_hand, not_editable."""
     if not isinstance(hand.data, bpy.types.Armature):
         raise JGHandFailure("not_a_hand", hand.name)
-    if hand.library or hand.data.library or hand.override_library or hand.name not in context.view_layer.objects:
+    if not bones_are_own(hand) or all(hand != thing for thing in context.view_layer.objects):
         raise JGHandFailure("not_editable", hand.name)
     if not hand.visible_get(view_layer=context.view_layer):
         raise JGHandFailure("not_editable", hand.name)
+
+
+def _own_bones(hand: bpy.types.Object) -> None:
+    """Bones that are shared with other objects become the hand's own."""
     if hand.data.users > 1:
         hand.data = hand.data.copy()
 

@@ -12,15 +12,15 @@ from ..core.messages import JGHandFailure
 _PACKAGE = __package__.rpartition(".")[0]
 
 
-def user_folder(name: str) -> Path:
-    """A folder of the extension, made when it is not there. JGHandFailure: cannot_write.
+def user_folder(name: str, *, make: bool = True) -> Path:
+    """A folder of the extension, made when it is not there, or only its path. JGHandFailure: cannot_write.
 
     Used without being installed as an extension, the package has none; then Blender's folder for data serves.
     """
     try:
-        return Path(bpy.utils.extension_path_user(_PACKAGE, path=name, create=True))
+        return Path(bpy.utils.extension_path_user(_PACKAGE, path=name, create=make))
     except ValueError:
-        found = bpy.utils.user_resource("DATAFILES", path=str(Path("jghand") / name), create=True)
+        found = bpy.utils.user_resource("DATAFILES", path=str(Path("jghand") / name), create=make)
     except OSError as error:
         raise JGHandFailure("cannot_write", f"{name}: {error.strerror or error}") from error
     if not found:

@@ -7,91 +7,96 @@ The left hand's bones have the mirrored axes of the right hand's (`core.posing`)
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable
 
 import bpy
-from mathutils import Quaternion, Vector
+from mathutils import Quaternion
 
 from ..core import controls as control_numbers
-from ..core.controls import FINGER_CONTROLS, HAND_CONTROL, TIP_CONTROLS
+from ..core.controls import CONTROLS
 from ..core.joints import FINGERS
 from ..core.messages import JGHandFailure
 from ..core.poses import HandPose
 from . import armature, controls
+from .controls import Touched
 
 MOVING_BONES = tuple(name for finger in range(len(FINGERS)) for name in control_numbers.moving_bones(finger))
 
 
-def take_pose(hand: bpy.types.Object, pose: HandPose, part: float = 1.0) -> None:
+def take_pose(hand: bpy.types.Object, pose: HandPose, part: float = 1.0) -> list[Touched]:
     """Turns the finger bones as the pose says, and puts controls back to neutral; the wrist stays.
 
-    part: 0 to 1, how far from the bones' present turns towards the pose.
+    part: 0 to 1, how far from the bones' present turns towards the pose. Returns what it changed, for `key`.
 
     Raises JGHandFailure: not_a_hand, also for a pose of the other hand.
     """
     armature.rest_matrices_of(hand)  # refuses what has not all bones
     if armature.handedness_of(hand) != pose.handedness:
         raise JGHandFailure("not_a_hand", f"{hand.name} is no {pose.handedness} hand")
+    touched = []
     for name, turn in pose.turns.items():
         bone = hand.pose.bones[name]
-        _set_turn(bone, _turn(bone).slerp(Quaternion(turn), part))
-    if controls.has_controls(hand):
-        controls.reset_controls(hand)
+        touched.append(_set_turn(bone, _turn(bone).slerp(Quaternion(turn), part)))
+    return touched + _reset_controls(hand)
 
 
-def reset_pose(hand: bpy.types.Object) -> None:
-    """Fingers and controls back to rest; the wrist, and so the place of the hand, stays. Raises: not_a_hand."""
+def reset_pose(hand: bpy.types.Object) -> list[Touched]:
+    """Fingers and controls back to rest; the wrist, and so the place of the hand, stays. Raises: not_a_hand.
+
+    Returns what it changed.
+    """
     armature.rest_matrices_of(hand)  # refuses what has not all bones
+    touched: list[Touched] = []
     for name in MOVING_BONES:
         bone = hand.pose.bones[name]
         bone.location, bone.scale = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
-        _set_turn(bone, Quaternion())
-    if controls.has_controls(hand):
-        controls.reset_controls(hand)
+        touched += [(bone, "location"), _set_turn(bone, Quaternion()), (bone, "scale")]
+    return touched + _reset_controls(hand)
 
 
-def copy_pose(source: bpy.types.Object, target: bpy.types.Object) -> None:
+def copy_pose(source: bpy.types.Object, target: bpy.types.Object) -> list[Touched]:
     """Gives a hand the pose of another one, mirrored where that is the other hand; the wrist stays.
 
     Controls are copied where both have them; where only the target has, they go to neutral. Raises: not_a_hand.
+    Returns what it changed.
     """
     for hand in (source, target):
         armature.rest_matrices_of(hand)
     mirrored = armature.handedness_of(source) != armature.handedness_of(target)
+    touched = []
     for name in MOVING_BONES:
         w, x, y, z = _turn(source.pose.bones[name])
-        _set_turn(target.pose.bones[name], Quaternion((w, x, -y, -z) if mirrored else (w, x, y, z)))
-    if not controls.has_controls(target):
-        return
-    if not controls.has_controls(source):
-        controls.reset_controls(target)
-        return
-    for name in (HAND_CONTROL, *FINGER_CONTROLS):
-        target.pose.bones[name].rotation_euler = source.pose.bones[name].rotation_euler
-    for name in TIP_CONTROLS:
-        x, y, z = source.pose.bones[name].location
-        target.pose.bones[name].location = Vector((-x if mirrored else x, y, z))
+        turn = Quaternion((w, x, -y, -z) if mirrored else (w, x, y, z))
+        touched.append(_set_turn(target.pose.bones[name], turn))
+    if not (controls.has_controls(source) and controls.has_controls(target)):
+        return touched + _reset_controls(target)
+    return touched + _copy_controls(source, target, mirrored)
+
+
+def key(touched: Iterable[Touched], frame: float) -> None:
+    """Keys what was changed, and nothing else, at a frame; in the group of its bone, as Blender does."""
+    for owner, path in touched:
+        owner.keyframe_insert(path, frame=frame, group=owner.path_from_id().split('"')[1])
+
+
+def _reset_controls(hand: bpy.types.Object) -> list[Touched]:
+    return controls.reset_controls(hand) if controls.has_controls(hand) else []
+
+
+def _copy_controls(source: bpy.types.Object, target: bpy.types.Object, mirrored: bool) -> list[Touched]:
+    touched: list[Touched] = []
+    for name in CONTROLS:
+        channel = control_numbers.channel(name)
+        x, y, z = getattr(source.pose.bones[name], channel)
+        way = (-x if mirrored and channel == "location" else x, y, z)
+        setattr(target.pose.bones[name], channel, way)
+        touched.append((target.pose.bones[name], channel))
     for finger in range(len(FINGERS)):
-        controls.tip_rule(target, finger).influence = controls.tip_rule(source, finger).influence
+        rule = controls.tip_rule(target, finger)
+        rule.influence = controls.tip_rule(source, finger).influence
+        touched.append((rule, "influence"))
     controls.show_held_tips(target)
-
-
-def key_pose(hand: bpy.types.Object, frame: float) -> None:
-    """Keys of the fingers, and of the controls where there are any, at a frame."""
-    for path, bone in _keyed(hand):
-        bone.keyframe_insert(path, frame=frame, group=bone.name)
-
-
-def _keyed(hand: bpy.types.Object) -> Iterator[tuple[str, bpy.types.PoseBone]]:
-    for name in MOVING_BONES:
-        bone = hand.pose.bones[name]
-        yield _PATHS.get(bone.rotation_mode, "rotation_euler"), bone
-    if controls.has_controls(hand):
-        for name in (HAND_CONTROL, *FINGER_CONTROLS):
-            yield "rotation_euler", hand.pose.bones[name]
-
-
-_PATHS = {"QUATERNION": "rotation_quaternion", "AXIS_ANGLE": "rotation_axis_angle"}
+    return touched
 
 
 def _turn(bone: bpy.types.PoseBone) -> Quaternion:
@@ -99,12 +104,15 @@ def _turn(bone: bpy.types.PoseBone) -> Quaternion:
     return bone.matrix_basis.to_quaternion()
 
 
-def _set_turn(bone: bpy.types.PoseBone, turn: Quaternion) -> None:
-    """The same, in the way that the bone's keys have: a quaternion curve is not seen by an Euler bone."""
+def _set_turn(bone: bpy.types.PoseBone, turn: Quaternion) -> Touched:
+    """The same, in the way that the bone's keys have: a quaternion curve is not seen by an Euler bone. Returns what it
+    changed."""
     if bone.rotation_mode == "QUATERNION":
         bone.rotation_quaternion = turn
-    elif bone.rotation_mode == "AXIS_ANGLE":
+        return bone, "rotation_quaternion"
+    if bone.rotation_mode == "AXIS_ANGLE":
         axis, angle = turn.to_axis_angle()
         bone.rotation_axis_angle = (angle, *axis)
-    else:
-        bone.rotation_euler = turn.to_euler(bone.rotation_mode)
+        return bone, "rotation_axis_angle"
+    bone.rotation_euler = turn.to_euler(bone.rotation_mode)
+    return bone, "rotation_euler"

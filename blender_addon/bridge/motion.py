@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -10,6 +11,7 @@ import bpy
 import numpy as np
 
 from ..core import posing
+from ..core.controls import CONTROLS, RULES
 from ..core.joints import NAMES
 from ..core.messages import JGHandFailure
 from ..core.motion_files import MotionFile
@@ -18,6 +20,11 @@ from .armature import build_armature, handedness_of, rest_matrices_of
 
 # the channels of a bone that a driver may hold, whatever its keys say
 _CHANNELS = ("location", "rotation_quaternion", "rotation_euler", "rotation_axis_angle", "rotation_mode", "scale")
+# what a motion takes the place of: those of the 21 bones and of the controls, and how much our constraints do
+_REPLACED = re.compile(
+    rf'pose\.bones\["(?:{"|".join((*NAMES, *CONTROLS))})"\]\.'
+    rf'(?:(?:{"|".join(_CHANNELS)})|constraints\["(?:{"|".join(RULES)})"\]\..*)'
+)
 
 
 def key_motion(
@@ -33,8 +40,9 @@ def key_motion(
 
     At every key the evaluated bone heads equal the joints, also where bone lengths or the palm change. Between keys
     Blender interpolates linearly. `frames_per_pose` is the scene's frame rate over the motion's; `key_frames` places
-    every key instead. The action before it stays in the file. For that the 21 bones turn by quaternions, have no scale
-    of their own and follow their parents; what else moves them is the artist's, so it is refused and not switched off.
+    every key instead. The action before it stays in the file; what it animates besides the 21 bones and the controls
+    (the object's place, whether it is rendered) goes on. For that the 21 bones turn by quaternions, have no scale of
+    their own and follow their parents; what else moves them is the artist's, so it is refused and not switched off.
     Bones above the wrist are not undone.
     Raises JGHandFailure (bad_joints, not_a_hand, constrained) before anything is changed.
     """
@@ -46,7 +54,9 @@ def key_motion(
         frames = first_frame + frames_per_pose * np.arange(len(joints))
     else:
         frames = np.array(key_frames, dtype=np.float64)
-    action = versions.new_action(hand, f"{hand.name} motion")
+    action = versions.new_action(
+        hand, f"{hand.name} motion", replaces=lambda path: _REPLACED.fullmatch(path) is not None
+    )
     for place, name in enumerate(NAMES):
         for channel, values in (("location", keys.location), ("rotation_quaternion", keys.quaternion)):
             for index in range(values.shape[-1]):

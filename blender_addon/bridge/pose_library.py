@@ -41,7 +41,6 @@ def build_library(folder: Path) -> Path:
 def library_steps(folder: Path) -> Iterator[float]:
     """The same in steps, each with the part that is done; whoever stops half-way leaves the open file as it was."""
     wanted = [pose for side in HANDEDNESSES for pose in poses.all_poses(side)]
-    write_whole(folder / CATALOG_FILE, _catalogs().encode())
     path = folder / BLEND
     moved = _move_away({pose.title for pose in wanted})
     made = []
@@ -49,6 +48,7 @@ def library_steps(folder: Path) -> Iterator[float]:
         for pose in wanted:
             made.append(_asset(pose))
             yield len(made) / len(wanted)
+        write_whole(folder / CATALOG_FILE, _catalogs().encode())
         bpy.data.libraries.write(str(path), set(made), fake_user=True, compress=True)
     except (OSError, RuntimeError) as error:
         raise JGHandFailure("cannot_write", f"{path}: {error}") from error
@@ -59,19 +59,22 @@ def library_steps(folder: Path) -> Iterator[float]:
             action.name = name
 
 
-def use_library(folder: Path) -> None:
-    """Makes the folder one of the user's asset libraries, once."""
+def use_library(folder: Path) -> str:
+    """Makes the folder one of the user's asset libraries, once. Returns the name that it has there: ours may be taken
+    by a library of the user's."""
     libraries = bpy.context.preferences.filepaths.asset_libraries
-    for library in libraries:
-        if library.name == LIBRARY_NAME or Path(library.path) == folder:
-            library.path = str(folder)
-            return
-    libraries.new(name=LIBRARY_NAME, directory=str(folder))
+    library = _library_at(folder) or libraries.new(name=LIBRARY_NAME, directory=str(folder))
+    return library.name
 
 
-def is_used() -> bool:
-    """Whether the library is one of the user's."""
-    return LIBRARY_NAME in bpy.context.preferences.filepaths.asset_libraries
+def is_used(folder: Path) -> bool:
+    """Whether the folder is one of the user's asset libraries."""
+    return _library_at(folder) is not None
+
+
+def _library_at(folder: Path) -> bpy.types.UserAssetLibrary | None:
+    libraries = bpy.context.preferences.filepaths.asset_libraries
+    return next((library for library in libraries if Path(library.path) == folder), None)
 
 
 def _asset(pose: HandPose) -> bpy.types.Action:

@@ -3,21 +3,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import bpy
 from bpy_extras import anim_utils
 
 
-def new_action(owner: bpy.types.ID, name: str) -> bpy.types.Action:
-    """A fresh action with a slot for `owner`, made its active one. The action before it stays in the file, also when
-    that is saved."""
-    action = bpy.data.actions.new(name)
-    slot = action.slots.new(owner.id_type, owner.name)
+def new_action(
+    owner: bpy.types.ID, name: str, *, replaces: Callable[[str], bool] = lambda _path: False
+) -> bpy.types.Action:
+    """A fresh action with a slot for `owner`, made its active one.
+
+    It goes on with all that the action before it animates of `owner`, whole curves with their modifiers, but for those
+    whose data path it `replaces`. The action before it stays in the file, also when that is saved.
+    """
     animation = owner.animation_data or owner.animation_data_create()
-    if animation.action is not None and animation.action.library is None:
-        animation.action.use_fake_user = True
+    before, old_slot = animation.action, animation.action_slot
+    if before is None or old_slot is None:
+        action = bpy.data.actions.new(name)
+        slot = action.slots.new(owner.id_type, owner.name)
+    else:
+        action = before.copy()
+        action.name = name
+        for other in [other for other in action.slots if other.handle != old_slot.handle]:
+            action.slots.remove(other)
+        slot = action.slots[0]
+        bag = anim_utils.action_get_channelbag_for_slot(action, slot)
+        for curve in list(bag.fcurves) if bag else ():
+            if replaces(curve.data_path):
+                bag.fcurves.remove(curve)
+    if before is not None and before.library is None:
+        before.use_fake_user = True
     animation.action = action
     animation.action_slot = slot
     return action

@@ -21,6 +21,8 @@ HAND_CONTROL = "control_hand"
 FINGER_CONTROLS = tuple(f"control_{finger}" for finger in FINGERS)
 TIP_CONTROLS = tuple(f"tip_{finger}" for finger in FINGERS)
 CONTROLS = (HAND_CONTROL, *FINGER_CONTROLS, *TIP_CONTROLS)
+# names of the constraints on the 21 bones, in the order in which they act; what has such a name is ours
+FIST, CURL, LIMIT, TIP = RULES = ("JGHand Fist", "JGHand Curl", "JGHand Limit", "JGHand Tip")
 
 _BACKWARDS = np.diag([1.0, -1.0, -1.0])
 
@@ -49,6 +51,11 @@ class JointRange:
     x: tuple[float, float]
     y: tuple[float, float]
     z: tuple[float, float]
+
+
+def channel(control: str) -> str:
+    """The channel of a control that does something; the others are locked."""
+    return "location" if control in TIP_CONTROLS else "rotation_euler"
 
 
 def moving_bones(finger: int) -> tuple[str, str, str]:

@@ -188,11 +188,40 @@ def poll_hand(operator: type, context: bpy.types.Context) -> bool:
     return True
 
 
+def poll_hands(operator: type, context: bpy.types.Context) -> bool:
+    """The same for all that are selected."""
+    if not poll_hand(operator, context):
+        return False
+    linked = next((hand for hand in chosen_hands(context) if not hand.is_editable), None)
+    if linked is not None:
+        text = rpt_("{name} is linked from another file: make it local, or an override, first, or do not select it")
+        return missing(operator, text.format(name=linked.name))
+    return True
+
+
+def poll_bones(operator: type, context: bpy.types.Context) -> bool:
+    """The same, where bones or constraints are added or removed."""
+    if not poll_hands(operator, context):
+        return False
+    other = next((hand for hand in chosen_hands(context) if not controls.bones_are_own(hand)), None)
+    if other is not None:
+        text = rpt_("The bones of {name} are another file's, also in an override: make object and armature local first")
+        return missing(operator, text.format(name=other.name))
+    return True
+
+
 def poll_controls(operator: type, context: bpy.types.Context) -> bool:
     """The same, with finger controls."""
     return poll_hand(operator, context) and (
         controls.has_controls(active_hand(context)) or missing(operator, "Add finger controls first")
     )
+
+
+def seen_frames(scene: bpy.types.Scene) -> range:
+    """The frames that are played: the preview range where there is one."""
+    if scene.use_preview_range:
+        return range(scene.frame_preview_start, scene.frame_preview_end + 1)
+    return range(scene.frame_start, scene.frame_end + 1)
 
 
 def keys_itself(context: bpy.types.Context) -> bool:

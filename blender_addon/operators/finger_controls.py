@@ -8,11 +8,11 @@ from collections.abc import Iterator
 import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 
-from ..bridge import controls
+from ..bridge import controls, hand_poses
 from ..bridge.classes import register_classes, unregister_classes
 from ..properties import FINGER_ITEMS
 from . import common
-from .common import UNDOABLE, InTurns, Reporting, missing, poll_controls, poll_hand
+from .common import UNDOABLE, InTurns, Reporting, missing, poll_bones, poll_controls
 
 
 class AddControls(Reporting, bpy.types.Operator):
@@ -28,10 +28,13 @@ class AddControls(Reporting, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return poll_hand(cls, context)
+        return poll_bones(cls, context)
 
     def run(self, context: bpy.types.Context) -> None:
-        for hand in common.chosen_hands(context):
+        hands = common.chosen_hands(context)
+        for hand in hands:  # all or none
+            controls.check_editable(context, hand)
+        for hand in hands:
             controls.add_controls(context, hand)
 
 
@@ -47,12 +50,14 @@ class RemoveControls(Reporting, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return poll_controls(cls, context)
+        return poll_bones(cls, context) and poll_controls(cls, context)
 
     def run(self, context: bpy.types.Context) -> None:
-        for hand in common.chosen_hands(context):
-            if controls.has_controls(hand):
-                controls.remove_controls(context, hand)
+        hands = _controlled(context)
+        for hand in hands:  # all or none
+            controls.check_editable(context, hand)
+        for hand in hands:
+            controls.remove_controls(context, hand)
 
 
 class BakeControls(InTurns, bpy.types.Operator):
@@ -61,8 +66,8 @@ class BakeControls(InTurns, bpy.types.Operator):
     bl_idname = "jghand.bake_controls"
     bl_label = "Bake Finger Controls"
     bl_description = (
-        "Key what is seen at every frame of the range on the bones themselves, in a new action, and take the controls "
-        "away. The action before it stays in the file"
+        "Key what is seen at every frame that is played on the bones of the selected hands, in new actions, "
+        "and take the controls away. The actions before them stay in the file"
     )
     bl_options = UNDOABLE
 
@@ -70,54 +75,56 @@ class BakeControls(InTurns, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return poll_controls(cls, context)
+        return poll_bones(cls, context) and poll_controls(cls, context)
 
     def steps(self, context: bpy.types.Context) -> Iterator[float]:
         """A step per frame."""
-        scene = context.scene
-        frames = range(scene.frame_start, scene.frame_end + 1)
-        yield from controls.bake_steps(context, context.object, frames)
+        yield from controls.bake_steps(context, _controlled(context), common.seen_frames(context.scene))
 
     def finished(self, context: bpy.types.Context) -> None:
-        scene = context.scene
+        frames = common.seen_frames(context.scene)
         template = rpt_("Frames {first} to {last} are keyed on the bones, in a new action.")
-        self.tell(template.format(first=scene.frame_start, last=scene.frame_end))
+        self.tell(template.format(first=frames[0], last=frames[-1]))
 
 
-class MuteControls(Reporting, bpy.types.Operator):
+class _Toggle(Reporting):
+    """Switches something of the active hand's controls off, or on again."""
+
+    bl_options = UNDOABLE
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return poll_controls(cls, context)
+
+    def toggle(self, hand: bpy.types.Object) -> None:
+        """Switches it."""
+        raise NotImplementedError
+
+    def run(self, context: bpy.types.Context) -> None:
+        self.toggle(context.object)
+        context.object.update_tag()
+
+
+class MuteControls(_Toggle, bpy.types.Operator):
     """Operator: the effect of the whole layer off and on."""
 
     bl_idname = "jghand.mute_controls"
     bl_label = "Mute Finger Controls"
     bl_description = "Switch the effect of all finger controls off, or on again: the hand then shows its keys alone"
-    bl_options = UNDOABLE
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return poll_controls(cls, context)
-
-    def run(self, context: bpy.types.Context) -> None:
-        hand = context.object
+    def toggle(self, hand: bpy.types.Object) -> None:
         controls.mute_controls(hand, not controls.controls_are_muted(hand))
-        hand.update_tag()
 
 
-class JointLimits(Reporting, bpy.types.Operator):
+class JointLimits(_Toggle, bpy.types.Operator):
     """Operator: the anatomical limits off and on."""
 
     bl_idname = "jghand.joint_limits"
     bl_label = "Joint Limits"
     bl_description = "Keep all joints in the range of a real hand, or let them go beyond. Held tips keep their limits"
-    bl_options = UNDOABLE
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return poll_controls(cls, context)
-
-    def run(self, context: bpy.types.Context) -> None:
-        hand = context.object
+    def toggle(self, hand: bpy.types.Object) -> None:
         controls.use_joint_limits(hand, not controls.joint_limits_are_used(hand))
-        hand.update_tag()
 
 
 class HoldTip(Reporting, bpy.types.Operator):
@@ -127,7 +134,7 @@ class HoldTip(Reporting, bpy.types.Operator):
     bl_label = "Hold Fingertip"
     bl_description = (
         "Keep this fingertip where it is now while the hand moves, and show its control, which then leads it; "
-        "or let it go again"
+        "or let it go again. Auto Keying keys it"
     )
     bl_options = UNDOABLE
 
@@ -145,8 +152,15 @@ class HoldTip(Reporting, bpy.types.Operator):
     def run(self, context: bpy.types.Context) -> None:
         hand = context.object
         context.view_layer.update()
-        controls.hold_tip(hand, self.finger, 1.0 if self.hold else 0.0)
+        touched = controls.hold_tip(hand, self.finger, 1.0 if self.hold else 0.0)
+        if common.keys_itself(context):
+            hand_poses.key(touched, context.scene.frame_current_final)
         hand.update_tag()
+
+
+def _controlled(context: bpy.types.Context) -> list[bpy.types.Object]:
+    """The selected hands that have controls."""
+    return [hand for hand in common.chosen_hands(context) if controls.has_controls(hand)]
 
 
 _CLASSES = (

@@ -51,6 +51,13 @@ class UseStandard(Reporting, bpy.types.Operator):
     )
     bl_options = UNDOABLE
 
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        # the name of an item that the scene's OCIO configuration has for its display; empty where it has none
+        if not bpy.types.UILayout.enum_item_name(context.scene.view_settings, "view_transform", "Standard"):
+            return missing(cls, "The colour management (OCIO) in use has no view transform Standard")
+        return True
+
     def run(self, context: bpy.types.Context) -> None:
         view = context.scene.view_settings
         view.view_transform, view.look = "Standard", "None"

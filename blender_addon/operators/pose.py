@@ -10,14 +10,15 @@ from bpy.app.translations import pgettext_rpt as rpt_
 
 from ..bridge import armature, folders, hand_poses, pose_library, pose_shelf
 from ..bridge.classes import register_classes, unregister_classes
+from ..bridge.controls import Touched
 from ..core import poses
 from ..properties import pose_items
 from . import common
-from .common import REGISTERED, UNDOABLE, InTurns, Reporting, missing, poll_hand
+from .common import REGISTERED, UNDOABLE, InTurns, Reporting, missing, poll_hand, poll_hands
 
 
 class _Posing(Reporting):
-    """Poses hands, and keys them where Blender keys by itself or where it is asked for."""
+    """Poses the chosen hands one by one, and keys them where Blender keys by itself or where it is asked for."""
 
     use_keys: bpy.props.BoolProperty(
         name="Insert Keys",
@@ -25,11 +26,23 @@ class _Posing(Reporting):
         default=False,
     )  # type: ignore[valid-type]
 
-    def posed(self, context: bpy.types.Context, hands: list[bpy.types.Object]) -> None:
-        """What follows when hands were posed."""
-        for hand in hands:
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return poll_hands(cls, context)
+
+    def hands(self, context: bpy.types.Context) -> list[bpy.types.Object]:
+        """Which are posed."""
+        return common.chosen_hands(context)
+
+    def pose_one(self, context: bpy.types.Context, hand: bpy.types.Object) -> list[Touched]:
+        """Poses one of them. Returns what it changed."""
+        raise NotImplementedError
+
+    def run(self, context: bpy.types.Context) -> None:
+        for hand in self.hands(context):
+            touched = self.pose_one(context, hand)
             if self.use_keys or common.keys_itself(context):
-                hand_poses.key_pose(hand, context.scene.frame_current_final)
+                hand_poses.key(touched, context.scene.frame_current_final)
             hand.update_tag()
 
 
@@ -55,15 +68,8 @@ class ApplyPose(_Posing, bpy.types.Operator):
         options={"SKIP_SAVE"},
     )  # type: ignore[valid-type]
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return poll_hand(cls, context)
-
-    def run(self, context: bpy.types.Context) -> None:
-        hands = common.chosen_hands(context)
-        for hand in hands:
-            hand_poses.take_pose(hand, poses.pose_named(self.pose, armature.handedness_of(hand)), self.part)
-        self.posed(context, hands)
+    def pose_one(self, _context: bpy.types.Context, hand: bpy.types.Object) -> list[Touched]:
+        return hand_poses.take_pose(hand, poses.pose_named(self.pose, armature.handedness_of(hand)), self.part)
 
 
 class FlipPose(_Posing, bpy.types.Operator):
@@ -83,12 +89,15 @@ class FlipPose(_Posing, bpy.types.Operator):
             return False
         return bool(_others(context)) or missing(cls, "Select the hand that is to take the pose, or add one")
 
+    def hands(self, context: bpy.types.Context) -> list[bpy.types.Object]:
+        return _others(context)
+
+    def pose_one(self, context: bpy.types.Context, hand: bpy.types.Object) -> list[Touched]:
+        return hand_poses.copy_pose(context.object, hand)
+
     def run(self, context: bpy.types.Context) -> None:
-        source, targets = context.object, _others(context)
-        for target in targets:
-            hand_poses.copy_pose(source, target)
-        self.posed(context, targets)
-        self.tell(rpt_("Posed {names}.").format(names=", ".join(target.name for target in targets)))
+        super().run(context)
+        self.tell(rpt_("Posed {names}.").format(names=", ".join(hand.name for hand in self.hands(context))))
 
 
 class ResetPose(_Posing, bpy.types.Operator):
@@ -99,15 +108,8 @@ class ResetPose(_Posing, bpy.types.Operator):
     bl_description = "Put the fingers and controls of the selected hands back to rest; the wrist stays"
     bl_options = UNDOABLE
 
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return poll_hand(cls, context)
-
-    def run(self, context: bpy.types.Context) -> None:
-        hands = common.chosen_hands(context)
-        for hand in hands:
-            hand_poses.reset_pose(hand)
-        self.posed(context, hands)
+    def pose_one(self, _context: bpy.types.Context, hand: bpy.types.Object) -> list[Touched]:
+        return hand_poses.reset_pose(hand)
 
 
 class MakePoseAssets(InTurns, bpy.types.Operator):
@@ -128,9 +130,10 @@ class MakePoseAssets(InTurns, bpy.types.Operator):
         yield from pose_library.library_steps(folders.user_folder("poses"))
 
     def finished(self, context: bpy.types.Context) -> None:
-        pose_library.use_library(folders.user_folder("poses"))
+        name = pose_library.use_library(folders.user_folder("poses"))
         context.preferences.is_dirty = True  # so that Blender saves it with the other preferences
-        self.tell(rpt_("The poses are in the asset library JGHand: in pose mode the asset shelf shows them."))
+        text = rpt_("The poses are in the asset library {name}: in pose mode the asset shelf shows them.")
+        self.tell(text.format(name=name))
 
 
 class ShowPoseShelf(Reporting, bpy.types.Operator):
@@ -148,7 +151,8 @@ class ShowPoseShelf(Reporting, bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         if not poll_hand(cls, context):
             return False
-        return pose_library.is_used() or missing(cls, "Make the pose assets first")
+        made = pose_library.is_used(folders.user_folder("poses", make=False))
+        return made or missing(cls, "Make the pose assets first")
 
     def run(self, context: bpy.types.Context) -> None:
         if context.mode != "POSE":

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..bridge import armature, controls, pose_library, pose_pictures
+from ..bridge import armature, controls, folders, pose_library, pose_pictures
 from ..bridge.classes import register_classes, unregister_classes
 from ..core.controls import FINGER_CONTROLS, HAND_CONTROL
 from ..core.joints import FINGERS
@@ -40,7 +40,7 @@ class PosePanel(Sidebar, bpy.types.Panel):
         column.operator("jghand.flip_pose", text="Flip to Other", icon="MOD_MIRROR")
         column.operator("jghand.reset_pose", text="Reset", icon="LOOP_BACK")
         row = self.layout.row(align=True)
-        if pose_library.is_used():
+        if pose_library.is_used(folders.user_folder("poses", make=False)):
             row.operator("jghand.show_pose_shelf", icon="ASSET_MANAGER")
             row.operator("jghand.make_pose_assets", text="", icon="FILE_REFRESH")
         else:

@@ -270,3 +270,58 @@ def test_undo_takes_the_controls_away_and_redo_brings_them_back(context):
     hand.pose.bones[HAND_CONTROL].rotation_euler.x = 1.0
     rest = posing.rest_joints_m("right")
     assert np.linalg.norm(joints_of(bpy.context, hand) - rest, axis=-1).max() > 0.03
+
+
+def key_around(hand: bpy.types.Object) -> None:
+    """What an artist keys on the object itself, and a modifier on one curve."""
+    hand["glow"] = 0.0
+    for frame, x, hidden in ((1, 0.0, False), (5, 1.0, True)):
+        hand.location.x, hand.rotation_euler.z, hand.hide_render, hand["glow"] = x, x / 2, hidden, 2 * x
+        for path in ("location", "rotation_euler", "hide_render", '["glow"]'):
+            hand.keyframe_insert(path, frame=frame)
+    versions.fcurves(hand)[0].modifiers.new("NOISE").strength = 0.3
+
+
+def test_baking_keeps_all_other_animation_of_the_hand(context):
+    hand = controlled_hand(context, "right")
+    key_around(hand)
+    bone = hand.pose.bones[HAND_CONTROL]
+    for frame, angle in ((1, 0.0), (5, 1.2)):
+        bone.rotation_euler = (angle, 0, 0)
+        bone.keyframe_insert("rotation_euler", frame=frame)
+    controls.tip_rule(hand, 1).keyframe_insert("influence", frame=1)
+    old = hand.animation_data.action
+    other = old.slots.new("OBJECT", "somebody else")
+    count = len(versions.fcurves(hand))
+
+    def seen() -> list[tuple]:
+        each = []
+        for frame in range(1, 6):
+            joints = armature.read_hand(hand, armature.at_frame(context.scene, frame)).joints_world_m
+            each.append((joints, hand.hide_render, hand["glow"]))
+        return each
+
+    before = seen()
+    new = controls.bake_controls(context, hand, range(1, 6))
+    for (wanted, *rest), (joints, *same) in zip(before, seen(), strict=True):
+        np.testing.assert_allclose(joints, wanted, atol=EXACT_M)
+        assert same == rest
+    assert new is not old
+    assert len(new.slots) == 1
+    assert other.identifier in old.slots
+    paths = {curve.data_path for curve in versions.fcurves(hand)}
+    assert not [path for path in paths if HAND_CONTROL in path or "JGHand" in path]
+    hand.animation_data.action = old
+    assert len(versions.fcurves(hand)) == count  # the old one is whole
+
+
+def test_a_motion_keeps_where_the_object_goes(context):
+    joints = hands.moving_hand_m("left")
+    hand = hands.keyed_hand(context, "left", joints)
+    key_around(hand)
+    places = [hand.location.x for frame in range(1, 6) if armature.at_frame(context.scene, frame)]
+    motion.key_motion(hand, joints[::-1], context.scene)
+    for frame, wanted, x in zip(range(1, 6), joints[::-1], places, strict=True):
+        seen = armature.read_hand(hand, armature.at_frame(context.scene, frame))
+        np.testing.assert_allclose(seen.joints_m, wanted, atol=EXACT_M)
+        assert hand.location.x == x

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import bpy
@@ -20,6 +23,7 @@ from blender_addon.core.joints import HANDEDNESSES, NAMES
 from blender_addon.operators import bone_map, finger_controls, hand, help_page, motion, picture, pose
 from blender_addon.operators.common import UNDOABLE
 
+ROOT = Path(__file__).resolve().parents[2]
 OPERATORS = [
     each
     for module in (bone_map, finger_controls, hand, help_page, motion, picture, pose)
@@ -248,6 +252,57 @@ def test_a_pose_is_keyed_where_it_is_asked_for_and_with_auto_keying(extension):
     np.testing.assert_allclose(joints_of(extension, thing), posed("fist", "right"), atol=EXACT_M)
 
 
+@pytest.mark.parametrize("what", ["apply_pose", "reset_pose", "flip_pose"])
+def test_keys_of_a_pose_hold_all_that_it_changed(extension, what):
+    """Keyed at two frames and looked at again: also held tips, moved tips and stretched bones are as they were."""
+    add("left")
+    thing = add("right")
+    other = next(each for each in armature.hand_armatures(extension.view_layer) if each != thing)
+    if what == "flip_pose":
+        thing, other = other, thing
+    extension.scene.tool_settings.use_keyframe_insert_auto = True
+    call = {
+        "apply_pose": lambda: bpy.ops.jghand.apply_pose(pose="point"),
+        "reset_pose": bpy.ops.jghand.reset_pose,
+        "flip_pose": bpy.ops.jghand.flip_pose,
+    }[what]
+    wanted = {}
+    for frame in (1, 20):
+        extension.scene.frame_set(frame)
+        extension.view_layer.update()
+        if frame == 20:  # not the pose's own business, and undone by it
+            for each in (thing, other):
+                controls.hold_tip(each, "middle")
+                each.pose.bones["tip_middle"].location.z -= 0.01
+                each.pose.bones[FINGER_CONTROLS[3]].rotation_euler.x = 0.4
+            if what == "reset_pose":
+                thing.pose.bones["index2"].location.y, thing.pose.bones["index3"].scale = 0.01, (1.5, 1.5, 1.5)
+        assert call() == {"FINISHED"}
+        wanted[frame] = joints_of(extension, thing)
+    for frame in (1, 20, 1):
+        extension.scene.frame_set(frame)
+        np.testing.assert_allclose(joints_of(extension, thing), wanted[frame], atol=EXACT_M)
+        extension.scene.frame_set(30)
+
+
+def test_auto_keying_keys_a_held_tip_and_where_it_is(extension):
+    thing = add()
+    extension.scene.tool_settings.use_keyframe_insert_auto = True
+    extension.scene.frame_set(5)
+    bpy.ops.jghand.hold_tip(finger="index", hold=False)
+    extension.scene.frame_set(6)
+    thing.pose.bones[FINGER_CONTROLS[1]].rotation_euler.x = 0.5
+    bpy.ops.jghand.hold_tip(finger="index")
+    wanted = joints_of(extension, thing)
+    curves = versions.fcurves(thing)
+    assert len(curves) == 4  # the influence, and the place of the control
+    assert {curve.group.name for curve in curves} == {"tip_index", "index3"}
+    extension.scene.frame_set(5)
+    assert controls.tip_rule(thing, 1).influence == 0
+    extension.scene.frame_set(6)
+    np.testing.assert_allclose(joints_of(extension, thing), wanted, atol=EXACT_M)
+
+
 def test_bones_that_an_artist_keeps_in_euler_angles_stay_so(extension):
     thing = add(use_controls=False)
     for mode, name in (("XYZ", "index1"), ("AXIS_ANGLE", "index2"), ("ZYX", "thumb1")):
@@ -341,11 +396,57 @@ def test_baking_keys_what_is_seen_over_the_scenes_range(extension):
         np.testing.assert_allclose(baked, wanted, atol=EXACT_M)
 
 
+def test_baking_takes_all_selected_hands_over_the_preview_range(extension):
+    first, second = add("right"), add("left")
+    bare = add("left", use_controls=False)
+    for thing in (first, second):
+        thing.select_set(True)
+        thing.pose.bones[HAND_CONTROL].rotation_euler.x = 0.6
+    extension.view_layer.objects.active = second
+    wanted = [joints_of(extension, thing) for thing in (first, second)]
+    scene = extension.scene
+    scene.use_preview_range, scene.frame_preview_start, scene.frame_preview_end = True, 5, 7
+    assert bpy.ops.jghand.bake_controls() == {"FINISHED"}
+    for thing, joints in zip((first, second), wanted, strict=True):
+        assert not controls.has_controls(thing)
+        assert {key.co[0] for curve in versions.fcurves(thing) for key in curve.keyframe_points} == {5.0, 6.0, 7.0}
+        np.testing.assert_allclose(joints_of(extension, thing), joints, atol=EXACT_M)
+    assert not versions.fcurves(bare)
+
+
+def linked_hand(context: bpy.types.Context, path: Path) -> bpy.types.Object:
+    """A hand with controls in a file of its own, linked into an empty one as an override of the object."""
+    thing = add("right")
+    bpy.data.libraries.write(str(path), {thing})
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    with bpy.data.libraries.load(str(path), link=True) as (_there, taken):
+        taken.objects = [thing_name for thing_name in _there.objects if "Hand" in thing_name][:1]
+    (linked,) = taken.objects
+    bpy.context.scene.collection.objects.link(linked)
+    return linked
+
+
+def test_linked_hands_are_refused_by_the_poll_and_overrides_only_where_bones_change(extension, tmp_path):
+    linked = linked_hand(extension, tmp_path / "hand.blend")
+    own = add("left")
+    linked.select_set(True)
+    for operator in (bpy.ops.jghand.add_controls, bpy.ops.jghand.reset_pose):
+        assert f"{linked.name} is linked" in refuses(operator)
+    override = linked.override_create(remap_local_usages=True)
+    extension.view_layer.objects.active = override
+    assert bpy.ops.jghand.apply_pose(pose="fist") == {"FINISHED"}
+    for operator in (bpy.ops.jghand.add_controls, bpy.ops.jghand.remove_controls, bpy.ops.jghand.bake_controls):
+        assert "make object and armature local" in refuses(operator)
+    override.select_set(False)
+    extension.view_layer.objects.active = own
+    assert bpy.ops.jghand.remove_controls() == {"FINISHED"}
+
+
 def test_baking_that_is_stopped_half_way_changes_nothing(extension):
     thing = add()
     scene = extension.scene
     scene.frame_set(11)
-    steps = controls.bake_steps(extension, thing, range(1, 100))
+    steps = controls.bake_steps(extension, [thing], range(1, 100))
     assert next(steps) == pytest.approx(1 / 99)
     next(steps)
     steps.close()
@@ -449,6 +550,34 @@ def test_standard_colours_undo_look_exposure_and_curves(extension):
     assert not view.use_curve_mapping
 
 
+def test_a_studio_configuration_without_standard_is_refused_with_a_sentence(tmp_path):
+    """In a process of its own: Blender reads the configuration when it starts."""
+    config, script = tmp_path / "config.ocio", tmp_path / "ask.py"
+    config.write_text(_STUDIO_OCIO)
+    script.write_text(
+        f"import sys; sys.path.insert(0, {str(ROOT)!r})\n"
+        "import bpy, blender_addon\n"
+        "blender_addon.register()\n"
+        "assert bpy.context.scene.view_settings.view_transform == 'Film'\n"
+        "try:\n    bpy.ops.jghand.use_standard()\n"
+        "except RuntimeError as error:\n    print(error)\n"
+    )
+    environment = {**os.environ, "OCIO": str(config)}
+    ran = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, env=environment, check=True)
+    assert "has no view transform Standard" in ran.stdout
+
+
+_STUDIO_OCIO = """ocio_profile_version: 2
+roles: {default: linear, scene_linear: linear, data: raw}
+displays:
+  Studio:
+    - !<View> {name: Film, colorspace: linear}
+colorspaces:
+  - !<ColorSpace> {name: linear, bitdepth: 32f, isdata: false}
+  - !<ColorSpace> {name: raw, bitdepth: 32f, isdata: true}
+"""
+
+
 def test_a_camera_is_added_for_a_hand_of_any_kind(extension):
     hands.mixamo_rig(extension)
     assert "Select a hand" in refuses(bpy.ops.jghand.add_camera)
@@ -458,7 +587,7 @@ def test_a_camera_is_added_for_a_hand_of_any_kind(extension):
 
 
 def test_the_pose_library_is_made_on_demand_and_used(extension, tmp_path, monkeypatch):
-    monkeypatch.setattr(folders, "user_folder", lambda name: tmp_path / name)
+    monkeypatch.setattr(folders, "user_folder", lambda name, **_: tmp_path / name)
     assert bpy.ops.jghand.make_pose_assets() == {"FINISHED"}
     assert (tmp_path / "poses" / pose_library.BLEND).is_file()
     libraries = extension.preferences.filepaths.asset_libraries

@@ -10,7 +10,7 @@ import pytest
 from recording_layout import RecordingLayout, draw, draw_rows
 
 from blender_addon import registration, runtime
-from blender_addon.bridge import controls, pose_library, pose_pictures, views
+from blender_addon.bridge import controls, folders, pose_library, pose_pictures, views
 from blender_addon.core.link import Status
 from blender_addon.core.messages import JGHandFailure
 from blender_addon.panels import advanced, bones, hand, motion, picture, pose, quality
@@ -151,10 +151,11 @@ def test_every_hand_has_a_row_that_selects_it(extension, engine):
     assert [one.arguments["depress"] for one in rows] == [True, False]
 
 
-def test_pose_assets_are_made_once_and_then_shown(extension, engine, tmp_path):
+def test_pose_assets_are_made_once_and_then_shown(extension, engine, tmp_path, monkeypatch):
     add()
     assert "jghand.make_pose_assets" in draw(pose.PosePanel, extension).operators
-    pose_library.use_library(tmp_path)
+    monkeypatch.setattr(folders, "user_folder", lambda name, **_: tmp_path / name)
+    pose_library.use_library(tmp_path / "poses")
     assert "jghand.show_pose_shelf" in draw(pose.PosePanel, extension).operators
 
 

@@ -88,6 +88,22 @@ def test_the_library_becomes_one_of_the_users_once(context, library):
     assert len(libraries) == before + 1
 
 
+def test_a_library_of_the_users_with_our_name_stays_what_it_is(context, library, tmp_path):
+    theirs = context.preferences.filepaths.asset_libraries.new(name="JGHand", directory=str(tmp_path))
+    assert not pose_library.is_used(library)
+    name = pose_library.use_library(library)
+    assert pose_library.is_used(library)
+    assert name != "JGHand"
+    assert theirs.path == str(tmp_path)
+
+
+def test_making_the_library_stopped_half_way_writes_nothing(context, tmp_path):
+    steps = pose_library.library_steps(tmp_path / "poses")
+    next(steps)
+    steps.close()
+    assert not (tmp_path / "poses").exists()
+
+
 def test_a_folder_that_cannot_be_written_is_told(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(JGHandFailure) as caught:
