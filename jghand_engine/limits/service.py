@@ -17,6 +17,8 @@ REQUESTS_WAITING_MAX = 16
 PICTURE_HANDS_MAX = 16
 # renderers that are kept: one per set of hands and settings, each with its hands' arrays in memory
 RENDERERS_MAX = 8
+# avatars that are kept though no renderer shows them: those that were just loaded, before their first picture
+IDLE_AVATARS_MAX = 4
 # moments of one picture with motion blur: as many as the extension may ask for
 EXPOSURES_MAX = 64
 # renderers of other settings are asked for one frame in so many milliseconds; a minute is no frame any more

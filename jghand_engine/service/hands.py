@@ -10,14 +10,16 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from jghand_engine import limits
+from jghand_engine.avatar.shipped import SHIPPED
 from jghand_engine.errors import InputError
 from jghand_engine.service.commands import Cancelled, LoadedAvatar, Painting, never
-from jghand_engine.service.picture_request import Exposure, HandAsked, PictureRequest, PictureSettings
+from jghand_engine.service.picture_request import Exposure, PictureRequest, PictureSettings
 
 if TYPE_CHECKING:
     from jghand_engine.avatar.avatar import HandAvatar
@@ -26,33 +28,49 @@ if TYPE_CHECKING:
     from jghand_engine.splat.settings import RenderSettings
 
 
+class _Version(NamedTuple):
+    """An avatar as its file is now. mtime_ns, size: 0 for one that comes with the engine, -1 where there is no file."""
+
+    avatar: str
+    mtime_ns: int
+    size: int
+
+    @classmethod
+    def now(cls, avatar: str) -> _Version:
+        if avatar in SHIPPED:
+            return cls(avatar, 0, 0)
+        try:
+            found = Path(avatar).stat()
+        except (OSError, ValueError):  # whoever reads it says what is wrong with it
+            return cls(avatar, -1, -1)
+        return cls(avatar, found.st_mtime_ns, found.st_size)
+
+
 class _Key(NamedTuple):
     """What a renderer is made for. The strength of shadows is none of it: that changes while a renderer lives."""
 
-    hands: tuple[HandAsked, ...]
+    hands: tuple[tuple[_Version, str], ...]
     settings: PictureSettings
     depth: bool
     size_px: tuple[int, int] | None
 
 
 class EngineHands:
-    """A PictureSource (commands.py). Avatars are kept for the life of the process, the last few renderers too."""
+    """A PictureSource (commands.py). The last few renderers are kept, and the avatars that they show, each as its file
+    was: one that changed meanwhile is read anew."""
 
     device = "cpu"
 
     def __init__(self) -> None:
         self.doing = ""
-        self._avatars: dict[str, HandAvatar] = {}
+        self._avatars: OrderedDict[_Version, HandAvatar] = OrderedDict()
         self._renderers: OrderedDict[_Key, SceneRenderer] = OrderedDict()
 
     def load(self, avatar: str) -> LoadedAvatar:
-        """Reads the file anew, so that a changed file is seen; renderers of the old one are dropped."""
+        """Reads the file anew; renderers of what it held before are dropped."""
         from jghand_engine.hand.orders import JointOrder, from_level
 
-        loaded = self._read(avatar)
-        self._avatars[avatar] = loaded
-        for key in [key for key in self._renderers if avatar in (hand.avatar for hand in key.hands)]:
-            del self._renderers[key]
+        loaded = self._load(_Version.now(avatar))
         facts = {
             "avatar": avatar,
             "name": loaded.info.name,
@@ -101,28 +119,47 @@ class EngineHands:
 
         asked = replace(picture.settings, shadow_strength=1.0)
         size_px = _measured_size(picture.width * picture.height) if asked.budget_ms is not None else None
-        key = _Key(picture.hands, asked, picture.depth, size_px)
+        hands = tuple((_Version.now(hand.avatar), hand.handedness) for hand in picture.hands)
+        key = _Key(hands, asked, picture.depth, size_px)
         if key not in self._renderers:
             with self._telling("Loading the avatar"):
-                avatars = [self._avatar(hand) for hand in picture.hands]
+                avatars = [self._avatar(*hand) for hand in hands]
                 settings = replace(_settings(asked, avatars, size_px), depth=picture.depth)
                 drawn = [_thinned(avatar, settings.gaussians, asked.density) for avatar in avatars]
                 while len(self._renderers) >= limits.RENDERERS_MAX:
                     self._renderers.popitem(last=False)
                 self._renderers[key] = SceneRenderer(drawn, replace(settings, gaussians=0))
+                self._drop_idle()
         self._renderers.move_to_end(key)
         renderer = self._renderers[key]
         renderer.settings = replace(renderer.settings, shadow_strength=picture.settings.shadow_strength)
         return renderer
 
-    def _avatar(self, hand: HandAsked) -> HandAvatar:
+    def _avatar(self, version: _Version, handedness: str) -> HandAvatar:
         from jghand_engine.hand.joints import Handedness
 
-        if hand.handedness not in list(Handedness):
-            raise InputError("handedness", wanted=" | ".join(Handedness), came=hand.handedness[:80])
-        if hand.avatar not in self._avatars:
-            self.load(hand.avatar)
-        return self._avatars[hand.avatar].for_hand(Handedness(hand.handedness))
+        if handedness not in list(Handedness):
+            raise InputError("handedness", wanted=" | ".join(Handedness), came=handedness[:80])
+        loaded = self._avatars[version] if version in self._avatars else self._load(version)
+        return loaded.for_hand(Handedness(handedness))
+
+    def _load(self, version: _Version) -> HandAvatar:
+        """Reads a file as it is now, in the place of all that was read from it before."""
+        loaded = self._read(version.avatar)
+        for older in [each for each in self._avatars if each.avatar == version.avatar]:
+            del self._avatars[older]
+        for key in [key for key in self._renderers if any(each.avatar == version.avatar for each, _ in key.hands)]:
+            del self._renderers[key]
+        self._avatars[version] = loaded
+        self._drop_idle()
+        return loaded
+
+    def _drop_idle(self) -> None:
+        """Lets go of avatars that no renderer shows, but for the few that were read last."""
+        shown = {version for key in self._renderers for version, _ in key.hands}
+        idle = [version for version in self._avatars if version not in shown]
+        for version in idle[: -limits.IDLE_AVATARS_MAX]:
+            del self._avatars[version]
 
     def _read(self, avatar: str) -> HandAvatar:
         from jghand_engine.avatar.builtin import load_avatar_called

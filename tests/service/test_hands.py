@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -137,6 +138,29 @@ def test_an_avatar_that_changed_on_disk_is_seen_after_loading_it_again(source, r
         assert source.load(str(path)).facts["gaussians"] == 5000
         pictures.append(source.render(asked([hand])).rgba)
     assert np.abs(pictures[0] - pictures[1]).max() > 0.2
+
+
+def test_an_avatar_whose_file_changed_is_drawn_anew_without_being_told(right, tmp_path):
+    fresh, path = EngineHands(), tmp_path / "hand.jghand"
+    avatar = load_painted(handedness=Handedness.RIGHT).prefix(500)
+    hand = replace(right, avatar=str(path))
+    with pytest.raises(InputError):
+        fresh.render(asked([hand]))
+    pictures = []
+    for age_ns, colour in enumerate((avatar.rgb, 1 - avatar.rgb)):
+        save_avatar(path, replace(avatar, rgb=colour))
+        os.utime(path, ns=(age_ns, age_ns))  # clocks of file systems are coarse
+        pictures.append(fresh.render(asked([hand])).rgba)
+    assert np.abs(pictures[0] - pictures[1]).max() > 0.2
+    assert len(fresh._avatars) == len(fresh._renderers) == 1
+
+
+def test_avatars_that_nothing_shows_are_let_go(tmp_path):
+    fresh, avatar = EngineHands(), load_painted(handedness=Handedness.RIGHT).prefix(50)
+    for number in range(limits.IDLE_AVATARS_MAX + 2):
+        save_avatar(tmp_path / f"{number}.jghand", avatar)
+        fresh.load(str(tmp_path / f"{number}.jghand"))
+    assert len(fresh._avatars) == limits.IDLE_AVATARS_MAX
 
 
 def test_a_trained_hand_reflects_towards_the_camera_of_each_picture(source, right, tmp_path):
