@@ -186,6 +186,7 @@ class _Job:
         """Makes sure that no picture of something else lies among this run's."""
         names = [avatar for avatar in self.avatars if avatar in SHIPPED_AVATARS]
         files = [Path(avatar) for avatar in self.avatars if avatar not in SHIPPED_AVATARS]
+        by_markers = not self.options.camera and scene.has_marked_cameras(self.scene)
         made_from = {
             "file": stamp.digest(scene.source_files()),
             "avatar": " ".join([*names, *([stamp.digest(files)] if files else [])]),
@@ -196,15 +197,16 @@ class _Job:
         }
         for eye in self.cameras:
             replaced = [self.path(eye, frame) for frame in self.frames] if self.options.overwrite else None
-            stamp.settle(batch.picture_folder(self.options.out, eye.name), made_from, replaced)
+            seen_by = {"camera": "markers" if by_markers else eye.name}
+            stamp.settle(batch.picture_folder(self.options.out, eye.name), made_from | seen_by, replaced)
 
 
 def _job(options: argparse.Namespace) -> _Job:
     """Opens the file and finds in it what is wanted."""
     opened = scene.open_file(options.file, allow_scripts=options.allow_scripts)
-    cameras = scene.chosen_cameras(opened, options.camera)
-    batch.check_folders(options.out, [eye.name for eye in cameras])
     frames = options.frames or list(range(opened.frame_start, opened.frame_end + 1, opened.frame_step))
+    cameras = scene.chosen_cameras(opened, options.camera, frames[0])
+    batch.check_folders(options.out, [eye.name for eye in cameras])
     hands = armature.hands_at_any_frame(bpy.context.view_layer)
     if not hands:
         instanced = "; ".join(scene.instanced_hands(opened))

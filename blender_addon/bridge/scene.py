@@ -31,15 +31,16 @@ def source_files() -> list[Path]:
     return [path for path in map(Path, names) if path.is_file()]
 
 
-def chosen_cameras(scene: bpy.types.Scene, names: Sequence[str]) -> list[bpy.types.Object]:
-    """The cameras of these names, without names the scene's own. Raises JGHandFailure: not_a_camera, no_camera.
+def chosen_cameras(scene: bpy.types.Scene, names: Sequence[str], frame: int) -> list[bpy.types.Object]:
+    """The cameras of these names, without names the scene's own, or that of its markers at the first frame of a render.
 
-    A name that no camera has may be several, separated by commas.
+    A name that no camera has may be several, separated by commas. Raises JGHandFailure: not_a_camera, no_camera.
     """
     if not names:
-        if scene.camera is None:
+        eye = scene.camera or _marked_camera(scene, frame)
+        if eye is None:
             raise JGHandFailure("no_camera")
-        return [scene.camera]
+        return [eye]
     known = [thing.name for thing in scene.objects if thing.type == "CAMERA"]
     parts = [[name] if name in known else name.split(",") for name in names]
     wanted = list(dict.fromkeys(itertools.chain.from_iterable(parts)))
@@ -47,6 +48,18 @@ def chosen_cameras(scene: bpy.types.Scene, names: Sequence[str]) -> list[bpy.typ
     if unknown:
         raise JGHandFailure("not_a_camera", f"{', '.join(unknown)}; the scene has {', '.join(known) or 'none'}")
     return [scene.objects[name] for name in wanted]
+
+
+def has_marked_cameras(scene: bpy.types.Scene) -> bool:
+    """Whether markers choose the camera of each frame."""
+    return any(marker.camera is not None for marker in scene.timeline_markers)
+
+
+def _marked_camera(scene: bpy.types.Scene, frame: int) -> bpy.types.Object | None:
+    """The camera that markers choose: of the last one up to a frame, before all of them of the first, as Blender's."""
+    marked = sorted((each for each in scene.timeline_markers if each.camera is not None), key=lambda each: each.frame)
+    before = [each for each in marked if each.frame <= frame]
+    return next((each.camera for each in (*before[-1:], *marked[:1])), None)
 
 
 def notes_on(scene: bpy.types.Scene) -> list[str]:

@@ -628,3 +628,29 @@ def test_the_real_engine_renders_a_blend_file(engine_python, blend):
     skin = picture[picture[..., 3] > 0.9][:, :3].mean(0)
     assert skin[0] > skin[2] > 0.1  # skin is reddish, and neither black nor white
     assert skin[0] < 0.98
+
+
+# ---- markers that choose the camera ----------------------------------------------------------------------------------
+
+
+def mark(frame: int, eye: str) -> None:
+    bpy.context.scene.timeline_markers.new(eye, frame=frame).camera = bpy.data.objects[eye]
+
+
+def test_a_scene_without_a_camera_is_seen_by_those_of_its_markers(engine, blend):
+    mark(3, "CamSide")
+    mark(1, "CamPalm")
+    bpy.context.scene.camera = None
+    code, files, _ = rendered(saved(blend.parent), "--frames", "2-3")
+    assert (code, files) == (0, ["CamPalm/0002.png", "CamPalm/0003.png"])
+
+
+def test_pictures_by_markers_are_not_taken_for_those_of_one_camera(engine, blend):
+    mark(1, "CamPalm")
+    mark(3, "CamSide")
+    blend = saved(blend.parent)
+    assert rendered(blend)[0] == 0
+    code, _, report = rendered(blend, "--camera", "CamPalm")
+    assert (code, report["failure"]["kind"]) == (2, "other_pictures")
+    assert "another camera" in report["failure"]["detail"]
+    assert rendered(blend)[0] == 0
