@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import bpy
 import numpy as np
 from mathutils import Matrix
@@ -10,11 +12,8 @@ from mathutils import Matrix
 from ..core import limits
 from ..core.cropping import Part
 from ..core.messages import JGHandFailure
-from ..core.view import Pinhole
+from ..core.view import OPENCV_FROM_BLENDER, Pinhole, pinhole_from
 from .armature import evaluated_object
-
-# OpenCV looks along +z with y down, Blender along -z with y up
-_OPENCV_FROM_BLENDER = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
 def picture_size(render: bpy.types.RenderSettings) -> tuple[int, int]:
@@ -36,27 +35,14 @@ def pinhole(camera: bpy.types.Object, depsgraph: bpy.types.Depsgraph, size: tupl
     scene = depsgraph.scene
     unit_m = scene.unit_settings.scale_length
     width, height = size or picture_size(scene.render)
-    p = evaluated.calc_matrix_camera(
+    projection = evaluated.calc_matrix_camera(
         depsgraph, x=width, y=height, scale_x=scene.render.pixel_aspect_x, scale_y=scene.render.pixel_aspect_y
     )
     orthographic = evaluated.data.type == "ORTHO"
-    # where the axis goes through the picture: a shift is in the third column, and in the fourth without perspective
-    aside = (p[0][3], p[1][3]) if orthographic else (-p[0][2], -p[1][2])
-    per_m = 1.0 / unit_m if orthographic else 1.0
     camera_from_world = _camera_from_world(evaluated, unit_m)
+    view = pinhole_from(np.array(projection), camera_from_world, (width, height), unit_m, orthographic=orthographic)
     aperture_m, focus_m = _lens(evaluated, unit_m)
-    return Pinhole(
-        width,
-        height,
-        fx=width * p[0][0] / 2 * per_m,
-        fy=height * p[1][1] / 2 * per_m,
-        cx=width * (1 + aside[0]) / 2,
-        cy=height * (1 - aside[1]) / 2,
-        camera_from_world=camera_from_world,
-        aperture_m=aperture_m,
-        focus_m=focus_m,
-        orthographic=orthographic,
-    )
+    return replace(view, aperture_m=aperture_m, focus_m=focus_m)
 
 
 def region(render: bpy.types.RenderSettings, size: tuple[int, int] | None = None) -> Part:
@@ -90,7 +76,7 @@ def add_camera(context: bpy.types.Context, name: str, view: Pinhole) -> bpy.type
     data.shift_y = (view.cy - 0.5 * view.height) / view.width  # in widths as well: Blender's unit is the fitted side
     data.clip_start = limits.CLIP_START_M / unit_m
     camera = bpy.data.objects.new(name, data)
-    world_from_camera = np.linalg.inv(view.camera_from_world) @ _OPENCV_FROM_BLENDER
+    world_from_camera = np.linalg.inv(view.camera_from_world) @ OPENCV_FROM_BLENDER
     world_from_camera[:3, 3] /= unit_m
     camera.matrix_world = Matrix(world_from_camera)
     context.scene.collection.objects.link(camera)
@@ -136,7 +122,7 @@ def _focus_distance(camera: bpy.types.Object) -> float:
 
 
 def _camera_from_world(camera: bpy.types.Object, unit_m: float) -> np.ndarray:
-    """(4, 4), metres; scale is left out as Blender leaves it out, a shear or a mirror is refused."""
+    """(4, 4), Blender's axes, metres; scale is left out as Blender leaves it out, a shear or a mirror is refused."""
     world_from_camera = np.array(camera.matrix_world, dtype=np.float64)
     axes = world_from_camera[:3, :3]
     size = np.linalg.norm(axes, axis=0)
@@ -147,4 +133,4 @@ def _camera_from_world(camera: bpy.types.Object, unit_m: float) -> np.ndarray:
         raise JGHandFailure("sheared_camera", camera.name)
     result = np.eye(4)
     result[:3, :3], result[:3, 3] = axes.T, -axes.T @ world_from_camera[:3, 3] * unit_m
-    return _OPENCV_FROM_BLENDER @ result
+    return result

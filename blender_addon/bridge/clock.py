@@ -1,25 +1,33 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """One timer of Blender's for the whole extension: it calls one function, which says when it wants to be called again.
 
-Timers never fire in `blender -b` nor in the bpy module: what they do must not matter there. Source: BLENDER 5.
+Timers never fire in `blender -b` nor in the bpy module: what they do must not matter there. Blender drops a timer that
+raised, so that one mistake would end all that the extension shows: it is printed, and the timer goes on.
+Source: BLENDER 5.
 """
 
 from __future__ import annotations
 
 import time
+import traceback
 from collections.abc import Callable
 
 import bpy
 
+from ..core import limits
+
 _tick: Callable[[], float] | None = None
 _next_s = 0.0
 _inside = False
+# mistakes that were told already: a tick makes the same one ten times a second
+_told: set[tuple[type[Exception], str]] = set()
 
 
 def start(tick: Callable[[], float]) -> None:
     """Calls `tick` from now on, on the main thread; it returns the seconds until the next call."""
     global _tick
     stop()
+    _told.clear()
     _tick = tick
     _schedule(0.0)
 
@@ -34,14 +42,14 @@ def stop() -> None:
 
 def hasten(seconds: float) -> None:
     """Makes sure that the next call comes within so many seconds."""
-    if _tick is not None and not _inside and time.monotonic() + seconds < _next_s:
+    if runs() and not _inside and time.monotonic() + seconds < _next_s:
         bpy.app.timers.unregister(_call)
         _schedule(seconds)
 
 
 def runs() -> bool:
-    """Whether it was started."""
-    return _tick is not None
+    """Whether it was started, and Blender still has it."""
+    return _tick is not None and bpy.app.timers.is_registered(_call)
 
 
 def _schedule(seconds: float) -> None:
@@ -57,7 +65,17 @@ def _call() -> float | None:
     _inside = True
     try:
         seconds = _tick()
+    except Exception as error:  # whatever it is: the next tick may go well
+        _tell_once(error)
+        seconds = limits.IDLE_TICK_S
     finally:
         _inside = False
     _next_s = time.monotonic() + seconds
     return seconds
+
+
+def _tell_once(error: Exception) -> None:
+    kind = type(error), str(error)
+    if kind not in _told:
+        _told.add(kind)
+        traceback.print_exception(error)

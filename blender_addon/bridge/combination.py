@@ -15,6 +15,7 @@ import bpy
 
 from ..core.messages import JGHandFailure
 from . import armature, versions
+from .engine_name import ENGINE
 
 # custom properties of the first scene: the scene of its hands, whether its compositor is ours, whether a view layer had
 # its depth before; of the scene of the hands, and of nodes: that they are ours
@@ -99,7 +100,7 @@ def _share(scene: bpy.types.Scene, ours: bpy.types.Scene, hands: list[bpy.types.
             setattr(owner, name, getattr(of, name))
     ours.unit_settings.scale_length = scene.unit_settings.scale_length
     _copy_curve(scene.render.motion_blur_shutter_curve, ours.render.motion_blur_shutter_curve)
-    ours.render.engine, ours.render.film_transparent = "JGHAND", True
+    ours.render.engine, ours.render.film_transparent = ENGINE, True
     ours.view_layers[0].use_pass_z = True
     cameras = [marker.camera for marker in scene.timeline_markers if marker.camera is not None]
     parts = [part for hand in hands for part in armature.parts_of(hand)]

@@ -110,7 +110,6 @@ class GpuPicture:
         """Fills a part of a view of that many pixels. clip: as `ViewCamera.clip_of_depth` gives it; behind_scene:
         whether things of the scene that are nearer hide it."""
         tools = _made_tools()
-        _unwanted.clear()
         width, height = region
         left, right = 2 * part.left / width - 1, 2 * part.right / width - 1
         bottom, top = 1 - 2 * part.bottom / height, 1 - 2 * part.top / height
@@ -140,6 +139,11 @@ def discard(picture: GpuPicture | None) -> None:
     """Frees a picture when Blender draws the next time."""
     if picture is not None:
         _unwanted.append(picture)
+
+
+def free_unwanted() -> None:
+    """Frees what was discarded. Only at the beginning of a draw: none of it was drawn since the one before ended."""
+    _unwanted.clear()
 
 
 def forget() -> None:

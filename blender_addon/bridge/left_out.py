@@ -16,8 +16,7 @@ from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as iface_
 
 from . import armature, combination
-
-ENGINE = "JGHAND"
+from .engine_name import ENGINE
 
 _said: set[int] = set()
 # a render's handler may run on a thread of its own: it notes the engine's name, the timer on the main thread shows it

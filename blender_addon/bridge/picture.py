@@ -7,17 +7,16 @@ from typing import Any
 
 import bpy
 
-from . import rendering, views
+from . import gpu_picture, rendering, views
 
-_SHADINGS = ("SOLID", "MATERIAL")
 _handle: Any = None
 
 
 def draw() -> None:
     """Called by Blender for every 3D view that it draws."""
+    gpu_picture.free_unwanted()  # also where nothing is drawn any more
     context = bpy.context
-    space = context.space_data
-    if space.shading.type not in _SHADINGS or not context.scene.jghand.show_in_viewport:
+    if not views.draws(context.space_data, context.scene, views.SOLID):
         return
     if rendering.now():
         views.show_again(context, views.SOLID)

@@ -3,7 +3,7 @@
 
 A view asks for its picture when Blender draws it (`views`). Here is what no draw tells: an answer came, a better
 picture is due, the frame changed (so that the engine works while Blender still prepares to draw), a file was opened.
-While Blender renders nothing is done: the engine belongs to the render. Source: BLENDER 5 and 7.1.
+While Blender renders hands nothing is done: the engine belongs to the render. Source: BLENDER 5 and 7.1.
 """
 
 from __future__ import annotations
@@ -28,7 +28,9 @@ _panels_drawn_s = 0.0
 
 def tick() -> float:
     """Looks once; returns after how many seconds to look again."""
+    views.end_turn()
     if rendering.check():
+        _drop_stale()
         return limits.IDLE_TICK_S
     left_out.show()
     _follow_status()
@@ -47,7 +49,7 @@ def _look_after(shown: list[views.View]) -> float:
             views.remove(view)
             continue
         window, area, region = regions[view.region]
-        if not _shows(area, view.kind):
+        if not views.draws(area.spaces.active, window.scene, view.kind):
             views.remove(view)
             continue
         moment = views.moment_of(window.scene)
@@ -62,10 +64,13 @@ def _look_after(shown: list[views.View]) -> float:
     return soonest_s
 
 
-def _shows(area: bpy.types.Area, kind: str) -> bool:
-    """Whether an area still draws views of this kind."""
-    rendered = area.spaces.active.shading.type == "RENDERED"
-    return rendered == (kind == views.RENDERED)
+def _drop_stale() -> None:
+    """Draws views anew that show a picture of long ago while a render has the engine."""
+    stale = {view.region for view in views.all_views() if view.drawn and rendering.lasts_s() > limits.STALE_S}
+    if stale:
+        for _, _, region in views.open_regions():
+            if region.as_pointer() in stale:
+                region.tag_redraw()
 
 
 def _follow_status() -> None:
@@ -109,13 +114,16 @@ def on_frame_change(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | Non
     if rendering.now() or not _on_main_thread() or depsgraph is None or depsgraph.mode != "VIEWPORT":
         return
     views.begin_step()
-    shown = {view.region: view for view in views.all_views() if pacing.camera_rests(view.pace)}
-    if not shown:
+    resting = [view for view in views.all_views() if pacing.camera_rests(view.pace)]
+    if not resting:
         return
     moment = views.moment_of(scene)
-    for window, area, region in views.open_regions():
-        view = shown.get(region.as_pointer())
-        if view is None or window.scene != scene or window.view_layer.name != depsgraph.view_layer.name:
+    regions = {region.as_pointer(): (window, area) for window, area, region in views.open_regions()}
+    for view in resting:
+        window, area = regions.get(view.region, (None, None))
+        if window is None or window.scene != scene or window.view_layer.name != depsgraph.view_layer.name:
+            continue
+        if not views.draws(area.spaces.active, scene, view.kind):
             continue
         space, solid = area.spaces.active, view.kind == views.SOLID
         things = seen_hands.hands_in(scene, window.view_layer, space, switched_on_only=solid)
@@ -146,9 +154,10 @@ def on_load(*_: Any) -> None:
 
 
 @persistent
-def on_render_begin(*_: Any) -> None:
-    """A render begins; the views leave the engine to it."""
-    rendering.begin()
+def on_render_begin(scene: bpy.types.Scene, *_: Any) -> None:
+    """A render begins; where it draws hands, the views leave the engine to it."""
+    if rendering.needs_engine(scene):
+        rendering.begin()
 
 
 @persistent

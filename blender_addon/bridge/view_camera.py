@@ -10,10 +10,7 @@ import bpy
 import numpy as np
 
 from ..core import limits
-from ..core.view import HandInSpace, Pinhole
-
-# OpenCV looks along +z with y down, Blender along -z with y up
-_OPENCV_FROM_BLENDER = np.diag([1.0, -1.0, -1.0, 1.0])
+from ..core.view import HandInSpace, Pinhole, pinhole_from
 
 
 @dataclass(frozen=True)
@@ -55,21 +52,8 @@ def view_camera(region: bpy.types.Region, region_data: bpy.types.RegionView3D, u
     """The camera of a 3D view as it is drawn now: perspective, orthographic, or through a camera object."""
     window = np.array(region_data.window_matrix, dtype=np.float64)
     view = np.array(region_data.view_matrix, dtype=np.float64)
-    width, height = region.width, region.height
-    orthographic = bool(window[3, 3] == 1.0)
-    per_m = 1.0 / unit_m if orthographic else 1.0
     camera_from_world = np.eye(4)
     camera_from_world[:3, :3], camera_from_world[:3, 3] = view[:3, :3], view[:3, 3] * unit_m
-    # where the axis goes through the picture: a shift is in the third column, and in the fourth without perspective
-    aside = window[:2, 3] if orthographic else -window[:2, 2]
-    whole = Pinhole(
-        width,
-        height,
-        fx=float(width * window[0, 0] / 2 * per_m),
-        fy=float(height * window[1, 1] / 2 * per_m),
-        cx=float(width * (1 + aside[0]) / 2),
-        cy=float(height * (1 - aside[1]) / 2),
-        camera_from_world=_OPENCV_FROM_BLENDER @ camera_from_world,
-        orthographic=orthographic,
-    )
+    size, orthographic = (region.width, region.height), bool(window[3, 3] == 1.0)
+    whole = pinhole_from(window, camera_from_world, size, unit_m, orthographic=orthographic)
     return ViewCamera(whole, window, unit_m)

@@ -22,12 +22,14 @@ from ..core.cropping import Part
 from ..core.link import Answer
 from ..core.messages import JGHandFailure
 from ..core.pacing import Activity, Moment, Pace, ViewSettings, Want
-from ..core.view import HandInSpace, picture_request
-from . import clock, gpu_picture, seen_hands, shown_bones
+from ..core.view import HandInSpace, avatar_stamp, picture_request
+from . import clock, gpu_picture, rendering, seen_hands, shown_bones
+from .engine_name import ENGINE
 from .view_camera import ViewCamera, view_camera
 
 # kinds of views: a draw handler in Solid and Material Preview, the render engine in Rendered
 SOLID, RENDERED = "viewport", "rendered"
+_SHADINGS = ("SOLID", "MATERIAL")
 _OUTPUTS = ("rgba_u8", "depth")
 
 
@@ -71,6 +73,7 @@ class View:
 _views: dict[tuple[int, str], View] = {}
 # when Blender came to the present frame, on the clock of time.monotonic()
 _step_s = 0.0
+_turn = pacing.Turn()
 
 
 def now_s() -> float:
@@ -82,6 +85,18 @@ def begin_step() -> None:
     """Blender came to another frame: what views wait for is counted from here."""
     global _step_s
     _step_s = now_s()
+
+
+def end_turn() -> None:
+    """Blender's event loop came round: what views waited for so far does not count any more."""
+    _turn.end()
+
+
+def draws(space: bpy.types.SpaceView3D, scene: bpy.types.Scene, kind: str) -> bool:
+    """Whether a 3D view of a scene draws views of this kind now."""
+    if kind == RENDERED:
+        return space.shading.type == "RENDERED" and scene.render.engine == ENGINE
+    return space.shading.type in _SHADINGS and scene.jghand.show_in_viewport
 
 
 def moment_of(scene: bpy.types.Scene) -> Moment:
@@ -128,8 +143,10 @@ def show(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph, kind: str) 
     view.hands, view.unreadable = seen_hands.read(things, depsgraph)
     view.part = cropping.part_with(view.camera.whole, view.hands)
     if view.part is None:
+        _rest(view)
         return
     moment = moment_of(context.scene)
+    _turn.draws(view.slot)
     look(view, moment, drawing=True)
     view.drawn = pacing.may_show(view.pace, moment)
     if view.drawn:
@@ -139,14 +156,24 @@ def show(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph, kind: str) 
 
 
 def show_again(context: bpy.types.Context, kind: str) -> None:
-    """Draws the picture that a view has, if it is of the view's side; reads nothing and asks for nothing."""
+    """Draws the picture that a view has, if it is of the view's side and not yet of a pose long ago; reads nothing and
+    asks for nothing."""
     view = _views.get((context.region.as_pointer(), kind))
-    shown = view.pace.shown if view is not None else None
-    if view is None or shown is None or not context.scene.jghand.show_in_viewport:
+    if view is None:
         return
     view.camera = view_camera(context.region, context.region_data, context.scene.unit_settings.scale_length)
-    if pacing.digest(view.camera.parts) == shown.want.camera:
+    same_side = view.pace.shown is not None and pacing.digest(view.camera.parts) == view.pace.shown.want.camera
+    view.drawn = same_side and rendering.lasts_s() <= limits.STALE_S
+    if view.drawn:
         _draw(view)
+
+
+def _rest(view: View) -> None:
+    """No hand is in sight: nothing is drawn, nothing awaited, and a hand that comes back is asked for anew."""
+    view.drawn = False
+    if view.pace.asks:
+        view.pace = pacing.forgotten(view.pace)
+        runtime.link().drop(view.slot)
 
 
 def _draw(view: View) -> None:
@@ -179,9 +206,10 @@ def look(view: View, moment: Moment, *, drawing: bool) -> None:
     if not drawing:
         return
     if decision.wait_for is not None:
-        left_s = max(0.0, moment.now_s + decision.wait_s - now_s())  # asking took its time, too
+        until_s = moment.now_s + decision.wait_s
+        left_s = _turn.left_s(until_s, now_s())  # asking took its time, too, and so did other views
         answer = runtime.link().wait(view.slot, decision.wait_for, left_s)
-        if answer is None:
+        if answer is None and now_s() >= until_s:
             view.pace = pacing.gave_up_waiting(view.pace)
         take(view, moment)
     if view.pace.shown is None or view.pace.shown.want != view.pace.want:
@@ -219,7 +247,13 @@ def _want(view: View) -> Want:
     assert view.part is not None
     parts: list[bytes | str] = [repr(view.settings)]
     for hand in view.hands:
-        parts += [hand.avatar, hand.handedness, hand.joints_m.tobytes(), hand.world_from_hand.tobytes()]
+        parts += [
+            hand.avatar,
+            avatar_stamp(hand.avatar),
+            hand.handedness,
+            hand.joints_m.tobytes(),
+            hand.world_from_hand.tobytes(),
+        ]
     return Want(pacing.digest(parts), pacing.digest(view.camera.parts), view.part.pixels)
 
 
@@ -237,8 +271,11 @@ def _ask(view: View, ask: pacing.Ask) -> None:
 
 
 def is_due(view: View) -> bool:
-    """Whether a view should get a better picture now, though nothing changed."""
-    return view.part is not None and pacing.due_s(view.pace, view.settings) <= now_s()
+    """Whether a view should get a better picture now, though nothing changed in Blender; or the file of an avatar
+    did."""
+    if view.camera is None or view.part is None:
+        return False
+    return pacing.due_s(view.pace, view.settings) <= now_s() or _want(view) != view.pace.want
 
 
 def next_look_s(view: View) -> float:

@@ -146,6 +146,31 @@ class Decision:
     wait_s: float = 0.0
 
 
+class Turn:
+    """One pass of Blender's event loop, which draws every view that needs it before it hears the user again: all of
+    them together wait no longer than the first of them may."""
+
+    def __init__(self) -> None:
+        self._drawn: set[str] = set()
+        self._ends_s = math.inf
+
+    def end(self) -> None:
+        """Blender did something else than drawing."""
+        self._drawn.clear()
+        self._ends_s = math.inf
+
+    def draws(self, view: str) -> None:
+        """A view is drawn. One that was drawn in this turn is drawn in the next one."""
+        if view in self._drawn:
+            self.end()
+        self._drawn.add(view)
+
+    def left_s(self, until_s: float, now_s: float) -> float:
+        """How long a view that may wait until `until_s` waits now."""
+        self._ends_s = min(self._ends_s, until_s)
+        return max(0.0, self._ends_s - now_s)
+
+
 def digest(parts: Iterable[bytes | str]) -> str:
     """A short name for what is equal."""
     whole = hashlib.blake2b(digest_size=8)

@@ -5,12 +5,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from .wire import protocol
 
+# OpenCV looks along +z with y down, Blender along -z with y up
+OPENCV_FROM_BLENDER = np.diag([1.0, -1.0, -1.0, 1.0])
 # the avatar that comes with the engine
 BUILTIN_AVATAR = "builtin"
 # avatars that the engine brings along, by name instead of file
@@ -44,6 +47,41 @@ class Pinhole:
         z = p[..., 2]
         scale = np.ones_like(z) if self.orthographic else z
         return np.stack([self.fx * p[..., 0] / scale + self.cx, self.fy * p[..., 1] / scale + self.cy, z], -1)
+
+
+def pinhole_from(
+    projection: np.ndarray, camera_from_world: np.ndarray, size: tuple[int, int], unit_m: float, *, orthographic: bool
+) -> Pinhole:
+    """The pinhole of a projection of Blender's, which maps its camera's axes to clip space.
+
+    projection: (4, 4), scene units; camera_from_world: (4, 4) rigid, Blender's axes, metres; size: width and height in
+    pixels; unit_m: metres per unit of the scene.
+    """
+    width, height = size
+    per_m = 1.0 / unit_m if orthographic else 1.0
+    # where the axis goes through the picture: a shift is in the third column, and in the fourth without perspective
+    aside = projection[:2, 3] if orthographic else -projection[:2, 2]
+    return Pinhole(
+        width,
+        height,
+        fx=float(width * projection[0, 0] / 2 * per_m),
+        fy=float(height * projection[1, 1] / 2 * per_m),
+        cx=float(width * (1 + aside[0]) / 2),
+        cy=float(height * (1 - aside[1]) / 2),
+        camera_from_world=OPENCV_FROM_BLENDER @ camera_from_world,
+        orthographic=orthographic,
+    )
+
+
+def avatar_stamp(avatar: str) -> str:
+    """Changes whenever the file of an avatar does, and when it comes or goes; "" for those that the engine brings."""
+    if avatar in SHIPPED_AVATARS:
+        return ""
+    try:
+        found = Path(avatar).stat()
+    except (OSError, ValueError):
+        return "none"
+    return f"{found.st_mtime_ns}.{found.st_size}"
 
 
 @dataclass(frozen=True)

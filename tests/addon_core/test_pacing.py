@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -365,3 +366,28 @@ def test_whatever_happens(events):
         view.pass_s(10.0)
         assert view.shows() == last
         assert math.isinf(pacing.due_s(view.pace, view.settings))
+
+
+# ---- several views ---------------------------------------------------------------------------------------------------
+
+
+def test_the_views_of_one_turn_wait_no_longer_together_than_one_of_them():
+    turn, now_s, waited_s = pacing.Turn(), 10.0, 0.0
+    for view in "abcd":
+        turn.draws(view)
+        left_s = turn.left_s(now_s + limits.ORBIT_WAIT_S, now_s)
+        now_s, waited_s = now_s + left_s, waited_s + left_s
+    assert waited_s == pytest.approx(limits.ORBIT_WAIT_S)
+
+
+def test_each_turn_has_its_own_wait():
+    turn = pacing.Turn()
+    turn.draws("a")
+    assert turn.left_s(1.0, 0.0) == 1.0
+    turn.draws("b")
+    assert turn.left_s(2.5, 1.5) == 0.0
+    turn.draws("a")  # the next turn
+    assert turn.left_s(3.0, 2.5) == 0.5
+    turn.end()
+    turn.draws("b")
+    assert turn.left_s(4.0, 3.5) == 0.5

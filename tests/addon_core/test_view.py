@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from blender_addon.core.posing import rest_joints_m
-from blender_addon.core.view import HandInSpace, Moment, Pinhole, moments_request, picture_request
+from blender_addon.core.view import (
+    HandInSpace,
+    Moment,
+    Pinhole,
+    avatar_stamp,
+    moments_request,
+    picture_request,
+    pinhole_from,
+)
 from jghand_engine.service.picture_request import read_request
 from jghand_engine.service.protocol import Message
 
@@ -90,3 +98,33 @@ def test_parallel_rays_project_what_is_far_as_large_as_what_is_near():
     assert near[:2] == pytest.approx((68.0, 22.0))
     assert far[:2] == pytest.approx(near[:2])
     assert far[2] == 30.0
+
+
+def test_a_perspective_of_blenders_is_a_pinhole():
+    """A point 2 m before the camera, 0.3 to the right and 0.2 up, through a shifted lens."""
+    projection = np.zeros((4, 4))
+    projection[0, 0], projection[1, 1], projection[0, 2], projection[1, 2], projection[3, 2] = 2.0, 3.0, 0.1, -0.2, -1.0
+    view = pinhole_from(projection, np.eye(4), (200, 100), 0.01, orthographic=False)
+    point = np.array([0.3, 0.2, -2.0])
+    clip = projection @ (*point, 1.0)
+    wanted = (100 * (1 + clip[0] / clip[3]), 50 * (1 - clip[1] / clip[3]), 2.0)
+    np.testing.assert_allclose(view.project(point), wanted, atol=1e-12)
+
+
+def test_an_orthographic_view_of_blenders_keeps_its_scale_in_any_unit():
+    projection = np.diag([2.0, 3.0, -0.1, 1.0])
+    projection[:2, 3] = 0.1, -0.2
+    view = pinhole_from(projection, np.eye(4), (200, 100), 0.01, orthographic=True)
+    point = np.array([0.3, 0.2, -2.0])  # scene units
+    clip = projection @ (*point, 1.0)
+    np.testing.assert_allclose(view.project(0.01 * point), (100 * (1 + clip[0]), 50 * (1 - clip[1]), 0.02), atol=1e-12)
+
+
+def test_the_stamp_of_an_avatar_changes_with_its_file(tmp_path):
+    path = tmp_path / "hand.jghand"
+    stamps = [avatar_stamp("builtin"), avatar_stamp(str(path))]
+    for content in (b"one", b"other"):
+        path.write_bytes(content)
+        stamps.append(avatar_stamp(str(path)))
+        assert stamps[-1] == avatar_stamp(str(path))
+    assert len(set(stamps)) == 4

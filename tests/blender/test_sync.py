@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from types import SimpleNamespace
 
 import bpy
@@ -12,7 +13,8 @@ import pytest
 from hands import camera_on, keyed_hand, moving_hand_m, put
 
 from blender_addon import runtime
-from blender_addon.bridge import armature, camera, clock, picture, rendering, seen_hands, sync, views
+from blender_addon.bridge import armature, camera, clock, combination, picture, rendering, seen_hands, sync, views
+from blender_addon.bridge.engine_name import ENGINE
 from blender_addon.bridge.view_camera import view_camera
 from blender_addon.core import cropping, limits, pacing, posing
 from blender_addon.core.link import EngineLink
@@ -423,10 +425,143 @@ def test_while_blender_renders_a_frame_change_asks_for_nothing(link, extension, 
 
 
 def test_the_handlers_of_renders_set_and_clear_the_flag(extension, installed):
+    bpy.context.scene.render.engine = ENGINE
     sync.on_render_begin(bpy.context.scene)
     assert rendering.now()
     sync.on_render_end(bpy.context.scene)
     assert not rendering.now()
+
+
+def test_a_render_of_another_engine_leaves_the_views_alone_unless_it_is_combined_with_hands(extension):
+    scene = bpy.context.scene
+    scene.render.engine = "CYCLES"
+    sync.on_render_begin(scene)
+    assert not rendering.now()
+    scene[combination.HANDS_SCENE] = bpy.data.scenes.new("Hands")
+    sync.on_render_begin(scene)
+    assert rendering.now()
+    rendering.end()
+
+
+def test_during_a_render_a_picture_is_shown_for_a_while_only(link, extension, monkeypatch):
+    context, drawn = extension, []
+    view = view_on(context, add_hand(context))
+    wait_for(context, view)
+    views._views[1, views.SOLID] = view
+    monkeypatch.setattr(views, "_draw", drawn.append)
+    monkeypatch.setattr(views, "view_camera", lambda *_: view.camera)
+    region = SimpleNamespace(as_pointer=lambda: 1)
+    drawing = SimpleNamespace(region=region, region_data=None, scene=context.scene)
+    rendering.begin()
+    try:
+        views.show_again(drawing, views.SOLID)
+        assert (drawn, view.drawn) == ([view], True)
+        monkeypatch.setattr(rendering, "lasts_s", lambda: limits.STALE_S + 0.1)
+        views.show_again(drawing, views.SOLID)
+        assert (drawn, view.drawn) == ([view], False)
+    finally:
+        rendering.end()
+
+
+def test_a_tick_that_raises_is_called_again_and_told_once(capfd):
+    calls = []
+
+    def tick() -> float:
+        calls.append(1)
+        raise KeyError("gone")
+
+    clock.start(tick)
+    try:
+        assert [clock._call() for _ in range(3)] == [limits.IDLE_TICK_S] * 3
+        assert clock.runs()
+        assert capfd.readouterr().err.count("Traceback") == 1
+        bpy.app.timers.unregister(clock._call)
+        assert not clock.runs()
+    finally:
+        clock.stop()
+    assert len(calls) == 3
+
+
+@pytest.mark.parametrize(
+    ("shading", "engine", "switched_on", "solid", "rendered"),
+    [
+        ("SOLID", ENGINE, True, True, False),
+        ("SOLID", ENGINE, False, False, False),
+        ("MATERIAL", "CYCLES", True, True, False),
+        ("WIREFRAME", ENGINE, True, False, False),
+        ("RENDERED", ENGINE, False, False, True),
+        ("RENDERED", "CYCLES", True, False, False),
+    ],
+)
+def test_a_view_draws_hands_where_its_shading_and_its_scene_do(
+    extension, shading, engine, switched_on, solid, rendered
+):
+    scene = extension.scene
+    scene.render.engine, scene.jghand.show_in_viewport = engine, switched_on
+    area = SimpleNamespace(shading=SimpleNamespace(type=shading))
+    assert views.draws(area, scene, views.SOLID) is solid
+    assert views.draws(area, scene, views.RENDERED) is rendered
+
+
+@pytest.mark.parametrize("shading", ["WIREFRAME", "SOLID"])
+def test_a_played_frame_is_asked_for_only_where_it_is_drawn(link, extension, monkeypatch, shading):
+    context, asked = extension, []
+    hand = add_hand(context)
+    view = view_on(context, hand)
+    view.pace = replace(view.pace, asks=view.pace.asks[-1:] * 2)
+    views._views[1, views.SOLID] = view
+    area = SimpleNamespace(spaces=SimpleNamespace(active=SimpleNamespace(shading=SimpleNamespace(type=shading))))
+    window = SimpleNamespace(scene=context.scene, view_layer=context.view_layer)
+    region = SimpleNamespace(as_pointer=lambda: 1)
+    monkeypatch.setattr(views, "open_regions", lambda: [(window, area, region)])
+    monkeypatch.setattr(seen_hands, "hands_in", lambda *_, **__: [hand])
+    monkeypatch.setattr(views, "look", lambda *_, **__: asked.append(1))
+    depsgraph = SimpleNamespace(mode="VIEWPORT", view_layer=context.view_layer)
+    monkeypatch.setattr(views, "read_again", lambda *_: None)
+    sync.on_frame_change(context.scene, depsgraph)
+    assert asked == ([1] if shading == "SOLID" else [])
+
+
+def test_an_avatar_whose_file_changed_or_came_is_asked_for_again(link, extension, tmp_path):
+    context = extension
+    context.scene.jghand.sharpen_when_still = False
+    hand, path = add_hand(context), tmp_path / "hand.jghand"
+    hand.jghand.avatar = str(path)
+    view = view_on(context, hand)
+    for content in (b"one", b"two more"):
+        before = view.pace.asks[-1].want
+        path.write_bytes(content)
+        assert views.is_due(view)
+        views.look(view, views.moment_of(context.scene), drawing=False)
+        assert view.pace.asks[-1].want != before
+        assert not views.is_due(view)
+
+
+def test_a_hand_that_left_the_view_is_drawn_no_more_and_asked_for_when_it_comes_back(link, extension, monkeypatch):
+    context = extension
+    hand = add_hand(context)
+    view = view_on(context, hand)
+    wait_for(context, view)
+    views._views[1, views.SOLID] = view
+    view.drawn = True
+    monkeypatch.setattr(seen_hands, "hands_in", lambda *_, **__: [hand])
+    monkeypatch.setattr(views, "view_camera", lambda *_: view.camera)
+    monkeypatch.setattr(views, "_draw", lambda _: None)
+    region = SimpleNamespace(as_pointer=lambda: 1)
+    drawing = SimpleNamespace(
+        region=region, region_data=None, scene=context.scene, view_layer=context.view_layer, space_data=None
+    )
+    monkeypatch.setattr(views.shown_bones, "keep_visible", lambda *_: None)
+    hand.location.x = 50.0
+    context.view_layer.update()
+    views.show(drawing, context.evaluated_depsgraph_get(), views.SOLID)
+    assert not view.drawn
+    assert link.answer(view.slot) is None
+    hand.location.x = 0.01
+    context.view_layer.update()
+    views.show(drawing, context.evaluated_depsgraph_get(), views.SOLID)
+    wait_for(context, view)
+    assert view.came is not None
 
 
 def test_the_draw_handler_can_be_added_and_removed_twice(extension):
