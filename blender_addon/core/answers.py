@@ -11,6 +11,8 @@ from .messages import JGHandFailure
 from .wire import protocol
 
 Arrays = Mapping[str, protocol.Array]
+# failures of a picture that say nothing about it: somebody gave it up
+GIVEN_UP = frozenset({"cancelled", "stopped"})
 
 
 @dataclass(frozen=True)

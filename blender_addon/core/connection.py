@@ -36,7 +36,6 @@ class EngineConnection:
         wake: Callable[[], None] = lambda: None,
     ) -> None:
         """wake: called from another thread when there is something to look at. JGHandFailure: no_interpreter."""
-        log.begin()
         self._log = log
         self.process = EngineProcess(command, log, environment=environment, wake=wake)
         self.socket: socket.socket | None = None
@@ -120,11 +119,14 @@ class EngineConnection:
         self.socket = self._receiver = None
         self._outgoing.clear()
 
-    def end(self) -> None:
-        """Ends what is left of process, socket and log."""
+    def end(self) -> bool:
+        """Ends what is left of process, socket and log; False when the process was killed and is still there."""
         self.disconnect()
-        self.process.kill()
+        gone = self.process.kill()
+        if not gone:
+            self._log.write(f"process {self.process.popen.pid} was killed and is still there")
         self._log.end()
+        return gone
 
     def _check_welcome(self, message: protocol.Message) -> None:
         if message.header.get("kind") != "welcome":

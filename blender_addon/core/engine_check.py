@@ -112,6 +112,9 @@ class EngineCheck:
         except JGHandFailure as failure:
             self.result = self._not_found(failure)
             return
+        except (OSError, ValueError) as error:
+            self.result = self._not_found(JGHandFailure("no_interpreter", str(error)))
+            return
         self._thread = threading.Thread(target=self._work, args=(found,), daemon=True, name="jghand check")
         self._thread.start()
 
@@ -136,9 +139,8 @@ class EngineCheck:
 
     def _work(self, found: FoundEngine) -> None:
         if found.python is None:
-            self.result = CheckResult(
-                (*_of(found), Finding("Python", "not known, so it is not looked at: start the engine to see", True))
-            )
+            unknown = Finding("Python", "not known, so it is not looked at: start the engine to see", False)
+            self.result = CheckResult((*_of(found), unknown), "unknown_engine")
             return
         try:
             code, output = self._ask(found.python)

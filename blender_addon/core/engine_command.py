@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import shutil
 import sys
 from collections.abc import Mapping
@@ -18,6 +19,11 @@ VARIABLE = "JGHAND_ENGINE_PYTHON"
 NOTE = "engine_python.txt"
 _SERVE = ("serve", "--stdio-handshake")
 _INTERPRETERS = ("bin/python", "Scripts/python.exe")
+# what makes a folder an environment: of venv, of conda
+_ENVIRONMENT_MARKS = ("pyvenv.cfg", "conda-meta")
+# the first line of a command, or the second one, which pip writes for long paths
+_SHEBANG = re.compile(r"\A#!\s*(?:/bin/sh\s+'''exec'\s+)?\"?(/[^\n\"]*?python[\d.]*)\"?(?=\s|\Z)")
+_SHEBANG_BYTES = 1024
 
 
 @dataclass(frozen=True)
@@ -55,12 +61,12 @@ def find_engine(
     """
     for origin, path in (("The Python that was chosen", python), (VARIABLE, environment.get(VARIABLE))):
         if path:
-            if not Path(path).is_file():
-                raise JGHandFailure("no_interpreter", f"{origin}: {path} is no file")
+            if not _is_file(Path(path)):
+                raise JGHandFailure("no_interpreter", f"{origin}: {path} is no file, or one that cannot be looked at")
             return _by_python(origin, path)
     if checkout is not None:
         for name in _INTERPRETERS:
-            if (checkout / ".envs/engine" / name).is_file():
+            if _is_file(checkout / ".envs/engine" / name):
                 return _by_python("The environment of this checkout", str(checkout / ".envs/engine" / name))
     script = shutil.which("jghand", path=environment.get("PATH"))
     if script:
@@ -92,7 +98,7 @@ def _made_by_scripts(environment: Mapping[str, str]) -> str | None:
         return None
     with contextlib.suppress(OSError, ValueError):
         python = (folder / NOTE).read_text(encoding="utf-8").strip()
-        if python and Path(python).is_file():
+        if python and _is_file(Path(python)):
             return python
     return None
 
@@ -101,11 +107,41 @@ def _by_python(origin: str, path: str) -> FoundEngine:
     return FoundEngine(origin, (path, "-I", "-m", "jghand_engine"), path)
 
 
+def _exists(path: Path) -> bool:
+    """A folder that may not be read has nothing."""
+    try:
+        return path.exists()
+    except (OSError, ValueError):
+        return False
+
+
+def _is_file(path: Path) -> bool:
+    return _exists(path) and path.is_file()
+
+
 def _python_of(script: str) -> str | None:
-    """The interpreter beside a command of an environment; links to such a command are followed."""
-    folders = dict.fromkeys((Path(script).parent, Path(script).resolve().parent))
-    for folder in folders:
-        for name in ("python", "python3", "python.exe"):
-            if (folder / name).is_file() and (folder.parent / "pyvenv.cfg").is_file():
-                return str(folder / name)
+    """The interpreter that a command is run by: the one of its environment, else the one that it names itself, else the
+    one of the folder that has it among its Scripts. Links to a command are followed."""
+    try:
+        real = Path(script).resolve()
+    except (OSError, RuntimeError):  # a ring of links
+        return None
+    for folder in dict.fromkeys((Path(script).parent, real.parent)):
+        if any(_exists(folder.parent / mark) for mark in _ENVIRONMENT_MARKS):
+            # conda on Windows has its Python above its commands
+            for python in (folder / "python", folder / "python3", folder / "python.exe", folder.parent / "python.exe"):
+                if _is_file(python):
+                    return str(python)
+    above = real.parent.parent / "python.exe"
+    return _named_by(real) or (str(above) if _is_file(above) else None)
+
+
+def _named_by(script: Path) -> str | None:
+    """The interpreter that a script names in its first lines."""
+    with contextlib.suppress(OSError):
+        with script.open("rb") as file:
+            begin = file.read(_SHEBANG_BYTES).decode("utf-8", "replace")
+        named = _SHEBANG.match(begin)
+        if named and _is_file(Path(named[1])):
+            return named[1]
     return None

@@ -26,9 +26,13 @@ RESTART_S = 5.0
 RESTARTS_MAX = 3
 # pictures that failed and are not asked for again, the newest
 REFUSED_MAX = 64
-# after stdin was closed the engine may finish; then it is asked to end; then it is ended
+# after stdin was closed the engine may finish; then it is asked to end; then it is ended. At the end of Blender, or of
+# the extension, somebody waits for that, and the engine has nothing that it must finish
 STOP_S = 3.0
 TERMINATE_S = 2.0
+CLOSE_S = 0.3
+# what was ended is gone within moments; what is not hangs in the system, and is looked at from time to time
+KILL_S = 1.0
 # a check imports all that the engine needs; from a slow disk that takes as long as a start
 CHECK_S = 60.0
 # how often its operator looks whether it is done

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import os
-import select
+import selectors
 import socket
 import threading
 import time
@@ -26,9 +26,9 @@ from . import state as machine
 from .answers import Answer, Arrays, Progress, Status
 from .connection import EngineConnection, LostError
 from .messages import JGHandFailure
-from .process import EngineLog
+from .process import EngineLog, EngineProcess
 from .state import Asker
-from .waiting import Waiting
+from .waiting import Call, Waiting
 from .wire import protocol
 
 __all__ = ["Answer", "EngineLink", "Progress", "Status"]
@@ -55,7 +55,7 @@ class EngineLink:
         """command: how to start the engine, asked at every start in the thread that wants it; may raise JGHandFailure.
         log_folder: where what the engine prints is kept; None: only its last lines in memory."""
         self._command, self._environment = command, environment
-        self._log = EngineLog(log_folder)
+        self._log, self._log_folder = EngineLog(), log_folder
         self._news = threading.Condition(threading.RLock())
         # all that follows is read and written under the lock of `_news`
         self._state: machine.State = machine.Stopped()
@@ -70,6 +70,7 @@ class EngineLink:
         # these belong to the thread; run: the number under which the machine knows the process
         self._run = 0
         self._engine: EngineConnection | None = None
+        self._undead: list[EngineProcess] = []  # killed, and still there
 
     # ---- what everybody may call -------------------------------------------------------------------------------------
 
@@ -86,8 +87,13 @@ class EngineLink:
 
     @property
     def log(self) -> str:
-        """The last lines that the engine printed."""
+        """The last lines that the engine printed: the one that runs, or ran last."""
         return self._log.last()
+
+    @property
+    def has_log(self) -> bool:
+        """Whether it printed any; for those who ask often."""
+        return not self._log.empty
 
     @property
     def log_path(self) -> Path | None:
@@ -120,12 +126,13 @@ class EngineLink:
     def close(self) -> None:
         """Ends engine and thread; waits for both, bounded. The link cannot be used afterwards. May be called twice."""
         with self._news:
-            self._closing = True
-            self._handle(machine.StopAsked(time.monotonic()))
+            now_s, self._closing = time.monotonic(), True
+            answers = not _is_slow(self._state) and not self._waiting.is_overdue(now_s)
+            self._handle(machine.StopAsked(now_s, limits.CLOSE_S if answers else 0.0))
             self._wake()
             thread = self._thread
         if thread is not None and thread is not threading.current_thread():
-            thread.join(limits.STOP_S + 3 * limits.TERMINATE_S)
+            thread.join(limits.CLOSE_S + 2 * limits.KILL_S)
         engine = self._engine
         if engine is not None:  # the thread did not come to it
             engine.process.kill()
@@ -136,17 +143,27 @@ class EngineLink:
             changed, self._waiting.changed = self._waiting.changed, False
             return changed
 
-    def ask(self, slot: str, header: Mapping[str, Any], arrays: Arrays | None, tag: Hashable) -> None:
+    def ask(
+        self,
+        slot: str,
+        header: Mapping[str, Any],
+        arrays: Arrays | None,
+        tag: Hashable,
+        *,
+        droppable: bool = False,
+    ) -> None:
         """Asks for a picture in place of the one that the slot waits for. The arrays must not change afterwards.
 
         Starts the engine where that is allowed. A request that failed is not sent again: its failure is the answer.
+        droppable: a slow picture, which is given up, also when the engine is at it, as soon as the slot wants another
+        one or somebody makes a request. Never a fast one: while everything moves none would ever come.
         """
         with self._news:
-            if self._waiting.ask(slot, header, arrays, tag):
+            if self._waiting.ask(slot, header, arrays, tag, time.monotonic(), droppable=droppable):
                 self._want(Asker.PICTURE)
-                self._wake()
             else:
                 self._news.notify_all()
+            self._wake()
 
     def answer(self, slot: str) -> Answer | None:
         """The newest answer of the slot, whatever it asked for since; it stays until the next or until `drop`."""
@@ -190,35 +207,40 @@ class EngineLink:
     ) -> protocol.Message:
         """Sends a request and waits for its reply; from any thread. Requests are answered in their order.
 
-        The time counts from when the engine is ready. `cancelled` is asked again and again.
+        The time counts from when the engine gets it, and not while the engine says what it loads for it, for LOAD_S
+        at most. `cancelled` is asked again and again; what it raises ends the request, too.
         Raises JGHandFailure: bad_input for what cannot be sent, "cancelled", "hung" when the time is over, the engine's
         own kind when it answers with an error, or why there is no engine.
         """
         with self._news:
-            call = self._waiting.append(header, arrays)
+            call = self._waiting.append(header, arrays, time.monotonic())
             self._want(Asker.WORK)
             self._wake()
-        deadline = time.monotonic() + timeout_s
+        try:
+            answer = self._answer_to(call, timeout_s, cancelled)
+        except BaseException:  # Ctrl-C too: the engine is not to go on with what nobody waits for
+            with self._news:
+                self._waiting.give_up(call, time.monotonic())
+                self._wake()
+            raise
+        if answer.message is None:
+            raise _copy(answer.failure or JGHandFailure("internal", "an answer without content"))
+        return answer.message
+
+    def _answer_to(self, call: Call, timeout_s: float, cancelled: Callable[[], bool]) -> Answer:
+        """Waits for it; JGHandFailure when it does not come."""
         while True:
             with self._news:
                 if call.answer is not None:
-                    break
-                now_s = time.monotonic()
-                if not isinstance(self._state, machine.Ready):
-                    deadline = now_s + timeout_s
-                failure = self._no_answer(now_s > deadline)
+                    return call.answer
+                late_s = -timeout_s if call.begun_s is None else time.monotonic() - call.begun_s - timeout_s
+                failure = self._no_answer(late_s > 0)
                 if failure is None:
-                    self._news.wait(min(limits.POLL_S, max(0.0, deadline - now_s)))
-            if failure is None and cancelled():
-                failure = JGHandFailure("cancelled")
+                    self._news.wait(min(limits.POLL_S, max(0.0, -late_s)))
             if failure is not None:
-                with self._news:
-                    self._waiting.give_up(call, time.monotonic())
-                    self._wake()
                 raise failure
-        if call.answer.message is None:
-            raise _copy(call.answer.failure or JGHandFailure("internal", "an answer without content"))
-        return call.answer.message
+            if cancelled():
+                raise JGHandFailure("cancelled")
 
     # ---- under the lock ----------------------------------------------------------------------------------------------
 
@@ -236,6 +258,8 @@ class EngineLink:
             self._spawn = tuple(self._command())
         except JGHandFailure as failure:
             self._spawn = failure
+        except (OSError, ValueError) as error:  # a folder that may not be read, a path that is none
+            self._spawn = JGHandFailure("no_interpreter", str(error))
 
     def _handle(self, event: machine.Event) -> None:
         """Feeds an event to the machine; what it decides about answers is done at once, the rest by the thread."""
@@ -347,18 +371,19 @@ class EngineLink:
 
     def _start_engine(self, run: int, spawn: Sequence[str] | JGHandFailure) -> None:
         self._end_engine()
-        self._run = run
+        self._run, self._log = run, EngineLog()
         try:
             if isinstance(spawn, JGHandFailure):
                 raise spawn
+            self._log = EngineLog(self._log_folder)
             self._engine = EngineConnection(spawn, self._log, environment=self._environment, wake=self._wake_up)
         except JGHandFailure as failure:
             self._say(machine.Exited(time.monotonic(), run, failure.kind, failure.detail))
 
     def _end_engine(self) -> None:
         engine, self._engine = self._engine, None
-        if engine is not None:
-            engine.end()
+        if engine is not None and not engine.end():
+            self._undead.append(engine.process)
 
     def _look_at_engine(self) -> None:
         """Takes in what has come: the handshake, messages, the end of the process."""
@@ -386,7 +411,7 @@ class EngineLink:
                 return
             self._handle(machine.Heard(now_s, self._run))
             if message.header.get("kind") != "heartbeat":
-                self._waiting.take(message, now_s, self._log.last(limits.DETAIL_LINES))
+                self._waiting.take(message, now_s, lambda: self._log.last(limits.DETAIL_LINES))
                 self._news.notify_all()
 
     def _send_next(self) -> None:
@@ -408,10 +433,16 @@ class EngineLink:
             if self._effects or self._is_over():
                 return
             patience_s = limits.LOOK_S if isinstance(self._state, machine.Ready) else limits.POLL_S
-            rests = self._rests()
-        connections = [self._engine.socket] if self._engine is not None and self._engine.socket is not None else []
-        unsent = connections if self._engine is not None and self._engine.has_more_to_send else []
-        ready, _, _ = select.select([woken, *connections], unsent, [], None if rests else patience_s)
+            if self._rests():
+                patience_s = limits.LOOK_S if self._undead else None
+        # not select.select, which knows only the first 1024 handles of a process
+        with selectors.DefaultSelector() as selector:
+            selector.register(woken, selectors.EVENT_READ)
+            engine = self._engine
+            if engine is not None and engine.socket is not None:
+                writes = selectors.EVENT_WRITE if engine.has_more_to_send else 0
+                selector.register(engine.socket, selectors.EVENT_READ | writes)
+            ready = [key.fileobj for key, _ in selector.select(patience_s)]
         if woken in ready:
             with contextlib.suppress(BlockingIOError):
                 while woken.recv(4096):
@@ -419,6 +450,7 @@ class EngineLink:
 
     def _look_at_clock(self) -> None:
         now_s = time.monotonic()
+        self._undead = [process for process in self._undead if process.runs]
         with self._news:
             if isinstance(self._state, machine.Ready) and self._waiting.is_overdue(now_s):
                 self._handle(machine.Broke(now_s, self._run, "hung", "a request does not end"))

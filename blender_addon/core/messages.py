@@ -28,6 +28,9 @@ ADVICE = {
     "broken_engine": Advice(
         "The engine's Python lacks something that it needs", "Install it there and try again", BAD_INPUT
     ),
+    "unknown_engine": Advice(
+        "It is not known whether this engine can be used", "Choose the engine's Python", TRY_AGAIN
+    ),
     "protocol": Advice("Extension and engine are of different versions", "Update the older one", BAD_INPUT),
     "start_timeout": Advice("The engine did not start in time", "Look at the log and try again", TRY_AGAIN),
     "out_of_memory": Advice("The memory is full", "Choose a smaller picture or quality preset", OUT_OF_MEMORY),

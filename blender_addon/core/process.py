@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import re
 import secrets
 import subprocess
 import threading
@@ -25,6 +26,9 @@ from .wire import protocol
 # what Blender's own process would impose on another Python
 _DROPPED = ("PYTHONHOME", "PYTHONPATH", "PYTHONSTARTUP", "LD_LIBRARY_PATH", "LD_PRELOAD", "OCIO")
 _DROPPED_PREFIXES = ("DYLD_", "BLENDER_")
+# what a Python says of a module that it has not; the name ends the line, or it is another module's
+_NO_ENGINE = re.compile(r"No module named '?jghand_engine'?\s*$", re.MULTILINE)
+_NO_MODULE = re.compile(r"^.*No module named .*$", re.MULTILINE)
 
 
 def cleaned_environment(environment: Mapping[str, str]) -> dict[str, str]:
@@ -37,37 +41,40 @@ def cleaned_environment(environment: Mapping[str, str]) -> dict[str, str]:
 
 
 class EngineLog:
-    """What the engine printed: the last lines here, all of them in a file where a folder for that is given."""
+    """What one engine printed: the last lines here, all of them in a file where a folder for that is given.
+
+    A new engine gets a new log: nothing that it does is explained with the words of the one before."""
 
     def __init__(self, folder: Path | None = None) -> None:
-        self._folder = folder
+        """folder: where a new file is begun, and the oldest go."""
         self._lines: deque[str] = deque(maxlen=limits.LOG_LINES)
-        self._lock = threading.Lock()
+        # apart: whoever reads the lines does not wait for a disk
+        self._lines_lock, self._file_lock = threading.Lock(), threading.Lock()
         self._file: IO[str] | None = None
-        self._room = 0
+        self._room = limits.LOG_FILE_MAX_BYTES
         self.path: Path | None = None
+        if folder is not None:
+            _remove_old(folder)
+            self._open(folder)
 
-    def begin(self) -> None:
-        """A new file for a new process; the oldest files go."""
-        self.end()
-        if self._folder is None:
-            return
+    def _open(self, folder: Path) -> None:
         # the process's number keeps two Blenders of the same second apart
-        name = f"engine-{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}.log"
-        with self._lock, contextlib.suppress(OSError):  # a log that cannot be written is no reason to have no engine
-            self._folder.mkdir(parents=True, exist_ok=True)
-            old = sorted(self._folder.glob("engine-*.log"), key=lambda path: path.stat().st_mtime, reverse=True)
-            for path in old[limits.LOG_FILES - 1 :]:
-                with contextlib.suppress(OSError):  # Windows keeps what another Blender has open
-                    path.unlink()
-            self.path = self._folder / name
-            self._file = self.path.open("a", encoding="utf-8", buffering=1)
-            self._room = limits.LOG_FILE_MAX_BYTES
+        path = folder / f"engine-{time.strftime('%Y%m%d-%H%M%S')}-{os.getpid()}.log"
+        with contextlib.suppress(OSError):  # a log that cannot be written is no reason to have no engine
+            folder.mkdir(parents=True, exist_ok=True)
+            self._file = path.open("a", encoding="utf-8", buffering=1)
+            self.path = path
+
+    @property
+    def empty(self) -> bool:
+        """Whether nothing was printed."""
+        return not self._lines
 
     def write(self, line: str) -> None:
         """One line more, from any thread."""
-        with self._lock:
+        with self._lines_lock:
             self._lines.append(line)
+        with self._file_lock:
             if self._file is None or self._room <= 0:
                 return
             self._room -= len(line) + 1
@@ -76,7 +83,7 @@ class EngineLog:
 
     def end(self) -> None:
         """Closes the file; the lines stay."""
-        with self._lock:
+        with self._file_lock:
             file, self._file = self._file, None
             if file is not None:
                 with contextlib.suppress(OSError):
@@ -84,8 +91,24 @@ class EngineLog:
 
     def last(self, count: int = limits.LOG_LINES) -> str:
         """The last lines."""
-        with self._lock:
-            return "\n".join(list(self._lines)[-count:])
+        with self._lines_lock:
+            lines = list(self._lines)
+        return "\n".join(lines[-count:])
+
+
+def _remove_old(folder: Path) -> None:
+    """Makes room for one log more."""
+
+    def age(path: Path) -> float:
+        try:
+            return path.stat().st_mtime
+        except OSError:  # a link to nothing, or another Blender removed it
+            return 0.0
+
+    with contextlib.suppress(OSError):
+        for path in sorted(folder.glob("engine-*.log"), key=age, reverse=True)[limits.LOG_FILES - 1 :]:
+            with contextlib.suppress(OSError):  # Windows keeps what another Blender has open
+                path.unlink()
 
 
 class EngineProcess:
@@ -141,8 +164,8 @@ class EngineProcess:
         for drain in self._drains:  # its last words may still be on their way
             drain.join(limits.LAST_WORDS_S)
         code, words = self.popen.poll(), self._log.last(limits.DETAIL_LINES)
-        if "No module named" in words and "jghand_engine" in words:
-            return "no_engine", ""
+        if self.handshake is None and (missing := _missing(words)):
+            return missing
         kinds = {-9: "killed", 137: "killed", 4: "out_of_memory"}
         return kinds.get(code if code is not None else 0, "crashed"), f"exit code {code}"
 
@@ -157,12 +180,13 @@ class EngineProcess:
         with contextlib.suppress(OSError):
             self.popen.terminate()
 
-    def kill(self) -> None:
-        """Ends it at once."""
+    def kill(self) -> bool:
+        """Ends it at once; False when it is still there although: one that hangs in the system."""
         with contextlib.suppress(OSError):
             self.popen.kill()
-        self.ends_within(limits.TERMINATE_S)
+        gone = self.ends_within(limits.KILL_S)
         self.close_stdin()
+        return gone
 
     def _drain(self, pipe: IO[bytes], look_for_handshake: bool) -> None:
         """Keeps a pipe of the engine from filling up; finds the handshake in stdout."""
@@ -176,6 +200,14 @@ class EngineProcess:
                 elif line:
                     self._log.write(line)
         self._wake()
+
+
+def _missing(words: str) -> tuple[str, str] | None:
+    """Kind and detail of the failure of a Python that has not what it should start, or not all that this needs."""
+    if _NO_ENGINE.search(words):
+        return "no_engine", ""
+    lines = _NO_MODULE.findall(words)
+    return ("broken_engine", lines[-1].strip()) if lines else None
 
 
 def _handshake(line: str) -> dict[str, Any] | None:

@@ -57,10 +57,18 @@ class Ready(State):
 
 @dataclass(frozen=True)
 class Stopping(State):
-    """start_again: it is being restarted; pushes: how often it was asked more strongly than by the end of its stdin."""
+    """start_again: it is being restarted; pushes: how often it was asked more strongly than by the end of its stdin;
+    patience_s: as of StopAsked."""
 
     start_again: bool = False
     pushes: int = 0
+    patience_s: float | None = None
+
+    def next_push(self) -> tuple[float, Terminate | Kill] | None:
+        """When, counted from the beginning of the stop, and how it is asked more strongly; None when it was already."""
+        usual = ((limits.STOP_S, Terminate()), (limits.STOP_S + limits.TERMINATE_S, Kill()))
+        pushes = usual if self.patience_s is None else ((self.patience_s, Kill()),)
+        return pushes[self.pushes] if self.pushes < len(pushes) else None
 
 
 @dataclass(frozen=True)
@@ -98,7 +106,10 @@ class StartAsked(Event):
 
 @dataclass(frozen=True)
 class StopAsked(Event):
-    """The user, or the end of the extension."""
+    """The user, or the end of the extension. patience_s: somebody waits for the end, no longer than that; None: nobody
+    does, and the engine gets the usual time."""
+
+    patience_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -278,17 +289,20 @@ def _stopping(state: Stopping, event: Event) -> Step:
         case Exited():
             return Stopped(state.run, state.restarts, event.now_s, by_user=True), ()
         case Tick():
-            patience_s = (limits.STOP_S, limits.STOP_S + limits.TERMINATE_S)
-            if state.pushes < len(patience_s) and event.now_s - state.since_s > patience_s[state.pushes]:
-                return replace(state, pushes=state.pushes + 1), ((Terminate(), Kill())[state.pushes],)
+            push = state.next_push()
+            if push is not None and event.now_s - state.since_s > push[0]:
+                return replace(state, pushes=state.pushes + 1), (push[1],)
         case RestartAsked():
             return replace(state, start_again=True), ()
         case StartAsked() if may_start(state, event.asker, event.now_s):
             return replace(state, start_again=True), ()
         case StartAsked():
             return state, (Release("stopped"),)
-        case StopAsked():
+        case StopAsked(patience_s=None):
             return replace(state, start_again=False), (Release("stopped"),)
+        case StopAsked():
+            now_s, patience_s = event.now_s, event.patience_s
+            return Stopping(state.run, state.restarts, now_s, patience_s=patience_s), (Release("stopped"),)
     return state, ()
 
 
@@ -310,7 +324,9 @@ def _start(state: State, event: Event, *, restarts: int) -> Step:
 
 
 def _stop(state: State, event: Event, *, start_again: bool) -> Step:
-    return Stopping(state.run, state.restarts, event.now_s, start_again), (CloseStdin(), Release("stopped"))
+    patience_s = event.patience_s if isinstance(event, StopAsked) else None
+    stopping = Stopping(state.run, state.restarts, event.now_s, start_again, patience_s=patience_s)
+    return stopping, (CloseStdin(), Release("stopped"))
 
 
 def _fail(state: State, event: Event, kind: str, detail: str, *first: Effect) -> Step:

@@ -8,32 +8,39 @@ sent. No thread, no clock, no socket here: the link holds its lock while it call
 from __future__ import annotations
 
 from collections import OrderedDict, deque
-from collections.abc import Hashable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from . import limits
-from .answers import Answer, Arrays, Progress, told
+from .answers import GIVEN_UP, Answer, Arrays, Progress, told
 from .messages import JGHandFailure
 from .state import PASSING
 from .wire import protocol
 
-# failures of a picture that say nothing about it
-_GIVEN_UP = frozenset({"cancelled", "stopped"})
-
 
 @dataclass(eq=False)
 class Call:
-    """One request. slot: None for an exact one · given_up_s: when nobody wanted the answer any more although the engine
-    was at it · answer: of an exact one"""
+    """One request. slot: None for an exact one · droppable: it gives way to whatever else is wanted · sent_s: when the
+    engine got it, None before · told_s: when the engine last said what it does before it comes to it · given_up_s: when
+    nobody wanted the answer any more although the engine was at it · answer: of an exact one"""
 
     id: int
     pieces: list[bytes | memoryview]
     slot: str | None = None
     tag: Hashable = None
-    sent_s: float = 0.0
+    droppable: bool = False
+    sent_s: float | None = None
+    told_s: float = 0.0
     given_up_s: float | None = None
     answer: Answer | None = None
+
+    @property
+    def begun_s(self) -> float | None:
+        """Since when the engine may be at the request itself: not while it says what it loads for it, within reason."""
+        if self.sent_s is None:
+            return None
+        return max(self.sent_s, min(self.told_s, self.sent_s + limits.LOAD_S))
 
 
 @dataclass
@@ -65,9 +72,21 @@ class Waiting:
 
     # ---- wanting -----------------------------------------------------------------------------------------------------
 
-    def ask(self, slot: str, header: Mapping[str, Any], arrays: Arrays | None, tag: Hashable) -> bool:
+    def ask(
+        self,
+        slot: str,
+        header: Mapping[str, Any],
+        arrays: Arrays | None,
+        tag: Hashable,
+        now_s: float,
+        *,
+        droppable: bool = False,
+    ) -> bool:
         """The slot wants this now, in place of what it waits for; True when the engine is needed for it."""
         place = self._slots.setdefault(slot, _Slot())
+        if place.flying is not None and place.flying.droppable and place.flying.tag != tag:
+            self.give_up(place.flying, now_s)
+            place.flying = None
         if place.expects(tag):
             if place.waiting is not None and place.waiting.tag != tag:
                 place.waiting = None  # what the engine works on is wanted again
@@ -76,17 +95,19 @@ class Waiting:
         failure = self._refused.get(tag)
         if failure is None:
             try:
-                place.waiting = self._new_call(header, arrays, slot, tag)
+                place.waiting = self._new_call(header, arrays, slot, tag, droppable=droppable)
                 return True
             except JGHandFailure as error:
                 failure = error
         self._answer(place, Answer(tag, None, failure))
         return False
 
-    def append(self, header: Mapping[str, Any], arrays: Arrays | None) -> Call:
+    def append(self, header: Mapping[str, Any], arrays: Arrays | None, now_s: float) -> Call:
         """An exact request, after those that wait. JGHandFailure: bad_input."""
         call = self._new_call(header, arrays)
         self.exact.append(call)
+        if self.flying is not None and self.flying.droppable:
+            self.give_up(self.flying, now_s)  # its slot hears of it, and may ask again
         return call
 
     def give_up(self, call: Call, now_s: float) -> None:
@@ -122,11 +143,11 @@ class Waiting:
     def is_overdue(self, now_s: float) -> bool:
         """Whether the engine works for too long on something that it was told to give up, or on a picture."""
         call = self.flying
-        if call is None:
+        if call is None or call.begun_s is None:
             return False
         if call.given_up_s is not None:
-            return now_s - call.given_up_s > limits.SILENCE_S
-        return call.slot is not None and now_s - call.sent_s > limits.LOAD_S
+            return now_s - max(call.given_up_s, call.begun_s) > limits.SILENCE_S
+        return call.slot is not None and now_s - call.begun_s > limits.LOAD_S
 
     # ---- the engine --------------------------------------------------------------------------------------------------
 
@@ -139,15 +160,16 @@ class Waiting:
             call.sent_s, self.flying = now_s, call
         return call
 
-    def take(self, message: protocol.Message, now_s: float, log: str) -> None:
-        """A message of the engine: a reply, or progress. What belongs to nothing is left aside."""
+    def take(self, message: protocol.Message, now_s: float, log: Callable[[], str]) -> None:
+        """A message of the engine: a reply, or progress. What belongs to nothing is left aside. log: what the engine
+        printed last."""
         call, header = self.flying, message.header
-        if call is None or header.get("id") != call.id:
+        if call is None or call.sent_s is None or header.get("id") != call.id:
             return
         if header.get("kind") == "progress":
-            self.progress, self.changed = Progress.of(header), True
+            self.progress, self.changed, call.told_s = Progress.of(header), True, now_s
         elif header.get("kind") == "reply":
-            failure = None if header.get("ok") is True else told(header.get("error"), log)
+            failure = None if header.get("ok") is True else told(header.get("error"), log())
             round_trip_ms = 1e3 * (now_s - call.sent_s)
             self._arrived(call, Answer(call.tag, None if failure else message, failure, round_trip_ms))
 
@@ -170,11 +192,17 @@ class Waiting:
     # ---- parts -------------------------------------------------------------------------------------------------------
 
     def _new_call(
-        self, header: Mapping[str, Any], arrays: Arrays | None, slot: str | None = None, tag: Hashable = None
+        self,
+        header: Mapping[str, Any],
+        arrays: Arrays | None,
+        slot: str | None = None,
+        tag: Hashable = None,
+        *,
+        droppable: bool = False,
     ) -> Call:
         identity, self._next_id = self._next_id, self._next_id + 1
         try:
-            return Call(identity, protocol.encode({**header, "id": identity}, arrays), slot, tag)
+            return Call(identity, protocol.encode({**header, "id": identity}, arrays), slot, tag, droppable)
         except protocol.ProtocolError as error:
             raise JGHandFailure("bad_input", str(error)) from error
 
@@ -191,7 +219,7 @@ class Waiting:
         if call.slot is None:
             call.answer = answer
             return
-        if answer.failure is not None and answer.failure.kind not in _GIVEN_UP:
+        if answer.failure is not None and answer.failure.kind not in GIVEN_UP:
             self._refuse(call.tag, answer.failure)
         place = self._slots.get(call.slot)
         if place is not None and place.flying is call:

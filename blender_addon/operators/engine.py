@@ -140,7 +140,7 @@ class ShowLog(bpy.types.Operator):
 
     @classmethod
     def poll(cls, _context: bpy.types.Context) -> bool:
-        return bool(runtime.link().log) or missing(cls, "The engine has printed nothing yet")
+        return runtime.link().has_log or missing(cls, "The engine has printed nothing yet")
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         text = bpy.data.texts.get(LOG_NAME) or bpy.data.texts.new(LOG_NAME)

@@ -229,7 +229,9 @@ def build(target: Target, folder: Path = LIBRARY_FOLDER) -> Path:
         # libraries after the sources: a linker that drops unneeded ones looks at them in order
         command = [*compiler.command, *FLAGS, *defines, *map(str, sources), *_arguments(compiler, target)]
         try:
-            result = subprocess.run([*command, "-o", str(output)], capture_output=True, text=True, check=False)
+            result = subprocess.run(
+                [*command, "-o", str(output)], stdin=subprocess.DEVNULL, capture_output=True, text=True, check=False
+            )
         except OSError as error:
             raise InputError(
                 f"compiler {compiler.name}",

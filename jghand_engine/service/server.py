@@ -17,7 +17,7 @@ import io
 import json
 import os
 import queue
-import select
+import selectors
 import signal
 import socket
 import sys
@@ -47,10 +47,10 @@ def serve(source: PictureSource) -> NoReturn:
     stdout carries the handshake line and nothing else: whatever is printed afterwards goes to stderr.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in the parent's terminal: the parent decides when we end
-    handshake_out = _take_stdout()
-    token = _read_token()
+    handshake_out, parent = _take_stdout(), _take_stdin()
+    token = _read_token(parent)
     server = Server(source, token)
-    threading.Thread(target=_end_with_stdin, args=(server,), daemon=True, name="stdin").start()
+    threading.Thread(target=_end_with_stdin, args=(server, parent), daemon=True, name="stdin").start()
     with handshake_out:
         handshake_out.write(json.dumps(server.handshake()) + "\n")
     server.run()
@@ -254,11 +254,18 @@ def _beat(
     while not gone.wait(limits.HEARTBEAT_S):
         with sending:
             try:
-                if not gone.is_set() and select.select([], [connection], [], 0)[1]:
+                if not gone.is_set() and _takes_more(connection):
                     for sign in signs():
                         protocol.send(connection, sign)
             except (OSError, ValueError, Disconnected):
                 return  # the connection is closed; whoever reads it notices
+
+
+def _takes_more(connection: socket.socket) -> bool:
+    """Whether something can be sent at once. Not by select.select, which knows only the first 1024 handles."""
+    with selectors.DefaultSelector() as selector:
+        selector.register(connection, selectors.EVENT_WRITE)
+        return bool(selector.select(0))
 
 
 def _refuse(connection: socket.socket, kind: str, sentence: str, deadline: float) -> None:
@@ -274,6 +281,15 @@ def _take_stdout() -> IO[str]:
     sys.stdout = sys.stderr = io.TextIOWrapper(
         io.BufferedWriter(_Unbreakable()), encoding="utf-8", errors="replace", line_buffering=True
     )
+    return mine
+
+
+def _take_stdin() -> int:
+    """A handle of stdin for the parent's word alone; whoever else looks finds nothing there. On Windows a library that
+    asks what stdin is waits for the thread that reads it: torch's and scipy's may, while they are loaded."""
+    mine, nothing = os.dup(0), os.open(os.devnull, os.O_RDONLY)
+    os.dup2(nothing, 0)
+    os.close(nothing)
     return mine
 
 
@@ -294,12 +310,12 @@ class _Unbreakable(io.RawIOBase):
         return memoryview(content).nbytes
 
 
-def _read_token() -> bytes:
-    """The token from the first line of stdin: hexadecimal. Read by os.read, so that nothing holds a stdin buffer."""
+def _read_token(parent: int) -> bytes:
+    """The token from the parent's first line: hexadecimal. Read by os.read, so that nothing of it is in a buffer."""
     wanted = protocol.TOKEN_BYTES * 2
     line = b""
     while not line.endswith(b"\n") and len(line) <= wanted + 2:
-        byte = os.read(0, 1)
+        byte = os.read(parent, 1)
         if not byte:
             break
         line += byte
@@ -317,10 +333,10 @@ def _read_token() -> bytes:
     return token
 
 
-def _end_with_stdin(server: Server) -> None:
+def _end_with_stdin(server: Server, parent: int) -> None:
     """Waits for the end of stdin, which is the end of the parent; then ends the process, gently and then for sure."""
     try:
-        while os.read(0, 4096):
+        while os.read(parent, 4096):
             pass
     except OSError as error:
         _log(f"stdin cannot be read: {error}")

@@ -154,8 +154,9 @@ def test_no_engine_at_all_is_mended_by_the_scripts():
 def test_a_command_without_a_python_beside_it_is_told_to_be_unknown(tmp_path):
     found = FoundEngine("The command jghand on the PATH", (str(tmp_path / "jghand"),), None)
     result = EngineCheck(lambda: found).wait(PATIENCE_S)
-    assert result.good
-    assert "start the engine" in values(result)["Python"]
+    assert not result.good
+    assert "not known" in result.sentence
+    assert "start the engine" in values(result, good=False)["Python"]
 
 
 @posix

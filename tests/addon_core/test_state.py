@@ -112,6 +112,18 @@ TABLE = {
     ),
     "a stop ends in silence": (Stopping(1), Exited(10.0, 1), Stopped(1, since_s=10.0, by_user=True), ()),
     "an engine may finish": (Stopping(1, since_s=10.0), Tick(12.0), Stopping(1, since_s=10.0), ()),
+    "where somebody waits for the end it is ended soon": (
+        Stopping(1, since_s=10.0, patience_s=0.3),
+        Tick(10.4),
+        Stopping(1, since_s=10.0, pushes=1, patience_s=0.3),
+        (Kill(),),
+    ),
+    "whoever comes to wait ends the usual patience": (
+        Stopping(1, since_s=10.0, start_again=True, pushes=1),
+        StopAsked(13.0, 0.3),
+        Stopping(1, since_s=13.0, patience_s=0.3),
+        (Release("stopped"),),
+    ),
     "then it is asked": (
         Stopping(1, since_s=10.0),
         Tick(13.5),

@@ -20,6 +20,10 @@ def reply(call: Call, **more: object) -> protocol.Message:
     return protocol.Message({"kind": "reply", "id": call.id, "ok": True, "tag": call.tag, **more})
 
 
+def progress(call: Call) -> protocol.Message:
+    return protocol.Message({"kind": "progress", "id": call.id, "fraction": None, "text": "Loading the avatar"})
+
+
 class Histories(RuleBasedStateMachine):
     """Two slots and exact requests against what they should be, kept in the simplest way."""
 
@@ -31,9 +35,15 @@ class Histories(RuleBasedStateMachine):
         self.refused: set[int] = set()
         self.now_s = 0.0
 
-    @rule(slot=SLOTS, tag=TAGS)
-    def ask(self, slot: str, tag: int) -> None:
-        needs = self.waiting.ask(slot, HEADER, None, tag)
+    @rule(slot=SLOTS, tag=TAGS, droppable=st.booleans())
+    def ask(self, slot: str, tag: int, droppable: bool) -> None:
+        flying = self.waiting.flying
+        given_up = flying is not None and flying.given_up_s is not None
+        needs = self.waiting.ask(slot, HEADER, None, tag, self.now_s, droppable=droppable)
+        if flying is not None and not given_up:
+            gives_way = flying.droppable and flying.slot == slot and flying.tag != tag
+            assert (flying.given_up_s is not None) == gives_way
+            assert (flying.id in self.waiting.cancels) == gives_way
         if tag in self.refused and not self.waiting.expects(slot, tag):
             assert not needs
             assert self.waiting.answer(slot).failure is not None
@@ -44,7 +54,10 @@ class Histories(RuleBasedStateMachine):
 
     @rule()
     def append(self) -> None:
-        self.exact.append(self.waiting.append(HEADER, None))
+        flying = self.waiting.flying
+        self.exact.append(self.waiting.append(HEADER, None, self.now_s))
+        if flying is not None and flying.droppable:
+            assert flying.given_up_s is not None
 
     @rule()
     def send(self) -> None:
@@ -65,7 +78,7 @@ class Histories(RuleBasedStateMachine):
         call = self.waiting.flying
         before = self.waiting.answer(call.slot) if call.slot is not None else None
         more = {"ok": False, "error": {"kind": kind}} if kind else {}
-        self.waiting.take(reply(call, **more), self.now_s, "")
+        self.waiting.take(reply(call, **more), self.now_s, str)
         assert self.waiting.flying is None
         if call.slot is None:
             assert call.answer is not None
@@ -74,9 +87,9 @@ class Histories(RuleBasedStateMachine):
             return
         if kind == "bad_input":
             self.refused.add(call.tag)
-        if call.given_up_s is not None:
+        if call.given_up_s is not None and not call.droppable:
             assert self.waiting.answer(call.slot) is before
-        elif self.wanted.get(call.slot) == call.tag:
+        elif not self.waiting.expects(call.slot, call.tag) and self.wanted.get(call.slot) == call.tag:
             assert self.waiting.answer(call.slot).tag == call.tag
             del self.wanted[call.slot]
 
@@ -84,7 +97,7 @@ class Histories(RuleBasedStateMachine):
     @rule(number=st.integers(-5, -1))
     def answer_to_something_else(self, number: int) -> None:
         before = self.waiting.flying
-        self.waiting.take(protocol.Message({"kind": "reply", "id": number, "ok": True}), self.now_s, "")
+        self.waiting.take(protocol.Message({"kind": "reply", "id": number, "ok": True}), self.now_s, str)
         assert self.waiting.flying is before
 
     @precondition(lambda self: self.exact)
@@ -135,25 +148,25 @@ def test_slots_take_turns():
     sent = []
     for turn in range(6):
         for slot in "abc":
-            waiting.ask(slot, HEADER, None, (slot, turn))
+            waiting.ask(slot, HEADER, None, (slot, turn), 0.0)
         call = waiting.next(0.0)
         sent.append(call.slot)
-        waiting.take(reply(call), 0.0, "")
+        waiting.take(reply(call), 0.0, str)
     assert sent == list("abcabc")
 
 
 def test_only_so_many_failures_are_remembered():
     waiting = Waiting()
     for tag in range(limits.REFUSED_MAX + 1):
-        waiting.ask("a", HEADER, None, tag)
-        waiting.take(reply(waiting.next(0.0), ok=False, error={"kind": "bad_input"}), 0.0, "")
-    assert waiting.ask("a", HEADER, None, 0)
-    assert not waiting.ask("b", HEADER, None, limits.REFUSED_MAX)
+        waiting.ask("a", HEADER, None, tag, 0.0)
+        waiting.take(reply(waiting.next(0.0), ok=False, error={"kind": "bad_input"}), 0.0, str)
+    assert waiting.ask("a", HEADER, None, 0, 0.0)
+    assert not waiting.ask("b", HEADER, None, limits.REFUSED_MAX, 0.0)
 
 
 def test_what_takes_too_long_is_known():
     waiting = Waiting()
-    waiting.ask("a", HEADER, None, 0)
+    waiting.ask("a", HEADER, None, 0, 0.0)
     assert not waiting.is_overdue(1e6)
     call = waiting.next(0.0)
     assert not waiting.is_overdue(limits.LOAD_S)
@@ -161,14 +174,54 @@ def test_what_takes_too_long_is_known():
     waiting.give_up(call, 1.0)
     assert not waiting.is_overdue(limits.SILENCE_S)
     assert waiting.is_overdue(limits.SILENCE_S + 2)
+    waiting.take(progress(call), 20.0, str)
+    assert not waiting.is_overdue(limits.SILENCE_S + 2)
+    waiting.take(progress(call), 2 * limits.LOAD_S, str)
+    assert waiting.is_overdue(limits.LOAD_S + limits.SILENCE_S + 2)
 
 
 def test_what_is_wanted_again_while_the_engine_is_at_it_is_not_followed_by_what_was_wanted_between():
     waiting = Waiting()
-    waiting.ask("a", HEADER, None, 1)
+    waiting.ask("a", HEADER, None, 1, 0.0)
     call = waiting.next(0.0)
-    waiting.ask("a", HEADER, None, 2)
-    assert not waiting.ask("a", HEADER, None, 1)
-    waiting.take(reply(call), 0.0, "")
+    waiting.ask("a", HEADER, None, 2, 0.0)
+    assert not waiting.ask("a", HEADER, None, 1, 0.0)
+    waiting.take(reply(call), 0.0, str)
     assert waiting.answer("a").tag == 1
     assert waiting.next(0.0) is None
+
+
+def test_a_slow_picture_gives_way_to_the_next_pose_and_is_not_heard_of_again():
+    waiting = Waiting()
+    waiting.ask("a", HEADER, None, "sharp", 0.0, droppable=True)
+    sharp = waiting.next(0.0)
+    assert not waiting.ask("a", HEADER, None, "sharp", 0.0, droppable=True)
+    assert not waiting.cancels
+    waiting.ask("b", HEADER, None, "another view", 0.0)
+    assert not waiting.cancels
+    waiting.ask("a", HEADER, None, "next pose", 1.0)
+    assert (list(waiting.cancels), waiting.next(1.0)) == ([sharp.id], None)
+    waiting.take(reply(sharp, ok=False, error={"kind": "cancelled"}), 1.0, str)
+    assert waiting.answer("a") is None
+    assert {waiting.next(1.0).tag} <= {"another view", "next pose"}
+
+
+def test_a_slow_picture_gives_way_to_a_render_and_its_view_hears_of_it():
+    waiting = Waiting()
+    waiting.ask("a", HEADER, None, "sharp", 0.0, droppable=True)
+    sharp = waiting.next(0.0)
+    render = waiting.append(HEADER, None, 1.0)
+    assert list(waiting.cancels) == [sharp.id]
+    waiting.take(reply(sharp, ok=False, error={"kind": "cancelled"}), 1.0, str)
+    assert waiting.answer("a").failure.kind == "cancelled"
+    assert waiting.next(1.0) is render
+    assert waiting.ask("a", HEADER, None, "sharp", 1.0, droppable=True)
+
+
+def test_a_fast_picture_never_gives_way():
+    waiting = Waiting()
+    waiting.ask("a", HEADER, None, 1, 0.0)
+    waiting.next(0.0)
+    waiting.ask("a", HEADER, None, 2, 0.0)
+    waiting.append(HEADER, None, 0.0)
+    assert not waiting.cancels

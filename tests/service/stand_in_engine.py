@@ -163,7 +163,7 @@ def main(fault: str) -> int:
         protocol.send = _send_rubbish_after_welcome
     if fault == "stubborn":
         signal.signal(signal.SIGTERM, signal.SIG_IGN)
-        server._end_with_stdin = lambda _: None
+        server._end_with_stdin = lambda *_: None
     if fault in ("garbage", "wrong_version", "wrong_port"):
         version = protocol.PROTOCOL_VERSION + (fault == "wrong_version")
         line = {"protocol": version, "port": 9, "pid": os.getpid(), "engine_version": "x", "device": "x"}
