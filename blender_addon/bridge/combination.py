@@ -9,17 +9,21 @@ Source: BLENDER 8.4.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import bpy
+from bpy.app.translations import pgettext_rpt as rpt_
 
 from ..core.messages import JGHandFailure
 from . import armature, versions
 from .engine_name import ENGINE
 
-# custom properties of the first scene: the scene of its hands, whether its compositor is ours, whether a view layer had
-# its depth before; of the scene of the hands, and of nodes: that they are ours
+# custom properties of the first scene: the scene of its hands, whether its compositor is ours; of the view layer that
+# is combined: whether it had its depth before. A copy of the scene has them too, so that the scene of the hands says
+# whose it is; it, and nodes, say that they are ours
 HANDS_SCENE, OWN_TREE, HAD_DEPTH = "jghand_hands_scene", "jghand_own_compositor", "jghand_had_depth"
+OWNER = "jghand_combined_scene"
 MARK = "jghand_combination"
 # what the scene of the hands has as the first one has it
 _SCENE = ("frame_start", "frame_end", "frame_step", "camera")
@@ -29,13 +33,35 @@ _RENDER = (
     *("use_motion_blur", "motion_blur_shutter", "motion_blur_position", "frame_map_old", "frame_map_new"),
 )
 _HANDS = ("render_preset", "shadow_strength", "motion_samples")
+# what Blender takes from the first scene by itself when it renders both
+_FOLLOWS = ("frame_start", "frame_end", "frame_step", "resolution_x", "resolution_y", "resolution_percentage")
 _GAP_PX = 250
 
 
 def hands_scene_of(scene: bpy.types.Scene) -> bpy.types.Scene | None:
-    """The scene with the hands of a combined one."""
+    """The scene with the hands of a combined one; None for a copy of one: it has our nodes, and no hands of its own."""
     hands = scene.get(HANDS_SCENE)
-    return hands if isinstance(hands, bpy.types.Scene) else None
+    return hands if isinstance(hands, bpy.types.Scene) and hands.get(OWNER) == scene else None
+
+
+def has_combination(scene: bpy.types.Scene) -> bool:
+    """Whether a scene is combined, or a copy of one that is."""
+    return HANDS_SCENE in scene
+
+
+def out_of_date(scene: bpy.types.Scene) -> list[str]:
+    """In which the hands of a combined scene differ from it, in words: its picture is not what it seems to be."""
+    ours, layer = hands_scene_of(scene), _combined_layer(scene)
+    if ours is None or layer is None:
+        return []
+    wanted, there = _things(scene, armature.hands_at_any_frame(layer)), set(ours.collection.objects)
+    found = [rpt_("{name} is missing").format(name=thing.name) for thing in wanted if thing not in there]
+    found += [rpt_("{name} is too much").format(name=thing.name) for thing in there if thing not in wanted]
+    for owner, of, names in _shared(scene, ours):
+        for name in names:
+            if name not in _FOLLOWS and getattr(owner, name) != getattr(of, name):
+                found.append(rpt_("{name} differs").format(name=of.bl_rna.properties[name].name))
+    return found
 
 
 def is_hands_scene(scene: bpy.types.Scene) -> bool:
@@ -56,11 +82,14 @@ def combine(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bpy.types.Sce
     ours = hands_scene_of(scene)
     if ours is None:
         ours = bpy.data.scenes.new(f"{scene.name} Hands")
-        ours[MARK] = True
+        ours[MARK], ours[OWNER] = True, scene
+        _forget_nodes(scene)  # of the scene that this is a copy of
         scene[HANDS_SCENE] = ours
+    if _combined_layer(scene) != layer:
+        _forget_nodes(scene)
+        _give_depth_back(scene)
+        layer[HAD_DEPTH] = layer.use_pass_z
     _share(scene, ours, hands)
-    if HAD_DEPTH not in scene:
-        scene[HAD_DEPTH] = layer.use_pass_z
     layer.use_pass_z = True
     scene.render.use_compositing = True
     had_tree = versions.compositor_tree(scene) is not None
@@ -72,49 +101,72 @@ def combine(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bpy.types.Sce
     return ours
 
 
-def remove(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> None:
-    """Takes away what `combine` made, nothing else."""
-    tree = versions.compositor_tree(scene)
-    if tree is not None:
-        _take_out(tree)
-        if scene.get(OWN_TREE):
-            versions.remove_compositor_tree(scene)
+def remove(scene: bpy.types.Scene) -> None:
+    """Takes away what `combine` made, nothing else; of a copy of a combined scene what it has of that."""
+    _forget_nodes(scene)
+    if scene.get(OWN_TREE):
+        versions.remove_compositor_tree(scene)
     ours = hands_scene_of(scene)
     if ours is not None:
         bpy.data.scenes.remove(ours)
-    if HAD_DEPTH in scene:
-        layer.use_pass_z = bool(scene[HAD_DEPTH])
-    for name in (HANDS_SCENE, OWN_TREE, HAD_DEPTH):
+    _give_depth_back(scene)
+    for name in (HANDS_SCENE, OWN_TREE):
         if name in scene:
             del scene[name]
 
 
+def _combined_layer(scene: bpy.types.Scene) -> bpy.types.ViewLayer | None:
+    """The view layer that hands are combined with."""
+    return next((layer for layer in scene.view_layers if HAD_DEPTH in layer), None)
+
+
+def _give_depth_back(scene: bpy.types.Scene) -> None:
+    layer = _combined_layer(scene)
+    if layer is not None:
+        layer.use_pass_z = bool(layer[HAD_DEPTH])
+        del layer[HAD_DEPTH]
+
+
+def _forget_nodes(scene: bpy.types.Scene) -> None:
+    """Takes our nodes out of a scene's compositor; one that a copy of the scene shares stays as it is there."""
+    tree = versions.compositor_tree(scene)
+    if tree is not None and _nodes(tree):
+        _take_out(versions.own_compositor_tree(scene))
+
+
 def _share(scene: bpy.types.Scene, ours: bpy.types.Scene, hands: list[bpy.types.Object]) -> None:
     """Makes the scene of the hands show what the first one does, from the same side, in the same time."""
-    for owner, of, names in (
-        (ours, scene, _SCENE),
-        (ours.render, scene.render, _RENDER),
-        (ours.jghand, scene.jghand, _HANDS),
-    ):
+    for owner, of, names in _shared(scene, ours):
         for name in names:
             setattr(owner, name, getattr(of, name))
     ours.unit_settings.scale_length = scene.unit_settings.scale_length
     _copy_curve(scene.render.motion_blur_shutter_curve, ours.render.motion_blur_shutter_curve)
     ours.render.engine, ours.render.film_transparent = ENGINE, True
     ours.view_layers[0].use_pass_z = True
-    cameras = [marker.camera for marker in scene.timeline_markers if marker.camera is not None]
-    parts = [part for hand in hands for part in armature.parts_of(hand)]
-    wanted = dict.fromkeys((*parts, scene.camera, *cameras))
-    for thing in list(ours.collection.objects):
-        if thing not in wanted:
-            ours.collection.objects.unlink(thing)
+    wanted, there = _things(scene, hands), set(ours.collection.objects)
+    for thing in there.difference(wanted):
+        ours.collection.objects.unlink(thing)
     for thing in wanted:
-        if thing.name not in ours.collection.objects:
+        if thing not in there:  # not by its name: linked objects may have the same
             ours.collection.objects.link(thing)
     ours.timeline_markers.clear()
     for marker in scene.timeline_markers:
         if marker.camera is not None:
             ours.timeline_markers.new(marker.name, frame=marker.frame).camera = marker.camera
+
+
+def _shared(scene: bpy.types.Scene, ours: bpy.types.Scene) -> Iterator[tuple[Any, Any, tuple[str, ...]]]:
+    """What the scene of the hands has as the first one has it: (its owner there, here, names)."""
+    yield ours, scene, _SCENE
+    yield ours.render, scene.render, _RENDER
+    yield ours.jghand, scene.jghand, _HANDS
+
+
+def _things(scene: bpy.types.Scene, hands: list[bpy.types.Object]) -> list[bpy.types.Object]:
+    """The objects that the scene of the hands shows: hands, what moves them, and cameras."""
+    cameras = [marker.camera for marker in scene.timeline_markers]
+    parts = [part for hand in hands for part in armature.parts_of(hand)]
+    return [thing for thing in dict.fromkeys((*parts, scene.camera, *cameras)) if thing is not None]
 
 
 def _copy_curve(source: bpy.types.CurveMapping, target: bpy.types.CurveMapping) -> None:

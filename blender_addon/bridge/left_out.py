@@ -2,8 +2,9 @@
 """Says so when a picture is rendered that leaves the hands out: Cycles, EEVEE and Workbench do not draw them.
 
 The viewport shows hands in Solid and Material Preview whatever the scene renders with, so F12 with another engine would
-be empty without a word. Said once per scene and session: some pictures are meant to be without hands. In a window it is
-a menu with the two ways to get them, without one a line on stderr.
+be empty without a word. The same is said where hands were combined with the scene and it has changed since. Said once
+per scene and session: some pictures are meant to be without hands. In a window it is a menu with the two ways to get
+them, without one a line on stderr.
 """
 
 from __future__ import annotations
@@ -18,8 +19,9 @@ from bpy.app.translations import pgettext_iface as iface_
 from . import armature, combination
 from .engine_name import ENGINE
 
-_said: set[int] = set()
-# a render's handler may run on a thread of its own: it notes the engine's name, the timer on the main thread shows it
+# what was said: of which scene, and the sentence
+_said: set[tuple[int, str]] = set()
+# a render's handler may run on a thread of its own: it notes the sentence, the timer on the main thread shows it
 _pending = ""
 
 
@@ -37,16 +39,27 @@ def hands_left_out(scene: bpy.types.Scene) -> list[str]:
 def on_render(scene: bpy.types.Scene, *_: Any) -> None:
     """A render begins."""
     global _pending
-    if scene is None or scene.session_uid in _said or not hands_left_out(scene):
+    if scene is None:
         return
-    _said.add(scene.session_uid)
+    text = sentence_of(scene)
+    if not text or (scene.session_uid, text) in _said:
+        return
+    _said.add((scene.session_uid, text))
     if bpy.app.background:
-        print(f"JGHand: {sentence(scene.render.engine)} {iface_(_REMEDY)}", file=sys.stderr, flush=True)
+        print(f"JGHand: {text}", file=sys.stderr, flush=True)
     else:
-        _pending = scene.render.engine
+        _pending = text
 
 
-_REMEDY = "Use the JGHand engine, or Combine with Scene."
+def sentence_of(scene: bpy.types.Scene) -> str:
+    """What is to be said about the hands of a picture of this scene; nothing where they are as they should be."""
+    if hands_left_out(scene):
+        return f"{sentence(scene.render.engine)} {iface_('Use the JGHand engine, or Combine with Scene.')}"
+    differences = combination.out_of_date(scene)
+    if differences:
+        template = iface_("The hands of this picture are not up to date: {list}. Combine with Scene once more.")
+        return template.format(list=", ".join(differences))
+    return ""
 
 
 def sentence(engine: str) -> str:
@@ -58,7 +71,7 @@ def sentence(engine: str) -> str:
 
 def was_said(scene: bpy.types.Scene) -> bool:
     """Whether it was said of this scene, and shown."""
-    return scene.session_uid in _said and not _pending
+    return any(uid == scene.session_uid for uid, _ in _said) and not _pending
 
 
 def show() -> None:
@@ -66,7 +79,7 @@ def show() -> None:
     global _pending
     if not _pending:
         return
-    text, _pending = sentence(_pending), ""
+    text, _pending = _pending, ""
     windows = bpy.context.window_manager.windows
     if not windows:
         return

@@ -51,13 +51,13 @@ class RemoveCombination(Reporting, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        if combination.hands_scene_of(context.scene) is None:
+        if not combination.has_combination(context.scene):
             return missing(cls, "This scene is not combined with hands")
         return True
 
     def run(self, context: bpy.types.Context) -> None:
-        combination.remove(context.scene, context.view_layer)
-        self.tell(rpt_("The hands' own scene is gone."))
+        combination.remove(context.scene)
+        self.tell(rpt_("This scene is not combined with hands any more."))
 
 
 _CLASSES = (CombineWithScene, RemoveCombination)

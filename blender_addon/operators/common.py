@@ -246,7 +246,7 @@ def object_mode(context: bpy.types.Context) -> None:
 def link_to_active_collection(context: bpy.types.Context, thing: bpy.types.Object) -> None:
     """Puts a new object where Blender's own operators put theirs; where that is hidden it stays in the scene's."""
     layer = context.view_layer.active_layer_collection
-    if not layer.is_visible or thing.name in layer.collection.objects:
+    if not layer.is_visible or layer.collection in thing.users_collection:
         return
     for collection in list(thing.users_collection):
         collection.objects.unlink(thing)

@@ -6,7 +6,7 @@ from __future__ import annotations
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from ..bridge import combination, views
+from ..bridge import combination, versions, views
 from ..bridge.classes import register_classes, unregister_classes
 from ..core import panel_text
 from ..operators.picture import ENGINE
@@ -48,6 +48,9 @@ class ViewPanel(Sidebar, bpy.types.Panel):
         text = _shading_hint(shading.type if shading is not None else "SOLID", context.scene.render.engine)
         if text:
             common.paragraph(layout, context, text, icon="INFO")
+        if versions.has_native_splats():
+            text = iface_("This Blender has splat objects. JGHand does not make them of hands yet: it shows pictures")
+            common.paragraph(layout, context, text, icon="INFO")
 
 
 class RenderPanel(Sidebar, bpy.types.Panel):
@@ -83,7 +86,7 @@ class RenderPanel(Sidebar, bpy.types.Panel):
         _draw_camera(layout, context)
         if not ours:
             layout.operator("jghand.combine_with_scene", icon="NODE_COMPOSITING")
-            if combination.hands_scene_of(scene) is not None:
+            if combination.has_combination(scene):
                 layout.operator("jghand.remove_combination", icon="X")
 
 

@@ -197,6 +197,7 @@ def test_removing_leaves_nothing(scene):
     assert {name: len(getattr(bpy.data, name)) for name in before} == before
     assert versions.compositor_tree(scene) is None
     assert not scene.view_layers[0].use_pass_z
+    assert combination.HAD_DEPTH not in scene.view_layers[0]
     assert not [name for name in scene.keys() if name.startswith("jghand_")]  # noqa: SIM118 - no dictionary
     np.testing.assert_array_equal(f12(), wanted)
 
@@ -230,6 +231,86 @@ def test_nodes_of_the_user_stay_and_work_before_ours(scene):
     assert {(link.from_socket, link.to_socket) for link in tree.links} == before
     assert dim.name in tree.nodes
     np.testing.assert_array_equal(f12(), alone)
+
+
+def test_a_copy_of_the_scene_does_not_touch_the_combination_of_the_first(scene):
+    bpy.ops.jghand.combine_with_scene()
+    ours = combination.hands_scene_of(scene)
+    for way in ("LINK_COPY", "FULL_COPY"):
+        for combined in (False, True):
+            bpy.context.window.scene = scene
+            bpy.ops.scene.new(type=way)
+            copy = bpy.context.window.scene
+            assert copy != scene
+            call = bpy.ops.jghand.combine_with_scene if combined else bpy.ops.jghand.remove_combination
+            assert call() == {"FINISHED"}
+            assert combination.hands_scene_of(scene) == ours
+            tree = versions.compositor_tree(scene)
+            assert {node.scene for node in tree.nodes if node.bl_idname == "CompositorNodeRLayers"} == {scene, ours}
+            made = combination.hands_scene_of(copy)
+            assert (made is not None) == combined
+            if combined:
+                assert made != ours
+                nodes = versions.compositor_tree(copy).nodes
+                shown = {node.scene for node in nodes if node.bl_idname == "CompositorNodeRLayers"}
+                assert shown == {copy, made}
+                assert bpy.ops.jghand.remove_combination() == {"FINISHED"}
+            assert not copy.view_layers[0].use_pass_z
+            assert not combination.has_combination(copy)
+            bpy.data.scenes.remove(copy)
+    bpy.context.window.scene = scene
+    assert covered(f12()) > 20
+
+
+def test_another_view_layer_takes_the_place_of_the_first_which_is_as_it_was(scene):
+    bpy.ops.jghand.combine_with_scene()
+    first = scene.view_layers[0]
+    second = scene.view_layers.new("Second")
+    second.use_pass_z = False
+    count = len(versions.compositor_tree(scene).nodes)
+    bpy.context.window.view_layer = second
+    bpy.ops.jghand.combine_with_scene()
+    assert (first.use_pass_z, second.use_pass_z) == (False, True)
+    tree = versions.compositor_tree(scene)
+    assert len(tree.nodes) == count
+    assert "Second" in {node.layer for node in tree.nodes if node.bl_idname == "CompositorNodeRLayers"}
+    bpy.context.window.view_layer = first
+    bpy.ops.jghand.remove_combination()
+    assert (first.use_pass_z, second.use_pass_z) == (False, False)
+
+
+def test_a_picture_says_in_what_its_hands_are_not_up_to_date(scene, capfd):
+    bpy.ops.jghand.combine_with_scene()
+    camera.set_picture_size(scene.render, SIZE[0] // 2, SIZE[1] // 2)  # follows by itself
+    scene.frame_end += 10
+    f12()
+    assert combination.out_of_date(scene) == []
+    assert "not up to date" not in capfd.readouterr().err
+    armature.build_armature(bpy.context, "late", posing.rest_joints_m("left"), "left")
+    scene.render.fps = 50
+    f12()
+    said = capfd.readouterr().err
+    assert "late is missing, FPS differs" in said
+    f12()
+    assert "not up to date" not in capfd.readouterr().err  # once
+    bpy.data.objects["right"].hide_render = True
+    assert "right is too much" in combination.out_of_date(scene)
+    bpy.ops.jghand.combine_with_scene()
+    assert combination.out_of_date(scene) == []
+
+
+def test_a_linked_hand_of_the_same_name_is_combined_too(scene, tmp_path):
+    path = str(tmp_path / "hand.blend")
+    right = bpy.data.objects["right"]
+    bpy.data.libraries.write(path, {right})
+    with bpy.data.libraries.load(path, link=True) as (_there, taken):
+        taken.objects = ["right"]
+    scene.collection.objects.link(taken.objects[0])
+    assert taken.objects[0].name == right.name
+    bpy.ops.jghand.combine_with_scene()
+    ours = combination.hands_scene_of(scene)
+    assert set(ours.collection.objects) == {right, taken.objects[0], scene.camera}
+    assert combination.out_of_date(scene) == []
 
 
 def test_undo_takes_it_back(scene):

@@ -437,7 +437,8 @@ def test_a_render_of_another_engine_leaves_the_views_alone_unless_it_is_combined
     scene.render.engine = "CYCLES"
     sync.on_render_begin(scene)
     assert not rendering.now()
-    scene[combination.HANDS_SCENE] = bpy.data.scenes.new("Hands")
+    ours = scene[combination.HANDS_SCENE] = bpy.data.scenes.new("Hands")
+    ours[combination.OWNER] = scene
     sync.on_render_begin(scene)
     assert rendering.now()
     rendering.end()
