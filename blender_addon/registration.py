@@ -7,7 +7,10 @@ must not leave Blender with half an extension that cannot be removed.
 
 from __future__ import annotations
 
+import atexit
 from types import ModuleType
+
+import bpy
 
 from . import cli_command, preferences, properties, render_engine, runtime
 from .bridge import cache_player, cards, guard, job_watch, left_out, pose_pictures, pose_shelf, sync, usd_hook
@@ -65,8 +68,17 @@ def register() -> None:
             module.unregister()
         raise
 
+    atexit.register(_at_exit)
 
 def unregister() -> None:
     """Takes everything away."""
     for module in reversed(MODULES):
+    atexit.unregister(_at_exit)
         module.unregister()
+
+
+def _at_exit() -> None:
+    """Blender as a module disables no extension at its end, and the one of 4.5 hangs there while a handler or a timer
+    is left. Blender itself has disabled it by then, or has too little left of its data to do it now."""
+    if bpy.app.module:
+        unregister()

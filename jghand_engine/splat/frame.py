@@ -10,7 +10,7 @@ root is added in double precision: a hand 1 km away loses nothing.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -111,10 +111,16 @@ class SceneRenderer:
         return NativePainter(library, self._avatars, self.settings)
 
     def render(
-        self, joints_m: Sequence[np.ndarray | torch.Tensor], camera: Camera, shutter: Shutter | None = None
+        self,
+        joints_m: Sequence[np.ndarray | torch.Tensor],
+        camera: Camera,
+        shutter: Shutter | None = None,
+        *,
+        between: Callable[[], None] = lambda: None,
     ) -> Frame:
         """One picture. joints_m: per hand (21, 3), level order, metres, in the frame the camera is given in.
-        shutter: how the hands move around these joints while it is open; None for a moment.
+        shutter: how the hands move around these joints while it is open; None for a moment. between: called between
+        the parts of the picture that take long; may raise to end it.
 
         InputError names a joint that is not finite; to hold the last good pose is the motion's business
         (`PoseSequence.with_gaps_held`).
@@ -122,10 +128,16 @@ class SceneRenderer:
         # what is drawn may be the hand's box alone
         check_picture_size(camera.width, camera.height)
         if not self.settings.half:
-            return self._render(joints_m, camera, shutter)
-        return _enlarged(self._render(joints_m, halved(camera), shutter), camera)
+            return self._render(joints_m, camera, shutter, between)
+        return _enlarged(self._render(joints_m, halved(camera), shutter, between), camera)
 
-    def _render(self, joints_m: Sequence[np.ndarray | torch.Tensor], camera: Camera, shutter: Shutter | None) -> Frame:
+    def _render(
+        self,
+        joints_m: Sequence[np.ndarray | torch.Tensor],
+        camera: Camera,
+        shutter: Shutter | None,
+        between: Callable[[], None],
+    ) -> Frame:
         started = time.perf_counter()
         report = FrameReport(backend=self._painter.backend, threads=self._painter.threads)
         report.gaussians = sum(map(len, self._avatars))
@@ -136,13 +148,15 @@ class SceneRenderer:
         report.plan = plan = self._plan(shot, camera, shutter, report)
         report.notes += shot.posed.notes + shot.posed.unseen
         if plan.exposures == 1:
-            drawn = self._picture(shot, replace(camera, lens=None), plan, report)
+            drawn = self._picture(shot, replace(camera, lens=None), plan, report, between)
         else:
             mean = MeanPicture(camera.width, camera.height)
             for moment_m, pinhole in exposures(hands, camera, shutter, plan.exposures):
-                mean.add(self._picture(self._pose(moment_m, report), pinhole, plan, report), 1 / plan.exposures)
+                shot = self._pose(moment_m, report)
+                mean.add(self._picture(shot, pinhole, plan, report, between), 1 / plan.exposures)
             drawn = mean.drawn()
         report.explain(SKIN, self._tiers)
+        between()
         frame = self._finished(drawn, camera, plan, report)
         report.total_ms = 1e3 * (time.perf_counter() - started)
         return frame
@@ -223,7 +237,9 @@ class SceneRenderer:
 
     # ---- the picture -------------------------------------------------------------------------------------------------
 
-    def _picture(self, shot: _Shot, camera: Camera, plan: EffectPlan, report: FrameReport) -> Drawn:
+    def _picture(
+        self, shot: _Shot, camera: Camera, plan: EffectPlan, report: FrameReport, between: Callable[[], None]
+    ) -> Drawn:
         """One moment through one pinhole: of the whole picture or of the hands' box in it."""
         posed, box = shot.posed, None
         if plan.enlarged > 1 or not plan.runs(Effect.WHOLE):
@@ -232,11 +248,14 @@ class SceneRenderer:
         box = box or Box(0, 0, camera.width, camera.height)
         part, drawn = camera.part(*box), []
         if plan.plain > 0:
+            between()
             drawn.append((self._painted(shot, part, box, plan, report), plan.plain))
         if plan.plain < 1:
             # what was posed for the picture above stays
             again = shot if plan.plain == 0 else _Shot(posed, 0.0)
+            between()
             large = self._painted(again, part.scaled(plan.enlarged), box, plan, report)
+            between()
             drawn.append((averaged_down(large, plan.enlarged), 1 - plan.plain))
         if len(drawn) == 1:
             return drawn[0][0]
@@ -274,7 +293,8 @@ class SceneRenderer:
         """One pass shades all hands: hands of different looks get the mean of them."""
         gain = float(np.mean([look.gain for look in self._looks]))
         red, green, blue = np.mean([look.tint for look in self._looks], axis=0).tolist()
-        return ShadowStyle(self.settings.shadow_samples, strength, gain=gain, tint=(red, green, blue))
+        radius_m = self.settings.shadow_radius_m
+        return ShadowStyle(self.settings.shadow_samples, strength, radius_m, gain=gain, tint=(red, green, blue))
 
     def _finished(self, drawn: Drawn, camera: Camera, plan: EffectPlan, report: FrameReport) -> Frame:
         whole = drawn.laid_out(camera.width, camera.height)

@@ -58,7 +58,8 @@ def render_moments(
     Besides, (H, W) float32: the mean depth, metres, of all that covers a pixel, blur too: what a combination by depth
     needs.
 
-    weights: one per moment, 0 or more, some above · between: called before each picture; may raise to end it all.
+    weights: one per moment, 0 or more, some above · between: called before each picture and between the parts of one;
+    may raise to end it all.
     InputError for moments of different sizes, or weights that are none.
     """
     _check(moments, weights)
@@ -69,17 +70,17 @@ def render_moments(
     sharp = Moment(moments[middle].joints_m, replace(moments[middle].camera, lens=None))
     if len(seen) == 1 and each == 1:
         between()
-        frame = renderer.render(sharp.joints_m, sharp.camera)
+        frame = renderer.render(sharp.joints_m, sharp.camera, between=between)
         return frame, frame.depth_m
     mean, reports = _LinearMean(sharp.camera), []
     for index, (moment, share) in enumerate(zip(seen, shares, strict=True)):
         for pinhole in _pinholes(moment.camera, index, each, len(seen)):
             between()
-            frame = renderer.render(moment.joints_m, pinhole)
+            frame = renderer.render(moment.joints_m, pinhole, between=between)
             mean.add(frame, share / each)
             reports.append(frame.report)
     between()
-    last = renderer.render(sharp.joints_m, sharp.camera)
+    last = renderer.render(sharp.joints_m, sharp.camera, between=between)
     reports.append(last.report)
     plan = _told(last.report.plan, seen, each, lens_px)
     return Frame(mean.rgba(), last.depth_m, _summed(reports, plan)), mean.depth_m()

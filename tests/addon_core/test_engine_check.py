@@ -14,9 +14,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 
 import environments
 
-from blender_addon.core import engine_check, limits
+from blender_addon.core import engine_check, engine_command, limits
 from blender_addon.core.engine_check import CheckResult, EngineCheck
 from blender_addon.core.engine_command import NOTE, FoundEngine, find_engine, note_folder
+from blender_addon.core.messages import JGHandFailure
 from blender_addon.core.wire import protocol
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -171,6 +172,56 @@ def test_the_command_on_the_path_leads_to_the_python_of_its_environment(tmp_path
     found = find_engine(environment={"PATH": str(links)})
     assert found.program == (str(links / "jghand"),)
     assert found.python == str(bin_folder / "python")
+
+
+@posix
+@pytest.mark.parametrize("begin", ["#!{}\n", "#! {} -sE\n", "#!/bin/sh\n'''exec' \"{}\" \"$0\" \"$@\"\n' '''\n"])
+def test_a_command_somewhere_leads_to_the_python_that_it_names(tmp_path, begin):
+    python, script = tmp_path / "a b" / "python3.12", tmp_path / "jghand"
+    if " -sE" in begin or begin == "#!{}\n":
+        python = tmp_path / "python3.12"
+    python.parent.mkdir(exist_ok=True)
+    python.touch(mode=0o755)
+    script.write_text(begin.format(python))
+    script.chmod(0o755)
+    assert find_engine(environment={"PATH": str(tmp_path)}).python == str(python)
+
+
+@posix
+@pytest.mark.parametrize("content", ["", "#!/usr/bin/env python3\n", "#!/nowhere/python3\n", "\0MZ"])
+def test_a_command_that_names_no_python_is_not_guessed_at(tmp_path, content):
+    script = tmp_path / "jghand"
+    script.write_text(content)
+    script.chmod(0o755)
+    assert find_engine(environment={"PATH": str(tmp_path)}).python is None
+
+
+@pytest.mark.parametrize(("command", "python"), [("bin/jghand", "bin/python"), ("Scripts/jghand.exe", "python.exe")])
+def test_the_python_of_a_conda_environment_is_found(tmp_path, command, python):
+    for name in (command, python):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch(mode=0o755)
+    (tmp_path / "conda-meta").mkdir()
+    assert engine_command._python_of(str(tmp_path / command)) == str(tmp_path / python)
+
+
+def test_a_search_that_fails_is_told():
+    def find() -> FoundEngine:
+        raise PermissionError("somebody else's")
+
+    result = EngineCheck(find).wait(0.0)
+    assert result.failure == "no_interpreter"
+    assert "somebody else's" in result.detail
+
+
+def test_a_chosen_python_that_may_not_be_looked_at_is_told(monkeypatch):
+    def exists(_: Path) -> bool:
+        raise PermissionError
+
+    monkeypatch.setattr(Path, "exists", exists)
+    with pytest.raises(JGHandFailure) as caught:
+        find_engine("/root/python")
+    assert caught.value.kind == "no_interpreter"
 
 
 def test_the_extension_finds_what_the_scripts_made(tmp_path, monkeypatch):

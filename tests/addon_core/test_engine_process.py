@@ -11,7 +11,7 @@ from collections.abc import Iterator
 
 import numpy as np
 import pytest
-from stand_ins import ROOT, linked, picture
+from stand_ins import ROOT, linked, picture, until
 
 from blender_addon.core import limits
 from blender_addon.core.engine_command import VARIABLE, engine_command
@@ -59,6 +59,8 @@ def test_a_picture_is_asked_for_and_comes():
         assert reply.arrays["rgba_u8"].shape == (48, 64, 4)
         assert np.asarray(reply.arrays["rgba_u8"].view())[24, 32, 3] == 255
         process = engine._engine.process.popen
+        engine.stop()
+        until(lambda: engine.status.state == "stopped")
     assert process.poll() == 0
 
 
@@ -155,6 +157,15 @@ def test_a_python_that_does_not_exist_is_told_so(tmp_path):
 def test_a_python_without_the_engine_is_told_so():
     failure = failure_of_command(sys.executable, "-I", "-S", "-m", "jghand_engine", "serve", "--stdio-handshake")
     assert failure.kind == "no_engine"
+
+
+@pytest.mark.parametrize("name", ["tyro_of_another_name", "jghand_engine_of_another_name", "jghand_engine.nothing"])
+def test_a_python_that_lacks_something_that_the_engine_needs_is_told_so_by_name(name, tmp_path):
+    (tmp_path / "jghand_engine").mkdir()
+    code = f"import sys; sys.path.insert(0, {str(tmp_path)!r}); import {name}  # jghand_engine"
+    failure = failure_of_command(sys.executable, "-I", "-S", "-c", code)
+    assert failure.kind == "broken_engine"
+    assert name in failure.detail
 
 
 def test_after_a_failure_there_is_no_engine():

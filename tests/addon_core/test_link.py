@@ -23,6 +23,7 @@ from stand_ins import PATIENCE_S, command, linked, picture, until
 from blender_addon.core import limits
 from blender_addon.core.link import Answer, EngineLink
 from blender_addon.core.messages import JGHandFailure
+from blender_addon.core.process import EngineLog
 from blender_addon.core.wire import protocol
 
 # far more than a call that does not wait takes on a busy machine, far less than any of the faults lasts
@@ -181,6 +182,13 @@ def test_a_request_that_takes_too_long_is_given_up_and_the_next_one_is_answered(
 
 def test_an_engine_that_does_not_stop_what_was_given_up_is_ended(monkeypatch):
     monkeypatch.setattr(limits, "SILENCE_S", 2.0)
+def test_a_request_whose_question_fails_is_given_up_too():
+    with linked("patient") as link:
+        with pytest.raises(ZeroDivisionError):
+            link.request(*picture(), timeout_s=PATIENCE_S, cancelled=lambda: 1 / 0)
+        assert pid_of(link)
+
+
     with linked("hang") as link:
         with pytest.raises(JGHandFailure):
             link.request(*picture(), timeout_s=0.1)
@@ -239,6 +247,7 @@ def test_whatever_the_engine_does_the_main_thread_is_never_kept(fault, kind, mon
                 tag += 1
             time.sleep(0.002)
     assert longest_s < AT_ONCE_S
+            begun = time.perf_counter()
     if kind is not None:
         assert answers[-1].failure.kind == kind
 
@@ -340,6 +349,54 @@ def test_no_engine_is_a_failure_and_a_button_looks_anew(tmp_path):
 
 
 def test_a_restart_is_another_process_and_waiting_pictures_are_told():
+def test_a_folder_that_may_not_be_read_is_a_failure():
+    def look() -> list[str]:
+        raise PermissionError("somebody else's")
+
+    link = EngineLink(look)
+    try:
+        link.ask("viewport", *picture(), tag="a")
+        failure = answered(link, "a").failure
+        assert failure.kind == "no_interpreter"
+        assert "somebody else's" in failure.detail
+    finally:
+        link.close()
+
+
+def test_an_engine_is_not_explained_with_the_words_of_the_one_before(tmp_path):
+    commands = [command("die_at_start"), [str(tmp_path / "nothing")]]
+    link = EngineLink(lambda: commands[0])
+    try:
+        link.start()
+        until(lambda: link.status.state == "failed")
+        assert "no torch here" in link.status.failure.detail
+        assert link.has_log
+        del commands[0]
+        link.start()
+        until(lambda: link.status.failure is not None and link.status.failure.kind == "no_interpreter")
+        assert "no torch here" not in link.status.failure.detail + link.status.failure.log + link.log
+        assert not link.has_log
+    finally:
+        link.close()
+
+
+@pytest.mark.skipif(os.name == "nt", reason="handles are counted otherwise")
+def test_a_process_with_many_open_files_has_an_engine_too():
+    resource = pytest.importorskip("resource")
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if before[1] != resource.RLIM_INFINITY and before[1] < 1500:
+        pytest.skip("this system allows no such handles")
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(before[0], 1500), before[1]))
+    files = [os.open(os.devnull, os.O_RDONLY) for _ in range(1100)]
+    try:
+        with linked() as link:
+            assert pid_of(link)
+    finally:
+        for file in files:
+            os.close(file)
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
+
+
     with linked() as link:
         first = pid_of(link)
         link.restart()
@@ -394,6 +451,35 @@ def test_every_wild_order_of_start_and_stop_ends_where_the_last_one_said():
     with linked() as link:
         for _ in range(5):
             link.start()
+def test_a_link_is_closed_long_before_an_engine_that_will_not_end_would_be_asked_again():
+    with linked("stubborn") as link:
+        link.start()
+        link.wait_until_ready()
+        process = link._engine.process
+        begun_s = time.monotonic()
+        link.close()
+        assert time.monotonic() - begun_s < limits.STOP_S
+        assert not process.runs
+
+
+@pytest.mark.skipif(os.name == "nt", reason="Windows ends a process at once")
+def test_a_process_that_was_killed_and_is_still_there_is_told_and_looked_after(monkeypatch):
+    for name in ("STOP_S", "TERMINATE_S"):
+        monkeypatch.setattr(limits, name, 0.1)
+    with linked("stubborn") as link:
+        link.start()
+        link.wait_until_ready()
+        process = link._engine.process
+        monkeypatch.setattr(process, "ends_within", lambda _: False)
+        monkeypatch.setattr(type(process), "runs", True)
+        link.stop()
+        until(lambda: link.status.state == "stopped")
+        assert "still there" in link.log
+        assert link._undead == [process]
+        monkeypatch.undo()
+        until(lambda: not link._undead)
+
+
             link.stop()
             link.restart()
             link.stop()
@@ -447,6 +533,27 @@ def test_a_log_that_is_flooded_ends(tmp_path, monkeypatch):
     monkeypatch.setattr(limits, "LOG_FILE_MAX_BYTES", 1000)
     with linked("flood", log_folder=tmp_path) as link:
         assert pid_of(link)
+def test_a_log_is_written_beside_what_cannot_be_looked_at(tmp_path):
+    if os.name == "nt":
+        pytest.skip("links need rights")
+    (tmp_path / "engine-old.log").symlink_to(tmp_path / "nothing")
+    log = EngineLog(tmp_path)
+    log.write("a word")
+    log.end()
+    assert log.path.read_text() == "a word\n"
+
+
+def test_nobody_who_reads_the_lines_waits_for_the_disk(tmp_path):
+    log = EngineLog(tmp_path)
+    with log._file_lock:  # a disk that takes its time
+        writer = threading.Thread(target=log.write, args=("a word",))
+        writer.start()
+        until(lambda: not log.empty)
+        assert log.last() == "a word"
+    writer.join(PATIENCE_S)
+    log.end()
+
+
         path = link.log_path
         until(lambda: link.log.count("noise") == limits.LOG_LINES)
     assert path.stat().st_size < 1100
@@ -549,6 +656,47 @@ def test_progress_is_heard_while_the_engine_works():
     with AnyEngine() as engine:
         protocol.send(engine.connection, {"kind": "welcome"})
         until(lambda: engine.link.status.state == "ready")
+def test_a_slow_picture_is_cancelled_for_the_next_pose():
+    with AnyEngine() as engine:
+        protocol.send(engine.connection, {"kind": "welcome"})
+        assert protocol.receive_greeting(
+            engine.connection, engine.link._engine.process.token, deadline=time.monotonic() + 9
+        )
+        engine.link.ask("viewport", *picture(), tag="sharp", droppable=True)
+        assert protocol.receive(engine.connection).header["kind"] == "render_picture"
+        engine.link.ask("viewport", *picture(), tag="next pose")
+        assert protocol.receive(engine.connection).header == {"kind": "cancel", "id": 1}
+        error = {"kind": "cancelled"}
+        protocol.send(engine.connection, {"kind": "reply", "id": 1, "ok": False, "error": error})
+        assert protocol.receive(engine.connection).header["id"] == 2
+        protocol.send(engine.connection, {"kind": "reply", "id": 2, "ok": True})
+        assert answered(engine.link, "next pose").failure is None
+
+
+def test_a_requests_time_is_neither_that_of_the_one_before_nor_that_of_the_loading():
+    replies = []
+
+    def render() -> None:
+        with contextlib.suppress(JGHandFailure):
+            replies.append(engine.link.request({"kind": "info"}, timeout_s=0.5))
+
+    with AnyEngine() as engine:
+        protocol.send(engine.connection, {"kind": "welcome"})
+        engine.link.ask("viewport", *picture(), tag="a")
+        until(lambda: engine.link.status.busy)
+        thread = threading.Thread(target=render)
+        thread.start()
+        time.sleep(0.8)
+        protocol.send(engine.connection, {"kind": "reply", "id": 1, "ok": True})
+        for _ in range(10):
+            loading = {"kind": "progress", "id": 2, "fraction": None, "text": "Loading PyTorch", "eta_s": None}
+            protocol.send(engine.connection, loading)
+            time.sleep(0.1)
+        protocol.send(engine.connection, {"kind": "reply", "id": 2, "ok": True})
+        thread.join(PATIENCE_S)
+        assert len(replies) == 1
+
+
         engine.link.ask("viewport", *picture(), tag="a")
         until(lambda: engine.link.status.busy)
         assert engine.link.progress() is None

@@ -64,6 +64,26 @@ def test_registering_again_and_again_leaves_nothing_behind_and_says_nothing(cont
     assert (said.out, said.err) == ("", "")
 
 
+def test_the_end_of_the_interpreter_takes_everything_away():
+    # Blender 4.5 as a module hangs at its end while a handler or a timer is left
+    code = (
+        "import atexit, sys; sys.path.insert(0, sys.argv[1]); import bpy, blender_addon\n"
+        "from blender_addon import registration\n"
+        "def left():\n"
+        "    lists = [getattr(bpy.app.handlers, name) for name in dir(bpy.app.handlers)]\n"
+        "    functions = [each for functions in lists if isinstance(functions, list) for each in functions]\n"
+        "    ours = [each for each in functions if 'blender_addon' in getattr(each, '__module__', '')]\n"
+        "    print('left:', registration.is_registered(), ours)\n"
+        "atexit.register(left)\n"
+        "blender_addon.register(); blender_addon.register()"
+    )
+    command = [sys.executable, "-c", code, str(ROOT)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
+    assert done.returncode == 0, done.stderr
+    assert "left: False []" in done.stdout
+    assert "Traceback" not in done.stderr
+
+
 def test_registering_twice_is_registering_once(context):
     blender_addon.register()
     blender_addon.register()

@@ -145,6 +145,21 @@ def test_a_compiler_that_does_not_exist_is_named(sources, monkeypatch):
         build.build(some_target(), sources / "lib")
 
 
+def test_a_compiler_finds_nothing_on_stdin(sources, monkeypatch):
+    # the service's own stdin is its parent's word, and on Windows a child that looks at it may wait for ever
+    needs_compiler()
+    seen = []
+
+    def run(*_: object, **options: object) -> None:
+        seen.append(options.get("stdin"))
+        raise OSError("enough")
+
+    monkeypatch.setattr(build.subprocess, "run", run)
+    with pytest.raises(InputError, match="enough"):
+        build.build(some_target(), sources / "lib")
+    assert seen == [subprocess.DEVNULL]
+
+
 def test_without_any_compiler_the_remedy_is_said(monkeypatch):
     monkeypatch.delenv("JGHAND_CXX", raising=False)
     monkeypatch.delenv("CXX", raising=False)

@@ -21,7 +21,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jghand_engine import limits
-from jghand_engine.service import protocol
+from jghand_engine.service import protocol, server
 from jghand_engine.service.protocol import Array, Disconnected
 
 STAND_IN = Path(__file__).with_name("stand_in_engine.py")
@@ -386,6 +386,28 @@ def test_an_engine_that_nobody_asks_uses_no_processor(engine):
             assert receive(connection).header["kind"] == "heartbeat"
         # worst observed 0.00 s; one tick of the clock is 0.01 s
         assert used_s() - before_s <= 0.05
+
+
+def test_only_the_parents_thread_holds_stdin(engine):
+    # on Windows a library that looks at stdin while it is loaded would wait for that thread for ever
+    stdin = Path(f"/proc/{engine.process.pid}/fd/0")
+    if not Path("/proc/self/fd").exists():
+        pytest.skip("handles are read from Linux's /proc")
+    assert os.readlink(stdin) == os.devnull
+
+
+def test_a_client_with_a_high_handle_hears_the_heart_beat():
+    fcntl, resource = pytest.importorskip("fcntl"), pytest.importorskip("resource")
+    before = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if before[1] != resource.RLIM_INFINITY and before[1] < 1500:
+        pytest.skip("this system allows no such handles")
+    resource.setrlimit(resource.RLIMIT_NOFILE, (max(before[0], 1500), before[1]))
+    one, other = socket.socketpair()
+    try:
+        with one, other, socket.socket(fileno=fcntl.fcntl(one, fcntl.F_DUPFD, 1100)) as high:
+            assert server._takes_more(high)
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, before)
 
 
 def test_shutdown_is_answered_and_ends_the_process(engine):

@@ -302,6 +302,28 @@ def test_depth_not_requested_is_said(backend: str):
     assert (frame.depth_m == 0).all()
 
 
+def test_a_picture_that_is_given_up_between_its_parts_harms_no_later_one(backend: str):
+    settings, view = replace(ALWAYS, backend=backend), camera()
+    poses = [named_pose(name, CANONICAL_M, handedness=Handedness.RIGHT) for name in ("open", "fist")]
+    renderer = HandRenderer(RIGHT, settings)._scene
+    wanted = HandRenderer(RIGHT, settings).render(poses[1], view).rgba
+    parts = []
+    renderer.render([poses[0]], view, between=lambda: parts.append(None))
+    assert len(parts) > 1
+    for last in range(1, len(parts) + 1):
+        calls = []
+
+        def give_up(last: int = last, calls: list[None] = calls) -> None:
+            calls.append(None)
+            if len(calls) == last:
+                raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            renderer.render([poses[1]], view, between=give_up)
+        np.testing.assert_array_equal(renderer.render([poses[1]], view).rgba, wanted)
+        renderer.render([poses[0]], view)
+
+
 def test_receipt_is_plain_data_and_reads_as_sentences(backend: str):
     report = HandRenderer(RIGHT, replace(ALWAYS, backend=backend)).render(CANONICAL_M, camera()).report
     data = report.as_dict()
