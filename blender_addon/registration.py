@@ -67,13 +67,13 @@ def register() -> None:
         for module in reversed(done):
             module.unregister()
         raise
-
     atexit.register(_at_exit)
+
 
 def unregister() -> None:
     """Takes everything away."""
-    for module in reversed(MODULES):
     atexit.unregister(_at_exit)
+    for module in reversed(MODULES):
         module.unregister()
 
 
