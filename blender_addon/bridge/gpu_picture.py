@@ -91,6 +91,9 @@ class _Tools:
 _tools: _Tools | None = None
 # textures that no view needs any more: freed when Blender draws the next time, which has the right context for it
 _unwanted: list[GpuPicture] = []
+# Blender makes textures of floats only. Converting a picture into memory that is already there takes a tenth of what it
+# takes with new memory, which the system has to find and to clear first.
+_floats = np.empty(0, np.float32)
 
 
 class GpuPicture:
@@ -101,7 +104,7 @@ class GpuPicture:
 
     def __init__(self, rgba: np.ndarray, depth_m: np.ndarray) -> None:
         self.height, self.width = depth_m.shape
-        self._colour = self._texture(np.multiply(rgba, np.float32(1 / 255), dtype=np.float32), 4, "RGBA8")
+        self._colour = self._texture(_as_floats(rgba), 4, "RGBA8")
         self._depth = self._texture(depth_m.astype(np.float32, copy=False), 1, "R32F")
 
     def draw(
@@ -148,9 +151,18 @@ def free_unwanted() -> None:
 
 def forget() -> None:
     """Lets go of shader and textures, with the extension."""
-    global _tools
+    global _tools, _floats
     _tools = None
+    _floats = np.empty(0, np.float32)
     _unwanted.clear()
+
+
+def _as_floats(rgba: np.ndarray) -> np.ndarray:
+    """uint8 as float32 from 0 to 1, flat; good until the next call."""
+    global _floats
+    if rgba.size > _floats.size:
+        _floats = np.empty(rgba.size, np.float32)
+    return np.multiply(rgba.ravel(), np.float32(1 / 255), out=_floats[: rgba.size])
 
 
 def can_draw() -> bool:

@@ -156,6 +156,8 @@ VIEW_PART_MIN = 0.2
 BUDGET_MS = 16.0
 # below this part of its splats a hand has holes
 DENSITY_MIN = 0.1
+# reach of shadows, millimetres: the engine's own, and the most that it takes
+SHADOW_RADIUS_MM, SHADOW_RADIUS_MAX_MM = 20.0, 200.0
 # sub-frames of motion blur: enough for a finger that crosses its own width; beyond, seconds a frame for nothing
 MOTION_SAMPLES = 8
 MOTION_SAMPLES_MAX = 64
@@ -182,10 +184,11 @@ SHARPEN_S = 0.6
 # a picture of an earlier pose is shown for so long while no newer one comes: afterwards it would be taken for the truth
 STALE_S = 2.0
 # pixels of one picture: while something moves (a little more than 512 x 334), while nothing moves, and the most that is
-# asked for at all (a 4K screen); larger views are drawn from a smaller picture
+# asked for at all (full HD): larger views are drawn from a smaller picture. Making textures of it holds the main thread
+# for 15 ms; of a 4K picture it was 50, and 300 the first time
 MOVING_PIXELS_MAX = 200_000
 STILL_PIXELS_MAX = 1_000_000
-SHARP_PIXELS_MAX = 8_300_000
+SHARP_PIXELS_MAX = 2_100_000
 # the part of a view that can show a hand ends so far from its joints, metres: skin, forearm, and the blur of splats
 REACH_M = 0.06
 # and is rounded outwards to so many pixels, so that a small move keeps the picture's size
@@ -216,6 +219,8 @@ JOB_END_S = 2.0
 # job is waited for a day
 JOB_LOOK_S = 0.25
 TRAINING_LOOK_S = 3.0
+# how often what panels show of disks and evaluated scenes is looked up, while they are drawn
+PANEL_LOOK_S = 0.5
 JOB_WAIT_S = 86400.0
 # bytes of one line of a job, letters of its text, and notes that are kept
 JOB_LINE_MAX = 65536
