@@ -10,7 +10,7 @@ import pytest
 from recording_layout import RecordingLayout, draw, draw_rows
 
 from blender_addon import registration, runtime
-from blender_addon.bridge import controls, folders, pose_library, pose_pictures, views
+from blender_addon.bridge import controls, folders, pose_library, pose_pictures, versions, views
 from blender_addon.core.link import Status
 from blender_addon.core.messages import JGHandFailure
 from blender_addon.panels import advanced, bones, hand, motion, picture, pose, quality
@@ -243,6 +243,15 @@ def test_a_camera_that_cannot_be_used_is_told(extension, engine):
     assert "Panoramic" in text_of(draw(picture.RenderPanel, extension))
     extension.scene.camera = None
     assert "no camera" in text_of(draw(picture.RenderPanel, extension))
+
+
+@pytest.mark.parametrize("native", [True, False])
+def test_where_blender_has_splat_objects_the_view_says_that_hands_are_pictures_there_too(
+    extension, engine, monkeypatch, native
+):
+    add()
+    monkeypatch.setattr(versions, "has_native_splats", lambda: native)
+    assert ("splat objects" in text_of(draw(picture.ViewPanel, extension))) is native
 
 
 def test_a_view_that_shows_no_hands_says_why():
