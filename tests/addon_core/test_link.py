@@ -26,8 +26,10 @@ from blender_addon.core.messages import JGHandFailure
 from blender_addon.core.process import EngineLog
 from blender_addon.core.wire import protocol
 
-# far more than a call that does not wait takes on a busy machine, far less than any of the faults lasts
-AT_ONCE_S = 1.0
+# no call keeps the main thread for so long: but for one in a hundred, and for as much as the machine itself is late
+# with whatever it does; and none for as long as any of the faults lasts
+AT_ONCE_S = 0.05
+NEVER_S = 1.0
 
 
 def answered(link: EngineLink, tag: object, slot: str = "viewport") -> Answer:
@@ -224,7 +226,7 @@ FAULTS = {
 def test_whatever_the_engine_does_the_main_thread_is_never_kept(fault, kind, monkeypatch):
     """Asks, looks and ticks as the viewport does, for a second or until the failure is there; every call is quick."""
     monkeypatch.setattr(limits, "STOP_S", 0.3)
-    longest_s, answers = 0.0, []
+    times_s, late_s, answers = [], [], []
     with linked(fault) as link:
         deadline = time.monotonic() + (0.8 if kind is None else PATIENCE_S)
         tag = 0
@@ -239,7 +241,7 @@ def test_whatever_the_engine_does_the_main_thread_is_never_kept(fault, kind, mon
             for call in calls:
                 begun = time.perf_counter()
                 call()
-                longest_s = max(longest_s, time.perf_counter() - begun)
+                times_s.append(time.perf_counter() - begun)
             answer = link.answer("viewport")
             if answer is not None and (not answers or answers[-1] is not answer):
                 answers.append(answer)
@@ -247,7 +249,9 @@ def test_whatever_the_engine_does_the_main_thread_is_never_kept(fault, kind, mon
                 tag += 1
             begun = time.perf_counter()
             time.sleep(0.002)
-    assert longest_s < AT_ONCE_S
+            late_s.append(time.perf_counter() - begun - 0.002)
+    assert np.percentile(times_s, 99) < AT_ONCE_S + np.percentile(late_s, 99)
+    assert max(times_s) < NEVER_S
     if kind is not None:
         assert answers[-1].failure.kind == kind
 
