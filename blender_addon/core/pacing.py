@@ -18,9 +18,7 @@ from dataclasses import dataclass, replace
 from enum import Enum, IntEnum
 
 from . import limits
-
-# answers that say nothing about the picture: somebody gave it up
-GIVEN_UP = frozenset({"superseded", "cancelled", "stopped"})
+from .answers import GIVEN_UP
 
 
 class Grade(IntEnum):
@@ -96,6 +94,11 @@ class Ask:
     def tag(self) -> str:
         """Names the picture; equal tags are equal pictures."""
         return _tag(self.want, self.quality)
+
+    @property
+    def droppable(self) -> bool:
+        """Whether it is given up for whatever is wanted next: what only sharpens a picture, and takes long."""
+        return self.grade is Grade.SHARP
 
 
 @dataclass(frozen=True)

@@ -95,6 +95,7 @@ def test_a_pose_that_is_dragged_is_drawn_fast_then_better_then_sharp():
     assert view.grades[-1] is Grade.STILL
     view.pass_s(limits.SHARPEN_S)
     assert view.grades[-1] is Grade.SHARP
+    assert [ask.droppable for ask in view.asked] == [grade is Grade.SHARP for grade in view.grades]
     view.pass_s(60.0)
     assert len(view.asked) == 4
 
