@@ -183,6 +183,15 @@ class JGHandSceneSettings(bpy.types.PropertyGroup):
         min=0.0,
         max=1.0,
     )  # type: ignore[valid-type]
+    shadow_radius_mm: bpy.props.FloatProperty(
+        name="Shadow Radius",
+        description="How far a shadow reaches from what casts it, in the size of a real hand",
+        unit="CAMERA",  # millimetres whatever the scene's unit is: a hand is as large in all of them
+        default=limits.SHADOW_RADIUS_MM,
+        min=1.0,
+        max=limits.SHADOW_RADIUS_MAX_MM,
+        soft_max=60.0,
+    )  # type: ignore[valid-type]
     motion_samples: bpy.props.IntProperty(
         name="Motion Samples",
         description="Sub-frames that are averaged when the scene uses motion blur",

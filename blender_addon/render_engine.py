@@ -109,7 +109,10 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
             seen,
             outputs=outputs,
             preset=scene.jghand.render_preset,
-            settings={"shadow_strength": scene.jghand.shadow_strength},
+            settings={
+                "shadow_strength": scene.jghand.shadow_strength,
+                "shadow_radius_m": scene.jghand.shadow_radius_mm / 1e3,
+            },
         )
         return runtime.link().request(header, arrays, timeout_s=runtime.render_timeout_s(), cancelled=self._is_given_up)
 

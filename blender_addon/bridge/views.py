@@ -121,6 +121,7 @@ def settings_of(scene: bpy.types.Scene) -> ViewSettings:
         budget_ms=chosen.viewport_budget_ms if chosen.use_viewport_budget else None,
         density=chosen.viewport_density,
         shadow_strength=chosen.shadow_strength,
+        shadow_radius_m=chosen.shadow_radius_mm / 1e3,
     )
 
 

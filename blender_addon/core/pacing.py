@@ -47,6 +47,7 @@ class ViewSettings:
     budget_ms: float | None = None
     density: float = 1.0
     shadow_strength: float = 1.0
+    shadow_radius_m: float = limits.SHADOW_RADIUS_MM / 1e3
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,7 @@ class Quality:
     budget_ms: float | None
     density: float
     shadow_strength: float
+    shadow_radius_m: float
     pixels_max: int
 
     def settings(self) -> dict[str, str | float]:
@@ -65,6 +67,7 @@ class Quality:
             "preset": self.preset,
             "density": self.density,
             "shadow_strength": self.shadow_strength,
+            "shadow_radius_m": self.shadow_radius_m,
         }
         if self.budget_ms is not None:
             wanted["budget_ms"] = self.budget_ms
@@ -185,12 +188,13 @@ def digest(parts: Iterable[bytes | str]) -> str:
 
 def quality_of(grade: Grade, settings: ViewSettings) -> Quality:
     """The settings of a picture of a grade."""
+    shadow = settings.shadow_strength, settings.shadow_radius_m
     if grade is Grade.SHARP and settings.sharp_preset is not None:
-        return Quality(settings.sharp_preset, None, 1.0, settings.shadow_strength, limits.SHARP_PIXELS_MAX)
+        return Quality(settings.sharp_preset, None, 1.0, *shadow, limits.SHARP_PIXELS_MAX)
     moving = grade is Grade.MOVING
     preset = "draft" if moving and settings.budget_ms is None else settings.preset
     pixels_max = limits.MOVING_PIXELS_MAX if moving else limits.STILL_PIXELS_MAX
-    return Quality(preset, settings.budget_ms, settings.density, settings.shadow_strength, pixels_max)
+    return Quality(preset, settings.budget_ms, settings.density, *shadow, pixels_max)
 
 
 def step(pace: Pace, want: Want, moment: Moment, settings: ViewSettings) -> tuple[Pace, Decision]:
@@ -375,4 +379,5 @@ def _content(want: Want) -> str:
 def _tag(want: Want, quality: Quality) -> str:
     pixels = min(want.pixels, quality.pixels_max)
     budget = "" if quality.budget_ms is None else f"{quality.budget_ms:g}ms"
-    return f"{_content(want)}{pixels}.{quality.preset}{budget}.{quality.density:g}.{quality.shadow_strength:g}"
+    shadow = f"{quality.shadow_strength:g}.{quality.shadow_radius_m:g}"
+    return f"{_content(want)}{pixels}.{quality.preset}{budget}.{quality.density:g}.{shadow}"

@@ -120,7 +120,8 @@ def picture_request(
     """Header and arrays of a `render_picture` request: all hands of one view in one request.
 
     outputs: of rgba_f32, rgba_u8, depth, depth_covered, ids, png. settings: of budget_ms, density, shadow_strength,
-    correctives, effects, as `picture_request.PictureSettings` of the engine has them; what is left out is the preset's.
+    shadow_radius_m, correctives, effects, as `picture_request.PictureSettings` of the engine has them; what is left out
+    is the preset's.
     """
     return moments_request([Moment(view, hands)], outputs=outputs, preset=preset, settings=settings)
 

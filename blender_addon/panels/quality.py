@@ -40,6 +40,7 @@ class QualityPanel(Sidebar, bpy.types.Panel):
         preset.active = not settings.use_viewport_budget
         preset.prop(settings, "viewport_preset", text="Preset")
         column.prop(settings, "shadow_strength", text="Shadow", slider=True)
+        column.prop(settings, "shadow_radius_mm", text="Radius")
         receipt = receipt_of(context, runtime.VIEWPORT)
         if receipt is None:
             common.paragraph(layout, context, "No picture yet: its times will stand here.")

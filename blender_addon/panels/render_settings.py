@@ -38,6 +38,7 @@ class QualityPage(_EnginesPage, bpy.types.Panel):
         column, settings = self.column(), context.scene.jghand
         column.prop(settings, "render_preset")
         column.prop(settings, "shadow_strength", slider=True)
+        column.prop(settings, "shadow_radius_mm")
 
 
 class MotionBlurPage(_EnginesPage, bpy.types.Panel):

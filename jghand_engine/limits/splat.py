@@ -43,6 +43,8 @@ DEPTH_ALPHA_MIN = 0.05
 
 # ---- splat: shadow (METHOD 5.2) -------------------------------------------------------------------------------------
 SHADOW_RADIUS_M = 0.020
+# a longer reach than a hand is long finds nothing more
+SHADOW_RADIUS_MAX_M = 0.2
 SHADOW_BIAS = 0.15
 SHADOW_SOFTNESS = 0.05
 SHADOW_GAIN = 8.0

@@ -46,8 +46,12 @@ class _Version(NamedTuple):
         return cls(avatar, found.st_mtime_ns, found.st_size)
 
 
+# settings that change while a renderer lives
+_LIVE = ("shadow_strength", "shadow_radius_m")
+
+
 class _Key(NamedTuple):
-    """What a renderer is made for. The strength of shadows is none of it: that changes while a renderer lives."""
+    """What a renderer is made for; how strong and long shadows are is none of it (`_LIVE`)."""
 
     hands: tuple[tuple[_Version, str], ...]
     settings: PictureSettings
@@ -117,7 +121,7 @@ class EngineHands:
     def _renderer(self, picture: PictureRequest) -> SceneRenderer:
         from jghand_engine.splat.frame import SceneRenderer
 
-        asked = replace(picture.settings, shadow_strength=1.0)
+        asked = replace(picture.settings, **{name: getattr(PictureSettings, name) for name in _LIVE})
         size_px = _measured_size(picture.width * picture.height) if asked.budget_ms is not None else None
         hands = tuple((_Version.now(hand.avatar), hand.handedness) for hand in picture.hands)
         key = _Key(hands, asked, picture.depth, size_px)
@@ -132,7 +136,8 @@ class EngineHands:
                 self._drop_idle()
         self._renderers.move_to_end(key)
         renderer = self._renderers[key]
-        renderer.settings = replace(renderer.settings, shadow_strength=picture.settings.shadow_strength)
+        chosen = {name: getattr(picture.settings, name) for name in _LIVE}
+        renderer.settings = replace(renderer.settings, **chosen)
         return renderer
 
     def _avatar(self, version: _Version, handedness: str) -> HandAvatar:

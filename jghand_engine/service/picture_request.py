@@ -28,13 +28,14 @@ JOINTS = 21
 class PictureSettings:
     """preset: name of a preset of RenderSettings · budget_ms: instead of the preset's, the most accurate settings that
     draw a frame in so many milliseconds; None for the preset · density: part of each avatar's Gaussians that is drawn ·
-    shadow_strength: 0..1 · correctives: a tier of `avatar.tiers`, None for the preset's · effects: in the words of
-    `effect_plan.Choice`"""
+    shadow_strength: 0..1 · shadow_radius_m: how far shadows reach, metres · correctives: a tier of `avatar.tiers`, None
+    for the preset's · effects: in the words of `effect_plan.Choice`"""
 
     preset: str = "viewport"
     budget_ms: float | None = None
     density: float = 1.0
     shadow_strength: float = 1.0
+    shadow_radius_m: float = limits.SHADOW_RADIUS_M
     correctives: str | None = None
     effects: str = "auto"
 
@@ -69,6 +70,10 @@ _CHECKS = {
     ),
     "density": (lambda v: _is_number(v) and 0 < v <= 1, "a part above 0, at most 1"),
     "shadow_strength": (lambda v: _is_number(v) and 0 <= v <= 1, "a number from 0 to 1"),
+    "shadow_radius_m": (
+        lambda v: _is_number(v) and 0 < v <= limits.SHADOW_RADIUS_MAX_M,
+        f"metres above 0, at most {limits.SHADOW_RADIUS_MAX_M:g}",
+    ),
     "correctives": (lambda v: v is None or _is_text(v), "null, or the name of a tier"),
     "effects": (_is_text, "auto | all | none | names of effects"),
 }

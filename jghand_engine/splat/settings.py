@@ -29,11 +29,11 @@ class ShadowMode(StrEnum):
 @dataclass(frozen=True)
 class RenderSettings:
     """gaussians: how many of the avatar's Gaussians (a prefix; 0 = all) · alpha_min, t_stop: cut-offs of the blend ·
-    shadow, shadow_samples, shadow_strength: the self-shadow pass · correctives: how the corrections of a trained
-    avatar's pose are found (avatar.tiers) · threads: 0 = as many as is sensible ·
-    backend: "auto", "torch" (the reference), "v3", "v4" or "neon" (native) · depth, normals, ids: maps that the frame
-    carries · effects: which may run (`effect_plan.Choice`) · antialias: whether hands that are much smaller than they
-    were learnt are drawn larger and averaged; not where a picture is compared with what was learnt ·
+    shadow, shadow_samples, shadow_strength: the self-shadow pass · shadow_radius_m: how far it reaches, metres ·
+    correctives: how the corrections of a trained avatar's pose are found (avatar.tiers) · threads: 0 = as many as is
+    sensible · backend: "auto", "torch" (the reference), "v3", "v4" or "neon" (native) · depth, normals, ids: maps that
+    the frame carries · effects: which may run (`effect_plan.Choice`) · antialias: whether hands that are much smaller
+    than they were learnt are drawn larger and averaged; not where a picture is compared with what was learnt ·
     reuse: whether stages whose input has hardly changed keep their last result, within the bound in the report ·
     half: draw at half the width and height, then enlarge (`half`)."""
 
@@ -43,6 +43,7 @@ class RenderSettings:
     shadow: ShadowMode = ShadowMode.GATED
     shadow_samples: int = 16
     shadow_strength: float = 1.0
+    shadow_radius_m: float = limits.SHADOW_RADIUS_M
     correctives: Tier = Tier.AUTO
     threads: int = 0
     backend: str = "auto"
@@ -65,6 +66,11 @@ class RenderSettings:
                 f"1 to {limits.SHADOW_SAMPLES_MAX}",
             ),
             ("shadow_strength", 0 <= self.shadow_strength <= 1, "0 to 1"),
+            (
+                "shadow_radius_m",
+                0 < self.shadow_radius_m <= limits.SHADOW_RADIUS_MAX_M,
+                f"above 0, at most {limits.SHADOW_RADIUS_MAX_M:g} metres",
+            ),
             ("correctives", self.correctives in tuple(Tier), " | ".join(Tier)),
             ("threads", self.threads >= 0, "0 (automatic) or a positive count"),
         )

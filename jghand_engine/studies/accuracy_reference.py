@@ -120,7 +120,9 @@ class ExactPictures64:
         look = ShadowLook() if learnt is None else learnt.shadow
         if plan is None or plan.strength == 0 or look is None:
             return None
-        return ShadowStyle(PRESETS["reference"].shadow_samples, plan.strength, gain=look.gain, tint=look.tint)
+        settings = PRESETS["reference"]
+        radius_m = settings.shadow_radius_m
+        return ShadowStyle(settings.shadow_samples, plan.strength, radius_m, gain=look.gain, tint=look.tint)
 
 
 def spread_poses(subject: Subject, count: int) -> np.ndarray:

@@ -46,7 +46,11 @@ class LiveHand:
             strength = self._shadow_strength(joints_m, float(bones.scale))
             if look is not None and strength > 0:
                 style = ShadowStyle(
-                    samples=self._settings.shadow_samples, gain=look.gain, tint=look.tint, strength=strength
+                    samples=self._settings.shadow_samples,
+                    strength=strength,
+                    radius_m=self._settings.shadow_radius_m,
+                    gain=look.gain,
+                    tint=look.tint,
                 )
                 rgb = darken(planes, camera, style, library=self._library, threads=thread_count(self._settings.threads))
                 planes = torch.cat([rgb, planes[3:]])

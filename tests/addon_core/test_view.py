@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from blender_addon.core import limits
 from blender_addon.core.posing import rest_joints_m
 from blender_addon.core.view import (
     HandInSpace,
@@ -17,7 +18,8 @@ from blender_addon.core.view import (
     picture_request,
     pinhole_from,
 )
-from jghand_engine.service.picture_request import read_request
+from jghand_engine import limits as engine_limits
+from jghand_engine.service.picture_request import PictureSettings, read_request
 from jghand_engine.service.protocol import Message
 
 
@@ -65,16 +67,22 @@ def test_up_in_blender_is_up_in_the_light_of_captures():
 
 def test_settings_lens_and_rays_arrive():
     view = replace(VIEW, aperture_m=0.01, focus_m=0.7)
-    settings = {"budget_ms": 9.5, "density": 0.5, "shadow_strength": 0.25}
+    settings = {"budget_ms": 9.5, "density": 0.5, "shadow_strength": 0.25, "shadow_radius_m": 0.03}
     request, _ = understood(*picture_request(view, HANDS, outputs=["ids"], preset="final", settings=settings))
     assert (request.exposures[0].aperture_m, request.exposures[0].focus_m) == (0.01, 0.7)
     assert request.ids
     assert not request.depth
     assert (request.settings.preset, request.settings.budget_ms) == ("final", 9.5)
     assert (request.settings.density, request.settings.shadow_strength) == (0.5, 0.25)
+    assert request.settings.shadow_radius_m == 0.03
     request, _ = understood(*picture_request(replace(VIEW, orthographic=True), [], outputs=["png"]))
     assert request.orthographic
     assert request.hands == ()
+
+
+def test_shadows_reach_as_far_as_the_engines_own_unless_it_is_said():
+    assert PictureSettings().shadow_radius_m == limits.SHADOW_RADIUS_MM / 1e3
+    assert limits.SHADOW_RADIUS_MAX_MM / 1e3 == engine_limits.SHADOW_RADIUS_MAX_M
 
 
 def test_moments_arrive_in_their_order_with_their_weights():

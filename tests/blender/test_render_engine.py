@@ -273,11 +273,12 @@ def test_the_avatar_of_each_hand_is_asked_for(scene, tmp_path):
     link.request = spy
     try:
         scene.jghand.render_preset, scene.jghand.shadow_strength = "draft", 0.5
+        scene.jghand.shadow_radius_mm = 25.0
         f12()
     finally:
         del link.request
     assert [hand["avatar"] for hand in asked_for[0]["hands"]] == [str(avatar)]
-    assert asked_for[0]["settings"] == {"preset": "draft", "shadow_strength": 0.5}
+    assert asked_for[0]["settings"] == {"preset": "draft", "shadow_strength": 0.5, "shadow_radius_m": 0.025}
 
 
 # ---- motion blur ----------------------------------------------------------------------------------------------------

@@ -360,16 +360,18 @@ def test_density_draws_a_part_of_the_gaussians(source, right):
     assert counts == [20_000, 5_000]
 
 
-def test_the_strength_of_shadows_needs_no_other_renderer(right):
+def test_strength_and_radius_of_shadows_need_no_other_renderer(right):
     fresh, fist = EngineHands(), fist_of(right)
     settings = PictureSettings("viewport")
     large = replace(exposure([fist]), fx=800.0, fy=800.0, cx=240.0, cy=180.0)
     pictures = []
-    for strength in (1.0, 0.0):
-        request = asked([fist], large, settings=replace(settings, shadow_strength=strength))
+    for shadow in ({}, {"shadow_strength": 0.0}, {"shadow_radius_m": 0.005}):
+        request = asked([fist], large, settings=replace(settings, **shadow))
         pictures.append(fresh.render(replace(request, width=480, height=360)).rgba)
     assert len(fresh._renderers) == 1
     assert (pictures[1] - pictures[0]).max() > 0.02
+    # a shorter reach darkens less, and something
+    assert 0.02 < (pictures[2] - pictures[0]).sum() < (pictures[1] - pictures[0]).sum()
 
 
 def fist_of(hand: Hand) -> Hand:

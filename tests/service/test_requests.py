@@ -148,6 +148,8 @@ WRONG_HEADERS = {
     "more than all": {"settings": {"density": 1.5}},
     "a density that is true": {"settings": {"density": True}},
     "a shadow darker than dark": {"settings": {"shadow_strength": 2}},
+    "a shadow that reaches nowhere": {"settings": {"shadow_radius_m": 0}},
+    "a shadow that reaches too far": {"settings": {"shadow_radius_m": 3}},
     "effects that are a list": {"settings": {"effects": ["all"]}},
 }
 WRONG_ARRAYS = {
