@@ -183,6 +183,8 @@ class Window:
         def rests() -> bool:
             nonlocal quiet
             shown = list(views.all_views())
+            mistakes = [str(view.failure) for view in shown if view.failure and view.failure.kind == "internal"]
+            assert not mistakes, mistakes  # asked again it would be the same
             done = shown and not any(
                 pacing.is_open(view.pace) or view.pace.shown is None or pacing.due_s(view.pace, view.settings) < 1e9
                 for view in shown
