@@ -38,6 +38,16 @@ TRAINING_PRESETS = (
     ("default", "Default", "JGHand's best", "NONE", 0),
     ("paper-faithful", "Paper", "As close to the paper as it says; slower", "NONE", 1),
 )
+# as jghand_engine names them; a test compares
+IDENTITIES = (
+    ("slim_woman", "Slim Woman", "", "NONE", 0),
+    ("big_man", "Big Man", "", "NONE", 1),
+    ("old_person", "Old Person", "", "NONE", 2),
+    ("adult_man", "Adult Man", "", "NONE", 3),
+    ("adult_woman", "Adult Woman", "", "NONE", 4),
+    ("child", "Child", "", "NONE", 5),
+    ("long_fingers", "Long Fingers", "", "NONE", 6),
+)
 
 
 class JGHandOutputSettings(bpy.types.PropertyGroup):
@@ -46,17 +56,18 @@ class JGHandOutputSettings(bpy.types.PropertyGroup):
     format: bpy.props.EnumProperty(name="Format", description="What Export writes", items=FORMATS, default="usd")  # type: ignore[valid-type]
     folder: bpy.props.StringProperty(
         name="Folder",
-        description="Where exports are written; // is the folder of this file",
+        description="Where exports are written; // is the folder of this file, {blend_name} its name",
         subtype="DIR_PATH",
         options=path_options(),
-        default="//jghand_export",
+        default="//jghand_export/{blend_name}",
     )  # type: ignore[valid-type]
     bake_folder: bpy.props.StringProperty(
         name="Bake Folder",
-        description="Where bakes are written, a folder for each hand; // is the folder of this file",
+        description="Where bakes are written, a folder for each hand; // is the folder of this file, "
+        "{blend_name} its name",
         subtype="DIR_PATH",
         options=path_options(),
-        default="//jghand_bake",
+        default="//jghand_bake/{blend_name}",
     )  # type: ignore[valid-type]
     use_cache: bpy.props.BoolProperty(
         name="For Blender without USD",
@@ -104,11 +115,8 @@ class JGHandTrainingSettings(bpy.types.PropertyGroup):
         options=path_options(),
         default="//jghand_capture",
     )  # type: ignore[valid-type]
-    identity: bpy.props.StringProperty(
-        name="Whose Hand",
-        description="Number or name of the rigged hand: 0 slim_woman, 1 big_man, 2 old_person, 3 adult_man, "
-        "4 adult_woman, 5 child, 6 long_fingers",
-        default="3",
+    identity: bpy.props.EnumProperty(
+        name="Whose Hand", description="The rigged hand that is rendered", items=IDENTITIES, default="adult_man"
     )  # type: ignore[valid-type]
     cameras: bpy.props.IntProperty(
         name="Cameras", description="Views of every pose", default=16, min=1, soft_max=64, max=256

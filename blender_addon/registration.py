@@ -13,8 +13,9 @@ from types import ModuleType
 import bpy
 
 from . import cli_command, preferences, properties, render_engine, runtime
-from .bridge import cache_player, cards, guard, job_watch, left_out, pose_pictures, pose_shelf, sync, usd_hook
+from .bridge import cache_player, cards, guard, job_watch, kept, left_out, pose_pictures, pose_shelf, sync, usd_hook
 from .operators import (
+    bake,
     bone_map,
     combine,
     engine,
@@ -39,13 +40,13 @@ MODULES: tuple[ModuleType, ...] = (
     preferences,
     properties,
     runtime,
-    *(pose_pictures, pose_shelf, job_watch, cards, usd_hook, cache_player),
+    *(pose_pictures, pose_shelf, job_watch, kept, cards, usd_hook, cache_player),
     sync,
     guard,
     left_out,
     render_engine,
     cli_command,
-    *(help_page, engine, hand, bone_map, pose, finger_controls, motion, picture, combine, export, training),
+    *(help_page, engine, hand, bone_map, pose, finger_controls, motion, picture, combine, bake, export, training),
     *(hand_panel, bones, pose_panels, motion_panel, picture_panels, quality, output, training_panels, advanced),
     render_settings,
 )

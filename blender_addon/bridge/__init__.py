@@ -9,7 +9,8 @@ shapes     what the controls look like
 hand_poses   taking a pose, the other hand's pose, rest; keys of them
 pose_pictures  small pictures of the poses for menus; pose_shelf shows the assets
 bone_list  a bone map as rows that Blender can show and edit
-folders    where the extension may write
+folders    where the extension may write, and what paths of settings mean; bake_folders  which bake is whose
+undo       changes that no operator makes, as a step
 pose_library  the poses as Blender pose assets, in a folder made on demand
 motion     a motion onto an armature, as keys
 camera     a Blender camera as a pinhole, and back
@@ -24,4 +25,5 @@ record     hands over a range of frames
 baked_points  a bake as an object that plays by Blender's own USD; cache_player the same without USD
 usd_hook   Blender's own USD export gets the baked splats
 job_watch  looks after jobs, and after what a training shows; cards keeps what avatars say of themselves
+kept       what panels show of disks and evaluated scenes, looked up on a timer
 """

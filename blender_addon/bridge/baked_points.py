@@ -15,9 +15,9 @@ import bpy
 from ..core import limits
 from ..core.bakes import BakedHand
 from ..core.messages import JGHandFailure
-from . import versions
+from . import folders, versions
 
-# custom property of a playing object: the folder of its bake
+# custom property of a playing object: the folder of its bake, relative where the bake's settings are so
 BAKE_PROPERTY = "jghand_bake"
 MATERIAL = "JGHand Points"
 # prims of the stage that are drawn: what the variants hold
@@ -43,7 +43,7 @@ def play(context: bpy.types.Context, hand: BakedHand, folder: Path) -> bpy.types
         raise JGHandFailure("no_usd", "its import brought no points")
     cloud = clouds[0]
     cloud.name = cloud.data.name = f"{hand.name} baked"
-    cloud[BAKE_PROPERTY] = str(folder)
+    cloud[BAKE_PROPERTY] = folders.beside_the_file(context, folder)
     unit_m = context.scene.unit_settings.scale_length
     cloud.scale = [size / unit_m for size in cloud.scale]
     if not cloud.data.materials:
@@ -74,7 +74,13 @@ def _is_in(cache: bpy.types.CacheFile, folder: Path) -> bool:
 
 def playing(scene: bpy.types.Scene, folder: Path) -> list[bpy.types.Object]:
     """The objects of a scene that play a bake."""
-    return [thing for thing in scene.objects if str(thing.get(BAKE_PROPERTY, "")) == str(folder)]
+    wanted = folder.resolve()
+    return [thing for thing in scene.objects if BAKE_PROPERTY in thing and played_folder(thing).resolve() == wanted]
+
+
+def played_folder(thing: bpy.types.Object) -> Path:
+    """The folder of the bake that an object plays."""
+    return Path(bpy.path.abspath(str(thing[BAKE_PROPERTY]), library=thing.library))
 
 
 def points_material() -> bpy.types.Material:

@@ -3,7 +3,8 @@
 
 The object is a mesh of loose vertices that a handler moves at every frame, and Blender's own nodes that make balls of
 them. Its frames are read from the bake's `.splat` files. Where Blender has USD, `baked_points` plays instead, and not
-even the extension is needed then. Renders want Lock Interface, as with every handler (BLENDER 8.2).
+even the extension is needed then. Renders want Lock Interface, as with every handler (BLENDER 8.2): playing turns it
+on. A frame that cannot be read is an empty mesh, never the frame before it, and renders of it fail (`guard`).
 """
 
 from __future__ import annotations
@@ -17,11 +18,16 @@ from bpy.app.handlers import persistent
 from ..core.bakes import BakedHand
 from ..core.messages import JGHandFailure
 from ..core.splat_cache import CachedFrame, frame_path, read_frame
-from .baked_points import BAKE_PROPERTY, points_material
+from . import folders
+from .baked_points import BAKE_PROPERTY, played_folder, points_material
 
 # custom properties of a playing mesh: stem of its files, and the frames that there are
 NAME_PROPERTY, RANGE_PROPERTY = "jghand_bake_name", "jghand_bake_range"
 GROUP = "JGHand Points"
+# per point, beside its place: its name, Blender's type
+_ATTRIBUTES = (("radius", "FLOAT"), ("displayColor", "FLOAT_COLOR"))
+# session_uid of a playing object -> why the frame that is shown is not there
+_failures: dict[int, JGHandFailure] = {}
 
 
 def play(context: bpy.types.Context, hand: BakedHand, folder: Path, *, width: float) -> bpy.types.Object:
@@ -29,29 +35,41 @@ def play(context: bpy.types.Context, hand: BakedHand, folder: Path, *, width: fl
 
     JGHandFailure: no_bake where the bake has no frames of its own for this player.
     """
-    first = read_frame(frame_path(folder, hand.name, hand.first_frame))
+    read_frame(frame_path(folder, hand.name, hand.first_frame))
     mesh = bpy.data.meshes.new(f"{hand.name} baked")
-    mesh.vertices.add(len(first.positions_m))
-    for name, kind in (("radius", "FLOAT"), ("displayColor", "FLOAT_COLOR")):
-        mesh.attributes.new(name, kind, "POINT")
     mesh.materials.append(points_material())
     thing = bpy.data.objects.new(mesh.name, mesh)
-    thing[BAKE_PROPERTY], thing[NAME_PROPERTY] = str(folder), hand.name
+    thing[BAKE_PROPERTY], thing[NAME_PROPERTY] = folders.beside_the_file(context, folder), hand.name
     thing[RANGE_PROPERTY] = [hand.first_frame, hand.first_frame + hand.frames - 1]
     thing.scale = [1.0 / context.scene.unit_settings.scale_length] * 3
     modifier = thing.modifiers.new("Balls", "NODES")
     modifier.node_group = _balls(width)
     context.scene.collection.objects.link(thing)
+    context.scene.render.use_lock_interface = True
     show_frame(thing, context.scene.frame_current)
     return thing
 
 
 def show_frame(thing: bpy.types.Object, frame: int) -> None:
-    """Moves a playing object to a frame; beyond its range it stays at the end. JGHandFailure: no_bake."""
+    """Moves a playing object to a frame; beyond its range it stays at the end. JGHandFailure (no_bake): the frame is
+    not there, and nothing is shown."""
     first, last = thing[RANGE_PROPERTY]
-    folder = Path(bpy.path.abspath(str(thing[BAKE_PROPERTY]), library=thing.library))
-    _fill(thing.data, read_frame(frame_path(folder, str(thing[NAME_PROPERTY]), min(max(frame, first), last))))
-    thing.data.update_tag()
+    path = frame_path(played_folder(thing), str(thing[NAME_PROPERTY]), min(max(frame, first), last))
+    _failures.pop(thing.session_uid, None)
+    try:
+        _fill(thing.data, read_frame(path))
+    except JGHandFailure as failure:
+        _failures[thing.session_uid] = failure
+        thing.data.clear_geometry()
+        raise
+    finally:
+        thing.data.update_tag()
+
+
+def failure_in(scene: bpy.types.Scene) -> JGHandFailure | None:
+    """Why what plays in a scene is not in its renders now; None where all is well."""
+    things = [thing for thing in scene.objects if thing.session_uid in _failures and not thing.hide_render]
+    return _failures[things[0].session_uid] if things else None
 
 
 def register() -> None:
@@ -64,6 +82,7 @@ def unregister() -> None:
     """Takes it away; playing objects stay as they are."""
     if _on_frame in bpy.app.handlers.frame_change_post:
         bpy.app.handlers.frame_change_post.remove(_on_frame)
+    _failures.clear()
 
 
 @persistent
@@ -77,6 +96,10 @@ def _on_frame(scene: bpy.types.Scene, _depsgraph: bpy.types.Depsgraph | None = N
 
 
 def _fill(mesh: bpy.types.Mesh, frame: CachedFrame) -> None:
+    if not mesh.vertices:
+        mesh.vertices.add(len(frame.positions_m))
+        for name, kind in _ATTRIBUTES:
+            mesh.attributes.new(name, kind, "POINT")
     if len(mesh.vertices) != len(frame.positions_m):
         raise JGHandFailure("no_bake", "its frames are of different avatars")
     mesh.vertices.foreach_set("co", np.ascontiguousarray(frame.positions_m, np.float32).ravel())

@@ -33,9 +33,11 @@ def ask(avatar: str, *, wait: bool = False) -> None:
     job = runtime.jobs().get(job_watch.CARD)
     if key in _cards or (job is not None and not job.is_over and not wait):
         return
-    figures = folders.user_folder("jobs") / "card.json"
-    command = (*runtime.program(), *engine_words.info(avatar, figures))
-    spec = JobSpec("card", "Reading the avatar", command, figures.parent, on_done=partial(_keep, key, figures))
+    program, folder = runtime.program(), folders.job_folder()
+    figures = folder / "card.json"
+    command = (*program, *engine_words.info(avatar, figures))
+    done, over = partial(_keep, key, figures), partial(folders.remove_job_folder, folder)
+    spec = JobSpec("card", "Reading the avatar", command, folder, on_done=done, on_over=over)
     job = runtime.jobs().start(job_watch.CARD, spec)
     job_watch.start()
     if wait:

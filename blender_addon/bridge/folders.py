@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import shutil
+import tempfile
 from pathlib import Path
 
 import bpy
@@ -26,3 +28,41 @@ def user_folder(name: str, *, make: bool = True) -> Path:
     if not found:
         raise JGHandFailure("cannot_write", f"{name}: Blender has no folder for this user")
     return Path(found)
+
+
+def job_folder() -> Path:
+    """A new folder for what one job is given and says: no other Blender uses it. JGHandFailure: cannot_write."""
+    try:
+        return Path(tempfile.mkdtemp(prefix="job_", dir=user_folder("jobs")))
+    except OSError as error:
+        raise JGHandFailure("cannot_write", f"{error.filename}: {error.strerror or error}") from error
+
+
+def remove_job_folder(folder: Path) -> None:
+    """The job is over. What cannot be removed stays: nobody looks there again."""
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+def absolute(thing: bpy.types.Object, name: str) -> str:
+    """A path of a hand's settings, absolute: // is the folder of the file that the text was written for. An override
+    that leaves it as it is has it from its library. "" where there is none."""
+    text, library, override = getattr(thing.jghand, name), thing.library, thing.override_library
+    if override is not None and override.reference is not None and getattr(override.reference.jghand, name) == text:
+        library = override.reference.library
+    return bpy.path.abspath(text, library=library) if text else ""
+
+
+def beside_the_file(context: bpy.types.Context, folder: Path) -> str:
+    """The folder of a bake as it is kept: relative to the file where its settings are so, so that both can be given
+    away together."""
+    if context.blend_data.filepath and context.scene.jghand.output.bake_folder.startswith("//"):
+        return relative(str(folder))
+    return str(folder)
+
+
+def relative(path: str) -> str:
+    """A path as seen from the opened file; on another drive it stays as it is."""
+    try:
+        return bpy.path.relpath(path)
+    except ValueError:
+        return path

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A combined picture without its hands does not stay on disk.
+"""A combined picture without its hands does not stay on disk, nor one of a bake whose frame is not there.
 
 What a scene of hands reports while another scene's compositor asks for it, Blender only prints: it writes the picture
 without hands and goes on with the next frame. Handlers cannot keep it from writing, for they run after that. So what it
@@ -20,7 +20,7 @@ from bpy.app.handlers import persistent
 
 from .. import runtime
 from ..core.messages import JGHandFailure
-from . import combination
+from . import cache_player, combination
 
 _failure: JGHandFailure | None = None
 _began_s = 0.0
@@ -45,13 +45,15 @@ def _frame_begins(scene: bpy.types.Scene, *_: object) -> None:
 
 @persistent
 def _frame_ends(scene: bpy.types.Scene, *_: object) -> None:
-    if _failure is None or combination.hands_scene_of(scene) is None:
+    failure = _failure if combination.hands_scene_of(scene) is not None else None
+    failure = failure or cache_player.failure_in(scene)
+    if failure is None:
         return
     for path in _written(scene):
         with contextlib.suppress(OSError):
             path.unlink()
     _paths.setdefault(scene.session_uid, scene.render.filepath)
-    scene.render.filepath = os.path.join(os.devnull, f"JGHand: {_failure.advice.sentence}")
+    scene.render.filepath = os.path.join(os.devnull, f"JGHand: {failure.advice.sentence}")
 
 
 @persistent

@@ -14,7 +14,7 @@ import bpy
 
 from ..core.messages import JGHandFailure
 from ..core.view import BUILTIN_AVATAR, HandInSpace
-from . import armature, sources
+from . import armature, folders, sources
 
 # (session_uid of the scene, name of the view layer) -> (name, session_uid) of every hand
 _found: dict[tuple[int, str], list[tuple[str, int]]] = {}
@@ -67,8 +67,7 @@ def read(
 
 def avatar_of(thing: bpy.types.Object) -> str:
     """The avatar of a hand's object: an absolute path, or the one that comes with JGHand."""
-    chosen = thing.jghand.avatar
-    return bpy.path.abspath(chosen, library=thing.library) if chosen else BUILTIN_AVATAR
+    return folders.absolute(thing, "avatar") or BUILTIN_AVATAR
 
 
 def _hands_of(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:

@@ -2,8 +2,9 @@
 """Blender's own USD export gets the baked splats of the scene's hands.
 
 Blender calls the hook with its stage when everything else is written. The splats come from the bake of each hand, made
-by the engine before: its layers are put beside the exported file and referenced. A hand without a bake, or with one of
-another pose or avatar, is left out and that is said. Nothing here may ever throw: Blender would end the process.
+by the engine before: its layers are put into a folder beside the exported file and referenced. A hand without a bake,
+or with one of another pose or avatar, is left out and that is said. Nothing here may ever throw: Blender would end the
+process.
 
 Only registered where Blender's `pxr` can be imported, for the same reason. No reference to a stage outlives a call: USD
 refuses to write a file whose layer somebody holds. Source: BLENDER 9.
@@ -20,7 +21,7 @@ import bpy
 
 from ..core import bakes
 from ..core.messages import JGHandFailure
-from . import armature, sources
+from . import armature, bake_folders, sources
 from .classes import register_classes, unregister_classes
 from .seen_hands import avatar_of
 
@@ -51,7 +52,8 @@ class JGHandUsdHook(getattr(bpy.types, "USDHook", object)):  # a Blender may be 
 
 def add_splats(stage: Any, depsgraph: bpy.types.Depsgraph) -> list[str]:
     """Puts the baked hands of a scene on Blender's stage; returns what was done and what was not, in sentences."""
-    target = Path(stage.GetRootLayer().realPath).parent
+    whole = Path(stage.GetRootLayer().realPath)
+    target = whole.with_name(f"{whole.stem}_jghand")
     said = []
     for thing in depsgraph.scene.objects:
         if not (armature.is_hand(thing) or armature.is_foreign(thing)) or not _is_exported(stage, thing):
@@ -59,7 +61,7 @@ def add_splats(stage: Any, depsgraph: bpy.types.Depsgraph) -> list[str]:
         try:
             for hand, folder in usable_bakes(thing, depsgraph):
                 _bring_layers(hand, folder, target)
-                _reference(stage, hand, depsgraph.scene)
+                _reference(stage, hand, depsgraph.scene, target.name)
                 said.append(f"{hand.name}: {hand.gaussians} splats, frames {hand.first_frame} to {_last(hand)}.")
         except JGHandFailure as failure:
             said.append(f"{thing.name}: left out. {failure}")
@@ -82,7 +84,7 @@ def usable_bakes(thing: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> lis
     """
     if not thing.jghand.bake:
         raise JGHandFailure("no_bake", f"{thing.name} was not baked")
-    folder = Path(bpy.path.abspath(thing.jghand.bake, library=thing.library))
+    folder = bake_folders.bake_folder(thing)
     found = bakes.read_bake(folder)
     now = {hand.handedness: hand.joints_world_m for hand in sources.read_hands(thing, depsgraph)}
     reasons = []
@@ -101,7 +103,11 @@ def _last(hand: bakes.BakedHand) -> int:
 
 
 def _bring_layers(hand: bakes.BakedHand, folder: Path, target: Path) -> None:
-    """Copies of the layers beside the exported file, so that both can be given away."""
+    """Copies of the layers in a folder beside the exported file, so that both can be given away."""
+    try:
+        target.mkdir(exist_ok=True)
+    except OSError as error:
+        raise JGHandFailure("cannot_write", f"{target}: {error.strerror or error}") from error
     for suffix in (".rig.usdc", ".splats.usdc", ".usda"):
         source, copy = folder / f"{hand.name}{suffix}", target / f"{hand.name}{suffix}"
         try:
@@ -118,7 +124,7 @@ def _same(source: Path, copy: Path) -> bool:
     return (one.st_size, int(one.st_mtime)) == (other.st_size, int(other.st_mtime))
 
 
-def _reference(stage: Any, hand: bakes.BakedHand, scene: bpy.types.Scene) -> None:
+def _reference(stage: Any, hand: bakes.BakedHand, scene: bpy.types.Scene, folder: str) -> None:
     """One prim under Blender's own root, so that it is turned and scaled as everything else is."""
     from pxr import Gf, UsdGeom, Vt
 
@@ -138,7 +144,7 @@ def _reference(stage: Any, hand: bakes.BakedHand, scene: bpy.types.Scene) -> Non
         path = f"{path}_splats"
     prim = UsdGeom.Xform.Define(stage, path)
     prim.AddTransformOp().Set(Gf.Matrix4d(1.0).SetScale(scale) * turn)
-    prim.GetPrim().GetReferences().AddReference(f"./{hand.name}.usda")
+    prim.GetPrim().GetReferences().AddReference(f"./{folder}/{hand.name}.usda")
     prim.GetPrim().GetVariantSets().GetVariantSet("representation").SetVariantSelection(scene.jghand.output.variant)
     # read from the root layer only: without it a USD that knows no splats shows nothing
     stage.SetMetadata("fallbackPrimTypes", {SPLAT_TYPE: Vt.TokenArray(["Points"])})

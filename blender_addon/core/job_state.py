@@ -4,6 +4,7 @@ clock, no bpy.
 
     running -> done | failed
     running -> pausing -> paused        a training that was stopped can go on from its checkpoint
+    pausing -> failed                   nothing says that its checkpoint was written
     running -> cancelling -> cancelled
 """
 
@@ -124,10 +125,8 @@ def ended(state: JobState, exit_code: int, error: Mapping[str, Any] | None, log:
         return replace(state, phase=Phase.DONE, eta_s=None)
     if state.phase is Phase.CANCELLING:
         return replace(state, phase=Phase.CANCELLED, eta_s=None)
-    if state.phase is Phase.PAUSING or (can_pause and exit_code == INTERRUPTED):
-        return replace(state, phase=Phase.PAUSED, eta_s=None)
     if exit_code == INTERRUPTED:
-        return replace(state, phase=Phase.CANCELLED, eta_s=None)
+        return replace(state, phase=Phase.PAUSED if can_pause else Phase.CANCELLED, eta_s=None)
     return replace(state, phase=Phase.FAILED, eta_s=None, failure=failure_of(exit_code, error, log))
 
 

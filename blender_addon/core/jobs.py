@@ -34,7 +34,8 @@ class JobSpec:
     """What is to be done. kind: what sort of job · title: for people · command: program and arguments · folder: where
     its results and what it needs to go on lie · resume: the command that goes on after a pause, empty where there is
     none · on_done: called once, on the thread that ticks, when it is done; a JGHandFailure makes the job a failed one ·
-    more: commands that follow, one after the other, each after the one before has succeeded.
+    more: commands that follow, one after the other, each after the one before has succeeded · on_over: called once,
+    when it is over however it ended and will not go on; takes away what only the job needed.
     """
 
     kind: str
@@ -44,6 +45,7 @@ class JobSpec:
     resume: tuple[str, ...] = ()
     on_done: Callable[[], None] | None = None
     more: tuple[tuple[str, ...], ...] = ()
+    on_over: Callable[[], None] | None = None
 
 
 class Job:
@@ -55,6 +57,7 @@ class Job:
         self.state = JobState()
         self._environment = environment
         self._waiting = deque(spec.more)
+        self._put_away = False
         self._start(spec.command)
 
     @property
@@ -82,7 +85,7 @@ class Job:
         code = process.poll() if process is not None else None
         if process is not None and code is None:
             self._insist()
-        elif code is not None:
+        elif code is not None and self._said_all():
             self._end(code)
         return self.state != before
 
@@ -95,12 +98,13 @@ class Job:
         """Asks it to stop. A paused job is cancelled at once; what it has written stays."""
         if self.state.phase is Phase.PAUSED:
             self.state = job_state.JobState(Phase.CANCELLED, self.state.text)
+            self.put_away()
             return
         self._ask(pause=False)
 
     def go_on(self) -> None:
         """Starts a paused job, or one that failed, again where it stands."""
-        if self.is_over and self.state.phase is not Phase.DONE and self.spec.resume:
+        if self.is_over and self._can_go_on():
             self.state = JobState(notes=self.state.notes)
             self._start(self.spec.resume)
 
@@ -114,6 +118,8 @@ class Job:
             if self._process is not None and not self.is_over:
                 with contextlib.suppress(subprocess.TimeoutExpired):
                     self._process.wait(limits.POLL_S)
+                for reader in self._readers if self._ending_s is not None else ():
+                    reader.join(limits.POLL_S)
         return self.is_over
 
     def kill(self) -> None:
@@ -122,7 +128,14 @@ class Job:
         if process is not None and process.poll() is None:
             _signal_all(process, getattr(signal, "SIGKILL", signal.SIGTERM))
             process.wait()
-        self.tick()
+        self.wait(2 * limits.JOB_LAST_WORDS_S)
+
+    def put_away(self) -> None:
+        """Nobody wants it to go on any more: what only it needed is taken away, once."""
+        if self.is_over and not self._put_away:
+            self._put_away = True
+            if self.spec.on_over is not None:
+                self.spec.on_over()
 
     def let_go(self) -> None:
         """The end of Blender: the job is asked to stop and not looked at any more. It ends by itself, a training with
@@ -138,6 +151,7 @@ class Job:
         self._error: Mapping[str, Any] | None = None
         self._heard_s = time.monotonic()
         self._asked_s: float | None = None
+        self._ending_s: float | None = None
         self._process: subprocess.Popen[bytes] | None = None
         self._readers: list[threading.Thread] = []
         try:
@@ -154,6 +168,7 @@ class Job:
         except OSError as error:
             failure = JGHandFailure("no_interpreter", f"{command[0]}: {error.strerror or error}")
             self.state = job_state.failed(self.state, failure)
+            self._put_away_unless_it_can_go_on()
             return
         self._process = process
         for pipe in (process.stdout, process.stderr):
@@ -185,9 +200,22 @@ class Job:
         while self._notes:
             self.state = job_state.heard(self.state, self._notes.popleft())
 
+    def _said_all(self) -> bool:
+        """Whether what an ended process printed last is here. A process that it left behind may hold its pipes open:
+        that is not waited for longer than a moment, and never here."""
+        if self._ending_s is None:
+            self._ending_s = time.monotonic()
+        waited_s = time.monotonic() - self._ending_s
+        return waited_s > limits.JOB_LAST_WORDS_S or not any(reader.is_alive() for reader in self._readers)
+
+    def _can_go_on(self) -> bool:
+        return bool(self.spec.resume) and self.state.phase is not Phase.DONE
+
+    def _put_away_unless_it_can_go_on(self) -> None:
+        if self.state.phase is Phase.CANCELLED or not self._can_go_on():
+            self.put_away()
+
     def _end(self, code: int) -> None:
-        for reader in self._readers:  # its last words may still be on their way
-            reader.join(limits.JOB_LAST_WORDS_S)
         self._take_news()
         self._close_input()
         can_pause = bool(self.spec.resume)
@@ -202,6 +230,8 @@ class Job:
                 self.spec.on_done()
             except JGHandFailure as failure:
                 self.state = job_state.failed(self.state, failure)
+        if self.is_over:
+            self._put_away_unless_it_can_go_on()
 
     def _ask(self, *, pause: bool) -> None:
         self.state = job_state.asked_to_stop(self.state, pause=pause)
@@ -237,6 +267,8 @@ class JobTable:
         old = self._jobs.get(key)
         if old is not None and not old.is_over:
             raise JGHandFailure("job_running", old.spec.title)
+        if old is not None:
+            old.put_away()
         self._jobs[key] = Job(spec)
         return self._jobs[key]
 
@@ -248,6 +280,7 @@ class JobTable:
         """Takes a job that is over off the list."""
         job = self._jobs.get(key)
         if job is not None and job.is_over:
+            job.put_away()
             del self._jobs[key]
 
     @property
@@ -269,6 +302,8 @@ class JobTable:
         until = time.monotonic() + limits.JOB_END_S
         for job in running:
             job.wait(max(until - time.monotonic(), 0.0))
+        for job in self._jobs.values():
+            job.put_away()
         self._jobs.clear()
 
 

@@ -54,12 +54,17 @@ class Recording:
 
 
 def file_names(names: Sequence[str]) -> list[str]:
-    """Names that file systems and USD accept, for names of objects; those that would be the same get numbers."""
+    """Names that file systems and USD accept, for names of objects; those that would be the same get numbers.
+
+    Letters beyond ASCII become a hash of the whole name: two such names are never one, also in exports of another day.
+    """
     taken: set[str] = set()
     result = []
     for name in names:
         stem = re.sub(r"\W", "_", name, flags=re.ASCII).strip("_") or "hand"
         stem = f"_{stem}" if stem[0].isdigit() else stem
+        if not name.isascii():
+            stem += "_" + hashlib.sha256(name.encode()).hexdigest()[:8]
         chosen, number = stem, 2
         while chosen.casefold() in taken:
             chosen, number = f"{stem}_{number}", number + 1
@@ -141,6 +146,26 @@ def readable(size: float) -> str:
             value = size / factor
             return f"{value:.1f} {unit}" if value < 9.95 else f"{value:.0f} {unit}"
     return f"{size / 1e3:.0f} kB"
+
+
+def with_file_name(folder: str, blend: str) -> str:
+    """A folder of the settings with the stem of the opened file for its `{blend_name}`: files of one folder share
+    their settings' defaults, and must not write over each other."""
+    return folder.replace("{blend_name}", Path(blend).stem or "untitled")
+
+
+def remove_beyond(folder: Path, name: str, frames: range) -> None:
+    """Removes numbered PLY files of this name that are not of these frames: left over from a longer export.
+
+    JGHandFailure: cannot_write.
+    """
+    for path in folder.glob("*.ply"):
+        match = re.fullmatch(re.escape(name) + r"\.(-?\d{4,})\.ply", path.name)
+        if match is not None and int(match[1]) not in frames:
+            try:
+                path.unlink()
+            except OSError as error:
+                raise JGHandFailure("cannot_write", f"{path}: {error.strerror or error}") from error
 
 
 def check_place(folder: str, *, saved: bool) -> None:

@@ -9,7 +9,6 @@ Source: EXPORT 9, `jghand_engine.exporters.splat_files`. Does not use bpy.
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,7 +21,6 @@ from .messages import JGHandFailure
 _GAUSSIAN = np.dtype([("position", "<f4", 3), ("sigma", "<f4", 3), ("rgba", "u1", 4), ("rotation", "u1", 4)])
 # the file's axes to a world with z up: its y points down, its z forward
 _WORLD_FROM_FILE = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], np.float32)
-_FILE = re.compile(r".*\.-?\d+\.splat")
 
 
 @dataclass(frozen=True)
@@ -59,14 +57,3 @@ def read_frame(path: Path) -> CachedFrame:
     rgba = table["rgba"].astype(np.float32) / 255
     rgba[:, :3] = linear_of(rgba[:, :3])
     return CachedFrame(table["position"] @ _WORLD_FROM_FILE.T, table["sigma"].max(axis=1), rgba)
-
-
-def clear(folder: Path, name: str) -> None:
-    """Removes the frames of an earlier bake, and nothing else. JGHandFailure: cannot_write."""
-    place = cache_folder(folder, name)
-    try:
-        for path in place.glob("*.splat") if place.is_dir() else ():
-            if _FILE.fullmatch(path.name):
-                path.unlink()
-    except OSError as error:
-        raise JGHandFailure("cannot_write", f"{place}: {error.strerror or error}") from error

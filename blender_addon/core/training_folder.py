@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from . import limits
+from .recording import avatar_digest
 
 _SUFFIX = ".training"
 
@@ -49,10 +50,28 @@ class TrainingFolder:
             parts.append(f"fixed view {self.psnr.values[-1]:.2f} dB (best {best:.2f})")
         return ", ".join(parts)
 
+    def lost_sentence(self) -> str:
+        """What beginning anew takes away."""
+        steps = self.loss.steps[-1] if self.loss.steps else 0
+        best = f", fixed view {max(self.psnr.values):.2f} dB" if self.psnr.steps else ""
+        return f"{steps} steps{best}"
+
 
 def folder_of(out: Path) -> Path:
     """Where the training of an avatar file keeps its work; as `jghand train` chooses it."""
     return out.with_suffix(_SUFFIX)
+
+
+def is_in_the_way(out: Path, work: Path) -> bool:
+    """Whether there is an avatar file that the training of this folder did not write: it is replaced only on request.
+    The record is the engine's, `jghand_engine.training.output`."""
+    if not out.is_file():
+        return False
+    try:
+        hashes = json.loads((work / "output.json").read_text(encoding="utf-8"))["sha256"]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return True
+    return avatar_digest(str(out)) not in (hashes if isinstance(hashes, list) else [hashes])
 
 
 class TrainingReader:

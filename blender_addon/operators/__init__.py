@@ -9,7 +9,8 @@ finger_controls  curl, spread, held tips, joint limits
 motion           motion files as keys
 engine           check, start, stop, log
 help_page        the page that explains the panels
-export           exports and bakes
+bake             bakes: made, played, compared, forgotten
+export           exports
 training         training sets, trainings, avatars from disk
 output_common    what both share: first the hands are recorded, then a job works
 picture          the scene's settings for pictures, cameras, small print

@@ -14,12 +14,12 @@ import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 
 from .. import runtime
-from ..bridge import armature, folders, job_watch, record
+from ..bridge import armature, job_watch, record
 from ..core import limits
 from ..core.job_state import Phase
 from ..core.jobs import Job, JobSpec
 from ..core.messages import JGHandFailure
-from ..core.recording import Recording, check_place
+from ..core.recording import Recording, check_place, with_file_name
 from .common import CANCELLED, DONE, ERROR, INFO, InTurns, missing, sentence_of
 
 
@@ -86,7 +86,8 @@ class StartsJob(InTurns):
                 return result
             self._timer = context.window_manager.event_timer_add(limits.JOB_LOOK_S, window=context.window)
             return {"RUNNING_MODAL"}
-        if event.type == "ESC" and event.value == "PRESS":
+        # the Esc that ends playback is playback's
+        if event.type == "ESC" and event.value == "PRESS" and not context.screen.is_animation_playing:
             self._job.cancel()
         if event.type != "TIMER":
             return {"PASS_THROUGH"}
@@ -164,12 +165,7 @@ def refuse_second(key: str) -> None:
 def place(context: bpy.types.Context, text: str) -> Path:
     """A folder or a file as the settings name it. JGHandFailure: no_place."""
     check_place(text, saved=bool(context.blend_data.filepath))
-    return Path(bpy.path.abspath(text)).absolute()
-
-
-def scratch(name: str) -> Path:
-    """A file of the extension's own, for what jobs are given and say; each use replaces the one before."""
-    return folders.user_folder("jobs") / name
+    return Path(bpy.path.abspath(with_file_name(text, context.blend_data.filepath))).absolute()
 
 
 def _is_any_hand(thing: bpy.types.Object) -> bool:

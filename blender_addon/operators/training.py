@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 
 from .. import runtime
-from ..bridge import armature, cards, job_watch
+from ..bridge import armature, cards, folders, job_watch
 from ..bridge.classes import register_classes, unregister_classes
 from ..bridge.seen_hands import avatar_of
 from ..core import engine_words
@@ -18,9 +19,9 @@ from ..core.job_state import Phase
 from ..core.jobs import JobSpec
 from ..core.messages import JGHandFailure
 from ..core.recording import Recording
-from ..core.training_folder import folder_of
-from .common import PLUMBING, REGISTERED, UNDOABLE, Reporting, missing
-from .output_common import StartsJob, place, poll_job, scratch
+from ..core.training_folder import TrainingReader, folder_of
+from .common import PLUMBING, REGISTERED, UNDOABLE, Reporting, missing, sentence_of
+from .output_common import StartsJob, place, poll_job
 
 STARTS = (
     ("new", "New", "There is no training yet", "NONE", 0),
@@ -60,9 +61,10 @@ class RenderTrainingSet(StartsJob, bpy.types.Operator):
     def job(self, context: bpy.types.Context, recordings: list[Recording]) -> JobSpec:
         settings = context.scene.jghand.training
         self._folder = place(context, settings.capture_folder)
-        motion = None
+        motion, over = None, None
         if recordings:
-            motion = scratch("capture.npz")
+            scratch = folders.job_folder()
+            motion, over = scratch / "capture.npz", partial(folders.remove_job_folder, scratch)
             recordings[0].save(motion)
         choices = CaptureChoices(
             identity=settings.identity,
@@ -74,7 +76,8 @@ class RenderTrainingSet(StartsJob, bpy.types.Operator):
             threads=0,
         )
         command = (*runtime.program(), *engine_words.capture(self._folder, choices, motion))
-        return JobSpec("capture", "Rendering the training set", command, self._folder, resume=command)
+        title = "Rendering the training set"
+        return JobSpec("capture", title, command, self._folder, resume=command, on_over=over)
 
     def done(self, _context: bpy.types.Context) -> str:
         return rpt_("The training set is in {folder}.").format(folder=self._folder)
@@ -108,6 +111,20 @@ class Train(StartsJob, bpy.types.Operator):
         if properties.start == "fresh":
             return "Begin anew: the training that the folder holds is lost"
         return cls.bl_description
+
+    def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """Asks before hours of training are lost."""
+        lost = self._lost(context) if self.start == "fresh" else ""
+        if not lost:
+            return super().invoke(context, event)
+        return context.window_manager.invoke_confirm(
+            self,
+            event,
+            title=rpt_("Start Anew?"),
+            message=rpt_("The training in {folder} is lost: {what}.").format(folder=self._work.name, what=lost),
+            confirm_text=rpt_("Start Anew"),
+            icon="WARNING",
+        )
 
     def recorded_hands(self, _context: bpy.types.Context) -> list[bpy.types.Object]:
         return []
@@ -145,6 +162,15 @@ class Train(StartsJob, bpy.types.Operator):
 
     def done(self, _context: bpy.types.Context) -> str:
         return rpt_("The avatar is {file}.").format(file=self._out)
+
+    def _lost(self, context: bpy.types.Context) -> str:
+        """What beginning anew takes away; "" where there is no training."""
+        try:
+            self._work = folder_of(place(context, context.scene.jghand.training.avatar_file))
+        except JGHandFailure:
+            return ""  # said after the click, with what to do
+        seen = TrainingReader(self._work).look()
+        return seen.lost_sentence() if seen.can_go_on else ""
 
 
 class PauseTraining(Reporting, bpy.types.Operator):
@@ -188,13 +214,24 @@ class LoadAvatar(Reporting, bpy.types.Operator):
     bl_options = UNDOABLE
 
     filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})  # type: ignore[valid-type]
+    relative_path: bpy.props.BoolProperty(
+        name="Relative Path",
+        description="Keep the path as seen from the opened file, so that both can be moved together",
+        options={"SKIP_SAVE"},
+    )  # type: ignore[valid-type]
     filter_glob: bpy.props.StringProperty(default="*.jghand", options={"HIDDEN"})  # type: ignore[valid-type]
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return bool(_hands(context)) or missing(cls, "Select a hand")
+        if not _hands(context):
+            return missing(cls, "Select a hand")
+        if not _editable_hands(context):
+            return missing(cls, "This hand is linked from another file: make it local, or an override, first")
+        return True
 
     def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
+        if not self.properties.is_property_set("relative_path"):
+            self.relative_path = context.preferences.filepaths.use_relative_paths
         if self.filepath:
             return self.execute(context)
         context.window_manager.fileselect_add(self)
@@ -204,11 +241,18 @@ class LoadAvatar(Reporting, bpy.types.Operator):
         path = Path(bpy.path.abspath(self.filepath))
         if path.suffix != ".jghand" or not path.is_file():
             raise JGHandFailure("bad_avatar", f"{path}: wanted a file that ends with .jghand")
-        for thing in _hands(context):
-            thing.jghand.avatar = self.filepath
+        kept = folders.relative(str(path)) if self.relative_path and context.blend_data.filepath else self.filepath
+        hands = _editable_hands(context)
+        for thing in hands:
+            thing.jghand.avatar = kept
             thing.update_tag()
+        if len(hands) < len(_hands(context)):
+            self.warn(rpt_("Hands that are linked from another file keep their avatar."))
         if job_watch.timers_fire():
-            cards.ask(str(path.absolute()))
+            try:
+                cards.ask(str(path.absolute()))
+            except JGHandFailure as failure:  # the avatar is on the hands, with its card or without
+                self.warn(rpt_("The avatar's card cannot be read now."), sentence_of(failure))
 
 
 class ReadCard(Reporting, bpy.types.Operator):
@@ -251,6 +295,10 @@ def _active_hand(context: bpy.types.Context) -> bpy.types.Object | None:
 def _hands(context: bpy.types.Context) -> list[bpy.types.Object]:
     chosen = {thing for thing in (context.object, *context.view_layer.objects.selected) if thing is not None}
     return [thing for thing in chosen if armature.is_hand(thing) or armature.is_foreign(thing)]
+
+
+def _editable_hands(context: bpy.types.Context) -> list[bpy.types.Object]:
+    return [thing for thing in _hands(context) if thing.is_editable]
 
 
 _CLASSES = (RenderTrainingSet, Train, PauseTraining, ResumeTraining, LoadAvatar, ReadCard, DropAvatar)

@@ -3,18 +3,21 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from .. import runtime
-from ..bridge import baked_points, cards, job_watch, versions
+from ..bridge import bake_folders, baked_points, cards, job_watch, versions
 from ..bridge.classes import register_classes, unregister_classes
+from ..bridge.kept import kept
 from ..bridge.seen_hands import avatar_of
 from ..core import bakes
 from ..core.job_state import Phase
 from ..core.messages import JGHandFailure
-from ..core.recording import Written, estimate
-from ..operators import export, output_common
+from ..core.recording import SizeEstimate, Written, estimate
+from ..operators import bake, output_common
 from . import common
 from .common import Sidebar
 
@@ -100,21 +103,43 @@ class ExportPanel(Sidebar, bpy.types.Panel):
 
 def _draw_bake(layout: bpy.types.UILayout, context: bpy.types.Context, hand: bpy.types.Object) -> None:
     """What the bake of a hand holds, and why it does not show what is seen now."""
-    try:
-        folder = export.bake_folder(hand)
-        baked = bakes.read_bake(folder)
-        reasons = export.stale_now(context, hand, baked, folder)
-    except JGHandFailure as failure:
-        common.paragraph(layout, context, iface_(failure.advice.sentence) + ".", icon="ERROR")
+    seen = kept(context, _look_at_bake, hand.session_uid)
+    if seen is None:
         return
-    first, count = baked[0].first_frame, baked[0].frames
-    text = iface_("Baked: frames {first} to {last}").format(first=first, last=first + count - 1)
-    layout.label(text=text, icon="CHECKMARK" if not reasons else "BLANK1", translate=False)
-    if reasons:
-        plays = bool(baked_points.playing(context.scene, folder))
-        what = "What plays here is not what the scene has" if plays else "The bake is not what the scene has"
-        said = f"{iface_(what)}: {', '.join(map(iface_, reasons))}."
+    if seen.problem:
+        common.paragraph(layout, context, iface_(seen.problem) + ".", icon="ERROR")
+        return
+    text = iface_("Baked: frames {first} to {last}").format(first=seen.first, last=seen.last)
+    layout.label(text=text, icon="CHECKMARK" if not seen.reasons else "BLANK1", translate=False)
+    if seen.reasons:
+        what = "What plays here is not what the scene has" if seen.plays else "The bake is not what the scene has"
+        said = f"{iface_(what)}: {', '.join(map(iface_, seen.reasons))}."
         common.paragraph(layout, context, said, icon="ERROR")
+
+
+@dataclass(frozen=True)
+class _SeenBake:
+    """problem: why there is none, "" where there is · first, last: frames · reasons: why it is stale · plays: here."""
+
+    problem: str = ""
+    first: int = 0
+    last: int = 0
+    reasons: tuple[str, ...] = ()
+    plays: bool = False
+
+
+def _look_at_bake(context: bpy.types.Context, uid: int) -> _SeenBake | None:
+    hand = next((thing for thing in context.scene.objects if thing.session_uid == uid), None)
+    if hand is None or not hand.jghand.bake:
+        return None
+    try:
+        folder = bake_folders.bake_folder(hand)
+        baked = bakes.read_bake(folder)
+        reasons = bake.stale_now(context, hand, baked, folder)
+    except JGHandFailure as failure:
+        return _SeenBake(failure.advice.sentence)
+    first, plays = baked[0].first_frame, bool(baked_points.playing(context.scene, folder))
+    return _SeenBake("", first, first + baked[0].frames - 1, tuple(reasons), plays)
 
 
 def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context, key: str) -> None:
@@ -144,16 +169,21 @@ _SILENT_S = 120.0
 
 def _draw_estimate(layout: bpy.types.UILayout, context: bpy.types.Context, folder: str, written: Written) -> None:
     """What the chosen hands and frames take, before the click."""
+    size = kept(context, _look_at_size, folder, written)
+    if size is not None:
+        layout.label(text=size.sentence(), icon="NONE" if size.fits else "ERROR", translate=False)
+
+
+def _look_at_size(context: bpy.types.Context, folder: str, written: Written) -> SizeEstimate | None:
     things = output_common.hands_to_write(context)
     if not things:
-        return
+        return None
     try:
         target = output_common.place(context, folder)
     except JGHandFailure:
         target = None  # said after the click, with what to do
     hands = [cards.gaussians_of(avatar_of(thing)) for thing in things]
-    size = estimate(target, hands, len(output_common.frames_to_write(context)), written)
-    layout.label(text=size.sentence(), icon="NONE" if size.fits else "ERROR", translate=False)
+    return estimate(target, hands, len(output_common.frames_to_write(context)), written)
 
 
 def _column(layout: bpy.types.UILayout) -> bpy.types.UILayout:

@@ -8,10 +8,11 @@ import bpy
 from .. import runtime
 from ..bridge import cards, job_watch
 from ..bridge.classes import register_classes, unregister_classes
+from ..bridge.kept import kept
 from ..bridge.seen_hands import avatar_of
 from ..core.job_state import Phase
 from ..core.messages import JGHandFailure
-from ..core.training_folder import TrainingFolder, folder_of
+from ..core.training_folder import TrainingFolder, folder_of, is_in_the_way
 from ..operators import output_common
 from . import common
 from .common import Sidebar
@@ -37,6 +38,8 @@ class TrainPanel(Sidebar, bpy.types.Panel):
         column.prop(settings, "preset")
         column.prop(settings, "minutes")
         column.prop(settings, "all_pictures")
+        if kept(context, _look_in_the_way, settings.avatar_file):
+            column.prop(settings, "overwrite")
         draw_job(layout, context, job_watch.TRAINING)
         seen = _training_folder(context)
         _draw_buttons(layout, seen)
@@ -96,9 +99,10 @@ class CardPanel(Sidebar, bpy.types.Panel):
 
 
 def _training_folder(context: bpy.types.Context) -> TrainingFolder | None:
-    """What is known of the training: of the one that runs, else of the one beside the avatar's file."""
+    """What is known of the training that the buttons act on: of the one that runs or is paused, else of the one beside
+    the avatar's file."""
     job = runtime.jobs().get(job_watch.TRAINING)
-    if job is not None:
+    if job is not None and (not job.is_over or job.state.phase is Phase.PAUSED):
         return job_watch.look_at_training(job.spec.folder)
     try:
         return job_watch.look_at_training(
@@ -106,6 +110,14 @@ def _training_folder(context: bpy.types.Context) -> TrainingFolder | None:
         )
     except JGHandFailure:
         return None
+
+
+def _look_in_the_way(context: bpy.types.Context, avatar_file: str) -> bool:
+    try:
+        out = output_common.place(context, avatar_file)
+    except JGHandFailure:
+        return False
+    return is_in_the_way(out, folder_of(out))
 
 
 def _draw_buttons(layout: bpy.types.UILayout, seen: TrainingFolder | None) -> None:

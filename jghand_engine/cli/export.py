@@ -131,6 +131,7 @@ class Export:
 
     def _write_splats(self, avatar: HandAvatar, sequence: PoseSequence) -> dict[str, Any]:
         from jghand_engine.exporters.splat_files import SplatOptions, export_splats
+        from jghand_engine.exporters.usd import made_from
 
         options = SplatOptions(self.splats.format, self.name, self.splats.axes, self.first_frame, self.up)
         with progress(f"Writing {options.format}", len(sequence)) as bar:
@@ -143,5 +144,5 @@ class Export:
         say(f"Wrote {which}: {len(report.files)} frames, {report.bytes / 1e6:.1f} MB, axes {report.axes}")
         return {
             "files": [str(path) for path in report.files], "frames": len(report.files), "axes": report.axes,
-            "gaussians": report.gaussians, "bytes": report.bytes,
+            "gaussians": report.gaussians, "bytes": report.bytes, "made_from": made_from(avatar, sequence),
         }  # fmt: skip

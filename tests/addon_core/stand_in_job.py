@@ -6,6 +6,7 @@ Knows nothing of JGHand. The end of its standard input is its Ctrl-C, unless the
 import json
 import os
 import signal
+import subprocess
 import sys
 import threading
 import time
@@ -40,6 +41,10 @@ def main(fault, file):
             tell(jghand="progress", text="Counting", done=number, total=20000, eta_s=None)
         sys.stderr.write("x" * 1_000_000 + "\n")
         return 0
+    if fault == "orphan":
+        # it holds the pipes open for longer than its parent lives
+        subprocess.Popen([sys.executable, "-c", "import time; time.sleep(30)"])
+        return 0
     if fault == "die":
         sys.stderr.write("Traceback: something broke\n")
         return 1
@@ -62,6 +67,9 @@ def main(fault, file):
             # as a training writes its checkpoint
             with open(file, "w") as stream:
                 stream.write("checkpoint")
+        if fault == "full at the end":
+            tell(jghand="error", kind="disk_full", text="cannot write x: the disk is full.", exit_code=3)
+            return 3
         tell(jghand="error", kind="cancelled", text="Stopped.", exit_code=130)
         return 130
     return 0

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -167,6 +168,57 @@ def test_a_job_without_a_way_to_go_on_is_not_paused(tmp_path):
     assert job.state.phase is Phase.RUNNING
     job.cancel()
     ended(job)
+
+
+@posix
+def test_a_failure_while_pausing_is_told_and_the_training_can_go_on(tmp_path):
+    job = Job(spec(tmp_path, "full at the end", resume=True))
+    until_it_counts(job)
+    job.pause()
+    state = ended(job)
+    assert state.phase is Phase.FAILED
+    assert state.failure is not None
+    assert state.failure.kind == "disk_full"
+    job.go_on()
+    until_it_counts(job)
+    job.cancel()
+    ended(job)
+
+
+@posix
+def test_a_look_at_a_job_never_waits_for_those_who_hold_its_pipes(tmp_path, monkeypatch):
+    monkeypatch.setattr(limits, "JOB_LAST_WORDS_S", 20.0)
+    job = Job(spec(tmp_path, "orphan"))
+    assert job._process is not None
+    job._process.wait(LONG_S)
+    job.tick()
+    assert not job.is_over, "its last words may still come"
+    monkeypatch.setattr(limits, "JOB_LAST_WORDS_S", 0.0)
+    job.tick()
+    assert job.state.phase is Phase.DONE
+    os.killpg(job._process.pid, signal.SIGKILL)
+
+
+@posix
+@pytest.mark.parametrize("fault", ["short", "die"])
+def test_what_only_the_job_needed_is_taken_away_once_when_it_is_over(tmp_path, fault):
+    over = []
+    job = Job(spec(tmp_path, fault, on_over=lambda: over.append(job.is_over)))
+    ended(job)
+    job.put_away()
+    assert over == [True]
+
+
+@posix
+def test_what_a_paused_job_needs_stays_until_it_does_not_go_on(tmp_path):
+    over = []
+    job = Job(spec(tmp_path, "long", resume=True, on_over=lambda: over.append(True)))
+    until_it_counts(job)
+    job.pause()
+    ended(job)
+    assert not over
+    job.cancel()
+    assert over == [True]
 
 
 @posix

@@ -23,6 +23,8 @@ from blender_addon.core.recording import (
     estimate,
     file_names,
     readable,
+    remove_beyond,
+    with_file_name,
 )
 
 
@@ -41,13 +43,31 @@ def a_recording(frames: int = 3, **more) -> Recording:
     [
         (["Hand"], ["Hand"]),
         (["Hand.R", "Hand_R", "hand.r"], ["Hand_R", "Hand_R_2", "hand_r_3"]),
-        (["Рука", "../..", "3D hand", ""], ["hand", "hand_2", "_3D_hand", "hand_3"]),
+        (["Рука", "../..", "3D hand", ""], ["hand_2494e9cb", "hand", "_3D_hand", "hand_2"]),
     ],
 )
 def test_names_of_objects_become_names_of_files_each_its_own(names, expected):
     found = file_names(names)
     assert found == expected
     assert all(name.isidentifier() and name.isascii() for name in found)
+
+
+def test_names_beyond_ascii_are_told_apart_in_exports_of_two_days():
+    assert file_names(["Рука"]) != file_names(["Ладонь"])
+
+
+def test_files_of_one_folder_have_folders_of_their_own():
+    assert with_file_name("//jghand_bake/{blend_name}", "/shots/one.blend") == "//jghand_bake/one"
+    assert with_file_name("//jghand_bake/{blend_name}", "") == "//jghand_bake/untitled"
+    assert with_file_name("//mine", "/shots/one.blend") == "//mine"
+
+
+def test_frames_of_a_longer_sequence_are_removed_and_nothing_else(tmp_path):
+    for name in ("Hand.0003", "Hand.0004", "Hand.10005", "Hand.-0001", "Hand.5", "Hand.R.0009", "Hand_2.0009", "a"):
+        (tmp_path / f"{name}.ply").touch()
+    remove_beyond(tmp_path, "Hand", range(3, 5))
+    left = {path.stem for path in tmp_path.iterdir()}
+    assert left == {"Hand.0003", "Hand.0004", "Hand.5", "Hand.R.0009", "Hand_2.0009", "a"}
 
 
 @pytest.mark.parametrize(("folder", "saved", "fine"), [("", True, False), ("//x", False, False), ("//x", True, True)])
@@ -199,7 +219,7 @@ def test_a_hand_that_moved_at_one_frame_is_seen(tmp_path):
 def test_an_engine_that_wrote_another_motion_makes_no_bake(tmp_path):
     recording = a_recording()
     a_bake(tmp_path, recording)
-    bakes.unstamp(tmp_path)
+    (tmp_path / bakes.STAMP).unlink()
     with pytest.raises(JGHandFailure, match="other joints"):
         bakes.write_stamp(tmp_path, [replace(recording, joints_m=recording.joints_m + 1)])
     with pytest.raises(JGHandFailure) as caught:
@@ -227,6 +247,58 @@ def test_a_damaged_or_hostile_stamp_is_no_bake(tmp_path, damage):
     with pytest.raises(JGHandFailure) as caught:
         bakes.read_bake(tmp_path)
     assert caught.value.kind == "no_bake"
+
+
+# ---- generations of bakes --------------------------------------------------------------------------------------------
+
+
+def finished(folder: Path, owner: str) -> Path:
+    generation = bakes.new_generation(folder)
+    recording = a_recording()
+    a_bake(generation, recording)
+    bakes.write_stamp(generation, [recording], owner)
+    return generation
+
+
+def test_every_bake_has_a_folder_of_its_own(tmp_path):
+    first = finished(tmp_path / "Hand", "shot:a")
+    second, third = (bakes.new_generation(tmp_path / "Hand") for _ in range(2))
+    assert [path.name for path in (first, second, third)] == ["v0001", "v0002", "v0003"]
+
+
+def test_bakes_of_another_owner_are_neither_joined_nor_removed(tmp_path):
+    theirs = finished(tmp_path / "Hand", "other:b")
+    assert bakes.hand_folder(tmp_path, "Hand", "shot:a") == tmp_path / "Hand_2"
+    assert bakes.hand_folder(tmp_path, "Hand", "other:b") == tmp_path / "Hand"
+    bakes.remove(theirs, "shot:a")
+    assert bakes.read_bake(theirs)
+
+
+def test_what_is_removed_is_the_bake_and_nothing_that_is_not_of_it(tmp_path):
+    old = finished(tmp_path / "Hand", "shot:a")
+    (old / "Hand.cache").mkdir()
+    (old / "Hand.cache" / "Hand.0001.splat").touch()
+    (old / "notes.txt").touch()
+    bakes.remove(old, "shot:a")
+    assert [path.name for path in old.rglob("*")] == ["notes.txt"]
+    unfinished = bakes.new_generation(tmp_path / "Other")
+    a_recording().save(unfinished / "Hand.npz")
+    bakes.remove_unfinished(unfinished)
+    assert not (tmp_path / "Other").exists()
+
+
+def test_only_what_is_unfinished_is_removed_as_such(tmp_path):
+    done = finished(tmp_path / "Hand", "shot:a")
+    bakes.remove_unfinished(done)
+    assert bakes.read_bake(done)
+
+
+def test_undo_to_a_bake_that_was_replaced_finds_the_newest_of_the_same_hand(tmp_path):
+    first, second = (finished(tmp_path / "Hand", "shot:a") for _ in range(2))
+    finished(tmp_path / "Hand", "other:b")
+    assert bakes.newest(first, "shot:a") == first
+    bakes.remove(first, "shot:a")
+    assert bakes.newest(first, "shot:a") == second
 
 
 def test_a_bake_whose_stage_is_gone_is_none(tmp_path):

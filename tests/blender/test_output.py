@@ -5,7 +5,10 @@ from __future__ import annotations
 import json
 import shutil
 import subprocess
+import sys
+from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -15,13 +18,28 @@ from recording_layout import draw
 
 import blender_addon
 from blender_addon import runtime
-from blender_addon.bridge import baked_points, cache_player, job_watch, record, sources, usd_hook, versions
+from blender_addon.bridge import (
+    bake_folders,
+    baked_points,
+    cache_player,
+    folders,
+    job_watch,
+    kept,
+    record,
+    sources,
+    undo,
+    usd_hook,
+    versions,
+)
 from blender_addon.core import bakes
 from blender_addon.core.engine_command import VARIABLE
 from blender_addon.core.motion_files import read_motion
+from blender_addon.operators.export import ExportSceneUsd
+from blender_addon.operators.output_common import StartsJob
 from blender_addon.panels import output
 
 FRAMES = 4
+STAND_IN = Path(__file__).resolve().parents[1] / "addon_core" / "stand_in_job.py"
 # float32 of Blender's bones, half a metre from the origin
 JOINT_ERROR_M = 1e-6
 
@@ -187,7 +205,7 @@ def test_a_bake_plays_where_the_hand_is_without_engine_and_extension(baked, tmp_
     monkeypatch.delenv(VARIABLE)
     if bpy.ops.jghand.play_bake() != {"FINISHED"}:
         pytest.fail("the bake does not play")
-    (cloud,) = baked_points.playing(context.scene, Path(bpy.path.abspath(hand.jghand.bake)))
+    (cloud,) = baked_points.playing(context.scene, bake_folders.bake_folder(hand))
     name = cloud.name
     blender_addon.unregister()
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
@@ -229,14 +247,15 @@ def test_what_plays_a_bake_shows_the_new_one_when_it_is_baked_again(baked):
     """USD keeps an open file as it was read: without care the old frames would play on."""
     context, hand, _ = baked
     bpy.ops.jghand.play_bake()
-    folder = Path(bpy.path.abspath(hand.jghand.bake))
+    folder = bake_folders.bake_folder(hand)
     context.scene.frame_set(3)
     before = cloud_positions(context, baked_points.playing(context.scene, folder)[0])
     hand.location.x += 0.25
     context.view_layer.update()
     assert bpy.ops.jghand.bake() == {"FINISHED"}
     assert context.object == hand
-    (cloud,) = baked_points.playing(context.scene, folder)
+    assert not folder.exists()
+    (cloud,) = baked_points.playing(context.scene, bake_folders.bake_folder(hand))
     after = cloud_positions(context, cloud)
     assert np.abs(after - before - [0.25, 0, 0]).max() < 1e-5
     assert len(bpy.data.cache_files) == 1
@@ -252,7 +271,7 @@ def test_the_panel_says_what_is_baked_and_that_what_plays_is_stale(baked):
     assert "The bake is not what the scene has: the hand moves" in " ".join(draw(output.BakePanel, context).texts)
     bpy.ops.jghand.play_bake(accept_stale=True)
     assert "What plays here is not what the scene has" in " ".join(draw(output.BakePanel, context).texts)
-    (Path(bpy.path.abspath(hand.jghand.bake)) / bakes.STAMP).unlink()
+    (bake_folders.bake_folder(hand) / bakes.STAMP).unlink()
     assert "no finished bake" in " ".join(draw(output.BakePanel, context).texts)
 
 
@@ -270,10 +289,148 @@ def test_a_bake_of_another_avatar_or_of_other_frames_is_said(baked):
 
 def test_a_bake_that_was_cut_off_is_none(baked):
     _, hand, _ = baked
-    folder = Path(bpy.path.abspath(hand.jghand.bake))
+    folder = bake_folders.bake_folder(hand)
     (folder / bakes.STAMP).unlink()
     with pytest.raises(RuntimeError, match="no finished bake"):
         bpy.ops.jghand.play_bake()
+
+
+def failing_engine(monkeypatch):
+    monkeypatch.setattr(runtime, "program", lambda: (sys.executable, "-I", str(STAND_IN), "die"))
+
+
+def test_a_bake_that_fails_loses_nothing_of_the_one_before(baked, tmp_path, monkeypatch):
+    context, hand, _ = baked
+    before = bake_folders.bake_folder(hand)
+    bpy.ops.jghand.play_bake()
+    failing_engine(monkeypatch)
+    with pytest.raises(RuntimeError, match="stopped unexpectedly"):
+        bpy.ops.jghand.bake()
+    assert bake_folders.bake_folder(hand) == before
+    assert bakes.read_bake(before)
+    assert baked_points.playing(context.scene, before)
+    assert [path.name for path in before.parent.iterdir()] == ["v0001"]
+
+
+def test_a_first_bake_that_fails_leaves_the_hand_without_one(extension, tmp_path, monkeypatch):
+    hand = a_hand(extension)
+    extension.scene.jghand.output.bake_folder = str(tmp_path / "bakes")
+    failing_engine(monkeypatch)
+    with pytest.raises(RuntimeError, match="stopped unexpectedly"):
+        bpy.ops.jghand.bake()
+    assert hand.jghand.bake == hand.jghand.bake_id == ""
+    assert not list(tmp_path.rglob("v0*"))
+
+
+def test_a_finished_bake_is_one_step_of_undo_made_after_the_hand_has_it(extension, engine, tmp_path, monkeypatch):
+    hand = a_hand(extension)
+    steps = []
+
+    @contextmanager
+    def one_step(message):
+        assert hand.jghand.bake == ""
+        yield bpy.context
+        steps.append((message, hand.jghand.bake != ""))
+
+    monkeypatch.setattr(undo, "one_step", one_step)
+    extension.scene.jghand.output.bake_folder = str(tmp_path / "bakes")
+    bpy.ops.jghand.bake()
+    assert steps == [("Bake", True)]
+
+
+def test_a_copy_of_a_hand_bakes_beside_it_and_not_over_it(baked):
+    context, hand, _ = baked
+    first = bake_folders.bake_folder(hand)
+    copy = hand.copy()
+    context.scene.collection.objects.link(copy)
+    hand.name, copy.name = "other", hand.name
+    hand.select_set(False)
+    copy.select_set(True)
+    context.view_layer.objects.active = copy
+    assert bpy.ops.jghand.bake() == {"FINISHED"}
+    assert bakes.read_bake(bake_folders.bake_folder(hand))
+    assert bake_folders.bake_folder(hand) == first
+    assert bake_folders.bake_folder(copy) != first
+
+
+def test_a_copy_of_a_file_bakes_beside_it_and_not_over_it(baked, tmp_path):
+    _, hand, _ = baked
+    first = bake_folders.bake_folder(hand)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot 2.blend"))
+    assert bpy.ops.jghand.bake() == {"FINISHED"}
+    assert bakes.read_bake(first)
+    assert bake_folders.bake_folder(bpy.context.object).parent.name == f"{first.parent.name}_2"
+
+
+def test_files_of_one_folder_bake_and_export_into_folders_of_their_own(extension, tmp_path):
+    settings = extension.scene.jghand.output
+    for name in ("one", "two"):
+        bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / f"{name}.blend"))
+        for folder in (settings.bake_folder, settings.folder):
+            assert output.output_common.place(bpy.context, folder).name == name
+
+
+def test_an_engine_that_exported_another_motion_has_failed(extension, engine, tmp_path, monkeypatch):
+    a_hand(extension)
+    settings = extension.scene.jghand.output
+    settings.format, settings.folder = "ply", str(tmp_path)
+    monkeypatch.setattr(record.Recording, "digest", "another")
+    with pytest.raises(RuntimeError, match="other joints"):
+        bpy.ops.jghand.export()
+
+
+def test_what_jobs_are_given_is_in_a_folder_of_each_and_gone_when_they_are_over(extension, engine, tmp_path):
+    one, other = folders.job_folder(), folders.job_folder()
+    assert one != other
+    for folder in (one, other):
+        folders.remove_job_folder(folder)
+    a_hand(extension)
+    settings = extension.scene.jghand.output
+    settings.folder, settings.bake_folder, settings.use_cache = str(tmp_path / "out"), str(tmp_path / "bakes"), True
+    before = set(folders.user_folder("jobs").iterdir())
+    bpy.ops.jghand.export()
+    bpy.ops.jghand.bake()
+    assert set(folders.user_folder("jobs").iterdir()) == before
+
+
+def test_escape_that_ends_playback_leaves_the_job(extension):
+    cancelled = []
+    job = SimpleNamespace(cancel=lambda: cancelled.append(True))
+    escape = SimpleNamespace(type="ESC", value="PRESS")
+    for playing, expected in ((True, []), (False, [True])):
+        context = SimpleNamespace(screen=SimpleNamespace(is_animation_playing=playing))
+        assert StartsJob.modal(SimpleNamespace(_job=job), context, escape) == {"PASS_THROUGH"}
+        assert cancelled == expected
+
+
+def test_the_log_of_a_job_is_one_text(extension, engine, tmp_path):
+    a_hand(extension).jghand.avatar = str(tmp_path / "none.jghand")
+    extension.scene.jghand.output.folder = str(tmp_path)
+    with pytest.raises(RuntimeError):
+        bpy.ops.jghand.export()
+    for _ in range(2):
+        bpy.ops.jghand.show_job_log(key=job_watch.OUTPUT)
+    assert len([text for text in bpy.data.texts if text.name.startswith("JGHand")]) == 1
+
+
+def test_panels_look_at_disks_on_a_timer_and_not_when_they_are_drawn(extension, monkeypatch):
+    looked, timers = [], set()
+
+    def look(_context, value):
+        looked.append(value)
+        return value
+
+    registry = SimpleNamespace(is_registered=timers.__contains__, register=lambda one, **_: timers.add(one))
+    registry.unregister = timers.remove
+    app = SimpleNamespace(background=False, timers=registry)
+    monkeypatch.setattr(kept, "bpy", SimpleNamespace(app=app))
+    for _ in range(3):
+        assert kept.kept(extension, look, 7) is None
+    assert (looked, timers) == ([], {kept._tick})
+    kept._tick()
+    assert [kept.kept(extension, look, 7) for _ in range(3)] == [7, 7, 7]
+    assert looked == [7]
+    kept.unregister()
 
 
 def evaluated_points(context, thing) -> dict[str, np.ndarray]:
@@ -294,7 +451,8 @@ def test_the_extension_alone_plays_what_usd_plays_elsewhere(extension, engine, t
     extension.scene.jghand.output.bake_folder = str(tmp_path / "bakes")
     extension.scene.jghand.output.use_cache = True
     assert bpy.ops.jghand.bake() == {"FINISHED"}
-    folder = tmp_path / "bakes" / hand.name
+    folder = bake_folders.bake_folder(hand)
+    assert folder == tmp_path / "bakes" / hand.name / "v0001"
     bpy.ops.jghand.play_bake()
     (cloud,) = baked_points.playing(extension.scene, folder)
     monkeypatch.setattr(versions, "has_usd", lambda: False)
@@ -318,19 +476,69 @@ def test_the_extension_alone_plays_what_usd_plays_elsewhere(extension, engine, t
     assert not baked_points.playing(extension.scene, folder)
 
 
+@pytest.fixture
+def played(extension, engine, tmp_path, monkeypatch):
+    """A saved file whose bake the extension plays, and its folder."""
+    hand = a_hand(extension)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+    hand = bpy.context.object
+    monkeypatch.setattr(versions, "has_usd", lambda: False)
+    assert bpy.ops.jghand.bake() == {"FINISHED"}
+    assert bpy.ops.jghand.play_bake() == {"FINISHED"}
+    folder = bake_folders.bake_folder(hand)
+    (thing,) = baked_points.playing(bpy.context.scene, folder)
+    return thing, folder
+
+
+def test_the_extension_plays_a_bake_that_was_moved_with_its_file(played, tmp_path):
+    thing, _ = played
+    assert bpy.context.scene.render.use_lock_interface
+    name = thing.name
+    bpy.ops.wm.save_mainfile()
+    shutil.move(tmp_path / "scene.blend", (tmp_path / "farm").mkdir() or tmp_path / "farm" / "scene.blend")
+    shutil.move(tmp_path / "jghand_bake", tmp_path / "farm" / "jghand_bake")
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "farm" / "scene.blend"))
+    thing = bpy.data.objects[name]
+    bpy.context.scene.frame_set(5)
+    assert len(thing.data.vertices)
+    assert cache_player.failure_in(bpy.context.scene) is None
+    assert tmp_path / "farm" in baked_points.played_folder(thing).parents
+
+
+def test_a_frame_that_is_not_there_is_not_the_frame_before_it_and_fails_the_render(played, tmp_path):
+    thing, folder = played
+    scene = bpy.context.scene
+    next(folder.rglob("*.0004.splat")).unlink()
+    scene.frame_set(3)
+    count = len(thing.data.vertices)
+    scene.frame_set(4)
+    assert not len(thing.data.vertices)
+    scene.frame_set(5)
+    assert len(thing.data.vertices) == count
+    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    scene.collection.objects.link(camera)
+    scene.camera, scene.render.engine, scene.cycles.samples = camera, "CYCLES", 1
+    scene.render.resolution_x = scene.render.resolution_y = 8
+    scene.render.filepath = str(tmp_path / "out") + "/"
+    scene.frame_start, scene.frame_end = 3, 5
+    with pytest.raises(RuntimeError):
+        bpy.ops.render.render(animation=True)
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["0003.png"]
+
+
 def test_frames_of_a_longer_bake_are_not_left_over(extension, engine, tmp_path):
     hand = a_hand(extension)
     settings = extension.scene.jghand.output
     settings.bake_folder, settings.use_cache = str(tmp_path), True
     bpy.ops.jghand.bake()
-    assert len(list(tmp_path.glob("*/*.cache/*.splat"))) == FRAMES
+    assert len(list(tmp_path.glob("**/*.splat"))) == FRAMES
     extension.scene.frame_end -= 1
     bpy.ops.jghand.bake()
-    assert len(list(tmp_path.glob("*/*.cache/*.splat"))) == FRAMES - 1
+    assert len(list(tmp_path.glob("**/*.splat"))) == FRAMES - 1
     settings.use_cache = False
     bpy.ops.jghand.bake()
-    assert not list(tmp_path.glob("*/*.cache/*.splat"))
-    assert bakes.read_bake(tmp_path / hand.name)[0].frames == FRAMES - 1
+    assert not list(tmp_path.glob("**/*.splat"))
+    assert bakes.read_bake(bake_folders.bake_folder(hand))[0].frames == FRAMES - 1
 
 
 # ---- Blender's own USD export ----------------------------------------------------------------------------------------
@@ -381,7 +589,7 @@ def positions(path):
 same = bool((positions(whole) == positions(bake)).all())
 json.dump({"same": same, "found": [str(one) for one in check_usd(whole)]}, open(report, "w"))
 """
-    folder = Path(bpy.path.abspath(hand.jghand.bake))
+    folder = bake_folders.bake_folder(hand)
     for name in ("whole.usdc", "whole.usdz"):
         (tmp_path / "out").mkdir(exist_ok=True)
         path, report = tmp_path / "out" / name, tmp_path / "report.json"
@@ -403,7 +611,7 @@ def test_a_scene_in_centimetres_is_baked_played_and_exported_in_its_own_unit(ext
     extension.scene.jghand.output.bake_folder = str(tmp_path / "bakes")
     assert bpy.ops.jghand.bake() == {"FINISHED"}
     bpy.ops.jghand.play_bake()
-    (cloud,) = baked_points.playing(extension.scene, tmp_path / "bakes" / hand.name)
+    (cloud,) = baked_points.playing(extension.scene, bake_folders.bake_folder(hand))
     extension.scene.frame_set(3)
     wrist = np.array(hand.matrix_world @ hand.pose.bones["wrist"].head)
     size = np.ptp(cloud_positions(extension, cloud), axis=0).max()
@@ -430,7 +638,7 @@ def test_both_hands_of_a_foreign_rig_are_baked_played_and_exported(extension, en
     settings.bake_folder, settings.hands = str(tmp_path / "bakes"), "all"
     assert bpy.ops.jghand.bake() == {"FINISHED"}
     folder = Path(rig.jghand.bake)
-    assert folder.name == "Body"
+    assert folder.parent.name == "Body"
     assert [hand.handedness for hand in bakes.read_bake(folder)] == ["right", "left"]
     extension.view_layer.objects.active = rig
     assert bpy.ops.jghand.check_bake() == {"FINISHED"}
@@ -472,6 +680,26 @@ def test_a_stale_or_missing_bake_is_left_out_and_told(baked, tmp_path):
     stage = Usd.Stage.Open(str(path))
     assert not [prim for prim in stage.Traverse() if prim.GetTypeName() == usd_hook.SPLAT_TYPE]
     assert any("left out" in note and "another way" in note for note in usd_hook.notes)
+
+
+def test_the_layers_of_an_export_lie_in_a_folder_of_its_own(baked, tmp_path):
+    _, hand, _ = baked
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / f"{hand.name}.usda").write_text("somebody else's")
+    bpy.ops.jghand.export_scene_usd(filepath=str(out / "whole.usdc"))
+    assert (out / f"{hand.name}.usda").read_text() == "somebody else's"
+    assert (out / "whole_jghand" / f"{hand.name}.usda").is_file()
+
+
+def test_the_file_browser_proposes_the_scenes_name_and_asks_before_it_overwrites(baked, tmp_path):
+    asked = []
+    manager = SimpleNamespace(fileselect_add=asked.append)
+    operator = SimpleNamespace(filepath="")
+    ExportSceneUsd.invoke(operator, SimpleNamespace(blend_data=bpy.data, window_manager=manager), None)
+    assert operator.filepath == str(tmp_path / "scene.usdc")
+    assert asked == [operator]
+    assert bpy.ops.jghand.export_scene_usd.get_rna_type().properties["check_existing"].default
 
 
 def test_nothing_that_goes_wrong_in_the_hook_leaves_it(extension, tmp_path, monkeypatch):

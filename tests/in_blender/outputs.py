@@ -71,7 +71,7 @@ def step_escape_ends_the_job_and_leaves_no_bake(window):
     yield from window.key("Escape")
     yield lambda: jobs.get("output").is_over
     assert jobs.get("output").state.phase.value == "cancelled"
-    assert not list(window.out.glob("jghand_bake/*/bake.json"))
+    assert not list(window.out.glob("jghand_bake/**/bake.json"))
 
 
 def step_a_bake_is_made_beside_blenders_own_work(window):
@@ -80,7 +80,7 @@ def step_a_bake_is_made_beside_blenders_own_work(window):
     window.call("jghand.bake")
     yield lambda: _phase(jobs) == "done"
     print(f"JGHAND baked {FRAMES} frames in {time.monotonic() - started:.1f} s", flush=True)
-    (stamp,) = window.out.glob("jghand_bake/*/bake.json")
+    (stamp,) = window.out.glob("jghand_bake/**/bake.json")
     assert json.loads(stamp.read_text())["hands"][0]["frames"] == FRAMES
     window.redraw()
     yield 0.5
