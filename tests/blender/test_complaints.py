@@ -13,20 +13,23 @@ import itertools
 import subprocess
 import sys
 import time
+import webbrowser
 from collections.abc import Iterator
 from pathlib import Path
 
 import bpy
+import hands
 import numpy as np
 import pytest
 import recording_layout
 from bpy_extras import anim_utils
 
 from blender_addon import registration, runtime
-from blender_addon.bridge import camera, sources, versions
+from blender_addon.bridge import camera, folders, sources, versions
 from blender_addon.bridge import left_out as left_out_of_renders
 from blender_addon.core import limits
 from blender_addon.core.link import EngineLink
+from blender_addon.core.messages import ADVICE
 from blender_addon.core.view import picture_request
 from blender_addon.panels import hand, picture
 
@@ -212,6 +215,52 @@ def test_hidden_preconditions(stand_in, context, content):
             silent.append(name)
     assert silent == []
     assert len(our_operators()) > 20
+
+
+# what a test must not press, and why
+NOT_PRESSED = {
+    "jghand.open_preferences": "needs a window",
+    "jghand.check_engine": "starts Pythons of this machine (test_engine_operators)",
+}
+
+
+@pytest.mark.parametrize("content", ["a hand", "two hands, one in pose mode", "somebody's rig", "a combined scene"])
+@pytest.mark.filterwarnings("error")
+def test_whatever_may_run_runs_or_says_in_a_sentence_why_not(stand_in, context, monkeypatch, tmp_path, content):
+    """Every operator whose poll agrees, as its button calls it, each in a scene that was made anew."""
+    monkeypatch.setattr(webbrowser, "open", lambda *_: True)
+    monkeypatch.setattr(folders, "user_folder", lambda name, **_: tmp_path / name)
+    sentences = tuple(advice.sentence for advice in ADVICE.values())
+    ran = 0
+    for name in our_operators():
+        bpy.ops.wm.read_factory_settings(use_empty=True)
+        prepare(content)
+        operator = getattr(bpy.ops.jghand, name.partition(".")[2])
+        if name in NOT_PRESSED or not operator.poll():
+            continue
+        ran += 1
+        said = ""
+        try:
+            operator()
+        except RuntimeError as error:
+            said = str(error)
+        assert "Traceback" not in said, name
+        assert not said or any(sentence in said for sentence in sentences), (name, said)
+    assert ran > 10
+
+
+def prepare(content: str) -> None:
+    if content == "somebody's rig":
+        hands.mixamo_rig(bpy.context)
+        bpy.ops.jghand.use_armature()
+        return
+    bpy.ops.jghand.add_hand()
+    if content.startswith("two hands"):
+        bpy.ops.jghand.add_hand(handedness="left")
+        bpy.ops.object.mode_set(mode="POSE")
+    elif content == "a combined scene":
+        bpy.context.scene.render.engine = "CYCLES"
+        bpy.ops.jghand.combine_with_scene()
 
 
 def test_one_button_in_an_empty_scene_is_all_that_a_render_needs(stand_in, context, tmp_path):
