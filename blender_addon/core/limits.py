@@ -158,8 +158,6 @@ BUDGET_MS = 16.0
 DENSITY_MIN = 0.1
 # reach of shadows, millimetres: the engine's own, and the most that it takes
 SHADOW_RADIUS_MM, SHADOW_RADIUS_MAX_MM = 20.0, 200.0
-# reach of shadows, millimetres: the engine's own, and the most that it takes
-SHADOW_RADIUS_MM, SHADOW_RADIUS_MAX_MM = 20.0, 200.0
 # sub-frames of motion blur: enough for a finger that crosses its own width; beyond, seconds a frame for nothing
 MOTION_SAMPLES = 8
 MOTION_SAMPLES_MAX = 64
