@@ -108,7 +108,8 @@ def _interrupts() -> Iterator[None]:
         yield
     finally:
         runtime.give_up_render(False)
-        signal.signal(signal.SIGINT, before)
+        # None: Blender's own program handled it, which Python cannot put back; the system's way ends it as well
+        signal.signal(signal.SIGINT, signal.SIG_DFL if before is None else before)
 
 
 def _tell(failure: JGHandFailure, log: Path | None = None) -> None:
