@@ -13,7 +13,19 @@ from types import ModuleType
 import bpy
 
 from . import cli_command, preferences, properties, render_engine, runtime
-from .bridge import cache_player, cards, guard, job_watch, kept, left_out, pose_pictures, pose_shelf, sync, usd_hook
+from .bridge import (
+    appended,
+    cache_player,
+    cards,
+    guard,
+    job_watch,
+    kept,
+    left_out,
+    pose_pictures,
+    pose_shelf,
+    sync,
+    usd_hook,
+)
 from .operators import (
     bake,
     bone_map,
@@ -40,7 +52,7 @@ MODULES: tuple[ModuleType, ...] = (
     preferences,
     properties,
     runtime,
-    *(pose_pictures, pose_shelf, job_watch, kept, cards, usd_hook, cache_player),
+    *(pose_pictures, pose_shelf, job_watch, kept, cards, usd_hook, cache_player, appended),
     sync,
     guard,
     left_out,

@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
+import re
 import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import pytest
 from recording_layout import draw
 
 from blender_addon import runtime
-from blender_addon.bridge import cards, job_watch
+from blender_addon.bridge import bake_folders, cards, job_watch, seen_hands
 from blender_addon.core.job_state import Phase
 from blender_addon.core.jobs import Job
+from blender_addon.core.messages import JGHandFailure
+from blender_addon.operators.training import LoadAvatar, Train
+from blender_addon.output_settings import IDENTITIES
 from blender_addon.panels import output, training
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -147,6 +153,56 @@ def test_a_failed_job_says_why_until_the_next_one(place, monkeypatch):
     assert "jghand.show_job_log" in operators_of(training.TrainPanel)
 
 
+def a_training(place: Path, name: str = "my_hand") -> Path:
+    """As one of an earlier day left it."""
+    work = place / f"{name}.training"
+    work.mkdir()
+    (work / "training.json").write_text("{}")
+    (work / "log.jsonl").write_text('{"step": 5, "loss": 0.5}\n{"step": 5, "psnr": 20.0}\n')
+    return work
+
+
+def pressed(start: str) -> list[str]:
+    """What the button asks before it does anything."""
+    asked = []
+    manager = SimpleNamespace(invoke_confirm=lambda *_, message, **__: asked.append(message) or {"RUNNING_MODAL"})
+    operator = SimpleNamespace(start=start)
+    operator._lost = lambda context: Train._lost(operator, context)
+    context = SimpleNamespace(scene=bpy.context.scene, blend_data=bpy.data, window_manager=manager)
+    assert Train.invoke(operator, context, None) == {"RUNNING_MODAL"}
+    return asked
+
+
+def test_a_training_is_not_thrown_away_by_one_click(place):
+    a_training(place)
+    assert pressed("fresh") == ["The training in my_hand.training is lost: 5 steps, fixed view 20.00 dB."]
+    assert runtime.jobs().get(job_watch.TRAINING) is None
+
+
+def test_the_panel_shows_the_training_that_its_buttons_act_on(place):
+    bpy.ops.jghand.train()
+    job = running(job_watch.TRAINING)
+    a_training(place, "other")
+    settings = bpy.context.scene.jghand.training
+    settings.avatar_file = "//other.jghand"
+    assert "step 5" not in text_of(training.TrainPanel), "the other one runs"
+    job.cancel()
+    job.wait(LONG_S)
+    seen = draw(training.TrainPanel, bpy.context)
+    assert "step 5" in " ".join(seen.texts)
+    assert seen.operators.count("jghand.train") == 2
+
+
+def test_overwriting_is_offered_where_a_file_is_in_the_way(place):
+    work, file = a_training(place), place / "my_hand.jghand"
+    offered = "Overwrite"
+    assert offered not in text_of(training.TrainPanel)
+    file.write_bytes(b"somebody's")
+    assert offered in text_of(training.TrainPanel)
+    (work / "output.json").write_text(json.dumps({"sha256": [hashlib.sha256(b"somebody's").hexdigest()]}))
+    assert offered not in text_of(training.TrainPanel), "it is of this training"
+
+
 # ---- training set ----------------------------------------------------------------------------------------------------
 
 
@@ -169,6 +225,12 @@ def test_the_poses_of_a_training_set_may_be_those_of_a_hand(place):
     assert Path(words[words.index("--motion") + 1]).is_file()
 
 
+def test_the_hands_to_choose_from_are_those_of_the_engine():
+    said = (ROOT / "jghand_engine" / "cli" / "capture.py").read_text()
+    numbered = re.findall(r"(\d) (\w+)", re.search(r"Whose hand: (.*)\.", said)[1])
+    assert [(str(item[4]), item[0]) for item in IDENTITIES] == numbered
+
+
 # ---- avatars ---------------------------------------------------------------------------------------------------------
 
 
@@ -179,6 +241,68 @@ def test_an_avatar_is_put_on_the_selected_hands_and_its_card_is_asked_for(place)
     assert bpy.ops.jghand.load_avatar(filepath=str(file)) == {"FINISHED"}
     assert bpy.context.object.jghand.avatar == str(file)
     assert runtime.jobs().get(job_watch.CARD).spec.command[-4:-2] == ("info", str(file))
+
+
+def test_the_path_of_an_avatar_is_relative_where_that_is_wanted(place):
+    bpy.ops.jghand.add_hand(handedness="right")
+    (place / "ana.jghand").write_bytes(b"")
+    bpy.ops.jghand.load_avatar(filepath=str(place / "ana.jghand"), relative_path=True)
+    assert bpy.context.object.jghand.avatar == "//ana.jghand"
+
+
+def test_an_avatar_is_on_the_hand_although_its_card_cannot_be_read(place, monkeypatch):
+    def no_engine(*_, **__):
+        raise JGHandFailure("no_interpreter")
+
+    monkeypatch.setattr(cards, "ask", no_engine)
+    bpy.ops.jghand.add_hand(handedness="right")
+    (place / "ana.jghand").write_bytes(b"")
+    assert bpy.ops.jghand.load_avatar(filepath=str(place / "ana.jghand")) == {"FINISHED"}
+    assert bpy.context.object.jghand.avatar == str(place / "ana.jghand")
+
+
+@pytest.fixture
+def library(place):
+    """A file in a folder of its own with a hand whose avatar lies beside it; another file is open."""
+    bpy.ops.jghand.add_hand(handedness="right")
+    hand = bpy.context.object
+    hand.name = "Lent"
+    hand.jghand.avatar, hand.jghand.bake = "//ana.jghand", "//bakes/Lent/v0001"
+    (place / "library").mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(place / "library" / "hands.blend"), copy=True)
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.save_as_mainfile(filepath=str(place / "scene.blend"))
+    return place / "library"
+
+
+def lent(library: Path, *, link: bool) -> bpy.types.Object:
+    bring = bpy.ops.wm.link if link else bpy.ops.wm.append
+    bring(directory=str(library / "hands.blend" / "Object") + "/", filename="Lent")
+    return bpy.data.objects["Lent"]
+
+
+@pytest.mark.parametrize("how", ["appended", "linked", "overridden"])
+def test_the_avatar_of_a_hand_from_another_file_lies_beside_that_file(library, how):
+    hand = lent(library, link=how != "appended")
+    if how == "overridden":
+        hand = hand.override_create(remap_local_usages=True)
+    assert Path(seen_hands.avatar_of(hand)).resolve() == library / "ana.jghand"
+    assert bake_folders.bake_folder(hand).resolve() == library / "bakes" / "Lent" / "v0001"
+
+
+def test_the_own_avatar_of_an_overridden_hand_lies_beside_the_opened_file(library):
+    hand = lent(library, link=True).override_create(remap_local_usages=True)
+    hand.jghand.avatar = "//mine.jghand"
+    assert Path(seen_hands.avatar_of(hand)) == library.parent / "mine.jghand"
+
+
+def test_a_linked_hand_keeps_its_avatar(library):
+    hand = lent(library, link=True)
+    bpy.context.view_layer.objects.active = hand
+    context = SimpleNamespace(object=hand, view_layer=bpy.context.view_layer)
+    said = []
+    assert not LoadAvatar.poll.__func__(SimpleNamespace(poll_message_set=said.append), context)
+    assert "linked from another file" in said[0]
 
 
 @pytest.mark.parametrize("name", ["none.jghand", "scene.blend"])
