@@ -56,6 +56,7 @@ class EngineLink:
         log_folder: where what the engine prints is kept; None: only its last lines in memory."""
         self._command, self._environment = command, environment
         self._log, self._log_folder = EngineLog(), log_folder
+        self._shown_log = self._log  # the newest that is not empty
         self._news = threading.Condition(threading.RLock())
         # all that follows is read and written under the lock of `_news`
         self._state: machine.State = machine.Stopped()
@@ -87,18 +88,18 @@ class EngineLink:
 
     @property
     def log(self) -> str:
-        """The last lines that the engine printed: the one that runs, or ran last."""
-        return self._log.last()
+        """The last lines that the engine printed; the one before, while this one has printed nothing."""
+        return self._newest_log().last()
 
     @property
     def has_log(self) -> bool:
         """Whether it printed any; for those who ask often."""
-        return not self._log.empty
+        return not self._newest_log().empty
 
     @property
     def log_path(self) -> Path | None:
-        """The file with all that this engine printed; None where none is written."""
-        return self._log.path
+        """The file with all of `log`; None where none is written."""
+        return self._newest_log().path
 
     def progress(self) -> Progress | None:
         """How far the request is that the engine works on, if it says so."""
@@ -299,6 +300,13 @@ class EngineLink:
         words = self._log.last(limits.DETAIL_LINES)
         return JGHandFailure(kind, "\n".join(part for part in (detail, words) if part), log=self._log.last())
 
+    def _newest_log(self) -> EngineLog:
+        """Of this engine, or of the one before while this one has printed nothing."""
+        log = self._log
+        if not log.empty or self._shown_log.empty:
+            self._shown_log = log
+        return self._shown_log
+
     def _works(self) -> bool:
         """Whether the thread that will answer lives."""
         return self._thread is not None and self._thread.is_alive()
@@ -371,6 +379,7 @@ class EngineLink:
 
     def _start_engine(self, run: int, spawn: Sequence[str] | JGHandFailure) -> None:
         self._end_engine()
+        self._newest_log()
         self._run, self._log = run, EngineLog()
         try:
             if isinstance(spawn, JGHandFailure):
