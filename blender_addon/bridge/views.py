@@ -267,7 +267,7 @@ def _ask(view: View, ask: pacing.Ask) -> None:
     kept = {each.tag for each in view.pace.asks}
     view.places = {tag: place for tag, place in view.places.items() if tag in kept}
     view.places[ask.tag] = Place(view.part, room_m)
-    runtime.link().ask(view.slot, header, arrays, ask.tag)
+    runtime.link().ask(view.slot, header, arrays, ask.tag, droppable=ask.droppable)
     clock.hasten(next_look_s(view))
 
 

@@ -33,7 +33,7 @@ SHEET_COLUMNS = 8
 # the widest lens that `jghand render` takes, millimetres: one that sees around the hand
 APERTURE_MAX_MM = 200.0
 
-# ---- cli: commands that another program started -----------------------------------------------------------------------
+# ---- cli: commands that another program started ----------------------------------------------------------------------
 # seconds between two lines of progress: a panel is not read faster, and a pipe is not flooded
 PROGRESS_JSON_S = 0.25
 # seconds after the end of standard input until such a command ends regardless: a step of a training and its checkpoint

@@ -24,8 +24,8 @@ CLOSEST_FIRST_CANDIDATES = 32
 # pieces are passed over when they are farther than the nearest found by more than this part of it: rounding of float64,
 # amply, so that of two equally near faces the same is chosen however many were asked for
 CLOSEST_ROUNDING = 1e-9
-# a triangle whose corner has a squared sine below this is taken for its edges, from which it then differs by a millionth
-# of its length at most: rounding leaves 4e-16 where the area is none
+# a triangle whose corner has a squared sine below this is taken for its edges, from which it then differs by a
+# millionth of its length at most: rounding leaves 4e-16 where the area is none
 CLOSEST_FLAT = 1e-12
 CLOSEST_PIECES_MAX = 2_000_000
 # (points x candidates) worked on at once: bounds the memory to about 100 MB

@@ -102,7 +102,7 @@ def _corners(avatar: HandAvatar) -> tuple[np.ndarray, np.ndarray]:
     """
     relative = avatar.position_m.double().numpy() - avatar.canonical_joints_m[0].numpy()
     moves = (avatar.bone_weights != 0).numpy().T
-    moving = moves.any(1)
+    moving = np.asarray(moves.any(1))
     ends = [(relative[rows].min(0), relative[rows].max(0)) for rows in moves[moving]]
     corners = [np.stack(np.meshgrid(*np.stack(pair, 1), indexing="ij"), -1).reshape(8, 3) for pair in ends]
     return moving, np.array(corners).reshape(-1, 8, 3)
