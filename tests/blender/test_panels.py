@@ -279,7 +279,7 @@ def test_panels_stand_in_the_tab_in_the_order_of_work():
 
 def test_pictures_of_poses_are_made_for_both_hands_and_mirrored(extension, monkeypatch):
     stored = {}
-    monkeypatch.setattr(pose_pictures, "_store", lambda key, picture: stored.update({key: picture}))
+    monkeypatch.setattr(pose_pictures, "store_picture", lambda _icons, key, picture: stored.update({key: picture}))
     monkeypatch.setattr(pose_pictures, "_icons", {})
     monkeypatch.setattr(pose_pictures, "_waiting", ["point", "flat"])
     monkeypatch.setattr(pose_pictures.limits, "PICTURE_TURN_S", 0.0)
