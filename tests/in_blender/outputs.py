@@ -87,6 +87,14 @@ def step_a_bake_is_made_beside_blenders_own_work(window):
     window.picture("baked")
 
 
+def step_a_bake_is_one_step_of_undo(window):
+    for change, end in ((bpy.ops.ed.undo, ""), (bpy.ops.ed.redo, "v0001")):
+        with window.override():
+            change()
+        yield 1.0
+        assert Path(bpy.context.view_layer.objects.active.jghand.bake).name == end
+
+
 def _phase(jobs):
     job = jobs.get("output")
     return job.state.phase.value if job is not None else ""
