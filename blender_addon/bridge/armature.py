@@ -81,6 +81,11 @@ def is_foreign(thing: bpy.types.Object) -> bool:
     return not is_hand(thing) and any(mark in thing for mark in marks)
 
 
+def is_any_hand(thing: bpy.types.Object) -> bool:
+    """Whether hands are drawn on an object, ours or not."""
+    return is_hand(thing) or is_foreign(thing)
+
+
 def parts_of(thing: bpy.types.Object) -> list[bpy.types.Object]:
     """What has to be evaluated for a hand: the object itself, and the objects that it stands for."""
     joints = [thing.get(mark) for mark in OBJECT_PROPERTIES.values()]
@@ -150,7 +155,7 @@ def _hands_of(view_layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
         thing.session_uid: thing
         for collection in _rendered_collections(view_layer.layer_collection)
         for thing in collection.objects
-        if is_hand(thing) or is_foreign(thing)
+        if is_any_hand(thing)
     }
     return sorted(hands.values(), key=lambda hand: (hand.name, hand.library is not None, hand.session_uid))
 

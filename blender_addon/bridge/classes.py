@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import bpy
 
@@ -20,6 +20,17 @@ def unregister_classes(classes: Sequence[type]) -> None:
     for each in reversed(classes):
         if _is_registered(each):
             bpy.utils.unregister_class(each)
+
+
+def register_menu(menu: type[bpy.types.Menu], draw: Callable[[bpy.types.Menu, bpy.types.Context], None]) -> None:
+    """Adds a line to a menu of Blender's, once."""
+    menu.remove(draw)
+    menu.append(draw)
+
+
+def unregister_menu(menu: type[bpy.types.Menu], draw: Callable[[bpy.types.Menu, bpy.types.Context], None]) -> None:
+    """Takes it away; nothing happens where it is not there."""
+    menu.remove(draw)
 
 
 def _is_registered(each: type) -> bool:

@@ -16,6 +16,8 @@ import numpy as np
 from .. import runtime
 from ..core import limits
 from ..core.training_folder import TrainingFolder, TrainingReader, curve_picture
+from .icons import store_picture
+from .redraw import redraw
 
 # keys of jobs in the table
 OUTPUT, CAPTURE, TRAINING, CARD = "output", "capture", "training", "card"
@@ -93,14 +95,6 @@ def _tick() -> float | None:
     return limits.JOB_LOOK_S if table.running else None
 
 
-def redraw() -> None:
-    """Draws the sidebars anew."""
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()
-
-
 def _look() -> None:
     global _seen
     assert _reader is not None  # callers have looked
@@ -126,11 +120,7 @@ def _store(key: str, picture: np.ndarray | None) -> None:
         if key in icons:
             del icons[key]
         return
-    icon = icons[key] if key in icons else icons.new(key)
-    icon.image_size = icon.icon_size = (picture.shape[1], picture.shape[0])
-    pixels = np.ascontiguousarray(picture[::-1], np.float32).ravel()
-    icon.image_pixels_float.foreach_set(pixels)
-    icon.icon_pixels_float.foreach_set(pixels)
+    store_picture(icons, key, picture)
 
 
 def _load(key: str, path: Path | None) -> None:

@@ -11,7 +11,8 @@ from typing import Any, TypeVar
 import bpy
 
 from ..core import limits
-from . import job_watch, undo
+from . import undo
+from .redraw import redraw
 
 T = TypeVar("T")
 _Key = tuple[Callable[..., Any], int, tuple[Hashable, ...]]
@@ -57,4 +58,4 @@ def _tick() -> None:
             if context.scene.session_uid == scene_uid:
                 _values[key] = look(context, *about)
     if _values != before:
-        job_watch.redraw()
+        redraw()

@@ -11,10 +11,11 @@ import time
 
 import bpy
 import bpy.utils.previews
-import numpy as np
 
 from ..core import limits, pose_picture, poses, posing
 from ..core.joints import HANDEDNESSES, RIGHT
+from .icons import store_picture
+from .redraw import redraw
 
 _icons: bpy.utils.previews.ImagePreviewCollection | None = None
 _waiting: list[str] = []
@@ -66,7 +67,7 @@ def _make_some() -> float | None:
             break
     if _waiting:
         return limits.PICTURE_REST_S
-    _redraw_sidebars()
+    redraw()
     return None
 
 
@@ -76,22 +77,7 @@ def _make(name: str) -> None:
     turns = poses.pose_named(name, RIGHT).quaternions
     picture = pose_picture.pose_picture(poses.posed_joints(rest, turns), limits.MENU_PICTURE_PX)
     for handedness in HANDEDNESSES:
-        _store(_key(name, handedness), picture if handedness == RIGHT else picture[:, ::-1])
-
-
-def _store(key: str, picture: np.ndarray) -> None:
-    icon = _icons.new(key)
-    icon.image_size = icon.icon_size = (picture.shape[1], picture.shape[0])
-    pixels = np.ascontiguousarray(picture[::-1], np.float32).ravel()
-    icon.image_pixels_float.foreach_set(pixels)
-    icon.icon_pixels_float.foreach_set(pixels)
-
-
-def _redraw_sidebars() -> None:
-    for window in bpy.context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type == "VIEW_3D":
-                area.tag_redraw()
+        store_picture(_icons, _key(name, handedness), picture if handedness == RIGHT else picture[:, ::-1])
 
 
 def _key(name: str, handedness: str) -> str:

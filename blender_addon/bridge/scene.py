@@ -77,7 +77,7 @@ def instanced_hands(scene: bpy.types.Scene) -> list[str]:
         for thing in scene.objects
         if thing.instance_type == "COLLECTION" and thing.instance_collection
         for hand in thing.instance_collection.all_objects
-        if armature.is_hand(hand) or armature.is_foreign(hand)
+        if armature.is_any_hand(hand)
     ]
 
 

@@ -32,7 +32,7 @@ def notice(depsgraph: bpy.types.Depsgraph) -> None:
         thing = update.id
         if isinstance(thing, bpy.types.Scene | bpy.types.Collection):
             break
-        if isinstance(thing, bpy.types.Object) and _is_hand(thing) != (thing.original.session_uid in known):
+        if isinstance(thing, bpy.types.Object) and armature.is_any_hand(thing) != (thing.original.session_uid in known):
             break
     else:
         return
@@ -79,14 +79,10 @@ def _hands_of(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.ty
         ):
             return [thing for thing in things if thing is not None]
     # an object that was deleted a moment ago is None here
-    things = [thing for thing in layer.objects if thing is not None and _is_hand(thing)]
+    things = [thing for thing in layer.objects if thing is not None and armature.is_any_hand(thing)]
     things.sort(key=lambda thing: thing.name)
     _found[key] = [(thing.name, thing.session_uid) for thing in things]
     return things
-
-
-def _is_hand(thing: bpy.types.Object) -> bool:
-    return armature.is_hand(thing) or armature.is_foreign(thing)
 
 
 def _is_visible(thing: bpy.types.Object, layer: bpy.types.ViewLayer, space: bpy.types.SpaceView3D) -> bool:

@@ -56,7 +56,7 @@ def add_splats(stage: Any, depsgraph: bpy.types.Depsgraph) -> list[str]:
     target = whole.with_name(f"{whole.stem}_jghand")
     said = []
     for thing in depsgraph.scene.objects:
-        if not (armature.is_hand(thing) or armature.is_foreign(thing)) or not _is_exported(stage, thing):
+        if not armature.is_any_hand(thing) or not _is_exported(stage, thing):
             continue
         try:
             for hand, folder in usable_bakes(thing, depsgraph):

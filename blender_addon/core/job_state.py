@@ -17,7 +17,8 @@ from enum import Enum
 from typing import Any
 
 from . import limits
-from .messages import INTERRUPTED, JGHandFailure
+from .messages import BAD_INPUT, INTERRUPTED, JGHandFailure, kind_of_exit
+from .panel_text import duration
 
 
 class Phase(Enum):
@@ -80,14 +81,6 @@ _WORDS = {
 }
 
 
-def duration(seconds: float) -> str:
-    """`7 s`, `12 min`, `1 h 05 min`."""
-    if seconds < 59.5:
-        return f"{seconds:.0f} s"
-    minutes = round(seconds / 60)
-    return f"{minutes} min" if minutes < 60 else f"{minutes // 60} h {minutes % 60:02d} min"
-
-
 def parse_line(line: str) -> dict[str, Any] | None:
     """What a line of the engine's standard error says (`jghand … --progress-json`); None for any other line."""
     if not line.startswith("{"):
@@ -142,14 +135,11 @@ def failure_of(exit_code: int, error: Mapping[str, Any] | None, log: str) -> JGH
     last = "\n".join(log.splitlines()[-limits.DETAIL_LINES :])
     if "No module named" in log and "jghand_engine" in log:
         return JGHandFailure("no_engine", last, log=log)
-    if exit_code in (-9, 137):
-        return JGHandFailure("killed", last, log=log)
-    if exit_code == 4:
-        return JGHandFailure("out_of_memory", last, log=log)
-    if exit_code == 2:
+    if exit_code == BAD_INPUT:
         # a mistake in the arguments: an engine that does not know what this extension asks for
         return JGHandFailure("protocol", last, log=log)
-    return JGHandFailure("crashed", f"exit code {exit_code}\n{last}".strip(), log=log)
+    kind = kind_of_exit(exit_code)
+    return JGHandFailure(kind, f"exit code {exit_code}\n{last}".strip() if kind == "crashed" else last, log=log)
 
 
 def _number(value: Any) -> float | None:

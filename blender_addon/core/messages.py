@@ -13,6 +13,15 @@ from dataclasses import dataclass
 MISTAKE, BAD_INPUT, TRY_AGAIN, OUT_OF_MEMORY, INTERRUPTED = 1, 2, 3, 4, 130
 
 
+# what the exit code of a process says that said nothing itself; the system kills for memory, a shell tells it so
+EXIT_KINDS = {-9: "killed", 137: "killed", OUT_OF_MEMORY: "out_of_memory"}
+
+
+def kind_of_exit(code: int) -> str:
+    """The failure behind the exit code of a process that should not have ended."""
+    return EXIT_KINDS.get(code, "crashed")
+
+
 @dataclass(frozen=True)
 class Advice:
     """What an artist reads, and the exit code of a batch run that ends with it."""

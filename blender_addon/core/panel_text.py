@@ -104,10 +104,13 @@ class ReceiptText:
 
 
 def duration(seconds: float) -> str:
-    """ "12 s", "3 min", "2 h"."""
-    if seconds < 60:
+    """ "12 s", "3 min", "2 h", "1 h 05 min"."""
+    if seconds < 59.5:
         return f"{max(seconds, 0):.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 3600 else f"{seconds / 3600:.0f} h"
+    hours, minutes = divmod(round(seconds / 60), 60)
+    if not hours:
+        return f"{minutes} min"
+    return f"{hours} h {minutes:02d} min" if minutes else f"{hours} h"
 
 
 def milliseconds(value: float) -> str:

@@ -12,6 +12,7 @@ import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 
 from ..bridge import armature, controls
+from ..bridge.redraw import redraw
 from ..core import limits
 from ..core.messages import JGHandFailure
 
@@ -40,7 +41,7 @@ class Reporting:
         except JGHandFailure as failure:
             self.report(ERROR, sentence_of(failure))
             return CANCELLED
-        redraw(context)
+        redraw()
         return DONE
 
     def tell(self, *sentences: str) -> None:
@@ -105,7 +106,7 @@ class InTurns(Reporting):
             raise
         if part is None:
             self.cancel(context)
-            redraw(context)
+            redraw()
             return DONE
         if time.monotonic() - self._told > limits.WORK_TELL_S:
             context.workspace.status_text_set(self._progress(part))
@@ -149,13 +150,6 @@ def wait_cursor(context: bpy.types.Context) -> Iterator[None]:
     finally:
         if window is not None:
             window.cursor_modal_restore()
-
-
-def redraw(context: bpy.types.Context) -> None:
-    """Views and their sidebars show what was done, whoever did it."""
-    for area in context.screen.areas if context.screen is not None else ():
-        if area.type == "VIEW_3D":
-            area.tag_redraw()
 
 
 def missing(operator: type, sentence: str) -> bool:

@@ -9,6 +9,7 @@ from bpy.app.translations import pgettext_rpt as rpt_
 
 from .. import runtime
 from ..bridge.classes import register_classes, unregister_classes
+from ..bridge.redraw import PANELS, redraw
 from ..core import limits
 from ..core.engine_check import CheckResult, EngineCheck
 from ..core.messages import JGHandFailure
@@ -44,7 +45,7 @@ class CheckEngine(bpy.types.Operator):
         self._timer = context.window_manager.event_timer_add(limits.CHECK_LOOK_S, window=context.window)
         context.window_manager.modal_handler_add(self)
         context.workspace.status_text_set(rpt_("Checking the engine  ·  Esc cancels"))
-        _redraw(context)
+        redraw(*PANELS)
         return {"RUNNING_MODAL"}
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
@@ -63,7 +64,7 @@ class CheckEngine(bpy.types.Operator):
             context.window_manager.event_timer_remove(self._timer)
             self._timer = None
             context.workspace.status_text_set(None)
-        _redraw(context)
+        redraw(*PANELS)
 
     def _tell(self, context: bpy.types.Context) -> set[str]:
         result = self._check.result
@@ -78,7 +79,7 @@ class CheckEngine(bpy.types.Operator):
         else:
             mend = f": {result.mend}" if result.mend else ""
             self.report(WARNING, f"{text}. {rpt_(result.remedy)}{mend}")
-        _redraw(context)
+        redraw(*PANELS)
         return DONE
 
 
@@ -126,7 +127,7 @@ class StopEngine(bpy.types.Operator):
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         runtime.link().stop()
-        _redraw(context)
+        redraw(*PANELS)
         return DONE
 
 
@@ -207,7 +208,7 @@ class CopyCommand(bpy.types.Operator):
 
 def _ready(operator: bpy.types.Operator, context: bpy.types.Context) -> set[str]:
     """After a start: at once where there is a window to show how it goes, else when the engine is ready or failed."""
-    _redraw(context)
+    redraw(*PANELS)
     if not bpy.app.background:
         return DONE
     try:
@@ -216,14 +217,6 @@ def _ready(operator: bpy.types.Operator, context: bpy.types.Context) -> set[str]
         operator.report(ERROR, sentence_of(failure))
         return CANCELLED
     return DONE
-
-
-def _redraw(context: bpy.types.Context) -> None:
-    """Draws what shows the engine's state."""
-    for window in context.window_manager.windows:
-        for area in window.screen.areas:
-            if area.type in ("VIEW_3D", "PREFERENCES", "PROPERTIES"):
-                area.tag_redraw()
 
 
 def _show_text(context: bpy.types.Context, text: bpy.types.Text) -> None:

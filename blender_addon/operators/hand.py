@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import bpy
@@ -11,7 +12,7 @@ from bpy.app.translations import pgettext_rpt as rpt_
 from mathutils import Vector
 
 from ..bridge import armature, bone_list, controls, framing, sources
-from ..bridge.classes import register_classes, unregister_classes
+from ..bridge.classes import register_classes, register_menu, unregister_classes, unregister_menu
 from ..core import bone_maps, limits, posing
 from ..core.bone_maps import BoneMap, Recognition
 from ..core.joints import HANDEDNESSES, NAMES, RIGHT
@@ -87,6 +88,8 @@ class AddHand(Reporting, bpy.types.Operator):
         hand = armature.build_armature(context, name, posing.rest_joints_m(self.handedness), self.handedness)
         common.link_to_active_collection(context, hand)
         hand.location = context.scene.cursor.location
+        # upright, its palm to the front view: so do the hands stand whose pictures an avatar's light was learnt from
+        hand.rotation_euler = (math.pi / 2, 0.0, 0.0)
         if self.use_controls:
             controls.add_controls(context, hand)
         common.make_active(context, hand)
@@ -355,11 +358,10 @@ def _add_menu(self: bpy.types.Menu, _context: bpy.types.Context) -> None:
 def register() -> None:
     """Adds the operators, and Add Hand to Blender's menu of armatures."""
     register_classes(_CLASSES)
-    bpy.types.VIEW3D_MT_armature_add.remove(_add_menu)
-    bpy.types.VIEW3D_MT_armature_add.append(_add_menu)
+    register_menu(bpy.types.VIEW3D_MT_armature_add, _add_menu)
 
 
 def unregister() -> None:
     """Takes them away."""
-    bpy.types.VIEW3D_MT_armature_add.remove(_add_menu)
+    unregister_menu(bpy.types.VIEW3D_MT_armature_add, _add_menu)
     unregister_classes(_CLASSES)

@@ -12,7 +12,7 @@ from bpy.app.translations import pgettext_rpt as rpt_
 from bpy_extras.io_utils import ImportHelper
 
 from ..bridge import armature, controls, motion
-from ..bridge.classes import register_classes, unregister_classes
+from ..bridge.classes import register_classes, register_menu, unregister_classes, unregister_menu
 from ..core.messages import JGHandFailure
 from ..core.motion_files import MotionFile, read_motion
 from . import common
@@ -156,11 +156,10 @@ def _import_menu(self: bpy.types.Menu, _context: bpy.types.Context) -> None:
 def register() -> None:
     """Adds the operator, its place in Blender's menu, and what may be dropped."""
     register_classes(_CLASSES)
-    bpy.types.TOPBAR_MT_file_import.remove(_import_menu)
-    bpy.types.TOPBAR_MT_file_import.append(_import_menu)
+    register_menu(bpy.types.TOPBAR_MT_file_import, _import_menu)
 
 
 def unregister() -> None:
     """Takes them away."""
-    bpy.types.TOPBAR_MT_file_import.remove(_import_menu)
+    unregister_menu(bpy.types.TOPBAR_MT_file_import, _import_menu)
     unregister_classes(_CLASSES)

@@ -15,6 +15,7 @@ from bpy.app.translations import pgettext_rpt as rpt_
 
 from .. import runtime
 from ..bridge import armature, job_watch, record
+from ..bridge.redraw import redraw
 from ..core import limits
 from ..core.job_state import Phase
 from ..core.jobs import Job, JobSpec
@@ -97,7 +98,7 @@ class StartsJob(InTurns):
                 title=rpt_(self._job.spec.title), sentence=self._job.state.sentence()
             )
         )
-        job_watch.redraw()
+        redraw()
         if not self._job.is_over:
             return {"PASS_THROUGH"}
         self.cancel(context)
@@ -123,7 +124,7 @@ def hands_to_write(context: bpy.types.Context) -> list[bpy.types.Object]:
     if context.scene.jghand.output.hands == "all":
         return armature.hands_at_any_frame(layer)
     chosen = {thing for thing in (context.object, *layer.objects.selected) if thing is not None}
-    return sorted(filter(_is_any_hand, chosen), key=lambda thing: thing.name)
+    return sorted(filter(armature.is_any_hand, chosen), key=lambda thing: thing.name)
 
 
 def frames_to_write(context: bpy.types.Context) -> range:
@@ -166,7 +167,3 @@ def place(context: bpy.types.Context, text: str) -> Path:
     """A folder or a file as the settings name it. JGHandFailure: no_place."""
     check_place(text, saved=bool(context.blend_data.filepath))
     return Path(bpy.path.abspath(with_file_name(text, context.blend_data.filepath))).absolute()
-
-
-def _is_any_hand(thing: bpy.types.Object) -> bool:
-    return armature.is_hand(thing) or armature.is_foreign(thing)

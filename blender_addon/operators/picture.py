@@ -76,7 +76,7 @@ class AddCamera(Reporting, bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         thing = context.object
-        if thing is None or not (armature.is_hand(thing) or armature.is_foreign(thing)):
+        if thing is None or not armature.is_any_hand(thing):
             return missing(cls, "Select a hand")
         return True
 

@@ -289,12 +289,12 @@ class DropAvatar(bpy.types.FileHandler):
 
 def _active_hand(context: bpy.types.Context) -> bpy.types.Object | None:
     thing = context.object
-    return thing if thing is not None and (armature.is_hand(thing) or armature.is_foreign(thing)) else None
+    return thing if thing is not None and armature.is_any_hand(thing) else None
 
 
 def _hands(context: bpy.types.Context) -> list[bpy.types.Object]:
     chosen = {thing for thing in (context.object, *context.view_layer.objects.selected) if thing is not None}
-    return [thing for thing in chosen if armature.is_hand(thing) or armature.is_foreign(thing)]
+    return [thing for thing in chosen if armature.is_any_hand(thing)]
 
 
 def _editable_hands(context: bpy.types.Context) -> list[bpy.types.Object]:

@@ -46,7 +46,7 @@ def active(context: bpy.types.Context) -> bpy.types.Object | None:
 
 def is_any_hand(thing: bpy.types.Object) -> bool:
     """Whether an object is a hand, ours or not."""
-    return thing.type in ("ARMATURE", "EMPTY") and (armature.is_hand(thing) or armature.is_foreign(thing))
+    return thing.type in ("ARMATURE", "EMPTY") and armature.is_any_hand(thing)
 
 
 def hands_of(context: bpy.types.Context) -> list[bpy.types.Object]:

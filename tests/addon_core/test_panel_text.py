@@ -205,7 +205,8 @@ def test_everything_that_is_said_goes_through_the_translation():
 
 
 def test_durations_and_paragraphs_are_short():
-    assert [panel_text.duration(s) for s in (0, 59, 61, 7200)] == ["0 s", "59 s", "1 min", "2 h"]
+    assert [panel_text.duration(s) for s in (-1, 59, 59.6, 61, 7200)] == ["0 s", "59 s", "1 min", "1 min", "2 h"]
+    assert panel_text.duration(3900) == "1 h 05 min"
     assert panel_text.wrapped("one two three four", 12) == ["one two", "three four"]
     assert panel_text.wrapped("one threeteen two", 6) == ["one", "threeteen", "two"]
     assert panel_text.wrapped("a b", 10, lambda text: 8 * len(text)) == ["a", "b"]
