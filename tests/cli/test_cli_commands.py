@@ -288,7 +288,9 @@ def test_export_writes_splat_files_too(tmp_path, capsys):
     words = ("--frames", "0:1", "--out", tmp_path, "--first-frame", "9", "--up", "z", "--json", figures)
     assert run("export", "ply", "--poses", "open", "--avatar", "painted", *words) == 0
     assert sorted(path.name for path in tmp_path.glob("*.ply")) == ["hand.0009.ply", "hand.0010.ply"]
-    assert json.loads(figures.read_text())["bytes"] == sum(path.stat().st_size for path in tmp_path.glob("*.ply"))
+    told = json.loads(figures.read_text())
+    assert told["bytes"] == sum(path.stat().st_size for path in tmp_path.glob("*.ply"))
+    assert len(told["made_from"]["joints_sha256"]) == 64, "who asked for it can see whether it is of what was asked"
     assert "2 frames" in capsys.readouterr().out
 
 
