@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import IO, Any
 
 from . import limits
-from .messages import JGHandFailure
+from .messages import JGHandFailure, kind_of_exit
 from .wire import protocol
 
 # what Blender's own process would impose on another Python
@@ -166,8 +166,7 @@ class EngineProcess:
         code, words = self.popen.poll(), self._log.last(limits.DETAIL_LINES)
         if self.handshake is None and (missing := _missing(words)):
             return missing
-        kinds = {-9: "killed", 137: "killed", 4: "out_of_memory"}
-        return kinds.get(code if code is not None else 0, "crashed"), f"exit code {code}"
+        return kind_of_exit(code or 0), f"exit code {code}"
 
     def close_stdin(self) -> None:
         """Asks it to end."""

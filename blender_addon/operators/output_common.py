@@ -21,7 +21,7 @@ from ..core.job_state import Phase
 from ..core.jobs import Job, JobSpec
 from ..core.messages import JGHandFailure
 from ..core.recording import Recording, check_place, with_file_name
-from .common import CANCELLED, DONE, ERROR, INFO, InTurns, missing, sentence_of
+from .common import CANCELLED, DONE, ERROR, INFO, InTurns, missing, seen_frames, sentence_of
 
 
 class StartsJob(InTurns):
@@ -129,12 +129,10 @@ def hands_to_write(context: bpy.types.Context) -> list[bpy.types.Object]:
 
 def frames_to_write(context: bpy.types.Context) -> range:
     """The frames that the scene's settings choose."""
-    scene, settings = context.scene, context.scene.jghand.output
-    if not settings.use_scene_range:
-        return range(settings.frame_start, settings.frame_end + 1)
-    if scene.use_preview_range:
-        return range(scene.frame_preview_start, scene.frame_preview_end + 1)
-    return range(scene.frame_start, scene.frame_end + 1)
+    settings = context.scene.jghand.output
+    if settings.use_scene_range:
+        return seen_frames(context.scene)
+    return range(settings.frame_start, settings.frame_end + 1)
 
 
 def poll_hands(operator: type, context: bpy.types.Context) -> bool:
