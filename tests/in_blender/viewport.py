@@ -266,6 +266,7 @@ def _begin(window):
         if thing.type == "MESH":
             bpy.data.objects.remove(thing)
     bpy.ops.jghand.add_hand()
+    bpy.context.object.rotation_euler.zero()  # lying, so that the view from above sees its palm
     bpy.context.scene.view_settings.view_transform = "Standard"
     overlay = window.space().overlay
     overlay.show_overlays = False
