@@ -110,12 +110,12 @@ def step_a_foreign_rig_shows_its_bones_and_what_is_missing(window):
 
 
 def step_pose_assets_are_made_and_shown(window):
-    library = _module(window, "bridge.pose_library")
+    library, folders = (_module(window, name) for name in ("bridge.pose_library", "bridge.folders"))
     hand = bpy.data.objects["Right Hand"]
     with window.override():
         bpy.ops.jghand.select_hand(uid=hand.session_uid)
         bpy.ops.jghand.make_pose_assets("INVOKE_DEFAULT")
-    yield library.is_used
+    yield lambda: library.is_used(folders.user_folder("poses", make=False))
     assert not any(action.asset_data for action in bpy.data.actions)  # nothing of it is left in the file
     with window.override():
         bpy.ops.jghand.show_pose_shelf("INVOKE_DEFAULT", True)
