@@ -47,13 +47,3 @@ def test_a_damaged_frame_is_refused(tmp_path, content):
 def test_a_frame_that_is_not_there_is_told(tmp_path):
     with pytest.raises(JGHandFailure):
         splat_cache.read_frame(splat_cache.frame_path(tmp_path, "Hand", -3))
-
-
-def test_clearing_removes_frames_and_nothing_else(tmp_path):
-    place = splat_cache.cache_folder(tmp_path, "Hand")
-    place.mkdir()
-    for name in ("Hand.0001.splat", "Hand.-002.splat", "mine.splat", "notes.txt"):
-        (place / name).write_bytes(b"")
-    splat_cache.clear(tmp_path, "Hand")
-    assert sorted(path.name for path in place.iterdir()) == ["mine.splat", "notes.txt"]
-    splat_cache.clear(tmp_path, "Other")

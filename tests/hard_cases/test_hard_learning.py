@@ -127,7 +127,7 @@ def test_a_hand_beside_the_picture_teaches_nothing_but_harms_nothing(monkeypatch
     mask[10:30, 10:30] = 255
     sample = sample_of(write_rgba(tmp_path / "beside.png", mask), camera_at(), joints_m)
     training = small_training(monkeypatch, [sample])
-    _, ours = training._shown()
+    _, ours = training._drawn(training._material.judged[0])
     assert not ours.any()
     figures = training.step(0)
     assert find_non_finite(figures, training) == []

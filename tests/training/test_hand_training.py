@@ -34,7 +34,7 @@ from jghand_engine.training.work_folder import Start
 def build(small_capture, tiny):
     """Makes trainings of the tiny capture."""
     split = split_capture(open_capture(small_capture))
-    material = Material(split.train, split.test[0], load_template(), AvatarInfo("tiny", "", "test"))
+    material = Material(split.train, split.test[:1], load_template(), AvatarInfo("tiny", "", "test"))
     return lambda options=tiny: HandTraining(material, options)
 
 
