@@ -4,12 +4,15 @@ What a file does not declare has to be given, and what it declares must not be c
 hand would go unnoticed until the picture. All formats hold positions; the joint order in files that JGHand writes is
 the standard order, the unit metres. Nothing is ever unpickled.
 
-    .npz   joints_m (F, 21, 3) · order · unit · fps · handedness · valid (F, 21) optional
+    .npz   joints_m (F, 21, 3) · order · unit · fps · handedness · valid (F, 21) and filled (F,) optional
     .json  {"format": "jghand motion", "version": 1, "order", "unit", "fps", "handedness", "joints": [[[x, y, z], …]]}:
-           frames of joints; a missing joint is null
+           frames of joints; a missing joint is null; "filled", optional, lists numbers of frames
     .csv   comment lines `# unit: m` and so on, a header `frame,wrist_x,wrist_y,…`, one line per frame; empty cells are
-           missing. Without joint names in the header the columns are the 63 numbers of the declared order
+           missing. Without joint names in the header the columns are the 63 numbers of the declared order. A comment
+           `# filled: 3 4 5` is optional
     .npy   (F, 21, 3) numbers
+
+Filled frames are those that nobody measured: whoever made the file closed a gap there.
 """
 
 from __future__ import annotations
@@ -128,7 +131,8 @@ def _sequence(file: Path, content: _Content, wanted: MotionFormat) -> PoseSequen
         raise InputError(f"motion file {file}", wanted="at least one frame", came="an empty motion")
     check_joint_shape(joints, order)
     level_m = to_level(joints, order) * METRES_PER_UNIT[unit]
-    sequence = PoseSequence(level_m, _fps(file, content, wanted), handedness, _level_valid(file, content, order))
+    valid, filled = _level_valid(file, content, order), _filled(file, content)
+    sequence = PoseSequence(level_m, _fps(file, content, wanted), handedness, valid, filled)
     if wanted.check_hand:
         check_hand_size(sequence.joints_m, unit)
         check_order(sequence.joints_m, order)
@@ -171,6 +175,24 @@ def _level_valid(file: Path, content: _Content, order: JointOrder) -> np.ndarray
         )
     # to_level picks joints of any numbers: three copies stand for x, y, z
     return to_level(np.repeat(content.valid[..., None].astype(np.float64), 3, axis=-1), order)[..., 0] > 0.5
+
+
+def _filled(file: Path, content: _Content) -> np.ndarray:
+    """(F,) bool from what the file declares: the flags themselves, or the numbers of the frames."""
+    filled, count = content.declared.get("filled"), len(content.joints)
+    if isinstance(filled, np.ndarray) and filled.shape == (count,):
+        return filled.astype(bool)
+    try:
+        numbers = filled.split() if isinstance(filled, str) else [] if filled is None else list(filled)
+        frames = np.array([int(number) for number in numbers], dtype=np.int64)
+    except (TypeError, ValueError, OverflowError):
+        frames = np.array([-1])
+    if isinstance(filled, np.ndarray) or (frames < 0).any() or (frames >= count).any():
+        wanted = f"a flag of each of the {count} frames, or their numbers"
+        raise InputError(f"'filled' in {file}", wanted=wanted, came="something else")
+    flags = np.zeros(count, dtype=bool)
+    flags[frames] = True
+    return flags
 
 
 def _check_size(file: Path) -> None:
@@ -225,7 +247,7 @@ def _read_npz(file: Path) -> _Content:
         file,
         (),
         f"motion file {file}",
-        optional=("joints_m", "joints", "valid", *_DECLARED),
+        optional=("joints_m", "joints", "valid", "filled", *_DECLARED),
         max_bytes=limits.MOTION_MAX_BYTES,
     )
     key = "joints_m" if "joints_m" in arrays else "joints"
@@ -234,6 +256,7 @@ def _read_npz(file: Path) -> _Content:
     declared: dict[str, Any] = {name: arrays[name].item() for name in _DECLARED if name in arrays}
     if key == "joints_m" and declared.setdefault("unit", "m") != "m":
         raise ValueError(f"'joints_m' means metres, and the unit is '{declared['unit']}': call the array 'joints'")
+    declared["filled"] = arrays.get("filled")
     valid = arrays["valid"].astype(bool) if "valid" in arrays else None
     return _Content(_numbers(arrays[key]), valid, declared)
 
@@ -249,6 +272,7 @@ def _write_npz(file: Path, sequence: PoseSequence) -> None:
             unit=np.array("m"),
             fps=np.array(sequence.fps),
             handedness=np.array(sequence.handedness.value),
+            filled=sequence.filled,
         )
 
 
@@ -285,7 +309,8 @@ def _nested_numbers(frames: list[Any]) -> np.ndarray:
 def _write_json(file: Path, sequence: PoseSequence) -> None:
     standard = from_level(sequence.joints_m, JointOrder.STANDARD)
     frames = [[None if math.isnan(joint[0]) else joint for joint in frame] for frame in standard.tolist()]
-    document = {"format": _FORMAT, "version": _VERSION, **_declarations(sequence), "joints": frames}
+    filled = {"filled": np.flatnonzero(sequence.filled).tolist()} if sequence.filled.any() else {}
+    document = {"format": _FORMAT, "version": _VERSION, **_declarations(sequence), **filled, "joints": frames}
     file.write_text(json.dumps(document, allow_nan=False), encoding="utf-8")
 
 
@@ -356,6 +381,8 @@ def _write_csv(file: Path, sequence: PoseSequence) -> None:
     with open(file, "w", encoding="utf-8", newline="") as stream:
         stream.write(f"# format: {_FORMAT} {_VERSION}\n")
         stream.writelines(f"# {name}: {value}\n" for name, value in _declarations(sequence).items())
+        if sequence.filled.any():
+            stream.write(f"# filled: {' '.join(map(str, np.flatnonzero(sequence.filled)))}\n")
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow(["frame", *_COLUMNS])
         for number, row in enumerate(standard.tolist()):

@@ -55,6 +55,7 @@ class PoseSequence:
     fps:      frames per second
     handedness: which hand it is
     valid:    (F, 21) bool; default: where the joint is finite
+    filled:   (F,) bool, frames whose joints nobody measured: a gap was closed there; default: none
     InputError for another shape (20 or 42 joints are named), no frame, or an impossible fps.
     """
 
@@ -62,6 +63,7 @@ class PoseSequence:
     fps: float
     handedness: Handedness
     valid: np.ndarray = None  # type: ignore[assignment]
+    filled: np.ndarray = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         joints = _as_joints(self.joints_m)
@@ -76,7 +78,10 @@ class PoseSequence:
             raise InputError("valid joints of a motion", wanted=f"shape {joints.shape[:2]}", came=str(valid.shape))
         valid = valid & finite
         joints[~valid] = np.nan
-        for name, value in (("joints_m", joints), ("fps", fps), ("valid", valid)):
+        filled = np.zeros(len(joints), dtype=bool) if self.filled is None else np.array(self.filled, dtype=bool)
+        if filled.shape != (len(joints),):
+            raise InputError("filled frames of a motion", wanted=f"shape ({len(joints)},)", came=str(filled.shape))
+        for name, value in (("joints_m", joints), ("fps", fps), ("valid", valid), ("filled", filled)):
             object.__setattr__(self, name, value)
         object.__setattr__(self, "handedness", Handedness(self.handedness))
 
@@ -107,7 +112,8 @@ class PoseSequence:
     def with_gaps_held(self) -> PoseSequence:
         """Every frame that misses a joint repeats the last whole pose (before the first one, the first).
 
-        The report of what was held is `gaps` of the sequence before. InputError when no frame is whole.
+        They count as `filled`. The report of what was held is `gaps` of the sequence before. InputError when no frame
+        is whole.
         """
         whole = self.valid.all(axis=1)
         if not whole.any():
@@ -117,7 +123,8 @@ class PoseSequence:
             )
         source = np.maximum.accumulate(np.where(whole, np.arange(len(self)), -1))
         source[source < 0] = int(np.argmax(whole))
-        return self._with(self.joints_m[source])
+        held = self._with(self.joints_m[source])
+        return dataclasses.replace(held, filled=self.filled[source] | ~whole)
 
     def without_gaps(self) -> PoseSequence:
         """The sequence itself; InputError with frames and joints when a joint is missing anywhere."""
@@ -168,7 +175,8 @@ class PoseSequence:
         part = (time - before)[:, None, None]
         first = self.joints_m[before]
         joints = np.where(part == 0, first, _between(first, self.joints_m[after], part))
-        return dataclasses.replace(self, joints_m=joints, fps=fps, valid=np.isfinite(joints).all(axis=-1))
+        filled = self.filled[before] | self.filled[after]
+        return dataclasses.replace(self, joints_m=joints, fps=fps, valid=np.isfinite(joints).all(axis=-1), filled=filled)
 
     def mirrored(self) -> PoseSequence:
         """The other hand doing the same: x is negated and the handedness changes."""
@@ -183,7 +191,13 @@ class PoseSequence:
                 f"frames {start}:{stop}:{step}", wanted=f"at least one of the motion's {len(self)} frames", came="none"
             )
         part = slice(start, stop, step)
-        return dataclasses.replace(self, joints_m=self.joints_m[part], fps=self.fps / step, valid=self.valid[part])
+        return dataclasses.replace(
+            self,
+            joints_m=self.joints_m[part],
+            fps=self.fps / step,
+            valid=self.valid[part],
+            filled=self.filled[part],
+        )
 
     def _with(self, joints: np.ndarray) -> PoseSequence:
         return dataclasses.replace(self, joints_m=joints, valid=np.isfinite(joints).all(axis=-1))
