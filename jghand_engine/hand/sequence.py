@@ -18,7 +18,7 @@ from jghand_engine import limits
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import BONE_COUNT, JOINT_COUNT, LEVEL_NAMES, PARENTS, Handedness
 from jghand_engine.hand.orders import bone_lengths, check_joint_shape
-from jghand_engine.hand.rotations import slerp
+from jghand_engine.hand.rotations import slerp, slerp_rotation
 
 
 @dataclass(frozen=True)
@@ -174,7 +174,7 @@ class PoseSequence:
         after = np.ceil(time).astype(np.int64)
         part = (time - before)[:, None, None]
         first = self.joints_m[before]
-        joints = np.where(part == 0, first, _between(first, self.joints_m[after], part))
+        joints = np.where(part == 0, first, poses_between(first, self.joints_m[after], part))
         filled = self.filled[before] | self.filled[after]
         return dataclasses.replace(self, joints_m=joints, fps=fps, valid=np.isfinite(joints).all(axis=-1), filled=filled)
 
@@ -234,15 +234,56 @@ def rebuilt(root_m: np.ndarray, directions: np.ndarray, lengths_m: np.ndarray) -
 
 def pose_between(first_m: np.ndarray, second_m: np.ndarray, part: float) -> np.ndarray:
     """Joints (21, 3) at `part`, 0..1, of the way between two poses (21, 3): bones turn and keep their lengths."""
-    return _between(first_m[None], second_m[None], np.full((1, 1, 1), part))[0]
+    return poses_between(first_m[None], second_m[None], np.full((1, 1, 1), part))[0]
 
 
-def _between(first: np.ndarray, second: np.ndarray, part: np.ndarray) -> np.ndarray:
-    """Joints at `part` (F, 1, 1) of the way: wrists and lengths linear, directions along the great circle."""
-    a, b = (torch.from_numpy(bone_directions(joints)).movedim(-1, 0) for joints in (first, second))
-    direction = slerp(a, b, torch.from_numpy(part[..., 0])).movedim(0, -1).numpy()
-    lengths = (1 - part[..., 0]) * bone_lengths(first) + part[..., 0] * bone_lengths(second)
-    return rebuilt((1 - part[:, 0]) * first[:, 0] + part[:, 0] * second[:, 0], direction, lengths)
+def poses_between(first_m: np.ndarray, second_m: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """Joints (F, 21, 3) at `part` (F, 1, 1), 0..1, of the way between poses (F, 21, 3), level order; NaN stays NaN.
+
+    Wrists and lengths go linearly, the palm turns the short way, and directions go along great circles inside of it:
+    a hand that turns keeps its shape, and neither fingers nor palm shrink on the way.
+    """
+    turned_first, turned_second, turned = _palms_between(first_m, second_m, part[:, 0, 0])
+    a, b = (
+        torch.from_numpy(np.einsum("fji,fbj->fbi", palm, bone_directions(joints))).movedim(-1, 0)
+        for palm, joints in ((turned_first, first_m), (turned_second, second_m))
+    )
+    inside = slerp(a, b, torch.from_numpy(part[..., 0])).movedim(0, -1).numpy()
+    direction = np.einsum("fij,fbj->fbi", turned, inside)
+    lengths = (1 - part[..., 0]) * bone_lengths(first_m) + part[..., 0] * bone_lengths(second_m)
+    return rebuilt((1 - part[:, 0]) * first_m[:, 0] + part[:, 0] * second_m[:, 0], direction, lengths)
+
+
+def palm_frames(joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Frames of the palm (F, 3, 3), columns x out of the palm's plane, y, z along the metacarpals (METHOD 2.7), of
+    (F, 21, 3) level-order joints; and which are one (F,). The others, of joints that are missing or on a line, are
+    the identity."""
+    fan = joints[:, 2:6] - joints[:, :1]
+    axis, area = fan.sum(1), np.cross(fan[:, :-1], fan[:, 1:]).sum(1)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        z = axis / np.linalg.norm(axis, axis=-1, keepdims=True)
+        across = area - (area * z).sum(-1, keepdims=True) * z
+        size = np.linalg.norm(across, axis=-1, keepdims=True)
+        x = across / size
+        has_plane = (size > limits.PALM_NORMAL_MIN * (axis * axis).sum(-1, keepdims=True))[:, 0]
+    frames = np.stack([x, np.cross(z, x), z], axis=-1)
+    has_plane &= np.isfinite(frames).all(axis=(1, 2))
+    frames[~has_plane] = np.eye(3)
+    return frames, has_plane
+
+
+def rotations_between(first: np.ndarray, second: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """Rotations (F, 3, 3) at `part` (F,) of the short way between two (F, 3, 3)."""
+    a, b = (torch.from_numpy(np.ascontiguousarray(rotation)).permute(1, 2, 0) for rotation in (first, second))
+    return slerp_rotation(a, b, torch.from_numpy(part)).permute(2, 0, 1).numpy()
+
+
+def _palms_between(first: np.ndarray, second: np.ndarray, part: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Palm frames of two motions and between them; where either has none, the world's."""
+    (a, has_a), (b, has_b) = palm_frames(first), palm_frames(second)
+    none = ~(has_a & has_b)
+    a[none] = b[none] = np.eye(3)
+    return a, b, rotations_between(a, b, part)
 
 
 def _as_joints(joints: np.ndarray) -> np.ndarray:

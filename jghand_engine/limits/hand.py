@@ -60,3 +60,11 @@ TOUCH_THICKNESS_PART = 0.07
 # Gauss-Newton steps and the step of its differences; four steps reach the end on the built-in hand
 TOUCH_STEPS = 8
 TOUCH_DIFFERENCE_DEG = 1e-3
+
+# ---- hand: motions of others --------------------------------------------------------------------------------------
+# a gap longer than this is told apart: within half a second a hand does little that the way between does not show
+GAP_LONG_S = 0.5
+# part of a frame by which a time may miss it and still be that frame: round-off of clocks in text
+FRAME_EPS = 1e-6
+# more frames than this are a mistake of a file or of its clock: two hours at 120 per second
+MOTION_FRAMES_MAX = 1_000_000

@@ -1,0 +1,180 @@
+"""What is done to motions on their way in: filling gaps, cutting, taking them at other times, scaling. Knows no files.
+
+Everything here turns bones and keeps their lengths: interpolating positions would shorten fingers on the way. Another
+frame rate is `PoseSequence.resampled`, the other hand `PoseSequence.mirrored`, part of the frames `.section`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from jghand_engine import limits
+from jghand_engine.errors import InputError
+from jghand_engine.hand.joints import JOINT_COUNT, LEVEL_NAMES, PARENTS
+from jghand_engine.hand.orders import hand_length
+from jghand_engine.hand.rotations import slerp
+from jghand_engine.hand.sequence import GapReport, PoseSequence, palm_frames, poses_between, rotations_between
+
+
+@dataclass(frozen=True)
+class FilledMotion:
+    """A whole motion. filled: (F, 21) bool, level order, joints that were not seen · gaps: what was missing."""
+
+    sequence: PoseSequence
+    filled: np.ndarray
+    gaps: GapReport
+
+    def sentence(self) -> str:
+        """One line for people; '' when nothing was missing."""
+        if not self.gaps:
+            return ""
+        longest_s = self.gaps.longest / self.sequence.fps
+        text = f"{self.gaps.sentence()}: they were filled by turning the bones evenly from what was seen before to what "
+        text += "was seen after."
+        if longest_s > limits.GAP_LONG_S:
+            text += f" The longest gap has {longest_s:.1f} s: what the hand did there is not known."
+        return text
+
+
+def fill_gaps(sequence: PoseSequence) -> FilledMotion:
+    """Every missing joint from the frames before and after; joints that were seen are not moved.
+
+    A bone's direction goes along the great circle inside the palm, which itself turns the short way, its length and
+    the wrist linearly; before the first and after the last frame that shows it a bone keeps its place in the palm.
+    InputError when the wrist or a bone is in no frame.
+    """
+    valid, joints = sequence.valid, sequence.joints_m.copy()
+    if valid.all():
+        return FilledMotion(sequence, np.zeros_like(valid), sequence.gaps)
+    joints[:, 0] = _wrist(joints[:, 0], valid[:, 0])
+    palms, has_palm = _palms(sequence.joints_m)
+    for joint in range(1, JOINT_COUNT):
+        lost = np.flatnonzero(~valid[:, joint])
+        if not len(lost):
+            continue
+        parent = PARENTS[joint]
+        seen = valid[:, joint] & valid[:, parent]
+        # where the palm was seen too its turning is known; else the bone is taken as it is
+        known = np.flatnonzero(seen & has_palm if (seen & has_palm).any() else seen)
+        if not len(known):
+            raise _never_seen(sequence, LEVEL_NAMES[joint])
+        bones = sequence.joints_m[known, joint] - sequence.joints_m[known, parent]
+        inside = np.einsum("fji,fj->fi", palms[known], bones)
+        joints[lost, joint] = joints[lost, parent] + np.einsum(
+            "fij,fj->fi", palms[lost], _vectors_at(known, inside, lost)
+        )
+    whole = dataclasses.replace(sequence, joints_m=joints, valid=np.ones_like(valid))
+    return FilledMotion(whole, ~valid, sequence.gaps)
+
+
+def cut(sequence: PoseSequence, start_s: float | None = None, end_s: float | None = None) -> PoseSequence:
+    """The frames from `start_s` to `end_s`, seconds from the beginning, both included. InputError when none is left."""
+    for name, seconds in (("start", start_s), ("end", end_s)):
+        if seconds is not None and not (math.isfinite(seconds) and seconds >= 0):
+            raise InputError(f"{name} of the cut", wanted="seconds from the motion's beginning", came=f"{seconds:g}")
+    # a time that is a frame but for round-off is that frame
+    first = 0 if start_s is None else math.ceil(start_s * sequence.fps - limits.FRAME_EPS)
+    last = len(sequence) - 1 if end_s is None else math.floor(min(end_s * sequence.fps, 1e15) + limits.FRAME_EPS)
+    if first > min(last, len(sequence) - 1):
+        raise InputError(
+            "cut",
+            wanted=f"a part of the motion's {sequence.duration_s:.2f} s",
+            came=f"{start_s or 0:g} s to {sequence.duration_s if end_s is None else end_s:g} s",
+        )
+    return sequence.section(first, last + 1)
+
+
+def retimed(joints: np.ndarray, times_s: np.ndarray, fps: float) -> np.ndarray:
+    """(F, 21, 3) level-order joints seen at `times_s` (F,), rising -> (G, 21, 3) at an even rate from the first time on.
+
+    A frame between a pose and a missing one is missing. InputError for times that do not rise, and for too many frames.
+    """
+    if not np.isfinite(times_s).all() or (np.diff(times_s) <= 0).any():
+        raise InputError("times of a motion", wanted="times that rise from frame to frame", came="others")
+    count = (times_s[-1] - times_s[0]) * fps
+    if count > limits.MOTION_FRAMES_MAX:
+        raise InputError(
+            "times of a motion", wanted=f"at most {limits.MOTION_FRAMES_MAX} frames", came=f"{count:.0f} at {fps:g} fps"
+        )
+    wanted_s = times_s[0] + np.arange(int(count + limits.FRAME_EPS) + 1) / fps
+    after = np.clip(np.searchsorted(times_s, wanted_s, side="left"), 1, max(len(times_s) - 1, 1))
+    if len(times_s) == 1:
+        return joints.copy()
+    before = after - 1
+    part = np.clip((wanted_s - times_s[before]) / (times_s[after] - times_s[before]), 0.0, 1.0)
+    # a time that is a frame but for round-off is that frame, whatever its neighbour misses
+    part = np.where(np.abs(part - np.rint(part)) < limits.FRAME_EPS, np.rint(part), part)[:, None, None]
+    between = poses_between(joints[before], joints[after], part)
+    return np.where(part == 0, joints[before], np.where(part == 1, joints[after], between))
+
+
+def in_place(sequence: PoseSequence) -> PoseSequence:
+    """The same motion with the wrist kept where it first was: the hand turns and its fingers move on the spot.
+
+    Frames without a wrist are left as they are.
+    """
+    seen = np.flatnonzero(sequence.valid[:, 0])
+    if not len(seen):
+        return sequence
+    moved = sequence.joints_m[:, :1] - sequence.joints_m[seen[0], 0]
+    return dataclasses.replace(sequence, joints_m=sequence.joints_m - moved, valid=sequence.valid)
+
+
+def with_hand_length(sequence: PoseSequence, length_m: float) -> PoseSequence:
+    """The motion scaled so that the chain from the wrist to the middle finger's tip has `length_m` metres (median)."""
+    if not (math.isfinite(length_m) and limits.HAND_LENGTH_MIN_M <= length_m <= limits.HAND_LENGTH_MAX_M):
+        wanted = f"{limits.HAND_LENGTH_MIN_M:g} to {limits.HAND_LENGTH_MAX_M:g} m"
+        raise InputError("length of the hand", wanted=wanted, came=f"{length_m:g} m")
+    factor = length_m / hand_length(sequence.joints_m)
+    return dataclasses.replace(sequence, joints_m=sequence.joints_m * factor, valid=sequence.valid)
+
+
+def _wrist(positions: np.ndarray, seen: np.ndarray) -> np.ndarray:
+    """(F, 3) with the missing ones between their neighbours, held at both ends."""
+    if not seen.any():
+        raise InputError("motion", wanted="the wrist in at least one frame", came="none")
+    frames = np.arange(len(positions))
+    return np.stack([np.interp(frames, frames[seen], positions[seen, axis]) for axis in range(3)], axis=-1)
+
+
+def _palms(joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Frames of the palm (F, 3, 3) at every time, turned evenly where it was not seen; and where it was (F,)."""
+    palms, has_palm = palm_frames(joints)
+    lost, known = np.flatnonzero(~has_palm), np.flatnonzero(has_palm)
+    if len(known) and len(lost):
+        before, after, part = _neighbours(known, lost)
+        palms[lost] = rotations_between(palms[before], palms[after], part)
+    return palms, has_palm
+
+
+def _vectors_at(known: np.ndarray, vectors: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Vectors (K, 3) seen in the frames `known` -> (W, 3) in the frames `wanted`: great circles, linear lengths."""
+    before, after, part = _neighbours(np.arange(len(known)), np.interp(wanted, known, np.arange(len(known))))
+    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
+    directions = vectors / np.where(length > 0, length, 1.0)
+    a, b = (torch.from_numpy(directions[rows].T.copy()) for rows in (before, after))
+    turned = slerp(a, b, torch.from_numpy(part)).numpy().T
+    return turned * ((1 - part[:, None]) * length[before] + part[:, None] * length[after])
+
+
+def _neighbours(known: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """For each of `wanted` the one of the rising `known` before and after it, and which part of the way it is."""
+    place = np.clip(np.searchsorted(known, wanted), 0, len(known) - 1)
+    before = known[np.where((known[place] > wanted) & (place > 0), place - 1, place)]
+    after = known[place]
+    way = np.where(after > before, after - before, 1)
+    return before, after, np.clip((wanted - before) / way, 0.0, 1.0)
+
+
+def _never_seen(sequence: PoseSequence, name: str) -> InputError:
+    return InputError(
+        "motion",
+        wanted="every bone in at least one frame",
+        came=f"none that shows the bone to {name}",
+        remedy=f"In {len(sequence.gaps.frames)} of {len(sequence)} frames joints are missing.",
+    )
