@@ -108,8 +108,9 @@ def _bring_layers(hand: bakes.BakedHand, folder: Path, target: Path) -> None:
         target.mkdir(exist_ok=True)
     except OSError as error:
         raise JGHandFailure("cannot_write", f"{target}: {error.strerror or error}") from error
-    for suffix in (".rig.usdc", ".splats.usdc", ".usda"):
-        source, copy = folder / f"{hand.name}{suffix}", target / f"{hand.name}{suffix}"
+    # layers first, then the one that refers to them; a hand's name has no dot in it
+    for source in (*sorted(folder.glob(f"{hand.name}.*.usdc")), hand.stage(folder)):
+        copy = target / source.name
         try:
             if copy.exists() and (copy.samefile(source) or _same(source, copy)):
                 continue

@@ -34,3 +34,14 @@ def exr_package() -> Any:
             remedy="Install the extra: pip install 'jghand[formats]'.",
         ) from error  # fmt: skip
     return OpenEXR
+
+
+def read_exr_text(path: Path, name: str) -> str:
+    """A text in the header of a whole EXR file, '' where it has none of that name. InputError for a missing or broken
+    file, and where the package is missing."""
+    package = exr_package()
+    try:
+        with package.File(str(path)) as content:
+            return str(content.header().get(name, ""))
+    except (OSError, RuntimeError, ValueError) as error:
+        raise InputError(f"cannot read {path}", came=str(error)[:200] or type(error).__name__) from error

@@ -7,12 +7,13 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from PIL import Image, ImageDraw, ImageFont
+from PIL.PngImagePlugin import PngInfo
 
 from jghand_engine import limits
 from jghand_engine.datasets.pictures_in import read_picture
@@ -51,8 +52,9 @@ def flatten(rgba_premultiplied: np.ndarray, background: RGB) -> np.ndarray:
     return to_bytes(rgba[..., :3] + (1.0 - rgba[..., 3:]) * np.asarray(background, rgba.dtype))
 
 
-def encode_png(picture: np.ndarray) -> bytes:
-    """A premultiplied float RGBA picture (H, W, 4), or ready bytes (H, W, 3 | 4) uint8, as an 8-bit PNG.
+def encode_png(picture: np.ndarray, texts: Mapping[str, str] | None = None) -> bytes:
+    """A premultiplied float RGBA picture (H, W, 4), or ready bytes (H, W, 3 | 4) uint8, as an 8-bit PNG. texts: by key,
+    packed into its head.
 
     Raises InputError for another shape or for values that are not finite.
     """
@@ -60,13 +62,16 @@ def encode_png(picture: np.ndarray) -> bytes:
     if pixels.ndim != 3 or pixels.shape[2] not in (3, 4):
         raise InputError("picture", wanted="shape (height, width, 3 or 4)", came=str(pixels.shape))
     stream = io.BytesIO()
-    Image.fromarray(pixels).save(stream, format="PNG", compress_level=limits.PNG_COMPRESSION)
+    head = PngInfo()
+    for key, text in (texts or {}).items():
+        head.add_text(key, text, zip=True)
+    Image.fromarray(pixels).save(stream, format="PNG", pnginfo=head, compress_level=limits.PNG_COMPRESSION)
     return stream.getvalue()
 
 
-def write_png(path: Path | str, picture: np.ndarray) -> None:
+def write_png(path: Path | str, picture: np.ndarray, texts: Mapping[str, str] | None = None) -> None:
     """Writes what `encode_png` makes, whole or not at all; RetryError when the disk is full."""
-    content = encode_png(picture)
+    content = encode_png(picture, texts)
     with writing(path) as temporary:
         temporary.write_bytes(content)
 

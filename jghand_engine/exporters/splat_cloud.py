@@ -9,9 +9,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from jghand_engine.exporters.usd_motion import PosedFrame
+from jghand_engine.avatar.fast_posing import PosedFrame
+from jghand_engine.exporters.ellipsoids import scales_and_turns
 from jghand_engine.exporters.usd_splats import Cloud
 
 # maps of column vectors to RUB (x right, y up, z towards the viewer) from a world with that axis up
@@ -57,10 +57,5 @@ def _shapes(
     """Scales and rotations: of balls, or of ellipsoids (N, 6) by the axes of their covariance."""
     if covariance_m2 is None:
         return sigma_m[:, None], np.array([[1.0, 0.0, 0.0, 0.0]])
-    xx, xy, xz, yy, yz, zz = covariance_m2.astype(np.float64).T
-    whole = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], -1).reshape(-1, 3, 3)
-    variances, axes = np.linalg.eigh(axes_from_world @ whole @ axes_from_world.T)
-    # a rotation has no mirror image in it
-    axes[:, :, 0] *= np.sign(np.linalg.det(axes))[:, None]
-    smallest = np.finfo(np.float32).tiny
-    return np.sqrt(np.maximum(variances, smallest)), Rotation.from_matrix(axes).as_quat(scalar_first=True)
+    scales_m, turns = scales_and_turns(covariance_m2, axes_from_world)
+    return scales_m, turns.as_quat(scalar_first=True)

@@ -1,44 +1,48 @@
 """Export of an animated hand as an OpenUSD stage (EXPORT 1 to 8).
 
-    hand.usda         what others reference: variants splats, points, mesh        usd_stage
-    hand.splats.usdc  the Gaussians, posed, per frame                             usd_splats, fed by usd_motion
-    hand.rig.usdc     skeleton, animation, skinned mesh                           usd_rig, usd_skeleton
-    hand.shot.usda    the hand and the cameras                                    usd_stage, usd_cameras
+    hand.usda          what others reference: the variants                      usd_stage
+    hand.splats.usdc   the Gaussians, posed, per frame                          usd_splats, usd_clips, fed by usd_motion
+    hand.skinned.usdc  Gaussians that follow the skeleton, and a stand-in       usd_skinned
+    hand.rig.usdc      skeleton, animation, skinned mesh                        usd_rig, usd_skeleton
+    hand.shot.usda     the hand and the cameras                                 usd_stage, usd_cameras
 
-The colours of a trained avatar change with the pose, as its light falls on it: every frame then has its own, and the
-file is three times as large. What its skin mirrors depends on the camera, and is left out, as is the self-shadow.
+or one file of all that (usd_package). The colours of a trained avatar change with the pose, as its light falls on it:
+every frame then has its own, and the file is three times as large. What its skin mirrors depends on the camera, and is
+left out, as is the self-shadow.
 
-Everything is written into a folder beside the target and moved when it is complete, all files or none.
+Everything is written into a folder beside the target and moved when it is complete, all files or none (usd_arrival).
 """
 
 from __future__ import annotations
 
 import contextlib
-import errno
 import hashlib
-import math
-import os
-import re
 import shutil
-import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 
 from jghand_engine import __version__
 from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.fast_posing import PosedFrame
 from jghand_engine.errors import DiskFullError, InputError
+from jghand_engine.exporters.ellipsoids import scales_and_turns
+from jghand_engine.exporters.usd_arrival import arriving
+from jghand_engine.exporters.usd_clips import ClippedSplats
+from jghand_engine.exporters.usd_half import HalfPrice
 from jghand_engine.exporters.usd_layers import TimeRange, usd_errors
 from jghand_engine.exporters.usd_motion import HandMotion
+from jghand_engine.exporters.usd_options import IDENTIFIER, LayerNames, Package, UsdOptions, UsdReport, Variant
+from jghand_engine.exporters.usd_package import write_package
 from jghand_engine.exporters.usd_rig import Rig, vertex_colours, write_rig
-from jghand_engine.exporters.usd_skeleton import build_skeleton
-from jghand_engine.exporters.usd_splats import Cloud, SplatLayer
-from jghand_engine.exporters.usd_stage import LayerNames, Variant, describe, write_interface, write_shot
-from jghand_engine.files import file_error, make_folder, sync
+from jghand_engine.exporters.usd_skeleton import build_skeleton, in_motion
+from jghand_engine.exporters.usd_skinned import SkinnedCloud, write_skinned
+from jghand_engine.exporters.usd_splats import Cloud, Look, Sample, SplatLayer
+from jghand_engine.exporters.usd_stage import Interface, describe, provenance, write_interface, write_shot
+from jghand_engine.files import make_folder
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, from_level
 from jghand_engine.hand.sequence import PoseSequence
@@ -46,75 +50,6 @@ from jghand_engine.limits import USD_DISK_RESERVE, USD_STATIC_BYTES, USD_STATIC_
 from jghand_engine.splat.camera import Camera
 from jghand_engine.template.builtin import load_template
 from jghand_engine.template.mesh import HandTemplate, mirrored
-
-IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
-
-
-@dataclass(frozen=True)
-class UsdOptions:
-    """name:       stem of the files
-    default_variant: what a reader shows that cannot choose (Blender)
-    radiance:        "srgb" keeps the avatar's display-referred colours in the splats, "linear" writes light
-    sizes:           "constant": radii of the mean hand; "per_frame": as the engine shrinks and stretches them, at
-                     2.3 times the size of the file
-    width_factor:    diameter of the points of variant `points`, in two standard deviations
-    template:        surface of the avatar; None takes the built-in one
-    first_frame:     time code of the first frame
-    up:              the axis of the motion's world that points up; written down, nothing is turned
-    """
-
-    name: str = "hand"
-    default_variant: Variant = Variant.SPLATS
-    radiance: Literal["srgb", "linear"] = "srgb"
-    sizes: Literal["constant", "per_frame"] = "constant"
-    width_factor: float = 1.0
-    template: HandTemplate | None = None
-    first_frame: int = 0
-    up: Literal["y", "z"] = "y"
-
-    def __post_init__(self) -> None:
-        if not IDENTIFIER.fullmatch(self.name):
-            raise InputError("name of the USD files", wanted="letters, digits and _", came=repr(self.name))
-        if self.default_variant not in tuple(Variant):
-            raise InputError("default variant", wanted=" or ".join(Variant), came=repr(self.default_variant))
-        for thing, value, wanted in (
-            ("radiance", self.radiance, ("srgb", "linear")),
-            ("sizes", self.sizes, ("constant", "per_frame")),
-            ("up", self.up, ("y", "z")),
-        ):
-            if value not in wanted:
-                raise InputError(thing, wanted=" or ".join(wanted), came=repr(value))
-        if not (math.isfinite(self.width_factor) and self.width_factor > 0):
-            raise InputError("width factor", wanted="a finite number above 0", came=str(self.width_factor))
-
-
-@dataclass(frozen=True)
-class UsdReport:
-    """What an export did.
-
-    stage: path of the interface layer · shot: path of the shot · bytes: size by file name ·
-    seconds: time by stage of the work · sigma_error: largest relative difference between a written radius and the
-    engine's (0 with sizes per frame) · made_from: what the function of that name says
-    """
-
-    stage: Path
-    shot: Path
-    frames: int
-    gaussians: int
-    bytes: Mapping[str, int] = field(default_factory=dict)
-    seconds: Mapping[str, float] = field(default_factory=dict)
-    sigma_error: float = 0.0
-    made_from: Mapping[str, str] = field(default_factory=dict)
-
-    @property
-    def write_ms_per_frame(self) -> float:
-        """Milliseconds per frame to write the Gaussians, posing them not included."""
-        return 1e3 * self.seconds["splats"] / self.frames
-
-    @property
-    def megabytes_per_frame(self) -> float:
-        """Size of the whole export over its frames, 1e6 bytes."""
-        return sum(self.bytes.values()) / 1e6 / self.frames
 
 
 def export_usd(
@@ -137,27 +72,36 @@ def export_usd(
     motion = HandMotion(avatar, sequence)
     named_cameras = name_cameras(cameras)
     template = template_of(avatar, options.template, motion.handedness)
-    names = LayerNames(options.name)
+    names, package = LayerNames(options.name), Package(options.package)
     target = make_folder(folder)
     check_space(target, len(avatar), len(motion), options, coloured=motion.colours_move)
-    span = TimeRange(len(motion), float(sequence.fps), options.first_frame, options.up)
+    stamp = made_from(avatar, sequence)
+    about = provenance(avatar.info, stamp)
+    span = TimeRange(len(motion), float(sequence.fps), options.first_frame, options.up, about)
     clock = _Clock()
-    with usd_errors(target), _arriving(target, names) as temporary:
+    with usd_errors(target), arriving(target, names, package) as (layers, arrived):
         with clock("rig"):
             cloud = motion.cloud()
+            skeleton = build_skeleton(motion.rest_poses())
             colours = vertex_colours(template.vertices_m, cloud)
-            skeleton = build_skeleton(motion.rest_poses(), motion.poses())
-            write_rig(temporary / names.rig, Rig(skeleton, template, colours), span)
-        sigma_error = _write_splats(temporary / names.splats, motion, cloud, span, options, clock, progress)
+            write_rig(layers / names.rig, Rig(skeleton, in_motion(skeleton, motion.poses()), template, colours), span)
+        with clock("skinned points"):
+            skinned = SkinnedCloud(cloud, motion.avatar.bone_weights.numpy(), options.width_factor)
+            write_skinned(layers / names.skinned, skinned, span)
+        sigma_error, half = _write_splats(_Job(layers, names, motion, cloud, span, options), clock, progress)
         with clock("stage"):
-            stamp = made_from(avatar, sequence)
-            about = describe(avatar, motion.handedness, sizes=options.sizes, radiance=options.radiance)
-            default = Variant(options.default_variant)
-            write_interface(temporary, names, avatar.info, about, stamp, span, default)
-            write_shot(temporary, names, named_cameras, sequence.joints_m, span)
-        sizes = {path.name: path.stat().st_size for path in sorted(temporary.iterdir())}
-    stage, shot = target / names.interface, target / names.shot
-    return UsdReport(stage, shot, len(motion), len(avatar), sizes, clock.seconds, sigma_error, stamp)
+            hand = describe(avatar, motion.handedness, options)
+            interface = Interface(avatar.info.name, hand, options.variants, Variant(options.default_variant))
+            write_interface(layers, names, interface, span)
+            if package is Package.LAYERS:
+                write_shot(layers, names, named_cameras, sequence.joints_m, span)
+        if package is not Package.LAYERS:
+            with clock("package"):
+                write_package(layers / names.interface, arrived / names.single(package), package)
+        sizes = {path.name: path.stat().st_size for path in sorted(arrived.iterdir()) if path.is_file()}
+    stage = target / names.files(package)[-1 if package is not Package.LAYERS else -2]
+    shot = target / names.shot if package is Package.LAYERS else None
+    return UsdReport(stage, shot, len(motion), len(avatar), sizes, clock.seconds, sigma_error, stamp, half)
 
 
 def made_from(avatar: HandAvatar, sequence: PoseSequence) -> dict[str, str]:
@@ -204,9 +148,15 @@ def check_space(folder: Path, gaussians: int, frames: int, options: UsdOptions, 
 
     coloured: whether every frame has colours of its own
     """
-    # a position is three float32; per-frame sizes add three scales and a width, colours two times three
-    sample = (12 if options.sizes == "constant" else 28) + (24 if coloured else 0)
+    # a position is three numbers; per-frame sizes add three scales and a width, colours two times three (in half
+    # precision neither width nor colours of points)
+    if options.is_half:
+        sample = 6 + (6 if options.sizes == "per_frame" else 0) + (6 if coloured else 0)
+    else:
+        sample = (12 if options.sizes == "constant" else 28) + (24 if coloured else 0)
     expected = gaussians * (frames + 1) * sample + gaussians * USD_STATIC_BYTES_PER_GAUSSIAN + USD_STATIC_BYTES
+    if options.package != Package.LAYERS:
+        expected *= 2  # the layers, then the file that is made of them
     with usd_errors(folder):
         free = shutil.disk_usage(folder).free * (1 - USD_DISK_RESERVE)
     if expected > free:
@@ -218,65 +168,64 @@ def check_space(folder: Path, gaussians: int, frames: int, options: UsdOptions, 
         )
 
 
+@dataclass(frozen=True)
+class _Job:
+    """What the Gaussians of an export are written of. layers: the folder."""
+
+    layers: Path
+    names: LayerNames
+    motion: HandMotion
+    cloud: Cloud
+    span: TimeRange
+    options: UsdOptions
+
+    def writer(self) -> SplatLayer | ClippedSplats:
+        """A file, or many of a long take."""
+        options = self.options
+        look = Look(options.radiance, options.width_factor, options.is_half)
+        shape = self.sample(self.motion.rest()) if self.motion.has_ellipsoids else None
+        rest = Sample(
+            self.cloud.rest_m,
+            scales_m=None if shape is None else shape.scales_m,
+            turns_xyzw=None if shape is None else shape.turns_xyzw,
+        )
+        if options.has_clips(self.span.frames):
+            return ClippedSplats(self.layers, self.names, self.cloud, self.span, look, rest)
+        return SplatLayer(self.layers / self.names.splats, self.cloud, self.span, look, rest)
+
+    def sample(self, posed: PosedFrame, wrist_m: np.ndarray | None = None) -> Sample:
+        """A frame as it is written."""
+        scales_m, turns_xyzw = None, None
+        if posed.covariance_m2 is not None:
+            scales_m, turns = scales_and_turns(posed.covariance_m2)
+            scales_m, turns_xyzw = scales_m.astype(np.float32), turns.as_quat().astype(np.float32)
+        sigma_m = posed.sigma_m if self.has_sizes_per_frame else None
+        return Sample(posed.positions_m, sigma_m, posed.rgb, scales_m, turns_xyzw, wrist_m)
+
+    @property
+    def has_sizes_per_frame(self) -> bool:
+        return self.options.sizes == "per_frame" or self.motion.has_ellipsoids
+
+
 def _write_splats(
-    path: Path,
-    motion: HandMotion,
-    cloud: Cloud,
-    span: TimeRange,
-    options: UsdOptions,
-    clock: _Clock,
-    progress: Callable[[int, int], None] | None,
-) -> float:
-    """Writes every frame; returns the largest relative error of a written radius."""
-    per_frame, sigma_error = options.sizes == "per_frame", 0.0
+    job: _Job, clock: _Clock, progress: Callable[[int, int], None] | None
+) -> tuple[float, HalfPrice | None]:
+    """Writes every frame; returns the largest relative error of a written radius, and what half precision lost."""
+    sigma_error = 0.0
     with clock("splats"):
-        layer = SplatLayer(path, cloud, span, radiance=options.radiance, width_factor=options.width_factor)
-    for index in range(span.frames):
+        layer = job.writer()
+    for index in range(job.span.frames):
         with clock("posing"):
-            posed = motion.frame(index)
-            if not per_frame:
-                sigma_error = max(sigma_error, float(np.abs(cloud.sigma_m / posed.sigma_m - 1).max(initial=0)))
+            posed = job.motion.frame(index)
+            if not job.has_sizes_per_frame:
+                sigma_error = max(sigma_error, float(np.abs(job.cloud.sigma_m / posed.sigma_m - 1).max(initial=0)))
+            sample = job.sample(posed, job.motion.wrist_m(index))
         with clock("splats"):
-            layer.put(index, posed.positions_m, posed.sigma_m if per_frame else None, posed.rgb)
+            layer.put(index, sample)
         if progress:
-            progress(index + 1, span.frames)
+            progress(index + 1, job.span.frames)
     with clock("splats"):
-        layer.finish()
-    return sigma_error
-
-
-@contextlib.contextmanager
-def _arriving(folder: Path, names: LayerNames) -> Iterator[Path]:
-    """A temporary folder in `folder`; on success its files take the place of an earlier export's, all or none."""
-    for target in (folder / name for name in names.all):
-        if target.is_dir():
-            raise file_error(target, IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR)))
-    temporary = Path(tempfile.mkdtemp(prefix=f".{names.name}.", dir=folder))
-    try:
-        yield temporary
-        for name in names.all:
-            sync(temporary / name)
-        _exchange(temporary, folder, names)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
-
-
-def _exchange(arrived: Path, folder: Path, names: LayerNames) -> None:
-    """Moves the layers from `arrived` to `folder`. Layers of two exports must never stand together, so the earlier ones
-    wait aside, and on any failure everything goes back. Where even that fails they stay in their hidden folder."""
-    aside = Path(tempfile.mkdtemp(prefix=f".{names.name}.earlier.", dir=folder))
-    earlier = [(folder / name, aside / name) for name in names.all if (folder / name).exists()]
-    moved = []
-    try:
-        for source, target in (*earlier, *((arrived / name, folder / name) for name in names.all)):
-            os.replace(source, target)
-            moved.append((source, target))
-    except BaseException:
-        for source, target in reversed(moved):
-            os.replace(target, source)
-        aside.rmdir()
-        raise
-    shutil.rmtree(aside, ignore_errors=True)
+        return sigma_error, layer.finish()
 
 
 class _Clock:

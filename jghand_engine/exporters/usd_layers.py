@@ -5,8 +5,8 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -27,12 +27,14 @@ TYPES: Any = Sdf.ValueTypeNames
 @dataclass(frozen=True)
 class TimeRange:
     """What all layers of an export agree on. frames: how many; one time code is one frame · first: number of the first
-    one · up: the axis, y or z, that points up in the world of the motion; nothing is turned."""
+    one · up: the axis, y or z, that points up in the world of the motion; nothing is turned · provenance: what it was
+    made from, by whom, under which licence; every layer says it, for each may be given away alone."""
 
     frames: int
     fps: float
     first: int = 0
     up: str = "y"
+    provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def code(self, index: int) -> Usd.TimeCode:
         """The time of the frame with this index, counted from 0."""
@@ -40,7 +42,7 @@ class TimeRange:
 
 
 def new_layer(path: Path, time: TimeRange) -> Usd.Stage:
-    """A new stage on `path` in metres, with the axes and the times of the export, written on `Save()`."""
+    """A new stage on `path` in metres, with what all layers agree on, written on `Save()`."""
     stage = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z if time.up == "z" else UsdGeom.Tokens.y)
@@ -48,6 +50,8 @@ def new_layer(path: Path, time: TimeRange) -> Usd.Stage:
     stage.SetFramesPerSecond(time.fps)
     stage.SetStartTimeCode(time.first)
     stage.SetEndTimeCode(time.first + time.frames - 1)
+    if time.provenance:
+        stage.GetRootLayer().customLayerData = dict(time.provenance)
     return stage
 
 

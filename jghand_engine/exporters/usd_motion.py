@@ -1,38 +1,31 @@
-"""What of a pose sequence goes into a stage: posed Gaussians frame by frame, and the bones of all frames."""
+"""What of a pose sequence goes into a stage: posed Gaussians frame by frame, and the bones of all frames in parts.
+
+Nothing is held of a long take but its joints.
+"""
 
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
+from collections.abc import Iterator
 
 import numpy as np
 import torch
 
 from jghand_engine.avatar.avatar import HandAvatar, check_follows_joints
+from jghand_engine.avatar.fast_posing import FastPosing, PosedFrame
 from jghand_engine.avatar.skinning import pose_gaussians
 from jghand_engine.errors import InputError
 from jghand_engine.exporters.usd_skeleton import JOINT_AXES, MIRROR, BonePoses, joint_axes
 from jghand_engine.exporters.usd_splats import Cloud
-from jghand_engine.hand.frames import HandFrames
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.hand.transform import BoneTransforms
-
-
-@dataclass(frozen=True)
-class PosedFrame:
-    """Centres (N, 3) and radii (N,) of the Gaussians in one frame, metres, float32; rgb (N, 3) display-referred sRGB
-    where the colours change with the pose, else None; covariance_m2 (N, 6) xx, xy, xz, yy, yz, zz square metres of
-    ellipsoids, None for balls."""
-
-    positions_m: np.ndarray
-    sigma_m: np.ndarray
-    rgb: np.ndarray | None
-    covariance_m2: np.ndarray | None = None
+from jghand_engine.limits import USD_SAVE_EVERY
+from jghand_engine.native import library
 
 
 class HandMotion:
-    """An avatar driven by a sequence, of the hand the sequence names. All bones are computed once, in float64.
+    """An avatar driven by a sequence, of the hand the sequence names.
 
     A trained avatar is posed with its offsets, light and shade; what it mirrors depends on the camera, and is left out.
     Raises InputError for a sequence with gaps, and for an avatar whose bones do not end at the joints.
@@ -45,9 +38,8 @@ class HandMotion:
         self.avatar = avatar.for_hand(self.handedness)
         self._transform = self.avatar.bone_transform()
         self._joints_m = torch.tensor(sequence.joints_m, dtype=torch.float64)
-        self._bones = self._transform.bones(self._joints_m)
-        # pose_gaussians works in the precision of its bones; positions are stored as float32
-        self._bones32 = _in_precision(self._bones, torch.float32)
+        native = library.load()
+        self._fast = None if native is None else FastPosing(native, self.avatar)
 
     def __len__(self) -> int:
         return len(self._joints_m)
@@ -55,11 +47,25 @@ class HandMotion:
     @property
     def mean_scale(self) -> float:
         """Scale of the whole hand against the canonical one, mean over the frames."""
-        return float(self._bones.scale.mean())
+        return sum(float(bones.scale.sum()) for _, bones in self._batches()) / len(self)
+
+    def wrist_m(self, index: int) -> np.ndarray:
+        """(3,) float64 where the wrist is in one frame, metres."""
+        return self._joints_m[index, 0].numpy()
 
     def frame(self, index: int) -> PosedFrame:
         """The Gaussians as the engine draws them in one frame."""
-        bones = _one_frame(self._bones32, index)
+        return self._posed(self._joints_m[index])
+
+    def rest(self) -> PosedFrame:
+        """The Gaussians of the canonical hand, with what the avatar has learnt of such a pose."""
+        return self._posed(torch.as_tensor(self.mirrored(self.avatar.canonical_joints_m.numpy().astype(np.float64))))
+
+    def _posed(self, joints_m: torch.Tensor) -> PosedFrame:
+        if self._fast is not None:
+            return self._fast(joints_m.numpy())
+        # pose_gaussians works in the precision of its bones; positions are stored as float32
+        bones = _in_precision(self._transform.bones(joints_m), torch.float32)
         with torch.inference_mode():
             gaussians = pose_gaussians(self.avatar, bones, frames=bones.frames)
         rgb = gaussians.rgb.clamp(0, 1).numpy() if self.colours_move else None
@@ -70,6 +76,11 @@ class HandMotion:
     def colours_move(self) -> bool:
         """Whether the colours change with the pose: those of a trained avatar turn in its light."""
         return self.avatar.learnt is not None
+
+    @property
+    def has_ellipsoids(self) -> bool:
+        """Whether the Gaussians are no balls: their sizes and turns then change with the pose."""
+        return self.avatar.learnt is not None and self.avatar.learnt.ellipsoid is not None
 
     def cloud(self) -> Cloud:
         """The Gaussians at rest: canonical, mirrored for a left hand; radii at the mean scale of the motion; colours
@@ -92,9 +103,14 @@ class HandMotion:
         joints_m = torch.as_tensor(self.mirrored(self.avatar.canonical_joints_m.numpy().astype(np.float64)))[None]
         return self._poses(joints_m, self._transform.bones(joints_m))
 
-    def poses(self) -> BonePoses:
-        """The bones of every frame."""
-        return self._poses(self._joints_m, self._bones)
+    def poses(self) -> Iterator[BonePoses]:
+        """The bones of every frame, USD_SAVE_EVERY frames at a time."""
+        for joints_m, bones in self._batches():
+            yield self._poses(joints_m, bones)
+
+    def _batches(self) -> Iterator[tuple[torch.Tensor, BoneTransforms]]:
+        for joints_m in self._joints_m.split(USD_SAVE_EVERY):
+            yield joints_m, self._transform.bones(joints_m)
 
     def _poses(self, joints_m: torch.Tensor, bones: BoneTransforms) -> BonePoses:
         posed = _all_frames(bones.frames.S, bones.frames.S0)
@@ -130,10 +146,3 @@ def _all_frames(S: torch.Tensor, S0: torch.Tensor) -> np.ndarray:
 def _in_precision(bones: BoneTransforms, dtype: torch.dtype) -> BoneTransforms:
     names = ("linear", "offset_m", "root_m", "canonical_root_m", "scale")
     return dataclasses.replace(bones, **{name: getattr(bones, name).to(dtype) for name in names})
-
-
-def _one_frame(bones: BoneTransforms, index: int) -> BoneTransforms:
-    names = ("linear", "offset_m", "root_m", "scale")
-    parts = {field.name: getattr(bones.frames, field.name)[index] for field in dataclasses.fields(HandFrames)}
-    maps = {name: getattr(bones, name)[index] for name in names}
-    return dataclasses.replace(bones, frames=HandFrames(**parts), **maps)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,7 +14,7 @@ from jghand_engine.exporters.usd_layers import TYPES, TimeRange, display_primvar
 from jghand_engine.exporters.usd_skeleton import LocalPoses, UsdSkeleton, skin_influences
 from jghand_engine.exporters.usd_splats import Cloud
 from jghand_engine.exporters.usd_values import floats, ints, matrices4d, quatf, vec2f, vec3f, vec3h
-from jghand_engine.limits import USD_MESH_COLOUR_NEIGHBOURS, USD_SAVE_EVERY
+from jghand_engine.limits import USD_MESH_COLOUR_NEIGHBOURS
 from jghand_engine.template.mesh import HandTemplate
 from jghand_engine.template.surface import vertex_normals
 
@@ -22,10 +23,11 @@ RIG_PATH = "/Rig"
 
 @dataclass(frozen=True)
 class Rig:
-    """template: the surface of the hand itself, mirrored for a left one · rgb: (V, 3) display-referred sRGB of its
-    vertices."""
+    """motion: of the skeleton, in parts that are saved one by one · template: the surface of the hand itself, mirrored
+    for a left one · rgb: (V, 3) display-referred sRGB of its vertices."""
 
     skeleton: UsdSkeleton
+    motion: Iterable[LocalPoses]
     template: HandTemplate
     rgb: np.ndarray
 
@@ -58,10 +60,12 @@ def _animate(stage: Usd.Stage, animation: UsdSkel.Animation, rig: Rig, span: Tim
 
     # Default values are the rest pose: Blender and others read them before any sample
     put(rig.skeleton.default, 0, Usd.TimeCode.Default())
-    for frame in range(len(rig.skeleton.motion.scales)):
-        put(rig.skeleton.motion, frame, span.code(frame))
-        if frame % USD_SAVE_EVERY == USD_SAVE_EVERY - 1:
-            stage.Save()
+    frame = 0
+    for poses in rig.motion:
+        for index in range(len(poses.scales)):
+            put(poses, index, span.code(frame))
+            frame += 1
+        stage.Save()
     stage.Save()
 
 

@@ -20,7 +20,8 @@ no scale is negative and positive flexion curls it too.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -64,13 +65,12 @@ class LocalPoses:
 @dataclass(frozen=True)
 class UsdSkeleton:
     """tokens: 63 paths, parents first · bind, rest: (63, 4, 4) world and local transforms of the rest pose, acting on
-    column vectors · default: the rest pose as one frame · motion: F frames."""
+    column vectors · default: the rest pose as one frame."""
 
     tokens: tuple[str, ...]
     bind: np.ndarray
     rest: np.ndarray
     default: LocalPoses
-    motion: LocalPoses
 
 
 def joint_tokens() -> tuple[str, ...]:
@@ -91,23 +91,30 @@ def joint_axes(frames: np.ndarray, handedness: Handedness) -> np.ndarray:
     return frames[..., JOINT_AXES]
 
 
-def build_skeleton(rest: BonePoses, motion: BonePoses) -> UsdSkeleton:
-    """The skeleton at rest (one frame) and in motion."""
-    joints_m, axes, scales = (
-        np.concatenate([getattr(rest, name), getattr(motion, name)]) for name in ("joints_m", "axes", "scales")
-    )
-    rotations, positions_m = _world(joints_m, axes)
-    bind = _homogeneous(rotations[0], positions_m[0])
-    rotations, positions_m = _local(rotations, positions_m)
+def build_skeleton(rest: BonePoses) -> UsdSkeleton:
+    """The skeleton at rest (one frame)."""
+    rotations, positions_m = _world(rest.joints_m, rest.axes)
+    default = _local_poses(rest)
+    local = _homogeneous(Rotation.from_quat(default.rotations_xyzw[0]).as_matrix(), default.translations_m[0])
+    return UsdSkeleton(joint_tokens(), _homogeneous(rotations[0], positions_m[0]), local, default)
+
+
+def in_motion(skeleton: UsdSkeleton, batches: Iterable[BonePoses]) -> Iterator[LocalPoses]:
+    """The skeleton's joints in the poses of a motion, which comes in parts; rotations go on from the rest pose."""
+    before = skeleton.default.rotations_xyzw[-1:]
+    for batch in batches:
+        poses = _local_poses(batch)
+        turned = same_hemisphere(np.concatenate([before, poses.rotations_xyzw]))[1:]
+        before = turned[-1:]
+        yield replace(poses, rotations_xyzw=turned)
+
+
+def _local_poses(poses: BonePoses) -> LocalPoses:
+    rotations, positions_m = _local(*_world(poses.joints_m, poses.axes))
     quaternions = Rotation.from_matrix(rotations.reshape(-1, 3, 3)).as_quat().reshape(*rotations.shape[:2], 4)
-    coarse, fine = split_scales(scales[:, LEVEL_OF_STANDARD])
-    poses = (
-        positions_m,
-        same_hemisphere(quaternions),
-        np.concatenate([np.ones_like(coarse), coarse, fine], axis=1),
-    )
-    default, moving = (LocalPoses(*(array[part] for array in poses)) for part in (slice(0, 1), slice(1, None)))
-    return UsdSkeleton(joint_tokens(), bind, _homogeneous(rotations[0], positions_m[0]), default, moving)
+    coarse, fine = split_scales(poses.scales[:, LEVEL_OF_STANDARD])
+    scales = np.concatenate([np.ones_like(coarse), coarse, fine], axis=1)
+    return LocalPoses(positions_m, same_hemisphere(quaternions), scales)
 
 
 def split_scales(scales: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -124,14 +131,18 @@ def same_hemisphere(quaternions: np.ndarray) -> np.ndarray:
     return np.concatenate([quaternions[:1], quaternions[1:] * turn])
 
 
-def skin_influences(bone_weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Joint indices and weights (V, 2K) from bone weights (V, 21), level order; K = most bones of any vertex.
+def skin_influences(bone_weights: np.ndarray, most: int = JOINT_COUNT) -> tuple[np.ndarray, np.ndarray]:
+    """Joint indices and weights (V, 2K) from bone weights (V, 21), level order; K = most bones of any vertex, at most
+    `most`.
 
-    Nothing is dropped. The K shares of the skin leaves come first, in falling order, then those of their fine twins.
+    What lies beyond that is shared out among the others, nothing else is dropped. The K shares of the skin leaves come
+    first, in falling order, then those of their fine twins.
     """
-    count = max(1, int((bone_weights > 0).sum(axis=1).max()))
+    count = min(most, max(1, int((bone_weights > 0).sum(axis=1).max(initial=0))))
     bone = np.argsort(-bone_weights, axis=1, kind="stable")[:, :count]
     weight = np.take_along_axis(bone_weights, bone, axis=1)
+    if count < (bone_weights > 0).sum(axis=1).max(initial=0):
+        weight = weight / weight.sum(axis=1, keepdims=True)
     # unused slots point at the first joint: a weight of 0 on whatever joint means nothing
     skin = np.where(weight > 0, JOINT_COUNT + STANDARD_OF_LEVEL[bone], 0)
     twin = np.where(weight > 0, skin + JOINT_COUNT, 0)

@@ -3,17 +3,23 @@
 `/Splats` is a ParticleField3DGaussianSplat, `/_Points` a class prim that variant `points` brings in as `UsdGeomPoints`.
 Crate stores equal arrays once per file, so the points cost nothing beside the splats; in a file of their own they
 would double the export. As a class it stays invisible to whoever opens this layer alone.
+
+In half precision (EXPORT 6) centres are relative to the wrist, which moves as a transform of the prim: they are then
+small numbers wherever the hand is. Points know no half precision and are left out.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from pxr import Usd, UsdGeom, Vt
+from pxr import Gf, Sdf, Usd, Vt
 
 from jghand_engine.colour import srgb_to_linear
+from jghand_engine.exporters.usd_half import HalfPrice
 from jghand_engine.exporters.usd_layers import (
     LINEAR,
     SPLAT_TYPE,
@@ -26,12 +32,14 @@ from jghand_engine.exporters.usd_layers import (
     new_layer,
     uniform,
 )
-from jghand_engine.exporters.usd_values import floats, quatf, vec3f
+from jghand_engine.exporters.usd_values import floats, halves, quatf, quath, vec3f, vec3h
 from jghand_engine.limits import SH_C0, USD_SAVE_EVERY, USD_SPLAT_EXTENT_SIGMA
 
 SPLATS_PATH = "/Splats"
 POINTS_PATH = "/_Points"
 HARMONICS = "radiance:sphericalHarmonicsCoefficients"
+WRIST = "xformOp:translate"
+DEFAULT = Usd.TimeCode.Default()
 
 
 @dataclass(frozen=True)
@@ -45,116 +53,188 @@ class Cloud:
     rgb: np.ndarray
 
 
+@dataclass(frozen=True)
+class Sample:
+    """The Gaussians at one time, float32. positions_m: (N, 3) metres · sigma_m: (N,) mean radii, metres, rgb: (N, 3)
+    display-referred sRGB, None: as they are · scales_m, turns_xyzw: (N, 3) and (N, 4) of ellipsoids, None: balls ·
+    wrist_m: (3,) float64, metres, used in half precision."""
+
+    positions_m: np.ndarray
+    sigma_m: np.ndarray | None = None
+    rgb: np.ndarray | None = None
+    scales_m: np.ndarray | None = None
+    turns_xyzw: np.ndarray | None = None
+    wrist_m: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Look:
+    """How Gaussians are written. radiance: "srgb" keeps the avatar's colours, "linear" writes light · width_factor:
+    diameter of the points in two standard deviations · half: in half precision."""
+
+    radiance: str = "srgb"
+    width_factor: float = 1.0
+    half: bool = False
+
+
+# attributes of the splats: type and values in whole and in half precision, whose name has an h at its end
+_STORED: dict[str, tuple[Any, Callable[[np.ndarray], Any], Any, Callable[[np.ndarray], Any]]] = {
+    "positions": (TYPES.Point3fArray, vec3f, TYPES.Point3hArray, vec3h),
+    "orientations": (TYPES.QuatfArray, quatf, TYPES.QuathArray, quath),
+    "scales": (TYPES.Float3Array, vec3f, TYPES.Half3Array, vec3h),
+    "opacities": (TYPES.FloatArray, floats, TYPES.HalfArray, halves),
+    HARMONICS: (TYPES.Float3Array, vec3f, TYPES.Half3Array, vec3h),
+}
+
+
 class SplatLayer:
-    """Writes the layer frame by frame; the file is complete after `finish`.
+    """Writes one layer frame by frame; the file is complete after `finish`. What does not change is written once."""
 
-    What does not change is written once. radiance: "srgb" keeps the avatar's colours, "linear" writes light.
-    width_factor: diameter of the points in two standard deviations.
-    """
-
-    def __init__(self, path: Path, cloud: Cloud, time: TimeRange, *, radiance: str, width_factor: float) -> None:
+    def __init__(self, path: Path, cloud: Cloud, time: TimeRange, look: Look, rest: Sample) -> None:
         self.stage, self._time = new_layer(path, time), time
         announce_fallback(self.stage)
-        self._width_factor = width_factor
-        splats, points = self._define_splats(cloud, radiance), self._define_points(cloud)
-        # `points` and `widths` of the splats are read where the fallback turns the prim into points
-        self._positions = [
-            attribute(splats, "positions", TYPES.Point3fArray),
-            attribute(splats, "points", TYPES.Point3fArray),
-            points.CreatePointsAttr(),
-        ]
-        self._scales = attribute(splats, "scales", TYPES.Float3Array)
-        self._widths = [attribute(splats, "widths", TYPES.FloatArray), points.CreateWidthsAttr()]
-        self._widths[0].SetMetadata("interpolation", "vertex")
-        points.SetWidthsInterpolation(UsdGeom.Tokens.vertex)
-        self._extents = [attribute(splats, "extent", TYPES.Float3Array), points.CreateExtentAttr()]
-        self._colours = _Colours([splats, points.GetPrim()], radiance)
-        self._sigma_m = cloud.sigma_m
+        self._prims = SplatPrims(self.stage, look, cloud.sigma_m)
+        self._prims.define(cloud, rest)
         self._unsaved = 0
-        # samples without a Default value show nothing in several readers
-        self._put_sizes(cloud.sigma_m, Usd.TimeCode.Default())
-        self._put_positions(cloud.rest_m, cloud.sigma_m, Usd.TimeCode.Default())
 
-    def put(
-        self,
-        frame: int,
-        positions_m: np.ndarray,
-        sigma_m: np.ndarray | None = None,
-        rgb: np.ndarray | None = None,
-    ) -> None:
-        """The time sample of a frame, counted from 0: centres (N, 3) and, unless they stay as they are, radii (N,),
-        metres, and colours (N, 3), display-referred sRGB; float32."""
-        time = self._time.code(frame)
-        if rgb is not None:
-            self._colours.put(rgb, time)
-        if sigma_m is not None:
-            self._put_sizes(sigma_m, time)
-        self._put_positions(positions_m, self._sigma_m if sigma_m is None else sigma_m, time)
+    def put(self, frame: int, sample: Sample) -> None:
+        """The time sample of a frame, counted from 0."""
+        self._prims.put(sample, self._time.code(frame))
         self._unsaved += 1
         if self._unsaved == USD_SAVE_EVERY:
             self.stage.Save()
             self._unsaved = 0
 
-    def finish(self) -> None:
+    def finish(self) -> HalfPrice | None:
+        """Saves; what half precision lost, where it was asked for."""
         self.stage.Save()
+        return self._prims.price
 
-    def _put_positions(self, positions_m: np.ndarray, sigma_m: np.ndarray, time: Usd.TimeCode) -> None:
-        values = vec3f(positions_m)
-        for target in self._positions:
-            target.Set(values, time)
-        for extent, factor in zip(self._extents, (USD_SPLAT_EXTENT_SIGMA, self._width_factor), strict=True):
-            extent.Set(vec3f(bound(positions_m, factor * sigma_m)), time)
 
-    def _put_sizes(self, sigma_m: np.ndarray, time: Usd.TimeCode) -> None:
-        self._scales.Set(vec3f(np.repeat(sigma_m[:, None], 3, axis=1)), time)
-        widths = floats(2 * self._width_factor * sigma_m)
-        for target in self._widths:
-            target.Set(widths, time)
+class SplatPrims:
+    """The splats and the points on one stage. Attributes are made when they get their first value.
 
-    def _define_splats(self, cloud: Cloud, radiance: str) -> Usd.Prim:
-        prim = self.stage.DefinePrim(SPLATS_PATH, SPLAT_TYPE)
-        self.stage.SetDefaultPrim(prim)
-        count = len(cloud.sigma_m)
+    sigma_m: (N,) radii that hold where a sample brings none · price: what half precision lost so far
+    """
+
+    def __init__(self, stage: Usd.Stage, look: Look, sigma_m: np.ndarray) -> None:
+        self._stage, self._look, self._sigma_m = stage, look, sigma_m
+        self.price = HalfPrice() if look.half else None
+        self._attributes: dict[tuple[str, str], Usd.Attribute] = {}
+
+    def define(self, cloud: Cloud, rest: Sample) -> None:
+        """Both prims with what does not change, and the rest pose: samples without a Default value show nothing in
+        several readers."""
+        self._define_splats(cloud)
+        if not self._look.half:
+            points = self._stage.CreateClassPrim(POINTS_PATH)
+            points.SetTypeName("Points")
+            display_primvars(points, cloud.rgb, cloud.opacity)
+        if rest.turns_xyzw is None:
+            self._set_stored("orientations", np.tile([0.0, 0.0, 0.0, 1.0], (len(cloud.sigma_m), 1)), DEFAULT)
+        self._set_stored("opacities", cloud.opacity, DEFAULT)
+        self._put_sizes(rest, cloud.sigma_m, DEFAULT)
+        self._put_positions(rest, cloud.sigma_m, DEFAULT)
+        for path in self._point_paths:
+            self._attributes[path, "widths"].SetMetadata("interpolation", "vertex")
+
+    def override(self) -> None:
+        """Both prims without anything, for a layer that holds time samples alone."""
+        for path in (SPLATS_PATH, *(() if self._look.half else (POINTS_PATH,))):
+            self._stage.OverridePrim(path)
+
+    def put(self, sample: Sample, time: Usd.TimeCode) -> None:
+        """What moves, at a time."""
+        sigma_m = self._sigma_m if sample.sigma_m is None else sample.sigma_m
+        if sample.rgb is not None:
+            self._put_colours(sample.rgb, time)
+        if sample.sigma_m is not None or sample.scales_m is not None:
+            self._put_sizes(sample, sigma_m, time)
+        self._put_positions(sample, sigma_m, time)
+
+    @property
+    def _point_paths(self) -> tuple[str, ...]:
+        """Prims that are points to somebody: the splats are where an older USD falls back on points."""
+        return () if self._look.half else (SPLATS_PATH, POINTS_PATH)
+
+    def _put_positions(self, sample: Sample, sigma_m: np.ndarray, time: Usd.TimeCode) -> None:
+        positions_m = sample.positions_m
+        radii_m = sigma_m if sample.scales_m is None else sample.scales_m.max(axis=1)
+        if self.price is not None:
+            wrist_m = np.zeros(3) if sample.wrist_m is None else sample.wrist_m
+            positions_m = (positions_m - wrist_m).astype(np.float32)
+            self._set(SPLATS_PATH, WRIST, TYPES.Double3, Gf.Vec3d(*wrist_m.tolist()), time)
+            self.price.add_positions(positions_m)
+        values = self._set_stored("positions", positions_m, time)
+        if self.price is not None:
+            # bounds of what readers will see
+            positions_m = np.asarray(values, np.float32)
+        self._set_extent(SPLATS_PATH, positions_m, USD_SPLAT_EXTENT_SIGMA * radii_m, time)
+        for path in self._point_paths:
+            self._set(path, "points", TYPES.Point3fArray, values, time)
+        if self._point_paths:
+            self._set_extent(POINTS_PATH, positions_m, self._look.width_factor * sigma_m, time)
+
+    def _set_extent(self, path: str, positions_m: np.ndarray, radii_m: np.ndarray, time: Usd.TimeCode) -> None:
+        self._set(path, "extent", TYPES.Float3Array, vec3f(bound(positions_m, radii_m)), time)
+
+    def _put_sizes(self, sample: Sample, sigma_m: np.ndarray, time: Usd.TimeCode) -> None:
+        scales_m = np.repeat(sigma_m[:, None], 3, axis=1) if sample.scales_m is None else sample.scales_m
+        if self.price is not None:
+            self.price.add_sizes(scales_m)
+        self._set_stored("scales", scales_m, time)
+        if sample.turns_xyzw is not None:
+            self._set_stored("orientations", sample.turns_xyzw, time)
+        widths = floats(2 * self._look.width_factor * sigma_m)
+        for path in self._point_paths:
+            self._set(path, "widths", TYPES.FloatArray, widths, time)
+
+    def _put_colours(self, rgb: np.ndarray, time: Usd.TimeCode) -> None:
+        self._put_harmonics(rgb, time)
+        if self._look.half:
+            return  # displayColor knows no half precision: who reads it gets the first frame's
+        display = vec3f(srgb_to_linear(rgb))
+        for path in self._point_paths:
+            self._set(path, "primvars:displayColor", TYPES.Color3fArray, display, time)
+
+    def _put_harmonics(self, rgb: np.ndarray, time: Usd.TimeCode) -> None:
+        colour = srgb_to_linear(rgb) if self._look.radiance == "linear" else rgb
+        harmonics = (colour - 0.5) / SH_C0
+        if self.price is not None:
+            self.price.add_colours(colour, harmonics, SH_C0)
+        self._set_stored(HARMONICS, harmonics, time)
+
+    def _set_stored(self, name: str, array: np.ndarray, time: Usd.TimeCode) -> Any:
+        """Sets an attribute of the splats in their precision; the values that USD got."""
+        kind, values_of, half_kind, halves_of = _STORED[name]
+        if self._look.half:
+            name, kind, values_of = f"{name}h", half_kind, halves_of
+        values = values_of(array)
+        self._set(SPLATS_PATH, name, kind, values, time)
+        return values
+
+    def _set(self, path: str, name: str, kind: Sdf.ValueTypeName, value: Any, time: Usd.TimeCode) -> None:
+        attr = self._attributes.get((path, name))
+        if attr is None:
+            attr = self._attributes[path, name] = attribute(self._stage.GetPrimAtPath(path), name, kind)
+        attr.Set(value, time)
+
+    def _define_splats(self, cloud: Cloud) -> None:
+        prim = self._stage.DefinePrim(SPLATS_PATH, SPLAT_TYPE)
+        self._stage.SetDefaultPrim(prim)
         uniform(prim, "projectionModeHint", TYPES.Token, "perspective")
         uniform(prim, "sortingModeHint", TYPES.Token, "zDepth")
         # the schema falls back to degree 3 and would drop our single coefficient as too short
         uniform(prim, "radiance:sphericalHarmonicsDegree", TYPES.Int, 0)
-        harmonics = attribute(prim, HARMONICS, TYPES.Float3Array, harmonics_of(cloud.rgb, radiance))
+        self._put_harmonics(cloud.rgb, DEFAULT)
+        harmonics = prim.GetAttribute(f"{HARMONICS}h" if self._look.half else HARMONICS)
         harmonics.SetMetadata("interpolation", "vertex")
         harmonics.SetMetadata("elementSize", 1)
-        Usd.ColorSpaceAPI.Apply(prim).CreateColorSpaceNameAttr(LINEAR if radiance == "linear" else SRGB)
-        attribute(prim, "orientations", TYPES.QuatfArray, quatf(np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))))
-        attribute(prim, "opacities", TYPES.FloatArray, floats(cloud.opacity))
+        Usd.ColorSpaceAPI.Apply(prim).CreateColorSpaceNameAttr(LINEAR if self._look.radiance == "linear" else SRGB)
+        if self._look.half:
+            # not by its schema: a USD that does not know the prim's type does not know that it can be moved
+            uniform(prim, "xformOpOrder", TYPES.TokenArray, Vt.TokenArray([WRIST]))
         display_primvars(prim, cloud.rgb, cloud.opacity)
-        return prim
-
-    def _define_points(self, cloud: Cloud) -> UsdGeom.Points:
-        prim = self.stage.CreateClassPrim(POINTS_PATH)
-        prim.SetTypeName("Points")
-        display_primvars(prim, cloud.rgb, cloud.opacity)
-        return UsdGeom.Points(prim)
-
-
-class _Colours:
-    """The attributes that carry the colours of prims, which were written without times before."""
-
-    def __init__(self, prims: list[Usd.Prim], radiance: str) -> None:
-        self._radiance = radiance
-        self._harmonics = [prim.GetAttribute(HARMONICS) for prim in prims if prim.HasAttribute(HARMONICS)]
-        self._display = [UsdGeom.PrimvarsAPI(prim).GetPrimvar("displayColor").GetAttr() for prim in prims]
-
-    def put(self, rgb: np.ndarray, time: Usd.TimeCode) -> None:
-        harmonics, display = harmonics_of(rgb, self._radiance), vec3f(srgb_to_linear(rgb))
-        for target in self._harmonics:
-            target.Set(harmonics, time)
-        for target in self._display:
-            target.Set(display, time)
-
-
-def harmonics_of(rgb: np.ndarray, radiance: str) -> Vt.Vec3fArray:
-    """The coefficient of degree 0 that gives a display-referred colour (N, 3), or its light."""
-    colour = srgb_to_linear(rgb) if radiance == "linear" else rgb
-    return vec3f((colour - 0.5) / SH_C0)
 
 
 def bound(positions_m: np.ndarray, radius_m: np.ndarray) -> np.ndarray:

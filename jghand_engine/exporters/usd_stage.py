@@ -2,108 +2,90 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from pxr import Kind, Sdf, Usd, UsdGeom
+from pxr import Kind, Sdf, Usd, UsdGeom, UsdSkel
 
 from jghand_engine import __version__
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
 from jghand_engine.exporters.usd_cameras import add_camera
 from jghand_engine.exporters.usd_layers import TYPES, TimeRange, announce_fallback, new_layer, uniform
+from jghand_engine.exporters.usd_options import LayerNames, UsdOptions, Variant
+from jghand_engine.exporters.usd_skinned import ALL_PATH, PROXY_PATH
 from jghand_engine.exporters.usd_splats import POINTS_PATH
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.splat.camera import Camera
 
 VARIANT_SET = "representation"
-
-
-class Variant(StrEnum):
-    """What of the hand is drawn. Blender up to 5.2 cannot choose: it takes what the file says."""
-
-    SPLATS = "splats"
-    POINTS = "points"
-    MESH = "mesh"
+HAND_PATH = "/Hand"
+RIG_PATH = f"{HAND_PATH}/Rig"
 
 
 @dataclass(frozen=True)
-class LayerNames:
-    """File names of one export, all in one folder."""
+class Interface:
+    """What the layer that others reference says. name: of the asset · about: customData `jghand` of the hand, by name ·
+    variants: those it offers · default: the one that is chosen."""
 
     name: str
-
-    @property
-    def interface(self) -> str:
-        return f"{self.name}.usda"
-
-    @property
-    def rig(self) -> str:
-        return f"{self.name}.rig.usdc"
-
-    @property
-    def splats(self) -> str:
-        return f"{self.name}.splats.usdc"
-
-    @property
-    def shot(self) -> str:
-        return f"{self.name}.shot.usda"
-
-    @property
-    def all(self) -> tuple[str, ...]:
-        """Every file, those that refer to others after them."""
-        return self.rig, self.splats, self.interface, self.shot
+    about: Mapping[str, Any]
+    variants: Sequence[Variant]
+    default: Variant
 
 
-def write_interface(
-    folder: Path,
-    names: LayerNames,
-    info: AvatarInfo,
-    about: Mapping[str, object],
-    stamp: Mapping[str, str],
-    time: TimeRange,
-    default: Variant,
-) -> None:
-    """The layer that others reference: /Hand with the rig and the variants, heavy layers as payloads.
-
-    about: what is written as customData `jghand` of the hand, by name · stamp: what it was made from, as
-    customLayerData `jghand`.
-    """
+def write_interface(folder: Path, names: LayerNames, interface: Interface, time: TimeRange) -> None:
+    """The layer that others reference: /Hand with the rig and the variants, heavy layers as payloads."""
     stage = new_layer(folder / names.interface, time)
     # an Xform: a SkelRoot here would stop the bounds at what is skinned, and the splats would have none
-    hand = UsdGeom.Xform.Define(stage, "/Hand").GetPrim()
+    hand = UsdGeom.Xform.Define(stage, HAND_PATH).GetPrim()
     stage.SetDefaultPrim(hand)
     announce_fallback(stage)
-    stage.GetRootLayer().customLayerData = {"creator": f"JGHand {__version__}", "jghand": dict(stamp)}
     model = Usd.ModelAPI(hand)
     model.SetKind(Kind.Tokens.component)
-    model.SetAssetName(info.name)
+    model.SetAssetName(interface.name)
     model.SetAssetVersion(__version__)
     model.SetAssetIdentifier(Sdf.AssetPath(f"./{names.interface}"))
-    for key, value in about.items():
+    for key, value in interface.about.items():
         hand.SetCustomDataByKey(f"jghand:{key}", value)
-    stage.DefinePrim("/Hand/Rig", "SkelRoot").GetReferences().AddReference(f"./{names.rig}")
+    stage.DefinePrim(RIG_PATH, "SkelRoot").GetReferences().AddReference(f"./{names.rig}")
     variants = hand.GetVariantSets().AddVariantSet(VARIANT_SET)
-    for variant in Variant:
+    for variant in interface.variants:
         variants.AddVariant(variant)
         variants.SetVariantSelection(variant)
         with variants.GetVariantEditContext():
             _fill_variant(stage, variant, names)
-    variants.SetVariantSelection(default)
+    variants.SetVariantSelection(interface.default)
     stage.Save()
 
 
 def _fill_variant(stage: Usd.Stage, variant: Variant, names: LayerNames) -> None:
     if variant is not Variant.MESH:
-        uniform(stage.OverridePrim("/Hand/Rig/Mesh"), "purpose", TYPES.Token, UsdGeom.Tokens.guide)
+        uniform(stage.OverridePrim(f"{RIG_PATH}/Mesh"), "purpose", TYPES.Token, UsdGeom.Tokens.guide)
     if variant is Variant.SPLATS:
-        stage.OverridePrim("/Hand/Splats").GetPayloads().AddPayload(f"./{names.splats}")
+        splats = stage.OverridePrim(f"{HAND_PATH}/Splats")
+        splats.GetPayloads().AddPayload(f"./{names.splats}")
+        # no payload: it stands in for what is not loaded too
+        proxy = stage.OverridePrim(f"{RIG_PATH}/Proxy")
+        proxy.GetReferences().AddReference(f"./{names.skinned}", PROXY_PATH)
+        _bind(proxy)
+        uniform(splats, "purpose", TYPES.Token, UsdGeom.Tokens.render)
+        splats.CreateRelationship("proxyPrim", False).SetTargets([proxy.GetPath()])
     if variant is Variant.POINTS:
         # the data is a class prim; here it becomes a real one
-        points = stage.DefinePrim("/Hand/Points")
+        points = stage.DefinePrim(f"{HAND_PATH}/Points")
         points.GetPayloads().AddPayload(f"./{names.splats}", POINTS_PATH)
+    if variant is Variant.POINTS_SKINNED:
+        points = stage.OverridePrim(f"{RIG_PATH}/Points")
+        points.GetPayloads().AddPayload(f"./{names.skinned}", ALL_PATH)
+        _bind(points)
+
+
+def _bind(points: Usd.Prim) -> None:
+    """To the skeleton of the rig: the points come from another file, which cannot know it."""
+    UsdSkel.BindingAPI.Apply(points).CreateSkeletonRel().SetTargets([Sdf.Path(f"{RIG_PATH}/Skeleton")])
 
 
 def write_shot(
@@ -126,17 +108,33 @@ def write_shot(
 IMAGE_STATES = {"srgb": "display-referred sRGB", "linear": "linear light"}
 
 
-def describe(avatar: HandAvatar, handedness: Handedness, *, sizes: str, radiance: str) -> dict[str, object]:
+def describe(avatar: HandAvatar, handedness: Handedness, options: UsdOptions) -> dict[str, Any]:
     """customData of the hand: what a client cannot see from the attributes. imageState is that of the radiance."""
     learnt = avatar.learnt
+    still = learnt is None or learnt.correctives is None
     return {
         "gaussians": len(avatar),
         "handedness": str(handedness),
-        "imageState": IMAGE_STATES[radiance],
+        "imageState": IMAGE_STATES[options.radiance],
         "licence": avatar.info.licence,
-        # learnt pose offsets are in the per-frame positions; the skinned mesh shows plain skinning
-        "offsets": "none" if learnt is None or learnt.correctives is None else "in the positions of the splats",
+        # learnt pose offsets are in the per-frame positions; what is skinned shows plain skinning
+        "offsets": "none" if still else "in the positions of the splats",
+        "skinnedOffsets": "none",
         "colours": "constant" if learnt is None else "per frame, in the light of the capture",
         "gloss": "none" if learnt is None else "left out: it depends on the camera",
-        "sizes": sizes,
+        "sizes": options.sizes,
+        "precision": options.precision,
     }
+
+
+def provenance(info: AvatarInfo, stamp: Mapping[str, str]) -> dict[str, Any]:
+    """customLayerData of every layer: who wrote it, of what, under which licence. stamp: what it was made from."""
+    learnt_from = info.learnt_from
+    about = {**stamp, "avatar": info.name, "template": info.template, "licence": info.licence}
+    if learnt_from is not None:
+        about |= {
+            "learnt_from": learnt_from.capture,
+            "learnt_from_pictures": learnt_from.pictures,
+            "learnt_from_digest": learnt_from.digest,
+        }
+    return {"creator": f"JGHand {__version__}", "jghand": about}

@@ -44,6 +44,21 @@ def quatf(array_xyzw: np.ndarray) -> Vt.QuatfArray:
     return Vt.QuatfArray.FromNumpy(_float32(array_xyzw))
 
 
+def quath(array_xyzw: np.ndarray) -> Vt.QuathArray:
+    """(N, 4) unit quaternions as x, y, z, w, rounded to half precision."""
+    return Vt.QuathArray.FromNumpy(np.ascontiguousarray(array_xyzw, np.float16))
+
+
+def halves(array: np.ndarray) -> Vt.HalfArray:
+    """Numbers of any shape, flattened and rounded to half precision."""
+    return Vt.HalfArray.FromNumpy(np.ascontiguousarray(array, np.float16).ravel())
+
+
+def ids(array: np.ndarray) -> Vt.Int64Array:
+    """(N,) integers of 64 bits."""
+    return Vt.Int64Array.FromNumpy(np.ascontiguousarray(array, np.int64))
+
+
 def matrix4d(matrix: np.ndarray) -> Gf.Matrix4d:
     """(4, 4) map of column vectors."""
     return Gf.Matrix4d(np.ascontiguousarray(matrix.T, np.float64))

@@ -59,8 +59,22 @@ USD_APERTURE = 36.0
 USD_CLIPPING_ROOM = 2.0
 # part of the free disk that must be left over when an export is expected to fit: other programs write too
 USD_DISK_RESERVE = 0.02
-# bytes of an export beside the samples of positions: layers, static arrays, tables (per Gaussian and fixed, generous)
-USD_STATIC_BYTES_PER_GAUSSIAN = 80
+# bytes of an export beside the samples of positions: layers, static arrays, skin, tables (per Gaussian and fixed,
+# generous)
+USD_STATIC_BYTES_PER_GAUSSIAN = 180
 USD_STATIC_BYTES = 2_000_000
+# every so many-th Gaussian is in the stand-in that is shown where splats are not: a hand is still closed with a tenth
+USD_PROXY_STEP = 10
+# bones that a Gaussian of the skinned variants follows at most: what every real-time client keeps. Of the hands that
+# ship, the others hold 0.2 % of the weight in the mean
+USD_SKIN_BONES = 4
+# a longer take's Gaussians are cut into files that are read one at a time (value clips); shorter ones stay in one
+# file, because Blender and parsers other than Pixar's know no clips
+USD_CLIPS_ABOVE_FRAMES = 2000
+# frames in one of these files: 170 MB for 60,000 Gaussians
+USD_CLIP_FRAMES = 240
+# what Omniverse, usdview and Blender draw points as is a ball without a soft edge: two standard deviations close the
+# skin (as the extension has it)
+USD_BALL_WIDTH_FACTOR = 2.0
 # Gaussians around a vertex whose mean colour the exported mesh gets
 USD_MESH_COLOUR_NEIGHBOURS = 8
