@@ -14,10 +14,14 @@ from jghand_engine.errors import InputError
 
 if TYPE_CHECKING:
     from jghand_engine.avatar.avatar import HandAvatar
+    from jghand_engine.exporters.usd_options import UsdOptions
     from jghand_engine.hand.sequence import PoseSequence
 
 DESCRIPTION = """Write a motion as OpenUSD (hand.usda with its layers: splats, points, skeleton and mesh, cameras) or as
 splat files, one for every frame (hand.0000.ply and so on).
+
+A USD stage offers the variants splats, points, points_skinned and mesh, whatever --for says: that chooses the one which
+is shown first, and how large points are.
 
 The skeleton has 63 joints: the 21 that drive the hand, with the names of the motion's joints, and those that
 carry the skin between them. A trained avatar has colours of its own in every frame, in the light that it was
@@ -26,6 +30,8 @@ learnt in; what its skin mirrors depends on the camera, and is left out.
 Examples:
   jghand export --poses open,fist --hand right --out usd
   jghand export --motion capture.npy --order mediapipe --hand right --out usd
+  jghand export --poses open,fist --for blender --out usd
+  jghand export --poses open,fist --for usdview --package usdz --out usd
   jghand export ply --poses open,fist --out splats
   jghand export splats --as glb --poses fist --frames 0 --out splats"""
 
@@ -37,14 +43,27 @@ CAMERA_PX = (1024, 1024)
 class UsdStageOptions:
     """What a USD stage holds"""
 
-    default_variant: Literal["splats", "points", "mesh"] = "splats"
-    """What a program shows that cannot choose: splats for renderers that know them, points for Blender."""
+    consumer: Annotated[Literal["generic", "omniverse", "usdview", "blender", "houdini"], tyro.conf.arg(name="for")] = (
+        "generic"
+    )
+    """The program that reads it. docs/EXPORT.md says what is known of each."""
+    default_variant: Annotated[
+        Literal["splats", "points", "points_skinned", "mesh"] | None, tyro.conf.arg(help_behavior_hint="")
+    ] = None
+    """What a program shows that cannot choose; left out, what suits --for: splats, for blender and houdini points, for
+    usdview points_skinned (a small file; without what training added to the pose)."""
     sizes: Literal["constant", "per_frame"] = "constant"
     """Radii of the splats: of the mean hand, or of every frame at 2.3 times the size of the file."""
     radiance: Literal["srgb", "linear"] = "srgb"
     """Colours of the splats: srgb as a screen shows them, for most viewers; linear as light, for path tracers."""
-    width_factor: Annotated[float, tyro.conf.arg(metavar="NUMBER")] = 1.0
-    """Size of the points of variant points: 1 is two standard deviations of a splat; more closes gaps between them."""
+    width_factor: Annotated[float | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="")] = None
+    """Size of the points: 1 is two standard deviations of a splat, 2 closes the gaps between them. Left out: 2 for
+    blender and usdview, else 1."""
+    precision: Literal["float", "half"] = "float"
+    """half: the splats in half the size; what that costs is printed. There is no variant points then."""
+    package: Literal["layers", "usdc", "usdz"] = "layers"
+    """layers: files that refer to each other, and the shot with its cameras. usdc: one file with the chosen variant
+    alone. usdz: one file with all variants."""
 
 
 @dataclass(frozen=True)
@@ -112,13 +131,9 @@ class Export:
     def _write_usd(self, avatar: HandAvatar, sequence: PoseSequence) -> dict[str, Any]:
         from jghand_engine.cli.framing import framing_camera
         from jghand_engine.cli.stage_export import export_stage, usd_figures
-        from jghand_engine.exporters.usd import UsdOptions
-        from jghand_engine.exporters.usd_stage import Variant
+        from jghand_engine.exporters.usd_options import PRESETS
 
-        options = UsdOptions(
-            name=self.name, default_variant=Variant(self.usd.default_variant), radiance=self.usd.radiance,
-            sizes=self.usd.sizes, width_factor=self.usd.width_factor, first_frame=self.first_frame, up=self.up,
-        )  # fmt: skip
+        options = self._usd_options()
         width, height = CAMERA_PX
         cameras = {
             name: framing_camera(sequence.joints_m, sequence.handedness, name, width=width, height=height)
@@ -127,7 +142,28 @@ class Export:
         report = export_stage(self.out, avatar, sequence, cameras, options)
         size = sum(report.bytes.values())
         say(f"Wrote {report.stage}: {report.frames} frames, {size / 1e6:.1f} MB, {sum(report.seconds.values()):.1f} s")
-        return usd_figures(report)
+        if report.half is not None:
+            for sentence in report.half.sentences():
+                say(sentence)
+        if self.usd.consumer != "generic":
+            say(f"For {self.usd.consumer}: {PRESETS[self.usd.consumer].advice}")
+        return {"for": self.usd.consumer, **usd_figures(report)}
+
+    def _usd_options(self) -> UsdOptions:
+        from jghand_engine.exporters.usd_options import PRESETS, Package, UsdOptions, Variant
+
+        given, preset = self.usd, PRESETS[self.usd.consumer]
+        return UsdOptions(
+            name=self.name,
+            default_variant=preset.variant if given.default_variant is None else Variant(given.default_variant),
+            radiance=given.radiance,
+            sizes=given.sizes,
+            width_factor=preset.width_factor if given.width_factor is None else given.width_factor,
+            first_frame=self.first_frame,
+            up=self.up,
+            precision=given.precision,
+            package=Package(given.package),
+        )
 
     def _write_splats(self, avatar: HandAvatar, sequence: PoseSequence) -> dict[str, Any]:
         from jghand_engine.exporters.splat_files import SplatOptions, export_splats

@@ -9,6 +9,7 @@ from typing import Any
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.cli.console import progress
 from jghand_engine.exporters.usd import UsdOptions, UsdReport, export_usd
+from jghand_engine.exporters.usd_half import HalfPrice
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.splat.camera import Camera
 
@@ -28,11 +29,21 @@ def usd_figures(report: UsdReport) -> dict[str, Any]:
     """What an export did, as plain data."""
     return {
         "stage": str(report.stage),
-        "shot": str(report.shot),
+        "shot": None if report.shot is None else str(report.shot),
         "frames": report.frames,
         "gaussians": report.gaussians,
         "bytes": dict(report.bytes),
         "seconds": dict(report.seconds),
         "sigma_error": report.sigma_error,
         "made_from": dict(report.made_from),
+        "half_precision": None if report.half is None else _half_figures(report.half),
+    }
+
+
+def _half_figures(price: HalfPrice) -> dict[str, float]:
+    return {
+        "position_error_m": price.position_m,
+        "position_rms_m": price.rms_m,
+        "sigma_error": price.sigma,
+        "colour_error": price.rgb,
     }

@@ -16,7 +16,7 @@ from usd_samples import engine_gaussians, engine_mesh, lively_motion, small_avat
 
 from jghand_engine.colour import srgb_to_linear
 from jghand_engine.exporters.usd import UsdOptions, export_usd
-from jghand_engine.exporters.usd_stage import Variant
+from jghand_engine.exporters.usd_options import Variant
 from jghand_engine.hand.joints import LEVEL_NAMES, Handedness
 
 

@@ -15,7 +15,7 @@ from jghand_engine.cli.options import FormatOptions, MotionOptions, colour, pixe
 from jghand_engine.errors import InputError
 from jghand_engine.exporters.pictures import read_png
 from jghand_engine.exporters.usd import UsdOptions
-from jghand_engine.exporters.usd_stage import Variant
+from jghand_engine.exporters.usd_options import Variant
 from jghand_engine.hand.anatomy import pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, from_level
@@ -281,6 +281,44 @@ def test_export_hands_its_options_on(tmp_path, monkeypatch):
     assert run("export", "--poses", "open", "--out", tmp_path, *words, "--default-variant", "mesh") == 2
     [options] = seen
     assert options == UsdOptions("mine", Variant.MESH, "linear", "per_frame", 2.0)
+
+
+@pytest.mark.parametrize(
+    ("words", "variant", "width_factor"),
+    [
+        (("--for", "usdview"), Variant.POINTS_SKINNED, 2.0),
+        (("--for", "blender"), Variant.POINTS, 2.0),
+        (("--for", "houdini"), Variant.POINTS, 1.0),
+        (("--for", "omniverse"), Variant.SPLATS, 1.0),
+        ((), Variant.SPLATS, 1.0),
+        (("--for", "blender", "--default-variant", "mesh", "--width-factor", "1.5"), Variant.MESH, 1.5),
+    ],
+)
+def test_a_preset_chooses_what_was_not_asked_for(tmp_path, monkeypatch, words, variant, width_factor):
+    seen = []
+
+    def export(folder, avatar, sequence, cameras, options):
+        seen.append(options)
+        raise InputError("enough seen")
+
+    monkeypatch.setattr("jghand_engine.cli.stage_export.export_stage", export)
+    assert run("export", "--poses", "open", "--out", tmp_path, *words) == 2
+    assert seen == [UsdOptions(default_variant=variant, width_factor=width_factor)]
+
+
+def test_half_precision_says_what_it_costs(tmp_path, capsys):
+    words = ("--poses", "open", "--frames", "0", "--avatar", "painted", "--json", tmp_path / "figures.json")
+    assert run("export", *words, "--out", tmp_path / "usd", "--precision", "half", "--package", "usdc") == 0
+    assert "moved centres by up to 0.0" in capsys.readouterr().out
+    figures = json.loads((tmp_path / "figures.json").read_text())
+    assert 1e-6 < figures["half_precision"]["position_error_m"] < 2e-4
+    assert list(figures["bytes"]) == ["hand.usdc"]
+
+
+def test_half_precision_for_a_program_that_needs_points_is_refused(tmp_path, capsys):
+    words = ("--poses", "open", "--out", tmp_path / "usd", "--for", "blender", "--precision", "half")
+    assert run("export", *words) == 2
+    assert "points_skinned" in capsys.readouterr().err
 
 
 def test_export_writes_splat_files_too(tmp_path, capsys):

@@ -13,7 +13,7 @@ from jghand_engine.exporters import usd as usd_module
 from jghand_engine.exporters import usd_arrival
 from jghand_engine.exporters.usd import UsdOptions, export_usd
 from jghand_engine.exporters.usd_check import check_usd
-from jghand_engine.exporters.usd_stage import Variant
+from jghand_engine.exporters.usd_options import Variant
 from jghand_engine.hand.baselines import Transform
 from jghand_engine.hand.joints import LEVEL_NAMES, Handedness
 from jghand_engine.hand.sequence import PoseSequence
