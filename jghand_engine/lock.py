@@ -1,15 +1,18 @@
-"""One process per piece of work: a lock that the system takes back when its process ends, however it ends."""
+"""One process per piece of work: locks that the system takes back when their process ends, however it ends."""
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
 from jghand_engine.errors import RetryError
 from jghand_engine.files import file_error
+from jghand_engine.limits import CLAIM_POLL_S
 
 
 @contextlib.contextmanager
@@ -38,8 +41,64 @@ def locked(path: Path, *, work: str = "work", remedy: str = "Wait until it has e
         os.close(descriptor)
 
 
+class Claims:
+    """Which of many numbered pieces of work a process is at: a byte of one file for each. Processes exclude each other,
+    also on different machines where their file system passes locks on; threads of one process do not, and only one
+    `Claims` of a file may be open in a process.
+
+    Where a file system has no such locks every claim is granted: whoever relies on claims must be right without them.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
+        except OSError as error:
+            raise file_error(path, error) from error
+
+    @contextlib.contextmanager
+    def held(self, number: int, *, wait: bool = False) -> Iterator[bool]:
+        """Claims piece `number`, 0 or more, for the duration; gives whether it was free. wait: until it is."""
+        taken = self._take(number)
+        while wait and not taken:
+            time.sleep(CLAIM_POLL_S)
+            taken = self._take(number)
+        try:
+            yield taken
+        finally:
+            if taken:
+                with contextlib.suppress(OSError):
+                    _release_byte(self._descriptor, number)
+
+    def close(self, *, remove: bool = False) -> None:
+        """Gives everything back. remove: also the file, once there is nothing left to claim."""
+        os.close(self._descriptor)
+        if remove:
+            with contextlib.suppress(OSError):
+                self.path.unlink()
+
+    def _take(self, number: int) -> bool:
+        try:
+            _take_byte(self._descriptor, number)
+        except OSError as error:
+            return error.errno not in _TAKEN
+        return True
+
+
+# what the systems say of a byte that another process holds
+_TAKEN = (errno.EACCES, errno.EAGAIN, errno.EDEADLK)
+
+
 if sys.platform == "win32":
     import msvcrt
+
+    def _take_byte(descriptor: int, number: int) -> None:
+        os.lseek(descriptor, number, os.SEEK_SET)
+        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+
+    def _release_byte(descriptor: int, number: int) -> None:
+        os.lseek(descriptor, number, os.SEEK_SET)
+        msvcrt.locking(descriptor, msvcrt.LK_UNLCK, 1)
 
     def _take(descriptor: int) -> bool:
         try:
@@ -52,6 +111,12 @@ if sys.platform == "win32":
 
 else:
     import fcntl
+
+    def _take_byte(descriptor: int, number: int) -> None:
+        fcntl.lockf(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, number)
+
+    def _release_byte(descriptor: int, number: int) -> None:
+        fcntl.lockf(descriptor, fcntl.LOCK_UN, 1, number)
 
     def _take(descriptor: int) -> bool:
         try:

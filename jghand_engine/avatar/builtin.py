@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import functools
+import hashlib
 from importlib.resources import as_file, files
+from importlib.resources.abc import Traversable
+from pathlib import Path
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.file import load_avatar
 from jghand_engine.avatar.shipped import BUILTIN, PAINTED, SHIPPED
+from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 
 ASSETS = files("jghand_engine") / "assets"
@@ -16,6 +20,15 @@ ASSETS = files("jghand_engine") / "assets"
 def load_avatar_called(name: str) -> HandAvatar:
     """A right hand: that of a file, or a shipped one by its name. InputError for a file that is none."""
     return _load_right(name) if name in SHIPPED else load_avatar(name)
+
+
+def avatar_sha256(name: str) -> str:
+    """Of the file that `load_avatar_called` reads. InputError when it cannot be read."""
+    try:
+        content = _asset(name).read_bytes() if name in SHIPPED else Path(name).read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot read {name}: {error.strerror}", remedy="Check the name.") from error
+    return hashlib.sha256(content).hexdigest()
 
 
 def load_builtin(*, handedness: Handedness) -> HandAvatar:
@@ -34,5 +47,9 @@ def load_painted(*, handedness: Handedness) -> HandAvatar:
 
 @functools.cache
 def _load_right(name: str) -> HandAvatar:
-    with as_file(ASSETS / f"{name}_right.jghand") as path:
+    with as_file(_asset(name)) as path:
         return load_avatar(path)
+
+
+def _asset(name: str) -> Traversable:
+    return ASSETS / f"{name}_right.jghand"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import re
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import tyro
 
 from jghand_engine.cli.console import progress, say, write_json
-from jghand_engine.cli.options import File, FormatOptions, ReportOptions, pixels
+from jghand_engine.cli.options import File, FormatOptions, ReportOptions, parse_shard, pixels
 from jghand_engine.errors import InputError, RetryError
 
 if TYPE_CHECKING:
@@ -81,6 +80,8 @@ class Capture:
     """Of poses, cameras and turns."""
     shard: Annotated[str, tyro.conf.arg(metavar="NUMBER/COUNT")] = "1/1"
     """Make only this part of the pictures; other machines make the others."""
+    skip_existing: bool = False
+    """What a capture does anyway; it may be said, so that a farm can say the same to every command."""
     finished_only: bool = False
     """Make no picture, and annotate only poses whose pictures are all there: to use a capture before its end."""
     blender_python: File = None
@@ -186,13 +187,3 @@ class Capture:
             wrist_turn_deg=self.wrist_turn, seed=self.seed, light=light,
             sampling=Sampling(samples=self.samples, subdivisions=self.subdivisions),
         )  # fmt: skip
-
-
-def parse_shard(text: str) -> tuple[int, int]:
-    """`2/3` as (2, 3). Raises InputError."""
-    match = re.fullmatch(r"(\d{1,4})/(\d{1,4})", text.strip())
-    if not match or not 1 <= int(match[1]) <= int(match[2]):
-        raise InputError(
-            "--shard", wanted="NUMBER/COUNT with a number from 1 to the count, such as 1/2", came=repr(text)
-        )
-    return int(match[1]), int(match[2])

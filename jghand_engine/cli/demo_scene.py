@@ -25,7 +25,7 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.shipped import SHIPPED
 from jghand_engine.cli.camera_file import camera_to_dict
 from jghand_engine.cli.console import progress, write_json
-from jghand_engine.cli.render import Target, render_pictures
+from jghand_engine.cli.picture_files import Shooting, Target
 from jghand_engine.cli.timings import Timings
 from jghand_engine.errors import InputError, JGHandError, MemoryLimitError, RetryError
 from jghand_engine.files import file_error, make_folder
@@ -151,8 +151,7 @@ def render_alone(scene: Scene, avatar: HandAvatar) -> Timings:
     for name, camera in scene.cameras.items():
         target = scene.frames(name)
         make_folder(target.folder)
-        for _ in render_pictures(renderer, scene.sequence.joints_m, camera, target, timings):
-            pass
+        Shooting(renderer, scene.sequence.joints_m, camera, target, timings).make_all()
     return timings
 
 

@@ -71,7 +71,7 @@ class MotionOptions:
     """Instead of a file: poses by name, with smooth ways between them, such as open,fist,point."""
     format: FormatOptions = field(default_factory=FormatOptions)
     frames: Annotated[str, tyro.conf.arg(metavar="FIRST:LAST[:STEP]", help_behavior_hint="(default: all)")] = ":"
-    """Only these frames, counted from 0, the last one included."""
+    """Only these frames, counted from 0, the last one included; FIRST-LAST is the same."""
     keep_bone_lengths: bool = False
     """Follow the bone lengths of every frame. Else each bone keeps its median, as estimates wobble and would pulse."""
     on_missing: Literal["hold", "stop"] = "hold"
@@ -79,11 +79,12 @@ class MotionOptions:
 
     def frame_slice(self) -> slice:
         """`frames` as a slice. Raises InputError."""
-        match = re.fullmatch(r"(\d*)(?::(\d*)(?::(\d+))?)?", self.frames.strip())
-        if not match or not self.frames.strip():
+        text = re.sub(r"^(\d+)-(?=\d)", r"\1:", self.frames.strip())
+        match = re.fullmatch(r"(\d*)(?::(\d*)(?::(\d+))?)?", text)
+        if not match or not text:
             raise InputError("--frames", wanted="FIRST:LAST or FIRST:LAST:STEP, such as 0:99", came=repr(self.frames))
         first = int(match[1] or 0)
-        if ":" not in self.frames:
+        if ":" not in text:
             return slice(first, first + 1, 1)
         return slice(first, int(match[2]) + 1 if match[2] else None, int(match[3] or 1))
 
@@ -160,6 +161,16 @@ def pixels(text: str) -> tuple[int, int]:
     match = re.fullmatch(r"(\d{1,5})[xX](\d{1,5})", text.strip())
     if not match or not all(int(edge) for edge in match.groups()):
         raise InputError("--size", wanted="WIDTHxHEIGHT in pixels, such as 512x334", came=repr(text))
+    return int(match[1]), int(match[2])
+
+
+def parse_shard(text: str) -> tuple[int, int]:
+    """`2/3` as (2, 3). Raises InputError."""
+    match = re.fullmatch(r"(\d{1,4})/(\d{1,4})", text.strip())
+    if not match or not 1 <= int(match[1]) <= int(match[2]):
+        raise InputError(
+            "--shard", wanted="NUMBER/COUNT with a number from 1 to the count, such as 1/2", came=repr(text)
+        )
     return int(match[1]), int(match[2])
 
 

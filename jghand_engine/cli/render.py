@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -10,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
-from jghand_engine.cli.console import progress, say, write_json
+from jghand_engine.cli.console import say, write_json
 from jghand_engine.cli.options import (
     AvatarOptions,
     EffectOptions,
@@ -18,24 +17,20 @@ from jghand_engine.cli.options import (
     MotionOptions,
     PictureOptions,
     ReportOptions,
+    parse_shard,
     pixels,
 )
 from jghand_engine.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    import numpy as np
-
     from jghand_engine.avatar.avatar import HandAvatar
     from jghand_engine.avatar.pose_range import OutOfRange
     from jghand_engine.cli.inputs import Motion
-    from jghand_engine.cli.receipts import Receipts
+    from jghand_engine.cli.picture_sharing import Part
+    from jghand_engine.cli.picture_stamp import MadeFrom
     from jghand_engine.cli.render_passes import PassWriter
-    from jghand_engine.cli.timings import Timings
     from jghand_engine.splat.camera import Camera
     from jghand_engine.splat.effect_plan import Choice
-    from jghand_engine.splat.frame import HandRenderer
     from jghand_engine.splat.settings import RenderSettings
 
 DESCRIPTION = """Render a motion as numbered PNG pictures with alpha, and as a video if you name one.
@@ -45,10 +40,8 @@ Examples:
   jghand render --motion capture.npy --order mediapipe --hand right --fps 30 --out pictures
   jghand render --motion wave.npz --camera front --size 1024x1024 --frames 0:99 --out pictures
   jghand render --poses open,fist --budget-ms 16 --out pictures
-  jghand render --motion wave.npz --out truth --passes depth,normal,ids,alpha,joints"""
-
-# what a transparent picture lies on in a video
-VIDEO_BACKGROUND = (0.91, 0.90, 0.89)
+  jghand render --motion wave.npz --out truth --passes depth,normal,ids,alpha,joints
+  jghand render --motion wave.npz --out pictures --frames 1-2400 --shard 3/8 --skip-existing"""
 
 
 @dataclass(frozen=True)
@@ -62,6 +55,12 @@ class Render:
     passes: Annotated[str | None, tyro.conf.arg(metavar="NAME,NAME,…", help_behavior_hint="")] = None
     """Ground truth beside the pictures: depth, normal, ids (of hand and bones) and alpha as EXR (extra formats), joints
     in 3D and 2D and which are visible; and the cameras for COLMAP and nerfstudio. docs/FORMATS.md says what is what."""
+    shard: Annotated[str, tyro.conf.arg(metavar="NUMBER/COUNT")] = "1/1"
+    """Make only this part of the pictures, every COUNT-th; other processes or machines make the others, into the same
+    folder. All parts together are, byte for byte, what one run makes (docs/SCALE.md)."""
+    skip_existing: bool = False
+    """Keep the pictures that this very command has made before, of whatever shard; make the missing and the broken
+    ones. A picture that was made from something else is refused."""
     motion: MotionOptions = field(default_factory=MotionOptions)
     avatar: AvatarOptions = field(default_factory=AvatarOptions)
     picture: PictureOptions = field(default_factory=PictureOptions)
@@ -74,10 +73,12 @@ class Render:
         from jghand_engine.avatar.builtin import load_avatar_called
         from jghand_engine.cli.camera_file import camera_to_dict
         from jghand_engine.cli.inputs import load_motion
+        from jghand_engine.cli.picture_files import Shooting, Target, refuse_longer_render
+        from jghand_engine.cli.picture_sharing import make_part, refuse_foreign_pictures
         from jghand_engine.cli.receipts import Receipts
         from jghand_engine.cli.render_passes import refuse_older_truth
         from jghand_engine.cli.timings import Timings
-        from jghand_engine.exporters.video import ffmpeg_program
+        from jghand_engine.exporters.video import ffmpeg_program, write_video
         from jghand_engine.files import make_folder
         from jghand_engine.splat.frame import HandRenderer
 
@@ -85,6 +86,7 @@ class Render:
         size, background = pixels(self.picture.size), self.picture.background_rgb()
         effects = self._effects()
         passes = self._passes()
+        part = self._part()
         if self.video is not None:
             ffmpeg_program()
         avatar = load_avatar_called(self.avatar.avatar)
@@ -96,31 +98,33 @@ class Render:
         refuse_older_truth(self.out, () if passes is None else passes.names)
         camera = self._camera(motion, size)
         settings, chosen = self._settings(avatar, camera)
-        settings = replace(settings, effects=effects, antialias=True, depth=False)
+        # repeatable: any part of the pictures is the same as in the whole
+        settings = replace(settings, effects=effects, antialias=True, depth=False, repeatable=True)
         renderer = HandRenderer(avatar, settings if passes is None else passes.settings(settings))
-        through = self._with_lens(camera, motion)
+        joints_m = motion.sequence.joints_m
+        shooting = Shooting(
+            renderer, joints_m, self._with_lens(camera, motion),
+            Target(self.out, background, shutter=self.effect.shutter), Timings(), Receipts(), passes,
+            self._made_from(renderer.settings),
+        )  # fmt: skip
         if passes is not None:
-            passes.start(avatar, renderer, motion.sequence.joints_m, camera)
+            passes.start(avatar, renderer, joints_m, camera)
+        refuse_foreign_pictures(shooting, part)
         make_folder(self.out)
-        timings = Timings()
         started = time.perf_counter()
         write_json(self.out / "camera.json", camera_to_dict(camera))
-        receipts, target = Receipts(), Target(self.out, background, shutter=self.effect.shutter)
-        pictures = render_pictures(renderer, motion.sequence.joints_m, through, target, timings, receipts, passes)
+        outcome = make_part(shooting, part)
+        if passes is not None and outcome.complete:
+            passes.finish([shooting.target.path(index) for index in range(len(joints_m))])
         if self.video is not None:
-            from jghand_engine.exporters.video import write_video
-
-            write_video(self.video, pictures, motion.sequence.fps)
-        else:
-            for _ in pictures:
-                pass
-        if passes is not None:
-            passes.finish()
+            write_video(self.video, shooting.shown(), motion.sequence.fps)
         seconds = time.perf_counter() - started
-        unseen = out_of_range(avatar, motion)
+        unseen, timings = out_of_range(avatar, motion), shooting.timings
         timings.show(f"{timings.frames} pictures of {camera.width} x {camera.height}, {len(avatar)} Gaussians")
-        if self.effect.explain:
-            receipts.show()
+        if self.effect.explain and shooting.receipts is not None:
+            shooting.receipts.show()
+        if part.is_shared:
+            say(f"Shard {self.shard} of {len(joints_m)} pictures: {outcome.sentence()}")
         say(f"Done in {seconds:.1f} s: {self.out}" + (f" and {self.video}" if self.video else ""))
         for one in unseen:
             say(f"Frame {one.frame}: {one.sentence()}.")
@@ -130,8 +134,40 @@ class Render:
                 "out_of_range": [one.as_dict() for one in unseen],
                 "frames": timings.frames, "size_px": [camera.width, camera.height], "preset": chosen,
                 "backend": timings.backend, "seconds": seconds, "stages": timings.figures(),
-                "effects": receipts.figures(),
+                "effects": shooting.receipts.figures() if shooting.receipts is not None else {},
+                "shard": self.shard, **vars(outcome),
             })  # fmt: skip
+
+    def _part(self) -> Part:
+        """Which pictures are made. InputError for what the processes of a shared render would not agree on."""
+        from jghand_engine.cli.picture_sharing import Part
+
+        part = Part(parse_shard(self.shard), self.skip_existing)
+        if self.video is not None and part.shard[1] > 1:
+            raise InputError(
+                "--video", wanted="all pictures", came=f"--shard {self.shard}",
+                remedy="When all shards are done, the same command with --skip-existing, without --shard, makes it.",
+            )  # fmt: skip
+        if self.budget_ms is not None and part.is_shared:
+            raise InputError(
+                "--budget-ms", wanted="the same settings for every part of the pictures",
+                came="settings that are found on each machine",
+                remedy="Name a --preset, or leave out --shard and --skip-existing.",
+            )  # fmt: skip
+        return part
+
+    def _made_from(self, settings: RenderSettings) -> MadeFrom:
+        from dataclasses import asdict
+
+        from jghand_engine.avatar.builtin import avatar_sha256
+        from jghand_engine.cli.picture_stamp import file_digest, made_from
+
+        picture, effect, file = asdict(self.picture), asdict(self.effect), self.picture.camera_file
+        # how fast, and what is told
+        del picture["threads"], effect["explain"]
+        look = {**picture, **effect, "passes": self.passes, "camera_file": None if file is None else file_digest(file)}
+        whole = file is None or self.effect.shutter > 0 or self.effect.aperture > 0
+        return made_from(avatar_sha256(self.avatar.avatar), self.motion, settings, look, whole=whole)
 
     def _effects(self) -> Choice:
         from jghand_engine.splat.effect_plan import Choice
@@ -194,68 +230,3 @@ def out_of_range(avatar: HandAvatar, motion: Motion) -> list[OutOfRange]:
     from jghand_engine.avatar.pose_range import range_report
 
     return range_report(avatar, avatar.bone_transform().frames(torch.from_numpy(motion.sequence.joints_m)))
-
-
-def refuse_longer_render(folder: Path, count: int) -> None:
-    """InputError when the folder holds pictures that `count` new ones would not replace: two motions would be mixed.
-
-    They are not removed: nothing tells whether they are still wanted.
-    """
-    found = (re.fullmatch(r"frame_(\d{5,})\.png", path.name) for path in folder.glob("frame_*.png"))
-    left = sorted(match[0] for match in found if match and int(match[1]) >= count)
-    if left:
-        raise InputError(
-            f"--out {folder}",
-            wanted=f"a folder without pictures beyond the {count} of this run",
-            came=f"{len(left)} of an earlier one ({left[0]} to {left[-1]})",
-            remedy="Remove them or choose another folder.",
-        )
-
-
-@dataclass(frozen=True)
-class Target:
-    """Where pictures go. background: sRGB 0..1 that they are laid on, None keeps them transparent · name: pattern of
-    the files, filled with the frame's number · first: number of the first frame · text: of the progress bar ·
-    shutter: the part of the time between frames that it is open."""
-
-    folder: Path
-    background: tuple[float, float, float] | None = None
-    name: str = "frame_{:05d}.png"
-    first: int = 0
-    text: str = "Rendering"
-    shutter: float = 0.0
-
-    def path(self, index: int) -> Path:
-        return self.folder / self.name.format(self.first + index)
-
-
-def render_pictures(
-    renderer: HandRenderer,
-    joints_m: np.ndarray,
-    camera: Camera,
-    target: Target,
-    timings: Timings,
-    receipts: Receipts | None = None,
-    passes: PassWriter | None = None,
-) -> Iterator[np.ndarray]:
-    """Renders (F, 21, 3) level-order joints, writes every frame's PNG and passes, and yields the frame as (H, W, 3)
-    uint8 on a background, as a video wants it."""
-    from jghand_engine.exporters.pictures import flatten, write_png
-    from jghand_engine.splat.exposure import shutter_at
-
-    with progress(target.text, len(joints_m)) as bar:
-        for index, pose_m in enumerate(joints_m):
-            frame = renderer.render(pose_m, camera, shutter_at(joints_m, index, target.shutter))
-            timings.add(frame.report.as_dict())
-            if receipts is not None:
-                receipts.add(frame.report)
-            flat = flatten(frame.rgba, target.background or VIDEO_BACKGROUND)
-            started = time.perf_counter()
-            write_png(target.path(index), frame.rgba if target.background is None else flat)
-            timings.add_ms("writing the PNG", 1e3 * (time.perf_counter() - started))
-            if passes is not None:
-                started = time.perf_counter()
-                passes.add(index, frame, target.path(index))
-                timings.add_ms("passes", 1e3 * (time.perf_counter() - started))
-            bar.advance(bar.task_ids[0])
-            yield flat

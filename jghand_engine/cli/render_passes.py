@@ -3,11 +3,15 @@
 passes/frame_00000.exr    the maps of a picture, as channels
 joints.json               joints of every picture in 3D and 2D, and which of them one sees
 colmap/, transforms.json  the camera of every picture, for COLMAP and for nerfstudio
+
+The last two are about all pictures and are written when all are there, whoever made them. Until then the joints of a
+picture stand in its own head.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -15,9 +19,11 @@ from typing import TYPE_CHECKING
 from jghand_engine import __version__
 from jghand_engine.cli.console import write_json
 from jghand_engine.cli.options import EffectOptions
+from jghand_engine.cli.picture_stamp import STAMP_KEY, refuse_other
+from jghand_engine.datasets.pictures_in import picture_texts
 from jghand_engine.errors import InputError
 from jghand_engine.exporters.camera_files import Shot, write_colmap, write_transforms
-from jghand_engine.exporters.exr import exr_package, write_exr
+from jghand_engine.exporters.exr import exr_package, read_exr_text, write_exr
 from jghand_engine.exporters.passes import JOINTS, MAPS, JointWitness, channels, pass_names
 from jghand_engine.hand.joints import STANDARD_NAMES
 from jghand_engine.splat.effect_plan import Effect
@@ -31,6 +37,9 @@ if TYPE_CHECKING:
     from jghand_engine.splat.settings import RenderSettings
 
 
+JOINTS_KEY = "jghand-joints"
+
+
 class PassWriter:
     """Writes the passes in `text` into `folder`, picture by picture. InputError for unknown names, for a lens or
     shutter, through which a pixel shows more than one place, and where the package for EXR is missing."""
@@ -38,8 +47,6 @@ class PassWriter:
     def __init__(self, text: str, folder: Path, effect: EffectOptions) -> None:
         self.names, self._folder = pass_names(text), folder
         self._maps = [name for name in self.names if name in MAPS]
-        self._seen: list[dict] = []
-        self._shots: list[Shot] = []
         if effect.shutter or effect.aperture:
             raise InputError(
                 "--passes",
@@ -65,30 +72,43 @@ class PassWriter:
         self._renderer, self._joints_m, self._camera = renderer, joints_m, camera
         self._hand, self._witness = avatar.handedness, JointWitness(avatar)
 
-    def add(self, index: int, frame: Frame, picture: Path) -> None:
-        """Writes the maps of a frame that was drawn just now, and keeps its joints."""
+    def add(self, index: int, frame: Frame, picture: Path, texts: Mapping[str, str]) -> dict[str, str]:
+        """Writes the maps of a frame that was drawn just now, with `texts` in their head; gives the texts that the head
+        of its picture shall have besides."""
         bones = self._renderer.bone_ids(self._camera) if "ids" in self.names else None
         if self._maps:
-            about = {"jghand": __version__, "units": "metres", "axes": "camera: x right, y down, z forward"}
+            about = {"jghand": __version__, "units": "metres", "axes": "camera: x right, y down, z forward", **texts}
             write_exr(self.path(picture), channels(frame, bones, self._maps), about)
-        if JOINTS in self.names:
-            view = self._witness.look(self._joints_m[index], self._camera, frame.depth_m)
-            self._seen.append({"picture": picture.name, **view.as_dict()})
-        self._shots.append(Shot(picture.name, self._camera))
+        if JOINTS not in self.names:
+            return {}
+        view = self._witness.look(self._joints_m[index], self._camera, frame.depth_m)
+        return {JOINTS_KEY: json.dumps({"picture": picture.name, **view.as_dict()}, allow_nan=False)}
+
+    def is_whole(self, picture: Path, stamp: str) -> bool:
+        """Whether the maps of a picture are there too. InputError when they were made from something else."""
+        if not self._maps:
+            return True
+        try:
+            found = read_exr_text(self.path(picture), STAMP_KEY)
+        except InputError:
+            return False
+        refuse_other(self.path(picture), found or None, stamp)
+        return True
 
     def path(self, picture: Path) -> Path:
         """The file of the maps of a picture."""
         return self._folder / "passes" / f"{picture.stem}.exr"
 
-    def finish(self) -> None:
-        """Writes the files about all pictures."""
+    def finish(self, pictures: Sequence[Path]) -> None:
+        """Writes the files about all pictures, which are there. InputError when one of them cannot be read."""
         if JOINTS in self.names:
             write_json(self._folder / "joints.json", {
                 "order": "standard", "names": list(STANDARD_NAMES), "unit": "m", "hand": str(self._hand),
-                "frames": self._seen,
+                "frames": [json.loads(picture_texts(picture)[JOINTS_KEY]) for picture in pictures],
             })  # fmt: skip
-        write_colmap(self._folder / "colmap", self._shots)
-        write_transforms(self._folder / "transforms.json", self._shots)
+        shots = [Shot(picture.name, self._camera) for picture in pictures]
+        write_colmap(self._folder / "colmap", shots)
+        write_transforms(self._folder / "transforms.json", shots)
 
 
 def refuse_older_truth(folder: Path, names: Sequence[str] = ()) -> None:

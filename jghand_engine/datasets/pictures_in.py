@@ -52,6 +52,17 @@ def probe_picture(path: Path) -> PictureFacts:
     return facts
 
 
+def picture_texts(path: Path) -> dict[str, str]:
+    """The texts in the head of a PNG, by key; its pixels are not looked at. InputError for a missing or broken head."""
+    try:
+        with Image.open(path) as image:
+            return {str(key): str(text) for key, text in image.info.items() if isinstance(text, str)}
+    except FileNotFoundError as error:
+        raise InputError(f"picture {path}", came="no such file", remedy=_REMEDY) from error
+    except _DAMAGE as error:
+        raise InputError(f"cannot read the picture {path}", came=_reason(error), remedy=_REMEDY) from error
+
+
 def probe_sized(path: Path, size_px: tuple[int, int], source: str) -> PictureFacts:
     """`probe_picture`, and InputError unless the picture is (width, height) pixels, as `source` says of its camera."""
     facts = probe_picture(path)

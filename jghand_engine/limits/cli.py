@@ -20,6 +20,10 @@ USD_EXTENT_TOLERANCE_M = 1e-5
 USD_QUATERNION_TOLERANCE = 1e-3
 # ... and how far the weights of a point may be from 1: at 1 m from the origin it then moves by 1 mm
 USD_WEIGHT_SUM_TOLERANCE = 1e-3
+# variants of a stage that are looked at: each opens the stage anew
+USD_CHECK_VARIANTS_MAX = 32
+# bytes at the start of a binary USD file that say where its table of contents is
+USD_CRATE_HEADER_BYTES = 24
 
 # ---- cli: the demo --------------------------------------------------------------------------------------------------
 # rate, seconds of a move and of a stop: quick enough for a video of a few seconds, slow enough to see
@@ -39,3 +43,7 @@ PROGRESS_JSON_S = 0.25
 # seconds after the end of standard input until such a command ends regardless: a step of a training and its checkpoint
 # take a few, a picture of a capture up to a minute
 STOP_WITHOUT_INPUT_S = 90.0
+
+# ---- cli: pictures that several processes make at once ----------------------------------------------------------------
+# seconds between two looks whether a picture that another process is at is there: a picture takes some hundredths
+CLAIM_POLL_S = 0.1

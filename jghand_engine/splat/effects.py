@@ -142,7 +142,7 @@ def standing_still(joints_m: Sequence[np.ndarray], kept: Kept | None, settings: 
         return None
     distance_m = max(float(np.abs(new - old).max()) for new, old in zip(joints_m, kept.joints_m, strict=True))
     # per axis, so that no joint moves farther than the limit; the skin of a flagged hand may turn without bound
-    most_m = 0.0 if kept.flagged else limits.REUSE_JOINTS_M
+    most_m = 0.0 if kept.flagged or settings.repeatable else limits.REUSE_JOINTS_M
     return distance_m if distance_m * math.sqrt(3.0) <= most_m else None
 
 
@@ -150,7 +150,8 @@ def same_shape(bones: FastBones, corrected_rad: np.ndarray | None, settings: Ren
     """Whether a hand moved as a whole: its correctives stay."""
     if corrected_rad is None or not settings.reuse or settings.effects.forces(Effect.CORRECTIVES):
         return False
-    return bool(np.abs(bones.angles_rad - corrected_rad).max() <= limits.REUSE_ANGLE_RAD)
+    most_rad = 0.0 if settings.repeatable else limits.REUSE_ANGLE_RAD
+    return bool(np.abs(bones.angles_rad - corrected_rad).max() <= most_rad)
 
 
 # ---- the plan -------------------------------------------------------------------------------------------------------

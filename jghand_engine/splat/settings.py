@@ -35,7 +35,9 @@ class RenderSettings:
     the frame carries · effects: which may run (`effect_plan.Choice`) · antialias: whether hands that are much smaller
     than they were learnt are drawn larger and averaged; not where a picture is compared with what was learnt ·
     reuse: whether stages whose input has hardly changed keep their last result, within the bound in the report ·
-    half: draw at half the width and height, then enlarge (`half`)."""
+    repeatable: whether they keep it only when nothing changed at all: a picture then depends on nothing that was drawn
+    before it, and its bits are the same in every part of an animation · half: draw at half the width and height, then
+    enlarge (`half`)."""
 
     gaussians: int = 0
     alpha_min: float = limits.ALPHA_MIN
@@ -53,6 +55,7 @@ class RenderSettings:
     effects: Choice = AUTO
     antialias: bool = False
     reuse: bool = True
+    repeatable: bool = False
     half: bool = False
 
     def __post_init__(self) -> None:

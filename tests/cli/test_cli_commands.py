@@ -76,6 +76,8 @@ def test_a_mistake_in_the_arguments_ends_with_2(words, capsys):
     [
         (":", slice(0, None, 1)),
         ("3:9", slice(3, 10, 1)),
+        ("3-9", slice(3, 10, 1)),
+        ("1-2400:2", slice(1, 2401, 2)),
         ("0:99:2", slice(0, 100, 2)),
         ("5", slice(5, 6, 1)),
         ("4:", slice(4, None, 1)),
@@ -85,7 +87,7 @@ def test_frames_are_counted_with_the_last_one(text, expected):
     assert MotionOptions(frames=text).frame_slice() == expected
 
 
-@pytest.mark.parametrize("text", ["", "a:b", "-3:4", "1:2:3:4", "1.5"])
+@pytest.mark.parametrize("text", ["", "a:b", "-3:4", "1:2:3:4", "1.5", "1--3", "5-", "1:2-3"])
 def test_frames_that_make_no_sense_are_refused(text):
     with pytest.raises(InputError, match="--frames"):
         MotionOptions(frames=text).frame_slice()

@@ -1,0 +1,262 @@
+"""`jghand render --shard --skip-existing`: parts that are one whole, workers that meet, are killed, and go on."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from jghand_engine.cli import main
+from jghand_engine.cli.picture_sharing import CLAIMS
+from jghand_engine.cli.picture_stamp import STAMP_KEY
+from jghand_engine.datasets.motion_files import write_motion
+from jghand_engine.datasets.pictures_in import probe_picture
+from jghand_engine.hand.anatomy import pose_sequence_of_names
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.template.builtin import load_template
+
+SMALL = ("--poses", "open,fist", "--avatar", "painted", "--size", "64x48", "--threads", "1")
+TEN = (*SMALL, "--frames", "0-9")
+
+
+def render(folder: Path, *words: str) -> int:
+    return main(["render", *(words if "--frames" in words else (*TEN, *words)), "--out", str(folder)])
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()
+    }
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> dict[str, bytes]:
+    """What one run of TEN leaves."""
+    folder = tmp_path_factory.mktemp("render") / "whole"
+    assert render(folder) == 0
+    return contents(folder)
+
+
+@pytest.fixture
+def half(tmp_path) -> Path:
+    """A render of which the second of two shards is missing."""
+    assert render(tmp_path / "half", "--shard", "1/2") == 0
+    return tmp_path / "half"
+
+
+def test_shards_in_any_order_are_byte_for_byte_what_one_run_makes(tmp_path, whole):
+    for number in (3, 1, 2):
+        assert render(tmp_path / "out", "--shard", f"{number}/3", "--skip-existing") == 0
+    assert contents(tmp_path / "out") == whole
+
+
+@pytest.mark.parametrize("words", [("--shutter", "0.7"), ("--aperture", "20"), ("--background", "#336699")])
+def test_so_they_are_with_a_shutter_a_lens_or_a_background(tmp_path, words):
+    some = (*SMALL, "--frames", "8:20:3", "--preset", "viewport")
+    assert render(tmp_path / "whole", *some, *words) == 0
+    for number in (2, 1):
+        assert render(tmp_path / "out", *some, *words, "--shard", f"{number}/2") == 0
+    assert contents(tmp_path / "out") == contents(tmp_path / "whole")
+
+
+@pytest.mark.parametrize("avatar", ["painted", "builtin"])
+def test_a_hand_that_hardly_moves_does_not_remember_earlier_frames(tmp_path, avatar):
+    """Other renders keep what they posed until a joint has moved by 0.05 mm, and correctives until one has turned."""
+    canonical_m = load_template().joints_m
+    poses_m = pose_sequence_of_names(["open", "fist"], canonical_m, handedness=Handedness.RIGHT).joints_m
+    # a hand that drifts, and one whose fingers creep
+    step_m = np.array([2e-5, 0, 0])
+    drift_m = poses_m[12] + step_m * np.arange(4)[:, None, None]
+    creep_m = poses_m[12] + (poses_m[13] - poses_m[12]) * np.linspace(0, 0.004, 4)[:, None, None]
+    write_motion(tmp_path / "slow.npz", PoseSequence(np.concatenate([drift_m, creep_m]), 30.0, Handedness.RIGHT))
+    words = ("--motion", str(tmp_path / "slow.npz"), "--avatar", avatar, "--size", "160x120", "--threads", "1")
+    words += ("--frames", ":", "--keep-bone-lengths")
+    assert render(tmp_path / "whole", *words) == 0
+    for number in (2, 1):
+        assert render(tmp_path / "out", *words, "--shard", f"{number}/2") == 0
+    assert contents(tmp_path / "out") == contents(tmp_path / "whole")
+
+
+def test_more_shards_than_pictures_leave_some_with_nothing_to_do(tmp_path, capsys):
+    assert render(tmp_path, *SMALL, "--frames", "0-1", "--shard", "3/3") == 0
+    assert "0 drawn; others are still missing" in capsys.readouterr().out
+    assert not list(tmp_path.glob("*.png"))
+
+
+def test_a_second_run_draws_nothing_and_touches_nothing(half, capsys, tmp_path):
+    times = {path: path.stat().st_mtime_ns for path in half.glob("*.png")}
+    capsys.readouterr()
+    figures = tmp_path / "figures.json"
+    assert render(half, "--shard", "1/2", "--skip-existing", "--json", str(figures)) == 0
+    assert "0 drawn, 5 there already; others are still missing" in capsys.readouterr().out
+    told = json.loads(figures.read_text())
+    assert (told["made"], told["kept"], told["broken"], told["complete"]) == (0, 5, 0, False)
+    assert {path: path.stat().st_mtime_ns for path in half.glob("*.png")} == times
+
+
+def test_one_run_finishes_what_shards_began(half, whole, capsys):
+    assert render(half, "--skip-existing") == 0
+    assert "5 drawn, 5 there already." in capsys.readouterr().out
+    assert contents(half) == whole
+
+
+def test_half_written_and_damaged_pictures_are_made_again_and_no_others(half, whole, capsys):
+    paths = sorted(half.glob("*.png"))
+    paths[0].write_bytes(whole[paths[0].name][:-30])
+    paths[1].write_bytes(b"")
+    damaged = bytearray(whole[paths[2].name])
+    damaged[damaged.rindex(b"IDAT") + 9] ^= 0xFF
+    paths[2].write_bytes(bytes(damaged))
+    left = half / ".frame_00001.0123456789ab.png"
+    left.write_bytes(b"of a worker that was killed")
+    assert render(half, "--skip-existing") == 0
+    assert "8 drawn, 2 there already, 3 of the drawn ones were there, but broken." in capsys.readouterr().out
+    assert contents(half) == whole
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("--preset", "draft"), "of another settings, look"),
+        (("--camera", "back"), "of another look"),
+        (("--poses", "open,point"), "of another motion"),
+        (("--frames", "1-10"), "of another choice of frames, frame"),
+        (("--avatar", "builtin"), "of another avatar"),
+        (("--passes", "joints"), "of another settings, look"),
+    ],
+)
+def test_pictures_of_something_else_are_refused_and_stay(half, capsys, words, told):
+    before = contents(half)
+    assert (
+        render(half, *(("--frames", "0-9") if "--frames" not in words else ()), *SMALL, *words, "--skip-existing") == 2
+    )
+    error = " ".join(capsys.readouterr().err.split())
+    assert told in error
+    assert "Leave out --skip-existing to replace" in error
+    assert contents(half) == before
+
+
+def test_a_picture_that_somebody_else_saved_is_refused_and_stays(half, capsys):
+    path = half / "frame_00002.png"
+    with Image.open(path) as picture:
+        picture.load()
+        picture.save(path)  # as an editor does: without our text
+    before = contents(half)
+    assert render(half, "--skip-existing") == 2
+    assert "frame_00002.png" in capsys.readouterr().err
+    assert contents(half) == before
+
+
+def test_without_skip_existing_everything_is_drawn_anew(half, whole, capsys):
+    (half / "frame_00000.png").write_bytes(b"something else")
+    assert render(half) == 0
+    assert {name: data for name, data in contents(half).items() if name != CLAIMS} == whole
+    assert "10 pictures" in capsys.readouterr().out
+
+
+def test_what_workers_could_not_agree_on_is_refused(tmp_path, capsys):
+    for words, told in (
+        (("--shard", "1/2", "--video", str(tmp_path / "hand.mp4")), "--video: wanted all pictures"),
+        (("--skip-existing", "--budget-ms", "10"), "--budget-ms: wanted the same settings"),
+        (("--shard", "3/2"), "--shard: wanted NUMBER/COUNT"),
+    ):
+        assert render(tmp_path / "out", *words) == 2
+        assert told in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_video_is_made_when_all_shards_are_there(half, tmp_path):
+    ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="the extra `video` is not installed")
+    assert render(half, "--skip-existing", "--video", str(tmp_path / "hand.mp4")) == 0
+    assert ffmpeg.count_frames_and_secs(str(tmp_path / "hand.mp4"))[0] == 10
+
+
+@pytest.mark.parametrize("passes", ["joints", "depth,normal,ids,alpha,joints"])
+def test_ground_truth_of_shards_is_that_of_one_run(tmp_path, passes):
+    if "depth" in passes:
+        pytest.importorskip("OpenEXR", reason="the extra formats is not installed")
+    words = (*SMALL, "--frames", "4:7", "--passes", passes)
+    assert render(tmp_path / "whole", *words) == 0
+    assert render(tmp_path / "out", *words, "--shard", "2/2") == 0
+    assert not (tmp_path / "out" / "joints.json").exists(), "not yet: half of the pictures are missing"
+    assert render(tmp_path / "out", *words, "--shard", "1/2", "--skip-existing") == 0
+    assert contents(tmp_path / "out") == contents(tmp_path / "whole")
+
+
+def test_a_picture_whose_maps_are_missing_or_broken_is_made_again(tmp_path):
+    pytest.importorskip("OpenEXR", reason="the extra formats is not installed")
+    words = (*SMALL, "--frames", "4:6", "--passes", "depth,joints")
+    assert render(tmp_path, *words) == 0
+    before = contents(tmp_path)
+    (tmp_path / "passes" / "frame_00000.exr").unlink()
+    (tmp_path / "passes" / "frame_00001.exr").write_bytes(before["passes/frame_00001.exr"][:100])
+    assert render(tmp_path, *words, "--skip-existing") == 0
+    assert contents(tmp_path) == before
+
+
+# ---- workers ---------------------------------------------------------------------------------------------------------
+
+
+def started(folder: Path, *words: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "jghand_engine", "render", *words, "--out", str(folder)]
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment)
+
+
+MANY = (*SMALL[:-4], "--size", "160x120", "--threads", "1", "--skip-existing")
+
+
+def test_a_killed_worker_loses_at_most_the_picture_that_it_was_at(tmp_path):
+    out = tmp_path / "out"
+    worker = started(out, *MANY)
+    until = time.monotonic() + 60
+    while len(list(out.glob("frame_*.png"))) < 4:
+        assert worker.poll() is None, worker.communicate()
+        assert time.monotonic() < until
+        time.sleep(0.002)
+    worker.send_signal(signal.SIGKILL)
+    worker.communicate()
+    there = contents(out)
+    names = [name for name in there if name.startswith("frame_")]
+    for name in names:
+        probe_picture(out / name)
+    assert len([name for name in there if name.startswith(".frame_")]) <= 1
+    figures = tmp_path / "figures.json"
+    assert main(["render", *MANY, "--out", str(out), "--json", str(figures)]) == 0
+    told = json.loads(figures.read_text())
+    assert (told["kept"], told["broken"], told["complete"]) == (len(names), 0, True)
+    assert main(["render", *MANY[:-1], "--out", str(tmp_path / "whole")]) == 0
+    assert contents(out) == contents(tmp_path / "whole")
+
+
+def test_two_workers_that_meet_share_the_work_and_make_no_picture_twice(tmp_path):
+    out = tmp_path / "out"
+    files = [tmp_path / f"{number}.json" for number in range(2)]
+    workers = [started(out, *MANY, "--json", str(file)) for file in files]
+    for worker in workers:
+        said = worker.communicate(timeout=120)
+        assert worker.returncode == 0, said
+    told = [json.loads(file.read_text()) for file in files]
+    total = len(list(out.glob("frame_*.png")))
+    assert sum(one["made"] for one in told) == total
+    assert all(one["made"] + one["kept"] == total for one in told)
+    assert all(one["complete"] for one in told)
+    assert not (out / CLAIMS).exists()
+    assert main(["render", *MANY[:-1], "--out", str(tmp_path / "whole")]) == 0
+    assert contents(out) == contents(tmp_path / "whole")
+
+
+def test_the_stamp_says_nothing_but_digests(half):
+    with Image.open(half / "frame_00000.png") as picture:
+        stamp = json.loads(picture.info[STAMP_KEY])
+    assert set(stamp) == {"JGHand", "avatar", "motion", "settings", "look", "choice of frames", "frame"}
+    assert all(len(stamp[name]) == 16 for name in ("avatar", "motion", "settings", "look", "choice of frames"))

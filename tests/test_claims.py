@@ -1,0 +1,77 @@
+"""Claims on numbered pieces of work: one process each, given back however it ends."""
+
+from __future__ import annotations
+
+import errno
+import os
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+
+from jghand_engine import lock
+from jghand_engine.errors import RetryError
+from jghand_engine.lock import Claims
+
+HOLDER = """
+import sys, time
+from pathlib import Path
+from jghand_engine.lock import Claims
+claims = Claims(Path(sys.argv[1]))
+with claims.held(int(sys.argv[2])) as free:
+    print(free, flush=True)
+    sys.stdin.read()
+"""
+
+
+def holder(path, number) -> subprocess.Popen[str]:
+    process = subprocess.Popen(
+        [sys.executable, "-c", HOLDER, str(path), str(number)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline().strip() == "True"
+    return process
+
+
+def test_what_another_process_holds_is_not_free_and_the_next_piece_is(tmp_path):
+    other = holder(tmp_path / "claims", 7)
+    claims = Claims(tmp_path / "claims")
+    with claims.held(7) as seven, claims.held(8) as eight:
+        assert (seven, eight) == (False, True)
+    other.kill()
+    other.wait()
+    with claims.held(7) as seven:
+        assert seven, "the system takes it back from a killed process"
+    claims.close()
+
+
+def test_one_can_wait_for_a_piece(tmp_path):
+    other = holder(tmp_path / "claims", 3)
+    claims = Claims(tmp_path / "claims")
+    ended = threading.Timer(0.3, other.kill)
+    ended.start()
+    began_s = time.monotonic()
+    with claims.held(3, wait=True) as free:
+        assert free
+    assert time.monotonic() - began_s > 0.2
+    claims.close(remove=True)
+    assert not (tmp_path / "claims").exists()
+    other.wait()
+
+
+def test_where_the_file_system_has_no_locks_every_claim_is_granted(tmp_path, monkeypatch):
+    def refused(*_):
+        raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
+
+    monkeypatch.setattr(lock, "_take_byte", refused)
+    claims = Claims(tmp_path / "claims")
+    with claims.held(0) as free:
+        assert free
+    claims.close()
+
+
+def test_a_folder_that_is_not_there_is_told(tmp_path):
+    with pytest.raises(RetryError, match="cannot write"):
+        Claims(tmp_path / "absent" / "claims")
