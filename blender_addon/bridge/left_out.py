@@ -16,7 +16,7 @@ import bpy
 from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as iface_
 
-from . import armature, combination
+from . import armature, combination, popup
 from .engine_name import ENGINE
 
 # what was said: of which scene, and the sentence
@@ -80,16 +80,8 @@ def show() -> None:
     if not _pending:
         return
     text, _pending = _pending, ""
-    windows = bpy.context.window_manager.windows
-    if not windows:
-        return
-
-    def draw(menu: bpy.types.Menu, _context: bpy.types.Context) -> None:
-        menu.layout.operator("jghand.use_engine", icon="RESTRICT_RENDER_OFF")
-        menu.layout.operator("jghand.combine_with_scene", icon="NODE_COMPOSITING")
-
-    with bpy.context.temp_override(window=windows[-1]):  # the newest: that of the picture, if it has one
-        bpy.context.window_manager.popup_menu(draw, title=text, icon="INFO")
+    ways = (("jghand.use_engine", "RESTRICT_RENDER_OFF"), ("jghand.combine_with_scene", "NODE_COMPOSITING"))
+    popup.show(text, icon="INFO", operators=ways)
 
 
 def register() -> None:

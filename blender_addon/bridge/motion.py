@@ -4,13 +4,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import bpy
 import numpy as np
 
 from ..core import posing
+from ..core.aside import aside, at_once
 from ..core.controls import CONTROLS, RULES
 from ..core.joints import NAMES
 from ..core.messages import JGHandFailure
@@ -46,23 +48,46 @@ def key_motion(
     Bones above the wrist are not undone.
     Raises JGHandFailure (bad_joints, not_a_hand, constrained) before anything is changed.
     """
+    at_once(
+        key_steps(
+            hand, joints_m, scene, first_frame=first_frame, frames_per_pose=frames_per_pose, key_frames=key_frames
+        )
+    )
+    return hand.animation_data.action
+
+
+def key_steps(
+    hand: bpy.types.Object,
+    joints_m: np.ndarray,
+    scene: bpy.types.Scene,
+    *,
+    first_frame: float = 1.0,
+    frames_per_pose: float = 1.0,
+    key_frames: Sequence[float] | None = None,
+) -> Generator[float, None, None]:
+    """`key_motion` in turns: yields the part that is done. Closed half-way, the hand has its action of before."""
     check_free(hand)
     joints = posing.checked_joints(joints_m) / scene.unit_settings.scale_length
-    keys = posing.bone_keys(joints, rest_matrices_of(hand), handedness_of(hand))
-    _prepare_bones(hand)
+    keys = yield from aside(partial(posing.bone_keys, joints, rest_matrices_of(hand), handedness_of(hand)))
     if key_frames is None:
         frames = first_frame + frames_per_pose * np.arange(len(joints))
     else:
         frames = np.array(key_frames, dtype=np.float64)
-    action = versions.new_action(
-        hand, f"{hand.name} motion", replaces=lambda path: _REPLACED.fullmatch(path) is not None
-    )
-    for place, name in enumerate(NAMES):
-        for channel, values in (("location", keys.location), ("rotation_quaternion", keys.quaternion)):
-            for index in range(values.shape[-1]):
-                curve = versions.new_fcurve(hand, f'pose.bones["{name}"].{channel}', index, name)
-                _fill(curve, frames, values[:, place, index])
-    return action
+    put_back = versions.keep_action(hand)
+    whole = False
+    try:
+        versions.new_action(hand, f"{hand.name} motion", replaces=lambda path: _REPLACED.fullmatch(path) is not None)
+        for place, name in enumerate(NAMES):
+            for channel, values in (("location", keys.location), ("rotation_quaternion", keys.quaternion)):
+                for index in range(values.shape[-1]):
+                    curve = versions.new_fcurve(hand, f'pose.bones["{name}"].{channel}', index, name)
+                    _fill(curve, frames, values[:, place, index])
+            yield (place + 1) / len(NAMES)
+        _prepare_bones(hand)
+        whole = True
+    finally:
+        if not whole:
+            put_back()
 
 
 @dataclass(frozen=True)
@@ -87,14 +112,36 @@ def import_motion(
     The joints are keyed where they are, in the armature object's space. The scene's frame rate and range stay.
     Raises JGHandFailure: other_hand and what `key_motion` raises, before anything is changed.
     """
+    return at_once(import_steps(context, motion, name, hand=hand, first_frame=first_frame))
+
+
+def import_steps(
+    context: bpy.types.Context,
+    motion: MotionFile,
+    name: str,
+    *,
+    hand: bpy.types.Object | None = None,
+    first_frame: float = 1.0,
+) -> Generator[float, None, ImportedMotion]:
+    """`import_motion` in turns: yields the part that is done. Closed half-way, nothing is left of it."""
     scene = context.scene
+    new = None
     if hand is None:
         rest = posing.rest_joints_m(motion.handedness, motion.joints_m)
-        hand = build_armature(context, name, rest, motion.handedness)
+        hand = new = build_armature(context, name, rest, motion.handedness)
     elif handedness_of(hand) != motion.handedness:
         raise JGHandFailure("other_hand", f"{hand.name}: {handedness_of(hand)}, the motion: {motion.handedness}")
     scene_fps = scene.render.fps / scene.render.fps_base
-    action = key_motion(hand, motion.joints_m, scene, first_frame=first_frame, frames_per_pose=scene_fps / motion.fps)
+    whole = False
+    try:
+        yield from key_steps(
+            hand, motion.joints_m, scene, first_frame=first_frame, frames_per_pose=scene_fps / motion.fps
+        )
+        whole = True
+    finally:
+        if new is not None and not whole:
+            bpy.data.armatures.remove(new.data)  # and with it the object
+    action = hand.animation_data.action
     action.name = name
     return ImportedMotion(hand, action, motion.notes)
 

@@ -17,7 +17,7 @@ from bpy.app.handlers import persistent
 
 from .. import runtime
 from ..core import limits, pacing
-from . import clock, gpu_picture, left_out, picture, rendering, seen_hands, views
+from . import clock, gpu_picture, guard, left_out, picture, rendering, seen_hands, views
 
 _status: tuple[object, ...] = ()
 _panels_drawn_s = 0.0
@@ -33,6 +33,7 @@ def tick() -> float:
         _drop_stale()
         return limits.IDLE_TICK_S
     left_out.show()
+    guard.show()
     _follow_status()
     shown = views.all_views()
     if not shown:

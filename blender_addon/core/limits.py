@@ -234,6 +234,8 @@ JOB_NOTES = 5
 WORK_TURN_S = 0.1
 WORK_TELL_S = 0.25
 WORK_REST_S = 0.005
+# and how long a turn waits at a time for what a thread does
+ASIDE_LOOK_S = 0.02
 
 # ---- renders --------------------------------------------------------------------------------------------------------
 

@@ -134,6 +134,8 @@ class InTurns(Reporting):
         return part
 
     def _progress(self, part: float) -> str:
+        if part <= 0.0:  # nothing to foretell from yet
+            return rpt_("{working}  ·  Esc cancels").format(working=rpt_(self.working))
         left_s = (time.monotonic() - self._started) * (1.0 - part) / max(part, 1e-3)
         template = rpt_("{working}  {percent}%  ·  {left} s left  ·  Esc cancels")
         return template.format(working=rpt_(self.working), percent=round(100 * part), left=round(left_s))

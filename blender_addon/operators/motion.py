@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import bpy
@@ -13,10 +14,11 @@ from bpy_extras.io_utils import ImportHelper
 
 from ..bridge import armature, controls, motion
 from ..bridge.classes import register_classes, register_menu, unregister_classes, unregister_menu
+from ..core.aside import aside
 from ..core.messages import JGHandFailure
 from ..core.motion_files import MotionFile, read_motion
 from . import common
-from .common import UNDOABLE_IMPORT, Reporting, missing
+from .common import CANCELLED, UNDOABLE_IMPORT, InTurns, missing
 
 SUFFIXES = (".npz", ".json", ".csv")
 _TARGETS = (
@@ -26,16 +28,20 @@ _TARGETS = (
 )
 
 
-class ImportMotion(Reporting, ImportHelper, bpy.types.Operator):
+class ImportMotion(InTurns, ImportHelper, bpy.types.Operator):
     """Operator: a motion file onto a hand."""
 
     bl_idname = "jghand.import_motion"
     bl_label = "Import Motion"
     bl_description = (
         "Key the motion of an .npz, .json or .csv file, as jghand writes them, on the active hand or on a new one. "
-        "The action before it stays in the file"
+        "The action before it stays in the file. Esc cancels"
     )
     bl_options = UNDOABLE_IMPORT
+
+    working = "Importing the motion"
+    # whether the file browser calls `execute`
+    _asked = False
 
     filename_ext = ".npz"
     # not remembered: a path that is there when the operator is called was dropped, and is taken without asking
@@ -58,8 +64,18 @@ class ImportMotion(Reporting, ImportHelper, bpy.types.Operator):
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Asks for a file, unless one was dropped."""
         if self.filepath and Path(self.filepath).suffix.lower() in SUFFIXES and Path(self.filepath).is_file():
-            return self.execute(context)
+            return super().invoke(context, event)
+        self._asked = True
         return ImportHelper.invoke(self, context, event)
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """All at once; after the file browser, which forgets an operator that is not done, another one in turns."""
+        if not self._asked or context.window is None:
+            return super().execute(context)
+        self._asked = False
+        names = ("filepath", "target", "first_frame", "use_scene_range")
+        bpy.ops.jghand.import_motion("INVOKE_DEFAULT", **{name: getattr(self, name) for name in names})
+        return CANCELLED
 
     def draw(self, _context: bpy.types.Context) -> None:
         """The options beside the files."""
@@ -70,24 +86,35 @@ class ImportMotion(Reporting, ImportHelper, bpy.types.Operator):
         column.prop(self, "first_frame")
         column.prop(self, "use_scene_range")
 
-    def run(self, context: bpy.types.Context) -> None:
-        with common.wait_cursor(context):
-            self._import(context, Path(bpy.path.abspath(self.filepath)))
-
-    def _import(self, context: bpy.types.Context, path: Path) -> None:
-        content = read_motion(path)
+    def steps(self, context: bpy.types.Context) -> Iterator[float]:
+        """The file is read in a thread, then curve by curve is keyed."""
+        path = Path(bpy.path.abspath(self.filepath))
+        content = yield from aside(partial(read_motion, path))
         common.object_mode(context)
         hand = self._hand(context, content)
         controlled = hand is not None and controls.has_controls(hand)
         with _controls_off(hand) if controlled else contextlib.nullcontext():
-            done = motion.import_motion(context, content, path.stem, hand=hand, first_frame=self.first_frame)
+            steps = motion.import_steps(context, content, path.stem, hand=hand, first_frame=self.first_frame)
+            done = yield from steps
+        self._tell(context, content, done, is_new=hand is None, controlled=controlled)
+
+    def _tell(
+        self,
+        context: bpy.types.Context,
+        content: MotionFile,
+        done: motion.ImportedMotion,
+        *,
+        is_new: bool,
+        controlled: bool,
+    ) -> None:
+        """What follows once all is keyed."""
         told = ""
-        if hand is None:
+        if is_new:
             common.link_to_active_collection(context, done.hand)
         elif controlled:
-            controls.reset_controls(hand)
-            controls.mute_controls(hand, False)
-            controls.use_joint_limits(hand, False)
+            controls.reset_controls(done.hand)
+            controls.mute_controls(done.hand, False)
+            controls.use_joint_limits(done.hand, False)
             told = rpt_("Finger controls are neutral and joint limits off, so that the motion is kept exactly.")
         common.make_active(context, done.hand)
         last = self._range(context, content)

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from blender_addon import registration, runtime
-from blender_addon.bridge import armature, camera, combination, versions
+from blender_addon.bridge import armature, camera, combination, guard, versions
 from blender_addon.core import film, posing
 from blender_addon.core.engine_command import engine_command
 from blender_addon.core.link import EngineLink
@@ -142,36 +142,84 @@ def test_size_and_region_are_those_of_the_scene(scene):
     np.testing.assert_allclose(f12(), whole[part.top : part.bottom, part.left : part.right], atol=0.01)
 
 
-def test_a_picture_whose_hand_failed_does_not_stay_on_disk(scene, tmp_path):
-    """Blender writes it, whatever the hands' scene reports; and older pictures are not touched."""
+def test_a_picture_whose_hand_failed_is_not_written_and_the_render_fails(scene, tmp_path, capfd):
+    """What was there before stays, at the picture's own place too."""
     bpy.ops.jghand.combine_with_scene()
     hand, path = bpy.data.objects["right"], scene.render.filepath
-    older = tmp_path / "picture0001.png"
-    older.write_bytes(b"mine")
-    os.utime(older, (0, 0))
+    older = [tmp_path / "picture0001.png", tmp_path / "picture.png"]
+    for each in older:
+        each.write_bytes(b"mine")
+        os.utime(each, (0, 0))
     hand.scale.x = -1
-    bpy.ops.render.render(write_still=True)
-    assert list(tmp_path.glob("*.png")) == [older]
+    with pytest.raises(RuntimeError, match="cannot save"):
+        bpy.ops.render.render(write_still=True)
+    assert sorted(tmp_path.iterdir()) == sorted(older)
+    assert all(each.read_bytes() == b"mine" for each in older)
     assert runtime.last_render().failure.kind == "mirrored"
+    assert "Frame 1 has no hands and is not written: Mirrored scale is not supported" in capfd.readouterr().err
     assert scene.render.filepath == path
     hand.scale.x = 1
     assert covered(f12()) > 20
 
 
-def test_an_animation_ends_at_the_frame_whose_hands_fail(scene, tmp_path):
+def test_a_picture_of_another_formats_name_is_not_written_either(scene, tmp_path):
+    """Blender replaces an extension that it knows, and makes folders."""
     bpy.ops.jghand.combine_with_scene()
-    hand = bpy.data.objects["right"]
-    for frame, x in ((1, 1.0), (2, 1.0), (3, -1.0)):
+    bpy.data.objects["right"].scale.x = -1
+    for name in ("picture.jpg", "new folder/picture", "Ünicode.v2"):
+        scene.render.filepath = str(tmp_path / name)
+        with pytest.raises(RuntimeError, match="cannot save"):
+            bpy.ops.render.render(write_still=True)
+        assert not list(tmp_path.iterdir()), name
+
+
+def fails_from(hand: bpy.types.Object, frame: int) -> None:
+    """Its scale is mirrored from a frame on."""
+    for at, x in ((1, 1.0), (frame, -1.0)):
         hand.scale.x = x
-        hand.keyframe_insert("scale", frame=frame)
+        hand.keyframe_insert("scale", frame=at)
     for curve in versions.fcurves(hand):
         for key in curve.keyframe_points:
             key.interpolation = "CONSTANT"
+
+
+@pytest.mark.parametrize("last", [3, 4])
+def test_an_animation_ends_at_the_frame_whose_hands_fail_also_at_the_last_one(scene, tmp_path, last, capfd):
+    bpy.ops.jghand.combine_with_scene()
+    fails_from(bpy.data.objects["right"], 3)
+    scene.render.filepath, scene.frame_end = str(tmp_path / "frame_"), last
+    with pytest.raises(RuntimeError, match="cannot save"):
+        bpy.ops.render.render(animation=True)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["frame_0001.png", "frame_0002.png"]
+    assert "Frame 3 has no hands and is not written: Mirrored scale" in capfd.readouterr().err
+    assert scene.render.filepath == str(tmp_path / "frame_")
+
+
+def test_where_nothing_can_stand_in_the_way_the_picture_is_removed_and_the_next_frame_fails(
+    scene, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(guard.obstacle, "put", lambda _paths: [])
+    bpy.ops.jghand.combine_with_scene()
+    fails_from(bpy.data.objects["right"], 2)
     scene.render.filepath, scene.frame_end = str(tmp_path / "frame_"), 4
     with pytest.raises(RuntimeError, match="Mirrored scale"):
         bpy.ops.render.render(animation=True)
-    assert sorted(path.name for path in tmp_path.glob("*.png")) == ["frame_0001.png", "frame_0002.png"]
+    assert [path.name for path in tmp_path.iterdir()] == ["frame_0001.png"]
     assert scene.render.filepath == str(tmp_path / "frame_")
+
+
+def test_a_movie_with_frames_without_hands_says_so_in_its_name(scene, tmp_path):
+    if hasattr(scene.render.image_settings, "media_type"):
+        scene.render.image_settings.media_type = "VIDEO"
+    scene.render.image_settings.file_format = "FFMPEG"
+    scene.render.ffmpeg.format, scene.render.ffmpeg.codec = "MPEG4", "H264"
+    bpy.ops.jghand.combine_with_scene()
+    scene.render.filepath, scene.frame_end = str(tmp_path / "film.mp4"), 2
+    bpy.ops.render.render(animation=True)
+    assert [path.name for path in tmp_path.iterdir()] == ["film.mp4"]
+    fails_from(bpy.data.objects["right"], 2)
+    bpy.ops.render.render(animation=True)
+    assert [path.name for path in tmp_path.iterdir()] == ["film_hands_missing.mp4"]
 
 
 def test_a_second_time_brings_it_up_to_date_and_makes_nothing_twice(scene):

@@ -8,6 +8,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import bpy
 import hands
@@ -16,11 +17,12 @@ import pytest
 from recording_layout import operator_type
 
 from blender_addon import properties, registration
-from blender_addon.bridge import armature, controls, folders, hand_poses, pose_library, sources, versions
-from blender_addon.core import bone_maps, poses, posing
+from blender_addon.bridge import armature, controls, folders, hand_poses, motion, pose_library, sources, versions
+from blender_addon.core import bone_maps, motion_files, poses, posing
 from blender_addon.core.controls import FINGER_CONTROLS, HAND_CONTROL
 from blender_addon.core.joints import HANDEDNESSES, NAMES
 from blender_addon.operators import help_page, picture
+from blender_addon.operators import motion as motion_operator
 from blender_addon.operators.common import PLUMBING, REGISTERED, UNDOABLE
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -537,6 +539,46 @@ def test_a_motion_that_is_refused_leaves_the_controls_as_they_were(extension, tm
     before = [(rule.name, rule.mute) for bone in thing.pose.bones for rule in bone.constraints]
     assert "index1: Mine" in refuses(bpy.ops.jghand.import_motion, filepath=path)
     assert [(rule.name, rule.mute) for bone in thing.pose.bones for rule in bone.constraints] == before
+
+
+@pytest.mark.parametrize("target", ["ACTIVE", "NEW"])
+def test_a_motion_that_is_given_up_half_way_changes_nothing(extension, tmp_path, target):
+    thing = add("right")
+    thing.pose.bones["index1"].rotation_mode = "XYZ"
+    thing.pose.bones["index1"].keyframe_insert("rotation_euler", frame=3)
+    animation = thing.animation_data
+    before = animation.action, animation.action_slot.handle, [rule.mute for rule in controls.rules_of(thing)]
+    counts = {name: len(getattr(bpy.data, name)) for name in ("objects", "armatures", "actions")}
+    content = motion_files.MotionFile(hands.moving_hand_m("right"), 24.0, "right")
+    steps = motion.import_steps(extension, content, "wave", hand=thing if target == "ACTIVE" else None, first_frame=1.0)
+    controls.mute_controls(thing, True)
+    while not 0.3 < next(steps) < 0.7:
+        pass
+    assert len(bpy.data.actions) == counts["actions"] + 1
+    steps.close()
+    controls.mute_controls(thing, False)
+    assert {name: len(getattr(bpy.data, name)) for name in counts} == counts
+    assert (animation.action, animation.action_slot.handle) == before[:2]
+    assert [rule.mute for rule in controls.rules_of(thing)] == before[2]
+    assert not animation.action.use_fake_user
+    assert thing.pose.bones["index1"].rotation_mode == "XYZ"
+
+
+def test_after_the_file_browser_a_motion_is_imported_in_turns(extension, tmp_path, monkeypatch):
+    """The browser forgets an operator that is not done when it returns."""
+    called = []
+
+    def again(where: str, **properties: object) -> set[str]:
+        called.append((where, properties))
+        return {"RUNNING_MODAL"}
+
+    ops = SimpleNamespace(jghand=SimpleNamespace(import_motion=again))
+    monkeypatch.setattr(motion_operator, "bpy", SimpleNamespace(ops=ops))
+    chosen = SimpleNamespace(_asked=True, filepath="wave.npz", target="AUTO", first_frame=3, use_scene_range=False)
+    assert motion_operator.ImportMotion.execute(chosen, SimpleNamespace(window=object())) == {"CANCELLED"}
+    wanted = {"filepath": "wave.npz", "target": "AUTO", "first_frame": 3, "use_scene_range": False}
+    assert called == [("INVOKE_DEFAULT", wanted)]
+    assert not chosen._asked
 
 
 def test_a_motion_with_gaps_says_so(extension, tmp_path, capfd):
