@@ -1,4 +1,4 @@
-"""Says in plain sentences what is wrong with a stage, in every variant.
+"""Says in plain sentences what is wrong with a stage, ours or anybody's, in every variant.
 
 USD's own validators look at structure; none of them looks at splats: logarithms as scales, opacity 2, no extent, a
 skeleton that got lost all pass. So the rules for data are here (EXPORT 9, 10), beside USD's.
@@ -14,67 +14,98 @@ import numpy as np
 from pxr import Sdf, Tf, Usd, UsdGeom, UsdSkel, UsdUtils
 
 from jghand_engine.errors import InputError
-from jghand_engine.exporters.usd_check_splats import extent_sentence, splat_findings, time_name
+from jghand_engine.exporters.usd_check_files import check_file
+from jghand_engine.exporters.usd_check_splats import Advice, extent_sentence, splat_findings, time_name
 from jghand_engine.exporters.usd_layers import SPLAT_TYPE
-from jghand_engine.exporters.usd_stage import VARIANT_SET
-from jghand_engine.limits import USD_WEIGHT_SUM_TOLERANCE
+from jghand_engine.limits import USD_CHECK_VARIANTS_MAX, USD_WEIGHT_SUM_TOLERANCE
 
 PURPOSES = [UsdGeom.Tokens.default_, UsdGeom.Tokens.render, UsdGeom.Tokens.proxy, UsdGeom.Tokens.guide]
 
 
 @dataclass(frozen=True)
 class Finding:
-    """variant: in which it shows, or '' · site: path of the prim, or '' · sentence: what is wrong."""
+    """variant: in which it shows, or '' for all · site: path of the prim, or '' · sentence: what is wrong · is_error:
+    some reader shows something else than was meant; else: look at it."""
 
     variant: str
     site: str
     sentence: str
+    is_error: bool = True
 
     def __str__(self) -> str:
         where = " ".join(part for part in (f"[{self.variant}]" if self.variant else "", self.site) if part)
         return f"{where}: {self.sentence}" if where else self.sentence
 
 
+@dataclass(frozen=True)
+class _Choice:
+    """One variant, and the prims that offer it; several hands are switched together. An empty one chooses nothing."""
+
+    variant_set: str = ""
+    name: str = ""
+    prims: tuple[Sdf.Path, ...] = ()
+
+
 def check_usd(path: Path | str) -> list[Finding]:
-    """Everything that is wrong with the stage at `path`, variant by variant; empty when nothing is.
+    """Everything that is wrong with the stage at `path`, in each of its variants, errors first; empty when nothing is.
 
     Raises InputError when the file cannot be opened as a stage.
     """
-    findings = []
-    for variant, prim_paths in _variants(Path(path)).items():
-        delegate = UsdUtils.CoalescingDiagnosticDelegate()
-        stage = _open(Path(path))
-        stage.SetEditTarget(stage.GetSessionLayer())
-        for prim_path in prim_paths:
-            stage.GetPrimAtPath(prim_path).GetVariantSet(VARIANT_SET).SetVariantSelection(variant)
-        found = [*_usd_findings(stage), *_stage_findings(stage)]
-        found += [("", f"USD warns: {item.commentary}") for item in delegate.TakeUncoalescedDiagnostics()]
-        findings += [Finding(variant, site, sentence) for site, sentence in found]
-        del delegate
-    return findings
+    path = Path(path)
+    check_file(path)
+    choices = _choices(path)
+    seen: dict[tuple[str, str], list[str]] = {}
+    looked_at = choices[:USD_CHECK_VARIANTS_MAX] or [_Choice()]
+    sets = {choice.variant_set for choice in choices}
+    for choice in looked_at:
+        label = choice.name if len(sets) < 2 else f"{choice.variant_set}={choice.name}"
+        for site, sentence in _findings_of(path, choice):
+            variants = seen.setdefault((site, sentence), [])
+            if label not in variants:
+                variants.append(label)
+    if len(choices) > len(looked_at):
+        text = f"only {len(looked_at)} of {len(choices)} variants were looked at"
+        seen["", Advice(text)] = [""] * len(looked_at)
+    findings = [
+        # what shows in every variant has nothing to do with them
+        Finding("" if len(variants) == len(looked_at) else ", ".join(variants), site, sentence,
+                not isinstance(sentence, Advice))
+        for (site, sentence), variants in seen.items()
+    ]  # fmt: skip
+    return sorted(findings, key=lambda finding: not finding.is_error)
+
+
+def _findings_of(path: Path, choice: _Choice) -> list[tuple[str, str]]:
+    delegate = UsdUtils.CoalescingDiagnosticDelegate()
+    stage = _open(path)
+    stage.SetEditTarget(stage.GetSessionLayer())
+    for prim_path in choice.prims:
+        stage.GetPrimAtPath(prim_path).GetVariantSet(choice.variant_set).SetVariantSelection(choice.name)
+    found = [*_usd_findings(stage), *_stage_findings(stage)]
+    found += [("", f"USD warns: {item.commentary}") for item in delegate.TakeUncoalescedDiagnostics()]
+    return found
 
 
 def _open(path: Path) -> Usd.Stage:
     try:
-        stage = Usd.Stage.Open(str(path)) if path.is_file() else None
+        stage = Usd.Stage.Open(str(path))
     except Tf.ErrorException as error:
         raise InputError(f"USD file {path}", wanted="a stage that opens", came=f"an error of USD: {error}") from error
     if stage is None:
-        raise InputError(f"USD file {path}", wanted="a file", came="none of that name")
+        raise InputError(f"USD file {path}", wanted="a stage that opens", came="nothing")
     return stage
 
 
-def _variants(path: Path) -> dict[str, list[Sdf.Path]]:
-    """Every choice of representation on the stage and the prims that offer it; '' of none when there is no choice.
-
-    Several hands are switched together: each is seen in each of its variants.
-    """
+def _choices(path: Path) -> list[_Choice]:
+    """Every variant on the stage."""
     stage = _open(path)
-    offered: dict[str, list[Sdf.Path]] = {}
+    offered: dict[tuple[str, str], list[Sdf.Path]] = {}
     for prim in stage.Traverse():
-        for name in prim.GetVariantSet(VARIANT_SET).GetVariantNames():
-            offered.setdefault(name, []).append(prim.GetPath())
-    return offered or {"": []}
+        sets = prim.GetVariantSets()
+        for variant_set in sets.GetNames():
+            for name in sets.GetVariantSet(variant_set).GetVariantNames():
+                offered.setdefault((variant_set, name), []).append(prim.GetPath())
+    return [_Choice(variant_set, name, tuple(prims)) for (variant_set, name), prims in offered.items()]
 
 
 def _usd_findings(stage: Usd.Stage) -> Iterator[tuple[str, str]]:
@@ -101,7 +132,8 @@ def _stage_findings(stage: Usd.Stage) -> Iterator[tuple[str, str]]:
             yield from ((site, sentence) for sentence in _point_findings(prim))
             yield from ((site, sentence) for sentence in _skin_findings(prim))
     if splats and SPLAT_TYPE not in (stage.GetMetadata("fallbackPrimTypes") or {}):
-        yield "", f"the root layer names no fallbackPrimTypes for {SPLAT_TYPE}: an older USD shows nothing"
+        text = f"the root layer names no fallbackPrimTypes for {SPLAT_TYPE}: a USD before 26.03 shows nothing"
+        yield "", Advice(text)
     if stage.GetDefaultPrim():
         box = UsdGeom.BBoxCache(stage.GetStartTimeCode(), PURPOSES).ComputeWorldBound(stage.GetDefaultPrim())
         if box.ComputeAlignedRange().IsEmpty():

@@ -271,6 +271,27 @@ def test_info_says_what_is_wrong_with_a_stage_one_sentence_per_line(tmp_path, ca
     assert all(sum(finding in line for line in lines) == 1 for finding in findings)
 
 
+def test_check_usd_ends_with_0_for_our_stage_and_2_with_sentences_for_a_broken_one(tmp_path, capsys):
+    assert run("export", "--poses", "open", "--frames", "0", "--out", tmp_path, "--avatar", "painted") == 0
+    capsys.readouterr()
+    stage = tmp_path / "hand.usda"
+    assert run("check-usd", stage) == 0
+    assert capsys.readouterr().out == "Nothing is wrong.\n"
+    stage.write_text(re.sub(r"\s*(fallbackPrimTypes = \{[^}]*\}|defaultPrim = .*)", "", stage.read_text()))
+    assert run("check-usd", stage, "--json", tmp_path / "findings.json") == 2
+    shown = capsys.readouterr().out
+    told = json.loads((tmp_path / "findings.json").read_text())
+    assert any("no default prim" in error for error in told["errors"])
+    assert any("fallbackPrimTypes" in note for note in told["notes"])
+    assert "ERROR: there is no default prim" in shown
+    assert "note: [splats]: the root layer names no fallbackPrimTypes" in shown
+
+
+def test_check_usd_of_a_file_that_is_not_there_is_bad_input(tmp_path, capsys):
+    assert run("check-usd", tmp_path / "absent.usda") == 2
+    assert "absent.usda" in capsys.readouterr().err
+
+
 def test_export_hands_its_options_on(tmp_path, monkeypatch):
     seen = []
 

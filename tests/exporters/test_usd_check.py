@@ -2,15 +2,17 @@
 
 import numpy as np
 import pytest
-from pxr import Sdf, Usd, Vt
+from pxr import Gf, Sdf, Usd, UsdGeom, Vt
 from usd_samples import lively_motion, small_avatar
 
 from jghand_engine.errors import InputError
 from jghand_engine.exporters.usd import export_usd
 from jghand_engine.exporters.usd_check import check_usd
+from jghand_engine.exporters.usd_layers import SPLAT_TYPE, TYPES
 from jghand_engine.hand.joints import Handedness
 
 COUNT = len(small_avatar())
+HARMONICS = "radiance:sphericalHarmonicsCoefficients"
 
 
 @pytest.fixture
@@ -55,14 +57,25 @@ def vectors(array) -> Vt.Vec3fArray:
     [
         ("scales", vectors(np.full((COUNT, 3), -6.9)), None, "probably logarithms"),
         ("scales", vectors(np.full((7, 3), 0.001)), None, "wanted 805, got 7"),
-        ("scales", None, None, "1 m wide"),
+        ("scales", None, None, "1 unit wide"),
         ("opacities", floats(np.linspace(-4, 4, COUNT)), None, "probably logits"),
         ("opacities", floats([0.5]), None, "wanted 805, got 1"),
         ("opacities", None, None, "everything would be opaque"),
         ("radiance:sphericalHarmonicsDegree", None, None, "falls back to 3"),
         ("radiance:sphericalHarmonicsDegree", 1, None, "wanted 3220 vectors, got 805"),
-        ("radiance:sphericalHarmonicsCoefficients", None, None, "everything would be grey"),
+        (HARMONICS, None, None, "everything would be grey"),
         ("orientations", Vt.QuatfArray.FromNumpy(np.zeros((COUNT, 4), np.float32)), None, "not unit quaternions"),
+        ("orientations", Vt.QuatfArray(COUNT, Gf.Quatf(0, 1, 0, 0)), None, "turned half about x"),
+        ("orientations", Vt.QuatfArray(3, Gf.Quatf(1)), None, "orientations: wanted 805, got 3"),
+        ("scales", vectors(np.full((COUNT, 3), np.nan)), None, "scales hold NaN"),
+        ("scales", vectors(np.full((COUNT, 3), 3.0)), None, "metersPerUnit, are probably wrong"),
+        ("scales", vectors(np.linspace(-1, 9, 3 * COUNT).reshape(-1, 3)), None, "not all above 0"),
+        ("opacities", floats(np.full(COUNT, np.nan)), None, "opacities hold NaN"),
+        ("radiance:sphericalHarmonicsDegree", 7, None, "wanted 0 to 3, got 7"),
+        (HARMONICS, vectors(np.random.default_rng(0).uniform(0, 1, (COUNT, 3))), None, "probably colours"),
+        (HARMONICS, vectors(np.full((COUNT, 3), np.inf)), None, "harmonics hold NaN"),
+        ("colorSpace:name", "srgb_rec709_display", None, "'srgb_rec709_display' is unknown to USD"),
+        ("colorSpace:name", None, None, "no colour space is said"),
         ("extent", None, None, "there is no extent at Default time"),
         ("extent", vectors(np.zeros((2, 3))), 1, "extent at time 1 does not hold the Gaussians"),
         ("extent", vectors(np.zeros((1, 3))), None, "extent at Default time has 1 vectors"),
@@ -191,3 +204,102 @@ def test_a_file_that_is_no_stage_is_bad_input(tmp_path):
     for name in ("wrong.usda", "absent.usda"):
         with pytest.raises(InputError, match=name):
             check_usd(tmp_path / name)
+
+
+def test_notes_are_no_errors_and_come_last(export):
+    stage = Usd.Stage.Open(str(export.stage.parent / "hand.splats.usdc"))
+    stage.GetPrimAtPath("/Splats").RemoveProperty("colorSpace:name")
+    stage.GetPrimAtPath("/Splats").RemoveProperty("opacities")
+    stage.Save()
+    kinds = [finding.is_error for finding in check_usd(export.stage)]
+    assert kinds == [True, False]
+
+
+def test_what_is_wrong_in_every_variant_is_said_once(export):
+    found = broken_interface(export, "metersPerUnit = 1", "")
+    assert len([sentence for sentence in found if "metersPerUnit" in sentence]) == 1, found
+    assert not any(sentence.startswith("[") for sentence in found), found
+
+
+def lone_splats(path, parent: str = "/World", kind: str = "Xform", **values) -> Usd.Stage:
+    """A sound stage of another program's making: five splats in a variant set of its own, under `parent`."""
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageMetersPerUnit(stage, 1)
+    UsdGeom.SetStageUpAxis(stage, "Y")
+    stage.SetMetadata("fallbackPrimTypes", {SPLAT_TYPE: Vt.TokenArray(["Points"])})
+    stage.SetDefaultPrim(stage.DefinePrim(parent, kind))
+    prim = stage.DefinePrim(f"{parent}/Cloud", SPLAT_TYPE)
+    some = np.linspace(-1, 1, 15).reshape(5, 3)
+    authored = {
+        "positions": (TYPES.Point3fArray, vectors(some)),
+        "scales": (TYPES.Float3Array, vectors(np.full((5, 3), 0.1))),
+        "opacities": (TYPES.FloatArray, floats(np.full(5, 0.5))),
+        "radiance:sphericalHarmonicsDegree": (TYPES.Int, 0),
+        HARMONICS: (TYPES.Float3Array, vectors(some)),
+        "extent": (TYPES.Float3Array, vectors([[-2, -2, -2], [2, 2, 2]])),
+    }
+    for name, (type_name, value) in authored.items():
+        if values.get(name, True):
+            prim.CreateAttribute(name, type_name, False).Set(value)
+    if prim.HasAttribute(HARMONICS):
+        prim.GetAttribute(HARMONICS).SetMetadata("interpolation", "vertex")
+        prim.GetAttribute(HARMONICS).SetMetadata("elementSize", 1)
+    Usd.ColorSpaceAPI.Apply(prim).CreateColorSpaceNameAttr("srgb_rec709_scene")
+    stage.Save()
+    return stage
+
+
+def test_a_sound_stage_of_another_program_has_no_findings(tmp_path):
+    lone_splats(tmp_path / "theirs.usda")
+    assert sentences(tmp_path / "theirs.usda") == []
+
+
+def test_splats_below_a_skeleton_root_are_reported(tmp_path):
+    lone_splats(tmp_path / "theirs.usda", kind="SkelRoot")
+    assert any("below the SkelRoot /World" in sentence for sentence in sentences(tmp_path / "theirs.usda"))
+
+
+def test_splats_that_want_to_be_skinned_are_reported(tmp_path):
+    stage = lone_splats(tmp_path / "theirs.usda")
+    prim = stage.GetPrimAtPath("/World/Cloud")
+    UsdGeom.PrimvarsAPI(prim).CreatePrimvar("skel:jointWeights", TYPES.FloatArray).Set(floats(np.ones(5)))
+    stage.Save()
+    assert any("nothing skins splats" in sentence for sentence in sentences(tmp_path / "theirs.usda"))
+
+
+def test_harmonics_without_their_metadata_are_reported(tmp_path):
+    stage = lone_splats(tmp_path / "theirs.usda")
+    stage.GetPrimAtPath("/World/Cloud").GetAttribute(HARMONICS).ClearMetadata("elementSize")
+    stage.Save()
+    assert any("elementSize 1" in sentence for sentence in sentences(tmp_path / "theirs.usda"))
+
+
+def test_half_precision_alone_and_beside_floats_is_noted(tmp_path):
+    stage = lone_splats(tmp_path / "theirs.usda", scales=False)
+    prim = stage.GetPrimAtPath("/World/Cloud")
+    prim.CreateAttribute("scalesh", TYPES.Half3Array, False).Set(Vt.Vec3hArray(5, Gf.Vec3h(0.1)))
+    prim.CreateAttribute("opacitiesh", TYPES.HalfArray, False).Set(Vt.HalfArray(5, 0.5))
+    stage.Save()
+    found = check_usd(tmp_path / "theirs.usda")
+    assert sorted(finding.sentence.split(" ")[0] for finding in found) == ["opacities", "scales"]
+    assert not any(finding.is_error for finding in found)
+
+
+def test_variants_of_any_set_are_looked_at(tmp_path):
+    stage = lone_splats(tmp_path / "theirs.usda")
+    prim = stage.GetDefaultPrim()
+    for name, choices in (("lod", ("near", "far")), ("look", ("day", "night"))):
+        variants = prim.GetVariantSets().AddVariantSet(name)
+        for choice in choices:
+            variants.AddVariant(choice)
+            variants.SetVariantSelection(choice)
+            with variants.GetVariantEditContext():
+                cloud = stage.OverridePrim("/World/Cloud")
+                if choice == "far":
+                    cloud.CreateAttribute("scales", TYPES.Float3Array).Set(vectors(np.full((2, 3), 0.1)))
+        variants.SetVariantSelection(choices[0])
+    cloud = stage.GetPrimAtPath("/World/Cloud")
+    cloud.RemoveProperty("scales")
+    stage.Save()
+    found = sentences(tmp_path / "theirs.usda")
+    assert any(sentence.startswith("[lod=far] ") and "wanted 5, got 2" in sentence for sentence in found), found

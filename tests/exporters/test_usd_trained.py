@@ -21,6 +21,8 @@ from jghand_engine.hand.transform import JointTransform
 from jghand_engine.limits import SH_C0
 from jghand_engine.template.builtin import load_template
 
+pytestmark = pytest.mark.usefixtures("no_usd_warnings")
+
 FRAMES = 4
 
 

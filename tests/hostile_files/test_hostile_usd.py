@@ -1,0 +1,86 @@
+"""USD files that are damaged, of another kind, or lie are refused by name, not by an error of the library."""
+
+from __future__ import annotations
+
+import struct
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from jghand_engine.errors import InputError
+from jghand_engine.exporters.usd_check import check_usd
+
+
+@pytest.fixture(scope="module")
+def crate(tmp_path_factory) -> Path:
+    from pxr import Usd, UsdGeom
+
+    path = tmp_path_factory.mktemp("usd") / "sound.usdc"
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageMetersPerUnit(stage, 1)
+    UsdGeom.SetStageUpAxis(stage, "Y")
+    points = UsdGeom.Points.Define(stage, "/Points")
+    points.CreatePointsAttr([(index, 0.5 * index, 1) for index in range(500)])
+    points.CreateWidthsAttr([0.1 + 0.001 * index for index in range(500)])
+    points.CreateExtentAttr([(-1, -1, -1), (600, 300, 2)])
+    stage.SetDefaultPrim(points.GetPrim())
+    stage.Save()
+    return path
+
+
+def refused(path: Path) -> str:
+    with pytest.raises(InputError) as caught:
+        check_usd(path)
+    assert str(path) in str(caught.value)
+    return str(caught.value)
+
+
+def test_the_file_that_is_damaged_below_is_sound(crate):
+    assert check_usd(crate) == []
+
+
+@pytest.mark.parametrize("kept", [0, 7, 20, 60, 500, 0.5, 0.9, 0.999])
+def test_a_file_that_was_cut_off_is_refused(tmp_path, crate, kept):
+    content = crate.read_bytes()
+    path = tmp_path / "cut.usdc"
+    path.write_bytes(content[: int(kept * len(content)) if kept < 1 else kept])
+    refused(path)
+
+
+@pytest.mark.parametrize("offset", [-1, 0, 2**40, 2**63 - 1])
+def test_a_table_of_contents_that_is_not_in_the_file_is_refused(tmp_path, crate, offset):
+    content = bytearray(crate.read_bytes())
+    struct.pack_into("<q", content, 16, offset)
+    path = tmp_path / "lying.usdc"
+    path.write_bytes(content)
+    refused(path)
+
+
+@pytest.mark.parametrize("name", ["hand.usd", "hand.usda", "hand.usdc", "hand.usdz"])
+def test_a_file_of_another_kind_is_refused(tmp_path, name):
+    path = tmp_path / name
+    path.write_bytes(b"ply\nformat binary_little_endian 1.0\n" * 3)
+    refused(path)
+
+
+def test_a_file_with_another_suffix_is_refused(tmp_path, crate):
+    path = tmp_path / "hand.ply"
+    path.write_bytes(crate.read_bytes())
+    assert ".usdc" in refused(path)
+
+
+def test_an_archive_without_a_stage_or_with_compressed_ones_is_refused(tmp_path, crate):
+    path = tmp_path / "hand.usdz"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("notes.txt", "mine")
+    assert "notes.txt" in refused(path)
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.write(crate, "hand.usdc")
+    assert "compressed" in refused(path)
+
+
+def test_text_that_is_no_stage_is_refused(tmp_path):
+    path = tmp_path / "hand.usda"
+    path.write_text('#usda 1.0\n(\n    defaultPrim = "World"\n)\ndef Xform "World"\n{\n    float3 x = (1, 2\n')
+    refused(path)
