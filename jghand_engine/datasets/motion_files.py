@@ -17,12 +17,13 @@ Filled frames are those that nobody measured: whoever made the file closed a gap
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import json
 import math
 import struct
 import tokenize
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,7 @@ from typing import Any
 import numpy as np
 
 from jghand_engine import limits
+from jghand_engine.datasets.motions.json_text import JsonText
 from jghand_engine.errors import InputError, MemoryLimitError
 from jghand_engine.files import writing
 from jghand_engine.hand.joints import JOINT_COUNT, STANDARD_NAMES, Handedness
@@ -45,7 +47,7 @@ from jghand_engine.hand.orders import (
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.template.archives import read_arrays
 
-_FORMAT, _VERSION = "jghand motion", 1
+FORMAT, _VERSION = "jghand motion", 1
 # what an archive declares beside its arrays
 _DECLARED = ("order", "unit", "fps", "handedness")
 
@@ -60,6 +62,12 @@ class MotionFormat:
     fps:        frames per second; replaces the file's. Neither: 30
     check_hand: refuse joints whose bone lengths are no hand's. Turn it off for hands of odd proportions only: it is
                 what catches a wrong order or unit
+
+    For files of other programs (`motions.read`) only:
+
+    part:            which of several skeletons, animations, captures: a part of its name
+    mirrored_labels: whether a detector's labels are those of a mirrored picture; None: as its interface usually has it
+    hand_length_m:   scale the hand to this length, wrist to the middle finger's tip; a unit is not needed then
     """
 
     order: JointOrder | None = None
@@ -67,11 +75,15 @@ class MotionFormat:
     handedness: Handedness | None = None
     fps: float | None = None
     check_hand: bool = True
+    part: str | None = None
+    mirrored_labels: bool | None = None
+    hand_length_m: float | None = None
 
 
 @dataclass(frozen=True)
-class _Content:
-    """A file as it is: joints (F, n, 3) in its order and unit, valid (F, n) or None, and what it declares."""
+class FileContent:
+    """A file as it is: joints (F, n, 3) in its order and unit, valid (F, n) or None, and what it declares: order, unit,
+    fps, handedness, filled, each as the file has it."""
 
     joints: np.ndarray
     valid: np.ndarray | None
@@ -84,13 +96,29 @@ def read_motion(path: Path | str, motion_format: MotionFormat | None = None) -> 
     InputError for a file that is absent, damaged, of an unknown kind, not declared fully or contradicted, and for
     joints that are no hand; the message says what to do. MemoryLimitError when memory runs out.
     """
-    file, wanted = Path(path), motion_format or MotionFormat()
-    reader = _READERS.get(file.suffix.lower())
+    file = Path(path)
+    return _sequence(file, read_content(file), motion_format or MotionFormat())
+
+
+def read_content(file: Path, suffix: str = "") -> FileContent:
+    """What stands in a file, unjudged. suffix: to read it as one of that kind, whatever it is called.
+
+    Errors as those of `read_motion`, but for what is not declared.
+    """
+    kind = suffix or file.suffix.lower()
+    reader = _READERS.get(kind)
     if reader is None:
         raise InputError(f"motion file {file}", wanted=f"one of {', '.join(_READERS)}", came=repr(file.suffix))
-    _check_size(file)
+    _check_size(file, kind)
+    with told_damage(file):
+        return reader(file)
+
+
+@contextlib.contextmanager
+def told_damage(file: Path) -> Iterator[None]:
+    """What readers raise on a damaged or hostile file, said in one sentence: InputError, MemoryLimitError."""
     try:
-        content = reader(file)
+        yield
     except OSError as error:
         raise InputError(f"cannot read motion file {file}", came=str(error.strerror or error)) from error
     except MemoryError as error:
@@ -99,7 +127,6 @@ def read_motion(path: Path | str, motion_format: MotionFormat | None = None) -> 
         ) from error
     except _DAMAGE as error:
         raise InputError(f"motion file {file}", wanted="an undamaged file", came=_one_line(error)) from error
-    return _sequence(file, content, wanted)
 
 
 def write_motion(path: Path | str, sequence: PoseSequence) -> None:
@@ -118,7 +145,7 @@ def write_motion(path: Path | str, sequence: PoseSequence) -> None:
 # ---- from a file's content to a sequence ----------------------------------------------------------------------------
 
 
-def _sequence(file: Path, content: _Content, wanted: MotionFormat) -> PoseSequence:
+def _sequence(file: Path, content: FileContent, wanted: MotionFormat) -> PoseSequence:
     order = JointOrder.parse(str(_agreed(file, "order", content, wanted.order, JointOrder.parse)))
     unit = str(_agreed(file, "unit", content, wanted.unit, str))
     handedness = Handedness(str(_agreed(file, "handedness", content, wanted.handedness, str)))
@@ -131,7 +158,7 @@ def _sequence(file: Path, content: _Content, wanted: MotionFormat) -> PoseSequen
         raise InputError(f"motion file {file}", wanted="at least one frame", came="an empty motion")
     check_joint_shape(joints, order)
     level_m = to_level(joints, order) * METRES_PER_UNIT[unit]
-    valid, filled = _level_valid(file, content, order), _filled(file, content)
+    valid, filled = _level_valid(file, content, order), filled_frames(file, content)
     sequence = PoseSequence(level_m, _fps(file, content, wanted), handedness, valid, filled)
     if wanted.check_hand:
         check_hand_size(sequence.joints_m, unit)
@@ -139,7 +166,7 @@ def _sequence(file: Path, content: _Content, wanted: MotionFormat) -> PoseSequen
     return sequence
 
 
-def _agreed(file: Path, what: str, content: _Content, given: object, parse: Callable[[str], object]) -> object:
+def _agreed(file: Path, what: str, content: FileContent, given: object, parse: Callable[[str], object]) -> object:
     """What file and user say about order, unit or handedness: one of them must, and they must agree."""
     inside = content.declared.get(what)
     if inside is None and given is None:
@@ -158,7 +185,7 @@ def _agreed(file: Path, what: str, content: _Content, given: object, parse: Call
     return given
 
 
-def _fps(file: Path, content: _Content, wanted: MotionFormat) -> float:
+def _fps(file: Path, content: FileContent, wanted: MotionFormat) -> float:
     fps = wanted.fps if wanted.fps is not None else content.declared.get("fps", limits.DEFAULT_FPS)
     try:
         return float(fps)
@@ -166,7 +193,7 @@ def _fps(file: Path, content: _Content, wanted: MotionFormat) -> float:
         raise InputError(f"frames per second of {file}", wanted="a number", came=repr(fps)) from error
 
 
-def _level_valid(file: Path, content: _Content, order: JointOrder) -> np.ndarray:
+def _level_valid(file: Path, content: FileContent, order: JointOrder) -> np.ndarray:
     if content.valid is None:
         return np.ones((len(content.joints), JOINT_COUNT), dtype=bool)
     if content.valid.shape != content.joints.shape[:2]:
@@ -177,8 +204,8 @@ def _level_valid(file: Path, content: _Content, order: JointOrder) -> np.ndarray
     return to_level(np.repeat(content.valid[..., None].astype(np.float64), 3, axis=-1), order)[..., 0] > 0.5
 
 
-def _filled(file: Path, content: _Content) -> np.ndarray:
-    """(F,) bool from what the file declares: the flags themselves, or the numbers of the frames."""
+def filled_frames(file: Path, content: FileContent) -> np.ndarray:
+    """(F,) bool from what the file declares: the flags themselves, or the numbers of the frames. InputError."""
     filled, count = content.declared.get("filled"), len(content.joints)
     if isinstance(filled, np.ndarray) and filled.shape == (count,):
         return filled.astype(bool)
@@ -195,12 +222,12 @@ def _filled(file: Path, content: _Content) -> np.ndarray:
     return flags
 
 
-def _check_size(file: Path) -> None:
+def _check_size(file: Path, kind: str) -> None:
     try:
         size = file.stat().st_size
     except OSError as error:
         raise InputError(f"cannot read motion file {file}", came=str(error.strerror or error)) from error
-    text = file.suffix.lower() in (".json", ".csv")
+    text = kind in (".json", ".csv")
     most = limits.MOTION_TEXT_MAX_BYTES if text else limits.MOTION_MAX_BYTES
     if size > most:
         raise InputError(
@@ -234,15 +261,15 @@ def _numbers(array: np.ndarray) -> np.ndarray:
 # ---- numpy ----------------------------------------------------------------------------------------------------------
 
 
-def _read_npy(file: Path) -> _Content:
+def _read_npy(file: Path) -> FileContent:
     # mapped, not read: a header that promises more than the file holds is refused before anything is allocated
     mapped = np.load(file, mmap_mode="r", allow_pickle=False)
     if not isinstance(mapped, np.ndarray):
         raise ValueError("an archive with the suffix of a single array")
-    return _Content(_numbers(np.array(mapped)), None, {})
+    return FileContent(_numbers(np.array(mapped)), None, {})
 
 
-def _read_npz(file: Path) -> _Content:
+def _read_npz(file: Path) -> FileContent:
     arrays = read_arrays(
         file,
         (),
@@ -258,7 +285,7 @@ def _read_npz(file: Path) -> _Content:
         raise ValueError(f"'joints_m' means metres, and the unit is '{declared['unit']}': call the array 'joints'")
     declared["filled"] = arrays.get("filled")
     valid = arrays["valid"].astype(bool) if "valid" in arrays else None
-    return _Content(_numbers(arrays[key]), valid, declared)
+    return FileContent(_numbers(arrays[key]), valid, declared)
 
 
 def _write_npz(file: Path, sequence: PoseSequence) -> None:
@@ -283,34 +310,44 @@ def _standard_valid(sequence: PoseSequence) -> np.ndarray:
 # ---- JSON -----------------------------------------------------------------------------------------------------------
 
 
-def _read_json(file: Path) -> _Content:
-    document = json.loads(file.read_text(encoding="utf-8"))
-    if isinstance(document, list):
-        document = {"joints": document}
-    if not isinstance(document, dict) or not isinstance(document.get("joints"), list):
+def _read_json(file: Path) -> FileContent:
+    text = JsonText.of_file(file)
+    if text.text[text.start] == "[":
+        return FileContent(_json_frames(text, text.start), None, {})
+    declared: dict[str, Any] = {}
+    joints = None
+    for name, place in text.members(text.start):
+        if name == "joints":
+            joints = place
+        elif name in ("format", "version", "filled", *_DECLARED):
+            declared[name] = text.value(place)
+    if joints is None or text.text[joints] != "[":
         raise ValueError("no list 'joints' in it")
-    if document.get("format", _FORMAT) != _FORMAT:
-        raise ValueError(f"its format is {str(document['format'])[:40]!r}, not {_FORMAT!r}")
-    if document.get("version", _VERSION) != _VERSION:
-        raise ValueError(f"its version is {str(document['version'])[:40]}, and this JGHand reads {_VERSION}")
-    return _Content(_nested_numbers(document["joints"]), None, document)
+    if declared.get("format", FORMAT) != FORMAT:
+        raise ValueError(f"its format is {str(declared['format'])[:40]!r}, not {FORMAT!r}")
+    if declared.get("version", _VERSION) != _VERSION:
+        raise ValueError(f"its version is {str(declared['version'])[:40]}, and this JGHand reads {_VERSION}")
+    return FileContent(_json_frames(text, joints), None, declared)
 
 
-def _nested_numbers(frames: list[Any]) -> np.ndarray:
+def _json_frames(text: JsonText, place: int) -> np.ndarray:
     """Lists of frames of joints of x, y, z -> (F, n, 3); null joints and null coordinates become NaN."""
     missing = [math.nan] * 3
-    filled = [[missing if joint is None else joint for joint in frame] for frame in frames]
-    array = np.array(filled)
-    if array.dtype.kind == "O":
-        array = np.array([[[math.nan if x is None else x for x in joint] for joint in frame] for frame in filled])
-    return _numbers(array) if array.size else np.zeros((0, len(STANDARD_NAMES), 3))
+    frames = []
+    for frame in text.elements(place):
+        joints = [missing if joint is None else [math.nan if x is None else x for x in joint] for joint in frame]
+        array = _numbers(np.array(joints))
+        if array.ndim != 2:
+            raise ValueError(f"frame {len(frames)} is no list of joints")
+        frames.append(array)
+    return np.stack(frames) if frames else np.zeros((0, len(STANDARD_NAMES), 3))
 
 
 def _write_json(file: Path, sequence: PoseSequence) -> None:
     standard = from_level(sequence.joints_m, JointOrder.STANDARD)
     frames = [[None if math.isnan(joint[0]) else joint for joint in frame] for frame in standard.tolist()]
     filled = {"filled": np.flatnonzero(sequence.filled).tolist()} if sequence.filled.any() else {}
-    document = {"format": _FORMAT, "version": _VERSION, **_declarations(sequence), **filled, "joints": frames}
+    document = {"format": FORMAT, "version": _VERSION, **_declarations(sequence), **filled, "joints": frames}
     file.write_text(json.dumps(document, allow_nan=False), encoding="utf-8")
 
 
@@ -330,7 +367,7 @@ _COLUMNS = [f"{name}_{axis}" for name in STANDARD_NAMES for axis in "xyz"]
 _COUNTERS = ("frame", "time", "time_s", "timestamp")
 
 
-def _read_csv(file: Path) -> _Content:
+def _read_csv(file: Path) -> FileContent:
     lines = file.read_text(encoding="utf-8-sig").splitlines()
     declared: dict[str, Any] = {}
     for line in lines:
@@ -339,19 +376,24 @@ def _read_csv(file: Path) -> _Content:
             declared[name.strip()] = value.strip()
     rows = [row for row in csv.reader(line for line in lines if not line.startswith("#")) if any(row)]
     if not rows:
-        return _Content(np.zeros((0, len(STANDARD_NAMES), 3)), None, declared)
+        return FileContent(np.zeros((0, len(STANDARD_NAMES), 3)), None, declared)
     header = [cell.strip().lower() for cell in rows[0]]
-    if set(_COLUMNS) <= set(header):
+    if has_own_columns(header):
         # names say more than any declaration: the columns may stand in any order
         declared["order"] = JointOrder.STANDARD.value
         places = [header.index(column) for column in _COLUMNS]
-        return _Content(_csv_numbers(rows[1:], places, first_line=2), None, declared)
+        return FileContent(_csv_numbers(rows[1:], places, first_line=2), None, declared)
     has_header = not all(_is_number(cell) for cell in header)
     skip = 1 if header[0] in _COUNTERS else 0
     width = len(header) - skip
     if width % 3:
         raise ValueError(f"{width} columns of numbers are not x, y, z of joints")
-    return _Content(_csv_numbers(rows[has_header:], range(skip, skip + width), 1 + has_header), None, declared)
+    return FileContent(_csv_numbers(rows[has_header:], range(skip, skip + width), 1 + has_header), None, declared)
+
+
+def has_own_columns(header: list[str]) -> bool:
+    """Whether a line of CSV is a header with the names of our own columns."""
+    return set(_COLUMNS) <= {cell.strip().lower() for cell in header}
 
 
 def _csv_numbers(rows: list[list[str]], places: Iterable[int], first_line: int) -> np.ndarray:
@@ -379,7 +421,7 @@ def _is_number(cell: str) -> bool:
 def _write_csv(file: Path, sequence: PoseSequence) -> None:
     standard = from_level(sequence.joints_m, JointOrder.STANDARD).reshape(len(sequence), -1)
     with open(file, "w", encoding="utf-8", newline="") as stream:
-        stream.write(f"# format: {_FORMAT} {_VERSION}\n")
+        stream.write(f"# format: {FORMAT} {_VERSION}\n")
         stream.writelines(f"# {name}: {value}\n" for name, value in _declarations(sequence).items())
         if sequence.filled.any():
             stream.write(f"# filled: {' '.join(map(str, np.flatnonzero(sequence.filled)))}\n")
@@ -389,7 +431,7 @@ def _write_csv(file: Path, sequence: PoseSequence) -> None:
             writer.writerow([number, *("" if math.isnan(x) else repr(x) for x in row)])
 
 
-_READERS: dict[str, Callable[[Path], _Content]] = {
+_READERS: dict[str, Callable[[Path], FileContent]] = {
     ".npz": _read_npz,
     ".npy": _read_npy,
     ".json": _read_json,

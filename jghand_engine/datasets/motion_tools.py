@@ -23,10 +23,9 @@ from jghand_engine.hand.sequence import GapReport, PoseSequence, palm_frames, po
 
 @dataclass(frozen=True)
 class FilledMotion:
-    """A whole motion. filled: (F, 21) bool, level order, joints that were not seen · gaps: what was missing."""
+    """A whole motion, whose frames with a gap count as `filled`, and what was missing in it."""
 
     sequence: PoseSequence
-    filled: np.ndarray
     gaps: GapReport
 
     def sentence(self) -> str:
@@ -34,7 +33,9 @@ class FilledMotion:
         if not self.gaps:
             return ""
         longest_s = self.gaps.longest / self.sequence.fps
-        text = f"{self.gaps.sentence()}: they were filled by turning the bones evenly from what was seen before to what "
+        text = (
+            f"{self.gaps.sentence()}: they were filled by turning the bones evenly from what was seen before to what "
+        )
         text += "was seen after."
         if longest_s > limits.GAP_LONG_S:
             text += f" The longest gap has {longest_s:.1f} s: what the hand did there is not known."
@@ -50,7 +51,7 @@ def fill_gaps(sequence: PoseSequence) -> FilledMotion:
     """
     valid, joints = sequence.valid, sequence.joints_m.copy()
     if valid.all():
-        return FilledMotion(sequence, np.zeros_like(valid), sequence.gaps)
+        return FilledMotion(sequence, sequence.gaps)
     joints[:, 0] = _wrist(joints[:, 0], valid[:, 0])
     palms, has_palm = _palms(sequence.joints_m)
     for joint in range(1, JOINT_COUNT):
@@ -68,8 +69,9 @@ def fill_gaps(sequence: PoseSequence) -> FilledMotion:
         joints[lost, joint] = joints[lost, parent] + np.einsum(
             "fij,fj->fi", palms[lost], _vectors_at(known, inside, lost)
         )
-    whole = dataclasses.replace(sequence, joints_m=joints, valid=np.ones_like(valid))
-    return FilledMotion(whole, ~valid, sequence.gaps)
+    filled = sequence.filled | ~valid.all(axis=1)
+    whole = dataclasses.replace(sequence, joints_m=joints, valid=np.ones_like(valid), filled=filled)
+    return FilledMotion(whole, sequence.gaps)
 
 
 def cut(sequence: PoseSequence, start_s: float | None = None, end_s: float | None = None) -> PoseSequence:
@@ -90,7 +92,7 @@ def cut(sequence: PoseSequence, start_s: float | None = None, end_s: float | Non
 
 
 def retimed(joints: np.ndarray, times_s: np.ndarray, fps: float) -> np.ndarray:
-    """(F, 21, 3) level-order joints seen at `times_s` (F,), rising -> (G, 21, 3) at an even rate from the first time on.
+    """(F, 21, 3) level-order joints seen at `times_s` (F,), rising -> (G, 21, 3) at an even rate from the first on.
 
     A frame between a pose and a missing one is missing. InputError for times that do not rise, and for too many frames.
     """
@@ -99,7 +101,7 @@ def retimed(joints: np.ndarray, times_s: np.ndarray, fps: float) -> np.ndarray:
     count = (times_s[-1] - times_s[0]) * fps
     if count > limits.MOTION_FRAMES_MAX:
         raise InputError(
-            "times of a motion", wanted=f"at most {limits.MOTION_FRAMES_MAX} frames", came=f"{count:.0f} at {fps:g} fps"
+            "times of a motion", wanted=f"at most {limits.MOTION_FRAMES_MAX} frames", came=f"{count:.0f} at {fps:g}"
         )
     wanted_s = times_s[0] + np.arange(int(count + limits.FRAME_EPS) + 1) / fps
     after = np.clip(np.searchsorted(times_s, wanted_s, side="left"), 1, max(len(times_s) - 1, 1))

@@ -53,3 +53,39 @@ OVERLAY_REACH_PX = 20_000
 # folders between the one that the user names and the one that holds the set, upwards and downwards
 FOLDER_LEVELS_UP = 6
 FOLDER_LEVELS_DOWN = 2
+
+# ---- datasets: motions of other programs ----------------------------------------------------------------------------
+# text of one value of a JSON file, bytes: a frame with face, body and both hands, indented, has 200 kB
+JSON_ELEMENT_MAX_BYTES = 1 << 20
+# the same for a buffer that a glTF file holds as text
+JSON_BUFFER_MAX_BYTES = 1 << 28
+# nodes, accessors, channels of a glTF file, joints of a BVH file; film rigs have some thousands
+RIG_PARTS_MAX = 65_536
+# the description in a GLB, bytes: a rig with meshes, materials and some actions has some hundred kB
+GLTF_JSON_MAX_BYTES = 1 << 26
+# lines of the header of a BVH file
+BVH_HEADER_LINES_MAX = 1 << 20
+# lines of motion that are turned into numbers at once
+BVH_LINES_AT_ONCE = 1024
+# frames whose bones are turned into joints at once: 60 bones of 4096 frames have 30 MB
+SKELETON_FRAMES_AT_ONCE = 4096
+# bones of wrist and fingers, of 16, from which names count as a hand that lacks some
+BONES_RECOGNISED_MIN = 8
+# length of a finger's last bone, skin included, over that of the bone before it, thumb to little finger: lengths of
+# phalanges and of the pulp of Buryanov and Kotiuk, Proportions of Hand Segments (2010)
+TIP_RATIOS = (0.80, 0.88, 0.81, 0.83, 1.09)
+# how far the bones of a hand may lie from one axis of their joints, degrees, for it to be the rig's bone axis
+BONE_AXIS_MAX_DEG = 12.0
+# frames per second of a clock whose unit is not said; they tell seconds from milliseconds and microseconds
+CLOCK_FPS_MIN = 1.5
+CLOCK_FPS_MAX = 1000.0
+# part of their median by which steps between frames may differ and still be even; clocks in milliseconds round
+STEP_JITTER_MAX = 0.1
+# part of the way to the next key of glTF by which a frame may miss it
+KEY_EPS = 1e-3
+# frames in which joint order and size are looked for: a hand's bones do not change
+RECOGNISE_FRAMES = 500
+# bytes from which the format of a file is recognised
+RECOGNISE_BYTES = 1 << 16
+# points of a whole body of FreeMoCap: body, right hand, left hand, and the face if it was tracked
+FREEMOCAP_BODY_POINTS = 33

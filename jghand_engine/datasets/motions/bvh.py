@@ -1,0 +1,300 @@
+"""BVH: Biovision's hierarchy of joints with offsets, and a line of angles for every frame.
+
+Conventions, which no standard fixes: angles are degrees and turn in the order of the CHANNELS, the first one outermost;
+a joint with position channels takes them instead of its OFFSET, as in Blender, unless they are around zero where the
+offset is not: then they are added. Nothing says unit or up axis; y is usually up. An End Site is the end of a bone.
+The file is read line by line: it never stands in memory.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import islice
+from pathlib import Path
+from typing import TextIO
+
+import numpy as np
+
+from jghand_engine import limits
+from jghand_engine.datasets.motions.bone_names import hands_among
+from jghand_engine.datasets.motions.content import MotionContent
+from jghand_engine.datasets.motions.skeleton import hand_tracks
+
+KIND = "BVH"
+_ROTATIONS = {"xrotation": 0, "yrotation": 1, "zrotation": 2}
+_POSITIONS = {"xposition": 0, "yposition": 1, "zposition": 2}
+
+
+@dataclass
+class _Joint:
+    """A joint of the header. channels: their names, the first one's column in a line of motion is `column`."""
+
+    name: str
+    parent: int
+    offset: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    channels: tuple[str, ...] = ()
+    column: int = 0
+
+
+@dataclass
+class _Header:
+    joints: list[_Joint] = field(default_factory=list)
+    ends: dict[int, np.ndarray] = field(default_factory=dict)
+    columns: int = 0
+    frames: int = 0
+    frame_time_s: float = 0.0
+
+
+def read(file: Path) -> MotionContent:
+    """The hands of a BVH file. ValueError says what is wrong."""
+    with open(file, encoding="utf-8-sig", errors="replace") as stream:
+        header = _header(stream)
+        # a number and the space behind it are two bytes
+        if header.frames * max(header.columns, 1) * 2 > file.stat().st_size + 2:
+            raise ValueError(f"{header.frames} frames of {header.columns} numbers, more than the file holds")
+        hands, _ = hands_among([joint.name for joint in header.joints])
+        wanted = {bone for hand in hands for bone in hand.bones if bone is not None}
+        skeleton = _Bvh(header, _ancestors(header, wanted))
+        skeleton.read_motion(stream)
+    tracks, notes = hand_tracks(skeleton, "")
+    fps = 1 / header.frame_time_s
+    near = round(fps)
+    # frame times in text have six digits
+    fps = float(near) if near and abs(fps - near) < 1e-3 * near else fps
+    return MotionContent(KIND, tuple(tracks), fps=fps, notes=(*notes, *skeleton.notes))
+
+
+class _Bvh:
+    """A skeleton of BVH whose motion was read for the joints that matter."""
+
+    def __init__(self, header: _Header, kept: list[int]) -> None:
+        self._header, self._kept = header, kept
+        self.names = tuple(joint.name for joint in header.joints)
+        self.ends = header.ends
+        self.notes: list[str] = []
+        # columns of the kept joints, one after the other, and where each begins among them
+        self._columns: list[int] = []
+        self._first: dict[int, int] = {}
+        for joint in kept:
+            self._first[joint] = len(self._columns)
+            one = header.joints[joint]
+            self._columns += range(one.column, one.column + len(one.channels))
+        self._numbers = np.zeros((0, len(self._columns)))
+
+    @property
+    def frame_count(self) -> int:
+        return len(self._numbers)
+
+    @property
+    def rest(self) -> np.ndarray:
+        """Joints at rest are not turned."""
+        rest = np.tile(np.eye(4), (len(self.names), 1, 1))
+        for place, joint in enumerate(self._header.joints):
+            above = rest[joint.parent, :3, 3] if joint.parent >= 0 else 0.0
+            rest[place, :3, 3] = above + np.array(joint.offset)
+        return rest
+
+    def read_motion(self, stream: TextIO) -> None:
+        """All lines of motion. ValueError names the first that is none."""
+        blocks = [block[:, self._columns] for block in _blocks(stream, self._header)]
+        self._numbers = np.concatenate(blocks) if blocks else self._numbers
+        if len(self._numbers) < self._header.frames:
+            raise ValueError(f"{self._header.frames} frames said, {len(self._numbers)} there")
+        self._added = {joint for joint in self._kept if self._positions_are_added(joint)}
+        if self._added:
+            shown = ", ".join(self.names[joint] for joint in sorted(self._added)[:3])
+            self.notes.append(f"Positions of {shown}… are around zero: they were added to the offsets.")
+
+    def world(self, joints: list[int], first: int, last: int) -> np.ndarray:
+        """See AnimatedSkeleton."""
+        rotations: dict[int, np.ndarray] = {}
+        positions: dict[int, np.ndarray] = {}
+        for joint in self._kept:
+            turned, moved = self._local(joint, first, last)
+            parent = self._header.joints[joint].parent
+            if parent >= 0:
+                moved = positions[parent] + np.einsum("fij,fj->fi", rotations[parent], moved)
+                turned = rotations[parent] @ turned
+            rotations[joint], positions[joint] = turned, moved
+        result = np.zeros((last - first, len(joints), 4, 4))
+        result[..., 3, 3] = 1.0
+        for place, joint in enumerate(joints):
+            result[:, place, :3, :3], result[:, place, :3, 3] = rotations[joint], positions[joint]
+        return result
+
+    def _local(self, joint: int, first: int, last: int) -> tuple[np.ndarray, np.ndarray]:
+        """Rotations (F, 3, 3) and translations (F, 3) of a joint in its parent's frame."""
+        one = self._header.joints[joint]
+        numbers = self._numbers[first:last, self._first[joint] : self._first[joint] + len(one.channels)]
+        turned = np.tile(np.eye(3), (last - first, 1, 1))
+        moved = np.tile(np.array(one.offset), (last - first, 1))
+        for place, channel in enumerate(one.channels):
+            if channel in _ROTATIONS:
+                turned = turned @ _turns(_ROTATIONS[channel], np.radians(numbers[:, place]))
+            elif joint in self._added:
+                moved[:, _POSITIONS[channel]] += numbers[:, place]
+            else:
+                moved[:, _POSITIONS[channel]] = numbers[:, place]
+        return turned, moved
+
+    def _positions_are_added(self, joint: int) -> bool:
+        """Whether the positions of a joint that is no root are nearer to zero than to its offset."""
+        one = self._header.joints[joint]
+        places = {
+            _POSITIONS[name]: self._first[joint] + at for at, name in enumerate(one.channels) if name in _POSITIONS
+        }
+        if one.parent < 0 or not places:
+            return False
+        offset = np.array([one.offset[axis] for axis in places])
+        middle = np.median(self._numbers[:, list(places.values())], axis=0)
+        return bool(np.linalg.norm(middle) < np.linalg.norm(middle - offset))
+
+
+def _turns(axis: int, angles_rad: np.ndarray) -> np.ndarray:
+    """Rotations (F, 3, 3) about x, y or z."""
+    cosine, sine = np.cos(angles_rad), np.sin(angles_rad)
+    turns = np.zeros((len(angles_rad), 3, 3))
+    a, b = (axis + 1) % 3, (axis + 2) % 3
+    turns[:, axis, axis] = 1.0
+    turns[:, a, a] = turns[:, b, b] = cosine
+    turns[:, a, b], turns[:, b, a] = -sine, sine
+    return turns
+
+
+def _ancestors(header: _Header, joints: set[int]) -> list[int]:
+    """The joints and all above them, parents first."""
+    kept = set()
+    for joint in joints:
+        while joint >= 0 and joint not in kept:
+            kept.add(joint)
+            joint = header.joints[joint].parent
+    return sorted(kept)
+
+
+def _header(stream: TextIO) -> _Header:
+    """Everything before the first frame. ValueError."""
+    header, path, opened = _Header(), [], -1
+    in_end = False
+    lines = islice(stream, limits.BVH_HEADER_LINES_MAX)
+    first = next((words for line in lines if (words := line.split())), [])
+    if [word.casefold() for word in first] != ["hierarchy"]:
+        raise ValueError("it does not begin with HIERARCHY")
+    # a brace may stand behind the name
+    for words in (words for line in lines for words in _statements(line)):
+        word = words[0].casefold()
+        if word in ("root", "joint"):
+            if len(words) < 2 or (word == "joint") != bool(path):
+                raise ValueError(f"a {word.upper()} without a name, or in a wrong place")
+            if len(header.joints) >= limits.RIG_PARTS_MAX:
+                raise ValueError(f"more than {limits.RIG_PARTS_MAX} joints")
+            header.joints.append(_Joint("_".join(words[1:]), path[-1] if path else -1))
+            opened = len(header.joints) - 1
+        elif word == "end":
+            in_end, opened = True, path[-1] if path else -1
+        elif word == "{":
+            path.append(opened)
+        elif word == "}":
+            if not path:
+                raise ValueError("a closing brace too many")
+            path.pop()
+            in_end = False
+        elif word == "offset":
+            _set_offset(header, words, path, in_end)
+        elif word == "channels":
+            _set_channels(header, words, path)
+        elif word == "motion":
+            if path or not header.joints:
+                raise ValueError("MOTION before the end of the hierarchy")
+            return _with_frames(header, lines)
+        else:
+            raise ValueError(f"an unknown word {words[0][:40]!r}")
+    raise ValueError("no MOTION in it")
+
+
+def _statements(line: str) -> Iterator[list[str]]:
+    words: list[str] = []
+    for word in line.replace("{", " { ").replace("}", " } ").split():
+        if word in "{}":
+            if words:
+                yield words
+            yield [word]
+            words = []
+        else:
+            words.append(word)
+    if words:
+        yield words
+
+
+def _set_offset(header: _Header, words: list[str], path: list[int], in_end: bool) -> None:
+    x, y, z = (float(word) for word in words[1:4]) if len(words) == 4 else _refuse("an OFFSET without three numbers")
+    if not path or not np.isfinite((x, y, z)).all():
+        raise ValueError("an OFFSET outside of a joint, or one that is no number")
+    if in_end:
+        header.ends[path[-1]] = np.array([x, y, z])
+    else:
+        header.joints[path[-1]].offset = (x, y, z)
+
+
+def _set_channels(header: _Header, words: list[str], path: list[int]) -> None:
+    names = tuple(word.casefold() for word in words[2:])
+    if not path or len(words) < 2 or int(words[1]) != len(names) or not set(names) <= {*_ROTATIONS, *_POSITIONS}:
+        raise ValueError(f"CHANNELS that are none: {' '.join(words)[:80]}")
+    joint = header.joints[path[-1]]
+    joint.channels, joint.column = names, header.columns
+    header.columns += len(names)
+
+
+def _with_frames(header: _Header, lines: Iterator[str]) -> _Header:
+    """Reads `Frames: n` and `Frame Time: seconds`."""
+    for line in lines:
+        words = line.replace(":", " : ").split()
+        if not words:
+            continue
+        key = " ".join(words[: words.index(":")]).casefold() if ":" in words else ""
+        value = words[-1]
+        if key == "frames":
+            header.frames = int(value)
+        elif key == "frame time":
+            header.frame_time_s = float(value)
+            break
+        else:
+            raise ValueError(f"{line.strip()[:60]!r} where frames and their time were wanted")
+    if not 1 <= header.frames <= limits.MOTION_FRAMES_MAX:
+        raise ValueError(f"{header.frames} frames")
+    if not 1 / limits.FPS_MAX <= header.frame_time_s <= 1 / limits.FPS_MIN:
+        raise ValueError(f"a frame time of {header.frame_time_s:g} s")
+    return header
+
+
+def _blocks(stream: TextIO, header: _Header) -> Iterator[np.ndarray]:
+    """Blocks of whole frames (n, columns). What stands behind the last frame is not looked at."""
+    left = header.frames
+    while left > 0 and (lines := list(islice(stream, limits.BVH_LINES_AT_ONCE))):
+        lines = [line for line in lines if not line.isspace()][:left]
+        if not lines:
+            continue
+        numbers = _numbers("".join(lines))
+        if numbers.size != len(lines) * header.columns:
+            for number, line in enumerate(lines, header.frames - left):
+                if _numbers(line).size != header.columns:
+                    raise ValueError(f"frame {number} has not the {header.columns} numbers of its channels")
+        if not np.isfinite(numbers).all():
+            raise ValueError("angles or positions that are no finite numbers")
+        left -= len(lines)
+        yield numbers.reshape(len(lines), header.columns)
+
+
+def _numbers(text: str) -> np.ndarray:
+    """The numbers in a text, none behind the first word that is no number."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DeprecationWarning)
+        try:
+            return np.fromstring(text, dtype=np.float64, sep=" ")
+        except DeprecationWarning as error:
+            raise ValueError("a line of motion with something that is no number") from error
+
+
+def _refuse(sentence: str) -> tuple[float, float, float]:
+    raise ValueError(sentence)

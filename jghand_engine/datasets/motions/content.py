@@ -1,0 +1,57 @@
+"""What every reader of a motion file gives: joints of the hands in it, as the file has them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.orders import JointOrder
+
+
+@dataclass(frozen=True)
+class HandTrack:
+    """One hand of a file over time.
+
+    joints:     (F, n, 3) in the file's unit and axes, NaN where missing; n as `order` has it
+    handedness: which hand it is, None where the file does not say
+    order:      of the joints, None where the file does not say
+    part:       what to call it where a file holds several hands: a skeleton, a person, a capture; may be ""
+    labelled:   the side is the label of a detector, which a mirrored picture or an older package turns round: what the
+                user says counts more. A side that stands in names of bones is no label
+    """
+
+    joints: np.ndarray
+    handedness: Handedness | None
+    order: JointOrder | None = JointOrder.STANDARD
+    part: str = ""
+    labelled: bool = False
+
+    @property
+    def frames_seen(self) -> int:
+        """Frames in which any joint is there."""
+        return int(np.isfinite(self.joints).all(axis=-1).any(axis=-1).sum())
+
+
+@dataclass(frozen=True)
+class MotionContent:
+    """A motion file as it is.
+
+    kind:            the format, for people
+    tracks:          its hands; all of the same number of frames
+    metres_per_unit: None where neither the file nor its format says it
+    declared_unit:   whether the file itself says the unit, so that another one is a contradiction
+    fps, times_s:    frames per second, or the times (F,) of the frames; None where the file does not say
+    notes:           sentences about what was read, and how
+    filled:          (F,) bool, frames that nobody measured; None: none
+    """
+
+    kind: str
+    tracks: tuple[HandTrack, ...]
+    metres_per_unit: float | None = None
+    declared_unit: bool = False
+    fps: float | None = None
+    times_s: np.ndarray | None = None
+    notes: tuple[str, ...] = ()
+    filled: np.ndarray | None = None

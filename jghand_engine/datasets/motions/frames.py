@@ -1,0 +1,90 @@
+"""Hands that were found frame by frame, put together to tracks."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from jghand_engine import limits
+from jghand_engine.datasets.motions.content import HandTrack
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.orders import JointOrder
+
+
+@dataclass(frozen=True)
+class FoundHand:
+    """A hand in one frame: its side, None where nothing says it; (n, 3) joints; how sure the detector was; their order,
+    None where nothing says it; whether they are metres."""
+
+    side: Handedness | None
+    joints: np.ndarray
+    score: float = 1.0
+    order: JointOrder | None = None
+    in_metres: bool = False
+
+
+@dataclass
+class FrameHands:
+    """Collects the hands of frame after frame; the surest of each side counts.
+
+    two_of_a_side: how often a side was found once more in a frame · in_metres: whether all hands are · times: of the
+    frames, as the file has them
+    """
+
+    two_of_a_side: int = 0
+    in_metres: bool = True
+    times: list[float | None] = field(default_factory=list)
+    _hands: dict[tuple[Handedness | None, JointOrder | None, int], dict[int, np.ndarray]] = field(default_factory=dict)
+
+    @property
+    def count(self) -> int:
+        """Frames so far."""
+        return len(self.times)
+
+    def add(self, hands: Iterable[FoundHand], time: float | None = None) -> None:
+        """The next frame. ValueError for more frames than a motion has."""
+        if self.count >= limits.MOTION_FRAMES_MAX:
+            raise ValueError(f"more than {limits.MOTION_FRAMES_MAX} frames")
+        taken: set[Handedness | None] = set()
+        for hand in sorted(hands, key=lambda hand: -hand.score):
+            if hand.side in taken:
+                self.two_of_a_side += 1
+                continue
+            taken.add(hand.side)
+            self.in_metres &= hand.in_metres
+            self._hands.setdefault((hand.side, hand.order, len(hand.joints)), {})[self.count] = hand.joints
+        self.times.append(time)
+
+    def tracks(self, *, labelled: bool) -> tuple[HandTrack, ...]:
+        """A track of each side."""
+        result = []
+        for (side, order, joint_count), frames in self._hands.items():
+            joints = np.full((self.count, joint_count, 3), np.nan)
+            joints[list(frames)] = np.stack(list(frames.values()))
+            result.append(HandTrack(joints, side, order, "" if side is None else f"{side} hand", labelled))
+        return tuple(result)
+
+    def times_s(self) -> tuple[np.ndarray | None, str]:
+        """The frames' times in seconds and a sentence about them, None and '' where not every frame has one.
+
+        Clocks count seconds, milliseconds or microseconds and do not say it: the median step between frames tells.
+        """
+        return clock_s(self.times)
+
+
+def clock_s(times: Sequence[float | None]) -> tuple[np.ndarray | None, str]:
+    """Times of frames in an unknown unit -> seconds from the first, and a sentence; None where they do not rise."""
+    known = [float(time) for time in times if time is not None]
+    if len(known) != len(times) or len(known) < 2:
+        return None, ""
+    values = np.array(known)
+    steps = np.diff(values)
+    if not np.isfinite(values).all() or (steps <= 0).any():
+        return None, "The times of its frames do not rise, so they are not used."
+    step = float(np.median(steps))
+    for unit, seconds in (("seconds", 1.0), ("milliseconds", 1e-3), ("microseconds", 1e-6), ("nanoseconds", 1e-9)):
+        if 1 / limits.CLOCK_FPS_MAX <= step * seconds <= 1 / limits.CLOCK_FPS_MIN:
+            return (values - values[0]) * seconds, f"Its clock counts {unit}, by the step between its frames."
+    return None, "The times of its frames are no clock that JGHand knows, so they are not used."

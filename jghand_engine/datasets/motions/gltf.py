@@ -1,0 +1,420 @@
+"""Skeletons of glTF 2.0 that move: .glb, and .gltf with its buffers inside or beside it.
+
+Joints are nodes, found by their names whether or not a skin uses them. Every channel is taken at its own interpolation
+(STEP, LINEAR with rotations along great circles, CUBICSPLINE); glTF's units are metres and y is up. Of several
+animations the one that turns most of the hands' bones is taken, and that is said. Nothing else of the file is looked
+at: meshes and materials may be anything.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import math
+import struct
+from dataclasses import dataclass
+from mmap import ACCESS_READ, mmap
+from pathlib import Path, PurePosixPath
+from typing import Any
+from urllib.parse import unquote
+
+import numpy as np
+import torch
+from scipy.spatial.transform import Rotation
+
+from jghand_engine import limits
+from jghand_engine.datasets.motions.bone_names import hands_among
+from jghand_engine.datasets.motions.content import MotionContent
+from jghand_engine.datasets.motions.json_text import JsonText
+from jghand_engine.datasets.motions.skeleton import hand_tracks
+from jghand_engine.hand.rotations import slerp
+
+KIND = "glTF"
+MAGIC = b"glTF"
+_JSON_CHUNK, _BINARY_CHUNK = 0x4E4F534A, 0x004E4942
+_LISTS = ("nodes", "animations", "accessors", "bufferViews", "buffers")
+_WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
+# component type -> numpy's, and what a whole one stands for where it is normalised
+_COMPONENTS = {5126: ("<f4", 1), 5121: ("u1", 255), 5123: ("<u2", 65535), 5120: ("i1", 127), 5122: ("<i2", 32767)}
+_PATHS = {"translation": 3, "rotation": 4, "scale": 3}
+
+
+@dataclass(frozen=True)
+class _Node:
+    name: str
+    parent: int
+    translation: np.ndarray
+    rotation_xyzw: np.ndarray
+    scale: np.ndarray
+    matrix: np.ndarray | None
+
+
+@dataclass(frozen=True)
+class _Channel:
+    """times_s: (K,) rising · values: (K, width), or (3 K, width) for CUBICSPLINE: tangent in, value, tangent out."""
+
+    node: int
+    path: str
+    interpolation: str
+    times_s: np.ndarray
+    values: np.ndarray
+
+
+def looks_like(text: JsonText) -> bool:
+    """Whether a JSON object is a glTF file."""
+    return any(
+        name == "asset" and text.text[place] == "{" and "version" in text.value(place)
+        for name, place in text.members(text.start)
+    )
+
+
+def read(file: Path, fps: float | None, part: str | None) -> MotionContent:
+    """The hands of a glTF file at `fps`, else at the rate of its keys. part: of the animation's name, where there are
+    several. ValueError says what is wrong."""
+    document = _Document(file)
+    nodes = _nodes(document)
+    hands, lacking = hands_among([node.name for node in nodes])
+    wanted = {bone for hand in hands for bone in hand.bones if bone is not None}
+    kept = _with_ancestors(nodes, wanted)
+    channels, notes = _channels(document, kept, part)
+    skeleton = _Gltf(nodes, kept, channels, fps)
+    tracks, said = hand_tracks(skeleton, "")
+    return MotionContent(
+        KIND, tuple(tracks), 1.0, fps=skeleton.fps, notes=(*notes, *said, *(() if tracks else lacking))
+    )
+
+
+class _Gltf:
+    """Nodes as a skeleton, at even times."""
+
+    def __init__(self, nodes: list[_Node], kept: list[int], channels: list[_Channel], fps: float | None) -> None:
+        self._nodes, self._kept = nodes, kept
+        self.names = tuple(node.name for node in nodes)
+        self.ends: dict[int, np.ndarray] = {}
+        self._of_node = {(channel.node, channel.path): channel for channel in channels}
+        self.fps, self._times_s = _even_times(channels, fps)
+        self.rest = self._rest()
+
+    @property
+    def frame_count(self) -> int:
+        return len(self._times_s)
+
+    def world(self, joints: list[int], first: int, last: int) -> np.ndarray:
+        """See AnimatedSkeleton."""
+        times_s = self._times_s[first:last]
+        worlds: dict[int, np.ndarray] = {}
+        for place in self._kept:
+            local = self._local(place, times_s)
+            parent = self._nodes[place].parent
+            worlds[place] = local if parent < 0 else worlds[parent] @ local
+        return np.stack([worlds[joint] for joint in joints], axis=1)
+
+    def _local(self, place: int, times_s: np.ndarray) -> np.ndarray:
+        node = self._nodes[place]
+        values = {
+            path: _sampled(channel, times_s)
+            for path in _PATHS
+            if (channel := self._of_node.get((place, path))) is not None
+        }
+        if not values and node.matrix is not None:
+            return np.broadcast_to(node.matrix, (len(times_s), 4, 4))
+        translation = values.get("translation", node.translation)
+        rotation = values.get("rotation", node.rotation_xyzw)
+        return _transforms(len(times_s), translation, rotation, values.get("scale", node.scale))
+
+    def _rest(self) -> np.ndarray:
+        rest = np.tile(np.eye(4), (len(self._nodes), 1, 1))
+        for place in self._kept:
+            node = self._nodes[place]
+            local = node.matrix
+            if local is None:
+                local = _transforms(1, node.translation, node.rotation_xyzw, node.scale)[0]
+            rest[place] = local if node.parent < 0 else rest[node.parent] @ local
+        return rest
+
+
+def _transforms(count: int, translation: np.ndarray, rotation_xyzw: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """(F, 4, 4) from (F, 3) or (3,), (F, 4) or (4,), (F, 3) or (3,)."""
+    if not (np.linalg.norm(rotation_xyzw, axis=-1) > 0).all():
+        raise ValueError("a rotation that is no quaternion")
+    result = np.zeros((count, 4, 4))
+    turned = Rotation.from_quat(rotation_xyzw).as_matrix()
+    result[:, :3, :3] = turned * np.asarray(scale)[..., None, :]
+    result[:, :3, 3] = translation
+    result[:, 3, 3] = 1.0
+    return result
+
+
+def _even_times(channels: list[_Channel], fps: float | None) -> tuple[float, np.ndarray]:
+    """Frames per second and times from the first key to the last."""
+    moving = [channel.times_s for channel in channels]
+    start = min((float(times[0]) for times in moving), default=0.0)
+    end = max((float(times[-1]) for times in moving), default=0.0)
+    if fps is None:
+        steps = np.concatenate([np.diff(times) for times in moving]) if moving else np.zeros(0)
+        steps = steps[steps > 0]
+        fps = 1 / float(np.median(steps)) if len(steps) else limits.DEFAULT_FPS
+        near = round(fps)
+        fps = float(near) if near and abs(fps - near) < 1e-3 * near else fps
+        # keys may be sparse: poses a second apart are no film
+        fps = limits.DEFAULT_FPS if fps < limits.CLOCK_FPS_MIN * 4 else fps
+    count = (end - start) * fps + limits.STEP_JITTER_MAX
+    if not 0 <= count <= limits.MOTION_FRAMES_MAX:
+        raise ValueError(f"keys over {end - start:g} s")
+    return fps, start + np.arange(int(count) + 1) / fps
+
+
+def _sampled(channel: _Channel, times_s: np.ndarray) -> np.ndarray:
+    """(F, width) at some times, held before the first key and after the last."""
+    keys, values = channel.times_s, channel.values
+    if channel.interpolation == "CUBICSPLINE":
+        return _spline(keys, values.reshape(len(keys), 3, -1), times_s)
+    if len(keys) == 1:
+        return np.repeat(values, len(times_s), axis=0)
+    after = np.clip(np.searchsorted(keys, times_s, side="right"), 1, len(keys) - 1)
+    before = after - 1
+    part = np.clip((times_s - keys[before]) / (keys[after] - keys[before]), 0.0, 1.0)
+    if channel.interpolation == "STEP":
+        # times are stored in single precision: a key that was just missed counts
+        return values[np.where(part >= 1 - limits.KEY_EPS, after, before)]
+    if channel.path != "rotation":
+        return values[before] * (1 - part[:, None]) + values[after] * part[:, None]
+    return _slerp(values[before], values[after], part)
+
+
+def _slerp(first: np.ndarray, second: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """Quaternions (F, 4) at `part` (F,) of the short way."""
+    second = np.where((first * second).sum(-1, keepdims=True) < 0, -second, second)
+    sizes = [np.linalg.norm(one, axis=-1, keepdims=True) for one in (first, second)]
+    if not all((size > 0).all() for size in sizes):
+        raise ValueError("a rotation that is no quaternion")
+    a, b = (torch.from_numpy((one / size).T.copy()) for one, size in zip((first, second), sizes, strict=True))
+    return slerp(a, b, torch.from_numpy(part)).numpy().T
+
+
+def _spline(keys: np.ndarray, values: np.ndarray, times_s: np.ndarray) -> np.ndarray:
+    """The cubic Hermite spline of glTF's appendix C; values (K, 3, width)."""
+    if len(keys) == 1:
+        return np.repeat(values[:, 1], len(times_s), axis=0)
+    after = np.clip(np.searchsorted(keys, times_s, side="right"), 1, len(keys) - 1)
+    before = after - 1
+    step = (keys[after] - keys[before])[:, None]
+    t = np.clip((times_s[:, None] - keys[before][:, None]) / step, 0.0, 1.0)
+    start, end = values[before, 1], values[after, 1]
+    leaving, arriving = step * values[before, 2], step * values[after, 0]
+    return (
+        (2 * t**3 - 3 * t**2 + 1) * start
+        + (t**3 - 2 * t**2 + t) * leaving
+        + (3 * t**2 - 2 * t**3) * end
+        + (t**3 - t**2) * arriving
+    )
+
+
+# ---- the document ---------------------------------------------------------------------------------------------------
+
+
+class _Document:
+    """The lists of a glTF file that a skeleton needs, and its numbers."""
+
+    def __init__(self, file: Path) -> None:
+        self._folder = file.parent
+        self._binary: memoryview | None = None
+        with open(file, "rb") as stream:
+            is_binary = stream.read(4) == MAGIC
+        text = self._glb(file) if is_binary else JsonText.of_file(file)
+        self.lists: dict[str, list[dict[str, Any]]] = {}
+        for name, place in text.members(text.start):
+            if name in _LISTS and text.text[place] == "[":
+                most = limits.JSON_BUFFER_MAX_BYTES if name == "buffers" else limits.JSON_ELEMENT_MAX_BYTES
+                entries: list[dict[str, Any]] = []
+                for entry in text.elements(place, most):
+                    if not isinstance(entry, dict) or len(entries) >= limits.RIG_PARTS_MAX:
+                        raise ValueError(f"{name} that are no objects, or more than {limits.RIG_PARTS_MAX}")
+                    entries.append(entry)
+                self.lists[name] = entries
+        self._buffers: dict[int, memoryview] = {}
+
+    def entry(self, name: str, index: Any) -> dict[str, Any]:
+        """One entry of a list. ValueError."""
+        entries = self.lists.get(name, [])
+        if not isinstance(index, int) or isinstance(index, bool) or not 0 <= index < len(entries):
+            raise ValueError(f"no {name} of number {str(index)[:40]}")
+        return entries[index]
+
+    def values(self, index: Any, width: int) -> np.ndarray:
+        """(N, width) float64 of an accessor. ValueError when its bytes are not there."""
+        accessor = self.entry("accessors", index)
+        if "sparse" in accessor or _WIDTHS.get(str(accessor.get("type"))) != width:
+            raise ValueError(f"a sparse accessor, or one of type {str(accessor.get('type'))[:40]}")
+        component = accessor.get("componentType")
+        if not isinstance(component, int) or component not in _COMPONENTS:
+            raise ValueError(f"component type {str(component)[:40]}")
+        dtype, one = _COMPONENTS[component]
+        view = self.entry("bufferViews", accessor.get("bufferView"))
+        buffer = self._buffer(view.get("buffer"))
+        each = np.dtype(dtype).itemsize
+        count, stride = _whole(accessor, "count"), _whole(view, "byteStride", each * width)
+        start, size = _whole(view, "byteOffset", 0), _whole(view, "byteLength")
+        inner = _whole(accessor, "byteOffset", 0)
+        if not count or stride < each * width or start + size > len(buffer):
+            raise ValueError("a view beyond its buffer")
+        if inner + (count - 1) * stride + each * width > size:
+            raise ValueError(f"an accessor of {count} rows beyond its bytes")
+        array = np.ndarray((count, width), dtype, buffer, start + inner, (stride, each)).astype(np.float64)
+        if not np.isfinite(array).all():
+            raise ValueError("keys that are no finite numbers")
+        return np.maximum(array / one, -1.0) if one > 1 else array
+
+    def _glb(self, file: Path) -> JsonText:
+        with open(file, "rb") as stream:
+            content = mmap(stream.fileno(), 0, access=ACCESS_READ)
+        size = len(content)
+        if size < 20:
+            raise ValueError(f"{size} bytes")
+        _, version, total, text_bytes, kind = struct.unpack_from("<IIIII", content)
+        if (version, kind) != (2, _JSON_CHUNK) or total != size:
+            raise ValueError("no glTF 2.0, or cut off before its end")
+        if text_bytes > min(limits.GLTF_JSON_MAX_BYTES, size - 20):
+            raise ValueError(f"a description of {text_bytes} bytes")
+        start = 20 + text_bytes
+        if size >= start + 8:
+            binary_bytes, kind = struct.unpack_from("<II", content, start)
+            if kind != _BINARY_CHUNK or binary_bytes > size - start - 8:
+                raise ValueError("a binary chunk beyond the file")
+            self._binary = memoryview(content)[start + 8 : start + 8 + binary_bytes]
+        return JsonText(content[20:start].decode("utf-8"))
+
+    def _buffer(self, index: Any) -> memoryview:
+        buffer = self.entry("buffers", index)
+        if index not in self._buffers:
+            self._buffers[index] = self._loaded(buffer)
+        return self._buffers[index]
+
+    def _loaded(self, buffer: dict[str, Any]) -> memoryview:
+        uri = buffer.get("uri")
+        if uri is None:
+            if self._binary is None:
+                raise ValueError("no binary chunk")
+            return self._binary
+        if not isinstance(uri, str):
+            raise ValueError("the address of a buffer that is no text")
+        if uri.startswith("data:"):
+            try:
+                return memoryview(base64.b64decode(uri.partition(",")[2], validate=True))
+            except binascii.Error as error:
+                raise ValueError("a buffer that is no base64") from error
+        path = PurePosixPath(unquote(uri))
+        if path.is_absolute() or ".." in path.parts or ":" in uri or "\\" in uri:
+            raise ValueError(f"a buffer outside of the file's folder: {uri[:80]}")
+        with open(self._folder / path, "rb") as stream:
+            return memoryview(mmap(stream.fileno(), 0, access=ACCESS_READ))
+
+
+def _nodes(document: _Document) -> list[_Node]:
+    entries = document.lists.get("nodes", [])
+    parents = [-1] * len(entries)
+    for place, entry in enumerate(entries):
+        for child in entry.get("children", ()):
+            document.entry("nodes", child)
+            if parents[child] >= 0 or child == place:
+                raise ValueError("a node with two parents")
+            parents[child] = place
+    return [_node(entry, place, parents[place]) for place, entry in enumerate(entries)]
+
+
+def _node(entry: dict[str, Any], place: int, parent: int) -> _Node:
+    name = entry.get("name", f"node {place}")
+    matrix = entry.get("matrix")
+    return _Node(
+        str(name),
+        parent,
+        _vector(entry.get("translation", (0, 0, 0)), 3),
+        _vector(entry.get("rotation", (0, 0, 0, 1)), 4),
+        _vector(entry.get("scale", (1, 1, 1)), 3),
+        # columns one after the other
+        None if matrix is None else _vector(matrix, 16).reshape(4, 4).T,
+    )
+
+
+def _vector(values: Any, size: int) -> np.ndarray:
+    vector = np.array(values, dtype=np.float64)
+    if vector.shape != (size,) or not np.isfinite(vector).all():
+        raise ValueError(f"{size} numbers of a node wanted, found {str(values)[:60]}")
+    return vector
+
+
+def _with_ancestors(nodes: list[_Node], wanted: set[int]) -> list[int]:
+    """The nodes and all above them, parents first. ValueError for a ring of nodes."""
+    order: list[int] = []
+    placed: set[int] = set()
+    for node in sorted(wanted):
+        path: list[int] = []
+        while node >= 0 and node not in placed:
+            path.append(node)
+            if len(path) > len(nodes):
+                raise ValueError("nodes that are their own ancestors")
+            node = nodes[node].parent
+        order += reversed(path)
+        placed.update(path)
+    return order
+
+
+def _channels(document: _Document, kept: list[int], part: str | None) -> tuple[list[_Channel], list[str]]:
+    """The channels of one animation that move the kept nodes, and what is to be said about the choice."""
+    animations = document.lists.get("animations", [])
+    moving = []
+    for number, animation in enumerate(animations):
+        name = str(animation.get("name", f"animation {number}"))
+        touched = [entry for entry in _objects(animation, "channels") if _target(entry) in kept]
+        if touched:
+            moving.append((name, animation, touched))
+    if part is not None and any(part.casefold() in name.casefold() for name, _, _ in moving):
+        moving = [one for one in moving if part.casefold() in one[0].casefold()]
+    if not moving:
+        return [], ["No animation moves its hands: its pose is one frame."] if kept else []
+    name, animation, touched = max(moving, key=lambda one: len(one[2]))
+    notes = []
+    if len(moving) > 1:
+        others = ", ".join(other for other, _, _ in moving if other != name)[:200]
+        notes.append(f"Of its {len(moving)} animations '{name}' was taken; --part chooses another: {others}.")
+    samplers = _objects(animation, "samplers")
+    return [channel for entry in touched if (channel := _channel(document, samplers, entry)) is not None], notes
+
+
+def _target(entry: dict[str, Any]) -> Any:
+    target = entry.get("target")
+    return target.get("node") if isinstance(target, dict) else None
+
+
+def _channel(document: _Document, samplers: list[dict[str, Any]], entry: dict[str, Any]) -> _Channel | None:
+    path = str(entry["target"].get("path"))
+    if path not in _PATHS:
+        return None
+    index = entry.get("sampler")
+    if not isinstance(index, int) or not 0 <= index < len(samplers):
+        raise ValueError("a channel without a sampler")
+    sampler = samplers[index]
+    interpolation = str(sampler.get("interpolation", "LINEAR"))
+    if interpolation not in ("LINEAR", "STEP", "CUBICSPLINE"):
+        raise ValueError(f"interpolation {interpolation[:40]}")
+    times_s = document.values(sampler.get("input"), 1)[:, 0]
+    values = document.values(sampler.get("output"), _PATHS[path])
+    rows = len(times_s) * (3 if interpolation == "CUBICSPLINE" else 1)
+    if len(values) != rows or (np.diff(times_s) <= 0).any() or not math.isfinite(times_s[-1]):
+        raise ValueError("keys whose times do not rise, or without a value each")
+    return _Channel(entry["target"]["node"], path, interpolation, times_s, values)
+
+
+def _objects(entry: dict[str, Any], name: str) -> list[dict[str, Any]]:
+    values = entry.get(name, [])
+    if not isinstance(values, list) or not all(isinstance(value, dict) for value in values):
+        raise ValueError(f"{name} that are no objects")
+    return values
+
+
+def _whole(entry: dict[str, Any], name: str, default: int | None = None) -> int:
+    """A count or an offset."""
+    number = entry.get(name, default)
+    if not isinstance(number, int) or isinstance(number, bool) or not 0 <= number < 2**40:
+        raise ValueError(f"{name} {str(number)[:40]}")
+    return number

@@ -1,0 +1,130 @@
+"""JSON whose content is not trusted, an element at a time: a file of frames never stands in memory as objects.
+
+Python's objects take ten times their text. So only one element of a list is built at a time, none of more than
+JSON_ELEMENT_MAX_BYTES, and what nobody asks for is skipped without building it.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from jghand_engine import limits
+
+_SPACE = re.compile(r"[ \t\n\r]*")
+# strings whole, so that brackets inside of them do not count
+_MARKS = re.compile(r'"[^"\\]*(?:\\.[^"\\]*)*"|[\[\]{}"]', re.DOTALL)
+_SCALAR_END = re.compile(r"[,\]}\s]")
+_DECODER = json.JSONDecoder()
+# how much of the text is looked at for one element, growing until it is enough
+_FIRST_LOOK, _GROWTH = 1 << 14, 8
+
+
+class JsonText:
+    """The text of a JSON file; places are indices into it. Everything raises ValueError, or RecursionError, for what is
+    no JSON."""
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        self.start = self.after_space(0)
+        end = len(self.text.rstrip(" \t\n\r"))
+        # a file that was cut is most quickly known by its end
+        if self.start >= end:
+            raise ValueError("nothing in it")
+        if self.text[self.start] + self.text[end - 1] not in ("{}", "[]"):
+            raise ValueError("neither an object nor a list, or cut off before its end")
+
+    @classmethod
+    def of_file(cls, file: Path) -> JsonText:
+        """The text of a file. OSError, UnicodeDecodeError."""
+        return cls(file.read_text(encoding="utf-8-sig"))
+
+    def after_space(self, place: int) -> int:
+        """The next place that is no white space."""
+        match = _SPACE.match(self.text, place)
+        return match.end() if match else place
+
+    def value(self, place: int) -> Any:
+        """The value that begins there."""
+        return self._decoded(place)[0]
+
+    def elements(self, place: int, most: int = limits.JSON_ELEMENT_MAX_BYTES) -> Iterator[Any]:
+        """The values of the list that begins at `place`, one after the other, none of more than `most` characters."""
+        place = self.after_space(place + 1)
+        if self._mark(place) == "]":
+            return
+        while True:
+            value, place = self._decoded(place, most)
+            yield value
+            place = self.after_space(place)
+            if self._mark(place) == "]":
+                return
+            if self._mark(place) != ",":
+                raise ValueError(f"no comma at character {place}")
+            place = self.after_space(place + 1)
+
+    def members(self, place: int) -> Iterator[tuple[str, int]]:
+        """Names of the object that begins at `place`, and where their values begin. None of them is built."""
+        place = self.after_space(place + 1)
+        if self._mark(place) == "}":
+            return
+        while True:
+            if self._mark(place) != '"':
+                raise ValueError(f"no name at character {place}")
+            name, place = self._decoded(place)
+            place = self.after_space(place)
+            if self._mark(place) != ":":
+                raise ValueError(f"no colon at character {place}")
+            place = self.after_space(place + 1)
+            yield name, place
+            place = self.after_space(self.after_value(place))
+            if self._mark(place) == "}":
+                return
+            if self._mark(place) != ",":
+                raise ValueError(f"no comma at character {place}")
+            place = self.after_space(place + 1)
+
+    def after_value(self, place: int) -> int:
+        """Where the value that begins at `place` ends."""
+        if self._mark(place) not in '[{"':
+            match = _SCALAR_END.search(self.text, place)
+            return match.start() if match else len(self.text)
+        depth = 0
+        for match in _MARKS.finditer(self.text, place):
+            mark = match.group()
+            if mark in "[{":
+                depth += 1
+            elif mark in "]}":
+                depth -= 1
+            elif mark == '"':
+                raise ValueError(f"a string without an end at character {match.start()}")
+            if depth == 0:
+                return match.end()
+        raise ValueError("cut off before its end")
+
+    def _mark(self, place: int) -> str:
+        if place >= len(self.text):
+            raise ValueError("cut off before its end")
+        return self.text[place]
+
+    def _decoded(self, place: int, most: int = limits.JSON_ELEMENT_MAX_BYTES) -> tuple[Any, int]:
+        """A value and where it ends. Only a part of the text is shown to the decoder, so that a value that never ends
+        is not built either."""
+        look = _FIRST_LOOK
+        while True:
+            part = self.text[place : place + look]
+            is_rest = len(part) < look
+            try:
+                value, end = _DECODER.raw_decode(part)
+                # a number at the end of the part may go on behind it
+                if end < len(part) or is_rest:
+                    return value, place + end
+            except ValueError as error:
+                if is_rest:
+                    raise ValueError(f"{error} (character {place} of the file)") from error
+            if look >= most:
+                raise ValueError(f"no whole value of at most {most / 2**20:g} MiB at character {place}")
+            look = min(look * _GROWTH, most)

@@ -1,0 +1,271 @@
+"""Any motion file, of JGHand or of another program, as one hand in metres; and what was recognised on the way.
+
+What a file does not say is recognised where joints can tell it, and told: the unit from the size of the hand, the order
+from the lengths of its bones. Which hand it is joints cannot tell: then it has to be said.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from jghand_engine import limits
+from jghand_engine.datasets import motion_files
+from jghand_engine.datasets.motion_files import MotionFormat, told_damage
+from jghand_engine.datasets.motion_tools import retimed, with_hand_length
+from jghand_engine.datasets.motions import bvh, freemocap, gltf, interhand, mediapipe, openpose, tables, usd, webxr
+from jghand_engine.datasets.motions.content import HandTrack, MotionContent
+from jghand_engine.datasets.motions.json_text import JsonText
+from jghand_engine.datasets.motions.recognise import Kind, frames_place, kind_of
+from jghand_engine.datasets.motions.units import even_rate, recognised_order, recognised_unit
+from jghand_engine.errors import InputError
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.orders import METRES_PER_UNIT, JointOrder, check_hand_size, check_order, to_level
+from jghand_engine.hand.sequence import PoseSequence
+
+# what files of motions are called; content decides, this is for lists of files
+SUFFIXES = (".npz", ".npy", ".json", ".csv", ".bvh", ".glb", ".gltf", *usd.SUFFIXES)
+OWN_SUFFIXES = (".npz", ".json", ".csv")
+
+
+@dataclass(frozen=True)
+class MotionRead:
+    """A motion, the format it came in, for people, and sentences about what was recognised or chosen."""
+
+    sequence: PoseSequence
+    kind: str
+    notes: tuple[str, ...]
+
+
+def read_motion_file(path: Path | str, wanted: MotionFormat | None = None) -> MotionRead:
+    """The motion in a file, or in a folder of OpenPose or FreeMoCap. Missing joints stay missing.
+
+    InputError for what is absent, damaged, too large, of an unknown format, without a hand, with several of which none
+    is chosen, contradicted, or no hand by the lengths of its bones; MemoryLimitError when memory runs out.
+    """
+    file, wanted = Path(path), wanted or MotionFormat()
+    content = read_content(file, wanted)
+    track, notes = _chosen(file, content, wanted)
+    order, said = _order(file, track, wanted)
+    notes += said
+    level = to_level(track.joints, order)
+    metres, said = _metres(file, content, level, wanted)
+    notes += said
+    level_m = level * metres
+    if not np.isfinite(level_m).all(axis=-1).any():
+        raise InputError(f"motion file {file}", wanted="a frame with joints of a hand", came="none")
+    side = track.handedness if wanted.handedness is None else wanted.handedness
+    if side is None:
+        raise InputError(
+            f"motion file {file}",
+            wanted="its handedness",
+            came="none declared in the file",
+            remedy="Say the hand with --hand right or --hand left: joints alone do not tell it.",
+        )
+    level_m, fps, said = _evenly(file, content, level_m, wanted)
+    notes += said
+    filled = content.filled if content.filled is not None and len(content.filled) == len(level_m) else None
+    sequence = PoseSequence(level_m, fps, side, filled=filled)  # type: ignore[arg-type]
+    if wanted.hand_length_m is not None:
+        sequence = with_hand_length(sequence, wanted.hand_length_m)
+    if wanted.check_hand and sequence.valid.all(axis=1).any():
+        check_hand_size(sequence.joints_m, next((name for name, one in METRES_PER_UNIT.items() if one == metres), "m"))
+        check_order(sequence.joints_m, order)
+    return MotionRead(sequence, content.kind, tuple(notes))
+
+
+def read_content(file: Path, wanted: MotionFormat) -> MotionContent:
+    """What stands in a file, as it is. InputError, MemoryLimitError."""
+    with told_damage(file):
+        if file.is_file() and file.stat().st_size > limits.MOTION_MAX_BYTES:
+            raise InputError(
+                f"motion file {file}",
+                wanted=f"at most {limits.MOTION_MAX_BYTES / 2**20:.0f} MiB",
+                came=f"{file.stat().st_size / 2**20:.0f} MiB",
+                remedy="Cut it into shorter motions.",
+            )
+        kind = kind_of(file)
+        content = _read(file, kind, wanted)
+    suffix = file.suffix.lower()
+    if suffix in SUFFIXES and file.is_file() and not _fits(suffix, kind):
+        note = f"It is called {suffix}, but by its content it is {content.kind}."
+        content = replace(content, notes=(note, *content.notes))
+    return content
+
+
+def _read(file: Path, kind: Kind, wanted: MotionFormat) -> MotionContent:
+    if kind in (Kind.OWN_NPZ, Kind.OWN_NPY, Kind.OWN_JSON, Kind.OWN_CSV):
+        return _own(file, kind)
+    if kind is Kind.BVH:
+        return bvh.read(file)
+    if kind is Kind.GLTF:
+        return gltf.read(file, wanted.fps, wanted.part)
+    if kind is Kind.USD:
+        return usd.read(file, wanted.fps)
+    if kind is Kind.OPENPOSE_FOLDER:
+        return openpose.read_folder(file)
+    if kind is Kind.FREEMOCAP:
+        return freemocap.read([file])
+    if kind is Kind.FREEMOCAP_FOLDER:
+        return freemocap.read(freemocap.hand_files(file))
+    if kind is Kind.TABLE:
+        return MotionContent("a table of joints", tables.read_tracks(file))
+    return _json(JsonText.of_file(file), kind, wanted)
+
+
+def _json(text: JsonText, kind: Kind, wanted: MotionFormat) -> MotionContent:
+    if kind is Kind.INTERHAND:
+        return interhand.read(text)
+    members = dict(text.members(text.start)) if text.text[text.start] == "{" else {}
+    place = frames_place(text)
+    frames = text.elements(place) if place is not None else iter([text.value(text.start)])
+    fps = text.value(members["fps"]) if "fps" in members else None
+    fps = float(fps) if isinstance(fps, int | float) and not isinstance(fps, bool) else None
+    if kind is Kind.OPENPOSE:
+        return openpose.read(frames)
+    if kind is Kind.MEDIAPIPE:
+        return mediapipe.read(frames, fps, wanted.mirrored_labels)
+    if kind is Kind.IWER:
+        return webxr.read_iwer(text.value(members["schema"]), text.elements(members["frames"]))
+    return webxr.read(frames, fps)
+
+
+def _own(file: Path, kind: Kind) -> MotionContent:
+    """JGHand's own files, and plain arrays, which say less."""
+    content = motion_files.read_content(file, kind.value)
+    joints = content.joints
+    if joints.ndim != 3 or joints.shape[-1] != 3:
+        raise InputError(f"motion file {file}", wanted="joints of shape (frames, 21, 3)", came=str(joints.shape))
+    if not len(joints):
+        raise InputError(f"motion file {file}", wanted="at least one frame", came="an empty motion")
+    declared = content.declared
+    if content.valid is not None:
+        if content.valid.shape != joints.shape[:2]:
+            raise InputError(f"'valid' in {file}", wanted=f"shape {joints.shape[:2]}", came=str(content.valid.shape))
+        joints[~content.valid] = np.nan
+    unit = None if declared.get("unit") is None else str(declared["unit"])
+    if unit is not None and unit not in METRES_PER_UNIT:
+        raise InputError(f"unit of {file}", wanted=" or ".join(METRES_PER_UNIT), came=repr(unit))
+    side = None if declared.get("handedness") is None else Handedness(str(declared["handedness"]))
+    order = None if declared.get("order") is None else JointOrder.parse(str(declared["order"]))
+    fps = None if declared.get("fps") is None else float(declared["fps"])
+    return MotionContent(
+        "JGHand's own format" if order is not None and unit is not None else f"plain {kind.value[1:]}",
+        (HandTrack(joints, side, order),),
+        None if unit is None else METRES_PER_UNIT[unit],
+        unit is not None,
+        fps,
+        filled=motion_files.filled_frames(file, content),
+    )
+
+
+def _fits(suffix: str, kind: Kind) -> bool:
+    """Whether a file of a format may be called so."""
+    families = {
+        ".npz": (Kind.OWN_NPZ,), ".npy": (Kind.OWN_NPY, Kind.FREEMOCAP), ".bvh": (Kind.BVH,),
+        ".csv": (Kind.OWN_CSV, Kind.FREEMOCAP, Kind.TABLE), ".glb": (Kind.GLTF,), ".gltf": (Kind.GLTF,),
+        ".json": (Kind.OWN_JSON, Kind.OPENPOSE, Kind.MEDIAPIPE, Kind.WEBXR, Kind.IWER, Kind.INTERHAND),
+    }  # fmt: skip
+    return kind in families.get(suffix, (Kind.USD,))
+
+
+def _chosen(file: Path, content: MotionContent, wanted: MotionFormat) -> tuple[HandTrack, list[str]]:
+    """The hand that is wanted, and the notes so far. InputError where there is none, or more than one."""
+    tracks = [track for track in content.tracks if track.frames_seen]
+    if not tracks:
+        came = "none" if not content.tracks else "hands that are in no frame"
+        remedy = content.notes[-1] if content.notes and not content.tracks else ""
+        raise InputError(f"motion file {file} ({content.kind})", wanted="a hand of 21 joints", came=came, remedy=remedy)
+    if wanted.part is not None and len(tracks) > 1:
+        named = [track for track in tracks if wanted.part.casefold() in track.part.casefold()]
+        # the part may have chosen an animation instead
+        tracks = named or tracks
+    notes = list(content.notes)
+    if wanted.handedness is not None:
+        tracks, said = _of_side(file, tracks, wanted.handedness)
+        notes += said
+    if len(tracks) > 1:
+        sides = {track.handedness for track in tracks}
+        remedy = "Choose one with --hand right or --hand left." if len(sides) > 1 else "Choose one with --part NAME."
+        shown = ", ".join(track.part or "a hand without a name" for track in tracks[:6])
+        raise InputError(f"motion file {file}", wanted="one hand", came=f"{len(tracks)}: {shown}"[:300], remedy=remedy)
+    return tracks[0], notes
+
+
+def _of_side(file: Path, tracks: list[HandTrack], side: Handedness) -> tuple[list[HandTrack], list[str]]:
+    """The tracks that are, or may be, the hand of that side."""
+    fitting = [track for track in tracks if track.handedness is side]
+    if fitting:
+        return fitting, []
+    unknown = [track for track in tracks if track.handedness is None]
+    if unknown:
+        return unknown, []
+    labelled = [track for track in tracks if track.labelled]
+    if len(tracks) == 1 and labelled:
+        return labelled, [
+            f"Its only hand is labelled {tracks[0].handedness}: it is taken for the {side} one, as was said."
+        ]
+    raise InputError(
+        f"motion file {file}",
+        wanted=f"a {side} hand",
+        came=f"a {tracks[0].handedness} one only",
+        remedy="Say which hand the file has; --mirror makes it the other one afterwards.",
+    )
+
+
+def _order(file: Path, track: HandTrack, wanted: MotionFormat) -> tuple[JointOrder, list[str]]:
+    if wanted.order is not None:
+        if track.order is not None and track.order is not wanted.order:
+            raise InputError(
+                f"order of {file}", wanted=f"'{track.order}', which the file has", came=f"'{wanted.order}'",
+                remedy="Leave out --order.",
+            )  # fmt: skip
+        return wanted.order, []
+    if track.order is not None:
+        return track.order, []
+    order, said = recognised_order(track.joints, str(file))
+    return order, [said]
+
+
+def _metres(file: Path, content: MotionContent, level: np.ndarray, wanted: MotionFormat) -> tuple[float, list[str]]:
+    """Metres per unit. What is said counts more than what a format usually has."""
+    if wanted.unit is not None:
+        metres = METRES_PER_UNIT[wanted.unit]
+        known = content.metres_per_unit
+        if content.declared_unit and known != metres:
+            inside = next(name for name, one in METRES_PER_UNIT.items() if one == known)
+            raise InputError(
+                f"unit of {file}", wanted=f"'{inside}', which the file declares", came=f"'{wanted.unit}'",
+                remedy="Leave out --unit.",
+            )  # fmt: skip
+        return metres, []
+    if content.metres_per_unit is not None:
+        return content.metres_per_unit, []
+    if wanted.hand_length_m is not None:
+        return 1.0, []
+    metres, said = recognised_unit(level, str(file))
+    return metres, [said]
+
+
+def _evenly(
+    file: Path, content: MotionContent, level_m: np.ndarray, wanted: MotionFormat
+) -> tuple[np.ndarray, float, list[str]]:
+    """The frames at an even rate, the rate, and what was done."""
+    if wanted.fps is not None:
+        return level_m, wanted.fps, []
+    if content.times_s is not None and len(content.times_s) == len(level_m) > 1:
+        fps, is_even = even_rate(content.times_s)
+        if is_even:
+            return level_m, fps, []
+        with told_damage(file):
+            again = retimed(level_m, content.times_s, fps)
+        return again, fps, [f"Its frames do not come evenly: they were taken anew at {fps:.4g} frames per second."]
+    if content.fps is not None:
+        return level_m, content.fps, []
+    if len(level_m) == 1:
+        return level_m, limits.DEFAULT_FPS, []
+    return level_m, limits.DEFAULT_FPS, [
+        f"It does not say its frames per second: {limits.DEFAULT_FPS:g} are taken; --fps says otherwise."
+    ]  # fmt: skip

@@ -1,0 +1,167 @@
+"""Which format a motion file is, by what stands in it; its suffix only decides where content does not."""
+
+from __future__ import annotations
+
+import zipfile
+from enum import StrEnum
+from pathlib import Path
+
+from jghand_engine import limits
+from jghand_engine.datasets.motions import freemocap, gltf, interhand, mediapipe, openpose, webxr
+from jghand_engine.datasets.motions.json_text import JsonText
+
+FRAME_LISTS = ("frames", "data", "samples", "recording", "results", "poses", "animation", "motion")
+_USD_TEXT, _USD_CRATE = b"#usda", b"PXR-USDC"
+_NOT_READ = {
+    b"Kaydara FBX Binary": "FBX",
+    b"; FBX": "FBX",
+    b"#VRML": "VRML",
+    b"BLENDER": "a .blend file",
+}
+
+
+class Kind(StrEnum):
+    """A format, as its reader calls it."""
+
+    OWN_NPZ = ".npz"
+    OWN_NPY = ".npy"
+    OWN_JSON = ".json"
+    OWN_CSV = ".csv"
+    BVH = "bvh"
+    GLTF = "gltf"
+    USD = "usd"
+    OPENPOSE = "openpose"
+    OPENPOSE_FOLDER = "openpose folder"
+    MEDIAPIPE = "mediapipe"
+    WEBXR = "webxr"
+    IWER = "iwer"
+    INTERHAND = "interhand"
+    FREEMOCAP = "freemocap"
+    FREEMOCAP_FOLDER = "freemocap folder"
+    TABLE = "table"
+
+
+def kind_of(file: Path) -> Kind:
+    """The format of a file or a folder. OSError; ValueError says what else it is, or that nobody knows."""
+    if file.is_dir():
+        return _of_folder(file)
+    with open(file, "rb") as stream:
+        head = stream.read(limits.RECOGNISE_BYTES)
+    if not head.strip():
+        raise ValueError("it is empty")
+    for mark, name in _NOT_READ.items():
+        if head.startswith(mark):
+            raise ValueError(
+                f"{name} is not read: export BVH, glTF or USD from a program that reads it, such as Blender"
+            )
+    if head.startswith(b"\x93NUMPY"):
+        return Kind.FREEMOCAP if freemocap.looks_like(file) else Kind.OWN_NPY
+    if head.startswith(b"PK\x03\x04"):
+        return _of_archive(file)
+    if head.startswith(gltf.MAGIC):
+        return Kind.GLTF
+    if head.startswith((_USD_CRATE, _USD_TEXT)):
+        return Kind.USD
+    text = head.lstrip(b"\xef\xbb\xbf \t\r\n")
+    if text[:9].upper() == b"HIERARCHY":
+        return Kind.BVH
+    if text[:1] in (b"{", b"["):
+        return _of_json(file)
+    if b"\x00" in head:
+        raise ValueError("its beginning is that of no motion file that JGHand knows")
+    return _of_table(file, head)
+
+
+def frames_place(text: JsonText) -> int | None:
+    """Where the list of frames in a JSON file begins: the file itself, or the first member of such a name."""
+    if text.text[text.start] == "[":
+        return text.start
+    found = {name.casefold(): place for name, place in text.members(text.start) if text.text[place] == "["}
+    return next((found[name] for name in FRAME_LISTS if name in found), None)
+
+
+def _of_folder(folder: Path) -> Kind:
+    if next(folder.glob(f"*{openpose.SUFFIX}"), None) is not None:
+        return Kind.OPENPOSE_FOLDER
+    if freemocap.hand_files(folder):
+        return Kind.FREEMOCAP_FOLDER
+    raise ValueError("a folder with neither frames of OpenPose nor hands of FreeMoCap")
+
+
+def _of_archive(file: Path) -> Kind:
+    try:
+        with zipfile.ZipFile(file) as archive:
+            names = archive.namelist()
+    except zipfile.BadZipFile as error:
+        raise ValueError(f"a damaged archive: {error}") from error
+    if names and names[0].casefold().endswith((".usda", ".usdc", ".usd")):
+        return Kind.USD
+    return Kind.OWN_NPZ
+
+
+def _of_json(file: Path) -> Kind:
+    text = JsonText.of_file(file)
+    if text.text[text.start] == "{":
+        names = dict(text.members(text.start))
+        if "joints" in names and text.text[names["joints"]] == "[":
+            return Kind.OWN_JSON
+        if gltf.looks_like(text):
+            return Kind.GLTF
+        if "schema" in names and "frames" in names:
+            return Kind.IWER
+        if "people" in names:
+            return Kind.OPENPOSE
+    place = frames_place(text)
+    if place is not None:
+        return _of_frames(text, place)
+    whole = text.value(text.start) if len(text.text) <= limits.JSON_ELEMENT_MAX_BYTES else None
+    if mediapipe.looks_like(whole):
+        return Kind.MEDIAPIPE
+    if interhand.looks_like(text):
+        return Kind.INTERHAND
+    if webxr.looks_like(whole):
+        return Kind.WEBXR
+    raise ValueError("JSON in which JGHand finds no frames of hands")
+
+
+def _of_frames(text: JsonText, place: int) -> Kind:
+    """By the first frames that say anything: a hand may not be there from the beginning."""
+    is_own = False
+    for number, frame in enumerate(text.elements(place)):
+        if mediapipe.looks_like(frame):
+            return Kind.MEDIAPIPE
+        if openpose.looks_like(frame):
+            return Kind.OPENPOSE
+        if (
+            place == text.start
+            and isinstance(frame, list)
+            and frame
+            and (frame[0] is None or isinstance(frame[0], list))
+        ):
+            is_own = True
+            break
+        if webxr.looks_like(frame):
+            return Kind.WEBXR
+        if number >= limits.MOTION_FRAMES_MAX:
+            break
+    if is_own or text.text[text.start] == "[":
+        return Kind.OWN_JSON
+    raise ValueError("JSON in which JGHand finds no frames of hands")
+
+
+def _of_table(file: Path, head: bytes) -> Kind:
+    """CSV: our own, FreeMoCap's, or one whose columns are named after joints in another way."""
+    from jghand_engine.datasets.motion_files import has_own_columns
+    from jghand_engine.datasets.motions.tables import named_hands
+
+    try:
+        lines = head.decode("utf-8-sig", "replace").splitlines()
+    except ValueError:
+        lines = []
+    header = next((line for line in lines if line.strip() and not line.startswith("#")), "")
+    cells = header.split(",")
+    if len(cells) < 3:
+        raise ValueError("its beginning is that of no motion file that JGHand knows")
+    if has_own_columns(cells) or not named_hands(cells)[0]:
+        return Kind.OWN_CSV
+    return Kind.FREEMOCAP if freemocap.looks_like(file) else Kind.TABLE
