@@ -20,19 +20,20 @@ from jghand_engine.native.tasks import LANES
 class FastCast:
     """Fills in a task what the shadows of its poses are found from. It must live as long as the task.
 
-    blocks: of the avatar's Gaussians
+    blocks: of the avatar's Gaussians · arrays: fields of CastTask by name · around: those of LearntTask
+    joints_m: (21, 3) of the canonical hand, root-relative · direction: (16 groups, 3) towards the lamps
     """
 
     def __init__(self, cast: CastShadow, avatar: HandAvatar, blocks: Blocks, task: LearntTask) -> None:
         anchors, root_m = cast.anchors, avatar.canonical_joints_m[0].double()
         own = Blocks(anchors.position_m.numpy())
         rest = torch.cat([anchors.position_m.double() - root_m, anchors.normal.double()], 1)
-        self._joints_m = (avatar.canonical_joints_m.double() - root_m).numpy()
-        self._direction, lamp = _lamps(cast.lamp_rgb.detach())
+        self.joints_m = (avatar.canonical_joints_m.double() - root_m).numpy()
+        self.direction, lamp = _lamps(cast.lamp_rgb.detach())
         groups = len(lamp)
         self._capsule = aligned_zeros((BONE_COUNT, 8))
         self._capsule_lamp = aligned_zeros((BONE_COUNT, groups, 2, LANES))
-        self._arrays = {
+        self.arrays = {
             "rest": own.blocked(rest.numpy()),
             **own.bones(anchors.bone_weights.numpy()),
             "foreign": own.blocked(1 - cast.own.double().numpy()),
@@ -42,7 +43,7 @@ class FastCast:
             "fallen": aligned_zeros((own.rows, 4)),
         }
         row_of_anchor = np.argsort(own.order)
-        self._around = {
+        self.around = {
             "nearest": blocks.blocked(row_of_anchor[anchors.nearest.numpy()], np.int32),
             "share": blocks.blocked(anchors.share.numpy()),
         }
@@ -52,19 +53,19 @@ class FastCast:
         shadow.softness, shadow.lamp_width = limits.FLESH_SOFTNESS, limits.LAMP_HALF_WIDTH
         shadow.width_min, shadow.distance2_min = limits.CAPSULE_WIDTH_MIN_M, limits.CAPSULE_LENGTH2_MIN
         shadow.to_display = limits.LIGHT_TO_DISPLAY
-        point(shadow, self._arrays)
-        point(task, self._around)
+        point(shadow, self.arrays)
+        point(task, self.around)
 
     def prepare(self, bones: FastBones) -> None:
         """Sets the capsules of the next pose."""
         matrices = bones.linear_offset.astype(np.float64)
         # bone i ends at joint i
-        joints_m = np.einsum("ijk,ik->ij", matrices[:, :, :3], self._joints_m) + matrices[:, :, 3]
+        joints_m = np.einsum("ijk,ik->ij", matrices[:, :, :3], self.joints_m) + matrices[:, :, 3]
         ends = capsules(torch.from_numpy(joints_m), torch.tensor(bones.scale, dtype=torch.float64))
         start, end, radius_m = (values.numpy() for values in ends)
         axis = end - start
         length2 = np.maximum((axis * axis).sum(1), limits.CAPSULE_LENGTH2_MIN)
-        along = axis @ self._direction.T
+        along = axis @ self.direction.T
         sine2 = np.maximum(length2[:, None] - along * along, limits.CAPSULE_SINE2_MIN * length2[:, None])
         self._capsule[:, :3], self._capsule[:, 3:6] = start, axis
         self._capsule[:, 6], self._capsule[:, 7] = 1 / length2, radius_m

@@ -72,46 +72,47 @@ class TorchCorrectives:
 
 
 class FastLinear:
-    """The linear tier."""
+    """The linear tier. arrays: fields of the task by name · first, second: see `_products`"""
 
     def __init__(self, linear: LinearCorrectives, blocks: Blocks, task: LearntTask) -> None:
-        self._features = FastFeatures(linear.angles)
-        self._mean, self._projection = linear.mean.double().numpy(), linear.projection.double().numpy()
+        self.features = FastFeatures(linear.angles)
+        self.mean, self.projection = linear.mean.double().numpy(), linear.projection.double().numpy()
         first, second = _products(linear.projection.shape[1], linear.basis)
-        self._first, self._second = first, second
+        self.first, self.second = first, second
         self._numbers = aligned_zeros((21, linear.basis))
         directions = linear.direction.reshape(len(linear.direction), -1).numpy()
-        self._arrays = {
+        self.arrays = {
             "direction": blocks.blocked(directions, np.int8),
             "constant": blocks.blocked(torch.cat([linear.constant, linear.scale], 1).numpy()),
             "numbers": self._numbers,
         }
         task.correctives, task.basis = CorrectiveKind.LINEAR, linear.basis
-        point(task, self._arrays)
+        point(task, self.arrays)
 
     def prepare(self, task: LearntTask, angles_rad: np.ndarray) -> None:
         """See FastCorrectives."""
-        simple = (self._features(angles_rad) - self._mean) @ self._projection
+        simple = (self.features(angles_rad) - self.mean) @ self.projection
         count = min(simple.shape[1], self._numbers.shape[1])
         self._numbers[:, :count] = simple[:, :count]
-        self._numbers[:, count:] = simple[:, self._first] * simple[:, self._second]
+        self._numbers[:, count:] = simple[:, self.first] * simple[:, self.second]
 
 
 class FastNetwork:
-    """The network: exact and cached tier."""
+    """The network: exact and cached tier. arrays: fields of the task by name · angles_in: (channels, hidden) weights of
+    the first layer from a bone's features"""
 
     def __init__(self, net: PoseNet, blocks: Blocks, task: LearntTask) -> None:
-        self._features = FastFeatures(net.angles)
+        self.features = FastFeatures(net.angles)
         weights = {name: value.detach().double().numpy() for name, value in net.state_dict().items()}
         hidden = -(-net.shape.hidden // NETWORK_TILE) * NETWORK_TILE
         extra = hidden - net.shape.hidden  # units that are always 0
         places = net.encoding.double().numpy() @ weights["encoding_in.weight"].T + weights["encoding_in.bias"]
-        self._angles_in = np.pad(weights["angles_in.weight"], ((0, extra), (0, 0))).T
+        self.angles_in = np.pad(weights["angles_in.weight"], ((0, extra), (0, 0))).T
         middle = np.pad(weights["middle.weight"], ((0, extra), (0, extra)))
         out = np.zeros((hidden, 6))
         out[: net.shape.hidden, : len(weights["out.weight"])] = weights["out.weight"].T
         self._bones = aligned_zeros((21, hidden))
-        self._arrays = {
+        self.arrays = {
             "places": blocks.blocked(np.pad(places, ((0, 0), (0, extra)))),
             "features": self._bones,
             "middle": _aligned(middle.reshape(-1, NETWORK_TILE, hidden).transpose(0, 2, 1)),
@@ -119,8 +120,8 @@ class FastNetwork:
             "out": _aligned(out),
         }
         # what the network says of a pose is kept: a hand that moves as a whole takes it again
-        self._arrays["given"] = aligned_zeros((blocks.count, 6, LANES))
-        point(task, self._arrays)
+        self.arrays["given"] = aligned_zeros((blocks.count, 6, LANES))
+        point(task, self.arrays)
         task.hidden = hidden
         # without a shade its outputs are 0
         task.out_bias = tuple(np.pad(weights["out.bias"], (0, 6 - len(weights["out.bias"]))))
@@ -129,21 +130,25 @@ class FastNetwork:
     def prepare(self, task: LearntTask, angles_rad: np.ndarray) -> None:
         """See FastCorrectives."""
         task.correctives = CorrectiveKind.NETWORK
-        self._bones[...] = self._features(angles_rad) @ self._angles_in
+        self._bones[...] = self.features(angles_rad) @ self.angles_in
 
 
 class FastFeatures:
-    """`AnglePlanes` of one pose in NumPy: tens of microseconds instead of a millisecond."""
+    """`AnglePlanes` of one pose in NumPy: tens of microseconds instead of a millisecond.
+
+    texels: (16, rows, columns, channels) float64 · source: (20, 2) which of the 37 angles each metacarpal's and bone's
+    plane is looked up at, offset + slope x angle · level1: see AnglePlanes
+    """
 
     def __init__(self, planes: AnglePlanes) -> None:
         texels = planes.planes.detach().double().numpy()
-        self._texels = np.ascontiguousarray(np.moveaxis(texels, 1, -1))  # (16, rows, columns, channels)
-        self._level1 = planes.level1
+        self.texels = np.ascontiguousarray(np.moveaxis(texels, 1, -1))  # (16, rows, columns, channels)
+        self.level1 = planes.level1
         self._plane = np.array([0] * 5 + [*range(1, 16)])
         # normalising is linear in every angle
         zero, one = (self._normalised(np.full(37, value)) for value in (0.0, 1.0))
-        self._offset, self._slope = zero, one - zero
-        self._source = self._places()
+        self.offset, self.slope = zero, one - zero
+        self.source = self._places()
 
     @staticmethod
     def _normalised(angles_rad: np.ndarray) -> np.ndarray:
@@ -153,13 +158,13 @@ class FastFeatures:
 
     def _places(self) -> np.ndarray:
         """(20, 2) which of the 37 angles is looked up where."""
-        found = np.stack([self._normalised(row) for row in np.eye(37)]) - self._offset
+        found = np.stack([self._normalised(row) for row in np.eye(37)]) - self.offset
         return np.abs(found).argmax(0)
 
     def __call__(self, angles_rad: np.ndarray) -> np.ndarray:
         """(21, channels) float64 of the 37 angles of a pose."""
-        at = angles_rad[self._source] * self._slope + self._offset
-        if not self._level1:
+        at = angles_rad[self.source] * self.slope + self.offset
+        if not self.level1:
             at[:5] = 0.0
         own = self._looked_up(at)
         features = np.empty((21, own.shape[1]))
@@ -170,11 +175,11 @@ class FastFeatures:
 
     def _looked_up(self, at: np.ndarray) -> np.ndarray:
         """(20, channels) bilinear values at (20, 2), clamped to the planes."""
-        last = self._texels.shape[1] - 1
+        last = self.texels.shape[1] - 1
         spot = np.clip((at + 1) * (0.5 * last), 0, last)
         low = np.minimum(spot.astype(np.intp), max(last - 1, 0))
         high = np.minimum(low + 1, last)
-        (x, y), plane, texels = (spot - low).T[..., None], self._plane, self._texels
+        (x, y), plane, texels = (spot - low).T[..., None], self._plane, self.texels
         (left, top), (right, bottom) = low.T, high.T
         above = texels[plane, top, left] * (1 - x) + texels[plane, top, right] * x
         below = texels[plane, bottom, left] * (1 - x) + texels[plane, bottom, right] * x

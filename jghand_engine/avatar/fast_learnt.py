@@ -13,7 +13,7 @@ from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.fast_cast import FastCast
 from jghand_engine.avatar.fast_correctives import fast_correctives
-from jghand_engine.avatar.fast_skinning import FastSkinning, PosedArrays, check_task, inverse_scale, point
+from jghand_engine.avatar.fast_skinning import Blocks, FastSkinning, PosedArrays, check_task, inverse_scale, point
 from jghand_engine.avatar.learnt import Learnt
 from jghand_engine.avatar.light import Light, unit
 from jghand_engine.avatar.torch_posing import reflects
@@ -40,8 +40,8 @@ class FastLearntSkin:
         self.skin = FastSkinning(library, avatar)
         self.team, self.gloss_team = new_team(), new_team()
         self.reflecting = reflects(avatar)
-        self._task = _task(avatar.learnt, avatar.handedness)
-        self._arrays = self._look(avatar, avatar.learnt) | _light(avatar.learnt.light)
+        self._task = new_task(avatar.learnt, avatar.handedness)
+        self._arrays = learnt_arrays(avatar, avatar.learnt, self.skin.blocks)
         point(self._task, self._arrays)
         self._task.lobes = len(self._arrays["lobe"])
         self._correctives = fast_correctives(
@@ -52,14 +52,6 @@ class FastLearntSkin:
         self._posed = False
         self._eye_m: np.ndarray | None = None
         self._keep: tuple[object, ...] = ()
-
-    def _look(self, avatar: HandAvatar, learnt: Learnt) -> dict[str, np.ndarray]:
-        blocks = self.skin.blocks
-        look = torch.cat([learnt.normal, avatar.rgb, learnt.shine[:, None]], 1)
-        arrays = {"look": blocks.blocked(look.numpy())}
-        if self.reflecting:
-            arrays["matt"] = aligned_zeros((blocks.count, 6, LANES))
-        return arrays
 
     def prepare(
         self,
@@ -111,7 +103,8 @@ class FastLearntSkin:
         self._call.jg_learnt_gloss(self.gloss_team.ctypes.data, ctypes.addressof(self._task))
 
 
-def _task(learnt: Learnt, handedness: Handedness) -> LearntTask:
+def new_task(learnt: Learnt, handedness: Handedness) -> LearntTask:
+    """What the kernel is told of a trained avatar, without arrays."""
     side = -1 if handedness is Handedness.LEFT else 1
     return LearntTask(
         rim=float(learnt.light.rim),
@@ -120,6 +113,15 @@ def _task(learnt: Learnt, handedness: Handedness) -> LearntTask:
         length2_min=limits.NORMAL_LENGTH2_MIN,
         world_offsets=side if learnt.world_offsets else 0,
     )
+
+
+def learnt_arrays(avatar: HandAvatar, learnt: Learnt, blocks: Blocks) -> dict[str, np.ndarray]:
+    """What the kernel reads of colours: fields of LearntTask by name; `matt`, which it writes, where it reflects."""
+    look = torch.cat([learnt.normal, avatar.rgb, learnt.shine[:, None]], 1)
+    arrays = {"look": blocks.blocked(look.numpy())} | _light(learnt.light)
+    if reflects(avatar):
+        arrays["matt"] = aligned_zeros((blocks.count, 6, LANES))
+    return arrays
 
 
 def _light(light: Light) -> dict[str, np.ndarray]:

@@ -86,19 +86,14 @@ class FastSkinning:
     def __init__(self, library: Library, avatar: HandAvatar) -> None:
         check_task(library, library.call.jg_skin_task_bytes(), SkinTask)
         self._call = library.call.jg_skin
-        position = avatar.position_m.numpy()
-        self.blocks = Blocks(position)
+        self.blocks = Blocks(avatar.position_m.numpy())
         self.opacity = self.blocks.in_rows(avatar.opacity.numpy())
         self.rgb = self.blocks.in_rows(avatar.rgb.numpy())
         self.team = new_team()
         self.task = SkinTask(
             blocks=self.blocks.count, stretch_min=limits.SIGMA_STRETCH_MIN, stretch_max=limits.SIGMA_STRETCH_MAX
         )
-        relative = position.astype(np.float64) - avatar.canonical_joints_m[0].numpy()
-        rest = np.concatenate([relative, avatar.sigma_m.numpy()[:, None]], axis=1)
-        self._arrays = {"rest": self.blocks.blocked(rest)} | self.blocks.bones(avatar.bone_weights.numpy())
-        if (axes := ellipsoid_axes(avatar)) is not None:
-            self._arrays["axes"] = self.blocks.blocked(axes)
+        self._arrays = skin_arrays(avatar, self.blocks)
         point(self.task, self._arrays)
         self._keep: tuple[object, ...] = ()
 
@@ -133,6 +128,16 @@ class FastSkinning:
     def run(self) -> None:
         """Poses the avatar; every thread of a team calls it."""
         self._call(self.team.ctypes.data, ctypes.addressof(self.task))
+
+
+def skin_arrays(avatar: HandAvatar, blocks: Blocks) -> dict[str, np.ndarray]:
+    """What the kernel reads of an avatar at rest: fields of SkinTask by name."""
+    relative = avatar.position_m.numpy().astype(np.float64) - avatar.canonical_joints_m[0].numpy()
+    rest = np.concatenate([relative, avatar.sigma_m.numpy()[:, None]], axis=1)
+    arrays = {"rest": blocks.blocked(rest)} | blocks.bones(avatar.bone_weights.numpy())
+    if (axes := ellipsoid_axes(avatar)) is not None:
+        arrays["axes"] = blocks.blocked(axes)
+    return arrays
 
 
 def check_task(library: Library, size: int, mirror: type[ctypes.Structure]) -> None:

@@ -1,4 +1,5 @@
-"""`jghand export`: a motion becomes a USD stage (splats, points, skeleton, skinned mesh, camera) or splat files."""
+"""`jghand export`: a motion becomes a USD stage (splats, points, skeleton, skinned mesh, camera), splat files, or a web
+page."""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from jghand_engine.cli.console import progress, say, write_json
-from jghand_engine.cli.options import AvatarOptions, MotionOptions, ReportOptions
+from jghand_engine.cli.options import AvatarOptions, CameraName, MotionOptions, ReportOptions
 from jghand_engine.errors import InputError
 
 if TYPE_CHECKING:
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
     from jghand_engine.hand.sequence import PoseSequence
 
 DESCRIPTION = """Write a motion as OpenUSD (hand.usda with its layers: splats, points, skeleton and mesh, cameras) or as
-splat files, one for every frame (hand.0000.ply and so on).
+splat files, one for every frame (hand.0000.ply and so on), or as a web page that plays it and poses the hand.
 
 A USD stage offers the variants splats, points, points_skinned and mesh, whatever --for says: that chooses the one which
 is shown first, and how large points are.
@@ -33,7 +34,8 @@ Examples:
   jghand export --poses open,fist --for blender --out usd
   jghand export --poses open,fist --for usdview --package usdz --out usd
   jghand export ply --poses open,fist --out splats
-  jghand export splats --as glb --poses fist --frames 0 --out splats"""
+  jghand export splats --as glb --poses fist --frames 0 --out splats
+  jghand export web --poses open,fist,ok --out page"""
 
 # the picture that the stage's cameras are made for
 CAMERA_PX = (1024, 1024)
@@ -79,11 +81,24 @@ class SplatFileOptions:
 
 
 @dataclass(frozen=True)
+class WebPageOptions:
+    """What a web page shows"""
+
+    camera: CameraName = "quarter"
+    """Side that is seen at first: front is the palm. Whoever looks at the page turns the hand as they like."""
+    title: Annotated[str, tyro.conf.arg(metavar="TEXT")] = ""
+    """Of the page. Left out: the avatar's name."""
+    gaussians: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
+    """How many of the avatar's Gaussians: fewer make a smaller page for slower phones. 0 is all of them."""
+
+
+@dataclass(frozen=True)
 class Export:
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     """Where the files are written."""
-    format: Annotated[Literal["usd", "splats", "ply"], tyro.conf.Positional] = "usd"
-    """usd: one animated stage. splats: a file of splats for every frame. ply: the same as PLY."""
+    format: Annotated[Literal["usd", "splats", "ply", "web"], tyro.conf.Positional] = "usd"
+    """usd: one animated stage. splats: a file of splats for every frame. ply: the same as PLY. web: a folder whose
+    index.html any browser opens."""
     name: Annotated[str, tyro.conf.arg(metavar="NAME")] = "hand"
     """Stem of the files: letters, digits and _."""
     first_frame: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
@@ -92,6 +107,7 @@ class Export:
     """The axis that points up in the world of the motion. USD says it, splat files are turned."""
     usd: UsdStageOptions = field(default_factory=UsdStageOptions)
     splats: SplatFileOptions = field(default_factory=SplatFileOptions)
+    web: WebPageOptions = field(default_factory=WebPageOptions)
     motion: MotionOptions = field(default_factory=MotionOptions)
     avatar: AvatarOptions = field(default_factory=AvatarOptions)
     report: ReportOptions = field(default_factory=ReportOptions)
@@ -106,7 +122,7 @@ class Export:
         sequence = motion.sequence
         for note in motion.notes:
             say(note)
-        write = self._write_usd if self.format == "usd" else self._write_splats
+        write = {"usd": self._write_usd, "web": self._write_web}.get(self.format, self._write_splats)
         figures = write(avatar.for_hand(sequence.handedness), sequence)
         if self.report.json is not None:
             write_json(self.report.json, {
@@ -118,9 +134,12 @@ class Export:
         """InputError for options of another format: they would change nothing."""
         chosen = self.splats.format
         unused = {
-            "splats": self.format == "usd" and self.splats != SplatFileOptions(),
+            "splats": self.format in ("usd", "web") and self.splats != SplatFileOptions(),
             "splats --as " + chosen: self.format == "ply" and chosen != "ply",
             "usd": self.format != "usd" and self.usd != UsdStageOptions(),
+            # a page has no names of files, no numbers of frames, and is turned as one likes
+            "usd or splats": self.format == "web" and (self.name, self.first_frame, self.up) != ("hand", 0, "y"),
+            "web": self.format != "web" and self.web != WebPageOptions(),
         }
         for other in (other for other, given in unused.items() if given):
             raise InputError(
@@ -181,4 +200,20 @@ class Export:
         return {
             "files": [str(path) for path in report.files], "frames": len(report.files), "axes": report.axes,
             "gaussians": report.gaussians, "bytes": report.bytes, "made_from": made_from(avatar, sequence),
+        }  # fmt: skip
+
+    def _write_web(self, avatar: HandAvatar, sequence: PoseSequence) -> dict[str, Any]:
+        from jghand_engine.cli.framing import first_view
+        from jghand_engine.exporters.usd import made_from
+        from jghand_engine.exporters.web import WebOptions, export_web
+
+        view = first_view(sequence.joints_m, sequence.handedness, self.web.camera)
+        report = export_web(self.out, avatar, sequence, view, WebOptions(self.web.title, self.web.gaussians))
+        size = sum(report.bytes.values())
+        say(f"Wrote {report.page}: {report.frames} frames, {report.gaussians} Gaussians, {size / 1e6:.1f} MB. Open it.")
+        if report.correctives == "network":
+            say("This avatar has no linear tier: the page computes its network and is slow. `jghand bake` adds one.")
+        return {
+            "page": str(report.page), "frames": report.frames, "gaussians": report.gaussians,
+            "correctives": report.correctives, "bytes": report.bytes, "made_from": made_from(avatar, sequence),
         }  # fmt: skip

@@ -7,6 +7,7 @@ upright. Hand axes: side = towards the index side, up = wrist to middle knuckle,
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
@@ -15,6 +16,9 @@ from jghand_engine import limits
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import LEVEL_NAMES, Handedness
 from jghand_engine.splat.camera import Camera
+
+if TYPE_CHECKING:
+    from jghand_engine.exporters.web import WebView
 
 WRIST, INDEX, MIDDLE, PINKY = (LEVEL_NAMES.index(name) for name in ("wrist", "index1", "middle1", "pinky1"))
 
@@ -111,6 +115,16 @@ def framing_camera(joints_m: np.ndarray, handedness: Handedness, view: str, *, w
         torch.from_numpy(eye), torch.from_numpy(target), torch.from_numpy(up), width=width, height=height,
         focal_px=focal_px,
     )  # fmt: skip
+
+
+def first_view(joints_m: np.ndarray, handedness: Handedness, view: str) -> WebView:
+    """From where a web page shows (F, 21, 3) level-order joints at first, whatever its size. view: a key of VIEWS."""
+    from jghand_engine.exporters.web import WebView
+
+    camera = framing_camera(joints_m, handedness, view, width=1024, height=1024)
+    _, down, forward = camera.camera_from_world[:3, :3].tolist()
+    to_eye, up = (-x for x in forward), (-x for x in down)
+    return WebView((*to_eye,), (*up,), limits.FRAMING_FOCAL, tuple(_skin_radii_m(joints_m).tolist()))
 
 
 def _skin_radii_m(joints_m: np.ndarray) -> np.ndarray:

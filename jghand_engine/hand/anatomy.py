@@ -17,6 +17,7 @@ from enum import StrEnum
 
 import numpy as np
 import torch
+from scipy.optimize import lsq_linear
 
 from jghand_engine import limits
 from jghand_engine.errors import InputError
@@ -72,7 +73,7 @@ CONTACTS = {
     "rock": (Contact.REST, 2),
 }
 # +abduction turns index and middle to the thumb's side, ring and pinky to the other
-_SIDE = torch.tensor([1.0, 1.0, 1.0, -1.0, -1.0], dtype=torch.float64)
+ABDUCTION_SIDE = torch.tensor([1.0, 1.0, 1.0, -1.0, -1.0], dtype=torch.float64)
 # out of the palm for the thumb, in the palm frame (out of the palm, towards the thumb, distal); DATA 8
 _THUMB_NORMAL = torch.tensor([0.59, -0.80, -0.10], dtype=torch.float64)
 
@@ -145,6 +146,11 @@ class ArticulatedHand:
         """(21, 3) joints of the hand whose fingers are straight: what `turns` turns. Metres, level order."""
         return self._neutral.numpy()
 
+    @property
+    def axes(self) -> tuple[np.ndarray, np.ndarray]:
+        """(3, 5, 3) flexion and abduction axes of the three moving bones of each finger in the straight hand."""
+        return self._flexion_axis.permute(1, 2, 0).numpy(), self._abduction_axis.permute(1, 2, 0).numpy()
+
     def turns(self, angles_deg: np.ndarray) -> np.ndarray:
         """(F, 5, 4) angles, degrees, clamped to RANGES_DEG -> (F, 3, 5, 3, 3) rotations of the three moving bones of
         each finger, from where they point in the straight hand."""
@@ -155,7 +161,7 @@ class ArticulatedHand:
         clamped = np.clip(np.asarray(angles_deg, dtype=np.float64), RANGES_DEG[..., 0], RANGES_DEG[..., 1])
         # (angle, finger, frame)
         angle = torch.from_numpy(np.radians(clamped)).permute(2, 1, 0)
-        turn = rot.axis_rotation(self._abduction_axis[:, 0].unsqueeze(-1), -_SIDE.unsqueeze(-1) * angle[1])
+        turn = rot.axis_rotation(self._abduction_axis[:, 0].unsqueeze(-1), -ABDUCTION_SIDE.unsqueeze(-1) * angle[1])
         turns = []
         for joint, flexion in enumerate((angle[0], angle[2], angle[3])):
             turn = rot.mat_mul(turn, rot.axis_rotation(self._flexion_axis[:, joint].unsqueeze(-1), flexion))
@@ -181,15 +187,17 @@ class ArticulatedHand:
         pull = np.eye(len(start)) / limits.TOUCH_PULL_DEG
         value = start.copy()
         for _ in range(limits.TOUCH_STEPS):
-            # the gap at the value and, for the Jacobian, one step beside it in each angle
+            # the gap at the value and, for the Jacobian, beside it in each angle: inwards, as joints stop at the range
+            aside = np.where(value < (low + high) / 2, limits.TOUCH_DIFFERENCE_DEG, -limits.TOUCH_DIFFERENCE_DEG)
             trials = np.repeat(angles[None], len(start) + 1, axis=0)
             trials[:, rows, cols] = value
-            trials[np.arange(1, len(start) + 1), rows, cols] += limits.TOUCH_DIFFERENCE_DEG
+            trials[np.arange(1, len(start) + 1), rows, cols] += aside
             gap = self._gap(self.joints(trials), contact, finger) / (limits.TOUCH_PART * self._length_m)
-            jacobian = (gap[1:] - gap[0]).T / limits.TOUCH_DIFFERENCE_DEG
+            jacobian = (gap[1:] - gap[0]).T / aside
             residual = np.concatenate([gap[0], (value - start) / limits.TOUCH_PULL_DEG])
-            step = np.linalg.lstsq(np.concatenate([jacobian, pull]), -residual, rcond=None)[0]
-            value = np.clip(value + step, low, high)
+            within = (low - value, high - value)
+            step = lsq_linear(np.concatenate([jacobian, pull]), -residual, within, method="bvls").x
+            value = np.clip(value + step, low, high)  # the bounds hold but for rounding
         solved = angles.copy()
         solved[rows, cols] = value
         return solved

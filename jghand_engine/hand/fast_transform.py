@@ -58,7 +58,7 @@ class FastTransform:
         self.canonical_root_m = self._reference.canonical.root_m.numpy()
         native = library.load(variant)
         self._call = native.call.jg_bone_transforms if native else None
-        self._skeleton = _packed(self._reference)
+        self._skeleton = packed_skeleton(self._reference)
         if native and (size := native.call.jg_skeleton_bytes()) != self._skeleton.nbytes:
             wanted = f"a Skeleton of {self._skeleton.nbytes} bytes"
             raise RetryError(f"native library {native.path.name}", wanted=wanted, came=str(size))
@@ -95,7 +95,7 @@ class FastTransform:
         return FastBones(matrices, root, float(scale[0]), flags, angles)
 
 
-def _packed(transform: JointTransform) -> np.ndarray:
+def packed_skeleton(transform: JointTransform) -> np.ndarray:
     """The doubles of `Skeleton` in native/skeleton.cpp, in its order; matrices column by column."""
     hand = transform.canonical
     options = [

@@ -78,3 +78,11 @@ USD_CLIP_FRAMES = 240
 USD_BALL_WIDTH_FACTOR = 2.0
 # Gaussians around a vertex whose mean colour the exported mesh gets
 USD_MESH_COLOUR_NEIGHBOURS = 8
+
+# ---- exporters: web page --------------------------------------------------------------------------------------------
+# gzip's level of the hand's data, 0..9: 9 takes four times as long and saves 1 %
+WEB_GZIP_LEVEL = 6
+# frames of a motion: ten minutes at 60 a second take 9 MB of the page
+WEB_FRAMES_MAX = 36_000
+# letters of the page's title: one line
+WEB_TITLE_MAX = 120

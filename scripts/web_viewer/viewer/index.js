@@ -1,0 +1,66 @@
+// The page: hand.js holds the data, pose.js poses, this draws and listens. `jghand` is for whoever drives the page from
+// outside, such as a page that frames it, or a test.
+import { Controls } from './controls.js';
+import { Player } from './player.js';
+import { Stage } from './stage.js';
+
+async function start() {
+  const data = globalThis.JGHAND_HAND, { openHand, Articulated } = globalThis.JGHandPose ?? {};
+  if (!data || !openHand) throw new Error('Files are missing: index.html, hand.js, pose.js and viewer.js belong together.');
+  if (!document.createElement('canvas').getContext('webgl2')) throw new Error('This browser does not offer WebGL 2, which draws the hand.');
+  const hand = await openHand(data), { description } = hand;
+  const joints = hand.memory.views.motion, frames = joints.length / 63;
+  const articulated = new Articulated(description.articulated);
+  let controls;
+  const player = new Player(hand, articulated, { joints, frames, fps: description.fps }, () => controls?.refresh());
+  const stage = new Stage(document.getElementById('canvas'), hand, {
+    view: description.view, points: pointsInSight(joints, description.reach_m), contract: description.contract,
+  }, (now) => player.step(now));
+  player.posed = () => stage.changed();
+  document.getElementById('panel').hidden = document.getElementById('bar').hidden = false;
+  controls = new Controls(player, stage, description);
+  stage.home();
+  const ask = (done) => (...words) => { done(...words); stage.ask(); };
+  controls.refresh = ((refresh) => () => { refresh.call(controls); stage.ask(); })(controls.refresh);
+  await stage.settled();
+  document.body.classList.add('ready');
+  document.getElementById('message').textContent = '';
+  if (frames > 1 && !matchMedia('(prefers-reduced-motion: reduce)').matches && !location.hash.includes('still')) player.play();
+  return {
+    description,
+    hand,
+    play: ask(() => player.play()),
+    pause: ask(() => player.pause()),
+    seek: ask((frame) => { controls.forget(); player.playing = false; player.seek(frame); }),
+    // the name of a pose, or angles (5 fingers, 4), radians
+    pose: ask((pose, smoothly = true) => {
+      controls.forget();
+      if (typeof pose === 'string') controls.pose = pose;
+      player.hold(typeof pose === 'string' ? articulated.poses[pose] : pose, smoothly);
+    }),
+    lookThrough: (camera) => stage.lookThrough(camera),
+    reset: () => stage.home(),
+    settled: () => stage.settled(),
+    get drawn() { return stage.drawn; },
+    get frame() { return player.frame; },
+    get playing() { return player.playing; },
+  };
+}
+
+// Where the hand gets to in the motion: at most some hundred frames of it decide
+function pointsInSight(joints, reach) {
+  const frames = joints.length / 63, step = Math.max(1, Math.floor(frames / 200)), points = [];
+  for (let frame = 0; frame < frames; frame += step)
+    for (let joint = 0; joint < 21; joint++) points.push([...joints.subarray(63 * frame + 3 * joint, 63 * frame + 3 * joint + 3), reach[joint]]);
+  return points;
+}
+
+globalThis.jghand = { ready: start() };
+globalThis.jghand.ready.then(
+  (page) => Object.defineProperties(globalThis.jghand, Object.getOwnPropertyDescriptors(page)),
+  (error) => {
+    console.error(error);
+    document.body.classList.add('failed');
+    document.getElementById('message').textContent = `The hand cannot be shown.\n${error.message}`;
+  },
+);

@@ -1,0 +1,194 @@
+// Canvas, camera and orbit; draws when something changed, and only then.
+import * as THREE from 'three';
+import { OrbitControls } from 'three/addons/controls/OrbitControls.js';
+import { newSpark, Splats } from './splats.js';
+
+const NEAR_M = 0.01, FAR_M = 100;
+const NEAREST = 0.3, FARTHEST = 6;  // of the first distance, how far one may zoom
+const PIXEL_RATIO_MAX = 2;
+const SLOW_MS = 45, SLOW_FRAMES = 8;  // so many frames as slow as this, and the picture gets coarser
+
+export class Stage {
+  // view: { to_eye, up, focal } as the command chose them · points: [[x, y, z, radius], …] that must be in sight
+  constructor(canvas, hand, { view, points, contract }, beforeDrawing) {
+    this.hand = hand;
+    this.canvas = canvas;
+    this.beforeDrawing = beforeDrawing;
+    this.view = view;
+    this.points = points;
+    this.renderer = new THREE.WebGLRenderer({ canvas, antialias: false, alpha: true, powerPreference: 'high-performance' });
+    this.renderer.setClearColor(0, 0);
+    this.scene = new THREE.Scene();
+    this.camera = new THREE.PerspectiveCamera(30, 1, NEAR_M, FAR_M);
+    this.camera.up.fromArray(view.up);
+    this.spark = newSpark(this.renderer, hand, contract, () => this.ask());
+    this.splats = new Splats(hand);
+    this.scene.add(this.spark, this.splats);
+    this.controls = new OrbitControls(this.camera, canvas);
+    this.controls.enableDamping = true;
+    this.controls.dampingFactor = 0.12;
+    this.controls.zoomSpeed = 0.8;
+    this.controls.addEventListener('change', () => this.ask());
+    this.ratio = Math.min(window.devicePixelRatio, PIXEL_RATIO_MAX);
+    this.room = { right: 0, bottom: 0 };
+    this.slow = 0;
+    this.posed = true;
+    new ResizeObserver(() => this.resize()).observe(canvas.parentElement);
+    canvas.addEventListener('webglcontextrestored', () => this.ask());
+    this.resize();
+    this.home();
+  }
+
+  // The camera where the command put it, as near as everything fits
+  home() {
+    this.fixed = false;
+    const toEye = new THREE.Vector3().fromArray(this.view.to_eye).normalize();
+    const right = new THREE.Vector3().fromArray(this.view.up).cross(toEye).normalize();
+    const up = toEye.clone().cross(right);
+    const axes = [right, up, toEye], low = [Infinity, Infinity, Infinity], high = low.map((x) => -x);
+    const seen = this.points.map(([x, y, z, radius]) => axes.map((axis, k) => {
+      const along = axis.x * x + axis.y * y + axis.z * z;
+      low[k] = Math.min(low[k], along - radius);
+      high[k] = Math.max(high[k], along + radius);
+      return along;
+    }));
+    const centre = low.map((x, k) => (x + high[k]) / 2);
+    const { width, height } = this.free;
+    const focal = this.focal;
+    let distance = 0;
+    seen.forEach((point, i) => [width, height].forEach((edge, k) => {
+      const radius = this.points[i][3], beside = Math.abs(point[k] - centre[k]) + radius;
+      distance = Math.max(distance, point[2] - centre[2] + radius + (focal * beside) / (0.5 * edge * this.view.fill));
+    }));
+    const target = new THREE.Vector3();
+    axes.forEach((axis, k) => target.addScaledVector(axis, centre[k]));
+    this.controls.target.copy(target);
+    this.camera.position.copy(target).addScaledVector(toEye, distance);
+    this.controls.minDistance = NEAREST * distance;
+    this.controls.maxDistance = FARTHEST * distance;
+    this.project();
+    this.controls.update();
+    this.atHome = true;
+    this.ask();
+  }
+
+  // pixels that panels cover at the right and at the bottom: the hand stays in the middle of what they leave
+  keepFree(right, bottom) {
+    this.room = { right, bottom };
+    this.resize();
+  }
+
+  get free() {
+    return { width: Math.max(this.width - this.room.right, 1), height: Math.max(this.height - this.room.bottom, 1) };
+  }
+
+  get focal() {
+    const { width, height } = this.free;
+    return this.view.focal * Math.max(width, height);
+  }
+
+  resize() {
+    const { clientWidth, clientHeight } = this.canvas.parentElement;
+    this.width = Math.max(clientWidth, 1);
+    this.height = Math.max(clientHeight, 1);
+    this.renderer.setPixelRatio(this.ratio);
+    this.renderer.setSize(this.width, this.height, false);
+    if (this.fixed) return;
+    this.project();
+    if (this.atHome && !this.touched) this.home();
+    this.ask();
+  }
+
+  project() {
+    const { width, height, camera } = this;
+    camera.aspect = width / height;
+    camera.fov = THREE.MathUtils.radToDeg(2 * Math.atan(height / 2 / this.focal));
+    camera.setViewOffset(width, height, this.room.right / 2, this.room.bottom / 2, width, height);
+    camera.updateProjectionMatrix();
+  }
+
+  // A pinhole camera as JGHand writes it into camera.json; the canvas must have its proportions
+  lookThrough({ width, height, fx, fy, cx, cy, camera_from_world: m }) {
+    const { camera } = this;
+    this.fixed = true;
+    camera.view = null;
+    camera.projectionMatrix.set(
+      (2 * fx) / width, 0, 1 - (2 * cx) / width, 0,
+      0, (2 * fy) / height, (2 * cy) / height - 1, 0,
+      0, 0, -(FAR_M + NEAR_M) / (FAR_M - NEAR_M), (-2 * FAR_M * NEAR_M) / (FAR_M - NEAR_M),
+      0, 0, -1, 0,
+    );
+    camera.projectionMatrixInverse.copy(camera.projectionMatrix).invert();
+    camera.matrix.set(...m[0], ...m[1].map((x) => -x), ...m[2].map((x) => -x), ...m[3]).invert();
+    camera.matrix.decompose(camera.position, camera.quaternion, camera.scale);
+    camera.updateMatrixWorld(true);
+    this.ask();
+  }
+
+  // The hand was posed anew
+  changed() {
+    this.posed = true;
+    this.ask();
+  }
+
+  ask() {
+    this.asked ??= requestAnimationFrame((now) => this.draw(now));
+  }
+
+  draw(now) {
+    this.asked = undefined;
+    // pictures that pile up before a slow graphics card would only make it slower
+    if (!this.finished()) return this.ask();
+    const more = this.beforeDrawing(now);
+    if (!this.fixed) this.controls.update();
+    const eye = this.camera.position;
+    if (this.posed) this.splats.showPose();
+    if (this.posed || (this.hand.reflects && !this.eye?.equals(eye))) {
+      this.hand.shine(eye.toArray());
+      this.splats.showColours();
+      this.eye = eye.clone();
+    }
+    this.posed = false;
+    this.renderer.render(this.scene, this.camera);
+    const gl = this.renderer.getContext();
+    this.fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
+    gl.flush();
+    this.drawn = (this.drawn ?? 0) + 1;
+    if (more) {
+      this.ask();
+      this.watchSpeed(now);
+    } else this.last = undefined;
+  }
+
+  // Whether the last picture is on the screen
+  finished() {
+    if (!this.fence) return true;
+    const gl = this.renderer.getContext();
+    if (!gl.isContextLost() && gl.getSyncParameter(this.fence, gl.SYNC_STATUS) !== gl.SIGNALED) return false;
+    gl.deleteSync(this.fence);
+    this.fence = undefined;
+    return true;
+  }
+
+  // A machine that cannot keep up gets fewer pixels
+  watchSpeed(now) {
+    const took = now - (this.last ?? now);
+    this.last = now;
+    this.slow = took > SLOW_MS ? this.slow + 1 : Math.max(this.slow - 1, 0);
+    if (this.slow < SLOW_FRAMES || this.ratio <= 1 || this.fixed) return;
+    this.ratio = Math.max(1, this.ratio / 1.5);
+    this.slow = 0;
+    this.resize();
+  }
+
+  // Resolves when what is on the screen is sorted and nothing is left to be drawn
+  async settled() {
+    this.ask();
+    for (let calm = 0; calm < 3;) {
+      await new Promise((done) => setTimeout(done, 50));
+      const { spark } = this;
+      const busy = this.asked || spark.sorting || spark.sortDirty || spark.display !== spark.current || !spark.activeSplats;
+      calm = busy || !this.finished() ? 0 : calm + 1;
+    }
+  }
+}
