@@ -131,20 +131,25 @@ def same_hemisphere(quaternions: np.ndarray) -> np.ndarray:
     return np.concatenate([quaternions[:1], quaternions[1:] * turn])
 
 
-def skin_influences(bone_weights: np.ndarray, most: int = JOINT_COUNT) -> tuple[np.ndarray, np.ndarray]:
-    """Joint indices and weights (V, 2K) from bone weights (V, 21), level order; K = most bones of any vertex, at most
-    `most`.
+def skin_influences(
+    bone_weights: np.ndarray, *, most: int = JOINT_COUNT, fine: bool = True
+) -> tuple[np.ndarray, np.ndarray]:
+    """Joint indices and weights from bone weights (V, 21), level order; K = most bones of any vertex, at most `most`.
 
     What lies beyond that is shared out among the others, nothing else is dropped. The K shares of the skin leaves come
-    first, in falling order, then those of their fine twins.
+    first, in falling order, then those of their fine twins: (V, 2K). Without `fine` there are no twins: (V, K), and
+    the skin is as exact as half precision.
     """
-    count = min(most, max(1, int((bone_weights > 0).sum(axis=1).max(initial=0))))
-    bone = np.argsort(-bone_weights, axis=1, kind="stable")[:, :count]
+    has = bone_weights > 0
+    count = max(1, int(has.sum(axis=1).max(initial=0)))
+    bone = np.argsort(-bone_weights, axis=1, kind="stable")[:, : min(most, count)]
     weight = np.take_along_axis(bone_weights, bone, axis=1)
-    if count < (bone_weights > 0).sum(axis=1).max(initial=0):
+    if most < count:
         weight = weight / weight.sum(axis=1, keepdims=True)
     # unused slots point at the first joint: a weight of 0 on whatever joint means nothing
     skin = np.where(weight > 0, JOINT_COUNT + STANDARD_OF_LEVEL[bone], 0)
+    if not fine:
+        return skin, weight
     twin = np.where(weight > 0, skin + JOINT_COUNT, 0)
     return (
         np.concatenate([skin, twin], axis=1),

@@ -2,7 +2,8 @@
 the stand-in that is shown where splats are not.
 
 They are at rest, with a skin; the interface binds them to the skeleton of the rig. What training adds to a pose, and
-how Gaussians shrink and stretch, is in the splats and points of every frame alone. Prims:
+how Gaussians shrink and stretch, is in the splats and points of every frame alone. The joints' scales are halves, which
+moves a point by up to 0.04 mm. Prims:
 
     /Points   all of them, for variant points_skinned
     /Proxy    every tenth, larger, purpose proxy, for variant splats
@@ -58,7 +59,7 @@ def _add_points(stage: Usd.Stage, path: str, points: SkinnedCloud, step: int) ->
     # which of the splats it is: skinning tools may sort
     prim.CreateIdsAttr(ids(np.arange(len(cloud.sigma_m))[part]))
     display_primvars(prim.GetPrim(), cloud.rgb[part], cloud.opacity[part])
-    joints, weights = skin_influences(points.bone_weights[part].astype(np.float64), USD_SKIN_BONES)
+    joints, weights = skin_influences(points.bone_weights[part].astype(np.float64), most=USD_SKIN_BONES, fine=False)
     # not applied yet: alone, without a skeleton, these are points
     binding = UsdSkel.BindingAPI(prim)
     binding.CreateJointIndicesPrimvar(False, joints.shape[1]).Set(ints(joints))
