@@ -176,7 +176,9 @@ class PoseSequence:
         first = self.joints_m[before]
         joints = np.where(part == 0, first, poses_between(first, self.joints_m[after], part))
         filled = self.filled[before] | self.filled[after]
-        return dataclasses.replace(self, joints_m=joints, fps=fps, valid=np.isfinite(joints).all(axis=-1), filled=filled)
+        return dataclasses.replace(
+            self, joints_m=joints, fps=fps, valid=np.isfinite(joints).all(axis=-1), filled=filled
+        )
 
     def mirrored(self) -> PoseSequence:
         """The other hand doing the same: x is negated and the handedness changes."""

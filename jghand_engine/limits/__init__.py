@@ -10,10 +10,12 @@ from jghand_engine.limits.cli import *
 from jghand_engine.limits.colour import *
 from jghand_engine.limits.datasets import *
 from jghand_engine.limits.exporters import *
+from jghand_engine.limits.farm import *
 from jghand_engine.limits.hand import *
 from jghand_engine.limits.native import *
 from jghand_engine.limits.service import *
 from jghand_engine.limits.splat import *
 from jghand_engine.limits.studies import *
 from jghand_engine.limits.template import *
+from jghand_engine.limits.tracking import *
 from jghand_engine.limits.training import *

@@ -1,0 +1,228 @@
+"""`jghand track`: a video of hands becomes motion files."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import tyro
+
+from jghand_engine import limits
+from jghand_engine.cli.console import progress, say, write_json
+from jghand_engine.cli.options import AvatarOptions, File, ReportOptions
+from jghand_engine.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    import numpy as np
+
+    from jghand_engine.avatar.avatar import HandAvatar
+    from jghand_engine.hand.joints import Handedness
+    from jghand_engine.tracking.track import Sightings, TrackedHand, TrackOptions
+    from jghand_engine.tracking.video import ReadingNotes, Video
+
+DESCRIPTION = """Track the hands in a video: a motion file that `jghand render --motion` plays.
+
+Needs the extra track (pip install 'jghand[track]') and, once, --fetch-model. Nothing leaves this machine.
+
+Examples:
+  jghand track hand.mp4 --out motion.npz --fetch-model --proof side_by_side.mp4
+  jghand track both_hands.mp4 --out motion.npz          writes motion_right.npz and motion_left.npz
+  jghand track hand.mp4 --out motion.npz --side right --hand-length 0.19
+  jghand render --motion motion.npz --out pictures --video hand_again.mp4"""
+
+SUFFIXES = (".npz", ".json", ".csv")
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """How the motion is made of what was seen."""
+
+    hand_length: Annotated[float | None, tyro.conf.arg(metavar="METRES", help_behavior_hint="")] = None
+    """Length of the true hand, wrist to tip of the straight middle finger. Left out: the avatar's, as one camera cannot
+    tell a small hand from a far one."""
+    bones: Literal["avatar", "own"] = "avatar"
+    """Bones of the avatar, or those of the hand in the video, estimated."""
+    smoothing: Annotated[float, tyro.conf.arg(metavar="NUMBER")] = 1.0
+    """More is smoother, less is livelier, 0 takes every frame alone. It never lags: it looks ahead as far as back."""
+    camera_angle: Annotated[float, tyro.conf.arg(metavar="DEGREES")] = limits.CAMERA_ANGLE_DEG
+    """Angle of view across the longer edge of the picture; 60 to 70 of most telephones and webcams."""
+    in_place: bool = False
+    """Keep the wrist where it is. Else the hand moves as it did before the camera, which is the origin (y is up)."""
+    gaps: Literal["fill", "leave"] = "fill"
+    """Frames in which the hand was not seen: fill them in and mark them, or leave their joints missing."""
+
+
+@dataclass(frozen=True)
+class Track:
+    video: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="VIDEO")]
+    """A film that ffmpeg can read: MP4, MOV, MKV, WebM, AVI and so on."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE")]
+    """The motion: .npz, .json or .csv. Of two hands _right and _left are added to the name."""
+    side: Literal["auto", "right", "left", "both"] = "auto"
+    """Which hand is wanted. auto: every hand that is there."""
+    proof: File = None
+    """Also write a video of the input and the avatar side by side (.mp4)."""
+    fps: Annotated[float | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="")] = None
+    """Frames per second of the motion. Left out: the video's own, made even if they are not."""
+    most: Annotated[int | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="(default: all)")] = None
+    """Only so many frames from the start."""
+    model: File = None
+    """The networks that find a hand, a .task file; left out: those that were fetched."""
+    fetch_model: bool = False
+    """Fetch them with pip if they are not here yet (35 MB, once, MediaPipe's, Apache-2.0)."""
+    fit: FitOptions = field(default_factory=FitOptions)
+    avatar: AvatarOptions = field(default_factory=AvatarOptions)
+    report: ReportOptions = field(default_factory=ReportOptions)
+
+    def run(self) -> None:
+        from jghand_engine.avatar.builtin import load_avatar_called
+        from jghand_engine.datasets.motion_files import write_motion
+        from jghand_engine.tracking.track import track
+        from jghand_engine.tracking.video import ReadingNotes, open_video
+
+        options = self._checked()
+        video = open_video(self.video, self.fps)
+        avatar = load_avatar_called(self.avatar.avatar)
+        notes = ReadingNotes()
+        if video.uneven:
+            notes.sentences.append(
+                f"The times between the pictures of {self.video} vary: they were brought to an even rate of "
+                f"{video.fps:g} per second."
+            )
+        started = time.perf_counter()
+        sightings = self._look(video, notes)
+        seconds_looking = time.perf_counter() - started
+        hands = self._wanted(track(sightings, avatar.canonical_joints_m.numpy(), options))
+        seconds_fitting = time.perf_counter() - started - seconds_looking
+        files = {side: self._file(side, len(hands)) for side in hands}
+        for side, hand in hands.items():
+            write_motion(files[side], hand.sequence)
+        if self.proof is not None:
+            self._write_proof(video, sightings, hands, avatar, options)
+        for sentence in notes.sentences:
+            say(sentence)
+        for side, hand in hands.items():
+            say(_sentence(side, hand, files[side]))
+        say(f"Done in {time.perf_counter() - started:.1f} s" + (f": {self.proof}" if self.proof else "."))
+        if self.report.json is not None:
+            write_json(self.report.json, {
+                "command": "track", "video": str(self.video), "fps": video.fps, "frames": len(sightings.frames),
+                "size_px": [video.width, video.height], "notes": notes.sentences,
+                "seconds_looking": seconds_looking, "seconds_fitting": seconds_fitting,
+                "hands": [_figures(side, hand, files[side]) for side, hand in hands.items()],
+            })  # fmt: skip
+
+    def _checked(self) -> TrackOptions:
+        """The options of the fit. InputError for what can be refused before the work, their places included."""
+        from jghand_engine.exporters.video import ffmpeg_program
+        from jghand_engine.files import check_place
+        from jghand_engine.tracking.track import TrackOptions
+
+        if self.out.suffix.lower() not in SUFFIXES:
+            raise InputError(f"--out {self.out}", wanted=f"a name that ends in {' or '.join(SUFFIXES)}",
+                             came=repr(self.out.suffix))  # fmt: skip
+        if self.proof is not None and self.proof.suffix.lower() != ".mp4":
+            raise InputError(f"--proof {self.proof}", wanted="a name that ends in .mp4", came=repr(self.proof.suffix))
+        if self.most is not None and self.most < 1:
+            raise InputError("--most", wanted="1 or more", came=str(self.most))
+        ffmpeg_program()
+        fit = self.fit
+        options = TrackOptions(
+            fit.hand_length, fit.bones == "own", fit.smoothing, fit.camera_angle, fit.in_place, fit.gaps == "fill"
+        )
+        options.check()
+        for path in (self.out, *(() if self.proof is None else (self.proof,))):
+            check_place(path, overwrite=True)
+        return options
+
+    def _look(self, video: Video, notes: ReadingNotes) -> Sightings:
+        from jghand_engine.tracking.mediapipe_hands import MediaPipeHands
+        from jghand_engine.tracking.model_file import fetch_model
+        from jghand_engine.tracking.track import look
+        from jghand_engine.tracking.video import pictures
+
+        if self.fetch_model and self.model is None:
+            say(f"The networks that find a hand: {fetch_model()}")
+        total = video.frames if self.most is None else min(self.most, video.frames or self.most)
+        with MediaPipeHands(self.model) as detector, progress("Looking for hands", total or 1) as bar:
+            task = bar.task_ids[0]
+            return look(
+                pictures(video, notes, most=self.most),
+                video.fps,
+                detector,
+                lambda done: bar.update(task, completed=done, total=max(done, total or 0)),
+            )
+
+    def _wanted(self, hands: dict[Handedness, TrackedHand]) -> dict[Handedness, TrackedHand]:
+        if not hands:
+            raise InputError(
+                f"video {self.video}", wanted="a hand", came="none in any picture",
+                remedy="The hand should be large, well lit and not cut off by the edge.",
+            )  # fmt: skip
+        if self.side in ("auto", "both"):
+            if self.side == "both" and len(hands) < 2:
+                raise InputError(f"video {self.video}", wanted="both hands", came=f"the {next(iter(hands))} one alone")
+            return hands
+        chosen = {side: hand for side, hand in hands.items() if side == self.side}
+        if not chosen:
+            raise InputError(f"video {self.video}", wanted=f"a {self.side} hand", came=f"the {next(iter(hands))} alone",
+                             remedy="A film of a mirror shows the other hand: name the side that is seen.")  # fmt: skip
+        return chosen
+
+    def _file(self, side: Handedness, count: int) -> Path:
+        return self.out if count == 1 else self.out.with_name(f"{self.out.stem}_{side}{self.out.suffix}")
+
+    def _write_proof(
+        self,
+        video: Video,
+        sightings: Sightings,
+        hands: Mapping[Handedness, TrackedHand],
+        avatar: HandAvatar,
+        options: TrackOptions,
+    ) -> None:
+        from jghand_engine.exporters.video import write_video
+        from jghand_engine.tracking.proof import side_by_side
+        from jghand_engine.tracking.track import camera_of
+        from jghand_engine.tracking.video import pictures
+
+        assert self.proof is not None
+        count = len(sightings.frames)
+        pinhole = camera_of(sightings, options.camera_angle_deg)
+        frames = side_by_side(pictures(video, most=count), hands, pinhole, avatar)
+        with progress("Writing the proof", count) as bar:
+
+            def told() -> Iterator[np.ndarray]:
+                for frame in frames:
+                    yield frame
+                    bar.advance(bar.task_ids[0])
+
+            write_video(self.proof, told(), video.fps)
+
+
+def _sentence(side: Handedness, hand: TrackedHand, file: Path) -> str:
+    found, count = int(hand.seen.sum()), len(hand.seen)
+    missed = hand.sequence.filled.sum()
+    text = f"{side} hand: seen in {found} of {count} frames"
+    if missed:
+        text += f", {missed} filled and marked"
+    elif found < count:
+        text += f", {count - found} left without joints"
+    if hand.hand.relabelled:
+        text += f"; in {hand.hand.relabelled} it was taken for the other hand"
+    return f"{text}; jitter {hand.jitter_before_deg:.2f} to {hand.jitter_after_deg:.2f} degrees: {file}"
+
+
+def _figures(side: Handedness, hand: TrackedHand, file: Path) -> dict[str, Any]:
+    def number(value: float) -> float | None:
+        return None if value != value else value
+
+    return {
+        "hand": str(side), "file": str(file), "frames_seen": int(hand.seen.sum()),
+        "frames_filled": int(hand.sequence.filled.sum()), "frames_relabelled": hand.hand.relabelled,
+        "certainty": hand.hand.certainty, "jitter_before_deg": number(hand.jitter_before_deg),
+        "jitter_after_deg": number(hand.jitter_after_deg),
+    }  # fmt: skip

@@ -1,0 +1,91 @@
+"""Limits of tracking: motions out of videos."""
+
+from __future__ import annotations
+
+# ---- tracking: the video ---------------------------------------------------------------------------------------------
+# pictures larger than 8K are refused: a decoder takes several times their bytes before anything can be looked at
+VIDEO_PIXELS_MAX = 8192 * 4320
+VIDEO_EDGE_MAX_PX = 16384
+# edges below this show no hand
+VIDEO_EDGE_MIN_PX = 16
+# larger pictures are made smaller while they are read: the detector looks at hands of 224 pixels
+TRACK_EDGE_PX = 1920
+# longer videos are refused: half a kilobyte per frame and hand stays in memory, nine hours at 30 frames per second
+TRACK_FRAMES_MAX = 1_000_000
+# rates by which films and television miss a whole number, which players print rounded
+NTSC_RATES = (24000 / 1001, 30000 / 1001, 48000 / 1001, 60000 / 1001, 120000 / 1001)
+NTSC_RATE_TOLERANCE = 6e-3
+# rates beyond this are a time base, not a rate
+VIDEO_FPS_MAX = 1000.0
+# seconds after which looking at a video's header is given up
+VIDEO_PROBE_S = 60.0
+
+# ---- tracking: the detector ------------------------------------------------------------------------------------------
+# MediaPipe's own thresholds for finding a hand, for its presence and for following it
+DETECTION_MIN = 0.5
+PRESENCE_MIN = 0.5
+FOLLOWING_MIN = 0.5
+HANDS_MAX = 2
+# seconds after which fetching its networks, 35 MB, is given up
+FETCH_MODEL_S = 600.0
+
+# ---- tracking: which detection is which hand -------------------------------------------------------------------------
+# two detections nearer than this part of the hand's size are the same hand
+SAME_HAND_PART = 0.35
+# between frames a hand moves at most this part of its size per frame at 30 frames per second, else it is another one
+HAND_STEP_PART = 1.2
+# after so many seconds out of sight a hand's place says nothing any more
+HAND_LOST_S = 0.5
+# a hand that is seen in fewer frames (part of the video, and at least so many) is taken for a mistake
+HAND_SEEN_PART_MIN = 0.05
+HAND_SEEN_FRAMES_MIN = 3
+
+# ---- tracking: the fit (standard deviations; measured with scripts/check_tracking.py, docs/TRACKING.md) --------------
+# horizontal angle of view that is assumed of an unknown camera, degrees: a telephone's or webcam's
+CAMERA_ANGLE_DEG = 60.0
+# ... and what can be said of one
+CAMERA_ANGLES_DEG = (1.0, 150.0)
+# error of a landmark in the picture, part of the hand's length
+LANDMARK_SIGMA = 0.015
+# error of the direction of a bone in the detector's estimate in space, radians
+DIRECTION_SIGMA = 0.3
+# errors beyond this many standard deviations count less and less (Cauchy's loss)
+ROBUST_SIGMAS = 3.0
+# overstepping a joint's limit, radians
+LIMIT_SIGMA_RAD = 0.02
+# acceleration of joint angles and of the palm's turn, rad/s^2, and of the wrist, m/s^2, as white noise sampled at 30
+# frames per second: a finger closes in 0.4 s with a peak of 57 rad/s^2
+ANGLE_ACCELERATION = 25.0
+TURN_ACCELERATION = 25.0
+PLACE_ACCELERATION = 4.0
+# speeds, rad/s and m/s: they hold a long gap back from swinging beyond its ends
+ANGLE_SPEED = 8.0
+TURN_SPEED = 8.0
+PLACE_SPEED = 2.0
+SMOOTHING_FPS = 30.0
+# beyond this a motion is hardly one any more
+SMOOTHING_MAX = 100.0
+# pull of an angle to its rest, radians: only for what no picture shows
+REST_SIGMA_RAD = 1.2
+# Gauss-Newton steps; the steps end when the cost falls by less than this part
+FIT_STEPS = 30
+FIT_TOLERANCE = 1e-5
+FIT_DAMPING = 1e-3
+# proportions of the hand that is seen: how far a bone's length differs from the start's, relative; frames that are
+# looked at, as many of them as count as independent, and rounds of fitting poses and lengths in turn
+OWN_HAND_SIGMA = 0.05
+OWN_HAND_FRAMES = 200
+OWN_HAND_PICTURES = 30
+OWN_HAND_ROUNDS = 5
+# frames that are fitted together, and how many more on both sides so that the seam is not felt
+FIT_WINDOW_FRAMES = 900
+FIT_MARGIN_FRAMES = 60
+
+# ---- tracking: the proof ---------------------------------------------------------------------------------------------
+# longer edge of each half of the side-by-side video
+PROOF_EDGE_PX = 640
+
+# ---- tracking: judging -----------------------------------------------------------------------------------------------
+# how far a lag is looked for, seconds, and in which steps
+LAG_MAX_S = 0.25
+LAG_STEP_S = 0.001

@@ -1,0 +1,148 @@
+"""From hands in single pictures to hands over time: at most one right and one left.
+
+A detector may take a hand for the other one now and then, or find one hand twice. What moves on from where it was is
+the same hand, and which hand that is, all of its frames decide together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from jghand_engine import limits
+from jghand_engine.hand.joints import LEVEL_NAMES, Handedness
+from jghand_engine.hand.sequence import bone_directions
+from jghand_engine.tracking.detection import SeenHand
+
+Detections = Sequence[Sequence[SeenHand]]
+_WRIST, _INDEX, _MIDDLE, _PINKY = (LEVEL_NAMES.index(name) for name in ("wrist", "index1", "middle1", "pinky1"))
+
+
+@dataclass
+class _Trail:
+    """One hand from where it appears to where it is lost."""
+
+    frames: list[int] = field(default_factory=list)
+    hands: list[SeenHand] = field(default_factory=list)
+
+    def add(self, frame: int, hand: SeenHand) -> None:
+        self.frames.append(frame)
+        self.hands.append(hand)
+
+    @property
+    def rightness(self) -> float:
+        """From -1, surely a left hand, to 1, surely a right one: labels and shape, over all frames."""
+        return float(np.mean([_label(hand) + shape_rightness(hand.space_m) for hand in self.hands]) / 2)
+
+
+@dataclass(frozen=True)
+class HandOverTime:
+    """frames: for each picture the hand in it, None where it was not seen · certainty: 0..1, of which hand it is ·
+    relabelled: in how many pictures the detector had taken it for the other one."""
+
+    handedness: Handedness
+    frames: tuple[SeenHand | None, ...]
+    certainty: float
+    relabelled: int
+
+    @property
+    def seen(self) -> np.ndarray:
+        """(F,) bool."""
+        return np.array([hand is not None for hand in self.frames])
+
+
+def hands_over_time(detections: Detections, fps: float) -> dict[Handedness, HandOverTime]:
+    """Who is who. Hands that are hardly ever seen are left out; so an empty dictionary is possible."""
+    trails = sorted(_trails(detections, fps), key=lambda trail: -len(trail.frames))
+    chosen: dict[Handedness, list[_Trail]] = {Handedness.RIGHT: [], Handedness.LEFT: []}
+    for trail in trails:
+        hand = Handedness.RIGHT if trail.rightness >= 0 else Handedness.LEFT
+        chosen[hand].append(trail)
+    count = len(detections)
+    least = max(limits.HAND_SEEN_FRAMES_MIN, limits.HAND_SEEN_PART_MIN * count)
+    found = {hand: _joined(hand, own, count) for hand, own in chosen.items() if own}
+    return {hand: over for hand, over in found.items() if over.seen.sum() >= min(least, count)}
+
+
+def shape_rightness(space_m: np.ndarray) -> float:
+    """From -1 to 1: finger joints bend towards the palm, and which side that is tells the hand; 0: straight ones.
+
+    space_m: (21, 3) level order, any right-handed axes.
+    """
+    along = space_m[_MIDDLE] - space_m[_WRIST]
+    palm = np.cross(space_m[_INDEX] - space_m[_PINKY], along)
+    axis = np.cross(along, palm)
+    directions = bone_directions(space_m[None])[0].reshape(4, 5, 3)[:, 1:]
+    # second and third joints of four fingers: they hardly bend backwards
+    bends = np.cross(directions[1:3], directions[2:4]) @ axis / max(float(np.linalg.norm(axis)), 1e-12)
+    return float(np.clip(bends.sum() / 2, -1, 1))
+
+
+def _label(hand: SeenHand) -> float:
+    return hand.score if hand.handedness is Handedness.RIGHT else -hand.score
+
+
+def _trails(detections: Detections, fps: float) -> list[_Trail]:
+    """Each trail goes on to the nearest detection that it can have reached."""
+    done: list[_Trail] = []
+    open_trails: list[_Trail] = []
+    for frame, found in enumerate(detections):
+        lost = [trail for trail in open_trails if frame - trail.frames[-1] > limits.HAND_LOST_S * fps + 1]
+        open_trails = [trail for trail in open_trails if trail not in lost]
+        done += lost
+        pairs = []
+        hands = _distinct(found)
+        for trail in open_trails:
+            for place, hand in enumerate(hands):
+                distance = _distance(trail.hands[-1], hand)
+                steps = (frame - trail.frames[-1]) * max(1.0, limits.SMOOTHING_FPS / fps)
+                if distance <= limits.HAND_STEP_PART * steps:
+                    pairs.append((distance, id(trail), trail, place))
+        taken: set[int] = set()
+        going_on: set[int] = set()
+        for _, key, trail, place in sorted(pairs, key=lambda pair: pair[:2]):
+            if key not in going_on and place not in taken:
+                trail.add(frame, hands[place])
+                going_on.add(key)
+                taken.add(place)
+        for place, hand in enumerate(hands):
+            if place not in taken:
+                trail = _Trail()
+                trail.add(frame, hand)
+                open_trails.append(trail)
+    return done + open_trails
+
+
+def _distance(first: SeenHand, second: SeenHand) -> float:
+    """Between two hands, in parts of their size."""
+    size = max(first.size_px, second.size_px, 1e-6)
+    return float(np.linalg.norm(first.middle_px - second.middle_px)) / size
+
+
+def _distinct(found: Sequence[SeenHand]) -> list[SeenHand]:
+    """Without detections that lie on another, surer one."""
+    kept: list[SeenHand] = []
+    for hand in sorted(found, key=lambda hand: -hand.score):
+        if all(_distance(hand, other) > limits.SAME_HAND_PART for other in kept):
+            kept.append(hand)
+    return kept
+
+
+def _joined(handedness: Handedness, trails: list[_Trail], count: int) -> HandOverTime:
+    """The longest trail first; a picture belongs to the first that has it."""
+    frames: list[SeenHand | None] = [None] * count
+    used = []
+    for trail in trails:
+        free = [(frame, hand) for frame, hand in zip(trail.frames, trail.hands, strict=True) if frames[frame] is None]
+        # a second hand of the same kind at the same time is another person's
+        if len(free) < len(trail.frames):
+            continue
+        for frame, hand in free:
+            frames[frame] = hand
+        used.append(trail)
+    shown = [hand for hand in frames if hand is not None]
+    certainty = float(np.average([abs(trail.rightness) for trail in used], weights=[len(t.frames) for t in used]))
+    relabelled = sum(hand.handedness is not handedness for hand in shown)
+    return HandOverTime(handedness, tuple(frames), certainty, relabelled)
