@@ -337,9 +337,7 @@ def iwer_recording(sequence: PoseSequence) -> dict:
         ray = Rotation.from_rotvec([0.3, 0.1 * number, -0.2])
         place = joints[0] + 0.05
         local = ray.inv().apply(joints - place)
-        hand = [
-            value for point in local.tolist() for value in (*(round(x, 3) for x in point), 0.0, 0.0, 0.0, 1.0, 0.01)
-        ]
+        numbers = [value for point in local.tolist() for value in (*(round(x, 3) for x in point), 0, 0, 0, 1, 0.01)]
         controller = [0, 0, 0, 0, 0, 0, 0, 1, [0] * 7, [[0, 0, 0], 0]]
         source = [1, *place.tolist(), *ray.as_quat().tolist(), [0] * 7, numbers]
         frames.append([1000 * number / sequence.fps, 0, 1.7, 0, 0, 0, 0, 1, controller, source])

@@ -26,10 +26,13 @@ from jghand_engine.cli import (
     evaluate,
     export,
     info,
+    motion,
     render,
     serve,
     study,
+    track,
     train,
+    train_many,
 )
 from jghand_engine.cli.console import say, say_error
 from jghand_engine.cli.failures import explain
@@ -49,10 +52,13 @@ VERBS = {
     "render": (render.Render, render.DESCRIPTION),
     "export": (export.Export, export.DESCRIPTION),
     "info": (info.Info, info.DESCRIPTION),
+    "motion": (motion.Motion, motion.DESCRIPTION),
     "check-data": (check_data.CheckData, check_data.DESCRIPTION),
     "check-usd": (check_usd.CheckUsd, check_usd.DESCRIPTION),
+    "track": (track.Track, track.DESCRIPTION),
     "capture": (capture.Capture, capture.DESCRIPTION),
     "train": (train.Train, train.DESCRIPTION),
+    "train-many": (train_many.TrainMany, train_many.DESCRIPTION),
     "evaluate": (evaluate.Evaluate, evaluate.DESCRIPTION),
     "bake": (bake.Bake, bake.DESCRIPTION),
     "ablate": (ablate.Ablate, ablate.DESCRIPTION),

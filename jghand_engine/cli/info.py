@@ -23,12 +23,13 @@ DESCRIPTION = """Say what is inside an avatar, a motion, a USD or a splat file, 
 Examples:
   jghand info hand.jghand
   jghand info builtin
-  jghand info capture.npy --order mediapipe --hand right
+  jghand info capture.npy --hand right
+  jghand info dance.bvh --hand left
   jghand info demo_output/usd/hand.usda
   jghand info hand.0000.ply"""
 
 FINDINGS = "what_is_wrong"
-MOTION_SUFFIXES = (".npz", ".npy", ".json", ".csv")
+MOTION_SUFFIXES = (".npz", ".npy", ".json", ".csv", ".bvh", ".gltf")
 USD_SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")
 SPLAT_SUFFIXES = (".ply", ".splat", ".glb", ".spz")
 
@@ -36,8 +37,8 @@ SPLAT_SUFFIXES = (".ply", ".splat", ".glb", ".spz")
 @dataclass(frozen=True)
 class Info:
     file: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
-    """A .jghand avatar (or the word builtin or painted), a motion (.npz, .npy, .json, .csv), a USD file, or
-    a splat file (.ply, .splat, .glb, .spz)."""
+    """A .jghand avatar (or the word builtin or painted), a motion (docs/MOTION.md), a USD file, or a splat file (.ply,
+    .splat, .glb, .spz)."""
     format: FormatOptions = field(default_factory=FormatOptions)
     report: ReportOptions = field(default_factory=ReportOptions)
 
@@ -61,7 +62,7 @@ class Info:
         suffix = path.suffix.lower()
         if suffix == ".jghand":
             facts = avatar_facts(self.file)
-        elif suffix in MOTION_SUFFIXES:
+        elif suffix in MOTION_SUFFIXES or (suffix == ".glb" and not _has_splats(path)):
             facts = motion_facts(path, self.format)
         elif suffix in USD_SUFFIXES:
             facts = usd_facts(path)
@@ -72,6 +73,12 @@ class Info:
             raise InputError(f"{path}", wanted=f"a file of the kind {wanted}", came=suffix or "no suffix")
         about = path.stat()
         return {**facts, "bytes": about.st_size, "written": time.strftime("%Y-%m-%d", time.localtime(about.st_mtime))}
+
+
+def _has_splats(path: Path) -> bool:
+    """Whether a .glb holds Gaussians, by the names in its description; else it may hold a skeleton that moves."""
+    with path.open("rb") as stream:
+        return b"KHR_gaussian_splatting" in stream.read(1 << 16)
 
 
 def _text(value: Any) -> str:
@@ -147,13 +154,15 @@ def motion_facts(path: Path, options: FormatOptions) -> dict[str, Any]:
     """What a motion is: length, hand, gaps, and how much its bones wobble."""
     import numpy as np
 
-    from jghand_engine.cli.inputs import read_sequence
+    from jghand_engine.cli.inputs import read_file
     from jghand_engine.hand.orders import hand_length
 
-    sequence = read_sequence(path, options)
+    read = read_file(path, options)
+    sequence = read.sequence
     lengths_m = sequence.bone_lengths_m
     return {
         "kind": "motion",
+        "format": read.kind,
         "hand": str(sequence.handedness),
         "frames": len(sequence),
         "fps": sequence.fps,
@@ -161,6 +170,7 @@ def motion_facts(path: Path, options: FormatOptions) -> dict[str, Any]:
         "frames_with_missing_joints": len(sequence.gaps.frames),
         "hand_length_mm": 1e3 * hand_length(sequence.joints_m),
         "bone_length_wobble_mm": 1e3 * float(np.nanmax(np.nanstd(lengths_m, axis=0))),
+        "notes": list(read.notes),
     }
 
 

@@ -7,8 +7,11 @@ from pathlib import Path
 
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.cli.console import say
 from jghand_engine.cli.options import FormatOptions, MotionOptions, pose_list
-from jghand_engine.datasets.motion_files import MotionFormat, read_motion
+from jghand_engine.datasets.motion_files import MotionFormat
+from jghand_engine.datasets.motion_tools import fill_gaps
+from jghand_engine.datasets.motions.read import MotionRead, read_motion_file
 from jghand_engine.errors import InputError
 from jghand_engine.hand.anatomy import MotionOptions as PoseMotionOptions
 from jghand_engine.hand.anatomy import pose_sequence_of_names
@@ -33,18 +36,19 @@ def load_motion(options: MotionOptions, avatar: HandAvatar) -> Motion:
     """
     if (options.motion is None) == (options.poses is None):
         raise InputError("motion", wanted="either --motion FILE or --poses NAME,NAME,…", came="both or none")
+    notes: list[str] = []
     if options.motion is not None:
-        sequence, source = read_sequence(options.motion, options.format), str(options.motion)
+        read, source = read_file(options.motion, options.format), str(options.motion)
+        sequence, notes = read.sequence, list(read.notes)
     else:
         sequence, source = _from_names(str(options.poses), options.format, avatar), f"poses {options.poses}"
     part = options.frame_slice()
     shown = sequence.section(part.start, part.stop, part.step)
-    notes = []
+    if shown.gaps and options.on_missing == "stop":
+        shown.without_gaps()
+    sequence, said = without_gaps(sequence, hold=options.on_missing == "hold")
     if shown.gaps:
-        if options.on_missing == "stop":
-            shown.without_gaps()
-        notes.append(f"{sequence.gaps.sentence()}: the last whole pose was held.")
-    sequence = sequence.with_gaps_held()
+        notes.append(said)
     if not options.keep_bone_lengths:
         wobble_m = sequence.bone_lengths_m.std(0).max()
         if wobble_m > 1e-4:
@@ -56,13 +60,39 @@ def load_motion(options: MotionOptions, avatar: HandAvatar) -> Motion:
     return Motion(sequence.section(part.start, part.stop, part.step), source, notes)
 
 
+def without_gaps(sequence: PoseSequence, *, hold: bool) -> tuple[PoseSequence, str]:
+    """The motion whose missing joints are filled, or whose frames with gaps hold the last whole pose, and a sentence.
+
+    Raises InputError when there is too little to go by.
+    """
+    if hold:
+        said = f"{sequence.gaps.sentence()}: the last whole pose was held." if sequence.gaps else ""
+        return sequence.with_gaps_held(), said
+    filled = fill_gaps(sequence)
+    return filled.sequence, filled.sentence()
+
+
+def read_file(path: Path, options: FormatOptions) -> MotionRead:
+    """The motion of a file, as it is, and what was recognised on the way. Raises InputError."""
+    wanted = MotionFormat(
+        order=None if options.order is None else JointOrder(options.order),
+        unit=options.unit,
+        handedness=None if options.hand is None else Handedness(options.hand),
+        fps=options.checked_fps(),
+        check_hand=not options.any_proportions,
+        part=options.part,
+        mirrored_labels=None if options.labels == "auto" else options.labels == "mirrored",
+        hand_length_m=None if options.hand_length is None else 1e-3 * options.hand_length,
+    )
+    return read_motion_file(path, wanted)
+
+
 def read_sequence(path: Path, options: FormatOptions) -> PoseSequence:
-    """The motion of a file, as it is. Raises InputError."""
-    # a plain array declares nothing; metres may be assumed because another unit does not pass as a hand
-    unit = options.unit or ("m" if path.suffix.lower() == ".npy" else None)
-    order = None if options.order is None else JointOrder(options.order)
-    hand = None if options.hand is None else Handedness(options.hand)
-    return read_motion(path, MotionFormat(order, unit, hand, options.checked_fps(), not options.any_proportions))
+    """The motion of a file, as it is; what was recognised on the way is said. Raises InputError."""
+    read = read_file(path, options)
+    for note in read.notes:
+        say(note)
+    return read.sequence
 
 
 def _from_names(names: str, options: FormatOptions, avatar: HandAvatar) -> PoseSequence:

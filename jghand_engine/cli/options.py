@@ -40,18 +40,25 @@ class ReportOptions:
 
 @dataclass(frozen=True)
 class FormatOptions:
-    """How a motion file is to be read. What the file says itself may be left out; a .npy says nothing."""
+    """How a motion file is to be read. What the file says itself may be left out."""
 
     order: Annotated[OrderName | None, tyro.conf.arg(help_behavior_hint="")] = None
-    """How the file lists the joints. standard, openpose, mediapipe and mano21 are the same."""
+    """How the file lists the joints; else it is recognised by the bones. standard, openpose, mediapipe and mano21 are
+    the same."""
     unit: Annotated[UnitName | None, tyro.conf.arg(help_behavior_hint="")] = None
-    """Length unit of the file. A .npy is taken for metres."""
+    """Length unit of the file; else it is recognised by the size of the hand."""
     hand: Annotated[HandName | None, tyro.conf.arg(help_behavior_hint="")] = None
     """Which hand it is. Never guessed: joints alone do not tell."""
     fps: Annotated[float | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="")] = None
-    """Frames per second. Left out: 30."""
+    """Frames per second of the file. Left out: what the file says, else 30."""
     any_proportions: bool = False
     """Take joints whose bone lengths are no hand's, such as a cartoon's: a wrong order or unit is not noticed then."""
+    part: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
+    """Which of several skeletons, animations, people or captures of a file: a part of its name."""
+    labels: Literal["auto", "true", "mirrored"] = "auto"
+    """Whether a detector's "Left" and "Right" are true or those of a mirrored picture. auto: as is usual there."""
+    hand_length: Annotated[float | None, tyro.conf.arg(metavar="MM", help_behavior_hint="")] = None
+    """Scale the hand to this length, wrist to the middle finger's tip, whatever the unit of the file is."""
 
     def checked_fps(self) -> float | None:
         """`fps`. InputError when no motion can have it (NaN included)."""
@@ -66,7 +73,8 @@ class MotionOptions:
     """Which hand does what."""
 
     motion: File = None
-    """Joint positions over time: .npz, .npy, .json or .csv, 21 joints per frame."""
+    """A motion: joints of OpenPose, MediaPipe, FreeMoCap, headsets, InterHand; BVH, glTF, USD; or JGHand's own
+    .npz, .npy, .json, .csv (docs/MOTION.md)."""
     poses: Annotated[str | None, tyro.conf.arg(metavar="NAME,NAME,…", help_behavior_hint="")] = None
     """Instead of a file: poses by name, with smooth ways between them, such as open,fist,point."""
     format: FormatOptions = field(default_factory=FormatOptions)
@@ -74,8 +82,9 @@ class MotionOptions:
     """Only these frames, counted from 0, the last one included; FIRST-LAST is the same."""
     keep_bone_lengths: bool = False
     """Follow the bone lengths of every frame. Else each bone keeps its median, as estimates wobble and would pulse."""
-    on_missing: Literal["hold", "stop"] = "hold"
-    """A frame without some joint (NaN): hold the last whole pose and say how often, or stop with an error."""
+    on_missing: Literal["fill", "hold", "stop"] = "fill"
+    """A frame without some joint: turn the bones evenly from before to after and say how often, hold the last whole
+    pose, or stop with an error."""
 
     def frame_slice(self) -> slice:
         """`frames` as a slice. Raises InputError."""

@@ -11,6 +11,7 @@ import pytest
 
 from jghand_engine.avatar.builtin import ASSETS, load_painted
 from jghand_engine.cli import main
+from jghand_engine.exporters.pictures import read_png
 from jghand_engine.hand.anatomy import MotionOptions, pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, from_level
@@ -59,15 +60,24 @@ def render(tmp_path, command):
 def test_joints_that_are_missing_are_held_and_counted(joints, render, capsys):
     gappy = joints.copy()
     gappy[4:6, 9] = np.nan
-    code, _, out = render(gappy, "--frames", "0:7")
+    code, _, out = render(gappy, "--frames", "0:7", "--on-missing", "hold")
     assert code == 0
     assert len(list(out.glob("frame_*.png"))) == 8
-    pictures = [(out / f"frame_{index:05d}.png").read_bytes() for index in range(8)]
+    pictures = [read_png(out / f"frame_{index:05d}.png").tobytes() for index in range(8)]
     assert pictures[3] == pictures[4] == pictures[5], "the last whole pose"
     assert pictures[6] != pictures[5]
 
 
-def test_held_frames_are_told(joints, tmp_path, capsys):
+def test_joints_that_are_missing_are_filled_unless_asked_otherwise(joints, render):
+    gappy = joints.copy()
+    gappy[4:6, 9] = np.nan
+    code, _, out = render(gappy, "--frames", "0:7")
+    assert code == 0
+    pictures = [read_png(out / f"frame_{index:05d}.png").tobytes() for index in range(3, 7)]
+    assert len(set(pictures)) == 4, "the hand moves on through the gap"
+
+
+def test_filled_frames_are_told(joints, tmp_path, capsys):
     gappy = joints.copy()
     gappy[4:6, 9] = np.nan
     np.save(tmp_path / "motion.npy", gappy)
@@ -96,11 +106,17 @@ def test_another_number_of_joints_is_named(joints, render, count, said):
 
 
 def test_millimetres_given_as_metres_are_recognised(joints, render):
-    code, err, out = render(joints * 1000)
+    code, err, out = render(joints * 1000, "--unit", "m")
     assert code == 2
     assert "looks like millimetres" in err
     assert not out.exists()
     assert render(joints * 1000, "--unit", "mm", "--frames", "0")[0] == 0
+
+
+def test_a_unit_that_nobody_said_is_recognised_and_told(joints, render, tmp_path):
+    figures = tmp_path / "figures.json"
+    assert render(joints * 1000, "--frames", "0", "--json", figures)[0] == 0
+    assert "millimetres; --unit says otherwise" in json.loads(figures.read_text())["notes"][0]
 
 
 def test_a_wrong_order_is_recognised_and_the_right_one_named(joints, render):

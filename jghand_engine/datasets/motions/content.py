@@ -39,12 +39,13 @@ class MotionContent:
     """A motion file as it is.
 
     kind:            the format, for people
-    tracks:          its hands; all of the same number of frames
+    tracks:          its hands
     metres_per_unit: None where neither the file nor its format says it
     declared_unit:   whether the file itself says the unit, so that another one is a contradiction
     fps, times_s:    frames per second, or the times (F,) of the frames; None where the file does not say
     notes:           sentences about what was read, and how
     filled:          (F,) bool, frames that nobody measured; None: none
+    is_plain:        JGHand's own formats and plain arrays, whose defaults (metres, 30 fps) are documented
     """
 
     kind: str
@@ -55,3 +56,4 @@ class MotionContent:
     times_s: np.ndarray | None = None
     notes: tuple[str, ...] = ()
     filled: np.ndarray | None = None
+    is_plain: bool = False

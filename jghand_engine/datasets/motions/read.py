@@ -158,6 +158,7 @@ def _own(file: Path, kind: Kind) -> MotionContent:
         unit is not None,
         fps,
         filled=motion_files.filled_frames(file, content),
+        is_plain=True,
     )
 
 
@@ -246,7 +247,8 @@ def _metres(file: Path, content: MotionContent, level: np.ndarray, wanted: Motio
     if wanted.hand_length_m is not None:
         return 1.0, []
     metres, said = recognised_unit(level, str(file))
-    return metres, [said]
+    # plain arrays are documented to be metres
+    return metres, [] if content.is_plain and metres == 1.0 else [said]
 
 
 def _evenly(
@@ -264,7 +266,7 @@ def _evenly(
         return again, fps, [f"Its frames do not come evenly: they were taken anew at {fps:.4g} frames per second."]
     if content.fps is not None:
         return level_m, content.fps, []
-    if len(level_m) == 1:
+    if len(level_m) == 1 or content.is_plain:
         return level_m, limits.DEFAULT_FPS, []
     return level_m, limits.DEFAULT_FPS, [
         f"It does not say its frames per second: {limits.DEFAULT_FPS:g} are taken; --fps says otherwise."

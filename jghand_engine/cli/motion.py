@@ -1,0 +1,113 @@
+"""`jghand motion`: a motion file of any program as one of JGHand's, cut, at another rate, or mirrored."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import tyro
+
+from jghand_engine import limits
+from jghand_engine.cli.console import progress, say, write_json
+from jghand_engine.cli.options import FormatOptions, ReportOptions
+from jghand_engine.errors import InputError
+from jghand_engine.files import check_place
+
+if TYPE_CHECKING:
+    from jghand_engine.hand.sequence import PoseSequence
+
+DESCRIPTION = """Convert a motion of another program: OpenPose, MediaPipe, FreeMoCap, headsets, BVH, glTF, USD.
+
+Examples:
+  jghand motion dance.bvh --hand left --out left.npz
+  jghand motion openpose_folder --out motion.npz --to-fps 24 --start 1.5 --end 4
+  jghand motion capture.npy --unit mm --order interhand --hand right --mirror --out left.npz
+  jghand motion walk.glb --hand right --in-place --hand-length 185 --out right.npz"""
+
+SECONDS = tyro.conf.arg(metavar="SECONDS", help_behavior_hint="")
+SUFFIXES = (".npz", ".json", ".csv")
+
+
+@dataclass(frozen=True)
+class Motion:
+    file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
+    """A motion file, a folder of OpenPose's frames, or a recording of FreeMoCap. docs/MOTION.md has the formats."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FILE")]
+    """.npz, .json or .csv: 21 joints, metres, everything declared."""
+    start: Annotated[float | None, SECONDS] = None
+    """Cut off what is before, seconds from the beginning of the file."""
+    end: Annotated[float | None, SECONDS] = None
+    """Cut off what is after."""
+    to_fps: Annotated[float | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="")] = None
+    """Take the motion at another rate: bones turn from frame to frame and keep their lengths."""
+    mirror: bool = False
+    """Make it the other hand's."""
+    in_place: bool = False
+    """Keep the wrist where it first is: the hand turns and moves its fingers on the spot."""
+    constant_bones: bool = False
+    """Give every bone its median length: estimates wobble."""
+    on_missing: Literal["fill", "hold", "keep", "stop"] = "fill"
+    """A frame without some joint: turn the bones evenly from before to after, hold the last whole pose, leave the gap,
+    or stop with an error."""
+    overwrite: bool = False
+    """Replace a file that is there."""
+    format: FormatOptions = field(default_factory=FormatOptions)
+    report: ReportOptions = field(default_factory=ReportOptions)
+
+    def run(self) -> None:
+        from jghand_engine.cli.inputs import read_file
+        from jghand_engine.datasets.motion_files import write_motion
+        from jghand_engine.hand.orders import hand_length
+
+        self._check()
+        with progress("Reading the motion", 3) as bar:
+            read = read_file(self.file, self.format)
+            bar.advance(bar.task_ids[0])
+            sequence, gaps = self._changed(read.sequence)
+            bar.advance(bar.task_ids[0])
+            write_motion(self.out, sequence)
+            bar.advance(bar.task_ids[0])
+        notes = [*read.notes, *([gaps] if gaps else [])]
+        for note in notes:
+            say(note)
+        length_mm = 1e3 * hand_length(sequence.joints_m)
+        say(
+            f"Wrote {self.out} from {read.kind}: {sequence.handedness} hand of {length_mm:.0f} mm, {len(sequence)} "
+            f"frames at {sequence.fps:g} fps ({sequence.duration_s:.1f} s)"
+        )
+        if self.report.json is not None:
+            write_json(self.report.json, {
+                "command": "motion", "file": str(self.file), "out": str(self.out), "format": read.kind, "notes": notes,
+                "hand": str(sequence.handedness), "frames": len(sequence), "fps": sequence.fps,
+                "seconds": sequence.duration_s, "filled_frames": int(sequence.filled.sum()),
+                "frames_with_missing_joints": len(sequence.gaps.frames), "hand_length_mm": length_mm,
+            })  # fmt: skip
+
+    def _check(self) -> None:
+        """What can be refused before the file is read. Raises InputError."""
+        if self.out.suffix.lower() not in SUFFIXES:
+            raise InputError(f"--out {self.out}", wanted=f"one of {', '.join(SUFFIXES)}", came=repr(self.out.suffix))
+        if self.to_fps is not None and not limits.FPS_MIN <= self.to_fps <= limits.FPS_MAX:
+            wanted = f"{limits.FPS_MIN:g} to {limits.FPS_MAX:g} frames per second"
+            raise InputError("--to-fps", wanted=wanted, came=f"{self.to_fps:g}")
+        check_place(self.out, overwrite=self.overwrite)
+
+    def _changed(self, sequence: PoseSequence) -> tuple[PoseSequence, str]:
+        """The motion as the options want it, and a sentence about its gaps. The whole is repaired before it is cut."""
+        from jghand_engine.cli.inputs import without_gaps
+        from jghand_engine.datasets.motion_tools import cut, in_place
+
+        said = ""
+        if self.on_missing == "stop":
+            sequence.without_gaps()
+        elif self.on_missing != "keep":
+            sequence, said = without_gaps(sequence, hold=self.on_missing == "hold")
+        if self.constant_bones:
+            sequence = sequence.with_constant_bone_lengths()
+        sequence = cut(sequence, self.start, self.end)
+        if self.to_fps is not None:
+            sequence = sequence.resampled(self.to_fps)
+        if self.in_place:
+            sequence = in_place(sequence)
+        return (sequence.mirrored() if self.mirror else sequence), said

@@ -1,0 +1,380 @@
+"""Files of other programs, written by their published layouts, come back with the joints they were written from."""
+
+from __future__ import annotations
+
+import json
+
+import motion_samples as samples
+import numpy as np
+import pytest
+
+from jghand_engine.datasets.motion_files import MotionFormat
+from jghand_engine.datasets.motions.read import read_motion_file
+from jghand_engine.errors import InputError
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.orders import JointOrder, bone_lengths
+from jghand_engine.hand.sequence import PoseSequence
+
+RIGHT, LEFT = Handedness.RIGHT, Handedness.LEFT
+# largest distance of a joint, metres: worst seen 3e-8 for six digits of centimetres and degrees, 9e-8 for single
+# precision; a whole double is the joint itself
+TEXT_M, SINGLE_M, EXACT_M = 5e-8, 2e-7, 1e-15
+
+
+@pytest.fixture(scope="module")
+def motion():
+    return samples.motion()
+
+
+def distance(read, motion):
+    assert len(read.sequence) == len(motion)
+    assert read.sequence.handedness is motion.handedness
+    return np.abs(read.sequence.joints_m - motion.joints_m).max()
+
+
+def dumped(path, content):
+    path.write_text(json.dumps(content))
+    return path
+
+
+# ---- skeletons -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("order", ["ZXY", "XYZ", "ZYX", "YXZ", "YZX", "XZY"])
+def test_bvh_turns_in_the_order_of_its_channels(tmp_path, motion, order):
+    samples.write_bvh(tmp_path / "a.bvh", samples.rig(motion, scale=100), order)
+    read = read_motion_file(tmp_path / "a.bvh")
+    assert distance(read, motion) < TEXT_M
+    assert read.sequence.fps == 30.0
+    assert any("centimetres" in note and "--unit" in note for note in read.notes)
+    assert any("Mixamo" in note for note in read.notes)
+
+
+def test_the_end_site_of_bvh_is_the_tip(tmp_path, motion):
+    samples.write_bvh(tmp_path / "a.bvh", samples.rig(motion, samples.MIXAMO, 100))
+    assert distance(read_motion_file(tmp_path / "a.bvh"), motion) < TEXT_M
+
+
+def test_positions_of_every_joint_take_the_place_of_offsets(tmp_path, motion):
+    samples.write_bvh(tmp_path / "a.bvh", samples.rig(motion, scale=100), all_positions=True)
+    assert distance(read_motion_file(tmp_path / "a.bvh"), motion) < TEXT_M
+
+
+def test_positions_around_zero_are_added_to_offsets(tmp_path, motion):
+    path = tmp_path / "a.bvh"
+    rig = samples.rig(motion, scale=100)
+    samples.write_bvh(path, rig, all_positions=True)
+    header, frames = path.read_text().split("Frame Time:")
+    lines = frames.splitlines()
+    rows = np.array([[float(x) for x in line.split()] for line in lines[1:]])
+    for place in range(1, 21):
+        first = 6 + 6 * _written(rig).index(place)
+        rows[:, first : first + 3] = 0.0
+    body = "\n".join(" ".join(f"{x:.6f}" for x in row) for row in rows)
+    path.write_text(f"{header}Frame Time:{lines[0]}\n{body}\n")
+    read = read_motion_file(path)
+    assert distance(read, motion) < TEXT_M
+    assert any("added to the offsets" in note for note in read.notes)
+
+
+def _written(rig):
+    """Joints in the order in which BVH lists them: depth first."""
+    order = []
+
+    def visit(place):
+        order.append(place)
+        for child in rig.children[place]:
+            visit(child)
+
+    visit(0)
+    return order
+
+
+def test_a_rig_without_tips_gets_usual_ones_and_says_so(tmp_path, motion):
+    samples.write_bvh(tmp_path / "a.bvh", samples.rig(motion, samples.MIXAMO, 100), end_sites=False)
+    read = read_motion_file(tmp_path / "a.bvh")
+    assert any("no tips of thumb, index, middle, ring, pinky" in note for note in read.notes)
+    tips, others = slice(16, 21), slice(0, 16)
+    assert np.abs(read.sequence.joints_m[:, others] - motion.joints_m[:, others]).max() < TEXT_M
+    # within 5 mm of the sample's own tips, whose proportions are not those of the table; worst seen 4.2 mm
+    assert np.linalg.norm(read.sequence.joints_m[:, tips] - motion.joints_m[:, tips], axis=-1).max() < 5e-3
+    assert np.ptp(bone_lengths(read.sequence.joints_m), axis=0).max() < 2 * TEXT_M
+
+
+@pytest.mark.parametrize("interpolation", ["LINEAR", "STEP", "CUBICSPLINE"])
+def test_glb_moves_by_every_interpolation(tmp_path, motion, interpolation):
+    samples.write_glb(tmp_path / "a.glb", *samples.gltf_document(samples.rig(motion), interpolation))
+    read = read_motion_file(tmp_path / "a.glb")
+    assert distance(read, motion) < SINGLE_M
+    assert read.kind == "glTF"
+
+
+@pytest.mark.parametrize("beside", [True, False])
+def test_gltf_finds_its_buffer_inside_or_beside(tmp_path, motion, beside):
+    samples.write_gltf(tmp_path / "a.gltf", *samples.gltf_document(samples.rig(motion)), beside=beside)
+    assert distance(read_motion_file(tmp_path / "a.gltf"), motion) < SINGLE_M
+
+
+def test_gltf_between_its_keys_turns_evenly(tmp_path, motion):
+    """Half the keys away, and the rate of before asked for: as resampling does it, but per joint of the skeleton."""
+    coarse = motion.section(step=2)
+    samples.write_glb(tmp_path / "a.glb", *samples.gltf_document(samples.rig(coarse)))
+    read = read_motion_file(tmp_path / "a.glb", MotionFormat(fps=30.0))
+    assert np.abs(read.sequence.joints_m[::2] - coarse.joints_m).max() < SINGLE_M
+    assert np.ptp(bone_lengths(read.sequence.joints_m), axis=0).max() < SINGLE_M
+
+
+def test_of_several_animations_the_fullest_is_taken_unless_one_is_named(tmp_path, motion):
+    document, binary = samples.gltf_document(samples.rig(motion))
+    whole = document["animations"][0]
+    still = {"name": "Wave", "samplers": whole["samplers"][:1], "channels": whole["channels"][:1]}
+    document["animations"] = [still, whole]
+    samples.write_glb(tmp_path / "a.glb", document, binary)
+    read = read_motion_file(tmp_path / "a.glb")
+    assert distance(read, motion) < SINGLE_M
+    assert any("'Take 1' was taken" in note and "Wave" in note for note in read.notes)
+    other = read_motion_file(tmp_path / "a.glb", MotionFormat(part="wave"))
+    assert np.ptp(other.sequence.joints_m - other.sequence.joints_m[:, :1], axis=0).max() < 1e-6
+
+
+def test_a_skeleton_that_does_not_move_is_one_pose(tmp_path, motion):
+    document, binary = samples.gltf_document(samples.rig(motion))
+    del document["animations"]
+    samples.write_glb(tmp_path / "a.glb", document, binary)
+    read = read_motion_file(tmp_path / "a.glb")
+    assert len(read.sequence) == 1
+    assert any("one frame" in note for note in read.notes)
+
+
+@pytest.mark.parametrize("suffix", ["usda", "usdc"])
+@pytest.mark.parametrize("unit", [1.0, 0.01])
+def test_usd_says_its_unit(tmp_path, motion, suffix, unit):
+    path = tmp_path / f"a.{suffix}"
+    samples.write_usd(path, samples.rig(motion, scale=1 / unit), metres_per_unit=unit)
+    read = read_motion_file(path)
+    assert distance(read, motion) < SINGLE_M
+    assert read.sequence.fps == 30.0
+
+
+def test_our_own_stage_is_read_back(tmp_path, motion):
+    """Control joints of JGHand's USD, whose names say no side."""
+    from jghand_engine.cli import main
+    from jghand_engine.datasets.motion_files import write_motion
+
+    part = motion.section(0, 5)
+    write_motion(tmp_path / "motion.npz", part)
+    words = ["export", "--motion", str(tmp_path / "motion.npz"), "--avatar", "painted", "--out", str(tmp_path / "usd")]
+    assert main([*words, "--keep-bone-lengths"]) == 0
+    read = read_motion_file(tmp_path / "usd" / "hand.usda", MotionFormat(handedness=RIGHT))
+    assert distance(read, part) < SINGLE_M
+
+
+def test_both_hands_of_a_character_are_told_apart(tmp_path, motion):
+    """A left hand beside the right one: which one is wanted has to be said."""
+    path = tmp_path / "a.bvh"
+    samples.write_bvh(path, samples.rig(motion, scale=100))
+    text = path.read_text()
+    header, frames = text.split("MOTION\n")
+    hand = header[header.index("\tJOINT RightHand\n") : header.rindex("}")]
+    doubled = header[: header.rindex("}")] + hand.replace("Right", "Left") + "}\n"
+    counts, rows = frames.split("\n", 2)[:2], frames.split("\n", 2)[2].splitlines()
+    body = "\n".join(row + " " + " ".join(row.split()[6:]) for row in rows)
+    path.write_text(f"{doubled}MOTION\n{counts[0]}\n{counts[1]}\n{body}\n")
+    with pytest.raises(InputError, match="--hand"):
+        read_motion_file(path)
+    assert distance(read_motion_file(path, MotionFormat(handedness=RIGHT)), motion) < TEXT_M
+    assert read_motion_file(path, MotionFormat(handedness=LEFT)).sequence.handedness is LEFT
+
+
+def test_a_hand_that_lacks_fingers_names_them(tmp_path, motion):
+    names = tuple(None if name and "Pinky" in name else name for name in samples.MIXAMO)
+    samples.write_bvh(tmp_path / "a.bvh", samples.rig(motion, names, 100))
+    with pytest.raises(InputError, match="lacks pinky1, pinky2, pinky3"):
+        read_motion_file(tmp_path / "a.bvh")
+
+
+def test_the_other_hand_than_the_bones_say_is_refused(tmp_path, motion):
+    samples.write_bvh(tmp_path / "a.bvh", samples.rig(motion, scale=100))
+    with pytest.raises(InputError, match="--mirror"):
+        read_motion_file(tmp_path / "a.bvh", MotionFormat(handedness=LEFT))
+
+
+# ---- detections ------------------------------------------------------------------------------------------------------
+
+
+def test_mediapipe_tasks_in_a_list_of_results(tmp_path, motion):
+    joints = samples.standard(motion).copy()
+    joints[5:8] = np.nan
+    read = read_motion_file(dumped(tmp_path / "a.json", samples.mediapipe_tasks(joints)))
+    assert read.sequence.gaps.frames == (5, 6, 7)
+    seen = read.sequence.valid.all(axis=1)
+    assert np.abs(read.sequence.joints_m[seen] - motion.joints_m[seen]).max() < EXACT_M
+    assert read.sequence.fps == 30.0
+
+
+def test_mediapipes_old_interface_calls_a_right_hand_left(tmp_path, motion):
+    path = dumped(tmp_path / "a.json", {"frames": samples.mediapipe_solutions(samples.standard(motion))})
+    read = read_motion_file(path)
+    assert distance(read, motion) < EXACT_M
+    assert any("turned round" in note for note in read.notes)
+    kept = read_motion_file(path, MotionFormat(mirrored_labels=False))
+    assert kept.sequence.handedness is LEFT
+    said = read_motion_file(path, MotionFormat(handedness=LEFT))
+    assert said.sequence.handedness is LEFT
+    assert any("as was said" in note for note in said.notes)
+
+
+def test_landmarks_of_the_image_alone_are_refused(tmp_path, motion):
+    frames = samples.mediapipe_tasks(samples.standard(motion))
+    for frame in frames:
+        del frame["worldLandmarks"]
+    with pytest.raises(InputError, match="world landmarks"):
+        read_motion_file(dumped(tmp_path / "a.json", frames))
+
+
+def test_openpose_is_a_folder_of_frames(tmp_path, motion):
+    joints = samples.standard(motion) * 1000
+    joints[3, 4] = np.nan
+    samples.write_openpose(tmp_path / "op", joints)
+    (tmp_path / "op" / "video_000000000020_keypoints.json").unlink()
+    read = read_motion_file(tmp_path / "op")
+    assert read.sequence.gaps.frames == (3, 13), "a point of confidence 0, and a file that is not there"
+    seen = read.sequence.valid
+    assert np.abs(read.sequence.joints_m[seen] - motion.joints_m[seen]).max() < EXACT_M
+    assert any("millimetres" in note for note in read.notes)
+
+
+def test_flat_keypoints_of_openpose_are_refused(tmp_path):
+    person = {"hand_right_keypoints_2d": [1.0] * 63, "hand_left_keypoints_2d": []}
+    with pytest.raises(InputError, match="--3d"):
+        read_motion_file(dumped(tmp_path / "x_000000000001_keypoints.json", {"version": 1.3, "people": [person]}))
+
+
+def test_a_recording_of_iwer_is_relative_to_its_ray(tmp_path, motion):
+    read = read_motion_file(dumped(tmp_path / "a.json", samples.iwer_recording(motion)))
+    # its own rounding to a millimetre: half of one in every axis
+    assert distance(read, motion) < 0.9e-3
+    assert read.sequence.fps == 30.0
+
+
+@pytest.mark.parametrize("way", ["by name", "in lists", "openxr", "plain"])
+def test_headsets_list_25_or_26_joints_in_many_ways(tmp_path, motion, way):
+    joints = samples.webxr_joints(motion)
+    wanted = None
+    if way == "by name":
+        named = [dict(zip(samples.WEBXR_NAMES, frame, strict=True)) for frame in joints.tolist()]
+        frames = [{"time": number / 30, "right": frame} for number, frame in enumerate(named)]
+    elif way == "in lists":
+        hands = [
+            {"handedness": "right", "joints": [{"position": point} for point in frame]} for frame in joints.tolist()
+        ]
+        frames = {"fps": 30, "frames": [{"hands": [hand]} for hand in hands]}
+    elif way == "openxr":
+        palms = np.concatenate([joints[:, :1], joints], axis=1)
+        frames = {"frames": [{"right_hand": frame} for frame in palms.tolist()]}
+    else:
+        frames, wanted = joints.tolist(), MotionFormat(handedness=RIGHT)
+    assert distance(read_motion_file(dumped(tmp_path / "a.json", frames), wanted), motion) < EXACT_M
+
+
+def test_interhand_marks_the_absent_hand(tmp_path, motion):
+    read = read_motion_file(dumped(tmp_path / "joint_3d.json", samples.interhand_document(motion)))
+    assert distance(read, motion) < EXACT_M
+
+
+def test_one_of_several_captures_has_to_be_named(tmp_path, motion):
+    path = dumped(tmp_path / "joint_3d.json", samples.interhand_document(motion, ("0", "1")))
+    with pytest.raises(InputError, match=r"Capture0.*--part"):
+        read_motion_file(path)
+    assert distance(read_motion_file(path, MotionFormat(part="Capture1")), motion) < EXACT_M
+
+
+@pytest.mark.parametrize("side", [RIGHT, LEFT])
+def test_freemocap_says_the_hand_by_names(tmp_path, side):
+    motion = samples.motion(side)
+    array, table = (tmp_path / f"mediapipe_{side}_hand_3d_xyz{suffix}" for suffix in (".npy", ".csv"))
+    np.save(array, samples.standard(motion) * 1000)
+    table.write_text(samples.freemocap_table(motion))
+    for path in (array, table):
+        assert distance(read_motion_file(path), motion) < EXACT_M
+    body = np.full((len(motion), 553, 3), np.nan)
+    first = 33 if side is RIGHT else 54
+    body[:, first : first + 21] = samples.standard(motion) * 1000
+    np.save(tmp_path / "mediapipe_skeleton_3d.npy", body)
+    assert distance(read_motion_file(tmp_path / "mediapipe_skeleton_3d.npy"), motion) < EXACT_M
+
+
+def test_a_recording_of_freemocap_is_a_folder_with_both_hands(tmp_path, motion):
+    folder = tmp_path / "recording" / "output_data"
+    folder.mkdir(parents=True)
+    for side in (RIGHT, LEFT):
+        np.save(folder / f"mediapipe_{side}_hand_3d_xyz.npy", samples.standard(samples.motion(side)) * 1000)
+    with pytest.raises(InputError, match="--hand"):
+        read_motion_file(tmp_path / "recording")
+    assert distance(read_motion_file(tmp_path / "recording", MotionFormat(handedness=RIGHT)), motion) < EXACT_M
+
+
+# ---- what files do not say -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("order", [JointOrder.STANDARD, JointOrder.INTERHAND, JointOrder.MANO16_TIPS, JointOrder.LEVEL])
+@pytest.mark.parametrize("unit", ["m", "cm", "mm"])
+def test_order_and_unit_of_a_plain_array_are_recognised_and_told(tmp_path, motion, order, unit):
+    from jghand_engine.hand.orders import METRES_PER_UNIT, from_level
+
+    np.save(tmp_path / "a.npy", from_level(motion.joints_m, order) / METRES_PER_UNIT[unit])
+    read = read_motion_file(tmp_path / "a.npy", MotionFormat(handedness=RIGHT))
+    assert distance(read, motion) < EXACT_M
+    assert any(f"'{order}'" in note and "--order" in note for note in read.notes)
+    assert any("--unit" in note for note in read.notes) is (unit != "m"), "a plain array is documented to be metres"
+
+
+def test_what_is_no_hand_in_any_unit_asks_for_its_length(tmp_path, motion):
+    samples.write_bvh(tmp_path / "a.bvh", samples.rig(motion, scale=5))
+    with pytest.raises(InputError, match="--hand-length"):
+        read_motion_file(tmp_path / "a.bvh")
+    read = read_motion_file(tmp_path / "a.bvh", MotionFormat(hand_length_m=0.195))
+    bones, wanted = (one - one[:, :1] for one in (read.sequence.joints_m, motion.joints_m))
+    assert np.abs(bones - wanted).max() < 5e-4, "0.195 for 0.19496 m"
+
+
+def test_what_is_said_counts_more_than_what_a_format_usually_has(tmp_path, motion):
+    document, binary = samples.gltf_document(samples.rig(motion, scale=100))
+    samples.write_glb(tmp_path / "a.glb", document, binary)
+    with pytest.raises(InputError, match="looks like centimetres"):
+        read_motion_file(tmp_path / "a.glb")
+    assert distance(read_motion_file(tmp_path / "a.glb", MotionFormat(unit="cm")), motion) < SINGLE_M
+
+
+def test_content_decides_not_the_suffix(tmp_path, motion):
+    samples.write_bvh(tmp_path / "a.json", samples.rig(motion, scale=100))
+    read = read_motion_file(tmp_path / "a.json")
+    assert distance(read, motion) < TEXT_M
+    assert "by its content it is BVH" in read.notes[0]
+
+
+def test_uneven_clocks_become_even_and_it_is_told(tmp_path, motion):
+    frames = samples.mediapipe_tasks(samples.standard(motion))
+    kept = [frame for number, frame in enumerate(frames) if number not in (4, 5, 11, 20)]
+    read = read_motion_file(dumped(tmp_path / "a.json", kept))
+    assert len(read.sequence) == len(motion)
+    assert any("evenly" in note for note in read.notes)
+    assert np.abs(read.sequence.joints_m[6] - motion.joints_m[6]).max() < 1e-4
+
+
+@pytest.mark.parametrize("factor", [1e-3, 1.0, 1e3])
+def test_clocks_of_any_unit_give_the_same_rate(tmp_path, motion, factor):
+    frames = samples.mediapipe_tasks(samples.standard(motion))
+    for frame in frames:
+        frame["timestamp"] *= factor
+    assert read_motion_file(dumped(tmp_path / "a.json", frames)).sequence.fps == 30.0
+
+
+def test_own_files_say_all_and_are_read_without_a_note(tmp_path, motion):
+    from jghand_engine.datasets.motion_files import write_motion
+
+    for suffix in ("npz", "json", "csv"):
+        path = tmp_path / f"a.{suffix}"
+        write_motion(path, PoseSequence(motion.joints_m, 25.0, LEFT))
+        read = read_motion_file(path)
+        assert (read.sequence.fps, read.sequence.handedness, read.notes) == (25.0, LEFT, ())

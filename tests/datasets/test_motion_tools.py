@@ -1,0 +1,150 @@
+"""Gaps, cuts, other times: bones turn and keep their lengths."""
+
+import dataclasses
+
+import motion_samples
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from jghand_engine.datasets.motion_tools import cut, fill_gaps, in_place, retimed, with_hand_length
+from jghand_engine.errors import InputError
+from jghand_engine.hand.orders import bone_lengths, hand_length
+from jghand_engine.hand.sequence import PoseSequence, pose_between
+
+
+def _turning(frames=31, degrees=120.0):
+    """A stiff hand that turns evenly about an axis that is none of its own."""
+    still = motion_samples.motion().joints_m[0]
+    axis = np.array([1.0, 2.0, -0.5]) / np.linalg.norm([1.0, 2.0, -0.5])
+    turns = Rotation.from_rotvec(np.radians(np.linspace(0, degrees, frames))[:, None] * axis).as_matrix()
+    return PoseSequence(np.einsum("fij,kj->fki", turns, still - still[0]), 30.0, motion_samples.motion().handedness)
+
+
+def _without(sequence, frames, joints=slice(None)):
+    missing = sequence.joints_m.copy()
+    missing[np.ix_(range(*frames.indices(len(missing))), np.arange(21)[joints])] = np.nan
+    return PoseSequence(missing, sequence.fps, sequence.handedness)
+
+
+def test_a_hand_that_was_lost_while_it_turned_comes_back_as_it_was():
+    whole = _turning()
+    filled = fill_gaps(_without(whole, slice(5, 25)))
+    # stiff and evenly turning, the way between is the truth; worst seen 5e-16 m
+    np.testing.assert_allclose(filled.sequence.joints_m, whole.joints_m, atol=2e-15)
+    assert filled.sequence.filled.tolist() == [5 <= frame < 25 for frame in range(31)]
+
+
+def test_a_hidden_finger_goes_along_with_the_palm_that_was_seen():
+    whole = _turning()
+    filled = fill_gaps(_without(whole, slice(0, 12), [7, 12, 17])).sequence
+    np.testing.assert_allclose(filled.joints_m, whole.joints_m, atol=2e-15)
+
+
+def test_joints_that_were_seen_are_not_moved():
+    whole = motion_samples.motion()
+    gappy = _without(whole, slice(8, 14), [3, 8, 13, 18])
+    filled = fill_gaps(gappy).sequence
+    assert np.array_equal(filled.joints_m[gappy.valid], whole.joints_m[gappy.valid])
+    assert np.isfinite(filled.joints_m).all()
+
+
+def test_filled_fingers_keep_their_lengths():
+    whole = motion_samples.motion()
+    lengths = bone_lengths(fill_gaps(_without(whole, slice(6, 30))).sequence.joints_m)
+    # worst seen 1e-16 m
+    assert np.ptp(lengths, axis=0).max() < 1e-15
+
+
+def test_gaps_at_both_ends_hold_what_is_next_to_them():
+    whole = motion_samples.motion()
+    filled = fill_gaps(_without(_without(whole, slice(0, 4)), slice(36, 40))).sequence.joints_m
+    np.testing.assert_allclose(filled[0], whole.joints_m[4], atol=1e-15)
+    np.testing.assert_allclose(filled[-1], whole.joints_m[35], atol=1e-15)
+
+
+def test_a_whole_motion_is_left_alone():
+    whole = motion_samples.motion()
+    filled = fill_gaps(whole)
+    assert filled.sequence is whole
+    assert filled.sentence() == ""
+
+
+def test_a_long_gap_says_that_nobody_knows():
+    whole = motion_samples.motion(frames=80)
+    assert "not known" in fill_gaps(_without(whole, slice(10, 40))).sentence()
+    assert "not known" not in fill_gaps(_without(whole, slice(10, 14))).sentence()
+
+
+@pytest.mark.parametrize(("joints", "says"), [([0], "the wrist"), ([7], "the bone to index2")])
+def test_what_is_in_no_frame_cannot_be_filled(joints, says):
+    with pytest.raises(InputError, match=says):
+        fill_gaps(_without(motion_samples.motion(), slice(None), joints))
+
+
+def test_a_cut_keeps_both_ends():
+    motion = motion_samples.motion()
+    part = cut(motion, 0.1, 0.5)
+    assert np.array_equal(part.joints_m, motion.joints_m[3:16])
+    assert len(cut(motion, end_s=100.0)) == len(motion)
+    assert len(cut(motion)) == len(motion)
+
+
+@pytest.mark.parametrize(("start", "end"), [(-1, None), (float("nan"), None), (0.5, 0.4), (100, None), (None, -0.1)])
+def test_a_cut_without_a_frame_is_refused(start, end):
+    with pytest.raises(InputError, match="cut"):
+        cut(motion_samples.motion(), start, end)
+
+
+def test_resampling_a_turning_hand_neither_shrinks_nor_bends_it():
+    whole = _turning(frames=61)
+    coarse = whole.section(step=15)
+    again = coarse.resampled(30.0)
+    # four steps of 30 degrees; positions between them would be 3.4 mm off
+    np.testing.assert_allclose(again.joints_m, whole.joints_m, atol=2e-15)
+    linear = 0.5 * (coarse.joints_m[0] + coarse.joints_m[1])
+    assert np.abs(linear - pose_between(coarse.joints_m[0], coarse.joints_m[1], 0.5)).max() > 3e-3
+
+
+def test_uneven_times_become_even_ones():
+    whole = _turning(frames=61)
+    random = np.random.default_rng(0)
+    kept = np.sort(np.concatenate([[0, 60], random.choice(np.arange(1, 60), 30, replace=False)]))
+    again = retimed(whole.joints_m[kept], kept / 30.0, 30.0)
+    assert len(again) == 61
+    np.testing.assert_allclose(again, whole.joints_m, atol=2e-15)
+
+
+def test_a_missing_hand_is_missing_between_its_neighbours_only():
+    joints = _turning().joints_m.copy()
+    joints[10] = np.nan
+    again = retimed(joints, np.arange(31) / 30.0, 60.0)
+    assert np.flatnonzero(np.isnan(again).any(axis=(1, 2))).tolist() == [19, 20, 21]
+
+
+@pytest.mark.parametrize("times", [[0, 1, 1], [0, 2, 1], [0, 1, np.nan], [0, 1, 1e9]])
+def test_times_that_are_no_times_are_refused(times):
+    with pytest.raises(InputError, match="times"):
+        retimed(_turning(3).joints_m, np.array(times, dtype=float), 30.0)
+
+
+def test_in_place_the_wrist_stays_and_the_hand_turns():
+    motion = motion_samples.motion()
+    still = in_place(motion)
+    assert np.ptp(still.joints_m[:, 0], axis=0).max() == 0
+    bones = still.joints_m - still.joints_m[:, :1]
+    np.testing.assert_allclose(bones, motion.joints_m - motion.joints_m[:, :1], atol=1e-15)
+
+
+def test_a_hand_gets_the_length_that_is_said():
+    assert hand_length(with_hand_length(motion_samples.motion(), 0.15).joints_m) == pytest.approx(0.15)
+    with pytest.raises(InputError, match="length of the hand"):
+        with_hand_length(motion_samples.motion(), 15.0)
+
+
+def test_what_was_filled_stays_marked():
+    filled = fill_gaps(_without(motion_samples.motion(), slice(10, 12))).sequence
+    assert cut(filled, 0.3, 0.5).filled.sum() == 2
+    assert filled.mirrored().filled.sum() == 2
+    assert in_place(filled).filled.sum() == 2
+    assert dataclasses.replace(filled, fps=60.0).filled.sum() == 2
