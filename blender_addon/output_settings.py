@@ -102,6 +102,11 @@ class JGHandOutputSettings(bpy.types.PropertyGroup):
         soft_max=4.0,
         max=100.0,
     )  # type: ignore[valid-type]
+    replace_others: bpy.props.BoolProperty(
+        name="Replace Others",
+        description="Write over exports of the same name that another file, or another hand of this one, has made. "
+        "Its own exports are replaced in any case",
+    )  # type: ignore[valid-type]
     axes: bpy.props.EnumProperty(name="Axes", description="Axes of the numbers in PLY files", items=AXES, default="rdf")  # type: ignore[valid-type]
 
 

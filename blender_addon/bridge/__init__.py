@@ -9,7 +9,7 @@ shapes     what the controls look like
 hand_poses   taking a pose, the other hand's pose, rest; keys of them
 pose_pictures  small pictures of the poses for menus; pose_shelf shows the assets
 bone_list  a bone map as rows that Blender can show and edit
-folders    where the extension may write, and what paths of settings mean; bake_folders  which bake is whose
+folders    where the extension may write, and what paths of settings mean; owners, bake_folders  what is whose there
 appended   paths of hands from another file
 undo       changes that no operator makes, as a step
 pose_library  the poses as Blender pose assets, in a folder made on demand
@@ -25,6 +25,7 @@ sync       handlers and timer (clock) that keep views up to date; rendering says
 record     hands over a range of frames
 baked_points  a bake as an object that plays by Blender's own USD; cache_player the same without USD
 usd_hook   Blender's own USD export gets the baked splats
+guard      no combined picture without its hands is written; popup  a word to the artist that no operator can say
 redraw     areas drawn anew; icons  computed pictures as icons; classes  registering once
 job_watch  looks after jobs, and after what a training shows; cards keeps what avatars say of themselves
 kept       what panels show of disks and evaluated scenes, looked up on a timer

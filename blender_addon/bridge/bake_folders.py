@@ -9,7 +9,7 @@ from pathlib import Path
 import bpy
 
 from ..core import bakes
-from . import folders
+from . import folders, owners
 
 
 def own_id(thing: bpy.types.Object) -> str:
@@ -19,12 +19,12 @@ def own_id(thing: bpy.types.Object) -> str:
     return uuid.uuid4().hex if shared or not own else own
 
 
-def owner_text(own: str) -> str:
-    """The owner of a bake: the hand, and the file, which may be a copy of another file."""
-    return f"{Path(bpy.data.filepath).stem}:{own}"
+def owner_text(own: str, parent: Path) -> str:
+    """The owner of a bake: hand and file, which may be a copy of another file. parent: of the hand's folder."""
+    return owners.owner_in(parent, own)
 
 
 def bake_folder(thing: bpy.types.Object) -> Path:
     """The folder of a hand's bake."""
     folder = Path(folders.absolute(thing, "bake")).absolute()
-    return bakes.newest(folder, owner_text(thing.jghand.bake_id))
+    return bakes.newest(folder, owner_text(thing.jghand.bake_id, folder.parent.parent))

@@ -35,18 +35,21 @@ def record_steps(
             yield (place + 1) / len(frames)
     finally:
         now.frame_set(before[0], subframe=before[1])
-    owners = [thing for thing in things for _ in sources.read_hands(thing, context.evaluated_depsgraph_get())]
-    twice = {thing.name for thing in owners if owners.count(thing) > 1}
-    names = file_names(
-        [
-            f"{thing.name}_{hand.handedness}" if thing.name in twice else thing.name
-            for thing, hand in zip(owners, hands, strict=True)
-        ]
-    )
     fps = now.render.fps / now.render.fps_base
-    for place, (thing, hand) in enumerate(zip(owners, hands, strict=True)):
+    for place, (thing, handedness, name) in enumerate(named_hands(context, things)):
         joints_m = np.stack([frame[place] for frame in read])
-        into.append(Recording(names[place], hand.handedness, avatar_of(thing), joints_m, frames[0], fps))
+        into.append(Recording(name, handedness, avatar_of(thing), joints_m, frames[0], fps, thing.name))
+
+
+def named_hands(
+    context: bpy.types.Context, things: Sequence[bpy.types.Object]
+) -> list[tuple[bpy.types.Object, str, str]]:
+    """The hands of these objects, a foreign rig up to two: (object, handedness, stem of its files)."""
+    depsgraph = context.evaluated_depsgraph_get()
+    found = [(thing, hand.handedness) for thing in things for hand in sources.read_hands(thing, depsgraph)]
+    owners = [thing for thing, _ in found]
+    names = file_names([f"{thing.name}_{side}" if owners.count(thing) > 1 else thing.name for thing, side in found])
+    return [(thing, side, name) for (thing, side), name in zip(found, names, strict=True)]
 
 
 def joints_now(context: bpy.types.Context, thing: bpy.types.Object) -> dict[str, np.ndarray]:

@@ -29,7 +29,8 @@ _POSITION_BYTES, _SIZE_BYTES, _COLOUR_BYTES = 12, 16, 24
 @dataclass(frozen=True)
 class Recording:
     """name: stem of files, unique among those of one export · handedness · avatar: an absolute path or a shipped name ·
-    joints_m: (F, 21, 3) float64, standard order, metres, in the world, z up · first_frame: of the scene · fps."""
+    joints_m: (F, 21, 3) float64, standard order, metres, in the world, z up · first_frame: of the scene · fps ·
+    source: name of the object whose hand it is."""
 
     name: str
     handedness: str
@@ -37,6 +38,7 @@ class Recording:
     joints_m: np.ndarray
     first_frame: int
     fps: float
+    source: str = ""
 
     @property
     def frames(self) -> range:

@@ -214,7 +214,7 @@ def _new_bake(
 ) -> NewBake:
     """Makes the folder of a bake; the scene is not changed before the bake is finished."""
     own = bake_folders.own_id(thing)
-    owner = bake_folders.owner_text(own)
+    owner = bake_folders.owner_text(own, wanted.parent)
     generation = bakes.new_generation(bakes.hand_folder(wanted.parent, wanted.name, owner))
     cached = context.scene.jghand.output.use_cache or not versions.has_usd()
     caches = tuple(scratch / f"{recording.name}.json" for recording in recordings) if cached else ()
@@ -259,7 +259,7 @@ def _switch(context: bpy.types.Context, thing: bpy.types.Object, bake: NewBake) 
     # what plays the bake before is shown the new one
     if baked_points.stop(context, before):
         _play_all(context, bake.generation)
-    bakes.remove(before, bake.owner)
+    bakes.remove(before, bake_folders.owner_text(bake.own, before.parent.parent))
 
 
 def _clean(made: Sequence[NewBake], scratch: Path) -> None:

@@ -10,9 +10,9 @@ import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 
 from .. import runtime
-from ..bridge import folders, job_watch, usd_hook, versions
+from ..bridge import folders, job_watch, owners, record, usd_hook, versions
 from ..bridge.classes import register_classes, unregister_classes
-from ..core import bakes, engine_words
+from ..core import bakes, engine_words, export_stamp
 from ..core.engine_words import UsdChoices
 from ..core.jobs import JobSpec
 from ..core.messages import JGHandFailure
@@ -44,7 +44,10 @@ class Export(StartsJob, bpy.types.Operator):
         return texts[context.scene.jghand.output.format]
 
     def prepare(self, context: bpy.types.Context) -> None:
-        place(context, context.scene.jghand.output.folder)
+        folder, kind = place(context, context.scene.jghand.output.folder), context.scene.jghand.output.format
+        if not context.scene.jghand.output.replace_others:  # said before minutes of recording
+            for thing, _, name in record.named_hands(context, self.recorded_hands(context)):
+                export_stamp.check(folder, name, kind, owners.owner_in(folder, thing.name))
         if context.scene.jghand.output.format != "motion":
             runtime.program()
 
@@ -52,6 +55,11 @@ class Export(StartsJob, bpy.types.Operator):
         settings = context.scene.jghand.output
         folder = place(context, settings.folder)
         self._count = len(recordings)
+        for recording in recordings:
+            owner = owners.owner_in(folder, recording.source)
+            if not settings.replace_others:
+                export_stamp.check(folder, recording.name, settings.format, owner)
+            export_stamp.claim(folder, recording.name, settings.format, owner)
         if settings.format == "motion":
             for recording in recordings:
                 recording.save(folder / f"{recording.name}.npz")

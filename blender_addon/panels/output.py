@@ -94,6 +94,7 @@ class ExportPanel(Sidebar, bpy.types.Panel):
             column.prop(settings, "width_factor")
         elif settings.format == "ply":
             column.prop(settings, "axes")
+        column.prop(settings, "replace_others")
         layout.operator("jghand.export", icon="EXPORT")
         if settings.format != "motion":
             written = Written(ply=settings.format == "ply", sizes=settings.sizes == "per_frame")

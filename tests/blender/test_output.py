@@ -86,6 +86,73 @@ def seen_joints(context, hand) -> np.ndarray:
     return np.array(joints)
 
 
+# ---- whose an export is ----------------------------------------------------------------------------------------------
+
+
+def save_as(path: Path) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    bpy.ops.wm.save_as_mainfile(filepath=str(path), check_existing=False)
+
+
+def test_an_export_of_another_file_is_not_written_over_unless_that_is_wanted(extension, tmp_path):
+    hand = a_hand(extension)
+    settings, path = extension.scene.jghand.output, tmp_path / "shared" / "right.npz"
+    settings.format, settings.folder = "motion", str(path.parent)
+    save_as(tmp_path / "a" / "shot.blend")
+    for _ in range(2):  # its own it may replace
+        assert bpy.ops.jghand.export() == {"FINISHED"}
+    before = path.read_bytes()
+    hand.location.x += 1.0
+    for other in ("b/shot.blend", "a/other.blend"):
+        save_as(tmp_path / other)
+        with pytest.raises(RuntimeError, match=r"another file, or another hand, has made.*a/shot.blend:right"):
+            bpy.ops.jghand.export()
+        assert path.read_bytes() == before
+    settings.replace_others = True
+    assert bpy.ops.jghand.export() == {"FINISHED"}
+    assert path.read_bytes() != before
+    settings.replace_others = False
+    assert bpy.ops.jghand.export() == {"FINISHED"}  # now it is its own
+
+
+def test_an_export_of_unknown_origin_and_one_of_another_hand_are_not_written_over(extension, tmp_path):
+    hand = a_hand(extension)
+    settings = extension.scene.jghand.output
+    settings.format, settings.folder = "motion", str(tmp_path)
+    (tmp_path / "right.npz").write_bytes(b"mine")
+    with pytest.raises(RuntimeError, match="not known who made it"):
+        bpy.ops.jghand.export()
+    hand.name = "Hand.R"
+    assert bpy.ops.jghand.export() == {"FINISHED"}
+    hand.name = "Hand R"  # the same name for files
+    with pytest.raises(RuntimeError, match=r"Hand\.R"):
+        bpy.ops.jghand.export()
+    assert (tmp_path / "right.npz").read_bytes() == b"mine"
+
+
+def test_a_project_that_is_moved_as_a_whole_keeps_its_exports(extension, tmp_path):
+    a_hand(extension)
+    settings = extension.scene.jghand.output
+    settings.format, settings.folder = "motion", "//exports"
+    save_as(tmp_path / "here" / "shot.blend")
+    bpy.ops.jghand.export()
+    shutil.copytree(tmp_path / "here", tmp_path / "there")
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "there" / "shot.blend"))
+    assert bpy.ops.jghand.export() == {"FINISHED"}
+
+
+def test_two_files_of_one_name_do_not_join_their_bakes(extension, tmp_path):
+    hand = a_hand(extension)
+    hand.jghand.bake_id = "the same in a copy of the file"
+    parent = tmp_path / "bakes"
+    owners = []
+    for name in ("a/shot.blend", "b/shot.blend", "a/shot_2.blend"):
+        save_as(tmp_path / name)
+        owners.append(bake_folders.owner_text(hand.jghand.bake_id, parent))
+    assert owners[0] == "../a/shot.blend:the same in a copy of the file"
+    assert len(set(owners)) == 3
+
+
 # ---- recordings ------------------------------------------------------------------------------------------------------
 
 
@@ -165,7 +232,9 @@ def test_ply_files_are_numbered_as_the_scenes_frames(extension, engine, tmp_path
     settings = extension.scene.jghand.output
     settings.format, settings.folder = "ply", str(tmp_path)
     assert bpy.ops.jghand.export() == {"FINISHED"}
-    assert sorted(path.name for path in tmp_path.iterdir()) == [f"{hand.name}.{n:04d}.ply" for n in (3, 4, 5, 6)]
+    assert sorted(path.name for path in tmp_path.glob("*.*") if path.name[0] != ".") == [
+        f"{hand.name}.{n:04d}.ply" for n in (3, 4, 5, 6)
+    ]
 
 
 def test_what_the_engine_refuses_is_told_with_its_own_words(extension, engine, tmp_path):
