@@ -1,9 +1,10 @@
 """How long an export to USD takes and how large it gets, end to end: 60,000 Gaussians, 60 frames by default.
 
-    python scripts/benchmark_usd.py [--frames 60] [--gaussians 60000] [--runs 5]
+    python scripts/benchmark_usd.py [--avatar painted|builtin] [--frames 60] [--gaussians 60000] [--runs 5]
 
 Prints median and worst of the runs after one warm-up: writing the Gaussians (splats and points in one layer), posing
-them, everything; and the size in all and per further frame. Files go to a temporary folder on the disk of --folder.
+them, everything, opening the stage without its payloads; the size in all and per further frame, also in half precision;
+and how much more memory 600 frames take than 48. Files go to a temporary folder on the disk of --folder.
 """
 
 from __future__ import annotations
@@ -12,17 +13,23 @@ import argparse
 import os
 import platform
 import statistics
+import subprocess
+import sys
 import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
 import torch
+from pxr import Usd
 
-from jghand_engine.avatar.builtin import load_painted
-from jghand_engine.exporters.usd import UsdReport, export_usd
+from jghand_engine.avatar.builtin import load_avatar_called
+from jghand_engine.exporters.usd import UsdOptions, UsdReport, export_usd
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import PoseSequence
+
+# frames of a long take, and of one that warms everything up
+LONG, SHORT = 600, 48
 
 
 def swaying_hand(canonical_joints_m: np.ndarray, frames: int) -> PoseSequence:
@@ -35,40 +42,99 @@ def swaying_hand(canonical_joints_m: np.ndarray, frames: int) -> PoseSequence:
     return PoseSequence(joints_m, 30.0, Handedness.RIGHT)
 
 
-def one_run(folder: Path, gaussians: int, frames: int) -> tuple[UsdReport, float]:
-    avatar = load_painted(handedness=Handedness.RIGHT).prefix(gaussians)
-    motion = swaying_hand(avatar.canonical_joints_m.numpy(), frames)
-    with tempfile.TemporaryDirectory(dir=folder) as temporary:
-        start = time.perf_counter()
-        report = export_usd(temporary, avatar, motion)
-        return report, time.perf_counter() - start
+class Subject:
+    """What is exported, and where."""
+
+    def __init__(self, avatar: str, gaussians: int, folder: Path) -> None:
+        self.avatar = load_avatar_called(avatar).for_hand(Handedness.RIGHT).prefix(gaussians)
+        self._folder = folder
+
+    def export(self, frames: int, options: UsdOptions | None = None) -> tuple[UsdReport, dict[str, float]]:
+        """What the export says, and seconds in all and for opening the stage."""
+        motion = swaying_hand(self.avatar.canonical_joints_m.numpy(), frames)
+        with tempfile.TemporaryDirectory(dir=self._folder) as temporary:
+            start = time.perf_counter()
+            report = export_usd(temporary, self.avatar, motion, options=options)
+            wrote = time.perf_counter()
+            # nothing of it is open, so every layer is read
+            stage = Usd.Stage.Open(str(report.stage), Usd.Stage.LoadNone)
+            opened = time.perf_counter()
+            if not stage.GetDefaultPrim():
+                raise SystemExit("the stage has no hand in it")
+            return report, {"all": wrote - start, "open": opened - wrote}
+
+
+def size(report: UsdReport) -> int:
+    return sum(report.bytes.values())
+
+
+def memory_growth_mb(options: argparse.Namespace) -> float | None:
+    """How far the peak of a process's memory rises from SHORT to LONG frames; None where it is not told."""
+    if sys.platform != "linux":
+        return None
+    words = [sys.executable, __file__, "--memory", "--avatar", options.avatar, "--gaussians", str(options.gaussians)]
+    done = subprocess.run([*words, "--folder", options.folder], capture_output=True, text=True, check=True)
+    return float(done.stdout)
+
+
+def peak_mb() -> float:
+    import resource
+
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--avatar", default="painted", help="a file, or painted or builtin")
     parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--gaussians", type=int, default=60_000)
     parser.add_argument("--runs", type=int, default=5)
     parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()))
+    parser.add_argument("--memory", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()
-    one_run(options.folder, options.gaussians, options.frames)
-    runs = [one_run(options.folder, options.gaussians, options.frames) for _ in range(options.runs)]
-    doubled, _ = one_run(options.folder, options.gaussians, 2 * options.frames)
+    subject = Subject(options.avatar, options.gaussians, options.folder)
+    if options.memory:
+        subject.export(SHORT)
+        before = peak_mb()
+        subject.export(LONG)
+        print(peak_mb() - before)
+        return
+    measure(subject, options)
+
+
+def measure(subject: Subject, options: argparse.Namespace) -> None:
+    """Runs everything and prints it."""
+    subject.export(options.frames)
+    runs = [subject.export(options.frames) for _ in range(options.runs)]
+    doubled, _ = subject.export(2 * options.frames)
+    halves, _ = subject.export(options.frames, UsdOptions(precision="half"))
     report = runs[0][0]
     print(
         f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, torch threads {torch.get_num_threads()}"
     )
-    print(f"{report.gaussians} Gaussians, {report.frames} frames, {len(runs)} runs after 1 warm-up; median (worst)")
+    print(
+        f"{options.avatar}, {report.gaussians} Gaussians, {report.frames} frames, {len(runs)} runs after 1 warm-up; "
+        "median (worst)"
+    )
     rows = {
         "write, ms/frame": [run.write_ms_per_frame for run, _ in runs],
         "pose, ms/frame": [1e3 * run.seconds["posing"] / run.frames for run, _ in runs],
-        "all, ms/frame": [1e3 * seconds / run.frames for run, seconds in runs],
+        "all, ms/frame": [1e3 * seconds["all"] / run.frames for run, seconds in runs],
+        "open, ms": [1e3 * seconds["open"] for _, seconds in runs],
     }
     for name, values in rows.items():
         print(f"  {name:<22} {statistics.median(values):7.2f} ({max(values):.2f})")
-    growth = (sum(doubled.bytes.values()) - sum(report.bytes.values())) / options.frames
-    print(f"  {'size, MB':<22} {sum(report.bytes.values()) / 1e6:7.2f}, {report.megabytes_per_frame:.3f} per frame")
+    growth = (size(doubled) - size(report)) / options.frames
+    print(f"  {'size, MB':<22} {size(report) / 1e6:7.2f}, {report.megabytes_per_frame:.3f} per frame")
+    for name, bytes_ in report.bytes.items():
+        print(f"    {name:<20} {bytes_ / 1e6:7.2f}")
     print(f"  {'per further frame, MB':<22} {growth / 1e6:7.3f}")
+    print(f"  {'in half precision, MB':<22} {size(halves) / 1e6:7.2f}")
+    if halves.half is not None:
+        print(f"    {halves.half.sentences()[0]}")
+    grown = memory_growth_mb(options)
+    if grown is not None:
+        print(f"  {f'{LONG} frames, MB more':<22} {grown:7.1f}")
 
 
 if __name__ == "__main__":
