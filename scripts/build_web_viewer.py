@@ -18,6 +18,7 @@ from __future__ import annotations
 import argparse
 import base64
 import gzip
+import hashlib
 import json
 import os
 import re
@@ -55,6 +56,27 @@ UNPACK = """/*! three.js, Spark and JGHand's viewer, MIT: see LICENSES.txt */
   document.getElementById('message').textContent = `This browser is too old to show the hand.\\n${error.message}`;
 });
 """
+
+
+def source_hash() -> str:
+    """SHA-256 over everything that the scripts are made of; pose.js carries that of its own build."""
+    digest = hashlib.sha256(repr((FLAGS, BROWSERS, LICENSED, UNPACK, _compiler())).encode())
+    headers = sorted(NATIVE.glob("*.h"))
+    sources = [NATIVE / f"{name}.cpp" for name in KERNELS]
+    for path in [*sources, *headers, *sorted(path for path in SOURCES.rglob("*") if path.is_file())]:
+        digest.update(path.name.encode() + b"\0" + path.read_bytes().replace(b"\r\n", b"\n"))
+    return digest.hexdigest()
+
+
+def stamp() -> str:
+    """The hash that the package's pose.js carries."""
+    found = re.search(r"sources=([0-9a-f]{64})", (TARGET / "pose.js").read_text(encoding="utf-8")[:200])
+    return found[1] if found else ""
+
+
+def _compiler() -> str:
+    pin = re.search(r"ziglang==([0-9.]+)", (ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    return pin[1] if pin else ""
 
 
 def run(*command: str | Path, **options) -> None:
@@ -108,7 +130,7 @@ def build(folder: Path) -> None:
     style = re.sub(r"\s*\n\s*", "\n", (SOURCES / "page.css").read_text(encoding="utf-8")).strip()
     files = {
         "index.html": page.replace("@STYLE@", style),
-        "pose.js": f"/*! JGHand, MIT: see LICENSES.txt */\n{pose}",
+        "pose.js": f"/*! JGHand, MIT: see LICENSES.txt. sources={source_hash()} */\n{pose}",
         "viewer.js": packed(viewer),
         "LICENSES.txt": licences(),
     }

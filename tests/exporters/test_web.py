@@ -1,0 +1,323 @@
+"""The web page of a motion: what is written, that it asks nobody for anything, and that its scripts pose the hand as the
+engine does. In a browser it is tried by scripts/check_web_page.py."""
+
+from __future__ import annotations
+
+import base64
+import ctypes
+import gzip
+import json
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from small_avatars import ellipsoid_avatar, small_avatar, trained_avatar
+
+sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
+import build_web_viewer
+
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.builtin import load_avatar_called
+from jghand_engine.avatar.correctives import PoseNet, PoseNetShape
+from jghand_engine.avatar.distil import distil
+from jghand_engine.avatar.skinning import pose_gaussians
+from jghand_engine.avatar.tiers import Baked
+from jghand_engine.errors import InputError, RetryError
+from jghand_engine.exporters import web
+from jghand_engine.exporters.web import WebOptions, WebView, export_web
+from jghand_engine.exporters.web_hand import rows_of, with_cheap_correctives
+from jghand_engine.exporters.web_pack import Pack, task_in_words
+from jghand_engine.hand.anatomy import ArticulatedHand, pose_sequence_of_names
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.limits import WEB_FRAMES_MAX
+from jghand_engine.native.learnt_tasks import LearntTask
+
+VIEW = WebView((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), 2.2, (0.012,) * 21)
+FILES = {"index.html", "hand.js", "pose.js", "viewer.js", "LICENSES.txt"}
+NODE = shutil.which("node")
+EYE_M = np.array([0.1, 0.2, 0.45])
+POSE_SCRIPT = Path(__file__).with_name("web_pose.mjs")
+
+
+def motion(avatar: HandAvatar, hand: Handedness = Handedness.RIGHT) -> PoseSequence:
+    return pose_sequence_of_names(["open", "fist", "ok"], avatar.canonical_joints_m.numpy(), handedness=hand)
+
+
+def exported(folder: Path, avatar: HandAvatar | None = None, **options) -> web.WebReport:
+    avatar = avatar or small_avatar()
+    return export_web(folder, avatar, motion(avatar), VIEW, WebOptions(**options))
+
+
+def with_linear(avatar: HandAvatar) -> HandAvatar:
+    """The same with a linear tier, as `jghand bake` adds one."""
+    assert avatar.learnt is not None
+    assert isinstance(avatar.learnt.correctives, PoseNet)
+    g = torch.Generator().manual_seed(3)
+    linear = distil(avatar.learnt.correctives, 0.5 * torch.randn(24, 37, generator=g), [5])[5]
+    return replace(avatar, learnt=replace(avatar.learnt, baked=Baked(linear, (), "test")))
+
+
+def description_of(folder: Path) -> dict:
+    found = re.fullmatch(
+        r'globalThis\.JGHAND_HAND=\{description:(.*),arrays:"([^"]*)"\};\n', (folder / "hand.js").read_text()
+    )
+    assert found
+    return json.loads(found[1]) | {"content": gzip.decompress(base64.b64decode(found[2]))}
+
+
+# ---- what is written -------------------------------------------------------------------------------------------------
+
+
+def test_a_page_is_five_files_and_says_how_large_they_are(tmp_path):
+    report = exported(tmp_path / "page")
+    assert {path.name for path in (tmp_path / "page").iterdir()} == FILES
+    assert report.page == tmp_path / "page" / "index.html"
+    assert report.bytes == {path.name: path.stat().st_size for path in (tmp_path / "page").iterdir()}
+    assert (report.gaussians, report.correctives) == (200, "none")
+
+
+def test_what_every_page_has_in_common_stays_below_two_megabytes():
+    assert sum(path.stat().st_size for path in web.ASSETS.iterdir()) < 2e6
+
+
+def test_the_same_hand_gives_the_same_bytes(tmp_path):
+    avatar = with_linear(trained_avatar())
+    for name in ("one", "other"):
+        exported(tmp_path / name, avatar)
+    for name in FILES:
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "other" / name).read_bytes()
+
+
+def test_the_page_names_hand_licence_and_pictures(tmp_path):
+    avatar = load_avatar_called("builtin")
+    exported(tmp_path, avatar, gaussians=500)
+    found = description_of(tmp_path)
+    assert (found["name"], found["licence"]) == (avatar.info.name, avatar.info.licence)
+    assert found["learnt_from"].startswith("432 pictures of")
+    assert found["gaussians"] == 500
+
+
+def test_a_title_is_text_and_never_markup(tmp_path):
+    exported(tmp_path, title="<script>alert('&')</script>")
+    page = (tmp_path / "index.html").read_text()
+    assert "<title>&lt;script&gt;alert(&#x27;&amp;&#x27;)&lt;/script&gt;</title>" in page
+    assert "<script>alert" not in page
+
+
+def test_a_name_cannot_end_the_script(tmp_path):
+    avatar = small_avatar()
+    avatar = replace(avatar, info=replace(avatar.info, name='</script>"\u2028\\'))
+    exported(tmp_path, avatar)
+    assert "</script" not in (tmp_path / "hand.js").read_text()
+    assert description_of(tmp_path)["name"] == '</script>"\u2028\\'
+
+
+def test_the_page_asks_nobody_for_anything(tmp_path):
+    exported(tmp_path)
+    page = (tmp_path / "index.html").read_text()
+    sources = re.findall(r'(?:src|href)="([^"]*)"', page)
+    assert sorted(sources) == ["data:,", "hand.js", "pose.js", "viewer.js"]
+    assert "default-src 'none'" in page
+    assert "http:" not in page
+    assert "https:" not in page
+
+
+def test_a_page_of_ours_is_replaced_and_other_files_stay(tmp_path):
+    exported(tmp_path)
+    (tmp_path / "notes.txt").write_text("mine")
+    exported(tmp_path, title="Second")
+    assert "Second" in (tmp_path / "index.html").read_text()
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+    assert {path.name for path in tmp_path.iterdir()} == FILES | {"notes.txt"}
+
+
+@pytest.mark.parametrize("name", ["index.html", "viewer.js", "LICENSES.txt"])
+def test_a_page_of_somebody_else_stays_as_it_is(tmp_path, name):
+    (tmp_path / name).write_text("<html>mine</html>")
+    with pytest.raises(InputError, match=f"{name} of somebody else"):
+        exported(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    assert (tmp_path / name).read_text() == "<html>mine</html>"
+
+
+def test_a_folder_that_is_a_file_is_named(tmp_path):
+    (tmp_path / "page").write_text("")
+    with pytest.raises(InputError, match="page"):
+        exported(tmp_path / "page")
+
+
+def test_a_motion_with_gaps_or_too_long_is_refused(tmp_path):
+    avatar = small_avatar()
+    joints_m = motion(avatar).joints_m.copy()
+    joints_m[3, 5] = np.nan
+    with pytest.raises(InputError, match="frame"):
+        export_web(tmp_path, avatar, PoseSequence(joints_m, 30.0, Handedness.RIGHT), VIEW)
+    long = PoseSequence(np.repeat(motion(avatar).joints_m[:1], WEB_FRAMES_MAX + 1, 0), 30.0, Handedness.RIGHT)
+    with pytest.raises(InputError, match="--frames"):
+        export_web(tmp_path, avatar, long, VIEW)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(("what", "options"), [("title", {"title": "a\nb"}), ("Gaussians", {"gaussians": -1})])
+def test_an_impossible_option_is_named(what, options):
+    with pytest.raises(InputError, match=what):
+        WebOptions(**options)
+
+
+def test_a_network_that_the_kernels_do_not_know_is_refused(tmp_path):
+    wide = trained_avatar(shape=PoseNetShape(octaves=(2, 2, 2), angle_channels=4, angle_texels=3, hidden=264))
+    with pytest.raises(InputError, match="jghand bake"):
+        exported(tmp_path, wide)
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_installation_without_the_viewer_says_so(tmp_path, monkeypatch):
+    monkeypatch.setattr(web, "ASSETS", tmp_path / "nowhere")
+    with pytest.raises(RetryError, match="Install JGHand anew"):
+        exported(tmp_path / "page")
+
+
+def test_the_scripts_were_built_from_these_sources():
+    assert build_web_viewer.stamp() == build_web_viewer.source_hash(), "run scripts/build_web_viewer.py"
+
+
+def test_every_licence_is_with_the_scripts():
+    text = (web.ASSETS / "LICENSES.txt").read_text()
+    lock = json.loads((build_web_viewer.SOURCES / "package-lock.json").read_text())["packages"]
+    for name in ("three", "@sparkjsdev/spark", "fflate"):
+        assert f"{name} {lock[f'node_modules/{name}']['version']}" in text
+    assert text.count("Permission is hereby granted") >= 5
+    assert all("integrity" in about for name, about in lock.items() if name)
+
+
+# ---- how arrays are packed -------------------------------------------------------------------------------------------
+
+
+def test_rounded_numbers_keep_zero_and_are_off_by_half_a_step():
+    values = np.random.default_rng(0).uniform(0, [[0.2], [0.001], [0.0]], (50, 3, 16))
+    values[0] = 0
+    pack = Pack()
+    pack.exact("first", np.arange(3, dtype=np.int8), "i1")
+    pack.rounded("values", values)
+    about = pack.about["values"]
+    content = gzip.decompress(base64.b64decode(pack.packed()))
+    levels = np.frombuffer(content, "<u2", values.size, about["at"]).reshape(values.shape)
+    found = np.array(about["low"])[:, None] + np.array(about["step"])[:, None] * levels
+    assert np.array_equal(found[0], np.zeros((3, 16)))
+    assert (np.abs(found - values) <= 0.5 * np.array(about["step"])[:, None] + 1e-12).all()
+
+
+def test_counts_are_as_narrow_as_they_can_be():
+    pack = Pack()
+    pack.counts("few", np.array([0, 255]))
+    pack.counts("many", np.array([0, 65535]))
+    assert [about["kind"] for about in pack.about.values()] == ["u1", "u2"]
+    with pytest.raises(InputError, match="65536"):
+        pack.counts("too many", np.array([65536]))
+
+
+def test_a_task_in_words_has_every_number_at_its_place():
+    task = LearntTask(rim=0.5, correctives=3, basis=7)
+    task.skin.shift[:] = [1.0, 2.0, 3.0]
+    found = task_in_words(task)
+    words = np.array(found["words"], np.uint32)
+    assert words[found["fields"]["rim"] :][:1].view(np.float32) == 0.5
+    assert np.array_equal(words[found["fields"]["skin.shift"] :][:3].view(np.float32), [1, 2, 3])
+    assert words[found["fields"]["correctives"]] == 3
+    assert found["pointers"]["skin.rest"] == 0
+    # of 8 bytes here and of 4 there; what fills up places between them is gone
+    assert len(words) * 4 + 4 * len(found["pointers"]) <= ctypes.sizeof(LearntTask) < len(words) * 8
+
+
+# ---- how the page poses ----------------------------------------------------------------------------------------------
+
+
+def posed_by_the_page(folder: Path, joints_m: np.ndarray, angles_rad: np.ndarray | None = None) -> tuple[dict, dict]:
+    """Positions (F, rows, 3), sigma (F, rows), rgb (F, rows, 3) and covariance (F, rows, 6) of joints (F, 21, 3), all
+    from the page's origin; and what it makes of angles."""
+    if NODE is None:
+        pytest.skip("there is no node")
+    plan = {"joints": joints_m.reshape(len(joints_m), 63).tolist(), "eye": EYE_M.tolist()}
+    plan["angles"] = [] if angles_rad is None else angles_rad.tolist()
+    (folder / "plan.json").write_text(json.dumps(plan))
+    done = subprocess.run(
+        [NODE, str(POSE_SCRIPT), str(folder), str(folder / "plan.json"), str(folder / "out")],
+        capture_output=True, text=True, check=False, timeout=300,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    rows = description_of(folder)["rows"]
+    table = np.fromfile(folder / "out", "<f4").reshape(len(joints_m), -1)
+    widths = {"position_m": 3, "sigma_m": 1, "rgb": 3, "covariance_m2": 6}
+    found, at = {}, 0
+    for name, width in widths.items():
+        if at < table.shape[1]:
+            found[name] = table[:, at : at + width * rows].reshape(len(joints_m), rows, width)
+        at += width * rows
+    return found, json.loads(done.stdout)
+
+
+def far_apart(folder: Path, avatar: HandAvatar, hand: Handedness = Handedness.RIGHT) -> dict[str, float]:
+    """Exports a motion and compares what the page makes of some frames with the functions that the avatar was trained
+    with, in float64: the largest differences of positions, mm, colours, 0..1, and of radii and covariances, as a part."""
+    avatar = avatar.for_hand(hand)
+    sequence = motion(avatar, hand)
+    export_web(folder, avatar, sequence, VIEW)
+    shown, _ = with_cheap_correctives(avatar)
+    origin_m = np.array(description_of(folder)["origin_m"])
+    joints_m = sequence.joints_m[[0, 20, 38, 55, -1]] - origin_m
+    found, _ = posed_by_the_page(folder, joints_m)
+    order, transform, worst = rows_of(shown), shown.bone_transform(), dict.fromkeys(found, 0.0)
+    for frame, joints in enumerate(joints_m):
+        bones = transform.bones(torch.from_numpy(joints))
+        with torch.no_grad():
+            wanted = pose_gaussians(shown, bones, frames=bones.frames, eye_m=torch.from_numpy(EYE_M))
+        count = len(order)
+        assert (found["sigma_m"][frame, count:] == 0).all()
+        scale = {"position_m": 1e-3, "sigma_m": wanted.sigma_m.numpy()[order][:, None], "rgb": 1.0}
+        if wanted.covariance_m2 is not None:
+            scale["covariance_m2"] = np.linalg.norm(wanted.covariance_m2.numpy()[order], axis=1, keepdims=True)
+        for name, unit in scale.items():
+            exact = getattr(wanted, name).numpy()[order].reshape(count, -1)
+            off = float((np.abs(found[name][frame, :count] - exact) / unit).max())
+            worst[name] = max(worst[name], off)
+    return worst
+
+
+AVATARS = {
+    "painted": small_avatar,
+    "network": trained_avatar,
+    "linear": lambda: with_linear(trained_avatar()),
+    "ellipsoids": ellipsoid_avatar,
+    "builtin": lambda: load_avatar_called("builtin").prefix(6000),
+}
+
+
+@pytest.mark.parametrize("hand", Handedness)
+@pytest.mark.parametrize("kind", AVATARS)
+def test_the_page_poses_as_the_engine_does(tmp_path, kind, hand):
+    worst = far_apart(tmp_path, AVATARS[kind](), hand)
+    # sixteen bits of what is read: observed 0.0053 mm (built-in hand 0.0016), 9.2e-5, 3.1e-4, 2.7e-4
+    assert worst["position_m"] < 0.006
+    assert worst["sigma_m"] < 1.1e-4
+    assert worst["rgb"] < 4e-4
+    assert worst.get("covariance_m2", 0.0) < 3.5e-4
+
+
+def test_sliders_pose_as_the_engine_does(tmp_path):
+    avatar = small_avatar()
+    exported(tmp_path, avatar)
+    canonical_m = avatar.canonical_joints_m.numpy()
+    hand = ArticulatedHand(canonical_m)
+    angles_deg = np.stack([hand.angles_of(name) for name in ("open", "fist", "ok", "spread")])
+    _, found = posed_by_the_page(tmp_path, canonical_m[None] - canonical_m[0], np.radians(angles_deg))
+    wanted_m = hand.joints(angles_deg) - canonical_m[0]
+    # observed 4e-17
+    assert np.abs(np.array(found["posed"]).reshape(wanted_m.shape) - wanted_m).max() < 1e-12
+    assert np.abs(np.degrees(found["back"]) - angles_deg).max() < 1e-9
