@@ -90,7 +90,7 @@ class _Tools:
 
 _tools: _Tools | None = None
 # textures that no view needs any more: freed when Blender draws the next time, which has the right context for it
-_unwanted: list[GpuPicture] = []
+_unwanted: list[GpuPicture | _Tools] = []
 # Blender makes textures of floats only. Converting a picture into memory that is already there takes a tenth of what it
 # takes with new memory, which the system has to find and to clear first.
 _floats = np.empty(0, np.float32)
@@ -147,6 +147,14 @@ def discard(picture: GpuPicture | None) -> None:
 def free_unwanted() -> None:
     """Frees what was discarded. Only at the beginning of a draw: none of it was drawn since the one before ended."""
     _unwanted.clear()
+
+
+def renew() -> None:
+    """Makes the shader anew with the next picture: the driver may have lost it."""
+    global _tools
+    if _tools is not None:
+        _unwanted.append(_tools)
+        _tools = None
 
 
 def forget() -> None:

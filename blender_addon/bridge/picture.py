@@ -7,7 +7,7 @@ from typing import Any
 
 import bpy
 
-from . import gpu_picture, rendering, views
+from . import gpu_picture, views
 
 _handle: Any = None
 
@@ -16,12 +16,10 @@ def draw() -> None:
     """Called by Blender for every 3D view that it draws."""
     gpu_picture.free_unwanted()  # also where nothing is drawn any more
     context = bpy.context
-    if not views.draws(context.space_data, context.scene, views.SOLID):
-        return
-    if rendering.now():
-        views.show_again(context, views.SOLID)
+    if views.draws(context.space_data, context.scene, views.SOLID):
+        views.draw(context, context.evaluated_depsgraph_get, views.SOLID)
     else:
-        views.show(context, context.evaluated_depsgraph_get(), views.SOLID)
+        views.may_draw_again(context.region.as_pointer(), views.SOLID)
 
 
 def install() -> None:

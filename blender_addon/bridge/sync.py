@@ -35,6 +35,7 @@ def tick() -> float:
     left_out.show()
     guard.show()
     _follow_status()
+    _redraw(views.try_again())
     shown = views.all_views()
     if not shown:
         return limits.IDLE_TICK_S
@@ -67,10 +68,14 @@ def _look_after(shown: list[views.View]) -> float:
 
 def _drop_stale() -> None:
     """Draws views anew that show a picture of long ago while a render has the engine."""
-    stale = {view.region for view in views.all_views() if view.drawn and rendering.lasts_s() > limits.STALE_S}
-    if stale:
+    _redraw({view.region for view in views.all_views() if view.drawn and rendering.lasts_s() > limits.STALE_S})
+
+
+def _redraw(wanted: set[int]) -> None:
+    """Draws regions anew, by their addresses."""
+    if wanted:
         for _, _, region in views.open_regions():
-            if region.as_pointer() in stale:
+            if region.as_pointer() in wanted:
                 region.tag_redraw()
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import bpy
 import gpu
 
-from . import rendering, views
+from . import views
 from .world import background
 
 
@@ -25,7 +25,4 @@ class ViewportEngine:
         scene = depsgraph.scene
         if not scene.render.film_transparent:
             gpu.state.active_framebuffer_get().clear(color=(*background(scene.world), 1.0))
-        if rendering.now():
-            views.show_again(context, views.RENDERED)
-        else:
-            views.show(context, depsgraph, views.RENDERED)
+        views.draw(context, lambda: depsgraph, views.RENDERED)

@@ -8,9 +8,11 @@ only ever compared. When and what is asked is decided by core/pacing.py. Source:
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
-from collections.abc import Iterator
+import traceback
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 
 import bpy
@@ -18,6 +20,7 @@ import numpy as np
 
 from .. import runtime
 from ..core import cropping, limits, pacing
+from ..core.attempts import Attempts
 from ..core.cropping import Part
 from ..core.link import Answer
 from ..core.messages import JGHandFailure
@@ -71,6 +74,8 @@ class View:
 
 
 _views: dict[tuple[int, str], View] = {}
+# region and kind of views whose drawing failed: how often, and why
+_drawing: dict[tuple[int, str], tuple[Attempts, JGHandFailure]] = {}
 # when Blender came to the present frame, on the clock of time.monotonic()
 _step_s = 0.0
 _turn = pacing.Turn()
@@ -128,6 +133,51 @@ def settings_of(scene: bpy.types.Scene) -> ViewSettings:
 # ---- drawing ---------------------------------------------------------------------------------------------------------
 
 
+def draw(context: bpy.types.Context, depsgraph: Callable[[], bpy.types.Depsgraph], kind: str) -> None:
+    """Draws the hands into the view that Blender draws now, while a render has the engine those that it has.
+
+    What Blender calls to draw must not raise: it would be said at every redraw, and what comes after it may be lost. A
+    view that fails begins anew after a rest, a few times; the panel says why.
+    """
+    key = (context.region.as_pointer(), kind)
+    attempts, _ = _drawing.get(key, (Attempts(), None))
+    if not attempts.allowed(now_s()):
+        return
+    try:
+        if rendering.now():
+            show_again(context, kind)
+        else:
+            show(context, depsgraph(), kind)
+    except Exception as error:
+        if not attempts.failed:  # said once, and kept for the panel
+            traceback.print_exc()
+        known = isinstance(error, JGHandFailure)
+        failure = error if known else JGHandFailure("internal", f"{type(error).__name__}: {error}")
+        _drawing[key] = (attempts.after_failure(now_s()), failure)
+        if key in _views:
+            remove(_views[key])
+        gpu_picture.renew()
+        return
+    view = _views.get(key)
+    if view is not None and view.drawn:
+        _drawing.pop(key, None)
+
+
+def may_draw_again(region: int, kind: str) -> None:
+    """Somebody switched this kind of view off: a failure does not count any more once it is on again."""
+    _drawing.pop((region, kind), None)
+
+
+def try_again() -> set[int]:
+    """Regions whose rest after a failure is over: they are to be drawn."""
+    now = now_s()
+    return {
+        region
+        for (region, _), (attempts, _) in _drawing.items()
+        if (due_s := attempts.due_s()) is not None and due_s <= now
+    }
+
+
 def show(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph, kind: str) -> None:
     """Draws the hands into the view that Blender draws now; asks for a new picture where that is needed."""
     region = context.region
@@ -151,9 +201,10 @@ def show(context: bpy.types.Context, depsgraph: bpy.types.Depsgraph, kind: str) 
     look(view, moment, drawing=True)
     view.drawn = pacing.may_show(view.pace, moment)
     if view.drawn:
-        if kind == SOLID:
-            shown_bones.keep_visible(things, context)
-        _draw(view)
+        with _by_the_driver():
+            if kind == SOLID:
+                shown_bones.keep_visible(things, context)
+            _draw(view)
 
 
 def show_again(context: bpy.types.Context, kind: str) -> None:
@@ -166,7 +217,17 @@ def show_again(context: bpy.types.Context, kind: str) -> None:
     same_side = view.pace.shown is not None and pacing.digest(view.camera.parts) == view.pace.shown.want.camera
     view.drawn = same_side and rendering.lasts_s() <= limits.STALE_S
     if view.drawn:
-        _draw(view)
+        with _by_the_driver():
+            _draw(view)
+
+
+@contextlib.contextmanager
+def _by_the_driver() -> Iterator[None]:
+    """What fails here fails for the graphics driver: JGHandFailure (no_graphics)."""
+    try:
+        yield
+    except Exception as error:
+        raise JGHandFailure("no_graphics", f"{type(error).__name__}: {error}") from error
 
 
 def _rest(view: View) -> None:
@@ -310,6 +371,7 @@ def clear() -> None:
     """Forgets every view, as when another file was opened: the next draw begins anew."""
     for view in all_views():
         remove(view)
+    _drawing.clear()
     seen_hands.forget()
 
 
@@ -340,6 +402,8 @@ def late_frames() -> int:
 def problems() -> list[tuple[str, JGHandFailure]]:
     """Why hands, by the name of their object, or whole views ("") do not show: each only once."""
     found: dict[tuple[str, str], tuple[str, JGHandFailure]] = {}
+    for _, failure in _drawing.values():
+        found["", failure.kind] = ("", failure)
     for view in _views.values():
         for name, failure in view.unreadable:
             found[name, failure.kind] = (name, failure)

@@ -207,6 +207,11 @@ SHAPE_EDGES_MAX = 512
 # nearest joint, metres
 ORTHO_ROOM_M = 0.5
 
+# how often in a row a view tries to draw what the graphics driver refuses, and its rest between, seconds: after
+# a lost context a driver needs a moment; one that cannot draw at all would fail, and say so, at every redraw
+DRAW_TRIES = 3
+DRAW_REST_S = 2.0
+
 # ---- jobs: child processes of the engine's command line --------------------------------------------------------------
 
 # a job that was asked to stop finishes a step and writes a checkpoint, or a picture; then it is asked again, then ended

@@ -57,6 +57,11 @@ ADVICE = {
     ),
     "stopped": Advice("The engine was stopped", "Start it again when it is needed", TRY_AGAIN),
     "cancelled": Advice("This was cancelled", "Start it again when it is wanted", INTERRUPTED),
+    "no_graphics": Advice(
+        "The graphics driver does not draw the hand",
+        "Make the view smaller, switch Show Hands off and on, or update the driver",
+        TRY_AGAIN,
+    ),
     "token": Advice("Another program answered", "Start the engine again", TRY_AGAIN),
     "busy": Advice("The engine serves another program", "Start an engine of your own", TRY_AGAIN),
     "bad_avatar": Advice("This file is not a JGHand avatar", "Choose another file", BAD_INPUT),

@@ -48,6 +48,11 @@ class ViewPanel(Sidebar, bpy.types.Panel):
         text = _shading_hint(shading.type if shading is not None else "SOLID", context.scene.render.engine)
         if text:
             common.paragraph(layout, context, text, icon="INFO")
+        tip = iface_(
+            "Blender's Viewport Render Image and Viewport Render Animation ask no extension, so hands are not in them. "
+            "For a quick film, render the animation with the JGHand engine at the quality Draft or Viewport"
+        )
+        common.explained(layout, panel_text.Line(iface_("Not in Viewport Render"), tip=tip), icon="INFO")
         if versions.has_native_splats():
             text = iface_("This Blender has splat objects. JGHand does not make them of hands yet: it shows pictures")
             common.paragraph(layout, context, text, icon="INFO")

@@ -1,0 +1,128 @@
+"""A graphics driver that refuses to draw costs neither view nor console: it is said once and tried a few times."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import bpy
+import pytest
+from recording_layout import draw as drawn
+
+from blender_addon import runtime
+from blender_addon.bridge import gpu_picture, picture, rendering, viewport_engine, views
+from blender_addon.core import limits
+from blender_addon.panels.picture import ViewPanel
+
+REGION = 0x1234
+
+
+class Driver:
+    """Stands for what draws. refuses: what it raises, None where it draws."""
+
+    def __init__(self) -> None:
+        self.refuses: Exception | None = RuntimeError("GPUTexture.__new__(...) failed with 'out of memory'")
+        self.calls = 0
+
+    def draw(self, _view: views.View) -> None:
+        self.calls += 1
+        if self.refuses is not None:
+            raise self.refuses
+
+
+@pytest.fixture
+def driver(extension, monkeypatch):
+    """A view with a picture, drawn as Blender would."""
+    driver = Driver()
+    context = SimpleNamespace(region=SimpleNamespace(as_pointer=lambda: REGION), scene=extension.scene, space_data=None)
+    now = [100.0]
+
+    def show(_context: object, _depsgraph: object, kind: str) -> None:
+        view = views._views.setdefault((REGION, kind), views.View(REGION, kind))
+        view.drawn = True
+        with views._by_the_driver():
+            driver.draw(view)
+
+    monkeypatch.setattr(views, "show", show)
+    monkeypatch.setattr(views, "now_s", lambda: now[0])
+    monkeypatch.setattr(views, "remove", lambda view: views._views.pop((view.region, view.kind)))
+    driver.now, driver.context = now, context
+    yield driver
+    views._views.clear()
+    views._drawing.clear()
+
+
+def redraw(driver: Driver, times: int = 1, kind: str = views.SOLID) -> None:
+    for _ in range(times):
+        views.draw(driver.context, lambda: None, kind)
+
+
+def test_it_is_said_once_and_tried_a_few_times_with_a_rest_between(driver, capfd):
+    for _ in range(20):
+        redraw(driver, 50)
+        driver.now[0] += limits.DRAW_REST_S
+    assert driver.calls == limits.DRAW_TRIES
+    assert capfd.readouterr().err.count("Traceback") == 2  # the driver's, and what became of it
+    (problem,) = views.problems()
+    assert problem[1].kind == "no_graphics"
+    assert "out of memory" in problem[1].detail
+
+
+def test_a_driver_that_recovers_shows_the_hand_and_the_sentence_goes(driver):
+    redraw(driver, 10)
+    assert driver.calls == 1
+    assert not views.try_again()
+    driver.now[0] += limits.DRAW_REST_S
+    assert views.try_again() == {REGION}
+    driver.refuses = None
+    redraw(driver)
+    assert views.problems() == []
+    assert views._views[REGION, views.SOLID].drawn
+    assert not views.try_again()
+
+
+def test_switching_the_view_off_and_on_tries_again(driver, monkeypatch):
+    for _ in range(20):
+        redraw(driver)
+        driver.now[0] += limits.DRAW_REST_S
+    monkeypatch.setattr(picture, "bpy", SimpleNamespace(context=driver.context))
+    monkeypatch.setattr(views, "draws", lambda *_: False)
+    picture.draw()
+    assert views.problems() == []
+    redraw(driver)
+    assert driver.calls == limits.DRAW_TRIES + 1
+
+
+def test_one_view_that_fails_does_not_stop_another(driver):
+    redraw(driver)
+    driver.refuses = None
+    redraw(driver, kind=views.RENDERED)
+    assert driver.calls == 2
+    assert (REGION, views.RENDERED) in views._views
+
+
+def test_a_mistake_of_ours_is_no_fault_of_the_driver(driver, monkeypatch):
+    def mistaken(*_: object) -> None:
+        raise ZeroDivisionError("ours")
+
+    monkeypatch.setattr(views, "show", mistaken)
+    redraw(driver, 10)
+    (problem,) = views.problems()
+    assert problem[1].kind == "internal"
+
+
+def test_rendered_mode_and_solid_are_drawn_alike(driver, monkeypatch):
+    monkeypatch.setattr(gpu_picture, "free_unwanted", lambda: None)
+    scene = SimpleNamespace(render=SimpleNamespace(film_transparent=True))
+    viewport_engine.ViewportEngine().view_draw(driver.context, SimpleNamespace(scene=scene))
+    assert [key[1] for key in views._drawing] == [views.RENDERED]
+    monkeypatch.setattr(rendering, "now", lambda: True)
+    driver.now[0] += limits.DRAW_REST_S
+    viewport_engine.ViewportEngine().view_draw(driver.context, SimpleNamespace(scene=scene))
+
+
+def test_the_view_panel_says_that_viewport_renders_have_no_hands(extension, monkeypatch):
+    monkeypatch.setattr(runtime, "link", lambda: SimpleNamespace(status=None, log=""))
+    bpy.ops.jghand.add_hand()
+    seen = drawn(ViewPanel, extension)
+    tips = {one.text: one.settings.get("text") for one in seen.drawn if one.function == "operator"}
+    assert "render the animation with the JGHand engine" in tips["Not in Viewport Render"]
