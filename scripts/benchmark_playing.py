@@ -63,6 +63,7 @@ def play(hand: bpy.types.Object, link: Any, frames: int) -> tuple[list[float], i
         started = time.perf_counter()
         views.look(view, moment, drawing=True)
         taken.append(time.perf_counter() - started)
+        views.end_turn()  # as Blender's event loop does before the next frame
         time.sleep(max(0.0, FRAME_S - (time.monotonic() - began)))
     return taken, view.pace.late
 
