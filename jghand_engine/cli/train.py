@@ -115,6 +115,13 @@ class Train:
 
     # ---- options -----------------------------------------------------------------------------------------------------
 
+    def check(self) -> None:
+        """InputError for options that make no sense, as far as they can be judged without looking at files."""
+        self._run_options()
+        self.pictures.choice()
+        if self.seed < 0:
+            raise InputError("--seed", wanted="0 or more", came=str(self.seed))
+
     def _run_options(self) -> RunOptions:
         """How the training runs; its stamp is added when the pictures are known. InputError for what makes no sense."""
         from jghand_engine.training.run import RunOptions

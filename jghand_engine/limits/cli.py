@@ -44,6 +44,8 @@ PROGRESS_JSON_S = 0.25
 # take a few, a picture of a capture up to a minute
 STOP_WITHOUT_INPUT_S = 90.0
 
-# ---- cli: pictures that several processes make at once ----------------------------------------------------------------
+# ---- cli: pictures that several processes make at once ---------------------------------------------------------------
 # seconds between two looks whether a picture that another process is at is there: a picture takes some hundredths
 CLAIM_POLL_S = 0.1
+# seconds between two lines about the same training of a list
+PROGRESS_MANY_S = 60.0

@@ -22,8 +22,7 @@ from jghand_engine.errors import InputError
 from jghand_engine.files import file_error, make_folder, writing
 from jghand_engine.lock import locked
 from jghand_engine.training.checkpoint import CheckpointFolder, Stamp
-
-LOCK, MARK = "lock", "training.json"
+from jghand_engine.training.mark import LOCK, MARK
 
 
 class Start(StrEnum):

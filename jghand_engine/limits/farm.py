@@ -1,0 +1,27 @@
+"""Limits of work that a scheduler hands out."""
+
+from __future__ import annotations
+
+# ---- farm: trainings ------------------------------------------------------------------------------------------------
+# seconds between two looks at a training: at its process by the job, at the jobs by who waits for them, at a cluster's
+# queue, which all its users ask
+JOB_POLL_S = 0.2
+LOCAL_POLL_S = 0.5
+SLURM_POLL_S = 10.0
+# seconds between two notes of how far a training is: a file on a disk that a cluster shares
+RECORD_EVERY_S = 5.0
+# how long before its time is up a job is told, seconds, and how long its training may then take for its checkpoint: a
+# step and the judged views take a few
+SIGNAL_BEFORE_S = 90
+CHECKPOINT_WAIT_S = 75.0
+# how long a job that was told to stop waits for its scheduler to take it back, seconds: SLURM's grace is some minutes
+# at most
+REQUEUE_WAIT_S = 300.0
+# how often a training may come to the end of a job's time: each time it goes on
+TIMEOUTS_MAX = 1000
+# minutes that a local job may take: nothing else wants the machine (a year)
+LOCAL_MINUTES_MAX = 525_600
+# trainings of one list: more are several lists
+TRAININGS_MAX = 10_000
+# bytes of a list of trainings
+LIST_BYTES_MAX = 10_000_000

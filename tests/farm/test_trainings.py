@@ -1,0 +1,96 @@
+"""Lists of trainings, read and refused."""
+
+from __future__ import annotations
+
+import pytest
+
+from jghand_engine.cli import main
+from jghand_engine.errors import InputError
+from jghand_engine.farm.trainings import Training, read_trainings
+
+
+@pytest.fixture
+def listed(tmp_path):
+    """Writes a list beside two folders."""
+    for name in ("id3", "id4"):
+        (tmp_path / "captures" / name).mkdir(parents=True)
+
+    def write(text: str):
+        path = tmp_path / "list.toml"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
+
+
+def test_what_holds_for_all_holds_until_a_training_says_otherwise(listed, tmp_path):
+    path = listed(
+        "minutes = 60\nall_pictures = true\n"
+        '[[training]]\nfolder = "captures/id3"\n'
+        '[[training]]\nfolder = "captures/id4"\nname = "other hand"\nminutes = 1.5\nall_pictures = false\n'
+        'sequences = ["a", "b"]\n'
+    )
+    first, second = read_trainings(path)
+    folder = tmp_path / "captures"
+    assert first == Training("id3", ("train", str(folder / "id3"), "--minutes", "60", "--all-pictures"))
+    assert second == Training("other hand", ("train", str(folder / "id4"), "--minutes", "1.5", "--sequences", "a", "b"))
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("", "[[training]] tables"),
+        ("training = 3", "[[training]] tables"),
+        ("[training]\nfolder = 'captures/id3'", "[[training]] tables"),
+        ("[[training]]", 'wanted folder = "…"'),
+        ("[[training]]\nfolder = 3", 'wanted folder = "…"'),
+        ("[[training]]\nfolder = 'absent'", "training 1: folder"),
+        ("[[training]]\nfolder = 'captures/id3'\nmintues = 3", "mintues: wanted folder, name and options"),
+        ("[[training]]\nfolder = 'captures/id3'\nminutes = '3'", "minutes: wanted int or float"),
+        ("[[training]]\nfolder = 'captures/id3'\nsteps = true", "steps: wanted int"),
+        ("[[training]]\nfolder = 'captures/id3'\nsequences = []", "sequences: wanted a list of texts"),
+        ("[[training]]\nfolder = 'captures/id3'\nname = '../up'", "name: wanted letters"),
+        ("[[training]]\nfolder = 'captures/id3'\nname = '..'", "name: wanted letters"),
+        ("[[training]]\nfolder = 'captures/id3'\n" * 2, "id3 more than once"),
+        (
+            "[[training]]\nfolder = 'captures/id3'\nname='A'\n[[training]]\nfolder = 'captures/id3'\nname='a'",
+            "more than",
+        ),
+        ("[[training", "wanted TOML"),
+        ("a = " + "[" * 5000, "wanted TOML"),
+        ("\xff", "wanted TOML"),
+    ],
+)
+def test_a_list_that_makes_no_sense_is_refused_by_the_entry(listed, text, told):
+    path = listed(text)
+    if text == "\xff":
+        path.write_bytes(b"\xff\xfe")
+    with pytest.raises(InputError) as refused:
+        read_trainings(path)
+    assert told in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("entry", "told"),
+    [("steps = 0", "--steps"), ("preset = 'best'", "options that jghand train takes"), ("seed = -1", "--seed"),
+     ("protocol = 'test-capture0'\nhand = 'right'", "--protocol")],
+)  # fmt: skip
+def test_what_train_would_refuse_is_refused_before_any_job(listed, tmp_path, capsys, entry, told):
+    path = listed(f"[[training]]\nfolder = 'captures/id3'\n{entry}\n")
+    assert main(["train-many", str(path), "--out", str(tmp_path / "out")]) == 2
+    assert told in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_list_that_is_not_there_is_told(tmp_path, capsys):
+    assert main(["train-many", str(tmp_path / "absent.toml"), "--out", str(tmp_path / "out")]) == 2
+    assert "cannot read" in capsys.readouterr().err
+
+
+def test_options_of_a_cluster_without_one_are_refused(listed, tmp_path, capsys, monkeypatch):
+    path = listed("[[training]]\nfolder = 'captures/id3'\n")
+    assert main(["train-many", str(path), "--out", str(tmp_path / "out"), "--cpus", "3"]) == 2
+    assert "--executor local" in capsys.readouterr().err
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert main(["train-many", str(path), "--out", str(tmp_path / "out"), "--executor", "slurm"]) == 2
+    assert "no srun or squeue" in capsys.readouterr().err
