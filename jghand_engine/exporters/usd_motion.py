@@ -37,6 +37,7 @@ class HandMotion:
         self.handedness = Handedness(sequence.handedness)
         self.avatar = avatar.for_hand(self.handedness)
         self._transform = self.avatar.bone_transform()
+        self.sequence = sequence
         self._joints_m = torch.tensor(sequence.joints_m, dtype=torch.float64)
         native = library.load()
         self._fast = None if native is None else FastPosing(native, self.avatar)

@@ -1,0 +1,268 @@
+"""Lets independent programs judge and read JGHand's USD stages, and compares what they find with what the engine has.
+
+    python scripts/check_usd_files.py --install         puts the programs into .envs/usd_clients, then compares
+    python scripts/check_usd_files.py                   compares with those that are there
+    python scripts/check_usd_files.py --page docs/FORMATS.md      and writes the tables into the page
+
+To be run with the engine's Python. The programs are pinned in scripts/usd_clients/: NVIDIA's validator with its rule
+for Gaussian splats, lightusd (a parser that shares nothing with Pixar's) and fourdgs. Blender's importer is asked by
+tests/blender/test_usd_import.py.
+
+The built-in hand, learnt, with 2,000 Gaussians, is written in every way there is. Exit code 1 when a validator finds an
+issue, or a reader something else than the engine has, beyond the precision of what was written.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from jghand_engine.avatar.builtin import load_builtin  # noqa: E402
+from jghand_engine.colour import srgb_to_linear  # noqa: E402
+from jghand_engine.exporters.usd import UsdOptions, UsdReport, export_usd  # noqa: E402
+from jghand_engine.exporters.usd_check import check_usd  # noqa: E402
+from jghand_engine.exporters.usd_motion import HandMotion  # noqa: E402
+from jghand_engine.exporters.usd_options import Package, Variant  # noqa: E402
+from jghand_engine.hand.anatomy import pose_sequence_of_names  # noqa: E402
+from jghand_engine.hand.joints import Handedness  # noqa: E402
+from jghand_engine.hand.sequence import PoseSequence  # noqa: E402
+from jghand_engine.limits import USD_CLIPS_ABOVE_FRAMES  # noqa: E402
+
+TOOLS = ROOT / "scripts" / "usd_clients"
+# JGHAND_USD_CLIENTS names another environment
+CLIENTS = Path(os.environ.get("JGHAND_USD_CLIENTS") or ROOT / ".envs" / "usd_clients")
+BEGIN, END = "<!-- scripts/check_usd_files.py: begin -->", "<!-- scripts/check_usd_files.py: end -->"
+GAUSSIANS, FRAMES = 2000, 20
+
+
+@dataclass(frozen=True)
+class Way:
+    """A way to write a stage. words: of the command line · options · frames · reads: the file that readers of single
+    layers get, the same as the stage where it is one file · is_half: NVIDIA's rule refuses it, as it should"""
+
+    words: str
+    options: UsdOptions = field(default_factory=UsdOptions)
+    frames: int = FRAMES
+    reads: str = "hand.splats.usdc"
+
+    @property
+    def is_half(self) -> bool:
+        return self.options.is_half
+
+
+WAYS = (
+    Way(""),
+    Way("--radiance linear --sizes per_frame", UsdOptions(radiance="linear", sizes="per_frame")),
+    Way("--precision half", UsdOptions(precision="half")),
+    Way("--package usdz", UsdOptions(package=Package.USDZ), reads="hand.usdz"),
+    *(
+        Way(f"--package usdc --default-variant {variant}", UsdOptions(package=Package.USDC, default_variant=variant),
+            reads="hand.usdc")
+        for variant in Variant
+    ),
+    Way(f"{USD_CLIPS_ABOVE_FRAMES + 1} frames", UsdOptions(), USD_CLIPS_ABOVE_FRAMES + 1, ""),
+)  # fmt: skip
+# what is written is float32 (position at up to 0.5 m, metres; radius as a part; colour of 0..1, whose harmonics are
+# divided by 0.28), or half precision: two steps of 11 bits at 0.25 m, and of a harmonic of 2
+PRECISION, HALF_PRECISION = (1e-7, 1e-6, 5e-7), (1.3e-4, 5e-4, 3e-4)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What validators say of a way. issues: of Pixar's and our own, of all files and variants · nvidia: failures and
+    warnings of the usual rules, None where it is not there · splats: issues of its rule for splats"""
+
+    way: Way
+    issues: list[str]
+    nvidia: tuple[int, int] | None = None
+    splats: int | None = None
+
+    @property
+    def good(self) -> bool:
+        wrong = [sentence for sentence in self.issues if not (self.way.is_half and "half precision" in sentence)]
+        as_it_should = self.splats is None or (self.splats > 0) == self.way.is_half
+        return not wrong and as_it_should and (self.nvidia is None or self.nvidia[0] == 0)
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What a reader finds of a way. position_mm, sigma, rgb, opacity: largest differences; sigma as a part"""
+
+    way: Way
+    client: str
+    frames: int
+    position_mm: float
+    sigma: float
+    rgb: float
+    opacity: float
+
+    @property
+    def good(self) -> bool:
+        position_m, sigma, rgb = HALF_PRECISION if self.way.is_half else PRECISION
+        within = self.position_mm <= 1e3 * position_m and self.sigma <= sigma
+        return within and self.rgb <= rgb and self.opacity <= rgb
+
+
+def client_python() -> Path:
+    return CLIENTS / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
+
+
+def run(*command: str | Path) -> str:
+    """What a program prints; RuntimeError with its last words when it fails."""
+    done = subprocess.run([str(word) for word in command], capture_output=True, text=True, check=False, timeout=600)
+    if done.returncode:
+        raise RuntimeError(f"{' '.join(map(str, command))}: {(done.stdout + done.stderr).strip()[-2000:]}")
+    return done.stdout
+
+
+def subject(frames: int) -> HandMotion:
+    """The built-in hand in motion, half a metre from the origin."""
+    avatar = load_builtin(handedness=Handedness.RIGHT).prefix(GAUSSIANS)
+    canonical = avatar.canonical_joints_m.numpy()
+    poses = pose_sequence_of_names(("open", "fist", "pinch", "open"), canonical, handedness=Handedness.RIGHT)
+    which = np.linspace(0, len(poses) - 1, frames).astype(int)
+    joints_m = poses.joints_m[which] + np.array([0.3, -0.2, 0.35])
+    # no two frames alike
+    joints_m = joints_m + 1e-3 * np.arange(frames)[:, None, None] / frames
+    return HandMotion(avatar, PoseSequence(joints_m, 30.0, Handedness.RIGHT))
+
+
+def write(way: Way, folder: Path) -> UsdReport:
+    motion = subject(way.frames)
+    return export_usd(folder, motion.avatar, motion.sequence, options=way.options)
+
+
+def judge(way: Way, report: UsdReport) -> Verdict:
+    """By Pixar's validators, our own rules and NVIDIA's."""
+    files = [path for path in (report.stage, report.shot) if path is not None]
+    issues = [str(finding) for path in files for finding in check_usd(path)]
+    if not client_python().exists():
+        return Verdict(way, issues)
+    answers = json.loads(run(client_python(), TOOLS / "validate_with_nvidia.py", *files)).values()
+    failures = sum(len(answer["all"].get(kind, ())) for answer in answers for kind in ("ERROR", "FAILURE"))
+    warnings = sum(len(answer["all"].get("WARNING", ())) for answer in answers)
+    return Verdict(way, issues, (failures, warnings), sum(len(v) for a in answers for v in a["splats"].values()))
+
+
+def read(client: str, way: Way, report: UsdReport) -> Reading:
+    """By a program of its own."""
+    motion = subject(way.frames)
+    with tempfile.TemporaryDirectory() as folder:
+        table = Path(folder) / "table.npz"
+        run(client_python(), TOOLS / "read_usd.py", client, report.stage.parent / way.reads, table, str(way.frames))
+        found = dict(np.load(table))
+    count = len(found["positions_m"])
+    still = motion.cloud()
+    wanted = [still.rest_m] if count == 1 else [motion.frame(index).positions_m for index in range(count)]
+    rgb = srgb_to_linear(still.rgb) if way.options.radiance == "linear" else still.rgb
+    # balls are not turned: what is, has an order of its own for quaternions
+    turned = np.abs(found["turns_wxyz"] - [1.0, 0.0, 0.0, 0.0]).max()
+    return Reading(
+        way,
+        client,
+        count,
+        1e3 * float(max(np.abs(one - two).max() for one, two in zip(found["positions_m"], wanted, strict=True))),
+        float(max(np.abs(found["scales_m"] / still.sigma_m[:, None] - 1).max(), turned)),
+        float(np.abs(found["rgb"] - rgb).max()),
+        float(np.abs(found["opacity"] - still.opacity).max()),
+    )
+
+
+def readings(way: Way, report: UsdReport) -> Iterator[Reading]:
+    """By every program that can read this way and is there: none knows clips, fourdgs no half precision, and without
+    splats there is nothing to read."""
+    shown = way.options.package != Package.USDC or way.options.default_variant == Variant.SPLATS
+    if not client_python().exists() or not way.reads or not shown:
+        return
+    # it reads the times of a payload in a variant at 24 frames a second, whatever the stage says (EXPORT 10)
+    if way.options.package != Package.USDZ:
+        yield read("lightusd", way, report)
+    if not way.is_half:
+        yield read("fourdgs", way, report)
+
+
+def versions() -> dict[str, str]:
+    lines = (TOOLS / "requirements.txt").read_text().splitlines()
+    return dict(line.split("==") for line in lines if "==" in line)
+
+
+def markdown(verdicts: list[Verdict], found: list[Reading]) -> str:
+    """The tables of docs/FORMATS.md."""
+    pins = versions()
+    lines = [
+        f"| `jghand export` | UsdValidation {pins['usd-core']} and check-usd, all variants | "
+        f"usd-validation-nvidia {pins['usd-validation-nvidia']}, all variants | its rule VG.035 |",
+        "| --- | --- | --- | --- |",
+    ]
+    for one in verdicts:
+        nvidia = "not asked" if one.nvidia is None else f"{one.nvidia[0]} failures, {one.nvidia[1]} warnings"
+        said = "1 note: half precision" if one.way.is_half else f"{len(one.issues)} issues"
+        splats = "not asked" if one.splats is None else f"{one.splats} issues"
+        lines.append(f"| {_words(one.way)} | {said} | {nvidia} | {splats} |")
+    lines += [
+        "",
+        "| `jghand export` | read by | frames | position mm | size | colour | opacity |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
+    ]
+    lines += [
+        f"| {_words(one.way)} | {one.client} {pins[one.client]} | {one.frames} | {one.position_mm:.1g} | "
+        f"{100 * one.sigma:.1g} % | {one.rgb:.1g} | {one.opacity:.1g} |"
+        for one in found
+    ]
+    return "\n".join(lines)
+
+
+def _words(way: Way) -> str:
+    return f"`{way.words}`" if way.words.startswith("--") else way.words or "as it is"
+
+
+def install() -> None:
+    """Puts the programs into CLIENTS. Nothing else of the project is touched."""
+    if not client_python().exists():
+        run(sys.executable, "-m", "venv", CLIENTS)
+    run(client_python(), "-m", "pip", "install", "-q", "-r", TOOLS / "requirements.txt")
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--install", action="store_true", help="put the programs into .envs/usd_clients first")
+    parser.add_argument("--page", type=Path, help="write the tables into this page, between its marks")
+    options = parser.parse_args()
+    if options.install:
+        install()
+    if not client_python().exists():
+        print("The programs are not here: --install", file=sys.stderr)
+    verdicts: list[Verdict] = []
+    found: list[Reading] = []
+    for way in WAYS:
+        with tempfile.TemporaryDirectory() as folder:
+            report = write(way, Path(folder))
+            verdicts.append(judge(way, report))
+            found += readings(way, report)
+        print(f"{'good' if verdicts[-1].good else 'BAD '}  {way.words or 'as it is'}")
+        for sentence in verdicts[-1].issues:
+            print(f"      {sentence}")
+    for one in found:
+        print(f"{'good' if one.good else 'BAD '}  {one.way.words or 'as it is'}, read by {one.client}")
+    print(markdown(verdicts, found))
+    if options.page:
+        before, rest = options.page.read_text(encoding="utf-8").split(BEGIN)
+        after = rest.split(END)[1]
+        options.page.write_text(f"{before}{BEGIN}\n{markdown(verdicts, found)}\n{END}{after}", encoding="utf-8")
+    return 0 if all(one.good for one in (*verdicts, *found)) else 1
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
