@@ -108,8 +108,22 @@ ENGINE = Environment(
     check="import torch, numpy, pxr",
     last_words=WHICH_KERNELS,
 )  # fmt: skip
+# the tests of tracking want networks that no package of today holds: without them they are skipped
+HAND_MODEL = """
+from jghand_engine.errors import JGHandError
+from jghand_engine.tracking.model_file import fetch_model
+try:
+    print("finding hands in videos with", fetch_model().name)
+except JGHandError as error:
+    print(error)
+"""
 # the engine with the tools of its tests and checks; whoever only uses it need not have them
-DEVELOPER = replace(ENGINE, packages=(*ENGINE.packages[:-1], ".[dev,video,metrics,perceptual,study]"), holds=(ENGINE,))
+DEVELOPER = replace(
+    ENGINE,
+    packages=(*ENGINE.packages[:-1], ".[dev,video,metrics,perceptual,study,track]"),
+    last_words=WHICH_KERNELS + HAND_MODEL,
+    holds=(ENGINE,),
+)
 # bpy 5.0 is built for Python 3.11 and nothing else, bpy 5.2 for Python 3.13 and nothing else
 BLENDER = Environment(
     name="blender",
