@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import itertools
 import json
 import math
 import struct
@@ -32,6 +33,7 @@ import numpy as np
 
 from jghand_engine import limits
 from jghand_engine.datasets.motions.json_text import JsonText
+from jghand_engine.datasets.motions.text_lines import bounded_lines
 from jghand_engine.errors import InputError, MemoryLimitError
 from jghand_engine.files import writing
 from jghand_engine.hand.joints import JOINT_COUNT, STANDARD_NAMES, Handedness
@@ -368,27 +370,36 @@ _COUNTERS = ("frame", "time", "time_s", "timestamp")
 
 
 def _read_csv(file: Path) -> FileContent:
-    lines = file.read_text(encoding="utf-8-sig").splitlines()
     declared: dict[str, Any] = {}
+    with open(file, encoding="utf-8-sig", newline="") as stream:
+        rows = (row for row in csv.reader(_without_comments(bounded_lines(stream), declared)) if any(row))
+        first = next(rows, None)
+        if first is None:
+            return FileContent(np.zeros((0, len(STANDARD_NAMES), 3)), None, declared)
+        header = [cell.strip().lower() for cell in first]
+        if has_own_columns(header):
+            # names say more than any declaration: the columns may stand in any order
+            places = [header.index(column) for column in _COLUMNS]
+            joints = _csv_numbers(rows, places, first_line=2)
+            return FileContent(joints, None, {**declared, "order": JointOrder.STANDARD.value})
+        has_header = not all(_is_number(cell) for cell in header)
+        skip = 1 if header[0] in _COUNTERS else 0
+        width = len(header) - skip
+        if width % 3:
+            raise ValueError(f"{width} columns of numbers are not x, y, z of joints")
+        every = rows if has_header else itertools.chain([first], rows)
+        joints = _csv_numbers(every, range(skip, skip + width), 1 + has_header)
+    return FileContent(joints, None, declared)
+
+
+def _without_comments(lines: Iterable[str], declared: dict[str, Any]) -> Iterator[str]:
+    """The lines that are no comments; what comments declare is put into `declared`."""
     for line in lines:
-        if line.startswith("#") and ":" in line:
+        if not line.startswith("#"):
+            yield line
+        elif ":" in line:
             name, value = line[1:].split(":", 1)
             declared[name.strip()] = value.strip()
-    rows = [row for row in csv.reader(line for line in lines if not line.startswith("#")) if any(row)]
-    if not rows:
-        return FileContent(np.zeros((0, len(STANDARD_NAMES), 3)), None, declared)
-    header = [cell.strip().lower() for cell in rows[0]]
-    if has_own_columns(header):
-        # names say more than any declaration: the columns may stand in any order
-        declared["order"] = JointOrder.STANDARD.value
-        places = [header.index(column) for column in _COLUMNS]
-        return FileContent(_csv_numbers(rows[1:], places, first_line=2), None, declared)
-    has_header = not all(_is_number(cell) for cell in header)
-    skip = 1 if header[0] in _COUNTERS else 0
-    width = len(header) - skip
-    if width % 3:
-        raise ValueError(f"{width} columns of numbers are not x, y, z of joints")
-    return FileContent(_csv_numbers(rows[has_header:], range(skip, skip + width), 1 + has_header), None, declared)
 
 
 def has_own_columns(header: list[str]) -> bool:
@@ -396,18 +407,21 @@ def has_own_columns(header: list[str]) -> bool:
     return set(_COLUMNS) <= {cell.strip().lower() for cell in header}
 
 
-def _csv_numbers(rows: list[list[str]], places: Iterable[int], first_line: int) -> np.ndarray:
+def _csv_numbers(rows: Iterable[list[str]], places: Iterable[int], first_line: int) -> np.ndarray:
+    """(F, n, 3) of some columns, NaN for empty cells."""
     columns = list(places)
-    table = np.empty((len(rows), len(columns)))
-    for number, row in enumerate(rows):
+    table = []
+    for number, row in enumerate(rows, first_line):
         if len(row) <= max(columns):
-            raise ValueError(f"row {number + first_line} ends after {len(row)} of {max(columns) + 1} columns")
-        for column, place in enumerate(columns):
-            cell = row[place].strip()
-            if cell and not _is_number(cell):
-                raise ValueError(f"row {number + first_line}, column {place + 1}: {cell[:30]!r} is no number")
-            table[number, column] = float(cell) if cell else math.nan
-    return table.reshape(len(rows), -1, 3)
+            raise ValueError(f"row {number} ends after {len(row)} of {max(columns) + 1} columns")
+        table.append(np.array([_cell(row[place], number, place) for place in columns]))
+    return np.array(table).reshape(len(table), -1, 3)
+
+
+def _cell(cell: str, number: int, place: int) -> float:
+    if cell.strip() and not _is_number(cell):
+        raise ValueError(f"row {number}, column {place + 1}: {cell.strip()[:30]!r} is no number")
+    return float(cell) if cell.strip() else math.nan
 
 
 def _is_number(cell: str) -> bool:

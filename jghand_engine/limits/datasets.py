@@ -57,16 +57,21 @@ FOLDER_LEVELS_DOWN = 2
 # ---- datasets: motions of other programs ----------------------------------------------------------------------------
 # text of one value of a JSON file, bytes: a frame with face, body and both hands, indented, has 200 kB
 JSON_ELEMENT_MAX_BYTES = 1 << 20
+# names of the outermost object of a JSON file, and frames in which a hand is looked for before the file is given up
+JSON_NAMES_MAX = 4096
+RECOGNISE_JSON_FRAMES = 5000
 # the same for a buffer that a glTF file holds as text
 JSON_BUFFER_MAX_BYTES = 1 << 28
 # nodes, accessors, channels of a glTF file, joints of a BVH file; film rigs have some thousands
 RIG_PARTS_MAX = 65_536
 # the description in a GLB, bytes: a rig with meshes, materials and some actions has some hundred kB
 GLTF_JSON_MAX_BYTES = 1 << 26
+# characters of a line of text: a whole body with its face has 40 kB, a film rig in BVH 100 kB
+TEXT_LINE_MAX = 1 << 19
 # lines of the header of a BVH file
 BVH_HEADER_LINES_MAX = 1 << 20
 # lines of motion that are turned into numbers at once
-BVH_LINES_AT_ONCE = 1024
+BVH_LINES_AT_ONCE = 64
 # frames whose bones are turned into joints at once: 60 bones of 4096 frames have 30 MB
 SKELETON_FRAMES_AT_ONCE = 4096
 # bones of wrist and fingers, of 16, from which names count as a hand that lacks some

@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
-from typing import TextIO
 
 import numpy as np
 
@@ -21,6 +20,7 @@ from jghand_engine import limits
 from jghand_engine.datasets.motions.bone_names import hands_among
 from jghand_engine.datasets.motions.content import MotionContent
 from jghand_engine.datasets.motions.skeleton import hand_tracks
+from jghand_engine.datasets.motions.text_lines import bounded_lines
 
 KIND = "BVH"
 _ROTATIONS = {"xrotation": 0, "yrotation": 1, "zrotation": 2}
@@ -50,14 +50,15 @@ class _Header:
 def read(file: Path) -> MotionContent:
     """The hands of a BVH file. ValueError says what is wrong."""
     with open(file, encoding="utf-8-sig", errors="replace") as stream:
-        header = _header(stream)
+        lines = bounded_lines(stream)
+        header = _header(lines)
         # a number and the space behind it are two bytes
         if header.frames * max(header.columns, 1) * 2 > file.stat().st_size + 2:
             raise ValueError(f"{header.frames} frames of {header.columns} numbers, more than the file holds")
         hands, _ = hands_among([joint.name for joint in header.joints])
         wanted = {bone for hand in hands for bone in hand.bones if bone is not None}
         skeleton = _Bvh(header, _ancestors(header, wanted))
-        skeleton.read_motion(stream)
+        skeleton.read_motion(lines)
     tracks, notes = hand_tracks(skeleton, "")
     fps = 1 / header.frame_time_s
     near = round(fps)
@@ -96,9 +97,9 @@ class _Bvh:
             rest[place, :3, 3] = above + np.array(joint.offset)
         return rest
 
-    def read_motion(self, stream: TextIO) -> None:
+    def read_motion(self, lines: Iterator[str]) -> None:
         """All lines of motion. ValueError names the first that is none."""
-        blocks = [block[:, self._columns] for block in _blocks(stream, self._header)]
+        blocks = [block[:, self._columns] for block in _blocks(lines, self._header)]
         self._numbers = np.concatenate(blocks) if blocks else self._numbers
         if len(self._numbers) < self._header.frames:
             raise ValueError(f"{self._header.frames} frames said, {len(self._numbers)} there")
@@ -173,7 +174,7 @@ def _ancestors(header: _Header, joints: set[int]) -> list[int]:
     return sorted(kept)
 
 
-def _header(stream: TextIO) -> _Header:
+def _header(stream: Iterator[str]) -> _Header:
     """Everything before the first frame. ValueError."""
     header, path, opened = _Header(), [], -1
     in_end = False
@@ -268,7 +269,7 @@ def _with_frames(header: _Header, lines: Iterator[str]) -> _Header:
     return header
 
 
-def _blocks(stream: TextIO, header: _Header) -> Iterator[np.ndarray]:
+def _blocks(stream: Iterator[str], header: _Header) -> Iterator[np.ndarray]:
     """Blocks of whole frames (n, columns). What stands behind the last frame is not looked at."""
     left = header.frames
     while left > 0 and (lines := list(islice(stream, limits.BVH_LINES_AT_ONCE))):
@@ -292,7 +293,7 @@ def _numbers(text: str) -> np.ndarray:
         warnings.simplefilter("error", DeprecationWarning)
         try:
             return np.fromstring(text, dtype=np.float64, sep=" ")
-        except DeprecationWarning as error:
+        except (DeprecationWarning, ValueError) as error:
             raise ValueError("a line of motion with something that is no number") from error
 
 

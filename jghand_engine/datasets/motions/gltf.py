@@ -62,10 +62,8 @@ class _Channel:
 
 def looks_like(text: JsonText) -> bool:
     """Whether a JSON object is a glTF file."""
-    return any(
-        name == "asset" and text.text[place] == "{" and "version" in text.value(place)
-        for name, place in text.members(text.start)
-    )
+    place = text.names.get("asset")
+    return place is not None and text.text[place] == "{" and "version" in text.value(place)
 
 
 def read(file: Path, fps: float | None, part: str | None) -> MotionContent:
@@ -223,7 +221,7 @@ class _Document:
             is_binary = stream.read(4) == MAGIC
         text = self._glb(file) if is_binary else JsonText.of_file(file)
         self.lists: dict[str, list[dict[str, Any]]] = {}
-        for name, place in text.members(text.start):
+        for name, place in text.names.items():
             if name in _LISTS and text.text[place] == "[":
                 most = limits.JSON_BUFFER_MAX_BYTES if name == "buffers" else limits.JSON_ELEMENT_MAX_BYTES
                 entries: list[dict[str, Any]] = []

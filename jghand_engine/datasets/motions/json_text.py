@@ -6,21 +6,26 @@ JSON_ELEMENT_MAX_BYTES, and what nobody asks for is skipped without building it.
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 from collections.abc import Iterator
+from functools import cached_property
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from jghand_engine import limits
 
 _SPACE = re.compile(r"[ \t\n\r]*")
-# strings whole, so that brackets inside of them do not count
-_MARKS = re.compile(r'"[^"\\]*(?:\\.[^"\\]*)*"|[\[\]{}"]', re.DOTALL)
+_STRING = re.compile(r'"[^"\\]*(?:\\.[^"\\]*)*"', re.DOTALL)
+_QUOTE, _BRACKETS = ord('"'), ((ord("["), ord("{")), (ord("]"), ord("}")))
+_BLOCK = 1 << 17
 _SCALAR_END = re.compile(r"[,\]}\s]")
 _DECODER = json.JSONDecoder()
 # how much of the text is looked at for one element, growing until it is enough
-_FIRST_LOOK, _GROWTH = 1 << 14, 8
+_FIRST_LOOK, _GROWTH = 1 << 8, 8
 
 
 class JsonText:
@@ -29,6 +34,7 @@ class JsonText:
 
     def __init__(self, text: str) -> None:
         self.text = text
+        self._look = _FIRST_LOOK
         self.start = self.after_space(0)
         end = len(self.text.rstrip(" \t\n\r"))
         # a file that was cut is most quickly known by its end
@@ -46,6 +52,16 @@ class JsonText:
         """The next place that is no white space."""
         match = _SPACE.match(self.text, place)
         return match.end() if match else place
+
+    @cached_property
+    def names(self) -> dict[str, int]:
+        """Names of the file's object, and where their values begin; {} for a list."""
+        if self.text[self.start] == "[":
+            return {}
+        names = dict(itertools.islice(self.members(self.start), limits.JSON_NAMES_MAX + 1))
+        if len(names) > limits.JSON_NAMES_MAX:
+            raise ValueError(f"an object of more than {limits.JSON_NAMES_MAX} names")
+        return names
 
     def value(self, place: int) -> Any:
         """The value that begins there."""
@@ -92,17 +108,33 @@ class JsonText:
         if self._mark(place) not in '[{"':
             match = _SCALAR_END.search(self.text, place)
             return match.start() if match else len(self.text)
-        depth = 0
-        for match in _MARKS.finditer(self.text, place):
-            mark = match.group()
-            if mark in "[{":
-                depth += 1
-            elif mark in "]}":
-                depth -= 1
-            elif mark == '"':
-                raise ValueError(f"a string without an end at character {match.start()}")
-            if depth == 0:
-                return match.end()
+        if self._mark(place) == '"':
+            match = _STRING.match(self.text, place)
+            if match is None:
+                raise ValueError(f"a string without an end at character {place}")
+            return match.end()
+        return self._after_container(place)
+
+    def _after_container(self, place: int) -> int:
+        """Where the list or object that begins at `place` ends: brackets outside of strings are counted, a block of the
+        text at a time."""
+        depth, inside = 0, 0
+        while place < len(self.text):
+            block = self.text[place : place + _BLOCK]
+            if (len(block) - len(block.rstrip("\\"))) % 2:
+                # the character behind the last backslash belongs to it
+                block = self.text[place : place + len(block) + 1]
+            # what is escaped is no mark; the lengths stay
+            plain = block.replace("\\\\", "xx").replace('\\"', "xx") if "\\" in block else block
+            marks = np.frombuffer(plain.encode("ascii", "replace"), np.uint8)
+            in_string = (np.cumsum(marks == _QUOTE, dtype=np.int64) + inside) % 2
+            opens, closes = ((marks == first) | (marks == second) for first, second in _BRACKETS)
+            depths = depth + np.cumsum(np.where(in_string, 0, opens.astype(np.int64) - closes))
+            ends = np.flatnonzero((depths == 0) & closes & (in_string == 0))
+            if len(ends):
+                return place + int(ends[0]) + 1
+            depth, inside = int(depths[-1]), int(in_string[-1])
+            place += len(block)
         raise ValueError("cut off before its end")
 
     def _mark(self, place: int) -> str:
@@ -113,7 +145,8 @@ class JsonText:
     def _decoded(self, place: int, most: int = limits.JSON_ELEMENT_MAX_BYTES) -> tuple[Any, int]:
         """A value and where it ends. Only a part of the text is shown to the decoder, so that a value that never ends
         is not built either."""
-        look = _FIRST_LOOK
+        # elements of a list are mostly of about the same length
+        look = min(self._look, most)
         while True:
             part = self.text[place : place + look]
             is_rest = len(part) < look
@@ -121,6 +154,7 @@ class JsonText:
                 value, end = _DECODER.raw_decode(part)
                 # a number at the end of the part may go on behind it
                 if end < len(part) or is_rest:
+                    self._look = max(2 * end, _FIRST_LOOK)
                     return value, place + end
             except ValueError as error:
                 if is_rest:

@@ -118,7 +118,7 @@ def _read(file: Path, kind: Kind, wanted: MotionFormat) -> MotionContent:
 def _json(text: JsonText, kind: Kind, wanted: MotionFormat) -> MotionContent:
     if kind is Kind.INTERHAND:
         return interhand.read(text)
-    members = dict(text.members(text.start)) if text.text[text.start] == "{" else {}
+    members = text.names
     place = frames_place(text)
     frames = text.elements(place) if place is not None else iter([text.value(text.start)])
     fps = text.value(members["fps"]) if "fps" in members else None

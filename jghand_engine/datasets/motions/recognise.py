@@ -76,7 +76,7 @@ def frames_place(text: JsonText) -> int | None:
     """Where the list of frames in a JSON file begins: the file itself, or the first member of such a name."""
     if text.text[text.start] == "[":
         return text.start
-    found = {name.casefold(): place for name, place in text.members(text.start) if text.text[place] == "["}
+    found = {name.casefold(): place for name, place in text.names.items() if text.text[place] == "["}
     return next((found[name] for name in FRAME_LISTS if name in found), None)
 
 
@@ -102,7 +102,7 @@ def _of_archive(file: Path) -> Kind:
 def _of_json(file: Path) -> Kind:
     text = JsonText.of_file(file)
     if text.text[text.start] == "{":
-        names = dict(text.members(text.start))
+        names = text.names
         if "joints" in names and text.text[names["joints"]] == "[":
             return Kind.OWN_JSON
         if gltf.looks_like(text):
@@ -142,7 +142,7 @@ def _of_frames(text: JsonText, place: int) -> Kind:
             break
         if webxr.looks_like(frame):
             return Kind.WEBXR
-        if number >= limits.MOTION_FRAMES_MAX:
+        if number >= limits.RECOGNISE_JSON_FRAMES:
             break
     if is_own or text.text[text.start] == "[":
         return Kind.OWN_JSON

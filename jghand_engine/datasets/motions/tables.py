@@ -12,6 +12,7 @@ import numpy as np
 from jghand_engine import limits
 from jghand_engine.datasets.motions.bone_names import NamedHand, hands_among
 from jghand_engine.datasets.motions.content import HandTrack
+from jghand_engine.datasets.motions.text_lines import bounded_lines
 from jghand_engine.hand.joints import JOINT_COUNT
 from jghand_engine.hand.orders import JointOrder
 
@@ -33,7 +34,7 @@ def named_hands(header: list[str]) -> tuple[list[NamedHand], dict[str, tuple[int
 def read_tracks(file: Path) -> tuple[HandTrack, ...]:
     """The hands of a table, one line for each frame; none when its columns are named after no hand. ValueError."""
     with open(file, encoding="utf-8-sig", newline="") as stream:
-        rows = csv.reader(line for line in stream if not line.startswith("#"))
+        rows = csv.reader(line for line in bounded_lines(stream) if not line.startswith("#"))
         header = next(rows, [])
         hands, columns, names = named_hands(header)
         if not hands:

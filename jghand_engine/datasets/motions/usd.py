@@ -26,7 +26,9 @@ def read(file: Path, fps: float | None) -> MotionContent:
     try:
         stage = Usd.Stage.Open(str(file))
     except Tf.ErrorException as error:
-        raise ValueError(str(error).strip().splitlines()[-1][:200]) from error
+        # the sentence in quotes behind file and line of USD's own source
+        said = str(error).strip().rpartition(" : ")[2].strip("'")
+        raise ValueError(f"USD cannot open it: {said}"[:300]) from error
     cache = UsdSkel.Cache()
     tracks: list[HandTrack] = []
     notes: list[str] = []

@@ -1,0 +1,330 @@
+"""Damaged and malicious motion files of other programs: one sentence, soon, and little memory."""
+
+from __future__ import annotations
+
+import json
+import struct
+import subprocess
+import sys
+from pathlib import Path
+
+import motion_samples as samples
+import numpy as np
+import pytest
+
+from jghand_engine import limits
+from jghand_engine.datasets.motion_files import MotionFormat
+from jghand_engine.datasets.motions.read import read_motion_file
+from jghand_engine.errors import InputError
+from jghand_engine.hand.joints import Handedness
+
+TOLD = MotionFormat(handedness=Handedness.RIGHT)
+TESTS = Path(__file__).parents[1]
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return samples.rig(samples.motion(frames=6), scale=1.0)
+
+
+def _written(folder, kind):
+    """A good file of a kind."""
+    motion = samples.motion(frames=6)
+    joints = samples.standard(motion)
+    rig = samples.rig(motion)
+    path = folder / f"motion.{kind.split()[0]}"
+    if kind == "bvh":
+        samples.write_bvh(path, rig)
+    elif kind == "glb":
+        samples.write_glb(path, *samples.gltf_document(rig))
+    elif kind == "gltf":
+        samples.write_gltf(path, *samples.gltf_document(rig), beside=False)
+    elif kind in ("usda", "usdc"):
+        samples.write_usd(path, rig)
+    else:
+        content = {
+            "json mediapipe": lambda: samples.mediapipe_tasks(joints),
+            "json openpose": lambda: samples.openpose_frame(joints[0]),
+            "json iwer": lambda: samples.iwer_recording(motion),
+            "json webxr": lambda: {"frames": [{"right": frame} for frame in samples.webxr_joints(motion).tolist()]},
+            "json interhand": lambda: samples.interhand_document(motion),
+        }[kind]()
+        path.write_text(json.dumps(content))
+    return path
+
+
+KINDS = (
+    *("bvh", "glb", "gltf", "usda", "usdc", "json mediapipe", "json openpose", "json iwer", "json webxr"),
+    "json interhand",
+)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_file_cut_anywhere_is_an_input_error(tmp_path, kind):
+    path = _written(tmp_path, kind)
+    whole = path.read_bytes()
+    assert len(read_motion_file(path, TOLD).sequence) >= 1
+    # USD's text parser is slow, and its crate has its table of contents at the end
+    for part in np.linspace(0, len(whole) - 2, 12 if kind.startswith("usd") else 40).astype(int):
+        # the last digits of a text, or its last line end, are nothing that anybody could miss
+        if kind in ("bvh", "usda") and part > len(whole) - 12:
+            continue
+        path.write_bytes(whole[:part])
+        with pytest.raises(InputError, match="motion") as caught:
+            read_motion_file(path, TOLD)
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if not kind.startswith("usd")])
+def test_flipped_bits_never_crash(tmp_path, kind):
+    path = _written(tmp_path, kind)
+    whole = path.read_bytes()
+    random = np.random.default_rng(2)
+    for _ in range(120):
+        broken = bytearray(whole)
+        for place in random.integers(0, len(whole), 3):
+            broken[place] ^= 1 << int(random.integers(8))
+        path.write_bytes(broken)
+        try:
+            read_motion_file(path, MotionFormat(handedness=Handedness.RIGHT, check_hand=False))
+        except InputError:
+            continue
+
+
+HEAD = (
+    "HIERARCHY\nROOT RightHand\n{\nOFFSET 0 0 0\nCHANNELS 3 Xrotation Yrotation Zrotation\n"
+    "End Site\n{\nOFFSET 0 1 0\n}\n}\n"
+)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("HIERARCHY\n", "no MOTION"),
+        (HEAD, "no MOTION"),
+        (HEAD + "MOTION\nFrames: -3\nFrame Time: 0.033\n", "-3 frames"),
+        (HEAD + "MOTION\nFrames: 0\nFrame Time: 0.033\n", "0 frames"),
+        (HEAD + "MOTION\nFrames: 900000\nFrame Time: 0.033\n1 2 3\n", "more than the file holds"),
+        (HEAD + "MOTION\nFrames: 99999999999999999999\nFrame Time: 0.033\n", "99999999999999999999 frames"),
+        (HEAD + "MOTION\nFrames: many\nFrame Time: 0.033\n", "many"),
+        (HEAD + "MOTION\nFrames: 1\nFrame Time: nan\n1 2 3\n", "frame time"),
+        (HEAD + "MOTION\nFrames: 1\nFrame Time: 0\n1 2 3\n", "frame time"),
+        (HEAD + "MOTION\nFrames: 2\nFrame Time: 0.033\n1 2 3\n1 2\n", "frame 1 has not the 3 numbers"),
+        (HEAD + "MOTION\nFrames: 2\nFrame Time: 0.033\n1 2 3\n         \n", "2 frames said, 1 there"),
+        (HEAD + "MOTION\nFrames: 1\nFrame Time: 0.033\n1 x 3\n", "no number|numbers of its channels"),
+        (HEAD + "MOTION\nFrames: 1\nFrame Time: 0.033\n1 nan 3\n", "no finite numbers"),
+        (HEAD + "MOTION\nFrames: 1\nFrame Time: 0.033\n1 1e999 3\n", "no finite numbers"),
+        (HEAD + "MOTION\nFrames: 1\nFrame Time: 0.033\n1 2 3\n", "a hand"),
+        (HEAD.replace("3 X", "4 X"), "CHANNELS"),
+        (HEAD.replace("Yrotation", "Yscale"), "CHANNELS"),
+        (HEAD.replace("OFFSET 0 1 0", "OFFSET 0 1"), "OFFSET"),
+        (HEAD.replace("OFFSET 0 1 0", "OFFSET 0 inf 0"), "OFFSET"),
+        (HEAD + "}\n", "brace too many"),
+        ("HIERARCHY\nJOINT a\n", "JOINT"),
+        ("HIERARCHY\n" + "ROOT a {\n" * 3, "ROOT"),
+        ("HIERARCHY\nSCRIPT import os\n", "SCRIPT"),
+    ],
+)
+def test_bvh_that_is_none_says_what_is_wrong(tmp_path, text, says):
+    path = tmp_path / "motion.bvh"
+    path.write_text(text)
+    with pytest.raises(InputError, match=says):
+        read_motion_file(path, TOLD)
+
+
+def test_a_bvh_nested_deeper_than_any_rig_is_only_long(tmp_path):
+    joints = "".join(f"JOINT j{number}\n{{\nOFFSET 0 1 0\nCHANNELS 0\n" for number in range(20_000))
+    header = f"HIERARCHY\nROOT a\n{{\nOFFSET 0 0 0\nCHANNELS 0\n{joints}{'}' * 20_001}\n"
+    path = tmp_path / "motion.bvh"
+    path.write_text(f"{header}MOTION\nFrames: 1\nFrame Time: 0.1\n1\n")
+    with pytest.raises(InputError):
+        read_motion_file(path, TOLD)
+
+
+def _document(rig, **changes):
+    document, binary = samples.gltf_document(rig)
+    return {**document, **changes}, binary
+
+
+@pytest.mark.parametrize(
+    ("name", "entries", "says"),
+    [
+        ("nodes", [{"name": "a", "children": [0]}], "two parents"),
+        ("nodes", [{"name": "a", "children": [1]}, {"name": "b", "children": [0]}], "a hand"),
+        ("nodes", [{"name": "a", "children": [10**30]}], "no nodes of number"),
+        ("nodes", [{"name": "a", "translation": [1, 2]}], "3 numbers"),
+        ("nodes", [{"name": "a", "rotation": ["x"] * 4}], "could not convert"),
+        ("nodes", 7, "a hand"),
+        ("accessors", [{"bufferView": 0, "componentType": 5126, "count": 10**12, "type": "SCALAR"}] * 99, "beyond"),
+        ("accessors", [{"bufferView": 0, "componentType": 5126, "count": -1, "type": "SCALAR"}] * 99, "count"),
+        ("accessors", [{"bufferView": 99999, "componentType": 5126, "count": 1, "type": "SCALAR"}] * 99, "bufferViews"),
+        ("accessors", [], "no accessors"),
+        ("bufferViews", [{"buffer": 0, "byteOffset": 2**39, "byteLength": 8}] * 99, "beyond"),
+        ("bufferViews", [{"buffer": 5, "byteLength": 8}] * 99, "no buffers"),
+        ("buffers", [{"uri": "../secret.bin", "byteLength": 8}], "outside"),
+        ("buffers", [{"uri": "/etc/passwd", "byteLength": 8}], "outside"),
+        ("buffers", [{"uri": "file:///etc/passwd", "byteLength": 8}], "outside"),
+        ("buffers", [{"uri": "data:x;base64,????", "byteLength": 8}], "base64"),
+        ("buffers", [{"uri": "absent.bin", "byteLength": 8}], "No such file"),
+    ],
+)
+def test_gltf_that_is_none_says_what_is_wrong(tmp_path, rig, name, entries, says):
+    document, binary = _document(rig, **{name: entries})
+    samples.write_glb(tmp_path / "motion.glb", document, binary)
+    with pytest.raises(InputError, match=says):
+        read_motion_file(tmp_path / "motion.glb", TOLD)
+
+
+def test_a_ring_of_bones_ends(tmp_path, rig):
+    document, binary = samples.gltf_document(rig)
+    document["nodes"][2]["children"] = [*document["nodes"][2].get("children", []), 0]
+    samples.write_glb(tmp_path / "motion.glb", document, binary)
+    with pytest.raises(InputError, match="their own ancestors"):
+        read_motion_file(tmp_path / "motion.glb", TOLD)
+
+
+def test_keys_a_thousand_years_apart_are_refused(tmp_path, rig):
+    document, binary = samples.gltf_document(rig)
+    broken = bytearray(binary)
+    broken[20:24] = struct.pack("<f", 3e10)
+    samples.write_glb(tmp_path / "motion.glb", document, bytes(broken))
+    with pytest.raises(InputError, match="keys over"):
+        read_motion_file(tmp_path / "motion.glb", TOLD)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[" * 100_000 + "]" * 100_000,
+        '{"frames": ' + "[" * 100_000 + "]" * 100_000 + "}",
+        '{"a":' * 100_000 + "1" + "}" * 100_000,
+        '{"frames": [{"right": [[1e999, 0, 0]]}]}',
+        json.dumps({"frames": [{"right": [[10**400, 0, 0]] * 21}]}),
+        json.dumps(
+            [{"worldLandmarks": [[{"x": "1", "y": 2, "z": 3}] * 21], "handedness": [[{"categoryName": "Right"}]]}]
+        ),
+        json.dumps([{"worldLandmarks": [[{"x": True, "y": 2, "z": 3}] * 21]}]),
+        json.dumps([{"worldLandmarks": 5, "handedness": {"a": {}}}]),
+        json.dumps({"people": [{"hand_right_keypoints_3d": [1, 2, 3]}]}),
+        json.dumps({"people": "nobody"}),
+        json.dumps({"schema": [[0, 1]], "frames": []}),
+        json.dumps(
+            {"schema": [[0, {"hasHand": True, "jointSequence": ["wrist"]}]], "frames": [[1] * 8 + [[0] * 8 + [[1]]]]}
+        ),
+        json.dumps({"0": {"1": {"world_coord": [[1, 2, 3]]}}}),
+        json.dumps({"0": {"x": {"world_coord": [[1, 2, 3]] * 42}}}),
+        json.dumps({"asset": {"version": "2.0"}}),
+        '{"frames": [1, 2, 3]}',
+        '{"frames": [{"right": [[0, 0, 0]]}]} trailing ]}',
+        '{"frames": [,]}',
+        '{"frames": [{}}',
+        "{1: 2}",
+        '{"a" 2}',
+        '["unended]',
+    ],
+)
+def test_json_that_is_no_motion_is_an_input_error(tmp_path, text):
+    path = tmp_path / "motion.json"
+    path.write_text(text)
+    with pytest.raises(InputError) as caught:
+        read_motion_file(path, TOLD)
+    assert len(str(caught.value)) < 700
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (b"", "empty"),
+        (b"  \n ", "empty"),
+        (b"Kaydara FBX Binary  \x00\x1a\x00", "FBX.*Blender"),
+        (b"; FBX 7.4.0 project file", "FBX"),
+        (b"BLENDER-v405", "blend"),
+        (b"\x89PNG\r\n\x1a\n\x00\x00", "no motion file"),
+        (b"just some text", "no motion file"),
+        (b"PK\x03\x04nothing behind it", "archive"),
+        (b"PXR-USDC" + b"\x00" * 100, "motion"),
+        (b"#usda 1.0\n(((", "motion"),
+        (b"glTF" + b"\xff" * 100, "glTF"),
+    ],
+)
+def test_what_is_no_motion_at_all_is_named(tmp_path, content, says):
+    path = tmp_path / "motion.any"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=says):
+        read_motion_file(path, TOLD)
+
+
+def test_a_folder_of_something_else_is_refused(tmp_path):
+    (tmp_path / "a.txt").write_text("x")
+    with pytest.raises(InputError, match="OpenPose"):
+        read_motion_file(tmp_path, TOLD)
+    with pytest.raises(InputError, match="absent"):
+        read_motion_file(tmp_path / "absent.bvh", TOLD)
+
+
+def test_openpose_frames_a_trillion_apart_are_refused(tmp_path):
+    for number in (1, 10**12):
+        (tmp_path / f"v_{number:012d}_keypoints.json").write_text('{"people": []}')
+    with pytest.raises(InputError, match="frames from 1 to"):
+        read_motion_file(tmp_path, TOLD)
+
+
+def test_a_value_larger_than_any_frame_is_not_built(tmp_path):
+    path = tmp_path / "motion.json"
+    path.write_text('{"frames": [{"right": [' + "[0,0,0]," * (limits.JSON_ELEMENT_MAX_BYTES // 4) + "[0,0,0]]}]}")
+    with pytest.raises(InputError, match="at most 1 MiB"):
+        read_motion_file(path, TOLD)
+
+
+# each makes a bad file of about 20 MB by the quickest means
+LARGE = {
+    "json of one value": lambda: b'{"frames": [' + b"[0,0,0]," * 2_500_000 + b"0]}",
+    "json cut off": lambda: b'{"frames": [' + b'{"right": null},' * 1_250_000,
+    "json of empty frames": lambda: b'{"frames": [' + b'{"right": null},' * 1_250_000 + b"{}]}",
+    "json nested": lambda: b"[" * 10_000_000 + b"]" * 10_000_000,
+    "json of one string": lambda: b'{"frames": "' + b"x" * 20_000_000 + b'"}',
+    "json of names": lambda: b"{" + b'"a":1,' * 3_300_000 + b'"b":2}',
+    "bvh of one line": lambda: b"HIERARCHY\nROOT a\n{\nOFFSET " + b"1 " * 10_000_000,
+    "bvh of many joints": lambda: b"HIERARCHY\nROOT a\n{\n" + b"JOINT b\n{\n" * 2_000_000,
+    "csv of one line": lambda: b"a," * 10_000_000,
+    "csv of words": lambda: b"wrist_x,wrist_y,wrist_z\n" + b"a,b,c\n" * 3_300_000,
+    "zeros": lambda: b"\0" * 20_000_000,
+    "gltf of nodes": lambda: b'{"asset": {"version": "2.0"}, "nodes": [' + b"{}," * 6_500_000 + b"{}]}",
+}
+_MEASURE = """
+import json, os, resource, sys, time
+from jghand_engine.datasets.motions.read import read_motion_file
+from jghand_engine.errors import InputError
+for path in sys.argv[1:]:
+    # a process for each, because the largest memory of a process never shrinks
+    child = os.fork()
+    if child:
+        os.waitpid(child, 0)
+        continue
+    before, started = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time()
+    said = None
+    try:
+        read_motion_file(path)
+    except InputError as error:
+        said = str(error)
+    seconds = time.process_time() - started
+    print(json.dumps([path, said, seconds, 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)]))
+    sys.stdout.flush()
+    os._exit(0)
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="memory is measured as Linux counts it")
+def test_large_bad_files_take_no_more_than_twice_their_size(tmp_path):
+    paths = {name: tmp_path / f"{name.replace(' ', '_')}.any" for name in LARGE}
+    for name, path in paths.items():
+        path.write_bytes(LARGE[name]())
+    words = [sys.executable, "-c", _MEASURE, *map(str, paths.values())]
+    done = subprocess.run(words, capture_output=True, text=True, check=True, cwd=TESTS.parent)
+    results = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [path for path, *_ in results] == [str(path) for path in paths.values()]
+    for path, said, seconds, memory in results:
+        print(f"{Path(path).stem:24} {seconds:5.2f} s {memory / 1e6:6.1f} MB  {said}")
+        assert said is not None, path
+        # the bytes and the text of a file stand beside each other for a moment; 12 MB for everything else
+        assert memory < 2 * Path(path).stat().st_size + 12e6, path
