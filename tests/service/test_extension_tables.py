@@ -11,12 +11,13 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
+from blender_addon.core import bone_maps, conventions, motion_files, posing
 from blender_addon.core import joints as extension
 from blender_addon.core import limits as extension_limits
-from blender_addon.core import motion_files, posing
 from blender_addon.core.messages import ADVICE
 from jghand_engine import limits
 from jghand_engine.datasets.motion_files import write_motion
+from jghand_engine.datasets.motions import bone_names
 from jghand_engine.errors import InputError, MemoryLimitError, RetryError
 from jghand_engine.hand.anatomy import RANGES_DEG
 from jghand_engine.hand.joints import LEVEL_NAMES, PARENTS, STANDARD_NAMES, Handedness
@@ -77,6 +78,31 @@ def test_the_extension_reads_the_motions_that_the_engine_writes(tmp_path, suffix
     read = motion_files.read_motion(tmp_path / f"motion.{suffix}")
     np.testing.assert_array_equal(read.joints_m, from_level(motion.with_gaps_held().joints_m, JointOrder.STANDARD))
     assert (read.fps, read.handedness, len(read.notes)) == (24.0, "left", 1)
+
+
+def test_bones_of_other_rigs_have_the_same_names_here_and_there():
+    """The engine knows more conventions, after those of the extension."""
+    ours = bone_names.CONVENTIONS[: len(conventions.CONVENTIONS)]
+    assert [one.title for one in ours] == [one.title for one in conventions.CONVENTIONS]
+    for engine, theirs in zip(ours, conventions.CONVENTIONS, strict=True):
+        assert engine.says_side == theirs.says_side
+        assert engine.prefixes == theirs.prefixes
+        for side in Handedness:
+            assert engine.names(side) == theirs.names(side)
+
+
+@pytest.mark.parametrize("convention", bone_names.CONVENTIONS, ids=lambda one: one.title)
+@pytest.mark.parametrize("side", list(Handedness))
+def test_the_extension_and_the_engine_find_the_same_bones(convention, side):
+    chosen = [names[0] for names in convention.names(side)]
+    prefix = "" if convention.says_side else f"{side}_"
+    names = ["Root", *(prefix + name for name in reversed(chosen))]
+    (hand,), _ = bone_names.hands_among(names)
+    assert hand.handedness is side
+    assert [names[bone] for bone in hand.bones] == [prefix + name for name in chosen]
+    if convention.title in {one.title for one in conventions.CONVENTIONS}:
+        sources = bone_maps.recognise(names, side.value).bone_map.sources
+        assert [source.bone for source in sources] == [prefix + name for name in chosen]
 
 
 def test_the_pose_table_is_what_the_engine_poses():

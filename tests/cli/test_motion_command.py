@@ -1,0 +1,105 @@
+"""`jghand motion`, and motions of other programs in the commands that take one."""
+
+from __future__ import annotations
+
+import json
+
+import motion_samples as samples
+import numpy as np
+import pytest
+
+from jghand_engine.cli import main
+from jghand_engine.datasets.motion_files import read_motion
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.orders import bone_lengths
+
+
+def run(*words):
+    return main([str(word) for word in words])
+
+
+@pytest.fixture
+def bvh(tmp_path):
+    path = tmp_path / "dance.bvh"
+    samples.write_bvh(path, samples.rig(samples.motion(), scale=100))
+    return path
+
+
+def test_a_motion_of_another_program_becomes_one_of_ours(bvh, tmp_path, capsys):
+    figures = tmp_path / "figures.json"
+    assert run("motion", bvh, "--out", tmp_path / "out.npz", "--json", figures) == 0
+    said = capsys.readouterr().out
+    assert "centimetres; --unit says otherwise" in said
+    assert "right hand of 195 mm, 40 frames at 30 fps" in said
+    motion = samples.motion()
+    assert np.abs(read_motion(tmp_path / "out.npz").joints_m - motion.joints_m).max() < 5e-8
+    content = json.loads(figures.read_text())
+    assert (content["format"], content["hand"], content["frames"], content["filled_frames"]) == ("BVH", "right", 40, 0)
+
+
+def test_it_is_cut_taken_at_another_rate_and_mirrored(bvh, tmp_path):
+    words = ("--start", "0.2", "--end", "1.0", "--to-fps", "60", "--mirror", "--in-place", "--hand-length", "180")
+    assert run("motion", bvh, "--out", tmp_path / "out.npz", *words) == 0
+    read, whole = read_motion(tmp_path / "out.npz"), samples.motion()
+    assert (len(read), read.fps, read.handedness) == (49, 60.0, Handedness.LEFT)
+    assert np.ptp(read.joints_m[:, 0], axis=0).max() < 1e-15
+    bones, wanted = (one - one[:, :1] for one in (read.joints_m[::2], whole.joints_m[6:31]))
+    scale = np.median(np.linalg.norm(bones[:, 1], axis=-1) / np.linalg.norm(wanted[:, 1], axis=-1))
+    assert np.abs(bones * [-1, 1, 1] - scale * wanted).max() < 1e-7
+    assert np.ptp(bone_lengths(read.joints_m), axis=0).max() < 1e-7
+
+
+@pytest.mark.parametrize(("how", "filled", "missing"), [("fill", 3, 0), ("hold", 3, 0), ("keep", 0, 3)])
+def test_what_is_missing_is_filled_held_or_kept(tmp_path, how, filled, missing):
+    joints = samples.standard(samples.motion()).copy()
+    joints[4:7, 6] = np.nan
+    np.save(tmp_path / "a.npy", joints)
+    assert run("motion", tmp_path / "a.npy", "--hand", "right", "--out", tmp_path / "a.npz", "--on-missing", how) == 0
+    read = read_motion(tmp_path / "a.npz")
+    assert (int(read.filled.sum()), len(read.gaps.frames)) == (filled, missing)
+
+
+def test_a_gap_stops_it_when_asked_for(tmp_path, capsys):
+    joints = samples.standard(samples.motion()).copy()
+    joints[4:7, 6] = np.nan
+    np.save(tmp_path / "a.npy", joints)
+    assert (
+        run("motion", tmp_path / "a.npy", "--hand", "right", "--out", tmp_path / "a.npz", "--on-missing", "stop") == 2
+    )
+    assert "3 of 40 frames" in capsys.readouterr().err
+    assert not (tmp_path / "a.npz").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--out", "out.bvh"), ".npz, .json, .csv"),
+        (("--out", "out.npz", "--to-fps", "0"), "--to-fps"),
+        (("--out", "out.npz", "--to-fps", "nan"), "--to-fps"),
+        (("--out", "out.npz", "--start", "9"), "cut"),
+        (("--out", "out.npz", "--hand-length", "2"), "length of the hand"),
+        (("--out", "out.npz", "--hand", "left"), "--mirror"),
+        (("--out", "dance.bvh.npz"), "--overwrite"),
+    ],
+)
+def test_what_cannot_be_done_is_said(bvh, tmp_path, monkeypatch, capsys, words, said):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "dance.bvh.npz").write_text("mine")
+    assert run("motion", bvh, *words) == 2
+    assert said in capsys.readouterr().err
+    assert (tmp_path / "dance.bvh.npz").read_text() == "mine"
+    assert not (tmp_path / "out.npz").exists()
+
+
+def test_render_and_info_take_the_file_itself(bvh, tmp_path, capsys):
+    words = ("--frames", "0", "--size", "64x48", "--preset", "draft", "--avatar", "painted")
+    assert run("render", "--motion", bvh, "--out", tmp_path / "out", *words) == 0
+    assert (tmp_path / "out" / "frame_00000.png").exists()
+    capsys.readouterr()
+    assert run("info", bvh) == 0
+    said = capsys.readouterr().out
+    assert "BVH" in said
+    assert "195" in said
+    samples.write_glb(tmp_path / "a.glb", *samples.gltf_document(samples.rig(samples.motion())))
+    assert run("info", tmp_path / "a.glb") == 0
+    assert "glTF" in capsys.readouterr().out
