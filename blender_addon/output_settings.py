@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import bpy
 
-from .bridge.versions import path_options
+from .bridge.versions import has_native_splats, path_options
 from .core import limits
+from .core.engine_words import USD_PRESETS
 
 FORMATS = (
     ("usd", "USD", "One animated OpenUSD stage per hand: splats, points, skeleton and mesh", "NONE", 0),
@@ -20,7 +21,21 @@ CHOICES = (
 VARIANTS = (
     ("splats", "Splats", "For renderers that know Gaussian splats; others show points", "NONE", 0),
     ("points", "Points", "For Blender and others that know no splats", "NONE", 1),
+    (
+        "points_skinned",
+        "Skinned Points",
+        "Points that follow the skeleton, without learnt detail, for usdview",
+        "NONE",
+        3,
+    ),
     ("mesh", "Mesh", "The skinned hand without learnt detail, for every program", "NONE", 2),
+)
+PROGRAMS = (
+    ("generic", "Any Program", "Splats; programs without them show points", "NONE", 0),
+    ("omniverse", "Omniverse", "Splats", "NONE", 1),
+    ("usdview", "usdview", "Points that follow the skeleton, which its renderer draws without a plug-in", "NONE", 2),
+    ("blender", "Blender", "Points, or splats where this Blender draws them", "NONE", 3),
+    ("houdini", "Houdini", "Points whose width is two standard deviations", "NONE", 4),
 )
 SIZES = (
     ("constant", "Constant", "Radii of the mean hand", "NONE", 0),
@@ -48,6 +63,13 @@ IDENTITIES = (
     ("child", "Child", "", "NONE", 5),
     ("long_fingers", "Long Fingers", "", "NONE", 6),
 )
+
+
+def _suit_program(settings: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
+    """Sets what the chosen program wants; both stay in sight and may be changed."""
+    variant, width_factor = USD_PRESETS[settings.program]
+    settings.variant = "splats" if settings.program == "blender" and has_native_splats() else variant
+    settings.width_factor = width_factor
 
 
 class JGHandOutputSettings(bpy.types.PropertyGroup):
@@ -82,6 +104,13 @@ class JGHandOutputSettings(bpy.types.PropertyGroup):
     )  # type: ignore[valid-type]
     frame_start: bpy.props.IntProperty(name="Start", description="First frame that is written", default=1)  # type: ignore[valid-type]
     frame_end: bpy.props.IntProperty(name="End", description="Last frame that is written", default=250)  # type: ignore[valid-type]
+    program: bpy.props.EnumProperty(
+        name="For",
+        description="The program that will read the stage: sets what is shown first and the size of points",
+        items=PROGRAMS,
+        default="generic",
+        update=_suit_program,
+    )  # type: ignore[valid-type]
     variant: bpy.props.EnumProperty(
         name="Shown as",
         description="What a program shows that cannot choose between splats, points and mesh; all are written",

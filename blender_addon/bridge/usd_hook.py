@@ -146,7 +146,10 @@ def _reference(stage: Any, hand: bakes.BakedHand, scene: bpy.types.Scene, folder
     prim = UsdGeom.Xform.Define(stage, path)
     prim.AddTransformOp().Set(Gf.Matrix4d(1.0).SetScale(scale) * turn)
     prim.GetPrim().GetReferences().AddReference(f"./{folder}/{hand.name}.usda")
-    prim.GetPrim().GetVariantSets().GetVariantSet("representation").SetVariantSelection(scene.jghand.output.variant)
+    variants = prim.GetPrim().GetVariantSets().GetVariantSet("representation")
+    # a bake of an older engine may lack it, and would show nothing
+    if scene.jghand.output.variant in variants.GetVariantNames():
+        variants.SetVariantSelection(scene.jghand.output.variant)
     # read from the root layer only: without it a USD that knows no splats shows nothing
     stage.SetMetadata("fallbackPrimTypes", {SPLAT_TYPE: Vt.TokenArray(["Points"])})
     if not stage.HasAuthoredTimeCodeRange():  # a still was exported: Blender wrote no times

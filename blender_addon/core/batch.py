@@ -12,6 +12,7 @@ import errno
 import json
 import os
 import re
+import sys
 import tempfile
 import time
 from collections.abc import Iterable
@@ -19,6 +20,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
+from . import limits
 from .messages import JGHandFailure
 
 _FRAMES = re.compile(r"(-?\d+)(?:-(-?\d+))?(?:,([1-9]\d*))?")
@@ -69,13 +71,25 @@ def write_whole(path: Path, content: bytes) -> None:
             stream.flush()
             os.fsync(stream.fileno())
         temporary.chmod(0o644)
-        os.replace(temporary, path)
+        _replace(temporary, path)
     except OSError as error:
         if temporary is not None:
             with contextlib.suppress(OSError):
                 temporary.unlink()
         kind = "disk_full" if error.errno in (errno.ENOSPC, getattr(errno, "EDQUOT", -1)) else "cannot_write"
         raise JGHandFailure(kind, f"{path}: {error.strerror or error}") from error
+
+
+def _replace(temporary: Path, path: Path) -> None:
+    """Renames over what may be there. Windows refuses that while somebody, a virus scanner or an index, looks at it."""
+    for rest_s in limits.REPLACE_RESTS_S if sys.platform == "win32" else ():
+        try:
+            os.replace(temporary, path)
+        except PermissionError:
+            time.sleep(rest_s)
+        else:
+            return
+    os.replace(temporary, path)
 
 
 @dataclass(frozen=True)

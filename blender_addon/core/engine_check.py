@@ -18,6 +18,7 @@ from . import limits
 from .engine_command import FoundEngine
 from .messages import ADVICE, JGHandFailure
 from .process import cleaned_environment
+from .programs import HIDDEN, in_terminal
 from .wire import protocol
 
 # what a picture needs, and what the engine's command line needs besides
@@ -161,7 +162,7 @@ class EngineCheck:
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
                 env=cleaned_environment(self._environment),
-                creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
+                creationflags=HIDDEN,
             )
         process = self._process
         try:
@@ -196,7 +197,7 @@ class EngineCheck:
     def _with_mend(self, found: FoundEngine, findings: tuple[Finding, ...], failure: str, detail: str) -> CheckResult:
         """With the command that installs the engine into the Python that was found."""
         source, where = (".", "JGHand's folder") if self._checkout is None else (str(self._checkout), "")
-        command = f'"{found.python}" -m pip install "{source}"'
+        command = in_terminal([str(found.python), "-m", "pip", "install", source])
         return CheckResult(findings, failure, detail, command, where)
 
     def _not_found(self, failure: JGHandFailure) -> CheckResult:

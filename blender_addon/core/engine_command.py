@@ -6,13 +6,13 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-import shutil
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 from .messages import JGHandFailure
+from .programs import exists, find_command, interpreter_at, is_file
 
 VARIABLE = "JGHAND_ENGINE_PYTHON"
 # a file of one line: the interpreter of the environment that scripts/ made last (scripts/environments.py writes it)
@@ -61,14 +61,15 @@ def find_engine(
     """
     for origin, path in (("The Python that was chosen", python), (VARIABLE, environment.get(VARIABLE))):
         if path:
-            if not _is_file(Path(path)):
+            chosen = interpreter_at(path, environment.get("USERPROFILE", environment.get("HOME", "")))
+            if not is_file(chosen):
                 raise JGHandFailure("no_interpreter", f"{origin}: {path} is no file, or one that cannot be looked at")
-            return _by_python(origin, path)
+            return _by_python(origin, str(chosen))
     if checkout is not None:
         for name in _INTERPRETERS:
-            if _is_file(checkout / ".envs/engine" / name):
+            if is_file(checkout / ".envs/engine" / name):
                 return _by_python("The environment of this checkout", str(checkout / ".envs/engine" / name))
-    script = shutil.which("jghand", path=environment.get("PATH"))
+    script = find_command("jghand", environment)
     if script:
         return FoundEngine("The command jghand on the PATH", (script,), _python_of(script))
     made = _made_by_scripts(environment)
@@ -98,25 +99,13 @@ def _made_by_scripts(environment: Mapping[str, str]) -> str | None:
         return None
     with contextlib.suppress(OSError, ValueError):
         python = (folder / NOTE).read_text(encoding="utf-8").strip()
-        if python and _is_file(Path(python)):
+        if python and is_file(Path(python)):
             return python
     return None
 
 
 def _by_python(origin: str, path: str) -> FoundEngine:
     return FoundEngine(origin, (path, "-I", "-m", "jghand_engine"), path)
-
-
-def _exists(path: Path) -> bool:
-    """A folder that may not be read has nothing."""
-    try:
-        return path.exists()
-    except (OSError, ValueError):
-        return False
-
-
-def _is_file(path: Path) -> bool:
-    return _exists(path) and path.is_file()
 
 
 def _python_of(script: str) -> str | None:
@@ -127,13 +116,13 @@ def _python_of(script: str) -> str | None:
     except (OSError, RuntimeError):  # a ring of links
         return None
     for folder in dict.fromkeys((Path(script).parent, real.parent)):
-        if any(_exists(folder.parent / mark) for mark in _ENVIRONMENT_MARKS):
+        if any(exists(folder.parent / mark) for mark in _ENVIRONMENT_MARKS):
             # conda on Windows has its Python above its commands
             for python in (folder / "python", folder / "python3", folder / "python.exe", folder.parent / "python.exe"):
-                if _is_file(python):
+                if is_file(python):
                     return str(python)
     above = real.parent.parent / "python.exe"
-    return _named_by(real) or (str(above) if _is_file(above) else None)
+    return _named_by(real) or (str(above) if is_file(above) else None)
 
 
 def _named_by(script: Path) -> str | None:
@@ -142,6 +131,6 @@ def _named_by(script: Path) -> str | None:
         with script.open("rb") as file:
             begin = file.read(_SHEBANG_BYTES).decode("utf-8", "replace")
         named = _SHEBANG.match(begin)
-        if named and _is_file(Path(named[1])):
+        if named and is_file(Path(named[1])):
             return named[1]
     return None

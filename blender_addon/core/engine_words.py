@@ -19,6 +19,16 @@ class UsdChoices:
     width_factor: float = 1.0
 
 
+# what suits a program: the variant that is shown first, and the size of points; a test compares it with the engine's
+USD_PRESETS: dict[str, tuple[str, float]] = {
+    "generic": ("splats", 1.0),
+    "omniverse": ("splats", 1.0),
+    "usdview": ("points_skinned", 2.0),
+    "blender": ("points", 2.0),
+    "houdini": ("points", 1.0),
+}
+
+
 def export_usd(recording: Recording, motion: Path, out: Path, figures: Path, choices: UsdChoices) -> tuple[str, ...]:
     """`jghand export`: NAME.usda and its layers in `out`, and what it did as JSON in `figures`."""
     return (

@@ -24,7 +24,7 @@ _FILES = {"usd": "{name}.usda", "motion": "{name}.npz"}
 
 def stamp_path(folder: Path, name: str, kind: str) -> Path:
     """Where the owner of an export is written down. kind: usd, ply or motion."""
-    return folder / f".{name}.{kind}.jghand"
+    return folder / f".{name}.{kind}.json"
 
 
 def check(folder: Path, name: str, kind: str, owner: str) -> None:

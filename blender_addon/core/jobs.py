@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import os
-import signal
 import subprocess
 import threading
 import time
@@ -24,6 +23,7 @@ from . import job_state, limits
 from .job_state import JobState, Phase
 from .messages import INTERRUPTED, JGHandFailure
 from .process import cleaned_environment
+from .programs import HIDDEN, end_tree
 
 # what every job gets; see jghand_engine/cli/machine.py
 PROGRESS_OPTION = "--progress-json"
@@ -126,7 +126,7 @@ class Job:
         """Ends it at once, with the processes that it started."""
         process = self._process
         if process is not None and process.poll() is None:
-            _signal_all(process, getattr(signal, "SIGKILL", signal.SIGTERM))
+            end_tree(process, at_once=True)
             process.wait()
         self.wait(2 * limits.JOB_LAST_WORDS_S)
 
@@ -161,7 +161,7 @@ class Job:
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
                 env=cleaned_environment(self._environment),
-                creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
+                creationflags=HIDDEN,
                 # a Ctrl-C in Blender's terminal is Blender's, and all that a job starts ends with it
                 start_new_session=os.name != "nt",
             )
@@ -245,9 +245,9 @@ class Job:
             return
         waited_s = time.monotonic() - self._asked_s
         if waited_s > limits.JOB_STOP_S + limits.TERMINATE_S:
-            _signal_all(self._process, getattr(signal, "SIGKILL", signal.SIGTERM))
+            end_tree(self._process, at_once=True)
         elif waited_s > limits.JOB_STOP_S:
-            _signal_all(self._process, signal.SIGTERM)
+            end_tree(self._process, at_once=False)
 
     def _close_input(self) -> None:
         if self._process is not None and self._process.stdin is not None:
@@ -305,14 +305,3 @@ class JobTable:
         for job in self._jobs.values():
             job.put_away()
         self._jobs.clear()
-
-
-def _signal_all(process: subprocess.Popen[bytes], number: int) -> None:
-    """Sends a signal to a job and to the processes that it started."""
-    with contextlib.suppress(OSError):
-        if hasattr(os, "killpg"):
-            os.killpg(process.pid, number)
-        elif number == signal.SIGTERM:
-            process.terminate()
-        else:
-            process.kill()

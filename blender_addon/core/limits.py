@@ -263,6 +263,8 @@ CARD_TEXT_MAX = 300
 # bytes of a bake's stamp, and those of a training's log that are read at a time
 STAMP_MAX_BYTES = 2**20
 LOG_READ_BYTES = 2**20
+# how long a file that somebody else looks at is waited for before it is replaced, on Windows, seconds
+REPLACE_RESTS_S = (0.02, 0.05, 0.1, 0.2)
 # a joint that is further from where it was baked has moved: above Blender's rounding, below what is seen
 BAKE_MOVED_M = 2e-5
 # the picture of a loss: size, air around it, thickness of the line in pixels; sRGB and alpha of ground and line

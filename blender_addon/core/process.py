@@ -21,6 +21,7 @@ from typing import IO, Any
 
 from . import limits
 from .messages import JGHandFailure, kind_of_exit
+from .programs import HIDDEN
 from .wire import protocol
 
 # what Blender's own process would impose on another Python
@@ -130,7 +131,7 @@ class EngineProcess:
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
                 env=cleaned_environment(environment),
-                creationflags=getattr(subprocess, "CREATE_NO_WINDOW", 0),
+                creationflags=HIDDEN,
             )
         except OSError as error:
             raise JGHandFailure("no_interpreter", f"{command[0]}: {error.strerror or error}") from error

@@ -21,6 +21,8 @@ from .messages import JGHandFailure
 from .motion_files import MotionFile, write_motion
 from .view import SHIPPED_AVATARS
 
+# names that Windows keeps for devices, whatever follows after a dot
+_RESERVED = {"CON", "PRN", "AUX", "NUL", *(f"{port}{number}" for port in ("COM", "LPT") for number in range(10))}
 # bytes of one Gaussian and frame; as jghand_engine/exporters/usd.py and ply.py write them
 _PLY_BYTES, _CACHE_BYTES = 68, 32
 _POSITION_BYTES, _SIZE_BYTES, _COLOUR_BYTES = 12, 16, 24
@@ -65,6 +67,8 @@ def file_names(names: Sequence[str]) -> list[str]:
     for name in names:
         stem = re.sub(r"\W", "_", name, flags=re.ASCII).strip("_") or "hand"
         stem = f"_{stem}" if stem[0].isdigit() else stem
+        if stem.upper() in _RESERVED:
+            stem += "_"
         if not name.isascii():
             stem += "_" + hashlib.sha256(name.encode()).hexdigest()[:8]
         chosen, number = stem, 2

@@ -88,6 +88,7 @@ class ExportPanel(Sidebar, bpy.types.Panel):
         column.prop(settings, "format")
         column.prop(settings, "folder")
         if settings.format == "usd":
+            column.prop(settings, "program")
             column.prop(settings, "variant")
             column.prop(settings, "sizes")
             column.prop(settings, "radiance")

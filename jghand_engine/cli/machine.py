@@ -31,6 +31,7 @@ from rich.progress import Progress
 from jghand_engine.cli.failures import FAULT, STOPPED, Failure
 from jghand_engine.errors import DiskFullError
 from jghand_engine.limits import PROGRESS_JSON_S, STOP_WITHOUT_INPUT_S
+from jghand_engine.service.handles import print_any_letter, take_stdin
 
 if TYPE_CHECKING:
     from jghand_engine.training.progress import Status
@@ -91,21 +92,24 @@ def started_by_a_program(wanted: bool) -> Iterator[JsonLines | None]:
         return
     # whoever starts children in the background may have told them to ignore it
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    print_any_letter()
     _lines = JsonLines(sys.stderr)
-    threading.Thread(target=_await_end_of_input, args=(_lines,), daemon=True, name="jghand stdin").start()
+    with contextlib.suppress(OSError):  # there may be no standard input
+        told = (_lines, take_stdin())
+        threading.Thread(target=_await_end_of_input, args=told, daemon=True, name="jghand stdin").start()
     try:
         yield _lines
     finally:
         _lines = None
 
 
-def _await_end_of_input(of: JsonLines) -> None:
+def _await_end_of_input(of: JsonLines, stdin: int) -> None:
     try:
         # not sys.stdin: a daemon thread that holds its lock at the end of the process would abort it
-        while os.read(sys.__stdin__.fileno() if sys.__stdin__ else 0, 4096):
+        while os.read(stdin, 4096):
             pass
-    except (OSError, ValueError):
-        return  # there is no standard input
+    except OSError:
+        return
     if _lines is not of:
         return
     main = threading.main_thread().ident

@@ -31,6 +31,7 @@ from jghand_engine import __version__, limits
 from jghand_engine.errors import InputError
 from jghand_engine.service import protocol
 from jghand_engine.service.commands import Cancelled, Commands, PictureSource, Reply, error_header
+from jghand_engine.service.handles import take_stdin
 from jghand_engine.service.protocol import Disconnected, Message, ProtocolError
 from jghand_engine.service.requests import Requests
 
@@ -47,7 +48,7 @@ def serve(source: PictureSource) -> NoReturn:
     stdout carries the handshake line and nothing else: whatever is printed afterwards goes to stderr.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C in the parent's terminal: the parent decides when we end
-    handshake_out, parent = _take_stdout(), _take_stdin()
+    handshake_out, parent = _take_stdout(), take_stdin()
     token = _read_token(parent)
     server = Server(source, token)
     threading.Thread(target=_end_with_stdin, args=(server, parent), daemon=True, name="stdin").start()
@@ -281,15 +282,6 @@ def _take_stdout() -> IO[str]:
     sys.stdout = sys.stderr = io.TextIOWrapper(
         io.BufferedWriter(_Unbreakable()), encoding="utf-8", errors="replace", line_buffering=True
     )
-    return mine
-
-
-def _take_stdin() -> int:
-    """A handle of stdin for the parent's word alone; whoever else looks finds nothing there. On Windows a library that
-    asks what stdin is waits for the thread that reads it: torch's and scipy's may, while they are loaded."""
-    mine, nothing = os.dup(0), os.open(os.devnull, os.O_RDONLY)
-    os.dup2(nothing, 0)
-    os.close(nothing)
     return mine
 
 

@@ -65,7 +65,7 @@ def test_a_python_without_the_engine_is_mended_by_pip(tmp_path):
     bare = {name: value for name, value in WHOLE.items() if name not in ("engine", "protocol", "kernels")}
     result = checked(tmp_path, f"cat <<'END'\nJGHAND CHECK {json.dumps({**bare, **facts})}\nEND")
     assert result.failure == "no_engine"
-    assert result.mend == f'"{tmp_path / "python"}" -m pip install "."'
+    assert result.mend == f"{tmp_path / 'python'} -m pip install ."
     assert result.where == "JGHand's folder"
     assert values(result, good=False) == {"Engine": "not installed", "Missing": "torch, rich"}
 
@@ -75,7 +75,7 @@ def test_where_the_folder_is_known_the_command_names_it(tmp_path):
     (tmp_path / "pyproject.toml").touch()
     result = checked(tmp_path, says(missing=["torch"]), checkout=tmp_path)
     assert result.failure == "broken_engine"
-    assert (result.mend, result.where) == (f'"{tmp_path / "python"}" -m pip install "{tmp_path}"', "")
+    assert (result.mend, result.where) == (f"{tmp_path / 'python'} -m pip install {tmp_path}", "")
     assert "torch is missing" in result.detail
 
 
