@@ -45,6 +45,8 @@ class Motion:
     """Make it the other hand's."""
     in_place: bool = False
     """Keep the wrist where it first is: the hand turns and moves its fingers on the spot."""
+    up: Annotated[Literal["y", "z"] | None, tyro.conf.arg(help_behavior_hint="")] = None
+    """Turn the motion so that this axis points up, where the file or its format says which does; else it is left."""
     constant_bones: bool = False
     """Give every bone its median length: estimates wobble."""
     on_missing: Literal["fill", "hold", "keep", "stop"] = "fill"
@@ -64,7 +66,7 @@ class Motion:
         with progress("Reading the motion", 3) as bar:
             read = read_file(self.file, self.format)
             bar.advance(bar.task_ids[0])
-            sequence, gaps = self._changed(read.sequence)
+            sequence, gaps = self._changed(read.sequence, read.up)
             bar.advance(bar.task_ids[0])
             write_motion(self.out, sequence)
             bar.advance(bar.task_ids[0])
@@ -93,10 +95,10 @@ class Motion:
             raise InputError("--to-fps", wanted=wanted, came=f"{self.to_fps:g}")
         check_place(self.out, overwrite=self.overwrite)
 
-    def _changed(self, sequence: PoseSequence) -> tuple[PoseSequence, str]:
+    def _changed(self, sequence: PoseSequence, up: str | None) -> tuple[PoseSequence, str]:
         """The motion as the options want it, and a sentence about its gaps. The whole is repaired before it is cut."""
         from jghand_engine.cli.inputs import without_gaps
-        from jghand_engine.datasets.motion_tools import cut, in_place
+        from jghand_engine.datasets.motion_tools import cut, in_place, turned_up
 
         said = ""
         if self.on_missing == "stop":
@@ -110,4 +112,6 @@ class Motion:
             sequence = sequence.resampled(self.to_fps)
         if self.in_place:
             sequence = in_place(sequence)
+        if self.up is not None and up is not None:
+            sequence = turned_up(sequence, up, self.up)
         return (sequence.mirrored() if self.mirror else sequence), said

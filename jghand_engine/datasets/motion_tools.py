@@ -20,6 +20,9 @@ from jghand_engine.hand.orders import hand_length
 from jghand_engine.hand.rotations import slerp
 from jghand_engine.hand.sequence import GapReport, PoseSequence, palm_frames, poses_between, rotations_between
 
+# where an axis stands that points up, as a turn about x from y
+_UP_DEG = {"y": 0, "z": 90, "-y": 180}
+
 
 @dataclass(frozen=True)
 class FilledMotion:
@@ -125,6 +128,15 @@ def in_place(sequence: PoseSequence) -> PoseSequence:
         return sequence
     moved = sequence.joints_m[:, :1] - sequence.joints_m[seen[0], 0]
     return dataclasses.replace(sequence, joints_m=sequence.joints_m - moved, valid=sequence.valid)
+
+
+def turned_up(sequence: PoseSequence, up: str, wanted: str) -> PoseSequence:
+    """The motion turned about x so that its axis `up` becomes `wanted`; both of "y", "z", "-y"."""
+    turn = math.radians(_UP_DEG[wanted] - _UP_DEG[up])
+    # quarter turns, exactly
+    cosine, sine = round(math.cos(turn)), round(math.sin(turn))
+    matrix = np.array([[1, 0, 0], [0, cosine, -sine], [0, sine, cosine]], dtype=np.float64)
+    return dataclasses.replace(sequence, joints_m=sequence.joints_m @ matrix.T, valid=sequence.valid)
 
 
 def with_hand_length(sequence: PoseSequence, length_m: float) -> PoseSequence:

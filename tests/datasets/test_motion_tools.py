@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from jghand_engine.datasets.motion_tools import cut, fill_gaps, in_place, retimed, with_hand_length
+from jghand_engine.datasets.motion_tools import cut, fill_gaps, in_place, retimed, turned_up, with_hand_length
 from jghand_engine.errors import InputError
 from jghand_engine.hand.orders import bone_lengths, hand_length
 from jghand_engine.hand.sequence import PoseSequence, pose_between
@@ -134,6 +134,18 @@ def test_in_place_the_wrist_stays_and_the_hand_turns():
     assert np.ptp(still.joints_m[:, 0], axis=0).max() == 0
     bones = still.joints_m - still.joints_m[:, :1]
     np.testing.assert_allclose(bones, motion.joints_m - motion.joints_m[:, :1], atol=1e-15)
+
+
+@pytest.mark.parametrize(("up", "wanted"), [("y", "z"), ("z", "y"), ("-y", "y"), ("-y", "z"), ("y", "y")])
+def test_what_points_up_points_up_afterwards(up, wanted):
+    axes = {"y": np.array([0, 1, 0]), "z": np.array([0, 0, 1]), "-y": np.array([0, -1, 0])}
+    motion = motion_samples.motion()
+    turned = turned_up(motion, up, wanted)
+    assert np.array_equal(turned.joints_m @ axes[wanted], motion.joints_m @ axes[up])
+    assert np.array_equal(turned.joints_m[..., 0], motion.joints_m[..., 0])
+    # turned, not mirrored
+    first, second = (np.linalg.det(one.joints_m[0, [1, 5, 9]] - one.joints_m[0, 0]) for one in (motion, turned))
+    assert first == pytest.approx(second)
 
 
 def test_a_hand_gets_the_length_that_is_said():

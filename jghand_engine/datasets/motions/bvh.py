@@ -64,7 +64,7 @@ def read(file: Path) -> MotionContent:
     near = round(fps)
     # frame times in text have six digits
     fps = float(near) if near and abs(fps - near) < 1e-3 * near else fps
-    return MotionContent(KIND, tuple(tracks), fps=fps, notes=(*notes, *skeleton.notes))
+    return MotionContent(KIND, tuple(tracks), fps=fps, notes=(*notes, *skeleton.notes), up="y")
 
 
 class _Bvh:

@@ -44,6 +44,7 @@ class MotionContent:
     declared_unit:   whether the file itself says the unit, so that another one is a contradiction
     fps, times_s:    frames per second, or the times (F,) of the frames; None where the file does not say
     notes:           sentences about what was read, and how
+    up:              the axis that points up, UP_AXES; None where neither the file nor its format says it
     filled:          (F,) bool, frames that nobody measured; None: none
     is_plain:        JGHand's own formats and plain arrays, whose defaults (metres, 30 fps) are documented
     """
@@ -55,5 +56,6 @@ class MotionContent:
     fps: float | None = None
     times_s: np.ndarray | None = None
     notes: tuple[str, ...] = ()
+    up: str | None = None
     filled: np.ndarray | None = None
     is_plain: bool = False

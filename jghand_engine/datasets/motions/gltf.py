@@ -77,9 +77,8 @@ def read(file: Path, fps: float | None, part: str | None) -> MotionContent:
     channels, notes = _channels(document, kept, part)
     skeleton = _Gltf(nodes, kept, channels, fps)
     tracks, said = hand_tracks(skeleton, "")
-    return MotionContent(
-        KIND, tuple(tracks), 1.0, fps=skeleton.fps, notes=(*notes, *said, *(() if tracks else lacking))
-    )
+    said = said if tracks else lacking
+    return MotionContent(KIND, tuple(tracks), 1.0, fps=skeleton.fps, notes=(*notes, *said), up="y")
 
 
 class _Gltf:

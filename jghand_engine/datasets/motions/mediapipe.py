@@ -76,7 +76,7 @@ def read(frames: Iterator[Any], fps: float | None, mirrored_labels: bool | None)
     if collected.two_of_a_side:
         notes.append(f"{collected.two_of_a_side} frames show a side twice: the surer one was taken.")
     tracks = collected.tracks(labelled=True)
-    return MotionContent(KIND, tracks, 1.0, fps=fps, times_s=times_s, notes=tuple(notes))
+    return MotionContent(KIND, tracks, 1.0, fps=fps, times_s=times_s, notes=tuple(notes), up="-y")
 
 
 def _hands(frame: Mapping[str, Any]) -> list[FoundHand]:

@@ -32,11 +32,13 @@ OWN_SUFFIXES = (".npz", ".json", ".csv")
 
 @dataclass(frozen=True)
 class MotionRead:
-    """A motion, the format it came in, for people, and sentences about what was recognised or chosen."""
+    """A motion, the format it came in, for people, sentences about what was recognised or chosen, and the axis that
+    points up, "y", "z" or "-y", None where nothing says it."""
 
     sequence: PoseSequence
     kind: str
     notes: tuple[str, ...]
+    up: str | None = None
 
 
 def read_motion_file(path: Path | str, wanted: MotionFormat | None = None) -> MotionRead:
@@ -73,7 +75,7 @@ def read_motion_file(path: Path | str, wanted: MotionFormat | None = None) -> Mo
     if wanted.check_hand and sequence.valid.all(axis=1).any():
         check_hand_size(sequence.joints_m, next((name for name, one in METRES_PER_UNIT.items() if one == metres), "m"))
         check_order(sequence.joints_m, order)
-    return MotionRead(sequence, content.kind, tuple(notes))
+    return MotionRead(sequence, content.kind, tuple(notes), content.up)
 
 
 def read_content(file: Path, wanted: MotionFormat) -> MotionContent:

@@ -48,11 +48,10 @@ def read(file: Path, fps: float | None) -> MotionContent:
     metres = UsdGeom.GetStageMetersPerUnit(stage)
     if not (np.isfinite(metres) and metres > 0):
         raise ValueError(f"{metres} metres per unit")
-    if tracks and UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z:
-        notes.append("Its z axis points up: the joints are left in its axes (--up z says so where it matters).")
     if not prims:
         notes.append("There is no UsdSkel skeleton in it.")
-    return MotionContent(KIND, tuple(tracks), metres, fps=rate, notes=tuple(notes))
+    up = "z" if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z else "y"
+    return MotionContent(KIND, tuple(tracks), metres, fps=rate, notes=tuple(notes), up=up)
 
 
 def _bound_animations(stage: Any, cache: Any) -> dict[Any, Any]:

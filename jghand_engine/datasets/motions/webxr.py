@@ -49,7 +49,8 @@ def read(frames: Iterator[Any], fps: float | None) -> MotionContent:
     times_s, clock = collected.times_s()
     # a headset counts metres; of joints that are not a headset's nothing is known
     kind, metres = (KIND, 1.0) if collected.in_metres else ("joints in JSON", None)
-    return MotionContent(kind, tracks, metres, False, fps, times_s, (clock,) if clock else ())
+    notes, up = (clock,) if clock else (), "y" if collected.in_metres else None
+    return MotionContent(kind, tracks, metres, fps=fps, times_s=times_s, notes=notes, up=up)
 
 
 def read_iwer(schema: Any, frames: Iterator[Any]) -> MotionContent:
@@ -66,7 +67,7 @@ def read_iwer(schema: Any, frames: Iterator[Any]) -> MotionContent:
     if not tracks:
         raise ValueError("none of its input sources is a hand")
     notes = ("IWER rounds positions to a millimetre.",)
-    return MotionContent(IWER_KIND, tracks, 1.0, times_s=times_s, notes=notes)
+    return MotionContent(IWER_KIND, tracks, 1.0, times_s=times_s, notes=notes, up="y")
 
 
 def _sources(schema: Any) -> dict[int, Mapping[str, Any]]:
