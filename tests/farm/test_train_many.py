@@ -7,12 +7,11 @@ import os
 import re
 import signal
 import subprocess
-import sys
 import time
 from pathlib import Path
 
 import pytest
-from picture_sets import recorded, write_set
+from small_farm import TINY, environment, train_many, wait_for_step, write_list
 
 from jghand_engine.avatar.file import load_avatar
 from jghand_engine.farm import job, runner
@@ -21,53 +20,6 @@ from jghand_engine.farm.trainings import read_trainings
 
 pytest.importorskip("submitit", reason="the extra farm is not installed")
 from jghand_engine.farm.executors import LocalExecutor
-
-TINY = (sys.executable, str(Path(__file__).with_name("tiny_jghand.py")))
-STEPS = 24
-
-
-@pytest.fixture(scope="module")
-def pictures(tmp_path_factory) -> Path:
-    """A set of 4 poses and 4 cameras."""
-    return write_set(tmp_path_factory.mktemp("set"), recorded(frames=4, cameras=4))
-
-
-@pytest.fixture(scope="module")
-def undisturbed(pictures, tmp_path_factory) -> bytes:
-    """The avatar of a training that nobody stopped."""
-    folder = tmp_path_factory.mktemp("undisturbed")
-    words = ["train", str(pictures), "--steps", str(STEPS), "--out", str(folder / "one.jghand")]
-    subprocess.run([*TINY, *words], check=True, capture_output=True, env=environment())
-    return (folder / "one.jghand").read_bytes()
-
-
-def environment(step_s: float = 0.0) -> dict[str, str]:
-    return {**os.environ, "OMP_NUM_THREADS": "1", "JGHAND_TINY_STEP_S": str(step_s)}
-
-
-def write_list(folder: Path, pictures: Path, names=("one",), **entries) -> Path:
-    lines = [f"{key} = {json.dumps(value)}" for key, value in {"steps": STEPS, **entries}.items()]
-    tables = [f'[[training]]\nfolder = "{pictures}"\nname = "{name}"' for name in names]
-    path = folder / "captures.toml"
-    path.write_text("\n".join([*lines, *tables]), encoding="utf-8")
-    return path
-
-
-def train_many(path: Path, out: Path, *words: str, step_s: float = 0.0) -> subprocess.CompletedProcess[str]:
-    command = [*TINY, "train-many", str(path), "--out", str(out), *words]
-    return subprocess.run(command, capture_output=True, text=True, timeout=180, env=environment(step_s))
-
-
-def wait_for_step(out: Path, number: int) -> None:
-    """Until the record of a training tells of that step."""
-    until = time.monotonic() + 90
-    while time.monotonic() < until:
-        record = FarmFolder(out).record("one")
-        done = re.match(r"step (\d+) of", record.progress) if record else None
-        if done and int(done[1]) >= number:
-            return
-        time.sleep(0.05)
-    pytest.fail(f"step {number} never came")
 
 
 def processes_with(word: str) -> dict[int, list[str]]:
