@@ -73,10 +73,10 @@ FIT_TOLERANCE = 1e-5
 FIT_DAMPING = 1e-3
 # proportions of the hand that is seen: how far a bone's length differs from the start's, relative; frames that are
 # looked at, as many of them as count as independent, and rounds of fitting poses and lengths in turn
-OWN_HAND_SIGMA = 0.05
+OWN_HAND_SIGMA = 0.03
 OWN_HAND_FRAMES = 200
 OWN_HAND_PICTURES = 30
-OWN_HAND_ROUNDS = 5
+OWN_HAND_ROUNDS = 12
 # frames that are fitted together, and how many more on both sides so that the seam is not felt
 FIT_WINDOW_FRAMES = 900
 FIT_MARGIN_FRAMES = 60
@@ -84,6 +84,9 @@ FIT_MARGIN_FRAMES = 60
 # ---- tracking: the proof ---------------------------------------------------------------------------------------------
 # longer edge of each half of the side-by-side video
 PROOF_EDGE_PX = 640
+# how much is shown around the hands, and how far a small one is enlarged
+PROOF_MARGIN = 1.3
+PROOF_ENLARGED_MAX = 3.0
 
 # ---- tracking: judging -----------------------------------------------------------------------------------------------
 # how far a lag is looked for, seconds, and in which steps

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from jghand_engine import limits
-from jghand_engine.hand.joints import PARENTS
+from jghand_engine.hand.joints import BONE_COUNT, JOINT_COUNT, PARENTS
 from jghand_engine.tracking.skeleton import (
     ANGLE_COUNT,
     LIMITS_RAD,
@@ -28,6 +28,20 @@ from jghand_engine.tracking.smoother import Steadiness, solve
 # numbers of one frame: turn of the palm, place of the wrist, angles
 STATE_COUNT = 6 + ANGLE_COUNT
 _PARENTS = list(PARENTS[1:])
+
+
+def _beyond() -> np.ndarray:
+    """(21, 20): whether joint j hangs on bone b (1..20, index b - 1)."""
+    hangs = np.zeros((JOINT_COUNT, BONE_COUNT))
+    for joint in range(1, JOINT_COUNT):
+        on = joint
+        while on > 0:
+            hangs[joint, on - 1] = 1.0
+            on = PARENTS[on]
+    return hangs
+
+
+_BEYOND = _beyond()
 # a hand at rest, for frames of which nothing is known: fingers half bent
 _REST_RAD = np.clip(np.tile(np.radians([25.0, 0.0, 35.0, 18.0]), 5), LIMITS_RAD[:, 0], LIMITS_RAD[:, 1])
 
@@ -193,15 +207,15 @@ def _placed(joints: np.ndarray, image_px: np.ndarray, camera: Pinhole) -> np.nda
 def _fit_together(skeleton: Skeleton, landmarks: Landmarks, poses: Poses, trust: Trust) -> Poses:
     steadiness = trust.steadiness(landmarks.fps)
     damping = limits.FIT_DAMPING
-    now = _look(skeleton, landmarks, poses, trust)
+    now = look_at(skeleton, landmarks, poses, trust)
     cost = now.cost + _unsteadiness(poses, steadiness)
     for _ in range(limits.FIT_STEPS):
         gradient = now.gradient if steadiness is None else now.gradient + steadiness.gradient(poses.steps())
         diagonal = np.einsum("fii->fi", now.blocks)
         blocks = now.blocks.copy()
         np.einsum("fii->fi", blocks)[...] += damping * diagonal + 1e-9
-        moved = poses.moved(_bounded(solve(blocks, gradient, steadiness)))
-        there = _look(skeleton, landmarks, moved, trust)
+        moved = poses.moved(bounded(solve(blocks, gradient, steadiness)))
+        there = look_at(skeleton, landmarks, moved, trust)
         moved_cost = there.cost + _unsteadiness(moved, steadiness)
         if moved_cost > cost:
             damping *= 10
@@ -215,7 +229,7 @@ def _fit_together(skeleton: Skeleton, landmarks: Landmarks, poses: Poses, trust:
     return replace(poses, angle_rad=np.clip(poses.angle_rad, LIMITS_RAD[:, 0], LIMITS_RAD[:, 1]))
 
 
-def _bounded(step: np.ndarray) -> np.ndarray:
+def bounded(step: np.ndarray) -> np.ndarray:
     """No angle moves farther than its linearisation reaches."""
     most = np.full(STATE_COUNT, 0.6)
     most[3:6] = 0.3
@@ -227,28 +241,37 @@ def _unsteadiness(poses: Poses, steadiness: Steadiness | None) -> float:
 
 
 @dataclass(frozen=True)
-class _Look:
-    """What the frames say of themselves: cost of all, gradient (F, 26), second derivatives (F, 26, 26)."""
+class Look:
+    """What the frames say of themselves: cost of all, gradient (F, n), second derivatives (F, n, n); n is 26, or 46
+    with the lengths of the bones."""
 
     cost: float
     gradient: np.ndarray
     blocks: np.ndarray
 
 
-def _look(skeleton: Skeleton, landmarks: Landmarks, poses: Poses, trust: Trust) -> _Look:
-    count = len(poses)
-    gradient = np.zeros((count, STATE_COUNT))
-    blocks = np.zeros((count, STATE_COUNT, STATE_COUNT))
+def look_at(
+    skeleton: Skeleton, landmarks: Landmarks, poses: Poses, trust: Trust, *, with_lengths: bool = False
+) -> Look:
+    """How well poses explain landmarks, and how that changes with them; with relative changes of the 20 bones' lengths
+    too, if they are wanted. Nothing of what frames know of one another is in it."""
+    count, size = len(poses), STATE_COUNT + (BONE_COUNT if with_lengths else 0)
+    gradient = np.zeros((count, size))
+    blocks = np.zeros((count, size, size))
     cost = _priors(poses, trust, gradient, blocks)
     seen = np.flatnonzero(landmarks.seen)
     inside, bends = skeleton.joints_and_motion(poses.angle_rad[seen])
     turn = poses.turn[seen]
     points = inside @ np.swapaxes(turn, -1, -2) + poses.place_m[seen][:, None]
-    # how the joints move with the state: (f, 21, 3, 26)
-    motion = np.zeros((len(seen), 21, 3, STATE_COUNT))
+    # how the joints move with the state: (f, 21, 3, n)
+    motion = np.zeros((len(seen), 21, 3, size))
     motion[..., :3] = -turn[:, None] @ cross_matrices(inside)
     motion[..., 3:6] = np.eye(3)
-    motion[..., 6:] = turn[:, None] @ bends
+    motion[..., 6:STATE_COUNT] = turn[:, None] @ bends
+    if with_lengths:
+        # a longer bone moves everything beyond it
+        bones = points[:, 1:] - points[:, _PARENTS]
+        motion[..., STATE_COUNT:] = (_BEYOND[..., None] * bones[:, None]).swapaxes(-1, -2)
     for residual, slope in (
         _image_residual(skeleton, landmarks, points, motion, seen, trust),
         _direction_residual(landmarks, points, motion, seen, trust),
@@ -258,10 +281,10 @@ def _look(skeleton: Skeleton, landmarks: Landmarks, poses: Poses, trust: Trust) 
         cost += 0.5 * scale * float(np.log1p(square / scale).sum())
         weight = 1 / (1 + square / scale)
         weighted = slope * weight[..., None, None]
-        flat, weighted = (array.reshape(len(seen), -1, STATE_COUNT) for array in (slope, weighted))
+        flat, weighted = (array.reshape(len(seen), -1, size) for array in (slope, weighted))
         gradient[seen] += np.einsum("fks,fk->fs", weighted, residual.reshape(len(seen), -1))
         blocks[seen] += np.swapaxes(weighted, -1, -2) @ flat
-    return _Look(cost, gradient, blocks)
+    return Look(cost, gradient, blocks)
 
 
 def _priors(poses: Poses, trust: Trust, gradient: np.ndarray, blocks: np.ndarray) -> float:
@@ -269,15 +292,15 @@ def _priors(poses: Poses, trust: Trust, gradient: np.ndarray, blocks: np.ndarray
     beyond = poses.angle_rad - np.clip(poses.angle_rad, LIMITS_RAD[:, 0], LIMITS_RAD[:, 1])
     away = poses.angle_rad - _REST_RAD
     limit, rest = limits.LIMIT_SIGMA_RAD**-2, trust.rest_rad**-2
-    gradient[:, 6:] += limit * beyond + rest * away
-    np.einsum("fii->fi", blocks)[:, 6:] += limit * (beyond != 0) + rest
+    gradient[:, 6:STATE_COUNT] += limit * beyond + rest * away
+    np.einsum("fii->fi", blocks)[:, 6:STATE_COUNT] += limit * (beyond != 0) + rest
     return 0.5 * float((limit * beyond**2 + rest * away**2).sum())
 
 
 def _image_residual(
     skeleton: Skeleton, landmarks: Landmarks, points: np.ndarray, motion: np.ndarray, seen: np.ndarray, trust: Trust
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(f, 21, 2) in standard deviations, and its slope (f, 21, 2, 26). Lengths in the picture are brought to the hand's
+    """(f, 21, 2) in standard deviations, and its slope (f, 21, 2, n). Lengths in the picture are brought to the hand's
     depth, so that an error counts as it would on the hand itself."""
     lengths = skeleton.bone_lengths_m
     sigma_m = trust.landmark * float(lengths[[2, 7, 12, 17]].sum())
@@ -293,7 +316,7 @@ def _image_residual(
 def _direction_residual(
     landmarks: Landmarks, points: np.ndarray, motion: np.ndarray, seen: np.ndarray, trust: Trust
 ) -> tuple[np.ndarray, np.ndarray]:
-    """(f, 20, 3) in standard deviations, and its slope (f, 20, 3, 26)."""
+    """(f, 20, 3) in standard deviations, and its slope (f, 20, 3, n)."""
     bones = points[:, 1:] - points[:, _PARENTS]
     length = np.linalg.norm(bones, axis=-1, keepdims=True)
     unit = bones / length

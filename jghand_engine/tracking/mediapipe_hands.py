@@ -43,7 +43,7 @@ class MediaPipeHands:
             min_hand_presence_confidence=limits.PRESENCE_MIN,
             min_tracking_confidence=limits.FOLLOWING_MIN,
         )
-        self._package, self._follows, self._last_ms = package, follows, -1
+        self._package, self._follows, self._last_ms, self._warm = package, follows, -1, False
         try:
             with _quiet():
                 self._landmarker: Any = tasks.vision.HandLandmarker.create_from_options(options)
@@ -57,12 +57,15 @@ class MediaPipeHands:
         picture = self._package.Image(
             image_format=self._package.ImageFormat.SRGB, data=np.ascontiguousarray(rgb8, dtype=np.uint8)
         )
-        if self._follows:
-            # whole milliseconds that must grow
-            self._last_ms = max(round(1000 * time_s), self._last_ms + 1)
-            found = self._landmarker.detect_for_video(picture, self._last_ms)
-        else:
-            found = self._landmarker.detect(picture)
+        # its first picture makes it print a warning of no use
+        with contextlib.nullcontext() if self._warm else _quiet():
+            if self._follows:
+                # whole milliseconds that must grow
+                self._last_ms = max(round(1000 * time_s), self._last_ms + 1)
+                found = self._landmarker.detect_for_video(picture, self._last_ms)
+            else:
+                found = self._landmarker.detect(picture)
+        self._warm = True
         height, width = rgb8.shape[:2]
         hands = []
         for flat, space, label in zip(found.hand_landmarks, found.hand_world_landmarks, found.handedness, strict=True):

@@ -8,13 +8,15 @@ it wobbles, and its median is off by a fifth of the length.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from jghand_engine import limits
-from jghand_engine.hand.joints import BONE_COUNT, JOINT_COUNT, PARENTS
+from jghand_engine.hand.joints import BONE_COUNT
 from jghand_engine.hand.orders import bone_lengths, hand_length
 from jghand_engine.hand.sequence import bone_directions, rebuilt
-from jghand_engine.tracking.fit import Landmarks, Poses, Trust, fit
+from jghand_engine.tracking.fit import STATE_COUNT, Landmarks, Look, Trust, bounded, fit, look_at
 from jghand_engine.tracking.skeleton import Skeleton
 
 
@@ -25,24 +27,48 @@ def own_canonical_joints(canonical_joints_m: np.ndarray, landmarks: Landmarks, l
     little · length_m: wrist to middle tip along the bones.
     """
     directions = bone_directions(canonical_joints_m[None])
-    start = bone_lengths(canonical_joints_m)
+
+    def hand(change: np.ndarray) -> tuple[np.ndarray, float]:
+        """Joints of that length, and how much larger they became for it."""
+        joints = rebuilt(np.zeros((1, 3)), directions, bone_lengths(canonical_joints_m) * np.exp(change))[0]
+        larger = length_m / hand_length(joints)
+        return joints * larger, larger
+
     shown = _spread(landmarks)
     # independent pictures are fewer than frames, and their errors have much in common
     share = min(1.0, limits.OWN_HAND_PICTURES / len(shown.image_px))
-    change = np.zeros(BONE_COUNT)
-    own = canonical_joints_m
+    pull, trust = limits.OWN_HAND_SIGMA**-2 / share, Trust(smoothing=0.0)
+    change, damping = np.zeros(BONE_COUNT), limits.FIT_DAMPING
+    joints, size = hand(change)
+    poses = fit(Skeleton.of(joints), shown, trust)
+    now = look_at(Skeleton.of(joints), shown, poses, trust, with_lengths=True)
     for _ in range(limits.OWN_HAND_ROUNDS):
-        own = rebuilt(np.zeros((1, 3)), directions, start * np.exp(change))[0]
-        own = own * (length_m / hand_length(own))
-        skeleton = Skeleton.of(own)
-        poses = fit(skeleton, shown, Trust(smoothing=0.0))
-        matrix, wanted = _length_equations(skeleton, shown, poses)
-        pull = limits.OWN_HAND_SIGMA**-2
-        step = np.linalg.solve(share * matrix + pull * np.eye(BONE_COUNT), share * wanted - pull * change)
-        change = change + step
-        change -= change.mean()  # of the size itself one picture says nothing
-    own = rebuilt(np.zeros((1, 3)), directions, start * np.exp(change))[0]
-    return own * (length_m / hand_length(own))
+        step, longer = _step(now, pull, change, damping)
+        longer = change + longer
+        joints_there, size_there = hand(longer)
+        # a hand that is made larger to have its length stands so much farther away
+        moved = poses.moved(bounded(step))
+        moved = replace(moved, place_m=moved.place_m * (size_there / size))
+        there = look_at(Skeleton.of(joints_there), shown, moved, trust, with_lengths=True)
+        if there.cost + 0.5 * pull * longer @ longer > now.cost + 0.5 * pull * change @ change:
+            damping *= 10
+            continue
+        poses, change, now, joints, size, damping = moved, longer, there, joints_there, size_there, damping / 10
+    return joints
+
+
+def _step(now: Look, pull: float, change: np.ndarray, damping: float) -> tuple[np.ndarray, np.ndarray]:
+    """Newton's step of all poses (F, 26) and of the lengths (20,) that they share: the poses are eliminated first."""
+    blocks = now.blocks.copy()
+    np.einsum("fii->fi", blocks)[...] += damping * np.einsum("fii->fi", now.blocks) + 1e-9
+    of_poses, across = blocks[:, :STATE_COUNT, :STATE_COUNT], blocks[:, :STATE_COUNT, STATE_COUNT:]
+    pose_gradient = now.gradient[:, :STATE_COUNT, None]
+    solved = np.linalg.solve(of_poses, np.concatenate([across, pose_gradient], -1))
+    turned = np.swapaxes(across, -1, -2) @ solved
+    matrix = (blocks[:, STATE_COUNT:, STATE_COUNT:] - turned[..., :-1]).sum(0) + pull * np.eye(BONE_COUNT)
+    gradient = now.gradient[:, STATE_COUNT:].sum(0) - turned[..., -1].sum(0) + pull * change
+    longer = -np.linalg.solve(matrix, gradient)
+    return -(solved[..., -1] + solved[..., :-1] @ longer), longer
 
 
 def _spread(landmarks: Landmarks) -> Landmarks:
@@ -50,34 +76,3 @@ def _spread(landmarks: Landmarks) -> Landmarks:
     seen = np.flatnonzero(landmarks.seen)
     chosen = seen[np.unique(np.linspace(0, len(seen) - 1, limits.OWN_HAND_FRAMES).round().astype(int))]
     return Landmarks(landmarks.image_px[chosen], landmarks.directions[chosen], landmarks.camera, landmarks.fps)
-
-
-def _length_equations(skeleton: Skeleton, landmarks: Landmarks, poses: Poses) -> tuple[np.ndarray, np.ndarray]:
-    """Normal equations (20, 20), (20,) of what relative changes of the bones' lengths would mend in the pictures."""
-    joints = poses.joints_m(skeleton)
-    bones = joints[:, 1:] - joints[:, list(PARENTS[1:])]
-    # a longer bone moves everything beyond it: (F, 21, 20, 3) metres per relative change
-    moves = _beyond()[None, :, :, None] * bones[:, None]
-    depth = joints[..., 2]
-    flat = joints[..., :2] / depth[..., None]
-    sigma_m = limits.LANDMARK_SIGMA * float(skeleton.bone_lengths_m[[2, 7, 12, 17]].sum())
-    scale = (depth[:, :1] / sigma_m)[..., None]
-    slope = (moves[..., :2] - flat[:, :, None] * moves[..., 2:]) / depth[:, :, None, None] * scale[..., None]
-    residual = (landmarks.camera.rays(landmarks.image_px)[..., :2] - flat) * scale
-    # where the hand is as a whole the poses have settled
-    slope = slope - slope.mean(1, keepdims=True)
-    residual = residual - residual.mean(1, keepdims=True)
-    weight = 1 / (1 + np.square(residual).sum(-1) / limits.ROBUST_SIGMAS**2)
-    matrix = np.einsum("fj,fjac,fjbc->ab", weight, slope, slope, optimize=True)
-    return matrix, np.einsum("fj,fjac,fjc->a", weight, slope, residual, optimize=True)
-
-
-def _beyond() -> np.ndarray:
-    """(21, 20): whether joint j hangs on bone b (1..20, index b - 1)."""
-    hangs = np.zeros((JOINT_COUNT, BONE_COUNT))
-    for joint in range(1, JOINT_COUNT):
-        on = joint
-        while on > 0:
-            hangs[joint, on - 1] = 1.0
-            on = PARENTS[on]
-    return hangs

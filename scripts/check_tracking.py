@@ -1,0 +1,322 @@
+"""Measures `jghand track` against motions that are known, and writes the table of docs/TRACKING.md.
+
+    python scripts/check_tracking.py                            videos rendered here, about three minutes
+    python scripts/check_tracking.py --capture FOLDER           also single pictures of a capture, whose joints are exact
+    python scripts/check_tracking.py --video FILE --joints FILE.npy     also agreement with an earlier run of a detector
+    python scripts/check_tracking.py --write                    puts the table into docs/TRACKING.md
+
+Wants the extra `track` and the networks (`jghand track --fetch-model`). The rendered videos show the built-in avatar
+with bones of other lengths than those it is tracked with, in known motion before a known camera; the detector looks at
+the compressed video, as at any other. Everything that is printed is measured in this run.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import re
+import tempfile
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from jghand_engine.avatar.builtin import load_builtin
+from jghand_engine.datasets.capture_folder import open_capture
+from jghand_engine.datasets.sample import Sample, load_picture
+from jghand_engine.exporters.video import write_video
+from jghand_engine.files import writing
+from jghand_engine.hand.anatomy import MotionOptions, pose_sequence_of_names
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.orders import JointOrder, bone_lengths, to_level
+from jghand_engine.hand.sequence import bone_directions, rebuilt
+from jghand_engine.splat.camera import Camera
+from jghand_engine.splat.frame import HandRenderer
+from jghand_engine.splat.settings import preset
+from jghand_engine.tracking.detection import SeenHand
+from jghand_engine.tracking.figures import FINGER_BONES, angles_between_deg, directions_in_palm, jitter_deg, lag_ms
+from jghand_engine.tracking.fit import Pinhole
+from jghand_engine.tracking.hands_over_time import HandOverTime
+from jghand_engine.tracking.mediapipe_hands import MediaPipeHands
+from jghand_engine.tracking.skeleton import rotations_of
+from jghand_engine.tracking.track import MOTION_FROM_CAMERA, Sightings, TrackOptions, look, track, track_hand
+from jghand_engine.tracking.video import open_video, pictures
+
+PAGE = Path(__file__).resolve().parents[1] / "docs" / "TRACKING.md"
+BEGIN, END = "<!-- measured -->", "<!-- end of measured -->"
+FPS, SIZE_PX, ANGLE_DEG, DISTANCE_M = 30.0, (640, 480), 60.0, 0.45
+POSES = ("open", "relaxed", "point", "victory", "open", "three", "pinch", "open", "claw", "fist", "relaxed", "spread")
+# bones of the hand that is shown, relative to those of the hand that it is tracked with
+OTHER_BONES_SIGMA, SEED = 0.08, 5
+# the one-euro filter's usual setting for hands: least cut-off in Hz, how it grows with speed, cut-off of the speed
+ONE_EURO = (1.0, 0.5, 1.0)
+
+
+@dataclass(frozen=True)
+class Truth:
+    """A known motion. joints_m: (F, 21, 3) level order, before a camera at the origin: y up, z towards it."""
+
+    name: str
+    joints_m: np.ndarray
+    handedness: Handedness
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of the table. errors in degrees, of finger bones."""
+
+    case: str
+    method: str
+    seen: str
+    in_palm: tuple[float, float]
+    in_space: tuple[float, float]
+    jitter: float
+    lag_ms: float
+
+    def cells(self) -> list[str]:
+        def number(value: float, digits: int) -> str:
+            return "-" if not math.isfinite(value) else f"{value:.{digits}f}"
+
+        return [
+            self.case, self.method, self.seen, *(number(value, 1) for value in (*self.in_palm, *self.in_space)),
+            number(self.jitter, 2), number(self.lag_ms, 0),
+        ]  # fmt: skip
+
+
+HEADER = [
+    "what is shown",
+    "method",
+    "found",
+    "palm median",
+    "palm 95 %",
+    "camera median",
+    "camera 95 %",
+    "jitter",
+    "lag",
+]
+
+
+# ---- what is shown ---------------------------------------------------------------------------------------------------
+
+
+def truths(canonical_m: np.ndarray) -> Iterator[Truth]:
+    """Motions through named poses while the hand turns and moves."""
+    random = np.random.default_rng(SEED)
+    factors = np.exp(OTHER_BONES_SIGMA * random.standard_normal(20))
+    other = rebuilt(np.zeros((1, 3)), bone_directions(canonical_m[None]), bone_lengths(canonical_m) * factors)[0]
+    for name, turn_deg, side in (
+        ("palm", 0.0, Handedness.RIGHT),
+        ("palm, left hand", 0.0, Handedness.LEFT),
+        ("from the thumb's side", -50.0, Handedness.RIGHT),
+        ("back of the hand", 180.0, Handedness.RIGHT),
+    ):
+        options = MotionOptions(fps=FPS, move_s=0.5, hold_s=0.2, variation_deg=2.0, seed=SEED)
+        sequence = pose_sequence_of_names(POSES, other, handedness=Handedness.RIGHT, options=options)
+        joints = sequence.joints_m - sequence.joints_m[:, :1]
+        time = np.arange(len(joints)) / FPS
+        sway = np.stack([0.25 * np.sin(1.1 * time), 0.3 * np.sin(0.7 * time), 0.25 * np.sin(0.9 * time)], -1)
+        turn = rotations_of(sway) @ rotations_of(np.array([[0.0, math.radians(turn_deg), 0.0]]))
+        joints = joints @ np.swapaxes(turn, -1, -2)
+        place = np.stack([0.04 * np.sin(0.8 * time), -0.08 + 0.02 * np.sin(time), 0.03 * np.sin(0.5 * time)], -1)
+        joints = joints + place[:, None] - (0, 0, DISTANCE_M)
+        mirror = (1, 1, 1) if side is Handedness.RIGHT else (-1, 1, 1)
+        yield Truth(name, joints * mirror, side)
+
+
+def film(truth: Truth) -> Iterator[np.ndarray]:
+    """Pictures of the avatar in that motion, on a background that is not even."""
+    width, height = SIZE_PX
+    focal = width / (2 * math.tan(math.radians(ANGLE_DEG) / 2))
+    world = torch.diag(torch.tensor([*MOTION_FROM_CAMERA, 1.0], dtype=torch.float64))
+    camera = Camera(width, height, focal, focal, width / 2, height / 2, world)
+    renderer = HandRenderer(load_builtin(handedness=truth.handedness), replace(preset("viewport"), antialias=True))
+    x, y = np.meshgrid(np.linspace(0, 1, width), np.linspace(0, 1, height))
+    random = np.random.default_rng(SEED)
+    wall = 0.35 + 0.25 * x + 0.1 * y + 0.01 * random.standard_normal((height, width))
+    background = np.clip(255 * wall[..., None] * (0.92, 0.97, 1.0), 0, 255)
+    for joints in truth.joints_m:
+        rgba = renderer.render(joints, camera).rgba
+        flat = 255 * rgba[..., :3] + (1 - rgba[..., 3:]) * background
+        yield np.clip(flat, 0, 255).astype(np.uint8)
+
+
+# ---- what is measured ------------------------------------------------------------------------------------------------
+
+
+def measured(case: str, method: str, joints_m: np.ndarray, truth_m: np.ndarray, seen: np.ndarray, fps: float) -> Row:
+    """Errors over the frames in which the hand was found; jitter and lag over all of them."""
+    canonical = load_builtin(handedness=Handedness.RIGHT).canonical_joints_m.numpy()
+    in_palm = [directions_in_palm(joints, canonical) for joints in (joints_m, truth_m)]
+    in_space = [bone_directions(joints) for joints in (joints_m, truth_m)]
+    whole = bool(seen.all())
+    return Row(
+        case, method, f"{seen.sum()} of {len(seen)}",
+        _median_and_95(*in_palm, seen), _median_and_95(*in_space, seen),
+        jitter_deg(joints_m) if fps else math.nan,
+        lag_ms(in_palm[0], in_palm[1], fps) if fps and whole else math.nan,
+    )  # fmt: skip
+
+
+def _median_and_95(came: np.ndarray, truth: np.ndarray, seen: np.ndarray) -> tuple[float, float]:
+    error = angles_between_deg(came, truth)[seen][:, FINGER_BONES]
+    return float(np.median(error)), float(np.percentile(error, 95))
+
+
+def one_euro(directions: np.ndarray, fps: float) -> np.ndarray:
+    """The usual filter of live tracking on (F, n, 3), for comparison (Casiez 2012)."""
+    least, growth, speed_cutoff = ONE_EURO
+
+    def share(cutoff_hz: np.ndarray | float) -> np.ndarray:
+        return np.asarray(1 / (1 + fps / (2 * math.pi * np.asarray(cutoff_hz))))
+
+    smooth, speed = [directions[0]], np.zeros_like(directions[0])
+    for now in directions[1:]:
+        speed = speed + share(speed_cutoff) * ((now - smooth[-1]) * fps - speed)
+        part = share(least + growth * np.linalg.norm(speed, axis=-1, keepdims=True))
+        smooth.append(smooth[-1] + part * (now - smooth[-1]))
+    return np.stack(smooth)
+
+
+def detector_alone(hand: HandOverTime) -> np.ndarray:
+    """(F, 21, 3) what the detector says in space, y up; the last one where it says nothing."""
+    last = next(one for one in hand.frames if one is not None)
+    joints = []
+    for one in hand.frames:
+        last = last if one is None else one
+        joints.append(last.space_m * MOTION_FROM_CAMERA)
+    return np.stack(joints)
+
+
+def rows_of_video(truth: Truth, canonical_m: np.ndarray, model: Path | None) -> Iterator[Row]:
+    """All methods on one rendered video."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "film.mp4"
+        write_video(path, film(truth), FPS)
+        video = open_video(path)
+        with MediaPipeHands(model) as detector:
+            sightings = look(pictures(video), video.fps, detector)
+    yield from rows_of_sightings(truth, sightings, canonical_m)
+
+
+def rows_of_sightings(truth: Truth, sightings: Sightings, canonical_m: np.ndarray) -> Iterator[Row]:
+    """Every method on what the detector saw."""
+    exact = TrackOptions(camera_angle_deg=ANGLE_DEG)
+    found = track(sightings, canonical_m, exact)
+    if truth.handedness not in found:
+        yield Row(truth.name, "not found, or taken for the other hand", f"0 of {len(truth.joints_m)}",
+                  *[(math.nan, math.nan)] * 2, math.nan, math.nan)  # fmt: skip
+        return
+    hand = found[truth.handedness]
+
+    def row(method: str, joints_m: np.ndarray) -> Row:
+        return measured(truth.name, method, joints_m, truth.joints_m, hand.seen, FPS)
+
+    raw = detector_alone(hand.hand)
+    yield row("the truth itself", truth.joints_m)
+    yield row("detector alone", raw)
+    slow = one_euro(bone_directions(raw), FPS)
+    slow = slow / np.linalg.norm(slow, axis=-1, keepdims=True)
+    yield row("detector, one-euro filter", rebuilt(np.zeros((len(raw), 3)), slow, bone_lengths(canonical_m)))
+    variants = {
+        "fit, no smoothing": replace(exact, smoothing=0.0),
+        "**jghand track**": exact,
+        "the same, camera taken for 45 degrees": replace(exact, camera_angle_deg=45.0),
+    }
+    for method, options in variants.items():
+        yield row(method, track(sightings, canonical_m, options)[truth.handedness].sequence.joints_m)
+
+
+def rows_of_capture(folder: Path, canonical_m: np.ndarray, model: Path | None) -> Iterator[Row]:
+    """Single pictures: each is looked at and fitted for itself."""
+    samples = open_capture(folder).samples
+    with MediaPipeHands(model, follows=False) as detector:
+        found = [_largest(detector.detect(_on_grey(sample), 0.0)) for sample in samples]
+    right = [
+        one is not None and one.handedness is sample.handedness for one, sample in zip(found, samples, strict=True)
+    ]
+    raw, fitted, truth = [], [], []
+    for sample, one, good in zip(samples, found, right, strict=True):
+        if one is None or not good:
+            continue
+        camera = sample.camera
+        pinhole = Pinhole(camera.fx, camera.cx, camera.cy)
+        hand = HandOverTime(sample.handedness, (one,), 1.0, 0)
+        fitted.append(track_hand(hand, pinhole, FPS, canonical_m, TrackOptions(smoothing=0.0)).in_view[0])
+        matrix = camera.camera_from_world.numpy()
+        truth.append(sample.joints_m @ matrix[:3, :3].T + matrix[:3, 3])
+        raw.append(one.space_m)
+    all_seen = np.ones(len(raw), dtype=bool)
+    name = f"{len(samples)} single pictures of a capture, {sum(one is not None for one in found)} found"
+    for method, joints in (("detector alone", raw), ("**jghand track**, each picture alone", fitted)):
+        row = measured(name, method, np.stack(joints), np.stack(truth), all_seen, 0.0)
+        yield replace(row, seen=f"{len(raw)} of {len(samples)}, as the right hand")
+
+
+def _on_grey(sample: Sample) -> np.ndarray:
+    picture = load_picture(sample)
+    flat = picture.rgb + 0.5 * (1 - picture.mask[..., None])
+    return np.clip(255 * flat, 0, 255).astype(np.uint8)
+
+
+def _largest(hands: Sequence[SeenHand]) -> SeenHand | None:
+    return max(hands, key=lambda hand: hand.size_px, default=None)
+
+
+def rows_of_earlier(video_file: Path, joints_file: Path, canonical_m: np.ndarray, model: Path | None) -> Iterator[Row]:
+    """Agreement with joints that an earlier run of the same detector gave: no truth."""
+    earlier = to_level(np.load(joints_file, allow_pickle=False), JointOrder.STANDARD)
+    video = open_video(video_file)
+    with MediaPipeHands(model) as detector:
+        sightings = look(pictures(video), video.fps, detector)
+    hand = track(sightings, canonical_m)[Handedness.RIGHT]
+    for method, joints in (("detector alone", detector_alone(hand.hand)), ("**jghand track**", hand.sequence.joints_m)):
+        row = measured("agreement with an earlier run on a real video (no truth)", method, joints, earlier, hand.seen,
+                       video.fps)  # fmt: skip
+        yield replace(row, in_space=(math.nan, math.nan))
+
+
+# ---- the table -------------------------------------------------------------------------------------------------------
+
+
+def table(rows: Sequence[Row]) -> str:
+    lines = [HEADER, ["---", "---", *["---:"] * (len(HEADER) - 2)], *(row.cells() for row in rows)]
+    return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
+
+
+def put_into_page(text: str) -> None:
+    page = PAGE.read_text(encoding="utf-8")
+    pattern = re.compile(re.escape(BEGIN) + ".*" + re.escape(END), re.DOTALL)
+    with writing(PAGE) as temporary:
+        temporary.write_text(pattern.sub(lambda _: f"{BEGIN}\n{text}\n{END}", page), encoding="utf-8")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--capture", type=Path)
+    parser.add_argument("--video", type=Path)
+    parser.add_argument("--joints", type=Path)
+    parser.add_argument("--model", type=Path)
+    parser.add_argument("--write", action="store_true")
+    options = parser.parse_args()
+    canonical = load_builtin(handedness=Handedness.RIGHT).canonical_joints_m.numpy()
+    sources: list[Callable[[], Iterator[Row]]] = [
+        lambda truth=truth: rows_of_video(truth, canonical, options.model) for truth in truths(canonical)
+    ]
+    if options.capture:
+        sources.append(lambda: rows_of_capture(options.capture, canonical, options.model))
+    if options.video and options.joints:
+        sources.append(lambda: rows_of_earlier(options.video, options.joints, canonical, options.model))
+    rows = []
+    for source in sources:
+        for row in source():
+            rows.append(row)
+            print(" | ".join(row.cells()), flush=True)
+    print(f"\n{table(rows)}")
+    if options.write:
+        put_into_page(table(rows))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,94 @@
+"""Video files that are none, are damaged, or want something: refused with a sentence, and soon."""
+
+import time
+
+import numpy as np
+import pytest
+
+from jghand_engine import limits
+from jghand_engine.errors import InputError
+from jghand_engine.exporters.video import write_video
+from jghand_engine.tracking.video import open_video, pictures
+
+pytest.importorskip("imageio_ffmpeg", reason="the extra `video` is not installed")
+
+
+@pytest.fixture(scope="module")
+def film(tmp_path_factory):
+    path = tmp_path_factory.mktemp("film") / "film.mp4"
+    random = np.random.default_rng(0)
+    write_video(path, (random.integers(0, 255, (48, 64, 3), dtype=np.uint8) for _ in range(12)), 30)
+    return path
+
+
+def refused(path, match):
+    with pytest.raises(InputError, match=match) as told:
+        list(pictures(open_video(path)))
+    assert len(str(told.value)) < 600
+    assert "\n" not in str(told.value)
+
+
+def test_what_is_not_there(tmp_path):
+    refused(tmp_path / "none.mp4", "cannot read video")
+
+
+def test_a_folder(tmp_path):
+    refused(tmp_path, "a folder")
+
+
+def test_an_empty_file(tmp_path):
+    (tmp_path / "empty.mp4").touch()
+    refused(tmp_path / "empty.mp4", "no bytes")
+
+
+@pytest.mark.parametrize("content", [b"\x00" * 4096, b"no film at all\n" * 100, b"\x89PNG\r\n\x1a\n" + b"\x00" * 64])
+def test_something_else(tmp_path, content):
+    (tmp_path / "odd.mp4").write_bytes(content)
+    refused(tmp_path / "odd.mp4", "a film that ffmpeg can read")
+
+
+def test_a_film_whose_index_is_missing(film, tmp_path):
+    (tmp_path / "short.mp4").write_bytes(film.read_bytes()[:200])
+    refused(tmp_path / "short.mp4", "a film that ffmpeg can read")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "#EXTM3U\n#EXT-X-TARGETDURATION:1\n#EXTINF:1,\n{film}\n#EXT-X-ENDLIST\n",
+        "ffconcat version 1.0\nfile '{film}'\n",
+    ],
+)
+def test_a_list_that_names_other_files_is_not_followed(film, tmp_path, text):
+    (tmp_path / "list.mp4").write_text(text.format(film=film))
+    refused(tmp_path / "list.mp4", "a film that ffmpeg can read")
+
+
+def test_absurd_sizes_are_refused_before_a_picture_is_decoded(film, monkeypatch):
+    monkeypatch.setattr(limits, "VIDEO_EDGE_MAX_PX", 60)
+    refused(film, "64 x 48")
+
+
+def test_too_many_pictures(film, monkeypatch):
+    monkeypatch.setattr(limits, "TRACK_FRAMES_MAX", 5)
+    refused(film, "at most 5 pictures")
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_flipped_bytes_give_pictures_or_a_sentence(film, tmp_path, seed):
+    random = np.random.default_rng(seed)
+    content = bytearray(film.read_bytes())
+    for place in random.integers(0, len(content), 1 + 4 * seed):
+        content[place] = random.integers(0, 256)
+    path = tmp_path / "flipped.mp4"
+    path.write_bytes(content)
+    started = time.monotonic()
+    read, sentence = [], ""
+    try:
+        read += pictures(open_video(path))
+    except InputError as error:
+        sentence = str(error)
+    assert read or sentence
+    assert "\n" not in sentence
+    assert all(picture.shape == read[0].shape for picture in read)
+    assert time.monotonic() - started < 30, "it ends; seen: 0.3 s"

@@ -1,0 +1,68 @@
+"""The true detector, where it is installed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from tracking_samples import CAMERA, HEIGHT, WIDTH, right_joints_m
+
+from jghand_engine.avatar.builtin import load_builtin
+from jghand_engine.errors import InputError
+from jghand_engine.exporters.pictures import flatten
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.splat.camera import Camera
+from jghand_engine.splat.frame import HandRenderer
+from jghand_engine.splat.settings import preset
+from jghand_engine.tracking.mediapipe_hands import MediaPipeHands
+from jghand_engine.tracking.model_file import has_detector
+from jghand_engine.tracking.track import look, track
+from jghand_engine.tracking.video import open_video, pictures
+
+pytestmark = pytest.mark.skipif(
+    not has_detector(), reason="MediaPipe or its networks are not here (extra `track`, jghand track --fetch-model)"
+)
+
+
+def shown(handedness, joints_m):
+    """A picture of the built-in hand, (H, W, 3) uint8."""
+    axes = torch.eye(4, dtype=torch.float64)
+    camera = Camera(WIDTH, HEIGHT, CAMERA.focal_px, CAMERA.focal_px, CAMERA.cx, CAMERA.cy, axes)
+    renderer = HandRenderer(load_builtin(handedness=handedness), replace(preset("viewport"), antialias=True))
+    return flatten(renderer.render(joints_m, camera).rgba, (0.45, 0.45, 0.47))
+
+
+@pytest.mark.parametrize("handedness", Handedness)
+def test_hands_are_found_where_they_are_and_are_the_hand_that_they_are(handedness):
+    truth = right_joints_m(1)[0] * (1 if handedness is Handedness.RIGHT else np.array([-1, 1, 1]))
+    with MediaPipeHands(follows=False) as detector:
+        found = detector.detect(shown(handedness, truth), 0.0)
+    assert len(found) == 1
+    assert found[0].handedness is handedness
+    distance = np.linalg.norm(found[0].image_px - CAMERA.project(truth), axis=-1) / found[0].size_px
+    assert np.median(distance) < 0.1, "seen: 0.05 of the hand's size"
+
+
+def test_a_picture_without_a_hand_has_none():
+    with MediaPipeHands() as detector:
+        assert detector.detect(np.full((HEIGHT, WIDTH, 3), 120, np.uint8), 0.0) == []
+        # two pictures of the same moment are no reason to fail
+        assert detector.detect(np.full((HEIGHT, WIDTH, 3), 120, np.uint8), 0.0) == []
+
+
+def test_other_files_are_no_networks(tmp_path):
+    (tmp_path / "odd.task").write_bytes(b"nothing of the kind" * 100)
+    with pytest.raises(InputError, match=r"odd\.task"):
+        MediaPipeHands(tmp_path / "odd.task")
+
+
+def test_the_hand_of_a_real_video_is_found_in_every_picture(shared_data):
+    video = open_video(shared_data / "real" / "human_hand_video.mp4")
+    canonical = load_builtin(handedness=Handedness.RIGHT).canonical_joints_m.numpy()
+    with MediaPipeHands() as detector:
+        sightings = look(pictures(video, most=90), video.fps, detector)
+    hands = track(sightings, canonical)
+    assert set(hands) == {Handedness.RIGHT}
+    hand = hands[Handedness.RIGHT]
+    assert hand.seen.all()
+    assert hand.jitter_after_deg < 0.4 * hand.jitter_before_deg, "seen: 0.22"

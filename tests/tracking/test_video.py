@@ -1,0 +1,136 @@
+"""Pictures out of video files."""
+
+import subprocess
+
+import numpy as np
+import pytest
+
+from jghand_engine import limits
+from jghand_engine.errors import InputError
+from jghand_engine.exporters.video import ffmpeg_program, write_video
+from jghand_engine.tracking.video import ReadingNotes, open_video, pictures
+
+pytest.importorskip("imageio_ffmpeg", reason="the extra `video` is not installed")
+
+
+def moving_square(count, height=48, width=64):
+    for index in range(count):
+        picture = np.full((height, width, 3), (180, 140, 120), np.uint8)
+        picture[8:24, 2 * index : 2 * index + 16] = (40, 60, 200)
+        yield picture
+
+
+def film(path, count=20, fps=30.0, **size):
+    write_video(path, moving_square(count, **size), fps)
+    return path
+
+
+def converted(source, target, *options, before=()):
+    command = [ffmpeg_program(), "-y", "-loglevel", "error", *before, "-i", str(source), *options, str(target)]
+    subprocess.run(command, check=True, stdin=subprocess.DEVNULL)
+    return target
+
+
+def test_every_picture_comes_in_its_order(tmp_path):
+    video = open_video(film(tmp_path / "a.mp4"))
+    assert (video.width, video.height, video.fps, video.frames, video.turned_deg) == (64, 48, 30.0, 20, 0)
+    assert not video.uneven
+    read = list(pictures(video))
+    assert len(read) == 20
+    errors = [np.abs(a.astype(int) - b).mean() for a, b in zip(read, moving_square(20), strict=True)]
+    assert max(errors) < 4, "worst seen 2.2 of 255: the compression"
+
+
+def test_no_more_pictures_than_wanted(tmp_path):
+    video = open_video(film(tmp_path / "a.mp4"))
+    notes = ReadingNotes()
+    assert len(list(pictures(video, notes, most=7))) == 7
+    assert notes.sentences == []
+
+
+def test_a_name_that_looks_like_an_option_or_an_address_is_a_name(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in ("-y.mp4", "http:film.mp4", "ümlaut und leer.mp4"):
+        film(tmp_path / "plain.mp4", 3).rename(tmp_path / name)
+        assert len(list(pictures(open_video(name)))) == 3
+
+
+def test_a_turned_film_is_read_upright(tmp_path):
+    plain = film(tmp_path / "a.mp4")
+    turned = converted(plain, tmp_path / "turned.mp4", "-c", "copy", before=("-display_rotation", "90"))
+    video = open_video(turned)
+    assert (video.width, video.height) == (48, 64)
+    assert video.turned_deg % 180 == 90
+    assert next(iter(pictures(video))).shape == (64, 48, 3)
+
+
+def test_uneven_times_are_made_even(tmp_path):
+    """Every picture of the first half is followed at once, in the second half two of three are left out."""
+    plain = film(tmp_path / "a.mp4", 60)
+    uneven = converted(
+        plain, tmp_path / "u.mp4", "-vf", "select='lt(n,30)+not(mod(n,3))'", "-fps_mode", "vfr", "-c:v", "libx264"
+    )
+    video = open_video(uneven)
+    assert video.uneven
+    video = open_video(uneven, fps=30.0)
+    read = list(pictures(video))
+    assert 56 <= len(read) <= 61, "as long as the film, not as many as its 40 pictures"
+    # what is shown at a moment is what was filmed there, at most two frames late
+    where = [int(np.argmin(picture[16, :, 0])) / 2 for picture in read]
+    assert np.abs(np.array(where[10:28]) - np.arange(10, 28)).max() <= 8, "the square's blurred edge"
+    assert len({round(x) for x in where[32:56]}) < len({round(x) for x in where[2:26]})
+
+
+def test_another_rate_takes_fewer_pictures(tmp_path):
+    video = open_video(film(tmp_path / "a.mp4"), fps=15.0)
+    assert len(list(pictures(video))) == 10
+
+
+def test_large_pictures_are_made_smaller(tmp_path, monkeypatch):
+    monkeypatch.setattr(limits, "TRACK_EDGE_PX", 32)
+    video = open_video(film(tmp_path / "a.mp4"))
+    assert (video.width, video.height) == (32, 24)
+    assert next(iter(pictures(video))).shape == (24, 32, 3)
+
+
+def test_rates_of_television_are_exact(tmp_path):
+    assert open_video(film(tmp_path / "a.mp4", 20, 30000 / 1001)).fps == 30000 / 1001
+
+
+def test_a_film_that_is_cut_off_gives_what_is_there_and_says_so(tmp_path):
+    whole = converted(film(tmp_path / "a.mp4", 90), tmp_path / "a.mkv", "-c:v", "libx264", "-g", "5")
+    part = tmp_path / "part.mkv"
+    part.write_bytes(whole.read_bytes()[: whole.stat().st_size // 2])
+    notes = ReadingNotes()
+    count = len(list(pictures(open_video(part), notes)))
+    assert 0 < count < 90
+    assert "cut off" in notes.sentences[0]
+    assert str(count) in notes.sentences[0]
+
+
+def test_a_film_with_sound_and_a_cover_is_still_a_film(tmp_path):
+    sound = converted(
+        film(tmp_path / "a.mp4"),
+        tmp_path / "s.mkv",
+        "-f",
+        "lavfi",
+        "-i",
+        "sine=duration=1",
+        "-shortest",
+        "-c:v",
+        "copy",
+    )
+    assert len(list(pictures(open_video(sound)))) == 20
+
+
+def test_leaving_early_ends_the_decoder(tmp_path):
+    reading = pictures(open_video(film(tmp_path / "a.mp4", 60)))
+    next(reading)
+    reading.close()
+
+
+def test_a_film_without_a_picture_is_an_error(tmp_path):
+    video = open_video(film(tmp_path / "a.mp4"))
+    video.path.write_bytes(b"gone")
+    with pytest.raises(InputError, match="at least one picture"):
+        list(pictures(video))
