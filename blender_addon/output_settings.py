@@ -55,13 +55,13 @@ TRAINING_PRESETS = (
 )
 # as jghand_engine names them; a test compares
 IDENTITIES = (
-    ("slim_woman", "Slim Woman", "", "NONE", 0),
-    ("big_man", "Big Man", "", "NONE", 1),
-    ("old_person", "Old Person", "", "NONE", 2),
-    ("adult_man", "Adult Man", "", "NONE", 3),
-    ("adult_woman", "Adult Woman", "", "NONE", 4),
-    ("child", "Child", "", "NONE", 5),
-    ("long_fingers", "Long Fingers", "", "NONE", 6),
+    ("slim_woman", "Slim Woman", "Narrow, with slender fingers", "NONE", 0),
+    ("big_man", "Big Man", "Large and broad", "NONE", 1),
+    ("old_person", "Old Person", "The shape of a hand at great age", "NONE", 2),
+    ("adult_man", "Adult Man", "Of middle size", "NONE", 3),
+    ("adult_woman", "Adult Woman", "Of middle size, narrower", "NONE", 4),
+    ("child", "Child", "Small, with short fingers", "NONE", 5),
+    ("long_fingers", "Long Fingers", "A palm of middle size with long fingers", "NONE", 6),
 )
 
 

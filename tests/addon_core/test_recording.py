@@ -326,6 +326,14 @@ def all_words() -> list[tuple[str, ...]]:
     ]
 
 
+def test_programs_are_suited_as_the_engine_does_it():
+    pytest.importorskip("torch", reason="needs the engine's packages")
+    from jghand_engine.exporters.usd_options import PRESETS
+
+    wanted = {name: (str(preset.variant), preset.width_factor) for name, preset in PRESETS.items()}
+    assert wanted == engine_words.USD_PRESETS
+
+
 @pytest.mark.parametrize("words", all_words(), ids=lambda words: " ".join(words[:2]))
 def test_the_engine_understands_the_words_of_a_job(words):
     tyro = pytest.importorskip("tyro", reason="needs the engine's packages")

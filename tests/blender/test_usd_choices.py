@@ -1,0 +1,35 @@
+"""What a program wants of a stage is one click, and stays changeable."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip("bpy", reason="needs the bpy wheel of this Python")
+
+from blender_addon import output_settings
+from blender_addon.bridge import versions
+from blender_addon.core.engine_words import USD_PRESETS
+
+
+@pytest.mark.parametrize("program", USD_PRESETS)
+def test_a_program_sets_what_is_shown_first_and_the_size_of_points(extension, program):
+    settings = extension.scene.jghand.output
+    settings.program = program
+    variant, width_factor = USD_PRESETS[program]
+    if program == "blender" and versions.has_native_splats():
+        variant = "splats"
+    assert (settings.variant, settings.width_factor) == (variant, width_factor)
+    settings.variant = "mesh"
+    assert settings.program == program
+
+
+def test_a_blender_that_draws_splats_gets_splats(extension, monkeypatch):
+    monkeypatch.setattr(output_settings, "has_native_splats", lambda: True)
+    extension.scene.jghand.output.program = "blender"
+    assert extension.scene.jghand.output.variant == "splats"
+
+
+def test_every_program_and_variant_of_the_engine_can_be_chosen(extension):
+    properties = extension.scene.jghand.output.bl_rna.properties
+    assert set(properties["program"].enum_items.keys()) == set(USD_PRESETS)
+    assert {variant for variant, _ in USD_PRESETS.values()} | {"mesh"} == set(properties["variant"].enum_items.keys())
