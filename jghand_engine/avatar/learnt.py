@@ -10,15 +10,24 @@ from jghand_engine.avatar.cast_shadow import CastShadow
 from jghand_engine.avatar.correctives import Correctives, PoseNet
 from jghand_engine.avatar.light import Light
 from jghand_engine.avatar.tiers import Baked, CachedNet, Price, Tier, choose
-from jghand_engine.limits import SHADOW_GAIN, SHADOW_TINT
+from jghand_engine.limits import SHADOW_GAIN, SHADOW_TINT, SHADOW_UNSEEN
 
 
 @dataclass(frozen=True)
 class ShadowLook:
-    """How dark the self-shadow is: gain and strength per colour channel of METHOD 5.2, both learnt."""
+    """How dark the self-shadow is: gain and strength per colour channel of METHOD 5.2, both learnt.
+
+    seen: 0..1, the most that it changes a channel of any pixel, as `jghand bake` measured it; None: not measured
+    """
 
     gain: float = SHADOW_GAIN
     tint: tuple[float, float, float] = SHADOW_TINT
+    seen: float | None = None
+
+    @property
+    def is_seen(self) -> bool:
+        """Whether anybody would miss it."""
+        return self.seen is None or self.seen > SHADOW_UNSEEN
 
 
 @dataclass(frozen=True)

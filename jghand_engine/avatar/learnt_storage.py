@@ -171,13 +171,17 @@ class LearntAbout:
 def _parsed_shadow(value: object, wrong: Wrong) -> ShadowLook | None:
     if value is None:
         return None
-    gain, tint = (value.get("gain"), value.get("tint")) if isinstance(value, dict) else (None, None)
+    if not isinstance(value, dict):
+        raise wrong("learnt shadow", "an object", value)
+    gain, tint, seen = (value.get(name) for name in ("gain", "tint", "seen"))
     if not _is_number(gain, 0, limits.SHADOW_GAIN_MAX):
         raise wrong("learnt shadow gain", f"a number of 0 to {limits.SHADOW_GAIN_MAX:g}", gain)
     if not (isinstance(tint, list) and len(tint) == 3 and all(_is_number(part, 0, 1) for part in tint)):
         raise wrong("learnt shadow tint", "three numbers of 0 to 1", tint)
+    if not (seen is None or _is_number(seen, 0, 1)):
+        raise wrong("learnt shadow seen", "a number of 0 to 1, or null", seen)
     red, green, blue = map(float, tint)
-    return ShadowLook(float(gain), (red, green, blue))  # type: ignore[arg-type]
+    return ShadowLook(float(gain), (red, green, blue), None if seen is None else float(seen))  # type: ignore[arg-type]
 
 
 def _parsed_net(value: object, wrong: Wrong) -> PoseNetShape | None:

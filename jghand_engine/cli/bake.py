@@ -25,6 +25,7 @@ DESCRIPTION = """Prepare a trained avatar for fast drawing, and say what each wa
 What a pose changes on the skin comes from a network. `bake` adds a linear form of it, which is quick, measures how much
 accuracy that loses and how much time it saves, and writes both into the avatar. The renderer then takes the linear form
 where it loses at most 0.1 dB and saves a tenth of a frame or more; presets final and reference always take the network.
+It also measures how much the shadow of the hand on itself ever darkens: one that nobody sees is not drawn any more.
 
 Examples:
   jghand bake id3.jghand captures/id3 --out id3_fast.jghand
@@ -67,6 +68,7 @@ class Bake:
         from jghand_engine.files import check_place
         from jghand_engine.native.machine import processor
         from jghand_engine.native.threads import thread_count
+        from jghand_engine.studies.shadow_seen import with_shadow_seen
         from jghand_engine.studies.tier_prices import baked, pose_net_of, price_tiers
 
         if self.out.suffix != ".jghand":
@@ -88,7 +90,9 @@ class Bake:
         measured_on = as_text(f"{yard.measured_on}; times on {processor()}, {thread_count(0)} threads")
         say(f"Measuring {len(linear) + 2} tiers on {measured_on}.")
         offers = price_tiers(avatar, linear, yard)
-        finished = baked(avatar, offers, measured_on)
+        with progress("Measuring the shadow", 100) as bar:
+            measured = with_shadow_seen(avatar, lambda part: bar.update(bar.task_ids[0], completed=100 * part))
+        finished = baked(measured, offers, measured_on)
         save_avatar(self.out, finished, storage=storage)
         self._tell(offers, finished, measured_on)
 
@@ -139,9 +143,15 @@ class Bake:
         learnt = avatar.learnt
         taken = None if learnt is None else learnt.with_tier(Tier.AUTO)[1]
         say(f"The renderer takes {taken.name if taken else 'exact'} unless told otherwise.")
+        shadow = None if learnt is None else learnt.shadow
+        seen = None if shadow is None else shadow.seen
+        if shadow is not None and seen is not None:
+            drawn = "it is drawn where the pose asks for it" if shadow.is_seen else "it is not drawn"
+            say(f"Its shadow on itself changes a pixel by at most {255 * seen:.1f} of 255 steps: {drawn}.")
         say(f"{self.out}: {len(avatar)} Gaussians, {self.out.stat().st_size / 1e6:.1f} MB")
         if self.report.json is not None:
             write_json(self.report.json, {
                 "command": "bake", "measured_on": measured_on, "bytes": self.out.stat().st_size,
+                "shadow_seen": seen,
                 "tiers": [{**vars(offer.price), "kept": offer.price.name in kept} for offer in offers],
             })  # fmt: skip

@@ -92,6 +92,8 @@ GATE_NEED = 0.2
 # bones must not hide the others)
 GATE_SAMPLES = 5
 GATE_PENETRATION_MAX = 1.5
+# a shadow that never changes a pixel by more, as it was measured, is not drawn: two 8-bit steps, on the darkest pixel
+SHADOW_UNSEEN = 2 / 255
 # hands smaller than this on the picture get no shadow pass, px
 SHADOW_HAND_MIN_PX = 64.0
 

@@ -18,6 +18,7 @@ import numpy as np
 
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.learnt import ShadowLook
 from jghand_engine.errors import InputError
 from jghand_engine.native.machine import FREE_PART, FreeCores
 from jghand_engine.native.threads import thread_count
@@ -71,8 +72,10 @@ def candidates(avatar: HandAvatar, size_px: tuple[int, int]) -> dict[str, Render
     """Settings that are worth choosing from, by name: the presets, and what lies between and below them."""
     viewport, draft = PRESETS["viewport"], PRESETS["draft"]
     found = dict(PRESETS)
-    found["final, shadow of 16 samples"] = replace(PRESETS["final"], shadow_samples=16)
-    found["viewport, no shadow"] = replace(viewport, shadow=ShadowMode.OFF)
+    look = ShadowLook() if avatar.learnt is None else avatar.learnt.shadow
+    if look is not None and look.is_seen:
+        found["final, shadow of 16 samples"] = replace(PRESETS["final"], shadow_samples=16)
+        found["viewport, no shadow"] = replace(viewport, shadow=ShadowMode.OFF)
     for count, like in ((30_000, "viewport"), (30_000, "draft"), (20_000, "viewport"), (10_000, "draft")):
         if count < len(avatar):
             found[f"{like}, {count // 1000}k Gaussians"] = replace(PRESETS[like], gaussians=count)

@@ -272,12 +272,15 @@ def _shadows(
     always = settings.shadow is ShadowMode.ALWAYS or settings.effects.forces(Effect.SHADOW)
     # colours that were learnt under a shadow that fades with the pose have in them what it leaves out
     learnt = any(hand.learnt is not None for hand in hands)
+    gap_m = gap_between(scene.joints_m) if allowed[1] else math.inf
+    alone = gap_m >= limits.GATE_RADIUS_M
+    if alone and not always and (seen := _unseen(looks, settings)) is not None:
+        return neither(f"at most {255 * seen:.1f} of 255 steps", "measured when the avatar was baked", seen)
     size_px = max(extents_px)
     if size_px < limits.SHADOW_HAND_MIN_PX and not always:
         return neither(f"hand {size_px:.0f} px", "a few pixels of crease", darkest)
     own = _own_score(scene, hands) if allowed[0] else 0.0
-    gap_m = gap_between(scene.joints_m) if allowed[1] else math.inf
-    contact = contact_between(scene.joints_m) if gap_m < limits.GATE_RADIUS_M else 0.0
+    contact = 0.0 if alone else contact_between(scene.joints_m)
     full = always and not learnt and allowed[0]
     strength = (1.0 if full else fade(own + contact)) * settings.shadow_strength
     bound, worst = ("0: learnt as it is drawn", 0.0) if learnt else (_GATE_BOUND, darkest)
@@ -289,6 +292,14 @@ def _shadows(
     told = "on every frame" if full else f"gate {own:.2f}"
     self_shadow = decision(Effect.SHADOW, full or own > 0, told if allowed[0] else NOT_ALLOWED, cost)
     return strength, (self_shadow, _between(scene, allowed[1], gap_m, contact, decision))
+
+
+def _unseen(looks: Sequence[ShadowLook], settings: RenderSettings) -> float | None:
+    """The most that these shadows change a pixel of a hand alone, where that is known and too little to see."""
+    if settings.shadow_radius_m != limits.SHADOW_RADIUS_M:
+        return None  # it was measured at the usual reach
+    seen = settings.shadow_strength * max(math.inf if look.seen is None else look.seen for look in looks)
+    return seen if seen <= limits.SHADOW_UNSEEN else None
 
 
 _GATE_BOUND = "1 % of the hand's pixels occluded by over 0.2 (METHOD 5.4)"

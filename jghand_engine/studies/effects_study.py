@@ -19,6 +19,7 @@ from jghand_engine.avatar.learnt import ShadowLook
 from jghand_engine.datasets.sample import Sample, load_picture
 from jghand_engine.hand.anatomy import MotionOptions, pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.native.library import load
 from jghand_engine.splat.camera import Camera, Lens
 from jghand_engine.splat.effect_plan import CHOOSABLE, Choice, Effect
 from jghand_engine.splat.exposure import shutter_at
@@ -297,9 +298,9 @@ def gate_row(renderer: HandRenderer, avatar: HandAvatar, sample: Sample | tuple[
     frame = renderer.render(joints_m, camera)
     look = ShadowLook() if avatar.learnt is None else avatar.learnt.shadow or ShadowLook()
     planes = torch.from_numpy(np.concatenate([frame.rgba, (frame.rgba[..., 3] * frame.depth_m)[..., None]], -1))
-    planes = planes.permute(2, 0, 1).double()
+    planes = planes.permute(2, 0, 1).contiguous()
     style = ShadowStyle(gain=look.gain, tint=(1.0, 1.0, 1.0), samples=32)
-    visible = (darken(planes, camera, style) / planes[:3].clamp_min(1e-6))[1].numpy()
+    visible = (darken(planes, camera, style, library=load()) / planes[:3].clamp_min(1e-6))[1].numpy()
     hand = frame.rgba[..., 3] > 0.5
     occlusion = np.where(hand, 1 - visible, 0.0)
     shaded = frame.rgba[..., :3] * (1 - occlusion[..., None] * np.array(look.tint, np.float32))

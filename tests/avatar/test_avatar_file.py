@@ -327,6 +327,7 @@ def test_reading_a_network_draws_no_random_numbers(tmp_path):
         ({"shine": torch.full((200,), 2e3)}, "shine"),
         ({"shadow": ShadowLook(gain=NAN)}, "shadow"),
         ({"shadow": ShadowLook(tint=(0.1, 0.2, 1.5))}, "shadow"),
+        ({"shadow": ShadowLook(seen=1.1)}, "shadow seen"),
     ],
 )
 def test_what_no_training_can_give_is_not_written(tmp_path, change, named):

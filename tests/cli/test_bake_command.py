@@ -18,7 +18,7 @@ from jghand_engine.avatar.tiers import LinearCorrectives, Tier
 from jghand_engine.cli import main
 from jghand_engine.cli.bake import Bake
 from jghand_engine.native.machine import processor
-from jghand_engine.studies import tier_prices
+from jghand_engine.studies import shadow_seen, tier_prices
 from jghand_engine.studies.tier_prices import Offer, best_linear
 from jghand_engine.studies.tier_yardsticks import ExactPictures, _flat
 from jghand_engine.template.builtin import load_template
@@ -30,7 +30,8 @@ def run(*words):
 
 @pytest.fixture(autouse=True)
 def few_rounds(monkeypatch):
-    """Times are not what is tested."""
+    """Times are not what is tested, nor how a shadow looks from every side."""
+    monkeypatch.setattr(shadow_seen, "SIDES", shadow_seen.SIDES[:1])
     monkeypatch.setattr(tier_prices, "FRAME_ROUNDS", 2)
     monkeypatch.setattr(tier_prices, "WARM_UP", 1)
 
@@ -71,6 +72,7 @@ def test_tiers_are_priced_and_written(file, trained, tmp_path, capsys, storage):
     assert "against the exact tier" in baked.learnt.baked.measured_on
     assert processor() in baked.learnt.baked.measured_on
     # a fast avatar can be baked again
+    assert load_avatar(out).learnt.shadow.seen == json.loads(told.read_text())["shadow_seen"]
     assert run("bake", out, "--out", out, "--basis", "2", "--poses", 10, "--overwrite") == 0
     assert load_avatar(out).learnt.baked.linear.basis == 2
 

@@ -94,7 +94,16 @@ def test_candidates_hold_the_presets_and_name_each_setting_once():
     assert not bare.effects.allows(Effect.CORRECTIVES)
     assert "draft, no correctives" not in candidates(small_avatar(100), (512, 334))
     assert not any(settings.half for settings in found.values())
+    assert "viewport, no shadow" in found
     assert any(settings.half for settings in candidates(small_avatar(100), (1920, 1080)).values())
+
+
+def test_a_shadow_that_is_not_drawn_is_nothing_to_choose():
+    avatar = trained_avatar(100)
+    for seen, offered in ((0.0, False), (0.1, True)):
+        look = replace(avatar.learnt.shadow, seen=seen)
+        found = candidates(replace(avatar, learnt=replace(avatar.learnt, shadow=look)), (512, 334))
+        assert ("viewport, no shadow" in found) is offered
 
 
 # ---- the file --------------------------------------------------------------------------------------------------------

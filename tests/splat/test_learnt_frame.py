@@ -19,6 +19,7 @@ from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import JointTransform
 from jghand_engine.native import library as native_library
 from jghand_engine.splat.camera import Camera
+from jghand_engine.splat.effect_plan import Choice
 from jghand_engine.splat.frame import Frame, HandRenderer, SceneRenderer
 from jghand_engine.splat.gate import ShadowGate, fade
 from jghand_engine.splat.painter import covariance_of
@@ -210,3 +211,41 @@ def test_hands_of_different_looks_share_the_mean_of_them():
     joints = [joints_of("fist"), beside(joints_of("fist"), 0.09)]
     shown = [SceneRenderer(pair, RenderSettings()).render(joints, NEAR).rgba for pair in ([AVATAR, dark], [mean, mean])]
     assert np.allclose(*shown, atol=1e-6)
+
+
+def with_seen(seen: float | None):
+    return replace(AVATAR, learnt=replace(AVATAR.learnt, shadow=replace(AVATAR.learnt.shadow, seen=seen)))
+
+
+def test_a_shadow_that_nobody_sees_is_not_drawn():
+    faint = with_seen(1.5 / 255)
+    frame = shadowed(faint, ShadowMode.GATED)
+    stage = frame.report.stage("shadow + compose")
+    assert not stage.ran
+    assert "1.5 of 255 steps" in stage.reason
+    assert np.array_equal(frame.rgba, shadowed(AVATAR, ShadowMode.OFF).rgba)
+    # said in the receipt: so far may the picture be off
+    assert frame.report.plan.skipped_worst >= 1.5 / 255
+
+
+@pytest.mark.parametrize(
+    ("seen", "settings"),
+    [
+        (None, RenderSettings()),
+        (3 / 255, RenderSettings()),
+        (1 / 255, RenderSettings(shadow=ShadowMode.ALWAYS)),
+        (1 / 255, RenderSettings(effects=Choice.parse("all"))),
+        (1 / 255, RenderSettings(shadow_radius_m=0.03)),
+    ],
+    ids=["not measured", "seen", "asked for always", "asked for by name", "another reach"],
+)
+def test_a_shadow_is_drawn_where_it_may_be_seen(seen, settings):
+    frame = HandRenderer(with_seen(seen), settings).render(joints_of("fist"), NEAR)
+    assert frame.report.stage("shadow + compose").ran
+
+
+def test_hands_that_touch_are_shaded_however_faint_each_shadow_is_alone():
+    faint, joints = with_seen(0.0), joints_of("fist")
+    for away_m, runs in ((0.09, True), (0.5, False)):
+        frame = SceneRenderer([faint, faint], RenderSettings()).render([joints, beside(joints, away_m)], NEAR)
+        assert frame.report.stage("shadow + compose").ran is runs
