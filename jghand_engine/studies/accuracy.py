@@ -59,7 +59,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Everything that was measured. learning: minutes and PSNR of a held-out view"""
+    """Everything that was measured. learning: minutes and PSNR of held-out views, of a training on `learnt_from`"""
 
     avatar: str
     gaussians: int
@@ -70,6 +70,7 @@ class Accuracy:
     poses: int
     truth: str
     learning: tuple[tuple[float, float], ...] = ()
+    learnt_from: str = ""
 
     @property
     def front(self) -> list[Row]:
@@ -114,6 +115,7 @@ class Accuracy:
             "reference": f"{self.poses} poses in float64", "truth": self.truth,
             "rows": [row.as_dict() for row in self.rows], "growth": [vars(point) for point in self.growth],
             "learning": [{"minutes": minutes, "psnr_db": psnr_db} for minutes, psnr_db in self.learning],
+            "learnt_from": self.learnt_from,
         }  # fmt: skip
 
     def tables(self) -> list[Table]:

@@ -12,6 +12,7 @@ import torch
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.tiers import Tier
+from jghand_engine.datasets.json_files import read_object
 from jghand_engine.datasets.sample import Sample, load_picture
 from jghand_engine.errors import InputError
 from jghand_engine.splat.frame import HandRenderer
@@ -37,6 +38,7 @@ from jghand_engine.training.evaluate import avatar_picturer, means, measure_pict
 from jghand_engine.training.log import read_log
 from jghand_engine.training.metrics import mask_box
 from jghand_engine.training.perceptual import PerceptualMetric
+from jghand_engine.training.work_folder import MARK
 
 
 @dataclass(frozen=True)
@@ -99,7 +101,7 @@ def measure_accuracy(plan: Plan, say: Callable[[str], None] = lambda _text: None
     ]
     return Accuracy(
         plan.name, len(plan.avatar), plan.size_px, machine(plan.threads), tuple(rows), tuple(growth), poses,
-        "" if plan.truth is None else plan.truth.origin, tuple(learning),
+        "" if plan.truth is None else plan.truth.origin, tuple(learning), learnt_from(plan.log),
     )  # fmt: skip
 
 
@@ -269,3 +271,13 @@ def learning_curve(log: Path) -> list[tuple[float, float]]:
     if not curve:
         raise InputError(f"{log}", wanted="lines with psnr", came="none", remedy="Give the log.jsonl of a training.")
     return curve
+
+
+def learnt_from(log: Path | None) -> str:
+    """What that training learnt from, as the folder of the log says; empty where it says nothing."""
+    mark = None if log is None else log.with_name(MARK)
+    if mark is None or not mark.is_file():
+        return ""
+    stamp = read_object(mark, "Start the training anew with --fresh.").get("stamp")
+    pictures = stamp.get("pictures") if isinstance(stamp, dict) else None
+    return f"{pictures} pictures" if isinstance(pictures, int) else ""

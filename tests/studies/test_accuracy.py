@@ -21,7 +21,13 @@ from jghand_engine.splat.subject import Subject, moving_subject
 from jghand_engine.studies import accuracy_measures
 from jghand_engine.studies.accuracy import Accuracy, Row, faster_than
 from jghand_engine.studies.accuracy_growth import GAUSSIANS, HANDS, PIXELS, POSES, Growth, Reach, growth_cases
-from jghand_engine.studies.accuracy_measures import Plan, learning_curve, measure_accuracy, profile_of
+from jghand_engine.studies.accuracy_measures import (
+    Plan,
+    learning_curve,
+    learnt_from,
+    measure_accuracy,
+    profile_of,
+)
 from jghand_engine.studies.accuracy_reference import Error, ExactPictures64, pose_count, spread_poses
 from jghand_engine.studies.accuracy_variants import (
     AXES,
@@ -271,6 +277,16 @@ def test_a_log_without_accuracy_is_refused(tmp_path):
     (tmp_path / "log.jsonl").write_text('{"step": 1, "loss": 2}\n')
     with pytest.raises(InputError, match="psnr"):
         learning_curve(tmp_path / "log.jsonl")
+
+
+def test_the_curve_says_what_was_learnt_from(tmp_path):
+    log, mark = tmp_path / "log.jsonl", tmp_path / "training.json"
+    assert learnt_from(None) == learnt_from(log) == ""
+    mark.write_text('{"stamp": {"pictures": 240}}')
+    assert learnt_from(log) == "240 pictures"
+    for odd in ("{}", '{"stamp": [1]}', '{"stamp": {"pictures": "many"}}'):
+        mark.write_text(odd)
+        assert learnt_from(log) == ""
 
 
 def test_the_finger_tips_are_in_their_picture():
