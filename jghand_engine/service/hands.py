@@ -188,7 +188,8 @@ def _settings(asked: PictureSettings, avatars: list[HandAvatar], size_px: tuple[
         settings = replace(settings, correctives=Tier(asked.correctives))
     if asked.effects != "auto":
         settings = replace(settings, effects=Choice.parse(asked.effects))
-    return settings
+    # a scene has hands of any size, as `jghand render` has
+    return replace(settings, antialias=True)
 
 
 def _measured_size(pixels: int) -> tuple[int, int]:
