@@ -161,8 +161,8 @@ def test_no_other_angles_of_the_thumb_touch_better(name):
     assert np.array_equal(solved[~moving], start[~moving])
     assert (solved >= RANGES_DEG[..., 0]).all()
     assert (solved <= RANGES_DEG[..., 1]).all()
-    # at a bound a step is cut off, which ends beside the lowest weight: worst observed 0.4 %
-    slack = 1e-6 if contact is Contact.TIP else 0.005
+    # steps that stay far from the finger come nearer slowly: worst observed 1.2e-4
+    slack = 1e-6 if contact is Contact.TIP else 2e-4
     for step_deg in (0.1, 1.0, 10.0):
         for _ in range(40):
             other = np.where(moving, solved + step_deg * random.normal(size=(5, 4)), solved)
