@@ -6,7 +6,8 @@
     python scripts/test.py tests/hand          a path runs only the tests below it
 
 Needs nothing but Python 3.11 or newer. The part blender52, the extension in Blender 5.2, wants a Python 3.13 on the
-machine and is left out without one. The exit code is 0 when everything passed, else 1.
+machine and is left out without one. With two processors or more the parts of Blender run beside the others, and are
+shown after them. The exit code is 0 when everything passed, else 1.
 """
 
 import sys
@@ -15,9 +16,12 @@ if sys.version_info < (3, 11):  # noqa: UP036  (the very message this line is fo
     sys.exit("Python 3.11 or newer is needed, this is " + sys.version.split()[0])
 
 import argparse
+import os
 import re
 import subprocess
 import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,8 +29,12 @@ import environments
 from environments import BLENDER, BLENDER52, DEVELOPER, ROOT, SetupError
 
 PARTS = ("checks", "engine", "blender", "blender52")
-# what is tried in Blender's Python: all that needs Blender, and the part of the extension that does not
-BLENDER_PATHS = ("tests/blender", "tests/addon_core")
+# parts that run one after the other, and beside the other lane
+LANES = (("checks", "engine"), ("blender", "blender52"))
+# what is tried in Blender's Python
+BLENDER_PATHS = ("tests/blender",)
+# the part of the extension that needs no Blender: tried in the engine's Python, and in one of another version
+ADDON_PATHS = ("tests/addon_core",)
 # pytest's exit code when a selection matches no test: fine for a selection, which may well concern one part only
 NO_TESTS = 5
 
@@ -64,36 +72,49 @@ class Selection:
         return bool(self.options) or self.engine != ("tests",)
 
 
-def run(name: str, command: list[str]) -> tuple[Result, str]:
+@dataclass(frozen=True)
+class Lane:
+    """Where what is run shows its lines, and what its processes find in their environment besides."""
+
+    show: Callable[[str], object]
+    variables: dict[str, str]
+
+
+def show_now(text: str) -> None:
+    """For the only lane, or the one that is watched."""
+    print(text, end="", flush=True)
+
+
+def run(name: str, command: list[str], lane: Lane) -> tuple[Result, str]:
     """Runs a command, shows its output as it comes, and returns it too."""
-    print(f"\n== {name}", flush=True)
+    lane.show(f"\n== {name}\n")
     started = time.perf_counter()
     process = subprocess.Popen(
-        command, cwd=ROOT, env=environments.clean_variables(), text=True, encoding="utf-8", errors="replace",
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+        command, cwd=ROOT, env=environments.clean_variables() | lane.variables, text=True, encoding="utf-8",
+        errors="replace", stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
     )  # fmt: skip
     lines = []
     assert process.stdout is not None
     for line in process.stdout:
-        print(line, end="", flush=True)
+        lane.show(line)
         lines.append(line)
     code = process.wait()
     return Result(name, code == 0, time.perf_counter() - started, f"exit code {code}" if code else ""), "".join(lines)
 
 
-def run_checks(python: Path) -> list[Result]:
+def run_checks(python: Path, lane: Lane) -> list[Result]:
     tools = {
         "ruff format": ["-m", "ruff", "format", "--check"],
         "ruff check": ["-m", "ruff", "check"],
         "pyright": ["-m", "pyright"],
     }
-    return [run(name, [str(python), *arguments])[0] for name, arguments in tools.items()]
+    return [run(name, [str(python), *arguments], lane)[0] for name, arguments in tools.items()]
 
 
-def run_pytest(name: str, python: Path, arguments: tuple[str, ...], selective: bool) -> tuple[Result, str]:
+def run_pytest(name: str, python: Path, arguments: tuple[str, ...], selective: bool, lane: Lane) -> tuple[Result, str]:
     """Runs pytest; returns its result and its own last line."""
     color = ("--color=yes",) if sys.stdout.isatty() else ()
-    result, output = run(name, [str(python), "-m", "pytest", *color, *arguments])
+    result, output = run(name, [str(python), "-m", "pytest", *color, *arguments], lane)
     lines = [line for line in output.splitlines() if line.strip()]
     summary = next((line for line in reversed(lines) if re.search(r"\d+ \w+.* in [\d.]+s|no tests ran", line)), "")
     if selective and result.note == f"exit code {NO_TESTS}":
@@ -101,10 +122,10 @@ def run_pytest(name: str, python: Path, arguments: tuple[str, ...], selective: b
     return result, summary
 
 
-def run_part(part: str, selection: Selection, require_blender: bool) -> tuple[list[Result], list[str]]:
+def run_part(part: str, selection: Selection, require_blender: bool, lane: Lane) -> tuple[list[Result], list[str]]:
     """Sets up what the part needs and runs it; returns the lines of the summary and pytest's own."""
     if part == "checks":
-        return run_checks(environments.ensure(DEVELOPER)), []
+        return run_checks(environments.ensure(DEVELOPER), lane), []
     paths = selection.engine if part == "engine" else selection.blender
     name = f"pytest, {part}"
     if paths is None:
@@ -112,7 +133,7 @@ def run_part(part: str, selection: Selection, require_blender: bool) -> tuple[li
     arguments = (*paths, *selection.options)
     if part == "engine":
         arguments = (*arguments, "--ignore=tests/blender")
-        result, summary = run_pytest(name, environments.ensure(DEVELOPER), arguments, selection.selective)
+        result, summary = run_pytest(name, environments.ensure(DEVELOPER), arguments, selection.selective, lane)
         return [result], [summary]
     environments.ensure(DEVELOPER)  # Blender's side talks to the real engine
     if part == "blender52" and (reason := why_no_second_blender()):
@@ -122,8 +143,44 @@ def run_part(part: str, selection: Selection, require_blender: bool) -> tuple[li
     except SetupError as error:
         print(f"\n{error}", file=sys.stderr, flush=True)
         return [Result(name, False if require_blender else None, note="there is no Blender environment, see above")], []
-    result, summary = run_pytest(name, python, arguments, selection.selective)
+    if part == "blender52" and paths == BLENDER_PATHS:
+        arguments = (*ADDON_PATHS, *arguments)
+    result, summary = run_pytest(name, python, arguments, selection.selective, lane)
     return [result], [summary]
+
+
+def run_lane(
+    parts: Sequence[str], selection: Selection, require_blender: bool, lane: Lane
+) -> tuple[list[Result], list[str]]:
+    """The same for several parts, one after the other."""
+    results: list[Result] = []
+    summaries: list[str] = []
+    for part in parts:
+        new_results, new_summaries = run_part(part, selection, require_blender, lane)
+        results += new_results
+        summaries += new_summaries
+    return results, summaries
+
+
+def run_lanes(selection: Selection, require_blender: bool) -> tuple[list[Result], list[str]]:
+    """All parts, side by side where there are processors for it: the first lane is shown as it runs, the second after
+    it."""
+    processors = os.cpu_count() or 1
+    if processors < len(LANES):
+        return run_lane(PARTS, selection, require_blender, Lane(show_now, {}))
+    environments.ensure(DEVELOPER)  # both lanes want it
+    # threads that wait for each other while another lane has their processor cost more than they bring
+    variables = {"OMP_NUM_THREADS": str(processors // len(LANES))}
+    kept: list[str] = []
+    with ThreadPoolExecutor(len(LANES)) as pool:
+        shown, hidden = (
+            pool.submit(run_lane, parts, selection, require_blender, Lane(show, variables))
+            for parts, show in zip(LANES, (show_now, kept.append), strict=True)
+        )
+        results, summaries = shown.result()
+        more_results, more_summaries = hidden.result()
+    show_now("".join(kept))
+    return [*results, *more_results], [*summaries, *more_summaries]
 
 
 def why_no_second_blender() -> str:
@@ -153,12 +210,11 @@ def main() -> int:
     parser.add_argument("--require-blender", action="store_true", help="fail where Blender's part cannot run")
     options, rest = parser.parse_known_args()
     selection = Selection.of(rest)
-    results: list[Result] = []
-    summaries: list[str] = []
-    for part in (options.only,) if options.only else PARTS:
-        new_results, new_summaries = run_part(part, selection, options.require_blender)
-        results += new_results
-        summaries += new_summaries
+    if options.only or selection.selective:
+        parts = (options.only,) if options.only else PARTS
+        results, summaries = run_lane(parts, selection, options.require_blender, Lane(show_now, {}))
+    else:
+        results, summaries = run_lanes(selection, options.require_blender)
     print_summary(results, summaries)
     return 1 if any(result.passed is False for result in results) else 0
 
