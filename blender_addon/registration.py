@@ -40,7 +40,7 @@ from .operators import (
     pose,
     training,
 )
-from .panels import advanced, bones, output, quality, render_settings
+from .panels import advanced, bones, output, presets, quality, render_settings
 from .panels import hand as hand_panel
 from .panels import motion as motion_panel
 from .panels import picture as picture_panels
@@ -59,6 +59,7 @@ MODULES: tuple[ModuleType, ...] = (
     render_engine,
     cli_command,
     *(help_page, engine, hand, bone_map, pose, finger_controls, motion, picture, combine, bake, export, training),
+    presets,
     *(hand_panel, bones, pose_panels, motion_panel, picture_panels, quality, output, training_panels, advanced),
     render_settings,
 )

@@ -21,7 +21,7 @@ from ..core.jobs import JobSpec
 from ..core.messages import JGHandFailure
 from ..core.recording import Recording, file_names
 from . import output_common
-from .common import REGISTERED, UNDOABLE, Reporting, missing
+from .common import REGISTERED, UNDOABLE, Reporting, missing, wait_cursor
 from .output_common import StartsJob, place, poll_hands
 
 
@@ -115,12 +115,14 @@ class PlayBake(Reporting, bpy.types.Operator):
         hands = bakes.read_bake(folder)
         reasons = stale_now(context, thing, hands, folder)
         if reasons and not self.accept_stale:
-            raise JGHandFailure("stale_bake", f"{thing.name}: {', '.join(reasons)}")
-        baked_points.stop(context, folder)
-        _play_all(context, folder)
+            raise JGHandFailure("stale_bake", f"{thing.name}: {', '.join(map(rpt_, reasons))}")
+        with wait_cursor(context):  # Blender's own import cannot be cut into turns
+            baked_points.stop(context, folder)
+            _play_all(context, folder)
         thing.jghand.show_in_viewport = False
         if reasons:
-            self.warn(rpt_("The bake is played as it is, but {reasons}.").format(reasons=", ".join(reasons)))
+            said = ", ".join(map(rpt_, reasons))
+            self.warn(rpt_("The bake is played as it is, but {reasons}.").format(reasons=said))
         else:
             self.tell(rpt_("{name} plays from {folder}.").format(name=thing.name, folder=folder))
 
@@ -153,7 +155,7 @@ class CheckBake(StartsJob, bpy.types.Operator):
             else:
                 reasons += bakes.stale_reasons(hand, recording=recording, engine_version=engine_version())
         if reasons:
-            raise JGHandFailure("stale_bake", ", ".join(dict.fromkeys(reasons)))
+            raise JGHandFailure("stale_bake", ", ".join(map(rpt_, dict.fromkeys(reasons))))
 
     def done(self, context: bpy.types.Context) -> str:
         return rpt_("The bake of {name} is what the scene has.").format(name=context.object.name)

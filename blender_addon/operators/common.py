@@ -143,7 +143,7 @@ class InTurns(Reporting):
 
 @contextlib.contextmanager
 def wait_cursor(context: bpy.types.Context) -> Iterator[None]:
-    """The pointer that says wait, for what takes a second at most and cannot be cut into turns."""
+    """The pointer that says wait, for what cannot be cut into turns."""
     window = None if bpy.app.background else context.window
     if window is not None:
         window.cursor_modal_set("WAIT")

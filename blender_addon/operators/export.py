@@ -17,7 +17,7 @@ from ..core.engine_words import UsdChoices
 from ..core.jobs import JobSpec
 from ..core.messages import JGHandFailure
 from ..core.recording import Recording, remove_beyond
-from .common import PLUMBING, REGISTERED, Reporting, missing
+from .common import PLUMBING, REGISTERED, Reporting, missing, wait_cursor
 from .output_common import StartsJob, place, poll_hands
 
 
@@ -116,10 +116,11 @@ class ExportSceneUsd(Reporting, bpy.types.Operator):
         context.window_manager.fileselect_add(self)
         return {"RUNNING_MODAL"}
 
-    def run(self, _context: bpy.types.Context) -> None:
+    def run(self, context: bpy.types.Context) -> None:
         path = Path(bpy.path.abspath(self.filepath))
         try:
-            bpy.ops.wm.usd_export(filepath=str(path), export_animation=True)
+            with wait_cursor(context):  # Blender's own export cannot be cut into turns, nor ended
+                bpy.ops.wm.usd_export(filepath=str(path), export_animation=True)
         except RuntimeError as error:
             raise JGHandFailure("cannot_write", f"{path}: {error}") from error
         left_out = [note for note in usd_hook.notes if "left out" in note]

@@ -12,6 +12,7 @@ from ..core import panel_text
 from ..core.panel_text import ReceiptText
 from . import common
 from .common import Sidebar
+from .presets import RENDER_PT_jghand_presets
 
 
 class QualityPanel(Sidebar, bpy.types.Panel):
@@ -25,6 +26,11 @@ class QualityPanel(Sidebar, bpy.types.Panel):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         return common.any_hand(context)
+
+    def draw_header_preset(self, context: bpy.types.Context) -> None:
+        """Presets, and the question mark."""
+        RENDER_PT_jghand_presets.draw_panel_header(self.layout)
+        Sidebar.draw_header_preset(self, context)
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.jghand

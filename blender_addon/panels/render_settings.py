@@ -7,6 +7,7 @@ import bpy
 
 from ..bridge.classes import register_classes, unregister_classes
 from ..operators.picture import ENGINE
+from .presets import RENDER_PT_jghand_presets
 
 
 class _EnginesPage:
@@ -33,6 +34,10 @@ class QualityPage(_EnginesPage, bpy.types.Panel):
 
     bl_idname = "RENDER_PT_jghand_quality"
     bl_label = "Quality"
+
+    def draw_header_preset(self, _context: bpy.types.Context) -> None:
+        """Presets."""
+        RENDER_PT_jghand_presets.draw_panel_header(self.layout)
 
     def draw(self, context: bpy.types.Context) -> None:
         column, settings = self.column(), context.scene.jghand

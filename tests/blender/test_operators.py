@@ -24,6 +24,7 @@ from blender_addon.core.joints import HANDEDNESSES, NAMES
 from blender_addon.operators import help_page, picture
 from blender_addon.operators import motion as motion_operator
 from blender_addon.operators.common import PLUMBING, REGISTERED, UNDOABLE
+from blender_addon.panels import presets
 
 ROOT = Path(__file__).resolve().parents[2]
 OPERATORS = [
@@ -43,6 +44,7 @@ NOT_UNDONE = {
     **dict.fromkeys(("cancel_job", "pause_training", "resume_training"), "a job is none of the file"),
     "make_pose_assets": "writes files and a preference",
     "export_scene_usd": "writes a file",
+    "add_picture_preset": "writes a file",
     "read_card": "only reads the card of an avatar",
 }
 _NEEDS_NOTHING = "makes what it needs, or needs nothing"
@@ -53,8 +55,9 @@ ANYWHERE = {
     **dict.fromkeys(("open_help", "open_preferences", "check_engine", "train", "export_scene_usd"), _NEEDS_NOTHING),
     **dict.fromkeys(("start_engine", "restart_engine", "render_training_set"), _NEEDS_NOTHING),
     **dict.fromkeys(("explain", "select_hand", "copy_command", "cancel_job", "show_job_log"), _ROW),
-    **dict.fromkeys(("pause_training", "resume_training"), _ROW),
+    **dict.fromkeys(("pause_training", "resume_training", "add_picture_preset"), _ROW),
 }
+_OF_FILE_BROWSERS = ("filepath", "directory", "files")
 # float32 of bone chains through constraints; worst observed 3.4e-7 m
 EXACT_M = 1e-6
 
@@ -574,9 +577,12 @@ def test_after_the_file_browser_a_motion_is_imported_in_turns(extension, tmp_pat
 
     ops = SimpleNamespace(jghand=SimpleNamespace(import_motion=again))
     monkeypatch.setattr(motion_operator, "bpy", SimpleNamespace(ops=ops))
-    chosen = SimpleNamespace(_asked=True, filepath="wave.npz", target="AUTO", first_frame=3, use_scene_range=False)
+    wanted = {
+        **{"filepath": "wave.npz", "target": "AUTO", "first_frame": 3, "use_scene_range": False},
+        **{"hand": "AUTO", "unit": "AUTO", "hand_length": 0.0, "part": "", "in_place": False},
+    }
+    chosen = SimpleNamespace(_asked=True, **wanted)
     assert motion_operator.ImportMotion.execute(chosen, SimpleNamespace(window=object())) == {"CANCELLED"}
-    wanted = {"filepath": "wave.npz", "target": "AUTO", "first_frame": 3, "use_scene_range": False}
     assert called == [("INVOKE_DEFAULT", wanted)]
     assert not chosen._asked
 
@@ -602,7 +608,7 @@ def test_a_file_that_is_no_motion_changes_nothing(extension, tmp_path):
 def test_motion_files_can_be_dropped_into_the_viewport(extension):
     handler = bpy.types.JGHAND_FH_motion
     assert handler.bl_import_operator == "jghand.import_motion"
-    assert set(handler.bl_file_extensions.split(";")) == {".npz", ".json", ".csv"}
+    assert set(handler.bl_file_extensions.split(";")) == {".npz", ".json", ".csv", ".npy", ".bvh"}
     # a remembered path would be taken for one that was dropped
     assert operator_type("jghand.import_motion").properties["filepath"].is_skip_save
 
@@ -740,12 +746,35 @@ def test_names_and_tooltips_follow_blenders_habits(extension):
     for operator in operators:
         assert operator.description, operator
         assert not operator.description.endswith("."), operator
-    for owner in (*operators, *(each.bl_rna for each in properties._CLASSES)):
+    preferences = bpy.types.AddonPreferences.bl_rna_get_subclass_py("JGHandPreferences").bl_rna
+    for owner in (*operators, preferences, *(each.bl_rna for each in properties._CLASSES)):
+        inherited = getattr(owner.base, "properties", ())
         for one in owner.properties:
-            if one.identifier in ("rna_type", "name") or one.is_hidden:
+            if one.identifier in inherited or one.identifier in ("rna_type", "name") or one.is_hidden:
                 continue
             assert one.name, (owner, one)
             assert not one.description.endswith("."), (owner.identifier, one.identifier)
+            # groups of settings and Blender's own properties of file browsers are not drawn with a tooltip
+            if one.type not in ("POINTER", "COLLECTION") and one.identifier not in _OF_FILE_BROWSERS:
+                assert one.description, (owner.identifier, one.identifier)
+            for item in one.enum_items if one.type == "ENUM" else ():
+                assert item.name, (owner.identifier, one.identifier, item.identifier)
+                assert item.description, (owner.identifier, one.identifier, item.identifier)
+                assert not item.description.endswith("."), (owner.identifier, one.identifier, item.identifier)
+
+
+def test_a_preset_of_pictures_is_kept_for_other_files_and_removed(extension):
+    settings = extension.scene.jghand
+    settings.render_preset, settings.shadow_strength, settings.viewport_density = "draft", 0.25, 0.5
+    assert bpy.ops.jghand.add_picture_preset(name="Quick Look") == {"FINISHED"}
+    (path,) = [Path(folder, name) for folder in bpy.utils.preset_paths(presets.FOLDER) for name in os.listdir(folder)]
+    for name in presets.SETTINGS:
+        settings.property_unset(name)
+    assert settings.render_preset == "final"
+    bpy.ops.script.execute_preset(filepath=str(path), menu_idname="RENDER_PT_jghand_presets")
+    assert (settings.render_preset, settings.shadow_strength, settings.viewport_density) == ("draft", 0.25, 0.5)
+    bpy.ops.jghand.add_picture_preset(name="Quick Look", remove_name=True)
+    assert not path.exists()
 
 
 def test_joints_are_the_rows_of_the_list_in_the_standard_order(extension):

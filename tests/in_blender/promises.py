@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What takes long can be ended, and what goes wrong is said where it is seen: motions, drivers, combined pictures."""
+
+from __future__ import annotations
+
+import bpy
+import numpy as np
+
+from in_blender.pictures import skin
+
+FRAMES = 20_000
+
+
+def step_a_hand_is_there(window):
+    for thing in list(bpy.data.objects):
+        bpy.data.objects.remove(thing)
+    yield from window.open_sidebar()
+    window.call("jghand.add_hand", handedness="right")
+    yield from window.settle()
+    window.picture("hand")
+
+
+def step_a_long_motion_is_chosen_and_ended_with_escape(window):
+    posing = window.module("core.posing")
+    turns = 0.2 * np.sin(np.arange(FRAMES) / 30)[:, None]
+    joints_m = np.tile(posing.rest_joints_m("right"), (FRAMES, 1, 1))
+    joints_m[:, 5:9, 2] += turns * np.array([0.0, 0.01, 0.02, 0.03])
+    np.savez(window.out / "long.npz", joints_m=joints_m, order="standard", unit="m", fps=30.0, handedness="right")
+    before = _counts()
+    yield from _choose(window, "long.npz")
+    yield lambda: _timer_of(window) is not None
+    yield 0.5
+    window.picture("importing")
+    yield from window.point_at_view()
+    yield from window.key("Escape")
+    yield lambda: _timer_of(window) is None
+    assert _counts() == before
+    assert _hand().animation_data is None
+    window.picture("given_up")
+
+
+def step_chosen_again_it_is_keyed_to_its_end_and_undone_as_one_step(window):
+    yield from _choose(window, "long.npz")
+    yield lambda: _hand().animation_data is not None and _timer_of(window) is None
+    action = _hand().animation_data.action
+    assert action.name == "long"
+    assert action.frame_range[1] > FRAMES * 24 / 30 - 2
+    window.picture("imported")
+    with window.override():
+        bpy.ops.ed.undo()
+    yield 0.5
+    assert _hand().animation_data is None or _hand().animation_data.action is None
+
+
+def step_viewport_renders_have_no_hands_which_the_panel_says(window):
+    """Should this fail, Blender has begun to draw what extensions add: the sentence is then to be taken away."""
+    scene = bpy.context.scene
+    scene.render.resolution_x, scene.render.resolution_y = 320, 200
+    scene.render.filepath = str(window.out / "viewport_render.png")
+    window.hide_overlays()
+    yield from window.settle()
+    assert skin(window.crop(window.screen())).sum() > 5000
+    with window.override():
+        bpy.ops.render.opengl(write_still=True)
+    image = bpy.data.images.load(scene.render.filepath)
+    values = np.array(image.pixels[:], np.float32).reshape(image.size[1], image.size[0], 4)
+    bpy.data.images.remove(image)
+    assert skin((255 * values[::-1, :, :3]).astype(np.uint8)).sum() < 50
+    window.hide_overlays(False)
+
+
+def step_a_driver_that_refuses_is_a_sentence_and_recovers(window):
+    gpu_picture, views = window.module("bridge.gpu_picture"), window.module("bridge.views")
+    made = gpu_picture.GpuPicture.__init__
+
+    def refused(*_):
+        raise RuntimeError("out of memory")
+
+    yield from window.settle()
+    there = skin(window.crop(window.screen())).sum()
+    gpu_picture.GpuPicture.__init__ = refused
+    try:
+        _hand().location.x += 0.01
+        window.redraw()
+        yield lambda: any(failure.kind == "no_graphics" for _, failure in views.problems())
+        yield 1.0
+        window.redraw()
+        yield 0.5
+        window.picture("driver_refuses")
+    finally:
+        gpu_picture.GpuPicture.__init__ = made
+    yield lambda: not views.problems()
+    yield from window.settle()
+    assert skin(window.crop(window.picture("driver_recovered"))).sum() > 0.8 * there
+
+
+def step_a_combined_picture_without_its_hands_is_not_written_and_says_why(window):
+    scene, guard = bpy.context.scene, window.module("bridge.guard")
+    scene.render.engine = "CYCLES"
+    scene.cycles.samples = 1
+    scene.render.resolution_x, scene.render.resolution_y = 160, 120
+    bpy.context.preferences.view.render_display_type = "NONE"
+    bpy.ops.mesh.primitive_cube_add(size=0.02, location=(0.2, 0.2, 0.0))
+    window.call("jghand.combine_with_scene")
+    _hand().scale.x = -1.0
+    scene.render.filepath = str(window.out / "combined.png")
+    shown, popup = [], window.module("bridge.popup")
+    show = popup.show
+    popup.show = lambda text, **options: (shown.append(text), show(text, **options))
+    try:
+        with window.override():
+            bpy.ops.render.render("INVOKE_DEFAULT", write_still=True)
+        yield lambda: shown
+    finally:
+        popup.show = show
+    assert "has no hands and is not written: Mirrored scale" in shown[0]
+    assert not (window.out / "combined.png").exists()
+    assert not guard._obstacles
+    yield 0.5
+    window.picture("combined_failed")
+    yield from window.key("Escape")
+
+
+# ---- parts -----------------------------------------------------------------------------------------------------------
+
+
+def _hand() -> bpy.types.Object:
+    return next(thing for thing in bpy.context.scene.objects if "jghand_handedness" in thing)
+
+
+def _counts() -> dict[str, int]:
+    return {name: len(getattr(bpy.data, name)) for name in ("objects", "armatures", "actions")}
+
+
+def _timer_of(window):
+    """The operator that works in turns now; None where none does."""
+    return next((op for op in window.window.modal_operators if op.bl_idname == "JGHAND_OT_import_motion"), None)
+
+
+def _choose(window, name: str):
+    """Import Motion, and a file in Blender's browser."""
+    bpy.context.preferences.view.filebrowser_display_type = "SCREEN"
+    window.call("jghand.import_motion")
+    yield lambda: any(area.type == "FILE_BROWSER" for area in window.window.screen.areas)
+    yield 0.7
+    area = window.area("FILE_BROWSER")
+    area.spaces.active.params.directory = str(window.out).encode()
+    area.spaces.active.params.filename = name
+    with window.override(area):
+        bpy.ops.file.execute("INVOKE_DEFAULT")
