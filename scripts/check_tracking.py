@@ -1,7 +1,7 @@
 """Measures `jghand track` against motions that are known, and writes the table of docs/TRACKING.md.
 
     python scripts/check_tracking.py                            videos rendered here, about three minutes
-    python scripts/check_tracking.py --capture FOLDER           also single pictures of a capture, whose joints are exact
+    python scripts/check_tracking.py --capture FOLDER           also single pictures whose joints are exact
     python scripts/check_tracking.py --video FILE --joints FILE.npy     also agreement with an earlier run of a detector
     python scripts/check_tracking.py --write                    puts the table into docs/TRACKING.md
 

@@ -31,7 +31,7 @@ Needs the extra track (pip install 'jghand[track]') and, once, --fetch-model. No
 Examples:
   jghand track hand.mp4 --out motion.npz --fetch-model --proof side_by_side.mp4
   jghand track both_hands.mp4 --out motion.npz          writes motion_right.npz and motion_left.npz
-  jghand track hand.mp4 --out motion.npz --side right --hand-length 0.19
+  jghand track hand.mp4 --out motion.npz --hand right --hand-length 190
   jghand render --motion motion.npz --out pictures --video hand_again.mp4"""
 
 SUFFIXES = (".npz", ".json", ".csv")
@@ -41,9 +41,9 @@ SUFFIXES = (".npz", ".json", ".csv")
 class FitOptions:
     """How the motion is made of what was seen."""
 
-    hand_length: Annotated[float | None, tyro.conf.arg(metavar="METRES", help_behavior_hint="")] = None
-    """Length of the true hand, wrist to tip of the straight middle finger. Left out: the avatar's, as one camera cannot
-    tell a small hand from a far one."""
+    hand_length: Annotated[float | None, tyro.conf.arg(metavar="MM", help_behavior_hint="")] = None
+    """Length of the true hand in millimetres, wrist to tip of the straight middle finger. Left out: the avatar's, as
+    one camera cannot tell a small hand from a far one."""
     bones: Literal["avatar", "own"] = "avatar"
     """Bones of the avatar, or those of the hand in the video, estimated."""
     smoothing: Annotated[float, tyro.conf.arg(metavar="NUMBER")] = 1.0
@@ -51,7 +51,9 @@ class FitOptions:
     camera_angle: Annotated[float, tyro.conf.arg(metavar="DEGREES")] = limits.CAMERA_ANGLE_DEG
     """Angle of view across the longer edge of the picture; 60 to 70 of most telephones and webcams."""
     in_place: bool = False
-    """Keep the wrist where it is. Else the hand moves as it did before the camera, which is the origin (y is up)."""
+    """Keep the wrist at the origin. Else the hand moves as it did before the camera, which is the origin."""
+    up: Literal["y", "z"] = "y"
+    """Which axis points up in the motion."""
     gaps: Literal["fill", "leave"] = "fill"
     """Frames in which the hand was not seen: fill them in and mark them, or leave their joints missing."""
 
@@ -62,7 +64,7 @@ class Track:
     """A film that ffmpeg can read: MP4, MOV, MKV, WebM, AVI and so on."""
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")]
     """The motion: .npz, .json or .csv. Of two hands _right and _left are added to the name."""
-    side: Literal["auto", "right", "left", "both"] = "auto"
+    hand: Literal["auto", "right", "left", "both"] = "auto"
     """Which hand is wanted. auto: every hand that is there."""
     proof: File = None
     """Also write a video of the input and the avatar side by side (.mp4)."""
@@ -81,6 +83,7 @@ class Track:
     def run(self) -> None:
         from jghand_engine.avatar.builtin import load_avatar_called
         from jghand_engine.datasets.motion_files import write_motion
+        from jghand_engine.datasets.motion_tools import turned_up
         from jghand_engine.tracking.track import track
         from jghand_engine.tracking.video import ReadingNotes, open_video
 
@@ -100,7 +103,7 @@ class Track:
         seconds_fitting = time.perf_counter() - started - seconds_looking
         files = {side: self._file(side, len(hands)) for side in hands}
         for side, hand in hands.items():
-            write_motion(files[side], hand.sequence)
+            write_motion(files[side], turned_up(hand.sequence, "y", self.fit.up))
         if self.proof is not None:
             self._write_proof(video, sightings, hands, avatar, options)
         for sentence in notes.sentences:
@@ -132,7 +135,12 @@ class Track:
         ffmpeg_program()
         fit = self.fit
         options = TrackOptions(
-            fit.hand_length, fit.bones == "own", fit.smoothing, fit.camera_angle, fit.in_place, fit.gaps == "fill"
+            None if fit.hand_length is None else 1e-3 * fit.hand_length,
+            fit.bones == "own",
+            fit.smoothing,
+            fit.camera_angle,
+            fit.in_place,
+            fit.gaps == "fill",
         )
         options.check()
         for path in (self.out, *(() if self.proof is None else (self.proof,))):
@@ -163,13 +171,13 @@ class Track:
                 f"video {self.video}", wanted="a hand", came="none in any picture",
                 remedy="The hand should be large, well lit and not cut off by the edge.",
             )  # fmt: skip
-        if self.side in ("auto", "both"):
-            if self.side == "both" and len(hands) < 2:
+        if self.hand in ("auto", "both"):
+            if self.hand == "both" and len(hands) < 2:
                 raise InputError(f"video {self.video}", wanted="both hands", came=f"the {next(iter(hands))} one alone")
             return hands
-        chosen = {side: hand for side, hand in hands.items() if side == self.side}
+        chosen = {side: hand for side, hand in hands.items() if side == self.hand}
         if not chosen:
-            raise InputError(f"video {self.video}", wanted=f"a {self.side} hand", came=f"the {next(iter(hands))} alone",
+            raise InputError(f"video {self.video}", wanted=f"a {self.hand} hand", came=f"the {next(iter(hands))} alone",
                              remedy="A film of a mirror shows the other hand: name the side that is seen.")  # fmt: skip
         return chosen
 

@@ -80,7 +80,7 @@ class Landmarks:
     @property
     def seen(self) -> np.ndarray:
         """(F,) bool."""
-        return np.isfinite(self.image_px).all(axis=(1, 2))
+        return np.asarray(np.isfinite(self.image_px).all(axis=(1, 2)))
 
     def part(self, frames: slice) -> Landmarks:
         """Some of the frames."""

@@ -46,7 +46,8 @@ class TrackOptions:
         """InputError for what cannot be."""
         length, shortest, longest = self.hand_length_m, limits.HAND_LENGTH_MIN_M, limits.HAND_LENGTH_MAX_M
         if length is not None and not shortest <= length <= longest:
-            raise InputError("hand length", wanted=f"{shortest:g} to {longest:g} metres", came=f"{length:g}")
+            wanted = f"{1e3 * shortest:g} to {1e3 * longest:g} mm"
+            raise InputError("hand length", wanted=wanted, came=f"{1e3 * length:g}")
         if not 0 <= self.smoothing <= limits.SMOOTHING_MAX:
             raise InputError("smoothing", wanted=f"0 to {limits.SMOOTHING_MAX:g}", came=f"{self.smoothing:g}")
         narrow, wide = limits.CAMERA_ANGLES_DEG

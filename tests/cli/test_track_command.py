@@ -81,7 +81,7 @@ def test_a_film_becomes_a_motion_that_render_plays(film, sees, right, tmp_path, 
 
 def test_two_hands_become_two_files(film, sees, right, left, tmp_path):
     sees([a + b for a, b in zip(right, left, strict=True)])
-    assert track(film, tmp_path / "motion.json", "--side", "both") == 0
+    assert track(film, tmp_path / "motion.json", "--hand", "both") == 0
     assert sorted(path.name for path in tmp_path.iterdir()) == ["motion_left.json", "motion_right.json"]
     for side in Handedness:
         assert read_motion(tmp_path / f"motion_{side}.json").handedness is side
@@ -89,7 +89,7 @@ def test_two_hands_become_two_files(film, sees, right, left, tmp_path):
 
 def test_one_side_can_be_chosen(film, sees, right, left, tmp_path):
     sees([a + b for a, b in zip(right, left, strict=True)])
-    assert track(film, tmp_path / "motion.csv", "--side", "left") == 0
+    assert track(film, tmp_path / "motion.csv", "--hand", "left") == 0
     assert read_motion(tmp_path / "motion.csv").handedness is Handedness.LEFT
 
 
@@ -110,9 +110,10 @@ def test_the_proof_shows_film_and_avatar_side_by_side(film, sees, right, tmp_pat
 @pytest.mark.parametrize(
     ("options", "told"),
     [
-        (["--side", "left"], "a left hand"),
-        (["--side", "both"], "both hands"),
+        (["--hand", "left"], "a left hand"),
+        (["--hand", "both"], "both hands"),
         (["--hand-length", "18"], "hand length"),
+        (["--hand-length", "0.19"], "60 to 400 mm"),
         (["--camera-angle", "0"], "camera angle"),
         (["--smoothing", "nan"], "smoothing"),
         (["--most", "0"], "--most"),
@@ -136,3 +137,13 @@ def test_a_film_without_hands_is_told(film, sees, tmp_path, capsys):
 def test_another_suffix_is_refused_before_the_work(film, tmp_path, capsys):
     assert track(film, tmp_path / "motion.bvh") == 2
     assert ".npz" in capsys.readouterr().err
+
+
+def test_the_motion_can_have_z_up(film, sees, right, tmp_path):
+    made = {}
+    for up in ("y", "z"):
+        sees(right)
+        assert track(film, tmp_path / f"{up}.npz", "--up", up) == 0
+        made[up] = read_motion(tmp_path / f"{up}.npz").joints_m
+    x, y, z = np.moveaxis(made["y"], -1, 0)
+    np.testing.assert_allclose(made["z"], np.stack([x, -z, y], -1), atol=1e-12)
