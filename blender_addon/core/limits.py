@@ -241,6 +241,8 @@ WORK_TELL_S = 0.25
 WORK_REST_S = 0.005
 # and how long a turn waits at a time for what a thread does
 ASIDE_LOOK_S = 0.02
+# part of importing a motion of another program that the engine's reading is taken for, beside the keying
+CONVERSION_PART = 0.3
 
 # ---- renders --------------------------------------------------------------------------------------------------------
 

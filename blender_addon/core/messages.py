@@ -107,7 +107,7 @@ ADVICE = {
     ),
     "bad_motion": Advice(
         "This file is no motion that JGHand can read",
-        "Choose an .npz, .json or .csv motion that says its order, unit, frame rate and hand",
+        "Choose a motion file, and beside it in the file browser what it does not say itself: hand, unit or part",
         BAD_INPUT,
     ),
     "other_hand": Advice("This motion is of the other hand", "Choose an armature of that hand", BAD_INPUT),

@@ -1,31 +1,55 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Motion files as keys of a hand, chosen or dropped into the viewport."""
+"""Motion files as keys of a hand, chosen or dropped into the viewport. The engine reads those of other programs."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 from bpy_extras.io_utils import ImportHelper
 
-from ..bridge import armature, controls, motion
+from .. import runtime
+from ..bridge import armature, controls, folders, motion
 from ..bridge.classes import register_classes, register_menu, unregister_classes, unregister_menu
+from ..core import limits
 from ..core.aside import aside
+from ..core.jobs import Job, JobSpec
 from ..core.messages import JGHandFailure
+from ..core.motion_conversion import FOREIGN_SUFFIXES, OWN_SUFFIXES, ConversionChoices, read_converted, words
 from ..core.motion_files import MotionFile, read_motion
 from . import common
 from .common import CANCELLED, UNDOABLE_IMPORT, InTurns, missing
 
-SUFFIXES = (".npz", ".json", ".csv")
+_Result = TypeVar("_Result")
+# Blender's own importers take glTF and USD that are dropped
+DROPPED_SUFFIXES = (*OWN_SUFFIXES, ".npy", ".bvh")
 _TARGETS = (
     ("AUTO", "Active or New", "The active hand, where it is of the motion's side; else a new one", "NONE", 0),
     ("ACTIVE", "Active Hand", "The active hand only", "NONE", 1),
     ("NEW", "New Hand", "A new hand with the bone lengths of the motion", "NONE", 2),
 )
+
+_HANDS = (
+    ("AUTO", "As the File Says", "Where it does not, or shows both, the side of the active hand", "NONE", 0),
+    ("right", "Right", "The right hand of the file", "NONE", 1),
+    ("left", "Left", "The left hand of the file", "NONE", 2),
+)
+_UNITS = (
+    ("AUTO", "Automatic", "As the file says, else recognised by the size of the hand", "NONE", 0),
+    ("m", "Metres", "The file's unit", "NONE", 1),
+    ("cm", "Centimetres", "The file's unit", "NONE", 2),
+    ("mm", "Millimetres", "The file's unit", "NONE", 3),
+)
+
+
+# options that only files of other programs need
+_OF_OTHERS = ("hand", "unit", "hand_length", "part", "in_place")
 
 
 class ImportMotion(InTurns, ImportHelper, bpy.types.Operator):
@@ -34,8 +58,8 @@ class ImportMotion(InTurns, ImportHelper, bpy.types.Operator):
     bl_idname = "jghand.import_motion"
     bl_label = "Import Motion"
     bl_description = (
-        "Key the motion of an .npz, .json or .csv file, as jghand writes them, on the active hand or on a new one. "
-        "The action before it stays in the file. Esc cancels"
+        "Key a motion on the active hand or on a new one: jghand's own files, and through the engine BVH, glTF, USD, "
+        "and joints of OpenPose, MediaPipe, FreeMoCap and headsets. The action before it stays in the file. Esc cancels"
     )
     bl_options = UNDOABLE_IMPORT
 
@@ -46,13 +70,31 @@ class ImportMotion(InTurns, ImportHelper, bpy.types.Operator):
     filename_ext = ".npz"
     # not remembered: a path that is there when the operator is called was dropped, and is taken without asking
     filepath: bpy.props.StringProperty(subtype="FILE_PATH", options={"SKIP_SAVE"})  # type: ignore[valid-type]
-    filter_glob: bpy.props.StringProperty(default=";".join(f"*{suffix}" for suffix in SUFFIXES), options={"HIDDEN"})  # type: ignore[valid-type]
+    filter_glob: bpy.props.StringProperty(
+        default=";".join(f"*{suffix}" for suffix in (*OWN_SUFFIXES, *FOREIGN_SUFFIXES)), options={"HIDDEN"}
+    )  # type: ignore[valid-type]
     target: bpy.props.EnumProperty(name="Onto", description="Which hand takes it", items=_TARGETS)  # type: ignore[valid-type]
     first_frame: bpy.props.IntProperty(name="First Frame", description="Where the motion begins", default=1)  # type: ignore[valid-type]
     use_scene_range: bpy.props.BoolProperty(
         name="Set Scene Range",
         description="Make the scene's frame range that of the motion",
         default=False,
+    )  # type: ignore[valid-type]
+
+    hand: bpy.props.EnumProperty(name="Hand", description="Which hand of the file", items=_HANDS)  # type: ignore[valid-type]
+    unit: bpy.props.EnumProperty(name="Unit", description="Length unit of the file", items=_UNITS)  # type: ignore[valid-type]
+    hand_length: bpy.props.FloatProperty(
+        name="Hand Length",
+        description="Scale the hand to this many millimetres, wrist to the middle finger's tip; 0 leaves it",
+        min=0.0,
+        soft_max=250.0,
+        precision=0,
+    )  # type: ignore[valid-type]
+    part: bpy.props.StringProperty(
+        name="Part", description="Which of several skeletons, animations or people: a part of its name"
+    )  # type: ignore[valid-type]
+    in_place: bpy.props.BoolProperty(
+        name="In Place", description="Keep the wrist where it first is: the hand turns and moves on the spot"
     )  # type: ignore[valid-type]
 
     @classmethod
@@ -63,7 +105,7 @@ class ImportMotion(InTurns, ImportHelper, bpy.types.Operator):
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Asks for a file, unless one was dropped."""
-        if self.filepath and Path(self.filepath).suffix.lower() in SUFFIXES and Path(self.filepath).is_file():
+        if self.filepath and Path(self.filepath).suffix.lower() in DROPPED_SUFFIXES and Path(self.filepath).is_file():
             return super().invoke(context, event)
         self._asked = True
         return ImportHelper.invoke(self, context, event)
@@ -73,7 +115,7 @@ class ImportMotion(InTurns, ImportHelper, bpy.types.Operator):
         if not self._asked or context.window is None:
             return super().execute(context)
         self._asked = False
-        names = ("filepath", "target", "first_frame", "use_scene_range")
+        names = ("filepath", "target", "first_frame", "use_scene_range", *_OF_OTHERS)
         bpy.ops.jghand.import_motion("INVOKE_DEFAULT", **{name: getattr(self, name) for name in names})
         return CANCELLED
 
@@ -85,18 +127,62 @@ class ImportMotion(InTurns, ImportHelper, bpy.types.Operator):
         column.prop(self, "target")
         column.prop(self, "first_frame")
         column.prop(self, "use_scene_range")
+        column.separator()
+        column.label(text="Files of Other Programs")
+        for name in _OF_OTHERS:
+            column.prop(self, name)
 
     def steps(self, context: bpy.types.Context) -> Iterator[float]:
-        """The file is read in a thread, then curve by curve is keyed."""
+        """The file is read in a thread, or by the engine, then curve by curve is keyed."""
         path = Path(bpy.path.abspath(self.filepath))
-        content = yield from aside(partial(read_motion, path))
+        started = 0.0 if path.suffix.lower() in OWN_SUFFIXES else limits.CONVERSION_PART
+        content = yield from self._content(context, path)
         common.object_mode(context)
         hand = self._hand(context, content)
         controlled = hand is not None and controls.has_controls(hand)
         with _controls_off(hand) if controlled else contextlib.nullcontext():
             steps = motion.import_steps(context, content, path.stem, hand=hand, first_frame=self.first_frame)
-            done = yield from steps
+            done = yield from _from_part(started, steps)
         self._tell(context, content, done, is_new=hand is None, controlled=controlled)
+
+    def _content(self, context: bpy.types.Context, path: Path) -> Generator[float, None, MotionFile]:
+        """The motion of a file. One that is not as jghand writes it goes through the engine, where there is one."""
+        if path.suffix.lower() in OWN_SUFFIXES:
+            try:
+                return (yield from aside(partial(read_motion, path)))
+            except JGHandFailure as failure:
+                if failure.kind != "bad_motion" or not path.is_file() or not _has_engine():
+                    raise
+        return (yield from self._converted(context, path))
+
+    def _converted(self, context: bpy.types.Context, path: Path) -> Generator[float, None, MotionFile]:
+        """The engine's conversion; given up half-way, it is ended and leaves nothing."""
+        program, folder = runtime.program(), folders.job_folder()
+        hand = "" if self.hand == "AUTO" else self.hand
+        choices = ConversionChoices(
+            hand=hand,
+            unit="" if self.unit == "AUTO" else self.unit,
+            hand_length_mm=self.hand_length,
+            part=self.part,
+            in_place=self.in_place,
+        )
+        try:
+            job = yield from _done(
+                Job(JobSpec("motion", self.working, (*program, *words(path, folder, choices)), folder))
+            )
+            active = common.active_hand(context)
+            if job.state.failure is not None and not hand and active is not None:
+                # a file that shows both hands, or says nothing of its one: the active hand says which
+                again = replace(choices, hand=armature.handedness_of(active))
+                job = yield from _done(
+                    Job(JobSpec("motion", self.working, (*program, *words(path, folder, again)), folder))
+                )
+            if job.state.failure is not None:
+                kind = "bad_motion" if job.state.failure.kind == "bad_input" else job.state.failure.kind
+                raise JGHandFailure(kind, job.state.failure.detail)
+            return read_converted(folder)
+        finally:
+            folders.remove_job_folder(folder)
 
     def _tell(
         self,
@@ -146,13 +232,46 @@ class ImportMotion(InTurns, ImportHelper, bpy.types.Operator):
         return last
 
 
+def _from_part(start: float, steps: Generator[float, None, _Result]) -> Generator[float, None, _Result]:
+    """Steps whose part that is done begins at `start`."""
+    while True:
+        try:
+            part = next(steps)
+        except StopIteration as end:
+            return end.value
+        try:
+            yield start + (1.0 - start) * part
+        except GeneratorExit:
+            steps.close()
+            raise
+
+
+def _has_engine() -> bool:
+    try:
+        return bool(runtime.program())
+    except JGHandFailure:
+        return False
+
+
+def _done(job: Job) -> Generator[float, None, Job]:
+    """Waits for a job in turns; closed half-way, it is ended."""
+    try:
+        while not job.wait(limits.ASIDE_LOOK_S):
+            # the rest of the work is the keying
+            yield limits.CONVERSION_PART * (job.state.fraction or 0.0)
+    finally:
+        if not job.is_over:
+            job.kill()
+    return job
+
+
 class MotionDrop(bpy.types.FileHandler):
     """Motion files dropped into the viewport."""
 
     bl_idname = "JGHAND_FH_motion"
     bl_label = "JGHand motion"
     bl_import_operator = "jghand.import_motion"
-    bl_file_extensions = ";".join(SUFFIXES)
+    bl_file_extensions = ";".join(DROPPED_SUFFIXES)
 
     @classmethod
     def poll_drop(cls, context: bpy.types.Context) -> bool:
@@ -177,7 +296,7 @@ _CLASSES = (ImportMotion, MotionDrop)
 
 def _import_menu(self: bpy.types.Menu, _context: bpy.types.Context) -> None:
     """In Blender's own File > Import."""
-    self.layout.operator("jghand.import_motion", text="JGHand Motion (.npz, .json, .csv)")
+    self.layout.operator("jghand.import_motion", text="JGHand Motion (.npz, .json, .csv, .bvh, .glb, .usd, …)")
 
 
 def register() -> None:

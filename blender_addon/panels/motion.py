@@ -27,7 +27,7 @@ class MotionPanel(Sidebar, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
         layout.operator("jghand.import_motion", icon="IMPORT")
-        common.paragraph(layout, context, "Or drop an .npz, .json or .csv motion into the viewport.")
+        common.paragraph(layout, context, "Or drop an .npz, .json, .csv or .bvh motion into the viewport.")
         hand = context.object
         action = hand.animation_data.action if hand is not None and hand.animation_data else None
         if action is not None and common.is_any_hand(hand):

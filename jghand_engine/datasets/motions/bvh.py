@@ -64,7 +64,16 @@ def read(file: Path) -> MotionContent:
     near = round(fps)
     # frame times in text have six digits
     fps = float(near) if near and abs(fps - near) < 1e-3 * near else fps
-    return MotionContent(KIND, tuple(tracks), fps=fps, notes=(*notes, *skeleton.notes), up="y")
+    return MotionContent(KIND, tuple(tracks), fps=fps, notes=(*notes, *skeleton.notes), up=_up(skeleton))
+
+
+def _up(skeleton: _Bvh) -> str:
+    """The axis along which a body stands at rest: z where it is by far longer that way than along y, as Blender writes
+    BVH; else y, as nearly everybody does."""
+    rest = skeleton.rest[:, :3, 3]
+    _, along_y, along_z = np.ptp(rest, axis=0)
+    has_body = any(word in name.casefold() for name in skeleton.names for word in ("spine", "hips", "pelvis", "head"))
+    return "z" if has_body and along_z > 2 * along_y else "y"
 
 
 class _Bvh:

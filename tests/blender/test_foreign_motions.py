@@ -1,0 +1,233 @@
+"""Motions of other programs: the engine reads what Blender's exporters write, Blender's importers read what the tests
+write, and Import Motion puts both onto a hand."""
+
+from __future__ import annotations
+
+import subprocess
+from pathlib import Path
+from types import SimpleNamespace
+
+import bpy
+import numpy as np
+import pytest
+from hands import mixamo_rig
+from mathutils import Quaternion, Vector
+
+from blender_addon.bridge import armature, folders
+from blender_addon.core.engine_command import VARIABLE
+from blender_addon.core.joints import NAMES, TIPS
+from blender_addon.core.motion_files import read_motion
+from blender_addon.operators import motion as motion_operator
+
+TESTS = Path(__file__).resolve().parents[1]
+FRAMES = 12
+OTHERS = [place for place in range(21) if place not in TIPS]
+_SAMPLES = """
+import sys, json
+sys.path.insert(0, sys.argv[1])
+from pathlib import Path
+import numpy as np
+import motion_samples as samples
+folder = Path(sys.argv[2])
+motion = samples.motion(frames=12)
+samples.write_bvh(folder / "sample.bvh", samples.rig(motion, scale=100))
+samples.write_glb(folder / "sample.glb", *samples.gltf_document(samples.rig(motion)))
+np.save(folder / "joints.npy", samples.standard(motion))
+(folder / "sample.json").write_text(json.dumps(samples.mediapipe_tasks(samples.standard(motion))))
+"""
+
+
+@pytest.fixture
+def engine(engine_python, monkeypatch):
+    """The real engine."""
+    monkeypatch.setenv(VARIABLE, engine_python)
+    return engine_python
+
+
+@pytest.fixture
+def samples(engine, tmp_path):
+    """A folder with sample.bvh (centimetres, y up), sample.glb, sample.json of MediaPipe, and their joints.npy."""
+    subprocess.run([engine, "-c", _SAMPLES, str(TESTS), str(tmp_path)], check=True)
+    return tmp_path
+
+
+def converted(engine, path, *words):
+    """What the engine makes of a file, as the extension reads it."""
+    out = path.with_suffix(".npz")
+    command = [engine, "-I", "-m", "jghand_engine", "motion", str(path), "--out", str(out), *words]
+    done = subprocess.run(command, check=False, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    return read_motion(out), done.stdout
+
+
+def a_dance(context):
+    """A Mixamo body whose right hand moves: the rig, and (F, 21, 3) where its bones are, tails for tips, world."""
+    rig, _ = mixamo_rig(context)
+    scene = context.scene
+    scene.frame_start, scene.frame_end, scene.render.fps = 1, FRAMES, 24
+    random = np.random.default_rng(4)
+    hand = [bone for bone in rig.pose.bones if "RightHand" in bone.name or "RightForeArm" in bone.name]
+    for bone in hand:
+        bone.rotation_mode = "QUATERNION"
+        for frame in (1, FRAMES // 2, FRAMES):
+            axis = Vector(random.standard_normal(3))
+            bone.rotation_quaternion = Quaternion(axis, 0.3 if "Hand" in bone.name else 0.8)
+            bone.keyframe_insert("rotation_quaternion", frame=frame)
+    names = ["RightHand", *(f"RightHand{name[:-1].title()}{name[-1]}" for name in NAMES[1:])]
+    joints = np.empty((FRAMES, 21, 3))
+    for frame in range(FRAMES):
+        scene.frame_set(1 + frame)
+        seen = rig.evaluated_get(context.evaluated_depsgraph_get())
+        for place, name in enumerate(names):
+            tip = place in TIPS
+            bone = seen.pose.bones[f"mixamorig:{names[place - 1] if tip else name}"]
+            joints[frame, place] = seen.matrix_world @ (bone.tail if tip else bone.head)
+    return rig, joints
+
+
+def enable(module):
+    import addon_utils
+
+    addon_utils.enable(module)
+
+
+def test_bvh_of_blender_is_read_back(context, engine, tmp_path):
+    rig, joints = a_dance(context)
+    enable("io_anim_bvh")
+    path = tmp_path / "dance.bvh"
+    context.view_layer.objects.active = rig
+    bpy.ops.export_anim.bvh(filepath=str(path), frame_start=1, frame_end=FRAMES, rotate_mode="ZXY", global_scale=100)
+    motion, said = converted(engine, path, "--hand", "right")
+    assert "centimetres" in said
+    assert (motion.fps, motion.handedness) == (24.0, "right")
+    # six digits of centimetres and degrees; worst seen 2e-7 m
+    np.testing.assert_allclose(motion.joints_m, joints, atol=5e-7)
+
+
+def test_glb_of_blender_is_read_back(context, engine, tmp_path):
+    _, joints = a_dance(context)
+    enable("io_scene_gltf2")
+    path = tmp_path / "dance.glb"
+    bpy.ops.export_scene.gltf(filepath=str(path), export_format="GLB", export_animation_mode="SCENE")
+    motion, said = converted(engine, path, "--hand", "right", "--up", "z")
+    assert "no tips" in said
+    assert motion.fps == 24.0
+    _check_without_tips(motion, joints)
+
+
+@pytest.mark.parametrize("suffix", ["usda", "usdc"])
+def test_usd_of_blender_is_read_back(context, engine, tmp_path, suffix):
+    _, joints = a_dance(context)
+    path = tmp_path / f"dance.{suffix}"
+    bpy.ops.wm.usd_export(filepath=str(path), export_animation=True, export_armatures=True)
+    motion, _ = converted(engine, path, "--hand", "right", "--up", "z")
+    assert motion.fps == 24.0
+    _check_without_tips(motion, joints)
+
+
+def _check_without_tips(motion, joints):
+    """All joints of bones, and tips in the direction of the last bones, whose ends neither format knows."""
+    # single precision, a metre from the origin; worst seen 5e-7 m
+    np.testing.assert_allclose(motion.joints_m[:, OTHERS], joints[:, OTHERS], atol=1e-6)
+    for tip in TIPS:
+        made, true = (one[:, tip] - one[:, tip - 1] for one in (motion.joints_m, joints))
+        cosine = (made * true).sum(-1) / np.linalg.norm(made, axis=-1) / np.linalg.norm(true, axis=-1)
+        # half precision of rest poses; worst seen 0.1 degrees
+        assert np.degrees(np.arccos(np.clip(cosine, -1, 1))).max() < 0.3, NAMES[tip]
+
+
+def test_blenders_importer_sees_the_joints_of_our_bvh(context, samples):
+    enable("io_anim_bvh")
+    bpy.ops.import_anim.bvh(filepath=str(samples / "sample.bvh"), global_scale=0.01, axis_forward="Y", axis_up="Z")
+    _check_imported(context, np.load(samples / "joints.npy"), "RightHand{}")
+
+
+def test_blenders_importer_sees_the_joints_of_our_glb(context, samples):
+    enable("io_scene_gltf2")
+    context.scene.render.fps = 30
+    bpy.ops.import_scene.gltf(filepath=str(samples / "sample.glb"))
+    joints = np.load(samples / "joints.npy")
+    turned = np.stack([joints[..., 0], -joints[..., 2], joints[..., 1]], axis=-1)
+    found = {thing.name: thing for thing in bpy.data.objects if thing.name.startswith("RightHand")}
+    for frame in range(FRAMES):
+        context.scene.frame_set(frame)
+        for place, name in enumerate(NAMES):
+            thing = found["RightHand" if name == "wrist" else f"RightHand{name.title()}"]
+            seen = thing.evaluated_get(context.evaluated_depsgraph_get()).matrix_world.translation
+            np.testing.assert_allclose(seen, turned[frame, place], atol=2e-6)
+
+
+def _check_imported(context, joints, template):
+    rig = next(thing for thing in bpy.data.objects if thing.type == "ARMATURE")
+    for frame in range(FRAMES):
+        context.scene.frame_set(1 + frame)
+        seen = rig.evaluated_get(context.evaluated_depsgraph_get())
+        for place, name in enumerate(NAMES):
+            bone = seen.pose.bones[template.format("" if name == "wrist" else name.title())]
+            # six digits, and Blender's single precision; worst seen 8e-7 m
+            np.testing.assert_allclose(seen.matrix_world @ bone.head, joints[frame, place], atol=2e-6)
+
+
+# ---- Import Motion ---------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def extension(context):
+    import blender_addon
+
+    blender_addon.register()
+    yield context
+    blender_addon.unregister()
+
+
+@pytest.mark.parametrize("name", ["sample.bvh", "sample.json"])
+def test_import_motion_takes_files_of_other_programs(extension, samples, capfd, name):
+    extension.scene.render.fps = 30
+    assert bpy.ops.jghand.import_motion(filepath=str(samples / name)) == {"FINISHED"}
+    said = capfd.readouterr().out
+    assert "12 frames from 1 to 12" in said
+    x, y, z = np.moveaxis(np.load(samples / "joints.npy"), -1, 0)
+    # MediaPipe's camera has y down, BVH has y up
+    wanted = np.stack([x, z, -y] if name.endswith("json") else [x, -z, y], axis=-1)
+    hand = extension.object
+    assert armature.handedness_of(hand) == "right"
+    for frame in range(FRAMES):
+        seen = armature.read_hand(hand, armature.at_frame(extension.scene, 1 + frame))
+        np.testing.assert_allclose(seen.joints_world_m, wanted[frame], atol=3e-6)
+
+
+def test_what_the_engine_cannot_read_is_told_in_its_words(extension, engine, tmp_path):
+    path = tmp_path / "broken.bvh"
+    path.write_text("HIERARCHY\n")
+    with pytest.raises(RuntimeError, match="no MOTION"):
+        bpy.ops.jghand.import_motion(filepath=str(path))
+    assert not bpy.data.armatures
+
+
+def test_without_an_engine_the_reason_is_told(extension, tmp_path, monkeypatch):
+    from blender_addon import runtime
+    from blender_addon.core.messages import JGHandFailure
+
+    def none():
+        raise JGHandFailure("no_interpreter", "none here")
+
+    monkeypatch.setattr(runtime, "program", none)
+    path = tmp_path / "wave.bvh"
+    path.write_text("HIERARCHY\n")
+    with pytest.raises(RuntimeError, match="No engine is set up"):
+        bpy.ops.jghand.import_motion(filepath=str(path))
+    path = tmp_path / "text.csv"
+    path.write_text("a,b\n1,2\n")
+    with pytest.raises(RuntimeError, match="no motion that JGHand can read"):
+        bpy.ops.jghand.import_motion(filepath=str(path))
+
+
+def test_a_conversion_that_is_given_up_ends_the_engine(extension, samples):
+    chosen = {"hand": "AUTO", "unit": "AUTO", "part": "", "hand_length": 0.0, "in_place": False}
+    operator = SimpleNamespace(**chosen, working="x")
+    steps = motion_operator.ImportMotion._converted(operator, extension, samples / "sample.bvh")
+    next(steps)
+    (folder,) = folders.user_folder("jobs").glob("job_*")
+    steps.close()
+    assert not folder.exists()
+    assert set(chosen) == set(motion_operator._OF_OTHERS)
