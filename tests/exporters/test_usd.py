@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from pxr import Gf, Tf, Usd, UsdGeom, UsdSkel, Vt
+from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdSkel, Vt
 from usd_samples import FPS, engine_gaussians, engine_mesh, lively_motion, small_avatar
 
+from jghand_engine.avatar.avatar import LearntFrom
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.exporters import usd as usd_module
 from jghand_engine.exporters import usd_arrival
@@ -505,3 +506,22 @@ def test_a_stage_says_what_it_was_made_from(tmp_path):
     brighter = replace(avatar, rgb=avatar.rgb * 0.999)
     assert usd_module.made_from(avatar, moved)["joints_sha256"] != stamp["joints_sha256"]
     assert usd_module.made_from(brighter, motion)["avatar_sha256"] != stamp["avatar_sha256"]
+
+
+def test_every_layer_says_whose_it_is_and_under_which_licence(tmp_path):
+    avatar = small_avatar()
+    learnt_from = LearntFrom("somebody", "every fifth", 12, "abc")
+    avatar = replace(avatar, info=replace(avatar.info, licence="CC-BY-4.0", learnt_from=learnt_from))
+    report = export_usd(tmp_path, avatar, lively_motion(Handedness.RIGHT, 2))
+    for name in report.bytes:
+        about = Sdf.Layer.FindOrOpen(str(tmp_path / name)).customLayerData
+        assert about["creator"].startswith("JGHand "), name
+        wanted = {"licence": "CC-BY-4.0", "avatar": "test", "learnt_from": "somebody", "learnt_from_pictures": 12}
+        assert wanted.items() <= about["jghand"].items(), name
+    stage = Usd.Stage.Open(str(report.shot))
+    hand = stage.GetPrimAtPath("/World/Hand")
+    assert hand.GetCustomDataByKey("jghand:licence") == "CC-BY-4.0"
+    assert Usd.ModelAPI(hand).GetAssetName() == "test"
+    assert Usd.ModelAPI(hand).GetAssetIdentifier().path == "./hand.usda"
+    kinds = [Usd.ModelAPI(prim).GetKind() for prim in (stage.GetDefaultPrim(), hand)]
+    assert kinds == ["assembly", "component"]
