@@ -38,6 +38,7 @@ from .operators import (
     motion,
     picture,
     pose,
+    track,
     training,
 )
 from .panels import advanced, bones, output, presets, quality, render_settings
@@ -58,7 +59,8 @@ MODULES: tuple[ModuleType, ...] = (
     left_out,
     render_engine,
     cli_command,
-    *(help_page, engine, hand, bone_map, pose, finger_controls, motion, picture, combine, bake, export, training),
+    *(help_page, engine, hand, bone_map, pose, finger_controls, motion, track, picture),
+    *(combine, bake, export, training),
     presets,
     *(hand_panel, bones, pose_panels, motion_panel, picture_panels, quality, output, training_panels, advanced),
     render_settings,

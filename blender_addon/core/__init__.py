@@ -9,6 +9,7 @@ posing          joint positions to bone matrices and back (numpy)
 controls        finger controls as numbers: axes, what their turns do, joint ranges (numpy)
 poses           hand poses with names, for both hands (numpy); pose_picture draws them for the pose library
 motion_files    motions in files that say what they hold (numpy); motion_conversion: those of others, by the engine
+video_tracking  motions of hands in videos, by the engine
 view            pinhole cameras, hands in their own space, and the request for a picture (numpy)
 wire            the protocol module, from the extension or from the engine's package
 engine_command  where the engine is

@@ -243,6 +243,8 @@ WORK_REST_S = 0.005
 ASIDE_LOOK_S = 0.02
 # part of importing a motion of another program that the engine's reading is taken for, beside the keying
 CONVERSION_PART = 0.3
+# the same of a video that is tracked
+TRACKING_PART = 0.9
 
 # ---- renders --------------------------------------------------------------------------------------------------------
 

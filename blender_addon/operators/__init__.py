@@ -7,6 +7,7 @@ bone_map         the bones of a foreign rig
 pose             poses: take, copy to the other hand, reset, make assets
 finger_controls  curl, spread, held tips, joint limits
 motion           motion files as keys
+track            hands in videos as keys
 engine           check, start, stop, log
 help_page        the page that explains the panels
 bake             bakes: made, played, compared, forgotten

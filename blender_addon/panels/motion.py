@@ -27,6 +27,7 @@ class MotionPanel(Sidebar, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
         layout.operator("jghand.import_motion", icon="IMPORT")
+        layout.operator("jghand.track_video", icon="FILE_MOVIE")
         common.paragraph(layout, context, "Or drop an .npz, .json, .csv or .bvh motion into the viewport.")
         hand = context.object
         action = hand.animation_data.action if hand is not None and hand.animation_data else None

@@ -1,0 +1,149 @@
+"""Track Video: the hands in a video become keys. The engine is a stand-in but for one test."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+
+import bpy
+import numpy as np
+import pytest
+from hands import moving_hand_m
+
+from blender_addon import runtime
+from blender_addon.bridge import armature, folders
+from blender_addon.core.motion_files import MotionFile, write_motion
+from blender_addon.core.video_tracking import TrackingChoices, words
+
+FRAMES = 9
+# says what `jghand track` says: progress, motions and figures, or an error
+_ENGINE = """
+import json, pathlib, shutil, sys
+arguments = sys.argv[1:]
+here = pathlib.Path(__file__).parent
+(here / "asked.json").write_text(json.dumps(arguments))
+print(json.dumps({"jghand": "progress", "text": "Looking for hands", "done": 1, "total": 2}), file=sys.stderr)
+if (here / "error.json").exists():
+    print((here / "error.json").read_text(), file=sys.stderr)
+    sys.exit(2)
+out = pathlib.Path(arguments[arguments.index("--out") + 1])
+sides = sorted(path.stem for path in here.glob("*.npz"))
+hands = []
+for side in sides:
+    file = out if len(sides) == 1 else out.with_name(f"motion_{side}.npz")
+    shutil.copy(here / f"{side}.npz", file)
+    hands.append({"hand": side, "file": str(file), "frames_seen": 8, "frames_filled": 1 if side == "left" else 0})
+pathlib.Path(arguments[arguments.index("--json") + 1]).write_text(json.dumps({"notes": [], "hands": hands}))
+"""
+
+
+@pytest.fixture
+def engine(extension, tmp_path, monkeypatch):
+    """A folder in which the stand-in finds what it shall say."""
+    folder = tmp_path / "engine"
+    folder.mkdir()
+    (folder / "engine.py").write_text(_ENGINE)
+    monkeypatch.setattr(runtime, "program", lambda: (sys.executable, str(folder / "engine.py")))
+    monkeypatch.setattr(folders, "job_folder", lambda: _made(tmp_path / "job"))
+    return folder
+
+
+def _made(folder):
+    folder.mkdir(exist_ok=True)
+    return folder
+
+
+@pytest.fixture
+def video(tmp_path):
+    """A name is enough for the stand-in."""
+    path = tmp_path / "waving.mp4"
+    path.write_bytes(b"film")
+    return path
+
+
+def leave(engine, side, seed=0):
+    """Lets the stand-in find a hand; its joints."""
+    joints = moving_hand_m(side, FRAMES, seed)
+    write_motion(engine / f"{side}.npz", MotionFile(joints, 24.0, side))
+    return joints
+
+
+def check_keys(scene, hand, joints):
+    for frame in range(FRAMES):
+        seen = armature.read_hand(hand, armature.at_frame(scene, 1 + frame))
+        # Blender's single precision; worst seen 3e-7 m
+        np.testing.assert_allclose(seen.joints_world_m, joints[frame], atol=3e-6)
+
+
+def hands_of(scene):
+    found = [thing for thing in scene.objects if armature.is_hand(thing)]
+    return {armature.handedness_of(thing): thing for thing in found}
+
+
+def test_both_hands_of_a_video_are_keyed(extension, engine, video, tmp_path, capfd):
+    joints = {side: leave(engine, side, seed) for seed, side in enumerate(("left", "right"))}
+    assert bpy.ops.jghand.track_video(filepath=str(video), hand_length=190.0, in_place=True) == {"FINISHED"}
+    hands = hands_of(extension.scene)
+    assert {hand.name for hand in hands.values()} == {"waving left", "waving right"}
+    for side, hand in hands.items():
+        check_keys(extension.scene, hand, joints[side])
+    assert (extension.scene.frame_start, extension.scene.frame_end) == (1, FRAMES)
+    said = capfd.readouterr().out
+    assert "The left hand was not seen in 1 of 9 frames" in said
+    asked = json.loads((engine / "asked.json").read_text())
+    assert asked[:2] == ["track", str(video)]
+    for option, value in (("--up", "z"), ("--hand-length", "190"), ("--hand", "auto")):
+        assert asked[asked.index(option) + 1] == value
+    assert {"--in-place", "--fetch-model", "--progress-json"} <= set(asked)
+    assert not (tmp_path / "job").exists(), "what the job needed is taken away"
+
+
+def test_the_active_hand_takes_the_motion_of_its_side(extension, engine, video):
+    old = leave(engine, "right", 1)
+    bpy.ops.jghand.track_video(filepath=str(video))
+    hand = extension.object
+    new = leave(engine, "right", 1) + np.array([0.0, 0.0, 0.1])
+    write_motion(engine / "right.npz", MotionFile(new, 24.0, "right"))
+    bpy.ops.jghand.track_video(filepath=str(video))
+    assert extension.object is hand
+    check_keys(extension.scene, hand, old + np.array([0.0, 0.0, 0.1]))
+
+
+def test_a_hand_of_the_other_side_is_left_alone(extension, engine, video):
+    leave(engine, "right")
+    bpy.ops.jghand.track_video(filepath=str(video))
+    first = extension.object
+    (engine / "right.npz").unlink()
+    leave(engine, "left")
+    bpy.ops.jghand.track_video(filepath=str(video))
+    assert set(hands_of(extension.scene)) == {"left", "right"}
+    assert armature.handedness_of(first) == "right"
+
+
+def test_what_the_engine_says_is_told_and_nothing_is_changed(extension, engine, video, tmp_path):
+    text = "video waving.mp4: wanted a hand, got none in any picture."
+    error = {"jghand": "error", "kind": "bad_input", "text": text, "exit_code": 2}
+    (engine / "error.json").write_text(json.dumps(error))
+    with pytest.raises(RuntimeError, match="none in any picture"):
+        bpy.ops.jghand.track_video(filepath=str(video))
+    assert not hands_of(extension.scene)
+    assert not (tmp_path / "job").exists()
+
+
+def test_figures_that_are_none_are_refused(extension, engine, video):
+    (engine / "engine.py").write_text("")
+    with pytest.raises(RuntimeError, match="figures"):
+        bpy.ops.jghand.track_video(filepath=str(video))
+
+
+def test_the_real_engine_takes_these_words(engine_python, tmp_path):
+    """It gets as far as the video, which is none."""
+    (tmp_path / "odd.mp4").write_bytes(b"no film")
+    choices = TrackingChoices(hand="right", hand_length_mm=190.0, in_place=True, avatar="painted")
+    asked = [word for word in words(tmp_path / "odd.mp4", tmp_path, choices) if word != "--fetch-model"]
+    done = subprocess.run(
+        [engine_python, "-I", "-m", "jghand_engine", *asked], check=False, capture_output=True, text=True
+    )
+    assert done.returncode == 2
+    assert "odd.mp4" in done.stderr
