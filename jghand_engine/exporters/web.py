@@ -10,7 +10,8 @@ All but hand.js are made by scripts/build_web_viewer.py and are the same for eve
 anywhere: scripts that a page may load from a disk, where it may read no other files, carry the data as text.
 
 The skin is posed in the browser by the same code as here, so that sliders can pose it too, and drawn by Spark as this
-project's rasteriser draws it. Left out is the self-shadow in the picture (METHOD 5).
+project's rasteriser draws it. Left out is the self-shadow in the picture (METHOD 5); the page of a hand whose shadow
+would be seen says so.
 """
 
 from __future__ import annotations
@@ -26,6 +27,7 @@ import numpy as np
 
 from jghand_engine import __version__, limits
 from jghand_engine.avatar.avatar import HandAvatar, check_follows_joints
+from jghand_engine.avatar.learnt import ShadowLook
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.exporters.usd_motion import check_sequence
 from jghand_engine.exporters.web_hand import pack_hand, with_cheap_correctives
@@ -158,7 +160,8 @@ def _learnt_from(avatar: HandAvatar) -> str:
 
 def _notes(avatar: HandAvatar) -> list[str]:
     """What the page's picture lacks."""
-    if avatar.learnt is None or avatar.learnt.shadow is None:
+    shadow = ShadowLook() if avatar.learnt is None else avatar.learnt.shadow
+    if shadow is None or not shadow.is_seen:
         return []
     return ["Not shown here: the faint shadow of close fingers that JGHand's own renderer adds."]
 

@@ -67,7 +67,10 @@ try {
     const figures = { ready_s: (Date.now() - began) / 1000, message: await page.textContent('#message') };
     if (!figures.message) {
       for (const [action, ...words] of shot.steps) Object.assign(figures, { [action]: await ACTIONS[action](page, ...words) });
-      await page.evaluate(() => jghand.settled());
+      const calm = await page.evaluate(() => jghand.playing || Promise.race([
+        jghand.settled().then(() => true), new Promise((done) => setTimeout(() => done(false), 60000)),
+      ]));
+      if (!calm) result.complaints.push(`${shot.name}: still draws after a minute`);
     }
     if (shot.canvas) await page.addStyleTag({ content: '#head, #panel, #bar { display: none !important } canvas { transition: none !important; opacity: 1 !important }' });
     await page.waitForTimeout(700);  // what fades has faded

@@ -362,6 +362,17 @@ def test_a_single_frame_becomes_one_file_of_the_format_that_is_named(tmp_path, c
     assert "axes rub" in capsys.readouterr().out
 
 
+def test_export_writes_a_web_page(tmp_path, capsys):
+    figures, page = tmp_path / "figures.json", tmp_path / "page"
+    words = ("--avatar", "painted", "--title", "My hand", "--gaussians", "500", "--camera", "back", "--json", figures)
+    assert run("export", "web", "--poses", "open,fist", "--frames", "0:3", "--out", page, *words) == 0
+    assert "<title>My hand</title>" in (page / "index.html").read_text()
+    told = json.loads(figures.read_text())
+    assert (told["frames"], told["gaussians"], told["page"]) == (4, 500, str(page / "index.html"))
+    assert told["bytes"] == {path.name: path.stat().st_size for path in page.iterdir()}
+    assert "4 frames, 500 Gaussians" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     "words",
     [
@@ -369,6 +380,12 @@ def test_a_single_frame_becomes_one_file_of_the_format_that_is_named(tmp_path, c
         ("usd", "--axes", "rub"),
         ("ply", "--as", "glb"),
         ("splats", "--sizes", "per_frame"),
+        ("web", "--sizes", "per_frame"),
+        ("web", "--as", "glb"),
+        ("web", "--name", "thumb"),
+        ("web", "--up", "z"),
+        ("usd", "--title", "Hand"),
+        ("splats", "--camera", "back"),
     ],
 )
 def test_export_refuses_an_option_of_the_other_format(tmp_path, words, capsys):

@@ -1,5 +1,5 @@
-"""The web page of a motion: what is written, that it asks nobody for anything, and that its scripts pose the hand as the
-engine does. In a browser it is tried by scripts/check_web_page.py."""
+"""The web page of a motion: what is written, that it asks nobody for anything, and that its scripts pose the hand as
+the engine does. In a browser it is tried by scripts/check_web_page.py."""
 
 from __future__ import annotations
 
@@ -102,6 +102,13 @@ def test_the_page_names_hand_licence_and_pictures(tmp_path):
     assert (found["name"], found["licence"]) == (avatar.info.name, avatar.info.licence)
     assert found["learnt_from"].startswith("432 pictures of")
     assert found["gaussians"] == 500
+
+
+def test_the_page_says_what_it_leaves_out_where_that_would_be_seen(tmp_path):
+    exported(tmp_path / "painted")
+    exported(tmp_path / "builtin", load_avatar_called("builtin"), gaussians=500)
+    assert "shadow" in description_of(tmp_path / "painted")["notes"][0]
+    assert description_of(tmp_path / "builtin")["notes"] == []
 
 
 def test_a_title_is_text_and_never_markup(tmp_path):
@@ -265,7 +272,7 @@ def posed_by_the_page(folder: Path, joints_m: np.ndarray, angles_rad: np.ndarray
 
 def far_apart(folder: Path, avatar: HandAvatar, hand: Handedness = Handedness.RIGHT) -> dict[str, float]:
     """Exports a motion and compares what the page makes of some frames with the functions that the avatar was trained
-    with, in float64: the largest differences of positions, mm, colours, 0..1, and of radii and covariances, as a part."""
+    with, in float64: the largest differences of positions, mm, colours, 0..1, radii and covariances, as a part."""
     avatar = avatar.for_hand(hand)
     sequence = motion(avatar, hand)
     export_web(folder, avatar, sequence, VIEW)

@@ -25,7 +25,7 @@ export class Controls {
   showAbout() {
     const { name, licence, handedness, gaussians, learnt_from: learnt, notes } = this.description;
     find('subtitle').textContent = `${handedness === 'left' ? 'Left' : 'Right'} hand · ${gaussians.toLocaleString('en')} Gaussians`;
-    const lines = [name, ...(learnt ? [`Learnt from ${learnt}`] : []), `Licence: ${licence}`, ...notes];
+    const lines = [...(name === document.title ? [] : [name]), ...(learnt ? [`Learnt from ${learnt}`] : []), `Licence: ${licence}`, ...notes];
     find('about').append(...lines.map((line) => Object.assign(document.createElement('p'), { textContent: line })));
     const credit = Object.assign(document.createElement('p'), { textContent: `${this.description.made_by}. Drawn by three.js and Spark; licences in LICENSES.txt.` });
     find('about').append(credit);
@@ -141,7 +141,11 @@ export class Controls {
   makeRoom() {
     const open = !document.body.classList.contains('bare'), narrow = matchMedia(NARROW).matches;
     const panel = find('panel'), bar = find('bar').offsetHeight + 2 * find('bar').offsetLeft;
-    this.stage.keepFree(open && !narrow ? panel.offsetWidth + 16 : 0, bar + (open && narrow ? panel.offsetHeight : 0));
+    this.stage.keepFree({
+      top: narrow ? find('head').offsetTop + find('head').offsetHeight : 0,
+      right: open && !narrow ? panel.offsetWidth + 16 : 0,
+      bottom: bar + (open && narrow ? panel.offsetHeight : 0),
+    });
   }
 
   // What the player does is shown, whoever asked for it

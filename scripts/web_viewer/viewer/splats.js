@@ -6,9 +6,9 @@ import * as THREE from 'three';
 const COLUMNS = 512;  // of the textures; the shaders below divide by it
 
 // renderer: THREE.WebGLRenderer · contract: what JGHand's own rasteriser does, see exporters/web.py
-export function newSpark(renderer, hand, contract, onDirty) {
+export function newSpark(renderer, hand, contract) {
   return new SparkRenderer({
-    renderer, onDirty, accumExtSplats: true, covSplats: Boolean(hand.covariances), sortRadial: false, blurAmount: 0,
+    renderer, autoUpdate: false, accumExtSplats: true, covSplats: Boolean(hand.covariances), sortRadial: false, blurAmount: 0,
     preBlurAmount: contract.blur_px2, minAlpha: contract.alpha_min, maxStdDev: contract.reach_sigma, enableLod: false,
   });
 }

@@ -6,6 +6,7 @@ import { newSpark, Splats } from './splats.js';
 const NEAR_M = 0.01, FAR_M = 100;
 const NEAREST = 0.3, FARTHEST = 6;  // of the first distance, how far one may zoom
 const PIXEL_RATIO_MAX = 2;
+const FADE_MS = 100;  // between pictures, above which turning stops at once
 const SLOW_MS = 45, SLOW_FRAMES = 8;  // so many frames as slow as this, and the picture gets coarser
 
 export class Stage {
@@ -21,16 +22,15 @@ export class Stage {
     this.scene = new THREE.Scene();
     this.camera = new THREE.PerspectiveCamera(30, 1, NEAR_M, FAR_M);
     this.camera.up.fromArray(view.up);
-    this.spark = newSpark(this.renderer, hand, contract, () => this.ask());
+    this.spark = newSpark(this.renderer, hand, contract);
     this.splats = new Splats(hand);
     this.scene.add(this.spark, this.splats);
     this.controls = new OrbitControls(this.camera, canvas);
-    this.controls.enableDamping = true;
     this.controls.dampingFactor = 0.12;
     this.controls.zoomSpeed = 0.8;
     this.controls.addEventListener('change', () => this.ask());
     this.ratio = Math.min(window.devicePixelRatio, PIXEL_RATIO_MAX);
-    this.room = { right: 0, bottom: 0 };
+    this.room = { top: 0, right: 0, bottom: 0 };
     this.slow = 0;
     this.posed = true;
     new ResizeObserver(() => this.resize()).observe(canvas.parentElement);
@@ -72,14 +72,14 @@ export class Stage {
     this.ask();
   }
 
-  // pixels that panels cover at the right and at the bottom: the hand stays in the middle of what they leave
-  keepFree(right, bottom) {
-    this.room = { right, bottom };
+  // room: pixels that are covered at the top, at the right and at the bottom: the hand stays in the middle of the rest
+  keepFree(room) {
+    this.room = room;
     this.resize();
   }
 
   get free() {
-    return { width: Math.max(this.width - this.room.right, 1), height: Math.max(this.height - this.room.bottom, 1) };
+    return { width: Math.max(this.width - this.room.right, 1), height: Math.max(this.height - this.room.top - this.room.bottom, 1) };
   }
 
   get focal() {
@@ -103,7 +103,7 @@ export class Stage {
     const { width, height, camera } = this;
     camera.aspect = width / height;
     camera.fov = THREE.MathUtils.radToDeg(2 * Math.atan(height / 2 / this.focal));
-    camera.setViewOffset(width, height, this.room.right / 2, this.room.bottom / 2, width, height);
+    camera.setViewOffset(width, height, this.room.right / 2, (this.room.bottom - this.room.top) / 2, width, height);
     camera.updateProjectionMatrix();
   }
 
@@ -135,45 +135,47 @@ export class Stage {
     this.asked ??= requestAnimationFrame((now) => this.draw(now));
   }
 
-  draw(now) {
+  // Poses, then waits until Spark has sorted what was posed: nothing is ever seen in the order of the picture before
+  async draw(now) {
     this.asked = undefined;
-    // pictures that pile up before a slow graphics card would only make it slower
-    if (!this.finished()) return this.ask();
+    if (this.drawing) {
+      this.again = true;
+      return;
+    }
+    this.drawing = true;
+    this.again = false;
+    const took = this.running ? now - this.last : 0;
+    this.last = now;
     const more = this.beforeDrawing(now);
+    // a turn that fades out over many pictures would take minutes where each takes long
+    this.controls.enableDamping = took < FADE_MS;
     if (!this.fixed) this.controls.update();
+    this.camera.updateMatrixWorld();
+    this.show();
+    await this.spark.update({ scene: this.scene, camera: this.camera });
+    this.renderer.render(this.scene, this.camera);
+    this.drawn = (this.drawn ?? 0) + 1;
+    this.drawing = false;
+    if (more || this.again) this.ask();
+    if (more) this.watchSpeed(took);
+    this.running = Boolean(this.asked);
+  }
+
+  // What changed goes to the graphics card
+  show() {
     const eye = this.camera.position;
+    const turned = this.hand.reflects && !this.eye?.equals(eye);
     if (this.posed) this.splats.showPose();
-    if (this.posed || (this.hand.reflects && !this.eye?.equals(eye))) {
+    if (this.posed || turned) {
       this.hand.shine(eye.toArray());
       this.splats.showColours();
       this.eye = eye.clone();
     }
     this.posed = false;
-    this.renderer.render(this.scene, this.camera);
-    const gl = this.renderer.getContext();
-    this.fence = gl.fenceSync(gl.SYNC_GPU_COMMANDS_COMPLETE, 0);
-    gl.flush();
-    this.drawn = (this.drawn ?? 0) + 1;
-    if (more) {
-      this.ask();
-      this.watchSpeed(now);
-    } else this.last = undefined;
-  }
-
-  // Whether the last picture is on the screen
-  finished() {
-    if (!this.fence) return true;
-    const gl = this.renderer.getContext();
-    if (!gl.isContextLost() && gl.getSyncParameter(this.fence, gl.SYNC_STATUS) !== gl.SIGNALED) return false;
-    gl.deleteSync(this.fence);
-    this.fence = undefined;
-    return true;
   }
 
   // A machine that cannot keep up gets fewer pixels
-  watchSpeed(now) {
-    const took = now - (this.last ?? now);
-    this.last = now;
+  watchSpeed(took) {
     this.slow = took > SLOW_MS ? this.slow + 1 : Math.max(this.slow - 1, 0);
     if (this.slow < SLOW_FRAMES || this.ratio <= 1 || this.fixed) return;
     this.ratio = Math.max(1, this.ratio / 1.5);
@@ -181,14 +183,12 @@ export class Stage {
     this.resize();
   }
 
-  // Resolves when what is on the screen is sorted and nothing is left to be drawn
+  // Resolves when nothing is left to be drawn
   async settled() {
     this.ask();
     for (let calm = 0; calm < 3;) {
       await new Promise((done) => setTimeout(done, 50));
-      const { spark } = this;
-      const busy = this.asked || spark.sorting || spark.sortDirty || spark.display !== spark.current || !spark.activeSplats;
-      calm = busy || !this.finished() ? 0 : calm + 1;
+      calm = this.asked || this.drawing || !this.spark.activeSplats ? 0 : calm + 1;
     }
   }
 }

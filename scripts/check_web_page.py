@@ -1,0 +1,135 @@
+"""Opens the web page of a hand from the disk in a headless Chromium, plays it, moves its sliders, and compares its
+picture with the engine's.
+
+    python scripts/check_web_page.py --out FOLDER [--avatar builtin] [--hand right]
+
+To be run with the engine's Python. Needs Node, a Chromium (JGHAND_CHROMIUM, else chromium, chromium-browser or
+google-chrome) and playwright-core of `check_splat_files.py --install`.
+
+Leaves in FOLDER the page, the pictures of it, and comparison.png. Exit code 1 when the page complained, asked for
+anything beside its own files, did not play, or its picture is farther from the engine's than PSNR_LEAST_DB.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
+
+import check_splat_files as clients  # noqa: E402
+from show_splat_file import BLACK, browser, psnr_db  # noqa: E402
+
+from jghand_engine.avatar.avatar import HandAvatar  # noqa: E402
+from jghand_engine.avatar.builtin import load_avatar_called  # noqa: E402
+from jghand_engine.cli.camera_file import camera_to_dict  # noqa: E402
+from jghand_engine.cli.framing import first_view, framing_camera  # noqa: E402
+from jghand_engine.exporters.pictures import Cell, SheetStyle, contact_sheet, flatten, read_png, write_png  # noqa: E402
+from jghand_engine.exporters.web import export_web  # noqa: E402
+from jghand_engine.hand.anatomy import pose_sequence_of_names  # noqa: E402
+from jghand_engine.hand.joints import Handedness  # noqa: E402
+from jghand_engine.hand.sequence import PoseSequence  # noqa: E402
+from jghand_engine.splat.camera import Camera  # noqa: E402
+from jghand_engine.splat.frame import HandRenderer  # noqa: E402
+from jghand_engine.splat.settings import ShadowMode, preset  # noqa: E402
+
+POSES = ["open", "relaxed", "fist", "point", "ok", "spread"]
+# frames that are compared: open, on the way, and ok
+COMPARED = (0, 20, 100)
+# the picture without the self-shadow that the page leaves out; seen 47.0 at least
+PSNR_LEAST_DB = 44.0
+
+
+def shots(cameras: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """What photograph_page.mjs is asked for."""
+    desk = {"width": 1280, "height": 800}
+    phone = {"width": 390, "height": 844, "scale": 2, "touch": True}
+    compared = [
+        {"name": f"frame_{frame}", "width": camera["width"], "height": camera["height"], "canvas": True,
+         "steps": [["background", "#000"], ["seek", frame], ["look", camera]]}
+        for frame, camera in zip(COMPARED, cameras, strict=True)
+    ]  # fmt: skip
+    return [
+        *compared,
+        {"name": "rest", **desk, "steps": [["seek", 0]]},
+        {"name": "playing", **desk, "steps": [["play", 3.0]]},
+        {"name": "slider", **desk, "steps": [
+            ["pose", "open"], ["slide", "#curl1", 0.8], ["slide", "#curl2", 0.45], ["slide", "#curl0", 0.7],
+            ["drag", 160, 30],
+        ]},
+        {"name": "turned", **desk, "steps": [["pose", "ok"], ["drag", 260, 40]]},
+        {"name": "phone", **phone, "steps": [["pose", "victory"], ["click", "#more"]]},
+    ]  # fmt: skip
+
+
+def drawn_by_us(avatar: HandAvatar, sequence: PoseSequence, camera: Camera, shadow: ShadowMode) -> list[np.ndarray]:
+    """(H, W, 3) uint8 on black of the frames that are compared."""
+    renderer = HandRenderer(avatar, replace(preset("viewport"), shadow=shadow))
+    return [flatten(renderer.render(sequence.joints_m[frame], camera).rgba, BLACK) for frame in COMPARED]
+
+
+def drawn_by_the_page(folder: Path, cameras: list[dict[str, Any]]) -> dict[str, Any]:
+    """What photograph_page.mjs reports; its pictures lie in `folder`."""
+    os.environ["JGHAND_CHROMIUM"] = browser() or ""
+    plan = folder / "plan.json"
+    plan.write_text(json.dumps({"shots": shots(cameras)}))
+    return json.loads(clients.node("photograph_page.mjs", folder / "page", plan, folder))
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--avatar", default="builtin")
+    parser.add_argument("--hand", choices=tuple(Handedness), default=Handedness.RIGHT)
+    options = parser.parse_args()
+    if browser() is None:
+        print("There is no Chromium here; JGHAND_CHROMIUM names one.", file=sys.stderr)
+        return 1
+    folder: Path = options.out.resolve()
+    hand = Handedness(options.hand)
+    avatar = load_avatar_called(options.avatar).for_hand(hand)
+    sequence = pose_sequence_of_names(POSES, avatar.canonical_joints_m.numpy(), handedness=hand)
+    report = export_web(folder / "page", avatar, sequence, first_view(sequence.joints_m, hand, "quarter"))
+    print(f"{report.page}: {sum(report.bytes.values()) / 1e6:.1f} MB")
+    camera = framing_camera(sequence.joints_m, hand, "quarter", width=512, height=512)
+    # the page counts from an origin of its own
+    moved = camera_to_dict(camera)
+    matrix = np.array(moved["camera_from_world"])
+    matrix[:3, 3] += matrix[:3, :3] @ sequence.joints_m[:, 0].mean(0)
+    moved["camera_from_world"] = matrix.tolist()
+    found = drawn_by_the_page(folder, [moved] * len(COMPARED))
+    for name, figures in found["shots"].items():
+        print(f"{name}: {figures}")
+    pages = [read_png(folder / f"frame_{frame}.png")[..., :3] for frame in COMPARED]
+    bare, whole = (drawn_by_us(avatar, sequence, camera, mode) for mode in (ShadowMode.OFF, ShadowMode.GATED))
+    least, cells = np.inf, []
+    for frame, page, one, other in zip(COMPARED, pages, bare, whole, strict=True):
+        without, with_shadow = psnr_db(page, one), psnr_db(page, other)
+        least = min(least, without)
+        apart = np.abs(page.astype(int) - one)
+        print(f"frame {frame}: {without:.1f} dB without self-shadow (largest difference of a channel {apart.max()} of "
+              f"255), {with_shadow:.1f} dB with it")  # fmt: skip
+        cells += [
+            Cell(f"JGHand, frame {frame}", other), Cell("the page in Chromium", page),
+            Cell("8 x difference, shadow left out", np.clip(8 * apart, 0, 255).astype(np.uint8)),
+        ]  # fmt: skip
+    write_png(folder / "comparison.png", contact_sheet(cells, SheetStyle(columns=3, cell_px=400)))
+    played = found["shots"]["playing"]["play"]
+    wrong = [*found["complaints"], *(f"asked for {url}" for url in found["foreign"])]
+    wrong += [f"{name}: {figures['message']}" for name, figures in found["shots"].items() if figures["message"]]
+    wrong += [] if played["playing"] and played["frame"] > 0 else [f"does not play: {played}"]
+    wrong += [] if least >= PSNR_LEAST_DB else [f"{least:.1f} dB from the engine's picture"]
+    print("\n".join(wrong) or "Nothing is wrong.")
+    return 1 if wrong else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
