@@ -198,6 +198,8 @@ ASKS_KEPT = 8
 FAILURES_KEPT = 32
 # how often, at most, panels are drawn again for figures that change with every picture
 PANEL_TICK_S = 0.5
+# letters of a line of a menu that says something: the window of a picture is often small
+POPUP_LETTERS = 48
 # how wide the picture of a hand is left open for its bones and for the wires of its controls, pixels: no wider than
 # Blender draws them; and the most wires of one control
 BONE_CUT_PX = 3.0

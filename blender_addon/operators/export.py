@@ -54,7 +54,7 @@ class Export(StartsJob, bpy.types.Operator):
     def job(self, context: bpy.types.Context, recordings: list[Recording]) -> JobSpec | None:
         settings = context.scene.jghand.output
         folder = place(context, settings.folder)
-        self._count = len(recordings)
+        self._names = list(dict.fromkeys(recording.source for recording in recordings))
         for recording in recordings:
             owner = owners.owner_in(folder, recording.source)
             if not settings.replace_others:
@@ -87,7 +87,7 @@ class Export(StartsJob, bpy.types.Operator):
 
     def done(self, context: bpy.types.Context) -> str:
         folder = place(context, context.scene.jghand.output.folder)
-        return rpt_("Exported {count} hands to {folder}.").format(count=self._count, folder=folder)
+        return rpt_("Exported {names} to {folder}.").format(names=", ".join(self._names), folder=folder)
 
 
 class ExportSceneUsd(Reporting, bpy.types.Operator):

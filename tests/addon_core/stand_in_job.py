@@ -61,7 +61,7 @@ def main(fault, file):
     if fault == "arguments":
         return 2 if "--no-such" in sys.argv else 0
     try:
-        work(3 if fault == "short" else 1000, 0.02)
+        work({"short": 3, "hours": 1_000_000}.get(fault, 1000), 0.02)
     except KeyboardInterrupt:
         if file:
             # as a training writes its checkpoint

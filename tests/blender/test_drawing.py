@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from types import SimpleNamespace
 
 import bpy
 import pytest
+from recording_layout import RecordingLayout
 from recording_layout import draw as drawn
 
 from blender_addon import runtime
-from blender_addon.bridge import gpu_picture, picture, rendering, viewport_engine, views
+from blender_addon.bridge import gpu_picture, picture, popup, rendering, viewport_engine, views
 from blender_addon.core import limits
 from blender_addon.panels.picture import ViewPanel
 
@@ -118,6 +120,24 @@ def test_rendered_mode_and_solid_are_drawn_alike(driver, monkeypatch):
     monkeypatch.setattr(rendering, "now", lambda: True)
     driver.now[0] += limits.DRAW_REST_S
     viewport_engine.ViewportEngine().view_draw(driver.context, SimpleNamespace(scene=scene))
+
+
+def test_a_word_of_the_extension_fits_the_small_window_of_a_picture(extension, monkeypatch):
+    shown = []
+    manager = SimpleNamespace(
+        windows=["main", "picture"], popup_menu=lambda draw, **options: shown.append((draw, options))
+    )
+    context = SimpleNamespace(window_manager=manager, temp_override=lambda window: nullcontext(window))
+    monkeypatch.setattr(popup, "bpy", SimpleNamespace(app=SimpleNamespace(background=False), context=context))
+    text = "Frame 3 has no hands and is not written: Mirrored scale is not supported. Use the other hand instead"
+    popup.show(text, icon="ERROR", operators=(("jghand.use_engine", "RESTRICT_RENDER_OFF"),))
+    ((draw, options),) = shown
+    layout = RecordingLayout()
+    draw(SimpleNamespace(layout=layout), context)
+    assert options == {"title": "JGHand", "icon": "ERROR"}
+    assert " ".join(layout.texts[: len(layout.texts) - 1]) == text
+    assert max(map(len, layout.texts)) <= limits.POPUP_LETTERS
+    assert layout.operators == ["jghand.use_engine"]
 
 
 def test_the_view_panel_says_that_viewport_renders_have_no_hands(extension, monkeypatch):

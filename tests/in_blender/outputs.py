@@ -171,7 +171,7 @@ def step_a_training_survives_opening_another_file(window):
     """The engine's command line is stood in for by a program that counts: what is tried is Blender's side."""
     runtime, table = window.runtime(), window.runtime().jobs()
     stand_in = Path(__file__).parents[1] / "addon_core" / "stand_in_job.py"
-    runtime.program = lambda: (sys.executable, "-I", str(stand_in), "long")
+    runtime.program = lambda: (sys.executable, "-I", str(stand_in), "hours")
     pictures = window.out / "jghand_capture"
     pictures.mkdir()
     work = window.out / "my_hand.training"
