@@ -1,0 +1,293 @@
+"""How far one machine goes, and what more would cost: every figure of the tables in docs/SCALE.md.
+
+    python scripts/benchmark_scale.py [--page docs/SCALE.md] [--json FILE] [--price 0.04] [--only render,train]
+
+Runs the commands as anyone would, each as processes of its own, and takes from the operating system what they cost:
+seconds, core-seconds (user and system, of all their processes) and peak memory. What one picture, step or frame costs
+is the difference of a long and a short run, so that starting is told apart; in the motion no two frames are alike. The
+second table multiplies; it measures nothing. --page renews the tables of a page between their marks. It takes some
+twenty minutes on two cores; --quick takes a tenth of the work, to see that it runs.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from jghand_engine.avatar.builtin import load_builtin
+from jghand_engine.datasets.motion_files import write_motion
+from jghand_engine.hand.anatomy import MotionOptions, pose_sequence_of_names
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.native.machine import processor
+
+BEGIN, END = "<!-- scripts/benchmark_scale.py: begin -->", "<!-- scripts/benchmark_scale.py: end -->"
+ROOT = Path(__file__).resolve().parents[1]
+JGHAND = (sys.executable, "-m", "jghand_engine")
+CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+# what the table of costs takes for one identity: a capture as that of the built-in hand, and so many steps
+PICTURES, STEPS = 616, 4000
+# the motion that is rendered and exported
+FRAMES, POSES = 240, ["open", "fist", "point", "ok", "spread", "relaxed", "open"]
+# identities, frames rendered of all of them together
+SCALES = ((1, 1_000), (10, 10_000), (100, 100_000), (1_000, 1_000_000))
+HOUR_S, WEEK_H = 3600.0, 168.0
+
+
+@dataclass(frozen=True)
+class Run:
+    """Processes that worked at the same time. wall_s: until the last ended · core_s: of all · peak_mb: of the largest ·
+    bytes: of the files that they left"""
+
+    wall_s: float
+    core_s: float
+    peak_mb: float
+    bytes: int
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What one more of something costs. start_s: of a process that does one alone · command: without its folders"""
+
+    what: str
+    per: str
+    wall_s: float
+    core_s: float
+    peak_mb: float
+    start_s: float
+    mb: float
+    command: str
+
+    def row(self) -> tuple[str, ...]:
+        return (
+            self.what, self.per, seconds(self.wall_s), seconds(self.core_s), f"{self.start_s:.1f} s",
+            f"{self.peak_mb:.0f} MB", f"{self.mb:.3f} MB" if self.mb else "-", f"`{self.command}`",
+        )  # fmt: skip
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--page", type=Path, help="a page whose tables are renewed")
+    parser.add_argument("--json", type=Path, help="also write the figures to this file")
+    parser.add_argument("--from-json", type=Path, help="take the figures of an earlier run instead of measuring")
+    parser.add_argument("--price", type=float, default=0.04, help="of a core for an hour; yours (default 0.04)")
+    parser.add_argument("--only", default="render,capture,train,export", help="what is measured")
+    parser.add_argument("--quick", action="store_true", help="a tenth of the work: to see that it runs")
+    parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()), help="where work files go")
+    options = parser.parse_args()
+    if options.from_json:
+        content = json.loads(options.from_json.read_text(encoding="utf-8"))
+        costs = {name: Cost(**cost) for name, cost in content["costs"].items()}
+        machine = content["machine"]
+    else:
+        machine = f"{processor()}, {CORES} cores, {time.strftime('%Y-%m-%d')}"
+        with tempfile.TemporaryDirectory(dir=options.folder, prefix="jghand_scale_") as folder:
+            costs = measured(Path(folder), options.only.split(","), 10 if options.quick else 1)
+    lines = [*measured_table(costs, machine), "", *cost_table(costs, options.price)]
+    print("\n".join(lines))
+    if options.json:
+        content = {"machine": machine, "costs": {name: asdict(cost) for name, cost in costs.items()}}
+        options.json.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+    if options.page:
+        text = options.page.read_text(encoding="utf-8")
+        before, after = text.split(BEGIN)[0], text.split(END)[1]
+        options.page.write_text("\n".join([before + BEGIN, "", *lines, "", END + after]), encoding="utf-8")
+    return 0
+
+
+# ---- measured --------------------------------------------------------------------------------------------------------
+
+
+def measured(folder: Path, wanted: Iterable[str], divisor: int) -> dict[str, Cost]:
+    costs: dict[str, Cost] = {}
+    motion = folder / "wave.npz"
+    write_motion(motion, moving_hand(FRAMES))
+    if "render" in wanted:
+        for size in ("512x334", "1024x1024"):
+            costs |= rendering(folder / size, motion, size, max(20, FRAMES // divisor))
+    if "export" in wanted:
+        costs["export"] = exporting(folder / "export", motion, max(6, FRAMES // 4 // divisor))
+    if "capture" in wanted or "train" in wanted:
+        blender = ROOT / ".envs" / "blender" / "bin" / "python"
+        if not blender.is_file():
+            print("No .envs/blender: neither capture nor training is measured.", file=sys.stderr)
+            return costs
+        cost, capture = capturing(folder / "capture", 2 if divisor > 1 else 4)
+        costs["capture"] = cost
+        if "train" in wanted:
+            costs["train"] = training(folder / "train", capture, max(20, 300 // divisor))
+    return costs
+
+
+def moving_hand(frames: int) -> PoseSequence:
+    """Poses without a rest between them, over and over."""
+    joints_m = load_builtin(handedness=Handedness.RIGHT).canonical_joints_m.numpy()
+    options = MotionOptions(hold_s=0.0)
+    once = pose_sequence_of_names(POSES, joints_m, handedness=Handedness.RIGHT, options=options).joints_m[:-1]
+    times = -(-frames // len(once))
+    return PoseSequence(np.tile(once, (times, 1, 1))[:frames], 30.0, Handedness.RIGHT)
+
+
+def rendering(folder: Path, motion: Path, size: str, frames: int) -> dict[str, Cost]:
+    """One process that takes all cores, and one process per core."""
+    words = ["render", "--motion", motion, "--size", size]
+    one = run([[*words, "--frames", "0", "--out", folder / "one"]], folder / "one")
+    last = f"0-{frames - 1}"
+    alone = run([[*words, "--frames", last, "--out", folder / "alone"]], folder / "alone")
+    shards = [
+        [*words, "--frames", last, "--threads", "1", "--shard", f"{number}/{CORES}", "--out", folder / "shards"]
+        for number in range(1, CORES + 1)
+    ]
+    parted = run(shards, folder / "shards")
+    said = f"jghand render --motion FILE --size {size}"
+    found = {f"render {size}": difference(f"picture, {size}", "one process", one, alone, frames - 1, said)}
+    if CORES > 1:
+        each = run([shard_of_one(shard) for shard in shards], folder / "short")
+        said += f" --threads 1 --shard N/{CORES}"
+        found[f"render {size}, shards"] = difference(
+            f"picture, {size}", f"{CORES} processes", each, parted, frames - CORES, said
+        )
+    return found
+
+
+def shard_of_one(words: Sequence[object]) -> list[object]:
+    """The same shard of so many pictures as there are shards: one each."""
+    short = list(words)
+    short[short.index("--frames") + 1] = f"0-{CORES - 1}"
+    short[short.index("--out") + 1] = Path(str(short[short.index("--out") + 1])).with_name("short")
+    return short
+
+
+def exporting(folder: Path, motion: Path, frames: int) -> Cost:
+    words = ["export", "--motion", motion]
+    one = run([[*words, "--frames", "0", "--out", folder / "one"]], folder / "one")
+    many = run([[*words, "--frames", f"0-{frames - 1}", "--out", folder / "many"]], folder / "many")
+    return difference("frame of a USD stage", "one process", one, many, frames - 1, "jghand export --motion FILE")
+
+
+def capturing(folder: Path, poses: int) -> tuple[Cost, Path]:
+    words = ["capture", "--identity", "3", "--cameras", "4", "--close-ups", "0", "--subdivisions", "2"]
+    one = run([[*words, "--poses", "1", "--out", folder / "one"]], folder / "one")
+    many = run([[*words, "--poses", str(1 + poses), "--out", folder / "many"]], folder / "many")
+    cost = difference("picture of a capture, 334x512", "one process", one, many, 4 * poses,
+                      "jghand capture --subdivisions 2")  # fmt: skip
+    return cost, folder / "many"
+
+
+def training(folder: Path, capture: Path, steps: int) -> Cost:
+    """Of so few steps as of many: the schedule, which is coarse first, is stretched over them."""
+    one = run([["train", capture, "--steps", "1", "--out", folder / "one.jghand"]], folder / "one.jghand")
+    many = run([["train", capture, "--steps", str(steps), "--out", folder / "many.jghand"]], folder / "many.jghand")
+    cost = difference("step of a training", "one process", one, many, steps - 1, "jghand train CAPTURE --steps …")
+    # an avatar is not larger for more steps
+    return Cost(**{**asdict(cost), "mb": many.bytes / 1e6})
+
+
+def run(commands: Sequence[Sequence[object]], left: Path) -> Run:
+    """Runs processes at the same time. SystemExit with what one said that failed."""
+    started = time.perf_counter()
+    with contextlib.ExitStack() as logs:
+        processes = []
+        for words in commands:
+            log = logs.enter_context(tempfile.TemporaryFile("w+"))
+            process = subprocess.Popen([*JGHAND, *map(str, words)], stdout=log, stderr=subprocess.STDOUT)
+            processes.append((process, log))
+        core_s = peak_mb = 0.0
+        for process, log in processes:
+            # not by Popen: it forgets what the process took
+            _, status, used = os.wait4(process.pid, 0)
+            process.returncode = os.waitstatus_to_exitcode(status)
+            if process.returncode:
+                log.seek(0)
+                raise SystemExit(f"{process.args}\n{log.read()}")
+            core_s += used.ru_utime + used.ru_stime
+            peak_mb = max(peak_mb, used.ru_maxrss / 1e3)
+        return Run(time.perf_counter() - started, core_s, peak_mb, size_of(left))
+
+
+def size_of(path: Path) -> int:
+    if path.is_file():
+        return path.stat().st_size
+    return sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
+
+
+def difference(what: str, per: str, short: Run, long: Run, more: int, command: str) -> Cost:
+    """What one of `more` costs, by which a run was longer."""
+    return Cost(
+        what, per, (long.wall_s - short.wall_s) / more, (long.core_s - short.core_s) / more, long.peak_mb,
+        short.wall_s, (long.bytes - short.bytes) / more / 1e6, command,
+    )  # fmt: skip
+
+
+# ---- told ------------------------------------------------------------------------------------------------------------
+
+
+def measured_table(costs: dict[str, Cost], machine: str) -> list[str]:
+    head = ("one", "by", "takes", "core time", "start", "peak memory", "on disk", "command")
+    return [f"Measured on {machine}:", "", *markdown(head, [cost.row() for cost in costs.values()])]
+
+
+def cost_table(costs: dict[str, Cost], price: float) -> list[str]:
+    """Multiplied, not measured."""
+    needed = ("render 512x334", "capture", "train")
+    if any(name not in costs for name in needed):
+        return ["(No table of costs: it needs render, capture and train.)"]
+    render, capture, train = (costs[name] for name in needed)
+    rows = []
+    for identities, frames in SCALES:
+        parts_h = [
+            identities * PICTURES * capture.core_s / HOUR_S,
+            identities * STEPS * train.core_s / HOUR_S,
+            frames * render.core_s / HOUR_S,
+        ]
+        disk_gb = (identities * (PICTURES * capture.mb + train.mb) + frames * render.mb) / 1e3
+        total_h = sum(parts_h)
+        rows.append((
+            f"{identities:,}", f"{frames:,}", *(hours(part) for part in parts_h), hours(total_h),
+            days(total_h / CORES), f"{total_h / WEEK_H:,.1f}", f"{disk_gb:,.1f} GB", f"{total_h * price:,.2f}",
+        ))  # fmt: skip
+    head = (
+        "identities", "frames", "captures", "trainings", "rendering", "core time in all", f"on these {CORES} cores",
+        "cores for one week", "on disk", f"at {price:g} per core-hour",
+    )  # fmt: skip
+    return [
+        f"Extrapolated from the core times above, with {PICTURES} pictures and {STEPS:,} steps for each identity and "
+        "pictures of 512 x 334:",
+        "", *markdown(head, rows), "",
+        f"The arithmetic, for I identities and F frames: captures I * {PICTURES} * {capture.core_s:.2f} s, trainings "
+        f"I * {STEPS} * {train.core_s:.3f} s, rendering F * {render.core_s:.4f} s; on disk "
+        f"I * ({PICTURES} * {capture.mb:.3f} MB + {train.mb:.1f} MB) + F * {render.mb:.3f} MB. On the cores of this "
+        "machine: the core time in all, divided by their number.",
+    ]  # fmt: skip
+
+
+def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
+    rule = ["---", *["---:"] * (len(head) - 1)]
+    return ["| " + " | ".join(row) + " |" for row in (head, rule, *rows)]
+
+
+def seconds(value_s: float) -> str:
+    return f"{1e3 * value_s:.1f} ms" if value_s < 1 else f"{value_s:.2f} s"
+
+
+def hours(value_h: float) -> str:
+    return f"{value_h:,.0f} h" if value_h >= 10 else f"{value_h:.1f} h" if value_h >= 1 else f"{60 * value_h:.1f} min"
+
+
+def days(value_h: float) -> str:
+    return f"{value_h / 24:,.1f} days" if value_h >= 48 else hours(value_h)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
