@@ -40,7 +40,7 @@ def test_hands_are_found_where_they_are_and_are_the_hand_that_they_are(handednes
     assert len(found) == 1
     assert found[0].handedness is handedness
     distance = np.linalg.norm(found[0].image_px - CAMERA.project(truth), axis=-1) / found[0].size_px
-    assert np.median(distance) < 0.1, "seen: 0.05 of the hand's size"
+    assert np.median(distance) < 0.1, "seen: 0.062 and 0.071 of the hand's size"
 
 
 def test_a_picture_without_a_hand_has_none():
@@ -65,4 +65,4 @@ def test_the_hand_of_a_real_video_is_found_in_every_picture(shared_data):
     assert set(hands) == {Handedness.RIGHT}
     hand = hands[Handedness.RIGHT]
     assert hand.seen.all()
-    assert hand.jitter_after_deg < 0.4 * hand.jitter_before_deg, "seen: 0.22"
+    assert hand.jitter_after_deg < 0.4 * hand.jitter_before_deg, "seen: 0.19"

@@ -27,12 +27,12 @@ def test_the_bones_of_another_hand_are_found_from_its_pictures():
     seen = Landmarks(CAMERA.project(joints), bone_directions(joints), CAMERA, FPS)
     own = own_canonical_joints(CANONICAL_M, seen, 0.19)
     assert abs(hand_length(own) - 0.19) < 1e-12
-    assert off(own, truth) < 0.5 * off(CANONICAL_M, truth), "seen: 0.38, as it is held to where it starts"
+    assert off(own, truth) < 0.6 * off(CANONICAL_M, truth), "seen: 0.48, as it is held to where it starts"
 
 
 def test_of_the_same_hand_nothing_is_changed():
     joints = moving_poses(60).joints_m(Skeleton.of(CANONICAL_M))
     seen = Landmarks(CAMERA.project(joints), bone_directions(joints), CAMERA, FPS)
     own = own_canonical_joints(CANONICAL_M, seen, hand_length(CANONICAL_M))
-    # the pull of the poses to rest costs a little; worst seen 1 %
-    assert off(own, CANONICAL_M) < 0.02
+    # the pull of the poses to rest costs a little; seen: 0.2 %
+    assert off(own, CANONICAL_M) < 0.004

@@ -29,8 +29,8 @@ def tracked(truth_m):
 
 
 def test_a_perfectly_seen_motion_is_found(tracked, truth_m):
-    assert np.median(errors_deg(tracked.in_view, truth_m)) < 2, "seen: 0.9, the smoothing and the pull to rest"
-    assert np.abs(tracked.in_view - truth_m).max() < 0.02, "seen: 9 mm"
+    assert np.median(errors_deg(tracked.in_view, truth_m)) < 0.6, "seen: 0.3 degrees, the smoothing and the pull to rest"
+    assert np.abs(tracked.in_view - truth_m).max() < 0.003, "seen: 1.6 mm"
 
 
 def test_the_motion_has_y_up_and_looks_at_the_viewer(tracked):
@@ -58,7 +58,7 @@ def test_frames_without_the_hand_are_filled_and_marked(truth_m):
     hand = track(sightings, CANONICAL_M)[RIGHT]
     assert np.flatnonzero(hand.sequence.filled).tolist() == [0, 12, 13, 14, 39]
     assert hand.sequence.valid.all()
-    assert errors_deg(hand.in_view, truth_m)[12:15].max() < 20, "seen: 8 degrees"
+    assert errors_deg(hand.in_view, truth_m)[12:15].max() < 4, "seen: 1.8 degrees"
 
 
 def test_or_their_joints_are_left_missing(truth_m):
@@ -74,7 +74,7 @@ def test_a_known_length_sets_the_size_of_hand_and_way(tracked, truth_m):
     larger = track(sight(truth_m).sightings, CANONICAL_M, TrackOptions(hand_length_m=length))[RIGHT].sequence
     assert abs(hand_length(larger.joints_m) - length) < 1e-12
     ratio = larger.joints_m[:, 0] / tracked.sequence.joints_m[:, 0]
-    assert np.abs(np.median(ratio) - 1.25) < 0.02, "a larger hand that looks the same is farther away"
+    assert np.abs(np.median(ratio) - 1.25) < 1e-4, "a larger hand that looks the same is farther away"
 
 
 def test_in_place_keeps_the_wrist_where_it_is(truth_m):
