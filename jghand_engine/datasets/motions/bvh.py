@@ -59,12 +59,12 @@ def read(file: Path) -> MotionContent:
         wanted = {bone for hand in hands for bone in hand.bones if bone is not None}
         skeleton = _Bvh(header, _ancestors(header, wanted))
         skeleton.read_motion(lines)
-    tracks, notes = hand_tracks(skeleton, "")
+    tracks, lacking = hand_tracks(skeleton, "")
     fps = 1 / header.frame_time_s
     near = round(fps)
     # frame times in text have six digits
     fps = float(near) if near and abs(fps - near) < 1e-3 * near else fps
-    return MotionContent(KIND, tuple(tracks), fps=fps, notes=(*notes, *skeleton.notes), up=_up(skeleton))
+    return MotionContent(KIND, tuple(tracks), fps=fps, notes=(*skeleton.notes, *lacking), up=_up(skeleton))
 
 
 def _up(skeleton: _Bvh) -> str:

@@ -20,6 +20,7 @@ class HandTrack:
     part:       what to call it where a file holds several hands: a skeleton, a person, a capture; may be ""
     labelled:   the side is the label of a detector, which a mirrored picture or an older package turns round: what the
                 user says counts more. A side that stands in names of bones is no label
+    notes:      sentences about this hand
     """
 
     joints: np.ndarray
@@ -27,6 +28,7 @@ class HandTrack:
     order: JointOrder | None = JointOrder.STANDARD
     part: str = ""
     labelled: bool = False
+    notes: tuple[str, ...] = ()
 
     @property
     def frames_seen(self) -> int:

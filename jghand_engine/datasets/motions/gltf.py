@@ -71,14 +71,13 @@ def read(file: Path, fps: float | None, part: str | None) -> MotionContent:
     several. ValueError says what is wrong."""
     document = _Document(file)
     nodes = _nodes(document)
-    hands, lacking = hands_among([node.name for node in nodes])
+    hands, _ = hands_among([node.name for node in nodes])
     wanted = {bone for hand in hands for bone in hand.bones if bone is not None}
     kept = _with_ancestors(nodes, wanted)
     channels, notes = _channels(document, kept, part)
     skeleton = _Gltf(nodes, kept, channels, fps)
-    tracks, said = hand_tracks(skeleton, "")
-    said = said if tracks else lacking
-    return MotionContent(KIND, tuple(tracks), 1.0, fps=skeleton.fps, notes=(*notes, *said), up="y")
+    tracks, lacking = hand_tracks(skeleton, "")
+    return MotionContent(KIND, tuple(tracks), 1.0, fps=skeleton.fps, notes=(*notes, *lacking), up="y")
 
 
 class _Gltf:

@@ -194,7 +194,7 @@ def _chosen(file: Path, content: MotionContent, wanted: MotionFormat) -> tuple[H
         remedy = "Choose one with --hand right or --hand left." if len(sides) > 1 else "Choose one with --part NAME."
         shown = ", ".join(track.part or "a hand without a name" for track in tracks[:6])
         raise InputError(f"motion file {file}", wanted="one hand", came=f"{len(tracks)}: {shown}"[:300], remedy=remedy)
-    return tracks[0], notes
+    return tracks[0], [*notes, *tracks[0].notes]
 
 
 def _of_side(file: Path, tracks: list[HandTrack], side: Handedness) -> tuple[list[HandTrack], list[str]]:

@@ -48,22 +48,23 @@ class _Tip:
 
 
 def hand_tracks(skeleton: AnimatedSkeleton, part: str) -> tuple[list[HandTrack], list[str]]:
-    """The hands of a skeleton, which people call `part`, over all its frames; and sentences. [] when there are none."""
-    hands, notes = hands_among(skeleton.names)
+    """The hands of a skeleton, which people call `part`, over all its frames; and sentences about hands that lack
+    bones. [] when there are none."""
+    hands, lacking = hands_among(skeleton.names)
     tracks = []
     for hand in hands:
         tips, made = _tips(skeleton, hand)
         joints = _joints(skeleton, hand, tips)
         name = " ".join(word for word in (part, hand.part) if word)
-        tracks.append(HandTrack(joints, hand.handedness, JointOrder.STANDARD, name))
         side = "hand" if hand.handedness is None else f"{hand.handedness} hand"
-        notes.append(f"Its {side} was recognised by bones named as {hand.convention} names them.")
+        notes = [f"Its {side} was recognised by bones named as {hand.convention} names them."]
         if made:
             notes.append(
                 f"The {side} has no tips of {', '.join(made)}: they were put where the last bones lead, with usual "
                 "proportions."
             )
-    return tracks, notes
+        tracks.append(HandTrack(joints, hand.handedness, JointOrder.STANDARD, name, notes=tuple(notes)))
+    return tracks, lacking
 
 
 def _joints(skeleton: AnimatedSkeleton, hand: NamedHand, tips: dict[int, _Tip]) -> np.ndarray:

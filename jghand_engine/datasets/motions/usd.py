@@ -40,10 +40,11 @@ def read(file: Path, fps: float | None) -> MotionContent:
         if not query:
             raise ValueError(f"{prim.GetPath()} is no whole skeleton")
         skeleton = _UsdSkeleton(stage, query, animations.get(prim.GetPath()), fps)
-        found, said = hand_tracks(skeleton, str(prim.GetPath()) if len(prims) > 1 else "")
+        found, lacking = hand_tracks(skeleton, str(prim.GetPath()) if len(prims) > 1 else "")
         if found:
             rate = skeleton.fps
-            notes += [*said, *skeleton.notes]
+            notes += skeleton.notes
+        notes += lacking
         tracks += found
     metres = UsdGeom.GetStageMetersPerUnit(stage)
     if not (np.isfinite(metres) and metres > 0):
