@@ -6,7 +6,7 @@
     hand.splats.manifest.usdc  which attributes the clips hold
     hand.splats.0000.usdc ...  the frames
 
-A clip also holds the first frame of the next one: between two clips values are interpolated as everywhere.
+USD interpolates between the last frame of a clip and the first of the next one as everywhere.
 """
 
 from __future__ import annotations
@@ -44,8 +44,6 @@ class ClippedSplats:
         """The time sample of a frame, counted from 0."""
         time = self._time.code(frame)
         if frame % USD_CLIP_FRAMES == 0:
-            if self._open is not None:
-                self._open[1].put(sample, time)
             self._close()
             self._clips.append(self._names.clip(len(self._clips)))
             stage = new_layer(self._folder / self._clips[-1], self._time)

@@ -7,7 +7,6 @@ from pathlib import Path
 from pxr import Sdf, Usd, UsdUtils
 
 from jghand_engine.errors import RetryError
-from jghand_engine.exporters.usd_layers import announce_fallback
 from jghand_engine.exporters.usd_options import Package
 
 
@@ -16,13 +15,6 @@ def write_package(interface: Path, target: Path, package: Package) -> None:
     if package is Package.USDZ:
         made = UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(str(interface)), str(target))
     else:
-        made = _flatten(interface, target)
+        made = Usd.Stage.Open(str(interface)).Flatten().Export(str(target))
     if not made:
         raise RetryError(f"cannot write {target.name}", remedy="Check the disk and try again.")
-
-
-def _flatten(interface: Path, target: Path) -> bool:
-    layer = Usd.Stage.Open(str(interface)).Flatten()
-    # read from the root layer only, so flattening leaves it out
-    announce_fallback(Usd.Stage.Open(layer))
-    return layer.Export(str(target))

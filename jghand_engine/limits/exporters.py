@@ -69,7 +69,7 @@ USD_PROXY_STEP = 10
 # clients have it, Gaussians of the palm are up to 3.8 mm off
 USD_SKIN_BONES = 8
 # a longer take's Gaussians are cut into files that are read one at a time (value clips); shorter ones stay in one
-# file, because Blender and parsers other than Pixar's know no clips
+# file, because parsers other than Pixar's know no clips
 USD_CLIPS_ABOVE_FRAMES = 2000
 # frames in one of these files: 170 MB for 60,000 Gaussians
 USD_CLIP_FRAMES = 240

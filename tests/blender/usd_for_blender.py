@@ -1,6 +1,6 @@
 """Run by the engine's Python: writes a stage and what the engine says about it, for `test_usd_import`.
 
-usage: python usd_for_blender.py FOLDER VARIANT HANDEDNESS
+usage: python usd_for_blender.py FOLDER VARIANT HANDEDNESS, where VARIANT may also be "clips": points of a long take
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "exporters"))
 from usd_samples import engine_gaussians, engine_mesh, lively_motion, small_avatar
 
 from jghand_engine.colour import srgb_to_linear
+from jghand_engine.exporters import usd_clips, usd_options
 from jghand_engine.exporters.usd import UsdOptions, export_usd
 from jghand_engine.exporters.usd_options import Variant
 from jghand_engine.hand.joints import LEVEL_NAMES, Handedness
@@ -38,4 +39,8 @@ def main(folder: Path, variant: Variant, handedness: Handedness) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), Variant(sys.argv[2]), Handedness(sys.argv[3]))
+    name = sys.argv[2]
+    if name == "clips":
+        # so that twelve frames are a long take
+        usd_options.USD_CLIPS_ABOVE_FRAMES, usd_clips.USD_CLIP_FRAMES, name = 5, 4, "points"
+    main(Path(sys.argv[1]), Variant(name), Handedness(sys.argv[3]))

@@ -1,9 +1,13 @@
 import numpy as np
 import pytest
 from pxr import UsdSkel
+from scipy.spatial.transform import Rotation
 
 from jghand_engine.exporters.usd_skeleton import (
     JOINT_AXES,
+    BonePoses,
+    build_skeleton,
+    in_motion,
     joint_axes,
     joint_tokens,
     same_hemisphere,
@@ -58,6 +62,22 @@ def test_quaternions_never_jump_to_the_other_side_of_the_sphere():
     flipped = quaternions * np.random.default_rng(1).choice([-1.0, 1.0], (200, 1, 1))
     smooth = same_hemisphere(flipped)
     assert ((smooth[1:] * smooth[:-1]).sum(-1) > 0).all()
+
+
+def test_rotations_do_not_jump_between_the_parts_of_a_motion():
+    """A wrist that turns twice all round: without care its quaternions change sign somewhere."""
+    frames = 60
+    angle = np.linspace(0, 4 * np.pi, frames)
+    turn = Rotation.from_rotvec(angle[:, None] * [0.6, -0.48, 0.64]).as_matrix()
+    axes = np.broadcast_to(turn[:, None], (frames, 21, 3, 3))
+    joints_m = np.einsum("fab,jb->fja", turn, load_template().joints_m)
+    poses = BonePoses(joints_m, axes, np.ones((frames, 21, 3)))
+    parts = [BonePoses(*(getattr(poses, name)[part] for name in ("joints_m", "axes", "scales")))
+             for part in (slice(0, 1), *(slice(first, first + 7) for first in range(0, frames, 7)))]  # fmt: skip
+    skeleton = build_skeleton(parts[0])
+    rotations = np.concatenate([one.rotations_xyzw for one in in_motion(skeleton, parts[1:])])
+    assert len(rotations) == frames
+    assert ((rotations[1:] * rotations[:-1]).sum(-1) > 0.9).all()
 
 
 def test_influences_drop_nothing():
