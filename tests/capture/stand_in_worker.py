@@ -1,6 +1,7 @@
 """Stands in for jghand_cycles where there is no Blender: same lines of JSON, a disc instead of a hand.
 
-The environment says what goes wrong: JGHAND_STAND_IN_FAILS_AT, number of a picture at which the process ends.
+The environment says what goes wrong: JGHAND_STAND_IN_FAILS_AT, number of a picture at which the process ends, and how
+long a picture takes: JGHAND_STAND_IN_TAKES_S.
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import sys
+import time
 from pathlib import Path
 
 from PIL import Image, PngImagePlugin
@@ -20,6 +22,7 @@ def main() -> None:
     for number, line in enumerate(sys.stdin):
         if number == fails_at:
             sys.exit("the stand-in was told to fail")
+        time.sleep(float(os.environ.get("JGHAND_STAND_IN_TAKES_S", "0")))
         job = json.loads(line)
         camera = plan["cameras"][job["camera"]]
         picture = Image.new("RGBA", (camera["width"], camera["height"]), (200, 150, 120, 0))

@@ -6,8 +6,10 @@ import dataclasses
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -195,6 +197,34 @@ def test_finishing_annotates_what_was_left_out_meanwhile(tmp_path, monkeypatch, 
     monkeypatch.setattr(worker, "render", interrupted)
     assert capture(folder) == 0
     assert len(open_capture(folder).samples) == 42
+
+
+def test_a_farm_may_say_skip_existing_to_a_capture_too(copied, capsys):
+    assert capture(copied, "--skip-existing", "--shard", "2/2") == 0
+    assert "0 pictures" in capsys.readouterr().out
+
+
+def test_a_killed_capture_loses_at_most_the_picture_that_it_was_at(tmp_path, made):
+    folder = tmp_path / "killed"
+    program = (
+        "import sys\nfrom pathlib import Path\nfrom jghand_engine import limits\n"
+        "from jghand_engine.capture import worker\nfrom jghand_engine.cli import main\n"
+        f"worker.WORKER, limits.CAPTURE_SKIN_PX = Path({str(worker.WORKER)!r}), 128\nsys.exit(main())\n"
+    )
+    command = [sys.executable, "-c", program, *WORDS, "--out", str(folder), "--blender-python", sys.executable]
+    environment = {**os.environ, "JGHAND_STAND_IN_TAKES_S": "0.05", "OMP_NUM_THREADS": "1"}
+    process = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    until = time.monotonic() + 60
+    while len(pictures(folder)) < 5:
+        assert process.poll() is None
+        assert time.monotonic() < until
+        time.sleep(0.005)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    there = len(pictures(folder))
+    assert 5 <= there < 42
+    assert capture(folder) == 0
+    assert contents(folder) == contents(made)
 
 
 def test_one_shard_is_made_by_one_process(copied, capsys):
