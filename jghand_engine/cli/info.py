@@ -168,6 +168,7 @@ def motion_facts(path: Path, options: FormatOptions) -> dict[str, Any]:
         "fps": sequence.fps,
         "seconds": sequence.duration_s,
         "frames_with_missing_joints": len(sequence.gaps.frames),
+        "filled_frames": int(sequence.filled.sum()),
         "hand_length_mm": 1e3 * hand_length(sequence.joints_m),
         "bone_length_wobble_mm": 1e3 * float(np.nanmax(np.nanstd(lengths_m, axis=0))),
         "notes": list(read.notes),

@@ -44,6 +44,8 @@ def load_motion(options: MotionOptions, avatar: HandAvatar) -> Motion:
         sequence, source = _from_names(str(options.poses), options.format, avatar), f"poses {options.poses}"
     part = options.frame_slice()
     shown = sequence.section(part.start, part.stop, part.step)
+    if shown.filled.any():
+        notes.append(f"{int(shown.filled.sum())} of {len(shown)} frames were filled in by whoever made the motion.")
     if shown.gaps and options.on_missing == "stop":
         shown.without_gaps()
     sequence, said = without_gaps(sequence, hold=options.on_missing == "hold")

@@ -77,6 +77,11 @@ def test_a_film_becomes_a_motion_that_render_plays(film, sees, right, tmp_path, 
     size = ["--size", "96x64", "--preset", "draft", "--frames", "0:1"]
     assert main(["render", "--motion", str(out), "--out", str(tmp_path / "pictures"), *size]) == 0
     assert (tmp_path / "pictures" / "frame_00001.png").is_file()
+    size[-1] = "4:6"
+    assert main(["render", "--motion", str(out), "--out", str(tmp_path / "others"), *size]) == 0
+    assert "1 of 3 frames were filled in" in capsys.readouterr().out
+    assert main(["info", str(out)]) == 0
+    assert "filled" in capsys.readouterr().out
 
 
 def test_two_hands_become_two_files(film, sees, right, left, tmp_path):
