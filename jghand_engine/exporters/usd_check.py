@@ -21,6 +21,9 @@ from jghand_engine.limits import USD_CHECK_VARIANTS_MAX, USD_WEIGHT_SUM_TOLERANC
 
 PURPOSES = [UsdGeom.Tokens.default_, UsdGeom.Tokens.render, UsdGeom.Tokens.proxy, UsdGeom.Tokens.guide]
 
+# USD's names of what our own rules say in a sentence, also where USD has no validators
+SAID_BY_US = ("MissingDefaultPrim",)
+
 
 @dataclass(frozen=True)
 class Finding:
@@ -116,6 +119,8 @@ def _usd_findings(stage: Usd.Stage) -> Iterator[tuple[str, str]]:
         return
     registry = UsdValidation.ValidationRegistry()
     for error in UsdValidation.ValidationContext(registry.GetOrLoadAllValidators()).Validate(stage):
+        if error.GetName() in SAID_BY_US:
+            continue
         sites = [site.GetPrim().GetPath() for site in error.GetSites() if site.IsPrim()]
         yield str(sites[0]) if sites else "", f"{error.GetName()}: {error.GetMessage()}"
 

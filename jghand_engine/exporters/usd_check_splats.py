@@ -168,13 +168,21 @@ def _sample_findings(prim: Usd.Prim, scales: np.ndarray | None, count: int) -> I
             continue
         now = _values(prim, "scales", time)
         now = scales if now is None else now
-        if now is not None and len(now) == count:
-            radius = USD_SPLAT_EXTENT_SIGMA * now.max(axis=1, keepdims=True)
-            low, high = np.asarray(extent, np.float32)
-            below, above = low - (positions - radius).min(axis=0), (positions + radius).max(axis=0) - high
-            # not <=: an extent of NaN holds nothing
-            if not max(below.max(), above.max()) <= USD_EXTENT_TOLERANCE_M:
-                yield f"the extent at {name} does not hold the Gaussians to 3 standard deviations: they get culled"
+        known = now is not None and len(now) == count
+        radii = USD_SPLAT_EXTENT_SIGMA * now.max(axis=1, keepdims=True) if now is not None and known else 0.0
+        low, high = np.asarray(extent, np.float32)
+        # not <=: an extent of NaN holds nothing
+        if not _sticks_out(positions, low, high) <= USD_EXTENT_TOLERANCE_M:
+            yield f"the extent at {name} does not hold the Gaussians: they get culled"
+        elif not max(_sticks_out(positions - radii, low, high), _sticks_out(positions + radii, low, high)) <= (
+            USD_EXTENT_TOLERANCE_M
+        ):
+            yield Advice(f"the extent at {name} holds the centres, not 3 standard deviations: edges may get culled")
+
+
+def _sticks_out(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
+    """How far the farthest of points (N, 3) is outside of a box."""
+    return float(max((low - points.min(axis=0)).max(), (points.max(axis=0) - high).max()))
 
 
 def _authored(prim: Usd.Prim, name: str) -> bool:

@@ -78,6 +78,7 @@ def vectors(array) -> Vt.Vec3fArray:
         ("colorSpace:name", None, None, "no colour space is said"),
         ("extent", None, None, "there is no extent at Default time"),
         ("extent", vectors(np.zeros((2, 3))), 1, "extent at time 1 does not hold the Gaussians"),
+        ("extent", vectors([[-0.005, 0, -0.02], [0.1, 0.2, 0.1]]), None, "extent at Default time does not hold"),
         ("extent", vectors(np.zeros((1, 3))), None, "extent at Default time has 1 vectors"),
         ("extent", vectors(np.zeros((3, 3))), 2, "extent at time 2 has 3 vectors"),
         ("extent", vectors(np.full((2, 3), np.nan)), 1, "extent at time 1 does not hold the Gaussians"),
@@ -247,6 +248,15 @@ def lone_splats(path, parent: str = "/World", kind: str = "Xform", **values) -> 
     Usd.ColorSpaceAPI.Apply(prim).CreateColorSpaceNameAttr("srgb_rec709_scene")
     stage.Save()
     return stage
+
+
+def test_an_extent_of_bare_centres_is_noted(tmp_path):
+    stage = lone_splats(tmp_path / "theirs.usda")
+    stage.GetPrimAtPath("/World/Cloud").GetAttribute("extent").Set(vectors([[-1, -1, -1], [1, 1, 1]]))
+    stage.Save()
+    (found,) = check_usd(tmp_path / "theirs.usda")
+    assert "holds the centres, not 3 standard deviations" in found.sentence
+    assert not found.is_error
 
 
 def test_a_sound_stage_of_another_program_has_no_findings(tmp_path):
