@@ -7,12 +7,13 @@ import json
 import motion_samples as samples
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation, Slerp
 
 from jghand_engine.datasets.motion_files import MotionFormat
 from jghand_engine.datasets.motions.read import read_motion_file
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.orders import JointOrder, bone_lengths
+from jghand_engine.hand.orders import JointOrder, bone_lengths, from_level
 from jghand_engine.hand.sequence import PoseSequence
 
 RIGHT, LEFT = Handedness.RIGHT, Handedness.LEFT
@@ -124,6 +125,73 @@ def test_gltf_between_its_keys_turns_evenly(tmp_path, motion):
     assert np.ptp(bone_lengths(read.sequence.joints_m), axis=0).max() < SINGLE_M
 
 
+def test_gltf_between_its_keys_takes_the_short_way(tmp_path, motion):
+    """Quaternions that change their sign from key to key are the same turns."""
+    rig = samples.rig(motion.section(step=3))
+    document, binary = samples.gltf_document(rig)
+    flipped = bytearray(binary)
+    for channel in document["animations"][0]["channels"]:
+        if channel["target"]["path"] == "rotation":
+            accessor = document["accessors"][document["animations"][0]["samplers"][channel["sampler"]]["output"]]
+            start = document["bufferViews"][accessor["bufferView"]]["byteOffset"]
+            keys = np.frombuffer(binary, "<f4", 4 * accessor["count"], start).reshape(-1, 4).copy()
+            keys[1::2] *= -1
+            flipped[start : start + keys.nbytes] = keys.tobytes()
+    samples.write_glb(tmp_path / "a.glb", document, binary)
+    samples.write_glb(tmp_path / "b.glb", document, bytes(flipped))
+    as_it_was, turned = (read_motion_file(tmp_path / f"{name}.glb", MotionFormat(fps=30.0)) for name in "ab")
+    assert np.abs(as_it_was.sequence.joints_m - turned.sequence.joints_m).max() < 1e-12
+    # and evenly: the wrist's turn a third of the way is that of scipy
+    turns = Slerp([0, 1], Rotation.from_matrix(rig.local[:2, 0]))(1 / 3).as_matrix()
+    knuckles = [5, 9, 13, 17]
+    wanted = (rig.rest[2:6] - rig.rest[0]) @ turns.T
+    seen = from_level(turned.sequence.joints_m, JointOrder.STANDARD)[1]
+    np.testing.assert_allclose(seen[knuckles] - seen[0], wanted, atol=SINGLE_M)
+
+
+def test_splines_of_gltf_have_the_tangents_that_are_written(tmp_path, motion):
+    """A wrist whose place is a cubic of time, with two keys: the spline is that cubic."""
+    document, binary = samples.gltf_document(samples.rig(motion), "CUBICSPLINE")
+    cubic = np.array([[0.1, -0.2, 0.3], [1.0, 0.5, -0.7], [-2.0, 0.4, 1.1], [1.5, -0.9, 0.2]])
+    end = (len(motion) - 1) / 30
+    keys = []
+    for time in (0.0, end):
+        place = sum(cubic[power] * time**power for power in range(4))
+        speed = sum(power * cubic[power] * time ** (power - 1) for power in range(1, 4))
+        keys += [speed, place, speed]
+    extra = np.array([0.0, end], "<f4").tobytes() + np.array(keys, "<f4").tobytes()
+    document["bufferViews"] += [
+        {"buffer": 0, "byteOffset": len(binary), "byteLength": 8},
+        {"buffer": 0, "byteOffset": len(binary) + 8, "byteLength": 72},
+    ]
+    first = len(document["bufferViews"]) - 2
+    document["accessors"] += [
+        {"bufferView": first, "componentType": 5126, "count": 2, "type": "SCALAR"},
+        {"bufferView": first + 1, "componentType": 5126, "count": 6, "type": "VEC3"},
+    ]
+    animation = document["animations"][0]
+    place = next(channel for channel in animation["channels"] if channel["target"]["path"] == "translation")
+    number = len(document["accessors"])
+    animation["samplers"][place["sampler"]] = {
+        "input": number - 2,
+        "output": number - 1,
+        "interpolation": "CUBICSPLINE",
+    }
+    samples.write_glb(tmp_path / "a.glb", document, binary + extra)
+    read = read_motion_file(tmp_path / "a.glb")
+    times = np.arange(len(motion))[:, None] / 30
+    wanted = sum(cubic[power] * times**power for power in range(4))
+    np.testing.assert_allclose(read.sequence.joints_m[:, 0], wanted, atol=SINGLE_M)
+
+
+def test_scaled_parents_of_gltf_count(tmp_path, motion):
+    """As Mixamo's files have it: centimetres under a node of scale 0.01."""
+    document, binary = samples.gltf_document(samples.rig(motion, scale=100))
+    document["nodes"][0]["scale"] = [0.01] * 3
+    samples.write_glb(tmp_path / "a.glb", document, binary)
+    assert distance(read_motion_file(tmp_path / "a.glb"), motion) < SINGLE_M
+
+
 def test_of_several_animations_the_fullest_is_taken_unless_one_is_named(tmp_path, motion):
     document, binary = samples.gltf_document(samples.rig(motion))
     whole = document["animations"][0]
@@ -154,6 +222,26 @@ def test_usd_says_its_unit(tmp_path, motion, suffix, unit):
     read = read_motion_file(path)
     assert distance(read, motion) < SINGLE_M
     assert read.sequence.fps == 30.0
+
+
+def test_the_place_of_a_usd_skeleton_counts(tmp_path, motion):
+    """A character that walks: its skeleton moves and turns as a whole."""
+    from pxr import Gf, Usd, UsdGeom
+
+    samples.write_usd(tmp_path / "a.usda", samples.rig(motion))
+    stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
+    place = UsdGeom.Xformable(stage.GetPrimAtPath("/Character"))
+    moved, turned = place.AddTranslateOp(), place.AddRotateZOp()
+    for frame in range(len(motion)):
+        moved.Set(Gf.Vec3d(0.1 * frame, 0.0, -1.0), frame)
+        turned.Set(3.0 * frame, frame)
+    stage.Save()
+    turns = Rotation.from_rotvec(np.outer(3.0 * np.arange(len(motion)), [0, 0, 1]), degrees=True).as_matrix()
+    walk = np.stack([0.1 * np.arange(len(motion)), np.zeros(len(motion)), np.full(len(motion), -1.0)], axis=-1)
+    wanted = np.einsum("fij,fkj->fki", turns, motion.joints_m) + walk[:, None]
+    read = read_motion_file(tmp_path / "a.usda")
+    # single precision of angles and of joints some metres away; worst seen 3e-7 m
+    np.testing.assert_allclose(read.sequence.joints_m, wanted, atol=1e-6)
 
 
 def test_our_own_stage_is_read_back(tmp_path, motion):
@@ -320,7 +408,7 @@ def test_a_recording_of_freemocap_is_a_folder_with_both_hands(tmp_path, motion):
 @pytest.mark.parametrize("order", [JointOrder.STANDARD, JointOrder.INTERHAND, JointOrder.MANO16_TIPS, JointOrder.LEVEL])
 @pytest.mark.parametrize("unit", ["m", "cm", "mm"])
 def test_order_and_unit_of_a_plain_array_are_recognised_and_told(tmp_path, motion, order, unit):
-    from jghand_engine.hand.orders import METRES_PER_UNIT, from_level
+    from jghand_engine.hand.orders import METRES_PER_UNIT
 
     np.save(tmp_path / "a.npy", from_level(motion.joints_m, order) / METRES_PER_UNIT[unit])
     read = read_motion_file(tmp_path / "a.npy", MotionFormat(handedness=RIGHT))
