@@ -259,7 +259,7 @@ REGION_MIN_PX = 1
 
 # what a USD stage holds beside its samples: skeleton and mesh, and of every Gaussian what does not move (measured)
 USD_STATIC_BYTES = 300_000
-USD_STATIC_GAUSSIAN_BYTES = 36
+USD_STATIC_GAUSSIAN_BYTES = 98
 # Gaussians of the avatar that comes with JGHand; a test compares
 BUILTIN_GAUSSIANS = 40_000
 # diameter of a baked point in two standard deviations of its splat: balls of this size close the skin

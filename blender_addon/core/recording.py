@@ -127,7 +127,7 @@ class Written:
         if self.ply:
             return gaussians * frames * _PLY_BYTES
         sample = _POSITION_BYTES + _SIZE_BYTES * self.sizes + _COLOUR_BYTES * learnt
-        still = gaussians * limits.USD_STATIC_GAUSSIAN_BYTES + limits.USD_STATIC_BYTES
+        still = gaussians * (limits.USD_STATIC_GAUSSIAN_BYTES + _COLOUR_BYTES * (not learnt)) + limits.USD_STATIC_BYTES
         return gaussians * (frames + 1) * sample + still + gaussians * frames * _CACHE_BYTES * self.cache
 
 
