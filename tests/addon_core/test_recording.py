@@ -133,7 +133,7 @@ def test_a_disk_that_is_too_small_is_told():
 
 
 def test_the_estimate_of_an_export_is_its_size(tmp_path):
-    """Of a motion without two frames alike. Worst observed: 9 % too much of a USD stage, which packs colours a bit."""
+    """Of a motion without two frames alike. Worst observed: 5 % too much of a USD stage, which packs colours a bit."""
     pytest.importorskip("torch", reason="needs the engine's packages")
     from jghand_engine.avatar.builtin import load_builtin, load_painted
     from jghand_engine.datasets.motion_files import read_motion as engine_read
