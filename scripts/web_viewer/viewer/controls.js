@@ -25,6 +25,7 @@ export class Controls {
   showAbout() {
     const { name, licence, handedness, gaussians, learnt_from: learnt, notes } = this.description;
     find('subtitle').textContent = `${handedness === 'left' ? 'Left' : 'Right'} hand · ${gaussians.toLocaleString('en')} Gaussians`;
+    find('credit').textContent = licence;
     const lines = [...(name === document.title ? [] : [name]), ...(learnt ? [`Learnt from ${learnt}`] : []), `Licence: ${licence}`, ...notes];
     find('about').append(...lines.map((line) => Object.assign(document.createElement('p'), { textContent: line })));
     const credit = Object.assign(document.createElement('p'), { textContent: `${this.description.made_by}. Drawn by three.js and Spark; licences in LICENSES.txt.` });

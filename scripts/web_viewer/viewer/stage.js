@@ -34,7 +34,7 @@ export class Stage {
     this.slow = 0;
     this.posed = true;
     new ResizeObserver(() => this.resize()).observe(canvas.parentElement);
-    canvas.addEventListener('webglcontextrestored', () => this.ask());
+    canvas.addEventListener('webglcontextrestored', () => this.changed());
     this.resize();
     this.home();
   }
@@ -152,10 +152,13 @@ export class Stage {
     if (!this.fixed) this.controls.update();
     this.camera.updateMatrixWorld();
     this.show();
-    await this.spark.update({ scene: this.scene, camera: this.camera });
-    this.renderer.render(this.scene, this.camera);
-    this.drawn = (this.drawn ?? 0) + 1;
-    this.drawing = false;
+    try {
+      await this.spark.update({ scene: this.scene, camera: this.camera });
+      this.renderer.render(this.scene, this.camera);
+      this.drawn = (this.drawn ?? 0) + 1;
+    } finally {
+      this.drawing = false;
+    }
     if (more || this.again) this.ask();
     if (more) this.watchSpeed(took);
     this.running = Boolean(this.asked);
