@@ -15,13 +15,13 @@ import numpy as np
 
 from jghand_engine import __version__
 from jghand_engine.colour import srgb_to_linear
+from jghand_engine.datasets.gltf_content import BINARY_CHUNK, JSON_CHUNK, MAGIC, VERSION
 from jghand_engine.exporters.pictures import to_bytes
 from jghand_engine.exporters.splat_cloud import SplatCloud
 from jghand_engine.limits import SH_C0
 
 EXTENSION = "KHR_gaussian_splatting"
 BYTES_PER_GAUSSIAN = 60
-MAGIC, VERSION, JSON_CHUNK, BINARY_CHUNK = 0x46546C67, 2, 0x4E4F534A, 0x004E4942
 _POINTS, _FLOAT, _UNSIGNED_BYTE, _ARRAY_BUFFER = 0, 5126, 5121, 34962
 _TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 
@@ -34,7 +34,7 @@ def glb_bytes(cloud: SplatCloud) -> bytes:
     text += b" " * (-len(text) % 4)
     total = 12 + 8 + len(text) + 8 + len(binary)
     return b"".join((
-        struct.pack("<III", MAGIC, VERSION, total),
+        struct.pack("<4sII", MAGIC, VERSION, total),
         struct.pack("<II", len(text), JSON_CHUNK), text,
         struct.pack("<II", len(binary), BINARY_CHUNK), binary,
     ))  # fmt: skip

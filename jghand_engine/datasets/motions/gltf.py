@@ -11,7 +11,6 @@ from __future__ import annotations
 import base64
 import binascii
 import math
-import struct
 from dataclasses import dataclass
 from mmap import ACCESS_READ, mmap
 from pathlib import Path, PurePosixPath
@@ -23,6 +22,7 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from jghand_engine import limits
+from jghand_engine.datasets.gltf_content import MAGIC, accessor_rows, glb_chunks, list_entry, objects
 from jghand_engine.datasets.motions.bone_names import hands_among
 from jghand_engine.datasets.motions.content import MotionContent
 from jghand_engine.datasets.motions.json_text import JsonText
@@ -30,12 +30,7 @@ from jghand_engine.datasets.motions.skeleton import hand_tracks
 from jghand_engine.hand.rotations import slerp
 
 KIND = "glTF"
-MAGIC = b"glTF"
-_JSON_CHUNK, _BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 _LISTS = ("nodes", "animations", "accessors", "bufferViews", "buffers")
-_WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
-# component type -> numpy's, and what a whole one stands for where it is normalised
-_COMPONENTS = {5126: ("<f4", 1), 5121: ("u1", 255), 5123: ("<u2", 65535), 5120: ("i1", 127), 5122: ("<i2", 32767)}
 _PATHS = {"translation": 3, "rotation": 4, "scale": 3}
 
 
@@ -230,58 +225,22 @@ class _Document:
                 self.lists[name] = entries
         self._buffers: dict[int, memoryview] = {}
 
-    def entry(self, name: str, index: Any) -> dict[str, Any]:
-        """One entry of a list. ValueError."""
-        entries = self.lists.get(name, [])
-        if not isinstance(index, int) or isinstance(index, bool) or not 0 <= index < len(entries):
-            raise ValueError(f"no {name} of number {str(index)[:40]}")
-        return entries[index]
-
     def values(self, index: Any, width: int) -> np.ndarray:
         """(N, width) float64 of an accessor. ValueError when its bytes are not there."""
-        accessor = self.entry("accessors", index)
-        if "sparse" in accessor or _WIDTHS.get(str(accessor.get("type"))) != width:
-            raise ValueError(f"a sparse accessor, or one of type {str(accessor.get('type'))[:40]}")
-        component = accessor.get("componentType")
-        if not isinstance(component, int) or component not in _COMPONENTS:
-            raise ValueError(f"component type {str(component)[:40]}")
-        dtype, one = _COMPONENTS[component]
-        view = self.entry("bufferViews", accessor.get("bufferView"))
-        buffer = self._buffer(view.get("buffer"))
-        each = np.dtype(dtype).itemsize
-        count, stride = _whole(accessor, "count"), _whole(view, "byteStride", each * width)
-        start, size = _whole(view, "byteOffset", 0), _whole(view, "byteLength")
-        inner = _whole(accessor, "byteOffset", 0)
-        if not count or stride < each * width or start + size > len(buffer):
-            raise ValueError("a view beyond its buffer")
-        if inner + (count - 1) * stride + each * width > size:
-            raise ValueError(f"an accessor of {count} rows beyond its bytes")
-        array = np.ndarray((count, width), dtype, buffer, start + inner, (stride, each)).astype(np.float64)
+        rows, one = accessor_rows(self.lists, index, width, self._buffer)
+        array = rows.astype(np.float64)
         if not np.isfinite(array).all():
             raise ValueError("keys that are no finite numbers")
         return np.maximum(array / one, -1.0) if one > 1 else array
 
     def _glb(self, file: Path) -> JsonText:
         with open(file, "rb") as stream:
-            content = mmap(stream.fileno(), 0, access=ACCESS_READ)
-        size = len(content)
-        if size < 20:
-            raise ValueError(f"{size} bytes")
-        _, version, total, text_bytes, kind = struct.unpack_from("<IIIII", content)
-        if (version, kind) != (2, _JSON_CHUNK) or total != size:
-            raise ValueError("no glTF 2.0, or cut off before its end")
-        if text_bytes > min(limits.GLTF_JSON_MAX_BYTES, size - 20):
-            raise ValueError(f"a description of {text_bytes} bytes")
-        start = 20 + text_bytes
-        if size >= start + 8:
-            binary_bytes, kind = struct.unpack_from("<II", content, start)
-            if kind != _BINARY_CHUNK or binary_bytes > size - start - 8:
-                raise ValueError("a binary chunk beyond the file")
-            self._binary = memoryview(content)[start + 8 : start + 8 + binary_bytes]
-        return JsonText(content[20:start].decode("utf-8"))
+            content = memoryview(mmap(stream.fileno(), 0, access=ACCESS_READ))
+        text, self._binary = glb_chunks(content, limits.GLTF_JSON_MAX_BYTES)
+        return JsonText(bytes(text).decode("utf-8"))
 
     def _buffer(self, index: Any) -> memoryview:
-        buffer = self.entry("buffers", index)
+        buffer = list_entry(self.lists, "buffers", index)
         if index not in self._buffers:
             self._buffers[index] = self._loaded(buffer)
         return self._buffers[index]
@@ -311,7 +270,7 @@ def _nodes(document: _Document) -> list[_Node]:
     parents = [-1] * len(entries)
     for place, entry in enumerate(entries):
         for child in entry.get("children", ()):
-            document.entry("nodes", child)
+            list_entry(document.lists, "nodes", child)
             if parents[child] >= 0 or child == place:
                 raise ValueError("a node with two parents")
             parents[child] = place
@@ -361,7 +320,7 @@ def _channels(document: _Document, kept: list[int], part: str | None) -> tuple[l
     moving = []
     for number, animation in enumerate(animations):
         name = str(animation.get("name", f"animation {number}"))
-        touched = [entry for entry in _objects(animation, "channels") if _target(entry) in kept]
+        touched = [entry for entry in objects(animation, "channels") if _target(entry) in kept]
         if touched:
             moving.append((name, animation, touched))
     if part is not None and any(part.casefold() in name.casefold() for name, _, _ in moving):
@@ -373,7 +332,7 @@ def _channels(document: _Document, kept: list[int], part: str | None) -> tuple[l
     if len(moving) > 1:
         others = ", ".join(other for other, _, _ in moving if other != name)[:200]
         notes.append(f"Of its {len(moving)} animations '{name}' was taken; --part chooses another: {others}.")
-    samplers = _objects(animation, "samplers")
+    samplers = objects(animation, "samplers")
     return [channel for entry in touched if (channel := _channel(document, samplers, entry)) is not None], notes
 
 
@@ -399,18 +358,3 @@ def _channel(document: _Document, samplers: list[dict[str, Any]], entry: dict[st
     if len(values) != rows or (np.diff(times_s) <= 0).any() or not math.isfinite(times_s[-1]):
         raise ValueError("keys whose times do not rise, or without a value each")
     return _Channel(entry["target"]["node"], path, interpolation, times_s, values)
-
-
-def _objects(entry: dict[str, Any], name: str) -> list[dict[str, Any]]:
-    values = entry.get(name, [])
-    if not isinstance(values, list) or not all(isinstance(value, dict) for value in values):
-        raise ValueError(f"{name} that are no objects")
-    return values
-
-
-def _whole(entry: dict[str, Any], name: str, default: int | None = None) -> int:
-    """A count or an offset."""
-    number = entry.get(name, default)
-    if not isinstance(number, int) or isinstance(number, bool) or not 0 <= number < 2**40:
-        raise ValueError(f"{name} {str(number)[:40]}")
-    return number
