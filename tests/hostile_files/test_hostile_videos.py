@@ -41,7 +41,11 @@ def test_an_empty_file(tmp_path):
     refused(tmp_path / "empty.mp4", "no bytes")
 
 
-@pytest.mark.parametrize("content", [b"\x00" * 4096, b"no film at all\n" * 100, b"\x89PNG\r\n\x1a\n" + b"\x00" * 64])
+@pytest.mark.parametrize(
+    "content",
+    [b"\x00" * 4096, b"no film at all\n" * 100, b"\x89PNG\r\n\x1a\n" + b"\x00" * 64],
+    ids=["zeros", "text", "picture"],
+)
 def test_something_else(tmp_path, content):
     (tmp_path / "odd.mp4").write_bytes(content)
     refused(tmp_path / "odd.mp4", "a film that ffmpeg can read")

@@ -45,7 +45,10 @@ def test_a_label_that_is_wrong_half_of_the_time_is_outvoted_by_the_shape():
 
 
 def test_one_hand_found_twice_is_one_hand():
-    frames = [[seen(joints, RIGHT), seen(joints + 0.002, LEFT, 0.6)] for joints in JOINTS_M]
+    """The second time as its own mirror image, less surely: by itself it would be a left hand."""
+    middle = JOINTS_M.mean(1, keepdims=True)
+    mirrored = (JOINTS_M - middle) * (-1, 1, 1) + middle
+    frames = [[seen(b, LEFT, 0.6), seen(a, RIGHT)] for a, b in zip(JOINTS_M, mirrored, strict=True)]
     found = hands_over_time(frames, FPS)
     assert set(found) == {RIGHT}
     assert found[RIGHT].relabelled == 0
