@@ -20,6 +20,8 @@ from ..core import limits, pacing
 from . import clock, gpu_picture, guard, left_out, picture, rendering, seen_hands, views
 
 _status: tuple[object, ...] = ()
+# what the panels say of hands that do not show: names and kinds
+_problems: list[tuple[str, str]] = []
 _panels_drawn_s = 0.0
 
 
@@ -35,6 +37,7 @@ def tick() -> float:
     left_out.show()
     guard.show()
     _follow_status()
+    _follow_problems()
     _redraw(views.try_again())
     shown = views.all_views()
     if not shown:
@@ -96,6 +99,15 @@ def _follow_status() -> None:
         _redraw_panels(soon=True)
     elif status.state in ("starting", "slow", "stopping") or status.busy:
         _redraw_panels(soon=False)
+
+
+def _follow_problems() -> None:
+    """Notices when a hand begins or ceases not to show: that may come from no click that draws a panel."""
+    global _problems
+    now = [(name, failure.kind) for name, failure in views.problems()]
+    if now != _problems:
+        _problems = now
+        _redraw_panels(soon=True)
 
 
 def _redraw_panels(*, soon: bool) -> None:

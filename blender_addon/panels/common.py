@@ -17,7 +17,7 @@ CLOSED = {"DEFAULT_CLOSED"}
 # Blender's own, which labels have
 _FONT = 0
 # pixels, at the interface's scale of one, that a panel keeps free at its sides, and that an icon takes
-_MARGIN_PX, _ICON_PX = 62, 20
+_MARGIN_PX, _ICON_PX = 76, 20
 # a sidebar without a window
 _WIDTH_PX = 240
 

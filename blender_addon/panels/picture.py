@@ -52,7 +52,7 @@ class ViewPanel(Sidebar, bpy.types.Panel):
             "Blender's Viewport Render Image and Viewport Render Animation ask no extension, so hands are not in them. "
             "For a quick film, render the animation with the JGHand engine at the quality Draft or Viewport"
         )
-        common.explained(layout, panel_text.Line(iface_("Not in Viewport Render"), tip=tip), icon="INFO")
+        common.explained(layout, panel_text.Line(iface_("Viewport Render leaves hands out"), tip=tip), icon="INFO")
         if versions.has_native_splats():
             text = iface_("This Blender has splat objects. JGHand does not make them of hands yet: it shows pictures")
             common.paragraph(layout, context, text, icon="INFO")

@@ -125,7 +125,7 @@ def test_soft_edges_are_mixed_with_what_is_behind_them(scene, engine_python):
     soft = seen & (rgba[..., 3] > 0.1) & (rgba[..., 3] < 0.9)
     assert soft.sum() > 100
     # one 8-bit step of rounding
-    assert np.abs(came[seen] - wanted[seen]).max() < 1.5 / 255
+    assert np.abs(came[seen] - np.minimum(wanted[seen], 1.0)).max() < 1.5 / 255  # a file has no highlight above white
 
 
 def test_size_and_region_are_those_of_the_scene(scene):

@@ -96,15 +96,16 @@ def pixels(path: Path) -> np.ndarray:
 
 
 def viewports_picture(link: EngineLink, scene: bpy.types.Scene) -> np.ndarray:
-    """(H, W, 4) premultiplied, display colours: what a view that looks through the scene's camera gets when it is
-    still."""
+    """(H, W, 4) premultiplied, display colours: what a view that looks through the scene's camera shows when it is
+    still. No colour is brighter than white, as its shader has it: a highlight on a soft edge may be."""
     depsgraph = bpy.context.evaluated_depsgraph_get()
     read = sources.read_hands(scene.objects["Right Hand"], depsgraph)
     header, arrays = picture_request(
         camera.pinhole(scene.camera, depsgraph), read, preset=scene.jghand.render_preset, outputs=["rgba_u8"]
     )
     reply = link.request(header, arrays, timeout_s=limits.LOAD_S)
-    return np.asarray(reply.arrays["rgba_u8"].view()).astype(np.float32) / 255
+    picture = np.asarray(reply.arrays["rgba_u8"].view()).astype(np.float32) / 255
+    return np.minimum(picture, picture[..., 3:])
 
 
 # ---- 1. it works in the viewport and F12 is empty --------------------------------------------------------------------

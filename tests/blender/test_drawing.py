@@ -145,4 +145,4 @@ def test_the_view_panel_says_that_viewport_renders_have_no_hands(extension, monk
     bpy.ops.jghand.add_hand()
     seen = drawn(ViewPanel, extension)
     tips = {one.text: one.settings.get("text") for one in seen.drawn if one.function == "operator"}
-    assert "render the animation with the JGHand engine" in tips["Not in Viewport Render"]
+    assert "render the animation with the JGHand engine" in tips["Viewport Render leaves hands out"]

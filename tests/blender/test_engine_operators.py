@@ -11,6 +11,7 @@ import pytest
 from recording_layout import RecordingLayout, draw, operator_type
 
 from blender_addon import preferences, runtime
+from blender_addon.core import programs
 from blender_addon.core.engine_check import CheckResult, Finding
 from blender_addon.core.engine_command import VARIABLE
 from blender_addon.core.link import EngineLink
@@ -97,7 +98,8 @@ def test_a_check_of_the_python_of_blender_finds_no_engine(extension, monkeypatch
     result = runtime.check().result
     assert result.failure == "no_engine"
     # JGHand's folder is known, because the extension is used out of it
-    assert result.mend == f'"{sys.executable}" -m pip install "{Path(__file__).resolve().parents[2]}"'
+    folder = str(Path(__file__).resolve().parents[2])
+    assert result.mend == programs.in_terminal([sys.executable, "-m", "pip", "install", folder])
 
 
 WRONG = CheckResult(

@@ -6,6 +6,7 @@ import json
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from contextlib import contextmanager
 from pathlib import Path
 from types import SimpleNamespace
@@ -249,15 +250,32 @@ def test_what_the_engine_refuses_is_told_with_its_own_words(extension, engine, t
     assert bpy.ops.jghand.show_job_log(key=job_watch.OUTPUT) == {"FINISHED"}
 
 
+def a_copy(made: Path, make: Callable[[Path], None], tmp_path: Path) -> bpy.types.Object:
+    """The hand of a file that was made once, with all that lies beside it: each test has a copy of its own."""
+    if not (made / "whole").exists():
+        shutil.rmtree(made, ignore_errors=True)
+        save_as(made / "scene.blend")
+        make(made)
+        bpy.ops.wm.save_mainfile()
+        (made / "whole").touch()
+    shutil.copytree(made, tmp_path, dirs_exist_ok=True)
+    (tmp_path / "whole").unlink()
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "scene.blend"))
+    return bpy.context.object
+
+
 @pytest.fixture
-def baked(extension, engine, tmp_path):
+def baked(extension, engine, tmp_path, tmp_path_factory):
     """A scene, saved, with a baked hand: (context, hand, joints)."""
-    hand = a_hand(extension)
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
-    hand = bpy.context.object
-    extension.scene.jghand.output.bake_folder = "//bakes"
-    assert bpy.ops.jghand.bake() == {"FINISHED"}
-    return bpy.context, hand, seen_joints(bpy.context, hand)
+
+    def make(folder: Path) -> None:
+        hand = a_hand(extension)
+        bpy.context.scene.jghand.output.bake_folder = "//bakes"
+        assert bpy.ops.jghand.bake() == {"FINISHED"}
+        np.save(folder / "joints.npy", seen_joints(bpy.context, hand))
+
+    hand = a_copy(tmp_path_factory.getbasetemp() / "baked", make, tmp_path)
+    return bpy.context, hand, np.load(tmp_path / "joints.npy")
 
 
 def cloud_positions(context, cloud) -> np.ndarray:
@@ -454,11 +472,9 @@ def test_what_jobs_are_given_is_in_a_folder_of_each_and_gone_when_they_are_over(
     for folder in (one, other):
         folders.remove_job_folder(folder)
     a_hand(extension)
-    settings = extension.scene.jghand.output
-    settings.folder, settings.bake_folder, settings.use_cache = str(tmp_path / "out"), str(tmp_path / "bakes"), True
+    extension.scene.jghand.output.folder = str(tmp_path / "out")
     before = set(folders.user_folder("jobs").iterdir())
     bpy.ops.jghand.export()
-    bpy.ops.jghand.bake()
     assert set(folders.user_folder("jobs").iterdir()) == before
 
 
@@ -546,14 +562,16 @@ def test_the_extension_alone_plays_what_usd_plays_elsewhere(extension, engine, t
 
 
 @pytest.fixture
-def played(extension, engine, tmp_path, monkeypatch):
+def played(extension, engine, tmp_path, tmp_path_factory, monkeypatch):
     """A saved file whose bake the extension plays, and its folder."""
-    hand = a_hand(extension)
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
-    hand = bpy.context.object
+
+    def make(_folder: Path) -> None:
+        a_hand(extension)
+        assert bpy.ops.jghand.bake() == {"FINISHED"}
+        assert bpy.ops.jghand.play_bake() == {"FINISHED"}
+
     monkeypatch.setattr(versions, "has_usd", lambda: False)
-    assert bpy.ops.jghand.bake() == {"FINISHED"}
-    assert bpy.ops.jghand.play_bake() == {"FINISHED"}
+    hand = a_copy(tmp_path_factory.getbasetemp() / "played", make, tmp_path)
     folder = bake_folders.bake_folder(hand)
     (thing,) = baked_points.playing(bpy.context.scene, folder)
     return thing, folder
@@ -599,7 +617,9 @@ def test_frames_of_a_longer_bake_are_not_left_over(extension, engine, tmp_path):
     hand = a_hand(extension)
     settings = extension.scene.jghand.output
     settings.bake_folder, settings.use_cache = str(tmp_path), True
+    jobs = set(folders.user_folder("jobs").iterdir())
     bpy.ops.jghand.bake()
+    assert set(folders.user_folder("jobs").iterdir()) == jobs  # what the job was given is gone with it
     assert len(list(tmp_path.glob("**/*.splat"))) == FRAMES
     extension.scene.frame_end -= 1
     bpy.ops.jghand.bake()

@@ -18,6 +18,7 @@ from blender_addon.bridge.engine_name import ENGINE
 from blender_addon.bridge.view_camera import view_camera
 from blender_addon.core import cropping, limits, pacing, posing
 from blender_addon.core.link import EngineLink
+from blender_addon.core.messages import JGHandFailure
 
 SIZE = (320, 200)
 
@@ -570,3 +571,22 @@ def test_a_hand_that_left_the_view_is_drawn_no_more_and_asked_for_when_it_comes_
 def test_the_draw_handler_can_be_added_and_removed_twice(extension):
     for function in (picture.install, picture.install, picture.remove, picture.remove):
         function()
+
+
+def test_panels_are_drawn_anew_when_a_hand_begins_or_ceases_not_to_show(extension, installed, monkeypatch):
+    drawn = []
+    monkeypatch.setattr(sync, "_redraw_panels", lambda *, soon: drawn.append(soon))
+    monkeypatch.setattr(sync, "_follow_status", lambda: None)
+    monkeypatch.setattr(sync, "_problems", [])
+    found: list[tuple[str, JGHandFailure]] = []
+    monkeypatch.setattr(views, "problems", lambda: list(found))
+    for problems in (
+        [],
+        [],
+        [("hand", JGHandFailure("mirrored", "a"))],
+        [("hand", JGHandFailure("mirrored", "b"))],
+        [],
+    ):
+        found[:] = problems
+        sync.tick()
+    assert drawn == [True, True]

@@ -8,7 +8,7 @@ import numpy as np
 
 from in_blender.pictures import skin
 
-FRAMES = 20_000
+FRAMES = 60_000
 
 
 def step_a_hand_is_there(window):
@@ -29,7 +29,7 @@ def step_a_long_motion_is_chosen_and_ended_with_escape(window):
     before = _counts()
     yield from _choose(window, "long.npz")
     yield lambda: _timer_of(window) is not None
-    yield 0.5
+    yield 1.5
     window.picture("importing")
     yield from window.point_at_view()
     yield from window.key("Escape")
