@@ -235,8 +235,13 @@ def rebuilt(root_m: np.ndarray, directions: np.ndarray, lengths_m: np.ndarray) -
 
 
 def pose_between(first_m: np.ndarray, second_m: np.ndarray, part: float) -> np.ndarray:
-    """Joints (21, 3) at `part`, 0..1, of the way between two poses (21, 3): bones turn and keep their lengths."""
-    return poses_between(first_m[None], second_m[None], np.full((1, 1, 1), part))[0]
+    """Joints (21, 3) at `part`, 0..1, of the way between two poses (21, 3): bones turn and keep their lengths.
+
+    For poses of neighbouring moments, many times a frame: the palm is not turned as a whole as in `poses_between`.
+    """
+    first_m, second_m, share = first_m[None], second_m[None], np.full((1, 1), part)
+    between = _directions_between(bone_directions(first_m), bone_directions(second_m), share)
+    return _rebuilt_between(first_m, second_m, between, share)[0]
 
 
 def poses_between(first_m: np.ndarray, second_m: np.ndarray, part: np.ndarray) -> np.ndarray:
@@ -245,15 +250,26 @@ def poses_between(first_m: np.ndarray, second_m: np.ndarray, part: np.ndarray) -
     Wrists and lengths go linearly, the palm turns the short way, and directions go along great circles inside of it:
     a hand that turns keeps its shape, and neither fingers nor palm shrink on the way.
     """
-    turned_first, turned_second, turned = _palms_between(first_m, second_m, part[:, 0, 0])
-    a, b = (
-        torch.from_numpy(np.einsum("fji,fbj->fbi", palm, bone_directions(joints))).movedim(-1, 0)
-        for palm, joints in ((turned_first, first_m), (turned_second, second_m))
+    share = part[..., 0]
+    palm_first, palm_second, palm = _palms_between(first_m, second_m, share[:, 0])
+    inside = _directions_between(
+        np.einsum("fji,fbj->fbi", palm_first, bone_directions(first_m)),
+        np.einsum("fji,fbj->fbi", palm_second, bone_directions(second_m)),
+        share,
     )
-    inside = slerp(a, b, torch.from_numpy(part[..., 0])).movedim(0, -1).numpy()
-    direction = np.einsum("fij,fbj->fbi", turned, inside)
-    lengths = (1 - part[..., 0]) * bone_lengths(first_m) + part[..., 0] * bone_lengths(second_m)
-    return rebuilt((1 - part[:, 0]) * first_m[:, 0] + part[:, 0] * second_m[:, 0], direction, lengths)
+    return _rebuilt_between(first_m, second_m, np.einsum("fij,fbj->fbi", palm, inside), share)
+
+
+def _directions_between(first: np.ndarray, second: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Unit directions (F, 20, 3) at `share` (F, 1) of the great circles between two."""
+    a, b = (torch.from_numpy(directions).movedim(-1, 0) for directions in (first, second))
+    return slerp(a, b, torch.from_numpy(share)).movedim(0, -1).numpy()
+
+
+def _rebuilt_between(first: np.ndarray, second: np.ndarray, directions: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """Joints (F, 21, 3) of these directions; wrists and lengths at `share` (F, 1) of the way between two."""
+    lengths = (1 - share) * bone_lengths(first) + share * bone_lengths(second)
+    return rebuilt((1 - share) * first[:, 0] + share * second[:, 0], directions, lengths)
 
 
 def palm_frames(joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
