@@ -92,6 +92,8 @@ def main() -> int:
         machine = content["machine"]
     else:
         machine = f"{processor()}, {CORES} cores, {time.strftime('%Y-%m-%d')}"
+        if options.quick:
+            machine += ", a tenth of the work (--quick)"
         with tempfile.TemporaryDirectory(dir=options.folder, prefix="jghand_scale_") as folder:
             costs = measured(Path(folder), options.only.split(","), 10 if options.quick else 1)
     lines = [*measured_table(costs, machine), "", *cost_table(costs, options.price)]

@@ -89,7 +89,7 @@ class PassWriter:
         if not self._maps:
             return True
         try:
-            found = read_exr_text(self.path(picture), STAMP_KEY)
+            found = read_exr_text(self.path(picture), STAMP_KEY, (self._camera.width, self._camera.height))
         except InputError:
             return False
         refuse_other(self.path(picture), found or None, stamp)

@@ -36,12 +36,20 @@ def exr_package() -> Any:
     return OpenEXR
 
 
-def read_exr_text(path: Path, name: str) -> str:
-    """A text in the header of a whole EXR file, '' where it has none of that name. InputError for a missing or broken
-    file, and where the package is missing."""
+def read_exr_text(path: Path, name: str, size_px: tuple[int, int]) -> str:
+    """A text in the header of a whole EXR file of (width, height) pixels, '' where it has none of that name.
+
+    InputError for a missing, cut-off or otherwise broken file, one of another size, and where the package is missing.
+    An EXR has no checksums: single changed bytes may pass.
+    """
     package = exr_package()
     try:
+        # the size first: a broken one may claim more than there is memory
+        with package.File(str(path), header_only=True) as content:
+            (left, top), (right, bottom) = (corner.tolist() for corner in content.header()["dataWindow"])
+        if (right - left + 1, bottom - top + 1) != size_px:
+            raise InputError(f"{path}", wanted=f"{size_px[0]} x {size_px[1]} pixels", came="another size")
         with package.File(str(path)) as content:
             return str(content.header().get(name, ""))
-    except (OSError, RuntimeError, ValueError) as error:
+    except (OSError, RuntimeError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"cannot read {path}", came=str(error)[:200] or type(error).__name__) from error

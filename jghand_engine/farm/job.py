@@ -73,11 +73,14 @@ class TrainingJob:
         writes its checkpoint; the same job goes on with it when the scheduler begins it again."""
         from submitit.helpers import DelayedSubmission
 
-        self._child.stop()
-        self._child.await_end(CHECKPOINT_WAIT_S)
+        child: _Child | None = getattr(self, "_child", None)
         folder = FarmFolder(self.out)
-        if record := folder.record(self.training.name):
-            record.state, record.progress = State.STOPPED, self._child.progress
+        record = folder.record(self.training.name)
+        # neither is there when the signal comes first
+        if child is not None and record is not None:
+            child.stop()
+            child.await_end(CHECKPOINT_WAIT_S)
+            record.state, record.progress = State.STOPPED, child.progress
             folder.write_record(self.training.name, record)
         return DelayedSubmission(TrainingJob(self.training, self.out, self.program))
 

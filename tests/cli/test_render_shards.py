@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -14,6 +16,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from jghand_engine import lock
 from jghand_engine.cli import main
 from jghand_engine.cli.picture_sharing import CLAIMS
 from jghand_engine.cli.picture_stamp import STAMP_KEY
@@ -101,6 +104,27 @@ def test_a_second_run_draws_nothing_and_touches_nothing(half, capsys, tmp_path):
     told = json.loads(figures.read_text())
     assert (told["made"], told["kept"], told["broken"], told["complete"]) == (0, 5, 0, False)
     assert {path: path.stat().st_mtime_ns for path in half.glob("*.png")} == times
+
+
+def test_pictures_of_another_render_do_not_count_as_those_that_are_missing(tmp_path, capsys):
+    words = (*SMALL, "--frames", "0-3", "--passes", "joints")
+    assert render(tmp_path, *SMALL, "--frames", "0-3", "--preset", "draft") == 0
+    assert render(tmp_path, *words, "--shard", "1/2") == 0
+    assert "2 drawn; others are still missing" in capsys.readouterr().out
+    assert not (tmp_path / "joints.json").exists()
+    assert render(tmp_path, *words, "--shard", "2/2") == 0
+    assert len(json.loads((tmp_path / "joints.json").read_text())["frames"]) == 4
+
+
+def test_where_there_are_no_locks_nothing_of_others_is_cleared_away(half, monkeypatch):
+    def no_locks(_descriptor: int, _number: int) -> None:
+        raise OSError(errno.ENOLCK, "no locks available")
+
+    monkeypatch.setattr(lock, "_take_byte", no_locks)
+    at_work = half / ".frame_00001.abcd.png"
+    at_work.write_bytes(b"half a picture of another process")
+    assert render(half, "--skip-existing") == 0
+    assert at_work.exists()
 
 
 def test_one_run_finishes_what_shards_began(half, whole, capsys):
@@ -198,7 +222,11 @@ def test_a_picture_whose_maps_are_missing_or_broken_is_made_again(tmp_path):
     assert render(tmp_path, *words) == 0
     before = contents(tmp_path)
     (tmp_path / "passes" / "frame_00000.exr").unlink()
-    (tmp_path / "passes" / "frame_00001.exr").write_bytes(before["passes/frame_00001.exr"][:100])
+    (tmp_path / "passes" / "frame_00001.exr").write_bytes(before["passes/frame_00001.exr"][:-100])
+    # whole, but of another size
+    assert main(["render", *words, "--size", "32x24", "--out", str(tmp_path / "other")]) == 0
+    shutil.move(tmp_path / "other" / "passes" / "frame_00002.exr", tmp_path / "passes" / "frame_00002.exr")
+    shutil.rmtree(tmp_path / "other")
     assert render(tmp_path, *words, "--skip-existing") == 0
     assert contents(tmp_path) == before
 
