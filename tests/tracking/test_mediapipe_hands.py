@@ -5,14 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from tracking_samples import CAMERA, HEIGHT, WIDTH, right_joints_m
+from tracking_samples import CAMERA, CANONICAL_M, HEIGHT, WIDTH, right_joints_m
 
 from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.errors import InputError
 from jghand_engine.exporters.pictures import flatten
+from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.splat.camera import Camera
-from jghand_engine.splat.frame import HandRenderer
+from jghand_engine.splat.frame import HandRenderer, SceneRenderer
 from jghand_engine.splat.settings import preset
 from jghand_engine.tracking.mediapipe_hands import MediaPipeHands
 from jghand_engine.tracking.model_file import has_detector
@@ -41,6 +42,23 @@ def test_hands_are_found_where_they_are_and_are_the_hand_that_they_are(handednes
     assert found[0].handedness is handedness
     distance = np.linalg.norm(found[0].image_px - CAMERA.project(truth), axis=-1) / found[0].size_px
     assert np.median(distance) < 0.1, "seen: 0.062 and 0.071 of the hand's size"
+
+
+def test_both_hands_of_a_picture_are_found():
+    # fingers up before the camera
+    open_hand = named_pose("open", CANONICAL_M, handedness=Handedness.RIGHT) * (1, -1, -1)
+    right = open_hand - open_hand[0] + np.array([0.12, 0.08, 0.5])
+    truth = {Handedness.RIGHT: right, Handedness.LEFT: right * (-1, 1, 1)}
+    axes = torch.eye(4, dtype=torch.float64)
+    camera = Camera(WIDTH, HEIGHT, CAMERA.focal_px, CAMERA.focal_px, CAMERA.cx, CAMERA.cy, axes)
+    renderer = SceneRenderer([load_builtin(handedness=side) for side in truth], preset("viewport"))
+    picture = flatten(renderer.render(list(truth.values()), camera).rgba, (0.45, 0.45, 0.47))
+    with MediaPipeHands(follows=False) as detector:
+        found = {hand.handedness: hand for hand in detector.detect(picture, 0.0)}
+    assert set(found) == set(truth)
+    for side, hand in found.items():
+        middle_px = CAMERA.project(truth[side]).mean(0)
+        assert np.linalg.norm(hand.middle_px - middle_px) < 0.05 * hand.size_px, "seen: 0.02"
 
 
 def test_a_picture_without_a_hand_has_none():

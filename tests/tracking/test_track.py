@@ -29,7 +29,9 @@ def tracked(truth_m):
 
 
 def test_a_perfectly_seen_motion_is_found(tracked, truth_m):
-    assert np.median(errors_deg(tracked.in_view, truth_m)) < 0.6, "seen: 0.3 degrees, the smoothing and the pull to rest"
+    assert np.median(errors_deg(tracked.in_view, truth_m)) < 0.6, (
+        "seen: 0.3 degrees, the smoothing and the pull to rest"
+    )
     assert np.abs(tracked.in_view - truth_m).max() < 0.003, "seen: 1.6 mm"
 
 
