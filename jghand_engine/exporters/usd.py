@@ -36,7 +36,7 @@ from jghand_engine.exporters.usd_half import HalfPrice
 from jghand_engine.exporters.usd_layers import TimeRange, usd_errors
 from jghand_engine.exporters.usd_motion import HandMotion
 from jghand_engine.exporters.usd_options import IDENTIFIER, LayerNames, Package, UsdOptions, UsdReport, Variant
-from jghand_engine.exporters.usd_package import write_package
+from jghand_engine.exporters.usd_package import frames_of_flat, write_archive, write_flat
 from jghand_engine.exporters.usd_rig import Rig, vertex_colours, write_rig
 from jghand_engine.exporters.usd_skeleton import build_skeleton, in_motion
 from jghand_engine.exporters.usd_skinned import SkinnedCloud, write_skinned
@@ -88,20 +88,28 @@ def export_usd(
         with clock("skinned points"):
             skinned = SkinnedCloud(cloud, motion.avatar.bone_weights.numpy(), options.width_factor)
             write_skinned(layers / names.skinned, skinned, span)
-        sigma_error, half = _write_splats(_Job(layers, names, motion, cloud, span, options), clock, progress)
-        with clock("stage"):
-            hand = describe(avatar, motion.handedness, options)
-            interface = Interface(avatar.info.name, hand, options.variants, Variant(options.default_variant))
-            write_interface(layers, names, interface, span)
-            if package is Package.LAYERS:
+        job = _Job(layers, names, motion, cloud, span, options)
+        hand = describe(avatar, motion.handedness, options)
+        interface = Interface(avatar.info.name, hand, options.variants, Variant(options.default_variant))
+        if package is Package.USDC:
+            sigma_error, half = _write_flat(job, interface, arrived / names.stage(package), clock, progress)
+        else:
+            with clock("splats"):
+                splats = job.writer()
+            sigma_error, half = _write_frames(job, splats, clock, progress)
+            with clock("stage"):
+                write_interface(layers, names, interface, span)
+        if package is Package.LAYERS:
+            with clock("stage"):
                 write_shot(layers, names, named_cameras, sequence.joints_m, span)
-        if package is not Package.LAYERS:
+        if package is Package.USDZ:
             with clock("package"):
-                write_package(layers / names.interface, arrived / names.single(package), package)
+                write_archive(layers / names.interface, arrived / names.stage(package))
         sizes = {path.name: path.stat().st_size for path in sorted(arrived.iterdir()) if path.is_file()}
-    stage = target / names.files(package)[-1 if package is not Package.LAYERS else -2]
     shot = target / names.shot if package is Package.LAYERS else None
-    return UsdReport(stage, shot, len(motion), len(avatar), sizes, clock.seconds, sigma_error, stamp, half)
+    return UsdReport(
+        target / names.stage(package), shot, len(motion), len(avatar), sizes, clock.seconds, sigma_error, stamp, half
+    )
 
 
 def made_from(avatar: HandAvatar, sequence: PoseSequence) -> dict[str, str]:
@@ -181,17 +189,21 @@ class _Job:
 
     def writer(self) -> SplatLayer | ClippedSplats:
         """A file, or many of a long take."""
-        options = self.options
-        look = Look(options.radiance, options.width_factor, options.is_half)
-        shape = self.sample(self.motion.rest()) if self.motion.has_ellipsoids else None
-        rest = Sample(
-            self.cloud.rest_m,
-            scales_m=None if shape is None else shape.scales_m,
-            turns_xyzw=None if shape is None else shape.turns_xyzw,
-        )
-        if options.has_clips(self.span.frames):
-            return ClippedSplats(self.layers, self.names, self.cloud, self.span, look, rest)
-        return SplatLayer(self.layers / self.names.splats, self.cloud, self.span, look, rest)
+        if self.options.has_clips(self.span.frames):
+            return ClippedSplats(self.layers, self.names, self.cloud, self.span, self._look, self._rest())
+        return self.layer()
+
+    def layer(self) -> SplatLayer:
+        """One file with what does not move."""
+        return SplatLayer.new(self.layers / self.names.splats, self.cloud, self.span, self._look, self._rest())
+
+    @property
+    def _look(self) -> Look:
+        return Look(self.options.radiance, self.options.width_factor, self.options.is_half)
+
+    def _rest(self) -> Sample:
+        shape = self.sample(self.motion.rest()) if self.motion.has_ellipsoids else Sample(self.cloud.rest_m)
+        return Sample(self.cloud.rest_m, scales_m=shape.scales_m, turns_xyzw=shape.turns_xyzw)
 
     def sample(self, posed: PosedFrame, wrist_m: np.ndarray | None = None) -> Sample:
         """A frame as it is written."""
@@ -207,13 +219,31 @@ class _Job:
         return self.options.sizes == "per_frame" or self.motion.has_ellipsoids
 
 
-def _write_splats(
-    job: _Job, clock: _Clock, progress: Callable[[int, int], None] | None
+def _write_flat(
+    job: _Job, interface: Interface, target: Path, clock: _Clock, progress: Callable[[int, int], None] | None
+) -> tuple[float, HalfPrice | None]:
+    """One file with the chosen variant; returns as `_write_frames` does. The frames come last: flattened with the
+    rest they would all be in memory at once."""
+    with clock("splats"):
+        still = job.layer()
+        still.finish()
+    with clock("stage"):
+        write_interface(job.layers, job.names, interface, job.span)
+    with clock("package"):
+        write_flat(job.layers / job.names.interface, target)
+        frames = frames_of_flat(target, interface.default, still.prims, job.span)
+    if frames is None:
+        if progress:
+            progress(job.span.frames, job.span.frames)
+        return 0.0, still.prims.price
+    return _write_frames(job, frames, clock, progress)
+
+
+def _write_frames(
+    job: _Job, layer: SplatLayer | ClippedSplats, clock: _Clock, progress: Callable[[int, int], None] | None
 ) -> tuple[float, HalfPrice | None]:
     """Writes every frame; returns the largest relative error of a written radius, and what half precision lost."""
     sigma_error = 0.0
-    with clock("splats"):
-        layer = job.writer()
     for index in range(job.span.frames):
         with clock("posing"):
             posed = job.motion.frame(index)

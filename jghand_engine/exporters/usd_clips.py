@@ -18,7 +18,7 @@ from pxr import Gf, Sdf, Usd, Vt
 from jghand_engine.exporters.usd_half import HalfPrice
 from jghand_engine.exporters.usd_layers import SPLAT_TYPE, TimeRange, announce_fallback, new_layer
 from jghand_engine.exporters.usd_options import LayerNames
-from jghand_engine.exporters.usd_splats import POINTS_PATH, SPLATS_PATH, Cloud, Look, Sample, SplatPrims
+from jghand_engine.exporters.usd_splats import POINTS_PATH, SPLATS_PATH, Cloud, Look, Sample, SplatLayer, SplatPrims
 from jghand_engine.limits import USD_CLIP_FRAMES, USD_SAVE_EVERY
 
 
@@ -30,13 +30,9 @@ class ClippedSplats:
         self, folder: Path, names: LayerNames, cloud: Cloud, time: TimeRange, look: Look, rest: Sample
     ) -> None:
         self._folder, self._names, self._time, self._look = folder, names, time, look
-        self._sigma_m = cloud.sigma_m
-        static = new_layer(folder / names.static, time)
-        announce_fallback(static)
-        still = SplatPrims(static, look, cloud.sigma_m)
-        still.define(cloud, rest)
-        self.price = still.price
-        static.Save()
+        static = SplatLayer.new(folder / names.static, cloud, time, look, rest)
+        static.finish()
+        self._still = static.prims
         self._clips: list[str] = []
         self._open: tuple[Usd.Stage, SplatPrims] | None = None
 
@@ -47,8 +43,7 @@ class ClippedSplats:
             self._close()
             self._clips.append(self._names.clip(len(self._clips)))
             stage = new_layer(self._folder / self._clips[-1], self._time)
-            prims = SplatPrims(stage, self._look, self._sigma_m)
-            prims.price = self.price
+            prims = self._still.elsewhere(stage)
             prims.override()
             self._open = stage, prims
         if self._open is not None:
@@ -70,7 +65,7 @@ class ClippedSplats:
             prim.GetReferences().AddReference(f"./{self._names.static}", prim.GetPath())
             self._tell_clips(Usd.ClipsAPI(prim), prim.GetPath())
         stage.Save()
-        return self.price
+        return self._still.price
 
     def _close(self) -> None:
         if self._open is not None:

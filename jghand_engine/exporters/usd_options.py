@@ -205,20 +205,20 @@ class LayerNames:
         """A part of a long take."""
         return f"{self.name}.splats.{number:04d}.usdc"
 
-    def single(self, package: Package) -> str:
-        """The one file of a package that is one."""
-        return f"{self.name}.{package}"
+    def stage(self, package: Package) -> str:
+        """The file that people open: the interface, or the only one."""
+        return self.interface if package is Package.LAYERS else f"{self.name}.{package}"
 
     def files(self, package: Package = Package.LAYERS) -> tuple[str, ...]:
         """Every file that an export writes, clips aside; those that refer to others after them."""
-        if package != Package.LAYERS:
-            return (self.single(package),)
+        if package is not Package.LAYERS:
+            return (self.stage(package),)
         return self.rig, self.splats, self.skinned, self.interface, self.shot
 
     def of_earlier(self, folder: Path, package: Package = Package.LAYERS) -> Iterable[Path]:
         """The files of an earlier export of this name and package, of which none may stand beside a new one's."""
         names = set(self.files(package))
-        if package == Package.LAYERS:
+        if package is Package.LAYERS:
             part = re.compile(re.escape(self.name) + r"\.splats\.(static|manifest|\d{4,})\.usdc")
             names |= {path.name for path in folder.iterdir() if part.fullmatch(path.name)}
         return [folder / name for name in sorted(names) if (folder / name).exists()]

@@ -87,19 +87,36 @@ _STORED: dict[str, tuple[Any, Callable[[np.ndarray], Any], Any, Callable[[np.nda
 }
 
 
-class SplatLayer:
-    """Writes one layer frame by frame; the file is complete after `finish`. What does not change is written once."""
+@dataclass(frozen=True)
+class Places:
+    """Paths of the two prims on a stage; None: it is not there."""
 
-    def __init__(self, path: Path, cloud: Cloud, time: TimeRange, look: Look, rest: Sample) -> None:
-        self.stage, self._time = new_layer(path, time), time
-        announce_fallback(self.stage)
-        self._prims = SplatPrims(self.stage, look, cloud.sigma_m)
-        self._prims.define(cloud, rest)
+    splats: str | None = SPLATS_PATH
+    points: str | None = POINTS_PATH
+
+
+class SplatLayer:
+    """Writes the frames of one file, which is complete after `finish`. What does not change was written before.
+
+    stage: on the file · prims: on it
+    """
+
+    def __init__(self, stage: Usd.Stage, prims: SplatPrims, time: TimeRange) -> None:
+        self.stage, self.prims, self._time = stage, prims, time
         self._unsaved = 0
+
+    @classmethod
+    def new(cls, path: Path, cloud: Cloud, time: TimeRange, look: Look, rest: Sample) -> SplatLayer:
+        """A new layer, with what does not change."""
+        stage = new_layer(path, time)
+        announce_fallback(stage)
+        prims = SplatPrims(stage, look, cloud.sigma_m)
+        prims.define(cloud, rest)
+        return cls(stage, prims, time)
 
     def put(self, frame: int, sample: Sample) -> None:
         """The time sample of a frame, counted from 0."""
-        self._prims.put(sample, self._time.code(frame))
+        self.prims.put(sample, self._time.code(frame))
         self._unsaved += 1
         if self._unsaved == USD_SAVE_EVERY:
             self.stage.Save()
@@ -108,7 +125,7 @@ class SplatLayer:
     def finish(self) -> HalfPrice | None:
         """Saves; what half precision lost, where it was asked for."""
         self.stage.Save()
-        return self._prims.price
+        return self.prims.price
 
 
 class SplatPrims:
@@ -117,31 +134,38 @@ class SplatPrims:
     sigma_m: (N,) radii that hold where a sample brings none · price: what half precision lost so far
     """
 
-    def __init__(self, stage: Usd.Stage, look: Look, sigma_m: np.ndarray) -> None:
+    def __init__(self, stage: Usd.Stage, look: Look, sigma_m: np.ndarray, places: Places | None = None) -> None:
+        places = places or Places()
         self._stage, self._look, self._sigma_m = stage, look, sigma_m
+        self._splats, self._points = places.splats, None if look.half else places.points
         self.price = HalfPrice() if look.half else None
         self._attributes: dict[tuple[str, str], Usd.Attribute] = {}
 
     def define(self, cloud: Cloud, rest: Sample) -> None:
-        """Both prims with what does not change, and the rest pose: samples without a Default value show nothing in
+        """The prims with what does not change, and the rest pose: samples without a Default value show nothing in
         several readers."""
-        self._define_splats(cloud)
-        if not self._look.half:
-            points = self._stage.CreateClassPrim(POINTS_PATH)
+        if self._splats is not None:
+            self._define_splats(self._splats, cloud, turned=rest.turns_xyzw is not None)
+        if self._points is not None:
+            points = self._stage.CreateClassPrim(self._points)
             points.SetTypeName("Points")
             display_primvars(points, cloud.rgb, cloud.opacity)
-        if rest.turns_xyzw is None:
-            self._set_stored("orientations", np.tile([0.0, 0.0, 0.0, 1.0], (len(cloud.sigma_m), 1)), DEFAULT)
-        self._set_stored("opacities", cloud.opacity, DEFAULT)
         self._put_sizes(rest, cloud.sigma_m, DEFAULT)
         self._put_positions(rest, cloud.sigma_m, DEFAULT)
         for path in self._point_paths:
             self._attributes[path, "widths"].SetMetadata("interpolation", "vertex")
 
+    def elsewhere(self, stage: Usd.Stage, places: Places | None = None) -> SplatPrims:
+        """The same Gaussians for time samples on another stage; what half precision loses is added up together."""
+        other = SplatPrims(stage, self._look, self._sigma_m, places)
+        other.price = self.price
+        return other
+
     def override(self) -> None:
-        """Both prims without anything, for a layer that holds time samples alone."""
-        for path in (SPLATS_PATH, *(() if self._look.half else (POINTS_PATH,))):
-            self._stage.OverridePrim(path)
+        """The prims without anything, for a layer that holds time samples alone."""
+        for path in (self._splats, self._points):
+            if path is not None:
+                self._stage.OverridePrim(path)
 
     def put(self, sample: Sample, time: Usd.TimeCode) -> None:
         """What moves, at a time."""
@@ -155,43 +179,52 @@ class SplatPrims:
     @property
     def _point_paths(self) -> tuple[str, ...]:
         """Prims that are points to somebody: the splats are where an older USD falls back on points."""
-        return () if self._look.half else (SPLATS_PATH, POINTS_PATH)
+        return () if self._look.half else tuple(path for path in (self._splats, self._points) if path is not None)
 
     def _put_positions(self, sample: Sample, sigma_m: np.ndarray, time: Usd.TimeCode) -> None:
+        values = vec3f(sample.positions_m)
+        if self._splats is not None:
+            values = self._put_splat_positions(self._splats, sample, sigma_m, time)
+        for path in self._point_paths:
+            self._set(path, "points", TYPES.Point3fArray, values, time)
+        if self._points is not None:
+            self._set_extent(self._points, sample.positions_m, self._look.width_factor * sigma_m, time)
+
+    def _put_splat_positions(self, path: str, sample: Sample, sigma_m: np.ndarray, time: Usd.TimeCode) -> Any:
+        """Centres and bound; the values that USD got."""
         positions_m = sample.positions_m
         radii_m = sigma_m if sample.scales_m is None else sample.scales_m.max(axis=1)
         if self.price is not None:
             wrist_m = np.zeros(3) if sample.wrist_m is None else sample.wrist_m
             positions_m = (positions_m - wrist_m).astype(np.float32)
-            self._set(SPLATS_PATH, WRIST, TYPES.Double3, Gf.Vec3d(*wrist_m.tolist()), time)
+            self._set(path, WRIST, TYPES.Double3, Gf.Vec3d(*wrist_m.tolist()), time)
             self.price.add_positions(positions_m)
         values = self._set_stored("positions", positions_m, time)
         if self.price is not None:
-            # bounds of what readers will see
+            # the bound of what readers will see
             positions_m = np.asarray(values, np.float32)
-        self._set_extent(SPLATS_PATH, positions_m, USD_SPLAT_EXTENT_SIGMA * radii_m, time)
-        for path in self._point_paths:
-            self._set(path, "points", TYPES.Point3fArray, values, time)
-        if self._point_paths:
-            self._set_extent(POINTS_PATH, positions_m, self._look.width_factor * sigma_m, time)
+        self._set_extent(path, positions_m, USD_SPLAT_EXTENT_SIGMA * radii_m, time)
+        return values
 
     def _set_extent(self, path: str, positions_m: np.ndarray, radii_m: np.ndarray, time: Usd.TimeCode) -> None:
         self._set(path, "extent", TYPES.Float3Array, vec3f(bound(positions_m, radii_m)), time)
 
     def _put_sizes(self, sample: Sample, sigma_m: np.ndarray, time: Usd.TimeCode) -> None:
-        scales_m = np.repeat(sigma_m[:, None], 3, axis=1) if sample.scales_m is None else sample.scales_m
-        if self.price is not None:
-            self.price.add_sizes(scales_m)
-        self._set_stored("scales", scales_m, time)
-        if sample.turns_xyzw is not None:
-            self._set_stored("orientations", sample.turns_xyzw, time)
+        if self._splats is not None:
+            scales_m = np.repeat(sigma_m[:, None], 3, axis=1) if sample.scales_m is None else sample.scales_m
+            if self.price is not None:
+                self.price.add_sizes(scales_m)
+            self._set_stored("scales", scales_m, time)
+            if sample.turns_xyzw is not None:
+                self._set_stored("orientations", sample.turns_xyzw, time)
         widths = floats(2 * self._look.width_factor * sigma_m)
         for path in self._point_paths:
             self._set(path, "widths", TYPES.FloatArray, widths, time)
 
     def _put_colours(self, rgb: np.ndarray, time: Usd.TimeCode) -> None:
-        self._put_harmonics(rgb, time)
-        if self._look.half:
+        if self._splats is not None:
+            self._put_harmonics(rgb, time)
+        if not self._point_paths:
             return  # displayColor knows no half precision: who reads it gets the first frame's
         display = vec3f(srgb_to_linear(rgb))
         for path in self._point_paths:
@@ -210,7 +243,7 @@ class SplatPrims:
         if self._look.half:
             name, kind, values_of = f"{name}h", half_kind, halves_of
         values = values_of(array)
-        self._set(SPLATS_PATH, name, kind, values, time)
+        self._set(str(self._splats), name, kind, values, time)
         return values
 
     def _set(self, path: str, name: str, kind: Sdf.ValueTypeName, value: Any, time: Usd.TimeCode) -> None:
@@ -219,8 +252,8 @@ class SplatPrims:
             attr = self._attributes[path, name] = attribute(self._stage.GetPrimAtPath(path), name, kind)
         attr.Set(value, time)
 
-    def _define_splats(self, cloud: Cloud) -> None:
-        prim = self._stage.DefinePrim(SPLATS_PATH, SPLAT_TYPE)
+    def _define_splats(self, path: str, cloud: Cloud, *, turned: bool) -> None:
+        prim = self._stage.DefinePrim(path, SPLAT_TYPE)
         self._stage.SetDefaultPrim(prim)
         uniform(prim, "projectionModeHint", TYPES.Token, "perspective")
         uniform(prim, "sortingModeHint", TYPES.Token, "zDepth")
@@ -234,6 +267,9 @@ class SplatPrims:
         if self._look.half:
             # not by its schema: a USD that does not know the prim's type does not know that it can be moved
             uniform(prim, "xformOpOrder", TYPES.TokenArray, Vt.TokenArray([WRIST]))
+        if not turned:
+            self._set_stored("orientations", np.tile([0.0, 0.0, 0.0, 1.0], (len(cloud.sigma_m), 1)), DEFAULT)
+        self._set_stored("opacities", cloud.opacity, DEFAULT)
         display_primvars(prim, cloud.rgb, cloud.opacity)
 
 
