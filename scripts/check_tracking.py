@@ -153,7 +153,7 @@ def measured(case: str, method: str, joints_m: np.ndarray, truth_m: np.ndarray, 
     whole = bool(seen.all())
     return Row(
         case, method, f"{seen.sum()} of {len(seen)}",
-        _median_and_95(*in_palm, seen), _median_and_95(*in_space, seen),
+        _median_and_95(in_palm[0], in_palm[1], seen), _median_and_95(in_space[0], in_space[1], seen),
         jitter_deg(joints_m) if fps else math.nan,
         lag_ms(in_palm[0], in_palm[1], fps) if fps and whole else math.nan,
     )  # fmt: skip
@@ -206,7 +206,7 @@ def rows_of_sightings(truth: Truth, sightings: Sightings, canonical_m: np.ndarra
     found = track(sightings, canonical_m, exact)
     if truth.handedness not in found:
         yield Row(truth.name, "not found, or taken for the other hand", f"0 of {len(truth.joints_m)}",
-                  *[(math.nan, math.nan)] * 2, math.nan, math.nan)  # fmt: skip
+                  (math.nan, math.nan), (math.nan, math.nan), math.nan, math.nan)  # fmt: skip
         return
     hand = found[truth.handedness]
 
