@@ -2,11 +2,12 @@
 
     python scripts/benchmark_scale.py [--page docs/SCALE.md] [--json FILE] [--price 0.04] [--only render,train]
 
-Runs the commands as anyone would, each as processes of its own, and takes from the operating system what they cost:
-seconds, core-seconds (user and system, of all their processes) and peak memory. What one picture, step or frame costs
-is the difference of a long and a short run, so that starting is told apart; in the motion no two frames are alike. The
-second table multiplies; it measures nothing. --page renews the tables of a page between their marks. It takes some
-twenty minutes on two cores; --quick takes a tenth of the work, to see that it runs.
+Runs the commands as anyone would, each as processes of its own. Seconds are what a command says itself (--json), once
+it has started; core-seconds (user and system, of all its processes) and peak memory come from the operating system.
+What one more picture, step or frame costs is the difference of a long and a short run, so that starting is told apart;
+in the motion no two frames are alike. The second table multiplies; it measures nothing. --page renews the tables of a
+page between their marks. It takes some twenty minutes on two cores; --quick takes a tenth of the work, to see that it
+runs.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ import time
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -39,7 +41,7 @@ CORES = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os
 # what the table of costs takes for one identity: a capture as that of the built-in hand, and so many steps
 PICTURES, STEPS = 616, 4000
 # the motion that is rendered and exported
-FRAMES, POSES = 240, ["open", "fist", "point", "ok", "spread", "relaxed", "open"]
+FRAMES, POSES = 600, ["open", "fist", "point", "ok", "spread", "relaxed", "open"]
 # identities, frames rendered of all of them together
 SCALES = ((1, 1_000), (10, 10_000), (100, 100_000), (1_000, 1_000_000))
 HOUR_S, WEEK_H = 3600.0, 168.0
@@ -47,10 +49,11 @@ HOUR_S, WEEK_H = 3600.0, 168.0
 
 @dataclass(frozen=True)
 class Run:
-    """Processes that worked at the same time. wall_s: until the last ended · core_s: of all · peak_mb: of the largest ·
-    bytes: of the files that they left"""
+    """Processes that worked at the same time. wall_s: until the last ended · work_s: what the slowest says itself that
+    it took, without starting · core_s: of all · peak_mb: of the largest · bytes: of the files that they left"""
 
     wall_s: float
+    work_s: float
     core_s: float
     peak_mb: float
     bytes: int
@@ -119,7 +122,7 @@ def measured(folder: Path, wanted: Iterable[str], divisor: int) -> dict[str, Cos
         for size in ("512x334", "1024x1024"):
             costs |= rendering(folder / size, motion, size, max(20, FRAMES // divisor))
     if "export" in wanted:
-        costs["export"] = exporting(folder / "export", motion, max(6, FRAMES // 4 // divisor))
+        costs["export"] = exporting(folder / "export", motion, max(6, FRAMES // 10 // divisor))
     if "capture" in wanted or "train" in wanted:
         blender = ROOT / ".envs" / "blender" / "bin" / "python"
         if not blender.is_file():
@@ -189,22 +192,28 @@ def capturing(folder: Path, poses: int) -> tuple[Cost, Path]:
 
 def training(folder: Path, capture: Path, steps: int) -> Cost:
     """Of so few steps as of many: the schedule, which is coarse first, is stretched over them."""
-    one = run([["train", capture, "--steps", "1", "--out", folder / "one.jghand"]], folder / "one.jghand")
-    many = run([["train", capture, "--steps", str(steps), "--out", folder / "many.jghand"]], folder / "many.jghand")
+    one, many = (
+        run(
+            [["train", capture, "--steps", str(count), "--out", folder / str(count) / "hand.jghand"]],
+            folder / str(count),
+        )
+        for count in (1, steps)
+    )
     cost = difference("step of a training", "one process", one, many, steps - 1, "jghand train CAPTURE --steps …")
-    # an avatar is not larger for more steps
+    # an avatar and its checkpoints are not larger for more steps
     return Cost(**{**asdict(cost), "mb": many.bytes / 1e6})
 
 
 def run(commands: Sequence[Sequence[object]], left: Path) -> Run:
     """Runs processes at the same time. SystemExit with what one said that failed."""
     started = time.perf_counter()
-    with contextlib.ExitStack() as logs:
+    with contextlib.ExitStack() as held:
+        told = Path(held.enter_context(tempfile.TemporaryDirectory()))
         processes = []
-        for words in commands:
-            log = logs.enter_context(tempfile.TemporaryFile("w+"))
-            process = subprocess.Popen([*JGHAND, *map(str, words)], stdout=log, stderr=subprocess.STDOUT)
-            processes.append((process, log))
+        for number, words in enumerate(commands):
+            log = held.enter_context(tempfile.TemporaryFile("w+"))
+            command = [*JGHAND, *map(str, words), "--json", str(told / f"{number}.json")]
+            processes.append((subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT), log))
         core_s = peak_mb = 0.0
         for process, log in processes:
             # not by Popen: it forgets what the process took
@@ -215,19 +224,27 @@ def run(commands: Sequence[Sequence[object]], left: Path) -> Run:
                 raise SystemExit(f"{process.args}\n{log.read()}")
             core_s += used.ru_utime + used.ru_stime
             peak_mb = max(peak_mb, used.ru_maxrss / 1e3)
-        return Run(time.perf_counter() - started, core_s, peak_mb, size_of(left))
+        wall_s = time.perf_counter() - started
+        work_s = max(seconds_in(json.loads(file.read_text(encoding="utf-8"))) for file in told.glob("*.json"))
+        return Run(wall_s, work_s, core_s, peak_mb, size_of(left))
+
+
+def seconds_in(report: dict[str, Any]) -> float:
+    """What a command says that its work took."""
+    if report["command"] == "capture":
+        return report["seconds_each"] * report["rendered"]
+    told = report["seconds"]
+    return sum(told.values()) if isinstance(told, dict) else told
 
 
 def size_of(path: Path) -> int:
-    if path.is_file():
-        return path.stat().st_size
     return sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
 
 
 def difference(what: str, per: str, short: Run, long: Run, more: int, command: str) -> Cost:
     """What one of `more` costs, by which a run was longer."""
     return Cost(
-        what, per, (long.wall_s - short.wall_s) / more, (long.core_s - short.core_s) / more, long.peak_mb,
+        what, per, (long.work_s - short.work_s) / more, (long.core_s - short.core_s) / more, long.peak_mb,
         short.wall_s, (long.bytes - short.bytes) / more / 1e6, command,
     )  # fmt: skip
 
