@@ -13,6 +13,7 @@ import os
 import subprocess
 import threading
 import time
+import traceback
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -33,7 +34,7 @@ PROGRESS_OPTION = "--progress-json"
 class JobSpec:
     """What is to be done. kind: what sort of job · title: for people · command: program and arguments · folder: where
     its results and what it needs to go on lie · resume: the command that goes on after a pause, empty where there is
-    none · on_done: called once, on the thread that ticks, when it is done; a JGHandFailure makes the job a failed one ·
+    none · on_done: called once, on the thread that ticks, when it is done; what it raises makes the job a failed one ·
     more: commands that follow, one after the other, each after the one before has succeeded · on_over: called once,
     when it is over however it ended and will not go on; takes away what only the job needed.
     """
@@ -123,11 +124,15 @@ class Job:
         return self.is_over
 
     def kill(self) -> None:
-        """Ends it at once, with the processes that it started."""
+        """Ends it at once, with the processes that it started. What hangs in the system is not waited for: it ends when
+        the system lets go of it."""
         process = self._process
         if process is not None and process.poll() is None:
             end_tree(process, at_once=True)
-            process.wait()
+            try:
+                process.wait(limits.KILL_S)
+            except subprocess.TimeoutExpired:
+                return
         self.wait(2 * limits.JOB_LAST_WORDS_S)
 
     def put_away(self) -> None:
@@ -135,7 +140,7 @@ class Job:
         if self.is_over and not self._put_away:
             self._put_away = True
             if self.spec.on_over is not None:
-                self.spec.on_over()
+                self._call(self.spec.on_over)
 
     def let_go(self) -> None:
         """The end of Blender: the job is asked to stop and not looked at any more. It ends by itself, a training with
@@ -226,12 +231,21 @@ class Job:
             self.state = JobState(text=self.spec.title, notes=self.state.notes)
             self._start(self._waiting.popleft())
         elif self.state.phase is Phase.DONE and self.spec.on_done is not None:
-            try:
-                self.spec.on_done()
-            except JGHandFailure as failure:
-                self.state = job_state.failed(self.state, failure)
+            self._call(self.spec.on_done)
         if self.is_over:
             self._put_away_unless_it_can_go_on()
+
+    def _call(self, work: Callable[[], None]) -> None:
+        """What others have to do at the end. Whatever goes wrong there makes this a failed job, with its trace in the
+        log, and is no end of the other jobs."""
+        try:
+            work()
+        except JGHandFailure as failure:
+            self.state = job_state.failed(self.state, failure)
+        except Exception as error:
+            self._output.extend(traceback.format_exc().splitlines())
+            failure = JGHandFailure("internal", f"{type(error).__name__}: {error}", log=self.log)
+            self.state = job_state.failed(self.state, failure)
 
     def _ask(self, *, pause: bool) -> None:
         self.state = job_state.asked_to_stop(self.state, pause=pause)

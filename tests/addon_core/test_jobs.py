@@ -6,13 +6,14 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from blender_addon.core import job_state, limits
+from blender_addon.core import job_state, jobs, limits, programs
 from blender_addon.core.job_state import JobState, Phase
 from blender_addon.core.jobs import Job, JobSpec, JobTable
 from blender_addon.core.messages import ADVICE, JGHandFailure
@@ -137,6 +138,26 @@ def test_what_fails_after_the_end_makes_it_a_failed_job(tmp_path):
 
 
 @posix
+@pytest.mark.parametrize("end", ["on_done", "on_over"])
+def test_a_mistake_at_the_end_of_one_job_is_told_and_is_no_end_of_the_others(tmp_path, end):
+    def mistaken():
+        raise RuntimeError("poll() failed")
+
+    table = JobTable()
+    first = table.start("first", spec(tmp_path, "short", **{end: mistaken}))
+    other = table.start("other", spec(tmp_path, "short"))
+    until = time.monotonic() + LONG_S
+    while table.running and time.monotonic() < until:
+        table.tick()
+        time.sleep(0.01)
+    assert first.state.failure is not None
+    assert first.state.failure.kind == "internal"
+    assert "poll() failed" in first.state.failure.detail
+    assert "in mistaken" in first.log
+    assert other.state.phase is Phase.DONE
+
+
+@posix
 def test_a_cancelled_training_writes_its_checkpoint_first(tmp_path):
     job = Job(spec(tmp_path, "long", f"file={tmp_path / 'checkpoint'}", resume=True))
     until_it_counts(job)
@@ -229,6 +250,23 @@ def test_a_program_that_does_not_listen_is_ended_by_force(tmp_path, monkeypatch)
     until_it_counts(job)
     job.cancel()
     assert ended(job).phase is Phase.CANCELLED
+
+
+@posix
+def test_a_program_that_hangs_in_the_system_does_not_hold_blender(tmp_path, monkeypatch):
+    """As one does that waits for a disk that is gone: it cannot be killed."""
+    monkeypatch.setattr(limits, "KILL_S", 0.1)
+    monkeypatch.setattr(jobs, "end_tree", lambda *_, **__: None)
+    job = Job(spec(tmp_path, "deaf"))
+    until_it_counts(job)
+    killing = threading.Thread(target=job.kill, daemon=True)
+    killing.start()
+    killing.join(LONG_S)
+    held = killing.is_alive()
+    programs.end_tree(job._process, at_once=True)  # type: ignore[arg-type]
+    killing.join()
+    assert not held
+    ended(job)
 
 
 @posix
