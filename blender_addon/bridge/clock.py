@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""One timer of Blender's for the whole extension: it calls one function, which says when it wants to be called again.
+"""The timer of Blender's that drives pictures: it calls one function, which says when it wants to be called again. And
+what all timers of the extension share: those of jobs, of what panels show, of pose pictures and of the pose shelf.
 
 Timers never fire in `blender -b` nor in the bpy module: what they do must not matter there. Blender drops a timer that
 raised, so that one mistake would end all that the extension shows: it is printed, and the timer goes on.
@@ -8,6 +9,7 @@ Source: BLENDER 5.
 
 from __future__ import annotations
 
+import functools
 import time
 import traceback
 from collections.abc import Callable
@@ -21,6 +23,24 @@ _next_s = 0.0
 _inside = False
 # mistakes that were told already: a tick makes the same one ten times a second
 _told: set[tuple[type[Exception], str]] = set()
+
+
+def guarded(again_s: float | None) -> Callable[[Callable[[], float | None]], Callable[[], float | None]]:
+    """Makes a timer survive its mistakes: each is printed once, and it is called again after so many seconds; None: it
+    rests until it is asked for again."""
+
+    def decorate(tick: Callable[[], float | None]) -> Callable[[], float | None]:
+        @functools.wraps(tick)
+        def call() -> float | None:
+            try:
+                return tick()
+            except Exception as error:  # whatever it is: Blender would drop the timer
+                tell_once(error)
+                return again_s
+
+        return call
+
+    return decorate
 
 
 def start(tick: Callable[[], float]) -> None:
@@ -66,7 +86,7 @@ def _call() -> float | None:
     try:
         seconds = _tick()
     except Exception as error:  # whatever it is: the next tick may go well
-        _tell_once(error)
+        tell_once(error)
         seconds = limits.IDLE_TICK_S
     finally:
         _inside = False
@@ -74,7 +94,8 @@ def _call() -> float | None:
     return seconds
 
 
-def _tell_once(error: Exception) -> None:
+def tell_once(error: Exception) -> None:
+    """Prints a mistake with its trace, unless it was told already."""
     kind = type(error), str(error)
     if kind not in _told:
         _told.add(kind)

@@ -16,6 +16,7 @@ import numpy as np
 from .. import runtime
 from ..core import limits
 from ..core.training_folder import TrainingFolder, TrainingReader, curve_picture
+from . import clock
 from .icons import store_picture
 from .redraw import redraw
 
@@ -79,6 +80,7 @@ def unregister() -> None:
     _icons = _reader = _seen = None
 
 
+@clock.guarded(limits.JOB_LOOK_S)
 def _tick() -> float | None:
     """The timer; None when nothing runs any more."""
     global _looked_turns

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import bpy
 
 from ..core import limits
-from . import undo
+from . import clock, undo
 from .redraw import redraw
 
 T = TypeVar("T")
@@ -45,9 +45,10 @@ def unregister() -> None:
     _asked.clear()
 
 
+@clock.guarded(None)
 def _tick() -> None:
-    """One look at all that was asked for since the last one; what nobody asks for any more is forgotten. Panels that
-    show something new are drawn, and ask again."""
+    """One look at all that was asked for since the last one; what nobody asks for any more is forgotten, and what
+    cannot be looked at is not known. Panels that show something new are drawn, and ask again."""
     asked = set(_asked)
     _asked.clear()
     before = dict(_values)
@@ -56,6 +57,9 @@ def _tick() -> None:
         look, scene_uid, about = key
         with undo.in_a_window(scene_uid) as context:
             if context.scene.session_uid == scene_uid:
-                _values[key] = look(context, *about)
+                try:
+                    _values[key] = look(context, *about)
+                except Exception as error:  # the other looks go on
+                    clock.tell_once(error)
     if _values != before:
         redraw()

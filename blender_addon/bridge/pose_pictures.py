@@ -14,6 +14,7 @@ import bpy.utils.previews
 
 from ..core import limits, pose_picture, poses, posing
 from ..core.joints import HANDEDNESSES, RIGHT
+from . import clock
 from .icons import store_picture
 from .redraw import redraw
 
@@ -56,6 +57,7 @@ def unregister() -> None:
         _icons = None
 
 
+@clock.guarded(limits.PICTURE_REST_S)
 def _make_some() -> float | None:
     """The timer: as many poses as fit into a turn, one at the least; None when all are there."""
     ends = time.monotonic() + limits.PICTURE_TURN_S

@@ -6,6 +6,7 @@ from __future__ import annotations
 import bpy
 
 from ..core import limits
+from . import clock
 
 _left = 0
 
@@ -30,6 +31,7 @@ def unregister() -> None:
         bpy.app.timers.unregister(_try)
 
 
+@clock.guarded(None)
 def _try() -> float | None:
     global _left
     _left -= 1

@@ -1,0 +1,65 @@
+"""Timers of the extension go on after a mistake: Blender drops one that raises, and nobody would look any more."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import bpy
+import pytest
+
+from blender_addon import runtime
+from blender_addon.bridge import clock, job_watch, kept, pose_pictures, pose_shelf
+from blender_addon.core import limits
+
+
+@pytest.fixture(autouse=True)
+def told(monkeypatch):
+    """What was printed."""
+    errors = []
+    monkeypatch.setattr(clock, "_told", set())
+    monkeypatch.setattr(clock.traceback, "print_exception", errors.append)
+    return errors
+
+
+def test_the_watch_of_jobs_goes_on_after_a_mistake_which_is_told_once(context, monkeypatch, told):
+    def mistaken():
+        raise RuntimeError("a mistake")
+
+    monkeypatch.setattr(runtime, "jobs", mistaken)
+    assert [job_watch._tick() for _ in range(3)] == [limits.JOB_LOOK_S] * 3
+    assert [str(error) for error in told] == ["a mistake"]
+
+
+def test_what_cannot_be_looked_at_does_not_hide_the_rest(context, monkeypatch, told):
+    def bad(_context):
+        raise RuntimeError("no such disk")
+
+    registry = SimpleNamespace(is_registered=lambda _: False, register=lambda *_, **__: None)
+    monkeypatch.setattr(kept, "bpy", SimpleNamespace(app=SimpleNamespace(background=False, timers=registry)))
+    for look in (bad, lambda _: 7, bad):
+        kept.kept(context, look)
+    good = next(key[0] for key in kept._asked if key[0] is not bad)
+    kept._tick()
+    assert kept.kept(context, good) == 7
+    assert kept.kept(context, bad) is None
+    assert [str(error) for error in told] == ["no such disk"]
+    kept.unregister()
+
+
+def test_a_picture_of_a_pose_that_fails_leaves_the_others(context, monkeypatch, told):
+    def bad(name):
+        raise RuntimeError(name)
+
+    monkeypatch.setattr(pose_pictures, "_waiting", ["fist", "open"])
+    monkeypatch.setattr(pose_pictures, "_icons", object())
+    monkeypatch.setattr(pose_pictures, "_make", bad)
+    assert [pose_pictures._make_some() for _ in range(2)] == [limits.PICTURE_REST_S] * 2
+    assert pose_pictures._waiting == []
+    assert [str(error) for error in told] == ["fist", "open"]
+
+
+def test_a_shelf_that_cannot_be_shown_is_left(context, monkeypatch, told):
+    monkeypatch.setattr(pose_shelf, "bpy", SimpleNamespace(context=None))
+    assert pose_shelf._try() is None
+    assert len(told) == 1
+    assert not bpy.app.timers.is_registered(pose_shelf._try)
