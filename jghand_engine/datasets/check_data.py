@@ -14,6 +14,7 @@ import numpy as np
 from jghand_engine import limits
 from jghand_engine.datasets.capture_folder import open_capture
 from jghand_engine.datasets.captures import Capture, CaptureChoice
+from jghand_engine.datasets.plausibility import curl_towards_palm
 from jghand_engine.datasets.projection import Seen, likely_mistake, look_at
 from jghand_engine.datasets.splits import split_capture
 from jghand_engine.errors import InputError
@@ -210,28 +211,6 @@ def _bone_wobble(capture: Capture) -> float:
         return 0.0
     lengths = bone_lengths(whole)
     return float((lengths.std(axis=0) / np.maximum(lengths.mean(axis=0), 1e-9)).max())
-
-
-def curl_towards_palm(joints_m: np.ndarray, handedness: Handedness) -> float | None:
-    """Mean bend of index..pinky at the middle joint towards the palm, as a sine, -1..1; None without a whole pose.
-
-    joints_m: (P, 21, 3) level order. These joints bend one way only, about the line of the knuckles, so that a clearly
-    negative value is the other hand.
-    """
-    whole = joints_m[np.isfinite(joints_m).all(axis=(1, 2))]
-    if not len(whole):
-        return None
-    knuckles = _unit(whole[:, 2] - whole[:, 5])
-    knuckles = knuckles if handedness is Handedness.RIGHT else -knuckles
-    proximal, middle = (_unit(whole[:, end] - whole[:, start]) for start, end in ((_MCP, _PIP), (_PIP, _DIP)))
-    return float((np.cross(proximal, middle) * knuckles[:, None]).sum(axis=-1).mean())
-
-
-_MCP, _PIP, _DIP = slice(2, 6), slice(7, 11), slice(12, 16)
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
 
 
 def _spread(items: Sequence[Any], most: int) -> list[Any]:

@@ -6,6 +6,7 @@ import numpy as np
 
 from jghand_engine import limits
 from jghand_engine.errors import InputError
+from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import METRES_PER_UNIT, JointOrder, check_order, hand_length
 
 
@@ -32,6 +33,28 @@ def check_joints(joints_m: np.ndarray, order: JointOrder, unit: str, source: str
         raise InputError(
             f"joints in {source} ({error.thing})", wanted=error.wanted, came=error.came, remedy=error.remedy
         ) from error
+
+
+def curl_towards_palm(joints_m: np.ndarray, handedness: Handedness) -> float | None:
+    """Mean bend of index..pinky at the middle joint towards the palm, as a sine, -1..1; None without a whole pose.
+
+    joints_m: (P, 21, 3) level order. These joints bend one way only, about the line of the knuckles, so that a clearly
+    negative value is the other hand.
+    """
+    whole = joints_m[np.isfinite(joints_m).all(axis=(1, 2))]
+    if not len(whole):
+        return None
+    knuckles = _unit(whole[:, 2] - whole[:, 5])
+    knuckles = knuckles if handedness is Handedness.RIGHT else -knuckles
+    proximal, middle = (_unit(whole[:, end] - whole[:, start]) for start, end in ((_MCP, _PIP), (_PIP, _DIP)))
+    return float((np.cross(proximal, middle) * knuckles[:, None]).sum(axis=-1).mean())
+
+
+_MCP, _PIP, _DIP = slice(2, 6), slice(7, 11), slice(12, 16)
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
 
 
 def _unit_remedy(length_m: float, unit: str) -> str:

@@ -12,9 +12,10 @@ import torch
 from picture_sets import LEFT, edited, recorded, write_hanco, write_set
 from PIL import Image
 
-from jghand_engine.datasets.check_data import check_data, curl_towards_palm, facts
+from jghand_engine.datasets.check_data import check_data, facts
 from jghand_engine.datasets.masks import template_mask
 from jghand_engine.datasets.overlay import overlay
+from jghand_engine.datasets.plausibility import curl_towards_palm
 from jghand_engine.datasets.projection import joints_on_mask, part_on_mask
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, from_level

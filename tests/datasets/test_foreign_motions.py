@@ -312,6 +312,24 @@ def test_mediapipes_old_interface_calls_a_right_hand_left(tmp_path, motion):
     assert any("as was said" in note for note in said.notes)
 
 
+def test_a_label_counts_less_than_the_way_the_fingers_bend(tmp_path, motion):
+    """Older versions of Tasks label a hand as its mirror image, and do not say which version they are."""
+    path = dumped(tmp_path / "a.json", samples.mediapipe_tasks(samples.standard(motion), "Left"))
+    read = read_motion_file(path)
+    assert distance(read, motion) < EXACT_M
+    assert any("labelled left, but its fingers bend as those of a right hand" in note for note in read.notes)
+    kept = read_motion_file(path, MotionFormat(mirrored_labels=False))
+    assert kept.sequence.handedness is LEFT
+    assert any("bend as those of a right hand" in note for note in kept.notes)
+
+
+def test_a_hand_that_bends_the_other_way_is_warned_of(tmp_path, motion):
+    np.save(tmp_path / "a.npy", samples.standard(motion))
+    for side, warned in ((LEFT, True), (RIGHT, False)):
+        notes = read_motion_file(tmp_path / "a.npy", MotionFormat(handedness=side)).notes
+        assert any("bend as those of a right hand" in note for note in notes) is warned
+
+
 def test_landmarks_of_the_image_alone_are_refused(tmp_path, motion):
     frames = samples.mediapipe_tasks(samples.standard(motion))
     for frame in frames:

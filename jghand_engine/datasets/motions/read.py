@@ -20,6 +20,7 @@ from jghand_engine.datasets.motions.content import HandTrack, MotionContent
 from jghand_engine.datasets.motions.json_text import JsonText
 from jghand_engine.datasets.motions.recognise import Kind, frames_place, kind_of
 from jghand_engine.datasets.motions.units import even_rate, recognised_order, recognised_unit
+from jghand_engine.datasets.plausibility import curl_towards_palm
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import METRES_PER_UNIT, JointOrder, check_hand_size, check_order, to_level
@@ -66,6 +67,9 @@ def read_motion_file(path: Path | str, wanted: MotionFormat | None = None) -> Mo
             came="none declared in the file",
             remedy="Say the hand with --hand right or --hand left: joints alone do not tell it.",
         )
+    if not (content.is_plain and track.handedness is not None):
+        side, said = _looked_at(track, level_m, side, wanted)
+        notes += said
     level_m, fps, said = _evenly(file, content, level_m, wanted)
     notes += said
     filled = content.filled if content.filled is not None and len(content.filled) == len(level_m) else None
@@ -216,6 +220,21 @@ def _of_side(file: Path, tracks: list[HandTrack], side: Handedness) -> tuple[lis
         came=f"a {tracks[0].handedness} one only",
         remedy="Say which hand the file has; --mirror makes it the other one afterwards.",
     )
+
+
+def _looked_at(
+    track: HandTrack, level_m: np.ndarray, side: Handedness, wanted: MotionFormat
+) -> tuple[Handedness, list[str]]:
+    """The side by the way in which the fingers bend, where they do: it counts more than a label, and warns of what was
+    said or stands in names."""
+    some = level_m[:: max(1, len(level_m) // limits.RECOGNISE_FRAMES)]
+    curl = curl_towards_palm(some, side)
+    if curl is None or curl > -limits.CHECK_CURL:
+        return side, []
+    other = Handedness.LEFT if side is Handedness.RIGHT else Handedness.RIGHT
+    if track.labelled and wanted.handedness is None and wanted.mirrored_labels is None:
+        return other, [f"It is labelled {side}, but its fingers bend as those of a {other} hand: it is taken for one."]
+    return side, [f"Its fingers bend as those of a {other} hand: either it is one, or its axes are mirrored."]
 
 
 def _order(file: Path, track: HandTrack, wanted: MotionFormat) -> tuple[JointOrder, list[str]]:
