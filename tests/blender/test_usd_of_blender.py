@@ -1,6 +1,7 @@
 """The engine's exporter runs as it is on Blender's own USD: the stage that comes out of it is as sound and as exact.
 
-Blender's Python borrows the engine's other packages, which works where both are of the same version.
+Blender's Python borrows the engine's other packages, which works where both are of the same version. What writes the
+splats themselves needs nothing but numpy and `pxr`, and is tried in every Blender.
 """
 
 from __future__ import annotations
@@ -53,6 +54,49 @@ for name in {files!r}:
         told[name]["off_m"] = float(np.abs(np.stack(read) - truth).max())
 print(json.dumps(told))
 """
+SPLATS = """
+import bpy
+bpy.utils.expose_bundled_modules()
+import sys
+from pathlib import Path
+import numpy as np
+from pxr import Usd
+sys.path.insert(0, {root!r})
+from jghand_engine.exporters.usd_layers import TimeRange
+from jghand_engine.exporters.usd_splats import Cloud, Look, Sample, SplatLayer
+
+assert "bpy" in Usd.__file__, Usd.__file__
+rng = np.random.default_rng(0)
+points, sigma = (rng.uniform(0.001, 0.1, shape).astype(np.float32) for shape in ((5, 500, 3), 500))
+opacity, rgb = (rng.uniform(0, 1, shape).astype(np.float32) for shape in (500, (500, 3)))
+for half in (False, True):
+    path = Path({folder!r}) / f"half_{{half}}.usdc"
+    layer = SplatLayer.new(path, Cloud(points[0], sigma, opacity, rgb), TimeRange(5, 30.0), Look(half=half),
+                           Sample(points[0]))
+    for frame in range(5):
+        layer.put(frame, Sample(points[frame], wrist_m=np.array([0.05, 0.06, 0.07])))
+    layer.finish()
+np.savez(Path({folder!r}) / "truth.npz", points=points)
+print(Usd.GetVersion())
+"""
+JUDGE_SPLATS = """
+import sys
+import numpy as np
+from pathlib import Path
+from pxr import Usd
+from jghand_engine.exporters.usd_check import check_usd
+
+folder = Path({folder!r})
+truth = np.load(folder / "truth.npz")["points"]
+for name, half, room in (("half_False.usdc", "", 0.0), ("half_True.usdc", "h", 4e-5)):
+    assert [str(one) for one in check_usd(folder / name) if one.is_error] == []
+    stage = Usd.Stage.Open(str(folder / name))
+    splats = stage.GetPrimAtPath("/Splats")
+    moved = np.array([0.05, 0.06, 0.07]) if half else 0.0
+    read = [np.array(splats.GetAttribute(f"positions{{half}}").Get(frame), np.float64) + moved for frame in range(5)]
+    assert np.abs(np.stack(read) - truth).max() <= room, np.abs(np.stack(read) - truth).max()
+print("sound")
+"""
 WAYS = {
     "layers": {},
     "sizes": {"sizes": "per_frame", "radiance": "linear"},
@@ -88,3 +132,11 @@ def test_the_exporter_runs_on_blenders_own_usd(tmp_path):
         assert told[name]["off_m"] < 2e-7, name
     compared = {name.split("/")[0] for name in FILES if told[name]["off_m"] > 0}
     assert compared == {"layers", "sizes", "usdc", "usdz"}
+
+
+def test_every_blender_writes_the_splats_themselves(tmp_path):
+    engine = environments.ENGINE.python
+    if not engine.is_file():
+        pytest.skip("there is no engine environment: run scripts/test.py")
+    in_python(sys.executable, SPLATS.format(root=str(ROOT), folder=str(tmp_path)), [])
+    assert in_python(engine, JUDGE_SPLATS.format(folder=str(tmp_path)), [str(ROOT)]) == "sound"
