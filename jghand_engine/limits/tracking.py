@@ -10,8 +10,8 @@ VIDEO_EDGE_MAX_PX = 16384
 VIDEO_EDGE_MIN_PX = 16
 # larger pictures are made smaller while they are read: the detector looks at hands of 224 pixels
 TRACK_EDGE_PX = 1920
-# longer videos are refused: half a kilobyte per frame and hand stays in memory, nine hours at 30 frames per second
-TRACK_FRAMES_MAX = 1_000_000
+# longer videos are refused: some kilobytes per frame and hand stay in memory; nearly two hours at 30 per second
+TRACK_FRAMES_MAX = 200_000
 # rates by which films and television miss a whole number, which players print rounded
 NTSC_RATES = (24000 / 1001, 30000 / 1001, 48000 / 1001, 60000 / 1001, 120000 / 1001)
 NTSC_RATE_TOLERANCE = 6e-3
