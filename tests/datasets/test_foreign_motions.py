@@ -383,6 +383,20 @@ def test_headsets_list_25_or_26_joints_in_many_ways(tmp_path, motion, way):
     assert distance(read_motion_file(dumped(tmp_path / "a.json", frames), wanted), motion) < EXACT_M
 
 
+def test_joints_are_known_by_openxrs_own_names(tmp_path, motion):
+    fingers = ("INDEX", "MIDDLE", "RING", "LITTLE")
+    bones = ("METACARPAL", "PROXIMAL", "INTERMEDIATE", "DISTAL", "TIP")
+    names = ["WRIST", *(f"THUMB_{bone}" for bone in ("METACARPAL", "PROXIMAL", "DISTAL", "TIP"))]
+    names += [f"{finger}_{bone}" for finger in fingers for bone in bones]
+    names = [f"XR_HAND_JOINT_{name}_EXT" for name in names]
+    joints = samples.webxr_joints(samples.motion(LEFT)).tolist()
+    named = [dict(zip(names, ({"pose": {"position": point}} for point in frame), strict=True)) for frame in joints]
+    frames = [{"left": frame} for frame in named]
+    read = read_motion_file(dumped(tmp_path / "a.json", {"frames": frames}))
+    assert distance(read, samples.motion(LEFT)) < EXACT_M
+    assert read.kind == "joints of a headset"
+
+
 def test_interhand_marks_the_absent_hand(tmp_path, motion):
     read = read_motion_file(dumped(tmp_path / "joint_3d.json", samples.interhand_document(motion)))
     assert distance(read, motion) < EXACT_M
