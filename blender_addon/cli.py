@@ -210,7 +210,7 @@ def _job(options: argparse.Namespace) -> _Job:
     batch.check_folders(options.out, [eye.name for eye in cameras])
     hands = armature.hands_at_any_frame(bpy.context.view_layer)
     if not hands:
-        instanced = "; ".join(scene.instanced_hands(opened))
+        instanced = "; ".join(scene.instanced_hands(opened.objects))
         raise JGHandFailure("no_hand", f"{options.file}; not rendered: {instanced}" if instanced else str(options.file))
     if options.avatar is not None:
         chosen = options.avatar if options.avatar in SHIPPED_AVATARS else str(Path(options.avatar).resolve())

@@ -82,24 +82,25 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
 
     def _render(self, depsgraph: bpy.types.Depsgraph) -> None:
         clock = time.perf_counter()
-        scene = depsgraph.scene
+        # what is keyed of a scene and its world is only in what was evaluated for this render
+        scene = depsgraph.scene_eval
         if scene.render.use_multiview:
             raise JGHandFailure("stereo")
-        eye = self.camera_override or scene.camera
-        if eye is None:
+        if (self.camera_override or scene.camera) is None:
             raise JGHandFailure("no_camera")
         # what is composited has the size of the scene that it is for
         size = (self.resolution_x, self.resolution_y)
         part = camera.region(scene.render, size)
-        seen = moments.read_moments(depsgraph, moments.Frame(eye.original, size, part), self.frame_set)
-        evaluated = time.perf_counter()
-        wanted = {COMBINED: "rgba_f32", **_other_outputs(scene, depsgraph.view_layer)}
+        frame = moments.Frame(lambda: self.camera_override or depsgraph.scene_eval.camera, size, part)
+        seen = moments.read_moments(depsgraph, frame, self.frame_set)
+        evaluated, scene = time.perf_counter(), depsgraph.scene_eval
+        wanted = {COMBINED: "rgba_f32", **_other_outputs(scene, depsgraph.view_layer_eval)}
         reply = self._ask(seen, list(wanted.values()), scene)
         answered = time.perf_counter()
         arrays = {name: np.asarray(reply.arrays[output].view()) for name, output in wanted.items()}
-        drawn = _drawn(arrays, depsgraph.scene)
+        drawn = _drawn(arrays, scene)
         arrays = {name: values[drawn.top : drawn.bottom, drawn.left : drawn.right] for name, values in arrays.items()}
-        self._fill(part, drawn, depsgraph.view_layer.name, dict(_passes(arrays, depsgraph)))
+        self._fill(part, drawn, depsgraph.view_layer_eval.name, dict(_passes(arrays, scene)))
         self._tell(reply.header.get("reports", []), seen, (evaluated - clock, answered - evaluated))
 
     def _ask(self, seen: list[Moment], outputs: list[str], scene: bpy.types.Scene) -> Any:
@@ -149,7 +150,7 @@ def _other_outputs(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> dict[s
     wanted = {}
     if layer.use_pass_z:
         # what is blurred has to be somewhere when pictures are combined by depth
-        wanted[DEPTH] = "depth_covered" if combination.is_hands_scene(scene.original) else "depth"
+        wanted[DEPTH] = "depth_covered" if combination.is_hands_scene(scene) else "depth"
     if scene.jghand.use_pass_ids:
         wanted[IDS] = "ids"
     return wanted
@@ -165,9 +166,8 @@ def _drawn(arrays: dict[str, np.ndarray], scene: bpy.types.Scene) -> Part:
     return Part(columns.start, rows.start, columns.stop, rows.stop)
 
 
-def _passes(arrays: dict[str, np.ndarray], depsgraph: bpy.types.Depsgraph) -> Iterator[tuple[str, np.ndarray]]:
-    """The passes as Blender takes them."""
-    scene = depsgraph.scene
+def _passes(arrays: dict[str, np.ndarray], scene: bpy.types.Scene) -> Iterator[tuple[str, np.ndarray]]:
+    """The passes as Blender takes them, of an evaluated scene."""
     combined = film.scene_linear(arrays[COMBINED])
     if not scene.render.film_transparent:
         combined = film.over(combined, background(scene.world))

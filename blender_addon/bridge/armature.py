@@ -60,9 +60,20 @@ def hand_armatures(view_layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
     return [hand for hand in _hands_of(view_layer) if not hand.hide_render]
 
 
-def rendered_hands(depsgraph: bpy.types.Depsgraph) -> list[bpy.types.Object]:
-    """The hands that a render shows at the frame of its depsgraph, by name; their visibility may be animated."""
-    return [hand for hand in _hands_of(depsgraph.view_layer) if not hand.evaluated_get(depsgraph).hide_render]
+def evaluated_hands(depsgraph: bpy.types.Depsgraph) -> list[bpy.types.Object]:
+    """The hands that Blender evaluated for a render, by name, as it evaluated them: those that take part in it at the
+    frame of the depsgraph, and those whose visibility is animated.
+
+    A render has a thread of its own and data of its own, in which what is not rendered is not there; of the file's data
+    nothing is read here, for meanwhile the artist may delete objects.
+    """
+    things = [thing for thing in depsgraph.view_layer_eval.objects if thing is not None and is_any_hand(thing)]
+    return sorted(things, key=name_in_files)
+
+
+def name_in_files(thing: bpy.types.Object) -> tuple[str, str]:
+    """What an object is known by: its name, and the file that it is linked from, "" for the opened one."""
+    return thing.name, thing.library.filepath if thing.library is not None else ""
 
 
 def hands_at_any_frame(view_layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:

@@ -23,9 +23,10 @@ _FRAME_AT = {"START": 0.0, "CENTER": 0.5, "END": 1.0}
 
 @dataclass(frozen=True)
 class Frame:
-    """What of a view is drawn. eye: the camera · size: of the whole picture, pixels · part: of it that is drawn"""
+    """What of a view is drawn. eye: gives the evaluated camera · size: of the whole picture, pixels · part: of it that
+    is drawn"""
 
-    eye: bpy.types.Object
+    eye: Callable[[], bpy.types.Object]
     size: tuple[int, int]
     part: Part
 
@@ -35,23 +36,25 @@ def read_moments(depsgraph: bpy.types.Depsgraph, frame: Frame, frame_set: Callab
 
     frame_set: moves the scene, and evaluates `depsgraph`, to a frame and a part of the way to the next. The scene is
     where it was afterwards. Raises JGHandFailure: what `camera.pinhole` and `sources.read_hands` do, no_hand,
-    scripts_blocked, broken_driver.
+    scripts_blocked, broken_driver, hidden.
     """
-    if not any(armature.hands_at_any_frame(layer) for layer in depsgraph.scene.original.view_layers):
-        instanced = "; ".join(scene.instanced_hands(depsgraph.scene))
+    there = armature.evaluated_hands(depsgraph)
+    if not (there or _hands_elsewhere(depsgraph)):
+        instanced = "; ".join(scene.instanced_hands(depsgraph.view_layer_eval.objects))
         raise JGHandFailure("no_hand", f"not rendered: {instanced}" if instanced else "")
-    things = armature.rendered_hands(depsgraph)
-    scene.check_drivers((*things, frame.eye), depsgraph)
-    times = shutter_times(depsgraph.scene)
+    things = [hand for hand in there if not hand.hide_render]
+    scene.check_drivers((*things, frame.eye()), depsgraph)
+    times = shutter_times(depsgraph.scene_eval)
+    names = [armature.name_in_files(thing) for thing in things]
     if len(times) == 1:
-        return [_moment(things, frame, depsgraph)]
+        return [_moment(names, frame, depsgraph)]
     whole, subframe = depsgraph.scene.frame_current, depsgraph.scene.frame_subframe
     moments = []
     try:
         for time, weight in times:
             at = whole + subframe + time
             frame_set(int(np.floor(at)), float(at - np.floor(at)))
-            moments.append(replace(_moment(things, frame, depsgraph), weight=weight))
+            moments.append(replace(_moment(names, frame, depsgraph), weight=weight))
     finally:
         frame_set(whole, subframe)
     return moments if _moves(moments) else moments[:1]
@@ -73,12 +76,27 @@ def shutter_times(current: bpy.types.Scene) -> list[tuple[float, float]]:
     return list(zip(times.tolist(), openness, strict=True))
 
 
-def _moment(things: list[bpy.types.Object], frame: Frame, depsgraph: bpy.types.Depsgraph) -> Moment:
+def _hands_elsewhere(depsgraph: bpy.types.Depsgraph) -> bool:
+    """Whether another view layer of the scene shows hands: then one without any is no mistake.
+
+    Of another layer a render knows what the file says, and nothing else; it is asked where nothing else can tell.
+    """
+    layers = depsgraph.scene.view_layers
+    return len(layers) > 1 and any(armature.hands_at_any_frame(layer) for layer in layers)
+
+
+def _moment(names: list[tuple[str, str]], frame: Frame, depsgraph: bpy.types.Depsgraph) -> Moment:
+    """The hands of these names, and the camera. What Blender evaluated is looked for at each moment: at another frame
+    it may be another object."""
+    found = {armature.name_in_files(thing): thing for thing in armature.evaluated_hands(depsgraph)}
+    gone = [each[0] for each in names if each not in found]
+    if gone:
+        raise JGHandFailure("hidden", ", ".join(gone))
     hands: list[HandInSpace] = []
-    for thing in things:
+    for thing in map(found.__getitem__, names):
         avatar = seen_hands.avatar_of(thing)
         hands += [replace(hand, avatar=avatar) for hand in sources.read_hands(thing, depsgraph)]
-    whole = camera.pinhole(frame.eye, depsgraph, frame.size)
+    whole = camera.pinhole(frame.eye(), depsgraph, frame.size)
     return Moment(picture_of(whole, frame.part, frame.part.pixels), hands)
 
 

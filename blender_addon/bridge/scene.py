@@ -70,11 +70,11 @@ def notes_on(scene: bpy.types.Scene) -> list[str]:
     return []
 
 
-def instanced_hands(scene: bpy.types.Scene) -> list[str]:
+def instanced_hands(things: Iterable[bpy.types.Object]) -> list[str]:
     """The hands that only show as instances of a collection, which are not rendered: "hand, in its instance"."""
     return [
         f"{hand.name}, in the instance {thing.name}"
-        for thing in scene.objects
+        for thing in things
         if thing.instance_type == "COLLECTION" and thing.instance_collection
         for hand in thing.instance_collection.all_objects
         if armature.is_any_hand(hand)

@@ -22,7 +22,7 @@ class ViewportEngine:
 
     def view_draw(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
         """Draws one 3D view: the world's colour, unless the film is transparent, and the hands before it."""
-        scene = depsgraph.scene
+        scene = depsgraph.scene_eval
         if not scene.render.film_transparent:
             gpu.state.active_framebuffer_get().clear(color=(*background(scene.world), 1.0))
         views.draw(context, lambda: depsgraph, views.RENDERED)

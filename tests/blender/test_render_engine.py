@@ -151,6 +151,67 @@ def test_what_is_behind_the_hand_is_the_world(scene):
     assert (picture[~empty] == 1).all()
 
 
+def test_a_keyed_world_is_that_of_each_frame_however_it_is_rendered(scene, tmp_path, monkeypatch, stand_in_command):
+    scene.world, scene.render.film_transparent = bpy.data.worlds.new("World"), False
+    scene.render.use_stamp_date = scene.render.use_stamp_render_time = False
+    tree = armature.versions.world_tree(scene.world)
+    node = next((node for node in tree.nodes if node.type == "BACKGROUND"), None) if tree is not None else None
+    owner, name = (scene.world, "color") if node is None else (node.inputs["Color"], "default_value")
+    for frame, grey in ((1, 0.0), (2, 0.2), (3, 0.5), (4, 1.0)):
+        setattr(owner, name, (grey, grey, grey, 1.0)[: len(getattr(owner, name))])
+        owner.keyframe_insert(name, frame=frame)
+    scene.render.filepath = str(tmp_path / "animation_")
+    scene.frame_set(1)  # where the file's own world stays, whatever is rendered
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "hand.blend"))
+    bpy.ops.render.render(animation=True)
+    for frame, grey in ((1, 0.0), (2, 0.2), (3, 0.5), (4, 1.0)):
+        encoded = 12.92 * grey if grey <= 0.0031308 else 1.055 * grey ** (1 / 2.4) - 0.055
+        behind = np.median(pixels(tmp_path / f"animation_{frame:04d}.png")[..., :3])
+        assert behind == pytest.approx(encoded, abs=0.6 / 255)
+    monkeypatch.setattr(cli, "engine_command", lambda *_, **__: stand_in_command)
+    assert cli.main([str(tmp_path / "hand.blend"), "--out", str(tmp_path / "batch")]) == 0
+    runtime.use_link(EngineLink(lambda: stand_in_command))  # a run ends the link it used
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "hand.blend"))
+    bpy.context.scene.frame_set(3)
+    bpy.context.scene.render.filepath = str(tmp_path / "still.png")
+    f12()
+    third = (tmp_path / "animation_0003.png").read_bytes()
+    assert (tmp_path / "batch" / "Camera" / "0003.png").read_bytes() == third
+    assert (tmp_path / "still.png").read_bytes() == third
+
+
+def test_what_is_deleted_while_it_is_rendered_is_in_that_picture(scene, monkeypatch):
+    """A render has a thread of its own: of the file it reads nothing, only what Blender evaluated for it."""
+    wanted, read = f12(), render_engine.moments.read_moments
+
+    def deleted_meanwhile(*args):
+        bpy.data.objects.remove(bpy.data.objects["right"])
+        return read(*args)
+
+    monkeypatch.setattr(render_engine.moments, "read_moments", deleted_meanwhile)
+    np.testing.assert_array_equal(f12(), wanted)
+
+
+def test_only_what_was_evaluated_for_a_render_is_read_while_it_runs(sliding, monkeypatch):
+    seen = []
+    for owner, name in (
+        (armature, "is_any_hand"),
+        (armature, "read_hand"),
+        (moments.seen_hands, "avatar_of"),
+        (camera, "pinhole"),
+    ):
+        function = getattr(owner, name)
+
+        def noticed(thing, *rest, function=function):
+            seen.append(thing.is_evaluated)
+            return function(thing, *rest)
+
+        monkeypatch.setattr(owner, name, noticed)
+    f12()
+    assert len(seen) > 10
+    assert all(seen)
+
+
 def test_two_hands_are_one_picture_the_nearer_in_front(scene):
     armature.build_armature(bpy.context, "left", posing.rest_joints_m("left"), "left")
     (wanted,) = asked(scene, "rgba_f32")
