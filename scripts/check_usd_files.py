@@ -90,8 +90,13 @@ class Verdict:
     splats: int | None = None
 
     @property
+    def of_half(self) -> list[str]:
+        """Those that say that a stage in half precision is one."""
+        return [sentence for sentence in self.issues if self.way.is_half and "half precision" in sentence]
+
+    @property
     def good(self) -> bool:
-        wrong = [sentence for sentence in self.issues if not (self.way.is_half and "half precision" in sentence)]
+        wrong = len(self.issues) - len(self.of_half)
         as_it_should = self.splats is None or (self.splats > 0) == self.way.is_half
         return not wrong and as_it_should and (self.nvidia is None or self.nvidia[0] == 0)
 
@@ -208,7 +213,9 @@ def markdown(verdicts: list[Verdict], found: list[Reading]) -> str:
     ]
     for one in verdicts:
         nvidia = "not asked" if one.nvidia is None else f"{one.nvidia[0]} failures, {one.nvidia[1]} warnings"
-        said = "1 note: half precision" if one.way.is_half else f"{len(one.issues)} issues"
+        said = f"{len(one.issues) - len(one.of_half)} issues"
+        if one.of_half:
+            said += f", {len(one.of_half)} notes that it is half"
         splats = "not asked" if one.splats is None else f"{one.splats} issues"
         lines.append(f"| {_words(one.way)} | {said} | {nvidia} | {splats} |")
     lines += [
