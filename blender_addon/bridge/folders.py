@@ -46,9 +46,12 @@ def remove_job_folder(folder: Path) -> None:
 def absolute(thing: bpy.types.Object, name: str) -> str:
     """A path of a hand's settings, absolute: // is the folder of the file that the text was written for. An override
     that leaves it as it is has it from its library. "" where there is none."""
-    text, library, override = getattr(thing.jghand, name), thing.library, thing.override_library
-    if override is not None and override.reference is not None and getattr(override.reference.jghand, name) == text:
-        library = override.reference.library
+    text, library = getattr(thing.jghand, name), thing.library
+    if text.startswith("//") and library is None and bpy.data.libraries:
+        override = thing.original.override_library  # evaluated objects do not know what they override
+        reference = override.reference if override is not None else None
+        if reference is not None and getattr(reference.jghand, name) == text:
+            library = reference.library
     return bpy.path.abspath(text, library=library) if text else ""
 
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import bpy
 import hands
 import numpy as np
 import pytest
 
-from blender_addon.bridge import armature, bone_list, controls, sources
+from blender_addon.bridge import armature, bone_list, controls, seen_hands, sources
 from blender_addon.core import posing
 from blender_addon.core.controls import HAND_CONTROL
 from blender_addon.core.joints import HANDEDNESSES
@@ -120,6 +122,26 @@ def test_a_library_override_of_a_hand_can_be_posed_and_has_settings_of_its_own(e
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "shot.blend"))
     own = next(thing for thing in bpy.data.objects if thing.name == name and thing.override_library)
     assert (own.jghand.avatar, own.jghand.show_in_viewport) == ("other.jghand", False)
+
+
+def test_what_was_evaluated_of_an_override_has_the_avatar_beside_its_library(extension, tmp_path):
+    two_hands()
+    bpy.data.objects["Right Hand"].jghand.avatar = "//right.jghand"
+    (tmp_path / "hands").mkdir()
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "hands" / "hands.blend"))
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "shot.blend"))
+    with bpy.data.libraries.load(str(tmp_path / "hands" / "hands.blend"), link=True) as (_there, here):
+        here.objects = ["Right Hand"]
+    own = here.objects[0].override_create()
+    bpy.context.scene.collection.objects.link(own)
+    evaluated = own.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    assert evaluated.is_evaluated
+    for thing in (own, evaluated):
+        assert Path(seen_hands.avatar_of(thing)) == tmp_path / "hands" / "right.jghand"
+    own.jghand.avatar = "//mine.jghand"
+    evaluated = own.evaluated_get(bpy.context.evaluated_depsgraph_get())
+    assert Path(seen_hands.avatar_of(evaluated)) == tmp_path / "mine.jghand"
 
 
 def test_undo_and_redo_of_a_bone_that_was_chosen(extension):
