@@ -320,7 +320,8 @@ def test_another_view_layer_takes_the_place_of_the_first_which_is_as_it_was(scen
     bpy.ops.jghand.combine_with_scene()
     assert (first.use_pass_z, second.use_pass_z) == (False, True)
     tree = versions.compositor_tree(scene)
-    assert len(tree.nodes) == count
+    # 4.5 makes a node for the first layer itself, which was used and stays; the second one has none
+    assert len(tree.nodes) - count in ((0,) if hasattr(scene, "compositing_node_group") else (1,))
     assert "Second" in {node.layer for node in tree.nodes if node.bl_idname == "CompositorNodeRLayers"}
     bpy.context.window.view_layer = first
     bpy.ops.jghand.remove_combination()

@@ -239,6 +239,8 @@ def test_whatever_may_run_runs_or_says_in_a_sentence_why_not(stand_in, context, 
         operator = getattr(bpy.ops.jghand, name.partition(".")[2])
         if name in NOT_PRESSED or not operator.poll():
             continue
+        if name == "jghand.make_pose_assets" and content != "a hand":
+            continue  # takes seconds, and looks at nothing of the scene
         ran += 1
         said = ""
         try:

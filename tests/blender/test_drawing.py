@@ -114,12 +114,12 @@ def test_a_mistake_of_ours_is_no_fault_of_the_driver(driver, monkeypatch):
 
 def test_rendered_mode_and_solid_are_drawn_alike(driver, monkeypatch):
     monkeypatch.setattr(gpu_picture, "free_unwanted", lambda: None)
-    scene = SimpleNamespace(render=SimpleNamespace(film_transparent=True))
-    viewport_engine.ViewportEngine().view_draw(driver.context, SimpleNamespace(scene=scene))
+    depsgraph = SimpleNamespace(scene_eval=SimpleNamespace(render=SimpleNamespace(film_transparent=True)))
+    viewport_engine.ViewportEngine().view_draw(driver.context, depsgraph)
     assert [key[1] for key in views._drawing] == [views.RENDERED]
     monkeypatch.setattr(rendering, "now", lambda: True)
     driver.now[0] += limits.DRAW_REST_S
-    viewport_engine.ViewportEngine().view_draw(driver.context, SimpleNamespace(scene=scene))
+    viewport_engine.ViewportEngine().view_draw(driver.context, depsgraph)
 
 
 def test_a_word_of_the_extension_fits_the_small_window_of_a_picture(extension, monkeypatch):
