@@ -22,7 +22,7 @@ DESCRIPTION = """Write a motion as OpenUSD (hand.usda with its layers: splats, p
 splat files, one for every frame (hand.0000.ply and so on), or as a web page that plays it and poses the hand.
 
 A USD stage offers the variants splats, points, points_skinned and mesh, whatever --for says: that chooses the one which
-is shown first, and how large points are.
+is shown first, and how large points are. Only --package usdc and --precision half leave some out.
 
 The skeleton has 63 joints: the 21 that drive the hand, with the names of the motion's joints, and those that
 carry the skin between them. A trained avatar has colours of its own in every frame, in the light that it was
