@@ -94,8 +94,9 @@ GATE_SAMPLES = 5
 GATE_PENETRATION_MAX = 1.5
 # a shadow that never changes a pixel by more, as it was measured, is not drawn: two 8-bit steps, on the darkest pixel
 SHADOW_UNSEEN = 2 / 255
-# hands smaller than this on the picture get no shadow pass, px
+# hands smaller than this on the picture get no shadow pass, px; it fades in up to the second size
 SHADOW_HAND_MIN_PX = 64.0
+SHADOW_HAND_FULL_PX = 96.0
 
 # ---- splat: half resolution ------------------------------------------------------------------------------------------
 # depths that differ by less are of one surface, metres: less than a finger's thickness, more than a pixel's slope
@@ -116,9 +117,13 @@ LOOKS_CLOSE_DB = 30.0
 # ---- splat: reuse between frames ------------------------------------------------------------------------------------
 # matrices are reused when no joint moved more than this, metres
 REUSE_JOINTS_M = 5e-5
-# ... and the skin then lacks at most this, metres. Joints that move against each other turn bones: the skin of a hand
-# without flags moves by up to 2.9 times their movement in the named poses, 3.4 times in random ones (built-in hand)
-REUSE_SKIN_M = 2e-4
+# ... and the skin then lacks at most this, metres. Joints that move against each other turn bones: the skin of the
+# trained hand moves by up to 5 times their movement in usual poses (0.25 mm), and by up to 11 times where bones are half
+# and one and a half times as long in turn
+REUSE_SKIN_M = 6e-4
+# ... but where a finger is bent further than any hand can, radians, by up to 14 times: such hands are reused only when
+# nothing moved at all
+REUSE_BENT_MAX = 2.4
 # ... and the correctives when no angle changed more than this, radians: a hand that moves as a whole keeps them
 REUSE_ANGLE_RAD = 2e-4
 # ... and the skin then lacks at most this, metres (the built-in hand's named poses: 0.06 mm, every angle at its limit)
@@ -134,6 +139,12 @@ FILTER_FACTOR_MAX = 8
 FILTER_PIXELS_MAX = 4_000_000
 # when the hand's box is smaller than this part of the picture, only the box is drawn
 CROP_PART_MAX = 0.5
+# ... and the shadow of single pixels then differs by at most this, where a sample falls on another pixel (worst seen:
+# 0.014)
+CROP_SHADOW = 0.015
+# ... and offsets of the correctives are stretched by at most this: where two bones at 112 degrees share the skin, their
+# mean map keeps its volume by stretching along the axis by cos(56 degrees)^(-2/3) = 1.47
+OFFSET_STRETCH = 1.5
 # its edges stand at multiples of this, px: tiles stay where they were, and buffers are seldom made anew
 CROP_STEP_PX = 64
 # the faint tail: contributions between 1/255 and this, and what the picture keeps without them, dB (the shipped hands:

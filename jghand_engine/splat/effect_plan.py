@@ -75,6 +75,8 @@ class Choice:
 
 
 AUTO = Choice()
+# the reason for what does not run because of it
+NOT_ALLOWED = "not among the chosen effects"
 
 
 class Box(NamedTuple):

@@ -22,8 +22,9 @@ from jghand_engine.avatar.correctives import Correctives, PoseNet
 from jghand_engine.avatar.learnt import ShadowLook
 from jghand_engine.avatar.tiers import CachedNet, LinearCorrectives
 from jghand_engine.hand.fast_transform import FastBones
+from jghand_engine.hand.frames import describe_flags
 from jghand_engine.splat.camera import Camera
-from jghand_engine.splat.effect_plan import Box, Decision, Effect, EffectPlan
+from jghand_engine.splat.effect_plan import NOT_ALLOWED, Box, Decision, Effect, EffectPlan
 from jghand_engine.splat.exposure import (
     Shutter,
     disc_of_depths,
@@ -33,11 +34,9 @@ from jghand_engine.splat.exposure import (
     motion_error,
     travel_px,
 )
-from jghand_engine.splat.gate import ShadowGate, contact_between, fade, gap_between
-from jghand_engine.splat.settings import RenderSettings, ShadowMode
-
-NOT_ALLOWED = "not among the chosen effects"
-ONE_STEP = 1.0 / 255.0
+from jghand_engine.splat.gate import ShadowGate
+from jghand_engine.splat.settings import RenderSettings
+from jghand_engine.splat.shadow_effects import plan_shadows
 
 
 class HandFacts:
@@ -75,7 +74,7 @@ class HandFacts:
     def reach_m(self, bones: FastBones, alpha_min: float) -> float:
         """How far from its skinned place a Gaussian of that pose may touch a picture with this cut-off."""
         seen = math.sqrt(2 * math.log(1 / alpha_min)) * self._sigma_max_m
-        return (seen + math.sqrt(3) * self.offset_m) * max(bones.scale, 1.0)
+        return (seen + limits.OFFSET_STRETCH * math.sqrt(3) * self.offset_m) * max(bones.scale, 1.0)
 
     def corners_m(self, bones: FastBones) -> np.ndarray:
         """(K, 3) points relative to the hand's root whose hull holds every skinned place."""
@@ -174,7 +173,7 @@ class Scene:
 def plan_effects(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings) -> EffectPlan:
     """Decides about every effect of one picture."""
     skin = _skin(scene, hands)
-    strength, shadows = _shadows(scene, hands, settings)
+    strength, shadows = plan_shadows(scene, hands, settings)
     alpha_min, tail = _tail(hands, settings)
     (enlarged, plain), smooth = _filter(scene, hands, settings, alpha_min)
     exposures, time_and_lens = _exposures(scene, hands, settings)
@@ -188,7 +187,7 @@ def plan_effects(scene: Scene, hands: Sequence[HandFacts], settings: RenderSetti
         *_maps(scene, settings),
         *time_and_lens,
         tail,
-        _whole(scene, hands, settings, alpha_min),
+        _whole(scene, hands, settings, alpha_min, strength > 0),
     )
     return EffectPlan(decisions, strength, alpha_min, enlarged, plain, exposures)
 
@@ -246,98 +245,6 @@ def _anisotropy(hands: Sequence[HandFacts], settings: RenderSettings) -> Decisio
     return Decision(Effect.ANISOTROPY, True, "ellipsoids", f"axes up to {longest:.1f} times as long", 1.0)
 
 
-# ---- shadow ---------------------------------------------------------------------------------------------------------
-
-
-def _shadows(
-    scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings
-) -> tuple[float, tuple[Decision, Decision]]:
-    """Strength 0..1 of the pass that shades all hands, and why: parts of a hand, and hands, near each other."""
-    looks = [hand.look for hand in hands if hand.look is not None]
-    extents_px = [_extent_px(joints, scene.camera) for joints in scene.joints_m]
-    cost = _hand_pixels(extents_px, scene.camera) * settings.shadow_samples * limits.SHADOW_MS
-    darkest = settings.shadow_strength * max((max(look.tint) for look in looks), default=0.0)
-
-    def neither(reason: str, bound: str, worst: float | None) -> tuple[float, tuple[Decision, Decision]]:
-        own, other = (Decision(one, False, reason, bound, worst, cost) for one in (Effect.SHADOW, Effect.BETWEEN))
-        return 0.0, (own, replace(other, estimated_ms=0.0) if len(hands) > 1 else _alone())
-
-    if settings.shadow is ShadowMode.OFF or settings.shadow_strength == 0:
-        return neither("switched off", "", darkest)
-    if not looks:
-        return neither("the avatar was learnt without one", "0", 0.0)
-    allowed = [settings.effects.allows(effect) for effect in (Effect.SHADOW, Effect.BETWEEN)]
-    if not any(allowed):
-        return neither(NOT_ALLOWED, _darkness(darkest), darkest)
-    always = settings.shadow is ShadowMode.ALWAYS or settings.effects.forces(Effect.SHADOW)
-    # colours that were learnt under a shadow that fades with the pose have in them what it leaves out
-    learnt = any(hand.learnt is not None for hand in hands)
-    gap_m = gap_between(scene.joints_m) if allowed[1] else math.inf
-    alone = gap_m >= limits.GATE_RADIUS_M
-    if alone and not always and (seen := _unseen(looks, settings)) is not None:
-        return neither(f"at most {255 * seen:.1f} of 255 steps", "measured when the avatar was baked", seen)
-    size_px = max(extents_px)
-    if size_px < limits.SHADOW_HAND_MIN_PX and not always:
-        return neither(f"hand {size_px:.0f} px", "a few pixels of crease", darkest)
-    own = _own_score(scene, hands) if allowed[0] else 0.0
-    contact = 0.0 if alone else contact_between(scene.joints_m)
-    full = always and not learnt and allowed[0]
-    strength = (1.0 if full else fade(own + contact)) * settings.shadow_strength
-    bound, worst = ("0: learnt as it is drawn", 0.0) if learnt else (_GATE_BOUND, darkest)
-
-    def decision(effect: Effect, mine: bool, reason: str, cost: float) -> Decision:
-        runs = strength > 0 and mine
-        return Decision(effect, runs, reason, _darkness(darkest) if runs else bound, darkest if runs else worst, cost)
-
-    told = "on every frame" if full else f"gate {own:.2f}"
-    self_shadow = decision(Effect.SHADOW, full or own > 0, told if allowed[0] else NOT_ALLOWED, cost)
-    return strength, (self_shadow, _between(scene, allowed[1], gap_m, contact, decision))
-
-
-def _unseen(looks: Sequence[ShadowLook], settings: RenderSettings) -> float | None:
-    """The most that these shadows change a pixel of a hand alone, where that is known and too little to see."""
-    if settings.shadow_radius_m != limits.SHADOW_RADIUS_M:
-        return None  # it was measured at the usual reach
-    seen = settings.shadow_strength * max(math.inf if look.seen is None else look.seen for look in looks)
-    return seen if seen <= limits.SHADOW_UNSEEN else None
-
-
-_GATE_BOUND = "1 % of the hand's pixels occluded by over 0.2 (METHOD 5.4)"
-
-
-def _between(scene: Scene, allowed: bool, gap_m: float, contact: float, decision) -> Decision:
-    if len(scene.joints_m) < 2:
-        return _alone()
-    if not allowed:
-        return replace(decision(Effect.BETWEEN, False, NOT_ALLOWED, 0.0), bound="shadows of a hand on the other")
-    if contact == 0:
-        # beyond the radius of influence nothing of the score is left, and the pass itself reaches a third of it
-        return Decision(Effect.BETWEEN, False, f"next hand {1e3 * gap_m:.0f} mm away", "0", 0.0)
-    return decision(Effect.BETWEEN, True, f"hands touch, score {contact:.2f}", 0.0)
-
-
-def _alone() -> Decision:
-    return Decision(Effect.BETWEEN, False, "one hand", "0", 0.0)
-
-
-def _darkness(darkest: float) -> str:
-    return f"darker by up to {100 * darkest:.0f} %"
-
-
-def _own_score(scene: Scene, hands: Sequence[HandFacts]) -> float:
-    pairs = zip(hands, scene.joints_m, scene.bones, strict=True)
-    return max(hand.gate.score(joints, bones.scale) for hand, joints, bones in pairs)
-
-
-def _extent_px(joints_m: np.ndarray, camera: Camera) -> float:
-    """The longer side of the box around the hand on the picture; infinite when the camera is inside it."""
-    pixels, depth = camera.project(torch.from_numpy(joints_m))
-    if not bool((depth > limits.Z_NEAR_M).all()):
-        return math.inf
-    flesh_px = 2e-3 * max(limits.GATE_CAPSULE_RADII_MM) * camera.px_per_metre(float(depth.min()))
-    return float((pixels.amax(0) - pixels.amin(0)).max()) + flesh_px
-
-
 # ---- picture --------------------------------------------------------------------------------------------------------
 
 
@@ -362,15 +269,14 @@ def _filter(
     def not_run(reason: str, bound: str, worst: float | None = None) -> tuple[tuple[int, float], Decision]:
         return (1, 1.0), Decision(Effect.FILTER, False, reason, bound, worst, cost)
 
-    if not settings.antialias:
-        return not_run("pictures as they were learnt", "0 where the hand is as large as that", 0.0)
-    if not settings.effects.allows(Effect.FILTER):
-        return not_run(NOT_ALLOWED, "small hands swell by up to 2 px")
     trios = zip(hands, scene.joints_m, scene.bones, strict=True)
-    sizes = [_sigma_px(hand, joints, bones, scene.camera) for hand, joints, bones in trios]
-    sigma_px = min(sizes)
+    sigma_px = min(_sigma_px(hand, joints, bones, scene.camera) for hand, joints, bones in trios)
     if sigma_px >= limits.FILTER_SIGMA_PX:
         return not_run(f"Gaussians of {sigma_px:.2g} px", "0: as learnt", 0.0)
+    if not settings.antialias:
+        return not_run("pictures as they were learnt", "hands swell by up to 2 px")
+    if not settings.effects.allows(Effect.FILTER):
+        return not_run(NOT_ALLOWED, "hands swell by up to 2 px")
     camera = scene.camera
     box = hand_box(scene.joints_m, scene.bones, hands, camera, alpha_min) or Box(0, 0, camera.width, camera.height)
     most = math.isqrt(max(limits.FILTER_PIXELS_MAX // max(box.width * box.height, 1), 1))
@@ -450,7 +356,9 @@ def _disc_px(scene: Scene, hands: Sequence[HandFacts]) -> float:
     return disc_of_depths(scene.camera, float(depths.min()) - flesh_m, float(depths.max()) + flesh_m)
 
 
-def _whole(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings, alpha_min: float) -> Decision:
+def _whole(
+    scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings, alpha_min: float, shaded: bool
+) -> Decision:
     """Whether more than the hand's box is drawn."""
     camera = scene.camera
     pixels = camera.width * camera.height
@@ -461,14 +369,11 @@ def _whole(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings, a
     reason = f"the hand's box is {100 * part:.0f} % of it"
     if part > limits.CROP_PART_MAX:
         return Decision(Effect.WHOLE, True, reason, "0", 0.0, pixels * limits.MAP_MS)
-    # centres of pixels are rounded elsewhere: a contribution at the cut may fall on its other side
-    return Decision(Effect.WHOLE, False, reason, "one 8-bit step", ONE_STEP, (1 - part) * pixels * limits.MAP_MS)
-
-
-def _hand_pixels(extents_px: Sequence[float], camera: Camera) -> float:
-    """Pixels that hands of these extents cover, roughly: the boxes of their joints, half filled."""
-    sides = [min(extent_px, max(camera.width, camera.height)) for extent_px in extents_px]
-    return sum(0.5 * side * min(side, camera.height) for side in sides)
+    # centres of pixels are rounded elsewhere: a contribution at the cut may fall on its other side, and so may a sample
+    # of the shadow
+    worst = alpha_min + (limits.CROP_SHADOW if shaded else 0.0)
+    bound = f"{255 * worst:.1f} 8-bit steps, on single pixels"
+    return Decision(Effect.WHOLE, False, reason, bound, worst, (1 - part) * pixels * limits.MAP_MS)
 
 
 def hand_box(
@@ -483,6 +388,8 @@ def hand_box(
     origin = camera.camera_from_world.numpy()
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     for joints, own, hand in zip(joints_m, bones, hands, strict=True):
+        if describe_flags(own.flags):
+            return None  # such hands stretch their skin beyond what is known
         corners, reach_m = hand.corners_m(own), hand.reach_m(own, alpha_min)
         if not len(corners):
             continue

@@ -46,13 +46,14 @@ def shutter_at(joints_m: np.ndarray, index: int, open_for: float) -> Shutter | N
 
 
 def travel_px(shutter: Shutter, middle_m: Sequence[np.ndarray], camera: Camera) -> float:
-    """The longest way of a joint on the picture while the shutter is open; infinite when it passes the near plane."""
+    """The longest way of a joint on the picture while the shutter is open, as if it went all the time as fast as in its
+    faster half: pictures are evenly spread in time. Infinite when it passes the near plane."""
     longest = 0.0
     for moments in zip(shutter.opens_m, middle_m, shutter.closes_m, strict=True):
         pixels, depth = camera.project(torch.from_numpy(np.stack(moments)))
         if not bool((depth > limits.Z_NEAR_M).all()):
             return math.inf
-        longest = max(longest, float((pixels[1:] - pixels[:-1]).norm(dim=-1).sum(0).max()))
+        longest = max(longest, 2 * float((pixels[1:] - pixels[:-1]).norm(dim=-1).max()))
     return longest
 
 

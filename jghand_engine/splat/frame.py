@@ -201,7 +201,8 @@ class SceneRenderer:
             old if pose.keeps_correctives and old is not None else pose.bones.angles_rad
             for pose, old in zip(poses, corrected, strict=True)
         ]
-        kept = Kept([joints.copy() for joints in hands], bool(notes), angles)
+        odd = bool(notes) or any(float(np.abs(one.angles_rad[:30]).max()) > limits.REUSE_BENT_MAX for one in bones)
+        kept = Kept([joints.copy() for joints in hands], odd, angles)
         report.ran(TRANSFORM, 1e3 * (time.perf_counter() - started))
         return _Shot(_Posed(kept, poses, notes, unseen), None)
 
@@ -266,6 +267,8 @@ class SceneRenderer:
 
     def _painted(self, shot: _Shot, camera: Camera, box: Box, plan: EffectPlan, report: FrameReport) -> Drawn:
         canvas = self._canvas(shot.posed, camera, plan.strength, plan.alpha_min)
+        # normals are those of the depth
+        canvas = replace(canvas, depth=plan.runs(Effect.DEPTH) or plan.runs(Effect.NORMALS))
         poses = None if shot.moved_m is not None else shot.posed.poses
         keeps = poses is None and not self.settings.effects.forces(Effect.SKIN) and canvas.same_view(self._drawn)
         # a picture that fails half way may leave the painter with half of these Gaussians: then the next one poses anew

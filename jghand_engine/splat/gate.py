@@ -77,8 +77,13 @@ def gap_between(hands_m: Sequence[np.ndarray]) -> float:
 
 
 def fade(score: float) -> float:
-    """Strength of the shadow, 0..1: smoothstep of the score between GATE_LOW and GATE_HIGH."""
-    t = min(max((score - limits.GATE_LOW) / (limits.GATE_HIGH - limits.GATE_LOW), 0.0), 1.0)
+    """Strength of the shadow, 0..1, by the gate's score."""
+    return smoothstep(score, limits.GATE_LOW, limits.GATE_HIGH)
+
+
+def smoothstep(value: float, low: float, high: float) -> float:
+    """0 up to `low`, 1 from `high` on, smooth between."""
+    t = min(max((value - low) / (high - low), 0.0), 1.0)
     return t * t * (3.0 - 2.0 * t)
 
 

@@ -52,12 +52,14 @@ class Pose:
 @dataclass(frozen=True)
 class Canvas:
     """What to paint. camera: of the picture's origin, that is camera_from_world @ translation(origin) · near_m: depth
-    of the origin, metres · style: of the shadow, None for none · alpha_min: cut-off of the blend."""
+    of the origin, metres · style: of the shadow, None for none · alpha_min: cut-off of the blend · depth: whether
+    somebody wants it."""
 
     camera: Camera
     near_m: float
     style: ShadowStyle | None
     alpha_min: float
+    depth: bool = False
 
     @property
     def eye_m(self) -> np.ndarray:
@@ -132,7 +134,7 @@ class TorchPainter:
             if canvas.style is not None:
                 planes = torch.cat([darken(planes, canvas.camera, canvas.style), planes[3:]])
             rgba = np.ascontiguousarray(planes[:4].permute(1, 2, 0).numpy())
-            depth_m = np.ascontiguousarray(picture.depth_m.numpy()) if self._settings.depth else None
+            depth_m = np.ascontiguousarray(picture.depth_m.numpy()) if canvas.depth else None
             report.ran(COMPOSE if canvas.style is None else SHADOW, 1e3 * (time.perf_counter() - started))
         return rgba, depth_m
 

@@ -74,7 +74,7 @@ class NativePainter:
                 self._gaussians, view_of(camera), alpha_min=canvas.alpha_min, t_stop=settings.t_stop
             )
         rgba = np.empty((camera.height, camera.width, 4), np.float32)
-        depth_m = np.empty((camera.height, camera.width), np.float32) if settings.depth else None
+        depth_m = np.empty((camera.height, camera.width), np.float32) if canvas.depth else None
         shade = self._shade_for(camera.width, camera.height)
         shade.prepare(self._planes, camera, canvas.style, near_m=canvas.near_m, rgba=rgba, depth_m=depth_m)
         work = _Work(

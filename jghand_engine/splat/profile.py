@@ -21,6 +21,8 @@ from typing import Any, TypeVar
 import jghand_engine
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.learnt_storage import LearntAbout, pack_learnt
+from jghand_engine.avatar.storage import Storage
 from jghand_engine.avatar.tiers import Tier
 from jghand_engine.errors import InputError, JGHandError
 from jghand_engine.files import cache_folder, writing
@@ -104,10 +106,11 @@ def profile_file(avatar: HandAvatar) -> Path:
     digest = hashlib.sha256(json.dumps([FORMAT, jghand_engine.__version__, *machine]).encode())
     for tensor in (avatar.position_m, avatar.sigma_m, avatar.opacity, avatar.rgb):
         digest.update(tensor.contiguous().numpy().tobytes())
-    baked = None if avatar.learnt is None else avatar.learnt.baked
-    digest.update(
-        json.dumps([avatar.learnt is not None, [price.name for price in baked.prices] if baked else []]).encode()
-    )
+    if avatar.learnt is not None:
+        learnt = avatar.learnt
+        digest.update(json.dumps(LearntAbout.of(learnt).as_dict(), sort_keys=True).encode())
+        for name, array in sorted(pack_learnt(learnt, Storage.COMPACT).items()):
+            digest.update(name.encode() + array.tobytes())
     return cache_folder() / f"profile_{digest.hexdigest()[:24]}.json"
 
 

@@ -18,7 +18,7 @@ from jghand_engine.errors import InputError
 from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.native import library as native_library
-from jghand_engine.splat import effects, painter_native
+from jghand_engine.splat import effects, painter_native, shadow_effects
 from jghand_engine.splat.camera import Camera, Lens
 from jghand_engine.splat.effect_plan import CHOOSABLE, Box, Choice, Effect
 from jghand_engine.splat.exposure import Shutter
@@ -117,8 +117,24 @@ def test_auto_is_all_within_what_the_receipt_says(name: str):
         # the shadow fades in with the gate, and never exceeds its tint
         bound += (1 - plan.strength) * max(limits.SHADOW_TINT)
     assert float(error.max()) <= bound
-    if plan.skipped_worst <= effects.ONE_STEP and plan.strength == 1:
+    if plan.skipped_worst <= 1 / 255 and plan.strength == 1:
         assert float((error > 1.1e-4).mean()) < 1e-3
+
+
+@pytest.mark.parametrize("avatar", [RIGHT, TRAINED, ellipsoid_avatar(1000)], ids=["painted", "trained", "ellipsoids"])
+@pytest.mark.parametrize("name", SCENES)
+def test_but_for_the_gate_auto_is_all_to_the_cut_off(name: str, avatar):
+    names, view = SCENES[name]
+    apart_m = 0.45 if "far" in name else 0.1
+    joints = [pose(one, avatar) + np.array([apart_m * place, 0.0, 0.0]) for place, one in enumerate(names)]
+    settings = replace(SMALL, alpha_min=limits.TAIL_ALPHA_MIN, antialias=True)
+    hands = [avatar] * len(names)
+    auto = SceneRenderer(hands, settings).render(joints, view)
+    forced = frozenset(CHOOSABLE) - {Effect.SHADOW}
+    everything = SceneRenderer(hands, replace(settings, effects=Choice(forced=forced))).render(joints, view)
+    # what is drawn in a box rounds the centres of pixels, and the samples of the shadow, elsewhere
+    bound = limits.TAIL_ALPHA_MIN + (limits.CROP_SHADOW if plan_of(auto).strength > 0 else 0.0)
+    assert difference(auto, everything) <= bound
 
 
 def test_the_faint_tail_is_worth_what_the_receipt_says():
@@ -211,6 +227,57 @@ def test_maps_that_nobody_asked_for_are_not_made(monkeypatch):
     assert frame.ids is None
 
 
+def test_normals_come_without_depth():
+    frame = HandRenderer(RIGHT, replace(SMALL, depth=False, normals=True)).render(pose("open"), camera())
+    assert plan_of(frame).runs(Effect.NORMALS)
+    assert frame.normal is not None
+    assert float(np.abs(frame.normal).max()) > 0.9
+    assert not frame.depth_m.any()
+
+
+def test_depth_that_may_not_be_made_is_not_made(monkeypatch):
+    wanted, real = [], painter_native.NativeShade.prepare
+
+    def noted(self, *arguments, **named):
+        wanted.append(named["depth_m"])
+        real(self, *arguments, **named)
+
+    monkeypatch.setattr(painter_native.NativeShade, "prepare", noted)
+    for choice in ("none", "auto"):
+        HandRenderer(RIGHT, replace(SMALL, effects=Choice.parse(choice))).render(pose("open"), camera())
+    assert wanted[0] is None
+    assert wanted[1] is not None
+
+
+def test_the_shadow_does_not_pop_when_a_hand_comes_nearer():
+    renderer, joints = HandRenderer(RIGHT, SMALL), pose("fist")
+    strengths = [
+        plan_of(renderer.render(joints, camera(away_m=0.5, focal_px=focal_px))).strength
+        for focal_px in np.geomspace(100.0, 1000.0, 120)
+    ]
+    assert strengths[0] == 0
+    assert strengths[-1] == 1
+    assert float(np.abs(np.diff(strengths)).max()) < 0.1
+
+
+def test_a_learnt_shadow_that_may_not_be_drawn_is_no_loss_of_nothing():
+    hands, joints = [TRAINED, TRAINED], [pose("fist", TRAINED), pose("fist", TRAINED) + np.array([0.1, 0.0, 0.0])]
+    for allowed, missing in (("hand-shadow", Effect.SHADOW), ("self-shadow", Effect.BETWEEN)):
+        settings = replace(SMALL, effects=Choice.parse(allowed))
+        decision = plan_of(SceneRenderer(hands, settings).render(joints, camera()))[missing]
+        assert not decision.runs
+        assert decision.worst is not None
+        assert decision.worst >= 0.5  # the tint of the small avatar's shadow is 0.7
+
+
+def test_a_tiny_hand_without_the_filter_is_not_said_to_be_right():
+    frame = HandRenderer(RIGHT, SMALL).render(pose("open"), camera(focal_px=20.0))
+    decision = plan_of(frame)[Effect.FILTER]
+    assert not decision.runs
+    assert decision.worst is None
+    assert "2 px" in decision.bound
+
+
 def test_only_the_box_of_a_small_hand_is_drawn(monkeypatch):
     sizes = []
     real = painter_native.NativeShade.__init__
@@ -228,7 +295,7 @@ def test_only_the_box_of_a_small_hand_is_drawn(monkeypatch):
     assert sizes[0][0] * sizes[0][1] < 0.25 * 1024 * 768
     assert sizes[1] == (1024, 768)
     assert frame.rgba.shape == whole.rgba.shape
-    assert difference(frame, whole) <= effects.ONE_STEP
+    assert difference(frame, whole) <= 1 / 255
     assert np.abs(frame.depth_m - whole.depth_m).max() < 1e-4
 
 
@@ -254,7 +321,7 @@ def test_nothing_is_seen_outside_of_the_hands_box(name: str, avatar):
 
 def test_hands_apart_cost_no_sum_over_their_bones(monkeypatch):
     asked = []
-    monkeypatch.setattr(effects, "contact_between", lambda hands: asked.append(1) or 0.0)
+    monkeypatch.setattr(shadow_effects, "contact_between", lambda hands: asked.append(1) or 0.0)
     far = [pose("open"), pose("open") + np.array([0.6, 0.0, 0.0])]
     frame = SceneRenderer([RIGHT, RIGHT], SMALL).render(far, camera())
     assert asked == []
