@@ -47,10 +47,11 @@ class Claims:
     `Claims` of a file may be open in a process.
 
     Where a file system has no such locks every claim is granted: whoever relies on claims must be right without them.
+    sure: whether all claims so far were locks.
     """
 
     def __init__(self, path: Path) -> None:
-        self.path = path
+        self.path, self.sure = path, True
         try:
             self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
         except OSError as error:
@@ -81,7 +82,9 @@ class Claims:
         try:
             _take_byte(self._descriptor, number)
         except OSError as error:
-            return error.errno not in _TAKEN
+            if error.errno in _TAKEN:
+                return False
+            self.sure = False
         return True
 
 

@@ -6,12 +6,13 @@ that it is at (`lock.Claims`), so that two that meet do not make it both; a kill
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jghand_engine.cli.console import progress
-from jghand_engine.cli.picture_stamp import refuse_foreign
+from jghand_engine.cli.picture_stamp import is_made_from, refuse_foreign
 from jghand_engine.datasets.pictures_in import probe_picture
 from jghand_engine.errors import InputError
 from jghand_engine.lock import Claims
@@ -72,22 +73,27 @@ def make_part(shooting: Shooting, part: Part) -> Outcome:
         return outcome
     claims = Claims(shooting.target.folder / CLAIMS)
     left = _left_behind(shooting)
+
+    def see_to(index: int) -> None:
+        # where the file system has no locks, somebody else may be at this picture: then nothing is cleared away
+        _see_to(shooting, index, part, outcome, left if claims.sure else {})
+
     try:
         with progress(shooting.target.text, len(indices)) as bar:
             busy = []
             for index in indices:
                 with claims.held(index) as free:
                     if free:
-                        _see_to(shooting, index, part, outcome, left)
+                        see_to(index)
                         bar.advance(bar.task_ids[0])
                     else:
                         busy.append(index)
             for index in busy:
                 # whoever was at it may have been killed over it
                 with claims.held(index, wait=True):
-                    _see_to(shooting, index, part, outcome, left)
+                    see_to(index)
                     bar.advance(bar.task_ids[0])
-        outcome.complete = all(shooting.target.path(index).exists() for index in range(total))
+        outcome.complete = all(_is_there(shooting, index) for index in range(total))
     finally:
         # with all pictures there nobody has anything to claim
         claims.close(remove=outcome.complete)
@@ -121,9 +127,16 @@ def _see_to(shooting: Shooting, index: int, part: Part, outcome: Outcome, left: 
         outcome.broken += 1
     # of a process that was killed: nobody else is at this picture
     for half in left.pop(path.stem, []):
-        half.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # on Windows while another program reads it
+            half.unlink()
     shooting.make(index)
     outcome.made += 1
+
+
+def _is_there(shooting: Shooting, index: int) -> bool:
+    """Whether a picture of this very render is there, whoever made it."""
+    path = shooting.target.path(index)
+    return path.exists() and (shooting.made_from is None or is_made_from(path, shooting.made_from.stamp(index)))
 
 
 def _is_whole(shooting: Shooting, index: int) -> bool:

@@ -75,7 +75,9 @@ def digest(content: Any) -> str:
 
 
 def file_digest(path: Path) -> str:
-    """Of a file's content. InputError when it cannot be read."""
+    """Of a file's content, or of all files of a folder. InputError when it cannot be read."""
+    if path.is_dir():
+        return digest({file.name: file_digest(file) for file in path.iterdir() if file.is_file()})
     try:
         with open(path, "rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()[:_DIGITS]
@@ -93,6 +95,14 @@ def refuse_foreign(path: Path, stamp: str) -> None:
     except InputError:
         return
     refuse_other(path, found, stamp)
+
+
+def is_made_from(path: Path, stamp: str) -> bool:
+    """Whether `path` is a picture that says it was made from what `stamp` says."""
+    try:
+        return picture_texts(path).get(STAMP_KEY) == stamp
+    except InputError:
+        return False
 
 
 def refuse_other(path: Path, found: str | None, stamp: str) -> None:
