@@ -99,7 +99,9 @@ class Render:
         camera = self._camera(motion, size)
         settings, chosen = self._settings(avatar, camera)
         # repeatable: any part of the pictures is the same as in the whole
-        settings = replace(settings, effects=effects, antialias=True, depth=False, repeatable=True)
+        settings = replace(settings, antialias=True, depth=False, repeatable=True)
+        if effects is not None:
+            settings = replace(settings, effects=effects)
         renderer = HandRenderer(avatar, settings if passes is None else passes.settings(settings))
         joints_m = motion.sequence.joints_m
         shooting = Shooting(
@@ -169,11 +171,13 @@ class Render:
         whole = file is None or self.effect.shutter > 0 or self.effect.aperture > 0
         return made_from(avatar_sha256(self.avatar.avatar), self.motion, settings, look, whole=whole)
 
-    def _effects(self) -> Choice:
-        from jghand_engine.splat.effect_plan import Choice
+    def _effects(self) -> Choice | None:
+        """Those that were asked for; None where what is called for runs, but for what a budget leaves out."""
+        from jghand_engine.splat.effect_plan import AUTO, Choice
 
         self.effect.check()
-        return Choice.parse(self.effect.effects)
+        choice = Choice.parse(self.effect.effects)
+        return None if choice == AUTO else choice
 
     def _passes(self) -> PassWriter | None:
         if self.passes is None:
