@@ -22,6 +22,8 @@ PICTURE = "effects.png"
 SIZE_PX = (512, 334)
 # pictures of a capture that calibrate the gate, at most, evenly spread
 CAPTURE_PICTURES = 200
+# every how manieth frame of the motion does
+MOTION_STEP = 3
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,8 @@ def _measured(avatar: HandAvatar, request: EffectsRequest) -> EffectsStudy:
         rows += study.maps_and_cameras(subject, settings, lambda: bar.advance(task))
     rows.append(study.hands_approaching(avatar, poses[0], camera, settings))
     title = f"{avatar.info.name}, {told}, {len(poses)} frames of {width} x {height}"
-    return study.EffectsStudy(title, rows, _gate(avatar, camera, request), strip)
+    gate = [*_gate_of_motion(avatar, poses, camera), *_gate(avatar, camera, request)]
+    return study.EffectsStudy(title, rows, gate, strip)
 
 
 def _poses(avatar: HandAvatar, request: EffectsRequest) -> tuple[np.ndarray, HandAvatar, str]:
@@ -106,6 +109,17 @@ def _poses(avatar: HandAvatar, request: EffectsRequest) -> tuple[np.ndarray, Han
 
     sequence = read_sequence(request.motion, request.format).with_gaps_held().with_constant_bone_lengths()
     return sequence.joints_m, avatar.for_hand(sequence.handedness), request.motion.name
+
+
+def _gate_of_motion(avatar: HandAvatar, poses: np.ndarray, camera: Camera) -> list[GateRow]:
+    """Frames of the motion: there the gate is closed, too, which captures have hardly any pictures of."""
+    from jghand_engine.splat.frame import HandRenderer
+    from jghand_engine.splat.settings import ShadowMode, preset
+    from jghand_engine.studies.effects_study import gate_row
+
+    renderer = HandRenderer(avatar, replace(preset("viewport"), shadow=ShadowMode.OFF))
+    chosen = range(0, len(poses), MOTION_STEP)
+    return [gate_row(renderer, avatar, (f"motion/{index}", poses[index], camera)) for index in chosen]
 
 
 def _gate(avatar: HandAvatar, camera: Camera, request: EffectsRequest) -> list[GateRow]:

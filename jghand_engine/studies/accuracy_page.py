@@ -27,7 +27,7 @@ SECTION = Section("accuracy")
 _HOW = (
     "How to read the picture: above, finger tips as they look for the milliseconds of one frame. Below, every setting "
     "is a point: to the left is faster, upwards is nearer to the most exact picture. On the line is what is worth "
-    "choosing: nothing is both faster and more exact. In the green field nobody sees a difference. Grey points change "
+    "choosing: nothing is both faster and more exact. In the green field we saw no difference. Grey points change "
     "one thing alone, beside preset final.",
     "`jghand render --budget-ms 16`, and `RenderSettings.for_budget(16)` in Python, choose from these points: the most "
     "exact that takes at most nine tenths of the time in 95 of 100 frames. What was measured is kept for this machine "

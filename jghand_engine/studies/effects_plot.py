@@ -65,7 +65,7 @@ def _draw_savings(axes: Axes, study: EffectsStudy) -> None:
     axes.barh([NAMES[row.effect] for row in rows], [row.saved_median_ms or 0 for row in rows], color=OURS, height=0.62)
     axes.set_xscale("log")
     for place, row in enumerate(rows):
-        worst = 255 * max(row.errors)
+        worst = 255 * max(row.errors, default=0.0)
         told = "no difference" if worst < 0.05 else f"off by up to {worst:.1f} of 255"
         saved_ms = row.saved_median_ms or 0
         figures = f"{saved_ms:.1f}" if saved_ms < 10 else f"{saved_ms:.0f}"

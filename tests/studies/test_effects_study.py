@@ -10,6 +10,8 @@ import pytest
 import torch
 from small_avatars import trained_avatar
 
+from jghand_engine.avatar.file import save_avatar
+from jghand_engine.cli import main, study_effects
 from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.splat.camera import Camera
@@ -17,6 +19,7 @@ from jghand_engine.splat.effect_plan import Effect
 from jghand_engine.splat.frame import HandRenderer
 from jghand_engine.splat.settings import RenderSettings, ShadowMode
 from jghand_engine.studies import effects_study as study
+from jghand_engine.studies.pages import Section
 
 AVATAR = trained_avatar(1500)
 
@@ -82,3 +85,35 @@ def test_the_gate_is_judged_by_the_shadow_that_would_be_drawn(name: str):
         drawn = HandRenderer(AVATAR, RenderSettings(shadow_samples=32)).render(joints, view).rgba
         plain = bare.render(joints, view).rgba
         assert row.darkest == pytest.approx(float(np.abs(drawn - plain).max()), abs=0.05)
+
+
+def test_the_command_measures_tells_and_renews_the_page(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(study_effects, "SIZE_PX", (64, 48))
+    few = subject(9).poses
+    monkeypatch.setattr(study, "named_motion", lambda avatar: few)
+    save_avatar(tmp_path / "hand.jghand", AVATAR)
+    docs = tmp_path / "checkout" / "docs"
+    docs.mkdir(parents=True)
+    (docs.parent / "README.md").write_text("# Name\n", encoding="utf-8")
+    part = Section("effects")
+    (docs / "EFFECTS.md").write_text(f"before\n{part.begin}\nold\n{part.end}\nafter\n", encoding="utf-8")
+    words = [
+        "--avatar",
+        str(tmp_path / "hand.jghand"),
+        "--out",
+        str(tmp_path / "study"),
+        "--checkout",
+        str(docs.parent),
+    ]
+    assert main(["study", "effects", *words]) == 0
+    assert "The gate against the whole shadow" in capsys.readouterr().out
+    rows = {row["effect"]: row for row in json.loads((tmp_path / "study" / "effects.json").read_text())["effects"]}
+    # an error is measured only where the effect could be drawn
+    assert rows["normals"]["worst_error"] == 0
+    assert rows["motion-blur"]["worst_error"] is None
+    assert rows["motion-blur"]["skipped"] == rows["motion-blur"]["frames"] > 0
+    text = (docs / "EFFECTS.md").read_text(encoding="utf-8")
+    assert text.startswith("before")
+    assert text.endswith("after\n")
+    assert "old" not in text
+    assert (docs / "effects.png").stat().st_size > 10_000
