@@ -57,6 +57,8 @@ class Info:
         if self.file in SHIPPED:
             return avatar_facts(self.file)
         path = Path(self.file)
+        if path.is_dir():
+            return motion_facts(path, self.format)
         if not path.is_file():
             raise InputError(f"cannot find {path}", remedy="Check the name.")
         suffix = path.suffix.lower()

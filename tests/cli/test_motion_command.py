@@ -91,6 +91,15 @@ def test_what_cannot_be_done_is_said(bvh, tmp_path, monkeypatch, capsys, words, 
     assert not (tmp_path / "out.npz").exists()
 
 
+def test_render_and_info_take_a_folder_of_frames(tmp_path, capsys):
+    samples.write_openpose(tmp_path / "op", samples.standard(samples.motion(frames=3)) * 1000)
+    words = ("--frames", "0", "--size", "64x48", "--preset", "draft", "--avatar", "painted")
+    assert run("render", "--motion", tmp_path / "op", "--out", tmp_path / "out", *words) == 0
+    capsys.readouterr()
+    assert run("info", tmp_path / "op") == 0
+    assert "OpenPose" in capsys.readouterr().out
+
+
 def test_render_and_info_take_the_file_itself(bvh, tmp_path, capsys):
     words = ("--frames", "0", "--size", "64x48", "--preset", "draft", "--avatar", "painted")
     assert run("render", "--motion", bvh, "--out", tmp_path / "out", *words) == 0
