@@ -90,8 +90,8 @@ JOINT_RANGES_DEG = (
 )
 # the middle and last joints are hinges, with some play (METHOD 4.1); thumb, fingers. The thumb's axes here follow its
 # nail and lie up to 30 degrees from the engine's, so that its hinges seem to bend sideways too and its first joint goes
-# a little further: by what the engine's named poses need (25.4 and 4.1)
-SIDEWAYS_RANGE_DEG = (26.0, 15.0)
+# a little further: by what the engine's named poses need (28.6 and 4.1)
+SIDEWAYS_RANGE_DEG = (29.0, 15.0)
 THUMB_PLAY_DEG = 5.0
 # turn of a bone about itself: passive play of a knuckle, and what swings about two axes have of it (assumed)
 TWIST_RANGE_DEG = 30.0
