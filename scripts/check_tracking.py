@@ -39,7 +39,8 @@ from jghand_engine.tracking.detection import SeenHand
 from jghand_engine.tracking.figures import FINGER_BONES, angles_between_deg, directions_in_palm, jitter_deg, lag_ms
 from jghand_engine.tracking.fit import Pinhole
 from jghand_engine.tracking.hands_over_time import HandOverTime
-from jghand_engine.tracking.mediapipe_hands import MediaPipeHands
+from jghand_engine.tracking.mediapipe_hands import MediaPipeHands, video_detector
+from jghand_engine.tracking.second_look import SecondLook
 from jghand_engine.tracking.skeleton import rotations_of
 from jghand_engine.tracking.track import MOTION_FROM_CAMERA, Sightings, TrackOptions, look, track, track_hand
 from jghand_engine.tracking.video import open_video, pictures
@@ -195,7 +196,7 @@ def rows_of_video(truth: Truth, canonical_m: np.ndarray, model: Path | None) -> 
         path = Path(folder) / "film.mp4"
         write_video(path, film(truth), FPS)
         video = open_video(path)
-        with MediaPipeHands(model) as detector:
+        with video_detector(model) as detector:
             sightings = look(pictures(video), video.fps, detector)
     yield from rows_of_sightings(truth, sightings, canonical_m)
 
@@ -232,7 +233,8 @@ def rows_of_capture(folder: Path, canonical_m: np.ndarray, model: Path | None) -
     """Single pictures: each is looked at and fitted for itself."""
     samples = open_capture(folder).samples
     with MediaPipeHands(model, follows=False) as detector:
-        found = [_largest(detector.detect(_on_grey(sample), 0.0)) for sample in samples]
+        # each picture for itself, as the first of a film
+        found = [_largest(SecondLook(detector, detector).detect(_on_grey(sample), 0.0)) for sample in samples]
     right = [
         one is not None and one.handedness is sample.handedness for one, sample in zip(found, samples, strict=True)
     ]
@@ -268,7 +270,7 @@ def rows_of_earlier(video_file: Path, joints_file: Path, canonical_m: np.ndarray
     """Agreement with joints that an earlier run of the same detector gave: no truth."""
     earlier = to_level(np.load(joints_file, allow_pickle=False), JointOrder.STANDARD)
     video = open_video(video_file)
-    with MediaPipeHands(model) as detector:
+    with video_detector(model) as detector:
         sightings = look(pictures(video), video.fps, detector)
     hand = track(sightings, canonical_m)[Handedness.RIGHT]
     for method, joints in (("detector alone", detector_alone(hand.hand)), ("**jghand track**", hand.sequence.joints_m)):

@@ -148,7 +148,7 @@ class Track:
         return options
 
     def _look(self, video: Video, notes: ReadingNotes) -> Sightings:
-        from jghand_engine.tracking.mediapipe_hands import MediaPipeHands
+        from jghand_engine.tracking.mediapipe_hands import video_detector
         from jghand_engine.tracking.model_file import fetch_model
         from jghand_engine.tracking.track import look
         from jghand_engine.tracking.video import pictures
@@ -156,7 +156,7 @@ class Track:
         if self.fetch_model and self.model is None:
             say(f"The networks that find a hand: {fetch_model()}")
         total = video.frames if self.most is None else min(self.most, video.frames or self.most)
-        with MediaPipeHands(self.model) as detector, progress("Looking for hands", total or 1) as bar:
+        with video_detector(self.model) as detector, progress("Looking for hands", total or 1) as bar:
             task = bar.task_ids[0]
             return look(
                 pictures(video, notes, most=self.most),

@@ -29,6 +29,15 @@ HANDS_MAX = 2
 # seconds after which fetching its networks, 35 MB, is given up
 FETCH_MODEL_S = 600.0
 
+# ---- tracking: a second look at parts of the picture -----------------------------------------------------------------
+# edge of the parts, of the shorter edge of the picture
+SEARCH_PART = 2 / 3
+# seconds between looks at all parts while no hand is seen, and beside one that is
+SEARCH_S = 0.25
+SEARCH_BESIDE_S = 1.0
+# edge of what is looked at about a hand that was just lost, in parts of its size
+CLOSE_LOOK_PART = 3.0
+
 # ---- tracking: which detection is which hand -------------------------------------------------------------------------
 # two detections nearer than this part of the hand's size are the same hand
 SAME_HAND_PART = 0.35

@@ -4,6 +4,7 @@ video.py         pictures of a video file, one at a time
 detection.py     what a detector of hands says about a picture, and the interface it has
 model_file.py    where the detector's networks are, and how they come there
 mediapipe_hands.py  the detector: MediaPipe, an optional package
+second_look.py   at parts of the picture, for hands that were overlooked
 hands_over_time.py  detections of single pictures to at most one right and one left hand over time
 skeleton.py      a hand of constant bones: angles to joints, with derivatives
 own_hand.py      the proportions of the hand that was seen

@@ -96,10 +96,10 @@ def _trails(detections: Detections, fps: float) -> list[_Trail]:
         hands = _distinct(found)
         for trail in open_trails:
             for place, hand in enumerate(hands):
-                distance = _distance(trail.hands[-1], hand)
+                way = distance(trail.hands[-1], hand)
                 steps = (frame - trail.frames[-1]) * max(1.0, limits.SMOOTHING_FPS / fps)
-                if distance <= limits.HAND_STEP_PART * steps:
-                    pairs.append((distance, id(trail), trail, place))
+                if way <= limits.HAND_STEP_PART * steps:
+                    pairs.append((way, id(trail), trail, place))
         taken: set[int] = set()
         going_on: set[int] = set()
         for _, key, trail, place in sorted(pairs, key=lambda pair: pair[:2]):
@@ -115,7 +115,7 @@ def _trails(detections: Detections, fps: float) -> list[_Trail]:
     return done + open_trails
 
 
-def _distance(first: SeenHand, second: SeenHand) -> float:
+def distance(first: SeenHand, second: SeenHand) -> float:
     """Between two hands, in parts of their size."""
     size = max(first.size_px, second.size_px, 1e-6)
     return float(np.linalg.norm(first.middle_px - second.middle_px)) / size
@@ -125,7 +125,7 @@ def _distinct(found: Sequence[SeenHand]) -> list[SeenHand]:
     """Without detections that lie on another, surer one."""
     kept: list[SeenHand] = []
     for hand in sorted(found, key=lambda hand: -hand.score):
-        if all(_distance(hand, other) > limits.SAME_HAND_PART for other in kept):
+        if all(distance(hand, other) > limits.SAME_HAND_PART for other in kept):
             kept.append(hand)
     return kept
 

@@ -15,8 +15,9 @@ from jghand_engine import limits
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, to_level
-from jghand_engine.tracking.detection import SeenHand
+from jghand_engine.tracking.detection import HandDetector, SeenHand
 from jghand_engine.tracking.model_file import model_file
+from jghand_engine.tracking.second_look import SecondLook
 
 # from this version on the label is that of the hand itself; before, that of its mirror image
 _FIRST_VERSION = 1
@@ -88,6 +89,16 @@ class MediaPipeHands:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+@contextlib.contextmanager
+def video_detector(model: Path | None = None) -> Iterator[HandDetector]:
+    """The detector for the pictures of one video: it follows hands, and looks twice where it sees none.
+
+    InputError as of MediaPipeHands.
+    """
+    with MediaPipeHands(model) as whole, MediaPipeHands(model, follows=False) as part:
+        yield SecondLook(whole, part)
 
 
 def _package() -> Any:
