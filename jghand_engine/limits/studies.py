@@ -65,7 +65,7 @@ ACCURACY_BASES = (4, 8, 16, 32)
 # made-up poses that the linear forms are fitted to: fewer than `jghand bake` takes, for time
 ACCURACY_DISTIL_POSES = 60
 # frames of each setting, and those before them that are not counted (RENDERING 9.3)
-ACCURACY_ROUNDS = 100
+ACCURACY_ROUNDS = 150
 ACCURACY_WARM_UP = 10
 # pictures of each kind of a capture that every setting is compared with, where nobody says another number
 ACCURACY_PICTURES = 3

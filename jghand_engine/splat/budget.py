@@ -72,8 +72,7 @@ def candidates(avatar: HandAvatar, size_px: tuple[int, int]) -> dict[str, Render
     """Settings that are worth choosing from, by name: the presets, and what lies between and below them."""
     viewport, draft = PRESETS["viewport"], PRESETS["draft"]
     found = dict(PRESETS)
-    look = ShadowLook() if avatar.learnt is None else avatar.learnt.shadow
-    if look is not None and look.is_seen:
+    if has_seen_shadow(avatar):
         found["final, shadow of 16 samples"] = replace(PRESETS["final"], shadow_samples=16)
         found["viewport, no shadow"] = replace(viewport, shadow=ShadowMode.OFF)
     for count, like in ((30_000, "viewport"), (30_000, "draft"), (20_000, "viewport"), (10_000, "draft")):
@@ -86,6 +85,12 @@ def candidates(avatar: HandAvatar, size_px: tuple[int, int]) -> dict[str, Render
         found["viewport, half size"] = replace(viewport, half=True)
         found["draft, half size"] = replace(draft, half=True)
     return found
+
+
+def has_seen_shadow(avatar: HandAvatar) -> bool:
+    """Whether the avatar's shadow on itself is drawn where the pose asks for it."""
+    look = ShadowLook() if avatar.learnt is None else avatar.learnt.shadow
+    return look is not None and look.is_seen
 
 
 def best_for(budget_ms: float, avatar: HandAvatar, size_px: tuple[int, int], threads: int = 0) -> Chosen:

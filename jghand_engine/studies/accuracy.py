@@ -123,6 +123,7 @@ class Accuracy:
         return [
             *(self._table(axis) for axis in AXES if any(row.axis == axis for row in self.rows)),
             self._growth_table(),
+            *([self._learning_table()] if self.learning else []),
         ]
 
     def short_tables(self) -> list[Table]:
@@ -191,7 +192,17 @@ class Accuracy:
             notes.append("✗: the threads of most of these calls had to wait for the processor; the time is too long.")
         return Table("How time grows", ("With", "How many", "ms", "95 %"), cells, tuple(notes))
 
+    def _learning_table(self) -> Table:
+        """At most so many rows, evenly spread, the last one among them."""
+        step = -(-len(self.learning) // _LEARNING_ROWS)
+        chosen = self.learning[::-1][::step][::-1]
+        cells = tuple((f"{minutes:.0f}", number(psnr_db, 2)) for minutes, psnr_db in chosen)
+        origin = f" on {self.learnt_from}" if self.learnt_from else ""
+        notes = (f"A training{origin}: PSNR of views that it did not learn from, cut to the hand.",)
+        return Table("Training: accuracy against minutes", ("Minutes", "PSNR"), cells, notes)
 
+
+_LEARNING_ROWS = 12
 _METRICS = {"psnr_full": "PSNR", "psnr_box": "PSNR, box", "ssim_full": "SSIM", "ssim_box": "SSIM, box",
             "flip_box": "FLIP, box", "st_lpips_box": "ST-LPIPS, box", "lpips_box": "LPIPS, box"}  # fmt: skip
 _TITLES = {TOGETHER: "What can be chosen"}

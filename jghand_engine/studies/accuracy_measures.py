@@ -15,6 +15,7 @@ from jghand_engine.avatar.tiers import Tier
 from jghand_engine.datasets.json_files import read_object
 from jghand_engine.datasets.sample import Sample, load_picture
 from jghand_engine.errors import InputError
+from jghand_engine.splat.budget import has_seen_shadow
 from jghand_engine.splat.frame import HandRenderer
 from jghand_engine.splat.profile import APPROXIMATE, Profile, Rated, how_it_looks, left_out, pareto_front
 from jghand_engine.splat.settings import PRESETS
@@ -98,6 +99,7 @@ def measure_accuracy(plan: Plan, say: Callable[[str], None] = lambda _text: None
     rows += [
         Row(axis, name, None, None, {}, exact.error(draw))
         for axis, name, draw in ((BLEND, SEPARABLE, exact.circles), (SHADOW, HALF_SHADOW, exact.half_shadow))
+        if axis != SHADOW or has_seen_shadow(plan.avatar)
     ]
     return Accuracy(
         plan.name, len(plan.avatar), plan.size_px, machine(plan.threads), tuple(rows), tuple(growth), poses,

@@ -18,7 +18,7 @@ from jghand_engine.avatar.file import stored_form
 from jghand_engine.avatar.storage import Storage
 from jghand_engine.avatar.tiers import CachedNet, LinearCorrectives, basis_most
 from jghand_engine.native.threads import thread_count
-from jghand_engine.splat.budget import candidates
+from jghand_engine.splat.budget import candidates, has_seen_shadow
 from jghand_engine.splat.profile import NO_CORRECTIVES
 from jghand_engine.splat.settings import PRESETS, RenderSettings, ShadowMode
 from jghand_engine.studies.tier_prices import with_correctives
@@ -62,13 +62,23 @@ def variants(
             Variant(BLEND, f"{name}: cut at 1/{round(1 / rule.alpha_min)}, stop at {rule.t_stop:.0e}", changed)
         )
     found += [Variant(RESOLUTION, name, replace(own, half=half)) for name, half in (("whole", False), ("half", True))]
-    found.append(Variant(SHADOW, "off", replace(own, shadow=ShadowMode.OFF)))
-    found += [Variant(SHADOW, f"gated, {n} samples", replace(own, shadow_samples=n)) for n in _SHADOW_SAMPLES]
-    found.append(Variant(SHADOW, "always, 64 samples", replace(own, shadow=ShadowMode.ALWAYS)))
+    found += _shadows(avatar, own)
     found.append(Variant(STORED, "float32", own))
     found.append(Variant(STORED, "float16 and smaller", own, stored_form(avatar, Storage.COMPACT)))
     found += [Variant(THREADS, str(count), replace(own, threads=count)) for count in _thread_counts(threads)]
     return found
+
+
+def _shadows(avatar: HandAvatar, own: RenderSettings) -> Iterator[Variant]:
+    yield Variant(SHADOW, "off", replace(own, shadow=ShadowMode.OFF))
+    if has_seen_shadow(avatar):
+        for samples in _SHADOW_SAMPLES:
+            yield Variant(SHADOW, f"gated, {samples} samples", replace(own, shadow_samples=samples))
+        yield Variant(SHADOW, "always, 64 samples", replace(own, shadow=ShadowMode.ALWAYS))
+    elif avatar.learnt is not None and avatar.learnt.shadow is not None:
+        for samples in _SHADOW_SAMPLES:
+            settings = replace(own, shadow=ShadowMode.ALWAYS, shadow_samples=samples)
+            yield Variant(SHADOW, f"drawn although nobody sees it, {samples} samples", settings)
 
 
 def linear_tiers(avatar: HandAvatar) -> dict[int, LinearCorrectives]:
