@@ -7,10 +7,11 @@ from pathlib import Path
 
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.cli.console import say
+from jghand_engine.cli.console import read_json, say
 from jghand_engine.cli.options import FormatOptions, MotionOptions, pose_list
 from jghand_engine.datasets.motion_files import MotionFormat
 from jghand_engine.datasets.motion_tools import fill_gaps
+from jghand_engine.datasets.motions.bone_names import BoneMap, bone_map
 from jghand_engine.datasets.motions.read import MotionRead, read_motion_file
 from jghand_engine.errors import InputError
 from jghand_engine.hand.anatomy import MotionOptions as PoseMotionOptions
@@ -85,8 +86,16 @@ def read_file(path: Path, options: FormatOptions) -> MotionRead:
         part=options.part,
         mirrored_labels=None if options.labels == "auto" else options.labels == "mirrored",
         hand_length_m=None if options.hand_length is None else 1e-3 * options.hand_length,
+        bones=None if options.bones is None else _bones(options.bones),
     )
     return read_motion_file(path, wanted)
+
+
+def _bones(path: Path) -> BoneMap:
+    try:
+        return bone_map(read_json(path))
+    except ValueError as error:
+        raise InputError(f"--bones {path}", wanted="names of bones by joint", came=str(error)) from error
 
 
 def read_sequence(path: Path, options: FormatOptions) -> PoseSequence:

@@ -55,6 +55,8 @@ class FormatOptions:
     """Take joints whose bone lengths are no hand's, such as a cartoon's: a wrong order or unit is not noticed then."""
     part: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
     """Which of several skeletons, animations, people or captures of a file: a part of its name."""
+    bones: File = None
+    """Names of a rig's bones by joint as JSON, {"wrist": "Hand_R", "thumb1": …}: for names that are not recognised."""
     labels: Literal["auto", "true", "mirrored"] = "auto"
     """Whether a detector's "Left" and "Right" are true or those of a mirrored picture. auto: as is usual there."""
     hand_length: Annotated[float | None, tyro.conf.arg(metavar="MM", help_behavior_hint="")] = None

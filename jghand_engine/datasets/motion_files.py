@@ -32,6 +32,7 @@ from typing import Any
 import numpy as np
 
 from jghand_engine import limits
+from jghand_engine.datasets.motions.bone_names import BoneMap
 from jghand_engine.datasets.motions.json_text import JsonText
 from jghand_engine.datasets.motions.text_lines import bounded_lines
 from jghand_engine.errors import InputError, MemoryLimitError
@@ -69,6 +70,7 @@ class MotionFormat:
 
     part:            which of several skeletons, animations, captures: a part of its name
     mirrored_labels: whether a detector's labels are those of a mirrored picture; None: as its interface usually has it
+    bones:           names of a rig's bones by joint, where they are those of no convention
     hand_length_m:   scale the hand to this length, wrist to the middle finger's tip; a unit is not needed then
     """
 
@@ -80,6 +82,7 @@ class MotionFormat:
     part: str | None = None
     mirrored_labels: bool | None = None
     hand_length_m: float | None = None
+    bones: BoneMap | None = None
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ import pytest
 
 from jghand_engine.cli import main
 from jghand_engine.datasets.motion_files import read_motion
-from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.joints import LEVEL_NAMES, Handedness
 from jghand_engine.hand.orders import bone_lengths
 
 
@@ -47,6 +47,26 @@ def test_it_is_cut_taken_at_another_rate_and_mirrored(bvh, tmp_path):
     scale = np.median(np.linalg.norm(bones[:, 1], axis=-1) / np.linalg.norm(wanted[:, 1], axis=-1))
     assert np.abs(bones * [-1, 1, 1] - scale * wanted).max() < 1e-7
     assert np.ptp(bone_lengths(read.joints_m), axis=0).max() < 1e-7
+
+
+def test_bones_of_no_convention_are_named_in_a_map(tmp_path, capsys):
+    names = tuple(f"knochen {place}" if name else None for place, name in enumerate(samples.MIXAMO))
+    rig = samples.rig(samples.motion(), names, 100)
+    samples.write_bvh(tmp_path / "a.bvh", rig)
+    assert run("motion", tmp_path / "a.bvh", "--hand", "right", "--out", tmp_path / "a.npz") == 2
+    assert "--bones" in capsys.readouterr().err
+    bones = {joint: f"knochen_{place}" for place, joint in enumerate(LEVEL_NAMES) if not joint.endswith("4")}
+    words = ("motion", tmp_path / "a.bvh", "--out", tmp_path / "a.npz", "--bones", tmp_path / "map.json")
+    (tmp_path / "map.json").write_text(json.dumps(bones))
+    assert run(*words, "--hand", "right") == 0
+    assert np.abs(read_motion(tmp_path / "a.npz").joints_m - samples.motion().joints_m).max() < 5e-8
+    joints = {**{joint: [bone, "head"] for joint, bone in bones.items()}, "index4": [bones["index3"], "tail"]}
+    (tmp_path / "map.json").write_text(json.dumps({"handedness": "right", "joints": joints}))
+    assert run(*words, "--overwrite") == 0
+    for broken, said in (({**bones, "thumb2": "other"}, "other (thumb2)"), ({"elbow": "x"}, "wrist"), ([], "wrist")):
+        (tmp_path / "map.json").write_text(json.dumps(broken))
+        assert run(*words, "--overwrite", "--hand", "right") == 2
+        assert said in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(("how", "filled", "missing"), [("fill", 3, 0), ("hold", 3, 0), ("keep", 0, 3)])

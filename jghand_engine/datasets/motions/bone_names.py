@@ -10,8 +10,9 @@ SMPL-X, Daz Genesis, 3ds Max Biped and SOMA.
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from jghand_engine import limits
 from jghand_engine.hand.joints import FINGERS, STANDARD_NAMES, Handedness
@@ -205,9 +206,55 @@ class _Set:
     found: tuple[int, int]
 
 
-def hands_among(names: Sequence[str]) -> tuple[list[NamedHand], list[str]]:
+@dataclass(frozen=True)
+class BoneMap:
+    """A map made by hand. bones: names by joint, for the 16 joints of wrist and fingers and any tips ·
+    handedness: None where it does not say."""
+
+    bones: Mapping[str, str]
+    handedness: Handedness | None = None
+
+    def hand_among(self, names: Sequence[str]) -> NamedHand | None:
+        """The hand, None where no name is among `names`. ValueError when only some are."""
+        places = {name: place for place, name in enumerate(names)}
+        bones = tuple(places.get(self.bones.get(joint, "")) for joint in STANDARD_NAMES)
+        found = tuple(sum(bones[place] is not None for place in group) for group in (_NEEDED, _TIPS))
+        if not any(found):
+            return None
+        absent = [
+            f"{self.bones.get(STANDARD_NAMES[place], 'no name')} ({STANDARD_NAMES[place]})"
+            for place in _NEEDED
+            if bones[place] is None
+        ]
+        if absent:
+            raise ValueError(f"no bone of the map is called {', '.join(absent)[:300]}")
+        return NamedHand(self.handedness, bones, "the map", "", (found[0], found[1]))
+
+
+def bone_map(content: Any) -> BoneMap:
+    """A map from JSON: {"wrist": "hand.R", …}, or as Blender's bone map writes it: {"handedness": "right", "joints":
+    {"wrist": ["hand.R", "head"], "index4": ["f_index.03.R", "tail"], …}}, whose tails are tips without a bone.
+
+    ValueError for anything else.
+    """
+    joints = content.get("joints", content) if isinstance(content, Mapping) else None
+    if not isinstance(joints, Mapping) or not set(map(str, joints)) <= {*STANDARD_NAMES, "handedness"}:
+        raise ValueError(f"names of bones by joint wanted: {', '.join(STANDARD_NAMES[:6])}, …")
+    bones: dict[str, str] = {}
+    for joint, bone in joints.items():
+        name, end = bone if isinstance(bone, list) and len(bone) == 2 else (bone, "head")
+        if joint != "handedness" and end == "head":
+            bones[str(joint)] = str(name)
+    side = content.get("handedness")
+    return BoneMap(bones, None if side is None else Handedness(side))
+
+
+def hands_among(names: Sequence[str], chosen: BoneMap | None = None) -> tuple[list[NamedHand], list[str]]:
     """The hands whose wrist and finger bones are all among `names`, the surest of each set of bones, and sentences
-    about hands that lack some."""
+    about hands that lack some. chosen: the only one that counts."""
+    if chosen is not None:
+        hand = chosen.hand_among(names)
+        return ([] if hand is None else [hand]), []
     index = _index(names)
     found: list[NamedHand] = []
     for convention in CONVENTIONS:

@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from jghand_engine import limits
-from jghand_engine.datasets.motions.bone_names import hands_among
+from jghand_engine.datasets.motions.bone_names import BoneMap, hands_among
 from jghand_engine.datasets.motions.content import MotionContent
 from jghand_engine.datasets.motions.skeleton import hand_tracks
 from jghand_engine.datasets.motions.text_lines import bounded_lines
@@ -47,19 +47,19 @@ class _Header:
     frame_time_s: float = 0.0
 
 
-def read(file: Path) -> MotionContent:
-    """The hands of a BVH file. ValueError says what is wrong."""
+def read(file: Path, bones: BoneMap | None = None) -> MotionContent:
+    """The hands of a BVH file, found by a map where there is one. ValueError says what is wrong."""
     with open(file, encoding="utf-8-sig", errors="replace") as stream:
         lines = bounded_lines(stream)
         header = _header(lines)
         # a number and the space behind it are two bytes
         if header.frames * max(header.columns, 1) * 2 > file.stat().st_size + 2:
             raise ValueError(f"{header.frames} frames of {header.columns} numbers, more than the file holds")
-        hands, _ = hands_among([joint.name for joint in header.joints])
+        hands, _ = hands_among([joint.name for joint in header.joints], bones)
         wanted = {bone for hand in hands for bone in hand.bones if bone is not None}
         skeleton = _Bvh(header, _ancestors(header, wanted))
         skeleton.read_motion(lines)
-    tracks, lacking = hand_tracks(skeleton, "")
+    tracks, lacking = hand_tracks(skeleton, "", bones)
     fps = 1 / header.frame_time_s
     near = round(fps)
     # frame times in text have six digits

@@ -23,7 +23,7 @@ from scipy.spatial.transform import Rotation
 
 from jghand_engine import limits
 from jghand_engine.datasets.gltf_content import MAGIC, accessor_rows, glb_chunks, list_entry, objects
-from jghand_engine.datasets.motions.bone_names import hands_among
+from jghand_engine.datasets.motions.bone_names import BoneMap, hands_among
 from jghand_engine.datasets.motions.content import MotionContent
 from jghand_engine.datasets.motions.json_text import JsonText
 from jghand_engine.datasets.motions.skeleton import hand_tracks
@@ -61,17 +61,17 @@ def looks_like(text: JsonText) -> bool:
     return place is not None and text.text[place] == "{" and "version" in text.value(place)
 
 
-def read(file: Path, fps: float | None, part: str | None) -> MotionContent:
+def read(file: Path, fps: float | None, part: str | None, bones: BoneMap | None = None) -> MotionContent:
     """The hands of a glTF file at `fps`, else at the rate of its keys. part: of the animation's name, where there are
-    several. ValueError says what is wrong."""
+    several. bones: a map made by hand. ValueError says what is wrong."""
     document = _Document(file)
     nodes = _nodes(document)
-    hands, _ = hands_among([node.name for node in nodes])
+    hands, _ = hands_among([node.name for node in nodes], bones)
     wanted = {bone for hand in hands for bone in hand.bones if bone is not None}
     kept = _with_ancestors(nodes, wanted)
     channels, notes = _channels(document, kept, part)
     skeleton = _Gltf(nodes, kept, channels, fps)
-    tracks, lacking = hand_tracks(skeleton, "")
+    tracks, lacking = hand_tracks(skeleton, "", bones)
     return MotionContent(KIND, tuple(tracks), 1.0, fps=skeleton.fps, notes=(*notes, *lacking), up="y")
 
 

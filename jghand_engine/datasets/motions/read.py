@@ -105,11 +105,11 @@ def _read(file: Path, kind: Kind, wanted: MotionFormat) -> MotionContent:
     if kind in (Kind.OWN_NPZ, Kind.OWN_NPY, Kind.OWN_JSON, Kind.OWN_CSV):
         return _own(file, kind)
     if kind is Kind.BVH:
-        return bvh.read(file)
+        return bvh.read(file, wanted.bones)
     if kind is Kind.GLTF:
-        return gltf.read(file, wanted.fps, wanted.part)
+        return gltf.read(file, wanted.fps, wanted.part, wanted.bones)
     if kind is Kind.USD:
-        return usd.read(file, wanted.fps)
+        return usd.read(file, wanted.fps, wanted.bones)
     if kind is Kind.OPENPOSE_FOLDER:
         return openpose.read_folder(file)
     if kind is Kind.FREEMOCAP:
@@ -184,6 +184,8 @@ def _chosen(file: Path, content: MotionContent, wanted: MotionFormat) -> tuple[H
     if not tracks:
         came = "none" if not content.tracks else "hands that are in no frame"
         remedy = content.notes[-1] if content.notes and not content.tracks else ""
+        if not content.tracks and content.kind in (bvh.KIND, gltf.KIND, usd.KIND):
+            remedy = f"{remedy} Name its bones with --bones.".strip()
         raise InputError(f"motion file {file} ({content.kind})", wanted="a hand of 21 joints", came=came, remedy=remedy)
     if wanted.part is not None and len(tracks) > 1:
         named = [track for track in tracks if wanted.part.casefold() in track.part.casefold()]

@@ -13,7 +13,7 @@ from typing import Protocol
 import numpy as np
 
 from jghand_engine import limits
-from jghand_engine.datasets.motions.bone_names import NamedHand, hands_among
+from jghand_engine.datasets.motions.bone_names import BoneMap, NamedHand, hands_among
 from jghand_engine.datasets.motions.content import HandTrack
 from jghand_engine.hand.joints import FINGERS, JOINT_COUNT, STANDARD_NAMES
 from jghand_engine.hand.orders import JointOrder
@@ -47,17 +47,19 @@ class _Tip:
     offset: np.ndarray
 
 
-def hand_tracks(skeleton: AnimatedSkeleton, part: str) -> tuple[list[HandTrack], list[str]]:
+def hand_tracks(
+    skeleton: AnimatedSkeleton, part: str, bones: BoneMap | None = None
+) -> tuple[list[HandTrack], list[str]]:
     """The hands of a skeleton, which people call `part`, over all its frames; and sentences about hands that lack
-    bones. [] when there are none."""
-    hands, lacking = hands_among(skeleton.names)
+    bones. [] when there are none. bones: a map made by hand."""
+    hands, lacking = hands_among(skeleton.names, bones)
     tracks = []
     for hand in hands:
         tips, made = _tips(skeleton, hand)
         joints = _joints(skeleton, hand, tips)
         name = " ".join(word for word in (part, hand.part) if word)
         side = "hand" if hand.handedness is None else f"{hand.handedness} hand"
-        notes = [f"Its {side} was recognised by bones named as {hand.convention} names them."]
+        notes = [f"Its {side} was recognised by bones named as {hand.convention} names them."] if bones is None else []
         if made:
             notes.append(
                 f"The {side} has no tips of {', '.join(made)}: they were put where the last bones lead, with usual "

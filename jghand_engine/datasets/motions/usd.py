@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from jghand_engine import limits
+from jghand_engine.datasets.motions.bone_names import BoneMap
 from jghand_engine.datasets.motions.content import HandTrack, MotionContent
 from jghand_engine.datasets.motions.skeleton import hand_tracks
 
@@ -19,7 +20,7 @@ KIND = "USD"
 SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")
 
 
-def read(file: Path, fps: float | None) -> MotionContent:
+def read(file: Path, fps: float | None, bones: BoneMap | None = None) -> MotionContent:
     """The hands of all skeletons of a stage at `fps`, else at the rate of its samples. ValueError says why not."""
     from pxr import Tf, Usd, UsdGeom, UsdSkel
 
@@ -40,7 +41,7 @@ def read(file: Path, fps: float | None) -> MotionContent:
         if not query:
             raise ValueError(f"{prim.GetPath()} is no whole skeleton")
         skeleton = _UsdSkeleton(stage, query, animations.get(prim.GetPath()), fps)
-        found, lacking = hand_tracks(skeleton, str(prim.GetPath()) if len(prims) > 1 else "")
+        found, lacking = hand_tracks(skeleton, str(prim.GetPath()) if len(prims) > 1 else "", bones)
         if found:
             rate = skeleton.fps
             notes += skeleton.notes
