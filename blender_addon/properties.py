@@ -75,6 +75,11 @@ def _set_end(row: JGHandJoint, place: int) -> None:
     bone_list.set_end(row.id_data, row.name, place)
 
 
+def _evaluate_again(settings: JGHandObjectSettings, _context: bpy.types.Context) -> None:
+    """Renders read what Blender evaluated, and keep it where the scene has Persistent Data."""
+    settings.id_data.update_tag()
+
+
 class JGHandJoint(bpy.types.PropertyGroup):
     """One row of a foreign armature's bone map: `name` is the joint, the rest is read from the stored map."""
 
@@ -100,6 +105,7 @@ class JGHandObjectSettings(bpy.types.PropertyGroup):
         name="Avatar",
         description="File of the avatar that is drawn on this hand. Empty: the one that comes with JGHand",
         subtype="FILE_PATH",
+        update=_evaluate_again,
         options=path_options(),
         override=OVERRIDABLE,
     )  # type: ignore[valid-type]

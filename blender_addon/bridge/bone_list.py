@@ -74,7 +74,6 @@ def _source(rig: bpy.types.Object, joint: str) -> JointSource | None:
 def _change(rig: bpy.types.Object, joint: str, source: JointSource | None) -> None:
     bone_map = shown_map(rig) or bone_maps.by_hand(rig.jghand.map_hand, [None] * len(NAMES))
     sources.store_map(rig, bone_map.with_source(joint, source))
-    rig.update_tag()
 
 
 @lru_cache(maxsize=16)

@@ -43,6 +43,7 @@ def store_map(rig: bpy.types.Object, bone_map: BoneMap) -> None:
     name = armature.MAP_PROPERTIES[bone_map.handedness]
     rig[name] = bone_map.as_json()
     rig.id_properties_ui(name).update(description=f"Bones of the {bone_map.handedness} hand, as JGHand reads them")
+    rig.update_tag()  # what renders read is what Blender evaluated
 
 
 def store_objects(holder: bpy.types.Object, objects: Sequence[bpy.types.Object], handedness: str) -> None:
@@ -53,6 +54,7 @@ def store_objects(holder: bpy.types.Object, objects: Sequence[bpy.types.Object],
     for name, thing in zip(NAMES, objects, strict=True):
         holder[armature.OBJECT_PROPERTIES[name]] = thing
     holder[armature.HANDEDNESS_PROPERTY] = handedness
+    holder.update_tag()
 
 
 def forget(thing: bpy.types.Object) -> None:
@@ -64,11 +66,13 @@ def forget(thing: bpy.types.Object) -> None:
         for name in names:
             if name in thing:
                 del thing[name]
+        thing.update_tag()
 
 
 def forget_map(rig: bpy.types.Object, handedness: str) -> None:
     """Takes one hand of a foreign armature away."""
     rig.pop(armature.MAP_PROPERTIES[handedness], None)
+    rig.update_tag()
 
 
 def stored_maps(rig: bpy.types.Object) -> list[BoneMap]:

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from blender_addon import cli, registration, render_engine, runtime
-from blender_addon.bridge import armature, camera, moments
+from blender_addon.bridge import armature, camera, moments, sources
 from blender_addon.core import limits, posing
 from blender_addon.core.link import EngineLink
 from blender_addon.core.messages import JGHandFailure
@@ -319,27 +319,48 @@ def test_a_rig_that_is_switched_off_in_viewports_is_rendered(scene):
     np.testing.assert_array_equal(f12(), wanted)
 
 
-def test_the_avatar_of_each_hand_is_asked_for(scene, tmp_path):
-    avatar = tmp_path / "mine.jghand"
-    bpy.data.objects["right"].jghand.avatar = str(avatar)
-    avatar.touch()
-    asked_for = []
+@pytest.fixture
+def asked_for() -> Iterator[list[dict]]:
+    """The headers of all requests for pictures."""
+    headers: list[dict] = []
     link = runtime.link()
     request = link.request
 
     def spy(header, *rest, **more):
-        asked_for.append(header)
+        headers.append(header)
         return request(header, *rest, **more)
 
     link.request = spy
-    try:
-        scene.jghand.render_preset, scene.jghand.shadow_strength = "draft", 0.5
-        scene.jghand.shadow_radius_mm = 25.0
-        f12()
-    finally:
-        del link.request
+    yield headers
+    del link.request
+
+
+def test_the_avatar_of_each_hand_is_asked_for(scene, tmp_path, asked_for):
+    avatar = tmp_path / "mine.jghand"
+    bpy.data.objects["right"].jghand.avatar = str(avatar)
+    avatar.touch()
+    scene.jghand.render_preset, scene.jghand.shadow_strength = "draft", 0.5
+    scene.jghand.shadow_radius_mm = 25.0
+    f12()
     assert [hand["avatar"] for hand in asked_for[0]["hands"]] == [str(avatar)]
     assert asked_for[0]["settings"] == {"preset": "draft", "shadow_strength": 0.5, "shadow_radius_m": 0.025}
+
+
+def test_persistent_data_do_not_hide_what_was_changed(scene, tmp_path, asked_for):
+    scene.render.use_persistent_data = True
+    for name in ("one", "two"):
+        bpy.data.objects["right"].jghand.avatar = str(tmp_path / name)
+        f12()
+    assert [header["hands"][0]["avatar"] for header in asked_for] == [str(tmp_path / name) for name in ("one", "two")]
+    rig, _ = hands.mixamo_rig(bpy.context)
+    f12()
+    bpy.ops.jghand.use_armature()
+    f12()
+    sources.forget_map(rig, "left")
+    f12()
+    sources.forget(rig)
+    f12()
+    assert [len(header["hands"]) for header in asked_for[2:]] == [1, 3, 2, 1]
 
 
 # ---- motion blur ----------------------------------------------------------------------------------------------------
