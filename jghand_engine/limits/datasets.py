@@ -70,6 +70,8 @@ GLTF_JSON_MAX_BYTES = 1 << 26
 TEXT_LINE_MAX = 1 << 19
 # lines of the header of a BVH file
 BVH_HEADER_LINES_MAX = 1 << 20
+# positions of a joint in BVH smaller than this part of its offset are moves from there, not its place
+BVH_ADDED_MAX = 0.25
 # lines of motion that are turned into numbers at once
 BVH_LINES_AT_ONCE = 64
 # frames whose bones are turned into joints at once: 60 bones of 4096 frames have 30 MB

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import motion_samples as samples
@@ -49,6 +50,17 @@ def test_bvh_turns_in_the_order_of_its_channels(tmp_path, motion, order):
     assert read.sequence.fps == 30.0
     assert any("centimetres" in note and "--unit" in note for note in read.notes)
     assert any("Mixamo" in note for note in read.notes)
+
+
+@pytest.mark.parametrize("up", ["y", "z"])
+def test_a_body_in_bvh_shows_which_axis_points_up(tmp_path, motion, up):
+    """Its root is called Hips, and its hand stands above it."""
+    above = np.array([0.0, 120.0, 0.0] if up == "y" else [0.0, 0.0, 120.0])
+    rig = samples.rig(motion, scale=100)
+    samples.write_bvh(tmp_path / "a.bvh", dataclasses.replace(rig, rest=rig.rest + above))
+    read = read_motion_file(tmp_path / "a.bvh")
+    assert read.up == up
+    assert distance(read, motion) < TEXT_M
 
 
 def test_the_end_site_of_bvh_is_the_tip(tmp_path, motion):

@@ -150,7 +150,7 @@ class _Bvh:
         return turned, moved
 
     def _positions_are_added(self, joint: int) -> bool:
-        """Whether the positions of a joint that is no root are nearer to zero than to its offset."""
+        """Whether the positions of a joint that is no root are around zero, and its offset is not."""
         one = self._header.joints[joint]
         places = {
             _POSITIONS[name]: self._first[joint] + at for at, name in enumerate(one.channels) if name in _POSITIONS
@@ -159,7 +159,7 @@ class _Bvh:
             return False
         offset = np.array([one.offset[axis] for axis in places])
         middle = np.median(self._numbers[:, list(places.values())], axis=0)
-        return bool(np.linalg.norm(middle) < np.linalg.norm(middle - offset))
+        return bool(np.linalg.norm(middle) < limits.BVH_ADDED_MAX * np.linalg.norm(offset))
 
 
 def _turns(axis: int, angles_rad: np.ndarray) -> np.ndarray:
