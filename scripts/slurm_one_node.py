@@ -80,6 +80,8 @@ def main() -> int:
         return 2
     if not options.command:
         return 0
+    # a polite kill ends the daemons too
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
     with tempfile.TemporaryDirectory(prefix="jghand_slurm_") as folder, running(Path(folder)) as environment:
         return subprocess.run(options.command, env=environment, check=False).returncode
 

@@ -18,6 +18,7 @@ from jghand_engine.limits import (
     LOCAL_MINUTES_MAX,
     LOCAL_POLL_S,
     SIGNAL_BEFORE_S,
+    SLURM_MINUTES_MIN,
     SLURM_POLL_S,
     TIMEOUTS_MAX,
 )
@@ -89,9 +90,11 @@ class SlurmOptions:
 
     def check(self) -> None:
         """InputError for what no job can ask."""
-        for name, value in (("minutes", self.minutes), ("cpus", self.cpus), ("memory_gb", self.memory_gb)):
+        if self.minutes < SLURM_MINUTES_MIN:
+            raise InputError("--time-limit", wanted=f"{SLURM_MINUTES_MIN} minutes or more", came=str(self.minutes))
+        for name, value in (("--cpus", self.cpus), ("--memory-gb", self.memory_gb)):
             if not value > 0:
-                raise InputError(f"--slurm {name}", wanted="more than 0", came=f"{value:g}")
+                raise InputError(name, wanted="more than 0", came=f"{value:g}")
 
 
 class SlurmExecutor:

@@ -17,6 +17,10 @@ CHECKPOINT_WAIT_S = 75.0
 # how long a job that was told to stop waits for its scheduler to take it back, seconds: SLURM's grace is some minutes
 # at most
 REQUEUE_WAIT_S = 300.0
+# shortest time of one start that a cluster may be asked for, minutes: SLURM tells up to a minute earlier than it was
+# asked to, and placing the Gaussians takes its time; with two minutes a training began again and again and never came
+# to a step
+SLURM_MINUTES_MIN = 10
 # how often a training may come to the end of a job's time: each time it goes on
 TIMEOUTS_MAX = 1000
 # minutes that a local job may take: nothing else wants the machine (a year)

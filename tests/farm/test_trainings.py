@@ -91,6 +91,15 @@ def test_options_of_a_cluster_without_one_are_refused(listed, tmp_path, capsys, 
     path = listed("[[training]]\nfolder = 'captures/id3'\n")
     assert main(["train-many", str(path), "--out", str(tmp_path / "out"), "--cpus", "3"]) == 2
     assert "--executor local" in capsys.readouterr().err
+    slurm = ("--executor", "slurm")
+    for words, told in (
+        (("--time-limit", "2"), "--time-limit: wanted 10 minutes"),
+        (("--cpus", "0"), "--cpus: wanted more than 0"),
+        (("--memory-gb", "nan"), "--memory-gb: wanted more than 0"),
+        (("--sbatch", "account"), "--sbatch: wanted NAME=VALUE"),
+    ):
+        assert main(["train-many", str(path), "--out", str(tmp_path / "out"), *slurm, *words]) == 2
+        assert told in capsys.readouterr().err
     monkeypatch.setenv("PATH", str(tmp_path))
     assert main(["train-many", str(path), "--out", str(tmp_path / "out"), "--executor", "slurm"]) == 2
     assert "no srun or squeue" in capsys.readouterr().err
