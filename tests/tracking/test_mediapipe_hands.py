@@ -17,6 +17,7 @@ from jghand_engine.splat.frame import HandRenderer, SceneRenderer
 from jghand_engine.splat.settings import preset
 from jghand_engine.tracking.mediapipe_hands import MediaPipeHands
 from jghand_engine.tracking.model_file import has_detector
+from jghand_engine.tracking.second_look import SecondLook
 from jghand_engine.tracking.track import look, track
 from jghand_engine.tracking.video import open_video, pictures
 
@@ -59,6 +60,17 @@ def test_both_hands_of_a_picture_are_found():
     for side, hand in found.items():
         middle_px = CAMERA.project(truth[side]).mean(0)
         assert np.linalg.norm(hand.middle_px - middle_px) < 0.05 * hand.size_px, "seen: 0.02"
+
+
+def test_a_small_hand_that_is_overlooked_is_found_by_the_second_look():
+    truth = right_joints_m(31)[30] + np.array([0.1, 0.0, 0.4])
+    picture = shown(Handedness.RIGHT, truth)
+    with MediaPipeHands(follows=False) as detector:
+        assert detector.detect(picture, 0.0) == [], "if it finds it today, take a smaller hand"
+        found = SecondLook(detector, detector).detect(picture, 0.0)
+    assert [hand.handedness for hand in found] == [Handedness.RIGHT]
+    distance = np.linalg.norm(found[0].image_px - CAMERA.project(truth), axis=-1) / found[0].size_px
+    assert np.median(distance) < 0.1, "seen: 0.05"
 
 
 def test_a_picture_without_a_hand_has_none():
