@@ -9,7 +9,7 @@ import pytest
 
 from blender_addon.bridge import armature, controls, motion, versions
 from blender_addon.core import posing
-from blender_addon.core.controls import CONTROLS, FINGER_CONTROLS, HAND_CONTROL, TIP_CONTROLS
+from blender_addon.core.controls import CONTROLS, FINGER_CONTROLS, FIST, HAND_CONTROL, TIP_CONTROLS
 from blender_addon.core.joints import FINGERS, HANDEDNESSES, NAMES, TIPS
 from blender_addon.core.messages import JGHandFailure
 
@@ -187,6 +187,39 @@ def test_a_motion_is_keyed_under_muted_controls(context):
     seen = armature.read_hand(hand, armature.at_frame(context.scene, 3))
     # the rest hand is not the motion's, but its joints are
     np.testing.assert_allclose(seen.joints_world_m, joints[2], atol=EXACT_M)
+
+
+def test_joint_limits_that_were_off_stay_off_when_the_controls_are_on_again(context):
+    hand = controlled_hand(context, "right")
+    hand.pose.bones["index2"].rotation_quaternion = (np.cos(-0.5), np.sin(-0.5), 0, 0)
+    limited = joints_of(context, hand)
+    controls.use_joint_limits(hand, False)
+    hand.pose.bones["ring1"].constraints[FIST].mute = True
+    free = joints_of(context, hand)
+    for _ in range(2):  # muting what is muted forgets nothing
+        controls.mute_controls(hand, True)
+        assert controls.controls_are_muted(hand)
+        assert not controls.joint_limits_are_used(hand)
+    controls.mute_controls(hand, False)
+    assert not controls.joint_limits_are_used(hand)
+    assert hand.pose.bones["ring1"].constraints[FIST].mute
+    np.testing.assert_array_equal(joints_of(context, hand), free)
+    controls.mute_controls(hand, True)
+    controls.use_joint_limits(hand, True)  # of a muted layer: how they will be
+    assert controls.controls_are_muted(hand)
+    assert controls.joint_limits_are_used(hand)
+    controls.mute_controls(hand, False)
+    np.testing.assert_allclose(joints_of(context, hand), limited, atol=EXACT_M)
+
+
+def test_controls_that_are_added_anew_remember_nothing_of_a_muted_layer(context):
+    hand = controlled_hand(context, "right")
+    controls.use_joint_limits(hand, False)
+    controls.mute_controls(hand, True)
+    controls.remove_controls(context, hand)
+    assert controls.OFF_BEFORE not in hand
+    controls.add_controls(context, hand)
+    assert controls.joint_limits_are_used(hand)
 
 
 def test_hands_that_share_their_bones_part_before_one_gets_controls(context):
