@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import itertools
 import zipfile
 from enum import StrEnum
 from pathlib import Path
 
 from jghand_engine import limits
+from jghand_engine.datasets.motion_files import has_own_columns
 from jghand_engine.datasets.motions import freemocap, gltf, interhand, mediapipe, openpose, webxr
 from jghand_engine.datasets.motions.json_text import JsonText
+from jghand_engine.datasets.motions.tables import named_hands
 
 FRAME_LISTS = ("frames", "data", "samples", "recording", "results", "poses", "animation", "motion")
 _USD_TEXT, _USD_CRATE = b"#usda", b"PXR-USDC"
@@ -126,38 +129,28 @@ def _of_json(file: Path) -> Kind:
 
 def _of_frames(text: JsonText, place: int) -> Kind:
     """By the first frames that say anything: a hand may not be there from the beginning."""
-    is_own = False
-    for number, frame in enumerate(text.elements(place)):
+    for frame in itertools.islice(text.elements(place), limits.RECOGNISE_JSON_FRAMES):
         if mediapipe.looks_like(frame):
             return Kind.MEDIAPIPE
         if openpose.looks_like(frame):
             return Kind.OPENPOSE
-        if (
-            place == text.start
-            and isinstance(frame, list)
-            and frame
-            and (frame[0] is None or isinstance(frame[0], list))
-        ):
-            is_own = True
-            break
+        if place == text.start and _is_list_of_points(frame):
+            return Kind.OWN_JSON
         if webxr.looks_like(frame):
             return Kind.WEBXR
-        if number >= limits.RECOGNISE_JSON_FRAMES:
-            break
-    if is_own or text.text[text.start] == "[":
+    if place == text.start:
         return Kind.OWN_JSON
     raise ValueError("JSON in which JGHand finds no frames of hands")
 
 
+def _is_list_of_points(frame: object) -> bool:
+    """Whether a frame is joints alone, [[x, y, z], null, …]."""
+    return isinstance(frame, list) and bool(frame) and (frame[0] is None or isinstance(frame[0], list))
+
+
 def _of_table(file: Path, head: bytes) -> Kind:
     """CSV: our own, FreeMoCap's, or one whose columns are named after joints in another way."""
-    from jghand_engine.datasets.motion_files import has_own_columns
-    from jghand_engine.datasets.motions.tables import named_hands
-
-    try:
-        lines = head.decode("utf-8-sig", "replace").splitlines()
-    except ValueError:
-        lines = []
+    lines = head.decode("utf-8-sig", "replace").splitlines()
     header = next((line for line in lines if line.strip() and not line.startswith("#")), "")
     cells = header.split(",")
     if len(cells) < 3:
