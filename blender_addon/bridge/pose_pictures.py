@@ -35,11 +35,13 @@ def are_made() -> bool:
 def ask() -> None:
     """Starts the making, unless it is done, under way, or of no use."""
     global _icons
-    if bpy.app.background or _icons is not None:
+    if bpy.app.background:
         return
-    _icons = bpy.utils.previews.new()
-    _waiting.extend(pose.name for pose in poses.all_poses(RIGHT))
-    bpy.app.timers.register(_make_some, first_interval=limits.PICTURE_REST_S)
+    if _icons is None:
+        _icons = bpy.utils.previews.new()
+        _waiting.extend(pose.name for pose in poses.all_poses(RIGHT))
+    if _waiting and not bpy.app.timers.is_registered(_make_some):
+        bpy.app.timers.register(_make_some, first_interval=limits.PICTURE_REST_S, persistent=True)
 
 
 def register() -> None:

@@ -277,6 +277,22 @@ def test_panels_stand_in_the_tab_in_the_order_of_work():
     assert [label for label in ordered if label in wanted] == wanted
 
 
+def test_pictures_of_poses_come_though_another_file_is_opened_meanwhile(extension, monkeypatch):
+    """Opening a file takes Blender's timers away, but for the persistent ones; and whoever asks again gets his own."""
+    monkeypatch.setattr(pose_pictures, "_icons", None)
+    monkeypatch.setattr(pose_pictures, "_waiting", [])
+    shown = SimpleNamespace(app=SimpleNamespace(background=False, timers=bpy.app.timers), utils=bpy.utils)
+    monkeypatch.setattr(pose_pictures, "bpy", shown)
+    pose_pictures.ask()
+    bpy.ops.wm.read_homefile(use_factory_startup=True)
+    assert bpy.app.timers.is_registered(pose_pictures._make_some)
+    bpy.app.timers.unregister(pose_pictures._make_some)
+    pose_pictures.ask()
+    assert bpy.app.timers.is_registered(pose_pictures._make_some)
+    pose_pictures.unregister()
+    assert not bpy.app.timers.is_registered(pose_pictures._make_some)
+
+
 def test_pictures_of_poses_are_made_for_both_hands_and_mirrored(extension, monkeypatch):
     stored = {}
     monkeypatch.setattr(pose_pictures, "store_picture", lambda _icons, key, picture: stored.update({key: picture}))
