@@ -313,7 +313,7 @@ def test_nothing_is_asked_for_while_nothing_changes(link, extension, monkeypatch
     context.scene.jghand.sharpen_when_still = False
     view = view_on(context, hand)
     wait_for(context, view)
-    monkeypatch.setattr(link, "ask", lambda *_: pytest.fail("asked for what is there"))
+    monkeypatch.setattr(link, "ask", lambda *_, **__: pytest.fail("asked for what is there"))
     for _ in range(3):
         look(context, view, hand)
     assert pacing.due_s(view.pace, view.settings) == float("inf")
