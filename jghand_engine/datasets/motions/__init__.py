@@ -1,7 +1,7 @@
 """Motion files of other programs: one module for each format, one common result, recognised by content.
 
-read         any motion file -> PoseSequence and sentences about it; what commands call. JGHand's own formats are those of
-             `datasets.motion_files`
+read         any motion file -> PoseSequence and sentences about it; what commands call. JGHand's own formats are
+             those of `datasets.motion_files`
 recognise    which format a file, or a folder, is
 content      the common result of all readers: joints of one or more hands, and what the file says of itself
 units        unit, joint order and frame rate where a file does not say them
