@@ -3,16 +3,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import bpy
 import numpy as np
 
 from ..core import posing
-from ..core.aside import aside, at_once
+from ..core.aside import aside, at_once, part_of
 from ..core.controls import CONTROLS, RULES
 from ..core.joints import NAMES
 from ..core.messages import JGHandFailure
@@ -73,7 +75,7 @@ def key_steps(
         frames = first_frame + frames_per_pose * np.arange(len(joints))
     else:
         frames = np.array(key_frames, dtype=np.float64)
-    put_back = versions.keep_action(hand)
+    put_back = _keep(hand)
     whole = False
     try:
         versions.new_action(hand, f"{hand.name} motion", replaces=lambda path: _REPLACED.fullmatch(path) is not None)
@@ -146,6 +148,38 @@ def import_steps(
     return ImportedMotion(hand, action, motion.notes)
 
 
+@dataclass(frozen=True)
+class WantedMotion:
+    """A motion that is to be keyed. name: of its action, and of a new hand · hand: None for a new one."""
+
+    motion: MotionFile
+    name: str
+    hand: bpy.types.Object | None = None
+
+
+def import_all_steps(
+    context: bpy.types.Context, wanted: Sequence[WantedMotion], *, first_frame: float = 1.0
+) -> Generator[float, None, list[ImportedMotion]]:
+    """`import_steps` of several motions on different hands. Closed half-way, or where one of them fails, nothing is
+    left of any."""
+    done = []
+    with contextlib.ExitStack() as undo:
+        for number, one in enumerate(wanted):
+            put_back = _keep(one.hand) if one.hand is not None else None
+            steps = import_steps(context, one.motion, one.name, hand=one.hand, first_frame=first_frame)
+            made = yield from part_of(steps, number / len(wanted), 1.0 / len(wanted))
+            undo.callback(put_back or partial(_remove, made))
+            done.append(made)
+        undo.pop_all()
+    return done
+
+
+def _remove(made: ImportedMotion) -> None:
+    """Takes a new hand away again, and its action."""
+    bpy.data.armatures.remove(made.hand.data)  # and with it the object
+    bpy.data.actions.remove(made.action)
+
+
 def check_free(hand: bpy.types.Object, *, but: Sequence[str] = ()) -> None:
     """Refuses a hand whose bones are moved by more than their keys and constraints with the names `but`."""
     bones = [hand.pose.bones[name] for name in NAMES if name in hand.pose.bones]
@@ -160,6 +194,37 @@ def check_free(hand: bpy.types.Object, *, but: Sequence[str] = ()) -> None:
     movers += [f"driver of {curve.data_path}" for curve in drivers if curve.data_path in paths and not curve.mute]
     if movers:
         raise JGHandFailure("constrained", f"{hand.name}, {'; '.join(movers)}")
+
+
+def _keep(hand: bpy.types.Object) -> Callable[[], None]:
+    """What gives a hand back the action, the pose and the settings of its bones that it has now."""
+    give_action = versions.keep_action(hand)
+    kept = {
+        bone.name: {
+            # the mode first: Blender turns the rotation of the old one into it
+            **{name: _value(getattr(bone, name)) for name in ("rotation_mode", *_CHANNELS)},
+            "use_inherit_rotation": bone.bone.use_inherit_rotation,
+            "use_local_location": bone.bone.use_local_location,
+        }
+        for bone in hand.pose.bones
+        if bone.name in NAMES
+    }
+
+    def put_back() -> None:
+        give_action()
+        for name, values in kept.items():
+            pose = hand.pose.bones[name]
+            for channel, value in values.items():
+                owner = pose if channel in _CHANNELS else pose.bone
+                if _value(getattr(owner, channel)) != value:
+                    setattr(owner, channel, value)
+
+    return put_back
+
+
+def _value(value: Any) -> Any:
+    """A property's value, apart from Blender's data."""
+    return value if isinstance(value, str | bool) else tuple(value)
 
 
 def _prepare_bones(hand: bpy.types.Object) -> None:

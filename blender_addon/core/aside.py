@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What generators that work in turns share: work in a thread that they wait for, and doing all turns at once.
+"""What generators that work in turns share: work in a thread that they wait for, one as a part of another, and doing
+all turns at once.
 
 Does not use bpy.
 """
@@ -39,6 +40,19 @@ def aside(work: Callable[[], _Result]) -> Generator[float, None, _Result]:
     if failures:
         raise failures[0]
     return results[0]
+
+
+def part_of(steps: Generator[float, None, _Result], start: float, share: float) -> Generator[float, None, _Result]:
+    """Steps that are a `share` of a longer work, of which `start` is done before them."""
+    try:
+        while True:
+            try:
+                part = next(steps)
+            except StopIteration as end:
+                return end.value
+            yield start + share * part
+    finally:
+        steps.close()
 
 
 def at_once(steps: Generator[float, None, _Result]) -> _Result:
