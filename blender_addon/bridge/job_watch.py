@@ -21,7 +21,7 @@ from .icons import store_picture
 from .redraw import redraw
 
 # keys of jobs in the table
-OUTPUT, CAPTURE, TRAINING, CARD = "output", "capture", "training", "card"
+OUTPUT, CAPTURE, TRAINING, CARD, IMPORT = "output", "capture", "training", "card", "import"
 
 _reader: TrainingReader | None = None
 _seen: TrainingFolder | None = None

@@ -107,8 +107,14 @@ ADVICE = {
     ),
     "bad_motion": Advice(
         "This file is no motion that JGHand can read",
-        "Choose a motion file, and beside it in the file browser what it does not say itself: hand, unit or part",
+        "Choose a motion file, and beside it in the file browser what it does not say itself: hand, unit, order, frame "
+        "rate or part",
         BAD_INPUT,
+    ),
+    "offline": Advice(
+        "The networks that find a hand are not on this computer, and Blender may not go online",
+        "Allow Online Access in the preferences, under System, or run once in a terminal with any video",
+        TRY_AGAIN,
     ),
     "other_hand": Advice("This motion is of the other hand", "Choose an armature of that hand", BAD_INPUT),
     "no_pose": Advice("There is no pose of this name", "Choose one of the list", BAD_INPUT),

@@ -13,6 +13,14 @@ from .motion_files import MotionFile, read_motion
 # what this package reads by itself, and what needs the engine
 OWN_SUFFIXES = (".npz", ".json", ".csv")
 FOREIGN_SUFFIXES = (".npy", ".bvh", ".glb", ".gltf", ".usd", ".usda", ".usdc", ".usdz")
+# orders of joints: the engine's word, and what an artist reads
+ORDERS = (
+    ("standard", "OpenPose, MediaPipe"),
+    ("interhand", "InterHand2.6M"),
+    ("mano16_tips", "MANO, Tips at the End"),
+    ("openxr", "OpenXR, WebXR"),
+    ("level", "Level by Level"),
+)
 _MOTION, _FIGURES = "motion.npz", "figures.json"
 
 

@@ -4,15 +4,18 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from .messages import JGHandFailure
 from .motion_files import MotionFile, read_motion
+from .programs import in_terminal
 
 SUFFIXES = (".mp4", ".mov", ".m4v", ".mkv", ".webm", ".avi", ".mpg", ".mpeg", ".mts", ".m2ts", ".ts", ".3gp", ".wmv")
+# the engine's option, which its error names where the networks are missing
+FETCH = "--fetch-model"
 _MOTION, _FIGURES = "motion.npz", "figures.json"
 
 
@@ -20,7 +23,8 @@ _MOTION, _FIGURES = "motion.npz", "figures.json"
 class TrackingChoices:
     """hand: auto, right, left or both · hand_length_mm: from the wrist to the middle finger's tip, 0: the avatar's ·
     smoothing: 1, more is smoother · camera_angle_deg: angle of view across the longer edge · in_place: the wrist stays
-    at the origin · avatar: the hand whose bones the motion is for, "" for the built-in one"""
+    at the origin · avatar: the hand whose bones the motion is for, "" for the built-in one · fetches:
+    whether the engine may download the networks that find a hand, where it has none"""
 
     hand: str = "auto"
     hand_length_mm: float = 0.0
@@ -28,6 +32,7 @@ class TrackingChoices:
     camera_angle_deg: float = 60.0
     in_place: bool = False
     avatar: str = ""
+    fetches: bool = False
 
 
 def words(video: Path, folder: Path, choices: TrackingChoices) -> tuple[str, ...]:
@@ -35,11 +40,21 @@ def words(video: Path, folder: Path, choices: TrackingChoices) -> tuple[str, ...
     return (
         *("track", str(video), "--out", str(folder / _MOTION), "--json", str(folder / _FIGURES), "--up", "z"),
         *("--hand", choices.hand, "--smoothing", f"{choices.smoothing:g}"),
-        *("--camera-angle", f"{choices.camera_angle_deg:g}", "--fetch-model"),
+        *("--camera-angle", f"{choices.camera_angle_deg:g}"),
+        *((FETCH,) if choices.fetches else ()),
         *(("--hand-length", f"{choices.hand_length_mm:g}") if choices.hand_length_mm else ()),
         *(("--avatar", choices.avatar) if choices.avatar else ()),
         *(("--in-place",) if choices.in_place else ()),
     )
+
+
+def fetch_by_hand(failure: JGHandFailure, program: Sequence[str]) -> JGHandFailure:
+    """Where the networks that find a hand are missing and may not be downloaded: the command that fetches them. Any
+    other failure as it is. program: the words before a verb of the engine's."""
+    if FETCH not in failure.detail:
+        return failure
+    command = in_terminal((*program, "track", "VIDEO", "--out", "motion.npz", FETCH))
+    return JGHandFailure("offline", command, log=failure.log)
 
 
 def read_tracked(folder: Path) -> tuple[MotionFile, ...]:

@@ -6,6 +6,7 @@ hand             add, select and forget hands, rigs and objects that are hands
 bone_map         the bones of a foreign rig
 pose             poses: take, copy to the other hand, reset, make assets
 finger_controls  curl, spread, held tips, joint limits
+imports          what makes keys of a file: it is chosen, the engine reads it, hands are keyed in turns
 motion           motion files as keys
 track            hands in videos as keys
 engine           check, start, stop, log

@@ -55,9 +55,15 @@ class Reporting:
         self.report(WARNING, " ".join(sentences))
 
 
+class Elsewhere(float):
+    """The part that is done of work which goes on in another process: as long as a generator of `InTurns` yields this,
+    it holds nothing of Blender's, and the artist goes on with other things."""
+
+
 class InTurns(Reporting):
     """An operator whose `steps(context)` is a generator of the part that is done, 0 to 1. In a window it works a turn
-    at a time: the status bar says how far it is, and Esc ends it; else it works through.
+    at a time: the status bar says how far it is, and Esc ends it; else it works through. Meanwhile Blender takes no
+    other input, but for times in which the work is `Elsewhere`.
 
     `finished(context)` is called at the end. What `steps` holds open it must put back when it is closed half-way.
     """
@@ -65,12 +71,14 @@ class InTurns(Reporting):
     working = ""
     _steps: Iterator[float] | None = None
     _timer: bpy.types.Timer | None = None
+    _is_elsewhere = False
     _started = _told = 0.0
 
     def run(self, context: bpy.types.Context) -> None:
         """All of it."""
-        for _ in self.steps(context):
-            pass
+        for part in self.steps(context):
+            if isinstance(part, Elsewhere):
+                time.sleep(limits.ASIDE_LOOK_S)
         self.finished(context)
 
     def finished(self, _context: bpy.types.Context) -> None:
@@ -81,25 +89,26 @@ class InTurns(Reporting):
         if bpy.app.background or context.window is None:
             return self.execute(context)
         self._steps, self._started = self.steps(context), time.monotonic()
-        self._timer = context.window_manager.event_timer_add(limits.WORK_REST_S, window=context.window)
+        self._tick_every(context, limits.WORK_REST_S)
         context.window_manager.modal_handler_add(self)
         return {"RUNNING_MODAL"}
 
     def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        """One turn; everything else waits, so that nothing changes under it."""
-        if event.type == "ESC":
+        """One turn; everything else waits, so that nothing changes under it, unless the work is elsewhere."""
+        goes_on = {"PASS_THROUGH"} if self._is_elsewhere else {"RUNNING_MODAL"}
+        if event.type == "ESC" and self._is_ended_by(context, event):
             self.cancel(context)
             self.report(INFO, rpt_("Cancelled: nothing was changed"))
             return CANCELLED
-        if event.type != "TIMER":
-            return {"RUNNING_MODAL"}
+        if event.type != "TIMER" or (self._is_elsewhere and _something_is_dragged(context)):
+            return goes_on
         try:
             part = self._turn()
             if part is None:
                 self.finished(context)
         except JGHandFailure as failure:
             self.cancel(context)
-            self.report(ERROR, sentence_of(failure))
+            self.report(INFO if failure.kind == "cancelled" else ERROR, sentence_of(failure))
             return CANCELLED
         except BaseException:
             self.cancel(context)
@@ -108,28 +117,43 @@ class InTurns(Reporting):
             self.cancel(context)
             redraw()
             return DONE
+        if isinstance(part, Elsewhere) != self._is_elsewhere:
+            self._is_elsewhere = not self._is_elsewhere
+            self._tick_every(context, limits.JOB_LOOK_S if self._is_elsewhere else limits.WORK_REST_S)
         if time.monotonic() - self._told > limits.WORK_TELL_S:
             context.workspace.status_text_set(self._progress(part))
             self._told = time.monotonic()
-        return {"RUNNING_MODAL"}
+        return goes_on
 
     def cancel(self, context: bpy.types.Context) -> None:
         """Ends the turns, at the end and half-way; Blender calls it too, when a window closes."""
-        if self._timer is not None:
-            context.window_manager.event_timer_remove(self._timer)
-            self._timer = None
+        self._tick_every(context, None)
         if self._steps is not None:
             self._steps.close()
             self._steps = None
         context.workspace.status_text_set(None)
 
+    def _tick_every(self, context: bpy.types.Context, seconds: float | None) -> None:
+        """How often a turn comes; None: no more."""
+        if self._timer is not None:
+            context.window_manager.event_timer_remove(self._timer)
+            self._timer = None
+        if seconds is not None:
+            self._timer = context.window_manager.event_timer_add(seconds, window=context.window)
+
+    def _is_ended_by(self, context: bpy.types.Context, event: bpy.types.Event) -> bool:
+        """Whether an Esc is meant for this: while the work is elsewhere, playback may end by it."""
+        if not self._is_elsewhere:
+            return True
+        return event.value == "PRESS" and not context.screen.is_animation_playing
+
     def _turn(self) -> float | None:
-        """The part that is done after one turn; None at the end."""
+        """The part that is done after one turn; None at the end. What is elsewhere is looked at once."""
         ends = time.monotonic() + limits.WORK_TURN_S
         part: float | None = 0.0
         while time.monotonic() < ends:
             part = next(self._steps, None)
-            if part is None:
+            if part is None or isinstance(part, Elsewhere):
                 break
         return part
 
@@ -139,6 +163,12 @@ class InTurns(Reporting):
         left_s = (time.monotonic() - self._started) * (1.0 - part) / max(part, 1e-3)
         template = rpt_("{working}  {percent}%  ·  {left} s left  ·  Esc cancels")
         return template.format(working=rpt_(self.working), percent=round(100 * part), left=round(left_s))
+
+
+def _something_is_dragged(context: bpy.types.Context) -> bool:
+    """Whether the artist moves something right now: nothing may be changed under that."""
+    running = [one for operator in context.window.modal_operators for one in (operator, *operator.macros)]
+    return any(one.bl_idname.startswith("TRANSFORM_OT_") for one in running)
 
 
 @contextlib.contextmanager

@@ -6,9 +6,11 @@ from __future__ import annotations
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
+from ..bridge import job_watch
 from ..bridge.classes import register_classes, unregister_classes
 from . import common
 from .common import Sidebar
+from .output import draw_job
 
 
 class MotionPanel(Sidebar, bpy.types.Panel):
@@ -26,6 +28,7 @@ class MotionPanel(Sidebar, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
+        draw_job(layout, context, job_watch.IMPORT)
         layout.operator("jghand.import_motion", icon="IMPORT")
         layout.operator("jghand.track_video", icon="FILE_MOVIE")
         common.paragraph(layout, context, "Or drop an .npz, .json, .csv or .bvh motion into the viewport.")

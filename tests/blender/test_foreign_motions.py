@@ -4,6 +4,7 @@ write, and Import Motion puts both onto a hand."""
 from __future__ import annotations
 
 import subprocess
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -196,6 +197,19 @@ def test_import_motion_takes_files_of_other_programs(extension, samples, capfd, 
         np.testing.assert_allclose(seen.joints_world_m, wanted[frame], atol=3e-6)
 
 
+def test_rate_and_order_of_joints_alone_are_said_beside_them(extension, samples, capfd):
+    joints = np.load(samples / "joints.npy")
+    mano = [0, *range(5, 8), *range(9, 12), *range(17, 20), *range(13, 16), *range(1, 4), *TIPS]
+    np.save(samples / "bare.npy", joints[:, mano])
+    extension.scene.render.fps = 24
+    said = {"hand": "right", "order": "mano16_tips", "fps": 48.0}
+    assert bpy.ops.jghand.import_motion(filepath=str(samples / "bare.npy"), **said) == {"FINISHED"}
+    assert "12 frames from 1 to 7" in capfd.readouterr().out
+    for frame in (0, 4, 10):
+        seen = armature.read_hand(extension.object, armature.at_frame(extension.scene, 1 + frame // 2))
+        np.testing.assert_allclose(seen.joints_world_m, joints[frame], atol=3e-6)
+
+
 def test_what_the_engine_cannot_read_is_told_in_its_words(extension, engine, tmp_path):
     path = tmp_path / "broken.bvh"
     path.write_text("HIERARCHY\n")
@@ -223,8 +237,11 @@ def test_without_an_engine_the_reason_is_told(extension, tmp_path, monkeypatch):
 
 
 def test_a_conversion_that_is_given_up_ends_the_engine(extension, samples):
-    chosen = {"hand": "AUTO", "unit": "AUTO", "part": "", "hand_length": 0.0, "in_place": False}
+    chosen = {"hand": "AUTO", "unit": "AUTO", "order": "AUTO", "fps": 0.0, "part": "", "hand_length": 0.0}
+    chosen["in_place"] = False
     operator = SimpleNamespace(**chosen, working="x")
+    for name in ("made_by_engine", "_asked_of_engine"):
+        setattr(operator, name, partial(getattr(motion_operator.ImportMotion, name), operator))
     steps = motion_operator.ImportMotion._converted(operator, extension, samples / "sample.bvh")
     next(steps)
     (folder,) = folders.user_folder("jobs").glob("job_*")

@@ -21,8 +21,10 @@ from blender_addon.bridge import armature, controls, folders, hand_poses, motion
 from blender_addon.core import bone_maps, motion_files, poses, posing
 from blender_addon.core.controls import FINGER_CONTROLS, HAND_CONTROL
 from blender_addon.core.joints import HANDEDNESSES, NAMES
-from blender_addon.operators import help_page, picture
+from blender_addon.core.messages import JGHandFailure
+from blender_addon.operators import common, help_page, imports, picture
 from blender_addon.operators import motion as motion_operator
+from blender_addon.operators import track as track_operator
 from blender_addon.operators.common import PLUMBING, REGISTERED, UNDOABLE
 from blender_addon.panels import presets
 
@@ -567,6 +569,48 @@ def test_a_motion_that_is_given_up_half_way_changes_nothing(extension, tmp_path,
     assert thing.pose.bones["index1"].rotation_mode == "XYZ"
 
 
+def _state_of(thing):
+    """What a motion changes of a hand."""
+    animation = thing.animation_data
+    bone = thing.pose.bones["index1"]
+    return (
+        (animation.action, animation.action_slot.handle, animation.action.use_fake_user) if animation else None,
+        (bone.rotation_mode, tuple(bone.rotation_euler), tuple(bone.scale), bone.bone.use_inherit_rotation),
+    )
+
+
+@pytest.mark.parametrize("fails", [False, True])
+def test_what_is_given_up_at_the_second_hand_takes_the_first_one_back(extension, fails):
+    right, left = add("right"), add("left")
+    bone = right.pose.bones["index1"]
+    bone.rotation_mode, bone.scale, bone.bone.use_inherit_rotation = "XYZ", (1.0, 2.0, 1.0), False
+    bone.rotation_euler = (0.1, 0.2, 0.3)
+    bone.keyframe_insert("rotation_euler", frame=3)
+    for hand in (right, left):
+        controls.mute_controls(hand, True)
+    before = _state_of(right), _state_of(left)
+    counts = {name: len(getattr(bpy.data, name)) for name in ("objects", "armatures", "actions")}
+    if fails:
+        left.pose.bones["index2"].constraints.new("COPY_ROTATION")
+    contents = {side: motion_files.MotionFile(hands.moving_hand_m(side), 24.0, side) for side in HANDEDNESSES}
+    wanted = [
+        motion.WantedMotion(contents["right"], "wave", right),
+        motion.WantedMotion(contents["right"], "new"),
+        motion.WantedMotion(contents["left"], "left", left),
+    ]
+    steps = motion.import_all_steps(extension, wanted)
+    if fails:
+        with pytest.raises(JGHandFailure, match="index2"):
+            list(steps)
+    else:
+        while next(steps) < 0.8:
+            pass
+        assert len(bpy.data.armatures) == counts["armatures"] + 1
+        steps.close()
+    assert {name: len(getattr(bpy.data, name)) for name in counts} == counts
+    assert (_state_of(right), _state_of(left)) == before
+
+
 def test_after_the_file_browser_a_motion_is_imported_in_turns(extension, tmp_path, monkeypatch):
     """The browser forgets an operator that is not done when it returns."""
     called = []
@@ -576,15 +620,36 @@ def test_after_the_file_browser_a_motion_is_imported_in_turns(extension, tmp_pat
         return {"RUNNING_MODAL"}
 
     ops = SimpleNamespace(jghand=SimpleNamespace(import_motion=again))
-    monkeypatch.setattr(motion_operator, "bpy", SimpleNamespace(ops=ops))
+    monkeypatch.setattr(imports, "bpy", SimpleNamespace(ops=ops))
     wanted = {
         **{"filepath": "wave.npz", "target": "AUTO", "first_frame": 3, "use_scene_range": False},
-        **{"hand": "AUTO", "unit": "AUTO", "hand_length": 0.0, "part": "", "in_place": False},
+        **{"hand": "AUTO", "unit": "AUTO", "order": "AUTO", "fps": 25.0, "hand_length": 0.0, "part": ""},
+        "in_place": False,
     }
-    chosen = SimpleNamespace(_asked=True, **wanted)
-    assert motion_operator.ImportMotion.execute(chosen, SimpleNamespace(window=object())) == {"CANCELLED"}
-    assert called == [("INVOKE_DEFAULT", wanted)]
+    type_ = motion_operator.ImportMotion
+    chosen = SimpleNamespace(_asked=True, verb=type_.verb, choices=type_.choices, **wanted)
+    assert type_.execute(chosen, SimpleNamespace(window=object())) == {"CANCELLED"}
+    assert called == [("INVOKE_DEFAULT", {"chosen": True, **wanted})]
     assert not chosen._asked
+
+
+@pytest.mark.parametrize("name", ["import_motion", "track_video"])
+@pytest.mark.parametrize("chosen", [True, False])
+def test_what_was_chosen_in_the_file_browser_is_not_asked_for_again(extension, tmp_path, monkeypatch, name, chosen):
+    """Whatever its suffix, and though it may be gone since: else the browser would open for ever."""
+    type_ = {"import_motion": motion_operator.ImportMotion, "track_video": track_operator.TrackVideo}[name]
+    assert type_.bl_idname in (f"jghand.{type_.verb}", f"JGHAND_OT_{type_.verb}")
+    assert operator_type(f"jghand.{name}").properties["chosen"].is_skip_save
+    begun, asked = [], []
+    monkeypatch.setattr(common.InTurns, "invoke", lambda *_: begun.append(1) or {"RUNNING_MODAL"})
+    monkeypatch.setattr(imports.ImportHelper, "invoke", lambda *_: asked.append(1) or {"RUNNING_MODAL"})
+    operator = imports.KeysFile.__new__(imports.KeysFile)
+    operator.chosen, operator.filepath = chosen, str(tmp_path / "gone.glb")
+    operator.invoke(extension, None)
+    assert (begun, asked) == (([1], []) if chosen else ([], [1]))
+    (tmp_path / "gone.glb").write_bytes(b"glTF")
+    operator.invoke(extension, None)
+    assert len(begun) == (2 if chosen else 1)
 
 
 def test_a_motion_with_gaps_says_so(extension, tmp_path, capfd):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
@@ -12,18 +13,29 @@ import pytest
 from hands import moving_hand_m
 
 from blender_addon import runtime
-from blender_addon.bridge import armature, folders
+from blender_addon.bridge import armature, controls, folders, job_watch
+from blender_addon.core import limits
+from blender_addon.core.controls import HAND_CONTROL
+from blender_addon.core.job_state import Phase
+from blender_addon.core.messages import JGHandFailure
 from blender_addon.core.motion_files import MotionFile, write_motion
 from blender_addon.core.video_tracking import TrackingChoices, words
+from blender_addon.operators import common, track
+from blender_addon.operators.common import InTurns
+from blender_addon.operators.imports import KeysFile
 
 FRAMES = 9
 # says what `jghand track` says: progress, motions and figures, or an error
 _ENGINE = """
-import json, pathlib, shutil, sys
+import json, pathlib, shutil, sys, time
 arguments = sys.argv[1:]
 here = pathlib.Path(__file__).parent
 (here / "asked.json").write_text(json.dumps(arguments))
 print(json.dumps({"jghand": "progress", "text": "Looking for hands", "done": 1, "total": 2}), file=sys.stderr)
+for _ in range(2000):
+    if not (here / "wait").exists():
+        break
+    time.sleep(0.01)
 if (here / "error.json").exists():
     print((here / "error.json").read_text(), file=sys.stderr)
     sys.exit(2)
@@ -70,10 +82,11 @@ def leave(engine, side, seed=0):
 
 
 def check_keys(scene, hand, joints):
+    turn, place = np.array(hand.matrix_world)[:3, :3], np.array(hand.matrix_world)[:3, 3]
     for frame in range(FRAMES):
         seen = armature.read_hand(hand, armature.at_frame(scene, 1 + frame))
         # Blender's single precision; worst seen 3e-7 m
-        np.testing.assert_allclose(seen.joints_world_m, joints[frame], atol=3e-6)
+        np.testing.assert_allclose(seen.joints_world_m, joints[frame] @ turn.T + place, atol=3e-6)
 
 
 def hands_of(scene):
@@ -95,7 +108,7 @@ def test_both_hands_of_a_video_are_keyed(extension, engine, video, tmp_path, cap
     assert asked[:2] == ["track", str(video)]
     for option, value in (("--up", "z"), ("--hand-length", "190"), ("--hand", "auto")):
         assert asked[asked.index(option) + 1] == value
-    assert {"--in-place", "--fetch-model", "--progress-json"} <= set(asked)
+    assert {"--in-place", "--progress-json"} <= set(asked)
     assert not (tmp_path / "job").exists(), "what the job needed is taken away"
 
 
@@ -108,6 +121,122 @@ def test_the_active_hand_takes_the_motion_of_its_side(extension, engine, video):
     bpy.ops.jghand.track_video(filepath=str(video))
     assert extension.object is hand
     check_keys(extension.scene, hand, old + np.array([0.0, 0.0, 0.1]))
+
+
+def test_the_hand_that_add_hand_made_takes_the_motion_with_its_controls_and_its_avatar(
+    extension, engine, video, capfd, tmp_path
+):
+    bpy.ops.jghand.add_hand(handedness="right")
+    hand = extension.object
+    assert controls.has_controls(hand)
+    hand.jghand.avatar = str(tmp_path / "mine.jghand")
+    hand.pose.bones[HAND_CONTROL].rotation_euler = (0.3, 0.0, 0.0)
+    joints = leave(engine, "right")
+    assert bpy.ops.jghand.track_video(filepath=str(video), camera_angle=np.radians(70.0)) == {"FINISHED"}
+    assert [thing for thing in extension.scene.objects if armature.is_hand(thing)] == [hand]
+    assert controls.has_controls(hand)
+    assert not controls.controls_are_muted(hand)
+    check_keys(extension.scene, hand, joints)
+    assert "Finger controls are neutral" in capfd.readouterr().out
+    asked = json.loads((engine / "asked.json").read_text())
+    assert asked[asked.index("--avatar") + 1] == str(tmp_path / "mine.jghand")
+    assert asked[asked.index("--camera-angle") + 1] == "70"
+    bpy.ops.jghand.track_video(filepath=str(video), hand="left")
+    assert "--avatar" not in json.loads((engine / "asked.json").read_text()), "that hand is not the one looked for"
+
+
+@pytest.mark.parametrize("online", [False, True])
+def test_networks_are_downloaded_only_where_blender_may_go_online(extension, engine, video, monkeypatch, online):
+    app = SimpleNamespace(online_access=online)
+    monkeypatch.setattr(track, "bpy", SimpleNamespace(app=app, path=bpy.path))
+    text = "hand model: wanted networks, got none. Fetch it once (35 MB) with --fetch-model."
+    error = {"jghand": "error", "kind": "bad_input", "text": text, "exit_code": 2}
+    (engine / "error.json").write_text(json.dumps(error))
+    remedy = "correct it" if online else r"Allow Online Access.*track VIDEO --out motion.npz --fetch-model"
+    with pytest.raises(RuntimeError, match=f"(?i){remedy}"):
+        bpy.ops.jghand.track_video(filepath=str(video))
+    assert ("--fetch-model" in json.loads((engine / "asked.json").read_text())) is online
+
+
+def test_blender_is_free_while_the_engine_looks_and_not_while_hands_are_keyed(
+    extension, engine, video, tmp_path, monkeypatch
+):
+    """The job is looked at once a turn, whatever else happens, and Esc then leaves nothing."""
+    leave(engine, "right")
+    (engine / "wait").touch()
+    app = SimpleNamespace(background=False)
+    monkeypatch.setattr(common, "bpy", SimpleNamespace(app=app, ops=bpy.ops, types=bpy.types))
+    monkeypatch.setattr(limits, "WORK_TURN_S", 1e-3)  # so that these few keys take several turns
+    timers, said = [], []
+    manager = SimpleNamespace(
+        event_timer_add=lambda seconds, window: timers.append(seconds) or seconds,
+        event_timer_remove=lambda _: None,
+        modal_handler_add=lambda _: None,
+    )
+    screen, dragged = SimpleNamespace(is_animation_playing=True), []
+    context = SimpleNamespace(
+        window_manager=manager,
+        window=SimpleNamespace(modal_operators=dragged),
+        screen=screen,
+        workspace=SimpleNamespace(status_text_set=said.append),
+        **{name: getattr(extension, name) for name in ("scene", "view_layer", "mode", "object")},
+    )
+    operator = working(video)
+    assert InTurns.invoke(operator, context, None) == {"RUNNING_MODAL"}
+
+    def sent(kind, value="PRESS"):
+        return operator.modal(context, SimpleNamespace(type=kind, value=value))
+
+    sent("TIMER")
+    free = {"PASS_THROUGH"}
+    assert sent("MOUSEMOVE") == sent("TIMER") == sent("A") == free
+    assert timers[-1] == limits.JOB_LOOK_S
+    assert sent("ESC") == free, "it ends playback"
+    assert runtime.jobs().get(job_watch.IMPORT).state.phase is Phase.RUNNING
+    with pytest.raises(JGHandFailure, match="running already"):
+        next(working(video).steps(context))
+    (engine / "wait").unlink()
+    assert runtime.jobs().get(job_watch.IMPORT).wait(20.0)
+    dragged.append(SimpleNamespace(bl_idname="OBJECT_OT_duplicate_move", macros=[translate]))
+    assert sent("TIMER") == free
+    assert not hands_of(extension.scene), "nothing changes under what is dragged"
+    dragged.clear()
+    sent("TIMER")
+    assert timers[-1] == limits.WORK_REST_S
+    assert sent("MOUSEMOVE") == {"RUNNING_MODAL"}
+    assert sent("ESC") == {"CANCELLED"}
+    assert not hands_of(extension.scene)
+    assert not (tmp_path / "job").exists()
+
+
+translate = SimpleNamespace(bl_idname="TRANSFORM_OT_translate", macros=[])
+
+
+def working(video):
+    """The operator as it works after the file browser; Blender alone makes a true one."""
+
+    class Tracking(KeysFile):
+        steps, hand_for, _tracked = track.TrackVideo.steps, track.TrackVideo.hand_for, track.TrackVideo._tracked
+        working = "Tracking"
+
+        def report(self, kind, text):
+            pass
+
+    operator = Tracking.__new__(Tracking)
+    chosen = {"filepath": str(video), "hand": "auto", "hand_length": 0.0, "smoothing": 1.0, "camera_angle": 1.0}
+    for name, value in {**chosen, "in_place": False, "first_frame": 1, "use_scene_range": False}.items():
+        setattr(operator, name, value)
+    return operator
+
+
+def test_esc_while_the_engine_looks_ends_it(extension, engine, video, tmp_path):
+    (engine / "wait").touch()
+    steps = working(video).steps(extension)
+    next(steps)
+    assert (tmp_path / "job").exists()
+    steps.close()
+    assert runtime.jobs().get(job_watch.IMPORT).state.phase is Phase.CANCELLED
+    assert not (tmp_path / "job").exists()
 
 
 def test_a_hand_of_the_other_side_is_left_alone(extension, engine, video):
@@ -141,7 +270,7 @@ def test_the_real_engine_takes_these_words(engine_python, tmp_path):
     """It gets as far as the video, which is none."""
     (tmp_path / "odd.mp4").write_bytes(b"no film")
     choices = TrackingChoices(hand="right", hand_length_mm=190.0, in_place=True, avatar="painted")
-    asked = [word for word in words(tmp_path / "odd.mp4", tmp_path, choices) if word != "--fetch-model"]
+    asked = words(tmp_path / "odd.mp4", tmp_path, choices)
     done = subprocess.run(
         [engine_python, "-I", "-m", "jghand_engine", *asked], check=False, capture_output=True, text=True
     )

@@ -11,7 +11,7 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from blender_addon.core import bone_maps, conventions, motion_files, posing
+from blender_addon.core import bone_maps, conventions, motion_conversion, motion_files, posing
 from blender_addon.core import joints as extension
 from blender_addon.core import limits as extension_limits
 from blender_addon.core.messages import ADVICE
@@ -32,6 +32,10 @@ from scripts import build_pose_table
 def test_joints_have_the_same_names_in_the_same_order():
     assert extension.NAMES == STANDARD_NAMES
     assert set(extension.HANDEDNESSES) == set(Handedness)
+
+
+def test_orders_that_can_be_chosen_are_those_of_the_engine():
+    assert {name for name, _ in motion_conversion.ORDERS} == set(JointOrder)
 
 
 def test_joints_have_the_same_parents():
