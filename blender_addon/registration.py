@@ -15,6 +15,7 @@ import bpy
 from . import cli_command, preferences, properties, render_engine, runtime
 from .bridge import (
     appended,
+    avatar_files,
     cache_player,
     cards,
     guard,
@@ -53,7 +54,7 @@ MODULES: tuple[ModuleType, ...] = (
     preferences,
     properties,
     runtime,
-    *(pose_pictures, pose_shelf, job_watch, kept, cards, usd_hook, cache_player, appended),
+    *(pose_pictures, pose_shelf, job_watch, kept, avatar_files, cards, usd_hook, cache_player, appended),
     sync,
     guard,
     left_out,

@@ -12,11 +12,10 @@ from ..core.avatar_card import Card, read_card
 from ..core.job_state import Phase
 from ..core.jobs import JobSpec
 from ..core.messages import JGHandFailure
-from ..core.view import SHIPPED_AVATARS
-from . import folders, job_watch
+from . import avatar_files, folders, job_watch
 
-# (avatar, time of its last change) -> its card
-_cards: dict[tuple[str, int], Card] = {}
+# (avatar, the stamp of its file) -> its card
+_cards: dict[tuple[str, str], Card] = {}
 
 
 def card_of(avatar: str) -> Card | None:
@@ -29,7 +28,7 @@ def ask(avatar: str, *, wait: bool = False) -> None:
 
     JGHandFailure: no_interpreter, and with `wait` why there is none.
     """
-    key = _key(avatar)
+    key = _key(avatar, fresh=True)
     job = runtime.jobs().get(job_watch.CARD)
     if key in _cards or (job is not None and not job.is_over and not wait):
         return
@@ -65,14 +64,9 @@ def unregister() -> None:
     _cards.clear()
 
 
-def _key(avatar: str) -> tuple[str, int]:
-    if avatar in SHIPPED_AVATARS:
-        return avatar, 0
-    try:
-        return avatar, Path(avatar).stat().st_mtime_ns
-    except OSError:
-        return avatar, -1
+def _key(avatar: str, *, fresh: bool = False) -> tuple[str, str]:
+    return avatar, avatar_files.stamp(avatar, fresh=fresh)
 
 
-def _keep(key: tuple[str, int], figures: Path) -> None:
+def _keep(key: tuple[str, str], figures: Path) -> None:
     _cards[key] = read_card(figures)

@@ -25,8 +25,8 @@ from ..core.cropping import Part
 from ..core.link import Answer
 from ..core.messages import JGHandFailure
 from ..core.pacing import Activity, Moment, Pace, ViewSettings, Want
-from ..core.view import HandInSpace, avatar_stamp, picture_request
-from . import clock, gpu_picture, rendering, seen_hands, shown_bones
+from ..core.view import HandInSpace, picture_request
+from . import avatar_files, clock, gpu_picture, rendering, seen_hands, shown_bones
 from .engine_name import ENGINE
 from .view_camera import ViewCamera, view_camera
 
@@ -311,7 +311,7 @@ def _want(view: View) -> Want:
     for hand in view.hands:
         parts += [
             hand.avatar,
-            avatar_stamp(hand.avatar),
+            avatar_files.stamp(hand.avatar),
             hand.handedness,
             hand.joints_m.tobytes(),
             hand.world_from_hand.tobytes(),

@@ -228,6 +228,10 @@ JOB_LOOK_S = 0.25
 TRAINING_LOOK_S = 3.0
 # how often what panels show of disks and evaluated scenes is looked up, while they are drawn
 PANEL_LOOK_S = 0.5
+# how often the file of an avatar that is shown is looked at, by a thread; and how long that is waited for at the first
+# time, and by an operator: a disk that is there answers within that
+FILE_LOOK_S = 1.0
+FILE_WAIT_S = 0.1
 JOB_WAIT_S = 86400.0
 # bytes of one line of a job, letters of its text, and notes that are kept
 JOB_LINE_MAX = 65536

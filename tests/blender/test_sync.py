@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -13,10 +14,23 @@ import pytest
 from hands import camera_on, keyed_hand, moving_hand_m, put
 
 from blender_addon import runtime
-from blender_addon.bridge import armature, camera, clock, combination, picture, rendering, seen_hands, sync, views
+from blender_addon.bridge import (
+    armature,
+    avatar_files,
+    camera,
+    cards,
+    clock,
+    combination,
+    picture,
+    rendering,
+    seen_hands,
+    sync,
+    views,
+)
 from blender_addon.bridge.engine_name import ENGINE
 from blender_addon.bridge.view_camera import view_camera
 from blender_addon.core import cropping, limits, pacing, posing
+from blender_addon.core.file_stamps import FileStamps
 from blender_addon.core.link import EngineLink
 from blender_addon.core.messages import JGHandFailure
 
@@ -535,10 +549,35 @@ def test_an_avatar_whose_file_changed_or_came_is_asked_for_again(link, extension
     for content in (b"one", b"two more"):
         before = view.pace.asks[-1].want
         path.write_bytes(content)
+        avatar_files.stamp(str(path), fresh=True)  # a thread looks once a second
         assert views.is_due(view)
         views.look(view, views.moment_of(context.scene), drawing=False)
         assert view.pace.asks[-1].want != before
         assert not views.is_due(view)
+
+
+def test_a_view_does_not_wait_for_the_disk_of_an_avatar(link, extension, monkeypatch):
+    """It is looked at by a thread: here that thread hangs, and whoever draws goes on."""
+    context, answers, asked_by = extension, threading.Event(), set()
+
+    def hang(_path: str) -> str:
+        asked_by.add(threading.current_thread())
+        answers.wait()
+        return "there"
+
+    monkeypatch.setattr(avatar_files, "_stamps", FileStamps(hang))
+    hand = add_hand(context)
+    hand.jghand.avatar = "/net/gone.jghand"
+    view = view_on(context, hand)
+    try:
+        for _ in range(3):
+            look(context, view, hand)
+            views.is_due(view)
+            cards.card_of("/net/gone.jghand")
+    finally:
+        answers.set()
+    assert len(asked_by) == 1
+    assert threading.current_thread() not in asked_by
 
 
 def test_a_hand_that_left_the_view_is_drawn_no_more_and_asked_for_when_it_comes_back(link, extension, monkeypatch):

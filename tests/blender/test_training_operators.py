@@ -17,7 +17,7 @@ import pytest
 from recording_layout import draw
 
 from blender_addon import runtime
-from blender_addon.bridge import bake_folders, cards, job_watch, seen_hands
+from blender_addon.bridge import avatar_files, bake_folders, cards, job_watch, seen_hands
 from blender_addon.core.job_state import Phase
 from blender_addon.core.jobs import Job
 from blender_addon.core.messages import JGHandFailure
@@ -320,12 +320,13 @@ def test_the_card_is_shown_until_the_file_changes(place):
     bpy.context.object.jghand.avatar = str(file)
     assert "jghand.read_card" in operators_of(training.CardPanel)
     (place / "card.json").write_text(json.dumps(FACTS))
-    cards._keep(cards._key(str(file)), place / "card.json")
+    cards._keep(cards._key(str(file), fresh=True), place / "card.json")
     text = text_of(training.CardPanel)
     for value in ("Ana's hand", "CC0-1.0", "99 pictures of ana", "2026-11-20", "31.20 on held-out pictures"):
         assert value in text
     assert cards.gaussians_of(str(file)) == (12345, True)
     file.write_bytes(b"another")
+    avatar_files.stamp(str(file), fresh=True)
     assert "jghand.read_card" in operators_of(training.CardPanel)
 
 
