@@ -270,7 +270,7 @@ def test_a_full_disk_leaves_nothing_half_written(tmp_path, command, monkeypatch)
 def test_a_full_disk_leaves_no_half_video(tmp_path, command, monkeypatch):
     pytest.importorskip("imageio_ffmpeg", reason="the extra `video` is not installed")
 
-    def full(path, picture):
+    def full(path, picture, _texts=None):
         if "00003" in path.name:
             raise OSError(errno.ENOSPC, "No space left on device", str(path))
         path.parent.mkdir(exist_ok=True)
