@@ -184,12 +184,16 @@ class JGHandTrainingSettings(bpy.types.PropertyGroup):
     preset: bpy.props.EnumProperty(
         name="Preset", description="What is learnt, and how", items=TRAINING_PRESETS, default="default"
     )  # type: ignore[valid-type]
-    minutes: bpy.props.FloatProperty(
-        name="Minutes",
+    time_s: bpy.props.FloatProperty(
+        name="Time",
         description="How long to train, all sessions together",
-        default=60.0,
-        min=0.1,
-        soft_max=600.0,
+        default=3600.0,
+        min=6.0,
+        soft_max=36000.0,
+        step=6000,  # hundredths: the arrows beside it count minutes
+        precision=1,
+        subtype="TIME_ABSOLUTE",
+        unit="TIME_ABSOLUTE",
     )  # type: ignore[valid-type]
     all_pictures: bpy.props.BoolProperty(
         name="All Pictures",

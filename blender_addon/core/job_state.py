@@ -18,7 +18,7 @@ from typing import Any
 
 from . import limits
 from .messages import BAD_INPUT, INTERRUPTED, JGHandFailure, kind_of_exit
-from .panel_text import duration
+from .panel_text import Translate, duration
 
 
 class Phase(Enum):
@@ -56,19 +56,20 @@ class JobState:
         """0..1, None while unknown."""
         return min(max(self.done / self.total, 0.0), 1.0) if self.total > 0 else None
 
-    def sentence(self) -> str:
+    def sentence(self, translate: Translate = str) -> str:
         """One line for a panel: the step, the count, and the time that is left."""
         if self.phase is Phase.FAILED and self.failure is not None:
-            return self.failure.advice.sentence
+            return translate(self.failure.advice.sentence)
         if self.phase is not Phase.RUNNING:
-            return _WORDS[self.phase]
-        parts = [self.text]
+            return translate(_WORDS[self.phase])
+        text = translate(self.text)
         # the text of a training counts its steps itself
         if self.total > 0 and " of " not in self.text:
-            parts[0] += f" {self.done:.0f} of {self.total:.0f}"
+            template = translate("{text} {done} of {total}")
+            text = template.format(text=text, done=round(self.done), total=round(self.total))
         if self.eta_s is not None and self.done < self.total and " left" not in self.text:
-            parts.append(f"{duration(self.eta_s)} left")
-        return " · ".join(parts)
+            text = translate("{text} · {time} left").format(text=text, time=duration(self.eta_s))
+        return text
 
 
 _WORDS = {

@@ -19,6 +19,7 @@ import numpy as np
 from . import limits
 from .messages import JGHandFailure
 from .motion_files import MotionFile, write_motion
+from .panel_text import Translate
 from .view import SHIPPED_AVATARS
 
 # names that Windows keeps for devices, whatever follows after a dot
@@ -106,10 +107,12 @@ class SizeEstimate:
         """Whether there is room for it."""
         return self.free is None or self.bytes < self.free
 
-    def sentence(self) -> str:
+    def sentence(self, translate: Translate = str) -> str:
         """For a panel."""
-        text = f"Up to {readable(self.bytes)}"
-        return text if self.free is None or self.fits else f"{text}, and only {readable(self.free)} are free"
+        if self.free is None or self.fits:
+            return translate("Up to {size}").format(size=readable(self.bytes))
+        template = translate("Up to {size}, and only {free} are free")
+        return template.format(size=readable(self.bytes), free=readable(self.free))
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from . import limits
+from .panel_text import Translate
 from .recording import avatar_digest
 
 _SUFFIX = ".training"
@@ -40,21 +41,23 @@ class TrainingFolder:
     picture: Path | None = None
     avatar: Path | None = None
 
-    def sentence(self) -> str:
+    def sentence(self, translate: Translate = str) -> str:
         """Where it stands, for a panel; "" before the first line of its log."""
         parts = []
         if self.loss.steps:
-            parts.append(f"step {self.loss.steps[-1]}, loss {self.loss.values[-1]:.4f}")
+            template = translate("step {step}, loss {loss:.4f}")
+            parts.append(template.format(step=self.loss.steps[-1], loss=self.loss.values[-1]))
         if self.psnr.steps:
-            best = max(self.psnr.values)
-            parts.append(f"fixed view {self.psnr.values[-1]:.2f} dB (best {best:.2f})")
+            template = translate("fixed view {psnr:.2f} dB (best {best:.2f})")
+            parts.append(template.format(psnr=self.psnr.values[-1], best=max(self.psnr.values)))
         return ", ".join(parts)
 
-    def lost_sentence(self) -> str:
+    def lost_sentence(self, translate: Translate = str) -> str:
         """What beginning anew takes away."""
-        steps = self.loss.steps[-1] if self.loss.steps else 0
-        best = f", fixed view {max(self.psnr.values):.2f} dB" if self.psnr.steps else ""
-        return f"{steps} steps{best}"
+        parts = [translate("{count} steps").format(count=self.loss.steps[-1] if self.loss.steps else 0)]
+        if self.psnr.steps:
+            parts.append(translate("fixed view {best:.2f} dB").format(best=max(self.psnr.values)))
+        return ", ".join(parts)
 
 
 def folder_of(out: Path) -> Path:

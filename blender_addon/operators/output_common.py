@@ -95,7 +95,7 @@ class StartsJob(InTurns):
         runtime.jobs().tick()
         context.workspace.status_text_set(
             rpt_("{title}: {sentence}  ·  Esc cancels").format(
-                title=rpt_(self._job.spec.title), sentence=self._job.state.sentence()
+                title=rpt_(self._job.spec.title), sentence=self._job.state.sentence(rpt_)
             )
         )
         redraw()

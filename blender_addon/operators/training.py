@@ -143,7 +143,7 @@ class Train(StartsJob, bpy.types.Operator):
         pictures, self._out = place(context, settings.capture_folder), place(context, settings.avatar_file)
         choices = TrainChoices(
             preset=settings.preset,
-            minutes=settings.minutes,
+            minutes=settings.time_s / 60,
             seed=settings.seed,
             all_pictures=settings.all_pictures,
             overwrite=settings.overwrite,
@@ -170,7 +170,7 @@ class Train(StartsJob, bpy.types.Operator):
         except JGHandFailure:
             return ""  # said after the click, with what to do
         seen = TrainingReader(self._work).look()
-        return seen.lost_sentence() if seen.can_go_on else ""
+        return seen.lost_sentence(rpt_) if seen.can_go_on else ""
 
 
 class PauseTraining(Reporting, bpy.types.Operator):

@@ -152,7 +152,7 @@ def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context, key: str) -
     state = job.state
     if not job.is_over:
         row = layout.row(align=True)
-        row.progress(factor=state.fraction or 0.0, text=state.sentence(), translate=False)
+        row.progress(factor=state.fraction or 0.0, text=state.sentence(iface_), translate=False)
         row.operator("jghand.cancel_job", text="", icon="CANCEL").key = key
         if job.silent_s > _SILENT_S:
             text = iface_("It has said nothing for {minutes} min").format(minutes=round(job.silent_s / 60))
@@ -173,7 +173,7 @@ def _draw_estimate(layout: bpy.types.UILayout, context: bpy.types.Context, folde
     """What the chosen hands and frames take, before the click."""
     size = kept(context, _look_at_size, folder, written)
     if size is not None:
-        layout.label(text=size.sentence(), icon="NONE" if size.fits else "ERROR", translate=False)
+        layout.label(text=size.sentence(iface_), icon="NONE" if size.fits else "ERROR", translate=False)
 
 
 def _look_at_size(context: bpy.types.Context, folder: str, written: Written) -> SizeEstimate | None:

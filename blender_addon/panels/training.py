@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import bpy
+from bpy.app.translations import pgettext_iface as iface_
 
 from .. import runtime
 from ..bridge import cards, job_watch
@@ -36,7 +37,7 @@ class TrainPanel(Sidebar, bpy.types.Panel):
         column.prop(settings, "capture_folder")
         column.prop(settings, "avatar_file")
         column.prop(settings, "preset")
-        column.prop(settings, "minutes")
+        column.prop(settings, "time_s")
         column.prop(settings, "all_pictures")
         if kept(context, _look_in_the_way, settings.avatar_file):
             column.prop(settings, "overwrite")
@@ -141,8 +142,9 @@ _PICTURE_UNITS = 9.0
 
 
 def _draw_course(layout: bpy.types.UILayout, context: bpy.types.Context, seen: TrainingFolder) -> None:
-    if seen.sentence():
-        common.paragraph(layout, context, seen.sentence())
+    said = seen.sentence(iface_)
+    if said:
+        common.paragraph(layout, context, said)
     for icon in (job_watch.curve_icon(), job_watch.preview_icon()):
         if icon:
             layout.template_icon(icon_value=icon, scale=_PICTURE_UNITS)

@@ -132,6 +132,12 @@ def test_a_disk_that_is_too_small_is_told():
     assert "only 1 kB are free" in SizeEstimate(10_000_000, 1000).sentence()
 
 
+def test_estimates_are_translated_before_figures_are_put_in():
+    words = {"Up to {size}": "Bis {size}", "Up to {size}, and only {free} are free": "Bis {size}, frei sind {free}"}
+    assert SizeEstimate(10_000_000, None).sentence(words.__getitem__) == "Bis 10 MB"
+    assert SizeEstimate(10_000_000, 1000).sentence(words.__getitem__) == "Bis 10 MB, frei sind 1 kB"
+
+
 def test_the_estimate_of_an_export_is_its_size(tmp_path):
     """Of a motion without two frames alike. Worst observed: 5 % too much of a USD stage, which packs colours a bit."""
     pytest.importorskip("torch", reason="needs the engine's packages")

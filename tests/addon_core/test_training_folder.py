@@ -37,6 +37,14 @@ def test_figures_previews_and_the_avatar_are_found(tmp_path):
     assert seen.picture is not None
     assert seen.picture.name == "step_00000500.png"
     assert "step 20, loss 0.2500" in seen.sentence()
+    words = {
+        "step {step}, loss {loss:.4f}": "Schritt {step}: Fehler {loss:.4f}",
+        "fixed view {psnr:.2f} dB (best {best:.2f})": "feste Ansicht {psnr:.2f} dB",
+        "{count} steps": "{count} Schritte",
+        "fixed view {best:.2f} dB": "feste Ansicht {best:.2f} dB",
+    }.__getitem__
+    assert seen.sentence(words) == "Schritt 20: Fehler 0.2500, feste Ansicht 18.00 dB"
+    assert seen.lost_sentence(words) == "20 Schritte, feste Ansicht 18.00 dB"
 
 
 def test_a_line_that_is_half_written_is_read_when_it_is_whole(tmp_path):
