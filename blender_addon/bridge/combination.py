@@ -19,10 +19,12 @@ from ..core.messages import JGHandFailure
 from . import armature, versions
 from .engine_name import ENGINE
 
-# custom properties of the first scene: the scene of its hands, whether its compositor is ours; of the view layer that
-# is combined: whether it had its depth before. A copy of the scene has them too, so that the scene of the hands says
-# whose it is; it, and nodes, say that they are ours
+# custom properties of the first scene: the scene of its hands, whether its compositor is ours, whether it composited
+# before, and the nodes of its own that were switched off then; of the view layer that is combined: whether it had its
+# depth before. A copy of the scene has them too, so that the scene of the hands says whose it is; it, and nodes, say
+# that they are ours
 HANDS_SCENE, OWN_TREE, HAD_DEPTH = "jghand_hands_scene", "jghand_own_compositor", "jghand_had_depth"
+HAD_COMPOSITING, ASIDE = "jghand_had_compositing", "jghand_compositor_aside"
 OWNER = "jghand_combined_scene"
 MARK = "jghand_combination"
 # what the scene of the hands has as the first one has it
@@ -91,6 +93,8 @@ def combine(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bpy.types.Sce
         layer[HAD_DEPTH] = layer.use_pass_z
     _share(scene, ours, hands)
     layer.use_pass_z = True
+    if HAD_COMPOSITING not in scene:
+        _begin_compositing(scene)
     scene.render.use_compositing = True
     had_tree = versions.compositor_tree(scene) is not None
     tree = versions.ensure_compositor_tree(scene)
@@ -106,11 +110,14 @@ def remove(scene: bpy.types.Scene) -> None:
     _forget_nodes(scene)
     if scene.get(OWN_TREE):
         versions.remove_compositor_tree(scene)
+    if scene.get(ASIDE) is not None:
+        scene.compositing_node_group = scene[ASIDE]
+    scene.render.use_compositing = bool(scene.get(HAD_COMPOSITING, scene.render.use_compositing))
     ours = hands_scene_of(scene)
     if ours is not None:
         bpy.data.scenes.remove(ours)
     _give_depth_back(scene)
-    for name in (HANDS_SCENE, OWN_TREE):
+    for name in (HANDS_SCENE, OWN_TREE, HAD_COMPOSITING, ASIDE):
         if name in scene:
             del scene[name]
 
@@ -118,6 +125,15 @@ def remove(scene: bpy.types.Scene) -> None:
 def _combined_layer(scene: bpy.types.Scene) -> bpy.types.ViewLayer | None:
     """The view layer that hands are combined with."""
     return next((layer for layer in scene.view_layers if HAD_DEPTH in layer), None)
+
+
+def _begin_compositing(scene: bpy.types.Scene) -> None:
+    """Remembers how it was. Nodes of a scene that does not composite are not to begin with it: they are put aside."""
+    scene[HAD_COMPOSITING] = scene.render.use_compositing
+    if not scene.render.use_compositing:
+        aside = versions.take_compositor_tree_away(scene)
+        if aside is not None:
+            scene[ASIDE] = aside
 
 
 def _give_depth_back(scene: bpy.types.Scene) -> None:

@@ -164,6 +164,15 @@ def remove_compositor_tree(scene: bpy.types.Scene) -> None:
         bpy.data.node_groups.remove(tree)
 
 
+def take_compositor_tree_away(scene: bpy.types.Scene) -> bpy.types.NodeTree | None:
+    """Leaves a scene without compositor's nodes, and returns those that it had; in 4.5 they are a part of the scene and
+    stay."""
+    if not hasattr(scene, "compositing_node_group"):
+        return None
+    tree, scene.compositing_node_group = scene.compositing_node_group, None
+    return tree
+
+
 def compositor_output(tree: bpy.types.NodeTree) -> bpy.types.Node:
     """The node whose first input is the finished picture, made where there is none."""
     if bpy.types.Scene.bl_rna.properties.get("compositing_node_group") is None:  # 4.5

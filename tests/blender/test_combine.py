@@ -262,6 +262,29 @@ def own_nodes(scene: bpy.types.Scene) -> bpy.types.Node:
     return dim
 
 
+def test_a_scene_that_did_not_composite_does_not_afterwards(scene):
+    """Its nodes were switched off: they have no part in the combined picture, and are there again after it."""
+    dim = own_nodes(scene)
+    scene.render.use_compositing = False
+    wanted = f12()
+    trees = len(bpy.data.node_groups)
+    for _ in range(2):  # bringing it up to date forgets nothing
+        bpy.ops.jghand.combine_with_scene()
+    assert scene.render.use_compositing
+    picture = f12()
+    assert (picture != wanted).any()  # the hand
+    if versions.compositor_tree(scene) != dim.id_data:  # in 4.5 a scene has one tree
+        wall = (picture[..., :3] != picture[0, 0, :3]).all(-1) == 0
+        np.testing.assert_allclose(picture[wall], wanted[wall], atol=0.6 / 255)
+    bpy.ops.jghand.remove_combination()
+    assert not scene.render.use_compositing
+    if hasattr(scene, "compositing_node_group"):
+        assert scene.compositing_node_group == dim.id_data
+    assert len(bpy.data.node_groups) == trees
+    assert not [name for name in scene.keys() if name.startswith("jghand_")]  # noqa: SIM118 - no dictionary
+    np.testing.assert_array_equal(f12(), wanted)
+
+
 def test_nodes_of_the_user_stay_and_work_before_ours(scene):
     dim = own_nodes(scene)
     tree = versions.compositor_tree(scene)
