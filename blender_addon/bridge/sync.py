@@ -17,7 +17,7 @@ from bpy.app.handlers import persistent
 
 from .. import runtime
 from ..core import limits, pacing
-from . import clock, gpu_picture, guard, left_out, picture, rendering, seen_hands, views
+from . import clock, gpu_picture, guard, left_out, picture, rendering, seen_hands, usd_hook, views
 
 _status: tuple[object, ...] = ()
 # what the panels say of hands that do not show: names and kinds
@@ -36,6 +36,7 @@ def tick() -> float:
         return limits.IDLE_TICK_S
     left_out.show()
     guard.show()
+    usd_hook.show()
     _follow_status()
     _follow_problems()
     _redraw(views.try_again())
@@ -169,6 +170,7 @@ def on_load(*_: Any) -> None:
     """Another file: its views begin anew. The engine goes on."""
     rendering.end()
     views.clear()
+    usd_hook.forget()
 
 
 @persistent

@@ -12,22 +12,31 @@ refuses to write a file whose layer somebody holds. Source: BLENDER 9.
 
 from __future__ import annotations
 
+import contextlib
 import shutil
+import sys
 import traceback
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import bpy
+from bpy.app.translations import pgettext_iface as iface_
 
 from ..core import bakes
 from ..core.messages import JGHandFailure
-from . import armature, bake_folders, sources
+from . import armature, bake_folders, popup, sources
 from .classes import register_classes, unregister_classes
 from .seen_hands import avatar_of
 
 SPLAT_TYPE = "ParticleField3DGaussianSplat"
 # what the last export did and did not, in sentences, for the panel and the operator
 notes: list[str] = []
+_LEFT_OUT = "left out"
+# an operator of ours exports, and tells the notes itself
+_is_told = False
+# Blender's own export runs on a thread of its own: it notes the sentence, the timer on the main thread shows it
+_pending = ""
 
 
 class JGHandUsdHook(getattr(bpy.types, "USDHook", object)):  # a Blender may be built without USD
@@ -40,14 +49,52 @@ class JGHandUsdHook(getattr(bpy.types, "USDHook", object)):  # a Blender may be 
     @staticmethod
     def on_export(export_context: Any) -> bool:
         """Blender's entry, at the end of an export."""
+        global _pending
         notes.clear()
         try:
             notes.extend(add_splats(export_context.get_stage(), export_context.get_depsgraph()))
         except Exception as error:
             # anything else that left here would take Blender and the artist's scene with it
             traceback.print_exc()
-            notes.append(f"The splats were left out: {error}")
+            notes.append(f"The splats were {_LEFT_OUT}: {error}")
+        text = " ".join(left_out())
+        if text and not _is_told:
+            if bpy.app.background:
+                print(f"JGHand: {text}", file=sys.stderr, flush=True)
+            else:
+                _pending = text
         return True
+
+
+def left_out() -> list[str]:
+    """What the last export left out, in sentences."""
+    return [note for note in notes if _LEFT_OUT in note]
+
+
+@contextlib.contextmanager
+def told_by_us() -> Iterator[None]:
+    """Who exports meanwhile tells what was left out, so that nobody else has to."""
+    global _is_told
+    _is_told = True
+    try:
+        yield
+    finally:
+        _is_told = False
+
+
+def show() -> None:
+    """Shows what Blender's own export left out, if anything; for the timer."""
+    global _pending
+    if _pending:
+        text, _pending = _pending, ""
+        popup.show(f"{iface_('Not all hands are in the USD file.')} {text}", icon="ERROR")
+
+
+def forget() -> None:
+    """Another file was opened."""
+    global _pending
+    _pending = ""
+    notes.clear()
 
 
 def add_splats(stage: Any, depsgraph: bpy.types.Depsgraph) -> list[str]:
@@ -64,7 +111,7 @@ def add_splats(stage: Any, depsgraph: bpy.types.Depsgraph) -> list[str]:
                 _reference(stage, hand, depsgraph.scene, target.name)
                 said.append(f"{hand.name}: {hand.gaussians} splats, frames {hand.first_frame} to {_last(hand)}.")
         except JGHandFailure as failure:
-            said.append(f"{thing.name}: left out. {failure}")
+            said.append(f"{thing.name}: {_LEFT_OUT}. {failure}")
     return said
 
 
@@ -179,4 +226,4 @@ def register() -> None:
 def unregister() -> None:
     """Takes it away."""
     unregister_classes((JGHandUsdHook,))
-    notes.clear()
+    forget()

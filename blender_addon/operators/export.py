@@ -119,12 +119,14 @@ class ExportSceneUsd(Reporting, bpy.types.Operator):
     def run(self, context: bpy.types.Context) -> None:
         path = Path(bpy.path.abspath(self.filepath))
         try:
-            with wait_cursor(context):  # Blender's own export cannot be cut into turns, nor ended
+            with (
+                wait_cursor(context),
+                usd_hook.told_by_us(),
+            ):  # Blender's own export cannot be cut into turns, nor ended
                 bpy.ops.wm.usd_export(filepath=str(path), export_animation=True)
         except RuntimeError as error:
             raise JGHandFailure("cannot_write", f"{path}: {error}") from error
-        left_out = [note for note in usd_hook.notes if "left out" in note]
-        if left_out:
+        if usd_hook.left_out():
             self.warn(*usd_hook.notes)
         else:
             self.tell(rpt_("Wrote {path}.").format(path=path), *usd_hook.notes)

@@ -9,7 +9,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from .. import runtime
-from ..bridge import bake_folders, baked_points, cards, job_watch, versions
+from ..bridge import bake_folders, baked_points, cards, job_watch, usd_hook, versions
 from ..bridge.classes import register_classes, unregister_classes
 from ..bridge.kept import kept
 from ..bridge.seen_hands import avatar_of
@@ -101,6 +101,8 @@ class ExportPanel(Sidebar, bpy.types.Panel):
             written = Written(ply=settings.format == "ply", sizes=settings.sizes == "per_frame")
             _draw_estimate(layout, context, settings.folder, written)
         layout.operator("jghand.export_scene_usd", icon="SCENE_DATA")
+        for note in usd_hook.left_out():
+            common.paragraph(layout, context, note, icon="ERROR")
 
 
 def _draw_bake(layout: bpy.types.UILayout, context: bpy.types.Context, hand: bpy.types.Object) -> None:

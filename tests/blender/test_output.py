@@ -28,6 +28,7 @@ from blender_addon.bridge import (
     kept,
     record,
     sources,
+    sync,
     undo,
     usd_hook,
     versions,
@@ -769,6 +770,30 @@ def test_a_stale_or_missing_bake_is_left_out_and_told(baked, tmp_path):
     stage = Usd.Stage.Open(str(path))
     assert not [prim for prim in stage.Traverse() if prim.GetTypeName() == usd_hook.SPLAT_TYPE]
     assert any("left out" in note and "another way" in note for note in usd_hook.notes)
+
+
+def test_blenders_own_export_says_which_hands_it_leaves_out(extension, tmp_path, monkeypatch, capfd):
+    """In the Export panel, and with a menu in a window or on stderr without one; our own operator reports it."""
+    shown = []
+    monkeypatch.setattr(usd_hook.popup, "show", lambda text, **_: shown.append(text))
+    bpy.ops.jghand.add_hand(handedness="right")
+    name = bpy.context.object.name
+    window = SimpleNamespace(app=SimpleNamespace(background=False))
+    bpy.ops.wm.usd_export(filepath=str(tmp_path / "whole.usdc"))
+    assert f"JGHand: {name}: left out." in capfd.readouterr().err
+    monkeypatch.setattr(usd_hook, "bpy", window)
+    bpy.ops.wm.usd_export(filepath=str(tmp_path / "whole.usdc"))
+    assert not shown  # Blender's export has a thread of its own: the timer shows it
+    for _ in range(2):
+        sync.tick()
+    (text,) = shown
+    assert f"{name}: left out." in text
+    assert f"{name}: left out." in " ".join(draw(output.ExportPanel, extension).texts)
+    assert bpy.ops.jghand.export_scene_usd(filepath=str(tmp_path / "whole.usdc")) == {"FINISHED"}
+    sync.tick()
+    assert len(shown) == 1
+    sync.on_load()
+    assert "left out" not in " ".join(draw(output.ExportPanel, extension).texts)
 
 
 def test_the_layers_of_an_export_lie_in_a_folder_of_its_own(baked, tmp_path):
