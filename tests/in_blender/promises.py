@@ -27,7 +27,7 @@ def step_a_long_motion_is_chosen_and_ended_with_escape(window):
     joints_m[:, 5:9, 2] += turns * np.array([0.0, 0.01, 0.02, 0.03])
     np.savez(window.out / "long.npz", joints_m=joints_m, order="standard", unit="m", fps=30.0, handedness="right")
     before = _counts()
-    yield from _choose(window, "long.npz")
+    yield from window.choose_file("jghand.import_motion", window.out / "long.npz")
     yield lambda: _timer_of(window) is not None
     yield 1.5
     window.picture("importing")
@@ -40,7 +40,7 @@ def step_a_long_motion_is_chosen_and_ended_with_escape(window):
 
 
 def step_chosen_again_it_is_keyed_to_its_end_and_undone_as_one_step(window):
-    yield from _choose(window, "long.npz")
+    yield from window.choose_file("jghand.import_motion", window.out / "long.npz")
     yield lambda: _hand().animation_data is not None and _timer_of(window) is None
     action = _hand().animation_data.action
     assert action.name == "long"
@@ -134,17 +134,4 @@ def _counts() -> dict[str, int]:
 
 def _timer_of(window):
     """The operator that works in turns now; None where none does."""
-    return next((op for op in window.window.modal_operators if op.bl_idname == "JGHAND_OT_import_motion"), None)
-
-
-def _choose(window, name: str):
-    """Import Motion, and a file in Blender's browser."""
-    bpy.context.preferences.view.filebrowser_display_type = "SCREEN"
-    window.call("jghand.import_motion")
-    yield lambda: any(area.type == "FILE_BROWSER" for area in window.window.screen.areas)
-    yield 0.7
-    area = window.area("FILE_BROWSER")
-    area.spaces.active.params.directory = str(window.out).encode()
-    area.spaces.active.params.filename = name
-    with window.override(area):
-        bpy.ops.file.execute("INVOKE_DEFAULT")
+    return window.modal("JGHAND_OT_import_motion")

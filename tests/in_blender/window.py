@@ -159,6 +159,22 @@ class Window:
                 "INVOKE_DEFAULT", True, **properties
             )  # True: can be undone
 
+    def modal(self, name: str) -> bpy.types.Operator | None:
+        """The operator of this name (`JGHAND_OT_import_motion`) that works in turns now; None where none does."""
+        return next((one for one in self.window.modal_operators if one.bl_idname == name), None)
+
+    def choose_file(self, operator: str, path: Path) -> Waits:
+        """Calls an operator that asks for a file, and chooses this one in Blender's browser."""
+        bpy.context.preferences.view.filebrowser_display_type = "SCREEN"
+        self.call(operator)
+        yield lambda: any(area.type == "FILE_BROWSER" for area in self.window.screen.areas)
+        yield 0.7
+        area = self.area("FILE_BROWSER")
+        area.spaces.active.params.directory = str(path.parent).encode()
+        area.spaces.active.params.filename = path.name
+        with self.override(area):
+            bpy.ops.file.execute("INVOKE_DEFAULT")
+
     def module(self, name: str) -> ModuleType:
         """A module of the installed extension, such as `bridge.views`."""
         assert self.addon is not None
