@@ -18,6 +18,7 @@ import numpy as np
 from . import runtime
 from .bridge import camera, combination, guard, moments
 from .bridge.classes import register_classes, unregister_classes
+from .bridge.engine_name import ENGINE
 from .bridge.viewport_engine import ViewportEngine
 from .bridge.world import background
 from .core import film
@@ -48,7 +49,7 @@ _PANELS_OF_OTHERS = (
 class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
     """Draws hands with the JGHand engine."""
 
-    bl_idname = "JGHAND"
+    bl_idname = ENGINE
     bl_label = "JGHand"
     bl_use_postprocess = True
     bl_use_eevee_viewport = True

@@ -106,7 +106,7 @@ class Player:
     def show(self, frame: int) -> float:
         """One frame; returns how long it waited for its picture, seconds."""
         now_s, answering = time.monotonic(), self._link.status.state == "ready"
-        moment = pacing.Moment(now_s, pacing.Activity.PLAYING, FRAME_S, now_s, answering)
+        moment = pacing.DrawMoment(now_s, pacing.Activity.PLAYING, FRAME_S, now_s, answering)
         self._take(moment)
         want = pacing.Want(f"frame {frame}", "camera", SIZE[0] * SIZE[1])
         self._pace, decision = pacing.step(self._pace, want, moment, pacing.ViewSettings())
@@ -122,7 +122,7 @@ class Player:
         self._link.tick()
         return waited_s
 
-    def _take(self, moment: pacing.Moment) -> None:
+    def _take(self, moment: pacing.DrawMoment) -> None:
         answer = self._link.answer("viewport")
         if answer is not None and answer is not self._taken:
             self._taken = answer

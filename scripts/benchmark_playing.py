@@ -59,7 +59,7 @@ def play(hand: bpy.types.Object, link: Any, frames: int) -> tuple[list[float], i
         bpy.context.view_layer.update()
         views.read_again(view, [hand], bpy.context.evaluated_depsgraph_get())
         now = time.monotonic()
-        moment = pacing.Moment(now, pacing.Activity.PLAYING, FRAME_S, now, link.status.state == "ready")
+        moment = pacing.DrawMoment(now, pacing.Activity.PLAYING, FRAME_S, now, link.status.state == "ready")
         started = time.perf_counter()
         views.look(view, moment, drawing=True)
         taken.append(time.perf_counter() - started)

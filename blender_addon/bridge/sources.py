@@ -50,7 +50,7 @@ def store_objects(holder: bpy.types.Object, objects: Sequence[bpy.types.Object],
     """Makes an object (an empty) stand for a hand of 21 objects, standard order. JGHandFailure: bad_bone_map."""
     if len(objects) != len(NAMES) or len(set(objects)) != len(NAMES):
         raise JGHandFailure("bad_bone_map", f"wanted {len(NAMES)} different objects, got {len(set(objects))}")
-    bone_maps.check_handedness(handedness)
+    bone_maps.check_side(handedness)
     for name, thing in zip(NAMES, objects, strict=True):
         holder[armature.OBJECT_PROPERTIES[name]] = thing
     holder[armature.HANDEDNESS_PROPERTY] = handedness

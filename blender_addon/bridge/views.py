@@ -24,7 +24,7 @@ from ..core.attempts import Attempts
 from ..core.cropping import Part
 from ..core.link import Answer
 from ..core.messages import JGHandFailure
-from ..core.pacing import Activity, Moment, Pace, ViewSettings, Want
+from ..core.pacing import Activity, DrawMoment, Pace, ViewSettings, Want
 from ..core.view import HandInSpace, picture_request
 from . import avatar_files, clock, gpu_picture, rendering, seen_hands, shown_bones
 from .engine_name import ENGINE
@@ -104,7 +104,7 @@ def draws(space: bpy.types.SpaceView3D, scene: bpy.types.Scene, kind: str) -> bo
     return space.shading.type in _SHADINGS and scene.jghand.show_in_viewport
 
 
-def moment_of(scene: bpy.types.Scene) -> Moment:
+def moment_of(scene: bpy.types.Scene) -> DrawMoment:
     """What the user does, and whether the engine answers."""
     activity = Activity.POSING
     for window in bpy.context.window_manager.windows:
@@ -114,7 +114,7 @@ def moment_of(scene: bpy.types.Scene) -> Moment:
             activity = Activity.PLAYING
     render = scene.render
     frame_s = render.fps_base / render.fps
-    return Moment(now_s(), activity, frame_s, _step_s, runtime.link().status.state == "ready")
+    return DrawMoment(now_s(), activity, frame_s, _step_s, runtime.link().status.state == "ready")
 
 
 def settings_of(scene: bpy.types.Scene) -> ViewSettings:
@@ -257,7 +257,7 @@ def _draw(view: View) -> None:
 # ---- asking ----------------------------------------------------------------------------------------------------------
 
 
-def look(view: View, moment: Moment, *, drawing: bool) -> None:
+def look(view: View, moment: DrawMoment, *, drawing: bool) -> None:
     """Takes what came, asks for what is needed, and while drawing waits for it as long as that is allowed."""
     take(view, moment)
     if view.camera is None or view.part is None:
@@ -284,7 +284,7 @@ def read_again(view: View, things: list[bpy.types.Object], depsgraph: bpy.types.
     view.part = cropping.part_with(view.camera.whole, view.hands) if view.camera is not None else None
 
 
-def take(view: View, moment: Moment) -> bool:
+def take(view: View, moment: DrawMoment) -> bool:
     """Takes the newest answer; True when the view has something else to show or to say."""
     answer = runtime.link().answer(view.slot)
     if answer is None or answer is view.taken:

@@ -96,7 +96,7 @@ def recognise(names: Iterable[str], handedness: str, *, tails: bool = True) -> R
 
     tails: whether the tip of a finger may be the tail of its last bone; objects have no tail.
     """
-    check_handedness(handedness)
+    check_side(handedness)
     index = _Index(names)
     found = [candidate for convention in CONVENTIONS for candidate in _candidates(convention, index, handedness, tails)]
     best = max((candidate.score for candidate in found), default=0)
@@ -131,7 +131,7 @@ def from_json(text: str) -> BoneMap:
         sources = {name: JointSource(str(bone), str(end)) for name, (bone, end) in joints.items()}
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise JGHandFailure("bad_bone_map", f"not readable: {error}") from error
-    check_handedness(handedness)
+    check_side(handedness)
     unknown = [name for name in sources if name not in NAMES]
     if unknown:
         raise JGHandFailure("bad_bone_map", f"no joints of a hand: {', '.join(unknown)}")
@@ -149,7 +149,7 @@ def by_hand(handedness: str, sources: Sequence[JointSource | None]) -> BoneMap:
     return BoneMap(handedness, tuple(sources), missing=missing)
 
 
-def check_handedness(handedness: str) -> None:
+def check_side(handedness: str) -> None:
     """JGHandFailure (bad_bone_map) for what is no hand's side."""
     if handedness not in HANDEDNESSES:
         raise JGHandFailure("bad_bone_map", f"handedness {handedness!r}, wanted {' or '.join(HANDEDNESSES)}")

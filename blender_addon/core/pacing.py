@@ -105,7 +105,7 @@ class Ask:
 
 
 @dataclass(frozen=True)
-class Moment:
+class DrawMoment:
     """now_s: on any clock that only goes forward · frame_s: how long a frame lasts · step_s: when Blender came to the
     present frame · answering: whether the engine can be expected to answer"""
 
@@ -197,7 +197,7 @@ def quality_of(grade: Grade, settings: ViewSettings) -> Quality:
     return Quality(preset, settings.budget_ms, settings.density, *shadow, pixels_max)
 
 
-def step(pace: Pace, want: Want, moment: Moment, settings: ViewSettings) -> tuple[Pace, Decision]:
+def step(pace: Pace, want: Want, moment: DrawMoment, settings: ViewSettings) -> tuple[Pace, Decision]:
     """What a view does when it is drawn, when its frame changed, or when `due_s` came."""
     pace = _noticed(pace, want, moment)
     grade = _grade(pace, moment, settings)
@@ -224,7 +224,7 @@ def due_s(pace: Pace, settings: ViewSettings) -> float:
     return math.inf
 
 
-def answered(pace: Pace, tag: str, failure: str | None, round_trip_s: float, moment: Moment) -> tuple[Pace, bool]:
+def answered(pace: Pace, tag: str, failure: str | None, round_trip_s: float, moment: DrawMoment) -> tuple[Pace, bool]:
     """An answer came. failure: its kind, None for a picture. Returns whether its picture is to be shown from now on."""
     ask = next((each for each in reversed(pace.asks) if each.tag == tag), None)
     if ask is None:
@@ -243,7 +243,7 @@ def answered(pace: Pace, tag: str, failure: str | None, round_trip_s: float, mom
     return replace(pace, shown=ask, behind_s=math.inf if ask.want == pace.want else moment.now_s), True
 
 
-def missed(pace: Pace, moment: Moment) -> Pace:
+def missed(pace: Pace, moment: DrawMoment) -> Pace:
     """The view is drawn without the picture it wants: counted once per frame while playing."""
     if moment.activity is not Activity.PLAYING or not moment.answering or pace.failure() is not None:
         return pace
@@ -257,7 +257,7 @@ def gave_up_waiting(pace: Pace) -> Pace:
     return replace(pace, fast_enough=False)
 
 
-def may_show(pace: Pace, moment: Moment) -> bool:
+def may_show(pace: Pace, moment: DrawMoment) -> bool:
     """Whether the picture that the view has may be drawn in it now."""
     if pace.shown is None or pace.want is None or pace.shown.want.camera != pace.want.camera:
         return False
@@ -287,7 +287,7 @@ def forgotten(pace: Pace) -> Pace:
 # ---- parts -----------------------------------------------------------------------------------------------------------
 
 
-def _noticed(pace: Pace, want: Want, moment: Moment) -> Pace:
+def _noticed(pace: Pace, want: Want, moment: DrawMoment) -> Pace:
     """What changed since the last look."""
     started = moment.activity is Activity.PLAYING and pace.activity is not Activity.PLAYING
     if started:
@@ -303,7 +303,7 @@ def _noticed(pace: Pace, want: Want, moment: Moment) -> Pace:
     return replace(pace, want=want, changed_s=changed_s, activity=moment.activity, behind_s=behind_s)
 
 
-def _grade(pace: Pace, moment: Moment, settings: ViewSettings) -> Grade:
+def _grade(pace: Pace, moment: DrawMoment, settings: ViewSettings) -> Grade:
     # the same sums as in `due_s`, so that what is due is done
     if moment.activity is not Activity.POSING or moment.now_s < pace.changed_s + limits.SETTLE_S:
         return Grade.MOVING
@@ -355,7 +355,7 @@ def _is_answered(pace: Pace, ask: Ask) -> bool:
     return shown or any(tag == ask.tag for tag, _ in pace.failures)
 
 
-def _wait_s(pace: Pace, want: Want, moment: Moment) -> float:
+def _wait_s(pace: Pace, want: Want, moment: DrawMoment) -> float:
     shown = pace.shown
     if not moment.answering or (shown is not None and shown.want == want) or pace.failure() is not None:
         return 0.0

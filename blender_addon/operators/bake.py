@@ -22,7 +22,7 @@ from ..core.messages import JGHandFailure
 from ..core.recording import Recording, file_names
 from . import output_common
 from .common import REGISTERED, UNDOABLE, Reporting, missing, wait_cursor
-from .output_common import StartsJob, place, poll_hands
+from .output_common import StartsJob, place, poll_hands_to_write
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Bake(StartsJob, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return poll_hands(cls, context)
+        return poll_hands_to_write(cls, context)
 
     def prepare(self, context: bpy.types.Context) -> None:
         place(context, context.scene.jghand.output.bake_folder)

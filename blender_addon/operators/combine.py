@@ -8,8 +8,8 @@ from bpy.app.translations import pgettext_rpt as rpt_
 
 from ..bridge import armature, combination
 from ..bridge.classes import register_classes, unregister_classes
+from ..bridge.engine_name import ENGINE
 from .common import UNDOABLE, Reporting, missing
-from .picture import ENGINE
 
 
 class CombineWithScene(Reporting, bpy.types.Operator):

@@ -18,7 +18,7 @@ from ..core.jobs import JobSpec
 from ..core.messages import JGHandFailure
 from ..core.recording import Recording, remove_beyond
 from .common import PLUMBING, REGISTERED, Reporting, missing, wait_cursor
-from .output_common import StartsJob, place, poll_hands
+from .output_common import StartsJob, place, poll_hands_to_write
 
 
 class Export(StartsJob, bpy.types.Operator):
@@ -31,7 +31,7 @@ class Export(StartsJob, bpy.types.Operator):
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
-        return poll_hands(cls, context)
+        return poll_hands_to_write(cls, context)
 
     @classmethod
     def description(cls, context: bpy.types.Context, _properties: bpy.types.OperatorProperties) -> str:

@@ -135,7 +135,7 @@ def frames_to_write(context: bpy.types.Context) -> range:
     return range(settings.frame_start, settings.frame_end + 1)
 
 
-def poll_hands(operator: type, context: bpy.types.Context) -> bool:
+def poll_hands_to_write(operator: type, context: bpy.types.Context) -> bool:
     """Whether there is something to write."""
     if not hands_to_write(context):
         if context.scene.jghand.output.hands == "all":

@@ -8,11 +8,10 @@ from bpy.app.translations import pgettext_rpt as rpt_
 
 from ..bridge import armature
 from ..bridge.classes import register_classes, unregister_classes
+from ..bridge.engine_name import ENGINE
 from ..core.messages import JGHandFailure
 from .common import PLUMBING, UNDOABLE, Reporting, missing
 from .hand import add_camera
-
-ENGINE = "JGHAND"
 
 
 class UseEngine(Reporting, bpy.types.Operator):

@@ -8,8 +8,8 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from ..bridge import combination, versions, views
 from ..bridge.classes import register_classes, unregister_classes
+from ..bridge.engine_name import ENGINE
 from ..core import panel_text
-from ..operators.picture import ENGINE
 from . import common
 from .common import Sidebar
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import bpy
 
 from ..bridge.classes import register_classes, unregister_classes
-from ..operators.picture import ENGINE
+from ..bridge.engine_name import ENGINE
 from .presets import RENDER_PT_jghand_presets
 
 

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from blender_addon.core import limits, pacing
-from blender_addon.core.pacing import Activity, Ask, Grade, Moment, Pace, ViewSettings, Want
+from blender_addon.core.pacing import Activity, Ask, DrawMoment, Grade, Pace, ViewSettings, Want
 
 FRAME_S = 1 / 24
 PLAYING, SCRUBBING, POSING = Activity.PLAYING, Activity.SCRUBBING, Activity.POSING
@@ -28,8 +28,8 @@ class View:
     asked: list[Ask] = field(default_factory=list)
     waits: list[float] = field(default_factory=list)
 
-    def moment(self, activity: Activity = POSING, **more) -> Moment:
-        return Moment(self.now_s, activity, FRAME_S, **{"step_s": self.now_s, **more})
+    def moment(self, activity: Activity = POSING, **more) -> DrawMoment:
+        return DrawMoment(self.now_s, activity, FRAME_S, **{"step_s": self.now_s, **more})
 
     def draw(self, want: Want, activity: Activity = POSING, **more) -> pacing.Decision:
         self.pace, decision = pacing.step(self.pace, want, self.moment(activity, **more), self.settings)

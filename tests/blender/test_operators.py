@@ -17,7 +17,17 @@ import pytest
 from recording_layout import operator_type
 
 from blender_addon import properties, registration
-from blender_addon.bridge import armature, controls, folders, hand_poses, motion, pose_library, sources, versions
+from blender_addon.bridge import (
+    armature,
+    controls,
+    engine_name,
+    folders,
+    hand_poses,
+    motion,
+    pose_library,
+    sources,
+    versions,
+)
 from blender_addon.core import bone_maps, motion_files, poses, posing
 from blender_addon.core.controls import FINGER_CONTROLS, HAND_CONTROL
 from blender_addon.core.joints import HANDEDNESSES, NAMES
@@ -776,9 +786,9 @@ def test_explain_says_its_text(extension, capfd):
 
 
 def test_without_the_engine_in_blender_use_engine_says_so(extension):
-    if any(getattr(each, "bl_idname", "") == picture.ENGINE for each in bpy.types.RenderEngine.__subclasses__()):
+    if any(getattr(each, "bl_idname", "") == engine_name.ENGINE for each in bpy.types.RenderEngine.__subclasses__()):
         assert bpy.ops.jghand.use_engine() == {"FINISHED"}
-        assert extension.scene.render.engine == picture.ENGINE
+        assert extension.scene.render.engine == engine_name.ENGINE
         assert "already" in refuses(bpy.ops.jghand.use_engine)
     else:
         assert "JGHAND" in refuses(bpy.ops.jghand.use_engine)
