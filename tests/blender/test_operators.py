@@ -63,7 +63,9 @@ _NEEDS_NOTHING = "makes what it needs, or needs nothing"
 _ROW = "is a button beside what it is for, which it is told"
 # what may be pressed in an empty scene, and why
 ANYWHERE = {
-    **dict.fromkeys(("add_hand", "import_motion", "use_standard", "use_engine", "make_pose_assets"), _NEEDS_NOTHING),
+    **dict.fromkeys(
+        ("add_hand", "import_motion", "track_video", "use_standard", "use_engine", "make_pose_assets"), _NEEDS_NOTHING
+    ),
     **dict.fromkeys(("open_help", "open_preferences", "check_engine", "train", "export_scene_usd"), _NEEDS_NOTHING),
     **dict.fromkeys(("start_engine", "restart_engine", "render_training_set"), _NEEDS_NOTHING),
     **dict.fromkeys(("explain", "select_hand", "copy_command", "cancel_job", "show_job_log"), _ROW),
