@@ -28,6 +28,9 @@ GROUP = "JGHand Points"
 _ATTRIBUTES = (("radius", "FLOAT"), ("displayColor", "FLOAT_COLOR"))
 # session_uid of a playing object -> why the frame that is shown is not there
 _failures: dict[int, JGHandFailure] = {}
+# whether anything in the opened file plays; None where that was not looked at yet. Most scenes have nothing that does,
+# and many objects to be asked at every frame
+_plays: bool | None = None
 
 
 def play(context: bpy.types.Context, hand: BakedHand, folder: Path, *, width: float) -> bpy.types.Object:
@@ -46,6 +49,7 @@ def play(context: bpy.types.Context, hand: BakedHand, folder: Path, *, width: fl
     modifier.node_group = _balls(width)
     context.scene.collection.objects.link(thing)
     context.scene.render.use_lock_interface = True
+    _may_play()
     show_frame(thing, context.scene.frame_current)
     return thing
 
@@ -68,31 +72,59 @@ def show_frame(thing: bpy.types.Object, frame: int) -> None:
 
 def failure_in(scene: bpy.types.Scene) -> JGHandFailure | None:
     """Why what plays in a scene is not in its renders now; None where all is well."""
+    if not _failures:
+        return None
     things = [thing for thing in scene.objects if thing.session_uid in _failures and not thing.hide_render]
     return _failures[things[0].session_uid] if things else None
 
 
-def register() -> None:
-    """Adds the handler."""
-    if _on_frame not in bpy.app.handlers.frame_change_post:
-        bpy.app.handlers.frame_change_post.append(_on_frame)
-
-
-def unregister() -> None:
-    """Takes it away; playing objects stay as they are."""
-    if _on_frame in bpy.app.handlers.frame_change_post:
-        bpy.app.handlers.frame_change_post.remove(_on_frame)
-    _failures.clear()
+@persistent
+def _may_play(*_: object) -> None:
+    """Objects came by another way than `play`: from a file, or by undo."""
+    global _plays
+    _plays = None
 
 
 @persistent
 def _on_frame(scene: bpy.types.Scene, _depsgraph: bpy.types.Depsgraph | None = None) -> None:
+    global _plays
+    if _plays is None:
+        _plays = any(NAME_PROPERTY in thing for thing in bpy.data.objects)
+    if not _plays:
+        return
     for thing in scene.objects:
         if NAME_PROPERTY in thing and thing.type == "MESH":
             try:
                 show_frame(thing, scene.frame_current)
             except JGHandFailure as failure:
                 print(f"JGHand: {thing.name}: {failure}")  # a handler that throws is switched off by nobody
+
+
+_HANDLERS = (
+    ("frame_change_post", _on_frame),
+    ("load_post", _may_play),
+    ("blend_import_post", _may_play),
+    ("undo_post", _may_play),
+    ("redo_post", _may_play),
+)
+
+
+def register() -> None:
+    """Adds the handlers."""
+    _may_play()
+    for name, handler in _HANDLERS:
+        handlers = getattr(bpy.app.handlers, name)
+        if handler not in handlers:
+            handlers.append(handler)
+
+
+def unregister() -> None:
+    """Takes them away; playing objects stay as they are."""
+    for name, handler in _HANDLERS:
+        handlers = getattr(bpy.app.handlers, name)
+        if handler in handlers:
+            handlers.remove(handler)
+    _failures.clear()
 
 
 def _fill(mesh: bpy.types.Mesh, frame: CachedFrame) -> None:

@@ -46,7 +46,7 @@ def hands_in(
     (`switched_on_only`) those alone that are to be shown there."""
     return [
         thing
-        for thing in _hands_of(scene, layer)
+        for thing in hands_of(scene, layer)
         if _is_visible(thing, layer, space) and (thing.jghand.show_in_viewport or not switched_on_only)
     ]
 
@@ -70,7 +70,8 @@ def avatar_of(thing: bpy.types.Object) -> str:
     return folders.absolute(thing, "avatar") or BUILTIN_AVATAR
 
 
-def _hands_of(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
+def hands_of(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
+    """The hands of a view layer, by name; panels ask at every redraw, also of scenes with thousands of objects."""
     key = (scene.session_uid, layer.name)
     if key in _found:
         things = [layer.objects.get(name) for name, _ in _found[key]]

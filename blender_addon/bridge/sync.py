@@ -182,8 +182,9 @@ def on_render_begin(scene: bpy.types.Scene, *_: Any) -> None:
 
 @persistent
 def on_render_end(*_: Any) -> None:
-    """A render is over; the views ask for what they need when they are drawn."""
+    """A render is over; the views ask for what they need when they are drawn. Edits meanwhile were not noticed."""
     rendering.end()
+    seen_hands.forget()
 
 
 # the one table of handlers: list of bpy.app.handlers, function

@@ -7,7 +7,7 @@ import blf
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from ..bridge import armature
+from ..bridge import armature, seen_hands
 from ..core import panel_text
 from ..core.panel_text import Line
 
@@ -41,22 +41,17 @@ class Sidebar:
 def active(context: bpy.types.Context) -> bpy.types.Object | None:
     """The active object where it is a hand, ours or not."""
     thing = context.object
-    return thing if thing is not None and is_any_hand(thing) else None
-
-
-def is_any_hand(thing: bpy.types.Object) -> bool:
-    """Whether an object is a hand, ours or not."""
-    return thing.type in ("ARMATURE", "EMPTY") and armature.is_any_hand(thing)
+    return thing if thing is not None and armature.is_any_hand(thing) else None
 
 
 def hands_of(context: bpy.types.Context) -> list[bpy.types.Object]:
     """All hands of the view layer, by name."""
-    return sorted(filter(is_any_hand, context.view_layer.objects), key=lambda thing: thing.name)
+    return [thing for thing in seen_hands.hands_of(context.scene, context.view_layer) if armature.is_any_hand(thing)]
 
 
 def any_hand(context: bpy.types.Context) -> bool:
     """Whether there is a hand: without one, the tab shows nothing but how to add one."""
-    return active(context) is not None or any(map(is_any_hand, context.view_layer.objects))
+    return active(context) is not None or bool(hands_of(context))
 
 
 def has_operator(name: str) -> bool:

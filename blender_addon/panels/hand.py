@@ -81,7 +81,7 @@ def _draw_empty(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
 def _draw_existing(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """What can be made of what is selected."""
     thing = context.object
-    if thing is not None and thing.type == "ARMATURE" and not common.is_any_hand(thing):
+    if thing is not None and thing.type == "ARMATURE" and not armature.is_any_hand(thing):
         layout.operator("jghand.use_armature", icon="ARMATURE_DATA")
     elif len(context.view_layer.objects.selected) >= len(NAMES):
         layout.operator("jghand.use_objects", icon="EMPTY_DATA")

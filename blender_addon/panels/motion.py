@@ -6,7 +6,7 @@ from __future__ import annotations
 import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
-from ..bridge import job_watch
+from ..bridge import armature, job_watch
 from ..bridge.classes import register_classes, unregister_classes
 from . import common
 from .common import Sidebar
@@ -34,7 +34,7 @@ class MotionPanel(Sidebar, bpy.types.Panel):
         common.paragraph(layout, context, "Or drop an .npz, .json, .csv or .bvh motion into the viewport.")
         hand = context.object
         action = hand.animation_data.action if hand is not None and hand.animation_data else None
-        if action is not None and common.is_any_hand(hand):
+        if action is not None and armature.is_any_hand(hand):
             first, last = action.frame_range
             text = iface_("{name}: frames {first} to {last}")
             common.paragraph(

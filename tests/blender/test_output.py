@@ -593,6 +593,22 @@ def test_the_extension_plays_a_bake_that_was_moved_with_its_file(played, tmp_pat
     assert tmp_path / "farm" in baked_points.played_folder(thing).parents
 
 
+def test_an_appended_object_plays_and_scenes_without_one_are_not_walked_at_every_frame(played, tmp_path):
+    thing, _ = played
+    name, count = thing.name, len(thing.data.vertices)
+    bpy.ops.wm.save_mainfile()
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "other.blend"))
+    cache_player._on_frame(SimpleNamespace())  # which has no objects to walk through
+    with bpy.data.libraries.load(str(tmp_path / "scene.blend"), link=False) as (_there, here):
+        here.objects = [name]
+    (thing,) = here.objects
+    bpy.context.scene.collection.objects.link(thing)
+    thing.data.clear_geometry()
+    bpy.context.scene.frame_set(5)
+    assert len(thing.data.vertices) == count
+
+
 def test_a_frame_that_is_not_there_is_not_the_frame_before_it_and_fails_the_render(played, tmp_path):
     thing, folder = played
     scene = bpy.context.scene

@@ -10,7 +10,7 @@ import pytest
 from recording_layout import RecordingLayout, draw, draw_rows
 
 from blender_addon import registration, runtime
-from blender_addon.bridge import controls, folders, pose_library, pose_pictures, versions, views
+from blender_addon.bridge import armature, controls, folders, pose_library, pose_pictures, versions, views
 from blender_addon.core.link import Status
 from blender_addon.core.messages import JGHandFailure
 from blender_addon.panels import advanced, bones, hand, motion, picture, pose, quality
@@ -267,6 +267,21 @@ def test_advanced_shows_the_engine_and_the_last_render(extension, engine):
     seen = draw(advanced.AdvancedPanel, extension)
     assert {"Device", "cpu", "Process", "7"} <= set(seen.texts)
     assert "Last Picture" in seen.texts
+
+
+def test_panels_do_not_ask_every_object_of_a_scene_at_every_redraw(extension, monkeypatch):
+    for place in range(50):
+        extension.scene.collection.objects.link(bpy.data.objects.new(f"thing {place}", None))
+    extension.view_layer.update()
+    drawn(extension)
+    asked = []
+    is_any_hand = armature.is_any_hand
+    monkeypatch.setattr(armature, "is_any_hand", lambda thing: asked.append(thing) or is_any_hand(thing))
+    assert picture.ViewPanel.bl_idname not in drawn(extension)
+    assert len(asked) < 20
+    monkeypatch.undo()
+    add()
+    assert picture.ViewPanel.bl_idname in drawn(extension)
 
 
 def test_panels_stand_in_the_tab_in_the_order_of_work():
