@@ -43,7 +43,7 @@ class KeysFile(InTurns, ImportHelper):
     chosen: bpy.props.BoolProperty(options={"SKIP_SAVE", "HIDDEN"})  # type: ignore[valid-type]
     hand_length: bpy.props.FloatProperty(
         name="Hand Length",
-        description="From the wrist to the middle finger's tip; 0: that of the file, or of the avatar before a camera",
+        description="From the wrist to the middle finger's tip; 0: as in the file, or of a video the avatar's",
         min=0.0,
         soft_max=250.0,
         precision=0,

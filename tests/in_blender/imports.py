@@ -71,6 +71,20 @@ def step_a_chosen_video_that_is_none_is_refused_once(window):
     window.picture("refused")
 
 
+def step_another_file_that_is_opened_while_the_engine_reads_gets_no_keys(window):
+    yield from window.choose_file("jghand.import_motion", window.out / "wave.glb")
+    yield lambda: window.modal(_IMPORT) is not None and _job(window) is not None and not _job(window).is_over
+    with window.override():
+        bpy.ops.wm.read_homefile(app_template="", use_empty=True)
+    yield 1.0
+    yield lambda: _job(window).is_over
+    yield 0.5
+    assert window.modal(_IMPORT) is None
+    assert not bpy.data.actions
+    assert not _job(window).spec.folder.exists()
+    window.picture("another_file")
+
+
 # ---- parts -----------------------------------------------------------------------------------------------------------
 
 
