@@ -44,7 +44,7 @@ def plan_shadows(
 ) -> tuple[float, tuple[Decision, Decision]]:
     """Strength 0..1 of the pass that shades all hands, and why: parts of a hand, and hands, near each other."""
     looks = [hand.look for hand in hands if hand.look is not None]
-    extents_px = [_extent_px(joints, scene.camera) for joints in scene.joints_m]
+    extents_px = [extent_px(joints, scene.camera) for joints in scene.joints_m]
     cost = _hand_pixels(extents_px, scene.camera) * settings.shadow_samples * limits.SHADOW_MS
     darkest = settings.shadow_strength * max((max(look.tint) for look in looks), default=0.0)
     dark = _Loss(f"darker by up to {100 * darkest:.0f} %", darkest)
@@ -67,7 +67,7 @@ def plan_shadows(
     if alone and not always and (seen := _unseen(looks, settings)) is not None:
         return neither(f"seen by {255 * seen:.1f} of 255 steps", _Loss("the most that `jghand bake` measured", seen))
     size_px = max(extents_px)
-    large = 1.0 if always else smoothstep(size_px, limits.SHADOW_HAND_MIN_PX, limits.SHADOW_HAND_FULL_PX)
+    large = 1.0 if always else fade_with_size(size_px)
     if large == 0:
         return neither(f"hand {size_px:.0f} px", _Loss("a few pixels of crease", darkest))
     own = _own_score(scene, hands) if may_own else 0.0
@@ -100,6 +100,11 @@ def plan_shadows(
     return strength, (mine, decided(Effect.BETWEEN, True, f"hands touch, score {contact:.2f}", 0.0))
 
 
+def fade_with_size(size_px: float) -> float:
+    """0..1: how much of the shadow the largest hand, of that extent, gets."""
+    return smoothstep(size_px, limits.SHADOW_HAND_MIN_PX, limits.SHADOW_HAND_FULL_PX)
+
+
 _ALONE = Decision(Effect.BETWEEN, False, "one hand", _NOTHING.bound, _NOTHING.worst)
 
 
@@ -116,7 +121,7 @@ def _own_score(scene: Scene, hands: Sequence[HandFacts]) -> float:
     return max(hand.gate.score(joints, bones.scale) for hand, joints, bones in pairs)
 
 
-def _extent_px(joints_m: np.ndarray, camera: Camera) -> float:
+def extent_px(joints_m: np.ndarray, camera: Camera) -> float:
     """The longer side of the box around the hand on the picture; infinite when the camera is inside it."""
     pixels, depth = camera.project(torch.from_numpy(joints_m))
     if not bool((depth > limits.Z_NEAR_M).all()):

@@ -22,6 +22,7 @@ from jghand_engine.splat.gate import ShadowGate, fade
 from jghand_engine.splat.rasterise import rasterise
 from jghand_engine.splat.settings import RenderSettings, ShadowMode
 from jghand_engine.splat.shadow import ShadowStyle
+from jghand_engine.splat.shadow_effects import extent_px, fade_with_size
 from jghand_engine.splat.shadow_native import darken
 
 
@@ -43,7 +44,7 @@ class LiveHand:
             picture = rasterise(gaussians, camera, self._settings)
             planes = torch.cat([picture.rgb.permute(2, 0, 1), picture.alpha[None], picture.depth_sum[None]])
             look = ShadowLook() if self._avatar.learnt is None else self._avatar.learnt.shadow
-            strength = self._shadow_strength(joints_m, float(bones.scale))
+            strength = self._shadow_strength(joints_m, float(bones.scale), camera)
             if look is not None and strength > 0:
                 style = ShadowStyle(
                     samples=self._settings.shadow_samples,
@@ -56,10 +57,12 @@ class LiveHand:
                 planes = torch.cat([rgb, planes[3:]])
             return planes[:4].permute(1, 2, 0).contiguous().numpy()
 
-    def _shadow_strength(self, joints_m: np.ndarray, scale: float) -> float:
+    def _shadow_strength(self, joints_m: np.ndarray, scale: float, camera: Camera) -> float:
         """As `splat.frame`: colours that were learnt under a shadow that fades have in them what it leaves out."""
         if self._settings.shadow is ShadowMode.OFF:
             return 0.0
-        if self._settings.shadow is ShadowMode.ALWAYS and self._avatar.learnt is None:
+        always = self._settings.shadow is ShadowMode.ALWAYS
+        if always and self._avatar.learnt is None:
             return self._settings.shadow_strength
-        return self._settings.shadow_strength * fade(self._gate.score(joints_m, scale))
+        large = 1.0 if always else fade_with_size(extent_px(joints_m, camera))
+        return self._settings.shadow_strength * large * fade(self._gate.score(joints_m, scale))
