@@ -55,11 +55,6 @@ def build_armature(context: bpy.types.Context, name: str, joints_m: np.ndarray, 
     return hand
 
 
-def hand_armatures(view_layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
-    """The hands of a view layer that take part in renders at the current frame, by name."""
-    return [hand for hand in _hands_of(view_layer) if not hand.hide_render]
-
-
 def evaluated_hands(depsgraph: bpy.types.Depsgraph) -> list[bpy.types.Object]:
     """The hands that Blender evaluated for a render, by name, as it evaluated them: those that take part in it at the
     frame of the depsgraph, and those whose visibility is animated.
@@ -101,11 +96,6 @@ def parts_of(thing: bpy.types.Object) -> list[bpy.types.Object]:
     """What has to be evaluated for a hand: the object itself, and the objects that it stands for."""
     joints = [thing.get(mark) for mark in OBJECT_PROPERTIES.values()]
     return [thing, *(joint for joint in joints if joint is not None)]
-
-
-def show_to_evaluate(thing: bpy.types.Object) -> None:
-    """Undoes the "disable in viewports" of an object: a rig is often switched off there, and then not evaluated."""
-    thing.hide_viewport = False
 
 
 def evaluated_object(thing: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bpy.types.Object:

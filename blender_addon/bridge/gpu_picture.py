@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import bpy
 import gpu
 import numpy as np
 from gpu_extras.batch import batch_for_shader
@@ -171,11 +170,6 @@ def _as_floats(rgba: np.ndarray) -> np.ndarray:
     if rgba.size > _floats.size:
         _floats = np.empty(rgba.size, np.float32)
     return np.multiply(rgba.ravel(), np.float32(1 / 255), out=_floats[: rgba.size])
-
-
-def can_draw() -> bool:
-    """Whether there is a screen to draw on."""
-    return not bpy.app.background
 
 
 def _made_tools() -> _Tools:

@@ -27,11 +27,6 @@ class Attempts:
         """It failed once more."""
         return Attempts(self.failed + 1, now_s + limits.DRAW_REST_S)
 
-    @property
-    def gives_up(self) -> bool:
-        """Whether it is not tried any more."""
-        return self.failed >= limits.DRAW_TRIES
-
     def due_s(self) -> float | None:
         """When it is tried again; None where that is not to come."""
         return self.again_s if 0 < self.failed < limits.DRAW_TRIES else None

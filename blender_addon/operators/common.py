@@ -6,7 +6,6 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Iterator
-from typing import Any
 
 import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
@@ -277,9 +276,3 @@ def link_to_active_collection(context: bpy.types.Context, thing: bpy.types.Objec
     for collection in list(thing.users_collection):
         collection.objects.unlink(thing)
     layer.collection.objects.link(thing)
-
-
-def set_all(properties: Any, **values: Any) -> None:
-    """For buttons: what `layout.operator` returned, with these properties."""
-    for name, value in values.items():
-        setattr(properties, name, value)

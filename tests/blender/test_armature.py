@@ -192,7 +192,7 @@ def test_a_hand_that_blender_does_not_evaluate_is_never_shown_in_an_old_pose(con
     with pytest.raises(JGHandFailure) as caught:
         armature.read_hand(hand, armature.at_frame(context.scene, 3))
     assert caught.value.kind == "hidden"
-    armature.show_to_evaluate(hand)
+    hand.hide_viewport = False
     armature.read_hand(hand, armature.at_frame(context.scene, 3))
 
 
@@ -209,9 +209,9 @@ def test_the_hands_of_a_scene_are_those_that_are_rendered(context):
     collection.objects.link(in_hidden_collection)
     collection.hide_render = True
     kept.hide_set(True)  # hidden in the viewport only
-    assert armature.hand_armatures(context.view_layer) == [kept]
+    assert armature.hands_at_any_frame(context.view_layer) == [kept]
     collection.hide_render = False
-    assert armature.hand_armatures(context.view_layer) == [kept, in_hidden_collection]
+    assert armature.hands_at_any_frame(context.view_layer) == [kept, in_hidden_collection]
 
 
 def test_keys_are_grouped_by_bone_and_linear(context):
@@ -286,7 +286,7 @@ def test_the_rig_survives_saving_and_loading(context, tmp_path):
     bpy.ops.wm.save_as_mainfile(filepath=path, compress=True)
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.ops.wm.open_mainfile(filepath=path)
-    (hand,) = armature.hand_armatures(bpy.context.view_layer)
+    (hand,) = armature.hands_at_any_frame(bpy.context.view_layer)
     seen = armature.read_hand(hand, armature.at_frame(bpy.context.scene, 5))
     assert seen.handedness == "left"
     np.testing.assert_allclose(seen.joints_world_m, joints[4], atol=2e-7)

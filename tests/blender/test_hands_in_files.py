@@ -45,7 +45,7 @@ def test_a_duplicate_has_its_own_settings_and_pose(extension):
     assert first.jghand.avatar == "left.jghand"
     np.testing.assert_allclose(joints_of(first), posing.rest_joints_m("left"), atol=EXACT_M)
     assert np.abs(joints_of(twin) - joints_of(first)).max() > 0.05
-    assert len({thing.session_uid for thing in armature.hand_armatures(bpy.context.view_layer)}) == 3
+    assert len({thing.session_uid for thing in armature.hands_at_any_frame(bpy.context.view_layer)}) == 3
 
 
 def test_a_file_keeps_hands_settings_and_bone_maps(extension, tmp_path):
@@ -87,7 +87,7 @@ def test_hands_of_another_file_keep_their_settings(extension, tmp_path, linked):
     assert controls.has_controls(come["left"])
     for side, thing in come.items():
         np.testing.assert_allclose(joints_of(thing), posing.rest_joints_m(side), atol=EXACT_M)
-    assert len(armature.hand_armatures(bpy.context.view_layer)) == 3
+    assert len(armature.hands_at_any_frame(bpy.context.view_layer)) == 3
     bpy.context.view_layer.objects.active = come["left"]
     come["left"].select_set(True)
     for other in list(bpy.context.view_layer.objects.selected):

@@ -58,7 +58,7 @@ def picture(engine: EngineLink, view: Pinhole, *seen: HandInSpace) -> tuple[np.n
 def check_joints(context: bpy.types.Context, engine: EngineLink, avatars: list[str], eye: bpy.types.Object) -> None:
     """Compares every joint of the only hand in the scene, at the current frame, with Blender's own projection."""
     depsgraph = context.evaluated_depsgraph_get()
-    (hand,) = armature.hand_armatures(context.view_layer)
+    (hand,) = armature.hands_at_any_frame(context.view_layer)
     seen = armature.read_hand(hand, depsgraph)
     view = camera.pinhole(eye, depsgraph)
     unit_m = context.scene.unit_settings.scale_length
@@ -121,7 +121,7 @@ def test_two_hands_are_drawn_together_each_at_its_own_place(context, engine, ava
     view = camera.pinhole(eye, depsgraph)
     both = [
         replace(armature.read_hand(hand, depsgraph), avatar=avatars[4])
-        for hand in armature.hand_armatures(context.view_layer)
+        for hand in armature.hands_at_any_frame(context.view_layer)
     ]
     together, depth_m = picture(engine, view, *both)
     apart = [picture(engine, view, one) for one in both]

@@ -126,7 +126,7 @@ def test_add_hand_leaves_a_camera_that_is_there_and_adds_as_many_hands_as_wanted
     assert second.name != first.name
     assert extension.scene.camera is camera
     assert not first.select_get()
-    assert len(armature.hand_armatures(extension.view_layer)) == 2
+    assert len(armature.hands_at_any_frame(extension.view_layer)) == 2
 
 
 def test_add_hand_goes_into_the_active_collection_and_out_of_any_mode(extension):
@@ -157,9 +157,9 @@ def test_undo_takes_a_hand_away_and_redo_brings_it_back_whole(extension):
     bpy.context.object.jghand.avatar = "somebody.jghand"
     bpy.ops.ed.undo_push(message="hand")
     bpy.ops.ed.undo()
-    assert not armature.hand_armatures(bpy.context.view_layer)
+    assert not armature.hands_at_any_frame(bpy.context.view_layer)
     bpy.ops.ed.redo()
-    (thing,) = armature.hand_armatures(bpy.context.view_layer)
+    (thing,) = armature.hands_at_any_frame(bpy.context.view_layer)
     assert thing.jghand.avatar == "somebody.jghand"
     np.testing.assert_allclose(joints_of(bpy.context, thing), posing.rest_joints_m("left"), atol=EXACT_M)
 
@@ -315,7 +315,7 @@ def test_keys_of_a_pose_hold_all_that_it_changed(extension, what):
     """Keyed at two frames and looked at again: also held tips, moved tips and stretched bones are as they were."""
     add("left")
     thing = add("right")
-    other = next(each for each in armature.hand_armatures(extension.view_layer) if each != thing)
+    other = next(each for each in armature.hands_at_any_frame(extension.view_layer) if each != thing)
     if what == "flip_pose":
         thing, other = other, thing
     extension.scene.tool_settings.use_keyframe_insert_auto = True

@@ -528,7 +528,7 @@ def test_the_demo_scene_is_built_from_a_motion_file(context, tmp_path):
     assert {thing.name for thing in built.objects if thing.type == "CAMERA"} == {"CamPalm", "CamSide"}
     assert (built.frame_start, built.frame_end, built.render.fps) == (1, 3, 24)
     assert camera.picture_size(built.render) == (512, 334)
-    (hand,) = armature.hand_armatures(bpy.context.view_layer)
+    (hand,) = armature.hands_at_any_frame(bpy.context.view_layer)
     seen = armature.read_hand(hand, armature.at_frame(built, 3))
     x, y, z = hands.moving_hand_m("left", frames=3)[2].T  # in motions +y is up
     np.testing.assert_allclose(seen.joints_world_m, np.stack([x, -z, y], -1), atol=2e-7)

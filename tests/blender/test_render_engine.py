@@ -85,7 +85,7 @@ def layers(scene: bpy.types.Scene, folder: Path, *, names: bool = False) -> dict
 def asked(scene: bpy.types.Scene, *outputs: str) -> tuple[np.ndarray, ...]:
     """What the engine itself answers about this scene."""
     depsgraph = bpy.context.evaluated_depsgraph_get()
-    seen = [armature.read_hand(hand, depsgraph) for hand in armature.hand_armatures(bpy.context.view_layer)]
+    seen = [armature.read_hand(hand, depsgraph) for hand in armature.hands_at_any_frame(bpy.context.view_layer)]
     view = camera.pinhole(scene.camera, depsgraph)
     reply = runtime.link().request(*picture_request(view, seen, preset="final", outputs=outputs))
     return tuple(np.asarray(reply.arrays[name].view()) for name in outputs)
@@ -275,7 +275,7 @@ def test_joints_are_drawn_where_blender_projects_them(scene, settings):
     picture = f12()
     size = camera.picture_size(scene.render)
     assert picture.shape == (*size[::-1], 4)
-    (hand,) = armature.hand_armatures(bpy.context.view_layer)
+    (hand,) = armature.hands_at_any_frame(bpy.context.view_layer)
     seen = armature.read_hand(hand, bpy.context.evaluated_depsgraph_get())
     places = hands.blenders_pixels(scene, scene.camera, seen.joints_world_m, size)
     inside = [place for place in places if (place > 4).all() and (place < np.array(size) - 4).all()]

@@ -24,7 +24,7 @@ def test_both_hands_of_a_character_are_read_posed_and_constrained(context):
         sources.store_map(rig, sources.recognise(rig, side).bone_map)
     assert armature.is_foreign(rig)
     assert not armature.is_hand(rig)
-    assert armature.hand_armatures(context.view_layer) == [rig]
+    assert armature.hands_at_any_frame(context.view_layer) == [rig]
     for hand, side in zip(sources.read_hands(rig, context.evaluated_depsgraph_get()), HANDEDNESSES, strict=True):
         assert hand.handedness == side
         np.testing.assert_allclose(hand.joints_world_m, joints[side], atol=EXACT_M)
