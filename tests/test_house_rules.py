@@ -6,6 +6,7 @@ They read the source as syntax trees and run nothing of it (but for one import i
 from __future__ import annotations
 
 import ast
+import re
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -72,6 +73,13 @@ def room(module: str) -> int | None:
 def offences(found: Iterator[str] | list[str]) -> None:
     listed = list(found)
     assert not listed, "\n" + "\n".join(listed)
+
+
+@pytest.mark.parametrize("room", ["bridge", "core"])
+def test_every_module_of_the_extension_is_in_the_map_of_its_room(room):
+    written = ast.get_docstring(ast.parse((ADDON / room / "__init__.py").read_text(encoding="utf-8"))) or ""
+    present = {path.stem for path in (ADDON / room).glob("*.py")} - {"__init__"}
+    assert not sorted(present - set(re.findall(r"\w+", written)))
 
 
 def test_every_room_of_the_engine_is_in_the_list():
