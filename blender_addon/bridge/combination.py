@@ -20,11 +20,12 @@ from . import armature, versions
 from .engine_name import ENGINE
 
 # custom properties of the first scene: the scene of its hands, whether its compositor is ours, whether it composited
-# before, and the nodes of its own that were switched off then; of the view layer that is combined: whether it had its
-# depth before. A copy of the scene has them too, so that the scene of the hands says whose it is; it, and nodes, say
-# that they are ours
+# and locked Blender's interface before, and the nodes of its own that were switched off then; of the view layer that is
+# combined: whether it had its depth before. A copy of the scene has them too, so that the scene of the hands says whose
+# it is; it, and nodes, say that they are ours
 HANDS_SCENE, OWN_TREE, HAD_DEPTH = "jghand_hands_scene", "jghand_own_compositor", "jghand_had_depth"
 HAD_COMPOSITING, ASIDE = "jghand_had_compositing", "jghand_compositor_aside"
+HAD_LOCK = "jghand_had_lock_interface"
 OWNER = "jghand_combined_scene"
 MARK = "jghand_combination"
 # what the scene of the hands has as the first one has it
@@ -95,7 +96,8 @@ def combine(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bpy.types.Sce
     layer.use_pass_z = True
     if HAD_COMPOSITING not in scene:
         _begin_compositing(scene)
-    scene.render.use_compositing = True
+        scene[HAD_LOCK] = scene.render.use_lock_interface
+    scene.render.use_compositing = scene.render.use_lock_interface = True
     had_tree = versions.compositor_tree(scene) is not None
     tree = versions.ensure_compositor_tree(scene)
     if not had_tree:
@@ -117,7 +119,8 @@ def remove(scene: bpy.types.Scene) -> None:
     if ours is not None:
         bpy.data.scenes.remove(ours)
     _give_depth_back(scene)
-    for name in (HANDS_SCENE, OWN_TREE, HAD_COMPOSITING, ASIDE):
+    scene.render.use_lock_interface = bool(scene.get(HAD_LOCK, scene.render.use_lock_interface))
+    for name in (HANDS_SCENE, OWN_TREE, HAD_COMPOSITING, ASIDE, HAD_LOCK):
         if name in scene:
             del scene[name]
 

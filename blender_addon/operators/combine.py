@@ -19,7 +19,8 @@ class CombineWithScene(Reporting, bpy.types.Operator):
     bl_label = "Combine with Scene"
     bl_description = (
         "Give the hands a scene of their own that JGHand renders, and combine it with this one by depth in the "
-        "compositor. Once more brings it up to date with this scene's hands, camera, size and frames"
+        "compositor. Once more brings it up to date with this scene's hands, camera, size and frames. "
+        "Switches Lock Interface on, because Blender can crash when a scene is edited while it is rendered"
     )
     bl_options = UNDOABLE
 

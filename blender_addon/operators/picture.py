@@ -19,7 +19,10 @@ class UseEngine(Reporting, bpy.types.Operator):
 
     bl_idname = "jghand.use_engine"
     bl_label = "Use JGHand Engine"
-    bl_description = "Render this scene's hands with JGHand: F12, animations, and the viewport's Rendered mode"
+    bl_description = (
+        "Render this scene's hands with JGHand: F12, animations, and the viewport's Rendered mode. Switches Lock "
+        "Interface on, because Blender can crash when a scene is edited while it is rendered"
+    )
     bl_options = UNDOABLE
 
     @classmethod
@@ -33,6 +36,7 @@ class UseEngine(Reporting, bpy.types.Operator):
             context.scene.render.engine = ENGINE
         except TypeError as error:  # Blender knows no engine of that name
             raise JGHandFailure("internal", str(error)) from error
+        context.scene.render.use_lock_interface = True
         hands = armature.hands_at_any_frame(context.view_layer)
         if context.scene.camera is None and hands:
             camera = add_camera(context, hands[0])

@@ -241,7 +241,9 @@ def test_removing_leaves_nothing(scene):
     wanted = f12()
     before = {name: len(getattr(bpy.data, name)) for name in ("scenes", "node_groups", "objects", "cameras")}
     bpy.ops.jghand.combine_with_scene()
+    assert scene.render.use_lock_interface
     assert bpy.ops.jghand.remove_combination() == {"FINISHED"}
+    assert not scene.render.use_lock_interface
     assert {name: len(getattr(bpy.data, name)) for name in before} == before
     assert versions.compositor_tree(scene) is None
     assert not scene.view_layers[0].use_pass_z

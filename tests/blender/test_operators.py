@@ -791,6 +791,7 @@ def test_without_the_engine_in_blender_use_engine_says_so(extension):
     if any(getattr(each, "bl_idname", "") == engine_name.ENGINE for each in bpy.types.RenderEngine.__subclasses__()):
         assert bpy.ops.jghand.use_engine() == {"FINISHED"}
         assert extension.scene.render.engine == engine_name.ENGINE
+        assert extension.scene.render.use_lock_interface
         assert "already" in refuses(bpy.ops.jghand.use_engine)
     else:
         assert "JGHAND" in refuses(bpy.ops.jghand.use_engine)
