@@ -118,8 +118,8 @@ LOOKS_CLOSE_DB = 30.0
 # matrices are reused when no joint moved more than this, metres
 REUSE_JOINTS_M = 5e-5
 # ... and the skin then lacks at most this, metres. Joints that move against each other turn bones: the skin of the
-# trained hand moves by up to 5 times their movement in usual poses (0.25 mm), and by up to 11 times where bones are half
-# and one and a half times as long in turn
+# trained hand moves by up to 5 times their movement in usual poses (0.25 mm), and by up to 11 times where bones are
+# half and one and a half times as long in turn
 REUSE_SKIN_M = 6e-4
 # ... but where a finger is bent further than any hand can, radians, by up to 14 times: such hands are reused only when
 # nothing moved at all
