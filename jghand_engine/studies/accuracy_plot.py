@@ -173,9 +173,8 @@ def _draw_stages(axes: Axes, study: Accuracy) -> None:
 def _draw_learning(axes: Axes, study: Accuracy) -> None:
     minutes, psnr_db = zip(*study.learning, strict=True)
     axes.plot(minutes, psnr_db, color=OURS, lw=2)
-    told = f"Training on {study.learnt_from}" if study.learnt_from else "Training"
-    axes.set_title(f"{told}: accuracy against minutes", **_TITLE)
-    axes.set_xlabel("minutes", fontsize=9)
+    axes.set_title("Training: accuracy against minutes", **_TITLE)
+    axes.set_xlabel(f"minutes, {study.learnt_from}" if study.learnt_from else "minutes", fontsize=9)
     axes.set_ylabel("held out, cut to the hand, dB", fontsize=8)
     _plain(axes)
 

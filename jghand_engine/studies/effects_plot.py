@@ -66,10 +66,10 @@ def _draw_savings(axes: Axes, study: EffectsStudy) -> None:
     axes.set_xscale("log")
     for place, row in enumerate(rows):
         worst = 255 * max(row.errors, default=0.0)
-        told = "no difference" if worst < 0.05 else f"off by up to {worst:.1f} of 255"
+        told = f", off by up to {worst:.1f} of 255" if worst >= 0.05 else ", no difference" if row.errors else ""
         saved_ms = row.saved_median_ms or 0
         figures = f"{saved_ms:.1f}" if saved_ms < 10 else f"{saved_ms:.0f}"
-        axes.text(saved_ms, place, f" {figures} ms, {told}", va="center", fontsize=8.5)
+        axes.text(saved_ms, place, f" {figures} ms{told}", va="center", fontsize=8.5)
     axes.set_xlim(right=60 * max((row.saved_median_ms or 1 for row in rows), default=1))
     axes.set_title("Saved on a frame that skips it", fontsize=12, weight="bold", loc="left", color=INK)
     axes.set_xlabel("milliseconds", fontsize=9.5)
