@@ -18,6 +18,7 @@ import argparse
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -156,6 +157,9 @@ def main() -> int:
     parser.add_argument("--timeout", type=float, default=600, help="seconds that one story may take (default 600)")
     options = parser.parse_args()
     options.out = options.out.resolve()
+    # a shell starts what runs in its background with Ctrl-C ignored, and so would be the jobs that Blender starts
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         files = [story_file(name) for name in ([options.story] if options.story else stories())]
         place = find_place(Path(options.folder))
