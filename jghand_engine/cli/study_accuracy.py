@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import tyro
 
+from jghand_engine import limits
 from jghand_engine.cli.console import say, say_whole_table
 from jghand_engine.cli.options import pixels
 from jghand_engine.cli.study_files import Pages, Places, write_pages
@@ -27,7 +28,7 @@ class AccuracyOptions:
 
     size: Annotated[str, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = "512x334"
     """pixels of the pictures."""
-    rounds: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 100
+    rounds: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = limits.ACCURACY_ROUNDS
     """frames of every setting."""
     limit: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 3
     """held-out pictures of each kind."""
