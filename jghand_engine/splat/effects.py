@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -22,7 +23,6 @@ from jghand_engine.avatar.correctives import Correctives, PoseNet
 from jghand_engine.avatar.learnt import ShadowLook
 from jghand_engine.avatar.tiers import CachedNet, LinearCorrectives
 from jghand_engine.hand.fast_transform import FastBones
-from jghand_engine.hand.frames import describe_flags
 from jghand_engine.splat.camera import Camera
 from jghand_engine.splat.effect_plan import NOT_ALLOWED, Box, Decision, Effect, EffectPlan
 from jghand_engine.splat.exposure import (
@@ -169,6 +169,11 @@ class Scene:
     moved_m: float | None = None
     reshaped: bool = True
 
+    @cached_property
+    def seen_joints(self) -> list[tuple[torch.Tensor, torch.Tensor]]:
+        """Per hand pixels (21, 2) and depths (21,), metres, of its joints: found once for all effects."""
+        return [self.camera.project(torch.from_numpy(joints)) for joints in self.joints_m]
+
 
 def plan_effects(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings) -> EffectPlan:
     """Decides about every effect of one picture."""
@@ -269,8 +274,8 @@ def _filter(
     def not_run(reason: str, bound: str, worst: float | None = None) -> tuple[tuple[int, float], Decision]:
         return (1, 1.0), Decision(Effect.FILTER, False, reason, bound, worst, cost)
 
-    trios = zip(hands, scene.joints_m, scene.bones, strict=True)
-    sigma_px = min(_sigma_px(hand, joints, bones, scene.camera) for hand, joints, bones in trios)
+    trios = zip(hands, scene.seen_joints, scene.bones, strict=True)
+    sigma_px = min(_sigma_px(hand, float(depth.min()), bones, scene.camera) for hand, (_, depth), bones in trios)
     if sigma_px >= limits.FILTER_SIGMA_PX:
         return not_run(f"Gaussians of {sigma_px:.2g} px", "0: as learnt", 0.0)
     if not settings.antialias:
@@ -290,10 +295,9 @@ def _filter(
     return (enlarged, plain), Decision(Effect.FILTER, True, reason, "the hand swells by up to 2 px", 1.0, cost)
 
 
-def _sigma_px(hand: HandFacts, joints_m: np.ndarray, bones: FastBones, camera: Camera) -> float:
-    """The hand's median Gaussian on the picture; infinite when the camera is inside it."""
-    _, depth = camera.project(torch.from_numpy(joints_m))
-    nearest_m = float(depth.min())
+def _sigma_px(hand: HandFacts, nearest_m: float, bones: FastBones, camera: Camera) -> float:
+    """The hand's median Gaussian on the picture, at the depth of its nearest joint; infinite when the camera is inside
+    the hand."""
     if not nearest_m > limits.Z_NEAR_M:
         return math.inf
     return hand.sigma_m * bones.scale * camera.px_per_metre(nearest_m)
@@ -352,7 +356,7 @@ def _averaged(effect: Effect, count: int, reason: str, error: float, once_ms: fl
 def _disc_px(scene: Scene, hands: Sequence[HandFacts]) -> float:
     """Diameter of the largest disc that a point of the hands becomes."""
     flesh_m = 1e-3 * max(limits.GATE_CAPSULE_RADII_MM) * max(bones.scale for bones in scene.bones)
-    depths = torch.cat([scene.camera.project(torch.from_numpy(joints))[1] for joints in scene.joints_m])
+    depths = torch.cat([depth for _, depth in scene.seen_joints])
     return disc_of_depths(scene.camera, float(depths.min()) - flesh_m, float(depths.max()) + flesh_m)
 
 
@@ -388,7 +392,7 @@ def hand_box(
     origin = camera.camera_from_world.numpy()
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     for joints, own, hand in zip(joints_m, bones, hands, strict=True):
-        if describe_flags(own.flags):
+        if own.flags:
             return None  # such hands stretch their skin beyond what is known
         corners, reach_m = hand.corners_m(own), hand.reach_m(own, alpha_min)
         if not len(corners):

@@ -266,9 +266,9 @@ class SceneRenderer:
         return mean.drawn()
 
     def _painted(self, shot: _Shot, camera: Camera, box: Box, plan: EffectPlan, report: FrameReport) -> Drawn:
-        canvas = self._canvas(shot.posed, camera, plan.strength, plan.alpha_min)
         # normals are those of the depth
-        canvas = replace(canvas, depth=plan.runs(Effect.DEPTH) or plan.runs(Effect.NORMALS))
+        depth = plan.runs(Effect.DEPTH) or plan.runs(Effect.NORMALS)
+        canvas = self._canvas(shot.posed, camera, plan.strength, plan.alpha_min, depth=depth)
         poses = None if shot.moved_m is not None else shot.posed.poses
         keeps = poses is None and not self.settings.effects.forces(Effect.SKIN) and canvas.same_view(self._drawn)
         # a picture that fails half way may leave the painter with half of these Gaussians: then the next one poses anew
@@ -285,12 +285,14 @@ class SceneRenderer:
         report.ran(str(Effect.IDS), 1e3 * (time.perf_counter() - started))
         return weights
 
-    def _canvas(self, posed: _Posed, camera: Camera, strength: float, alpha_min: float) -> Canvas:
+    def _canvas(
+        self, posed: _Posed, camera: Camera, strength: float, alpha_min: float, *, depth: bool = False
+    ) -> Canvas:
         # the origin of what was posed, also when the hand has moved by less than the limit since
         from_origin = camera.camera_from_world.clone()
         from_origin[:3, 3] += from_origin[:3, :3] @ torch.from_numpy(posed.kept.joints_m[0][0])
         style = self._shadow_style(strength) if strength > 0 else None
-        return Canvas(replace(camera, camera_from_world=from_origin), float(from_origin[2, 3]), style, alpha_min)
+        return Canvas(replace(camera, camera_from_world=from_origin), float(from_origin[2, 3]), style, alpha_min, depth)
 
     def _shadow_style(self, strength: float) -> ShadowStyle:
         """One pass shades all hands: hands of different looks get the mean of them."""

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import numpy as np
 import torch
 
 from jghand_engine import limits
@@ -44,7 +43,7 @@ def plan_shadows(
 ) -> tuple[float, tuple[Decision, Decision]]:
     """Strength 0..1 of the pass that shades all hands, and why: parts of a hand, and hands, near each other."""
     looks = [hand.look for hand in hands if hand.look is not None]
-    extents_px = [extent_px(joints, scene.camera) for joints in scene.joints_m]
+    extents_px = [extent_px(pixels, depth, scene.camera) for pixels, depth in scene.seen_joints]
     cost = _hand_pixels(extents_px, scene.camera) * settings.shadow_samples * limits.SHADOW_MS
     darkest = settings.shadow_strength * max((max(look.tint) for look in looks), default=0.0)
     dark = _Loss(f"darker by up to {100 * darkest:.0f} %", darkest)
@@ -121,9 +120,9 @@ def _own_score(scene: Scene, hands: Sequence[HandFacts]) -> float:
     return max(hand.gate.score(joints, bones.scale) for hand, joints, bones in pairs)
 
 
-def extent_px(joints_m: np.ndarray, camera: Camera) -> float:
-    """The longer side of the box around the hand on the picture; infinite when the camera is inside it."""
-    pixels, depth = camera.project(torch.from_numpy(joints_m))
+def extent_px(pixels: torch.Tensor, depth: torch.Tensor, camera: Camera) -> float:
+    """The longer side of the box around a hand on the picture, of joints that `camera.project` put there; infinite when
+    the camera is inside the hand."""
     if not bool((depth > limits.Z_NEAR_M).all()):
         return math.inf
     flesh_px = 2e-3 * max(limits.GATE_CAPSULE_RADII_MM) * camera.px_per_metre(float(depth.min()))

@@ -64,5 +64,5 @@ class LiveHand:
         always = self._settings.shadow is ShadowMode.ALWAYS
         if always and self._avatar.learnt is None:
             return self._settings.shadow_strength
-        large = 1.0 if always else fade_with_size(extent_px(joints_m, camera))
+        large = 1.0 if always else fade_with_size(extent_px(*camera.project(torch.from_numpy(joints_m)), camera))
         return self._settings.shadow_strength * large * fade(self._gate.score(joints_m, scale))
