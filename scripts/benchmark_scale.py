@@ -6,7 +6,7 @@ Runs the commands as anyone would, each as processes of its own. Seconds are wha
 it has started; core-seconds (user and system, of all its processes) and peak memory come from the operating system.
 What one more picture, step or frame costs is the difference of a long and a short run, so that starting is told apart;
 in the motion no two frames are alike. The second table multiplies; it measures nothing. --page renews the tables of a
-page between their marks. It takes some twenty minutes on two cores; --quick takes a tenth of the work, to see that it
+page between their marks. It takes some five minutes on two quiet cores; --quick takes a tenth of the work, to see that it
 runs.
 """
 

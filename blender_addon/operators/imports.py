@@ -5,8 +5,9 @@ turns. While the engine works Blender stays free; given up at any time, nothing 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import TypeVar
 
 import bpy
@@ -14,7 +15,7 @@ from bpy.app.translations import pgettext_rpt as rpt_
 from bpy_extras.io_utils import ImportHelper
 
 from .. import runtime
-from ..bridge import controls, folders, job_watch, motion
+from ..bridge import armature, controls, folders, job_watch, motion
 from ..core.aside import part_of
 from ..core.jobs import JobSpec
 from ..core.messages import JGHandFailure
@@ -28,11 +29,12 @@ _Result = TypeVar("_Result")
 
 class KeysFile(InTurns, ImportHelper):
     """An operator that makes keys of a file. `verb`: its name among Blender's operators · `choices`: its properties
-    beside the files · `hand_for(context, content)` says which hand takes a motion, None for a new one."""
+    beside the files · `headings`: what stands above some of them."""
 
     bl_options = UNDOABLE_IMPORT
     verb = ""
     choices: tuple[str, ...] = ()
+    headings: Mapping[str, str] = MappingProxyType({})
     # whether the file browser calls `execute`
     _asked = False
 
@@ -58,8 +60,10 @@ class KeysFile(InTurns, ImportHelper):
         return True
 
     def hand_for(self, context: bpy.types.Context, content: MotionFile) -> bpy.types.Object | None:
-        """The hand that takes a motion; None for a new one."""
-        raise NotImplementedError
+        """The hand that takes a motion: the active one, where it is of the motion's side; None for a new one."""
+        active = common.active_hand(context)
+        fits = active is not None and active.is_editable and armature.handedness_of(active) == content.handedness
+        return active if fits else None
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Asks for a file, unless one is named."""
@@ -83,6 +87,9 @@ class KeysFile(InTurns, ImportHelper):
         column.use_property_split = True
         column.use_property_decorate = False
         for name in self.choices:
+            if name in self.headings:
+                column.separator()
+                column.label(text=self.headings[name])
             column.prop(self, name)
 
     def made_by_engine(

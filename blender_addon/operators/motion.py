@@ -7,6 +7,7 @@ from collections.abc import Generator, Iterator
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import MappingProxyType
 
 import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
@@ -75,6 +76,7 @@ class ImportMotion(KeysFile, bpy.types.Operator):
     working = "Importing the motion"
     verb = "import_motion"
     choices = ("target", "first_frame", "use_scene_range", *_OF_OTHERS)
+    headings = MappingProxyType({_OF_OTHERS[0]: "Files of Other Programs"})
 
     filter_glob: bpy.props.StringProperty(
         default=";".join(f"*{suffix}" for suffix in (*OWN_SUFFIXES, *FOREIGN_SUFFIXES)), options={"HIDDEN"}
@@ -104,17 +106,6 @@ class ImportMotion(KeysFile, bpy.types.Operator):
         name="In Place", description="Keep the wrist where it first is: the hand turns and moves on the spot"
     )  # type: ignore[valid-type]
 
-    def draw(self, _context: bpy.types.Context) -> None:
-        """The options beside the files."""
-        column = self.layout.column()
-        column.use_property_split = True
-        column.use_property_decorate = False
-        for name in self.choices:
-            if name == _OF_OTHERS[0]:
-                column.separator()
-                column.label(text="Files of Other Programs")
-            column.prop(self, name)
-
     def steps(self, context: bpy.types.Context) -> Iterator[float]:
         """The file is read in a thread, or by the engine, then curve by curve is keyed."""
         path = Path(bpy.path.abspath(self.filepath))
@@ -124,13 +115,12 @@ class ImportMotion(KeysFile, bpy.types.Operator):
 
     def hand_for(self, context: bpy.types.Context, content: MotionFile) -> bpy.types.Object | None:
         """As `target` says."""
+        if self.target == "AUTO":
+            return super().hand_for(context, content)
         active = common.active_hand(context)
-        if self.target == "NEW":
-            return None
         if self.target == "ACTIVE" and active is None:
             raise JGHandFailure("not_a_hand", rpt_("no hand is active"))
-        fits = active is not None and active.is_editable and armature.handedness_of(active) == content.handedness
-        return active if fits or self.target == "ACTIVE" else None
+        return active if self.target == "ACTIVE" else None
 
     def _content(self, context: bpy.types.Context, path: Path) -> Generator[float, None, MotionFile]:
         """The motion of a file. One that is not as jghand writes it goes through the engine, where there is one."""

@@ -76,12 +76,6 @@ class TrackVideo(KeysFile, bpy.types.Operator):
         named = [(content, f"{path.stem} {content.handedness}" if many else path.stem) for content in found]
         yield from self.keying(context, named, limits.TRACKING_PART)
 
-    def hand_for(self, context: bpy.types.Context, content: MotionFile) -> bpy.types.Object | None:
-        """The active hand, where it is of the motion's side."""
-        active = common.active_hand(context)
-        fits = active is not None and active.is_editable and armature.handedness_of(active) == content.handedness
-        return active if fits else None
-
     def _tracked(self, context: bpy.types.Context, path: Path) -> Generator[float, None, tuple[MotionFile, ...]]:
         """The motions of the hands in a video."""
         active = common.active_hand(context)

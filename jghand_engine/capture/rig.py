@@ -17,6 +17,7 @@ from jghand_engine.capture.identities import METACARPAL_BASES, RIG_JOINTS, Ident
 from jghand_engine.hand import rotations as rot
 from jghand_engine.hand.anatomy import CONTACTS, RANGES_DEG, ArticulatedHand, named_angles
 from jghand_engine.hand.joints import FINGERS
+from jghand_engine.hand.sequence import alignment
 
 # first joint of each finger in the rig: thumb CMC, MCP of the others
 FIRST_JOINTS = (1, 6, 11, 16, 21)
@@ -94,7 +95,7 @@ class RiggedHand(ArticulatedHand):
         parent carries it, without twist. Bone lengths stay the identity's. upright: the hand as a whole stays in the
         canonical frame instead of turning with the motion.
         """
-        world = _palm_alignment(self.identity.joints_m, joints_m)
+        world = alignment(_stiff_palm(self.identity.joints_m[None]), _stiff_palm(joints_m))
         local = np.einsum("fba,fjb->fja", world, joints_m - joints_m[:, :1])
         directions = (local[:, 6:] - local[:, 1:16]).reshape(-1, 3, 5, 3)
         flexion = np.zeros((len(local), 5, 4))
@@ -197,14 +198,10 @@ def chain_turns(rest: np.ndarray, directions: np.ndarray, start: np.ndarray | No
     return np.stack(turns, axis=1)
 
 
-def _palm_alignment(rest_m: np.ndarray, joints_m: np.ndarray) -> np.ndarray:
-    """(F, 3, 3) rotations that carry the stiff part of the palm of `rest_m` (21, 3) onto that of each frame."""
-    source = rest_m[STIFF_PALM] - rest_m[STIFF_PALM].mean(0)
-    target = joints_m[:, STIFF_PALM] - joints_m[:, STIFF_PALM].mean(1, keepdims=True)
-    left, _, right = np.linalg.svd(np.einsum("fja,jb->fab", target, source))
-    handed = np.ones((len(joints_m), 3))
-    handed[:, 2] = np.linalg.det(left @ right)
-    return left * handed[:, None] @ right
+def _stiff_palm(joints_m: np.ndarray) -> np.ndarray:
+    """The stiff part of palms (F, 21, 3), about its middle."""
+    palm = joints_m[:, STIFF_PALM]
+    return palm - palm.mean(1, keepdims=True)
 
 
 def _unit(vectors: np.ndarray) -> np.ndarray:

@@ -9,8 +9,8 @@ import numpy as np
 from jghand_engine import limits
 from jghand_engine.cli.console import progress
 from jghand_engine.cli.demo_scene import Scene
-from jghand_engine.cli.picture_files import VIDEO_BACKGROUND
 from jghand_engine.exporters.pictures import (
+    VIDEO_BACKGROUND,
     Cell,
     SheetStyle,
     contact_sheet,

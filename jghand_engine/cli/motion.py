@@ -26,7 +26,6 @@ Examples:
   jghand motion walk.glb --hand right --in-place --hand-length 185 --out right.npz"""
 
 SECONDS = tyro.conf.arg(metavar="SECONDS", help_behavior_hint="")
-SUFFIXES = (".npz", ".json", ".csv")
 
 
 @dataclass(frozen=True)
@@ -88,8 +87,9 @@ class Motion:
 
     def _check(self) -> None:
         """What can be refused before the file is read. Raises InputError."""
-        if self.out.suffix.lower() not in SUFFIXES:
-            raise InputError(f"--out {self.out}", wanted=f"one of {', '.join(SUFFIXES)}", came=repr(self.out.suffix))
+        from jghand_engine.datasets.motion_files import check_written_suffix
+
+        check_written_suffix(self.out)
         if self.to_fps is not None and not limits.FPS_MIN <= self.to_fps <= limits.FPS_MAX:
             wanted = f"{limits.FPS_MIN:g} to {limits.FPS_MAX:g} frames per second"
             raise InputError("--to-fps", wanted=wanted, came=f"{self.to_fps:g}")

@@ -14,7 +14,7 @@ import numpy as np
 from jghand_engine.cli.console import progress
 from jghand_engine.cli.picture_stamp import STAMP_KEY
 from jghand_engine.errors import InputError
-from jghand_engine.exporters.pictures import flatten, premultiplied, read_png, write_png
+from jghand_engine.exporters.pictures import VIDEO_BACKGROUND, flatten, premultiplied, read_png, write_png
 from jghand_engine.splat.exposure import shutter_at
 
 if TYPE_CHECKING:
@@ -24,9 +24,6 @@ if TYPE_CHECKING:
     from jghand_engine.cli.timings import Timings
     from jghand_engine.splat.camera import Camera
     from jghand_engine.splat.frame import HandRenderer
-
-# what a transparent picture lies on in a video
-VIDEO_BACKGROUND = (0.91, 0.90, 0.89)
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,14 @@ from jghand_engine.cli.study_files import Places, study_folder, write_bytes
 from jghand_engine.files import make_folder
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     import numpy as np
 
     from jghand_engine.avatar.avatar import HandAvatar
     from jghand_engine.cli.options import FormatOptions
     from jghand_engine.splat.camera import Camera
-    from jghand_engine.studies.effects_study import EffectsStudy, GateRow
+    from jghand_engine.studies.effects_study import EffectsStudy, GateRow, GateSample
 
 PICTURE = "effects.png"
 SIZE_PX = (512, 334)
@@ -113,31 +115,30 @@ def _poses(avatar: HandAvatar, request: EffectsRequest) -> tuple[np.ndarray, Han
 
 def _gate_of_motion(avatar: HandAvatar, poses: np.ndarray, camera: Camera) -> list[GateRow]:
     """Frames of the motion: there the gate is closed, too, which captures have hardly any pictures of."""
-    from jghand_engine.splat.frame import HandRenderer
-    from jghand_engine.splat.settings import ShadowMode, preset
-    from jghand_engine.studies.effects_study import gate_row
-
-    renderer = HandRenderer(avatar, replace(preset("viewport"), shadow=ShadowMode.OFF))
     chosen = range(0, len(poses), MOTION_STEP)
-    return [gate_row(renderer, avatar, (f"motion/{index}", poses[index], camera)) for index in chosen]
+    return _gate_rows(avatar, [(f"motion/{index}", poses[index], camera) for index in chosen])
 
 
 def _gate(avatar: HandAvatar, camera: Camera, request: EffectsRequest) -> list[GateRow]:
     """Each named pose, or pictures of the capture."""
     from jghand_engine.hand.anatomy import named_pose, pose_names
+
+    if request.capture is None:
+        canonical = avatar.canonical_joints_m.numpy()
+        poses = {name: named_pose(name, canonical, handedness=avatar.handedness) for name in pose_names()}
+        return _gate_rows(avatar, [(name, joints_m, camera) for name, joints_m in poses.items()])
+    from jghand_engine.datasets.capture_folder import open_capture
+
+    capture = open_capture(request.capture)
+    step = -(-len(capture.samples) // CAPTURE_PICTURES)
+    return _gate_rows(avatar.for_hand(capture.handedness), capture.samples[::step])
+
+
+def _gate_rows(avatar: HandAvatar, samples: Sequence[GateSample]) -> list[GateRow]:
+    """What the gate says and what the shadow does, of each sample."""
     from jghand_engine.splat.frame import HandRenderer
     from jghand_engine.splat.settings import ShadowMode, preset
     from jghand_engine.studies.effects_study import gate_row
 
-    settings = replace(preset("viewport"), shadow=ShadowMode.OFF)
-    if request.capture is None:
-        renderer, canonical = HandRenderer(avatar, settings), avatar.canonical_joints_m.numpy()
-        poses = {name: named_pose(name, canonical, handedness=avatar.handedness) for name in pose_names()}
-        return [gate_row(renderer, avatar, (name, joints_m, camera)) for name, joints_m in poses.items()]
-    from jghand_engine.datasets.capture_folder import open_capture
-
-    capture = open_capture(request.capture)
-    avatar = avatar.for_hand(capture.handedness)
-    renderer = HandRenderer(avatar, settings)
-    step = -(-len(capture.samples) // CAPTURE_PICTURES)
-    return [gate_row(renderer, avatar, sample) for sample in capture.samples[::step]]
+    renderer = HandRenderer(avatar, replace(preset("viewport"), shadow=ShadowMode.OFF))
+    return [gate_row(renderer, avatar, sample) for sample in samples]

@@ -34,8 +34,6 @@ Examples:
   jghand track hand.mp4 --out motion.npz --hand right --hand-length 190
   jghand render --motion motion.npz --out pictures --video hand_again.mp4"""
 
-SUFFIXES = (".npz", ".json", ".csv")
-
 
 @dataclass(frozen=True)
 class FitOptions:
@@ -121,13 +119,12 @@ class Track:
 
     def _checked(self) -> TrackOptions:
         """The options of the fit. InputError for what can be refused before the work, their places included."""
+        from jghand_engine.datasets.motion_files import check_written_suffix
         from jghand_engine.exporters.video import ffmpeg_program
         from jghand_engine.files import check_place
         from jghand_engine.tracking.track import TrackOptions
 
-        if self.out.suffix.lower() not in SUFFIXES:
-            raise InputError(f"--out {self.out}", wanted=f"a name that ends in {' or '.join(SUFFIXES)}",
-                             came=repr(self.out.suffix))  # fmt: skip
+        check_written_suffix(self.out)
         if self.proof is not None and self.proof.suffix.lower() != ".mp4":
             raise InputError(f"--proof {self.proof}", wanted="a name that ends in .mp4", came=repr(self.proof.suffix))
         if self.most is not None and self.most < 1:

@@ -140,11 +140,15 @@ def write_motion(path: Path | str, sequence: PoseSequence) -> None:
     Never half-written. InputError for another suffix; `.npy` cannot say what it holds and is not written.
     """
     file = Path(path)
-    writer = _WRITERS.get(file.suffix.lower())
-    if writer is None:
-        raise InputError(f"motion file {file}", wanted=f"one of {', '.join(_WRITERS)}", came=repr(file.suffix))
+    check_written_suffix(file)
     with writing(file) as temporary:
-        writer(temporary, sequence)
+        _WRITERS[file.suffix.lower()](temporary, sequence)
+
+
+def check_written_suffix(file: Path) -> None:
+    """InputError where `write_motion` knows no such suffix."""
+    if file.suffix.lower() not in _WRITERS:
+        raise InputError(f"motion file {file}", wanted=f"one of {', '.join(_WRITERS)}", came=repr(file.suffix))
 
 
 # ---- from a file's content to a sequence ----------------------------------------------------------------------------

@@ -22,6 +22,9 @@ from jghand_engine.files import writing
 
 RGB = tuple[float, float, float]
 
+# what a transparent picture lies on in a video
+VIDEO_BACKGROUND = (0.91, 0.90, 0.89)
+
 
 def to_bytes(values: np.ndarray) -> np.ndarray:
     """Values 0..1 -> uint8, rounded to the nearest step; what lies outside is clipped. Any shape."""

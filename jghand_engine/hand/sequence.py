@@ -290,6 +290,14 @@ def palm_frames(joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return frames, has_plane
 
 
+def alignment(source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """(..., n, 3) and (..., n, 3) -> (..., 3, 3) rotation R with target about R source, least squares (Kabsch)."""
+    u, _, vt = np.linalg.svd(np.swapaxes(target, -1, -2) @ source)
+    sign = np.ones((*u.shape[:-2], 3))
+    sign[..., 2] = np.sign(np.linalg.det(u @ vt))
+    return (u * sign[..., None, :]) @ vt
+
+
 def rotations_between(first: np.ndarray, second: np.ndarray, part: np.ndarray) -> np.ndarray:
     """Rotations (F, 3, 3) at `part` (F,) of the short way between two (F, 3, 3)."""
     a, b = (torch.from_numpy(np.ascontiguousarray(rotation)).permute(1, 2, 0) for rotation in (first, second))

@@ -32,6 +32,8 @@ from jghand_engine.training.metrics import psnr
 from jghand_engine.training.tables import NONE, Table, number
 
 POSES = ("open", "spread", "open", "relaxed", "fist", "point", "victory", "pinch", "open")
+# a picture of a capture, or a name with joints (21, 3), metres, and a camera
+GateSample = Sample | tuple[str, np.ndarray, Camera]
 # effects that can be forced on every frame of a hand alone; the others are measured in scenes of their own
 FORCED = (Effect.SKIN, Effect.CORRECTIVES, Effect.SHADOW, Effect.TAIL, Effect.WHOLE)
 
@@ -286,8 +288,8 @@ def hands_approaching(avatar: HandAvatar, pose: np.ndarray, camera: Camera, sett
 # ---- the gate -------------------------------------------------------------------------------------------------------
 
 
-def gate_row(renderer: HandRenderer, avatar: HandAvatar, sample: Sample | tuple[str, np.ndarray, Camera]) -> GateRow:
-    """renderer: of `avatar`, without shadow, with depth · sample: of a capture, or a name with joints and a camera."""
+def gate_row(renderer: HandRenderer, avatar: HandAvatar, sample: GateSample) -> GateRow:
+    """renderer: of `avatar`, without shadow, with depth."""
     truth = None
     if isinstance(sample, Sample):
         name, joints_m, camera = f"{sample.sequence}/{sample.frame}", sample.joints_m, sample.camera

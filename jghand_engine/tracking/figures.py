@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from jghand_engine import limits
-from jghand_engine.hand.sequence import bone_directions
-from jghand_engine.tracking.skeleton import alignment
+from jghand_engine.hand.sequence import alignment, bone_directions
 
 # of the 20 bones those of the palm come first
 FINGER_BONES = slice(5, 20)

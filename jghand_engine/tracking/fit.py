@@ -15,11 +15,11 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from jghand_engine import limits
 from jghand_engine.hand.joints import BONE_COUNT, JOINT_COUNT, PARENTS
+from jghand_engine.hand.sequence import alignment
 from jghand_engine.tracking.skeleton import (
     ANGLE_COUNT,
     LIMITS_RAD,
     Skeleton,
-    alignment,
     cross_matrices,
     rotations_of,
 )
@@ -197,7 +197,7 @@ def _placed(joints: np.ndarray, image_px: np.ndarray, camera: Pinhole) -> np.nda
     middle, image_middle = joints.mean(1), image_px.mean(1)
     wide = np.sqrt(np.square(joints[..., :2] - middle[:, None, :2]).sum(-1).mean(-1))
     image_wide = np.sqrt(np.square(image_px - image_middle[:, None]).sum(-1).mean(-1))
-    depth = camera.focal_px * wide / np.maximum(image_wide, 1e-3)
+    depth = camera.focal_px * wide / np.maximum(image_wide, limits.HAND_SPREAD_MIN_PX)
     return camera.rays(image_middle) * depth[:, None] - middle
 
 
@@ -211,28 +211,32 @@ def _fit_together(skeleton: Skeleton, landmarks: Landmarks, poses: Poses, trust:
     cost = now.cost + _unsteadiness(poses, steadiness)
     for _ in range(limits.FIT_STEPS):
         gradient = now.gradient if steadiness is None else now.gradient + steadiness.gradient(poses.steps())
-        diagonal = np.einsum("fii->fi", now.blocks)
-        blocks = now.blocks.copy()
-        np.einsum("fii->fi", blocks)[...] += damping * diagonal + 1e-9
-        moved = poses.moved(bounded(solve(blocks, gradient, steadiness)))
+        moved = poses.moved(bounded(solve(damped(now.blocks, damping), gradient, steadiness)))
         there = look_at(skeleton, landmarks, moved, trust)
         moved_cost = there.cost + _unsteadiness(moved, steadiness)
         if moved_cost > cost:
             damping *= 10
-            if damping > 1e6:
+            if damping > limits.FIT_DAMPING_MAX:
                 break
             continue
         done = cost - moved_cost < limits.FIT_TOLERANCE * cost
-        poses, now, cost, damping = moved, there, moved_cost, max(damping / 10, 1e-9)
+        poses, now, cost, damping = moved, there, moved_cost, max(damping / 10, limits.FIT_DAMPING_MIN)
         if done:
             break
     return replace(poses, angle_rad=np.clip(poses.angle_rad, LIMITS_RAD[:, 0], LIMITS_RAD[:, 1]))
 
 
+def damped(blocks: np.ndarray, damping: float) -> np.ndarray:
+    """(F, n, n) with a larger diagonal: shorter steps, and invertible also where nothing is known (Marquardt)."""
+    larger = blocks.copy()
+    np.einsum("fii->fi", larger)[...] += damping * np.einsum("fii->fi", blocks) + limits.FIT_DAMPING_MIN
+    return larger
+
+
 def bounded(step: np.ndarray) -> np.ndarray:
     """No angle moves farther than its linearisation reaches."""
-    most = np.full(STATE_COUNT, 0.6)
-    most[3:6] = 0.3
+    most = np.full(STATE_COUNT, limits.FIT_STEP_RAD)
+    most[3:6] = limits.FIT_STEP_M
     return np.clip(step, -most, most)
 
 
@@ -304,7 +308,7 @@ def _image_residual(
     depth, so that an error counts as it would on the hand itself."""
     lengths = skeleton.bone_lengths_m
     sigma_m = trust.landmark * float(lengths[[2, 7, 12, 17]].sum())
-    depth = np.maximum(points[..., 2:], 1e-2)
+    depth = np.maximum(points[..., 2:], limits.FIT_DEPTH_MIN_M)
     rays = landmarks.camera.rays(landmarks.image_px[seen])[..., :2]
     flat = points[..., :2] / depth
     # per unit of the ray: the wrist's depth over sigma, taken as a constant of this step

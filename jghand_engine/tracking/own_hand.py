@@ -16,7 +16,7 @@ from jghand_engine import limits
 from jghand_engine.hand.joints import BONE_COUNT
 from jghand_engine.hand.orders import bone_lengths, hand_length
 from jghand_engine.hand.sequence import bone_directions, rebuilt
-from jghand_engine.tracking.fit import STATE_COUNT, Landmarks, Look, Trust, bounded, fit, look_at
+from jghand_engine.tracking.fit import STATE_COUNT, Landmarks, Look, Trust, bounded, damped, fit, look_at
 from jghand_engine.tracking.skeleton import Skeleton
 
 
@@ -59,8 +59,7 @@ def own_canonical_joints(canonical_joints_m: np.ndarray, landmarks: Landmarks, l
 
 def _step(now: Look, pull: float, change: np.ndarray, damping: float) -> tuple[np.ndarray, np.ndarray]:
     """Newton's step of all poses (F, 26) and of the lengths (20,) that they share: the poses are eliminated first."""
-    blocks = now.blocks.copy()
-    np.einsum("fii->fi", blocks)[...] += damping * np.einsum("fii->fi", now.blocks) + 1e-9
+    blocks = damped(now.blocks, damping)
     of_poses, across = blocks[:, :STATE_COUNT, :STATE_COUNT], blocks[:, :STATE_COUNT, STATE_COUNT:]
     pose_gradient = now.gradient[:, :STATE_COUNT, None]
     solved = np.linalg.solve(of_poses, np.concatenate([across, pose_gradient], -1))

@@ -11,7 +11,7 @@ from PIL import Image, ImageDraw
 
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.exporters.pictures import flatten
+from jghand_engine.exporters.pictures import VIDEO_BACKGROUND, flatten
 from jghand_engine.hand.joints import PARENTS, Handedness
 from jghand_engine.splat.camera import Camera
 from jghand_engine.splat.frame import SceneRenderer
@@ -19,7 +19,6 @@ from jghand_engine.splat.settings import preset
 from jghand_engine.tracking.fit import Pinhole
 from jghand_engine.tracking.track import TrackedHand
 
-_BACKGROUND = (0.91, 0.90, 0.89)
 _SEEN, _FITTED, _FILLED = (255, 190, 40), (60, 220, 120), (240, 70, 60)
 
 
@@ -40,7 +39,9 @@ def side_by_side(
         if window is None:
             window = _Window.around(tracked, pinhole, picture.shape[1], picture.shape[0])
         drawn = renderer.render([hand.in_view[frame] for hand in tracked], window.camera(pinhole))
-        yield np.concatenate([window.shown(picture, tracked, pinhole, frame), flatten(drawn.rgba, _BACKGROUND)], axis=1)
+        yield np.concatenate(
+            [window.shown(picture, tracked, pinhole, frame), flatten(drawn.rgba, VIDEO_BACKGROUND)], axis=1
+        )
 
 
 @dataclass(frozen=True)

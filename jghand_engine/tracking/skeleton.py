@@ -9,15 +9,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from jghand_engine.hand.anatomy import RANGES_DEG, ArticulatedHand
+from jghand_engine.hand.anatomy import ABDUCTION_SIDE, RANGES_DEG, ArticulatedHand
 from jghand_engine.hand.joints import JOINT_COUNT
 
 ANGLE_COUNT = 20
 LIMITS_RAD = np.radians(RANGES_DEG.reshape(ANGLE_COUNT, 2))
 # within the four angles of a finger: flexion and abduction of its first joint, flexion of its second and third
 _FLEXIONS, _ABDUCTION = (0, 2, 3), 1
-_PROBE_DEG = 10.0
 
 
 @dataclass(frozen=True)
@@ -36,15 +36,10 @@ class Skeleton:
         """The skeleton of a canonical right hand, (21, 3) level order, metres."""
         hand = ArticulatedHand(canonical_joints_m)
         straight = hand.straight_joints_m
-        # one small angle at a time shows its axis: sin(angle) [axis]x is the skew part of the rotation
-        probes = np.zeros((4, 5, 4))
-        probes[np.arange(4), :, np.arange(4)] = _PROBE_DEG
-        turns = hand.turns(probes)
-        skew = (turns - np.swapaxes(turns, -1, -2)) / (2 * np.sin(np.radians(_PROBE_DEG)))
-        axes = np.stack([skew[..., 2, 1], skew[..., 0, 2], skew[..., 1, 0]], -1)
-        flexion = np.stack([axes[angle, joint] for joint, angle in enumerate(_FLEXIONS)])
+        flexion, abduction = hand.axes
         bones = (straight[6:] - straight[1:16]).reshape(3, 5, 3)
-        return cls(straight[:6] - straight[0], bones, flexion, axes[_ABDUCTION, 0])
+        sides = -ABDUCTION_SIDE.numpy()[:, None]
+        return cls(straight[:6] - straight[0], bones, flexion, sides * abduction[0])
 
     @property
     def bone_lengths_m(self) -> np.ndarray:
@@ -76,28 +71,19 @@ class Skeleton:
         joints[:, :6] = self.palm_m
         axes = np.empty((count, 4, 5, 3))
         axes[:, _ABDUCTION] = self.abduction_axes
-        turn = rotations_about(np.broadcast_to(self.abduction_axes, (count, 5, 3)), angle[..., _ABDUCTION])
+        turn = rotations_of(self.abduction_axes * angle[..., _ABDUCTION, None])
         for joint, which in enumerate(_FLEXIONS):
             axis = self.flexion_axes[joint]
             axes[:, which] = np.einsum("nfij,fj->nfi", turn, axis)
-            turn = turn @ rotations_about(np.broadcast_to(axis, (count, 5, 3)), angle[..., which])
+            turn = turn @ rotations_of(axis * angle[..., which, None])
             bone = np.einsum("nfij,fj->nfi", turn, self.bones_m[joint])
             joints[:, 6 + 5 * joint : 11 + 5 * joint] = joints[:, 1 + 5 * joint : 6 + 5 * joint] + bone
         return joints, axes
 
 
-def rotations_about(axis: np.ndarray, angle_rad: np.ndarray) -> np.ndarray:
-    """(..., 3) unit axes and (...) angles -> (..., 3, 3) rotations (Rodrigues)."""
-    k = cross_matrices(axis)
-    sine, cosine = np.sin(angle_rad)[..., None, None], np.cos(angle_rad)[..., None, None]
-    return np.eye(3) + sine * k + (1 - cosine) * (k @ k)
-
-
 def rotations_of(vector_rad: np.ndarray) -> np.ndarray:
     """(..., 3) rotation vectors -> (..., 3, 3) rotations."""
-    angle = np.linalg.norm(vector_rad, axis=-1)
-    axis = vector_rad / np.where(angle > 0, angle, 1.0)[..., None]
-    return rotations_about(axis, angle)
+    return Rotation.from_rotvec(vector_rad.reshape(-1, 3)).as_matrix().reshape(*vector_rad.shape, 3)
 
 
 def cross_matrices(vector: np.ndarray) -> np.ndarray:
@@ -106,11 +92,3 @@ def cross_matrices(vector: np.ndarray) -> np.ndarray:
     zero = np.zeros_like(x)
     rows = [np.stack(row, -1) for row in ((zero, -z, y), (z, zero, -x), (-y, x, zero))]
     return np.stack(rows, -2)
-
-
-def alignment(source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """(..., n, 3) and (..., n, 3) -> (..., 3, 3) rotation R with target about R source, least squares (Kabsch)."""
-    u, _, vt = np.linalg.svd(np.swapaxes(target, -1, -2) @ source)
-    sign = np.ones((*u.shape[:-2], 3))
-    sign[..., 2] = np.sign(np.linalg.det(u @ vt))
-    return (u * sign[..., None, :]) @ vt

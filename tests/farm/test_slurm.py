@@ -43,6 +43,16 @@ def went_on_at(out: Path) -> int:
     return int(found[1])
 
 
+def finished_at_the_second_start(process: subprocess.Popen[str], out: Path, undisturbed: bytes) -> None:
+    said, _ = process.communicate(timeout=300)
+    assert process.returncode == 0, said
+    record = FarmFolder(out).record("one")
+    assert record is not None
+    assert (record.state, record.starts) == (State.FINISHED, 2)
+    assert went_on_at(out) >= 4
+    assert (out / "one.jghand").read_bytes() == undisturbed
+
+
 def test_a_list_becomes_an_array_of_jobs(pictures, tmp_path, undisturbed):
     path, out = write_list(tmp_path, pictures, names=("one", "two")), tmp_path / "out"
     done = train_many(path, out, *SLURM, "1", "--json", str(tmp_path / "figures.json"))
@@ -59,13 +69,7 @@ def test_a_training_that_slurm_preempts_writes_its_checkpoint_and_is_queued_agai
     process = begun(path, out, cores)
     # somebody more important wants the whole node
     slurm("sbatch", "--partition=high", f"--cpus-per-task={cores}", "--output=/dev/null", "--wrap=sleep 3")
-    said, _ = process.communicate(timeout=300)
-    assert process.returncode == 0, said
-    record = FarmFolder(out).record("one")
-    assert record is not None
-    assert (record.state, record.starts) == (State.FINISHED, 2)
-    assert went_on_at(out) >= 4
-    assert (out / "one.jghand").read_bytes() == undisturbed
+    finished_at_the_second_start(process, out, undisturbed)
 
 
 def test_a_training_whose_time_is_up_is_queued_again(pictures, tmp_path, undisturbed):
@@ -73,13 +77,7 @@ def test_a_training_whose_time_is_up_is_queued_again(pictures, tmp_path, undistu
     process = begun(path, out, "1")
     # the signal that sbatch was told to send before the end
     slurm("scancel", "--signal=USR2", FarmFolder(out).submitted()["one"])
-    said, _ = process.communicate(timeout=300)
-    assert process.returncode == 0, said
-    record = FarmFolder(out).record("one")
-    assert record is not None
-    assert (record.state, record.starts) == (State.FINISHED, 2)
-    assert went_on_at(out) >= 4
-    assert (out / "one.jghand").read_bytes() == undisturbed
+    finished_at_the_second_start(process, out, undisturbed)
 
 
 def test_a_cancelled_training_is_told_and_the_same_command_goes_on(pictures, tmp_path, undisturbed):

@@ -5,7 +5,7 @@ from tracking_samples import CANONICAL_M, moving_poses
 
 from jghand_engine.hand.anatomy import ArticulatedHand
 from jghand_engine.hand.orders import bone_lengths
-from jghand_engine.tracking.skeleton import LIMITS_RAD, Skeleton, alignment, rotations_of
+from jghand_engine.tracking.skeleton import LIMITS_RAD, Skeleton, rotations_of
 
 SKELETON = Skeleton.of(CANONICAL_M)
 
@@ -32,13 +32,6 @@ def test_derivatives_are_those_of_finite_differences():
     differences = np.stack([(moved[2 * k] - moved[2 * k + 1]) / (2 * step) for k in range(20)], -1)
     # worst seen 2e-11: round-off of the differences
     np.testing.assert_allclose(SKELETON.joints_and_motion(angle)[1], differences, atol=1e-10)
-
-
-def test_an_alignment_undoes_a_turn_also_of_points_in_a_plane():
-    points = np.random.default_rng(1).standard_normal((4, 5, 3)) * (1, 1, 0)
-    turn = rotations_of(np.random.default_rng(2).standard_normal((4, 3)))
-    found = alignment(points, points @ np.swapaxes(turn, -1, -2))
-    np.testing.assert_allclose(found, turn, atol=1e-12)
 
 
 def test_a_turn_by_nothing_is_no_turn():

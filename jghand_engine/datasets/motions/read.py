@@ -28,7 +28,6 @@ from jghand_engine.hand.sequence import PoseSequence
 
 # what files of motions are called; content decides, this is for lists of files
 SUFFIXES = (".npz", ".npy", ".json", ".csv", ".bvh", ".glb", ".gltf", *usd.SUFFIXES)
-OWN_SUFFIXES = (".npz", ".json", ".csv")
 
 
 @dataclass(frozen=True)
