@@ -23,11 +23,12 @@ from jghand_engine.hand.sequence import PoseSequence
 
 @dataclass(frozen=True)
 class Motion:
-    """A whole, steady motion, and what was done to make it so (sentences for people)."""
+    """A whole, steady motion, what was done to make it so (sentences for people), and all files that it is from."""
 
     sequence: PoseSequence
     source: str
     notes: list[str] = field(default_factory=list)
+    files: tuple[Path, ...] = ()
 
 
 def load_motion(options: MotionOptions, avatar: HandAvatar) -> Motion:
@@ -38,9 +39,10 @@ def load_motion(options: MotionOptions, avatar: HandAvatar) -> Motion:
     if (options.motion is None) == (options.poses is None):
         raise InputError("motion", wanted="either --motion FILE or --poses NAME,NAME,…", came="both or none")
     notes: list[str] = []
+    files: tuple[Path, ...] = ()
     if options.motion is not None:
         read, source = read_file(options.motion, options.format), str(options.motion)
-        sequence, notes = read.sequence, list(read.notes)
+        sequence, notes, files = read.sequence, list(read.notes), read.files
     else:
         sequence, source = _from_names(str(options.poses), options.format, avatar), f"poses {options.poses}"
     part = options.frame_slice()
@@ -60,7 +62,7 @@ def load_motion(options: MotionOptions, avatar: HandAvatar) -> Motion:
                 "median length (--keep-bone-lengths follows the file)."
             )
         sequence = sequence.with_constant_bone_lengths()
-    return Motion(sequence.section(part.start, part.stop, part.step), source, notes)
+    return Motion(sequence.section(part.start, part.stop, part.step), source, notes, files)
 
 
 def without_gaps(sequence: PoseSequence, *, hold: bool) -> tuple[PoseSequence, str]:

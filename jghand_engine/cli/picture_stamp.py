@@ -19,6 +19,7 @@ from jghand_engine.datasets.pictures_in import picture_texts
 from jghand_engine.errors import InputError
 
 if TYPE_CHECKING:
+    from jghand_engine.cli.inputs import Motion
     from jghand_engine.cli.options import MotionOptions
     from jghand_engine.splat.settings import RenderSettings
 
@@ -40,32 +41,41 @@ class MadeFrom:
 
 
 def made_from(
-    avatar_sha256: str, motion: MotionOptions, settings: RenderSettings, look: Mapping[str, Any], *, whole: bool
-) -> MadeFrom:
-    """look: everything else that decides the pictures, as plain values, files as `file_digest`. whole: whether a
-    picture depends on which other frames were chosen: the camera that frames them all, a shutter between two of them.
+    avatar_sha256: str, options: MotionOptions, motion: Motion, settings: RenderSettings, look: Mapping[str, Any],
+    *, whole: bool,
+) -> MadeFrom:  # fmt: skip
+    """motion: what `options` mean. look: everything else that decides the pictures, as plain values, files as
+    `file_digest`. whole: whether a picture depends on which other frames were chosen: the camera that frames them all,
+    a shutter between two of them.
 
-    InputError for a motion that cannot be read.
+    InputError for a file that cannot be read.
     """
-    part = motion.frame_slice()
+    part, count = options.frame_slice(), len(motion.sequence)
+    first, step = part.start or 0, (part.step or 1) if count > 1 else 1
     # how many threads draw never shows
     drawn = {name: str(value) for name, value in settings.as_dict().items() if name != "threads"}
     parts = {
         "JGHand": __version__,
         "avatar": avatar_sha256[:_DIGITS],
-        "motion": digest(_motion_facts(motion)),
+        "motion": digest(_motion_facts(options, motion)),
         "settings": digest(drawn),
         "look": digest(dict(look)),
     }
     if whole:
-        parts["choice of frames"] = digest([part.start, part.stop, part.step])
-    return MadeFrom(parts, part.start or 0, part.step or 1)
+        parts["choice of frames"] = digest([first, count, step])
+    return MadeFrom(parts, first, step)
 
 
-def _motion_facts(motion: MotionOptions) -> dict[str, Any]:
-    facts = dataclasses.asdict(motion)
+def _motion_facts(options: MotionOptions, motion: Motion) -> dict[str, Any]:
+    """What decides the motion: options by their value, all files by their content. The name of the file that the user
+    gave says nothing, but in some formats which hand it is; those of the others are how they are found."""
+    facts = dataclasses.asdict(options)
     del facts["frames"]
-    facts["motion"] = None if motion.motion is None else file_digest(motion.motion)
+    bones = options.format.bones
+    given = None if options.motion is None else options.motion.resolve()
+    files = [("" if file.resolve() == given else file.name, file_digest(file)) for file in motion.files]
+    facts["motion"] = [motion.sequence.handedness, sorted(files)]
+    facts["format"]["bones"] = None if bones is None else file_digest(bones)
     return facts
 
 
@@ -75,9 +85,7 @@ def digest(content: Any) -> str:
 
 
 def file_digest(path: Path) -> str:
-    """Of a file's content, or of all files of a folder. InputError when it cannot be read."""
-    if path.is_dir():
-        return digest({file.name: file_digest(file) for file in path.iterdir() if file.is_file()})
+    """Of a file's content. InputError when it cannot be read."""
     try:
         with open(path, "rb") as stream:
             return hashlib.file_digest(stream, "sha256").hexdigest()[:_DIGITS]

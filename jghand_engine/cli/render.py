@@ -107,7 +107,7 @@ class Render:
         shooting = Shooting(
             renderer, joints_m, self._with_lens(camera, motion),
             Target(self.out, background, shutter=self.effect.shutter), Timings(), Receipts(), passes,
-            self._made_from(renderer.settings),
+            self._made_from(renderer.settings, motion),
         )  # fmt: skip
         if passes is not None:
             passes.start(avatar, renderer, joints_m, camera)
@@ -158,7 +158,7 @@ class Render:
             )  # fmt: skip
         return part
 
-    def _made_from(self, settings: RenderSettings) -> MadeFrom:
+    def _made_from(self, settings: RenderSettings, motion: Motion) -> MadeFrom:
         from dataclasses import asdict
 
         from jghand_engine.avatar.builtin import avatar_sha256
@@ -169,7 +169,8 @@ class Render:
         del picture["threads"], effect["explain"]
         look = {**picture, **effect, "passes": self.passes, "camera_file": None if file is None else file_digest(file)}
         whole = file is None or self.effect.shutter > 0 or self.effect.aperture > 0
-        return made_from(avatar_sha256(self.avatar.avatar), self.motion, settings, look, whole=whole)
+        avatar = avatar_sha256(self.avatar.avatar)
+        return made_from(avatar, self.motion, motion, settings, look, whole=whole)
 
     def _effects(self) -> Choice | None:
         """Those that were asked for; None where what is called for runs, but for what a budget leaves out."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -49,6 +50,7 @@ class MotionContent:
     up:              the axis that points up, UP_AXES; None where neither the file nor its format says it
     filled:          (F,) bool, frames that nobody measured; None: none
     is_plain:        JGHand's own formats and plain arrays, whose defaults (metres, 30 fps) are documented
+    files:           all that it was read from, where that is not one file alone
     """
 
     kind: str
@@ -61,3 +63,4 @@ class MotionContent:
     up: str | None = None
     filled: np.ndarray | None = None
     is_plain: bool = False
+    files: tuple[Path, ...] = ()

@@ -46,7 +46,7 @@ def hand_files(folder: Path) -> list[Path]:
 def read(files: list[Path]) -> MotionContent:
     """The hands in some files of one recording. ValueError, OSError."""
     tracks = [track for file in files for track in (_table(file) if file.suffix.lower() == ".csv" else _array(file))]
-    return MotionContent(KIND, tuple(tracks), METRES_PER_UNIT["mm"], up="z")
+    return MotionContent(KIND, tuple(tracks), METRES_PER_UNIT["mm"], up="z", files=tuple(files))
 
 
 def _table(file: Path) -> tuple[HandTrack, ...]:

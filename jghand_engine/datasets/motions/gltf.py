@@ -72,7 +72,9 @@ def read(file: Path, fps: float | None, part: str | None, bones: BoneMap | None 
     channels, notes = _channels(document, kept, part)
     skeleton = _Gltf(nodes, kept, channels, fps)
     tracks, lacking = hand_tracks(skeleton, "", bones)
-    return MotionContent(KIND, tuple(tracks), 1.0, fps=skeleton.fps, notes=(*notes, *lacking), up="y")
+    return MotionContent(
+        KIND, tuple(tracks), 1.0, fps=skeleton.fps, notes=(*notes, *lacking), up="y", files=(file, *document.beside)
+    )
 
 
 class _Gltf:
@@ -224,6 +226,8 @@ class _Document:
                     entries.append(entry)
                 self.lists[name] = entries
         self._buffers: dict[int, memoryview] = {}
+        # files beside this one that were read
+        self.beside: list[Path] = []
 
     def values(self, index: Any, width: int) -> np.ndarray:
         """(N, width) float64 of an accessor. ValueError when its bytes are not there."""
@@ -261,7 +265,8 @@ class _Document:
         path = PurePosixPath(unquote(uri))
         if path.is_absolute() or ".." in path.parts or ":" in uri or "\\" in uri:
             raise ValueError(f"a buffer outside of the file's folder: {uri[:80]}")
-        with open(self._folder / path, "rb") as stream:
+        self.beside.append(self._folder / path)
+        with open(self.beside[-1], "rb") as stream:
             return memoryview(mmap(stream.fileno(), 0, access=ACCESS_READ))
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -44,7 +45,8 @@ def read_folder(folder: Path) -> MotionContent:
     if last - first >= limits.MOTION_FRAMES_MAX:
         raise ValueError(f"frames from {first} to {last}")
     of_number = dict(files)
-    return read(_document(of_number[number]) if number in of_number else None for number in range(first, last + 1))
+    content = read(_document(of_number[number]) if number in of_number else None for number in range(first, last + 1))
+    return replace(content, files=tuple(of_number.values()))
 
 
 def read(documents: Iterable[Any]) -> MotionContent:

@@ -32,13 +32,14 @@ SUFFIXES = (".npz", ".npy", ".json", ".csv", ".bvh", ".glb", ".gltf", *usd.SUFFI
 
 @dataclass(frozen=True)
 class MotionRead:
-    """A motion, the format it came in, for people, sentences about what was recognised or chosen, and the axis that
-    points up, "y", "z" or "-y", None where nothing says it."""
+    """A motion, the format it came in, for people, sentences about what was recognised or chosen, the axis that points
+    up, "y", "z" or "-y", None where nothing says it, and all files that it was read from."""
 
     sequence: PoseSequence
     kind: str
     notes: tuple[str, ...]
     up: str | None = None
+    files: tuple[Path, ...] = ()
 
 
 def read_motion_file(path: Path | str, wanted: MotionFormat | None = None) -> MotionRead:
@@ -78,7 +79,7 @@ def read_motion_file(path: Path | str, wanted: MotionFormat | None = None) -> Mo
     if wanted.check_hand and sequence.valid.all(axis=1).any():
         check_hand_size(sequence.joints_m, next((name for name, one in METRES_PER_UNIT.items() if one == metres), "m"))
         check_order(sequence.joints_m, order)
-    return MotionRead(sequence, content.kind, tuple(notes), content.up)
+    return MotionRead(sequence, content.kind, tuple(notes), content.up, content.files or (file,))
 
 
 def read_content(file: Path, wanted: MotionFormat) -> MotionContent:

@@ -53,7 +53,15 @@ def read(file: Path, fps: float | None, bones: BoneMap | None = None) -> MotionC
     if not prims:
         notes.append("There is no UsdSkel skeleton in it.")
     up = "z" if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z else "y"
-    return MotionContent(KIND, tuple(tracks), metres, fps=rate, notes=tuple(notes), up=up)
+    return MotionContent(KIND, tuple(tracks), metres, fps=rate, notes=tuple(notes), up=up, files=_files(stage))
+
+
+def _files(stage: Any) -> tuple[Path, ...]:
+    """All files of a stage: of layers in a package the package. What is only in memory has none."""
+    from pxr import Ar
+
+    places = {Ar.SplitPackageRelativePathOuter(layer.realPath)[0] for layer in stage.GetUsedLayers()}
+    return tuple(Path(place) for place in sorted(places) if place)
 
 
 def _bound_animations(stage: Any, cache: Any) -> dict[Any, Any]:

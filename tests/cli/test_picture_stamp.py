@@ -1,0 +1,107 @@
+"""What a picture says it was made from: the motion by the content of all its files, wherever they lie."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import motion_samples as samples
+import numpy as np
+import pytest
+
+from jghand_engine.avatar.builtin import load_avatar_called
+from jghand_engine.cli.inputs import load_motion
+from jghand_engine.cli.options import FormatOptions, MotionOptions
+from jghand_engine.cli.picture_stamp import made_from
+from jghand_engine.datasets.motion_files import write_motion
+from jghand_engine.hand.joints import LEVEL_NAMES
+from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.splat.settings import preset
+
+AVATAR = load_avatar_called("painted")
+MOVED = np.array([0.001, 0.0, 0.0])
+
+
+def stamp(path: Path | None = None, *, bones: Path | None = None, **words) -> dict[str, str]:
+    options = MotionOptions(motion=path, format=FormatOptions(hand="right", bones=bones), **words)
+    made = made_from("avatar", options, load_motion(options, AVATAR), preset("draft"), {}, whole=True)
+    return dict(made.parts)
+
+
+@pytest.fixture(scope="module")
+def motion():
+    return samples.motion(frames=6)
+
+
+def moved(motion):
+    return PoseSequence(motion.joints_m + MOVED, motion.fps, motion.handedness)
+
+
+def test_a_gltf_file_whose_buffer_alone_was_written_anew_is_another_motion(tmp_path, motion):
+    file = tmp_path / "wave.gltf"
+    samples.write_gltf(file, *samples.gltf_document(samples.rig(motion)), beside=True)
+    before, text = stamp(file), file.read_text()
+    assert stamp(file) == before
+    samples.write_gltf(file, *samples.gltf_document(samples.rig(moved(motion))), beside=True)
+    assert file.read_text() == text
+    assert stamp(file)["motion"] != before["motion"]
+
+
+def test_a_stage_whose_referenced_layer_alone_was_written_anew_is_another_motion(tmp_path, motion):
+    from pxr import Usd, UsdGeom
+
+    samples.write_usd(tmp_path / "hand.usda", samples.rig(motion))
+    stage = Usd.Stage.CreateNew(str(tmp_path / "shot.usda"))
+    stage.GetRootLayer().subLayerPaths.append("./hand.usda")
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    stage.Save()
+    before = stamp(tmp_path / "shot.usda")
+    (tmp_path / "other").mkdir()
+    samples.write_usd(tmp_path / "other" / "hand.usda", samples.rig(moved(motion)))
+    # in another folder: USD keeps what it has read of a path in mind
+    shutil.copy(tmp_path / "shot.usda", tmp_path / "other" / "shot.usda")
+    assert stamp(tmp_path / "other" / "shot.usda")["motion"] != before["motion"]
+
+
+def test_every_recording_of_freemocap_is_another_motion(tmp_path, motion):
+    found = set()
+    for name, sequence in (("one", motion), ("two", moved(motion)), ("copy", motion)):
+        data = tmp_path / name / "output_data"
+        data.mkdir(parents=True)
+        (tmp_path / name / "notes.txt").write_text(name)
+        np.save(data / "mediapipe_right_hand_3d_xyz.npy", samples.standard(sequence) * 1000)
+        found.add(stamp(tmp_path / name)["motion"])
+    assert len(found) == 2, "the copy is the first, whatever lies beside it"
+
+
+def test_numbers_of_openpose_frames_count(tmp_path, motion):
+    joints = samples.standard(motion)
+    samples.write_openpose(tmp_path / "whole", joints)
+    samples.write_openpose(tmp_path / "gap", joints)
+    last = sorted((tmp_path / "gap").iterdir())[-1]
+    last.rename(last.with_name(last.name.replace("12_", "13_")))
+    assert stamp(tmp_path / "whole")["motion"] != stamp(tmp_path / "gap")["motion"]
+
+
+def test_names_of_bones_count_by_their_content_and_not_by_where_they_lie(tmp_path, motion):
+    samples.write_bvh(tmp_path / "a.bvh", samples.rig(motion, scale=100))
+    bones = tmp_path / "bones.json"
+    bones.write_text(json.dumps(dict(zip(LEVEL_NAMES, samples.MIXAMO_TIPS, strict=True))))
+    before = stamp(tmp_path / "a.bvh", bones=bones)
+    (tmp_path / "elsewhere").mkdir()
+    copy = Path(shutil.copy(bones, tmp_path / "elsewhere" / "rig.json"))
+    assert stamp(tmp_path / "a.bvh", bones=copy) == before
+    bones.write_text(bones.read_text() + " ")
+    assert stamp(tmp_path / "a.bvh", bones=bones)["motion"] != before["motion"]
+
+
+def test_the_same_frames_are_the_same_choice_however_they_are_said(tmp_path, motion):
+    file = tmp_path / "wave.npz"
+    write_motion(file, motion)
+    whole = stamp(file)
+    for words in (":", "0-5", "0:5", "0:99", "0:5:1"):
+        assert stamp(file, frames=words) == whole
+    for words in ("1:", "0:4", "0:5:2"):
+        assert stamp(file, frames=words)["choice of frames"] != whole["choice of frames"]
+    assert stamp(file, frames="3") == stamp(file, frames="3:3:2")
