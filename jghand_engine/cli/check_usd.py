@@ -13,6 +13,7 @@ from jghand_engine.cli.options import ReportOptions
 from jghand_engine.errors import InputError
 
 DESCRIPTION = """Look at a USD file with Gaussian splats, anybody's, in every variant and frame, and say what is wrong.
+Variants within variants are looked at as the file chooses them.
 
 USD's own validators run too; they do not look at splats. What they miss: logarithms as scales, logits as opacity, no
 extent, the degree of the harmonics left out, colours as harmonics, a lost skeleton and more. Ends with 0 when there is
@@ -33,17 +34,20 @@ class CheckUsd:
 
     def run(self) -> int:
         """0 when there is no error, the exit code of bad input when there is one."""
-        from jghand_engine.exporters.usd_check import check_usd
+        from jghand_engine.exporters.usd_check import examine_usd
 
-        findings = check_usd(self.file)
+        done = examine_usd(self.file)
+        findings = done.findings
         for finding in findings:
             say(f"{'ERROR' if finding.is_error else 'note'}: {finding}")
         errors = [str(finding) for finding in findings if finding.is_error]
         notes = [str(finding) for finding in findings if not finding.is_error]
         if not errors:
             say("No error was found." if notes else "Nothing is wrong.")
+        say(f"Looked at: {done.gaussians} Gaussians, variants {done.variants}, frames {done.frames}.")
         if self.report.json is not None:
-            write_json(
-                self.report.json, {"command": "check-usd", "file": str(self.file), "errors": errors, "notes": notes}
-            )
+            write_json(self.report.json, {
+                "command": "check-usd", "file": str(self.file), "errors": errors, "notes": notes,
+                "gaussians": done.gaussians, "variants": done.variants, "frames": done.frames,
+            })  # fmt: skip
         return BAD_FILE if errors else 0

@@ -181,34 +181,34 @@ def usd_facts(path: Path) -> dict[str, Any]:
     """What a USD stage holds: times, units, variants, how many prims of each type, and what is wrong with it."""
     from collections import Counter
 
-    from pxr import Tf, Usd, UsdGeom
+    from pxr import Usd, UsdGeom
 
     from jghand_engine.exporters.usd_check import check_usd
+    from jghand_engine.exporters.usd_check_files import refusing
 
-    try:
+    findings = check_usd(path)  # first: it refuses what USD should not read
+    with refusing(path):
         stage = Usd.Stage.Open(str(path))
-    except Tf.ErrorException as error:
-        raise InputError(f"{path}", wanted="a USD file", came=str(error).strip().splitlines()[-1]) from error
-    types = Counter(prim.GetTypeName() or "untyped" for prim in stage.TraverseAll())
-    variants = {
-        f"{prim.GetPath()} {name}": prim.GetVariantSets().GetVariantSet(name).GetVariantNames()
-        for prim in stage.TraverseAll()
-        for name in prim.GetVariantSets().GetNames()
-    }
-    return {
-        "kind": "usd",
-        "default_prim": str(stage.GetDefaultPrim().GetPath()) if stage.HasDefaultPrim() else "none",
-        "frames": [stage.GetStartTimeCode(), stage.GetEndTimeCode()],
-        "fps": stage.GetTimeCodesPerSecond(),
-        "metres_per_unit": UsdGeom.GetStageMetersPerUnit(stage),
-        "up_axis": str(UsdGeom.GetStageUpAxis(stage)),
-        "prims": dict(sorted(types.items())),
-        "variants": {name: list(names) for name, names in variants.items()},
-        "layers": sorted(
-            Path(layer.realPath or layer.identifier).name for layer in stage.GetUsedLayers() if not layer.anonymous
-        ),
-        FINDINGS: [str(finding) for finding in check_usd(path)],
-    }
+        types = Counter(prim.GetTypeName() or "untyped" for prim in stage.TraverseAll())
+        variants = {
+            f"{prim.GetPath()} {name}": prim.GetVariantSets().GetVariantSet(name).GetVariantNames()
+            for prim in stage.TraverseAll()
+            for name in prim.GetVariantSets().GetNames()
+        }
+        return {
+            "kind": "usd",
+            "default_prim": str(stage.GetDefaultPrim().GetPath()) if stage.HasDefaultPrim() else "none",
+            "frames": [stage.GetStartTimeCode(), stage.GetEndTimeCode()],
+            "fps": stage.GetTimeCodesPerSecond(),
+            "metres_per_unit": UsdGeom.GetStageMetersPerUnit(stage),
+            "up_axis": str(UsdGeom.GetStageUpAxis(stage)),
+            "prims": dict(sorted(types.items())),
+            "variants": {name: list(names) for name, names in variants.items()},
+            "layers": sorted(
+                Path(layer.realPath or layer.identifier).name for layer in stage.GetUsedLayers() if not layer.anonymous
+            ),
+            FINDINGS: [str(finding) for finding in findings],
+        }
 
 
 def splat_facts(path: Path) -> dict[str, Any]:

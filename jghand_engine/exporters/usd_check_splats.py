@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 from pxr import Gf, Usd, UsdGeom
 
+from jghand_engine.exporters.usd_check_said import WHAT, WHEN, Advice, Said, extent_finding
 from jghand_engine.limits import (
+    SH_C0,
     SPLAT_SIGMA_SANE_M,
     USD_EXTENT_TOLERANCE_M,
+    USD_GUESS_SHARE,
+    USD_OPACITY_TOLERANCE,
     USD_QUATERNION_TOLERANCE,
     USD_SPLAT_EXTENT_SIGMA,
 )
@@ -18,16 +22,12 @@ DEGREE = "radiance:sphericalHarmonicsDegree"
 COEFFICIENTS = "radiance:sphericalHarmonicsCoefficients"
 HALVES = ("positions", "orientations", "scales", "opacities", COEFFICIENTS)
 DEGREES = range(4)
+DEFAULT = Usd.TimeCode.Default()
 
 
-class Advice(str):
-    """A sentence about what is no error: look at it."""
-
-    __slots__ = ()
-
-
-def splat_findings(prim: Usd.Prim) -> Iterator[str]:
-    """Sentences about one ParticleField3DGaussianSplat; float attributes win over their half twins, as in USD."""
+def splat_findings(prim: Usd.Prim) -> Iterator[str | Said]:
+    """What is wrong with one ParticleField3DGaussianSplat, at Default time and at every time sample of each attribute;
+    float attributes win over their half twins, as in USD."""
     positions = _values(prim, "positions")
     if positions is None:
         yield "positions have no Default value: several readers show nothing"
@@ -36,45 +36,69 @@ def splat_findings(prim: Usd.Prim) -> Iterator[str]:
     if not count:
         yield Advice("there are no Gaussians in it")
         return
-    scales = _values(prim, "scales")
-    yield from _scale_findings(scales, count, UsdGeom.GetStageMetersPerUnit(prim.GetStage()))
-    yield from _opacity_findings(_values(prim, "opacities"), count)
+    metres_per_unit = UsdGeom.GetStageMetersPerUnit(prim.GetStage())
+    for time, scales in _moments(prim, "scales"):
+        yield from _scale_findings(scales, count, metres_per_unit, time)
+    for time, opacities in _moments(prim, "opacities"):
+        yield from _opacity_findings(opacities, count, time)
     yield from _degree_findings(prim, count)
     yield from _colour_space_findings(prim)
-    yield from _orientation_findings(_values(prim, "orientations"), count)
+    for time, orientations in _moments(prim, "orientations"):
+        if orientations is not None:
+            yield from _orientation_findings(orientations, count, time)
     yield from _prim_findings(prim)
-    yield from _sample_findings(prim, scales, count)
+    for time in _times(prim, "positions", "scales", "extent"):
+        yield from _bound_findings(prim, count, time)
 
 
-def _scale_findings(scales: np.ndarray | None, count: int, metres_per_unit: float) -> Iterator[str]:
+def splat_size(prim: Usd.Prim) -> tuple[int, int]:
+    """How many Gaussians there are in a prim, and at how many times they have positions of their own."""
+    positions = _values(prim, "positions")
+    return 0 if positions is None else len(positions), len(_times(prim, "positions")) - 1
+
+
+def _scale_findings(
+    scales: np.ndarray | None, count: int, metres_per_unit: float, time: Usd.TimeCode
+) -> Iterator[str | Said]:
     if scales is None:
-        yield "scales have no Default value: every Gaussian would be 1 unit wide"
+        yield _nothing("scales", "every Gaussian would be 1 unit wide", time)
     elif len(scales) != count:
-        yield f"scales: wanted {count}, got {len(scales)}; readers drop them all"
+        yield _too_many("scales", count, len(scales), time)
     elif not np.isfinite(scales).all():
-        yield "scales hold NaN or infinity"
-    elif (scales < 0).mean() > 0.5:
-        yield "most scales are below 0: they are probably logarithms, USD wants lengths (exp of them)"
-    elif not (scales > 0).all():
-        yield "scales are not all above 0: they are probably logarithms, USD wants lengths"
-    elif (median_m := float(np.median(scales)) * metres_per_unit) > SPLAT_SIGMA_SANE_M:
-        yield Advice(
-            f"half of the Gaussians are wider than {median_m:.3g} m: the scales, or metersPerUnit, are probably wrong"
-        )
+        yield Said(f"scales hold NaN or infinity {WHEN}", time)
+    elif (scales < 0).any():
+        guess = "they are probably logarithms, USD wants lengths (exp of them)"
+        text = f"scales are not all above 0 {WHEN}, but {WHAT}: "
+        text += guess if (scales < 0).mean() > USD_GUESS_SHARE else "USD wants lengths"
+        yield Said(text, time, _range(scales))
+    else:
+        if not (scales > 0).all():
+            text = f"scales hold 0 {WHEN}: {WHAT} Gaussians are flat, which NVIDIA's rule VG.035 refuses"
+            yield Said(Advice(text), time, str((scales <= 0).any(axis=1).sum()))
+        if (median_m := float(np.median(scales)) * metres_per_unit) > SPLAT_SIGMA_SANE_M:
+            text = (
+                f"half of the Gaussians are wider than {WHAT} {WHEN}: the scales, or metersPerUnit, are probably wrong"
+            )
+            yield Said(Advice(text), time, f"{median_m:.3g} m")
 
 
-def _opacity_findings(opacities: np.ndarray | None, count: int) -> Iterator[str]:
+def _opacity_findings(opacities: np.ndarray | None, count: int, time: Usd.TimeCode) -> Iterator[str | Said]:
     if opacities is None:
-        yield "opacities have no Default value: everything would be opaque"
-    elif len(opacities) != count:
-        yield f"opacities: wanted {count}, got {len(opacities)}; readers drop them all"
+        yield _nothing("opacities", "everything would be opaque", time)
+        return
+    outside = (opacities < -USD_OPACITY_TOLERANCE) | (opacities > 1 + USD_OPACITY_TOLERANCE)
+    if len(opacities) != count:
+        yield _too_many("opacities", count, len(opacities), time)
     elif not np.isfinite(opacities).all():
-        yield "opacities hold NaN or infinity"
-    elif not ((opacities >= 0) & (opacities <= 1)).all():
-        yield "opacities are not all from 0 to 1: they are probably logits, USD wants 1 / (1 + exp(-x)) of them"
+        yield Said(f"opacities hold NaN or infinity {WHEN}", time)
+    elif outside.any():
+        text = f"opacities are not all from 0 to 1 {WHEN}, but {WHAT}"
+        if outside.mean() > USD_GUESS_SHARE:
+            text += ": they are probably logits, USD wants 1 / (1 + exp(-x)) of them"
+        yield Said(text, time, _range(opacities))
 
 
-def _degree_findings(prim: Usd.Prim, count: int) -> Iterator[str]:
+def _degree_findings(prim: Usd.Prim, count: int) -> Iterator[str | Said]:
     degree = prim.GetAttribute(DEGREE)
     if not (degree and degree.HasAuthoredValue()):
         yield "the degree of the spherical harmonics is not authored: it falls back to 3 and the colours are dropped"
@@ -84,52 +108,62 @@ def _degree_findings(prim: Usd.Prim, count: int) -> Iterator[str]:
         yield f"the degree of the spherical harmonics: wanted {DEGREES[0]} to {DEGREES[-1]}, got {number}"
         return
     each = (number + 1) ** 2
-    coefficients = _values(prim, COEFFICIENTS)
-    if coefficients is None:
-        yield "spherical harmonics have no Default value: everything would be grey"
-        return
-    if len(coefficients) != count * each:
-        yield f"spherical harmonics of degree {number}: wanted {count * each} vectors, got {len(coefficients)}"
-        return
-    yield from _colour_findings(prim, coefficients, each)
-
-
-def _colour_findings(prim: Usd.Prim, coefficients: np.ndarray, each: int) -> Iterator[str]:
-    if not np.isfinite(coefficients).all():
-        yield "spherical harmonics hold NaN or infinity"
-        return
     attr = _attribute(prim, COEFFICIENTS)
     if attr is not None and (attr.GetMetadata("interpolation"), attr.GetMetadata("elementSize")) != ("vertex", each):
         yield (
             f"spherical harmonics lack the metadata interpolation vertex and elementSize {each}: NVIDIA's rule VG.035 "
             "wants them"
         )
+    for time, coefficients in _moments(prim, COEFFICIENTS):
+        yield from _colour_findings(coefficients, count, number, time)
+
+
+def _colour_findings(
+    coefficients: np.ndarray | None, count: int, degree: int, time: Usd.TimeCode
+) -> Iterator[str | Said]:
+    each = (degree + 1) ** 2
+    if coefficients is None:
+        yield _nothing("spherical harmonics", "everything would be grey", time)
+        return
+    if len(coefficients) != count * each:
+        text = f"spherical harmonics of degree {degree}: wanted {count * each} vectors, got {WHAT} {WHEN}"
+        yield Said(text, time, str(len(coefficients)))
+        return
+    if not np.isfinite(coefficients).all():
+        yield Said(f"spherical harmonics hold NaN or infinity {WHEN}", time)
+        return
     first = coefficients[::each]
     if first.min() >= 0 and first.max() <= 1 and float(first.std()) > 0:
-        yield Advice(
-            "all first coefficients of the spherical harmonics are from 0 to 1: they are probably colours, USD wants "
-            "(colour - 0.5) / 0.2821"
+        text = (
+            f"all first coefficients of the spherical harmonics are from 0 to 1 {WHEN}: they are probably colours, "
+            f"USD wants (colour - 0.5) / {SH_C0:.4f}"
         )
+        yield Said(Advice(text), time)
 
 
 def _colour_space_findings(prim: Usd.Prim) -> Iterator[str]:
-    name = Usd.ColorSpaceAPI(prim).GetColorSpaceNameAttr().Get() if prim.HasAPI(Usd.ColorSpaceAPI) else None
+    """The name may be said, and the space defined, on any prim above."""
+    name, defined = None, set[str]()
+    while prim:
+        if name is None and prim.HasAPI(Usd.ColorSpaceAPI):
+            name = Usd.ColorSpaceAPI(prim).GetColorSpaceNameAttr().Get()
+        defined |= {str(one.GetNameAttr().Get()) for one in Usd.ColorSpaceDefinitionAPI.GetAll(prim)}
+        prim = prim.GetParent()
     if name is None:
         yield Advice("no colour space is said (ColorSpaceAPI): some readers take the colours for linear light")
-    elif not Gf.ColorSpace.IsValid(name):
+    elif not Gf.ColorSpace.IsValid(name) and name not in defined:
         yield f"the colour space {name!r} is unknown to USD: readers have to guess"
 
 
-def _orientation_findings(orientations: np.ndarray | None, count: int) -> Iterator[str]:
-    if orientations is None:
-        return
+def _orientation_findings(orientations: np.ndarray, count: int, time: Usd.TimeCode) -> Iterator[Said]:
     if len(orientations) != count:
-        yield f"orientations: wanted {count}, got {len(orientations)}; readers drop them all"
+        yield _too_many("orientations", count, len(orientations), time)
     elif not np.abs(np.linalg.norm(orientations, axis=1) - 1).max(initial=0) <= USD_QUATERNION_TOLERANCE:
-        yield "orientations are not unit quaternions"
+        yield Said(f"orientations are not unit quaternions {WHEN}", time)
     elif count > 1 and (np.abs(orientations - [1.0, 0.0, 0.0, 0.0]) < USD_QUATERNION_TOLERANCE).all():
         # numpy gives x, y, z, w
-        yield Advice("every Gaussian is turned half about x: w, x, y, z was probably written where x, y, z, w is read")
+        text = f"every Gaussian is turned half about x {WHEN}: w, x, y, z was probably written where x, y, z, w is read"
+        yield Said(Advice(text), time)
 
 
 def _prim_findings(prim: Usd.Prim) -> Iterator[str]:
@@ -148,41 +182,64 @@ def _prim_findings(prim: Usd.Prim) -> Iterator[str]:
         yield f"the splats lie below the SkelRoot {above.GetPath()}, whose bound leaves them out: viewers cull them"
 
 
-def _sample_findings(prim: Usd.Prim, scales: np.ndarray | None, count: int) -> Iterator[str]:
-    """Positions, sizes and bounds of every time sample."""
-    authored = _attribute(prim, "positions")
-    times = authored.GetTimeSamples() if authored else []
-    for time in (Usd.TimeCode.Default(), *times):
-        name = time_name(time)
-        positions, extent = _values(prim, "positions", time), prim.GetAttribute("extent").Get(time)
-        if positions is None or len(positions) != count:
-            yield f"the number of positions changes at {name}"
-            continue
-        if not np.isfinite(positions).all():
-            yield f"positions hold NaN or infinity at {name}"
-        if extent is None:
-            yield f"there is no extent at {name}: no viewer can compute one for splats"
-            continue
-        if len(extent) != 2:
-            yield extent_sentence(len(extent), time)
-            continue
-        now = _values(prim, "scales", time)
-        now = scales if now is None else now
-        known = now is not None and len(now) == count
-        radii = USD_SPLAT_EXTENT_SIGMA * now.max(axis=1, keepdims=True) if now is not None and known else 0.0
-        low, high = np.asarray(extent, np.float32)
-        # not <=: an extent of NaN holds nothing
-        if not _sticks_out(positions, low, high) <= USD_EXTENT_TOLERANCE_M:
-            yield f"the extent at {name} does not hold the Gaussians: they get culled"
-        elif not max(_sticks_out(positions - radii, low, high), _sticks_out(positions + radii, low, high)) <= (
-            USD_EXTENT_TOLERANCE_M
-        ):
-            yield Advice(f"the extent at {name} holds the centres, not 3 standard deviations: edges may get culled")
+def _bound_findings(prim: Usd.Prim, count: int, time: Usd.TimeCode) -> Iterator[Said]:
+    """Positions and bound at a time."""
+    positions, extent = _values(prim, "positions", time), prim.GetAttribute("extent").Get(time)
+    if positions is None or len(positions) != count:
+        yield Said(f"the number of positions changes {WHEN}", time)
+        return
+    if not np.isfinite(positions).all():
+        yield Said(f"positions hold NaN or infinity {WHEN}", time)
+    if extent is None:
+        yield Said(f"there is no extent {WHEN}: no viewer can compute one for splats", time)
+        return
+    if len(extent) != 2:
+        yield extent_finding(len(extent), time)
+        return
+    scales = _values(prim, "scales", time)
+    sound = scales is not None and len(scales) == count and bool((scales >= 0).all())
+    radii = USD_SPLAT_EXTENT_SIGMA * scales.max(axis=1, keepdims=True) if scales is not None and sound else 0.0
+    low, high = np.asarray(extent, np.float32)
+    # not <=: an extent of NaN holds nothing
+    if not _sticks_out(positions, low, high) <= USD_EXTENT_TOLERANCE_M:
+        yield Said(f"the extent {WHEN} does not hold the Gaussians: they get culled", time)
+    elif not max(_sticks_out(positions - radii, low, high), _sticks_out(positions + radii, low, high)) <= (
+        USD_EXTENT_TOLERANCE_M
+    ):
+        text = f"the extent {WHEN} holds the centres, not 3 standard deviations: edges may get culled"
+        yield Said(Advice(text), time)
 
 
 def _sticks_out(points: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
     """How far the farthest of points (N, 3) is outside of a box."""
     return float(max((low - points.min(axis=0)).max(), (points.max(axis=0) - high).max()))
+
+
+def _nothing(name: str, instead: str, time: Usd.TimeCode) -> str | Said:
+    if time.IsDefault():
+        return f"{name} have no Default value: {instead}"
+    return Said(f"{name} have no value {WHEN}: {instead}", time)
+
+
+def _too_many(name: str, count: int, came: int, time: Usd.TimeCode) -> Said:
+    return Said(f"{name}: wanted {count}, got {WHAT} {WHEN}; readers drop them all", time, str(came))
+
+
+def _range(values: np.ndarray) -> str:
+    return f"from {values.min():.7g} to {values.max():.7g}"
+
+
+def _times(prim: Usd.Prim, *names: str) -> list[Usd.TimeCode]:
+    """Default time and every time sample of these attributes."""
+    attributes = (_attribute(prim, name) for name in names)
+    samples: set[float] = set()
+    samples.update(*(attr.GetTimeSamples() for attr in attributes if attr is not None))
+    return [DEFAULT, *map(Usd.TimeCode, sorted(samples))]
+
+
+def _moments(prim: Usd.Prim, name: str) -> Iterable[tuple[Usd.TimeCode, np.ndarray | None]]:
+    """The values of an attribute at each of its times, read one by one."""
+    return ((time, _values(prim, name, time)) for time in _times(prim, name))
 
 
 def _authored(prim: Usd.Prim, name: str) -> bool:
@@ -197,18 +254,7 @@ def _attribute(prim: Usd.Prim, name: str) -> Usd.Attribute | None:
     return None
 
 
-def _values(prim: Usd.Prim, name: str, time: Usd.TimeCode | float | None = None) -> np.ndarray | None:
+def _values(prim: Usd.Prim, name: str, time: Usd.TimeCode = DEFAULT) -> np.ndarray | None:
     attr = _attribute(prim, name)
-    value = attr.Get(Usd.TimeCode.Default() if time is None else time) if attr else None
+    value = attr.Get(time) if attr else None
     return None if value is None else np.asarray(value, np.float32)
-
-
-def extent_sentence(count: int, time: Usd.TimeCode | float) -> str:
-    """What is wrong with an extent of `count` vectors."""
-    return f"the extent at {time_name(time)} has {count} vectors: wanted 2, the corners of a box"
-
-
-def time_name(time: Usd.TimeCode | float) -> str:
-    """A time for a sentence."""
-    code = Usd.TimeCode(time)
-    return "Default time" if code.IsDefault() else f"time {code.GetValue():g}"

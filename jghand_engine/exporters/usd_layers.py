@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -103,8 +104,13 @@ def usd_errors(folder: Path) -> Iterator[None]:
         for code in (errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EROFS):
             if os.strerror(code) in text:
                 raise file_error(folder, OSError(code, os.strerror(code))) from error
-        # the last quoted part is what went wrong, the rest where in USD's source
-        reason = text.split("'")[-2] if text.count("'") >= 2 else text.strip()
         raise RetryError(
-            f"cannot write the USD stage in {folder}: {reason}", remedy="Check the disk and try again."
+            f"cannot write the USD stage in {folder}: {usd_reason(error)}", remedy="Check the disk and try again."
         ) from error
+
+
+def usd_reason(error: Tf.ErrorException) -> str:
+    """What went wrong first, without where in USD's source."""
+    text = str(error).strip()
+    quoted = re.search(r" in file \S+ : '(.*?)'\s*(?:\n\tError in '|\Z)", text, re.DOTALL)
+    return (quoted.group(1) if quoted else text).strip()

@@ -14,16 +14,6 @@ FRAMING_WRIST_M = 0.034
 FRAMING_PALM_M = 0.0885
 # length of a mean of unit vectors below which it is no direction
 FRAMING_DIRECTION_MIN = 0.2
-# what `check-usd` lets pass: how far a Gaussian may stick out of its bound (metres, round-off of float32 at 100 m),
-# and how far the length of a quaternion may be from 1 (that of NVIDIA's rule VG.035)
-USD_EXTENT_TOLERANCE_M = 1e-5
-USD_QUATERNION_TOLERANCE = 1e-3
-# ... and how far the weights of a point may be from 1: at 1 m from the origin it then moves by 1 mm
-USD_WEIGHT_SUM_TOLERANCE = 1e-3
-# variants of a stage that are looked at: each opens the stage anew
-USD_CHECK_VARIANTS_MAX = 32
-# bytes at the start of a binary USD file that say where its table of contents is
-USD_CRATE_HEADER_BYTES = 24
 
 # ---- cli: the demo --------------------------------------------------------------------------------------------------
 # rate, seconds of a move and of a stop: quick enough for a video of a few seconds, slow enough to see
@@ -47,5 +37,8 @@ STOP_WITHOUT_INPUT_S = 90.0
 # ---- cli: pictures that several processes make at once ---------------------------------------------------------------
 # seconds between two looks whether a picture that another process is at is there: a picture takes some hundredths
 CLAIM_POLL_S = 0.1
+# seconds that pictures of others are waited for: some tens of the slowest ones. Who does not give a claim back in that
+# time sleeps, or is of a machine that is gone; to draw its picture too costs less than to wait for ever
+CLAIM_WAIT_S = 60.0
 # seconds between two lines about the same training of a list
 PROGRESS_MANY_S = 60.0

@@ -79,6 +79,24 @@ USD_BALL_WIDTH_FACTOR = 2.0
 # Gaussians around a vertex whose mean colour the exported mesh gets
 USD_MESH_COLOUR_NEIGHBOURS = 8
 
+# ---- exporters: USD files that are checked --------------------------------------------------------------------------
+# what `check-usd` lets pass: how far a Gaussian may stick out of its bound (metres, round-off of float32 at 100 m),
+# and how far the length of a quaternion may be from 1 (that of NVIDIA's rule VG.035)
+USD_EXTENT_TOLERANCE_M = 1e-5
+USD_QUATERNION_TOLERANCE = 1e-3
+# ... how far the weights of a point may be from 1: at 1 m from the origin it then moves by 1 mm
+USD_WEIGHT_SUM_TOLERANCE = 1e-3
+# ... and how far an opacity may be out of 0..1: some steps of float32 at 1
+USD_OPACITY_TOLERANCE = 1e-6
+# share of the values that must be impossible before we guess that they are logarithms or logits: a few are a slip
+USD_GUESS_SHARE = 0.5
+# variants of a stage that are looked at: each opens the stage anew
+USD_CHECK_VARIANTS_MAX = 32
+# bytes at the start of a binary USD file that say where its table of contents is
+USD_CRATE_HEADER_BYTES = 24
+# brackets of a text layer that may be open at once: USD reads them by recursion and dies of 100,000; hands have 10
+USD_TEXT_DEPTH_MAX = 200
+
 # ---- exporters: web page --------------------------------------------------------------------------------------------
 # gzip's level of the hand's data, 0..9: 9 takes twice as long and saves 0.2 %
 WEB_GZIP_LEVEL = 6

@@ -276,7 +276,7 @@ def test_check_usd_ends_with_0_for_our_stage_and_2_with_sentences_for_a_broken_o
     capsys.readouterr()
     stage = tmp_path / "hand.usda"
     assert run("check-usd", stage) == 0
-    assert capsys.readouterr().out == "Nothing is wrong.\n"
+    assert capsys.readouterr().out == "Nothing is wrong.\nLooked at: 60000 Gaussians, variants 4, frames 1.\n"
     stage.write_text(re.sub(r"\s*(fallbackPrimTypes = \{[^}]*\}|defaultPrim = .*)", "", stage.read_text()))
     assert run("check-usd", stage, "--json", tmp_path / "findings.json") == 2
     shown = capsys.readouterr().out
@@ -285,6 +285,19 @@ def test_check_usd_ends_with_0_for_our_stage_and_2_with_sentences_for_a_broken_o
     assert any("fallbackPrimTypes" in note for note in told["notes"])
     assert "ERROR: there is no default prim" in shown
     assert "note: [splats]: the root layer names no fallbackPrimTypes" in shown
+
+
+def test_info_and_check_usd_refuse_a_stage_that_is_cut_off_in_the_same_words(tmp_path, capsys):
+    assert run("export", "--poses", "open", "--frames", "0", "--out", tmp_path, "--avatar", "painted") == 0
+    cut = tmp_path / "cut.usdc"
+    cut.write_bytes((tmp_path / "hand.splats.usdc").read_bytes()[:1000])
+    capsys.readouterr()
+    said = []
+    for command in ("info", "check-usd"):
+        assert run(command, cut) == 2
+        said.append(capsys.readouterr().err)
+    assert said[0] == said[1]
+    assert "copy or export it again" in said[0]
 
 
 def test_check_usd_of_a_file_that_is_not_there_is_bad_input(tmp_path, capsys):

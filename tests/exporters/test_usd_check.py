@@ -7,7 +7,7 @@ from usd_samples import lively_motion, small_avatar
 
 from jghand_engine.errors import InputError
 from jghand_engine.exporters.usd import export_usd
-from jghand_engine.exporters.usd_check import check_usd
+from jghand_engine.exporters.usd_check import check_usd, examine_usd
 from jghand_engine.exporters.usd_layers import SPLAT_TYPE, TYPES
 from jghand_engine.hand.joints import Handedness
 
@@ -76,13 +76,34 @@ def vectors(array) -> Vt.Vec3fArray:
         (HARMONICS, vectors(np.full((COUNT, 3), np.inf)), None, "harmonics hold NaN"),
         ("colorSpace:name", "srgb_rec709_display", None, "'srgb_rec709_display' is unknown to USD"),
         ("colorSpace:name", None, None, "no colour space is said"),
-        ("extent", None, None, "there is no extent at Default time"),
+        ("extent", None, None, "there is no extent at 4 times (first Default time)"),
         ("extent", vectors(np.zeros((2, 3))), 1, "extent at time 1 does not hold the Gaussians"),
         ("extent", vectors([[-0.005, 0, -0.02], [0.1, 0.2, 0.1]]), None, "extent at Default time does not hold"),
         ("extent", vectors(np.zeros((1, 3))), None, "extent at Default time has 1 vectors"),
         ("extent", vectors(np.zeros((3, 3))), 2, "extent at time 2 has 3 vectors"),
         ("extent", vectors(np.full((2, 3), np.nan)), 1, "extent at time 1 does not hold the Gaussians"),
         ("positions", None, None, "positions have no Default value"),
+        (
+            "scales",
+            vectors(np.full((COUNT, 3), -6.9)),
+            1,
+            "scales are not all above 0 at time 1, but from -6.9 to -6.9",
+        ),
+        ("scales", vectors(np.full((7, 3), 0.001)), 1, "wanted 805, got 7 at time 1"),
+        ("scales", vectors(np.full((COUNT, 3), np.nan)), 1, "scales hold NaN or infinity at time 1"),
+        ("opacities", floats(np.linspace(-4, 4, COUNT)), 1, "from -4 to 4: they are probably logits"),
+        ("opacities", floats([0.5]), 1, "wanted 805, got 1 at time 1"),
+        ("opacities", floats(np.full(COUNT, np.nan)), 1, "opacities hold NaN or infinity at time 1"),
+        ("orientations", Vt.QuatfArray.FromNumpy(np.zeros((COUNT, 4), np.float32)), 1, "unit quaternions at time 1"),
+        ("orientations", Vt.QuatfArray(3, Gf.Quatf(1)), 1, "orientations: wanted 805, got 3 at time 1"),
+        (HARMONICS, vectors(np.full((COUNT, 3), np.inf)), 1, "harmonics hold NaN or infinity at time 1"),
+        (HARMONICS, vectors(np.zeros((3, 3))), 1, "wanted 805 vectors, got 3 at time 1"),
+        (
+            HARMONICS,
+            vectors(np.random.default_rng(0).uniform(0, 1, (COUNT, 3))),
+            1,
+            "to 1 at time 1: they are probably",
+        ),
         ("positions", vectors(np.full((COUNT, 3), np.nan)), 2, "NaN or infinity at time 2"),
         ("positions", vectors(np.zeros((3, 3))), 2, "number of positions changes at time 2"),
     ],
@@ -313,3 +334,109 @@ def test_variants_of_any_set_are_looked_at(tmp_path):
     stage.Save()
     found = sentences(tmp_path / "theirs.usda")
     assert any(sentence.startswith("[lod=far] ") and "wanted 5, got 2" in sentence for sentence in found), found
+
+
+def test_logarithms_do_not_shrink_the_box_that_the_extent_must_hold(tmp_path):
+    stage = lone_splats(tmp_path / "theirs.usda")
+    stage.GetPrimAtPath("/World/Cloud").GetAttribute("scales").Set(vectors(np.full((5, 3), -6.9)))
+    stage.Save()
+    found = sentences(tmp_path / "theirs.usda")
+    assert len(found) == 1, found
+    assert "probably logarithms" in found[0]
+
+
+def test_splats_that_are_instanced_are_looked_at_once(tmp_path):
+    stage = lone_splats(tmp_path / "theirs.usda")
+    stage.GetPrimAtPath("/World/Cloud").GetAttribute("opacities").Set(floats(np.full(5, 9.0)))
+    stage.Save()
+    scene = tmp_path / "scene.usda"
+    scene.write_text(
+        """#usda 1.0
+(
+    defaultPrim = "World"
+    metersPerUnit = 1
+    upAxis = "Y"
+    fallbackPrimTypes = { token[] ParticleField3DGaussianSplat = ["Points"] }
+)
+def Xform "World" (kind = "assembly")
+{
+    def "A" (instanceable = true
+             references = @./theirs.usda@) {}
+    def "B" (instanceable = true
+             references = @./theirs.usda@) {}
+}
+"""
+    )
+    (found,) = sentences(scene)
+    assert "/World/A/Cloud: opacities are not all from 0 to 1" in found
+
+
+def test_a_file_without_splats_is_not_called_sound(tmp_path):
+    stage = Usd.Stage.CreateNew(str(tmp_path / "ball.usda"))
+    UsdGeom.SetStageMetersPerUnit(stage, 1)
+    UsdGeom.SetStageUpAxis(stage, "Y")
+    ball = UsdGeom.Sphere.Define(stage, "/World")
+    ball.CreateExtentAttr([(-1, -1, -1), (1, 1, 1)])
+    stage.SetDefaultPrim(ball.GetPrim())
+    stage.Save()
+    (found,) = check_usd(tmp_path / "ball.usda")
+    assert found.sentence.startswith("there are no Gaussian splats in it")
+    assert not found.is_error
+
+
+def test_the_examination_says_what_was_looked_at(export):
+    done = examine_usd(export.stage)
+    assert (done.gaussians, done.variants, done.frames, done.findings) == (COUNT, 4, 3, [])
+
+
+def test_what_is_wrong_at_many_times_is_one_sentence(tmp_path):
+    stage = lone_splats(tmp_path / "theirs.usda")
+    prim = stage.GetPrimAtPath("/World/Cloud")
+    for time in range(200):
+        prim.GetAttribute("positions").Set(vectors(np.linspace(-1, 1, 15).reshape(5, 3) + 0.001 * time), time)
+        prim.GetAttribute("opacities").Set(floats(np.linspace(-4, 4 + time, 5)), time)
+        prim.GetAttribute("extent").Set(vectors([[-1, -1, -1], [1.2, 1.2, 1.2]]), time)
+    stage.SetStartTimeCode(0)
+    stage.SetEndTimeCode(199)
+    stage.Save()
+    opacities, extent = sentences(tmp_path / "theirs.usda")
+    assert "at 200 times (first time 0), but from -4 to 4" in opacities
+    assert "the extent at 200 times (first time 0) holds the centres" in extent
+
+
+def test_a_colour_space_may_be_said_above_the_splats(tmp_path):
+    stage = lone_splats(tmp_path / "theirs.usda")
+    prim = stage.GetPrimAtPath("/World/Cloud")
+    prim.RemoveProperty("colorSpace:name")
+    prim.RemoveAPI(Usd.ColorSpaceAPI)
+    world = Usd.ColorSpaceAPI.Apply(stage.GetPrimAtPath("/World"))
+    world.CreateColorSpaceNameAttr("lin_rec709_scene")
+    stage.Save()
+    assert sentences(tmp_path / "theirs.usda") == []
+    world.GetColorSpaceNameAttr().Set("ours")
+    stage.Save()
+    assert any("'ours' is unknown" in sentence for sentence in sentences(tmp_path / "theirs.usda"))
+    Usd.ColorSpaceDefinitionAPI.Apply(stage.GetPrimAtPath("/World"), "ours").CreateNameAttr("ours")
+    stage.Save()
+    assert sentences(tmp_path / "theirs.usda") == []
+
+
+def test_flat_gaussians_are_a_note_and_round_off_of_an_opacity_is_nothing(tmp_path):
+    stage = lone_splats(tmp_path / "theirs.usda")
+    prim = stage.GetPrimAtPath("/World/Cloud")
+    prim.GetAttribute("opacities").Set(floats([1.0000001, 0.5, 0.5, 0.5, 0.5]))
+    stage.Save()
+    assert sentences(tmp_path / "theirs.usda") == []
+    prim.GetAttribute("scales").Set(vectors(np.tile([0.1, 0.1, 0.0], (5, 1))))
+    stage.Save()
+    (found,) = check_usd(tmp_path / "theirs.usda")
+    assert not found.is_error
+    assert "5 Gaussians are flat" in found.sentence
+
+
+def test_one_value_that_slipped_is_not_called_a_logit(tmp_path):
+    stage = lone_splats(tmp_path / "theirs.usda")
+    stage.GetPrimAtPath("/World/Cloud").GetAttribute("opacities").Set(floats([1.25, 0.5, 0.5, 0.5, 0.5]))
+    stage.Save()
+    (found,) = sentences(tmp_path / "theirs.usda")
+    assert found.endswith("opacities are not all from 0 to 1 at Default time, but from 0.5 to 1.25")
