@@ -36,9 +36,11 @@ class Start(StrEnum):
 def check_folder(path: Path, start: Start) -> None:
     """InputError when `path` holds something else than a training, or a training that `start` does not expect."""
     try:
-        names = {entry.name for entry in path.iterdir()} - {LOCK} if path.exists() else set()
+        found = {entry.name for entry in path.iterdir()} if path.exists() else set()
     except OSError as error:
         raise file_error(path, error) from error
+    # hidden files are what a kill left of one that was being written, or the file system's own
+    names = {name for name in found if not name.startswith(".")} - {LOCK}
     if names and MARK not in names:
         raise InputError(
             f"{path}", wanted="a new or empty folder, or one of a training", came=f"one with {min(names)}",
@@ -74,7 +76,7 @@ class WorkFolder:
         with locked(self.path / LOCK, work="training", remedy=remedy):
             # again: another may have trained here meanwhile
             check_folder(self.path, start)
-            self.checkpoints.remove_leftovers()
+            self._remove_leftovers()
             if start is Start.FRESH:
                 self._clear()
             if start is not Start.RESUME:
@@ -82,6 +84,11 @@ class WorkFolder:
                 with writing(self.path / MARK) as temporary:
                     temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
             yield
+
+    def _remove_leftovers(self) -> None:
+        self.checkpoints.remove_leftovers()
+        for path in self.path.glob(f".{Path(MARK).stem}.*{Path(MARK).suffix}"):
+            path.unlink(missing_ok=True)
 
     def _clear(self) -> None:
         """Removes what a training leaves and nothing else, except the record of the output, which stays its own."""

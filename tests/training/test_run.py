@@ -318,6 +318,16 @@ def test_a_folder_with_other_things_is_refused(options):
     assert [path.name for path in options.work.iterdir()] == ["thesis.tex"]
 
 
+def test_a_kill_while_the_mark_is_written_does_not_close_the_folder(options):
+    options.work.mkdir()
+    (options.work / "lock").touch()
+    left = options.work / ".training.0123456789ab.json"
+    left.write_text("{")
+    (options.work / ".nfs0000001").touch()
+    assert train(StandIn, options).finished
+    assert not left.exists()
+
+
 def test_fresh_removes_only_what_trainings_leave(options):
     train(StandIn, options)
     (options.work / "notes.txt").write_text("mine")
