@@ -58,10 +58,12 @@ class Claims:
             raise file_error(path, error) from error
 
     @contextlib.contextmanager
-    def held(self, number: int, *, wait: bool = False) -> Iterator[bool]:
-        """Claims piece `number`, 0 or more, for the duration; gives whether it was free. wait: until it is."""
+    def held(self, number: int, *, wait_s: float = 0.0) -> Iterator[bool]:
+        """Claims piece `number`, 0 or more, for the duration; gives whether it was free. wait_s: how long at most until
+        it is."""
+        until_s = time.monotonic() + wait_s
         taken = self._take(number)
-        while wait and not taken:
+        while not taken and time.monotonic() < until_s:
             time.sleep(CLAIM_POLL_S)
             taken = self._take(number)
         try:

@@ -53,12 +53,17 @@ def test_one_can_wait_for_a_piece(tmp_path):
     ended = threading.Timer(0.3, other.kill)
     ended.start()
     began_s = time.monotonic()
-    with claims.held(3, wait=True) as free:
+    with claims.held(3, wait_s=60) as free:
         assert free
     assert time.monotonic() - began_s > 0.2
+    other.wait()
+    asleep = holder(tmp_path / "claims", 3)
+    with claims.held(3, wait_s=0.2) as free:
+        assert not free, "nobody waits for ever"
+    asleep.kill()
+    asleep.wait()
     claims.close(remove=True)
     assert not (tmp_path / "claims").exists()
-    other.wait()
 
 
 def test_where_the_file_system_has_no_locks_every_claim_is_granted(tmp_path, monkeypatch):

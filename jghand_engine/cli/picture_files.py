@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -75,11 +75,10 @@ class Shooting:
         write_png(path, frame.rgba if background is None else flatten(frame.rgba, background), texts)
         self.timings.add_ms("writing the PNG", 1e3 * (time.perf_counter() - started))
 
-    def make_all(self, indices: Iterable[int] | None = None) -> None:
-        """Draws these frames, all if none are named, one after the other."""
-        wanted = list(range(len(self.joints_m)) if indices is None else indices)
-        with progress(self.target.text, len(wanted)) as bar:
-            for index in wanted:
+    def make_all(self) -> None:
+        """Draws all frames, one after the other."""
+        with progress(self.target.text, len(self.joints_m)) as bar:
+            for index in range(len(self.joints_m)):
                 self.make(index)
                 bar.advance(bar.task_ids[0])
 

@@ -1,20 +1,24 @@
 """Parts of a render: several processes, on one machine or on many, make the pictures of one folder together.
 
 A picture is renamed into place when it is whole, and says in its head what it was made from. A process claims the one
-that it is at (`lock.Claims`), so that two that meet do not make it both; a killed one loses that one.
+that it is at (`lock.Claims`), so that two that meet do not make it both; a killed one loses that one. A run that makes
+all pictures is a part like any other.
 """
 
 from __future__ import annotations
 
 import contextlib
+import time
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from jghand_engine.cli.console import progress
-from jghand_engine.cli.picture_stamp import is_made_from, refuse_foreign
+from jghand_engine.cli.console import progress, say
+from jghand_engine.cli.picture_stamp import is_made_from
 from jghand_engine.datasets.pictures_in import probe_picture
 from jghand_engine.errors import InputError
+from jghand_engine.limits import CLAIM_WAIT_S
 from jghand_engine.lock import Claims
 
 if TYPE_CHECKING:
@@ -33,7 +37,7 @@ class Part:
 
     @property
     def is_shared(self) -> bool:
-        """Whether other processes may be at work in the same folder."""
+        """Whether pictures that this part does not make shall be in the same folder."""
         return self.skip_existing or self.shard[1] > 1
 
     def indices(self, total: int) -> range:
@@ -62,38 +66,37 @@ class Outcome:
 
 
 def make_part(shooting: Shooting, part: Part) -> Outcome:
-    """Sees to it that the pictures of a part are there. InputError, before anything is drawn, when pictures that would
-    be kept were made from something else."""
+    """Sees to it that the pictures of a part are there. InputError when pictures are, at the end, that were made from
+    something else: of a shard that began at the same time."""
     total = len(shooting.joints_m)
     indices = part.indices(total)
     outcome = Outcome()
-    if not part.is_shared:
-        shooting.make_all()
-        outcome.made, outcome.complete = total, True
-        return outcome
     claims = Claims(shooting.target.folder / CLAIMS)
     left = _left_behind(shooting)
-
-    def see_to(index: int) -> None:
-        # where the file system has no locks, somebody else may be at this picture: then nothing is cleared away
-        _see_to(shooting, index, part, outcome, left if claims.sure else {})
-
     try:
         with progress(shooting.target.text, len(indices)) as bar:
+
+            def see_to(index: int, *, alone: bool) -> None:
+                # where somebody else may be at this picture, nothing of it is cleared away
+                _see_to(shooting, index, part, outcome, left if alone and claims.sure else {})
+                bar.advance(bar.task_ids[0])
+
             busy = []
             for index in indices:
                 with claims.held(index) as free:
                     if free:
-                        see_to(index)
-                        bar.advance(bar.task_ids[0])
+                        see_to(index, alone=True)
                     else:
                         busy.append(index)
+            until_s = time.monotonic() + CLAIM_WAIT_S
             for index in busy:
                 # whoever was at it may have been killed over it
-                with claims.held(index, wait=True):
-                    see_to(index)
-                    bar.advance(bar.task_ids[0])
-        outcome.complete = all(_is_there(shooting, index) for index in range(total))
+                with claims.held(index, wait_s=until_s - time.monotonic()) as free:
+                    if not free:
+                        name = shooting.target.path(index).name
+                        say(f"{name} is claimed by a process that does not finish it: it is made here too.")
+                    see_to(index, alone=free)
+        outcome.complete = _all_there(shooting, range(total))
     finally:
         # with all pictures there nobody has anything to claim
         claims.close(remove=outcome.complete)
@@ -101,10 +104,22 @@ def make_part(shooting: Shooting, part: Part) -> Outcome:
 
 
 def refuse_foreign_pictures(shooting: Shooting, part: Part) -> None:
-    """InputError when one of the pictures that a part would keep was made from something else."""
-    if part.skip_existing and shooting.made_from is not None:
-        for index in part.indices(len(shooting.joints_m)):
-            refuse_foreign(shooting.target.path(index), shooting.made_from.stamp(index))
+    """InputError when pictures are there that were made from something else, and that would be kept: they would be
+    mixed with those of this part."""
+    total = len(shooting.joints_m)
+    if part.is_shared:
+        replaced = () if part.skip_existing else part.indices(total)
+        _all_there(shooting, (index for index in range(total) if index not in replaced))
+
+
+def _all_there(shooting: Shooting, indices: Iterable[int]) -> bool:
+    """Whether these pictures are there, whoever made them. InputError when one was made from something else."""
+    paths = ((shooting.target.path(index), index) for index in indices)
+    if shooting.made_from is None:
+        return all(path.exists() for path, _ in paths)
+    # all of them are looked at, also when one is missing
+    found = [is_made_from(path, shooting.made_from.stamp(index)) for path, index in paths]
+    return all(found)
 
 
 def _left_behind(shooting: Shooting) -> dict[str, list[Path]]:
@@ -119,8 +134,7 @@ def _left_behind(shooting: Shooting) -> dict[str, list[Path]]:
 def _see_to(shooting: Shooting, index: int, part: Part, outcome: Outcome, left: dict[str, list[Path]]) -> None:
     """Makes a claimed picture, or keeps it."""
     path = shooting.target.path(index)
-    if part.skip_existing and shooting.made_from is not None and path.exists():
-        refuse_foreign(path, shooting.made_from.stamp(index))
+    if part.skip_existing and path.exists():
         if _is_whole(shooting, index):
             outcome.kept += 1
             return
@@ -133,18 +147,14 @@ def _see_to(shooting: Shooting, index: int, part: Part, outcome: Outcome, left: 
     outcome.made += 1
 
 
-def _is_there(shooting: Shooting, index: int) -> bool:
-    """Whether a picture of this very render is there, whoever made it."""
-    path = shooting.target.path(index)
-    return path.exists() and (shooting.made_from is None or is_made_from(path, shooting.made_from.stamp(index)))
-
-
 def _is_whole(shooting: Shooting, index: int) -> bool:
+    """Whether picture and maps are there, undamaged. InputError when they were made from something else."""
     path = shooting.target.path(index)
+    stamp = None if shooting.made_from is None else shooting.made_from.stamp(index)
+    if stamp is not None and not is_made_from(path, stamp):
+        return False
     try:
         probe_picture(path)
     except InputError:
         return False
-    if shooting.passes is None or shooting.made_from is None:
-        return True
-    return shooting.passes.is_whole(path, shooting.made_from.stamp(index))
+    return shooting.passes is None or stamp is None or shooting.passes.is_whole(path, stamp)

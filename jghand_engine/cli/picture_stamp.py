@@ -93,34 +93,26 @@ def file_digest(path: Path) -> str:
         raise InputError(f"cannot read {path}: {error.strerror}", remedy="Check the name.") from error
 
 
-def refuse_foreign(path: Path, stamp: str) -> None:
-    """InputError when `path` is a picture that was made from something else than `stamp` says, or by somebody else.
-
-    One that is missing or whose head is broken passes: nothing is lost with it.
-    """
+def is_made_from(path: Path, stamp: str) -> bool:
+    """Whether `path` is a picture that says it was made from what `stamp` says; False where it is missing or its head
+    is broken. InputError when it was made from something else, or by somebody else."""
     try:
         found = picture_texts(path).get(STAMP_KEY)
     except InputError:
-        return
-    refuse_other(path, found, stamp)
-
-
-def is_made_from(path: Path, stamp: str) -> bool:
-    """Whether `path` is a picture that says it was made from what `stamp` says."""
-    try:
-        return picture_texts(path).get(STAMP_KEY) == stamp
-    except InputError:
         return False
+    refuse_other(path, found, stamp)
+    return True
 
 
 def refuse_other(path: Path, found: str | None, stamp: str) -> None:
     """InputError unless the stamp that was found in `path`, None for none, is the one that is wanted."""
     if found != stamp:
         raise InputError(
-            f"--skip-existing: {path}",
+            f"{path}",
             wanted="what this very command made",
             came=_difference(found, stamp),
-            remedy="Leave out --skip-existing to replace what is there, or choose another --out.",
+            remedy="Give all shards the same files and options, choose another --out, or leave out --shard and "
+            "--skip-existing to replace what is there.",
         )
 
 

@@ -4,8 +4,8 @@ passes/frame_00000.exr    the maps of a picture, as channels
 joints.json               joints of every picture in 3D and 2D, and which of them one sees
 colmap/, transforms.json  the camera of every picture, for COLMAP and for nerfstudio
 
-The last two are about all pictures and are written when all are there, whoever made them. Until then the joints of a
-picture stand in its own head.
+The last three are about all pictures and are written when all are there, whoever made them. Until then the joints of a
+picture stand in its own head; those of earlier pictures go with the first one that is drawn anew.
 """
 
 from __future__ import annotations
@@ -22,9 +22,10 @@ from jghand_engine.cli.options import EffectOptions
 from jghand_engine.cli.picture_stamp import STAMP_KEY, refuse_other
 from jghand_engine.datasets.pictures_in import picture_texts
 from jghand_engine.errors import InputError
-from jghand_engine.exporters.camera_files import Shot, write_colmap, write_transforms
+from jghand_engine.exporters.camera_files import COLMAP_FILES, Shot, write_colmap, write_transforms
 from jghand_engine.exporters.exr import exr_package, read_exr_text, write_exr
 from jghand_engine.exporters.passes import JOINTS, MAPS, JointWitness, channels, pass_names
+from jghand_engine.files import file_error
 from jghand_engine.hand.joints import STANDARD_NAMES
 from jghand_engine.splat.effect_plan import Effect
 
@@ -46,6 +47,7 @@ class PassWriter:
 
     def __init__(self, text: str, folder: Path, effect: EffectOptions) -> None:
         self.names, self._folder = pass_names(text), folder
+        self._withdrawn = False
         self._maps = [name for name in self.names if name in MAPS]
         if effect.shutter or effect.aperture:
             raise InputError(
@@ -75,6 +77,7 @@ class PassWriter:
     def add(self, index: int, frame: Frame, picture: Path, texts: Mapping[str, str]) -> dict[str, str]:
         """Writes the maps of a frame that was drawn just now, with `texts` in their head; gives the texts that the head
         of its picture shall have besides."""
+        self._withdraw()
         bones = self._renderer.bone_ids(self._camera) if "ids" in self.names else None
         if self._maps:
             about = {"jghand": __version__, "units": "metres", "axes": "camera: x right, y down, z forward", **texts}
@@ -83,6 +86,19 @@ class PassWriter:
             return {}
         view = self._witness.look(self._joints_m[index], self._camera, frame.depth_m)
         return {JOINTS_KEY: json.dumps({"picture": picture.name, **view.as_dict()}, allow_nan=False)}
+
+    def _withdraw(self) -> None:
+        """Removes what an earlier run wrote about all pictures, once: the first of them is about to be replaced.
+        RetryError when it cannot be removed."""
+        if self._withdrawn:
+            return
+        for name in ("joints.json", "transforms.json", *(f"colmap/{file}" for file in COLMAP_FILES)):
+            path = self._folder / name
+            try:
+                path.unlink(missing_ok=True)
+            except OSError as error:
+                raise file_error(path, error) from error
+        self._withdrawn = True
 
     def is_whole(self, picture: Path, stamp: str) -> bool:
         """Whether the maps of a picture are there too. InputError when they were made from something else."""

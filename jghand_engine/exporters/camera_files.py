@@ -19,6 +19,7 @@ from jghand_engine.errors import InputError
 from jghand_engine.files import make_folder, writing
 from jghand_engine.splat.camera import Camera
 
+COLMAP_FILES = ("cameras.txt", "images.txt", "points3D.txt")
 OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
@@ -46,12 +47,12 @@ def write_colmap(folder: Path | str, shots: Sequence[Shot]) -> Path:
         # the second line of a picture lists points seen in it: none
         images.append(f"{number} {numbers} {lenses.setdefault(lens, len(lenses) + 1)} {shot.name}\n\n")
     cameras = [f"{number} PINHOLE {lens}\n" for lens, number in lenses.items()]
-    texts = {
-        "cameras.txt": "# CAMERA_ID, MODEL, WIDTH, HEIGHT, fx, fy, cx, cy\n" + "".join(cameras),
-        "images.txt": "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME; then its points\n" + "".join(images),
-        "points3D.txt": "# no points: the hand moves\n",
-    }
-    for name, text in texts.items():
+    texts = (
+        "# CAMERA_ID, MODEL, WIDTH, HEIGHT, fx, fy, cx, cy\n" + "".join(cameras),
+        "# IMAGE_ID, QW, QX, QY, QZ, TX, TY, TZ, CAMERA_ID, NAME; then its points\n" + "".join(images),
+        "# no points: the hand moves\n",
+    )
+    for name, text in zip(COLMAP_FILES, texts, strict=True):
         with writing(target / name) as temporary:
             temporary.write_text(text, encoding="utf-8", newline="\n")
     return target

@@ -10,6 +10,7 @@ import torch
 
 from jghand_engine.cli import main
 from jghand_engine.cli.camera_file import read_camera
+from jghand_engine.cli.picture_files import Shooting
 from jghand_engine.exporters.pictures import read_png
 from jghand_engine.hand.joints import STANDARD_NAMES
 
@@ -92,3 +93,28 @@ def test_truth_of_other_pictures_is_not_left_beside_new_ones(tmp_path, capsys):
     (tmp_path / "passes").mkdir()
     assert render(tmp_path, "--passes", "joints") == 2
     assert "got passes of an earlier run" in capsys.readouterr().err
+
+
+def test_a_run_that_is_stopped_leaves_no_truth_of_the_pictures_that_it_replaced(tmp_path, monkeypatch):
+    def told() -> set[str]:
+        return {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*.json") if path.stem != "camera"} | {
+            path.name for path in tmp_path.rglob("*.txt")
+        }
+
+    assert render(tmp_path, "--passes", "joints") == 0
+    all_of_it = told()
+    assert all_of_it == {"joints.json", "transforms.json", "cameras.txt", "images.txt", "points3D.txt"}
+    make, made = Shooting.make, []
+
+    def stopped(shooting: Shooting, index: int) -> None:
+        if made:
+            raise KeyboardInterrupt
+        make(shooting, index)
+        made.append(index)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Shooting, "make", stopped)
+        assert render(tmp_path, "--passes", "joints", "--camera", "back") == 130
+    assert told() == set()
+    assert render(tmp_path, "--passes", "joints", "--camera", "back") == 0
+    assert told() == all_of_it

@@ -17,7 +17,8 @@ import pytest
 from PIL import Image
 
 from jghand_engine import lock
-from jghand_engine.cli import main
+from jghand_engine.cli import main, picture_sharing
+from jghand_engine.cli.picture_files import Shooting
 from jghand_engine.cli.picture_sharing import CLAIMS
 from jghand_engine.cli.picture_stamp import STAMP_KEY
 from jghand_engine.datasets.motion_files import write_motion
@@ -106,14 +107,69 @@ def test_a_second_run_draws_nothing_and_touches_nothing(half, capsys, tmp_path):
     assert {path: path.stat().st_mtime_ns for path in half.glob("*.png")} == times
 
 
-def test_pictures_of_another_render_do_not_count_as_those_that_are_missing(tmp_path, capsys):
-    words = (*SMALL, "--frames", "0-3", "--passes", "joints")
-    assert render(tmp_path, *SMALL, "--frames", "0-3", "--preset", "draft") == 0
-    assert render(tmp_path, *words, "--shard", "1/2") == 0
-    assert "2 drawn; others are still missing" in capsys.readouterr().out
-    assert not (tmp_path / "joints.json").exists()
-    assert render(tmp_path, *words, "--shard", "2/2") == 0
-    assert len(json.loads((tmp_path / "joints.json").read_text())["frames"]) == 4
+@pytest.mark.parametrize("words", [(), ("--skip-existing",)])
+def test_a_shard_does_not_begin_among_pictures_of_another_render(half, capsys, words):
+    """They would stay beside its own: half of them of one camera, half of the other."""
+    before = contents(half)
+    assert render(half, "--camera", "back", "--shard", "2/2", *words) == 2
+    error = " ".join(capsys.readouterr().err.split())
+    assert "frame_00000.png: wanted what this very command made, got what is of another look" in error
+    assert "leave out --shard and --skip-existing" in error
+    assert contents(half) == before
+
+
+def test_a_shard_without_skip_existing_replaces_its_own_pictures_whatever_they_are(half, whole, capsys):
+    assert render(half, "--skip-existing") == 0
+    (half / "frame_00001.png").write_bytes((half / "frame_00002.png").read_bytes())
+    assert render(half, "--shard", "2/2") == 0
+    assert "5 drawn." in capsys.readouterr().out
+    assert contents(half) == whole
+
+
+def test_two_shards_of_different_renders_that_begin_together_do_not_both_end_well(tmp_path, half, monkeypatch, capsys):
+    """Such as of a machine that still has an older motion: nothing is there yet when it begins."""
+    make = Shooting.make
+
+    def meanwhile(shooting: Shooting, index: int) -> None:
+        shutil.copy(half / "frame_00004.png", tmp_path / "out")
+        make(shooting, index)
+
+    monkeypatch.setattr(Shooting, "make", meanwhile)
+    assert render(tmp_path / "out", "--poses", "open,point", "--shard", "2/2", "--skip-existing") == 2
+    error = " ".join(capsys.readouterr().err.split())
+    assert "frame_00004.png: wanted what this very command made, got what is of another motion" in error
+    assert "same files and options" in error
+
+
+def test_a_plain_run_clears_away_what_killed_processes_left(half, whole):
+    (half / ".frame_00003.0123456789ab.png").write_bytes(b"half a picture")
+    assert render(half) == 0
+    assert contents(half) == whole
+
+
+def test_a_claim_that_is_never_given_back_is_waited_for_only_so_long(tmp_path, whole, monkeypatch, capsys):
+    """Of a process that sleeps, or of a machine that is gone and whose locks nobody frees."""
+    monkeypatch.setattr(picture_sharing, "CLAIM_WAIT_S", 0.05)
+    (tmp_path / "out").mkdir()
+    program = (
+        "import sys\nfrom pathlib import Path\nfrom jghand_engine.lock import Claims\n"
+        "claims = Claims(Path(sys.argv[1]))\n"
+        "with claims.held(2), claims.held(6):\n    print(flush=True)\n    sys.stdin.read()\n"
+    )
+    command = [sys.executable, "-c", program, str(tmp_path / "out" / CLAIMS)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as asleep:
+        assert asleep.stdout is not None
+        asleep.stdout.readline()
+        at_work = tmp_path / "out" / ".frame_00002.0123456789ab.png"
+        at_work.write_bytes(b"of the one that sleeps")
+        assert render(tmp_path / "out", "--skip-existing") == 0
+        said = capsys.readouterr().out
+        assert "frame_00002.png" in said
+        assert "frame_00006.png" in said
+        assert "made here too" in said
+        assert at_work.exists(), "it may wake up"
+        at_work.unlink()
+    assert contents(tmp_path / "out") == whole
 
 
 def test_where_there_are_no_locks_nothing_of_others_is_cleared_away(half, monkeypatch):
@@ -165,7 +221,7 @@ def test_pictures_of_something_else_are_refused_and_stay(half, capsys, words, to
     )
     error = " ".join(capsys.readouterr().err.split())
     assert told in error
-    assert "Leave out --skip-existing to replace" in error
+    assert "leave out --shard and --skip-existing to replace" in error
     assert contents(half) == before
 
 
@@ -183,7 +239,7 @@ def test_a_picture_that_somebody_else_saved_is_refused_and_stays(half, capsys):
 def test_without_skip_existing_everything_is_drawn_anew(half, whole, capsys):
     (half / "frame_00000.png").write_bytes(b"something else")
     assert render(half) == 0
-    assert {name: data for name, data in contents(half).items() if name != CLAIMS} == whole
+    assert contents(half) == whole
     assert "10 pictures" in capsys.readouterr().out
 
 
