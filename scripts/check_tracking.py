@@ -37,9 +37,9 @@ from jghand_engine.splat.frame import HandRenderer
 from jghand_engine.splat.settings import preset
 from jghand_engine.tracking.detection import SeenHand
 from jghand_engine.tracking.figures import FINGER_BONES, angles_between_deg, directions_in_palm, jitter_deg, lag_ms
-from jghand_engine.tracking.fit import Pinhole
 from jghand_engine.tracking.hands_over_time import HandOverTime
 from jghand_engine.tracking.mediapipe_hands import MediaPipeHands, video_detector
+from jghand_engine.tracking.poses import Pinhole
 from jghand_engine.tracking.second_look import SecondLook
 from jghand_engine.tracking.skeleton import rotations_of
 from jghand_engine.tracking.track import MOTION_FROM_CAMERA, Sightings, TrackOptions, look, track, track_hand

@@ -9,7 +9,7 @@ import numpy as np
 from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.tracking.detection import SeenHand
-from jghand_engine.tracking.fit import Pinhole, Poses
+from jghand_engine.tracking.poses import Pinhole, Poses
 from jghand_engine.tracking.skeleton import LIMITS_RAD, Skeleton, rotations_of
 from jghand_engine.tracking.track import Sightings
 

@@ -45,9 +45,22 @@ SAME_HAND_PART = 0.35
 HAND_STEP_PART = 1.2
 # after so many seconds out of sight a hand's place says nothing any more
 HAND_LOST_S = 0.5
-# a hand that is seen in fewer frames (part of the video, and at least so many) is taken for a mistake
+# ... but up to so many seconds a hand that looks like it (difference in looks at most this, 0..1) is it again: it may
+# have been behind the other one
+HAND_HIDDEN_S = 2.0
+HAND_UNLIKE_MAX = 0.5
+# what a detection that looks surely like the other hand costs, in parts of the hand's size: more than a hand goes while
+# it is behind the other one
+HAND_UNLIKE_COST = 1.0
+# a hand that is seen for less than this is taken for a mistake: seconds, in short films a part of the pictures, and in
+# any so many
+HAND_SEEN_S = 2.0
 HAND_SEEN_PART_MIN = 0.05
 HAND_SEEN_FRAMES_MIN = 3
+# a hand that shares more than this part of its pictures with another one of its kind is another person's
+HAND_DOUBLE_PART = 0.25
+# below this certainty, 0..1, of which hand it is, that is told
+HAND_CERTAINTY_LOW = 0.3
 
 # ---- tracking: the fit (standard deviations; measured with scripts/check_tracking.py, docs/TRACKING.md) --------------
 # horizontal angle of view that is assumed of an unknown camera, degrees: a telephone's or webcam's
@@ -76,7 +89,7 @@ SMOOTHING_FPS = 30.0
 SMOOTHING_MAX = 100.0
 # pull of an angle to its rest, radians: only for what no picture shows
 REST_SIGMA_RAD = 1.2
-# Gauss-Newton steps; the steps end when the cost falls by less than this part
+# Gauss-Newton steps; the steps end when the cost falls by less than this part, with no more damping than the first
 FIT_STEPS = 30
 FIT_TOLERANCE = 1e-5
 # damping of its steps: the first, and between which it stays; beyond the largest no step helps any more
@@ -95,7 +108,8 @@ OWN_HAND_SIGMA = 0.03
 OWN_HAND_FRAMES = 200
 OWN_HAND_PICTURES = 30
 OWN_HAND_ROUNDS = 12
-# frames that are fitted together, and how many more on both sides so that the seam is not felt
+# frames that are fitted together, and how many more on both sides, a smaller number, so that the seam is not felt; in
+# longer gaps than these nothing is fitted
 FIT_WINDOW_FRAMES = 900
 FIT_MARGIN_FRAMES = 60
 

@@ -7,6 +7,8 @@ mediapipe_hands.py  the detector: MediaPipe, an optional package
 second_look.py   at parts of the picture, for hands that were overlooked
 hands_over_time.py  detections of single pictures to at most one right and one left hand over time
 skeleton.py      a hand of constant bones: angles to joints, with derivatives
+poses.py         landmarks of a hand over time, and the poses of that skeleton
+look.py          how well poses explain landmarks, frame by frame, and how that changes with them
 own_hand.py      the proportions of the hand that was seen
 smoother.py      the linear algebra of smoothing forwards and backwards at once
 fit.py           the motion of that skeleton that explains the landmarks best

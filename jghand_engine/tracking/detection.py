@@ -11,7 +11,7 @@ from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class SeenHand:
     """One hand in one picture.
 

@@ -1,171 +1,65 @@
 """The motion of a skeleton that explains landmarks best: one robust least-squares fit of many frames at once.
 
 Of every frame the fit knows where landmarks lie in the picture and, from the detector's own estimate in space, where
-bones point. Between frames it wants small accelerations. Joint limits are part of it, and bones cannot change length.
-Gauss-Newton with damping; wrong landmarks lose their weight (Cauchy). Frames without a hand are filled by what
-is before and after them. Camera axes: x right, y down, z forward; right hands.
+bones point (look.py). Between frames it wants small accelerations. Joint limits are part of it, and bones cannot change
+length. Gauss-Newton with damping. Frames without a hand are filled by what is before and after them.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation, Slerp
 
 from jghand_engine import limits
-from jghand_engine.hand.joints import BONE_COUNT, JOINT_COUNT, PARENTS
 from jghand_engine.hand.sequence import alignment
-from jghand_engine.tracking.skeleton import (
-    ANGLE_COUNT,
-    LIMITS_RAD,
-    Skeleton,
-    cross_matrices,
-    rotations_of,
-)
+from jghand_engine.tracking.look import Trust, View
+from jghand_engine.tracking.poses import STATE_COUNT, Landmarks, Pinhole, Poses, joined
+from jghand_engine.tracking.skeleton import ANGLE_COUNT, LIMITS_RAD, Skeleton
 from jghand_engine.tracking.smoother import Steadiness, solve
-
-# numbers of one frame: turn of the palm, place of the wrist, angles
-STATE_COUNT = 6 + ANGLE_COUNT
-_PARENTS = list(PARENTS[1:])
-
-
-def _beyond() -> np.ndarray:
-    """(21, 20): whether joint j hangs on bone b (1..20, index b - 1)."""
-    hangs = np.zeros((JOINT_COUNT, BONE_COUNT))
-    for joint in range(1, JOINT_COUNT):
-        on = joint
-        while on > 0:
-            hangs[joint, on - 1] = 1.0
-            on = PARENTS[on]
-    return hangs
-
-
-_BEYOND = _beyond()
-# a hand at rest, for frames of which nothing is known: fingers half bent
-_REST_RAD = np.clip(np.tile(np.radians([25.0, 0.0, 35.0, 18.0]), 5), LIMITS_RAD[:, 0], LIMITS_RAD[:, 1])
-
-
-@dataclass(frozen=True)
-class Pinhole:
-    """focal_px, and the middle of the picture, pixels."""
-
-    focal_px: float
-    cx: float
-    cy: float
-
-    def project(self, points_m: np.ndarray) -> np.ndarray:
-        """(..., 3) camera axes -> (..., 2) pixels."""
-        return self.focal_px * points_m[..., :2] / points_m[..., 2:] + (self.cx, self.cy)
-
-    def rays(self, pixels: np.ndarray) -> np.ndarray:
-        """(..., 2) pixels -> (..., 3) directions with z = 1."""
-        flat = (pixels - (self.cx, self.cy)) / self.focal_px
-        return np.concatenate([flat, np.ones_like(flat[..., :1])], -1)
-
-
-@dataclass(frozen=True)
-class Landmarks:
-    """One right hand over time, as it was seen.
-
-    image_px: (F, 21, 2), NaN where it was not seen · directions: (F, 20, 3) unit, of bones 1..20, camera axes; None
-    where nothing but the picture is to be believed · camera · fps
-    """
-
-    image_px: np.ndarray
-    directions: np.ndarray
-    camera: Pinhole
-    fps: float
-
-    @property
-    def seen(self) -> np.ndarray:
-        """(F,) bool."""
-        return np.asarray(np.isfinite(self.image_px).all(axis=(1, 2)))
-
-    def part(self, frames: slice) -> Landmarks:
-        """Some of the frames."""
-        return replace(self, image_px=self.image_px[frames], directions=self.directions[frames])
-
-
-@dataclass(frozen=True)
-class Poses:
-    """turn: (F, 3, 3) camera from canonical hand · place_m: (F, 3) wrist, camera axes · angle_rad: (F, 20)."""
-
-    turn: np.ndarray
-    place_m: np.ndarray
-    angle_rad: np.ndarray
-
-    def __len__(self) -> int:
-        return len(self.angle_rad)
-
-    def part(self, frames: slice) -> Poses:
-        return Poses(self.turn[frames], self.place_m[frames], self.angle_rad[frames])
-
-    def moved(self, step: np.ndarray) -> Poses:
-        """After a step (F, 26)."""
-        turn = self.turn @ rotations_of(step[:, :3])
-        return Poses(turn, self.place_m + step[:, 3:6], self.angle_rad + step[:, 6:])
-
-    def steps(self) -> np.ndarray:
-        """(F - 1, 26) how to come from each frame to the next."""
-        between = np.swapaxes(self.turn[:-1], -1, -2) @ self.turn[1:]
-        turns = Rotation.from_matrix(between).as_rotvec() if len(between) else np.zeros((0, 3))
-        return np.concatenate([turns, np.diff(self.place_m, axis=0), np.diff(self.angle_rad, axis=0)], 1)
-
-    def joints_m(self, skeleton: Skeleton) -> np.ndarray:
-        """(F, 21, 3) camera axes."""
-        return skeleton.joints(self.angle_rad) @ np.swapaxes(self.turn, -1, -2) + self.place_m[:, None]
-
-
-@dataclass(frozen=True)
-class Trust:
-    """How much is believed: standard deviations (`jghand_engine.limits`, tracking). smoothing: 1, less for a smoother
-    motion; 0 fits every frame alone."""
-
-    landmark: float = limits.LANDMARK_SIGMA
-    direction: float = limits.DIRECTION_SIGMA
-    rest_rad: float = limits.REST_SIGMA_RAD
-    smoothing: float = 1.0
-
-    def steadiness(self, fps: float) -> Steadiness | None:
-        """White noise of acceleration has a variance per frame that falls with the cube of the rate."""
-        if self.smoothing == 0:
-            return None
-        sizes = [3, 3, ANGLE_COUNT]
-        acceleration = np.repeat(
-            [limits.TURN_ACCELERATION, limits.PLACE_ACCELERATION, limits.ANGLE_ACCELERATION], sizes
-        )
-        speed = np.repeat([limits.TURN_SPEED, limits.PLACE_SPEED, limits.ANGLE_SPEED], sizes)
-        # per frame at the rate for which the accelerations are given, then at this one
-        second = acceleration / limits.SMOOTHING_FPS**2 * (limits.SMOOTHING_FPS / fps) ** 1.5 / self.smoothing
-        first = speed / fps * (limits.SMOOTHING_FPS / fps) ** -0.5
-        return Steadiness(first**-2.0, second**-2.0)
 
 
 def fit(skeleton: Skeleton, landmarks: Landmarks, trust: Trust | None = None) -> Poses:
     """The motion. Frames before the hand is first seen hold its first pose, those after the last one its last.
 
-    At least one frame must show the hand. Long videos are fitted in parts that overlap, so that memory is bounded; what
-    is as far away as the overlap has no influence.
+    At least one frame must show the hand. Gaps shorter than `limits.FIT_MARGIN_FRAMES` are part of the fit; in longer
+    ones, and in all of them without smoothing, the hand goes evenly from the pose before to the one after. Long videos
+    are fitted in parts that overlap, so that memory is bounded; what is as far away as the overlap has no influence.
     """
     trust = trust or Trust()
-    frames = np.flatnonzero(landmarks.seen)
-    first, last = int(frames[0]), int(frames[-1]) + 1
-    inner = landmarks.part(slice(first, last))
-    start = initial_poses(skeleton, inner)
-    parts = []
+    seen = np.flatnonzero(landmarks.seen)
+    start = initial_poses(skeleton, landmarks)
+    fitted, known = [], []
+    for kept, wide in _parts(seen, alone=trust.smoothing == 0):
+        poses = _fit_part(skeleton, landmarks.part(wide), start.part(wide), trust)
+        fitted.append(poses.part(np.isin(wide, kept)))
+        known.append(kept)
+    return joined(fitted).spread(np.concatenate(known), len(landmarks.image_px))
+
+
+def _parts(seen: np.ndarray, *, alone: bool) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Frames that are fitted together, in their order: those that are kept, and with what is around them.
+
+    Both end at frames that were seen, so that no part has to guess where a gap ends. alone: gaps are no part of them.
+    """
     window, margin = limits.FIT_WINDOW_FRAMES, limits.FIT_MARGIN_FRAMES
-    for begin in range(0, last - first, window):
-        end = min(begin + window, last - first)
-        wide = slice(max(0, begin - margin), min(last - first, end + margin))
-        fitted = _fit_together(skeleton, inner.part(wide), start.part(wide), trust)
-        parts.append(fitted.part(slice(begin - wide.start, end - wide.start)))
-    hold = np.clip(np.arange(len(landmarks.image_px)) - first, 0, last - first - 1)
-    return Poses(
-        np.concatenate([part.turn for part in parts])[hold],
-        np.concatenate([part.place_m for part in parts])[hold],
-        np.concatenate([part.angle_rad for part in parts])[hold],
-    )
+    if alone:
+        for begin in range(0, len(seen), window):
+            yield seen[begin : begin + window], seen[begin : begin + window]
+        return
+    for run in np.split(seen, np.flatnonzero(np.diff(seen) > margin) + 1):
+        first, last = int(run[0]), int(run[-1])
+        begin = first
+        while begin <= last:
+            # the last seen frame within the window is the first of the next part
+            end = (
+                int(run[np.searchsorted(run, begin + window, side="right") - 1]) if begin + window <= last else last + 1
+            )
+            low = run[max(np.searchsorted(run, begin - margin, side="right") - 1, 0)]
+            high = run[min(np.searchsorted(run, end + margin), len(run) - 1)]
+            yield np.arange(begin, end), np.arange(low, high + 1)
+            begin = end
 
 
 def initial_poses(skeleton: Skeleton, landmarks: Landmarks) -> Poses:
@@ -183,13 +77,7 @@ def initial_poses(skeleton: Skeleton, landmarks: Landmarks) -> Poses:
     angle = np.clip(angle.reshape(-1, ANGLE_COUNT), LIMITS_RAD[:, 0], LIMITS_RAD[:, 1])
     joints = skeleton.joints(angle) @ np.swapaxes(turn, -1, -2)
     place = _placed(joints, landmarks.image_px[seen], landmarks.camera)
-    count = np.arange(len(landmarks.image_px))
-    if len(seen) == 1:
-        turns = np.repeat(turn, len(count), axis=0)
-    else:
-        turns = Slerp(seen, Rotation.from_matrix(turn))(np.clip(count, seen[0], seen[-1])).as_matrix()
-    between = [np.interp(count, seen, column) for column in np.concatenate([place, angle], 1).T]
-    return Poses(turns, np.stack(between[:3], -1), np.stack(between[3:], -1))
+    return Poses(turn, place, angle).spread(seen, len(landmarks.image_px))
 
 
 def _placed(joints: np.ndarray, image_px: np.ndarray, camera: Pinhole) -> np.ndarray:
@@ -201,35 +89,47 @@ def _placed(joints: np.ndarray, image_px: np.ndarray, camera: Pinhole) -> np.nda
     return camera.rays(image_middle) * depth[:, None] - middle
 
 
-# ---- the fit of frames that know of one another ----------------------------------------------------------------------
+# ---- the steps -------------------------------------------------------------------------------------------------------
 
 
-def _fit_together(skeleton: Skeleton, landmarks: Landmarks, poses: Poses, trust: Trust) -> Poses:
+def _fit_part(skeleton: Skeleton, landmarks: Landmarks, poses: Poses, trust: Trust) -> Poses:
+    """Frames that know of one another take each step together or not at all; frames alone each for itself."""
     steadiness = trust.steadiness(landmarks.fps)
-    damping = limits.FIT_DAMPING
-    now = look_at(skeleton, landmarks, poses, trust)
-    cost = now.cost + _unsteadiness(poses, steadiness)
+    going = np.arange(len(poses))
+    damping = np.full(len(poses) if steadiness is None else 1, limits.FIT_DAMPING)
     for _ in range(limits.FIT_STEPS):
-        gradient = now.gradient if steadiness is None else now.gradient + steadiness.gradient(poses.steps())
-        moved = poses.moved(bounded(solve(damped(now.blocks, damping), gradient, steadiness)))
-        there = look_at(skeleton, landmarks, moved, trust)
-        moved_cost = there.cost + _unsteadiness(moved, steadiness)
-        if moved_cost > cost:
-            damping *= 10
-            if damping > limits.FIT_DAMPING_MAX:
-                break
-            continue
-        done = cost - moved_cost < limits.FIT_TOLERANCE * cost
-        poses, now, cost, damping = moved, there, moved_cost, max(damping / 10, limits.FIT_DAMPING_MIN)
-        if done:
+        here = poses.part(going)
+        view = View.of(skeleton, landmarks.part(going), trust, here)
+        look = view.look(here)
+        gradient = look.gradient if steadiness is None else look.gradient + steadiness.gradient(here.steps())
+        there = here.moved(bounded(solve(damped(look.blocks, damping), gradient, steadiness)))
+        before, after = _costs(view, here, steadiness), _costs(view, there, steadiness)
+        better = after <= before
+        moved = np.broadcast_to(better, len(going))
+        poses = poses.replaced(going[moved], there.part(moved))
+        # a short step may gain little because it was made short: then there may be more to gain
+        settled = better & (before - after < limits.FIT_TOLERANCE * before) & (damping <= limits.FIT_DAMPING)
+        damping = np.where(better, np.maximum(damping / 10, limits.FIT_DAMPING_MIN), 10 * damping)
+        left = ~(settled | (damping > limits.FIT_DAMPING_MAX))
+        if not left.any():
             break
+        if steadiness is None:
+            going, damping = going[left], damping[left]
     return replace(poses, angle_rad=np.clip(poses.angle_rad, LIMITS_RAD[:, 0], LIMITS_RAD[:, 1]))
 
 
-def damped(blocks: np.ndarray, damping: float) -> np.ndarray:
-    """(F, n, n) with a larger diagonal: shorter steps, and invertible also where nothing is known (Marquardt)."""
+def _costs(view: View, poses: Poses, steadiness: Steadiness | None) -> np.ndarray:
+    """(F,) of frames alone; (1,) of frames that know of one another."""
+    costs = view.costs(poses)
+    return costs if steadiness is None else costs.sum(keepdims=True) + steadiness.cost(poses.steps())
+
+
+def damped(blocks: np.ndarray, damping: float | np.ndarray) -> np.ndarray:
+    """(F, n, n) with a larger diagonal: shorter steps, and invertible also where nothing is known (Marquardt). damping:
+    of all, or (F,)"""
     larger = blocks.copy()
-    np.einsum("fii->fi", larger)[...] += damping * np.einsum("fii->fi", blocks) + limits.FIT_DAMPING_MIN
+    diagonal = np.einsum("fii->fi", blocks)
+    np.einsum("fii->fi", larger)[...] += np.expand_dims(damping, -1) * diagonal + limits.FIT_DAMPING_MIN
     return larger
 
 
@@ -238,92 +138,3 @@ def bounded(step: np.ndarray) -> np.ndarray:
     most = np.full(STATE_COUNT, limits.FIT_STEP_RAD)
     most[3:6] = limits.FIT_STEP_M
     return np.clip(step, -most, most)
-
-
-def _unsteadiness(poses: Poses, steadiness: Steadiness | None) -> float:
-    return 0.0 if steadiness is None else steadiness.cost(poses.steps())
-
-
-@dataclass(frozen=True)
-class Look:
-    """What the frames say of themselves: cost of all, gradient (F, n), second derivatives (F, n, n); n is 26, or 46
-    with the lengths of the bones."""
-
-    cost: float
-    gradient: np.ndarray
-    blocks: np.ndarray
-
-
-def look_at(
-    skeleton: Skeleton, landmarks: Landmarks, poses: Poses, trust: Trust, *, with_lengths: bool = False
-) -> Look:
-    """How well poses explain landmarks, and how that changes with them; with relative changes of the 20 bones' lengths
-    too, if they are wanted. Nothing of what frames know of one another is in it."""
-    count, size = len(poses), STATE_COUNT + (BONE_COUNT if with_lengths else 0)
-    gradient = np.zeros((count, size))
-    blocks = np.zeros((count, size, size))
-    cost = _priors(poses, trust, gradient, blocks)
-    seen = np.flatnonzero(landmarks.seen)
-    inside, bends = skeleton.joints_and_motion(poses.angle_rad[seen])
-    turn = poses.turn[seen]
-    points = inside @ np.swapaxes(turn, -1, -2) + poses.place_m[seen][:, None]
-    # how the joints move with the state: (f, 21, 3, n)
-    motion = np.zeros((len(seen), 21, 3, size))
-    motion[..., :3] = -turn[:, None] @ cross_matrices(inside)
-    motion[..., 3:6] = np.eye(3)
-    motion[..., 6:STATE_COUNT] = turn[:, None] @ bends
-    if with_lengths:
-        # a longer bone moves everything beyond it
-        bones = points[:, 1:] - points[:, _PARENTS]
-        motion[..., STATE_COUNT:] = (_BEYOND[..., None] * bones[:, None]).swapaxes(-1, -2)
-    for residual, slope in (
-        _image_residual(skeleton, landmarks, points, motion, seen, trust),
-        _direction_residual(landmarks, points, motion, seen, trust),
-    ):
-        square = np.square(residual).sum(-1)
-        scale = limits.ROBUST_SIGMAS**2
-        cost += 0.5 * scale * float(np.log1p(square / scale).sum())
-        weight = 1 / (1 + square / scale)
-        weighted = slope * weight[..., None, None]
-        flat, weighted = (array.reshape(len(seen), -1, size) for array in (slope, weighted))
-        gradient[seen] += np.einsum("fks,fk->fs", weighted, residual.reshape(len(seen), -1))
-        blocks[seen] += np.swapaxes(weighted, -1, -2) @ flat
-    return Look(cost, gradient, blocks)
-
-
-def _priors(poses: Poses, trust: Trust, gradient: np.ndarray, blocks: np.ndarray) -> float:
-    """Joint limits and the weak pull to rest; adds to gradient and blocks, returns the cost."""
-    beyond = poses.angle_rad - np.clip(poses.angle_rad, LIMITS_RAD[:, 0], LIMITS_RAD[:, 1])
-    away = poses.angle_rad - _REST_RAD
-    limit, rest = limits.LIMIT_SIGMA_RAD**-2, trust.rest_rad**-2
-    gradient[:, 6:STATE_COUNT] += limit * beyond + rest * away
-    np.einsum("fii->fi", blocks)[:, 6:STATE_COUNT] += limit * (beyond != 0) + rest
-    return 0.5 * float((limit * beyond**2 + rest * away**2).sum())
-
-
-def _image_residual(
-    skeleton: Skeleton, landmarks: Landmarks, points: np.ndarray, motion: np.ndarray, seen: np.ndarray, trust: Trust
-) -> tuple[np.ndarray, np.ndarray]:
-    """(f, 21, 2) in standard deviations, and its slope (f, 21, 2, n). Lengths in the picture are brought to the hand's
-    depth, so that an error counts as it would on the hand itself."""
-    lengths = skeleton.bone_lengths_m
-    sigma_m = trust.landmark * float(lengths[[2, 7, 12, 17]].sum())
-    depth = np.maximum(points[..., 2:], limits.FIT_DEPTH_MIN_M)
-    rays = landmarks.camera.rays(landmarks.image_px[seen])[..., :2]
-    flat = points[..., :2] / depth
-    # per unit of the ray: the wrist's depth over sigma, taken as a constant of this step
-    scale = depth[:, :1] / sigma_m
-    slope = (motion[:, :, :2] - flat[..., None] * motion[:, :, 2:]) / depth[..., None] * scale[..., None]
-    return (flat - rays) * scale, slope
-
-
-def _direction_residual(
-    landmarks: Landmarks, points: np.ndarray, motion: np.ndarray, seen: np.ndarray, trust: Trust
-) -> tuple[np.ndarray, np.ndarray]:
-    """(f, 20, 3) in standard deviations, and its slope (f, 20, 3, n)."""
-    bones = points[:, 1:] - points[:, _PARENTS]
-    length = np.linalg.norm(bones, axis=-1, keepdims=True)
-    unit = bones / length
-    change = (motion[:, 1:] - motion[:, _PARENTS]) / length[..., None]
-    across = change - unit[..., None] * (unit[..., None, :] @ change)
-    return (unit - landmarks.directions[seen]) / trust.direction, across / trust.direction

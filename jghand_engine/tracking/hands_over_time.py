@@ -1,7 +1,7 @@
 """From hands in single pictures to hands over time: at most one right and one left.
 
 A detector may take a hand for the other one now and then, or find one hand twice. What moves on from where it was is
-the same hand, and which hand that is, all of its frames decide together.
+the same hand, where hands meet the one that looks like it, and which hand that is, all of its frames decide together.
 """
 
 from __future__ import annotations
@@ -20,24 +20,26 @@ Detections = Sequence[Sequence[SeenHand]]
 _WRIST, _INDEX, _MIDDLE, _PINKY = (LEVEL_NAMES.index(name) for name in ("wrist", "index1", "middle1", "pinky1"))
 
 
-@dataclass
+@dataclass(eq=False)
 class _Trail:
     """One hand from where it appears to where it is lost."""
 
     frames: list[int] = field(default_factory=list)
     hands: list[SeenHand] = field(default_factory=list)
+    _sum: float = 0.0
 
     def add(self, frame: int, hand: SeenHand) -> None:
         self.frames.append(frame)
         self.hands.append(hand)
+        self._sum += _rightness(hand)
 
     @property
     def rightness(self) -> float:
         """From -1, surely a left hand, to 1, surely a right one: labels and shape, over all frames."""
-        return float(np.mean([_label(hand) + shape_rightness(hand.space_m) for hand in self.hands]) / 2)
+        return self._sum / len(self.hands)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class HandOverTime:
     """frames: for each picture the hand in it, None where it was not seen · certainty: 0..1, of which hand it is ·
     relabelled: in how many pictures the detector had taken it for the other one."""
@@ -53,17 +55,35 @@ class HandOverTime:
         return np.array([hand is not None for hand in self.frames])
 
 
-def hands_over_time(detections: Detections, fps: float) -> dict[Handedness, HandOverTime]:
-    """Who is who. Hands that are hardly ever seen are left out; so an empty dictionary is possible."""
+@dataclass(frozen=True)
+class FoundHands:
+    """hands: those that are there · doubted: those seen in so few pictures that they are taken for mistakes."""
+
+    hands: dict[Handedness, HandOverTime]
+    doubted: dict[Handedness, HandOverTime]
+
+
+def hands_over_time(detections: Detections, fps: float) -> FoundHands:
+    """Who is who: at most one right hand and one left."""
     trails = sorted(_trails(detections, fps), key=lambda trail: -len(trail.frames))
     chosen: dict[Handedness, list[_Trail]] = {Handedness.RIGHT: [], Handedness.LEFT: []}
     for trail in trails:
         hand = Handedness.RIGHT if trail.rightness >= 0 else Handedness.LEFT
         chosen[hand].append(trail)
     count = len(detections)
-    least = max(limits.HAND_SEEN_FRAMES_MIN, limits.HAND_SEEN_PART_MIN * count)
-    found = {hand: _joined(hand, own, count) for hand, own in chosen.items() if own}
-    return {hand: over for hand, over in found.items() if over.seen.sum() >= min(least, count)}
+    found = FoundHands({}, {})
+    for hand, own in chosen.items():
+        if own:
+            there = _joined(hand, own, count)
+            believed = there.seen.sum() >= _least(count, fps)
+            (found.hands if believed else found.doubted)[hand] = there
+    return found
+
+
+def _least(count: int, fps: float) -> float:
+    """In how many of a film's pictures a hand must be seen."""
+    part = min(limits.HAND_SEEN_PART_MIN * count, limits.HAND_SEEN_S * fps)
+    return min(max(limits.HAND_SEEN_FRAMES_MIN, part), count)
 
 
 def shape_rightness(space_m: np.ndarray) -> float:
@@ -80,32 +100,33 @@ def shape_rightness(space_m: np.ndarray) -> float:
     return float(np.clip(bends.sum() / 2, -1, 1))
 
 
-def _label(hand: SeenHand) -> float:
-    return hand.score if hand.handedness is Handedness.RIGHT else -hand.score
+def _rightness(hand: SeenHand) -> float:
+    """From -1 to 1: what label and shape say together."""
+    label = hand.score if hand.handedness is Handedness.RIGHT else -hand.score
+    return (label + shape_rightness(hand.space_m)) / 2
 
 
 def _trails(detections: Detections, fps: float) -> list[_Trail]:
-    """Each trail goes on to the nearest detection that it can have reached."""
+    """Each trail goes on to the nearest and likest detection that it can have reached."""
     done: list[_Trail] = []
     open_trails: list[_Trail] = []
     for frame, found in enumerate(detections):
-        lost = [trail for trail in open_trails if frame - trail.frames[-1] > limits.HAND_LOST_S * fps + 1]
-        open_trails = [trail for trail in open_trails if trail not in lost]
-        done += lost
-        pairs = []
+        oldest = frame - limits.HAND_HIDDEN_S * fps - 1
+        done += [trail for trail in open_trails if trail.frames[-1] < oldest]
+        open_trails = [trail for trail in open_trails if trail.frames[-1] >= oldest]
         hands = _distinct(found)
-        for trail in open_trails:
-            for place, hand in enumerate(hands):
-                way = distance(trail.hands[-1], hand)
-                steps = (frame - trail.frames[-1]) * max(1.0, limits.SMOOTHING_FPS / fps)
-                if way <= limits.HAND_STEP_PART * steps:
-                    pairs.append((way, id(trail), trail, place))
-        taken: set[int] = set()
+        costs = [
+            (cost, number, place)
+            for number, trail in enumerate(open_trails)
+            for place, hand in enumerate(hands)
+            if (cost := _step_cost(trail, hand, frame - trail.frames[-1], fps)) is not None
+        ]
         going_on: set[int] = set()
-        for _, key, trail, place in sorted(pairs, key=lambda pair: pair[:2]):
-            if key not in going_on and place not in taken:
-                trail.add(frame, hands[place])
-                going_on.add(key)
+        taken: set[int] = set()
+        for _, number, place in sorted(costs):
+            if number not in going_on and place not in taken:
+                open_trails[number].add(frame, hands[place])
+                going_on.add(number)
                 taken.add(place)
         for place, hand in enumerate(hands):
             if place not in taken:
@@ -113,6 +134,19 @@ def _trails(detections: Detections, fps: float) -> list[_Trail]:
                 trail.add(frame, hand)
                 open_trails.append(trail)
     return done + open_trails
+
+
+def _step_cost(trail: _Trail, hand: SeenHand, frames: int, fps: float) -> float | None:
+    """How far a hand that is seen so many frames after a trail's last one is from it, in parts of its size, and more
+    where it looks like the other hand; None for one that cannot be it."""
+    way = distance(trail.hands[-1], hand)
+    unlike = abs(trail.rightness - _rightness(hand)) / 2
+    if way > limits.HAND_STEP_PART * frames * max(1.0, limits.SMOOTHING_FPS / fps):
+        return None
+    # of a hand that was away for long not its place but its looks tell that it is back
+    if frames > limits.HAND_LOST_S * fps + 1 and unlike > limits.HAND_UNLIKE_MAX:
+        return None
+    return way + limits.HAND_UNLIKE_COST * unlike
 
 
 def distance(first: SeenHand, second: SeenHand) -> float:
@@ -131,13 +165,13 @@ def _distinct(found: Sequence[SeenHand]) -> list[SeenHand]:
 
 
 def _joined(handedness: Handedness, trails: list[_Trail], count: int) -> HandOverTime:
-    """The longest trail first; a picture belongs to the first that has it."""
+    """The longest trail first; a picture belongs to the first that has it. trails: longest first."""
     frames: list[SeenHand | None] = [None] * count
     used = []
     for trail in trails:
         free = [(frame, hand) for frame, hand in zip(trail.frames, trail.hands, strict=True) if frames[frame] is None]
-        # a second hand of the same kind at the same time is another person's
-        if len(free) < len(trail.frames):
+        # a second hand of the same kind at the same time is another person's; in a few pictures, a mistake in them
+        if len(trail.frames) - len(free) > limits.HAND_DOUBLE_PART * len(trail.frames):
             continue
         for frame, hand in free:
             frames[frame] = hand

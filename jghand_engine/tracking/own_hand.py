@@ -16,7 +16,9 @@ from jghand_engine import limits
 from jghand_engine.hand.joints import BONE_COUNT
 from jghand_engine.hand.orders import bone_lengths, hand_length
 from jghand_engine.hand.sequence import bone_directions, rebuilt
-from jghand_engine.tracking.fit import STATE_COUNT, Landmarks, Look, Trust, bounded, damped, fit, look_at
+from jghand_engine.tracking.fit import bounded, damped, fit
+from jghand_engine.tracking.look import Look, Trust, View
+from jghand_engine.tracking.poses import STATE_COUNT, Landmarks
 from jghand_engine.tracking.skeleton import Skeleton
 
 
@@ -41,19 +43,20 @@ def own_canonical_joints(canonical_joints_m: np.ndarray, landmarks: Landmarks, l
     change, damping = np.zeros(BONE_COUNT), limits.FIT_DAMPING
     joints, size = hand(change)
     poses = fit(Skeleton.of(joints), shown, trust)
-    now = look_at(Skeleton.of(joints), shown, poses, trust, with_lengths=True)
     for _ in range(limits.OWN_HAND_ROUNDS):
-        step, longer = _step(now, pull, change, damping)
+        view = View.of(Skeleton.of(joints), shown, trust, poses)
+        step, longer = _step(view.look(poses, with_lengths=True), pull, change, damping)
         longer = change + longer
         joints_there, size_there = hand(longer)
         # a hand that is made larger to have its length stands so much farther away
         moved = poses.moved(bounded(step))
         moved = replace(moved, place_m=moved.place_m * (size_there / size))
-        there = look_at(Skeleton.of(joints_there), shown, moved, trust, with_lengths=True)
-        if there.cost + 0.5 * pull * longer @ longer > now.cost + 0.5 * pull * change @ change:
+        before = view.costs(poses).sum() + 0.5 * pull * change @ change
+        after = replace(view, skeleton=Skeleton.of(joints_there)).costs(moved).sum() + 0.5 * pull * longer @ longer
+        if after > before:
             damping *= 10
             continue
-        poses, change, now, joints, size, damping = moved, longer, there, joints_there, size_there, damping / 10
+        poses, change, joints, size, damping = moved, longer, joints_there, size_there, damping / 10
     return joints
 
 
@@ -74,4 +77,4 @@ def _spread(landmarks: Landmarks) -> Landmarks:
     """Seen frames, evenly spread, not too many."""
     seen = np.flatnonzero(landmarks.seen)
     chosen = seen[np.unique(np.linspace(0, len(seen) - 1, limits.OWN_HAND_FRAMES).round().astype(int))]
-    return Landmarks(landmarks.image_px[chosen], landmarks.directions[chosen], landmarks.camera, landmarks.fps)
+    return landmarks.part(chosen)

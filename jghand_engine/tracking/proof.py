@@ -16,7 +16,7 @@ from jghand_engine.hand.joints import PARENTS, Handedness
 from jghand_engine.splat.camera import Camera
 from jghand_engine.splat.frame import SceneRenderer
 from jghand_engine.splat.settings import preset
-from jghand_engine.tracking.fit import Pinhole
+from jghand_engine.tracking.poses import Pinhole
 from jghand_engine.tracking.track import TrackedHand
 
 _SEEN, _FITTED, _FILLED = (255, 190, 40), (60, 220, 120), (240, 70, 60)

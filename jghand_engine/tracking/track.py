@@ -15,9 +15,11 @@ from jghand_engine.hand.orders import check_joint_shape, hand_length
 from jghand_engine.hand.sequence import PoseSequence, bone_directions
 from jghand_engine.tracking.detection import HandDetector, SeenHand
 from jghand_engine.tracking.figures import jitter_deg
-from jghand_engine.tracking.fit import Landmarks, Pinhole, Trust, fit
+from jghand_engine.tracking.fit import fit
 from jghand_engine.tracking.hands_over_time import HandOverTime, hands_over_time
+from jghand_engine.tracking.look import Trust
 from jghand_engine.tracking.own_hand import own_canonical_joints
+from jghand_engine.tracking.poses import Landmarks, Pinhole
 from jghand_engine.tracking.skeleton import Skeleton, rotations_of
 
 _MIRROR = np.array([-1.0, 1.0, 1.0])
@@ -114,7 +116,7 @@ def track(
     options.check()
     check_joint_shape(canonical_joints_m)
     camera = camera_of(sightings, options.camera_angle_deg)
-    found = hands_over_time(sightings.frames, sightings.fps)
+    found = hands_over_time(sightings.frames, sightings.fps).hands
     return {side: track_hand(hand, camera, sightings.fps, canonical_joints_m, options) for side, hand in found.items()}
 
 

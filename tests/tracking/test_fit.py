@@ -10,7 +10,9 @@ from jghand_engine import limits
 from jghand_engine.hand.orders import bone_lengths
 from jghand_engine.hand.sequence import bone_directions
 from jghand_engine.tracking.figures import FINGER_BONES, angles_between_deg, directions_in_palm, jitter_deg, lag_ms
-from jghand_engine.tracking.fit import Landmarks, Trust, fit
+from jghand_engine.tracking.fit import _parts, fit
+from jghand_engine.tracking.look import Trust, View
+from jghand_engine.tracking.poses import Landmarks, Poses
 from jghand_engine.tracking.skeleton import LIMITS_RAD, Skeleton
 
 SKELETON = Skeleton.of(CANONICAL_M)
@@ -120,3 +122,133 @@ def test_the_wish_for_steadiness_does_not_depend_on_the_rate():
     half = replace(Trust(), smoothing=2.0).steadiness(30.0)
     assert half is not None
     np.testing.assert_allclose(half.second / slow.second, 4.0)
+
+
+# ---- gaps ------------------------------------------------------------------------------------------------------------
+
+
+def away(joints_m, begin, end):
+    """A perfectly seen motion, but for some frames."""
+    seen = landmarks(joints_m)
+    seen.image_px[begin:end] = seen.directions[begin:end] = np.nan
+    return seen
+
+
+def still(count, way_m=0.0, bent_rad=0.05):
+    """A flat hand that keeps its pose and goes evenly to the side."""
+    first = moving_poses(1)
+    angle = np.clip(np.full((count, 20), bent_rad), LIMITS_RAD[:, 0], LIMITS_RAD[:, 1])
+    angle[:, 1::4] = 0.0
+    place = np.repeat(first.place_m, count, 0)
+    place[:, 0] += np.linspace(0, way_m, count)
+    return Poses(np.repeat(first.turn, count, 0), place, angle)
+
+
+@pytest.mark.parametrize("smoothing", [0.0, 1.0])
+@pytest.mark.parametrize("gap", [1, 20, 45, 60, 90])
+def test_in_a_gap_a_hand_that_keeps_its_pose_keeps_its_pose(gap, smoothing):
+    truth = still(60 + gap, way_m=0.05)
+    joints = truth.joints_m(SKELETON)
+    found = fit(SKELETON, away(joints, 30, 30 + gap), Trust(smoothing=smoothing)).joints_m(SKELETON)
+    whole = fit(SKELETON, landmarks(joints), Trust(smoothing=smoothing)).joints_m(SKELETON)
+    # as in a film without a gap; worst seen 0.0054 degrees and 0.0039 mm
+    assert errors_deg(found, whole).max() < 0.01
+    assert np.abs(found - whole).max() < 1e-5
+
+
+@pytest.mark.parametrize("gap", [1, 20, 90])
+def test_frames_alone_are_joined_by_the_shortest_way_over_a_gap(truth_m, gap):
+    joints = moving_poses(60 + gap).joints_m(SKELETON)
+    poses = fit(SKELETON, away(joints, 30, 30 + gap), Trust(smoothing=0.0))
+    ends = Poses(poses.turn[[29, 30 + gap]], poses.place_m[[29, 30 + gap]], poses.angle_rad[[29, 30 + gap]])
+    between = ends.spread(np.array([0, gap + 1]), gap + 2)
+    np.testing.assert_allclose(poses.angle_rad[29 : 31 + gap], between.angle_rad, atol=1e-12)
+    np.testing.assert_allclose(poses.joints_m(SKELETON)[29 : 31 + gap], between.joints_m(SKELETON), atol=1e-12)
+
+
+@pytest.mark.parametrize(("begin", "end"), [(85, 97), (88, 100), (95, 125), (50, 270), (89, 91)])
+def test_where_a_gap_lies_between_parts_of_a_long_video_there_is_no_seam(monkeypatch, begin, end):
+    """Gaps about the 90th frame, at which a part ends; one of them longer than a part with all that is around it."""
+    monkeypatch.setattr(limits, "FIT_WINDOW_FRAMES", 90)
+    monkeypatch.setattr(limits, "FIT_MARGIN_FRAMES", 20)
+    truth = still(300, way_m=0.3)
+    found = fit(SKELETON, away(truth.joints_m(SKELETON), begin, end))
+    steps = np.linalg.norm(np.diff(found.place_m, axis=0), axis=1)
+    # worst seen 1.00310 mm, the way itself; 9 mm at a seam
+    assert steps.max() < 1.0032e-3
+    assert np.degrees(np.abs(np.diff(found.angle_rad, axis=0)).max()) < 0.006, "seen: 0.0039"
+
+
+def test_parts_of_a_long_video_end_where_the_hand_is_seen(monkeypatch):
+    monkeypatch.setattr(limits, "FIT_WINDOW_FRAMES", 20)
+    monkeypatch.setattr(limits, "FIT_MARGIN_FRAMES", 6)
+    random = np.random.default_rng(0)
+    for _ in range(50):
+        seen = np.flatnonzero(random.random(150) < random.uniform(0.1, 1))
+        parts = list(_parts(seen, alone=False))
+        kept = np.concatenate([part for part, _ in parts])
+        assert (np.diff(kept) > 0).all()
+        assert set(seen) <= set(kept)
+        for part, wide in parts:
+            assert set(part) <= set(wide)
+            assert part[0] in seen
+            assert {wide[0], wide[-1]} <= set(seen)
+            assert len(part) <= 20
+            assert len(wide) <= 20 + 4 * 6 + 1
+        before = set(range(kept[0], kept[-1] + 1)) - set(kept)
+        assert not before & set(seen), "what is left out are long gaps alone"
+
+
+# ---- the steps -------------------------------------------------------------------------------------------------------
+
+
+def noisy_view(count=4, seed=1, overstep_rad=0.0, **trust):
+    """Poses beside noisy landmarks, some beyond their limits, as a step sees them."""
+    poses = moving_poses(count)
+    seen = landmarks(poses.joints_m(SKELETON), noise_px=4.0, noise_rad=0.2, seed=seed)
+    seen.image_px[2, 5] += 90.0  # a wrong one, which counts less
+    step = 0.1 * np.random.default_rng(seed).standard_normal((count, 26)) * ([1] * 3 + [0.1] * 3 + [1] * 20)
+    step[:, 9] += overstep_rad
+    poses = poses.moved(step)
+    return View.of(SKELETON, seen, Trust(**trust), poses), poses
+
+
+@pytest.mark.parametrize("trust", [{}, {"landmark": 1e3}, {"direction": 1e3}, {"landmark": 1e3, "direction": 1e3}])
+def test_the_gradient_is_that_of_the_costs(trust):
+    """Turn, place and angles; robust losses, limits and rest; also each of them by itself."""
+    view, poses = noisy_view(overstep_rad=2.0, **trust)
+    gradient = view.look(poses).gradient
+    for place in range(26):
+        step = np.zeros((len(poses), 26))
+        step[:, place] = 1e-6
+        costs = [view.costs(poses.moved(sign * step)) for sign in (1, -1)]
+        # worst seen 1.4e-9 of the largest: round-off of the differences
+        np.testing.assert_allclose((costs[0] - costs[1]) / 2e-6, gradient[:, place], atol=4e-9 * np.abs(gradient).max())
+
+
+def test_the_gradient_of_bone_lengths_is_that_of_the_costs():
+    """The fingers' bones; with those of the palm the axes turn a little too, which a step leaves out."""
+    view, poses = noisy_view()
+    gradient = view.look(poses, with_lengths=True).gradient[:, 31:]
+
+    def costs(bone, change):
+        factors = np.exp(change * np.eye(15)[bone]).reshape(3, 5, 1)
+        skeleton = replace(SKELETON, bones_m=factors * SKELETON.bones_m)
+        # landmarks count in parts of the hand's length, which a step keeps
+        larger = skeleton.bone_lengths_m[[2, 7, 12, 17]].sum() / SKELETON.bone_lengths_m[[2, 7, 12, 17]].sum()
+        trust = replace(view.trust, landmark=view.trust.landmark / larger)
+        return replace(view, skeleton=skeleton, trust=trust).costs(poses)
+
+    for bone in range(15):
+        difference = (costs(bone, 1e-6) - costs(bone, -1e-6)) / 2e-6
+        np.testing.assert_allclose(difference, gradient[:, bone], atol=4e-9 * np.abs(gradient).max())
+
+
+def test_a_frame_that_fits_badly_does_not_end_the_fit_of_the_others(truth_m):
+    """Frames alone are fitted each for itself: what is beside them changes nothing."""
+    seen = landmarks(truth_m, noise_px=5.0, noise_rad=0.3)
+    seen.image_px[7] = seen.image_px[7, ::-1]
+    together = fit(SKELETON, seen, Trust(smoothing=0.0)).joints_m(SKELETON)
+    for frame in (3, 20, 41):
+        one = fit(SKELETON, seen.part(slice(frame, frame + 1)), Trust(smoothing=0.0)).joints_m(SKELETON)
+        np.testing.assert_allclose(together[frame], one[0], atol=1e-12)

@@ -5,12 +5,23 @@ import pytest
 from tracking_samples import FPS, right_joints_m, seen
 
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.tracking.hands_over_time import hands_over_time, shape_rightness
+from jghand_engine.tracking import hands_over_time as module
+from jghand_engine.tracking.hands_over_time import shape_rightness
 
 RIGHT, LEFT = Handedness.RIGHT, Handedness.LEFT
 JOINTS_M = right_joints_m(40)
 # a left hand beside it
 LEFT_M = JOINTS_M * (-1, 1, 1) - (0.25, 0, 0)
+
+
+def hands_over_time(frames, fps):
+    """The hands that are believed."""
+    return module.hands_over_time(frames, fps).hands
+
+
+def labels(hand):
+    """One letter a picture: what the detector called what was taken for this hand; - where it was not seen."""
+    return "".join("-" if one is None else one.handedness.value[0] for one in hand.frames)
 
 
 def test_two_hands_are_kept_apart():
@@ -26,8 +37,8 @@ def test_two_hands_are_kept_apart():
 
 
 def test_a_hand_that_is_called_the_other_one_now_and_then_stays_what_it_mostly_is():
-    labels = [LEFT if k % 5 == 2 else RIGHT for k in range(40)]
-    found = hands_over_time([[seen(joints, label)] for joints, label in zip(JOINTS_M, labels, strict=True)], FPS)
+    called = [LEFT if k % 5 == 2 else RIGHT for k in range(40)]
+    found = hands_over_time([[seen(joints, label)] for joints, label in zip(JOINTS_M, called, strict=True)], FPS)
     assert set(found) == {RIGHT}
     assert found[RIGHT].seen.all()
     assert found[RIGHT].relabelled == 8
@@ -39,8 +50,8 @@ def test_the_way_that_fingers_bend_tells_the_hand():
 
 
 def test_a_label_that_is_wrong_half_of_the_time_is_outvoted_by_the_shape():
-    labels = [LEFT if k % 2 else RIGHT for k in range(40)]
-    frames = [[seen(joints, label)] for joints, label in zip(JOINTS_M * (-1, 1, 1), labels, strict=True)]
+    called = [LEFT if k % 2 else RIGHT for k in range(40)]
+    frames = [[seen(joints, label)] for joints, label in zip(JOINTS_M * (-1, 1, 1), called, strict=True)]
     assert set(hands_over_time(frames, FPS)) == {LEFT}
 
 
@@ -67,6 +78,60 @@ def test_a_second_right_hand_is_another_persons_and_left_out():
     found = hands_over_time(frames, FPS)
     middles = [hand.middle_px[0] for hand in found[RIGHT].frames]
     assert np.ptp(middles) < 100, "it does not jump from one to the other"
+
+
+@pytest.mark.parametrize("gone", [20, 30])
+def test_two_hands_that_come_and_go_together_are_two_hands(gone):
+    frames = [[seen(a, RIGHT), seen(b, LEFT)] for a, b in zip(JOINTS_M, LEFT_M, strict=True)]
+    found = hands_over_time(frames[:10] + [[]] * gone + frames[10:], FPS)
+    assert set(found) == {RIGHT, LEFT}
+    for hand in found.values():
+        assert hand.seen.sum() == 40
+        assert hand.relabelled == 0
+
+
+@pytest.mark.parametrize("half_m", [0.01, 0.03, 0.06])
+def test_hands_that_pass_in_front_of_each_other_stay_themselves(half_m):
+    """The right one is in front, so it alone is seen; then the left one alone, nearer to where the right one was."""
+    joints, x = right_joints_m(120), np.linspace(-0.2, 0.2, 120)
+    frames = []
+    for k in range(120):
+        right, left = seen(joints[k] + (x[k], 0, 0), RIGHT), seen(joints[k] * (-1, 1, 1) - (x[k], 0, 0), LEFT)
+        frames.append([right, left] if abs(x[k]) > half_m else [right] if x[k] < 0 else [left])
+    found = hands_over_time(frames, FPS)
+    assert {side: set(labels(hand)) for side, hand in found.items()} == {RIGHT: {"r", "-"}, LEFT: {"l", "-"}}
+    assert all(hand.certainty > 0.9 for hand in found.values())
+
+
+def test_a_hand_that_appears_where_the_other_one_was_is_not_the_other_one():
+    """The left one comes to a third of its size from where the right one is hidden by it."""
+    there = seen(JOINTS_M[0], RIGHT)
+    beside, over = (seen(JOINTS_M[0] * (-1, 1, 1) + (x, 0, 0), LEFT) for x in (0.07, 0.005))
+    frames = [[there, beside]] * 20 + [[over]] * 10 + [[there, beside]] * 20
+    found = hands_over_time(frames, FPS)
+    assert labels(found[RIGHT]) == 20 * "r" + 10 * "-" + 20 * "r"
+    assert labels(found[LEFT]) == 50 * "l"
+
+
+def test_a_detection_that_is_wrong_once_costs_no_more_than_its_picture():
+    joints = right_joints_m(200)
+    frames = [[seen(joints[k] + (0.06 if k >= 100 else 0, 0, 0), RIGHT)] for k in range(200)]
+    # nearer to where the hand was than the hand itself, which jumped
+    frames[100].append(seen(joints[99] - (0.005, 0, 0), RIGHT, 0.6))
+    assert hands_over_time(frames, FPS)[RIGHT].seen.all()
+
+
+def test_a_hand_that_is_there_for_seconds_counts_however_long_the_film_is():
+    joints = right_joints_m(70)
+    frames = [[seen(one, RIGHT)] for one in joints] + [[]] * 5000
+    assert hands_over_time(frames, FPS)[RIGHT].seen.sum() == 70
+
+
+def test_what_is_left_out_is_known():
+    frames = [[seen(JOINTS_M[0], RIGHT)]] * 2 + [[]] * 100
+    found = module.hands_over_time(frames, FPS)
+    assert found.hands == {}
+    assert found.doubted[RIGHT].seen.sum() == 2
 
 
 @pytest.mark.parametrize("count", [1, 2])

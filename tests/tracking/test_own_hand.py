@@ -5,8 +5,8 @@ from tracking_samples import CAMERA, CANONICAL_M, FPS, moving_poses
 
 from jghand_engine.hand.orders import bone_lengths, hand_length
 from jghand_engine.hand.sequence import bone_directions, rebuilt
-from jghand_engine.tracking.fit import Landmarks
 from jghand_engine.tracking.own_hand import own_canonical_joints
+from jghand_engine.tracking.poses import Landmarks
 from jghand_engine.tracking.skeleton import Skeleton
 
 
