@@ -36,7 +36,7 @@ class InputError(JGHandError):
 
 
 class RetryError(JGHandError):
-    """Nothing is wrong with the input; the world was not ready (disk full, engine busy, folder not writable)."""
+    """Nothing is wrong with the input; the world was not ready (disk full, engine busy, folder in use)."""
 
     exit_code = 3
 

@@ -5,19 +5,21 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
+import platform
 import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
-from jghand_engine.errors import RetryError
+from jghand_engine.errors import InputError, JGHandError, RetryError
 from jghand_engine.files import file_error
 from jghand_engine.limits import CLAIM_POLL_S
 
 
 @contextlib.contextmanager
 def locked(path: Path, *, work: str = "work", remedy: str = "Wait until it has ended.") -> Iterator[None]:
-    """Holds the lock file `path` for the duration. RetryError when another process (or thread) holds it.
+    """Holds the lock file `path` for the duration. RetryError when another process (or thread) holds it; InputError
+    where the file system has no locks, as nobody else could be kept out.
 
     work: what is done meanwhile, for the error
     """
@@ -26,19 +28,38 @@ def locked(path: Path, *, work: str = "work", remedy: str = "Wait until it has e
     except OSError as error:
         raise file_error(path, error) from error
     try:
-        if not _take(descriptor):
-            holder = os.pread(descriptor, 20, 1).decode("ascii", "replace") if hasattr(os, "pread") else "unknown"
+        try:
+            taken = _take(descriptor)
+        except OSError as error:
+            raise _no_locks(path.parent, error) from error
+        if not taken:
             raise RetryError(
                 f"{path.parent}", wanted=f"a folder in which no other {work} is under way",
-                came=f"one in use by process {holder.strip() or 'unknown'}",
+                came=f"one in use by process {_holder(descriptor)}",
                 remedy=remedy,
             )  # fmt: skip
         # the first byte is what Windows locks and others then cannot read
-        os.write(descriptor, f" {os.getpid():<12d}\n".encode())
+        who = f"{os.getpid()} on {platform.node()}"
+        os.write(descriptor, f" {who:<{_HOLDER_BYTES}.{_HOLDER_BYTES}}\n".encode("ascii", "replace"))
         yield
     finally:
         # the file stays: removing it would let two others lock two files of the same name
         os.close(descriptor)
+
+
+def _holder(descriptor: int) -> str:
+    """Who wrote itself into a lock file: its number, and the machine on which that number is its."""
+    said = os.pread(descriptor, _HOLDER_BYTES, 1).decode("ascii", "replace") if hasattr(os, "pread") else ""
+    return said.partition("\n")[0].strip() or "unknown"
+
+
+def _no_locks(folder: Path, error: OSError) -> JGHandError:
+    if error.errno not in _NO_LOCKS:
+        return file_error(folder, error)
+    return InputError(
+        f"{folder}", wanted="a file system with locks", came=error.strerror or str(error),
+        remedy="Mount it with them (Lustre: -o flock; NFS: its lock daemon), or choose a folder on another disk.",
+    )  # fmt: skip
 
 
 class Claims:
@@ -90,8 +111,12 @@ class Claims:
         return True
 
 
-# what the systems say of a byte that another process holds
+# what the systems say of what another process holds
 _TAKEN = (errno.EACCES, errno.EAGAIN, errno.EDEADLK)
+# ... and where a file system knows no locks, or nobody who keeps them
+_NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOTSUP)
+# of a lock file, for whoever holds it: a number and the name of a machine
+_HOLDER_BYTES = 60
 
 
 if sys.platform == "win32":
@@ -109,8 +134,10 @@ if sys.platform == "win32":
         try:
             os.lseek(descriptor, 0, os.SEEK_SET)
             msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
-        except OSError:
-            return False
+        except OSError as error:
+            if error.errno in _TAKEN:
+                return False
+            raise
         os.lseek(descriptor, 0, os.SEEK_SET)
         return True
 
@@ -126,6 +153,8 @@ else:
     def _take(descriptor: int) -> bool:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            return False
+        except OSError as error:
+            if error.errno in _TAKEN:
+                return False
+            raise
         return True
