@@ -20,7 +20,7 @@ import hashlib
 import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +29,7 @@ from jghand_engine import __version__
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.fast_posing import PosedFrame
 from jghand_engine.errors import DiskFullError, InputError
-from jghand_engine.exporters.ellipsoids import scales_and_turns
+from jghand_engine.exporters.ellipsoids import SteadyAxes
 from jghand_engine.exporters.usd_arrival import arriving
 from jghand_engine.exporters.usd_clips import ClippedSplats
 from jghand_engine.exporters.usd_half import HalfPrice
@@ -178,7 +178,7 @@ def check_space(folder: Path, gaussians: int, frames: int, options: UsdOptions, 
 
 @dataclass(frozen=True)
 class _Job:
-    """What the Gaussians of an export are written of. layers: the folder."""
+    """What the Gaussians of an export are written of, frame after frame. layers: the folder."""
 
     layers: Path
     names: LayerNames
@@ -186,6 +186,7 @@ class _Job:
     cloud: Cloud
     span: TimeRange
     options: UsdOptions
+    _axes: SteadyAxes = field(default_factory=SteadyAxes)
 
     def writer(self) -> SplatLayer | ClippedSplats:
         """A file, or many of a long take."""
@@ -209,8 +210,7 @@ class _Job:
         """A frame as it is written."""
         scales_m, turns_xyzw = None, None
         if posed.covariance_m2 is not None:
-            scales_m, turns = scales_and_turns(posed.covariance_m2)
-            scales_m, turns_xyzw = scales_m.astype(np.float32), turns.as_quat().astype(np.float32)
+            scales_m, turns_xyzw = self._axes(posed.covariance_m2)
         sigma_m = posed.sigma_m if self.has_sizes_per_frame else None
         return Sample(posed.positions_m, sigma_m, posed.rgb, scales_m, turns_xyzw, wrist_m)
 
