@@ -11,6 +11,7 @@ import torch
 
 from jghand_engine.cli.console import read_json
 from jghand_engine.errors import InputError
+from jghand_engine.limits import CAMERA_NUMBER_MAX
 from jghand_engine.splat.camera import Camera
 
 NUMBERS = ("width", "height", "fx", "fy", "cx", "cy")
@@ -29,18 +30,21 @@ def camera_from_dict(content: Any, thing: str = "camera") -> Camera:
     numbers: dict[str, float] = {}
     for name in NUMBERS:
         value = content.get(name)
-        if not isinstance(value, int | float) or isinstance(value, bool):
-            raise InputError(f"{thing}: {name}", wanted="a number of pixels", came=repr(value)[:80])
+        # NaN is not within anything
+        if not isinstance(value, int | float) or isinstance(value, bool) or not abs(value) <= CAMERA_NUMBER_MAX:
+            wanted = f"a number of pixels of at most {CAMERA_NUMBER_MAX:g}"
+            raise InputError(f"{thing}: {name}", wanted=wanted, came=repr(value)[:80])
         numbers[name] = value
     for name in ("width", "height"):
         if numbers[name] != int(numbers[name]):
             raise InputError(f"{thing}: {name}", wanted="a whole number of pixels", came=str(numbers[name]))
     try:
         matrix = np.asarray(content.get("camera_from_world"), np.float64)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         matrix = np.empty(0)
-    if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
-        raise InputError(f"{thing}: camera_from_world", wanted="4 rows of 4 finite numbers", came="something else")
+    if matrix.shape != (4, 4) or not (np.abs(matrix) <= CAMERA_NUMBER_MAX).all():
+        wanted = f"4 rows of 4 numbers of at most {CAMERA_NUMBER_MAX:g}"
+        raise InputError(f"{thing}: camera_from_world", wanted=wanted, came="something else")
     rotation = matrix[:3, :3]
     rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) and np.linalg.det(rotation) > 0
     if not rigid or not np.allclose(matrix[3], (0, 0, 0, 1)):

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
+from jghand_engine import limits
 from jghand_engine.cli.machine import JsonProgress, json_lines
 from jghand_engine.errors import InputError
 from jghand_engine.files import writing
@@ -81,10 +82,21 @@ def write_json(path: Path, content: dict[str, Any]) -> None:
 
 
 def read_json(path: Path) -> Any:
-    """The content of a JSON file. Raises InputError that names what is wrong."""
+    """The content of a small JSON file; of numbers only such as JSON knows. InputError names what is wrong."""
+    most = limits.JSON_GIVEN_BYTES_MAX
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        with path.open("rb") as stream:
+            content = stream.read(most + 1)
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}", remedy="Check the name.") from error
-    except (UnicodeDecodeError, ValueError) as error:
+    if len(content) > most:
+        raise InputError(f"{path}", wanted=f"a file of at most {most} bytes", came="a larger one")
+    try:
+        return json.loads(content, parse_constant=_no_number)
+    except (ValueError, RecursionError) as error:
         raise InputError(f"{path}", wanted="JSON", came=str(error)) from error
+
+
+def _no_number(word: str) -> None:
+    """NaN and Infinity, which are Python's and not JSON's."""
+    raise ValueError(f"{word}, which is no number")

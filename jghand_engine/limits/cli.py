@@ -42,3 +42,9 @@ CLAIM_POLL_S = 0.1
 CLAIM_WAIT_S = 60.0
 # seconds between two lines about the same training of a list
 PROGRESS_MANY_S = 60.0
+
+# ---- cli: JSON that a user gives --------------------------------------------------------------------------------------
+# bytes of a camera (1 kB) or a map of bones (10 kB): JSON takes up to thirty times its size in memory
+JSON_GIVEN_BYTES_MAX = 100_000
+# the largest number of a camera, pixels or metres: beyond it no picture is meant
+CAMERA_NUMBER_MAX = 1e6
