@@ -88,14 +88,20 @@ def run(*command: str | Path, **options) -> None:
 
 def install() -> None:
     """The packages, each of the hash in the lock file."""
-    PACKAGES.mkdir(parents=True, exist_ok=True)
-    lock = PACKAGES / "package-lock.json"
-    wanted = (SOURCES / "package-lock.json").read_bytes()
-    if (PACKAGES / "node_modules").is_dir() and lock.exists() and lock.read_bytes() == wanted:
+    install_packages(SOURCES, PACKAGES)
+
+
+def install_packages(wanted: Path, folder: Path) -> None:
+    """Puts the packages of wanted/package-lock.json into `folder`, unless they are there."""
+    folder.mkdir(parents=True, exist_ok=True)
+    # npm writes this file itself, and may be stopped half-way: what came to its end is told by a copy of our own
+    lock, done = (wanted / "package-lock.json").read_bytes(), folder / "installed-lock.json"
+    if (folder / "node_modules").is_dir() and done.exists() and done.read_bytes() == lock:
         return
     for name in ("package.json", "package-lock.json"):
-        shutil.copyfile(SOURCES / name, PACKAGES / name)
-    run("npm", "ci", "--ignore-scripts", "--no-audit", "--no-fund", cwd=PACKAGES)
+        shutil.copyfile(wanted / name, folder / name)
+    run("npm", "ci", "--ignore-scripts", "--no-audit", "--no-fund", cwd=folder)
+    done.write_bytes(lock)
 
 
 def compile_kernels(path: Path) -> None:

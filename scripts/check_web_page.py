@@ -7,7 +7,8 @@ To be run with the engine's Python. Needs Node, a Chromium (JGHAND_CHROMIUM, els
 google-chrome) and playwright-core of `check_splat_files.py --install`.
 
 Leaves in FOLDER the page, the pictures of it, and comparison.png. Exit code 1 when the page complained, asked for
-anything beside its own files, did not play, or its picture is farther from the engine's than PSNR_LEAST_DB.
+anything beside its own files, did not play, when a slider, button or turn did not do what it is for, or when its
+picture is farther from the engine's than PSNR_LEAST_DB.
 """
 
 from __future__ import annotations
@@ -46,6 +47,8 @@ POSES = ["open", "relaxed", "fist", "point", "ok", "spread"]
 COMPARED = (0, 20, 100)
 # the picture without the self-shadow that the page leaves out; seen 58.3 at least
 PSNR_LEAST_DB = 55.0
+# metres that a joint which is moved moves at least, and one that is not at most
+MOVED_M, STILL_M = 1e-3, 1e-9
 
 
 def shots(cameras: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -61,13 +64,32 @@ def shots(cameras: list[dict[str, Any]]) -> list[dict[str, Any]]:
         *compared,
         {"name": "rest", **desk, "steps": [["seek", 0]]},
         {"name": "playing", **desk, "steps": [["play", 3.0]]},
-        {"name": "slider", **desk, "steps": [
-            ["pose", "open"], ["slide", "#curl1", 0.8], ["slide", "#curl2", 0.45], ["slide", "#curl0", 0.7],
+        {"name": "slider", **desk, "watch": True, "steps": [
+            ["pose", "fist"], ["pose", "open"], ["slide", "#curl1", 0.8], ["slide", "#curl2", 0.45], ["slide", "#curl0", 0.7],
             ["drag", 160, 30],
         ]},
-        {"name": "turned", **desk, "steps": [["pose", "ok"], ["drag", 260, 40]]},
-        {"name": "phone", **phone, "steps": [["pose", "victory"], ["click", "#more"]]},
+        {"name": "turned", **desk, "watch": True, "steps": [["pose", "ok"], ["drag", 260, 40]]},
+        {"name": "phone", **phone, "watch": True, "steps": [["pose", "victory"], ["click", "#more"]]},
     ]  # fmt: skip
+
+
+def idle(shot: dict[str, Any], figures: dict[str, Any]) -> list[str]:
+    """What in a watched shot did not do what it is for. A slider (#curl0 of the thumb) moves the three joints of its
+    finger that can move; a pose moves joints; whatever else was done moves none; everything changes the picture."""
+    wrong = []
+    for (action, *words), before, after in zip(shot["steps"], figures["shown"], figures["shown"][1:], strict=False):
+        said = f"{shot['name']}: {action} {' '.join(map(str, words))}"
+        off_m = np.linalg.norm(np.reshape(after["joints"], (21, 3)) - np.reshape(before["joints"], (21, 3)), axis=1)
+        moved = set(np.flatnonzero(off_m > STILL_M).tolist())
+        if action == "slide":
+            finger = int(words[0].removeprefix("#curl"))
+            if moved != {6 + finger, 11 + finger, 16 + finger} or off_m.max() < MOVED_M:
+                wrong.append(f"{said} moved joints {sorted(moved)}, up to {1e3 * off_m.max():.2f} mm")
+        elif (action == "pose") != (off_m.max() > MOVED_M):
+            wrong.append(f"{said} moved joints up to {1e3 * off_m.max():.2f} mm")
+        if before["picture"] == after["picture"]:
+            wrong.append(f"{said} left the picture as it was")
+    return wrong
 
 
 def drawn_by_us(avatar: HandAvatar, sequence: PoseSequence, camera: Camera, shadow: ShadowMode) -> list[np.ndarray]:
@@ -76,12 +98,12 @@ def drawn_by_us(avatar: HandAvatar, sequence: PoseSequence, camera: Camera, shad
     return [flatten(renderer.render(sequence.joints_m[frame], camera).rgba, BLACK) for frame in COMPARED]
 
 
-def drawn_by_the_page(folder: Path, cameras: list[dict[str, Any]]) -> dict[str, Any]:
-    """What photograph_page.mjs reports; its pictures lie in `folder`."""
+def visited(page: Path, wanted: list[dict[str, Any]], folder: Path) -> dict[str, Any]:
+    """What photograph_page.mjs reports of a page; its pictures lie in `folder`."""
     os.environ["JGHAND_CHROMIUM"] = browser() or ""
     plan = folder / "plan.json"
-    plan.write_text(json.dumps({"shots": shots(cameras)}))
-    return json.loads(clients.node("photograph_page.mjs", folder / "page", plan, folder))
+    plan.write_text(json.dumps({"shots": wanted}))
+    return json.loads(clients.node("photograph_page.mjs", page, plan, folder))
 
 
 def main() -> int:
@@ -100,14 +122,10 @@ def main() -> int:
     report = export_web(folder / "page", avatar, sequence, first_view(sequence.joints_m, hand, "quarter"))
     print(f"{report.page}: {sum(report.bytes.values()) / 1e6:.1f} MB")
     camera = framing_camera(sequence.joints_m, hand, "quarter", width=512, height=512)
-    # the page counts from an origin of its own
-    moved = camera_to_dict(camera)
-    matrix = np.array(moved["camera_from_world"])
-    matrix[:3, 3] += matrix[:3, :3] @ sequence.joints_m[:, 0].mean(0)
-    moved["camera_from_world"] = matrix.tolist()
-    found = drawn_by_the_page(folder, [moved] * len(COMPARED))
+    wanted = shots([camera_to_dict(camera)] * len(COMPARED))
+    found = visited(folder / "page", wanted, folder)
     for name, figures in found["shots"].items():
-        print(f"{name}: {figures}")
+        print(f"{name}: { {key: value for key, value in figures.items() if key != 'shown'} }")
     pages = [read_png(folder / f"frame_{frame}.png")[..., :3] for frame in COMPARED]
     bare, whole = (drawn_by_us(avatar, sequence, camera, mode) for mode in (ShadowMode.OFF, ShadowMode.GATED))
     least, cells = np.inf, []
@@ -125,6 +143,7 @@ def main() -> int:
     played = found["shots"]["playing"]["play"]
     wrong = [*found["complaints"], *(f"asked for {url}" for url in found["foreign"])]
     wrong += [f"{name}: {figures['message']}" for name, figures in found["shots"].items() if figures["message"]]
+    wrong += [said for shot in wanted if "watch" in shot for said in idle(shot, found["shots"][shot["name"]])]
     wrong += [] if played["playing"] and played["frame"] > 0 else [f"does not play: {played}"]
     wrong += [] if least >= PSNR_LEAST_DB else [f"{least:.1f} dB from the engine's picture"]
     print("\n".join(wrong) or "Nothing is wrong.")

@@ -19,6 +19,7 @@ from __future__ import annotations
 import html
 import json
 import math
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -40,8 +41,16 @@ from jghand_engine.hand.sequence import PoseSequence, bone_directions, rebuilt
 ASSETS = Path(__file__).resolve().parents[1] / "assets" / "web"
 PAGE, HAND = "index.html", "hand.js"
 SCRIPTS = ("pose.js", "viewer.js", "LICENSES.txt")
-# by this a page is known as ours, and may be replaced
-_MARK = '<meta name="generator" content="JGHand">'
+# by these in its first _MARK_BYTES a file is known as ours, and may be replaced: each by its own, so that an export
+# that was stopped half-way can be tried again
+_MARKS = {
+    PAGE: '<meta name="generator" content="JGHand">',
+    HAND: "globalThis.JGHAND_HAND={",
+    "pose.js": "/*! JGHand, MIT: see LICENSES.txt.",
+    "viewer.js": "/*! three.js, Spark and JGHand's viewer, MIT: see LICENSES.txt */",
+    "LICENSES.txt": "What the scripts of this folder are made of.",
+}
+_MARK_BYTES = 1000
 
 
 @dataclass(frozen=True)
@@ -87,7 +96,7 @@ def export_web(
     """Writes the page into `folder`; an earlier page of JGHand is replaced, other files stay.
 
     Each file is whole or as it was; index.html comes last. Raises InputError for a motion with gaps or too long, an
-    avatar that the page cannot pose, and a folder with a page of somebody else.
+    avatar that the page cannot pose, and a folder with files of somebody else under one of these names.
     """
     options = options or WebOptions()
     check_follows_joints(avatar)
@@ -105,7 +114,7 @@ def export_web(
         PAGE: asset(PAGE).replace("@TITLE@", html.escape(title)),
     }
     target = make_folder(folder)
-    _refuse_others(target, tuple(contents))
+    _refuse_others(target)
     sizes = {}
     for name, text in contents.items():
         content = text.encode()
@@ -167,33 +176,37 @@ def _notes(avatar: HandAvatar) -> list[str]:
 
 
 def _articulated(avatar: HandAvatar, sequence: PoseSequence) -> dict[str, Any]:
-    """The canonical hand with the bone lengths of the motion, as pose.js poses it by angles."""
+    """The canonical hand with straight fingers, as pose.js poses hands by angles; fingers that touch in a pose do so at
+    the bone lengths of the motion's first frame."""
     canonical = avatar.canonical_joints_m.numpy()
     lengths_m = bone_lengths(sequence.joints_m[:1])[0]
     scale = lengths_m.sum() / bone_lengths(canonical[None])[0].sum()
     resized = rebuilt(canonical[None, 0], bone_directions(canonical[None]), lengths_m / scale)[0]
     hand = ArticulatedHand(resized)
     flexion, abduction = hand.axes
+    bones_m = hand.straight_joints_m[6:] - hand.straight_joints_m[1:16]
+    straight = (bones_m / np.linalg.norm(bones_m, axis=1, keepdims=True)).reshape(3, 5, 3)
     return {
-        "straight_m": hand.straight_joints_m.tolist(), "root_m": canonical[0].tolist(),
+        "straight": straight.tolist(),
         "flexion": flexion.tolist(), "abduction": abduction.tolist(), "side": ABDUCTION_SIDE.tolist(),
         "ranges_deg": RANGES_DEG.tolist(), "curled_deg": named_angles("fist").tolist(),
         "poses_deg": {name: np.round(hand.angles_of(name), 3).tolist() for name in pose_names()},
     }  # fmt: skip
 
 
-def _refuse_others(folder: Path, names: tuple[str, ...]) -> None:
-    """InputError when the folder holds files of these names that no export of ours wrote."""
-    there = [name for name in names if (folder / name).exists() or (folder / name).is_symlink()]
-    if not there:
-        return
-    page = folder / PAGE
-    try:
-        ours = page.is_file() and _MARK in page.read_text(encoding="utf-8", errors="replace")
-    except OSError:
-        ours = False
-    if not ours:
+def _refuse_others(folder: Path) -> None:
+    """InputError when the folder holds files of a page's names that no export of ours wrote."""
+    others = [name for name, mark in _MARKS.items() if os.path.lexists(folder / name) and not _has(folder / name, mark)]
+    if others:
         raise InputError(
             f"folder {folder}", wanted="an empty folder, or one with a page that JGHand wrote",
-            came=f"one with {', '.join(there)} of somebody else", remedy="Choose another folder.",
+            came=f"one with {', '.join(others)} of somebody else", remedy="Choose another folder.",
         )  # fmt: skip
+
+
+def _has(file: Path, mark: str) -> bool:
+    try:
+        with file.open("rb") as stream:
+            return mark.encode() in stream.read(_MARK_BYTES)
+    except OSError:
+        return False

@@ -100,7 +100,7 @@ USD_TEXT_DEPTH_MAX = 200
 # ---- exporters: web page --------------------------------------------------------------------------------------------
 # gzip's level of the hand's data, 0..9: 9 takes twice as long and saves 0.2 %
 WEB_GZIP_LEVEL = 6
-# frames of a motion: ten minutes at 60 a second take 9 MB of the page
+# frames of a motion: ten minutes at 60 a second take 12 MB of the page
 WEB_FRAMES_MAX = 36_000
 # letters of the page's title: one line
 WEB_TITLE_MAX = 120

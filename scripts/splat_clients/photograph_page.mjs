@@ -2,11 +2,14 @@
 //
 //     node photograph_page.mjs FOLDER PLAN.json OUT
 //
-// PLAN: { "shots": [{ "name", "width", "height", "scale", "touch", "steps": [[action, …], …], "canvas" }] }. Actions: seek FRAME,
-// pose NAME, look CAMERA, play SECONDS, slide SELECTOR VALUE, click SELECTOR, drag DX DY, background COLOUR. A shot
-// leaves OUT/NAME.png, of the whole page or, with "canvas", of the hand alone in exactly its pixels. Prints as JSON what was
-// asked for beside the folder's own files, what the page complained about, and figures of each shot.
+// PLAN: { "shots": [{ "name", "width", "height", "scale", "touch", "before", "steps": [[action, …], …], "canvas", "watch" }] }.
+// Actions: seek FRAME, pose NAME, look CAMERA, play SECONDS, slide SELECTOR VALUE, click SELECTOR, drag DX DY, background COLOUR,
+// run SCRIPT; "before" is a script that runs before those of the page. A shot leaves OUT/NAME.png, of the whole page or, with
+// "canvas", of the hand alone in exactly its pixels. Prints as JSON what was asked for beside the folder's own files, what the
+// page complained about, and figures of each shot; with "watch" also what was shown before the first step and after each:
+// the joints, and a hash of the picture without panel and bar.
 // JGHAND_CHROMIUM names the browser.
+import crypto from 'node:crypto';
 import fs from 'node:fs';
 import path from 'node:path';
 import { pathToFileURL } from 'node:url';
@@ -23,6 +26,7 @@ const ACTIONS = {
   look: (page, camera) => page.evaluate((c) => jghand.lookThrough(c), camera),
   background: (page, colour) => page.evaluate((c) => { document.body.style.background = c; }, colour),
   click: (page, selector) => page.click(selector),
+  run: (page, script) => page.evaluate(script),
   slide: (page, selector, value) => page.$eval(selector, (element, v) => {
     element.value = v;
     element.dispatchEvent(new Event('input', { bubbles: true }));
@@ -45,6 +49,19 @@ const ACTIONS = {
   }, seconds),
 };
 
+// Waits until nothing moves; false when it still does after a minute
+const calm = (page) => page.evaluate(() => jghand.playing || Promise.race([
+  jghand.settled().then(() => true, () => true), new Promise((done) => setTimeout(() => done(false), 60000)),
+]));
+
+async function shown(page) {
+  await calm(page);
+  const { width, height } = page.viewportSize();
+  const picture = await page.screenshot({ clip: { x: 0, y: 80, width: 0.6 * width, height: height - 170 }, timeout: 120000 });
+  const joints = await page.evaluate(() => Array.from(jghand.hand.memory.views.joints));
+  return { joints, picture: crypto.createHash('sha256').update(picture).digest('hex') };
+}
+
 const browser = await chromium.launch({
   executablePath: process.env.JGHAND_CHROMIUM,
   args: ['--no-sandbox', '--use-gl=angle', '--use-angle=swiftshader', '--enable-unsafe-swiftshader', '--ignore-gpu-blocklist'],
@@ -55,6 +72,7 @@ try {
       viewport: { width: shot.width, height: shot.height }, deviceScaleFactor: shot.scale ?? 1, hasTouch: Boolean(shot.touch),
     });
     const page = await context.newPage();
+    if (shot.before) await page.addInitScript(shot.before);
     page.on('console', (message) => result.complaints.push(`${message.type()}: ${message.text()}`));
     page.on('pageerror', (error) => result.complaints.push(String(error)));
     page.on('request', (request) => {
@@ -66,11 +84,16 @@ try {
     await page.waitForFunction(() => document.body.matches('.ready, .failed'), null, { timeout: 120000 });
     const figures = { ready_s: (Date.now() - began) / 1000, message: await page.textContent('#message') };
     if (!figures.message) {
-      for (const [action, ...words] of shot.steps) Object.assign(figures, { [action]: await ACTIONS[action](page, ...words) });
-      const calm = await page.evaluate(() => jghand.playing || Promise.race([
-        jghand.settled().then(() => true), new Promise((done) => setTimeout(() => done(false), 60000)),
-      ]));
-      if (!calm) result.complaints.push(`${shot.name}: still draws after a minute`);
+      if (shot.watch) {
+        await page.waitForTimeout(700);  // the hand has faded in
+        figures.shown = [await shown(page)];
+      }
+      for (const [action, ...words] of shot.steps) {
+        Object.assign(figures, { [action]: await ACTIONS[action](page, ...words) });
+        if (shot.watch) figures.shown.push(await shown(page));
+      }
+      figures.message = await page.textContent('#message');
+      if (!await calm(page)) result.complaints.push(`${shot.name}: still draws after a minute`);
     }
     if (shot.canvas) await page.addStyleTag({ content: '#head, #panel, #bar { display: none !important } canvas { transition: none !important; opacity: 1 !important }' });
     await page.waitForTimeout(700);  // what fades has faded

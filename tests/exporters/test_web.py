@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import base64
 import ctypes
+import errno
 import gzip
 import json
 import re
@@ -17,24 +18,27 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from scipy.spatial.transform import Rotation
 from small_avatars import ellipsoid_avatar, small_avatar, trained_avatar
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
 import build_web_viewer
 
+from jghand_engine import files
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_avatar_called
 from jghand_engine.avatar.correctives import PoseNet, PoseNetShape
 from jghand_engine.avatar.distil import distil
 from jghand_engine.avatar.skinning import pose_gaussians
 from jghand_engine.avatar.tiers import Baked
-from jghand_engine.errors import InputError, RetryError
+from jghand_engine.errors import DiskFullError, InputError, RetryError
 from jghand_engine.exporters import web
 from jghand_engine.exporters.web import WebOptions, WebView, export_web
 from jghand_engine.exporters.web_hand import rows_of, with_cheap_correctives
 from jghand_engine.exporters.web_pack import Pack, task_in_words
 from jghand_engine.hand.anatomy import ArticulatedHand, pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.orders import bone_lengths
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.limits import WEB_FRAMES_MAX
 from jghand_engine.native.learnt_tasks import LearntTask
@@ -145,6 +149,30 @@ def test_a_page_of_ours_is_replaced_and_other_files_stay(tmp_path):
     assert {path.name for path in tmp_path.iterdir()} == FILES | {"notes.txt"}
 
 
+def test_every_file_of_a_page_is_known_as_ours(tmp_path):
+    exported(tmp_path)
+    assert all(web._has(tmp_path / name, web._MARKS[name]) for name in FILES)
+
+
+@pytest.mark.parametrize("written", range(5))
+def test_an_export_that_the_disk_stopped_can_be_tried_again(tmp_path, monkeypatch, written):
+    synced = []
+
+    def full(path):
+        synced.append(path)
+        if len(synced) > written:
+            raise OSError(errno.ENOSPC, "no space")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(files, "sync", full)
+        with pytest.raises(DiskFullError, match="try again"):
+            exported(tmp_path)
+    assert len(list(tmp_path.iterdir())) == written
+    assert not (tmp_path / "index.html").exists()
+    exported(tmp_path)
+    assert {path.name for path in tmp_path.iterdir()} == FILES
+
+
 @pytest.mark.parametrize("name", ["index.html", "viewer.js", "LICENSES.txt"])
 def test_a_page_of_somebody_else_stays_as_it_is(tmp_path, name):
     (tmp_path / name).write_text("<html>mine</html>")
@@ -204,6 +232,23 @@ def test_every_licence_is_with_the_scripts():
     assert all("integrity" in about for name, about in lock.items() if name)
 
 
+def test_packages_whose_installation_was_stopped_are_installed_again(tmp_path, monkeypatch):
+    calls = []
+
+    def npm(*command, cwd):
+        calls.append(command)
+        (cwd / "node_modules").mkdir(exist_ok=True)
+        if len(calls) == 1:
+            raise RuntimeError("stopped half-way")
+
+    monkeypatch.setattr(build_web_viewer, "run", npm)
+    with pytest.raises(RuntimeError):
+        build_web_viewer.install_packages(build_web_viewer.SOURCES, tmp_path)
+    for _ in range(2):
+        build_web_viewer.install_packages(build_web_viewer.SOURCES, tmp_path)
+    assert [command[:2] for command in calls] == [("npm", "ci")] * 2
+
+
 # ---- how arrays are packed -------------------------------------------------------------------------------------------
 
 
@@ -246,19 +291,25 @@ def test_a_task_in_words_has_every_number_at_its_place():
 # ---- how the page poses ----------------------------------------------------------------------------------------------
 
 
-def posed_by_the_page(folder: Path, joints_m: np.ndarray, angles_rad: np.ndarray | None = None) -> tuple[dict, dict]:
-    """Positions (F, rows, 3), sigma (F, rows), rgb (F, rows, 3) and covariance (F, rows, 6) of joints (F, 21, 3), all
-    from the page's origin; and what it makes of angles."""
+def asked(folder: Path, **plan) -> list[dict]:
+    """What web_pose.mjs prints; the arrays of `plan` are its own."""
     if NODE is None:
         pytest.skip("there is no node")
-    plan = {"joints": joints_m.reshape(len(joints_m), 63).tolist(), "eye": EYE_M.tolist()}
-    plan["angles"] = [] if angles_rad is None else angles_rad.tolist()
+    plan = {name: np.asarray(array).tolist() for name, array in plan.items()}
+    plan = {"joints": [], "angles": [], "from": [], "eye": EYE_M.tolist()} | plan
     (folder / "plan.json").write_text(json.dumps(plan))
     done = subprocess.run(
         [NODE, str(POSE_SCRIPT), str(folder), str(folder / "plan.json"), str(folder / "out")],
         capture_output=True, text=True, check=False, timeout=300,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+def posed_by_the_page(folder: Path, joints_m: np.ndarray) -> dict[str, np.ndarray]:
+    """Positions (F, rows, 3), sigma (F, rows), rgb (F, rows, 3) and covariance (F, rows, 6) of joints (F, 21, 3), all
+    from the page's origin."""
+    asked(folder, joints=joints_m.reshape(len(joints_m), 63))
     rows = description_of(folder)["rows"]
     table = np.fromfile(folder / "out", "<f4").reshape(len(joints_m), -1)
     widths = {"position_m": 3, "sigma_m": 1, "rgb": 3, "covariance_m2": 6}
@@ -267,7 +318,7 @@ def posed_by_the_page(folder: Path, joints_m: np.ndarray, angles_rad: np.ndarray
         if at < table.shape[1]:
             found[name] = table[:, at : at + width * rows].reshape(len(joints_m), rows, width)
         at += width * rows
-    return found, json.loads(done.stdout)
+    return found
 
 
 def far_apart(folder: Path, avatar: HandAvatar, hand: Handedness = Handedness.RIGHT) -> dict[str, float]:
@@ -279,7 +330,7 @@ def far_apart(folder: Path, avatar: HandAvatar, hand: Handedness = Handedness.RI
     shown, _ = with_cheap_correctives(avatar)
     origin_m = np.array(description_of(folder)["origin_m"])
     joints_m = sequence.joints_m[[0, 20, 38, 55, -1]] - origin_m
-    found, _ = posed_by_the_page(folder, joints_m)
+    found = posed_by_the_page(folder, joints_m)
     order, transform, worst = rows_of(shown), shown.bone_transform(), dict.fromkeys(found, 0.0)
     for frame, joints in enumerate(joints_m):
         bones = transform.bones(torch.from_numpy(joints))
@@ -317,14 +368,54 @@ def test_the_page_poses_as_the_engine_does(tmp_path, kind, hand):
     assert worst.get("covariance_m2", 0.0) < 3.5e-4
 
 
+TURN = Rotation.from_euler("xyz", [40, -70, 120], degrees=True).as_matrix()
+
+
+def estimated_hands(avatar: HandAvatar, hand: Handedness, count: int = 4) -> np.ndarray:
+    """(count, 21, 3) hands as an estimate gives them: with other proportions, crooked, and turned somehow."""
+    named = motion(avatar, hand).joints_m
+    joints_m = named[np.linspace(0, len(named) - 1, count).astype(int)]
+    return (1.2 * joints_m + np.random.default_rng(8).normal(0, 4e-3, joints_m.shape)) @ TURN.T
+
+
 def test_sliders_pose_as_the_engine_does(tmp_path):
     avatar = small_avatar()
     exported(tmp_path, avatar)
     canonical_m = avatar.canonical_joints_m.numpy()
     hand = ArticulatedHand(canonical_m)
     angles_deg = np.stack([hand.angles_of(name) for name in ("open", "fist", "ok", "spread")])
-    _, found = posed_by_the_page(tmp_path, canonical_m[None] - canonical_m[0], np.radians(angles_deg))
     wanted_m = hand.joints(angles_deg) - canonical_m[0]
-    # observed 4e-17
-    assert np.abs(np.array(found["posed"]).reshape(wanted_m.shape) - wanted_m).max() < 1e-12
-    assert np.abs(np.degrees(found["back"]) - angles_deg).max() < 1e-9
+    for found in asked(tmp_path, angles=np.radians(angles_deg), **{"from": wanted_m.reshape(4, 63)}):
+        # observed 6e-17
+        assert np.abs(np.array(found["posed"]).reshape(wanted_m.shape) - wanted_m).max() < 1e-12
+        assert np.abs(np.degrees(found["back"]) - angles_deg).max() < 1e-9
+
+
+@pytest.mark.parametrize("hand", Handedness)
+def test_a_slider_moves_its_finger_and_no_other_joint_of_any_hand(tmp_path, hand):
+    avatar = small_avatar().for_hand(hand)
+    export_web(tmp_path, avatar, motion(avatar, hand), VIEW)
+    hands_m = estimated_hands(avatar, hand)
+    for shown_m, found in zip(hands_m, asked(tmp_path, **{"from": hands_m.reshape(-1, 63)}), strict=True):
+        # observed 6e-17
+        assert np.abs(np.reshape(found["untouched"], (21, 3)) - shown_m).max() < 1e-12
+        for finger, moved in enumerate(found["moved"]):
+            off_m = np.linalg.norm(np.reshape(moved, (21, 3)) - shown_m, axis=1)
+            its_own = [6 + finger, 11 + finger, 16 + finger]
+            assert (off_m[its_own] > 1e-3).all()
+            assert np.delete(off_m, its_own).max() < 1e-12
+
+
+@pytest.mark.parametrize("hand", Handedness)
+def test_a_pose_keeps_wrist_knuckles_and_bone_lengths_of_the_hand_that_is_shown(tmp_path, hand):
+    avatar = small_avatar().for_hand(hand)
+    export_web(tmp_path, avatar, motion(avatar, hand), VIEW)
+    hands_m = estimated_hands(avatar, hand)
+    angles_deg = ArticulatedHand(avatar.canonical_joints_m.numpy()).angles_of("point")[None]
+    found = asked(tmp_path, angles=np.radians(angles_deg), **{"from": hands_m.reshape(-1, 63)})
+    posed_m = np.reshape([one["posed"] for one in found], (-1, 21, 3))
+    # observed 6e-17, 4e-16
+    assert np.abs(posed_m[:, :6] - hands_m[:, :6]).max() < 1e-12
+    assert np.abs(bone_lengths(posed_m) / bone_lengths(hands_m) - 1).max() < 1e-12
+    # bones are straight, whatever the hand was: observed 3e-14 degrees
+    assert max(np.abs(np.degrees(one["back"][0]) - angles_deg[0]).max() for one in found) < 1e-9

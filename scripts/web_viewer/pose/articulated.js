@@ -4,8 +4,8 @@
 const FINGERS = 5, LEVELS = 3, DEGREE = Math.PI / 180;
 
 export class Articulated {
-  // straight_m: (21, 3) joints with straight fingers · flexion, abduction: (3 levels, 5 fingers, 3) axes · side: (5)
-  // ranges_deg: (5, 4, 2) · curled_deg: (5, 4) what a full curl is · root_m: of the canonical hand
+  // Of the canonical hand with straight fingers: straight, flexion, abduction: (3 levels, 5 fingers, 3) where bones point,
+  // and their axes · side: (5) · ranges_deg: (5, 4, 2) · curled_deg: (5, 4) what a full curl is · poses_deg: by name (5, 4)
   constructor(about) {
     Object.assign(this, about);
     this.ranges = about.ranges_deg.map((finger) => finger.map((range) => range.map((angle) => angle * DEGREE)));
@@ -15,56 +15,60 @@ export class Articulated {
 
   // (5, 4) angles within their ranges
   clamped(angles) {
-    return angles.map((finger, f) => finger.map((angle, k) => {
-      const [low, high] = this.ranges[f][k];
-      return Math.min(Math.max(angle, low), high);
-    }));
+    return angles.map((finger, f) => finger.map((angle, k) => between(this.ranges[f][k], angle)));
   }
 
-  // (5, 4) angles -> 63 numbers, as the palm's map (3 x 4) and root (3) of a pose carry the canonical hand
-  joints(angles, palm, root) {
-    const found = this.straight_m.map((joint) => [...joint]);
-    this.clamped(angles).forEach(([flexion, abduction, second, third], f) => {
-      let turn = axisTurn(this.abduction[0][f], -this.side[f] * abduction);
-      [flexion, second, third].forEach((angle, level) => {
-        turn = times(turn, axisTurn(this.flexion[level][f], angle));
-        const from = 1 + f + 5 * level, to = from + 5;
-        const bone = apply(turn, minus(this.straight_m[to], this.straight_m[from]));
-        found[to] = found[from].map((x, k) => x + bone[k]);
-      });
-    });
-    return found.flatMap((joint) => {
-      const from = minus(joint, this.root_m);
-      return [0, 1, 2].map((row) => root[row] + palm[4 * row + 3] + dot(palm.slice(4 * row, 4 * row + 3), from));
-    });
-  }
-
-  // The angles (5, 4) of 63 numbers, whose palm's map is given: exact for hands that `joints` made
-  angles(joints, palm) {
-    const columns = [0, 1, 2].map((k) => [palm[k], palm[4 + k], palm[8 + k]]);
-    const joint = (i) => Array.from(joints.slice(3 * i, 3 * i + 3));
-    return Array.from({ length: FINGERS }, (_, f) => {
-      // the scale of the hand does not matter: only directions are asked for
-      const bones = Array.from({ length: LEVELS }, (_, level) => {
-        const from = 1 + f + 5 * level;
-        const bone = minus(joint(from + 5), joint(from));
+  // A hand that is shown, to be posed by angles: 63 numbers and the map of its palm, 3 x 4. Gives its joints, palm and
+  // angles, and its bones as they are where all its angles are 0: with their lengths, and with what no angle says.
+  taken(joints, palm) {
+    // the map turns, mirrors a left hand, and scales
+    const columns = [0, 1, 2].map((k) => unit([palm[k], palm[4 + k], palm[8 + k]]));
+    const angles = [], bones = [];
+    for (let f = 0; f < FINGERS; f++) {
+      const posed = Array.from({ length: LEVELS }, (_, level) => {
+        const from = 1 + f + FINGERS * level, bone = minus(jointOf(joints, from + FINGERS), jointOf(joints, from));
         return columns.map((column) => dot(column, bone));
       });
-      const straight = unit(minus(this.straight_m[6 + f], this.straight_m[1 + f]));
-      const up = this.abduction[0][f], axis = this.flexion[0][f], first = unit(bones[0]);
-      const flexion = Math.asin(Math.min(Math.max(dot(first, up), -1), 1));
-      const turned = Math.atan2(-dot(first, axis), dot(first, straight));
-      let turn = times(axisTurn(up, turned), axisTurn(axis, flexion));
-      const further = [1, 2].map((level) => {
-        const from = 1 + f + 5 * level;
-        const ahead = unit(minus(this.straight_m[from + 5], this.straight_m[from])), hinge = this.flexion[level][f];
-        const bone = apply(transposed(turn), bones[level]);
-        const angle = Math.atan2(dot(bone, cross(hinge, ahead)), dot(bone, ahead));
-        turn = times(turn, axisTurn(hinge, angle));
-        return angle;
-      });
-      return [flexion, -turned / this.side[f], ...further];
+      angles.push(this.anglesOf(posed, f));
+      const turns = this.turns(angles[f], f);
+      bones.push(posed.map((bone, level) => apply(transposed(turns[level]), bone)));
+    }
+    return { joints: Float64Array.from(joints), palm: transposed(columns), angles, bones };
+  }
+
+  // 63 numbers: a hand that was taken, with other angles (5, 4). own: how far its bones keep what no angle says, from 0,
+  // bones of the canonical hand but for their lengths, to 1, with which its own angles give its own joints.
+  joints({ joints, palm, bones }, { angles, own }) {
+    const found = Float64Array.from(joints);
+    angles.forEach((finger, f) => this.turns(finger, f).forEach((turn, level) => {
+      const from = 1 + f + FINGERS * level, kept = bones[f][level], length = Math.hypot(...kept);
+      const ahead = unit(kept.map((x, k) => own * x + (1 - own) * length * this.straight[level][f][k]));
+      const bone = apply(palm, apply(turn, ahead.map((x) => length * x)));
+      found.set(jointOf(found, from).map((x, k) => x + bone[k]), 3 * (from + FINGERS));
+    }));
+    return found;
+  }
+
+  // How the bones of a finger are turned by its angles: 3 matrices
+  turns([flexion, abduction, second, third], f) {
+    let turn = axisTurn(this.abduction[0][f], -this.side[f] * abduction);
+    return [flexion, second, third].map((angle, level) => (turn = times(turn, axisTurn(this.flexion[level][f], angle))));
+  }
+
+  // The angles (4) of a finger whose bones (3, 3) point there, in the axes of the palm; their lengths do not matter
+  anglesOf(bones, f) {
+    const up = this.abduction[0][f], axis = this.flexion[0][f], first = unit(bones[0]);
+    const flexion = Math.asin(between([-1, 1], dot(first, up)));
+    const turned = Math.atan2(-dot(first, axis), dot(first, this.straight[0][f]));
+    let turn = times(axisTurn(up, turned), axisTurn(axis, flexion));
+    const further = [1, 2].map((level) => {
+      const ahead = this.straight[level][f], hinge = this.flexion[level][f];
+      const bone = apply(transposed(turn), bones[level]);
+      const angle = Math.atan2(dot(bone, cross(hinge, ahead)), dot(bone, ahead));
+      turn = times(turn, axisTurn(hinge, angle));
+      return angle;
     });
+    return [flexion, -turned / this.side[f], ...further];
   }
 
   // How far a finger is curled, 0 straight and 1 as in a fist
@@ -73,19 +77,25 @@ export class Articulated {
     return bends.reduce((sum, k) => sum + finger[k] * full[k], 0) / bends.reduce((sum, k) => sum + full[k] * full[k], 0);
   }
 
-  // The same finger with its curl changed by `part`
+  // The same finger with its curl changed by `part`: no angle leaves its range that was not beyond it
   curledBy(finger, f, part) {
-    return this.clamped(this.curled.map((full, g) => full.map((angle, k) => (g === f ? finger[k] + (k === 1 ? 0 : part * angle) : 0))))[f];
+    return finger.map((angle, k) => {
+      const [low, high] = this.ranges[f][k];
+      const bent = angle + (bends.includes(k) ? part * this.curled[f][k] : 0);
+      return between([Math.min(low, angle), Math.max(high, angle)], bent);
+    });
   }
 }
 
 const bends = [0, 2, 3];  // the angles that curl a finger
 
 const radians = (angles) => angles.map((finger) => finger.map((angle) => angle * DEGREE));
+const jointOf = (joints, index) => Array.from(joints.slice(3 * index, 3 * index + 3));
+const between = ([low, high], value) => Math.min(Math.max(value, low), high);
 const minus = (a, b) => a.map((x, k) => x - b[k]);
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const cross = (a, b) => [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]];
-const unit = (a) => a.map((x) => x / Math.hypot(...a));
+const unit = (a) => a.map((x) => x / (Math.hypot(...a) || 1));  // a bone without length points nowhere
 const apply = (m, v) => m.map((row) => dot(row, v));
 const transposed = (m) => [0, 1, 2].map((k) => m.map((row) => row[k]));
 const times = (a, b) => a.map((row) => transposed(b).map((column) => dot(row, column)));

@@ -59,17 +59,16 @@ export class Controls {
       spread.classList.add('both');
       row.append(label, curl, spread);
       find('fingers').append(row);
-      const change = (finger) => {
-        this.base ??= this.player.anglesNow();
-        const angles = this.player.anglesNow();
-        angles[f] = finger(angles[f], this.base[f]);
+      const change = (bent) => {
+        const { angles } = this.player.goal;
+        this.base ??= angles;
         this.pose = undefined;
-        this.player.hold(angles);
+        this.player.bend(f, bent(angles[f], this.base[f]));
       };
       // counted from the pose where the sliders were first touched, so that it comes back with the slider
       curl.addEventListener('input', () => change((now, base) => {
         const bent = articulated.curledBy(base, f, curl.value - articulated.curl(base, f));
-        return [bent[0], now[SPREAD], bent[2], bent[3]];
+        return bent.map((angle, k) => (k === SPREAD ? now[k] : angle));
       }));
       spread.addEventListener('input', () => change((now) => now.map((angle, k) => (k === SPREAD ? spread.value * degree : angle))));
       return { curl, spread };
@@ -158,7 +157,7 @@ export class Controls {
     set(find('time'), Math.min(player.frame, frames - 1));
     const shown = Math.min(player.frame, frames - 1) / fps;
     find('clock').textContent = `${shown.toFixed(2)} / ${((frames - 1) / fps).toFixed(2)} s`;
-    const angles = player.turn?.to ?? player.anglesNow();
+    const { angles } = player.goal;
     this.sliders.forEach(({ curl, spread }, f) => {
       if (document.activeElement !== curl || !player.holds || !this.base) set(curl, player.articulated.curl(angles[f], f));
       if (document.activeElement !== spread || !player.holds || !this.base) set(spread, (angles[f][SPREAD] * 180) / Math.PI);

@@ -23,28 +23,42 @@ async function start() {
   const ask = (done) => (...words) => { done(...words); stage.ask(); };
   controls.refresh = ((refresh) => () => { refresh.call(controls); stage.ask(); })(controls.refresh);
   await stage.settled();
-  document.body.classList.add('ready');
-  document.getElementById('message').textContent = '';
+  stage.told = told;
+  told('');
   if (frames > 1 && !matchMedia('(prefers-reduced-motion: reduce)').matches && !location.hash.includes('still')) player.play();
   return {
     description,
     hand,
     play: ask(() => player.play()),
     pause: ask(() => player.pause()),
-    seek: ask((frame) => { controls.forget(); player.playing = false; player.seek(frame); }),
+    seek: ask((frame) => {
+      if (!Number.isFinite(frame)) throw new Error(`A frame is a number, not ${frame}.`);
+      controls.forget();
+      player.playing = false;
+      player.seek(frame);
+    }),
     // the name of a pose, or angles (5 fingers, 4), radians
     pose: ask((pose, smoothly = true) => {
+      const angles = anglesOf(pose, articulated);
       controls.forget();
       if (typeof pose === 'string') controls.pose = pose;
-      player.hold(typeof pose === 'string' ? articulated.poses[pose] : pose, smoothly);
+      player.hold(angles, smoothly);
     }),
-    lookThrough: (camera) => stage.lookThrough(camera),
+    lookThrough: (camera) => stage.lookThrough(camera, description.origin_m),
     reset: () => stage.home(),
     settled: () => stage.settled(),
     get drawn() { return stage.drawn; },
     get frame() { return player.frame; },
     get playing() { return player.playing; },
   };
+}
+
+// (5, 4) of a pose by name or by angles, which are brought within their ranges
+function anglesOf(pose, articulated) {
+  if (Object.hasOwn(articulated.poses, pose)) return articulated.poses[pose];
+  const right = Array.isArray(pose) && pose.length === 5 && pose.every((finger) => finger?.length === 4 && finger.every(Number.isFinite));
+  if (!right) throw new Error(`A pose is 5 fingers of 4 angles, or one of ${Object.keys(articulated.poses).join(', ')}.`);
+  return articulated.clamped(pose);
 }
 
 // Where the hand gets to in the motion: at most some hundred frames of it decide
@@ -55,12 +69,18 @@ function pointsInSight(joints, reach) {
   return points;
 }
 
+// Why the hand is not seen; '' when it is
+function told(reason) {
+  document.body.classList.toggle('ready', !reason);
+  document.body.classList.toggle('failed', Boolean(reason));
+  document.getElementById('message').textContent = reason && `The hand cannot be shown.\n${reason}`;
+}
+
 globalThis.jghand = { ready: start() };
 globalThis.jghand.ready.then(
   (page) => Object.defineProperties(globalThis.jghand, Object.getOwnPropertyDescriptors(page)),
   (error) => {
     console.error(error);
-    document.body.classList.add('failed');
-    document.getElementById('message').textContent = `The hand cannot be shown.\n${error.message}`;
+    told(error.message);
   },
 );

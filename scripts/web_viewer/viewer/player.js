@@ -9,13 +9,14 @@ export class Player {
     this.frame = 0;
     this.speed = 1;
     this.playing = false;
-    this.angles = undefined;  // of the pose that is held; undefined while the motion has the hand
+    this.held = undefined;  // the pose, { angles, own } of Articulated.joints; undefined while the motion has the hand
+    this.taken = undefined;  // the hand that is posed, as it was when the motion was left
     this.turn = undefined;
     this.showFrame();
   }
 
   get holds() {
-    return this.angles !== undefined;
+    return this.held !== undefined;
   }
 
   play() {
@@ -41,24 +42,28 @@ export class Player {
 
   // back from a pose to the motion
   release() {
-    this.angles = this.turn = undefined;
+    this.held = this.turn = this.taken = undefined;
   }
 
-  // angles: (5, 4), radians; smoothly: on the way that a hand would take
+  // A pose: angles (5, 4), radians, of a hand with straight bones; smoothly: on the way that a hand would take
   hold(angles, smoothly = false) {
-    this.playing = false;
-    const from = this.anglesNow();
-    this.palm ??= this.hand.palm;
-    this.angles = this.articulated.clamped(angles);
-    this.turn = smoothly ? { from, to: this.angles, start: undefined } : undefined;
-    if (smoothly) this.angles = from;
-    else this.showAngles();
+    const from = this.held ?? this.goal, to = { angles, own: 0 };
+    this.show(smoothly ? from : to);
+    this.turn = smoothly ? { from, to, start: undefined } : undefined;
     this.onChange();
   }
 
-  // of what is shown, whether motion or pose; of a turn that is under way its goal
-  anglesNow() {
-    return this.angles ?? this.articulated.clamped(this.articulated.angles(this.joints, this.hand.palm));
+  // The angles (4) of one finger; all else stays as it is, or as the turn that is under way leads to
+  bend(f, finger) {
+    const { angles, own } = this.goal;
+    this.turn = undefined;
+    this.show({ angles: angles.map((others, g) => (g === f ? finger : others)), own });
+    this.onChange();
+  }
+
+  // The pose of what is shown, whether motion or pose; of a turn that is under way the one that it leads to
+  get goal() {
+    return this.turn?.to ?? this.held ?? { angles: this.articulated.taken(this.joints, this.hand.palm).angles, own: 1 };
   }
 
   // The next moment; whether there are more to come. now: milliseconds
@@ -69,9 +74,11 @@ export class Player {
       const part = Math.min((now - turn.start) / 1000 / TURN_S, 1);
       // minimum jerk
       const share = part ** 3 * (10 - 15 * part + 6 * part ** 2);
-      this.angles = turn.from.map((finger, f) => finger.map((x, k) => x + share * (turn.to[f][k] - x)));
+      const between = (from, to) => from + share * (to - from), { from, to } = turn;
+      this.show({
+        angles: from.angles.map((finger, f) => finger.map((x, k) => between(x, to.angles[f][k]))), own: between(from.own, to.own),
+      });
       if (part === 1) this.turn = undefined;
-      this.showAngles();
       this.onChange();
       return Boolean(this.turn);
     }
@@ -91,13 +98,14 @@ export class Player {
     const { joints, frames } = this.motion;
     const low = Math.min(Math.floor(this.frame), frames - 1), high = Math.min(low + 1, frames - 1), part = Math.min(this.frame - low, 1);
     this.joints = Float64Array.from({ length: 63 }, (_, k) => (1 - part) * joints[63 * low + k] + part * joints[63 * high + k]);
-    this.palm = undefined;
     this.pose();
   }
 
-  showAngles() {
-    this.palm ??= this.hand.palm;
-    this.joints = Float64Array.from(this.articulated.joints(this.angles, Array.from(this.palm), Array.from(this.joints.slice(0, 3))));
+  show(held) {
+    this.playing = false;
+    this.taken ??= this.articulated.taken(this.joints, this.hand.palm);
+    this.held = held;
+    this.joints = this.articulated.joints(this.taken, held);
     this.pose();
   }
 

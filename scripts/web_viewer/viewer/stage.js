@@ -34,7 +34,12 @@ export class Stage {
     this.slow = 0;
     this.posed = true;
     new ResizeObserver(() => this.resize()).observe(canvas.parentElement);
-    canvas.addEventListener('webglcontextrestored', () => this.changed());
+    // a phone takes the graphics card away from pages that are not looked at, and gives it back
+    canvas.addEventListener('webglcontextlost', () => this.told?.('The graphics card is busy elsewhere.'));
+    canvas.addEventListener('webglcontextrestored', () => {
+      this.told?.('');
+      this.changed();
+    });
     this.resize();
     this.home();
   }
@@ -107,8 +112,9 @@ export class Stage {
     camera.updateProjectionMatrix();
   }
 
-  // A pinhole camera as JGHand writes it into camera.json; the canvas must have its proportions
-  lookThrough({ width, height, fx, fy, cx, cy, camera_from_world: m }) {
+  // A pinhole camera as JGHand writes it into camera.json; the canvas must have its proportions. origin: of the page, in
+  // the world of the motion
+  lookThrough({ width, height, fx, fy, cx, cy, camera_from_world: m }, origin) {
     const { camera } = this;
     this.fixed = true;
     camera.view = null;
@@ -119,7 +125,8 @@ export class Stage {
       0, 0, -1, 0,
     );
     camera.projectionMatrixInverse.copy(camera.projectionMatrix).invert();
-    camera.matrix.set(...m[0], ...m[1].map((x) => -x), ...m[2].map((x) => -x), ...m[3]).invert();
+    camera.matrix.set(...m[0], ...m[1].map((x) => -x), ...m[2].map((x) => -x), ...m[3]);
+    camera.matrix.multiply(new THREE.Matrix4().makeTranslation(...origin)).invert();
     camera.matrix.decompose(camera.position, camera.quaternion, camera.scale);
     camera.updateMatrixWorld(true);
     this.ask();
@@ -132,7 +139,15 @@ export class Stage {
   }
 
   ask() {
-    this.asked ??= requestAnimationFrame((now) => this.draw(now));
+    if (!this.error) this.asked ??= requestAnimationFrame((now) => this.draw(now).catch((error) => this.fail(error)));
+  }
+
+  // Nothing is drawn any more: who waits for `settled` is told why, and once the hand was seen, the page says it
+  fail(error) {
+    this.error = error;
+    if (!this.told) return;
+    console.error(error);
+    this.told(error.message);
   }
 
   // Poses, then waits until Spark has sorted what was posed: nothing is ever seen in the order of the picture before
@@ -186,10 +201,11 @@ export class Stage {
     this.resize();
   }
 
-  // Resolves when nothing is left to be drawn
+  // Resolves when nothing is left to be drawn; rejects with what stopped the drawing
   async settled() {
     this.ask();
     for (let calm = 0; calm < 3;) {
+      if (this.error) throw this.error;
       await new Promise((done) => setTimeout(done, 50));
       calm = this.asked || this.drawing || !this.spark.activeSplats ? 0 : calm + 1;
     }
