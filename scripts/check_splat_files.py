@@ -29,7 +29,9 @@ from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
+sys.path[:0] = [str(ROOT), str(ROOT / "scripts")]
+
+from build_web_viewer import install_packages  # noqa: E402
 
 from jghand_engine.avatar.builtin import load_builtin  # noqa: E402
 from jghand_engine.errors import JGHandError  # noqa: E402
@@ -367,9 +369,8 @@ def markdown(rows: list[Row]) -> str:
 def install() -> None:
     """Puts the programs into CLIENTS. Nothing else of the project is touched."""
     CLIENTS.mkdir(parents=True, exist_ok=True)
-    shutil.copyfile(TOOLS / "package.json", CLIENTS / "package.json")
     if shutil.which("npm"):
-        run("npm", "install", "--no-audit", "--no-fund", "--ignore-scripts", cwd=CLIENTS)
+        install_packages(TOOLS, CLIENTS)
     else:
         print("npm is not here: the programs that need Node are left out", file=sys.stderr)
     if not python_is_there():

@@ -48,6 +48,14 @@ def test_a_program_finds_what_the_engine_has(tmp_path, client, format, subject):
     assert difference.within(client.limit(format)), difference
 
 
+def test_the_programs_and_all_that_they_need_are_pinned_with_their_hashes():
+    wanted = json.loads((check_splat_files.TOOLS / "package.json").read_text())["dependencies"]
+    lock = json.loads((check_splat_files.TOOLS / "package-lock.json").read_text())["packages"]
+    assert lock[""]["dependencies"] == wanted
+    assert {name: lock[f"node_modules/{name}"]["version"] for name in wanted} == wanted
+    assert all("integrity" in about for name, about in lock.items() if name)
+
+
 def test_every_format_is_read_by_at_least_three_programs():
     for format in FORMATS:
         assert len({client.name for client, one in PAIRS if one == format}) >= 3
