@@ -48,6 +48,8 @@ from jghand_engine.tracking.video import open_video, pictures
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "TRACKING.md"
 BEGIN, END = "<!-- measured -->", "<!-- end of measured -->"
 FPS, SIZE_PX, ANGLE_DEG, DISTANCE_M = 30.0, (640, 480), 60.0, 0.45
+# angle of view of the camera that sees hands at its border
+WIDE_DEG = 90.0
 POSES = ("open", "relaxed", "point", "victory", "open", "three", "pinch", "open", "claw", "fist", "relaxed", "spread")
 # bones of the hand that is shown, relative to those of the hand that it is tracked with
 OTHER_BONES_SIGMA, SEED = 0.08, 5
@@ -57,11 +59,18 @@ ONE_EURO = (1.0, 0.5, 1.0)
 
 @dataclass(frozen=True)
 class Truth:
-    """A known motion. joints_m: (F, 21, 3) level order, before a camera at the origin: y up, z towards it."""
+    """A known motion. joints_m: (F, 21, 3) level order, before a camera at the origin: y up, z towards it · angle_deg:
+    of view of that camera, across the picture"""
 
     name: str
     joints_m: np.ndarray
     handedness: Handedness
+    angle_deg: float = ANGLE_DEG
+
+    @property
+    def pinhole(self) -> Pinhole:
+        width, height = SIZE_PX
+        return Pinhole(width / (2 * math.tan(math.radians(self.angle_deg) / 2)), width / 2, height / 2)
 
 
 @dataclass(frozen=True)
@@ -107,11 +116,16 @@ def truths(canonical_m: np.ndarray) -> Iterator[Truth]:
     random = np.random.default_rng(SEED)
     factors = np.exp(OTHER_BONES_SIGMA * random.standard_normal(20))
     other = rebuilt(np.zeros((1, 3)), bone_directions(canonical_m[None]), bone_lengths(canonical_m) * factors)[0]
-    for name, turn_deg, side in (
-        ("palm", 0.0, Handedness.RIGHT),
-        ("palm, left hand", 0.0, Handedness.LEFT),
-        ("from the thumb's side", -50.0, Handedness.RIGHT),
-        ("back of the hand", 180.0, Handedness.RIGHT),
+    right, left = Handedness
+    middle = (0.0, 0.0)
+    for name, turn_deg, side, off_m, angle_deg in (
+        ("palm", 0.0, right, middle, ANGLE_DEG),
+        ("palm, left hand", 0.0, left, middle, ANGLE_DEG),
+        ("from the thumb's side", -50.0, right, middle, ANGLE_DEG),
+        ("back of the hand", 180.0, right, middle, ANGLE_DEG),
+        ("palm, at the left border", 0.0, right, (-0.28, 0.0), WIDE_DEG),
+        ("palm, at the right border", 0.0, right, (0.28, 0.0), WIDE_DEG),
+        ("palm, in the upper left corner", 0.0, right, (-0.26, 0.15), WIDE_DEG),
     ):
         options = MotionOptions(fps=FPS, move_s=0.5, hold_s=0.2, variation_deg=2.0, seed=SEED)
         sequence = pose_sequence_of_names(POSES, other, handedness=Handedness.RIGHT, options=options)
@@ -121,17 +135,17 @@ def truths(canonical_m: np.ndarray) -> Iterator[Truth]:
         turn = rotations_of(sway) @ rotations_of(np.array([[0.0, math.radians(turn_deg), 0.0]]))
         joints = joints @ np.swapaxes(turn, -1, -2)
         place = np.stack([0.04 * np.sin(0.8 * time), -0.08 + 0.02 * np.sin(time), 0.03 * np.sin(0.5 * time)], -1)
-        joints = joints + place[:, None] - (0, 0, DISTANCE_M)
+        joints = joints + place[:, None] + (*off_m, -DISTANCE_M)
         mirror = (1, 1, 1) if side is Handedness.RIGHT else (-1, 1, 1)
-        yield Truth(name, joints * mirror, side)
+        yield Truth(name, joints * mirror, side, angle_deg)
 
 
 def film(truth: Truth) -> Iterator[np.ndarray]:
     """Pictures of the avatar in that motion, on a background that is not even."""
     width, height = SIZE_PX
-    focal = width / (2 * math.tan(math.radians(ANGLE_DEG) / 2))
+    focal_px = truth.pinhole.focal_px
     world = torch.diag(torch.tensor([*MOTION_FROM_CAMERA, 1.0], dtype=torch.float64))
-    camera = Camera(width, height, focal, focal, width / 2, height / 2, world)
+    camera = Camera(width, height, focal_px, focal_px, width / 2, height / 2, world)
     renderer = HandRenderer(load_builtin(handedness=truth.handedness), replace(preset("viewport"), antialias=True))
     x, y = np.meshgrid(np.linspace(0, 1, width), np.linspace(0, 1, height))
     random = np.random.default_rng(SEED)
@@ -203,7 +217,7 @@ def rows_of_video(truth: Truth, canonical_m: np.ndarray, model: Path | None) -> 
 
 def rows_of_sightings(truth: Truth, sightings: Sightings, canonical_m: np.ndarray) -> Iterator[Row]:
     """Every method on what the detector saw."""
-    exact = TrackOptions(camera_angle_deg=ANGLE_DEG)
+    exact = TrackOptions(camera_angle_deg=truth.angle_deg)
     found = track(sightings, canonical_m, exact)
     if truth.handedness not in found:
         yield Row(truth.name, "not found, or taken for the other hand", f"0 of {len(truth.joints_m)}",
@@ -223,10 +237,32 @@ def rows_of_sightings(truth: Truth, sightings: Sightings, canonical_m: np.ndarra
     variants = {
         "fit, no smoothing": replace(exact, smoothing=0.0),
         "**jghand track**": exact,
-        "the same, camera taken for 45 degrees": replace(exact, camera_angle_deg=45.0),
+        f"the same, camera taken for {0.75 * truth.angle_deg:g} degrees": replace(
+            exact, camera_angle_deg=0.75 * truth.angle_deg
+        ),
     }
     for method, options in variants.items():
         yield row(method, track(sightings, canonical_m, options)[truth.handedness].sequence.joints_m)
+    if truth.angle_deg == WIDE_DEG:
+        for part in (0.5, 1.0):
+            turned = turned_to_the_ray(sightings, truth.pinhole, part)
+            joints = track(turned, canonical_m, exact)[truth.handedness].sequence.joints_m
+            yield row(f"jghand track, directions turned to the hand's ray by {part:g} of its angle", joints)
+
+
+def turned_to_the_ray(sightings: Sightings, pinhole: Pinhole, part: float) -> Sightings:
+    """As if the detector took the way it looks at a hand for that of the camera's axis: what it sees in space turned to
+    where the hand is, by a part of the angle between the two."""
+
+    def turned(hand: SeenHand) -> SeenHand:
+        ray = pinhole.rays(hand.middle_px)
+        ray = ray / np.linalg.norm(ray)
+        axis = np.array([-ray[1], ray[0], 0.0])
+        sine = float(np.linalg.norm(axis))
+        turn = rotations_of(axis / max(sine, 1e-12) * part * math.asin(min(1.0, sine)))
+        return replace(hand, space_m=hand.space_m @ turn.T)
+
+    return replace(sightings, frames=[[turned(hand) for hand in frame] for frame in sightings.frames])
 
 
 def rows_of_capture(folder: Path, canonical_m: np.ndarray, model: Path | None) -> Iterator[Row]:

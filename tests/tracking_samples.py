@@ -50,14 +50,8 @@ def sight(joints_m: np.ndarray, handedness: Handedness = Handedness.RIGHT, label
 
 
 def seen(joints_m: np.ndarray, handedness: Handedness, score: float = 0.95) -> SeenHand:
-    """A perfect detector takes the way it looks at the hand for the camera's axis."""
-    pixels = CAMERA.project(joints_m)
-    ray = CAMERA.rays(pixels.mean(0))
-    ray = ray / np.linalg.norm(ray)
-    axis = np.array([-ray[1], ray[0], 0.0])
-    sine = np.linalg.norm(axis)
-    turn = rotations_of(axis / max(sine, 1e-12) * np.arcsin(sine))
-    return SeenHand(pixels, (joints_m - joints_m.mean(0)) @ turn, handedness, score)
+    """What a detector says that is right: landmarks where they are, and the hand about its middle."""
+    return SeenHand(CAMERA.project(joints_m), joints_m - joints_m.mean(0), handedness, score)
 
 
 def right_joints_m(count: int = 60) -> np.ndarray:

@@ -8,13 +8,19 @@ VIDEO_PIXELS_MAX = 8192 * 4320
 VIDEO_EDGE_MAX_PX = 16384
 # edges below this show no hand
 VIDEO_EDGE_MIN_PX = 16
+# pictures longer than so many times their width are refused: the second look goes along them in squares of two thirds
+# of their width, at this aspect 28 of them (0.4 s)
+VIDEO_ASPECT_MAX = 5.0
 # larger pictures are made smaller while they are read: the detector looks at hands of 224 pixels
 TRACK_EDGE_PX = 1920
-# longer videos are refused: some kilobytes per frame and hand stay in memory; nearly two hours at 30 per second
+# longer videos are refused, or cut off there if they do not say how long they are: some kilobytes per frame and hand stay in memory; nearly two hours at 30 per second
 TRACK_FRAMES_MAX = 200_000
 # rates by which films and television miss a whole number, which players print rounded
 NTSC_RATES = (24000 / 1001, 30000 / 1001, 48000 / 1001, 60000 / 1001, 120000 / 1001)
 NTSC_RATE_TOLERANCE = 6e-3
+# times between pictures vary where the mean rate differs from the most frequent one by more than this part; less comes of
+# printing them rounded
+UNEVEN_RATE_PART = 2e-3
 # rates beyond this are a time base, not a rate
 VIDEO_FPS_MAX = 1000.0
 # seconds after which looking at a video's header is given up

@@ -20,7 +20,7 @@ from jghand_engine.tracking.hands_over_time import HandOverTime, hands_over_time
 from jghand_engine.tracking.look import Trust
 from jghand_engine.tracking.own_hand import own_canonical_joints
 from jghand_engine.tracking.poses import Landmarks, Pinhole
-from jghand_engine.tracking.skeleton import Skeleton, rotations_of
+from jghand_engine.tracking.skeleton import Skeleton
 
 _MIRROR = np.array([-1.0, 1.0, 1.0])
 # from camera axes (x right, y down, z forward) to those of the motion: y up, z towards the viewer
@@ -151,21 +151,14 @@ def track_hand(
 def landmarks_of(hand: HandOverTime, camera: Pinhole, fps: float) -> Landmarks:
     """What was seen, as a right hand's: a left one is mirrored.
 
-    A detector looks at the hand alone and takes the way it looks for that of the camera's axis: its directions are
-    turned to where the hand truly is.
+    A detector that looks at the hand alone might take the way it looks for that of the camera's axis; directions turned
+    to where the hand is were measured, and are no better (`scripts/check_tracking.py`, docs/TRACKING.md).
     """
     count = len(hand.frames)
     image, directions = np.full((count, 21, 2), np.nan), np.full((count, 20, 3), np.nan)
     for frame, seen in enumerate(hand.frames):
-        if seen is None:
-            continue
-        image[frame] = seen.image_px
-        ray = camera.rays(seen.middle_px)
-        ray = ray / np.linalg.norm(ray)
-        axis = np.array([-ray[1], ray[0], 0.0])
-        sine = np.linalg.norm(axis)
-        turn = rotations_of(axis / max(sine, 1e-12) * math.asin(min(1.0, sine)))
-        directions[frame] = bone_directions(seen.space_m[None])[0] @ turn.T
+        if seen is not None:
+            image[frame], directions[frame] = seen.image_px, bone_directions(seen.space_m[None])[0]
     if hand.handedness is Handedness.LEFT:
         image = np.stack([2 * camera.cx - image[..., 0], image[..., 1]], -1)
         directions = directions * _MIRROR

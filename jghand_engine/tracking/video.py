@@ -1,4 +1,4 @@
-"""Pictures of a video file, one at a time and upright, at an even rate. An ffmpeg program does the decoding.
+"""Pictures of a video file, one at a time, upright, of square pixels, at an even rate. An ffmpeg program decodes.
 
 A video with uneven times between its pictures (telephones do that) is brought to an even rate by ffmpeg: every picture
 then stands for its own moment, so that a motion made of them has the right speed.
@@ -25,6 +25,7 @@ from jghand_engine.exporters.video import ffmpeg_program
 # containers of single films; playlists and lists of files would make the decoder open what they name
 _CONTAINERS = "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpeg,mpegts,mpegvideo,h264,hevc,m4v,flv,asf,ogg,mxf,dv,gif"
 _SIZE = re.compile(r"[ ,](\d{1,7})x(\d{1,7})(?=[ ,\[]|$)")
+_PIXEL_SHAPE = re.compile(r"\bSAR (\d{1,9}):(\d{1,9})\b")
 
 
 @dataclass(frozen=True)
@@ -32,8 +33,9 @@ class Video:
     """A video file as its header describes it.
 
     width, height: of the upright picture as it is read, pixels · fps: the even rate that it is read at ·
-    frames: how many pictures that makes, about; None when the header does not say · uneven: the times between its
-    pictures vary · turned_deg: by how much it was turned upright
+    frames: how many pictures that makes, about; None when the header does not say; sound that is longer than the film
+    counts · lone: there is no sound, so that it does not · uneven: the times between its pictures vary · turned_deg: by
+    how much it was turned upright
     """
 
     path: Path
@@ -41,6 +43,7 @@ class Video:
     height: int
     fps: float
     frames: int | None
+    lone: bool
     uneven: bool
     turned_deg: int
 
@@ -52,8 +55,8 @@ class ReadingNotes:
     sentences: list[str] = field(default_factory=list)
 
 
-def open_video(path: Path | str, fps: float | None = None) -> Video:
-    """Looks at a video. fps: another rate to read it at.
+def open_video(path: Path | str, fps: float | None = None, *, most: int | None = None) -> Video:
+    """Looks at a video. fps: another rate to read it at · most: so many pictures are wanted of it; all.
 
     InputError for a file that is absent, empty, no video, too large or too long, and without an ffmpeg program.
     """
@@ -63,32 +66,50 @@ def open_video(path: Path | str, fps: float | None = None) -> Video:
             raise InputError(f"video {file}", wanted="a video file", came="a folder" if file.is_dir() else "no bytes")
     except OSError as error:
         raise InputError(f"cannot read video {file}", came=str(error.strerror or error)) from error
-    return _described(file, _header(file), fps)
+    video = _described(file, _header(file), fps)
+    count = video.frames or 0
+    if min(count, count if most is None else most) > limits.TRACK_FRAMES_MAX:
+        raise InputError(
+            f"video {file}", wanted=f"at most {limits.TRACK_FRAMES_MAX} pictures", came=f"about {count}",
+            remedy="Cut it into shorter ones, or take its beginning with --most.",
+        )  # fmt: skip
+    return video
 
 
 def pictures(video: Video, notes: ReadingNotes | None = None, *, most: int | None = None) -> Iterator[np.ndarray]:
-    """The pictures of a video, (H, W, 3) uint8 sRGB, at most `most`. A damaged video gives those before the damage,
-    and a sentence in `notes`. InputError when there is not one."""
-    filters = [f"fps={video.fps:.9g}", f"scale={video.width}:{video.height}:flags=area"]
-    limit = [] if most is None else ["-frames:v", str(most)]
+    """The pictures of a video, (H, W, 3) uint8 sRGB, at most `most`, and never more than `limits.TRACK_FRAMES_MAX`.
+
+    A damaged video gives those before the damage, and a sentence in `notes`; so does one that turns out to be too long.
+    InputError when there is not one.
+    """
+    filters = [f"fps={video.fps:.9g}", f"scale={video.width}:{video.height}:flags=area", "setsar=1"]
+    wanted = limits.TRACK_FRAMES_MAX + 1 if most is None else min(most, limits.TRACK_FRAMES_MAX)
     command = [
-        *_input(video.path), "-map", "0:v:0", "-an", "-sn", "-dn", "-vf", ",".join(filters), *limit,
+        *_input(video.path), "-map", "0:V:0", "-an", "-sn", "-dn", "-vf", ",".join(filters), "-frames:v", str(wanted),
         "-f", "image2pipe", "-c:v", "ppm", "-",
     ]  # fmt: skip
     count = 0
+    sentence = ""
     with tempfile.TemporaryFile() as log, _started(command, log) as process:
         assert process.stdout is not None
         while (picture := _next_picture(process.stdout, video)) is not None:
+            if count == limits.TRACK_FRAMES_MAX:
+                sentence = f"{video.path} does not say how long it is: its first {count} pictures were read."
+                break
             count += 1
             yield picture
-        process.stdout.close()
-        code = process.wait()
-        words = _last_words(log, video.path)
-    if not count:
-        raise InputError(f"video {video.path}", wanted="at least one picture", came=words or "none")
-    missing = video.frames is not None and most is None and count < video.frames - max(2, video.fps)
-    if notes is not None and (code or words or missing):
-        notes.sentences.append(f"{video.path} is damaged or cut off: {count} pictures could be read ({words or code}).")
+        else:
+            process.stdout.close()
+            code, words = process.wait(), _last_words(log, video.path)
+            if not count:
+                raise InputError(f"video {video.path}", wanted="at least one picture", came=words or "none")
+            if code or words:
+                why = words or f"ffmpeg ended with {code}"
+                sentence = f"{video.path} is damaged or cut off: {count} pictures could be read ({why})."
+            elif video.lone and video.frames and most is None and count < video.frames - max(2, video.fps):
+                sentence = f"{video.path} is cut off: {count} of about {video.frames} pictures could be read."
+    if notes is not None and sentence:
+        notes.sentences.append(sentence)
 
 
 # ---- the header ------------------------------------------------------------------------------------------------------
@@ -147,31 +168,42 @@ def _described(file: Path, header: str, fps: float | None) -> Video:
         wanted = f"{limits.FPS_MIN:g} to {limits.VIDEO_FPS_MAX:g} frames per second"
         raise InputError(f"video {file}", wanted=wanted, came=f"{used:g}", remedy="Say the rate with --fps.")
     frames = _frames(header, used)
-    if frames is not None and frames > limits.TRACK_FRAMES_MAX:
-        raise InputError(
-            f"video {file}", wanted=f"at most {limits.TRACK_FRAMES_MAX} pictures", came=f"about {frames}",
-            remedy="Cut it into shorter ones.",
-        )  # fmt: skip
     smaller = min(1.0, limits.TRACK_EDGE_PX / max(width, height))
-    uneven = rate is not None and base is not None and abs(rate - base) > limits.NTSC_RATE_TOLERANCE * base
+    # a base that is no rate of pictures is the clock of times that vary
+    uneven = base is None or (rate is not None and abs(rate - base) > limits.UNEVEN_RATE_PART * base)
     even_width, even_height = (max(2, 2 * round(edge * smaller / 2)) for edge in (width, height))
-    return Video(file, even_width, even_height, used, frames, uneven, turned)
+    lone = not re.search(r"Stream #.*: Audio: ", header)
+    return Video(file, even_width, even_height, used, frames, lone, uneven, turned)
 
 
 def _size(file: Path, film: str) -> tuple[int, int]:
+    """Width and height in square pixels, before it is turned upright."""
     found = _SIZE.search(film)
     if found is None:
         raise InputError(f"video {file}", wanted="the size of its pictures", came="none in its header")
-    width, height = int(found[1]), int(found[2])
+    coded = int(found[1]), int(found[2])
     shortest, longest = limits.VIDEO_EDGE_MIN_PX, limits.VIDEO_EDGE_MAX_PX
-    fits = shortest <= min(width, height) and max(width, height) <= longest
-    if not fits or width * height > limits.VIDEO_PIXELS_MAX:
+    fits = shortest <= min(coded) and max(coded) <= longest
+    if not fits or coded[0] * coded[1] > limits.VIDEO_PIXELS_MAX:
         raise InputError(
             f"video {file}",
             wanted=f"pictures of {shortest} to {longest} pixels each way and at most {limits.VIDEO_PIXELS_MAX} in all",
-            came=f"{width} x {height}",
+            came=f"{coded[0]} x {coded[1]}",
         )
-    return width, height
+    width, height = coded[0] * _pixel_width(film), coded[1]
+    if max(width, height) > limits.VIDEO_ASPECT_MAX * min(width, height):
+        raise InputError(
+            f"video {file}", wanted=f"pictures at most {limits.VIDEO_ASPECT_MAX:g} times as long as wide",
+            came=f"{width:.0f} x {height}",
+        )  # fmt: skip
+    return max(1, round(width)), height
+
+
+def _pixel_width(film: str) -> float:
+    """How wide a pixel is for its height: what the container says comes last, and counts."""
+    shapes = [(int(wide), int(high)) for wide, high in _PIXEL_SHAPE.findall(film)]
+    wide, high = shapes[-1] if shapes else (1, 1)
+    return wide / high if wide and high else 1.0
 
 
 def _turn(header: str) -> int:

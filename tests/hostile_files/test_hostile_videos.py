@@ -1,5 +1,6 @@
 """Video files that are none, are damaged, or want something: refused with a sentence, and soon."""
 
+import subprocess
 import time
 
 import numpy as np
@@ -7,8 +8,8 @@ import pytest
 
 from jghand_engine import limits
 from jghand_engine.errors import InputError
-from jghand_engine.exporters.video import write_video
-from jghand_engine.tracking.video import open_video, pictures
+from jghand_engine.exporters.video import ffmpeg_program, write_video
+from jghand_engine.tracking.video import ReadingNotes, open_video, pictures
 
 pytest.importorskip("imageio_ffmpeg", reason="the extra `video` is not installed")
 
@@ -76,6 +77,33 @@ def test_absurd_sizes_are_refused_before_a_picture_is_decoded(film, monkeypatch)
 def test_too_many_pictures(film, monkeypatch):
     monkeypatch.setattr(limits, "TRACK_FRAMES_MAX", 5)
     refused(film, "at most 5 pictures")
+    assert len(list(pictures(open_video(film, most=4), most=4))) == 4, "its beginning can be had"
+
+
+def test_too_many_pictures_of_a_film_that_does_not_say_how_many(film, tmp_path, monkeypatch):
+    raw = tmp_path / "raw.h264"
+    command = [ffmpeg_program(), "-loglevel", "error", "-i", str(film), "-c", "copy", str(raw)]
+    subprocess.run(command, check=True, stdin=subprocess.DEVNULL)
+    monkeypatch.setattr(limits, "TRACK_FRAMES_MAX", 5)
+    notes = ReadingNotes()
+    assert len(list(pictures(open_video(raw), notes))) == 5
+    assert "its first 5 pictures" in notes.sentences[0]
+    notes = ReadingNotes()
+    assert len(list(pictures(open_video(raw, most=3), notes, most=3))) == 3
+    assert notes.sentences == []
+
+
+@pytest.mark.parametrize(("width", "height"), [(512, 16), (16, 512)])
+def test_strips_in_which_a_search_would_take_minutes(tmp_path, width, height):
+    write_video(tmp_path / "thin.mp4", (np.zeros((height, width, 3), np.uint8) for _ in range(3)), 30)
+    refused(tmp_path / "thin.mp4", "5 times as long as wide")
+
+
+def test_pixels_of_an_absurd_shape(film, tmp_path):
+    path = tmp_path / "shape.mp4"
+    command = [ffmpeg_program(), "-loglevel", "error", "-i", str(film), "-vf", "setsar=1/20", "-c:v", "libx264"]
+    subprocess.run([*command, str(path)], check=True, stdin=subprocess.DEVNULL)
+    refused(path, "5 times as long as wide")
 
 
 @pytest.mark.parametrize("seed", range(12))
