@@ -16,8 +16,6 @@ Everything is written into a folder beside the target and moved when it is compl
 from __future__ import annotations
 
 import contextlib
-import hashlib
-import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -25,28 +23,27 @@ from pathlib import Path
 
 import numpy as np
 
-from jghand_engine import __version__
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.fast_posing import PosedFrame
-from jghand_engine.errors import DiskFullError, InputError
+from jghand_engine.errors import InputError
 from jghand_engine.exporters.ellipsoids import SteadyAxes
-from jghand_engine.exporters.usd_arrival import arriving
+from jghand_engine.exporters.usd_arrival import arriving, check_earlier
 from jghand_engine.exporters.usd_clips import ClippedSplats
 from jghand_engine.exporters.usd_half import HalfPrice
 from jghand_engine.exporters.usd_layers import TimeRange, usd_errors
 from jghand_engine.exporters.usd_motion import HandMotion
 from jghand_engine.exporters.usd_options import IDENTIFIER, LayerNames, Package, UsdOptions, UsdReport, Variant
 from jghand_engine.exporters.usd_package import frames_of_flat, write_archive, write_flat
+from jghand_engine.exporters.usd_provenance import made_from, provenance, seal
 from jghand_engine.exporters.usd_rig import Rig, vertex_colours, write_rig
 from jghand_engine.exporters.usd_skeleton import build_skeleton, in_motion
 from jghand_engine.exporters.usd_skinned import SkinnedCloud, write_skinned
+from jghand_engine.exporters.usd_space import Expected, check_space
 from jghand_engine.exporters.usd_splats import Cloud, Look, Sample, SplatLayer
-from jghand_engine.exporters.usd_stage import Interface, describe, provenance, write_interface, write_shot
+from jghand_engine.exporters.usd_stage import Interface, describe, write_interface, write_shot
 from jghand_engine.files import make_folder
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.orders import JointOrder, from_level
 from jghand_engine.hand.sequence import PoseSequence
-from jghand_engine.limits import USD_DISK_RESERVE, USD_STATIC_BYTES, USD_STATIC_BYTES_PER_GAUSSIAN
 from jghand_engine.splat.camera import Camera
 from jghand_engine.template.builtin import load_template
 from jghand_engine.template.mesh import HandTemplate, mirrored
@@ -61,12 +58,14 @@ def export_usd(
     *,
     progress: Callable[[int, int], None] | None = None,
 ) -> UsdReport:
-    """Writes the animated hand into `folder`, which may hold other files; an earlier export of that name is replaced.
+    """Writes the animated hand into `folder`, which may hold other files; an earlier export of that name is replaced,
+    unless somebody has changed it.
 
     cameras:  by name, or in a row (cam0, cam1, ...); only the shot layer has them.
     progress: called with (frames done, frames) after every frame.
-    Raises InputError for a motion with gaps, a template that is not the avatar's, or a folder that cannot be written,
-    RetryError for a disk that is full or too small. On any failure the folder is left as it was.
+    Raises InputError for a motion with gaps, a template that is not the avatar's, a folder that cannot be written,
+    files in the way that are others' work, a .usdz that would be too large; RetryError for a full or too small disk. On
+    any failure the folder is left as it was; what a process that was killed left is removed by the next one.
     """
     options = options or UsdOptions()
     motion = HandMotion(avatar, sequence)
@@ -74,56 +73,47 @@ def export_usd(
     template = template_of(avatar, options.template, motion.handedness)
     names, package = LayerNames(options.name), Package(options.package)
     target = make_folder(folder)
-    check_space(target, len(avatar), len(motion), options, coloured=motion.colours_move)
+    if not options.overwrite:
+        check_earlier(target, names, package)
     stamp = made_from(avatar, sequence)
     about = provenance(avatar.info, stamp)
     span = TimeRange(len(motion), float(sequence.fps), options.first_frame, options.up, about)
     clock = _Clock()
+    with clock("rig"):
+        cloud = motion.cloud()
+    job = _Job(names, motion, cloud, span, options)
+    check_space(target, Expected(len(avatar), len(motion), job.sample_bytes), package)
     with usd_errors(target), arriving(target, names, package) as (layers, arrived):
         with clock("rig"):
-            cloud = motion.cloud()
             skeleton = build_skeleton(motion.rest_poses())
             colours = vertex_colours(template.vertices_m, cloud)
             write_rig(layers / names.rig, Rig(skeleton, in_motion(skeleton, motion.poses()), template, colours), span)
         with clock("skinned points"):
             skinned = SkinnedCloud(cloud, motion.avatar.bone_weights.numpy(), options.width_factor)
             write_skinned(layers / names.skinned, skinned, span)
-        job = _Job(layers, names, motion, cloud, span, options)
         hand = describe(avatar, motion.handedness, options)
         interface = Interface(avatar.info.name, hand, options.variants, Variant(options.default_variant))
         if package is Package.USDC:
-            sigma_error, half = _write_flat(job, interface, arrived / names.stage(package), clock, progress)
+            sigma_error, half = _write_flat(job, interface, (layers, arrived), clock, progress)
         else:
             with clock("splats"):
-                splats = job.writer()
+                splats = job.writer(layers)
             sigma_error, half = _write_frames(job, splats, clock, progress)
             with clock("stage"):
                 write_interface(layers, names, interface, span)
         if package is Package.LAYERS:
             with clock("stage"):
                 write_shot(layers, names, named_cameras, sequence.joints_m, span)
+                for name in (names.interface, names.shot):
+                    seal(layers / name)
         if package is Package.USDZ:
             with clock("package"):
-                write_archive(layers / names.interface, arrived / names.stage(package))
+                write_archive(layers, names, arrived / names.stage(package))
         sizes = {path.name: path.stat().st_size for path in sorted(arrived.iterdir()) if path.is_file()}
     shot = target / names.shot if package is Package.LAYERS else None
     return UsdReport(
         target / names.stage(package), shot, len(motion), len(avatar), sizes, clock.seconds, sigma_error, stamp, half
     )
-
-
-def made_from(avatar: HandAvatar, sequence: PoseSequence) -> dict[str, str]:
-    """What tells whether a stage is still that of an avatar and a motion: SHA-256 of the avatar's Gaussians and of the
-    joints (F, 21, 3) float32 little-endian metres in standard order, and the engine's version."""
-    gaussians = hashlib.sha256()
-    for tensor in (avatar.position_m, avatar.sigma_m, avatar.opacity, avatar.rgb, avatar.bone_weights):
-        gaussians.update(tensor.numpy().tobytes())
-    joints_m = from_level(sequence.joints_m, JointOrder.STANDARD).astype("<f4")
-    return {
-        "engine_version": __version__,
-        "avatar_sha256": gaussians.hexdigest(),
-        "joints_sha256": hashlib.sha256(joints_m.tobytes()).hexdigest(),
-    }
 
 
 def name_cameras(cameras: Mapping[str, Camera] | Sequence[Camera]) -> dict[str, Camera]:
@@ -151,36 +141,10 @@ def template_of(avatar: HandAvatar, template: HandTemplate | None, handedness: H
     return mirrored(template) if handedness is Handedness.LEFT else template
 
 
-def check_space(folder: Path, gaussians: int, frames: int, options: UsdOptions, *, coloured: bool = False) -> None:
-    """Raises RetryError when the export cannot fit on the disk of `folder`: said before minutes of work, not after.
-
-    coloured: whether every frame has colours of its own
-    """
-    # a position is three numbers; per-frame sizes add three scales and a width, colours two times three (in half
-    # precision neither width nor colours of points)
-    if options.is_half:
-        sample = 6 + (6 if options.sizes == "per_frame" else 0) + (6 if coloured else 0)
-    else:
-        sample = (12 if options.sizes == "constant" else 28) + (24 if coloured else 0)
-    expected = gaussians * (frames + 1) * sample + gaussians * USD_STATIC_BYTES_PER_GAUSSIAN + USD_STATIC_BYTES
-    if options.package != Package.LAYERS:
-        expected *= 2  # the layers, then the file that is made of them
-    with usd_errors(folder):
-        free = shutil.disk_usage(folder).free * (1 - USD_DISK_RESERVE)
-    if expected > free:
-        raise DiskFullError(
-            f"cannot write the USD stage in {folder}: the disk is too small",
-            wanted=f"{expected / 1e6:.0f} MB",
-            came=f"{free / 1e6:.0f} MB free",
-            remedy="Free some space, choose another folder, or export fewer Gaussians or frames.",
-        )
-
-
 @dataclass(frozen=True)
 class _Job:
-    """What the Gaussians of an export are written of, frame after frame. layers: the folder."""
+    """What the Gaussians of an export are written of, frame after frame."""
 
-    layers: Path
     names: LayerNames
     motion: HandMotion
     cloud: Cloud
@@ -188,15 +152,20 @@ class _Job:
     options: UsdOptions
     _axes: SteadyAxes = field(default_factory=SteadyAxes)
 
-    def writer(self) -> SplatLayer | ClippedSplats:
-        """A file, or many of a long take."""
+    def writer(self, folder: Path) -> SplatLayer | ClippedSplats:
+        """A file in `folder`, or many of a long take."""
         if self.options.has_clips(self.span.frames):
-            return ClippedSplats(self.layers, self.names, self.cloud, self.span, self._look, self._rest())
-        return self.layer()
+            return ClippedSplats(folder, self.names, self.cloud, self.span, self._look, self._rest())
+        return self.layer(folder)
 
-    def layer(self) -> SplatLayer:
+    def layer(self, folder: Path) -> SplatLayer:
         """One file with what does not move."""
-        return SplatLayer.new(self.layers / self.names.splats, self.cloud, self.span, self._look, self._rest())
+        return SplatLayer.new(folder / self.names.splats, self.cloud, self.span, self._look, self._rest())
+
+    @property
+    def sample_bytes(self) -> int:
+        """Of a frame as it is written."""
+        return self._look.sample_bytes(self.sample(self.motion.frame(0)))
 
     @property
     def _look(self) -> Look:
@@ -220,17 +189,23 @@ class _Job:
 
 
 def _write_flat(
-    job: _Job, interface: Interface, target: Path, clock: _Clock, progress: Callable[[int, int], None] | None
+    job: _Job,
+    interface: Interface,
+    folders: tuple[Path, Path],
+    clock: _Clock,
+    progress: Callable[[int, int], None] | None,
 ) -> tuple[float, HalfPrice | None]:
     """One file with the chosen variant; returns as `_write_frames` does. The frames come last: flattened with the
-    rest they would all be in memory at once."""
+    rest they would all be in memory at once. folders: of the layers, and of the file."""
+    layers, arrived = folders
+    target = arrived / job.names.stage(Package.USDC)
     with clock("splats"):
-        still = job.layer()
+        still = job.layer(layers)
         still.finish()
     with clock("stage"):
-        write_interface(job.layers, job.names, interface, job.span)
+        write_interface(layers, job.names, interface, job.span)
     with clock("package"):
-        write_flat(job.layers / job.names.interface, target)
+        write_flat(layers / job.names.interface, target)
         frames = frames_of_flat(target, interface.default, still.prims, job.span)
     if frames is None:
         if progress:

@@ -7,11 +7,31 @@ import errno
 import os
 import shutil
 import tempfile
+import time
 from collections.abc import Iterator
 from pathlib import Path
 
+from jghand_engine.errors import InputError, RetryError
 from jghand_engine.exporters.usd_options import LayerNames, Package
+from jghand_engine.exporters.usd_provenance import is_as_written
 from jghand_engine.files import file_error, sync
+from jghand_engine.limits import USD_LEFT_OVER_S
+from jghand_engine.lock import locked
+
+# in the temporary folder of an export, as long as its process lives
+LOCK = "lock"
+
+
+def check_earlier(folder: Path, names: LayerNames, package: Package) -> None:
+    """InputError for a file in the way that is no earlier export's, or that somebody has changed since."""
+    for path in names.of_earlier(folder, package):
+        if path.is_file() and not is_as_written(path):
+            raise InputError(
+                f"{path}",
+                wanted="no file of that name, or one as JGHand wrote it",
+                came="one that somebody else made, or changed",
+                remedy="Choose another name or folder, or replace it with --overwrite (UsdOptions.overwrite).",
+            )
 
 
 @contextlib.contextmanager
@@ -21,18 +41,30 @@ def arriving(folder: Path, names: LayerNames, package: Package) -> Iterator[tupl
     for target in (folder / name for name in names.files(package)):
         if target.is_dir():
             raise file_error(target, IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR)))
+    _remove_left_over(folder, names)
     temporary = Path(tempfile.mkdtemp(prefix=f".{names.name}.", dir=folder))
     try:
-        arrived = temporary
-        if package is not Package.LAYERS:
-            arrived = temporary / "single"
-            arrived.mkdir()
-        yield temporary, arrived
-        for path in arrived.iterdir():
-            sync(path)
-        _exchange(arrived, folder, names, package)
+        with locked(temporary / LOCK):
+            layers = arrived = temporary / "layers"
+            layers.mkdir()
+            if package is not Package.LAYERS:
+                arrived = temporary / "single"
+                arrived.mkdir()
+            yield layers, arrived
+            for path in arrived.iterdir():
+                sync(path)
+            _exchange(arrived, folder, names, package)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _remove_left_over(folder: Path, names: LayerNames) -> None:
+    """The temporary folders of exports whose process was killed and could not."""
+    for lock in folder.glob(f".{names.name}.????????/{LOCK}"):
+        # not of one that has made its lock just now and does not hold it yet
+        if time.time() - lock.stat().st_mtime > USD_LEFT_OVER_S:
+            with contextlib.suppress(RetryError, InputError), locked(lock):
+                shutil.rmtree(lock.parent, ignore_errors=True)
 
 
 def _exchange(arrived: Path, folder: Path, names: LayerNames, package: Package) -> None:

@@ -41,14 +41,15 @@ class UsdOptions:
     """name:       stem of the files
     default_variant: what a reader shows that cannot choose (Blender)
     radiance:        "srgb" keeps the avatar's display-referred colours in the splats, "linear" writes light
-    sizes:           "constant": radii of the mean hand; "per_frame": as the engine shrinks and stretches them, at
-                     2.3 times the size of the file. Gaussians that are no balls have theirs in every frame
+    sizes:           "constant": radii of the mean hand; "per_frame": as the engine shrinks and stretches them, in
+                     larger files. Gaussians that are no balls have theirs in every frame
     width_factor:    diameter of the points of all variants, in two standard deviations
     template:        surface of the avatar; None takes the built-in one
     first_frame:     time code of the first frame
     up:              the axis of the motion's world that points up; written down, nothing is turned
     precision:       "half": the splats in half the size, at a price that the report says; there are no `points` then
     package:         the files that are written
+    overwrite:       also files of these names that somebody else made or changed
     """
 
     name: str = "hand"
@@ -61,6 +62,7 @@ class UsdOptions:
     up: Literal["y", "z"] = "y"
     precision: Literal["float", "half"] = "float"
     package: Package = Package.LAYERS
+    overwrite: bool = False
 
     def __post_init__(self) -> None:
         if not IDENTIFIER.fullmatch(self.name):

@@ -4,26 +4,29 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pxr import Sdf, Usd, UsdUtils
+from pxr import Sdf, Usd
 
 from jghand_engine.errors import RetryError
 from jghand_engine.exporters.usd_layers import TimeRange
-from jghand_engine.exporters.usd_options import Variant
+from jghand_engine.exporters.usd_options import LayerNames, Variant
 from jghand_engine.exporters.usd_splats import Places, SplatLayer, SplatPrims
 from jghand_engine.exporters.usd_stage import HAND_PATH
+from jghand_engine.exporters.usd_zip import write_zip
 
 
-def write_archive(interface: Path, target: Path) -> None:
-    """Packs a stage and its layers into a .usdz. RetryError when USD cannot."""
-    if not UsdUtils.CreateNewUsdzPackage(Sdf.AssetPath(str(interface)), str(target)):
-        raise _cannot_write(target)
+def write_archive(folder: Path, names: LayerNames, target: Path) -> None:
+    """Packs a stage and its layers into a .usdz. InputError when they are too large for one."""
+    write_zip(target, [folder / name for name in (names.interface, names.rig, names.splats, names.skinned)])
 
 
 def write_flat(interface: Path, target: Path) -> None:
     """Puts a stage with its chosen variant into one layer, all of it in memory: without the frames of Gaussians, which
     `frames_of_flat` adds. RetryError when USD cannot."""
-    if not Usd.Stage.Open(str(interface)).Flatten().Export(str(target)):
-        raise _cannot_write(target)
+    # the comment would tell a place on our disk, as the identifier does that flattening makes of a relative one
+    layer = Usd.Stage.Open(str(interface)).Flatten(addSourceFileComment=False)
+    layer.GetPrimAtPath(HAND_PATH).assetInfo["identifier"] = Sdf.AssetPath(f"./{target.name}")
+    if not layer.Export(str(target)):
+        raise RetryError(f"cannot write {target.name}", remedy="Check the disk and try again.")
 
 
 def frames_of_flat(target: Path, variant: Variant, prims: SplatPrims, time: TimeRange) -> SplatLayer | None:
@@ -39,7 +42,3 @@ def frames_of_flat(target: Path, variant: Variant, prims: SplatPrims, time: Time
         return None
     stage = Usd.Stage.Open(str(target))
     return SplatLayer(stage, prims.elsewhere(stage, places), time)
-
-
-def _cannot_write(target: Path) -> RetryError:
-    return RetryError(f"cannot write {target.name}", remedy="Check the disk and try again.")

@@ -11,7 +11,7 @@ import numpy as np
 from pxr import Kind, Sdf, Usd, UsdGeom, UsdSkel
 
 from jghand_engine import __version__
-from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
+from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.exporters.usd_cameras import add_camera
 from jghand_engine.exporters.usd_layers import TYPES, TimeRange, announce_fallback, new_layer, uniform
 from jghand_engine.exporters.usd_options import LayerNames, UsdOptions, Variant
@@ -125,16 +125,3 @@ def describe(avatar: HandAvatar, handedness: Handedness, options: UsdOptions) ->
         "sizes": options.sizes,
         "precision": options.precision,
     }
-
-
-def provenance(info: AvatarInfo, stamp: Mapping[str, str]) -> dict[str, Any]:
-    """customLayerData of every layer: who wrote it, of what, under which licence. stamp: what it was made from."""
-    learnt_from = info.learnt_from
-    about = {**stamp, "avatar": info.name, "template": info.template, "licence": info.licence}
-    if learnt_from is not None:
-        about |= {
-            "learnt_from": learnt_from.capture,
-            "learnt_from_pictures": learnt_from.pictures,
-            "learnt_from_digest": learnt_from.digest,
-        }
-    return {"creator": f"JGHand {__version__}", "jghand": about}

@@ -26,12 +26,16 @@ SPZ_GZIP_LEVEL = 6
 PLY_HEADER_BYTES_MAX = 65_536
 # bytes of the description in a GLB: JSON takes up to thirty times its size in memory; ours has 1.5 kB
 GLB_JSON_BYTES_MAX = 65_536
-# times that an SPZ file may grow when it is unpacked; hands grow to 1.8 times their size, a bomb of zeros to 1000
-SPZ_RATIO_MAX = 16
+# times that an SPZ file may grow when it is unpacked, higher harmonics left out; hands grow to 1.8 times their size, a
+# bomb of zeros to 1000
+SPZ_RATIO_MAX = 4
 # bytes that are unpacked at once
 SPZ_CHUNK_BYTES = 65_536
-# a median size above which nobody meant metres
+# Gaussians that are decoded at once: half a megabyte
+SPLAT_PART_ROWS = 4096
+# a median size, and a distance between Gaussians, above which nobody meant metres
 SPLAT_SIGMA_SANE_M = 1.0
+SPLAT_SIZE_SANE_M = 1000.0
 
 # ---- exporters: passes ----------------------------------------------------------------------------------------------
 # the skin around a joint is what lies in a slab of this half thickness across its bone: thin beside the shortest bone
@@ -53,8 +57,9 @@ USD_FINE_SHARE = 2.0**-8
 USD_SAVE_EVERY = 24
 # half width of a splat's bound in standard deviations: 99.7 % of the kernel
 USD_SPLAT_EXTENT_SIGMA = 3.0
-# horizontal aperture that cameras are written with; only ratios to the focal length matter
-USD_APERTURE = 36.0
+# horizontal aperture that cameras are written with: 36 mm in tenths of the stage's unit, the metre. Ratios alone make
+# the field of view, but depth of field and the lens that a reader shows follow from the size
+USD_APERTURE = 0.36
 # the clipping of an exported camera leaves this factor before and behind the hand, for what else the scene holds
 USD_CLIPPING_ROOM = 2.0
 # part of the free disk that must be left over when an export is expected to fit: other programs write too
@@ -63,6 +68,12 @@ USD_DISK_RESERVE = 0.02
 # generous)
 USD_STATIC_BYTES_PER_GAUSSIAN = 180
 USD_STATIC_BYTES = 2_000_000
+# age in seconds of the folder of an export that was killed, after which the next one removes it
+USD_LEFT_OVER_S = 60.0
+# bytes of a .usdz at most: its zip counts in 32 bits, and its directory takes some hundred
+USDZ_BYTES_MAX = 2**32 - 2**16
+# bytes that are copied into it at once
+USDZ_CHUNK_BYTES = 2**20
 # every so many-th Gaussian is in the stand-in that is shown where splats are not: a hand is still closed with a tenth
 USD_PROXY_STEP = 10
 # bones that a Gaussian of the skinned variants follows at most: the hands that ship have 7. With 4, as many real-time

@@ -5,9 +5,10 @@ from __future__ import annotations
 import pytest
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def no_usd_warnings():
-    """Any warning of USD fails the test: a dropped relationship is only ever warned about."""
+    """Any warning of USD in a module fails it, those of fixtures that are made once for it too: a dropped relationship
+    is only ever warned about."""
     from pxr import UsdUtils
 
     delegate = UsdUtils.CoalescingDiagnosticDelegate()

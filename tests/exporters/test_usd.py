@@ -1,23 +1,27 @@
 """The exported stage holds what the engine computes, in every variant, for both hands."""
 
+import os
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdSkel, Vt
+from small_avatars import trained_avatar
 from usd_samples import FPS, engine_gaussians, engine_mesh, lively_motion, small_avatar
 
 from jghand_engine.avatar.avatar import LearntFrom
+from jghand_engine.avatar.tiers import Baked
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.exporters import usd as usd_module
 from jghand_engine.exporters import usd_arrival
 from jghand_engine.exporters.usd import UsdOptions, export_usd
-from jghand_engine.exporters.usd_check import check_usd
-from jghand_engine.exporters.usd_options import Variant
+from jghand_engine.exporters.usd_check import NO_SPLATS, check_usd
+from jghand_engine.exporters.usd_options import LayerNames, Variant
 from jghand_engine.hand.baselines import Transform
 from jghand_engine.hand.joints import LEVEL_NAMES, Handedness
 from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.lock import locked
 from jghand_engine.splat.camera import Camera
 from jghand_engine.template.builtin import load_template
 from jghand_engine.template.mesh import mirrored
@@ -94,8 +98,8 @@ def test_nothing_is_found_in_any_variant_or_in_the_shot(export):
 
 def test_every_layer_alone_is_sound(export):
     report = export[0]
-    for layer in ("hand.rig.usdc", "hand.splats.usdc"):
-        assert [str(finding) for finding in check_usd(report.stage.parent / layer)] == []
+    for layer, found in (("hand.rig.usdc", [NO_SPLATS]), ("hand.splats.usdc", [])):
+        assert [str(finding) for finding in check_usd(report.stage.parent / layer)] == found
 
 
 def test_splats_and_points_are_where_the_engine_puts_them(export):
@@ -357,6 +361,55 @@ def test_an_earlier_export_is_replaced(tmp_path):
     assert Usd.Stage.Open(str(report.stage)).GetEndTimeCode() == 2
 
 
+@pytest.mark.parametrize("name", ["hand.usda", "hand.shot.usda"])
+def test_a_layer_that_somebody_changed_is_not_replaced_unasked(tmp_path, name):
+    motion = lively_motion(Handedness.RIGHT, 2)
+    export_usd(tmp_path, small_avatar(), motion)
+    with (tmp_path / name).open("a") as stream:
+        stream.write("# my lights, an hour of work\n")
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    with pytest.raises(InputError, match=rf"{name}.*--overwrite"):
+        export_usd(tmp_path, small_avatar(), motion)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+    export_usd(tmp_path, small_avatar(), motion, options=UsdOptions(overwrite=True))
+    assert "my lights" not in (tmp_path / name).read_text()
+
+
+def test_a_shot_that_another_program_saved_is_not_replaced_unasked(tmp_path):
+    motion = lively_motion(Handedness.RIGHT, 2)
+    shot = export_usd(tmp_path, small_avatar(), motion).shot
+    stage = Usd.Stage.Open(str(shot))
+    stage.DefinePrim("/World/Sun", "DistantLight")
+    stage.Save()
+    del stage
+    with pytest.raises(InputError, match=r"hand\.shot\.usda"):
+        export_usd(tmp_path, small_avatar(), motion)
+
+
+@pytest.mark.parametrize("package", ["usdc", "usdz"])
+def test_a_file_of_another_program_is_not_replaced_unasked(tmp_path, package):
+    motion, options = lively_motion(Handedness.RIGHT, 2), UsdOptions(package=package)
+    export_usd(tmp_path, small_avatar(), motion, options=options)
+    export_usd(tmp_path, small_avatar(), motion, options=options)
+    (tmp_path / f"hand.{package}").write_bytes(b"PXR-USDC of somebody else")
+    with pytest.raises(InputError, match=rf"hand\.{package}"):
+        export_usd(tmp_path, small_avatar(), motion, options=options)
+
+
+def test_what_a_killed_export_left_is_removed_by_the_next_and_what_a_living_one_has_is_not(tmp_path):
+    motion = lively_motion(Handedness.RIGHT, 2)
+    for name in ("abcdefgh", "ijklmnop"):
+        (tmp_path / f".hand.{name}").mkdir()
+        (tmp_path / f".hand.{name}" / usd_arrival.LOCK).write_text("")
+        (tmp_path / f".hand.{name}" / "half.usdc").write_bytes(b"half")
+        os.utime(tmp_path / f".hand.{name}" / usd_arrival.LOCK, (0, 0))
+    with locked(tmp_path / ".hand.ijklmnop" / usd_arrival.LOCK):
+        os.utime(tmp_path / ".hand.ijklmnop" / usd_arrival.LOCK, (0, 0))
+        export_usd(tmp_path, small_avatar(), motion)
+    assert {path.name for path in tmp_path.iterdir()} == {*LayerNames("hand").files(), ".hand.ijklmnop"}
+    assert (tmp_path / ".hand.ijklmnop" / "half.usdc").is_file()
+
+
 def test_progress_counts_the_frames(tmp_path):
     calls = []
     export_usd(tmp_path, small_avatar(), lively_motion(Handedness.RIGHT, 3), progress=lambda *call: calls.append(call))
@@ -402,7 +455,7 @@ def test_a_camera_name_that_usd_refuses_is_named(tmp_path):
 
 def test_a_disk_that_is_too_small_is_said_before_the_work(tmp_path, monkeypatch):
     usage = type("Usage", (), {"free": 1_000_000})
-    monkeypatch.setattr(usd_module.shutil, "disk_usage", lambda _: usage)
+    monkeypatch.setattr("shutil.disk_usage", lambda _: usage)
     with pytest.raises(RetryError, match="MB free"):
         export_usd(tmp_path, small_avatar(), lively_motion(Handedness.RIGHT, 2))
     assert list(tmp_path.iterdir()) == []
@@ -506,6 +559,29 @@ def test_a_stage_says_what_it_was_made_from(tmp_path):
     brighter = replace(avatar, rgb=avatar.rgb * 0.999)
     assert usd_module.made_from(avatar, moved)["joints_sha256"] != stamp["joints_sha256"]
     assert usd_module.made_from(brighter, motion)["avatar_sha256"] != stamp["avatar_sha256"]
+
+
+def test_all_that_is_learnt_is_in_the_digest_and_names_and_prices_are_not():
+    motion, avatar = lively_motion(Handedness.RIGHT, 2), trained_avatar(20)
+    learnt = avatar.learnt
+    others = [
+        replace(learnt, light=replace(learnt.light, irradiance=3 * learnt.light.irradiance)),
+        replace(learnt, correctives=None),
+        replace(learnt, shine=learnt.shine + 0.1),
+        replace(learnt, world_offsets=not learnt.world_offsets),
+        None,
+    ]
+    digests = [_avatar_digest(one, motion) for one in (avatar, *(replace(avatar, learnt=other) for other in others))]
+    assert len(set(digests)) == 1 + len(others)
+    assert _avatar_digest(trained_avatar(20), motion) == digests[0]
+    renamed = replace(
+        avatar, info=replace(avatar.info, name="another"), learnt=replace(learnt, baked=Baked(None, (), "x"))
+    )
+    assert _avatar_digest(renamed, motion) == digests[0]
+
+
+def _avatar_digest(avatar, motion) -> str:
+    return usd_module.made_from(avatar, motion)["avatar_sha256"]
 
 
 def test_every_layer_says_whose_it_is_and_under_which_licence(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import subprocess
 import sys
 import zipfile
@@ -15,9 +16,9 @@ from small_avatars import ellipsoid_avatar
 from usd_samples import FPS, engine_gaussians, lively_motion, small_avatar
 
 from jghand_engine.errors import InputError
-from jghand_engine.exporters import usd_clips, usd_options
+from jghand_engine.exporters import usd_clips, usd_options, usd_zip
 from jghand_engine.exporters.usd import UsdOptions, export_usd
-from jghand_engine.exporters.usd_check import check_usd
+from jghand_engine.exporters.usd_check import NO_SPLATS, check_usd
 from jghand_engine.exporters.usd_motion import HandMotion
 from jghand_engine.exporters.usd_options import LayerNames, Package, Variant
 from jghand_engine.hand.joints import Handedness
@@ -113,11 +114,17 @@ def test_one_file_holds_the_chosen_variant_as_the_layers_do(tmp_path, variant):
     assert single.stage == tmp_path / "usdc" / "hand.usdc"
     assert single.shot is None
     assert [path.name for path in (tmp_path / "usdc").iterdir()] == ["hand.usdc"]
-    assert check_usd(single.stage) == []
+    found = [str(finding) for finding in check_usd(single.stage)]
+    assert found == ([] if variant is Variant.SPLATS else [NO_SPLATS])
     one, many = opened(single.stage), opened(layers.stage, variant)
     assert "ParticleField3DGaussianSplat" in one.GetMetadata("fallbackPrimTypes")
     assert one.GetRootLayer().customLayerData == many.GetRootLayer().customLayerData
     assert len(one.GetUsedLayers()) == 2, "the file and the session's"
+    about, wanted = (stage.GetDefaultPrim().GetAssetInfo() for stage in (one, many))
+    assert about.pop("identifier").path == "./hand.usdc"
+    assert wanted.pop("identifier").path == "./hand.usda"
+    assert about == wanted
+    assert str(tmp_path) not in one.GetRootLayer().ExportToString(), "no path of the writer's disk"
     assert {str(p.GetPath()) for p in one.Traverse()} == {str(p.GetPath()) for p in many.Traverse()}
     for prim in many.Traverse():
         for attr in prim.GetAuthoredAttributes():
@@ -137,6 +144,27 @@ def test_an_archive_holds_all_variants(tmp_path):
         for time in (Usd.TimeCode.Default(), 11.0):
             read = [stage.GetPrimAtPath(f"/Hand/{path}").GetAttribute(name).Get(time) for stage in (one, many)]
             assert read[0] == read[1]
+
+
+def test_files_in_an_archive_are_stored_at_multiples_of_64_bytes(tmp_path):
+    archive = exported(tmp_path, package="usdz").stage
+    content = archive.read_bytes()
+    with zipfile.ZipFile(archive) as opened_archive:
+        assert opened_archive.testzip() is None
+        for entry in opened_archive.infolist():
+            assert entry.compress_type == zipfile.ZIP_STORED
+            name, extra = struct.unpack_from("<HH", content, entry.header_offset + 26)
+            begin = entry.header_offset + 30 + name + extra
+            assert begin % 64 == 0
+            assert content[begin : begin + entry.file_size] == opened_archive.read(entry)
+
+
+def test_an_archive_that_a_zip_cannot_hold_is_refused_before_the_work(tmp_path, monkeypatch):
+    monkeypatch.setattr(usd_zip, "USDZ_BYTES_MAX", 3_000_000)
+    with pytest.raises(InputError, match="fewer frames"):
+        exported(tmp_path, lively_motion(Handedness.RIGHT, 200), package="usdz")
+    assert list(tmp_path.iterdir()) == []
+    exported(tmp_path, package="usdz")
 
 
 def test_one_file_leaves_layers_of_the_same_name_alone(tmp_path):
@@ -213,7 +241,7 @@ print(peak(600) - before)
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="reads the peak of memory as Linux tells it")
-@pytest.mark.parametrize("package", ["layers", "usdc"])
+@pytest.mark.parametrize("package", ["layers", "usdc", "usdz"])
 def test_a_long_take_is_never_in_memory_at_once(package):
     """600 frames of 10,000 Gaussians are 72 MB of positions. Seen 1.5 MB more than for 48 frames."""
     script = MEMORY.format(folder=str(Path(__file__).parent), package=package)

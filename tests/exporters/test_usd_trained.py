@@ -8,14 +8,17 @@ import numpy as np
 import pytest
 import torch
 from pxr import Usd, UsdGeom
-from small_avatars import trained_avatar
-from usd_samples import lively_motion
+from small_avatars import ellipsoid_avatar, trained_avatar
+from usd_samples import lively_motion, small_avatar
 
 from jghand_engine.avatar.skinning import pose_gaussians
 from jghand_engine.colour import srgb_to_linear
 from jghand_engine.errors import RetryError
-from jghand_engine.exporters.usd import UsdOptions, check_space, export_usd
+from jghand_engine.exporters import usd as usd_module
+from jghand_engine.exporters.usd import UsdOptions, export_usd
 from jghand_engine.exporters.usd_check import check_usd
+from jghand_engine.exporters.usd_options import Package
+from jghand_engine.exporters.usd_space import Expected, check_space
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import JointTransform
 from jghand_engine.limits import SH_C0
@@ -89,11 +92,34 @@ def test_the_stage_says_what_is_in_it_and_what_is_not(export):
     assert "left out" in about["gloss"]
 
 
-def test_room_for_colours_is_asked_for(tmp_path, monkeypatch):
+SMALL = small_avatar()
+ELLIPSOIDS, TRAINED = (
+    replace(one, info=replace(one.info, template=load_template().identifier))
+    for one in (ellipsoid_avatar(300), trained_avatar(400))
+)
+
+
+@pytest.mark.parametrize("options", [{}, {"sizes": "per_frame"}, {"precision": "half"}], ids=str)
+@pytest.mark.parametrize("avatar", [SMALL, TRAINED, ELLIPSOIDS], ids=["painted", "trained", "ellipsoids"])
+def test_the_room_that_is_asked_for_is_what_a_frame_takes(tmp_path, monkeypatch, avatar, options):
+    asked = []
+    monkeypatch.setattr(usd_module, "check_space", lambda _folder, expected, _package: asked.append(expected))
+    sizes = []
+    for frames in (12, 24):
+        motion = lively_motion(Handedness.RIGHT, frames)
+        report = export_usd(tmp_path / str(frames), avatar, motion, options=UsdOptions(**options))
+        sizes.append(report.bytes["hand.splats.usdc"])
+    grown = (sizes[1] - sizes[0]) / 12
+    # times and bounds, of splats and of points: seen 380 bytes
+    assert asked[0].sample_bytes <= grown < asked[0].sample_bytes + 500
+    assert asked[1].size >= sum(report.bytes.values())
+
+
+def test_a_disk_without_room_for_the_colours_is_too_small(tmp_path, monkeypatch):
     class Usage:
-        free = 4_500_000
+        free = 9_000_000
 
     monkeypatch.setattr("shutil.disk_usage", lambda _: Usage)
-    check_space(tmp_path, 1000, 100, UsdOptions())
+    check_space(tmp_path, Expected(1000, 100, 12_000), Package.LAYERS)
     with pytest.raises(RetryError, match="too small"):
-        check_space(tmp_path, 1000, 100, UsdOptions(), coloured=True)
+        check_space(tmp_path, Expected(1000, 100, 72_000), Package.LAYERS)

@@ -1,0 +1,46 @@
+"""Whether an export fits: said before minutes of work, not after."""
+
+from __future__ import annotations
+
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+
+from jghand_engine.errors import DiskFullError
+from jghand_engine.exporters.usd_layers import usd_errors
+from jghand_engine.exporters.usd_options import Package
+from jghand_engine.exporters.usd_zip import check_zip_size
+from jghand_engine.limits import USD_DISK_RESERVE, USD_STATIC_BYTES, USD_STATIC_BYTES_PER_GAUSSIAN
+
+
+@dataclass(frozen=True)
+class Expected:
+    """gaussians, frames: of the export · sample_bytes: of all Gaussians in one frame."""
+
+    gaussians: int
+    frames: int
+    sample_bytes: int
+
+    @property
+    def size(self) -> int:
+        """Of all layers together, bytes; rather too many."""
+        still = self.gaussians * USD_STATIC_BYTES_PER_GAUSSIAN + USD_STATIC_BYTES
+        return self.sample_bytes * (self.frames + 1) + still
+
+
+def check_space(folder: Path, expected: Expected, package: Package) -> None:
+    """Raises RetryError when the export cannot fit on the disk of `folder`, InputError when not into its package."""
+    needed = expected.size
+    if package is not Package.LAYERS:
+        needed *= 2  # the layers, then the file that is made of them
+    if package is Package.USDZ:
+        check_zip_size(expected.size, f"{expected.frames} frames")
+    with usd_errors(folder):
+        free = shutil.disk_usage(folder).free * (1 - USD_DISK_RESERVE)
+    if needed > free:
+        raise DiskFullError(
+            f"cannot write the USD stage in {folder}: the disk is too small",
+            wanted=f"{needed / 1e6:.0f} MB",
+            came=f"{free / 1e6:.0f} MB free",
+            remedy="Free some space, choose another folder, or export fewer Gaussians or frames.",
+        )
