@@ -18,7 +18,7 @@ from pathlib import Path
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("plan", type=Path)
-    parser.add_argument("--threads", type=int, default=0)
+    parser.add_argument("--threads", type=int, required=True)
     options = parser.parse_args()
     answers = _own_output()
     try:
@@ -31,7 +31,7 @@ def main() -> int:
     from jghand_cycles.scene import Scene
 
     plan = json.loads((options.plan / "plan.json").read_text(encoding="utf-8"))
-    scene = Scene(plan["render"], options.plan, options.threads or os.cpu_count() or 1)
+    scene = Scene(plan["render"], options.plan, options.threads)
     _say(answers, {"ready": bpy.app.version_string})
     for line in sys.stdin:
         job = json.loads(line)

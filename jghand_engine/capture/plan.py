@@ -4,7 +4,8 @@ plan/plan.json     options, cameras, names of poses, what the worker needs to kn
 plan/hands.npz     vertices_m (P, V, 3), joints_m (P, 21, 3) level order, faces, face_uv
 plan/skin.png, relief.png, nails.png
 plan/light.exr or .hdr   the environment, when it is a file of the user's
-annotations/…      InterHand2.6M, splits.json         written with the plan, so that any shard may be the first
+plan/made_by.json  which programs make the pictures    written by the first of them that is ready (worker.py)
+annotations/…      InterHand2.6M, splits.json          written with the plan, so that any shard may be the first
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from jghand_engine.capture.poses import varied_poses
 from jghand_engine.capture.rig import RiggedHand, RigPose
 from jghand_engine.capture.shards import alone
 from jghand_engine.capture.skin import make_skin
-from jghand_engine.datasets.interhand_writer import RecordedHand, write_interhand
+from jghand_engine.datasets.interhand_writer import RecordedHand, interhand_texts, write_interhand
 from jghand_engine.datasets.splits import SPLITS_FILE, SPLITS_FORMAT
 from jghand_engine.errors import InputError
 from jghand_engine.files import writing
@@ -186,7 +187,7 @@ def write_plan(folder: Path, plan: CapturePlan) -> None:
         np.savez_compressed(
             stream, vertices_m=plan.vertices_m, joints_m=plan.joints_m, faces=plan.faces, face_uv=plan.face_uv
         )
-    annotate(folder, plan)
+    write_interhand(folder, plan.record)
     _write(folder / SPLITS_FILE, (json.dumps(plan.split(), indent=2) + "\n").encode())
     content = {
         "format": FORMAT, "options": plan.description, "render": plan.render, "poses": list(plan.pose_names),
@@ -196,10 +197,22 @@ def write_plan(folder: Path, plan: CapturePlan) -> None:
 
 
 def annotate(folder: Path, plan: CapturePlan, poses: Collection[int] | None = None) -> None:
-    """Writes the annotations of all poses, or of these only: of an unfinished capture those that are whole."""
+    """Writes the annotations of all poses, or of these only: of an unfinished capture those that are whole. What is
+    there already is left as it is. RetryError as `alone`."""
     record = plan.record
     kept = {pose: joints for pose, joints in record.joints_m.items() if poses is None or pose in poses}
-    write_interhand(folder, dataclasses.replace(record, joints_m=kept))
+    shown = dataclasses.replace(record, joints_m=kept)
+    # all shards begin with this, and others wait while one writes
+    if any(_content(folder / name) != text.encode() for name, text in interhand_texts(shown).items()):
+        with alone(folder / FOLDER):
+            write_interhand(folder, shown)
+
+
+def _content(file: Path) -> bytes | None:
+    try:
+        return file.read_bytes()
+    except OSError:
+        return None
 
 
 def read_plan(folder: Path) -> CapturePlan | None:

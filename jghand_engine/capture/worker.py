@@ -19,15 +19,18 @@ from typing import IO, Any
 
 from PIL import Image
 
-from jghand_engine import limits
+from jghand_engine import __version__, limits
 from jghand_engine.capture.plan import FOLDER, Job
+from jghand_engine.capture.shards import alone
 from jghand_engine.datasets.pictures_in import probe_picture
 from jghand_engine.errors import InputError, RetryError
+from jghand_engine.files import writing
 
 PROJECT = Path(__file__).resolve().parents[2]
 WORKER = PROJECT / "jghand_cycles" / "__main__.py"
 # what jghand_cycles/png.py writes
 STAMP_KEY = "jghand-stamp"
+MAKERS_FILE = "made_by.json"
 _REMEDY = (
     "Give --blender-python the Python of an environment with bpy, make the project's own with scripts/test.py "
     "--only blender, or install the extra jghand[blender]."
@@ -81,18 +84,16 @@ def find_blender_python(given: Path | None = None) -> Path:
 def render(folder: Path, jobs: Sequence[Job], python: Path, threads: int) -> Iterator[Finished]:
     """Renders jobs one after the other and gives each when its picture is there.
 
-    RetryError when Blender ends early or fails, with its last words; InputError when that Python has no bpy.
+    RetryError when Blender ends early or fails, with its last words; InputError when that Python has no bpy, or another
+    one than the capture was begun with.
     """
     if not jobs:
         return
     if not WORKER.is_file():
         raise InputError("the package jghand_cycles", wanted=f"it beside the engine, {WORKER}", came="no such file")
-    for job in jobs:
-        # what a killed worker left; other shards have other poses, and so other names
-        for left in job.file.parent.glob(f".{job.file.stem}.*{job.file.suffix}"):
-            left.unlink(missing_ok=True)
+    _clear_leftovers({job.file for job in jobs})
     with tempfile.TemporaryFile() as log, _process(folder, python, threads, log) as process:
-        _answer(process, log, python)
+        _keep_to(folder, str(_answer(process, log, python).get("ready")))
         for job in jobs:
             message = {"pose": job.pose, "camera": job.camera, "file": str(job.file.resolve()), "stamp": job.stamp}
             try:
@@ -101,6 +102,37 @@ def render(folder: Path, jobs: Sequence[Job], python: Path, threads: int) -> Ite
             except OSError as error:
                 raise _ended(process, log) from error
             yield Finished(job, float(_answer(process, log, python)["seconds"]))
+
+
+def _clear_leftovers(files: set[Path]) -> None:
+    """Removes what killed workers left of these pictures; those of other shards are of other poses, and so of other
+    names. Each folder is listed once: it may hold thousands."""
+    for folder in {file.parent for file in files}:
+        for left in folder.glob(".*.*.png"):
+            if left.with_name(f"{left.name[1:].split('.')[0]}.png") in files:
+                left.unlink(missing_ok=True)
+
+
+def _keep_to(folder: Path, blender: str) -> None:
+    """Notes which programs make the pictures of the capture in `folder`. InputError when it was begun by others: of
+    another Blender, or of a JGHand that may build another scene, pictures would differ."""
+    file, makers = folder / FOLDER / MAKERS_FILE, {"Blender": blender, "JGHand": __version__}
+    with alone(folder / FOLDER):
+        if not file.exists():
+            with writing(file) as temporary:
+                temporary.write_text(json.dumps(makers) + "\n", encoding="utf-8")
+            return
+    try:
+        begun = dict(json.loads(file.read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(f"{file}", wanted="names and versions of programs", came=str(error)[:200]) from error
+    for name, version in makers.items():
+        if begun.get(name) != version:
+            raise InputError(
+                f"the capture in {folder}", wanted=f"{name} {begun.get(name)}, by which it was begun",
+                came=f"{name} {version}",
+                remedy="Take that one (--blender-python names a Python with another Blender), or another --out.",
+            )  # fmt: skip
 
 
 @contextlib.contextmanager

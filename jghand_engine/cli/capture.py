@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -87,12 +86,12 @@ class Capture:
     blender_python: File = None
     """The Python that can import bpy. Left out: that of .envs/blender, else the running one."""
     threads: Annotated[int, _OneNumber] = 0
-    """Threads of Cycles; 0 takes all."""
+    """Threads of Cycles; 0 takes one for each processor that this process may use."""
     report: ReportOptions = field(default_factory=ReportOptions)
 
     def run(self) -> None:
         from jghand_engine.capture.plan import FOLDER, annotate, open_or_make
-        from jghand_engine.capture.shards import alone, shard_locked
+        from jghand_engine.capture.shards import shard_locked
         from jghand_engine.capture.worker import find_blender_python
 
         shard = parse_shard(self.shard)
@@ -104,14 +103,13 @@ class Capture:
             return
         python = find_blender_python(self.blender_python)
         plan = open_or_make(self.out, options)
-        with alone(self.out / FOLDER):
-            annotate(self.out, plan)
+        # --finished-only may have left poses out
+        annotate(self.out, plan)
         with shard_locked(self.out / FOLDER, shard):
             self._make(plan, shard, python)
-        # --finished-only may have left poses out meanwhile
+        # ... also meanwhile
         if all(job.file.exists() for job in plan.jobs(self.out)):
-            with alone(self.out / FOLDER):
-                annotate(self.out, plan)
+            annotate(self.out, plan)
 
     def _make(self, plan: CapturePlan, shard: tuple[int, int], python: Path) -> None:
         """Makes what is missing or broken of a shard, and says so."""
@@ -139,8 +137,7 @@ class Capture:
             })  # fmt: skip
 
     def _annotate_finished(self, options) -> None:
-        from jghand_engine.capture.plan import FOLDER, annotate, open_begun
-        from jghand_engine.capture.shards import alone
+        from jghand_engine.capture.plan import annotate, open_begun
         from jghand_engine.capture.worker import fault_of
 
         plan = open_begun(self.out, options)
@@ -148,17 +145,17 @@ class Capture:
         finished = set(range(len(plan.pose_names))) - unfinished
         if not finished:
             raise InputError(f"the capture in {self.out}", wanted="at least one pose with all pictures", came="none")
-        with alone(self.out / FOLDER):
-            annotate(self.out, plan, finished)
+        annotate(self.out, plan, finished)
         say(f"Annotated {len(finished)} of {len(plan.pose_names)} poses; without --finished-only it is all of them.")
 
     def _render(self, todo: list, python: Path) -> list[float]:
         from jghand_engine.capture.worker import render
+        from jghand_engine.native.threads import processors
 
         seconds: list[float] = []
         started = shown = time.monotonic()
         with progress("pictures", len(todo)) as bar:
-            for done in render(self.out, todo, python, self.threads or os.cpu_count() or 1):
+            for done in render(self.out, todo, python, self.threads or processors()):
                 seconds.append(done.seconds)
                 bar.advance(bar.task_ids[0])
                 now = time.monotonic()

@@ -56,21 +56,27 @@ def write_interhand(folder: Path | str, hand: RecordedHand) -> list[Path]:
 
     InputError for joints that are no (21, 3) finite numbers.
     """
+    files = {Path(folder) / name: text for name, text in interhand_texts(hand).items()}
+    for file, text in files.items():
+        with writing(file) as temporary:
+            temporary.write_text(text, encoding="utf-8", newline="\n")
+    return list(files)
+
+
+def interhand_texts(hand: RecordedHand) -> dict[str, str]:
+    """What `write_interhand` writes, by the name of the file in its folder. InputError as there."""
     for frame, joints in hand.joints_m.items():
         check_joint_shape(joints)
         if not np.isfinite(joints).all():
             raise InputError(f"joints of frame {frame}", wanted="finite numbers", came="NaN or infinity")
-    root = Path(folder) / "annotations"
-    stem = f"InterHand2.6M_{hand.split}"
+    stem = f"annotations/{hand.split}/InterHand2.6M_{hand.split}"
     contents = {
-        root / hand.split / f"{stem}_data.json": _data(hand),
-        root / hand.split / f"{stem}_camera.json": {str(hand.capture): _cameras(hand)},
-        root / hand.split / f"{stem}_joint_3d.json": {str(hand.capture): _joints(hand)},
+        f"{stem}_data.json": _data(hand),
+        f"{stem}_camera.json": {str(hand.capture): _cameras(hand)},
+        f"{stem}_joint_3d.json": {str(hand.capture): _joints(hand)},
     }
-    for file, content in contents.items():
-        _write(file, json.dumps(content, allow_nan=False))
-    _write(root / "skeleton.txt", _skeleton())
-    return [*contents, root / "skeleton.txt"]
+    texts = {name: json.dumps(content, allow_nan=False) for name, content in contents.items()}
+    return texts | {"annotations/skeleton.txt": _skeleton()}
 
 
 def _data(hand: RecordedHand) -> dict[str, Any]:
@@ -132,8 +138,3 @@ def _skeleton() -> str:
                 lines.append(f"{side}_{name}{level} {number} {wrist if level == 1 else number + 1}")
         lines.append(f"{side}_wrist {wrist} -1")
     return "\n".join(lines) + "\n"
-
-
-def _write(file: Path, text: str) -> None:
-    with writing(file) as temporary:
-        temporary.write_text(text, encoding="utf-8")

@@ -23,9 +23,21 @@ Result = TypeVar("Result")
 
 def physical_cores() -> int:
     """Cores that this process may use: hyper-threads of one core count once, a container's limit is respected."""
-    allowed = sorted(os.sched_getaffinity(0)) if sys.platform == "linux" else range(os.cpu_count() or 1)
-    cores = len({_core_of(cpu) for cpu in allowed})
-    return max(1, min(cores, _container_limit() or cores))
+    return _limited(len({_core_of(cpu) for cpu in _allowed()}))
+
+
+def processors() -> int:
+    """Logical processors that this process may use: hyper-threads count, a container's limit is respected."""
+    return _limited(len(_allowed()))
+
+
+def _allowed() -> list[int]:
+    """Numbers of the logical processors that this process may run on."""
+    return sorted(os.sched_getaffinity(0)) if sys.platform == "linux" else list(range(os.cpu_count() or 1))
+
+
+def _limited(count: int) -> int:
+    return max(1, min(count, _container_limit() or count))
 
 
 def _core_of(cpu: int) -> str:

@@ -17,7 +17,7 @@ import pytest
 import torch
 from PIL import Image
 
-from jghand_engine import limits
+from jghand_engine import __version__, limits
 from jghand_engine.capture import plan as plan_module
 from jghand_engine.capture import shards, worker
 from jghand_engine.capture.identities import identity_names
@@ -32,6 +32,7 @@ from jghand_engine.hand.anatomy import pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.lock import locked
+from jghand_engine.native import threads as cores
 from jghand_engine.template.builtin import load_template
 
 ROOT = Path(__file__).parents[2]
@@ -151,6 +152,74 @@ def test_shards_in_any_order_make_the_same_capture(tmp_path, made):
     for shard in ("3/3", "1/3", "2/3"):
         assert capture(tmp_path / "sharded", "--shard", shard) == 0
     assert contents(tmp_path / "sharded") == contents(made)
+
+
+def test_the_pictures_that_are_compared_show_pose_and_camera(made):
+    """Else a shard could mix them up unseen."""
+    shown = {Image.open(path).tobytes() for path in pictures(made)}
+    assert len(shown) == 42
+
+
+def test_two_blenders_do_not_make_one_capture(copied, monkeypatch, capsys):
+    """Their Cycles draw, and their denoisers smooth, in another way."""
+    before = contents(copied)
+    assert json.loads(before["plan/made_by.json"]) == {"Blender": "5.0.1", "JGHand": __version__}
+    first = pictures(copied)[0]
+    first.unlink()
+    monkeypatch.setenv("JGHAND_STAND_IN_BLENDER", "5.2.3")
+    assert capture(copied) == 2
+    error = " ".join(capsys.readouterr().err.split())
+    assert f"the capture in {copied}: wanted Blender 5.0.1, by which it was begun, got Blender 5.2.3" in error
+    assert "--blender-python" in error
+    assert not first.exists()
+    monkeypatch.delenv("JGHAND_STAND_IN_BLENDER")
+    assert capture(copied) == 0
+    assert contents(copied) == before
+
+
+def test_a_finished_capture_needs_no_blender_of_a_certain_version(copied, monkeypatch):
+    monkeypatch.setenv("JGHAND_STAND_IN_BLENDER", "5.2.3")
+    assert capture(copied) == 0
+
+
+def test_a_damaged_note_of_who_makes_a_capture_is_told(copied, capsys):
+    pictures(copied)[0].unlink()
+    (copied / "plan" / "made_by.json").write_text("[")
+    assert capture(copied) == 2
+    assert "made_by.json" in capsys.readouterr().err
+
+
+def test_cycles_takes_as_many_threads_as_the_process_may_use(tmp_path, monkeypatch, made):
+    """As a job on some cores of a large node."""
+    copied, render, taken = Path(shutil.copytree(made, tmp_path / "copied")), worker.render, []
+    pictures(copied)[0].unlink()
+
+    def noted(folder: Path, jobs: list, python: Path, threads: int):
+        taken.append(threads)
+        yield from render(folder, jobs, python, threads)
+
+    monkeypatch.setattr(worker, "render", noted)
+    monkeypatch.setattr(os, "cpu_count", lambda: 128)
+    monkeypatch.setattr(cores.os, "sched_getaffinity", lambda _process: {3, 5}, raising=False)
+    monkeypatch.setattr(cores, "_container_limit", lambda: None)
+    assert capture(copied) == 0
+    assert taken == ([2] if sys.platform == "linux" else [128])
+
+
+def test_annotations_that_are_right_are_not_written_and_need_no_lock(copied):
+    """Of many shards that begin together each would wait for all others."""
+    file = copied / "annotations/train/InterHand2.6M_train_data.json"
+    at_ns = file.stat().st_mtime_ns
+    plan = read_plan(copied)
+    assert plan is not None
+    with shards.alone(copied / "plan"):
+        plan_module.annotate(copied, plan)
+    assert file.stat().st_mtime_ns == at_ns
+    before = file.read_bytes()
+    plan_module.annotate(copied, plan, {1, 2})
+    assert file.read_bytes() != before
+    plan_module.annotate(copied, plan)
+    assert file.read_bytes() == before
 
 
 def test_shards_of_two_machines_are_one_capture_when_put_together(tmp_path, made):
