@@ -49,7 +49,7 @@ class Render:
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
     """Where frame_00000.png and so on, and camera.json, are written."""
     video: File = None
-    """Also write an MP4 video to this file."""
+    """Also write an MP4 video to this file, which ends in .mp4."""
     budget_ms: Annotated[float | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="")] = None
     """Instead of a preset: the best settings that draw a picture in so many milliseconds on this machine."""
     passes: Annotated[str | None, tyro.conf.arg(metavar="NAME,NAME,…", help_behavior_hint="")] = None
@@ -78,7 +78,7 @@ class Render:
         from jghand_engine.cli.receipts import Receipts
         from jghand_engine.cli.render_passes import refuse_older_truth
         from jghand_engine.cli.timings import Timings
-        from jghand_engine.exporters.video import ffmpeg_program, write_video
+        from jghand_engine.exporters.video import check_video_name, ffmpeg_program, write_video
         from jghand_engine.files import make_folder
         from jghand_engine.splat.frame import HandRenderer
 
@@ -88,6 +88,7 @@ class Render:
         passes = self._passes()
         part = self._part()
         if self.video is not None:
+            check_video_name("--video", self.video)
             ffmpeg_program()
         avatar = load_avatar_called(self.avatar.avatar)
         motion = load_motion(self.motion, avatar)

@@ -36,6 +36,12 @@ def ffmpeg_program() -> str:
         ) from error  # fmt: skip
 
 
+def check_video_name(option: str, path: Path) -> None:
+    """InputError unless `path`, which `option` gave, says that it is what `write_video` writes."""
+    if path.suffix.lower() != ".mp4":
+        raise InputError(f"{option} {path}", wanted="a name that ends in .mp4", came=repr(path.suffix))
+
+
 def padded_to_even(rgb8: np.ndarray) -> np.ndarray:
     """(H, W, 3) with the last row or column repeated where H or W is odd: H.264 in yuv420p wants even sizes."""
     height, width, _ = rgb8.shape

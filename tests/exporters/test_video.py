@@ -5,6 +5,7 @@ import sys
 import numpy as np
 import pytest
 
+from jghand_engine.cli import main
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.exporters import video
 from jghand_engine.exporters.video import padded_to_even, write_video
@@ -60,6 +61,14 @@ def test_odd_sizes_are_padded_with_the_border(tmp_path):
 def test_a_rate_that_is_none_is_refused(tmp_path, fps):
     with pytest.raises(InputError, match="video fps"):
         write_video(tmp_path / "x.mp4", moving_square(2), fps)
+
+
+@pytest.mark.parametrize("name", ["a.gif", "a.mov", "a.webm", "a"])
+def test_a_video_that_would_not_be_what_its_name_says_is_refused_before_anything_is_drawn(tmp_path, capsys, name):
+    words = ["render", "--poses", "open", "--frames", "0", "--size", "32x24", "--out", str(tmp_path / "out")]
+    assert main([*words, "--video", str(tmp_path / name)]) == 2
+    assert "a name that ends in .mp4" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_an_ffmpeg_that_does_not_start_is_named(tmp_path, monkeypatch):
