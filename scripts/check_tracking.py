@@ -1,9 +1,10 @@
-"""Measures `jghand track` against motions that are known, and writes the table of docs/TRACKING.md.
+"""Measures `jghand track` against motions that are known, and writes the tables of docs/TRACKING.md.
 
-    python scripts/check_tracking.py                            videos rendered here, about three minutes
+    python scripts/check_tracking.py                            videos rendered here, about five minutes
     python scripts/check_tracking.py --capture FOLDER           also single pictures whose joints are exact
-    python scripts/check_tracking.py --video FILE --joints FILE.npy     also agreement with an earlier run of a detector
-    python scripts/check_tracking.py --write                    puts the table into docs/TRACKING.md
+    python scripts/check_tracking.py --video FILE               also how near a real video's hand is to its landmarks
+    python scripts/check_tracking.py --video FILE --joints FILE.npy     and agreement with an earlier run of a detector
+    python scripts/check_tracking.py --write                    puts the tables into docs/TRACKING.md
 
 Wants the extra `track` and the networks (`jghand track --fetch-model`). The rendered videos show the built-in avatar
 with bones of other lengths than those it is tracked with, in known motion before a known camera; the detector looks at
@@ -28,9 +29,9 @@ from jghand_engine.datasets.capture_folder import open_capture
 from jghand_engine.datasets.sample import Sample, load_picture
 from jghand_engine.exporters.video import write_video
 from jghand_engine.files import writing
-from jghand_engine.hand.anatomy import MotionOptions, pose_sequence_of_names
+from jghand_engine.hand.anatomy import MotionOptions, named_pose, pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.orders import JointOrder, bone_lengths, to_level
+from jghand_engine.hand.orders import JointOrder, bone_lengths, hand_length, to_level
 from jghand_engine.hand.sequence import bone_directions, rebuilt
 from jghand_engine.splat.camera import Camera
 from jghand_engine.splat.frame import HandRenderer
@@ -42,7 +43,15 @@ from jghand_engine.tracking.mediapipe_hands import MediaPipeHands, video_detecto
 from jghand_engine.tracking.poses import Pinhole
 from jghand_engine.tracking.second_look import SecondLook
 from jghand_engine.tracking.skeleton import rotations_of
-from jghand_engine.tracking.track import MOTION_FROM_CAMERA, Sightings, TrackOptions, look, track, track_hand
+from jghand_engine.tracking.track import (
+    MOTION_FROM_CAMERA,
+    Sightings,
+    TrackOptions,
+    camera_of,
+    look,
+    track,
+    track_hand,
+)
 from jghand_engine.tracking.video import open_video, pictures
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "TRACKING.md"
@@ -53,6 +62,8 @@ WIDE_DEG = 90.0
 POSES = ("open", "relaxed", "point", "victory", "open", "three", "pinch", "open", "claw", "fist", "relaxed", "spread")
 # bones of the hand that is shown, relative to those of the hand that it is tracked with
 OTHER_BONES_SIGMA, SEED = 0.08, 5
+# how long the hand is for the picture's height, where it is looked for that is small
+SMALL = (1 / 3, 1 / 5, 1 / 7, 1 / 9, 1 / 12)
 # the one-euro filter's usual setting for hands: least cut-off in Hz, how it grows with speed, cut-off of the speed
 ONE_EURO = (1.0, 0.5, 1.0)
 
@@ -302,24 +313,57 @@ def _largest(hands: Sequence[SeenHand]) -> SeenHand | None:
     return max(hands, key=lambda hand: hand.size_px, default=None)
 
 
-def rows_of_earlier(video_file: Path, joints_file: Path, canonical_m: np.ndarray, model: Path | None) -> Iterator[Row]:
+def rows_of_earlier(sightings: Sightings, joints_file: Path, canonical_m: np.ndarray) -> Iterator[Row]:
     """Agreement with joints that an earlier run of the same detector gave: no truth."""
     earlier = to_level(np.load(joints_file, allow_pickle=False), JointOrder.STANDARD)
-    video = open_video(video_file)
-    with video_detector(model) as detector:
-        sightings = look(pictures(video), video.fps, detector)
     hand = track(sightings, canonical_m)[Handedness.RIGHT]
     for method, joints in (("detector alone", detector_alone(hand.hand)), ("**jghand track**", hand.sequence.joints_m)):
         row = measured("agreement with an earlier run on a real video (no truth)", method, joints, earlier, hand.seen,
-                       video.fps)  # fmt: skip
+                       sightings.fps)  # fmt: skip
         yield replace(row, in_space=(math.nan, math.nan))
+
+
+def misses_of(sightings: Sightings, canonical_m: np.ndarray) -> list[list[str]]:
+    """How far the landmarks of a real video are from where hands have them that are posed in two ways."""
+    options = TrackOptions(own_bones=True)
+    hand = track(sightings, canonical_m, options)[Handedness.RIGHT]
+    shown = [(joints, one) for joints, one in zip(hand.in_view, hand.hand.frames, strict=True) if one is not None]
+    pinhole = camera_of(sightings, options.camera_angle_deg)
+    lengths = bone_lengths(hand.in_view[:1])[0]
+    fitted, posed = [], []
+    for joints, one in shown:
+        fitted.append(np.linalg.norm(pinhole.project(joints) - one.image_px, axis=-1))
+        flat = rebuilt(np.zeros((1, 3)), bone_directions(one.space_m[None]), lengths)[0, :, :2]
+        # laid upon the landmarks as well as its place and its size allow
+        flat, wanted = flat - flat.mean(0), one.image_px - one.middle_px
+        posed.append(np.linalg.norm(flat * (flat * wanted).sum() / (flat * flat).sum() - wanted, axis=-1))
+    size = float(np.median([one.size_px for _, one in shown]))
+    cells = [("the detector's directions in space alone", posed), ("**jghand track**", fitted)]
+    return [[method, f"{np.median(off):.1f}", f"{size:.0f}"] for method, off in cells]
+
+
+def small_hands(canonical_m: np.ndarray, model: Path | None) -> Iterator[list[str]]:
+    """In how many pictures of small hands, one of each pose, they are found: by one look, and with the second one."""
+    names = sorted(set(POSES))
+    pinhole = Truth("", np.zeros((0, 21, 3)), Handedness.RIGHT).pinhole
+    with MediaPipeHands(model, follows=False) as detector:
+        for share in SMALL:
+            distance = pinhole.focal_px * hand_length(canonical_m) / (share * SIZE_PX[1])
+            joints = np.stack([named_pose(name, canonical_m, handedness=Handedness.RIGHT) for name in names])
+            joints = joints - joints.mean(1, keepdims=True) - (0.0, 0.0, distance)
+            once = twice = 0
+            for picture in film(Truth("", joints, Handedness.RIGHT)):
+                once += bool(detector.detect(picture, 0.0))
+                twice += bool(SecondLook(detector, detector).detect(picture, 0.0))
+            yield [f"1/{1 / share:.0f}", f"{once} of {len(names)}", f"{twice} of {len(names)}"]
 
 
 # ---- the table -------------------------------------------------------------------------------------------------------
 
 
-def table(rows: Sequence[Row]) -> str:
-    lines = [HEADER, ["---", "---", *["---:"] * (len(HEADER) - 2)], *(row.cells() for row in rows)]
+def table(header: Sequence[str], rows: Sequence[Sequence[str]], words: int = 1) -> str:
+    """words: so many columns hold words, the others numbers."""
+    lines = [header, [*["---"] * words, *["---:"] * (len(header) - words)], *rows]
     return "\n".join("| " + " | ".join(cells) + " |" for cells in lines)
 
 
@@ -344,16 +388,28 @@ def main() -> None:
     ]
     if options.capture:
         sources.append(lambda: rows_of_capture(options.capture, canonical, options.model))
-    if options.video and options.joints:
-        sources.append(lambda: rows_of_earlier(options.video, options.joints, canonical, options.model))
+    sightings = None
+    if options.video:
+        video = open_video(options.video)
+        with video_detector(options.model) as detector:
+            sightings = look(pictures(video), video.fps, detector)
+    if sightings is not None and options.joints:
+        sources.append(lambda: rows_of_earlier(sightings, options.joints, canonical))
     rows = []
     for source in sources:
         for row in source():
-            rows.append(row)
-            print(" | ".join(row.cells()), flush=True)
-    print(f"\n{table(rows)}")
+            rows.append(row.cells())
+            print(" | ".join(rows[-1]), flush=True)
+    tables = [table(HEADER, rows, words=2)]
+    small = list(small_hands(canonical, options.model))
+    tables.append(table(["hand's length, of the picture's height", "found by one look", "with the second look"], small))
+    if sightings is not None:
+        header = ["hand of the real video posed by", "median miss of its landmarks, px", "its size, px"]
+        tables.append(table(header, misses_of(sightings, canonical)))
+    text = "\n\n".join(tables)
+    print(f"\n{text}")
     if options.write:
-        put_into_page(table(rows))
+        put_into_page(text)
 
 
 if __name__ == "__main__":

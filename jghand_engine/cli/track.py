@@ -13,6 +13,7 @@ from jghand_engine import limits
 from jghand_engine.cli.console import progress, say, write_json
 from jghand_engine.cli.options import AvatarOptions, File, ReportOptions
 from jghand_engine.errors import InputError
+from jghand_engine.hand.joints import Handedness
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -20,13 +21,14 @@ if TYPE_CHECKING:
     import numpy as np
 
     from jghand_engine.avatar.avatar import HandAvatar
-    from jghand_engine.hand.joints import Handedness
+    from jghand_engine.tracking.hands_over_time import FoundHands, HandOverTime
     from jghand_engine.tracking.track import Sightings, TrackedHand, TrackOptions
     from jghand_engine.tracking.video import ReadingNotes, Video
 
 DESCRIPTION = """Track the hands in a video: a motion file that `jghand render --motion` plays.
 
-Needs the extra track (pip install 'jghand[track]') and, once, --fetch-model. Nothing leaves this machine.
+Needs the extra track (pip install 'jghand[track]', with the pip beside this program) and, once, --fetch-model.
+Nothing leaves this machine.
 
 Examples:
   jghand track hand.mp4 --out motion.npz --fetch-model --proof side_by_side.mp4
@@ -53,7 +55,8 @@ class FitOptions:
     up: Literal["y", "z"] = "y"
     """Which axis points up in the motion."""
     gaps: Literal["fill", "leave"] = "fill"
-    """Frames in which the hand was not seen: fill them in and mark them, or leave their joints missing."""
+    """Frames in which the hand was not seen: fill them in, the hand going evenly from before to after, and mark them;
+    or leave their joints missing."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +73,8 @@ class Track:
     """Frames per second of the motion. Left out: the video's own, made even if they are not."""
     most: Annotated[int | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="(default: all)")] = None
     """Only so many frames from the start."""
+    overwrite: bool = False
+    """Replace motions that are there."""
     model: File = None
     """The networks that find a hand, a .task file; left out: those that were fetched."""
     fetch_model: bool = False
@@ -82,11 +87,12 @@ class Track:
         from jghand_engine.avatar.builtin import load_avatar_called
         from jghand_engine.datasets.motion_files import write_motion
         from jghand_engine.datasets.motion_tools import turned_up
+        from jghand_engine.tracking.hands_over_time import hands_over_time
         from jghand_engine.tracking.track import track
         from jghand_engine.tracking.video import ReadingNotes, open_video
 
         options = self._checked()
-        video = open_video(self.video, self.fps)
+        video = open_video(self.video, self.fps, most=self.most)
         avatar = load_avatar_called(self.avatar.avatar)
         notes = ReadingNotes()
         if video.uneven:
@@ -97,7 +103,13 @@ class Track:
         started = time.perf_counter()
         sightings = self._look(video, notes)
         seconds_looking = time.perf_counter() - started
-        hands = self._wanted(track(sightings, avatar.canonical_joints_m.numpy(), options))
+        found = hands_over_time(sightings.frames, sightings.fps)
+        hands = track(sightings, avatar.canonical_joints_m.numpy(), options, self._wanted(found))
+        notes.sentences += [
+            f"{_doubt(side, hand)}, and taken for a mistake."
+            for side, hand in found.doubted.items()
+            if hand.seen.sum() >= limits.HAND_SEEN_FRAMES_MIN
+        ]
         seconds_fitting = time.perf_counter() - started - seconds_looking
         files = {side: self._file(side, len(hands)) for side in hands}
         for side, hand in hands.items():
@@ -121,7 +133,6 @@ class Track:
         """The options of the fit. InputError for what can be refused before the work, their places included."""
         from jghand_engine.datasets.motion_files import check_written_suffix
         from jghand_engine.exporters.video import check_video_name, ffmpeg_program
-        from jghand_engine.files import check_place
         from jghand_engine.tracking.track import TrackOptions
 
         check_written_suffix(self.out)
@@ -140,17 +151,39 @@ class Track:
             fit.gaps == "fill",
         )
         options.check()
-        for path in (self.out, *(() if self.proof is None else (self.proof,))):
-            check_place(path, overwrite=True)
+        self._check_places()
         return options
 
+    def _check_places(self) -> None:
+        """InputError where a file would be written over one that is read, over another one of this command, or over a
+        motion that is there."""
+        from jghand_engine.files import check_place
+
+        sides = {"right": 1, "left": 1, "both": 2}
+        counts = (sides[self.hand],) if self.hand in sides else (1, 2)
+        motions = dict.fromkeys(self._file(side, count) for count in counts for side in Handedness)
+        written = [("--out", path) for path in motions]
+        written += [("--proof", self.proof)] if self.proof is not None else []
+        written += [("--json", self.report.json)] if self.report.json is not None else []
+        read = [("the video", self.video), ("the avatar", Path(self.avatar.avatar))]
+        read += [("--model", self.model)] if self.model is not None else []
+        for number, (name, path) in enumerate(written):
+            for other, taken in (*read, *written[:number]):
+                if _same(path, taken):
+                    raise InputError(f"{name} {path}", wanted="a file of its own", came=f"that of {other}")
+        for path in motions:
+            check_place(path, overwrite=self.overwrite)
+        if self.proof is not None:
+            check_place(self.proof, overwrite=True)
+
     def _look(self, video: Video, notes: ReadingNotes) -> Sightings:
-        from jghand_engine.tracking.mediapipe_hands import video_detector
+        from jghand_engine.tracking.mediapipe_hands import check_package, video_detector
         from jghand_engine.tracking.model_file import fetch_model
         from jghand_engine.tracking.track import look
         from jghand_engine.tracking.video import pictures
 
         if self.fetch_model and self.model is None:
+            check_package()
             say(f"The networks that find a hand: {fetch_model()}")
         total = video.frames if self.most is None else min(self.most, video.frames or self.most)
         with video_detector(self.model) as detector, progress("Looking for hands", total or 1) as bar:
@@ -162,21 +195,27 @@ class Track:
                 lambda done: bar.update(task, completed=done, total=max(done, total or 0)),
             )
 
-    def _wanted(self, hands: dict[Handedness, TrackedHand]) -> dict[Handedness, TrackedHand]:
+    def _wanted(self, found: FoundHands) -> dict[Handedness, HandOverTime]:
+        """The hands of the film that are asked for; InputError says what there is instead."""
+        doubts = [_doubt(side, hand) for side, hand in found.doubted.items()]
+        few = f" ({'; '.join(doubts)}: too few to believe it)" if doubts else ""
+        thing, hands = f"video {self.video}", found.hands
         if not hands:
             raise InputError(
-                f"video {self.video}", wanted="a hand", came="none in any picture",
+                thing, wanted="a hand", came=f"none{few}" if few else "none in any picture",
                 remedy="The hand should be large, well lit and not cut off by the edge.",
             )  # fmt: skip
-        if self.hand in ("auto", "both"):
-            if self.hand == "both" and len(hands) < 2:
-                raise InputError(f"video {self.video}", wanted="both hands", came=f"the {next(iter(hands))} one alone")
+        alone = f"the {next(iter(hands))} one alone{few}"
+        if self.hand == "auto":
             return hands
-        chosen = {side: hand for side, hand in hands.items() if side == self.hand}
-        if not chosen:
-            raise InputError(f"video {self.video}", wanted=f"a {self.hand} hand", came=f"the {next(iter(hands))} alone",
+        if self.hand == "both":
+            if len(hands) < 2:
+                raise InputError(thing, wanted="both hands", came=alone)
+            return hands
+        if self.hand not in hands:
+            raise InputError(thing, wanted=f"a {self.hand} hand", came=alone,
                              remedy="A film of a mirror shows the other hand: name the side that is seen.")  # fmt: skip
-        return chosen
+        return {side: hand for side, hand in hands.items() if side == self.hand}
 
     def _file(self, side: Handedness, count: int) -> Path:
         return self.out if count == 1 else self.out.with_name(f"{self.out.stem}_{side}{self.out.suffix}")
@@ -208,6 +247,18 @@ class Track:
             write_video(self.proof, told(), video.fps)
 
 
+def _same(first: Path, second: Path) -> bool:
+    """Whether two names are of one file, also before it is there."""
+    try:
+        return first.samefile(second)
+    except OSError:
+        return first.resolve() == second.resolve()
+
+
+def _doubt(side: Handedness, hand: HandOverTime) -> str:
+    return f"A {side} hand was seen in {hand.seen.sum()} of {len(hand.seen)} pictures"
+
+
 def _sentence(side: Handedness, hand: TrackedHand, file: Path) -> str:
     found, count = int(hand.seen.sum()), len(hand.seen)
     missed = hand.sequence.filled.sum()
@@ -218,7 +269,11 @@ def _sentence(side: Handedness, hand: TrackedHand, file: Path) -> str:
         text += f", {count - found} left without joints"
     if hand.hand.relabelled:
         text += f"; in {hand.hand.relabelled} it was taken for the other hand"
-    return f"{text}; jitter {hand.jitter_before_deg:.2f} to {hand.jitter_after_deg:.2f} degrees: {file}"
+    if hand.hand.certainty < limits.HAND_CERTAINTY_LOW:
+        text += f"; that it is the {side} one is not sure (certainty {hand.hand.certainty:.2f} of 1)"
+    if hand.jitter_after_deg == hand.jitter_after_deg:
+        text += f"; jitter {hand.jitter_before_deg:.2f} to {hand.jitter_after_deg:.2f} degrees"
+    return f"{text}: {file}"
 
 
 def _figures(side: Handedness, hand: TrackedHand, file: Path) -> dict[str, Any]:

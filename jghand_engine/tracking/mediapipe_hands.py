@@ -101,6 +101,11 @@ def video_detector(model: Path | None = None) -> Iterator[HandDetector]:
         yield SecondLook(whole, part)
 
 
+def check_package() -> None:
+    """InputError without the package, and with one that is too old."""
+    _package()
+
+
 def _package() -> Any:
     try:
         with _quiet():

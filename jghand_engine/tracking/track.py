@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -106,17 +106,21 @@ def camera_of(sightings: Sightings, angle_deg: float) -> Pinhole:
 
 
 def track(
-    sightings: Sightings, canonical_joints_m: np.ndarray, options: TrackOptions | None = None
+    sightings: Sightings,
+    canonical_joints_m: np.ndarray,
+    options: TrackOptions | None = None,
+    wanted: Mapping[Handedness, HandOverTime] | None = None,
 ) -> dict[Handedness, TrackedHand]:
     """The motion of each hand that was seen; an empty dictionary when there was none.
 
-    canonical_joints_m: (21, 3) of the avatar, a right hand, level order, metres.
+    canonical_joints_m: (21, 3) of the avatar, a right hand, level order, metres · wanted: those of `hands_over_time`
+    that are wanted; all that are believed.
     """
     options = options or TrackOptions()
     options.check()
     check_joint_shape(canonical_joints_m)
     camera = camera_of(sightings, options.camera_angle_deg)
-    found = hands_over_time(sightings.frames, sightings.fps).hands
+    found = hands_over_time(sightings.frames, sightings.fps).hands if wanted is None else wanted
     return {side: track_hand(hand, camera, sightings.fps, canonical_joints_m, options) for side, hand in found.items()}
 
 

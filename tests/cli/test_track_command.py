@@ -2,16 +2,20 @@
 
 import itertools
 import json
+import sys
 
 import numpy as np
 import pytest
-from tracking_samples import FPS, HEIGHT, WIDTH, right_joints_m, sight
+from tracking_samples import CANONICAL_M, FPS, HEIGHT, WIDTH, right_joints_m, seen, sight
 
+from jghand_engine import limits
 from jghand_engine.cli import main
-from jghand_engine.datasets.motion_files import read_motion
+from jghand_engine.datasets.motions.read import read_motion_file
 from jghand_engine.exporters.video import write_video
+from jghand_engine.hand.anatomy import ArticulatedHand
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.tracking import mediapipe_hands
+from jghand_engine.tracking import mediapipe_hands, model_file
+from jghand_engine.tracking import track as module
 
 imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="the extra `video` is not installed")
 COUNT = 12
@@ -58,6 +62,16 @@ def left():
     # beside the right one
     joints = right_joints_m(COUNT) * (-1, 1, 1) - np.array([0.25, 0.0, 0.0])
     return sight(joints, Handedness.LEFT).sightings.frames
+
+
+def read_motion(path):
+    return read_motion_file(path).sequence
+
+
+def still_joints_m():
+    """A hand before the camera whose fingers are straight: nothing about its shape tells which it is."""
+    straight = ArticulatedHand(CANONICAL_M).straight_joints_m * (1, -1, -1)
+    return straight - straight[0] + (0.0, 0.08, 0.5)
 
 
 def track(film, out, *options):
@@ -126,13 +140,113 @@ def test_the_proof_shows_film_and_avatar_side_by_side(film, sees, right, tmp_pat
         (["--most", "0"], "--most"),
         (["--fps", "0"], "frames per second"),
         (["--proof", "proof.avi"], ".mp4"),
+        (["--json", "{out}"], "a file of its own"),
+        (["--proof", "{film}"], "that of the video"),
+        (["--json", "{film}"], "that of the video"),
+        (["--model", "{model}", "--json", "{model}"], "that of --model"),
     ],
 )
 def test_what_cannot_be_is_told_and_nothing_is_written(film, sees, right, tmp_path, capsys, options, told):
     sees(right)
-    assert track(film, tmp_path / "motion.npz", *options) == 2
+    out, before = tmp_path / "motion.npz", film.read_bytes()
+    named = {"out": out, "film": film, "model": film.with_suffix(".task")}
+    assert track(film, out, *(word.format(**named) for word in options)) == 2
     assert told in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
+    assert film.read_bytes() == before
+
+
+@pytest.mark.parametrize("link", ["symlink_to", "hardlink_to"])
+def test_the_film_is_not_written_over_by_another_name_of_it_either(film, sees, right, tmp_path, capsys, link):
+    sees(right)
+    getattr(tmp_path / "other.mp4", link)(film)
+    assert track(film, tmp_path / "motion.npz", "--proof", str(tmp_path / "other.mp4")) == 2
+    assert "that of the video" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("options", "name"),
+    [
+        ([], "motion.npz"),
+        ([], "motion_left.npz"),
+        (["--hand", "both"], "motion_right.npz"),
+        (["--hand", "left"], "motion.npz"),
+    ],
+)
+def test_a_motion_that_is_there_stays_unless_it_shall_be_replaced(
+    film, sees, right, left, tmp_path, capsys, options, name
+):
+    both = [a + b for a, b in zip(right, left, strict=True)]
+    (tmp_path / name).write_bytes(b"precious")
+    sees(both)
+    assert track(film, tmp_path / "motion.npz", *options) == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert [path.read_bytes() for path in tmp_path.iterdir()] == [b"precious"]
+    sees(both)
+    assert track(film, tmp_path / "motion.npz", *options, "--overwrite") == 0
+
+
+def test_a_motion_of_another_name_is_in_nobodys_way(film, sees, right, tmp_path):
+    sees(right)
+    (tmp_path / "motion_left.npz").write_bytes(b"precious")
+    assert track(film, tmp_path / "motion.npz", "--hand", "right") == 0
+
+
+def test_one_picture_has_no_jitter_to_tell(film, sees, right, tmp_path, capsys):
+    sees(right)
+    assert track(film, tmp_path / "motion.npz", "--most", "1") == 0
+    said = capsys.readouterr().out
+    assert "seen in 1 of 1 frames: " in said
+    assert "nan" not in said
+
+
+def test_a_hand_that_is_hardly_ever_seen_is_told_and_not_written(
+    film, sees, right, left, tmp_path, capsys, monkeypatch
+):
+    monkeypatch.setattr(limits, "HAND_SEEN_PART_MIN", 0.5)
+    frames = [a + (b if k < 4 else []) for k, (a, b) in enumerate(zip(right, left, strict=True))]
+    sees(frames)
+    assert track(film, tmp_path / "motion.npz") == 0
+    assert "A left hand was seen in 4 of 12 pictures, and taken for a mistake." in capsys.readouterr().out
+    assert [path.name for path in tmp_path.iterdir()] == ["motion.npz"]
+    sees([b if k < 4 else [] for k, b in enumerate(left)])
+    assert track(film, tmp_path / "other.npz") == 2
+    assert "got none (A left hand was seen in 4 of 12 pictures: too few" in capsys.readouterr().err
+    sees(frames)
+    assert track(film, tmp_path / "other.npz", "--hand", "both") == 2
+    assert "the right one alone (A left hand was seen in 4 of 12" in capsys.readouterr().err
+
+
+def test_that_it_is_not_sure_which_hand_it_is_is_told(film, sees, tmp_path, capsys):
+    straight = np.broadcast_to(still_joints_m(), (COUNT, 21, 3))
+    sees([[seen(one, (Handedness.RIGHT, Handedness.LEFT)[k % 2])] for k, one in enumerate(straight)])
+    assert track(film, tmp_path / "motion.npz") == 0
+    assert "is not sure (certainty 0." in capsys.readouterr().out
+
+
+def test_only_the_hand_that_is_wanted_is_fitted(film, sees, right, left, tmp_path, monkeypatch):
+    fitted = []
+    fit = module.track_hand
+    monkeypatch.setattr(module, "track_hand", lambda hand, *rest: fitted.append(hand.handedness) or fit(hand, *rest))
+    sees([a + b for a, b in zip(right, left, strict=True)])
+    assert track(film, tmp_path / "motion.npz", "--hand", "left") == 0
+    assert fitted == [Handedness.LEFT]
+
+
+def test_without_the_package_nothing_is_fetched(film, tmp_path, capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "mediapipe", None)
+    monkeypatch.setattr(model_file, "fetch_model", lambda: pytest.fail("fetched"))
+    assert track(film, tmp_path / "motion.npz", "--fetch-model") == 2
+    assert "the package MediaPipe" in capsys.readouterr().err
+
+
+def test_two_hands_that_go_together_are_two_motions_that_hold_still(film, sees, right, left, tmp_path):
+    sees([a + b if k < 5 else [] for k, (a, b) in enumerate(zip(right, left, strict=True))])
+    assert track(film, tmp_path / "motion.npz") == 0
+    for side in Handedness:
+        motion = read_motion(tmp_path / f"motion_{side}.npz")
+        assert np.flatnonzero(motion.filled).tolist() == list(range(5, COUNT))
+        np.testing.assert_array_equal(motion.joints_m[5:], np.broadcast_to(motion.joints_m[4], (COUNT - 5, 21, 3)))
 
 
 def test_a_film_without_hands_is_told(film, sees, tmp_path, capsys):
