@@ -216,12 +216,11 @@ def splat_facts(path: Path) -> dict[str, Any]:
     from jghand_engine.exporters.splat_reading import read_splats
 
     read = read_splats(path)
-    cloud = read.cloud
-    facts: dict[str, Any] = {"kind": f"{read.format} splats", "gaussians": len(cloud)}
-    if len(cloud):
+    facts: dict[str, Any] = {"kind": f"{read.format} splats", "gaussians": read.gaussians}
+    if read.gaussians:
         facts |= {
-            "size_m": [float(edge) for edge in cloud.positions_m.max(0) - cloud.positions_m.min(0)],
-            "sigma_m": {"smallest": float(cloud.scales_m.min()), "largest": float(cloud.scales_m.max())},
-            "opacity": {"smallest": float(cloud.opacity.min()), "largest": float(cloud.opacity.max())},
+            "size_m": list(read.size_m),
+            "sigma_m": dict(zip(("smallest", "largest"), read.sigma_m, strict=True)),
+            "opacity": dict(zip(("smallest", "largest"), read.opacity, strict=True)),
         }
-    return {**facts, "axes": cloud.axes or "not said", FINDINGS: list(read.findings)}
+    return {**facts, "axes": read.axes or "not said", FINDINGS: list(read.findings)}

@@ -1,58 +1,103 @@
-"""Attributes of the Gaussians in a binary glTF file whose content is not trusted."""
+"""Gaussians of binary glTF files of anybody, with the extension KHR_gaussian_splatting."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
-from mmap import mmap
-from typing import Any
+from collections.abc import Iterator
+from pathlib import Path
+from typing import IO, Any
 
 import numpy as np
 
 from jghand_engine.datasets.gltf_content import accessor_rows, as_object, glb_chunks, list_entry, objects
 from jghand_engine.exporters.gltf_splats import EXTENSION
-from jghand_engine.limits import GLB_JSON_BYTES_MAX
+from jghand_engine.exporters.splat_cloud import SplatCloud
+from jghand_engine.exporters.splat_rows import SplatRows, damaged
+from jghand_engine.limits import GLB_JSON_BYTES_MAX, SH_C0
+
+# attributes -> how many numbers
+_WIDTHS = {
+    "POSITION": 3, f"{EXTENSION}:ROTATION": 4, f"{EXTENSION}:SCALE": 3, f"{EXTENSION}:OPACITY": 1,
+    f"{EXTENSION}:SH_DEGREE_0_COEF_0": 3,
+}  # fmt: skip
+_MAPS = ("matrix", "translation", "rotation", "scale")
 
 
-def glb_attributes(content: mmap, widths: Mapping[str, int]) -> list[np.ndarray]:
-    """float32 arrays (N, width), copied, of the only primitive of Gaussians: name of the attribute -> width.
+def glb_rows(path: Path, stream: IO[bytes]) -> SplatRows:
+    """The Gaussians of an open file, where its mesh has them. InputError, which names it, for one that is damaged or
+    lies."""
+    try:
+        text, binary = glb_chunks(np.memmap(stream, np.uint8, "r").data, GLB_JSON_BYTES_MAX)
+        about = _described(text)
+        mesh, attributes = _gaussians(about)
+        arrays = [_numbers(about, attributes[name], width, binary) for name, width in _WIDTHS.items()]
+        placed = _is_placed(about, mesh)
+    except ValueError as error:
+        raise damaged(path, "one primitive of Gaussians in a binary glTF file", error) from error
+    if len({len(array) for array, _ in arrays}) != 1:
+        raise damaged(path, "one primitive of Gaussians in a binary glTF file", "attributes of different lengths")
 
-    ValueError says what is wrong.
-    """
-    with memoryview(content) as whole:
-        text, binary = glb_chunks(whole, GLB_JSON_BYTES_MAX)
-        try:
-            return _attributes(_described(text), binary, widths)
-        finally:
-            # a mapped file cannot be closed while anything looks at it
-            text.release()
-            if binary is not None:
-                binary.release()
+    def part(rows: slice) -> SplatCloud:
+        position, turn, scale, opacity, harmonics = (_floats(array[rows], one) for array, one in arrays)
+        rgb = harmonics * np.float32(SH_C0) + np.float32(0.5)
+        return SplatCloud(position, scale, turn[:, [3, 0, 1, 2]], opacity[:, 0], rgb, "rub")
+
+    said = "a node of the file moves, turns or scales the Gaussians: sizes here are before that"
+    return SplatRows(path, len(arrays[0][0]), "rub", part, (said,) if placed else ())
 
 
-def _attributes(about: dict[str, Any], binary: memoryview | None, widths: Mapping[str, int]) -> list[np.ndarray]:
-    primitives = [
-        primitive
-        for mesh in objects(about, "meshes")
+def _gaussians(about: dict[str, Any]) -> tuple[int, dict[str, Any]]:
+    """The number of the mesh with the only primitive of Gaussians, and the primitive's attributes."""
+    found = [
+        (number, as_object(primitive.get("attributes", {})))
+        for number, mesh in enumerate(objects(about, "meshes"))
         for primitive in objects(mesh, "primitives")
         if EXTENSION in as_object(primitive.get("extensions", {}))
     ]
-    if len(primitives) != 1:
-        raise ValueError(f"{len(primitives)} primitives with {EXTENSION}")
-    attributes = as_object(primitives[0].get("attributes", {}))
-    missing = [name for name in widths if name not in attributes]
+    if len(found) != 1:
+        raise ValueError(f"{len(found)} primitives with {EXTENSION}")
+    missing = [name for name in _WIDTHS if name not in found[0][1]]
     if missing:
         raise ValueError(f"no attribute {', '.join(missing)}")
+    return found[0]
 
-    def buffer(index: Any) -> memoryview:
-        if index != 0 or "uri" in list_entry(about, "buffers", 0) or binary is None:
+
+def _numbers(about: dict[str, Any], index: Any, width: int, binary: memoryview | None) -> tuple[np.ndarray, int]:
+    """Rows of an attribute as they are in the file, and what stands for 1 in them: 1 but for normalised ones."""
+
+    def buffer(number: Any) -> memoryview:
+        if number != 0 or "uri" in list_entry(about, "buffers", 0) or binary is None:
             raise ValueError("numbers in another file")
         return binary
 
-    found = [_values(*accessor_rows(about, attributes[name], width, buffer)) for name, width in widths.items()]
-    if len({len(array) for array in found}) != 1:
-        raise ValueError("attributes of different lengths")
-    return found
+    rows, one = accessor_rows(about, index, width, buffer)
+    return rows, one if list_entry(about, "accessors", index).get("normalized") is True else 1
+
+
+def _floats(rows: np.ndarray, one: int) -> np.ndarray:
+    values = rows.astype(np.float32)
+    return np.maximum(values / np.float32(one), np.float32(-1)) if one > 1 else values
+
+
+def _is_placed(about: dict[str, Any], mesh: int) -> bool:
+    """Whether a node with the mesh, or one above such a node, has a map."""
+    nodes = objects(about, "nodes")
+    parents = {child: number for number, node in enumerate(nodes) for child in _children(node)}
+    above: list[int] = [number for number, node in enumerate(nodes) if node.get("mesh") == mesh]
+    seen: set[int] = set()
+    while above:
+        number = above.pop()
+        if number not in seen and number in parents:
+            above.append(parents[number])
+        seen.add(number)
+    return any(name in nodes[number] for number in seen for name in _MAPS)
+
+
+def _children(node: dict[str, Any]) -> Iterator[int]:
+    children = node.get("children", [])
+    if not isinstance(children, list):
+        raise ValueError("children that are no list")
+    return (child for child in children if isinstance(child, int))
 
 
 def _described(text: memoryview) -> dict[str, Any]:
@@ -60,7 +105,3 @@ def _described(text: memoryview) -> dict[str, Any]:
         return as_object(json.loads(bytes(text)))
     except (ValueError, RecursionError) as error:
         raise ValueError(f"a description that is no JSON: {error}") from error
-
-
-def _values(rows: np.ndarray, one: int) -> np.ndarray:
-    return rows.astype(np.float32) / np.float32(one) if one > 1 else rows.astype(np.float32)

@@ -7,12 +7,15 @@ as is the self-shadow.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jghand_engine.avatar.fast_posing import PosedFrame
 from jghand_engine.exporters.ellipsoids import scales_and_turns
-from jghand_engine.exporters.usd_splats import Cloud
+
+if TYPE_CHECKING:
+    from jghand_engine.avatar.avatar import HandAvatar
+    from jghand_engine.avatar.fast_posing import PosedFrame
 
 # maps of column vectors to RUB (x right, y up, z towards the viewer) from a world with that axis up
 RUB_FROM_UP = {"y": np.eye(3), "z": np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])}
@@ -36,8 +39,8 @@ class SplatCloud:
         return len(self.positions_m)
 
     @classmethod
-    def of_frame(cls, posed: PosedFrame, still: Cloud, *, axes: str, up: str) -> SplatCloud:
-        """The Gaussians of a frame, whose world has the axis `up` upwards, in `axes`. still: what does not move."""
+    def of_frame(cls, posed: PosedFrame, avatar: HandAvatar, *, axes: str, up: str) -> SplatCloud:
+        """The Gaussians of a frame, whose world has the axis `up` upwards, in `axes`. avatar: that was posed."""
         axes_from_world = AXES_FROM_RUB[axes] @ RUB_FROM_UP[up]
         scales_m, rotations = _shapes(posed.sigma_m, posed.covariance_m2, axes_from_world)
         count = len(posed.positions_m)
@@ -45,8 +48,8 @@ class SplatCloud:
             posed.positions_m @ axes_from_world.T,
             np.broadcast_to(scales_m, (count, 3)),
             np.broadcast_to(rotations, (count, 4)),
-            still.opacity,
-            np.clip(still.rgb if posed.rgb is None else posed.rgb, 0, 1),
+            avatar.opacity.numpy().astype(np.float32),
+            np.clip(avatar.rgb.numpy().astype(np.float32) if posed.rgb is None else posed.rgb, 0, 1),
             axes,
         )
 

@@ -129,11 +129,10 @@ class SplatMotion:
 
     def __init__(self, avatar: HandAvatar, sequence: PoseSequence, *, axes: str, up: str = "y") -> None:
         self._motion, self._axes, self._up = HandMotion(avatar, sequence), axes, up
-        self._still = self._motion.cloud()
 
     def cloud(self, index: int) -> SplatCloud:
         """The Gaussians of one frame."""
-        return SplatCloud.of_frame(self._motion.frame(index), self._still, axes=self._axes, up=self._up)
+        return SplatCloud.of_frame(self._motion.frame(index), self._motion.avatar, axes=self._axes, up=self._up)
 
 
 def _refuse_others(folder: Path, options: SplatOptions, files: tuple[Path, ...]) -> None:

@@ -20,7 +20,7 @@ from jghand_engine.errors import InputError
 from jghand_engine.exporters.ply import PROPERTIES
 from jghand_engine.exporters.splat_cloud import SplatCloud
 from jghand_engine.exporters.splat_files import FORMATS
-from jghand_engine.exporters.splat_reading import read_splats
+from jghand_engine.exporters.splat_reading import open_splats, read_splats
 
 READ = ("ply", "splat", "glb", "spz")
 # bytes that a refusal may take beside twice the file: the pieces that are read at once, the sentence
@@ -38,6 +38,24 @@ def cloud(count: int = 300, axes: str = "rub") -> SplatCloud:
 
 def content(format: str, count: int = 300) -> bytes:
     return FORMATS[format].encode(cloud(count))
+
+
+def whole(path: Path) -> SplatCloud:
+    """All Gaussians of a file, which must be whole."""
+    with open_splats(path) as rows:
+        parts = list(rows.parts())
+    names = ("positions_m", "scales_m", "rotations_wxyz", "opacity", "rgb")
+    return SplatCloud(*(np.concatenate([getattr(part, name) for part in parts]) for name in names), rows.axes)
+
+
+def taken(path: Path) -> int:
+    """Bytes that reading a good file takes at most."""
+    tracemalloc.start()
+    try:
+        read_splats(path)
+        return tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
 
 
 def refused(path: Path, *words: str) -> str:
@@ -68,16 +86,19 @@ def refused_content(folder: Path, format: str, data: bytes, *words: str) -> str:
 def test_what_we_write_is_read_back(tmp_path, format, turn):
     path, wanted = tmp_path / f"hand.{format}", cloud()
     path.write_bytes(content(format))
-    read = read_splats(path)
-    assert read.findings == ()
-    assert np.abs(read.cloud.positions_m - wanted.positions_m).max() < 3e-6
-    assert np.abs(np.log(read.cloud.scales_m / wanted.scales_m)).max() < 0.0313
-    assert np.abs(read.cloud.opacity - wanted.opacity).max() < 0.002
-    assert np.abs(read.cloud.rgb - wanted.rgb).max() < 0.0038
-    lengths = np.linalg.norm(read.cloud.rotations_wxyz, axis=1)
-    cosine = np.abs((read.cloud.rotations_wxyz * wanted.rotations_wxyz).sum(1)) / lengths
+    read, facts = whole(path), read_splats(path)
+    assert (facts.format, facts.gaussians, facts.axes, facts.findings) == (format, 300, read.axes, ())
+    assert np.abs(np.array(facts.size_m) - np.ptp(wanted.positions_m, axis=0)).max() < 1e-5
+    assert facts.sigma_m == (read.scales_m.min(), read.scales_m.max())
+    assert facts.opacity == (read.opacity.min(), read.opacity.max())
+    assert np.abs(read.positions_m - wanted.positions_m).max() < 3e-6
+    assert np.abs(np.log(read.scales_m / wanted.scales_m)).max() < 0.0313
+    assert np.abs(read.opacity - wanted.opacity).max() < 0.002
+    assert np.abs(read.rgb - wanted.rgb).max() < 0.0038
+    lengths = np.linalg.norm(read.rotations_wxyz, axis=1)
+    cosine = np.abs((read.rotations_wxyz * wanted.rotations_wxyz).sum(1)) / lengths
     assert 1 - cosine.min() < turn**2 / 2
-    assert read.cloud.axes == ("" if format == "splat" else "rub")
+    assert read.axes == ("" if format == "splat" else "rub")
 
 
 @pytest.mark.parametrize("format", READ)
@@ -131,7 +152,11 @@ FLOATS = tuple(f"property float {name}" for name in PROPERTIES)
         (ply(BINARY, "element vertex 1", "property list uchar int vertex_indices"), "one number"),
         (ply(BINARY, "element vertex 1", "property quaternion x"), "one number"),
         (ply(BINARY, "element vertex 1", "property float x", "property float x"), "once"),
-        (ply(BINARY, "element vertex 1", *FLOATS, "element face 1"), "one element"),
+        (ply(BINARY, "element vertex 1", *FLOATS, "element face 1", "property list uchar int i"), "one number"),
+        (ply(BINARY, "element vertex 1", *FLOATS, "element camera 1", "property float x", data=bytes(68)), "bytes"),
+        (ply(BINARY, "element vertex 0", *FLOATS, "element camera 999999999999", "property double x"), "bytes"),
+        (ply(BINARY, "property float x", "element vertex 1"), "property float x"),
+        (ply(BINARY, "element vertex 1", *FLOATS, "element"), "element"),
         (ply(BINARY, "element vertex 1", "property float x", data=bytes(4)), "f_dc_0"),
         (ply(BINARY, "element vertex 1"), "properties"),
         (ply("comment " + "x" * 70_000, BINARY, "element vertex 1", *FLOATS), "header"),
@@ -142,6 +167,40 @@ FLOATS = tuple(f"property float {name}" for name in PROPERTIES)
 )
 def test_ply_headers_that_lie_are_refused(tmp_path, data, word):
     refused_content(tmp_path, "ply", data, word)
+
+
+def test_elements_of_fixed_size_after_the_vertices_are_left_out(tmp_path):
+    head, data = content("ply").split(b"end_header\n", 1)
+    more = b"element camera 2\nproperty float x\nproperty uchar kind\n"
+    path = tmp_path / "hand.ply"
+    path.write_bytes(head + more + b"end_header\n" + data + bytes(10))
+    assert np.abs(whole(path).positions_m - cloud().positions_m).max() < 1e-7
+    refused_content(tmp_path, "ply", path.read_bytes() + b"0", "bytes")
+
+
+def test_a_ply_of_narrow_numbers_takes_no_memory_whether_good_or_not(tmp_path):
+    """Properties in bytes would grow fourfold in float32; the number that is none comes last."""
+    names = [name for name in PROPERTIES if name not in ("nx", "ny", "nz")]
+    kinds = {name: "f4" if name == "scale_2" else "u1" for name in names}
+    table = np.zeros(500_000, np.dtype(list(kinds.items())))
+    lines = [f"property {'float' if kind == 'f4' else 'uchar'} {name}" for name, kind in kinds.items()]
+    path = tmp_path / "hand.ply"
+    path.write_bytes(ply(BINARY, "element vertex 500000", *lines, data=table.tobytes()))
+    assert taken(path) < SOME
+    table["scale_2"][-1] = np.nan
+    refused_content(tmp_path, "ply", ply(BINARY, "element vertex 500000", *lines, data=table.tobytes()), "scales_m")
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("json", [(), ("--json", "facts.json")])
+def test_info_tells_of_huge_distances_in_a_sentence(tmp_path, capsys, monkeypatch, json):
+    monkeypatch.chdir(tmp_path)
+    changed = cloud()
+    changed.positions_m[:2, 0] = 3e38, -3e38
+    path = tmp_path / "hand.ply"
+    path.write_bytes(FORMATS["ply"].encode(changed))
+    assert main(["info", str(path), *json]) == 0
+    assert "reach over 6e+38 m" in capsys.readouterr().out
 
 
 def glb(about: object, binary: bytes = b"", *, text: bytes | None = None) -> bytes:
@@ -161,7 +220,7 @@ def glb_parts() -> tuple[dict, bytes]:
 def test_the_parts_these_are_made_from_are_read(tmp_path):
     path = tmp_path / "hand.glb"
     path.write_bytes(glb(*glb_parts()))
-    assert len(read_splats(path).cloud) == 300
+    assert read_splats(path).gaussians == 300
 
 
 @pytest.mark.parametrize(
@@ -212,6 +271,77 @@ def test_attributes_of_different_lengths_are_refused(tmp_path):
     refused_content(tmp_path, "glb", glb(about, binary), "different lengths")
 
 
+def glb_of_few_bytes() -> tuple[dict, np.ndarray]:
+    """A description whose attributes all share the same four bytes of each row, but for positions."""
+    count, prefix = 500_000, "KHR_gaussian_splatting"
+    kinds = {"POSITION": "VEC3", f"{prefix}:ROTATION": "VEC4", f"{prefix}:SCALE": "VEC3", f"{prefix}:OPACITY": "SCALAR"}
+    accessors = [
+        {"bufferView": int(k > 0), "componentType": 5121 if k else 5126, "count": count, "type": kind}
+        for k, kind in enumerate(kinds.values())
+    ]
+    attributes = {name: k for k, name in enumerate(kinds)} | {f"{prefix}:SH_DEGREE_0_COEF_0": 2}
+    views = [
+        {"buffer": 0, "byteOffset": 4 * count, "byteLength": 12 * count},
+        {"buffer": 0, "byteLength": 4 * count, "byteStride": 4},
+    ]
+    mesh = {"primitives": [{"attributes": attributes, "extensions": {prefix: {}}}]}
+    about = {"accessors": accessors, "bufferViews": views, "buffers": [{}], "meshes": [mesh]}
+    return about, np.zeros(4 * count, "<f4")
+
+
+def test_a_glb_whose_attributes_share_bytes_takes_no_memory_whether_good_or_not(tmp_path):
+    about, numbers = glb_of_few_bytes()
+    path = tmp_path / "hand.glb"
+    path.write_bytes(glb(about, numbers.tobytes()))
+    assert taken(path) < SOME
+    numbers[-1] = np.nan
+    refused_content(tmp_path, "glb", glb(about, numbers.tobytes()), "positions_m")
+
+
+def test_whole_numbers_stand_for_parts_of_one_only_where_the_file_says_so(tmp_path):
+    about, binary = glb_parts()
+    opacity = next(k for k, a in enumerate(about["accessors"]) if a["type"] == "SCALAR")
+    turn = next(k for k, a in enumerate(about["accessors"]) if a["type"] == "VEC4" and a["componentType"] == 5126)
+    path, start = tmp_path / "hand.glb", len(binary)
+    binary += np.full(300, 51, np.uint8).tobytes() + np.full((300, 4), -128, np.int8).tobytes()
+    about["bufferViews"] += [
+        {"buffer": 0, "byteOffset": start, "byteLength": 300},
+        {"buffer": 0, "byteOffset": start + 300, "byteLength": 1200},
+    ]
+    about["accessors"][opacity] |= {"bufferView": len(about["bufferViews"]) - 2, "componentType": 5121}
+    about["accessors"][turn] |= {"bufferView": len(about["bufferViews"]) - 1, "componentType": 5120, "normalized": True}
+    path.write_bytes(glb(about, binary))
+    assert (whole(path).opacity == 51).all()
+    assert (whole(path).rotations_wxyz == -1).all()
+    about["accessors"][opacity]["normalized"] = True
+    path.write_bytes(glb(about, binary))
+    assert np.allclose(whole(path).opacity, 0.2)
+
+
+@pytest.mark.parametrize("nodes", [
+    [{"mesh": 0, "translation": [1, 0, 0]}], [{"mesh": 0}, {"children": [0], "matrix": [2.0] * 16}],
+    [{"mesh": 0, "children": [1]}, {"children": [0], "scale": [2, 2, 2]}],
+])  # fmt: skip
+def test_nodes_that_place_the_gaussians_are_told(tmp_path, nodes):
+    about, binary = glb_parts()
+    path = tmp_path / "hand.glb"
+    path.write_bytes(glb(about | {"nodes": nodes}, binary))
+    assert "before that" in read_splats(path).findings[0]
+    path.write_bytes(glb(about | {"nodes": [{"mesh": 0}, {"translation": [1, 0, 0]}]}, binary))
+    assert read_splats(path).findings == ()
+
+
+@pytest.mark.parametrize(
+    "nodes", [7, [7], [{"children": 7}], [{"mesh": 0, "children": [[]]}] * 2, [{"children": [99]}]]
+)
+def test_nodes_that_are_none_are_refused_or_do_not_matter(tmp_path, nodes):
+    about, binary = glb_parts()
+    path = tmp_path / "hand.glb"
+    path.write_bytes(glb(about | {"nodes": nodes}, binary))
+    with contextlib.suppress(InputError):
+        assert read_splats(path).findings == ()
+
+
 def spz(count: int, *, version: int = 3, degree: int = 0, bits: int = 12, payload: bytes = b"") -> bytes:
     head = struct.pack("<IIIBBBB", 0x5053474E, version, count, degree, bits, 0, 0)
     return gzip.compress(head + payload, mtime=0)
@@ -237,6 +367,22 @@ def test_spz_files_that_lie_or_are_bombs_are_refused(tmp_path, data, word):
     refused_content(tmp_path, "spz", data, word)
 
 
+def test_harmonics_of_higher_degrees_are_left_out(tmp_path):
+    plain = gzip.decompress(content("spz"))
+    path = tmp_path / "hand.spz"
+    path.write_bytes(gzip.compress(plain[:12] + b"\x03" + plain[13:] + bytes(300 * 45), mtime=0))
+    assert np.abs(whole(path).positions_m - cloud().positions_m).max() < 3e-6
+
+
+def test_an_spz_that_grows_more_than_hands_do_is_refused_and_others_take_what_they_unpack_to(tmp_path):
+    payload = np.random.default_rng(0).integers(0, 256, 2_000_000, np.uint8).tobytes()
+    refused_content(tmp_path, "spz", spz(500_000, payload=payload + bytes(8_000_000)), "at most 4 times")
+    refused_content(tmp_path, "spz", spz(350_000, payload=payload + bytes(4_999_999)), "bytes unpacked")
+    path = tmp_path / "hand.spz"
+    path.write_bytes(spz(350_000, payload=payload + bytes(5_000_000)))
+    assert taken(path) < 7_000_000 + SOME
+
+
 def test_a_wrong_checksum_is_noticed(tmp_path):
     data = bytearray(content("spz"))
     data[-5] ^= 1
@@ -252,7 +398,7 @@ def test_any_changed_byte_is_read_or_refused_and_nothing_else(tmp_path, format, 
     path = tmp_path / f"changed.{format}"
     path.write_bytes(bytes(data))
     with contextlib.suppress(InputError):
-        assert len(read_splats(path).cloud) <= 50
+        assert read_splats(path).gaussians <= 50
 
 
 def test_sizes_and_opacities_of_the_wrong_kind_are_told_in_sentences(tmp_path):
