@@ -77,8 +77,11 @@ class Found:
         return cls.of_ellipsoids(np.concatenate(parts, 1).astype(np.float64))
 
     def in_order_of(self, other: Found) -> Found:
-        """The same Gaussians, each beside the nearest of `other`: SOG sorts them."""
+        """The same Gaussians, each beside the nearest of `other`: SOG sorts them. As they are where that is not one to
+        one: some are lacking, or there twice."""
         _, nearest = KDTree(self.positions_m).query(other.positions_m)
+        if len(np.unique(nearest)) != len(self.positions_m) or len(nearest) != len(self.positions_m):
+            return self
         return Found(*(getattr(self, name)[nearest] for name in self.__dataclass_fields__))
 
 

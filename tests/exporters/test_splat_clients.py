@@ -10,6 +10,7 @@ import json
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
@@ -46,6 +47,20 @@ def test_a_program_finds_what_the_engine_has(tmp_path, client, format, subject):
     path.write_bytes(written)
     difference = Difference.between(client.find(path, wanted), wanted)
     assert difference.within(client.limit(format)), difference
+
+
+def test_gaussians_that_are_lacking_or_there_twice_are_no_match_in_any_order():
+    wanted = Found.of_cloud(SUBJECTS["ellipsoids"]("rdf"))
+    count = len(wanted.positions_m)
+
+    def difference(rows: np.ndarray) -> Difference:
+        found = Found(*(getattr(wanted, name)[rows] for name in wanted.__dataclass_fields__))
+        return Difference.between(found.in_order_of(wanted), wanted)
+
+    shuffled = np.random.default_rng(5).permutation(count)
+    assert difference(shuffled) == check_splat_files.NOTHING
+    for wrong in (np.tile(shuffled, 2), shuffled[1:], np.append(shuffled[1:], shuffled[1])):
+        assert difference(wrong).position_mm > 1
 
 
 def test_the_programs_and_all_that_they_need_are_pinned_with_their_hashes():
