@@ -65,8 +65,8 @@ def shots(cameras: list[dict[str, Any]]) -> list[dict[str, Any]]:
         {"name": "rest", **desk, "steps": [["seek", 0]]},
         {"name": "playing", **desk, "steps": [["play", 3.0]]},
         {"name": "slider", **desk, "watch": True, "steps": [
-            ["pose", "fist"], ["pose", "open"], ["slide", "#curl1", 0.8], ["slide", "#curl2", 0.45], ["slide", "#curl0", 0.7],
-            ["drag", 160, 30],
+            ["pose", "fist"], ["pose", "open"], ["slide", "#curl1", 0.8], ["slide", "#curl2", 0.45],
+            ["slide", "#curl0", 0.7], ["drag", 160, 30],
         ]},
         {"name": "turned", **desk, "watch": True, "steps": [["pose", "ok"], ["drag", 260, 40]]},
         {"name": "phone", **phone, "watch": True, "steps": [["pose", "victory"], ["click", "#more"]]},
