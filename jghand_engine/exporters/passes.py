@@ -28,6 +28,7 @@ from jghand_engine.limits import (
     JOINT_REACH_PERCENTILE,
     JOINT_REACH_ROOM,
     JOINT_SLAB_M,
+    Z_NEAR_M,
 )
 from jghand_engine.splat.camera import Camera
 from jghand_engine.splat.frame import Frame
@@ -82,8 +83,9 @@ def _without_holes(bone_ids: np.ndarray) -> np.ndarray:
 @dataclass(frozen=True)
 class JointView:
     """The joints of a picture, standard order. joints_m (21, 3) world, metres · px (21, 2) pixels, (0, 0) the outer
-    corner of the top-left one · depth_m (21,) along the view axis · inside (21,) whether it lies in the picture ·
-    visible (21,) whether it does and nothing hides it but the flesh around it."""
+    corner of the top-left one, NaN where the joint is not before the camera, beyond its near plane · depth_m (21,)
+    along the view axis · inside (21,) whether it lies in the picture · visible (21,) whether it does and nothing hides
+    it but the flesh around it."""
 
     joints_m: np.ndarray
     px: np.ndarray
@@ -92,8 +94,9 @@ class JointView:
     visible: np.ndarray
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain data for JSON."""
-        return {name: getattr(self, name).tolist() for name in self.__dataclass_fields__}
+        """Plain data for JSON, which knows no NaN: `px` of a joint is None then."""
+        told = {name: getattr(self, name).tolist() for name in self.__dataclass_fields__}
+        return told | {"px": [None if np.isnan(px).any() else px.tolist() for px in self.px]}
 
 
 class JointWitness:
@@ -114,7 +117,9 @@ class JointWitness:
         joints_m = np.asarray(joints_m, np.float64)[LEVEL_OF_STANDARD]
         pixels, depth = camera.project(torch.from_numpy(joints_m))
         px, depth_m = pixels.numpy(), depth.numpy()
-        inside = (depth_m > 0) & ((px >= 0) & (px < [camera.width, camera.height])).all(1)
+        # in the camera's plane there is no place in the picture, and behind it a mirrored one
+        px[~(depth_m > Z_NEAR_M)] = np.nan
+        inside = ((px >= 0) & (px < [camera.width, camera.height])).all(1)
         shown_m = np.zeros(JOINT_COUNT)
         column, row = np.floor(px[inside]).astype(int).T
         shown_m[inside] = depth_map_m[row, column]

@@ -44,6 +44,27 @@ def test_joints_and_cameras_come_beside_the_pictures(tmp_path):
     assert not (tmp_path / "passes").exists()
 
 
+def test_a_camera_in_the_wrist_gets_its_pictures_too(tmp_path):
+    """Joints that are relative to the wrist, and a camera that was left where it is."""
+    camera = {
+        "width": 32,
+        "height": 24,
+        "fx": 40,
+        "fy": 40,
+        "cx": 16,
+        "cy": 12,
+        "camera_from_world": np.eye(4).tolist(),
+    }
+    (tmp_path / "camera.json").write_text(json.dumps(camera))
+    out = tmp_path / "out"
+    assert render(out, "--passes", "joints", "--camera-file", str(tmp_path / "camera.json")) == 0
+    frame = json.loads((out / "joints.json").read_text())["frames"][0]
+    assert frame["depth_m"][0] == 0
+    assert frame["px"][0] is None
+    assert not frame["inside"][0]
+    assert not frame["visible"][0]
+
+
 def test_the_picture_is_the_same_with_and_without_passes(tmp_path):
     assert render(tmp_path / "plain") == 0
     assert render(tmp_path / "truth", "--passes", "joints") == 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -17,8 +18,9 @@ from jghand_engine.errors import InputError
 from jghand_engine.exporters.passes import JointView, JointWitness, channels, joint_reach_m, pass_names
 from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import STANDARD_NAMES, Handedness
+from jghand_engine.hand.orders import LEVEL_OF_STANDARD
 from jghand_engine.hand.sequence import PoseSequence
-from jghand_engine.limits import JOINT_REACH_ROOM
+from jghand_engine.limits import JOINT_REACH_ROOM, Z_NEAR_M
 from jghand_engine.splat.camera import Camera
 from jghand_engine.splat.frame import Frame, HandRenderer
 from jghand_engine.splat.settings import preset
@@ -206,6 +208,24 @@ def test_joints_outside_the_picture_are_not_visible(shown):
     behind = replace(hand.camera, camera_from_world=torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0])) @ torch.eye(4))
     away = JointWitness(hand.avatar).look(hand.joints_m + np.array([0.0, 0.0, 1.0]), behind, hand.maps["Z"])
     assert not away.visible.any()
+
+
+def test_a_joint_that_is_not_before_the_camera_has_no_place_in_the_picture(shown):
+    """In its plane there is none, and behind it a mirrored one."""
+    hand = shown("open", "front")
+    camera = replace(hand.camera, camera_from_world=torch.eye(4, dtype=torch.float64))
+    joints_m = hand.joints_m - hand.joints_m[:1] + np.array([0.0, 0.0, 0.5])
+    # the wrist in the camera's plane, a joint behind it, another one just before the near plane
+    joints_m[0, 2], joints_m[1, 2], joints_m[2, 2] = 0.0, -0.3, 0.999 * Z_NEAR_M
+    seen = JointWitness(hand.avatar).look(joints_m, camera, np.zeros(SIZE[::-1], np.float32))
+    beyond = np.isin(LEVEL_OF_STANDARD, (0, 1, 2))
+    assert np.isnan(seen.px[beyond]).all()
+    assert np.isfinite(seen.px[~beyond]).all()
+    assert not seen.inside[beyond].any()
+    assert not seen.visible[beyond].any()
+    told = json.loads(json.dumps(seen.as_dict(), allow_nan=False))
+    assert [px is None for px in told["px"]] == beyond.tolist()
+    assert told["depth_m"] == seen.depth_m.tolist()
 
 
 def test_a_hand_of_twice_the_size_shows_the_same_joints(shown):
