@@ -91,7 +91,7 @@ class Demo:
                 demo_films.write_video_of(scene)
             demo_films.write_sheet_of(scene)
         with clock("USD"):
-            usd = export_stage(out / "usd", avatar, sequence, cameras, UsdOptions())
+            usd = export_stage(out / "usd", avatar, sequence, cameras, UsdOptions(overwrite=True))
         demo_films.write_readme(scene)
         timings.show(f"One picture of {width} x {height} with {len(avatar)} Gaussians, median of {timings.frames}")
         say_table("The whole job", ("step", "seconds"), [(name, f"{s:.1f}") for name, s in clock.seconds.items()])

@@ -11,7 +11,9 @@ import tyro
 
 from jghand_engine.cli.console import progress, say, write_json
 from jghand_engine.cli.options import AvatarOptions, CameraName, MotionOptions, ReportOptions
+from jghand_engine.cli.signals import polite_kill_is_ctrl_c
 from jghand_engine.errors import InputError
+from jghand_engine.limits import USD_SIGMA_ERROR_TOLD
 
 if TYPE_CHECKING:
     from jghand_engine.avatar.avatar import HandAvatar
@@ -55,7 +57,8 @@ class UsdStageOptions:
     """What a program shows that cannot choose; left out, what suits --for: splats, for blender and houdini points, for
     usdview points_skinned (a small file; without what training added to the pose)."""
     sizes: Literal["constant", "per_frame"] = "constant"
-    """Radii of the splats: of the mean hand, or of every frame at 2.3 times the size of the file."""
+    """Radii of the splats: of the mean hand, or of every frame. A frame is then 2.3 times as large; of a trained hand,
+    whose colours are in every frame anyway, 1.4 times."""
     radiance: Literal["srgb", "linear"] = "srgb"
     """Colours of the splats: srgb as a screen shows them, for most viewers; linear as light, for path tracers."""
     width_factor: Annotated[float | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="")] = None
@@ -66,6 +69,8 @@ class UsdStageOptions:
     package: Literal["layers", "usdc", "usdz"] = "layers"
     """layers: files that refer to each other, and the shot with its cameras. usdc: one file with the chosen variant
     alone. usdz: one file with all variants."""
+    overwrite: bool = False
+    """Also replace files of these names that somebody else made, or changed: lights put into the shot, for example."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +128,8 @@ class Export:
         for note in motion.notes:
             say(note)
         write = {"usd": self._write_usd, "web": self._write_web}.get(self.format, self._write_splats)
-        figures = write(avatar.for_hand(sequence.handedness), sequence)
+        with polite_kill_is_ctrl_c():
+            figures = write(avatar.for_hand(sequence.handedness), sequence)
         if self.report.json is not None:
             write_json(self.report.json, {
                 "command": "export", "format": self.format, "motion": motion.source, "notes": motion.notes,
@@ -161,6 +167,11 @@ class Export:
         report = export_stage(self.out, avatar, sequence, cameras, options)
         size = sum(report.bytes.values())
         say(f"Wrote {report.stage}: {report.frames} frames, {size / 1e6:.1f} MB, {sum(report.seconds.values()):.1f} s")
+        if report.sigma_error > USD_SIGMA_ERROR_TOLD:
+            say(
+                f"Constant radii are up to {100 * report.sigma_error:.0f} % off those of a frame: "
+                "--sizes per_frame writes them all."
+            )
         if report.half is not None:
             for sentence in report.half.sentences():
                 say(sentence)
@@ -172,9 +183,16 @@ class Export:
         from jghand_engine.exporters.usd_options import PRESETS, Package, UsdOptions, Variant
 
         given, preset = self.usd, PRESETS[self.usd.consumer]
+        variant = preset.variant if given.default_variant is None else Variant(given.default_variant)
+        if given.precision == "half" and given.default_variant is None and variant is Variant.POINTS:
+            raise InputError(
+                f"--for {given.consumer} --precision half", wanted="a variant that half precision has",
+                came="points, which that program wants",
+                remedy="Add --default-variant points_skinned, or leave --precision out.",
+            )  # fmt: skip
         return UsdOptions(
             name=self.name,
-            default_variant=preset.variant if given.default_variant is None else Variant(given.default_variant),
+            default_variant=variant,
             radiance=given.radiance,
             sizes=given.sizes,
             width_factor=preset.width_factor if given.width_factor is None else given.width_factor,
@@ -182,11 +200,12 @@ class Export:
             up=self.up,
             precision=given.precision,
             package=Package(given.package),
+            overwrite=given.overwrite,
         )
 
     def _write_splats(self, avatar: HandAvatar, sequence: PoseSequence) -> dict[str, Any]:
         from jghand_engine.exporters.splat_files import SplatOptions, export_splats
-        from jghand_engine.exporters.usd import made_from
+        from jghand_engine.exporters.usd_provenance import made_from
 
         options = SplatOptions(self.splats.format, self.name, self.splats.axes, self.first_frame, self.up)
         with progress(f"Writing {options.format}", len(sequence)) as bar:
@@ -204,7 +223,7 @@ class Export:
 
     def _write_web(self, avatar: HandAvatar, sequence: PoseSequence) -> dict[str, Any]:
         from jghand_engine.cli.framing import first_view
-        from jghand_engine.exporters.usd import made_from
+        from jghand_engine.exporters.usd_provenance import made_from
         from jghand_engine.exporters.web import WebOptions, export_web
 
         view = first_view(sequence.joints_m, sequence.handedness, self.web.camera)

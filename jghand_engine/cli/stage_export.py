@@ -8,8 +8,9 @@ from typing import Any
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.cli.console import progress
-from jghand_engine.exporters.usd import UsdOptions, UsdReport, export_usd
+from jghand_engine.exporters.usd import export_usd
 from jghand_engine.exporters.usd_half import HalfPrice
+from jghand_engine.exporters.usd_options import UsdOptions, UsdReport
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.splat.camera import Camera
 
@@ -46,4 +47,6 @@ def _half_figures(price: HalfPrice) -> dict[str, float]:
         "position_rms_m": price.rms_m,
         "sigma_error": price.sigma,
         "colour_error": price.rgb,
+        "opacity_error": price.opacity,
+        "turn_error_deg": price.turn_deg,
     }

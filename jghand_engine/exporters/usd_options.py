@@ -84,6 +84,11 @@ class UsdOptions:
                 "default variant", wanted="splats, points_skinned or mesh in half precision", came="points",
                 remedy="USD's points know no half precision: leave it out, or choose points_skinned.",
             )  # fmt: skip
+        if self.is_half and self.package == Package.USDC and self.default_variant != Variant.SPLATS:
+            raise InputError(
+                "precision half of package usdc", wanted="the variant splats, which it is of",
+                came=str(self.default_variant), remedy="Leave it out: it would change nothing in this file.",
+            )  # fmt: skip
 
     @property
     def is_half(self) -> bool:

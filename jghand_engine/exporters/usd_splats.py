@@ -229,6 +229,8 @@ class SplatPrims:
                 self.price.add_sizes(scales_m)
             self._set_stored("scales", scales_m, time)
             if sample.turns_xyzw is not None:
+                if self.price is not None:
+                    self.price.add_turns(sample.turns_xyzw)
                 self._set_stored("orientations", sample.turns_xyzw, time)
         widths = floats(2 * self._look.width_factor * sigma_m)
         for path in self._point_paths:
@@ -283,6 +285,8 @@ class SplatPrims:
         if not turned:
             self._set_stored("orientations", np.tile([0.0, 0.0, 0.0, 1.0], (len(cloud.sigma_m), 1)), DEFAULT)
         self._set_stored("opacities", cloud.opacity, DEFAULT)
+        if self.price is not None:
+            self.price.add_opacities(cloud.opacity)
         display_primvars(prim, cloud.rgb, cloud.opacity)
 
 

@@ -52,6 +52,8 @@ SH_C0 = 0.28209479177387814
 # share of every skin weight that goes to the twin joint which carries what half precision lost of a scale; a power of
 # two is exact in float32, and 2^-8 keeps the twin's scale within 12.5 % of the true one (2^-11 / 2^-8)
 USD_FINE_SHARE = 2.0**-8
+# part by which constant radii may be off those of a frame before the export says so: less is not seen
+USD_SIGMA_ERROR_TOLD = 0.05
 # frames between two saves: a take's Gaussians then never stand in memory together, and no slower (EXPORT 5). Its bones
 # do: 20 kB a frame, 42 kB while the skeleton is made
 USD_SAVE_EVERY = 24

@@ -4,6 +4,9 @@ from __future__ import annotations
 
 import json
 import re
+import subprocess
+import sys
+import time
 
 import numpy as np
 import pytest
@@ -14,8 +17,7 @@ from jghand_engine.cli.inputs import load_motion, read_sequence
 from jghand_engine.cli.options import FormatOptions, MotionOptions, colour, pixels
 from jghand_engine.errors import InputError
 from jghand_engine.exporters.pictures import read_png
-from jghand_engine.exporters.usd import UsdOptions
-from jghand_engine.exporters.usd_options import Variant
+from jghand_engine.exporters.usd_options import UsdOptions, Variant
 from jghand_engine.hand.anatomy import pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, from_level
@@ -345,16 +347,67 @@ def test_a_preset_chooses_what_was_not_asked_for(tmp_path, monkeypatch, words, v
 def test_half_precision_says_what_it_costs(tmp_path, capsys):
     words = ("--poses", "open", "--frames", "0", "--avatar", "painted", "--json", tmp_path / "figures.json")
     assert run("export", *words, "--out", tmp_path / "usd", "--precision", "half", "--package", "usdc") == 0
-    assert "moved centres by up to 0.0" in capsys.readouterr().out
     figures = json.loads((tmp_path / "figures.json").read_text())
-    assert 1e-6 < figures["half_precision"]["position_error_m"] < 2e-4
+    lost = figures["half_precision"]
+    assert 1e-6 < lost["position_error_m"] < 2e-4
+    # a half has 11 bits: at most 2^-12 of a number below 1
+    assert 0 < lost["opacity_error"] < 2.5e-4
+    shown = capsys.readouterr().out
+    assert f"moved centres by up to {1e3 * lost['position_error_m']:.3f} mm" in shown
+    assert f"opacities by up to {255 * lost['opacity_error']:.2f} of 255" in shown
+    assert "turned axes" not in shown, "of balls there is nothing to turn"
     assert list(figures["bytes"]) == ["hand.usdc"]
 
 
 def test_half_precision_for_a_program_that_needs_points_is_refused(tmp_path, capsys):
     words = ("--poses", "open", "--out", tmp_path / "usd", "--for", "blender", "--precision", "half")
     assert run("export", *words) == 2
-    assert "points_skinned" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "points_skinned" in said
+    assert "--for blender --precision half" in said, "what was given, not what follows from it"
+
+
+def test_half_precision_of_a_file_without_splats_is_refused(tmp_path, capsys):
+    words = ("--poses", "open", "--precision", "half", "--package", "usdc", "--default-variant", "mesh")
+    assert run("export", *words, "--out", tmp_path / "usd") == 2
+    assert "it would change nothing" in capsys.readouterr().err
+
+
+def test_export_says_when_constant_radii_are_far_from_those_of_the_frames(avatar, tmp_path, capsys):
+    words = ("--poses", "open,fist", "--avatar", "painted", "--frames", "0:9")
+    assert run("export", *words, "--out", tmp_path / "poses") == 0
+    assert "--sizes per_frame" not in capsys.readouterr().out
+    joints_m = pose_sequence_of_names(("open",), avatar.canonical_joints_m.numpy(), handedness="right").joints_m[0]
+    growing_m = joints_m * np.linspace(0.8, 1.2, 5)[:, None, None]
+    np.save(tmp_path / "growing.npy", from_level(growing_m, JointOrder.STANDARD))
+    words = ("--motion", tmp_path / "growing.npy", "--hand", "right", "--avatar", "painted", "--any-proportions")
+    assert run("export", *words, "--keep-bone-lengths", "--out", tmp_path / "growing") == 0
+    assert "Constant radii are up to 25 % off those of a frame: --sizes per_frame" in capsys.readouterr().out
+
+
+def test_export_leaves_a_shot_that_was_edited_alone_unless_told(tmp_path, capsys):
+    words = ("export", "--poses", "open", "--frames", "0", "--avatar", "painted", "--out", tmp_path)
+    assert run(*words) == 0
+    with (tmp_path / "hand.shot.usda").open("a") as stream:
+        stream.write("# my lights\n")
+    assert run(*words) == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert "my lights" in (tmp_path / "hand.shot.usda").read_text()
+    assert run(*words, "--overwrite") == 0
+    assert "my lights" not in (tmp_path / "hand.shot.usda").read_text()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="has no polite kill")
+def test_a_polite_kill_leaves_nothing_of_an_export(tmp_path):
+    poses = ",".join(["open", "fist"] * 20)
+    command = [sys.executable, "-m", "jghand_engine", "export", "--poses", poses, "--avatar", "painted"]
+    with subprocess.Popen([*command, "--out", tmp_path], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        until = time.monotonic() + 60
+        while not list(tmp_path.glob(".hand.*/layers/hand.splats.usdc")) and time.monotonic() < until:
+            time.sleep(0.02)
+        process.terminate()
+        assert process.wait(60) == 130
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_export_writes_splat_files_too(tmp_path, capsys):

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from pxr import Usd, UsdGeom
+from scipy.spatial.transform import Rotation
 from small_avatars import ellipsoid_avatar
 from usd_samples import FPS, engine_gaussians, lively_motion, small_avatar
 
@@ -94,6 +95,27 @@ def test_half_precision_is_sound_but_for_the_note_that_it_is_half(tmp_path):
     found = check_usd(exported(tmp_path, precision="half").stage)
     assert ["half precision alone" in finding.sentence for finding in found] == [True]
     assert not found[0].is_error
+
+
+def test_half_precision_says_how_far_it_turns_ellipsoids(tmp_path):
+    avatar = ellipsoid_avatar(300)
+    avatar = replace(avatar, info=replace(avatar.info, template=load_template().identifier))
+    motion = lively_motion(Handedness.RIGHT, 3)
+    reports = [
+        export_usd(tmp_path / kind, avatar, motion, options=UsdOptions(precision=kind)) for kind in ("float", "half")
+    ]
+    turned_deg = 0.0
+    for time in (Usd.TimeCode.Default(), 0.0, 1.0, 2.0):
+        whole, half = (
+            Rotation.from_quat(np.array(stage.GetPrimAtPath("/Hand/Splats").GetAttribute(name).Get(time), np.float64))
+            for stage, name in zip(
+                (opened(one.stage) for one in reports), ("orientations", "orientationsh"), strict=True
+            )
+        )
+        turned_deg = max(turned_deg, np.rad2deg((whole * half.inv()).magnitude().max()))
+    # seen 0.04 degrees
+    assert reports[1].half.turn_deg == pytest.approx(turned_deg, rel=1e-3)
+    assert any("turned axes" in sentence for sentence in reports[1].half.sentences())
 
 
 def test_points_in_half_precision_are_refused():
