@@ -66,8 +66,13 @@ def key_steps(
     first_frame: float = 1.0,
     frames_per_pose: float = 1.0,
     key_frames: Sequence[float] | None = None,
+    filled: np.ndarray | None = None,
 ) -> Generator[float, None, None]:
-    """`key_motion` in turns: yields the part that is done. Closed half-way, the hand has its action of before."""
+    """`key_motion` in turns: yields the part that is done. Closed half-way, the hand has its action of before.
+
+    filled: (F,) bool, poses that nobody measured: their keys are of Blender's kind Jitter, which is shown and selected
+    apart.
+    """
     check_free(hand)
     joints = posing.checked_joints(joints_m) / scene.unit_settings.scale_length
     keys = yield from aside(partial(posing.bone_keys, joints, rest_matrices_of(hand), handedness_of(hand)))
@@ -83,7 +88,7 @@ def key_steps(
             for channel, values in (("location", keys.location), ("rotation_quaternion", keys.quaternion)):
                 for index in range(values.shape[-1]):
                     curve = versions.new_fcurve(hand, f'pose.bones["{name}"].{channel}', index, name)
-                    _fill(curve, frames, values[:, place, index])
+                    _fill(curve, frames, values[:, place, index], filled)
             yield (place + 1) / len(NAMES)
         _prepare_bones(hand)
         whole = True
@@ -137,7 +142,10 @@ def import_steps(
     whole = False
     try:
         yield from key_steps(
-            hand, motion.joints_m, scene, first_frame=first_frame, frames_per_pose=scene_fps / motion.fps
+            *(hand, motion.joints_m, scene),
+            first_frame=first_frame,
+            frames_per_pose=scene_fps / motion.fps,
+            filled=motion.filled,
         )
         whole = True
     finally:
@@ -236,11 +244,15 @@ def _prepare_bones(hand: bpy.types.Object) -> None:
         pose.bone.use_inherit_rotation = pose.bone.use_local_location = True
 
 
-def _fill(curve: bpy.types.FCurve, frames: np.ndarray, values: np.ndarray) -> None:
-    """All keys of an empty curve at once, linear between them."""
+def _fill(curve: bpy.types.FCurve, frames: np.ndarray, values: np.ndarray, filled: np.ndarray | None) -> None:
+    """All keys of an empty curve at once, linear between them; those of poses that were filled in are marked."""
     points = curve.keyframe_points
     points.add(len(frames))
     points.foreach_set("co", np.stack([frames, values], -1).astype(np.float32).ravel())
-    linear = bpy.types.Keyframe.bl_rna.properties["interpolation"].enum_items["LINEAR"].value
+    kinds = bpy.types.Keyframe.bl_rna.properties
+    linear = kinds["interpolation"].enum_items["LINEAR"].value
     points.foreach_set("interpolation", np.full(len(frames), linear, np.int32))
+    if filled is not None:
+        seen, jitter = (kinds["type"].enum_items[name].value for name in ("KEYFRAME", "JITTER"))
+        points.foreach_set("type", np.where(filled, jitter, seen).astype(np.int32))
     curve.update()

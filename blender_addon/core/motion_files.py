@@ -5,9 +5,11 @@ The files declare order, unit, frames per second and handedness; what is not dec
 or unit would go unnoticed until the picture. Frames that miss a joint hold the last whole pose, and that is told.
 Nothing is ever unpickled. Formats: DATA 8, `jghand_engine.datasets.motion_files`, which also reads other orders.
 
-    .npz   joints_m (F, 21, 3) · order · unit · fps · handedness · valid (F, 21) optional
-    .json  {"format": "jghand motion", "version": 1, "order", "unit", "fps", "handedness", "joints": [[[x, y, z], …]]}
-    .csv   comment lines `# unit: m` and so on, a header with wrist_x, wrist_y, …, a line per frame, empty cells missing
+    .npz   joints_m (F, 21, 3) · order · unit · fps · handedness · valid (F, 21) and filled (F,) optional
+    .json  {"format": "jghand motion", "version": 1, "order", "unit", "fps", "handedness", "joints": [[[x, y, z], …]]};
+           "filled", optional, lists numbers of frames
+    .csv   comment lines `# unit: m` and so on, a header with wrist_x, wrist_y, …, a line per frame, empty cells missing,
+           `# filled: 3 4 5` optional
 """
 
 from __future__ import annotations
@@ -48,12 +50,14 @@ _DAMAGE = (
 
 @dataclass(frozen=True)
 class MotionFile:
-    """joints_m: (F, 21, 3) standard order, metres, whole; notes: what was repaired, in sentences."""
+    """joints_m: (F, 21, 3) standard order, metres, whole; notes: what was repaired, in sentences; filled: (F,) bool,
+    frames that nobody measured, None where none is known."""
 
     joints_m: np.ndarray
     fps: float
     handedness: str
     notes: tuple[str, ...] = ()
+    filled: np.ndarray | None = None
 
 
 def read_motion(path: Path) -> MotionFile:
@@ -126,8 +130,25 @@ def _checked(path: Path, joints: np.ndarray, valid: np.ndarray | None, declared:
             raise JGHandFailure("bad_motion", f"{path}: 'valid' is {valid.shape}, wanted {whole.shape}")
         whole &= valid
     joints = joints[:, list(_ORDERS[order])] * _METRES[unit]
-    held, notes = _held(path, joints, np.logical_and.reduce(whole, axis=1))
-    return MotionFile(held, fps, handedness, notes)
+    whole = np.logical_and.reduce(whole, axis=1)
+    held, notes = _held(path, joints, whole)
+    filled = _filled(path, declared.get("filled"), len(joints)) | ~whole
+    return MotionFile(held, fps, handedness, notes, filled if filled.any() else None)
+
+
+def _filled(path: Path, said: Any, count: int) -> np.ndarray:
+    """(F,) bool of what a file says of that: flags, or numbers of frames."""
+    if isinstance(said, np.ndarray) and said.shape == (count,) and said.dtype.kind in "biu":
+        return said.astype(bool)
+    filled = np.zeros(count, dtype=bool)
+    try:
+        numbers = [int(number) for number in (said.split() if isinstance(said, str) else said or ())]
+        if any(not 0 <= number < count for number in numbers):
+            raise ValueError("a frame that is not there")
+    except (ValueError, TypeError, OverflowError) as error:
+        raise JGHandFailure("bad_motion", f"{path}: 'filled' wants frames from 0 to {count - 1}") from error
+    filled[numbers] = True
+    return filled
 
 
 def _held(path: Path, joints: np.ndarray, whole: np.ndarray) -> tuple[np.ndarray, tuple[str, ...]]:
@@ -150,6 +171,7 @@ def _read_npz(path: Path) -> tuple[np.ndarray, np.ndarray | None, Mapping[str, A
     with np.load(path, allow_pickle=False) as content:
         declared = {name: content[name].item() for name in _DECLARED if name in content}
         declared.setdefault("unit", "m")
+        declared["filled"] = content.get("filled")
         if declared["unit"] != "m":
             raise ValueError(f"'joints_m' means metres, and the unit is {str(declared['unit'])[:20]!r}")
         return content["joints_m"], content["valid"].astype(bool) if "valid" in content else None, declared

@@ -78,4 +78,7 @@ def _sentence(hand: Mapping[str, Any]) -> str:
     filled, seen = int(hand["frames_filled"]), int(hand["frames_seen"])
     if not filled:
         return ""
-    return f"The {hand['hand']} hand was not seen in {filled} of {filled + seen} frames, which were filled in."
+    return (
+        f"The {hand['hand']} hand was not seen in {filled} of {filled + seen} frames, which were filled in: their keys "
+        "are of the kind Jitter."
+    )

@@ -69,6 +69,37 @@ def test_frames_that_miss_a_joint_hold_the_last_whole_pose_and_that_is_said(tmp_
         assert motion.notes == ("2 of 5 frames miss joints; they hold the last whole pose.",)
 
 
+def test_frames_that_were_filled_in_are_known(tmp_path):
+    joints = motion_m(5)
+    path = write_csv(tmp_path / "a.csv", joints)
+    path.write_text("# filled: 1 4\n" + path.read_text())
+    flags = np.array([False, True, False, False, True])
+    files = (
+        path,
+        write_json(tmp_path / "a.json", joints.tolist(), filled=[1, 4]),
+        write_npz(tmp_path / "a.npz", joints, filled=flags),
+    )
+    for file in files:
+        np.testing.assert_array_equal(motion_files.read_motion(file).filled, flags)
+    gone = joints.tolist()
+    gone[2][7] = None
+    held = motion_files.read_motion(write_json(tmp_path / "b.json", gone, filled=[4]))
+    assert np.flatnonzero(held.filled).tolist() == [2, 4], "what was held was not measured either"
+    assert motion_files.read_motion(write_npz(tmp_path / "c.npz", joints)).filled is None
+
+
+@pytest.mark.parametrize("filled", [[5], [-1], ["x"], 3, [float("inf")], {"a": 1}])
+def test_frames_that_are_not_there_cannot_be_filled_in(tmp_path, filled):
+    with pytest.raises(JGHandFailure, match="'filled' wants frames from 0 to 4"):
+        motion_files.read_motion(write_json(tmp_path / "a.json", motion_m(5).tolist(), filled=filled))
+
+
+@pytest.mark.parametrize("filled", [np.zeros(4, bool), np.zeros((5, 2), bool), np.array(list("abcde"))])
+def test_flags_of_other_frames_are_refused(tmp_path, filled):
+    with pytest.raises(JGHandFailure, match="'filled' wants frames from 0 to 4"):
+        motion_files.read_motion(write_npz(tmp_path / "a.npz", motion_m(5), filled=filled))
+
+
 @pytest.mark.parametrize("name", SAID)
 def test_what_a_file_does_not_say_is_asked_for(tmp_path, name):
     path = write_json(tmp_path / "a.json", motion_m().tolist(), **{name: None})

@@ -292,6 +292,16 @@ def test_the_rig_survives_saving_and_loading(context, tmp_path):
     np.testing.assert_allclose(seen.joints_world_m, joints[4], atol=2e-7)
 
 
+def test_keys_of_frames_that_were_filled_in_are_marked(context):
+    joints = hands.moving_hand_m("left")
+    filled = np.arange(len(joints)) % 3 == 1
+    imported = motion.import_motion(context, MotionFile(joints, 24.0, "left", (), filled), "Wave")
+    curves = list(versions.fcurves(imported.hand))
+    assert len(curves) == 21 * 7
+    for curve in curves:
+        assert [key.type for key in curve.keyframe_points] == ["JITTER" if mark else "KEYFRAME" for mark in filled]
+
+
 def test_a_motion_file_becomes_keys_at_the_scenes_frame_rate(context):
     context.scene.render.fps, context.scene.render.fps_base = 30, 1.001
     joints = hands.moving_hand_m("left")
