@@ -8,8 +8,8 @@ Nothing is ever unpickled. Formats: DATA 8, `jghand_engine.datasets.motion_files
     .npz   joints_m (F, 21, 3) · order · unit · fps · handedness · valid (F, 21) and filled (F,) optional
     .json  {"format": "jghand motion", "version": 1, "order", "unit", "fps", "handedness", "joints": [[[x, y, z], …]]};
            "filled", optional, lists numbers of frames
-    .csv   comment lines `# unit: m` and so on, a header with wrist_x, wrist_y, …, a line per frame, empty cells missing,
-           `# filled: 3 4 5` optional
+    .csv   comment lines `# unit: m` and so on (`# filled: 3 4 5` optional), a header with wrist_x, wrist_y, …, a line
+           per frame, empty cells missing
 """
 
 from __future__ import annotations
