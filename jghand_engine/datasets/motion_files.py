@@ -1,8 +1,7 @@
 """Motions in files: `.npz`, `.json` and `.csv`, which say what they hold, and plain `.npy`, which must be told.
 
-What a file does not declare has to be given, and what it declares must not be contradicted: a wrong order, unit or
-hand would go unnoticed until the picture. All formats hold positions; the joint order in files that JGHand writes is
-the standard order, the unit metres. Nothing is ever unpickled.
+This module reads what stands in a file; `motions.read` makes it a motion. All formats hold positions; the joint order
+in files that JGHand writes is the standard order, the unit metres. Nothing is ever unpickled.
 
     .npz   joints_m (F, 21, 3) · order · unit · fps · handedness · valid (F, 21) and filled (F,) optional
     .json  {"format": "jghand motion", "version": 1, "order", "unit", "fps", "handedness", "joints": [[[x, y, z], …]]}:
@@ -17,13 +16,10 @@ Filled frames are those that nobody measured: whoever made the file closed a gap
 
 from __future__ import annotations
 
-import contextlib
 import csv
 import itertools
 import json
 import math
-import struct
-import tokenize
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -35,18 +31,10 @@ from jghand_engine import limits
 from jghand_engine.datasets.motions.bone_names import BoneMap
 from jghand_engine.datasets.motions.json_text import JsonText
 from jghand_engine.datasets.motions.text_lines import bounded_lines
-from jghand_engine.errors import InputError, MemoryLimitError
+from jghand_engine.errors import InputError
 from jghand_engine.files import writing
-from jghand_engine.hand.joints import JOINT_COUNT, STANDARD_NAMES, Handedness
-from jghand_engine.hand.orders import (
-    METRES_PER_UNIT,
-    JointOrder,
-    check_hand_size,
-    check_joint_shape,
-    check_order,
-    from_level,
-    to_level,
-)
+from jghand_engine.hand.joints import STANDARD_NAMES, Handedness
+from jghand_engine.hand.orders import JointOrder, from_level
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.template.archives import read_arrays
 
@@ -95,43 +83,11 @@ class FileContent:
     declared: dict[str, Any]
 
 
-def read_motion(path: Path | str, motion_format: MotionFormat | None = None) -> PoseSequence:
-    """The motion in a file. Missing joints (NaN, null, empty, valid false) stay missing: see PoseSequence.gaps.
-
-    InputError for a file that is absent, damaged, of an unknown kind, not declared fully or contradicted, and for
-    joints that are no hand; the message says what to do. MemoryLimitError when memory runs out.
-    """
-    file = Path(path)
-    return _sequence(file, read_content(file), motion_format or MotionFormat())
-
-
-def read_content(file: Path, suffix: str = "") -> FileContent:
-    """What stands in a file, unjudged. suffix: to read it as one of that kind, whatever it is called.
-
-    Errors as those of `read_motion`, but for what is not declared.
-    """
-    kind = suffix or file.suffix.lower()
-    reader = _READERS.get(kind)
-    if reader is None:
-        raise InputError(f"motion file {file}", wanted=f"one of {', '.join(_READERS)}", came=repr(file.suffix))
-    _check_size(file, kind)
-    with told_damage(file):
-        return reader(file)
-
-
-@contextlib.contextmanager
-def told_damage(file: Path) -> Iterator[None]:
-    """What readers raise on a damaged or hostile file, said in one sentence: InputError, MemoryLimitError."""
-    try:
-        yield
-    except OSError as error:
-        raise InputError(f"cannot read motion file {file}", came=str(error.strerror or error)) from error
-    except MemoryError as error:
-        raise MemoryLimitError(
-            f"motion file {file}", wanted="memory to read it", came="none left", remedy="Cut it into shorter motions."
-        ) from error
-    except _DAMAGE as error:
-        raise InputError(f"motion file {file}", wanted="an undamaged file", came=_one_line(error)) from error
+def read_content(file: Path, suffix: str) -> FileContent:
+    """What stands in a file of one of the suffixes above, whatever it is called. InputError, and all that `told_damage`
+    tells."""
+    _check_size(file, suffix)
+    return _READERS[suffix](file)
 
 
 def write_motion(path: Path | str, sequence: PoseSequence) -> None:
@@ -149,68 +105,6 @@ def check_written_suffix(file: Path) -> None:
     """InputError where `write_motion` knows no such suffix."""
     if file.suffix.lower() not in _WRITERS:
         raise InputError(f"motion file {file}", wanted=f"one of {', '.join(_WRITERS)}", came=repr(file.suffix))
-
-
-# ---- from a file's content to a sequence ----------------------------------------------------------------------------
-
-
-def _sequence(file: Path, content: FileContent, wanted: MotionFormat) -> PoseSequence:
-    order = JointOrder.parse(str(_agreed(file, "order", content, wanted.order, JointOrder.parse)))
-    unit = str(_agreed(file, "unit", content, wanted.unit, str))
-    handedness = Handedness(str(_agreed(file, "handedness", content, wanted.handedness, str)))
-    if unit not in METRES_PER_UNIT:
-        raise InputError(f"unit of {file}", wanted=" or ".join(METRES_PER_UNIT), came=repr(unit))
-    joints = content.joints
-    if joints.ndim != 3 or joints.shape[-1] != 3:
-        raise InputError(f"motion file {file}", wanted="joints of shape (frames, 21, 3)", came=str(joints.shape))
-    if not len(joints):
-        raise InputError(f"motion file {file}", wanted="at least one frame", came="an empty motion")
-    check_joint_shape(joints, order)
-    level_m = to_level(joints, order) * METRES_PER_UNIT[unit]
-    valid, filled = _level_valid(file, content, order), filled_frames(file, content)
-    sequence = PoseSequence(level_m, _fps(file, content, wanted), handedness, valid, filled)
-    if wanted.check_hand:
-        check_hand_size(sequence.joints_m, unit)
-        check_order(sequence.joints_m, order)
-    return sequence
-
-
-def _agreed(file: Path, what: str, content: FileContent, given: object, parse: Callable[[str], object]) -> object:
-    """What file and user say about order, unit or handedness: one of them must, and they must agree."""
-    inside = content.declared.get(what)
-    if inside is None and given is None:
-        raise InputError(
-            f"motion file {file}",
-            wanted=f"its {what}",
-            came="none declared in the file",
-            remedy=f"Say the {what}: a wrong one ruins the hand silently.",
-        )
-    if inside is None or given is None:
-        return inside if given is None else given
-    if parse(str(inside)) != parse(str(given)):
-        raise InputError(
-            f"{what} of {file}", wanted=f"'{inside}', which the file declares", came=f"'{given}'", remedy="Drop one."
-        )
-    return given
-
-
-def _fps(file: Path, content: FileContent, wanted: MotionFormat) -> float:
-    fps = wanted.fps if wanted.fps is not None else content.declared.get("fps", limits.DEFAULT_FPS)
-    try:
-        return float(fps)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"frames per second of {file}", wanted="a number", came=repr(fps)) from error
-
-
-def _level_valid(file: Path, content: FileContent, order: JointOrder) -> np.ndarray:
-    if content.valid is None:
-        return np.ones((len(content.joints), JOINT_COUNT), dtype=bool)
-    if content.valid.shape != content.joints.shape[:2]:
-        raise InputError(
-            f"'valid' in {file}", wanted=f"shape {content.joints.shape[:2]}", came=str(content.valid.shape)
-        )
-    # to_level picks joints of any numbers: three copies stand for x, y, z
-    return to_level(np.repeat(content.valid[..., None].astype(np.float64), 3, axis=-1), order)[..., 0] > 0.5
 
 
 def filled_frames(file: Path, content: FileContent) -> np.ndarray:
@@ -232,10 +126,7 @@ def filled_frames(file: Path, content: FileContent) -> np.ndarray:
 
 
 def _check_size(file: Path, kind: str) -> None:
-    try:
-        size = file.stat().st_size
-    except OSError as error:
-        raise InputError(f"cannot read motion file {file}", came=str(error.strerror or error)) from error
+    size = file.stat().st_size
     text = kind in (".json", ".csv")
     most = limits.MOTION_TEXT_MAX_BYTES if text else limits.MOTION_MAX_BYTES
     if size > most:
@@ -245,20 +136,6 @@ def _check_size(file: Path, kind: str) -> None:
             came=f"{size / 2**20:.0f} MiB",
             remedy="Cut it into shorter motions, or write it as .npz." if text else "Cut it into shorter motions.",
         )
-
-
-# what numpy, json and csv raise on a damaged or hostile file
-_DAMAGE = (
-    *(ValueError, TypeError, KeyError, IndexError, EOFError, OverflowError, SyntaxError, RecursionError),
-    *(csv.Error, NotImplementedError, RuntimeError, AttributeError),
-    # numpy reads a header as Python literals: a flipped bit makes it a broken program
-    *(tokenize.TokenError, struct.error),
-)
-
-
-def _one_line(error: BaseException) -> str:
-    text = str(error).strip().splitlines()
-    return f"{type(error).__name__}: {text[0][:200]}" if text else type(error).__name__
 
 
 def _numbers(array: np.ndarray) -> np.ndarray:

@@ -15,10 +15,10 @@ import torch
 
 from jghand_engine import limits
 from jghand_engine.errors import InputError
-from jghand_engine.hand.joints import JOINT_COUNT, LEVEL_NAMES, PARENTS
+from jghand_engine.hand.joints import FINGERS, JOINT_COUNT, LEVEL_NAMES, PARENTS
 from jghand_engine.hand.orders import hand_length
 from jghand_engine.hand.rotations import slerp
-from jghand_engine.hand.sequence import GapReport, PoseSequence, palm_frames, poses_between, rotations_between
+from jghand_engine.hand.sequence import GapReport, PoseSequence, palm_frames, poses_at, rotations_between
 
 # where an axis stands that points up, as a turn about x from y
 _UP_DEG = {"y": 0, "z": 90, "-y": 180}
@@ -50,13 +50,15 @@ def fill_gaps(sequence: PoseSequence) -> FilledMotion:
 
     A bone's direction goes along the great circle inside the palm, which itself turns the short way, its length and
     the wrist linearly; before the first and after the last frame that shows it a bone keeps its place in the palm.
-    InputError when the wrist or a bone is in no frame.
+    Joints missing between two that were seen bend there so that all bones keep their lengths, as far as what was seen
+    lets them. InputError when the wrist or a bone is in no frame.
     """
     valid, joints = sequence.valid, sequence.joints_m.copy()
     if valid.all():
         return FilledMotion(sequence, sequence.gaps)
     joints[:, 0] = _wrist(joints[:, 0], valid[:, 0])
     palms, has_palm = _palms(sequence.joints_m)
+    lengths = _lengths(sequence.bone_lengths_m)
     for joint in range(1, JOINT_COUNT):
         lost = np.flatnonzero(~valid[:, joint])
         if not len(lost):
@@ -72,6 +74,7 @@ def fill_gaps(sequence: PoseSequence) -> FilledMotion:
         joints[lost, joint] = joints[lost, parent] + np.einsum(
             "fij,fj->fi", palms[lost], _vectors_at(known, inside, lost)
         )
+        _reach(joints, valid, lengths, joint)
     filled = sequence.filled | ~valid.all(axis=1)
     whole = dataclasses.replace(sequence, joints_m=joints, valid=np.ones_like(valid), filled=filled)
     return FilledMotion(whole, sequence.gaps)
@@ -97,9 +100,11 @@ def cut(sequence: PoseSequence, start_s: float | None = None, end_s: float | Non
 def retimed(joints: np.ndarray, times_s: np.ndarray, fps: float) -> np.ndarray:
     """(F, 21, 3) level-order joints seen at `times_s` (F,), rising -> (G, 21, 3) at an even rate from the first on.
 
-    A frame between a pose and a missing one is missing. InputError for times that do not rise, and for too many frames.
+    A frame between a pose and a missing one is missing, and so is one inside a hole: a step of more than
+    CLOCK_HOLE_STEPS usual ones. InputError for times that do not rise, and for too many frames.
     """
-    if not np.isfinite(times_s).all() or (np.diff(times_s) <= 0).any():
+    steps_s = np.diff(times_s)
+    if not np.isfinite(times_s).all() or (steps_s <= 0).any():
         raise InputError("times of a motion", wanted="times that rise from frame to frame", came="others")
     count = (times_s[-1] - times_s[0]) * fps
     if count > limits.MOTION_FRAMES_MAX:
@@ -107,15 +112,15 @@ def retimed(joints: np.ndarray, times_s: np.ndarray, fps: float) -> np.ndarray:
             "times of a motion", wanted=f"at most {limits.MOTION_FRAMES_MAX} frames", came=f"{count:.0f} at {fps:g}"
         )
     wanted_s = times_s[0] + np.arange(int(count + limits.FRAME_EPS) + 1) / fps
-    after = np.clip(np.searchsorted(times_s, wanted_s, side="left"), 1, max(len(times_s) - 1, 1))
-    if len(times_s) == 1:
-        return joints.copy()
-    before = after - 1
-    part = np.clip((wanted_s - times_s[before]) / (times_s[after] - times_s[before]), 0.0, 1.0)
-    # a time that is a frame but for round-off is that frame, whatever its neighbour misses
-    part = np.where(np.abs(part - np.rint(part)) < limits.FRAME_EPS, np.rint(part), part)[:, None, None]
-    between = poses_between(joints[before], joints[after], part)
-    return np.where(part == 0, joints[before], np.where(part == 1, joints[after], between))
+    places = np.interp(wanted_s, times_s, np.arange(len(times_s)))
+    result = poses_at(joints, places)
+    if len(steps_s):
+        usual_s = float(np.median(steps_s))
+        before = np.minimum(places.astype(np.int64), len(steps_s) - 1)
+        away_s = np.minimum(wanted_s - times_s[before], times_s[before + 1] - wanted_s)
+        in_hole = steps_s[before] > limits.CLOCK_HOLE_STEPS * usual_s
+        result[in_hole & (away_s > limits.STEP_JITTER_MAX * usual_s)] = np.nan
+    return result
 
 
 def in_place(sequence: PoseSequence) -> PoseSequence:
@@ -127,6 +132,7 @@ def in_place(sequence: PoseSequence) -> PoseSequence:
     if not len(seen):
         return sequence
     moved = sequence.joints_m[:, :1] - sequence.joints_m[seen[0], 0]
+    moved[~sequence.valid[:, 0]] = 0.0
     return dataclasses.replace(sequence, joints_m=sequence.joints_m - moved, valid=sequence.valid)
 
 
@@ -164,6 +170,47 @@ def _palms(joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         before, after, part = _neighbours(known, lost)
         palms[lost] = rotations_between(palms[before], palms[after], part)
     return palms, has_palm
+
+
+def _lengths(lengths: np.ndarray) -> np.ndarray:
+    """(F, 20) lengths of bones with the missing ones between their neighbours; NaN for a bone that was never seen."""
+    result, frames = lengths.copy(), np.arange(len(lengths))
+    for bone in result.T:
+        known = np.isfinite(bone)
+        if known.any():
+            bone[:] = np.interp(frames, frames[known], bone[known])
+    return result
+
+
+def _reach(joints: np.ndarray, valid: np.ndarray, lengths: np.ndarray, joint: int) -> None:
+    """Turns the bone to a filled joint so far that the bones beyond it reach the next joint of its finger that was
+    seen. Frames that show none are left."""
+    lost = np.flatnonzero(~valid[:, joint])
+    total, longest = np.zeros(len(lost)), np.zeros(len(lost))
+    for end in range(joint + len(FINGERS), JOINT_COUNT, len(FINGERS)):
+        bone = lengths[lost, end - 1]
+        total, longest = total + bone, np.maximum(longest, bone)
+        seen = valid[lost, end]
+        rows, reach = lost[seen], (np.maximum(2 * longest - total, 0.0)[seen], total[seen])
+        joints[rows, joint] = _turned(joints[rows, PARENTS[joint]], joints[rows, joint], joints[rows, end], reach)
+        lost, total, longest = lost[~seen], total[~seen], longest[~seen]
+
+
+def _turned(start: np.ndarray, joint: np.ndarray, end: np.ndarray, reach: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """Joints (L, 3) turned about `start` until they are no nearer to `end` (L, 3), and no farther, than `reach`; in the
+    plane in which they are. As far as the triangle lets them."""
+    bone, way = joint - start, end - start
+    length, distance = np.linalg.norm(bone, axis=-1), np.linalg.norm(way, axis=-1)
+    rest = np.clip(np.linalg.norm(end - joint, axis=-1), *reach)
+    rest = np.clip(rest, np.abs(distance - length), distance + length)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        along = way / distance[:, None]
+        part = (length**2 + distance**2 - rest**2) / (2 * distance)
+        aside = bone - (bone * along).sum(-1, keepdims=True) * along
+        aside *= (np.sqrt(np.maximum(length**2 - part**2, 0.0)) / np.linalg.norm(aside, axis=-1))[:, None]
+    turned = start + part[:, None] * along + aside
+    # a bone of no direction aside, or of unknown length beyond, stays
+    return np.where(np.isfinite(turned), turned, joint)
 
 
 def _vectors_at(known: np.ndarray, vectors: np.ndarray, wanted: np.ndarray) -> np.ndarray:

@@ -30,6 +30,11 @@ class Handedness(StrEnum):
     RIGHT = "right"
     LEFT = "left"
 
+    @property
+    def other(self) -> Handedness:
+        """The hand of the other side."""
+        return Handedness.LEFT if self is Handedness.RIGHT else Handedness.RIGHT
+
     @classmethod
     def _missing_(cls, value: object) -> Handedness:
         """Whoever reads a handedness says the same when it is none."""

@@ -161,20 +161,18 @@ class PoseSequence:
         """The same motion at another rate: bones keep their lengths while their directions turn between frames.
 
         Frames between a missing joint and a whole one miss it too. The first frame stays the first; the last one is
-        the last that the new rate reaches.
+        the last that the new rate reaches. InputError for more than MOTION_FRAMES_MAX frames.
         """
         if not (np.isfinite(fps) and limits.FPS_MIN <= fps <= limits.FPS_MAX):
             raise InputError("frames per second", wanted=f"{limits.FPS_MIN:g} to {limits.FPS_MAX:g}", came=f"{fps}")
+        count = self.duration_s * fps
+        if count >= limits.MOTION_FRAMES_MAX:
+            wanted = f"at most {limits.MOTION_FRAMES_MAX} frames"
+            raise InputError("motion at another rate", wanted=wanted, came=f"{count:.0f} at {fps:g} per second")
         # the small addition keeps the last frame when its time is reached but for round-off
-        count = int(np.floor(self.duration_s * fps + 1e-6)) + 1
-        time = np.minimum(np.arange(count) * (self.fps / fps), len(self) - 1)
-        # a time that is a frame but for round-off is that frame, whatever its neighbour misses
-        time = np.where(np.abs(time - np.rint(time)) < 1e-6, np.rint(time), time)
-        before = np.floor(time).astype(np.int64)
-        after = np.ceil(time).astype(np.int64)
-        part = (time - before)[:, None, None]
-        first = self.joints_m[before]
-        joints = np.where(part == 0, first, poses_between(first, self.joints_m[after], part))
+        places = np.arange(int(count + limits.FRAME_EPS) + 1) * (self.fps / fps)
+        joints = poses_at(self.joints_m, places)
+        before, after, _ = _neighbours(places, len(self))
         filled = self.filled[before] | self.filled[after]
         return dataclasses.replace(
             self, joints_m=joints, fps=fps, valid=np.isfinite(joints).all(axis=-1), filled=filled
@@ -182,9 +180,8 @@ class PoseSequence:
 
     def mirrored(self) -> PoseSequence:
         """The other hand doing the same: x is negated and the handedness changes."""
-        other = Handedness.LEFT if self.handedness is Handedness.RIGHT else Handedness.RIGHT
         joints = self.joints_m * np.array([-1.0, 1.0, 1.0])
-        return dataclasses.replace(self, joints_m=joints, handedness=other, valid=self.valid)
+        return dataclasses.replace(self, joints_m=joints, handedness=self.handedness.other, valid=self.valid)
 
     def section(self, start: int = 0, stop: int | None = None, step: int = 1) -> PoseSequence:
         """Frames start, start + step, … before stop, as Python slices them; the rate follows the step."""
@@ -244,11 +241,35 @@ def pose_between(first_m: np.ndarray, second_m: np.ndarray, part: float) -> np.n
     return _rebuilt_between(first_m, second_m, between, share)[0]
 
 
+def poses_at(joints: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Joints (G, 21, 3) at `places` (G,), fractions of frames, 0..F - 1, of a motion (F, 21, 3): see `poses_between`.
+
+    A place that is a frame but for round-off is that frame, whatever its neighbours miss.
+    """
+    before, after, part = _neighbours(places, len(joints))
+    result = joints[before]
+    between = np.flatnonzero(part > 0)
+    for rows in np.split(between, range(limits.POSES_AT_ONCE, len(between), limits.POSES_AT_ONCE)):
+        first, second = joints[before[rows]], joints[after[rows]]
+        result[rows] = poses_between(first, second, part[rows, None, None])
+    return result
+
+
+def _neighbours(places: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of fractional places of `count` frames the frame before, the one after, and which part of the way lies between,
+    0 at a frame."""
+    places = np.clip(places, 0, count - 1)
+    places = np.where(np.abs(places - np.rint(places)) < limits.FRAME_EPS, np.rint(places), places)
+    before, after = np.floor(places).astype(np.int64), np.ceil(places).astype(np.int64)
+    return before, after, places - before
+
+
 def poses_between(first_m: np.ndarray, second_m: np.ndarray, part: np.ndarray) -> np.ndarray:
     """Joints (F, 21, 3) at `part` (F, 1, 1), 0..1, of the way between poses (F, 21, 3), level order; NaN stays NaN.
 
     Wrists and lengths go linearly, the palm turns the short way, and directions go along great circles inside of it:
-    a hand that turns keeps its shape, and neither fingers nor palm shrink on the way.
+    a hand that turns keeps its shape, and neither fingers nor palm shrink on the way. A joint that both poses show,
+    while one of them misses a joint between it and the wrist, goes linearly.
     """
     share = part[..., 0]
     palm_first, palm_second, palm = _palms_between(first_m, second_m, share[:, 0])
@@ -257,7 +278,8 @@ def poses_between(first_m: np.ndarray, second_m: np.ndarray, part: np.ndarray) -
         np.einsum("fji,fbj->fbi", palm_second, bone_directions(second_m)),
         share,
     )
-    return _rebuilt_between(first_m, second_m, np.einsum("fij,fbj->fbi", palm, inside), share)
+    between = _rebuilt_between(first_m, second_m, np.einsum("fij,fbj->fbi", palm, inside), share)
+    return np.where(np.isfinite(between), between, (1 - part) * first_m + part * second_m)
 
 
 def _directions_between(first: np.ndarray, second: np.ndarray, share: np.ndarray) -> np.ndarray:

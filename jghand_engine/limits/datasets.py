@@ -64,6 +64,8 @@ RECOGNISE_JSON_FRAMES = 5000
 JSON_BUFFER_MAX_BYTES = 1 << 28
 # nodes, accessors, channels of a glTF file, joints of a BVH file; film rigs have some thousands
 RIG_PARTS_MAX = 65_536
+# bones above the hands of a file: a film rig has some tens above each
+RIG_DEPTH_MAX = 1024
 # the description in a GLB, bytes: a rig with meshes, materials and some actions has some hundred kB
 GLTF_JSON_MAX_BYTES = 1 << 26
 # characters of a line of text: a whole body with its face has 40 kB, a film rig in BVH 100 kB
@@ -86,8 +88,29 @@ BONE_AXIS_MAX_DEG = 12.0
 # frames per second of a clock whose unit is not said; they tell seconds from milliseconds and microseconds
 CLOCK_FPS_MIN = 1.5
 CLOCK_FPS_MAX = 1000.0
-# part of their median by which steps between frames may differ and still be even; clocks in milliseconds round
+# part of a step by which frames may miss even times and still come evenly, and steps between keys their mean
 STEP_JITTER_MAX = 0.1
+# ... or this, where it is more: clocks in whole milliseconds round
+CLOCK_TICK_S = 1e-3
+# steps of a clock that differ from their median by less than this part of it count for the rate: not one of two frames
+STEP_USUAL = 1 / 3
+# part of the frames that must have a time that rises for a clock to be used
+CLOCK_KNOWN_MIN = 0.5
+# steps of a clock longer than so many usual ones are holes: nobody saw what is in them
+CLOCK_HOLE_STEPS = 1.5
+# part by which a measured rate may miss a whole one: half of what 30000 / 1001 is from 30
+WHOLE_RATE_EPS = 5e-4
+# rates of animations whose keys do not come evenly: the first on whose frames nearly all keys lie
+USUAL_FPS = (30.0, 24.0, 25.0, 60.0, 50.0, 48.0, 90.0, 72.0, 120.0, 100.0, 144.0, 240.0)
+# part of a frame by which a key may miss one (times in single precision), and part of the keys that may lie elsewhere
+KEY_FRAME_EPS = 0.05
+KEYS_OFF_MAX = 0.05
+# keys that come more seldom are poses, no frames; a rate above the other is none
+KEYS_FPS_MIN = 6.0
+KEYS_FPS_MAX = 240.0
+# frames of an animation for each of its key times, and seconds beyond that: two keys an hour apart are a mistake
+KEYS_APART_MAX = 64
+KEYS_S_MAX = 600.0
 # part of the way to the next key of glTF by which a frame may miss it
 KEY_EPS = 1e-3
 # frames in which joint order and size are looked for: a hand's bones do not change

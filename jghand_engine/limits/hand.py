@@ -68,3 +68,5 @@ GAP_LONG_S = 0.5
 FRAME_EPS = 1e-6
 # more frames than this are a mistake of a file or of its clock: two hours at 120 per second
 MOTION_FRAMES_MAX = 1_000_000
+# poses that are taken between frames at once: 4096 with all that is on the way have 60 MB
+POSES_AT_ONCE = 4096

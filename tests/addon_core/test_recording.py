@@ -92,12 +92,12 @@ def test_a_motion_that_is_written_is_read_back_to_the_bit(tmp_path):
 
 
 def test_the_engine_reads_it_back_too(tmp_path):
-    engine = pytest.importorskip("jghand_engine.datasets.motion_files", reason="needs the engine's packages")
+    engine = pytest.importorskip("jghand_engine.datasets.motions.read", reason="needs the engine's packages")
     from jghand_engine.hand.orders import JointOrder, from_level
 
     recording = a_recording()
     recording.save(tmp_path / "motion.npz")
-    back = engine.read_motion(tmp_path / "motion.npz")
+    back = engine.read_motion_file(tmp_path / "motion.npz").sequence
     assert (from_level(back.joints_m, JointOrder.STANDARD) == recording.joints_m).all()
     assert (back.fps, str(back.handedness)) == (24.0, "right")
 
@@ -111,12 +111,12 @@ def test_a_motion_has_no_other_suffix_than_its_own(tmp_path):
 def test_the_engine_stamps_a_motion_as_this_side_does(tmp_path):
     usd = pytest.importorskip("jghand_engine.exporters.usd", reason="needs the engine's packages")
     from jghand_engine.avatar.builtin import load_painted
-    from jghand_engine.datasets.motion_files import read_motion as engine_read
+    from jghand_engine.datasets.motions.read import read_motion_file
     from jghand_engine.hand.joints import Handedness
 
     recording = a_recording()
     recording.save(tmp_path / "motion.npz")
-    stamp = usd.made_from(load_painted(handedness=Handedness.RIGHT), engine_read(tmp_path / "motion.npz"))
+    stamp = usd.made_from(load_painted(handedness=Handedness.RIGHT), read_motion_file(tmp_path / "motion.npz").sequence)
     assert stamp["joints_sha256"] == recording.digest
 
 
@@ -142,7 +142,7 @@ def test_the_estimate_of_an_export_is_its_size(tmp_path):
     """Of a motion without two frames alike. Worst observed: 5 % too much of a USD stage, which packs colours a bit."""
     pytest.importorskip("torch", reason="needs the engine's packages")
     from jghand_engine.avatar.builtin import load_builtin, load_painted
-    from jghand_engine.datasets.motion_files import read_motion as engine_read
+    from jghand_engine.datasets.motions.read import read_motion_file
     from jghand_engine.exporters.splat_files import export_splats
     from jghand_engine.exporters.usd import export_usd
     from jghand_engine.hand.joints import Handedness
@@ -152,7 +152,7 @@ def test_the_estimate_of_an_export_is_its_size(tmp_path):
     still = a_recording(12)
     moving_m = still.joints_m + np.random.default_rng(0).normal(0, 2e-3, still.joints_m.shape)
     replace(still, joints_m=moving_m).save(tmp_path / "motion.npz")
-    motion = engine_read(tmp_path / "motion.npz")
+    motion = read_motion_file(tmp_path / "motion.npz").sequence
     painted = load_painted(handedness=Handedness.RIGHT)
     for written, hand, ply, learnt in (
         (export_splats(tmp_path / "ply", avatar, motion).bytes, avatar, True, True),

@@ -15,12 +15,12 @@ def test_a_frame_of_the_engine_is_the_hand_in_the_world_with_z_up(tmp_path):
     from test_recording import a_recording
 
     from jghand_engine.colour import srgb_to_linear
-    from jghand_engine.datasets.motion_files import read_motion
+    from jghand_engine.datasets.motions.read import read_motion_file
     from jghand_engine.exporters.usd_motion import HandMotion
 
     recording, avatar = a_recording(2), small_avatar()
     recording.save(tmp_path / "m.npz")
-    sequence = read_motion(tmp_path / "m.npz")
+    sequence = read_motion_file(tmp_path / "m.npz").sequence
     options = files.SplatOptions("splat", "Hand", "rdf", recording.first_frame, "z")
     files.export_splats(splat_cache.cache_folder(tmp_path, "Hand"), avatar, sequence, options)
     for index, frame in enumerate(recording.frames):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jghand_engine.cli import main
-from jghand_engine.datasets.motion_files import read_motion
+from jghand_engine.datasets.motions.read import read_motion_file
 from jghand_engine.exporters.pictures import read_png
 from jghand_engine.native.library import best_variant
 
@@ -45,7 +45,7 @@ def test_everything_that_the_page_names_is_there(folder):
 
 
 def test_every_frame_is_there_from_both_sides_and_in_the_video(folder):
-    motion = read_motion(folder / "motion.npz")
+    motion = read_motion_file(folder / "motion.npz").sequence
     for camera in ("front", "back"):
         pictures = sorted((folder / "frames" / camera).glob("0*.png"))
         assert [path.name for path in pictures] == [f"{index:04d}.png" for index in range(1, len(motion) + 1)]
@@ -65,7 +65,7 @@ def test_a_blend_file_that_no_demo_wrote_is_kept(folder):
 
 
 def test_the_whole_hand_sways_without_changing_its_bones(folder):
-    motion = read_motion(folder / "motion.npz")
+    motion = read_motion_file(folder / "motion.npz").sequence
     assert np.ptp(motion.bone_lengths_m, axis=0).max() < 1e-12
     knuckles = motion.joints_m[:, 2] - motion.joints_m[:, 5]
     turned = np.degrees(np.arctan2(knuckles[:, 2], knuckles[:, 0]))

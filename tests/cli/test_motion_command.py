@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from jghand_engine.cli import main
-from jghand_engine.datasets.motion_files import read_motion
+from jghand_engine.datasets.motions.read import read_motion_file
 from jghand_engine.hand.joints import LEVEL_NAMES, Handedness
 from jghand_engine.hand.orders import bone_lengths
 
@@ -32,7 +32,7 @@ def test_a_motion_of_another_program_becomes_one_of_ours(bvh, tmp_path, capsys):
     assert "centimetres; --unit says otherwise" in said
     assert "right hand of 195 mm, 40 frames at 30 fps" in said
     motion = samples.motion()
-    assert np.abs(read_motion(tmp_path / "out.npz").joints_m - motion.joints_m).max() < 5e-8
+    assert np.abs(read_motion_file(tmp_path / "out.npz").sequence.joints_m - motion.joints_m).max() < 5e-8
     content = json.loads(figures.read_text())
     assert (content["format"], content["hand"], content["frames"], content["filled_frames"]) == ("BVH", "right", 40, 0)
 
@@ -40,7 +40,7 @@ def test_a_motion_of_another_program_becomes_one_of_ours(bvh, tmp_path, capsys):
 def test_it_is_cut_taken_at_another_rate_and_mirrored(bvh, tmp_path):
     words = ("--start", "0.2", "--end", "1.0", "--to-fps", "60", "--mirror", "--in-place", "--hand-length", "180")
     assert run("motion", bvh, "--out", tmp_path / "out.npz", *words) == 0
-    read, whole = read_motion(tmp_path / "out.npz"), samples.motion()
+    read, whole = read_motion_file(tmp_path / "out.npz").sequence, samples.motion()
     assert (len(read), read.fps, read.handedness) == (49, 60.0, Handedness.LEFT)
     assert np.ptp(read.joints_m[:, 0], axis=0).max() < 1e-15
     bones, wanted = (one - one[:, :1] for one in (read.joints_m[::2], whole.joints_m[6:31]))
@@ -59,7 +59,7 @@ def test_bones_of_no_convention_are_named_in_a_map(tmp_path, capsys):
     words = ("motion", tmp_path / "a.bvh", "--out", tmp_path / "a.npz", "--bones", tmp_path / "map.json")
     (tmp_path / "map.json").write_text(json.dumps(bones))
     assert run(*words, "--hand", "right") == 0
-    assert np.abs(read_motion(tmp_path / "a.npz").joints_m - samples.motion().joints_m).max() < 5e-8
+    assert np.abs(read_motion_file(tmp_path / "a.npz").sequence.joints_m - samples.motion().joints_m).max() < 5e-8
     joints = {**{joint: [bone, "head"] for joint, bone in bones.items()}, "index4": [bones["index3"], "tail"]}
     (tmp_path / "map.json").write_text(json.dumps({"handedness": "right", "joints": joints}))
     assert run(*words, "--overwrite") == 0
@@ -75,7 +75,7 @@ def test_what_is_missing_is_filled_held_or_kept(tmp_path, how, filled, missing):
     joints[4:7, 6] = np.nan
     np.save(tmp_path / "a.npy", joints)
     assert run("motion", tmp_path / "a.npy", "--hand", "right", "--out", tmp_path / "a.npz", "--on-missing", how) == 0
-    read = read_motion(tmp_path / "a.npz")
+    read = read_motion_file(tmp_path / "a.npz").sequence
     assert (int(read.filled.sum()), len(read.gaps.frames)) == (filled, missing)
 
 

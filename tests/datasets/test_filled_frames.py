@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from tracking_samples import right_joints_m
 
-from jghand_engine.datasets.motion_files import read_motion, write_motion
+from jghand_engine.datasets.motion_files import write_motion
+from jghand_engine.datasets.motions.read import read_motion_file
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import PoseSequence
@@ -20,7 +21,7 @@ def sequence():
 @pytest.mark.parametrize("suffix", [".npz", ".json", ".csv"])
 def test_files_keep_the_marks(sequence, tmp_path, suffix):
     write_motion(tmp_path / f"motion{suffix}", sequence)
-    np.testing.assert_array_equal(read_motion(tmp_path / f"motion{suffix}").filled, FILLED)
+    np.testing.assert_array_equal(read_motion_file(tmp_path / f"motion{suffix}").sequence.filled, FILLED)
 
 
 def test_a_motion_without_marks_has_no_filled_frame(tmp_path):
@@ -28,7 +29,7 @@ def test_a_motion_without_marks_has_no_filled_frame(tmp_path):
     assert not plain.filled.any()
     write_motion(tmp_path / "motion.json", plain)
     assert "filled" not in (tmp_path / "motion.json").read_text()
-    assert not read_motion(tmp_path / "motion.json").filled.any()
+    assert not read_motion_file(tmp_path / "motion.json").sequence.filled.any()
 
 
 def test_parts_mirror_images_and_other_rates_keep_the_marks(sequence):
@@ -55,7 +56,7 @@ def test_marks_that_are_none_are_refused(sequence, tmp_path, filled):
     document = json.loads(path.read_text())
     path.write_text(json.dumps({**document, "filled": filled}))
     with pytest.raises(InputError):
-        read_motion(path)
+        read_motion_file(path)
 
 
 def test_marks_of_another_length_are_refused():

@@ -485,23 +485,6 @@ def test_content_decides_not_the_suffix(tmp_path, motion):
     assert "by its content it is BVH" in read.notes[0]
 
 
-def test_uneven_clocks_become_even_and_it_is_told(tmp_path, motion):
-    frames = samples.mediapipe_tasks(samples.standard(motion))
-    kept = [frame for number, frame in enumerate(frames) if number not in (4, 5, 11, 20)]
-    read = read_motion_file(dumped(tmp_path / "a.json", kept))
-    assert len(read.sequence) == len(motion)
-    assert any("evenly" in note for note in read.notes)
-    assert np.abs(read.sequence.joints_m[6] - motion.joints_m[6]).max() < 1e-4
-
-
-@pytest.mark.parametrize("factor", [1e-3, 1.0, 1e3])
-def test_clocks_of_any_unit_give_the_same_rate(tmp_path, motion, factor):
-    frames = samples.mediapipe_tasks(samples.standard(motion))
-    for frame in frames:
-        frame["timestamp"] *= factor
-    assert read_motion_file(dumped(tmp_path / "a.json", frames)).sequence.fps == 30.0
-
-
 def test_own_files_say_all_and_are_read_without_a_note(tmp_path, motion):
     from jghand_engine.datasets.motion_files import write_motion
 

@@ -109,10 +109,12 @@ def test_resampling_a_turning_hand_neither_shrinks_nor_bends_it():
 def test_uneven_times_become_even_ones():
     whole = _turning(frames=61)
     random = np.random.default_rng(0)
-    kept = np.sort(np.concatenate([[0, 60], random.choice(np.arange(1, 60), 30, replace=False)]))
+    kept = np.sort(np.concatenate([[0, 60], random.choice(np.arange(1, 60), 45, replace=False)]))
     again = retimed(whole.joints_m[kept], kept / 30.0, 30.0)
-    assert len(again) == 61
-    np.testing.assert_allclose(again, whole.joints_m, atol=2e-15)
+    assert np.flatnonzero(np.isfinite(again).all(axis=(1, 2))).tolist() == kept.tolist()
+    again = fill_gaps(PoseSequence(again, 30.0, whole.handedness)).sequence
+    assert again.filled.sum() == 61 - len(kept)
+    np.testing.assert_allclose(again.joints_m, whole.joints_m, atol=2e-15)
 
 
 def test_a_missing_hand_is_missing_between_its_neighbours_only():
@@ -160,3 +162,69 @@ def test_what_was_filled_stays_marked():
     assert filled.mirrored().filled.sum() == 2
     assert in_place(filled).filled.sum() == 2
     assert dataclasses.replace(filled, fps=60.0).filled.sum() == 2
+
+
+@pytest.mark.parametrize("lost", [[7], [12], [2], [7, 12], [2, 7], [2, 7, 12]])
+def test_joints_lost_between_two_that_were_seen_keep_the_bones_lengths(lost):
+    """The index finger's joints, its tip seen throughout: wrong by what nobody saw, but never stretched."""
+    whole = motion_samples.motion()
+    gappy = _without(whole, slice(6, 30), lost)
+    filled = fill_gaps(gappy).sequence
+    assert np.array_equal(filled.joints_m[gappy.valid], whole.joints_m[gappy.valid])
+    # worst seen 4e-17 m; interpolation alone stretched the bone by 11 mm
+    assert np.ptp(bone_lengths(filled.joints_m), axis=0).max() < 1e-15
+
+
+def test_a_finger_that_is_stretched_too_far_is_straight():
+    """What was seen cannot be reached with bones of their lengths: they lie on the line."""
+    whole = _turning(5, 0.0)
+    joints = whole.joints_m.copy()
+    joints[2, [12, 17]] += 0.05 * (joints[2, [12, 17]] - joints[2, [2]]) / np.linalg.norm(joints[2, 12] - joints[2, 2])
+    stretched = PoseSequence(joints, whole.fps, whole.handedness)
+    filled = fill_gaps(_without(stretched, slice(2, 3), [7])).sequence.joints_m[2]
+    first, second = filled[7] - filled[2], filled[12] - filled[7]
+    assert np.linalg.norm(np.cross(first, second)) < 1e-12
+    assert np.linalg.norm(first) == pytest.approx(bone_lengths(whole.joints_m)[0, 6])
+
+
+def test_a_hole_of_the_clock_is_a_gap():
+    joints = _turning(61).joints_m
+    kept = np.r_[0:20, 40:61]
+    again = retimed(joints[kept], kept / 30.0 + 1e-3 * np.abs(np.sin(kept)), 30.0)
+    missing = np.flatnonzero(np.isnan(again).any(axis=(1, 2)))
+    assert missing.tolist() == list(range(20, 40))
+    # the hand turns by 2 degrees a frame, its clock wobbles by a millisecond: worst seen
+    # 1.4e-4 m
+    np.testing.assert_allclose(np.delete(again, missing, 0), np.delete(joints, missing, 0), rtol=0, atol=2e-4)
+
+
+def test_a_joint_beyond_a_missing_one_is_not_lost_at_another_rate():
+    whole = _turning(21)
+    gappy = _without(whole, slice(10, 11), [7])
+    doubled = gappy.resampled(60.0)
+    assert np.argwhere(~doubled.valid).tolist() == [[19, 7], [20, 7], [21, 7]]
+    fine = whole.resampled(60.0).joints_m
+    # the fingertip goes along a straight line for 6 degrees: worst seen 1.7e-4 m
+    np.testing.assert_allclose(doubled.joints_m[doubled.valid], fine[doubled.valid], rtol=0, atol=2e-4)
+
+
+def test_in_place_frames_without_a_wrist_are_left():
+    motion = _without(motion_samples.motion(), slice(4, 6), [0])
+    still = in_place(motion)
+    assert np.array_equal(still.valid, motion.valid)
+    assert np.array_equal(still.joints_m[4:6, 1:], motion.joints_m[4:6, 1:])
+
+
+def test_more_frames_than_a_motion_has_are_refused():
+    slow = PoseSequence(motion_samples.motion().joints_m, 0.1, motion_samples.motion().handedness)
+    with pytest.raises(InputError, match="at most 1000000 frames"):
+        slow.resampled(10_000.0)
+
+
+def test_another_rate_is_the_same_however_many_frames_are_taken_at_once(monkeypatch):
+    from jghand_engine import limits
+
+    motion = motion_samples.motion()
+    wanted = motion.resampled(77.0).joints_m
+    monkeypatch.setattr(limits, "POSES_AT_ONCE", 7)
+    np.testing.assert_allclose(motion.resampled(77.0).joints_m, wanted, atol=1e-15)

@@ -10,7 +10,8 @@ import pytest
 from hand import sampled_hands as hands
 
 from jghand_engine import limits
-from jghand_engine.datasets.motion_files import MotionFormat, read_motion, write_motion
+from jghand_engine.datasets.motion_files import MotionFormat, write_motion
+from jghand_engine.datasets.motions.read import read_motion_file
 from jghand_engine.errors import InputError, MemoryLimitError
 from jghand_engine.hand.anatomy import pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
@@ -49,7 +50,7 @@ def test_pickled_objects_are_never_built(tmp_path):
     np.savez(tmp_path / "order.npz", allow_pickle=True, joints_m=np.zeros((2, 21, 3)), order=trap)
     for name in ("motion.npy", "motion.npz", "order.npz"):
         with pytest.raises(InputError, match=name):
-            read_motion(tmp_path / name, TOLD)
+            read_motion_file(tmp_path / name, TOLD)
     assert not (tmp_path / "sprung").exists()
 
 
@@ -65,7 +66,7 @@ def test_a_file_cut_anywhere_is_an_input_error_or_a_shorter_motion(tmp_path, suf
     for part in np.linspace(0, len(whole) - 1, 60).astype(int):
         path.write_bytes(whole[:part])
         try:
-            shorter = read_motion(path, TOLD if suffix in (".npy", ".csv") else None)
+            shorter = read_motion_file(path, TOLD if suffix in (".npy", ".csv") else None).sequence
         except InputError:
             continue
         # text without a closing mark cannot tell that lines are lost after the last one
@@ -80,7 +81,7 @@ def test_random_bytes_are_an_input_error(tmp_path, suffix):
     for length in (1, 6, 10, 100, 5000):
         path.write_bytes(random.bytes(length))
         with pytest.raises(InputError, match="motion"):
-            read_motion(path, TOLD)
+            read_motion_file(path, TOLD)
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".npy"])
@@ -99,7 +100,7 @@ def test_flipped_bits_never_crash(tmp_path, suffix):
             broken[place] ^= 1 << int(random.integers(8))
         path.write_bytes(broken)
         try:
-            read_motion(path, TOLD)
+            read_motion_file(path, TOLD)
         except InputError:
             continue
 
@@ -112,7 +113,7 @@ def test_headers_that_promise_too_much_are_refused(tmp_path, shape):
         archive.writestr("joints_m.npy", _header(shape))
     for path, says in ((plain, "undamaged"), (packed, "a whole|the bytes of an array")):
         with pytest.raises(InputError, match=says):
-            read_motion(path, TOLD)
+            read_motion_file(path, TOLD)
 
 
 @pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
@@ -121,7 +122,7 @@ def test_an_archive_packed_in_another_way_is_refused(tmp_path, method):
     with zipfile.ZipFile(path, "w", method) as archive:
         archive.writestr("joints_m.npy", _array_bytes(np.zeros((2, 21, 3))))
     with pytest.raises(InputError, match="stored or deflated"):
-        read_motion(path, TOLD)
+        read_motion_file(path, TOLD)
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".npy", ".json", ".csv"])
@@ -139,7 +140,7 @@ def test_memory_that_runs_out_is_no_damage(tmp_path, monkeypatch, suffix):
     for name in ("_numbers", "_csv_numbers"):
         monkeypatch.setattr(f"jghand_engine.datasets.motion_files.{name}", too_much)
     with pytest.raises(MemoryLimitError, match="shorter motions") as caught:
-        read_motion(path, TOLD)
+        read_motion_file(path, TOLD)
     assert caught.value.exit_code == 4
 
 
@@ -149,7 +150,7 @@ def test_an_archive_that_would_fill_the_memory_is_refused(tmp_path, monkeypatch)
     assert path.stat().st_size < 20_000
     monkeypatch.setattr(limits, "MOTION_MAX_BYTES", 100_000)
     with pytest.raises(InputError, match="unpack"):
-        read_motion(path, TOLD)
+        read_motion_file(path, TOLD)
 
 
 def test_a_file_larger_than_any_motion_is_refused(tmp_path, monkeypatch):
@@ -157,12 +158,12 @@ def test_a_file_larger_than_any_motion_is_refused(tmp_path, monkeypatch):
     path.write_bytes(b"1," * 1000)
     monkeypatch.setattr(limits, "MOTION_TEXT_MAX_BYTES", 1000)
     with pytest.raises(InputError, match=r"at most.*write it as \.npz"):
-        read_motion(path, TOLD)
+        read_motion_file(path, TOLD)
     path = tmp_path / "motion.npy"
     np.save(path, np.zeros((4, 21, 3)))
     monkeypatch.setattr(limits, "MOTION_MAX_BYTES", 1000)
     with pytest.raises(InputError, match="at most"):
-        read_motion(path, TOLD)
+        read_motion_file(path, TOLD)
 
 
 @pytest.mark.parametrize(
@@ -195,7 +196,7 @@ def test_json_that_is_no_motion_is_an_input_error(tmp_path, text):
     path = tmp_path / "motion.json"
     path.write_text(text)
     with pytest.raises(InputError):
-        read_motion(path, MotionFormat(JointOrder.STANDARD, "m", Handedness.RIGHT))
+        read_motion_file(path, MotionFormat(JointOrder.STANDARD, "m", Handedness.RIGHT))
 
 
 @pytest.mark.parametrize("content", [b"\xff\xfe\x00", b"a,b,c\n1,2,3\n", b"\x00" * 50, b'"' * 200_000])
@@ -203,7 +204,7 @@ def test_csv_that_is_no_motion_is_an_input_error(tmp_path, content):
     path = tmp_path / "motion.csv"
     path.write_bytes(content)
     with pytest.raises(InputError):
-        read_motion(path, TOLD)
+        read_motion_file(path, TOLD)
 
 
 @pytest.mark.parametrize(
@@ -221,12 +222,13 @@ def test_archives_that_are_no_motion_are_an_input_error(tmp_path, arrays):
     path = tmp_path / "motion.npz"
     np.savez(path, **arrays)
     with pytest.raises(InputError):
-        read_motion(path, MotionFormat(JointOrder.STANDARD, "m", Handedness.RIGHT))
+        read_motion_file(path, MotionFormat(JointOrder.STANDARD, "m", Handedness.RIGHT))
 
 
-def test_an_archive_posing_as_an_array_is_an_input_error(tmp_path):
-    path = tmp_path / "motion.npy"
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("joints_m.npy", _array_bytes(np.zeros((2, 21, 3))))
-    with pytest.raises(InputError, match="suffix of a single array"):
-        read_motion(path, TOLD)
+def test_an_archive_posing_as_an_array_is_read_as_what_it_is(tmp_path):
+    motion = pose_sequence_of_names(["open"], hands.canonical_np(), handedness=Handedness.RIGHT)
+    write_motion(tmp_path / "motion.npz", motion)
+    (tmp_path / "motion.npz").rename(tmp_path / "motion.npy")
+    read = read_motion_file(tmp_path / "motion.npy")
+    assert len(read.sequence) == len(motion)
+    assert "by its content it is JGHand's own format" in read.notes[0]

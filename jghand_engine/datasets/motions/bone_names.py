@@ -20,8 +20,9 @@ from jghand_engine.hand.joints import FINGERS, STANDARD_NAMES, Handedness
 # what exporters and importers add to the last bone of a chain for its tip
 TIP_ENDINGS = ("_end", "_tip", "_nub")
 _COPY = re.compile(r"[._]\d{3,}$")
-_TIPS = tuple(place for place, name in enumerate(STANDARD_NAMES) if name.endswith("4"))
-_NEEDED = tuple(place for place in range(len(STANDARD_NAMES)) if place not in _TIPS)
+# places of the tips in the standard order
+TIPS = tuple(place for place, name in enumerate(STANDARD_NAMES) if name.endswith("4"))
+_NEEDED = tuple(place for place in range(len(STANDARD_NAMES)) if place not in TIPS)
 
 
 @dataclass(frozen=True)
@@ -218,7 +219,7 @@ class BoneMap:
         """The hand, None where no name is among `names`. ValueError when only some are."""
         places = {name: place for place, name in enumerate(names)}
         bones = tuple(places.get(self.bones.get(joint, "")) for joint in STANDARD_NAMES)
-        found = tuple(sum(bones[place] is not None for place in group) for group in (_NEEDED, _TIPS))
+        found = tuple(sum(bones[place] is not None for place in group) for group in (_NEEDED, TIPS))
         if not any(found):
             return None
         absent = [
@@ -317,7 +318,7 @@ def _of_convention(
         prefixes = {name[: -len(key)] for key in keys[0] for name in known if name.endswith(key)}
         sets = {prefix: _set(keys, known, prefix) for prefix in sorted(prefixes)}
         if convention.with_tips:
-            sets = {prefix: one for prefix, one in sets.items() if all(one.bones[tip] is not None for tip in _TIPS)}
+            sets = {prefix: one for prefix, one in sets.items() if all(one.bones[tip] is not None for tip in TIPS)}
         for prefix in _preferred(convention, sets):
             side = handedness if handedness is not None else _side_of_prefix(prefix)
             part = f"{convention.title}{f' {prefix}' if prefix else ''}{f' {suffix}' if suffix else ''}"
@@ -327,7 +328,7 @@ def _of_convention(
 
 def _set(keys: list[list[str]], known: dict[str, int], prefix: str) -> _Set:
     bones = tuple(next((known[prefix + key] for key in names if prefix + key in known), None) for names in keys)
-    needed, tips = (sum(bones[place] is not None for place in places) for places in (_NEEDED, _TIPS))
+    needed, tips = (sum(bones[place] is not None for place in places) for places in (_NEEDED, TIPS))
     return _Set(bones, (needed, tips))
 
 

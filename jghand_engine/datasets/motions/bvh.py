@@ -18,8 +18,9 @@ import numpy as np
 
 from jghand_engine import limits
 from jghand_engine.datasets.motions.bone_names import BoneMap, hands_among
+from jghand_engine.datasets.motions.clocks import whole_rate
 from jghand_engine.datasets.motions.content import MotionContent
-from jghand_engine.datasets.motions.skeleton import hand_tracks
+from jghand_engine.datasets.motions.skeleton import check_depth, down, hand_tracks
 from jghand_engine.datasets.motions.text_lines import bounded_lines
 
 KIND = "BVH"
@@ -57,13 +58,13 @@ def read(file: Path, bones: BoneMap | None = None) -> MotionContent:
             raise ValueError(f"{header.frames} frames of {header.columns} numbers, more than the file holds")
         hands, _ = hands_among([joint.name for joint in header.joints], bones)
         wanted = {bone for hand in hands for bone in hand.bones if bone is not None}
-        skeleton = _Bvh(header, _ancestors(header, wanted))
+        kept = _ancestors(header, wanted)
+        check_depth(kept, wanted)
+        skeleton = _Bvh(header, kept)
         skeleton.read_motion(lines)
     tracks, lacking = hand_tracks(skeleton, "", bones)
-    fps = 1 / header.frame_time_s
-    near = round(fps)
     # frame times in text have six digits
-    fps = float(near) if near and abs(fps - near) < 1e-3 * near else fps
+    fps = whole_rate(1 / header.frame_time_s)
     return MotionContent(KIND, tuple(tracks), fps=fps, notes=(*skeleton.notes, *lacking), up=_up(skeleton))
 
 
@@ -82,6 +83,7 @@ class _Bvh:
     def __init__(self, header: _Header, kept: list[int]) -> None:
         self._header, self._kept = header, kept
         self.names = tuple(joint.name for joint in header.joints)
+        self.rest = self._rest()
         self.ends = header.ends
         self.notes: list[str] = []
         # columns of the kept joints, one after the other, and where each begins among them
@@ -97,8 +99,7 @@ class _Bvh:
     def frame_count(self) -> int:
         return len(self._numbers)
 
-    @property
-    def rest(self) -> np.ndarray:
+    def _rest(self) -> np.ndarray:
         """Joints at rest are not turned."""
         rest = np.tile(np.eye(4), (len(self.names), 1, 1))
         for place, joint in enumerate(self._header.joints):
@@ -119,19 +120,12 @@ class _Bvh:
 
     def world(self, joints: list[int], first: int, last: int) -> np.ndarray:
         """See AnimatedSkeleton."""
-        rotations: dict[int, np.ndarray] = {}
-        positions: dict[int, np.ndarray] = {}
-        for joint in self._kept:
-            turned, moved = self._local(joint, first, last)
-            parent = self._header.joints[joint].parent
-            if parent >= 0:
-                moved = positions[parent] + np.einsum("fij,fj->fi", rotations[parent], moved)
-                turned = rotations[parent] @ turned
-            rotations[joint], positions[joint] = turned, moved
         result = np.zeros((last - first, len(joints), 4, 4))
         result[..., 3, 3] = 1.0
-        for place, joint in enumerate(joints):
-            result[:, place, :3, :3], result[:, place, :3, 3] = rotations[joint], positions[joint]
+        parents = [self._header.joints[joint].parent for joint in self._kept]
+        for joint, (turned, moved) in down(self._kept, parents, lambda joint: self._local(joint, first, last), _under):
+            for column in (column for column, one in enumerate(joints) if one == joint):
+                result[:, column, :3, :3], result[:, column, :3, 3] = turned, moved
         return result
 
     def _local(self, joint: int, first: int, last: int) -> tuple[np.ndarray, np.ndarray]:
@@ -160,6 +154,15 @@ class _Bvh:
         offset = np.array([one.offset[axis] for axis in places])
         middle = np.median(self._numbers[:, list(places.values())], axis=0)
         return bool(np.linalg.norm(middle) < limits.BVH_ADDED_MAX * np.linalg.norm(offset))
+
+
+_Placed = tuple[np.ndarray, np.ndarray]
+
+
+def _under(parent: _Placed, local: _Placed) -> _Placed:
+    """Rotations (F, 3, 3) and positions (F, 3) in the parent's frame -> in the world."""
+    (turned, moved), (turn, move) = parent, local
+    return turned @ turn, moved + np.einsum("fij,fj->fi", turned, move)
 
 
 def _turns(axis: int, angles_rad: np.ndarray) -> np.ndarray:

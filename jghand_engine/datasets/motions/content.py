@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -51,6 +52,7 @@ class MotionContent:
     filled:          (F,) bool, frames that nobody measured; None: none
     is_plain:        JGHand's own formats and plain arrays, whose defaults (metres, 30 fps) are documented
     files:           all that it was read from, where that is not one file alone
+    animations:      names of the animations of which one was read
     """
 
     kind: str
@@ -64,3 +66,13 @@ class MotionContent:
     filled: np.ndarray | None = None
     is_plain: bool = False
     files: tuple[Path, ...] = ()
+    animations: tuple[str, ...] = ()
+
+
+def named(part: str, names: Sequence[str]) -> list[int]:
+    """The places of the names that people mean by `part`: those that it is, up to a comma at least; else those that it
+    is a part of."""
+    wanted = part.casefold().strip()
+    known = [name.casefold() for name in names]
+    exact = [place for place, name in enumerate(known) if wanted in (name, name.partition(",")[0])]
+    return exact or [place for place, name in enumerate(known) if wanted in name]

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from jghand_engine import limits
+from jghand_engine.datasets.motions.clocks import clock_s
 from jghand_engine.datasets.motions.content import HandTrack
+from jghand_engine.datasets.motions.damage import NoMotionError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder
 
@@ -44,9 +46,9 @@ class FrameHands:
         return len(self.times)
 
     def add(self, hands: Iterable[FoundHand], time: float | None = None) -> None:
-        """The next frame. ValueError for more frames than a motion has."""
+        """The next frame. NoMotionError for more frames than a motion has."""
         if self.count >= limits.MOTION_FRAMES_MAX:
-            raise ValueError(f"more than {limits.MOTION_FRAMES_MAX} frames")
+            raise NoMotionError(f"more than {limits.MOTION_FRAMES_MAX} frames")
         taken: set[Handedness | None] = set()
         for hand in sorted(hands, key=lambda hand: -hand.score):
             if hand.side in taken:
@@ -67,24 +69,5 @@ class FrameHands:
         return tuple(result)
 
     def times_s(self) -> tuple[np.ndarray | None, str]:
-        """The frames' times in seconds and a sentence about them, None and '' where not every frame has one.
-
-        Clocks count seconds, milliseconds or microseconds and do not say it: the median step between frames tells.
-        """
+        """The frames' times in seconds, None where there are none to use, and a sentence: see `clock_s`."""
         return clock_s(self.times)
-
-
-def clock_s(times: Sequence[float | None]) -> tuple[np.ndarray | None, str]:
-    """Times of frames in an unknown unit -> seconds from the first, and a sentence; None where they do not rise."""
-    known = [float(time) for time in times if time is not None]
-    if len(known) != len(times) or len(known) < 2:
-        return None, ""
-    values = np.array(known)
-    steps = np.diff(values)
-    if not np.isfinite(values).all() or (steps <= 0).any():
-        return None, "The times of its frames do not rise, so they are not used."
-    step = float(np.median(steps))
-    for unit, seconds in (("seconds", 1.0), ("milliseconds", 1e-3), ("microseconds", 1e-6), ("nanoseconds", 1e-9)):
-        if 1 / limits.CLOCK_FPS_MAX <= step * seconds <= 1 / limits.CLOCK_FPS_MIN:
-            return (values - values[0]) * seconds, f"Its clock counts {unit}, by the step between its frames."
-    return None, "The times of its frames are no clock that JGHand knows, so they are not used."

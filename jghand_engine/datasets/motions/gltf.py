@@ -24,9 +24,10 @@ from scipy.spatial.transform import Rotation
 from jghand_engine import limits
 from jghand_engine.datasets.gltf_content import MAGIC, accessor_rows, glb_chunks, list_entry, objects
 from jghand_engine.datasets.motions.bone_names import BoneMap, hands_among
-from jghand_engine.datasets.motions.content import MotionContent
+from jghand_engine.datasets.motions.clocks import frame_times, key_frames
+from jghand_engine.datasets.motions.content import MotionContent, named
 from jghand_engine.datasets.motions.json_text import JsonText
-from jghand_engine.datasets.motions.skeleton import hand_tracks
+from jghand_engine.datasets.motions.skeleton import check_depth, down, hand_tracks
 from jghand_engine.hand.rotations import slerp
 
 KIND = "glTF"
@@ -69,12 +70,14 @@ def read(file: Path, fps: float | None, part: str | None, bones: BoneMap | None 
     hands, _ = hands_among([node.name for node in nodes], bones)
     wanted = {bone for hand in hands for bone in hand.bones if bone is not None}
     kept = _with_ancestors(nodes, wanted)
-    channels, notes = _channels(document, kept, part)
+    check_depth(kept, wanted)
+    channels, moving, notes = _channels(document, set(kept), part)
     skeleton = _Gltf(nodes, kept, channels, fps)
     tracks, lacking = hand_tracks(skeleton, "", bones)
     return MotionContent(
-        KIND, tuple(tracks), 1.0, fps=skeleton.fps, notes=(*notes, *lacking), up="y", files=(file, *document.beside)
-    )
+        KIND, tuple(tracks), 1.0, fps=skeleton.fps, notes=(*notes, *skeleton.notes, *lacking), up="y",
+        files=(file, *document.beside), animations=moving,
+    )  # fmt: skip
 
 
 class _Gltf:
@@ -85,7 +88,10 @@ class _Gltf:
         self.names = tuple(node.name for node in nodes)
         self.ends: dict[int, np.ndarray] = {}
         self._of_node = {(channel.node, channel.path): channel for channel in channels}
-        self.fps, self._times_s = _even_times(channels, fps)
+        # times in single precision, of which the same ones stand in every channel
+        keys_s = np.unique(np.concatenate([channel.times_s for channel in channels])) if channels else np.zeros(0)
+        self.fps, self.notes = (fps, []) if fps is not None else key_frames(keys_s)
+        self._times_s = frame_times(keys_s, self.fps)
         self.rest = self._rest()
 
     @property
@@ -95,12 +101,12 @@ class _Gltf:
     def world(self, joints: list[int], first: int, last: int) -> np.ndarray:
         """See AnimatedSkeleton."""
         times_s = self._times_s[first:last]
-        worlds: dict[int, np.ndarray] = {}
-        for place in self._kept:
-            local = self._local(place, times_s)
-            parent = self._nodes[place].parent
-            worlds[place] = local if parent < 0 else worlds[parent] @ local
-        return np.stack([worlds[joint] for joint in joints], axis=1)
+        result = np.empty((len(times_s), len(joints), 4, 4))
+        parents = [self._nodes[place].parent for place in self._kept]
+        for place, world in down(self._kept, parents, lambda place: self._local(place, times_s), np.matmul):
+            for column in (column for column, joint in enumerate(joints) if joint == place):
+                result[:, column] = world
+        return result
 
     def _local(self, place: int, times_s: np.ndarray) -> np.ndarray:
         node = self._nodes[place]
@@ -136,25 +142,6 @@ def _transforms(count: int, translation: np.ndarray, rotation_xyzw: np.ndarray, 
     result[:, :3, 3] = translation
     result[:, 3, 3] = 1.0
     return result
-
-
-def _even_times(channels: list[_Channel], fps: float | None) -> tuple[float, np.ndarray]:
-    """Frames per second and times from the first key to the last."""
-    moving = [channel.times_s for channel in channels]
-    start = min((float(times[0]) for times in moving), default=0.0)
-    end = max((float(times[-1]) for times in moving), default=0.0)
-    if fps is None:
-        steps = np.concatenate([np.diff(times) for times in moving]) if moving else np.zeros(0)
-        steps = steps[steps > 0]
-        fps = 1 / float(np.median(steps)) if len(steps) else limits.DEFAULT_FPS
-        near = round(fps)
-        fps = float(near) if near and abs(fps - near) < 1e-3 * near else fps
-        # keys may be sparse: poses a second apart are no film
-        fps = limits.DEFAULT_FPS if fps < limits.CLOCK_FPS_MIN * 4 else fps
-    count = (end - start) * fps + limits.STEP_JITTER_MAX
-    if not 0 <= count <= limits.MOTION_FRAMES_MAX:
-        raise ValueError(f"keys over {end - start:g} s")
-    return fps, start + np.arange(int(count) + 1) / fps
 
 
 def _sampled(channel: _Channel, times_s: np.ndarray) -> np.ndarray:
@@ -319,8 +306,11 @@ def _with_ancestors(nodes: list[_Node], wanted: set[int]) -> list[int]:
     return order
 
 
-def _channels(document: _Document, kept: list[int], part: str | None) -> tuple[list[_Channel], list[str]]:
-    """The channels of one animation that move the kept nodes, and what is to be said about the choice."""
+def _channels(
+    document: _Document, kept: set[int], part: str | None
+) -> tuple[list[_Channel], tuple[str, ...], list[str]]:
+    """The channels of one animation that move the kept nodes, the names of all that do, and what is to be said about
+    the choice."""
     animations = document.lists.get("animations", [])
     moving = []
     for number, animation in enumerate(animations):
@@ -328,22 +318,25 @@ def _channels(document: _Document, kept: list[int], part: str | None) -> tuple[l
         touched = [entry for entry in objects(animation, "channels") if _target(entry) in kept]
         if touched:
             moving.append((name, animation, touched))
-    if part is not None and any(part.casefold() in name.casefold() for name, _, _ in moving):
-        moving = [one for one in moving if part.casefold() in one[0].casefold()]
+    names = tuple(name for name, _, _ in moving)
+    if part is not None and (chosen := named(part, names)):
+        moving = [moving[place] for place in chosen]
     if not moving:
-        return [], ["No animation moves its hands: its pose is one frame."] if kept else []
+        return [], names, ["No animation moves its hands: its pose is one frame."] if kept else []
     name, animation, touched = max(moving, key=lambda one: len(one[2]))
     notes = []
     if len(moving) > 1:
         others = ", ".join(other for other, _, _ in moving if other != name)[:200]
         notes.append(f"Of its {len(moving)} animations '{name}' was taken; --part chooses another: {others}.")
     samplers = objects(animation, "samplers")
-    return [channel for entry in touched if (channel := _channel(document, samplers, entry)) is not None], notes
+    channels = [_channel(document, samplers, entry) for entry in touched]
+    return [channel for channel in channels if channel is not None], names, notes
 
 
 def _target(entry: dict[str, Any]) -> Any:
     target = entry.get("target")
-    return target.get("node") if isinstance(target, dict) else None
+    node = target.get("node") if isinstance(target, dict) else None
+    return node if isinstance(node, int) else None
 
 
 def _channel(document: _Document, samplers: list[dict[str, Any]], entry: dict[str, Any]) -> _Channel | None:

@@ -29,7 +29,6 @@ _IMAGE = ("landmarks", "multihandlandmarks", "handlandmarks", "righthandlandmark
 _OF_SIDE = {"righthandworldlandmarks": Handedness.RIGHT, "lefthandworldlandmarks": Handedness.LEFT}
 _LABELS = ("handedness", "handednesses", "multihandedness")
 _TIMES = ("timestamp", "timestampms", "timestampus", "timestamps", "time", "timems", "times", "t", "timeseconds")
-_OTHER = {Handedness.RIGHT: Handedness.LEFT, Handedness.LEFT: Handedness.RIGHT}
 
 
 def looks_like(frame: Any) -> bool:
@@ -60,7 +59,7 @@ def read(frames: Iterator[Any], fps: float | None, mirrored_labels: bool | None)
         is_mirrored = _is_old(by_key) if mirrored_labels is None else mirrored_labels
         if is_mirrored:
             turned += any(hand.side is not None for hand in hands)
-            hands = [replace(one, side=None if one.side is None else _OTHER[one.side]) for one in hands]
+            hands = [replace(one, side=None if one.side is None else one.side.other) for one in hands]
         collected.add(hands, _time(by_key))
     if image_only and not any(track.frames_seen for track in collected.tracks(labelled=True)):
         raise ValueError(

@@ -13,13 +13,15 @@ import numpy as np
 
 from jghand_engine import limits
 from jghand_engine.datasets import motion_files
-from jghand_engine.datasets.motion_files import MotionFormat, told_damage
+from jghand_engine.datasets.motion_files import MotionFormat
 from jghand_engine.datasets.motion_tools import retimed, with_hand_length
 from jghand_engine.datasets.motions import bvh, freemocap, gltf, interhand, mediapipe, openpose, tables, usd, webxr
-from jghand_engine.datasets.motions.content import HandTrack, MotionContent
+from jghand_engine.datasets.motions.clocks import even_frames
+from jghand_engine.datasets.motions.content import HandTrack, MotionContent, named
+from jghand_engine.datasets.motions.damage import told_damage
 from jghand_engine.datasets.motions.json_text import JsonText
 from jghand_engine.datasets.motions.recognise import Kind, frames_place, kind_of
-from jghand_engine.datasets.motions.units import even_rate, recognised_order, recognised_unit
+from jghand_engine.datasets.motions.units import recognised_order, recognised_unit
 from jghand_engine.datasets.plausibility import curl_towards_palm
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
@@ -68,9 +70,8 @@ def read_motion_file(path: Path | str, wanted: MotionFormat | None = None) -> Mo
             remedy="Say the hand with --hand right or --hand left: joints alone do not tell it.",
         )
     if not (content.is_plain and track.handedness is not None):
-        side, said = _looked_at(track, level_m, side, wanted)
-        notes += said
-    level_m, fps, said = _evenly(file, content, level_m, wanted)
+        notes += _warned(level_m, side)
+    level_m, fps, said = _evenly(content, level_m, wanted)
     notes += said
     filled = content.filled if content.filled is not None and len(content.filled) == len(level_m) else None
     sequence = PoseSequence(level_m, fps, side, filled=filled)  # type: ignore[arg-type]
@@ -187,11 +188,10 @@ def _chosen(file: Path, content: MotionContent, wanted: MotionFormat) -> tuple[H
         if not content.tracks and content.kind in (bvh.KIND, gltf.KIND, usd.KIND):
             remedy = f"{remedy} Name its bones with --bones.".strip()
         raise InputError(f"motion file {file} ({content.kind})", wanted="a hand of 21 joints", came=came, remedy=remedy)
-    if wanted.part is not None and len(tracks) > 1:
-        named = [track for track in tracks if wanted.part.casefold() in track.part.casefold()]
-        # the part may have chosen an animation instead
-        tracks = named or tracks
-    notes = list(content.notes)
+    if wanted.part is not None:
+        tracks = _of_part(file, tracks, wanted.part, content.animations)
+    tracks, relabelled = (tracks, []) if wanted.mirrored_labels is not None else _relabelled(tracks)
+    notes = [*content.notes, *relabelled]
     if wanted.handedness is not None:
         tracks, said = _of_side(file, tracks, wanted.handedness)
         notes += said
@@ -224,19 +224,48 @@ def _of_side(file: Path, tracks: list[HandTrack], side: Handedness) -> tuple[lis
     )
 
 
-def _looked_at(
-    track: HandTrack, level_m: np.ndarray, side: Handedness, wanted: MotionFormat
-) -> tuple[Handedness, list[str]]:
-    """The side by the way in which the fingers bend, where they do: it counts more than a label, and warns of what was
-    said or stands in names."""
-    some = level_m[:: max(1, len(level_m) // limits.RECOGNISE_FRAMES)]
-    curl = curl_towards_palm(some, side)
-    if curl is None or curl > -limits.CHECK_CURL:
-        return side, []
-    other = Handedness.LEFT if side is Handedness.RIGHT else Handedness.RIGHT
-    if track.labelled and wanted.handedness is None and wanted.mirrored_labels is None:
-        return other, [f"It is labelled {side}, but its fingers bend as those of a {other} hand: it is taken for one."]
-    return side, [f"Its fingers bend as those of a {other} hand: either it is one, or its axes are mirrored."]
+def _of_part(file: Path, tracks: list[HandTrack], part: str, animations: tuple[str, ...]) -> list[HandTrack]:
+    """The tracks that a name means; all where it is that of an animation, which was chosen already. InputError."""
+    found = named(part, [track.part for track in tracks])
+    if found:
+        return [tracks[place] for place in found]
+    if not named(part, animations):
+        known = [name for name in (*(track.part for track in tracks), *animations) if name]
+        came = ", ".join(known[:6])[:300] + (", …" if len(known) > 6 else "") if known else "none that has a name"
+        raise InputError(f"motion file {file}", wanted=f"a part called {part!r}"[:100], came=came)
+    return tracks
+
+
+def _relabelled(tracks: list[HandTrack]) -> tuple[list[HandTrack], list[str]]:
+    """The tracks with their sides by the way in which the fingers bend, where they do: that counts more than a label.
+    Sides that would fall together stay."""
+    turned, notes = [], []
+    for track in tracks:
+        side, order = track.handedness, track.order
+        if not track.labelled or side is None or order is None:
+            turned.append(track)
+            continue
+        if _bends_as_other(to_level(track.joints, order), side):
+            notes.append(
+                f"A hand is labelled {side}, but its fingers bend as those of a {side.other} hand: it is taken for one."
+            )
+            side = side.other
+        turned.append(replace(track, handedness=side))
+    sides = [[track.handedness for track in some] for some in (tracks, turned)]
+    return (turned, notes) if len(set(sides[1])) == len(set(sides[0])) else (tracks, [])
+
+
+def _bends_as_other(level: np.ndarray, side: Handedness) -> bool:
+    """Whether the fingers of (F, 21, 3) level-order joints clearly bend as those of the other hand."""
+    curl = curl_towards_palm(level[:: max(1, len(level) // limits.RECOGNISE_FRAMES)], side)
+    return curl is not None and curl <= -limits.CHECK_CURL
+
+
+def _warned(level: np.ndarray, side: Handedness) -> list[str]:
+    """A sentence where fingers bend otherwise than those of the side that was said or stands in names."""
+    if not _bends_as_other(level, side):
+        return []
+    return [f"Its fingers bend as those of a {side.other} hand: either it is one, or its axes are mirrored."]
 
 
 def _order(file: Path, track: HandTrack, wanted: MotionFormat) -> tuple[JointOrder, list[str]]:
@@ -274,19 +303,18 @@ def _metres(file: Path, content: MotionContent, level: np.ndarray, wanted: Motio
     return metres, [] if content.is_plain and metres == 1.0 else [said]
 
 
-def _evenly(
-    file: Path, content: MotionContent, level_m: np.ndarray, wanted: MotionFormat
-) -> tuple[np.ndarray, float, list[str]]:
-    """The frames at an even rate, the rate, and what was done."""
+def _evenly(content: MotionContent, level_m: np.ndarray, wanted: MotionFormat) -> tuple[np.ndarray, float, list[str]]:
+    """The frames at an even rate, the rate, and what was done. Frames that the file leaves out are missing."""
     if wanted.fps is not None:
         return level_m, wanted.fps, []
     if content.times_s is not None and len(content.times_s) == len(level_m) > 1:
-        fps, is_even = even_rate(content.times_s)
-        if is_even:
-            return level_m, fps, []
-        with told_damage(file):
+        fps, numbers = even_frames(content.times_s)
+        if numbers is None:
             again = retimed(level_m, content.times_s, fps)
-        return again, fps, [f"Its frames do not come evenly: they were taken anew at {fps:.4g} frames per second."]
+            return again, fps, [f"Its frames do not come evenly: they were taken anew at {fps:.4g} frames per second."]
+        whole = np.full((numbers[-1] + 1, *level_m.shape[1:]), np.nan)
+        whole[numbers] = level_m
+        return whole, fps, []
     if content.fps is not None:
         return level_m, content.fps, []
     if len(level_m) == 1 or content.is_plain:

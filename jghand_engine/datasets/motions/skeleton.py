@@ -7,18 +7,20 @@ else straight on from the bone before it at rest; with the usual proportion of t
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 
 from jghand_engine import limits
-from jghand_engine.datasets.motions.bone_names import BoneMap, NamedHand, hands_among
+from jghand_engine.datasets.motions.bone_names import TIPS, BoneMap, NamedHand, hands_among
 from jghand_engine.datasets.motions.content import HandTrack
-from jghand_engine.hand.joints import FINGERS, JOINT_COUNT, STANDARD_NAMES
+from jghand_engine.datasets.motions.damage import NoMotionError
+from jghand_engine.hand.joints import FINGERS, JOINT_COUNT
 from jghand_engine.hand.orders import JointOrder
 
-_TIPS = tuple(place for place, name in enumerate(STANDARD_NAMES) if name.endswith("4"))
+_Place = TypeVar("_Place")
 
 
 class AnimatedSkeleton(Protocol):
@@ -69,6 +71,34 @@ def hand_tracks(
     return tracks, lacking
 
 
+def check_depth(kept: Sequence[int], hands: set[int]) -> None:
+    """NoMotionError where hands hang on more bones than any rig has. kept: their bones and all above."""
+    if len(kept) - len(hands) > limits.RIG_DEPTH_MAX:
+        raise NoMotionError(f"its hands hang on {len(kept) - len(hands)} bones, more than {limits.RIG_DEPTH_MAX}")
+
+
+def down(
+    bones: Sequence[int],
+    parents: Sequence[int],
+    local: Callable[[int], _Place],
+    under: Callable[[_Place, _Place], _Place],
+) -> Iterator[tuple[int, _Place]]:
+    """Every bone and its place in the world, parents first, as `bones` lists them. A place is given up after its last
+    child, so that a long chain of bones does not fill the memory.
+
+    local: the place of a bone in its parent's frame · under: a place of the parent's frame in the world
+    """
+    last_child = dict(zip(parents, bones, strict=True))
+    worlds: dict[int, _Place] = {}
+    for bone, parent in zip(bones, parents, strict=True):
+        world = local(bone) if parent < 0 else under(worlds[parent], local(bone))
+        if last_child.get(parent) == bone:
+            worlds.pop(parent, None)
+        if bone in last_child:
+            worlds[bone] = world
+        yield bone, world
+
+
 def _joints(skeleton: AnimatedSkeleton, hand: NamedHand, tips: dict[int, _Tip]) -> np.ndarray:
     """(F, 21, 3) joints in the standard order."""
     wanted = [tips[place].bone if bone is None else bone for place, bone in enumerate(hand.bones)]
@@ -86,7 +116,7 @@ def _tips(skeleton: AnimatedSkeleton, hand: NamedHand) -> tuple[dict[int, _Tip],
     """The tips that have no bone of their own, by their places, and the fingers whose tips the file does not say."""
     tips, made = {}, []
     axis = _bone_axis(skeleton, hand)
-    for finger, place in enumerate(_TIPS):
+    for finger, place in enumerate(TIPS):
         last, before = hand.bones[place - 1], hand.bones[place - 2]
         if hand.bones[place] is not None or last is None or before is None:
             continue
@@ -109,7 +139,7 @@ def _bone_axis(skeleton: AnimatedSkeleton, hand: NamedHand) -> np.ndarray | None
     """The direction in their own frames in which the bones of the hand lie, None when they lie in different ones."""
     directions = []
     for place in range(1, JOINT_COUNT):
-        bone, following = hand.bones[place], hand.bones[place + 1] if place not in _TIPS else None
+        bone, following = hand.bones[place], hand.bones[place + 1] if place not in TIPS else None
         if bone is None or following is None:
             continue
         frame = skeleton.rest[bone]

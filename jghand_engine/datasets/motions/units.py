@@ -1,4 +1,4 @@
-"""Unit, joint order and frame rate where a file does not say them: recognised from the hand itself, and told."""
+"""Unit and joint order where a file does not say them: recognised from the hand itself, and told."""
 
 from __future__ import annotations
 
@@ -46,15 +46,3 @@ def recognised_unit(level_joints: np.ndarray, source: str) -> tuple[float, str]:
         came=f"{length:.4g} from the wrist to the middle finger's tip",
         remedy="Say how long the hand is with --hand-length, in millimetres (180 is usual).",
     )
-
-
-def even_rate(times_s: np.ndarray) -> tuple[float, bool]:
-    """Frames per second of rising times (F,), F > 1, and whether the steps between them are even."""
-    steps = np.diff(times_s)
-    step = float(np.median(steps))
-    mean = float((times_s[-1] - times_s[0]) / len(steps))
-    is_even = bool((np.abs(steps - step) <= limits.STEP_JITTER_MAX * step).all())
-    fps = 1 / mean if is_even else 1 / step
-    # clocks in whole milliseconds, and 30000 / 1001, are told from whole rates by a thousandth
-    near = round(fps)
-    return (float(near) if near and abs(fps - near) < 5e-4 * near else fps), is_even

@@ -13,6 +13,7 @@ import numpy as np
 
 from jghand_engine import limits
 from jghand_engine.datasets.motions.bone_names import BoneMap
+from jghand_engine.datasets.motions.clocks import frame_times, key_frames
 from jghand_engine.datasets.motions.content import HandTrack, MotionContent
 from jghand_engine.datasets.motions.skeleton import hand_tracks
 
@@ -35,12 +36,11 @@ def read(file: Path, fps: float | None, bones: BoneMap | None = None) -> MotionC
     notes: list[str] = []
     rate = limits.DEFAULT_FPS
     prims = [prim for prim in stage.Traverse(Usd.TraverseInstanceProxies()) if prim.IsA(UsdSkel.Skeleton)]
-    animations = _bound_animations(stage, cache)
     for prim in prims:
         query = cache.GetSkelQuery(UsdSkel.Skeleton(prim))
         if not query:
             raise ValueError(f"{prim.GetPath()} is no whole skeleton")
-        skeleton = _UsdSkeleton(stage, query, animations.get(prim.GetPath()), fps)
+        skeleton = _UsdSkeleton(stage, query, fps)
         found, lacking = hand_tracks(skeleton, str(prim.GetPath()) if len(prims) > 1 else "", bones)
         if found:
             rate = skeleton.fps
@@ -64,27 +64,10 @@ def _files(stage: Any) -> tuple[Path, ...]:
     return tuple(Path(place) for place in sorted(places) if place)
 
 
-def _bound_animations(stage: Any, cache: Any) -> dict[Any, Any]:
-    """For each skeleton the animation that bindings around it give it."""
-    from pxr import Usd, UsdSkel
-
-    bound = {}
-    for prim in stage.Traverse(Usd.TraverseInstanceProxies()):
-        if prim.IsA(UsdSkel.Root):
-            root = UsdSkel.Root(prim)
-            cache.Populate(root, Usd.TraverseInstanceProxies())
-            for binding in cache.ComputeSkelBindings(root, Usd.TraverseInstanceProxies()):
-                skeleton = binding.GetSkeleton()
-                query = cache.GetSkelQuery(skeleton)
-                if query and query.GetAnimQuery():
-                    bound[skeleton.GetPath()] = query.GetAnimQuery()
-    return bound
-
-
 class _UsdSkeleton:
     """A skeleton of a stage, at even times."""
 
-    def __init__(self, stage: Any, query: Any, animation: Any, fps: float | None) -> None:
+    def __init__(self, stage: Any, query: Any, fps: float | None) -> None:
         from pxr import UsdGeom
 
         self._query, self._xforms = query, UsdGeom.XformCache()
@@ -95,13 +78,35 @@ class _UsdSkeleton:
         self.names = tuple(token.rpartition("/")[2] for token in tokens)
         self.ends: dict[int, np.ndarray] = {}
         self.notes: list[str] = []
-        animation = query.GetAnimQuery() or animation
-        samples = list(animation.GetJointTransformTimeSamples()) if animation else []
-        self.fps, self._codes = _codes(samples, stage.GetTimeCodesPerSecond(), fps)
-        if not samples:
+        per_second = stage.GetTimeCodesPerSecond()
+        if not (np.isfinite(per_second) and per_second > 0):
+            raise ValueError(f"{per_second} time codes per second")
+        samples = np.array(self._samples())
+        self.fps, said = (fps, []) if fps is not None else key_frames(samples / per_second, per_second)
+        self.notes += said
+        self._codes = (frame_times(samples / per_second, self.fps) * per_second).tolist()
+        if not len(samples):
             self.notes.append(f"No animation moves {self._prim.GetPath()}: its pose is one frame.")
-        rest = query.ComputeJointSkelTransforms(self._codes[0], True)
-        self.rest = _columns(rest, len(tokens))
+        self.rest = _columns(self._at_rest(), len(tokens))
+
+    def _samples(self) -> list[float]:
+        """The time codes at which its joints, or it itself in the world, are said to be somewhere else."""
+        from pxr import UsdGeom
+
+        animation, prim = self._query.GetAnimQuery(), self._prim
+        codes = set(animation.GetJointTransformTimeSamples()) if animation else set()
+        while prim:
+            codes.update(UsdGeom.Xformable(prim).GetTimeSamples() if prim.IsA(UsdGeom.Xformable) else ())
+            prim = prim.GetParent()
+        return sorted(codes)
+
+    def _at_rest(self) -> Any:
+        """Where joints are at rest; a skeleton without a rest pose has one to which it is bound, or its first frame."""
+        if self._query.HasRestPose():
+            return self._query.ComputeJointSkelTransforms(self._codes[0], True)
+        if self._query.HasBindPose():
+            return self._query.GetJointWorldBindTransforms()
+        return self._query.ComputeJointSkelTransforms(self._codes[0])
 
     @property
     def frame_count(self) -> int:
@@ -118,24 +123,6 @@ class _UsdSkeleton:
         if not np.isfinite(result).all():
             raise ValueError("transforms that are no finite numbers")
         return result
-
-
-def _codes(samples: list[float], codes_per_second: float, fps: float | None) -> tuple[float, list[float]]:
-    """Frames per second, and the time codes of the frames."""
-    if not (np.isfinite(codes_per_second) and codes_per_second > 0):
-        raise ValueError(f"{codes_per_second} time codes per second")
-    if len(samples) < 2:
-        return fps or limits.DEFAULT_FPS, samples or [0.0]
-    steps = np.diff(np.array(samples))
-    rate = codes_per_second / float(np.median(steps))
-    # sparse samples are poses, not frames: USD's own rate is
-    rate = codes_per_second if rate < limits.CLOCK_FPS_MIN * 4 else rate
-    rate = rate if fps is None else fps
-    count = (samples[-1] - samples[0]) / codes_per_second * rate
-    if not 0 <= count <= limits.MOTION_FRAMES_MAX:
-        raise ValueError(f"samples from {samples[0]:g} to {samples[-1]:g}")
-    steps_taken = np.arange(int(count + limits.STEP_JITTER_MAX) + 1) / rate * codes_per_second
-    return rate, (samples[0] + steps_taken).tolist()
 
 
 def _columns(transforms: Any, count: int) -> np.ndarray:

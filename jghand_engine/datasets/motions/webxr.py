@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from jghand_engine.datasets.motions.clocks import clock_s
 from jghand_engine.datasets.motions.content import MotionContent
 from jghand_engine.datasets.motions.frames import FoundHand, FrameHands
 from jghand_engine.datasets.motions.json_points import named_points, plain, points
@@ -62,11 +63,11 @@ def read_iwer(schema: Any, frames: Iterator[Any]) -> MotionContent:
             raise ValueError(f"frame {number} is none of IWER's")
         hands = [hand for entry in frame[_VIEWER_NUMBERS:] if (hand := _iwer_hand(entry, sources)) is not None]
         collected.add(hands, float(frame[0]))
-    times_s = np.array(collected.times, dtype=np.float64) / 1e3 if collected.count > 1 else None
+    times_s, clock = clock_s(collected.times, ("milliseconds",))
     tracks = collected.tracks(labelled=False)
     if not tracks:
         raise ValueError("none of its input sources is a hand")
-    notes = ("IWER rounds positions to a millimetre.",)
+    notes = ("IWER rounds positions to a millimetre.", *((clock,) if clock else ()))
     return MotionContent(IWER_KIND, tracks, 1.0, times_s=times_s, notes=notes, up="y")
 
 

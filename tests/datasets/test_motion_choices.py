@@ -1,0 +1,87 @@
+"""Which of several hands, captures, animations of a file is taken."""
+
+from __future__ import annotations
+
+import json
+
+import motion_samples as samples
+import numpy as np
+import pytest
+
+from jghand_engine.datasets.motion_files import MotionFormat
+from jghand_engine.datasets.motions.content import named
+from jghand_engine.datasets.motions.read import read_motion_file
+from jghand_engine.errors import InputError
+from jghand_engine.hand.joints import Handedness
+
+RIGHT, LEFT = Handedness.RIGHT, Handedness.LEFT
+
+
+def two_hands(labels):
+    """Results of MediaPipe's Tasks with a right hand, then a left one, labelled so."""
+    each = [
+        samples.mediapipe_tasks(samples.standard(samples.motion(side)), label)
+        for side, label in zip((RIGHT, LEFT), labels, strict=True)
+    ]
+    joined = ("landmarks", "worldLandmarks", "handedness")
+    return [{**one, **{name: one[name] + other[name] for name in joined}} for one, other in zip(*each, strict=True)]
+
+
+@pytest.mark.parametrize("side", [RIGHT, LEFT])
+def test_of_two_hands_with_turned_labels_the_one_that_bends_so_is_taken(tmp_path, side):
+    """Older versions of Tasks label both hands as their mirror images."""
+    path = tmp_path / "a.json"
+    path.write_text(json.dumps(two_hands(("Left", "Right"))))
+    read = read_motion_file(path, MotionFormat(handedness=side))
+    assert np.abs(read.sequence.joints_m - samples.motion(side).joints_m).max() < 1e-15
+    assert any(f"labelled {side.other}, but its fingers bend as those of a {side} hand" in note for note in read.notes)
+    kept = read_motion_file(path, MotionFormat(handedness=side, mirrored_labels=False))
+    assert np.abs(kept.sequence.joints_m - samples.motion(side.other).joints_m).max() < 1e-15
+    assert any("either it is one" in note for note in kept.notes)
+
+
+def test_labels_that_would_make_both_hands_the_same_one_stay(tmp_path):
+    """One hand bends as the other: nobody knows which label is wrong."""
+    frames = two_hands(("Right", "Left"))
+    right = samples.standard(samples.motion(RIGHT)).tolist()
+    for frame, joints in zip(frames, right, strict=True):
+        frame["worldLandmarks"][1] = [{"x": x, "y": y, "z": z} for x, y, z in joints]
+    (tmp_path / "a.json").write_text(json.dumps(frames))
+    read = read_motion_file(tmp_path / "a.json", MotionFormat(handedness=LEFT))
+    assert read.sequence.handedness is LEFT
+    assert any("bend as those of a right hand" in note for note in read.notes)
+
+
+def test_a_name_that_begins_another_one_is_chosen():
+    captures = [f"Capture{number}, {side} hand" for number in (1, 10, 26) for side in Handedness]
+    assert named("capture1", captures) == [0, 1]
+    assert named("Capture1, left hand", captures) == [1]
+    assert named("26", captures) == [4, 5]
+    assert named("Walk", ["WalkFast", "Walk"]) == [1]
+    assert named("fast", ["WalkFast", "Walk"]) == [0]
+    assert named("run", ["WalkFast", "Walk"]) == []
+
+
+def test_capture_1_is_not_capture_10(tmp_path):
+    motion = samples.motion()
+    (tmp_path / "joint_3d.json").write_text(json.dumps(samples.interhand_document(motion, ("1", "10"))))
+    read = read_motion_file(tmp_path / "joint_3d.json", MotionFormat(part="Capture1"))
+    assert len(read.sequence) == len(motion)
+
+
+def test_an_animation_is_chosen_by_its_whole_name(tmp_path):
+    document, binary = samples.gltf_document(samples.rig(samples.motion()))
+    whole = document["animations"][0]
+    still = {"name": "Walk", "samplers": whole["samplers"][:1], "channels": whole["channels"][:1]}
+    document["animations"] = [still, {**whole, "name": "WalkFast"}]
+    samples.write_glb(tmp_path / "a.glb", document, binary)
+    read = read_motion_file(tmp_path / "a.glb", MotionFormat(part="walk"))
+    assert np.ptp(read.sequence.joints_m - read.sequence.joints_m[:, :1], axis=0).max() < 1e-6
+    with pytest.raises(InputError, match=r"a part called 'nonsense', got .*Walk, WalkFast"):
+        read_motion_file(tmp_path / "a.glb", MotionFormat(part="nonsense"))
+
+
+def test_a_part_that_is_in_no_file_of_one_hand_is_refused(tmp_path):
+    samples.write_bvh(tmp_path / "a.bvh", samples.rig(samples.motion(), scale=100))
+    with pytest.raises(InputError, match="a part called 'nonsense', got Mixamo"):
+        read_motion_file(tmp_path / "a.bvh", MotionFormat(part="nonsense"))

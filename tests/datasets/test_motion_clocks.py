@@ -1,0 +1,250 @@
+"""When frames are: clocks with holes and in whole milliseconds, rates of video, keys that come unevenly."""
+
+from __future__ import annotations
+
+import json
+
+import motion_samples as samples
+import numpy as np
+import pytest
+
+from jghand_engine.datasets.motion_files import MotionFormat
+from jghand_engine.datasets.motion_tools import fill_gaps
+from jghand_engine.datasets.motions.clocks import clock_s, even_frames, frame_times, key_frames, whole_rate
+from jghand_engine.datasets.motions.damage import NoMotionError
+from jghand_engine.datasets.motions.read import read_motion_file
+
+
+@pytest.fixture(scope="module")
+def motion():
+    return samples.motion()
+
+
+def dumped(path, content):
+    path.write_text(json.dumps(content))
+    return path
+
+
+def tasks(motion, times=None):
+    """Results of MediaPipe at these times, milliseconds."""
+    frames = samples.mediapipe_tasks(samples.standard(motion))
+    for frame, time in zip(frames, times if times is not None else [], strict=False):
+        frame["timestamp"] = time
+    return frames
+
+
+# ---- clocks ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("factor", [1e-3, 1.0, 1e3])
+def test_clocks_of_any_unit_give_the_same_rate(tmp_path, motion, factor):
+    frames = tasks(motion)
+    for frame in frames:
+        frame["timestamp"] *= factor
+    assert read_motion_file(dumped(tmp_path / "a.json", frames)).sequence.fps == 30.0
+
+
+def test_frames_that_a_detector_dropped_are_gaps(tmp_path, motion):
+    """In live mode it leaves out results: what the hand did there is filled in later, and stays marked."""
+    kept = [number for number in range(len(motion)) if number not in (4, 5, 11, *range(20, 36))]
+    frames = tasks(motion)
+    read = read_motion_file(dumped(tmp_path / "a.json", [frames[number] for number in kept]))
+    assert len(read.sequence) == len(motion)
+    assert np.flatnonzero(read.sequence.valid.all(axis=1)).tolist() == kept
+    assert np.abs(read.sequence.joints_m[kept] - motion.joints_m[kept]).max() < 1e-15
+    filled = fill_gaps(read.sequence)
+    assert filled.sequence.filled.sum() == 19
+    assert "longest gap has 0.5 s" in filled.sentence()
+
+
+def test_frames_that_come_unevenly_are_taken_anew_and_holes_between_them_are_gaps(tmp_path, motion):
+    random = np.random.default_rng(3)
+    times = (1000 * np.arange(40) / 30 + random.uniform(-6, 6, 40)).tolist()
+    frames = tasks(motion, times)
+    read = read_motion_file(dumped(tmp_path / "a.json", frames[:15] + frames[25:]))
+    assert any("evenly" in note for note in read.notes)
+    missing = np.flatnonzero(~read.sequence.valid.all(axis=1))
+    assert 8 <= len(missing) <= 10
+    assert np.ptp(missing) == len(missing) - 1
+
+
+@pytest.mark.parametrize("fps", [24, 25, 30, 60, 90, 120, 125, 144, 240, 30000 / 1001, 60000 / 1001])
+@pytest.mark.parametrize("dropped", [(), (100,), (7, 8, 100, 200)])
+def test_clocks_in_whole_milliseconds_tell_the_rate(fps, dropped):
+    numbers = np.delete(np.arange(400), dropped)
+    rate, places = even_frames(np.round(1000 * numbers / fps) / 1000)
+    assert rate == pytest.approx(fps, rel=1e-12)
+    assert places.tolist() == numbers.tolist()
+
+
+def test_a_frame_without_a_result_leaves_the_clock_in_use(tmp_path, motion):
+    frames = tasks(motion, (1000 * np.arange(40) / 60).tolist())
+    frames[7] = None
+    frames[39] = None
+    read = read_motion_file(dumped(tmp_path / "a.json", frames))
+    assert read.sequence.fps == 60.0
+    assert read.sequence.gaps.frames == (7, 39)
+    assert not any("does not say" in note for note in read.notes)
+
+
+def test_one_time_that_does_not_rise_is_taken_from_its_neighbours():
+    times, said = clock_s([0, 33, 33, 100, None, 167, 200, float("nan"), 267])
+    np.testing.assert_allclose(times, [0, 0.033, 0.0665, 0.1, 0.1335, 0.167, 0.2, 0.2335, 0.267], atol=1e-12)
+    assert "milliseconds" in said
+
+
+@pytest.mark.parametrize("times", [[5] * 40, list(range(40, 0, -1)), [None] * 30 + list(range(10)), [0, 1e9, 2e9]])
+def test_times_that_are_no_clock_are_said_to_be_unused(times):
+    used, said = clock_s(times, ("milliseconds",))
+    assert used is None
+    assert "not used" in said
+
+
+@pytest.mark.parametrize("time", [5.0, float("nan"), float("inf")])
+def test_a_recording_of_iwer_whose_clock_stands_still_is_read_without_it(tmp_path, motion, time):
+    recording = samples.iwer_recording(motion)
+    for frame in recording["frames"]:
+        frame[0] = time
+    read = read_motion_file(dumped(tmp_path / "a.json", recording))
+    assert (len(read.sequence), read.sequence.fps) == (40, 30.0)
+    assert any("frames per second" in note for note in read.notes)
+
+
+def test_one_repeated_millisecond_of_iwer_costs_nothing(tmp_path, motion):
+    recording = samples.iwer_recording(motion)
+    recording["frames"][5][0] = recording["frames"][4][0]
+    assert read_motion_file(dumped(tmp_path / "a.json", recording)).sequence.fps == 30.0
+
+
+# ---- rates -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("fps", [24.0, 30.0, 60.0, 24000 / 1001, 30000 / 1001, 60000 / 1001, 120000 / 1001])
+def test_rates_of_video_are_not_rounded_to_those_of_film(tmp_path, motion, fps):
+    assert whole_rate(fps * (1 + 2e-4)) == pytest.approx(fps, rel=1e-15)
+    slow = samples.motion(fps=fps)
+    samples.write_bvh(tmp_path / "a.bvh", samples.rig(slow, scale=100))
+    samples.write_glb(tmp_path / "a.glb", *samples.gltf_document(samples.rig(slow)))
+    for name in ("a.bvh", "a.glb"):
+        read = read_motion_file(tmp_path / name).sequence
+        assert read.fps == pytest.approx(fps, rel=1e-15)
+        assert len(read) == len(slow)
+
+
+@pytest.mark.parametrize("fps", [31.5, 0.2, 87.3, 28.77])
+def test_a_rate_that_is_none_of_these_stays(fps):
+    assert whole_rate(fps) == fps
+
+
+# ---- keys ------------------------------------------------------------------------------------------------------------
+
+
+def reduced(document, binary, kept, times=None):
+    """A glTF animation with only these keys; times: of all frames, where they are not even."""
+    rows, views, accessors = bytearray(), [], []
+    for accessor, view in zip(document["accessors"], document["bufferViews"], strict=True):
+        array = np.frombuffer(binary, "<f4", view["byteLength"] // 4, view["byteOffset"]).reshape(accessor["count"], -1)
+        array = array[kept]
+        if accessor["type"] == "SCALAR" and times is not None:
+            array = np.asarray(times, "<f4")[kept]
+        views.append({"buffer": 0, "byteOffset": len(rows), "byteLength": array.nbytes})
+        accessors.append({**accessor, "bufferView": len(views) - 1, "count": len(kept)})
+        rows += array.tobytes()
+    return {**document, "bufferViews": views, "accessors": accessors}, bytes(rows)
+
+
+def test_reduced_keys_of_gltf_lose_neither_keys_nor_the_end(tmp_path, motion):
+    """As a program that leaves out superfluous keys writes them."""
+    kept = [0, 5, 10, 15, 20, 25, 26, 27, 28, 30, 35, 39]
+    samples.write_glb(tmp_path / "a.glb", *reduced(*samples.gltf_document(samples.rig(motion)), kept))
+    read = read_motion_file(tmp_path / "a.glb")
+    assert (len(read.sequence), read.sequence.fps) == (40, 30.0)
+    # single precision; worst seen 7e-8 m
+    assert np.abs(read.sequence.joints_m[kept] - motion.joints_m[kept]).max() < 2e-7
+    assert not any("between frames" in note for note in read.notes)
+
+
+def test_keys_between_frames_are_told_and_the_last_one_is_reached(tmp_path, motion):
+    times = np.cumsum(np.random.default_rng(0).uniform(0.02, 0.09, 40))
+    samples.write_glb(tmp_path / "a.glb", *reduced(*samples.gltf_document(samples.rig(motion)), range(40), times))
+    read = read_motion_file(tmp_path / "a.glb")
+    assert any("between frames" in note and "--fps" in note for note in read.notes)
+    assert read.sequence.fps >= 30
+    assert np.abs(read.sequence.joints_m[-1] - motion.joints_m[-1]).max() < 2e-7
+
+
+@pytest.mark.parametrize(
+    ("places", "own", "fps"),
+    [
+        (np.arange(50) / 15, None, 15.0),
+        (np.arange(5.0), None, 30.0),
+        (np.array([0, 10, 25, 27]) / 24, None, 24.0),
+        (np.array([0, 10, 25, 26, 60]) / 60, None, 60.0),
+        (np.array([0, 11, 25, 26, 60]) / 75, 75.0, 75.0),
+        (np.array([0, 11, 25, 26, 27, 28, 60]) / 75, None, 75.0),
+        (np.array([3.0]), None, 30.0),
+    ],
+)
+def test_the_rate_of_keys_is_the_one_on_which_they_lie(places, own, fps):
+    rate, said = key_frames(places, own)
+    assert rate == pytest.approx(fps, rel=1e-12)
+    assert not said
+    taken = frame_times(places, rate)
+    # every key is a frame
+    assert np.abs(places[:, None] - taken).min(axis=1).max() < 1e-9
+
+
+def test_a_few_keys_hours_apart_are_refused():
+    assert len(frame_times(np.array([0.0, 60.0]), 30.0)) == 1801
+    with pytest.raises(NoMotionError, match="2 keys over 8000 s"):
+        frame_times(np.array([0.0, 8000.0]), 30.0)
+
+
+def test_usd_takes_the_rate_of_the_stage_where_samples_are_sparse(tmp_path, motion):
+    from pxr import Usd
+
+    samples.write_usd(tmp_path / "a.usda", samples.rig(motion))
+    stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
+    take = stage.GetPrimAtPath("/Character/Skeleton/Take")
+    for attribute in (take.GetAttribute("rotations"), take.GetAttribute("translations")):
+        for code in set(range(40)) - {0, 5, 10, 20, 25, 26, 27, 39}:
+            attribute.ClearAtTime(code)
+    stage.Save()
+    read = read_motion_file(tmp_path / "a.usda").sequence
+    assert (len(read), read.fps) == (40, 30.0)
+    assert np.abs(read.joints_m[[5, 26, 39]] - motion.joints_m[[5, 26, 39]]).max() < 2e-7
+
+
+def test_a_posed_hand_that_its_parents_move_moves(tmp_path, motion):
+    from pxr import Gf, Usd, UsdGeom
+
+    samples.write_usd(tmp_path / "a.usda", samples.rig(motion.section(0, 1)))
+    stage = Usd.Stage.Open(str(tmp_path / "a.usda"))
+    moved = UsdGeom.Xformable(stage.GetPrimAtPath("/Character")).AddTranslateOp()
+    for code in range(40):
+        moved.Set(Gf.Vec3d(0.01 * code, 0.0, 0.0), code)
+    stage.Save()
+    read = read_motion_file(tmp_path / "a.usda")
+    assert len(read.sequence) == 40
+    np.testing.assert_allclose(
+        read.sequence.joints_m[:, 0, 0], motion.joints_m[0, 0, 0] + 0.01 * np.arange(40), atol=1e-7
+    )
+    assert not any("one frame" in note for note in read.notes)
+
+
+def test_a_usd_skeleton_without_a_rest_pose_is_a_whole_one(tmp_path, motion):
+    from pxr import Usd, UsdSkel
+
+    for with_tips in (True, False):
+        path = tmp_path / f"{with_tips}.usda"
+        samples.write_usd(path, samples.rig(motion, samples.MIXAMO_TIPS if with_tips else samples.MIXAMO))
+        wanted = read_motion_file(path, MotionFormat()).sequence.joints_m
+        stage = Usd.Stage.Open(str(path))
+        skeleton = UsdSkel.Skeleton.Get(stage, "/Character/Skeleton")
+        skeleton.GetRestTransformsAttr().Clear()
+        stage.Save()
+        assert np.abs(read_motion_file(path).sequence.joints_m - wanted).max() < 2e-7
+        skeleton.GetBindTransformsAttr().Clear()
+        stage.Save()
+        # the first frame is no rest: tips that are made up lie elsewhere then
+        assert np.isfinite(read_motion_file(path).sequence.joints_m).all()
