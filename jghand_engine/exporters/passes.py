@@ -119,13 +119,14 @@ class JointWitness:
         px, depth_m = pixels.numpy(), depth.numpy()
         # in the camera's plane there is no place in the picture, and behind it a mirrored one
         px[~(depth_m > Z_NEAR_M)] = np.nan
-        inside = ((px >= 0) & (px < [camera.width, camera.height])).all(1)
+        inside = np.all((px >= 0) & (px < [camera.width, camera.height]), axis=1)
         shown_m = np.zeros(JOINT_COUNT)
         column, row = np.floor(px[inside]).astype(int).T
         shown_m[inside] = depth_map_m[row, column]
         # the surface lies on the same ray, along which the way is longer than along the axis
         before_m = (depth_m - shown_m) * np.linalg.norm(_rays(camera, px), axis=1)
-        return JointView(joints_m, px, depth_m, inside, inside & ((shown_m == 0) | (before_m <= reach_m)))
+        visible = inside & ((shown_m == 0) | (before_m <= reach_m))
+        return JointView(joints_m, px, depth_m, inside, visible)
 
 
 def joint_reach_m(avatar: HandAvatar) -> np.ndarray:

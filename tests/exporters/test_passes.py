@@ -28,16 +28,16 @@ from jghand_engine.template.builtin import load_template
 
 SIZE = (320, 300)
 POSES, VIEWS = ("open", "fist", "point", "pinch"), ("front", "back", "side", "quarter")
-# the painted hand: its Gaussians lie on the mesh of the template
-AVATAR = load_avatar_called("painted")
+# of the painted hand Gaussians lie on the mesh of the template; of the built-in one, which was learnt, below it too
+AVATARS = {name: load_avatar_called(name) for name in ("painted", "builtin")}
 
 
 class Shown:
     """A posed hand before a camera, with its maps."""
 
-    def __init__(self, pose: str, view: str, handedness: Handedness = Handedness.RIGHT) -> None:
-        self.avatar = AVATAR.for_hand(handedness)
-        self.joints_m = named_pose(pose, AVATAR.canonical_joints_m.numpy(), handedness=handedness)
+    def __init__(self, avatar: str, pose: str, view: str, handedness: Handedness = Handedness.RIGHT) -> None:
+        self.avatar = AVATARS[avatar].for_hand(handedness)
+        self.joints_m = named_pose(pose, AVATARS[avatar].canonical_joints_m.numpy(), handedness=handedness)
         self.sequence = PoseSequence(self.joints_m[None], 30.0, handedness)
         self.camera: Camera = framing_camera(self.joints_m[None], handedness, view, width=SIZE[0], height=SIZE[1])
         settings = replace(preset("final"), depth=True, normals=True, threads=1)
@@ -67,7 +67,7 @@ class Shown:
 
     def mesh(self) -> tuple[np.ndarray, np.ndarray]:
         """Vertices (V, 3), metres, and faces of the posed template."""
-        info = AVATAR.info
+        info = self.avatar.info
         return engine_mesh(self.sequence, info.scale_mode, info.swing)[0], load_template().faces
 
     def before_joints_m(self) -> np.ndarray:
@@ -99,29 +99,34 @@ def crossings(corners: np.ndarray, start: np.ndarray, way: np.ndarray) -> np.nda
 def shown():
     made: dict[tuple, Shown] = {}
 
-    def get(*words) -> Shown:
-        if words not in made:
-            made[words] = Shown(*words)
-        return made[words]
+    def get(*words, avatar: str = "painted") -> Shown:
+        if (avatar, *words) not in made:
+            made[avatar, *words] = Shown(avatar, *words)
+        return made[avatar, *words]
 
     return get
 
 
-@pytest.mark.parametrize("handedness", list(Handedness))
+# seen: painted 99 % below 1.17 mm, all below 1.62 mm, as far as the Gaussians of the skin are from each other; builtin
+# 1.96 and 3.23 mm, where it bends: several Gaussians behind each other show through
+@pytest.mark.parametrize(("avatar", "most_m", "all_m"), [("painted", 0.0013, 0.0018), ("builtin", 0.0021, 0.0035)])
 @pytest.mark.parametrize("pose", POSES)
-def test_unprojected_depth_meets_the_gaussians(shown, pose, handedness):
-    hand = shown(pose, "quarter", handedness)
-    points = hand.unprojected(hand.inner())
-    assert len(points) > 2000
-    centres, _ = engine_gaussians(hand.avatar, hand.sequence)
-    apart_m, _ = KDTree(centres[0]).query(points)
-    # seen: 99 % below 1.2 mm, all below 1.6 mm, as far as the Gaussians of the skin are from each other
-    assert np.percentile(apart_m, 99) < 0.0013
-    assert apart_m.max() < 0.0018
+def test_unprojected_depth_meets_the_gaussians(shown, pose, avatar, most_m, all_m):
+    views = [(view, Handedness.RIGHT) for view in VIEWS]
+    for words in (*views, ("quarter", Handedness.LEFT)):
+        hand = shown(pose, *words, avatar=avatar)
+        points = hand.unprojected(hand.inner())
+        assert len(points) > 2000
+        centres, _ = engine_gaussians(hand.avatar, hand.sequence)
+        apart_m, _ = KDTree(centres[0]).query(points)
+        assert np.percentile(apart_m, 99) < most_m
+        assert apart_m.max() < all_m
 
 
-def test_normals_are_those_of_the_mesh_and_look_at_the_camera(shown):
-    hand = shown("open", "front")
+# seen: a mean of 10.6 degrees and of 15.0; depths of splats are bumpy
+@pytest.mark.parametrize(("avatar", "mean_deg"), [("painted", 12), ("builtin", 16.5)])
+def test_normals_are_those_of_the_mesh_and_look_at_the_camera(shown, avatar, mean_deg):
+    hand = shown("open", "front", avatar=avatar)
     normals = np.stack([hand.maps[f"normal.{axis}"] for axis in "XYZ"], -1)[hand.inner()]
     assert np.abs(np.linalg.norm(normals, axis=1) - 1).max() < 1e-5
     vertices, faces = hand.mesh()
@@ -132,20 +137,20 @@ def test_normals_are_those_of_the_mesh_and_look_at_the_camera(shown):
     rotation = hand.camera.camera_from_world.numpy()[:3, :3]
     _, nearest = KDTree(corners.mean(1)).query(points)
     cosine = (normals @ rotation * true[nearest]).sum(1)
-    # seen: a mean of 10.6 degrees; depths of splats are bumpy
-    assert np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean() < 12
+    assert np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean() < mean_deg
     rays = hand.unprojected(hand.inner()) - hand.camera.eye_m.numpy()
     assert ((normals @ rotation * rays).sum(1) < 0).mean() > 0.99
 
 
+# seen: 97.9 to 98.6 %, and 97.6 to 98.2; the others lie where one bone's skin meets the next one's
+@pytest.mark.parametrize(("avatar", "least"), [("painted", 0.975), ("builtin", 0.974)])
 @pytest.mark.parametrize("pose", POSES)
-def test_a_pixel_has_the_bone_of_the_gaussians_that_it_unprojects_to(shown, pose):
-    hand = shown(pose, "quarter")
+def test_a_pixel_has_the_bone_of_the_gaussians_that_it_unprojects_to(shown, pose, avatar, least):
+    hand = shown(pose, "quarter", avatar=avatar)
     centres, _ = engine_gaussians(hand.avatar, hand.sequence)
     _, nearest = KDTree(centres[0]).query(hand.unprojected(hand.inner()))
     bones = bone_numbers(hand.avatar)[nearest]
-    # seen: 97.9 to 98.6 %; the others lie where one bone's skin meets the next one's
-    assert (hand.maps["bone_id"][hand.inner()] == bones).mean() > 0.975
+    assert (hand.maps["bone_id"][hand.inner()] == bones).mean() > least
     assert set(np.unique(hand.maps["bone_id"])) <= set(range(21))
 
 
@@ -160,10 +165,11 @@ def test_maps_end_where_the_hand_ends(shown):
     assert np.array_equal(hand.maps["A"], hand.frame.rgba[..., 3])
 
 
+@pytest.mark.parametrize("avatar", AVATARS)
 @pytest.mark.parametrize("view", VIEWS)
 @pytest.mark.parametrize("pose", POSES)
-def test_joints_are_as_visible_as_the_mesh_lets_them_be(shown, pose, view):
-    hand = shown(pose, view)
+def test_joints_are_as_visible_as_the_mesh_lets_them_be(shown, pose, view, avatar):
+    hand = shown(pose, view, avatar=avatar)
     reach_m = JOINT_REACH_ROOM * joint_reach_m(hand.avatar)
     before_m = hand.before_joints_m()
     inside, visible = hand.joints.inside, hand.joints.visible
