@@ -126,6 +126,15 @@ class JGHandOutputSettings(bpy.types.PropertyGroup):
     width_factor: bpy.props.FloatProperty(
         name="Point Size",
         description="Diameter of the points, in two standard deviations of a splat: more closes gaps between them",
+        default=USD_PRESETS["generic"][1],
+        min=0.1,
+        soft_max=4.0,
+        max=100.0,
+    )  # type: ignore[valid-type]
+    bake_width_factor: bpy.props.FloatProperty(
+        name="Point Size",
+        description="Diameter of the baked points, in two standard deviations of a splat: more closes gaps between "
+        "them",
         default=limits.POINT_WIDTH_FACTOR,
         min=0.1,
         soft_max=4.0,
@@ -133,8 +142,8 @@ class JGHandOutputSettings(bpy.types.PropertyGroup):
     )  # type: ignore[valid-type]
     replace_others: bpy.props.BoolProperty(
         name="Replace Others",
-        description="Write over exports of the same name that another file, or another hand of this one, has made. "
-        "Its own exports are replaced in any case",
+        description="Write over exports of the same name that another file, or another hand of this one, has made, and "
+        "over USD layers that somebody has changed. Its own exports are replaced in any case",
     )  # type: ignore[valid-type]
     axes: bpy.props.EnumProperty(name="Axes", description="Axes of the numbers in PLY files", items=AXES, default="rdf")  # type: ignore[valid-type]
 

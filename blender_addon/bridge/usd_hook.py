@@ -13,7 +13,6 @@ refuses to write a file whose layer somebody holds. Source: BLENDER 9.
 from __future__ import annotations
 
 import contextlib
-import shutil
 import sys
 import traceback
 from collections.abc import Iterator
@@ -24,6 +23,7 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from ..core import bakes
+from ..core.batch import copy_whole
 from ..core.messages import JGHandFailure
 from . import armature, bake_folders, popup, sources
 from .classes import register_classes, unregister_classes
@@ -161,9 +161,10 @@ def _bring_layers(hand: bakes.BakedHand, folder: Path, target: Path) -> None:
         try:
             if copy.exists() and (copy.samefile(source) or _same(source, copy)):
                 continue
-            shutil.copy2(source, copy)
         except OSError as error:
             raise JGHandFailure("cannot_write", f"{copy}: {error.strerror or error}") from error
+        # a disk that is full must not leave half a layer of an earlier export
+        copy_whole(source, copy)
 
 
 def _same(source: Path, copy: Path) -> bool:

@@ -12,6 +12,7 @@ import errno
 import json
 import os
 import re
+import shutil
 import sys
 import tempfile
 import time
@@ -76,8 +77,25 @@ def write_whole(path: Path, content: bytes) -> None:
         if temporary is not None:
             with contextlib.suppress(OSError):
                 temporary.unlink()
-        kind = "disk_full" if error.errno in (errno.ENOSPC, getattr(errno, "EDQUOT", -1)) else "cannot_write"
-        raise JGHandFailure(kind, f"{path}: {error.strerror or error}") from error
+        raise _cannot_write(path, error) from error
+
+
+def copy_whole(source: Path, path: Path) -> None:
+    """Copies a file, its time too, under a temporary name, then renames it: what was at `path` stays until then.
+    JGHandFailure: cannot_write, disk_full."""
+    temporary = path.with_name(f".{path.name}.part")
+    try:
+        shutil.copy2(source, temporary)
+        _replace(temporary, path)
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            temporary.unlink()
+        raise _cannot_write(path, error) from error
+
+
+def _cannot_write(path: Path, error: OSError) -> JGHandFailure:
+    kind = "disk_full" if error.errno in (errno.ENOSPC, getattr(errno, "EDQUOT", -1)) else "cannot_write"
+    return JGHandFailure(kind, f"{path}: {error.strerror or error}")
 
 
 def _replace(temporary: Path, path: Path) -> None:

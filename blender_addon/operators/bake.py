@@ -226,7 +226,7 @@ def _new_bake(
 def _commands(context: bpy.types.Context, bake: NewBake) -> list[tuple[str, ...]]:
     """Writes the motions of a bake, and says what the engine is asked for."""
     shown = "splats" if versions.has_native_splats() else "points"
-    choices = UsdChoices(shown, "constant", "srgb", context.scene.jghand.output.width_factor)
+    choices = UsdChoices(shown, "constant", "srgb", context.scene.jghand.output.bake_width_factor)
     commands = []
     for place_of_it, recording in enumerate(bake.recordings):
         motion, figures = (bake.generation / f"{recording.name}{suffix}" for suffix in (".npz", ".json"))
@@ -278,7 +278,7 @@ def _play_all(context: bpy.types.Context, folder: Path) -> None:
         if versions.has_usd():
             baked_points.play(context, hand, folder).select_set(False)
         else:
-            cache_player.play(context, hand, folder, width=context.scene.jghand.output.width_factor)
+            cache_player.play(context, hand, folder, width=context.scene.jghand.output.bake_width_factor)
     for thing in selected:
         thing.select_set(True)
     layer.active = active

@@ -59,7 +59,7 @@ class BakePanel(Sidebar, bpy.types.Panel):
         column = _column(layout)
         column.prop(settings, "bake_folder")
         if not versions.has_native_splats():
-            column.prop(settings, "width_factor")
+            column.prop(settings, "bake_width_factor")
         if versions.has_usd():
             column.prop(settings, "use_cache")
         layout.operator("jghand.bake", icon="RENDER_ANIMATION")

@@ -30,7 +30,7 @@ def check_earlier(folder: Path, names: LayerNames, package: Package) -> None:
                 f"{path}",
                 wanted="no file of that name, or one as JGHand wrote it",
                 came="one that somebody else made, or changed",
-                remedy="Choose another name or folder, or replace it with --overwrite (UsdOptions.overwrite).",
+                remedy="Choose another name or folder, or let it be replaced (--overwrite; in Blender Replace Others).",
             )
 
 

@@ -8,6 +8,7 @@ pytest.importorskip("bpy", reason="needs the bpy wheel of this Python")
 
 from blender_addon import output_settings
 from blender_addon.bridge import versions
+from blender_addon.core import limits
 from blender_addon.core.engine_words import USD_PRESETS
 
 
@@ -21,6 +22,15 @@ def test_a_program_sets_what_is_shown_first_and_the_size_of_points(extension, pr
     assert (settings.variant, settings.width_factor) == (variant, width_factor)
     settings.variant = "mesh"
     assert settings.program == program
+
+
+def test_the_settings_begin_with_what_the_program_shown_wants_and_bakes_with_points_that_close_the_skin(extension):
+    settings = extension.scene.jghand.output
+    variant, width_factor = USD_PRESETS[settings.program]
+    assert (settings.variant, settings.width_factor) == (variant, width_factor)
+    assert settings.bake_width_factor == limits.POINT_WIDTH_FACTOR
+    settings.program = "houdini"
+    assert settings.bake_width_factor == limits.POINT_WIDTH_FACTOR, "an export's program is none of a bake's"
 
 
 def test_a_blender_that_draws_splats_gets_splats(extension, monkeypatch):

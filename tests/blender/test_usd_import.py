@@ -124,3 +124,14 @@ def test_frame_range_comes_with_the_stage(exported):
     imported(stage)
     scene = bpy.context.scene
     assert (scene.frame_start, scene.frame_end) == (0, len(truth["centres"]) - 1)
+
+
+def test_the_camera_of_the_shot_has_a_film_of_36_mm(exported):
+    """Its size, not its ratio to the focal length alone, is what depth of field and the lens in the panel follow."""
+    stage, truth = exported("mesh", "right")
+    imported(stage.with_name("hand.shot.usda"))
+    camera = only("CAMERA").data
+    # float32 of USD: worst observed 3e-6 of it
+    assert camera.sensor_width == pytest.approx(36, rel=1e-5)
+    assert camera.sensor_height == pytest.approx(36 * truth["camera_aspect"], rel=1e-5)
+    assert camera.lens == pytest.approx(36 * truth["camera_focal"], rel=1e-5)

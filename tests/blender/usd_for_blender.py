@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import torch
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "exporters"))
 
@@ -19,11 +20,14 @@ from jghand_engine.exporters import usd_clips, usd_options
 from jghand_engine.exporters.usd import UsdOptions, export_usd
 from jghand_engine.exporters.usd_options import Variant
 from jghand_engine.hand.joints import LEVEL_NAMES, Handedness
+from jghand_engine.splat.camera import Camera
 
 
 def main(folder: Path, variant: Variant, handedness: Handedness) -> None:
     avatar, motion = small_avatar(), lively_motion(handedness, frames=12)
-    export_usd(folder, avatar, motion, [], UsdOptions(default_variant=variant, sizes="per_frame"))
+    up, eye_m = torch.tensor([0.0, 1.0, 0.0]), torch.tensor([0.1, 0.2, 0.6])
+    camera = Camera.looking_at(eye_m, torch.zeros(3), up, width=640, height=480, focal_px=900)
+    export_usd(folder, avatar, motion, [camera], UsdOptions(default_variant=variant, sizes="per_frame"))
     centres, radii = engine_gaussians(avatar, motion)
     np.savez(
         folder / "truth.npz",
@@ -35,6 +39,8 @@ def main(folder: Path, variant: Variant, handedness: Handedness) -> None:
         joints=motion.joints_m,
         names=np.array(LEVEL_NAMES),
         fps=motion.fps,
+        camera_focal=camera.fx / camera.width,
+        camera_aspect=camera.height / camera.width,
     )
 
 
