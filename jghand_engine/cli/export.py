@@ -17,8 +17,8 @@ from jghand_engine.limits import USD_SIGMA_ERROR_TOLD
 
 if TYPE_CHECKING:
     from jghand_engine.avatar.avatar import HandAvatar
+    from jghand_engine.cli.inputs import Motion
     from jghand_engine.exporters.usd_options import UsdOptions
-    from jghand_engine.hand.sequence import PoseSequence
 
 DESCRIPTION = """Write a motion as OpenUSD (hand.usda with its layers: splats, points, skeleton and mesh, cameras) or as
 splat files, one for every frame (hand.0000.ply and so on), or as a web page that plays it and poses the hand.
@@ -69,8 +69,6 @@ class UsdStageOptions:
     package: Literal["layers", "usdc", "usdz"] = "layers"
     """layers: files that refer to each other, and the shot with its cameras. usdc: one file with the chosen variant
     alone. usdz: one file with all variants."""
-    overwrite: bool = False
-    """Also replace files of these names that somebody else made, or changed: lights put into the shot, for example."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +105,11 @@ class Export:
     name: Annotated[str, tyro.conf.arg(metavar="NAME")] = "hand"
     """Stem of the files: letters, digits and _."""
     first_frame: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
-    """Number of the first frame in the files."""
+    """Number of the first frame in the files; in the names of splat files that of the motion's first frame, also where
+    --frames begins later."""
+    overwrite: bool = False
+    """Also replace splat files that are there, and a stage that somebody else made, or changed: lights put into the
+    shot, for example."""
     up: Literal["y", "z"] = "y"
     """The axis that points up in the world of the motion. USD says it, splat files are turned."""
     usd: UsdStageOptions = field(default_factory=UsdStageOptions)
@@ -124,12 +126,11 @@ class Export:
         self._check_options()
         avatar = load_avatar_called(self.avatar.avatar)
         motion = load_motion(self.motion, avatar)
-        sequence = motion.sequence
         for note in motion.notes:
             say(note)
         write = {"usd": self._write_usd, "web": self._write_web}.get(self.format, self._write_splats)
         with polite_kill_is_ctrl_c():
-            figures = write(avatar.for_hand(sequence.handedness), sequence)
+            figures = write(avatar.for_hand(motion.sequence.handedness), motion)
         if self.report.json is not None:
             write_json(self.report.json, {
                 "command": "export", "format": self.format, "motion": motion.source, "notes": motion.notes,
@@ -144,7 +145,8 @@ class Export:
             "splats --as " + chosen: self.format == "ply" and chosen != "ply",
             "usd": self.format != "usd" and self.usd != UsdStageOptions(),
             # a page has no names of files, no numbers of frames, and is turned as one likes
-            "usd or splats": self.format == "web" and (self.name, self.first_frame, self.up) != ("hand", 0, "y"),
+            "usd or splats": self.format == "web"
+            and (self.name, self.first_frame, self.up, self.overwrite) != ("hand", 0, "y", False),
             "web": self.format != "web" and self.web != WebPageOptions(),
         }
         for other in (other for other, given in unused.items() if given):
@@ -153,12 +155,12 @@ class Export:
                 remedy=f"Leave it out, or write jghand export {other}.",
             )  # fmt: skip
 
-    def _write_usd(self, avatar: HandAvatar, sequence: PoseSequence) -> dict[str, Any]:
+    def _write_usd(self, avatar: HandAvatar, motion: Motion) -> dict[str, Any]:
         from jghand_engine.cli.framing import framing_camera
         from jghand_engine.cli.stage_export import export_stage, usd_figures
         from jghand_engine.exporters.usd_options import PRESETS
 
-        options = self._usd_options()
+        options, sequence = self._usd_options(), motion.sequence
         width, height = CAMERA_PX
         cameras = {
             name: framing_camera(sequence.joints_m, sequence.handedness, name, width=width, height=height)
@@ -200,32 +202,36 @@ class Export:
             up=self.up,
             precision=given.precision,
             package=Package(given.package),
-            overwrite=given.overwrite,
+            overwrite=self.overwrite,
         )
 
-    def _write_splats(self, avatar: HandAvatar, sequence: PoseSequence) -> dict[str, Any]:
+    def _write_splats(self, avatar: HandAvatar, motion: Motion) -> dict[str, Any]:
         from jghand_engine.exporters.splat_files import SplatOptions, export_splats
         from jghand_engine.exporters.usd_provenance import made_from
 
-        options = SplatOptions(self.splats.format, self.name, self.splats.axes, self.first_frame, self.up)
-        with progress(f"Writing {options.format}", len(sequence)) as bar:
+        axes, start = self.splats.axes, self.first_frame
+        options = SplatOptions(self.splats.format, self.name, axes, start, self.up, self.overwrite)
+        with progress(f"Writing {options.format}", len(motion.frames)) as bar:
             task = bar.task_ids[0]
             report = export_splats(
-                self.out, avatar, sequence, options, progress=lambda done, _: bar.update(task, completed=done)
-            )
+                self.out, avatar, motion.whole, options, frames=motion.frames,
+                progress=lambda done, _: bar.update(task, completed=done),
+            )  # fmt: skip
         first, last = report.files[0], report.files[-1]
         which = f"{first} to {last.name}" if len(report.files) > 1 else str(first)
         say(f"Wrote {which}: {len(report.files)} frames, {report.bytes / 1e6:.1f} MB, axes {report.axes}")
         return {
             "files": [str(path) for path in report.files], "frames": len(report.files), "axes": report.axes,
-            "gaussians": report.gaussians, "bytes": report.bytes, "made_from": made_from(avatar, sequence),
+            "gaussians": report.gaussians, "bytes": report.bytes,
+            "made_from": made_from(avatar, motion.sequence),
         }  # fmt: skip
 
-    def _write_web(self, avatar: HandAvatar, sequence: PoseSequence) -> dict[str, Any]:
+    def _write_web(self, avatar: HandAvatar, motion: Motion) -> dict[str, Any]:
         from jghand_engine.cli.framing import first_view
         from jghand_engine.exporters.usd_provenance import made_from
         from jghand_engine.exporters.web import WebOptions, export_web
 
+        sequence = motion.sequence
         view = first_view(sequence.joints_m, sequence.handedness, self.web.camera)
         report = export_web(self.out, avatar, sequence, view, WebOptions(self.web.title, self.web.gaussians))
         size = sum(report.bytes.values())

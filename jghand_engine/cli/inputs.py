@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 from jghand_engine import limits
@@ -23,12 +23,15 @@ from jghand_engine.hand.sequence import PoseSequence
 
 @dataclass(frozen=True)
 class Motion:
-    """A whole, steady motion, what was done to make it so (sentences for people), and all files that it is from."""
+    """What is shown of a steady motion. source, files: where it is from · notes: what was done to make it so, sentences
+    for people · whole: the motion that it is cut from · frames: their numbers in it"""
 
     sequence: PoseSequence
     source: str
-    notes: list[str] = field(default_factory=list)
-    files: tuple[Path, ...] = ()
+    notes: list[str]
+    files: tuple[Path, ...]
+    whole: PoseSequence
+    frames: range
 
 
 def load_motion(options: MotionOptions, avatar: HandAvatar) -> Motion:
@@ -62,7 +65,8 @@ def load_motion(options: MotionOptions, avatar: HandAvatar) -> Motion:
                 "median length (--keep-bone-lengths follows the file)."
             )
         sequence = sequence.with_constant_bone_lengths()
-    return Motion(sequence.section(part.start, part.stop, part.step), source, notes, files)
+    cut = sequence.section(part.start, part.stop, part.step)
+    return Motion(cut, source, notes, files, sequence, range(len(sequence))[part])
 
 
 def without_gaps(sequence: PoseSequence, *, hold: bool) -> tuple[PoseSequence, str]:

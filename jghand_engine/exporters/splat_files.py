@@ -48,14 +48,15 @@ FORMATS = {
 @dataclass(frozen=True)
 class SplatOptions:
     """format: a key of FORMATS · name: stem of the files · axes: of the numbers, rdf (x right, y down, z forward) or
-    rub (y up); None: as the format's readers expect it · first_frame: number of the first file · up: the axis of the
-    motion's world that points up."""
+    rub (y up); None: as the format's readers expect it · first_frame: number of the motion's first frame · up: the axis
+    of the motion's world that points up · overwrite: also replace files that are there."""
 
     format: str = "ply"
     name: str = "hand"
     axes: str | None = None
     first_frame: int = 0
     up: str = "y"
+    overwrite: bool = False
 
     def __post_init__(self) -> None:
         if not _NAME.fullmatch(self.name):
@@ -84,7 +85,7 @@ class SplatOptions:
 
 @dataclass(frozen=True)
 class SplatReport:
-    """What an export did. files: one per frame · axes: of their numbers · bytes: of all files together."""
+    """What an export did. files: one per frame written · axes: of their numbers · bytes: of all files together."""
 
     files: tuple[Path, ...]
     axes: str
@@ -98,29 +99,32 @@ def export_splats(
     sequence: PoseSequence,
     options: SplatOptions | None = None,
     *,
+    frames: range | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> SplatReport:
     """Writes NAME.0000.ply and so on into `folder`, which may hold other files; each is whole or not there.
 
-    progress: called with (frames done, frames) after every frame. Raises InputError for a motion with gaps, a folder
-    that cannot be written or holds other frames of that name, and a package that is missing; RetryError for a disk that
-    is full or too small.
+    frames: which of the motion's are written, each with its number; None: all · progress: called with (frames done,
+    frames) after every frame. Raises InputError for a motion with gaps, a folder that cannot be written, or holds
+    frames of that name that the motion does not have, or (unless they may be overwritten) those that are to be written,
+    and for a package that is missing; RetryError for a disk that is full or too small.
     """
     options = options or SplatOptions()
     kind = FORMATS[options.format]
     kind.check()
     clouds = SplatMotion(avatar, sequence, axes=options.written_axes, up=options.up)
     target, size = make_folder(folder), 0
-    files = tuple(options.path(target, index) for index in range(len(sequence)))
-    _refuse_others(target, options, files)
-    _check_space(target, len(avatar) * len(sequence) * kind.bytes_each)
-    for index, path in enumerate(files):
+    frames = range(len(sequence)) if frames is None else frames
+    files = tuple(options.path(target, index) for index in frames)
+    _refuse_others(target, options, files, len(sequence))
+    _check_space(target, len(avatar) * len(files) * kind.bytes_each)
+    for done, (index, path) in enumerate(zip(frames, files, strict=True), 1):
         content = kind.encode(clouds.cloud(index))
         with writing(path) as temporary:
             temporary.write_bytes(content)
         size += len(content)
         if progress:
-            progress(index + 1, len(files))
+            progress(done, len(files))
     return SplatReport(files, options.written_axes, len(avatar), size)
 
 
@@ -135,16 +139,24 @@ class SplatMotion:
         return SplatCloud.of_frame(self._motion.frame(index), self._motion.avatar, axes=self._axes, up=self._up)
 
 
-def _refuse_others(folder: Path, options: SplatOptions, files: tuple[Path, ...]) -> None:
-    """InputError when the folder holds frames that this run would not replace: two motions would be mixed."""
-    pattern = re.compile(re.escape(options.name) + r"\.-?\d+\." + options.format)
-    others = sorted({path.name for path in folder.iterdir() if pattern.fullmatch(path.name)} - {p.name for p in files})
-    if others:
+def _refuse_others(folder: Path, options: SplatOptions, files: tuple[Path, ...], frames: int) -> None:
+    """InputError when the folder holds frames that a motion of so many does not have, or files that would be lost."""
+    pattern = re.compile(re.escape(options.name) + r"\.(-?\d+)\." + options.format)
+    there = {path.name: int(found[1]) for path in folder.iterdir() if (found := pattern.fullmatch(path.name))}
+    known = range(options.first_frame, options.first_frame + frames)
+    if others := sorted(name for name, number in there.items() if number not in known):
         raise InputError(
             f"folder {folder}",
-            wanted=f"no frames of {options.name} but the {len(files)} of this run",
+            wanted=f"no frames of {options.name} but {known.start} to {known[-1]}, which the motion has",
             came=f"{len(others)} others ({others[0]} to {others[-1]})",
             remedy="Remove them, or choose another folder or name.",
+        )
+    if not options.overwrite and (lost := [path.name for path in files if path.name in there]):
+        raise InputError(
+            f"folder {folder}",
+            wanted=f"none of the frames of {options.name} that are to be written",
+            came=f"{len(lost)} ({lost[0]} to {lost[-1]})",
+            remedy="Replace them with --overwrite, or choose another folder or name.",
         )
 
 

@@ -412,13 +412,17 @@ def test_a_polite_kill_leaves_nothing_of_an_export(tmp_path):
 
 def test_export_writes_splat_files_too(tmp_path, capsys):
     figures = tmp_path / "figures.json"
-    words = ("--frames", "0:1", "--out", tmp_path, "--first-frame", "9", "--up", "z", "--json", figures)
-    assert run("export", "ply", "--poses", "open", "--avatar", "painted", *words) == 0
-    assert sorted(path.name for path in tmp_path.glob("*.ply")) == ["hand.0009.ply", "hand.0010.ply"]
+    words = ("--frames", "2:4:2", "--out", tmp_path, "--first-frame", "9", "--up", "z", "--json", figures)
+    command = ("export", "ply", "--poses", "open", "--avatar", "painted", *words)
+    assert run(*command) == 0
+    assert sorted(path.name for path in tmp_path.glob("*.ply")) == ["hand.0011.ply", "hand.0013.ply"]
     told = json.loads(figures.read_text())
     assert told["bytes"] == sum(path.stat().st_size for path in tmp_path.glob("*.ply"))
     assert len(told["made_from"]["joints_sha256"]) == 64, "who asked for it can see whether it is of what was asked"
     assert "2 frames" in capsys.readouterr().out
+    assert run(*command) == 2
+    assert "--overwrite" in capsys.readouterr().err
+    assert run(*command, "--overwrite") == 0
 
 
 def test_a_single_frame_becomes_one_file_of_the_format_that_is_named(tmp_path, capsys):

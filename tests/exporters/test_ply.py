@@ -112,6 +112,31 @@ def test_a_longer_sequence_of_that_name_is_not_mixed_with_a_new_one(tmp_path):
     export_splats(tmp_path, avatar, lively_motion(Handedness.RIGHT, 2), SplatOptions(name="other"))
 
 
+def test_a_motion_is_made_in_parts_whose_frames_keep_their_numbers(tmp_path):
+    avatar, motion, options = small_avatar(), lively_motion(Handedness.RIGHT, 7), SplatOptions(first_frame=3)
+    whole = export_splats(tmp_path / "whole", avatar, motion, options)
+    parts = [
+        export_splats(tmp_path / "parts", avatar, motion, options, frames=frames).files
+        for frames in (range(4, 7), range(0, 4, 2), range(1, 4, 2))
+    ]
+    assert [path.name for path in parts[1]] == ["hand.0003.ply", "hand.0005.ply"]
+    assert sorted(path.name for part in parts for path in part) == [path.name for path in whole.files]
+    for path in whole.files:
+        assert path.read_bytes() == (tmp_path / "parts" / path.name).read_bytes()
+
+
+def test_frames_that_are_there_are_replaced_only_where_that_is_asked_for(tmp_path):
+    avatar = small_avatar()
+    first, second = lively_motion(Handedness.RIGHT, 3), lively_motion(Handedness.LEFT, 3)
+    (path, *_) = export_splats(tmp_path, avatar, first).files
+    before = path.read_bytes()
+    with pytest.raises(InputError, match="--overwrite"):
+        export_splats(tmp_path, avatar, second, frames=range(1))
+    assert path.read_bytes() == before
+    export_splats(tmp_path, avatar, second, SplatOptions(overwrite=True))
+    assert path.read_bytes() != before
+
+
 def test_a_disk_that_is_too_small_is_told_before_the_work(tmp_path, monkeypatch):
     usage = type("Usage", (), {"free": 1000})
     monkeypatch.setattr(splat_files.shutil, "disk_usage", lambda _: usage)
