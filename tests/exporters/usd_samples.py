@@ -75,7 +75,8 @@ def engine_mesh(sequence: PoseSequence, scale_mode: str | float = "axial", swing
 
 def engine_gaussians(avatar: HandAvatar, sequence: PoseSequence) -> tuple[np.ndarray, np.ndarray]:
     """(F, N, 3) centres and (F, N) radii as the engine poses them, metres, in float64."""
-    transform, poses = avatar.bone_transform(), torch.tensor(sequence.joints_m)
+    transform = avatar.for_hand(sequence.handedness).bone_transform()
+    poses = torch.tensor(sequence.joints_m)
     frames = [pose_gaussians(avatar, transform.bones(one), frames=transform.frames(one)) for one in poses]
     return (
         np.stack([frame.position_m.numpy() for frame in frames]),
