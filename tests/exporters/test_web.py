@@ -417,5 +417,7 @@ def test_a_pose_keeps_wrist_knuckles_and_bone_lengths_of_the_hand_that_is_shown(
     # observed 6e-17, 4e-16
     assert np.abs(posed_m[:, :6] - hands_m[:, :6]).max() < 1e-12
     assert np.abs(bone_lengths(posed_m) / bone_lengths(hands_m) - 1).max() < 1e-12
+    # a slider that is touched while the hand turns into the pose does not stop it half-way
+    assert np.array_equal(np.reshape([one["hurried"] for one in found], (-1, 21, 3)), posed_m)
     # bones are straight, whatever the hand was: observed 3e-14 degrees
     assert max(np.abs(np.degrees(one["back"][0]) - angles_deg[0]).max() for one in found) < 1e-9

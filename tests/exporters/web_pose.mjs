@@ -6,6 +6,7 @@
 // for every joints the positions (rows, 3), radii (rows), colours (rows, 3) and, of ellipsoids, covariances (rows, 6).
 // Prints as JSON, for every "from", what the page's player makes of a hand that is shown so:
 //     posed    its joints in each of the poses "angles" · back    the angles that these joints give back
+//     hurried    its joints when it is turned into each pose, and one finger is touched on the way
 //     untouched    its joints when every slider is touched and none is moved
 //     moved    its joints when one finger after the other, and only that, is bent a little and spread a little
 import fs from 'node:fs';
@@ -37,6 +38,14 @@ console.log(JSON.stringify(plan.from.map((from) => {
     player.hold(angles);
     return player;
   });
+  const hurried = plan.angles.map((angles) => {
+    const player = shown(from);
+    player.hold(angles, true);
+    player.step(0);
+    player.step(200);
+    player.bend(1, player.goal.angles[1]);
+    return joints(player);
+  });
   const untouched = shown(from), { angles } = untouched.goal;
   angles.forEach((finger, f) => untouched.bend(f, articulated.curledBy(finger, f, 0)));
   const moved = angles.map((finger, f) => {
@@ -45,6 +54,6 @@ console.log(JSON.stringify(plan.from.map((from) => {
     return joints(player);
   });
   return {
-    posed: poses.map(joints), back: poses.map((player) => articulated.taken(player.joints, hand.palm).angles), untouched: joints(untouched), moved,
+    posed: poses.map(joints), hurried, back: poses.map((player) => articulated.taken(player.joints, hand.palm).angles), untouched: joints(untouched), moved,
   };
 })));
