@@ -2,14 +2,14 @@
 
 import numpy as np
 import pytest
-from tracking_samples import CANONICAL_M, FPS, HEIGHT, WIDTH, right_joints_m, sight
+from tracking_samples import CANONICAL_M, FPS, HEIGHT, WIDTH, right_joints_m, seen, sight
 
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import bone_lengths, hand_length
 from jghand_engine.hand.sequence import bone_directions
 from jghand_engine.tracking.figures import FINGER_BONES, angles_between_deg
-from jghand_engine.tracking.track import MOTION_FROM_CAMERA, TrackOptions, look, track
+from jghand_engine.tracking.track import MOTION_FROM_CAMERA, Sightings, TrackOptions, look, track
 
 RIGHT, LEFT = Handedness.RIGHT, Handedness.LEFT
 
@@ -61,6 +61,45 @@ def test_frames_without_the_hand_are_filled_and_marked(truth_m):
     assert np.flatnonzero(hand.sequence.filled).tolist() == [0, 12, 13, 14, 39]
     assert hand.sequence.valid.all()
     assert errors_deg(hand.in_view, truth_m)[12:15].max() < 4, "seen: 1.8 degrees"
+
+
+@pytest.mark.parametrize("smoothing", [0.0, 1.0])
+@pytest.mark.parametrize("gap", [20, 45, 100])
+def test_a_hand_that_keeps_its_pose_is_filled_in_with_that_pose_however_long_it_was_away(gap, smoothing):
+    pose = right_joints_m(1)[0]
+    joints = pose + np.linspace(0, 0.05, 40 + gap)[:, None, None] * (1, 0, 0)
+    sightings = sight(joints).sightings
+    for frame in range(20, 20 + gap):
+        sightings.frames[frame] = []
+    hand = track(sightings, CANONICAL_M, TrackOptions(smoothing=smoothing))[RIGHT]
+    assert hand.sequence.filled.sum() == gap
+    # worst seen 0.123 degrees: as the film goes on the hand is seen from another side
+    assert errors_deg(hand.in_view, np.broadcast_to(hand.in_view[19], joints.shape)).max() < 0.15
+    steps = np.linalg.norm(np.diff(hand.in_view[:, 0], axis=0), axis=-1)
+    assert steps.max() < 1.003 * 0.05 / (39 + gap), "seen: 1.0016 of the way in a frame"
+
+
+def test_hands_that_cross_are_two_motions():
+    joints, x = right_joints_m(90), np.linspace(-0.15, 0.15, 90)
+    across = x[:, None, None] * np.array([1.0, 0.0, 0.0])
+    truth = {RIGHT: joints + across, LEFT: joints * (-1, 1, 1) - across}
+    frames = [
+        [seen(truth[side][k], side) for side in (RIGHT, LEFT) if abs(x[k]) > 0.03 or (side is RIGHT) == (x[k] < 0)]
+        for k in range(90)
+    ]
+    found = track(Sightings(FPS, (HEIGHT, WIDTH), frames), CANONICAL_M)
+    assert set(found) == {RIGHT, LEFT}
+    for side, hand in found.items():
+        assert np.median(errors_deg(hand.in_view, truth[side])[hand.seen]) < 0.4, "seen: 0.33 degrees"
+        assert np.abs(hand.in_view - truth[side])[hand.seen].max() < 0.002, "seen: 1.4 mm"
+
+
+@pytest.mark.parametrize("off_m", [(-0.24, 0.0, 0.0), (0.24, -0.05, 0.0)])
+def test_a_hand_at_the_border_is_found_as_one_in_the_middle(truth_m, off_m):
+    truth = truth_m + off_m
+    hand = track(sight(truth).sightings, CANONICAL_M)[RIGHT]
+    assert np.median(errors_deg(hand.in_view, truth)) < 0.4, "seen: 0.34 degrees"
+    assert np.abs(hand.in_view - truth).max() < 0.002, "seen: 1.6 mm"
 
 
 def test_or_their_joints_are_left_missing(truth_m):
