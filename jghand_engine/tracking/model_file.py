@@ -60,8 +60,8 @@ def model_file(named: Path | None = None) -> Path:
 
 
 def fetch_model() -> Path:
-    """Fetches the networks with pip and bundles them; at once if they are there. RetryError when pip fails, InputError as
-    of `bundle` when what came is something else."""
+    """Fetches the networks with pip and bundles them; at once if they are there. RetryError when pip fails, InputError
+    as of `bundle` when what came is something else."""
     for place in _places():
         if place.is_file():
             return place
