@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -45,22 +45,25 @@ class PictureSetOptions:
             say(f"Left out: {count} {'picture' if count == 1 else 'pictures'}, {why}")
         return capture
 
+    def check(self) -> None:
+        """InputError when a protocol and another choice were given."""
+        if self.protocol is not None and replace(self, protocol=None) != PictureSetOptions():
+            raise InputError(
+                "--protocol", wanted="no other choice of pictures beside it", came="both", remedy="Drop one of them."
+            )
+
     def choice(self) -> CaptureChoice | None:
-        """What `open_capture` takes beside `protocol`; None with a protocol. InputError when both were given."""
+        """What `open_capture` takes beside `protocol`; None with a protocol. InputError as `check`."""
         from jghand_engine.datasets.captures import CaptureChoice
         from jghand_engine.hand.joints import Handedness
 
-        choice = CaptureChoice(
+        self.check()
+        if self.protocol is not None:
+            return None
+        return CaptureChoice(
             split=self.split,
             capture=self.capture,
             sequences=self.sequences or None,
             handedness=Handedness(self.hand) if self.hand else None,
             interacting=self.interacting,
         )
-        if self.protocol is None:
-            return choice
-        if choice != CaptureChoice():
-            raise InputError(
-                "--protocol", wanted="no other choice of pictures beside it", came="both", remedy="Drop one of them."
-            )
-        return None

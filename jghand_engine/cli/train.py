@@ -90,6 +90,7 @@ class Train:
         from jghand_engine.training.step import HandTraining
 
         # what can be refused is refused before the pictures are looked at, of which there may be many
+        self.check()
         run = self._run_options()
         device = device_called(self.device)
         options, perceptual = train_options(self.preset, self.seed, device)
@@ -116,21 +117,25 @@ class Train:
     # ---- options -----------------------------------------------------------------------------------------------------
 
     def check(self) -> None:
-        """InputError for options that make no sense, as far as they can be judged without looking at files."""
-        self._run_options()
-        self.pictures.choice()
-        if self.seed < 0:
-            raise InputError("--seed", wanted="0 or more", came=str(self.seed))
-
-    def _run_options(self) -> RunOptions:
-        """How the training runs; its stamp is added when the pictures are known. InputError for what makes no sense."""
-        from jghand_engine.training.run import RunOptions
-        from jghand_engine.training.work_folder import Start
-
+        """InputError for options that make no sense, as far as they can be judged without looking at files. A list of
+        trainings asks it for each, and so it waits for no imports."""
         if self.out.suffix != ".jghand":
             raise InputError("--out", wanted="a file that ends with .jghand", came=str(self.out))
         if self.start.resume and self.start.fresh:
             raise InputError("--resume and --fresh", wanted="one of them", came="both")
+        if self.minutes is not None and not 0 < self.minutes < math.inf:
+            raise InputError("--minutes", wanted="more than 0", came=f"{self.minutes:g}")
+        if self.steps is not None and self.steps < 1:
+            raise InputError("--steps", wanted="1 or more", came=str(self.steps))
+        if self.seed < 0:
+            raise InputError("--seed", wanted="0 or more", came=str(self.seed))
+        self.pictures.check()
+
+    def _run_options(self) -> RunOptions:
+        """How the training runs; its stamp is added when the pictures are known."""
+        from jghand_engine.training.run import RunOptions
+        from jghand_engine.training.work_folder import Start
+
         return RunOptions(
             out=self.out,
             work=self.start.work or self.out.with_suffix(".training"),
@@ -142,13 +147,9 @@ class Train:
         )
 
     def _budget(self, pictures: int = 1) -> Budget:
-        """How long to train on so many pictures. InputError for what makes no sense."""
+        """How long to train on so many pictures."""
         from jghand_engine.training.schedule import Budget
 
-        if self.minutes is not None and not 0 < self.minutes < math.inf:
-            raise InputError("--minutes", wanted="more than 0", came=f"{self.minutes:g}")
-        if self.steps is not None and self.steps < 1:
-            raise InputError("--steps", wanted="1 or more", came=str(self.steps))
         if self.steps is None and self.minutes is None:
             if self.preset == "paper-faithful":
                 return Budget(steps=limits.PAPER_ROUNDS * pictures)

@@ -16,7 +16,7 @@ from jghand_engine.cli.console import say, say_table, write_json
 from jghand_engine.cli.failures import FAULT, STOPPED
 from jghand_engine.cli.options import ReportOptions
 from jghand_engine.cli.train import Train
-from jghand_engine.errors import InputError, MemoryLimitError, RetryError
+from jghand_engine.errors import InputError, JGHandError, MemoryLimitError, RetryError
 from jghand_engine.limits import PROGRESS_MANY_S
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ checkpoint, jobs that still wait or run are watched. Needs the extra farm.
 
 Examples:
   jghand train-many captures.toml --out avatars
-  jghand train-many captures.toml --out avatars --executor slurm --partition gpu --time-limit 240"""
+  jghand train-many captures.toml --out avatars --executor slurm --partition cpu --time-limit 240"""
 
 
 @dataclass(frozen=True)
@@ -80,15 +80,23 @@ class TrainMany:
         from jghand_engine.farm.trainings import read_trainings
 
         trainings = read_trainings(self.file)
+        different: dict[tuple[str, ...], Training] = {}
         for training in trainings:
+            # of a thousand that differ in their folder alone, one
+            different.setdefault(training.words[2:], training)
+        for training in different.values():
             self._check(training)
         if self.jobs < 0:
             raise InputError("--jobs", wanted="1 or more", came=str(self.jobs))
         folder = FarmFolder(self.out)
         folder.make()
-        runner = Runner(trainings, folder, self._executor(folder))
-        done = sum(runner.is_done(training.name) for training in trainings)
-        say(f"{len(trainings)} trainings, {done} of them finished already.")
+        # jobs of a cluster are watched by as many as like to; processes of this machine belong to one
+        with folder.alone() if self.executor == "local" else contextlib.nullcontext():
+            return self._see_through(Runner(trainings, folder, self._executor(folder)), folder)
+
+    def _see_through(self, runner: Runner, folder: FarmFolder) -> int:
+        done = sum(map(runner.is_done, runner.records))
+        say(f"{len(runner.records)} trainings, {done} of them finished already.")
         telling, stopped = Telling(), False
         with _polite_kill_is_ctrl_c():
             try:
@@ -101,21 +109,31 @@ class TrainMany:
                 say("Stopping: the trainings write their checkpoints.")
                 if not runner.stop(telling):
                     say("The jobs go on without this command; started again it watches them.")
+            except BaseException:
+                # processes of this machine would go on unseen
+                with contextlib.suppress(JGHandError):
+                    runner.stop(telling)
+                raise
         self._show(runner, folder)
-        return STOPPED if stopped else max(map(_exit_code, runner.records.values()), key=_SEVERITY.index)
+        return STOPPED if stopped else max((_exit_code(runner, name) for name in runner.records), key=_SEVERITY.index)
 
     def _check(self, training: Training) -> None:
         """InputError for options that `jghand train` would refuse: said now, and not by a thousand jobs."""
-        words = [*training.words[1:], "--out", f"{training.name}.jghand"]
         style = (tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone)
         try:
-            tyro.cli(Train, args=words, config=style).check()
+            asked = tyro.cli(Train, args=[*training.words[1:], "--out", "any.jghand"], config=style)
+            asked.check()
         except SystemExit as error:
             raise InputError(
                 f"{self.file}: {training.name}", wanted="options that jghand train takes", came="others, see above"
             ) from error
         except InputError as error:
             raise InputError(f"{self.file}: {training.name}: {error}") from error
+        if self.executor == "local" and asked.device == "cuda":
+            raise InputError(
+                f"{self.file}: {training.name}: device", wanted="the CPU: local jobs see no GPU", came="cuda",
+                remedy="Leave it out, or start jghand train for each.",
+            )  # fmt: skip
 
     def _executor(self, folder: FarmFolder) -> Executor:
         from jghand_engine.farm.executors import LocalExecutor, SlurmExecutor, SlurmOptions
@@ -139,8 +157,12 @@ class TrainMany:
         rows = [(name, one.state, str(one.starts), one.progress or "-") for name, one in runner.records.items()]
         say_table(f"{folder.path}", ("training", "state", "starts", "where it stands"), rows)
         for name, record in runner.records.items():
-            if record.told and record.state is State.FAILED:
+            if record.told and record.state in (State.FAILED, State.LOST):
                 say(f"{name}: {record.told}")
+                if "--fresh" in record.told or "--work" in record.told:
+                    say(f"A list begins a training anew when {folder.work(name)} is moved away or removed.")
+            if runner.is_of_old_list(name):
+                say(f"{name}: its job has the options of the list as it was. When it has ended, this command goes on.")
         if any(record.state in (State.STOPPED, State.LOST, State.FAILED) for record in runner.records.values()):
             say(f"What the jobs printed is in {folder.logs}. The same command goes on.")
         if self.report.json is not None:
@@ -166,13 +188,15 @@ class Telling:
 _SEVERITY = (0, RetryError.exit_code, MemoryLimitError.exit_code, InputError.exit_code, FAULT)
 
 
-def _exit_code(record: Record) -> int:
+def _exit_code(runner: Runner, name: str) -> int:
     from jghand_engine.farm.records import State
 
+    record = runner.records[name]
     if record.state is State.FAILED:
         # killed by a signal, as where the system has no memory left
         return record.exit_code if record.exit_code in _SEVERITY else RetryError.exit_code
-    return RetryError.exit_code if record.state in (State.STOPPED, State.LOST) else 0
+    lacks = record.state in (State.STOPPED, State.LOST) or (record.state is State.FINISHED and not runner.is_done(name))
+    return RetryError.exit_code if lacks else 0
 
 
 @contextlib.contextmanager

@@ -8,12 +8,14 @@ import os
 import shutil
 import signal
 import subprocess
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import sys
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
 from jghand_engine.errors import InputError, RetryError
+from jghand_engine.farm.signals import unheard_by_programs, without_ctrl_c
 from jghand_engine.limits import (
     LOCAL_MINUTES_MAX,
     LOCAL_POLL_S,
@@ -39,7 +41,7 @@ class Executor(Protocol):
         ...
 
     def stop(self) -> bool:
-        """Asks the jobs of this process to end; False where they go on without it."""
+        """Asks the jobs of this process to end, again and again; False where they go on without it."""
         ...
 
 
@@ -59,14 +61,14 @@ class LocalExecutor:
         numbers = {}
         for name, job in jobs.items():
             # Ctrl-C reaches every process of a terminal: these are told by `stop`
-            with _ignoring_ctrl_c():
+            with without_ctrl_c():
                 submitted = self._executor.submit(job)
             self._jobs[submitted.job_id] = submitted
             numbers[name] = submitted.job_id
         return numbers
 
     def alive(self, numbers: Sequence[str]) -> set[str]:
-        """See Executor. Jobs of an earlier process are not known: their trainings hold locks."""
+        """See Executor. Jobs of an earlier process are not known: later ones of their trainings wait for them."""
         return {number for number in numbers if number in self._jobs and not self._jobs[number].done()}
 
     def stop(self) -> bool:
@@ -105,6 +107,7 @@ class SlurmExecutor:
     def __init__(self, logs: Path, options: SlurmOptions, running: int) -> None:
         """running: how many of the jobs may run at once; 0 leaves it to the cluster"""
         self.at_once: int | None = None
+        self._running = running
         options.check()
         if shutil.which("srun") is None or shutil.which("squeue") is None:
             raise InputError(
@@ -116,13 +119,14 @@ class SlurmExecutor:
             job_name="jghand", time=options.minutes, cpus_per_task=options.cpus, mem=f"{options.memory_gb:g}GB",
             signal_delay_s=SIGNAL_BEFORE_S, additional_parameters={"requeue": True, **options.more},
             **({"partition": options.partition} if options.partition else {}),
-            **({"array_parallelism": running} if running else {}),
         )  # fmt: skip
 
     def submit(self, jobs: Mapping[str, Callable[[], Any]]) -> dict[str, str]:
         """See Executor."""
+        # left to itself submitit lets 256 run at once
+        self._executor.update_parameters(array_parallelism=self._running or len(jobs))
         try:
-            with self._executor.batch():
+            with unheard_by_programs(), self._executor.batch():
                 submitted = {name: self._executor.submit(job) for name, job in jobs.items()}
             return {name: job.job_id for name, job in submitted.items()}
         # submitit's own are RuntimeErrors
@@ -147,16 +151,9 @@ class SlurmExecutor:
         return False
 
 
-@contextlib.contextmanager
-def _ignoring_ctrl_c() -> Iterator[None]:
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
 def _submitit() -> Any:
+    if sys.platform == "win32":
+        raise InputError("jobs", wanted="Linux, whose processes and signals they need", came="Windows")
     try:
         import submitit
     except ImportError as error:

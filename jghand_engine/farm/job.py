@@ -1,88 +1,93 @@
-"""A training as a scheduler runs it: `jghand train` in a process of its own, begun, or gone on with where it stands.
-
-The process is told to stop by the end of its standard input, which also comes when this one is killed: it then writes
-its checkpoint. Signals of the scheduler, which reach every process of a job, it does not hear.
-"""
+"""A training as a scheduler runs it: `jghand train` in a process of its own, begun, or gone on with where it stands."""
 
 from __future__ import annotations
 
 import contextlib
-import json
 import os
-import signal
 import socket
-import subprocess
 import sys
 import threading
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import IO, Any
+from typing import Any, NoReturn
 
-from jghand_engine.errors import RetryError
+from jghand_engine.errors import JGHandError, RetryError
+from jghand_engine.farm.child import Child, running
 from jghand_engine.farm.records import FarmFolder, Record, State
+from jghand_engine.farm.signals import stop_requests
 from jghand_engine.farm.trainings import Training
-from jghand_engine.limits import CHECKPOINT_WAIT_S, JOB_POLL_S, RECORD_EVERY_S, REQUEUE_WAIT_S
-from jghand_engine.training.mark import MARK
+from jghand_engine.limits import CHECKPOINT_WAIT_S, JOB_POLL_S, RECORD_EVERY_S, RECORD_WAIT_S, REQUEUE_WAIT_S
+from jghand_engine.lock import locked
+from jghand_engine.training.mark import LOCK, MARK
 
 PROGRAM = (sys.executable, "-m", "jghand_engine")
 STOPPED_CODE = 130
-_UNHEARD = [getattr(signal, name) for name in ("SIGTERM", "SIGUSR1", "SIGUSR2") if hasattr(signal, name)]
 
 
 @dataclass
 class TrainingJob:
     """What submitit runs, again after every preemption. out: folder of the list · program: what stands before the
-    words of the command."""
+    words of the command · note_every_s: between two notes of how far it is"""
 
     training: Training
     out: Path
     program: tuple[str, ...] = PROGRAM
+    note_every_s: float = RECORD_EVERY_S
 
     def __call__(self) -> str:
         """The sentence of a finished training. RetryError when it was stopped, RuntimeError when it failed: then the
         scheduler calls the job failed."""
-        folder = FarmFolder(self.out)
-        before = folder.record(self.training.name)
-        record = Record(list(self.training.words), State.RUNNING, 1 + (before.starts if before else 0))
-        record.host = socket.gethostname()
-        folder.write_record(self.training.name, record)
-        with _stop_requests() as stop, _running(self._command(folder)) as child:
-            self._child = child
-            noted_s = time.monotonic()
-            while (code := child.poll()) is None:
-                if stop.is_set():
-                    child.stop()
-                if time.monotonic() - noted_s > RECORD_EVERY_S:
-                    noted_s, record.progress = time.monotonic(), child.progress
-                    folder.write_record(self.training.name, record)
-                time.sleep(JOB_POLL_S)
-        record.progress, record.told, record.exit_code = child.progress, child.error, code
-        record.state = {0: State.FINISHED, STOPPED_CODE: State.STOPPED}.get(code, State.FAILED)
-        folder.write_record(self.training.name, record)
+        folder, name = FarmFolder(self.out), self.training.name
+        with stop_requests() as stop, self._alone(folder, stop):
+            # a job that outlived the command which began it may have come first
+            record = self._record(folder)
+            if record is None or not folder.is_done(name, record, self.training.words):
+                record = self._train(folder, record, stop)
         if record.state is State.FINISHED:
-            return f"{self.training.name}: {record.progress}"
+            return f"{name}: {record.progress}"
         if record.state is State.FAILED:
-            raise RuntimeError(f"{self.training.name} ended with exit code {code}: {record.told}")
-        _wait_for_scheduler()
-        raise RetryError(f"the training {self.training.name} was stopped", remedy="The same command goes on with it.")
+            raise RuntimeError(f"{name} ended with exit code {record.exit_code}: {record.told}")
+        self._was_stopped()
 
     def checkpoint(self) -> Any:
         """What submitit asks for when the job is preempted or its time is up, from a signal's handler: the training
         writes its checkpoint; the same job goes on with it when the scheduler begins it again."""
         from submitit.helpers import DelayedSubmission
 
-        child: _Child | None = getattr(self, "_child", None)
+        child: Child | None = getattr(self, "_child", None)
         folder = FarmFolder(self.out)
-        record = folder.record(self.training.name)
+        record = self._record(folder)
         # neither is there when the signal comes first
         if child is not None and record is not None:
             child.stop()
             child.await_end(CHECKPOINT_WAIT_S)
             record.state, record.progress = State.STOPPED, child.progress
-            folder.write_record(self.training.name, record)
-        return DelayedSubmission(TrainingJob(self.training, self.out, self.program))
+            self._note(folder, record)
+        return DelayedSubmission(replace(self))
+
+    # ---- one start ---------------------------------------------------------------------------------------------------
+
+    def _train(self, folder: FarmFolder, before: Record | None, stop: threading.Event) -> Record:
+        """Runs the training to its end or to a stop; gives the record of that, which it has written."""
+        record = Record(list(self.training.words), State.RUNNING, 1 + (before.starts if before else 0))
+        record.host = socket.gethostname()
+        self._note(folder, record)
+        with running(self._command(folder)) as child:
+            self._child = child
+            noted_s = time.monotonic()
+            while (code := child.poll()) is None:
+                if stop.is_set():
+                    child.stop()
+                if time.monotonic() - noted_s > self.note_every_s:
+                    noted_s, record.progress = time.monotonic(), child.progress
+                    self._note(folder, record)
+                time.sleep(JOB_POLL_S)
+        record.progress, record.told, record.exit_code = child.progress, child.error, code
+        record.state = {0: State.FINISHED, STOPPED_CODE: State.STOPPED}.get(code, State.FAILED)
+        self._note(folder, record, most_s=RECORD_WAIT_S)
+        return record
 
     def _command(self, folder: FarmFolder) -> list[str]:
         name = self.training.name
@@ -92,106 +97,58 @@ class TrainingJob:
             *(["--resume"] if begun else []),
         ]  # fmt: skip
 
+    # ---- who else is there -------------------------------------------------------------------------------------------
 
-@contextlib.contextmanager
-def _stop_requests() -> Iterator[threading.Event]:
-    """Set by a polite kill or Ctrl-C. Other signals keep submitit's handlers."""
-    asked = threading.Event()
-    numbers = (signal.SIGTERM, signal.SIGINT)
-    before = {number: signal.getsignal(number) for number in numbers}
-    for number in numbers:
-        if before[number] is not signal.SIG_IGN:
-            signal.signal(number, lambda *_: asked.set())
-    try:
-        yield asked
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+    @contextlib.contextmanager
+    def _alone(self, folder: FarmFolder, stop: threading.Event) -> Iterator[None]:
+        """Waits until no other job is at this training, nor a training whose job was killed, which writes its
+        checkpoint; then keeps others out. RetryError when it is to stop before."""
+        name = self.training.name
+        with self._awaited(folder.lock(name), stop):
+            if (training := folder.work(name) / LOCK).is_file():
+                with self._awaited(training, stop):
+                    pass
+            yield
 
-
-def _wait_for_scheduler() -> None:
-    """SLURM takes a job back in its own time: one that ended by itself meanwhile would not be begun again."""
-    if os.environ.get("SUBMITIT_EXECUTOR") == "slurm":
-        time.sleep(REQUEUE_WAIT_S)
-
-
-class _Child:
-    """The process of a training, and what it says."""
-
-    def __init__(self, command: list[str]) -> None:
-        self.progress = self.error = ""
-        self._process = subprocess.Popen(
-            command, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True, encoding="utf-8", errors="replace",
-            start_new_session=True, preexec_fn=_hear_nothing,
-        )  # fmt: skip
-        self._reader = threading.Thread(target=self._read, args=(self._process.stderr,), daemon=True)
-        self._reader.start()
-
-    def poll(self) -> int | None:
-        """The exit code, None while it runs."""
-        code = self._process.poll()
-        if code is not None:
-            self._reader.join()
-        return code
-
-    def stop(self) -> None:
-        """Asks it to write its checkpoint and end."""
-        if self._process.stdin is not None:
-            with contextlib.suppress(OSError):
-                self._process.stdin.close()
-
-    def await_end(self, most_s: float) -> None:
-        """Waits for its end. May interrupt `poll`, and so leaves its exit code to that."""
-        until_s = time.monotonic() + most_s
-        flags = os.WEXITED | os.WNOHANG | os.WNOWAIT
-        while time.monotonic() < until_s:
-            with contextlib.suppress(ChildProcessError):
-                if os.waitid(os.P_PID, self._process.pid, flags) is None:
+    @contextlib.contextmanager
+    def _awaited(self, path: Path, stop: threading.Event) -> Iterator[None]:
+        """Holds the lock, as soon as it is free."""
+        said = False
+        with contextlib.ExitStack() as held:
+            while not stop.is_set():
+                try:
+                    held.enter_context(locked(path, work="training", remedy="Waiting for its end."))
+                    break
+                except RetryError as error:
+                    if not said:
+                        print(error, file=sys.stderr, flush=True)
+                    said = True
                     time.sleep(JOB_POLL_S)
-                    continue
-            return
-
-    def kill(self) -> None:
-        self._process.kill()
-        self._process.wait()
-
-    def _read(self, stream: IO[str]) -> None:
-        for line in stream:
-            told = _told(line)
-            if told is None:
-                sys.stderr.write(line)
-            elif told.get("jghand") == "error":
-                self.error = str(told.get("text"))
-                sys.stderr.write(self.error + "\n")
-            elif told.get("jghand") == "note":
-                sys.stderr.write(f"{told.get('text')}\n")
             else:
-                self.progress = str(told.get("text"))
+                self._was_stopped()
+            yield
 
+    def _was_stopped(self) -> NoReturn:
+        # SLURM takes a job back in its own time: one that ended by itself meanwhile would not be begun again
+        if os.environ.get("SUBMITIT_EXECUTOR") == "slurm":
+            time.sleep(REQUEUE_WAIT_S)
+        raise RetryError(f"the training {self.training.name} was stopped", remedy="The same command goes on with it.")
 
-@contextlib.contextmanager
-def _running(command: list[str]) -> Iterator[_Child]:
-    """The process; it ends with the block, with its checkpoint whatever ends that."""
-    child = _Child(command)
-    try:
-        yield child
-    finally:
-        child.stop()
-        child.await_end(CHECKPOINT_WAIT_S)
-        if child.poll() is None:
-            child.kill()
+    # ---- notes -------------------------------------------------------------------------------------------------------
 
+    def _record(self, folder: FarmFolder) -> Record | None:
+        """What is noted of the training; None too where it cannot be read, which is no reason not to train."""
+        with contextlib.suppress(JGHandError):
+            return folder.record(self.training.name)
+        return None
 
-def _hear_nothing() -> None:
-    for number in _UNHEARD:
-        signal.signal(number, signal.SIG_IGN)
-
-
-def _told(line: str) -> dict[str, Any] | None:
-    """One of the lines of --progress-json, None for any other."""
-    if line.startswith("{"):
-        with contextlib.suppress(ValueError):
-            told = json.loads(line)
-            if isinstance(told, dict) and "jghand" in told:
-                return told
-    return None
+    def _note(self, folder: FarmFolder, record: Record, most_s: float = 0.0) -> None:
+        """Writes the record; tried again for so long. What cannot be written is no reason to end a training."""
+        until_s = time.monotonic() + most_s
+        while True:
+            try:
+                return folder.write_record(self.training.name, record)
+            except JGHandError:
+                if time.monotonic() >= until_s:
+                    return None
+                time.sleep(self.note_every_s)

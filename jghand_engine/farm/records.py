@@ -1,22 +1,29 @@
 """How far the trainings of a list are, as files in the folder that all machines share.
 
-OUT/NAME.jghand           the avatar, at the end
-OUT/NAME.training/        its checkpoints, log and previews
-OUT/jobs/NAME.json        its record, written by the job that runs it
-OUT/jobs/submitted.json   name -> job of the scheduler, written by `jghand train-many`
-OUT/jobs/logs/            what the jobs print, and submitit's own files
+OUT/NAME.jghand             the avatar, at the end
+OUT/NAME.training/          its checkpoints, log and previews
+OUT/jobs/records/NAME.json  its record, written by the job that runs it
+OUT/jobs/records/NAME.lock  held by that job
+OUT/jobs/submitted.json     name -> job of the scheduler, written by `jghand train-many`
+OUT/jobs/lock               held while that submits jobs; while it lives, where they are processes of its machine
+OUT/jobs/logs/              what the jobs print, and submitit's own files
 """
 
 from __future__ import annotations
 
+import contextlib
 import json
+import time
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, fields
 from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from jghand_engine.errors import InputError
+from jghand_engine.errors import InputError, RetryError
 from jghand_engine.files import file_error, make_folder, writing
+from jghand_engine.limits import SUBMIT_POLL_S
+from jghand_engine.lock import locked
 
 
 class State(StrEnum):
@@ -50,17 +57,40 @@ class FarmFolder:
 
     def __init__(self, path: Path) -> None:
         self.path, self.jobs = path, path / "jobs"
-        self.logs, self._submitted = self.jobs / "logs", self.jobs / "submitted.json"
+        self.logs, self._records = self.jobs / "logs", self.jobs / "records"
+        self._submitted, self._alone = self.jobs / "submitted.json", False
 
     def make(self) -> None:
         """Makes the folders. Only their owner may write or look into that of the logs: submitit's files there are
         read back as Python objects, which can run anything."""
-        make_folder(self.jobs)
+        make_folder(self._records)
         try:
             self.logs.mkdir(mode=0o700, exist_ok=True)
             self.logs.chmod(0o700)
         except OSError as error:
             raise file_error(self.logs, error) from error
+
+    @contextlib.contextmanager
+    def alone(self, most_s: float = 0.0) -> Iterator[None]:
+        """While it lasts no other `jghand train-many` submits jobs of this folder; it waits so long for the end of
+        another. RetryError when that works on. May be entered again while it lasts."""
+        if self._alone:
+            yield
+            return
+        with contextlib.ExitStack() as held:
+            until_s = time.monotonic() + most_s
+            while not self._alone:
+                try:
+                    held.enter_context(locked(self.jobs / "lock", work="jghand train-many"))
+                    self._alone = True
+                except RetryError:
+                    if time.monotonic() >= until_s:
+                        raise
+                    time.sleep(SUBMIT_POLL_S)
+            try:
+                yield
+            finally:
+                self._alone = False
 
     def avatar(self, name: str) -> Path:
         return self.path / f"{name}.jghand"
@@ -68,28 +98,35 @@ class FarmFolder:
     def work(self, name: str) -> Path:
         return self.path / f"{name}.training"
 
+    def lock(self, name: str) -> Path:
+        return self._records / f"{name}.lock"
+
+    def is_done(self, name: str, record: Record, words: Sequence[str]) -> bool:
+        """Whether the avatar is there that these words of `jghand train` ask for."""
+        return record.state is State.FINISHED and record.words == list(words) and self.avatar(name).is_file()
+
     def record(self, name: str) -> Record | None:
         """None where no job has begun it. InputError for a file that is none."""
-        content = _read(self._record(name))
+        path = self._records / f"{name}.json"
+        content = _read(path)
         if content is None:
             return None
-        if not isinstance(content, dict) or content.keys() != {field.name for field in fields(Record)}:
-            raise InputError(f"{self._record(name)}", wanted="the record of a training", came="something else")
-        return Record(**{**content, "state": State(content["state"])})
+        if isinstance(content, dict) and content.keys() == {field.name for field in fields(Record)}:
+            with contextlib.suppress(ValueError):
+                return Record(**{**content, "state": State(content["state"])})
+        raise InputError(f"{path}", wanted="the record of a training", came="something else", remedy="Remove it.")
 
     def write_record(self, name: str, record: Record) -> None:
-        _write(self._record(name), asdict(record))
+        _write(self._records / f"{name}.json", asdict(record))
 
     def submitted(self) -> dict[str, str]:
         """Name of a training -> its job, as the scheduler calls it."""
         content = _read(self._submitted)
         return {str(name): str(job) for name, job in content.items()} if isinstance(content, dict) else {}
 
-    def write_submitted(self, jobs: dict[str, str]) -> None:
-        _write(self._submitted, jobs)
-
-    def _record(self, name: str) -> Path:
-        return self.jobs / f"{name}.json"
+    def add_submitted(self, jobs: dict[str, str]) -> None:
+        """Notes jobs beside those of other lists."""
+        _write(self._submitted, self.submitted() | jobs)
 
 
 def _read(path: Path) -> Any:

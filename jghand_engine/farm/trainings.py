@@ -14,6 +14,7 @@ minutes = 120
 from __future__ import annotations
 
 import tomllib
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -26,7 +27,7 @@ from jghand_engine.limits import LIST_BYTES_MAX, TRAININGS_MAX
 OPTIONS: dict[str, tuple[type, ...]] = {
     "preset": (str,), "minutes": (int, float), "steps": (int,), "seed": (int,), "all_pictures": (bool,),
     "tensorboard": (bool,), "device": (str,), "protocol": (str,), "subset": (str,), "capture": (str,),
-    "sequences": (list,), "hand": (str,), "interacting": (bool,),
+    "sequences": (list,), "hand": (str,), "interacting": (bool,), "overwrite": (bool,),
 }  # fmt: skip
 _SIGNS = set(" .-_()+,")
 
@@ -53,8 +54,8 @@ def read_trainings(path: Path) -> list[Training]:
         for number, table in enumerate(tables, 1)
     ]
     # a disk may know no capital letters
-    names = [training.name.casefold() for training in found]
-    if twice := sorted({name for name in names if names.count(name) > 1}):
+    names = Counter(training.name.casefold() for training in found)
+    if twice := sorted(name for name, count in names.items() if count > 1):
         raise InputError(
             f"{path}", wanted="a name for each training", came=f"{', '.join(twice[:5])} more than once",
             remedy="Give them a name of their own: name = \"…\".",
@@ -64,9 +65,12 @@ def read_trainings(path: Path) -> list[Training]:
 
 def _content(path: Path) -> dict[str, Any]:
     try:
-        if path.stat().st_size > LIST_BYTES_MAX:
-            raise InputError(f"{path}", wanted="a list of trainings", came=f"{path.stat().st_size} bytes")
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        with open(path, "rb") as stream:
+            # one more than there may be: what a device or a pipe holds its size does not say
+            content = stream.read(LIST_BYTES_MAX + 1)
+        if len(content) > LIST_BYTES_MAX:
+            raise InputError(f"{path}", wanted=f"a list of at most {LIST_BYTES_MAX} bytes", came="more")
+        return tomllib.loads(content.decode("utf-8"))
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}", remedy="Check the name.") from error
     except (UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:

@@ -10,6 +10,13 @@ LOCAL_POLL_S = 0.5
 SLURM_POLL_S = 10.0
 # seconds between two notes of how far a training is: a file on a disk that a cluster shares
 RECORD_EVERY_S = 5.0
+# how long the last note of a training is tried again where it cannot be written, seconds: a disk that was full, a
+# server that starts again
+RECORD_WAIT_S = 300.0
+# how long a command waits for another that submits jobs of the same folder, seconds, and between two looks: sbatch
+# takes some seconds for a long list
+SUBMIT_WAIT_S = 120.0
+SUBMIT_POLL_S = 0.5
 # how long before its time is up a job is told, seconds, and how long its training may then take for its checkpoint: a
 # step and the judged views take a few
 SIGNAL_BEFORE_S = 90
@@ -25,7 +32,9 @@ SLURM_MINUTES_MIN = 10
 TIMEOUTS_MAX = 1000
 # minutes that a local job may take: nothing else wants the machine (a year)
 LOCAL_MINUTES_MAX = 525_600
-# trainings of one list: more are several lists
-TRAININGS_MAX = 10_000
-# bytes of a list of trainings
-LIST_BYTES_MAX = 10_000_000
+# trainings of one list: an array of SLURM has at most 1,000 jobs where nobody changed its MaxArraySize; more are
+# several lists
+TRAININGS_MAX = 1_000
+# bytes of a list of trainings: a kilobyte for each. The worst of this size that is no list took Python's parser 1.4
+# seconds; ten times as much took 12 seconds and 340 MB
+LIST_BYTES_MAX = 1_000_000

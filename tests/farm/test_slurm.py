@@ -6,12 +6,12 @@ from __future__ import annotations
 import json
 import os
 import re
+import signal
 import subprocess
-import time
 from pathlib import Path
 
 import pytest
-from small_farm import TINY, environment, train_many, wait_for_step, write_list
+from small_farm import COUNTING, begun, ends_as_if_undisturbed, record_of, train_many, write_list
 
 from jghand_engine.farm.records import FarmFolder, State
 
@@ -26,31 +26,12 @@ def slurm(*words: str) -> str:
     return subprocess.run(words, capture_output=True, text=True, check=True, timeout=60).stdout
 
 
-def begun(path: Path, out: Path, cpus: str) -> subprocess.Popen[str]:
-    """The command, once the training is at work."""
-    command = [*TINY, "train-many", str(path), "--out", str(out), *SLURM, cpus]
-    process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, env=environment(0.4)
-    )
-    wait_for_step(out, 4)
-    return process
-
-
-def went_on_at(out: Path) -> int:
-    logs = "".join(path.read_text() for path in (out / "jobs" / "logs").glob("*_log.err"))
-    found = re.search(r"Going on at step (\d+)", logs)
-    assert found, logs
-    return int(found[1])
-
-
-def finished_at_the_second_start(process: subprocess.Popen[str], out: Path, undisturbed: bytes) -> None:
+def went_on(process: subprocess.Popen[str], out: Path, undisturbed: bytes) -> None:
+    """The command ends well, after two starts of the training."""
     said, _ = process.communicate(timeout=300)
     assert process.returncode == 0, said
-    record = FarmFolder(out).record("one")
-    assert record is not None
-    assert (record.state, record.starts) == (State.FINISHED, 2)
-    assert went_on_at(out) >= 4
-    assert (out / "one.jghand").read_bytes() == undisturbed
+    assert (record_of(out).state, record_of(out).starts) == (State.FINISHED, 2)
+    ends_as_if_undisturbed(out, undisturbed)
 
 
 def test_a_list_becomes_an_array_of_jobs(pictures, tmp_path, undisturbed):
@@ -66,49 +47,61 @@ def test_a_list_becomes_an_array_of_jobs(pictures, tmp_path, undisturbed):
 def test_a_training_that_slurm_preempts_writes_its_checkpoint_and_is_queued_again(pictures, tmp_path, undisturbed):
     path, out = write_list(tmp_path, pictures), tmp_path / "out"
     cores = str(os.cpu_count())
-    process = begun(path, out, cores)
+    process = begun(path, out, *SLURM, cores)
     # somebody more important wants the whole node
     slurm("sbatch", "--partition=high", f"--cpus-per-task={cores}", "--output=/dev/null", "--wrap=sleep 3")
-    finished_at_the_second_start(process, out, undisturbed)
+    went_on(process, out, undisturbed)
 
 
 def test_a_training_whose_time_is_up_is_queued_again(pictures, tmp_path, undisturbed):
     path, out = write_list(tmp_path, pictures), tmp_path / "out"
-    process = begun(path, out, "1")
+    process = begun(path, out, *SLURM, "1")
     # the signal that sbatch was told to send before the end
     slurm("scancel", "--signal=USR2", FarmFolder(out).submitted()["one"])
-    finished_at_the_second_start(process, out, undisturbed)
+    went_on(process, out, undisturbed)
 
 
 def test_a_cancelled_training_is_told_and_the_same_command_goes_on(pictures, tmp_path, undisturbed):
     path, out = write_list(tmp_path, pictures), tmp_path / "out"
-    process = begun(path, out, "1")
+    process = begun(path, out, *SLURM, "1")
     slurm("scancel", FarmFolder(out).submitted()["one"])
     said, _ = process.communicate(timeout=300)
     assert process.returncode == 3, said
-    assert FarmFolder(out).record("one").state is State.STOPPED
+    assert record_of(out).state is State.STOPPED
     again = train_many(path, out, *SLURM, "1")
     assert again.returncode == 0, again.stdout + again.stderr
-    assert went_on_at(out) >= 4
-    assert (out / "one.jghand").read_bytes() == undisturbed
+    ends_as_if_undisturbed(out, undisturbed)
 
 
-def test_jobs_that_run_are_watched_and_not_submitted_twice(pictures, tmp_path):
-    path, out = write_list(tmp_path, pictures), tmp_path / "out"
-    assert train_many(path, out, *SLURM, "1", "--submit-only", step_s=0.2).returncode == 0
+def test_jobs_that_run_are_watched_and_not_submitted_twice(tmp_path):
+    path, out = write_list(tmp_path, tmp_path), tmp_path / "out"
+    first = begun(path, out, *SLURM, "1", program=COUNTING)
     number = FarmFolder(out).submitted()["one"]
-    until = time.monotonic() + 60
-    while FarmFolder(out).record("one").state is State.WAITING:
-        assert time.monotonic() < until
-        time.sleep(0.2)
-    done = train_many(path, out, *SLURM, "1")
+    first.send_signal(signal.SIGTERM)
+    said, _ = first.communicate(timeout=60)
+    assert first.returncode == 130, said
+    assert "The jobs go on without this command" in said
+    done = train_many(path, out, *SLURM, "1", program=COUNTING)
     assert done.returncode == 0, done.stdout
     assert FarmFolder(out).submitted()["one"] == number
-    assert FarmFolder(out).record("one").starts == 1
+    assert record_of(out).starts == 1
 
 
-def test_what_slurm_refuses_is_said(pictures, tmp_path):
-    path, out = write_list(tmp_path, pictures), tmp_path / "out"
+def test_a_list_that_is_changed_while_it_runs_is_trained_as_it_is_now(tmp_path):
+    path, out = write_list(tmp_path, tmp_path), tmp_path / "out"
+    first = begun(path, out, *SLURM, "1", program=COUNTING)
+    first.kill()
+    first.wait()
+    changed = write_list(tmp_path, tmp_path, steps=30, overwrite=True)
+    submitted = train_many(changed, out, *SLURM, "1", "--submit-only", program=COUNTING)
+    assert "has the options of the list as it was" in submitted.stdout
+    done = train_many(changed, out, *SLURM, "1", program=COUNTING)
+    assert done.returncode == 0, done.stdout
+    assert (out / "one.jghand").read_text() == "a hand of 30 steps"
+
+
+def test_what_slurm_refuses_is_said(tmp_path):
+    path, out = write_list(tmp_path, tmp_path), tmp_path / "out"
     done = train_many(path, out, *SLURM, "1", "--sbatch", "constraint=absent")
     assert done.returncode == 3, done.stdout + done.stderr
     assert "SLURM did not take the jobs" in done.stderr

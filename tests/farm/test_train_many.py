@@ -1,158 +1,162 @@
-"""`jghand train-many` on this machine: real small trainings, preempted, killed, stopped, and gone on with."""
+"""`jghand train-many` on this machine: trainings preempted, killed, stopped, left alone, and gone on with."""
 
 from __future__ import annotations
 
 import json
 import os
-import re
 import signal
-import subprocess
-import time
 from pathlib import Path
 
 import pytest
-from small_farm import TINY, environment, train_many, wait_for_step, write_list
+from small_farm import (
+    COUNTING,
+    begun,
+    ends_as_if_undisturbed,
+    logs_of,
+    processes_with,
+    record_of,
+    started,
+    train_many,
+    write_list,
+)
+from waiting import wait_until
 
 from jghand_engine.avatar.file import load_avatar
-from jghand_engine.farm import job, runner
-from jghand_engine.farm.records import FarmFolder, State
-from jghand_engine.farm.trainings import read_trainings
+from jghand_engine.farm.records import State
 
 pytest.importorskip("submitit", reason="the extra farm is not installed")
-from jghand_engine.farm.executors import LocalExecutor
 
 
-def processes_with(word: str) -> dict[int, list[str]]:
-    """Number -> words of the command, of the processes that have `word` among them."""
-    found = {}
-    for path in Path("/proc").glob("[0-9]*/cmdline"):
-        try:
-            words = path.read_bytes().decode(errors="replace").split("\0")
-        except OSError:
-            continue
-        if any(word in one for one in words):
-            found[int(path.parent.name)] = words
-    return found
+def training_of(out: Path, name: str = "one") -> int:
+    """The process of a training."""
+    return next(number for number, words in processes_with(f"{out}/{name}.jghand").items() if "train" in words)
 
 
-def training_process(out: Path) -> int:
-    return next(number for number, words in processes_with(str(out)).items() if "train" in words)
+def job_of(out: Path) -> list[int]:
+    """The processes of submitit, which hold it."""
+    return list(processes_with(str(out / "jobs" / "logs")))
 
 
-def test_every_training_of_a_list_becomes_an_avatar_and_a_second_run_does_nothing(pictures, tmp_path, undisturbed):
-    path, out = write_list(tmp_path, pictures, names=("one", "two")), tmp_path / "out"
-    done = train_many(path, out, "--json", str(tmp_path / "figures.json"), "--jobs", "2")
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert [load_avatar(out / f"{name}.jghand").info.name for name in ("one", "two")] == ["one", "two"]
-    assert (out / "one.jghand").read_bytes() == undisturbed
-    told = json.loads((tmp_path / "figures.json").read_text())["trainings"]
-    assert [(one["state"], one["starts"], one["exit_code"]) for one in told.values()] == [("finished", 1, 0)] * 2
-    assert (out / "jobs" / "logs").stat().st_mode & 0o777 == 0o700
-    again = train_many(path, out)
-    assert again.returncode == 0
-    assert "2 trainings, 2 of them finished already" in again.stdout
-    assert FarmFolder(out).record("one").starts == 1
+# ---- a real training -------------------------------------------------------------------------------------------------
 
 
-@pytest.fixture
-def local(monkeypatch, tmp_path):
-    """Runs a list in this process, so that a test can lay hands on its jobs."""
-    monkeypatch.setattr(job, "PROGRAM", TINY)
-    for name, value in environment(0.4).items():
-        monkeypatch.setenv(name, value)
-
-    def start(path: Path) -> runner.Runner:
-        folder = FarmFolder(tmp_path / "out")
-        folder.make()
-        return runner.Runner(read_trainings(path), folder, LocalExecutor(folder.logs, 1))
-
-    return start
-
-
-def test_a_preempted_training_is_queued_again_and_ends_in_the_same_bits(pictures, tmp_path, undisturbed, local):
+def test_a_preempted_training_is_queued_again_and_ends_in_the_same_bits(pictures, tmp_path, undisturbed):
     path, out = write_list(tmp_path, pictures), tmp_path / "out"
-    running = local(path)
-    running.submit()
-    wait_for_step(out, 4)
+    process = begun(path, out)
     # as a scheduler does: a polite kill, and the signal that asks for a checkpoint
     (number,) = (number for number, words in processes_with(str(out)).items() if "submitit.core._submit" in words)
     os.kill(number, signal.SIGTERM)
     os.kill(number, signal.SIGUSR2)
-    running.run(lambda *_: None)
-    record = running.records["one"]
-    assert (record.state, record.starts) == (State.FINISHED, 2)
-    logs = "".join(path.read_text() for path in (out / "jobs" / "logs").glob("*_log.err"))
-    began = re.search(r"Going on at step (\d+)", logs)
-    assert began, logs
-    assert int(began[1]) >= 4, "the checkpoint is of the moment, not of the beginning"
-    assert (out / "one.jghand").read_bytes() == undisturbed
+    said, _ = process.communicate(timeout=120)
+    assert process.returncode == 0, said
+    assert (record_of(out).state, record_of(out).starts) == (State.FINISHED, 2)
+    assert load_avatar(out / "one.jghand").info.name == "one"
+    ends_as_if_undisturbed(out, undisturbed)
 
 
-def test_a_training_that_is_killed_is_told_and_goes_on(pictures, tmp_path, undisturbed, local):
-    path, out = write_list(tmp_path, pictures), tmp_path / "out"
-    running = local(path)
-    running.submit()
-    wait_for_step(out, 4)
-    os.kill(training_process(out), signal.SIGKILL)
-    running.run(lambda *_: None)
-    record = running.records["one"]
-    assert (record.state, record.exit_code) == (State.FAILED, -signal.SIGKILL)
-    again = train_many(path, out)
-    assert again.returncode == 0
-    assert FarmFolder(out).record("one").starts == 2
-    assert (out / "one.jghand").read_bytes() == undisturbed
+# ---- trainings that only count ---------------------------------------------------------------------------------------
 
 
-def test_a_killed_job_takes_its_training_along_which_writes_its_checkpoint(pictures, tmp_path, undisturbed, local):
-    path, out = write_list(tmp_path, pictures), tmp_path / "out"
-    running = local(path)
-    running.submit()
-    wait_for_step(out, 4)
-    child = training_process(out)
-    for number in processes_with(str(out / "jobs" / "logs")):
-        os.kill(number, signal.SIGKILL)
-    running.run(lambda *_: None)
-    assert running.records["one"].state is State.LOST
-    until = time.monotonic() + 60
-    while Path(f"/proc/{child}").exists() and Path(f"/proc/{child}/stat").read_text().split()[2] != "Z":
-        assert time.monotonic() < until
-        time.sleep(0.05)
-    assert max((out / "one.training" / "checkpoints").iterdir()).name >= "step_00000004.safetensors"
-    assert train_many(path, out).returncode == 0
-    assert (out / "one.jghand").read_bytes() == undisturbed
-
-
-def test_ctrl_c_stops_the_trainings_politely_and_the_same_command_goes_on(pictures, tmp_path, undisturbed):
-    path, out = write_list(tmp_path, pictures), tmp_path / "out"
-    command = [*TINY, "train-many", str(path), "--out", str(out)]
-    # a session of its own, whose processes all get Ctrl-C, as those of a terminal
-    process = subprocess.Popen(
-        command,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        env=environment(0.3),
-        start_new_session=True,
-    )
-    until = time.monotonic() + 90
-    while not (out / "one.training" / "log.jsonl").exists():
-        assert time.monotonic() < until
-        time.sleep(0.05)
-    time.sleep(1.0)
+def test_ctrl_c_stops_the_trainings_politely_and_the_same_command_goes_on(tmp_path):
+    path, out = write_list(tmp_path, tmp_path), tmp_path / "out"
+    process = begun(path, out, program=COUNTING)
+    # all processes of a terminal get it
     os.killpg(process.pid, signal.SIGINT)
     said, _ = process.communicate(timeout=120)
     assert process.returncode == 130, said
     assert "Stopping" in said
-    assert FarmFolder(out).record("one").state is State.STOPPED, said
-    assert train_many(path, out).returncode == 0
-    assert (out / "one.jghand").read_bytes() == undisturbed
+    assert record_of(out).state is State.STOPPED, said
+    assert train_many(path, out, program=COUNTING).returncode == 0
+    ends_as_if_undisturbed(out, b"a hand of 24 steps")
 
 
-def test_what_a_training_refuses_is_said(pictures, tmp_path):
-    path, out = write_list(tmp_path, pictures), tmp_path / "out"
+def test_every_training_of_a_list_becomes_an_avatar_and_a_second_run_does_nothing(tmp_path):
+    path, out = write_list(tmp_path, tmp_path, names=("one", "two")), tmp_path / "out"
+    done = train_many(path, out, "--json", str(tmp_path / "figures.json"), "--jobs", "2", program=COUNTING)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert all((out / f"{name}.jghand").is_file() for name in ("one", "two"))
+    told = json.loads((tmp_path / "figures.json").read_text())["trainings"]
+    assert [(one["state"], one["starts"], one["exit_code"]) for one in told.values()] == [("finished", 1, 0)] * 2
+    assert (out / "jobs" / "logs").stat().st_mode & 0o777 == 0o700
+    again = train_many(path, out, program=COUNTING)
+    assert again.returncode == 0
+    assert "2 trainings, 2 of them finished already" in again.stdout
+    assert record_of(out).starts == 1
+
+
+def test_a_training_that_is_killed_is_told_and_goes_on(tmp_path):
+    path, out = write_list(tmp_path, tmp_path), tmp_path / "out"
+    process = begun(path, out, program=COUNTING)
+    os.kill(training_of(out), signal.SIGKILL)
+    said, _ = process.communicate(timeout=60)
+    assert process.returncode == 3, said
+    assert (record_of(out).state, record_of(out).exit_code) == (State.FAILED, -signal.SIGKILL)
+    (out / "one.training" / "checkpoint").write_text("2")
+    assert train_many(path, out, program=COUNTING).returncode == 0
+    assert record_of(out).starts == 2
+    assert "Going on at step 2." in logs_of(out)
+
+
+def test_a_killed_job_takes_its_training_along_which_writes_its_checkpoint(tmp_path):
+    path, out = write_list(tmp_path, tmp_path), tmp_path / "out"
+    process = begun(path, out, program=COUNTING)
+    for number in job_of(out):
+        os.kill(number, signal.SIGKILL)
+    said, _ = process.communicate(timeout=60)
+    assert process.returncode == 3, said
+    assert record_of(out).state is State.LOST
+    # at once: it waits for the checkpoint
+    assert train_many(path, out, program=COUNTING).returncode == 0
+    assert int((out / "one.training" / "checkpoint").read_text()) >= 4
+    assert "Going on at step 0." not in logs_of(out).split("Going on at step 0.", 1)[1]
+
+
+def test_a_training_that_outlived_its_command_is_waited_for_and_not_begun_twice(tmp_path):
+    path, out = write_list(tmp_path, tmp_path, names=("one", "two")), tmp_path / "out"
+    process = begun(path, out, program=COUNTING)
+    process.kill()
+    process.wait()
+    again = started(path, out, program=COUNTING, step_s=0.0)
+    wait_until(lambda: "Waiting for its end." in logs_of(out), "a second job that waits")
+    os.kill(training_of(out), signal.SIGHUP)
+    said, _ = again.communicate(timeout=60)
+    assert again.returncode == 0, said
+    assert [record_of(out, name).state for name in ("one", "two")] == [State.FINISHED] * 2
+    assert record_of(out).starts == 1
+    assert not any(word in said for word in ("failed", "lost"))
+
+
+def test_a_second_command_beside_it_is_refused(tmp_path):
+    path, out = write_list(tmp_path, tmp_path), tmp_path / "out"
+    process = begun(path, out, program=COUNTING)
+    beside = train_many(path, out, program=COUNTING)
+    assert beside.returncode == 3
+    assert "no other jghand train-many" in beside.stderr
+    process.send_signal(signal.SIGTERM)
+    said, _ = process.communicate(timeout=60)
+    assert process.returncode == 130, said
+
+
+def test_a_command_that_fails_takes_its_trainings_along(tmp_path):
+    path, out = write_list(tmp_path, tmp_path, names=("one", "two", "three")), tmp_path / "out"
+    process = begun(path, out, "--jobs", "2", program=COUNTING)
+    wait_until((out / "two.training" / "lock").exists, "the second training")
+    # the record of the third cannot be written
+    (out / "jobs" / "records" / "three.json").mkdir()
+    os.kill(training_of(out, "two"), signal.SIGKILL)
+    said, _ = process.communicate(timeout=60)
+    assert process.returncode == 2, said
+    assert not processes_with(str(out))
+    assert record_of(out).state is State.STOPPED
+
+
+def test_what_a_training_refuses_is_said_and_can_be_allowed(tmp_path):
+    path, out = write_list(tmp_path, tmp_path), tmp_path / "out"
     out.mkdir()
     (out / "one.jghand").write_text("somebody's")
-    done = train_many(path, out)
+    done = train_many(path, out, program=COUNTING)
     assert done.returncode == 2
     assert "--overwrite" in done.stdout
     assert (out / "one.jghand").read_text() == "somebody's"
+    assert train_many(write_list(tmp_path, tmp_path, overwrite=True), out, program=COUNTING).returncode == 0
+    assert (out / "one.jghand").read_text() == "a hand of 24 steps"

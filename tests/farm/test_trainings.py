@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+from pathlib import Path
+
 import pytest
 
 from jghand_engine.cli import main
+from jghand_engine.cli.train_many import TrainMany
 from jghand_engine.errors import InputError
+from jghand_engine.farm import trainings
 from jghand_engine.farm.trainings import Training, read_trainings
 
 
@@ -73,13 +79,54 @@ def test_a_list_that_makes_no_sense_is_refused_by_the_entry(listed, text, told):
 @pytest.mark.parametrize(
     ("entry", "told"),
     [("steps = 0", "--steps"), ("preset = 'best'", "options that jghand train takes"), ("seed = -1", "--seed"),
-     ("protocol = 'test-capture0'\nhand = 'right'", "--protocol")],
+     ("protocol = 'test-capture0'\nhand = 'right'", "--protocol"), ("minutes = inf", "--minutes"),
+     ("device = 'cuda'", "device: wanted the CPU")],
 )  # fmt: skip
 def test_what_train_would_refuse_is_refused_before_any_job(listed, tmp_path, capsys, entry, told):
     path = listed(f"[[training]]\nfolder = 'captures/id3'\n{entry}\n")
     assert main(["train-many", str(path), "--out", str(tmp_path / "out")]) == 2
     assert told in " ".join(capsys.readouterr().err.split())
     assert not (tmp_path / "out").exists()
+
+
+def test_what_trainings_have_in_common_is_looked_at_once(listed, tmp_path, monkeypatch):
+    many = "".join(f"[[training]]\nfolder = 'captures/id3'\nname = 'hand {number}'\n" for number in range(50))
+    path = listed(f"steps = 100\n{many}[[training]]\nfolder = 'captures/id4'\nseed = 3\n")
+    looked_at = []
+    monkeypatch.setattr(TrainMany, "_check", lambda self, training: looked_at.append(training.name))
+    monkeypatch.setattr(TrainMany, "_see_through", lambda *_: 0)
+    monkeypatch.setattr(TrainMany, "_executor", lambda *_: Idle())
+    assert main(["train-many", str(path), "--out", str(tmp_path / "out")]) == 0
+    assert looked_at == ["hand 0", "id4"]
+
+
+class Idle:
+    """A scheduler of which nothing is asked."""
+
+    at_once, poll_s = None, 0.0
+
+
+def test_looking_at_a_list_waits_for_no_imports(listed, tmp_path):
+    path = listed("[[training]]\nfolder = 'captures/id3'\nhand = 'right'\nsteps = 0\n")
+    code = "import sys; from jghand_engine.cli import main; main(sys.argv[1:]); sys.exit('torch' in sys.modules)"
+    words = ["train-many", str(path), "--out", str(tmp_path / "out")]
+    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, timeout=60)
+    assert "--steps" in done.stderr
+    assert done.returncode == 0
+
+
+def test_a_list_without_an_end_is_refused_when_it_is_too_long(listed, monkeypatch):
+    monkeypatch.setattr(trainings, "LIST_BYTES_MAX", 1000)
+    path = listed("# a remark\n" * 100)
+    with pytest.raises(InputError, match="at most 1000 bytes"):
+        read_trainings(path)
+    with pytest.raises(InputError, match="at most 1000 bytes"):
+        read_trainings(Path("/dev/zero"))
+
+
+def test_a_list_of_more_trainings_than_an_array_of_slurm_holds_is_refused(listed):
+    with pytest.raises(InputError, match="at most 1000 trainings, got 1001"):
+        read_trainings(listed("[[training]]\n" * 1001))
 
 
 def test_a_list_that_is_not_there_is_told(tmp_path, capsys):

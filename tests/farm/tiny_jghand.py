@@ -1,36 +1,104 @@
-"""The command jghand with a model of 300 Gaussians, whose trainings take milliseconds a step.
+"""The command jghand with trainings that take little: of a model of 300 Gaussians, or that only count (--counting, its
+first word), for tests of what goes on around them.
 
-The environment says what goes wrong: JGHAND_TINY_STEP_S, seconds that a step takes besides.
+JGHAND_TINY_STEP_S: seconds that a step takes besides, from the fifth on of a training that is not gone on with; until
+SIGHUP comes.
 """
 
 from __future__ import annotations
 
+import contextlib
+import itertools
+import json
 import os
+import signal
 import sys
+import threading
 import time
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from small_hands import small_points
-from small_trainings import SMALL
-
 from jghand_engine.cli import main
+from jghand_engine.errors import RetryError
 from jghand_engine.farm import executors, job
-from jghand_engine.training import options, step
+from jghand_engine.files import make_folder, writing
+from jghand_engine.lock import locked
+from jghand_engine.training.mark import LOCK, MARK
 
-_STEP = step.HandTraining.step
+QUICK_STEPS = 4
+SLOW_S = 0.0 if "--resume" in sys.argv else float(os.environ.get("JGHAND_TINY_STEP_S", "0"))
+hurry = threading.Event()
 
 
-def _slow_step(self, number):
-    time.sleep(float(os.environ.get("JGHAND_TINY_STEP_S", "0")))
-    return _STEP(self, number)
+def wait_in(step: int) -> None:
+    if step >= QUICK_STEPS and not hurry.is_set():
+        time.sleep(SLOW_S)
+
+
+def make_trainings_small() -> None:
+    from small_hands import small_points
+    from small_trainings import SMALL
+
+    from jghand_engine.training import options, step
+
+    whole_step = step.HandTraining.step
+
+    def slow_step(self, number):
+        wait_in(number)
+        return whole_step(self, number)
+
+    step.place_points = lambda template, count, **how: small_points(count)
+    step.HandTraining.step = slow_step
+    options.PRESETS["default"] = SMALL
+
+
+def count(words: list[str]) -> int:
+    """`jghand train` as its job sees it: lock, mark, checkpoint, lines of progress, stop, avatar."""
+    given = dict(itertools.pairwise(words))
+    out, steps = Path(given["--out"]), int(given["--steps"])
+    work = make_folder(out.with_suffix(".training"))
+    if out.exists() and "--overwrite" not in words:
+        say("error", text="wanted a new file. Replace that one with --overwrite.")
+        return 2
+    told = threading.Event()
+    threading.Thread(target=lambda: (os.read(0, 1), told.set()), daemon=True).start()
+    try:
+        with locked(work / LOCK):
+            (work / MARK).touch()
+            done = int((work / "checkpoint").read_text()) if "--resume" in words else 0
+            say("note", text=f"Going on at step {done}.")
+            while done < steps and not told.is_set():
+                wait_in(done)
+                done += 1
+                say("training", text=f"step {done} of {steps}")
+            with writing(work / "checkpoint") as temporary:
+                temporary.write_text(str(done))
+            if done < steps:
+                return job.STOPPED_CODE
+            out.write_text(f"a hand of {steps} steps")
+            return 0
+    except RetryError as error:
+        say("error", text=str(error))
+        return 3
+
+
+def say(kind: str, **content: object) -> None:
+    # its job may have been killed
+    with contextlib.suppress(OSError):
+        print(json.dumps({"jghand": kind, **content}), file=sys.stderr, flush=True)
 
 
 if __name__ == "__main__":
-    step.place_points = lambda template, count, **how: small_points(count)
-    step.HandTraining.step = _slow_step
-    options.PRESETS["default"] = SMALL
-    job.PROGRAM = (sys.executable, __file__)
-    executors.SLURM_POLL_S = 1.0
-    sys.exit(main())
+    program, words = [sys.executable, __file__], sys.argv[1:]
+    counting = words[0] == "--counting"
+    if counting:
+        program.append(words.pop(0))
+    signal.signal(signal.SIGHUP, lambda *_: hurry.set())
+    if words[0] == "train" and counting:
+        sys.exit(count(words))
+    if words[0] == "train":
+        make_trainings_small()
+    job.PROGRAM, job.RECORD_EVERY_S = tuple(program), 0.1
+    executors.SlurmExecutor.poll_s = 1.0
+    sys.exit(main(words))

@@ -1,0 +1,78 @@
+"""What is asked of SLURM, with commands that only note it. tests/farm/test_slurm.py has a real one."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from jghand_engine.errors import InputError, RetryError
+from jghand_engine.farm import executors
+from jghand_engine.farm.executors import LocalExecutor, SlurmExecutor, SlurmOptions
+
+pytest.importorskip("submitit", reason="the extra farm is not installed")
+
+
+@pytest.fixture
+def sbatch(tmp_path, monkeypatch) -> Path:
+    """Where the script that it was given is found."""
+    commands = tmp_path / "bin"
+    commands.mkdir()
+    noted = tmp_path / "noted"
+    bodies = {"srun": "exit 0", "squeue": "exit 0", "sbatch": f'cp "$1" {noted}; echo Submitted batch job 77'}
+    for name, body in bodies.items():
+        (commands / name).write_text(f"#!/bin/sh\n{body}\n")
+        (commands / name).chmod(0o755)
+    monkeypatch.setenv("PATH", f"{commands}:{os.environ['PATH']}")
+    return noted
+
+
+def submitted(tmp_path: Path, count: int, running: int = 0) -> dict[str, str]:
+    executor = SlurmExecutor(tmp_path / "logs", SlurmOptions(), running)
+    return executor.submit({f"hand {number}": len for number in range(count)})
+
+
+def test_as_many_jobs_run_at_once_as_the_cluster_lets(sbatch, tmp_path):
+    numbers = submitted(tmp_path, 300)
+    assert len(numbers) == len(set(numbers.values())) == 300
+    assert "--array=0-299%300" in sbatch.read_text()
+
+
+def test_or_as_many_as_were_asked_for(sbatch, tmp_path):
+    submitted(tmp_path, 300, running=20)
+    assert "--array=0-299%20" in sbatch.read_text()
+
+
+SUBMITS_ONE = """
+import signal, sys
+from pathlib import Path
+from jghand_engine.farm.executors import SlurmExecutor, SlurmOptions
+from jghand_engine.farm.signals import STOPS
+for number in STOPS:
+    signal.signal(number, lambda got, _: print("heard", got))
+print(SlurmExecutor(Path(sys.argv[1]), SlurmOptions(), 0).submit({"one": len}))
+"""
+
+
+def test_sbatch_hears_neither_ctrl_c_nor_a_polite_kill_and_the_command_does(sbatch, tmp_path):
+    # everybody in a terminal gets it
+    script = tmp_path / "bin" / "sbatch"
+    script.write_text(script.read_text().replace("echo", "kill -INT $PPID $$; kill -TERM $PPID $$; echo"))
+    command = [sys.executable, "-c", SUBMITS_ONE, str(tmp_path / "logs")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+    assert sorted(done.stdout.splitlines()) == ["heard 15", "heard 2", "{'one': '77'}"], done.stderr
+
+
+def test_systems_without_such_signals_are_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(executors.sys, "platform", "win32")
+    with pytest.raises(InputError, match="wanted Linux"):
+        LocalExecutor(tmp_path, 1)
+
+
+def test_what_sbatch_refuses_is_said(sbatch, tmp_path):
+    (tmp_path / "bin" / "sbatch").write_text("#!/bin/sh\necho invalid partition >&2; exit 1\n")
+    with pytest.raises(RetryError, match="invalid partition"):
+        submitted(tmp_path, 2)
