@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import numpy as np
 import pytest
 
-from blender_addon.core import export_stamp
+from blender_addon.core import engine_words, export_stamp
+from blender_addon.core.engine_words import UsdChoices
 from blender_addon.core.messages import JGHandFailure
+from blender_addon.core.recording import Recording
 
 FILES = {"usd": "hand.usda", "motion": "hand.npz", "ply": "hand.0001.ply"}
 
@@ -35,3 +40,11 @@ def test_a_damaged_stamp_is_nobodys(tmp_path, stamp):
 def test_a_folder_that_is_not_there_has_nothing(tmp_path):
     for kind in FILES:
         export_stamp.check(tmp_path / "nowhere", "hand", kind, "a")
+
+
+def test_the_engine_may_replace_changed_layers_where_others_may_be_replaced():
+    recording = Recording("Hand", "right", "builtin", np.zeros((1, 21, 3)), 1, 24.0)
+    there = Path("somewhere")
+    for allowed in (False, True):
+        words = engine_words.export_usd(recording, there, there, there, UsdChoices(overwrite=allowed))
+        assert ("--overwrite" in words) == allowed
