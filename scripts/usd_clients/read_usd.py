@@ -2,8 +2,9 @@
 
     python read_usd.py lightusd|fourdgs FILE TABLE FRAMES
 
-Runs in the environment of the clients. TABLE gets positions_m (F, N, 3), scales_m (N, 3), turns_wxyz (N, 4), rgb (N, 3)
-and opacity (N,). fourdgs reads the Default time alone: F is 1 then.
+Runs in the environment of the clients. TABLE gets positions_m (F, N, 3), scales_m (F, N, 3), turns_wxyz (F, N, 4), rgb
+(F, N, 3), which are what an attribute has at each frame, and opacity (N,). fourdgs reads the Default time alone: F is 1
+then.
 """
 
 from __future__ import annotations
@@ -23,21 +24,22 @@ def with_lightusd(path: str, frames: int) -> dict[str, np.ndarray]:
     (prim,) = stage.prims_of_type("ParticleField3DGaussianSplat")
     half = "h" if "positionsh" in prim.attributes else ""
     first = int(stage.start_time)
-    wrist = prim.attribute("xformOp:translate") if "xformOp:translate" in prim.attributes else None
+    wrist = "xformOp:translate" if "xformOp:translate" in prim.attributes else None
 
     def at(name: str, time: float) -> np.ndarray:
         return np.asarray(prim.attribute(name).get(time=time), np.float64)
 
-    positions = []
-    for index in range(frames):
-        time = float(first + index)
-        local = at(f"positions{half}", time)
-        positions.append(local if wrist is None else local + np.asarray(wrist.get(time=time), np.float64))
+    def moving(name: str) -> np.ndarray:
+        return np.stack([at(f"{name}{half}", float(first + index)) for index in range(frames)])
+
+    positions_m = moving("positions")
+    if wrist is not None:
+        positions_m += np.stack([at(wrist, float(first + index)) for index in range(frames)])[:, None]
     return {
-        "positions_m": np.stack(positions),
-        "scales_m": np.asarray(prim[f"scales{half}"], np.float64),
-        "turns_wxyz": np.asarray(prim[f"orientations{half}"], np.float64),
-        "rgb": 0.5 + SH_C0 * np.asarray(prim[f"{HARMONICS}{half}"], np.float64),
+        "positions_m": positions_m,
+        "scales_m": moving("scales"),
+        "turns_wxyz": moving("orientations"),
+        "rgb": 0.5 + SH_C0 * moving(HARMONICS),
         "opacity": np.asarray(prim[f"opacities{half}"], np.float64),
     }
 
@@ -48,9 +50,9 @@ def with_fourdgs(path: str, frames: int) -> dict[str, np.ndarray]:
     data = fourdgs.usd.from_usd(path).gaussians
     return {
         "positions_m": np.asarray(data.positions, np.float64)[None],
-        "scales_m": np.asarray(data.scales, np.float64),
-        "turns_wxyz": np.asarray(data.rotations, np.float64)[:, [3, 0, 1, 2]],
-        "rgb": np.asarray(data.colors, np.float64)[:, :3],
+        "scales_m": np.asarray(data.scales, np.float64)[None],
+        "turns_wxyz": np.asarray(data.rotations, np.float64)[None, :, [3, 0, 1, 2]],
+        "rgb": np.asarray(data.colors, np.float64)[None, :, :3],
         "opacity": np.asarray(data.colors, np.float64)[:, 3],
     }
 
