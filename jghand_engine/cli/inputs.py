@@ -93,6 +93,7 @@ def read_file(path: Path, options: FormatOptions) -> MotionRead:
         mirrored_labels=None if options.labels == "auto" else options.labels == "mirrored",
         hand_length_m=None if options.hand_length is None else 1e-3 * options.hand_length,
         bones=None if options.bones is None else _bones(options.bones),
+        up=options.file_up,
     )
     return read_motion_file(path, wanted)
 

@@ -45,7 +45,7 @@ class Motion:
     in_place: bool = False
     """Keep the wrist where it first is: the hand turns and moves its fingers on the spot."""
     up: Annotated[Literal["y", "z"] | None, tyro.conf.arg(help_behavior_hint="")] = None
-    """Turn the motion so that this axis points up, where the file or its format says which does; else it is left."""
+    """Turn the motion so that this axis points up. Which one does in the file it or its format says, else --file-up."""
     constant_bones: bool = False
     """Give every bone its median length: estimates wobble."""
     on_missing: Literal["fill", "hold", "keep", "stop"] = "fill"
@@ -59,23 +59,23 @@ class Motion:
     def run(self) -> None:
         from jghand_engine.cli.inputs import read_file
         from jghand_engine.datasets.motion_files import write_motion
-        from jghand_engine.hand.orders import hand_length
 
         self._check()
         with progress("Reading the motion", 3) as bar:
             read = read_file(self.file, self.format)
             bar.advance(bar.task_ids[0])
-            sequence, gaps = self._changed(read.sequence, read.up)
+            sequence, said = self._changed(read.sequence, read.up)
+            length_mm = _length_mm(sequence)
             bar.advance(bar.task_ids[0])
             write_motion(self.out, sequence)
             bar.advance(bar.task_ids[0])
-        notes = [*read.notes, *([gaps] if gaps else [])]
+        notes = [*read.notes, *said]
         for note in notes:
             say(note)
-        length_mm = 1e3 * hand_length(sequence.joints_m)
+        long = "of unknown length" if length_mm is None else f"of {length_mm:.0f} mm"
         say(
-            f"Wrote {self.out} from {read.kind}: {sequence.handedness} hand of {length_mm:.0f} mm, {len(sequence)} "
-            f"frames at {sequence.fps:g} fps ({sequence.duration_s:.1f} s)"
+            f"Wrote {self.out} from {read.kind}: {sequence.handedness} hand {long}, {len(sequence)} frames at "
+            f"{sequence.fps:g} fps ({sequence.duration_s:.1f} s)"
         )
         if self.report.json is not None:
             write_json(self.report.json, {
@@ -95,23 +95,37 @@ class Motion:
             raise InputError("--to-fps", wanted=wanted, came=f"{self.to_fps:g}")
         check_place(self.out, overwrite=self.overwrite)
 
-    def _changed(self, sequence: PoseSequence, up: str | None) -> tuple[PoseSequence, str]:
-        """The motion as the options want it, and a sentence about its gaps. The whole is repaired before it is cut."""
+    def _changed(self, sequence: PoseSequence, up: str | None) -> tuple[PoseSequence, list[str]]:
+        """The motion as the options want it, and sentences about it. The whole is repaired and taken at another rate
+        before it is cut, so that the part looks as it does in the whole and has both its ends."""
         from jghand_engine.cli.inputs import without_gaps
         from jghand_engine.datasets.motion_tools import cut, in_place, turned_up
 
-        said = ""
-        if self.on_missing == "stop":
-            sequence.without_gaps()
-        elif self.on_missing != "keep":
-            sequence, said = without_gaps(sequence, hold=self.on_missing == "hold")
+        said = []
+        if self.on_missing in ("fill", "hold"):
+            sequence, gaps = without_gaps(sequence, hold=self.on_missing == "hold")
+            said += [gaps] if gaps else []
         if self.constant_bones:
             sequence = sequence.with_constant_bone_lengths()
-        sequence = cut(sequence, self.start, self.end)
         if self.to_fps is not None:
             sequence = sequence.resampled(self.to_fps)
+        sequence = cut(sequence, self.start, self.end)
+        if self.on_missing == "stop":
+            sequence.without_gaps()
         if self.in_place:
             sequence = in_place(sequence)
-        if self.up is not None and up is not None:
+        if self.up is not None and up is None:
+            said.append("Which axis points up is not known, so it is left as it is: --file-up says it.")
+        elif self.up is not None and up is not None:
             sequence = turned_up(sequence, up, self.up)
         return (sequence.mirrored() if self.mirror else sequence), said
+
+
+def _length_mm(sequence: PoseSequence) -> float | None:
+    """From the wrist to the middle finger's tip; None where no frame shows all of it."""
+    from jghand_engine.hand.orders import hand_length
+
+    try:
+        return 1e3 * hand_length(sequence.joints_m)
+    except InputError:
+        return None

@@ -61,6 +61,8 @@ class FormatOptions:
     """Whether a detector's "Left" and "Right" are true or those of a mirrored picture. auto: as is usual there."""
     hand_length: Annotated[float | None, tyro.conf.arg(metavar="MM", help_behavior_hint="")] = None
     """Scale the hand to this length, wrist to the middle finger's tip, whatever the unit of the file is."""
+    file_up: Annotated[Literal["y", "z"] | None, tyro.conf.arg(help_behavior_hint="")] = None
+    """The axis that points up in the file, where it does not say so (BVH), or says so wrongly; for motion --up."""
 
     def checked_fps(self) -> float | None:
         """`fps`. InputError when no motion can have it (NaN included)."""

@@ -29,11 +29,12 @@ import numpy as np
 
 from jghand_engine import limits
 from jghand_engine.datasets.motions.bone_names import BoneMap
+from jghand_engine.datasets.motions.damage import NoMotionError
 from jghand_engine.datasets.motions.json_text import JsonText
 from jghand_engine.datasets.motions.text_lines import bounded_lines
 from jghand_engine.errors import InputError
 from jghand_engine.files import writing
-from jghand_engine.hand.joints import STANDARD_NAMES, Handedness
+from jghand_engine.hand.joints import JOINT_COUNT, STANDARD_NAMES, Handedness
 from jghand_engine.hand.orders import JointOrder, from_level
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.template.archives import read_arrays
@@ -60,6 +61,7 @@ class MotionFormat:
     mirrored_labels: whether a detector's labels are those of a mirrored picture; None: as its interface usually has it
     bones:           names of a rig's bones by joint, where they are those of no convention
     hand_length_m:   scale the hand to this length, wrist to the middle finger's tip; a unit is not needed then
+    up:              the axis that points up, "y" or "z"; replaces the file's
     """
 
     order: JointOrder | None = None
@@ -71,6 +73,7 @@ class MotionFormat:
     mirrored_labels: bool | None = None
     hand_length_m: float | None = None
     bones: BoneMap | None = None
+    up: str | None = None
 
 
 @dataclass(frozen=True)
@@ -139,9 +142,23 @@ def _check_size(file: Path, kind: str) -> None:
 
 
 def _numbers(array: np.ndarray) -> np.ndarray:
-    if array.dtype.kind not in "fiu":
+    """Numbers as float64. What they are is looked at before: bytes make eight times their size, and no joints."""
+    if array.dtype.kind not in "fiu" or array.dtype.itemsize < 2:
         raise ValueError(f"numbers wanted, dtype {array.dtype} found")
-    return array.astype(np.float64)
+    return np.array(array, dtype=np.float64)
+
+
+def _joints(array: np.ndarray) -> np.ndarray:
+    """Joints (F, n, 3) as float64. Their shape is looked at before any memory is taken."""
+    if array.ndim != 3 or array.shape[-1] != 3 or array.shape[1] > 2 * JOINT_COUNT:
+        raise NoMotionError(f"joints of shape (frames, 21, 3) wanted, {array.shape} found")
+    _check_count(len(array))
+    return _numbers(array)
+
+
+def _check_count(frames: int) -> None:
+    if frames > limits.MOTION_FRAMES_MAX:
+        raise NoMotionError(f"more than {limits.MOTION_FRAMES_MAX} frames")
 
 
 # ---- numpy ----------------------------------------------------------------------------------------------------------
@@ -152,16 +169,18 @@ def _read_npy(file: Path) -> FileContent:
     mapped = np.load(file, mmap_mode="r", allow_pickle=False)
     if not isinstance(mapped, np.ndarray):
         raise ValueError("an archive with the suffix of a single array")
-    return FileContent(_numbers(np.array(mapped)), None, {})
+    return FileContent(_joints(mapped), None, {})
 
 
 def _read_npz(file: Path) -> FileContent:
+    # zeros pack to a thousandth: a small file must not ask for much
+    unpacked = limits.MOTION_UNPACKED_BYTES + limits.MOTION_UNPACKED_TIMES * file.stat().st_size
     arrays = read_arrays(
         file,
         (),
         f"motion file {file}",
         optional=("joints_m", "joints", "valid", "filled", *_DECLARED),
-        max_bytes=limits.MOTION_MAX_BYTES,
+        max_bytes=min(unpacked, limits.MOTION_MAX_BYTES),
     )
     key = "joints_m" if "joints_m" in arrays else "joints"
     if key not in arrays:
@@ -171,7 +190,7 @@ def _read_npz(file: Path) -> FileContent:
         raise ValueError(f"'joints_m' means metres, and the unit is '{declared['unit']}': call the array 'joints'")
     declared["filled"] = arrays.get("filled")
     valid = arrays["valid"].astype(bool) if "valid" in arrays else None
-    return FileContent(_numbers(arrays[key]), valid, declared)
+    return FileContent(_joints(arrays[key]), valid, declared)
 
 
 def _write_npz(file: Path, sequence: PoseSequence) -> None:
@@ -226,6 +245,7 @@ def _json_frames(text: JsonText, place: int) -> np.ndarray:
         if array.ndim != 2:
             raise ValueError(f"frame {len(frames)} is no list of joints")
         frames.append(array)
+        _check_count(len(frames))
     return np.stack(frames) if frames else np.zeros((0, len(STANDARD_NAMES), 3))
 
 
@@ -298,6 +318,7 @@ def _csv_numbers(rows: Iterable[list[str]], places: Iterable[int], first_line: i
     for number, row in enumerate(rows, first_line):
         if len(row) <= max(columns):
             raise ValueError(f"row {number} ends after {len(row)} of {max(columns) + 1} columns")
+        _check_count(len(table))
         table.append(np.array([_cell(row[place], number, place) for place in columns]))
     return np.array(table).reshape(len(table), -1, 3)
 

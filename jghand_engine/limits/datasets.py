@@ -117,5 +117,7 @@ KEY_EPS = 1e-3
 RECOGNISE_FRAMES = 500
 # bytes from which the format of a file is recognised
 RECOGNISE_BYTES = 1 << 16
+# frames of InterHand2.6M that may be left out before it is another sequence: a second
+INTERHAND_GAP_STEPS = 30
 # points of a whole body of FreeMoCap: body, right hand, left hand, and the face if it was tracked
 FREEMOCAP_BODY_POINTS = 33

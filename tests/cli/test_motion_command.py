@@ -132,3 +132,50 @@ def test_render_and_info_take_the_file_itself(bvh, tmp_path, capsys):
     samples.write_glb(tmp_path / "a.glb", *samples.gltf_document(samples.rig(samples.motion())))
     assert run("info", tmp_path / "a.glb") == 0
     assert "glTF" in capsys.readouterr().out
+
+
+def test_a_motion_without_one_whole_middle_finger_is_written_all_the_same(tmp_path, capsys):
+    joints = samples.standard(samples.motion()).copy()
+    joints[:, 12] = np.nan
+    np.save(tmp_path / "a.npy", joints)
+    words = ("--hand", "right", "--unit", "m", "--order", "standard", "--any-proportions", "--on-missing", "keep")
+    figures = tmp_path / "figures.json"
+    assert run("motion", tmp_path / "a.npy", "--out", tmp_path / "a.npz", *words, "--json", figures) == 0
+    assert "right hand of unknown length" in capsys.readouterr().out
+    assert json.loads(figures.read_text())["hand_length_mm"] is None
+
+
+def test_a_cut_between_frames_has_both_its_ends_at_another_rate(tmp_path):
+    motion = samples.motion(fps=5.0)
+    samples.write_bvh(tmp_path / "a.bvh", samples.rig(motion, scale=100))
+    words = ("--start", "0.3", "--end", "0.9", "--to-fps", "30")
+    assert run("motion", tmp_path / "a.bvh", "--out", tmp_path / "a.npz", *words) == 0
+    read = read_motion_file(tmp_path / "a.npz").sequence
+    assert len(read) == 19
+    assert np.abs(read.joints_m[3] - motion.joints_m[2]).max() < 1e-7
+
+
+def test_a_gap_outside_of_the_cut_stops_nothing(tmp_path):
+    joints = samples.standard(samples.motion()).copy()
+    joints[4:7, 6] = np.nan
+    np.save(tmp_path / "a.npy", joints)
+    words = ("motion", tmp_path / "a.npy", "--hand", "right", "--out", tmp_path / "a.npz", "--on-missing", "stop")
+    assert run(*words, "--start", "0.1") == 2
+    assert run(*words, "--start", "0.3") == 0
+
+
+def test_the_axis_that_points_up_can_be_said(tmp_path, capsys):
+    path = tmp_path / "a.bvh"
+    samples.write_bvh(path, samples.rig(samples.motion(), scale=100))
+    path.write_text(path.read_text().replace("Hips", "Root"))
+    made = {}
+    for words in ((), ("--file-up", "z")):
+        assert run("motion", path, "--out", tmp_path / "a.npz", "--up", "z", "--overwrite", *words) == 0
+        made[words] = read_motion_file(tmp_path / "a.npz").sequence.joints_m
+        assert ("y is taken; --file-up" in capsys.readouterr().out) is (not words)
+    x, y, z = np.moveaxis(samples.motion().joints_m, -1, 0)
+    np.testing.assert_allclose(made[()], np.stack([x, -z, y], axis=-1), atol=5e-8)
+    np.testing.assert_allclose(made["--file-up", "z"], np.stack([x, y, z], axis=-1), atol=5e-8)
+    np.save(tmp_path / "b.npy", samples.standard(samples.motion()))
+    assert run("motion", tmp_path / "b.npy", "--hand", "right", "--out", tmp_path / "b.npz", "--up", "z") == 0
+    assert "left as it is: --file-up" in capsys.readouterr().out.replace("\n", " ")

@@ -69,6 +69,39 @@ def test_capture_1_is_not_capture_10(tmp_path):
     assert len(read.sequence) == len(motion)
 
 
+def test_frames_that_interhand_leaves_out_are_gaps_and_a_jump_begins_another_sequence(tmp_path):
+    document = samples.interhand_document(samples.motion())
+    for number in (5, 6, 7):
+        del document["0"][str(20 + 3 * number)]
+    path = tmp_path / "joint_3d.json"
+    path.write_text(json.dumps(document))
+    assert read_motion_file(path).sequence.gaps.frames == (5, 6, 7)
+    later = samples.interhand_document(samples.motion(frames=12))["0"]
+    document["0"] |= {str(int(name) + 9000): frame for name, frame in later.items()}
+    path.write_text(json.dumps(document))
+    with pytest.raises(InputError, match=r"got 2: Capture0, from 20, .*, from 9020.*--part"):
+        read_motion_file(path)
+    assert len(read_motion_file(path, MotionFormat(part="Capture0, from 9020")).sequence) == 12
+    assert len(read_motion_file(path, MotionFormat(part="from 20,")).sequence) == 40
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (b"Kaydara FBX Binary  \x00", r"\.any: FBX is not read: export BVH"),
+        (b"", r"\.any: it is empty\."),
+        (b'{"people": []}', r"\.any: no keypoints of hands in it"),
+        (b'[{"worldLandmarks": [], "landmarks": [[1]]}]', r"\.any: it holds landmarks of the image only"),
+        (b"HIERARCHY\n", r"wanted an undamaged file, got no MOTION in it"),
+    ],
+)
+def test_a_good_file_is_not_called_damaged(tmp_path, content, says):
+    (tmp_path / "motion.any").write_bytes(content)
+    with pytest.raises(InputError, match=says) as caught:
+        read_motion_file(tmp_path / "motion.any")
+    assert "ValueError" not in str(caught.value)
+
+
 def test_an_animation_is_chosen_by_its_whole_name(tmp_path):
     document, binary = samples.gltf_document(samples.rig(samples.motion()))
     whole = document["animations"][0]

@@ -14,6 +14,7 @@ import pytest
 
 from jghand_engine import limits
 from jghand_engine.datasets.motion_files import MotionFormat
+from jghand_engine.datasets.motions import json_text
 from jghand_engine.datasets.motions.read import read_motion_file
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
@@ -276,6 +277,27 @@ def test_a_value_larger_than_any_frame_is_not_built(tmp_path):
         read_motion_file(path, TOLD)
 
 
+def test_short_values_are_looked_at_no_further_than_they_go(tmp_path, monkeypatch):
+    looked = []
+    depths = json_text._depths
+    monkeypatch.setattr(json_text, "_depths", lambda block, *more: looked.append(len(block)) or depths(block, *more))
+    text = json_text.JsonText(b"{" + b'"a":{},' * 100_000 + b'"b":[' + b"0," * 100_000 + b"0]}")
+    places = list(text.members(text.start))
+    assert len(looked) < 100_000 + 20
+    assert max(looked[:100_000]) == 256
+    assert text.after_value(places[-1][1]) == len(text.text) - 1
+
+
+@pytest.mark.parametrize("text", ["Größe", "\U0001f590 \u00a0\u0085\u2028", "\\u00e4\\\\", "é" * 5000])
+def test_strings_of_any_alphabet_are_read_whatever_stands_around_them(text):
+    content = json_text.JsonText(b"\xef\xbb\xbf" + f'{{"{text}": ["{text}", {{"a": "{text}"}}, 12], "n": 5}}'.encode())
+    (name, place), (_, last) = content.members(content.start)
+    wanted = json.loads(f'"{text}"')
+    assert name == wanted
+    assert list(content.elements(place)) == [wanted, {"a": wanted}, 12]
+    assert content.value(last) == 5
+
+
 # each makes a bad file of about 20 MB by the quickest means
 LARGE = {
     "json of one value": lambda: b'{"frames": [' + b"[0,0,0]," * 2_500_000 + b"0]}",
@@ -284,6 +306,8 @@ LARGE = {
     "json nested": lambda: b"[" * 10_000_000 + b"]" * 10_000_000,
     "json of one string": lambda: b'{"frames": "' + b"x" * 20_000_000 + b'"}',
     "json of names": lambda: b"{" + b'"a":1,' * 3_300_000 + b'"b":2}',
+    "json of empty objects": lambda: b"{" + b'"a":{},' * 2_800_000 + b'"b":2}',
+    "json with an emoji": lambda: ('{"frames": [' + '{"right": null},' * 1_250_000 + '"\U0001f590"]}').encode(),
     "bvh of one line": lambda: b"HIERARCHY\nROOT a\n{\nOFFSET " + b"1 " * 10_000_000,
     "bvh of many joints": lambda: b"HIERARCHY\nROOT a\n{\n" + b"JOINT b\n{\n" * 2_000_000,
     "csv of one line": lambda: b"a," * 10_000_000,

@@ -16,6 +16,7 @@ from jghand_engine.errors import InputError, MemoryLimitError
 from jghand_engine.hand.anatomy import pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder
+from jghand_engine.hand.sequence import PoseSequence
 
 TOLD = MotionFormat(JointOrder.STANDARD, "m", Handedness.RIGHT, 30.0)
 
@@ -144,13 +145,46 @@ def test_memory_that_runs_out_is_no_damage(tmp_path, monkeypatch, suffix):
     assert caught.value.exit_code == 4
 
 
-def test_an_archive_that_would_fill_the_memory_is_refused(tmp_path, monkeypatch):
+def test_an_archive_that_unpacks_to_much_more_than_a_motion_is_refused(tmp_path):
     path = tmp_path / "motion.npz"
-    np.savez_compressed(path, joints_m=np.zeros((4000, 21, 3)))
-    assert path.stat().st_size < 20_000
-    monkeypatch.setattr(limits, "MOTION_MAX_BYTES", 100_000)
-    with pytest.raises(InputError, match="unpack"):
+    np.savez_compressed(path, joints_m=np.zeros((60_000, 21, 3)))
+    assert path.stat().st_size < 100_000
+    with pytest.raises(InputError, match="unpacked"):
         read_motion_file(path, TOLD)
+    # a hand that does not move for a minute
+    still = pose_sequence_of_names(["open"], hands.canonical_np(), handedness=Handedness.RIGHT)
+    write_motion(path, PoseSequence(np.repeat(still.joints_m[:1], 7200, 0), 120.0, Handedness.RIGHT))
+    assert len(read_motion_file(path).sequence) == 7200
+
+
+@pytest.mark.parametrize("shape", [(1_000_001, 21, 3), (100_000_000,), (4, 21, 3, 1), (1000, 1000, 3)])
+def test_shapes_of_no_motion_are_refused_before_they_are_read(tmp_path, monkeypatch, shape):
+    """The file is a hole as long as its header says."""
+    path = tmp_path / "motion.npy"
+    with open(path, "wb") as stream:
+        stream.write(_header(shape, "<f2"))
+        stream.truncate(stream.tell() + 2 * int(np.prod(shape)))
+    monkeypatch.setattr("jghand_engine.datasets.motion_files._numbers", None)
+    with pytest.raises(InputError, match=r"more than 1000000 frames|joints of shape"):
+        read_motion_file(path, TOLD)
+
+
+@pytest.mark.parametrize("suffix", [".npy", ".npz"])
+def test_bytes_are_no_joints(tmp_path, suffix):
+    path = tmp_path / f"motion{suffix}"
+    zeros = np.zeros((4, 21, 3), dtype=np.uint8)
+    np.save(path, zeros) if suffix == ".npy" else np.savez(path, joints_m=zeros)
+    with pytest.raises(InputError, match="dtype uint8"):
+        read_motion_file(path, TOLD)
+
+
+def test_more_frames_than_a_motion_has_are_refused_in_text(tmp_path, monkeypatch):
+    monkeypatch.setattr(limits, "MOTION_FRAMES_MAX", 5)
+    motion = pose_sequence_of_names(["open", "fist"], hands.canonical_np(), handedness=Handedness.RIGHT)
+    for suffix in (".json", ".csv", ".npz"):
+        write_motion(tmp_path / f"motion{suffix}", motion)
+        with pytest.raises(InputError, match="more than 5 frames"):
+            read_motion_file(tmp_path / f"motion{suffix}")
 
 
 def test_a_file_larger_than_any_motion_is_refused(tmp_path, monkeypatch):

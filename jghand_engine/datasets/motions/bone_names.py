@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from jghand_engine import limits
+from jghand_engine.datasets.motions.damage import NoMotionError
 from jghand_engine.hand.joints import FINGERS, STANDARD_NAMES, Handedness
 
 # what exporters and importers add to the last bone of a chain for its tip
@@ -228,7 +229,7 @@ class BoneMap:
             if bones[place] is None
         ]
         if absent:
-            raise ValueError(f"no bone of the map is called {', '.join(absent)[:300]}")
+            raise NoMotionError(f"no bone of the map is called {', '.join(absent)[:300]}")
         return NamedHand(self.handedness, bones, "the map", "", (found[0], found[1]))
 
 

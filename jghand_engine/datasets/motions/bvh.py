@@ -48,8 +48,9 @@ class _Header:
     frame_time_s: float = 0.0
 
 
-def read(file: Path, bones: BoneMap | None = None) -> MotionContent:
-    """The hands of a BVH file, found by a map where there is one. ValueError says what is wrong."""
+def read(file: Path, bones: BoneMap | None = None, up: str | None = None) -> MotionContent:
+    """The hands of a BVH file, found by a map where there is one. up: the axis that points up, where it is known.
+    ValueError says what is wrong."""
     with open(file, encoding="utf-8-sig", errors="replace") as stream:
         lines = bounded_lines(stream)
         header = _header(lines)
@@ -65,16 +66,21 @@ def read(file: Path, bones: BoneMap | None = None) -> MotionContent:
     tracks, lacking = hand_tracks(skeleton, "", bones)
     # frame times in text have six digits
     fps = whole_rate(1 / header.frame_time_s)
-    return MotionContent(KIND, tuple(tracks), fps=fps, notes=(*skeleton.notes, *lacking), up=_up(skeleton))
+    if up is None:
+        up, said = _up(skeleton)
+        lacking = [*lacking, *said]
+    return MotionContent(KIND, tuple(tracks), fps=fps, notes=(*skeleton.notes, *lacking), up=up)
 
 
-def _up(skeleton: _Bvh) -> str:
+def _up(skeleton: _Bvh) -> tuple[str, list[str]]:
     """The axis along which a body stands at rest: z where it is by far longer that way than along y, as Blender writes
-    BVH; else y, as nearly everybody does."""
+    BVH, else y. A hand alone does not tell it: y, as nearly everybody writes it, and a sentence."""
     rest = skeleton.rest[:, :3, 3]
     _, along_y, along_z = np.ptp(rest, axis=0)
     has_body = any(word in name.casefold() for name in skeleton.names for word in ("spine", "hips", "pelvis", "head"))
-    return "z" if has_body and along_z > 2 * along_y else "y"
+    if not has_body:
+        return "y", ["It does not say which axis points up: y is taken; --file-up says otherwise."]
+    return ("z" if along_z > 2 * along_y else "y"), []
 
 
 class _Bvh:

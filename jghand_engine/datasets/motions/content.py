@@ -70,9 +70,8 @@ class MotionContent:
 
 
 def named(part: str, names: Sequence[str]) -> list[int]:
-    """The places of the names that people mean by `part`: those that it is, up to a comma at least; else those that it
-    is a part of."""
+    """The places of the names that people mean by `part`: those that it is, up to a comma; else those it is part of."""
     wanted = part.casefold().strip()
     known = [name.casefold() for name in names]
-    exact = [place for place, name in enumerate(known) if wanted in (name, name.partition(",")[0])]
+    exact = [place for place, name in enumerate(known) if f"{name},".startswith(f"{wanted},")]
     return exact or [place for place, name in enumerate(known) if wanted in name]

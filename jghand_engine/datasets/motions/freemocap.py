@@ -18,6 +18,7 @@ import numpy as np
 from jghand_engine import limits
 from jghand_engine.datasets.motions.bone_names import side_of
 from jghand_engine.datasets.motions.content import HandTrack, MotionContent
+from jghand_engine.datasets.motions.damage import NoMotionError
 from jghand_engine.datasets.motions.tables import read_tracks
 from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 from jghand_engine.hand.orders import METRES_PER_UNIT, JointOrder
@@ -52,7 +53,7 @@ def read(files: list[Path]) -> MotionContent:
 def _table(file: Path) -> tuple[HandTrack, ...]:
     tracks = read_tracks(file)
     if not tracks:
-        raise ValueError(f"{file.name} has no columns of a hand")
+        raise NoMotionError(f"{file.name} has no columns of a hand")
     return tracks
 
 
@@ -62,14 +63,14 @@ def _array(file: Path) -> list[HandTrack]:
     if points.ndim != 3 or points.shape[-1] != 3 or points.dtype.kind != "f":
         raise ValueError(f"numbers of shape {points.shape} where (frames, points, 3) were wanted")
     if len(points) > limits.MOTION_FRAMES_MAX:
-        raise ValueError(f"more than {limits.MOTION_FRAMES_MAX} frames")
+        raise NoMotionError(f"more than {limits.MOTION_FRAMES_MAX} frames")
     if _HAND.search(file.stem):
         if points.shape[1] != JOINT_COUNT:
-            raise ValueError(f"{points.shape[1]} points where a hand has {JOINT_COUNT}")
+            raise NoMotionError(f"{points.shape[1]} points where a hand has {JOINT_COUNT}")
         return [_track(points, 0, side_of(file.stem))]
     first = limits.FREEMOCAP_BODY_POINTS
     if points.shape[1] < first + 2 * JOINT_COUNT:
-        raise ValueError(f"{points.shape[1]} points, which is a body without hands")
+        raise NoMotionError(f"{points.shape[1]} points, which is a body without hands")
     return [_track(points, first, Handedness.RIGHT), _track(points, first + JOINT_COUNT, Handedness.LEFT)]
 
 

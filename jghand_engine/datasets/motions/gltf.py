@@ -228,7 +228,7 @@ class _Document:
         with open(file, "rb") as stream:
             content = memoryview(mmap(stream.fileno(), 0, access=ACCESS_READ))
         text, self._binary = glb_chunks(content, limits.GLTF_JSON_MAX_BYTES)
-        return JsonText(bytes(text).decode("utf-8"))
+        return JsonText(bytes(text))
 
     def _buffer(self, index: Any) -> memoryview:
         buffer = list_entry(self.lists, "buffers", index)

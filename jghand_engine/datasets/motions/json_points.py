@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -62,10 +63,16 @@ def named_points(value: Mapping[str, Any]) -> list[tuple[NamedHand, np.ndarray]]
     if len(names) < JOINT_COUNT:
         return []
     hands = []
-    for hand in hands_among(names)[0]:
+    for hand in _hands_among(tuple(names)):
         joints = [_MISSING if place is None else point(value[names[place]]) for place in hand.bones]
         hands.append((hand, np.array(joints, dtype=np.float64)))
     return hands
+
+
+@lru_cache(maxsize=8)
+def _hands_among(names: tuple[str, ...]) -> tuple[NamedHand, ...]:
+    """Frame after frame has the same names, and looking for hands in them takes longer than all the rest."""
+    return tuple(hands_among(names)[0])
 
 
 def _numbers(*values: Any) -> tuple[float, float, float]:

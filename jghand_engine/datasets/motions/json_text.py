@@ -6,9 +6,11 @@ JSON_ELEMENT_MAX_BYTES, and what nobody asks for is skipped without building it.
 
 from __future__ import annotations
 
+import codecs
 import itertools
 import json
 import re
+from codecs import BOM_UTF8
 from collections.abc import Iterator
 from functools import cached_property
 from pathlib import Path
@@ -22,7 +24,7 @@ _SPACE = re.compile(r"[ \t\n\r]*")
 _STRING = re.compile(r'"[^"\\]*(?:\\.[^"\\]*)*"', re.DOTALL)
 _QUOTE, _BRACKETS = ord('"'), ((ord("["), ord("{")), (ord("]"), ord("}")))
 _BLOCK = 1 << 17
-_SCALAR_END = re.compile(r"[,\]}\s]")
+_SCALAR_END = re.compile(r"[,\]} \t\n\r]")
 _DECODER = json.JSONDecoder()
 # how much of the text is looked at for one element, growing until it is enough
 _FIRST_LOOK, _GROWTH = 1 << 8, 8
@@ -30,12 +32,17 @@ _FIRST_LOOK, _GROWTH = 1 << 8, 8
 
 class JsonText:
     """The text of a JSON file; places are indices into it. Everything raises ValueError, or RecursionError, for what is
-    no JSON."""
+    no JSON.
 
-    def __init__(self, text: str) -> None:
-        self.text = text
+    `text` has a character for each byte, whatever is written in it, so that one emoji does not make all of it four
+    times as large; only values are decoded.
+    """
+
+    def __init__(self, content: bytes) -> None:
+        _check_utf8(content)
+        self.text = content.decode("latin-1")
         self._look = _FIRST_LOOK
-        self.start = self.after_space(0)
+        self.start = self.after_space(len(BOM_UTF8) if content.startswith(BOM_UTF8) else 0)
         end = len(self.text.rstrip(" \t\n\r"))
         # a file that was cut is most quickly known by its end
         if self.start >= end:
@@ -46,7 +53,7 @@ class JsonText:
     @classmethod
     def of_file(cls, file: Path) -> JsonText:
         """The text of a file. OSError, UnicodeDecodeError."""
-        return cls(file.read_text(encoding="utf-8-sig"))
+        return cls(file.read_bytes())
 
     def after_space(self, place: int) -> int:
         """The next place that is no white space."""
@@ -68,7 +75,7 @@ class JsonText:
         return self._decoded(place)[0]
 
     def elements(self, place: int, most: int = limits.JSON_ELEMENT_MAX_BYTES) -> Iterator[Any]:
-        """The values of the list that begins at `place`, one after the other, none of more than `most` characters."""
+        """The values of the list that begins at `place`, one after the other, none of more than `most` bytes."""
         place = self.after_space(place + 1)
         if self._mark(place) == "]":
             return
@@ -118,23 +125,20 @@ class JsonText:
     def _after_container(self, place: int) -> int:
         """Where the list or object that begins at `place` ends: brackets outside of strings are counted, a block of the
         text at a time."""
-        depth, inside = 0, 0
+        depth, inside, look = 0, 0, _FIRST_LOOK
         while place < len(self.text):
-            block = self.text[place : place + _BLOCK]
+            block = self.text[place : place + look]
             if (len(block) - len(block.rstrip("\\"))) % 2:
                 # the character behind the last backslash belongs to it
                 block = self.text[place : place + len(block) + 1]
-            # what is escaped is no mark; the lengths stay
-            plain = block.replace("\\\\", "xx").replace('\\"', "xx") if "\\" in block else block
-            marks = np.frombuffer(plain.encode("ascii", "replace"), np.uint8)
-            in_string = (np.cumsum(marks == _QUOTE, dtype=np.int64) + inside) % 2
-            opens, closes = ((marks == first) | (marks == second) for first, second in _BRACKETS)
-            depths = depth + np.cumsum(np.where(in_string, 0, opens.astype(np.int64) - closes))
+            depths, in_string, closes = _depths(block, depth, inside)
             ends = np.flatnonzero((depths == 0) & closes & (in_string == 0))
             if len(ends):
                 return place + int(ends[0]) + 1
             depth, inside = int(depths[-1]), int(in_string[-1])
             place += len(block)
+            # most values are short
+            look = min(look * _GROWTH, _BLOCK)
         raise ValueError("cut off before its end")
 
     def _mark(self, place: int) -> str:
@@ -149,16 +153,39 @@ class JsonText:
         look = min(self._look, most)
         while True:
             part = self.text[place : place + look]
-            is_rest = len(part) < look
+            is_rest, is_ascii = len(part) < look, part.isascii()
+            if not is_ascii:
+                # a character that the look cuts in two stands behind the value, or the look is too short
+                part = part.encode("latin-1").decode("utf-8", "ignore")
             try:
                 value, end = _DECODER.raw_decode(part)
                 # a number at the end of the part may go on behind it
                 if end < len(part) or is_rest:
-                    self._look = max(2 * end, _FIRST_LOOK)
-                    return value, place + end
+                    taken = end if is_ascii else len(part[:end].encode())
+                    self._look = max(2 * taken, _FIRST_LOOK)
+                    return value, place + taken
             except ValueError as error:
                 if is_rest:
                     raise ValueError(f"{error} (character {place} of the file)") from error
             if look >= most:
                 raise ValueError(f"no whole value of at most {most / 2**20:g} MiB at character {place}")
             look = min(look * _GROWTH, most)
+
+
+def _depths(block: str, depth: int, inside: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """For each character of a block how deep in brackets it leaves us, whether it is in a string, and whether it is a
+    closing bracket. depth, inside: those before the block."""
+    # what is escaped is no mark; the lengths stay
+    plain = block.replace("\\\\", "xx").replace('\\"', "xx") if "\\" in block else block
+    marks = np.frombuffer(plain.encode("latin-1"), np.uint8)
+    in_string = (np.cumsum(marks == _QUOTE, dtype=np.int64) + inside) % 2
+    opens, closes = ((marks == first) | (marks == second) for first, second in _BRACKETS)
+    return depth + np.cumsum(np.where(in_string, 0, opens.astype(np.int64) - closes)), in_string, closes
+
+
+def _check_utf8(content: bytes) -> None:
+    """UnicodeDecodeError for what is no UTF-8; without a copy of the whole."""
+    decoder = codecs.getincrementaldecoder("utf-8")()
+    for place in range(0, len(content), _BLOCK):
+        decoder.decode(content[place : place + _BLOCK])
+    decoder.decode(b"", final=True)

@@ -18,6 +18,7 @@ from dataclasses import replace
 from typing import Any
 
 from jghand_engine.datasets.motions.content import MotionContent
+from jghand_engine.datasets.motions.damage import NoMotionError
 from jghand_engine.datasets.motions.frames import FoundHand, FrameHands
 from jghand_engine.datasets.motions.json_points import plain, points
 from jghand_engine.hand.joints import JOINT_COUNT, Handedness
@@ -62,7 +63,7 @@ def read(frames: Iterator[Any], fps: float | None, mirrored_labels: bool | None)
             hands = [replace(one, side=None if one.side is None else one.side.other) for one in hands]
         collected.add(hands, _time(by_key))
     if image_only and not any(track.frames_seen for track in collected.tracks(labelled=True)):
-        raise ValueError(
+        raise NoMotionError(
             "it holds landmarks of the image only, which have no scale and hardly a depth: save the world landmarks too"
         )
     times_s, clock = collected.times_s()

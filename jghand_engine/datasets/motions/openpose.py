@@ -17,6 +17,7 @@ import numpy as np
 
 from jghand_engine import limits
 from jghand_engine.datasets.motions.content import MotionContent
+from jghand_engine.datasets.motions.damage import NoMotionError
 from jghand_engine.datasets.motions.frames import FoundHand, FrameHands
 from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 from jghand_engine.hand.orders import JointOrder
@@ -37,13 +38,13 @@ def read_folder(folder: Path) -> MotionContent:
     """All frames of a folder, in the order of their numbers; numbers that are left out are frames without a hand."""
     files = sorted((_frame_number(file), file) for file in folder.glob(f"*{SUFFIX}"))
     if not files:
-        raise ValueError(f"no file *{SUFFIX} in it")
+        raise NoMotionError(f"no file *{SUFFIX} in it")
     takes = {file.name[: _NUMBER.search(file.name).start()] for _, file in files if _NUMBER.search(file.name)}  # type: ignore[union-attr]
     if len(takes) > 1:
-        raise ValueError(f"frames of several videos in it: {', '.join(sorted(takes))[:200]}")
+        raise NoMotionError(f"frames of several videos in it: {', '.join(sorted(takes))[:200]}")
     first, last = files[0][0], files[-1][0]
     if last - first >= limits.MOTION_FRAMES_MAX:
-        raise ValueError(f"frames from {first} to {last}")
+        raise NoMotionError(f"frames from {first} to {last}")
     of_number = dict(files)
     content = read(_document(of_number[number]) if number in of_number else None for number in range(first, last + 1))
     return replace(content, files=tuple(of_number.values()))
@@ -66,8 +67,8 @@ def read(documents: Iterable[Any]) -> MotionContent:
     tracks = collected.tracks(labelled=True)
     if not any(track.frames_seen for track in tracks):
         if flat_only:
-            raise ValueError("its keypoints have no depth: run OpenPose with several cameras and --3d --hand")
-        raise ValueError("no keypoints of hands in it: run OpenPose with --hand")
+            raise NoMotionError("its keypoints have no depth: run OpenPose with several cameras and --3d --hand")
+        raise NoMotionError("no keypoints of hands in it: run OpenPose with --hand")
     notes = [f"{crowded} frames show several people: the surest hand of each side was taken."] if crowded else []
     return MotionContent(KIND, tracks, notes=tuple(notes))
 
@@ -96,5 +97,5 @@ def _document(file: Path) -> Any:
 def _frame_number(file: Path) -> int:
     match = _NUMBER.search(file.name)
     if match is None or len(match[1]) > 15:
-        raise ValueError(f"{file.name} has no number of a frame")
+        raise NoMotionError(f"{file.name} has no number of a frame")
     return int(match[1])

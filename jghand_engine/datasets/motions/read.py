@@ -80,7 +80,7 @@ def read_motion_file(path: Path | str, wanted: MotionFormat | None = None) -> Mo
     if wanted.check_hand and sequence.valid.all(axis=1).any():
         check_hand_size(sequence.joints_m, next((name for name, one in METRES_PER_UNIT.items() if one == metres), "m"))
         check_order(sequence.joints_m, order)
-    return MotionRead(sequence, content.kind, tuple(notes), content.up, content.files or (file,))
+    return MotionRead(sequence, content.kind, tuple(notes), wanted.up or content.up, content.files or (file,))
 
 
 def read_content(file: Path, wanted: MotionFormat) -> MotionContent:
@@ -106,7 +106,7 @@ def _read(file: Path, kind: Kind, wanted: MotionFormat) -> MotionContent:
     if kind in (Kind.OWN_NPZ, Kind.OWN_NPY, Kind.OWN_JSON, Kind.OWN_CSV):
         return _own(file, kind)
     if kind is Kind.BVH:
-        return bvh.read(file, wanted.bones)
+        return bvh.read(file, wanted.bones, wanted.up)
     if kind is Kind.GLTF:
         return gltf.read(file, wanted.fps, wanted.part, wanted.bones)
     if kind is Kind.USD:
@@ -143,8 +143,6 @@ def _own(file: Path, kind: Kind) -> MotionContent:
     """JGHand's own files, and plain arrays, which say less."""
     content = motion_files.read_content(file, kind.value)
     joints = content.joints
-    if joints.ndim != 3 or joints.shape[-1] != 3:
-        raise InputError(f"motion file {file}", wanted="joints of shape (frames, 21, 3)", came=str(joints.shape))
     if not len(joints):
         raise InputError(f"motion file {file}", wanted="at least one frame", came="an empty motion")
     declared = content.declared
@@ -257,7 +255,9 @@ def _relabelled(tracks: list[HandTrack]) -> tuple[list[HandTrack], list[str]]:
 
 def _bends_as_other(level: np.ndarray, side: Handedness) -> bool:
     """Whether the fingers of (F, 21, 3) level-order joints clearly bend as those of the other hand."""
-    curl = curl_towards_palm(level[:: max(1, len(level) // limits.RECOGNISE_FRAMES)], side)
+    # absurd numbers of a damaged file are refused later
+    with np.errstate(over="ignore", invalid="ignore"):
+        curl = curl_towards_palm(level[:: max(1, len(level) // limits.RECOGNISE_FRAMES)], side)
     return curl is not None and curl <= -limits.CHECK_CURL
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 from jghand_engine import limits
 from jghand_engine.datasets.motion_files import has_own_columns
 from jghand_engine.datasets.motions import freemocap, gltf, interhand, mediapipe, openpose, webxr
+from jghand_engine.datasets.motions.damage import NoMotionError
 from jghand_engine.datasets.motions.json_text import JsonText
 from jghand_engine.datasets.motions.tables import named_hands
 
@@ -51,10 +52,10 @@ def kind_of(file: Path) -> Kind:
     with open(file, "rb") as stream:
         head = stream.read(limits.RECOGNISE_BYTES)
     if not head.strip():
-        raise ValueError("it is empty")
+        raise NoMotionError("it is empty")
     for mark, name in _NOT_READ.items():
         if head.startswith(mark):
-            raise ValueError(
+            raise NoMotionError(
                 f"{name} is not read: export BVH, glTF or USD from a program that reads it, such as Blender"
             )
     if head.startswith(b"\x93NUMPY"):
@@ -71,7 +72,7 @@ def kind_of(file: Path) -> Kind:
     if text[:1] in (b"{", b"["):
         return _of_json(file)
     if b"\x00" in head:
-        raise ValueError("its beginning is that of no motion file that JGHand knows")
+        raise NoMotionError("its beginning is that of no motion file that JGHand knows")
     return _of_table(file, head)
 
 
@@ -88,7 +89,7 @@ def _of_folder(folder: Path) -> Kind:
         return Kind.OPENPOSE_FOLDER
     if freemocap.hand_files(folder):
         return Kind.FREEMOCAP_FOLDER
-    raise ValueError("a folder with neither frames of OpenPose nor hands of FreeMoCap")
+    raise NoMotionError("a folder with neither frames of OpenPose nor hands of FreeMoCap")
 
 
 def _of_archive(file: Path) -> Kind:
@@ -124,7 +125,7 @@ def _of_json(file: Path) -> Kind:
         return Kind.INTERHAND
     if webxr.looks_like(whole):
         return Kind.WEBXR
-    raise ValueError("JSON in which JGHand finds no frames of hands")
+    raise NoMotionError("JSON in which JGHand finds no frames of hands")
 
 
 def _of_frames(text: JsonText, place: int) -> Kind:
@@ -140,7 +141,7 @@ def _of_frames(text: JsonText, place: int) -> Kind:
             return Kind.WEBXR
     if place == text.start:
         return Kind.OWN_JSON
-    raise ValueError("JSON in which JGHand finds no frames of hands")
+    raise NoMotionError("JSON in which JGHand finds no frames of hands")
 
 
 def _is_list_of_points(frame: object) -> bool:
@@ -154,7 +155,7 @@ def _of_table(file: Path, head: bytes) -> Kind:
     header = next((line for line in lines if line.strip() and not line.startswith("#")), "")
     cells = header.split(",")
     if len(cells) < 3:
-        raise ValueError("its beginning is that of no motion file that JGHand knows")
+        raise NoMotionError("its beginning is that of no motion file that JGHand knows")
     if has_own_columns(cells) or not named_hands(cells)[0]:
         return Kind.OWN_CSV
     return Kind.FREEMOCAP if freemocap.looks_like(file) else Kind.TABLE

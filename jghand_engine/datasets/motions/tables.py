@@ -12,6 +12,7 @@ import numpy as np
 from jghand_engine import limits
 from jghand_engine.datasets.motions.bone_names import NamedHand, hands_among
 from jghand_engine.datasets.motions.content import HandTrack
+from jghand_engine.datasets.motions.damage import NoMotionError
 from jghand_engine.datasets.motions.text_lines import bounded_lines
 from jghand_engine.hand.joints import JOINT_COUNT
 from jghand_engine.hand.orders import JointOrder
@@ -53,7 +54,7 @@ def _frames(rows: Iterator[list[str]], wanted: list[list[tuple[int, ...]]]) -> I
         if not any(row):
             continue
         if number >= limits.MOTION_FRAMES_MAX:
-            raise ValueError(f"more than {limits.MOTION_FRAMES_MAX} lines")
+            raise NoMotionError(f"more than {limits.MOTION_FRAMES_MAX} lines")
         if len(row) <= max(flat):
             raise ValueError(f"line {number + 2} ends after {len(row)} of {max(flat) + 1} columns")
         yield np.array([_number(row[place]) if place >= 0 else math.nan for place in flat])

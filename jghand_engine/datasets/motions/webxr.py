@@ -20,6 +20,7 @@ from scipy.spatial.transform import Rotation
 
 from jghand_engine.datasets.motions.clocks import clock_s
 from jghand_engine.datasets.motions.content import MotionContent
+from jghand_engine.datasets.motions.damage import NoMotionError
 from jghand_engine.datasets.motions.frames import FoundHand, FrameHands
 from jghand_engine.datasets.motions.json_points import named_points, plain, points
 from jghand_engine.hand.joints import JOINT_COUNT, Handedness
@@ -66,7 +67,7 @@ def read_iwer(schema: Any, frames: Iterator[Any]) -> MotionContent:
     times_s, clock = clock_s(collected.times, ("milliseconds",))
     tracks = collected.tracks(labelled=False)
     if not tracks:
-        raise ValueError("none of its input sources is a hand")
+        raise NoMotionError("none of its input sources is a hand")
     notes = ("IWER rounds positions to a millimetre.", *((clock,) if clock else ()))
     return MotionContent(IWER_KIND, tracks, 1.0, times_s=times_s, notes=notes, up="y")
 
@@ -103,7 +104,7 @@ def _iwer_hand(entry: Any, sources: Mapping[int, Mapping[str, Any]]) -> FoundHan
     joints = Rotation.from_quat(ray[3:]).apply(local) + ray[:3]
     found = named_points({str(name): list(joint) for name, joint in zip(names, joints.tolist(), strict=True)})
     if not found:
-        raise ValueError("joints that are not named as WebXR does")
+        raise NoMotionError("joints that are not named as WebXR does")
     return FoundHand(_side(source.get("handedness")), found[0][1], order=JointOrder.STANDARD, in_metres=True)
 
 
