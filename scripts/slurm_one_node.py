@@ -5,9 +5,9 @@
     python scripts/slurm_one_node.py bash                               a shell in which sbatch, squeue, scancel work
 
 Wants root and Debian or Ubuntu; no systemd, no control groups, no accounting: munge, slurmctld and slurmd are started
-by hand and end with the command. Everything lies in a folder of its own in the folder for temporary files: a SLURM that
-is set up on the machine is not touched. The partition `low` can be preempted by jobs of `high`: a polite kill, 20
-seconds of grace, and back into the queue.
+by hand and end with the command, and so do all jobs. Everything lies in a folder of its own in the folder for temporary
+files: a SLURM that is set up on the machine is not touched. The partition `low` can be preempted by jobs of `high`: a
+polite kill, 20 seconds of grace, and back into the queue.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from pathlib import Path
 
 PACKAGES = ("munge", "slurmctld", "slurmd", "slurm-client")
 PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "srun", "squeue", "sinfo")
-START_S = 30.0
+START_S, END_S = 30.0, 60.0
 
 CONFIGURATION = """\
 ClusterName=jghand
@@ -131,8 +131,18 @@ def running(folder: Path) -> Iterator[dict[str, str]]:
                 if time.monotonic() > until:
                     raise SystemExit(f"{command[0]} did not come up:\n{last_words(folder)}")
                 time.sleep(0.2)
-        yield environment
-        subprocess.run(["scancel", "--full", "--user", str(os.getuid())], env=environment, check=False)
+        try:
+            yield environment
+        finally:
+            end_jobs(environment)
+
+
+def end_jobs(environment: dict[str, str]) -> None:
+    """Cancels all jobs and waits until they have ended: a training writes its checkpoint, and has KillWait for it."""
+    subprocess.run(["scancel", "--full", "--user", str(os.getuid())], env=environment, check=False)
+    until = time.monotonic() + END_S
+    while time.monotonic() < until and says(["squeue", "--noheader"], " ", environment):
+        time.sleep(0.5)
 
 
 @contextlib.contextmanager
