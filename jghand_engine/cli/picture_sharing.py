@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -76,16 +76,17 @@ def make_part(shooting: Shooting, part: Part) -> Outcome:
     try:
         with progress(shooting.target.text, len(indices)) as bar:
 
-            def see_to(index: int, *, alone: bool) -> None:
+            def see_to(index: int, left: Mapping[str, list[Path]]) -> None:
                 # where somebody else may be at this picture, nothing of it is cleared away
-                _see_to(shooting, index, part, outcome, left if alone and claims.sure else {})
+                of_it = left.get(shooting.target.path(index).stem, []) if claims.sure else []
+                _see_to(shooting, index, part, outcome, of_it)
                 bar.advance(bar.task_ids[0])
 
             busy = []
             for index in indices:
                 with claims.held(index) as free:
                     if free:
-                        see_to(index, alone=True)
+                        see_to(index, left)
                     else:
                         busy.append(index)
             until_s = time.monotonic() + CLAIM_WAIT_S
@@ -95,7 +96,7 @@ def make_part(shooting: Shooting, part: Part) -> Outcome:
                     if not free:
                         name = shooting.target.path(index).name
                         say(f"{name} is claimed by a process that does not finish it: it is made here too.")
-                    see_to(index, alone=free)
+                    see_to(index, _left_behind(shooting) if free else {})
         outcome.complete = _all_there(shooting, range(total))
     finally:
         # with all pictures there nobody has anything to claim
@@ -131,18 +132,17 @@ def _left_behind(shooting: Shooting) -> dict[str, list[Path]]:
     return found
 
 
-def _see_to(shooting: Shooting, index: int, part: Part, outcome: Outcome, left: dict[str, list[Path]]) -> None:
-    """Makes a claimed picture, or keeps it."""
+def _see_to(shooting: Shooting, index: int, part: Part, outcome: Outcome, left: Iterable[Path]) -> None:
+    """Makes a claimed picture, or keeps it; what killed processes left of it goes."""
     path = shooting.target.path(index)
+    for half in left:
+        with contextlib.suppress(OSError):  # on Windows while another program reads it
+            half.unlink()
     if part.skip_existing and path.exists():
         if _is_whole(shooting, index):
             outcome.kept += 1
             return
         outcome.broken += 1
-    # of a process that was killed: nobody else is at this picture
-    for half in left.pop(path.stem, []):
-        with contextlib.suppress(OSError):  # on Windows while another program reads it
-            half.unlink()
     shooting.make(index)
     outcome.made += 1
 

@@ -147,19 +147,50 @@ def test_a_plain_run_clears_away_what_killed_processes_left(half, whole):
     assert contents(half) == whole
 
 
+def test_what_is_left_of_a_picture_that_somebody_else_has_finished_is_cleared_away(half, whole):
+    (half / ".frame_00002.0123456789ab.png").write_bytes(b"of a killed process, whose picture another one made")
+    assert render(half, "--skip-existing") == 0
+    assert contents(half) == whole
+
+
+def claiming(folder: Path, *numbers: int) -> subprocess.Popen[bytes]:
+    """Another process that is at these pictures of `folder`, until it is killed or its input ends."""
+    program = (
+        "import sys\nfrom contextlib import ExitStack\nfrom pathlib import Path\n"
+        "from jghand_engine.lock import Claims\n"
+        "claims = Claims(Path(sys.argv[1]))\n"
+        "with ExitStack() as stack:\n"
+        "    for number in sys.argv[2:]: stack.enter_context(claims.held(int(number)))\n"
+        "    print(flush=True)\n    sys.stdin.read()\n"
+    )
+    folder.mkdir(exist_ok=True)
+    command = [sys.executable, "-c", program, str(folder / CLAIMS), *map(str, numbers)]
+    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    assert process.stdout is not None
+    process.stdout.readline()
+    return process
+
+
+def test_what_a_process_leaves_that_is_killed_meanwhile_is_cleared_away_too(tmp_path, whole, monkeypatch):
+    out, make = tmp_path / "out", Shooting.make
+    with claiming(out, 2) as other:
+
+        def meanwhile(shooting: Shooting, index: int) -> None:
+            make(shooting, index)
+            if index == 9:
+                (out / ".frame_00002.0123456789ab.png").write_bytes(b"half")
+                other.kill()
+                other.wait()
+
+        monkeypatch.setattr(Shooting, "make", meanwhile)
+        assert render(out, "--skip-existing") == 0
+    assert contents(out) == whole
+
+
 def test_a_claim_that_is_never_given_back_is_waited_for_only_so_long(tmp_path, whole, monkeypatch, capsys):
     """Of a process that sleeps, or of a machine that is gone and whose locks nobody frees."""
     monkeypatch.setattr(picture_sharing, "CLAIM_WAIT_S", 0.05)
-    (tmp_path / "out").mkdir()
-    program = (
-        "import sys\nfrom pathlib import Path\nfrom jghand_engine.lock import Claims\n"
-        "claims = Claims(Path(sys.argv[1]))\n"
-        "with claims.held(2), claims.held(6):\n    print(flush=True)\n    sys.stdin.read()\n"
-    )
-    command = [sys.executable, "-c", program, str(tmp_path / "out" / CLAIMS)]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as asleep:
-        assert asleep.stdout is not None
-        asleep.stdout.readline()
+    with claiming(tmp_path / "out", 2, 6):
         at_work = tmp_path / "out" / ".frame_00002.0123456789ab.png"
         at_work.write_bytes(b"of the one that sleeps")
         assert render(tmp_path / "out", "--skip-existing") == 0
