@@ -120,7 +120,9 @@ PRESETS: Mapping[str, Preset] = {
         Variant.SPLATS, "Programs that know no splats show points: by fallbackPrimTypes, or as variant points."
     ),
     "omniverse": Preset(
-        Variant.SPLATS, "Splats glow there and throw no shadow. Not tried by us; NVIDIA's validator finds nothing."
+        Variant.SPLATS,
+        "Splats glow there and throw no shadow. A path tracer may take their colours for light: where they look too "
+        "bright, add --radiance linear. Not tried by us; NVIDIA's validator finds nothing.",
     ),
     "usdview": Preset(
         Variant.POINTS_SKINNED,

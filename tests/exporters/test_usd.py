@@ -9,6 +9,7 @@ import torch
 from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdSkel, Vt
 from small_avatars import trained_avatar
 from usd_samples import FPS, engine_gaussians, engine_mesh, lively_motion, small_avatar
+from usd_stages import opened
 
 from jghand_engine.avatar.avatar import LearntFrom
 from jghand_engine.avatar.tiers import Baked
@@ -62,16 +63,9 @@ def export(request, tmp_path_factory):
     return export_usd(folder, avatar, motion, some_cameras()), avatar, motion
 
 
-def opened(report, variant: Variant) -> Usd.Stage:
-    stage = Usd.Stage.Open(str(report.stage))
-    stage.SetEditTarget(stage.GetSessionLayer())
-    stage.GetDefaultPrim().GetVariantSet("representation").SetVariantSelection(variant)
-    return stage
-
-
 def values(report, variant: Variant, path: str, name: str, times=(DEFAULT,)) -> np.ndarray:
     """One attribute at each time, stacked; a prim does not outlive its stage, so numbers are what leaves here."""
-    stage = opened(report, variant)
+    stage = opened(report.stage, variant)
     attr = stage.GetPrimAtPath(path).GetAttribute(name)
     return np.stack([np.array(attr.Get(time)) for time in times])
 
@@ -106,7 +100,7 @@ def test_splats_and_points_are_where_the_engine_puts_them(export):
     report, avatar, motion = export
     truth, _ = engine_gaussians(avatar, motion)
     for variant, path, name in ((Variant.SPLATS, "Splats", "positions"), (Variant.POINTS, "Points", "points")):
-        stage = opened(report, variant)
+        stage = opened(report.stage, variant)
         assert stage.GetPrimAtPath(f"/Hand/{path}").GetAttribute(name).GetTimeSamples() == list(range(FRAMES))
         read = values(report, variant, f"/Hand/{path}", name, range(FRAMES))
         # worst observed 1.2e-7 m, float32 against float64; 1e-6 m is wanted
@@ -118,7 +112,7 @@ def test_mesh_skinned_by_usd_is_the_engine_s(export):
     lengths = motion.bone_lengths_m / motion.bone_lengths_m.mean(axis=0)
     assert lengths.max() > 1.19
     assert lengths.min() < 0.81
-    read = skinned_mesh(opened(report, Variant.MESH), list(range(FRAMES)))
+    read = skinned_mesh(opened(report.stage, Variant.MESH), list(range(FRAMES)))
     # worst observed 0.00011 mm; 0.01 mm is wanted
     assert np.abs(read - engine_mesh(motion)).max() < 2e-7
 
@@ -127,7 +121,7 @@ def test_mesh_skinned_by_usd_is_the_engine_s(export):
 def test_mesh_is_exact_in_every_convention(tmp_path, scale_mode, swing):
     motion = lively_motion(Handedness.RIGHT, 12)
     report = export_usd(tmp_path, small_avatar(scale_mode, swing), motion, some_cameras())
-    read = skinned_mesh(opened(report, Variant.MESH), list(range(12)))
+    read = skinned_mesh(opened(report.stage, Variant.MESH), list(range(12)))
     truth = engine_mesh(motion, scale_mode, swing)
     assert np.abs(read - truth).max() < 2e-7
     assert np.abs(truth - engine_mesh(motion)).max() > 1e-4, "the convention makes no difference"
@@ -139,7 +133,7 @@ def test_bones_without_length_and_folded_back_are_as_exact(tmp_path):
     joints[4, 1:6] = joints[4, :1]
     motion = PoseSequence(joints, FPS, Handedness.LEFT)
     report = export_usd(tmp_path, small_avatar(), motion)
-    read = skinned_mesh(opened(report, Variant.MESH), list(range(6)))
+    read = skinned_mesh(opened(report.stage, Variant.MESH), list(range(6)))
     assert np.abs(read - engine_mesh(motion)).max() < 2e-7
     assert check_usd(report.stage) == []
 
@@ -148,14 +142,14 @@ def test_a_hand_far_from_the_origin_keeps_what_float32_can_hold(tmp_path):
     joints = lively_motion(Handedness.RIGHT, 6).joints_m + 10.0
     motion = PoseSequence(joints, FPS, Handedness.RIGHT)
     report = export_usd(tmp_path, small_avatar(), motion)
-    read = skinned_mesh(opened(report, Variant.MESH), list(range(6)))
+    read = skinned_mesh(opened(report.stage, Variant.MESH), list(range(6)))
     # steps of float32 at 10 m are 1e-6 m; worst observed 3.5e-6 m, 1e-5 m is wanted
     assert np.abs(read - engine_mesh(motion)).max() < 4.5e-6
 
 
 def test_mesh_between_two_samples_lies_between_them(export):
     """The twins overdraw their scale, but the sum is linear in time: nothing jumps between samples."""
-    stage = opened(export[0], Variant.MESH)
+    stage = opened(export[0].stage, Variant.MESH)
     times = list(np.linspace(7, 8, 9))
     steps = np.linalg.norm(np.diff(skinned_mesh(stage, times), axis=0), axis=-1)
     whole = np.linalg.norm(np.diff(skinned_mesh(stage, [7, 8]), axis=0), axis=-1)
@@ -164,7 +158,7 @@ def test_mesh_between_two_samples_lies_between_them(export):
 
 def test_control_joints_are_on_the_joints_and_carry_no_scale(export):
     report, _, motion = export
-    stage = opened(report, Variant.MESH)
+    stage = opened(report.stage, Variant.MESH)
     cache = UsdSkel.Cache()
     cache.Populate(UsdSkel.Root(stage.GetPrimAtPath("/Hand/Rig")), Usd.PrimDefaultPredicate)
     skeleton = cache.GetSkelQuery(UsdSkel.Skeleton(stage.GetPrimAtPath("/Hand/Rig/Skeleton")))
@@ -182,7 +176,7 @@ def test_control_joints_are_on_the_joints_and_carry_no_scale(export):
 def test_control_joints_point_along_the_bone_that_starts_there(export):
     report, _, motion = export
     animation = values(report, Variant.MESH, "/Hand/Rig/Skeleton/Anim", "translations", range(FRAMES))
-    stage = opened(report, Variant.MESH)
+    stage = opened(report.stage, Variant.MESH)
     tokens = list(stage.GetPrimAtPath("/Hand/Rig/Skeleton").GetAttribute("joints").Get())
     names = [token.split("/")[-1] for token in tokens]
     for bone in range(6, 21):
@@ -197,7 +191,7 @@ def test_no_scale_is_negative(export):
 
 
 def test_rest_pose_is_the_default_and_the_bind_pose(export):
-    stage = opened(export[0], Variant.MESH)
+    stage = opened(export[0].stage, Variant.MESH)
     rest = skinned_mesh(stage, [Usd.TimeCode.Default()])[0]
     assert np.abs(rest - np.asarray(stage.GetPrimAtPath("/Hand/Rig/Mesh").GetAttribute("points").Get())).max() < 1e-7
 
@@ -206,7 +200,7 @@ def test_mesh_keeps_faces_and_texture_coordinates_of_its_hand(export):
     report, _, motion = export
     template = load_template() if motion.handedness is Handedness.RIGHT else mirrored(load_template())
     assert (values(report, Variant.MESH, "/Hand/Rig/Mesh", "faceVertexIndices")[0] == template.faces.ravel()).all()
-    stage = opened(report, Variant.MESH)
+    stage = opened(report.stage, Variant.MESH)
     uv = UsdGeom.PrimvarsAPI(stage.GetPrimAtPath("/Hand/Rig/Mesh")).GetPrimvar("st").ComputeFlattened()
     assert np.abs(np.array(uv) - template.face_uv.reshape(-1, 2)).max() < 1e-7
     points, normals = (values(report, Variant.MESH, "/Hand/Rig/Mesh", name)[0] for name in ("points", "normals"))
@@ -219,7 +213,7 @@ def test_mesh_keeps_faces_and_texture_coordinates_of_its_hand(export):
 
 def test_bounds_hold_every_gaussian_on_every_frame(export):
     report = export[0]
-    stage = opened(report, Variant.SPLATS)
+    stage = opened(report.stage, Variant.SPLATS)
     splats = stage.GetPrimAtPath("/Hand/Splats")
     radius = 3 * np.asarray(splats.GetAttribute("scales").Get())
     for frame in range(FRAMES):
@@ -229,7 +223,7 @@ def test_bounds_hold_every_gaussian_on_every_frame(export):
 
 @pytest.mark.parametrize("variant", list(Variant))
 def test_world_bound_is_not_empty(export, variant):
-    stage = opened(export[0], variant)
+    stage = opened(export[0].stage, variant)
     cache = UsdGeom.BBoxCache(5, [UsdGeom.Tokens.default_, UsdGeom.Tokens.render])
     size = cache.ComputeWorldBound(stage.GetDefaultPrim()).ComputeAlignedRange().GetSize()
     assert all(0.03 < edge < 0.5 for edge in size)
@@ -268,7 +262,7 @@ def test_cameras_clip_nothing_of_the_hand(tmp_path, distance_m, scale):
 
 def test_colours_are_display_referred_in_the_splats_and_linear_for_display(export):
     report, avatar, _ = export
-    stage = opened(report, Variant.SPLATS)
+    stage = opened(report.stage, Variant.SPLATS)
     splats = stage.GetPrimAtPath("/Hand/Splats")
     harmonics = np.asarray(splats.GetAttribute(HARMONICS).Get())
     assert np.abs(0.5 + 0.28209479177387814 * harmonics - avatar.rgb.numpy()).max() < 1e-6
@@ -292,7 +286,7 @@ def test_linear_radiance_is_light_and_says_so(tmp_path):
     )
     curved = before > 0.04045
     assert np.allclose(after[curved], ((before[curved] + 0.055) / 1.055) ** 2.4, atol=1e-5)
-    stage = opened(light, Variant.SPLATS)
+    stage = opened(light.stage, Variant.SPLATS)
     space = Usd.ColorSpaceAPI(stage.GetPrimAtPath("/Hand/Splats")).GetColorSpaceNameAttr().Get()
     assert space == "lin_rec709_scene"
     before, after = Usd.Stage.Open(str(srgb.stage)), Usd.Stage.Open(str(light.stage))
@@ -545,7 +539,7 @@ def test_frames_may_begin_anywhere_and_z_may_point_up(tmp_path, variant):
     centres, _ = engine_gaussians(small_avatar(), motion)
     written = values(report, Variant.SPLATS, "/Hand/Splats", "positions", (-7, -6, -5))
     assert np.abs(written - centres).max() <= 1e-6
-    stage = opened(report, Variant.SPLATS)
+    stage = opened(report.stage, Variant.SPLATS)
     animation = stage.GetPrimAtPath("/Hand/Rig/Skeleton/Anim")
     assert animation.GetAttribute("rotations").GetTimeSamples() == [-7, -6, -5]
 

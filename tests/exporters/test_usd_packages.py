@@ -15,6 +15,7 @@ from pxr import Usd, UsdGeom
 from scipy.spatial.transform import Rotation
 from small_avatars import ellipsoid_avatar
 from usd_samples import FPS, engine_gaussians, lively_motion, small_avatar
+from usd_stages import opened
 
 from jghand_engine.errors import InputError
 from jghand_engine.exporters import usd_clips, usd_options, usd_zip
@@ -36,15 +37,6 @@ HARMONICS = "radiance:sphericalHarmonicsCoefficients"
 
 def exported(folder, motion=MOTION, **options):
     return export_usd(folder, small_avatar(), motion, options=UsdOptions(**options))
-
-
-def opened(path, variant: str = "splats") -> Usd.Stage:
-    stage = Usd.Stage.Open(str(path))
-    stage.SetEditTarget(stage.GetSessionLayer())
-    variants = stage.GetDefaultPrim().GetVariantSet("representation")
-    if variant in variants.GetVariantNames():
-        variants.SetVariantSelection(variant)
-    return stage
 
 
 # ---- half precision --------------------------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ import pytest
 import torch
 from pxr import Usd, UsdGeom, UsdSkel, Vt
 from usd_samples import engine_gaussians, lively_motion, small_avatar
+from usd_stages import opened
 
 from jghand_engine.exporters.usd import UsdOptions, export_usd
 from jghand_engine.exporters.usd_check import check_usd
@@ -27,13 +28,6 @@ def export(request, tmp_path_factory):
     """(report, avatar, motion) of each hand."""
     avatar, motion = small_avatar(), lively_motion(request.param, FRAMES)
     return export_usd(tmp_path_factory.mktemp(str(request.param)), avatar, motion), avatar, motion
-
-
-def shown(report, variant: Variant) -> Usd.Stage:
-    stage = Usd.Stage.Open(str(report.stage))
-    stage.SetEditTarget(stage.GetSessionLayer())
-    stage.GetDefaultPrim().GetVariantSet("representation").SetVariantSelection(variant)
-    return stage
 
 
 def skinned(stage: Usd.Stage, path: str) -> np.ndarray:
@@ -56,12 +50,12 @@ def test_points_follow_the_skeleton_as_the_engine_skins_them(export):
     assert int((avatar.bone_weights > 0).sum(1).max()) <= USD_SKIN_BONES, "nothing is dropped of these weights"
     truth, _ = engine_gaussians(avatar, motion)
     # worst observed 0.014 mm: half precision of the joints' scales
-    assert np.abs(skinned(shown(report, Variant.POINTS_SKINNED), "/Hand/Rig/Points") - truth).max() < 2e-5
+    assert np.abs(skinned(opened(report.stage, Variant.POINTS_SKINNED), "/Hand/Rig/Points") - truth).max() < 2e-5
 
 
 def test_the_stand_in_is_every_tenth_gaussian_and_covers_as_much(export):
     report, avatar, motion = export
-    stage = shown(report, Variant.SPLATS)
+    stage = opened(report.stage, Variant.SPLATS)
     truth, _ = engine_gaussians(avatar, motion)
     assert np.abs(skinned(stage, "/Hand/Rig/Proxy") - truth[:, ::USD_PROXY_STEP]).max() < 2e-5
     proxy = UsdGeom.Points(stage.GetPrimAtPath("/Hand/Rig/Proxy"))
@@ -78,7 +72,7 @@ def scale_of(avatar, motion) -> float:
 
 
 def test_the_stand_in_and_the_splats_never_show_together(export):
-    stage = shown(export[0], Variant.SPLATS)
+    stage = opened(export[0].stage, Variant.SPLATS)
     splats, proxy = (stage.GetPrimAtPath(f"/Hand/{path}") for path in ("Splats", "Rig/Proxy"))
     assert UsdGeom.Imageable(splats).ComputePurpose() == "render"
     assert UsdGeom.Imageable(proxy).ComputePurpose() == "proxy"
@@ -96,7 +90,7 @@ def test_the_stand_in_is_there_without_the_payload(export):
 @pytest.mark.parametrize("variant", list(Variant))
 def test_a_variant_shows_one_thing(export, variant):
     """The template's mesh is a guide in all but its own variant, and of the clouds there is one."""
-    stage = shown(export[0], variant)
+    stage = opened(export[0].stage, variant)
     drawn = {
         str(prim.GetPath())
         for prim in stage.Traverse()
@@ -111,7 +105,7 @@ def test_many_bones_become_the_heaviest_that_are_kept(tmp_path):
     avatar = replace(small_avatar(), bone_weights=weights)
     report = export_usd(tmp_path, avatar, lively_motion(Handedness.RIGHT, 2), options=UsdOptions(width_factor=2.0))
     assert check_usd(report.stage) == []
-    stage = shown(report, Variant.POINTS_SKINNED)
+    stage = opened(report.stage, Variant.POINTS_SKINNED)
     points = stage.GetPrimAtPath("/Hand/Rig/Points")
     shares = np.array(UsdSkel.BindingAPI(points).GetJointWeightsPrimvar().Get()).reshape(805, -1)
     assert np.abs(shares.sum(1) - 1).max() < 1e-6

@@ -10,6 +10,7 @@ import torch
 from pxr import Usd, UsdGeom
 from small_avatars import ellipsoid_avatar, trained_avatar
 from usd_samples import lively_motion, small_avatar
+from usd_stages import opened
 
 from jghand_engine.avatar.skinning import pose_gaussians
 from jghand_engine.colour import srgb_to_linear
@@ -45,10 +46,8 @@ def export(request, tmp_path_factory):
 
 def prim(report, variant: str) -> tuple[Usd.Prim, Usd.Prim, Usd.Stage]:
     """The hand, what a variant shows, and the stage, which must outlive both."""
-    stage = Usd.Stage.Open(str(report.stage))
-    hand = stage.GetDefaultPrim()
-    hand.GetVariantSets().GetVariantSet("representation").SetVariantSelection(variant)
-    return hand, stage.GetPrimAtPath(f"/Hand/{variant.capitalize()}"), stage
+    stage = opened(report.stage, variant)
+    return stage.GetDefaultPrim(), stage.GetPrimAtPath(f"/Hand/{variant.capitalize()}"), stage
 
 
 def test_nothing_is_wrong_with_the_stage(export):
