@@ -50,7 +50,8 @@ class FormatOptions:
     hand: Annotated[HandName | None, tyro.conf.arg(help_behavior_hint="")] = None
     """Which hand it is. Never guessed: joints alone do not tell."""
     fps: Annotated[float | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="")] = None
-    """Frames per second of the file. Left out: what the file says, else 30."""
+    """Frames per second of the file, whatever it says itself; an animation of glTF or USD, which has times in seconds, is
+    taken at this rate. Left out: what the file says, else 30."""
     any_proportions: bool = False
     """Take joints whose bone lengths are no hand's, such as a cartoon's: a wrong order or unit is not noticed then."""
     part: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None

@@ -51,7 +51,8 @@ class MotionFormat:
     order:      how the joints are listed · unit: 'm', 'cm' or 'mm'
     handedness: which hand it truly is. Keypoint packages for selfie video call a right hand "Left" (MediaPipe's old
                 interface does, its new one does not): say what the hand is, not what the label says
-    fps:        frames per second; replaces the file's. Neither: 30
+    fps:        frames per second; replaces the file's, whose frames stay; animations with times in seconds are taken at
+                this rate. Neither: 30
     check_hand: refuse joints whose bone lengths are no hand's. Turn it off for hands of odd proportions only: it is
                 what catches a wrong order or unit
 

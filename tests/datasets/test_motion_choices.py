@@ -118,3 +118,36 @@ def test_a_part_that_is_in_no_file_of_one_hand_is_refused(tmp_path):
     samples.write_bvh(tmp_path / "a.bvh", samples.rig(samples.motion(), scale=100))
     with pytest.raises(InputError, match="a part called 'nonsense', got Mixamo"):
         read_motion_file(tmp_path / "a.bvh", MotionFormat(part="nonsense"))
+
+
+@pytest.mark.parametrize(
+    "column", ["{name}_{axis}", "{name}.{axis}", "{name} {axis}", "{name}-{axis}", "{name}.{axis_}"]
+)
+def test_columns_of_a_table_part_axes_in_any_way_and_its_clock_counts(tmp_path, column):
+    motion = samples.motion(fps=120.0)
+    names = [f"right_hand_{name}" for name in samples.MEDIAPIPE_NAMES]
+    header = [column.format(name=name, axis=axis, axis_=axis.upper()) for name in names for axis in "xyz"]
+    rows = samples.standard(motion).reshape(len(motion), -1).tolist()
+    lines = [",".join(["timestamp", *header])]
+    lines += [",".join([repr(number / 120), *map(repr, row)]) for number, row in enumerate(rows)]
+    (tmp_path / "a.csv").write_text("\n".join(lines))
+    read = read_motion_file(tmp_path / "a.csv")
+    assert (read.kind, read.sequence.fps, read.sequence.handedness) == ("a table of joints", 120.0, RIGHT)
+    assert np.abs(read.sequence.joints_m - motion.joints_m).max() < 1e-15
+
+
+def test_one_pose_of_a_headset_is_none_of_our_own_files(tmp_path):
+    motion = samples.motion(frames=1)
+    joints = [dict(zip("xyz", point, strict=True)) for point in samples.webxr_joints(motion)[0].tolist()]
+    (tmp_path / "a.json").write_text(json.dumps({"handedness": "right", "joints": joints}))
+    read = read_motion_file(tmp_path / "a.json")
+    assert read.kind == "joints of a headset"
+    assert np.abs(read.sequence.joints_m - motion.joints_m).max() < 1e-15
+
+
+def test_a_plain_array_that_says_no_rate_is_told_its_own(tmp_path):
+    np.save(tmp_path / "a.npy", samples.standard(samples.motion()))
+    told = MotionFormat(handedness=RIGHT)
+    assert any("30 are taken; --fps" in note for note in read_motion_file(tmp_path / "a.npy", told).notes)
+    (tmp_path / "a.json").write_text(json.dumps(samples.standard(samples.motion()).tolist()))
+    assert any("30 are taken; --fps" in note for note in read_motion_file(tmp_path / "a.json", told).notes)

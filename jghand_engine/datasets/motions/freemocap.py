@@ -51,7 +51,7 @@ def read(files: list[Path]) -> MotionContent:
 
 
 def _table(file: Path) -> tuple[HandTrack, ...]:
-    tracks = read_tracks(file)
+    tracks, _ = read_tracks(file)
     if not tracks:
         raise NoMotionError(f"{file.name} has no columns of a hand")
     return tracks

@@ -118,7 +118,7 @@ def _read(file: Path, kind: Kind, wanted: MotionFormat) -> MotionContent:
     if kind is Kind.FREEMOCAP_FOLDER:
         return freemocap.read(freemocap.hand_files(file))
     if kind is Kind.TABLE:
-        return MotionContent("a table of joints", tables.read_tracks(file))
+        return tables.read(file)
     return _json(JsonText.of_file(file), kind, wanted)
 
 
@@ -317,7 +317,7 @@ def _evenly(content: MotionContent, level_m: np.ndarray, wanted: MotionFormat) -
         return whole, fps, []
     if content.fps is not None:
         return level_m, content.fps, []
-    if len(level_m) == 1 or content.is_plain:
+    if len(level_m) == 1:
         return level_m, limits.DEFAULT_FPS, []
     return level_m, limits.DEFAULT_FPS, [
         f"It does not say its frames per second: {limits.DEFAULT_FPS:g} are taken; --fps says otherwise."

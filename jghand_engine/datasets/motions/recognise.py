@@ -107,7 +107,7 @@ def _of_json(file: Path) -> Kind:
     text = JsonText.of_file(file)
     if text.text[text.start] == "{":
         names = text.names
-        if "joints" in names and text.text[names["joints"]] == "[":
+        if "joints" in names and text.text[names["joints"]] == "[" and _has_frames(text, names["joints"]):
             return Kind.OWN_JSON
         if gltf.looks_like(text):
             return Kind.GLTF
@@ -126,6 +126,11 @@ def _of_json(file: Path) -> Kind:
     if webxr.looks_like(whole):
         return Kind.WEBXR
     raise NoMotionError("JSON in which JGHand finds no frames of hands")
+
+
+def _has_frames(text: JsonText, place: int) -> bool:
+    """Whether a list of joints is ours, of frames, and not one pose of a headset, of points {"x": …}."""
+    return not isinstance(next(text.elements(place), None), dict)
 
 
 def _of_frames(text: JsonText, place: int) -> Kind:
