@@ -1,7 +1,7 @@
 // SPDX-License-Identifier: MIT
 //
 // A job type for Flamenco 3 (https://flamenco.blender.org): renders hands with JGHand, in as many tasks as there are
-// parts. docs/SCALE.md says how it is installed and used; tests/test_flamenco.py runs the commands that it emits.
+// parts. docs/SCALE.md says how it is installed and used; tests/flamenco runs the commands that it emits.
 //
 // What is rendered is either
 //   a motion     each task is a shard of `jghand render --shard 3/8 --skip-existing`: every task knows the whole motion,

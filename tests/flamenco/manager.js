@@ -1,5 +1,5 @@
 // Stands in for Flamenco's manager: gives a job compiler script what its JavaScript engine gives it, and prints what
-// the script makes of a job. node flamenco_manager.js SCRIPT SETTINGS.json
+// the script makes of a job. node manager.js SCRIPT SETTINGS.json
 "use strict";
 
 const fs = require("fs");
