@@ -25,7 +25,8 @@ LOCK = "lock"
 def check_earlier(folder: Path, names: LayerNames, package: Package) -> None:
     """InputError for a file in the way that is no earlier export's, or that somebody has changed since."""
     for path in names.of_earlier(folder, package):
-        if path.is_file() and not is_as_written(path):
+        # another export may have taken it away meanwhile
+        if path.is_file() and not is_as_written(path) and path.is_file():
             raise InputError(
                 f"{path}",
                 wanted="no file of that name, or one as JGHand wrote it",
@@ -61,10 +62,11 @@ def arriving(folder: Path, names: LayerNames, package: Package) -> Iterator[tupl
 def _remove_left_over(folder: Path, names: LayerNames) -> None:
     """The temporary folders of exports whose process was killed and could not."""
     for lock in folder.glob(f".{names.name}.????????/{LOCK}"):
-        # not of one that has made its lock just now and does not hold it yet
-        if time.time() - lock.stat().st_mtime > USD_LEFT_OVER_S:
-            with contextlib.suppress(RetryError, InputError), locked(lock):
-                shutil.rmtree(lock.parent, ignore_errors=True)
+        # one that is not there is tidied up by its export; one just made may not be held yet
+        with contextlib.suppress(RetryError, InputError, FileNotFoundError):
+            if time.time() - lock.stat().st_mtime > USD_LEFT_OVER_S:
+                with locked(lock):
+                    shutil.rmtree(lock.parent, ignore_errors=True)
 
 
 def _exchange(arrived: Path, folder: Path, names: LayerNames, package: Package) -> None:
