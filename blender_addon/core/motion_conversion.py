@@ -21,6 +21,8 @@ ORDERS = (
     ("openxr", "OpenXR, WebXR"),
     ("level", "Level by Level"),
 )
+# what the engine advises where only a hand has to be chosen
+WANTS_HAND = "--hand right or --hand left"
 _MOTION, _FIGURES = "motion.npz", "figures.json"
 
 
@@ -30,6 +32,8 @@ class ConversionChoices:
 
     hand: right or left · unit: m, cm or mm · order: of the joints · fps: frames per second · hand_length_mm: from the
     wrist to the middle finger's tip · part: which skeleton, animation or person · in_place: keep the wrist where it is
+    up: the axis that points up, y or z · labels: true or mirrored, of a detector · bones: a JSON file with the names of
+    bones by joint · mirror: make it the other hand's
     """
 
     hand: str = ""
@@ -39,6 +43,10 @@ class ConversionChoices:
     hand_length_mm: float = 0.0
     part: str = ""
     in_place: bool = False
+    up: str = ""
+    labels: str = ""
+    bones: str = ""
+    mirror: bool = False
 
 
 def words(path: Path, folder: Path, choices: ConversionChoices) -> tuple[str, ...]:
@@ -50,10 +58,14 @@ def words(path: Path, folder: Path, choices: ConversionChoices) -> tuple[str, ..
         ("--fps", f"{choices.fps:g}" if choices.fps else ""),
         ("--hand-length", f"{choices.hand_length_mm:g}" if choices.hand_length_mm else ""),
         ("--part", choices.part),
+        ("--file-up", choices.up),
+        ("--labels", choices.labels),
+        ("--bones", choices.bones),
     )
     return (
         *("motion", str(path), "--out", str(folder / _MOTION), "--json", str(folder / _FIGURES), "--up", "z"),
         *(word for option, value in said if value for word in (option, value)),
+        *(("--mirror",) if choices.mirror else ()),
         *(("--in-place",) if choices.in_place else ()),
     )
 

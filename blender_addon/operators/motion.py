@@ -22,6 +22,7 @@ from ..core.motion_conversion import (
     FOREIGN_SUFFIXES,
     ORDERS,
     OWN_SUFFIXES,
+    WANTS_HAND,
     ConversionChoices,
     read_converted,
     words,
@@ -59,8 +60,22 @@ _ORDERS = (
     ),
 )
 
-# options that only files of other programs need
-_OF_OTHERS = ("hand", "unit", "order", "fps", "hand_length", "part", "in_place")
+_UPS = (
+    ("AUTO", "Automatic", "As the file or its format says", "NONE", 0),
+    ("y", "Y", "The file has y up", "NONE", 1),
+    ("z", "Z", "The file has z up", "NONE", 2),
+)
+_LABELS = (
+    ("AUTO", "Automatic", "As is usual for the detector; where fingers bend, they show it", "NONE", 0),
+    ("true", "True", "A right hand is labelled right", "NONE", 1),
+    ("mirrored", "Mirrored", "A right hand is labelled left, as in a mirror", "NONE", 2),
+)
+
+# options that go to the engine; where one of them is chosen, it reads jghand's own files too
+_OF_OTHERS = (
+    *("hand", "unit", "order", "fps", "hand_length", "part", "up", "labels", "bones"),
+    *("mirror", "in_place"),
+)
 
 
 class ImportMotion(KeysFile, bpy.types.Operator):
@@ -102,6 +117,16 @@ class ImportMotion(KeysFile, bpy.types.Operator):
     part: bpy.props.StringProperty(
         name="Part", description="Which of several skeletons, animations or people: a part of its name"
     )  # type: ignore[valid-type]
+    up: bpy.props.EnumProperty(name="Up", description="The axis that points up in the file", items=_UPS)  # type: ignore[valid-type]
+    labels: bpy.props.EnumProperty(
+        name="Labels", description="Whether a detector's Left and Right are true", items=_LABELS
+    )  # type: ignore[valid-type]
+    bones: bpy.props.StringProperty(
+        name="Bone Names",
+        description="A JSON file with the names of a rig's bones by joint, for names that are not recognised",
+        subtype="FILE_PATH",
+    )  # type: ignore[valid-type]
+    mirror: bpy.props.BoolProperty(name="Mirror", description="Make it the motion of the other hand")  # type: ignore[valid-type]
     in_place: bpy.props.BoolProperty(
         name="In Place", description="Keep the wrist where it first is: the hand turns and moves on the spot"
     )  # type: ignore[valid-type]
@@ -109,8 +134,9 @@ class ImportMotion(KeysFile, bpy.types.Operator):
     def steps(self, context: bpy.types.Context) -> Iterator[float]:
         """The file is read in a thread, or by the engine, then curve by curve is keyed."""
         path = Path(bpy.path.abspath(self.filepath))
-        started = 0.0 if path.suffix.lower() in OWN_SUFFIXES else limits.CONVERSION_PART
-        content = yield from self._content(context, path)
+        choices = _choices(self)
+        started = 0.0 if _is_plain(path, choices) else limits.CONVERSION_PART
+        content = yield from self._content(context, path, choices)
         yield from self.keying(context, [(content, path.stem)], started)
 
     def hand_for(self, context: bpy.types.Context, content: MotionFile) -> bpy.types.Object | None:
@@ -122,32 +148,28 @@ class ImportMotion(KeysFile, bpy.types.Operator):
             raise JGHandFailure("not_a_hand", rpt_("no hand is active"))
         return active if self.target == "ACTIVE" else None
 
-    def _content(self, context: bpy.types.Context, path: Path) -> Generator[float, None, MotionFile]:
-        """The motion of a file. One that is not as jghand writes it goes through the engine, where there is one."""
-        if path.suffix.lower() in OWN_SUFFIXES:
+    def _content(
+        self, context: bpy.types.Context, path: Path, choices: ConversionChoices
+    ) -> Generator[float, None, MotionFile]:
+        """The motion of a file. One that is not as jghand writes it goes through the engine, where there is one, and so
+        does one that shall become something else than it is."""
+        if _is_plain(path, choices):
             try:
                 return (yield from aside(partial(read_motion, path)))
             except JGHandFailure as failure:
                 if failure.kind != "bad_motion" or not path.is_file() or not _has_engine():
                     raise
-        return (yield from self._converted(context, path))
+        return (yield from self._converted(context, path, choices))
 
-    def _converted(self, context: bpy.types.Context, path: Path) -> Generator[float, None, MotionFile]:
+    def _converted(
+        self, context: bpy.types.Context, path: Path, choices: ConversionChoices
+    ) -> Generator[float, None, MotionFile]:
         """The engine's conversion."""
-        choices = ConversionChoices(
-            hand=_said(self.hand),
-            unit=_said(self.unit),
-            order=_said(self.order),
-            fps=self.fps,
-            hand_length_mm=self.hand_length,
-            part=self.part,
-            in_place=self.in_place,
-        )
         try:
             return (yield from self._asked_of_engine(path, choices))
         except JGHandFailure as failure:
             active = common.active_hand(context)
-            if failure.kind != "bad_motion" or choices.hand or active is None:
+            if failure.kind != "bad_motion" or WANTS_HAND not in failure.detail or active is None:
                 raise
         # a file that shows both hands, or says nothing of its one: the active hand says which
         again = replace(choices, hand=armature.handedness_of(active))
@@ -165,6 +187,28 @@ class ImportMotion(KeysFile, bpy.types.Operator):
             if failure.kind != "bad_input":
                 raise
             raise JGHandFailure("bad_motion", failure.detail, log=failure.log) from failure
+
+
+def _is_plain(path: Path, choices: ConversionChoices) -> bool:
+    """Whether a file is to be taken as it is, and may be one of jghand's own."""
+    return path.suffix.lower() in OWN_SUFFIXES and choices == ConversionChoices()
+
+
+def _choices(chosen: ImportMotion) -> ConversionChoices:
+    """What was chosen beside the files."""
+    return ConversionChoices(
+        hand=_said(chosen.hand),
+        unit=_said(chosen.unit),
+        order=_said(chosen.order),
+        fps=chosen.fps,
+        hand_length_mm=chosen.hand_length,
+        part=chosen.part,
+        in_place=chosen.in_place,
+        up=_said(chosen.up),
+        labels=_said(chosen.labels),
+        bones=bpy.path.abspath(chosen.bones),
+        mirror=chosen.mirror,
+    )
 
 
 def _said(choice: str) -> str:

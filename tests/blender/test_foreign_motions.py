@@ -3,6 +3,7 @@ write, and Import Motion puts both onto a hand."""
 
 from __future__ import annotations
 
+import json
 import subprocess
 from functools import partial
 from pathlib import Path
@@ -17,6 +18,7 @@ from mathutils import Quaternion, Vector
 from blender_addon.bridge import armature, folders
 from blender_addon.core.engine_command import VARIABLE
 from blender_addon.core.joints import NAMES, TIPS
+from blender_addon.core.motion_conversion import ConversionChoices
 from blender_addon.core.motion_files import read_motion
 from blender_addon.operators import motion as motion_operator
 
@@ -237,14 +239,49 @@ def test_without_an_engine_the_reason_is_told(extension, tmp_path, monkeypatch):
 
 
 def test_a_conversion_that_is_given_up_ends_the_engine(extension, samples):
-    chosen = {"hand": "AUTO", "unit": "AUTO", "order": "AUTO", "fps": 0.0, "part": "", "hand_length": 0.0}
-    chosen["in_place"] = False
-    operator = SimpleNamespace(**chosen, working="x")
+    operator = SimpleNamespace(working="x")
     for name in ("made_by_engine", "_asked_of_engine"):
         setattr(operator, name, partial(getattr(motion_operator.ImportMotion, name), operator))
-    steps = motion_operator.ImportMotion._converted(operator, extension, samples / "sample.bvh")
+    steps = motion_operator.ImportMotion._converted(operator, extension, samples / "sample.bvh", ConversionChoices())
     next(steps)
     (folder,) = folders.user_folder("jobs").glob("job_*")
     steps.close()
     assert not folder.exists()
-    assert set(chosen) == set(motion_operator._OF_OTHERS)
+
+
+def test_jghands_own_files_are_mirrored_and_kept_in_place_too(extension, samples, engine):
+    motion, _ = converted(engine, samples / "joints.npy", "--hand", "right")
+    chosen = {"mirror": True, "in_place": True}
+    assert bpy.ops.jghand.import_motion(filepath=str(samples / "joints.npz"), **chosen) == {"FINISHED"}
+    hand = extension.object
+    assert armature.handedness_of(hand) == "left"
+    wanted = (motion.joints_m - motion.joints_m[:, :1] + motion.joints_m[0, 0]) * [-1, 1, 1]
+    for frame in (0, 11):
+        at = 1 + frame * extension.scene.render.fps / motion.fps
+        seen = armature.read_hand(hand, armature.at_frame(extension.scene, at))
+        np.testing.assert_allclose(seen.joints_world_m, wanted[frame], atol=3e-6)
+
+
+def test_bones_of_no_convention_and_the_axis_that_points_up_are_said_beside_the_file(extension, samples):
+    path = samples / "sample.bvh"
+    text = path.read_text().replace("Hips", "Root")
+    names = ["RightHand", *(f"RightHand{name[:-1].title()}{name[-1]}" for name in NAMES[1:])]
+    for place, name in sorted(enumerate(names), key=lambda one: -len(one[1])):
+        text = text.replace(f"JOINT {name}\n", f"JOINT knochen{place}\n")
+    path.write_text(text)
+    with pytest.raises(RuntimeError, match="--bones"):
+        bpy.ops.jghand.import_motion(filepath=str(path))
+    bones = samples / "map.json"
+    bones.write_text(json.dumps({name: f"knochen{place}" for place, name in enumerate(NAMES)}))
+    extension.scene.render.fps = 30
+    chosen = {"bones": str(bones), "hand": "right", "up": "z"}
+    assert bpy.ops.jghand.import_motion(filepath=str(path), **chosen) == {"FINISHED"}
+    seen = armature.read_hand(extension.object, armature.at_frame(extension.scene, 1))
+    np.testing.assert_allclose(seen.joints_world_m, np.load(samples / "joints.npy")[0], atol=3e-6)
+
+
+def test_the_first_refusal_is_told_not_that_of_another_try(extension, samples):
+    """A file of which a part has to be chosen is not asked for again with the active hand's side."""
+    assert bpy.ops.jghand.import_motion(filepath=str(samples / "sample.bvh")) == {"FINISHED"}
+    with pytest.raises(RuntimeError, match="a part called 'nonsense'"):
+        bpy.ops.jghand.import_motion(filepath=str(samples / "sample.bvh"), part="nonsense")

@@ -636,7 +636,7 @@ def test_after_the_file_browser_a_motion_is_imported_in_turns(extension, tmp_pat
     wanted = {
         **{"filepath": "wave.npz", "target": "AUTO", "first_frame": 3, "use_scene_range": False},
         **{"hand": "AUTO", "unit": "AUTO", "order": "AUTO", "fps": 25.0, "hand_length": 0.0, "part": ""},
-        "in_place": False,
+        **{"up": "AUTO", "labels": "AUTO", "bones": "", "mirror": False, "in_place": False},
     }
     type_ = motion_operator.ImportMotion
     chosen = SimpleNamespace(_asked=True, verb=type_.verb, choices=type_.choices, **wanted)
