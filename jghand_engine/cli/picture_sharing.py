@@ -99,8 +99,8 @@ def make_part(shooting: Shooting, part: Part) -> Outcome:
                     see_to(index, _left_behind(shooting) if free else {})
         outcome.complete = _all_there(shooting, range(total))
     finally:
-        # with all pictures there nobody has anything to claim
-        claims.close(remove=outcome.complete)
+        # with all pictures there, or in a folder of one's own, nobody has anything to claim
+        claims.close(remove=outcome.complete or not part.is_shared)
     return outcome
 
 
