@@ -84,7 +84,8 @@ def test_filled_frames_are_told(joints, tmp_path, capsys):
     words = ["render", "--motion", str(tmp_path / "motion.npy"), "--hand", "right", "--order", "standard"]
     assert main([*words, "--out", str(tmp_path / "out"), "--json", str(tmp_path / "report.json"), *SMALL]) == 0
     assert "2 of 12 frames miss joints" in capsys.readouterr().out
-    assert "2 of 12 frames" in json.loads((tmp_path / "report.json").read_text())["notes"][0]
+    notes = json.loads((tmp_path / "report.json").read_text())["notes"]
+    assert any("2 of 12 frames" in note for note in notes)
 
 
 def test_joints_that_are_missing_stop_the_command_when_asked_for(joints, render):

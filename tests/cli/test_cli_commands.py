@@ -203,7 +203,7 @@ def test_a_part_of_a_motion_is_repaired_as_the_whole_is(wobbling, avatar, keep):
     whole = load_motion(options(wobbling, keep_bone_lengths=keep), avatar)
     part = load_motion(options(wobbling, keep_bone_lengths=keep, frames="6:12:2"), avatar)
     assert np.array_equal(part.sequence.joints_m, whole.sequence.joints_m[6:13:2])
-    assert "3 of" in part.notes[0]
+    assert any("3 of" in note for note in part.notes)
     assert part.sequence.filled.tolist() == [True, False, False, False], "frame 6 was filled from 4 and 8"
 
 
@@ -219,7 +219,7 @@ def test_a_gap_outside_the_part_stops_nothing(wobbling, avatar):
 def test_bone_lengths_of_the_file_are_kept_when_asked_for(wobbling, avatar):
     motion = load_motion(options(wobbling, keep_bone_lengths=True), avatar)
     assert np.ptp(motion.sequence.bone_lengths_m, axis=0).max() > 1e-3
-    assert not motion.notes
+    assert not any("Bone lengths" in note for note in motion.notes)
 
 
 def test_named_poses_have_the_avatars_bones(avatar):
