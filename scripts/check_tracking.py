@@ -24,6 +24,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
+from jghand_engine import limits
 from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.datasets.capture_folder import open_capture
 from jghand_engine.datasets.sample import Sample, load_picture
@@ -64,6 +65,8 @@ POSES = ("open", "relaxed", "point", "victory", "open", "three", "pinch", "open"
 OTHER_BONES_SIGMA, SEED = 0.08, 5
 # how long the hand is for the picture's height, where it is looked for that is small
 SMALL = (1 / 3, 1 / 5, 1 / 7, 1 / 9, 1 / 12)
+# gaps that are made in a real video, frames; every so many frames one, fitted with so many frames before and after it
+GAPS, GAP_EVERY, GAP_BESIDE = (1, 3, 6, 12, 24, 48), 61, 60
 # the one-euro filter's usual setting for hands: least cut-off in Hz, how it grows with speed, cut-off of the speed
 ONE_EURO = (1.0, 0.5, 1.0)
 
@@ -342,6 +345,30 @@ def misses_of(sightings: Sightings, canonical_m: np.ndarray) -> list[list[str]]:
     return [[method, f"{np.median(off):.1f}", f"{size:.0f}"] for method, off in cells]
 
 
+def gaps_of(sightings: Sightings, canonical_m: np.ndarray) -> Iterator[list[str]]:
+    """How far a real video's motion in gaps that are made is from what it is without them: finger bones, mean degrees,
+    and the wrist where it is farthest, millimetres; filled by the fit, and evenly."""
+    whole = track(sightings, canonical_m)[Handedness.RIGHT]
+    directions = bone_directions(whole.in_view)
+    kept = limits.FIT_GAP_S
+    for count in GAPS:
+        cells = [str(count)]
+        for longest_s in (math.inf, 0.0):
+            limits.FIT_GAP_S = longest_s
+            error, away_mm = [], []
+            for begin in range(GAP_BESIDE, len(whole.seen) - count - GAP_BESIDE, GAP_EVERY):
+                gap = slice(begin, begin + count)
+                frames = list(sightings.frames[begin - GAP_BESIDE : begin + count + GAP_BESIDE])
+                frames[GAP_BESIDE:-GAP_BESIDE] = [[]] * count
+                found = track(replace(sightings, frames=frames), canonical_m)[Handedness.RIGHT].in_view
+                filled = found[GAP_BESIDE:-GAP_BESIDE]
+                error.append(angles_between_deg(bone_directions(filled), directions[gap])[:, FINGER_BONES])
+                away_mm.append(1e3 * np.linalg.norm(filled[:, 0] - whole.in_view[gap, 0], axis=-1).max())
+            cells += [f"{np.concatenate(error).mean():.1f}", f"{max(away_mm):.0f}"]
+        limits.FIT_GAP_S = kept
+        yield cells
+
+
 def small_hands(canonical_m: np.ndarray, model: Path | None) -> Iterator[list[str]]:
     """In how many pictures of small hands, one of each pose, they are found: by one look, and with the second one."""
     names = sorted(set(POSES))
@@ -406,6 +433,9 @@ def main() -> None:
     if sightings is not None:
         header = ["hand of the real video posed by", "median miss of its landmarks, px", "its size, px"]
         tables.append(table(header, misses_of(sightings, canonical)))
+        header = ["frames of a gap in the real video", "filled by the fit, mean degrees", "wrist at most, mm"]
+        header += ["filled evenly, mean degrees", "wrist at most, mm"]
+        tables.append(table(header, list(gaps_of(sightings, canonical)), words=0))
     text = "\n\n".join(tables)
     print(f"\n{text}")
     if options.write:

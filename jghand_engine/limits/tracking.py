@@ -13,13 +13,14 @@ VIDEO_EDGE_MIN_PX = 16
 VIDEO_ASPECT_MAX = 5.0
 # larger pictures are made smaller while they are read: the detector looks at hands of 224 pixels
 TRACK_EDGE_PX = 1920
-# longer videos are refused, or cut off there if they do not say how long they are: some kilobytes per frame and hand stay in memory; nearly two hours at 30 per second
+# longer videos are refused, or cut off there if they do not say how long they are: some kilobytes per frame and hand
+# stay in memory; nearly two hours at 30 per second
 TRACK_FRAMES_MAX = 200_000
 # rates by which films and television miss a whole number, which players print rounded
 NTSC_RATES = (24000 / 1001, 30000 / 1001, 48000 / 1001, 60000 / 1001, 120000 / 1001)
 NTSC_RATE_TOLERANCE = 6e-3
-# times between pictures vary where the mean rate differs from the most frequent one by more than this part; less comes of
-# printing them rounded
+# times between pictures vary where the mean rate differs from the most frequent one by more than this part; less comes
+# of printing them rounded
 UNEVEN_RATE_PART = 2e-3
 # rates beyond this are a time base, not a rate
 VIDEO_FPS_MAX = 1000.0
@@ -114,8 +115,11 @@ OWN_HAND_SIGMA = 0.03
 OWN_HAND_FRAMES = 200
 OWN_HAND_PICTURES = 30
 OWN_HAND_ROUNDS = 12
-# frames that are fitted together, and how many more on both sides, a smaller number, so that the seam is not felt; in
-# longer gaps than these nothing is fitted
+# gaps of up to so many seconds are part of the fit, which goes on from the speed before to that after; in longer ones
+# it would swing, the farther the longer (measured: docs/TRACKING.md)
+FIT_GAP_S = 0.15
+# frames that are fitted together, more than such a gap has at any rate, and how many more on both sides so that the
+# seam is not felt
 FIT_WINDOW_FRAMES = 900
 FIT_MARGIN_FRAMES = 60
 

@@ -23,39 +23,39 @@ from jghand_engine.tracking.smoother import Steadiness, solve
 def fit(skeleton: Skeleton, landmarks: Landmarks, trust: Trust | None = None) -> Poses:
     """The motion. Frames before the hand is first seen hold its first pose, those after the last one its last.
 
-    At least one frame must show the hand. Gaps shorter than `limits.FIT_MARGIN_FRAMES` are part of the fit; in longer
-    ones, and in all of them without smoothing, the hand goes evenly from the pose before to the one after. Long videos
-    are fitted in parts that overlap, so that memory is bounded; what is as far away as the overlap has no influence.
+    At least one frame must show the hand. Gaps of up to `limits.FIT_GAP_S` are part of the fit; in longer ones, and in
+    all of them without smoothing, the hand goes evenly from the pose before to the one after. Long videos are fitted in
+    parts that overlap, so that memory is bounded; what is as far away as the overlap has no influence.
     """
     trust = trust or Trust()
     seen = np.flatnonzero(landmarks.seen)
     start = initial_poses(skeleton, landmarks)
     fitted, known = [], []
-    for kept, wide in _parts(seen, alone=trust.smoothing == 0):
+    for kept, wide in _parts(seen, None if trust.smoothing == 0 else limits.FIT_GAP_S * landmarks.fps):
         poses = _fit_part(skeleton, landmarks.part(wide), start.part(wide), trust)
         fitted.append(poses.part(np.isin(wide, kept)))
         known.append(kept)
     return joined(fitted).spread(np.concatenate(known), len(landmarks.image_px))
 
 
-def _parts(seen: np.ndarray, *, alone: bool) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def _parts(seen: np.ndarray, longest_gap: float | None) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Frames that are fitted together, in their order: those that are kept, and with what is around them.
 
-    Both end at frames that were seen, so that no part has to guess where a gap ends. alone: gaps are no part of them.
+    Both end at frames that were seen, so that no part has to guess where a gap ends. longest_gap: frames of a gap that
+    is part of them; None for frames that know nothing of one another.
     """
     window, margin = limits.FIT_WINDOW_FRAMES, limits.FIT_MARGIN_FRAMES
-    if alone:
+    if longest_gap is None:
         for begin in range(0, len(seen), window):
             yield seen[begin : begin + window], seen[begin : begin + window]
         return
-    for run in np.split(seen, np.flatnonzero(np.diff(seen) > margin) + 1):
+    for run in np.split(seen, np.flatnonzero(np.diff(seen) - 1 > longest_gap) + 1):
         first, last = int(run[0]), int(run[-1])
         begin = first
         while begin <= last:
             # the last seen frame within the window is the first of the next part
-            end = (
-                int(run[np.searchsorted(run, begin + window, side="right") - 1]) if begin + window <= last else last + 1
-            )
+            within = run[np.searchsorted(run, begin + window, side="right") - 1]
+            end = int(within) if begin + window <= last else last + 1
             low = run[max(np.searchsorted(run, begin - margin, side="right") - 1, 0)]
             high = run[min(np.searchsorted(run, end + margin), len(run) - 1)]
             yield np.arange(begin, end), np.arange(low, high + 1)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from tracking_samples import CAMERA, CANONICAL_M, HEIGHT, WIDTH, right_joints_m, sight
 
+from jghand_engine import limits
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.tracking.track import MOTION_FROM_CAMERA
 
@@ -59,6 +60,18 @@ def test_landmarks_of_a_hand_that_a_perfect_detector_sees_are_not_missed():
     cells = check_tracking.misses_of(sight(right_joints_m(40)).sightings, CANONICAL_M)
     assert float(cells[1][1]) < 0.1, "seen: 0.0 px"
     assert float(cells[0][1]) < 2, "laid flat, as if from far away; seen: 1.6 px"
+
+
+def test_gaps_that_are_made_in_a_steady_motion_are_filled_with_it(monkeypatch):
+    monkeypatch.setattr(check_tracking, "GAPS", (2, 5))
+    monkeypatch.setattr(check_tracking, "GAP_BESIDE", 10)
+    before = limits.FIT_GAP_S
+    steady = np.broadcast_to(right_joints_m(1), (40, 21, 3))
+    rows = list(check_tracking.gaps_of(sight(steady).sightings, CANONICAL_M))
+    assert rows == [["2", "0.0", "0", "0.0", "0"], ["5", "0.0", "0", "0.0", "0"]]
+    moving = list(check_tracking.gaps_of(sight(right_joints_m(40)).sightings, CANONICAL_M))
+    assert float(moving[1][3]) > 0.1, "what moves is missed"
+    assert before == limits.FIT_GAP_S
 
 
 def test_tables_are_put_into_the_page_between_its_marks(tmp_path, monkeypatch):

@@ -70,12 +70,15 @@ def test_bones_keep_their_lengths_and_joints_their_limits(truth_m):
     assert (poses.angle_rad <= LIMITS_RAD[:, 1]).all()
 
 
-def test_a_gap_is_closed_along_what_is_around_it(truth_m):
+@pytest.mark.parametrize("gap_s", [0.0, 1.0])
+def test_a_gap_is_closed_along_what_is_around_it(truth_m, monkeypatch, gap_s):
+    """Evenly, and by the fit."""
+    monkeypatch.setattr(limits, "FIT_GAP_S", gap_s)
     gone = landmarks(truth_m)
     gone.image_px[25:31] = np.nan
     found = fit(SKELETON, gone).joints_m(SKELETON)
     held = np.concatenate([truth_m[:25], np.repeat(truth_m[24:25], 6, 0), truth_m[31:]])
-    assert errors_deg(found, truth_m)[25:31].max() < 0.3 * errors_deg(held, truth_m)[25:31].max(), "seen: 0.18"
+    assert errors_deg(found, truth_m)[25:31].max() < 0.13 * errors_deg(held, truth_m)[25:31].max(), "seen: 0.115"
 
 
 def test_before_it_is_first_seen_and_after_the_hand_holds_still(truth_m):
@@ -156,19 +159,22 @@ def test_in_a_gap_a_hand_that_keeps_its_pose_keeps_its_pose(gap, smoothing):
     assert np.abs(found - whole).max() < 1e-5
 
 
-@pytest.mark.parametrize("gap", [1, 20, 90])
-def test_frames_alone_are_joined_by_the_shortest_way_over_a_gap(truth_m, gap):
+@pytest.mark.parametrize(("gap", "smoothing"), [(1, 0.0), (20, 0.0), (90, 0.0), (5, 1.0), (20, 1.0), (90, 1.0)])
+def test_over_a_gap_the_hand_goes_the_shortest_way(gap, smoothing):
+    """Frames alone over any; else over one that is too long to go on from the speed at its ends."""
     joints = moving_poses(60 + gap).joints_m(SKELETON)
-    poses = fit(SKELETON, away(joints, 30, 30 + gap), Trust(smoothing=0.0))
+    poses = fit(SKELETON, away(joints, 30, 30 + gap), Trust(smoothing=smoothing))
     ends = Poses(poses.turn[[29, 30 + gap]], poses.place_m[[29, 30 + gap]], poses.angle_rad[[29, 30 + gap]])
     between = ends.spread(np.array([0, gap + 1]), gap + 2)
     np.testing.assert_allclose(poses.angle_rad[29 : 31 + gap], between.angle_rad, atol=1e-12)
     np.testing.assert_allclose(poses.joints_m(SKELETON)[29 : 31 + gap], between.joints_m(SKELETON), atol=1e-12)
 
 
-@pytest.mark.parametrize(("begin", "end"), [(85, 97), (88, 100), (95, 125), (50, 270), (89, 91)])
-def test_where_a_gap_lies_between_parts_of_a_long_video_there_is_no_seam(monkeypatch, begin, end):
+@pytest.mark.parametrize("gap_s", [limits.FIT_GAP_S, 0.7])
+@pytest.mark.parametrize(("begin", "end"), [(85, 97), (88, 100), (95, 125), (50, 270), (89, 91), (88, 92)])
+def test_where_a_gap_lies_between_parts_of_a_long_video_there_is_no_seam(monkeypatch, begin, end, gap_s):
     """Gaps about the 90th frame, at which a part ends; one of them longer than a part with all that is around it."""
+    monkeypatch.setattr(limits, "FIT_GAP_S", gap_s)
     monkeypatch.setattr(limits, "FIT_WINDOW_FRAMES", 90)
     monkeypatch.setattr(limits, "FIT_MARGIN_FRAMES", 20)
     truth = still(300, way_m=0.3)
@@ -185,7 +191,7 @@ def test_parts_of_a_long_video_end_where_the_hand_is_seen(monkeypatch):
     random = np.random.default_rng(0)
     for _ in range(50):
         seen = np.flatnonzero(random.random(150) < random.uniform(0.1, 1))
-        parts = list(_parts(seen, alone=False))
+        parts = list(_parts(seen, 6))
         kept = np.concatenate([part for part, _ in parts])
         assert (np.diff(kept) > 0).all()
         assert set(seen) <= set(kept)
