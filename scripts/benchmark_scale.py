@@ -1,13 +1,14 @@
 """How far one machine goes, and what more would cost: every figure of the tables in docs/SCALE.md.
 
-    python scripts/benchmark_scale.py [--page docs/SCALE.md] [--json FILE] [--price 0.04] [--only render,train]
+    python scripts/benchmark_scale.py [--page docs/SCALE.md] [--json FILE] [--repeats 3] [--price 0.04]
 
 Runs the commands as anyone would, each as processes of its own. Seconds are what a command says itself (--json), once
 it has started; core-seconds (user and system, of all its processes) and peak memory come from the operating system.
-What one more picture, step or frame costs is the difference of a long and a short run, so that starting is told apart;
-in the motion no two frames are alike. The second table multiplies; it measures nothing. --page renews the tables of a
-page between their marks. It takes some five minutes on two quiet cores; --quick takes a tenth of the work, to see that it
-runs.
+What one more picture, step or frame costs is the difference of a long and a short run, so that starting is told apart,
+and the median of such differences (--repeats), of short and long runs in turn; how far they lie apart is said below the
+table. In the motion, which begins again and again, 9 of 600 frames are like the one before. The second table
+multiplies; it measures nothing. --page renews the tables of a page between their marks. A repeat takes some five
+minutes on two quiet cores; --quick takes a tenth of the work, to see that it runs.
 """
 
 from __future__ import annotations
@@ -16,12 +17,13 @@ import argparse
 import contextlib
 import json
 import os
+import statistics
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -45,6 +47,10 @@ FRAMES, POSES = 600, ["open", "fist", "point", "ok", "spread", "relaxed", "open"
 # identities, frames rendered of all of them together
 SCALES = ((1, 1_000), (10, 10_000), (100, 100_000), (1_000, 1_000_000))
 HOUR_S, WEEK_H = 3600.0, 168.0
+PARTS = ("render", "capture", "train", "export")
+# what the table of costs is made of
+PRICED = ("render 512x334", "capture", "train")
+BLENDER = ROOT / ".envs" / "blender" / "bin" / "python"
 
 
 @dataclass(frozen=True)
@@ -61,7 +67,9 @@ class Run:
 
 @dataclass(frozen=True)
 class Cost:
-    """What one more of something costs. start_s: of a process that does one alone · command: without its folders"""
+    """What one more of something costs, in the middle of all repeats. start_s: of as many processes at once, each of
+    which does one · apart: how far the core times of the repeats lie apart, as a part of core_s · command: without its
+    folders"""
 
     what: str
     per: str
@@ -71,6 +79,8 @@ class Cost:
     start_s: float
     mb: float
     command: str
+    repeats: int = 1
+    apart: float = 0.0
 
     def row(self) -> tuple[str, ...]:
         return (
@@ -85,54 +95,81 @@ def main() -> int:
     parser.add_argument("--json", type=Path, help="also write the figures to this file")
     parser.add_argument("--from-json", type=Path, help="take the figures of an earlier run instead of measuring")
     parser.add_argument("--price", type=float, default=0.04, help="of a core for an hour; yours (default 0.04)")
-    parser.add_argument("--only", default="render,capture,train,export", help="what is measured")
+    parser.add_argument("--only", default=",".join(PARTS), help="what is measured")
+    parser.add_argument("--repeats", type=int, default=3, help="of each difference (default 3)")
     parser.add_argument("--quick", action="store_true", help="a tenth of the work: to see that it runs")
     parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()), help="where work files go")
     options = parser.parse_args()
+    wanted = options.only.split(",")
+    # what would be refused after the work is refused before it
+    page = Page(options.page) if options.page else None
+    if not set(wanted) <= set(PARTS) or options.repeats < 1:
+        raise SystemExit(f"--only: some of {', '.join(PARTS)}; --repeats: 1 or more.")
+    if not {"capture", "train"}.isdisjoint(wanted) and not options.from_json and not BLENDER.is_file():
+        raise SystemExit(f"There is no {BLENDER}, which captures: --only render,export.")
+    if page and not options.from_json and set(wanted) != set(PARTS):
+        raise SystemExit("--page wants all figures: leave out --only.")
     if options.from_json:
         content = json.loads(options.from_json.read_text(encoding="utf-8"))
         costs = {name: Cost(**cost) for name, cost in content["costs"].items()}
         machine = content["machine"]
     else:
-        machine = f"{processor()}, {CORES} cores, {time.strftime('%Y-%m-%d')}"
+        load = f"load {os.getloadavg()[0]:.1f} before it began"
+        machine = f"{processor()}, {CORES} cores, {load}, {time.strftime('%Y-%m-%d')}"
         if options.quick:
             machine += ", a tenth of the work (--quick)"
         with tempfile.TemporaryDirectory(dir=options.folder, prefix="jghand_scale_") as folder:
-            costs = measured(Path(folder), options.only.split(","), 10 if options.quick else 1)
+            costs = measured(Path(folder), wanted, options.repeats, 10 if options.quick else 1)
     lines = [*measured_table(costs, machine), "", *cost_table(costs, options.price)]
     print("\n".join(lines))
     if options.json:
         content = {"machine": machine, "costs": {name: asdict(cost) for name, cost in costs.items()}}
         options.json.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-    if options.page:
-        text = options.page.read_text(encoding="utf-8")
-        before, after = text.split(BEGIN)[0], text.split(END)[1]
-        options.page.write_text("\n".join([before + BEGIN, "", *lines, "", END + after]), encoding="utf-8")
+    if page:
+        if not costs.keys() >= {*PRICED, "export"}:
+            raise SystemExit("--page wants all figures, and there are not all in --from-json.")
+        page.write(lines)
     return 0
+
+
+class Page:
+    """What stands between the marks of a page. SystemExit without marks."""
+
+    def __init__(self, path: Path) -> None:
+        self._path, text = path, path.read_text(encoding="utf-8")
+        if text.count(BEGIN) != 1 or text.count(END) != 1:
+            raise SystemExit(f"{path} has not the marks {BEGIN} and {END} once each.")
+        self._before, self._after = text.split(BEGIN)[0], text.split(END)[1]
+
+    def write(self, lines: Sequence[str]) -> None:
+        text = "\n".join([self._before + BEGIN, "", *lines, "", END + self._after])
+        self._path.write_text(text, encoding="utf-8")
 
 
 # ---- measured --------------------------------------------------------------------------------------------------------
 
 
-def measured(folder: Path, wanted: Iterable[str], divisor: int) -> dict[str, Cost]:
+def measured(folder: Path, wanted: Iterable[str], repeats: int, divisor: int) -> dict[str, Cost]:
     costs: dict[str, Cost] = {}
     motion = folder / "wave.npz"
     write_motion(motion, moving_hand(FRAMES))
     if "render" in wanted:
         for size in ("512x334", "1024x1024"):
-            costs |= rendering(folder / size, motion, size, max(20, FRAMES // divisor))
+            costs |= rendering(rooms(folder / size, repeats), motion, size, max(20, FRAMES // divisor))
     if "export" in wanted:
-        costs["export"] = exporting(folder / "export", motion, max(6, FRAMES // 10 // divisor))
+        costs["export"] = exporting(rooms(folder / "export", repeats), motion, max(6, FRAMES // 10 // divisor))
     if "capture" in wanted or "train" in wanted:
-        blender = ROOT / ".envs" / "blender" / "bin" / "python"
-        if not blender.is_file():
-            print("No .envs/blender: neither capture nor training is measured.", file=sys.stderr)
-            return costs
-        cost, capture = capturing(folder / "capture", 2 if divisor > 1 else 4)
-        costs["capture"] = cost
+        places = rooms(folder / "capture", repeats)
+        costs["capture"] = capturing(places, 2 if divisor > 1 else 4)
         if "train" in wanted:
-            costs["train"] = training(folder / "train", capture, max(20, 300 // divisor))
+            steps = max(20, 300 // divisor)
+            costs["train"] = training(rooms(folder / "train", repeats), places[0] / "many", steps)
     return costs
+
+
+def rooms(folder: Path, repeats: int) -> list[Path]:
+    """A folder for each repeat."""
+    return [folder / str(number) for number in range(repeats)]
 
 
 def moving_hand(frames: int) -> PoseSequence:
@@ -144,64 +181,67 @@ def moving_hand(frames: int) -> PoseSequence:
     return PoseSequence(np.tile(once, (times, 1, 1))[:frames], 30.0, Handedness.RIGHT)
 
 
-def rendering(folder: Path, motion: Path, size: str, frames: int) -> dict[str, Cost]:
+def rendering(folders: Sequence[Path], motion: Path, size: str, frames: int) -> dict[str, Cost]:
     """One process that takes all cores, and one process per core."""
-    words = ["render", "--motion", motion, "--size", size]
-    one = run([[*words, "--frames", "0", "--out", folder / "one"]], folder / "one")
-    last = f"0-{frames - 1}"
-    alone = run([[*words, "--frames", last, "--out", folder / "alone"]], folder / "alone")
-    shards = [
-        [*words, "--frames", last, "--threads", "1", "--shard", f"{number}/{CORES}", "--out", folder / "shards"]
-        for number in range(1, CORES + 1)
-    ]
-    parted = run(shards, folder / "shards")
+    words, last = ["render", "--motion", motion, "--size", size], f"0-{frames - 1}"
+    alone, parted = [], []
+    for folder in folders:
+        one = run([[*words, "--frames", "0", "--out", folder / "one"]], folder / "one")
+        alone.append((one, run([[*words, "--frames", last, "--out", folder / "alone"]], folder / "alone")))
+        if CORES > 1:
+            # so many pictures as there are shards: one each
+            each = run(shards([*words, "--frames", f"0-{CORES - 1}", "--out", folder / "short"]), folder / "short")
+            many = run(shards([*words, "--frames", last, "--out", folder / "shards"]), folder / "shards")
+            parted.append((each, many))
     said = f"jghand render --motion FILE --size {size}"
-    found = {f"render {size}": difference(f"picture, {size}", "one process", one, alone, frames - 1, said)}
-    if CORES > 1:
-        each = run([shard_of_one(shard) for shard in shards], folder / "short")
+    found = {f"render {size}": difference(f"picture, {size}", "one process", alone, frames - 1, said)}
+    if parted:
         said += f" --threads 1 --shard N/{CORES}"
-        found[f"render {size}, shards"] = difference(
-            f"picture, {size}", f"{CORES} processes", each, parted, frames - CORES, said
-        )
+        by = f"{CORES} processes"
+        found[f"render {size}, shards"] = difference(f"picture, {size}", by, parted, frames - CORES, said)
     return found
 
 
-def shard_of_one(words: Sequence[object]) -> list[object]:
-    """The same shard of so many pictures as there are shards: one each."""
-    short = list(words)
-    short[short.index("--frames") + 1] = f"0-{CORES - 1}"
-    short[short.index("--out") + 1] = Path(str(short[short.index("--out") + 1])).with_name("short")
-    return short
+def shards(words: Sequence[object]) -> list[list[object]]:
+    return [[*words, "--threads", "1", "--shard", f"{number}/{CORES}"] for number in range(1, CORES + 1)]
 
 
-def exporting(folder: Path, motion: Path, frames: int) -> Cost:
+def exporting(folders: Sequence[Path], motion: Path, frames: int) -> Cost:
     words = ["export", "--motion", motion]
-    one = run([[*words, "--frames", "0", "--out", folder / "one"]], folder / "one")
-    many = run([[*words, "--frames", f"0-{frames - 1}", "--out", folder / "many"]], folder / "many")
-    return difference("frame of a USD stage", "one process", one, many, frames - 1, "jghand export --motion FILE")
-
-
-def capturing(folder: Path, poses: int) -> tuple[Cost, Path]:
-    words = ["capture", "--identity", "3", "--cameras", "4", "--close-ups", "0", "--subdivisions", "2"]
-    one = run([[*words, "--poses", "1", "--out", folder / "one"]], folder / "one")
-    many = run([[*words, "--poses", str(1 + poses), "--out", folder / "many"]], folder / "many")
-    cost = difference("picture of a capture, 334x512", "one process", one, many, 4 * poses,
-                      "jghand capture --subdivisions 2")  # fmt: skip
-    return cost, folder / "many"
-
-
-def training(folder: Path, capture: Path, steps: int) -> Cost:
-    """Of so few steps as of many: the schedule, which is coarse first, is stretched over them."""
-    one, many = (
-        run(
-            [["train", capture, "--steps", str(count), "--out", folder / str(count) / "hand.jghand"]],
-            folder / str(count),
+    pairs = [
+        (
+            run([[*words, "--frames", "0", "--out", folder / "one"]], folder / "one"),
+            run([[*words, "--frames", f"0-{frames - 1}", "--out", folder / "many"]], folder / "many"),
         )
-        for count in (1, steps)
-    )
-    cost = difference("step of a training", "one process", one, many, steps - 1, "jghand train CAPTURE --steps …")
+        for folder in folders
+    ]
+    return difference("frame of a USD stage", "one process", pairs, frames - 1, "jghand export --motion FILE")
+
+
+def capturing(folders: Sequence[Path], poses: int) -> Cost:
+    words = ["capture", "--identity", "3", "--cameras", "4", "--close-ups", "0", "--subdivisions", "2"]
+    pairs = [
+        (
+            run([[*words, "--poses", "1", "--out", folder / "one"]], folder / "one"),
+            run([[*words, "--poses", str(1 + poses), "--out", folder / "many"]], folder / "many"),
+        )
+        for folder in folders
+    ]
+    said = "jghand capture --subdivisions 2"
+    return difference("picture of a capture, 334x512", "one process", pairs, 4 * poses, said)
+
+
+def training(folders: Sequence[Path], capture: Path, steps: int) -> Cost:
+    """Of so few steps as of many: the schedule, which is coarse first, is stretched over them."""
+
+    def of(folder: Path, count: int) -> Run:
+        place = folder / str(count)
+        return run([["train", capture, "--steps", str(count), "--out", place / "hand.jghand"]], place)
+
+    pairs = [(of(folder, 1), of(folder, steps)) for folder in folders]
+    cost = difference("step of a training", "one process", pairs, steps - 1, "jghand train CAPTURE --steps …")
     # an avatar and its checkpoints are not larger for more steps
-    return Cost(**{**asdict(cost), "mb": many.bytes / 1e6})
+    return replace(cost, mb=pairs[0][1].bytes / 1e6)
 
 
 def run(commands: Sequence[Sequence[object]], left: Path) -> Run:
@@ -215,15 +255,21 @@ def run(commands: Sequence[Sequence[object]], left: Path) -> Run:
             command = [*JGHAND, *map(str, words), "--json", str(told / f"{number}.json")]
             processes.append((subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT), log))
         core_s = peak_mb = 0.0
-        for process, log in processes:
-            # not by Popen: it forgets what the process took
-            _, status, used = os.wait4(process.pid, 0)
-            process.returncode = os.waitstatus_to_exitcode(status)
-            if process.returncode:
-                log.seek(0)
-                raise SystemExit(f"{process.args}\n{log.read()}")
-            core_s += used.ru_utime + used.ru_stime
-            peak_mb = max(peak_mb, used.ru_maxrss / 1e3)
+        try:
+            for process, log in processes:
+                # not by Popen: it forgets what the process took
+                _, status, used = os.wait4(process.pid, 0)
+                process.returncode = os.waitstatus_to_exitcode(status)
+                if process.returncode:
+                    log.seek(0)
+                    raise SystemExit(f"{process.args}\n{log.read()}")
+                core_s += used.ru_utime + used.ru_stime
+                peak_mb = max(peak_mb, used.ru_maxrss / 1e3)
+        finally:
+            for process, _ in processes:
+                if process.returncode is None:
+                    process.kill()
+                    process.wait()
         wall_s = time.perf_counter() - started
         work_s = max(seconds_in(json.loads(file.read_text(encoding="utf-8"))) for file in told.glob("*.json"))
         return Run(wall_s, work_s, core_s, peak_mb, size_of(left))
@@ -241,11 +287,15 @@ def size_of(path: Path) -> int:
     return sum(file.stat().st_size for file in path.rglob("*") if file.is_file())
 
 
-def difference(what: str, per: str, short: Run, long: Run, more: int, command: str) -> Cost:
-    """What one of `more` costs, by which a run was longer."""
+def difference(what: str, per: str, pairs: Sequence[tuple[Run, Run]], more: int, command: str) -> Cost:
+    """What one of `more` costs, by which the second run of each pair was longer."""
+    core_s = [(long.core_s - short.core_s) / more for short, long in pairs]
+    middle_s = statistics.median(core_s)
+    short, long = pairs[0]
     return Cost(
-        what, per, (long.work_s - short.work_s) / more, (long.core_s - short.core_s) / more, long.peak_mb,
-        short.wall_s, (long.bytes - short.bytes) / more / 1e6, command,
+        what, per, statistics.median((long.work_s - short.work_s) / more for short, long in pairs), middle_s,
+        max(long.peak_mb for _, long in pairs), statistics.median(short.wall_s for short, _ in pairs),
+        (long.bytes - short.bytes) / more / 1e6, command, len(pairs), (max(core_s) - min(core_s)) / abs(middle_s),
     )  # fmt: skip
 
 
@@ -254,15 +304,26 @@ def difference(what: str, per: str, short: Run, long: Run, more: int, command: s
 
 def measured_table(costs: dict[str, Cost], machine: str) -> list[str]:
     head = ("one", "by", "takes", "core time", "start", "peak memory", "on disk", "command")
-    return [f"Measured on {machine}:", "", *markdown(head, [cost.row() for cost in costs.values()])]
+    table = markdown(head, [cost.row() for cost in costs.values()])
+    return [f"Measured on {machine}:", "", *table, "", repeated(list(costs.values()))]
+
+
+def repeated(costs: Sequence[Cost]) -> str:
+    """How far one can trust the figures."""
+    most = max(costs, key=lambda cost: cost.apart)
+    if most.repeats == 1:
+        return "Each figure is one difference of a long and a short run, not repeated."
+    return (
+        f"Medians of {most.repeats} differences of a long and a short run. The core times of one thing lie at most "
+        f"{most.apart:.0%} apart ({most.what}, {most.per})."
+    )
 
 
 def cost_table(costs: dict[str, Cost], price: float) -> list[str]:
     """Multiplied, not measured."""
-    needed = ("render 512x334", "capture", "train")
-    if any(name not in costs for name in needed):
+    if not costs.keys() >= set(PRICED):
         return ["(No table of costs: it needs render, capture and train.)"]
-    render, capture, train = (costs[name] for name in needed)
+    render, capture, train = (costs[name] for name in PRICED)
     rows = []
     for identities, frames in SCALES:
         parts_h = [
