@@ -44,8 +44,14 @@ def exported(tmp_path_factory):
 
 
 def imported(stage: Path) -> None:
+    """Imports a stage, of which Blender's USD has nothing to warn."""
+    bpy.utils.expose_bundled_modules()
+    from pxr import UsdUtils
+
     bpy.ops.wm.read_factory_settings(use_empty=True)
+    delegate = UsdUtils.CoalescingDiagnosticDelegate()
     assert bpy.ops.wm.usd_import(filepath=str(stage)) == {"FINISHED"}
+    assert [item.commentary for item in delegate.TakeUncoalescedDiagnostics()] == []
 
 
 def only(kind: str):
