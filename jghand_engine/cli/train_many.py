@@ -161,6 +161,8 @@ class TrainMany:
                 say(f"{name}: {record.told}")
                 if "--fresh" in record.told or "--work" in record.told:
                     say(f"A list begins a training anew when {folder.work(name)} is moved away or removed.")
+                if "--overwrite" in record.told:
+                    say("In the list that is: overwrite = true")
             if runner.is_of_old_list(name):
                 say(f"{name}: its job has the options of the list as it was. When it has ended, this command goes on.")
         if any(record.state in (State.STOPPED, State.LOST, State.FAILED) for record in runner.records.values()):

@@ -157,6 +157,7 @@ def test_what_a_training_refuses_is_said_and_can_be_allowed(tmp_path):
     done = train_many(path, out, program=COUNTING)
     assert done.returncode == 2
     assert "--overwrite" in done.stdout
+    assert "overwrite = true" in done.stdout
     assert (out / "one.jghand").read_text() == "somebody's"
     assert train_many(write_list(tmp_path, tmp_path, overwrite=True), out, program=COUNTING).returncode == 0
     assert (out / "one.jghand").read_text() == "a hand of 24 steps"

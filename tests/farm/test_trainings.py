@@ -12,6 +12,8 @@ from jghand_engine.cli import main
 from jghand_engine.cli.train_many import TrainMany
 from jghand_engine.errors import InputError
 from jghand_engine.farm import trainings
+from jghand_engine.farm.records import FarmFolder, Record, State
+from jghand_engine.farm.runner import Runner
 from jghand_engine.farm.trainings import Training, read_trainings
 
 
@@ -113,6 +115,15 @@ def test_looking_at_a_list_waits_for_no_imports(listed, tmp_path):
     done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, timeout=60)
     assert "--steps" in done.stderr
     assert done.returncode == 0
+
+
+def test_what_a_list_cannot_say_is_told_in_other_words(tmp_path, capsys):
+    folder = FarmFolder(tmp_path)
+    folder.make()
+    folder.write_record("id3", Record([], State.FAILED, 1, 2, "Start anew with --fresh."))
+    runner = Runner([Training("id3", ())], folder, Idle())
+    TrainMany(tmp_path / "list.toml", tmp_path)._show(runner, folder)
+    assert f"begins a training anew when {tmp_path / 'id3.training'} is moved away" in capsys.readouterr().out
 
 
 def test_a_list_without_an_end_is_refused_when_it_is_too_long(listed, monkeypatch):

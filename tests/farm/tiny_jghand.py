@@ -19,7 +19,6 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from jghand_engine.cli import main
 from jghand_engine.errors import RetryError
 from jghand_engine.farm import executors, job
 from jghand_engine.files import make_folder, writing
@@ -99,6 +98,9 @@ if __name__ == "__main__":
         sys.exit(count(words))
     if words[0] == "train":
         make_trainings_small()
+    # trainings that only count need not wait for it
+    from jghand_engine.cli import main
+
     job.PROGRAM, job.RECORD_EVERY_S = tuple(program), 0.1
     executors.SlurmExecutor.poll_s = 1.0
     sys.exit(main(words))
