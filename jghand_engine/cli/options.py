@@ -55,7 +55,7 @@ class FormatOptions:
     any_proportions: bool = False
     """Take joints whose bone lengths are no hand's, such as a cartoon's: a wrong order or unit is not noticed then."""
     part: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
-    """Which of several skeletons, animations, people or captures of a file: a part of its name."""
+    """Which of several skeletons, animations, people or captures of a file: its name, or a part of it."""
     bones: File = None
     """Names of a rig's bones by joint as JSON, {"wrist": "Hand_R", "thumb1": …}: for names that are not recognised."""
     labels: Literal["auto", "true", "mirrored"] = "auto"

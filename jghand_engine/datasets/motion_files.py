@@ -58,7 +58,7 @@ class MotionFormat:
 
     For files of other programs (`motions.read`) only:
 
-    part:            which of several skeletons, animations, captures: a part of its name
+    part:            which of several skeletons, animations, captures: its name, or a part of it
     mirrored_labels: whether a detector's labels are those of a mirrored picture; None: as its interface usually has it
     bones:           names of a rig's bones by joint, where they are those of no convention
     hand_length_m:   scale the hand to this length, wrist to the middle finger's tip; a unit is not needed then

@@ -40,6 +40,17 @@ def test_of_two_hands_with_turned_labels_the_one_that_bends_so_is_taken(tmp_path
     assert any("either it is one" in note for note in kept.notes)
 
 
+def test_of_one_hand_what_is_said_counts_most(tmp_path):
+    path = tmp_path / "a.json"
+    path.write_text(json.dumps(samples.mediapipe_tasks(samples.standard(samples.motion()), "Left")))
+    assert any("labelled left, but" in note for note in read_motion_file(path).notes)
+    right, left = (read_motion_file(path, MotionFormat(handedness=side)) for side in (RIGHT, LEFT))
+    assert (right.sequence.handedness, left.sequence.handedness) == (RIGHT, LEFT)
+    assert any("labelled left: it is taken for the right one, as was said" in note for note in right.notes)
+    assert any("either it is one" in note for note in left.notes)
+    assert not any("it is taken for one" in note for note in (*right.notes, *left.notes))
+
+
 def test_labels_that_would_make_both_hands_the_same_one_stay(tmp_path):
     """One hand bends as the other: nobody knows which label is wrong."""
     frames = two_hands(("Right", "Left"))

@@ -188,8 +188,11 @@ def _chosen(file: Path, content: MotionContent, wanted: MotionFormat) -> tuple[H
         raise InputError(f"motion file {file} ({content.kind})", wanted="a hand of 21 joints", came=came, remedy=remedy)
     if wanted.part is not None:
         tracks = _of_part(file, tracks, wanted.part, content.animations)
-    tracks, relabelled = (tracks, []) if wanted.mirrored_labels is not None else _relabelled(tracks)
-    notes = [*content.notes, *relabelled]
+    notes = list(content.notes)
+    # of one hand alone what the user says counts more than what it looks like
+    if wanted.mirrored_labels is None and (len(tracks) > 1 or wanted.handedness is None):
+        tracks, said = _relabelled(tracks)
+        notes += said
     if wanted.handedness is not None:
         tracks, said = _of_side(file, tracks, wanted.handedness)
         notes += said
