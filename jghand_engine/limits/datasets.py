@@ -105,6 +105,8 @@ USUAL_FPS = (30.0, 24.0, 25.0, 60.0, 50.0, 48.0, 90.0, 72.0, 120.0, 100.0, 144.0
 # part of a frame by which a key may miss one (times in single precision), and part of the keys that may lie elsewhere
 KEY_FRAME_EPS = 0.05
 KEYS_OFF_MAX = 0.05
+# seconds by which key times must differ to be two: single precision has 6e-5 after a quarter of an hour
+KEYS_APART_MIN_S = 2e-4
 # keys that come more seldom are poses, no frames; a rate above the other is none
 KEYS_FPS_MIN = 6.0
 KEYS_FPS_MAX = 240.0

@@ -194,6 +194,13 @@ def test_the_rate_of_keys_is_the_one_on_which_they_lie(places, own, fps):
     assert np.abs(places[:, None] - taken).min(axis=1).max() < 1e-9
 
 
+def test_times_that_differ_by_round_off_are_one_key():
+    times = np.arange(100) / 15
+    both = np.unique(np.concatenate([times, times.astype(np.float32).astype(np.float64)]))
+    assert len(both) > 100
+    assert key_frames(both) == (pytest.approx(15.0, rel=1e-12), [])
+
+
 def test_a_few_keys_hours_apart_are_refused():
     assert len(frame_times(np.array([0.0, 60.0]), 30.0)) == 1801
     with pytest.raises(NoMotionError, match="2 keys over 8000 s"):

@@ -81,6 +81,8 @@ def key_frames(times_s: np.ndarray, own: float | None = None) -> tuple[float, li
     own: a rate that the file names. Keys that come evenly say their rate, unless they are poses rather than frames.
     Else it is the first of the usual rates on which nearly all lie, else that of the smallest steps.
     """
+    # channels may have the same times in different precision
+    times_s = times_s[np.diff(times_s, prepend=-np.inf) > limits.KEYS_APART_MIN_S]
     if len(times_s) < 2:
         return limits.DEFAULT_FPS, []
     steps = np.diff(times_s)

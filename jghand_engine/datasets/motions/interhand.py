@@ -49,8 +49,7 @@ def read(text: JsonText) -> MotionContent:
             for side, start in ((Handedness.RIGHT, 0), (Handedness.LEFT, JOINT_COUNT)):
                 hand = joints[:, start : start + JOINT_COUNT]
                 tracks.append(HandTrack(hand, side, JointOrder.INTERHAND, f"{part}, {side} hand"))
-    notes = ("InterHand2.6M does not say its frames per second: --fps does.",)
-    return MotionContent(KIND, tuple(tracks), METRES_PER_UNIT["mm"], notes=notes)
+    return MotionContent(KIND, tuple(tracks), METRES_PER_UNIT["mm"])
 
 
 def _sequences(frames: dict[int, np.ndarray]) -> Iterator[tuple[int, np.ndarray]]:
