@@ -20,7 +20,7 @@ import csv
 import itertools
 import json
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -80,11 +80,12 @@ class MotionFormat:
 @dataclass(frozen=True)
 class FileContent:
     """A file as it is: joints (F, n, 3) in its order and unit, valid (F, n) or None, and what it declares: order, unit,
-    fps, handedness, filled, each as the file has it."""
+    fps, handedness, filled, each as the file has it. times: (F,) of the frames in an unknown unit, or none."""
 
     joints: np.ndarray
     valid: np.ndarray | None
     declared: dict[str, Any]
+    times: Sequence[float] = ()
 
 
 def read_content(file: Path, suffix: str) -> FileContent:
@@ -270,8 +271,9 @@ def _declarations(sequence: PoseSequence) -> dict[str, str | float]:
 # ---- CSV ------------------------------------------------------------------------------------------------------------
 
 _COLUMNS = [f"{name}_{axis}" for name in STANDARD_NAMES for axis in "xyz"]
-# columns that may stand before the joints and are not needed
-_COUNTERS = ("frame", "time", "time_s", "timestamp")
+# columns of times, and all that may stand before the joints
+_CLOCKS = ("time", "time_s", "timestamp")
+_COUNTERS = ("frame", *_CLOCKS)
 
 
 def _read_csv(file: Path) -> FileContent:
@@ -282,19 +284,21 @@ def _read_csv(file: Path) -> FileContent:
         if first is None:
             return FileContent(np.zeros((0, len(STANDARD_NAMES), 3)), None, declared)
         header = [cell.strip().lower() for cell in first]
+        clock = [place for place, name in enumerate(header) if name in _CLOCKS][:1]
         if has_own_columns(header):
             # names say more than any declaration: the columns may stand in any order
             places = [header.index(column) for column in _COLUMNS]
-            joints = _csv_numbers(rows, places, first_line=2)
-            return FileContent(joints, None, {**declared, "order": JointOrder.STANDARD.value})
+            declared["order"] = JointOrder.STANDARD.value
+        else:
+            skip = 1 if header[0] in _COUNTERS else 0
+            places = list(range(skip, len(header)))
+            if len(places) % 3:
+                raise ValueError(f"{len(places)} columns of numbers are not x, y, z of joints")
         has_header = not all(_is_number(cell) for cell in header)
-        skip = 1 if header[0] in _COUNTERS else 0
-        width = len(header) - skip
-        if width % 3:
-            raise ValueError(f"{width} columns of numbers are not x, y, z of joints")
         every = rows if has_header else itertools.chain([first], rows)
-        joints = _csv_numbers(every, range(skip, skip + width), 1 + has_header)
-    return FileContent(joints, None, declared)
+        table = _csv_numbers(every, [*places, *clock], 1 + has_header)
+    joints = table[:, : len(places)].reshape(len(table), -1, 3)
+    return FileContent(joints, None, declared, table[:, -1].tolist() if clock else ())
 
 
 def _without_comments(lines: Iterable[str], declared: dict[str, Any]) -> Iterator[str]:
@@ -312,16 +316,15 @@ def has_own_columns(header: list[str]) -> bool:
     return set(_COLUMNS) <= {cell.strip().lower() for cell in header}
 
 
-def _csv_numbers(rows: Iterable[list[str]], places: Iterable[int], first_line: int) -> np.ndarray:
-    """(F, n, 3) of some columns, NaN for empty cells."""
-    columns = list(places)
+def _csv_numbers(rows: Iterable[list[str]], columns: list[int], first_line: int) -> np.ndarray:
+    """(F, columns) of some columns, NaN for empty cells."""
     table = []
     for number, row in enumerate(rows, first_line):
         if len(row) <= max(columns):
             raise ValueError(f"row {number} ends after {len(row)} of {max(columns) + 1} columns")
         _check_count(len(table))
         table.append(np.array([_cell(row[place], number, place) for place in columns]))
-    return np.array(table).reshape(len(table), -1, 3)
+    return np.array(table).reshape(len(table), len(columns))
 
 
 def _cell(cell: str, number: int, place: int) -> float:

@@ -181,6 +181,22 @@ def test_csv_without_joint_names_is_read_in_the_declared_order(tmp_path, header)
     assert np.array_equal(again.joints_m, motion.joints_m)
 
 
+@pytest.mark.parametrize("named", [True, False])
+def test_a_column_of_times_is_the_clock_where_no_rate_is_declared(tmp_path, named):
+    motion = _motion()
+    listed = from_level(motion.joints_m, JointOrder.STANDARD).reshape(len(motion), 63).tolist()
+    names = [f"{name}_{axis}" for name in STANDARD_NAMES for axis in "xyz"] if named else [f"c{k}" for k in range(63)]
+    lines = [",".join(["timestamp", *names])]
+    lines += [",".join([str(round(1000 * number / 120)), *map(repr, row)]) for number, row in enumerate(listed)]
+    path = tmp_path / "motion.csv"
+    path.write_text("\n".join(lines))
+    read = read_motion_file(path, MotionFormat(unit="m", handedness=Handedness.RIGHT))
+    assert read.sequence.fps == 120.0
+    assert np.array_equal(read.sequence.joints_m, motion.joints_m)
+    path.write_text("\n".join(["# fps: 25", *lines]))
+    assert read_motion_file(path, MotionFormat(unit="m", handedness=Handedness.RIGHT)).sequence.fps == 25.0
+
+
 def test_csv_errors_name_row_and_column(tmp_path):
     path = tmp_path / "motion.csv"
     write_motion(path, _motion())

@@ -16,7 +16,7 @@ from jghand_engine.datasets import motion_files
 from jghand_engine.datasets.motion_files import MotionFormat
 from jghand_engine.datasets.motion_tools import retimed, with_hand_length
 from jghand_engine.datasets.motions import bvh, freemocap, gltf, interhand, mediapipe, openpose, tables, usd, webxr
-from jghand_engine.datasets.motions.clocks import even_frames
+from jghand_engine.datasets.motions.clocks import clock_s, even_frames
 from jghand_engine.datasets.motions.content import HandTrack, MotionContent, named
 from jghand_engine.datasets.motions.damage import told_damage
 from jghand_engine.datasets.motions.json_text import JsonText
@@ -156,12 +156,15 @@ def _own(file: Path, kind: Kind) -> MotionContent:
     side = None if declared.get("handedness") is None else Handedness(str(declared["handedness"]))
     order = None if declared.get("order") is None else JointOrder.parse(str(declared["order"]))
     fps = None if declared.get("fps") is None else float(declared["fps"])
+    times_s, clock = clock_s(content.times) if fps is None else (None, "")
     return MotionContent(
         "JGHand's own format" if order is not None and unit is not None else f"plain {kind.value[1:]}",
         (HandTrack(joints, side, order),),
         None if unit is None else METRES_PER_UNIT[unit],
         unit is not None,
         fps,
+        times_s,
+        (clock,) if clock else (),
         filled=motion_files.filled_frames(file, content),
         is_plain=True,
     )
