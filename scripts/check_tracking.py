@@ -39,16 +39,19 @@ from jghand_engine.splat.frame import HandRenderer
 from jghand_engine.splat.settings import preset
 from jghand_engine.tracking.detection import SeenHand
 from jghand_engine.tracking.figures import FINGER_BONES, angles_between_deg, directions_in_palm, jitter_deg, lag_ms
-from jghand_engine.tracking.hands_over_time import HandOverTime
+from jghand_engine.tracking.fit import fit
+from jghand_engine.tracking.hands_over_time import HandOverTime, hands_over_time
 from jghand_engine.tracking.mediapipe_hands import MediaPipeHands, video_detector
+from jghand_engine.tracking.own_hand import own_canonical_joints
 from jghand_engine.tracking.poses import Pinhole
 from jghand_engine.tracking.second_look import SecondLook
-from jghand_engine.tracking.skeleton import rotations_of
+from jghand_engine.tracking.skeleton import Skeleton, rotations_of
 from jghand_engine.tracking.track import (
     MOTION_FROM_CAMERA,
     Sightings,
     TrackOptions,
     camera_of,
+    landmarks_of,
     look,
     track,
     track_hand,
@@ -66,7 +69,7 @@ OTHER_BONES_SIGMA, SEED = 0.08, 5
 # how long the hand is for the picture's height, where it is looked for that is small
 SMALL = (1 / 3, 1 / 5, 1 / 7, 1 / 9, 1 / 12)
 # gaps that are made in a real video, frames; every so many frames one, fitted with so many frames before and after it
-GAPS, GAP_EVERY, GAP_BESIDE = (1, 3, 6, 12, 24, 48), 61, 60
+GAPS, GAP_EVERY, GAP_BESIDE = (3, 6, 12, 18, 24, 36, 48), 13, 40
 # the one-euro filter's usual setting for hands: least cut-off in Hz, how it grows with speed, cut-off of the speed
 ONE_EURO = (1.0, 0.5, 1.0)
 
@@ -346,25 +349,33 @@ def misses_of(sightings: Sightings, canonical_m: np.ndarray) -> list[list[str]]:
 
 
 def gaps_of(sightings: Sightings, canonical_m: np.ndarray) -> Iterator[list[str]]:
-    """How far a real video's motion in gaps that are made is from what it is without them: finger bones, mean degrees,
-    and the wrist where it is farthest, millimetres; filled by the fit, and evenly."""
-    whole = track(sightings, canonical_m)[Handedness.RIGHT]
-    directions = bone_directions(whole.in_view)
+    """How far a real video's motion in gaps that are made is from what it is without them, finger bones, mean degrees;
+    and how far an angle leaves those at both ends of a gap, median of the gaps. By the fit, and evenly."""
+    landmarks = landmarks_of(
+        hands_over_time(sightings.frames, sightings.fps).hands[Handedness.RIGHT],
+        camera_of(sightings, TrackOptions().camera_angle_deg),
+        sightings.fps,
+    )
+    skeleton = Skeleton.of(own_canonical_joints(canonical_m, landmarks, hand_length(canonical_m)))
+    whole = fit(skeleton, landmarks)
     kept = limits.FIT_GAP_S
     for count in GAPS:
         cells = [str(count)]
         for longest_s in (math.inf, 0.0):
             limits.FIT_GAP_S = longest_s
-            error, away_mm = [], []
-            for begin in range(GAP_BESIDE, len(whole.seen) - count - GAP_BESIDE, GAP_EVERY):
-                gap = slice(begin, begin + count)
-                frames = list(sightings.frames[begin - GAP_BESIDE : begin + count + GAP_BESIDE])
-                frames[GAP_BESIDE:-GAP_BESIDE] = [[]] * count
-                found = track(replace(sightings, frames=frames), canonical_m)[Handedness.RIGHT].in_view
-                filled = found[GAP_BESIDE:-GAP_BESIDE]
-                error.append(angles_between_deg(bone_directions(filled), directions[gap])[:, FINGER_BONES])
-                away_mm.append(1e3 * np.linalg.norm(filled[:, 0] - whole.in_view[gap, 0], axis=-1).max())
-            cells += [f"{np.concatenate(error).mean():.1f}", f"{max(away_mm):.0f}"]
+            error, beyond = [], []
+            for begin in range(GAP_BESIDE, len(whole) - count - GAP_BESIDE, GAP_EVERY):
+                near, gap = slice(begin - GAP_BESIDE, begin + count + GAP_BESIDE), slice(begin, begin + count)
+                seen = landmarks.part(near)
+                image = seen.image_px.copy()
+                image[GAP_BESIDE:-GAP_BESIDE] = np.nan
+                found = fit(skeleton, replace(seen, image_px=image)).part(slice(GAP_BESIDE, -GAP_BESIDE))
+                directions = [bone_directions(poses.joints_m(skeleton)) for poses in (found, whole.part(gap))]
+                error.append(angles_between_deg(*directions)[:, FINGER_BONES])
+                ends = whole.angle_rad[[begin - 1, begin + count]]
+                over = np.maximum(found.angle_rad - ends.max(0), ends.min(0) - found.angle_rad)
+                beyond.append(math.degrees(max(0.0, float(over.max()))))
+            cells += [f"{np.concatenate(error).mean():.1f}", f"{np.median(beyond):.1f}"]
         limits.FIT_GAP_S = kept
         yield cells
 
@@ -433,8 +444,8 @@ def main() -> None:
     if sightings is not None:
         header = ["hand of the real video posed by", "median miss of its landmarks, px", "its size, px"]
         tables.append(table(header, misses_of(sightings, canonical)))
-        header = ["frames of a gap in the real video", "filled by the fit, mean degrees", "wrist at most, mm"]
-        header += ["filled evenly, mean degrees", "wrist at most, mm"]
+        header = ["frames of a gap in the real video", "filled by the fit, degrees", "beyond its ends, degrees"]
+        header += ["filled evenly, degrees", "beyond its ends, degrees"]
         tables.append(table(header, list(gaps_of(sightings, canonical)), words=0))
     text = "\n\n".join(tables)
     print(f"\n{text}")

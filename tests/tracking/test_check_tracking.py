@@ -68,7 +68,7 @@ def test_gaps_that_are_made_in_a_steady_motion_are_filled_with_it(monkeypatch):
     before = limits.FIT_GAP_S
     steady = np.broadcast_to(right_joints_m(1), (40, 21, 3))
     rows = list(check_tracking.gaps_of(sight(steady).sightings, CANONICAL_M))
-    assert rows == [["2", "0.0", "0", "0.0", "0"], ["5", "0.0", "0", "0.0", "0"]]
+    assert rows == [["2", "0.0", "0.0", "0.0", "0.0"], ["5", "0.0", "0.0", "0.0", "0.0"]]
     moving = list(check_tracking.gaps_of(sight(right_joints_m(40)).sightings, CANONICAL_M))
     assert float(moving[1][3]) > 0.1, "what moves is missed"
     assert before == limits.FIT_GAP_S

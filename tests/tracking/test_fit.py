@@ -148,7 +148,7 @@ def still(count, way_m=0.0, bent_rad=0.05):
 
 
 @pytest.mark.parametrize("smoothing", [0.0, 1.0])
-@pytest.mark.parametrize("gap", [1, 20, 45, 60, 90])
+@pytest.mark.parametrize("gap", [1, 10, 18, 20, 60, 90])
 def test_in_a_gap_a_hand_that_keeps_its_pose_keeps_its_pose(gap, smoothing):
     truth = still(60 + gap, way_m=0.05)
     joints = truth.joints_m(SKELETON)
@@ -159,7 +159,7 @@ def test_in_a_gap_a_hand_that_keeps_its_pose_keeps_its_pose(gap, smoothing):
     assert np.abs(found - whole).max() < 1e-5
 
 
-@pytest.mark.parametrize(("gap", "smoothing"), [(1, 0.0), (20, 0.0), (90, 0.0), (5, 1.0), (20, 1.0), (90, 1.0)])
+@pytest.mark.parametrize(("gap", "smoothing"), [(1, 0.0), (20, 0.0), (90, 0.0), (19, 1.0), (90, 1.0)])
 def test_over_a_gap_the_hand_goes_the_shortest_way(gap, smoothing):
     """Frames alone over any; else over one that is too long to go on from the speed at its ends."""
     joints = moving_poses(60 + gap).joints_m(SKELETON)
@@ -170,7 +170,7 @@ def test_over_a_gap_the_hand_goes_the_shortest_way(gap, smoothing):
     np.testing.assert_allclose(poses.joints_m(SKELETON)[29 : 31 + gap], between.joints_m(SKELETON), atol=1e-12)
 
 
-@pytest.mark.parametrize("gap_s", [limits.FIT_GAP_S, 0.7])
+@pytest.mark.parametrize("gap_s", [0.1, limits.FIT_GAP_S])
 @pytest.mark.parametrize(("begin", "end"), [(85, 97), (88, 100), (95, 125), (50, 270), (89, 91), (88, 92)])
 def test_where_a_gap_lies_between_parts_of_a_long_video_there_is_no_seam(monkeypatch, begin, end, gap_s):
     """Gaps about the 90th frame, at which a part ends; one of them longer than a part with all that is around it."""
