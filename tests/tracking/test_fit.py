@@ -148,7 +148,7 @@ def still(count, way_m=0.0, bent_rad=0.05):
 
 
 @pytest.mark.parametrize("smoothing", [0.0, 1.0])
-@pytest.mark.parametrize("gap", [1, 10, 18, 20, 60, 90])
+@pytest.mark.parametrize("gap", [1, 5, 12, 20, 60, 90])
 def test_in_a_gap_a_hand_that_keeps_its_pose_keeps_its_pose(gap, smoothing):
     truth = still(60 + gap, way_m=0.05)
     joints = truth.joints_m(SKELETON)
@@ -159,7 +159,7 @@ def test_in_a_gap_a_hand_that_keeps_its_pose_keeps_its_pose(gap, smoothing):
     assert np.abs(found - whole).max() < 1e-5
 
 
-@pytest.mark.parametrize(("gap", "smoothing"), [(1, 0.0), (20, 0.0), (90, 0.0), (19, 1.0), (90, 1.0)])
+@pytest.mark.parametrize(("gap", "smoothing"), [(1, 0.0), (20, 0.0), (90, 0.0), (13, 1.0), (90, 1.0)])
 def test_over_a_gap_the_hand_goes_the_shortest_way(gap, smoothing):
     """Frames alone over any; else over one that is too long to go on from the speed at its ends."""
     joints = moving_poses(60 + gap).joints_m(SKELETON)

@@ -64,7 +64,7 @@ def test_frames_without_the_hand_are_filled_and_marked(truth_m):
 
 
 @pytest.mark.parametrize("smoothing", [0.0, 1.0])
-@pytest.mark.parametrize("gap", [15, 45, 100])
+@pytest.mark.parametrize("gap", [10, 45, 100])
 def test_a_hand_that_keeps_its_pose_is_filled_in_with_that_pose_however_long_it_was_away(gap, smoothing):
     pose = right_joints_m(1)[0]
     joints = pose + np.linspace(0, 0.05, 40 + gap)[:, None, None] * (1, 0, 0)
