@@ -171,7 +171,7 @@ def test_joints_lost_between_two_that_were_seen_keep_the_bones_lengths(lost):
     gappy = _without(whole, slice(6, 30), lost)
     filled = fill_gaps(gappy).sequence
     assert np.array_equal(filled.joints_m[gappy.valid], whole.joints_m[gappy.valid])
-    # worst seen 4e-17 m; interpolation alone stretched the bone by 11 mm
+    # worst seen 4e-16 m; interpolation alone changes lengths by up to 36 mm here
     assert np.ptp(bone_lengths(filled.joints_m), axis=0).max() < 1e-15
 
 
