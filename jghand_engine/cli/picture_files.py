@@ -57,6 +57,10 @@ class Shooting:
     passes: PassWriter | None = None
     made_from: MadeFrom | None = None
 
+    def stamp(self, index: int) -> str:
+        """What picture `index` says it was made from, '' for nothing."""
+        return "" if self.made_from is None else self.made_from.stamp(index)
+
     def make(self, index: int) -> None:
         """Draws one frame and writes its files, the picture last: where it is, the others are."""
         path, background = self.target.path(index), self.target.background
@@ -66,7 +70,8 @@ class Shooting:
         self.timings.add(frame.report.as_dict())
         if self.receipts is not None:
             self.receipts.add(frame.report)
-        texts = {} if self.made_from is None else {STAMP_KEY: self.made_from.stamp(index)}
+        stamp = self.stamp(index)
+        texts = {STAMP_KEY: stamp} if stamp else {}
         if self.passes is not None:
             started = time.perf_counter()
             texts |= self.passes.add(index, frame, path, texts)

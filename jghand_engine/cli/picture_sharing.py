@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import contextlib
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jghand_engine.cli.console import progress, say
-from jghand_engine.cli.picture_stamp import is_made_from
+from jghand_engine.cli.picture_stamp import check_stamp
 from jghand_engine.datasets.pictures_in import probe_picture
 from jghand_engine.errors import InputError
 from jghand_engine.limits import CLAIM_WAIT_S
@@ -65,9 +65,19 @@ class Outcome:
         return ", ".join(parts) + ("." if self.complete else "; others are still missing.")
 
 
-def make_part(shooting: Shooting, part: Part) -> Outcome:
-    """Sees to it that the pictures of a part are there. InputError when pictures are, at the end, that were made from
-    something else: of a shard that began at the same time."""
+def refuse_foreign(shooting: Shooting, part: Part) -> set[int]:
+    """InputError when pictures are there that were made from something else, and that would be kept: they would be
+    mixed with those of this part. Gives those that are there and were not, which need not be looked at again."""
+    total = len(shooting.joints_m)
+    if not part.is_shared:
+        return set()
+    replaced = () if part.skip_existing else part.indices(total)
+    return _there(shooting, (index for index in range(total) if index not in replaced))
+
+
+def make_part(shooting: Shooting, part: Part, known: Collection[int] = ()) -> Outcome:
+    """Sees to it that the pictures of a part are there. known: from `refuse_foreign`. InputError when pictures are, at
+    the end, that were made from something else: of a shard that began at the same time."""
     total = len(shooting.joints_m)
     indices = part.indices(total)
     outcome = Outcome()
@@ -76,11 +86,12 @@ def make_part(shooting: Shooting, part: Part) -> Outcome:
     try:
         with progress(shooting.target.text, len(indices)) as bar:
 
-            def see_to(index: int, left: Mapping[str, list[Path]]) -> None:
+            def see_to(index: int, left: Mapping[str, list[Path]]) -> bool:
                 # where somebody else may be at this picture, nothing of it is cleared away
                 of_it = left.get(shooting.target.path(index).stem, []) if claims.sure else []
-                _see_to(shooting, index, part, outcome, of_it)
+                made = _see_to(shooting, index, part, outcome, of_it)
                 bar.advance(bar.task_ids[0])
+                return made
 
             busy = []
             for index in indices:
@@ -89,38 +100,30 @@ def make_part(shooting: Shooting, part: Part) -> Outcome:
                         see_to(index, left)
                     else:
                         busy.append(index)
-            until_s = time.monotonic() + CLAIM_WAIT_S
+            wait_s = CLAIM_WAIT_S
             for index in busy:
-                # whoever was at it may have been killed over it
-                with claims.held(index, wait_s=until_s - time.monotonic()) as free:
-                    if not free:
-                        name = shooting.target.path(index).name
-                        say(f"{name} is claimed by a process that does not finish it: it is made here too.")
-                    see_to(index, _left_behind(shooting) if free else {})
-        outcome.complete = _all_there(shooting, range(total))
+                since_s = time.monotonic()
+                with claims.held(index, wait_s=wait_s) as free:
+                    # drawing is no waiting
+                    wait_s -= time.monotonic() - since_s
+                    path = shooting.target.path(index)
+                    # whoever was at it may have been killed over it
+                    made = see_to(index, _left_behind(shooting) if free and not path.exists() else {})
+                    if made and not free:
+                        say(f"{path.name} was made here too: a process has claimed it and does not finish it.")
+        # of this part all are
+        others = [index for index in range(total) if index not in indices and index not in known]
+        outcome.complete = len(_there(shooting, others)) == len(others)
     finally:
-        # with all pictures there, or in a folder of one's own, nobody has anything to claim
-        claims.close(remove=outcome.complete or not part.is_shared)
+        # with all pictures there nobody has anything to claim
+        claims.close(remove=outcome.complete)
     return outcome
 
 
-def refuse_foreign_pictures(shooting: Shooting, part: Part) -> None:
-    """InputError when pictures are there that were made from something else, and that would be kept: they would be
-    mixed with those of this part."""
-    total = len(shooting.joints_m)
-    if part.is_shared:
-        replaced = () if part.skip_existing else part.indices(total)
-        _all_there(shooting, (index for index in range(total) if index not in replaced))
-
-
-def _all_there(shooting: Shooting, indices: Iterable[int]) -> bool:
-    """Whether these pictures are there, whoever made them. InputError when one was made from something else."""
+def _there(shooting: Shooting, indices: Iterable[int]) -> set[int]:
+    """Which of these pictures are there, whoever made them. InputError when one was made from something else."""
     paths = ((shooting.target.path(index), index) for index in indices)
-    if shooting.made_from is None:
-        return all(path.exists() for path, _ in paths)
-    # all of them are looked at, also when one is missing
-    found = [is_made_from(path, shooting.made_from.stamp(index)) for path, index in paths]
-    return all(found)
+    return {index for path, index in paths if path.exists() and check_stamp(path, shooting.stamp(index))}
 
 
 def _left_behind(shooting: Shooting) -> dict[str, list[Path]]:
@@ -132,8 +135,8 @@ def _left_behind(shooting: Shooting) -> dict[str, list[Path]]:
     return found
 
 
-def _see_to(shooting: Shooting, index: int, part: Part, outcome: Outcome, left: Iterable[Path]) -> None:
-    """Makes a claimed picture, or keeps it; what killed processes left of it goes."""
+def _see_to(shooting: Shooting, index: int, part: Part, outcome: Outcome, left: Iterable[Path]) -> bool:
+    """Makes a claimed picture, or keeps it, and gives whether it was made; what killed processes left of it goes."""
     path = shooting.target.path(index)
     for half in left:
         with contextlib.suppress(OSError):  # on Windows while another program reads it
@@ -141,20 +144,20 @@ def _see_to(shooting: Shooting, index: int, part: Part, outcome: Outcome, left: 
     if part.skip_existing and path.exists():
         if _is_whole(shooting, index):
             outcome.kept += 1
-            return
+            return False
         outcome.broken += 1
     shooting.make(index)
     outcome.made += 1
+    return True
 
 
 def _is_whole(shooting: Shooting, index: int) -> bool:
     """Whether picture and maps are there, undamaged. InputError when they were made from something else."""
-    path = shooting.target.path(index)
-    stamp = None if shooting.made_from is None else shooting.made_from.stamp(index)
-    if stamp is not None and not is_made_from(path, stamp):
+    path, stamp = shooting.target.path(index), shooting.stamp(index)
+    if not check_stamp(path, stamp):
         return False
     try:
         probe_picture(path)
     except InputError:
         return False
-    return shooting.passes is None or stamp is None or shooting.passes.is_whole(path, stamp)
+    return shooting.passes is None or shooting.passes.is_whole(path, stamp)

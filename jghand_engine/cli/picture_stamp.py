@@ -50,8 +50,8 @@ def made_from(
 
     InputError for a file that cannot be read.
     """
-    part, count = options.frame_slice(), len(motion.sequence)
-    first, step = part.start or 0, (part.step or 1) if count > 1 else 1
+    frames, count = motion.frames, len(motion.sequence)
+    first, step = frames.start, frames.step if count > 1 else 1
     # how many threads draw never shows
     drawn = {name: str(value) for name, value in settings.as_dict().items() if name != "threads"}
     parts = {
@@ -93,9 +93,9 @@ def file_digest(path: Path) -> str:
         raise InputError(f"cannot read {path}: {error.strerror}", remedy="Check the name.") from error
 
 
-def is_made_from(path: Path, stamp: str) -> bool:
-    """Whether `path` is a picture that says it was made from what `stamp` says; False where it is missing or its head
-    is broken. InputError when it was made from something else, or by somebody else."""
+def check_stamp(path: Path, stamp: str) -> bool:
+    """Whether the picture `path` says what it was made from; False where it is missing or its head is broken.
+    InputError when that is not what `stamp` says, or when somebody else made it."""
     try:
         found = picture_texts(path).get(STAMP_KEY)
     except InputError:
@@ -111,8 +111,8 @@ def refuse_other(path: Path, found: str | None, stamp: str) -> None:
             f"{path}",
             wanted="what this very command made",
             came=_difference(found, stamp),
-            remedy="Give all shards the same files and options, choose another --out, or leave out --shard and "
-            "--skip-existing to replace what is there.",
+            remedy="Give all shards the same files and options, choose another --out, or remove what is there: a run "
+            "without --shard and --skip-existing replaces it.",
         )
 
 

@@ -57,7 +57,8 @@ class Render:
     in 3D and 2D and which are visible; and the cameras for COLMAP and nerfstudio. docs/FORMATS.md says what is what."""
     shard: Annotated[str, tyro.conf.arg(metavar="NUMBER/COUNT")] = "1/1"
     """Make only this part of the pictures, every COUNT-th; other processes or machines make the others, into the same
-    folder. All parts together are, byte for byte, what one run makes (docs/SCALE.md)."""
+    folder, and a folder with pictures of another render is refused. All parts together are, byte for byte, what one
+    run makes (docs/SCALE.md)."""
     skip_existing: bool = False
     """Keep the pictures that this very command has made before, of whatever shard; make the missing and the broken
     ones. A picture that was made from something else is refused."""
@@ -74,7 +75,7 @@ class Render:
         from jghand_engine.cli.camera_file import camera_to_dict
         from jghand_engine.cli.inputs import load_motion
         from jghand_engine.cli.picture_files import Shooting, Target, refuse_longer_render
-        from jghand_engine.cli.picture_sharing import make_part, refuse_foreign_pictures
+        from jghand_engine.cli.picture_sharing import make_part, refuse_foreign
         from jghand_engine.cli.receipts import Receipts
         from jghand_engine.cli.render_passes import refuse_older_truth
         from jghand_engine.cli.timings import Timings
@@ -112,11 +113,11 @@ class Render:
         )  # fmt: skip
         if passes is not None:
             passes.start(avatar, renderer, joints_m, camera)
-        refuse_foreign_pictures(shooting, part)
+        known = refuse_foreign(shooting, part)
         make_folder(self.out)
         started = time.perf_counter()
         write_json(self.out / "camera.json", camera_to_dict(camera))
-        outcome = make_part(shooting, part)
+        outcome = make_part(shooting, part, known)
         if passes is not None and outcome.complete:
             passes.finish([shooting.target.path(index) for index in range(len(joints_m))])
         if self.video is not None:

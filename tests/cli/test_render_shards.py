@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import json
 import os
@@ -11,6 +12,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -23,6 +25,7 @@ from jghand_engine.cli.picture_sharing import CLAIMS
 from jghand_engine.cli.picture_stamp import STAMP_KEY
 from jghand_engine.datasets.motion_files import write_motion
 from jghand_engine.datasets.pictures_in import probe_picture
+from jghand_engine.errors import RetryError
 from jghand_engine.hand.anatomy import pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import PoseSequence
@@ -114,7 +117,7 @@ def test_a_shard_does_not_begin_among_pictures_of_another_render(half, capsys, w
     assert render(half, "--camera", "back", "--shard", "2/2", *words) == 2
     error = " ".join(capsys.readouterr().err.split())
     assert "frame_00000.png: wanted what this very command made, got what is of another look" in error
-    assert "leave out --shard and --skip-existing" in error
+    assert "remove what is there: a run without --shard and --skip-existing replaces it" in error
     assert contents(half) == before
 
 
@@ -203,6 +206,76 @@ def test_a_claim_that_is_never_given_back_is_waited_for_only_so_long(tmp_path, w
     assert contents(tmp_path / "out") == whole
 
 
+def test_drawing_does_not_shorten_the_wait_for_what_others_are_at(tmp_path, whole, monkeypatch, capsys):
+    """A clock that only drawing moves on, by more than is waited for in all."""
+    now_s, make = 0.0, Shooting.make
+    monkeypatch.setattr(picture_sharing, "time", SimpleNamespace(monotonic=lambda: now_s))
+    waits = []
+
+    class Busy(lock.Claims):
+        @contextlib.contextmanager
+        def held(self, number: int, *, wait_s: float = 0.0):
+            waits.append(wait_s)
+            yield number not in (2, 6) or wait_s > 0
+
+    def slowly(shooting: Shooting, index: int) -> None:
+        nonlocal now_s
+        make(shooting, index)
+        now_s += 2 * picture_sharing.CLAIM_WAIT_S
+
+    monkeypatch.setattr(picture_sharing, "Claims", Busy)
+    monkeypatch.setattr(Shooting, "make", slowly)
+    assert render(tmp_path / "out", "--skip-existing") == 0
+    assert waits[-2:] == [picture_sharing.CLAIM_WAIT_S] * 2
+    assert "made here too" not in capsys.readouterr().out
+    assert contents(tmp_path / "out") == whole
+
+
+def test_a_picture_that_is_there_is_not_said_to_be_made_here_too(half, monkeypatch, capsys):
+    monkeypatch.setattr(picture_sharing, "CLAIM_WAIT_S", 0.0)
+    with claiming(half, 2):
+        assert render(half, "--skip-existing") == 0
+    assert "made here too" not in capsys.readouterr().out
+
+
+def test_the_folder_is_listed_once_however_many_pictures_others_are_at(half, monkeypatch):
+    """Whose pictures were there when the claims were free."""
+    listings, left_behind = [], picture_sharing._left_behind
+    monkeypatch.setattr(picture_sharing, "_left_behind", lambda shooting: listings.append(1) or left_behind(shooting))
+
+    class Busy(lock.Claims):
+        @contextlib.contextmanager
+        def held(self, number: int, *, wait_s: float = 0.0):
+            yield number % 2 == 1 or wait_s > 0
+
+    monkeypatch.setattr(picture_sharing, "Claims", Busy)
+    assert render(half, "--skip-existing") == 0
+    assert len(listings) == 1
+
+
+def test_a_shard_looks_at_every_picture_of_the_others_once_and_one_run_at_none(half, monkeypatch):
+    looked, check_stamp = [], picture_sharing.check_stamp
+    monkeypatch.setattr(
+        picture_sharing, "check_stamp", lambda path, stamp: looked.append(path.name) or check_stamp(path, stamp)
+    )
+    assert render(half, "--shard", "2/2") == 0
+    assert looked == [f"frame_{number:05d}.png" for number in range(0, 10, 2)]
+    looked.clear()
+    assert render(half) == 0
+    assert looked == []
+
+
+def test_a_plain_run_that_fails_leaves_the_claims_of_others(half, monkeypatch):
+    def fails(_shooting: Shooting, _index: int) -> None:
+        raise RetryError("the disk is full")
+
+    monkeypatch.setattr(Shooting, "make", fails)
+    with claiming(half, 5):
+        claims = (half / CLAIMS).stat().st_ino
+        assert render(half) == 3
+        assert (half / CLAIMS).stat().st_ino == claims
+
+
 def test_where_there_are_no_locks_nothing_of_others_is_cleared_away(half, monkeypatch):
     def no_locks(_descriptor: int, _number: int) -> None:
         raise OSError(errno.ENOLCK, "no locks available")
@@ -252,7 +325,7 @@ def test_pictures_of_something_else_are_refused_and_stay(half, capsys, words, to
     )
     error = " ".join(capsys.readouterr().err.split())
     assert told in error
-    assert "leave out --shard and --skip-existing to replace" in error
+    assert "--shard and --skip-existing replaces it" in error
     assert contents(half) == before
 
 
