@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -35,6 +35,7 @@ class TrainingJob:
     out: Path
     program: tuple[str, ...] = PROGRAM
     note_every_s: float = RECORD_EVERY_S
+    _child: Child | None = field(default=None, init=False, repr=False, compare=False)
 
     def __call__(self) -> str:
         """The sentence of a finished training. RetryError when it was stopped, RuntimeError when it failed: then the
@@ -56,15 +57,14 @@ class TrainingJob:
         writes its checkpoint; the same job goes on with it when the scheduler begins it again."""
         from submitit.helpers import DelayedSubmission
 
-        child: Child | None = getattr(self, "_child", None)
         folder = FarmFolder(self.out)
-        record = self._record(folder)
-        # neither is there when the signal comes first
-        if child is not None and record is not None:
+        # not there when the signal comes first
+        if (child := self._child) is not None:
             child.stop()
             child.await_end(CHECKPOINT_WAIT_S)
-            record.state, record.progress = State.STOPPED, child.progress
-            self._note(folder, record)
+            if (record := self._record(folder)) is not None:
+                record.state, record.progress = State.STOPPED, child.progress
+                self._note(folder, record)
         return DelayedSubmission(replace(self))
 
     # ---- one start ---------------------------------------------------------------------------------------------------

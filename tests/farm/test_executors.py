@@ -32,7 +32,7 @@ def sbatch(tmp_path, monkeypatch) -> Path:
 
 def submitted(tmp_path: Path, count: int, running: int = 0) -> dict[str, str]:
     executor = SlurmExecutor(tmp_path / "logs", SlurmOptions(), running)
-    return executor.submit({f"hand {number}": len for number in range(count)})
+    return executor.submit({f"hand {number}": list for number in range(count)})
 
 
 def test_as_many_jobs_run_at_once_as_the_cluster_lets(sbatch, tmp_path):

@@ -105,7 +105,18 @@ def test_what_trainings_have_in_common_is_looked_at_once(listed, tmp_path, monke
 class Idle:
     """A scheduler of which nothing is asked."""
 
-    at_once, poll_s = None, 0.0
+    def __init__(self) -> None:
+        self.at_once: int | None = None
+        self.poll_s = 0.0
+
+    def submit(self, jobs):
+        raise AssertionError
+
+    def alive(self, numbers):
+        raise AssertionError
+
+    def stop(self):
+        raise AssertionError
 
 
 def test_looking_at_a_list_waits_for_no_imports(listed, tmp_path):
