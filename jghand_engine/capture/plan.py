@@ -203,9 +203,11 @@ def annotate(folder: Path, plan: CapturePlan, poses: Collection[int] | None = No
     kept = {pose: joints for pose, joints in record.joints_m.items() if poses is None or pose in poses}
     shown = dataclasses.replace(record, joints_m=kept)
     # all shards begin with this, and others wait while one writes
-    if any(_content(folder / name) != text.encode() for name, text in interhand_texts(shown).items()):
+    texts = interhand_texts(shown)
+    if any(_content(folder / name) != text.encode() for name, text in texts.items()):
         with alone(folder / FOLDER):
-            write_interhand(folder, shown)
+            for name, text in texts.items():
+                _write(folder / name, text.encode())
 
 
 def _content(file: Path) -> bytes | None:

@@ -114,11 +114,14 @@ def _clear_leftovers(files: set[Path]) -> None:
 
 
 def _keep_to(folder: Path, blender: str) -> None:
-    """Notes which programs make the pictures of the capture in `folder`. InputError when it was begun by others: of
-    another Blender, or of a JGHand that may build another scene, pictures would differ."""
+    """Notes which programs begin the capture in `folder`. InputError when it was begun by another Blender, whose
+    pictures differ; JGHand's version is for the reader. Pictures without a note, older than notes are, are anybody's.
+    """
     file, makers = folder / FOLDER / MAKERS_FILE, {"Blender": blender, "JGHand": __version__}
     with alone(folder / FOLDER):
         if not file.exists():
+            if any((folder / "images").rglob("image*.png")):
+                return
             with writing(file) as temporary:
                 temporary.write_text(json.dumps(makers) + "\n", encoding="utf-8")
             return
@@ -126,13 +129,12 @@ def _keep_to(folder: Path, blender: str) -> None:
         begun = dict(json.loads(file.read_text(encoding="utf-8")))
     except (OSError, ValueError, TypeError) as error:
         raise InputError(f"{file}", wanted="names and versions of programs", came=str(error)[:200]) from error
-    for name, version in makers.items():
-        if begun.get(name) != version:
-            raise InputError(
-                f"the capture in {folder}", wanted=f"{name} {begun.get(name)}, by which it was begun",
-                came=f"{name} {version}",
-                remedy="Take that one (--blender-python names a Python with another Blender), or another --out.",
-            )  # fmt: skip
+    if begun.get("Blender") != blender:
+        raise InputError(
+            f"the capture in {folder}", wanted=f"Blender {begun.get('Blender')}, by which it was begun",
+            came=f"Blender {blender}",
+            remedy="Take that one (--blender-python names a Python with another Blender), or another --out.",
+        )  # fmt: skip
 
 
 @contextlib.contextmanager

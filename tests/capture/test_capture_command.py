@@ -182,6 +182,26 @@ def test_a_finished_capture_needs_no_blender_of_a_certain_version(copied, monkey
     assert capture(copied) == 0
 
 
+def test_another_release_goes_on_with_a_capture_and_leaves_the_note_of_who_began_it(copied):
+    note = copied / "plan" / "made_by.json"
+    note.write_text(json.dumps({"Blender": "5.0.1", "JGHand": "0.0.1"}))
+    pictures(copied)[0].unlink()
+    before = note.read_bytes()
+    assert capture(copied) == 0
+    assert len(pictures(copied)) == 42
+    assert note.read_bytes() == before
+
+
+def test_pictures_of_which_nothing_says_who_made_them_are_not_signed_by_whoever_makes_the_rest(copied, monkeypatch):
+    """As of a capture that was begun before there was a note."""
+    (copied / "plan" / "made_by.json").unlink()
+    pictures(copied)[0].unlink()
+    monkeypatch.setenv("JGHAND_STAND_IN_BLENDER", "5.2.3")
+    assert capture(copied) == 0
+    assert len(pictures(copied)) == 42
+    assert not (copied / "plan" / "made_by.json").exists()
+
+
 def test_a_damaged_note_of_who_makes_a_capture_is_told(copied, capsys):
     pictures(copied)[0].unlink()
     (copied / "plan" / "made_by.json").write_text("[")
