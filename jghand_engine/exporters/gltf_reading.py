@@ -20,7 +20,11 @@ _WIDTHS = {
     "POSITION": 3, f"{EXTENSION}:ROTATION": 4, f"{EXTENSION}:SCALE": 3, f"{EXTENSION}:OPACITY": 1,
     f"{EXTENSION}:SH_DEGREE_0_COEF_0": 3,
 }  # fmt: skip
-_MAPS = ("matrix", "translation", "rotation", "scale")
+# maps of a node -> those that change nothing, which many programs write
+_MAPS = {
+    "matrix": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1],
+    "translation": [0, 0, 0], "rotation": [0, 0, 0, 1], "scale": [1, 1, 1],
+}  # fmt: skip
 
 
 def glb_rows(path: Path, stream: IO[bytes]) -> SplatRows:
@@ -80,7 +84,7 @@ def _floats(rows: np.ndarray, one: int) -> np.ndarray:
 
 
 def _is_placed(about: dict[str, Any], mesh: int) -> bool:
-    """Whether a node with the mesh, or one above such a node, has a map."""
+    """Whether a node with the mesh, or one above such a node, has a map that changes something."""
     nodes = objects(about, "nodes")
     parents = {child: number for number, node in enumerate(nodes) for child in _children(node)}
     above: list[int] = [number for number, node in enumerate(nodes) if node.get("mesh") == mesh]
@@ -90,7 +94,7 @@ def _is_placed(about: dict[str, Any], mesh: int) -> bool:
         if number not in seen and number in parents:
             above.append(parents[number])
         seen.add(number)
-    return any(name in nodes[number] for number in seen for name in _MAPS)
+    return any(nodes[number].get(name, none) != none for number in seen for name, none in _MAPS.items())
 
 
 def _children(node: dict[str, Any]) -> Iterator[int]:
