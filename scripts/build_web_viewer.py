@@ -100,6 +100,7 @@ def install_packages(wanted: Path, folder: Path) -> None:
         return
     for name in ("package.json", "package-lock.json"):
         shutil.copyfile(wanted / name, folder / name)
+    done.unlink(missing_ok=True)
     run("npm", "ci", "--ignore-scripts", "--no-audit", "--no-fund", cwd=folder)
     done.write_bytes(lock)
 

@@ -76,8 +76,9 @@ def shots(cameras: list[dict[str, Any]]) -> list[dict[str, Any]]:
 def idle(shot: dict[str, Any], figures: dict[str, Any]) -> list[str]:
     """What in a watched shot did not do what it is for. A slider (#curl0 of the thumb) moves the three joints of its
     finger that can move; a pose moves joints; whatever else was done moves none; everything changes the picture."""
-    wrong = []
-    for (action, *words), before, after in zip(shot["steps"], figures["shown"], figures["shown"][1:], strict=False):
+    # nothing of a page that failed, which has a message
+    wrong, shown = [], figures.get("shown", [])
+    for (action, *words), before, after in zip(shot["steps"], shown, shown[1:], strict=False):
         said = f"{shot['name']}: {action} {' '.join(map(str, words))}"
         off_m = np.linalg.norm(np.reshape(after["joints"], (21, 3)) - np.reshape(before["joints"], (21, 3)), axis=1)
         moved = set(np.flatnonzero(off_m > STILL_M).tolist())
@@ -140,11 +141,11 @@ def main() -> int:
             Cell("8 x difference, shadow left out", np.clip(8 * apart, 0, 255).astype(np.uint8)),
         ]  # fmt: skip
     write_png(folder / "comparison.png", contact_sheet(cells, SheetStyle(columns=3, cell_px=400)))
-    played = found["shots"]["playing"]["play"]
+    played = found["shots"]["playing"].get("play", {})
     wrong = [*found["complaints"], *(f"asked for {url}" for url in found["foreign"])]
     wrong += [f"{name}: {figures['message']}" for name, figures in found["shots"].items() if figures["message"]]
     wrong += [said for shot in wanted if "watch" in shot for said in idle(shot, found["shots"][shot["name"]])]
-    wrong += [] if played["playing"] and played["frame"] > 0 else [f"does not play: {played}"]
+    wrong += [] if played.get("playing") and played["frame"] > 0 else [f"does not play: {played}"]
     wrong += [] if least >= PSNR_LEAST_DB else [f"{least:.1f} dB from the engine's picture"]
     print("\n".join(wrong) or "Nothing is wrong.")
     return 1 if wrong else 0

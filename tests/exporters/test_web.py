@@ -23,6 +23,7 @@ from small_avatars import ellipsoid_avatar, small_avatar, trained_avatar
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
 import build_web_viewer
+import check_web_page
 
 from jghand_engine import files
 from jghand_engine.avatar.avatar import HandAvatar
@@ -238,15 +239,33 @@ def test_packages_whose_installation_was_stopped_are_installed_again(tmp_path, m
     def npm(*command, cwd):
         calls.append(command)
         (cwd / "node_modules").mkdir(exist_ok=True)
-        if len(calls) == 1:
+        if len(calls) in (1, 3):
             raise RuntimeError("stopped half-way")
 
+    def install(name: str) -> None:
+        build_web_viewer.install_packages(tmp_path / name, tmp_path / "installed")
+
+    for name in ("ours", "other"):
+        (tmp_path / name).mkdir()
+        for file in ("package.json", "package-lock.json"):
+            (tmp_path / name / file).write_text(name)
     monkeypatch.setattr(build_web_viewer, "run", npm)
     with pytest.raises(RuntimeError):
-        build_web_viewer.install_packages(build_web_viewer.SOURCES, tmp_path)
+        install("ours")
     for _ in range(2):
-        build_web_viewer.install_packages(build_web_viewer.SOURCES, tmp_path)
+        install("ours")
     assert [command[:2] for command in calls] == [("npm", "ci")] * 2
+    # what is there then is half of the one and half of the other
+    with pytest.raises(RuntimeError):
+        install("other")
+    for _ in range(2):
+        install("ours")
+    assert len(calls) == 4
+
+
+def test_a_page_that_fails_is_reported_as_one_that_shows_nothing():
+    shot = {"name": "slider", "watch": True, "steps": [["pose", "fist"], ["slide", "#curl1", 0.8]]}
+    assert check_web_page.idle(shot, {"ready_s": 0.1, "message": "The hand cannot be shown."}) == []
 
 
 # ---- how arrays are packed -------------------------------------------------------------------------------------------
