@@ -12,7 +12,10 @@ import tyro
 from jghand_engine.avatar.shipped import SHIPPED
 from jghand_engine.cli.console import say, write_json
 from jghand_engine.cli.options import FormatOptions, ReportOptions
+from jghand_engine.datasets.usd_files import SUFFIXES as USD_SUFFIXES
+from jghand_engine.datasets.usd_files import reading
 from jghand_engine.errors import InputError
+from jghand_engine.limits import GLB_JSON_BYTES_MAX
 
 if TYPE_CHECKING:
     from jghand_engine.avatar.avatar import HandAvatar
@@ -30,7 +33,6 @@ Examples:
 
 FINDINGS = "what_is_wrong"
 MOTION_SUFFIXES = (".npz", ".npy", ".json", ".csv", ".bvh", ".gltf")
-USD_SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")
 SPLAT_SUFFIXES = (".ply", ".splat", ".glb", ".spz")
 
 
@@ -80,7 +82,7 @@ class Info:
 def _has_splats(path: Path) -> bool:
     """Whether a .glb holds Gaussians, by the names in its description; else it may hold a skeleton that moves."""
     with path.open("rb") as stream:
-        return b"KHR_gaussian_splatting" in stream.read(1 << 16)
+        return b"KHR_gaussian_splatting" in stream.read(GLB_JSON_BYTES_MAX)
 
 
 def _text(value: Any) -> str:
@@ -184,10 +186,9 @@ def usd_facts(path: Path) -> dict[str, Any]:
     from pxr import Usd, UsdGeom
 
     from jghand_engine.exporters.usd_check import check_usd
-    from jghand_engine.exporters.usd_check_files import refusing
 
-    findings = check_usd(path)  # first: it refuses what USD should not read
-    with refusing(path):
+    with reading(path):
+        findings = check_usd(path)
         stage = Usd.Stage.Open(str(path))
         types = Counter(prim.GetTypeName() or "untyped" for prim in stage.TraverseAll())
         variants = {

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdSkel, UsdUtils
 
+from jghand_engine.datasets.usd_files import reading
 from jghand_engine.errors import InputError
-from jghand_engine.exporters.usd_check_files import check_file, refusing
 from jghand_engine.exporters.usd_check_said import WHEN, Advice, Said, extent_finding, merged
 from jghand_engine.exporters.usd_check_splats import splat_findings, splat_size
 from jghand_engine.exporters.usd_layers import SPLAT_TYPE
@@ -73,8 +73,7 @@ def check_usd(path: Path | str) -> list[Finding]:
 def examine_usd(path: Path | str) -> Examination:
     """The same, with what was looked at: variants within variants only as the file chooses them."""
     path = Path(path)
-    check_file(path)
-    with refusing(path):
+    with reading(path):
         choices = _choices(path)
         looked_at = choices[:USD_CHECK_VARIANTS_MAX] or [_Choice()]
         looks = [_look(path, choice) for choice in looked_at]

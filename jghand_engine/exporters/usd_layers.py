@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +14,7 @@ import numpy as np
 from pxr import Sdf, Tf, Usd, UsdGeom, Vt
 
 from jghand_engine.colour import srgb_to_linear
+from jghand_engine.datasets.usd_files import usd_reason
 from jghand_engine.errors import RetryError
 from jghand_engine.exporters.usd_values import floats, vec3f
 from jghand_engine.files import file_error
@@ -107,10 +107,3 @@ def usd_errors(folder: Path) -> Iterator[None]:
         raise RetryError(
             f"cannot write the USD stage in {folder}: {usd_reason(error)}", remedy="Check the disk and try again."
         ) from error
-
-
-def usd_reason(error: Tf.ErrorException) -> str:
-    """What went wrong first, without where in USD's source."""
-    text = str(error).strip()
-    quoted = re.search(r" in file \S+ : '(.*?)'\s*(?:\n\tError in '|\Z)", text, re.DOTALL)
-    return (quoted.group(1) if quoted else text).strip()

@@ -16,7 +16,7 @@ from jghand_engine import __version__
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
 from jghand_engine.avatar.correctives import PoseNet
 from jghand_engine.avatar.tiers import CachedNet
-from jghand_engine.exporters.usd_check_files import TEXT
+from jghand_engine.datasets.usd_files import TEXT
 from jghand_engine.hand.orders import JointOrder, from_level
 from jghand_engine.hand.sequence import PoseSequence
 

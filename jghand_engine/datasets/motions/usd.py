@@ -12,25 +12,28 @@ from typing import Any
 import numpy as np
 
 from jghand_engine import limits
+from jghand_engine.datasets import usd_files
 from jghand_engine.datasets.motions.bone_names import BoneMap
 from jghand_engine.datasets.motions.clocks import frame_times, key_frames
 from jghand_engine.datasets.motions.content import HandTrack, MotionContent
 from jghand_engine.datasets.motions.skeleton import hand_tracks
 
 KIND = "USD"
-SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")
+SUFFIXES = usd_files.SUFFIXES
 
 
 def read(file: Path, fps: float | None, bones: BoneMap | None = None) -> MotionContent:
-    """The hands of all skeletons of a stage at `fps`, else at the rate of its samples. ValueError says why not."""
-    from pxr import Tf, Usd, UsdGeom, UsdSkel
+    """The hands of all skeletons of a stage at `fps`, else at the rate of its samples. ValueError says why not;
+    InputError where USD cannot read it."""
+    from pxr import Usd
 
-    try:
-        stage = Usd.Stage.Open(str(file))
-    except Tf.ErrorException as error:
-        # the sentence in quotes behind file and line of USD's own source
-        said = str(error).strip().rpartition(" : ")[2].strip("'")
-        raise ValueError(f"USD cannot open it: {said}"[:300]) from error
+    with usd_files.reading(file):
+        return _content(Usd.Stage.Open(str(file)), fps, bones)
+
+
+def _content(stage: Any, fps: float | None, bones: BoneMap | None) -> MotionContent:
+    from pxr import Usd, UsdGeom, UsdSkel
+
     cache = UsdSkel.Cache()
     tracks: list[HandTrack] = []
     notes: list[str] = []
