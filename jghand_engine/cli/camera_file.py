@@ -38,13 +38,7 @@ def camera_from_dict(content: Any, thing: str = "camera") -> Camera:
     for name in ("width", "height"):
         if numbers[name] != int(numbers[name]):
             raise InputError(f"{thing}: {name}", wanted="a whole number of pixels", came=str(numbers[name]))
-    try:
-        matrix = np.asarray(content.get("camera_from_world"), np.float64)
-    except (TypeError, ValueError, OverflowError):
-        matrix = np.empty(0)
-    if matrix.shape != (4, 4) or not (np.abs(matrix) <= CAMERA_NUMBER_MAX).all():
-        wanted = f"4 rows of 4 numbers of at most {CAMERA_NUMBER_MAX:g}"
-        raise InputError(f"{thing}: camera_from_world", wanted=wanted, came="something else")
+    matrix = _matrix(content.get("camera_from_world"), f"{thing}: camera_from_world")
     rotation = matrix[:3, :3]
     rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) and np.linalg.det(rotation) > 0
     if not rigid or not np.allclose(matrix[3], (0, 0, 0, 1)):
@@ -54,6 +48,23 @@ def camera_from_dict(content: Any, thing: str = "camera") -> Camera:
     width, height = int(numbers["width"]), int(numbers["height"])
     fx, fy, cx, cy = (numbers[name] for name in ("fx", "fy", "cx", "cy"))
     return Camera(width, height, fx, fy, cx, cy, torch.from_numpy(matrix))
+
+
+def _matrix(content: Any, thing: str) -> np.ndarray:
+    """(4, 4) float64. InputError says what came instead."""
+    try:
+        matrix, came = np.asarray(content, np.float64), ""
+    except (TypeError, ValueError, OverflowError):
+        matrix, came = np.empty(0), "no rows of numbers"
+    # NaN is not within anything
+    outside = matrix[~(np.abs(matrix) <= CAMERA_NUMBER_MAX)]
+    if matrix.shape != (4, 4):
+        came = came or f"numbers of shape {matrix.shape}"
+    elif outside.size:
+        came = f"{outside[0]:g}"
+    if came:
+        raise InputError(thing, wanted=f"4 rows of 4 numbers of at most {CAMERA_NUMBER_MAX:g}", came=came)
+    return matrix
 
 
 def read_camera(path: Path) -> Camera:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -82,15 +83,18 @@ def write_json(path: Path, content: dict[str, Any]) -> None:
 
 
 def read_json(path: Path) -> Any:
-    """The content of a small JSON file; of numbers only such as JSON knows. InputError names what is wrong."""
+    """The content of a small JSON file, without NaN and Infinity, which JSON does not know; 1e400 is infinite still.
+    InputError names what is wrong."""
     most = limits.JSON_GIVEN_BYTES_MAX
     try:
         with path.open("rb") as stream:
             content = stream.read(most + 1)
+            size = max(os.fstat(stream.fileno()).st_size, len(content))  # of a pipe nobody knows
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}", remedy="Check the name.") from error
-    if len(content) > most:
-        raise InputError(f"{path}", wanted=f"a file of at most {most} bytes", came="a larger one")
+    if size > most:
+        wanted = f"a camera or a map of bones, at most {most} bytes"
+        raise InputError(f"{path}", wanted=wanted, came=f"{size}", remedy="Check the name.")
     try:
         return json.loads(content, parse_constant=_no_number)
     except (ValueError, RecursionError) as error:

@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pytest
 import torch
 
@@ -41,6 +42,16 @@ def test_a_camera_survives_the_file(tmp_path):
 def test_a_wrong_entry_is_named(change, named):
     with pytest.raises(InputError, match=named):
         camera_from_dict({**camera_to_dict(a_camera()), **change})
+
+
+@pytest.mark.parametrize(("matrix", "came"), [
+    ([[1, 0], [0, 1]], r"numbers of shape \(2, 2\)"), (None, r"numbers of shape \(\)"),
+    ([[1, 0, 0, 1e7], *np.eye(4).tolist()[1:]], r"1e\+07"), ([[1, 0, 0, -2e6], *np.eye(4).tolist()[1:]], r"-2e\+06"),
+    ([[1, 0], [0]], "no rows of numbers"), ("none", "no rows of numbers"), ([[float("nan")] * 4] * 4, "nan"),
+])  # fmt: skip
+def test_what_a_wrong_map_of_a_camera_is_instead_is_said(matrix, came):
+    with pytest.raises(InputError, match=f"camera_from_world: wanted 4 rows of 4 numbers of at most 1e.06, got {came}"):
+        camera_from_dict({**camera_to_dict(a_camera()), "camera_from_world": matrix})
 
 
 @pytest.mark.parametrize("content", ["[]", "nothing", "\x00", ""])
