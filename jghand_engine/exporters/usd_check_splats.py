@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import bisect
 from collections.abc import Iterable, Iterator
 
 import numpy as np
 from pxr import Gf, Usd, UsdGeom
 
 from jghand_engine.exporters.usd_check_said import WHAT, WHEN, Advice, Said, extent_finding
+from jghand_engine.exporters.usd_splats import DEFAULT, DEGREE, HARMONICS
 from jghand_engine.limits import (
     SH_C0,
     SPLAT_SIGMA_SANE_M,
@@ -18,37 +20,61 @@ from jghand_engine.limits import (
     USD_SPLAT_EXTENT_SIGMA,
 )
 
-DEGREE = "radiance:sphericalHarmonicsDegree"
-COEFFICIENTS = "radiance:sphericalHarmonicsCoefficients"
-HALVES = ("positions", "orientations", "scales", "opacities", COEFFICIENTS)
+HALVES = ("positions", "orientations", "scales", "opacities", HARMONICS)
 DEGREES = range(4)
-DEFAULT = Usd.TimeCode.Default()
+
+
+class _Counts:
+    """How many Gaussians there are at each time: as many as positions. changes: when it becomes another number."""
+
+    def __init__(self, prim: Usd.Prim, at_default: int) -> None:
+        self._at_default = at_default
+        self._times: list[float] = []
+        self._numbers: list[int] = []
+        self.changes: list[Usd.TimeCode] = []
+        before = at_default
+        for time in _times(prim, "positions")[1:]:
+            positions = _values(prim, "positions", time)
+            number = 0 if positions is None else len(positions)
+            self._times.append(time.GetValue())
+            self._numbers.append(number)
+            if number != before:
+                self.changes.append(time)
+            before = number
+
+    def at(self, time: Usd.TimeCode) -> int:
+        """USD does not interpolate between arrays of two lengths: the earlier one holds."""
+        if time.IsDefault() or not self._times:
+            return self._at_default
+        return self._numbers[max(bisect.bisect_right(self._times, time.GetValue()) - 1, 0)]
 
 
 def splat_findings(prim: Usd.Prim) -> Iterator[str | Said]:
-    """What is wrong with one ParticleField3DGaussianSplat, at Default time and at every time sample of each attribute;
-    float attributes win over their half twins, as in USD."""
+    """What is wrong with one ParticleField3DGaussianSplat, at Default time, at every time sample of each attribute, and
+    where the number of Gaussians changes; float attributes win over their half twins, as in USD."""
     positions = _values(prim, "positions")
     if positions is None:
         yield "positions have no Default value: several readers show nothing"
         return
-    count = len(positions)
-    if not count:
+    if not len(positions):
         yield Advice("there are no Gaussians in it")
         return
+    counts = _Counts(prim, len(positions))
+    for time in counts.changes:
+        yield Said(Advice(f"the number of positions changes {WHEN}: readers do not interpolate there"), time)
     metres_per_unit = UsdGeom.GetStageMetersPerUnit(prim.GetStage())
-    for time, scales in _moments(prim, "scales"):
-        yield from _scale_findings(scales, count, metres_per_unit, time)
-    for time, opacities in _moments(prim, "opacities"):
-        yield from _opacity_findings(opacities, count, time)
-    yield from _degree_findings(prim, count)
+    for time, scales in _moments(prim, "scales", counts):
+        yield from _scale_findings(scales, counts.at(time), metres_per_unit, time)
+    for time, opacities in _moments(prim, "opacities", counts):
+        yield from _opacity_findings(opacities, counts.at(time), time)
+    yield from _degree_findings(prim, counts)
     yield from _colour_space_findings(prim)
-    for time, orientations in _moments(prim, "orientations"):
+    for time, orientations in _moments(prim, "orientations", counts):
         if orientations is not None:
-            yield from _orientation_findings(orientations, count, time)
+            yield from _orientation_findings(orientations, counts.at(time), time)
     yield from _prim_findings(prim)
-    for time in _times(prim, "positions", "scales", "extent"):
-        yield from _bound_findings(prim, count, time)
+    for time in sorted({*_times(prim, "positions", "scales", "extent"), *counts.changes}):
+        yield from _bound_findings(prim, time)
 
 
 def splat_size(prim: Usd.Prim) -> tuple[int, int]:
@@ -64,6 +90,8 @@ def _scale_findings(
         yield _nothing("scales", "every Gaussian would be 1 unit wide", time)
     elif len(scales) != count:
         yield _too_many("scales", count, len(scales), time)
+    elif not count:
+        return
     elif not np.isfinite(scales).all():
         yield Said(f"scales hold NaN or infinity {WHEN}", time)
     elif (scales < 0).any():
@@ -98,7 +126,7 @@ def _opacity_findings(opacities: np.ndarray | None, count: int, time: Usd.TimeCo
         yield Said(text, time, _range(opacities))
 
 
-def _degree_findings(prim: Usd.Prim, count: int) -> Iterator[str | Said]:
+def _degree_findings(prim: Usd.Prim, counts: _Counts) -> Iterator[str | Said]:
     degree = prim.GetAttribute(DEGREE)
     if not (degree and degree.HasAuthoredValue()):
         yield "the degree of the spherical harmonics is not authored: it falls back to 3 and the colours are dropped"
@@ -108,14 +136,14 @@ def _degree_findings(prim: Usd.Prim, count: int) -> Iterator[str | Said]:
         yield f"the degree of the spherical harmonics: wanted {DEGREES[0]} to {DEGREES[-1]}, got {number}"
         return
     each = (number + 1) ** 2
-    attr = _attribute(prim, COEFFICIENTS)
+    attr = _attribute(prim, HARMONICS)
     if attr is not None and (attr.GetMetadata("interpolation"), attr.GetMetadata("elementSize")) != ("vertex", each):
         yield (
             f"spherical harmonics lack the metadata interpolation vertex and elementSize {each}: NVIDIA's rule VG.035 "
             "wants them"
         )
-    for time, coefficients in _moments(prim, COEFFICIENTS):
-        yield from _colour_findings(coefficients, count, number, time)
+    for time, coefficients in _moments(prim, HARMONICS, counts):
+        yield from _colour_findings(coefficients, counts.at(time), number, time)
 
 
 def _colour_findings(
@@ -126,14 +154,14 @@ def _colour_findings(
         yield _nothing("spherical harmonics", "everything would be grey", time)
         return
     if len(coefficients) != count * each:
-        text = f"spherical harmonics of degree {degree}: wanted {count * each} vectors, got {WHAT} {WHEN}"
-        yield Said(text, time, str(len(coefficients)))
+        text = f"spherical harmonics of degree {degree}: {WHAT} {WHEN}"
+        yield Said(text, time, f"wanted {count * each} vectors, got {len(coefficients)}")
         return
     if not np.isfinite(coefficients).all():
         yield Said(f"spherical harmonics hold NaN or infinity {WHEN}", time)
         return
     first = coefficients[::each]
-    if first.min() >= 0 and first.max() <= 1 and float(first.std()) > 0:
+    if len(first) and first.min() >= 0 and first.max() <= 1 and float(first.std()) > 0:
         text = (
             f"all first coefficients of the spherical harmonics are from 0 to 1 {WHEN}: they are probably colours, "
             f"USD wants (colour - 0.5) / {SH_C0:.4f}"
@@ -182,12 +210,11 @@ def _prim_findings(prim: Usd.Prim) -> Iterator[str]:
         yield f"the splats lie below the SkelRoot {above.GetPath()}, whose bound leaves them out: viewers cull them"
 
 
-def _bound_findings(prim: Usd.Prim, count: int, time: Usd.TimeCode) -> Iterator[Said]:
+def _bound_findings(prim: Usd.Prim, time: Usd.TimeCode) -> Iterator[Said]:
     """Positions and bound at a time."""
     positions, extent = _values(prim, "positions", time), prim.GetAttribute("extent").Get(time)
-    if positions is None or len(positions) != count:
-        yield Said(f"the number of positions changes {WHEN}", time)
-        return
+    if positions is None or not len(positions):
+        return  # there is nothing to bound
     if not np.isfinite(positions).all():
         yield Said(f"positions hold NaN or infinity {WHEN}", time)
     if extent is None:
@@ -197,7 +224,7 @@ def _bound_findings(prim: Usd.Prim, count: int, time: Usd.TimeCode) -> Iterator[
         yield extent_finding(len(extent), time)
         return
     scales = _values(prim, "scales", time)
-    sound = scales is not None and len(scales) == count and bool((scales >= 0).all())
+    sound = scales is not None and len(scales) == len(positions) and bool((scales >= 0).all())
     radii = USD_SPLAT_EXTENT_SIGMA * scales.max(axis=1, keepdims=True) if scales is not None and sound else 0.0
     low, high = np.asarray(extent, np.float32)
     # not <=: an extent of NaN holds nothing
@@ -222,7 +249,7 @@ def _nothing(name: str, instead: str, time: Usd.TimeCode) -> str | Said:
 
 
 def _too_many(name: str, count: int, came: int, time: Usd.TimeCode) -> Said:
-    return Said(f"{name}: wanted {count}, got {WHAT} {WHEN}; readers drop them all", time, str(came))
+    return Said(f"{name}: {WHAT} {WHEN}; readers drop them all", time, f"wanted {count}, got {came}")
 
 
 def _range(values: np.ndarray) -> str:
@@ -237,9 +264,9 @@ def _times(prim: Usd.Prim, *names: str) -> list[Usd.TimeCode]:
     return [DEFAULT, *map(Usd.TimeCode, sorted(samples))]
 
 
-def _moments(prim: Usd.Prim, name: str) -> Iterable[tuple[Usd.TimeCode, np.ndarray | None]]:
-    """The values of an attribute at each of its times, read one by one."""
-    return ((time, _values(prim, name, time)) for time in _times(prim, name))
+def _moments(prim: Usd.Prim, name: str, counts: _Counts) -> Iterable[tuple[Usd.TimeCode, np.ndarray | None]]:
+    """The values of an attribute at each of its times, and where there must be another number of them, one by one."""
+    return ((time, _values(prim, name, time)) for time in sorted({*_times(prim, name), *counts.changes}))
 
 
 def _authored(prim: Usd.Prim, name: str) -> bool:

@@ -37,6 +37,7 @@ from jghand_engine.limits import SH_C0, USD_SAVE_EVERY, USD_SPLAT_EXTENT_SIGMA
 
 SPLATS_PATH = "/Splats"
 POINTS_PATH = "/_Points"
+DEGREE = "radiance:sphericalHarmonicsDegree"
 HARMONICS = "radiance:sphericalHarmonicsCoefficients"
 WRIST = "xformOp:translate"
 DEFAULT = Usd.TimeCode.Default()
@@ -273,7 +274,7 @@ class SplatPrims:
         uniform(prim, "projectionModeHint", TYPES.Token, "perspective")
         uniform(prim, "sortingModeHint", TYPES.Token, "zDepth")
         # the schema falls back to degree 3 and would drop our single coefficient as too short
-        uniform(prim, "radiance:sphericalHarmonicsDegree", TYPES.Int, 0)
+        uniform(prim, DEGREE, TYPES.Int, 0)
         self._put_harmonics(cloud.rgb, DEFAULT)
         harmonics = prim.GetAttribute(f"{HARMONICS}h" if self._look.half else HARMONICS)
         harmonics.SetMetadata("interpolation", "vertex")

@@ -113,6 +113,41 @@ def test_wrong_splat_data_is_named(export, name, value, time, wanted):
     assert any(wanted in sentence and "[splats] /Hand/Splats" in sentence for sentence in found), found
 
 
+def test_gaussians_whose_number_changes_in_time_are_a_note_as_long_as_everything_changes_with_it(export):
+    stage = Usd.Stage.Open(str(export.stage.parent / "hand.splats.usdc"))
+    splats, time = stage.GetPrimAtPath("/Splats"), 1
+    for name, value in (
+        ("positions", vectors(np.zeros((7, 3)))),
+        ("scales", vectors(np.full((7, 3), 0.001))),
+        ("opacities", floats(np.ones(7))),
+        ("orientations", Vt.QuatfArray(7, Gf.Quatf(1))),
+        (HARMONICS, vectors(np.zeros((7, 3)))),
+        ("extent", vectors([[-0.01] * 3, [0.01] * 3])),
+        ("positions", None),
+        ("scales", None),
+    ):
+        if value is None:  # and back to the first number
+            value, time = splats.GetAttribute(name).Get(), 2
+        splats.GetAttribute(name).Set(value, time)
+    for name in ("opacities", "orientations", HARMONICS):
+        splats.GetAttribute(name).Set(splats.GetAttribute(name).Get(), 2)
+    splats.GetAttribute("extent").Set(vectors([[-1] * 3, [1] * 3]), 2)
+    stage.Save()
+    found = [one for one in check_usd(export.stage) if "Splats" in one.site]
+    assert [one.is_error for one in found] == [False], found
+    assert "the number of positions changes at 2 times (first time 1)" in found[0].sentence
+    splats.GetAttribute("opacities").ClearAtTime(1)
+    splats.GetAttribute("scales").ClearAtTime(1)
+    stage.Save()
+    found = [str(one) for one in check_usd(export.stage) if one.is_error]
+    assert ["wanted 7, got 805 at time 1; readers drop them all" in one for one in found] == [True, True], found
+    for name, kind in (("positions", Vt.Vec3fArray), ("scales", Vt.Vec3fArray), ("opacities", Vt.FloatArray)):
+        splats.GetAttribute(name).Set(kind(), 1)
+    stage.Save()
+    found = [str(one) for one in check_usd(export.stage) if one.is_error]
+    assert ["wanted 0" in one for one in found] == [True, True], "of orientations and harmonics, which are 7"
+
+
 def test_a_lost_skeleton_is_reported(export):
     stage = Usd.Stage.Open(str(export.stage.parent / "hand.rig.usdc"))
     stage.GetPrimAtPath("/Rig/Mesh").GetRelationship("skel:skeleton").SetTargets([])
