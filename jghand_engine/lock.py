@@ -13,7 +13,7 @@ from pathlib import Path
 
 from jghand_engine.errors import InputError, JGHandError, RetryError
 from jghand_engine.files import file_error
-from jghand_engine.limits import CLAIM_POLL_S
+from jghand_engine.limits import CLAIM_POLL_S, LOCK_HOLDER_BYTES
 
 
 @contextlib.contextmanager
@@ -40,7 +40,7 @@ def locked(path: Path, *, work: str = "work", remedy: str = "Wait until it has e
             )  # fmt: skip
         # the first byte is what Windows locks and others then cannot read
         who = f"{os.getpid()} on {platform.node()}"
-        os.write(descriptor, f" {who:<{_HOLDER_BYTES}.{_HOLDER_BYTES}}\n".encode("ascii", "replace"))
+        os.write(descriptor, f" {who:<{LOCK_HOLDER_BYTES}.{LOCK_HOLDER_BYTES}}\n".encode("ascii", "replace"))
         yield
     finally:
         # the file stays: removing it would let two others lock two files of the same name
@@ -49,7 +49,7 @@ def locked(path: Path, *, work: str = "work", remedy: str = "Wait until it has e
 
 def _holder(descriptor: int) -> str:
     """Who wrote itself into a lock file: its number, and the machine on which that number is its."""
-    said = os.pread(descriptor, _HOLDER_BYTES, 1).decode("ascii", "replace") if hasattr(os, "pread") else ""
+    said = os.pread(descriptor, LOCK_HOLDER_BYTES, 1).decode("ascii", "replace") if hasattr(os, "pread") else ""
     return said.partition("\n")[0].strip() or "unknown"
 
 
@@ -115,8 +115,6 @@ class Claims:
 _TAKEN = (errno.EACCES, errno.EAGAIN, errno.EDEADLK)
 # ... and where a file system knows no locks, or nobody who keeps them
 _NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOTSUP)
-# of a lock file, for whoever holds it: a number and the name of a machine
-_HOLDER_BYTES = 60
 
 
 if sys.platform == "win32":

@@ -41,7 +41,7 @@ from jghand_engine.hand.sequence import PoseSequence, bone_directions, rebuilt
 ASSETS = Path(__file__).resolve().parents[1] / "assets" / "web"
 PAGE, HAND = "index.html", "hand.js"
 SCRIPTS = ("pose.js", "viewer.js", "LICENSES.txt")
-# by these in its first _MARK_BYTES a file is known as ours, and may be replaced: each by its own, so that an export
+# by these in its first WEB_MARK_BYTES a file is known as ours, and may be replaced: each by its own, so that an export
 # that was stopped half-way can be tried again
 _MARKS = {
     PAGE: '<meta name="generator" content="JGHand">',
@@ -50,7 +50,6 @@ _MARKS = {
     "viewer.js": "/*! three.js, Spark and JGHand's viewer, MIT: see LICENSES.txt */",
     "LICENSES.txt": "What the scripts of this folder are made of.",
 }
-_MARK_BYTES = 1000
 
 
 @dataclass(frozen=True)
@@ -207,6 +206,6 @@ def _refuse_others(folder: Path) -> None:
 def _has(file: Path, mark: str) -> bool:
     try:
         with file.open("rb") as stream:
-            return mark.encode() in stream.read(_MARK_BYTES)
+            return mark.encode() in stream.read(limits.WEB_MARK_BYTES)
     except OSError:
         return False

@@ -43,7 +43,12 @@ CLAIM_WAIT_S = 60.0
 # seconds between two lines about the same training of a list
 PROGRESS_MANY_S = 60.0
 
-# ---- cli: JSON that a user gives --------------------------------------------------------------------------------------
+# ---- cli: locks -----------------------------------------------------------------------------------------------------
+# bytes of a lock file for whoever holds it: a number and the name of a machine; fixed, so that a longer one before
+# leaves nothing behind
+LOCK_HOLDER_BYTES = 60
+
+# ---- cli: JSON that a user gives -------------------------------------------------------------------------------------
 # bytes of a camera (1 kB) or a map of bones (10 kB): JSON takes up to thirty times its size in memory
 JSON_GIVEN_BYTES_MAX = 100_000
 # the largest number of a camera, pixels or metres: beyond it no picture is meant

@@ -117,3 +117,5 @@ WEB_GZIP_LEVEL = 6
 WEB_FRAMES_MAX = 36_000
 # letters of the page's title: one line
 WEB_TITLE_MAX = 120
+# bytes at the start of a file by which it is known as one of ours: the marks stand in the first 200
+WEB_MARK_BYTES = 1000
