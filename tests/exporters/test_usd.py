@@ -1,5 +1,6 @@
 """The exported stage holds what the engine computes, in every variant, for both hands."""
 
+import errno
 import os
 from dataclasses import replace
 
@@ -11,6 +12,7 @@ from small_avatars import trained_avatar
 from usd_samples import FPS, engine_gaussians, engine_mesh, lively_motion, small_avatar
 from usd_stages import opened
 
+from jghand_engine import lock
 from jghand_engine.avatar.avatar import LearntFrom
 from jghand_engine.avatar.tiers import Baked
 from jghand_engine.errors import InputError, RetryError
@@ -22,7 +24,6 @@ from jghand_engine.exporters.usd_options import LayerNames, Variant
 from jghand_engine.hand.baselines import Transform
 from jghand_engine.hand.joints import LEVEL_NAMES, Handedness
 from jghand_engine.hand.sequence import PoseSequence
-from jghand_engine.lock import locked
 from jghand_engine.splat.camera import Camera
 from jghand_engine.template.builtin import load_template
 from jghand_engine.template.mesh import mirrored
@@ -397,11 +398,44 @@ def test_what_a_killed_export_left_is_removed_by_the_next_and_what_a_living_one_
         (tmp_path / f".hand.{name}" / usd_arrival.LOCK).write_text("")
         (tmp_path / f".hand.{name}" / "half.usdc").write_bytes(b"half")
         os.utime(tmp_path / f".hand.{name}" / usd_arrival.LOCK, (0, 0))
-    with locked(tmp_path / ".hand.ijklmnop" / usd_arrival.LOCK):
+    with lock.locked(tmp_path / ".hand.ijklmnop" / usd_arrival.LOCK):
         os.utime(tmp_path / ".hand.ijklmnop" / usd_arrival.LOCK, (0, 0))
         export_usd(tmp_path, small_avatar(), motion)
     assert {path.name for path in tmp_path.iterdir()} == {*LayerNames("hand").files(), ".hand.ijklmnop"}
     assert (tmp_path / ".hand.ijklmnop" / "half.usdc").is_file()
+
+
+def test_what_a_kill_amid_the_moves_put_aside_is_removed_when_there_is_a_whole_export(tmp_path, monkeypatch):
+    aside = tmp_path / ".hand.earlier.abcdefgh"
+    aside.mkdir()
+    (aside / "hand.usda").write_text("of an earlier export")
+    os.utime(aside, (0, 0))
+    motion = lively_motion(Handedness.RIGHT, 2)
+    with monkeypatch.context() as failing:
+        failing_replace(failing, 1)
+        with pytest.raises(InputError, match="permission denied"):
+            export_usd(tmp_path, small_avatar(), motion)
+    export_usd(tmp_path, small_avatar(), motion, options=UsdOptions(package="usdz"))
+    assert (aside / "hand.usda").exists(), "nothing is in its place"
+    (tmp_path / "hand.usdz").unlink()
+    export_usd(tmp_path, small_avatar(), motion)
+    assert {path.name for path in tmp_path.iterdir()} == set(LayerNames("hand").files())
+    aside.mkdir()
+    export_usd(tmp_path, small_avatar(), motion)
+    assert aside.exists(), "it may be another export's that is under way"
+
+
+def test_a_file_system_without_locks_is_exported_to(tmp_path, monkeypatch):
+    def no_locks(_):
+        raise OSError(errno.ENOLCK, "No locks available")
+
+    monkeypatch.setattr(lock, "_take", no_locks)
+    left = tmp_path / ".hand.abcdefgh"
+    left.mkdir()
+    (left / usd_arrival.LOCK).write_text("")
+    os.utime(left / usd_arrival.LOCK, (0, 0))
+    export_usd(tmp_path, small_avatar(), lively_motion(Handedness.RIGHT, 2))
+    assert {path.name for path in tmp_path.iterdir()} == {*LayerNames("hand").files(), left.name}
 
 
 def test_progress_counts_the_frames(tmp_path):
@@ -492,6 +526,24 @@ def test_a_move_that_fails_leaves_no_mixture_of_two_exports(tmp_path, monkeypatc
         export_usd(tmp_path, small_avatar(), lively_motion(Handedness.LEFT, 5))
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
     assert check_usd(report.stage) == []
+
+
+@pytest.mark.parametrize("number", range(1, 11))
+def test_an_interruption_right_after_a_move_leaves_no_mixture_either(tmp_path, monkeypatch, number):
+    export_usd(tmp_path, small_avatar(), lively_motion(Handedness.RIGHT, 3))
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    calls, replace = [], usd_arrival.os.replace
+
+    def interrupted(source, target):
+        replace(source, target)
+        calls.append(target)
+        if len(calls) == number:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(usd_arrival.os, "replace", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        export_usd(tmp_path, small_avatar(), lively_motion(Handedness.LEFT, 5))
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
 @pytest.mark.parametrize("number", range(1, 6))
