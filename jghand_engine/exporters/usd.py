@@ -164,8 +164,13 @@ class _Job:
 
     @property
     def sample_bytes(self) -> int:
-        """Of a frame as it is written."""
-        return self._look.sample_bytes(self.sample(self.motion.frame(0)))
+        """Of a frame as it is written; 0 where none is."""
+        if self.options.package == Package.USDC and not Variant(self.options.default_variant).has_frames:
+            return 0
+        coloured, turned = self.motion.colours_move, self.motion.has_ellipsoids
+        return self._look.sample_bytes(
+            len(self.cloud.sigma_m), coloured=coloured, sized=self.has_sizes_per_frame, turned=turned
+        )
 
     @property
     def _look(self) -> Look:
@@ -176,7 +181,7 @@ class _Job:
         return Sample(self.cloud.rest_m, scales_m=shape.scales_m, turns_xyzw=shape.turns_xyzw)
 
     def sample(self, posed: PosedFrame, wrist_m: np.ndarray | None = None) -> Sample:
-        """A frame as it is written."""
+        """A frame as it is written; asked for in the order of time, as ellipsoids keep the axes of the one before."""
         scales_m, turns_xyzw = None, None
         if posed.covariance_m2 is not None:
             scales_m, turns_xyzw = self._axes(posed.covariance_m2)

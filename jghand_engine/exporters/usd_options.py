@@ -26,6 +26,11 @@ class Variant(StrEnum):
     POINTS_SKINNED = "points_skinned"
     MESH = "mesh"
 
+    @property
+    def has_frames(self) -> bool:
+        """Whether Gaussians are written in every frame; in the others all follows the skeleton."""
+        return self in (Variant.SPLATS, Variant.POINTS)
+
 
 class Package(StrEnum):
     """layers: files that refer to each other, with all variants and a shot · usdc: one file with the chosen variant

@@ -34,11 +34,9 @@ def frames_of_flat(target: Path, variant: Variant, prims: SplatPrims, time: Time
 
     prims: of the layer that was put there, which knows what does not move
     """
-    places = {
-        Variant.SPLATS: Places(f"{HAND_PATH}/Splats", None),
-        Variant.POINTS: Places(None, f"{HAND_PATH}/Points"),
-    }.get(variant)
-    if places is None:
+    if not variant.has_frames:
         return None
+    is_splats = variant is Variant.SPLATS
+    places = Places(f"{HAND_PATH}/Splats", None) if is_splats else Places(None, f"{HAND_PATH}/Points")
     stage = Usd.Stage.Open(str(target))
     return SplatLayer(stage, prims.elsewhere(stage, places), time)

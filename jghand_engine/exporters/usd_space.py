@@ -10,12 +10,12 @@ from jghand_engine.errors import DiskFullError
 from jghand_engine.exporters.usd_layers import usd_errors
 from jghand_engine.exporters.usd_options import Package
 from jghand_engine.exporters.usd_zip import check_zip_size
-from jghand_engine.limits import USD_DISK_RESERVE, USD_STATIC_BYTES, USD_STATIC_BYTES_PER_GAUSSIAN
+from jghand_engine.limits import USD_DISK_RESERVE, USD_FRAME_BYTES, USD_STATIC_BYTES, USD_STATIC_BYTES_PER_GAUSSIAN
 
 
 @dataclass(frozen=True)
 class Expected:
-    """gaussians, frames: of the export · sample_bytes: of all Gaussians in one frame."""
+    """gaussians, frames: of the export · sample_bytes: of all Gaussians in one frame, 0 where they are in none."""
 
     gaussians: int
     frames: int
@@ -24,15 +24,23 @@ class Expected:
     @property
     def size(self) -> int:
         """Of all layers together, bytes; rather too many."""
+        return self._beside + self.sample_bytes * (self.frames + 1)
+
+    def room(self, package: Package) -> int:
+        """What an export takes at most while it is written, bytes. The layers of a .usdz are whole when it is packed;
+        those of a .usdc never hold the frames of Gaussians."""
+        layers = {Package.LAYERS: 0, Package.USDC: self._beside + self.sample_bytes, Package.USDZ: self.size}
+        return self.size + layers[package]
+
+    @property
+    def _beside(self) -> int:
         still = self.gaussians * USD_STATIC_BYTES_PER_GAUSSIAN + USD_STATIC_BYTES
-        return self.sample_bytes * (self.frames + 1) + still
+        return still + self.frames * USD_FRAME_BYTES
 
 
 def check_space(folder: Path, expected: Expected, package: Package) -> None:
     """Raises RetryError when the export cannot fit on the disk of `folder`, InputError when not into its package."""
-    needed = expected.size
-    if package is not Package.LAYERS:
-        needed *= 2  # the layers, then the file that is made of them
+    needed = expected.room(package)
     if package is Package.USDZ:
         check_zip_size(expected.size, f"{expected.frames} frames")
     with usd_errors(folder):

@@ -77,18 +77,14 @@ class Look:
     width_factor: float = 1.0
     half: bool = False
 
-    def sample_bytes(self, sample: Sample) -> int:
-        """What `SplatPrims.put` adds to a file for a frame, beside some hundred bytes: equal arrays are stored once."""
-        number, count = 2 if self.half else 4, len(sample.positions_m)
-        numbers, widths = 3, 0
-        if sample.sigma_m is not None or sample.scales_m is not None:
-            numbers, widths = numbers + 3, 4
-        if sample.turns_xyzw is not None:
-            numbers += 4
-        colours = 0 if sample.rgb is None else 3
+    def sample_bytes(self, count: int, *, coloured: bool, sized: bool, turned: bool) -> int:
+        """What `SplatPrims.put` adds to a file for a frame of so many Gaussians with colours, sizes and turns of its
+        own, beside some hundred bytes: equal arrays are stored once."""
+        number = 2 if self.half else 4
+        numbers = 3 + 3 * coloured + 3 * sized + 4 * turned
         # of what points have of their own, and know in whole precision alone
-        of_points = 0 if self.half else widths + 4 * colours
-        return count * (number * (numbers + colours) + of_points)
+        of_points = 0 if self.half else 4 * sized + 12 * coloured
+        return count * (number * numbers + of_points)
 
 
 # attributes of the splats: type and values in whole and in half precision, whose name has an h at its end

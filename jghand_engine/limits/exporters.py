@@ -70,6 +70,8 @@ USD_DISK_RESERVE = 0.02
 # generous)
 USD_STATIC_BYTES_PER_GAUSSIAN = 180
 USD_STATIC_BYTES = 2_000_000
+# ... and in every frame: bones, bounds and times (seen 3,400)
+USD_FRAME_BYTES = 3_500
 # age in seconds of the folder of an export that was killed, after which the next one removes it
 USD_LEFT_OVER_S = 60.0
 # bytes of a .usdz at most: its zip counts in 32 bits, and its directory takes some hundred

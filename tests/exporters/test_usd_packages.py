@@ -18,7 +18,9 @@ from usd_samples import FPS, engine_gaussians, lively_motion, small_avatar
 from usd_stages import opened
 
 from jghand_engine.errors import InputError
-from jghand_engine.exporters import usd_clips, usd_options, usd_zip
+from jghand_engine.exporters import usd as usd_module
+from jghand_engine.exporters import usd_arrival, usd_clips, usd_options, usd_zip
+from jghand_engine.exporters.ellipsoids import SteadyAxes
 from jghand_engine.exporters.usd import UsdOptions, export_usd
 from jghand_engine.exporters.usd_check import NO_SPLATS, check_usd
 from jghand_engine.exporters.usd_motion import HandMotion
@@ -181,6 +183,28 @@ def test_an_archive_that_a_zip_cannot_hold_is_refused_before_the_work(tmp_path, 
     exported(tmp_path, package="usdz")
 
 
+@pytest.mark.parametrize("package", list(Package))
+@pytest.mark.parametrize("variant", [Variant.SPLATS, Variant.POINTS, Variant.MESH])
+def test_the_room_that_is_asked_for_grows_with_the_frames_as_what_is_taken(tmp_path, monkeypatch, package, variant):
+    asked, taken = [], []
+
+    def measured(arrived, *others):
+        # layers arrive from the folder in which they were written
+        taken.append(sum(path.stat().st_size for path in arrived.parent.rglob("*") if path.is_file()))
+        return exchange(arrived, *others)
+
+    exchange = usd_arrival._exchange
+    monkeypatch.setattr(usd_arrival, "_exchange", measured)
+    monkeypatch.setattr(usd_module, "check_space", lambda _folder, expected, _package: asked.append(expected))
+    for frames in (10, 40):
+        exported(tmp_path, lively_motion(Handedness.RIGHT, frames), package=package, default_variant=variant)
+    needed = [expected.room(package) for expected in asked]
+    assert all(one < expected for one, expected in zip(taken, needed, strict=True))
+    grown = (needed[1] - needed[0]) / (taken[1] - taken[0])
+    # seen 1.09 to 1.19; 1.64 where bones are all that moves, which take less in a short take
+    assert 1 <= grown < (1.7 if (package, variant) == (Package.USDC, Variant.MESH) else 1.2)
+
+
 def test_one_file_leaves_layers_of_the_same_name_alone(tmp_path):
     layers = exported(tmp_path)
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
@@ -289,6 +313,21 @@ def _shape_errors(splats: Usd.Prim, time, covariance_m2: np.ndarray) -> np.ndarr
     xx, xy, xz, yy, yz, zz = covariance_m2.astype(np.float64).T
     wanted = np.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz], -1).reshape(-1, 3, 3)
     return np.linalg.norm(covariance - wanted, axis=(1, 2)) / np.linalg.norm(wanted, axis=(1, 2))
+
+
+def test_ellipsoids_are_numbered_by_the_frames_that_are_written_and_by_no_other(tmp_path, monkeypatch):
+    """An estimate that looked at a frame too would change the files."""
+    avatar = ellipsoid_avatar(30)
+    avatar = replace(avatar, info=replace(avatar.info, template=load_template().identifier))
+    asked, steady = [], SteadyAxes.__call__
+
+    def counted(self, covariance_m2):
+        asked.append(covariance_m2)
+        return steady(self, covariance_m2)
+
+    monkeypatch.setattr(SteadyAxes, "__call__", counted)
+    export_usd(tmp_path, avatar, lively_motion(Handedness.RIGHT, 2))
+    assert len(asked) == 3, "at rest and twice"
 
 
 def test_ellipsoids_between_two_frames_are_what_they_are_there(tmp_path):
