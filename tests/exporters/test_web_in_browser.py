@@ -64,6 +64,31 @@ def test_what_cannot_be_drawn_is_said_at_the_beginning_and_later(page, tmp_path)
         assert "broken on purpose" in figures["message"]
 
 
+def test_a_page_that_loses_the_graphics_card_says_so_and_draws_again_when_it_is_back(page, tmp_path):
+    script = """new Promise(async (done) => {
+        const canvas = document.getElementById('canvas'), shown = [];
+        const card = canvas.getContext('webgl2').getExtension('WEBGL_lose_context');
+        const wait = (ms) => new Promise((next) => setTimeout(next, ms));
+        const look = () => shown.push([document.getElementById('message').textContent, jghand.drawn]);
+        card.loseContext(); await wait(300); look();
+        jghand.seek(2); await wait(800); look();
+        card.restoreContext(); await wait(300); await jghand.settled(); look();
+        jghand.seek(10); await jghand.settled(); look();
+        await wait(1000);  // the hand has faded in again
+        done(shown);
+    })"""
+    shot = {"name": "lost", **WINDOW, "watch": True, "steps": [["seek", 12], ["run", script], ["seek", 12]]}
+    found = check_web_page.visited(page, [shot], tmp_path)
+    figures = found["shots"]["lost"]
+    (lost, _), (still_lost, before), (back, after), (moved, more) = figures["run"]
+    assert "The graphics card is busy elsewhere." in lost
+    assert (still_lost, back, moved) == (lost, "", "")
+    assert before < after < more
+    # frames 10 and 12, both after the loss
+    assert figures["shown"][2]["picture"] != figures["shown"][3]["picture"]
+    assert not [said for said in found["complaints"] if "rror" in said]
+
+
 def test_who_drives_the_page_is_told_what_a_pose_and_a_frame_is(page, tmp_path):
     script = """["pose('nonsense')", "pose([[1]])", "seek(NaN)"].map((call) => {
         try { eval('jghand.' + call); return ''; } catch (error) { return error.message; }

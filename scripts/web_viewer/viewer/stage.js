@@ -35,8 +35,15 @@ export class Stage {
     this.posed = true;
     new ResizeObserver(() => this.resize()).observe(canvas.parentElement);
     // a phone takes the graphics card away from pages that are not looked at, and gives it back
-    canvas.addEventListener('webglcontextlost', () => this.told?.('The graphics card is busy elsewhere.'));
+    this.losses = 0;
+    canvas.addEventListener('webglcontextlost', () => {
+      this.lost = true;
+      this.losses++;
+      this.told?.('The graphics card is busy elsewhere.');
+    });
     canvas.addEventListener('webglcontextrestored', () => {
+      this.lost = false;
+      this.error = undefined;
       this.told?.('');
       this.changed();
     });
@@ -139,7 +146,18 @@ export class Stage {
   }
 
   ask() {
-    if (!this.error) this.asked ??= requestAnimationFrame((now) => this.draw(now).catch((error) => this.fail(error)));
+    if (!this.error && !this.lost) this.asked ??= requestAnimationFrame((now) => this.tryToDraw(now));
+  }
+
+  // A picture that fails because the graphics card is taken away is drawn again when it is back
+  async tryToDraw(now) {
+    const { losses } = this;
+    try {
+      await this.draw(now);
+    } catch (error) {
+      if (losses === this.losses) this.fail(error ?? new Error('It could not be drawn.'));
+      else this.ask();
+    }
   }
 
   // Nothing is drawn any more: who waits for `settled` is told why, and once the hand was seen, the page says it
@@ -153,6 +171,7 @@ export class Stage {
   // Poses, then waits until Spark has sorted what was posed: nothing is ever seen in the order of the picture before
   async draw(now) {
     this.asked = undefined;
+    if (this.lost) return;
     if (this.drawing) {
       this.again = true;
       return;
@@ -207,7 +226,7 @@ export class Stage {
     for (let calm = 0; calm < 3;) {
       if (this.error) throw this.error;
       await new Promise((done) => setTimeout(done, 50));
-      calm = this.asked || this.drawing || !this.spark.activeSplats ? 0 : calm + 1;
+      calm = this.asked || this.drawing || this.lost || !this.spark.activeSplats ? 0 : calm + 1;
     }
   }
 }
