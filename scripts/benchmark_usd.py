@@ -1,4 +1,4 @@
-"""How long an export to USD takes and how large it gets, end to end: 60,000 Gaussians, 60 frames by default.
+"""How long an export to USD takes and how large it gets, end to end: 60,000 Gaussians at most, 60 frames by default.
 
     python scripts/benchmark_usd.py [--avatar builtin|painted] [--frames 60] [--gaussians 60000] [--runs 5]
                                     [--package layers|usdc|usdz]

@@ -108,8 +108,8 @@ class Export:
     """Number of the first frame in the files; in the names of splat files that of the motion's first frame, also where
     --frames begins later."""
     overwrite: bool = False
-    """Also replace splat files that are there, and a stage that somebody else made, or changed: lights put into the
-    shot, for example."""
+    """Also replace splat files that are there, and a stage that somebody else made, or whose .usda somebody changed:
+    lights put into the shot, for example."""
     up: Literal["y", "z"] = "y"
     """The axis that points up in the world of the motion. USD says it, splat files are turned."""
     usd: UsdStageOptions = field(default_factory=UsdStageOptions)
@@ -206,8 +206,8 @@ class Export:
         )
 
     def _write_splats(self, avatar: HandAvatar, motion: Motion) -> dict[str, Any]:
+        from jghand_engine.exporters.made_from import made_from
         from jghand_engine.exporters.splat_files import SplatOptions, export_splats
-        from jghand_engine.exporters.usd_provenance import made_from
 
         axes, start = self.splats.axes, self.first_frame
         options = SplatOptions(self.splats.format, self.name, axes, start, self.up, self.overwrite)
@@ -228,7 +228,7 @@ class Export:
 
     def _write_web(self, avatar: HandAvatar, motion: Motion) -> dict[str, Any]:
         from jghand_engine.cli.framing import first_view
-        from jghand_engine.exporters.usd_provenance import made_from
+        from jghand_engine.exporters.made_from import made_from
         from jghand_engine.exporters.web import WebOptions, export_web
 
         sequence = motion.sequence

@@ -27,6 +27,7 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.fast_posing import PosedFrame
 from jghand_engine.errors import InputError
 from jghand_engine.exporters.ellipsoids import SteadyAxes
+from jghand_engine.exporters.made_from import made_from
 from jghand_engine.exporters.usd_arrival import arriving, check_earlier
 from jghand_engine.exporters.usd_clips import ClippedSplats
 from jghand_engine.exporters.usd_half import HalfPrice
@@ -34,8 +35,9 @@ from jghand_engine.exporters.usd_layers import TimeRange, usd_errors
 from jghand_engine.exporters.usd_motion import HandMotion
 from jghand_engine.exporters.usd_options import IDENTIFIER, LayerNames, Package, UsdOptions, UsdReport, Variant
 from jghand_engine.exporters.usd_package import frames_of_flat, write_archive, write_flat
-from jghand_engine.exporters.usd_provenance import made_from, provenance, seal
+from jghand_engine.exporters.usd_provenance import provenance
 from jghand_engine.exporters.usd_rig import Rig, vertex_colours, write_rig
+from jghand_engine.exporters.usd_seal import seal
 from jghand_engine.exporters.usd_skeleton import build_skeleton, in_motion
 from jghand_engine.exporters.usd_skinned import SkinnedCloud, write_skinned
 from jghand_engine.exporters.usd_space import Expected, check_space

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.exporters.usd_options import LayerNames, Package
-from jghand_engine.exporters.usd_provenance import is_as_written
+from jghand_engine.exporters.usd_seal import is_as_written
 from jghand_engine.files import file_error, sync
 from jghand_engine.limits import USD_LEFT_OVER_S
 from jghand_engine.lock import locked

@@ -54,7 +54,7 @@ class UsdOptions:
     up:              the axis of the motion's world that points up; written down, nothing is turned
     precision:       "half": the splats in half the size, at a price that the report says; there are no `points` then
     package:         the files that are written
-    overwrite:       also files of these names that somebody else made or changed
+    overwrite:       also files of these names that somebody else made, and text layers that somebody changed
     """
 
     name: str = "hand"

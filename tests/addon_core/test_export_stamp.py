@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,24 @@ def test_only_the_owner_may_write_again(tmp_path, kind):
     for other in set(FILES) - {kind}:
         export_stamp.check(tmp_path, "hand", other, "b")
     export_stamp.check(tmp_path, "hand2", kind, "b")
+
+
+@pytest.mark.parametrize("layer", ["hand.usda", "hand.shot.usda"])
+def test_its_own_stage_is_not_replaced_when_somebody_has_changed_a_layer(tmp_path, layer):
+    export_stamp.claim(tmp_path, "hand", "usd", "a")
+    for name in ("hand.usda", "hand.shot.usda"):
+        content = b"#usda 1.0\n"
+        seal = f"# as JGHand wrote it: {hashlib.sha256(content).hexdigest()}\n".encode()
+        (tmp_path / name).write_bytes(content + seal)
+    export_stamp.check(tmp_path, "hand", "usd", "a")
+    sealed = (tmp_path / layer).read_bytes()
+    for changed in (sealed + b"# my lights\n", sealed.replace(b"1.0", b"1.1"), b'#usda 1.0\ndef "sun" {}\n'):
+        (tmp_path / layer).write_bytes(changed)
+        with pytest.raises(JGHandFailure, match=rf"{layer}") as told:
+            export_stamp.check(tmp_path, "hand", "usd", "a")
+        assert told.value.kind == "changed_export"
+    (tmp_path / layer).write_bytes(b"PXR-USDC, of which the engine asks who made it")
+    export_stamp.check(tmp_path, "hand", "usd", "a")
 
 
 @pytest.mark.parametrize("stamp", [b"", b"\xff\xfe", b"[]", b"{}", b'{"format": "jghand export"}', b"[" * 100_000])

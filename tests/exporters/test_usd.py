@@ -12,6 +12,8 @@ from small_avatars import trained_avatar
 from usd_samples import FPS, engine_gaussians, engine_mesh, lively_motion, small_avatar
 from usd_stages import opened
 
+from blender_addon.core import export_stamp
+from blender_addon.core.messages import JGHandFailure
 from jghand_engine import lock
 from jghand_engine.avatar.avatar import LearntFrom
 from jghand_engine.avatar.tiers import Baked
@@ -368,6 +370,16 @@ def test_a_layer_that_somebody_changed_is_not_replaced_unasked(tmp_path, name):
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
     export_usd(tmp_path, small_avatar(), motion, options=UsdOptions(overwrite=True))
     assert "my lights" not in (tmp_path / name).read_text()
+
+
+def test_the_extension_knows_layers_as_they_were_written_too(tmp_path):
+    shot = export_usd(tmp_path, small_avatar(), lively_motion(Handedness.RIGHT, 2)).shot
+    export_stamp.claim(tmp_path, "hand", "usd", "a")
+    export_stamp.check(tmp_path, "hand", "usd", "a")
+    with shot.open("a") as stream:
+        stream.write("# my lights\n")
+    with pytest.raises(JGHandFailure, match=r"hand\.shot\.usda"):
+        export_stamp.check(tmp_path, "hand", "usd", "a")
 
 
 def test_a_shot_that_another_program_saved_is_not_replaced_unasked(tmp_path):
