@@ -16,7 +16,7 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -62,35 +62,38 @@ def check_folders(folder: Path, cameras: Iterable[str]) -> None:
 
 def write_whole(path: Path, content: bytes) -> None:
     """Writes a file under a temporary name, then renames it. JGHandFailure: cannot_write, disk_full."""
-    temporary = None
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=".part", dir=path.parent)
-        temporary = Path(name)
-        with os.fdopen(handle, "wb") as stream:
+    with _arriving(path) as temporary:
+        with temporary.open("wb") as stream:
             stream.write(content)
             stream.flush()
             os.fsync(stream.fileno())
         temporary.chmod(0o644)
-        _replace(temporary, path)
-    except OSError as error:
-        if temporary is not None:
-            with contextlib.suppress(OSError):
-                temporary.unlink()
-        raise _cannot_write(path, error) from error
 
 
 def copy_whole(source: Path, path: Path) -> None:
     """Copies a file, its time too, under a temporary name, then renames it: what was at `path` stays until then.
     JGHandFailure: cannot_write, disk_full."""
-    temporary = path.with_name(f".{path.name}.part")
-    try:
+    with _arriving(path) as temporary:
         shutil.copy2(source, temporary)
+
+
+@contextlib.contextmanager
+def _arriving(path: Path) -> Iterator[Path]:
+    """A temporary file beside `path`, of this process alone, that takes its place in the end."""
+    temporary = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=".part", dir=path.parent)
+        os.close(handle)
+        temporary = Path(name)
+        yield temporary
         _replace(temporary, path)
     except OSError as error:
-        with contextlib.suppress(OSError):
-            temporary.unlink()
         raise _cannot_write(path, error) from error
+    finally:
+        if temporary is not None:
+            with contextlib.suppress(OSError):
+                temporary.unlink(missing_ok=True)
 
 
 def _cannot_write(path: Path, error: OSError) -> JGHandFailure:
