@@ -59,6 +59,9 @@ HAND_UNLIKE_MAX = 0.5
 # what a detection that looks surely like the other hand costs, in parts of the hand's size: more than a hand goes while
 # it is behind the other one
 HAND_UNLIKE_COST = 1.0
+# what a second out of sight costs, in parts of the hand's size: a hand that is seen all the time goes on before one
+# that was wrongly seen there long ago, unless it jumps by more
+HAND_AWAY_COST = 0.3
 # a hand that is seen for less than this is taken for a mistake: seconds, in short films a part of the pictures, and in
 # any so many
 HAND_SEEN_S = 2.0

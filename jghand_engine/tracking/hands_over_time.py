@@ -6,7 +6,7 @@ the same hand, where hands meet the one that looks like it, and which hand that 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -65,7 +65,8 @@ class FoundHands:
 
 def hands_over_time(detections: Detections, fps: float) -> FoundHands:
     """Who is who: at most one right hand and one left."""
-    trails = sorted(_trails(detections, fps), key=lambda trail: -len(trail.frames))
+    parts = [part for trail in _trails(detections, fps) for part in _parts_of_one_hand(trail)]
+    trails = sorted(parts, key=lambda trail: -len(trail.frames))
     chosen: dict[Handedness, list[_Trail]] = {Handedness.RIGHT: [], Handedness.LEFT: []}
     for trail in trails:
         hand = Handedness.RIGHT if trail.rightness >= 0 else Handedness.LEFT
@@ -137,8 +138,8 @@ def _trails(detections: Detections, fps: float) -> list[_Trail]:
 
 
 def _step_cost(trail: _Trail, hand: SeenHand, frames: int, fps: float) -> float | None:
-    """How far a hand that is seen so many frames after a trail's last one is from it, in parts of its size, and more
-    where it looks like the other hand; None for one that cannot be it."""
+    """How far a hand that is seen so many frames after a trail's last one is from it, in parts of its size, more where
+    it looks like the other hand, and more the longer it was away; None for one that cannot be it."""
     way = distance(trail.hands[-1], hand)
     unlike = abs(trail.rightness - _rightness(hand)) / 2
     if way > limits.HAND_STEP_PART * frames * max(1.0, limits.SMOOTHING_FPS / fps):
@@ -146,7 +147,30 @@ def _step_cost(trail: _Trail, hand: SeenHand, frames: int, fps: float) -> float 
     # of a hand that was away for long not its place but its looks tell that it is back
     if frames > limits.HAND_LOST_S * fps + 1 and unlike > limits.HAND_UNLIKE_MAX:
         return None
-    return way + limits.HAND_UNLIKE_COST * unlike
+    return way + limits.HAND_UNLIKE_COST * unlike + limits.HAND_AWAY_COST * frames / fps
+
+
+def _parts_of_one_hand(trail: _Trail) -> Iterator[_Trail]:
+    """A trail in parts, cut at pauses before and after which the mean looks are those of different hands: one went and
+    the other came. Where the looks change without a pause, a hand is called the other one for a while."""
+    looks = np.array([_rightness(hand) for hand in trail.hands])
+    least = limits.HAND_SEEN_FRAMES_MIN
+    cuts = np.flatnonzero(np.diff(trail.frames) > 1) + 1
+    # fewer frames would be taken for a mistake by themselves
+    cuts = cuts[(cuts >= least) & (cuts <= len(looks) - least)]
+    before = np.cumsum(looks)[cuts - 1]
+    after = looks.sum() - before
+    unlike = np.abs(before / cuts - after / (len(looks) - cuts)) / 2
+    there = unlike > limits.HAND_UNLIKE_MAX
+    if not there.any():
+        yield trail
+        return
+    cut = int(cuts[there][np.argmax(np.abs(before - after)[there])])
+    for part in (slice(None, cut), slice(cut, None)):
+        own = _Trail()
+        for frame, hand in zip(trail.frames[part], trail.hands[part], strict=True):
+            own.add(frame, hand)
+        yield from _parts_of_one_hand(own)
 
 
 def distance(first: SeenHand, second: SeenHand) -> float:

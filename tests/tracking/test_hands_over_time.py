@@ -121,6 +121,54 @@ def test_a_detection_that_is_wrong_once_costs_no_more_than_its_picture():
     assert hands_over_time(frames, FPS)[RIGHT].seen.all()
 
 
+@pytest.mark.parametrize(("begin", "end", "crossed"), [(30, 40, 80), (30, 55, 90)])
+def test_what_was_wrongly_seen_long_ago_does_not_take_over_the_hand_that_comes_there(begin, end, crossed):
+    joints, x = right_joints_m(240), np.linspace(-0.2, 0.2, 240)
+    way = [seen(joints[k] + (x[k], 0, 0), RIGHT) for k in range(240)]
+    frames = [[hand] + ([way[crossed]] if begin <= k < end else []) for k, hand in enumerate(way)]
+    found = hands_over_time(frames, FPS)
+    assert set(found) == {RIGHT}
+    assert all(mine is hand for mine, hand in zip(found[RIGHT].frames, way, strict=True))
+
+
+@pytest.mark.parametrize("gone", [0, 1, 3, 9, 15, 18])
+def test_a_right_hand_that_leaves_and_a_left_one_that_comes_at_once_are_two_hands(gone):
+    joints = right_joints_m(90)
+    frames = [[seen(one, RIGHT)] for one in joints] + [[]] * gone
+    # a little more than a step away where there is no pause at all
+    beside = (0.25 if gone == 0 else 0.12, 0, 0)
+    frames += [[seen(one * (-1, 1, 1) + beside, LEFT)] for one in joints]
+    found = hands_over_time(frames, FPS)
+    assert {side: labels(hand) for side, hand in found.items()} == {
+        RIGHT: 90 * "r" + (gone + 90) * "-",
+        LEFT: (90 + gone) * "-" + 90 * "l",
+    }
+
+
+@pytest.mark.parametrize("gone", [20, 30, 50])
+def test_a_hand_that_comes_while_the_other_one_is_away_is_not_taken_for_it(gone):
+    right, left = ([seen(one * (sign, 1, 1), side)] for sign, side in ((1, RIGHT), (-1, LEFT)) for one in JOINTS_M[:1])
+    frames = 60 * [right] + gone * [[]] + 30 * [left] + gone * [[]] + 60 * [right]
+    found = hands_over_time(frames, FPS)
+    away = 2 * gone + 30
+    assert {side: labels(hand) for side, hand in found.items()} == {
+        RIGHT: 60 * "r" + away * "-" + 60 * "r",
+        LEFT: (60 + gone) * "-" + 30 * "l" + (gone + 60) * "-",
+    }
+
+
+def test_labels_that_are_wrong_after_a_pause_do_not_cut_a_hand_in_two():
+    """Now and then, and in the last frames of all, too few to be a hand."""
+    called = [LEFT if k in (9, 20, 21, 38, 39) else RIGHT for k in range(40)]
+    frames = [
+        [seen(joints, label)] if k not in (8, 19, 37) else []
+        for k, (joints, label) in enumerate(zip(JOINTS_M, called, strict=True))
+    ]
+    assert labels(hands_over_time(frames, FPS)[RIGHT]) == "".join(
+        "-" if not one else one[0].handedness[0] for one in frames
+    )
+
+
 def test_a_hand_that_is_there_for_seconds_counts_however_long_the_film_is():
     joints = right_joints_m(70)
     frames = [[seen(one, RIGHT)] for one in joints] + [[]] * 5000
