@@ -97,30 +97,25 @@ def cut(sequence: PoseSequence, start_s: float | None = None, end_s: float | Non
     return sequence.section(first, last + 1)
 
 
-def retimed(joints: np.ndarray, times_s: np.ndarray, fps: float) -> np.ndarray:
-    """(F, 21, 3) level-order joints seen at `times_s` (F,), rising -> (G, 21, 3) at an even rate from the first on.
+def retimed(joints: np.ndarray, times_s: np.ndarray, fps: float) -> tuple[np.ndarray, np.ndarray]:
+    """(F, 21, 3) level-order joints seen at `times_s` (F,), rising -> (G, 21, 3) at an even rate from the first on, and
+    their places (G,) among the F.
 
-    A frame between a pose and a missing one is missing, and so is one inside a hole: a step of more than
-    CLOCK_HOLE_STEPS usual ones. InputError for times that do not rise, and for too many frames.
+    fps: that of the usual step. A frame between a pose and a missing one is missing, and so is one inside a hole: a
+    step of more than CLOCK_HOLE_STEPS usual ones. InputError for times that do not rise.
     """
     steps_s = np.diff(times_s)
     if not np.isfinite(times_s).all() or (steps_s <= 0).any():
         raise InputError("times of a motion", wanted="times that rise from frame to frame", came="others")
-    count = (times_s[-1] - times_s[0]) * fps
-    if count > limits.MOTION_FRAMES_MAX:
-        raise InputError(
-            "times of a motion", wanted=f"at most {limits.MOTION_FRAMES_MAX} frames", came=f"{count:.0f} at {fps:g}"
-        )
-    wanted_s = times_s[0] + np.arange(int(count + limits.FRAME_EPS) + 1) / fps
+    wanted_s = times_s[0] + np.arange(int((times_s[-1] - times_s[0]) * fps + limits.FRAME_EPS) + 1) / fps
     places = np.interp(wanted_s, times_s, np.arange(len(times_s)))
     result = poses_at(joints, places)
     if len(steps_s):
-        usual_s = float(np.median(steps_s))
         before = np.minimum(places.astype(np.int64), len(steps_s) - 1)
         away_s = np.minimum(wanted_s - times_s[before], times_s[before + 1] - wanted_s)
-        in_hole = steps_s[before] > limits.CLOCK_HOLE_STEPS * usual_s
-        result[in_hole & (away_s > limits.STEP_JITTER_MAX * usual_s)] = np.nan
-    return result
+        in_hole = steps_s[before] > limits.CLOCK_HOLE_STEPS / fps
+        result[in_hole & (away_s > limits.STEP_JITTER_MAX / fps)] = np.nan
+    return result, places
 
 
 def in_place(sequence: PoseSequence) -> PoseSequence:

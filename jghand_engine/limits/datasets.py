@@ -88,12 +88,17 @@ BONE_AXIS_MAX_DEG = 12.0
 # frames per second of a clock whose unit is not said; they tell seconds from milliseconds and microseconds
 CLOCK_FPS_MIN = 1.5
 CLOCK_FPS_MAX = 1000.0
-# part of a step by which frames may miss even times and still come evenly, and steps between keys their mean
+# part of a step by which frames may miss even times, either way, and still come evenly; steps between keys, their mean
 STEP_JITTER_MAX = 0.1
 # ... or this, where it is more: clocks in whole milliseconds round
 CLOCK_TICK_S = 1e-3
+# part of a millisecond by which a time may miss a whole one: round-off of seconds since 1970 in double precision
+CLOCK_TICK_EPS = 1e-3
 # steps of a clock that differ from their median by less than this part of it count for the rate: not one of two frames
 STEP_USUAL = 1 / 3
+# steps of an uneven clock up to so many medians make its rate: pages show a camera's frames after two or three
+# of their pictures, which is 1.5; a frame that was dropped makes it 2
+STEP_UNEVEN_MAX = 1.75
 # part of the frames that must have a time that rises for a clock to be used
 CLOCK_KNOWN_MIN = 0.5
 # steps of a clock longer than so many usual ones are holes: nobody saw what is in them
@@ -110,7 +115,7 @@ KEYS_APART_MIN_S = 2e-4
 # keys that come more seldom are poses, no frames; a rate above the other is none
 KEYS_FPS_MIN = 6.0
 KEYS_FPS_MAX = 240.0
-# frames of an animation for each of its key times, and seconds beyond that: two keys an hour apart are a mistake
+# frames of a motion for each time of a key or a clock, and seconds beyond that: two an hour apart are a mistake
 KEYS_APART_MAX = 64
 KEYS_S_MAX = 600.0
 # part of the way to the next key of glTF by which a frame may miss it

@@ -47,10 +47,10 @@ FPS_MAX = 10_000.0
 DEFAULT_FPS = 30.0
 # a motion file larger than this, packed or unpacked, is refused: an hour at 120 frames per second has 220 MB
 MOTION_MAX_BYTES = 1 << 30
-# bytes that a packed motion may unpack to: four minutes of a hand that does not move at all, and so many for each
-# packed byte (motions pack to a half, such minutes to a three hundredth)
+# bytes that a packed motion may unpack to, and so many more for each packed byte: motions pack to a half, a hand that
+# does not move at all to 1/236, zeros to 1/1000
 MOTION_UNPACKED_BYTES = 1 << 24
-MOTION_UNPACKED_TIMES = 100
+MOTION_UNPACKED_TIMES = 400
 # MOTION_MAX_BYTES for .json and .csv, whose numbers take ten times their text while they are read: an hour at 30
 MOTION_TEXT_MAX_BYTES = 1 << 27
 

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import motion_samples as samples
 import numpy as np
 import pytest
 
-from jghand_engine.datasets.motion_files import MotionFormat
+from jghand_engine.datasets.motion_files import MotionFormat, write_motion
 from jghand_engine.datasets.motion_tools import fill_gaps
 from jghand_engine.datasets.motions.clocks import clock_s, even_frames, frame_times, key_frames, whole_rate
 from jghand_engine.datasets.motions.damage import NoMotionError
 from jghand_engine.datasets.motions.read import read_motion_file
+from jghand_engine.errors import InputError
 
 
 @pytest.fixture(scope="module")
@@ -75,6 +77,87 @@ def test_clocks_in_whole_milliseconds_tell_the_rate(fps, dropped):
     rate, places = even_frames(np.round(1000 * numbers / fps) / 1000)
     assert rate == pytest.approx(fps, rel=1e-12)
     assert places.tolist() == numbers.tolist()
+
+
+@pytest.mark.parametrize(
+    "times_ms", [[0, 33, 133], [0, 20, 70], np.cumsum([0] + 20 * [17, 50]), np.cumsum(10 * [40] + 9 * [120])]
+)
+def test_a_clock_with_as_many_long_steps_as_short_ones_is_one(tmp_path, motion, times_ms):
+    """The mean of the two middle ones is a step that none is near."""
+    frames = tasks(motion, [float(time) for time in times_ms])
+    read = read_motion_file(dumped(tmp_path / "a.json", frames[: len(times_ms)]))
+    assert 12 <= read.sequence.fps <= 60
+
+
+def test_clocks_of_a_few_frames_are_clocks_whatever_their_steps():
+    random = np.random.default_rng(1)
+    for count in range(2, 13):
+        for _ in range(50):
+            times = np.cumsum(random.choice([8, 17, 33, 40, 50, 100, 133], count)) / 1000
+            fps, numbers = even_frames(times)
+            # steps of 50 and 133 ms are 1 and 3 of 45: worst seen 0.96 and 1.21
+            assert fps * np.diff(times).max() >= 0.95
+            assert fps * np.diff(times).min() <= 1.22
+            assert numbers is None or (np.diff(numbers) >= 1).all()
+
+
+@pytest.mark.parametrize("late_ms", [0, 1])
+def test_a_camera_seen_by_the_pictures_of_a_page_has_its_own_rate_and_no_holes(tmp_path, motion, late_ms):
+    """25 frames a second, each at the next of 60 pictures a second: steps of 33 and 50 milliseconds."""
+    places = np.ceil(np.arange(40) / 25 * 60 - 1e-9) / 60
+    times = np.floor(1000 * places) + late_ms * (np.arange(40) % 2)
+    read = read_motion_file(dumped(tmp_path / "a.json", tasks(motion, times.tolist())))
+    assert read.sequence.fps == pytest.approx(25.0, abs=0.7)
+    assert not read.sequence.gaps
+
+
+@pytest.mark.parametrize("count", [3, 4, 5, 6, 8, 11])
+@pytest.mark.parametrize("fps", [24, 25, 30, 60, 120])
+def test_a_few_frames_in_whole_milliseconds_have_a_usual_rate(fps, count):
+    rounded = [np.round, np.floor, np.ceil]
+    for start in (0.0, 0.3, 0.7):
+        for whole in rounded:
+            times_ms = whole(1000 * np.arange(count) / fps + start)
+            assert even_frames((times_ms - times_ms[0]) / 1000)[0] == fps
+
+
+def test_a_few_frames_of_a_clock_that_does_not_round_keep_its_rate():
+    rate, _ = even_frames(np.arange(4) * 1001 / 30000)
+    assert rate == pytest.approx(30000 / 1001, rel=1e-12)
+
+
+@pytest.mark.parametrize("times", [[0, 33, 67, 30_000_000], [0, *(1_700_000_000_000 + 33 * np.arange(1, 40)).tolist()]])
+def test_one_time_hours_away_is_refused_with_its_frame_and_a_way_out(tmp_path, motion, times):
+    file = dumped(tmp_path / "a.json", tasks(motion, times)[: len(times)])
+    with pytest.raises(InputError, match=r"a\.json.*before frame (3|1)\b.*--fps"):
+        read_motion_file(file)
+    assert len(read_motion_file(file, MotionFormat(fps=30.0)).sequence) == len(times)
+
+
+def test_the_rate_that_is_said_counts_more_than_a_clock(tmp_path, motion):
+    frames = tasks(motion)
+    read = read_motion_file(dumped(tmp_path / "a.json", frames[:10] + frames[12:]), MotionFormat(fps=24.0))
+    assert (read.sequence.fps, len(read.sequence)) == (24.0, 38)
+    assert not any("clock" in note for note in read.notes)
+
+
+@pytest.mark.parametrize("uneven_s", [0.0, 0.006])
+def test_filled_frames_stay_marked_where_the_clock_has_a_hole(tmp_path, motion, uneven_s):
+    whole = dataclasses.replace(motion, filled=np.isin(np.arange(40), [5, 6, 30]))
+    write_motion(tmp_path / "a.csv", whole)
+    lines = (tmp_path / "a.csv").read_text().splitlines()
+    comments = [line.replace("5 6 30", "5 6 28") for line in lines if line.startswith("#") and "fps" not in line]
+    rows = [line for line in lines if not line.startswith("#")]
+    times = np.arange(40) / 30 + uneven_s * (np.arange(40) % 2)
+    rows = [f"{rows[0]},time_s", *(f"{row},{time}" for row, time in zip(rows[1:], times, strict=True))]
+    del rows[11:13]
+    (tmp_path / "a.csv").write_text("\n".join([*comments, *rows]))
+    read = read_motion_file(tmp_path / "a.csv").sequence
+    assert read.gaps
+    marked = np.flatnonzero(read.filled).tolist()
+    assert {5, 6, 30} <= set(marked)
+    # a frame between one that was filled and another is filled too
+    assert set(marked) <= ({5, 6, 30} if uneven_s == 0 else {4, 5, 6, 7, 29, 30, 31})
 
 
 def test_a_frame_without_a_result_leaves_the_clock_in_use(tmp_path, motion):

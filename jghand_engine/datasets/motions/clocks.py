@@ -10,7 +10,7 @@ import numpy as np
 from jghand_engine import limits
 from jghand_engine.datasets.motions.damage import NoMotionError
 
-_UNITS = {"seconds": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
+UNITS = {"seconds": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
 # rates of film and video of which there are slower ones by a thousandth: 24000 / 1001, 30000 / 1001, 60000 / 1001
 _NTSC_BASES = (24, 30)
 
@@ -22,7 +22,7 @@ def whole_rate(fps: float) -> float:
     return best if abs(best - fps) < limits.WHOLE_RATE_EPS * best else fps
 
 
-def clock_s(times: Sequence[float | None], units: Sequence[str] = tuple(_UNITS)) -> tuple[np.ndarray | None, str]:
+def clock_s(times: Sequence[float | None], units: Sequence[str] = tuple(UNITS)) -> tuple[np.ndarray | None, str]:
     """Times of frames in one of `units`, which their step tells -> seconds from the first, and a sentence.
 
     A frame without a time, or with one that does not rise, lies evenly between its neighbours. None where no frame has
@@ -39,7 +39,7 @@ def clock_s(times: Sequence[float | None], units: Sequence[str] = tuple(_UNITS))
         return None, "Too many of its frames have no time, or one that does not rise: the times are not used."
     step = float(np.median(steps))
     for unit in units:
-        seconds = _UNITS[unit]
+        seconds = UNITS[unit]
         if 1 / limits.CLOCK_FPS_MAX <= step * seconds <= 1 / limits.CLOCK_FPS_MIN:
             seen = _between(np.flatnonzero(known), values[known], len(values), step)
             said = "" if len(units) == 1 else f"Its clock counts {unit}, by the step between its frames."
@@ -62,17 +62,35 @@ def even_frames(times_s: np.ndarray) -> tuple[float, np.ndarray | None]:
     The rate is that of the steps near the median, so that neither a hole nor a clock in whole milliseconds bends it.
     """
     steps = np.diff(times_s)
-    median = float(np.median(steps))
+    # one of the steps: between two kinds of them the mean of both is near none
+    median = float(np.quantile(steps, 0.5, method="lower"))
     step = float(steps[np.abs(steps - median) <= limits.STEP_USUAL * median].mean())
     numbers = np.concatenate([[0.0], np.cumsum(np.maximum(np.rint(steps / step), 1.0))])
     if numbers[-1] < limits.MOTION_FRAMES_MAX:
         centred = numbers - numbers.mean()
         line = 1 / float((centred * times_s).sum() / (centred * centred).sum())
         room_s = max(limits.STEP_JITTER_MAX * step, min(limits.CLOCK_TICK_S, 0.5 * step))
-        for fps in (whole_rate(line), line):
-            if np.ptp(times_s - numbers / fps) <= 2 * room_s:
+        for fps, range_s in (*_rounded_rates(times_s, line), (whole_rate(line), 2 * room_s), (line, 2 * room_s)):
+            if np.ptp(times_s - numbers / fps) <= range_s:
                 return fps, numbers.astype(np.int64)
-    return whole_rate(1 / step), None
+    return whole_rate(1 / float(steps[steps <= limits.STEP_UNEVEN_MAX * median].mean())), None
+
+
+def _rounded_rates(times_s: np.ndarray, line: float) -> list[tuple[float, float]]:
+    """Rates that a clock in whole milliseconds may have meant by the measured one, each with the range in seconds over
+    which rounding spreads its frames; none for a clock that does not round."""
+    ticks = times_s / limits.CLOCK_TICK_S
+    if (np.abs(ticks - np.rint(ticks)) > limits.CLOCK_TICK_EPS).any():
+        return []
+    range_s = (1 + limits.CLOCK_TICK_EPS) * limits.CLOCK_TICK_S
+    usual = min(limits.USUAL_FPS, key=lambda fps: abs(fps - line))
+    return [(usual, range_s), (max(round(line), 1), range_s)]
+
+
+def is_one_motion(count: int, seconds: float, fps: float) -> bool:
+    """Whether `count` times over so long can be those of one motion: a few hours apart would make a long one."""
+    most = min(limits.MOTION_FRAMES_MAX, limits.KEYS_APART_MAX * count + limits.KEYS_S_MAX * fps)
+    return 0 <= seconds * fps <= most
 
 
 def key_frames(times_s: np.ndarray, own: float | None = None) -> tuple[float, list[str]]:
@@ -116,7 +134,7 @@ def frame_times(times_s: np.ndarray, fps: float) -> np.ndarray:
     """
     if not len(times_s):
         return np.zeros(1)
-    count = float(times_s[-1] - times_s[0]) * fps
-    if not 0 <= count <= min(limits.MOTION_FRAMES_MAX, limits.KEYS_APART_MAX * len(times_s) + limits.KEYS_S_MAX * fps):
-        raise NoMotionError(f"{len(times_s)} keys over {times_s[-1] - times_s[0]:g} s, which is no motion of a hand")
-    return times_s[0] + np.arange(math.ceil(count - limits.KEY_FRAME_EPS) + 1) / fps
+    seconds = float(times_s[-1] - times_s[0])
+    if not is_one_motion(len(times_s), seconds, fps):
+        raise NoMotionError(f"{len(times_s)} keys over {seconds:g} s, which is no motion of a hand")
+    return times_s[0] + np.arange(math.ceil(seconds * fps - limits.KEY_FRAME_EPS) + 1) / fps

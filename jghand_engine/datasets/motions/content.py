@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jghand_engine.datasets.motions.clocks import UNITS
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder
 
@@ -46,7 +47,8 @@ class MotionContent:
     tracks:          its hands
     metres_per_unit: None where neither the file nor its format says it
     declared_unit:   whether the file itself says the unit, so that another one is a contradiction
-    fps, times_s:    frames per second, or the times (F,) of the frames; None where the file does not say
+    fps:             frames per second, None where the file does not say
+    times:           of the frames (F,), which count more, as the file has them, in one of `time_units`; () without
     notes:           sentences about what was read, and how
     up:              the axis that points up, UP_AXES; None where neither the file nor its format says it
     filled:          (F,) bool, frames that nobody measured; None: none
@@ -60,7 +62,8 @@ class MotionContent:
     metres_per_unit: float | None = None
     declared_unit: bool = False
     fps: float | None = None
-    times_s: np.ndarray | None = None
+    times: Sequence[float | None] = ()
+    time_units: tuple[str, ...] = tuple(UNITS)
     notes: tuple[str, ...] = ()
     up: str | None = None
     filled: np.ndarray | None = None

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from jghand_engine import limits
-from jghand_engine.datasets.motions.clocks import clock_s
 from jghand_engine.datasets.motions.content import HandTrack
 from jghand_engine.datasets.motions.damage import NoMotionError
 from jghand_engine.hand.joints import Handedness
@@ -67,7 +66,3 @@ class FrameHands:
             joints[list(frames)] = np.stack(list(frames.values()))
             result.append(HandTrack(joints, side, order, "" if side is None else f"{side} hand", labelled))
         return tuple(result)
-
-    def times_s(self) -> tuple[np.ndarray | None, str]:
-        """The frames' times in seconds, None where there are none to use, and a sentence: see `clock_s`."""
-        return clock_s(self.times)

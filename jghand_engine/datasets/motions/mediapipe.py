@@ -66,8 +66,7 @@ def read(frames: Iterator[Any], fps: float | None, mirrored_labels: bool | None)
         raise NoMotionError(
             "it holds landmarks of the image only, which have no scale and hardly a depth: save the world landmarks too"
         )
-    times_s, clock = collected.times_s()
-    notes = [clock] if clock else []
+    notes = []
     if turned:
         notes.append(
             'MediaPipe\'s old interface calls a right hand of a picture that is not mirrored "Left": the labels were '
@@ -76,7 +75,7 @@ def read(frames: Iterator[Any], fps: float | None, mirrored_labels: bool | None)
     if collected.two_of_a_side:
         notes.append(f"{collected.two_of_a_side} frames show a side twice: the surer one was taken.")
     tracks = collected.tracks(labelled=True)
-    return MotionContent(KIND, tracks, 1.0, fps=fps, times_s=times_s, notes=tuple(notes), up="-y")
+    return MotionContent(KIND, tracks, 1.0, fps=fps, times=collected.times, notes=tuple(notes), up="-y")
 
 
 def _hands(frame: Mapping[str, Any]) -> list[FoundHand]:

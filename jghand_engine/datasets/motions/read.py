@@ -16,7 +16,7 @@ from jghand_engine.datasets import motion_files
 from jghand_engine.datasets.motion_files import MotionFormat
 from jghand_engine.datasets.motion_tools import retimed, with_hand_length
 from jghand_engine.datasets.motions import bvh, freemocap, gltf, interhand, mediapipe, openpose, tables, usd, webxr
-from jghand_engine.datasets.motions.clocks import clock_s, even_frames
+from jghand_engine.datasets.motions.clocks import clock_s, even_frames, is_one_motion
 from jghand_engine.datasets.motions.content import HandTrack, MotionContent, named
 from jghand_engine.datasets.motions.damage import told_damage
 from jghand_engine.datasets.motions.json_text import JsonText
@@ -71,10 +71,9 @@ def read_motion_file(path: Path | str, wanted: MotionFormat | None = None) -> Mo
         )
     if not (content.is_plain and track.handedness is not None):
         notes += _warned(level_m, side)
-    level_m, fps, said = _evenly(content, level_m, wanted)
+    level_m, filled, fps, said = _evenly(file, content, level_m, wanted)
     notes += said
-    filled = content.filled if content.filled is not None and len(content.filled) == len(level_m) else None
-    sequence = PoseSequence(level_m, fps, side, filled=filled)  # type: ignore[arg-type]
+    sequence = PoseSequence(level_m, fps, side, filled=filled)
     if wanted.hand_length_m is not None:
         sequence = with_hand_length(sequence, wanted.hand_length_m)
     if wanted.check_hand and sequence.valid.all(axis=1).any():
@@ -156,15 +155,13 @@ def _own(file: Path, kind: Kind) -> MotionContent:
     side = None if declared.get("handedness") is None else Handedness(str(declared["handedness"]))
     order = None if declared.get("order") is None else JointOrder.parse(str(declared["order"]))
     fps = None if declared.get("fps") is None else float(declared["fps"])
-    times_s, clock = clock_s(content.times) if fps is None else (None, "")
     return MotionContent(
         "JGHand's own format" if order is not None and unit is not None else f"plain {kind.value[1:]}",
         (HandTrack(joints, side, order),),
         None if unit is None else METRES_PER_UNIT[unit],
         unit is not None,
         fps,
-        times_s,
-        (clock,) if clock else (),
+        content.times if fps is None else (),
         filled=motion_files.filled_frames(file, content),
         is_plain=True,
     )
@@ -309,22 +306,44 @@ def _metres(file: Path, content: MotionContent, level: np.ndarray, wanted: Motio
     return metres, [] if content.is_plain and metres == 1.0 else [said]
 
 
-def _evenly(content: MotionContent, level_m: np.ndarray, wanted: MotionFormat) -> tuple[np.ndarray, float, list[str]]:
-    """The frames at an even rate, the rate, and what was done. Frames that the file leaves out are missing."""
+def _evenly(
+    file: Path, content: MotionContent, level_m: np.ndarray, wanted: MotionFormat
+) -> tuple[np.ndarray, np.ndarray, float, list[str]]:
+    """The frames at an even rate, which of them are filled, the rate, and what was done. Frames that the file leaves
+    out are missing. InputError for times too far apart."""
+    filled = np.zeros(len(level_m), dtype=bool) if content.filled is None else content.filled
     if wanted.fps is not None:
-        return level_m, wanted.fps, []
-    if content.times_s is not None and len(content.times_s) == len(level_m) > 1:
-        fps, numbers = even_frames(content.times_s)
-        if numbers is None:
-            again = retimed(level_m, content.times_s, fps)
-            return again, fps, [f"Its frames do not come evenly: they were taken anew at {fps:.4g} frames per second."]
-        whole = np.full((numbers[-1] + 1, *level_m.shape[1:]), np.nan)
-        whole[numbers] = level_m
-        return whole, fps, []
-    if content.fps is not None:
-        return level_m, content.fps, []
-    if len(level_m) == 1:
-        return level_m, limits.DEFAULT_FPS, []
-    return level_m, limits.DEFAULT_FPS, [
-        f"It does not say its frames per second: {limits.DEFAULT_FPS:g} are taken; --fps says otherwise."
-    ]  # fmt: skip
+        return level_m, filled, wanted.fps, []
+    times_s, said = clock_s(content.times, content.time_units)
+    notes = [said] if said else []
+    if times_s is not None:
+        even_m, filled, fps, more = _by_clock(file, times_s, level_m, filled)
+        return even_m, filled, fps, notes + more
+    if content.fps is not None or len(level_m) == 1:
+        return level_m, filled, content.fps or limits.DEFAULT_FPS, notes
+    notes.append(f"It does not say its frames per second: {limits.DEFAULT_FPS:g} are taken; --fps says otherwise.")
+    return level_m, filled, limits.DEFAULT_FPS, notes
+
+
+def _by_clock(
+    file: Path, times_s: np.ndarray, level_m: np.ndarray, filled: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, float, list[str]]:
+    """`_evenly` for frames at these times."""
+    fps, numbers = even_frames(times_s)
+    if not is_one_motion(len(times_s), times_s[-1] - times_s[0], fps):
+        steps_s = np.diff(times_s)
+        longest = int(np.argmax(steps_s))
+        raise InputError(
+            f"motion file {file}",
+            wanted="times of one motion",
+            came=f"{len(times_s)} over {times_s[-1]:g} s, of which {steps_s[longest]:g} s before frame {longest + 1}",
+            remedy="--fps NUMBER plays its frames without their times.",
+        )
+    if numbers is None:
+        again, places = retimed(level_m, times_s, fps)
+        said = f"Its frames do not come evenly: they were taken anew at {fps:.4g} frames per second."
+        return again, np.interp(places, np.arange(len(filled)), filled) > limits.FRAME_EPS, fps, [said]
+    whole = np.full((numbers[-1] + 1, *level_m.shape[1:]), np.nan)
+    whole_filled = np.zeros(len(whole), dtype=bool)
+    whole[numbers], whole_filled[numbers] = level_m, filled
+    return whole, whole_filled, fps, []

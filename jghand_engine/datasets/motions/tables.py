@@ -12,7 +12,6 @@ import numpy as np
 
 from jghand_engine import limits
 from jghand_engine.datasets.motions.bone_names import NamedHand, hands_among
-from jghand_engine.datasets.motions.clocks import clock_s
 from jghand_engine.datasets.motions.content import HandTrack, MotionContent
 from jghand_engine.datasets.motions.damage import NoMotionError
 from jghand_engine.datasets.motions.json_points import plain
@@ -40,8 +39,7 @@ def named_hands(header: list[str]) -> tuple[list[NamedHand], dict[str, tuple[int
 def read(file: Path) -> MotionContent:
     """A table of no program's own."""
     tracks, times = read_tracks(file)
-    times_s, clock = clock_s(times)
-    return MotionContent("a table of joints", tracks, times_s=times_s, notes=(clock,) if clock else ())
+    return MotionContent("a table of joints", tracks, times=times)
 
 
 def read_tracks(file: Path) -> tuple[tuple[HandTrack, ...], list[float | None]]:

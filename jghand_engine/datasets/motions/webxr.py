@@ -18,7 +18,6 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from jghand_engine.datasets.motions.clocks import clock_s
 from jghand_engine.datasets.motions.content import MotionContent
 from jghand_engine.datasets.motions.damage import NoMotionError
 from jghand_engine.datasets.motions.frames import FoundHand, FrameHands
@@ -48,11 +47,10 @@ def read(frames: Iterator[Any], fps: float | None) -> MotionContent:
     for frame in frames:
         collected.add(_hands(frame), _time(frame))
     tracks = collected.tracks(labelled=False)
-    times_s, clock = collected.times_s()
     # a headset counts metres; of joints that are not a headset's nothing is known
     kind, metres = (KIND, 1.0) if collected.in_metres else ("joints in JSON", None)
-    notes, up = (clock,) if clock else (), "y" if collected.in_metres else None
-    return MotionContent(kind, tracks, metres, fps=fps, times_s=times_s, notes=notes, up=up)
+    up = "y" if collected.in_metres else None
+    return MotionContent(kind, tracks, metres, fps=fps, times=collected.times, up=up)
 
 
 def read_iwer(schema: Any, frames: Iterator[Any]) -> MotionContent:
@@ -64,12 +62,12 @@ def read_iwer(schema: Any, frames: Iterator[Any]) -> MotionContent:
             raise ValueError(f"frame {number} is none of IWER's")
         hands = [hand for entry in frame[_VIEWER_NUMBERS:] if (hand := _iwer_hand(entry, sources)) is not None]
         collected.add(hands, float(frame[0]))
-    times_s, clock = clock_s(collected.times, ("milliseconds",))
     tracks = collected.tracks(labelled=False)
     if not tracks:
         raise NoMotionError("none of its input sources is a hand")
-    notes = ("IWER rounds positions to a millimetre.", *((clock,) if clock else ()))
-    return MotionContent(IWER_KIND, tracks, 1.0, times_s=times_s, notes=notes, up="y")
+    notes = ("IWER rounds positions to a millimetre.",)
+    times = collected.times
+    return MotionContent(IWER_KIND, tracks, 1.0, times=times, time_units=("milliseconds",), notes=notes, up="y")
 
 
 def _sources(schema: Any) -> dict[int, Mapping[str, Any]]:
