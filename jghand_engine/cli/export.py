@@ -109,7 +109,8 @@ class Export:
     --frames begins later."""
     overwrite: bool = False
     """Also replace splat files that are there, and a stage that somebody else made, or whose .usda somebody changed:
-    lights put into the shot, for example."""
+    lights put into the shot, for example. Splat files do not say which motion they are of: those of frames that are
+    not written (--frames) stay, whatever they show."""
     up: Literal["y", "z"] = "y"
     """The axis that points up in the world of the motion. USD says it, splat files are turned."""
     usd: UsdStageOptions = field(default_factory=UsdStageOptions)
@@ -220,9 +221,11 @@ class Export:
         first, last = report.files[0], report.files[-1]
         which = f"{first} to {last.name}" if len(report.files) > 1 else str(first)
         say(f"Wrote {which}: {len(report.files)} frames, {report.bytes / 1e6:.1f} MB, axes {report.axes}")
+        if report.kept:
+            say(f"{report.kept} other frames of {self.name} stay there. Nothing tells whether they show this motion.")
         return {
             "files": [str(path) for path in report.files], "frames": len(report.files), "axes": report.axes,
-            "gaussians": report.gaussians, "bytes": report.bytes,
+            "gaussians": report.gaussians, "bytes": report.bytes, "kept": report.kept,
             "made_from": made_from(avatar, motion.sequence),
         }  # fmt: skip
 

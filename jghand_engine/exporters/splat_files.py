@@ -85,12 +85,14 @@ class SplatOptions:
 
 @dataclass(frozen=True)
 class SplatReport:
-    """What an export did. files: one per frame written · axes: of their numbers · bytes: of all files together."""
+    """What an export did. files: one per frame written · axes: of their numbers · bytes: of all files together · kept:
+    other frames of that name that were there and stay; nothing tells whether they are of the same motion."""
 
     files: tuple[Path, ...]
     axes: str
     gaussians: int
     bytes: int
+    kept: int
 
 
 def export_splats(
@@ -116,7 +118,7 @@ def export_splats(
     target, size = make_folder(folder), 0
     frames = range(len(sequence)) if frames is None else frames
     files = tuple(options.path(target, index) for index in frames)
-    _refuse_others(target, options, files, len(sequence))
+    kept = _refuse_others(target, options, files, len(sequence))
     _check_space(target, len(avatar) * len(files) * kind.bytes_each)
     for done, (index, path) in enumerate(zip(frames, files, strict=True), 1):
         content = kind.encode(clouds.cloud(index))
@@ -125,7 +127,7 @@ def export_splats(
         size += len(content)
         if progress:
             progress(done, len(files))
-    return SplatReport(files, options.written_axes, len(avatar), size)
+    return SplatReport(files, options.written_axes, len(avatar), size, kept)
 
 
 class SplatMotion:
@@ -139,8 +141,9 @@ class SplatMotion:
         return SplatCloud.of_frame(self._motion.frame(index), self._motion.avatar, axes=self._axes, up=self._up)
 
 
-def _refuse_others(folder: Path, options: SplatOptions, files: tuple[Path, ...], frames: int) -> None:
-    """InputError when the folder holds frames that a motion of so many does not have, or files that would be lost."""
+def _refuse_others(folder: Path, options: SplatOptions, files: tuple[Path, ...], frames: int) -> int:
+    """InputError when the folder holds frames that a motion of so many does not have, or files that would be lost.
+    Gives how many other frames of that name it holds."""
     pattern = re.compile(re.escape(options.name) + r"\.(-?\d+)\." + options.format)
     there = {path.name: int(found[1]) for path in folder.iterdir() if (found := pattern.fullmatch(path.name))}
     known = range(options.first_frame, options.first_frame + frames)
@@ -151,13 +154,15 @@ def _refuse_others(folder: Path, options: SplatOptions, files: tuple[Path, ...],
             came=f"{len(others)} others ({others[0]} to {others[-1]})",
             remedy="Remove them, or choose another folder or name.",
         )
-    if not options.overwrite and (lost := [path.name for path in files if path.name in there]):
+    lost = [path.name for path in files if path.name in there]
+    if lost and not options.overwrite:
         raise InputError(
             f"folder {folder}",
             wanted=f"none of the frames of {options.name} that are to be written",
             came=f"{len(lost)} ({lost[0]} to {lost[-1]})",
             remedy="Replace them with --overwrite, or choose another folder or name.",
         )
+    return len(there) - len(lost)
 
 
 def _check_space(folder: Path, expected: int) -> None:

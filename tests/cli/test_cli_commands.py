@@ -423,6 +423,9 @@ def test_export_writes_splat_files_too(tmp_path, capsys):
     assert run(*command) == 2
     assert "--overwrite" in capsys.readouterr().err
     assert run(*command, "--overwrite") == 0
+    assert "stay there" not in capsys.readouterr().out
+    assert run(*command[:4], "--avatar", "painted", *words[2:], "--frames", "3") == 0
+    assert "2 other frames of hand stay there" in capsys.readouterr().out
 
 
 def test_a_single_frame_becomes_one_file_of_the_format_that_is_named(tmp_path, capsys):

@@ -125,6 +125,16 @@ def test_a_motion_is_made_in_parts_whose_frames_keep_their_numbers(tmp_path):
         assert path.read_bytes() == (tmp_path / "parts" / path.name).read_bytes()
 
 
+def test_frames_that_stay_beside_those_of_a_part_are_counted(tmp_path):
+    """Files of splats do not say which motion they are of."""
+    avatar, motion = small_avatar(), lively_motion(Handedness.RIGHT, 4)
+    assert export_splats(tmp_path, avatar, motion, frames=range(3)).kept == 0
+    assert export_splats(tmp_path, avatar, motion, frames=range(3, 4)).kept == 3
+    other = lively_motion(Handedness.LEFT, 4)
+    assert export_splats(tmp_path, avatar, other, SplatOptions(overwrite=True), frames=range(1, 3)).kept == 2
+    assert export_splats(tmp_path, avatar, other, SplatOptions(overwrite=True)).kept == 0
+
+
 def test_frames_that_are_there_are_replaced_only_where_that_is_asked_for(tmp_path):
     avatar = small_avatar()
     first, second = lively_motion(Handedness.RIGHT, 3), lively_motion(Handedness.LEFT, 3)
