@@ -7,8 +7,8 @@ in files that JGHand writes is the standard order, the unit metres. Nothing is e
     .json  {"format": "jghand motion", "version": 1, "order", "unit", "fps", "handedness", "joints": [[[x, y, z], …]]}:
            frames of joints; a missing joint is null; "filled", optional, lists numbers of frames
     .csv   comment lines `# unit: m` and so on, a header `frame,wrist_x,wrist_y,…`, one line per frame; empty cells are
-           missing. Without joint names in the header the columns are the 63 numbers of the declared order. A comment
-           `# filled: 3 4 5` is optional
+           missing. Without joint names in the header the columns are the 63 numbers of the declared order. A column
+           called frame and one of times (`time`, `timestamp_ms`, …) may stand anywhere. `# filled: 3 4 5` is optional
     .npy   (F, 21, 3) numbers
 
 Filled frames are those that nobody measured: whoever made the file closed a gap there.
@@ -29,7 +29,9 @@ import numpy as np
 
 from jghand_engine import limits
 from jghand_engine.datasets.motions.bone_names import BoneMap
+from jghand_engine.datasets.motions.clocks import TIME_NAMES
 from jghand_engine.datasets.motions.damage import NoMotionError
+from jghand_engine.datasets.motions.json_points import plain
 from jghand_engine.datasets.motions.json_text import JsonText
 from jghand_engine.datasets.motions.text_lines import bounded_lines
 from jghand_engine.errors import InputError
@@ -271,9 +273,6 @@ def _declarations(sequence: PoseSequence) -> dict[str, str | float]:
 # ---- CSV ------------------------------------------------------------------------------------------------------------
 
 _COLUMNS = [f"{name}_{axis}" for name in STANDARD_NAMES for axis in "xyz"]
-# columns of times, and all that may stand before the joints
-_CLOCKS = ("time", "time_s", "timestamp")
-_COUNTERS = ("frame", *_CLOCKS)
 
 
 def _read_csv(file: Path) -> FileContent:
@@ -284,14 +283,13 @@ def _read_csv(file: Path) -> FileContent:
         if first is None:
             return FileContent(np.zeros((0, len(STANDARD_NAMES), 3)), None, declared)
         header = [cell.strip().lower() for cell in first]
-        clock = [place for place, name in enumerate(header) if name in _CLOCKS][:1]
+        clock = [place for place, name in enumerate(header) if plain(name) in TIME_NAMES][:1]
         if has_own_columns(header):
             # names say more than any declaration: the columns may stand in any order
             places = [header.index(column) for column in _COLUMNS]
             declared["order"] = JointOrder.STANDARD.value
         else:
-            skip = 1 if header[0] in _COUNTERS else 0
-            places = list(range(skip, len(header)))
+            places = [place for place, name in enumerate(header) if plain(name) not in ("frame", *TIME_NAMES)]
             if len(places) % 3:
                 raise ValueError(f"{len(places)} columns of numbers are not x, y, z of joints")
         has_header = not all(_is_number(cell) for cell in header)

@@ -197,6 +197,26 @@ def test_a_column_of_times_is_the_clock_where_no_rate_is_declared(tmp_path, name
     assert read_motion_file(path, MotionFormat(unit="m", handedness=Handedness.RIGHT)).sequence.fps == 25.0
 
 
+@pytest.mark.parametrize("clock", ["timestamp_ms", "Time (s)", "t", "seconds"])
+@pytest.mark.parametrize("named", [True, False])
+@pytest.mark.parametrize("place", ["behind the frame", "last"])
+def test_a_column_of_times_may_have_any_usual_name_and_stand_anywhere(tmp_path, clock, named, place):
+    motion = _motion()
+    listed = from_level(motion.joints_m, JointOrder.STANDARD).reshape(len(motion), 63).tolist()
+    names = [f"{name}_{axis}" for name in STANDARD_NAMES for axis in "xyz"] if named else [f"c{k}" for k in range(63)]
+    times = [str((1000 if "ms" in clock else 1) * number / 120) for number in range(len(motion))]
+    rows = [list(map(repr, row)) for row in listed]
+    if place == "last":
+        table = [[*names, clock], *([*row, time] for row, time in zip(rows, times, strict=True))]
+    else:
+        table = [["frame", clock, *names], *(["7", time, *row] for row, time in zip(rows, times, strict=True))]
+    path = tmp_path / "motion.csv"
+    path.write_text("\n".join(map(",".join, table)))
+    read = read_motion_file(path, MotionFormat(unit="m", handedness=Handedness.RIGHT))
+    assert read.sequence.fps == 120.0
+    assert np.array_equal(read.sequence.joints_m, motion.joints_m)
+
+
 def test_csv_errors_name_row_and_column(tmp_path):
     path = tmp_path / "motion.csv"
     write_motion(path, _motion())
@@ -225,12 +245,15 @@ def test_masked_joints_of_an_archive_stay_missing(tmp_path):
         read_motion_file(path)
 
 
-@pytest.mark.parametrize(("what", "value"), [("unit", "inch"), ("order", "kinect"), ("handedness", "both")])
+@pytest.mark.parametrize(
+    ("what", "value"), [("unit", "inch"), ("order", "kinect"), ("handedness", "both"), ("fps", "abc"), ("fps", "nan")]
+)
 def test_unknown_declarations_list_the_known(tmp_path, what, value):
     told = {"order": "standard", "unit": "m", "handedness": "right", what: value}
     path = tmp_path / "motion.npz"
     np.savez(path, joints=from_level(_motion().joints_m, JointOrder.STANDARD), **told)
-    with pytest.raises(InputError, match="wanted"):
+    named = {"fps": "frames per second"}.get(what, what)
+    with pytest.raises(InputError, match=rf"{named} of .*motion\.npz: wanted .*{value}"):
         read_motion_file(path)
 
 

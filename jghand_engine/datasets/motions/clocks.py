@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -13,6 +14,21 @@ from jghand_engine.datasets.motions.damage import NoMotionError
 UNITS = {"seconds": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
 # rates of film and video of which there are slower ones by a thousandth: 24000 / 1001, 30000 / 1001, 60000 / 1001
 _NTSC_BASES = (24, 30)
+
+# names of a frame's time among those of its members, or of a column's, as `plain` has them
+TIME_NAMES = (
+    *("timestamp", "timestampms", "timestampus", "timestamps", "time", "timems", "times", "timeseconds", "t"),
+    *("seconds", "milliseconds", "predicteddisplaytime"),
+)
+
+
+def time_in(frame: Mapping[str, Any]) -> float | None:
+    """The time among the members of a frame, whose names are `plain`; None without one."""
+    for name in TIME_NAMES:
+        value = frame.get(name)
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            return float(value)
+    return None
 
 
 def whole_rate(fps: float) -> float:

@@ -17,6 +17,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import Any
 
+from jghand_engine.datasets.motions.clocks import time_in
 from jghand_engine.datasets.motions.content import MotionContent
 from jghand_engine.datasets.motions.damage import NoMotionError
 from jghand_engine.datasets.motions.frames import FoundHand, FrameHands
@@ -29,7 +30,6 @@ _WORLD = ("worldlandmarks", "multihandworldlandmarks", "handworldlandmarks", "ha
 _IMAGE = ("landmarks", "multihandlandmarks", "handlandmarks", "righthandlandmarks", "lefthandlandmarks")
 _OF_SIDE = {"righthandworldlandmarks": Handedness.RIGHT, "lefthandworldlandmarks": Handedness.LEFT}
 _LABELS = ("handedness", "handednesses", "multihandedness")
-_TIMES = ("timestamp", "timestampms", "timestampus", "timestamps", "time", "timems", "times", "t", "timeseconds")
 
 
 def looks_like(frame: Any) -> bool:
@@ -61,7 +61,7 @@ def read(frames: Iterator[Any], fps: float | None, mirrored_labels: bool | None)
         if is_mirrored:
             turned += any(hand.side is not None for hand in hands)
             hands = [replace(one, side=None if one.side is None else one.side.other) for one in hands]
-        collected.add(hands, _time(by_key))
+        collected.add(hands, time_in(by_key))
     if image_only and not any(track.frames_seen for track in collected.tracks(labelled=True)):
         raise NoMotionError(
             "it holds landmarks of the image only, which have no scale and hardly a depth: save the world landmarks too"
@@ -134,11 +134,3 @@ def _label(value: Any) -> tuple[Handedness | None, float]:
 def _is_old(frame: Mapping[str, Any]) -> bool:
     """Whether the frame has the names of the old interface."""
     return "multihandedness" in frame or "multihandworldlandmarks" in frame
-
-
-def _time(frame: Mapping[str, Any]) -> float | None:
-    for key in _TIMES:
-        value = frame.get(key)
-        if isinstance(value, int | float) and not isinstance(value, bool):
-            return float(value)
-    return None

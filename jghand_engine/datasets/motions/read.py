@@ -6,8 +6,11 @@ from the lengths of its bones. Which hand it is joints cannot tell: then it has 
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -28,6 +31,7 @@ from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import METRES_PER_UNIT, JointOrder, check_hand_size, check_order, to_level
 from jghand_engine.hand.sequence import PoseSequence
 
+_Parsed = TypeVar("_Parsed")
 # what files of motions are called; content decides, this is for lists of files
 SUFFIXES = (".npz", ".npy", ".json", ".csv", ".bvh", ".glb", ".gltf", *usd.SUFFIXES)
 
@@ -149,22 +153,45 @@ def _own(file: Path, kind: Kind) -> MotionContent:
         if content.valid.shape != joints.shape[:2]:
             raise InputError(f"'valid' in {file}", wanted=f"shape {joints.shape[:2]}", came=str(content.valid.shape))
         joints[~content.valid] = np.nan
-    unit = None if declared.get("unit") is None else str(declared["unit"])
-    if unit is not None and unit not in METRES_PER_UNIT:
-        raise InputError(f"unit of {file}", wanted=" or ".join(METRES_PER_UNIT), came=repr(unit))
-    side = None if declared.get("handedness") is None else Handedness(str(declared["handedness"]))
-    order = None if declared.get("order") is None else JointOrder.parse(str(declared["order"]))
-    fps = None if declared.get("fps") is None else float(declared["fps"])
+    metres = _declared(f"unit of {file}", declared.get("unit"), _metres_of)
+    side = _declared(f"handedness of {file}", declared.get("handedness"), Handedness)
+    order = _declared(f"order of {file}", declared.get("order"), JointOrder.parse)
+    fps = _declared(f"frames per second of {file}", declared.get("fps"), _fps)
     return MotionContent(
-        "JGHand's own format" if order is not None and unit is not None else f"plain {kind.value[1:]}",
+        "JGHand's own format" if order is not None and metres is not None else f"plain {kind.value[1:]}",
         (HandTrack(joints, side, order),),
-        None if unit is None else METRES_PER_UNIT[unit],
-        unit is not None,
+        metres,
+        metres is not None,
         fps,
         content.times if fps is None else (),
         filled=motion_files.filled_frames(file, content),
         is_plain=True,
     )
+
+
+def _declared(thing: str, value: Any, parsed: Callable[[str], _Parsed]) -> _Parsed | None:
+    """What a file declares, None for nothing. InputError names the thing."""
+    try:
+        return None if value is None else parsed(str(value))
+    except InputError as error:
+        raise InputError(thing, wanted=error.wanted, came=error.came[:200]) from error
+
+
+def _metres_of(unit: str) -> float:
+    if unit not in METRES_PER_UNIT:
+        raise InputError("unit", wanted=" or ".join(METRES_PER_UNIT), came=repr(unit))
+    return METRES_PER_UNIT[unit]
+
+
+def _fps(text: str) -> float:
+    try:
+        fps = float(text)
+    except ValueError:
+        fps = math.nan
+    if not limits.FPS_MIN <= fps <= limits.FPS_MAX:
+        wanted = f"{limits.FPS_MIN:g} to {limits.FPS_MAX:g}"
+        raise InputError("frames per second", wanted=wanted, came=repr(text))
+    return fps
 
 
 def _fits(suffix: str, kind: Kind) -> bool:

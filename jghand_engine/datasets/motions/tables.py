@@ -12,6 +12,7 @@ import numpy as np
 
 from jghand_engine import limits
 from jghand_engine.datasets.motions.bone_names import NamedHand, hands_among
+from jghand_engine.datasets.motions.clocks import TIME_NAMES
 from jghand_engine.datasets.motions.content import HandTrack, MotionContent
 from jghand_engine.datasets.motions.damage import NoMotionError
 from jghand_engine.datasets.motions.json_points import plain
@@ -21,7 +22,6 @@ from jghand_engine.hand.orders import JointOrder
 
 # a joint's name, what parts it from its axis, the axis
 _COLUMN = re.compile(r"(.+?)[._ -]+([xyz])", re.IGNORECASE)
-_TIMES = ("timestamp", "timestampms", "timestampus", "time", "timems", "times", "t", "seconds", "milliseconds")
 
 
 def named_hands(header: list[str]) -> tuple[list[NamedHand], dict[str, tuple[int, int, int]], list[str]]:
@@ -57,7 +57,7 @@ def read_tracks(file: Path) -> tuple[tuple[HandTrack, ...], list[float | None]]:
             for place in hand.bones
             for column in ((-1, -1, -1) if place is None else columns[names[place]])
         ]
-        clock = [place for place, cell in enumerate(header) if plain(cell) in _TIMES][:1]
+        clock = [place for place, cell in enumerate(header) if plain(cell) in TIME_NAMES][:1]
         table = np.array(list(_frames(rows, flat + clock)), dtype=np.float64).reshape(-1, len(flat) + len(clock))
     joints = table[:, : len(flat)].reshape(-1, len(hands), JOINT_COUNT, 3)
     tracks = tuple(

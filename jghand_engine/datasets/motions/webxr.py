@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from jghand_engine.datasets.motions.clocks import time_in
 from jghand_engine.datasets.motions.content import MotionContent
 from jghand_engine.datasets.motions.damage import NoMotionError
 from jghand_engine.datasets.motions.frames import FoundHand, FrameHands
@@ -30,7 +31,6 @@ _JOINT_NUMBERS = 8  # position, quaternion, radius
 _VIEWER_NUMBERS, _RAY_NUMBERS = 8, 8  # time or index, position, quaternion
 _LISTS = ("hands", "inputsources", "inputs", "sources", "controllers")
 _XR_COUNTS, _XR_CONVENTIONS = (25, 26), ("WebXR", "OpenXR")
-_TIMES = ("timestamp", "time", "timestampms", "timems", "t", "predicteddisplaytime")
 
 
 def looks_like(frame: Any) -> bool:
@@ -45,7 +45,7 @@ def read(frames: Iterator[Any], fps: float | None) -> MotionContent:
     """The hands in a row of frames. ValueError says what is wrong."""
     collected = FrameHands()
     for frame in frames:
-        collected.add(_hands(frame), _time(frame))
+        collected.add(_hands(frame), time_in(_by_key(frame)))
     tracks = collected.tracks(labelled=False)
     # a headset counts metres; of joints that are not a headset's nothing is known
     kind, metres = (KIND, 1.0) if collected.in_metres else ("joints in JSON", None)
@@ -115,9 +115,9 @@ def _hands(frame: Any) -> list[FoundHand]:
                 return [FoundHand(None, joints, order=JointOrder.OPENXR, in_metres=True)]
             return [FoundHand(None, joints)] if len(joints) == JOINT_COUNT else []
         return [hand for one in frame if isinstance(one, Mapping) for hand in _hands(one)]
-    if not isinstance(frame, Mapping):
+    by_key = _by_key(frame)
+    if not by_key:
         return []
-    by_key = {plain(str(key)): value for key, value in frame.items()}
     sided = [
         replace(hand, side=side)
         for side in Handedness
@@ -139,17 +139,11 @@ def _hands(frame: Any) -> list[FoundHand]:
     ]
 
 
+def _by_key(frame: Any) -> dict[str, Any]:
+    """The members of a frame by their plain names; {} for one that has none."""
+    return {plain(str(key)): value for key, value in frame.items()} if isinstance(frame, Mapping) else {}
+
+
 def _side(value: Any) -> Handedness | None:
     text = str(value).casefold()
     return next((side for side in Handedness if text in (side.value, side.value[0])), None)
-
-
-def _time(frame: Any) -> float | None:
-    if not isinstance(frame, Mapping):
-        return None
-    by_key = {plain(str(key)): value for key, value in frame.items()}
-    for key in _TIMES:
-        value = by_key.get(key)
-        if isinstance(value, int | float) and not isinstance(value, bool):
-            return float(value)
-    return None
