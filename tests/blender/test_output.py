@@ -26,6 +26,7 @@ from blender_addon.bridge import (
     folders,
     job_watch,
     kept,
+    owners,
     record,
     sources,
     sync,
@@ -33,7 +34,7 @@ from blender_addon.bridge import (
     usd_hook,
     versions,
 )
-from blender_addon.core import bakes
+from blender_addon.core import bakes, export_stamp
 from blender_addon.core.engine_command import VARIABLE
 from blender_addon.core.motion_files import read_motion
 from blender_addon.operators.export import ExportSceneUsd
@@ -130,6 +131,18 @@ def test_an_export_of_unknown_origin_and_one_of_another_hand_are_not_written_ove
     with pytest.raises(RuntimeError, match=r"Hand\.R"):
         bpy.ops.jghand.export()
     assert (tmp_path / "right.npz").read_bytes() == b"mine"
+
+
+def test_that_somebody_changed_its_own_stage_is_said_before_anything_is_recorded(extension, tmp_path, monkeypatch):
+    hand = a_hand(extension)
+    settings = extension.scene.jghand.output
+    settings.format, settings.folder = "usd", str(tmp_path)
+    export_stamp.claim(tmp_path, "right", "usd", owners.owner_in(tmp_path, hand.name))
+    (tmp_path / "right.usda").write_text("#usda 1.0\n")
+    monkeypatch.setattr(runtime, "program", lambda: pytest.fail("it was not refused"))
+    with pytest.raises(RuntimeError, match=r"somebody has changed.*right\.usda"):
+        bpy.ops.jghand.export()
+    assert (tmp_path / "right.usda").read_text() == "#usda 1.0\n"
 
 
 def test_a_project_that_is_moved_as_a_whole_keeps_its_exports(extension, tmp_path):
