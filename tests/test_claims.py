@@ -46,7 +46,11 @@ def test_what_another_process_holds_is_not_free_and_the_next_piece_is(tmp_path):
     other.wait()
     with claims.held(7) as seven:
         assert seven, "the system takes it back from a killed process"
+    still = holder(tmp_path / "claims", 9)
     claims.close()
+    assert (tmp_path / "claims").exists(), "somebody holds a piece"
+    still.kill()
+    still.wait()
 
 
 def test_one_can_wait_for_a_piece(tmp_path):
@@ -64,15 +68,15 @@ def test_one_can_wait_for_a_piece(tmp_path):
         assert not free, "nobody waits for ever"
     asleep.kill()
     asleep.wait()
-    claims.close(remove=True)
-    assert not (tmp_path / "claims").exists()
+    claims.close()
+    assert not (tmp_path / "claims").exists(), "the last one removes it"
 
 
 def test_where_the_file_system_has_no_locks_every_claim_is_granted(tmp_path, monkeypatch):
     def refused(*_):
         raise OSError(errno.ENOLCK, os.strerror(errno.ENOLCK))
 
-    monkeypatch.setattr(lock, "_take_byte", refused)
+    monkeypatch.setattr(lock, "_take_bytes", refused)
     claims = Claims(tmp_path / "claims")
     with claims.held(0) as free:
         assert free

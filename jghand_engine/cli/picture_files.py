@@ -29,18 +29,19 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class Target:
     """Where pictures go. background: sRGB 0..1 that they are laid on, None keeps them transparent · name: pattern of
-    the files, filled with the frame's number · first: number of the first frame · text: of the progress bar ·
+    the files, filled with the frame's number · first, step: numbers of the frames · text: of the progress bar ·
     shutter: the part of the time between frames that it is open."""
 
     folder: Path
     background: tuple[float, float, float] | None = None
     name: str = "frame_{:05d}.png"
     first: int = 0
+    step: int = 1
     text: str = "Rendering"
     shutter: float = 0.0
 
     def path(self, index: int) -> Path:
-        return self.folder / self.name.format(self.first + index)
+        return self.folder / self.name.format(self.first + index * self.step)
 
 
 @dataclass(frozen=True)
@@ -95,17 +96,17 @@ class Shooting:
                 bar.advance(bar.task_ids[0])
 
 
-def refuse_longer_render(folder: Path, count: int) -> None:
-    """InputError when the folder holds pictures that `count` new ones would not replace: two motions would be mixed.
+def refuse_other_frames(folder: Path, frames: range) -> None:
+    """InputError when the folder holds pictures of other frames than these: two motions might be mixed.
 
     They are not removed: nothing tells whether they are still wanted.
     """
     found = (re.fullmatch(r"frame_(\d{5,})\.png", path.name) for path in folder.glob("frame_*.png"))
-    left = sorted(match[0] for match in found if match and int(match[1]) >= count)
+    left = sorted(match[0] for match in found if match and int(match[1]) not in frames)
     if left:
         raise InputError(
             f"--out {folder}",
-            wanted=f"a folder without pictures beyond the {count} of this run",
-            came=f"{len(left)} of an earlier one ({left[0]} to {left[-1]})",
-            remedy="Remove them or choose another folder.",
+            wanted=f"a folder without pictures of other frames than {frames.start} to {frames[-1]}",
+            came=f"{len(left)} of an earlier run ({left[0]} to {left[-1]})",
+            remedy="Remove them or choose another folder; a motion is drawn in parts with --shard.",
         )

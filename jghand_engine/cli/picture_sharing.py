@@ -115,8 +115,7 @@ def make_part(shooting: Shooting, part: Part, known: Collection[int] = ()) -> Ou
         others = [index for index in range(total) if index not in indices and index not in known]
         outcome.complete = len(_there(shooting, others)) == len(others)
     finally:
-        # with all pictures there nobody has anything to claim
-        claims.close(remove=outcome.complete)
+        claims.close()
     return outcome
 
 

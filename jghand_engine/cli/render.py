@@ -74,7 +74,7 @@ class Render:
         from jghand_engine.avatar.builtin import load_avatar_called
         from jghand_engine.cli.camera_file import camera_to_dict
         from jghand_engine.cli.inputs import load_motion
-        from jghand_engine.cli.picture_files import Shooting, Target, refuse_longer_render
+        from jghand_engine.cli.picture_files import Shooting, Target, refuse_other_frames
         from jghand_engine.cli.picture_sharing import make_part, refuse_foreign
         from jghand_engine.cli.receipts import Receipts
         from jghand_engine.cli.render_passes import refuse_older_truth
@@ -96,7 +96,7 @@ class Render:
         avatar = avatar.for_hand(motion.sequence.handedness)
         for note in motion.notes:
             say(note)
-        refuse_longer_render(self.out, len(motion.sequence))
+        refuse_other_frames(self.out, motion.frames)
         refuse_older_truth(self.out, () if passes is None else passes.names)
         camera = self._camera(motion, size)
         settings, chosen = self._settings(avatar, camera)
@@ -106,9 +106,11 @@ class Render:
             settings = replace(settings, effects=effects)
         renderer = HandRenderer(avatar, settings if passes is None else passes.settings(settings))
         joints_m = motion.sequence.joints_m
+        target = Target(
+            self.out, background, first=motion.frames.start, step=motion.frames.step, shutter=self.effect.shutter
+        )
         shooting = Shooting(
-            renderer, joints_m, self._with_lens(camera, motion),
-            Target(self.out, background, shutter=self.effect.shutter), Timings(), Receipts(), passes,
+            renderer, joints_m, self._with_lens(camera, motion), target, Timings(), Receipts(), passes,
             self._made_from(renderer.settings, motion),
         )  # fmt: skip
         if passes is not None:

@@ -76,7 +76,7 @@ def test_maps_are_channels_of_an_exr_file(tmp_path):
     package = pytest.importorskip("OpenEXR", reason="the extra formats is not installed")
     assert render(tmp_path, "--passes", "depth,normal,ids,alpha") == 0
     files = sorted((tmp_path / "passes").iterdir())
-    assert [path.name for path in files] == ["frame_00000.exr", "frame_00001.exr"]
+    assert [path.name for path in files] == ["frame_00000.exr", "frame_00002.exr"]
     with package.File(str(files[0]), separate_channels=True) as content:
         found = {name: channel.pixels for name, channel in content.channels().items()}
         assert content.header()["units"] == "metres"

@@ -203,6 +203,7 @@ def test_a_claim_that_is_never_given_back_is_waited_for_only_so_long(tmp_path, w
         assert "made here too" in said
         assert at_work.exists(), "it may wake up"
         at_work.unlink()
+        (tmp_path / "out" / CLAIMS).unlink()
     assert contents(tmp_path / "out") == whole
 
 
@@ -276,11 +277,21 @@ def test_a_plain_run_that_fails_leaves_the_claims_of_others(half, monkeypatch):
         assert (half / CLAIMS).stat().st_ino == claims
 
 
+def test_frames_have_their_numbers_in_the_motion_and_do_not_replace_others(tmp_path, capsys):
+    assert render(tmp_path, *SMALL, "--frames", "2:6:2") == 0
+    names = ["frame_00002.png", "frame_00004.png", "frame_00006.png"]
+    before = contents(tmp_path)
+    assert sorted(name for name in before if name.endswith(".png")) == names
+    assert render(tmp_path, *SMALL, "--frames", "8:9") == 2
+    assert "frame_00002.png to frame_00006.png" in " ".join(capsys.readouterr().err.split())
+    assert contents(tmp_path) == before
+
+
 def test_where_there_are_no_locks_nothing_of_others_is_cleared_away(half, monkeypatch):
-    def no_locks(_descriptor: int, _number: int) -> None:
+    def no_locks(_descriptor: int, _first: int, _count: int) -> None:
         raise OSError(errno.ENOLCK, "no locks available")
 
-    monkeypatch.setattr(lock, "_take_byte", no_locks)
+    monkeypatch.setattr(lock, "_take_bytes", no_locks)
     at_work = half / ".frame_00001.abcd.png"
     at_work.write_bytes(b"half a picture of another process")
     assert render(half, "--skip-existing") == 0
@@ -313,16 +324,13 @@ def test_half_written_and_damaged_pictures_are_made_again_and_no_others(half, wh
         (("--preset", "draft"), "of another settings, look"),
         (("--camera", "back"), "of another look"),
         (("--poses", "open,point"), "of another motion"),
-        (("--frames", "1-10"), "of another choice of frames, frame"),
         (("--avatar", "builtin"), "of another avatar"),
         (("--passes", "joints"), "of another settings, look"),
     ],
 )
 def test_pictures_of_something_else_are_refused_and_stay(half, capsys, words, told):
     before = contents(half)
-    assert (
-        render(half, *(("--frames", "0-9") if "--frames" not in words else ()), *SMALL, *words, "--skip-existing") == 2
-    )
+    assert render(half, "--frames", "0-9", *SMALL, *words, "--skip-existing") == 2
     error = " ".join(capsys.readouterr().err.split())
     assert told in error
     assert "--shard and --skip-existing replaces it" in error
@@ -381,11 +389,11 @@ def test_a_picture_whose_maps_are_missing_or_broken_is_made_again(tmp_path):
     words = (*SMALL, "--frames", "4:6", "--passes", "depth,joints")
     assert render(tmp_path, *words) == 0
     before = contents(tmp_path)
-    (tmp_path / "passes" / "frame_00000.exr").unlink()
-    (tmp_path / "passes" / "frame_00001.exr").write_bytes(before["passes/frame_00001.exr"][:-100])
+    (tmp_path / "passes" / "frame_00004.exr").unlink()
+    (tmp_path / "passes" / "frame_00005.exr").write_bytes(before["passes/frame_00005.exr"][:-100])
     # whole, but of another size
     assert main(["render", *words, "--size", "32x24", "--out", str(tmp_path / "other")]) == 0
-    shutil.move(tmp_path / "other" / "passes" / "frame_00002.exr", tmp_path / "passes" / "frame_00002.exr")
+    shutil.move(tmp_path / "other" / "passes" / "frame_00006.exr", tmp_path / "passes" / "frame_00006.exr")
     shutil.rmtree(tmp_path / "other")
     assert render(tmp_path, *words, "--skip-existing") == 0
     assert contents(tmp_path) == before
