@@ -18,10 +18,12 @@ from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import FINGERS, JOINT_COUNT, LEVEL_NAMES, PARENTS
 from jghand_engine.hand.orders import hand_length
 from jghand_engine.hand.rotations import slerp
-from jghand_engine.hand.sequence import GapReport, PoseSequence, palm_frames, poses_at, rotations_between
+from jghand_engine.hand.sequence import GapReport, PoseSequence, alignment, palm_frames, poses_at, rotations_between
 
 # where an axis stands that points up, as a turn about x from y
 _UP_DEG = {"y": 0, "z": 90, "-y": 180}
+# the base of the thumb and the knuckles, which move little in the palm
+_KNUCKLES = slice(1, 6)
 
 
 @dataclass(frozen=True)
@@ -48,15 +50,16 @@ class FilledMotion:
 def fill_gaps(sequence: PoseSequence) -> FilledMotion:
     """Every missing joint from the frames before and after; joints that were seen are not moved.
 
-    A bone's direction goes along the great circle inside the palm, which itself turns the short way, its length and
-    the wrist linearly; before the first and after the last frame that shows it a bone keeps its place in the palm.
-    Joints missing between two that were seen bend there so that all bones keep their lengths, as far as what was seen
-    lets them. InputError when the wrist or a bone is in no frame.
+    A bone's direction goes along the great circle inside the palm, which itself turns the short way, its length
+    linearly; before the first and after the last frame that shows it a bone keeps its place in the palm. Joints missing
+    between two that were seen bend there so that all bones keep their lengths, as far as what was seen lets them. The
+    wrist lies to the knuckles as it did; where one of them is missing too it goes linearly. InputError when the wrist
+    or a bone is in no frame.
     """
     valid, joints = sequence.valid, sequence.joints_m.copy()
     if valid.all():
         return FilledMotion(sequence, sequence.gaps)
-    joints[:, 0] = _wrist(joints[:, 0], valid[:, 0])
+    joints[:, 0] = _wrist(joints, valid)
     palms, has_palm = _palms(sequence.joints_m)
     lengths = _lengths(sequence.bone_lengths_m)
     for joint in range(1, JOINT_COUNT):
@@ -149,12 +152,29 @@ def with_hand_length(sequence: PoseSequence, length_m: float) -> PoseSequence:
     return dataclasses.replace(sequence, joints_m=sequence.joints_m * factor, valid=sequence.valid)
 
 
-def _wrist(positions: np.ndarray, seen: np.ndarray) -> np.ndarray:
-    """(F, 3) with the missing ones between their neighbours, held at both ends."""
-    if not seen.any():
+def _wrist(joints: np.ndarray, valid: np.ndarray) -> np.ndarray:
+    """Wrists (F, 3): a missing one where it lay to the knuckles before and after; where one of those is missing too
+    between its neighbours, held at both ends."""
+    seen = np.flatnonzero(valid[:, 0])
+    if not len(seen):
         raise InputError("motion", wanted="the wrist in at least one frame", came="none")
-    frames = np.arange(len(positions))
-    return np.stack([np.interp(frames, frames[seen], positions[seen, axis]) for axis in range(3)], axis=-1)
+    frames = np.arange(len(joints))
+    wrist = np.stack([np.interp(frames, seen, joints[seen, 0, axis]) for axis in range(3)], axis=-1)
+    has_knuckles = valid[:, _KNUCKLES].all(axis=1)
+    known, lost = np.flatnonzero(has_knuckles & valid[:, 0]), np.flatnonzero(has_knuckles & ~valid[:, 0])
+    if len(known) and len(lost):
+        before, after, part = _neighbours(known, lost)
+        share = part[:, None]
+        wrist[lost] = (1 - share) * _wrist_as(joints, before, lost) + share * _wrist_as(joints, after, lost)
+    return wrist
+
+
+def _wrist_as(joints: np.ndarray, known: np.ndarray, lost: np.ndarray) -> np.ndarray:
+    """Wrists (L, 3) in the frames `lost` that lie to the knuckles as in the frames `known` (L,)."""
+    there, here = joints[known, _KNUCKLES], joints[lost, _KNUCKLES]
+    middle, centre = there.mean(axis=1, keepdims=True), here.mean(axis=1, keepdims=True)
+    turns = alignment(there - middle, here - centre)
+    return centre[:, 0] + np.einsum("fij,fj->fi", turns, joints[known, 0] - middle[:, 0])
 
 
 def _palms(joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -177,6 +177,22 @@ def test_joints_lost_between_two_that_were_seen_keep_the_bones_lengths(lost):
     assert np.ptp(bone_lengths(filled.joints_m), axis=0).max() < 1e-15
 
 
+@pytest.mark.parametrize("frames", [slice(5, 13), slice(6, 31), slice(20, 39), slice(0, 8), slice(30, 40)])
+def test_a_wrist_lost_alone_lies_to_the_knuckles_as_it_did(frames):
+    """The palm of the sample is stiff; on a straight way the wrist would be up to 105 mm off."""
+    whole = motion_samples.motion()
+    filled = fill_gaps(_without(whole, frames, [0])).sequence
+    # worst seen 7e-16 m
+    np.testing.assert_allclose(filled.joints_m, whole.joints_m, rtol=0, atol=1e-15)
+
+
+def test_a_wrist_lost_with_a_knuckle_is_found_too():
+    whole = motion_samples.motion()
+    filled = fill_gaps(_without(whole, slice(6, 30), [0, 3])).sequence
+    assert np.isfinite(filled.joints_m).all()
+    assert np.array_equal(filled.joints_m[:, 1:3], whole.joints_m[:, 1:3])
+
+
 def test_a_finger_that_is_stretched_too_far_is_straight():
     """What was seen cannot be reached with bones of their lengths: they lie on the line."""
     whole = _turning(5, 0.0)
