@@ -118,9 +118,12 @@ OWN_HAND_SIGMA = 0.03
 OWN_HAND_FRAMES = 200
 OWN_HAND_PICTURES = 30
 OWN_HAND_ROUNDS = 12
-# gaps of up to so many seconds are part of the fit, which goes on from the speed before to that after; in longer ones
+# gaps of up to so many seconds are filled by the fit, which goes on from the speed before to that after; in longer ones
 # it swings farther beyond both ends and is hardly nearer (measured: docs/TRACKING.md)
 FIT_GAP_S = 0.4
+# what is seen on both sides of a gap of up to so many seconds is fitted together: bursts of a few frames are better
+# for what is around them
+FIT_REACH_S = 1.0
 # frames that are fitted together, more than such a gap has at any rate, and how many more on both sides so that the
 # seam is not felt
 FIT_WINDOW_FRAMES = 900

@@ -23,19 +23,31 @@ from jghand_engine.tracking.smoother import Steadiness, solve
 def fit(skeleton: Skeleton, landmarks: Landmarks, trust: Trust | None = None) -> Poses:
     """The motion. Frames before the hand is first seen hold its first pose, those after the last one its last.
 
-    At least one frame must show the hand. Gaps of up to `limits.FIT_GAP_S` are part of the fit; in longer ones, and in
-    all of them without smoothing, the hand goes evenly from the pose before to the one after. Long videos are fitted in
-    parts that overlap, so that memory is bounded; what is as far away as the overlap has no influence.
+    At least one frame must show the hand. In gaps of up to `limits.FIT_GAP_S` it goes as the fit says; in longer ones,
+    and in all of them without smoothing, evenly from the pose before to the one after. What is seen on both sides of a
+    gap of up to `limits.FIT_REACH_S` is fitted together all the same. Long videos are fitted in parts that overlap, so
+    that memory is bounded; what is as far away as the overlap has no influence.
     """
     trust = trust or Trust()
     seen = np.flatnonzero(landmarks.seen)
     start = initial_poses(skeleton, landmarks)
+    believed = ~_in_long_gaps(landmarks.seen, limits.FIT_GAP_S * landmarks.fps)
     fitted, known = [], []
-    for kept, wide in _parts(seen, None if trust.smoothing == 0 else limits.FIT_GAP_S * landmarks.fps):
+    for kept, wide in _parts(seen, None if trust.smoothing == 0 else limits.FIT_REACH_S * landmarks.fps):
         poses = _fit_part(skeleton, landmarks.part(wide), start.part(wide), trust)
+        kept = kept[believed[kept]]
         fitted.append(poses.part(np.isin(wide, kept)))
         known.append(kept)
     return joined(fitted).spread(np.concatenate(known), len(landmarks.image_px))
+
+
+def _in_long_gaps(seen: np.ndarray, longest: float) -> np.ndarray:
+    """(F,) bool, frames between two that were seen, with more than so many between them."""
+    places = np.flatnonzero(seen)
+    inside = np.zeros(len(seen), dtype=bool)
+    for place in np.flatnonzero(np.diff(places) - 1 > longest):
+        inside[places[place] + 1 : places[place + 1]] = True
+    return inside
 
 
 def _parts(seen: np.ndarray, longest_gap: float | None) -> Iterator[tuple[np.ndarray, np.ndarray]]:

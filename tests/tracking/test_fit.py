@@ -1,5 +1,6 @@
 """The motion that explains landmarks best."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ from tracking_samples import CAMERA, CANONICAL_M, FPS, moving_poses
 from jghand_engine import limits
 from jghand_engine.hand.orders import bone_lengths
 from jghand_engine.hand.sequence import bone_directions
+from jghand_engine.tracking import fit as fit_module
 from jghand_engine.tracking.figures import FINGER_BONES, angles_between_deg, directions_in_palm, jitter_deg, lag_ms
 from jghand_engine.tracking.fit import _parts, fit
 from jghand_engine.tracking.look import Trust, View
@@ -72,8 +74,9 @@ def test_bones_keep_their_lengths_and_joints_their_limits(truth_m):
 
 @pytest.mark.parametrize("gap_s", [0.0, 1.0])
 def test_a_gap_is_closed_along_what_is_around_it(truth_m, monkeypatch, gap_s):
-    """Evenly, and by the fit."""
+    """Evenly between ends that know nothing of each other, and by the fit."""
     monkeypatch.setattr(limits, "FIT_GAP_S", gap_s)
+    monkeypatch.setattr(limits, "FIT_REACH_S", gap_s)
     gone = landmarks(truth_m)
     gone.image_px[25:31] = np.nan
     found = fit(SKELETON, gone).joints_m(SKELETON)
@@ -170,6 +173,22 @@ def test_over_a_gap_the_hand_goes_the_shortest_way(gap, smoothing):
     np.testing.assert_allclose(poses.joints_m(SKELETON)[29 : 31 + gap], between.joints_m(SKELETON), atol=1e-12)
 
 
+def test_what_is_seen_before_and_after_a_gap_helps_each_other_although_the_gap_is_filled_evenly(monkeypatch):
+    """Bursts of two frames in a noisy film, 0.43 s between them."""
+    joints = moving_poses(150).joints_m(SKELETON)
+    noisy = landmarks(joints, noise_px=4.0, noise_rad=0.3)
+    there = np.arange(150) % 15 < 2
+    noisy.image_px[~there] = np.nan
+    together = fit(SKELETON, noisy)
+    monkeypatch.setattr(limits, "FIT_REACH_S", 0.0)
+    alone = errors_deg(fit(SKELETON, noisy).joints_m(SKELETON), joints)
+    error = errors_deg(together.joints_m(SKELETON), joints)
+    assert error[there].mean() < 0.9 * alone[there].mean(), "seen: 0.8"
+    assert error[~there].mean() < 0.95 * alone[~there].mean(), "seen: 0.9"
+    evenly = together.part(there).spread(np.flatnonzero(there), 150)
+    np.testing.assert_allclose(together.angle_rad, evenly.angle_rad, atol=1e-12)
+
+
 @pytest.mark.parametrize("gap_s", [0.1, limits.FIT_GAP_S])
 @pytest.mark.parametrize(("begin", "end"), [(85, 97), (88, 100), (95, 125), (50, 270), (89, 91), (88, 92)])
 def test_where_a_gap_lies_between_parts_of_a_long_video_there_is_no_seam(monkeypatch, begin, end, gap_s):
@@ -258,3 +277,18 @@ def test_a_frame_that_fits_badly_does_not_end_the_fit_of_the_others(truth_m):
     for frame in (3, 20, 41):
         one = fit(SKELETON, seen.part(slice(frame, frame + 1)), Trust(smoothing=0.0)).joints_m(SKELETON)
         np.testing.assert_allclose(together[frame], one[0], atol=1e-12)
+
+
+def test_a_start_whose_first_steps_are_refused_still_comes_to_the_motion(truth_m, monkeypatch):
+    """The steps after those are so short that each gains next to nothing, which is no end yet."""
+    costs, asked = fit_module._costs, itertools.count()
+
+    def refused_at_first(view, poses, steadiness):
+        # asked of every step before it and after it
+        number = next(asked)
+        return costs(view, poses, steadiness) * (np.inf if number < 18 and number % 2 else 1)
+
+    monkeypatch.setattr(fit_module, "_costs", refused_at_first)
+    found = fit(SKELETON, landmarks(truth_m), Trust(rest_rad=1e3, smoothing=0.0)).joints_m(SKELETON)
+    # worst seen 2e-9 m, as without refused steps
+    np.testing.assert_allclose(found, truth_m, atol=1e-7)
