@@ -8,36 +8,39 @@ import os
 import platform
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from jghand_engine.errors import InputError, JGHandError, RetryError
 from jghand_engine.files import file_error
-from jghand_engine.limits import CLAIM_POLL_S, LOCK_HOLDER_BYTES
+from jghand_engine.limits import CLAIM_POLL_S, LOCK_HOLDER_BYTES, LOCK_POLL_S
 
 
 @contextlib.contextmanager
-def locked(path: Path, *, work: str = "work", remedy: str = "Wait until it has ended.") -> Iterator[None]:
+def locked(
+    path: Path, *, work: str = "work", remedy: str = "Wait until it has ended.",
+    waits: Callable[[RetryError], bool] = lambda _: False,
+) -> Iterator[None]:  # fmt: skip
     """Holds the lock file `path` for the duration. RetryError when another process (or thread) holds it; InputError
     where the file system has no locks, as nobody else could be kept out.
 
-    work: what is done meanwhile, for the error
+    work: what is done meanwhile, for the error · waits: given that error again and again while another holds it; says
+    whether to wait for it a little longer
     """
     try:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
     except OSError as error:
         raise file_error(path, error) from error
     try:
-        try:
-            taken = _take(descriptor)
-        except OSError as error:
-            raise _no_locks(path.parent, error) from error
-        if not taken:
-            raise RetryError(
+        while not _taken(descriptor, path.parent):
+            held = RetryError(
                 f"{path.parent}", wanted=f"a folder in which no other {work} is under way",
                 came=f"one in use by process {_holder(descriptor)}",
                 remedy=remedy,
             )  # fmt: skip
+            if not waits(held):
+                raise held
+            time.sleep(LOCK_POLL_S)
         # the first byte is what Windows locks and others then cannot read
         who = f"{os.getpid()} on {platform.node()}"
         os.write(descriptor, f" {who:<{LOCK_HOLDER_BYTES}.{LOCK_HOLDER_BYTES}}\n".encode("ascii", "replace"))
@@ -45,6 +48,13 @@ def locked(path: Path, *, work: str = "work", remedy: str = "Wait until it has e
     finally:
         # the file stays: removing it would let two others lock two files of the same name
         os.close(descriptor)
+
+
+def _taken(descriptor: int, folder: Path) -> bool:
+    try:
+        return _take(descriptor)
+    except OSError as error:
+        raise _no_locks(folder, error) from error
 
 
 def _holder(descriptor: int) -> str:
@@ -94,16 +104,21 @@ class Claims:
                 with contextlib.suppress(OSError):
                     _release_byte(self._descriptor, number)
 
-    def close(self, *, remove: bool = False) -> None:
-        """Gives everything back. remove: also the file, once there is nothing left to claim."""
+    def close(self) -> None:
+        """Gives everything back; the file goes where nobody else holds a piece, or nobody can."""
+        alone = True
+        try:
+            _take_bytes(self._descriptor, 0, _ALL_BYTES)
+        except OSError as error:
+            alone = error.errno not in _TAKEN
         os.close(self._descriptor)
-        if remove:
+        if alone:
             with contextlib.suppress(OSError):
                 self.path.unlink()
 
     def _take(self, number: int) -> bool:
         try:
-            _take_byte(self._descriptor, number)
+            _take_bytes(self._descriptor, number, 1)
         except OSError as error:
             if error.errno in _TAKEN:
                 return False
@@ -120,9 +135,11 @@ _NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOTSUP)
 if sys.platform == "win32":
     import msvcrt
 
-    def _take_byte(descriptor: int, number: int) -> None:
-        os.lseek(descriptor, number, os.SEEK_SET)
-        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+    _ALL_BYTES = 2**31 - 1
+
+    def _take_bytes(descriptor: int, first: int, count: int) -> None:
+        os.lseek(descriptor, first, os.SEEK_SET)
+        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, count)
 
     def _release_byte(descriptor: int, number: int) -> None:
         os.lseek(descriptor, number, os.SEEK_SET)
@@ -142,8 +159,11 @@ if sys.platform == "win32":
 else:
     import fcntl
 
-    def _take_byte(descriptor: int, number: int) -> None:
-        fcntl.lockf(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB, 1, number)
+    # to the system 0 bytes are all that follow
+    _ALL_BYTES = 0
+
+    def _take_bytes(descriptor: int, first: int, count: int) -> None:
+        fcntl.lockf(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB, count, first)
 
     def _release_byte(descriptor: int, number: int) -> None:
         fcntl.lockf(descriptor, fcntl.LOCK_UN, 1, number)

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import signal
 import time
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -15,8 +13,9 @@ import tyro
 from jghand_engine.cli.console import say, say_table, write_json
 from jghand_engine.cli.failures import FAULT, STOPPED
 from jghand_engine.cli.options import ReportOptions
+from jghand_engine.cli.signals import polite_kill_is_ctrl_c
 from jghand_engine.cli.train import Train
-from jghand_engine.errors import InputError, JGHandError, MemoryLimitError, RetryError
+from jghand_engine.errors import InputError, MemoryLimitError, RetryError
 from jghand_engine.limits import PROGRESS_MANY_S
 
 if TYPE_CHECKING:
@@ -89,33 +88,39 @@ class TrainMany:
         if self.jobs < 0:
             raise InputError("--jobs", wanted="1 or more", came=str(self.jobs))
         folder = FarmFolder(self.out)
+        executor = self._executor(folder)
         folder.make()
-        # jobs of a cluster are watched by as many as like to; processes of this machine belong to one
-        with folder.alone() if self.executor == "local" else contextlib.nullcontext():
-            return self._see_through(Runner(trainings, folder, self._executor(folder)), folder)
+        return self._see_through(Runner(trainings, folder, executor, say), folder)
 
     def _see_through(self, runner: Runner, folder: FarmFolder) -> int:
         done = sum(map(runner.is_done, runner.records))
         say(f"{len(runner.records)} trainings, {done} of them finished already.")
         telling, stopped = Telling(), False
-        with _polite_kill_is_ctrl_c():
+        with polite_kill_is_ctrl_c():
             try:
                 if self.cluster.submit_only:
                     runner.submit()
                 else:
                     runner.run(telling)
-            except KeyboardInterrupt:
-                stopped = True
-                say("Stopping: the trainings write their checkpoints.")
-                if not runner.stop(telling):
-                    say("The jobs go on without this command; started again it watches them.")
-            except BaseException:
-                # processes of this machine would go on unseen
-                with contextlib.suppress(JGHandError):
-                    runner.stop(telling)
-                raise
+            except BaseException as error:
+                stopped = isinstance(error, KeyboardInterrupt)
+                if runner.has_jobs:
+                    self._stop(runner, telling)
+                if not stopped:
+                    raise
         self._show(runner, folder)
         return STOPPED if stopped else max((_exit_code(runner, name) for name in runner.records), key=_SEVERITY.index)
+
+    def _stop(self, runner: Runner, telling: Telling) -> None:
+        """Processes of this machine would go on unseen."""
+        # the terminal may be gone
+        with contextlib.suppress(OSError):
+            say(
+                "Stopping: the trainings write their checkpoints."
+                if self.executor == "local"
+                else "The jobs go on without this command; started again it watches them."
+            )
+        runner.stop(telling)
 
     def _check(self, training: Training) -> None:
         """InputError for options that `jghand train` would refuse: said now, and not by a thousand jobs."""
@@ -163,8 +168,8 @@ class TrainMany:
                     say(f"A list begins a training anew when {folder.work(name)} is moved away or removed.")
                 if "--overwrite" in record.told:
                     say("In the list that is: overwrite = true")
-            if runner.is_of_old_list(name):
-                say(f"{name}: its job has the options of the list as it was. When it has ended, this command goes on.")
+            if runner.is_changed(name):
+                say(f"{name}: changed since it was submitted; run the same command again.")
         if any(record.state in (State.STOPPED, State.LOST, State.FAILED) for record in runner.records.values()):
             say(f"What the jobs printed is in {folder.logs}. The same command goes on.")
         if self.report.json is not None:
@@ -198,13 +203,4 @@ def _exit_code(runner: Runner, name: str) -> int:
         # killed by a signal, as where the system has no memory left
         return record.exit_code if record.exit_code in _SEVERITY else RetryError.exit_code
     lacks = record.state in (State.STOPPED, State.LOST) or (record.state is State.FINISHED and not runner.is_done(name))
-    return RetryError.exit_code if lacks else 0
-
-
-@contextlib.contextmanager
-def _polite_kill_is_ctrl_c() -> Iterator[None]:
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
+    return RetryError.exit_code if lacks or runner.is_changed(name) else 0

@@ -17,7 +17,7 @@ from typing import IO, Any
 
 from jghand_engine.limits import CHECKPOINT_WAIT_S
 
-_UNHEARD = [getattr(signal, name) for name in ("SIGTERM", "SIGUSR1", "SIGUSR2") if hasattr(signal, name)]
+_UNHEARD = [getattr(signal, name) for name in ("SIGHUP", "SIGTERM", "SIGUSR1", "SIGUSR2") if hasattr(signal, name)]
 
 
 class Child:
@@ -84,6 +84,8 @@ def running(command: Sequence[str]) -> Iterator[Child]:
 def _hear_nothing() -> None:
     for number in _UNHEARD:
         signal.signal(number, signal.SIG_IGN)
+    # a local job is begun with it blocked; the end of its input is Ctrl-C to a training
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 
 
 def _log(text: str) -> None:

@@ -15,11 +15,12 @@ from pathlib import Path
 from typing import Any, Protocol
 
 from jghand_engine.errors import InputError, RetryError
-from jghand_engine.farm.signals import unheard_by_programs, without_ctrl_c
+from jghand_engine.farm.signals import STOPS, unheard_by_programs
 from jghand_engine.limits import (
     LOCAL_MINUTES_MAX,
     LOCAL_POLL_S,
     SIGNAL_BEFORE_S,
+    SLURM_ANSWER_S,
     SLURM_MINUTES_MIN,
     SLURM_POLL_S,
     TIMEOUTS_MAX,
@@ -27,28 +28,30 @@ from jghand_engine.limits import (
 
 
 class Executor(Protocol):
-    """at_once: how many jobs may be submitted and not ended, None for any number · poll_s: between two looks"""
+    """at_once: how many jobs may be submitted and not ended, None for any number · poll_s: between two looks ·
+    outlived: whether its jobs go on without this process, so that later ones watch them by their numbers"""
 
     at_once: int | None
     poll_s: float
+    outlived: bool
 
     def submit(self, jobs: Mapping[str, Callable[[], Any]]) -> dict[str, str]:
         """Name -> number of the job that was made of it. RetryError when the scheduler refuses."""
         ...
 
     def alive(self, numbers: Sequence[str]) -> set[str]:
-        """Those that wait or run."""
+        """Those that wait or run. RetryError when the scheduler does not answer."""
         ...
 
-    def stop(self) -> bool:
-        """Asks the jobs of this process to end, again and again; False where they go on without it."""
+    def stop(self) -> None:
+        """Asks the jobs of this process to end, again and again; nothing where they go on without it."""
         ...
 
 
 class LocalExecutor:
     """Processes of this machine, `at_once` at a time."""
 
-    poll_s = LOCAL_POLL_S
+    poll_s, outlived = LOCAL_POLL_S, False
 
     def __init__(self, logs: Path, at_once: int) -> None:
         self.at_once: int | None = at_once
@@ -60,23 +63,22 @@ class LocalExecutor:
         """See Executor."""
         numbers = {}
         for name, job in jobs.items():
-            # Ctrl-C reaches every process of a terminal: these are told by `stop`
-            with without_ctrl_c():
+            # both reach every process of a terminal: these are told by `stop`
+            with unheard_by_programs(signal.SIGINT, signal.SIGHUP):
                 submitted = self._executor.submit(job)
             self._jobs[submitted.job_id] = submitted
             numbers[name] = submitted.job_id
         return numbers
 
     def alive(self, numbers: Sequence[str]) -> set[str]:
-        """See Executor. Jobs of an earlier process are not known: later ones of their trainings wait for them."""
+        """See Executor."""
         return {number for number in numbers if number in self._jobs and not self._jobs[number].done()}
 
-    def stop(self) -> bool:
+    def stop(self) -> None:
         """See Executor."""
         for number in self.alive(list(self._jobs)):
             with contextlib.suppress(ProcessLookupError):
                 os.kill(int(number), signal.SIGTERM)
-        return True
 
 
 @dataclass(frozen=True)
@@ -102,7 +104,7 @@ class SlurmOptions:
 class SlurmExecutor:
     """One array of jobs. They go on when this process ends."""
 
-    poll_s = SLURM_POLL_S
+    poll_s, outlived = SLURM_POLL_S, True
 
     def __init__(self, logs: Path, options: SlurmOptions, running: int) -> None:
         """running: how many of the jobs may run at once; 0 leaves it to the cluster"""
@@ -126,7 +128,7 @@ class SlurmExecutor:
         # left to itself submitit lets 256 run at once
         self._executor.update_parameters(array_parallelism=self._running or len(jobs))
         try:
-            with unheard_by_programs(), self._executor.batch():
+            with unheard_by_programs(*STOPS), self._executor.batch():
                 submitted = {name: self._executor.submit(job) for name, job in jobs.items()}
             return {name: job.job_id for name, job in submitted.items()}
         # submitit's own are RuntimeErrors
@@ -138,17 +140,17 @@ class SlurmExecutor:
             ) from error
 
     def alive(self, numbers: Sequence[str]) -> set[str]:
-        """See Executor. All of them while the cluster does not answer."""
+        """See Executor."""
         command = ["squeue", "--me", "--noheader", "--array", "--format=%i"]
         try:
-            done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=60)
-        except (OSError, subprocess.SubprocessError):
-            return set(numbers)
+            done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=SLURM_ANSWER_S)
+        except (OSError, subprocess.SubprocessError) as error:
+            said = getattr(error, "stderr", None) or str(error)
+            raise RetryError("the cluster does not answer (squeue)", came=_last_line(said)) from error
         return set(numbers) & set(done.stdout.split())
 
-    def stop(self) -> bool:
+    def stop(self) -> None:
         """See Executor."""
-        return False
 
 
 def _submitit() -> Any:
@@ -163,6 +165,8 @@ def _submitit() -> Any:
     return submitit
 
 
-def _last_line(text: str) -> str:
+def _last_line(text: str | bytes) -> str:
+    # what came before a timeout is bytes
+    text = text.decode(errors="replace") if isinstance(text, bytes) else text
     lines = [line for line in text.strip().splitlines() if line.strip()]
     return lines[-1][:300] if lines else "no reason"

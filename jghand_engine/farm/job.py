@@ -8,10 +8,10 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 from jghand_engine.errors import JGHandError, RetryError
 from jghand_engine.farm.child import Child, running
@@ -33,24 +33,29 @@ class TrainingJob:
 
     training: Training
     out: Path
-    program: tuple[str, ...] = PROGRAM
-    note_every_s: float = RECORD_EVERY_S
+    program: tuple[str, ...] = field(default_factory=lambda: PROGRAM)
+    note_every_s: float = field(default_factory=lambda: RECORD_EVERY_S)
     _child: Child | None = field(default=None, init=False, repr=False, compare=False)
 
     def __call__(self) -> str:
         """The sentence of a finished training. RetryError when it was stopped, RuntimeError when it failed: then the
         scheduler calls the job failed."""
-        folder, name = FarmFolder(self.out), self.training.name
-        with stop_requests() as stop, self._alone(folder, stop):
-            # a job that outlived the command which began it may have come first
-            record = self._record(folder)
-            if record is None or not folder.is_done(name, record, self.training.words):
-                record = self._train(folder, record, stop)
-        if record.state is State.FINISHED:
+        name = self.training.name
+        with stop_requests() as stop:
+            try:
+                record = self._seen_through(FarmFolder(self.out), stop)
+            except RetryError:
+                if not stop.is_set():
+                    raise
+                record = None
+        if record is not None and record.state is State.FINISHED:
             return f"{name}: {record.progress}"
-        if record.state is State.FAILED:
+        if record is not None and record.state is State.FAILED:
             raise RuntimeError(f"{name} ended with exit code {record.exit_code}: {record.told}")
-        self._was_stopped()
+        # SLURM takes a job back in its own time: one that ended by itself meanwhile would not be begun again
+        if os.environ.get("SUBMITIT_EXECUTOR") == "slurm":
+            time.sleep(REQUEUE_WAIT_S)
+        raise RetryError(f"the training {name} was stopped", remedy="The same command goes on with it.")
 
     def checkpoint(self) -> Any:
         """What submitit asks for when the job is preempted or its time is up, from a signal's handler: the training
@@ -68,6 +73,29 @@ class TrainingJob:
         return DelayedSubmission(replace(self))
 
     # ---- one start ---------------------------------------------------------------------------------------------------
+
+    def _seen_through(self, folder: FarmFolder, stop: threading.Event) -> Record:
+        """Waits until no other job is at this training, nor a training whose job was killed, which writes its
+        checkpoint; then keeps others out and trains. RetryError when it is to stop before."""
+        name = self.training.name
+        told: list[RetryError] = []
+
+        def waits(held: RetryError) -> bool:
+            if not told:
+                print(held, file=sys.stderr, flush=True)
+                told.append(held)
+            return not stop.is_set()
+
+        alone = partial(locked, work="training", remedy="Waiting for its end.", waits=waits)
+        with alone(folder.lock(name)):
+            if (training := folder.work(name) / LOCK).is_file():
+                with alone(training):
+                    pass
+            # the other may have done it
+            record = self._record(folder)
+            if record is None or not folder.is_done(name, record, self.training.words):
+                record = self._train(folder, record, stop)
+            return record
 
     def _train(self, folder: FarmFolder, before: Record | None, stop: threading.Event) -> Record:
         """Runs the training to its end or to a stop; gives the record of that, which it has written."""
@@ -96,43 +124,6 @@ class TrainingJob:
             *self.program, *self.training.words, "--out", str(folder.avatar(name)), "--progress-json",
             *(["--resume"] if begun else []),
         ]  # fmt: skip
-
-    # ---- who else is there -------------------------------------------------------------------------------------------
-
-    @contextlib.contextmanager
-    def _alone(self, folder: FarmFolder, stop: threading.Event) -> Iterator[None]:
-        """Waits until no other job is at this training, nor a training whose job was killed, which writes its
-        checkpoint; then keeps others out. RetryError when it is to stop before."""
-        name = self.training.name
-        with self._awaited(folder.lock(name), stop):
-            if (training := folder.work(name) / LOCK).is_file():
-                with self._awaited(training, stop):
-                    pass
-            yield
-
-    @contextlib.contextmanager
-    def _awaited(self, path: Path, stop: threading.Event) -> Iterator[None]:
-        """Holds the lock, as soon as it is free."""
-        said = False
-        with contextlib.ExitStack() as held:
-            while not stop.is_set():
-                try:
-                    held.enter_context(locked(path, work="training", remedy="Waiting for its end."))
-                    break
-                except RetryError as error:
-                    if not said:
-                        print(error, file=sys.stderr, flush=True)
-                    said = True
-                    time.sleep(JOB_POLL_S)
-            else:
-                self._was_stopped()
-            yield
-
-    def _was_stopped(self) -> NoReturn:
-        # SLURM takes a job back in its own time: one that ended by itself meanwhile would not be begun again
-        if os.environ.get("SUBMITIT_EXECUTOR") == "slurm":
-            time.sleep(REQUEUE_WAIT_S)
-        raise RetryError(f"the training {self.training.name} was stopped", remedy="The same command goes on with it.")
 
     # ---- notes -------------------------------------------------------------------------------------------------------
 

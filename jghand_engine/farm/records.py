@@ -3,9 +3,9 @@
 OUT/NAME.jghand             the avatar, at the end
 OUT/NAME.training/          its checkpoints, log and previews
 OUT/jobs/records/NAME.json  its record, written by the job that runs it
-OUT/jobs/records/NAME.lock  held by that job
-OUT/jobs/submitted.json     name -> job of the scheduler, written by `jghand train-many`
-OUT/jobs/lock               held while that submits jobs; while it lives, where they are processes of its machine
+OUT/jobs/records/NAME.lock  held by that job, and by who writes the record of a training that no job is at
+OUT/jobs/submitted.json     name -> job of the cluster, written by `jghand train-many`
+OUT/jobs/lock               held while that submits jobs
 OUT/jobs/logs/              what the jobs print, and submitit's own files
 """
 
@@ -20,9 +20,8 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from jghand_engine.errors import InputError, RetryError
+from jghand_engine.errors import InputError
 from jghand_engine.files import file_error, make_folder, writing
-from jghand_engine.limits import SUBMIT_POLL_S
 from jghand_engine.lock import locked
 
 
@@ -40,7 +39,9 @@ class State(StrEnum):
 
 @dataclass
 class Record:
-    """words: what was asked for · starts: how often a job began or went on with it · exit_code, told: of the last one
+    """What the jobs of a training note: of one that was killed it stays at what that noted last.
+
+    words: what was asked for · starts: how often a job began or went on with it · exit_code, told: of the last one
     that ended, and what it said · progress: a sentence · host: where it ran last"""
 
     words: list[str]
@@ -51,6 +52,11 @@ class Record:
     progress: str = ""
     host: str = ""
 
+    def is_of(self, words: Sequence[str]) -> bool:
+        """Whether it is of these words of `jghand train`. Where the pictures lie is not compared: machines may know
+        their folder by different names."""
+        return self.words[2:] == list(words[2:])
+
 
 class FarmFolder:
     """The folder OUT of a list."""
@@ -58,7 +64,7 @@ class FarmFolder:
     def __init__(self, path: Path) -> None:
         self.path, self.jobs = path, path / "jobs"
         self.logs, self._records = self.jobs / "logs", self.jobs / "records"
-        self._submitted, self._alone = self.jobs / "submitted.json", False
+        self._submitted = self.jobs / "submitted.json"
 
     def make(self) -> None:
         """Makes the folders. Only their owner may write or look into that of the logs: submitit's files there are
@@ -73,24 +79,10 @@ class FarmFolder:
     @contextlib.contextmanager
     def alone(self, most_s: float = 0.0) -> Iterator[None]:
         """While it lasts no other `jghand train-many` submits jobs of this folder; it waits so long for the end of
-        another. RetryError when that works on. May be entered again while it lasts."""
-        if self._alone:
+        another. RetryError when that works on."""
+        until_s = time.monotonic() + most_s
+        with locked(self.jobs / "lock", work="jghand train-many", waits=lambda _: time.monotonic() < until_s):
             yield
-            return
-        with contextlib.ExitStack() as held:
-            until_s = time.monotonic() + most_s
-            while not self._alone:
-                try:
-                    held.enter_context(locked(self.jobs / "lock", work="jghand train-many"))
-                    self._alone = True
-                except RetryError:
-                    if time.monotonic() >= until_s:
-                        raise
-                    time.sleep(SUBMIT_POLL_S)
-            try:
-                yield
-            finally:
-                self._alone = False
 
     def avatar(self, name: str) -> Path:
         return self.path / f"{name}.jghand"
@@ -103,7 +95,7 @@ class FarmFolder:
 
     def is_done(self, name: str, record: Record, words: Sequence[str]) -> bool:
         """Whether the avatar is there that these words of `jghand train` ask for."""
-        return record.state is State.FINISHED and record.words == list(words) and self.avatar(name).is_file()
+        return record.state is State.FINISHED and record.is_of(words) and self.avatar(name).is_file()
 
     def record(self, name: str) -> Record | None:
         """None where no job has begun it. InputError for a file that is none."""
@@ -120,7 +112,7 @@ class FarmFolder:
         _write(self._records / f"{name}.json", asdict(record))
 
     def submitted(self) -> dict[str, str]:
-        """Name of a training -> its job, as the scheduler calls it."""
+        """Name of a training -> its job, as the cluster calls it."""
         content = _read(self._submitted)
         return {str(name): str(job) for name, job in content.items()} if isinstance(content, dict) else {}
 

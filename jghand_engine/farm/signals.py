@@ -7,13 +7,13 @@ import signal
 import threading
 from collections.abc import Iterator
 
-# Ctrl-C, and a polite kill
-STOPS = (signal.SIGINT, signal.SIGTERM)
+# Ctrl-C, a polite kill, and the end of the terminal; Windows has no such end
+STOPS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 
 @contextlib.contextmanager
 def held_back() -> Iterator[None]:
-    """Ctrl-C and a polite kill that come meanwhile take effect at the end."""
+    """Those of STOPS that come meanwhile take effect at the end."""
     came: list[int] = []
     before = {number: signal.signal(number, lambda got, _: came.append(got)) for number in STOPS}
     try:
@@ -26,12 +26,12 @@ def held_back() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def unheard_by_programs() -> Iterator[None]:
-    """Programs that are started meanwhile hear neither Ctrl-C nor a polite kill; for this process they wait."""
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)
+def unheard_by_programs(*numbers: int) -> Iterator[None]:
+    """Programs that are started meanwhile do not hear these signals; for this process they wait."""
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, numbers)
     # some programs, shells among them, begin with an empty mask; what is ignored stays so. Linux keeps a signal that is
     # blocked even where it is ignored
-    before = {number: signal.signal(number, signal.SIG_IGN) for number in STOPS}
+    before = {number: signal.signal(number, signal.SIG_IGN) for number in numbers}
     try:
         yield
     finally:
@@ -41,18 +41,8 @@ def unheard_by_programs() -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def without_ctrl_c() -> Iterator[None]:
-    """Programs that are started meanwhile never hear Ctrl-C."""
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
-@contextlib.contextmanager
 def stop_requests() -> Iterator[threading.Event]:
-    """Set by a polite kill or Ctrl-C. Other signals keep their handlers."""
+    """Set by those of STOPS that are not ignored. Other signals keep their handlers."""
     asked = threading.Event()
     before = {number: signal.getsignal(number) for number in STOPS}
     for number in STOPS:

@@ -35,7 +35,7 @@ _SIGNS = set(" .-_()+,")
 @dataclass(frozen=True)
 class Training:
     """name: of the avatar and of everything about it · words: what `jghand train` is told, but where to and how to
-    begin."""
+    begin: "train", the folder, options."""
 
     name: str
     words: tuple[str, ...]
@@ -88,17 +88,18 @@ def _training(table: Mapping[str, Any], base: Path, thing: str) -> Training:
     name = options.pop("name", place.name)
     if not isinstance(name, str) or not name.strip(" .") or not all(sign.isalnum() or sign in _SIGNS for sign in name):
         raise InputError(f"{thing}: name", wanted="letters, digits and signs of file names", came=repr(name)[:80])
+    for key in options.keys() - OPTIONS.keys():
+        wanted = f"folder, name and options of jghand train: {', '.join(OPTIONS)}"
+        raise InputError(f"{thing}: {key}", wanted=wanted, came="another entry")
     words = ["train", str(place)]
-    for key, value in options.items():
-        words += _words(key, value, thing)
+    # not in the order of the list: the same options are to be the same words
+    for key in (key for key in OPTIONS if key in options):
+        words += _words(key, options[key], thing)
     return Training(name, tuple(words))
 
 
 def _words(key: str, value: Any, thing: str) -> list[str]:
     """An entry as words of the command line."""
-    if key not in OPTIONS:
-        wanted = f"folder, name and options of jghand train: {', '.join(OPTIONS)}"
-        raise InputError(f"{thing}: {key}", wanted=wanted, came="another entry")
     kinds, option = OPTIONS[key], "--" + key.replace("_", "-")
     # True is an int to Python
     if not isinstance(value, kinds) or (isinstance(value, bool) and bool not in kinds):

@@ -8,21 +8,23 @@ from __future__ import annotations
 JOB_POLL_S = 0.2
 LOCAL_POLL_S = 0.5
 SLURM_POLL_S = 10.0
+# how long squeue may take to answer, seconds: longer than a busy cluster's
+SLURM_ANSWER_S = 60.0
 # seconds between two notes of how far a training is: a file on a disk that a cluster shares
 RECORD_EVERY_S = 5.0
 # how long the last note of a training is tried again where it cannot be written, seconds: a disk that was full, a
 # server that starts again
 RECORD_WAIT_S = 300.0
-# how long a command waits for another that submits jobs of the same folder, seconds, and between two looks: sbatch
-# takes some seconds for a long list
+# how long a command waits for another that submits jobs of the same folder, seconds: sbatch takes some for a long list
 SUBMIT_WAIT_S = 120.0
-SUBMIT_POLL_S = 0.5
+# seconds between two looks whether a lock is free that is waited for
+LOCK_POLL_S = 0.2
 # how long before its time is up a job is told, seconds, and how long its training may then take for its checkpoint: a
 # step and the judged views take a few
 SIGNAL_BEFORE_S = 90
 CHECKPOINT_WAIT_S = 75.0
-# how long a job that was told to stop waits for its scheduler to take it back, seconds: SLURM's grace is some minutes
-# at most
+# how long a job that was told to stop waits for its scheduler to take it back, seconds: a longer grace (GraceTime) it
+# does not outlast, and docs/SCALE.md says so
 REQUEUE_WAIT_S = 300.0
 # shortest time of one start that a cluster may be asked for, minutes: SLURM tells up to a minute earlier than it was
 # asked to, and placing the Gaussians takes its time; with two minutes a training began again and again and never came

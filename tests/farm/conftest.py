@@ -3,11 +3,19 @@
 from __future__ import annotations
 
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from picture_sets import recorded, write_set
-from small_farm import STEPS, TINY, environment
+from small_farm import STEPS, TINY, end_what_was_started, environment
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_left() -> Iterator[None]:
+    """Of the commands that a test started, also where it fails."""
+    yield
+    end_what_was_started()
 
 
 @pytest.fixture(scope="session")

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -20,6 +22,7 @@ COUNTING = (*TINY, "--counting")
 STEPS = 24
 # seconds of a step of a training that is to be stopped, from its fifth on: ten seconds are left for that
 SLOW_S = 0.5
+STARTED: list[subprocess.Popen[str]] = []
 
 
 def environment(step_s: float = 0.0) -> dict[str, str]:
@@ -42,11 +45,22 @@ def train_many(path: Path, out: Path, *words: str, program: tuple[str, ...] = TI
 def started(
     path: Path, out: Path, *words: str, program: tuple[str, ...] = TINY, step_s: float = SLOW_S
 ) -> subprocess.Popen[str]:
-    """The command in a session of its own, as in a terminal, with slow steps."""
-    return subprocess.Popen(
+    """The command in a session of its own, as in a terminal, with slow steps. It ends with the test."""
+    process = subprocess.Popen(
         [*program, "train-many", str(path), "--out", str(out), *words], stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT, text=True, env=environment(step_s), start_new_session=True,
     )  # fmt: skip
+    STARTED.append(process)
+    return process
+
+
+def end_what_was_started() -> None:
+    """Their jobs too, which are of their group; trainings end when those do."""
+    while STARTED:
+        process = STARTED.pop()
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
 
 
 def begun(path: Path, out: Path, *words: str, program: tuple[str, ...] = TINY) -> subprocess.Popen[str]:
@@ -81,7 +95,7 @@ def ends_as_if_undisturbed(out: Path, undisturbed: bytes) -> None:
     """A training that was stopped went on where it was, and made the avatar that nobody's would."""
     went_on_at = re.findall(r"Going on at step (\d+)", logs_of(out))
     assert went_on_at, logs_of(out)
-    assert int(went_on_at[-1]) >= 4, "the checkpoint is of the moment, not of the beginning"
+    assert max(map(int, went_on_at)) >= 4, "the checkpoint is of the moment, not of the beginning"
     assert (out / "one.jghand").read_bytes() == undisturbed
 
 

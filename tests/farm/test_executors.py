@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.farm import executors
 from jghand_engine.farm.executors import LocalExecutor, SlurmExecutor, SlurmOptions
+from jghand_engine.farm.signals import held_back
 
 pytest.importorskip("submitit", reason="the extra farm is not installed")
 
@@ -57,13 +60,36 @@ print(SlurmExecutor(Path(sys.argv[1]), SlurmOptions(), 0).submit({"one": len}))
 """
 
 
-def test_sbatch_hears_neither_ctrl_c_nor_a_polite_kill_and_the_command_does(sbatch, tmp_path):
+def test_sbatch_hears_neither_ctrl_c_nor_a_polite_kill_nor_a_hang_up_and_the_command_does(sbatch, tmp_path):
     # everybody in a terminal gets it
     script = tmp_path / "bin" / "sbatch"
-    script.write_text(script.read_text().replace("echo", "kill -INT $PPID $$; kill -TERM $PPID $$; echo"))
+    script.write_text(script.read_text().replace("echo", "for it in INT TERM HUP; do kill -$it $PPID $$; done; echo"))
     command = [sys.executable, "-c", SUBMITS_ONE, str(tmp_path / "logs")]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60)
-    assert sorted(done.stdout.splitlines()) == ["heard 15", "heard 2", "{'one': '77'}"], done.stderr
+    assert sorted(done.stdout.splitlines()) == ["heard 1", "heard 15", "heard 2", "{'one': '77'}"], done.stderr
+
+
+def test_ctrl_c_while_a_local_job_is_started_takes_effect_then(tmp_path, monkeypatch):
+    executor = LocalExecutor(tmp_path, 1)
+
+    def start(job):
+        os.kill(os.getpid(), signal.SIGINT)
+        return SimpleNamespace(job_id="1")
+
+    monkeypatch.setattr(executor._executor, "submit", start)
+    with pytest.raises(KeyboardInterrupt), held_back():
+        noted = executor.submit({"one": len})
+    assert noted == {"one": "1"}
+
+
+@pytest.mark.parametrize(
+    ("squeue", "told"), [("echo no controller >&2; exit 1", "no controller"), ("exec sleep 60", "timed out")]
+)
+def test_a_cluster_that_does_not_answer_is_told(sbatch, tmp_path, monkeypatch, squeue, told):
+    monkeypatch.setattr(executors, "SLURM_ANSWER_S", 0.2 if "sleep" in squeue else 60.0)
+    (tmp_path / "bin" / "squeue").write_text(f"#!/bin/sh\n{squeue}\n")
+    with pytest.raises(RetryError, match=f"does not answer.*{told}"):
+        SlurmExecutor(tmp_path / "logs", SlurmOptions(), 0).alive(["77"])
 
 
 def test_systems_without_such_signals_are_refused(tmp_path, monkeypatch):

@@ -75,7 +75,14 @@ def at_half(folder: FarmFolder, number: int) -> None:
         record = folder.record("one")
         return record is not None and record.progress == "half"
 
-    threading.Thread(target=lambda: (wait_until(is_there, "a note"), kill_me(number))).start()
+    def run() -> None:
+        try:
+            wait_until(is_there, "a note", 30.0)
+        finally:
+            # also where nothing comes of it: the job would wait for ever
+            kill_me(number)
+
+    threading.Thread(target=run).start()
 
 
 def kill_me(number: int) -> None:
@@ -128,6 +135,15 @@ def test_a_log_that_cannot_be_written_does_not_hold_the_training_up(monkeypatch)
         wait_until(lambda: training.poll() is not None, "its end", 20.0)
     finally:
         training.kill()
+
+
+def test_the_end_of_its_input_reaches_a_training_of_a_job_that_hears_no_ctrl_c():
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        training = Child([sys.executable, "-c", "import signal, sys; sys.exit(len(signal.pthread_sigmask(0, [])))"])
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+    assert wait_until(lambda: [training.poll()] if training.poll() is not None else None, "its end") == [len(before)]
 
 
 def test_a_second_job_of_a_training_waits_for_the_first_and_has_then_nothing_to_do(folder):

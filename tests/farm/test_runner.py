@@ -8,11 +8,14 @@ from collections.abc import Callable
 
 import pytest
 
+from jghand_engine import lock
+from jghand_engine.cli.train_many import _exit_code
 from jghand_engine.errors import InputError, RetryError
-from jghand_engine.farm import records, runner
+from jghand_engine.farm import runner
 from jghand_engine.farm.records import FarmFolder, Record, State
 from jghand_engine.farm.runner import Runner
 from jghand_engine.farm.trainings import Training
+from jghand_engine.lock import locked
 
 
 class Scheduler:
@@ -21,8 +24,8 @@ class Scheduler:
 
     poll_s = 0.0
 
-    def __init__(self, at_once: int | None = None) -> None:
-        self.at_once = at_once
+    def __init__(self, at_once: int | None = None, outlived: bool = True) -> None:
+        self.at_once, self.outlived = at_once, outlived
         self.living: set[str] = set()
         self.given: list[tuple[str, ...]] = []
         self.meanwhile: Callable[[], None] = lambda: None
@@ -41,7 +44,6 @@ class Scheduler:
 
     def stop(self):
         self.stops += 1
-        return True
 
 
 @pytest.fixture
@@ -70,26 +72,134 @@ def test_lists_share_a_folder_and_no_job_is_submitted_twice(folder):
     assert folder.submitted() == {"a": "1_0", "b": "2_0"}
 
 
-def test_two_commands_that_begin_together_submit_once(folder):
+def test_two_commands_that_begin_together_submit_once(folder, monkeypatch):
+    monkeypatch.setattr(runner, "SUBMIT_WAIT_S", 0.0)
     scheduler = Scheduler()
-    both = [Runner([training("a")], folder, scheduler) for _ in range(2)]
-    for one in both:
-        one.submit()
+    one, two = (Runner([training("a")], FarmFolder(folder.path), scheduler) for _ in range(2))
+    refused = []
+
+    def begin_the_second() -> None:
+        scheduler.meanwhile = lambda: None
+        with pytest.raises(RetryError, match="no other jghand train-many"):
+            two.submit()
+        refused.append(two)
+
+    scheduler.meanwhile = begin_the_second
+    one.submit()
+    assert refused == [two]
+    two.submit()
     assert scheduler.given == [("a",)]
 
 
-def test_a_list_that_is_changed_while_it_runs_is_trained_as_it_is_now(folder):
+def test_a_training_that_ended_while_others_ran_is_not_begun_again(folder):
+    scheduler = Scheduler(at_once=1, outlived=False)
+    asked = Runner([training("a"), training("b")], folder, scheduler)
+    asked.submit()
+    # by a job that outlived an earlier command
+    ends(folder, scheduler, training("b"))
+    ends(folder, scheduler, training("a"))
+    asked.run(lambda *_: None)
+    assert scheduler.given == [("a",)]
+    assert asked.is_done("b")
+
+
+def test_the_record_of_a_training_that_a_job_is_at_is_left_to_it(folder):
+    running = Record(list(training("a").words), State.RUNNING, 2, progress="half")
+    folder.write_record("a", running)
+    scheduler = Scheduler(outlived=False)
+    with locked(folder.lock("a")):
+        Runner([training("a")], folder, scheduler).submit()
+    assert scheduler.given == [("a",)]
+    assert folder.record("a") == running
+
+
+def test_a_training_that_was_submitted_again_is_not_lost_to_who_watched_its_first_job(folder):
+    scheduler = Scheduler()
+    one, two = (Runner([training("a")], folder, scheduler) for _ in range(2))
+    one.submit()
+    two.submit()
+    scheduler.living.clear()
+    one.watch(lambda *_: None)
+    assert one.records["a"].state is State.LOST
+    Runner([training("a")], folder, scheduler).submit()
+    running = Record(list(training("a").words), State.RUNNING, 2)
+    folder.write_record("a", running)
+    two.watch(lambda *_: None)
+    assert folder.record("a") == running == two.records["a"]
+    assert two.has_jobs
+
+
+def test_numbers_of_local_jobs_are_not_taken_for_those_of_a_cluster(folder):
+    local, cluster = Scheduler(outlived=False), Scheduler()
+    Runner([training("a")], folder, local).submit()
+    # another job that has the same one
+    cluster.living = set(local.living)
+    Runner([training("a")], folder, cluster).submit()
+    assert cluster.given == [("a",)]
+
+
+def test_a_list_that_is_changed_while_its_jobs_run_is_told_of(folder):
     scheduler = Scheduler()
     Runner([training("a", 100)], folder, scheduler).submit()
     changed = Runner([training("a", 9999)], folder, scheduler)
     changed.submit()
-    assert changed.is_of_old_list("a")
-    looks = iter([lambda: ends(folder, scheduler, training("a", 100)), lambda: None, lambda: None,
-                  lambda: ends(folder, scheduler, training("a", 9999))])  # fmt: skip
-    scheduler.meanwhile = lambda: next(looks, lambda: None)()
+    ends(folder, scheduler, training("a", 100))
     changed.run(lambda *_: None)
+    assert scheduler.given == [("a",)]
+    assert changed.is_changed("a")
+    assert _exit_code(changed, "a") == 3
+    again = Runner([training("a", 9999)], folder, scheduler)
+    again.submit()
     assert scheduler.given == [("a",), ("a",)]
-    assert changed.is_done("a")
+    assert not again.is_changed("a")
+
+
+def test_pictures_that_were_moved_are_the_same_training(folder):
+    words = ("train", "/mnt/other/pictures", *training("a").words[2:])
+    ends(folder, Scheduler(), training("a"))
+    assert Runner([Training("a", words)], folder, Scheduler()).is_done("a")
+
+
+def test_a_cluster_that_does_not_answer_is_told_once_and_then_asked_again(folder):
+    scheduler, warned = Scheduler(), []
+    asked = Runner([training("a")], folder, scheduler, warned.append)
+    asked.submit()
+    looks = iter([silent, silent, lambda: ends(folder, scheduler, training("a"))])
+    scheduler.meanwhile = lambda: next(looks, lambda: None)()
+    asked.run(lambda *_: None)
+    assert asked.is_done("a")
+    assert warned == ["the cluster does not answer."]
+
+
+def test_while_a_cluster_does_not_answer_nothing_is_submitted(folder):
+    scheduler = Scheduler()
+    Runner([training("a")], folder, scheduler).submit()
+    scheduler.meanwhile = silent
+    with pytest.raises(RetryError, match="does not answer"):
+        Runner([training("a")], folder, scheduler).run(lambda *_: None)
+    assert scheduler.given == [("a",)]
+
+
+def silent() -> None:
+    raise RetryError("the cluster does not answer")
+
+
+def test_what_is_refused_to_the_next_training_ends_none_that_runs(folder):
+    scheduler, warned = Scheduler(at_once=2), []
+    asked = Runner([training("a")], folder, scheduler, warned.append)
+    asked.submit()
+    later = Runner([training("a"), training("b")], folder, scheduler, warned.append)
+    scheduler.submit, taken = refuse, scheduler.submit
+    looks = iter([lambda: None, lambda: None, lambda: setattr(scheduler, "submit", taken)])
+    scheduler.meanwhile = lambda: next(looks, lambda: ends(folder, scheduler, training("b")))()
+    folder.write_record("a", Record(list(training("a").words), State.RUNNING, 1))
+    later.run(lambda *_: None)
+    assert warned == ["too many jobs."]
+    assert scheduler.given == [("a",), ("b",)]
+
+
+def refuse(*_) -> None:
+    raise RetryError("too many jobs")
 
 
 def test_a_signal_while_jobs_are_submitted_does_not_lose_their_numbers(folder):
@@ -130,12 +240,23 @@ def test_a_record_that_cannot_be_read_for_a_while_ends_nothing(folder, monkeypat
     def stale(self, name):
         if error := next(answers, None):
             raise error
+        ends(folder, scheduler, training("a"))
         return found(self, name)
 
-    ends(folder, scheduler, training("a"))
     monkeypatch.setattr(FarmFolder, "record", stale)
     asked.run(lambda *_: None)
     assert asked.is_done("a")
+
+
+def test_a_record_that_can_never_be_read_does_not_hold_the_others_up(folder, monkeypatch):
+    scheduler = Scheduler()
+    asked = Runner([training("a")], folder, scheduler)
+    asked.submit()
+    scheduler.living.clear()
+    monkeypatch.setattr(FarmFolder, "record", refuse)
+    asked.run(lambda *_: None)
+    assert asked.records["a"].state is State.LOST
+    assert "too many" in asked.records["a"].told
 
 
 @pytest.mark.parametrize("content", ["{}", "[", '{"state": "bogus"}'])
@@ -161,18 +282,18 @@ def test_a_damaged_record_is_refused_at_the_start_with_what_to_do(folder):
 
 
 def test_jobs_that_do_not_hear_it_are_asked_again_to_stop(folder):
-    scheduler = Scheduler(at_once=1)
+    scheduler = Scheduler(at_once=1, outlived=False)
     asked = Runner([training("a"), training("b")], folder, scheduler)
     asked.submit()
     scheduler.meanwhile = lambda: scheduler.living.clear() if scheduler.stops == 3 else None
-    assert asked.stop(lambda *_: None)
+    asked.stop(lambda *_: None)
     assert scheduler.stops == 3
     assert asked.records["a"].state is State.STOPPED
     assert scheduler.given == [("a",)]
 
 
 def test_a_folder_in_which_another_command_submits_for_long_is_refused(folder, monkeypatch):
-    monkeypatch.setattr(records, "SUBMIT_POLL_S", 0.01)
+    monkeypatch.setattr(lock, "LOCK_POLL_S", 0.01)
     monkeypatch.setattr(runner, "SUBMIT_WAIT_S", 0.05)
     with FarmFolder(folder.path).alone(), pytest.raises(RetryError, match="no other jghand train-many"):
         Runner([training("a")], folder, Scheduler()).submit()

@@ -87,14 +87,15 @@ def test_jobs_that_run_are_watched_and_not_submitted_twice(tmp_path):
     assert record_of(out).starts == 1
 
 
-def test_a_list_that_is_changed_while_it_runs_is_trained_as_it_is_now(tmp_path):
+def test_a_list_that_is_changed_while_its_jobs_run_is_told_of_and_goes_on_afterwards(tmp_path):
     path, out = write_list(tmp_path, tmp_path), tmp_path / "out"
     first = begun(path, out, *SLURM, "1", program=COUNTING)
     first.kill()
     first.wait()
-    changed = write_list(tmp_path, tmp_path, steps=30, overwrite=True)
-    submitted = train_many(changed, out, *SLURM, "1", "--submit-only", program=COUNTING)
-    assert "has the options of the list as it was" in submitted.stdout
+    changed = write_list(tmp_path, tmp_path, steps=30)
+    told = train_many(changed, out, *SLURM, "1", program=COUNTING)
+    assert told.returncode == 3, told.stdout
+    assert "one: changed since it was submitted; run the same command again." in told.stdout
     done = train_many(changed, out, *SLURM, "1", program=COUNTING)
     assert done.returncode == 0, done.stdout
     assert (out / "one.jghand").read_text() == "a hand of 30 steps"

@@ -44,6 +44,13 @@ def test_what_holds_for_all_holds_until_a_training_says_otherwise(listed, tmp_pa
     assert second == Training("other hand", ("train", str(folder / "id4"), "--minutes", "1.5", "--sequences", "a", "b"))
 
 
+def test_the_order_of_the_lines_means_nothing(listed):
+    one, other = "steps = 100\nseed = 1\n", "seed = 1\nsteps = 100\n"
+    table = '[[training]]\nfolder = "captures/id3"\n'
+    assert read_trainings(listed(one + table)) == read_trainings(listed(other + table))
+    assert read_trainings(listed(table + one)) == read_trainings(listed(one + table))
+
+
 @pytest.mark.parametrize(
     ("text", "told"),
     [
@@ -107,7 +114,7 @@ class Idle:
 
     def __init__(self) -> None:
         self.at_once: int | None = None
-        self.poll_s = 0.0
+        self.poll_s, self.outlived = 0.0, False
 
     def submit(self, jobs):
         raise AssertionError
@@ -160,6 +167,7 @@ def test_options_of_a_cluster_without_one_are_refused(listed, tmp_path, capsys, 
     path = listed("[[training]]\nfolder = 'captures/id3'\n")
     assert main(["train-many", str(path), "--out", str(tmp_path / "out"), "--cpus", "3"]) == 2
     assert "--executor local" in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
     slurm = ("--executor", "slurm")
     for words, told in (
         (("--time-limit", "2"), "--time-limit: wanted 10 minutes"),

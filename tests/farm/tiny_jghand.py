@@ -2,7 +2,7 @@
 first word), for tests of what goes on around them.
 
 JGHAND_TINY_STEP_S: seconds that a step takes besides, from the fifth on of a training that is not gone on with; until
-SIGHUP comes.
+SIGUSR1 comes.
 """
 
 from __future__ import annotations
@@ -57,7 +57,8 @@ def count(words: list[str]) -> int:
     given = dict(itertools.pairwise(words))
     out, steps = Path(given["--out"]), int(given["--steps"])
     work = make_folder(out.with_suffix(".training"))
-    if out.exists() and "--overwrite" not in words:
+    # an older one of its own it replaces, as `jghand train` does
+    if out.exists() and "--overwrite" not in words and not out.read_text().startswith("a hand of"):
         say("error", text="wanted a new file. Replace that one with --overwrite.")
         return 2
     told = threading.Event()
@@ -93,7 +94,7 @@ if __name__ == "__main__":
     counting = words[0] == "--counting"
     if counting:
         program.append(words.pop(0))
-    signal.signal(signal.SIGHUP, lambda *_: hurry.set())
+    signal.signal(signal.SIGUSR1, lambda *_: hurry.set())
     if words[0] == "train" and counting:
         sys.exit(count(words))
     if words[0] == "train":

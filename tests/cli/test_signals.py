@@ -1,0 +1,38 @@
+"""What signals mean to a command."""
+
+from __future__ import annotations
+
+import os
+import signal
+
+import pytest
+
+from jghand_engine.cli.signals import polite_kill_is_ctrl_c
+
+POLITE = [signal.SIGTERM, signal.SIGHUP]
+
+
+@pytest.mark.parametrize("number", POLITE)
+def test_a_polite_kill_and_a_closed_terminal_are_ctrl_c_for_so_long(number):
+    before = signal.getsignal(number)
+    with pytest.raises(KeyboardInterrupt), polite_kill_is_ctrl_c():
+        os.kill(os.getpid(), number)
+    assert signal.getsignal(number) == before
+
+
+@pytest.mark.parametrize("number", POLITE)
+def test_what_is_ignored_stays_so(number):
+    before = signal.signal(number, signal.SIG_IGN)
+    try:
+        with polite_kill_is_ctrl_c():
+            os.kill(os.getpid(), number)
+        assert signal.getsignal(number) is signal.SIG_IGN
+    finally:
+        signal.signal(number, before)
+
+
+def test_a_handler_that_is_not_pythons_is_left_alone(monkeypatch):
+    monkeypatch.setattr(signal, "getsignal", lambda number: None)
+    monkeypatch.setattr(signal, "signal", lambda number, handler: pytest.fail("it could not be put back"))
+    with polite_kill_is_ctrl_c():
+        pass
