@@ -124,10 +124,11 @@ FIT_GAP_S = 0.4
 # what is seen on both sides of a gap of up to so many seconds is fitted together: bursts of a few frames are better
 # for what is around them
 FIT_REACH_S = 1.0
-# frames that are fitted together, more than such a gap has at any rate, and how many more on both sides so that the
-# seam is not felt
+# frames that are fitted together at least, and how many seconds more on both sides so that the seam is not felt; at
+# most so many frames there, for memory (0.1 MB per frame): with much smoothing in fast films seams may be felt
 FIT_WINDOW_FRAMES = 900
-FIT_MARGIN_FRAMES = 60
+FIT_MARGIN_S = 2.0
+FIT_MARGIN_FRAMES_MAX = 1200
 
 # ---- tracking: the proof ---------------------------------------------------------------------------------------------
 # longer edge of each half of the side-by-side video

@@ -7,6 +7,7 @@ length. Gauss-Newton with damping. Frames without a hand are filled by what is b
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import replace
 
@@ -33,7 +34,8 @@ def fit(skeleton: Skeleton, landmarks: Landmarks, trust: Trust | None = None) ->
     start = initial_poses(skeleton, landmarks)
     believed = ~_in_long_gaps(landmarks.seen, limits.FIT_GAP_S * landmarks.fps)
     fitted, known = [], []
-    for kept, wide in _parts(seen, None if trust.smoothing == 0 else limits.FIT_REACH_S * landmarks.fps):
+    reach = None if trust.smoothing == 0 else limits.FIT_REACH_S * landmarks.fps
+    for kept, wide in _parts(seen, reach, _margin(landmarks.fps, trust.smoothing)):
         poses = _fit_part(skeleton, landmarks.part(wide), start.part(wide), trust)
         kept = kept[believed[kept]]
         fitted.append(poses.part(np.isin(wide, kept)))
@@ -50,13 +52,20 @@ def _in_long_gaps(seen: np.ndarray, longest: float) -> np.ndarray:
     return inside
 
 
-def _parts(seen: np.ndarray, longest_gap: float | None) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def _margin(fps: float, smoothing: float) -> int:
+    """Frames on both sides of a part that are fitted with it: so far reaches what a frame says, and farther with more
+    smoothing."""
+    return min(math.ceil(limits.FIT_MARGIN_S * fps * max(1.0, math.sqrt(smoothing))), limits.FIT_MARGIN_FRAMES_MAX)
+
+
+def _parts(seen: np.ndarray, longest_gap: float | None, margin: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Frames that are fitted together, in their order: those that are kept, and with what is around them.
 
     Both end at frames that were seen, so that no part has to guess where a gap ends. longest_gap: frames of a gap that
-    is part of them; None for frames that know nothing of one another.
+    is part of them; None for frames that know nothing of one another · margin: frames around what is kept.
     """
-    window, margin = limits.FIT_WINDOW_FRAMES, limits.FIT_MARGIN_FRAMES
+    # more than the longest gap has at any rate, and most of what is fitted is kept
+    window = max(limits.FIT_WINDOW_FRAMES, 2 * margin)
     if longest_gap is None:
         for begin in range(0, len(seen), window):
             yield seen[begin : begin + window], seen[begin : begin + window]

@@ -106,10 +106,19 @@ def test_parts_of_a_long_video_meet_without_a_seam(truth_m, monkeypatch):
     noisy = landmarks(truth_m, noise_px=2.0, noise_rad=0.1)
     whole = fit(SKELETON, noisy).joints_m(SKELETON)
     monkeypatch.setattr(limits, "FIT_WINDOW_FRAMES", 20)
-    monkeypatch.setattr(limits, "FIT_MARGIN_FRAMES", 15)
+    monkeypatch.setattr(limits, "FIT_MARGIN_S", 15 / FPS)
     parts = fit(SKELETON, noisy).joints_m(SKELETON)
     # worst seen 0.15 degrees; what is farther away than the margin hardly matters
     assert errors_deg(parts, whole).max() < 0.3
+
+
+def test_parts_of_a_fast_film_and_of_a_smoother_motion_reach_farther_around(monkeypatch):
+    noisy = replace(landmarks(moving_poses(600, 60.0).joints_m(SKELETON), noise_px=4.0, noise_rad=0.3), fps=60.0)
+    trust = Trust(smoothing=4.0)
+    whole = fit(SKELETON, noisy, trust)
+    monkeypatch.setattr(limits, "FIT_WINDOW_FRAMES", 2)
+    differ = np.degrees(np.abs(fit(SKELETON, noisy, trust).angle_rad - whole.angle_rad))
+    assert 0 < differ.max() < 1e-4, "seen: 5.3e-6 degrees; with 60 frames around each part 0.6"
 
 
 def test_one_picture_is_enough(truth_m):
@@ -195,7 +204,7 @@ def test_where_a_gap_lies_between_parts_of_a_long_video_there_is_no_seam(monkeyp
     """Gaps about the 90th frame, at which a part ends; one of them longer than a part with all that is around it."""
     monkeypatch.setattr(limits, "FIT_GAP_S", gap_s)
     monkeypatch.setattr(limits, "FIT_WINDOW_FRAMES", 90)
-    monkeypatch.setattr(limits, "FIT_MARGIN_FRAMES", 20)
+    monkeypatch.setattr(limits, "FIT_MARGIN_S", 20 / FPS)
     truth = still(300, way_m=0.3)
     found = fit(SKELETON, away(truth.joints_m(SKELETON), begin, end))
     steps = np.linalg.norm(np.diff(found.place_m, axis=0), axis=1)
@@ -206,11 +215,10 @@ def test_where_a_gap_lies_between_parts_of_a_long_video_there_is_no_seam(monkeyp
 
 def test_parts_of_a_long_video_end_where_the_hand_is_seen(monkeypatch):
     monkeypatch.setattr(limits, "FIT_WINDOW_FRAMES", 20)
-    monkeypatch.setattr(limits, "FIT_MARGIN_FRAMES", 6)
     random = np.random.default_rng(0)
     for _ in range(50):
         seen = np.flatnonzero(random.random(150) < random.uniform(0.1, 1))
-        parts = list(_parts(seen, 6))
+        parts = list(_parts(seen, 6, 6))
         kept = np.concatenate([part for part, _ in parts])
         assert (np.diff(kept) > 0).all()
         assert set(seen) <= set(kept)
