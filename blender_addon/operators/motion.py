@@ -17,6 +17,7 @@ from ..bridge import armature
 from ..bridge.classes import register_classes, register_menu, unregister_classes, unregister_menu
 from ..core import limits
 from ..core.aside import aside
+from ..core.joints import LEFT, RIGHT
 from ..core.messages import JGHandFailure
 from ..core.motion_conversion import (
     FOREIGN_SUFFIXES,
@@ -40,7 +41,7 @@ _TARGETS = (
 )
 
 _HANDS = (
-    ("AUTO", "As the File Says", "Where it does not, or shows both, the side of the active hand", "NONE", 0),
+    ("AUTO", "As the File Says", "Where it does not, or shows both, the one that fits the active hand", "NONE", 0),
     ("right", "Right", "The right hand of the file", "NONE", 1),
     ("left", "Left", "The left hand of the file", "NONE", 2),
 )
@@ -171,8 +172,11 @@ class ImportMotion(KeysFile, bpy.types.Operator):
             active = common.active_hand(context)
             if failure.kind != "bad_motion" or WANTS_HAND not in failure.detail or active is None:
                 raise
-        # a file that shows both hands, or says nothing of its one: the active hand says which
-        again = replace(choices, hand=armature.handedness_of(active))
+        # a file that shows both hands, or says nothing of its one: that which becomes one of the active hand's side
+        side = armature.handedness_of(active)
+        if choices.mirror:
+            side = LEFT if side == RIGHT else RIGHT
+        again = replace(choices, hand=side)
         return (yield from self._asked_of_engine(path, again))
 
     def _asked_of_engine(self, path: Path, choices: ConversionChoices) -> Generator[float, None, MotionFile]:

@@ -262,6 +262,26 @@ def test_jghands_own_files_are_mirrored_and_kept_in_place_too(extension, samples
         np.testing.assert_allclose(seen.joints_world_m, wanted[frame], atol=3e-6)
 
 
+@pytest.mark.parametrize("mirror", [False, True])
+def test_of_a_file_with_both_hands_the_active_hand_takes_the_one_that_becomes_its_own(extension, samples, mirror):
+    assert bpy.ops.jghand.import_motion(filepath=str(samples / "sample.bvh")) == {"FINISHED"}
+    hand = extension.object
+    frames = json.loads((samples / "sample.json").read_text())
+    for frame in frames:
+        right = frame["worldLandmarks"][0]
+        frame["worldLandmarks"].append([{**point, "x": 0.1 - point["x"]} for point in right])
+        frame["handedness"].append([{"categoryName": "Left", "score": 1.0}])
+    (samples / "both.json").write_text(json.dumps(frames))
+    assert bpy.ops.jghand.import_motion(filepath=str(samples / "both.json"), mirror=mirror) == {"FINISHED"}
+    assert extension.object is hand
+    assert armature.handedness_of(hand) == "right"
+    x, y, z = np.moveaxis(np.load(samples / "joints.npy"), -1, 0)
+    # MediaPipe's camera has y down; the file's left hand mirrored is the right one, moved
+    wanted = np.stack([x - 0.1 * mirror, z, -y], axis=-1)
+    seen = armature.read_hand(hand, armature.at_frame(extension.scene, 1))
+    np.testing.assert_allclose(seen.joints_world_m, wanted[0], atol=3e-6)
+
+
 def test_bones_of_no_convention_and_the_axis_that_points_up_are_said_beside_the_file(extension, samples):
     path = samples / "sample.bvh"
     text = path.read_text().replace("Hips", "Root")
