@@ -6,6 +6,12 @@ its exit code: 2 bad input, 3 try again, 4 out of memory.
 
 from __future__ import annotations
 
+# the exit code of a command that the user stopped
+STOPPED = 130
+
+import shlex
+import sys
+
 
 class JGHandError(Exception):
     """An error with a remedy.
@@ -49,6 +55,11 @@ class MemoryLimitError(JGHandError):
     """The request does not fit into memory."""
 
     exit_code = 4
+
+
+def install_extra(name: str) -> str:
+    """The remedy where the packages of an optional extra are missing: the command for this very Python."""
+    return f"Install the extra: {shlex.quote(sys.executable)} -m pip install 'jghand[{name}]'."
 
 
 def is_out_of_memory(error: BaseException) -> bool:

@@ -28,9 +28,19 @@ def file_error(path: Path, error: OSError) -> JGHandError:
     return RetryError(f"cannot write {path}: {error.strerror or error}", remedy="Check the disk and try again.")
 
 
+# of what JGHand writes into folders: whoever gives a folder such a name meant the file
+FILE_SUFFIXES = frozenset(
+    (".png", ".exr", ".mp4", ".ply", ".splat", ".glb", ".spz", ".sog", ".usd", ".usda", ".usdc", ".usdz", ".html")
+)
+
+
 def make_folder(path: Path | str) -> Path:
-    """Creates `path` with its parents; a typed error says why it cannot be."""
+    """Creates `path` with its parents; a typed error says why it cannot be, or that it is called like a file."""
     folder = Path(path)
+    if folder.suffix.lower() in FILE_SUFFIXES and not folder.exists():
+        raise InputError(
+            f"{folder}", wanted="the name of a folder", came="that of a file", remedy=f"Say {folder.with_suffix('')}."
+        )
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -53,16 +63,17 @@ def cache_folder() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache") / "jghand"
 
 
-def check_place(path: Path, *, overwrite: bool, wanted: str = "a new file") -> None:
-    """For --out of a command that takes long: looks at the start whether `path` can be written at the end.
+def check_place(path: Path, *, overwrite: bool, wanted: str = "a new file", option: str = "--out") -> None:
+    """For --out of a command that takes long, or another `option`: looks at the start whether `path` can be written at
+    the end.
 
     InputError when a file is there that nobody asked to overwrite, or a folder; as `writing` where the folder of `path`
     cannot be written.
     """
     if path.is_dir() or (path.exists() and not overwrite):
         came = "a folder" if path.is_dir() else "another file"
-        remedy = "Name another file, or replace that one with --overwrite."
-        raise InputError(f"--out {path}", wanted=wanted, came=came, remedy=remedy)
+        remedy = "Name another file" + ("." if path.is_dir() else ", or replace that one with --overwrite.")
+        raise InputError(f"{option} {path}", wanted=wanted, came=came, remedy=remedy)
     folder = make_folder(path.parent)
     probe = folder / f".{path.stem}.{secrets.token_hex(6)}{path.suffix}"
     try:

@@ -79,7 +79,7 @@ class Found:
     def in_order_of(self, other: Found) -> Found:
         """The same Gaussians, each beside the nearest of `other`: SOG sorts them. As they are where that is not one to
         one: some are lacking, or there twice."""
-        _, nearest = KDTree(self.positions_m).query(other.positions_m)
+        nearest = np.atleast_1d(KDTree(self.positions_m).query(other.positions_m)[1])
         if len(np.unique(nearest)) != len(self.positions_m) or len(nearest) != len(self.positions_m):
             return self
         return Found(*(getattr(self, name)[nearest] for name in self.__dataclass_fields__))
@@ -211,6 +211,8 @@ def run(*command: str | Path, **options) -> str:
 
 def node(script: str, *words: str | Path) -> str:
     """Runs a script of scripts/splat_clients/ with the packages of the clients."""
+    if not NODE.is_dir():
+        raise SystemExit("The programs are not here: python scripts/check_splat_files.py --install")
     # modules are looked up from where a script lies
     copy = CLIENTS / script
     shutil.copyfile(TOOLS / script, copy)

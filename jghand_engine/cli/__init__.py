@@ -79,7 +79,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     A mistake in the arguments ends by SystemExit(2), as `--help` does by SystemExit(0).
     """
-    words = list(sys.argv[1:] if arguments is None else arguments)
+    try:
+        return _main(list(sys.argv[1:] if arguments is None else arguments))
+    except BrokenPipeError:
+        # whoever read what this prints, such as `head`, has seen enough; the interpreter's own flush must not complain
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+
+
+def _main(words: Sequence[str]) -> int:
     if words == ["--version"]:
         say(f"jghand {__version__}")
         return 0

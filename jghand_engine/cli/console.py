@@ -24,11 +24,11 @@ if TYPE_CHECKING:
 
 def out() -> Console:
     """Standard output, looked up anew so that a test can capture it; sentences are not broken at a guessed width."""
-    return Console(highlight=False, soft_wrap=True)
+    return Console(highlight=False, soft_wrap=True, emoji=False)
 
 
 def err() -> Console:
-    return Console(stderr=True, highlight=False, soft_wrap=True)
+    return Console(stderr=True, highlight=False, soft_wrap=True, emoji=False)
 
 
 def say(text: str = "") -> None:
@@ -49,7 +49,7 @@ def say_table(title: str, columns: tuple[str, ...], rows: list[tuple[str, ...]])
         table.add_row(*row)
     out().print(f"\n{title}", style="bold", markup=False)
     # soft wrapping would tear a wide table apart
-    Console(highlight=False).print(table)
+    Console(highlight=False, emoji=False).print(table)
 
 
 def say_whole_table(table: Figures) -> None:

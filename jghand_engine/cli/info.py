@@ -70,6 +70,9 @@ class Info:
             facts = motion_facts(path, self.format)
         elif suffix in USD_SUFFIXES:
             facts = usd_facts(path)
+            # a rig that moves, of another program
+            if "SkelAnimation" in facts["prims"] and not facts["splats"]:
+                facts = motion_facts(path, self.format)
         elif suffix in SPLAT_SUFFIXES:
             facts = splat_facts(path)
         else:
@@ -186,6 +189,7 @@ def usd_facts(path: Path) -> dict[str, Any]:
     from pxr import Usd, UsdGeom
 
     from jghand_engine.exporters.usd_check import check_usd
+    from jghand_engine.exporters.usd_layers import SPLAT_TYPE
 
     with reading(path):
         findings = check_usd(path)
@@ -204,6 +208,7 @@ def usd_facts(path: Path) -> dict[str, Any]:
             "metres_per_unit": UsdGeom.GetStageMetersPerUnit(stage),
             "up_axis": str(UsdGeom.GetStageUpAxis(stage)),
             "prims": dict(sorted(types.items())),
+            "splats": types[SPLAT_TYPE],
             "variants": {name: list(names) for name, names in variants.items()},
             "layers": sorted(
                 Path(layer.realPath or layer.identifier).name for layer in stage.GetUsedLayers() if not layer.anonymous

@@ -40,7 +40,8 @@ def load_motion(options: MotionOptions, avatar: HandAvatar) -> Motion:
     The whole motion is repaired and then cut, so that a part of it looks as it does in the whole. Raises InputError.
     """
     if (options.motion is None) == (options.poses is None):
-        raise InputError("motion", wanted="either --motion FILE or --poses NAME,NAME,…", came="both or none")
+        came = "none of them" if options.motion is None else "both"
+        raise InputError("motion", wanted="either --motion FILE or --poses NAME,NAME,…", came=came)
     notes: list[str] = []
     files: tuple[Path, ...] = ()
     if options.motion is not None:
@@ -59,13 +60,15 @@ def load_motion(options: MotionOptions, avatar: HandAvatar) -> Motion:
         notes.append(said)
     if not options.keep_bone_lengths:
         wobble_m = sequence.bone_lengths_m.std(0).max()
-        if wobble_m > 1e-4:
+        if wobble_m > limits.BONE_WOBBLE_MIN_M:
             notes.append(
                 f"Bone lengths varied by up to {1e3 * wobble_m:.1f} mm (standard deviation): every bone keeps its "
                 "median length (--keep-bone-lengths follows the file)."
             )
         sequence = sequence.with_constant_bone_lengths()
     cut = sequence.section(part.start, part.stop, part.step)
+    if part.stop is not None and part.stop > len(sequence):
+        notes.append(f"--frames {options.frames}: the motion has {len(sequence)} frames, 0 to {len(sequence) - 1}.")
     return Motion(cut, source, notes, files, sequence, range(len(sequence))[part])
 
 

@@ -50,8 +50,8 @@ class FormatOptions:
     hand: Annotated[HandName | None, tyro.conf.arg(help_behavior_hint="")] = None
     """Which hand it is. Never guessed: joints alone do not tell."""
     fps: Annotated[float | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="")] = None
-    """Frames per second of the file, whatever it says itself; an animation of glTF or USD, which has times in seconds, is
-    taken at this rate. Left out: what the file says, else 30."""
+    """Frames per second of the file, whatever it says itself; an animation of glTF or USD, which has times in seconds,
+    is taken at this rate. Left out: what the file says, else 30."""
     any_proportions: bool = False
     """Take joints whose bone lengths are no hand's, such as a cartoon's: a wrong order or unit is not noticed then."""
     part: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
@@ -84,7 +84,7 @@ class MotionOptions:
     """Instead of a file: poses by name, with smooth ways between them, such as open,fist,point."""
     format: FormatOptions = field(default_factory=FormatOptions)
     frames: Annotated[str, tyro.conf.arg(metavar="FIRST:LAST[:STEP]", help_behavior_hint="(default: all)")] = ":"
-    """Only these frames, counted from 0, the last one included; FIRST-LAST is the same."""
+    """Only these frames, counted from 0, the last one included; FIRST-LAST is the same. Files have their numbers."""
     keep_bone_lengths: bool = False
     """Follow the bone lengths of every frame. Else each bone keeps its median, as estimates wobble and would pulse."""
     on_missing: Literal["fill", "hold", "stop"] = "fill"

@@ -41,7 +41,7 @@ Examples:
   jghand render --motion wave.npz --camera front --size 1024x1024 --frames 0:99 --out pictures
   jghand render --poses open,fist --budget-ms 16 --out pictures
   jghand render --motion wave.npz --out truth --passes depth,normal,ids,alpha,joints
-  jghand render --motion wave.npz --out pictures --frames 1-2400 --shard 3/8 --skip-existing"""
+  jghand render --motion wave.npz --out pictures --frames 0-2399 --shard 3/8 --skip-existing"""
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,8 @@ class Render:
         if self.effect.explain and shooting.receipts is not None:
             shooting.receipts.show()
         if part.is_shared:
-            say(f"Shard {self.shard} of {len(joints_m)} pictures: {outcome.sentence()}")
+            shard = f"Shard {self.shard} of " if part.shard[1] > 1 else ""
+            say(f"{shard}{len(joints_m)} pictures: {outcome.sentence()}")
         say(f"Done in {seconds:.1f} s: {self.out}" + (f" and {self.video}" if self.video else ""))
         for one in unseen:
             say(f"Frame {one.frame}: {one.sentence()}.")

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from jghand_engine.errors import InputError
+from jghand_engine.errors import InputError, install_extra
 from jghand_engine.files import writing
 
 
@@ -31,7 +31,7 @@ def exr_package() -> Any:
     except ImportError as error:
         raise InputError(
             "EXR files", wanted="the package OpenEXR", came="none",
-            remedy="Install the extra: pip install 'jghand[formats]'.",
+            remedy=install_extra("formats"),
         ) from error  # fmt: skip
     return OpenEXR
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from jghand_engine.errors import InputError
+from jghand_engine.errors import InputError, install_extra
 from jghand_engine.exporters.ply import ply_bytes
 from jghand_engine.exporters.splat_cloud import SplatCloud
 
@@ -27,6 +27,6 @@ def converter() -> Any:
     except ImportError as error:
         raise InputError(
             "SOG files", wanted="the package gaussforge", came="none",
-            remedy="Install the extra: pip install 'jghand[formats]'.",
+            remedy=install_extra("formats"),
         ) from error  # fmt: skip
     return gaussforge.GaussForge()

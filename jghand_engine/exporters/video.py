@@ -16,7 +16,7 @@ from typing import IO
 import numpy as np
 
 from jghand_engine import limits
-from jghand_engine.errors import InputError, RetryError
+from jghand_engine.errors import InputError, RetryError, install_extra
 from jghand_engine.files import writing
 
 # how the numbers are to be read: without these a player may take small pictures for the older standard of television
@@ -32,7 +32,7 @@ def ffmpeg_program() -> str:
     except (ImportError, RuntimeError) as error:
         raise InputError(
             "video", wanted="an ffmpeg program", came="none",
-            remedy="Install the extra: pip install 'jghand[video]'; or set IMAGEIO_FFMPEG_EXE to your own ffmpeg.",
+            remedy=f"{install_extra('video')} Or set IMAGEIO_FFMPEG_EXE to your own ffmpeg.",
         ) from error  # fmt: skip
 
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from PIL import Image
 
 from jghand_engine import limits
-from jghand_engine.errors import InputError
+from jghand_engine.errors import InputError, install_extra
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -29,7 +29,7 @@ def check_matplotlib() -> None:
     try:
         import matplotlib  # noqa: F401
     except ImportError as error:
-        remedy = "Install it: pip install -c constraints/engine.txt matplotlib (the extra `study`)."
+        remedy = install_extra("study")
         raise InputError(
             "matplotlib, for the plot", wanted="an installed package", came="none", remedy=remedy
         ) from error

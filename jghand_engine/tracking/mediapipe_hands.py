@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from jghand_engine import limits
-from jghand_engine.errors import InputError
+from jghand_engine.errors import InputError, install_extra
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, to_level
 from jghand_engine.tracking.detection import HandDetector, SeenHand
@@ -115,13 +115,13 @@ def _package() -> Any:
     except ImportError as error:
         raise InputError(
             "tracking", wanted="the package MediaPipe", came=str(error)[:200],
-            remedy="Install the extra: pip install 'jghand[track]'.",
+            remedy=install_extra("track"),
         ) from error  # fmt: skip
     version = str(getattr(mediapipe, "__version__", "0"))
     if not version.split(".")[0].isdigit() or int(version.split(".")[0]) < _FIRST_VERSION:
         raise InputError(
             "tracking", wanted=f"MediaPipe {_FIRST_VERSION}.0 or newer, which tells left from right as hands are",
-            came=version, remedy="Install the extra: pip install -U 'jghand[track]'.",
+            came=version, remedy=install_extra("track"),
         )  # fmt: skip
     return _Package(mediapipe, tasks, vision)
 

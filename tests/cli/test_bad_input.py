@@ -5,6 +5,9 @@ from __future__ import annotations
 import errno
 import json
 import os
+import shlex
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -324,3 +327,22 @@ def test_a_wrong_option_is_refused_before_anything_is_written(tmp_path, command,
     assert code == 2
     assert err
     assert not (tmp_path / "out").exists()
+
+
+def test_an_out_folder_that_is_called_like_a_file_is_refused(tmp_path, command):
+    code, err = command("render", "--poses", "fist", "--out", tmp_path / "hand.png", *SMALL)
+    assert code == 2
+    assert "wanted the name of a folder" in " ".join(err.split())
+    assert not (tmp_path / "hand.png").exists()
+
+
+def test_colons_in_what_is_named_stay_as_they_are(tmp_path, command):
+    code, err = command("info", tmp_path / "a:100:.npz")
+    assert code == 2
+    assert "a:100:.npz" in err.replace("\n", "")
+
+
+def test_a_reader_that_has_seen_enough_ends_a_command_quietly():
+    shell = f"{shlex.quote(sys.executable)} -m jghand_engine render --help | head -c 10"
+    done = subprocess.run(["bash", "-c", shell], capture_output=True, text=True, check=False, timeout=120)
+    assert not done.stderr

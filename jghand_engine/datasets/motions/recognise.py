@@ -72,7 +72,9 @@ def kind_of(file: Path) -> Kind:
     if text[:1] in (b"{", b"["):
         return _of_json(file)
     if b"\x00" in head:
-        raise NoMotionError("its beginning is that of no motion file that JGHand knows")
+        raise NoMotionError(
+            "its beginning is that of no motion file that JGHand knows (hands in a video: `jghand track`)"
+        )
     return _of_table(file, head)
 
 
@@ -89,7 +91,9 @@ def _of_folder(folder: Path) -> Kind:
         return Kind.OPENPOSE_FOLDER
     if freemocap.hand_files(folder):
         return Kind.FREEMOCAP_FOLDER
-    raise NoMotionError("a folder with neither frames of OpenPose nor hands of FreeMoCap")
+    raise NoMotionError(
+        "a folder with neither frames of OpenPose nor hands of FreeMoCap (pictures to learn from: `jghand check-data`)"
+    )
 
 
 def _of_archive(file: Path) -> Kind:
