@@ -55,8 +55,8 @@ class FitOptions:
     up: Literal["y", "z"] = "y"
     """Which axis points up in the motion."""
     gaps: Literal["fill", "leave"] = "fill"
-    """Frames in which the hand was not seen: fill them in, the hand going evenly from before to after, and mark them;
-    or leave their joints missing."""
+    """Frames in which the hand was not seen: fill them in from both sides, and mark them; or leave their joints
+    missing."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +74,7 @@ class Track:
     most: Annotated[int | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="(default: all)")] = None
     """Only so many frames from the start."""
     overwrite: bool = False
-    """Replace motions that are there."""
+    """Replace motions and a proof that are there."""
     model: File = None
     """The networks that find a hand, a .task file; left out: those that were fetched."""
     fetch_model: bool = False
@@ -156,7 +156,7 @@ class Track:
 
     def _check_places(self) -> None:
         """InputError where a file would be written over one that is read, over another one of this command, or over a
-        motion that is there."""
+        motion or a proof that is there."""
         from jghand_engine.files import check_place
 
         sides = {"right": 1, "left": 1, "both": 2}
@@ -171,10 +171,9 @@ class Track:
             for other, taken in (*read, *written[:number]):
                 if _same(path, taken):
                     raise InputError(f"{name} {path}", wanted="a file of its own", came=f"that of {other}")
-        for path in motions:
-            check_place(path, overwrite=self.overwrite)
-        if self.proof is not None:
-            check_place(self.proof, overwrite=True)
+        for name, path in written:
+            # a report is replaced, as every command does
+            check_place(path, overwrite=self.overwrite or name == "--json", option=name)
 
     def _look(self, video: Video, notes: ReadingNotes) -> Sightings:
         from jghand_engine.tracking.mediapipe_hands import check_package, video_detector
