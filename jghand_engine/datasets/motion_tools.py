@@ -90,7 +90,9 @@ def cut(sequence: PoseSequence, start_s: float | None = None, end_s: float | Non
             raise InputError(f"{name} of the cut", wanted="seconds from the motion's beginning", came=f"{seconds:g}")
     # a time that is a frame but for round-off is that frame
     first = 0 if start_s is None else math.ceil(start_s * sequence.fps - limits.FRAME_EPS)
-    last = len(sequence) - 1 if end_s is None else math.floor(min(end_s * sequence.fps, 1e15) + limits.FRAME_EPS)
+    last = (
+        len(sequence) - 1 if end_s is None else math.floor(min(end_s * sequence.fps, len(sequence)) + limits.FRAME_EPS)
+    )
     if first > min(last, len(sequence) - 1):
         raise InputError(
             "cut",

@@ -57,6 +57,11 @@ FOLDER_LEVELS_DOWN = 2
 # ---- datasets: motions of other programs ----------------------------------------------------------------------------
 # text of one value of a JSON file, bytes: a frame with face, body and both hands, indented, has 200 kB
 JSON_ELEMENT_MAX_BYTES = 1 << 20
+# how much of its text is looked at for one value, bytes, growing by so much until it is enough: most are short. Text
+# whose values nobody asks for is skipped in blocks, which make some arrays of eight times their size
+JSON_LOOK_BYTES = 1 << 8
+JSON_LOOK_GROWTH = 8
+JSON_BLOCK_BYTES = 1 << 17
 # names of the outermost object of a JSON file, and frames in which a hand is looked for before the file is given up
 JSON_NAMES_MAX = 4096
 RECOGNISE_JSON_FRAMES = 5000
@@ -74,6 +79,8 @@ TEXT_LINE_MAX = 1 << 19
 BVH_HEADER_LINES_MAX = 1 << 20
 # positions of a joint in BVH smaller than this part of its offset are moves from there, not its place
 BVH_ADDED_MAX = 0.25
+# a body in BVH that is so much longer along z than along y stands along z
+BVH_Z_UP_MIN = 2.0
 # lines of motion that are turned into numbers at once
 BVH_LINES_AT_ONCE = 64
 # frames whose bones are turned into joints at once: 60 bones of 4096 frames have 30 MB

@@ -68,6 +68,8 @@ TOUCH_DIFFERENCE_DEG = 1e-3
 # ---- hand: motions of others --------------------------------------------------------------------------------------
 # a gap longer than this is told apart: within half a second a hand does little that the way between does not show
 GAP_LONG_S = 0.5
+# bones that vary by less than this (standard deviation, metres) are constant: text with few digits
+BONE_WOBBLE_MIN_M = 1e-4
 # part of a frame by which a time may miss it and still be that frame: round-off of clocks in text
 FRAME_EPS = 1e-6
 # more frames than this are a mistake of a file or of its clock: two hours at 120 per second

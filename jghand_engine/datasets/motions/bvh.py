@@ -80,7 +80,7 @@ def _up(skeleton: _Bvh) -> tuple[str, list[str]]:
     has_body = any(word in name.casefold() for name in skeleton.names for word in ("spine", "hips", "pelvis", "head"))
     if not has_body:
         return "y", ["It does not say which axis points up: y is taken; --file-up says otherwise."]
-    return ("z" if along_z > 2 * along_y else "y"), []
+    return ("z" if along_z > limits.BVH_Z_UP_MIN * along_y else "y"), []
 
 
 class _Bvh:

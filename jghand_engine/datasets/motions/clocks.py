@@ -12,8 +12,6 @@ from jghand_engine import limits
 from jghand_engine.datasets.motions.damage import NoMotionError
 
 UNITS = {"seconds": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
-# rates of film and video of which there are slower ones by a thousandth: 24000 / 1001, 30000 / 1001, 60000 / 1001
-_NTSC_BASES = (24, 30)
 
 # names of a frame's time among those of its members, or of a column's, as `plain` has them
 TIME_NAMES = (
@@ -33,8 +31,7 @@ def time_in(frame: Mapping[str, Any]) -> float | None:
 
 def whole_rate(fps: float) -> float:
     """The whole rate, or the one of video (30000 / 1001), that a measured one is but for round-off; else itself."""
-    near = [float(round(fps)), *(round(1.001 * fps / base) * base / 1.001 for base in _NTSC_BASES)]
-    best = min(near, key=lambda rate: abs(rate - fps))
+    best = min((float(round(fps)), *limits.NTSC_RATES), key=lambda rate: abs(rate - fps))
     return best if abs(best - fps) < limits.WHOLE_RATE_EPS * best else fps
 
 

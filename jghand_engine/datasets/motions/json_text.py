@@ -23,11 +23,8 @@ from jghand_engine import limits
 _SPACE = re.compile(r"[ \t\n\r]*")
 _STRING = re.compile(r'"[^"\\]*(?:\\.[^"\\]*)*"', re.DOTALL)
 _QUOTE, _BRACKETS = ord('"'), ((ord("["), ord("{")), (ord("]"), ord("}")))
-_BLOCK = 1 << 17
 _SCALAR_END = re.compile(r"[,\]} \t\n\r]")
 _DECODER = json.JSONDecoder()
-# how much of the text is looked at for one element, growing until it is enough
-_FIRST_LOOK, _GROWTH = 1 << 8, 8
 
 
 class JsonText:
@@ -41,7 +38,7 @@ class JsonText:
     def __init__(self, content: bytes) -> None:
         _check_utf8(content)
         self.text = content.decode("latin-1")
-        self._look = _FIRST_LOOK
+        self._look = limits.JSON_LOOK_BYTES
         self.start = self.after_space(len(BOM_UTF8) if content.startswith(BOM_UTF8) else 0)
         end = len(self.text.rstrip(" \t\n\r"))
         # a file that was cut is most quickly known by its end
@@ -125,7 +122,7 @@ class JsonText:
     def _after_container(self, place: int) -> int:
         """Where the list or object that begins at `place` ends: brackets outside of strings are counted, a block of the
         text at a time."""
-        depth, inside, look = 0, 0, _FIRST_LOOK
+        depth, inside, look = 0, 0, limits.JSON_LOOK_BYTES
         while place < len(self.text):
             block = self.text[place : place + look]
             if (len(block) - len(block.rstrip("\\"))) % 2:
@@ -138,7 +135,7 @@ class JsonText:
             depth, inside = int(depths[-1]), int(in_string[-1])
             place += len(block)
             # most values are short
-            look = min(look * _GROWTH, _BLOCK)
+            look = min(look * limits.JSON_LOOK_GROWTH, limits.JSON_BLOCK_BYTES)
         raise ValueError("cut off before its end")
 
     def _mark(self, place: int) -> str:
@@ -162,14 +159,14 @@ class JsonText:
                 # a number at the end of the part may go on behind it
                 if end < len(part) or is_rest:
                     taken = end if is_ascii else len(part[:end].encode())
-                    self._look = max(2 * taken, _FIRST_LOOK)
+                    self._look = max(2 * taken, limits.JSON_LOOK_BYTES)
                     return value, place + taken
             except ValueError as error:
                 if is_rest:
                     raise ValueError(f"{error} (character {place} of the file)") from error
             if look >= most:
                 raise ValueError(f"no whole value of at most {most / 2**20:g} MiB at character {place}")
-            look = min(look * _GROWTH, most)
+            look = min(look * limits.JSON_LOOK_GROWTH, most)
 
 
 def _depths(block: str, depth: int, inside: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -186,6 +183,6 @@ def _depths(block: str, depth: int, inside: int) -> tuple[np.ndarray, np.ndarray
 def _check_utf8(content: bytes) -> None:
     """UnicodeDecodeError for what is no UTF-8; without a copy of the whole."""
     decoder = codecs.getincrementaldecoder("utf-8")()
-    for place in range(0, len(content), _BLOCK):
-        decoder.decode(content[place : place + _BLOCK])
+    for place in range(0, len(content), limits.JSON_BLOCK_BYTES):
+        decoder.decode(content[place : place + limits.JSON_BLOCK_BYTES])
     decoder.decode(b"", final=True)
