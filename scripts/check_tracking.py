@@ -14,6 +14,7 @@ the compressed video, as at any other. Everything that is printed is measured in
 from __future__ import annotations
 
 import argparse
+import contextlib
 import math
 import re
 import tempfile
@@ -349,8 +350,9 @@ def misses_of(sightings: Sightings, canonical_m: np.ndarray) -> list[list[str]]:
 
 
 def gaps_of(sightings: Sightings, canonical_m: np.ndarray) -> Iterator[list[str]]:
-    """How far a real video's motion in gaps that are made is from what it is without them, finger bones, mean degrees;
-    and how far an angle leaves those at both ends of a gap, median of the gaps. By the fit, and evenly."""
+    """How far a real video's motion in gaps that are made is from what it is without them, finger bones, mean degrees:
+    filled by the fit, with how far an angle leaves those that the fit has at both ends, median of the gaps; and filled
+    evenly, which leaves neither."""
     landmarks = landmarks_of(
         hands_over_time(sightings.frames, sightings.fps).hands[Handedness.RIGHT],
         camera_of(sightings, TrackOptions().camera_angle_deg),
@@ -358,26 +360,38 @@ def gaps_of(sightings: Sightings, canonical_m: np.ndarray) -> Iterator[list[str]
     )
     skeleton = Skeleton.of(own_canonical_joints(canonical_m, landmarks, hand_length(canonical_m)))
     whole = fit(skeleton, landmarks)
-    kept = limits.FIT_GAP_S
     for count in GAPS:
-        cells = [str(count)]
-        for longest_s in (math.inf, 0.0):
-            limits.FIT_GAP_S = longest_s
-            error, beyond = [], []
-            for begin in range(GAP_BESIDE, len(whole) - count - GAP_BESIDE, GAP_EVERY):
-                near, gap = slice(begin - GAP_BESIDE, begin + count + GAP_BESIDE), slice(begin, begin + count)
-                seen = landmarks.part(near)
-                image = seen.image_px.copy()
-                image[GAP_BESIDE:-GAP_BESIDE] = np.nan
-                found = fit(skeleton, replace(seen, image_px=image)).part(slice(GAP_BESIDE, -GAP_BESIDE))
-                directions = [bone_directions(poses.joints_m(skeleton)) for poses in (found, whole.part(gap))]
-                error.append(angles_between_deg(*directions)[:, FINGER_BONES])
-                ends = whole.angle_rad[[begin - 1, begin + count]]
-                over = np.maximum(found.angle_rad - ends.max(0), ends.min(0) - found.angle_rad)
-                beyond.append(math.degrees(max(0.0, float(over.max()))))
-            cells += [f"{np.concatenate(error).mean():.1f}", f"{np.median(beyond):.1f}"]
-        limits.FIT_GAP_S = kept
-        yield cells
+        error: dict[bool, list[np.ndarray]] = {True: [], False: []}
+        beyond = []
+        for begin in range(GAP_BESIDE, len(whole) - count - GAP_BESIDE, GAP_EVERY):
+            seen = landmarks.part(slice(begin - GAP_BESIDE, begin + count + GAP_BESIDE))
+            image = seen.image_px.copy()
+            image[GAP_BESIDE:-GAP_BESIDE] = np.nan
+            gone = replace(seen, image_px=image)
+            for by_fit, own in error.items():
+                with gaps_filled_by_the_fit(by_fit):
+                    around = fit(skeleton, gone)
+                found = around.part(slice(GAP_BESIDE, -GAP_BESIDE))
+                truth = whole.part(slice(begin, begin + count))
+                directions = [bone_directions(poses.joints_m(skeleton)) for poses in (found, truth)]
+                own.append(angles_between_deg(*directions)[:, FINGER_BONES])
+                if by_fit:
+                    ends = around.angle_rad[[GAP_BESIDE - 1, -GAP_BESIDE]]
+                    over = np.maximum(found.angle_rad - ends.max(0), ends.min(0) - found.angle_rad)
+                    beyond.append(math.degrees(max(0.0, float(over.max()))))
+        by_fit, evenly = (f"{np.concatenate(own).mean():.1f}" for own in error.values())
+        yield [str(count), by_fit, f"{np.median(beyond):.1f}", evenly]
+
+
+@contextlib.contextmanager
+def gaps_filled_by_the_fit(by_fit: bool) -> Iterator[None]:
+    """However long they are; else none is."""
+    kept = limits.FIT_GAP_S, limits.FIT_REACH_S
+    limits.FIT_GAP_S, limits.FIT_REACH_S = (math.inf, math.inf) if by_fit else (0.0, kept[1])
+    try:
+        yield
+    finally:
+        limits.FIT_GAP_S, limits.FIT_REACH_S = kept
 
 
 def small_hands(canonical_m: np.ndarray, model: Path | None) -> Iterator[list[str]]:
@@ -445,7 +459,7 @@ def main() -> None:
         header = ["hand of the real video posed by", "median miss of its landmarks, px", "its size, px"]
         tables.append(table(header, misses_of(sightings, canonical)))
         header = ["frames of a gap in the real video", "filled by the fit, degrees", "beyond its ends, degrees"]
-        header += ["filled evenly, degrees", "beyond its ends, degrees"]
+        header += ["filled evenly, degrees"]
         tables.append(table(header, list(gaps_of(sightings, canonical)), words=0))
     text = "\n\n".join(tables)
     print(f"\n{text}")

@@ -65,13 +65,18 @@ def test_landmarks_of_a_hand_that_a_perfect_detector_sees_are_not_missed():
 def test_gaps_that_are_made_in_a_steady_motion_are_filled_with_it(monkeypatch):
     monkeypatch.setattr(check_tracking, "GAPS", (2, 5))
     monkeypatch.setattr(check_tracking, "GAP_BESIDE", 10)
-    before = limits.FIT_GAP_S
     steady = np.broadcast_to(right_joints_m(1), (40, 21, 3))
     rows = list(check_tracking.gaps_of(sight(steady).sightings, CANONICAL_M))
-    assert rows == [["2", "0.0", "0.0", "0.0", "0.0"], ["5", "0.0", "0.0", "0.0", "0.0"]]
+    assert rows == [["2", "0.0", "0.0", "0.0"], ["5", "0.0", "0.0", "0.0"]]
     moving = list(check_tracking.gaps_of(sight(right_joints_m(40)).sightings, CANONICAL_M))
     assert float(moving[1][3]) > 0.1, "what moves is missed"
-    assert before == limits.FIT_GAP_S
+
+
+def test_limits_that_a_measurement_changes_are_put_back_after_an_error():
+    before = limits.FIT_GAP_S, limits.FIT_REACH_S
+    with pytest.raises(ZeroDivisionError), check_tracking.gaps_filled_by_the_fit(by_fit=True):
+        raise ZeroDivisionError
+    assert before == (limits.FIT_GAP_S, limits.FIT_REACH_S)
 
 
 def test_tables_are_put_into_the_page_between_its_marks(tmp_path, monkeypatch):
