@@ -6,11 +6,11 @@ its exit code: 2 bad input, 3 try again, 4 out of memory.
 
 from __future__ import annotations
 
-# the exit code of a command that the user stopped
-STOPPED = 130
-
 import shlex
 import sys
+
+# the exit code of a command that the user stopped
+STOPPED = 130
 
 
 class JGHandError(Exception):

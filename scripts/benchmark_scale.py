@@ -67,9 +67,9 @@ class Run:
 
 @dataclass(frozen=True)
 class Cost:
-    """What one more of something costs, in the middle of all repeats. start_s: of as many processes at once, each of
-    which does one · apart: how far the core times of the repeats lie apart, as a part of core_s · command: without its
-    folders"""
+    """What one more of something costs. wall_s, core_s, start_s: medians of all repeats; start_s of as many processes
+    at once, each of which does one · peak_mb: of the largest · mb: of the files of the first repeat, as all leave the
+    same · apart: how far the core times of the repeats lie apart, as a part of core_s · command: without its folders"""
 
     what: str
     per: str
@@ -107,6 +107,8 @@ def main() -> int:
         raise SystemExit(f"--only: some of {', '.join(PARTS)}; --repeats: 1 or more.")
     if not {"capture", "train"}.isdisjoint(wanted) and not options.from_json and not BLENDER.is_file():
         raise SystemExit(f"There is no {BLENDER}, which captures: --only render,export.")
+    if options.json and not options.json.parent.is_dir():
+        raise SystemExit(f"--json: there is no folder {options.json.parent}.")
     if page and not options.from_json and set(wanted) != set(PARTS):
         raise SystemExit("--page wants all figures: leave out --only.")
     if options.from_json:

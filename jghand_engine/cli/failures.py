@@ -8,10 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from jghand_engine.errors import InputError, JGHandError, MemoryLimitError, RetryError, is_out_of_memory
+from jghand_engine.errors import STOPPED, InputError, JGHandError, MemoryLimitError, RetryError, is_out_of_memory
 from jghand_engine.files import file_error
 
-FAULT, STOPPED = 1, 130
+FAULT = 1
 
 
 @dataclass(frozen=True)

@@ -24,6 +24,10 @@ if TYPE_CHECKING:
     from jghand_engine.farm.runner import Runner
     from jghand_engine.farm.trainings import Training
 
+STOPPING = {
+    "local": "Stopping: the trainings write their checkpoints.",
+    "slurm": "The jobs go on without this command; started again it watches them.",
+}
 DESCRIPTION = """Train a list of hands, one after the other here or many at once on a SLURM cluster.
 
 The list is a TOML file (docs/SCALE.md): what `jghand train` is told, for all of them and for each.
@@ -104,23 +108,16 @@ class TrainMany:
                     runner.run(telling)
             except BaseException as error:
                 stopped = isinstance(error, KeyboardInterrupt)
-                if runner.has_jobs:
-                    self._stop(runner, telling)
+                # the terminal may be gone
+                with contextlib.suppress(OSError):
+                    if runner.watched:
+                        say(STOPPING[self.executor])
+                # processes of this machine would go on unseen
+                runner.stop(telling)
                 if not stopped:
                     raise
         self._show(runner, folder)
         return STOPPED if stopped else max((_exit_code(runner, name) for name in runner.records), key=_SEVERITY.index)
-
-    def _stop(self, runner: Runner, telling: Telling) -> None:
-        """Processes of this machine would go on unseen."""
-        # the terminal may be gone
-        with contextlib.suppress(OSError):
-            say(
-                "Stopping: the trainings write their checkpoints."
-                if self.executor == "local"
-                else "The jobs go on without this command; started again it watches them."
-            )
-        runner.stop(telling)
 
     def _check(self, training: Training) -> None:
         """InputError for options that `jghand train` would refuse: said now, and not by a thousand jobs."""

@@ -145,7 +145,7 @@ class SlurmExecutor:
         try:
             done = subprocess.run(command, capture_output=True, text=True, check=True, timeout=SLURM_ANSWER_S)
         except (OSError, subprocess.SubprocessError) as error:
-            said = getattr(error, "stderr", None) or str(error)
+            said = error.stderr if isinstance(error, subprocess.CalledProcessError) else str(error)
             raise RetryError("the cluster does not answer (squeue)", came=_last_line(said)) from error
         return set(numbers) & set(done.stdout.split())
 
@@ -165,8 +165,6 @@ def _submitit() -> Any:
     return submitit
 
 
-def _last_line(text: str | bytes) -> str:
-    # what came before a timeout is bytes
-    text = text.decode(errors="replace") if isinstance(text, bytes) else text
+def _last_line(text: str) -> str:
     lines = [line for line in text.strip().splitlines() if line.strip()]
     return lines[-1][:300] if lines else "no reason"

@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from jghand_engine.errors import JGHandError, RetryError
+from jghand_engine.errors import STOPPED, JGHandError, RetryError
 from jghand_engine.farm.child import Child, running
 from jghand_engine.farm.records import FarmFolder, Record, State
 from jghand_engine.farm.signals import stop_requests
@@ -23,7 +23,6 @@ from jghand_engine.lock import locked
 from jghand_engine.training.mark import LOCK, MARK
 
 PROGRAM = (sys.executable, "-m", "jghand_engine")
-STOPPED_CODE = 130
 
 
 @dataclass
@@ -113,7 +112,7 @@ class TrainingJob:
                     self._note(folder, record)
                 time.sleep(JOB_POLL_S)
         record.progress, record.told, record.exit_code = child.progress, child.error, code
-        record.state = {0: State.FINISHED, STOPPED_CODE: State.STOPPED}.get(code, State.FAILED)
+        record.state = {0: State.FINISHED, STOPPED: State.STOPPED}.get(code, State.FAILED)
         self._note(folder, record, most_s=RECORD_WAIT_S)
         return record
 

@@ -19,7 +19,8 @@ Tell = Callable[[str, Record], None]
 
 
 class Runner:
-    """The trainings of a list in their folder. records: what is known of each; those on the disk are of its jobs"""
+    """The trainings of a list in their folder. records: what is known of each; those on the disk are of its jobs ·
+    watched: those whose jobs wait or run"""
 
     def __init__(
         self, trainings: Sequence[Training], folder: FarmFolder, executor: Executor,
@@ -31,14 +32,8 @@ class Runner:
         self.records = {name: self._record(name) for name in self._trainings}
         self._pending = [name for name in self._trainings if not self.is_done(name)]
         self._jobs: dict[str, str] = {}
-        self._watched: set[str] = set()
-        self._warned: set[str] = set()
+        self.watched: set[str] = set()
         self._stopping = False
-
-    @property
-    def has_jobs(self) -> bool:
-        """Whether jobs wait or run, as far as it knows."""
-        return bool(self._watched)
 
     def is_done(self, name: str) -> bool:
         """Whether the avatar is there, as the list wants it now."""
@@ -66,36 +61,42 @@ class Runner:
 
     def run(self, tell: Tell) -> None:
         """Until no training waits or runs. tell: called when the state of one changes, or what it says of itself."""
-        while self._pending or self._watched:
+        warned: set[str] = set()
+        while self._pending or self.watched:
             try:
                 # first, as nothing that is refused to the next ones is to keep it from those that run
                 self.watch(tell)
                 for name in self.submit():
                     tell(name, self.records[name])
             except RetryError as error:
-                if not self._watched:
+                if not self.watched:
                     raise
-                self._warn_once(error)
-            if self._watched:
+                if str(error) not in warned:
+                    warned.add(str(error))
+                    self._warn(str(error))
+            if self.watched:
                 time.sleep(self._executor.poll_s)
 
     def watch(self, tell: Tell) -> None:
         """One look at the trainings whose jobs wait or run. RetryError where the scheduler does not answer."""
-        if not self._watched:
+        if not self.watched:
             return
-        # in this order: a job that ends in between has then written its record
-        alive = self._executor.alive([self._jobs[name] for name in self._watched])
-        for name in sorted(self._watched):
+        if self._executor.outlived:
+            # somebody may have submitted one again
+            submitted = self._folder.submitted()
+            self._jobs |= {name: submitted[name] for name in self.watched & submitted.keys()}
+        # before the records: a job that ends in between has then written its own
+        alive = self._executor.alive([self._jobs[name] for name in self.watched])
+        for name in sorted(self.watched):
             before = self.records[name]
             try:
                 record = self._record(name)
             except JGHandError as error:
                 # a share that does not answer may do so at the next look
                 record = replace(before, told=str(error))
-            under_way = record.state in (State.WAITING, State.RUNNING)
-            if self._jobs[name] not in alive and not (under_way and self._has_another_job(name)):
-                self._watched.discard(name)
-                if under_way:
+            if self._jobs[name] not in alive:
+                self.watched.discard(name)
+                if record.state in (State.WAITING, State.RUNNING):
                     record.state = State.STOPPED if self._stopping else State.LOST
             self.records[name] = record
             if (before.state, before.progress) != (record.state, record.progress):
@@ -104,7 +105,7 @@ class Runner:
     def stop(self, tell: Tell) -> None:
         """Asks the jobs to end and waits for that; submits no more, and nothing else where they outlive it."""
         self._pending, self._stopping = [], True
-        while self._watched and not self._executor.outlived:
+        while self.watched and not self._executor.outlived:
             # at each look: a job that is just beginning does not hear it
             self._executor.stop()
             self.watch(tell)
@@ -112,7 +113,7 @@ class Runner:
 
     def _free(self) -> int:
         most = self._executor.at_once
-        return len(self._pending) if most is None else max(0, most - len(self._watched))
+        return len(self._pending) if most is None else max(0, most - len(self.watched))
 
     def _adopt(self) -> None:
         """Watches jobs of an earlier command, or of one beside, instead of submitting their trainings again."""
@@ -123,7 +124,7 @@ class Runner:
 
     def _watch(self, numbers: dict[str, str]) -> None:
         self._jobs |= numbers
-        self._watched |= numbers.keys()
+        self.watched |= numbers.keys()
         self._pending = [name for name in self._pending if name not in numbers]
 
     def _begin(self, most: int) -> list[str]:
@@ -150,19 +151,6 @@ class Runner:
         except RetryError:
             # the job that holds it writes its own; on a full disk it is written by the one that begins
             self.records[name] = self._record(name)
-
-    def _has_another_job(self, name: str) -> bool:
-        """Whether somebody submitted it again; then that job is watched."""
-        if not self._executor.outlived:
-            return False
-        number = self._folder.submitted().get(name, self._jobs[name])
-        old, self._jobs[name] = self._jobs[name], number
-        return number != old
-
-    def _warn_once(self, error: RetryError) -> None:
-        if str(error) not in self._warned:
-            self._warned.add(str(error))
-            self._warn(str(error))
 
     def _record(self, name: str) -> Record:
         return self._folder.record(name) or Record(list(self._trainings[name].words))

@@ -5,7 +5,8 @@ from __future__ import annotations
 import contextlib
 import signal
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from typing import Any
 
 # Ctrl-C, a polite kill, and the end of the terminal; Windows has no such end
 STOPS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
@@ -15,12 +16,10 @@ STOPS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") 
 def held_back() -> Iterator[None]:
     """Those of STOPS that come meanwhile take effect at the end."""
     came: list[int] = []
-    before = {number: signal.signal(number, lambda got, _: came.append(got)) for number in STOPS}
     try:
-        yield
+        with _handled(STOPS, lambda number, _: came.append(number)):
+            yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
         for number in came:
             signal.raise_signal(number)
 
@@ -29,27 +28,29 @@ def held_back() -> Iterator[None]:
 def unheard_by_programs(*numbers: int) -> Iterator[None]:
     """Programs that are started meanwhile do not hear these signals; for this process they wait."""
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, numbers)
-    # some programs, shells among them, begin with an empty mask; what is ignored stays so. Linux keeps a signal that is
-    # blocked even where it is ignored
-    before = {number: signal.signal(number, signal.SIG_IGN) for number in numbers}
     try:
-        yield
+        # some programs, shells among them, begin with an empty mask; what is ignored stays so. Linux keeps a signal
+        # that is blocked even where it is ignored
+        with _handled(numbers, signal.SIG_IGN):
+            yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
 @contextlib.contextmanager
 def stop_requests() -> Iterator[threading.Event]:
-    """Set by those of STOPS that are not ignored. Other signals keep their handlers."""
+    """Set by those of STOPS that are not ignored."""
     asked = threading.Event()
-    before = {number: signal.getsignal(number) for number in STOPS}
-    for number in STOPS:
-        if before[number] is not signal.SIG_IGN:
-            signal.signal(number, lambda *_: asked.set())
-    try:
+    heard = [number for number in STOPS if signal.getsignal(number) is not signal.SIG_IGN]
+    with _handled(heard, lambda *_: asked.set()):
         yield asked
+
+
+@contextlib.contextmanager
+def _handled(numbers: Iterable[int], handler: Any) -> Iterator[None]:
+    before = {number: signal.signal(number, handler) for number in numbers}
+    try:
+        yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for number, old in before.items():
+            signal.signal(number, old)

@@ -78,7 +78,7 @@ def test_ctrl_c_while_a_local_job_is_started_takes_effect_then(tmp_path, monkeyp
 
     monkeypatch.setattr(executor._executor, "submit", start)
     with pytest.raises(KeyboardInterrupt), held_back():
-        noted = executor.submit({"one": len})
+        noted = executor.submit({"one": dict})
     assert noted == {"one": "1"}
 
 

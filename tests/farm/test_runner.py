@@ -126,7 +126,7 @@ def test_a_training_that_was_submitted_again_is_not_lost_to_who_watched_its_firs
     folder.write_record("a", running)
     two.watch(lambda *_: None)
     assert folder.record("a") == running == two.records["a"]
-    assert two.has_jobs
+    assert two.watched
 
 
 def test_numbers_of_local_jobs_are_not_taken_for_those_of_a_cluster(folder):
@@ -184,18 +184,22 @@ def silent() -> None:
     raise RetryError("the cluster does not answer")
 
 
-def test_what_is_refused_to_the_next_training_ends_none_that_runs(folder):
+def test_what_is_refused_to_the_next_training_ends_none_that_runs(folder, monkeypatch):
     scheduler, warned = Scheduler(at_once=2), []
-    asked = Runner([training("a")], folder, scheduler, warned.append)
-    asked.submit()
+    Runner([training("a")], folder, scheduler).submit()
     later = Runner([training("a"), training("b")], folder, scheduler, warned.append)
-    scheduler.submit, taken = refuse, scheduler.submit
-    looks = iter([lambda: None, lambda: None, lambda: setattr(scheduler, "submit", taken)])
+    take = scheduler.submit
+    monkeypatch.setattr(scheduler, "submit", refuse)
+    looks = iter([nothing, nothing, lambda: monkeypatch.setattr(scheduler, "submit", take)])
     scheduler.meanwhile = lambda: next(looks, lambda: ends(folder, scheduler, training("b")))()
     folder.write_record("a", Record(list(training("a").words), State.RUNNING, 1))
     later.run(lambda *_: None)
     assert warned == ["too many jobs."]
     assert scheduler.given == [("a",), ("b",)]
+
+
+def nothing() -> None:
+    pass
 
 
 def refuse(*_) -> None:

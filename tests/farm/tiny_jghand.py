@@ -19,7 +19,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
-from jghand_engine.errors import RetryError
+from jghand_engine.errors import STOPPED, RetryError
 from jghand_engine.farm import executors, job
 from jghand_engine.files import make_folder, writing
 from jghand_engine.lock import locked
@@ -75,7 +75,7 @@ def count(words: list[str]) -> int:
             with writing(work / "checkpoint") as temporary:
                 temporary.write_text(str(done))
             if done < steps:
-                return job.STOPPED_CODE
+                return STOPPED
             out.write_text(f"a hand of {steps} steps")
             return 0
     except RetryError as error:
