@@ -79,7 +79,7 @@ class Render:
         from jghand_engine.cli.receipts import Receipts
         from jghand_engine.cli.render_passes import refuse_older_truth
         from jghand_engine.cli.timings import Timings
-        from jghand_engine.exporters.video import check_video_name, ffmpeg_program, write_video
+        from jghand_engine.exporters.video import check_video_name, ffmpeg_program, refuse_foreign_video, write_video
         from jghand_engine.files import make_folder
         from jghand_engine.splat.frame import HandRenderer
 
@@ -90,6 +90,7 @@ class Render:
         part = self._part()
         if self.video is not None:
             check_video_name("--video", self.video)
+            refuse_foreign_video("--video", self.video)
             ffmpeg_program()
         avatar = load_avatar_called(self.avatar.avatar)
         motion = load_motion(self.motion, avatar)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import mmap
 import subprocess
 import tempfile
 from collections.abc import Iterable, Iterator
@@ -19,6 +20,8 @@ from jghand_engine import limits
 from jghand_engine.errors import InputError, RetryError, install_extra
 from jghand_engine.files import writing
 
+# what a video says of itself
+_MADE_BY = "Made by JGHand"
 # how the numbers are to be read: without these a player may take small pictures for the older standard of television
 COLOUR_TAGS = "range=tv:colorspace=bt709:color_primaries=bt709:color_trc=iec61966-2-1"
 
@@ -40,6 +43,19 @@ def check_video_name(option: str, path: Path) -> None:
     """InputError unless `path`, which `option` gave, says that it is what `write_video` writes."""
     if path.suffix.lower() != ".mp4":
         raise InputError(f"{option} {path}", wanted="a name that ends in .mp4", came=repr(path.suffix))
+
+
+def refuse_foreign_video(option: str, path: Path) -> None:
+    """InputError where `path`, which `option` gave, is a file that `write_video` did not write: it would be lost."""
+    if not path.is_file() or not path.stat().st_size:
+        return
+    with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        ours = content.find(_MADE_BY.encode()) >= 0
+    if not ours:
+        raise InputError(
+            f"{option} {path}", wanted="a new name, or that of a video by JGHand", came="another file",
+            remedy="Choose another name.",
+        )  # fmt: skip
 
 
 def padded_to_even(rgb8: np.ndarray) -> np.ndarray:
@@ -81,7 +97,7 @@ def _command(program: str, size: tuple[int, int], fps: float, target: Path) -> l
         program, "-y", "-loglevel", "error",
         "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{size[0]}x{size[1]}", "-r", f"{fps:g}", "-i", "-",
         "-an", "-vf", colours, "-c:v", "libx264", "-preset", "medium", "-crf", str(limits.VIDEO_CRF),
-        "-pix_fmt", "yuv420p", "-movflags", "+faststart", "-f", "mp4", str(target),
+        "-pix_fmt", "yuv420p", "-metadata", f"comment={_MADE_BY}", "-movflags", "+faststart", "-f", "mp4", str(target),
     ]  # fmt: skip
 
 

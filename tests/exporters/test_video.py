@@ -8,7 +8,7 @@ import pytest
 from jghand_engine.cli import main
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.exporters import video
-from jghand_engine.exporters.video import padded_to_even, write_video
+from jghand_engine.exporters.video import padded_to_even, refuse_foreign_video, write_video
 
 imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="the extra `video` is not installed")
 
@@ -117,3 +117,13 @@ def test_a_failing_ffmpeg_is_reported_with_what_it_said(tmp_path, monkeypatch, s
     with pytest.raises(RetryError, match="disk is full" if "space" in said else said):
         write_video(tmp_path / "out" / "x.mp4", moving_square(200, 400, 900), 30)
     assert not list((tmp_path / "out").iterdir())
+
+
+def test_a_film_of_somebody_else_is_no_place_for_a_video(tmp_path):
+    path = tmp_path / "hand.mp4"
+    refuse_foreign_video("--video", path)
+    write_video(path, [np.zeros((16, 16, 3), np.uint8)] * 2, 30.0)
+    refuse_foreign_video("--video", path)
+    path.write_bytes(path.read_bytes().replace(b"Made by JGHand", b"a holiday film"))
+    with pytest.raises(InputError, match="another file"):
+        refuse_foreign_video("--video", path)
