@@ -4,6 +4,7 @@ read         any motion file -> PoseSequence and sentences about it; what comman
              those of `datasets.motion_files`
 recognise    which format a file, or a folder, is
 content      the common result of all readers: joints of one or more hands, and what the file says of itself
+chosen       which hand of a file is meant
 units        unit and joint order where a file does not say them; clocks: rates, clocks of unknown units, times of keys
 
 openpose, mediapipe, webxr, freemocap, interhand, tables   joint positions

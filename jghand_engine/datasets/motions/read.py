@@ -19,13 +19,13 @@ from jghand_engine.datasets import motion_files
 from jghand_engine.datasets.motion_files import MotionFormat
 from jghand_engine.datasets.motion_tools import retimed, with_hand_length
 from jghand_engine.datasets.motions import bvh, freemocap, gltf, interhand, mediapipe, openpose, tables, usd, webxr
+from jghand_engine.datasets.motions.chosen import chosen, warned
 from jghand_engine.datasets.motions.clocks import clock_s, even_frames, is_one_motion
-from jghand_engine.datasets.motions.content import HandTrack, MotionContent, named
+from jghand_engine.datasets.motions.content import HandTrack, MotionContent
 from jghand_engine.datasets.motions.damage import told_damage
 from jghand_engine.datasets.motions.json_text import JsonText
 from jghand_engine.datasets.motions.recognise import Kind, frames_place, kind_of
 from jghand_engine.datasets.motions.units import recognised_order, recognised_unit
-from jghand_engine.datasets.plausibility import curl_towards_palm
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import METRES_PER_UNIT, JointOrder, check_hand_size, check_order, to_level
@@ -56,7 +56,7 @@ def read_motion_file(path: Path | str, wanted: MotionFormat | None = None) -> Mo
     """
     file, wanted = Path(path), wanted or MotionFormat()
     content = read_content(file, wanted)
-    track, notes = _chosen(file, content, wanted)
+    track, notes = chosen(file, content, wanted)
     order, said = _order(file, track, wanted)
     notes += said
     level = to_level(track.joints, order)
@@ -74,7 +74,7 @@ def read_motion_file(path: Path | str, wanted: MotionFormat | None = None) -> Mo
             remedy="Say the hand with --hand right or --hand left: joints alone do not tell it.",
         )
     if not (content.is_plain and track.handedness is not None):
-        notes += _warned(level_m, side)
+        notes += warned(level_m, side)
     level_m, filled, fps, said = _evenly(file, content, level_m, wanted)
     notes += said
     sequence = PoseSequence(level_m, fps, side, filled=filled)
@@ -202,100 +202,6 @@ def _fits(suffix: str, kind: Kind) -> bool:
         ".json": (Kind.OWN_JSON, Kind.OPENPOSE, Kind.MEDIAPIPE, Kind.WEBXR, Kind.IWER, Kind.INTERHAND),
     }  # fmt: skip
     return kind in families.get(suffix, (Kind.USD,))
-
-
-def _chosen(file: Path, content: MotionContent, wanted: MotionFormat) -> tuple[HandTrack, list[str]]:
-    """The hand that is wanted, and the notes so far. InputError where there is none, or more than one."""
-    tracks = [track for track in content.tracks if track.frames_seen]
-    if not tracks:
-        came = "none" if not content.tracks else "hands that are in no frame"
-        remedy = content.notes[-1] if content.notes and not content.tracks else ""
-        if not content.tracks and content.kind in (bvh.KIND, gltf.KIND, usd.KIND):
-            remedy = f"{remedy} Name its bones with --bones.".strip()
-        raise InputError(f"motion file {file} ({content.kind})", wanted="a hand of 21 joints", came=came, remedy=remedy)
-    if wanted.part is not None:
-        tracks = _of_part(file, tracks, wanted.part, content.animations)
-    notes = list(content.notes)
-    # of one hand alone what the user says counts more than what it looks like
-    if wanted.mirrored_labels is None and (len(tracks) > 1 or wanted.handedness is None):
-        tracks, said = _relabelled(tracks)
-        notes += said
-    if wanted.handedness is not None:
-        tracks, said = _of_side(file, tracks, wanted.handedness)
-        notes += said
-    if len(tracks) > 1:
-        sides = {track.handedness for track in tracks}
-        remedy = "Choose one with --hand right or --hand left." if len(sides) > 1 else "Choose one with --part NAME."
-        shown = ", ".join(track.part or "a hand without a name" for track in tracks[:6])
-        raise InputError(f"motion file {file}", wanted="one hand", came=f"{len(tracks)}: {shown}"[:300], remedy=remedy)
-    return tracks[0], [*notes, *tracks[0].notes]
-
-
-def _of_side(file: Path, tracks: list[HandTrack], side: Handedness) -> tuple[list[HandTrack], list[str]]:
-    """The tracks that are, or may be, the hand of that side."""
-    fitting = [track for track in tracks if track.handedness is side]
-    if fitting:
-        return fitting, []
-    unknown = [track for track in tracks if track.handedness is None]
-    if unknown:
-        return unknown, []
-    labelled = [track for track in tracks if track.labelled]
-    if len(tracks) == 1 and labelled:
-        return labelled, [
-            f"Its only hand is labelled {tracks[0].handedness}: it is taken for the {side} one, as was said."
-        ]
-    raise InputError(
-        f"motion file {file}",
-        wanted=f"a {side} hand",
-        came=f"a {tracks[0].handedness} one only",
-        remedy="Say which hand the file has; --mirror makes it the other one afterwards.",
-    )
-
-
-def _of_part(file: Path, tracks: list[HandTrack], part: str, animations: tuple[str, ...]) -> list[HandTrack]:
-    """The tracks that a name means; all where it is that of an animation, which was chosen already. InputError."""
-    found = named(part, [track.part for track in tracks])
-    if found:
-        return [tracks[place] for place in found]
-    if not named(part, animations):
-        known = [name for name in (*(track.part for track in tracks), *animations) if name]
-        came = ", ".join(known[:6])[:300] + (", …" if len(known) > 6 else "") if known else "none that has a name"
-        raise InputError(f"motion file {file}", wanted=f"a part called {part!r}"[:100], came=came)
-    return tracks
-
-
-def _relabelled(tracks: list[HandTrack]) -> tuple[list[HandTrack], list[str]]:
-    """The tracks with their sides by the way in which the fingers bend, where they do: that counts more than a label.
-    Sides that would fall together stay."""
-    turned, notes = [], []
-    for track in tracks:
-        side, order = track.handedness, track.order
-        if not track.labelled or side is None or order is None:
-            turned.append(track)
-            continue
-        if _bends_as_other(to_level(track.joints, order), side):
-            notes.append(
-                f"A hand is labelled {side}, but its fingers bend as those of a {side.other} hand: it is taken for one."
-            )
-            side = side.other
-        turned.append(replace(track, handedness=side))
-    sides = [[track.handedness for track in some] for some in (tracks, turned)]
-    return (turned, notes) if len(set(sides[1])) == len(set(sides[0])) else (tracks, [])
-
-
-def _bends_as_other(level: np.ndarray, side: Handedness) -> bool:
-    """Whether the fingers of (F, 21, 3) level-order joints clearly bend as those of the other hand."""
-    # absurd numbers of a damaged file are refused later
-    with np.errstate(over="ignore", invalid="ignore"):
-        curl = curl_towards_palm(level[:: max(1, len(level) // limits.RECOGNISE_FRAMES)], side)
-    return curl is not None and curl <= -limits.CHECK_CURL
-
-
-def _warned(level: np.ndarray, side: Handedness) -> list[str]:
-    """A sentence where fingers bend otherwise than those of the side that was said or stands in names."""
-    if not _bends_as_other(level, side):
-        return []
-    return [f"Its fingers bend as those of a {side.other} hand: either it is one, or its axes are mirrored."]
 
 
 def _order(file: Path, track: HandTrack, wanted: MotionFormat) -> tuple[JointOrder, list[str]]:
