@@ -33,9 +33,9 @@ class Video:
     """A video file as its header describes it.
 
     width, height: of the upright picture as it is read, pixels · fps: the even rate that it is read at ·
-    frames: how many pictures that makes, about; None when the header does not say; sound that is longer than the film
-    counts · lone: there is no sound, so that it does not · uneven: the times between its pictures vary · turned_deg: by
-    how much it was turned upright
+    frames: how many pictures that makes, about; None when the header does not say; sound and subtitles that are longer
+    than the film count · lone: there are none, so that they do not · uneven: the times between its pictures vary ·
+    turned_deg: by how much it was turned upright
     """
 
     path: Path
@@ -83,7 +83,8 @@ def pictures(video: Video, notes: ReadingNotes | None = None, *, most: int | Non
     InputError when there is not one.
     """
     filters = [f"fps={video.fps:.9g}", f"scale={video.width}:{video.height}:flags=area", "setsar=1"]
-    wanted = limits.TRACK_FRAMES_MAX + 1 if most is None else min(most, limits.TRACK_FRAMES_MAX)
+    # one more than may be tells that there are more
+    wanted = min(limits.TRACK_FRAMES_MAX + 1, math.inf if most is None else most)
     command = [
         *_input(video.path), "-map", "0:V:0", "-an", "-sn", "-dn", "-vf", ",".join(filters), "-frames:v", str(wanted),
         "-f", "image2pipe", "-c:v", "ppm", "-",
@@ -94,7 +95,7 @@ def pictures(video: Video, notes: ReadingNotes | None = None, *, most: int | Non
         assert process.stdout is not None
         while (picture := _next_picture(process.stdout, video)) is not None:
             if count == limits.TRACK_FRAMES_MAX:
-                sentence = f"{video.path} does not say how long it is: its first {count} pictures were read."
+                sentence = f"{video.path} has more than {count} pictures: its first {count} were read."
                 break
             count += 1
             yield picture
@@ -172,7 +173,7 @@ def _described(file: Path, header: str, fps: float | None) -> Video:
     # a base that is no rate of pictures is the clock of times that vary
     uneven = base is None or (rate is not None and abs(rate - base) > limits.UNEVEN_RATE_PART * base)
     even_width, even_height = (max(2, 2 * round(edge * smaller / 2)) for edge in (width, height))
-    lone = not re.search(r"Stream #.*: Audio: ", header)
+    lone = not re.search(r"Stream #.*: (Audio|Subtitle|Data): ", header)
     return Video(file, even_width, even_height, used, frames, lone, uneven, turned)
 
 
@@ -231,6 +232,10 @@ def _frames(header: str, fps: float) -> int | None:
     if not found:
         return None
     seconds = 3600 * int(found[1]) + 60 * int(found[2]) + float(found[3])
+    # Matroska counts from 0 on, also where the first picture comes later
+    start = re.search(r"Duration: [^\n]*\bstart: (\d+(?:\.\d+)?)", header)
+    if start and re.search(r"Input #0, matroska,webm", header):
+        seconds -= float(start[1])
     return max(1, math.floor(seconds * fps + 0.5))
 
 

@@ -158,6 +158,34 @@ def test_a_film_with_longer_sound_and_a_cover_is_a_whole_film(tmp_path):
     assert notes.sentences == [], "nothing of it is damaged"
 
 
+def test_a_film_whose_first_picture_comes_late_is_a_whole_film(tmp_path):
+    late = converted(film(tmp_path / "a.mp4", 90), tmp_path / "late.mkv", "-c", "copy", before=("-itsoffset", "5"))
+    video, notes = open_video(late), ReadingNotes()
+    assert len(list(pictures(video, notes))) == 90
+    assert video.frames == 90
+    assert notes.sentences == []
+
+
+def test_a_film_with_longer_subtitles_is_a_whole_film(tmp_path):
+    (tmp_path / "words.srt").write_text("1\n00:00:00,000 --> 00:00:09,000\nwords\n")
+    target = tmp_path / "s.mkv"
+    converted(film(tmp_path / "a.mp4"), target, "-i", str(tmp_path / "words.srt"), "-c:v", "copy")
+    notes = ReadingNotes()
+    assert len(list(pictures(open_video(target), notes))) == 20
+    assert notes.sentences == []
+
+
+@pytest.mark.parametrize(("most", "told"), [(None, True), (18, True), (11, True), (10, False), (3, False)])
+def test_a_film_that_turns_out_to_be_too_long_is_read_from_its_beginning_and_that_is_told(
+    tmp_path, monkeypatch, most, told
+):
+    video = open_video(film(tmp_path / "a.mp4"), most=most)
+    monkeypatch.setattr(limits, "TRACK_FRAMES_MAX", 10)
+    notes = ReadingNotes()
+    assert len(list(pictures(video, notes, most=most))) == min(most or 10, 10)
+    assert notes.sentences == ([f"{video.path} has more than 10 pictures: its first 10 were read."] if told else [])
+
+
 def test_leaving_early_ends_the_decoder(tmp_path):
     reading = pictures(open_video(film(tmp_path / "a.mp4", 60)))
     next(reading)
