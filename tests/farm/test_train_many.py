@@ -54,6 +54,15 @@ def test_a_preempted_training_is_queued_again_and_ends_in_the_same_bits(pictures
     ends_as_if_undisturbed(out, undisturbed)
 
 
+def test_a_training_that_is_to_have_more_steps_goes_on_and_replaces_its_avatar(pictures, tmp_path):
+    out = tmp_path / "out"
+    for steps in (4, 6):
+        done = train_many(write_list(tmp_path, pictures, steps=steps), out)
+        assert done.returncode == 0, done.stdout + done.stderr
+    assert record_of(out).starts == 2
+    assert "Going on at step 4" in logs_of(out)
+
+
 # ---- trainings that only count ---------------------------------------------------------------------------------------
 
 
