@@ -79,9 +79,11 @@ def even_frames(times_s: np.ndarray) -> tuple[float, np.ndarray | None]:
     median = float(np.quantile(steps, 0.5, method="lower"))
     step = float(steps[np.abs(steps - median) <= limits.STEP_USUAL * median].mean())
     numbers = np.concatenate([[0.0], np.cumsum(np.maximum(np.rint(steps / step), 1.0))])
-    if numbers[-1] < limits.MOTION_FRAMES_MAX:
-        centred = numbers - numbers.mean()
-        line = 1 / float((centred * times_s).sum() / (centred * centred).sum())
+    centred = numbers - numbers.mean()
+    line = 1 / float((centred * times_s).sum() / (centred * centred).sum())
+    # steps of two and three pictures of a page lie near a grid too, but near one of other steps
+    is_step = abs(1 / line - step) <= limits.STEP_JITTER_MAX * step
+    if is_step and numbers[-1] < limits.MOTION_FRAMES_MAX:
         room_s = max(limits.STEP_JITTER_MAX * step, min(limits.CLOCK_TICK_S, 0.5 * step))
         for fps, range_s in (*_rounded_rates(times_s, line), (whole_rate(line), 2 * room_s), (line, 2 * room_s)):
             if np.ptp(times_s - numbers / fps) <= range_s:
