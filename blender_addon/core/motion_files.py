@@ -101,6 +101,7 @@ def write_motion(path: Path, motion: MotionFile) -> None:
         unit=np.array("m"),
         fps=np.array(motion.fps),
         handedness=np.array(motion.handedness),
+        filled=np.zeros(len(motion.joints_m), bool) if motion.filled is None else motion.filled,
     )
     write_whole(path, stream.getvalue())
 
@@ -142,8 +143,10 @@ def _filled(path: Path, said: Any, count: int) -> np.ndarray:
         return said.astype(bool)
     filled = np.zeros(count, dtype=bool)
     try:
-        numbers = [int(number) for number in (said.split() if isinstance(said, str) else said or ())]
-        if any(not 0 <= number < count for number in numbers):
+        said = () if said is None else said
+        numbers = [int(word) for word in said.split()] if isinstance(said, str) else list(said)
+        # True is 1 to Python, and no number of a frame
+        if any(type(number) is not int or not 0 <= number < count for number in numbers):
             raise ValueError("a frame that is not there")
     except (ValueError, TypeError, OverflowError) as error:
         raise JGHandFailure("bad_motion", f"{path}: 'filled' wants frames from 0 to {count - 1}") from error

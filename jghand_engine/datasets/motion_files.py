@@ -120,8 +120,11 @@ def filled_frames(file: Path, content: FileContent) -> np.ndarray:
     if isinstance(filled, np.ndarray) and filled.shape == (count,):
         return filled.astype(bool)
     try:
-        numbers = filled.split() if isinstance(filled, str) else [] if filled is None else list(filled)
-        frames = np.array([int(number) for number in numbers], dtype=np.int64)
+        given = () if filled is None else filled
+        numbers = [int(word) for word in given.split()] if isinstance(given, str) else list(given)
+        # True is 1 to Python, and no number of a frame
+        whole = all(type(number) is int for number in numbers)
+        frames = np.array(numbers if whole else [-1], dtype=np.int64)
     except (TypeError, ValueError, OverflowError):
         frames = np.array([-1])
     if isinstance(filled, np.ndarray) or (frames < 0).any() or (frames >= count).any():

@@ -88,7 +88,17 @@ def test_frames_that_were_filled_in_are_known(tmp_path):
     assert motion_files.read_motion(write_npz(tmp_path / "c.npz", joints)).filled is None
 
 
-@pytest.mark.parametrize("filled", [[5], [-1], ["x"], 3, [float("inf")], {"a": 1}])
+def test_what_was_filled_in_stays_known_in_a_written_file(tmp_path):
+    flags = np.array([False, True, False, False, True])
+    for filled in (flags, None):
+        motion_files.write_motion(tmp_path / "a.npz", motion_files.MotionFile(motion_m(5), 30.0, "left", (), filled))
+        np.testing.assert_array_equal(motion_files.read_motion(tmp_path / "a.npz").filled, filled)
+
+
+@pytest.mark.parametrize(
+    "filled",
+    [[5], [-1], ["x"], 3, 0, [float("inf")], {"a": 1}, [True, False, True, False, False], [1.7], [1.0], False],
+)
 def test_frames_that_are_not_there_cannot_be_filled_in(tmp_path, filled):
     with pytest.raises(JGHandFailure, match="'filled' wants frames from 0 to 4"):
         motion_files.read_motion(write_json(tmp_path / "a.json", motion_m(5).tolist(), filled=filled))

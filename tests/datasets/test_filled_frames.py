@@ -47,7 +47,7 @@ def test_frames_that_hold_another_pose_are_marked():
     assert held.filled.tolist() == [False, False, True, False]
 
 
-@pytest.mark.parametrize("filled", [[99], [-1], ["a"], {"a": 1}, True, [[1]], [1e400]])
+@pytest.mark.parametrize("filled", [[99], [-1], ["a"], {"a": 1}, True, False, 0, [[1]], [1e400], [1.7], [True] * 6])
 def test_marks_that_are_none_are_refused(sequence, tmp_path, filled):
     import json
 
