@@ -30,7 +30,7 @@ class Options:
     """out: the file to write; look, layers: every knob of the making."""
 
     out: Path = ASSETS / "painted_right.jghand"
-    name: str = "JGHand built-in"
+    name: str = "JGHand painted"
     licence: str = "MIT AND CC0-1.0 AND Apache-2.0, see NOTICE"
     storage: Storage = Storage.COMPACT
     layers: Layers = field(default_factory=Layers)

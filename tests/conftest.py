@@ -8,6 +8,7 @@ import tempfile
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 # points that are placed in one test serve the others; the user's own cache is neither used nor filled
 _CACHE = tempfile.TemporaryDirectory(prefix="jghand_tests_", ignore_cleanup_errors=True)
@@ -19,6 +20,9 @@ def pytest_configure() -> None:
     os.environ["JGHAND_CONFIG_DIR"] = _CACHE.name
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    # nothing here is timed: on a busy machine an example may take any time
+    settings.register_profile("untimed", deadline=None)
+    settings.load_profile("untimed")
 
 
 @pytest.fixture(scope="session")
