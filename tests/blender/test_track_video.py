@@ -13,7 +13,7 @@ import pytest
 from hands import moving_hand_m
 
 from blender_addon import runtime
-from blender_addon.bridge import armature, controls, folders, job_watch
+from blender_addon.bridge import armature, controls, folders, job_watch, versions
 from blender_addon.core import limits
 from blender_addon.core.controls import HAND_CONTROL
 from blender_addon.core.job_state import Phase
@@ -25,7 +25,7 @@ from blender_addon.operators import common, track
 from blender_addon.operators.common import InTurns
 from blender_addon.operators.imports import KeysFile
 
-FRAMES = 9
+FRAMES, FILLED = 9, 4
 # says what `jghand track` says: progress, motions and figures, or an error
 _ENGINE = """
 import json, pathlib, shutil, sys, time
@@ -78,7 +78,9 @@ def video(tmp_path):
 def leave(engine, side, seed=0):
     """Lets the stand-in find a hand; its joints."""
     joints = moving_hand_m(side, FRAMES, seed)
-    write_motion(engine / f"{side}.npz", MotionFile(joints, 24.0, side))
+    # as the stand-in tells it
+    filled = np.arange(FRAMES) == FILLED if side == "left" else None
+    write_motion(engine / f"{side}.npz", MotionFile(joints, 24.0, side, (), filled))
     return joints
 
 
@@ -102,9 +104,12 @@ def test_both_hands_of_a_video_are_keyed(extension, engine, video, tmp_path, cap
     assert {hand.name for hand in hands.values()} == {"waving left", "waving right"}
     for side, hand in hands.items():
         check_keys(extension.scene, hand, joints[side])
+        kinds = ["JITTER" if side == "left" and frame == FILLED else "KEYFRAME" for frame in range(FRAMES)]
+        assert all([key.type for key in curve.keyframe_points] == kinds for curve in versions.fcurves(hand))
     assert (extension.scene.frame_start, extension.scene.frame_end) == (1, FRAMES)
     said = capfd.readouterr().out
     assert "The left hand was not seen in 1 of 9 frames" in said
+    assert "of the kind Jitter" in said
     asked = json.loads((engine / "asked.json").read_text())
     assert asked[:2] == ["track", str(video)]
     for option, value in (("--up", "z"), ("--hand-length", "190"), ("--hand", "auto")):
