@@ -98,7 +98,7 @@ class TrainMany:
 
     def _see_through(self, runner: Runner, folder: FarmFolder) -> int:
         done = sum(map(runner.is_done, runner.records))
-        say(f"{len(runner.records)} trainings, {done} of them finished already.")
+        say(f"Trainings: {len(runner.records)}, of which {done} are finished already.")
         telling, stopped = Telling(), False
         with polite_kill_is_ctrl_c():
             try:

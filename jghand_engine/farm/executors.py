@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
 
-from jghand_engine.errors import InputError, RetryError
+from jghand_engine.errors import InputError, RetryError, install_extra
 from jghand_engine.farm.signals import STOPS, unheard_by_programs
 from jghand_engine.limits import (
     LOCAL_MINUTES_MAX,
@@ -159,9 +159,7 @@ def _submitit() -> Any:
     try:
         import submitit
     except ImportError as error:
-        raise InputError(
-            "jobs", wanted="the package submitit", came="none", remedy="Install the extra: pip install 'jghand[farm]'."
-        ) from error
+        raise InputError("jobs", wanted="the package submitit", came="none", remedy=install_extra("farm")) from error
     return submitit
 
 

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from jghand_engine.errors import InputError
+from jghand_engine.errors import InputError, install_extra
 from jghand_engine.files import file_error, writing
 from jghand_engine.training.snapshot import Course
 
@@ -92,7 +92,7 @@ class Board:
         if importlib.util.find_spec("tensorboard") is None:
             raise InputError(
                 "--tensorboard", wanted="the package tensorboard", came="none",
-                remedy="Install it: pip install 'jghand[tensorboard]'.",
+                remedy=install_extra("tensorboard"),
             )  # fmt: skip
         self._folder = folder
         self._writer = self._open(None)

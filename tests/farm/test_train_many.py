@@ -90,7 +90,7 @@ def test_every_training_of_a_list_becomes_an_avatar_and_a_second_run_does_nothin
     assert (out / "jobs" / "logs").stat().st_mode & 0o777 == 0o700
     again = train_many(path, out, program=COUNTING)
     assert again.returncode == 0
-    assert "2 trainings, 2 of them finished already" in again.stdout
+    assert "Trainings: 2, of which 2 are finished already" in again.stdout
     assert record_of(out).starts == 1
 
 
