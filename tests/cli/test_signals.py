@@ -18,10 +18,14 @@ POLITE = [signal.SIGTERM, signal.SIGHUP]
 
 @pytest.mark.parametrize("number", POLITE)
 def test_a_polite_kill_and_a_closed_terminal_are_ctrl_c_for_so_long(number):
-    before = signal.getsignal(number)
-    with pytest.raises(KeyboardInterrupt), polite_kill_is_ctrl_c():
-        os.kill(os.getpid(), number)
-    assert signal.getsignal(number) == before
+    # `nohup` starts programs with some of them ignored
+    before = signal.signal(number, signal.SIG_DFL)
+    try:
+        with pytest.raises(KeyboardInterrupt), polite_kill_is_ctrl_c():
+            os.kill(os.getpid(), number)
+        assert signal.getsignal(number) == signal.SIG_DFL
+    finally:
+        signal.signal(number, before)
 
 
 @pytest.mark.parametrize("number", POLITE)
