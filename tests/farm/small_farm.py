@@ -48,10 +48,15 @@ def started(
     """The command in a session of its own, as in a terminal, with slow steps. It ends with the test."""
     process = subprocess.Popen(
         [*program, "train-many", str(path), "--out", str(out), *words], stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT, text=True, env=environment(step_s), start_new_session=True,
+        stderr=subprocess.STDOUT, text=True, env=environment(step_s), start_new_session=True, preexec_fn=_hear_the_end,
     )  # fmt: skip
     STARTED.append(process)
     return process
+
+
+def _hear_the_end() -> None:
+    """A closed terminal ends commands, also where the tests were started with `nohup`."""
+    signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 
 def end_what_was_started() -> None:

@@ -87,7 +87,7 @@ def test_too_many_pictures_of_a_film_that_does_not_say_how_many(film, tmp_path, 
     monkeypatch.setattr(limits, "TRACK_FRAMES_MAX", 5)
     notes = ReadingNotes()
     assert len(list(pictures(open_video(raw), notes))) == 5
-    assert "its first 5 pictures" in notes.sentences[0]
+    assert "more than 5 pictures: its first 5 were read" in notes.sentences[0]
     notes = ReadingNotes()
     assert len(list(pictures(open_video(raw, most=3), notes, most=3))) == 3
     assert notes.sentences == []
