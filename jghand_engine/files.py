@@ -7,11 +7,13 @@ import contextlib
 import errno
 import os
 import secrets
+import shutil
 import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
+from jghand_engine import limits
 from jghand_engine.errors import DiskFullError, InputError, JGHandError, RetryError
 
 
@@ -46,6 +48,21 @@ def make_folder(path: Path | str) -> Path:
     except OSError as error:
         raise file_error(folder, error) from error
     return folder
+
+
+def check_room(folder: Path, needed_bytes: int, thing: str) -> None:
+    """DiskFullError, before the work, when so much cannot be written on the disk of `folder`."""
+    try:
+        free = shutil.disk_usage(folder).free * (1 - limits.DISK_RESERVE)
+    except OSError as error:
+        raise file_error(folder, error) from error
+    if needed_bytes > free:
+        raise DiskFullError(
+            f"cannot write {thing} in {folder}: the disk is too small",
+            wanted=f"{needed_bytes / 1e6:.0f} MB",
+            came=f"{free / 1e6:.0f} MB free",
+            remedy="Free some space, choose another folder, or export fewer Gaussians or frames.",
+        )
 
 
 def cache_folder() -> Path:

@@ -7,20 +7,18 @@ of SPZ do not keep to it); the others get what viewers take for granted, x right
 from __future__ import annotations
 
 import re
-import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.errors import DiskFullError, InputError
+from jghand_engine.errors import InputError
 from jghand_engine.exporters import dot_splat, gltf_splats, ply, sog, spz
 from jghand_engine.exporters.splat_cloud import AXES_FROM_RUB, RUB_FROM_UP, SplatCloud
 from jghand_engine.exporters.usd_motion import HandMotion
-from jghand_engine.files import file_error, make_folder, writing
+from jghand_engine.files import check_room, make_folder, writing
 from jghand_engine.hand.sequence import PoseSequence
-from jghand_engine.limits import SPLAT_DISK_RESERVE
 
 _NAME = re.compile(r"[A-Za-z0-9_-]+")
 
@@ -119,7 +117,7 @@ def export_splats(
     frames = range(len(sequence)) if frames is None else frames
     files = tuple(options.path(target, index) for index in frames)
     kept = _refuse_others(target, options, files, len(sequence))
-    _check_space(target, len(avatar) * len(files) * kind.bytes_each)
+    check_room(target, len(avatar) * len(files) * kind.bytes_each, "the splat files")
     for done, (index, path) in enumerate(zip(frames, files, strict=True), 1):
         content = kind.encode(clouds.cloud(index))
         with writing(path) as temporary:
@@ -163,17 +161,3 @@ def _refuse_others(folder: Path, options: SplatOptions, files: tuple[Path, ...],
             remedy="Replace them with --overwrite, or choose another folder or name.",
         )
     return len(there) - len(lost)
-
-
-def _check_space(folder: Path, expected: int) -> None:
-    try:
-        free = shutil.disk_usage(folder).free * (1 - SPLAT_DISK_RESERVE)
-    except OSError as error:
-        raise file_error(folder, error) from error
-    if expected > free:
-        raise DiskFullError(
-            f"cannot write the splat files in {folder}: the disk is too small",
-            wanted=f"{expected / 1e6:.0f} MB",
-            came=f"{free / 1e6:.0f} MB free",
-            remedy="Free some space, choose another folder, or export fewer Gaussians or frames.",
-        )

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
-from jghand_engine.errors import DiskFullError
-from jghand_engine.exporters.usd_layers import usd_errors
 from jghand_engine.exporters.usd_options import Package
 from jghand_engine.exporters.usd_zip import check_zip_size
-from jghand_engine.limits import USD_DISK_RESERVE, USD_FRAME_BYTES, USD_STATIC_BYTES, USD_STATIC_BYTES_PER_GAUSSIAN
+from jghand_engine.files import check_room
+from jghand_engine.limits import USD_FRAME_BYTES, USD_STATIC_BYTES, USD_STATIC_BYTES_PER_GAUSSIAN
 
 
 @dataclass(frozen=True)
@@ -40,15 +38,6 @@ class Expected:
 
 def check_space(folder: Path, expected: Expected, package: Package) -> None:
     """Raises RetryError when the export cannot fit on the disk of `folder`, InputError when not into its package."""
-    needed = expected.room(package)
     if package is Package.USDZ:
         check_zip_size(expected.size, f"{expected.frames} frames")
-    with usd_errors(folder):
-        free = shutil.disk_usage(folder).free * (1 - USD_DISK_RESERVE)
-    if needed > free:
-        raise DiskFullError(
-            f"cannot write the USD stage in {folder}: the disk is too small",
-            wanted=f"{needed / 1e6:.0f} MB",
-            came=f"{free / 1e6:.0f} MB free",
-            remedy="Free some space, choose another folder, or export fewer Gaussians or frames.",
-        )
+    check_room(folder, expected.room(package), "the USD stage")

@@ -11,8 +11,6 @@ VIDEO_CRF = 18
 # ---- exporters: splat files -----------------------------------------------------------------------------------------
 # opacity is written to PLY as a logit, which 0 and 1 have none of; the step of 8 bits is 4000 times larger
 PLY_OPACITY_MARGIN = 1e-6
-# part of the free disk that must be left over, as for USD
-SPLAT_DISK_RESERVE = 0.02
 # bits of a position in SPZ behind the point: steps of 0.004 mm, and 32 m on each side of the origin
 SPZ_FRACTIONAL_BITS = 18
 # what SPZ multiplies the harmonics of band 0 by before it cuts them to 0..1, and where its sizes begin
@@ -65,7 +63,7 @@ USD_APERTURE = 0.36
 # the clipping of an exported camera leaves this factor before and behind the hand, for what else the scene holds
 USD_CLIPPING_ROOM = 2.0
 # part of the free disk that must be left over when an export is expected to fit: other programs write too
-USD_DISK_RESERVE = 0.02
+DISK_RESERVE = 0.02
 # bytes of an export beside the samples of positions: layers, static arrays, skin, tables (per Gaussian and fixed,
 # generous)
 USD_STATIC_BYTES_PER_GAUSSIAN = 180

@@ -12,7 +12,6 @@ from usd_samples import engine_gaussians, lively_motion, small_avatar
 
 from jghand_engine.avatar.skinning import pose_gaussians
 from jghand_engine.errors import InputError, RetryError
-from jghand_engine.exporters import splat_files
 from jghand_engine.exporters.ply import BYTES_PER_GAUSSIAN
 from jghand_engine.exporters.splat_cloud import AXES_FROM_RUB, RUB_FROM_UP
 from jghand_engine.exporters.splat_files import SplatOptions, export_splats
@@ -149,7 +148,7 @@ def test_frames_that_are_there_are_replaced_only_where_that_is_asked_for(tmp_pat
 
 def test_a_disk_that_is_too_small_is_told_before_the_work(tmp_path, monkeypatch):
     usage = type("Usage", (), {"free": 1000})
-    monkeypatch.setattr(splat_files.shutil, "disk_usage", lambda _: usage)
+    monkeypatch.setattr("shutil.disk_usage", lambda _: usage)
     with pytest.raises(RetryError, match="too small"):
         export_splats(tmp_path, small_avatar(), lively_motion(Handedness.RIGHT, 2))
     assert list(tmp_path.iterdir()) == []
