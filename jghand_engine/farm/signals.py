@@ -26,13 +26,12 @@ def held_back() -> Iterator[None]:
 
 @contextlib.contextmanager
 def unheard_by_programs(*numbers: int) -> Iterator[None]:
-    """Programs that are started meanwhile do not hear these signals; for this process they wait."""
+    """Programs that are started meanwhile do not hear these signals. This process does: where it has one thread at the
+    end, else at once."""
+    # not by ignoring them: another thread would take a signal that is blocked in this one, and drop it
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, numbers)
     try:
-        # some programs, shells among them, begin with an empty mask; what is ignored stays so. Linux keeps a signal
-        # that is blocked even where it is ignored
-        with _handled(numbers, signal.SIG_IGN):
-            yield
+        yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import subprocess
 import sys
+import threading
+import time
+from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -59,27 +63,64 @@ for number in STOPS:
 print(SlurmExecutor(Path(sys.argv[1]), SlurmOptions(), 0).submit({"one": len}))
 """
 
+# like the real one it leaves blocked what it finds blocked; a shell of Debian would not
+INTERRUPTED_SBATCH = """
+import os, signal
+for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    os.kill(os.getppid(), number)
+    os.kill(os.getpid(), number)
+print("Submitted batch job 77")
+"""
+
 
 def test_sbatch_hears_neither_ctrl_c_nor_a_polite_kill_nor_a_hang_up_and_the_command_does(sbatch, tmp_path):
     # everybody in a terminal gets it
-    script = tmp_path / "bin" / "sbatch"
-    script.write_text(script.read_text().replace("echo", "for it in INT TERM HUP; do kill -$it $PPID $$; done; echo"))
+    (tmp_path / "bin" / "sbatch").write_text(f"#!{sys.executable}\n{INTERRUPTED_SBATCH}")
     command = [sys.executable, "-c", SUBMITS_ONE, str(tmp_path / "logs")]
     done = subprocess.run(command, capture_output=True, text=True, timeout=60)
     assert sorted(done.stdout.splitlines()) == ["heard 1", "heard 15", "heard 2", "{'one': '77'}"], done.stderr
 
 
-def test_ctrl_c_while_a_local_job_is_started_takes_effect_then(tmp_path, monkeypatch):
+@pytest.mark.parametrize("threads", [1, 3])
+def test_ctrl_c_while_a_local_job_is_started_takes_effect_then(tmp_path, monkeypatch, threads):
     executor = LocalExecutor(tmp_path, 1)
 
     def start(job):
         os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(0.05)  # another thread may take it
         return SimpleNamespace(job_id="1")
 
     monkeypatch.setattr(executor._executor, "submit", start)
-    with pytest.raises(KeyboardInterrupt), held_back():
+    with idle_threads(threads - 1), pytest.raises(KeyboardInterrupt), held_back():
         noted = executor.submit({"one": dict})
     assert noted == {"one": "1"}
+
+
+def test_a_local_job_is_started_deaf_to_ctrl_c_and_to_the_end_of_the_terminal(tmp_path, monkeypatch):
+    executor = LocalExecutor(tmp_path, 1)
+    blocked = "import signal; print(*sorted(signal.pthread_sigmask(signal.SIG_BLOCK, [])))"
+
+    def start(job):
+        done = subprocess.run([sys.executable, "-c", blocked], capture_output=True, text=True, check=True)
+        return SimpleNamespace(job_id=done.stdout.strip())
+
+    monkeypatch.setattr(executor._executor, "submit", start)
+    assert executor.submit({"one": dict}) == {"one": f"{signal.SIGHUP:d} {signal.SIGINT:d}"}
+
+
+@contextlib.contextmanager
+def idle_threads(count: int) -> Iterator[None]:
+    """Threads that block no signal, such as those of torch."""
+    end = threading.Event()
+    threads = [threading.Thread(target=end.wait) for _ in range(count)]
+    for thread in threads:
+        thread.start()
+    try:
+        yield
+    finally:
+        end.set()
+        for thread in threads:
+            thread.join()
 
 
 @pytest.mark.parametrize(
