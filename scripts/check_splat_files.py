@@ -400,7 +400,7 @@ def main() -> int:
             for source, target, signs in axes_of_conversions(folder):
                 print(f"splat-transform makes of our {source} our {target} with x, y, z times {signs}")
     if not rows:
-        print("None of the programs is here: --install", file=sys.stderr)
+        print("None of the programs is here: python scripts/check_splat_files.py --install", file=sys.stderr)
         return 1
     if options.page:
         before, rest = options.page.read_text(encoding="utf-8").split(BEGIN)

@@ -268,7 +268,7 @@ def main() -> int:
     if options.install:
         install()
     if not client_python().exists():
-        print("The programs are not here: --install", file=sys.stderr)
+        print("The other readers are not here: python scripts/check_usd_files.py --install", file=sys.stderr)
     verdicts: list[Verdict] = []
     found: list[Reading] = []
     for way in WAYS:

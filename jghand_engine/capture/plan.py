@@ -283,15 +283,23 @@ def _opened(folder: Path, options: CaptureOptions) -> CapturePlan | None:
     if present is None:
         return None
     asked, began = _named(json.loads(json.dumps(options.description()))), _named(present.description)
-    other = sorted(name for name in asked if asked[name] != began.get(name))
+    other = [_difference(name, asked[name], began.get(name)) for name in asked if asked[name] != began.get(name)]
     if other:
         raise InputError(
             f"the capture in {folder}",
             wanted="the options that it was begun with",
-            came=f"another {' and '.join(other)}",
+            came="; ".join(other),
             remedy="Give the same options, or another --out.",
         )
     return present
+
+
+def _difference(name: str, asked: object, began: object) -> str:
+    """`cameras 16 instead of 8`; of what is no number or name only that it differs."""
+    words = name.replace("_", " ")
+    if all(isinstance(value, int | float) for value in (asked, began)) or name == "identity":
+        return f"{words} {asked} instead of {began}"
+    return f"another {words}"
 
 
 def _named(description: dict[str, Any]) -> dict[str, Any]:

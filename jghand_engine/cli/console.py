@@ -44,7 +44,8 @@ def say_table(title: str, columns: tuple[str, ...], rows: list[tuple[str, ...]])
     """A table whose first column is text and whose others are figures."""
     table = Table(show_edge=False, pad_edge=False)
     for index, column in enumerate(columns):
-        table.add_column(column, justify="right" if index else "left")
+        # a name that is too long for a narrow screen goes on in the next line: cut, two of them may look the same
+        table.add_column(column, justify="right" if index else "left", overflow="fold")
     for row in rows:
         table.add_row(*row)
     out().print(f"\n{title}", style="bold", markup=False)

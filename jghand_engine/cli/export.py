@@ -20,8 +20,10 @@ if TYPE_CHECKING:
     from jghand_engine.cli.inputs import Motion
     from jghand_engine.exporters.usd_options import UsdOptions
 
-DESCRIPTION = """Write a motion as OpenUSD (hand.usda with its layers: splats, points, skeleton and mesh, cameras) or as
-splat files, one for every frame (hand.0000.ply and so on), or as a web page that plays it and poses the hand.
+DESCRIPTION = """Write a motion as OpenUSD, as splat files, or as a web page.
+
+OpenUSD: hand.usda with its layers: splats, points, skeleton and mesh, cameras. Splat files: one for every frame,
+hand.0000.ply and so on. The web page plays the motion and poses the hand.
 
 A USD stage offers the variants splats, points, points_skinned and mesh, whatever --for says: that chooses the one which
 is shown first, and how large points are. Only --package usdc and --precision half leave some out.
@@ -121,10 +123,11 @@ class Export:
     report: ReportOptions = field(default_factory=ReportOptions)
 
     def run(self) -> None:
+        self.motion.check()
+        self._check_options()
         from jghand_engine.avatar.builtin import load_avatar_called
         from jghand_engine.cli.inputs import load_motion
 
-        self._check_options()
         avatar = load_avatar_called(self.avatar.avatar)
         motion = load_motion(self.motion, avatar)
         for note in motion.notes:

@@ -39,9 +39,7 @@ def load_motion(options: MotionOptions, avatar: HandAvatar) -> Motion:
 
     The whole motion is repaired and then cut, so that a part of it looks as it does in the whole. Raises InputError.
     """
-    if (options.motion is None) == (options.poses is None):
-        came = "none of them" if options.motion is None else "both"
-        raise InputError("motion", wanted="either --motion FILE or --poses NAME,NAME,…", came=came)
+    options.check()
     notes: list[str] = []
     files: tuple[Path, ...] = ()
     if options.motion is not None:

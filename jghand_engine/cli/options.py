@@ -91,6 +91,14 @@ class MotionOptions:
     """A frame without some joint: turn the bones evenly from before to after and say how often, hold the last whole
     pose, or stop with an error."""
 
+    def check(self) -> None:
+        """InputError for what needs no look at a file or at the hand."""
+        if (self.motion is None) == (self.poses is None):
+            came = "none of them" if self.motion is None else "both"
+            raise InputError("motion", wanted="either --motion FILE or --poses NAME,NAME,…", came=came)
+        self.frame_slice()
+        self.format.checked_fps()
+
     def frame_slice(self) -> slice:
         """`frames` as a slice. Raises InputError."""
         text = re.sub(r"^(\d+)-(?=\d)", r"\1:", self.frames.strip())

@@ -44,6 +44,10 @@ Examples:
   jghand render --motion wave.npz --out pictures --frames 0-2399 --shard 3/8 --skip-existing"""
 
 
+# angles told on the screen, of the thirty that a hand has
+_OUT_OF_RANGE_SAID = 3
+
+
 @dataclass(frozen=True)
 class Render:
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
@@ -69,6 +73,8 @@ class Render:
     report: ReportOptions = field(default_factory=ReportOptions)
 
     def run(self) -> None:
+        # before what takes seconds to import
+        self.motion.check()
         from dataclasses import replace
 
         from jghand_engine.avatar.builtin import load_avatar_called
@@ -134,8 +140,10 @@ class Render:
             shard = f"Shard {self.shard} of " if part.shard[1] > 1 else ""
             say(f"{shard}{len(joints_m)} pictures: {outcome.sentence()}")
         say(f"Done in {seconds:.1f} s: {self.out}" + (f" and {self.video}" if self.video else ""))
-        for one in unseen:
+        for one in unseen[:_OUT_OF_RANGE_SAID]:
             say(f"Frame {one.frame}: {one.sentence()}.")
+        if len(unseen) > _OUT_OF_RANGE_SAID:
+            say(f"… and {len(unseen) - _OUT_OF_RANGE_SAID} angles more, less far outside; --json FILE lists all.")
         if self.report.json is not None:
             write_json(self.report.json, {
                 "command": "render", "motion": motion.source, "notes": motion.notes, "avatar": avatar.info.name,

@@ -18,14 +18,14 @@ import torch
 from torch.nn import functional
 
 from jghand_engine import limits
-from jghand_engine.errors import InputError
+from jghand_engine.errors import InputError, install_extra
 from jghand_engine.splat.picture import decibels
 from jghand_engine.training.ssim import ssim as mean_ssim
 from jghand_engine.training.ssim import ssim_parts
 
 REGIONS = ("full", "box", "mask")
 BOX_RULE = "smallest rectangle around the pixels of mask >= 0.5, no margin, black background"
-FLIP_MISSING = "FLIP: not available (package flip-evaluator is not installed; pip install 'jghand[metrics]')"
+FLIP_MISSING = f"FLIP: not available (no package flip-evaluator). {install_extra('metrics')}"
 
 
 @dataclass(frozen=True)

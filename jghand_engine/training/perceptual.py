@@ -20,13 +20,11 @@ from torch import Tensor
 from torch.nn import functional
 
 from jghand_engine import limits
-from jghand_engine.errors import InputError
+from jghand_engine.errors import InputError, install_extra
 
 ST_LPIPS, LPIPS = "ST-LPIPS", "LPIPS"
 TRUNKS = ("vgg", "alex")
-ST_LPIPS_MISSING = (
-    "ST-LPIPS: not available (package stlpips-pytorch is not installed; pip install 'jghand[perceptual]')"
-)
+ST_LPIPS_MISSING = f"ST-LPIPS: not available (no package stlpips-pytorch). {install_extra('perceptual')}"
 LPIPS_MISSING = "LPIPS: not available (needs the ImageNet trunk: torchvision's checkpoint of vgg16 or alexnet)"
 
 Tensors = Mapping[str, Tensor]

@@ -21,6 +21,7 @@ from jghand_engine import __version__, limits
 from jghand_engine.capture import plan as plan_module
 from jghand_engine.capture import shards, worker
 from jghand_engine.capture.identities import identity_names
+from jghand_engine.capture.look import Light
 from jghand_engine.capture.options import CaptureOptions
 from jghand_engine.capture.plan import CapturePlan, make_plan, open_or_make, read_plan
 from jghand_engine.capture.shards import overlapping
@@ -342,7 +343,7 @@ def test_of_two_processes_that_begin_a_capture_at_once_only_one_writes_its_plan(
 
     monkeypatch.setattr(plan_module, "make_plan", overtaken)
     if seed:
-        with pytest.raises(InputError, match="another seed"):
+        with pytest.raises(InputError, match="got seed 0 instead of 1"):
             open_or_make(folder, first)
     else:
         assert open_or_make(folder, first).description == plans[0].description
@@ -350,6 +351,16 @@ def test_of_two_processes_that_begin_a_capture_at_once_only_one_writes_its_plan(
     assert again is not None
     assert again.description == plans[0].description
     np.testing.assert_array_equal(again.vertices_m, plans[0].vertices_m)
+
+
+def test_other_options_than_those_that_a_capture_was_begun_with_are_named(tmp_path):
+    begun = CaptureOptions("3", cameras=4, close_ups=0, poses=2, width=32, height=48)
+    open_or_make(tmp_path, begun)
+    other = dataclasses.replace(begun, identity="4", cameras=5, light=Light(hdri_strength=0.1))
+    told = "got identity adult_woman instead of adult_man; cameras 5 instead of 4; another light"
+    with pytest.raises(InputError, match=told):
+        open_or_make(tmp_path, other)
+    assert open_or_make(tmp_path, dataclasses.replace(begun, identity="adult_man")).description["cameras"] == 4
 
 
 def test_a_plan_is_not_written_while_another_process_writes(tmp_path, monkeypatch):

@@ -12,7 +12,9 @@ import numpy as np
 import pytest
 
 from jghand_engine import __version__
+from jghand_engine.avatar import builtin
 from jghand_engine.cli import VERBS, main
+from jghand_engine.cli.console import say_table
 from jghand_engine.cli.inputs import load_motion, read_sequence
 from jghand_engine.cli.options import FormatOptions, MotionOptions, colour, pixels
 from jghand_engine.errors import InputError
@@ -31,9 +33,7 @@ def run(*words):
 
 @pytest.fixture(scope="module")
 def avatar():
-    from jghand_engine.avatar.builtin import load_painted
-
-    return load_painted(handedness=Handedness.RIGHT)
+    return builtin.load_painted(handedness=Handedness.RIGHT)
 
 
 # ---- help and arguments ----------------------------------------------------------------------------------------------
@@ -123,6 +123,47 @@ def test_render_writes_pictures_camera_and_figures(tmp_path, capsys):
     shown = capsys.readouterr()
     assert "median ms" in shown.out
     assert not shown.err
+
+
+def test_of_many_angles_that_were_not_trained_the_three_farthest_are_told_and_the_figures_have_all(tmp_path, capsys):
+    report = tmp_path / "figures.json"
+    canonical = builtin.load_painted(handedness=Handedness.RIGHT).canonical_joints_m.numpy()
+    # a left fist that is said to be a right one bends its fingers backwards
+    fist = pose_sequence_of_names(["fist"], canonical, handedness=Handedness.LEFT)
+    np.save(tmp_path / "bent.npy", from_level(fist.joints_m[:1], JointOrder.STANDARD))
+    words = ("--motion", tmp_path / "bent.npy", "--hand", "right", "--out", tmp_path / "out", "--json", report)
+    assert run("render", *words, "--size", "32x24") == 0
+    told = [line for line in capsys.readouterr().out.splitlines() if "that was trained" in line or "less far" in line]
+    all_of_them = json.loads(report.read_text())["out_of_range"]
+    assert len(told) == 4
+    assert f"and {len(all_of_them) - 3} angles more" in told[3]
+    assert sorted((one["beyond_rad"] for one in all_of_them), reverse=True)[0] == all_of_them[0]["beyond_rad"]
+
+
+@pytest.mark.parametrize("command", ["render", "export"])
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ((), "none of them"),
+        (("--poses", "open", "--motion", "x"), "both"),
+        (("--poses", "open", "--frames", "soon"), "soon"),
+        (("--poses", "open", "--fps", "nan"), "nan"),
+    ],
+)
+def test_a_mistake_in_the_words_is_told_before_anything_is_loaded(command, words, said, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(builtin, "load_avatar_called", lambda _: pytest.fail("loaded"))
+    assert run(command, *words, "--out", tmp_path) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_long_headings_go_on_in_the_next_line_of_a_narrow_screen(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "40")
+    names = ("test/Capture_of_one_hand", "test/Capture_of_another")
+    say_table("Figures", ("", *names), [("PSNR, dB", "33.1", "32.2")])
+    lines = capsys.readouterr().out.splitlines()
+    head = ["".join(parts) for parts in zip(*([cell.strip() for cell in line.split("┃")] for line in lines[2:]
+            if "┃" in line), strict=True)]  # fmt: skip
+    assert head[1:] == list(names)
 
 
 def test_the_camera_that_render_wrote_makes_the_same_picture_again(tmp_path):
