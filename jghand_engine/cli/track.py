@@ -34,7 +34,9 @@ Examples:
   jghand track hand.mp4 --out motion.npz --fetch-model --proof side_by_side.mp4
   jghand track both_hands.mp4 --out motion.npz          writes motion_right.npz and motion_left.npz
   jghand track hand.mp4 --out motion.npz --hand right --hand-length 190
-  jghand render --motion motion.npz --out pictures --video hand_again.mp4"""
+  jghand render --motion motion.npz --out pictures --video hand_again.mp4
+  jghand track hand.mp4 --out motion.npz --film-camera camera.json
+  jghand render --motion motion.npz --camera-file camera.json --out pictures          seen as in the film"""
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,9 @@ class Track:
     """Which hand is wanted. auto: every hand that is there."""
     proof: File = None
     """Also write a video of the input and the avatar side by side (.mp4)."""
+    film_camera: File = None
+    """Also write the camera of the film (.json): with it `jghand render --camera-file` shows the hand from where the
+    film did, where it is right; from other sides one sees how deep the detector took it to be."""
     fps: Annotated[float | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="")] = None
     """Frames per second of the motion. Left out: the video's own, made even if they are not."""
     most: Annotated[int | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="(default: all)")] = None
@@ -114,6 +119,8 @@ class Track:
         files = {side: self._file(side, len(hands)) for side in hands}
         for side, hand in hands.items():
             write_motion(files[side], turned_up(hand.sequence, "y", self.fit.up))
+        if self.film_camera is not None:
+            write_json(self.film_camera, self._film_camera(sightings, options))
         if self.proof is not None:
             self._write_proof(video, sightings, hands, avatar, options)
         for sentence in notes.sentences:
@@ -140,6 +147,8 @@ class Track:
             check_video_name("--proof", self.proof)
         if self.most is not None and self.most < 1:
             raise InputError("--most", wanted="1 or more", came=str(self.most))
+        if self.film_camera is not None and self.fit.in_place:
+            raise InputError("--film-camera", wanted="a hand that moves as before that camera", came="--in-place")
         ffmpeg_program()
         fit = self.fit
         options = TrackOptions(
@@ -164,6 +173,7 @@ class Track:
         motions = dict.fromkeys(self._file(side, count) for count in counts for side in Handedness)
         written = [("--out", path) for path in motions]
         written += [("--proof", self.proof)] if self.proof is not None else []
+        written += [("--film-camera", self.film_camera)] if self.film_camera is not None else []
         written += [("--json", self.report.json)] if self.report.json is not None else []
         read = [("the video", self.video), ("the avatar", Path(self.avatar.avatar))]
         read += [("--model", self.model)] if self.model is not None else []
@@ -218,6 +228,21 @@ class Track:
 
     def _file(self, side: Handedness, count: int) -> Path:
         return self.out if count == 1 else self.out.with_name(f"{self.out.stem}_{side}{self.out.suffix}")
+
+    def _film_camera(self, sightings: Sightings, options: TrackOptions) -> dict[str, Any]:
+        """The camera before which the motion is what the film shows."""
+        import torch
+
+        from jghand_engine.cli.camera_file import camera_to_dict
+        from jghand_engine.datasets.motion_tools import turn_up
+        from jghand_engine.splat.camera import Camera
+        from jghand_engine.tracking.track import MOTION_FROM_CAMERA, camera_of
+
+        pinhole, (height, width) = camera_of(sightings, options.camera_angle_deg), sightings.size_px
+        camera_from_world = torch.eye(4, dtype=torch.float64)
+        camera_from_world[:3, :3] = torch.from_numpy(MOTION_FROM_CAMERA[:, None] * turn_up(self.fit.up, "y"))
+        focal = pinhole.focal_px
+        return camera_to_dict(Camera(width, height, focal, focal, pinhole.cx, pinhole.cy, camera_from_world))
 
     def _write_proof(
         self,

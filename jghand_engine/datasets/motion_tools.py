@@ -138,11 +138,16 @@ def in_place(sequence: PoseSequence) -> PoseSequence:
 
 def turned_up(sequence: PoseSequence, up: str, wanted: str) -> PoseSequence:
     """The motion turned about x so that its axis `up` becomes `wanted`; both of "y", "z", "-y"."""
+    joints_m = sequence.joints_m @ turn_up(up, wanted).T
+    return dataclasses.replace(sequence, joints_m=joints_m, valid=sequence.valid)
+
+
+def turn_up(up: str, wanted: str) -> np.ndarray:
+    """(3, 3) the rotation about x that lays the axis `up` on `wanted`; both of "y", "z", "-y"."""
     turn = math.radians(_UP_DEG[wanted] - _UP_DEG[up])
     # quarter turns, exactly
     cosine, sine = round(math.cos(turn)), round(math.sin(turn))
-    matrix = np.array([[1, 0, 0], [0, cosine, -sine], [0, sine, cosine]], dtype=np.float64)
-    return dataclasses.replace(sequence, joints_m=sequence.joints_m @ matrix.T, valid=sequence.valid)
+    return np.array([[1, 0, 0], [0, cosine, -sine], [0, sine, cosine]], dtype=np.float64)
 
 
 def with_hand_length(sequence: PoseSequence, length_m: float) -> PoseSequence:

@@ -6,11 +6,14 @@ import sys
 
 import numpy as np
 import pytest
+import torch
 from tracking_samples import CANONICAL_M, FPS, HEIGHT, WIDTH, right_joints_m, seen, sight
 
 from jghand_engine import limits
 from jghand_engine.cli import main
+from jghand_engine.cli.camera_file import read_camera
 from jghand_engine.datasets.motions.read import read_motion_file
+from jghand_engine.exporters.pictures import read_png
 from jghand_engine.exporters.video import write_video
 from jghand_engine.hand.anatomy import ArticulatedHand
 from jghand_engine.hand.joints import Handedness
@@ -133,6 +136,7 @@ def test_the_proof_shows_film_and_avatar_side_by_side(film, sees, right, tmp_pat
     [
         (["--hand", "left"], "a left hand"),
         (["--hand", "both"], "both hands"),
+        (["--film-camera", "camera.json", "--in-place"], "--in-place"),
         (["--hand-length", "18"], "hand length"),
         (["--hand-length", "0.19"], "60 to 400 mm"),
         (["--camera-angle", "0"], "camera angle"),
@@ -293,3 +297,34 @@ def test_the_motion_can_have_z_up(film, sees, right, tmp_path):
         made[up] = read_motion(tmp_path / f"{up}.npz").joints_m
     x, y, z = np.moveaxis(made["y"], -1, 0)
     np.testing.assert_allclose(made["z"], np.stack([x, -z, y], -1), atol=1e-12)
+
+
+@pytest.mark.parametrize("up", ["y", "z"])
+def test_before_the_camera_of_the_film_the_motion_is_where_the_film_shows_it(film, sees, right, tmp_path, up):
+    sees(right)
+    out, file = tmp_path / "motion.npz", tmp_path / "camera.json"
+    assert track(film, out, "--film-camera", str(file), "--up", up, "--smoothing", "0", "--bones", "own") == 0
+    camera = read_camera(file)
+    assert (camera.width, camera.height) == (WIDTH, HEIGHT)
+    shown_px, depth_m = camera.project(torch.from_numpy(read_motion(out).joints_m))
+    seen_px = np.stack([found[0].image_px for found in right])
+    assert depth_m.min() > 0.2
+    assert np.abs(shown_px.numpy() - seen_px).max() < 1.0
+    pictures = ("--motion", str(out), "--camera-file", str(file), "--out", str(tmp_path / "pictures"))
+    assert main(["render", *pictures, "--frames", "0", "--preset", "draft"]) == 0
+    drawn = read_png(tmp_path / "pictures" / "frame_00000.png")
+    x, y = seen_px[0].mean(0).round().astype(int)
+    assert drawn.shape[:2] == (HEIGHT, WIDTH)
+    assert drawn[y, x, 3] > 200
+
+
+def test_the_camera_of_the_film_stays_unless_it_shall_be_replaced(film, sees, right, tmp_path, capsys):
+    file = tmp_path / "camera.json"
+    file.write_text("mine")
+    sees(right)
+    assert track(film, tmp_path / "motion.npz", "--film-camera", str(file)) == 2
+    assert "--film-camera" in capsys.readouterr().err
+    assert file.read_text() == "mine"
+    assert not (tmp_path / "motion.npz").exists()
+    assert track(film, tmp_path / "motion.npz", "--film-camera", str(file), "--overwrite") == 0
+    assert read_camera(file).width == WIDTH
