@@ -9,6 +9,7 @@ from __future__ import annotations
 import base64
 import json
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -38,6 +39,14 @@ MEDIAPIPE_NAMES = (
         f"{finger}_{bone}"
         for finger in ("index_finger", "middle_finger", "ring_finger", "pinky")
         for bone in ("mcp", "pip", "dip", "tip")
+    ),
+)
+RTMPOSE_NAMES = (
+    "hand_root",
+    *(
+        f"{finger}{bone}"
+        for finger in ("thumb", "forefinger", "middle_finger", "ring_finger", "pinky_finger")
+        for bone in (1, 2, 3, 4)
     ),
 )
 # names of bones by joint, in level order; tips have none
@@ -363,9 +372,32 @@ def interhand_document(sequence: PoseSequence, captures: tuple[str, ...] = ("0",
     }
 
 
-def freemocap_table(sequence: PoseSequence) -> str:
-    """mediapipe_right_hand_3d_xyz.csv"""
+def freemocap_table(sequence: PoseSequence, names: Sequence[str] = MEDIAPIPE_NAMES, *, remark: bool = False) -> str:
+    """mediapipe_right_hand_3d_xyz.csv, millimetres; with a remark for a header what the add-on for Blender writes,
+    metres."""
     side = f"{sequence.handedness.value}_hand"
-    header = ",".join(f"{side}_{name}_{axis}" for name in MEDIAPIPE_NAMES for axis in "xyz")
-    rows = (standard(sequence) * 1000).reshape(len(sequence), -1)
+    columns = [f"{side}_{name}_{axis}" for name in names for axis in "xyz"]
+    header = "# " + ", ".join(columns) + "," if remark else ",".join(columns)
+    rows = (standard(sequence) * (1 if remark else 1000)).reshape(len(sequence), -1)
     return "\n".join([header, *(",".join("" if np.isnan(x) else repr(x) for x in row) for row in rows.tolist())]) + "\n"
+
+
+def freemocap_lines(sequences: Sequence[PoseSequence], version: int) -> str:
+    """NAME_by_frame.csv of version 1, or freemocap_data_by_frame.csv of version 2, which has RTMPose's names; with
+    what is no measured point of a hand."""
+    columns = {1: "frame,timestamp,timestamp_by_camera,model,keypoint,x,y,z,reprojection_error",
+               2: "frame,keypoint,x,y,z,model,trajectory,reprojection_error"}[version]  # fmt: skip
+    lines = [columns]
+    for frame in range(len(sequences[0])):
+        lines += {1: [f"{frame},{frame / 50!r},{{}},mediapipe_body,left_wrist,1.0,2.0,3.0,4.1"],
+                  2: [f"{frame},left_wrist,1.0,2.0,3.0,rtmpose.body,3d_xyz,"]}[version]  # fmt: skip
+        for sequence in sequences:
+            side = sequence.handedness.value
+            for joint, point in enumerate((standard(sequence)[frame] * 1000).tolist()):
+                x, y, z = ("" if np.isnan(number) else repr(number) for number in point)
+                if version == 1:
+                    lines.append(f"{frame},{frame / 50!r},{{}},mediapipe_hand,{side}_{joint:04d},{x},{y},{z},4.1")
+                else:
+                    lines.append(f"{frame},{RTMPOSE_NAMES[joint]},{x},{y},{z},rtmpose.{side}_hand,3d_xyz,")
+                    lines.append(f"{frame},{RTMPOSE_NAMES[joint]},0,0,0,rtmpose.{side}_hand,rigid_3d_xyz,")
+    return "\n".join(lines) + "\n"

@@ -135,3 +135,8 @@ RECOGNISE_BYTES = 1 << 16
 INTERHAND_GAP_STEPS = 30
 # points of a whole body of FreeMoCap: body, right hand, left hand, and the face if it was tracked
 FREEMOCAP_BODY_POINTS = 33
+# tables with a line for each joint: names of points, body, hands and face have 553; lines after which a hand must be
+# among them; how many times as many frames the numbers may span as there are, because FreeMoCap writes every frame
+JOINT_LINES_NAMES_MAX = 2000
+JOINT_LINES_UNKNOWN_MAX = 10_000
+JOINT_LINES_FRAMES_MAX = 2

@@ -436,6 +436,118 @@ def test_freemocap_says_the_hand_by_names(tmp_path, side):
     assert distance(read_motion_file(tmp_path / "mediapipe_skeleton_3d.npy"), motion) < EXACT_M
 
 
+@pytest.mark.parametrize("side", [RIGHT, LEFT])
+@pytest.mark.parametrize("names", [tuple(f"{number:04d}" for number in range(21)), samples.RTMPOSE_NAMES])
+def test_freemocap_numbers_joints_or_names_them_after_rtmpose(tmp_path, side, names):
+    motion = samples.motion(side)
+    path = tmp_path / f"mediapipe_{side}_hand_3d_xyz.csv"
+    path.write_text(samples.freemocap_table(motion, names))
+    assert distance(read_motion_file(path), motion) < EXACT_M
+
+
+def test_a_whole_recording_of_freemocap_in_a_table_has_both_hands_and_times(tmp_path):
+    both = [samples.motion(RIGHT), samples.motion(LEFT)]
+    numbers = tuple(f"{number:04d}" for number in range(21))
+    right, left = (samples.freemocap_table(motion, numbers).splitlines() for motion in both)
+    lines = [
+        "timestamp,timestamp_by_camera,body_left_wrist_x,body_left_wrist_y,body_left_wrist_z,"
+        + right[0]
+        + ","
+        + left[0]
+    ]
+    lines += [f"{k / 50},{{}},1,2,3,{right[1 + k]},{left[1 + k]}" for k in range(len(both[0]))]
+    path = tmp_path / "recording_15_30_36_by_trajectory.csv"
+    path.write_text("\n".join(lines) + "\n")
+    for motion in both:
+        read = read_motion_file(path, MotionFormat(handedness=motion.handedness))
+        assert distance(read, motion) < EXACT_M
+        assert read.sequence.fps == 50
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_freemocap_with_a_line_for_each_joint(tmp_path, version):
+    both = [samples.motion(RIGHT), samples.motion(LEFT)]
+    path = tmp_path / {1: "recording_by_frame.csv", 2: "freemocap_data_by_frame.csv"}[version]
+    path.write_text(samples.freemocap_lines(both, version))
+    for motion in both:
+        read = read_motion_file(path, MotionFormat(handedness=motion.handedness))
+        assert distance(read, motion) < EXACT_M
+        assert read.sequence.fps == {1: 50, 2: 30}[version]
+
+
+@pytest.mark.parametrize("side", [RIGHT, LEFT])
+def test_freemocap_with_a_line_for_each_joint_of_one_hand(tmp_path, side):
+    motion = samples.motion(side)
+    rows = [line.split(",")[:5] for line in samples.freemocap_lines([motion], 2).splitlines() if "rigid" not in line]
+    path = tmp_path / f"rtmpose_{side}_hand_3d_xyz.csv"
+    path.write_text("\n".join(",".join(row) for row in rows if row[1] != "left_wrist") + "\n")
+    assert distance(read_motion_file(path), motion) < EXACT_M
+
+
+def test_frames_that_such_a_table_leaves_out_are_a_gap(tmp_path, motion):
+    path = tmp_path / "recording_by_frame.csv"
+    lines = samples.freemocap_lines([motion], 2).splitlines()
+    path.write_text("\n".join(line for line in lines if not line.startswith("3,")) + "\n")
+    read = read_motion_file(path).sequence
+    assert len(read) == len(motion)
+    assert np.flatnonzero(~read.valid.any(axis=1)).tolist() == [3]
+
+
+@pytest.mark.parametrize("side", [RIGHT, LEFT])
+def test_what_the_add_on_of_freemocap_saves_is_in_metres(tmp_path, side):
+    motion = samples.motion(side)
+    array, table = tmp_path / f"{side}_hand_frame_name_xyz.npy", tmp_path / f"{side}_hand_trajectories.csv"
+    np.save(array, samples.standard(motion))
+    table.write_text(samples.freemocap_table(motion, remark=True))
+    for path in (array, table):
+        assert distance(read_motion_file(path), motion) < EXACT_M
+
+
+@pytest.mark.parametrize("name", ["all_frame_name_xyz", "rtmpose_skeleton_3d"])
+def test_arrays_of_freemocap_whose_hands_stand_elsewhere_are_refused(tmp_path, name):
+    np.save(tmp_path / f"{name}.npy", np.zeros((2, 133, 3)))
+    with pytest.raises(InputError, match="beside it"):
+        read_motion_file(tmp_path / f"{name}.npy")
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("0,right_hand_wrist,1,2", "line 2 ends after 4 of 5 columns"),
+        ("one,right_hand_wrist,1,2,3", "one"),
+        ("0,right_hand_wrist,1,2,far", "far"),
+        ("0,nose,1,2,3", "no joints of a hand"),
+        ("\n".join(f"0,joint{number},1,2,3" for number in range(3000)), "more than 2000 names"),
+    ],
+)
+def test_bad_tables_with_a_line_for_each_joint_are_refused(tmp_path, text, told):
+    path = tmp_path / "recording_by_frame.csv"
+    path.write_text(f"frame,keypoint,x,y,z\n{text}\n")
+    with pytest.raises(InputError, match=told):
+        read_motion_file(path)
+
+
+def test_numbers_of_frames_that_lie_far_apart_are_refused(tmp_path, motion):
+    path = tmp_path / "recording_by_frame.csv"
+    text = samples.freemocap_lines([motion], 2)
+    first = [line for line in text.splitlines() if line.startswith("0,")]
+    path.write_text(text + "".join(f"900{line}\n" for line in first))
+    with pytest.raises(InputError, match="frames, numbered 0 to 9000"):
+        read_motion_file(path)
+
+
+@pytest.mark.parametrize("place", ["", "output_data", "saved_data/npy"])
+def test_a_folder_of_freemocap_may_be_named_at_any_height(tmp_path, motion, place):
+    folder = tmp_path / "recording" / place
+    folder.mkdir(parents=True)
+    if place.startswith("saved_data"):
+        np.save(folder / "right_hand_frame_name_xyz.npy", samples.standard(motion))
+    else:
+        np.save(folder / "mediapipe_right_hand_3d_xyz.npy", samples.standard(motion) * 1000)
+    for named in (folder, tmp_path / "recording"):
+        assert distance(read_motion_file(named), motion) < EXACT_M
+
+
 def test_a_recording_of_freemocap_is_a_folder_with_both_hands(tmp_path, motion):
     folder = tmp_path / "recording" / "output_data"
     folder.mkdir(parents=True)

@@ -298,6 +298,7 @@ def test_strings_of_any_alphabet_are_read_whatever_stands_around_them(text):
     assert content.value(last) == 5
 
 
+LINES_OF_A_FRAME = "".join(f"0,right_hand_{name},1,2,3\n" for name in samples.MEDIAPIPE_NAMES).encode()
 # each makes a bad file of about 20 MB by the quickest means
 LARGE = {
     "json of one value": lambda: b'{"frames": [' + b"[0,0,0]," * 2_500_000 + b"0]}",
@@ -312,6 +313,9 @@ LARGE = {
     "bvh of many joints": lambda: b"HIERARCHY\nROOT a\n{\n" + b"JOINT b\n{\n" * 2_000_000,
     "csv of one line": lambda: b"a," * 10_000_000,
     "csv of words": lambda: b"wrist_x,wrist_y,wrist_z\n" + b"a,b,c\n" * 3_300_000,
+    "csv of lines of a joint": lambda: b"frame,keypoint,x,y,z\n" + b"0,right_hand_wrist,1,2,3\n" * 800_000 + b"0,1\n",
+    "csv of lines of many": lambda: b"frame,keypoint,x,y,z\n" + b"".join(b"%d,a,1,2,3\n" % k for k in range(1_300_000)),
+    "csv of lines of a hand": lambda: b"frame,keypoint,x,y,z\n" + LINES_OF_A_FRAME * 32_000 + b"0,1\n",
     "zeros": lambda: b"\0" * 20_000_000,
     "gltf of nodes": lambda: b'{"asset": {"version": "2.0"}, "nodes": [' + b"{}," * 6_500_000 + b"{}]}",
 }

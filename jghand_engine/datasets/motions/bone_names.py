@@ -4,7 +4,7 @@ Names are compared without case and separators, and after any prefix (`mixamorig
 `{side}` is right or left, `{s}` r or l, `{finger}` the convention's word for a finger. A joint is where a bone begins.
 The table up to MediaPipe stands in `blender_addon/core/conventions.py` too, which has its sources; a test compares
 them. The others: joints of the WebXR Hand Input Module and of OpenXR's XR_EXT_hand_tracking; names of the rigs of
-SMPL-X, Daz Genesis, 3ds Max Biped and SOMA.
+SMPL-X, Daz Genesis, 3ds Max Biped and SOMA; keypoints of COCO-WholeBody, which RTMPose has.
 """
 
 from __future__ import annotations
@@ -178,6 +178,10 @@ CONVENTIONS = (
         "3ds Max Biped", wrist=("{s} Hand",), fingers=("0", "1", "2", "3", "4"),
         bones=(("{s} Finger{finger}",), ("{s} Finger{finger}1",), ("{s} Finger{finger}2",)),
         tips=("{s} Finger{finger}Nub",),
+    ),
+    Convention(
+        "RTMPose", wrist=("hand_root",), bones=_numbered("{finger}#"), tips=("{finger}4",),
+        fingers=("thumb", "forefinger", "middle_finger", "ring_finger", "pinky_finger"),
     ),
     # whose first finger bones are the metacarpals
     Convention(

@@ -9,10 +9,10 @@ from pathlib import Path
 
 from jghand_engine import limits
 from jghand_engine.datasets.motion_files import has_own_columns
-from jghand_engine.datasets.motions import freemocap, gltf, interhand, mediapipe, openpose, webxr
+from jghand_engine.datasets.motions import freemocap, gltf, interhand, joint_lines, mediapipe, openpose, webxr
 from jghand_engine.datasets.motions.damage import NoMotionError
 from jghand_engine.datasets.motions.json_text import JsonText
-from jghand_engine.datasets.motions.tables import named_hands
+from jghand_engine.datasets.motions.tables import header_of, named_hands
 
 FRAME_LISTS = ("frames", "data", "samples", "recording", "results", "poses", "animation", "motion")
 _USD_TEXT, _USD_CRATE = b"#usda", b"PXR-USDC"
@@ -161,8 +161,9 @@ def _is_list_of_points(frame: object) -> bool:
 def _of_table(file: Path, head: bytes) -> Kind:
     """CSV: our own, FreeMoCap's, or one whose columns are named after joints in another way."""
     lines = head.decode("utf-8-sig", "replace").splitlines()
-    header = next((line for line in lines if line.strip() and not line.startswith("#")), "")
-    cells = header.split(",")
+    cells = header_of(lines)
+    if joint_lines.looks_like(cells):
+        return Kind.FREEMOCAP
     if len(cells) < 3:
         raise NoMotionError("its beginning is that of no motion file that JGHand knows")
     if has_own_columns(cells) or not named_hands(cells)[0]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +17,21 @@ from jghand_engine.datasets.motions.content import HandTrack, MotionContent
 from jghand_engine.datasets.motions.damage import NoMotionError
 from jghand_engine.datasets.motions.json_points import plain
 from jghand_engine.datasets.motions.text_lines import bounded_lines
-from jghand_engine.hand.joints import JOINT_COUNT
+from jghand_engine.hand.joints import JOINT_COUNT, STANDARD_NAMES
 from jghand_engine.hand.orders import JointOrder
 
 # a joint's name, what parts it from its axis, the axis
 _COLUMN = re.compile(r"(.+?)[._ -]+([xyz])", re.IGNORECASE)
+# joints that have a number for a name, as FreeMoCap wrote them from 1.2 to 1.8: right_hand_0000
+_NUMBERED = re.compile(r"((?:right|left)_hand)_(\d{4})")
+
+
+def joint_name(text: str) -> str:
+    """The name of a joint in the header of a table; for one that is a number, in MediaPipe's order, ours."""
+    match = _NUMBERED.fullmatch(text)
+    if match is None or int(match[2]) >= JOINT_COUNT:
+        return text
+    return f"{match[1]}_{STANDARD_NAMES[int(match[2])]}"
 
 
 def named_hands(header: list[str]) -> tuple[list[NamedHand], dict[str, tuple[int, int, int]], list[str]]:
@@ -30,10 +40,21 @@ def named_hands(header: list[str]) -> tuple[list[NamedHand], dict[str, tuple[int
     for place, cell in enumerate(header):
         match = _COLUMN.fullmatch(cell.strip().strip('"'))
         if match is not None:
-            places.setdefault(match[1], {})[match[2].casefold()] = place
+            places.setdefault(joint_name(match[1]), {})[match[2].casefold()] = place
     columns = {name: (at["x"], at["y"], at["z"]) for name, at in places.items() if len(at) == 3}
     names = list(columns)
     return hands_among(names)[0], columns, names
+
+
+def header_of(lines: Iterable[str]) -> list[str]:
+    """The cells of the first line that is no remark; of one that is and names a hand, as numpy's `savetxt` writes the
+    columns; [] without any. No more lines than that are taken."""
+    for line in lines:
+        is_remark = line.startswith("#")
+        cells = next(csv.reader([line.lstrip("# ")]), [])
+        if any(cells) and (not is_remark or named_hands(cells)[0]):
+            return cells
+    return []
 
 
 def read(file: Path) -> MotionContent:
@@ -42,12 +63,13 @@ def read(file: Path) -> MotionContent:
     return MotionContent("a table of joints", tracks, times=times)
 
 
-def read_tracks(file: Path) -> tuple[tuple[HandTrack, ...], list[float | None]]:
-    """The hands of a table, one line for each frame, and its times in whatever unit, [] without a column of them; no
-    hand when its columns are named after none. ValueError."""
+def read_tracks(file: Path) -> tuple[tuple[HandTrack, ...], list[float]]:
+    """The hands of a table, one line for each frame, and its times in whatever unit, NaN where one is missing, []
+    without a column of them; no hand when its columns are named after none. ValueError."""
     with open(file, encoding="utf-8-sig", newline="") as stream:
-        rows = csv.reader(line for line in bounded_lines(stream) if not line.startswith("#"))
-        header = next(rows, [])
+        lines = bounded_lines(stream)
+        header = header_of(lines)
+        rows = csv.reader(line for line in lines if not line.startswith("#"))
         hands, columns, names = named_hands(header)
         if not hands:
             return (), []
