@@ -6,6 +6,7 @@ its exit code: 2 bad input, 3 try again, 4 out of memory.
 
 from __future__ import annotations
 
+import re
 import shlex
 import sys
 
@@ -29,7 +30,8 @@ class JGHandError(Exception):
             sentence += f": wanted {wanted}"
         if came:
             sentence += f"{',' if wanted else ':'} got {came}"
-        sentence += "."
+        # words of other programs may end with one already, or with two
+        sentence = re.sub(r"(?<=\w)\.+$", "", sentence) + "."
         if remedy:
             sentence += f" {remedy}"
         super().__init__(sentence)
