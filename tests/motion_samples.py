@@ -389,8 +389,6 @@ def freemocap_lines(sequences: Sequence[PoseSequence], version: int) -> str:
                2: "frame,keypoint,x,y,z,model,trajectory,reprojection_error"}[version]  # fmt: skip
     lines = [columns]
     for frame in range(len(sequences[0])):
-        lines += {1: [f"{frame},{frame / 50!r},{{}},mediapipe_body,left_wrist,1.0,2.0,3.0,4.1"],
-                  2: [f"{frame},left_wrist,1.0,2.0,3.0,rtmpose.body,3d_xyz,"]}[version]  # fmt: skip
         for sequence in sequences:
             side = sequence.handedness.value
             for joint, point in enumerate((standard(sequence)[frame] * 1000).tolist()):
@@ -400,4 +398,8 @@ def freemocap_lines(sequences: Sequence[PoseSequence], version: int) -> str:
                 else:
                     lines.append(f"{frame},{RTMPOSE_NAMES[joint]},{x},{y},{z},rtmpose.{side}_hand,3d_xyz,")
                     lines.append(f"{frame},{RTMPOSE_NAMES[joint]},0,0,0,rtmpose.{side}_hand,rigid_3d_xyz,")
+        if version == 1:
+            lines.append(f"{frame},{frame / 50!r},{{}},mediapipe_body,left_0000,1.0,2.0,3.0,4.1")
+        else:
+            lines.append(f"{frame},left_hand_root,1.0,2.0,3.0,rtmpose.left_body,3d_xyz,")
     return "\n".join(lines) + "\n"

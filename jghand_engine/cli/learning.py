@@ -53,7 +53,7 @@ def train_options(
         return options, None
     metric = perceptual.st_lpips(device)
     if metric is None:
-        say(f"{perceptual.ST_LPIPS_MISSING}. The training goes without the perceptual term.")
+        say(f"{perceptual.ST_LPIPS_MISSING} The training goes without the perceptual term.")
         options = replace(options, loss=replace(options.loss, perceptual=0.0))
     return options, metric
 

@@ -92,7 +92,7 @@ class MotionOptions:
     pose, or stop with an error."""
 
     def check(self) -> None:
-        """InputError for what needs no look at a file or at the hand."""
+        """InputError for what these words alone show to be wrong."""
         if (self.motion is None) == (self.poses is None):
             came = "none of them" if self.motion is None else "both"
             raise InputError("motion", wanted="either --motion FILE or --poses NAME,NAME,…", came=came)
@@ -108,7 +108,10 @@ class MotionOptions:
         first = int(match[1] or 0)
         if ":" not in text:
             return slice(first, first + 1, 1)
-        return slice(first, int(match[2]) + 1 if match[2] else None, int(match[3] or 1))
+        part = slice(first, int(match[2]) + 1 if match[2] else None, int(match[3] or 1))
+        if part.step == 0 or (part.stop is not None and part.stop <= first):
+            raise InputError("--frames", wanted="a step of 1 or more, and FIRST before LAST", came=repr(self.frames))
+        return part
 
 
 @dataclass(frozen=True)

@@ -72,14 +72,14 @@ class Track:
     proof: File = None
     """Also write a video of the input and the avatar side by side (.mp4)."""
     film_camera: File = None
-    """Also write the camera of the film (.json): with it `jghand render --camera-file` shows the hand from where the
-    film did, where it is right; from other sides one sees how deep the detector took it to be."""
+    """Also write the camera of the film (.json). `jghand render --camera-file` shows the hand from there, as the film
+    did; from other sides one sees how deep the detector took it to be."""
     fps: Annotated[float | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="")] = None
     """Frames per second of the motion. Left out: the video's own, made even if they are not."""
     most: Annotated[int | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="(default: all)")] = None
     """Only so many frames from the start."""
     overwrite: bool = False
-    """Replace motions and a proof that are there."""
+    """Replace motions, a proof and a camera that are there."""
     model: File = None
     """The networks that find a hand, a .task file; left out: those that were fetched."""
     fetch_model: bool = False
@@ -127,13 +127,15 @@ class Track:
             say(sentence)
         for side, hand in hands.items():
             say(_sentence(side, hand, files[side]))
-        say(f"Done in {time.perf_counter() - started:.1f} s" + (f": {self.proof}" if self.proof else "."))
+        others = " and ".join(str(path) for path in (self.proof, self.film_camera) if path)
+        say(f"Done in {time.perf_counter() - started:.1f} s" + (f": {others}" if others else "."))
         if self.report.json is not None:
             write_json(self.report.json, {
                 "command": "track", "video": str(self.video), "fps": video.fps, "frames": len(sightings.frames),
                 "size_px": [video.width, video.height], "notes": notes.sentences,
                 "seconds_looking": seconds_looking, "seconds_fitting": seconds_fitting,
                 "hands": [_figures(side, hand, files[side]) for side, hand in hands.items()],
+                "film_camera": None if self.film_camera is None else str(self.film_camera),
             })  # fmt: skip
 
     def _checked(self) -> TrackOptions:
@@ -147,6 +149,8 @@ class Track:
             check_video_name("--proof", self.proof)
         if self.most is not None and self.most < 1:
             raise InputError("--most", wanted="1 or more", came=str(self.most))
+        if self.film_camera is not None and self.film_camera.suffix.lower() != ".json":
+            raise InputError("--film-camera", wanted="a name that ends in .json", came=self.film_camera.name)
         if self.film_camera is not None and self.fit.in_place:
             raise InputError("--film-camera", wanted="a hand that moves as before that camera", came="--in-place")
         ffmpeg_program()
@@ -165,7 +169,7 @@ class Track:
 
     def _check_places(self) -> None:
         """InputError where a file would be written over one that is read, over another one of this command, or over a
-        motion or a proof that is there."""
+        motion, a proof or a camera that is there."""
         from jghand_engine.files import check_place
 
         sides = {"right": 1, "left": 1, "both": 2}
@@ -234,13 +238,13 @@ class Track:
         import torch
 
         from jghand_engine.cli.camera_file import camera_to_dict
-        from jghand_engine.datasets.motion_tools import turn_up
+        from jghand_engine.datasets.motion_tools import up_rotation
         from jghand_engine.splat.camera import Camera
         from jghand_engine.tracking.track import MOTION_FROM_CAMERA, camera_of
 
         pinhole, (height, width) = camera_of(sightings, options.camera_angle_deg), sightings.size_px
         camera_from_world = torch.eye(4, dtype=torch.float64)
-        camera_from_world[:3, :3] = torch.from_numpy(MOTION_FROM_CAMERA[:, None] * turn_up(self.fit.up, "y"))
+        camera_from_world[:3, :3] = torch.from_numpy(MOTION_FROM_CAMERA[:, None] * up_rotation(self.fit.up, "y"))
         focal = pinhole.focal_px
         return camera_to_dict(Camera(width, height, focal, focal, pinhole.cx, pinhole.cy, camera_from_world))
 

@@ -138,11 +138,11 @@ def in_place(sequence: PoseSequence) -> PoseSequence:
 
 def turned_up(sequence: PoseSequence, up: str, wanted: str) -> PoseSequence:
     """The motion turned about x so that its axis `up` becomes `wanted`; both of "y", "z", "-y"."""
-    joints_m = sequence.joints_m @ turn_up(up, wanted).T
+    joints_m = sequence.joints_m @ up_rotation(up, wanted).T
     return dataclasses.replace(sequence, joints_m=joints_m, valid=sequence.valid)
 
 
-def turn_up(up: str, wanted: str) -> np.ndarray:
+def up_rotation(up: str, wanted: str) -> np.ndarray:
     """(3, 3) the rotation about x that lays the axis `up` on `wanted`; both of "y", "z", "-y"."""
     turn = math.radians(_UP_DEG[wanted] - _UP_DEG[up])
     # quarter turns, exactly

@@ -26,8 +26,8 @@ def held_back() -> Iterator[None]:
 
 @contextlib.contextmanager
 def unheard_by_programs(*numbers: int) -> Iterator[None]:
-    """Programs that are started meanwhile do not hear these signals. This process does: where it has one thread at the
-    end, else at once."""
+    """Programs that are started meanwhile do not hear these signals, if they leave blocked what they find blocked, as
+    SLURM's do; a shell of Debian does not. This process does: where it has one thread at the end, else at once."""
     # not by ignoring them: another thread would take a signal that is blocked in this one, and drop it
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, numbers)
     try:

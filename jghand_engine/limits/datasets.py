@@ -135,8 +135,13 @@ RECOGNISE_BYTES = 1 << 16
 INTERHAND_GAP_STEPS = 30
 # points of a whole body of FreeMoCap: body, right hand, left hand, and the face if it was tracked
 FREEMOCAP_BODY_POINTS = 33
-# tables with a line for each joint: names of points, body, hands and face have 553; lines after which a hand must be
-# among them; how many times as many frames the numbers may span as there are, because FreeMoCap writes every frame
+# points of a face: none, its outline, MediaPipe's mesh without and with irises
+FREEMOCAP_FACE_POINTS = (0, 136, 468, 478)
+# points that early ones of version 2 add to a body: centres of head, neck, trunk and hips
+FREEMOCAP_CENTRES = 4
+# names of points in a table with a line for each: body, hands and face have 553
 JOINT_LINES_NAMES_MAX = 2000
-JOINT_LINES_UNKNOWN_MAX = 10_000
+# how many times as many frames their numbers may span as there are: FreeMoCap leaves none out
 JOINT_LINES_FRAMES_MAX = 2
+# characters of a frame's number: 64 bits have 20, a sign and a fraction
+FRAME_NUMBER_CHARACTERS_MAX = 24

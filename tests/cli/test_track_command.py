@@ -137,6 +137,7 @@ def test_the_proof_shows_film_and_avatar_side_by_side(film, sees, right, tmp_pat
         (["--hand", "left"], "a left hand"),
         (["--hand", "both"], "both hands"),
         (["--film-camera", "camera.json", "--in-place"], "--in-place"),
+        (["--film-camera", "camera.png"], "ends in .json"),
         (["--hand-length", "18"], "hand length"),
         (["--hand-length", "0.19"], "60 to 400 mm"),
         (["--camera-angle", "0"], "camera angle"),
@@ -309,7 +310,8 @@ def test_before_the_camera_of_the_film_the_motion_is_where_the_film_shows_it(fil
     shown_px, depth_m = camera.project(torch.from_numpy(read_motion(out).joints_m))
     seen_px = np.stack([found[0].image_px for found in right])
     assert depth_m.min() > 0.2
-    assert np.abs(shown_px.numpy() - seen_px).max() < 1.0
+    # worst observed 0.17: the fit also follows directions
+    assert np.abs(shown_px.numpy() - seen_px).max() < 0.3
     pictures = ("--motion", str(out), "--camera-file", str(file), "--out", str(tmp_path / "pictures"))
     assert main(["render", *pictures, "--frames", "0", "--preset", "draft"]) == 0
     drawn = read_png(tmp_path / "pictures" / "frame_00000.png")

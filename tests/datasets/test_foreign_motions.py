@@ -513,9 +513,9 @@ def test_arrays_of_freemocap_whose_hands_stand_elsewhere_are_refused(tmp_path, n
 @pytest.mark.parametrize(
     ("text", "told"),
     [
-        ("0,right_hand_wrist,1,2", "line 2 ends after 4 of 5 columns"),
+        ("0,right_hand_wrist,1,2", "row 1 ends after 4 of 5 columns"),
         ("one,right_hand_wrist,1,2,3", "one"),
-        ("0,right_hand_wrist,1,2,far", "far"),
+        ("\n".join(f"0,right_hand_{name},1,2,far" for name in samples.MEDIAPIPE_NAMES), "far"),
         ("0,nose,1,2,3", "no joints of a hand"),
         ("\n".join(f"0,joint{number},1,2,3" for number in range(3000)), "more than 2000 names"),
     ],
@@ -532,20 +532,140 @@ def test_numbers_of_frames_that_lie_far_apart_are_refused(tmp_path, motion):
     text = samples.freemocap_lines([motion], 2)
     first = [line for line in text.splitlines() if line.startswith("0,")]
     path.write_text(text + "".join(f"900{line}\n" for line in first))
-    with pytest.raises(InputError, match="frames, numbered 0 to 9000"):
+    with pytest.raises(InputError, match="41 frames of a hand are numbered 0 to 9000; wanted at least every second"):
         read_motion_file(path)
 
 
-@pytest.mark.parametrize("place", ["", "output_data", "saved_data/npy"])
-def test_a_folder_of_freemocap_may_be_named_at_any_height(tmp_path, motion, place):
-    folder = tmp_path / "recording" / place
-    folder.mkdir(parents=True)
-    if place.startswith("saved_data"):
-        np.save(folder / "right_hand_frame_name_xyz.npy", samples.standard(motion))
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        (lambda frame: 10**18 + 20_000_000 * frame, "are numbered 1000000000000000000 to"),
+        (lambda frame: 10**400, "a frame called 10000000000000000000…"),
+        (lambda frame: frame // 2, "has two lines of right_hand_"),
+        (lambda frame: frame + 0.5, "0.5"),
+    ],
+)
+def test_numbers_of_frames_that_are_none_are_refused(tmp_path, motion, changed, told):
+    path = tmp_path / "recording_by_frame.csv"
+    rows = [line.split(",") for line in samples.freemocap_lines([motion], 2).splitlines()]
+    rows[1:] = [[str(changed(int(row[0]))), *row[1:]] for row in rows[1:]]
+    path.write_text("\n".join(",".join(row) for row in rows) + "\n")
+    with pytest.raises(InputError, match=told):
+        read_motion_file(path)
+
+
+@pytest.mark.parametrize(
+    "written",
+    [
+        lambda rows: [rows[0], *sorted(rows[1:], key=lambda row: row[1])],
+        lambda rows: [["# made by somebody"], [""], *rows],
+        lambda rows: [*rows[:50], ["# a remark"], [" "], *rows[50:]],
+        lambda rows: [[f" {cell} " for cell in row] for row in rows],
+        lambda rows: [rows[0], *([f"{row[0]}.0", *row[1:]] for row in rows[1:])],
+        lambda rows: [rows[0], *([str(10**18 + int(row[0])), *row[1:]] for row in rows[1:])],
+        lambda rows: [[*row, "timestamp" if row is rows[0] else "2026-11-22 10:00"] for row in rows],
+    ],
+)
+def test_a_line_for_each_joint_may_be_written_in_many_ways(tmp_path, motion, written):
+    path = tmp_path / "recording_by_frame.csv"
+    rows = [line.split(",") for line in samples.freemocap_lines([motion], 2).splitlines()]
+    path.write_text("\n".join(",".join(row) for row in written(rows)) + "\n")
+    assert distance(read_motion_file(path), motion) < EXACT_M
+
+
+def test_hands_of_two_trackers_are_told_apart_by_their_names(tmp_path):
+    first, second = samples.motion(RIGHT), samples.motion(RIGHT, frames=30)
+    path = tmp_path / "freemocap_data_by_frame.csv"
+    lines = samples.freemocap_lines([first], 2).splitlines()
+    lines += [line.replace("rtmpose", "holistic") for line in samples.freemocap_lines([second], 2).splitlines()[1:]]
+    path.write_text("\n".join(lines) + "\n")
+    with pytest.raises(InputError, match=r"right hand, rtmpose\.right_hand.*--part"):
+        read_motion_file(path)
+    assert distance(read_motion_file(path, MotionFormat(part="rtmpose")), first) < EXACT_M
+
+
+def test_each_file_of_a_recording_has_its_own_times(tmp_path):
+    hands = {side: samples.motion(side, frames=frames) for side, frames in ((RIGHT, 40), (LEFT, 30))}
+    for (side, motion), fps in zip(hands.items(), (50, 25), strict=True):
+        header, *rows = samples.freemocap_table(motion).splitlines()
+        lines = [f"timestamp,{header}", *(f"{k / fps},{row}" for k, row in enumerate(rows))]
+        (tmp_path / f"{side}_hand_3d_xyz.csv").write_text("\n".join(lines) + "\n")
+    for (side, motion), fps in zip(hands.items(), (50, 25), strict=True):
+        read = read_motion_file(tmp_path, MotionFormat(handedness=side))
+        assert (len(read.sequence), read.sequence.fps) == (len(motion), fps)
+
+
+def test_a_plain_file_that_is_called_like_one_of_freemocap_is_read_as_it_is(tmp_path, motion):
+    array, table = tmp_path / "wave_by_frame.npy", tmp_path / "wave_by_trajectory.csv"
+    np.save(array, samples.standard(motion))
+    table.write_text(samples.freemocap_table(motion, remark=True).lstrip("# ").replace(",\n", "\n", 1))
+    for path in (array, table):
+        assert distance(read_motion_file(path, MotionFormat(handedness=RIGHT)), motion) < EXACT_M
+
+
+def test_what_a_file_of_freemocap_is_its_content_says(tmp_path, motion):
+    np.save(tmp_path / "a.npy", samples.standard(motion) * 1000)
+    (tmp_path / "a.npy").rename(tmp_path / "right_hand_3d_xyz")
+    (tmp_path / "lines.npy").write_text(samples.freemocap_lines([motion], 2))
+    for name in ("right_hand_3d_xyz", "lines.npy"):
+        assert distance(read_motion_file(tmp_path / name), motion) < EXACT_M
+
+
+@pytest.mark.parametrize(("centres", "face"), [(0, 0), (0, 478), (4, 0), (4, 136)])
+def test_the_hands_of_a_whole_body_stand_behind_its_points(tmp_path, motion, centres, face):
+    first = 33 + centres
+    body = np.full((len(motion), first + 42 + face, 3), np.nan)
+    body[:, first : first + 21] = samples.standard(motion) * 1000
+    np.save(tmp_path / "mediapipe_skeleton_3d.npy", body)
+    assert distance(read_motion_file(tmp_path / "mediapipe_skeleton_3d.npy"), motion) < EXACT_M
+
+
+REMARKS = "# unit: m\n# handedness: right\n# fps: 60\n# order: mediapipe\n"
+
+
+@pytest.mark.parametrize("before", ["", "# right_hand_wrist_x, and so on\n", "NAMES"])
+def test_remarks_above_a_header_are_no_header(tmp_path, motion, before):
+    text = samples.freemocap_table(motion)
+    before = f"# {text.splitlines()[0]}\n" if before == "NAMES" else before
+    path = tmp_path / "a.csv"
+    path.write_text(before + text)
+    assert distance(read_motion_file(path), motion) < EXACT_M
+
+
+def test_a_table_of_our_own_may_name_its_columns_in_a_remark(tmp_path, motion):
+    header, *rows = samples.freemocap_table(motion, remark=True).splitlines()
+    path = tmp_path / "a.csv"
+    path.write_text("\n".join([REMARKS + header.replace("right_hand_", ""), *rows]) + "\n")
+    read = read_motion_file(path)
+    assert (read.sequence.fps, read.kind) == (60, "JGHand's own format")
+    assert distance(read, motion) < EXACT_M
+
+
+@pytest.mark.parametrize(
+    ("name", "heights"),
+    [
+        ("mediapipe_right_hand_3d_xyz.npy", 1),
+        ("output_data/mediapipe_right_hand_3d_xyz.npy", 2),
+        ("output_data/mediapipe_right_hand_3d_xyz.csv", 2),
+        ("output_data/freemocap_data_by_frame.csv", 2),
+        ("recording_by_frame.csv", 1),
+        ("recording_by_trajectory.csv", 1),
+        ("saved_data/npy/right_hand_frame_name_xyz.npy", 3),
+        ("saved_data/csv/right_hand_trajectories.csv", 3),
+        ("saved_data/all_trajectories.csv", 2),
+    ],
+)
+def test_a_folder_of_freemocap_may_be_named_at_any_height(tmp_path, motion, name, heights):
+    file = tmp_path / "recording" / name
+    file.parent.mkdir(parents=True)
+    if file.suffix == ".npy":
+        np.save(file, samples.standard(motion) * (1 if "saved" in name else 1000))
+    elif "by_frame" in name:
+        file.write_text(samples.freemocap_lines([motion], 2))
     else:
-        np.save(folder / "mediapipe_right_hand_3d_xyz.npy", samples.standard(motion) * 1000)
-    for named in (folder, tmp_path / "recording"):
-        assert distance(read_motion_file(named), motion) < EXACT_M
+        file.write_text(samples.freemocap_table(motion, remark="saved" in name))
+    for folder in list(file.parents)[:heights]:
+        assert distance(read_motion_file(folder, MotionFormat(handedness=RIGHT)), motion) < EXACT_M
 
 
 def test_a_recording_of_freemocap_is_a_folder_with_both_hands(tmp_path, motion):

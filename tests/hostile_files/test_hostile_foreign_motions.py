@@ -298,7 +298,16 @@ def test_strings_of_any_alphabet_are_read_whatever_stands_around_them(text):
     assert content.value(last) == 5
 
 
-LINES_OF_A_FRAME = "".join(f"0,right_hand_{name},1,2,3\n" for name in samples.MEDIAPIPE_NAMES).encode()
+HAND_AS_A_REMARK = "# " + ",".join(f"right_hand_{name}_{axis}" for name in samples.MEDIAPIPE_NAMES for axis in "xyz")
+LINES = b"frame,keypoint,x,y,z\n"
+
+
+def lines_of_frames(count: int, hand: str = "right_hand") -> bytes:
+    """A line for each joint of some frames."""
+    frame = "".join(f"%d,{hand}_{name},1,2,3\n" for name in samples.MEDIAPIPE_NAMES)
+    return "".join(frame % ((number,) * 21) for number in range(count)).encode()
+
+
 # each makes a bad file of about 20 MB by the quickest means
 LARGE = {
     "json of one value": lambda: b'{"frames": [' + b"[0,0,0]," * 2_500_000 + b"0]}",
@@ -313,9 +322,17 @@ LARGE = {
     "bvh of many joints": lambda: b"HIERARCHY\nROOT a\n{\n" + b"JOINT b\n{\n" * 2_000_000,
     "csv of one line": lambda: b"a," * 10_000_000,
     "csv of words": lambda: b"wrist_x,wrist_y,wrist_z\n" + b"a,b,c\n" * 3_300_000,
-    "csv of lines of a joint": lambda: b"frame,keypoint,x,y,z\n" + b"0,right_hand_wrist,1,2,3\n" * 800_000 + b"0,1\n",
-    "csv of lines of many": lambda: b"frame,keypoint,x,y,z\n" + b"".join(b"%d,a,1,2,3\n" % k for k in range(1_300_000)),
-    "csv of lines of a hand": lambda: b"frame,keypoint,x,y,z\n" + LINES_OF_A_FRAME * 32_000 + b"0,1\n",
+    "csv of lines of a joint": lambda: LINES + b"0,right_hand_wrist,1,2,3\n" * 800_000,
+    "csv of lines of many": lambda: LINES + b"".join(b"%d,a,1,2,3\n" % number for number in range(1_300_000)),
+    "csv of lines of a hand": lambda: LINES + lines_of_frames(26_000) + b"0,1\n",
+    "csv of a hand twice": lambda: LINES + lines_of_frames(13_000) * 2,
+    "csv of a hundred hands": lambda: (
+        LINES
+        + b"".join(lines_of_frames(1, f"right{number}") for number in range(90))
+        + b"".join(b"%d,right_hand_wrist,,,\n" % number for number in range(800_000))
+    ),
+    "csv of remarks": lambda: b"#a\n" * 6_600_000 + b"1,2,3\n",
+    "csv of remarks with hands": lambda: (HAND_AS_A_REMARK + "\n").encode() * 12_000 + b"1,2,3\n",
     "zeros": lambda: b"\0" * 20_000_000,
     "gltf of nodes": lambda: b'{"asset": {"version": "2.0"}, "nodes": [' + b"{}," * 6_500_000 + b"{}]}",
 }

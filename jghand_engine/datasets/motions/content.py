@@ -24,6 +24,7 @@ class HandTrack:
     labelled:   the side is the label of a detector, which a mirrored picture or an older package turns round: what the
                 user says counts more. A side that stands in names of bones is no label
     notes:      sentences about this hand
+    times:      of its frames, where they are not those of all hands of the file; as in MotionContent
     """
 
     joints: np.ndarray
@@ -32,6 +33,7 @@ class HandTrack:
     part: str = ""
     labelled: bool = False
     notes: tuple[str, ...] = ()
+    times: Sequence[float | None] = ()
 
     @property
     def frames_seen(self) -> int:

@@ -10,12 +10,13 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import re
-from array import array
+from collections import Counter
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -23,7 +24,7 @@ from jghand_engine import limits
 from jghand_engine.datasets.motions.bone_names import hands_among, side_of
 from jghand_engine.datasets.motions.content import HandTrack
 from jghand_engine.datasets.motions.damage import NoMotionError
-from jghand_engine.datasets.motions.tables import joint_name
+from jghand_engine.datasets.motions.tables import cells_of, joint_name, number_in
 from jghand_engine.datasets.motions.text_lines import bounded_lines
 from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 from jghand_engine.hand.orders import JointOrder
@@ -34,82 +35,145 @@ _MEASURED = "3d_xyz"
 _SIDED = re.compile(r"(right|left)_(.+)")
 
 
+class _Point(NamedTuple):
+    """A joint. model: of the hand, "" in a table of one · name: with its side: right_hand_wrist"""
+
+    model: str
+    name: str
+
+
+@dataclass(frozen=True)
+class _Hand:
+    """A hand among the points. joints: the place of each, standard order · model: which it is of"""
+
+    side: Handedness | None
+    joints: dict[_Point, int]
+    model: str
+
+
 def looks_like(header: list[str]) -> bool:
     """Whether these are the columns of such a table."""
     return set(_COLUMNS) <= {cell.strip() for cell in header}
 
 
-def read_tracks(file: Path) -> tuple[tuple[HandTrack, ...], list[float]]:
-    """The hands of a table, and the times of its frames, NaN where it has none. Frames that it leaves out are missing.
-    ValueError."""
-    # per joint frame, time, x, y, z of its lines: in this way they take hardly more memory than in the file
-    lines: dict[str, array[float]] = {}
-    with open(file, encoding="utf-8-sig", newline="") as stream:
-        for count, (name, numbers) in enumerate(_hand_lines(csv.reader(bounded_lines(stream)), side_of(file.stem))):
-            lines.setdefault(name, array("d")).extend(numbers)
-            if count == limits.JOINT_LINES_UNKNOWN_MAX and not hands_among(list(lines))[0]:
-                return (), []
-    names = list(lines)
-    hands = hands_among(names)[0]
+def has_models(header: list[str]) -> bool:
+    """Whether it is one of a whole recording."""
+    return "model" in {cell.strip() for cell in header}
+
+
+def read_tracks(file: Path) -> list[HandTrack]:
+    """The hands of a table. Frames that it leaves out are missing. ValueError.
+
+    Read twice, first for what hands and frames there are: no more memory is taken than they want.
+    """
+    counts: Counter[_Point] = Counter()
+    first, last = math.inf, -math.inf
+    for point, frame, _ in _hand_lines(file):
+        counts[point] += 1
+        if frame < first:
+            first = frame
+        if frame > last:
+            last = frame
+    hands = _hands(list(counts))
     if not hands:
-        return (), []
-    tables = [np.frombuffer(numbers).reshape(-1, 5) for numbers in lines.values()]
-    frames = np.unique(np.concatenate([table[:, 0] for table in tables]))
-    first, count = frames[0], int(frames[-1] - frames[0]) + 1
-    if count > min(limits.MOTION_FRAMES_MAX, limits.JOINT_LINES_FRAMES_MAX * len(frames)):
-        raise NoMotionError(f"{len(frames)} frames, numbered {first:.0f} to {frames[-1]:.0f}")
-    times = np.full(count, np.nan)
-    for table in tables:
-        times[(table[:, 0] - first).astype(np.int64)] = table[:, 1]
-    tracks = []
+        return []
+    count = int(last - first) + 1
     for hand in hands:
-        joints = np.full((count, JOINT_COUNT, 3), np.nan)
-        for joint, place in enumerate(hand.bones):
-            if place is not None:
-                joints[(tables[place][:, 0] - first).astype(np.int64), joint] = tables[place][:, 2:]
-        part = "" if hand.handedness is None else f"{hand.handedness} hand"
-        tracks.append(HandTrack(joints, hand.handedness, JointOrder.STANDARD, part))
-    return tuple(tracks), times.tolist()
+        frames = sum(counts[point] for point in hand.joints) / len(hand.joints)
+        if count > min(limits.MOTION_FRAMES_MAX, limits.JOINT_LINES_FRAMES_MAX * frames):
+            raise NoMotionError(
+                f"{frames:.0f} frames of a hand are numbered {first} to {last}; wanted at least every second, and at "
+                f"most {limits.MOTION_FRAMES_MAX}: number them one by one"
+            )
+    joints = [np.full((count, JOINT_COUNT, 3), np.nan) for _ in hands]
+    is_told = [np.zeros((count, JOINT_COUNT), bool) for _ in hands]
+    times = np.full(count, math.nan)
+    places = {point: (number, joint) for number, hand in enumerate(hands) for point, joint in hand.joints.items()}
+    for point, frame, (time, *xyz) in _hand_lines(file):
+        if point in places:
+            (number, joint), row = places[point], int(frame - first)
+            if is_told[number][row, joint]:
+                raise NoMotionError(f"frame {frame} has two lines of {point.name}, as of two recordings")
+            is_told[number][row, joint] = True
+            times[row], joints[number][row, joint] = _time(time), [number_in(cell) for cell in xyz]
+    sides = [hand.side for hand in hands]
+    return [
+        HandTrack(
+            one, hand.side, JointOrder.STANDARD, _part(hand, alone=sides.count(hand.side) == 1), times=times.tolist()
+        )
+        for hand, one in zip(hands, joints, strict=True)
+    ]
 
 
-def _hand_lines(
-    rows: Iterator[list[str]], side: Handedness | None
-) -> Iterator[tuple[str, tuple[float, float, float, float, float]]]:
-    """The name of every joint of a hand that was measured, and its frame, time, x, y and z. side: of a table of one
-    hand."""
-    header = [cell.strip() for cell in next(rows, [])]
-    frame, keypoint, x, y, z = (header.index(name) for name in _COLUMNS)
-    model, trajectory, time = (
-        header.index(name) if name in header else None for name in ("model", "trajectory", "timestamp")
-    )
-    names: dict[tuple[str, str | None], str | None] = {}
-    for number, row in enumerate(rows):
-        if not row:
-            continue
-        if len(row) < len(header):
-            raise ValueError(f"line {number + 2} ends after {len(row)} of {len(header)} columns")
-        told = row[keypoint], None if model is None else row[model]
-        if told not in names:
-            if len(names) == limits.JOINT_LINES_NAMES_MAX:
-                raise NoMotionError(f"more than {limits.JOINT_LINES_NAMES_MAX} names of joints")
-            names[told] = _name(*told, side)
-        name = names[told]
-        if name is not None and (trajectory is None or row[trajectory] == _MEASURED):
-            at = math.nan if time is None else _number(row[time])
-            yield name, (int(row[frame]), at, _number(row[x]), _number(row[y]), _number(row[z]))
+def _hands(points: list[_Point]) -> list[_Hand]:
+    """Those whose joints are there."""
+    found = []
+    for model in dict.fromkeys(point.model for point in points):
+        of_model = [point for point in points if point.model == model]
+        for hand in hands_among([point.name for point in of_model])[0]:
+            joints = {of_model[place]: joint for joint, place in enumerate(hand.bones) if place is not None}
+            found.append(_Hand(hand.handedness, joints, model))
+    return found
 
 
-def _name(keypoint: str, model: str | None, side: Handedness | None) -> str | None:
-    """A joint's name with its hand: `right_hand_wrist`; None where it is not one of a hand."""
+def _part(hand: _Hand, *, alone: bool) -> str:
+    """`right hand`, with the model where there are several."""
+    side = "" if hand.side is None else f"{hand.side} hand"
+    return side if alone else f"{side}, {hand.model}".strip(", ")
+
+
+def _hand_lines(file: Path) -> Iterator[tuple[_Point, int, tuple[str, str, str, str]]]:
+    """The lines of hands that were measured: joint, frame, and the cells of time, x, y and z."""
+    side = side_of(file.stem)
+    points: dict[tuple[str, str | None], _Point | None] = {}
+    with open(file, encoding="utf-8-sig", newline="") as stream:
+        rows = cells_of(bounded_lines(stream))
+        header = [cell.strip() for cell in next(rows, [])]
+        frame, keypoint, x, y, z = (header.index(name) for name in _COLUMNS)
+        model, trajectory, time = (
+            header.index(name) if name in header else None for name in ("model", "trajectory", "timestamp")
+        )
+        for number, row in enumerate(rows):
+            if len(row) < len(header):
+                raise ValueError(f"row {number + 1} ends after {len(row)} of {len(header)} columns")
+            told = row[keypoint], None if model is None else row[model]
+            if told not in points:
+                if len(points) == limits.JOINT_LINES_NAMES_MAX:
+                    raise NoMotionError(f"more than {limits.JOINT_LINES_NAMES_MAX} names of joints")
+                points[told] = _point(told[0].strip(), None if told[1] is None else told[1].strip(), side)
+            point = points[told]
+            if point is not None and (trajectory is None or row[trajectory].strip() == _MEASURED):
+                yield point, _frame(row[frame]), ("" if time is None else row[time], row[x], row[y], row[z])
+
+
+def _point(keypoint: str, model: str | None, side: Handedness | None) -> _Point | None:
+    """A joint; None for a point of a model that is no hand's. side: of a table without models."""
     if model is None:
-        return joint_name(keypoint if side is None else f"{side}_hand_{keypoint}")
+        return _Point("", joint_name(keypoint if side is None else f"{side}_hand_{keypoint}"))
     if not model.endswith("hand"):
         return None
     of_model, of_point = side_of(model), _SIDED.fullmatch(keypoint)
     if of_model is not None:
-        return joint_name(f"{of_model}_hand_{keypoint}")
-    return None if of_point is None else joint_name(f"{of_point[1]}_hand_{of_point[2]}")
+        return _Point(model, joint_name(f"{of_model}_hand_{keypoint}"))
+    return None if of_point is None else _Point(model, joint_name(f"{of_point[1]}_hand_{of_point[2]}"))
 
 
-def _number(cell: str) -> float:
-    return float(cell) if cell else math.nan
+def _frame(cell: str) -> int:
+    if len(cell) > limits.FRAME_NUMBER_CHARACTERS_MAX:
+        raise ValueError(f"a frame called {cell[:20]}…")
+    try:
+        return int(cell)
+    except ValueError:
+        # what has been through a table of real numbers: 12.0
+        number = float(cell)
+        if not number.is_integer():
+            raise
+        return int(number)
+
+
+def _time(cell: str) -> float:
+    """NaN for what is no number, a date for example."""
+    try:
+        return number_in(cell)
+    except ValueError:
+        return math.nan

@@ -57,6 +57,7 @@ def read_motion_file(path: Path | str, wanted: MotionFormat | None = None) -> Mo
     file, wanted = Path(path), wanted or MotionFormat()
     content = read_content(file, wanted)
     track, notes = chosen(file, content, wanted)
+    content = replace(content, times=track.times or content.times)
     order, said = _order(file, track, wanted)
     notes += said
     level = to_level(track.joints, order)
@@ -119,7 +120,7 @@ def _read(file: Path, kind: Kind, wanted: MotionFormat) -> MotionContent:
     if kind is Kind.FREEMOCAP:
         return freemocap.read([file])
     if kind is Kind.FREEMOCAP_FOLDER:
-        return freemocap.read(freemocap.hand_files(file))
+        return freemocap.read(freemocap.files_of(file))
     if kind is Kind.TABLE:
         return tables.read(file)
     return _json(JsonText.of_file(file), kind, wanted)

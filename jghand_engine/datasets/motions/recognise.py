@@ -12,7 +12,7 @@ from jghand_engine.datasets.motion_files import has_own_columns
 from jghand_engine.datasets.motions import freemocap, gltf, interhand, joint_lines, mediapipe, openpose, webxr
 from jghand_engine.datasets.motions.damage import NoMotionError
 from jghand_engine.datasets.motions.json_text import JsonText
-from jghand_engine.datasets.motions.tables import header_of, named_hands
+from jghand_engine.datasets.motions.tables import cells_of, named_hands
 
 FRAME_LISTS = ("frames", "data", "samples", "recording", "results", "poses", "animation", "motion")
 _USD_TEXT, _USD_CRATE = b"#usda", b"PXR-USDC"
@@ -59,7 +59,7 @@ def kind_of(file: Path) -> Kind:
                 f"{name} is not read: export BVH, glTF or USD from a program that reads it, such as Blender"
             )
     if head.startswith(b"\x93NUMPY"):
-        return Kind.FREEMOCAP if freemocap.looks_like(file) else Kind.OWN_NPY
+        return Kind.FREEMOCAP if freemocap.is_array(file) else Kind.OWN_NPY
     if head.startswith(b"PK\x03\x04"):
         return _of_archive(file)
     if head.startswith(gltf.MAGIC):
@@ -89,7 +89,7 @@ def frames_place(text: JsonText) -> int | None:
 def _of_folder(folder: Path) -> Kind:
     if next(folder.glob(f"*{openpose.SUFFIX}"), None) is not None:
         return Kind.OPENPOSE_FOLDER
-    if freemocap.hand_files(folder):
+    if freemocap.files_of(folder):
         return Kind.FREEMOCAP_FOLDER
     raise NoMotionError(
         "a folder with neither frames of OpenPose nor hands of FreeMoCap (pictures to learn from: `jghand check-data`)"
@@ -160,12 +160,11 @@ def _is_list_of_points(frame: object) -> bool:
 
 def _of_table(file: Path, head: bytes) -> Kind:
     """CSV: our own, FreeMoCap's, or one whose columns are named after joints in another way."""
-    lines = head.decode("utf-8-sig", "replace").splitlines()
-    cells = header_of(lines)
+    cells = next(cells_of(head.decode("utf-8-sig", "replace").splitlines()), [])
     if joint_lines.looks_like(cells):
         return Kind.FREEMOCAP
     if len(cells) < 3:
         raise NoMotionError("its beginning is that of no motion file that JGHand knows")
     if has_own_columns(cells) or not named_hands(cells)[0]:
         return Kind.OWN_CSV
-    return Kind.FREEMOCAP if freemocap.looks_like(file) else Kind.TABLE
+    return Kind.FREEMOCAP if freemocap.is_table(file, cells) else Kind.TABLE

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import itertools
 import math
 import re
 from collections.abc import Iterable, Iterator
@@ -46,15 +47,30 @@ def named_hands(header: list[str]) -> tuple[list[NamedHand], dict[str, tuple[int
     return hands_among(names)[0], columns, names
 
 
-def header_of(lines: Iterable[str]) -> list[str]:
-    """The cells of the first line that is no remark; of one that is and names a hand, as numpy's `savetxt` writes the
-    columns; [] without any. No more lines than that are taken."""
+def cells_of(lines: Iterable[str]) -> Iterator[list[str]]:
+    """The cells of a table's header, and of every line below it, without remarks and blank lines.
+
+    The header may be a remark, as numpy's `savetxt` writes it: the last one above a line of numbers, if it names a hand
+    and no remark declares anything, which those of our own tables do.
+    """
+    lines = iter(lines)
+    remark, declares = "", False
     for line in lines:
-        is_remark = line.startswith("#")
-        cells = next(csv.reader([line.lstrip("# ")]), [])
-        if any(cells) and (not is_remark or named_hands(cells)[0]):
-            return cells
-    return []
+        if line.startswith("#"):
+            remark, declares = line, declares or ":" in line
+        elif line.strip():
+            break
+    else:
+        return
+    below = (line for line in lines if line.strip() and not line.startswith("#"))
+    rows = csv.reader(itertools.chain([line], below))
+    first = next(rows)
+    if remark and not declares and all(map(_is_number, first)):
+        header = next(csv.reader([remark.lstrip("# ")]))
+        if named_hands(header)[0]:
+            yield header
+    yield first
+    yield from rows
 
 
 def read(file: Path) -> MotionContent:
@@ -67,9 +83,8 @@ def read_tracks(file: Path) -> tuple[tuple[HandTrack, ...], list[float]]:
     """The hands of a table, one line for each frame, and its times in whatever unit, NaN where one is missing, []
     without a column of them; no hand when its columns are named after none. ValueError."""
     with open(file, encoding="utf-8-sig", newline="") as stream:
-        lines = bounded_lines(stream)
-        header = header_of(lines)
-        rows = csv.reader(line for line in lines if not line.startswith("#"))
+        rows = cells_of(bounded_lines(stream))
+        header = next(rows, [])
         hands, columns, names = named_hands(header)
         if not hands:
             return (), []
@@ -99,8 +114,17 @@ def _frames(rows: Iterator[list[str]], columns: list[int]) -> Iterator[np.ndarra
             raise NoMotionError(f"more than {limits.MOTION_FRAMES_MAX} lines")
         if len(row) <= last:
             raise ValueError(f"line {number + 2} ends after {len(row)} of {last + 1} columns")
-        yield np.array([_number(row[place]) if place >= 0 else math.nan for place in columns])
+        yield np.array([number_in(row[place]) if place >= 0 else math.nan for place in columns])
 
 
-def _number(cell: str) -> float:
+def number_in(cell: str) -> float:
+    """What stands in a cell, NaN where it is empty. ValueError."""
     return float(cell) if cell.strip() else math.nan
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        number_in(cell)
+    except ValueError:
+        return False
+    return True
