@@ -36,7 +36,7 @@ from jghand_engine.cli import (
 )
 from jghand_engine.cli.console import say, say_error
 from jghand_engine.cli.failures import explain
-from jghand_engine.cli.machine import started_by_a_program
+from jghand_engine.cli.machine import JsonLines, started_by_a_program
 from jghand_engine.cli.options import ReportOptions
 
 DESCRIPTION = """JGHand: 21 joint positions go in, a photorealistic hand comes out.
@@ -94,18 +94,20 @@ def _main(words: Sequence[str]) -> int:
     verb: Any = tyro.cli(_parsed_type(words), prog="jghand", description=DESCRIPTION, args=words, config=STYLE)
     report = getattr(verb, "report", None)
     report = report if isinstance(report, ReportOptions) else ReportOptions()
-    with started_by_a_program(report.progress_json) as lines:
-        try:
+    lines = JsonLines(sys.stderr) if report.progress_json else None
+    # around all of it: where its input has ended already, the stop comes before the command has begun
+    try:
+        with started_by_a_program(lines):
             return verb.run() or 0
-        except (Exception, KeyboardInterrupt) as error:
-            if os.environ.get("JGHAND_DEBUG") or report.traceback:
-                traceback.print_exc()
-            failure = explain(error)
-            if lines is not None:
-                lines.error(failure, error)
-            else:
-                say_error(failure.sentence)
-            return failure.exit_code
+    except (Exception, KeyboardInterrupt) as error:
+        if os.environ.get("JGHAND_DEBUG") or report.traceback:
+            traceback.print_exc()
+        failure = explain(error)
+        if lines is not None:
+            lines.error(failure, error)
+        else:
+            say_error(failure.sentence)
+        return failure.exit_code
 
 
 def _parsed_type(words: Sequence[str]) -> Any:

@@ -20,7 +20,6 @@ import json
 import math
 import os
 import signal
-import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -84,26 +83,30 @@ def json_lines() -> JsonLines | None:
 
 
 @contextlib.contextmanager
-def started_by_a_program(wanted: bool) -> Iterator[JsonLines | None]:
-    """While it lasts, progress goes out as lines, and the end of standard input is Ctrl-C. Nothing unless `wanted`."""
+def started_by_a_program(lines: JsonLines | None) -> Iterator[None]:
+    """While it lasts, progress goes out as these lines, and the end of standard input is Ctrl-C. Nothing for None."""
     global _lines
-    if not wanted:
-        yield None
+    if lines is None:
+        yield
         return
     # whoever starts children in the background may have told them to ignore it
     signal.signal(signal.SIGINT, signal.default_int_handler)
     print_any_letter()
-    _lines = JsonLines(sys.stderr)
-    with contextlib.suppress(OSError):  # there may be no standard input
-        told = (_lines, take_stdin())
-        threading.Thread(target=_await_end_of_input, args=told, daemon=True, name="jghand stdin").start()
+    _lines = lines
+    begun = threading.Event()
     try:
-        yield _lines
+        with contextlib.suppress(OSError):  # there may be no standard input
+            told = (lines, take_stdin(), begun)
+            threading.Thread(target=_await_end_of_input, args=told, daemon=True, name="jghand stdin").start()
+        begun.set()
+        yield
     finally:
         _lines = None
 
 
-def _await_end_of_input(of: JsonLines, stdin: int) -> None:
+def _await_end_of_input(of: JsonLines, stdin: int, begun: threading.Event) -> None:
+    # an interrupt of a thread's start leaves it half started
+    begun.wait()
     try:
         # not sys.stdin: a daemon thread that holds its lock at the end of the process would abort it
         while os.read(stdin, 4096):

@@ -10,6 +10,7 @@ import sys
 
 import pytest
 
+from jghand_engine.cli import machine, main
 from jghand_engine.cli.console import progress
 from jghand_engine.cli.failures import explain
 from jghand_engine.cli.machine import JsonLines, JsonProgress, JsonTraining, json_lines
@@ -101,3 +102,13 @@ def test_the_end_of_standard_input_stops_a_command_as_ctrl_c_does(tmp_path):
     assert done.returncode == 130
     assert json.loads(done.stderr.splitlines()[-1])["kind"] == "cancelled"
     assert not (tmp_path / "usd" / "hand.usda").exists()
+
+
+def test_a_stop_that_comes_before_the_command_has_begun_is_one_too(tmp_path, monkeypatch, capsys):
+    def interrupted():
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(machine, "take_stdin", interrupted)
+    assert main(["export", "--poses", "open", "--out", str(tmp_path / "usd"), "--progress-json"]) == 130
+    assert json.loads(capsys.readouterr().err)["kind"] == "cancelled"
+    assert json_lines() is None
