@@ -30,8 +30,10 @@ class JGHandError(Exception):
             sentence += f": wanted {wanted}"
         if came:
             sentence += f"{',' if wanted else ':'} got {came}"
-        # words of other programs may end with one already, or with two
-        sentence = re.sub(r"(?<=\w)\.+$", "", sentence) + "."
+        # words of other programs may end with a full stop already, or with two; the folder .. is none
+        sentence = re.sub(r"(?<=[^\s./])\.+$", "", sentence)
+        if not sentence.endswith(("…", "!", "?")):
+            sentence += "."
         if remedy:
             sentence += f" {remedy}"
         super().__init__(sentence)

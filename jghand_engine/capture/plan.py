@@ -300,7 +300,7 @@ def _difference(name: str, asked: object, began: object) -> str:
     if all(isinstance(value, int | float) for value in (asked, began)) or name == "identity":
         return f"{words} {asked} instead of {began}"
     if asked is None or began is None:
-        return f"no {words}" if asked is None else f"a {words} where there was none"
+        return f"no {words}" if asked is None else f"{words}, where there was none"
     return f"another {words}"
 
 

@@ -281,7 +281,7 @@ _COLUMNS = [f"{name}_{axis}" for name in STANDARD_NAMES for axis in "xyz"]
 def _read_csv(file: Path) -> FileContent:
     declared: dict[str, Any] = {}
     with open(file, encoding="utf-8-sig", newline="") as stream:
-        rows = (row for row in csv.reader(_without_comments(bounded_lines(stream), declared)) if any(row))
+        rows = (row for row in csv.reader(_without_comments(bounded_lines(stream), declared)) if row)
         first = next(rows, None)
         if first is None:
             return FileContent(np.zeros((0, len(STANDARD_NAMES), 3)), None, declared)

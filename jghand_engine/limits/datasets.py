@@ -141,7 +141,7 @@ FREEMOCAP_FACE_POINTS = (0, 136, 468, 478)
 FREEMOCAP_CENTRES = 4
 # names of points in a table with a line for each: body, hands and face have 553
 JOINT_LINES_NAMES_MAX = 2000
-# how many times as many frames their numbers may span as there are: FreeMoCap leaves none out
-JOINT_LINES_FRAMES_MAX = 2
+# memory that the frames of such a table may take besides twice the size of the file: FreeMoCap leaves none out
+JOINT_LINES_FREE_BYTES = 1 << 20
 # characters of a frame's number: 64 bits have 20, a sign and a fraction
 FRAME_NUMBER_CHARACTERS_MAX = 24

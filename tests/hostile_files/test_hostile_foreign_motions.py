@@ -6,6 +6,7 @@ import json
 import struct
 import subprocess
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 
 import motion_samples as samples
@@ -299,6 +300,7 @@ def test_strings_of_any_alphabet_are_read_whatever_stands_around_them(text):
 
 
 HAND_AS_A_REMARK = "# " + ",".join(f"right_hand_{name}_{axis}" for name in samples.MEDIAPIPE_NAMES for axis in "xyz")
+RTMPOSE_FINGERS = ("thumb", "forefinger", "middle_finger", "ring_finger", "pinky_finger")
 LINES = b"frame,keypoint,x,y,z\n"
 
 
@@ -306,6 +308,13 @@ def lines_of_frames(count: int, hand: str = "right_hand") -> bytes:
     """A line for each joint of some frames."""
     frame = "".join(f"%d,{hand}_{name},1,2,3\n" for name in samples.MEDIAPIPE_NAMES)
     return "".join(frame % ((number,) * 21) for number in range(count)).encode()
+
+
+def short_lines(frames: Iterable[int]) -> bytes:
+    """The least that a frame of a hand can be, without any position."""
+    names = ["hand_root", *(f"{finger}{n}" for finger in RTMPOSE_FINGERS for n in (1, 2, 3))]
+    frame = "".join(f"%d,{name},,,\n" for name in names)
+    return "".join(frame % ((number,) * len(names)) for number in frames).encode()
 
 
 # each makes a bad file of about 20 MB by the quickest means
@@ -325,6 +334,12 @@ LARGE = {
     "csv of lines of a joint": lambda: LINES + b"0,right_hand_wrist,1,2,3\n" * 800_000,
     "csv of lines of many": lambda: LINES + b"".join(b"%d,a,1,2,3\n" % number for number in range(1_300_000)),
     "csv of lines of a hand": lambda: LINES + lines_of_frames(26_000) + b"0,1\n",
+    "csv of every second frame": lambda: LINES + short_lines(range(0, 140_000, 2)) + b"0,thumb1,far,,\n",
+    "csv of models": lambda: (
+        LINES[:-1]
+        + b",model\n"
+        + b"".join(b"0,a,,,,right_hand%d_hand\n" % (number % 1999) for number in range(700_000))
+    ),
     "csv of a hand twice": lambda: LINES + lines_of_frames(13_000) * 2,
     "csv of a hundred hands": lambda: (
         LINES

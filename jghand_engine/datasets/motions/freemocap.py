@@ -29,8 +29,7 @@ from jghand_engine.datasets.motions import joint_lines
 from jghand_engine.datasets.motions.bone_names import side_of
 from jghand_engine.datasets.motions.content import HandTrack, MotionContent
 from jghand_engine.datasets.motions.damage import NoMotionError
-from jghand_engine.datasets.motions.tables import cells_of, read_tracks
-from jghand_engine.datasets.motions.text_lines import bounded_lines
+from jghand_engine.datasets.motions.tables import header_in, named_hands, read_tracks
 from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 from jghand_engine.hand.orders import METRES_PER_UNIT, JointOrder
 
@@ -59,7 +58,7 @@ def is_array(file: Path) -> bool:
 
 def is_table(file: Path, header: Iterable[str]) -> bool:
     """Whether a table that names a hand is FreeMoCap's, by a column that only it has, or by the file's name."""
-    return _CAMERA_TIMES in header or _is_hand(file) or bool(_SAVED_TABLE.search(file.stem))
+    return _CAMERA_TIMES in {cell.strip() for cell in header} or _is_hand(file) or bool(_SAVED_TABLE.search(file.stem))
 
 
 def files_of(folder: Path) -> list[Path]:
@@ -67,17 +66,29 @@ def files_of(folder: Path) -> list[Path]:
     first table."""
     for place in _FOLDERS:
         for suffix in (".npy", ".csv"):
-            files = sorted(file for file in (folder / place).glob(f"*{suffix}") if _is_hand(file))
+            files = sorted(file for file in (folder / place).glob(f"*{suffix}") if _is_hand(file) and file.is_file())
             if files:
                 return files
-    return next((files[:1] for pattern in _TABLES if (files := sorted(folder.glob(pattern)))), [])
+    tables = (file for pattern in _TABLES for file in sorted(folder.glob(pattern)) if file.is_file())
+    return next(([file] for file in tables if _names_points(header_in(file))), [])
 
 
 def read(files: list[Path]) -> MotionContent:
     """The hands in some files of one recording. ValueError, OSError."""
     contents = [_array(file) if _begins_as_array(file) else _table(file) for file in files]
-    tracks = tuple(track for tracks, _ in contents for track in tracks)
-    return MotionContent(KIND, tracks, contents[0][1], up="z", files=tuple(files))
+    tracks = [(track, file) for (tracks, _), file in zip(contents, files, strict=True) for track in tracks]
+    parts = [track.part for track, _ in tracks]
+    # those of two trackers
+    named = [
+        track if parts.count(track.part) == 1 else replace(track, part=f"{track.part}, {file.stem}")
+        for track, file in tracks
+    ]
+    return MotionContent(KIND, tuple(named), contents[0][1], up="z", files=tuple(files))
+
+
+def _names_points(header: list[str]) -> bool:
+    """Whether these are the columns of a table with a hand, or with a line for each joint."""
+    return joint_lines.looks_like(header) or bool(named_hands(header)[0])
 
 
 def _is_hand(file: Path) -> bool:
@@ -99,9 +110,7 @@ def _table(file: Path) -> tuple[list[HandTrack], float | None]:
     """The hands of a table, and its unit."""
     if file.stat().st_size > limits.MOTION_TEXT_MAX_BYTES:
         raise NoMotionError(f"a table of more than {limits.MOTION_TEXT_MAX_BYTES >> 20} MiB: cut it into shorter ones")
-    with open(file, encoding="utf-8-sig", newline="") as stream:
-        header = next(cells_of(bounded_lines(stream)), [])
-    unit = _unit(file)
+    header, unit = header_in(file), _unit(file)
     if joint_lines.looks_like(header):
         tracks = joint_lines.read_tracks(file)
         # somebody else may write such a table of one hand

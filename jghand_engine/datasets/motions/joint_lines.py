@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import math
 import re
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -64,52 +63,57 @@ def has_models(header: list[str]) -> bool:
 def read_tracks(file: Path) -> list[HandTrack]:
     """The hands of a table. Frames that it leaves out are missing. ValueError.
 
-    Read twice, first for what hands and frames there are: no more memory is taken than they want.
+    Read twice, first for what hands and frames there are: so that what they take is known before it is taken.
     """
-    counts: Counter[_Point] = Counter()
+    points: dict[_Point, None] = {}
     first, last = math.inf, -math.inf
     for point, frame, _ in _hand_lines(file):
-        counts[point] += 1
+        points[point] = None
         if frame < first:
             first = frame
         if frame > last:
             last = frame
-    hands = _hands(list(counts))
+    hands = _hands(list(points))
     if not hands:
         return []
     count = int(last - first) + 1
-    for hand in hands:
-        frames = sum(counts[point] for point in hand.joints) / len(hand.joints)
-        if count > min(limits.MOTION_FRAMES_MAX, limits.JOINT_LINES_FRAMES_MAX * frames):
-            raise NoMotionError(
-                f"{frames:.0f} frames of a hand are numbered {first} to {last}; wanted at least every second, and at "
-                f"most {limits.MOTION_FRAMES_MAX}: number them one by one"
-            )
-    joints = [np.full((count, JOINT_COUNT, 3), np.nan) for _ in hands]
-    is_told = [np.zeros((count, JOINT_COUNT), bool) for _ in hands]
-    times = np.full(count, math.nan)
+    # three numbers, and whether they were told
+    wanted_bytes = len(hands) * count * JOINT_COUNT * 25
+    if count > limits.MOTION_FRAMES_MAX or wanted_bytes > 2 * file.stat().st_size + limits.JOINT_LINES_FREE_BYTES:
+        raise NoMotionError(f"frames numbered {first} to {last}, most of which are not there: number them one by one")
+    joints = np.full((len(hands), count, JOINT_COUNT, 3), math.nan)
+    is_told = np.zeros(joints.shape[:3], bool)
+    times = np.full((len(hands), count), math.nan)
     places = {point: (number, joint) for number, hand in enumerate(hands) for point, joint in hand.joints.items()}
     for point, frame, (time, *xyz) in _hand_lines(file):
         if point in places:
             (number, joint), row = places[point], int(frame - first)
-            if is_told[number][row, joint]:
+            if is_told[number, row, joint]:
                 raise NoMotionError(f"frame {frame} has two lines of {point.name}, as of two recordings")
-            is_told[number][row, joint] = True
-            times[row], joints[number][row, joint] = _time(time), [number_in(cell) for cell in xyz]
+            is_told[number, row, joint] = True
+            joints[number, row, joint] = [number_in(cell) for cell in xyz]
+            if time:
+                times[number, row] = _time(time)
     sides = [hand.side for hand in hands]
     return [
         HandTrack(
-            one, hand.side, JointOrder.STANDARD, _part(hand, alone=sides.count(hand.side) == 1), times=times.tolist()
+            joints[number], hand.side, JointOrder.STANDARD, _part(hand, alone=sides.count(hand.side) == 1),
+            times=times[number].tolist(),
         )
-        for hand, one in zip(hands, joints, strict=True)
-    ]
+        for number, hand in enumerate(hands)
+    ]  # fmt: skip
 
 
 def _hands(points: list[_Point]) -> list[_Hand]:
     """Those whose joints are there."""
+    of_models: dict[str, list[_Point]] = {}
+    for point in points:
+        of_models.setdefault(point.model, []).append(point)
     found = []
-    for model in dict.fromkeys(point.model for point in points):
-        of_model = [point for point in points if point.model == model]
+    for model, of_model in of_models.items():
+        # looking takes milliseconds, and a file may name thousands
+        if len(of_model) < limits.BONES_RECOGNISED_MIN:
+            continue
         for hand in hands_among([point.name for point in of_model])[0]:
             joints = {of_model[place]: joint for joint, place in enumerate(hand.bones) if place is not None}
             found.append(_Hand(hand.handedness, joints, model))

@@ -12,7 +12,7 @@ from jghand_engine.datasets.motion_files import has_own_columns
 from jghand_engine.datasets.motions import freemocap, gltf, interhand, joint_lines, mediapipe, openpose, webxr
 from jghand_engine.datasets.motions.damage import NoMotionError
 from jghand_engine.datasets.motions.json_text import JsonText
-from jghand_engine.datasets.motions.tables import cells_of, named_hands
+from jghand_engine.datasets.motions.tables import header_in, named_hands
 
 FRAME_LISTS = ("frames", "data", "samples", "recording", "results", "poses", "animation", "motion")
 _USD_TEXT, _USD_CRATE = b"#usda", b"PXR-USDC"
@@ -75,7 +75,7 @@ def kind_of(file: Path) -> Kind:
         raise NoMotionError(
             "its beginning is that of no motion file that JGHand knows (hands in a video: `jghand track`)"
         )
-    return _of_table(file, head)
+    return _of_table(file)
 
 
 def frames_place(text: JsonText) -> int | None:
@@ -158,9 +158,10 @@ def _is_list_of_points(frame: object) -> bool:
     return isinstance(frame, list) and bool(frame) and (frame[0] is None or isinstance(frame[0], list))
 
 
-def _of_table(file: Path, head: bytes) -> Kind:
+def _of_table(file: Path) -> Kind:
     """CSV: our own, FreeMoCap's, or one whose columns are named after joints in another way."""
-    cells = next(cells_of(head.decode("utf-8-sig", "replace").splitlines()), [])
+    # more than the head: its last cell may be half a number
+    cells = header_in(file)
     if joint_lines.looks_like(cells):
         return Kind.FREEMOCAP
     if len(cells) < 3:

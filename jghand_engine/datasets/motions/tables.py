@@ -73,6 +73,12 @@ def cells_of(lines: Iterable[str]) -> Iterator[list[str]]:
     yield from rows
 
 
+def header_in(file: Path) -> list[str]:
+    """The cells of the header of a table, [] where there is no line but remarks. ValueError, OSError."""
+    with open(file, encoding="utf-8-sig", errors="replace", newline="") as stream:
+        return next(cells_of(bounded_lines(stream)), [])
+
+
 def read(file: Path) -> MotionContent:
     """A table of no program's own."""
     tracks, times = read_tracks(file)
@@ -105,11 +111,10 @@ def read_tracks(file: Path) -> tuple[tuple[HandTrack, ...], list[float]]:
 
 
 def _frames(rows: Iterator[list[str]], columns: list[int]) -> Iterator[np.ndarray]:
-    """Numbers of some columns, NaN where the cell is empty or the column -1."""
+    """Numbers of some columns, NaN where the cell is empty or the column -1: a line of empty cells is a frame without a
+    hand."""
     last = max(columns)
     for number, row in enumerate(rows):
-        if not any(row):
-            continue
         if number >= limits.MOTION_FRAMES_MAX:
             raise NoMotionError(f"more than {limits.MOTION_FRAMES_MAX} lines")
         if len(row) <= last:
