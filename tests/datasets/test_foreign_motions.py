@@ -659,10 +659,11 @@ def test_a_line_for_each_joint_is_in_millimetres_only_where_it_is_freemocaps(tmp
         assert distance(read_motion_file(path), motion) < EXACT_M
 
 
-def test_numbers_below_any_remark_are_a_plain_table(tmp_path, motion):
+@pytest.mark.parametrize("remark", ["# mine", "# mine, of a Sunday, at home"])
+def test_numbers_below_any_remark_are_a_plain_table(tmp_path, motion, remark):
     rows = samples.freemocap_table(motion, remark=True).splitlines()[1:]
     path = tmp_path / "a.csv"
-    path.write_text("\n".join(["# mine, of a Sunday, at home", *rows]) + "\n")
+    path.write_text("\n".join([remark, *rows]) + "\n")
     assert distance(read_motion_file(path, MotionFormat(handedness=RIGHT)), motion) < EXACT_M
 
 

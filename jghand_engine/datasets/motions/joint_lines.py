@@ -92,8 +92,7 @@ def read_tracks(file: Path) -> list[HandTrack]:
                 raise NoMotionError(f"frame {frame} has two lines of {point.name}, as of two recordings")
             is_told[number, row, joint] = True
             joints[number, row, joint] = [number_in(cell) for cell in xyz]
-            if time:
-                times[number, row] = _time(time)
+            times[number, row] = _time(time)
     sides = [hand.side for hand in hands]
     return [
         HandTrack(
