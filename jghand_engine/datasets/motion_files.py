@@ -33,6 +33,7 @@ from jghand_engine.datasets.motions.clocks import TIME_NAMES
 from jghand_engine.datasets.motions.damage import NoMotionError
 from jghand_engine.datasets.motions.json_points import plain
 from jghand_engine.datasets.motions.json_text import JsonText
+from jghand_engine.datasets.motions.tables import is_number, number_in
 from jghand_engine.datasets.motions.text_lines import bounded_lines
 from jghand_engine.errors import InputError
 from jghand_engine.files import writing
@@ -295,7 +296,7 @@ def _read_csv(file: Path) -> FileContent:
             places = [place for place, name in enumerate(header) if plain(name) not in ("frame", *TIME_NAMES)]
             if len(places) % 3:
                 raise ValueError(f"{len(places)} columns of numbers are not x, y, z of joints")
-        has_header = not all(_is_number(cell) for cell in header)
+        has_header = not all(map(is_number, header))
         every = rows if has_header else itertools.chain([first], rows)
         table = _csv_numbers(every, [*places, *clock], 1 + has_header)
     joints = table[:, : len(places)].reshape(len(table), -1, 3)
@@ -329,17 +330,10 @@ def _csv_numbers(rows: Iterable[list[str]], columns: list[int], first_line: int)
 
 
 def _cell(cell: str, number: int, place: int) -> float:
-    if cell.strip() and not _is_number(cell):
-        raise ValueError(f"row {number}, column {place + 1}: {cell.strip()[:30]!r} is no number")
-    return float(cell) if cell.strip() else math.nan
-
-
-def _is_number(cell: str) -> bool:
     try:
-        float(cell)
-    except ValueError:
-        return not cell
-    return True
+        return number_in(cell)
+    except ValueError as error:
+        raise ValueError(f"row {number}, column {place + 1}: {cell.strip()[:30]!r} is no number") from error
 
 
 def _write_csv(file: Path, sequence: PoseSequence) -> None:

@@ -18,11 +18,11 @@ Rates are not in them, but where there are times.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.lib.format import MAGIC_PREFIX
 
 from jghand_engine import limits
 from jghand_engine.datasets.motions import joint_lines
@@ -56,9 +56,9 @@ def is_array(file: Path) -> bool:
     return _is_hand(file) or bool(_BODY.search(file.stem))
 
 
-def is_table(file: Path, header: Iterable[str]) -> bool:
+def is_table(file: Path, header: list[str]) -> bool:
     """Whether a table that names a hand is FreeMoCap's, by a column that only it has, or by the file's name."""
-    return _CAMERA_TIMES in {cell.strip() for cell in header} or _is_hand(file) or bool(_SAVED_TABLE.search(file.stem))
+    return _CAMERA_TIMES in header or _is_hand(file) or bool(_SAVED_TABLE.search(file.stem))
 
 
 def files_of(folder: Path) -> list[Path]:
@@ -97,7 +97,7 @@ def _is_hand(file: Path) -> bool:
 
 def _begins_as_array(file: Path) -> bool:
     with open(file, "rb") as stream:
-        return stream.read(6) == b"\x93NUMPY"
+        return stream.read(len(MAGIC_PREFIX)) == MAGIC_PREFIX
 
 
 def _unit(file: Path) -> float | None:

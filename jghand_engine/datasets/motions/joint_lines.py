@@ -52,12 +52,12 @@ class _Hand:
 
 def looks_like(header: list[str]) -> bool:
     """Whether these are the columns of such a table."""
-    return set(_COLUMNS) <= {cell.strip() for cell in header}
+    return set(_COLUMNS) <= set(header)
 
 
 def has_models(header: list[str]) -> bool:
     """Whether it is one of a whole recording."""
-    return "model" in {cell.strip() for cell in header}
+    return "model" in header
 
 
 def read_tracks(file: Path) -> list[HandTrack]:
@@ -131,7 +131,7 @@ def _hand_lines(file: Path) -> Iterator[tuple[_Point, int, tuple[str, str, str, 
     points: dict[tuple[str, str | None], _Point | None] = {}
     with open(file, encoding="utf-8-sig", newline="") as stream:
         rows = cells_of(bounded_lines(stream))
-        header = [cell.strip() for cell in next(rows, [])]
+        header = next(rows, [])
         frame, keypoint, x, y, z = (header.index(name) for name in _COLUMNS)
         model, trajectory, time = (
             header.index(name) if name in header else None for name in ("model", "trajectory", "timestamp")

@@ -7,6 +7,8 @@ import zipfile
 from enum import StrEnum
 from pathlib import Path
 
+from numpy.lib.format import MAGIC_PREFIX
+
 from jghand_engine import limits
 from jghand_engine.datasets.motion_files import has_own_columns
 from jghand_engine.datasets.motions import freemocap, gltf, interhand, joint_lines, mediapipe, openpose, webxr
@@ -58,7 +60,7 @@ def kind_of(file: Path) -> Kind:
             raise NoMotionError(
                 f"{name} is not read: export BVH, glTF or USD from a program that reads it, such as Blender"
             )
-    if head.startswith(b"\x93NUMPY"):
+    if head.startswith(MAGIC_PREFIX):
         return Kind.FREEMOCAP if freemocap.is_array(file) else Kind.OWN_NPY
     if head.startswith(b"PK\x03\x04"):
         return _of_archive(file)

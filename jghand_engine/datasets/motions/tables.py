@@ -48,7 +48,7 @@ def named_hands(header: list[str]) -> tuple[list[NamedHand], dict[str, tuple[int
 
 
 def cells_of(lines: Iterable[str]) -> Iterator[list[str]]:
-    """The cells of a table's header, and of every line below it, without remarks and blank lines.
+    """The cells of a table's header, stripped, and of every line below it, without remarks and blank lines.
 
     The header may be a remark, as numpy's `savetxt` writes it: the last one above a line of numbers, if it names a hand
     and no remark declares anything, which those of our own tables do.
@@ -65,12 +65,16 @@ def cells_of(lines: Iterable[str]) -> Iterator[list[str]]:
     below = (line for line in lines if line.strip() and not line.startswith("#"))
     rows = csv.reader(itertools.chain([line], below))
     first = next(rows)
-    if remark and not declares and all(map(_is_number, first)):
-        header = next(csv.reader([remark.lstrip("# ")]))
+    if remark and not declares and all(map(is_number, first)):
+        header = _stripped(next(csv.reader([remark.lstrip("# ")])))
         if named_hands(header)[0]:
             yield header
-    yield first
+    yield _stripped(first)
     yield from rows
+
+
+def _stripped(cells: list[str]) -> list[str]:
+    return [cell.strip() for cell in cells]
 
 
 def header_in(file: Path) -> list[str]:
@@ -127,7 +131,8 @@ def number_in(cell: str) -> float:
     return float(cell) if cell.strip() else math.nan
 
 
-def _is_number(cell: str) -> bool:
+def is_number(cell: str) -> bool:
+    """Whether a number stands in a cell, or nothing."""
     try:
         number_in(cell)
     except ValueError:
