@@ -6,7 +6,7 @@
 
 The engine runs in a process of its own (--engine-python, the preferences, the variable JGHAND_ENGINE_PYTHON,
 .envs/engine of this checkout, or `jghand` on the PATH). Writes FOLDER/CAMERA/0001.png with the file's own settings of
-film, colours, size and region, whatever engine the file is set to; pictures that are there already are skipped, when
+film, colors, size and region, whatever engine the file is set to; pictures that are there already are skipped, when
 they were made from the same file with the same settings and the same engine. Every hand of the file that is not
 disabled in renders is drawn, several hands in one picture.
 
@@ -329,7 +329,7 @@ def _picture(current: bpy.types.Scene, path: Path) -> tuple[bytes, runtime.Rende
         raise JGHandFailure("interrupted")
     note = runtime.last_render()
     if note is not None and note.failure is not None:
-        raise JGHandFailure("interrupted") if note.failure.kind == "cancelled" else note.failure
+        raise JGHandFailure("interrupted") if note.failure.kind == "canceled" else note.failure
     if told or note is None:
         raise JGHandFailure("internal", told or "Blender did not render")
     try:

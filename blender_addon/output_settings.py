@@ -24,11 +24,11 @@ VARIANTS = (
     (
         "points_skinned",
         "Skinned Points",
-        "Points that follow the skeleton, without learnt detail, for usdview",
+        "Points that follow the skeleton, without learned detail, for usdview",
         "NONE",
         3,
     ),
-    ("mesh", "Mesh", "The skinned hand without learnt detail, for every program", "NONE", 2),
+    ("mesh", "Mesh", "The skinned hand without learned detail, for every program", "NONE", 2),
 )
 PROGRAMS = (
     ("generic", "Any Program", "Splats; programs without them show points", "NONE", 0),
@@ -42,8 +42,8 @@ SIZES = (
     ("per_frame", "Per Frame", "Radii of every frame, in larger files", "NONE", 1),
 )
 RADIANCES = (
-    ("srgb", "As Seen", "Colours as a screen shows them, for most viewers", "NONE", 0),
-    ("linear", "Linear Light", "Colours as light, for path tracers", "NONE", 1),
+    ("srgb", "As Seen", "Colors as a screen shows them, for most viewers", "NONE", 0),
+    ("linear", "Linear Light", "Colors as light, for path tracers", "NONE", 1),
 )
 AXES = (
     ("rdf", "Viewers", "X right, Y down, Z forward, as splat viewers expect it", "NONE", 0),
@@ -121,7 +121,7 @@ class JGHandOutputSettings(bpy.types.PropertyGroup):
         name="Splat Sizes", description="Whether radii follow every frame", items=SIZES, default="constant"
     )  # type: ignore[valid-type]
     radiance: bpy.props.EnumProperty(
-        name="Colours", description="What the splats' colours mean", items=RADIANCES, default="srgb"
+        name="Colors", description="What the splats' colors mean", items=RADIANCES, default="srgb"
     )  # type: ignore[valid-type]
     width_factor: bpy.props.FloatProperty(
         name="Point Size",
@@ -149,7 +149,7 @@ class JGHandOutputSettings(bpy.types.PropertyGroup):
 
 
 class JGHandTrainingSettings(bpy.types.PropertyGroup):
-    """`scene.jghand.training`: the training set, and what is learnt from it."""
+    """`scene.jghand.training`: the training set, and what is learned from it."""
 
     capture_folder: bpy.props.StringProperty(
         name="Training Set",
@@ -185,13 +185,13 @@ class JGHandTrainingSettings(bpy.types.PropertyGroup):
     seed: bpy.props.IntProperty(name="Seed", description="Of poses, cameras and the training", default=0, min=0)  # type: ignore[valid-type]
     avatar_file: bpy.props.StringProperty(
         name="Avatar",
-        description="The file of the avatar that is learnt",
+        description="The file of the avatar that is learned",
         subtype="FILE_PATH",
         options=path_options(),
         default="//my_hand.jghand",
     )  # type: ignore[valid-type]
     preset: bpy.props.EnumProperty(
-        name="Preset", description="What is learnt, and how", items=TRAINING_PRESETS, default="default"
+        name="Preset", description="What is learned, and how", items=TRAINING_PRESETS, default="default"
     )  # type: ignore[valid-type]
     time_s: bpy.props.FloatProperty(
         name="Time",

@@ -198,7 +198,7 @@ class JGHandSceneSettings(bpy.types.PropertyGroup):
     shadow_radius_mm: bpy.props.FloatProperty(
         name="Shadow Radius",
         description="How far a shadow reaches from what casts it, in the size of a real hand",
-        unit="CAMERA",  # millimetres whatever the scene's unit is: a hand is as large in all of them
+        unit="CAMERA",  # millimeters whatever the scene's unit is: a hand is as large in all of them
         default=limits.SHADOW_RADIUS_MM,
         min=1.0,
         max=limits.SHADOW_RADIUS_MAX_MM,

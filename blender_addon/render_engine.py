@@ -29,7 +29,7 @@ from .operators.common import sentence_of
 from .runtime import RenderNote
 
 COMBINED, DEPTH, IDS = "Combined", "Depth", "JGHandId"
-# Blender's own panels that show what this engine honours; those of other engines stay hidden
+# Blender's own panels that show what this engine honors; those of other engines stay hidden
 _PANELS_OF_OTHERS = (
     *("CAMERA_PT_presets", "CAMERA_PT_safe_areas_presets", "DATA_PT_context_camera", "DATA_PT_lens"),
     *("DATA_PT_camera", "DATA_PT_camera_animation", "DATA_PT_camera_background_image", "DATA_PT_camera_display"),
@@ -78,7 +78,7 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
         if failure is not None:
             runtime.note_render(RenderNote(failure=failure))
             guard.hands_failed(depsgraph.scene.original, failure)
-            if failure.kind != "cancelled" or not self.test_break():
+            if failure.kind != "canceled" or not self.test_break():
                 self.report({"ERROR"}, sentence_of(failure))
 
     def _render(self, depsgraph: bpy.types.Depsgraph) -> None:
@@ -105,7 +105,7 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
         self._tell(reply.header.get("reports", []), seen, (evaluated - clock, answered - evaluated))
 
     def _ask(self, seen: list[Moment], outputs: list[str], scene: bpy.types.Scene) -> Any:
-        """The engine's answer. Escape, and whatever else stops the render, ends the wait: JGHandFailure (cancelled)."""
+        """The engine's answer. Escape, and whatever else stops the render, ends the wait: JGHandFailure (canceled)."""
         self.update_stats("JGHand", "Waiting for the engine")
         header, arrays = moments_request(
             seen,
@@ -116,7 +116,7 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
                 "shadow_radius_m": scene.jghand.shadow_radius_mm / 1e3,
             },
         )
-        return runtime.link().request(header, arrays, timeout_s=runtime.render_timeout_s(), cancelled=self._is_given_up)
+        return runtime.link().request(header, arrays, timeout_s=runtime.render_timeout_s(), canceled=self._is_given_up)
 
     def _is_given_up(self) -> bool:
         return self.test_break() or runtime.render_given_up()
@@ -147,7 +147,7 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
 
 
 def _other_outputs(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> dict[str, str]:
-    """Pass -> output of the engine, of what this view layer asks for besides the colour."""
+    """Pass -> output of the engine, of what this view layer asks for besides the color."""
     wanted = {}
     if layer.use_pass_z:
         # what is blurred has to be somewhere when pictures are combined by depth

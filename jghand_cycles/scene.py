@@ -8,12 +8,12 @@ import mathutils
 import numpy as np
 
 SENSOR_MM = 36.0
-# clipping of the camera, metres: nearer than any close-up, farther than any stage
+# clipping of the camera, meters: nearer than any close-up, farther than any stage
 CLIP_M = (0.01, 20.0)
 
 
 class Scene:
-    """Built once from the plan (a dict, see jghand_engine/capture/plan.py) and the folder that its files are in."""
+    """Built once from the plan (a dict, see jghand_engine/captures/making/plan.py) and the folder of its files."""
 
     def __init__(self, plan: dict, folder: Path, threads: int) -> None:
         bpy.ops.wm.read_factory_settings(use_empty=True)
@@ -104,10 +104,10 @@ def _bump(tree, look: dict, folder: Path):
     return bump.outputs["Normal"]
 
 
-def _picture(tree, path: Path, colour_space: str):
+def _picture(tree, path: Path, color_space: str):
     node = tree.nodes.new("ShaderNodeTexImage")
     node.image = bpy.data.images.load(str(path))
-    node.image.colorspace_settings.name = colour_space
+    node.image.colorspace_settings.name = color_space
     return node
 
 

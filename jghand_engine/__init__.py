@@ -4,12 +4,12 @@ The rooms, in the order in which data walks through them; a room imports only fr
 
     limits, errors, files   constants, error kinds, atomic writing
     lock                    one process per piece of work
-    colour                  sRGB and linear light
+    color                  sRGB and linear light
     native                  the compiled kernels: build, choice of variant, threads
     hand                    joints, orders, handedness, frames, the joint transform, poses, pose sequences
     template                the canonical hand surface: mesh, UV, skin weights, weight field, sampling
     avatar                  canonical Gaussians of one hand, skinning, the .jghand file
-    splat                   Gaussians to pictures: camera, rasteriser, shadow, the frame
+    splat                   Gaussians to pictures: camera, rasterizer, shadow, the frame
     datasets                files of other people to our data: motions, pictures of hands
     capture                 what a synthetic capture shows: identity, poses, cameras, light
     exporters               pictures, video, USD
@@ -20,7 +20,7 @@ The rooms, in the order in which data walks through them; a room imports only fr
     service                 the engine as a process for Blender
     cli                     the command `jghand`
 
-Units are metres and radians, matrices act on column vectors, `a_from_b` maps b to a.
+Units are meters and radians, matrices act on column vectors, `a_from_b` maps b to a.
 This module imports nothing, so that Blender's Python can import `jghand_engine.service.protocol` without torch.
 """
 

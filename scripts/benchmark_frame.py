@@ -23,8 +23,8 @@ from jghand_engine.cli.console import progress, say, say_table
 from jghand_engine.files import writing
 from jghand_engine.native.library import load
 from jghand_engine.native.threads import thread_count
-from jghand_engine.studies import frame_time
-from jghand_engine.studies.timing import Case, measure
+from jghand_engine.study import frame_time
+from jghand_engine.study.timing import Case, measure
 
 WARM_UP = 10
 PARTS = ("frame", "trained", "raster", "parts", "reference", "numba")

@@ -3,7 +3,7 @@
     python scripts/benchmark_usd.py [--avatar builtin|painted] [--frames 60] [--gaussians 60000] [--runs 5]
                                     [--package layers|usdc|usdz]
 
-The built-in hand, which users get, has 40,000 Gaussians at most, and colours of its own in every frame; the painted one
+The built-in hand, which users get, has 40,000 Gaussians at most, and colors of its own in every frame; the painted one
 has 60,000 and none. Prints median and worst of the runs after one warm-up: writing the Gaussians (splats and points in
 one layer), posing them, everything, opening the stage without its payloads; the size in all and per further frame, also
 in half precision; and how much more memory 600 frames take than 48. Files go to a temporary folder on the disk of
@@ -28,8 +28,8 @@ import torch
 from pxr import Usd
 
 from jghand_engine.avatar.builtin import load_avatar_called
-from jghand_engine.exporters.usd import export_usd
-from jghand_engine.exporters.usd_options import Package, UsdOptions, UsdReport
+from jghand_engine.export.usd.export import export_usd
+from jghand_engine.export.usd.options import Package, UsdOptions, UsdReport
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import PoseSequence
 

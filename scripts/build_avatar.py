@@ -31,7 +31,7 @@ class Options:
 
     out: Path = ASSETS / "painted_right.jghand"
     name: str = "JGHand painted"
-    licence: str = "MIT AND CC0-1.0 AND Apache-2.0, see NOTICE"
+    license: str = "MIT AND CC0-1.0 AND Apache-2.0, see NOTICE"
     storage: Storage = Storage.COMPACT
     layers: Layers = field(default_factory=Layers)
     look: SkinLook = field(default_factory=SkinLook)
@@ -40,7 +40,7 @@ class Options:
 def main(options: Options) -> None:
     started = time.perf_counter()
     nails = np.asarray(Image.open(ASSETS / "nails.png").convert("L"), dtype=float) / 255
-    recipe = Recipe(options.name, options.licence, layers=options.layers, look=options.look)
+    recipe = Recipe(options.name, options.license, layers=options.layers, look=options.look)
     avatar = make_untrained(load_template(), nails, recipe)
     save_avatar(options.out, avatar, storage=options.storage)
     megabytes = options.out.stat().st_size / 1e6

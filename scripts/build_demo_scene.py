@@ -6,7 +6,7 @@
 
 Runs in a Python that has bpy. MOTION.npz (or .json, .csv) is what `jghand` writes: joints_m (frames, 21, 3), order,
 unit, fps and handedness. The cameras come from a JSON file, {name: {width, height, fx, fy, cx, cy, camera_from_world}},
-or are two, CamPalm and CamSide, that show the whole hand over the whole motion. The scene is in metres, its first
+or are two, CamPalm and CamSide, that show the whole hand over the whole motion. The scene is in meters, its first
 frame is 1, and what is +y in the motion is up, +z, in Blender.
 """
 
@@ -136,7 +136,7 @@ def build(motion: MotionFile, cameras: dict[str, dict], options: argparse.Namesp
     scene.render.film_transparent = True
     scene.render.image_settings.color_mode = "RGBA"
     scene.render.dither_intensity = 0.0  # the engine's own pictures have none
-    scene.view_settings.view_transform = "Standard"  # the hand is a photograph: AgX would change its colours
+    scene.view_settings.view_transform = "Standard"  # the hand is a photograph: AgX would change its colors
     rest = posing.rest_joints_m(motion.handedness, joints_m)
     hand = armature.build_armature(context, f"Hand {motion.handedness}", rest, motion.handedness)
     motions.key_motion(hand, joints_m, scene, first_frame=FIRST_FRAME)

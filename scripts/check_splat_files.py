@@ -35,8 +35,8 @@ from build_web_viewer import install_packages  # noqa: E402
 
 from jghand_engine.avatar.builtin import load_builtin  # noqa: E402
 from jghand_engine.errors import JGHandError  # noqa: E402
-from jghand_engine.exporters.splat_cloud import AXES_FROM_RUB, SplatCloud  # noqa: E402
-from jghand_engine.exporters.splat_files import FORMATS, SplatMotion  # noqa: E402
+from jghand_engine.export.splats.cloud import AXES_FROM_RUB, SplatCloud  # noqa: E402
+from jghand_engine.export.splats.files import FORMATS, SplatMotion  # noqa: E402
 from jghand_engine.hand.anatomy import named_pose  # noqa: E402
 from jghand_engine.hand.joints import Handedness  # noqa: E402
 from jghand_engine.hand.sequence import PoseSequence  # noqa: E402
@@ -59,14 +59,14 @@ class Found:
 
     @classmethod
     def of_ellipsoids(cls, rows: np.ndarray) -> Found:
-        """From rows of centre (3), sigma (3), quaternion w, x, y, z (4), colour (3), opacity (1)."""
+        """From rows of center (3), sigma (3), quaternion w, x, y, z (4), color (3), opacity (1)."""
         turns = Rotation.from_quat(rows[:, 6:10], scalar_first=True).as_matrix()
         covariance = np.einsum("nab,nb,ncb->nac", turns, rows[:, 3:6] ** 2, turns)
         return cls(rows[:, :3], covariance, rows[:, 10:13], rows[:, 13])
 
     @classmethod
     def of_covariances(cls, rows: np.ndarray) -> Found:
-        """From rows of centre (3), covariance xx, xy, xz, yy, yz, zz (6), colour (3), opacity (1)."""
+        """From rows of center (3), covariance xx, xy, xz, yy, yz, zz (6), color (3), opacity (1)."""
         whole = rows[:, [3, 4, 5, 4, 6, 7, 5, 7, 8]].reshape(-1, 3, 3)
         return cls(rows[:, :3], whole, rows[:, 9:12], rows[:, 12])
 
@@ -119,9 +119,9 @@ NOTHING = Difference(0, 0, 0, 0, 0)
 _HALF_BYTE = 0.5 / 255 + 1e-6
 # what a format's own precision allows, for balls and ellipsoids together.
 # ply, glb: float32, and the logarithm and the logit of ply.
-# splat: colours in bytes; a quaternion's components in steps of 1/128, seen 0.016.
-# spz: 2^-19 m; sizes in steps of 1/16 of a natural logarithm; colours in bytes of the harmonics times 0.15.
-# sog: what was seen, and a little; sizes and colours come from tables of 256 values, opacity is cut to bytes
+# splat: colors in bytes; a quaternion's components in steps of 1/128, seen 0.016.
+# spz: 2^-19 m; sizes in steps of 1/16 of a natural logarithm; colors in bytes of the harmonics times 0.15.
+# sog: what was seen, and a little; sizes and colors come from tables of 256 values, opacity is cut to bytes
 PRECISION = {
     "ply": Difference(1e-5, 2e-6, 3e-6, 2e-7, 2e-6),
     "glb": Difference(1e-5, 2e-6, 3e-6, 2e-7, 2e-7),
@@ -275,7 +275,7 @@ def hand_cloud(axes: str) -> SplatCloud:
 
 
 def ellipsoid_cloud(axes: str, count: int = 3000) -> SplatCloud:
-    """Long and flat Gaussians in all directions, colours and opacities."""
+    """Long and flat Gaussians in all directions, colors and opacities."""
     rng = np.random.default_rng(7)
     turn = Rotation.from_matrix(AXES_FROM_RUB[axes])
     turns = turn * Rotation.from_quat(rng.normal(size=(count, 4)))
@@ -355,7 +355,7 @@ def _turned(wanted: Found, signs: tuple[int, ...], found: Found) -> bool:
 def markdown(rows: list[Row]) -> str:
     """The table of docs/FORMATS.md: the larger of the differences of hand and ellipsoids."""
     lines = [
-        "| format | read by | position mm | size | shape | colour | opacity |",
+        "| format | read by | position mm | size | shape | color | opacity |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for format in FORMATS:

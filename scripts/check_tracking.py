@@ -27,27 +27,27 @@ import torch
 
 from jghand_engine import limits
 from jghand_engine.avatar.builtin import load_builtin
-from jghand_engine.datasets.capture_folder import open_capture
-from jghand_engine.datasets.sample import Sample, load_picture
-from jghand_engine.exporters.video import write_video
+from jghand_engine.captures.capture_folder import open_capture
+from jghand_engine.captures.sample import Sample, load_picture
+from jghand_engine.export.video import write_video
 from jghand_engine.files import writing
 from jghand_engine.hand.anatomy import MotionOptions, named_pose, pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, bone_lengths, hand_length, to_level
 from jghand_engine.hand.sequence import bone_directions, rebuilt
-from jghand_engine.splat.camera import Camera
-from jghand_engine.splat.frame import HandRenderer
-from jghand_engine.splat.settings import preset
-from jghand_engine.tracking.detection import SeenHand
-from jghand_engine.tracking.figures import FINGER_BONES, angles_between_deg, directions_in_palm, jitter_deg, lag_ms
-from jghand_engine.tracking.fit import fit
-from jghand_engine.tracking.hands_over_time import HandOverTime, hands_over_time
-from jghand_engine.tracking.mediapipe_hands import MediaPipeHands, video_detector
-from jghand_engine.tracking.own_hand import own_canonical_joints
-from jghand_engine.tracking.poses import Pinhole
-from jghand_engine.tracking.second_look import SecondLook
-from jghand_engine.tracking.skeleton import Skeleton, rotations_of
-from jghand_engine.tracking.track import (
+from jghand_engine.render.camera import Camera
+from jghand_engine.render.frame import HandRenderer
+from jghand_engine.render.settings import preset
+from jghand_engine.track.detection import SeenHand
+from jghand_engine.track.figures import FINGER_BONES, angles_between_deg, directions_in_palm, jitter_deg, lag_ms
+from jghand_engine.track.fit import fit
+from jghand_engine.track.hands_over_time import HandOverTime, hands_over_time
+from jghand_engine.track.mediapipe_hands import MediaPipeHands, video_detector
+from jghand_engine.track.own_hand import own_canonical_joints
+from jghand_engine.track.poses import Pinhole
+from jghand_engine.track.second_look import SecondLook
+from jghand_engine.track.skeleton import Skeleton, rotations_of
+from jghand_engine.track.track import (
     MOTION_FROM_CAMERA,
     Sightings,
     TrackOptions,
@@ -57,7 +57,7 @@ from jghand_engine.tracking.track import (
     track,
     track_hand,
 )
-from jghand_engine.tracking.video import open_video, pictures
+from jghand_engine.track.video import open_video, pictures
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "TRACKING.md"
 BEGIN, END = "<!-- measured -->", "<!-- end of measured -->"
@@ -288,7 +288,7 @@ def rows_of_capture(folder: Path, canonical_m: np.ndarray, model: Path | None) -
     samples = open_capture(folder).samples
     with MediaPipeHands(model, follows=False) as detector:
         # each picture for itself, as the first of a film
-        found = [_largest(SecondLook(detector, detector).detect(_on_grey(sample), 0.0)) for sample in samples]
+        found = [_largest(SecondLook(detector, detector).detect(_on_gray(sample), 0.0)) for sample in samples]
     right = [
         one is not None and one.handedness is sample.handedness for one, sample in zip(found, samples, strict=True)
     ]
@@ -310,7 +310,7 @@ def rows_of_capture(folder: Path, canonical_m: np.ndarray, model: Path | None) -
         yield replace(row, seen=f"{len(raw)} of {len(samples)}, as the right hand")
 
 
-def _on_grey(sample: Sample) -> np.ndarray:
+def _on_gray(sample: Sample) -> np.ndarray:
     picture = load_picture(sample)
     flat = picture.rgb + 0.5 * (1 - picture.mask[..., None])
     return np.clip(255 * flat, 0, 255).astype(np.uint8)

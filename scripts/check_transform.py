@@ -65,7 +65,7 @@ def _chunks(count: int) -> Iterator[torch.Tensor]:
 
 def joint_errors(count: int) -> Iterator[Figure]:
     """Both ends of all bones of random hands and of random point clouds, every mode, both precisions."""
-    worst = {(dtype, kind): 0.0 for dtype in (torch.float32, torch.float64) for kind in ("hands", "clouds", "centred")}
+    worst = {(dtype, kind): 0.0 for dtype in (torch.float32, torch.float64) for kind in ("hands", "clouds", "centered")}
     transforms = [
         JointTransform(CANONICAL, handedness=Handedness.RIGHT, swing=swing, scale_mode=mode) for swing, mode in MODES
     ]
@@ -79,11 +79,11 @@ def joint_errors(count: int) -> Iterator[Figure]:
                     error = hands.joint_error_mm(bones.matrices(), CANONICAL, joints)
                     worst[dtype, kind] = max(worst[dtype, kind], error)
                     if kind == "hands":
-                        centred = torch.cat([bones.linear, bones.offset_m.unsqueeze(-1)], -1)
-                        ends, _ = hands.ends_moved(centred, (CANONICAL - CANONICAL[0]).to(dtype))
+                        centered = torch.cat([bones.linear, bones.offset_m.unsqueeze(-1)], -1)
+                        ends, _ = hands.ends_moved(centered, (CANONICAL - CANONICAL[0]).to(dtype))
                         error = ((ends + joints[:, :1] - joints).double().norm(dim=-1).max() * 1e3).item()
-                        worst[dtype, "centred"] = max(worst[dtype, "centred"], error)
-    names = {"hands": "random hands", "clouds": "random clouds", "centred": "random hands, root-relative"}
+                        worst[dtype, "centered"] = max(worst[dtype, "centered"], error)
+    names = {"hands": "random hands", "clouds": "random clouds", "centered": "random hands, root-relative"}
     for (dtype, kind), error in worst.items():
         limit = 5e-4 if dtype is torch.float32 else 2e-12
         yield Figure(f"joint error, {names[kind]}, {str(dtype)[6:]}", error, limit, "mm")

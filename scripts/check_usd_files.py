@@ -8,8 +8,8 @@ To be run with the engine's Python. The programs are pinned in scripts/usd_clien
 for Gaussian splats, lightusd (a parser that shares nothing with Pixar's) and fourdgs. Blender's importer is asked by
 tests/blender/test_usd_import.py.
 
-The built-in hand, learnt, with 2,000 Gaussians, is written in every way there is. Exit code 1 when a validator finds an
-issue, or a reader something else than the engine has, beyond the precision of what was written.
+The built-in hand, learned, with 2,000 Gaussians, is written in every way there is. Exit code 1 when a validator finds
+an issue, or a reader something else than the engine has, beyond the precision of what was written.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path.insert(0, str(ROOT))
 
 from jghand_engine.avatar.builtin import load_builtin  # noqa: E402
-from jghand_engine.colour import srgb_to_linear  # noqa: E402
-from jghand_engine.exporters.usd import export_usd  # noqa: E402
-from jghand_engine.exporters.usd_check import NO_SPLATS, check_usd  # noqa: E402
-from jghand_engine.exporters.usd_motion import HandMotion  # noqa: E402
-from jghand_engine.exporters.usd_options import Package, UsdOptions, UsdReport, Variant  # noqa: E402
+from jghand_engine.color import srgb_to_linear  # noqa: E402
+from jghand_engine.export.usd.check import NO_SPLATS, check_usd  # noqa: E402
+from jghand_engine.export.usd.export import export_usd  # noqa: E402
+from jghand_engine.export.usd.motion import HandMotion  # noqa: E402
+from jghand_engine.export.usd.options import Package, UsdOptions, UsdReport, Variant  # noqa: E402
 from jghand_engine.hand.anatomy import pose_sequence_of_names  # noqa: E402
 from jghand_engine.hand.joints import Handedness  # noqa: E402
 from jghand_engine.hand.sequence import PoseSequence  # noqa: E402
@@ -79,7 +79,7 @@ WAYS = (
     ),
     Way(f"{USD_CLIPS_ABOVE_FRAMES + 1} frames", UsdOptions(), USD_CLIPS_ABOVE_FRAMES + 1, ""),
 )  # fmt: skip
-# what is written is float32 (position at up to 0.5 m, metres; radius as a part; colour of 0..1, whose harmonics are
+# what is written is float32 (position at up to 0.5 m, meters; radius as a part; color of 0..1, whose harmonics are
 # divided by 0.28), or half precision: two steps of 11 bits at 0.25 m, and of a harmonic of 2
 PRECISION, HALF_PRECISION = (1e-7, 1e-6, 5e-7), (1.3e-4, 5e-4, 3e-4)
 
@@ -145,7 +145,7 @@ def run(*command: str | Path) -> str:
 
 
 def subject(frames: int) -> HandMotion:
-    """The built-in hand in motion, half a metre from the origin, of another size in every frame."""
+    """The built-in hand in motion, half a meter from the origin, of another size in every frame."""
     avatar = load_builtin(handedness=Handedness.RIGHT).prefix(GAUSSIANS)
     canonical = avatar.canonical_joints_m.numpy()
     poses = pose_sequence_of_names(("open", "fist", "pinch", "open"), canonical, handedness=Handedness.RIGHT)
@@ -183,8 +183,8 @@ def read(client: str, way: Way, report: UsdReport) -> Reading:
     count = len(found["positions_m"])
     still = motion.cloud()
     frames = [motion.frame(index) for index in range(count)]
-    # a reader of the Default time alone gets the rest pose, in the colours of the first frame
-    centres_m = np.stack([still.rest_m] if count == 1 else [frame.positions_m for frame in frames])
+    # a reader of the Default time alone gets the rest pose, in the colors of the first frame
+    centers_m = np.stack([still.rest_m] if count == 1 else [frame.positions_m for frame in frames])
     rgb = np.stack([still.rgb if frame.rgb is None else frame.rgb for frame in frames])
     if way.options.radiance == "linear":
         rgb = srgb_to_linear(rgb)
@@ -196,7 +196,7 @@ def read(client: str, way: Way, report: UsdReport) -> Reading:
         way,
         client,
         count,
-        1e3 * float(np.abs(found["positions_m"] - centres_m).max()),
+        1e3 * float(np.abs(found["positions_m"] - centers_m).max()),
         float(max(np.abs(found["scales_m"] / sigma_m[..., None] - 1).max(), turned)),
         float(np.abs(found["rgb"] - rgb).max()),
         float(np.abs(found["opacity"] - still.opacity).max()),
@@ -238,7 +238,7 @@ def markdown(verdicts: list[Verdict], found: list[Reading]) -> str:
         lines.append(f"| {_words(one.way)} | {said} | {nvidia} | {splats} |")
     lines += [
         "",
-        "| `jghand export` | read by | frames | position mm | size | colour | opacity |",
+        "| `jghand export` | read by | frames | position mm | size | color | opacity |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     lines += [

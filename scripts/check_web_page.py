@@ -33,21 +33,21 @@ from jghand_engine.avatar.avatar import HandAvatar  # noqa: E402
 from jghand_engine.avatar.builtin import load_avatar_called  # noqa: E402
 from jghand_engine.cli.camera_file import camera_to_dict  # noqa: E402
 from jghand_engine.cli.framing import first_view, framing_camera  # noqa: E402
-from jghand_engine.exporters.pictures import Cell, SheetStyle, contact_sheet, flatten, read_png, write_png  # noqa: E402
-from jghand_engine.exporters.web import export_web  # noqa: E402
+from jghand_engine.export.pictures import Cell, SheetStyle, contact_sheet, flatten, read_png, write_png  # noqa: E402
+from jghand_engine.export.web.page import export_web  # noqa: E402
 from jghand_engine.hand.anatomy import pose_sequence_of_names  # noqa: E402
 from jghand_engine.hand.joints import Handedness  # noqa: E402
 from jghand_engine.hand.sequence import PoseSequence  # noqa: E402
-from jghand_engine.splat.camera import Camera  # noqa: E402
-from jghand_engine.splat.frame import HandRenderer  # noqa: E402
-from jghand_engine.splat.settings import ShadowMode, preset  # noqa: E402
+from jghand_engine.render.camera import Camera  # noqa: E402
+from jghand_engine.render.frame import HandRenderer  # noqa: E402
+from jghand_engine.render.settings import ShadowMode, preset  # noqa: E402
 
 POSES = ["open", "relaxed", "fist", "point", "ok", "spread"]
 # frames that are compared: open, on the way to relaxed, and point
 COMPARED = (0, 20, 100)
 # the picture without the self-shadow that the page leaves out; seen 58.3 at least
 PSNR_LEAST_DB = 55.0
-# metres that a joint which is moved moves at least, and one that is not at most
+# meters that a joint which is moved moves at least, and one that is not at most
 MOVED_M, STILL_M = 1e-3, 1e-9
 
 

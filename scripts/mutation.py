@@ -64,8 +64,8 @@ ROOMS = {
         ("tests/template", "tests/hostile_files/test_template_files.py"),
     ),
     "splat": Room(
-        ("camera", "gate", "reference", "rasterise", "shadow", "picture", "inputs"),
-        ("tests/splat", "tests/hard_cases/test_hard_splats.py"),
+        ("camera", "gate", "reference", "rasterize", "shadow", "picture", "inputs"),
+        ("tests/render", "tests/hard_cases/test_hard_splats.py"),
     ),
 }
 

@@ -1,4 +1,4 @@
-"""A Gaussian rasteriser as it is usually written for the CPU, for comparison with ours in scripts/benchmark_frame.py.
+"""A Gaussian rasterizer as it is usually written for the CPU, for comparison with ours in scripts/benchmark_frame.py.
 
 One thread, one pixel at a time, per tile and Gaussian: the loop of OpenSplat's CPU backend (a square of tiles around
 each Gaussian, math.exp per pixel), compiled by numba. It follows the contract of RENDERING 3 in what is drawn: same
@@ -22,7 +22,7 @@ T_STOP, Z_NEAR_M, TILE_PX = limits.T_STOP, limits.Z_NEAR_M, limits.TILE_PX
 
 @numba.njit
 def _project(position, sigma, fx, fy, cx, cy):
-    """Centre, conic and radius of every Gaussian (camera frame, metres); radius 0 means culled."""
+    """Center, conic and radius of every Gaussian (camera frame, meters); radius 0 means culled."""
     n = len(sigma)
     shape = np.empty((n, 6), np.float32)
     for i in range(n):
@@ -98,7 +98,7 @@ def _blend(shape, position, opacity, rgb, start, lists, planes):
 def draw(position_c, sigma, opacity, rgb, view) -> np.ndarray:
     """Planes (5, H, W) float32, premultiplied R G B, alpha, sum of weight times depth.
 
-    position_c (N, 3), sigma (N,), opacity (N,), rgb (N, 3): float32, camera frame, metres, all valid.
+    position_c (N, 3), sigma (N,), opacity (N,), rgb (N, 3): float32, camera frame, meters, all valid.
     view: (width, height, fx, fy, cx, cy), pixels. The first call compiles (seconds).
     """
     width, height, fx, fy, cx, cy = view
@@ -116,7 +116,7 @@ def difference_to_kernel(count: int = 60_000, width: int = 512, height: int = 33
     import time
 
     from jghand_engine.native.library import load
-    from jghand_engine.native.rasteriser import GaussianArrays, NativeRasteriser, View
+    from jghand_engine.native.rasterizer import GaussianArrays, NativeRasterizer, View
 
     random = np.random.default_rng(0)
     position = random.normal(0, 0.03, (count, 3)).astype(np.float32) + np.array([0, 0, 0.6], np.float32)
@@ -130,7 +130,7 @@ def difference_to_kernel(count: int = 60_000, width: int = 512, height: int = 33
     library = load()
     if library is None:
         return milliseconds, math.nan
-    kernel = NativeRasteriser(library, 1)
+    kernel = NativeRasterizer(library, 1)
     ours = kernel.forward(GaussianArrays(position, sigma, opacity, rgb), View(*view, np.eye(3, 4)), t_stop=T_STOP)
     return milliseconds, float(np.abs(planes - ours).max())
 

@@ -7,7 +7,7 @@ JGHAND_CHROMIUM, else the commands chromium, chromium-browser or google-chrome.
 
 Four pictures: the engine's own with gloss and self-shadow; of what the file holds, without them; Spark's picture of
 the file; and eight times the difference of these two. The picture-to-picture figure is told for Spark with the low pass
-that the hand was learnt with, and as Spark is by itself.
+that the hand was learned with, and as Spark is by itself.
 """
 
 from __future__ import annotations
@@ -33,23 +33,23 @@ from jghand_engine.avatar.builtin import load_avatar_called  # noqa: E402
 from jghand_engine.avatar.gaussians import Gaussians  # noqa: E402
 from jghand_engine.cli.camera_file import camera_to_dict  # noqa: E402
 from jghand_engine.cli.framing import framing_camera  # noqa: E402
-from jghand_engine.exporters.pictures import Cell, SheetStyle, contact_sheet, flatten, read_png, write_png  # noqa: E402
-from jghand_engine.exporters.ply import ply_bytes  # noqa: E402
-from jghand_engine.exporters.splat_cloud import SplatCloud  # noqa: E402
-from jghand_engine.exporters.splat_files import SplatMotion  # noqa: E402
+from jghand_engine.export.pictures import Cell, SheetStyle, contact_sheet, flatten, read_png, write_png  # noqa: E402
+from jghand_engine.export.splats.cloud import SplatCloud  # noqa: E402
+from jghand_engine.export.splats.files import SplatMotion  # noqa: E402
+from jghand_engine.export.splats.ply import ply_bytes  # noqa: E402
 from jghand_engine.hand.anatomy import named_pose  # noqa: E402
 from jghand_engine.hand.sequence import PoseSequence  # noqa: E402
 from jghand_engine.limits import ALPHA_MIN, BLUR_PX2  # noqa: E402
-from jghand_engine.splat.camera import Camera  # noqa: E402
-from jghand_engine.splat.frame import HandRenderer  # noqa: E402
-from jghand_engine.splat.picture import decibels  # noqa: E402
-from jghand_engine.splat.rasterise import rasterise  # noqa: E402
-from jghand_engine.splat.settings import preset  # noqa: E402
+from jghand_engine.render.camera import Camera  # noqa: E402
+from jghand_engine.render.frame import HandRenderer  # noqa: E402
+from jghand_engine.render.picture import decibels  # noqa: E402
+from jghand_engine.render.rasterize import rasterize  # noqa: E402
+from jghand_engine.render.settings import preset  # noqa: E402
 
 BLACK = (0.0, 0.0, 0.0)
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-# the rasterisation contract in Spark's words: low pass without a change of opacity, order by depth, the same cut-offs
-AS_LEARNT = {
+# the rasterization contract in Spark's words: low pass without a change of opacity, order by depth, the same cut-offs
+AS_LEARNED = {
     "preBlurAmount": BLUR_PX2, "blurAmount": 0.0, "sortRadial": False, "minAlpha": ALPHA_MIN,
     "maxStdDev": float(np.sqrt(2 * np.log(255))),
 }  # fmt: skip
@@ -76,7 +76,7 @@ def drawn_by_us(cloud: SplatCloud, camera: Camera) -> np.ndarray:
     """(H, W, 3) uint8 on black of what a file of `cloud`, axes rub, holds."""
     six = clients.Found.of_cloud(cloud).covariance_m2[:, [0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
     parts = cloud.positions_m, cloud.scales_m.mean(1), cloud.opacity, cloud.rgb, six
-    picture = rasterise(Gaussians(*(torch.tensor(np.array(part), dtype=torch.float32) for part in parts)), camera)
+    picture = rasterize(Gaussians(*(torch.tensor(np.array(part), dtype=torch.float32) for part in parts)), camera)
     return flatten(torch.cat([picture.rgb, picture.alpha[..., None]], -1).numpy(), BLACK)
 
 
@@ -107,7 +107,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         ply = Path(folder) / "hand.ply"
         ply.write_bytes(ply_bytes(SplatMotion(avatar, sequence, axes="rdf").cloud(0)))
-        theirs, by_itself = (drawn_by_spark(ply, camera, settings) for settings in (AS_LEARNT, {}))
+        theirs, by_itself = (drawn_by_spark(ply, camera, settings) for settings in (AS_LEARNED, {}))
     difference = np.clip(8 * np.abs(ours.astype(int) - theirs), 0, 255).astype(np.uint8)
     print(f"Spark with the low pass of the hand: {psnr_db(ours, theirs):.1f} dB, "
           f"largest difference of a channel {np.abs(ours.astype(int) - theirs).max()} of 255")  # fmt: skip

@@ -25,8 +25,8 @@ CAPTURE = (
     *("--identity", "adult_woman", "--cameras", "14", "--close-ups", "2", "--poses", "44", "--wrist-turn", "20"),
     *("--samples", "16", "--subdivisions", "2", "--size", "334x512"),
 )
-LICENCE = (
-    "CC0-1.0 AND Apache-2.0, see NOTICE: learnt from path-traced pictures of MakeHuman's hand (CC0-1.0) on a rig with "
+LICENSE = (
+    "CC0-1.0 AND Apache-2.0, see NOTICE: learned from path-traced pictures of MakeHuman's hand (CC0-1.0) on a rig with "
     "SOMA's joints (Apache-2.0), with a MakeHuman skin (CC0-1.0), in Blender's studio light (CC0-1.0)"
 )
 
@@ -48,7 +48,7 @@ def main(options: Options) -> None:
     run("train", capture, "--out", trained, "--minutes", options.minutes, *goes_on)
     run("bake", trained, capture, "--out", baked, "--overwrite")
     avatar = load_avatar(baked)
-    avatar = replace(avatar, info=replace(avatar.info, name="JGHand built-in", licence=LICENCE))
+    avatar = replace(avatar, info=replace(avatar.info, name="JGHand built-in", license=LICENSE))
     save_avatar(options.out, avatar, storage=Storage.COMPACT)
     print(f"{options.out}: {len(avatar)} Gaussians, {options.out.stat().st_size / 1e6:.2f} MB")
 

@@ -55,9 +55,9 @@ def sock() -> tuple[np.ndarray, np.ndarray]:
         for k in range(SEGMENTS):
             a, b = ring * SEGMENTS + k, ring * SEGMENTS + (k + 1) % SEGMENTS
             faces += [(a, a + SEGMENTS, b), (b, a + SEGMENTS, b + SEGMENTS)]
-    last, centre = (RINGS - 1) * SEGMENTS, RINGS * SEGMENTS
-    fan = [(last + k, centre, last + (k + 1) % SEGMENTS) for k in range(SEGMENTS)]
-    for inner in range(centre + 1, centre + INNER):
+    last, center = (RINGS - 1) * SEGMENTS, RINGS * SEGMENTS
+    fan = [(last + k, center, last + (k + 1) % SEGMENTS) for k in range(SEGMENTS)]
+    for inner in range(center + 1, center + INNER):
         a, b, c = fan.pop(0)
         fan += [(a, b, inner), (b, c, inner), (c, a, inner)]
     return vertices, np.array(faces + fan)

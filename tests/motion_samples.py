@@ -235,7 +235,7 @@ def write_gltf(path: Path, document: dict, binary: bytes, *, beside: bool) -> No
     path.write_text(json.dumps({**document, "buffers": [{"byteLength": len(binary), "uri": uri}]}))
 
 
-def write_usd(path: Path, skeleton: Rig, *, metres_per_unit: float = 1.0) -> None:
+def write_usd(path: Path, skeleton: Rig, *, meters_per_unit: float = 1.0) -> None:
     """A stage with one skeleton and its animation, at one time code a frame."""
     from pxr import Gf, Usd, UsdGeom, UsdSkel, Vt
 
@@ -245,7 +245,7 @@ def write_usd(path: Path, skeleton: Rig, *, metres_per_unit: float = 1.0) -> Non
         above = f"{paths[PARENTS[place]]}/" if place else "Root/"
         paths[place] = above + str(skeleton.names[place]).replace(":", "_")
     stage = Usd.Stage.CreateNew(str(path))
-    UsdGeom.SetStageMetersPerUnit(stage, metres_per_unit)
+    UsdGeom.SetStageMetersPerUnit(stage, meters_per_unit)
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
     stage.SetTimeCodesPerSecond(skeleton.fps)
     root = UsdSkel.Root.Define(stage, "/Character")
@@ -354,7 +354,7 @@ def iwer_recording(sequence: PoseSequence) -> dict:
 
 
 def interhand_document(sequence: PoseSequence, captures: tuple[str, ...] = ("0",)) -> dict:
-    """Joints of InterHand2.6M: millimetres, right hand first, an absent hand filled with ones."""
+    """Joints of InterHand2.6M: millimeters, right hand first, an absent hand filled with ones."""
     joints = from_level(sequence.joints_m, JointOrder.INTERHAND) * 1000
     other, absent = np.ones((21, 3)), [0] * 21
     right = sequence.handedness is Handedness.RIGHT
@@ -373,8 +373,8 @@ def interhand_document(sequence: PoseSequence, captures: tuple[str, ...] = ("0",
 
 
 def freemocap_table(sequence: PoseSequence, names: Sequence[str] = MEDIAPIPE_NAMES, *, remark: bool = False) -> str:
-    """mediapipe_right_hand_3d_xyz.csv, millimetres; with a remark for a header what the add-on for Blender writes,
-    metres."""
+    """mediapipe_right_hand_3d_xyz.csv, millimeters; with a remark for a header what the add-on for Blender writes,
+    meters."""
     side = f"{sequence.handedness.value}_hand"
     columns = [f"{side}_{name}_{axis}" for name in names for axis in "xyz"]
     header = "# " + ", ".join(columns) + "," if remark else ",".join(columns)

@@ -10,9 +10,9 @@ import torch
 from PIL import Image
 from small_hands import joints_of
 
-from jghand_engine.datasets.sample import Sample
+from jghand_engine.captures.sample import Sample
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.splat.camera import Camera
+from jghand_engine.render.camera import Camera
 
 EYES_M = {"front": (0.1, 0.1, 0.5), "side": (0.45, 0.15, 0.2), "back": (-0.1, 0.2, -0.5)}
 MIDDLE_M = (0.0, 0.09, 0.0)

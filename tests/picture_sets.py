@@ -1,4 +1,4 @@
-"""Small data sets in exactly the layouts of InterHand2.6M and HanCo: coloured silhouettes of the template."""
+"""Small data sets in exactly the layouts of InterHand2.6M and HanCo: colored silhouettes of the template."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ import numpy as np
 import torch
 from PIL import Image
 
-from jghand_engine.datasets.interhand_writer import RecordedHand, write_interhand
-from jghand_engine.datasets.masks import template_mask
+from jghand_engine.captures.interhand_writer import RecordedHand, write_interhand
+from jghand_engine.captures.masks import template_mask
 from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, from_level
-from jghand_engine.splat.camera import Camera
+from jghand_engine.render.camera import Camera
 from jghand_engine.template.builtin import load_template
 
 RIGHT, LEFT = Handedness.RIGHT, Handedness.LEFT
@@ -28,7 +28,7 @@ FAR = np.array([0.4, -0.3, 1.2])
 
 @functools.cache
 def pose(index: int, handedness: Handedness = RIGHT) -> np.ndarray:
-    """(21, 3) level order, metres: a pose by number, somewhere in the room."""
+    """(21, 3) level order, meters: a pose by number, somewhere in the room."""
     joints = named_pose(POSES[index % len(POSES)], load_template().joints_m, handedness=handedness) + FAR
     joints.setflags(write=False)
     return joints
@@ -117,7 +117,7 @@ def _write_pictures(folder: Path, hand: RecordedHand) -> None:
 
 
 def write_picture(file: Path, mask: np.ndarray) -> None:
-    """A hand of one colour: PNG with straight alpha, JPEG before a dark wall."""
+    """A hand of one color: PNG with straight alpha, JPEG before a dark wall."""
     if file.suffix == ".png":
         rgba = np.zeros((*mask.shape, 4), np.uint8)
         rgba[..., :3], rgba[..., 3] = SKIN, np.round(mask * 255)

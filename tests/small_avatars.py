@@ -1,4 +1,4 @@
-"""Small random avatars for tests: Gaussians near the built-in canonical joints, blended between neighbouring bones."""
+"""Small random avatars for tests: Gaussians near the built-in canonical joints, blended between neighboring bones."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import torch
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
 from jghand_engine.avatar.cast_shadow import CastShadow, own_flesh, place_anchors
 from jghand_engine.avatar.correctives import PoseNet, PoseNetShape
-from jghand_engine.avatar.learnt import Ellipsoid, Learnt, ShadowLook
+from jghand_engine.avatar.learned import Ellipsoid, Learned, ShadowLook
 from jghand_engine.avatar.light import SH_COUNT, Light
 from jghand_engine.hand.joints import JOINT_COUNT, PARENTS, Handedness
 from jghand_engine.template.builtin import load_template
@@ -28,7 +28,7 @@ def small_avatar(count: int = 200, seed: int = 0) -> HandAvatar:
     weights += 0.1 * torch.softmax(4 * torch.randn(count, JOINT_COUNT, dtype=torch.float64, generator=g), 1)
     weights /= weights.sum(1, keepdim=True)
     return HandAvatar(
-        info=AvatarInfo(name="small", template="test", licence="none", pose_statistics={"index mcp": (-0.1, 1.5)}),
+        info=AvatarInfo(name="small", template="test", license="none", pose_statistics={"index mcp": (-0.1, 1.5)}),
         handedness=Handedness.RIGHT,
         canonical_joints_m=joints_m,
         position_m=(spot_m + 0.008 * torch.randn(count, 3, dtype=torch.float64, generator=g)).float(),
@@ -60,12 +60,12 @@ def trained_avatar(count: int = 200, seed: int = 0, shape: PoseNetShape | None =
     anchors = place_anchors(avatar.position_m, normal, avatar.bone_weights, 60)
     lamp_rgb = torch.rand(20, 3, generator=g) ** 3
     cast = CastShadow(lamp_rgb, torch.tensor([0.4, 0.3, 0.2]), anchors, own_flesh(anchors, avatar.canonical_joints_m))
-    return replace(avatar, learnt=Learnt(normal, torch.rand(count, generator=g), light, net, look, cast=cast))
+    return replace(avatar, learned=Learned(normal, torch.rand(count, generator=g), light, net, look, cast=cast))
 
 
 def ellipsoid_avatar(count: int = 200, seed: int = 0) -> HandAvatar:
     """A trained one whose Gaussians are no spheres."""
     avatar, g = trained_avatar(count, seed), torch.Generator().manual_seed(2000 + seed)
     shape = Ellipsoid(0.6 * torch.randn(count, 3, generator=g).clamp(-2, 2), torch.randn(count, 4, generator=g))
-    assert avatar.learnt is not None
-    return replace(avatar, learnt=replace(avatar.learnt, ellipsoid=shape))
+    assert avatar.learned is not None
+    return replace(avatar, learned=replace(avatar.learned, ellipsoid=shape))

@@ -1,4 +1,4 @@
-"""Hands that are going to be learnt, small enough for tests: canonical points, options, models, poses."""
+"""Hands that are going to be learned, small enough for tests: canonical points, options, models, poses."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ INFO = AvatarInfo("tiny", "", "none")
 
 
 def small_points(count: int = 300, seed: int = 0) -> CanonicalPoints:
-    """Points around the bones of the built-in hand, blended between neighbouring bones, with random normals."""
+    """Points around the bones of the built-in hand, blended between neighboring bones, with random normals."""
     start, g = small_avatar(count, seed), torch.Generator().manual_seed(77 + seed)
     return CanonicalPoints(
         position_m=start.position_m,
@@ -44,7 +44,7 @@ def stirred(module: torch.nn.Module, seed: int = 0, by: float = 0.3) -> None:
 
 
 def small_hand(options: ModelOptions = SMALL_MODEL, *, seed: int = 0, moved: bool = True) -> LearnedHand:
-    """moved: as if it had learnt something."""
+    """moved: as if it had learned something."""
     hand = LearnedHand(small_points(options.gaussians), options, seed)
     if moved:
         stirred(hand)
@@ -52,7 +52,7 @@ def small_hand(options: ModelOptions = SMALL_MODEL, *, seed: int = 0, moved: boo
 
 
 def joints_of(pose: str, handedness: Handedness = Handedness.RIGHT) -> np.ndarray:
-    """(21, 3) joints of a named pose of the built-in hand, metres."""
+    """(21, 3) joints of a named pose of the built-in hand, meters."""
     return named_pose(pose, load_template().joints_m, handedness=handedness)
 
 

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 import torch
 from small_hands import INFO, SMALL_MODEL, small_points, stirred
 
-from jghand_engine.datasets.sample import Sample
+from jghand_engine.captures.sample import Sample
+from jghand_engine.learn import step
+from jghand_engine.learn.options import Schedule, TrainOptions
+from jghand_engine.learn.perceptual import PerceptualMetric
+from jghand_engine.learn.step import HandTraining, Material
 from jghand_engine.template.builtin import load_template
-from jghand_engine.training import step
-from jghand_engine.training.options import Schedule, TrainOptions
-from jghand_engine.training.perceptual import PerceptualMetric
-from jghand_engine.training.step import HandTraining, Material
 
 SMALL = TrainOptions(model=SMALL_MODEL, schedule=Schedule(views=2), shadow_samples=4)
 
@@ -26,7 +26,7 @@ def small_training(
     perceptual: PerceptualMetric | None = None,
     device: torch.device = step.CPU,
 ) -> HandTraining:
-    """moved: as if it had learnt something, all Gaussians taking part."""
+    """moved: as if it had learned something, all Gaussians taking part."""
     monkeypatch.setattr(step, "place_points", lambda template, count, **how: small_points(count))
     training = HandTraining(Material(samples, samples[:1], load_template(), INFO, perceptual), options, device)
     if moved:

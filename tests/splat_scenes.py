@@ -1,4 +1,4 @@
-"""Scenes for the rasteriser's tests, and how two pictures or two gradients are compared."""
+"""Scenes for the rasterizer's tests, and how two pictures or two gradients are compared."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ import torch
 from jghand_engine.avatar.covariance import posed_covariance
 from jghand_engine.avatar.gaussians import Gaussians
 from jghand_engine.native.library import runnable_variants
-from jghand_engine.splat.camera import Camera
-from jghand_engine.splat.picture import Picture
-from jghand_engine.splat.rasterise import rasterise
-from jghand_engine.splat.reference import rasterise_reference
-from jghand_engine.splat.settings import RenderSettings
+from jghand_engine.render.camera import Camera
+from jghand_engine.render.picture import Picture
+from jghand_engine.render.rasterize import rasterize
+from jghand_engine.render.reference import rasterize_reference
+from jghand_engine.render.settings import RenderSettings
 
 NATIVE = runnable_variants()
 NAMES = ("position_m", "sigma_m", "opacity", "rgb")
 ELLIPSOID_NAMES = ("position_m", "covariance_m2", "opacity", "rgb")  # of these, sigma_m is ignored
 
 # Promise 3 of the contract: a pixel differs by more than rounding and the early stop only where a contribution falls on
-# the other side of the cut, which is worth at most 1/255 of a colour
+# the other side of the cut, which is worth at most 1/255 of a color
 PIXEL_TOLERANCE = 1.1e-4
 FLIPPED_SHARE = 5e-5
 FLIP_LIMIT = 1 / 255
@@ -117,20 +117,20 @@ def planes_of(picture: Picture) -> torch.Tensor:
 
 
 def draw(gaussians: Gaussians, camera: Camera, backend: str, **settings) -> Picture:
-    return rasterise(gaussians, camera, RenderSettings(backend=backend, **settings))
+    return rasterize(gaussians, camera, RenderSettings(backend=backend, **settings))
 
 
 def exact(gaussians: Gaussians, camera: Camera, **options) -> Picture:
     """The float64 reference of float32 Gaussians."""
-    return rasterise_reference(in_precision(gaussians, torch.float64), camera, **options)
+    return rasterize_reference(in_precision(gaussians, torch.float64), camera, **options)
 
 
 def assert_same_picture(
-    got: Picture, want: Picture, *, depth_scale_m: float = 1.0, colour_scale: float = 1.0, flips: int = 0
+    got: Picture, want: Picture, *, depth_scale_m: float = 1.0, color_scale: float = 1.0, flips: int = 0
 ) -> None:
-    """Promise 3. depth_scale_m, colour_scale: the largest depth and colour of the scene, for contributions scale with
+    """Promise 3. depth_scale_m, color_scale: the largest depth and color of the scene, for contributions scale with
     them. flips: pixels in which a contribution may fall on the other side of the cut, as observed."""
-    scale = torch.tensor([colour_scale] * 3 + [1.0, depth_scale_m], dtype=torch.float64)[:, None, None]
+    scale = torch.tensor([color_scale] * 3 + [1.0, depth_scale_m], dtype=torch.float64)[:, None, None]
     error = ((planes_of(got).double() - planes_of(want).double()).abs() / scale).amax(0)
     assert bool(torch.isfinite(error).all())
     assert float(error.max()) <= FLIP_LIMIT, f"worst pixel {float(error.max()):.2e}"

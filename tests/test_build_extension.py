@@ -28,7 +28,7 @@ def names(archive: Path) -> list[str]:
         return content.namelist()
 
 
-def test_the_zip_holds_the_extension_the_protocol_and_the_licences(tmp_path):
+def test_the_zip_holds_the_extension_the_protocol_and_the_licenses(tmp_path):
     archive = build_extension.build(tmp_path)
     assert archive.name == "jghand-0.1.0.zip"
     assert {"__init__.py", "blender_manifest.toml", "LICENSE", "LICENSE-MIT", "NOTICE", "core/protocol.py"} <= set(

@@ -19,19 +19,19 @@ ENGINE, ADDON, CYCLES = ROOT / "jghand_engine", ROOT / "blender_addon", ROOT / "
 
 # rooms in the order in which data walks; a room imports only from rooms above it (and from itself)
 ROOMS = (
-    ("limits", "errors", "files", "lock", "colour"),
+    ("limits", "errors", "files", "lock", "color", "json_files"),
     ("native",),
     ("hand",),
     ("template",),
     ("avatar",),
-    ("splat",),
-    ("datasets",),
-    ("capture",),
-    ("exporters",),
-    ("tracking",),
-    ("training",),
+    ("render",),
+    ("motion",),
+    ("captures",),
+    ("export",),
+    ("track",),
+    ("learn",),
     ("farm",),
-    ("studies",),
+    ("study",),
     ("service",),
     ("cli",),
 )
@@ -133,7 +133,7 @@ def test_the_extensions_core_imports_without_blender():
 
 
 def test_the_photographer_needs_blender_and_nothing_else():
-    """It runs in a Python that has bpy and numpy, and is a program apart from the engine, under Blender's licence."""
+    """It runs in a Python that has bpy and numpy, and is a program apart from the engine, under Blender's license."""
     allowed = {"bpy", "mathutils", "numpy", "jghand_cycles"} | sys.stdlib_module_names
     offences(
         f"{name_of(path)}:{line} imports {module}"
@@ -144,7 +144,7 @@ def test_the_photographer_needs_blender_and_nothing_else():
 
 
 @pytest.mark.parametrize("path", python_files(ADDON, CYCLES), ids=name_of)
-def test_what_imports_blender_names_its_licence(path):
+def test_what_imports_blender_names_its_license(path):
     assert path.read_text(encoding="utf-8").startswith("# SPDX-License-Identifier: GPL-3.0-or-later\n")
 
 
@@ -223,7 +223,7 @@ def test_no_error_is_swallowed():
 
 
 # the weights of a network that the user installed or chose: loaded as tensors and nothing else
-TENSOR_LOADER = "jghand_engine/training/perceptual.py"
+TENSOR_LOADER = "jghand_engine/learn/perceptual.py"
 
 
 def loads_tensors_only(call: ast.Call) -> bool:
@@ -280,7 +280,7 @@ def test_the_package_imports_where_torchvision_and_the_optional_packages_are_mis
         "import sys\n"
         "absent = ('torchvision', 'mediapipe', 'bpy', 'anny', 'imageio_ffmpeg', 'trimesh')\n"
         "sys.modules.update(dict.fromkeys(absent))\n"
-        "import jghand_engine.cli, jghand_engine.exporters.pictures, jghand_engine.splat.camera\n"
+        "import jghand_engine.cli, jghand_engine.export.pictures, jghand_engine.render.camera\n"
     )
     subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
 

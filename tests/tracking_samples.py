@@ -8,10 +8,10 @@ import numpy as np
 
 from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.tracking.detection import SeenHand
-from jghand_engine.tracking.poses import Pinhole, Poses
-from jghand_engine.tracking.skeleton import LIMITS_RAD, Skeleton, rotations_of
-from jghand_engine.tracking.track import Sightings
+from jghand_engine.track.detection import SeenHand
+from jghand_engine.track.poses import Pinhole, Poses
+from jghand_engine.track.skeleton import LIMITS_RAD, Skeleton, rotations_of
+from jghand_engine.track.track import Sightings
 
 CANONICAL_M = load_builtin(handedness=Handedness.RIGHT).canonical_joints_m.numpy()
 WIDTH, HEIGHT, FPS = 640, 480, 30.0
@@ -37,7 +37,7 @@ def moving_poses(count: int = 60, fps: float = FPS) -> Poses:
 
 @dataclass
 class Sight:
-    """joints_m: (F, 21, 3) camera axes, metres · sightings: what a perfect detector says of them."""
+    """joints_m: (F, 21, 3) camera axes, meters · sightings: what a perfect detector says of them."""
 
     joints_m: np.ndarray
     sightings: Sightings

@@ -31,9 +31,9 @@ OBJECT_PROPERTIES = {name: f"jghand_joint_{name}" for name in NAMES}
 
 
 def build_armature(context: bpy.types.Context, name: str, joints_m: np.ndarray, handedness: str) -> bpy.types.Object:
-    """A new armature in the context's scene with these (21, 3) joints at rest, metres in the object's space.
+    """A new armature in the context's scene with these (21, 3) joints at rest, meters in the object's space.
 
-    `posing.rest_joints_m` gives joints to start from. Object transforms are identity; the scene's unit is honoured.
+    `posing.rest_joints_m` gives joints to start from. Object transforms are identity; the scene's unit is honored.
     """
     matrices = posing.rest_matrices(np.asarray(joints_m), handedness)
     unit_m = context.scene.unit_settings.scale_length
@@ -115,7 +115,7 @@ def handedness_of(hand: bpy.types.Object) -> str:
 
 
 def read_hand(hand: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> HandInSpace:
-    """The 21 joints of the *evaluated* armature (constraints, drivers and IK included), in metres.
+    """The 21 joints of the *evaluated* armature (constraints, drivers and IK included), in meters.
 
     Hand space is the object's place and rotation without its scale: M = R S by polar decomposition; scale and shear
     act on the joints, never on what is drawn. Raises JGHandFailure: not_a_hand, mirrored, zero_scale, hidden.

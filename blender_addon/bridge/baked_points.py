@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A bake as an object that plays: Blender's own import of the stage's points, with a look that shows their colours.
+"""A bake as an object that plays: Blender's own import of the stage's points, with a look that shows their colors.
 
 The object needs neither engine nor extension afterwards: a point cloud whose cache modifier reads the USD file, and a
 material of Blender's own nodes. Points are balls, so edges are harder than those of splats; builds that know Gaussian
@@ -84,21 +84,21 @@ def played_folder(thing: bpy.types.Object) -> Path:
 
 
 def points_material() -> bpy.types.Material:
-    """Shows the colours of the points as they are: no light falls on them, as on a photograph."""
+    """Shows the colors of the points as they are: no light falls on them, as on a photograph."""
     known = bpy.data.materials.get(MATERIAL)
     if known is not None and known.library is None:
         return known
     material = bpy.data.materials.new(MATERIAL)
-    material.diffuse_color = limits.POINTS_SOLID_RGBA  # Solid mode knows no colours of points
+    material.diffuse_color = limits.POINTS_SOLID_RGBA  # Solid mode knows no colors of points
     if material.node_tree is None:  # until 4.5
         material.use_nodes = True
     tree = material.node_tree
     tree.nodes.clear()
-    colour = tree.nodes.new("ShaderNodeAttribute")
-    colour.attribute_name, colour.location = "displayColor", (-300, 0)
+    color = tree.nodes.new("ShaderNodeAttribute")
+    color.attribute_name, color.location = "displayColor", (-300, 0)
     glow = tree.nodes.new("ShaderNodeEmission")
     output = tree.nodes.new("ShaderNodeOutputMaterial")
     output.location = (300, 0)
-    tree.links.new(colour.outputs["Color"], glow.inputs["Color"])
+    tree.links.new(color.outputs["Color"], glow.inputs["Color"])
     tree.links.new(glow.outputs["Emission"], output.inputs["Surface"])
     return material

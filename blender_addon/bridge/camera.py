@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""A Blender camera as the pinhole of the engine. Source: BLENDER 6 (the formula), 8.1 (what is honoured)."""
+"""A Blender camera as the pinhole of the engine. Source: BLENDER 6 (the formula), 8.1 (what is honored)."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def picture_size(render: bpy.types.RenderSettings) -> tuple[int, int]:
 
 
 def pinhole(camera: bpy.types.Object, depsgraph: bpy.types.Depsgraph, size: tuple[int, int] | None = None) -> Pinhole:
-    """The *evaluated* camera (lens, shift, sensor fit, pixel aspect, depth of field, unit of the scene), metres.
+    """The *evaluated* camera (lens, shift, sensor fit, pixel aspect, depth of field, unit of the scene), meters.
 
     size: of the picture, where it is not the scene's own.
     Raises JGHandFailure: not_a_camera, panoramic, orthographic_lens, sheared_camera, hidden.
@@ -97,7 +97,7 @@ def _check_kind(camera: bpy.types.Object) -> None:
 
 
 def _lens(camera: bpy.types.Object, unit_m: float) -> tuple[float, float]:
-    """Diameter of the aperture, 0 without depth of field, and the depth that is sharp, metres, of an evaluated camera.
+    """Diameter of the aperture, 0 without depth of field, and the depth that is sharp, meters, of an evaluated camera.
 
     As Cycles has it: the aperture is a part of the focal length in thousandths of a Blender unit, whatever that is.
     """
@@ -122,7 +122,7 @@ def _focus_distance(camera: bpy.types.Object) -> float:
 
 
 def _camera_from_world(camera: bpy.types.Object, unit_m: float) -> np.ndarray:
-    """(4, 4), Blender's axes, metres; scale is left out as Blender leaves it out, a shear or a mirror is refused."""
+    """(4, 4), Blender's axes, meters; scale is left out as Blender leaves it out, a shear or a mirror is refused."""
     world_from_camera = np.array(camera.matrix_world, dtype=np.float64)
     axes = world_from_camera[:3, :3]
     size = np.linalg.norm(axes, axis=0)

@@ -49,10 +49,10 @@ def ask(avatar: str, *, wait: bool = False) -> None:
 
 
 def gaussians_of(avatar: str) -> tuple[int, bool]:
-    """How many Gaussians an avatar has and whether it is learnt, for estimates: of a card that is not known yet, those
+    """How many Gaussians an avatar has and whether it is learned, for estimates: of a card that is not known yet, those
     of the avatar that comes with JGHand."""
     card = card_of(avatar)
-    return (card.gaussians, card.learnt) if card is not None else (limits.BUILTIN_GAUSSIANS, True)
+    return (card.gaussians, card.learned) if card is not None else (limits.BUILTIN_GAUSSIANS, True)
 
 
 def register() -> None:

@@ -265,7 +265,7 @@ def _make_bones(data: bpy.types.Armature, matrices: dict[str, np.ndarray], unit_
 
 
 def _collect_bones(data: bpy.types.Armature) -> None:
-    """The controls in bone collections of their own, which can be hidden, in colours of their kind."""
+    """The controls in bone collections of their own, which can be hidden, in colors of their kind."""
     for name in (COLLECTION, TIP_COLLECTION):
         if name not in data.collections:
             data.collections.new(name).is_visible = name == COLLECTION

@@ -17,7 +17,7 @@ SIDES = {"CamPalm": (0.0, 0.15, 1.0), "CamSide": (0.85, 0.2, 0.5)}
 def add_framing_camera(
     context: bpy.types.Context, name: str, joints_m: np.ndarray, handedness: str
 ) -> bpy.types.Object:
-    """A camera on the side `name` (a key of SIDES) that shows (F, 21, 3) world joints, metres, in every frame.
+    """A camera on the side `name` (a key of SIDES) that shows (F, 21, 3) world joints, meters, in every frame.
 
     The scene must have its picture size already.
     """
@@ -44,15 +44,15 @@ def add_framing_camera(
 
 
 def turn_view_to(area: bpy.types.Area, joints_m: np.ndarray, unit_m: float) -> None:
-    """Shows (21, 3) world joints, metres, in a 3D view, beside the bars that lie over it. The direction stays."""
+    """Shows (21, 3) world joints, meters, in a 3D view, beside the bars that lie over it. The direction stays."""
     space, region = area.spaces.active, next(region for region in area.regions if region.type == "WINDOW")
     bars = {region.type: region.width for region in area.regions if region.type in ("UI", "TOOLS") and region.width > 1}
     left, right = bars.get("TOOLS", 0), bars.get("UI", 0)
     if not bpy.context.preferences.system.use_region_overlap:
         left = right = 0
     points = np.asarray(joints_m, dtype=np.float64) / unit_m
-    centre = (points.min(0) + points.max(0)) / 2
-    radius = (np.linalg.norm(points - centre, axis=-1).max() + limits.WRIST_SKIN_M / unit_m) * (1.0 + limits.MARGIN)
+    center = (points.min(0) + points.max(0)) / 2
+    radius = (np.linalg.norm(points - center, axis=-1).max() + limits.WRIST_SKIN_M / unit_m) * (1.0 + limits.MARGIN)
     largest = max(region.width, region.height)
     seen = max(min(region.width - left - right, region.height), largest * limits.VIEW_PART_MIN)
     # a view shows its sensor over the larger side, at the distance of what it turns about
@@ -62,11 +62,11 @@ def turn_view_to(area: bpy.types.Area, joints_m: np.ndarray, unit_m: float) -> N
     if view.view_perspective == "CAMERA":
         view.view_perspective = "PERSP"
     aside = view.view_rotation @ Vector((1.0, 0.0, 0.0)) * (right - left) / 2.0 * pixel
-    view.view_location, view.view_distance = Vector(centre) + aside, distance
+    view.view_location, view.view_distance = Vector(center) + aside, distance
 
 
 def _skin_points(joints: np.ndarray) -> np.ndarray:
-    """(N, 3) points around every joint of every frame that the skin stays within, metres."""
+    """(N, 3) points around every joint of every frame that the skin stays within, meters."""
     reach = np.full(joints.shape[1], limits.SKIN_M)
     reach[WRIST] = limits.WRIST_SKIN_M
     offsets = np.concatenate([np.eye(3), -np.eye(3)])

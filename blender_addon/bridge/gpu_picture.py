@@ -2,7 +2,7 @@
 """A picture of the engine as textures, and drawing it into a view. Only to be used while Blender draws.
 
 The engine's picture is display-referred sRGB, premultiplied. What a custom shader writes into a view is taken as
-linear, so the shader decodes it (on straight colours) and the view shows the engine's numbers. Each pixel is tested
+linear, so the shader decodes it (on straight colors) and the view shows the engine's numbers. Each pixel is tested
 against the scene at its own depth. Source: BLENDER 7.2 and 7.3.
 """
 
@@ -24,10 +24,10 @@ void main()
 }
 """
 
-# The picture may have fewer pixels than the part of the view that it fills: colours are blended between four pixels,
+# The picture may have fewer pixels than the part of the view that it fills: colors are blended between four pixels,
 # decoded; depths never are, a depth half way between a finger and nothing would float in front of everything.
 _FRAGMENT = """
-vec4 colour_at(ivec2 at)
+vec4 color_at(ivec2 at)
 {
   vec4 c = texelFetch(picture, clamp(at, ivec2(0), textureSize(picture, 0) - 1), 0);
   if (c.a <= 0.0) {
@@ -47,23 +47,23 @@ void main()
 {
   vec2 at = vec2(uv.x, 1.0 - uv.y) * vec2(textureSize(picture, 0));
   ivec2 here = ivec2(floor(at));
-  vec4 colour;
+  vec4 color;
   float depth = depth_at(here);
   if (smooth_it == 0) {
-    colour = colour_at(here);
+    color = color_at(here);
   }
   else {
     ivec2 first = ivec2(floor(at - 0.5));
     vec2 part = at - 0.5 - vec2(first);
-    vec4 above = mix(colour_at(first), colour_at(first + ivec2(1, 0)), part.x);
-    vec4 below = mix(colour_at(first + ivec2(0, 1)), colour_at(first + ivec2(1, 1)), part.x);
-    colour = mix(above, below, part.y);
+    vec4 above = mix(color_at(first), color_at(first + ivec2(1, 0)), part.x);
+    vec4 below = mix(color_at(first + ivec2(0, 1)), color_at(first + ivec2(1, 1)), part.x);
+    color = mix(above, below, part.y);
     if (depth <= 0.0) {
       depth = max(max(depth_at(first), depth_at(first + ivec2(1, 0))),
                   max(depth_at(first + ivec2(0, 1)), depth_at(first + ivec2(1, 1))));
     }
   }
-  if (colour.a < 0.5 / 255.0) {
+  if (color.a < 0.5 / 255.0) {
     discard;
   }
   vec2 clip = clip_from_depth.xz * depth + clip_from_depth.yw;
@@ -72,7 +72,7 @@ void main()
     discard;
   }
   gl_FragDepth = between;
-  shown_colour = colour;
+  shown_color = color;
 }
 """
 
@@ -103,7 +103,7 @@ class GpuPicture:
 
     def __init__(self, rgba: np.ndarray, depth_m: np.ndarray) -> None:
         self.height, self.width = depth_m.shape
-        self._colour = self._texture(_as_floats(rgba), 4, "RGBA8")
+        self._color = self._texture(_as_floats(rgba), 4, "RGBA8")
         self._depth = self._texture(depth_m.astype(np.float32, copy=False), 1, "R32F")
 
     def draw(
@@ -124,7 +124,7 @@ class GpuPicture:
             tools.shader.uniform_float("clip_from_depth", clip)
             same_size = (part.width, part.height) == (self.width, self.height)
             tools.shader.uniform_int("smooth_it", 0 if same_size else 1)
-            tools.shader.uniform_sampler("picture", self._colour)
+            tools.shader.uniform_sampler("picture", self._color)
             tools.shader.uniform_sampler("depth_m", self._depth)
             tools.quad.draw(tools.shader)
         finally:
@@ -185,7 +185,7 @@ def _made_tools() -> _Tools:
         info.sampler(1, "FLOAT_2D", "depth_m")
         info.vertex_in(0, "VEC2", "pos")
         info.vertex_out(between)
-        info.fragment_out(0, "VEC4", "shown_colour")
+        info.fragment_out(0, "VEC4", "shown_color")
         info.depth_write("ANY")
         info.vertex_source(_VERTEX)
         info.fragment_source(_FRAGMENT)

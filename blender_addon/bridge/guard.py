@@ -138,7 +138,7 @@ def _fail(failure: JGHandFailure) -> None:
     text = text.format(frame=_frame.number, reason=reason)
     if bpy.app.background:
         print(f"JGHand: {text}", file=sys.stderr, flush=True)
-    elif failure.kind != "cancelled":
+    elif failure.kind != "canceled":
         _pending = text
 
 

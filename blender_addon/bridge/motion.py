@@ -40,7 +40,7 @@ def key_motion(
     frames_per_pose: float = 1.0,
     key_frames: Sequence[float] | None = None,
 ) -> bpy.types.Action:
-    """Keys (F, 21, 3) joints, metres in the space of the armature object, standard order; returns the new action.
+    """Keys (F, 21, 3) joints, meters in the space of the armature object, standard order; returns the new action.
 
     At every key the evaluated bone heads equal the joints, also where bone lengths or the palm change. Between keys
     Blender interpolates linearly. `frames_per_pose` is the scene's frame rate over the motion's; `key_frames` places

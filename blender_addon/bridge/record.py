@@ -53,6 +53,6 @@ def named_hands(
 
 
 def joints_now(context: bpy.types.Context, thing: bpy.types.Object) -> dict[str, np.ndarray]:
-    """(21, 3) joints in the world, metres, by handedness, of the frame that is shown."""
+    """(21, 3) joints in the world, meters, by handedness, of the frame that is shown."""
     hands = sources.read_hands(thing, context.evaluated_depsgraph_get())
     return {hand.handedness: hand.joints_world_m for hand in hands}

@@ -66,7 +66,7 @@ def notes_on(scene: bpy.types.Scene) -> list[str]:
     """One sentence for every setting of the scene that makes its pictures other than those of the engine."""
     view = scene.view_settings
     if view.view_transform != "Standard":
-        return [f"The view transform is {view.view_transform}: colours differ from the capture; Standard keeps them."]
+        return [f"The view transform is {view.view_transform}: colors differ from the capture; Standard keeps them."]
     return []
 
 

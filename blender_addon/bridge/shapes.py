@@ -8,14 +8,14 @@ import numpy as np
 
 from ..core import limits
 
-# Blender's bone colour sets
+# Blender's bone color sets
 PALETTES = {"hand": "THEME04", "finger": "THEME09", "tip": "THEME01"}
 _NAMES = {kind: f"JGHand {kind} control" for kind in PALETTES}
 _CORNERS = 32
 
 
 def shape(kind: str) -> bpy.types.Object:
-    """The object drawn for a control of a kind, "hand", "finger" or "tip", metres; made when there is none."""
+    """The object drawn for a control of a kind, "hand", "finger" or "tip", meters; made when there is none."""
     known = bpy.data.objects.get(_NAMES[kind])
     if known is not None and known.type == "MESH" and known.library is None:
         return known

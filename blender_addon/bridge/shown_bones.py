@@ -3,7 +3,7 @@
 
 Blender has drawn its overlays when a draw handler comes, so the picture would hide the bones of an armature that is
 shown in front, and the finger controls with them. Along those lines the picture is left out instead: the depth there
-is set to the nearest there is, without touching colours, and what Blender drew shows. Rendered mode needs none of it.
+is set to the nearest there is, without touching colors, and what Blender drew shows. Rendered mode needs none of it.
 """
 
 from __future__ import annotations

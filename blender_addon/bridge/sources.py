@@ -21,14 +21,14 @@ from ..core.view import HandInSpace
 from . import armature
 
 
-def recognise(rig: bpy.types.Object, handedness: str) -> Recognition:
+def recognize(rig: bpy.types.Object, handedness: str) -> Recognition:
     """The bones of one hand in an armature, by their names. JGHandFailure (not_a_hand): no armature."""
-    return bone_maps.recognise(_bones(rig).keys(), handedness)
+    return bone_maps.recognize(_bones(rig).keys(), handedness)
 
 
-def recognise_objects(objects: Sequence[bpy.types.Object], handedness: str) -> Recognition:
+def recognize_objects(objects: Sequence[bpy.types.Object], handedness: str) -> Recognition:
     """The joints of one hand among objects, by their names; `objects_of` turns its map into objects."""
-    return bone_maps.recognise([thing.name for thing in objects], handedness, tails=False)
+    return bone_maps.recognize([thing.name for thing in objects], handedness, tails=False)
 
 
 def objects_of(bone_map: BoneMap, objects: Sequence[bpy.types.Object]) -> list[bpy.types.Object]:
@@ -99,7 +99,7 @@ def read_hands(thing: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> list[
 
 
 def read_mapped(rig: bpy.types.Object, bone_map: BoneMap, depsgraph: bpy.types.Depsgraph) -> HandInSpace:
-    """The 21 joints of the *evaluated* foreign armature (constraints, drivers and IK included), in metres.
+    """The 21 joints of the *evaluated* foreign armature (constraints, drivers and IK included), in meters.
 
     Raises JGHandFailure: not_a_hand, mirrored, zero_scale, hidden, bad_bone_map (a joint without a bone).
     """

@@ -113,7 +113,7 @@ def has_native_splats() -> bool:
 
 
 def write_png(settings: bpy.types.ImageFormatSettings) -> None:
-    """Makes a scene write PNG; where it does already, its depth, colours and compression stay."""
+    """Makes a scene write PNG; where it does already, its depth, colors and compression stay."""
     if hasattr(settings, "media_type"):  # 5.0 and later; which formats there are depends on it
         settings.media_type = "IMAGE"
     if settings.file_format != "PNG":
@@ -194,7 +194,7 @@ def combine_soft_edges(combine: bpy.types.Node) -> None:
 
 
 def world_tree(world: bpy.types.World) -> bpy.types.NodeTree | None:
-    """The nodes of a world that are used; None where it has only a colour."""
+    """The nodes of a world that are used; None where it has only a color."""
     # since 5.0 nodes are used wherever they are; asking `use_nodes` warns there
     always = bpy.types.Scene.bl_rna.properties.get("compositing_node_group") is not None
     return world.node_tree if always or world.use_nodes else None

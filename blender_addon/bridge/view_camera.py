@@ -15,8 +15,8 @@ from ..core.view import HandInSpace, Pinhole, pinhole_from
 
 @dataclass(frozen=True)
 class ViewCamera:
-    """The camera of a 3D view. whole: of the whole region, metres · window: (4, 4) Blender's projection matrix ·
-    unit_m: metres per unit of the scene"""
+    """The camera of a 3D view. whole: of the whole region, meters · window: (4, 4) Blender's projection matrix ·
+    unit_m: meters per unit of the scene"""
 
     whole: Pinhole
     window: np.ndarray
@@ -29,7 +29,7 @@ class ViewCamera:
         return (size, self.whole.camera_from_world.tobytes(), self.window.tobytes())
 
     def in_front_of(self, hands: Sequence[HandInSpace]) -> tuple[Pinhole, float]:
-        """The pinhole, moved back until it has the hands in front of it, and by how much, metres.
+        """The pinhole, moved back until it has the hands in front of it, and by how much, meters.
 
         An orthographic view of Blender's shows what is behind its camera as well; moving it changes nothing but depth.
         """

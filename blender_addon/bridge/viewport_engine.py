@@ -21,7 +21,7 @@ class ViewportEngine:
         """Something changed in the scene. Every draw looks for itself what there is to show."""
 
     def view_draw(self, context: bpy.types.Context, depsgraph: bpy.types.Depsgraph) -> None:
-        """Draws one 3D view: the world's colour, unless the film is transparent, and the hands before it."""
+        """Draws one 3D view: the world's color, unless the film is transparent, and the hands before it."""
         scene = depsgraph.scene_eval
         if not scene.render.film_transparent:
             gpu.state.active_framebuffer_get().clear(color=(*background(scene.world), 1.0))

@@ -38,7 +38,7 @@ _OUTPUTS = ("rgba_u8", "depth")
 
 @dataclass(frozen=True)
 class Place:
-    """Where a picture belongs: a part of the view, and how far its camera stood back, metres."""
+    """Where a picture belongs: a part of the view, and how far its camera stood back, meters."""
 
     part: Part
     room_m: float

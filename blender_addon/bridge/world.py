@@ -9,8 +9,8 @@ from . import versions
 
 
 def background(world: bpy.types.World | None) -> tuple[float, float, float]:
-    """The world's colour, scene-linear: that of its background node, with the strength, where the node has one colour;
-    else the colour that the viewport shows. Black without a world."""
+    """The world's color, scene-linear: that of its background node, with the strength, where the node has one color;
+    else the color that the viewport shows. Black without a world."""
     if world is None:
         return (0.0, 0.0, 0.0)
     node = _background_node(world)

@@ -12,7 +12,7 @@ from .wire import protocol
 
 Arrays = Mapping[str, protocol.Array]
 # failures of a picture that say nothing about it: somebody gave it up
-GIVEN_UP = frozenset({"cancelled", "stopped"})
+GIVEN_UP = frozenset({"canceled", "stopped"})
 
 
 @dataclass(frozen=True)

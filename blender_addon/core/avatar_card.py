@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The card of an avatar: whose hand, under which licence, from when, how good. Does not use bpy.
+"""The card of an avatar: whose hand, under which license, from when, how good. Does not use bpy.
 
 Made of what `jghand info` says, which checks every value of the file; texts in it are somebody else's.
 """
@@ -18,23 +18,23 @@ from .messages import JGHandFailure
 
 @dataclass(frozen=True)
 class Card:
-    """name · licence · learnt_from: which pictures, "" when nothing was learnt · written: date of the file, "" of a
-    shipped one · accuracy: in words · gaussians · learnt: whether its colours change with the pose."""
+    """name · license · learned_from: which pictures, "" when nothing was learned · written: date of the file, "" of a
+    shipped one · accuracy: in words · gaussians · learned: whether its colors change with the pose."""
 
     name: str
-    licence: str
-    learnt_from: str
+    license: str
+    learned_from: str
     written: str
     accuracy: str
     gaussians: int
-    learnt: bool
+    learned: bool
 
     def lines(self) -> list[tuple[str, str]]:
         """For a panel: what, and its value."""
         rows = [
             ("Name", self.name),
-            ("Learnt From", self.learnt_from or "nothing: it is painted"),
-            ("Licence", self.licence or "not said"),
+            ("Learned From", self.learned_from or "nothing: it is painted"),
+            ("License", self.license or "not said"),
             ("Written", self.written),
             ("PSNR", self.accuracy),
             ("Splats", f"{self.gaussians}"),
@@ -56,16 +56,16 @@ def read_card(path: Path) -> Card:
 def card_of(facts: Mapping[str, Any]) -> Card:
     """The card of what `jghand info` says; ValueError, TypeError, KeyError or AttributeError for something else."""
     source = facts.get("learnt_from") or {}
-    learnt_from = f"{source['pictures']} pictures of {source['capture']}" if source else ""
-    learnt = facts.get("learnt") or {}
+    learned_from = f"{source['pictures']} pictures of {source['capture']}" if source else ""
+    learned = facts.get("learnt") or {}
     return Card(
         name=_text(facts["name"]),
-        licence=_text(facts.get("licence", "")),
-        learnt_from=_text(learnt_from),
+        license=_text(facts.get("licence", "")),
+        learned_from=_text(learned_from),
         written=_text(facts.get("written", "")),
-        accuracy=_text(learnt.get("psnr_db", "")),
+        accuracy=_text(learned.get("psnr_db", "")),
         gaussians=int(facts["gaussians"]),
-        learnt=bool(learnt),
+        learned=bool(learned),
     )
 
 

@@ -2,7 +2,7 @@
 """What lies in the folder of a bake, what it was made from, and whether that is still so. Does not use bpy.
 
 A hand has a folder of its own, and every bake a generation in it: HAND/v0001, HAND/v0002. The one before is removed
-when the new one is finished and plays, so a bake that fails or is cancelled loses nothing, and no file that is open is
+when the new one is finished and plays, so a bake that fails or is canceled loses nothing, and no file that is open is
 written to.
 
 NAME.usda and its layers    plays wherever USD is read, no engine and no extension needed
@@ -101,7 +101,7 @@ def remove(generation: Path, owner: str) -> None:
 
 
 def remove_unfinished(generation: Path) -> None:
-    """Removes what a bake that failed or was cancelled has left of its generation; a finished one stays."""
+    """Removes what a bake that failed or was canceled has left of its generation; a finished one stays."""
     if _GENERATION.fullmatch(generation.name) and not (generation / STAMP).exists():
         _empty(generation)
 
@@ -234,7 +234,7 @@ def stale_reasons(
 
 
 def moved_at(hand: BakedHand, folder: Path, frame: float, joints_m: np.ndarray) -> bool:
-    """Whether the hand is elsewhere now than in the bake. joints_m: (21, 3) in the world, metres, at this frame.
+    """Whether the hand is elsewhere now than in the bake. joints_m: (21, 3) in the world, meters, at this frame.
 
     False where the bake has no such frame, and between frames. JGHandFailure (bad_motion).
     """

@@ -38,7 +38,7 @@ class JointSource:
 class BoneMap:
     """21 sources in the standard order, None where there is none, with sentences about them.
 
-    convention: the title of what was recognised, "" for a map made by hand · missing: one sentence for everything that
+    convention: the title of what was recognized, "" for a map made by hand · missing: one sentence for everything that
     has no bone or more than one · notes: what is worth knowing and no obstacle.
     """
 
@@ -77,7 +77,7 @@ class BoneMap:
 class Recognition:
     """What the names of a rig say about one hand.
 
-    candidates: the possible maps, one when there is no doubt, none when nothing was recognised · sentences: what to
+    candidates: the possible maps, one when there is no doubt, none when nothing was recognized · sentences: what to
     tell, in the order to tell it.
     """
 
@@ -91,7 +91,7 @@ class Recognition:
         return self.candidates[0] if len(self.candidates) == 1 else None
 
 
-def recognise(names: Iterable[str], handedness: str, *, tails: bool = True) -> Recognition:
+def recognize(names: Iterable[str], handedness: str, *, tails: bool = True) -> Recognition:
     """Looks for the 21 joints of one hand among bone names.
 
     tails: whether the tip of a finger may be the tail of its last bone; objects have no tail.
@@ -100,12 +100,12 @@ def recognise(names: Iterable[str], handedness: str, *, tails: bool = True) -> R
     index = _Index(names)
     found = [candidate for convention in CONVENTIONS for candidate in _candidates(convention, index, handedness, tails)]
     best = max((candidate.score for candidate in found), default=0)
-    if best < limits.RECOGNISED_MIN:
+    if best < limits.RECOGNIZED_MIN:
         known = ", ".join(convention.title for convention in CONVENTIONS)
         return Recognition(
             handedness,
             (),
-            (f"No bones of a {handedness} hand were recognised. Known names: {known}. Choose the bones by hand.",),
+            (f"No bones of a {handedness} hand were recognized. Known names: {known}. Choose the bones by hand.",),
         )
     unique: dict[tuple[JointSource | None, ...], BoneMap] = {}
     for candidate in found:
@@ -114,13 +114,13 @@ def recognise(names: Iterable[str], handedness: str, *, tails: bool = True) -> R
     maps = tuple(unique.values())
     if len(maps) == 1:
         only = maps[0]
-        return Recognition(handedness, maps, (f"Recognised: {only.convention}.", *only.missing, *only.notes))
+        return Recognition(handedness, maps, (f"Recognized: {only.convention}.", *only.missing, *only.notes))
     return Recognition(handedness, maps, (_doubt(maps, handedness),))
 
 
 def hands_in(names: Sequence[str]) -> tuple[str, ...]:
     """The hands of which the names show at least a wrist and a finger: right, left, both or none."""
-    return tuple(side for side in (RIGHT, LEFT) if recognise(names, side).candidates)
+    return tuple(side for side in (RIGHT, LEFT) if recognize(names, side).candidates)
 
 
 def from_json(text: str) -> BoneMap:

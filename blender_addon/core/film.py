@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The engine's picture as Blender's passes: display colours to scene-linear, depth in Blender's unit, rows from the
+"""The engine's picture as Blender's passes: display colors to scene-linear, depth in Blender's unit, rows from the
 bottom. Does not use bpy. Source: BLENDER 7.3 (what must be written where), 8.1.
 """
 
@@ -15,7 +15,7 @@ from . import limits
 def scene_linear(rgba: np.ndarray) -> np.ndarray:
     """(H, W, 4) premultiplied, display-referred sRGB -> the same premultiplied in linear light, float32.
 
-    The curve is that of straight colour, so alpha is divided out and multiplied in again.
+    The curve is that of straight color, so alpha is divided out and multiplied in again.
     """
     out = np.zeros(rgba.shape, np.float32)
     box = covered(rgba[..., 3])
@@ -28,18 +28,18 @@ def scene_linear(rgba: np.ndarray) -> np.ndarray:
 
 
 def over(rgba: np.ndarray, background: Sequence[float]) -> np.ndarray:
-    """A premultiplied linear picture on an opaque colour, linear too."""
+    """A premultiplied linear picture on an opaque color, linear too."""
     out = np.empty_like(rgba)
     out[...] = (*background, 1)
     box = covered(rgba[..., 3])
     values, behind = rgba[box], 1 - rgba[box][..., 3]
-    for channel, colour in enumerate(background):
-        out[box][..., channel] = values[..., channel] + behind * np.float32(colour)
+    for channel, color in enumerate(background):
+        out[box][..., channel] = values[..., channel] + behind * np.float32(color)
     return out
 
 
 def depth_units(depth_m: np.ndarray, unit_m: float) -> np.ndarray:
-    """(H, W) metres along the view axis, 0 = nothing -> Blender units, with what a Z combine takes for nothing."""
+    """(H, W) meters along the view axis, 0 = nothing -> Blender units, with what a Z combine takes for nothing."""
     return np.where(depth_m > 0, depth_m / np.float32(unit_m), np.float32(limits.NOTHING_DEPTH)).astype(np.float32)
 
 

@@ -5,7 +5,7 @@ clock, no bpy.
     running -> done | failed
     running -> pausing -> paused        a training that was stopped can go on from its checkpoint
     pausing -> failed                   nothing says that its checkpoint was written
-    running -> cancelling -> cancelled
+    running -> cancelling -> canceled
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ class Phase(Enum):
     CANCELLING = "cancelling"
     DONE = "done"
     PAUSED = "paused"
-    CANCELLED = "cancelled"
+    CANCELLED = "canceled"
     FAILED = "failed"
 
     @property
@@ -77,7 +77,7 @@ _WORDS = {
     Phase.CANCELLING: "Cancelling",
     Phase.DONE: "Done",
     Phase.PAUSED: "Paused",
-    Phase.CANCELLED: "Cancelled",
+    Phase.CANCELLED: "Canceled",
     Phase.FAILED: "Failed",
 }
 
@@ -107,7 +107,7 @@ def heard(state: JobState, content: Mapping[str, Any]) -> JobState:
 
 
 def asked_to_stop(state: JobState, *, pause: bool) -> JobState:
-    """The state after somebody asked a job to pause or to end. A cancelled job is not paused any more."""
+    """The state after somebody asked a job to pause or to end. A canceled job is not paused any more."""
     if state.phase.is_over or (pause and state.phase is Phase.CANCELLING):
         return state
     return replace(state, phase=Phase.PAUSING if pause else Phase.CANCELLING)

@@ -96,7 +96,7 @@ class Job:
             self._ask(pause=True)
 
     def cancel(self) -> None:
-        """Asks it to stop. A paused job is cancelled at once; what it has written stays."""
+        """Asks it to stop. A paused job is canceled at once; what it has written stays."""
         if self.state.phase is Phase.PAUSED:
             self.state = job_state.JobState(Phase.CANCELLED, self.state.text)
             self.put_away()
@@ -109,12 +109,12 @@ class Job:
             self.state = JobState(notes=self.state.notes)
             self._start(self.spec.resume)
 
-    def wait(self, timeout_s: float, *, cancelled: Callable[[], bool] = lambda: False) -> bool:
-        """Blocks until it is over, at most so long, asking `cancelled` all the while; True when it is over."""
+    def wait(self, timeout_s: float, *, canceled: Callable[[], bool] = lambda: False) -> bool:
+        """Blocks until it is over, at most so long, asking `canceled` all the while; True when it is over."""
         until = time.monotonic() + timeout_s
         while not self.is_over and time.monotonic() < until:
             self.tick()
-            if self.state.phase is Phase.RUNNING and cancelled():
+            if self.state.phase is Phase.RUNNING and canceled():
                 self.cancel()
             if self._process is not None and not self.is_over:
                 with contextlib.suppress(subprocess.TimeoutExpired):

@@ -55,11 +55,11 @@ TIP_BONE_M = 0.005
 REST_BONE_MIN = 1e-2
 # sine between palm bones below which a frame has no palm plane and holds the orientation of the one before
 PALM_SINE_MIN = 1e-3
-# det of the normalised axes of an object: below it, its scale is (nearly) zero in some direction
+# det of the normalized axes of an object: below it, its scale is (nearly) zero in some direction
 SCALE_MIN = 1e-6
 # det of an object's axes below which it is flat and can hide nothing that is inside of it
 FLAT_DETERMINANT = 1e-12
-# a camera whose normalised axes leave orthogonality by more than this is sheared by its parents
+# a camera whose normalized axes leave orthogonality by more than this is sheared by its parents
 SHEAR_MAX = 1e-4
 # cosine below which two directions count as opposite: the smallest rotation between them has no axis of its own
 OPPOSITE_COSINE = -0.999999
@@ -68,9 +68,9 @@ SQUARE_PIXEL_MAX = 1e-6
 
 # ---- other people's rigs --------------------------------------------------------------------------------------------
 
-# so many of the 16 joints other than tips must have a bone before a convention counts as recognised: a wrist and one
+# so many of the 16 joints other than tips must have a bone before a convention counts as recognized: a wrist and one
 # finger. Fewer are chance hits (a lone "wrist" empty)
-RECOGNISED_MIN = 4
+RECOGNIZED_MIN = 4
 
 # ---- finger controls ------------------------------------------------------------------------------------------------
 
@@ -97,7 +97,7 @@ THUMB_PLAY_DEG = 5.0
 TWIST_RANGE_DEG = 30.0
 # turns of the solver for a tip that is held somewhere; Blender's own number, enough for three bones
 IK_ITERATIONS = 500
-# how large the shapes of the controls are drawn, metres: radius of a ring around a finger, of a ball at a tip; half the
+# how large the shapes of the controls are drawn, meters: radius of a ring around a finger, of a ball at a tip; half the
 # width and depth of the bracelet around the palm, and its way from the wrist
 FINGER_SHAPE_M = 0.014
 TIP_SHAPE_M = 0.006
@@ -109,10 +109,10 @@ HOLDER_SHAPE_M = 0.02
 
 # Blender shows assets at up to this size
 PREVIEW_PX = 128
-# what the picture shows of the space around the wrist: a flat hand with some air, metres
+# what the picture shows of the space around the wrist: a flat hand with some air, meters
 PREVIEW_WIDTH_M = 0.21
-PREVIEW_CENTRE_M = (0.0, 0.082)
-# skin around a joint, the part of it at a tip, and the distance of the balls that make a limb, metres
+PREVIEW_CENTER_M = (0.0, 0.082)
+# skin around a joint, the part of it at a tip, and the distance of the balls that make a limb, meters
 PREVIEW_RADIUS_M = 0.0085
 PREVIEW_TIP_PART = 0.75
 PREVIEW_STEP_M = 0.002
@@ -138,7 +138,7 @@ FPS_MAX = 10_000.0
 
 # a hand is looked at from near
 CLIP_START_M = 0.01
-# how far skin reaches beyond a joint, and beyond the wrist joint, where the avatar's forearm ends, metres
+# how far skin reaches beyond a joint, and beyond the wrist joint, where the avatar's forearm ends, meters
 SKIN_M = 0.015
 WRIST_SKIN_M = 0.045
 # air around the hand, as a part of the distance
@@ -156,7 +156,7 @@ VIEW_PART_MIN = 0.2
 BUDGET_MS = 16.0
 # below this part of its splats a hand has holes
 DENSITY_MIN = 0.1
-# reach of shadows, millimetres: the engine's own, and the most that it takes
+# reach of shadows, millimeters: the engine's own, and the most that it takes
 SHADOW_RADIUS_MM, SHADOW_RADIUS_MAX_MM = 20.0, 200.0
 # sub-frames of motion blur: enough for a finger that crosses its own width; beyond, seconds a frame for nothing
 MOTION_SAMPLES = 8
@@ -189,7 +189,7 @@ STALE_S = 2.0
 MOVING_PIXELS_MAX = 200_000
 STILL_PIXELS_MAX = 1_000_000
 SHARP_PIXELS_MAX = 2_100_000
-# the part of a view that can show a hand ends so far from its joints, metres: skin, forearm, and the blur of splats
+# the part of a view that can show a hand ends so far from its joints, meters: skin, forearm, and the blur of splats
 REACH_M = 0.06
 # and is rounded outwards to so many pixels, so that a small move keeps the picture's size
 CROP_STEP_PX = 32
@@ -206,7 +206,7 @@ BONE_CUT_PX = 3.0
 SHAPE_CUT_PX = 1.5
 SHAPE_EDGES_MAX = 512
 # an orthographic view of Blender has things behind its camera: the engine's camera stands so far in front of the
-# nearest joint, metres
+# nearest joint, meters
 ORTHO_ROOM_M = 0.5
 
 # how often in a row a view tries to draw what the graphics driver refuses, and its rest between, seconds: after

@@ -204,13 +204,13 @@ class EngineLink:
         arrays: Arrays | None = None,
         *,
         timeout_s: float = limits.REQUEST_S,
-        cancelled: Callable[[], bool] = lambda: False,
+        canceled: Callable[[], bool] = lambda: False,
     ) -> protocol.Message:
         """Sends a request and waits for its reply; from any thread. Requests are answered in their order.
 
         The time counts from when the engine gets it, and not while the engine says what it loads for it, for LOAD_S
-        at most. `cancelled` is asked again and again; what it raises ends the request, too.
-        Raises JGHandFailure: bad_input for what cannot be sent, "cancelled", "hung" when the time is over, the engine's
+        at most. `canceled` is asked again and again; what it raises ends the request, too.
+        Raises JGHandFailure: bad_input for what cannot be sent, "canceled", "hung" when the time is over, the engine's
         own kind when it answers with an error, or why there is no engine.
         """
         with self._news:
@@ -218,7 +218,7 @@ class EngineLink:
             self._want(Asker.WORK)
             self._wake()
         try:
-            answer = self._answer_to(call, timeout_s, cancelled)
+            answer = self._answer_to(call, timeout_s, canceled)
         except BaseException:  # Ctrl-C too: the engine is not to go on with what nobody waits for
             with self._news:
                 self._waiting.give_up(call, time.monotonic())
@@ -228,7 +228,7 @@ class EngineLink:
             raise _copy(answer.failure or JGHandFailure("internal", "an answer without content"))
         return answer.message
 
-    def _answer_to(self, call: Call, timeout_s: float, cancelled: Callable[[], bool]) -> Answer:
+    def _answer_to(self, call: Call, timeout_s: float, canceled: Callable[[], bool]) -> Answer:
         """Waits for it; JGHandFailure when it does not come."""
         while True:
             with self._news:
@@ -240,8 +240,8 @@ class EngineLink:
                     self._news.wait(min(limits.POLL_S, max(0.0, -late_s)))
             if failure is not None:
                 raise failure
-            if cancelled():
-                raise JGHandFailure("cancelled")
+            if canceled():
+                raise JGHandFailure("canceled")
 
     # ---- under the lock ----------------------------------------------------------------------------------------------
 

@@ -56,7 +56,7 @@ ADVICE = {
         TRY_AGAIN,
     ),
     "stopped": Advice("The engine was stopped", "Start it again when it is needed", TRY_AGAIN),
-    "cancelled": Advice("This was cancelled", "Start it again when it is wanted", INTERRUPTED),
+    "canceled": Advice("This was canceled", "Start it again when it is wanted", INTERRUPTED),
     "no_graphics": Advice(
         "The graphics driver does not draw the hand",
         "Make the view smaller, switch Show Hands off and on, or update the driver",

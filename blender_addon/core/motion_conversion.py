@@ -28,7 +28,7 @@ _MOTION, _FIGURES = "motion.npz", "figures.json"
 
 @dataclass(frozen=True)
 class ConversionChoices:
-    """What a file may not say of itself, in the command line's own words; "" or 0: it says it, or it is recognised.
+    """What a file may not say of itself, in the command line's own words; "" or 0: it says it, or it is recognized.
 
     hand: right or left · unit: m, cm or mm · order: of the joints · fps: frames per second · hand_length_mm: from the
     wrist to the middle finger's tip · part: which skeleton, animation or person · in_place: keep the wrist where it is
@@ -50,7 +50,7 @@ class ConversionChoices:
 
 
 def words(path: Path, folder: Path, choices: ConversionChoices) -> tuple[str, ...]:
-    """`jghand motion`: a motion with z up, as Blender has it, and what was recognised, in `folder`."""
+    """`jghand motion`: a motion with z up, as Blender has it, and what was recognized, in `folder`."""
     said = (
         ("--hand", choices.hand),
         ("--unit", choices.unit),

@@ -3,7 +3,7 @@
 
 The files declare order, unit, frames per second and handedness; what is not declared is refused, because a wrong order
 or unit would go unnoticed until the picture. Frames that miss a joint hold the last whole pose, and that is told.
-Nothing is ever unpickled. Formats: DATA 8, `jghand_engine.datasets.motion_files`, which also reads other orders.
+Nothing is ever unpickled. Formats: DATA 8, `jghand_engine.motion.files`, which also reads other orders.
 
     .npz   joints_m (F, 21, 3) · order · unit · fps · handedness · valid (F, 21) and filled (F,) optional
     .json  {"format": "jghand motion", "version": 1, "order", "unit", "fps", "handedness", "joints": [[[x, y, z], …]]};
@@ -34,7 +34,7 @@ from .joints import FINGERS, HANDEDNESSES, NAMES
 from .messages import JGHandFailure
 from .posing import last_good_frames
 
-_METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+_METERS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 # for each joint of the standard order its place in the file's order: level by level, and the standard itself
 _LEVEL = ("wrist", *(f"{finger}{level}" for level in (1, 2, 3, 4) for finger in FINGERS))
 _ORDERS = {"standard": tuple(range(len(NAMES))), "level": tuple(_LEVEL.index(name) for name in NAMES)}
@@ -50,7 +50,7 @@ _DAMAGE = (
 
 @dataclass(frozen=True)
 class MotionFile:
-    """joints_m: (F, 21, 3) standard order, metres, whole; notes: what was repaired, in sentences; filled: (F,) bool,
+    """joints_m: (F, 21, 3) standard order, meters, whole; notes: what was repaired, in sentences; filled: (F,) bool,
     frames that nobody measured, None where none is known."""
 
     joints_m: np.ndarray
@@ -87,7 +87,7 @@ def read_motion(path: Path) -> MotionFile:
 
 
 def write_motion(path: Path, motion: MotionFile) -> None:
-    """Writes `.npz`, standard order, metres, everything declared inside; never half-written.
+    """Writes `.npz`, standard order, meters, everything declared inside; never half-written.
 
     JGHandFailure: cannot_write, disk_full; bad_motion for another suffix, whose kind cannot say what it holds.
     """
@@ -111,7 +111,7 @@ def _checked(path: Path, joints: np.ndarray, valid: np.ndarray | None, declared:
     if missing:
         raise JGHandFailure("bad_motion", f"{path} does not say its {', '.join(missing)}")
     order, unit, handedness = (str(declared[name]) for name in ("order", "unit", "handedness"))
-    choices = (("order", order, _ORDERS), ("unit", unit, _METRES), ("handedness", handedness, HANDEDNESSES))
+    choices = (("order", order, _ORDERS), ("unit", unit, _METERS), ("handedness", handedness, HANDEDNESSES))
     for what, value, known in choices:
         if value not in known:
             raise JGHandFailure("bad_motion", f"{path}: {what} is {value[:40]!r}, wanted {' or '.join(known)}")
@@ -130,7 +130,7 @@ def _checked(path: Path, joints: np.ndarray, valid: np.ndarray | None, declared:
         if valid.shape != whole.shape:
             raise JGHandFailure("bad_motion", f"{path}: 'valid' is {valid.shape}, wanted {whole.shape}")
         whole &= valid
-    joints = joints[:, list(_ORDERS[order])] * _METRES[unit]
+    joints = joints[:, list(_ORDERS[order])] * _METERS[unit]
     whole = np.logical_and.reduce(whole, axis=1)
     held, notes = _held(path, joints, whole)
     filled = _filled(path, declared.get("filled"), len(joints)) | ~whole
@@ -176,7 +176,7 @@ def _read_npz(path: Path) -> tuple[np.ndarray, np.ndarray | None, Mapping[str, A
         declared.setdefault("unit", "m")
         declared["filled"] = content.get("filled")
         if declared["unit"] != "m":
-            raise ValueError(f"'joints_m' means metres, and the unit is {str(declared['unit'])[:20]!r}")
+            raise ValueError(f"'joints_m' means meters, and the unit is {str(declared['unit'])[:20]!r}")
         return content["joints_m"], content["valid"].astype(bool) if "valid" in content else None, declared
 
 

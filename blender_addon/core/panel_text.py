@@ -33,7 +33,7 @@ STAGES = {
 }
 EFFECTS = {
     "skin": "Skin",
-    "correctives": "Learnt Skin Detail",
+    "correctives": "Learned Skin Detail",
     "cast-shadow": "Shadows in the Light",
     "anisotropy": "Long Splats",
     "filter": "Small Hand Filter",
@@ -274,7 +274,7 @@ def _warnings(report: Mapping[str, Any], translate: Translate) -> tuple[Line, ..
         text = template.format(
             joint=match["joint"], angle=translate(match["angle"]), beyond=round(float(match["beyond"]))
         )
-        tip = translate("{note}. Such a pose was in no picture that the avatar learnt from, so its skin is a guess")
+        tip = translate("{note}. Such a pose was in no picture that the avatar learned from, so its skin is a guess")
         outside.append(Line(text, tip=tip.format(note=note), good=False))
     invalid = int(_number(report.get("invalid_gaussians")))
     if invalid:

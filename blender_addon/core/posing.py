@@ -31,9 +31,9 @@ class BoneKeys:
 
 
 def rest_joints_m(handedness: str, like_m: np.ndarray | None = None) -> np.ndarray:
-    """(21, 3) joints of the rest pose, metres: an open, relaxed hand with the wrist at the origin.
+    """(21, 3) joints of the rest pose, meters: an open, relaxed hand with the wrist at the origin.
 
-    like_m: (F, 21, 3) joints of a motion, metres; the rest hand then has its median bone lengths, so that a motion
+    like_m: (F, 21, 3) joints of a motion, meters; the rest hand then has its median bone lengths, so that a motion
     with constant lengths is keyed by rotations (and the place of the knuckles in the palm) alone.
     """
     check_handedness(handedness)
@@ -221,7 +221,7 @@ def _quaternions(rotations: np.ndarray) -> np.ndarray:
 
 
 def _continuous(quaternions: np.ndarray) -> np.ndarray:
-    """The same rotations with signs such that neighbours in time are near each other; the first has w >= 0."""
+    """The same rotations with signs such that neighbors in time are near each other; the first has w >= 0."""
     agrees = np.sum(quaternions[1:] * quaternions[:-1], -1) >= 0
     first = 1.0 if quaternions[0, 0] >= 0 else -1.0
     signs = first * np.cumprod(np.concatenate([[1.0], np.where(agrees, 1.0, -1.0)]))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A hand over a range of frames, as the scene has it: what is exported and baked. Does not use bpy.
 
-Joints are in the world of the scene, in metres, with z up, as Blender has it.
+Joints are in the world of the scene, in meters, with z up, as Blender has it.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from .view import SHIPPED_AVATARS
 
 # names that Windows keeps for devices, whatever follows after a dot
 _RESERVED = {"CON", "PRN", "AUX", "NUL", *(f"{port}{number}" for port in ("COM", "LPT") for number in range(10))}
-# bytes of one Gaussian and frame; as jghand_engine/exporters/usd.py and ply.py write them
+# bytes of one Gaussian and frame; as jghand_engine/export/usd/export.py and ply.py write them
 _PLY_BYTES, _CACHE_BYTES = 68, 32
-_POSITION_BYTES, _SIZE_BYTES, _COLOUR_BYTES = 12, 16, 24
+_POSITION_BYTES, _SIZE_BYTES, _COLOR_BYTES = 12, 16, 24
 
 
 @dataclass(frozen=True)
 class Recording:
     """name: stem of files, unique among those of one export · handedness · avatar: an absolute path or a shipped name ·
-    joints_m: (F, 21, 3) float64, standard order, metres, in the world, z up · first_frame: of the scene · fps ·
+    joints_m: (F, 21, 3) float64, standard order, meters, in the world, z up · first_frame: of the scene · fps ·
     source: name of the object whose hand it is."""
 
     name: str
@@ -124,19 +124,19 @@ class Written:
     sizes: bool = False
     cache: bool = False
 
-    def bytes(self, gaussians: int, frames: int, *, learnt: bool) -> int:
-        """Size of one hand at most: frames that are alike are stored once. learnt: whether its colours change with the
+    def bytes(self, gaussians: int, frames: int, *, learned: bool) -> int:
+        """Size of one hand at most: frames that are alike are stored once. learned: whether its colors change with the
         pose, as a trained avatar's do."""
         if self.ply:
             return gaussians * frames * _PLY_BYTES
-        sample = _POSITION_BYTES + _SIZE_BYTES * self.sizes + _COLOUR_BYTES * learnt
-        still = gaussians * (limits.USD_STATIC_GAUSSIAN_BYTES + _COLOUR_BYTES * (not learnt)) + limits.USD_STATIC_BYTES
+        sample = _POSITION_BYTES + _SIZE_BYTES * self.sizes + _COLOR_BYTES * learned
+        still = gaussians * (limits.USD_STATIC_GAUSSIAN_BYTES + _COLOR_BYTES * (not learned)) + limits.USD_STATIC_BYTES
         return gaussians * (frames + 1) * sample + still + gaussians * frames * _CACHE_BYTES * self.cache
 
 
 def estimate(folder: Path | None, hands: Sequence[tuple[int, bool]], frames: int, written: Written) -> SizeEstimate:
-    """What an export takes at most. hands: of each, how many Gaussians it has and whether it is learnt."""
-    size = sum(written.bytes(gaussians, frames, learnt=learnt) for gaussians, learnt in hands)
+    """What an export takes at most. hands: of each, how many Gaussians it has and whether it is learned."""
+    size = sum(written.bytes(gaussians, frames, learned=learned) for gaussians, learned in hands)
     free = None
     while folder is not None and not folder.exists() and folder != folder.parent:
         folder = folder.parent

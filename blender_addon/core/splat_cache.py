@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The part of a bake that a Blender without USD plays: one `.splat` file per frame, read by the extension alone.
 
-    NAME.cache/NAME.0001.splat    32 bytes per Gaussian: position and sigma as 3 float32 each, colour and opacity as 4
+    NAME.cache/NAME.0001.splat    32 bytes per Gaussian: position and sigma as 3 float32 each, color and opacity as 4
                                   bytes of sRGB, rotation as 4 bytes; x right, y down, z forward
 
-Source: EXPORT 9, `jghand_engine.exporters.splat_files`. Does not use bpy.
+Source: EXPORT 9, `jghand_engine.export.splats.files`. Does not use bpy.
 """
 
 from __future__ import annotations

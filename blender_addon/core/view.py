@@ -19,16 +19,16 @@ BUILTIN_AVATAR = "builtin"
 # avatars that the engine brings along, by name instead of file
 SHIPPED_AVATARS = (BUILTIN_AVATAR, "painted")
 
-# Trained hands learnt their light in captures, where +y is up and +z looks at the viewer; in Blender +z is up and the
+# Trained hands learned their light in captures, where +y is up and +z looks at the viewer; in Blender +z is up and the
 # viewer of the front view stands at -y. The engine's world is the captures', so that light comes from above here too.
 LIGHT_FROM_WORLD = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
 
 
 @dataclass(frozen=True)
 class Pinhole:
-    """width, height, fx, fy, cx, cy: pixels, (0, 0) is the top-left corner; camera_from_world: (4, 4) rigid, metres,
+    """width, height, fx, fy, cx, cy: pixels, (0, 0) is the top-left corner; camera_from_world: (4, 4) rigid, meters,
     OpenCV axes (x right, y down, z forward). aperture_m, focus_m: diameter of a lens, 0 for none, and the depth that it
-    shows sharp, metres. orthographic: parallel rays; fx and fy are pixels per metre then."""
+    shows sharp, meters. orthographic: parallel rays; fx and fy are pixels per meter then."""
 
     width: int
     height: int
@@ -42,7 +42,7 @@ class Pinhole:
     orthographic: bool = False
 
     def project(self, points_m: np.ndarray) -> np.ndarray:
-        """World points (..., 3), metres -> (..., 3): u and v in pixels, depth along the view axis in metres."""
+        """World points (..., 3), meters -> (..., 3): u and v in pixels, depth along the view axis in meters."""
         p = points_m @ self.camera_from_world[:3, :3].T + self.camera_from_world[:3, 3]
         z = p[..., 2]
         scale = np.ones_like(z) if self.orthographic else z
@@ -54,8 +54,8 @@ def pinhole_from(
 ) -> Pinhole:
     """The pinhole of a projection of Blender's, which maps its camera's axes to clip space.
 
-    projection: (4, 4), scene units; camera_from_world: (4, 4) rigid, Blender's axes, metres; size: width and height in
-    pixels; unit_m: metres per unit of the scene.
+    projection: (4, 4), scene units; camera_from_world: (4, 4) rigid, Blender's axes, meters; size: width and height in
+    pixels; unit_m: meters per unit of the scene.
     """
     width, height = size
     per_m = 1.0 / unit_m if orthographic else 1.0
@@ -86,7 +86,7 @@ def avatar_stamp(avatar: str) -> str:
 
 @dataclass(frozen=True)
 class HandInSpace:
-    """joints_m: (21, 3) in hand space, standard order, metres; world_from_hand: (4, 4) rigid, metres."""
+    """joints_m: (21, 3) in hand space, standard order, meters; world_from_hand: (4, 4) rigid, meters."""
 
     handedness: str
     joints_m: np.ndarray
@@ -95,7 +95,7 @@ class HandInSpace:
 
     @property
     def joints_world_m(self) -> np.ndarray:
-        """(21, 3) in the world, metres."""
+        """(21, 3) in the world, meters."""
         return self.joints_m @ self.world_from_hand[:3, :3].T + self.world_from_hand[:3, 3]
 
 

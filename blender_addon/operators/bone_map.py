@@ -62,7 +62,7 @@ class FillBoneMap(Reporting, bpy.types.Operator):
     def run(self, context: bpy.types.Context) -> None:
         rig = context.object
         side = rig.jghand.map_hand
-        found = sources.recognise(rig, side)
+        found = sources.recognize(rig, side)
         before = bone_list.shown_map(rig)
         if found.bone_map is None:
             raise JGHandFailure("bad_bone_map", " ".join(found.sentences))

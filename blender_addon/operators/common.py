@@ -97,7 +97,7 @@ class InTurns(Reporting):
         goes_on = {"PASS_THROUGH"} if self._is_elsewhere else {"RUNNING_MODAL"}
         if event.type == "ESC" and self._is_ended_by(context, event):
             self.cancel(context)
-            self.report(INFO, rpt_("Cancelled: nothing was changed"))
+            self.report(INFO, rpt_("Canceled: nothing was changed"))
             return CANCELLED
         if event.type != "TIMER" or (self._is_elsewhere and _something_is_dragged(context)):
             return goes_on
@@ -107,7 +107,7 @@ class InTurns(Reporting):
                 self.finished(context)
         except JGHandFailure as failure:
             self.cancel(context)
-            self.report(INFO if failure.kind == "cancelled" else ERROR, sentence_of(failure))
+            self.report(INFO if failure.kind == "canceled" else ERROR, sentence_of(failure))
             return CANCELLED
         except BaseException:
             self.cancel(context)

@@ -162,7 +162,7 @@ def draw_check(layout: bpy.types.UILayout) -> None:
     if check is None:
         return
     if check.result is None:
-        layout.label(text="Checking…" if not check.over else "The check was cancelled", icon="TIME")
+        layout.label(text="Checking…" if not check.over else "The check was canceled", icon="TIME")
         return
     draw_result(layout, check.result)
 

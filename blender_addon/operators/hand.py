@@ -28,7 +28,7 @@ _choices: dict[str, list[tuple[str, str, str]]] = {side: [] for side in HANDEDNE
 
 def _choice_items(context: bpy.types.Context | None, side: str) -> list[tuple[str, str, str]]:
     rig = context.object if context is not None else None
-    candidates = sources.recognise(rig, side).candidates if rig is not None and rig.type == "ARMATURE" else ()
+    candidates = sources.recognize(rig, side).candidates if rig is not None and rig.type == "ARMATURE" else ()
     items = [("NONE", "Choose", "Several sets of bones may be this hand")]
     for place, bone_map in enumerate(candidates):
         first = next(source.bone for source in bone_map.sources if source is not None)
@@ -88,7 +88,7 @@ class AddHand(Reporting, bpy.types.Operator):
         hand = armature.build_armature(context, name, posing.rest_joints_m(self.handedness), self.handedness)
         common.link_to_active_collection(context, hand)
         hand.location = context.scene.cursor.location
-        # upright, its palm to the front view: so do the hands stand whose pictures an avatar's light was learnt from
+        # upright, its palm to the front view: so do the hands stand whose pictures an avatar's light was learned from
         hand.rotation_euler = (math.pi / 2, 0.0, 0.0)
         if self.use_controls:
             controls.add_controls(context, hand)
@@ -113,7 +113,7 @@ class UseArmature(Reporting, bpy.types.Operator):
     bl_idname = "jghand.use_armature"
     bl_label = "Use Existing Armature"
     bl_description = (
-        "Draw hands on this armature: its bones are recognised by their names, of Rigify, Mixamo, VRM, MakeHuman, "
+        "Draw hands on this armature: its bones are recognized by their names, of Rigify, Mixamo, VRM, MakeHuman, "
         "Unreal, Auto-Rig Pro and others. Bones, keys and constraints stay as they are"
     )
     bl_options = UNDOABLE
@@ -147,7 +147,7 @@ class UseArmature(Reporting, bpy.types.Operator):
 
     def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
         """Asks where two answers are possible."""
-        if any(len(found.candidates) > 1 for found in _recognised(context.object, self.handedness)):
+        if any(len(found.candidates) > 1 for found in _recognized(context.object, self.handedness)):
             return context.window_manager.invoke_props_dialog(self)
         return self.execute(context)
 
@@ -155,13 +155,13 @@ class UseArmature(Reporting, bpy.types.Operator):
         """The question, and the properties to change afterwards."""
         self.layout.use_property_split = True
         self.layout.prop(self, "handedness")
-        for found in _recognised(context.object, self.handedness):
+        for found in _recognized(context.object, self.handedness):
             if len(found.candidates) > 1:
                 self.layout.prop(self, found.handedness)
 
     def run(self, context: bpy.types.Context) -> None:
         rig = context.object
-        found = _recognised(rig, self.handedness)
+        found = _recognized(rig, self.handedness)
         chosen = {one.handedness: _chosen_map(one, getattr(self, one.handedness)) for one in found}
         maps = [bone_map for bone_map in chosen.values() if bone_map is not None]
         doubts = [one.sentences[0] for one in found if len(one.candidates) > 1 and chosen[one.handedness] is None]
@@ -177,7 +177,7 @@ class UseArmature(Reporting, bpy.types.Operator):
         rig.jghand.map_hand = maps[0].handedness
         rig.update_tag()
         if nothing:
-            self.warn(rpt_("No bones of a hand were recognised: choose them in the list."))
+            self.warn(rpt_("No bones of a hand were recognized: choose them in the list."))
         elif doubts or not all(bone_map.complete for bone_map in maps):
             self.warn(*doubts, *(text for bone_map in maps for text in bone_map.missing))
         else:
@@ -190,7 +190,7 @@ class UseObjects(Reporting, bpy.types.Operator):
     bl_idname = "jghand.use_objects"
     bl_label = "Use Selected Objects"
     bl_description = (
-        "Draw a hand on 21 selected objects, one per joint, recognised by their names (such as right_index_finger_mcp "
+        "Draw a hand on 21 selected objects, one per joint, recognized by their names (such as right_index_finger_mcp "
         "or left_index1). An empty is added that stands for the hand"
     )
     bl_options = UNDOABLE
@@ -211,7 +211,7 @@ class UseObjects(Reporting, bpy.types.Operator):
     def run(self, context: bpy.types.Context) -> None:
         things = list(context.view_layer.objects.selected)
         sides = HANDEDNESSES if self.handedness == "BOTH" else (self.handedness,)
-        found = [sources.recognise_objects(things, side) for side in sides]
+        found = [sources.recognize_objects(things, side) for side in sides]
         maps = [one.bone_map for one in found if one.bone_map is not None and one.bone_map.complete]
         if not maps:
             near = next((one for one in found if one.candidates), found[0])
@@ -302,9 +302,9 @@ def add_camera(context: bpy.types.Context, hand: bpy.types.Object) -> bpy.types.
     return camera
 
 
-def _recognised(rig: bpy.types.Object, handedness: str) -> list[Recognition]:
+def _recognized(rig: bpy.types.Object, handedness: str) -> list[Recognition]:
     sides = HANDEDNESSES if handedness == "BOTH" else (handedness,)
-    return [sources.recognise(rig, side) for side in sides]
+    return [sources.recognize(rig, side) for side in sides]
 
 
 def _chosen_map(found: Recognition, choice: str) -> BoneMap | None:

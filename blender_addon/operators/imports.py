@@ -49,7 +49,7 @@ class KeysFile(InTurns, ImportHelper):
         min=0.0,
         soft_max=250.0,
         precision=0,
-        subtype="DISTANCE_CAMERA",  # Blender's word for millimetres, whatever the scene's unit is
+        subtype="DISTANCE_CAMERA",  # Blender's word for millimeters, whatever the scene's unit is
     )  # type: ignore[valid-type]
     first_frame: bpy.props.IntProperty(name="First Frame", description="Where the motion begins", default=1)  # type: ignore[valid-type]
 
@@ -122,7 +122,7 @@ class KeysFile(InTurns, ImportHelper):
         if job.state.failure is not None:
             raise job.state.failure
         if not results:
-            raise JGHandFailure("cancelled")
+            raise JGHandFailure("canceled")
         return results[0]
 
     def keying(

@@ -46,15 +46,15 @@ _HANDS = (
     ("left", "Left", "The left hand of the file", "NONE", 2),
 )
 _UNITS = (
-    ("AUTO", "Automatic", "As the file says, else recognised by the size of the hand", "NONE", 0),
-    ("m", "Metres", "The file's unit", "NONE", 1),
-    ("cm", "Centimetres", "The file's unit", "NONE", 2),
-    ("mm", "Millimetres", "The file's unit", "NONE", 3),
+    ("AUTO", "Automatic", "As the file says, else recognized by the size of the hand", "NONE", 0),
+    ("m", "Meters", "The file's unit", "NONE", 1),
+    ("cm", "Centimeters", "The file's unit", "NONE", 2),
+    ("mm", "Millimeters", "The file's unit", "NONE", 3),
 )
 
 
 _ORDERS = (
-    ("AUTO", "Automatic", "As the file says, else recognised by the bones", "NONE", 0),
+    ("AUTO", "Automatic", "As the file says, else recognized by the bones", "NONE", 0),
     *(
         (name, label, "Order in which the file lists the joints", "NONE", n)
         for n, (name, label) in enumerate(ORDERS, 1)
@@ -68,8 +68,8 @@ _UPS = (
 )
 _LABELS = (
     ("AUTO", "Automatic", "As is usual for the detector; where fingers bend, they show it", "NONE", 0),
-    ("true", "True", "A right hand is labelled right", "NONE", 1),
-    ("mirrored", "Mirrored", "A right hand is labelled left, as in a mirror", "NONE", 2),
+    ("true", "True", "A right hand is labeled right", "NONE", 1),
+    ("mirrored", "Mirrored", "A right hand is labeled left, as in a mirror", "NONE", 2),
 )
 
 # options that go to the engine; where one of them is chosen, it reads jghand's own files too
@@ -124,7 +124,7 @@ class ImportMotion(KeysFile, bpy.types.Operator):
     )  # type: ignore[valid-type]
     bones: bpy.props.StringProperty(
         name="Bone Names",
-        description="A JSON file with the names of a rig's bones by joint, for names that are not recognised",
+        description="A JSON file with the names of a rig's bones by joint, for names that are not recognized",
         subtype="FILE_PATH",
     )  # type: ignore[valid-type]
     mirror: bpy.props.BoolProperty(name="Mirror", description="Make it the motion of the other hand")  # type: ignore[valid-type]

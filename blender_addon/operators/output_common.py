@@ -115,7 +115,7 @@ class StartsJob(InTurns):
         elif job.state.phase is Phase.FAILED and job.state.failure is not None:
             raise job.state.failure
         else:
-            self.report(INFO, rpt_("Cancelled"))
+            self.report(INFO, rpt_("Canceled"))
 
 
 def hands_to_write(context: bpy.types.Context) -> list[bpy.types.Object]:

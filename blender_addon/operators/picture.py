@@ -44,12 +44,12 @@ class UseEngine(Reporting, bpy.types.Operator):
 
 
 class UseStandard(Reporting, bpy.types.Operator):
-    """Operator: colours as the avatar was captured."""
+    """Operator: colors as the avatar was captured."""
 
     bl_idname = "jghand.use_standard"
     bl_label = "Use Standard"
     bl_description = (
-        "Set this scene's view transform to Standard, without look, exposure and gamma: the hand then has the colours "
+        "Set this scene's view transform to Standard, without look, exposure and gamma: the hand then has the colors "
         "of its capture. AgX and Filmic are made for light, and the hand is a photograph already"
     )
     bl_options = UNDOABLE
@@ -58,7 +58,7 @@ class UseStandard(Reporting, bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         # the name of an item that the scene's OCIO configuration has for its display; empty where it has none
         if not bpy.types.UILayout.enum_item_name(context.scene.view_settings, "view_transform", "Standard"):
-            return missing(cls, "The colour management (OCIO) in use has no view transform Standard")
+            return missing(cls, "The color management (OCIO) in use has no view transform Standard")
         return True
 
     def run(self, context: bpy.types.Context) -> None:

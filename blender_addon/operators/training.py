@@ -260,7 +260,7 @@ class ReadCard(Reporting, bpy.types.Operator):
 
     bl_idname = "jghand.read_card"
     bl_label = "Read Card"
-    bl_description = "Read whose hand this avatar is, under which licence, from when it is and how good"
+    bl_description = "Read whose hand this avatar is, under which license, from when it is and how good"
     bl_options = PLUMBING
 
     @classmethod

@@ -77,7 +77,7 @@ class RenderPanel(Sidebar, bpy.types.Panel):
             row = layout.row()
             row.scale_y = 1.2
             row.operator("jghand.use_engine", icon="RESTRICT_RENDER_OFF")
-        _draw_colours(layout, context)
+        _draw_colors(layout, context)
         column = layout.column()
         column.use_property_split = True
         column.use_property_decorate = False
@@ -95,13 +95,13 @@ class RenderPanel(Sidebar, bpy.types.Panel):
                 layout.operator("jghand.remove_combination", icon="X")
 
 
-def _draw_colours(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+def _draw_colors(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """What the scene's view transform does to the hand."""
     view = context.scene.view_settings
     if view.view_transform != "Standard":
-        text = iface_("View transform is {name}: colours differ from the capture").format(name=view.view_transform)
+        text = iface_("View transform is {name}: colors differ from the capture").format(name=view.view_transform)
     elif view.look != "None" or view.exposure != 0.0 or view.gamma != 1.0 or view.use_curve_mapping:
-        text = iface_("Look, exposure, gamma or curves change the hand's colours")
+        text = iface_("Look, exposure, gamma or curves change the hand's colors")
     else:
         return
     column = layout.column()

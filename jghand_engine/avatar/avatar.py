@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import torch
 
-from jghand_engine.avatar.learnt import Learnt
+from jghand_engine.avatar.learned import Learned
 from jghand_engine.errors import InputError
 from jghand_engine.hand.baselines import Transform, transform_called
 from jghand_engine.hand.joints import Handedness
@@ -16,8 +16,8 @@ from jghand_engine.limits import DEEP_M, DEEP_RADII, SIGMA_MAX_M, UVD_RANGE_M
 
 
 @dataclass(frozen=True)
-class LearntFrom:
-    """The pictures that an avatar was learnt from. capture: its name · split: how the others were held out · pictures:
+class LearnedFrom:
+    """The pictures that an avatar was learned from. capture: its name · split: how the others were held out · pictures:
     how many · digest: of which they are, see `datasets.picture_digest`."""
 
     capture: str
@@ -34,17 +34,17 @@ class AvatarInfo:
     transform: how its bones follow the joints; another than JOINTS is only drawn by what measures ablations.
     pose_statistics: per-angle minimum and maximum of the training poses, radians, by name; empty when nothing was
     trained.
-    learnt_from: the pictures; None when nothing was trained, or by a JGHand that did not write it down.
+    learned_from: the pictures; None when nothing was trained, or by a JGHand that did not write it down.
     """
 
     name: str
     template: str
-    licence: str
+    license: str
     swing: str = "minimal"
     scale_mode: ScaleMode = "axial"
     transform: Transform = Transform.JOINTS
     pose_statistics: dict[str, tuple[float, float]] = field(default_factory=dict)
-    learnt_from: LearntFrom | None = None
+    learned_from: LearnedFrom | None = None
 
 
 @dataclass(frozen=True)
@@ -52,16 +52,16 @@ class HandAvatar:
     """Canonical Gaussians of a hand. All arrays describe a *right* hand in the template's frame; a left hand is the
     same model with mirrored joints, so `handedness` says only which hand the joints given to it are of.
 
-    info:                 names, licence, conventions
+    info:                 names, license, conventions
     handedness:           which hand the driving joints belong to
-    canonical_joints_m:   (21, 3) float64, level order, metres
-    position_m:           (N, 3) float32, canonical centres, metres
-    sigma_m:              (N,)   float32, canonical radii, metres
+    canonical_joints_m:   (21, 3) float64, level order, meters
+    position_m:           (N, 3) float32, canonical centers, meters
+    sigma_m:              (N,)   float32, canonical radii, meters
     opacity:              (N,)   float32, 0..1
     rgb:                  (N, 3) float32, display-referred sRGB 0..1; of a trained avatar without its light
     bone_weights:         (N, 21) float32, rows sum to 1, column i = B_i
-    uvd:                  (N, 3) float32, texture coordinates and normalised signed distance, 0..1
-    learnt:               what training adds; None for a painted avatar
+    uvd:                  (N, 3) float32, texture coordinates and normalized signed distance, 0..1
+    learned:               what training adds; None for a painted avatar
     """
 
     info: AvatarInfo
@@ -73,7 +73,7 @@ class HandAvatar:
     rgb: torch.Tensor
     bone_weights: torch.Tensor
     uvd: torch.Tensor
-    learnt: Learnt | None = None
+    learned: Learned | None = None
 
     def __len__(self) -> int:
         return self.position_m.shape[0]
@@ -101,14 +101,14 @@ class HandAvatar:
         if count <= 0 or count >= len(self):
             return self
         arrays = ("position_m", "sigma_m", "opacity", "rgb", "bone_weights", "uvd")
-        learnt = None if self.learnt is None else self.learnt.prefix(count)
-        shorter = replace(self, learnt=learnt, **{name: getattr(self, name)[:count] for name in arrays})
+        learned = None if self.learned is None else self.learned.prefix(count)
+        shorter = replace(self, learned=learned, **{name: getattr(self, name)[:count] for name in arrays})
         scale = sigma_scale_for_prefix(count, len(self))
         return replace(shorter, sigma_m=grown_radii(shorter.sigma_m, scale, shorter.uvd[:, 2]))
 
 
 def check_follows_joints(avatar: HandAvatar) -> None:
-    """InputError for an avatar that learnt to follow the joints in another way than the renderer moves it."""
+    """InputError for an avatar that learned to follow the joints in another way than the renderer moves it."""
     if avatar.info.transform is not Transform.JOINTS:
         raise InputError(
             f"avatar {avatar.info.name}: transform from joints to bones",
@@ -126,7 +126,7 @@ def sigma_scale_for_prefix(count: int, total: int) -> float:
 def grown_radii(sigma_m: torch.Tensor, scale: float, uvd_depth: torch.Tensor) -> torch.Tensor:
     """Radii (N,) times `scale`, but what lies deep under the skin does not grow through it: it would show as a halo.
 
-    sigma_m: metres · uvd_depth: (N,) the third of the UVD coordinates. A scale of 1 changes no bit.
+    sigma_m: meters · uvd_depth: (N,) the third of the UVD coordinates. A scale of 1 changes no bit.
     """
     if scale == 1.0:
         return sigma_m

@@ -1,4 +1,4 @@
-"""The avatars that JGHand ships, so that a newcomer needs no download: a painted one, and one learnt from pictures."""
+"""The avatars that JGHand ships, so that a newcomer needs no download: a painted one, and one learned from pictures."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def avatar_sha256(name: str) -> str:
 
 
 def load_builtin(*, handedness: Handedness) -> HandAvatar:
-    """The avatar learnt from a path-traced capture of a photographic skin (scripts/train_builtin.py), driven by joints
+    """The avatar learned from a path-traced capture of a photographic skin (scripts/train_builtin.py), driven by joints
     of the named hand. A damaged installation raises InputError.
 
     It is read once; everybody gets the same tensors and changes none of them.
@@ -41,7 +41,7 @@ def load_builtin(*, handedness: Handedness) -> HandAvatar:
 
 
 def load_painted(*, handedness: Handedness) -> HandAvatar:
-    """The painted avatar (scripts/build_avatar.py), which nothing was learnt for; as above."""
+    """The painted avatar (scripts/build_avatar.py), which nothing was learned for; as above."""
     return _load_right(PAINTED).for_hand(handedness)
 
 

@@ -1,4 +1,4 @@
-"""Where the Gaussians of a hand that is going to be learnt start: in a thin shell under the template's skin."""
+"""Where the Gaussians of a hand that is going to be learned start: in a thin shell under the template's skin."""
 
 from __future__ import annotations
 

@@ -1,15 +1,15 @@
-"""Shadows that the fingers cast on the hand, in the light that the hand was learnt in.
+"""Shadows that the fingers cast on the hand, in the light that the hand was learned in.
 
-The distant light is a set of lamps all around, in fixed directions of the world, each with a learnt colour. A point of
+The distant light is a set of lamps all around, in fixed directions of the world, each with a learned color. A point of
 the skin loses those that a bone's flesh, a soft capsule, stands before:
 
-    exponent = LIGHT_TO_DISPLAY * log( (sum_k colour_k max(n.w_k, 0) seen_k + bounced)
-                                       / (sum_k colour_k max(n.w_k, 0) + bounced) )
+    exponent = LIGHT_TO_DISPLAY * log( (sum_k color_k max(n.w_k, 0) seen_k + bounced)
+                                       / (sum_k color_k max(n.w_k, 0) + bounced) )
 
 It is added to the exponent of `light.lit`: the harmonics say how bright a lone surface is, the lamps what is missing.
-What skin throws back onto skin is the same everywhere, and learnt too; it is redder than the lamps.
-Soft shadows change little over a few millimetres, so this is computed at anchors and spread to the Gaussians by fixed
-weights. What a bone hides in the canonical pose from the skin around it is in the colours already, and left out.
+What skin throws back onto skin is the same everywhere, and learned too; it is redder than the lamps.
+Soft shadows change little over a few millimeters, so this is computed at anchors and spread to the Gaussians by fixed
+weights. What a bone hides in the canonical pose from the skin around it is in the colors already, and left out.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from jghand_engine.avatar.planes import weighted_rows
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import PARENTS
 
-ANCHOR_NEIGHBOURS = 3
+ANCHOR_NEIGHBORS = 3
 # shares of anchors are whole numbers of these
 SHARE_UNITS = 255
 
@@ -66,11 +66,11 @@ def place_anchors(position_m: Tensor, normal: Tensor, bone_weights: Tensor, coun
     """
     count = min(count, len(position_m))
     tree = KDTree(position_m[:count].double().numpy())
-    neighbours = min(ANCHOR_NEIGHBOURS, count)
-    distance_m, nearest = tree.query(position_m.double().numpy(), k=list(range(1, neighbours + 1)))  # type: ignore[arg-type]
-    spare = ANCHOR_NEIGHBOURS - neighbours
+    neighbors = min(ANCHOR_NEIGHBORS, count)
+    distance_m, nearest = tree.query(position_m.double().numpy(), k=list(range(1, neighbors + 1)))  # type: ignore[arg-type]
+    spare = ANCHOR_NEIGHBORS - neighbors
     share = np.pad(1 / (distance_m + limits.ANCHOR_SOFTENING_M), ((0, 0), (0, spare)))
-    # eight bits, as a file holds them: what is drawn from the file is what was learnt
+    # eight bits, as a file holds them: what is drawn from the file is what was learned
     share = np.rint(SHARE_UNITS * share / share.sum(1, keepdims=True))
     share[:, 0] += SHARE_UNITS - share.sum(1)
     return Anchors(
@@ -84,7 +84,7 @@ def place_anchors(position_m: Tensor, normal: Tensor, bone_weights: Tensor, coun
 
 def lamp_directions(count: int) -> Tensor:
     """(count, 3) float64 unit vectors towards the lamps, count even: a Fibonacci lattice on the half sphere x > 0,
-    then its mirror image, so that left hands are learnt as well as right ones. InputError for an odd count."""
+    then its mirror image, so that left hands are learned as well as right ones. InputError for an odd count."""
     if count % 2 or count < 2:
         raise InputError("lamps", wanted="an even number", came=str(count))
     index = torch.arange(count // 2, dtype=torch.float64) + 0.5

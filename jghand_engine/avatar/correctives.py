@@ -19,7 +19,7 @@ from jghand_engine.limits import SHADE_MAX
 
 @dataclass(frozen=True)
 class Correction:
-    """offset_m: (N, 3) in canonical axes, added after skinning · shade: (N, 3) logarithm of a factor of the colour."""
+    """offset_m: (N, 3) in canonical axes, added after skinning · shade: (N, 3) logarithm of a factor of the color."""
 
     offset_m: Tensor
     shade: Tensor
@@ -38,7 +38,7 @@ class Correctives(Protocol):
 @dataclass(frozen=True)
 class PoseNetShape:
     """octaves: of the encoding of u, v, d · angle_channels, angle_texels: of the angle planes · hidden: width of the
-    two hidden layers · level1: whether metacarpals have features · reach_m: longest offset along an axis, metres ·
+    two hidden layers · level1: whether metacarpals have features · reach_m: longest offset along an axis, meters ·
     shaded: whether the shade is predicted too"""
 
     octaves: tuple[int, int, int] = (6, 6, 4)

@@ -9,9 +9,9 @@ from jghand_engine.limits import QUATERNION_MIN
 
 
 def posed_covariance(log_scale: torch.Tensor, quaternion: torch.Tensor, linear: torch.Tensor) -> torch.Tensor:
-    """(N, 6) xx, xy, xz, yy, yz, zz, square metres: L S L^T with S = R diag(scale^2) R^T, for `Gaussians`.
+    """(N, 6) xx, xy, xz, yy, yz, zz, square meters: L S L^T with S = R diag(scale^2) R^T, for `Gaussians`.
 
-    log_scale:  (N, 3) natural logarithms of standard deviations, metres, along a Gaussian's own axes
+    log_scale:  (N, 3) natural logarithms of standard deviations, meters, along a Gaussian's own axes
     quaternion: (N, 4) wxyz, turns these axes into the canonical hand's; of any length, and no rotation at length 0.
                 The gradient (never the value) is damped below the length GRADIENT_DAMPING, and 0 at 0.
     linear:     (N, 3, 3) blended linear maps of `skinning.blend`, mirrored and collapsed ones too; its dtype is that of
@@ -27,7 +27,7 @@ def posed_covariance(log_scale: torch.Tensor, quaternion: torch.Tensor, linear: 
 
 
 def canonical_axes(log_scale: torch.Tensor, quaternion: torch.Tensor) -> torch.Tensor:
-    """(3, 3, N) R diag(scale): the axes of ellipsoids as columns, metres; arguments as above, of one dtype.
+    """(3, 3, N) R diag(scale): the axes of ellipsoids as columns, meters; arguments as above, of one dtype.
 
     Components first: long contiguous rows (hand/rotations.py).
     """

@@ -1,5 +1,5 @@
-"""The shadows that fingers cast, as the kernel of trained skin takes them (native/learnt_cast.cpp); `cast_shadow.py` is
-the specification."""
+"""The shadows that fingers cast, as the kernel of trained skin takes them (native/learned_cast.cpp); `cast_shadow.py`
+is the specification."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from jghand_engine.avatar.fast_skinning import Blocks, point
 from jghand_engine.hand.fast_transform import FastBones
 from jghand_engine.hand.joints import BONE_COUNT
 from jghand_engine.native.binding import aligned_zeros
-from jghand_engine.native.learnt_tasks import LearntTask
+from jghand_engine.native.learned_tasks import LearnedTask
 from jghand_engine.native.tasks import LANES
 
 
 class FastCast:
     """Fills in a task what the shadows of its poses are found from. It must live as long as the task.
 
-    blocks: of the avatar's Gaussians · arrays: fields of CastTask by name · around: those of LearntTask
+    blocks: of the avatar's Gaussians · arrays: fields of CastTask by name · around: those of LearnedTask
     joints_m: (21, 3) of the canonical hand, root-relative · direction: (16 groups, 3) towards the lamps
     """
 
-    def __init__(self, cast: CastShadow, avatar: HandAvatar, blocks: Blocks, task: LearntTask) -> None:
+    def __init__(self, cast: CastShadow, avatar: HandAvatar, blocks: Blocks, task: LearnedTask) -> None:
         anchors, root_m = cast.anchors, avatar.canonical_joints_m[0].double()
         own = Blocks(anchors.position_m.numpy())
         rest = torch.cat([anchors.position_m.double() - root_m, anchors.normal.double()], 1)

@@ -1,5 +1,5 @@
-"""Correctives as the kernel of trained skin takes them (native/learnt.h): what a pose changes there is small, and found
-here in NumPy; what that does to every Gaussian is the kernel's.
+"""Correctives as the kernel of trained skin takes them (native/learned.h): what a pose changes there is small, and
+found here in NumPy; what that does to every Gaussian is the kernel's.
 
 The exact tier and the cached one are the same here: what the first layer makes of a Gaussian's place never changes, so
 it is computed once, in double precision.
@@ -18,20 +18,20 @@ from jghand_engine.avatar.pose_features import AnglePlanes, Angles, finger_angle
 from jghand_engine.avatar.tiers import CachedNet, LinearCorrectives
 from jghand_engine.limits import SHADE_MAX
 from jghand_engine.native.binding import aligned_zeros
-from jghand_engine.native.learnt_tasks import HIDDEN_MAX, NETWORK_TILE, CorrectiveKind, LearntTask
+from jghand_engine.native.learned_tasks import HIDDEN_MAX, NETWORK_TILE, CorrectiveKind, LearnedTask
 from jghand_engine.native.tasks import LANES
 
 
 class FastCorrectives(Protocol):
     """Fills in a task what its pose's correctives are found from. It must live as long as the task."""
 
-    def prepare(self, task: LearntTask, angles_rad: np.ndarray) -> None:
+    def prepare(self, task: LearnedTask, angles_rad: np.ndarray) -> None:
         """angles_rad: (37,) of the next pose."""
         ...
 
 
 def fast_correctives(
-    correctives: Correctives | None, blocks: Blocks, bone_weights: torch.Tensor, task: LearntTask
+    correctives: Correctives | None, blocks: Blocks, bone_weights: torch.Tensor, task: LearnedTask
 ) -> FastCorrectives:
     """For the Gaussians in `blocks` with `bone_weights` (N, 21).
 
@@ -50,7 +50,7 @@ def fast_correctives(
 class NoCorrectives:
     """Nothing but the bones moves the skin."""
 
-    def prepare(self, task: LearntTask, angles_rad: np.ndarray) -> None:
+    def prepare(self, task: LearnedTask, angles_rad: np.ndarray) -> None:
         """See FastCorrectives."""
         task.correctives = CorrectiveKind.NONE
 
@@ -58,12 +58,12 @@ class NoCorrectives:
 class TorchCorrectives:
     """Computed by torch for every pose."""
 
-    def __init__(self, correctives: Correctives, blocks: Blocks, task: LearntTask) -> None:
+    def __init__(self, correctives: Correctives, blocks: Blocks, task: LearnedTask) -> None:
         self._correctives, self._blocks = correctives, blocks
         self._given = aligned_zeros((blocks.count, 6, LANES))
         task.correctives, task.given = CorrectiveKind.GIVEN, self._given.ctypes.data
 
-    def prepare(self, task: LearntTask, angles_rad: np.ndarray) -> None:
+    def prepare(self, task: LearnedTask, angles_rad: np.ndarray) -> None:
         """See FastCorrectives."""
         with torch.no_grad():
             correction = self._correctives(Angles.of(torch.from_numpy(angles_rad).float()))
@@ -74,7 +74,7 @@ class TorchCorrectives:
 class FastLinear:
     """The linear tier. arrays: fields of the task by name · first, second: see `_products`"""
 
-    def __init__(self, linear: LinearCorrectives, blocks: Blocks, task: LearntTask) -> None:
+    def __init__(self, linear: LinearCorrectives, blocks: Blocks, task: LearnedTask) -> None:
         self.features = FastFeatures(linear.angles)
         self.mean, self.projection = linear.mean.double().numpy(), linear.projection.double().numpy()
         first, second = _products(linear.projection.shape[1], linear.basis)
@@ -89,7 +89,7 @@ class FastLinear:
         task.correctives, task.basis = CorrectiveKind.LINEAR, linear.basis
         point(task, self.arrays)
 
-    def prepare(self, task: LearntTask, angles_rad: np.ndarray) -> None:
+    def prepare(self, task: LearnedTask, angles_rad: np.ndarray) -> None:
         """See FastCorrectives."""
         simple = (self.features(angles_rad) - self.mean) @ self.projection
         count = min(simple.shape[1], self._numbers.shape[1])
@@ -101,7 +101,7 @@ class FastNetwork:
     """The network: exact and cached tier. arrays: fields of the task by name · angles_in: (channels, hidden) weights of
     the first layer from a bone's features"""
 
-    def __init__(self, net: PoseNet, blocks: Blocks, task: LearntTask) -> None:
+    def __init__(self, net: PoseNet, blocks: Blocks, task: LearnedTask) -> None:
         self.features = FastFeatures(net.angles)
         weights = {name: value.detach().double().numpy() for name, value in net.state_dict().items()}
         hidden = -(-net.shape.hidden // NETWORK_TILE) * NETWORK_TILE
@@ -127,7 +127,7 @@ class FastNetwork:
         task.out_bias = tuple(np.pad(weights["out.bias"], (0, 6 - len(weights["out.bias"]))))
         task.reach = (net.shape.reach_m, SHADE_MAX)
 
-    def prepare(self, task: LearntTask, angles_rad: np.ndarray) -> None:
+    def prepare(self, task: LearnedTask, angles_rad: np.ndarray) -> None:
         """See FastCorrectives."""
         task.correctives = CorrectiveKind.NETWORK
         self._bones[...] = self.features(angles_rad) @ self.angles_in
@@ -145,20 +145,20 @@ class FastFeatures:
         self.texels = np.ascontiguousarray(np.moveaxis(texels, 1, -1))  # (16, rows, columns, channels)
         self.level1 = planes.level1
         self._plane = np.array([0] * 5 + [*range(1, 16)])
-        # normalising is linear in every angle
-        zero, one = (self._normalised(np.full(37, value)) for value in (0.0, 1.0))
+        # normalizing is linear in every angle
+        zero, one = (self._normalized(np.full(37, value)) for value in (0.0, 1.0))
         self.offset, self.slope = zero, one - zero
         self.source = self._places()
 
     @staticmethod
-    def _normalised(angles_rad: np.ndarray) -> np.ndarray:
+    def _normalized(angles_rad: np.ndarray) -> np.ndarray:
         """(20, 2) where the planes are looked up, -1..1."""
         angles = Angles.of(torch.from_numpy(angles_rad))
         return torch.cat([palm_angles(angles), finger_angles(angles)]).numpy()
 
     def _places(self) -> np.ndarray:
         """(20, 2) which of the 37 angles is looked up where."""
-        found = np.stack([self._normalised(row) for row in np.eye(37)]) - self.offset
+        found = np.stack([self._normalized(row) for row in np.eye(37)]) - self.offset
         return np.abs(found).argmax(0)
 
     def __call__(self, angles_rad: np.ndarray) -> np.ndarray:

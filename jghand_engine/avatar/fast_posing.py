@@ -1,6 +1,6 @@
 """Posing an avatar for nobody's eye, for files: the native skin, with what it mirrors left out.
 
-The same as `skinning.pose_gaussians` without an eye, ten times as fast and nearer to float64: centres are added to the
+The same as `skinning.pose_gaussians` without an eye, ten times as fast and nearer to float64: centers are added to the
 wrist in double precision. Its own correctives are used, never a cheaper tier of them.
 """
 
@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from jghand_engine.avatar.avatar import HandAvatar, check_follows_joints
-from jghand_engine.avatar.fast_learnt import FastLearntSkin
+from jghand_engine.avatar.fast_learned import FastLearnedSkin
 from jghand_engine.avatar.fast_skinning import FastSkinning, PosedArrays
 from jghand_engine.hand.fast_transform import FastBones, FastTransform
 from jghand_engine.native.binding import Library, aligned_zeros
@@ -23,8 +23,8 @@ _NO_SHIFT_M = np.zeros(3)
 
 @dataclass(frozen=True)
 class PosedFrame:
-    """Centres (N, 3) and radii (N,) of the Gaussians in one frame, metres, float32; rgb (N, 3) display-referred sRGB
-    where the colours change with the pose, else None; covariance_m2 (N, 6) xx, xy, xz, yy, yz, zz square metres of
+    """Centers (N, 3) and radii (N,) of the Gaussians in one frame, meters, float32; rgb (N, 3) display-referred sRGB
+    where the colors change with the pose, else None; covariance_m2 (N, 6) xx, xy, xz, yy, yz, zz square meters of
     ellipsoids, None for balls."""
 
     positions_m: np.ndarray
@@ -41,20 +41,20 @@ class FastPosing:
 
     def __init__(self, library: Library, avatar: HandAvatar, threads: int = 0) -> None:
         check_follows_joints(avatar)
-        info, learnt = avatar.info, avatar.learnt
+        info, learned = avatar.info, avatar.learned
         self._transform = FastTransform(
             avatar.canonical_joints_m, handedness=avatar.handedness, swing=info.swing, scale_mode=info.scale_mode
         )
-        self._learnt, self._plain = None, None
-        if learnt is None:
+        self._learned, self._plain = None, None
+        if learned is None:
             skin = self._plain = FastSkinning(library, avatar)
         else:
-            # without shine the kernel's colours are those that are the same from everywhere
-            matt = replace(avatar, learnt=replace(learnt, shine=torch.zeros_like(learnt.shine)))
-            self._learnt = FastLearntSkin(library, matt)
-            skin = self._learnt.skin
+            # without shine the kernel's colors are those that are the same from everywhere
+            matt = replace(avatar, learned=replace(learned, shine=torch.zeros_like(learned.shine)))
+            self._learned = FastLearnedSkin(library, matt)
+            skin = self._learned.skin
         rows = skin.rows
-        ellipsoids = learnt is not None and learnt.ellipsoid is not None
+        ellipsoids = learned is not None and learned.ellipsoid is not None
         self._into = PosedArrays(
             aligned_zeros((rows, 3)), aligned_zeros((rows,)), aligned_zeros((rows, 6)) if ellipsoids else None
         )
@@ -64,7 +64,7 @@ class FastPosing:
         self._pool = shared_pool(threads)
 
     def __call__(self, joints_m: np.ndarray) -> PosedFrame:
-        """The Gaussians of joints (21, 3), level order, metres; all of them have to be finite."""
+        """The Gaussians of joints (21, 3), level order, meters; all of them have to be finite."""
         bones = self._transform.bones(joints_m)
         rgb = self._run(bones)
         into, row = self._into, self._row
@@ -77,11 +77,11 @@ class FastPosing:
         )
 
     def _run(self, bones: FastBones) -> np.ndarray | None:
-        """Poses into the arrays; the colours' rows, where they change."""
-        if self._learnt is not None:
-            learnt = self._learnt
-            learnt.prepare(bones, self._into, self._rgb, _NO_SHIFT_M)
-            self._pool.run(lambda _thread: learnt.run())
+        """Poses into the arrays; the colors' rows, where they change."""
+        if self._learned is not None:
+            learned = self._learned
+            learned.prepare(bones, self._into, self._rgb, _NO_SHIFT_M)
+            self._pool.run(lambda _thread: learned.run())
             return self._rgb
         plain = self._plain
         if plain is not None:

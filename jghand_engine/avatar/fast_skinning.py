@@ -1,7 +1,7 @@
 """Posing an avatar with the native library: the same as `skinning.pose_gaussians`, in tenths of a millisecond.
 
-Gaussians are put into an order in which neighbours in space are neighbours in memory: blocks of sixteen then share
-their bones, and the rasteriser, which reads them tile by tile, finds them in the cache. Only the order among Gaussians
+Gaussians are put into an order in which neighbors in space are neighbors in memory: blocks of sixteen then share
+their bones, and the rasterizer, which reads them tile by tile, finds them in the cache. Only the order among Gaussians
 of exactly equal depth can tell (RENDERING 3, ties).
 """
 
@@ -39,7 +39,7 @@ class PosedArrays:
 
 
 class Blocks:
-    """Gaussians in blocks of sixteen neighbours, as the kernels read them.
+    """Gaussians in blocks of sixteen neighbors, as the kernels read them.
 
     order: (N,) which Gaussian stands in each row · rows: N rounded up to a multiple of 16
     """
@@ -77,7 +77,7 @@ class Blocks:
 
 
 class FastSkinning:
-    """Poses one avatar again and again, without gradients; colours stay as they are (`fast_learnt` for trained ones).
+    """Poses one avatar again and again, without gradients; colors stay as they are (`fast_learned` for trained ones).
 
     blocks: what the order of the rows comes from · opacity (rows,), rgb (rows, 3): in that order, float32 · rows beyond
     the avatar have sigma 0 and opacity 0
@@ -159,8 +159,8 @@ def inverse_scale(bones: FastBones) -> float:
 
 
 def ellipsoid_axes(avatar: HandAvatar) -> np.ndarray | None:
-    """(N, 9) float64 the axes of its ellipsoids in the canonical hand, metres, row by row; None for spheres."""
-    ellipsoid = None if avatar.learnt is None else avatar.learnt.ellipsoid
+    """(N, 9) float64 the axes of its ellipsoids in the canonical hand, meters, row by row; None for spheres."""
+    ellipsoid = None if avatar.learned is None else avatar.learned.ellipsoid
     if ellipsoid is None:
         return None
     log_scale = avatar.sigma_m.double().log()[:, None] + ellipsoid.log_stretch

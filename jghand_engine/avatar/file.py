@@ -1,14 +1,14 @@
 """The .jghand file: one avatar as safetensors with a JSON description. Reading it never runs code.
 
-The safetensors metadata holds one key, `jghand`, a JSON object: format_version, name, template, licence, units,
+The safetensors metadata holds one key, `jghand`, a JSON object: format_version, name, template, license, units,
 handedness, joint_names (the order of the joints and of the weight columns), swing, scale_mode, transform, storage,
 gaussians, position_box_m, pose_statistics. swing and scale_mode are what `JointTransform` takes: a scale mode is a name
-or the number of the blended one. transform is that of `AvatarInfo`; `joints` where it is left out. learnt_from, which
+or the number of the blended one. transform is that of `AvatarInfo`; `joints` where it is left out. learned_from, which
 may be left out, is that of `AvatarInfo`. The arrays are those of `storage.expected_arrays` and canonical_joints_m
 (21, 3) float64. Files keep the standard joint order; the engine's level order ends here.
 
-A trained avatar has format_version 2, a description `learnt` and the arrays of `learnt_storage`. Avatars that were not
-trained are still written as version 1, which older JGHands read.
+A trained avatar has format_version 2, a description `learned` and the arrays of `learned_storage`. Avatars that were
+not trained are still written as version 1, which older JGHands read.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ import safetensors
 import safetensors.numpy
 import torch
 
-from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar, LearntFrom
-from jghand_engine.avatar.learnt_storage import LearntAbout, expected_learnt_arrays, pack_learnt, unpack_learnt
+from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar, LearnedFrom
+from jghand_engine.avatar.learned_storage import LearnedAbout, expected_learned_arrays, pack_learned, unpack_learned
 from jghand_engine.avatar.storage import (
     Arrays,
     Storage,
@@ -44,7 +44,7 @@ from jghand_engine.hand.transform import ScaleMode, scale_exponent
 from jghand_engine.limits import AVATAR_HEADER_MAX_BYTES, AVATAR_MAX_GAUSSIANS, AVATAR_TEXT_MAX
 
 FORMAT_VERSION = 2
-# the newest without anything learnt
+# the newest without anything learned
 PAINTED_VERSION = 1
 METADATA_KEY = "jghand"
 ARRAY_NAMES = ("position_m", "sigma_m", "opacity", "rgb", "bone_weights", "uvd")
@@ -63,10 +63,10 @@ def save_avatar(path: Path | str, avatar: HandAvatar, *, storage: Storage = Stor
     joints_m = avatar.canonical_joints_m.detach().cpu().to(torch.float64).numpy()
     packed["canonical_joints_m"] = np.ascontiguousarray(from_level(joints_m, JointOrder.STANDARD))
     description: dict[str, Any] = {
-        "format_version": PAINTED_VERSION if avatar.learnt is None else FORMAT_VERSION,
+        "format_version": PAINTED_VERSION if avatar.learned is None else FORMAT_VERSION,
         "name": avatar.info.name,
         "template": avatar.info.template,
-        "licence": avatar.info.licence,
+        "licence": avatar.info.license,
         "units": "metres",
         "handedness": avatar.handedness.value,
         "joint_names": list(STANDARD_NAMES),
@@ -78,11 +78,11 @@ def save_avatar(path: Path | str, avatar: HandAvatar, *, storage: Storage = Stor
         "position_box_m": box_m,
         "pose_statistics": {name: list(range_) for name, range_ in avatar.info.pose_statistics.items()},
     }
-    if avatar.info.learnt_from is not None:
-        description["learnt_from"] = asdict(avatar.info.learnt_from)
-    if avatar.learnt is not None:
-        description["learnt"] = LearntAbout.of(avatar.learnt).as_dict()
-        packed |= pack_learnt(avatar.learnt, storage)
+    if avatar.info.learned_from is not None:
+        description["learnt_from"] = asdict(avatar.info.learned_from)
+    if avatar.learned is not None:
+        description["learnt"] = LearnedAbout.of(avatar.learned).as_dict()
+        packed |= pack_learned(avatar.learned, storage)
     try:
         text = json.dumps(description, allow_nan=False)
     except (TypeError, ValueError, RecursionError) as error:
@@ -101,9 +101,9 @@ def stored_form(avatar: HandAvatar, storage: Storage) -> HandAvatar:
     """The avatar that a reader gets back when `avatar` is saved with `storage`."""
     packed, box_m = pack(_arrays(avatar), storage)
     stored = _avatar(avatar.info, avatar.handedness, avatar.canonical_joints_m, unpack(packed, storage, box_m))
-    if avatar.learnt is None:
+    if avatar.learned is None:
         return stored
-    return _with_learnt(stored, pack_learnt(avatar.learnt, storage), LearntAbout.of(avatar.learnt))
+    return _with_learned(stored, pack_learned(avatar.learned, storage), LearnedAbout.of(avatar.learned))
 
 
 def load_avatar(path: Path | str) -> HandAvatar:
@@ -128,8 +128,8 @@ def _load(file: Path, thing: str) -> HandAvatar:
         raise InputError(f"{thing}: weight_bone", wanted=f"bones 0 to {JOINT_COUNT - 1}", came=came, remedy=REMEDY)
     plain = {name: packed.pop(name) for name in expected_arrays(about.storage)}
     avatar = _avatar(about.info, about.handedness, joints_m, unpack(plain, about.storage, about.box_m))
-    if about.learnt is not None:
-        avatar = _with_learnt(avatar, packed, about.learnt)
+    if about.learned is not None:
+        avatar = _with_learned(avatar, packed, about.learned)
     check_avatar(avatar, thing)
     return avatar
 
@@ -156,18 +156,18 @@ class _Description:
         self.info = AvatarInfo(
             name=self._text("name"),
             template=self._text("template"),
-            licence=self._text("licence"),
+            license=self._text("licence"),
             swing=self._one_of("swing", tuple(Swing)),
             scale_mode=self._scale_mode(),
             transform=Transform(self._one_of("transform", tuple(Transform), "joints")),
             pose_statistics=self._pose_statistics(),
-            learnt_from=self._learnt_from(),
+            learned_from=self._learned_from(),
         )
-        self.learnt = None
-        if self._is_learnt():
-            self.learnt = LearntAbout.parsed(self._fields.get("learnt"), self.gaussians, self._wrong)
+        self.learned = None
+        if self._is_learned():
+            self.learned = LearnedAbout.parsed(self._fields.get("learnt"), self.gaussians, self._wrong)
 
-    def _is_learnt(self) -> bool:
+    def _is_learned(self) -> bool:
         return self._fields["format_version"] > PAINTED_VERSION
 
     def _wrong(self, name: str, wanted: str, came: object) -> InputError:
@@ -218,7 +218,7 @@ class _Description:
             raise self._wrong("position_box_m", "two corners of three finite numbers", value)
         return rows
 
-    def _learnt_from(self) -> LearntFrom | None:
+    def _learned_from(self) -> LearnedFrom | None:
         value = self._fields.get("learnt_from")
         if value is None:
             return None
@@ -227,7 +227,7 @@ class _Description:
         if not all(map(is_text, texts)) or not isinstance(count, int) or isinstance(count, bool) or count < 1:
             raise self._wrong("learnt_from", "capture, split and digest as texts, and how many pictures", value)
         capture, split, digest = (str(text) for text in texts)
-        return LearntFrom(capture, split, count, digest)
+        return LearnedFrom(capture, split, count, digest)
 
     def _pose_statistics(self) -> dict[str, tuple[float, float]]:
         value = self._fields.get("pose_statistics")
@@ -274,8 +274,8 @@ def _read_arrays(thing: str, content: Any, about: _Description) -> dict[str, np.
     """All arrays of a file; their names, types and shapes are checked before any is read."""
     wanted = {name: (dtype, (about.gaussians, *rest)) for name, (dtype, rest) in expected_arrays(about.storage).items()}
     wanted["canonical_joints_m"] = ("F64", (JOINT_COUNT, 3))
-    if about.learnt is not None:
-        wanted |= expected_learnt_arrays(about.learnt, about.gaussians, about.storage)
+    if about.learned is not None:
+        wanted |= expected_learned_arrays(about.learned, about.gaussians, about.storage)
     names = set(content.keys())
     if names != set(wanted):
         missing, unknown = sorted(set(wanted) - names), sorted(names - set(wanted))
@@ -296,8 +296,8 @@ def _arrays(avatar: HandAvatar) -> Arrays:
 
 def _avatar(info: AvatarInfo, handedness: Handedness, joints_m: torch.Tensor, arrays: Arrays) -> HandAvatar:
     tensors = {name: torch.from_numpy(np.ascontiguousarray(getattr(arrays, name))) for name in ARRAY_NAMES}
-    return HandAvatar(info, handedness, joints_m.to(torch.float64), learnt=None, **tensors)
+    return HandAvatar(info, handedness, joints_m.to(torch.float64), learned=None, **tensors)
 
 
-def _with_learnt(avatar: HandAvatar, packed: dict[str, np.ndarray], about: LearntAbout) -> HandAvatar:
-    return replace(avatar, learnt=unpack_learnt(packed, about, avatar))
+def _with_learned(avatar: HandAvatar, packed: dict[str, np.ndarray], about: LearnedAbout) -> HandAvatar:
+    return replace(avatar, learned=unpack_learned(packed, about, avatar))

@@ -1,15 +1,15 @@
-"""The light that a hand was learnt in: what falls on the skin from every side, and what the skin reflects of it.
+"""The light that a hand was learned in: what falls on the skin from every side, and what the skin reflects of it.
 
-A capture stands still in its light while the hand turns in it, so colours alone would learn the light of the poses
+A capture stands still in its light while the hand turns in it, so colors alone would learn the light of the poses
 they were seen in. Split off, it carries over to every pose: the same finger is darker where it turns from the lamps.
 Everything is in the world's frame, that of the joints.
 
-    colour = albedo * exp(sum_k Y_k(n) irradiance_k) + shine * gloss(n, eye)
+    color = albedo * exp(sum_k Y_k(n) irradiance_k) + shine * gloss(n, eye)
 
 Y_k are real spherical harmonics up to degree 3, without their constants: irradiance of a distant environment is nearly
 contained in the first nine (Ramamoorthi and Hanrahan 2001); the exponent keeps it positive, and display-referred
-colours multiply like light up to a power. The gloss is a sum of spherical Gaussians around the mirrored direction
-(Wang et al. 2009): few smooth lobes, which hold for cameras that were not learnt from; free harmonics do not.
+colors multiply like light up to a power. The gloss is a sum of spherical Gaussians around the mirrored direction
+(Wang et al. 2009): few smooth lobes, which hold for cameras that were not learned from; free harmonics do not.
 """
 
 from __future__ import annotations
@@ -63,7 +63,7 @@ def unit(vector: Tensor) -> Tensor:
 
 
 def lit(albedo: Tensor, normal: Tensor, light: Light, shade: Tensor | None = None) -> Tensor:
-    """(N, 3) colour of matt skin. albedo: (N, 3) · normal: (N, 3) unit, world · shade: (N, 3) logarithm of what the
+    """(N, 3) color of matt skin. albedo: (N, 3) · normal: (N, 3) unit, world · shade: (N, 3) logarithm of what the
     pose adds or takes."""
     exponent = harmonics(normal) @ light.irradiance
     if shade is not None:

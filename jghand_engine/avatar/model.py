@@ -18,7 +18,7 @@ from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar, grown_radii, sig
 from jghand_engine.avatar.canonical_points import CanonicalPoints
 from jghand_engine.avatar.cast_shadow import CastShadow, own_flesh, place_anchors
 from jghand_engine.avatar.correctives import PoseNet, PoseNetShape
-from jghand_engine.avatar.learnt import Ellipsoid, Learnt, ShadowLook
+from jghand_engine.avatar.learned import Ellipsoid, Learned, ShadowLook
 from jghand_engine.avatar.light import SH_COUNT, Light, unit
 from jghand_engine.avatar.planes import IdentityPlanes
 from jghand_engine.avatar.records import mapped
@@ -46,14 +46,14 @@ class Shape(StrEnum):
 
 @dataclass(frozen=True)
 class ModelOptions:
-    """What is learnt; METHOD 4.2 has the two configurations.
+    """What is learned; METHOD 4.2 has the two configurations.
 
     gaussians: how many · shell_depth_m: how deep under the skin they start · area_power: see `place_points`
     swing, scale_mode: as `JointTransform` takes them · offset_frame: of the pose's offsets · pose: the shape of the
     pose's network · plane_texels, depth_texels: of the identity planes · hidden: width of the identity decoder
     identity_reach_m: longest identity offset along an axis · opacity_bias: before the sigmoid, at the start
     shape: of the Gaussians
-    lit: whether the light of the capture is learnt apart from the colours · glossy: whether reflections are
+    lit: whether the light of the capture is learned apart from the colors · glossy: whether reflections are
     cast_shadow: whether its lamps are, which the fingers hide from the palm
     """
 
@@ -76,7 +76,7 @@ class ModelOptions:
 
 
 class LearnedHand(nn.Module):
-    """points: where its Gaussians start · options: what is learnt · seed: of the random start of the parameters."""
+    """points: where its Gaussians start · options: what is learned · seed: of the random start of the parameters."""
 
     def __init__(self, points: CanonicalPoints, options: ModelOptions, seed: int) -> None:
         super().__init__()
@@ -97,7 +97,7 @@ class LearnedHand(nn.Module):
             nn.Linear(options.hidden, options.hidden),
             nn.ReLU(),
         )
-        # one layer for all heads: offset 3, colour 3, opacity 1, normal 3, shine 1
+        # one layer for all heads: offset 3, color 3, opacity 1, normal 3, shine 1
         self.heads = nn.Linear(options.hidden, 11)
         self.log_sigma = nn.Parameter(points.sigma_m.log())
         if options.shape is not Shape.ISO:
@@ -142,7 +142,7 @@ class LearnedHand(nn.Module):
             rgb=torch.sigmoid(out[:, 3:6]),
             bone_weights=points.bone_weights[:count],
             uvd=points.uvd[:count],
-            learnt=Learnt(
+            learned=Learned(
                 normal=unit(points.normal[:count] + limits.NORMAL_BEND * out[:, 7:10]),
                 shine=torch.exp(limits.SHINE_SPREAD * torch.tanh(out[:, 10]))
                 if options.glossy
@@ -179,7 +179,7 @@ class LearnedHand(nn.Module):
         return [*few, self.raw_lamps, self.raw_bounced] if self.options.cast_shadow else few
 
     def cast_shadow(self, count: int) -> CastShadow | None:
-        """On the first `count` Gaussians, with gradients; None where it is not learnt."""
+        """On the first `count` Gaussians, with gradients; None where it is not learned."""
         if not self.options.cast_shadow:
             return None
         lamp_rgb = torch.softmax(limits.LAMP_RATE * self.raw_lamps, 0)
@@ -221,9 +221,9 @@ class LearnedHand(nn.Module):
                 self.log_stretch.clamp_(-limits.LOG_STRETCH_MAX, limits.LOG_STRETCH_MAX)
 
     def spread_radii(self, known: int, nearest: Tensor) -> None:
-        """Gives Gaussians from `known` on the learnt growth of their neighbour among the first `known`.
+        """Gives Gaussians from `known` on the learned growth of their neighbor among the first `known`.
 
-        nearest: (N - known,) index of that neighbour. Called when a finer level of detail joins the training.
+        nearest: (N - known,) index of that neighbor. Called when a finer level of detail joins the training.
         """
         with torch.no_grad():
             start = self.points.sigma_m.log()

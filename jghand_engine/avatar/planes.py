@@ -18,7 +18,7 @@ from jghand_engine.errors import InputError
 class FixedLookup(nn.Module):
     """A learnable plane of `rows` x `columns` texels with `channels` features, looked up at fixed points.
 
-    points: (N, 2) x along the columns, y along the rows, 0..1; the centres of the outer texels lie at 0 and 1.
+    points: (N, 2) x along the columns, y along the rows, 0..1; the centers of the outer texels lie at 0 and 1.
     """
 
     def __init__(self, points: Tensor, rows: int, columns: int, channels: int) -> None:
@@ -36,7 +36,7 @@ class FixedLookup(nn.Module):
         return weighted_rows(self.texels, self._corner[:, :count], self._weight[:, :count])  # type: ignore[index]
 
     def roughness(self) -> Tensor:
-        """Mean squared difference of neighbouring texels: the total variation that METHOD 4.2 keeps small."""
+        """Mean squared difference of neighboring texels: the total variation that METHOD 4.2 keeps small."""
         plane = self.texels.reshape(self.shape)
         return plane.diff(dim=0).square().mean() + plane.diff(dim=1).square().mean()
 

@@ -1,6 +1,6 @@
 """Pose features: joint angles looked up in learnable planes and mixed along the kinematic tree. METHOD 4.1.
 
-One plane per bone 6..20 over its normalised (flexion, abduction); one for the five metacarpals over the angles between
+One plane per bone 6..20 over its normalized (flexion, abduction); one for the five metacarpals over the angles between
 palm bones and palm planes. F_i = delta_i for the metacarpals and half the parent's plus half the own beyond, so that
 the angles near a joint weigh most: 1/2, 1/4, 1/8, 1/8 at the finger tips.
 """
@@ -15,17 +15,17 @@ from torch.nn import functional
 
 from jghand_engine.hand.anatomy import FRAME_RANGES_DEG
 from jghand_engine.hand.frames import HandFrames
-from jghand_engine.limits import PALM_NEIGHBOUR_RANGES_DEG, PALM_PLANE_RANGES_DEG
+from jghand_engine.limits import PALM_NEIGHBOR_RANGES_DEG, PALM_PLANE_RANGES_DEG
 
 # bones 1..5 read the angle between palm bones and the one between palm planes at these places (METHOD 4.1)
-_NEIGHBOUR_OF_FINGER = (0, 0, 1, 2, 3)
+_NEIGHBOR_OF_FINGER = (0, 0, 1, 2, 3)
 _PLANE_OF_FINGER = (0, 0, 1, 2, 2)
 
 
 @dataclass(frozen=True)
 class Angles:
     """What pose features need to know of the frames of one pose, radians: angles (15, 2) flexion and abduction of bones
-    6..20 · palm_p (4,), palm_n (3,): between neighbouring palm bones, and palm planes."""
+    6..20 · palm_p (4,), palm_n (3,): between neighboring palm bones, and palm planes."""
 
     angles: Tensor
     palm_p: Tensor
@@ -45,22 +45,22 @@ def flat_angles(pose: PoseAngles) -> Tensor:
     return torch.cat([pose.angles.reshape(-1), pose.palm_p, pose.palm_n])
 
 
-def normalised(angle_rad: Tensor, range_deg: Tensor) -> Tensor:
+def normalized(angle_rad: Tensor, range_deg: Tensor) -> Tensor:
     """Angles (..., k) -> -1..1 over their ranges (k, 2); beyond the ends they go on, the lookup clamps."""
     low, high = torch.deg2rad(range_deg.to(angle_rad)).unbind(-1)
     return (angle_rad - low) / (high - low) * 2 - 1
 
 
 def finger_angles(frames: PoseAngles) -> Tensor:
-    """(15, 2) normalised flexion and abduction of bones 6..20 of one pose."""
-    return normalised(frames.angles.reshape(-1), torch.from_numpy(FRAME_RANGES_DEG).reshape(-1, 2)).reshape(15, 2)
+    """(15, 2) normalized flexion and abduction of bones 6..20 of one pose."""
+    return normalized(frames.angles.reshape(-1), torch.from_numpy(FRAME_RANGES_DEG).reshape(-1, 2)).reshape(15, 2)
 
 
 def palm_angles(frames: PoseAngles) -> Tensor:
-    """(5, 2) normalised angles of the metacarpals 1..5 of one pose: between palm bones, and between palm planes."""
-    neighbour = normalised(frames.palm_p, torch.tensor(PALM_NEIGHBOUR_RANGES_DEG))
-    plane = normalised(frames.palm_n, torch.tensor(PALM_PLANE_RANGES_DEG))
-    return torch.stack([neighbour[list(_NEIGHBOUR_OF_FINGER)], plane[list(_PLANE_OF_FINGER)]], -1)
+    """(5, 2) normalized angles of the metacarpals 1..5 of one pose: between palm bones, and between palm planes."""
+    neighbor = normalized(frames.palm_p, torch.tensor(PALM_NEIGHBOR_RANGES_DEG))
+    plane = normalized(frames.palm_n, torch.tensor(PALM_PLANE_RANGES_DEG))
+    return torch.stack([neighbor[list(_NEIGHBOR_OF_FINGER)], plane[list(_PLANE_OF_FINGER)]], -1)
 
 
 class AnglePlanes(nn.Module):

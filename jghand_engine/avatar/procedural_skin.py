@@ -1,4 +1,4 @@
-"""JGHand's own procedural skin: the colour of every Gaussian, with soft studio light baked in. No photograph.
+"""JGHand's own procedural skin: the color of every Gaussian, with soft studio light baked in. No photograph.
 
 Order: marks (creases, veins, nails) -> relief and its normals -> reflectance from melanin and blood -> irradiance of
 the studio with occlusion -> soft gloss -> display-referred sRGB.
@@ -13,7 +13,7 @@ import numpy as np
 from jghand_engine.avatar.skin_marks import MM, TIPS, MarkPainter, SkinMarks
 from jghand_engine.avatar.skin_points import Landmarks, SkinPoints, bump, noise, palm_share, smoothstep
 from jghand_engine.avatar.studio_light import BakedLight, Occluder, Studio, bake_light
-from jghand_engine.colour import linear_to_srgb, srgb_to_linear
+from jghand_engine.color import linear_to_srgb, srgb_to_linear
 from jghand_engine.template.mesh import HandTemplate
 from jghand_engine.template.surface import unit
 
@@ -111,7 +111,7 @@ def _with_nails(skin: np.ndarray, marks: SkinMarks, look: SkinLook) -> np.ndarra
 
 
 def depth_tint(light: BakedLight, albedo: np.ndarray) -> np.ndarray:
-    """(N, 3) factor for light that bounced in folds: the tighter the fold, the redder, never grey (Jimenez 2016)."""
+    """(N, 3) factor for light that bounced in folds: the tighter the fold, the redder, never gray (Jimenez 2016)."""
     v = np.clip(light.openness, 0.05, 1)[:, None]
     bounced = np.maximum(
         v, ((v * (2.0404 * albedo - 0.3324) + (0.6417 - 4.7951 * albedo)) * v + 2.7552 * albedo + 0.6903) * v

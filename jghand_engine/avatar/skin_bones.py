@@ -26,7 +26,7 @@ def bone_numbers(avatar: HandAvatar) -> np.ndarray:
 
 
 def _palm_distances(avatar: HandAvatar, rows: np.ndarray) -> np.ndarray:
-    """(M, 5) squared distances of the canonical centres of these rows from the bones of the palm."""
+    """(M, 5) squared distances of the canonical centers of these rows from the bones of the palm."""
     points = avatar.position_m.double().numpy()[rows][:, None]
     joints = avatar.canonical_joints_m.numpy()
     start, end = joints[list(PARENTS[_PALM])], joints[_PALM]

@@ -1,6 +1,6 @@
 """What is drawn on the procedural skin: creases, knuckle wrinkles, palm lines, veins, tendons, nails.
 
-Each mark gives a height (metres, for the relief that the light sees) and an amount 0..1 (for the colour). Positions
+Each mark gives a height (meters, for the relief that the light sees) and an amount 0..1 (for the color). Positions
 are those of the built-in template's canonical hand; along fingers they are relative to its joints.
 """
 
@@ -18,7 +18,7 @@ MM = 1e-3
 FINGER_JOINTS = {"mcp": (2, 3, 4, 5), "pip": (7, 8, 9, 10), "dip": (12, 13, 14, 15)}
 TIPS = (16, 17, 18, 19, 20)
 
-# palm lines as points (x, y) in millimetres, width and depth in millimetres; +x is the index side
+# palm lines as points (x, y) in millimeters, width and depth in millimeters; +x is the index side
 PALM_LINES = (
     (((-44, 55), (-33, 62), (-20, 67), (-8, 72), (3, 80), (11, 91)), 0.62, 0.60),  # heart
     (((36, 80), (24, 76), (10, 69), (-6, 59), (-20, 47), (-30, 38)), 0.60, 0.55),  # head
@@ -33,7 +33,7 @@ PALM_LINES = (
     (((30, 30), (24, 36), (16, 38)), 0.38, 0.14),
     (((-38, 44), (-30, 42), (-20, 45)), 0.38, 0.14),
 )
-# veins of the back: points (x, y), width and height in millimetres
+# veins of the back: points (x, y), width and height in millimeters
 VEINS = (
     (((11, 86), (11, 72), (7, 57), (2, 42), (5, 24), (11, 8), (14, -4)), 1.1, 0.42),
     (((-10, 82), (-7, 68), (-4, 55), (2, 42)), 0.95, 0.36),
@@ -42,13 +42,13 @@ VEINS = (
     (((-18, 42), (-9, 34), (4, 28)), 0.8, 0.24),
     (((36, 52), (28, 38), (24, 22), (22, 6)), 1.0, 0.34),
 )
-# extensor tendons from knuckle to wrist: (first joint of the finger, height in millimetres)
+# extensor tendons from knuckle to wrist: (first joint of the finger, height in millimeters)
 TENDONS = ((2, 0.45), (3, 0.50), (4, 0.40), (5, 0.30))
 
 
 @dataclass(frozen=True)
 class SkinMarks:
-    """Amounts 0..1 (N,) of each mark, and the height of the relief in metres (N,)."""
+    """Amounts 0..1 (N,) of each mark, and the height of the relief in meters (N,)."""
 
     height_m: np.ndarray
     crease: np.ndarray
@@ -62,11 +62,11 @@ class SkinMarks:
 
 @dataclass(frozen=True)
 class NailShape:
-    """The outline of one nail in the plane of its bone's axis and lateral direction, metres from the tip joint."""
+    """The outline of one nail in the plane of its bone's axis and lateral direction, meters from the tip joint."""
 
     tip: int
-    centre_axial_m: float
-    centre_lateral_m: float
+    center_axial_m: float
+    center_lateral_m: float
     half_length_m: float
     half_width_m: float
 
@@ -120,7 +120,7 @@ class MarkPainter:
         return SkinMarks(height, np.clip(crease, 0, 1), wrinkle * skin, vein * on_back, **nails)
 
     def _curves(self, position_m: np.ndarray, curves: tuple) -> tuple[np.ndarray, np.ndarray]:
-        """Amount 0..1 and height in millimetres of soft curves drawn in the plane of the palm."""
+        """Amount 0..1 and height in millimeters of soft curves drawn in the plane of the palm."""
         wobble = np.stack([noise(position_m, 13 * MM, 71), noise(position_m, 13 * MM, 72)], 1) * 1.0 * MM
         xy = position_m[:, :2] + wobble
         deepest = max(depth for _, _, depth in curves)
@@ -137,7 +137,7 @@ class MarkPainter:
         return amount, height
 
     def _palm_lines(self, position_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Amount 0..1 and depth in metres."""
+        """Amount 0..1 and depth in meters."""
         amount, height_mm = self._curves(position_m, PALM_LINES)
         towards_palm = smoothstep(0.0, 0.55, self._side)
         return amount * towards_palm, MM * height_mm * towards_palm
@@ -189,11 +189,11 @@ class MarkPainter:
             for joint in joints:
                 axial, lateral, near = self._along(position_m, joint)
                 size = self._marks.joint_scale(joint)
-                centred, across = axial / size + 0.5 * MM, lateral / size
+                centered, across = axial / size + 0.5 * MM, lateral / size
                 # rows bow away from the knuckle's middle, like the rim of an eye
-                bowed = centred * (1 + 0.9 * (across / (7 * MM)) ** 2) + wave
+                bowed = centered * (1 + 0.9 * (across / (7 * MM)) ** 2) + wave
                 row = 0.5 + 0.5 * np.cos(2 * np.pi * bowed / (spacing * MM))
-                total += size * depth * near * row**3 * bump(centred, spread * MM) * bump(across, 5.5 * MM)
+                total += size * depth * near * row**3 * bump(centered, spread * MM) * bump(across, 5.5 * MM)
         for joint in (*FINGER_JOINTS["mcp"], 6):
             relative = position_m - self._marks.joints_m[joint]
             axial = relative @ self._marks.axis[joint] + wave
@@ -203,7 +203,7 @@ class MarkPainter:
         return total * patchy * smoothstep(0.25, 0.75, -self._side)
 
     def _tendons(self, position_m: np.ndarray) -> np.ndarray:
-        """Height in metres of the extensor tendons, which fan out from the wrist to the knuckles."""
+        """Height in meters of the extensor tendons, which fan out from the wrist to the knuckles."""
         height = np.zeros(len(position_m))
         for joint, rise in TENDONS:
             knuckle = self._marks.joints_m[joint][:2]
@@ -217,7 +217,7 @@ class MarkPainter:
         return height
 
     def _cushions(self, position_m: np.ndarray) -> np.ndarray:
-        """Height in metres of the soft pads of the palm, of each phalanx and of the finger tips."""
+        """Height in meters of the soft pads of the palm, of each phalanx and of the finger tips."""
         joints, palmar = self._marks.joints_m, self._marks.palmar
         pads = [
             (0.45 * joints[1] + 0.55 * joints[6], 14.0, 2.2),
@@ -226,12 +226,12 @@ class MarkPainter:
             *((0.5 * (joints[b] + joints[b - 5]) + 7 * MM * palmar[b], 4.8, 0.55) for b in range(7, 21)),
         ]
         height_mm = np.zeros(len(position_m))
-        for centre, width, height in pads:
-            height_mm += height * bump(np.linalg.norm(position_m - centre, axis=1), width * MM)
+        for center, width, height in pads:
+            height_mm += height * bump(np.linalg.norm(position_m - center, axis=1), width * MM)
         return MM * height_mm * self._palm
 
     def _texture(self, position_m: np.ndarray) -> np.ndarray:
-        """Height in metres of pores and fine furrows, coarser and stronger on the back."""
+        """Height in meters of pores and fine furrows, coarser and stronger on the back."""
         fine = noise(position_m, 1.3 * MM, 41) + 0.6 * noise(position_m, 2.4 * MM, 42)
         return MM * (0.020 + 0.015 * (1 - self._palm)) * fine
 
@@ -240,11 +240,11 @@ class MarkPainter:
         dorsal = smoothstep(0.0, 0.3, -self._side)
         for shape in self._nails:
             relative = position_m - self._marks.joints_m[shape.tip]
-            a = (relative @ self._marks.axis[shape.tip] - shape.centre_axial_m) / shape.half_length_m
-            b = (relative @ self._marks.lateral[shape.tip] - shape.centre_lateral_m) / shape.half_width_m
+            a = (relative @ self._marks.axis[shape.tip] - shape.center_axial_m) / shape.half_length_m
+            b = (relative @ self._marks.lateral[shape.tip] - shape.center_lateral_m) / shape.half_width_m
             near = dorsal * (self._weights[:, shape.tip] > 0.3)
             radius = (np.abs(a) ** 2.6 + np.abs(b) ** 2.6) ** (1 / 2.6)
-            # signed distance to the outline, metres, positive inside
+            # signed distance to the outline, meters, positive inside
             depth_m = (1 - radius) * min(shape.half_width_m, shape.half_length_m)
             plate = near * smoothstep(-0.25 * MM, 0.25 * MM, depth_m)
             towards_tip = smoothstep(0.1, 0.7, a)

@@ -1,7 +1,7 @@
 """Where on the hand a point of the skin lies: palm or back, along which bone, near which joint.
 
 Everything is in the template's canonical frame: wrist at the origin, +y to the middle MCP, +x to the index side, +z out
-of the palm, metres. Joints are in level order.
+of the palm, meters. Joints are in level order.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from jghand_engine.template.surface import unit
 THUMB_PALMAR = np.array([-0.93, 0.26, 0.27])
 OUT_OF_PALM = np.array([0.0, 0.0, 1.0])
 THUMB_METACARPAL, THUMB_PROXIMAL, THUMB_DISTAL, THUMB_TIP = 1, 6, 11, 16
-# the two bones at a PIP and at a DIP joint of a usual index finger, metres; the first DIP joint
+# the two bones at a PIP and at a DIP joint of a usual index finger, meters; the first DIP joint
 USUAL_BONES_M = (0.049, 0.045)
 FIRST_DIP = 11
 # n . palmar over which the skin of the palm turns into that of the back
@@ -28,7 +28,7 @@ SIDE_BLEND = 0.45
 class SkinPoints:
     """Points on the canonical skin.
 
-    position_m:   (N, 3) metres
+    position_m:   (N, 3) meters
     normal:       (N, 3) outward unit normals
     bone_weights: (N, 21) rows sum to 1
     nail:         (N,) 0..1, how far the point lies on a nail
@@ -47,7 +47,7 @@ class SkinPoints:
 class Landmarks:
     """Directions of a canonical hand.
 
-    joints_m: (21, 3) metres; axis: (21, 3) unit direction of bone i, from parent(i) to joint i, row 0 that of bone 3;
+    joints_m: (21, 3) meters; axis: (21, 3) unit direction of bone i, from parent(i) to joint i, row 0 that of bone 3;
     palmar: (21, 3) unit directions, perpendicular to the bone, to which it flexes; lateral: axis x palmar, (21, 3).
     """
 
@@ -58,7 +58,7 @@ class Landmarks:
 
     @classmethod
     def of(cls, joints_m: np.ndarray) -> Landmarks:
-        """joints_m (21, 3) metres, level order, canonical frame, right hand."""
+        """joints_m (21, 3) meters, level order, canonical frame, right hand."""
         bones = np.array([joints_m[3], *(joints_m[i] - joints_m[PARENTS[i]] for i in range(1, JOINT_COUNT))])
         axis = unit(bones)
         palmar = np.tile(OUT_OF_PALM, (JOINT_COUNT, 1))
@@ -101,7 +101,7 @@ def bump(x: np.ndarray, width: float | np.ndarray) -> np.ndarray:
 
 
 def noise(position_m: np.ndarray, cell_m: float, seed: int) -> np.ndarray:
-    """(N,) smooth noise of about zero mean and unit spread, features of about `cell_m` metres, the same every run."""
+    """(N,) smooth noise of about zero mean and unit spread, features of about `cell_m` meters, the same every run."""
     lattice = np.random.default_rng(seed).normal(size=(32, 32, 32))
     q = position_m / cell_m
     low = np.floor(q).astype(int)

@@ -15,7 +15,7 @@ from jghand_engine.avatar.cast_shadow import CastShadow, LampsSeen, exponent, la
 from jghand_engine.avatar.correctives import Correction
 from jghand_engine.avatar.covariance import posed_covariance
 from jghand_engine.avatar.gaussians import Gaussians
-from jghand_engine.avatar.learnt import Ellipsoid
+from jghand_engine.avatar.learned import Ellipsoid
 from jghand_engine.avatar.light import gloss, lit, unit
 from jghand_engine.avatar.pose_features import PoseAngles
 from jghand_engine.errors import InputError
@@ -42,7 +42,7 @@ class PoseTransforms(Protocol):
 
 
 def blend(bone_weights: torch.Tensor, bones: PoseTransforms) -> tuple[torch.Tensor, torch.Tensor]:
-    """The blended affine map of every point: linear (N, 3, 3) and root-relative offset (N, 3), metres.
+    """The blended affine map of every point: linear (N, 3, 3) and root-relative offset (N, 3), meters.
 
     A sum of products, never a matrix product: GEMM loses 0.7 mm under autocast and on TF32 hardware (METHOD 2.10).
     """
@@ -79,7 +79,7 @@ def posed_radius_scale(linear: torch.Tensor, hand_scale: torch.Tensor) -> torch.
 def turning(linear: torch.Tensor, bones: PoseTransforms) -> torch.Tensor:
     """The blended rotation (up to shear) L / |det L|^(1/3), (N, 3, 3); the palm's where the blend has collapsed.
 
-    It turns what is attached to the skin in canonical axes, such as a learnt offset, with the hand (METHOD 2.9).
+    It turns what is attached to the skin in canonical axes, such as a learned offset, with the hand (METHOD 2.9).
     0, which loses what is attached, of a hand without any size, whose palm has no rotation either.
     """
     size, sound = volume_scale(linear, bones.scale)
@@ -114,7 +114,7 @@ def skin_maps(bone_weights: torch.Tensor, bones: PoseTransforms, *, turned: bool
 class PosedSkin:
     """One pose of an avatar before anybody looks at it.
 
-    matt: Gaussians with the colour that is the same from everywhere · normal: (N, 3) unit, world, and shine: (N,) of a
+    matt: Gaussians with the color that is the same from everywhere · normal: (N, 3) unit, world, and shine: (N,) of a
     trained avatar, else None
     """
 
@@ -154,32 +154,32 @@ def pose_skin(
     Position: blend [L | t] root-relative, add the root last (METHOD 2.9): the result stays exact far from the origin.
     Radius: sigma * |det L|^(1/3), clamped to SIGMA_STRETCH_MIN..MAX times s_g * sigma (METHOD 2.8).
     """
-    learnt = avatar.learnt
+    learned = avatar.learned
     with torch.autocast(bones.linear.device.type, enabled=False):
         dtype = bones.linear.dtype
-        maps = maps or skin_maps(avatar.bone_weights, bones, turned=learnt is not None or correction is not None)
+        maps = maps or skin_maps(avatar.bone_weights, bones, turned=learned is not None or correction is not None)
         relative_m = avatar.position_m.to(dtype) - bones.canonical_root_m.to(dtype)
         position_m = apply(maps.linear, relative_m) + maps.offset_m
         if correction is not None:
             offset_m = correction.offset_m.to(dtype)
-            in_world = learnt is not None and learnt.world_offsets
+            in_world = learned is not None and learned.world_offsets
             position_m = position_m + (
                 _of_hand(avatar.handedness, offset_m) if in_world else bones.scale * apply(_turned(maps), offset_m)
             )
         rgb, normal, shine = avatar.rgb.to(dtype), None, None
-        if learnt is not None:
-            normal = unit(apply(_turned(maps), learnt.normal.to(dtype)))
+        if learned is not None:
+            normal = unit(apply(_turned(maps), learned.normal.to(dtype)))
             shade = None if correction is None else correction.shade.to(dtype)
-            if learnt.cast is not None:
-                fallen = exponent(learnt.cast, seen or see_lamps(learnt.cast, avatar.canonical_joints_m, bones))
+            if learned.cast is not None:
+                fallen = exponent(learned.cast, seen or see_lamps(learned.cast, avatar.canonical_joints_m, bones))
                 shade = fallen if shade is None else shade + fallen
-            rgb, shine = lit(rgb, normal, learnt.light.to(dtype), shade), learnt.shine.to(dtype)
+            rgb, shine = lit(rgb, normal, learned.light.to(dtype), shade), learned.shine.to(dtype)
         gaussians = Gaussians(
             position_m=position_m + bones.root_m,
             sigma_m=avatar.sigma_m.to(dtype) * maps.radius,
             opacity=avatar.opacity.to(dtype),
             rgb=rgb,
-            covariance_m2=None if learnt is None else _covariance(avatar.sigma_m, learnt.ellipsoid, maps.linear),
+            covariance_m2=None if learned is None else _covariance(avatar.sigma_m, learned.ellipsoid, maps.linear),
         )
         return PosedSkin(gaussians, normal, shine)
 
@@ -189,10 +189,10 @@ def seen_from(skin: PosedSkin, eye_m: torch.Tensor, avatar: HandAvatar) -> Gauss
 
     Where the skin lies decides which way to the eye is, but it is not pulled about by it: no gradient goes there.
     """
-    if avatar.learnt is None or skin.normal is None or skin.shine is None:
+    if avatar.learned is None or skin.normal is None or skin.shine is None:
         return skin.matt
     to_eye = unit(eye_m.to(skin.normal) - skin.matt.position_m.detach())
-    reflected = skin.shine[:, None] * gloss(skin.normal, to_eye, avatar.learnt.light.to(skin.normal.dtype))
+    reflected = skin.shine[:, None] * gloss(skin.normal, to_eye, avatar.learned.light.to(skin.normal.dtype))
     return replace(skin.matt, rgb=skin.matt.rgb + reflected)
 
 
@@ -201,7 +201,7 @@ def posed_skin(avatar: HandAvatar, bones: PoseTransforms, frames: PoseAngles | N
 
     InputError when it has correctives and there are no frames.
     """
-    correctives = None if avatar.learnt is None else avatar.learnt.correctives
+    correctives = None if avatar.learned is None else avatar.learned.correctives
     if correctives is None:
         return pose_skin(avatar, bones)
     if frames is None:

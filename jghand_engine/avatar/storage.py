@@ -69,7 +69,7 @@ def expected_arrays(storage: Storage) -> dict[str, tuple[str, tuple[int, ...]]]:
 
 
 def pack(arrays: Arrays, storage: Storage) -> tuple[dict[str, np.ndarray], list[list[float]]]:
-    """Arrays as they stand in a file, and the box of the positions [[low], [high]] in metres (compact needs it)."""
+    """Arrays as they stand in a file, and the box of the positions [[low], [high]] in meters (compact needs it)."""
     box_m = [arrays.position_m.min(0).tolist(), arrays.position_m.max(0).tolist()]
     weights = arrays.bone_weights[:, LEVEL_OF_STANDARD]
     if storage is Storage.EXACT:
@@ -109,7 +109,7 @@ def unpack(packed: dict[str, np.ndarray], storage: Storage, box_m: list[list[flo
 
 
 def _steps(box_m: list[list[float]]) -> tuple[np.ndarray, np.ndarray]:
-    """Low corner and step of the position grid, metres, float64 (3,) each."""
+    """Low corner and step of the position grid, meters, float64 (3,) each."""
     low, high = np.asarray(box_m, np.float64)
     return low, (high - low) / UINT16_MAX
 

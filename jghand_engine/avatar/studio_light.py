@@ -1,6 +1,6 @@
 """Soft studio light, baked: how much light each point of the canonical skin receives.
 
-Gaussians have one colour and no light at run time, so a flat albedo would look like cardboard. The irradiance of a
+Gaussians have one color and no light at run time, so a flat albedo would look like cardboard. The irradiance of a
 soft studio (a dome and a few large lights on both sides of the hand) is integrated over directions with the
 visibility of each direction, found by sphere tracing in a signed distance grid of the template.
 """
@@ -35,7 +35,7 @@ class SoftLight:
 class Studio:
     """The lights, in the canonical frame: warm keys from above for palm and back, fills, a rim on each side.
 
-    wrap: how far each colour channel reaches past the terminator, for light that wanders under the skin (red most).
+    wrap: how far each color channel reaches past the terminator, for light that wanders under the skin (red most).
     translucency: what reaches even the bottom of a fold, through the skin.
     """
 
@@ -90,15 +90,15 @@ class Occluder:
 
     def visible(self, points_m: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """(N,) bool: the ray from each point along `direction` (3,) leaves the hand."""
-        travelled = np.zeros(len(points_m), np.float32)
+        traveled = np.zeros(len(points_m), np.float32)
         alive = np.arange(len(points_m))
         seen = np.ones(len(points_m), bool)
         for _ in range(RAY_STEPS):
-            d = self.distance_m(points_m[alive] + travelled[alive, None] * direction)
+            d = self.distance_m(points_m[alive] + traveled[alive, None] * direction)
             hit = d < 0.25 * GRID_STEP_M
             seen[alive[hit]] = False
-            travelled[alive] += np.maximum(d, 0.5 * GRID_STEP_M)
-            alive = alive[~hit & (travelled[alive] < RAY_LENGTH_M)]
+            traveled[alive] += np.maximum(d, 0.5 * GRID_STEP_M)
+            alive = alive[~hit & (traveled[alive] < RAY_LENGTH_M)]
             if not len(alive):
                 break
         return seen
@@ -125,12 +125,12 @@ def bake_light(
     start_m = occluder.lifted(position_m, normal)
     light = np.zeros((len(position_m), 3))
     open_, dome = np.zeros(len(position_m)), np.zeros(len(position_m))
-    for direction, colour in zip(directions, radiance, strict=True):
+    for direction, color in zip(directions, radiance, strict=True):
         cosine = bumped @ direction
         facing = np.flatnonzero(cosine > -wrap.max())
         seen = occluder.visible(start_m[facing], direction.astype(np.float32))
         wrapped = np.maximum(0, (cosine[facing, None] + wrap) / (1 + wrap)) / (1 + wrap)
-        light[facing] += wrapped * seen[:, None] * colour
+        light[facing] += wrapped * seen[:, None] * color
         upright = np.maximum(0, cosine[facing])
         open_[facing] += upright * seen
         dome[facing] += upright

@@ -4,7 +4,7 @@
     cached   the network, but what its first layer makes of a Gaussian's place is computed once: equal but for rounding.
              The compiled skin (`fast_correctives.py`) always does so, and there the two are one
     linear   K numbers of every bone, mixed by the skin weights like the pose features they are made of, times K
-             directions of every Gaussian: what the network does around the poses it was distilled on (`distil.py`)
+             directions of every Gaussian: what the network does around the poses it was distilled on (`distill.py`)
 
 A tier without a price is not used: whoever trades accuracy for time has to see the rate first (RENDERING 5).
 """
@@ -93,7 +93,7 @@ class LinearCorrectives:
 
     angles: the network's planes, which give the features F_i of the bones · mean (C,), projection (C, P): the first P
     numbers of a bone are (F_i - mean) @ projection; further ones are products of two of these
-    bone_weights: (N, 21) W · constant: (N, 6), of offset in metres and shade, each a float16
+    bone_weights: (N, 21) W · constant: (N, 6), of offset in meters and shade, each a float16
     direction: (N, K, 6) int8, in units of scale: (N, 2) float32, of offset and shade
     """
 

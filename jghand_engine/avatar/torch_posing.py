@@ -39,6 +39,6 @@ class TorchPosing:
 
 
 def reflects(avatar: HandAvatar) -> bool:
-    """Whether its colours depend on where the camera stands."""
-    learnt = avatar.learnt
-    return learnt is not None and bool(learnt.shine.any()) and bool(learnt.light.lobe_rgb.any())
+    """Whether its colors depend on where the camera stands."""
+    learned = avatar.learned
+    return learned is not None and bool(learned.shine.any()) and bool(learned.light.lobe_rgb.any())

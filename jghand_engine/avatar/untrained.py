@@ -34,7 +34,7 @@ STRETCH_MAX = 1.35
 
 @dataclass(frozen=True)
 class Layers:
-    """How the Gaussians of an untrained avatar are placed. Lengths in metres.
+    """How the Gaussians of an untrained avatar are placed. Lengths in meters.
 
     count:            Gaussians in all
     backing_count:    how many of them form the backing layer
@@ -42,8 +42,8 @@ class Layers:
                       that more give evener gaps
     area_power:       bones share the outer layer as area ** power: 0 equally (METHOD 3.2), 1 evenly over the skin.
                       Between, the palm is not starved and finger tips and nails stay sharp
-    outer_depth_m:    depth of the outer layer's centres below the skin, from and to: their rims then meet the skin
-    outer_sigma:      radius of the outer layer as a part of the mean distance to the neighbours (METHOD 4.2 starts
+    outer_depth_m:    depth of the outer layer's centers below the skin, from and to: their rims then meet the skin
+    outer_sigma:      radius of the outer layer as a part of the mean distance to the neighbors (METHOD 4.2 starts
                       training at 0.5 of the three nearest); larger closes more and blurs more
     backing_sigma:    the same of the backing layer, whose bones share by area
     backing_sigma_m:  limits of the backing layer's radius
@@ -71,7 +71,7 @@ class Recipe:
     """Everything that decides what an untrained avatar looks like."""
 
     name: str
-    licence: str
+    license: str
     layers: Layers = field(default_factory=Layers)
     look: SkinLook = field(default_factory=SkinLook)
     studio: Studio = field(default_factory=Studio)
@@ -93,7 +93,7 @@ def make_untrained(template: HandTemplate, nails: np.ndarray, recipe: Recipe) ->
     outer_weights = bone_weights[torch.from_numpy(outer)].double()
     sigma_m[outer] *= bending_stretch(placed.skin_m[outer], outer_weights, template.joints_m)
     return HandAvatar(
-        info=AvatarInfo(name=recipe.name, template=template.identifier, licence=recipe.licence),
+        info=AvatarInfo(name=recipe.name, template=template.identifier, license=recipe.license),
         handedness=Handedness.RIGHT,
         canonical_joints_m=torch.from_numpy(template.joints_m.copy()),
         position_m=_float(placed.position_m),
@@ -107,7 +107,7 @@ def make_untrained(template: HandTemplate, nails: np.ndarray, recipe: Recipe) ->
 
 @dataclass(frozen=True)
 class Placed:
-    """Gaussians without colour: skin_m (N, 3) and normal (N, 3) of the curved skin above them, depth_m (N,) below it,
+    """Gaussians without color: skin_m (N, 3) and normal (N, 3) of the curved skin above them, depth_m (N,) below it,
     uv (N, 2), sigma_m (N,); turn (N,) 0..1 sorts them so that every prefix covers the hand."""
 
     skin_m: np.ndarray
@@ -126,11 +126,11 @@ def place(template: HandTemplate, layers: Layers, seed: int) -> Placed:
     """Both layers, in one order."""
     outer = _layer(template, layers, layers.count - layers.backing_count, layers.area_power, seed)
     depth_m = np.random.default_rng(seed).uniform(*layers.outer_depth_m, len(outer.turn))
-    outer = replace(outer, depth_m=depth_m, sigma_m=layers.outer_sigma * neighbour_distance(outer.skin_m))
+    outer = replace(outer, depth_m=depth_m, sigma_m=layers.outer_sigma * neighbor_distance(outer.skin_m))
     if not layers.backing_count:
         return outer
     backing = _layer(template, layers, layers.backing_count, 1.0, seed + 1)
-    sigma_m = np.clip(layers.backing_sigma * neighbour_distance(backing.skin_m), *layers.backing_sigma_m)
+    sigma_m = np.clip(layers.backing_sigma * neighbor_distance(backing.skin_m), *layers.backing_sigma_m)
     backing = replace(backing, depth_m=layers.backing_depth * sigma_m, sigma_m=sigma_m)
     order = np.argsort(np.concatenate([outer.turn, backing.turn]), kind="stable")
     return Placed(
@@ -150,7 +150,7 @@ def _layer(template: HandTemplate, layers: Layers, count: int, area_power: float
 
 
 def bone_areas(template: HandTemplate) -> np.ndarray:
-    """(20,) area of the closed surface that is nearest to each of the bones 1..20, square metres."""
+    """(20,) area of the closed surface that is nearest to each of the bones 1..20, square meters."""
     corners = template.vertices_m[template.faces]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
     nearest = bone_distances(corners.mean(1), template.joints_m).argmin(1)
@@ -192,8 +192,8 @@ def curved_surface(
     return (1 - curving) * flat_m + curving * bent_m, normal / np.linalg.norm(normal, axis=1, keepdims=True)
 
 
-def neighbour_distance(points_m: np.ndarray) -> np.ndarray:
-    """(N,) mean distance to the six nearest neighbours, metres: of an even layer those around the point."""
+def neighbor_distance(points_m: np.ndarray) -> np.ndarray:
+    """(N,) mean distance to the six nearest neighbors, meters: of an even layer those around the point."""
     distance, _ = KDTree(points_m).query(points_m, k=7)
     return np.asarray(distance)[:, 1:].mean(1)
 
@@ -201,7 +201,7 @@ def neighbour_distance(points_m: np.ndarray) -> np.ndarray:
 def bending_stretch(points_m: np.ndarray, bone_weights: torch.Tensor, joints_m: np.ndarray) -> np.ndarray:
     """(N,) factor of at least 1 by which radii must be larger for the skin to stay closed in the CLOSED_IN poses.
 
-    How much the neighbours of each skin point (N, 3) move away in those poses, beyond what the posed radius follows.
+    How much the neighbors of each skin point (N, 3) move away in those poses, beyond what the posed radius follows.
     bone_weights: (N, 21) float64; joints_m: (21, 3) canonical.
     """
     around = np.asarray(KDTree(points_m).query(points_m, k=7)[1])[:, 1:]
@@ -218,7 +218,7 @@ def bending_stretch(points_m: np.ndarray, bone_weights: torch.Tensor, joints_m: 
         linear, offset_m = blend(bone_weights, bones)
         posed_m = apply(linear, skin_m - bones.canonical_root_m) + offset_m
         worst = torch.maximum(worst, gap(posed_m) / gap(skin_m) / posed_radius_scale(linear, bones.scale))
-    # a neighbour's stretch counts too: a gap lies between two Gaussians
+    # a neighbor's stretch counts too: a gap lies between two Gaussians
     return worst.clamp(max=STRETCH_MAX)[around].mean(1).numpy()
 
 

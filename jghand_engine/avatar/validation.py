@@ -6,9 +6,9 @@ import numpy as np
 import torch
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.cast_shadow import ANCHOR_NEIGHBOURS, CastShadow
+from jghand_engine.avatar.cast_shadow import ANCHOR_NEIGHBORS, CastShadow
 from jghand_engine.avatar.correctives import PoseNet
-from jghand_engine.avatar.learnt import Learnt
+from jghand_engine.avatar.learned import Learned
 from jghand_engine.avatar.light import SH_COUNT
 from jghand_engine.avatar.tiers import LinearCorrectives
 from jghand_engine.errors import InputError
@@ -52,49 +52,49 @@ def check_avatar(avatar: HandAvatar, thing: str) -> None:
     total = avatar.bone_weights.to(torch.float64).sum(1)
     off = (total - 1).abs() > WEIGHT_SUM_TOLERANCE
     _refuse(thing, "bone_weights", f"rows that sum to 1 within {WEIGHT_SUM_TOLERANCE}", off, total)
-    if avatar.learnt is not None:
-        _check_learnt(avatar.learnt, len(avatar), thing)
+    if avatar.learned is not None:
+        _check_learned(avatar.learned, len(avatar), thing)
 
 
-def _check_learnt(learnt: Learnt, count: int, thing: str) -> None:
-    light, lobes = learnt.light, learnt.light.lobe_direction.shape[0]
+def _check_learned(learned: Learned, count: int, thing: str) -> None:
+    light, lobes = learned.light, learned.light.lobe_direction.shape[0]
     if lobes > LIGHT_LOBES_MAX:
         raise InputError(f"{thing}: lobes of the light", wanted=f"at most {LIGHT_LOBES_MAX}", came=str(lobes))
     # name: values, shape, least and greatest of each number
     most = LIGHT_VALUE_MAX
     ranges = {
-        "normal": (learnt.normal, (count, 3), -2.0, 2.0),
-        "shine": (learnt.shine, (count,), 0.0, most),
+        "normal": (learned.normal, (count, 3), -2.0, 2.0),
+        "shine": (learned.shine, (count,), 0.0, most),
         "light irradiance": (light.irradiance, (SH_COUNT, 3), -most, most),
         "light lobe_direction": (light.lobe_direction, (lobes, 3), -most, most),
         "light lobe_sharpness": (light.lobe_sharpness, (lobes,), 0.0, most),
         "light lobe_rgb": (light.lobe_rgb, (lobes, 3), 0.0, most),
         "light rim": (light.rim, (), 0.0, most),
     }
-    if isinstance(learnt.correctives, PoseNet):
-        for name, tensor in learnt.correctives.state_dict().items():
+    if isinstance(learned.correctives, PoseNet):
+        for name, tensor in learned.correctives.state_dict().items():
             ranges[f"pose_net {name}"] = (tensor, tuple(tensor.shape), -POSE_NET_WEIGHT_MAX, POSE_NET_WEIGHT_MAX)
-    if learnt.ellipsoid is not None:
-        ranges["ellipsoid log_stretch"] = (learnt.ellipsoid.log_stretch, (count, 3), -LOG_STRETCH_MAX, LOG_STRETCH_MAX)
-        ranges["ellipsoid quaternion"] = (learnt.ellipsoid.quaternion, (count, 4), -most, most)
-    if learnt.cast is not None:
-        ranges |= _cast_ranges(learnt.cast, count)
-    if learnt.baked is not None and learnt.baked.linear is not None:
-        ranges |= _linear_ranges(learnt.baked.linear, count)
+    if learned.ellipsoid is not None:
+        ranges["ellipsoid log_stretch"] = (learned.ellipsoid.log_stretch, (count, 3), -LOG_STRETCH_MAX, LOG_STRETCH_MAX)
+        ranges["ellipsoid quaternion"] = (learned.ellipsoid.quaternion, (count, 4), -most, most)
+    if learned.cast is not None:
+        ranges |= _cast_ranges(learned.cast, count)
+    if learned.baked is not None and learned.baked.linear is not None:
+        ranges |= _linear_ranges(learned.baked.linear, count)
     for name, (values, shape, low, high) in ranges.items():
         if tuple(values.shape) != shape:
             came = f"shape {tuple(values.shape)}"
             raise InputError(f"{thing}: {name}", wanted=f"shape {shape}", came=came, remedy=REMEDY)
         flat = values.detach().reshape(-1)
         _refuse(thing, name, f"values of {low:g} to {high:g}", ~((flat >= low) & (flat <= high)), flat, of="number")
-    _check_lengths(thing, "normal", learnt.normal)
-    if learnt.cast is not None:
-        _check_lengths(thing, "cast normal", learnt.cast.anchors.normal)
-        for name, rows in (("bone_weights", learnt.cast.anchors.bone_weights), ("share", learnt.cast.anchors.share)):
+    _check_lengths(thing, "normal", learned.normal)
+    if learned.cast is not None:
+        _check_lengths(thing, "cast normal", learned.cast.anchors.normal)
+        for name, rows in (("bone_weights", learned.cast.anchors.bone_weights), ("share", learned.cast.anchors.share)):
             total = rows.double().sum(1)
             wanted = f"rows that sum to 1 within {CAST_SUM_TOLERANCE:g}"
             _refuse(thing, f"cast {name}", wanted, (total - 1).abs() > CAST_SUM_TOLERANCE, total)
-    _check_shadow(learnt, thing)
+    _check_shadow(learned, thing)
 
 
 def _linear_ranges(
@@ -123,8 +123,8 @@ def _cast_ranges(cast: CastShadow, count: int) -> dict[str, tuple[torch.Tensor, 
         "cast position_m": (anchors.position_m, (len(anchors), 3), -2 * AVATAR_REACH_M, 2 * AVATAR_REACH_M),
         "cast normal": (anchors.normal, (len(anchors), 3), -2.0, 2.0),
         "cast bone_weights": (anchors.bone_weights, (len(anchors), JOINT_COUNT), 0.0, 1.0),
-        "cast nearest": (anchors.nearest, (count, ANCHOR_NEIGHBOURS), 0, len(anchors) - 1),
-        "cast share": (anchors.share, (count, ANCHOR_NEIGHBOURS), 0.0, 1.0),
+        "cast nearest": (anchors.nearest, (count, ANCHOR_NEIGHBORS), 0, len(anchors) - 1),
+        "cast share": (anchors.share, (count, ANCHOR_NEIGHBORS), 0.0, 1.0),
     }
 
 
@@ -133,8 +133,8 @@ def _check_lengths(thing: str, name: str, vector: torch.Tensor) -> None:
     _refuse(thing, name, "vectors of length 1", (length - 1).abs() > NORMAL_LENGTH_TOLERANCE, length)
 
 
-def _check_shadow(learnt: Learnt, thing: str) -> None:
-    look = learnt.shadow
+def _check_shadow(learned: Learned, thing: str) -> None:
+    look = learned.shadow
     if look is not None and not (0 <= look.gain <= SHADOW_GAIN_MAX and all(0 <= part <= 1 for part in look.tint)):
         wanted = f"a gain of 0 to {SHADOW_GAIN_MAX:g} and a tint of 0 to 1"
         raise InputError(f"{thing}: look of the shadow", wanted=wanted, came=str(look), remedy=REMEDY)

@@ -19,10 +19,10 @@ from jghand_engine.errors import InputError
 
 if TYPE_CHECKING:
     from jghand_engine.avatar.avatar import HandAvatar
-    from jghand_engine.datasets.splits import Split
-    from jghand_engine.training.ablation import Build, Measured, TestPictures
-    from jghand_engine.training.options import TrainOptions
-    from jghand_engine.training.schedule import Budget
+    from jghand_engine.captures.splits import Split
+    from jghand_engine.learn.ablation import Build, Measured, TestPictures
+    from jghand_engine.learn.options import TrainOptions
+    from jghand_engine.learn.schedule import Budget
 
 DESCRIPTION = """Train with parts of the method taken out, one at a time, and print the paper's ablation table.
 
@@ -59,12 +59,12 @@ class Ablate:
 
     def run(self) -> int:
         """0 when all variants are trained and measured, the exit code of a stop when somebody stopped."""
+        from jghand_engine.captures.splits import split_capture
         from jghand_engine.cli.learning import device_called, material, train_options
-        from jghand_engine.datasets.splits import split_capture
-        from jghand_engine.training.ablation import TestPictures, chosen_variants
-        from jghand_engine.training.evaluate import categories_of
-        from jghand_engine.training.schedule import Budget
-        from jghand_engine.training.step import HandTraining
+        from jghand_engine.learn.ablation import TestPictures, chosen_variants
+        from jghand_engine.learn.evaluate import categories_of
+        from jghand_engine.learn.schedule import Budget
+        from jghand_engine.learn.step import HandTraining
 
         for name, value, least in (("--steps", self.steps, 1), ("--limit", self.limit, 0)):
             if value < least:
@@ -93,11 +93,11 @@ class Ablate:
     def _trained(
         self, name: str, options: TrainOptions, split: Split, build: Build, budget: Budget
     ) -> HandAvatar | None:
-        from jghand_engine.training.ablation import train_variant, variant_folder
-        from jghand_engine.training.progress import display
-        from jghand_engine.training.run import RunOptions
-        from jghand_engine.training.stamp import stamp_of
-        from jghand_engine.training.work_folder import Start
+        from jghand_engine.learn.ablation import train_variant, variant_folder
+        from jghand_engine.learn.progress import display
+        from jghand_engine.learn.run import RunOptions
+        from jghand_engine.learn.stamp import stamp_of
+        from jghand_engine.learn.work_folder import Start
 
         place = variant_folder(self.out, name)
         run = RunOptions(
@@ -111,10 +111,10 @@ class Ablate:
             return train_variant(build, options, run, shown)
 
     def _show(self, results: Mapping[str, Measured], tested: TestPictures) -> None:
-        from jghand_engine.exporters.pictures import write_png
+        from jghand_engine.export.pictures import write_png
         from jghand_engine.files import writing
-        from jghand_engine.training import sheets
-        from jghand_engine.training.tables import ablation_table
+        from jghand_engine.learn import sheets
+        from jghand_engine.learn.tables import ablation_table
 
         table = ablation_table({name: one.evaluation for name, one in results.items()})
         say_whole_table(table)
@@ -143,7 +143,7 @@ class Ablate:
 
 def measured(name: str, avatar: HandAvatar, tested: TestPictures) -> Measured:
     """Figures of a trained variant, behind a bar of progress."""
-    from jghand_engine.training.ablation import measure_variant
+    from jghand_engine.learn.ablation import measure_variant
 
     with progress("Measuring", sum(map(len, tested.categories.values()))) as bar:
         task = bar.task_ids[0]

@@ -17,8 +17,8 @@ from jghand_engine.errors import InputError
 
 if TYPE_CHECKING:
     from jghand_engine.avatar.avatar import HandAvatar
-    from jghand_engine.studies.tier_prices import Offer
-    from jghand_engine.studies.tier_yardsticks import Yardstick
+    from jghand_engine.study.tier_prices import Offer
+    from jghand_engine.study.tier_yardsticks import Yardstick
 
 DESCRIPTION = """Prepare a trained avatar for fast drawing, and say what each way costs.
 
@@ -31,8 +31,8 @@ Examples:
   jghand bake id3.jghand captures/id3 --out id3_fast.jghand
   jghand bake id3.jghand --out id3_fast.jghand            without pictures: against the network itself"""
 
-# said of prices that were measured on pictures which the avatar may have learnt from
-NOT_CERTAIN = "it may have learnt from them"
+# said of prices that were measured on pictures which the avatar may have learned from
+NOT_CERTAIN = "it may have learned from them"
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class Bake:
         import torch
 
         from jghand_engine.avatar.builtin import load_avatar_called
-        from jghand_engine.avatar.distil import distil, poses_near
+        from jghand_engine.avatar.distill import distill, poses_near
         from jghand_engine.avatar.file import save_avatar, stored_form
         from jghand_engine.avatar.storage import Storage
         from jghand_engine.avatar.texts import as_text
@@ -68,8 +68,8 @@ class Bake:
         from jghand_engine.files import check_place
         from jghand_engine.native.machine import processor
         from jghand_engine.native.threads import thread_count
-        from jghand_engine.studies.shadow_seen import with_shadow_seen
-        from jghand_engine.studies.tier_prices import baked, pose_net_of, price_tiers
+        from jghand_engine.study.shadow_seen import with_shadow_seen
+        from jghand_engine.study.tier_prices import baked, pose_net_of, price_tiers
 
         if self.out.suffix != ".jghand":
             raise InputError("--out", wanted="a file that ends with .jghand", came=str(self.out))
@@ -86,7 +86,7 @@ class Bake:
         known = yard.known_poses(avatar)
         poses = torch.cat([known, poses_near(known, self.poses, seed=0)])
         with progress("Distilling", 100) as bar:
-            linear = distil(net, poses, bases, tick=lambda part: bar.update(bar.task_ids[0], completed=100 * part))
+            linear = distill(net, poses, bases, tick=lambda part: bar.update(bar.task_ids[0], completed=100 * part))
         measured_on = as_text(f"{yard.measured_on}; times on {processor()}, {thread_count(0)} threads")
         say(f"Measuring {len(linear) + 2} tiers on {measured_on}.")
         offers = price_tiers(avatar, linear, yard)
@@ -110,12 +110,12 @@ class Bake:
         return bases
 
     def _yardstick(self, avatar: HandAvatar) -> Yardstick:
-        from jghand_engine.studies.tier_yardsticks import ExactPictures, HeldOutPictures
+        from jghand_engine.study.tier_yardsticks import ExactPictures, HeldOutPictures
 
         if self.folder is None:
             return ExactPictures(avatar)
-        from jghand_engine.datasets.splits import split_capture
-        from jghand_engine.training.held_out import held_out
+        from jghand_engine.captures.splits import split_capture
+        from jghand_engine.learn.held_out import held_out
 
         capture = self.pictures.open(self.folder)
         split = split_capture(capture)
@@ -127,7 +127,7 @@ class Bake:
     def _tell(self, offers: Sequence[Offer], avatar: HandAvatar, measured_on: str) -> None:
         from jghand_engine.avatar.tiers import Tier
 
-        kept = {price.name for price in avatar.learnt.baked.prices}  # type: ignore[union-attr]
+        kept = {price.name for price in avatar.learned.baked.prices}  # type: ignore[union-attr]
         rows = [
             (
                 offer.price.name,
@@ -140,10 +140,10 @@ class Bake:
             for offer in offers
         ]
         say_table(f"Tiers, on {measured_on}", ("tier", "frame ms", "MB", "PSNR dB", "lost dB", "kept"), rows)
-        learnt = avatar.learnt
-        taken = None if learnt is None else learnt.with_tier(Tier.AUTO)[1]
+        learned = avatar.learned
+        taken = None if learned is None else learned.with_tier(Tier.AUTO)[1]
         say(f"The renderer takes {taken.name if taken else 'exact'} unless told otherwise.")
-        shadow = None if learnt is None else learnt.shadow
+        shadow = None if learned is None else learned.shadow
         seen = None if shadow is None else shadow.seen
         if shadow is not None and seen is not None:
             drawn = "it is drawn where the pose asks for it" if shadow.is_seen else "it is not drawn"

@@ -35,9 +35,9 @@ class Bench:
 
     def run(self) -> None:
         from jghand_engine.avatar.builtin import load_avatar_called
-        from jghand_engine.splat.settings import preset
-        from jghand_engine.studies import frame_time
-        from jghand_engine.studies.timing import measure
+        from jghand_engine.render.settings import preset
+        from jghand_engine.study import frame_time
+        from jghand_engine.study.timing import measure
 
         if self.rounds < 1:
             raise InputError("--rounds", wanted="1 or more", came=str(self.rounds))

@@ -1,5 +1,5 @@
 """A camera as JSON, so that a picture can be repeated or matched: width, height, fx, fy, cx, cy in pixels and
-camera_from_world, 4 x 4, metres, OpenCV axes (x right, y down, z forward)."""
+camera_from_world, 4 x 4, meters, OpenCV axes (x right, y down, z forward)."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import torch
 from jghand_engine.cli.console import read_json
 from jghand_engine.errors import InputError
 from jghand_engine.limits import CAMERA_NUMBER_MAX
-from jghand_engine.splat.camera import Camera
+from jghand_engine.render.camera import Camera
 
 NUMBERS = ("width", "height", "fx", "fy", "cx", "cy")
 

@@ -14,7 +14,7 @@ from jghand_engine.cli.options import File, FormatOptions, ReportOptions, parse_
 from jghand_engine.errors import InputError, RetryError
 
 if TYPE_CHECKING:
-    from jghand_engine.capture.plan import CapturePlan
+    from jghand_engine.captures.making.plan import CapturePlan
 
 DESCRIPTION = """Make a training set: pictures of a rigged hand of another shape, path traced from all sides.
 
@@ -90,9 +90,9 @@ class Capture:
     report: ReportOptions = field(default_factory=ReportOptions)
 
     def run(self) -> None:
-        from jghand_engine.capture.plan import FOLDER, annotate, open_or_make
-        from jghand_engine.capture.shards import shard_locked
-        from jghand_engine.capture.worker import find_blender_python
+        from jghand_engine.captures.making.plan import FOLDER, annotate, open_or_make
+        from jghand_engine.captures.making.shards import shard_locked
+        from jghand_engine.captures.making.worker import find_blender_python
 
         shard = parse_shard(self.shard)
         if self.threads < 0:
@@ -113,7 +113,7 @@ class Capture:
 
     def _make(self, plan: CapturePlan, shard: tuple[int, int], python: Path) -> None:
         """Makes what is missing or broken of a shard, and says so."""
-        from jghand_engine.capture.worker import fault_of
+        from jghand_engine.captures.making.worker import fault_of
 
         jobs = plan.jobs(self.out, shard)
         size = pixels(self.size)
@@ -137,8 +137,8 @@ class Capture:
             })  # fmt: skip
 
     def _annotate_finished(self, options) -> None:
-        from jghand_engine.capture.plan import annotate, open_begun
-        from jghand_engine.capture.worker import fault_of
+        from jghand_engine.captures.making.plan import annotate, open_begun
+        from jghand_engine.captures.making.worker import fault_of
 
         plan = open_begun(self.out, options)
         unfinished = {job.pose for job in plan.jobs(self.out) if fault_of(job, (options.width, options.height))}
@@ -149,7 +149,7 @@ class Capture:
         say(f"Annotated {len(finished)} of {len(plan.pose_names)} poses; without --finished-only it is all of them.")
 
     def _render(self, todo: list, python: Path) -> list[float]:
-        from jghand_engine.capture.worker import render
+        from jghand_engine.captures.making.worker import render
         from jghand_engine.native.threads import processors
 
         seconds: list[float] = []
@@ -168,8 +168,8 @@ class Capture:
     def _options(self):
         import dataclasses
 
-        from jghand_engine.capture.look import Light, Sampling
-        from jghand_engine.capture.options import CaptureOptions
+        from jghand_engine.captures.making.look import Light, Sampling
+        from jghand_engine.captures.making.options import CaptureOptions
         from jghand_engine.cli.inputs import read_sequence
 
         light = Light()

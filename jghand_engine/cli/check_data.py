@@ -14,7 +14,7 @@ from jghand_engine.cli.picture_sets import PictureSetOptions
 from jghand_engine.errors import InputError
 
 if TYPE_CHECKING:
-    from jghand_engine.datasets.check_data import DataReport
+    from jghand_engine.captures.check_data import DataReport
 
 DESCRIPTION = """Look at a folder of pictures to learn from, and say what is wrong with it.
 
@@ -41,9 +41,9 @@ class CheckData:
     report: ReportOptions = field(default_factory=ReportOptions)
 
     def run(self) -> int:
-        """0 when the data can be learnt from, the exit code of bad input when not."""
+        """0 when the data can be learned from, the exit code of bad input when not."""
         from jghand_engine import limits
-        from jghand_engine.datasets.check_data import check_data, facts
+        from jghand_engine.captures.check_data import check_data, facts
 
         if self.shown < 0:
             raise InputError("--shown", wanted="0 or more", came=str(self.shown))
@@ -83,14 +83,14 @@ class CheckData:
         for note in checked.capture.notes if checked.capture else ():
             say(f"Note: {note}")
         if checked.is_usable:
-            say("The data can be learnt from.")
+            say("The data can be learned from.")
         else:
-            say("The data cannot be learnt from like this.")
+            say("The data cannot be learned from like this.")
 
     def _overlay(self, checked: DataReport) -> str | None:
         """Writes the picture and says so; its name, or None when there is nothing to show."""
-        from jghand_engine.datasets.overlay import overlay
-        from jghand_engine.exporters.pictures import Cell, SheetStyle, contact_sheet, write_png
+        from jghand_engine.captures.overlay import overlay
+        from jghand_engine.export.pictures import Cell, SheetStyle, contact_sheet, write_png
 
         pictures = checked.worst_and_typical(self.shown)
         if not pictures:

@@ -16,7 +16,7 @@ DESCRIPTION = """Look at a USD file with Gaussian splats, anybody's, in every va
 Variants within variants are looked at as the file chooses them.
 
 USD's own validators run too; they do not look at splats. What they miss: logarithms as scales, logits as opacity, no
-extent, the degree of the harmonics left out, colours as harmonics, a lost skeleton and more. Ends with 0 when there is
+extent, the degree of the harmonics left out, colors as harmonics, a lost skeleton and more. Ends with 0 when there is
 no error, with 2 when there is one.
 
 Examples:
@@ -34,7 +34,7 @@ class CheckUsd:
 
     def run(self) -> int:
         """0 when there is no error, the exit code of bad input when there is one."""
-        from jghand_engine.exporters.usd_check import examine_usd
+        from jghand_engine.export.usd.check import examine_usd
 
         done = examine_usd(self.file)
         findings = done.findings

@@ -19,7 +19,7 @@ from jghand_engine.errors import InputError
 from jghand_engine.files import writing
 
 if TYPE_CHECKING:
-    from jghand_engine.training.tables import Table as Figures
+    from jghand_engine.learn.tables import Table as Figures
 
 
 def out() -> Console:

@@ -47,11 +47,11 @@ class Demo:
         from jghand_engine.cli import demo_films, demo_scene
         from jghand_engine.cli.framing import framing_camera
         from jghand_engine.cli.stage_export import export_stage, usd_figures
-        from jghand_engine.datasets.motion_files import write_motion
-        from jghand_engine.exporters.usd import UsdOptions
-        from jghand_engine.exporters.video import ffmpeg_program
+        from jghand_engine.export.usd.export import UsdOptions
+        from jghand_engine.export.video import ffmpeg_program
         from jghand_engine.files import make_folder
         from jghand_engine.hand.joints import Handedness
+        from jghand_engine.motion.files import write_motion
 
         width, height = pixels(self.size)
         try:

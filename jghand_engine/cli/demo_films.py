@@ -9,7 +9,7 @@ import numpy as np
 from jghand_engine import limits
 from jghand_engine.cli.console import progress
 from jghand_engine.cli.demo_scene import Scene
-from jghand_engine.exporters.pictures import (
+from jghand_engine.export.pictures import (
     VIDEO_BACKGROUND,
     Cell,
     SheetStyle,
@@ -19,7 +19,7 @@ from jghand_engine.exporters.pictures import (
     read_png,
     write_png,
 )
-from jghand_engine.exporters.video import write_video
+from jghand_engine.export.video import write_video
 from jghand_engine.files import writing
 
 
@@ -58,9 +58,9 @@ def write_readme(scene: Scene) -> None:
         "hand.mp4": f"the motion seen from {cameras}, side by side",
         "contact_sheet.png": "moments of it at one glance",
         "frames/": f"PNG pictures with alpha, one folder per camera ({cameras})",
-        "motion.npz": "the 21 joint positions of every frame, metres, standard order",
+        "motion.npz": "the 21 joint positions of every frame, meters, standard order",
         "hand.blend": "the rigged armature with the motion on it, and the cameras",
-        "cameras.json": "its cameras: pixels, metres, OpenCV axes",
+        "cameras.json": "its cameras: pixels, meters, OpenCV axes",
         "usd/hand.usda": "the animated hand for other programs; choose its variant splats, points or mesh",
         "usd/hand.shot.usda": "the hand with the cameras of this demo",
     }

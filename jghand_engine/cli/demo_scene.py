@@ -31,9 +31,9 @@ from jghand_engine.errors import InputError, JGHandError, MemoryLimitError, Retr
 from jghand_engine.files import file_error, make_folder
 from jghand_engine.hand.anatomy import MotionOptions, pose_sequence_of_names
 from jghand_engine.hand.sequence import PoseSequence
-from jghand_engine.splat.camera import Camera
-from jghand_engine.splat.frame import HandRenderer
-from jghand_engine.splat.settings import preset
+from jghand_engine.render.camera import Camera
+from jghand_engine.render.frame import HandRenderer
+from jghand_engine.render.settings import preset
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
 # key of report.json: the hand.blend that the demo wrote, to tell one that somebody has changed since

@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     import numpy as np
 
     from jghand_engine.avatar.avatar import HandAvatar
-    from jghand_engine.datasets.captures import Capture
-    from jghand_engine.datasets.sample import Sample
+    from jghand_engine.captures.captures import Capture
+    from jghand_engine.captures.sample import Sample
     from jghand_engine.hand.joints import Handedness
-    from jghand_engine.splat.camera import Camera
-    from jghand_engine.splat.settings import RenderSettings
-    from jghand_engine.training.evaluate import Evaluation, Picturer
-    from jghand_engine.training.perceptual import PerceptualMetric
-    from jghand_engine.training.tables import Table
+    from jghand_engine.learn.evaluate import Evaluation, Picturer
+    from jghand_engine.learn.perceptual import PerceptualMetric
+    from jghand_engine.learn.tables import Table
+    from jghand_engine.render.camera import Camera
+    from jghand_engine.render.settings import RenderSettings
 
 DESCRIPTION = """Measure an avatar on pictures that it did not learn from: figures, tables beside the paper's, sheets.
 
@@ -52,7 +52,7 @@ class PerceptualOptions:
 
     def metrics(self) -> list[PerceptualMetric]:
         """The metrics that there are; what is missing is said in a line. InputError for an unusable trunk."""
-        from jghand_engine.training import perceptual
+        from jghand_engine.learn import perceptual
 
         if not self.perceptual and self.lpips_trunk is None:
             say("Perceptual metrics: off (--perceptual).")
@@ -78,7 +78,7 @@ class Evaluate:
     out: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None
     """For tables, figures and sheets. Left out: beside the avatar, id3.evaluation for id3.jghand."""
     split: Literal["test", "train", "all"] = "test"
-    """Pictures that were held out, those that were learnt, or both."""
+    """Pictures that were held out, those that were learned, or both."""
     limit: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
     """At most so many pictures of each kind, evenly spread; 0 takes all."""
     preset: PresetName = "final"
@@ -97,10 +97,10 @@ class Evaluate:
 
     def run(self) -> None:
         from jghand_engine.avatar.builtin import load_avatar_called
-        from jghand_engine.datasets.splits import split_capture
+        from jghand_engine.captures.splits import split_capture
         from jghand_engine.files import make_folder
-        from jghand_engine.training.evaluate import avatar_picturer, categories_of
-        from jghand_engine.training.held_out import held_out
+        from jghand_engine.learn.evaluate import avatar_picturer, categories_of
+        from jghand_engine.learn.held_out import held_out
 
         if self.limit < 0:
             raise InputError("--limit", wanted="0 or more", came=str(self.limit))
@@ -109,7 +109,7 @@ class Evaluate:
         told = held_out(avatar, capture, split_capture(capture))
         if told.warning:
             say(f"Warning: {told.warning}")
-        # of an avatar that learnt all of them, none was held out
+        # of an avatar that learned all of them, none was held out
         which = self.split if told.split.test else "train"
         categories = categories_of(told.split, which, self.limit)
         out, settings = make_folder(self.out or self._default_out()), self._settings()
@@ -130,15 +130,15 @@ class Evaluate:
     def _settings(self) -> RenderSettings:
         from dataclasses import replace
 
-        from jghand_engine.splat.settings import preset
+        from jghand_engine.render.settings import preset
 
         return replace(preset(self.preset), threads=self.threads)
 
     def _measured(
         self, draw: Picturer, capture: Capture, categories: Mapping[str, tuple[Sample, ...]], origin: str
     ) -> Evaluation:
-        from jghand_engine.training.evaluate import Evaluation, measure_pictures
-        from jghand_engine.training.metrics import FLIP_MISSING, flip_package
+        from jghand_engine.learn.evaluate import Evaluation, measure_pictures
+        from jghand_engine.learn.metrics import FLIP_MISSING, flip_package
 
         if flip_package() is None:
             say(FLIP_MISSING)
@@ -151,7 +151,7 @@ class Evaluate:
     def _tables(
         self, evaluation: Evaluation, avatar: HandAvatar, capture: Capture, settings: RenderSettings
     ) -> list[Table]:
-        from jghand_engine.training.tables import figures_table, flexion_table, rendering_table
+        from jghand_engine.learn.tables import figures_table, flexion_table, rendering_table
 
         tables = [rendering_table([evaluation]), figures_table(evaluation, "full"), figures_table(evaluation, "box"),
                   flexion_table(evaluation)]  # fmt: skip
@@ -163,7 +163,7 @@ class Evaluate:
 
     def _write(self, out: Path, evaluation: Evaluation, tables: list[Table], settings: RenderSettings) -> None:
         from jghand_engine.files import writing
-        from jghand_engine.training.metrics import BOX_RULE
+        from jghand_engine.learn.metrics import BOX_RULE
 
         drawn = f"Drawn with preset {self.preset}."
         with writing(out / "tables.md") as temporary:
@@ -178,9 +178,9 @@ def timed_table(name: str, avatar: HandAvatar, capture: Capture, settings: Rende
     """Time per picture of the capture's size, the hand in motion through its poses, nothing read or written."""
     from dataclasses import replace
 
-    from jghand_engine.studies import frame_time
-    from jghand_engine.studies.timing import measure
-    from jghand_engine.training.tables import inference_table
+    from jghand_engine.learn.tables import inference_table
+    from jghand_engine.study import frame_time
+    from jghand_engine.study.timing import measure
 
     sample = capture.samples[0]
     subject = frame_time.Subject(name, avatar.for_hand(capture.handedness), capture.joints_m(), sample.camera)
@@ -198,8 +198,8 @@ def write_sheets(
     out: Path, evaluation: Evaluation, categories: Mapping[str, tuple[Sample, ...]], drawers: Mapping[str, Picturer]
 ) -> None:
     """The sheets of an evaluation. drawers: by name, the evaluated avatar first."""
-    from jghand_engine.exporters.pictures import write_png
-    from jghand_engine.training import sheets
+    from jghand_engine.export.pictures import write_png
+    from jghand_engine.learn import sheets
 
     name, draw = next(iter(drawers.items()))
     title = f"{name} on {evaluation.capture}"

@@ -18,7 +18,7 @@ from jghand_engine.limits import USD_SIGMA_ERROR_TOLD
 if TYPE_CHECKING:
     from jghand_engine.avatar.avatar import HandAvatar
     from jghand_engine.cli.inputs import Motion
-    from jghand_engine.exporters.usd_options import UsdOptions
+    from jghand_engine.export.usd.options import UsdOptions
 
 DESCRIPTION = """Write a motion as OpenUSD, as splat files, or as a web page.
 
@@ -29,8 +29,8 @@ A USD stage offers the variants splats, points, points_skinned and mesh, whateve
 is shown first, and how large points are. Only --package usdc and --precision half leave some out.
 
 The skeleton has 63 joints: the 21 that drive the hand, with the names of the motion's joints, and those that
-carry the skin between them. A trained avatar has colours of its own in every frame, in the light that it was
-learnt in; what its skin mirrors depends on the camera, and is left out.
+carry the skin between them. A trained avatar has colors of its own in every frame, in the light that it was
+learned in; what its skin mirrors depends on the camera, and is left out.
 
 Examples:
   jghand export --poses open,fist --hand right --out usd
@@ -60,9 +60,9 @@ class UsdStageOptions:
     usdview points_skinned (a small file; without what training added to the pose)."""
     sizes: Literal["constant", "per_frame"] = "constant"
     """Radii of the splats: of the mean hand, or of every frame. A frame is then 2.3 times as large; of a trained hand,
-    whose colours are in every frame anyway, 1.4 times."""
+    whose colors are in every frame anyway, 1.4 times."""
     radiance: Literal["srgb", "linear"] = "srgb"
-    """Colours of the splats: srgb as a screen shows them, for most viewers; linear as light, for path tracers."""
+    """Colors of the splats: srgb as a screen shows them, for most viewers; linear as light, for path tracers."""
     width_factor: Annotated[float | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="")] = None
     """Size of the points: 1 is two standard deviations of a splat, 2 closes the gaps between them. Left out: 2 for
     blender and usdview, else 1."""
@@ -162,7 +162,7 @@ class Export:
     def _write_usd(self, avatar: HandAvatar, motion: Motion) -> dict[str, Any]:
         from jghand_engine.cli.framing import framing_camera
         from jghand_engine.cli.stage_export import export_stage, usd_figures
-        from jghand_engine.exporters.usd_options import PRESETS
+        from jghand_engine.export.usd.options import PRESETS
 
         options, sequence = self._usd_options(), motion.sequence
         width, height = CAMERA_PX
@@ -186,7 +186,7 @@ class Export:
         return {"for": self.usd.consumer, **usd_figures(report)}
 
     def _usd_options(self) -> UsdOptions:
-        from jghand_engine.exporters.usd_options import PRESETS, Package, UsdOptions, Variant
+        from jghand_engine.export.usd.options import PRESETS, Package, UsdOptions, Variant
 
         given, preset = self.usd, PRESETS[self.usd.consumer]
         variant = preset.variant if given.default_variant is None else Variant(given.default_variant)
@@ -210,8 +210,8 @@ class Export:
         )
 
     def _write_splats(self, avatar: HandAvatar, motion: Motion) -> dict[str, Any]:
-        from jghand_engine.exporters.made_from import made_from
-        from jghand_engine.exporters.splat_files import SplatOptions, export_splats
+        from jghand_engine.export.splats.files import SplatOptions, export_splats
+        from jghand_engine.export.splats.made_from import made_from
 
         axes, start = self.splats.axes, self.first_frame
         options = SplatOptions(self.splats.format, self.name, axes, start, self.up, self.overwrite)
@@ -234,8 +234,8 @@ class Export:
 
     def _write_web(self, avatar: HandAvatar, motion: Motion) -> dict[str, Any]:
         from jghand_engine.cli.framing import first_view
-        from jghand_engine.exporters.made_from import made_from
-        from jghand_engine.exporters.web import WebOptions, export_web
+        from jghand_engine.export.splats.made_from import made_from
+        from jghand_engine.export.web.page import WebOptions, export_web
 
         sequence = motion.sequence
         view = first_view(sequence.joints_m, sequence.handedness, self.web.camera)

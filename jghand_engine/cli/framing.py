@@ -15,10 +15,10 @@ import torch
 from jghand_engine import limits
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import LEVEL_NAMES, Handedness
-from jghand_engine.splat.camera import Camera
+from jghand_engine.render.camera import Camera
 
 if TYPE_CHECKING:
-    from jghand_engine.exporters.web import WebView
+    from jghand_engine.export.web.page import WebView
 
 WRIST, INDEX, MIDDLE, PINKY = (LEVEL_NAMES.index(name) for name in ("wrist", "index1", "middle1", "pinky1"))
 
@@ -82,7 +82,7 @@ def _mean_direction(vectors: np.ndarray) -> np.ndarray | None:
 
 
 def framing_camera(joints_m: np.ndarray, handedness: Handedness, view: str, *, width: int, height: int) -> Camera:
-    """A camera that shows (F, 21, 3) level-order joints, metres, with the skin around them, in all frames.
+    """A camera that shows (F, 21, 3) level-order joints, meters, with the skin around them, in all frames.
 
     view: a key of VIEWS, else InputError.
     """
@@ -99,17 +99,17 @@ def framing_camera(joints_m: np.ndarray, handedness: Handedness, view: str, *, w
     radius = np.tile(_skin_radii_m(joints_m), len(joints_m))
     basis = np.stack([right, up, to_eye])
     x, y, toward = (points @ basis.T).T
-    centre = np.array([(np.min(v - radius) + np.max(v + radius)) / 2 for v in (x, y, toward)])
+    center = np.array([(np.min(v - radius) + np.max(v + radius)) / 2 for v in (x, y, toward)])
     focal_px = limits.FRAMING_FOCAL * max(width, height)
     # a sphere of radius r at distance D - d lies inside the half edge h when f (|x| + r) <= h (D - d - r)
     distance = max(
-        float(np.max(toward - centre[2] + radius + focal_px * (np.abs(v - middle) + radius) / half))
+        float(np.max(toward - center[2] + radius + focal_px * (np.abs(v - middle) + radius) / half))
         for v, middle, half in (
-            (x, centre[0], width / 2 * limits.FRAMING_FILL),
-            (y, centre[1], height / 2 * limits.FRAMING_FILL),
+            (x, center[0], width / 2 * limits.FRAMING_FILL),
+            (y, center[1], height / 2 * limits.FRAMING_FILL),
         )
     )
-    target = centre @ basis
+    target = center @ basis
     eye = target + to_eye * distance
     return Camera.looking_at(
         torch.from_numpy(eye), torch.from_numpy(target), torch.from_numpy(up), width=width, height=height,
@@ -119,7 +119,7 @@ def framing_camera(joints_m: np.ndarray, handedness: Handedness, view: str, *, w
 
 def first_view(joints_m: np.ndarray, handedness: Handedness, view: str) -> WebView:
     """From where a web page shows (F, 21, 3) level-order joints at first, whatever its size. view: a key of VIEWS."""
-    from jghand_engine.exporters.web import WebView
+    from jghand_engine.export.web.page import WebView
 
     camera = framing_camera(joints_m, handedness, view, width=1024, height=1024)
     _, down, forward = camera.camera_from_world[:3, :3].tolist()

@@ -12,10 +12,10 @@ import tyro
 from jghand_engine.avatar.shipped import SHIPPED
 from jghand_engine.cli.console import say, write_json
 from jghand_engine.cli.options import FormatOptions, ReportOptions
-from jghand_engine.datasets.usd_files import SUFFIXES as USD_SUFFIXES
-from jghand_engine.datasets.usd_files import reading
 from jghand_engine.errors import InputError
 from jghand_engine.limits import GLB_JSON_BYTES_MAX
+from jghand_engine.motion.usd_files import SUFFIXES as USD_SUFFIXES
+from jghand_engine.motion.usd_files import reading
 
 if TYPE_CHECKING:
     from jghand_engine.avatar.avatar import HandAvatar
@@ -107,7 +107,7 @@ def avatar_facts(avatar: str) -> dict[str, Any]:
         "kind": "avatar",
         "name": loaded.info.name,
         "template": loaded.info.template,
-        "licence": loaded.info.licence,
+        "licence": loaded.info.license,
         "gaussians": len(loaded),
         "radius_mm": {
             "smallest": 1e3 * float(loaded.sigma_m.min()),
@@ -121,30 +121,30 @@ def avatar_facts(avatar: str) -> dict[str, Any]:
             "scale": loaded.info.scale_mode,
             "transform": str(loaded.info.transform),
         },
-        "learnt_from": {} if loaded.info.learnt_from is None else vars(loaded.info.learnt_from),
+        "learnt_from": {} if loaded.info.learned_from is None else vars(loaded.info.learned_from),
         "angles_seen_in_training": len(loaded.info.pose_statistics),
-        "learnt": learnt_facts(loaded),
+        "learnt": learned_facts(loaded),
     }
 
 
-def learnt_facts(avatar: HandAvatar) -> dict[str, Any]:
+def learned_facts(avatar: HandAvatar) -> dict[str, Any]:
     """What training added to an avatar; empty for one that was painted."""
     from jghand_engine.avatar.correctives import PoseNet
 
-    learnt = avatar.learnt
-    if learnt is None:
+    learned = avatar.learned
+    if learned is None:
         return {}
-    shape = learnt.correctives.shape if isinstance(learnt.correctives, PoseNet) else None
+    shape = learned.correctives.shape if isinstance(learned.correctives, PoseNet) else None
     return {
-        "light": f"{len(learnt.light.lobe_sharpness)} lobes of gloss",
+        "light": f"{len(learned.light.lobe_sharpness)} lobes of gloss",
         "correctives": "none" if shape is None else f"network of width {shape.hidden}",
         "offsets_up_to_mm": 0.0 if shape is None else 1e3 * shape.reach_m,
-        "shadow": "none" if learnt.shadow is None else f"gain {learnt.shadow.gain:.3g}",
-        "cast_shadow": "none" if learnt.cast is None else f"{len(learnt.cast.lamp_rgb)} lamps",
-        "psnr_db": _accuracy(learnt.baked),
-        "tiers": {} if learnt.baked is None else {
-            **{one.name: f"{one.frame_ms:.3g} ms, {one.lost_db:.2f} dB lost" for one in learnt.baked.prices},
-            "measured on": learnt.baked.measured_on,
+        "shadow": "none" if learned.shadow is None else f"gain {learned.shadow.gain:.3g}",
+        "cast_shadow": "none" if learned.cast is None else f"{len(learned.cast.lamp_rgb)} lamps",
+        "psnr_db": _accuracy(learned.baked),
+        "tiers": {} if learned.baked is None else {
+            **{one.name: f"{one.frame_ms:.3g} ms, {one.lost_db:.2f} dB lost" for one in learned.baked.prices},
+            "measured on": learned.baked.measured_on,
         },
     }  # fmt: skip
 
@@ -188,8 +188,8 @@ def usd_facts(path: Path) -> dict[str, Any]:
 
     from pxr import Usd, UsdGeom
 
-    from jghand_engine.exporters.usd_check import check_usd
-    from jghand_engine.exporters.usd_layers import SPLAT_TYPE
+    from jghand_engine.export.usd.check import check_usd
+    from jghand_engine.export.usd.layers import SPLAT_TYPE
 
     with reading(path):
         findings = check_usd(path)
@@ -205,7 +205,7 @@ def usd_facts(path: Path) -> dict[str, Any]:
             "default_prim": str(stage.GetDefaultPrim().GetPath()) if stage.HasDefaultPrim() else "none",
             "frames": [stage.GetStartTimeCode(), stage.GetEndTimeCode()],
             "fps": stage.GetTimeCodesPerSecond(),
-            "metres_per_unit": UsdGeom.GetStageMetersPerUnit(stage),
+            "meters_per_unit": UsdGeom.GetStageMetersPerUnit(stage),
             "up_axis": str(UsdGeom.GetStageUpAxis(stage)),
             "prims": dict(sorted(types.items())),
             "splats": types[SPLAT_TYPE],
@@ -219,7 +219,7 @@ def usd_facts(path: Path) -> dict[str, Any]:
 
 def splat_facts(path: Path) -> dict[str, Any]:
     """What a splat file holds, and what is suspicious about it."""
-    from jghand_engine.exporters.splat_reading import read_splats
+    from jghand_engine.export.splats.reading import read_splats
 
     read = read_splats(path)
     facts: dict[str, Any] = {"kind": f"{read.format} splats", "gaussians": read.gaussians}

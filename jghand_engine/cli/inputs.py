@@ -9,16 +9,16 @@ from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.cli.console import read_json, say
 from jghand_engine.cli.options import FormatOptions, MotionOptions, pose_list
-from jghand_engine.datasets.motion_files import MotionFormat
-from jghand_engine.datasets.motion_tools import fill_gaps
-from jghand_engine.datasets.motions.bone_names import BoneMap, bone_map
-from jghand_engine.datasets.motions.read import MotionRead, read_motion_file
 from jghand_engine.errors import InputError
 from jghand_engine.hand.anatomy import MotionOptions as PoseMotionOptions
 from jghand_engine.hand.anatomy import pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder
 from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.motion.files import MotionFormat
+from jghand_engine.motion.foreign.bone_names import BoneMap, bone_map
+from jghand_engine.motion.foreign.read import MotionRead, read_motion_file
+from jghand_engine.motion.tools import fill_gaps
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ def without_gaps(sequence: PoseSequence, *, hold: bool) -> tuple[PoseSequence, s
 
 
 def read_file(path: Path, options: FormatOptions) -> MotionRead:
-    """The motion of a file, as it is, and what was recognised on the way. Raises InputError."""
+    """The motion of a file, as it is, and what was recognized on the way. Raises InputError."""
     wanted = MotionFormat(
         order=None if options.order is None else JointOrder(options.order),
         unit=options.unit,
@@ -107,7 +107,7 @@ def _bones(path: Path) -> BoneMap:
 
 
 def read_sequence(path: Path, options: FormatOptions) -> PoseSequence:
-    """The motion of a file, as it is; what was recognised on the way is said. Raises InputError."""
+    """The motion of a file, as it is; what was recognized on the way is said. Raises InputError."""
     read = read_file(path, options)
     for note in read.notes:
         say(note)

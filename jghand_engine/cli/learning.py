@@ -12,10 +12,10 @@ from jghand_engine.errors import InputError
 if TYPE_CHECKING:
     import torch
 
-    from jghand_engine.datasets.splits import Split
-    from jghand_engine.training.options import TrainOptions
-    from jghand_engine.training.perceptual import PerceptualMetric
-    from jghand_engine.training.step import Material
+    from jghand_engine.captures.splits import Split
+    from jghand_engine.learn.options import TrainOptions
+    from jghand_engine.learn.perceptual import PerceptualMetric
+    from jghand_engine.learn.step import Material
 
 
 DeviceName = Literal["auto", "cpu", "cuda", "mps"]
@@ -38,13 +38,13 @@ def device_called(name: DeviceName) -> torch.device:
 def train_options(
     preset: str, seed: int, device: torch.device | None = None
 ) -> tuple[TrainOptions, PerceptualMetric | None]:
-    """What is learnt, and the perceptual metric where the preset wants one.
+    """What is learned, and the perceptual metric where the preset wants one.
 
     Where there is none, a line says so, and the options have no such term: they are what a training is known by.
     InputError for a seed below 0.
     """
-    from jghand_engine.training import perceptual
-    from jghand_engine.training.options import PRESETS
+    from jghand_engine.learn import perceptual
+    from jghand_engine.learn.options import PRESETS
 
     if seed < 0:
         raise InputError("--seed", wanted="0 or more", came=str(seed))
@@ -60,18 +60,18 @@ def train_options(
 
 def material(name: str, capture: str, split: Split, perceptual: PerceptualMetric | None) -> Material:
     """The pictures of `capture` for an avatar called `name`; progress is judged by some that are held out, or else
-    by some that are learnt."""
-    from jghand_engine.avatar.avatar import AvatarInfo, LearntFrom
+    by some that are learned."""
+    from jghand_engine.avatar.avatar import AvatarInfo, LearnedFrom
     from jghand_engine.avatar.texts import as_text
-    from jghand_engine.datasets.picture_digest import picture_digest
+    from jghand_engine.captures.picture_digest import picture_digest
+    from jghand_engine.learn.step import Material
     from jghand_engine.template.builtin import load_template
-    from jghand_engine.training.step import Material
 
     choice = split.test or split.train
     count = min(len(choice), limits.JUDGED_VIEWS)
     # the middle of each of so many equal parts
     judged = [choice[(2 * part + 1) * len(choice) // (2 * count)] for part in range(count)]
-    learnt_from = LearntFrom(as_text(capture), as_text(split.origin), len(split.train), picture_digest(split.train))
-    licence = as_text(f"that of the pictures: {capture}")
-    info = AvatarInfo(as_text(name), template="", licence=licence, learnt_from=learnt_from)
+    learned_from = LearnedFrom(as_text(capture), as_text(split.origin), len(split.train), picture_digest(split.train))
+    license = as_text(f"that of the pictures: {capture}")
+    info = AvatarInfo(as_text(name), template="", license=license, learned_from=learned_from)
     return Material(split.train, judged, load_template(), info, perceptual)

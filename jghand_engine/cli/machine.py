@@ -33,11 +33,11 @@ from jghand_engine.limits import PROGRESS_JSON_S, STOP_WITHOUT_INPUT_S
 from jghand_engine.service.handles import print_any_letter, take_stdin
 
 if TYPE_CHECKING:
-    from jghand_engine.training.progress import Status
+    from jghand_engine.learn.progress import Status
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 # what an exit code is called, as in the replies of the service
-_KINDS = {FAULT: "internal", 2: "bad_input", 3: "retry", 4: "out_of_memory", STOPPED: "cancelled"}
+_KINDS = {FAULT: "internal", 2: "bad_input", 3: "retry", 4: "out_of_memory", STOPPED: "canceled"}
 
 
 class JsonLines:

@@ -33,7 +33,7 @@ class Motion:
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")]
     """A motion file, a folder of OpenPose's frames, or a recording of FreeMoCap. docs/MOTION.md has the formats."""
     out: Annotated[Path, tyro.conf.arg(metavar="FILE")]
-    """.npz, .json or .csv: 21 joints, metres, everything declared."""
+    """.npz, .json or .csv: 21 joints, meters, everything declared."""
     start: Annotated[float | None, SECONDS] = None
     """Cut off what is before, seconds from the beginning of the file."""
     end: Annotated[float | None, SECONDS] = None
@@ -58,7 +58,7 @@ class Motion:
 
     def run(self) -> None:
         from jghand_engine.cli.inputs import read_file
-        from jghand_engine.datasets.motion_files import write_motion
+        from jghand_engine.motion.files import write_motion
 
         self._check()
         with progress("Reading the motion", 3) as bar:
@@ -87,7 +87,7 @@ class Motion:
 
     def _check(self) -> None:
         """What can be refused before the file is read. Raises InputError."""
-        from jghand_engine.datasets.motion_files import check_written_suffix
+        from jghand_engine.motion.files import check_written_suffix
 
         check_written_suffix(self.out)
         if self.to_fps is not None and not limits.FPS_MIN <= self.to_fps <= limits.FPS_MAX:
@@ -99,7 +99,7 @@ class Motion:
         """The motion as the options want it, and sentences about it. The whole is repaired and taken at another rate
         before it is cut, so that the part looks as it does in the whole and has both its ends."""
         from jghand_engine.cli.inputs import without_gaps
-        from jghand_engine.datasets.motion_tools import cut, in_place, turned_up
+        from jghand_engine.motion.tools import cut, in_place, turned_up
 
         said = []
         if self.on_missing in ("fill", "hold"):

@@ -43,10 +43,10 @@ class FormatOptions:
     """How a motion file is to be read. What the file says itself may be left out."""
 
     order: Annotated[OrderName | None, tyro.conf.arg(help_behavior_hint="")] = None
-    """How the file lists the joints; else it is recognised by the bones. standard, openpose, mediapipe and mano21 are
+    """How the file lists the joints; else it is recognized by the bones. standard, openpose, mediapipe and mano21 are
     the same."""
     unit: Annotated[UnitName | None, tyro.conf.arg(help_behavior_hint="")] = None
-    """Length unit of the file; else it is recognised by the size of the hand."""
+    """Length unit of the file; else it is recognized by the size of the hand."""
     hand: Annotated[HandName | None, tyro.conf.arg(help_behavior_hint="")] = None
     """Which hand it is. Never guessed: joints alone do not tell."""
     fps: Annotated[float | None, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="")] = None
@@ -57,7 +57,7 @@ class FormatOptions:
     part: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
     """Which of several skeletons, animations, people or captures of a file: its name, or a part of it."""
     bones: File = None
-    """Names of a rig's bones by joint as JSON, {"wrist": "Hand_R", "thumb1": …}: for names that are not recognised."""
+    """Names of a rig's bones by joint as JSON, {"wrist": "Hand_R", "thumb1": …}: for names that are not recognized."""
     labels: Literal["auto", "true", "mirrored"] = "auto"
     """Whether a detector's "Left" and "Right" are true or those of a mirrored picture. auto: as is usual there."""
     hand_length: Annotated[float | None, tyro.conf.arg(metavar="MM", help_behavior_hint="")] = None
@@ -119,7 +119,7 @@ class AvatarOptions:
     """Which hand is shown."""
 
     avatar: Annotated[str, tyro.conf.arg(metavar="FILE")] = BUILTIN
-    """A .jghand file, or a hand that comes with JGHand: builtin, learnt from pictures, or painted."""
+    """A .jghand file, or a hand that comes with JGHand: builtin, learned from pictures, or painted."""
 
 
 @dataclass(frozen=True)
@@ -134,8 +134,8 @@ class PictureOptions:
     """Pixels."""
     preset: PresetName = "final"
     """Accuracy against time."""
-    background: Annotated[str, tyro.conf.arg(metavar="COLOUR")] = "transparent"
-    """transparent, or a colour such as #e8e6e3. A video has no transparency: there it is a light grey."""
+    background: Annotated[str, tyro.conf.arg(metavar="COLOR")] = "transparent"
+    """transparent, or a color such as #e8e6e3. A video has no transparency: there it is a light gray."""
     threads: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
     """Threads of the renderer; 0 chooses."""
 
@@ -143,7 +143,7 @@ class PictureOptions:
         """sRGB 0..1, None for transparent. Raises InputError."""
         if self.background == "transparent":
             return None
-        return colour(self.background)
+        return color(self.background)
 
 
 @dataclass(frozen=True)
@@ -156,9 +156,9 @@ class EffectOptions:
     shutter: Annotated[float, tyro.conf.arg(metavar="PART")] = 0.0
     """Motion blur: the part of the time between frames that the shutter is open, such as 0.5 (180 degrees)."""
     aperture: Annotated[float, tyro.conf.arg(metavar="MM")] = 0.0
-    """Depth of field: diameter of the lens's opening in millimetres, such as 10; 0 is a pinhole."""
-    focus: Annotated[float | None, tyro.conf.arg(metavar="METRES", help_behavior_hint="(default: the hand)")] = None
-    """Depth that is sharp, in metres from the camera."""
+    """Depth of field: diameter of the lens's opening in millimeters, such as 10; 0 is a pinhole."""
+    focus: Annotated[float | None, tyro.conf.arg(metavar="METERS", help_behavior_hint="(default: the hand)")] = None
+    """Depth that is sharp, in meters from the camera."""
     explain: bool = False
     """Print for the first frame what ran and what did not, why, and what it cost; and the sum over all frames."""
 
@@ -169,14 +169,14 @@ class EffectOptions:
         if not 0 <= self.aperture <= limits.APERTURE_MAX_MM:
             raise InputError("--aperture", wanted=f"0 to {limits.APERTURE_MAX_MM:g} mm", came=f"{self.aperture:g}")
         if self.focus is not None and not self.focus > limits.Z_NEAR_M:
-            raise InputError("--focus", wanted=f"metres beyond {limits.Z_NEAR_M:g}", came=f"{self.focus:g}")
+            raise InputError("--focus", wanted=f"meters beyond {limits.Z_NEAR_M:g}", came=f"{self.focus:g}")
 
 
-def colour(text: str) -> tuple[float, float, float]:
+def color(text: str) -> tuple[float, float, float]:
     """`#rrggbb` as sRGB 0..1. Raises InputError."""
     match = re.fullmatch(r"#?([0-9a-fA-F]{2})([0-9a-fA-F]{2})([0-9a-fA-F]{2})", text.strip())
     if not match:
-        raise InputError("--background", wanted="transparent or a colour as #rrggbb", came=repr(text))
+        raise InputError("--background", wanted="transparent or a color as #rrggbb", came=repr(text))
     red, green, blue = (int(part, 16) / 255 for part in match.groups())
     return red, green, blue
 

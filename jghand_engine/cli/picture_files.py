@@ -14,16 +14,16 @@ import numpy as np
 from jghand_engine.cli.console import progress
 from jghand_engine.cli.picture_stamp import STAMP_KEY
 from jghand_engine.errors import InputError
-from jghand_engine.exporters.pictures import VIDEO_BACKGROUND, flatten, premultiplied, read_png, write_png
-from jghand_engine.splat.exposure import shutter_at
+from jghand_engine.export.pictures import VIDEO_BACKGROUND, flatten, premultiplied, read_png, write_png
+from jghand_engine.render.exposure import shutter_at
 
 if TYPE_CHECKING:
     from jghand_engine.cli.picture_stamp import MadeFrom
     from jghand_engine.cli.receipts import Receipts
     from jghand_engine.cli.render_passes import PassWriter
     from jghand_engine.cli.timings import Timings
-    from jghand_engine.splat.camera import Camera
-    from jghand_engine.splat.frame import HandRenderer
+    from jghand_engine.render.camera import Camera
+    from jghand_engine.render.frame import HandRenderer
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from jghand_engine.cli.options import HandName
 from jghand_engine.errors import InputError
 
 if TYPE_CHECKING:
-    from jghand_engine.datasets.captures import Capture, CaptureChoice
+    from jghand_engine.captures.captures import Capture, CaptureChoice
 
 ProtocolName = Literal["test-capture0", "test-capture1", "val-capture0", "hanco-0191"]
 _Text = Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")]
@@ -38,7 +38,7 @@ class PictureSetOptions:
 
     def open(self, folder: Path) -> Capture:
         """The pictures of `folder` that are meant; what is left out of them is said. Errors as `open_capture`."""
-        from jghand_engine.datasets.capture_folder import open_capture
+        from jghand_engine.captures.capture_folder import open_capture
 
         capture = open_capture(folder, protocol=self.protocol, choice=self.choice())
         for why, count in capture.dropped:
@@ -54,7 +54,7 @@ class PictureSetOptions:
 
     def choice(self) -> CaptureChoice | None:
         """What `open_capture` takes beside `protocol`; None with a protocol. InputError as `check`."""
-        from jghand_engine.datasets.captures import CaptureChoice
+        from jghand_engine.captures.captures import CaptureChoice
         from jghand_engine.hand.joints import Handedness
 
         self.check()

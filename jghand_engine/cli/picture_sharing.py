@@ -14,9 +14,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from jghand_engine.captures.pictures_in import probe_picture
 from jghand_engine.cli.console import progress, say
 from jghand_engine.cli.picture_stamp import check_stamp
-from jghand_engine.datasets.pictures_in import probe_picture
 from jghand_engine.errors import InputError
 from jghand_engine.limits import CLAIM_WAIT_S
 from jghand_engine.lock import Claims

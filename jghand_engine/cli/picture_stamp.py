@@ -15,13 +15,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jghand_engine import __version__
-from jghand_engine.datasets.pictures_in import picture_texts
+from jghand_engine.captures.pictures_in import picture_texts
 from jghand_engine.errors import InputError
 
 if TYPE_CHECKING:
     from jghand_engine.cli.inputs import Motion
     from jghand_engine.cli.options import MotionOptions
-    from jghand_engine.splat.settings import RenderSettings
+    from jghand_engine.render.settings import RenderSettings
 
 STAMP_KEY = "jghand-made-from"
 _DIGITS = 16

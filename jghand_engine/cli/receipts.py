@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 from jghand_engine.cli.console import say, say_table
-from jghand_engine.splat.report import EffectSums
+from jghand_engine.render.report import EffectSums
 
 if TYPE_CHECKING:
-    from jghand_engine.splat.report import FrameReport
+    from jghand_engine.render.report import FrameReport
 
 
 class Receipts:

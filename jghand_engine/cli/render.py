@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from jghand_engine.cli.picture_sharing import Part
     from jghand_engine.cli.picture_stamp import MadeFrom
     from jghand_engine.cli.render_passes import PassWriter
-    from jghand_engine.splat.camera import Camera
-    from jghand_engine.splat.effect_plan import Choice
-    from jghand_engine.splat.settings import RenderSettings
+    from jghand_engine.render.camera import Camera
+    from jghand_engine.render.effect_plan import Choice
+    from jghand_engine.render.settings import RenderSettings
 
 DESCRIPTION = """Render a motion as numbered PNG pictures with alpha, and as a video if you name one.
 
@@ -85,9 +85,9 @@ class Render:
         from jghand_engine.cli.receipts import Receipts
         from jghand_engine.cli.render_passes import refuse_older_truth
         from jghand_engine.cli.timings import Timings
-        from jghand_engine.exporters.video import check_video_name, ffmpeg_program, refuse_foreign_video, write_video
+        from jghand_engine.export.video import check_video_name, ffmpeg_program, refuse_foreign_video, write_video
         from jghand_engine.files import make_folder
-        from jghand_engine.splat.frame import HandRenderer
+        from jghand_engine.render.frame import HandRenderer
 
         # what can be refused is refused before anything is written
         size, background = pixels(self.picture.size), self.picture.background_rgb()
@@ -188,7 +188,7 @@ class Render:
 
     def _effects(self) -> Choice | None:
         """Those that were asked for; None where what is called for runs, but for what a budget leaves out."""
-        from jghand_engine.splat.effect_plan import AUTO, Choice
+        from jghand_engine.render.effect_plan import AUTO, Choice
 
         self.effect.check()
         choice = Choice.parse(self.effect.effects)
@@ -209,7 +209,7 @@ class Render:
 
         import torch
 
-        from jghand_engine.splat.camera import Lens
+        from jghand_engine.render.camera import Lens
 
         middle_m = torch.from_numpy(motion.sequence.joints_m.reshape(-1, 3).mean(0))
         focus_m = float(camera.project(middle_m)[1]) if self.effect.focus is None else self.effect.focus
@@ -219,11 +219,11 @@ class Render:
         """How pictures are made, and what that is called."""
         from dataclasses import replace
 
-        from jghand_engine.splat.settings import preset
+        from jghand_engine.render.settings import preset
 
         if self.budget_ms is None:
             return replace(preset(self.picture.preset), threads=self.picture.threads), self.picture.preset
-        from jghand_engine.splat.budget import best_for
+        from jghand_engine.render.budget import best_for
 
         chosen = best_for(self.budget_ms, avatar, (camera.width, camera.height), self.picture.threads)
         say(chosen.sentence())

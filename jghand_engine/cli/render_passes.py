@@ -17,25 +17,25 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from jghand_engine import __version__
+from jghand_engine.captures.pictures_in import picture_texts
 from jghand_engine.cli.console import write_json
 from jghand_engine.cli.options import EffectOptions
 from jghand_engine.cli.picture_stamp import STAMP_KEY, refuse_other
-from jghand_engine.datasets.pictures_in import picture_texts
 from jghand_engine.errors import InputError
-from jghand_engine.exporters.camera_files import COLMAP_FILES, Shot, write_colmap, write_transforms
-from jghand_engine.exporters.exr import exr_package, read_exr_text, write_exr
-from jghand_engine.exporters.passes import JOINTS, MAPS, JointWitness, channels, pass_names
+from jghand_engine.export.cameras import COLMAP_FILES, Shot, write_colmap, write_transforms
+from jghand_engine.export.exr import exr_package, read_exr_text, write_exr
+from jghand_engine.export.passes import JOINTS, MAPS, JointWitness, channels, pass_names
 from jghand_engine.files import file_error
 from jghand_engine.hand.joints import STANDARD_NAMES
-from jghand_engine.splat.effect_plan import Effect
+from jghand_engine.render.effect_plan import Effect
 
 if TYPE_CHECKING:
     import numpy as np
 
     from jghand_engine.avatar.avatar import HandAvatar
-    from jghand_engine.splat.camera import Camera
-    from jghand_engine.splat.frame import Frame, HandRenderer
-    from jghand_engine.splat.settings import RenderSettings
+    from jghand_engine.render.camera import Camera
+    from jghand_engine.render.frame import Frame, HandRenderer
+    from jghand_engine.render.settings import RenderSettings
 
 
 JOINTS_KEY = "jghand-joints"

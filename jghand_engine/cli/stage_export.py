@@ -8,11 +8,11 @@ from typing import Any
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.cli.console import progress
-from jghand_engine.exporters.usd import export_usd
-from jghand_engine.exporters.usd_half import HalfPrice
-from jghand_engine.exporters.usd_options import UsdOptions, UsdReport
+from jghand_engine.export.usd.export import export_usd
+from jghand_engine.export.usd.half import HalfPrice
+from jghand_engine.export.usd.options import UsdOptions, UsdReport
 from jghand_engine.hand.sequence import PoseSequence
-from jghand_engine.splat.camera import Camera
+from jghand_engine.render.camera import Camera
 
 
 def export_stage(
@@ -46,7 +46,7 @@ def _half_figures(price: HalfPrice) -> dict[str, float]:
         "position_error_m": price.position_m,
         "position_rms_m": price.rms_m,
         "sigma_error": price.sigma,
-        "colour_error": price.rgb,
+        "color_error": price.rgb,
         "opacity_error": price.opacity,
         "turn_error_deg": price.turn_deg,
     }

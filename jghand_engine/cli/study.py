@@ -65,9 +65,9 @@ class Study:
             self._run_transform()
 
     def _run_transform(self) -> None:
-        from jghand_engine.capture.identities import load_identity
+        from jghand_engine.captures.making.identities import load_identity
         from jghand_engine.files import writing
-        from jghand_engine.studies.transform_table import measure_transforms, transform_table
+        from jghand_engine.study.transform_table import measure_transforms, transform_table
 
         if not self.identities:
             raise InputError("--identities", wanted="at least one hand", came="none")

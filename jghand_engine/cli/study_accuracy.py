@@ -17,9 +17,9 @@ from jghand_engine.errors import InputError
 
 if TYPE_CHECKING:
     from jghand_engine.avatar.avatar import HandAvatar
-    from jghand_engine.studies.accuracy import Accuracy
-    from jghand_engine.studies.accuracy_growth import Reach
-    from jghand_engine.studies.accuracy_measures import Truth
+    from jghand_engine.study.accuracy import Accuracy
+    from jghand_engine.study.accuracy_growth import Reach
+    from jghand_engine.study.accuracy_measures import Truth
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class AccuracyOptions:
 
     def reach(self) -> Reach:
         """How far the curves of growing time go."""
-        from jghand_engine.studies.accuracy_growth import Reach
+        from jghand_engine.study.accuracy_growth import Reach
 
         return Reach() if self.growth else Reach((), (), (), ())
 
@@ -60,9 +60,9 @@ def run_accuracy(request: AccuracyRequest) -> None:
     """Measures, tells, writes, and keeps what budgets choose from."""
     from jghand_engine.avatar.builtin import load_avatar_called
     from jghand_engine.native.threads import thread_count
-    from jghand_engine.splat.profile import write_profile
-    from jghand_engine.studies.accuracy_measures import Plan, measure_accuracy, profile_of
-    from jghand_engine.studies.figures import check_matplotlib
+    from jghand_engine.render.profile import write_profile
+    from jghand_engine.study.accuracy_measures import Plan, measure_accuracy, profile_of
+    from jghand_engine.study.figures import check_matplotlib
 
     options, name = request.options, request.avatar
     request.places.check()
@@ -90,19 +90,19 @@ def _log_beside(name: str) -> Path | None:
 
 
 def _truth(avatar: HandAvatar, folder: Path, limit: int) -> Truth:
-    from jghand_engine.datasets.capture_folder import open_capture
-    from jghand_engine.datasets.splits import split_capture
-    from jghand_engine.studies.accuracy_measures import held_out_truth
-    from jghand_engine.training.evaluate import categories_of
-    from jghand_engine.training.held_out import held_out
-    from jghand_engine.training.metrics import FLIP_MISSING, flip_package
-    from jghand_engine.training.perceptual import ST_LPIPS_MISSING, st_lpips
+    from jghand_engine.captures.capture_folder import open_capture
+    from jghand_engine.captures.splits import split_capture
+    from jghand_engine.learn.evaluate import categories_of
+    from jghand_engine.learn.held_out import held_out
+    from jghand_engine.learn.metrics import FLIP_MISSING, flip_package
+    from jghand_engine.learn.perceptual import ST_LPIPS_MISSING, st_lpips
+    from jghand_engine.study.accuracy_measures import held_out_truth
 
     capture = open_capture(folder)
     told = held_out(avatar, capture, split_capture(capture))
     if told.warning:
         say(told.warning)
-    # pictures that were all learnt from can still be compared with; that is said above and in the table
+    # pictures that were all learned from can still be compared with; that is said above and in the table
     which = "test" if told.split.test else "train"
     stand_in = st_lpips()
     for missing, sentence in ((flip_package() is None, FLIP_MISSING), (stand_in is None, ST_LPIPS_MISSING)):
@@ -113,9 +113,9 @@ def _truth(avatar: HandAvatar, folder: Path, limit: int) -> Truth:
 
 
 def _write(study: Accuracy, places: Places) -> None:
-    from jghand_engine.studies.accuracy_page import PICTURE, SECTION, html_page, markdown_page, readme_section
-    from jghand_engine.studies.accuracy_plot import draw_figure
-    from jghand_engine.studies.figures import png_of, svg_of
+    from jghand_engine.study.accuracy_page import PICTURE, SECTION, html_page, markdown_page, readme_section
+    from jghand_engine.study.accuracy_plot import draw_figure
+    from jghand_engine.study.figures import png_of, svg_of
 
     figure = draw_figure(study)
     page, readme = html_page(study, svg_of(figure)), readme_section(study, f"docs/{PICTURE}")

@@ -17,8 +17,8 @@ if TYPE_CHECKING:
 
     from jghand_engine.avatar.avatar import HandAvatar
     from jghand_engine.cli.options import FormatOptions
-    from jghand_engine.splat.camera import Camera
-    from jghand_engine.studies.effects_study import EffectsStudy, GateRow, GateSample
+    from jghand_engine.render.camera import Camera
+    from jghand_engine.study.effects_study import EffectsStudy, GateRow, GateSample
 
 PICTURE = "effects.png"
 SIZE_PX = (512, 334)
@@ -43,8 +43,8 @@ class EffectsRequest:
 def run_effects(request: EffectsRequest) -> None:
     """Measures, prints, and writes effects.md, effects.json and effects.png; in a checkout also its part of docs/."""
     from jghand_engine.avatar.builtin import load_avatar_called
-    from jghand_engine.studies.effects_plot import draw_figure
-    from jghand_engine.studies.figures import check_matplotlib, png_of
+    from jghand_engine.study.effects_plot import draw_figure
+    from jghand_engine.study.figures import check_matplotlib, png_of
 
     request.places.check()
     folder = study_folder(request.places.out)
@@ -72,7 +72,7 @@ def run_effects(request: EffectsRequest) -> None:
 
 def _renew_docs(docs: Path, picture: bytes, section: list[str]) -> None:
     """The picture, and the part of EFFECTS.md that was measured."""
-    from jghand_engine.studies.pages import Section
+    from jghand_engine.study.pages import Section
 
     part, page = Section("effects"), docs / "EFFECTS.md"
     text = part.renewed(page.read_text(encoding="utf-8"), part.filled("", *section), page.name)
@@ -83,8 +83,8 @@ def _renew_docs(docs: Path, picture: bytes, section: list[str]) -> None:
 
 def _measured(avatar: HandAvatar, request: EffectsRequest) -> EffectsStudy:
     from jghand_engine.cli.framing import framing_camera
-    from jghand_engine.splat.settings import preset
-    from jghand_engine.studies import effects_study as study
+    from jghand_engine.render.settings import preset
+    from jghand_engine.study import effects_study as study
 
     poses, avatar, told = _poses(avatar, request)
     width, height = SIZE_PX
@@ -103,7 +103,7 @@ def _measured(avatar: HandAvatar, request: EffectsRequest) -> EffectsStudy:
 
 def _poses(avatar: HandAvatar, request: EffectsRequest) -> tuple[np.ndarray, HandAvatar, str]:
     """Joints of the motion, the avatar of that hand, and what it is."""
-    from jghand_engine.studies.effects_study import named_motion
+    from jghand_engine.study.effects_study import named_motion
 
     if request.motion is None:
         return named_motion(avatar), avatar, "named poses with ways between them"
@@ -127,7 +127,7 @@ def _gate(avatar: HandAvatar, camera: Camera, request: EffectsRequest) -> list[G
         canonical = avatar.canonical_joints_m.numpy()
         poses = {name: named_pose(name, canonical, handedness=avatar.handedness) for name in pose_names()}
         return _gate_rows(avatar, [(name, joints_m, camera) for name, joints_m in poses.items()])
-    from jghand_engine.datasets.capture_folder import open_capture
+    from jghand_engine.captures.capture_folder import open_capture
 
     capture = open_capture(request.capture)
     step = -(-len(capture.samples) // CAPTURE_PICTURES)
@@ -136,9 +136,9 @@ def _gate(avatar: HandAvatar, camera: Camera, request: EffectsRequest) -> list[G
 
 def _gate_rows(avatar: HandAvatar, samples: Sequence[GateSample]) -> list[GateRow]:
     """What the gate says and what the shadow does, of each sample."""
-    from jghand_engine.splat.frame import HandRenderer
-    from jghand_engine.splat.settings import ShadowMode, preset
-    from jghand_engine.studies.effects_study import gate_row
+    from jghand_engine.render.frame import HandRenderer
+    from jghand_engine.render.settings import ShadowMode, preset
+    from jghand_engine.study.effects_study import gate_row
 
     renderer = HandRenderer(avatar, replace(preset("viewport"), shadow=ShadowMode.OFF))
     return [gate_row(renderer, avatar, sample) for sample in samples]

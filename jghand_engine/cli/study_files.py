@@ -11,7 +11,7 @@ from jghand_engine.errors import InputError
 from jghand_engine.files import make_folder, writing
 
 if TYPE_CHECKING:
-    from jghand_engine.studies.pages import Section
+    from jghand_engine.study.pages import Section
 
 
 @dataclass(frozen=True)

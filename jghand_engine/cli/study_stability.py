@@ -8,11 +8,11 @@ from jghand_engine.cli.study_files import Pages, Places, write_pages
 
 def run_stability(places: Places) -> None:
     """Measures, tells and writes."""
-    from jghand_engine.studies.figures import check_matplotlib, png_of, svg_of
-    from jghand_engine.studies.stability import COUNT, measure_stability
-    from jghand_engine.studies.stability_page import PICTURE, SECTION, html_page, markdown_page, readme_section
-    from jghand_engine.studies.stability_plot import draw_figure
-    from jghand_engine.studies.stability_views import view_pairs
+    from jghand_engine.study.figures import check_matplotlib, png_of, svg_of
+    from jghand_engine.study.stability import COUNT, measure_stability
+    from jghand_engine.study.stability_page import PICTURE, SECTION, html_page, markdown_page, readme_section
+    from jghand_engine.study.stability_plot import draw_figure
+    from jghand_engine.study.stability_views import view_pairs
 
     places.check()
     check_matplotlib()

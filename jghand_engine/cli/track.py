@@ -21,9 +21,9 @@ if TYPE_CHECKING:
     import numpy as np
 
     from jghand_engine.avatar.avatar import HandAvatar
-    from jghand_engine.tracking.hands_over_time import FoundHands, HandOverTime
-    from jghand_engine.tracking.track import Sightings, TrackedHand, TrackOptions
-    from jghand_engine.tracking.video import ReadingNotes, Video
+    from jghand_engine.track.hands_over_time import FoundHands, HandOverTime
+    from jghand_engine.track.track import Sightings, TrackedHand, TrackOptions
+    from jghand_engine.track.video import ReadingNotes, Video
 
 DESCRIPTION = """Track the hands in a video: a motion file that `jghand render --motion` plays.
 
@@ -44,7 +44,7 @@ class FitOptions:
     """How the motion is made of what was seen."""
 
     hand_length: Annotated[float | None, tyro.conf.arg(metavar="MM", help_behavior_hint="")] = None
-    """Length of the true hand in millimetres, wrist to tip of the straight middle finger. Left out: the avatar's, as
+    """Length of the true hand in millimeters, wrist to tip of the straight middle finger. Left out: the avatar's, as
     one camera cannot tell a small hand from a far one."""
     bones: Literal["avatar", "own"] = "avatar"
     """Bones of the avatar, or those of the hand in the video, estimated."""
@@ -90,11 +90,11 @@ class Track:
 
     def run(self) -> None:
         from jghand_engine.avatar.builtin import load_avatar_called
-        from jghand_engine.datasets.motion_files import write_motion
-        from jghand_engine.datasets.motion_tools import turned_up
-        from jghand_engine.tracking.hands_over_time import hands_over_time
-        from jghand_engine.tracking.track import track
-        from jghand_engine.tracking.video import ReadingNotes, open_video
+        from jghand_engine.motion.files import write_motion
+        from jghand_engine.motion.tools import turned_up
+        from jghand_engine.track.hands_over_time import hands_over_time
+        from jghand_engine.track.track import track
+        from jghand_engine.track.video import ReadingNotes, open_video
 
         options = self._checked()
         video = open_video(self.video, self.fps, most=self.most)
@@ -140,9 +140,9 @@ class Track:
 
     def _checked(self) -> TrackOptions:
         """The options of the fit. InputError for what can be refused before the work, their places included."""
-        from jghand_engine.datasets.motion_files import check_written_suffix
-        from jghand_engine.exporters.video import check_video_name, ffmpeg_program
-        from jghand_engine.tracking.track import TrackOptions
+        from jghand_engine.export.video import check_video_name, ffmpeg_program
+        from jghand_engine.motion.files import check_written_suffix
+        from jghand_engine.track.track import TrackOptions
 
         check_written_suffix(self.out)
         if self.proof is not None:
@@ -190,10 +190,10 @@ class Track:
             check_place(path, overwrite=self.overwrite or name == "--json", option=name)
 
     def _look(self, video: Video, notes: ReadingNotes) -> Sightings:
-        from jghand_engine.tracking.mediapipe_hands import check_package, video_detector
-        from jghand_engine.tracking.model_file import fetch_model
-        from jghand_engine.tracking.track import look
-        from jghand_engine.tracking.video import pictures
+        from jghand_engine.track.mediapipe_hands import check_package, video_detector
+        from jghand_engine.track.model_file import fetch_model
+        from jghand_engine.track.track import look
+        from jghand_engine.track.video import pictures
 
         if self.fetch_model and self.model is None:
             check_package()
@@ -238,9 +238,9 @@ class Track:
         import torch
 
         from jghand_engine.cli.camera_file import camera_to_dict
-        from jghand_engine.datasets.motion_tools import up_rotation
-        from jghand_engine.splat.camera import Camera
-        from jghand_engine.tracking.track import MOTION_FROM_CAMERA, camera_of
+        from jghand_engine.motion.tools import up_rotation
+        from jghand_engine.render.camera import Camera
+        from jghand_engine.track.track import MOTION_FROM_CAMERA, camera_of
 
         pinhole, (height, width) = camera_of(sightings, options.camera_angle_deg), sightings.size_px
         camera_from_world = torch.eye(4, dtype=torch.float64)
@@ -256,10 +256,10 @@ class Track:
         avatar: HandAvatar,
         options: TrackOptions,
     ) -> None:
-        from jghand_engine.exporters.video import write_video
-        from jghand_engine.tracking.proof import side_by_side
-        from jghand_engine.tracking.track import camera_of
-        from jghand_engine.tracking.video import pictures
+        from jghand_engine.export.video import write_video
+        from jghand_engine.track.proof import side_by_side
+        from jghand_engine.track.track import camera_of
+        from jghand_engine.track.video import pictures
 
         assert self.proof is not None
         count = len(sightings.frames)
@@ -295,8 +295,8 @@ def _sentence(side: Handedness, hand: TrackedHand, file: Path) -> str:
         text += f", {missed} filled and marked"
     elif found < count:
         text += f", {count - found} left without joints"
-    if hand.hand.relabelled:
-        text += f"; in {hand.hand.relabelled} it was taken for the other hand"
+    if hand.hand.relabeled:
+        text += f"; in {hand.hand.relabeled} it was taken for the other hand"
     if hand.hand.certainty < limits.HAND_CERTAINTY_LOW:
         text += f"; that it is the {side} one is not sure (certainty {hand.hand.certainty:.2f} of 1)"
     if hand.jitter_after_deg == hand.jitter_after_deg:
@@ -310,7 +310,7 @@ def _figures(side: Handedness, hand: TrackedHand, file: Path) -> dict[str, Any]:
 
     return {
         "hand": str(side), "file": str(file), "frames_seen": int(hand.seen.sum()),
-        "frames_filled": int(hand.sequence.filled.sum()), "frames_relabelled": hand.hand.relabelled,
+        "frames_filled": int(hand.sequence.filled.sum()), "frames_relabeled": hand.hand.relabeled,
         "certainty": hand.hand.certainty, "jitter_before_deg": number(hand.jitter_before_deg),
         "jitter_after_deg": number(hand.jitter_after_deg),
     }  # fmt: skip

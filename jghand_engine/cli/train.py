@@ -19,9 +19,9 @@ from jghand_engine.cli.picture_sets import PictureSetOptions
 from jghand_engine.errors import InputError
 
 if TYPE_CHECKING:
-    from jghand_engine.training.run import Outcome, RunOptions
-    from jghand_engine.training.schedule import Budget
-    from jghand_engine.training.trainable import Trainable
+    from jghand_engine.learn.run import Outcome, RunOptions
+    from jghand_engine.learn.schedule import Budget
+    from jghand_engine.learn.trainable import Trainable
 
 DESCRIPTION = """Learn a hand from pictures of it: `jghand capture` makes them, InterHand2.6M and HanCo have them.
 
@@ -58,7 +58,7 @@ class Train:
     out: Annotated[Path, tyro.conf.arg(metavar="FILE.jghand")]
     """The avatar."""
     preset: Literal["default", "paper-faithful"] = "default"
-    """What is learnt, and how: our best, or as close to the paper as it says."""
+    """What is learned, and how: our best, or as close to the paper as it says."""
     minutes: Annotated[float | None, _Number] = None
     """Train for so long, all sessions together. Left out, and no --steps: 60, or 30 rounds of all pictures with
     paper-faithful. How many steps that makes depends on the machine; --steps does not."""
@@ -81,13 +81,13 @@ class Train:
 
     def run(self) -> int:
         """0 when the training is finished, the exit code of a stop when somebody stopped it."""
+        from jghand_engine.captures.splits import split_capture
         from jghand_engine.cli.learning import device_called, material, train_options
         from jghand_engine.cli.machine import JsonTraining, json_lines
-        from jghand_engine.datasets.splits import split_capture
-        from jghand_engine.training.progress import display
-        from jghand_engine.training.run import check_places, train
-        from jghand_engine.training.stamp import stamp_of
-        from jghand_engine.training.step import HandTraining
+        from jghand_engine.learn.progress import display
+        from jghand_engine.learn.run import check_places, train
+        from jghand_engine.learn.stamp import stamp_of
+        from jghand_engine.learn.step import HandTraining
 
         # what can be refused is refused before the pictures are looked at, of which there may be many
         self.check()
@@ -98,7 +98,7 @@ class Train:
             check_places(run)
         capture = self.pictures.open(self.folder)
         split = split_capture(capture)
-        split = split.all_learnt() if self.all_pictures else split
+        split = split.all_learned() if self.all_pictures else split
         run = replace(run, stamp=stamp_of(options, split.train), budget=self._budget(len(split.train)))
         say(f"{capture.name}: {len(split.train)} of {len(capture)} pictures to learn from ({split.origin})")
 
@@ -133,8 +133,8 @@ class Train:
 
     def _run_options(self) -> RunOptions:
         """How the training runs; its stamp is added when the pictures are known."""
-        from jghand_engine.training.run import RunOptions
-        from jghand_engine.training.work_folder import Start
+        from jghand_engine.learn.run import RunOptions
+        from jghand_engine.learn.work_folder import Start
 
         return RunOptions(
             out=self.out,
@@ -148,7 +148,7 @@ class Train:
 
     def _budget(self, pictures: int = 1) -> Budget:
         """How long to train on so many pictures."""
-        from jghand_engine.training.schedule import Budget
+        from jghand_engine.learn.schedule import Budget
 
         if self.steps is None and self.minutes is None:
             if self.preset == "paper-faithful":
@@ -159,7 +159,7 @@ class Train:
     # ---- results -----------------------------------------------------------------------------------------------------
 
     def _say(self, outcome: Outcome, run: RunOptions) -> None:
-        from jghand_engine.training.progress import duration
+        from jghand_engine.learn.progress import duration
 
         course = outcome.course
         done = f"{course.step} steps in {duration(course.seconds)}"
@@ -180,7 +180,7 @@ class Train:
             })  # fmt: skip
 
     def _replayed(self, training: Trainable, run: RunOptions) -> int:
-        from jghand_engine.training.replay import replay
+        from jghand_engine.learn.replay import replay
 
         again = replay(Path(str(self.replay)), training, run.stamp)
         first = "; ".join(str(finding) for finding in again.first_time)

@@ -18,9 +18,9 @@ from jghand_engine.farm.child import Child, running
 from jghand_engine.farm.records import FarmFolder, Record, State
 from jghand_engine.farm.signals import stop_requests
 from jghand_engine.farm.trainings import Training
+from jghand_engine.learn.mark import LOCK, MARK
 from jghand_engine.limits import CHECKPOINT_WAIT_S, JOB_POLL_S, RECORD_EVERY_S, RECORD_WAIT_S, REQUEUE_WAIT_S
 from jghand_engine.lock import locked
-from jghand_engine.training.mark import LOCK, MARK
 
 PROGRAM = (sys.executable, "-m", "jghand_engine")
 

@@ -78,7 +78,7 @@ ABDUCTION_SIDE = torch.tensor([1.0, 1.0, 1.0, -1.0, -1.0], dtype=torch.float64)
 _THUMB_NORMAL = torch.tensor([0.59, -0.80, -0.10], dtype=torch.float64)
 
 # ranges of the angles in the frames of the transform, degrees: flexion and abduction of bones 6..20 (METHOD 4.1);
-# used to normalise features
+# used to normalize features
 FRAME_RANGES_DEG = np.array(
     [
         [(-20, 130), (-80, 80)] if finger == 0 else [flexion, (-abduction, abduction)]
@@ -102,7 +102,7 @@ def named_angles(name: str) -> np.ndarray:
 
 
 def named_pose(name: str, canonical_joints_m: np.ndarray, *, handedness: Handedness) -> np.ndarray:
-    """(21, 3) level-order joints of a named pose, metres; wrist and palm stay where the canonical hand has them.
+    """(21, 3) level-order joints of a named pose, meters; wrist and palm stay where the canonical hand has them.
 
     canonical_joints_m: (21, 3) right hand. A left hand is the mirror image, x negated.
     """
@@ -133,7 +133,7 @@ class ArticulatedHand:
         self._flexion_axis = rot.cross(direction, self._abduction_axis)
 
     def joints(self, angles_deg: np.ndarray) -> np.ndarray:
-        """(F, 5, 4) angles, degrees, clamped to RANGES_DEG -> (F, 21, 3) joints, metres."""
+        """(F, 5, 4) angles, degrees, clamped to RANGES_DEG -> (F, 21, 3) joints, meters."""
         turns = self._turns(angles_deg)
         first = self._neutral[:6].T.unsqueeze(-1).expand(3, 6, turns[0].shape[-1])
         parts = [first[:, :1], first[:, 1:]]
@@ -143,7 +143,7 @@ class ArticulatedHand:
 
     @property
     def straight_joints_m(self) -> np.ndarray:
-        """(21, 3) joints of the hand whose fingers are straight: what `turns` turns. Metres, level order."""
+        """(21, 3) joints of the hand whose fingers are straight: what `turns` turns. Meters, level order."""
         return self._neutral.numpy()
 
     @property
@@ -203,7 +203,7 @@ class ArticulatedHand:
         return solved
 
     def _gap(self, joints: np.ndarray, contact: Contact, finger: int) -> np.ndarray:
-        """(F, 21, 3) joints -> (F, 3) from the thumb's tip to the place that it should touch, metres."""
+        """(F, 21, 3) joints -> (F, 3) from the thumb's tip to the place that it should touch, meters."""
         tip = joints[:, 16]
         if contact is Contact.TIP:
             return joints[:, 16 + finger] - tip
@@ -259,7 +259,7 @@ def pose_sequence_of_names(
 ) -> PoseSequence:
     """A motion through named poses: minimum jerk, each finger a little late, the wrist at rest.
 
-    canonical_joints_m: (21, 3) right hand, level order, metres; its bone lengths are kept exactly.
+    canonical_joints_m: (21, 3) right hand, level order, meters; its bone lengths are kept exactly.
     """
     options = options or MotionOptions()
     if not names:

@@ -41,7 +41,7 @@ class FastBones:
 class FastTransform:
     """Like JointTransform, for one hand at a time, numpy in and out, no gradients.
 
-    canonical_joints_m: (21, 3) numpy or torch, level order, right hand, metres; the other arguments as for
+    canonical_joints_m: (21, 3) numpy or torch, level order, right hand, meters; the other arguments as for
     JointTransform. variant: which native library ('auto', 'torch' for none: then JointTransform computes).
     """
 
@@ -65,7 +65,7 @@ class FastTransform:
         self._skeleton_address = self._skeleton.ctypes.data
 
     def bones(self, joints_m: np.ndarray) -> FastBones:
-        """(21, 3) level-order joints, metres -> FastBones. NaN matrices and NOT_FINITE for a joint that is not finite.
+        """(21, 3) level-order joints, meters -> FastBones. NaN matrices and NOT_FINITE for a joint that is not finite.
 
         InputError for another shape.
         """

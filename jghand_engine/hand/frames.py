@@ -66,8 +66,8 @@ class HandFrames:
     S:           (..., 20, 3, 3) columns x, y, z; z along the bone, y the flexion axis, x out of the palm
     S0:          (..., 3, 3) palm frame
     u:           (..., 15, 3) direction of bones 6..20 in the parent's frame
-    length:      (..., 20) metres;  direction: (..., 20, 3) unit
-    palm_cross:  (..., 4, 3) cross product of neighbouring palm bones' directions
+    length:      (..., 20) meters;  direction: (..., 20, 3) unit
+    palm_cross:  (..., 4, 3) cross product of neighboring palm bones' directions
     palm_normal: (..., 4, 3) unit normals of the palm planes after the clamp
     flags:       (...) int32, bits of FrameFlag
     """
@@ -96,7 +96,7 @@ class HandFrames:
 
     @cached_property
     def palm_p(self) -> Tensor:
-        """(..., 4) angle between neighbouring palm bones (theta^p), radians."""
+        """(..., 4) angle between neighboring palm bones (theta^p), radians."""
         with torch.autocast(self.u.device.type, enabled=False):
             threshold = limits.ZERO_BONE_EPS * torch.finfo(self.u.dtype).eps
             normal = self.palm_cross.movedim(-1, 0)
@@ -106,7 +106,7 @@ class HandFrames:
 
     @cached_property
     def palm_n(self) -> Tensor:
-        """(..., 3) signed angle between neighbouring palm planes (theta^n), radians."""
+        """(..., 3) signed angle between neighboring palm planes (theta^n), radians."""
         with torch.autocast(self.u.device.type, enabled=False):
             normal = self.palm_normal.movedim(-1, 0)
             first, second = normal[..., :-1], normal[..., 1:]
@@ -119,7 +119,7 @@ class HandFrames:
 class CanonicalHand:
     """What the frames need to know of the canonical hand; component first, batch last.
 
-    root_m (3,) · joints_m (3, 21, 1) root-centred · length_m (20, 1) · direction (3, 20, 1) · S (3, 3, 20, 1) ·
+    root_m (3,) · joints_m (3, 21, 1) root-centered · length_m (20, 1) · direction (3, 20, 1) · S (3, 3, 20, 1) ·
     S0 (3, 3, 1, 1) · u (3, 15, 1) · swing (3, 3, 15, 1) · palm_normal (3, 4, 1), and the half turns that replace a
     minimal rotation at its pole: palm_flip (3, 3, 1, 1), metacarpal_flip (3, 3, 5, 1), swing_flip (3, 3, 15, 1).
     """
@@ -155,9 +155,9 @@ class CanonicalHand:
         joints = torch.from_numpy(np.array(joints_m, dtype=np.float64))
         if tuple(joints.shape) != (JOINT_COUNT, 3) or not torch.isfinite(joints).all():
             raise InputError("canonical joints", wanted="a finite (21, 3) array", came=str(tuple(joints.shape)))
-        centred = (joints - joints[:1]).T.unsqueeze(-1)
-        draft = _draft(joints[0], centred)
-        frames = compute_frames(centred, draft, Swing.EULER)
+        centered = (joints - joints[:1]).T.unsqueeze(-1)
+        draft = _draft(joints[0], centered)
+        frames = compute_frames(centered, draft, Swing.EULER)
         if (1 - frames.u[1].abs() < limits.CANONICAL_POLE_MIN).any():
             raise InputError("canonical hand", wanted="no finger bent sideways to 90 degrees", came="one is")
         swing, _ = rot.swing_euler(frames.u)
@@ -171,10 +171,10 @@ class CanonicalHand:
         )
 
 
-def _draft(root: Tensor, centred: Tensor) -> CanonicalHand:
+def _draft(root: Tensor, centered: Tensor) -> CanonicalHand:
     """A canonical hand whose bone frames are still unknown: enough to compute them, because a valid hand needs no
     fallback."""
-    bones = _bones(centred)
+    bones = _bones(centered)
     length = torch.sqrt(rot.dot(bones, bones))
     if not (length > limits.CANONICAL_BONE_MIN * length.mean()).all():
         name = LEVEL_NAMES[int(length.argmin()) + 1]
@@ -196,7 +196,7 @@ def _draft(root: Tensor, centred: Tensor) -> CanonicalHand:
     identity = torch.eye(3, dtype=torch.float64).reshape(3, 3, 1, 1)
     return CanonicalHand(
         root_m=root,
-        joints_m=centred,
+        joints_m=centered,
         length_m=length,
         direction=direction,
         S=identity.expand(3, 3, 20, 1),
@@ -216,7 +216,7 @@ def _bones(joints: Tensor) -> Tensor:
 
 
 def _palm_vectors(bones: Tensor) -> tuple[Tensor, Tensor]:
-    """Sum of the metacarpals index..pinky and the area vector of their fan, (3, 1, N) both, not normalised: each
+    """Sum of the metacarpals index..pinky and the area vector of their fan, (3, 1, N) both, not normalized: each
     counts by how well it is conditioned (METHOD 2.7)."""
     fan = bones[:, 1:5]
     return fan.sum(1, keepdim=True), rot.cross(fan[:, :-1], fan[:, 1:]).sum(1, keepdim=True)
@@ -262,7 +262,7 @@ class ComponentFrames:
 
 def hand_size(bones: Tensor) -> Tensor:
     """Largest |component| of any bone, (N,), detached and floored: dividing by it makes every threshold relative, so
-    that metres, millimetres and 1e12 behave alike."""
+    that meters, millimeters and 1e12 behave alike."""
     return bones.detach().abs().amax((0, 1)).clamp_min(torch.finfo(bones.dtype).tiny ** 0.25)
 
 
@@ -369,7 +369,7 @@ def _finger_chains(
         canonical_u = canonical.u[:, here]
         # a bone without length keeps its canonical angle to the parent
         direction, good = rot.safe_unit(bones[:, first : first + 5], rot.mat_vec(parent, canonical_u), threshold)
-        # normalised again: stops the drift of round-off along the chain
+        # normalized again: stops the drift of round-off along the chain
         u, _ = rot.safe_unit(rot.transposed_mat_vec(parent, direction), canonical_u, threshold, full_at=0.0)
         Q, away = swing_of(u, canonical, here, swing)
         frames.append(rot.mat_mul(parent, Q))

@@ -64,7 +64,7 @@ def local_directions(angles: Tensor) -> Tensor:
 
 
 def forward_kinematics(transform: JointTransform, pose: HandPose) -> Tensor:
-    """HandPose -> (..., 21, 3) joints, metres: b_i = l_i S_p(i) u_i, S_i = S_p(i) Q(u_i)."""
+    """HandPose -> (..., 21, 3) joints, meters: b_i = l_i S_p(i) u_i, S_i = S_p(i) Q(u_i)."""
     batch = pose.root_m.shape[:-1]
     palm = pose.palm.reshape(-1, 3, 3).permute(1, 2, 0).unsqueeze(2)
     inside = pose.metacarpal.reshape(-1, 5, 3).permute(2, 1, 0)

@@ -200,8 +200,8 @@ def check_order(joints: np.ndarray, order: JointOrder = JointOrder.LEVEL) -> Non
     raise InputError(f"joints read in {order} order", wanted=wanted, came=came, remedy=remedy)
 
 
-METRES_PER_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-_UNIT_NAMES = {"m": "metres", "cm": "centimetres", "mm": "millimetres"}
+METERS_PER_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001}
+_UNIT_NAMES = {"m": "metres", "cm": "centimeters", "mm": "millimeters"}
 
 
 def hand_length(joints: np.ndarray) -> float:
@@ -218,15 +218,15 @@ def hand_length(joints: np.ndarray) -> float:
 def check_hand_size(joints_m: np.ndarray, unit: str = "m") -> None:
     """Raises InputError when the hand is no hand's size; says which unit it looks like.
 
-    joints_m: (..., 21, 3) level order, metres after conversion from the declared `unit`.
+    joints_m: (..., 21, 3) level order, meters after conversion from the declared `unit`.
     """
     length = hand_length(joints_m)
     if limits.HAND_LENGTH_MIN_M <= length <= limits.HAND_LENGTH_MAX_M:
         return
-    given = length / METRES_PER_UNIT[unit]
+    given = length / METERS_PER_UNIT[unit]
     likely = [
         name
-        for name, scale in METRES_PER_UNIT.items()
+        for name, scale in METERS_PER_UNIT.items()
         if limits.HAND_LENGTH_MIN_M <= given * scale <= limits.HAND_LENGTH_MAX_M
     ]
     if likely:

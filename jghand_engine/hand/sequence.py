@@ -1,7 +1,7 @@
 """A motion as joint positions over time, and the repairs that real motions need. Knows no files.
 
 Estimated motions have two defects that would show in the picture: frames in which joints are missing, and bone
-lengths that wobble by millimetres, which makes the hand pulse. `with_gaps_held` and `with_constant_bone_lengths`
+lengths that wobble by millimeters, which makes the hand pulse. `with_gaps_held` and `with_constant_bone_lengths`
 remove them; both say what they do, neither invents motion.
 """
 
@@ -51,7 +51,7 @@ class GapReport:
 class PoseSequence:
     """One hand over time.
 
-    joints_m: (F, 21, 3) float64, level order, metres; NaN where not valid
+    joints_m: (F, 21, 3) float64, level order, meters; NaN where not valid
     fps:      frames per second
     handedness: which hand it is
     valid:    (F, 21) bool; default: where the joint is finite
@@ -140,7 +140,7 @@ class PoseSequence:
     def with_constant_bone_lengths(self, lengths_m: np.ndarray | Sequence[float] | None = None) -> PoseSequence:
         """The same directions of every bone with lengths that do not change over time.
 
-        lengths_m: (20,) lengths of bones 1..20, metres; default: each bone's median over the frames. The joints are
+        lengths_m: (20,) lengths of bones 1..20, meters; default: each bone's median over the frames. The joints are
         rebuilt from the wrist outwards. A bone without length points where it pointed in the frame before.
         Frames with gaps keep them: hold them first if they shall not stay.
         """
@@ -154,7 +154,7 @@ class PoseSequence:
         else:
             lengths = np.asarray(lengths_m, dtype=np.float64)
             if lengths.shape != (BONE_COUNT,) or not (np.isfinite(lengths) & (lengths >= 0)).all():
-                raise InputError("bone lengths", wanted="20 lengths in metres", came=str(lengths.shape))
+                raise InputError("bone lengths", wanted="20 lengths in meters", came=str(lengths.shape))
         return self._with(rebuilt(self.joints_m[:, 0], bone_directions(self.joints_m), lengths))
 
     def resampled(self, fps: float) -> PoseSequence:
@@ -172,7 +172,7 @@ class PoseSequence:
         # the small addition keeps the last frame when its time is reached but for round-off
         places = np.arange(int(count + limits.FRAME_EPS) + 1) * (self.fps / fps)
         joints = poses_at(self.joints_m, places)
-        before, after, _ = _neighbours(places, len(self))
+        before, after, _ = _neighbors(places, len(self))
         filled = self.filled[before] | self.filled[after]
         return dataclasses.replace(
             self, joints_m=joints, fps=fps, valid=np.isfinite(joints).all(axis=-1), filled=filled
@@ -221,7 +221,7 @@ def bone_directions(joints: np.ndarray) -> np.ndarray:
 
 
 def rebuilt(root_m: np.ndarray, directions: np.ndarray, lengths_m: np.ndarray) -> np.ndarray:
-    """Joints (F, 21, 3) from wrists (F, 3), unit directions (F, 20, 3) and lengths (20,) or (F, 20), metres."""
+    """Joints (F, 21, 3) from wrists (F, 3), unit directions (F, 20, 3) and lengths (20,) or (F, 20), meters."""
     steps = directions * np.broadcast_to(lengths_m, directions.shape[:-1])[..., None]
     joints = np.empty((*directions.shape[:-2], JOINT_COUNT, 3))
     joints[..., 0, :] = root_m
@@ -234,7 +234,7 @@ def rebuilt(root_m: np.ndarray, directions: np.ndarray, lengths_m: np.ndarray) -
 def pose_between(first_m: np.ndarray, second_m: np.ndarray, part: float) -> np.ndarray:
     """Joints (21, 3) at `part`, 0..1, of the way between two poses (21, 3): bones turn and keep their lengths.
 
-    For poses of neighbouring moments, many times a frame: the palm is not turned as a whole as in `poses_between`.
+    For poses of neighboring moments, many times a frame: the palm is not turned as a whole as in `poses_between`.
     """
     first_m, second_m, share = first_m[None], second_m[None], np.full((1, 1), part)
     between = _directions_between(bone_directions(first_m), bone_directions(second_m), share)
@@ -244,9 +244,9 @@ def pose_between(first_m: np.ndarray, second_m: np.ndarray, part: float) -> np.n
 def poses_at(joints: np.ndarray, places: np.ndarray) -> np.ndarray:
     """Joints (G, 21, 3) at `places` (G,), fractions of frames, 0..F - 1, of a motion (F, 21, 3): see `poses_between`.
 
-    A place that is a frame but for round-off is that frame, whatever its neighbours miss.
+    A place that is a frame but for round-off is that frame, whatever its neighbors miss.
     """
-    before, after, part = _neighbours(places, len(joints))
+    before, after, part = _neighbors(places, len(joints))
     result = joints[before]
     between = np.flatnonzero(part > 0)
     for rows in np.split(between, range(limits.POSES_AT_ONCE, len(between), limits.POSES_AT_ONCE)):
@@ -255,7 +255,7 @@ def poses_at(joints: np.ndarray, places: np.ndarray) -> np.ndarray:
     return result
 
 
-def _neighbours(places: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _neighbors(places: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Of fractional places of `count` frames the frame before, the one after, and which part of the way lies between,
     0 at a frame."""
     places = np.clip(places, 0, count - 1)

@@ -66,7 +66,7 @@ class BoneTransforms:
     frames: HandFrames
 
     def matrices(self) -> Tensor:
-        """(..., 21, 3, 4) matrices canonical -> posed in whole coordinates, metres."""
+        """(..., 21, 3, 4) matrices canonical -> posed in whole coordinates, meters."""
         carried = (self.linear * self.canonical_root_m).sum(-1)
         offset = self.offset_m - carried + self.root_m.unsqueeze(-2)
         return torch.cat([self.linear, offset.unsqueeze(-1)], -1)
@@ -75,7 +75,7 @@ class BoneTransforms:
 class JointTransform:
     """Computes BoneTransforms from joints, against one canonical right hand.
 
-    canonical_joints_m: (21, 3) torch or numpy, level order, right hand, metres; validated (METHOD 2.4)
+    canonical_joints_m: (21, 3) torch or numpy, level order, right hand, meters; validated (METHOD 2.4)
     handedness:         of the joints that `bones` will get; left ones are mirrored, the canonical hand stays right
     swing:              'minimal' or 'euler', see Swing
     scale_mode:         'axial', 'uniform' or the exponent between, see scale_exponent
@@ -125,7 +125,7 @@ class JointTransform:
         return self._casts[key]
 
     def maps(self, joints: Tensor, frames: ComponentFrames, canonical: CanonicalHand) -> tuple[Tensor, Tensor, Tensor]:
-        """What another transform than this one changes; right-hand space, component first, root-centred.
+        """What another transform than this one changes; right-hand space, component first, root-centered.
 
         joints (3, 21, N) and their frames -> linear parts (3, 3, 21, N), where the bones meet (3, 21, N): here on the
         joints, and the scale of the whole hand (N,).
@@ -157,7 +157,7 @@ class JointTransform:
 
 
 def _pivots(joints: Tensor) -> Tensor:
-    """(3, 21, N) root-centred joints -> where the bone of each matrix starts: the wrist for B_0..B_5, then parents."""
+    """(3, 21, N) root-centered joints -> where the bone of each matrix starts: the wrist for B_0..B_5, then parents."""
     return torch.cat([joints[:, :1].expand(-1, 6, -1), joints[:, 1:16]], 1)
 
 

@@ -1,9 +1,9 @@
-"""Limits of avatars, drawn and learnt."""
+"""Limits of avatars, drawn and learned."""
 
 from __future__ import annotations
 
 # ---- avatar ---------------------------------------------------------------------------------------------------------
-# radius of a Gaussian, metres
+# radius of a Gaussian, meters
 SIGMA_MIN_M = 1e-4
 SIGMA_MAX_M = 4e-3
 # posed radius relative to the whole hand's scale: blending rotations shrinks the determinant at flexed knuckles
@@ -13,7 +13,7 @@ SIGMA_STRETCH_MAX = 1.4
 QUATERNION_MIN = 1e-6
 # |det L| / s_g^3 below which the blended rotation is replaced by the palm's
 BLEND_DET_MIN = 1e-3
-# Gaussians deeper than this, metres, grow in a coarser level of detail only until they are this many of their own
+# Gaussians deeper than this, meters, grow in a coarser level of detail only until they are this many of their own
 # radii below the skin: further grown they would show as a halo around the hand
 DEEP_M = 1e-3
 DEEP_RADII = 1.8
@@ -24,12 +24,12 @@ AVATAR_MAX_GAUSSIANS = 1_000_000
 AVATAR_HEADER_MAX_BYTES = 65_536
 # placed points that the user's cache keeps, the newest: 5 MB each at 40,000 Gaussians
 POINTS_CACHE_FILES = 8
-# characters of one text in an avatar's description (name, template, licence, an angle's name): they are shown in a line
+# characters of one text in an avatar's description (name, template, license, an angle's name): they are shown in a line
 AVATAR_TEXT_MAX = 500
-# canonical Gaussians further than this from the wrist along an axis, metres, belong to no hand
+# canonical Gaussians further than this from the wrist along an axis, meters, belong to no hand
 AVATAR_REACH_M = 0.5
 
-# ---- avatar: the learnt hand (METHOD 4) -----------------------------------------------------------------------------
+# ---- avatar: the learned hand (METHOD 4) -----------------------------------------------------------------------------
 # logarithm of the strongest light and shade: exp(3) is 20 times, farther than any display reaches
 LIGHT_EXPONENT_MAX = 3.0
 # strongest shade that a pose may add or take, as a logarithm: what the shadow and the light do not explain
@@ -40,20 +40,20 @@ NORMAL_LENGTH2_MIN = 1e-12
 PLANE_START_STD = 0.1
 # logarithm of the longest and shortest axis of a Gaussian over its radius: 20 times, a needle
 LOG_STRETCH_MAX = 3.0
-# how far a learnt normal may leave the template's, per unit of the decoder's output
+# how far a learned normal may leave the template's, per unit of the decoder's output
 NORMAL_BEND = 0.3
 # logarithm of the greatest and least shine over their middle: skin is equally glossy nearly everywhere, and cameras
-# that were not learnt from show what was taken for gloss
+# that were not learned from show what was taken for gloss
 SHINE_SPREAD = 0.5
 # lobes of the gloss at the start: wide, lambda of exp(lambda (cos - 1)), and nearly dark, before the softplus;
-# a sharper lobe than the last is narrower than what a Gaussian of half a millimetre can show
+# a sharper lobe than the last is narrower than what a Gaussian of half a millimeter can show
 LOBE_SHARPNESS_START = 5.0
 LOBE_SHARPNESS_MAX = 60.0
 LOBE_RAW_START = -4.5
 # learnable range of the shadow's darkness g (METHOD 5.2: 4 to 12; wider, because a shadow may be better off)
 SHADOW_GAIN_RANGE = (1.0, 12.0)
-# what a file may hold of what was learnt; beyond it nothing was learnt from pictures, and memory or floats run out:
-# lobes of the gloss; colour, rim and shine that they may have; gain of the shadow; octaves of an encoding, widths and
+# what a file may hold of what was learned; beyond it nothing was learned from pictures, and memory or floats run out:
+# lobes of the gloss; color, rim and shine that they may have; gain of the shadow; octaves of an encoding, widths and
 # texels of the pose's network, and its weights
 LIGHT_LOBES_MAX = 64
 LIGHT_VALUE_MAX = 1e3
@@ -77,7 +77,7 @@ BASIS_MAX = 64
 # carries on so far (assumed)
 POSE_RANGE_TOLERANCE_DEG = 8.0
 # distilling: poses that are made up; wobble of flexion, abduction and palm angles, degrees; how far beyond the known
-# range, degrees: as far as the angles of a hand between two learnt poses go
+# range, degrees: as far as the angles of a hand between two learned poses go
 DISTIL_POSES = 400
 DISTIL_WOBBLE_DEG = (8.0, 3.0)
 DISTIL_WOBBLE_PALM_DEG = 2.0
@@ -87,8 +87,8 @@ DISTIL_BEYOND_DEG = 5.0
 DISTIL_RIDGE = 1e-4
 DISTIL_VARIANCE_MIN = 1e-6
 DISTIL_GAUSSIANS_AT_ONCE = 2048
-# ranges of the angles between neighbouring palm bones (theta^p) and palm planes (theta^n), degrees (METHOD 4.1)
-PALM_NEIGHBOUR_RANGES_DEG = ((0.0, 60.0), (0.0, 30.0), (0.0, 30.0), (0.0, 30.0))
+# ranges of the angles between neighboring palm bones (theta^p) and palm planes (theta^n), degrees (METHOD 4.1)
+PALM_NEIGHBOR_RANGES_DEG = ((0.0, 60.0), (0.0, 30.0), (0.0, 30.0), (0.0, 30.0))
 PALM_PLANE_RANGES_DEG = ((-30.0, 60.0), (-20.0, 40.0), (-20.0, 40.0))
 
 # ---- avatar: cast shadows -------------------------------------------------------------------------------------------
@@ -97,12 +97,12 @@ LAMPS = 64
 # logarithm of a lamp's brightness per unit of its parameter: lamps differ much more than other parameters do
 LAMP_RATE = 10.0
 ANCHORS = 2048
-# distances of a Gaussian to its anchors count as longer by this, metres: no anchor takes all
+# distances of a Gaussian to its anchors count as longer by this, meters: no anchor takes all
 ANCHOR_SOFTENING_M = 1e-4
 # flesh is a point's own up to this many radii from its bone, and wholly foreign from this many on
 OWN_FLESH_RADII = (1.15, 1.6)
 # edges of shadows: softness of the capsule's surface, as a part of its radius, and half width of a lamp per distance
-# (64 lamps on a sphere are 0.25 in radius; sharper edges learnt poses a little better, with less than half of it)
+# (64 lamps on a sphere are 0.25 in radius; sharper edges learned poses a little better, with less than half of it)
 FLESH_SOFTNESS = 0.2
 LAMP_HALF_WIDTH = 0.15
 # floors against division by zero: squared length of a capsule's axis (m^2), squared sine between ray and axis, width of
@@ -114,7 +114,7 @@ CAPSULE_WIDTH_MIN_M = 1e-6
 # floor, against division by zero
 BOUNCED_START = 0.03
 BOUNCED_MIN = 1e-12
-# display-referred colours go with light to this power
+# display-referred colors go with light to this power
 LIGHT_TO_DISPLAY = 1 / 2.2
 # what a file may hold: lamps; by how much shares and weights of an anchor, of 16 bits, may sum to something else than 1
 CAST_LAMPS_MAX = 256

@@ -46,7 +46,7 @@ CAPTURE_GAP_ROUNDS = 8
 CAPTURE_CAMERAS_MAX = 500
 # edges of a picture, pixels: below nothing is seen of a hand, above Cycles takes minutes a picture
 CAPTURE_SIZE_PX = (16, 4096)
-# distance from the middle of the hands, metres: like the stages of the data sets
+# distance from the middle of the hands, meters: like the stages of the data sets
 CAPTURE_DISTANCE_M = (0.8, 1.1)
 # largest roll about the viewing direction, degrees
 CAPTURE_ROLL_DEG = 12.0
@@ -54,7 +54,7 @@ CAPTURE_ROLL_DEG = 12.0
 CAPTURE_MARGIN = 0.03
 # height of the viewing direction beyond which it is steep, and the picture's upper edge is no longer the fingers' way
 CAPTURE_STEEP = 0.85
-# close-ups: distance, and what the shorter edge of the picture shows there, metres: about two fingers' lengths
+# close-ups: distance, and what the shorter edge of the picture shows there, meters: about two fingers' lengths
 CAPTURE_CLOSE_M = 0.45
 CAPTURE_CLOSE_FIELD_M = 0.11
 
@@ -63,15 +63,15 @@ CAPTURE_CLOSE_FIELD_M = 0.11
 CAPTURE_SKIN_PX = 1024
 # edges that a skin picture may have, pixels
 CAPTURE_TEXTURE_PX = (64, 8192)
-# skin this far above the lower edge gives the wrist's cut its colour, metres
+# skin this far above the lower edge gives the wrist's cut its color, meters
 CAPTURE_WRIST_BAND_M = 0.012
-# mottling that a coarse picture cannot hold: (cell in metres, amount), and how strongly it darkens red, green, blue
+# mottling that a coarse picture cannot hold: (cell in meters, amount), and how strongly it darkens red, green, blue
 CAPTURE_MOTTLING = ((0.0026, 0.022), (0.0011, 0.022))
 CAPTURE_MOTTLING_RGB = (0.55, 1.0, 1.0)
-# depth of a furrow that a picture shows as a dark line, metres, and the shade (sRGB) at which it is nearly reached
+# depth of a furrow that a picture shows as a dark line, meters, and the shade (sRGB) at which it is nearly reached
 CAPTURE_RELIEF_M = 0.00022
 CAPTURE_RELIEF_SHADE = 0.035
-# grain of skin that no picture holds: its height and its cells, metres; finer ones are lost between texels
+# grain of skin that no picture holds: its height and its cells, meters; finer ones are lost between texels
 CAPTURE_GRAIN_M = 0.000012
 CAPTURE_GRAIN_CELL_M = 0.0009
 

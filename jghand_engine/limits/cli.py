@@ -7,7 +7,7 @@ from __future__ import annotations
 FRAMING_FOCAL = 2.2
 # part of the picture that the hand may fill
 FRAMING_FILL = 0.94
-# how far the skin reaches beyond a joint and, with the cut, beyond the wrist, metres, for a palm (wrist to middle
+# how far the skin reaches beyond a joint and, with the cut, beyond the wrist, meters, for a palm (wrist to middle
 # knuckle) of the length FRAMING_PALM_M; measured on the built-in template
 FRAMING_SKIN_M = 0.012
 FRAMING_WRIST_M = 0.034
@@ -20,11 +20,11 @@ FRAMING_DIRECTION_MIN = 0.2
 DEMO_FPS = 30.0
 DEMO_MOVE_S = 0.6
 DEMO_HOLD_S = 0.2
-# how far the whole hand turns to either side, degrees: shows more than one side and stays recognisable
+# how far the whole hand turns to either side, degrees: shows more than one side and stays recognizable
 DEMO_SWAY_DEG = 35.0
 # moments of the motion on the contact sheet
 SHEET_COLUMNS = 8
-# the widest lens that `jghand render` takes, millimetres: one that sees around the hand
+# the widest lens that `jghand render` takes, millimeters: one that sees around the hand
 APERTURE_MAX_MM = 200.0
 
 # ---- cli: commands that another program started ----------------------------------------------------------------------
@@ -51,5 +51,5 @@ LOCK_HOLDER_BYTES = 60
 # ---- cli: JSON that a user gives -------------------------------------------------------------------------------------
 # bytes of a camera (1 kB) or a map of bones (10 kB): JSON takes up to thirty times its size in memory
 JSON_GIVEN_BYTES_MAX = 100_000
-# the largest number of a camera, pixels or metres: beyond it no picture is meant
+# the largest number of a camera, pixels or meters: beyond it no picture is meant
 CAMERA_NUMBER_MAX = 1e6

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 # ---- datasets -------------------------------------------------------------------------------------------------------
-# grey value of a mask file from which a pixel is hand: JPEG smears the edge over some pixels around the middle
+# gray value of a mask file from which a pixel is hand: JPEG smears the edge over some pixels around the middle
 MASK_THRESHOLD = 128
 # samples per pixel edge when a template is projected: steps of 1/16 in the coverage of a pixel
 MASK_SUPERSAMPLING = 4
-# grey values between which the avatar papers take a pixel of a projected mask for skin (METHOD 6.1)
-PAPER_MASK_GREY = (10, 200)
+# gray values between which the avatar papers take a pixel of a projected mask for skin (METHOD 6.1)
+PAPER_MASK_GRAY = (10, 200)
 # the same papers leave a picture out when the hand's box is nearer to the border than this or smaller, pixels; when it
-# is as dark as this; when two colour channels differ nowhere by more than this; when the mask has fewer pixels
+# is as dark as this; when two color channels differ nowhere by more than this; when the mask has fewer pixels
 PAPER_BORDER_PX = 10
 PAPER_BOX_MIN_PX = 80
 PAPER_DARK = 20
@@ -64,7 +64,7 @@ JSON_LOOK_GROWTH = 8
 JSON_BLOCK_BYTES = 1 << 17
 # names of the outermost object of a JSON file, and frames in which a hand is looked for before the file is given up
 JSON_NAMES_MAX = 4096
-RECOGNISE_JSON_FRAMES = 5000
+RECOGNIZE_JSON_FRAMES = 5000
 # the same for a buffer that a glTF file holds as text
 JSON_BUFFER_MAX_BYTES = 1 << 28
 # nodes, accessors, channels of a glTF file, joints of a BVH file; film rigs have some thousands
@@ -86,7 +86,7 @@ BVH_LINES_AT_ONCE = 64
 # frames whose bones are turned into joints at once: 60 bones of 4096 frames have 30 MB
 SKELETON_FRAMES_AT_ONCE = 4096
 # bones of wrist and fingers, of 16, from which names count as a hand that lacks some
-BONES_RECOGNISED_MIN = 8
+BONES_RECOGNIZED_MIN = 8
 # length of a finger's last bone, skin included, over that of the bone before it, thumb to little finger: lengths of
 # phalanges and of the pulp of Buryanov and Kotiuk, Proportions of Hand Segments (2010)
 TIP_RATIOS = (0.80, 0.88, 0.81, 0.83, 1.09)
@@ -128,17 +128,17 @@ KEYS_S_MAX = 600.0
 # part of the way to the next key of glTF by which a frame may miss it
 KEY_EPS = 1e-3
 # frames in which joint order and size are looked for: a hand's bones do not change
-RECOGNISE_FRAMES = 500
-# bytes from which the format of a file is recognised
-RECOGNISE_BYTES = 1 << 16
+RECOGNIZE_FRAMES = 500
+# bytes from which the format of a file is recognized
+RECOGNIZE_BYTES = 1 << 16
 # frames of InterHand2.6M that may be left out before it is another sequence: a second
 INTERHAND_GAP_STEPS = 30
 # points of a whole body of FreeMoCap: body, right hand, left hand, and the face if it was tracked
 FREEMOCAP_BODY_POINTS = 33
 # points of a face: none, its outline, MediaPipe's mesh without and with irises
 FREEMOCAP_FACE_POINTS = (0, 136, 468, 478)
-# points that early ones of version 2 add to a body: centres of head, neck, trunk and hips
-FREEMOCAP_CENTRES = 4
+# points that early ones of version 2 add to a body: centers of head, neck, trunk and hips
+FREEMOCAP_CENTERS = 4
 # names of points in a table with a line for each: body, hands and face have 553
 JOINT_LINES_NAMES_MAX = 2000
 # memory that the frames of such a table may take besides twice the size of the file: FreeMoCap leaves none out

@@ -14,7 +14,7 @@ PLY_OPACITY_MARGIN = 1e-6
 # bits of a position in SPZ behind the point: steps of 0.004 mm, and 32 m on each side of the origin
 SPZ_FRACTIONAL_BITS = 18
 # what SPZ multiplies the harmonics of band 0 by before it cuts them to 0..1, and where its sizes begin
-SPZ_COLOUR_SCALE = 0.15
+SPZ_COLOR_SCALE = 0.15
 SPZ_LN_SIGMA_MIN = -10.0
 # gzip's level, 0..9, as the format's own library has it
 SPZ_GZIP_LEVEL = 6
@@ -31,21 +31,21 @@ SPZ_RATIO_MAX = 4
 SPZ_CHUNK_BYTES = 65_536
 # Gaussians that are decoded at once: half a megabyte
 SPLAT_PART_ROWS = 4096
-# a median size, and a distance between Gaussians, above which nobody meant metres
+# a median size, and a distance between Gaussians, above which nobody meant meters
 SPLAT_SIGMA_SANE_M = 1.0
 SPLAT_SIZE_SANE_M = 1000.0
 
 # ---- exporters: passes ----------------------------------------------------------------------------------------------
 # the skin around a joint is what lies in a slab of this half thickness across its bone: thin beside the shortest bone
 JOINT_SLAB_M = 0.004
-# which of the distances of that skin counts, percent: the largest are strays of the neighbouring finger
+# which of the distances of that skin counts, percent: the largest are strays of the neighboring finger
 JOINT_REACH_PERCENTILE = 95.0
 # a joint is visible when what is before it begins at most so many times that far from it: rays come in at an angle and
 # bent joints bulge, seen 1.3; what hides a joint begins from 1.6 on, and the thickness of a finger away as a rule
 JOINT_REACH_ROOM = 1.45
 
 # ---- exporters: USD -------------------------------------------------------------------------------------------------
-# spherical harmonics of band 0: colour = 0.5 + SH_C0 * coefficient
+# spherical harmonics of band 0: color = 0.5 + SH_C0 * coefficient
 SH_C0 = 0.28209479177387814
 # share of every skin weight that goes to the twin joint which carries what half precision lost of a scale; a power of
 # two is exact in float32, and 2^-8 keeps the twin's scale within 12.5 % of the true one (2^-11 / 2^-8)
@@ -57,7 +57,7 @@ USD_SIGMA_ERROR_TOLD = 0.05
 USD_SAVE_EVERY = 24
 # half width of a splat's bound in standard deviations: 99.7 % of the kernel
 USD_SPLAT_EXTENT_SIGMA = 3.0
-# horizontal aperture that cameras are written with: 36 mm in tenths of the stage's unit, the metre. Ratios alone make
+# horizontal aperture that cameras are written with: 36 mm in tenths of the stage's unit, the meter. Ratios alone make
 # the field of view, but depth of field and the lens that a reader shows follow from the size
 USD_APERTURE = 0.36
 # the clipping of an exported camera leaves this factor before and behind the hand, for what else the scene holds
@@ -89,11 +89,11 @@ USD_CLIP_FRAMES = 240
 # what Omniverse, usdview and Blender draw points as is a ball without a soft edge: two standard deviations close the
 # skin (as the extension has it)
 USD_BALL_WIDTH_FACTOR = 2.0
-# Gaussians around a vertex whose mean colour the exported mesh gets
-USD_MESH_COLOUR_NEIGHBOURS = 8
+# Gaussians around a vertex whose mean color the exported mesh gets
+USD_MESH_COLOR_NEIGHBORS = 8
 
 # ---- exporters: USD files that are checked --------------------------------------------------------------------------
-# what `check-usd` lets pass: how far a Gaussian may stick out of its bound (metres, round-off of float32 at 100 m),
+# what `check-usd` lets pass: how far a Gaussian may stick out of its bound (meters, round-off of float32 at 100 m),
 # and how far the length of a quaternion may be from 1 (that of NVIDIA's rule VG.035)
 USD_EXTENT_TOLERANCE_M = 1e-5
 USD_QUATERNION_TOLERANCE = 1e-3

@@ -8,7 +8,7 @@ from __future__ import annotations
 GRADIENT_DAMPING = 0.05
 # multiple of machine epsilon below which a bone has no direction
 ZERO_BONE_EPS = 32.0
-# sine between neighbouring palm bones below which the palm plane is clamped towards the canonical one (C1)
+# sine between neighboring palm bones below which the palm plane is clamped towards the canonical one (C1)
 PALM_CLAMP = 0.02
 # distance (radians, nearly) to a pole of the swing inside which the fallback acts and a flag is raised
 SWING_POLE = 1e-3
@@ -22,7 +22,7 @@ PALM_PLANE_MIN = 1e-3
 SCALE_RATIO_MIN = 1e-2
 # a canonical hand is refused when a bone is shorter than this part of the mean bone
 CANONICAL_BONE_MIN = 1e-3
-# ... or when neighbouring palm bones enclose a smaller sine
+# ... or when neighboring palm bones enclose a smaller sine
 CANONICAL_PALM_SINE_MIN = 0.04
 # ... or when a joint is nearer than this to the abduction pole, as 1 - |u_y|
 CANONICAL_POLE_MIN = 0.02
@@ -32,7 +32,7 @@ CANONICAL_POLE_MIN = 0.02
 METACARPAL_RATIO_MIN = 1.3
 # index..pinky: first phalanx at least this times the second; below 1 because video estimates shorten the pinky's
 PHALANX_RATIO_MIN = 0.85
-# wrist to middle tip, metres: outside this range the unit is most likely not metres
+# wrist to middle tip, meters: outside this range the unit is most likely not meters
 HAND_LENGTH_MIN_M = 0.06
 HAND_LENGTH_MAX_M = 0.40
 # path index-middle-ring-pinky knuckle over the direct way: a hand's arch gives 1.05, two swapped fingers 1.6 and more
@@ -56,7 +56,7 @@ MOTION_TEXT_MAX_BYTES = 1 << 27
 
 # ---- hand: named poses ----------------------------------------------------------------------------------------------
 # tips touch: air of this part of the finger chain's length (about 3 mm) weighs as much as turning one joint by the
-# pull; a weaker pull bends fingers oddly to close the last tenth of a millimetre
+# pull; a weaker pull bends fingers oddly to close the last tenth of a millimeter
 TOUCH_PART = 0.02
 TOUCH_PULL_DEG = 40.0
 # half a finger's thickness and half the thumb's, as part of that length: the tip's joint stays so far from the bone
@@ -68,7 +68,7 @@ TOUCH_DIFFERENCE_DEG = 1e-3
 # ---- hand: motions of others --------------------------------------------------------------------------------------
 # a gap longer than this is told apart: within half a second a hand does little that the way between does not show
 GAP_LONG_S = 0.5
-# bones that vary by less than this (standard deviation, metres) are constant: text with few digits
+# bones that vary by less than this (standard deviation, meters) are constant: text with few digits
 BONE_WOBBLE_MIN_M = 1e-4
 # part of a frame by which a time may miss it and still be that frame: round-off of clocks in text
 FRAME_EPS = 1e-6

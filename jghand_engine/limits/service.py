@@ -28,7 +28,7 @@ BUDGET_WIDTHS_PX = (256, 384, 512, 640, 768, 1024, 1280, 1536, 1920, 2560, 3840)
 BUDGET_ASPECT = 1.5
 # letters of a text among the settings of a picture
 SETTING_TEXT_MAX = 200
-# metres of places in a request: beyond any scene, and far from where float64 overflows
+# meters of places in a request: beyond any scene, and far from where float64 overflows
 REQUEST_NUMBER_MAX = 1e9
 # focal length and principal point, px: a view a million times narrower than any lens is a mistake
 PINHOLE_MAX_PX = 1e9

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-# ---- splat: the rasterisation contract (RENDERING 3 and 8) ----------------------------------------------------------
+# ---- splat: the rasterization contract (RENDERING 3 and 8) ----------------------------------------------------------
 # pixel footprint added to the projected variance, px^2; weights are trained with it
 BLUR_PX2 = 0.3
 # contribution below which a Gaussian does not touch a pixel: one 8-bit step
@@ -11,15 +11,15 @@ ALPHA_MIN = 1.0 / 255.0
 ALPHA_MAX = 0.999
 # transmittance below which a pixel may stop; error at most T_STOP * max(rgb)
 T_STOP = 1e-4
-# near plane, metres
+# near plane, meters
 Z_NEAR_M = 0.01
 # largest projected variance, px^2: keeps float-to-int conversion and det^2 inside their ranges
 VAR_MAX_PX2 = 1e9
-# colours beyond this overflow float32 in the gradients; counted as invalid
+# colors beyond this overflow float32 in the gradients; counted as invalid
 RGB_MAX = 1e6
-# metres at which parallel rays are taken to meet: their directions differ by 1e-7 over a hand then, float32's rounding
+# meters at which parallel rays are taken to meet: their directions differ by 1e-7 over a hand then, float32's rounding
 PARALLEL_EYE_M = 1e6
-# coordinates beyond this are counted as invalid, metres: depth is blended like a colour, and has the same limit
+# coordinates beyond this are counted as invalid, meters: depth is blended like a color, and has the same limit
 POSITION_MAX_M = 1e6
 # a covariance is positive semi-definite when it is with this part of its trace added to the diagonal: what float32
 # leaves of a flat Gaussian has eigenvalues down to -6.3e-8 of the trace
@@ -55,21 +55,21 @@ SHADOW_RADIUS_MAX_PX = 96.0
 SHADOW_STEEPNESS_MAX = 80.0
 # |v| is smoothed by this part of the radius: never sqrt(0)
 SHADOW_LENGTH_EPS = 1e-3
-# depth that the kernel gives a pixel without any, metres: farther than the shadow's reach from everything
+# depth that the kernel gives a pixel without any, meters: farther than the shadow's reach from everything
 SHADOW_FAR_M = 1e6
 # taps per pixel; more cost time and change nothing visible
 SHADOW_SAMPLES_MAX = 256
-# normals come from depth differences over this length, metres: the depth of splats is bumpy by tenths of a millimetre
+# normals come from depth differences over this length, meters: the depth of splats is bumpy by tenths of a millimeter
 # over the size of a Gaussian, and one-pixel normals of it speckle. Against ray-traced occlusion of smooth surfaces it
 # is as good or better (correlation 0.81 / 0.78 / 0.58 / 0.81 instead of 0.79 / 0.76 / 0.57 / 0.80, METHOD 5.2)
 SHADOW_NORMAL_REACH_M = 0.003
-# what stands out of the tangent plane by less than this does not occlude, metres: the pits between Gaussians would show
+# what stands out of the tangent plane by less than this does not occlude, meters: the pits between Gaussians would show
 # as specks (no loss against ray-traced occlusion up to 0.6 mm)
 SHADOW_HEIGHT_MIN_M = 4e-4
 # the two one-sided differences are averaged when they agree within this part of the smaller one; otherwise the smaller
 # is taken, so that a normal never spans a silhouette
 SHADOW_AGREE = 0.5
-# ... and always when they differ by less than this, metres: bumps
+# ... and always when they differ by less than this, meters: bumps
 SHADOW_AGREE_FLOOR_M = 5e-4
 # floor of |t_x x t_y|^2, m^4: a degenerate normal becomes the zero vector instead of NaN
 SHADOW_NORMAL_MIN2 = 1e-36
@@ -78,11 +78,11 @@ SHADOW_STRIPES = 4
 # strength per channel, 0..1: skin shadows are reddish (chosen by eye on the built-in avatar)
 SHADOW_TINT = (0.60, 0.75, 0.80)
 GOLDEN_ANGLE_RAD = 2.399963229728653
-# gate from the joints alone: radius of influence, metres, and the score over which the pass fades in
+# gate from the joints alone: radius of influence, meters, and the score over which the pass fades in
 GATE_RADIUS_M = 0.060
 GATE_LOW = 0.5
 GATE_HIGH = 1.0
-# capsule radii of bones 1..20, millimetres at scale 1 (METHOD 5.4)
+# capsule radii of bones 1..20, millimeters at scale 1 (METHOD 5.4)
 GATE_CAPSULE_RADII_MM = (
     *(16.0,) * 5, 10.0, 9.0, 9.0, 8.5, 7.5, 9.0, 8.0, 8.0, 7.8, 7.0, 8.0, 7.2, 7.2, 7.0, 6.2,
 )  # fmt: skip
@@ -99,7 +99,7 @@ SHADOW_HAND_MIN_PX = 64.0
 SHADOW_HAND_FULL_PX = 96.0
 
 # ---- splat: half resolution ------------------------------------------------------------------------------------------
-# depths that differ by less are of one surface, metres: less than a finger's thickness, more than a pixel's slope
+# depths that differ by less are of one surface, meters: less than a finger's thickness, more than a pixel's slope
 SAME_SURFACE_M = 0.005
 
 # ---- splat: so many milliseconds a frame -----------------------------------------------------------------------------
@@ -115,9 +115,9 @@ LOOKS_ALIKE_DB = 38.0
 LOOKS_CLOSE_DB = 30.0
 
 # ---- splat: reuse between frames ------------------------------------------------------------------------------------
-# matrices are reused when no joint moved more than this, metres
+# matrices are reused when no joint moved more than this, meters
 REUSE_JOINTS_M = 5e-5
-# ... and the skin then lacks at most this, metres. Joints that move against each other turn bones: the skin of the
+# ... and the skin then lacks at most this, meters. Joints that move against each other turn bones: the skin of the
 # trained hand moves by up to 5 times their movement in usual poses (0.25 mm), and by up to 11 times where bones are
 # half and one and a half times as long in turn
 REUSE_SKIN_M = 6e-4
@@ -126,7 +126,7 @@ REUSE_SKIN_M = 6e-4
 REUSE_BENT_MAX = 2.4
 # ... and the correctives when no angle changed more than this, radians: a hand that moves as a whole keeps them
 REUSE_ANGLE_RAD = 2e-4
-# ... and the skin then lacks at most this, metres (the built-in hand's named poses: 0.06 mm, every angle at its limit)
+# ... and the skin then lacks at most this, meters (the built-in hand's named poses: 0.06 mm, every angle at its limit)
 REUSE_CORRECTION_M = 1e-4
 
 # ---- splat: only the effects a scene calls for (RENDERING 11) -------------------------------------------------------

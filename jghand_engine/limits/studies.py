@@ -13,7 +13,7 @@ TRANSFORM_STUDY_POINTS = 20_000
 STABILITY_JITTERS = (1e-12, 1e-9, 1e-7, 1e-5, 1e-3)
 # hands at each of those distances
 STABILITY_BESIDE = 20
-# error of the joints whose effect on the skin is measured, metres: that of a good motion capture
+# error of the joints whose effect on the skin is measured, meters: that of a good motion capture
 STABILITY_NUDGE_M = 5e-4
 # nudges tried for every hand, in random directions
 STABILITY_NUDGES = 64
@@ -21,11 +21,11 @@ STABILITY_NUDGES = 64
 STABILITY_FEW = 15
 # points of the skin that are watched, of the template's 1610
 STABILITY_SKIN_POINTS = 400
-# what a nudge may move any of them by, metres (METHOD 2.11)
+# what a nudge may move any of them by, meters (METHOD 2.11)
 STABILITY_SKIN_MAX_M = 2e-3
 # gradient times hand size (METHOD 2.11)
 STABILITY_GRADIENT_MAX = 1e5
-# float32 against float64, metres on a hand of ordinary size (METHOD 2.11, of the joints)
+# float32 against float64, meters on a hand of ordinary size (METHOD 2.11, of the joints)
 STABILITY_PRECISION_MAX_M = 5e-7
 # promise 3 of RENDERING 14: a pixel differs by less from the reference, unless a contribution falls on the other side
 # of the cut, which is worth one 8-bit step
@@ -33,7 +33,7 @@ STABILITY_PIXEL_MAX = 1.1e-4
 STABILITY_FLIP_MAX = 1 / 255
 # pixels of a small picture in which that may happen
 STABILITY_FLIPPED_MAX = 2
-# how far everything in a picture is moved to see whether a pixel jumps, metres
+# how far everything in a picture is moved to see whether a pixel jumps, meters
 STABILITY_PICTURE_NUDGE_M = 1e-6
 # Gaussians and side of the picture in which a hand is compared with the reference
 STABILITY_GAUSSIANS = 1500
@@ -49,9 +49,9 @@ USUAL_CLIP = 1e-6
 STABILITY_VIEW_PX = 300
 
 # ---- studies: their pictures -----------------------------------------------------------------------------------------
-# resolution and colours of a picture's file: below 300 kB together
+# resolution and colors of a picture's file: below 300 kB together
 PLOT_DPI = 110
-PLOT_COLOURS = 128
+PLOT_COLORS = 128
 
 # ---- studies: accuracy against time ----------------------------------------------------------------------------------
 # contribution below which a Gaussian does not touch a pixel of the picture that all others are measured against

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 # ---- template -------------------------------------------------------------------------------------------------------
-# spread of the split of the wrist's weight over the metacarpals, metres (assumed; METHOD 2.7)
+# spread of the split of the wrist's weight over the metacarpals, meters (assumed; METHOD 2.7)
 PALM_SPLIT_SIGMA_M = 0.012
-# distance from the wrist over which the palm blends to the wrist matrix, metres (assumed)
+# distance from the wrist over which the palm blends to the wrist matrix, meters (assumed)
 WRIST_BLEND_M = 0.015
 # weight field: voxel edge, margin around the surface, sweeps per level, levels (METHOD 3.4)
 FIELD_VOXEL_M = 0.003
@@ -15,9 +15,9 @@ FIELD_LEVELS = 4
 # a row of bone weights, of a template or an avatar, that is further from 1 than this was not meant as weights: float32
 # rounding of 21 summands leaves less than 1e-6
 WEIGHT_SUM_TOLERANCE = 1e-5
-# weights below this are dropped and the rest renormalised: far joints would drag skin by fractions of a millimetre
+# weights below this are dropped and the rest renormalized: far joints would drag skin by fractions of a millimeter
 WEIGHT_MIN = 1e-3
-# closest points: faces are searched in pieces of at most this radius (metres), so many at first, and so many in all.
+# closest points: faces are searched in pieces of at most this radius (meters), so many at first, and so many in all.
 # Speed only: the search asks for more pieces until it is certain (32 are enough for 9 in 10 points near the skin)
 CLOSEST_PIECE_RADIUS_M = 0.002
 CLOSEST_FIRST_CANDIDATES = 32
@@ -37,16 +37,16 @@ UV_DOUBLE_AREA_MIN_PX2 = 1e-12
 # empty border of a layout made by us and the gap between its parts; texels in which room for the cap is looked for
 UV_MARGIN = 0.02
 UV_ROOM_PX = 256
-# depth of the shell of Gaussians under the skin, metres; deeper ones are hidden
+# depth of the shell of Gaussians under the skin, meters; deeper ones are hidden
 SHELL_DEPTH_M = 0.003
 GAUSSIANS_PER_BONE = 3000
 # farthest-point order takes (points per bone)^2 steps
 SHELL_PER_BONE_MAX = 20_000
-# edge of the cells from which the shell is drawn, metres: speed only
+# edge of the cells from which the shell is drawn, meters: speed only
 SHELL_CELL_M = 0.003
 # draws per wanted point after which a bone is taken to have no skin (built-in hand: at most 11)
 SHELL_DRAWS_MAX = 1000
-# signed distance that d = 0..1 of the UVD coordinates spans, metres (a fixed range: features must not shift)
+# signed distance that d = 0..1 of the UVD coordinates spans, meters (a fixed range: features must not shift)
 UVD_RANGE_M = 0.010
 
 # ---- template: files of other people -------------------------------------------------------------------------------

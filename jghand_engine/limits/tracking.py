@@ -106,10 +106,10 @@ FIT_TOLERANCE = 1e-5
 FIT_DAMPING = 1e-3
 FIT_DAMPING_MIN = 1e-9
 FIT_DAMPING_MAX = 1e6
-# longest step of an angle, radians, and of the wrist, metres: as far as the linearisation reaches
+# longest step of an angle, radians, and of the wrist, meters: as far as the linearization reaches
 FIT_STEP_RAD = 0.6
 FIT_STEP_M = 0.3
-# no joint is taken to be nearer to the camera, metres, and no hand to be smaller in the picture, pixels
+# no joint is taken to be nearer to the camera, meters, and no hand to be smaller in the picture, pixels
 FIT_DEPTH_MIN_M = 1e-2
 HAND_SPREAD_MIN_PX = 1e-3
 # proportions of the hand that is seen: how far a bone's length differs from the start's, relative; frames that are

@@ -19,13 +19,13 @@ PSNR_MAX_DB = 100.0
 # figures are given apart for pictures whose fingers are bent, on the mean of their joints, below, between and above
 # these angles, degrees: an open, a relaxed, a half closed hand and a fist
 FLEXION_REGIONS_DEG = (15.0, 35.0, 60.0)
-# sheets of pictures: side of the square over that of the hand in it; difference 0..1 that has the darkest colour (a
+# sheets of pictures: side of the square over that of the hand in it; difference 0..1 that has the darkest color (a
 # good avatar stays below it nearly everywhere); poses between the two ends (METHOD 6.3)
 SHEET_ROOM = 1.12
 SHEET_DIFFERENCE_FULL = 0.2
 SHEET_STEPS_BETWEEN = 4
-# a learnt offset counts as quadratic below this length, metres: at 0 a plain norm has no gradient, and offsets start
-# there; a hundredth of a millimetre is nothing that could be seen
+# a learned offset counts as quadratic below this length, meters: at 0 a plain norm has no gradient, and offsets start
+# there; a hundredth of a millimeter is nothing that could be seen
 OFFSET_LENGTH_EPS_M = 1e-5
 
 # ---- training: the loop ----------------------------------------------------------------------------------------------
@@ -37,7 +37,7 @@ CROP_MARGIN_PX = 10
 PICTURE_CACHE_BYTES = 1_000_000_000
 # ... and of what a pose needs of the bones, bytes; 3.5 MB each at 40,000 Gaussians
 POSE_CACHE_BYTES = 2_000_000_000
-# visibility below which the shadow is black: its power with the learnt gain has a finite gradient
+# visibility below which the shadow is black: its power with the learned gain has a finite gradient
 VISIBILITY_MIN = 1e-3
 # held-out views by which a training is judged while it runs: one alone can fall while their mean rises. Drawing one
 # takes some 100 ms, once a minute

@@ -1,4 +1,4 @@
-// The constants of the rasterisation contract, the shadow and the similarity. jghand_engine/limits/ says why each has its value; a test compares.
+// The constants of the rasterization contract, the shadow and the similarity. jghand_engine/limits/ says why each has its value; a test compares.
 #pragma once
 
 namespace jg {

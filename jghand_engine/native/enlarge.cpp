@@ -14,7 +14,7 @@ struct EnlargeTask {
   int32_t width, height;              // of the small picture
   int32_t large_width, large_height;  // twice that, or one less
   int32_t stripes;                    // items that threads share
-  float same_surface;                 // depths that differ by less belong together, metres
+  float same_surface;                 // depths that differ by less belong together, meters
   const float* rgba;                  // (H, W, 4)
   const float* depth;                 // (H, W)
   int32_t* spans;                     // (H, 2): what is drawn of a row, from its first column to behind its last
@@ -49,7 +49,7 @@ void find_span(const EnlargeTask& t, int y) {
 }
 
 // Three quarters of the nearest pixel and one of the next, first down, then across.
-void colour_row(const EnlargeTask& t, int large_y, int first, int end) {
+void color_row(const EnlargeTask& t, int large_y, int first, int end) {
   const int y = large_y / 2, next = clamped(large_y % 2 ? y + 1 : y - 1, t.height);
   const float *near = t.rgba + 4 * (int64_t)y * t.width, *far = t.rgba + 4 * (int64_t)next * t.width;
   const auto blended = [&](int x) {
@@ -105,7 +105,7 @@ void enlarge_row(const EnlargeTask& t, int y) {
   first = clamped(first - 1, t.width);
   end = clamped(end, t.width) + 1;
   for (int row = 2 * y; row < 2 * y + 2 && row < t.large_height; row++) {
-    colour_row(t, row, first, end);
+    color_row(t, row, first, end);
     depth_row(t, row, first, end);
   }
 }

@@ -10,7 +10,7 @@ namespace jg {
 struct Projection {
   vf x, y, z;         // camera frame, m
   vf inverse_z;       // of parallel rays: 1
-  vf u, v;            // centre relative to the principal point, px
+  vf u, v;            // center relative to the principal point, px
   vf jx, jy;          // du/dx, dv/dy, px/m
   vf jxz, jyz;        // du/dz, dv/dz, px/m
   vf a, b, c;         // covariance on the picture with the low pass added, px^2

@@ -1,13 +1,13 @@
-// The rasteriser: Gaussians to pictures and back. RENDERING 3 is the contract, RENDERING 4 the design.
+// The rasterizer: Gaussians to pictures and back. RENDERING 3 is the contract, RENDERING 4 the design.
 //
-//   project   every Gaussian: centre, conic, footprint in tiles, depth key; what cannot be seen is culled
+//   project   every Gaussian: center, conic, footprint in tiles, depth key; what cannot be seen is culled
 //   sort      the visible ones by camera depth, ties by index
-//   gather    records into that order: neighbours in a tile's list are then neighbours in memory
+//   gather    records into that order: neighbors in a tile's list are then neighbors in memory
 //   bin       a list per 16 x 16 tile, in depth order
 //   blend     per tile, front to back, a 4 x 4 block of pixels per vector
 //   backward  the same walk with the gradient of the picture, then the chain rule to the inputs
 //
-// One RasterJob describes a picture; native/rasteriser.py owns its memory and mirrors it field by field.
+// One RasterJob describes a picture; native/rasterizer.py owns its memory and mirrors it field by field.
 #pragma once
 #include <stdint.h>
 
@@ -16,9 +16,9 @@
 
 namespace jg {
 
-// A projected Gaussian: log2(alpha) = xx dx^2 + xy dx dy + yy dy^2 + log2_opacity, with (dx, dy) from its centre in px.
+// A projected Gaussian: log2(alpha) = xx dx^2 + xy dx dy + yy dy^2 + log2_opacity, with (dx, dy) from its center in px.
 struct alignas(64) Record {
-  float u, v;                // centre, px
+  float u, v;                // center, px
   float xx, xy, yy;          // conic times -1/2 log2(e), 1/px^2
   float log2_opacity;
   float r, g, b;
@@ -89,7 +89,7 @@ struct RasterJob {
   int32_t parts;                      // how finely the Gaussians are shared between threads; does not change the result
   int32_t visible, invalid;           // out
   int32_t status;                     // out
-  int32_t orthographic;               // 1: parallel rays; fx and fy are px per metre then
+  int32_t orthographic;               // 1: parallel rays; fx and fy are px per meter then
 };
 
 // Steps of the forward call. Ranges of Gaussians or of tiles are given as the item of a step.

@@ -1,4 +1,4 @@
-// Front to back: weight = alpha T, T -= weight; colour, depth and coverage are sums of weights.
+// Front to back: weight = alpha T, T -= weight; color, depth and coverage are sums of weights.
 #include "tile.h"
 
 namespace jg {

@@ -1,4 +1,4 @@
-// The chain rule from a projected Gaussian back to its position, sigma or covariance, opacity and colour.
+// The chain rule from a projected Gaussian back to its position, sigma or covariance, opacity and color.
 #include "projection.h"
 
 namespace jg {

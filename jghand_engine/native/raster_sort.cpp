@@ -1,4 +1,4 @@
-// Depth order on all 32 bits of the float: a quantised key would depend on the other Gaussians.
+// Depth order on all 32 bits of the float: a quantized key would depend on the other Gaussians.
 #include "raster.h"
 
 namespace jg {

@@ -17,13 +17,13 @@ from jghand_engine import limits
 from jghand_engine.errors import RetryError
 from jghand_engine.native.binding import Library, aligned_zeros, new_team
 from jghand_engine.native.enlarge import native_enlarged
-from jghand_engine.native.learnt_tasks import NETWORK_TILE, CorrectiveKind, LearntTask
-from jghand_engine.native.rasteriser import GaussianArrays, NativeRasteriser, View, job_bytes
+from jghand_engine.native.learned_tasks import NETWORK_TILE, CorrectiveKind, LearnedTask
+from jghand_engine.native.rasterizer import GaussianArrays, NativeRasterizer, View, job_bytes
 from jghand_engine.native.ssim import NativeSsim, window
 from jghand_engine.native.tasks import LANES, EnlargeTask, ShadeTask, SkinTask, SsimTask, new_shade_task, padded_depth
 
 _COUNT, _SIZE, _SHADOW_SAMPLES, _TOLERANCE = 200, 32, 16, 1e-4
-# means of the planes R G B A D, and of the gradients with respect to position, sigma, opacity and colour when every
+# means of the planes R G B A D, and of the gradients with respect to position, sigma, opacity and color when every
 # pixel of every plane has gradient 1 / pixels; from the float64 reference (tests/native recomputes them)
 EXPECTED_PLANES = (0.29586, 0.37901, 0.284323, 0.596285, 0.319804)
 EXPECTED_GRADIENTS = (0.117767, 1.950287, 0.009067, 0.002981)
@@ -35,7 +35,7 @@ EXPECTED_RGBA = (0.278745, 0.359152, 0.268071, 0.596285)
 
 
 def sample_gaussians() -> GaussianArrays:
-    """200 Gaussians without a random generator, half a metre in front of the camera; number 7 is NaN."""
+    """200 Gaussians without a random generator, half a meter in front of the camera; number 7 is NaN."""
     i = np.arange(_COUNT, dtype=np.float64)
     spread = partial(_spread, i)
 
@@ -67,7 +67,7 @@ def check(library: Library) -> None:
     call = library.call
     tasks = (
         (call.jg_skin_task_bytes, SkinTask),
-        (call.jg_learnt_task_bytes, LearntTask),
+        (call.jg_learned_task_bytes, LearnedTask),
         (call.jg_shade_task_bytes, ShadeTask),
         (call.jg_ssim_task_bytes, SsimTask),
         (call.jg_enlarge_task_bytes, EnlargeTask),
@@ -99,12 +99,12 @@ def _check_ellipsoids(library: Library) -> None:
 
 
 def _drawn(library: Library, gaussians: GaussianArrays, *, invalid: int) -> tuple[np.ndarray, list[float]]:
-    """The planes, and the mean gradients of position, sigma or covariance, opacity and colour."""
-    rasteriser = NativeRasteriser(library, threads=1)
-    planes = rasteriser.forward(gaussians, sample_view())
-    if rasteriser.invalid != invalid:
-        raise _failure(library, f"{invalid} invalid Gaussians left out", str(rasteriser.invalid))
-    gradients = rasteriser.backward(np.full_like(planes, 1.0 / _SIZE**2))
+    """The planes, and the mean gradients of position, sigma or covariance, opacity and color."""
+    rasterizer = NativeRasterizer(library, threads=1)
+    planes = rasterizer.forward(gaussians, sample_view())
+    if rasterizer.invalid != invalid:
+        raise _failure(library, f"{invalid} invalid Gaussians left out", str(rasterizer.invalid))
+    gradients = rasterizer.backward(np.full_like(planes, 1.0 / _SIZE**2))
     shape = gradients.sigma_m if gradients.covariance_m2 is None else gradients.covariance_m2
     parts = (gradients.position_m, shape, gradients.opacity, gradients.rgb)
     return planes, [float(np.abs(part).mean()) for part in parts if part is not None]
@@ -180,21 +180,21 @@ def _check_trained_skin(library: Library) -> None:
     block_start, bone = np.array([0, 1], np.int32), np.array([2], np.int32)
     results = {"position": (LANES, 3), "sigma": (LANES,)}, {"matt": (6, LANES), "rgb": (LANES, 3)}
     posed, seen = ({name: aligned_zeros(shape) for name, shape in each.items()} for each in results)
-    task = LearntTask(rim=0.5, exponent_max=3.0, length2_min=1e-12, hidden=NETWORK_TILE, lobes=1)
+    task = LearnedTask(rim=0.5, exponent_max=3.0, length2_min=1e-12, hidden=NETWORK_TILE, lobes=1)
     task.correctives, task.reach, task.eye = CorrectiveKind.NETWORK, (0.1, 0.5), (0.1, 0.2, 2.0)
     task.skin = SkinTask(scale=1.0, inverse_scale=1.0, stretch_min=0.5, stretch_max=2.0, blocks=1)
     given = {"rest": rest, "weight": weight, "block_start": block_start, "bone": bone, "linear_offset": matrices}
     for into, named in ((task.skin, given | posed), (task, arrays | seen)):
         for name, array in named.items():
             setattr(into, name, array.ctypes.data)
-    for function in (library.call.jg_learnt_pose, library.call.jg_learnt_gloss):
+    for function in (library.call.jg_learned_pose, library.call.jg_learned_gloss):
         team = new_team()
         function(team.ctypes.data, ctypes.addressof(task))
     _compare(library, "skin of a network", np.hstack([posed["position"], seen["rgb"]]).ravel(), _trained(arrays, rest))
 
 
 def _trained(arrays: dict[str, np.ndarray], rest: np.ndarray) -> np.ndarray:
-    """(16 * 6,) position and colour of the Gaussians above, written out."""
+    """(16 * 6,) position and color of the Gaussians above, written out."""
     a = {name: array.astype(np.float64) for name, array in arrays.items()}
     first = np.maximum(a["places"].T + a["features"][2], 0)
     second = np.maximum(first @ a["middle"] + a["middle_bias"], 0)

@@ -17,7 +17,7 @@ struct ShadeTask {
   int32_t samples;  // 0: no shadow, only compose
   int32_t stride;   // floats from row to row of the padded depth; a multiple of 16
   int32_t pad_rows;
-  int32_t orthographic;  // 1: parallel rays; fx and fy are px per metre then
+  int32_t orthographic;  // 1: parallel rays; fx and fy are px per meter then
   float fx, fy, cx, cy;
   float origin;  // m; depths are kept relative to it, so that the rounding of 0.6 m does not tilt the normals
   float radius, bias, softness, gain;
@@ -30,7 +30,7 @@ struct ShadeTask {
   int32_t* row_valid;     // (H) pixels with a depth
   float* visibility;      // (H, W) or null
   float* rgba;            // (H, W, 4) premultiplied, or null
-  float* depth_out;       // (H, W) metres, 0 where there is none, or null
+  float* depth_out;       // (H, W) meters, 0 where there is none, or null
 };
 
 #if defined(__clang__)
@@ -147,7 +147,7 @@ JG_INLINE Slope slope_along(const Block& b, vf z, const float* c, vf ray, float 
 
 JG_INLINE void set_normal(Block& b, vf z, const float* c, const ShadeTask& s) {
   const Slope h = slope_along(b, z, c, b.ray_x, s.fx, 1, s), v = slope_along(b, z, c, b.ray_y, s.fy, s.stride, s);
-  // a pixel without neighbours along an axis takes the axis itself
+  // a pixel without neighbors along an axis takes the axis itself
   const vf hx = select(h.any, h.along, all(1.f)), hz = select(h.any, h.dz, vf{}), hy = hz * b.ray_y;
   const vf vy = select(v.any, v.along, all(1.f)), vz = select(v.any, v.dz, vf{}), vx = vz * b.ray_x;
   b.nx = vy * hz - vz * hy;

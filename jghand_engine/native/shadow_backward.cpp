@@ -1,4 +1,4 @@
-// Gradient of the darkened colour: to the premultiplied colour directly, to depth through the visibility, and from
+// Gradient of the darkened color: to the premultiplied color directly, to depth through the visibility, and from
 // depth to alpha and the depth sum. Normals and sample positions carry no gradient (METHOD 5.2).
 //
 // A tap adds to the depth of its sample, in another row. The picture is cut into a fixed number of row stripes with
@@ -14,7 +14,7 @@ namespace jg {
 // Mirrored field by field in splat/shadow_native.py.
 struct ShadeGradient {
   const float* visibility;  // (H, W) of the forward pass
-  const float* darkened;    // (3, H, W) gradient of the loss to the darkened colour
+  const float* darkened;    // (3, H, W) gradient of the loss to the darkened color
   float* stripes;           // (H + 2 pad_rows SHADOW_STRIPES) rows of the padded stride: the stripes, one after another
   float* out;               // (5, H, W) gradient to R G B, alpha, depth sum
   int32_t pad_columns;      // floats between the start of a padded row and pixel 0
@@ -121,7 +121,7 @@ void finish_row(const ShadeTask& s, const ShadeGradient& g, const Stripes& strip
 
 JG_API int32_t jg_shade_gradient_bytes() { return sizeof(jg::ShadeGradient); }
 
-// The gradient of jg_shade's darkened colour to the picture's five planes.
+// The gradient of jg_shade's darkened color to the picture's five planes.
 JG_API void jg_shade_backward(jg::Team* team, const jg::ShadeTask* task, const jg::ShadeGradient* gradient) {
   const jg::ShadeTask s = *task;
   const jg::ShadeGradient g = *gradient;

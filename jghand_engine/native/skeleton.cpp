@@ -40,7 +40,7 @@ struct Skeleton {
   double exponent;   // of the scale mode
   double euler;      // 1: euler swing, 0: minimal
   double mirror;     // -1 for a left hand, else 1
-  Vec joint[JOINTS];  // root-centred canonical joints
+  Vec joint[JOINTS];  // root-centered canonical joints
   double length[BONES];
   Vec direction[BONES];
   Mat frame[BONES];
@@ -188,8 +188,8 @@ double safe_angle(double y, double x, double threshold) {
   return fabs(x) > threshold || fabs(y) > threshold ? atan2(y, x) : 0;
 }
 
-// The angles of METHOD 2.4, radians: flexion and abduction of bones 6..20, then those between neighbouring palm bones
-// and those between neighbouring palm planes; `HandFrames` in hand/frames.py.
+// The angles of METHOD 2.4, radians: flexion and abduction of bones 6..20, then those between neighboring palm bones
+// and those between neighboring palm planes; `HandFrames` in hand/frames.py.
 void store_angles(const Skeleton& s, const Frames& frames, double* out) {
   for (const Vec& u : frames.u) {
     const double square = u.x * u.x + u.z * u.z;
@@ -223,7 +223,7 @@ void store(const Skeleton& s, const Mat& L, Vec posed_pivot, Vec canonical_pivot
 
 JG_API int32_t jg_skeleton_bytes() { return sizeof(Skeleton); }
 
-// skeleton: `Skeleton` packed as doubles. joints: 21 x 3, metres, level order.
+// skeleton: `Skeleton` packed as doubles. joints: 21 x 3, meters, level order.
 // matrices: 21 x 3 x 4 root-relative canonical -> posed. scale: of the whole hand. angles: 37, see `store_angles`.
 // Returns the flags of the frames.
 // A joint that is not finite gives NaN everywhere and the flag NOT_FINITE.

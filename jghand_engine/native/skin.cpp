@@ -1,4 +1,4 @@
-// Linear blend skinning of a whole avatar whose colours stay as they are; learnt.cpp has trained ones.
+// Linear blend skinning of a whole avatar whose colors stay as they are; learned.cpp has trained ones.
 #include "export.h"
 #include "skin.h"
 #include "team.h"
@@ -11,7 +11,7 @@ constexpr int BLOCKS_PER_ITEM = 64;
 void skin_block(const SkinTask& s, int32_t block) {
   vf m[MAP_ENTRIES], p[3];
   blend(s, block, m);
-  posed_centre(s, block, m, p);
+  posed_center(s, block, m, p);
   store_shapes(s, block, m, p, volume(s, m));
 }
 

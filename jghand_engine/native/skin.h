@@ -1,6 +1,6 @@
-// How sixteen Gaussians follow the bones (METHOD 2.8, 2.9): what painted and learnt skin share.
+// How sixteen Gaussians follow the bones (METHOD 2.8, 2.9): what painted and learned skin share.
 //
-// Gaussians lie in blocks of sixteen neighbours, which share most of their bones: a block lists the bones that any of
+// Gaussians lie in blocks of sixteen neighbors, which share most of their bones: a block lists the bones that any of
 // its Gaussians has a weight for, and blends their matrices densely. That reads a quarter of what 21 weights would.
 #pragma once
 #include <stdint.h>
@@ -11,7 +11,7 @@ namespace jg {
 
 // Mirrored field by field in native/tasks.py.
 struct SkinTask {
-  const float* rest;           // (blocks, 4, 16): x y z relative to the canonical root, sigma; metres
+  const float* rest;           // (blocks, 4, 16): x y z relative to the canonical root, sigma; meters
   const int32_t* block_start;  // (blocks + 1): where the bones of each block begin
   const int32_t* bone;         // (entries)
   const float* weight;         // (entries, 16)
@@ -38,8 +38,8 @@ JG_INLINE void blend(const SkinTask& s, int32_t block, vf m[MAP_ENTRIES]) {
   }
 }
 
-// The posed centres relative to the hand's root.
-JG_INLINE void posed_centre(const SkinTask& s, int32_t block, const vf m[MAP_ENTRIES], vf p[3]) {
+// The posed centers relative to the hand's root.
+JG_INLINE void posed_center(const SkinTask& s, int32_t block, const vf m[MAP_ENTRIES], vf p[3]) {
   const float* rest = s.rest + 4 * LANES * (int64_t)block;
   const vf x = load(rest), y = load(rest + LANES), z = load(rest + 2 * LANES);
   for (int i = 0; i < 3; i++) p[i] = m[4 * i] * x + (m[4 * i + 1] * y + (m[4 * i + 2] * z + m[4 * i + 3]));
@@ -57,7 +57,7 @@ JG_INLINE vf volume(const SkinTask& s, const vf m[MAP_ENTRIES]) {
 // x^(1 / 3) of normal positive numbers.
 JG_INLINE vf cube_root(vf x) { return exp2(log2(x) * (1.f / 3.f)); }
 
-// Writes centres, to which the shift is added last (the hand keeps its precision wherever it is), radii and, where they
+// Writes centers, to which the shift is added last (the hand keeps its precision wherever it is), radii and, where they
 // are wanted, covariances.
 JG_INLINE void store_shapes(const SkinTask& s, int32_t block, const vf m[MAP_ENTRIES], const vf p[3], vf volume) {
   const int64_t row = LANES * (int64_t)block;

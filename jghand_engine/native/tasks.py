@@ -1,6 +1,6 @@
 """What the calls for skin, shadow, enlarging and similarity take: mirrors of the structures in native/skin.h, shadow.h,
 enlarge.cpp and ssim.cpp, and the memory around a depth that the shadow needs. Python that poses, shades, enlarges and
-compares fills them, and so does the self-test; what trained skin takes is in learnt_tasks.py."""
+compares fills them, and so does the self-test; what trained skin takes is in learned_tasks.py."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from jghand_engine.native.binding import aligned_zeros
 
 # elements of one vector of the kernels
 LANES = 16
-# rows and columns around the picture: the farthest sample and its neighbour; columns in whole vectors
+# rows and columns around the picture: the farthest sample and its neighbor; columns in whole vectors
 PAD_ROWS = math.ceil(limits.SHADOW_RADIUS_MAX_PX) + 1
 PAD_COLUMNS = -(-PAD_ROWS // LANES) * LANES
 

@@ -9,7 +9,7 @@ namespace jg {
 constexpr int BLOCKS = (TILE_PX / BLOCK_PX) * (TILE_PX / BLOCK_PX);
 static_assert(BLOCK_PX * BLOCK_PX == LANES, "a block is one vector");
 
-// Pixel centres of a block relative to its top-left corner.
+// Pixel centers of a block relative to its top-left corner.
 const vf LANE_X = {.5f, 1.5f, 2.5f, 3.5f, .5f, 1.5f, 2.5f, 3.5f, .5f, 1.5f, 2.5f, 3.5f, .5f, 1.5f, 2.5f, 3.5f};
 const vf LANE_Y = {.5f, .5f, .5f, .5f, 1.5f, 1.5f, 1.5f, 1.5f, 2.5f, 2.5f, 2.5f, 2.5f, 3.5f, 3.5f, 3.5f, 3.5f};
 
@@ -59,7 +59,7 @@ JG_INLINE vf load_pixels(const RasterJob& job, const float* planes, int plane, i
   return load(values);
 }
 
-// A run of a tile's list, copied to the first-level cache with centres relative to the tile.
+// A run of a tile's list, copied to the first-level cache with centers relative to the tile.
 struct Chunk {
   Record records[CHUNK];
   alignas(64) float u[CHUNK], v[CHUNK], radius2[CHUNK];
@@ -99,9 +99,9 @@ struct Hits {
   int32_t count;
 };
 
-// Those whose circle reaches a pixel centre of the block.
+// Those whose circle reaches a pixel center of the block.
 JG_INLINE void find_hits(const Chunk& chunk, int block, Hits& hits) {
-  const float half = 0.5f * (BLOCK_PX - 1);  // pixel centres lie within this distance of the block's centre
+  const float half = 0.5f * (BLOCK_PX - 1);  // pixel centers lie within this distance of the block's center
   const float x = block_x(block) + 0.5f * BLOCK_PX, y = block_y(block) + 0.5f * BLOCK_PX;
   int n = 0;
   for (int k = 0; k < chunk.length; k += LANES) {
@@ -121,7 +121,7 @@ JG_INLINE void find_hits(const Chunk& chunk, int block, Hits& hits) {
 
 // A Gaussian on the sixteen pixels (x, y) of a block.
 struct Coverage {
-  vf dx, dy;     // pixel minus centre, px
+  vf dx, dy;     // pixel minus center, px
   vf uncapped;   // opacity exp(-q); meaningless where alpha is cut
   vf alpha;      // cut below alpha_min, capped at alpha_max
 };

@@ -19,7 +19,7 @@ from jghand_engine.service.picture_request import OUTPUT_BYTES, PictureRequest, 
 from jghand_engine.service.protocol import PROTOCOL_VERSION, Array, Message
 
 
-class Cancelled(Exception):  # noqa: N818 - not an error: the client does not want the answer any more
+class Canceled(Exception):  # noqa: N818 - not an error: the client does not want the answer any more
     """A request was given up half way, because its client asked for that."""
 
 
@@ -60,9 +60,9 @@ class PictureSource(Protocol):
         """Loads an avatar by path ("builtin" for the one that comes with JGHand)."""
         ...
 
-    def render(self, picture: PictureRequest, cancelled: Callable[[], bool]) -> Painting:
-        """Draws all hands (at least one) into one picture, the nearer in front. `cancelled` is asked between parts of
-        it that take long; Cancelled ends it then."""
+    def render(self, picture: PictureRequest, canceled: Callable[[], bool]) -> Painting:
+        """Draws all hands (at least one) into one picture, the nearer in front. `canceled` is asked between parts of
+        it that take long; Canceled ends it then."""
         ...
 
     def encode_png(self, rgba: np.ndarray) -> bytes:
@@ -96,26 +96,26 @@ class Commands:
         """What a client may ask for."""
         return [*self._kinds, *OUTPUT_BYTES]
 
-    def run(self, message: Message, cancelled: Callable[[], bool] = never) -> Reply:
-        """The reply to one request. cancelled: asked from time to time; Cancelled is raised when it says so."""
+    def run(self, message: Message, canceled: Callable[[], bool] = never) -> Reply:
+        """The reply to one request. canceled: asked from time to time; Canceled is raised when it says so."""
         kind = message.header.get("kind")
         command = self._kinds.get(kind) if isinstance(kind, str) else None
         if command is None:
             raise InputError("request", wanted=" | ".join(self._kinds), came=repr(kind)[:80])
-        return command(message, cancelled)
+        return command(message, canceled)
 
-    def _info(self, _: Message, _cancelled: Callable[[], bool]) -> Reply:
+    def _info(self, _: Message, _canceled: Callable[[], bool]) -> Reply:
         facts = {"engine_version": __version__, "protocol": PROTOCOL_VERSION, "pid": os.getpid()}
         return Reply({**facts, "device": self.source.device, "capabilities": self.capabilities}, {})
 
-    def _load(self, message: Message, _cancelled: Callable[[], bool]) -> Reply:
+    def _load(self, message: Message, _canceled: Callable[[], bool]) -> Reply:
         loaded = self.source.load(text_of(message.header, "avatar"))
         return Reply(loaded.facts, {"canonical_joints": _array(loaded.canonical_joints_m, np.float64)})
 
-    def _render_picture(self, message: Message, cancelled: Callable[[], bool]) -> Reply:
+    def _render_picture(self, message: Message, canceled: Callable[[], bool]) -> Reply:
         request, outputs = read_request(message)
         size = (request.height, request.width)
-        picture = self.source.render(request, cancelled) if request.hands else Painting(np.zeros((*size, 4)), {})
+        picture = self.source.render(request, canceled) if request.hands else Painting(np.zeros((*size, 4)), {})
         rgba = picture.rgba
         makers = {
             "rgba_f32": lambda: _array(rgba, np.float32),
@@ -131,8 +131,8 @@ class Commands:
 
 def error_header(error: BaseException) -> dict[str, str]:
     """kind, sentence and detail of what went wrong, for the wire. Out of memory is an answer, not an end."""
-    if isinstance(error, Cancelled):
-        return {"kind": "cancelled", "sentence": "The request was cancelled.", "detail": ""}
+    if isinstance(error, Canceled):
+        return {"kind": "canceled", "sentence": "The request was canceled.", "detail": ""}
     kinds = ((MemoryLimitError, "out_of_memory"), (RetryError, "retry"), (InputError, "bad_input"))
     kind = next((name for known, name in kinds if isinstance(error, known)), "")
     if kind:

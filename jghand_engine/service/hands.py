@@ -18,14 +18,14 @@ import numpy as np
 from jghand_engine import limits
 from jghand_engine.avatar.shipped import SHIPPED
 from jghand_engine.errors import InputError
-from jghand_engine.service.commands import Cancelled, LoadedAvatar, Painting, never
+from jghand_engine.service.commands import Canceled, LoadedAvatar, Painting, never
 from jghand_engine.service.picture_request import Exposure, PictureRequest, PictureSettings
 
 if TYPE_CHECKING:
     from jghand_engine.avatar.avatar import HandAvatar
-    from jghand_engine.splat.frame import SceneRenderer
-    from jghand_engine.splat.moments import Moment
-    from jghand_engine.splat.settings import RenderSettings
+    from jghand_engine.render.frame import SceneRenderer
+    from jghand_engine.render.moments import Moment
+    from jghand_engine.render.settings import RenderSettings
 
 
 class _Version(NamedTuple):
@@ -79,25 +79,25 @@ class EngineHands:
             "avatar": avatar,
             "name": loaded.info.name,
             "template": loaded.info.template,
-            "licence": loaded.info.licence,
+            "licence": loaded.info.license,
             "handedness": str(loaded.handedness),
             "gaussians": len(loaded),
         }
         return LoadedAvatar(facts, from_level(loaded.canonical_joints_m.numpy(), JointOrder.STANDARD))
 
-    def render(self, picture: PictureRequest, cancelled: Callable[[], bool] = never) -> Painting:
+    def render(self, picture: PictureRequest, canceled: Callable[[], bool] = never) -> Painting:
         """All hands in one picture: their Gaussians are drawn together, so that hands may interlock. A request's world
         is the one of the renderer, in which trained hands have their light."""
         with self._telling("Loading PyTorch"):
-            from jghand_engine.splat.moments import render_moments
+            from jghand_engine.render.moments import render_moments
 
         moments = [_moment(exposure, picture) for exposure in picture.exposures]
         weights = [exposure.weight for exposure in picture.exposures]
         renderer = self._renderer(picture)
 
         def check() -> None:
-            if cancelled():
-                raise Cancelled
+            if canceled():
+                raise Canceled
 
         frame, covered_depth_m = render_moments(renderer, moments, weights, middle=picture.middle, between=check)
         ids = renderer.bone_ids(moments[picture.middle].camera) if picture.ids else None
@@ -105,7 +105,7 @@ class EngineHands:
 
     def encode_png(self, rgba: np.ndarray) -> bytes:
         """(H, W, 4) premultiplied float32 -> the bytes of a PNG with straight alpha."""
-        from jghand_engine.exporters.pictures import encode_png
+        from jghand_engine.export.pictures import encode_png
 
         return encode_png(rgba)
 
@@ -119,7 +119,7 @@ class EngineHands:
             self.doing = ""
 
     def _renderer(self, picture: PictureRequest) -> SceneRenderer:
-        from jghand_engine.splat.frame import SceneRenderer
+        from jghand_engine.render.frame import SceneRenderer
 
         asked = replace(picture.settings, **{name: getattr(PictureSettings, name) for name in _LIVE})
         size_px = _measured_size(picture.width * picture.height) if asked.budget_ms is not None else None
@@ -175,8 +175,8 @@ class EngineHands:
 def _settings(asked: PictureSettings, avatars: list[HandAvatar], size_px: tuple[int, int] | None) -> RenderSettings:
     """The preset, or what the budget buys, each hand taking an equal part of it; then what was asked for by name."""
     from jghand_engine.avatar.tiers import Tier
-    from jghand_engine.splat.effect_plan import Choice
-    from jghand_engine.splat.settings import RenderSettings, preset
+    from jghand_engine.render.effect_plan import Choice
+    from jghand_engine.render.settings import RenderSettings, preset
 
     settings = preset(asked.preset)
     if asked.budget_ms is not None and size_px is not None:
@@ -210,8 +210,8 @@ def _moment(exposure: Exposure, picture: PictureRequest) -> Moment:
     import torch
 
     from jghand_engine.hand.orders import JointOrder, to_level
-    from jghand_engine.splat.camera import Camera, Lens
-    from jghand_engine.splat.moments import Moment
+    from jghand_engine.render.camera import Camera, Lens
+    from jghand_engine.render.moments import Moment
 
     camera = Camera(
         picture.width,

@@ -1,6 +1,6 @@
 """What a `render_picture` request may ask for, read from its message and checked before anything is drawn.
 
-The world of a request is the one in which trained hands learnt their light: metres, +y up, +z towards whoever looks at
+The world of a request is the one in which trained hands learned their light: meters, +y up, +z towards whoever looks at
 the palm of a hand that points up (as captures have it, `capture.look`). A hand's own space lies in it by
 `world_from_hand`, a camera by `camera_from_world`; everything is float64 or float32 on the wire and float64 here, so
 that a hand far from the origin loses nothing. Joints are in the standard order. Source: BLENDER 3.2.
@@ -28,7 +28,7 @@ JOINTS = 21
 class PictureSettings:
     """preset: name of a preset of RenderSettings · budget_ms: instead of the preset's, the most accurate settings that
     draw a frame in so many milliseconds; None for the preset · density: part of each avatar's Gaussians that is drawn ·
-    shadow_strength: 0..1 · shadow_radius_m: how far shadows reach, metres · correctives: a tier of `avatar.tiers`, None
+    shadow_strength: 0..1 · shadow_radius_m: how far shadows reach, meters · correctives: a tier of `avatar.tiers`, None
     for the preset's · effects: in the words of `effect_plan.Choice`"""
 
     preset: str = "viewport"
@@ -72,7 +72,7 @@ _CHECKS = {
     "shadow_strength": (lambda v: _is_number(v) and 0 <= v <= 1, "a number from 0 to 1"),
     "shadow_radius_m": (
         lambda v: _is_number(v) and 0 < v <= limits.SHADOW_RADIUS_MAX_M,
-        f"metres above 0, at most {limits.SHADOW_RADIUS_MAX_M:g}",
+        f"meters above 0, at most {limits.SHADOW_RADIUS_MAX_M:g}",
     ),
     "correctives": (lambda v: v is None or _is_text(v), "null, or the name of a tier"),
     "effects": (_is_text, "auto | all | none | names of effects"),
@@ -89,9 +89,9 @@ class HandAsked:
 
 @dataclass(frozen=True)
 class Exposure:
-    """One moment of a picture. fx, fy, cx, cy: pixels (orthographic: fx and fy are pixels per metre) · aperture_m,
-    focus_m: of a thin lens, aperture 0 for a pinhole · camera_from_world: (4, 4) rigid, metres, OpenCV axes ·
-    joints_m: (n, 21, 3) in each hand's own space · world_from_hand: (n, 4, 4) rigid, metres ·
+    """One moment of a picture. fx, fy, cx, cy: pixels (orthographic: fx and fy are pixels per meter) · aperture_m,
+    focus_m: of a thin lens, aperture 0 for a pinhole · camera_from_world: (4, 4) rigid, meters, OpenCV axes ·
+    joints_m: (n, 21, 3) in each hand's own space · world_from_hand: (n, 4, 4) rigid, meters ·
     weight: of this moment in the mean of all"""
 
     fx: float
@@ -107,7 +107,7 @@ class Exposure:
 
     @property
     def joints_world_m(self) -> np.ndarray:
-        """(n, 21, 3) float64 in the world, metres."""
+        """(n, 21, 3) float64 in the world, meters."""
         turn, offset_m = self.world_from_hand[:, :3, :3], self.world_from_hand[:, None, :3, 3]
         return np.einsum("nab,njb->nja", turn, self.joints_m) + offset_m
 
@@ -212,7 +212,7 @@ def _exposures(message: Message, hands: int) -> tuple[Exposure, ...]:
     if "lenses" in message.arrays:
         lenses = _numbers(message, "lenses", (count, 2))
         if not (lenses[:, 0] >= 0).all() or not (lenses[:, 1] > limits.Z_NEAR_M).all():
-            wanted = f"an aperture of 0 or more and a focus beyond {limits.Z_NEAR_M:g}, metres"
+            wanted = f"an aperture of 0 or more and a focus beyond {limits.Z_NEAR_M:g}, meters"
             raise InputError("array lenses", wanted=wanted, came=str(lenses.tolist())[:80])
     weights = np.ones(count)
     if "weights" in message.arrays:

@@ -1,4 +1,4 @@
-"""The requests of one client: taken in the order in which they came, cancelled by their number. No socket here."""
+"""The requests of one client: taken in the order in which they came, canceled by their number. No socket here."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class Requests:
         self._waiting: deque[Message] = deque()
         self._changed = threading.Condition()
         self._running: Message | None = None
-        self._cancelled = False
+        self._canceled = False
         self._over = False
 
     def put(self, message: Message) -> None:
@@ -34,7 +34,7 @@ class Requests:
             self._changed.wait_for(lambda: self._over or bool(self._waiting))
             if self._over:
                 return None
-            self._running, self._cancelled = self._waiting.popleft(), False
+            self._running, self._canceled = self._waiting.popleft(), False
             self._changed.notify_all()
             return self._running
 
@@ -48,13 +48,13 @@ class Requests:
                     self._changed.notify_all()
                     return True
             if self._running is not None and self._running.header.get("id") == identity:
-                self._cancelled = True
+                self._canceled = True
             return False
 
     def end(self) -> None:
         """The client is gone: nobody wants what waits, nor what runs."""
         with self._changed:
-            self._over = self._cancelled = True
+            self._over = self._canceled = True
             self._waiting.clear()
             self._changed.notify_all()
 
@@ -64,6 +64,6 @@ class Requests:
         running = self._running
         return running.header.get("id") if running is not None else None
 
-    def is_cancelled(self) -> bool:
+    def is_canceled(self) -> bool:
         """Whether the running request is to stop."""
-        return self._cancelled
+        return self._canceled

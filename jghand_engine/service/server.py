@@ -30,7 +30,7 @@ from typing import IO, Any, NoReturn
 from jghand_engine import __version__, limits
 from jghand_engine.errors import InputError
 from jghand_engine.service import protocol
-from jghand_engine.service.commands import Cancelled, Commands, PictureSource, Reply, error_header
+from jghand_engine.service.commands import Canceled, Commands, PictureSource, Reply, error_header
 from jghand_engine.service.handles import take_stdin
 from jghand_engine.service.protocol import Disconnected, Message, ProtocolError
 from jghand_engine.service.requests import Requests
@@ -168,7 +168,7 @@ class Server:
             beat.start()
             read.start()
             while not self._stop.is_set() and (message := requests.take()) is not None:
-                header, reply = self._answer(message, requests.is_cancelled)
+                header, reply = self._answer(message, requests.is_canceled)
                 with sending:
                     protocol.send(connection, header, reply.arrays)
                 if reply.last:
@@ -206,7 +206,7 @@ class Server:
                     requests.put(message)
                 elif requests.cancel(message.header.get("id")):
                     with sending:
-                        protocol.send(connection, _failed(message, error_header(Cancelled())))
+                        protocol.send(connection, _failed(message, error_header(Canceled())))
         except Disconnected as error:
             self._tell(error)
         except (ProtocolError, OSError, ValueError) as error:  # ValueError: the other thread closed the connection
@@ -219,11 +219,11 @@ class Server:
         if not error.clean and not self._stop.is_set():
             _log(f"the client left: {error}")
 
-    def _answer(self, message: Message, cancelled: Callable[[], bool]) -> tuple[dict[str, Any], Reply]:
+    def _answer(self, message: Message, canceled: Callable[[], bool]) -> tuple[dict[str, Any], Reply]:
         """The reply to a request, with what it took here; every failure is a reply too."""
         begun = time.perf_counter()
         try:
-            reply = self._commands.run(message, cancelled)
+            reply = self._commands.run(message, canceled)
             took_ms = round(1e3 * (time.perf_counter() - begun), 3)
             header = {**_to(message), "ok": True, "took_ms": took_ms, **reply.header}
             protocol.encode(header, reply.arrays)  # a reply that cannot be sent becomes an error that can

@@ -1,6 +1,6 @@
 """The closest point of a closed triangle surface, exactly and for many points at once, and on which side they are.
 
-A k-d tree over the centres of small pieces of the faces proposes candidates; a point is finished when the farthest
+A k-d tree over the centers of small pieces of the faces proposes candidates; a point is finished when the farthest
 proposed piece cannot hold anything nearer, else it asks for more. So the result is exact, whatever the mesh.
 """
 
@@ -27,7 +27,7 @@ from jghand_engine.template.surface import edge_normals, face_normals, vertex_no
 class ClosestPoints:
     """For N points: the closest point of the surface.
 
-    point_m:     (N, 3) metres
+    point_m:     (N, 3) meters
     face:        (N,) face number
     barycentric: (N, 3) weights of the face's corners
     signed_m:    (N,) distance, negative inside
@@ -50,16 +50,16 @@ class ClosestPoints:
 
 
 class Surface:
-    """A closed surface (vertices (V, 3) metres, faces (F, 3), counter-clockwise from outside) that can be asked."""
+    """A closed surface (vertices (V, 3) meters, faces (F, 3), counter-clockwise from outside) that can be asked."""
 
     def __init__(self, vertices_m: np.ndarray, faces: np.ndarray) -> None:
         self.corners_m = vertices_m[faces]
         self._normals = face_normals(vertices_m, faces)
         self._edge_normals = edge_normals(faces, self._normals)
         self._corner_normals = vertex_normals(vertices_m, faces)[faces]
-        centres, self._piece_face, self._piece_radii_m = _pieces(self.corners_m)
+        centers, self._piece_face, self._piece_radii_m = _pieces(self.corners_m)
         self.piece_radius_m = float(self._piece_radii_m.max())
-        self._tree = KDTree(centres)
+        self._tree = KDTree(centers)
 
     def normals(self, face: np.ndarray, barycentric: np.ndarray) -> np.ndarray:
         """(N, 3) unit outward normals, interpolated between the vertices' normals."""
@@ -95,7 +95,7 @@ class Surface:
         """Face, barycentrics, squared distance of the best among the nearest pieces, and whether none can be better."""
         reach, piece = self._tree.query(points_m, k=candidates)
         reach, piece = reach.reshape(len(points_m), -1), piece.reshape(len(points_m), -1)
-        # the nearest centre is a point of the surface: what is farther than it with all of its piece cannot be nearest
+        # the nearest center is a point of the surface: what is farther than it with all of its piece cannot be nearest
         possible = reach - self._piece_radii_m[piece] <= reach[:, :1] * (1 + CLOSEST_ROUNDING)
         row, face = _each_once(self._piece_face[piece], possible)
         bary, squared = closest_on_triangle(points_m[row], self.corners_m[face])
@@ -177,19 +177,19 @@ def _dot(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def _pieces(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Splits faces at the middle of the longest edge until every piece is small.
 
-    Returns centres (P, 3), the face of each piece (P,), and the distance (P,) from each centre to the farthest corner.
+    Returns centers (P, 3), the face of each piece (P,), and the distance (P,) from each center to the farthest corner.
     """
     face = np.arange(len(corners))
-    done_centres, done_faces, done_radii = [], [], []
+    done_centers, done_faces, done_radii = [], [], []
     while len(corners):
-        centre = corners.mean(axis=1)
-        radius = np.linalg.norm(corners - centre[:, None], axis=2).max(axis=1)
+        center = corners.mean(axis=1)
+        radius = np.linalg.norm(corners - center[:, None], axis=2).max(axis=1)
         small = (radius <= CLOSEST_PIECE_RADIUS_M) | (2 * len(corners) > CLOSEST_PIECES_MAX)
-        done_centres.append(centre[small])
+        done_centers.append(center[small])
         done_faces.append(face[small])
         done_radii.append(radius[small])
         corners, face = _halved(corners[~small]), np.repeat(face[~small], 2)
-    return np.concatenate(done_centres), np.concatenate(done_faces), np.concatenate(done_radii)
+    return np.concatenate(done_centers), np.concatenate(done_faces), np.concatenate(done_radii)
 
 
 def _halved(corners: np.ndarray) -> np.ndarray:

@@ -10,7 +10,7 @@ from scipy.ndimage import distance_transform_edt
 from jghand_engine.errors import InputError
 from jghand_engine.limits import CAP_UV_FILL, CAP_UV_RADIUS_MAX, OBJ_BYTES_MAX, UV_MARGIN, UV_ROOM_PX
 from jghand_engine.template.surface import face_normals
-from jghand_engine.template.texture import rasterise_uv
+from jghand_engine.template.texture import rasterize_uv
 
 
 def projected_uv(vertices_m: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -84,12 +84,12 @@ def _corner(word: str) -> tuple[int, int]:
 
 
 def room_for_disk(face_uv: np.ndarray) -> tuple[tuple[float, float], float]:
-    """Centre and radius of a disk that touches no face of the layout (F, 3, 2): a place for the wrist cap."""
-    _, covered = rasterise_uv(face_uv, np.zeros((*face_uv.shape[:2], 1)), UV_ROOM_PX)
+    """Center and radius of a disk that touches no face of the layout (F, 3, 2): a place for the wrist cap."""
+    _, covered = rasterize_uv(face_uv, np.zeros((*face_uv.shape[:2], 1)), UV_ROOM_PX)
     free = np.pad(~covered, 1)
     distance = np.asarray(distance_transform_edt(free))[1:-1, 1:-1]
     row, column = np.unravel_index(distance.argmax(), distance.shape)
-    # a texel may be covered in part without its centre being so
+    # a texel may be covered in part without its center being so
     radius = min(CAP_UV_FILL * (distance[row, column] - 1) / UV_ROOM_PX, CAP_UV_RADIUS_MAX)
     if radius <= 0:
         raise InputError("UV layout", wanted="free room for the wrist cap", came="a full square")

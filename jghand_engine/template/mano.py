@@ -43,7 +43,7 @@ PARENTS = (-1, *(parent for finger in range(5) for parent in (0, 1 + 3 * finger,
 
 
 class TipVertices(StrEnum):
-    """Whose choice of the five vertices that serve as finger tips. It moves tips by millimetres: store it with data."""
+    """Whose choice of the five vertices that serve as finger tips. It moves tips by millimeters: store it with data."""
 
     MANOPTH = "manopth"
     SMPLX = "smplx"
@@ -90,8 +90,8 @@ def load_mano(
     tip_vertices = list(TIP_VERTICES[tips, handedness])
     posed = {}
     for which, rotation in ((ManoPose.FLAT, np.zeros((JOINTS, 3))), (ManoPose.MEAN, mean_pose(fields))):
-        points, centres = _posed(fields, rotation)
-        frame = _canonical(np.concatenate([centres, points[tip_vertices]]) * mirror)
+        points, centers = _posed(fields, rotation)
+        frame = _canonical(np.concatenate([centers, points[tip_vertices]]) * mirror)
         posed[which] = _move(points * mirror, frame)
     _check_side(posed[ManoPose.MEAN][1], path)
     flat_m, _ = posed[ManoPose.FLAT]
@@ -148,7 +148,7 @@ def read_mano(path: Path | str) -> dict[str, np.ndarray]:
 
 
 def convert_mano(source: Path | str, target: Path | str) -> None:
-    """Writes MANO's arrays as a plain .npz, which `load_mano` reads too. For the user's own use: MANO's licence forbids
+    """Writes MANO's arrays as a plain .npz, which `load_mano` reads too. For the user's own use: MANO's license forbids
     to pass the result on. Raises InputError for another suffix: `read_mano` would take the file for a pickle."""
     if Path(target).suffix.lower() != ".npz":
         raise InputError(f"converted MANO file {target}", wanted="a name that ends in .npz", came="another")

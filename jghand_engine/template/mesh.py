@@ -11,7 +11,7 @@ import numpy as np
 class HandTemplate:
     """A closed, skinned, UV-mapped right hand in its canonical frame.
 
-    Frame: wrist at the origin, +y wrist to middle MCP, +x to the index side, +z out of the palm; metres.
+    Frame: wrist at the origin, +y wrist to middle MCP, +x to the index side, +z out of the palm; meters.
 
     identifier:      name and version of the surface, stored with every avatar made from it
     vertices_m:      (V, 3) float64

@@ -29,9 +29,9 @@ from jghand_engine.template.weights import segment_distance
 class ShellSample:
     """N = 20 * per_bone points under the skin of a template, every prefix of which covers the whole hand.
 
-    position_m:  (N, 3) float64, canonical frame, metres
+    position_m:  (N, 3) float64, canonical frame, meters
     bone:        (N,) int64, 1..20: the nearest bone, named by the joint it ends at (level order)
-    uvd:         (N, 3) float64, 0..1: texture coordinates of the closest skin, and the normalised signed distance
+    uvd:         (N, 3) float64, 0..1: texture coordinates of the closest skin, and the normalized signed distance
     normal:      (N, 3) float64, unit outward normal of the skin there
     face:        (N,) int64, closest face of the template
     barycentric: (N, 3) float64, of the closest point in that face
@@ -81,7 +81,7 @@ def sample_shell(
 def uvd_coordinates(template: HandTemplate, near: ClosestPoints) -> np.ndarray:
     """(N, 3) coordinates in 0..1: UV of the closest point in *its* face, and the signed distance over a fixed range.
 
-    UVs belong to the corners of faces, so they are mixed inside the closest face, never between neighbouring vertices.
+    UVs belong to the corners of faces, so they are mixed inside the closest face, never between neighboring vertices.
     The range is fixed (UVD_RANGE_M either side): with the range of the points at hand features would shift when points
     move. METHOD 3.3.
     """
@@ -171,12 +171,12 @@ def _nearest_bone(points_m: np.ndarray, joints_m: np.ndarray, random: np.random.
 
 
 def _shell_cells(template: HandTemplate, surface: Surface, depth_m: float) -> tuple[np.ndarray, float]:
-    """Centres (C, 3) of the grid cells that may hold a part of the shell, and half their edge."""
+    """Centers (C, 3) of the grid cells that may hold a part of the shell, and half their edge."""
     half_m = SHELL_CELL_M / 2
     diagonal_m = np.sqrt(3) * half_m
     low, high = template.vertices_m.min(axis=0), template.vertices_m.max(axis=0)
     axes = [np.arange(low[k] + half_m, high[k] + half_m, SHELL_CELL_M) for k in range(3)]
-    centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    centres = centres[surface.rough(centres)[1] <= depth_m + diagonal_m + surface.piece_radius_m]
-    signed = surface.closest(centres).signed_m
-    return centres[(signed <= diagonal_m) & (signed >= -depth_m - diagonal_m)], half_m
+    centers = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    centers = centers[surface.rough(centers)[1] <= depth_m + diagonal_m + surface.piece_radius_m]
+    signed = surface.closest(centers).signed_m
+    return centers[(signed <= diagonal_m) & (signed >= -depth_m - diagonal_m)], half_m

@@ -33,16 +33,16 @@ def boundary_loop(faces: np.ndarray) -> np.ndarray:
     return np.array(loop)
 
 
-def fan_faces(loop: np.ndarray, centre: int) -> np.ndarray:
-    """(m, 3) faces that close the opening `loop` (m,) with the vertex `centre`, oriented like the surface."""
-    return np.stack([np.roll(loop, -1), loop, np.full_like(loop, centre)], axis=1)
+def fan_faces(loop: np.ndarray, center: int) -> np.ndarray:
+    """(m, 3) faces that close the opening `loop` (m,) with the vertex `center`, oriented like the surface."""
+    return np.stack([np.roll(loop, -1), loop, np.full_like(loop, center)], axis=1)
 
 
-def disk_uv(count: int, centre: tuple[float, float], radius: float) -> np.ndarray:
+def disk_uv(count: int, center: tuple[float, float], radius: float) -> np.ndarray:
     """(count, 3, 2) corner UVs of a fan of `count` faces (see `fan_faces`) laid out as a disk."""
     angle = np.arange(count) * (2 * np.pi / count)
-    ring = np.array(centre) + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    return np.stack([np.roll(ring, -1, axis=0), ring, np.broadcast_to(np.array(centre), ring.shape)], axis=1)
+    ring = np.array(center) + radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    return np.stack([np.roll(ring, -1, axis=0), ring, np.broadcast_to(np.array(center), ring.shape)], axis=1)
 
 
 def face_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -7,10 +7,10 @@ import numpy as np
 from jghand_engine.limits import UV_DOUBLE_AREA_MIN_PX2, UV_EDGE_SLACK
 
 
-def rasterise_uv(face_uv: np.ndarray, corner_values: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
+def rasterize_uv(face_uv: np.ndarray, corner_values: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
     """Lays per-corner values out in UV space.
 
-    face_uv (F, 3, 2), corner_values (F, 3, C) -> values (size, size, C) float64 with row = 1 - v, texel centres at
+    face_uv (F, 3, 2), corner_values (F, 3, C) -> values (size, size, C) float64 with row = 1 - v, texel centers at
     ((column + 0.5) / size, 1 - (row + 0.5) / size), and a bool mask (size, size) of the covered texels.
     """
     values = np.zeros((size, size, corner_values.shape[-1]))

@@ -24,8 +24,8 @@ class WeightField:
     """Bone weights on a grid of voxels, to be interpolated.
 
     grid:   (1, 21, X, Y, Z) float32; sums to 1 over the bones in every voxel
-    low_m:  (3,) float64, centre of the first voxel, canonical frame
-    high_m: (3,) float64, centre of the last voxel
+    low_m:  (3,) float64, center of the first voxel, canonical frame
+    high_m: (3,) float64, center of the last voxel
     """
 
     grid: torch.Tensor
@@ -41,8 +41,8 @@ class WeightField:
         # a multiple of 2^(levels - 1) voxels, so that every coarser grid has whole voxels
         counts = (np.ceil((high - low) / voxel_m / multiple).astype(int) + 1) * multiple
         axes = [low[k] + voxel_m * np.arange(counts[k]) for k in range(3)]
-        centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-        seed, fixed = _seed(template, centres, voxel_m)
+        centers = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+        seed, fixed = _seed(template, centers, voxel_m)
         shape = [int(n) for n in counts]
         grid = torch.from_numpy(seed.astype(np.float32).T.copy()).reshape(1, -1, *shape)
         grid = _harmonic(grid, torch.from_numpy(fixed).reshape(1, 1, *shape), FIELD_LEVELS).clamp_min(0)
@@ -59,26 +59,26 @@ class WeightField:
         """
         points = torch.as_tensor(points_m, dtype=torch.float64)
         place = (2 * (points - self.low_m) / (self.high_m - self.low_m) - 1).to(self.grid.dtype)
-        # grid_sample names the last axis x, so z, y, x; corners are aligned because low and high are voxel centres
+        # grid_sample names the last axis x, so z, y, x; corners are aligned because low and high are voxel centers
         found = functional.grid_sample(
             self.grid, place.flip(-1).view(1, -1, 1, 1, 3), mode="bilinear", padding_mode="border", align_corners=True
         )
         return without_crumbs(found.view(self.grid.shape[1], -1).T)
 
 
-def _seed(template: HandTemplate, centres: np.ndarray, voxel_m: float) -> tuple[np.ndarray, np.ndarray]:
+def _seed(template: HandTemplate, centers: np.ndarray, voxel_m: float) -> tuple[np.ndarray, np.ndarray]:
     """Weights (N, 21) to start from and which voxels (N,) are fixed.
 
     Near the surface: those of the closest point. Elsewhere only a first guess that the filling replaces.
     """
     surface = Surface(template.vertices_m, template.faces)
     corner_weights = template.bone_weights[template.faces]
-    face, rough = surface.rough(centres)
+    face, rough = surface.rough(centers)
     seed = corner_weights[face].mean(axis=1)
     close = np.flatnonzero(rough <= voxel_m + surface.piece_radius_m)
-    near = surface.closest(centres[close])
+    near = surface.closest(centers[close])
     seed[close] = np.einsum("nk,nkj->nj", near.barycentric, corner_weights[near.face])
-    fixed = np.zeros(len(centres), dtype=bool)
+    fixed = np.zeros(len(centers), dtype=bool)
     fixed[close] = np.abs(near.signed_m) <= voxel_m
     return seed, fixed
 

@@ -3,7 +3,7 @@
 //     node photograph_page.mjs FOLDER PLAN.json OUT
 //
 // PLAN: { "shots": [{ "name", "width", "height", "scale", "touch", "before", "steps": [[action, …], …], "canvas", "watch" }] }.
-// Actions: seek FRAME, pose NAME, look CAMERA, play SECONDS, slide SELECTOR VALUE, click SELECTOR, drag DX DY, background COLOUR,
+// Actions: seek FRAME, pose NAME, look CAMERA, play SECONDS, slide SELECTOR VALUE, click SELECTOR, drag DX DY, background COLOR,
 // run SCRIPT; "before" is a script that runs before those of the page. A shot leaves OUT/NAME.png, of the whole page or, with
 // "canvas", of the hand alone in exactly its pixels. Prints as JSON what was asked for beside the folder's own files, what the
 // page complained about, and figures of each shot; with "watch" also what was shown before the first step and after each:
@@ -24,7 +24,7 @@ const ACTIONS = {
   seek: (page, frame) => page.evaluate((f) => jghand.seek(f), frame),
   pose: (page, name) => page.evaluate((n) => jghand.pose(n, false), name),
   look: (page, camera) => page.evaluate((c) => jghand.lookThrough(c), camera),
-  background: (page, colour) => page.evaluate((c) => { document.body.style.background = c; }, colour),
+  background: (page, color) => page.evaluate((c) => { document.body.style.background = c; }, color),
   click: (page, selector) => page.click(selector),
   run: (page, script) => page.evaluate(script),
   slide: (page, selector, value) => page.$eval(selector, (element, v) => {

@@ -3,7 +3,7 @@
 //
 //     node read_with_playcanvas.mjs FILE TABLE
 //
-// Row: centre (3), sigma (3), quaternion w, x, y, z (4), colour (3), opacity (1).
+// Row: center (3), sigma (3), quaternion w, x, y, z (4), color (3), opacity (1).
 import fs from 'node:fs';
 import { NullGraphicsDevice } from 'playcanvas';
 import { khrGaussianSplatting } from

@@ -2,7 +2,7 @@
 
     python read_with_python.py gsply|gaussforge|fourdgs FILE TABLE
 
-Runs in the environment of the clients. Row: centre (3), sigma (3), quaternion w, x, y, z (4), colour (3), opacity (1).
+Runs in the environment of the clients. Row: center (3), sigma (3), quaternion w, x, y, z (4), color (3), opacity (1).
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 //
 //     node read_with_three.mjs FILE TABLE          (.ply .splat .spz .glb)
 //
-// Row: centre (3), covariance xx xy xz yy yz zz (6), colour (3) and opacity (1), which three keeps in 8 bits.
+// Row: center (3), covariance xx xy xz yy yz zz (6), color (3) and opacity (1), which three keeps in 8 bits.
 import fs from 'node:fs';
 import path from 'node:path';
 

@@ -70,7 +70,7 @@ def main(fault, file):
         if fault == "full at the end":
             tell(jghand="error", kind="disk_full", text="cannot write x: the disk is full.", exit_code=3)
             return 3
-        tell(jghand="error", kind="cancelled", text="Stopped.", exit_code=130)
+        tell(jghand="error", kind="canceled", text="Stopped.", exit_code=130)
         return 130
     return 0
 

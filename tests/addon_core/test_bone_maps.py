@@ -154,20 +154,20 @@ def expected(joints: list[str], bones: list[str]) -> list[JointSource]:
 
 @pytest.mark.parametrize("handedness", HANDEDNESSES)
 @pytest.mark.parametrize("rig", RIGS)
-def test_every_convention_is_recognised_whole(rig, handedness):
+def test_every_convention_is_recognized_whole(rig, handedness):
     bones, joints = RIGS[rig]
-    recognition = bone_maps.recognise(bones, handedness)
+    recognition = bone_maps.recognize(bones, handedness)
     assert recognition.bone_map is not None, recognition.sentences
     assert list(recognition.bone_map.sources) == expected(joints[handedness], bones)
     assert recognition.bone_map.complete
     assert recognition.bone_map.missing == ()
     (title,) = {title for word, title in TITLES.items() if rig.startswith(word)}
-    assert recognition.sentences[0] == f"Recognised: {title}."
+    assert recognition.sentences[0] == f"Recognized: {title}."
 
 
 @pytest.mark.parametrize("handedness", HANDEDNESSES)
-def test_our_own_armature_is_recognised_with_its_controls(handedness):
-    recognition = bone_maps.recognise([*NAMES, "control_hand", "control_index", "ik_index"], handedness)
+def test_our_own_armature_is_recognized_with_its_controls(handedness):
+    recognition = bone_maps.recognize([*NAMES, "control_hand", "control_index", "ik_index"], handedness)
     assert recognition.bone_map.sources == tuple(map(JointSource, NAMES))
 
 
@@ -180,11 +180,11 @@ def test_empties_named_after_landmarks_need_tips_of_their_own():
             word = "thumb" if finger == "thumb" else f"{finger}_finger"
             names += [f"{side}_hand_{word}_{joint}" for joint in fingers.get(finger, ("mcp", "pip", "dip", "tip"))]
     for side in HANDEDNESSES:
-        found = bone_maps.recognise(names, side, tails=False).bone_map
+        found = bone_maps.recognize(names, side, tails=False).bone_map
         assert found.complete
         assert [source.bone for source in found.sources] == [name for name in names if name.startswith(side)]
     without = [name for name in names if not name.endswith("index_finger_tip")]
-    found = bone_maps.recognise(without, "right", tails=False).bone_map
+    found = bone_maps.recognize(without, "right", tails=False).bone_map
     assert found.missing == ("index4 has no bone: looked for index_finger_tip.",)
 
 
@@ -193,13 +193,13 @@ def test_empties_named_after_landmarks_need_tips_of_their_own():
 @given(seed=st.integers(0, 2**32), extra=st.lists(st.text(max_size=12).map("prop_{}".format), max_size=6))
 def test_order_case_separators_and_other_bones_do_not_matter(rig, seed, extra):
     bones, _ = RIGS[rig]
-    plain = bone_maps.recognise(bones, "left").bone_map
+    plain = bone_maps.recognize(bones, "left").bone_map
     dice = random.Random(seed)
     shuffled = [*bones, *extra, "cloak_03.L", "DEF-spine", "tail.001", "eye_r", "ik_foot_root"]
     dice.shuffle(shuffled)
-    assert bone_maps.recognise(shuffled, "left") == bone_maps.recognise([*bones], "left")
+    assert bone_maps.recognize(shuffled, "left") == bone_maps.recognize([*bones], "left")
     change = dice.choice([str.upper, str.lower, str.swapcase, lambda name: name.replace("_", "-").replace(":", "_")])
-    changed = bone_maps.recognise([change(name) for name in shuffled], "left").bone_map
+    changed = bone_maps.recognize([change(name) for name in shuffled], "left").bone_map
     assert changed.sources == tuple(JointSource(change(source.bone), source.end) for source in plain.sources)
 
 
@@ -207,14 +207,14 @@ def test_order_case_separators_and_other_bones_do_not_matter(rig, seed, extra):
 def test_tip_bones_are_used_where_there_are_any(ending):
     bones, _ = RIGS["unreal 4, MPFB game engine"]
     tip = f"index_03_r{ending}"
-    found = bone_maps.recognise([*bones, tip], "right").bone_map
+    found = bone_maps.recognize([*bones, tip], "right").bone_map
     assert found.sources[NAMES.index("index4")] == JointSource(tip, HEAD)
     assert found.sources[NAMES.index("ring4")] == JointSource("ring_03_r", TAIL)
     assert found.notes == ("No tip bones: the tips of thumb, middle, ring, pinky are the tails of the last bones.",)
 
 
 def test_the_deforming_bones_of_rigify_are_used_and_the_others_are_told():
-    found = bone_maps.recognise(RIGS["rigify generated"][0], "right").bone_map
+    found = bone_maps.recognize(RIGS["rigify generated"][0], "right").bone_map
     assert all(source.bone.startswith("DEF-") for source in found.sources)
     assert "The rig has these bones several times (ORG- too): those with DEF- are used." in found.notes
 
@@ -230,7 +230,7 @@ def test_a_missing_bone_is_named_and_the_others_are_kept(rig, joint):
         set_of_bones |= {f"c_{gone}", gone.removeprefix("c_")}
     if rig == "rigify generated":  # the other sets would
         set_of_bones |= {gone.replace("DEF-", "ORG-")}
-    found = bone_maps.recognise([name for name in bones if name not in set_of_bones], "right").bone_map
+    found = bone_maps.recognize([name for name in bones if name not in set_of_bones], "right").bone_map
     assert found is not None
     assert not found.complete
     place = NAMES.index(joint)
@@ -241,7 +241,7 @@ def test_a_missing_bone_is_named_and_the_others_are_kept(rig, joint):
 
 def test_two_characters_in_one_armature_are_a_question():
     bones = [*mixamo("mixamorig:")[0], *mixamo("mixamorig1:")[0]]
-    recognition = bone_maps.recognise(bones, "right")
+    recognition = bone_maps.recognize(bones, "right")
     assert recognition.bone_map is None
     assert len(recognition.candidates) == 2
     (sentence,) = recognition.sentences
@@ -252,14 +252,14 @@ def test_two_characters_in_one_armature_are_a_question():
 
 def test_copied_bones_are_a_question():
     bones, _ = RIGS["vrm 1"]
-    recognition = bone_maps.recognise([*bones, *(f"{name}.001" for name in bones)], "left")
+    recognition = bone_maps.recognize([*bones, *(f"{name}.001" for name in bones)], "left")
     assert recognition.bone_map is None
     assert len(recognition.candidates) == 2
 
 
 def test_a_thumb_that_may_be_of_either_vrm_is_a_question():
     bones, _ = RIGS["vrm 1"]
-    recognition = bone_maps.recognise([*bones, "rightThumbIntermediate"], "right")
+    recognition = bone_maps.recognize([*bones, "rightThumbIntermediate"], "right")
     assert recognition.bone_map is None
     assert {candidate.convention for candidate in recognition.candidates} == {"VRM 0", "VRM 1"}
     assert "They differ in thumb1, thumb2" in recognition.sentences[0]
@@ -268,22 +268,22 @@ def test_a_thumb_that_may_be_of_either_vrm_is_a_question():
 def test_a_thumb_with_two_of_its_three_vrm_bones_is_a_question():
     for version, gone in ((0, "rightThumbIntermediate"), (1, "rightThumbMetacarpal")):
         bones, _ = vrm(version, "{side}{finger}{part}")
-        recognition = bone_maps.recognise([name for name in bones if name != gone], "right")
+        recognition = bone_maps.recognize([name for name in bones if name != gone], "right")
         assert {candidate.convention for candidate in recognition.candidates} == {"VRM 0", "VRM 1"}
 
 
 def test_two_bones_that_may_be_one_joint_are_left_to_the_artist():
     bones, _ = RIGS["unreal 4, MPFB game engine"]
-    found = bone_maps.recognise([*bones, "Index-02-R"], "right").bone_map
+    found = bone_maps.recognize([*bones, "Index-02-R"], "right").bone_map
     assert found.sources[NAMES.index("index2")] is None
     assert found.missing == ("index2 may be Index-02-R or index_02_r: choose one.",)
 
 
 def test_what_is_no_hand_is_said_to_be_none():
     for names in ([], ["Bone", "Bone.001"], ["wrist"], ["hand.R", "forearm.R"], ["index1", "index2", "index3"]):
-        recognition = bone_maps.recognise(names, "right")
+        recognition = bone_maps.recognize(names, "right")
         assert recognition.candidates == ()
-        assert recognition.sentences[0].startswith("No bones of a right hand were recognised.")
+        assert recognition.sentences[0].startswith("No bones of a right hand were recognized.")
 
 
 def test_a_rig_with_one_hand_shows_one():
@@ -294,7 +294,7 @@ def test_a_rig_with_one_hand_shows_one():
 
 
 def test_a_map_survives_being_stored():
-    found = bone_maps.recognise(RIGS["makehuman default"][0], "left").bone_map
+    found = bone_maps.recognize(RIGS["makehuman default"][0], "left").bone_map
     again = bone_maps.from_json(found.as_json())
     assert again.sources == found.sources
     assert again.handedness == "left"
@@ -304,7 +304,7 @@ def test_a_map_survives_being_stored():
 
 def test_a_map_is_completed_by_hand():
     bones = [name for name in RIGS["unreal 5"][0] if name != "index_02_r"]
-    found = bone_maps.recognise(bones, "right").bone_map
+    found = bone_maps.recognize(bones, "right").bone_map
     whole = found.with_source("index2", JointSource("some bone"))
     assert whole.complete
     assert whole.missing == ()
@@ -334,6 +334,6 @@ def test_what_is_no_stored_map_is_refused(text):
 
 def test_handedness_and_the_number_of_joints_are_checked():
     with pytest.raises(JGHandFailure, match="both"):
-        bone_maps.recognise([], "both")
+        bone_maps.recognize([], "both")
     with pytest.raises(JGHandFailure, match="got 20"):
         bone_maps.by_hand("right", [None] * 20)

@@ -22,7 +22,7 @@ def encoded(linear: np.ndarray) -> np.ndarray:
     return np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 0) ** (1 / 2.4) - 0.055)
 
 
-def test_straight_colours_are_decoded_and_alpha_stays():
+def test_straight_colors_are_decoded_and_alpha_stays():
     rgba = picture()
     linear = film.scene_linear(rgba)
     assert linear.dtype == np.float32
@@ -34,7 +34,7 @@ def test_straight_colours_are_decoded_and_alpha_stays():
     assert not linear[~seen].any()
 
 
-def test_a_dark_and_a_middle_grey_are_what_the_standard_says():
+def test_a_dark_and_a_middle_gray_are_what_the_standard_says():
     rgba = np.array([[[0.04045, 0.02, 0.0, 1.0], [0.5, 0.8, 1.0, 1.0]]], np.float32)
     wanted = [[0.0031308, 0.00154799, 0.0], [0.2140411, 0.6038273, 1.0]]
     np.testing.assert_allclose(film.scene_linear(rgba)[0, :, :3], wanted, rtol=1e-5)
@@ -48,9 +48,9 @@ def test_a_picture_that_is_empty_or_full_is_decoded_too(covered):
 
 def test_a_background_is_seen_through_what_is_half_transparent():
     linear = film.scene_linear(picture())
-    colour = np.array([0.1, 0.5, 2.0], np.float32)
-    came = film.over(linear, colour.tolist())
-    np.testing.assert_allclose(came[..., :3], linear[..., :3] + (1 - linear[..., 3:]) * colour, atol=1e-6)
+    color = np.array([0.1, 0.5, 2.0], np.float32)
+    came = film.over(linear, color.tolist())
+    np.testing.assert_allclose(came[..., :3], linear[..., :3] + (1 - linear[..., 3:]) * color, atol=1e-6)
     assert (came[..., 3] == 1).all()
 
 

@@ -92,7 +92,7 @@ def test_the_end_of_a_process_always_ends_the_job(phase, code, can_pause):
     assert state.sentence()
 
 
-def test_a_job_that_is_being_cancelled_cannot_be_paused_any_more():
+def test_a_job_that_is_being_canceled_cannot_be_paused_any_more():
     cancelling = job_state.asked_to_stop(JobState(), pause=False)
     assert job_state.asked_to_stop(cancelling, pause=True) is cancelling
     assert job_state.asked_to_stop(replace(cancelling, phase=Phase.PAUSING), pause=False).phase is Phase.CANCELLING
@@ -168,7 +168,7 @@ def test_a_mistake_at_the_end_of_one_job_is_told_and_is_no_end_of_the_others(tmp
 
 
 @posix
-def test_a_cancelled_training_writes_its_checkpoint_first(tmp_path):
+def test_a_canceled_training_writes_its_checkpoint_first(tmp_path):
     job = Job(spec(tmp_path, "long", f"file={tmp_path / 'checkpoint'}", resume=True))
     until_it_counts(job)
     job.cancel()
@@ -178,7 +178,7 @@ def test_a_cancelled_training_writes_its_checkpoint_first(tmp_path):
 
 
 @posix
-def test_a_paused_training_goes_on_and_can_be_cancelled_while_it_is_paused(tmp_path):
+def test_a_paused_training_goes_on_and_can_be_canceled_while_it_is_paused(tmp_path):
     job = Job(spec(tmp_path, "long", f"file={tmp_path / 'checkpoint'}", resume=True))
     until_it_counts(job)
     job.pause()
@@ -338,7 +338,7 @@ def test_a_step_that_fails_is_the_last_one(tmp_path, fault):
 
 
 @posix
-def test_no_step_follows_one_that_was_cancelled(tmp_path):
+def test_no_step_follows_one_that_was_canceled(tmp_path):
     job = Job(
         spec(tmp_path, "long", more=((sys.executable, "-I", str(STAND_IN), "long", f"file={tmp_path / 'never'}"),))
     )

@@ -154,22 +154,22 @@ def test_exact_requests_of_many_threads_are_all_answered():
     assert sorted(replies) == [(number, turn, True) for number in range(6) for turn in range(5)]
 
 
-def test_a_request_that_is_cancelled_ends_in_the_engine_too():
+def test_a_request_that_is_canceled_ends_in_the_engine_too():
     with linked("patient") as link:
         asked = iter([False, False, True])
         with pytest.raises(JGHandFailure) as caught:
-            link.request(*picture(), timeout_s=PATIENCE_S, cancelled=lambda: next(asked))
-        assert caught.value.kind == "cancelled"
+            link.request(*picture(), timeout_s=PATIENCE_S, canceled=lambda: next(asked))
+        assert caught.value.kind == "canceled"
         assert pid_of(link)
 
 
-def test_a_request_that_waits_for_another_can_be_cancelled():
+def test_a_request_that_waits_for_another_can_be_canceled():
     with linked("patient") as link:
         link.ask("viewport", *picture(), tag="a")
         until(lambda: link.status.busy)
         with pytest.raises(JGHandFailure) as caught:
-            link.request({"kind": "info"}, timeout_s=PATIENCE_S, cancelled=lambda: True)
-        assert caught.value.kind == "cancelled"
+            link.request({"kind": "info"}, timeout_s=PATIENCE_S, canceled=lambda: True)
+        assert caught.value.kind == "canceled"
         assert not link._waiting.exact
 
 
@@ -185,7 +185,7 @@ def test_a_request_that_takes_too_long_is_given_up_and_the_next_one_is_answered(
 def test_a_request_whose_question_fails_is_given_up_too():
     with linked("patient") as link:
         with pytest.raises(ZeroDivisionError):
-            link.request(*picture(), timeout_s=PATIENCE_S, cancelled=lambda: link.status.busy and 1 / 0)
+            link.request(*picture(), timeout_s=PATIENCE_S, canceled=lambda: link.status.busy and 1 / 0)
         flying = link._waiting.flying
         assert flying is None or flying.given_up_s is not None
         assert pid_of(link)
@@ -669,7 +669,7 @@ def test_of_all_that_was_asked_meanwhile_only_the_newest_is_sent():
         until(lambda: not engine.link.status.busy)
 
 
-def test_a_slow_picture_is_cancelled_for_the_next_pose():
+def test_a_slow_picture_is_canceled_for_the_next_pose():
     with AnyEngine() as engine:
         protocol.send(engine.connection, {"kind": "welcome"})
         assert protocol.receive_greeting(
@@ -679,7 +679,7 @@ def test_a_slow_picture_is_cancelled_for_the_next_pose():
         assert protocol.receive(engine.connection).header["kind"] == "render_picture"
         engine.link.ask("viewport", *picture(), tag="next pose")
         assert protocol.receive(engine.connection).header == {"kind": "cancel", "id": 1}
-        error = {"kind": "cancelled"}
+        error = {"kind": "canceled"}
         protocol.send(engine.connection, {"kind": "reply", "id": 1, "ok": False, "error": error})
         assert protocol.receive(engine.connection).header["id"] == 2
         protocol.send(engine.connection, {"kind": "reply", "id": 2, "ok": True})

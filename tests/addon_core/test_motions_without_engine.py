@@ -49,7 +49,7 @@ def test_a_motion_is_read_from_every_format(tmp_path, suffix):
     assert (motion.fps, motion.handedness, motion.notes) == (25.0, "left", ())
 
 
-def test_level_order_and_millimetres_are_turned_into_ours(tmp_path):
+def test_level_order_and_millimeters_are_turned_into_ours(tmp_path):
     names = ["wrist", *(f"{finger}{level}" for level in (1, 2, 3, 4) for finger in FINGERS)]
     joints = 1000 * motion_m()[:, [NAMES.index(name) for name in names]]
     motion = motion_files.read_motion(write_json(tmp_path / "a.json", joints.tolist(), order="level", unit="mm"))

@@ -112,7 +112,7 @@ def test_effects_say_whether_they_ran_and_why_in_a_tooltip_without_a_final_full_
     not_run, ran = panel_text.receipt_text(RECEIPT).effects
     assert (not_run.text, not_run.good) == ("Self-Shadow", False)
     assert not_run.tip == "Not run: no finger is near another. Off by: at most 0.2 %"
-    assert (ran.text, ran.good, ran.value) == ("Learnt Skin Detail", True, "about 1.2 ms")
+    assert (ran.text, ran.good, ran.value) == ("Learned Skin Detail", True, "about 1.2 ms")
     assert ran.tip == "Ran: joints turned. Without it: up to 4 mm along an axis"
 
 
@@ -141,7 +141,7 @@ def test_the_engines_own_sentence_about_a_joint_is_understood():
 
 
 def test_every_stage_and_effect_of_the_engine_has_a_name_for_people():
-    plan = pytest.importorskip("jghand_engine.splat.effect_plan", reason="the engine is not installed")
+    plan = pytest.importorskip("jghand_engine.render.effect_plan", reason="the engine is not installed")
     assert set(panel_text.EFFECTS) == {str(effect) for effect in plan.Effect}
 
 

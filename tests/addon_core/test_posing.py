@@ -110,7 +110,7 @@ def test_left_and_right_rest_hands_are_mirror_images():
     np.testing.assert_allclose(left, mirror @ right @ np.diag([-1.0, 1.0, 1.0]), atol=1e-14)
 
 
-def test_quaternions_of_neighbouring_frames_are_near_each_other():
+def test_quaternions_of_neighboring_frames_are_near_each_other():
     rest = posing.rest_matrices(posing.rest_joints_m(RIGHT), RIGHT)
     angle = np.linspace(0, 8 * np.pi, 400)
     zero, one = np.zeros_like(angle), np.ones_like(angle)

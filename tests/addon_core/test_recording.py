@@ -92,7 +92,7 @@ def test_a_motion_that_is_written_is_read_back_to_the_bit(tmp_path):
 
 
 def test_the_engine_reads_it_back_too(tmp_path):
-    engine = pytest.importorskip("jghand_engine.datasets.motions.read", reason="needs the engine's packages")
+    engine = pytest.importorskip("jghand_engine.motion.foreign.read", reason="needs the engine's packages")
     from jghand_engine.hand.orders import JointOrder, from_level
 
     recording = a_recording()
@@ -109,10 +109,10 @@ def test_a_motion_has_no_other_suffix_than_its_own(tmp_path):
 
 
 def test_the_engine_stamps_a_motion_as_this_side_does(tmp_path):
-    usd = pytest.importorskip("jghand_engine.exporters.usd", reason="needs the engine's packages")
+    usd = pytest.importorskip("jghand_engine.export.usd.export", reason="needs the engine's packages")
     from jghand_engine.avatar.builtin import load_painted
-    from jghand_engine.datasets.motions.read import read_motion_file
     from jghand_engine.hand.joints import Handedness
+    from jghand_engine.motion.foreign.read import read_motion_file
 
     recording = a_recording()
     recording.save(tmp_path / "motion.npz")
@@ -139,13 +139,13 @@ def test_estimates_are_translated_before_figures_are_put_in():
 
 
 def test_the_estimate_of_an_export_is_its_size(tmp_path):
-    """Of a motion without two frames alike. Worst observed: 5 % too much of a USD stage, which packs colours a bit."""
+    """Of a motion without two frames alike. Worst observed: 5 % too much of a USD stage, which packs colors a bit."""
     pytest.importorskip("torch", reason="needs the engine's packages")
     from jghand_engine.avatar.builtin import load_builtin, load_painted
-    from jghand_engine.datasets.motions.read import read_motion_file
-    from jghand_engine.exporters.splat_files import export_splats
-    from jghand_engine.exporters.usd import export_usd
+    from jghand_engine.export.splats.files import export_splats
+    from jghand_engine.export.usd.export import export_usd
     from jghand_engine.hand.joints import Handedness
+    from jghand_engine.motion.foreign.read import read_motion_file
 
     avatar = load_builtin(handedness=Handedness.RIGHT)
     assert len(avatar) == limits.BUILTIN_GAUSSIANS
@@ -154,12 +154,12 @@ def test_the_estimate_of_an_export_is_its_size(tmp_path):
     replace(still, joints_m=moving_m).save(tmp_path / "motion.npz")
     motion = read_motion_file(tmp_path / "motion.npz").sequence
     painted = load_painted(handedness=Handedness.RIGHT)
-    for written, hand, ply, learnt in (
+    for written, hand, ply, learned in (
         (export_splats(tmp_path / "ply", avatar, motion).bytes, avatar, True, True),
         (sum(export_usd(tmp_path / "usd", avatar, motion).bytes.values()), avatar, False, True),
         (sum(export_usd(tmp_path / "usd", painted, motion).bytes.values()), painted, False, False),
     ):
-        size = estimate(tmp_path / "not" / "there", [(len(hand), learnt)], len(motion), Written(ply=ply))
+        size = estimate(tmp_path / "not" / "there", [(len(hand), learned)], len(motion), Written(ply=ply))
         assert size.fits
         assert size.bytes == pytest.approx(written, rel=0.1)
 
@@ -336,7 +336,7 @@ def all_words() -> list[tuple[str, ...]]:
 
 def test_programs_are_suited_as_the_engine_does_it():
     pytest.importorskip("torch", reason="needs the engine's packages")
-    from jghand_engine.exporters.usd_options import PRESETS
+    from jghand_engine.export.usd.options import PRESETS
 
     wanted = {name: (str(preset.variant), preset.width_factor) for name, preset in PRESETS.items()}
     assert wanted == engine_words.USD_PRESETS

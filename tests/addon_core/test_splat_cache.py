@@ -10,13 +10,13 @@ from blender_addon.core.messages import JGHandFailure
 
 
 def test_a_frame_of_the_engine_is_the_hand_in_the_world_with_z_up(tmp_path):
-    files = pytest.importorskip("jghand_engine.exporters.splat_files", reason="needs the engine's packages")
+    files = pytest.importorskip("jghand_engine.export.splats.files", reason="needs the engine's packages")
     from small_avatars import small_avatar
     from test_recording import a_recording
 
-    from jghand_engine.colour import srgb_to_linear
-    from jghand_engine.datasets.motions.read import read_motion_file
-    from jghand_engine.exporters.usd_motion import HandMotion
+    from jghand_engine.color import srgb_to_linear
+    from jghand_engine.export.usd.motion import HandMotion
+    from jghand_engine.motion.foreign.read import read_motion_file
 
     recording, avatar = a_recording(2), small_avatar()
     recording.save(tmp_path / "m.npz")

@@ -100,19 +100,19 @@ def test_any_curve_is_a_picture(curve):
 def test_the_card_of_the_avatar_that_comes_with_jghand():
     info = pytest.importorskip("jghand_engine.cli.info", reason="needs the engine's packages")
     card = card_of(info.avatar_facts("builtin"))
-    assert card.learnt
+    assert card.learned
     assert card.gaussians == 40000
-    assert "CC0" in card.licence
-    assert "432 pictures" in card.learnt_from
+    assert "CC0" in card.license
+    assert "432 pictures" in card.learned_from
     assert "held-out" in card.accuracy
-    assert [name for name, _ in card.lines()] == ["Name", "Learnt From", "Licence", "PSNR", "Splats"]
+    assert [name for name, _ in card.lines()] == ["Name", "Learned From", "License", "PSNR", "Splats"]
 
 
-def test_a_painted_avatar_says_that_nothing_was_learnt():
+def test_a_painted_avatar_says_that_nothing_was_learned():
     info = pytest.importorskip("jghand_engine.cli.info", reason="needs the engine's packages")
     card = card_of(info.avatar_facts("painted"))
-    assert not card.learnt
-    assert ("Learnt From", "nothing: it is painted") in card.lines()
+    assert not card.learned
+    assert ("Learned From", "nothing: it is painted") in card.lines()
 
 
 @pytest.mark.parametrize("content", ["", "{}", "[]", '{"kind": "motion"}', '{"kind": "avatar"}'])

@@ -73,7 +73,7 @@ class Histories(RuleBasedStateMachine):
             assert not self.wanted
 
     @precondition(lambda self: self.waiting.flying is not None)
-    @rule(kind=st.sampled_from(["", "", "bad_input", "cancelled"]))
+    @rule(kind=st.sampled_from(["", "", "bad_input", "canceled"]))
     def answer(self, kind: str) -> None:
         call = self.waiting.flying
         before = self.waiting.answer(call.slot) if call.slot is not None else None
@@ -201,7 +201,7 @@ def test_a_slow_picture_gives_way_to_the_next_pose_and_is_not_heard_of_again():
     assert not waiting.cancels
     waiting.ask("a", HEADER, None, "next pose", 1.0)
     assert (list(waiting.cancels), waiting.next(1.0)) == ([sharp.id], None)
-    waiting.take(reply(sharp, ok=False, error={"kind": "cancelled"}), 1.0, str)
+    waiting.take(reply(sharp, ok=False, error={"kind": "canceled"}), 1.0, str)
     assert waiting.answer("a") is None
     assert {waiting.next(1.0).tag} <= {"another view", "next pose"}
 
@@ -212,8 +212,8 @@ def test_a_slow_picture_gives_way_to_a_render_and_its_view_hears_of_it():
     sharp = waiting.next(0.0)
     render = waiting.append(HEADER, None, 1.0)
     assert list(waiting.cancels) == [sharp.id]
-    waiting.take(reply(sharp, ok=False, error={"kind": "cancelled"}), 1.0, str)
-    assert waiting.answer("a").failure.kind == "cancelled"
+    waiting.take(reply(sharp, ok=False, error={"kind": "canceled"}), 1.0, str)
+    assert waiting.answer("a").failure.kind == "canceled"
     assert waiting.next(1.0) is render
     assert waiting.ask("a", HEADER, None, "sharp", 1.0, droppable=True)
 

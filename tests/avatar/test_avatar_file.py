@@ -13,10 +13,10 @@ import safetensors.numpy
 import torch
 from small_avatars import ellipsoid_avatar, small_avatar, trained_avatar
 
-from jghand_engine.avatar.avatar import HandAvatar, LearntFrom
+from jghand_engine.avatar.avatar import HandAvatar, LearnedFrom
 from jghand_engine.avatar.correctives import PoseNetShape
 from jghand_engine.avatar.file import ARRAY_NAMES, METADATA_KEY, load_avatar, save_avatar, stored_form
-from jghand_engine.avatar.learnt import Learnt, ShadowLook
+from jghand_engine.avatar.learned import Learned, ShadowLook
 from jghand_engine.avatar.light import Light
 from jghand_engine.avatar.storage import Storage
 from jghand_engine.avatar.texts import as_text
@@ -31,30 +31,30 @@ from jghand_engine.limits import SIGMA_MIN_M
 def same(one: HandAvatar, other: HandAvatar) -> bool:
     equal = all(torch.equal(getattr(one, name), getattr(other, name)) for name in ARRAY_NAMES)
     joints = torch.equal(one.canonical_joints_m, other.canonical_joints_m)
-    learnt = same_learnt(one.learnt, other.learnt)
-    return equal and joints and learnt and one.info == other.info and one.handedness == other.handedness
+    learned = same_learned(one.learned, other.learned)
+    return equal and joints and learned and one.info == other.info and one.handedness == other.handedness
 
 
-def same_learnt(one: Learnt | None, other: Learnt | None) -> bool:
+def same_learned(one: Learned | None, other: Learned | None) -> bool:
     if one is None or other is None:
         return one is other
     tensors = [
         [
-            learnt.normal,
-            learnt.shine,
-            *(getattr(learnt.light, f.name) for f in fields(Light)),
-            *net_tensors(learnt),
-            *(() if learnt.ellipsoid is None else (learnt.ellipsoid.log_stretch, learnt.ellipsoid.quaternion)),
+            learned.normal,
+            learned.shine,
+            *(getattr(learned.light, f.name) for f in fields(Light)),
+            *net_tensors(learned),
+            *(() if learned.ellipsoid is None else (learned.ellipsoid.log_stretch, learned.ellipsoid.quaternion)),
         ]
-        for learnt in (one, other)
+        for learned in (one, other)
     ]
     equal = all(torch.equal(a, b) for a, b in zip(*tensors, strict=True))
     return equal and one.shadow == other.shadow and one.world_offsets == other.world_offsets
 
 
-def net_tensors(learnt: Learnt) -> list[torch.Tensor]:
+def net_tensors(learned: Learned) -> list[torch.Tensor]:
     """The network's weights, and what it reads of the Gaussians."""
-    net = learnt.correctives
+    net = learned.correctives
     return [] if net is None else [*net.state_dict().values(), net._constant]
 
 
@@ -172,7 +172,7 @@ NAN = float("nan")
         ({"scale_mode": True}, "scale mode"),
         ({"name": 7}, "name"),
         ({"name": "x" * 501}, "name.*at most 500"),
-        ({"licence": "MIT\0"}, "licence"),
+        ({"license": "MIT\0"}, "license"),
         ({"template": "\ud800"}, "template"),
         ({"pose_statistics": {"index mcp": (0.0, NAN)}}, "description.*finite"),
         ({"pose_statistics": {"index mcp": (1.0, 0.0)}}, "pose_statistics index mcp"),
@@ -201,7 +201,7 @@ def test_a_radius_that_rounds_out_of_its_limits_is_not_saved(tmp_path):
 
 def test_joints_in_single_precision_and_names_of_any_script_can_be_saved(tmp_path):
     avatar = small_avatar()
-    info = replace(avatar.info, name="手 · la main d'Ève", licence="x" * 500)
+    info = replace(avatar.info, name="手 · la main d'Ève", license="x" * 500)
     avatar = replace(avatar, info=info, canonical_joints_m=avatar.canonical_joints_m.float())
     save_avatar(tmp_path / "hand.jghand", avatar)
     again = load_avatar(tmp_path / "hand.jghand")
@@ -209,11 +209,11 @@ def test_joints_in_single_precision_and_names_of_any_script_can_be_saved(tmp_pat
     assert torch.equal(again.canonical_joints_m, avatar.canonical_joints_m.double())
 
 
-def test_the_pictures_that_an_avatar_was_learnt_from_are_kept(tmp_path):
-    learnt_from = LearntFrom("id3 train/Capture0", "splits.json of the capture", 360, "0123456789abcdef")
+def test_the_pictures_that_an_avatar_was_learned_from_are_kept(tmp_path):
+    learned_from = LearnedFrom("id3 train/Capture0", "splits.json of the capture", 360, "0123456789abcdef")
     avatar = small_avatar()
-    save_avatar(tmp_path / "hand.jghand", replace(avatar, info=replace(avatar.info, learnt_from=learnt_from)))
-    assert load_avatar(tmp_path / "hand.jghand").info.learnt_from == learnt_from
+    save_avatar(tmp_path / "hand.jghand", replace(avatar, info=replace(avatar.info, learned_from=learned_from)))
+    assert load_avatar(tmp_path / "hand.jghand").info.learned_from == learned_from
 
 
 def test_any_name_can_be_made_one_that_is_written():
@@ -221,9 +221,9 @@ def test_any_name_can_be_made_one_that_is_written():
     assert as_text("手 · d'Ève") == "手 · d'Ève"
 
 
-def test_joints_in_millimetres_are_not_written(tmp_path):
+def test_joints_in_millimeters_are_not_written(tmp_path):
     avatar = small_avatar()
-    with pytest.raises(InputError, match=r"wrist to middle tip.*metres"):
+    with pytest.raises(InputError, match=r"wrist to middle tip.*meters"):
         save_avatar(tmp_path / "mm.jghand", replace(avatar, canonical_joints_m=1e3 * avatar.canonical_joints_m))
 
 
@@ -256,12 +256,12 @@ def test_a_trained_avatar_comes_back_as_promised(tmp_path, storage, make):
     assert same(again, stored_form(avatar, storage))
     if storage is Storage.EXACT:
         assert same(again, avatar)
-    assert not any(tensor.requires_grad for tensor in net_tensors(again.learnt))
+    assert not any(tensor.requires_grad for tensor in net_tensors(again.learned))
 
 
 def test_a_trained_avatar_without_correctives_or_shadow_comes_back(tmp_path):
     avatar = trained_avatar()
-    avatar = replace(avatar, learnt=replace(avatar.learnt, correctives=None, shadow=None, world_offsets=True))
+    avatar = replace(avatar, learned=replace(avatar.learned, correctives=None, shadow=None, world_offsets=True))
     save_avatar(tmp_path / "hand.jghand", avatar)
     assert same(load_avatar(tmp_path / "hand.jghand"), avatar)
 
@@ -280,15 +280,15 @@ def test_saving_a_compact_trained_avatar_again_changes_nothing():
         assert same(stored_form(once, Storage.COMPACT), once)
 
 
-def test_compact_storage_of_what_was_learnt_costs_what_its_table_says():
+def test_compact_storage_of_what_was_learned_costs_what_its_table_says():
     avatar = trained_avatar(20_000)
-    stored = stored_form(avatar, Storage.COMPACT).learnt
-    cosine = (stored.normal.double() * avatar.learnt.normal.double()).sum(-1)
-    sine = torch.linalg.cross(stored.normal.double(), avatar.learnt.normal.double()).norm(dim=-1)
+    stored = stored_form(avatar, Storage.COMPACT).learned
+    cosine = (stored.normal.double() * avatar.learned.normal.double()).sum(-1)
+    sine = torch.linalg.cross(stored.normal.double(), avatar.learned.normal.double()).norm(dim=-1)
     assert float(torch.rad2deg(torch.atan2(sine, cosine)).max()) < 0.004  # observed 0.0029
-    assert float((stored.shine / avatar.learnt.shine - 1).abs().max()) <= 0.5e-3
-    assert torch.equal(stored.light.irradiance, avatar.learnt.light.irradiance)
-    net = [net.state_dict() for net in (stored.correctives, avatar.learnt.correctives)]
+    assert float((stored.shine / avatar.learned.shine - 1).abs().max()) <= 0.5e-3
+    assert torch.equal(stored.light.irradiance, avatar.learned.light.irradiance)
+    net = [net.state_dict() for net in (stored.correctives, avatar.learned.correctives)]
     assert all(float(((net[0][k] - net[1][k]) / net[1][k]).abs().max()) < 0.5e-3 for k in net[0])
 
 
@@ -297,8 +297,8 @@ def test_normals_along_the_axes_and_on_the_folds_survive():
     folds = torch.tensor([[1.0, 1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, -1.0, -1.0], [1.0, 0.0, -1.0]]) / 2**0.5
     normal = torch.cat([axes, folds])
     avatar = trained_avatar(len(normal))
-    stored = stored_form(replace(avatar, learnt=replace(avatar.learnt, normal=normal)), Storage.COMPACT)
-    assert float((stored.learnt.normal - normal).abs().max()) < 5e-5
+    stored = stored_form(replace(avatar, learned=replace(avatar.learned, normal=normal)), Storage.COMPACT)
+    assert float((stored.learned.normal - normal).abs().max()) < 5e-5
 
 
 def test_an_avatar_that_was_not_trained_is_written_for_older_readers(tmp_path):
@@ -333,14 +333,14 @@ def test_reading_a_network_draws_no_random_numbers(tmp_path):
 def test_what_no_training_can_give_is_not_written(tmp_path, change, named):
     avatar = trained_avatar()
     with pytest.raises(InputError, match=named):
-        save_avatar(tmp_path / "bad.jghand", replace(avatar, learnt=replace(avatar.learnt, **change)))
+        save_avatar(tmp_path / "bad.jghand", replace(avatar, learned=replace(avatar.learned, **change)))
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_weight_that_half_precision_cannot_hold_is_not_written(tmp_path):
     avatar = trained_avatar()
     with torch.no_grad():
-        avatar.learnt.correctives.out.weight[0, 0] = 1e6
+        avatar.learned.correctives.out.weight[0, 0] = 1e6
     for storage in Storage:
         with pytest.raises(InputError, match=r"pose_net out\.weight"):
             save_avatar(tmp_path / "bad.jghand", avatar, storage=storage)

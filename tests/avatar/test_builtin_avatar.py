@@ -17,10 +17,10 @@ from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import JointTransform
 from jghand_engine.limits import TIER_LOST_MAX_DB
-from jghand_engine.splat.camera import Camera
-from jghand_engine.splat.frame import HandRenderer
-from jghand_engine.splat.rasterise import rasterise
-from jghand_engine.splat.settings import RenderSettings
+from jghand_engine.render.camera import Camera
+from jghand_engine.render.frame import HandRenderer
+from jghand_engine.render.rasterize import rasterize
+from jghand_engine.render.settings import RenderSettings
 from jghand_engine.template.builtin import load_template
 
 # palm, back, thumb side, small finger side, finger tips, wrist
@@ -34,10 +34,10 @@ def avatar():
 
 def camera_at(direction, joints_m: torch.Tensor, width: int, height: int, focal_px: float) -> Camera:
     towards = torch.tensor(direction, dtype=torch.float64)
-    centre_m = (joints_m.min(0).values + joints_m.max(0).values) / 2
-    eye_m = centre_m + 0.6 * towards / towards.norm()
+    center_m = (joints_m.min(0).values + joints_m.max(0).values) / 2
+    eye_m = center_m + 0.6 * towards / towards.norm()
     up = torch.tensor([0.0, 0.0, 1.0] if abs(direction[1]) > 0.9 else [0.0, 1.0, 0.0], dtype=torch.float64)
-    return Camera.looking_at(eye_m, centre_m, up, width=width, height=height, focal_px=focal_px)
+    return Camera.looking_at(eye_m, center_m, up, width=width, height=height, focal_px=focal_px)
 
 
 def posed_template_m(joints_m: torch.Tensor) -> torch.Tensor:
@@ -75,7 +75,7 @@ def test_palm_and_back_are_both_well_lit(avatar):
     z_m = avatar.position_m[:, 2]
     for name, part in (("palm", z_m > 0.01), ("back", z_m < -0.005)):
         mean = avatar.rgb[part].mean(0)
-        # skin: bright, red over green over blue, neither grey nor orange
+        # skin: bright, red over green over blue, neither gray nor orange
         assert 0.70 < float(mean[0]) < 0.92, name
         assert 0.65 < float(mean[1] / mean[0]) < 0.82, name
         assert 0.75 < float(mean[2] / mean[1]) < 0.95, name
@@ -99,7 +99,7 @@ def test_no_background_shines_through_the_skin(avatar, pose, count, width, heigh
     gaussians = pose_gaussians(avatar.prefix(count), bones)
     for view in VIEWS:
         camera = camera_at(view, joints_m, width, height, focal_px)
-        alpha = rasterise(gaussians, camera, RenderSettings()).alpha.numpy()
+        alpha = rasterize(gaussians, camera, RenderSettings()).alpha.numpy()
         inside = binary_erosion(template_mask(joints_m, camera), iterations=eroded)
         assert 1 - alpha[inside].min() < through, f"seen from {view}"
 
@@ -111,7 +111,7 @@ def test_the_outline_is_that_of_the_template(avatar):
     )
     for view in VIEWS:
         camera = camera_at(view, joints_m, 1024, 1024, 2900.0)
-        alpha = rasterise(gaussians, camera, RenderSettings()).alpha.numpy()
+        alpha = rasterize(gaussians, camera, RenderSettings()).alpha.numpy()
         pixels_away = distance_transform_edt(~template_mask(joints_m, camera))
         # 17 pixels are 3.5 mm: the curved skin lies up to 2 mm outside the template's flat triangles; worst seen 0.001
         assert alpha[pixels_away > 17].max() < 0.002, f"seen from {view}"
@@ -125,27 +125,27 @@ def test_a_hole_would_be_found(avatar):
     posed = pose_gaussians(avatar, bones)
     away = (posed.position_m[:, :2] - joints_m[3, :2].float()).norm(dim=1) > 0.004
     torn = replace(posed, opacity=posed.opacity * away)
-    alpha = rasterise(torn, camera, RenderSettings()).alpha.numpy()
+    alpha = rasterize(torn, camera, RenderSettings()).alpha.numpy()
     inside = binary_erosion(template_mask(joints_m, camera), iterations=2)
     assert 1 - alpha[inside].min() > 0.5
 
 
-def test_the_trained_avatar_has_its_light_its_angles_and_its_licence_with_it():
+def test_the_trained_avatar_has_its_light_its_angles_and_its_license_with_it():
     avatar = load_builtin(handedness=Handedness.RIGHT)
-    assert avatar.learnt is not None
-    assert avatar.learnt.correctives is not None
-    assert avatar.learnt.cast is not None
+    assert avatar.learned is not None
+    assert avatar.learned.correctives is not None
+    assert avatar.learned.cast is not None
     assert len(avatar.info.pose_statistics) == 30
-    assert avatar.info.learnt_from is not None
-    assert avatar.info.learnt_from.pictures == 432
-    assert "CC0-1.0" in avatar.info.licence
+    assert avatar.info.learned_from is not None
+    assert avatar.info.learned_from.pictures == 432
+    assert "CC0-1.0" in avatar.info.license
     assert (ASSETS / "builtin_right.jghand").stat().st_size < 12e6
 
 
 def test_the_trained_avatar_is_drawn_by_its_quick_tier_and_loses_nothing_that_counts():
-    learnt = load_builtin(handedness=Handedness.RIGHT).learnt
-    assert learnt is not None
-    _, price = learnt.with_tier(Tier.AUTO)
+    learned = load_builtin(handedness=Handedness.RIGHT).learned
+    assert learned is not None
+    _, price = learned.with_tier(Tier.AUTO)
     assert price is not None
     assert price.tier is Tier.LINEAR
     assert price.lost_db <= TIER_LOST_MAX_DB

@@ -1,4 +1,4 @@
-"""Where the Gaussians of a hand that is going to be learnt start."""
+"""Where the Gaussians of a hand that is going to be learned start."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def test_there_are_as_many_points_as_asked_for(points):
 
 def test_points_lie_inside_the_shell_and_fill_it(points, surface):
     signed_m = surface.closest(points.position_m.double().numpy()).signed_m
-    # float32 metres at 0.2 m: 1.5e-8
+    # float32 meters at 0.2 m: 1.5e-8
     assert signed_m.max() <= 2e-8
     assert signed_m.min() >= -DEPTH_M - 2e-8
     assert signed_m.max() > -0.05 * DEPTH_M

@@ -28,7 +28,7 @@ from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import PARENTS
 
 AVATAR = trained_avatar(300)
-CAST: CastShadow = AVATAR.learnt.cast  # type: ignore[union-attr,assignment]
+CAST: CastShadow = AVATAR.learned.cast  # type: ignore[union-attr,assignment]
 CANONICAL_M = AVATAR.canonical_joints_m
 
 
@@ -117,7 +117,7 @@ def test_edges_are_soft_and_widen_with_the_distance():
 
     near, far = partly(0.8), partly(-1.0)
     assert 0 < near < far
-    # half a lamp's width per metre of way
+    # half a lamp's width per meter of way
     assert far == pytest.approx(1e3 * (limits.LAMP_HALF_WIDTH * 2.0 + 2e-3 + 0.01), abs=15)
 
 
@@ -164,7 +164,7 @@ def test_a_fist_takes_more_light_than_a_flat_hand():
     assert float(loss["fist"].min()) < -0.3
 
 
-def test_only_the_hidden_lamp_and_its_colour_are_missing():
+def test_only_the_hidden_lamp_and_its_color_are_missing():
     """Lamp 3 is red and hidden from everybody, lamp 5 is green and seen."""
     rgb = torch.zeros(20, 3, dtype=torch.float64)
     rgb[3, 0] = rgb[5, 1] = 1.0
@@ -196,7 +196,7 @@ def test_a_nudge_of_the_joints_changes_the_shadow_a_little():
     here, there = (
         exponent(CAST, see_lamps(CAST, CANONICAL_M, transform.bones(torch.from_numpy(j)))) for j in (joints_m, nudged_m)
     )
-    # observed 0.013: ten micrometres
+    # observed 0.013: ten micrometers
     assert 0 < float((here - there).abs().max()) < 0.014
 
 
@@ -206,7 +206,7 @@ def test_the_shadow_is_that_of_a_hand_anywhere_and_of_any_size():
     wanted = seen_of("fist")
     for moved_m in (joints_m + 1000.0, 1.3 * joints_m):
         got = see_lamps(CAST, CANONICAL_M, transform.bones(torch.from_numpy(moved_m)))
-        # observed 1.2e-11, a kilometre away
+        # observed 1.2e-11, a kilometer away
         torch.testing.assert_close(got.seen, wanted.seen, atol=1.5e-11, rtol=0)
 
 
@@ -226,12 +226,12 @@ def test_gradients_of_the_joints_are_those_of_differences():
 
 def test_bones_of_no_length_cast_the_shadow_of_a_ball():
     point = torch.tensor([[0.0, 0.0, 0.0]]).double()
-    centre = torch.tensor([0.0, 0.0, 0.2], dtype=torch.float64, requires_grad=True)
+    center = torch.tensor([0.0, 0.0, 0.2], dtype=torch.float64, requires_grad=True)
     direction = lamp_directions(64)
-    passed = past_capsule(point, direction, centre, centre, torch.tensor(0.05).double())
+    passed = past_capsule(point, direction, center, center, torch.tensor(0.05).double())
     passed.sum().backward()
     assert bool(torch.isfinite(passed).all())
-    assert bool(torch.isfinite(centre.grad).all())
+    assert bool(torch.isfinite(center.grad).all())
     hidden = direction[:, 2] > math.cos(math.asin(0.02 / 0.2))
     assert bool((passed[0, hidden] < 0.5).all())
     assert bool((passed[0, direction[:, 2] < 0.5] == 1).all())
@@ -255,7 +255,7 @@ def test_an_anchor_keeps_its_own_value_and_others_mix_their_nearest():
     anchors = CAST.anchors
     values = torch.rand(60, 3, generator=torch.Generator().manual_seed(0))
     spread = anchors.spread(values)
-    # its neighbours have a share of some per cent: worst of 50 draws 0.043
+    # its neighbors have a share of some per cent: worst of 50 draws 0.043
     assert float((spread[:60] - values).abs().max()) < 0.045
     distance = torch.cdist(AVATAR.position_m, anchors.position_m)
     assert torch.equal(anchors.nearest.sort(1).values, distance.topk(3, largest=False).indices.sort(1).values)
@@ -271,7 +271,7 @@ def test_a_prefix_spreads_the_same_to_fewer():
 
 def test_the_skin_is_darker_by_the_cast_shadow():
     bones = bones_of("fist")
-    bare = replace(AVATAR, learnt=replace(AVATAR.learnt, cast=None))
+    bare = replace(AVATAR, learned=replace(AVATAR.learned, cast=None))
     with_, without = pose_skin(AVATAR, bones).matt.rgb, pose_skin(bare, bones).matt.rgb
     clear = without > 1e-6
     # observed 4.4e-16

@@ -89,10 +89,10 @@ def test_a_quaternion_without_length_is_no_rotation_and_has_a_finite_gradient(le
 def test_gradients_are_those_of_finite_differences():
     log_scale, quaternion, linear = (tensor.requires_grad_() for tensor in some(6))
 
-    def in_square_millimetres(*inputs: torch.Tensor) -> torch.Tensor:
+    def in_square_millimeters(*inputs: torch.Tensor) -> torch.Tensor:
         return 1e6 * posed_covariance(*inputs)
 
-    assert torch.autograd.gradcheck(in_square_millimetres, (log_scale, quaternion, linear), eps=1e-6, atol=1e-5)
+    assert torch.autograd.gradcheck(in_square_millimeters, (log_scale, quaternion, linear), eps=1e-6, atol=1e-5)
 
 
 @pytest.mark.parametrize("linear", ["collapsed", "zero", "mirrored"])
@@ -108,7 +108,7 @@ def test_any_linear_map_gives_semi_definite_covariances_and_finite_gradients(lin
     covariance.sum().backward()
     assert all(leaf.grad is not None and bool(torch.isfinite(leaf.grad).all()) for leaf in leaves)
     values = torch.linalg.eigvalsh(matrices(covariance.detach().double()))
-    # within what the rasteriser takes for rounding; worst seen -3.4e-8
+    # within what the rasterizer takes for rounding; worst seen -3.4e-8
     assert bool((values[:, 0] >= -0.1 * limits.COVARIANCE_SLACK * values.sum(1)).all())
 
 

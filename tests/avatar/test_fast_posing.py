@@ -19,8 +19,8 @@ from jghand_engine.hand.joints import Handedness
 from jghand_engine.native.binding import Library
 
 AVATARS = {"painted": small_avatar, "trained": trained_avatar, "ellipsoids": ellipsoid_avatar}
-# offsets move with the place where the angle planes are looked up, and that with the joints: see test_fast_learnt
-POSITION_M, RELATIVE, COLOUR = 1.5e-7, 3e-6, 2e-5
+# offsets move with the place where the angle planes are looked up, and that with the joints: see test_fast_learned
+POSITION_M, RELATIVE, COLOR = 1.5e-7, 3e-6, 2e-5
 
 
 def exactly(avatar: HandAvatar, joints_m: np.ndarray):
@@ -42,7 +42,7 @@ def test_a_frame_is_what_the_engine_draws_without_gloss(library: Library, kind, 
     if kind == "painted":
         assert posed.rgb is None
     else:
-        assert np.abs(posed.rgb - wanted.rgb.clamp(0, 1).numpy()).max() < COLOUR
+        assert np.abs(posed.rgb - wanted.rgb.clamp(0, 1).numpy()).max() < COLOR
     if kind == "ellipsoids":
         largest = wanted.covariance_m2[:, [0, 3, 5]].amax(1, keepdim=True).numpy()
         assert (np.abs(posed.covariance_m2 - wanted.covariance_m2.numpy()) < RELATIVE * largest).all()

@@ -105,7 +105,7 @@ def test_arrays_that_the_kernel_cannot_write_into_are_refused_by_name(library: L
         skin.prepare(replace(bones, linear_offset=bones.linear_offset[:20]), good, np.zeros(3))
 
 
-def test_spatial_order_is_a_permutation_and_keeps_neighbours_together():
+def test_spatial_order_is_a_permutation_and_keeps_neighbors_together():
     points = load_painted(handedness=Handedness.RIGHT).position_m.numpy()
     order = spatial_order(points)
     assert np.array_equal(np.sort(order), np.arange(len(points)))

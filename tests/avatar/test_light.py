@@ -105,12 +105,12 @@ def test_a_unit_vector_has_length_one_and_zero_stays_zero():
 # ---- matt skin -------------------------------------------------------------------------------------------------------
 
 
-def test_without_light_of_its_own_the_skin_keeps_its_colour():
+def test_without_light_of_its_own_the_skin_keeps_its_color():
     albedo, normal = random(206, 3), directions()
     assert torch.equal(lit(albedo, normal, light_with()), albedo)
 
 
-def test_matt_colour_is_albedo_times_the_exponential_of_the_harmonics():
+def test_matt_color_is_albedo_times_the_exponential_of_the_harmonics():
     light, normal = random_light(), directions()
     albedo = random(len(normal), 3)
     shade = 0.2 * random(len(normal), 3, seed=10) - 0.1
@@ -148,7 +148,7 @@ def test_gloss_is_brightest_where_the_mirrored_direction_meets_the_lobe():
     eye = unit(torch.tensor([-0.4, 0.2, 0.9], dtype=torch.float64))
     half = unit(lamp + eye)
     at_peak = gloss(half[None], eye[None], light)[0]
-    # the lobe's own colour, to the rounding of its direction, which was given in float32
+    # the lobe's own color, to the rounding of its direction, which was given in float32
     torch.testing.assert_close(at_peak, torch.tensor([0.9, 0.6, 0.3]).double(), atol=1e-7, rtol=0)
     around = unit(half + 0.1 * (random(300, 3) - 0.5))
     others = gloss(around, eye.expand(300, 3), light)
@@ -208,12 +208,12 @@ def test_gradients_of_light_and_normals_are_those_of_finite_differences():
     parts = [light.irradiance, light.lobe_direction, light.lobe_sharpness, light.lobe_rgb, light.rim]
     albedo, shade = random(4, 3), 0.2 * random(4, 3, seed=10) - 0.1
 
-    def colour(normal, eye, albedo, shade, *parts):
+    def color(normal, eye, albedo, shade, *parts):
         lamps = Light(*parts)
         return lit(albedo, unit(normal), lamps, shade) + gloss(unit(normal), unit(eye), lamps)
 
     inputs = tuple(tensor.detach().clone().requires_grad_(True) for tensor in (normal, eye, albedo, shade, *parts))
-    assert torch.autograd.gradcheck(colour, inputs)
+    assert torch.autograd.gradcheck(color, inputs)
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
@@ -231,7 +231,7 @@ def test_gradients_of_light_and_normals_are_those_of_finite_differences():
     ],
     ids=["no normal", "no eye", "neither", "tiny", "grazing", "from the front", "from behind", "huge"],
 )
-def test_normals_and_views_of_any_kind_have_finite_colours_and_gradients(normal, eye, dtype):
+def test_normals_and_views_of_any_kind_have_finite_colors_and_gradients(normal, eye, dtype):
     n = torch.tensor([normal], dtype=dtype, requires_grad=True)
     e = torch.tensor([eye], dtype=dtype, requires_grad=True)
     light = random_light().to(dtype)
@@ -240,9 +240,9 @@ def test_normals_and_views_of_any_kind_have_finite_colours_and_gradients(normal,
     lobes[0] = 0
     light = replace(light, lobe_direction=lobes.requires_grad_(True))
     albedo = torch.full((1, 3), 0.5, dtype=dtype)
-    colour = lit(albedo, unit(n), light) + gloss(unit(n), unit(e), light)
-    colour.sum().backward()
-    assert bool(torch.isfinite(colour).all())
+    color = lit(albedo, unit(n), light) + gloss(unit(n), unit(e), light)
+    color.sum().backward()
+    assert bool(torch.isfinite(color).all())
     for tensor in (n, e, light.lobe_direction):
         assert tensor.grad is not None
         assert bool(torch.isfinite(tensor.grad).all())

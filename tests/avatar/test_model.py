@@ -11,12 +11,12 @@ from small_hands import INFO, SMALL_MODEL, frames_of, small_hand, small_points, 
 
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.learnt import Learnt
+from jghand_engine.avatar.learned import Learned
 from jghand_engine.avatar.model import LearnedHand, ModelOptions, OffsetFrame, Shape
 from jghand_engine.hand.joints import Handedness
 
 RIGHT = Handedness.RIGHT
-# the constants of the shadow are learnt through the picture: see tests/training/test_step.py
+# the constants of the shadow are learned through the picture: see tests/learn/test_step.py
 OF_THE_SHADOW = {"raw_shadow_gain", "raw_shadow_tint"}
 
 
@@ -24,10 +24,10 @@ def avatar_of(hand: LearnedHand, count: int = 0) -> HandAvatar:
     return hand.avatar(INFO, handedness=RIGHT, count=count)
 
 
-def learnt_of(hand: LearnedHand, count: int = 0) -> Learnt:
-    learnt = avatar_of(hand, count).learnt
-    assert learnt is not None
-    return learnt
+def learned_of(hand: LearnedHand, count: int = 0) -> Learned:
+    learned = avatar_of(hand, count).learned
+    assert learned is not None
+    return learned
 
 
 def values(hand: LearnedHand) -> list[torch.Tensor]:
@@ -54,17 +54,17 @@ def test_making_a_hand_draws_no_random_numbers_of_others():
     assert torch.equal(torch.rand(2), wanted)
 
 
-def test_a_new_hand_is_the_template_in_grey_without_light_or_offsets():
+def test_a_new_hand_is_the_template_in_gray_without_light_or_offsets():
     hand = small_hand(moved=False)
-    avatar, learnt = avatar_of(hand), learnt_of(hand)
+    avatar, learned = avatar_of(hand), learned_of(hand)
     assert torch.equal(avatar.position_m, hand.points.position_m)
     torch.testing.assert_close(avatar.sigma_m, hand.points.sigma_m)
     assert torch.equal(avatar.rgb, torch.full((300, 3), 0.5))
     torch.testing.assert_close(avatar.opacity, torch.full((300,), 1 / (1 + math.exp(-SMALL_MODEL.opacity_bias))))
-    torch.testing.assert_close(learnt.normal, hand.points.normal)
-    assert not learnt.light.irradiance.any()
-    assert learnt.correctives is not None
-    correction = learnt.correctives(frames_of("fist"))
+    torch.testing.assert_close(learned.normal, hand.points.normal)
+    assert not learned.light.irradiance.any()
+    assert learned.correctives is not None
+    correction = learned.correctives(frames_of("fist"))
     assert not correction.offset_m.any()
     assert not correction.shade.any()
 
@@ -93,7 +93,7 @@ def test_no_weight_carries_anything_out_of_its_range():
     hand = small_hand(replace(SMALL_MODEL, shape=Shape.ANISO))
     stirred(hand, by=50.0)
     hand.keep_in_range()
-    avatar, learnt = avatar_of(hand), learnt_of(hand)
+    avatar, learned = avatar_of(hand), learned_of(hand)
     moved_m = (avatar.position_m - hand.points.position_m).detach().abs()
     # to the rounding of positions
     assert 0.99 * SMALL_MODEL.identity_reach_m < float(moved_m.max()) <= SMALL_MODEL.identity_reach_m + 1e-8
@@ -102,18 +102,18 @@ def test_no_weight_carries_anything_out_of_its_range():
     assert float(sigma_m.max()) == pytest.approx(limits.SIGMA_MAX_M)
     for unit_range in (avatar.rgb, avatar.opacity):
         assert 0 <= float(unit_range.detach().min()) <= float(unit_range.detach().max()) <= 1
-    assert float(learnt.shine.detach().log().abs().max()) == pytest.approx(limits.SHINE_SPREAD)
-    torch.testing.assert_close(learnt.normal.detach().norm(dim=1), torch.ones(300), atol=2e-7, rtol=0)
-    light = learnt.light
+    assert float(learned.shine.detach().log().abs().max()) == pytest.approx(limits.SHINE_SPREAD)
+    torch.testing.assert_close(learned.normal.detach().norm(dim=1), torch.ones(300), atol=2e-7, rtol=0)
+    light = learned.light
     assert float(light.lobe_sharpness.detach().max()) == pytest.approx(limits.LOBE_SHARPNESS_MAX)
     assert float(light.lobe_rgb.detach().min()) >= 0
     assert float(light.rim.detach()) >= 0
-    assert learnt.shadow is not None
-    assert limits.SHADOW_GAIN_RANGE[0] <= learnt.shadow.gain <= limits.SHADOW_GAIN_RANGE[1]
-    assert all(0 <= part <= 1 for part in learnt.shadow.tint)
-    assert learnt.ellipsoid is not None
-    assert float(learnt.ellipsoid.log_stretch.detach().abs().max()) == limits.LOG_STRETCH_MAX
-    assert all(bool(torch.isfinite(tensor).all()) for tensor in (avatar.position_m, learnt.normal, light.lobe_rgb))
+    assert learned.shadow is not None
+    assert limits.SHADOW_GAIN_RANGE[0] <= learned.shadow.gain <= limits.SHADOW_GAIN_RANGE[1]
+    assert all(0 <= part <= 1 for part in learned.shadow.tint)
+    assert learned.ellipsoid is not None
+    assert float(learned.ellipsoid.log_stretch.detach().abs().max()) == limits.LOG_STRETCH_MAX
+    assert all(bool(torch.isfinite(tensor).all()) for tensor in (avatar.position_m, learned.normal, light.lobe_rgb))
 
 
 def test_a_radius_a_stretch_and_a_lobe_that_were_pushed_past_their_limits_can_return():
@@ -124,13 +124,13 @@ def test_a_radius_a_stretch_and_a_lobe_that_were_pushed_past_their_limits_can_re
         hand.lobe_log_sharpness[0] = 9.0
     hand.keep_in_range()
     parameters = (hand.log_sigma, hand.log_stretch, hand.lobe_log_sharpness)
-    optimiser = torch.optim.SGD(parameters, lr=1.0)
-    avatar, learnt = avatar_of(hand), learnt_of(hand)
-    assert learnt.ellipsoid is not None
+    optimizer = torch.optim.SGD(parameters, lr=1.0)
+    avatar, learned = avatar_of(hand), learned_of(hand)
+    assert learned.ellipsoid is not None
     # towards the middle of each range
-    loss = (avatar.sigma_m[1] - avatar.sigma_m[0]).log() + learnt.light.lobe_sharpness[0].log()
-    (loss + (learnt.ellipsoid.log_stretch[1] - learnt.ellipsoid.log_stretch[0]).sum()).backward()
-    optimiser.step()
+    loss = (avatar.sigma_m[1] - avatar.sigma_m[0]).log() + learned.light.lobe_sharpness[0].log()
+    (loss + (learned.ellipsoid.log_stretch[1] - learned.ellipsoid.log_stretch[0]).sum()).backward()
+    optimizer.step()
     hand.keep_in_range()
     sigma_m = avatar_of(hand).sigma_m
     assert float(sigma_m[0].detach()) > 1.02 * limits.SIGMA_MIN_M  # observed 1.026
@@ -151,30 +151,30 @@ def test_what_is_in_its_range_is_left_alone():
 # ---- options ---------------------------------------------------------------------------------------------------------
 
 
-def test_a_hand_learnt_with_its_light_in_its_colours_has_none_apart():
+def test_a_hand_learned_with_its_light_in_its_colors_has_none_apart():
     hand = small_hand(replace(SMALL_MODEL, lit=False))
     assert hand.irradiance.any()
-    assert not learnt_of(hand).light.irradiance.any()
+    assert not learned_of(hand).light.irradiance.any()
     # the gloss is another matter
-    assert learnt_of(hand).shine.any()
+    assert learned_of(hand).shine.any()
 
 
 @pytest.mark.parametrize("count", [0, 120])
 def test_a_hand_without_gloss_reflects_nothing(count):
     hand = small_hand(replace(SMALL_MODEL, glossy=False))
-    assert torch.equal(learnt_of(hand, count).shine, torch.zeros(count or 300))
+    assert torch.equal(learned_of(hand, count).shine, torch.zeros(count or 300))
 
 
 @pytest.mark.parametrize("frame", list(OffsetFrame))
 def test_the_axes_of_the_offsets_are_told_to_the_avatar(frame):
     hand = small_hand(replace(SMALL_MODEL, offset_frame=frame))
-    assert learnt_of(hand).world_offsets is (frame is OffsetFrame.WORLD)
+    assert learned_of(hand).world_offsets is (frame is OffsetFrame.WORLD)
 
 
 @pytest.mark.parametrize("shape", list(Shape))
 def test_only_ellipsoids_have_axes(shape):
     hand = small_hand(replace(SMALL_MODEL, shape=shape), moved=False)
-    ellipsoid = learnt_of(hand, 120).ellipsoid
+    ellipsoid = learned_of(hand, 120).ellipsoid
     names = {name for name, _ in hand.named_parameters()}
     if shape is Shape.ISO:
         assert ellipsoid is None
@@ -193,20 +193,20 @@ def test_only_ellipsoids_have_axes(shape):
 
 def everything(avatar: HandAvatar) -> torch.Tensor:
     """A sum in which every number of the avatar counts, each by another weight."""
-    learnt = avatar.learnt
-    assert learnt is not None
-    assert learnt.correctives is not None
-    correction = learnt.correctives(frames_of("claw"))
-    light = learnt.light
+    learned = avatar.learned
+    assert learned is not None
+    assert learned.correctives is not None
+    correction = learned.correctives(frames_of("claw"))
+    light = learned.light
     parts = [
-        avatar.position_m, avatar.sigma_m, avatar.opacity, avatar.rgb, learnt.normal, learnt.shine,
+        avatar.position_m, avatar.sigma_m, avatar.opacity, avatar.rgb, learned.normal, learned.shine,
         light.irradiance, light.lobe_direction, light.lobe_sharpness, light.lobe_rgb, light.rim,
         correction.offset_m, correction.shade,
     ]  # fmt: skip
-    if learnt.ellipsoid is not None:
-        parts += [learnt.ellipsoid.log_stretch, learnt.ellipsoid.quaternion]
-    if learnt.cast is not None:
-        parts += [learnt.cast.lamp_rgb, learnt.cast.bounced_rgb]
+    if learned.ellipsoid is not None:
+        parts += [learned.ellipsoid.log_stretch, learned.ellipsoid.quaternion]
+    if learned.cast is not None:
+        parts += [learned.cast.lamp_rgb, learned.cast.bounced_rgb]
     g = torch.Generator().manual_seed(12)
     return torch.stack([(part * torch.randn(part.shape, generator=g)).sum() for part in parts]).sum()
 
@@ -233,7 +233,7 @@ def test_the_heads_give_what_they_are_named_after():
             assert not gradient[[other for other in range(11) if other not in rows]].any()
     for rows, name in ((range(7, 10), "normal"), (range(10, 11), "shine")):
         hand = small_hand()
-        (gradient,) = torch.autograd.grad(getattr(learnt_of(hand), name).sum(), hand.heads.bias)
+        (gradient,) = torch.autograd.grad(getattr(learned_of(hand), name).sum(), hand.heads.bias)
         assert bool((gradient[list(rows)] != 0).all())
         assert not gradient[[other for other in range(11) if other not in rows]].any()
 
@@ -257,7 +257,7 @@ def test_a_prefix_is_what_the_finished_avatar_gives_as_prefix(count):
     for name in ("position_m", "sigma_m", "opacity", "rgb", "bone_weights", "uvd"):
         # a matrix product of another height may add up in another order; worst seen 6e-8
         torch.testing.assert_close(getattr(live, name), getattr(wanted, name), atol=1.2e-7, rtol=1e-6)
-    ours, theirs = live.learnt, wanted.learnt
+    ours, theirs = live.learned, wanted.learned
     assert ours is not None
     assert theirs is not None
     torch.testing.assert_close(ours.normal, theirs.normal, atol=4e-7, rtol=0)
@@ -280,7 +280,7 @@ def test_radii_of_a_prefix_grow_as_gaps_on_a_surface_do():
 
 
 def test_all_gaussians_keep_the_gradient_of_their_radii():
-    """At full number nothing grows, and the limits of growth do not halve or stop what is learnt."""
+    """At full number nothing grows, and the limits of growth do not halve or stop what is learned."""
     hand = small_hand()
     deep_and_wide(hand)
     avatar = avatar_of(hand)
@@ -289,7 +289,7 @@ def test_all_gaussians_keep_the_gradient_of_their_radii():
     torch.testing.assert_close(gradient[inside], avatar.sigma_m.detach()[inside])
 
 
-def test_gaussians_that_join_take_over_the_growth_of_their_neighbours():
+def test_gaussians_that_join_take_over_the_growth_of_their_neighbors():
     hand = small_hand()
     nearest = torch.randint(0, 100, (150,), generator=torch.Generator().manual_seed(5))
     before, start = hand.log_sigma.detach().clone(), hand.points.sigma_m.log()

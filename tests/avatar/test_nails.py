@@ -21,7 +21,7 @@ from jghand_engine.template.texture import sample_bilinear
 
 @pytest.fixture(scope="module")
 def shipped() -> tuple[SkinPoints, np.ndarray]:
-    """The skin over some Gaussians of the shipped avatar, all those on nails among them, and their colours (N, 3)."""
+    """The skin over some Gaussians of the shipped avatar, all those on nails among them, and their colors (N, 3)."""
     template, avatar = load_template(), load_painted(handedness=Handedness.RIGHT)
     with (ASSETS / "nails.png").open("rb") as stream:
         mask = np.asarray(Image.open(stream).convert("L"), dtype=float) / 255
@@ -58,7 +58,7 @@ def test_nails_are_painted_where_the_mask_has_them_and_nowhere_else(shipped):
     assert not painted[(points.bone_weights[:, list(TIPS)] < 0.1).all(axis=1)].any()
 
 
-def test_the_shipped_colours_are_what_the_painter_makes(shipped):
+def test_the_shipped_colors_are_what_the_painter_makes(shipped):
     """Position and normal are those that compact storage leaves, so single points at edges of marks differ."""
     points, rgb = shipped
     made = skin_rgb(load_template(), points, SkinLook(), Studio())

@@ -13,7 +13,7 @@ ROWS, COLUMNS, CHANNELS = 5, 9, 3
 
 
 def spots(count: int = 400, seed: int = 0) -> torch.Tensor:
-    """(N, 2) random ones; corners, edges, texel centres and some outside of the plane among them."""
+    """(N, 2) random ones; corners, edges, texel centers and some outside of the plane among them."""
     some = torch.rand(count, 2, generator=torch.Generator().manual_seed(seed))
     ends = torch.tensor([[0.0, 0.0], [1.0, 1.0], [0.0, 1.0], [1.0, 0.0], [0.5, 1.0], [1.0, 0.3], [0.25, 0.75]])
     outside = torch.tensor([[-0.2, 0.4], [1.3, 0.4], [0.4, -5.0], [0.4, 1.0001]])
@@ -29,7 +29,7 @@ def plane_at(
 
 
 def sampled(texels: torch.Tensor, points: torch.Tensor) -> torch.Tensor:
-    """(N, channels) by grid_sample, for which -1 and 1 are the centres of the outer texels."""
+    """(N, channels) by grid_sample, for which -1 and 1 are the centers of the outer texels."""
     picture = texels.reshape(ROWS, COLUMNS, CHANNELS).permute(2, 0, 1)[None]
     grid = (2 * points - 1)[None, :, None, :].to(texels.dtype)
     values = functional.grid_sample(picture, grid, mode="bilinear", padding_mode="border", align_corners=True)
@@ -39,7 +39,7 @@ def sampled(texels: torch.Tensor, points: torch.Tensor) -> torch.Tensor:
 def test_a_lookup_is_what_grid_sample_gives():
     points = spots()
     plane = plane_at(points)
-    # no difference seen; a vectorised build may add the four up in another order
+    # no difference seen; a vectorized build may add the four up in another order
     torch.testing.assert_close(plane(len(points)), sampled(plane.texels, points), atol=3e-7, rtol=0)
 
 
@@ -80,7 +80,7 @@ def test_the_weights_of_the_four_texels_sum_to_one_and_stay_inside():
     assert float(weight.max()) <= 1
     assert int(corner.min()) >= 0
     assert int(corner.max()) < ROWS * COLUMNS
-    # the four are neighbours, also at the right and lower edge
+    # the four are neighbors, also at the right and lower edge
     assert torch.equal(corner[1] - corner[0], torch.ones(len(points), dtype=torch.long))
     assert torch.equal(corner[2] - corner[0], torch.full((len(points),), COLUMNS))
     assert int((corner[0] % COLUMNS).max()) == COLUMNS - 2
@@ -92,7 +92,7 @@ def test_a_plane_of_one_line_is_refused(rows, columns):
         FixedLookup(spots(), rows, columns, 1)
 
 
-def test_roughness_is_the_mean_squared_step_between_neighbours():
+def test_roughness_is_the_mean_squared_step_between_neighbors():
     plane = plane_at(spots())
     picture = plane.texels.detach().reshape(ROWS, COLUMNS, CHANNELS)
     down, right = picture[1:] - picture[:-1], picture[:, 1:] - picture[:, :-1]

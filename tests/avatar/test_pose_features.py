@@ -12,17 +12,17 @@ from small_hands import frames_of
 from jghand_engine.avatar.pose_features import (
     AnglePlanes,
     finger_angles,
-    normalised,
+    normalized,
     octave_of_wave,
     palm_angles,
     positional_encoding,
 )
 from jghand_engine.hand.anatomy import FRAME_RANGES_DEG
-from jghand_engine.limits import PALM_NEIGHBOUR_RANGES_DEG, PALM_PLANE_RANGES_DEG
+from jghand_engine.limits import PALM_NEIGHBOR_RANGES_DEG, PALM_PLANE_RANGES_DEG
 
 TEXELS = 5
 RANGES = torch.from_numpy(FRAME_RANGES_DEG)
-NEIGHBOUR, PLANE = torch.tensor(PALM_NEIGHBOUR_RANGES_DEG), torch.tensor(PALM_PLANE_RANGES_DEG)
+NEIGHBOR, PLANE = torch.tensor(PALM_NEIGHBOR_RANGES_DEG), torch.tensor(PALM_PLANE_RANGES_DEG)
 
 
 @dataclass
@@ -34,14 +34,14 @@ class Angles:
     palm_n: torch.Tensor
 
 
-def at_part(fingers: torch.Tensor, neighbour: torch.Tensor, plane: torch.Tensor) -> Angles:
+def at_part(fingers: torch.Tensor, neighbor: torch.Tensor, plane: torch.Tensor) -> Angles:
     """Angles at these parts of their ranges: 0 the low end, 1 the high one."""
 
     def angle(ranges_deg: torch.Tensor, part: torch.Tensor) -> torch.Tensor:
         low, high = ranges_deg.double().unbind(-1)
         return torch.deg2rad(low + part * (high - low))
 
-    return Angles(angle(RANGES, fingers), angle(NEIGHBOUR, neighbour), angle(PLANE, plane))
+    return Angles(angle(RANGES, fingers), angle(NEIGHBOR, neighbor), angle(PLANE, plane))
 
 
 def middle() -> Angles:
@@ -68,7 +68,7 @@ def test_ranges_become_minus_one_to_one():
     degrees = torch.tensor([[-30.0, 100.0], [0.0, 60.0]])
     for part, wanted in ((0.0, -1.0), (0.5, 0.0), (1.0, 1.0), (1.5, 2.0)):
         angle = torch.deg2rad(degrees[:, 0] + part * (degrees[:, 1] - degrees[:, 0]))
-        torch.testing.assert_close(normalised(angle, degrees), torch.full((2,), wanted), atol=1e-6, rtol=0)
+        torch.testing.assert_close(normalized(angle, degrees), torch.full((2,), wanted), atol=1e-6, rtol=0)
 
 
 def test_every_finger_joint_has_its_own_range():
@@ -82,12 +82,12 @@ def test_every_finger_joint_has_its_own_range():
     assert [float(ends[6, 0]), float(ends[4, 1]), float(ends[0, 0])] == pytest.approx([1, -1, 1])
 
 
-def test_metacarpals_read_the_angles_to_their_neighbours():
+def test_metacarpals_read_the_angles_to_their_neighbors():
     """Finger f reads angle max(f - 1, 0) between palm bones and min(max(f - 1, 0), 2) between planes (METHOD 4.1)."""
-    neighbour, plane = torch.tensor([0.1, 0.2, 0.3, 0.4]), torch.tensor([0.5, 0.6, 0.7])
-    got = palm_angles(at_part(torch.zeros(15, 2), neighbour.double(), plane.double()))
+    neighbor, plane = torch.tensor([0.1, 0.2, 0.3, 0.4]), torch.tensor([0.5, 0.6, 0.7])
+    got = palm_angles(at_part(torch.zeros(15, 2), neighbor.double(), plane.double()))
     index = [max(finger - 1, 0) for finger in range(5)]
-    wanted = torch.stack([2 * neighbour[index] - 1, 2 * plane[[min(k, 2) for k in index]] - 1], -1)
+    wanted = torch.stack([2 * neighbor[index] - 1, 2 * plane[[min(k, 2) for k in index]] - 1], -1)
     torch.testing.assert_close(got.float(), wanted, atol=1e-6, rtol=0)
 
 
@@ -160,7 +160,7 @@ def test_beyond_the_border_the_features_stay_as_at_the_border(axis):
         for hand, part in ((inside, end), (outside, beyond)):
             low, high = RANGES[:, axis].unbind(-1)
             hand.angles[:, axis] = torch.deg2rad(low + part * (high - low))
-            which, ranges = ("palm_p", NEIGHBOUR) if axis == 0 else ("palm_n", PLANE)
+            which, ranges = ("palm_p", NEIGHBOR) if axis == 0 else ("palm_n", PLANE)
             setattr(hand, which, torch.deg2rad((ranges[:, 0] + part * (ranges[:, 1] - ranges[:, 0])).double()))
         torch.testing.assert_close(planes(outside), planes(inside), atol=2e-6, rtol=0)
         assert float((planes(inside) - planes(middle())).detach().abs().max()) > 0.1
@@ -171,7 +171,7 @@ def test_metacarpals_may_stay_constant_as_in_the_paper():
     torch.nn.init.normal_(planes.planes)
     one, other = random_angles(1), random_angles(2)
     assert torch.equal(planes(one)[:6], planes(other)[:6])
-    # ... with the value in the middle of their plane, which can still be learnt
+    # ... with the value in the middle of their plane, which can still be learned
     torch.testing.assert_close(planes(one)[1], planes.planes[0, :, TEXELS // 2, TEXELS // 2])
     assert float((planes(one)[6:] - planes(other)[6:]).detach().abs().min()) > 0
     planes.level1 = True

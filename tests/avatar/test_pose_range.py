@@ -13,9 +13,9 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.pose_range import angle_name, range_report, trained_range
 from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.splat.camera import Camera
-from jghand_engine.splat.frame import HandRenderer
-from jghand_engine.training.bake import angle_ranges
+from jghand_engine.learn.bake import angle_ranges
+from jghand_engine.render.camera import Camera
+from jghand_engine.render.frame import HandRenderer
 
 
 def trained_on(*poses: str, handedness: Handedness = Handedness.RIGHT) -> HandAvatar:

@@ -146,7 +146,7 @@ def test_gradients_with_respect_to_the_joints_are_those_of_finite_differences(po
         g = posed_with(avatar, bones_of(avatar, joints_m), offset_m)
         return torch.cat([g.position_m.flatten(), 100 * g.sigma_m])
 
-    # millimetre noise moves the hand off straight fingers, where gradients are damped on purpose (METHOD 2.10)
+    # millimeter noise moves the hand off straight fingers, where gradients are damped on purpose (METHOD 2.10)
     noise_m = 1e-3 * torch.randn(21, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(3))
     joints_m = (joints_of(avatar, pose) + noise_m).requires_grad_(True)
     assert torch.autograd.gradcheck(posed, (joints_m,), eps=1e-7, atol=1e-5, rtol=1e-3)
@@ -166,7 +166,7 @@ def test_gradients_reach_positions_and_radii():
 
 
 def lbs_joint_error_m(joint_weights, canonical_joints_m, bones, joints_m) -> torch.Tensor:
-    """(21,) metres: how far blended skinning moves each joint from where it belongs (METHOD 3.5).
+    """(21,) meters: how far blended skinning moves each joint from where it belongs (METHOD 3.5).
 
     The matrices themselves map every joint exactly; this second metric is of the skin's weights: joint_weights (21, 21)
     are those of the field at the canonical joints.

@@ -10,23 +10,23 @@ from small_avatars import trained_avatar
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.correctives import Correctives, PoseNet, PoseNetShape
-from jghand_engine.avatar.distil import distil, poses_near
+from jghand_engine.avatar.distill import distill, poses_near
 from jghand_engine.avatar.file import load_avatar, save_avatar, stored_form
-from jghand_engine.avatar.learnt_storage import pack_learnt
+from jghand_engine.avatar.learned_storage import pack_learned
 from jghand_engine.avatar.pose_features import Angles, flat_angles
 from jghand_engine.avatar.storage import Storage
 from jghand_engine.avatar.tiers import Baked, CachedNet, LinearCorrectives, Price, Tier, basis_most, numbers_of
 from jghand_engine.errors import InputError
 from jghand_engine.hand.anatomy import named_pose, pose_names
-from jghand_engine.splat.camera import Camera
-from jghand_engine.splat.frame import HandRenderer
-from jghand_engine.splat.settings import RenderSettings, preset
+from jghand_engine.render.camera import Camera
+from jghand_engine.render.frame import HandRenderer
+from jghand_engine.render.settings import RenderSettings, preset
 
 SHAPE = PoseNetShape(octaves=(3, 3, 2), angle_channels=6, angle_texels=5, hidden=24)
 AVATAR = trained_avatar(400, shape=SHAPE)
-# ripples of a few degrees would be no hand: planes as smooth as learnt ones
-AVATAR.learnt.correctives.angles.planes.data *= 0.15
-NET = AVATAR.learnt.correctives
+# ripples of a few degrees would be no hand: planes as smooth as learned ones
+AVATAR.learned.correctives.angles.planes.data *= 0.15
+NET = AVATAR.learned.correctives
 
 
 def known_poses() -> torch.Tensor:
@@ -39,7 +39,7 @@ def known_poses() -> torch.Tensor:
 
 KNOWN = known_poses()
 POSES = torch.cat([KNOWN, poses_near(KNOWN, 150, seed=1)])
-TIERS = distil(NET, POSES, (1, 3, 6, 14))
+TIERS = distill(NET, POSES, (1, 3, 6, 14))
 
 
 def both(correctives: Correctives, pose: torch.Tensor) -> torch.Tensor:
@@ -76,7 +76,7 @@ def test_a_linear_network_is_distilled_exactly():
     linear.middle.weight.abs_()
     linear.out.weight *= 1e-5
     linear.out.bias.zero_()
-    tier = distil(linear, POSES, (6,))[6]
+    tier = distill(linear, POSES, (6,))[6]
     wanted, got = (torch.stack([both(each, pose) for pose in KNOWN]) for each in (linear, tier))
     # the constant, of half precision: observed 4.8e-7 of 1.4e-3
     assert float((got[0] - wanted[0]).abs().max()) < 5.2e-7
@@ -119,7 +119,7 @@ def linear_price(lost_db: float) -> Price:
 
 
 def baked_avatar(*prices: Price, linear: LinearCorrectives | None = TIERS[6]) -> HandAvatar:
-    return replace(AVATAR, learnt=replace(AVATAR.learnt, baked=Baked(linear, prices, "held-out pictures")))
+    return replace(AVATAR, learned=replace(AVATAR.learned, baked=Baked(linear, prices, "held-out pictures")))
 
 
 @pytest.mark.parametrize(
@@ -143,8 +143,8 @@ def baked_avatar(*prices: Price, linear: LinearCorrectives | None = TIERS[6]) ->
     ],
 )
 def test_the_cheapest_tier_that_loses_little_is_taken(prices, wanted, taken):
-    learnt, _ = baked_avatar(*prices).learnt.with_tier(wanted)
-    assert isinstance(learnt.correctives, taken)
+    learned, _ = baked_avatar(*prices).learned.with_tier(wanted)
+    assert isinstance(learned.correctives, taken)
 
 
 def test_a_tier_without_a_price_is_refused():
@@ -181,8 +181,8 @@ def test_the_frame_says_what_it_took_and_what_that_costs():
 def test_tiers_come_back_from_a_file_bit_for_bit(tmp_path, storage):
     avatar = baked_avatar(EXACT, CACHED, linear_price(0.05))
     save_avatar(tmp_path / "hand.jghand", avatar, storage=storage)
-    again, stored = load_avatar(tmp_path / "hand.jghand").learnt.baked, stored_form(avatar, storage).learnt.baked
-    assert again.prices == avatar.learnt.baked.prices
+    again, stored = load_avatar(tmp_path / "hand.jghand").learned.baked, stored_form(avatar, storage).learned.baked
+    assert again.prices == avatar.learned.baked.prices
     assert again.measured_on == "held-out pictures"
     for name in ("mean", "projection", "constant", "direction", "scale"):
         assert torch.equal(getattr(again.linear, name), getattr(TIERS[6], name)), name
@@ -192,7 +192,7 @@ def test_tiers_come_back_from_a_file_bit_for_bit(tmp_path, storage):
 
 def test_prices_without_a_linear_tier_come_back(tmp_path):
     save_avatar(tmp_path / "hand.jghand", baked_avatar(EXACT, CACHED, linear=None))
-    baked = load_avatar(tmp_path / "hand.jghand").learnt.baked
+    baked = load_avatar(tmp_path / "hand.jghand").learned.baked
     assert baked.linear is None
     assert [price.tier for price in baked.prices] == [Tier.EXACT, Tier.CACHED]
 
@@ -201,10 +201,10 @@ def test_a_shipped_avatar_with_a_linear_tier_fits_into_12_megabytes():
     """Of 40,000 Gaussians, at the size of the trained network; bytes per Gaussian grow with nothing else."""
     count, shape = 1000, PoseNetShape()
     avatar = trained_avatar(count, shape=shape)
-    net = avatar.learnt.correctives
-    linear = distil(net, poses_near(KNOWN, 20, seed=0), (32,))[32]
-    avatar = replace(avatar, learnt=replace(avatar.learnt, baked=Baked(linear, (), "")))
-    packed = pack_learnt(avatar.learnt, Storage.COMPACT)
+    net = avatar.learned.correctives
+    linear = distill(net, poses_near(KNOWN, 20, seed=0), (32,))[32]
+    avatar = replace(avatar, learned=replace(avatar.learned, baked=Baked(linear, (), "")))
+    packed = pack_learned(avatar.learned, Storage.COMPACT)
     per_gaussian = sum(a.nbytes for name, a in packed.items() if len(a) == count and not name.startswith("pose_net"))
     fixed = sum(a.nbytes for a in packed.values()) - per_gaussian
     plain = 39 * count

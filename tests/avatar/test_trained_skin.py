@@ -12,7 +12,7 @@ from small_hands import bones_of, joints_of
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.cast_shadow import exponent
 from jghand_engine.avatar.correctives import Correction
-from jghand_engine.avatar.learnt import Ellipsoid, Learnt
+from jghand_engine.avatar.learned import Ellipsoid, Learned
 from jghand_engine.avatar.light import gloss, harmonics, lit, unit
 from jghand_engine.avatar.skinning import (
     PosedSkin,
@@ -35,16 +35,16 @@ AVATAR = trained_avatar(150)
 EYE_M = torch.tensor([0.3, -0.2, 0.5], dtype=torch.float64)
 
 
-def learnt_of(avatar: HandAvatar) -> Learnt:
-    assert avatar.learnt is not None
-    return avatar.learnt
+def learned_of(avatar: HandAvatar) -> Learned:
+    assert avatar.learned is not None
+    return avatar.learned
 
 
 def elliptic(avatar: HandAvatar = AVATAR) -> HandAvatar:
     g = torch.Generator().manual_seed(6)
     count = len(avatar)
     ellipsoid = Ellipsoid(0.5 * torch.randn(count, 3, generator=g), torch.randn(count, 4, generator=g))
-    return replace(avatar, learnt=replace(learnt_of(avatar), ellipsoid=ellipsoid))
+    return replace(avatar, learned=replace(learned_of(avatar), ellipsoid=ellipsoid))
 
 
 def correction(seed: int = 2) -> Correction:
@@ -75,7 +75,7 @@ def matrices(covariance_m2: torch.Tensor | None) -> torch.Tensor:
 
 def fallen(avatar: HandAvatar, bones: BoneTransforms) -> torch.Tensor:
     """What the shadows that its fingers cast add to the exponent, in the world's light."""
-    cast = learnt_of(avatar).cast
+    cast = learned_of(avatar).cast
     assert cast is not None
     return exponent(cast, see_lamps(cast, avatar.canonical_joints_m, bones))
 
@@ -99,10 +99,10 @@ def test_a_hand_that_turns_with_its_joints_keeps_its_shape(pose):
 
 @pytest.mark.parametrize("pose", POSES)
 def test_the_skin_takes_the_light_of_the_place_it_turns_to(pose):
-    """Colour over albedo is what falls on the turned normal, in the world."""
-    R, more, learnt = rotation(), correction(), learnt_of(AVATAR)
+    """Color over albedo is what falls on the turned normal, in the world."""
+    R, more, learned = rotation(), correction(), learned_of(AVATAR)
     here, there = (pose_skin(AVATAR, turned_bones(pose, turn), more) for turn in (torch.eye(3).double(), R))
-    falling = harmonics(normals(here) @ R.T) @ learnt.light.irradiance.double() + more.shade
+    falling = harmonics(normals(here) @ R.T) @ learned.light.irradiance.double() + more.shade
     falling = falling + fallen(AVATAR, turned_bones(pose, R))
     wanted = AVATAR.rgb.double() * falling.clamp(-3, 3).exp()
     # worst seen 4e-15
@@ -111,7 +111,7 @@ def test_the_skin_takes_the_light_of_the_place_it_turns_to(pose):
     assert float((there.matt.rgb / here.matt.rgb).log().abs().mean()) > 0.1
 
 
-def test_a_hand_that_moves_without_turning_keeps_its_matt_colours():
+def test_a_hand_that_moves_without_turning_keeps_its_matt_colors():
     joints_m = torch.from_numpy(joints_of("relaxed"))
     here, there = (pose_skin(AVATAR, bones_of(joints), correction()) for joints in (joints_m, 1.2 * joints_m + 3.0))
     # worst seen 2e-14
@@ -120,11 +120,11 @@ def test_a_hand_that_moves_without_turning_keeps_its_matt_colours():
 
 def test_a_hand_seen_from_elsewhere_reflects_something_else():
     skin = pose_skin(AVATAR, bones_of(joints_of("relaxed")), correction())
-    learnt = learnt_of(AVATAR)
+    learned = learned_of(AVATAR)
     for eye_m in (EYE_M, -EYE_M):
         seen = seen_from(skin, eye_m, AVATAR)
         to_eye = unit(eye_m - skin.matt.position_m)
-        shine = learnt.shine.double()[:, None] * gloss(normals(skin), to_eye, learnt.light.to(torch.float64))
+        shine = learned.shine.double()[:, None] * gloss(normals(skin), to_eye, learned.light.to(torch.float64))
         torch.testing.assert_close(seen.rgb - skin.matt.rgb, shine, atol=1e-15, rtol=0)
         assert seen.position_m is skin.matt.position_m
         assert float(shine.max()) > 0.01
@@ -136,11 +136,11 @@ def test_where_the_skin_lies_is_not_pulled_about_by_what_it_reflects():
     seen = seen_from(skin, EYE_M, avatar)
     assert not seen.rgb.requires_grad
     # but normals and shine are
-    learnt = learnt_of(AVATAR)
+    learned = learned_of(AVATAR)
     live = replace(
-        learnt, normal=learnt.normal.clone().requires_grad_(True), shine=learnt.shine.clone().requires_grad_(True)
+        learned, normal=learned.normal.clone().requires_grad_(True), shine=learned.shine.clone().requires_grad_(True)
     )
-    avatar = replace(avatar, learnt=live)
+    avatar = replace(avatar, learned=live)
     seen_from(pose_skin(avatar, bones_of(joints_of("relaxed"))), EYE_M, avatar).rgb.sum().backward()
     assert live.normal.grad is not None
     assert live.shine.grad is not None
@@ -175,13 +175,13 @@ def test_a_left_hand_is_the_mirror_image_in_everything_but_light(pose):
         matrices(left.matt.covariance_m2), flip @ matrices(right.matt.covariance_m2) @ flip, atol=0, rtol=1e-13
     )
     # the lamps are not mirrored: the left hand is lit as the world lights its own normals
-    light = learnt_of(avatar).light.to(torch.float64)
+    light = learned_of(avatar).light.to(torch.float64)
     shade = more.shade + fallen(avatar, bones_of(left_joints, Handedness.LEFT))
     torch.testing.assert_close(left.matt.rgb, lit(avatar.rgb.double(), normals(left), light, shade))
 
 
 def test_correctives_read_the_same_angles_of_a_left_hand():
-    net = learnt_of(AVATAR).correctives
+    net = learned_of(AVATAR).correctives
     assert net is not None
     right, left = (net(bones_of(joints_of("claw", hand), hand).frames) for hand in (Handedness.RIGHT, Handedness.LEFT))
     assert torch.equal(left.offset_m, right.offset_m)
@@ -234,7 +234,7 @@ def test_offsets_turn_and_grow_with_the_hand_or_stay_in_the_world():
     assert maps.turning is not None
     with_hand = pose_skin(AVATAR, bones, more).matt.position_m - bare.matt.position_m
     torch.testing.assert_close(with_hand, bones.scale * apply(maps.turning, more.offset_m), atol=1e-15, rtol=0)
-    world = replace(AVATAR, learnt=replace(learnt_of(AVATAR), world_offsets=True))
+    world = replace(AVATAR, learned=replace(learned_of(AVATAR), world_offsets=True))
     in_world = pose_skin(world, bones, more).matt.position_m - bare.matt.position_m
     torch.testing.assert_close(in_world, more.offset_m, atol=1e-15, rtol=0)
 
@@ -242,7 +242,7 @@ def test_offsets_turn_and_grow_with_the_hand_or_stay_in_the_world():
 @pytest.mark.parametrize("pose", POSES)
 def test_a_left_hand_with_offsets_in_the_world_is_the_mirror_image_of_the_right_one(pose):
     """Its axes are mirrored with it."""
-    right = replace(AVATAR, learnt=replace(learnt_of(AVATAR), world_offsets=True))
+    right = replace(AVATAR, learned=replace(learned_of(AVATAR), world_offsets=True))
     left, joints_m, more = right.for_hand(Handedness.LEFT), torch.from_numpy(joints_of(pose)), correction()
     posed = pose_skin(right, bones_of(joints_m), more).matt.position_m
     other = pose_skin(left, left.bone_transform().bones(joints_m * MIRROR), more).matt.position_m
@@ -250,7 +250,7 @@ def test_a_left_hand_with_offsets_in_the_world_is_the_mirror_image_of_the_right_
     torch.testing.assert_close(other * MIRROR, posed, atol=1e-16, rtol=0)
 
 
-def test_shade_is_a_factor_of_the_colour():
+def test_shade_is_a_factor_of_the_color():
     bones, more = bones_of(joints_of("claw")), correction()
     plain = pose_skin(AVATAR, bones, replace(more, shade=torch.zeros_like(more.shade))).matt.rgb
     torch.testing.assert_close(pose_skin(AVATAR, bones, more).matt.rgb, plain * more.shade.exp())
@@ -264,7 +264,7 @@ def test_round_gaussians_have_no_covariance_and_round_ellipsoids_that_of_their_m
     assert pose_skin(AVATAR, bones).matt.covariance_m2 is None
     count = len(AVATAR)
     around = Ellipsoid(torch.zeros(count, 3), torch.tensor([[2.0, 0.0, 0.0, 0.0]]).expand(count, 4))
-    avatar = replace(AVATAR, learnt=replace(learnt_of(AVATAR), ellipsoid=around))
+    avatar = replace(AVATAR, learned=replace(learned_of(AVATAR), ellipsoid=around))
     got = matrices(pose_skin(avatar, bones).matt.covariance_m2)
     L = skin_maps(AVATAR.bone_weights, bones, turned=False).linear
     wanted = AVATAR.sigma_m.double()[:, None, None] ** 2 * L @ L.transpose(1, 2)
@@ -275,7 +275,7 @@ def test_round_gaussians_have_no_covariance_and_round_ellipsoids_that_of_their_m
 def test_the_axes_of_an_ellipsoid_are_stretched_and_turned():
     """Of the canonical hand: sigma e^s along each axis, turned by the quaternion."""
     avatar = elliptic()
-    ellipsoid = learnt_of(avatar).ellipsoid
+    ellipsoid = learned_of(avatar).ellipsoid
     assert ellipsoid is not None
     got = matrices(pose_skin(avatar, bones_of(avatar.canonical_joints_m)).matt.covariance_m2)
     length, _ = torch.linalg.eigh(got)
@@ -289,7 +289,7 @@ def test_the_axes_of_an_ellipsoid_are_stretched_and_turned():
 
 def test_a_finished_avatar_applies_its_own_correctives():
     bones = bones_of(joints_of("claw"))
-    net = learnt_of(AVATAR).correctives
+    net = learned_of(AVATAR).correctives
     assert net is not None
     with torch.no_grad():
         wanted = pose_skin(AVATAR, bones, net(bones.frames))
@@ -303,26 +303,26 @@ def test_correctives_without_the_frames_of_the_pose_are_refused():
     bones = bones_of(joints_of("claw"))
     with pytest.raises(InputError, match="frames"):
         posed_skin(AVATAR, bones, None)
-    bare = replace(AVATAR, learnt=replace(learnt_of(AVATAR), correctives=None))
+    bare = replace(AVATAR, learned=replace(learned_of(AVATAR), correctives=None))
     assert torch.equal(posed_skin(bare, bones, None).matt.position_m, pose_skin(bare, bones).matt.position_m)
 
 
 def test_gradients_of_the_skin_are_those_of_finite_differences():
-    """Of everything that training changes, through the posed colour, place and shape."""
+    """Of everything that training changes, through the posed color, place and shape."""
     avatar = elliptic(trained_avatar(5))
-    learnt = learnt_of(avatar)
+    learned = learned_of(avatar)
     bones = bones_of(joints_of("claw"))
-    assert learnt.ellipsoid is not None
+    assert learned.ellipsoid is not None
     inputs = (
-        avatar.position_m, avatar.sigma_m, avatar.rgb, learnt.normal, learnt.shine, learnt.light.irradiance,
-        learnt.light.lobe_direction, learnt.ellipsoid.log_stretch, learnt.ellipsoid.quaternion,
+        avatar.position_m, avatar.sigma_m, avatar.rgb, learned.normal, learned.shine, learned.light.irradiance,
+        learned.light.lobe_direction, learned.ellipsoid.log_stretch, learned.ellipsoid.quaternion,
         0.1 * torch.ones(5, 3), 0.1 * torch.ones(5, 3),
     )  # fmt: skip
 
     def drawn(position_m, sigma_m, rgb, normal, shine, irradiance, lobes, stretch, quaternion, offset, shade):
-        light = replace(learnt.light.to(torch.float64), irradiance=irradiance, lobe_direction=lobes)
-        live = replace(learnt, normal=normal, shine=shine, light=light, ellipsoid=Ellipsoid(stretch, quaternion))
-        one = replace(avatar, position_m=position_m, sigma_m=sigma_m, rgb=rgb, learnt=live)
+        light = replace(learned.light.to(torch.float64), irradiance=irradiance, lobe_direction=lobes)
+        live = replace(learned, normal=normal, shine=shine, light=light, ellipsoid=Ellipsoid(stretch, quaternion))
+        one = replace(avatar, position_m=position_m, sigma_m=sigma_m, rgb=rgb, learned=live)
         skin = pose_skin(one, bones, Correction(0.01 * offset, shade))
         seen = seen_from(skin, EYE_M, one)
         assert seen.covariance_m2 is not None

@@ -109,7 +109,7 @@ def test_the_curved_surface_goes_through_the_vertices():
         np.testing.assert_allclose(np.linalg.norm(normal, axis=1), 1, rtol=1e-14)
 
 
-def sphere(radius_m: float, centre_m=(0, 0, 0)) -> tuple[np.ndarray, np.ndarray]:
+def sphere(radius_m: float, center_m=(0, 0, 0)) -> tuple[np.ndarray, np.ndarray]:
     """A closed octahedron subdivided four times."""
     vertices = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], float)
     faces = np.array([[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4], [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]])
@@ -121,7 +121,7 @@ def sphere(radius_m: float, centre_m=(0, 0, 0)) -> tuple[np.ndarray, np.ndarray]
         triangles = np.concatenate([np.stack(t, 1) for t in ((a, ab, ca), (ab, b, bc), (ca, bc, c), (ab, bc, ca))])
         vertices, index = np.unique(triangles.reshape(-1, 3).round(12), axis=0, return_inverse=True)
         faces = index.reshape(-1, 3)
-    return radius_m * vertices / np.linalg.norm(vertices, axis=1, keepdims=True) + centre_m, faces
+    return radius_m * vertices / np.linalg.norm(vertices, axis=1, keepdims=True) + center_m, faces
 
 
 def test_directions_are_spread_evenly():
@@ -145,7 +145,7 @@ def test_a_white_ball_under_an_even_dome_is_white():
     np.testing.assert_allclose(light.irradiance, 1, atol=0.03)
 
 
-def test_a_ball_hides_light_from_its_neighbour_on_their_common_side():
+def test_a_ball_hides_light_from_its_neighbor_on_their_common_side():
     (left, faces), (right, _) = sphere(0.02, (-0.021, 0, 0)), sphere(0.02, (0.021, 0, 0))
     both = Occluder(np.concatenate([left, right]), np.concatenate([faces, faces + len(left)]))
     normal = np.array([[1.0, 0, 0], [-1.0, 0, 0]])

@@ -25,7 +25,7 @@ PLACES = {
 
 
 def moving_hand_m(handedness: str, frames: int = 5, seed: int = 0) -> np.ndarray:
-    """(F, 21, 3) joints, metres: a hand with changing pose, bone lengths and palm."""
+    """(F, 21, 3) joints, meters: a hand with changing pose, bone lengths and palm."""
     rng = np.random.default_rng(seed)
     rest = posing.rest_joints_m(handedness)
     joints = np.tile(rest, (frames, 1, 1))

@@ -78,18 +78,18 @@ def test_a_motion_comes_back_at_every_key(context, handedness, unit_m):
         assert seen.handedness == handedness
 
 
-def test_a_hand_metres_away_is_still_exact(context):
+def test_a_hand_meters_away_is_still_exact(context):
     joints = hands.moving_hand_m("right") + np.array([3.0, -8.0, 5.0])
     hand = hands.keyed_hand(context, "right", joints)
     for place in range(len(joints)):
         seen = armature.read_hand(hand, armature.at_frame(context.scene, 1 + place))
-        # worst observed 1.7e-6 m: float32 ten metres from the origin
+        # worst observed 1.7e-6 m: float32 ten meters from the origin
         np.testing.assert_allclose(seen.joints_world_m, joints[place], atol=5e-6)
 
 
 @pytest.mark.parametrize("place", hands.PLACES.values(), ids=hands.PLACES.keys())
 @pytest.mark.parametrize("unit_m", [1.0, 0.01])
-def test_joints_are_read_in_metres_whatever_the_object_and_the_unit(context, place, unit_m):
+def test_joints_are_read_in_meters_whatever_the_object_and_the_unit(context, place, unit_m):
     context.scene.unit_settings.scale_length = unit_m
     hand = hands.keyed_hand(context, "left", hands.moving_hand_m("left"))
     hands.put(hand, place)

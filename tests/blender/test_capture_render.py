@@ -101,7 +101,7 @@ def test_pictures_are_lit_hands_with_straight_alpha_and_a_stamp(captured, contex
         assert 0.25 < inside.mean() < 0.9
         assert (inside.mean(0)[:-1] > inside.mean(0)[1:]).all()  # skin: red over green over blue
         edge = (values[..., 3] > 0.2) & (values[..., 3] < 0.8)
-        # premultiplied colour would be dark where alpha is low; observed means within 25 % of the inside
+        # premultiplied color would be dark where alpha is low; observed means within 25 % of the inside
         assert values[edge][:, 0].mean() > 0.6 * inside[:, 0].mean()
 
 

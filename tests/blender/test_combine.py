@@ -31,7 +31,7 @@ def extension(stand_in_command) -> Iterator[None]:
 
 @pytest.fixture
 def scene(context, tmp_path) -> bpy.types.Scene:
-    """A hand above a wall that glows grey and fills the picture; the camera looks down on both. Cycles, one sample."""
+    """A hand above a wall that glows gray and fills the picture; the camera looks down on both. Cycles, one sample."""
     armature.build_armature(context, "right", posing.rest_joints_m("right"), "right")
     bpy.ops.mesh.primitive_plane_add(size=4.0, location=(0, 0, -0.1))
     wall = context.object
@@ -73,7 +73,7 @@ def covered(picture: np.ndarray) -> int:
     return int((picture > 0.99).all(-1).sum())
 
 
-GREY = 0.4845  # 0.2 in linear light
+GRAY = 0.4845  # 0.2 in linear light
 
 
 def test_the_nearer_of_hand_and_wall_is_seen(scene):
@@ -81,11 +81,11 @@ def test_the_nearer_of_hand_and_wall_is_seen(scene):
     in_front = f12()
     assert covered(in_front) > 20
     rest = in_front[~(in_front > 0.99).all(-1)]
-    np.testing.assert_allclose(rest, GREY, atol=0.01)
+    np.testing.assert_allclose(rest, GRAY, atol=0.01)
     bpy.data.objects["wall"].location.z = 0.1  # now between hand and camera
     behind = f12()
     assert covered(behind) == 0
-    np.testing.assert_allclose(behind, GREY, atol=0.01)
+    np.testing.assert_allclose(behind, GRAY, atol=0.01)
 
 
 def test_the_hands_follow_frame_and_pose_of_the_scene(scene):
@@ -98,13 +98,13 @@ def test_the_hands_follow_frame_and_pose_of_the_scene(scene):
     for frame in (1, 2):
         scene.frame_set(frame)
         places.append(hands.centroid((f12() > 0.99).all(-1)))
-    # 0.05 m at half a metre, of a picture 0.36 m wide there; the hand itself is nearer
+    # 0.05 m at half a meter, of a picture 0.36 m wide there; the hand itself is nearer
     assert 0.9 < (places[1][0] - places[0][0]) / (0.05 / 0.36 * SIZE[0]) < 1.2
     assert places[1][1] == pytest.approx(places[0][1], abs=0.5)
 
 
 def test_soft_edges_are_mixed_with_what_is_behind_them(scene, engine_python):
-    """A real hand's edges over a grey wall: the engine's own picture laid on it in linear light."""
+    """A real hand's edges over a gray wall: the engine's own picture laid on it in linear light."""
     before = runtime.link()
     runtime._link = EngineLink(lambda: engine_command(engine_python))
     try:
@@ -449,7 +449,7 @@ def test_hands_are_blurred_with_the_shutter_of_the_scene(scene):
     scene.render.use_motion_blur = False
     bpy.ops.jghand.combine_with_scene()
     sharp = f12()
-    changed = [(picture - GREY > 0.02).all(-1).sum() for picture in (blurred, sharp)]
+    changed = [(picture - GRAY > 0.02).all(-1).sum() for picture in (blurred, sharp)]
     assert changed[0] > 2 * changed[1]
     assert covered(blurred) < 0.5 * covered(sharp)
-    assert blurred.min() > GREY - 0.01  # no dark rims
+    assert blurred.min() > GRAY - 0.01  # no dark rims

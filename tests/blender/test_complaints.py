@@ -1,6 +1,6 @@
 """What users of such add-ons complain about most, each with a test that would catch it.
 
-1. It works in the viewport and F12 is empty.   2. Colours differ from other viewers.   3. Hidden preconditions.
+1. It works in the viewport and F12 is empty.   2. Colors differ from other viewers.   3. Hidden preconditions.
 4. An external process that hangs on "Starting…" for ever.   5. Each Blender release breaks it.
 
 The first two are asked of the real engine; all of them run on every Blender that `scripts/test.py` sets up.
@@ -96,8 +96,8 @@ def pixels(path: Path) -> np.ndarray:
 
 
 def viewports_picture(link: EngineLink, scene: bpy.types.Scene) -> np.ndarray:
-    """(H, W, 4) premultiplied, display colours: what a view that looks through the scene's camera shows when it is
-    still. No colour is brighter than white, as its shader has it: a highlight on a soft edge may be."""
+    """(H, W, 4) premultiplied, display colors: what a view that looks through the scene's camera shows when it is
+    still. No color is brighter than white, as its shader has it: a highlight on a soft edge may be."""
     depsgraph = bpy.context.evaluated_depsgraph_get()
     read = sources.read_hands(scene.objects["Right Hand"], depsgraph)
     header, arrays = picture_request(
@@ -153,10 +153,10 @@ def test_nothing_is_said_where_hands_are_drawn_or_not_wanted(stand_in, scene, wa
     assert left_out_of_renders.hands_left_out(scene) == []
 
 
-# ---- 2. colours differ -----------------------------------------------------------------------------------------------
+# ---- 2. colors differ -----------------------------------------------------------------------------------------------
 
 
-def test_colours_differ_from_other_viewers(engine, scene, tmp_path):
+def test_colors_differ_from_other_viewers(engine, scene, tmp_path):
     """Under Standard a PNG of F12 has the numbers of the PNG that the engine writes itself."""
     bpy.ops.jghand.use_engine()
     bpy.ops.jghand.use_standard()
@@ -176,12 +176,12 @@ def test_colours_differ_from_other_viewers(engine, scene, tmp_path):
 
 
 @pytest.mark.parametrize("transform", ["AgX", "Filmic"])
-def test_a_view_transform_that_changes_colours_is_said_and_mended_by_one_button(stand_in, scene, transform):
+def test_a_view_transform_that_changes_colors_is_said_and_mended_by_one_button(stand_in, scene, transform):
     scene.view_settings.view_transform = transform
     assert transform in "\n".join(drawn_by(picture.RenderPanel))
     bpy.ops.jghand.use_standard()
     assert (scene.view_settings.view_transform, scene.view_settings.look) == ("Standard", "None")
-    assert not any("colours" in text for text in drawn_by(picture.RenderPanel))
+    assert not any("colors" in text for text in drawn_by(picture.RenderPanel))
 
 
 def drawn_by(panel: type) -> list[str]:

@@ -20,13 +20,13 @@ def test_blenders_own_check_finds_nothing_wrong_with_the_manifest():
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-def test_the_licence_is_there():
+def test_the_license_is_there():
     text = (ROOT / "blender_addon" / "LICENSE").read_text()
     assert "GNU GENERAL PUBLIC LICENSE" in text
     assert "Version 3" in text
 
 
-def test_every_file_says_its_licence_and_the_notice_names_the_sources_of_the_joints():
+def test_every_file_says_its_license_and_the_notice_names_the_sources_of_the_joints():
     names = ("render_blend.py", "build_demo_scene.py", "build_pose_table.py", "build_pose_library.py")
     scripts = [ROOT / "scripts" / name for name in names]
     for path in (*(ROOT / "blender_addon").rglob("*.py"), *scripts):

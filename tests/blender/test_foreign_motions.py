@@ -49,7 +49,7 @@ def engine(engine_python, monkeypatch):
 
 @pytest.fixture
 def samples(engine, tmp_path):
-    """A folder with sample.bvh (centimetres, y up), sample.glb, sample.json of MediaPipe, and their joints.npy."""
+    """A folder with sample.bvh (centimeters, y up), sample.glb, sample.json of MediaPipe, and their joints.npy."""
     subprocess.run([engine, "-c", _SAMPLES, str(TESTS), str(tmp_path)], check=True)
     return tmp_path
 
@@ -101,9 +101,9 @@ def test_bvh_of_blender_is_read_back(context, engine, tmp_path):
     context.view_layer.objects.active = rig
     bpy.ops.export_anim.bvh(filepath=str(path), frame_start=1, frame_end=FRAMES, rotate_mode="ZXY", global_scale=100)
     motion, said = converted(engine, path, "--hand", "right")
-    assert "centimetres" in said
+    assert "centimeters" in said
     assert (motion.fps, motion.handedness) == (24.0, "right")
-    # six digits of centimetres and degrees; worst seen 2e-7 m
+    # six digits of centimeters and degrees; worst seen 2e-7 m
     np.testing.assert_allclose(motion.joints_m, joints, atol=5e-7)
 
 
@@ -130,7 +130,7 @@ def test_usd_of_blender_is_read_back(context, engine, tmp_path, suffix):
 
 def _check_without_tips(motion, joints):
     """All joints of bones, and tips in the direction of the last bones, whose ends neither format knows."""
-    # single precision, a metre from the origin; worst seen 5e-7 m
+    # single precision, a meter from the origin; worst seen 5e-7 m
     np.testing.assert_allclose(motion.joints_m[:, OTHERS], joints[:, OTHERS], atol=1e-6)
     for tip in TIPS:
         made, true = (one[:, tip] - one[:, tip - 1] for one in (motion.joints_m, joints))

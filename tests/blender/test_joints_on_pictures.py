@@ -50,7 +50,7 @@ def engine(engine_python) -> Iterator[EngineLink]:
 
 
 def picture(engine: EngineLink, view: Pinhole, *seen: HandInSpace) -> tuple[np.ndarray, np.ndarray]:
-    """(H, W, 4) premultiplied and (H, W) depth in metres."""
+    """(H, W, 4) premultiplied and (H, W) depth in meters."""
     reply = engine.request(*picture_request(view, seen, preset="draft", outputs=["rgba_f32", "depth"]))
     return tuple(np.asarray(reply.arrays[name].view()) for name in ("rgba_f32", "depth"))
 

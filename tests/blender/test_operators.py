@@ -178,12 +178,12 @@ def test_a_character_becomes_two_hands_and_is_forgotten_one_by_one(extension):
 
 def test_where_two_answers_are_possible_nothing_is_taken_until_one_is_chosen(extension):
     rig = hands.named_bones(extension, _doubtful_names())
-    assert len(sources.recognise(rig, "right").candidates) == 2
+    assert len(sources.recognize(rig, "right").candidates) == 2
     assert "Choose one" in refuses(bpy.ops.jghand.use_armature)
     assert not armature.is_foreign(rig)
     assert bpy.ops.jghand.use_armature(handedness="right", right="1") == {"FINISHED"}
     (stored,) = sources.stored_maps(rig)
-    assert stored.sources == sources.recognise(rig, "right").candidates[1].sources
+    assert stored.sources == sources.recognize(rig, "right").candidates[1].sources
 
 
 def _doubtful_names() -> list[str]:
@@ -228,7 +228,7 @@ def test_finding_bones_again_keeps_what_was_chosen_and_fills_what_is_missing(ext
 
 def test_a_map_that_a_script_stored_gets_its_rows(extension):
     rig, _ = hands.mixamo_rig(extension)
-    sources.store_map(rig, sources.recognise(rig, "right").bone_map)
+    sources.store_map(rig, sources.recognize(rig, "right").bone_map)
     assert len(rig.jghand.joints) == 0
     bpy.ops.jghand.edit_bone_map()
     assert rig.jghand.joints["wrist"].bone == "mixamorig:RightHand"
@@ -702,7 +702,7 @@ def test_selecting_a_hand_stays_in_pose_mode(extension):
     assert "view layer" in refuses(bpy.ops.jghand.select_hand, uid=2**30)
 
 
-def test_standard_colours_undo_look_exposure_and_curves(extension):
+def test_standard_colors_undo_look_exposure_and_curves(extension):
     view = extension.scene.view_settings
     view.view_transform, view.exposure, view.gamma = "AgX", 2.0, 1.5
     view.look = "AgX - Punchy"

@@ -43,7 +43,7 @@ from blender_addon.panels import output
 
 FRAMES = 4
 STAND_IN = Path(__file__).resolve().parents[1] / "addon_core" / "stand_in_job.py"
-# float32 of Blender's bones, half a metre from the origin
+# float32 of Blender's bones, half a meter from the origin
 JOINT_ERROR_M = 1e-6
 
 
@@ -191,7 +191,7 @@ def test_the_engine_reads_the_motion_file_back_to_the_same_joints(extension, eng
     bpy.ops.jghand.export()
     code = """
 import sys, numpy as np
-from jghand_engine.datasets.motions.read import read_motion_file
+from jghand_engine.motion.foreign.read import read_motion_file
 from jghand_engine.hand.orders import JointOrder, from_level
 motion = read_motion_file(sys.argv[1]).sequence
 np.savez(sys.argv[2], joints=from_level(motion.joints_m, JointOrder.STANDARD), fps=motion.fps)
@@ -206,7 +206,7 @@ np.savez(sys.argv[2], joints=from_level(motion.joints_m, JointOrder.STANDARD), f
 def test_a_rig_with_two_hands_is_two_recordings(extension):
     rig, joints = mixamo_rig(extension)
     for side in joints:
-        sources.store_map(rig, sources.recognise(rig, side).bone_map)
+        sources.store_map(rig, sources.recognize(rig, side).bone_map)
     into = []
     parts = list(record.record_steps(extension, [rig], range(1, 3), into))
     assert parts == [0.5, 1.0]
@@ -493,13 +493,13 @@ def test_what_jobs_are_given_is_in_a_folder_of_each_and_gone_when_they_are_over(
 
 
 def test_escape_that_ends_playback_leaves_the_job(extension):
-    cancelled = []
-    job = SimpleNamespace(cancel=lambda: cancelled.append(True))
+    canceled = []
+    job = SimpleNamespace(cancel=lambda: canceled.append(True))
     escape = SimpleNamespace(type="ESC", value="PRESS")
     for playing, expected in ((True, []), (False, [True])):
         context = SimpleNamespace(screen=SimpleNamespace(is_animation_playing=playing))
         assert StartsJob.modal(SimpleNamespace(_job=job), context, escape) == {"PASS_THROUGH"}
-        assert cancelled == expected
+        assert canceled == expected
 
 
 def test_the_log_of_a_job_is_one_text(extension, engine, tmp_path):
@@ -533,7 +533,7 @@ def test_panels_look_at_disks_on_a_timer_and_not_when_they_are_drawn(extension, 
 
 
 def evaluated_points(context, thing) -> dict[str, np.ndarray]:
-    """What the nodes make of a playing mesh: position, radius, colour."""
+    """What the nodes make of a playing mesh: position, radius, color."""
     geometry = thing.evaluated_get(context.evaluated_depsgraph_get()).evaluated_geometry()
     attributes = geometry.pointcloud.attributes
     result = {}
@@ -545,7 +545,7 @@ def evaluated_points(context, thing) -> dict[str, np.ndarray]:
 
 
 def test_the_extension_alone_plays_what_usd_plays_elsewhere(extension, engine, tmp_path, monkeypatch):
-    """A Blender without USD shows the same points, sizes and colours; worst observed: half a step of 8 bits."""
+    """A Blender without USD shows the same points, sizes and colors; worst observed: half a step of 8 bits."""
     hand = a_hand(extension)
     extension.scene.jghand.output.bake_folder = str(tmp_path / "bakes")
     extension.scene.jghand.output.use_cache = True
@@ -566,9 +566,9 @@ def test_the_extension_alone_plays_what_usd_plays_elsewhere(extension, engine, t
         now["radius"].data.foreach_get("value", radius)
         # the stage has the radii of the mean hand, and this hand's bones change their lengths
         assert np.median(data["radius"][:, 0] / radius) == pytest.approx(1, abs=0.1)
-        colour = np.zeros(len(radius) * 4, np.float32)
-        now["displayColor"].data.foreach_get("color", colour)
-        assert np.abs(data["displayColor"][:, :3] - colour.reshape(-1, 4)[:, :3]).max() < 0.006
+        color = np.zeros(len(radius) * 4, np.float32)
+        now["displayColor"].data.foreach_get("color", color)
+        assert np.abs(data["displayColor"][:, :3] - color.reshape(-1, 4)[:, :3]).max() < 0.006
     extension.scene.frame_set(99)  # beyond the bake it rests
     assert np.abs(evaluated_points(extension, played)["position"] - data["position"]).max() == 0
     bpy.ops.jghand.clear_bake()
@@ -695,7 +695,7 @@ def test_usd_core_finds_the_baked_splats_in_blenders_export(baked, engine, tmp_p
 import json, sys
 import numpy as np
 from pxr import Usd
-from jghand_engine.exporters.usd_check import check_usd
+from jghand_engine.export.usd.check import check_usd
 whole, bake, report = sys.argv[1:]
 def positions(path):
     stage = Usd.Stage.Open(path)
@@ -720,7 +720,7 @@ json.dump({"same": same, "found": [str(one) for one in check_usd(whole)]}, open(
         assert [one for one in said["found"] if "InvalidSkelBindingAPIApply" not in one] == []
 
 
-def test_a_scene_in_centimetres_is_baked_played_and_exported_in_its_own_unit(extension, engine, tmp_path):
+def test_a_scene_in_centimeters_is_baked_played_and_exported_in_its_own_unit(extension, engine, tmp_path):
     from pxr import Usd, UsdGeom
 
     extension.scene.unit_settings.scale_length = 0.01
@@ -734,7 +734,7 @@ def test_a_scene_in_centimetres_is_baked_played_and_exported_in_its_own_unit(ext
     extension.scene.frame_set(3)
     wrist = np.array(hand.matrix_world @ hand.pose.bones["wrist"].head)
     size = np.ptp(cloud_positions(extension, cloud), axis=0).max()
-    assert 10 < size < 30, "a hand is some twenty centimetres long"
+    assert 10 < size < 30, "a hand is some twenty centimeters long"
     assert np.linalg.norm(cloud_positions(extension, cloud) - wrist, axis=1).min() < 3
     assert bpy.ops.jghand.export_scene_usd(filepath=str(tmp_path / "whole.usdc")) == {"FINISHED"}
     stage = Usd.Stage.Open(str(tmp_path / "whole.usdc"))
@@ -750,7 +750,7 @@ def test_both_hands_of_a_foreign_rig_are_baked_played_and_exported(extension, en
 
     rig, joints = mixamo_rig(extension)
     for side in joints:
-        sources.store_map(rig, sources.recognise(rig, side).bone_map)
+        sources.store_map(rig, sources.recognize(rig, side).bone_map)
     rig.jghand.avatar = "painted"
     extension.scene.frame_end = 4
     settings = extension.scene.jghand.output

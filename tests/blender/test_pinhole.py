@@ -69,7 +69,7 @@ def test_the_place_of_the_hand_and_the_unit_of_the_scene_do_not_matter(context, 
     assert disagreement_px(context, hand, eye) < AGREES_PX
 
 
-def test_percentage_is_honoured_and_rounded_as_blender_does(context):
+def test_percentage_is_honored_and_rounded_as_blender_does(context):
     render = context.scene.render
     for size, percentage, expected in (((512, 334), 50, (256, 167)), ((333, 201), 33, (109, 66)), ((3, 1), 10, (1, 1))):
         render.resolution_x, render.resolution_y, render.resolution_percentage = *size, percentage
@@ -79,7 +79,7 @@ def test_percentage_is_honoured_and_rounded_as_blender_does(context):
 # sizes that come out whole: world_to_camera_view takes the size before rounding, the renderer the one after it
 @pytest.mark.parametrize("percentage", [100, 50, 250])
 @pytest.mark.parametrize("aspect", [(1, 1), (2, 1), (1, 1.5)])
-def test_percentage_and_pixel_aspect_are_honoured(context, percentage, aspect):
+def test_percentage_and_pixel_aspect_are_honored(context, percentage, aspect):
     hand = hands.keyed_hand(context, "right", hands.moving_hand_m("right"))
     eye = hands.camera_on(context, (0, 0.1, 0), 0.6, shift_y=0.05)
     render = context.scene.render

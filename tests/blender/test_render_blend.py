@@ -52,7 +52,7 @@ def blend(context, tmp_path) -> Path:
 
 
 def saved(folder: Path) -> Path:
-    """The scene as a file, its film transparent and its colours as the engine has them."""
+    """The scene as a file, its film transparent and its colors as the engine has them."""
     path = folder / "hand.blend"
     scene = bpy.context.scene
     scene.render.film_transparent, scene.render.dither_intensity = True, 0.0
@@ -206,14 +206,14 @@ def test_two_hands_are_drawn_into_one_picture_the_nearer_in_front(engine, contex
         assert report["rendered"] == 1
         context = bpy.context
         wrist = camera.pinhole(context.scene.camera, context.evaluated_depsgraph_get()).project(np.array([0, 0, 0.05]))
-        colour = pixels(tmp_path / "out/Camera/0001.png")[int(wrist[1]), int(wrist[0])]
-        np.testing.assert_array_equal(colour, (1, 1, 1, 1) if nearer == "right" else (0, 0, 1, 1))
+        color = pixels(tmp_path / "out/Camera/0001.png")[int(wrist[1]), int(wrist[0])]
+        np.testing.assert_array_equal(color, (1, 1, 1, 1) if nearer == "right" else (0, 0, 1, 1))
 
 
 def test_the_hands_of_a_foreign_rig_and_of_21_objects_are_drawn_too(engine, context, tmp_path):
     rig, joints = hands.mixamo_rig(context)
     for handedness in joints:
-        sources.store_map(rig, sources.recognise(rig, handedness).bone_map)
+        sources.store_map(rig, sources.recognize(rig, handedness).bone_map)
     things = []
     for place in posing.rest_joints_m("left") + joints["left"][0] - (0.6, 0, 0):
         things.append(bpy.data.objects.new("joint", None))
@@ -236,7 +236,7 @@ def test_the_hands_of_a_foreign_rig_and_of_21_objects_are_drawn_too(engine, cont
     for name, wrist in shown.items():  # the stand-in draws a right hand white, a left one blue
         column, row, _ = view.project(wrist).astype(int)
         near = picture[row - 4 : row + 5, column - 4 : column + 5].reshape(-1, 4)
-        assert {tuple(colour) for colour in near if colour[3]} == {(1, 1, 1, 1) if name == "right" else (0, 0, 1, 1)}
+        assert {tuple(color) for color in near if color[3]} == {(1, 1, 1, 1) if name == "right" else (0, 0, 1, 1)}
 
 
 def test_a_hand_that_is_switched_off_in_a_frame_leaves_the_picture_empty(engine, blend):
@@ -407,7 +407,7 @@ def test_what_a_view_transform_does_is_told_once(engine, blend, capsys):
     assert rendered(saved(blend.parent), "--frames", "1", "--overwrite")[2]["notes"] == []
 
 
-def test_region_film_and_depth_of_the_file_are_honoured(engine, blend):
+def test_region_film_and_depth_of_the_file_are_honored(engine, blend):
     render = bpy.context.scene.render
     render.use_border, render.use_crop_to_border = True, True
     render.border_min_x, render.border_max_x, render.border_min_y, render.border_max_y = 0.25, 0.75, 0.0, 0.5
@@ -564,7 +564,7 @@ def test_the_demo_scene_takes_cameras_from_a_file(context, tmp_path):
     ],
     ids=[
         "another order",
-        "millimetres",
+        "millimeters",
         "20 joints",
         "no joints",
         "no hand of that name",

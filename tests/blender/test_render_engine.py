@@ -33,7 +33,7 @@ def extension(stand_in_command) -> Iterator[None]:
 
 @pytest.fixture
 def scene(context, tmp_path) -> bpy.types.Scene:
-    """A hand that moves over frames 1 to 4, and a camera; colours and film as the engine has them."""
+    """A hand that moves over frames 1 to 4, and a camera; colors and film as the engine has them."""
     hands.keyed_hand(context, "right", hands.moving_hand_m("right", frames=4))
     scene = context.scene
     scene.camera = hands.camera_on(context, (0, 0.09, 0), 0.5)
@@ -122,15 +122,15 @@ def test_depth_and_bones_are_passes_on_demand(scene, tmp_path):
 
 
 def test_depth_is_in_blender_units(scene, tmp_path):
-    """The same scene in Blender units, of half a metre each, has the same numbers."""
+    """The same scene in Blender units, of half a meter each, has the same numbers."""
     scene.view_layers[0].use_pass_z = True
-    of_metres = layers(scene, tmp_path)["Depth.Z"]
+    of_meters = layers(scene, tmp_path)["Depth.Z"]
     scene.unit_settings.scale_length = 0.5
-    of_half_metres = layers(scene, tmp_path)["Depth.Z"]
-    seen = (of_metres < 1e9) & (of_half_metres < 1e9)
+    of_half_meters = layers(scene, tmp_path)["Depth.Z"]
+    seen = (of_meters < 1e9) & (of_half_meters < 1e9)
     assert seen.sum() > 20
-    # the stand-in's discs have a size in metres, so that another one may be in front
-    assert (np.abs(of_half_metres[seen] - of_metres[seen]) < 1e-6).mean() > 0.9
+    # the stand-in's discs have a size in meters, so that another one may be in front
+    assert (np.abs(of_half_meters[seen] - of_meters[seen]) < 1e-6).mean() > 0.9
 
 
 def test_what_is_behind_the_hand_is_the_world(scene):
@@ -157,15 +157,15 @@ def test_a_keyed_world_is_that_of_each_frame_however_it_is_rendered(scene, tmp_p
     tree = armature.versions.world_tree(scene.world)
     node = next((node for node in tree.nodes if node.type == "BACKGROUND"), None) if tree is not None else None
     owner, name = (scene.world, "color") if node is None else (node.inputs["Color"], "default_value")
-    for frame, grey in ((1, 0.0), (2, 0.2), (3, 0.5), (4, 1.0)):
-        setattr(owner, name, (grey, grey, grey, 1.0)[: len(getattr(owner, name))])
+    for frame, gray in ((1, 0.0), (2, 0.2), (3, 0.5), (4, 1.0)):
+        setattr(owner, name, (gray, gray, gray, 1.0)[: len(getattr(owner, name))])
         owner.keyframe_insert(name, frame=frame)
     scene.render.filepath = str(tmp_path / "animation_")
     scene.frame_set(1)  # where the file's own world stays, whatever is rendered
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "hand.blend"))
     bpy.ops.render.render(animation=True)
-    for frame, grey in ((1, 0.0), (2, 0.2), (3, 0.5), (4, 1.0)):
-        encoded = 12.92 * grey if grey <= 0.0031308 else 1.055 * grey ** (1 / 2.4) - 0.055
+    for frame, gray in ((1, 0.0), (2, 0.2), (3, 0.5), (4, 1.0)):
+        encoded = 12.92 * gray if gray <= 0.0031308 else 1.055 * gray ** (1 / 2.4) - 0.055
         behind = np.median(pixels(tmp_path / f"animation_{frame:04d}.png")[..., :3])
         assert behind == pytest.approx(encoded, abs=0.6 / 255)
     monkeypatch.setattr(cli, "engine_command", lambda *_, **__: stand_in_command)
@@ -217,8 +217,8 @@ def test_two_hands_are_one_picture_the_nearer_in_front(scene):
     (wanted,) = asked(scene, "rgba_f32")
     picture = f12()
     np.testing.assert_array_equal(picture, wanted)
-    colours = {tuple(colour) for colour in picture[picture[..., 3] > 0]}
-    assert colours == {(1, 1, 1, 1), (0, 0, 1, 1)}  # the stand-in draws a left hand blue
+    colors = {tuple(color) for color in picture[picture[..., 3] > 0]}
+    assert colors == {(1, 1, 1, 1), (0, 0, 1, 1)}  # the stand-in draws a left hand blue
 
 
 def test_every_view_layer_shows_its_own_hands(scene, tmp_path):

@@ -14,14 +14,14 @@ from blender_addon.core.bone_maps import JointSource
 from blender_addon.core.joints import HANDEDNESSES, NAMES
 from blender_addon.core.messages import JGHandFailure
 
-# float32 of bone chains more than a metre from the origin; worst observed 6.6e-7 m, of Rigify's
+# float32 of bone chains more than a meter from the origin; worst observed 6.6e-7 m, of Rigify's
 EXACT_M = 1e-6
 
 
 def test_both_hands_of_a_character_are_read_posed_and_constrained(context):
     rig, joints = hands.mixamo_rig(context)
     for side in HANDEDNESSES:
-        sources.store_map(rig, sources.recognise(rig, side).bone_map)
+        sources.store_map(rig, sources.recognize(rig, side).bone_map)
     assert armature.is_foreign(rig)
     assert not armature.is_hand(rig)
     assert armature.hands_at_any_frame(context.view_layer) == [rig]
@@ -52,14 +52,14 @@ def rigify(context):
 
 
 @pytest.mark.usefixtures("rigify")
-def test_a_real_rigify_metarig_and_what_it_generates_are_recognised(context):
+def test_a_real_rigify_metarig_and_what_it_generates_are_recognized(context):
     bpy.ops.object.armature_human_metarig_add()
     metarig = context.object
     bpy.ops.pose.rigify_generate()
     (rig,) = (thing for thing in bpy.data.objects if thing.type == "ARMATURE" and thing != metarig)
     depsgraph = context.evaluated_depsgraph_get()
     for side in HANDEDNESSES:
-        plain, made = (sources.recognise(thing, side).bone_map for thing in (metarig, rig))
+        plain, made = (sources.recognize(thing, side).bone_map for thing in (metarig, rig))
         assert plain.sources[0] == JointSource(f"hand.{side[0].upper()}")
         assert {source.bone[:4] for source in made.sources} == {"DEF-"}
         from_plain, from_made = (
@@ -68,7 +68,7 @@ def test_a_real_rigify_metarig_and_what_it_generates_are_recognised(context):
         )
         # the generated fingers lie where the metarig's do
         np.testing.assert_allclose(from_made, from_plain, atol=EXACT_M)
-        other = sources.recognise(rig, side)
+        other = sources.recognize(rig, side)
         assert any("DEF-" in sentence for sentence in other.sentences)
 
 
@@ -85,8 +85,8 @@ def test_21_objects_serve_as_a_hand_wherever_they_hang(context):
     hands.put(parent, hands.PLACES["moved and turned"])
     context.scene.unit_settings.scale_length = 0.01
     context.view_layer.update()
-    found = sources.recognise_objects(context.scene.objects, "left")
-    assert sources.recognise_objects(context.scene.objects, "right").candidates == ()
+    found = sources.recognize_objects(context.scene.objects, "left")
+    assert sources.recognize_objects(context.scene.objects, "right").candidates == ()
     holder = bpy.data.objects.new("Hand", None)
     context.scene.collection.objects.link(holder)
     sources.store_objects(holder, sources.objects_of(found.bone_map, context.scene.objects), "left")
@@ -106,7 +106,7 @@ def test_21_objects_serve_as_a_hand_wherever_they_hang(context):
 
 def test_a_map_that_is_not_whole_or_whose_bones_went_away_is_refused_by_name(context):
     rig, _ = hands.mixamo_rig(context)
-    found = sources.recognise(rig, "right").bone_map
+    found = sources.recognize(rig, "right").bone_map
     depsgraph = context.evaluated_depsgraph_get()
     with pytest.raises(JGHandFailure, match="no bone for ring2"):
         sources.read_mapped(rig, found.with_source("ring2", None), depsgraph)
@@ -122,7 +122,7 @@ def test_a_map_that_is_not_whole_or_whose_bones_went_away_is_refused_by_name(con
 @pytest.mark.parametrize(("scale", "kind"), [((-1, 1, 1), "mirrored"), ((0, 1, 1), "zero_scale")])
 def test_a_foreign_rig_is_refused_for_the_same_reasons_as_ours(context, scale, kind):
     rig, _ = hands.mixamo_rig(context)
-    found = sources.recognise(rig, "right").bone_map
+    found = sources.recognize(rig, "right").bone_map
     rig.scale = scale
     context.view_layer.update()
     with pytest.raises(JGHandFailure) as caught:
@@ -139,7 +139,7 @@ def test_objects_that_are_no_hand_are_refused(context):
     thing = bpy.data.objects.new("Thing", None)
     context.scene.collection.objects.link(thing)
     for call in (
-        lambda: sources.recognise(thing, "right"),
+        lambda: sources.recognize(thing, "right"),
         lambda: sources.store_map(thing, bone_maps.by_hand("right", [None] * 21)),
         lambda: sources.read_hands(thing, context.evaluated_depsgraph_get()),
     ):

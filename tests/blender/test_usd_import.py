@@ -16,11 +16,11 @@ sys.path.insert(0, str(ROOT / "scripts"))
 
 import environments  # noqa: E402
 
-# worst observed: points 0.00006 mm, mesh 0.0006 mm, bones 0.00007 mm (float32 of Blender's own matrices), colours exact
+# worst observed: points 0.00006 mm, mesh 0.0006 mm, bones 0.00007 mm (float32 of Blender's own matrices), colors exact
 POINT_ERROR_M = 1e-7
 MESH_ERROR_M = 1e-6
 BONE_ERROR_M = 1.5e-7
-COLOUR_ERROR = 1e-7
+COLOR_ERROR = 1e-7
 
 
 @pytest.fixture(scope="session")
@@ -78,24 +78,24 @@ def read(collection, name: str, width: int) -> np.ndarray:
 
 @pytest.mark.parametrize("variant", ["points", "splats", "clips"])
 @pytest.mark.parametrize("handedness", ["right", "left"])
-def test_points_have_position_radius_and_colour_on_every_frame(exported, variant, handedness):
+def test_points_have_position_radius_and_color_on_every_frame(exported, variant, handedness):
     stage, truth = exported(variant, handedness)
     assert (variant == "clips") == stage.with_name("hand.splats.0002.usdc").exists()
     imported(stage)
     if variant == "splats" and bpy.app.version >= (5, 1) and not bpy.data.pointclouds:
         pytest.skip("Blender 5.2 knows the type of the splats but cannot draw it, and makes an Empty (EXPORT 4)")
     cloud = only("POINTCLOUD")
-    for frame, centres in enumerate(truth["centres"]):
+    for frame, centers in enumerate(truth["centers"]):
         bpy.context.scene.frame_set(frame)
         now = evaluated(cloud)
         position = world_from(now.matrix_world, read(now.data.attributes["position"].data, "vector", 3))
-        assert np.abs(position - centres).max() <= POINT_ERROR_M
+        assert np.abs(position - centers).max() <= POINT_ERROR_M
         radius = read(now.data.attributes["radius"].data, "value", 1)[:, 0]
         assert np.abs(radius - truth["radii"][frame]).max() <= POINT_ERROR_M
-    colour = read(now.data.attributes["displayColor"].data, "color", 4)
-    assert np.abs(colour[:, :3] - truth["linear_rgb"]).max() <= COLOUR_ERROR
+    color = read(now.data.attributes["displayColor"].data, "color", 4)
+    assert np.abs(color[:, :3] - truth["linear_rgb"]).max() <= COLOR_ERROR
     opacity = read(now.data.attributes["displayOpacity"].data, "value", 1)[:, 0]
-    assert np.abs(opacity - truth["opacity"]).max() <= COLOUR_ERROR
+    assert np.abs(opacity - truth["opacity"]).max() <= COLOR_ERROR
 
 
 @pytest.mark.parametrize("handedness", ["right", "left"])
@@ -129,7 +129,7 @@ def test_frame_range_comes_with_the_stage(exported):
     stage, truth = exported("points", "right")
     imported(stage)
     scene = bpy.context.scene
-    assert (scene.frame_start, scene.frame_end) == (0, len(truth["centres"]) - 1)
+    assert (scene.frame_start, scene.frame_end) == (0, len(truth["centers"]) - 1)
 
 
 def test_the_camera_of_the_shot_has_a_film_of_36_mm(exported):

@@ -27,7 +27,7 @@ bpy.utils.expose_bundled_modules()
 from pxr import Usd
 sys.path += {paths!r}
 from usd_samples import lively_motion, small_avatar
-from jghand_engine.exporters.usd import UsdOptions, export_usd
+from jghand_engine.export.usd.export import UsdOptions, export_usd
 from jghand_engine.hand.joints import Handedness
 
 assert "bpy" in Usd.__file__, Usd.__file__
@@ -40,7 +40,7 @@ import json, sys
 import numpy as np
 from pxr import Usd
 from usd_samples import engine_gaussians, lively_motion, small_avatar
-from jghand_engine.exporters.usd_check import check_usd
+from jghand_engine.export.usd.check import check_usd
 from jghand_engine.hand.joints import Handedness
 
 truth, _ = engine_gaussians(small_avatar(), lively_motion(Handedness.LEFT, 6))
@@ -62,8 +62,8 @@ from pathlib import Path
 import numpy as np
 from pxr import Usd
 sys.path.insert(0, {root!r})
-from jghand_engine.exporters.usd_layers import TimeRange
-from jghand_engine.exporters.usd_splats import Cloud, Look, Sample, SplatLayer
+from jghand_engine.export.usd.layers import TimeRange
+from jghand_engine.export.usd.splats import Cloud, Look, Sample, SplatLayer
 
 assert "bpy" in Usd.__file__, Usd.__file__
 rng = np.random.default_rng(0)
@@ -84,7 +84,7 @@ import sys
 import numpy as np
 from pathlib import Path
 from pxr import Usd
-from jghand_engine.exporters.usd_check import check_usd
+from jghand_engine.export.usd.check import check_usd
 
 folder = Path({folder!r})
 truth = np.load(folder / "truth.npz")["points"]

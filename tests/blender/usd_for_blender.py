@@ -15,12 +15,13 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "exporters"))
 
 from usd_samples import engine_gaussians, engine_mesh, lively_motion, small_avatar
 
-from jghand_engine.colour import srgb_to_linear
-from jghand_engine.exporters import usd_clips, usd_options
-from jghand_engine.exporters.usd import UsdOptions, export_usd
-from jghand_engine.exporters.usd_options import Variant
+from jghand_engine.color import srgb_to_linear
+from jghand_engine.export.usd import clips as usd_clips
+from jghand_engine.export.usd import options as usd_options
+from jghand_engine.export.usd.export import UsdOptions, export_usd
+from jghand_engine.export.usd.options import Variant
 from jghand_engine.hand.joints import LEVEL_NAMES, Handedness
-from jghand_engine.splat.camera import Camera
+from jghand_engine.render.camera import Camera
 
 
 def main(folder: Path, variant: Variant, handedness: Handedness) -> None:
@@ -28,10 +29,10 @@ def main(folder: Path, variant: Variant, handedness: Handedness) -> None:
     up, eye_m = torch.tensor([0.0, 1.0, 0.0]), torch.tensor([0.1, 0.2, 0.6])
     camera = Camera.looking_at(eye_m, torch.zeros(3), up, width=640, height=480, focal_px=900)
     export_usd(folder, avatar, motion, [camera], UsdOptions(default_variant=variant, sizes="per_frame"))
-    centres, radii = engine_gaussians(avatar, motion)
+    centers, radii = engine_gaussians(avatar, motion)
     np.savez(
         folder / "truth.npz",
-        centres=centres,
+        centers=centers,
         radii=radii,
         linear_rgb=srgb_to_linear(avatar.rgb.numpy()),
         opacity=avatar.opacity.numpy(),

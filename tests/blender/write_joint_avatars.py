@@ -3,7 +3,7 @@
     python write_joint_avatars.py FOLDER
 
 FOLDER/0.jghand … 6.jghand hold three joints each, in pure red, green and blue: joints 3 k, 3 k + 1, 3 k + 2 of the
-standard order. A picture's colour channels then say where each of them is, however near they are.
+standard order. A picture's color channels then say where each of them is, however near they are.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ def main(folder: Path) -> None:
         save_avatar(
             folder / f"{file}.jghand",
             HandAvatar(
-                info=AvatarInfo(name="joints", template="built-in", licence="CC0-1.0"),
+                info=AvatarInfo(name="joints", template="built-in", license="CC0-1.0"),
                 handedness=Handedness.RIGHT,
                 canonical_joints_m=joints,
                 position_m=joints[level].float(),

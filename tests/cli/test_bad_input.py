@@ -14,18 +14,18 @@ import pytest
 
 from jghand_engine.avatar.builtin import ASSETS, load_painted
 from jghand_engine.cli import main
-from jghand_engine.exporters.pictures import read_png
+from jghand_engine.export.pictures import read_png
 from jghand_engine.hand.anatomy import MotionOptions, pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, from_level
-from jghand_engine.splat.frame import HandRenderer
+from jghand_engine.render.frame import HandRenderer
 
 SMALL = ("--size", "32x24", "--preset", "draft")
 
 
 @pytest.fixture(scope="module")
 def joints():
-    """(F, 21, 3) a good motion, standard order, metres."""
+    """(F, 21, 3) a good motion, standard order, meters."""
     canonical = load_painted(handedness=Handedness.RIGHT).canonical_joints_m.numpy()
     motion = pose_sequence_of_names(
         ["open", "fist"], canonical, handedness=Handedness.RIGHT, options=MotionOptions(hold_s=0.0)
@@ -109,21 +109,21 @@ def test_another_number_of_joints_is_named(joints, render, count, said):
     assert not out.exists()
 
 
-def test_millimetres_given_as_metres_are_recognised(joints, render):
+def test_millimeters_given_as_meters_are_recognized(joints, render):
     code, err, out = render(joints * 1000, "--unit", "m")
     assert code == 2
-    assert "looks like millimetres" in err
+    assert "looks like millimeters" in err
     assert not out.exists()
     assert render(joints * 1000, "--unit", "mm", "--frames", "0")[0] == 0
 
 
-def test_a_unit_that_nobody_said_is_recognised_and_told(joints, render, tmp_path):
+def test_a_unit_that_nobody_said_is_recognized_and_told(joints, render, tmp_path):
     figures = tmp_path / "figures.json"
     assert render(joints * 1000, "--frames", "0", "--json", figures)[0] == 0
-    assert "millimetres; --unit says otherwise" in json.loads(figures.read_text())["notes"][0]
+    assert "millimeters; --unit says otherwise" in json.loads(figures.read_text())["notes"][0]
 
 
-def test_a_wrong_order_is_recognised_and_the_right_one_named(joints, render):
+def test_a_wrong_order_is_recognized_and_the_right_one_named(joints, render):
     code, err, out = render(joints, order="interhand")
     assert code == 2
     assert "order 'standard'" in err

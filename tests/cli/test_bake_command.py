@@ -18,9 +18,9 @@ from jghand_engine.avatar.tiers import LinearCorrectives, Tier
 from jghand_engine.cli import main
 from jghand_engine.cli.bake import Bake
 from jghand_engine.native.machine import processor
-from jghand_engine.studies import shadow_seen, tier_prices
-from jghand_engine.studies.tier_prices import Offer, best_linear
-from jghand_engine.studies.tier_yardsticks import ExactPictures, _flat
+from jghand_engine.study import shadow_seen, tier_prices
+from jghand_engine.study.tier_prices import Offer, best_linear
+from jghand_engine.study.tier_yardsticks import ExactPictures, _flat
 from jghand_engine.template.builtin import load_template
 
 
@@ -39,7 +39,7 @@ def few_rounds(monkeypatch):
 @pytest.fixture(scope="module")
 def trained() -> HandAvatar:
     avatar = trained_avatar(300, shape=PoseNetShape((3, 3, 2), angle_channels=4, angle_texels=5, hidden=16))
-    avatar.learnt.correctives.angles.planes.data *= 0.15
+    avatar.learned.correctives.angles.planes.data *= 0.15
     return replace(avatar, info=replace(avatar.info, template=load_template().identifier))
 
 
@@ -65,16 +65,16 @@ def test_tiers_are_priced_and_written(file, trained, tmp_path, capsys, storage):
     baked = load_avatar(out)
     plain = stored_form(trained, Storage(storage))
     assert (baked.rgb == plain.rgb).all()
-    kept = [price for price in baked.learnt.baked.prices if price.tier is Tier.LINEAR]
+    kept = [price for price in baked.learned.baked.prices if price.tier is Tier.LINEAR]
     assert len(kept) == 1
     assert tiers[kept[0].name]["kept"]
-    assert baked.learnt.baked.linear.basis == kept[0].basis
-    assert "against the exact tier" in baked.learnt.baked.measured_on
-    assert processor() in baked.learnt.baked.measured_on
+    assert baked.learned.baked.linear.basis == kept[0].basis
+    assert "against the exact tier" in baked.learned.baked.measured_on
+    assert processor() in baked.learned.baked.measured_on
     # a fast avatar can be baked again
-    assert load_avatar(out).learnt.shadow.seen == json.loads(told.read_text())["shadow_seen"]
+    assert load_avatar(out).learned.shadow.seen == json.loads(told.read_text())["shadow_seen"]
     assert run("bake", out, "--out", out, "--basis", "2", "--poses", 10, "--overwrite") == 0
-    assert load_avatar(out).learnt.baked.linear.basis == 2
+    assert load_avatar(out).learned.baked.linear.basis == 2
 
 
 def test_pictures_that_were_held_out_are_the_better_yardstick(file, tmp_path, capsys):
@@ -84,13 +84,13 @@ def test_pictures_that_were_held_out_are_the_better_yardstick(file, tmp_path, ca
     words = (folder, "--limit", 1, "--basis", "4", "--poses", 20)
     assert run("bake", file, "--out", tmp_path / "fast.jghand", *words) == 0
     said = capsys.readouterr().out
-    # the linear tier is fitted to learnt poses: from a new view they would say little of it
+    # the linear tier is fitted to learned poses: from a new view they would say little of it
     assert "1 of both novel" in said
     # this avatar says nothing of its pictures: whoever reads the prices has to know
     assert "Warning: The avatar does not say which pictures" in said
-    assert "may have learnt" in load_avatar(tmp_path / "fast.jghand").learnt.baked.measured_on
+    assert "may have learned" in load_avatar(tmp_path / "fast.jghand").learned.baked.measured_on
     assert "novel view" not in said
-    prices = load_avatar(tmp_path / "fast.jghand").learnt.baked.prices
+    prices = load_avatar(tmp_path / "fast.jghand").learned.baked.prices
     assert {price.tier for price in prices} == {Tier.EXACT, Tier.CACHED, Tier.LINEAR}
     exact, cached, _ = prices
     assert abs(exact.psnr_db - cached.psnr_db) < 1e-3

@@ -8,7 +8,7 @@ import torch
 
 from jghand_engine.cli.camera_file import camera_from_dict, camera_to_dict, read_camera
 from jghand_engine.errors import InputError
-from jghand_engine.splat.camera import Camera
+from jghand_engine.render.camera import Camera
 
 
 def a_camera():

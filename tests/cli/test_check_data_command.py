@@ -25,7 +25,7 @@ def test_a_sound_set_gets_a_table_a_picture_and_exit_code_0(folder, tmp_path, ca
     out, figures = tmp_path / "overlay.png", tmp_path / "check.json"
     assert run(folder, "--out", out, "--json", figures) == 0
     said = capsys.readouterr().out
-    assert "The data can be learnt from." in said
+    assert "The data can be learned from." in said
     assert "334 x 512 (2), 512 x 334 (2)" in said
     assert np.asarray(Image.open(out)).shape[2] == 3
     content = json.loads(figures.read_text())
@@ -39,7 +39,7 @@ def test_a_broken_set_ends_with_the_exit_code_of_bad_input_and_still_shows_pictu
     assert run(folder, "--out", out) == 2
     said = capsys.readouterr().out
     assert "ERROR: Joints do not project onto the hand" in said
-    assert "look like metres" in said
+    assert "look like meters" in said
     assert out.exists()
 
 

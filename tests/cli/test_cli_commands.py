@@ -16,10 +16,10 @@ from jghand_engine.avatar import builtin
 from jghand_engine.cli import VERBS, main
 from jghand_engine.cli.console import say_table
 from jghand_engine.cli.inputs import load_motion, read_sequence
-from jghand_engine.cli.options import FormatOptions, MotionOptions, colour, pixels
+from jghand_engine.cli.options import FormatOptions, MotionOptions, color, pixels
 from jghand_engine.errors import InputError
-from jghand_engine.exporters.pictures import read_png
-from jghand_engine.exporters.usd_options import UsdOptions, Variant
+from jghand_engine.export.pictures import read_png
+from jghand_engine.export.usd.options import UsdOptions, Variant
 from jghand_engine.hand.anatomy import pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, from_level
@@ -95,14 +95,14 @@ def test_frames_that_make_no_sense_are_refused(text):
         MotionOptions(frames=text).frame_slice()
 
 
-def test_sizes_and_colours_are_read():
+def test_sizes_and_colors_are_read():
     assert pixels("512x334") == (512, 334)
-    assert colour("#ff8000") == (1.0, 128 / 255, 0.0)
+    assert color("#ff8000") == (1.0, 128 / 255, 0.0)
     for text in ("512", "0x4", "512x", "axb", "-4x4"):
         with pytest.raises(InputError, match="--size"):
             pixels(text)
     with pytest.raises(InputError, match="#rrggbb"):
-        colour("red")
+        color("red")
 
 
 # ---- render ----------------------------------------------------------------------------------------------------------
@@ -216,7 +216,7 @@ def test_a_real_capture_is_rendered_upright_and_whole(tmp_path, shared_data):
 
 @pytest.fixture
 def wobbling(tmp_path, avatar):
-    """A plain array in standard order whose bones change their length by millimetres, as estimates do."""
+    """A plain array in standard order whose bones change their length by millimeters, as estimates do."""
     sequence = pose_sequence_of_names(["open", "fist"], avatar.canonical_joints_m.numpy(), handedness=Handedness.RIGHT)
     noise = np.random.default_rng(3).normal(0, 2e-3, sequence.joints_m.shape)
     noise[:, 0] = 0
@@ -394,7 +394,7 @@ def test_half_precision_says_what_it_costs(tmp_path, capsys):
     # a half has 11 bits: at most 2^-12 of a number below 1
     assert 0 < lost["opacity_error"] < 2.5e-4
     shown = capsys.readouterr().out
-    assert f"moved centres by up to {1e3 * lost['position_error_m']:.3f} mm" in shown
+    assert f"moved centers by up to {1e3 * lost['position_error_m']:.3f} mm" in shown
     assert f"opacities by up to {255 * lost['opacity_error']:.2f} of 255" in shown
     assert "turned axes" not in shown, "of balls there is nothing to turn"
     assert list(figures["bytes"]) == ["hand.usdc"]
@@ -524,8 +524,8 @@ def test_bench_measures_every_preset_that_is_named(tmp_path, capsys):
 
 def test_a_hand_of_odd_proportions_is_taken_when_it_is_said_to_be_one(tmp_path):
     """A cartoon's: the check of bone lengths, which finds wrong orders and units, is left out."""
-    from jghand_engine.datasets.motion_files import write_motion
     from jghand_engine.hand.sequence import PoseSequence
+    from jghand_engine.motion.files import write_motion
     from jghand_engine.template.builtin import load_template
 
     joints_m = 30 * load_template().joints_m[None]

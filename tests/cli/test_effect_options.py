@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from jghand_engine.cli import main
-from jghand_engine.exporters.pictures import read_png
+from jghand_engine.export.pictures import read_png
 
 SMALL = ("--size", "64x48", "--preset", "draft", "--avatar", "painted")
 
@@ -42,7 +42,7 @@ def test_a_lens_softens_the_picture(tmp_path):
         (("--effects", "shadows"), "effects: wanted auto"),
         (("--shutter", "2"), "--shutter: wanted 0 to 1"),
         (("--aperture", "-1"), "--aperture: wanted 0 to 200 mm"),
-        (("--aperture", "5", "--focus", "0"), "--focus: wanted metres beyond"),
+        (("--aperture", "5", "--focus", "0"), "--focus: wanted meters beyond"),
     ],
 )
 def test_what_no_camera_can_do_is_refused_before_anything_is_written(tmp_path, capsys, words, told):

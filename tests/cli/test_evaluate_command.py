@@ -8,7 +8,7 @@ import pytest
 from picture_sets import recorded, write_set
 
 from jghand_engine.cli import main
-from jghand_engine.exporters.pictures import read_png
+from jghand_engine.export.pictures import read_png
 
 
 def run(*words):

@@ -93,7 +93,7 @@ def test_a_hand_that_turns_all_the_way_round_is_framed_from_its_first_frame():
     assert (uv < (WIDTH, HEIGHT)).all()
 
 
-def test_a_real_wrist_centred_capture_is_upright_and_whole(shared_data):
+def test_a_real_wrist_centered_capture_is_upright_and_whole(shared_data):
     joints = to_level(np.load(shared_data / "real/human_joint_right.npy", allow_pickle=False), JointOrder.STANDARD)
     uv = pixels(framing_camera(joints, Handedness.RIGHT, "front", width=WIDTH, height=HEIGHT), joints)
     assert uv.min() > 0

@@ -16,7 +16,7 @@ from jghand_engine.cli.failures import explain
 from jghand_engine.cli.machine import JsonLines, JsonProgress, JsonTraining, json_lines
 from jghand_engine.errors import DiskFullError, InputError, RetryError
 from jghand_engine.files import file_error
-from jghand_engine.training.progress import Status
+from jghand_engine.learn.progress import Status
 
 
 def told(stream: io.StringIO) -> list[dict]:
@@ -60,7 +60,7 @@ def test_a_training_tells_its_step_its_sentence_and_what_happened():
         (DiskFullError("cannot write the stage: the disk is too small"), "disk_full"),
         (OSError(errno.ENOSPC, "No space left on device", "x"), "disk_full"),
         (MemoryError(), "out_of_memory"),
-        (KeyboardInterrupt(), "cancelled"),
+        (KeyboardInterrupt(), "canceled"),
         (ZeroDivisionError(), "internal"),
     ],
 )
@@ -100,7 +100,7 @@ def test_the_end_of_standard_input_stops_a_command_as_ctrl_c_does(tmp_path):
     command = [sys.executable, "-I", "-m", "jghand_engine", *words, "--progress-json"]
     done = subprocess.run(command, stdin=subprocess.DEVNULL, capture_output=True, check=False, timeout=120, text=True)
     assert done.returncode == 130
-    assert json.loads(done.stderr.splitlines()[-1])["kind"] == "cancelled"
+    assert json.loads(done.stderr.splitlines()[-1])["kind"] == "canceled"
     assert not (tmp_path / "usd" / "hand.usda").exists()
 
 
@@ -110,5 +110,5 @@ def test_a_stop_that_comes_before_the_command_has_begun_is_one_too(tmp_path, mon
 
     monkeypatch.setattr(machine, "take_stdin", interrupted)
     assert main(["export", "--poses", "open", "--out", str(tmp_path / "usd"), "--progress-json"]) == 130
-    assert json.loads(capsys.readouterr().err)["kind"] == "cancelled"
+    assert json.loads(capsys.readouterr().err)["kind"] == "canceled"
     assert json_lines() is None

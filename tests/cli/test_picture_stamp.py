@@ -14,10 +14,10 @@ from jghand_engine.avatar.builtin import load_avatar_called
 from jghand_engine.cli.inputs import load_motion
 from jghand_engine.cli.options import FormatOptions, MotionOptions
 from jghand_engine.cli.picture_stamp import made_from
-from jghand_engine.datasets.motion_files import write_motion
 from jghand_engine.hand.joints import LEVEL_NAMES
 from jghand_engine.hand.sequence import PoseSequence
-from jghand_engine.splat.settings import preset
+from jghand_engine.motion.files import write_motion
+from jghand_engine.render.settings import preset
 
 AVATAR = load_avatar_called("painted")
 MOVED = np.array([0.001, 0.0, 0.0])

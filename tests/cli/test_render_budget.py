@@ -10,9 +10,9 @@ from small_avatars import trained_avatar
 
 from jghand_engine.avatar.file import save_avatar
 from jghand_engine.cli import main
-from jghand_engine.splat import budget
-from jghand_engine.splat.profile import NO_CORRECTIVES, Profile, Rated
-from jghand_engine.splat.settings import preset
+from jghand_engine.render import budget
+from jghand_engine.render.profile import NO_CORRECTIVES, Profile, Rated
+from jghand_engine.render.settings import preset
 from jghand_engine.template.builtin import load_template
 
 NAME = "viewport, no correctives"

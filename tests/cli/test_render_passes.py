@@ -11,7 +11,7 @@ import torch
 from jghand_engine.cli import main
 from jghand_engine.cli.camera_file import read_camera
 from jghand_engine.cli.picture_files import Shooting
-from jghand_engine.exporters.pictures import read_png
+from jghand_engine.export.pictures import read_png
 from jghand_engine.hand.joints import STANDARD_NAMES
 
 SHORT = ("--poses", "point", "--frames", "0:2:2", "--avatar", "painted", "--size", "160x120", "--threads", "1")
@@ -94,7 +94,7 @@ def test_maps_are_channels_of_an_exr_file(tmp_path):
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (("--passes", "colour"), "wanted names of depth"),
+        (("--passes", "color"), "wanted names of depth"),
         (("--passes", "joints", "--shutter", "0.5"), "a moment through a pinhole"),
         (("--passes", "joints", "--aperture", "5"), "a moment through a pinhole"),
         (("--passes", "joints", "--effects", "none"), "also depth, for --passes"),

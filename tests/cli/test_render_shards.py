@@ -19,16 +19,16 @@ import pytest
 from PIL import Image
 
 from jghand_engine import lock
+from jghand_engine.captures.pictures_in import probe_picture
 from jghand_engine.cli import main, picture_sharing
 from jghand_engine.cli.picture_files import Shooting
 from jghand_engine.cli.picture_sharing import CLAIMS
 from jghand_engine.cli.picture_stamp import STAMP_KEY
-from jghand_engine.datasets.motion_files import write_motion
-from jghand_engine.datasets.pictures_in import probe_picture
 from jghand_engine.errors import RetryError
 from jghand_engine.hand.anatomy import pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.motion.files import write_motion
 from jghand_engine.template.builtin import load_template
 
 SMALL = ("--poses", "open,fist", "--avatar", "painted", "--size", "64x48", "--threads", "1")

@@ -1,7 +1,7 @@
 """Reports of many frames as one table."""
 
 from jghand_engine.cli.timings import TOTAL, Timings
-from jghand_engine.splat.report import FrameReport
+from jghand_engine.render.report import FrameReport
 
 
 def report(blend_ms, shadow):

@@ -12,13 +12,13 @@ from tracking_samples import CANONICAL_M, FPS, HEIGHT, WIDTH, right_joints_m, se
 from jghand_engine import limits
 from jghand_engine.cli import main
 from jghand_engine.cli.camera_file import read_camera
-from jghand_engine.datasets.motions.read import read_motion_file
-from jghand_engine.exporters.pictures import read_png
-from jghand_engine.exporters.video import write_video
+from jghand_engine.export.pictures import read_png
+from jghand_engine.export.video import write_video
 from jghand_engine.hand.anatomy import ArticulatedHand
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.tracking import mediapipe_hands, model_file
-from jghand_engine.tracking import track as module
+from jghand_engine.motion.foreign.read import read_motion_file
+from jghand_engine.track import mediapipe_hands, model_file
+from jghand_engine.track import track as module
 
 imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="the extra `video` is not installed")
 COUNT = 12
@@ -126,7 +126,7 @@ def test_the_proof_shows_film_and_avatar_side_by_side(film, sees, right, tmp_pat
     frames = [np.frombuffer(data, np.uint8).reshape(height, width, 3) for data in reader]
     assert len(frames) == 3
     halves = frames[0][:, : width // 2].astype(int), frames[0][:, width // 2 :].astype(int)
-    # skin is redder than blue; the film of this test is grey
+    # skin is redder than blue; the film of this test is gray
     assert (halves[1][..., 0] - halves[1][..., 2] > 30).mean() > 0.03
     assert np.median(halves[0]) < 110 < np.median(halves[1])
 

@@ -61,7 +61,7 @@ def test_a_training_whose_time_is_up_is_queued_again(pictures, tmp_path, undistu
     went_on(process, out, undisturbed)
 
 
-def test_a_cancelled_training_is_told_and_the_same_command_goes_on(pictures, tmp_path, undisturbed):
+def test_a_canceled_training_is_told_and_the_same_command_goes_on(pictures, tmp_path, undisturbed):
     path, out = write_list(tmp_path, pictures), tmp_path / "out"
     process = begun(path, out, *SLURM, "1")
     slurm("scancel", FarmFolder(out).submitted()["one"])

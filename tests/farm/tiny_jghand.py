@@ -22,8 +22,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from jghand_engine.errors import STOPPED, RetryError
 from jghand_engine.farm import executors, job
 from jghand_engine.files import make_folder, writing
+from jghand_engine.learn.mark import LOCK, MARK
 from jghand_engine.lock import locked
-from jghand_engine.training.mark import LOCK, MARK
 
 QUICK_STEPS = 4
 SLOW_S = 0.0 if "--resume" in sys.argv else float(os.environ.get("JGHAND_TINY_STEP_S", "0"))
@@ -39,7 +39,7 @@ def make_trainings_small() -> None:
     from small_hands import small_points
     from small_trainings import SMALL
 
-    from jghand_engine.training import options, step
+    from jghand_engine.learn import options, step
 
     whole_step = step.HandTraining.step
 

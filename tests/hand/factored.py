@@ -31,15 +31,15 @@ def _affine(n: int, linear: Tensor | None = None, offset: Tensor | None = None) 
 
 
 def factored(transform: JointTransform, canonical_m: Tensor, joints_m: Tensor, variant: str = "corrected") -> Tensor:
-    """(N, 20, 4, 4) maps of bones 1..20 that act on root-centred canonical points; right hands, metres."""
+    """(N, 20, 4, 4) maps of bones 1..20 that act on root-centered canonical points; right hands, meters."""
     n = len(joints_m)
     rest = JointTransform(canonical_m, handedness=Handedness.RIGHT, swing=Swing.EULER).frames(canonical_m)
     posed = transform.frames(joints_m)
-    centred = canonical_m - canonical_m[:1]
+    centered = canonical_m - canonical_m[:1]
     eye5 = torch.eye(3, dtype=torch.float64).repeat(n, 5, 1, 1)
     parent = torch.arange(-5, 15).clamp_min(0)
 
-    K = _affine(n, torch.eye(3) / rest.length[:, None, None], -centred[_PARENTS] / rest.length[:, None])
+    K = _affine(n, torch.eye(3) / rest.length[:, None, None], -centered[_PARENTS] / rest.length[:, None])
     # R_i = Q(u_i) Q(u_i^c)^T; Q follows from the frames: S_i = S_p Q
     F = torch.cat([eye5, _transposed(rest.S[parent[5:]]).expand(n, 15, 3, 3)], 1)
     rest_Q = _transposed(rest.S[parent[5:]]) @ rest.S[5:]

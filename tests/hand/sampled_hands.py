@@ -1,6 +1,6 @@
 """Random hands for tests, by forward kinematics that shares no code with the package.
 
-Right hand, metres, level order; wrist at the origin, fingers along +y, back of the hand +z, thumb at -x.
+Right hand, meters, level order; wrist at the origin, fingers along +y, back of the hand +z, thumb at -x.
 """
 
 from __future__ import annotations

@@ -24,7 +24,7 @@ def test_closed_form_is_the_corrected_chain(swing):
 
 
 @pytest.mark.parametrize("variant", MISPRINTS)
-def test_a_misprint_moves_joints_by_centimetres(variant):
+def test_a_misprint_moves_joints_by_centimeters(variant):
     joints = hands.sample(500)
     transform = JointTransform(CANONICAL, handedness=Handedness.RIGHT, scale_mode="uniform")
     matrices = factored(transform, CANONICAL, joints, variant)

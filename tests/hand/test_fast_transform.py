@@ -48,8 +48,8 @@ def test_result_is_float32_root_relative(variant):
     bones = fast.bones(joints)
     assert bones.linear_offset.dtype == np.float32
     assert bones.root_m.dtype == np.float64
-    centred = np.concatenate([moved.numpy() - fast.canonical_root_m, np.ones((21, 1))], axis=1)
-    placed = (bones.linear_offset.astype(np.float64) @ centred[:, :, None])[..., 0] + bones.root_m
+    centered = np.concatenate([moved.numpy() - fast.canonical_root_m, np.ones((21, 1))], axis=1)
+    placed = (bones.linear_offset.astype(np.float64) @ centered[:, :, None])[..., 0] + bones.root_m
     assert np.abs(placed - joints).max() < 1e-7
 
 

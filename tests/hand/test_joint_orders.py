@@ -146,11 +146,11 @@ def test_the_order_does_not_depend_on_pose_place_or_unit():
 @pytest.mark.parametrize(
     ("scale", "declared", "looks_like"),
     [
-        (1000.0, "m", "millimetres"),
-        (100.0, "m", "centimetres"),
+        (1000.0, "m", "millimeters"),
+        (100.0, "m", "centimeters"),
         (1.0, "mm", "metres"),
         (10.0, "cm", None),
-        (1000.0, "cm", "millimetres"),
+        (1000.0, "cm", "millimeters"),
     ],
 )
 def test_a_wrong_unit_is_caught_and_the_right_one_named(scale, declared, looks_like):

@@ -39,8 +39,8 @@ def test_both_ends_of_every_bone_land_on_the_joints(swing, mode, dtype, limit_mm
 def test_root_relative_form_is_more_exact_far_from_the_origin():
     joints = hands.sample(500).float()
     bones = JointTransform(CANONICAL, handedness=Handedness.RIGHT).bones(joints)
-    centred = CANONICAL.float() - bones.canonical_root_m
-    placed = (bones.linear * centred.unsqueeze(-2)).sum(-1) + bones.offset_m + bones.root_m.unsqueeze(-2)
+    centered = CANONICAL.float() - bones.canonical_root_m
+    placed = (bones.linear * centered.unsqueeze(-2)).sum(-1) + bones.offset_m + bones.root_m.unsqueeze(-2)
     # worst observed 6.7e-5 mm
     assert ((placed - joints).norm(dim=-1).max() * 1e3) < 1.5e-4
 
@@ -184,10 +184,10 @@ def test_a_bad_joint_spoils_only_its_own_hand(bad):
 
 
 @pytest.mark.parametrize(("swing", "mode"), MODES)
-@pytest.mark.parametrize("pose", ["generic", "straight", "collinear", "millimetres", "left"])
+@pytest.mark.parametrize("pose", ["generic", "straight", "collinear", "millimeters", "left"])
 def test_gradients_are_the_derivatives(swing, mode, pose):
     joints = hands.sample(1, seed=3, palm_m=0.003, bone=0.1, shift_m=0.0, turned=False)[0]
-    unit = 1000.0 if pose == "millimetres" else 1.0
+    unit = 1000.0 if pose == "millimeters" else 1.0
     if pose == "straight":
         joints = hands.flat()
     if pose == "collinear":

@@ -226,7 +226,7 @@ def test_real_motion_stops_pulsing(shared_data):
     real = PoseSequence(to_level(joints, JointOrder.STANDARD), 30.0, RIGHT)
     assert not real.gaps
     steady = real.with_constant_bone_lengths()
-    # DATA 11: bones vary by millimetres over time, the whole hand (s_g) by per cent
+    # DATA 11: bones vary by millimeters over time, the whole hand (s_g) by per cent
     whole = [sequence.bone_lengths_m.sum(axis=1) for sequence in (real, steady)]
     assert real.bone_lengths_m.std(axis=0).max() > 0.004
     assert np.ptp(whole[0]) / whole[0].mean() > 0.05

@@ -49,7 +49,7 @@ def _moved(**places: Tensor) -> Tensor:
 
 @cache
 def hard_hands() -> dict[str, Tensor]:
-    """Name -> (21, 3) float64 joints, metres unless the name says otherwise."""
+    """Name -> (21, 3) float64 joints, meters unless the name says otherwise."""
     base = _base()
     line = torch.tensor([0.0, 0.09, 0.0], dtype=F64)
     cases = {

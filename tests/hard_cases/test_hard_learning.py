@@ -18,8 +18,8 @@ from jghand_engine.avatar.model import Shape
 from jghand_engine.avatar.skinning import pose_skin, seen_from
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.training.guard import find_non_finite
-from jghand_engine.training.losses import offset_loss
+from jghand_engine.learn.guard import find_non_finite
+from jghand_engine.learn.losses import offset_loss
 
 ANISO = replace(SMALL_MODEL, shape=Shape.ANISO)
 CASES = [
@@ -37,7 +37,7 @@ def all_finite(tensors) -> bool:
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("name", CASES)
 def test_a_degenerate_hand_teaches_finite_gradients(name, dtype):
-    """Features, network, skin, light and gloss of a hand that has learnt something; to the joints, too."""
+    """Features, network, skin, light and gloss of a hand that has learned something; to the joints, too."""
     handedness = Handedness.LEFT if name == "left hand" else Handedness.RIGHT
     joints_m = hard_hands()[name].clone().to(dtype).requires_grad_(True)
     bones = bones_of(joints_m, handedness)
@@ -107,7 +107,7 @@ def test_an_offset_of_length_zero_is_not_pulled_anywhere():
 # ---- pictures and views ----------------------------------------------------------------------------------------------
 
 
-def test_a_mask_of_one_pixel_can_be_learnt_from(monkeypatch, tmp_path):
+def test_a_mask_of_one_pixel_can_be_learned_from(monkeypatch, tmp_path):
     """In every corner, at both strides."""
     camera, joints_m = camera_at(), joints_of("fist")
     for row, column in ((0, 0), (39, 47), (0, 47), (20, 24)):
@@ -152,7 +152,7 @@ def test_a_camera_that_cannot_see_the_hand_harms_nothing(monkeypatch, tmp_path, 
     assert all_finite(parameters_of(training).values())
 
 
-def test_a_picture_of_the_smallest_size_can_be_learnt_from(monkeypatch, tmp_path):
+def test_a_picture_of_the_smallest_size_can_be_learned_from(monkeypatch, tmp_path):
     """22 x 22 pixels: half of it is as large as the window of SSIM."""
     camera = camera_at(size=(22, 22), focal_px=40.0)
     sample = sample_of(write_rgba(tmp_path / "small.png", np.full((22, 22), 255, np.uint8)), camera, joints_of("claw"))

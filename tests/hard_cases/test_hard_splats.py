@@ -23,8 +23,8 @@ from splat_scenes import (
 
 from jghand_engine.avatar.gaussians import Gaussians
 from jghand_engine.errors import InputError
-from jghand_engine.splat.camera import Camera
-from jghand_engine.splat.picture import Picture
+from jghand_engine.render.camera import Camera
+from jghand_engine.render.picture import Picture
 
 BACKENDS = ["torch", *NATIVE]
 every_backend = pytest.mark.parametrize("backend", BACKENDS)
@@ -173,14 +173,14 @@ def test_200_random_scenes_keep_the_invariants(backend):
 
 
 @every_backend
-def test_a_gaussian_at_the_camera_centre_is_culled(backend):
+def test_a_gaussian_at_the_camera_center_is_culled(backend):
     picture, gradients = draw_and_differentiate(
         gaussians_from([[0, 0, 0], [1e-20, 0, 1e-20]], [1e-3] * 2, [0.9] * 2, [[1, 1, 1]] * 2),
         front_camera(9, 9, 50.0),
         backend,
     )
     assert picture.visible_gaussians == 0
-    assert_finite(picture, gradients, "camera centre")
+    assert_finite(picture, gradients, "camera center")
 
 
 @every_backend
@@ -198,7 +198,7 @@ def test_long_thin_ellipses_at_the_near_plane_stay_finite(backend):
 @every_backend
 @pytest.mark.parametrize("aspect", [1e2, 1e4, 1e8])
 def test_needles_and_flakes_of_any_size_stay_finite(aspect, backend):
-    """Up to kilometres long, and from the near plane to the far: beyond what float32 resolves across them."""
+    """Up to kilometers long, and from the near plane to the far: beyond what float32 resolves across them."""
     hand = stretched(front_hand(600), aspect=aspect)
     hand.position_m[::2, 2] = torch.linspace(0.0101, 5, 300)
     picture, gradients = draw_and_differentiate(hand, front_camera(64, 48, 300.0), backend)

@@ -105,7 +105,7 @@ FIELDS = {
     "name": [None, 3, "two\nlines", "\x1b[31mred", "\ud800", "x" * 501],
     "template": [None, []],
     "licence": [{}],
-    "units": ["millimetres", None],
+    "units": ["millimeters", None],
     "handedness": ["both", None, 1],
     "joint_names": [None, [], ["wrist"] * 21],
     "swing": ["maximal", None],
@@ -142,7 +142,7 @@ def test_a_wrong_description_is_refused(tmp_path, field, value):
         {"capture": "two\nlines", "split": "b", "digest": "c", "pictures": 1},
     ],
 )
-def test_what_an_avatar_was_learnt_from_is_refused_where_it_is_unreadable(tmp_path, value):
+def test_what_an_avatar_was_learned_from_is_refused_where_it_is_unreadable(tmp_path, value):
     arrays, about = parts()
     refused(written(tmp_path / "wrong.jghand", arrays, {**about, "learnt_from": value}))
 
@@ -268,7 +268,7 @@ def test_flipped_bytes_give_an_avatar_or_an_input_error(tmp_path, data):
 
 
 @pytest.fixture(scope="module", params=list(Storage))
-def learnt_parts(request, tmp_path_factory) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+def learned_parts(request, tmp_path_factory) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """The same of a trained avatar with ellipsoids: with everything but tiers, which come below."""
     path = tmp_path_factory.mktemp("learnt") / "hand.jghand"
     save_avatar(path, ellipsoid_avatar(50), storage=request.param)
@@ -276,7 +276,7 @@ def learnt_parts(request, tmp_path_factory) -> tuple[dict[str, np.ndarray], dict
         return safetensors.numpy.load_file(path), json.loads(content.metadata()[METADATA_KEY])
 
 
-LEARNT_FIELDS: dict[str, list[Any]] = {
+LEARNED_FIELDS: dict[str, list[Any]] = {
     "lobes": [None, -1, 4, 6, 65, 10**12, True, "5", 5.0],
     "world_offsets": [None, 0, "no"],
     "ellipsoids": [None, 1, False],
@@ -304,42 +304,42 @@ NET_FIELDS: dict[str, list[Any]] = {
 }
 
 
-def learnt_refused(path: Path, parts: tuple[dict[str, np.ndarray], dict[str, Any]], learnt: Any) -> None:
+def learned_refused(path: Path, parts: tuple[dict[str, np.ndarray], dict[str, Any]], learned: Any) -> None:
     arrays, about = parts
-    refused(written(path, arrays, {**about, "learnt": learnt}))
+    refused(written(path, arrays, {**about, "learnt": learned}))
 
 
 @pytest.mark.parametrize("value", [None, 1, [], {}])
-def test_a_trained_avatar_without_its_description_is_refused(tmp_path, learnt_parts, value):
-    learnt_refused(tmp_path / "wrong.jghand", learnt_parts, value)
+def test_a_trained_avatar_without_its_description_is_refused(tmp_path, learned_parts, value):
+    learned_refused(tmp_path / "wrong.jghand", learned_parts, value)
 
 
-def test_what_was_learnt_is_refused_in_a_version_that_does_not_know_it(tmp_path, learnt_parts):
-    arrays, about = learnt_parts
+def test_what_was_learned_is_refused_in_a_version_that_does_not_know_it(tmp_path, learned_parts):
+    arrays, about = learned_parts
     refused(written(tmp_path / "old.jghand", arrays, {**about, "format_version": 1}), "unknown")
 
 
-@pytest.mark.parametrize(("field", "value"), [(f, v) for f, values in LEARNT_FIELDS.items() for v in values])
-def test_a_wrong_description_of_what_was_learnt_is_refused(tmp_path, learnt_parts, field, value):
-    learnt_refused(tmp_path / "wrong.jghand", learnt_parts, {**learnt_parts[1]["learnt"], field: value})
+@pytest.mark.parametrize(("field", "value"), [(f, v) for f, values in LEARNED_FIELDS.items() for v in values])
+def test_a_wrong_description_of_what_was_learned_is_refused(tmp_path, learned_parts, field, value):
+    learned_refused(tmp_path / "wrong.jghand", learned_parts, {**learned_parts[1]["learnt"], field: value})
 
 
 @pytest.mark.parametrize(("field", "value"), [(f, v) for f, values in NET_FIELDS.items() for v in values])
-def test_a_wrong_description_of_the_network_is_refused(tmp_path, learnt_parts, field, value):
-    learnt = learnt_parts[1]["learnt"]
-    learnt_refused(tmp_path / "wrong.jghand", learnt_parts, {**learnt, "net": {**learnt["net"], field: value}})
+def test_a_wrong_description_of_the_network_is_refused(tmp_path, learned_parts, field, value):
+    learned = learned_parts[1]["learnt"]
+    learned_refused(tmp_path / "wrong.jghand", learned_parts, {**learned, "net": {**learned["net"], field: value}})
 
 
-def test_a_network_too_wide_for_so_many_gaussians_is_refused_before_anything_is_allocated(tmp_path, learnt_parts):
+def test_a_network_too_wide_for_so_many_gaussians_is_refused_before_anything_is_allocated(tmp_path, learned_parts):
     """A valid file of some megabytes would take gigabytes to draw."""
-    arrays, about = learnt_parts
+    arrays, about = learned_parts
     wide = {**about["learnt"], "net": {**about["learnt"]["net"], "hidden": 1024}}
     path = written(tmp_path / "wide.jghand", arrays, {**about, "gaussians": 62_501, "learnt": wide})
     refused(path, "hidden: wanted at most 1023 units for each of 62501 Gaussians")
 
 
-def test_every_learnt_array_is_missed_and_its_length_and_type_looked_at(tmp_path, learnt_parts):
-    arrays, about = learnt_parts
+def test_every_learned_array_is_missed_and_its_length_and_type_looked_at(tmp_path, learned_parts):
+    arrays, about = learned_parts
     for name in set(arrays) - set(parts()[0]):
         path = tmp_path / "wrong.jghand"
         refused(written(path, {k: a for k, a in arrays.items() if k != name}, about), name)
@@ -348,8 +348,8 @@ def test_every_learnt_array_is_missed_and_its_length_and_type_looked_at(tmp_path
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 6e4])
-def test_learnt_numbers_that_no_training_gives_are_refused(tmp_path, learnt_parts, value):
-    arrays, about = learnt_parts
+def test_learned_numbers_that_no_training_gives_are_refused(tmp_path, learned_parts, value):
+    arrays, about = learned_parts
     for name in set(arrays) - set(parts()[0]):
         if arrays[name].dtype in (np.float16, np.float32) and name not in ("position_m", "opacity", "rgb", "uvd"):
             bad = arrays[name].copy()
@@ -360,8 +360,8 @@ def test_learnt_numbers_that_no_training_gives_are_refused(tmp_path, learnt_part
 @pytest.mark.parametrize(
     ("name", "value"), [("nearest", 50), ("nearest", 65535), ("share", 255), ("bone_weights", 0.5)]
 )
-def test_anchors_that_are_not_there_or_share_too_much_are_refused(tmp_path, learnt_parts, name, value):
-    arrays, about = learnt_parts
+def test_anchors_that_are_not_there_or_share_too_much_are_refused(tmp_path, learned_parts, name, value):
+    arrays, about = learned_parts
     bad = arrays[f"cast.{name}"].copy()
     bad[3] = value
     refused(written(tmp_path / "value.jghand", {**arrays, f"cast.{name}": bad}, about), name)
@@ -369,8 +369,8 @@ def test_anchors_that_are_not_there_or_share_too_much_are_refused(tmp_path, lear
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.data())
-def test_flipped_bytes_of_a_trained_file_give_an_avatar_or_an_input_error(tmp_path, learnt_parts, data):
-    read_with_flipped_bytes(written(tmp_path / "good.jghand", *learnt_parts), data)
+def test_flipped_bytes_of_a_trained_file_give_an_avatar_or_an_input_error(tmp_path, learned_parts, data):
+    read_with_flipped_bytes(written(tmp_path / "good.jghand", *learned_parts), data)
 
 
 # ---- what `jghand bake` adds -----------------------------------------------------------------------------------------
@@ -382,8 +382,8 @@ BASIS = 12  # more than the features of the small network: products too
 def baked_parts(tmp_path_factory) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """The same of a trained avatar with a linear tier."""
     avatar, g = trained_avatar(50), torch.Generator().manual_seed(3)
-    assert avatar.learnt is not None
-    net: Any = avatar.learnt.correctives
+    assert avatar.learned is not None
+    net: Any = avatar.learned.correctives
     channels = net.shape.angle_channels
     linear = LinearCorrectives(
         net.angles,
@@ -395,9 +395,9 @@ def baked_parts(tmp_path_factory) -> tuple[dict[str, np.ndarray], dict[str, Any]
         torch.full((50, 2), 1e-5),
     )
     prices = (Price(Tier.EXACT, 0, 9.0, 0.1, 30.0, 0.0), Price(Tier.LINEAR, BASIS, 1.0, 0.1, 29.9, 0.1))
-    learnt = replace(avatar.learnt, baked=Baked(linear, prices, "pictures"))
+    learned = replace(avatar.learned, baked=Baked(linear, prices, "pictures"))
     path = tmp_path_factory.mktemp("baked") / "hand.jghand"
-    save_avatar(path, replace(avatar, learnt=learnt))
+    save_avatar(path, replace(avatar, learned=learned))
     with safetensors.safe_open(str(path), framework="numpy") as content:
         return safetensors.numpy.load_file(path), json.loads(content.metadata()[METADATA_KEY])
 
@@ -419,16 +419,18 @@ PRICE_FIELDS: dict[str, list[Any]] = {
 
 @pytest.mark.parametrize(("field", "value"), [(f, v) for f, values in BAKED_FIELDS.items() for v in values])
 def test_a_wrong_description_of_tiers_is_refused(tmp_path, baked_parts, field, value):
-    learnt = baked_parts[1]["learnt"]
-    learnt_refused(tmp_path / "wrong.jghand", baked_parts, {**learnt, "baked": {**learnt["baked"], field: value}})
+    learned = baked_parts[1]["learnt"]
+    learned_refused(tmp_path / "wrong.jghand", baked_parts, {**learned, "baked": {**learned["baked"], field: value}})
 
 
 @pytest.mark.parametrize(("field", "value"), [(f, v) for f, values in PRICE_FIELDS.items() for v in values])
 def test_a_wrong_price_is_refused(tmp_path, baked_parts, field, value):
-    learnt = baked_parts[1]["learnt"]
-    exact, linear = learnt["baked"]["prices"]
+    learned = baked_parts[1]["learnt"]
+    exact, linear = learned["baked"]["prices"]
     prices = [exact, {**linear, field: value}]
-    learnt_refused(tmp_path / "wrong.jghand", baked_parts, {**learnt, "baked": {**learnt["baked"], "prices": prices}})
+    learned_refused(
+        tmp_path / "wrong.jghand", baked_parts, {**learned, "baked": {**learned["baked"], "prices": prices}}
+    )
 
 
 def test_true_is_no_basis(tmp_path, baked_parts):
@@ -457,11 +459,11 @@ def test_a_tier_that_moves_or_shades_beyond_any_hand_is_refused(tmp_path, baked_
 
 @pytest.mark.parametrize("baked", [[], 1, {}, None])
 def test_tiers_without_their_description_are_refused(tmp_path, baked_parts, baked):
-    learnt_refused(tmp_path / "wrong.jghand", baked_parts, {**baked_parts[1]["learnt"], "baked": baked})
+    learned_refused(tmp_path / "wrong.jghand", baked_parts, {**baked_parts[1]["learnt"], "baked": baked})
 
 
 def test_tiers_of_no_network_are_refused(tmp_path, baked_parts):
-    learnt_refused(tmp_path / "wrong.jghand", baked_parts, {**baked_parts[1]["learnt"], "net": None})
+    learned_refused(tmp_path / "wrong.jghand", baked_parts, {**baked_parts[1]["learnt"], "net": None})
 
 
 def test_every_array_of_a_tier_is_missed_and_its_length_type_and_values_looked_at(tmp_path, baked_parts):

@@ -14,11 +14,11 @@ import numpy as np
 import pytest
 
 from jghand_engine import limits
-from jghand_engine.datasets.motion_files import MotionFormat
-from jghand_engine.datasets.motions import json_text
-from jghand_engine.datasets.motions.read import read_motion_file
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.motion.files import MotionFormat
+from jghand_engine.motion.foreign import json_text
+from jghand_engine.motion.foreign.read import read_motion_file
 
 TOLD = MotionFormat(handedness=Handedness.RIGHT)
 TESTS = Path(__file__).parents[1]
@@ -353,7 +353,7 @@ LARGE = {
 }
 _MEASURE = """
 import json, os, resource, sys, time
-from jghand_engine.datasets.motions.read import read_motion_file
+from jghand_engine.motion.foreign.read import read_motion_file
 from jghand_engine.errors import InputError
 for path in sys.argv[1:]:
     # a process for each, because the largest memory of a process never shrinks

@@ -10,13 +10,13 @@ import pytest
 from hand import sampled_hands as hands
 
 from jghand_engine import limits
-from jghand_engine.datasets.motion_files import MotionFormat, write_motion
-from jghand_engine.datasets.motions.read import read_motion_file
 from jghand_engine.errors import InputError, MemoryLimitError
 from jghand_engine.hand.anatomy import pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder
 from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.motion.files import MotionFormat, write_motion
+from jghand_engine.motion.foreign.read import read_motion_file
 
 TOLD = MotionFormat(JointOrder.STANDARD, "m", Handedness.RIGHT, 30.0)
 
@@ -139,7 +139,7 @@ def test_memory_that_runs_out_is_no_damage(tmp_path, monkeypatch, suffix):
         raise MemoryError
 
     for name in ("_numbers", "_csv_numbers"):
-        monkeypatch.setattr(f"jghand_engine.datasets.motion_files.{name}", too_much)
+        monkeypatch.setattr(f"jghand_engine.motion.files.{name}", too_much)
     with pytest.raises(MemoryLimitError, match="shorter motions") as caught:
         read_motion_file(path, TOLD)
     assert caught.value.exit_code == 4
@@ -168,7 +168,7 @@ def test_shapes_of_no_motion_are_refused_before_they_are_read(tmp_path, monkeypa
     with open(path, "wb") as stream:
         stream.write(_header(shape, "<f2"))
         stream.truncate(stream.tell() + 2 * int(np.prod(shape)))
-    monkeypatch.setattr("jghand_engine.datasets.motion_files._numbers", None)
+    monkeypatch.setattr("jghand_engine.motion.files._numbers", None)
     with pytest.raises(InputError, match=r"more than 1000000 frames|joints of shape"):
         read_motion_file(path, TOLD)
 

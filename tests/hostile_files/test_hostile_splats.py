@@ -17,10 +17,10 @@ from scipy.spatial.transform import Rotation
 
 from jghand_engine.cli import main
 from jghand_engine.errors import InputError
-from jghand_engine.exporters.ply import PROPERTIES
-from jghand_engine.exporters.splat_cloud import SplatCloud
-from jghand_engine.exporters.splat_files import FORMATS
-from jghand_engine.exporters.splat_reading import open_splats, read_splats
+from jghand_engine.export.splats.cloud import SplatCloud
+from jghand_engine.export.splats.files import FORMATS
+from jghand_engine.export.splats.ply import PROPERTIES
+from jghand_engine.export.splats.reading import open_splats, read_splats
 
 READ = ("ply", "splat", "glb", "spz")
 # bytes that a refusal may take beside twice the file: the pieces that are read at once, the sentence
@@ -434,7 +434,7 @@ def test_sizes_and_opacities_of_the_wrong_kind_are_told_in_sentences(tmp_path):
 
     right = cloud()
     e = np.exp
-    # logarithms where metres are wanted, and metres where logarithms are
+    # logarithms where meters are wanted, and meters where logarithms are
     assert "probably logarithms" in found(SplatCloud(**vars(right) | {"scales_m": np.log(right.scales_m)}), "glb")
     assert "probably linear" in found(SplatCloud(**vars(right) | {"scales_m": e(right.scales_m)}), "ply")
     logits = np.log(right.opacity / (1 - right.opacity))

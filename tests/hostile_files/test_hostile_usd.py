@@ -11,14 +11,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from jghand_engine.datasets.motion_files import MotionFormat
-from jghand_engine.datasets.motions.read import read_motion_file
-from jghand_engine.datasets.usd_files import check_depth
 from jghand_engine.errors import InputError
-from jghand_engine.exporters.usd import UsdOptions, export_usd
-from jghand_engine.exporters.usd_check import check_usd
-from jghand_engine.exporters.usd_options import Package, Variant
+from jghand_engine.export.usd.check import check_usd
+from jghand_engine.export.usd.export import UsdOptions, export_usd
+from jghand_engine.export.usd.options import Package, Variant
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.motion.files import MotionFormat
+from jghand_engine.motion.foreign.read import read_motion_file
+from jghand_engine.motion.usd_files import check_depth
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "exporters"))
 from usd_samples import lively_motion, small_avatar

@@ -8,8 +8,8 @@ import pytest
 
 from jghand_engine import limits
 from jghand_engine.errors import InputError
-from jghand_engine.exporters.video import ffmpeg_program, write_video
-from jghand_engine.tracking.video import ReadingNotes, open_video, pictures
+from jghand_engine.export.video import ffmpeg_program, write_video
+from jghand_engine.track.video import ReadingNotes, open_video, pictures
 
 pytest.importorskip("imageio_ffmpeg", reason="the extra `video` is not installed")
 

@@ -112,7 +112,7 @@ def test_every_way_to_mention_a_global_is_watched(data):
         ("this", "s"),
     ],
 )
-def test_neighbours_of_allowed_globals_are_refused_and_not_imported(module, name):
+def test_neighbors_of_allowed_globals_are_refused_and_not_imported(module, name):
     with pytest.raises(InputError, match="got the global"):
         read(f"c{module}\n{name}\n.".encode())
     assert "this" not in sys.modules

@@ -12,10 +12,10 @@ import zlib
 import pytest
 from picture_sets import edited, recorded, write_hanco, write_set
 
-from jghand_engine.datasets.capture_folder import open_capture
-from jghand_engine.datasets.captures import CaptureChoice
-from jghand_engine.datasets.check_data import check_data
-from jghand_engine.datasets.pictures_in import probe_picture, read_mask, read_picture
+from jghand_engine.captures.capture_folder import open_capture
+from jghand_engine.captures.captures import CaptureChoice
+from jghand_engine.captures.check_data import check_data
+from jghand_engine.captures.pictures_in import probe_picture, read_mask, read_picture
 from jghand_engine.errors import InputError
 
 NONSENSE = (None, "", "x", -1, 10**400, 1e308, float("nan"), float("inf"), True, [], [[]], {}, {"0": 1}, [None] * 42)

@@ -190,7 +190,7 @@ def changed(array, place, value):
         ("skin_face_count", lambda t: 0, r"skin faces: wanted 1\.\.3216"),
         ("skin_face_count", lambda t: 3217, r"skin faces: wanted 1\.\.3216"),
         ("vertices_m", lambda t: t.vertices_m * [1, 1, 0], "inside-out"),
-        ("joints_m", lambda t: t.joints_m * 1000, "millimetres"),
+        ("joints_m", lambda t: t.joints_m * 1000, "millimeters"),
         ("joints_m", lambda t: t.joints_m[np.arange(JOINT_COUNT)[::-1]], "joints"),
     ],
 )

@@ -76,7 +76,7 @@ def step_rendered_mode_shows_it_with_our_engine(window):
     assert skin(view_picture(window, "rendered_agx")).mean() > 0.05
 
 
-def step_one_button_gives_it_the_colours_of_its_capture(window):
+def step_one_button_gives_it_the_colors_of_its_capture(window):
     before = window.crop(window.screen())
     assert window.call("jghand.use_standard") == {"FINISHED"}
     window.redraw()

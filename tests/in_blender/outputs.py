@@ -70,7 +70,7 @@ def step_escape_ends_the_job_and_leaves_no_bake(window):
     yield from window.point_at_view()
     yield from window.key("Escape")
     yield lambda: jobs.get("output").is_over
-    assert jobs.get("output").state.phase.value == "cancelled"
+    assert jobs.get("output").state.phase.value == "canceled"
     assert not list(window.out.glob("jghand_bake/**/bake.json"))
 
 
@@ -198,4 +198,4 @@ def step_a_training_survives_opening_another_file(window):
     bpy.ops.jghand.resume_training()
     yield lambda: job.state.phase.value == "running" and job.state.total > 0
     bpy.ops.jghand.cancel_job(key="training")
-    yield lambda: job.state.phase.value == "cancelled"
+    yield lambda: job.state.phase.value == "canceled"

@@ -65,7 +65,7 @@ def step_baking_ends_with_escape_and_changes_nothing(window):
     assert controls.has_controls(hand)
     assert hand.animation_data is None
     assert bpy.context.scene.frame_current == 1
-    window.picture("cancelled")
+    window.picture("canceled")
 
 
 def step_baking_ends_by_itself(window):

@@ -36,7 +36,7 @@ def write_png(path: Path, picture: np.ndarray) -> None:
 
 
 def skin(picture: np.ndarray) -> np.ndarray:
-    """(H, W) bool: pixels of the colour of skin, which nothing of Blender's window has but its orange outlines."""
+    """(H, W) bool: pixels of the color of skin, which nothing of Blender's window has but its orange outlines."""
     red, green, blue = (picture[..., channel].astype(int) for channel in range(3))
     return (red > 60) & (red - blue > 15) & (red - green > 5) & (red - green < 90) & (green >= blue - 5) & (red < 250)
 

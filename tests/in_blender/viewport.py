@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The hand in the viewport: it is there, right in colour and depth, follows what happens, and blocks nobody.
+"""The hand in the viewport: it is there, right in color and depth, follows what happens, and blocks nobody.
 
 A software driver encodes what a draw handler writes with an approximation of its own, up to 3/255 off (Mesa, llvmpipe):
 what the shader writes is therefore also read from a target of floats, where nothing is encoded.
@@ -21,7 +21,7 @@ import numpy as np
 
 from in_blender.pictures import changed, skin
 
-# largest difference of a colour on the screen from the engine's: in Solid on a software driver, and in Rendered
+# largest difference of a color on the screen from the engine's: in Solid on a software driver, and in Rendered
 SOLID_MAX, RENDERED_MAX = 3, 1
 # seconds for which nothing of ours may keep Blender's main thread
 KEPT_MAX_S = 0.05
@@ -36,7 +36,7 @@ def step_a_new_hand_shows_in_solid_and_becomes_sharp(window):
     window.picture("solid")
 
 
-def step_its_shader_writes_the_engines_colours(window):
+def step_its_shader_writes_the_engines_colors(window):
     written = []
     draw = _draw_into_floats(window, written)
     handle = bpy.types.SpaceView3D.draw_handler_add(draw, (), "WINDOW", "POST_PIXEL")
@@ -151,7 +151,7 @@ def step_an_orthographic_view_shows_it_too(window):
     yield lambda: _is_sharp(window)
 
 
-def step_rendered_mode_shows_the_engines_colours(window):
+def step_rendered_mode_shows_the_engines_colors(window):
     bpy.context.scene.render.engine = "JGHAND"
     bpy.context.scene.view_settings.view_transform = "Standard"
     window.space().overlay.show_overlays = False
@@ -288,7 +288,7 @@ def _skin(window) -> int:
 
 
 def _is_there(window) -> bool:
-    """Whether the hand is on the screen; where it is not, almost nothing has its colour."""
+    """Whether the hand is on the screen; where it is not, almost nothing has its color."""
     return _skin(window) > HAND_PX / 2
 
 

@@ -140,13 +140,13 @@ class Window:
         self.redraw()
         yield 1.0
 
-    def look_at(self, centre, distance: float, turn: tuple[float, float, float] = (1.35, 0.0, 0.3)) -> Waits:
-        """Turns the view: centre in Blender units, Euler angles."""
+    def look_at(self, center, distance: float, turn: tuple[float, float, float] = (1.35, 0.0, 0.3)) -> Waits:
+        """Turns the view: center in Blender units, Euler angles."""
         from mathutils import Euler
 
         view = self.space().region_3d
         view.view_perspective = "PERSP"
-        view.view_location, view.view_distance = centre, distance
+        view.view_location, view.view_distance = center, distance
         view.view_rotation = Euler(turn).to_quaternion()
         self.redraw()
         yield 0.5

@@ -320,10 +320,10 @@ def test_the_self_test_knows_what_the_reference_draws():
     import torch
 
     from jghand_engine.avatar.gaussians import Gaussians
-    from jghand_engine.splat.camera import Camera
-    from jghand_engine.splat.reference import rasterise_reference
-    from jghand_engine.splat.shadow import ShadowStyle
-    from jghand_engine.splat.shadow_native import darken
+    from jghand_engine.render.camera import Camera
+    from jghand_engine.render.reference import rasterize_reference
+    from jghand_engine.render.shadow import ShadowStyle
+    from jghand_engine.render.shadow_native import darken
 
     arrays, view = selftest.sample_gaussians(), selftest.sample_view()
     leaves = [
@@ -331,7 +331,7 @@ def test_the_self_test_knows_what_the_reference_draws():
         for array in (arrays.position_m, arrays.sigma_m, arrays.opacity, arrays.rgb)
     ]
     camera = Camera(view.width, view.height, view.fx, view.fy, view.cx, view.cy, torch.eye(4, dtype=torch.float64))
-    picture = rasterise_reference(Gaussians(*leaves), camera)
+    picture = rasterize_reference(Gaussians(*leaves), camera)
     planes = torch.cat([picture.rgb.permute(2, 0, 1), picture.alpha[None], picture.depth_sum[None]])
     planes.mean((1, 2)).sum().backward()
     means = planes.detach().mean((1, 2)).tolist()
@@ -349,14 +349,14 @@ def test_the_self_test_knows_what_the_reference_draws_of_ellipsoids():
     import torch
 
     from jghand_engine.avatar.gaussians import Gaussians
-    from jghand_engine.splat.camera import Camera
-    from jghand_engine.splat.reference import rasterise_reference
+    from jghand_engine.render.camera import Camera
+    from jghand_engine.render.reference import rasterize_reference
 
     arrays, view = selftest.sample_ellipsoids(), selftest.sample_view()
     names = ("position_m", "sigma_m", "opacity", "rgb", "covariance_m2")
     leaves = {name: torch.from_numpy(getattr(arrays, name)).double().requires_grad_() for name in names}
     camera = Camera(view.width, view.height, view.fx, view.fy, view.cx, view.cy, torch.eye(4, dtype=torch.float64))
-    picture = rasterise_reference(Gaussians(**leaves), camera)
+    picture = rasterize_reference(Gaussians(**leaves), camera)
     planes = torch.cat([picture.rgb.permute(2, 0, 1), picture.alpha[None], picture.depth_sum[None]])
     planes.mean((1, 2)).sum().backward()
     gradients = [leaves[name].grad for name in ("position_m", "covariance_m2", "opacity", "rgb")]

@@ -25,10 +25,10 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
 from jghand_engine.errors import InputError, MemoryLimitError
 from jghand_engine.service import protocol, server
-from jghand_engine.service.commands import Cancelled, LoadedAvatar, Painting, never
+from jghand_engine.service.commands import Canceled, LoadedAvatar, Painting, never
 from jghand_engine.service.picture_request import Exposure, PictureRequest
 
-# radius of a joint's disc, metres
+# radius of a joint's disc, meters
 DISC_M = 0.004
 
 
@@ -50,10 +50,10 @@ class StandInHands:
         joints = np.stack([np.linspace(0, 0.1, 21), np.zeros(21), np.zeros(21)], -1)
         return LoadedAvatar({"avatar": avatar, "gaussians": 21}, joints)
 
-    def render(self, picture: PictureRequest, cancelled: Callable[[], bool] = never) -> Painting:
+    def render(self, picture: PictureRequest, canceled: Callable[[], bool] = never) -> Painting:
         self._pictures += 1
         if self._pictures >= self._first:
-            self._misbehave(cancelled)
+            self._misbehave(canceled)
         if self.fault == "blank":  # for measuring the way there and back
             return self._blank(picture)
         total = sum(exposure.weight for exposure in picture.exposures)
@@ -61,10 +61,10 @@ class StandInHands:
             np.zeros((picture.height, picture.width, *more), np.float32) for more in ((4,), (), (), (), ())
         )
         for index, exposure in enumerate(picture.exposures):
-            if cancelled():
-                raise Cancelled
-            colour, near_m, numbers = _discs(picture, exposure)
-            rgba += exposure.weight / total * colour
+            if canceled():
+                raise Canceled
+            color, near_m, numbers = _discs(picture, exposure)
+            rgba += exposure.weight / total * color
             behind, near = behind + exposure.weight * (near_m > 0), near + exposure.weight * near_m
             if index == picture.middle:
                 depth, ids = near_m, numbers
@@ -77,7 +77,7 @@ class StandInHands:
             self._canvas = np.zeros((*size, 4), np.float32)
         return Painting(self._canvas, {"total_ms": 0.0, "stages": []})
 
-    def _misbehave(self, cancelled: Callable[[], bool]) -> None:
+    def _misbehave(self, canceled: Callable[[], bool]) -> None:
         match self.fault:
             case "die":
                 os._exit(7)
@@ -96,8 +96,8 @@ class StandInHands:
                 time.sleep(0.2)
             case "patient":  # long, but to be stopped
                 for _ in range(6000):
-                    if cancelled():
-                        raise Cancelled
+                    if canceled():
+                        raise Canceled
                     time.sleep(0.01)
             case "memory":
                 raise MemoryLimitError("a picture", wanted="less")
@@ -122,7 +122,7 @@ class StandInHands:
 
 
 def _discs(picture: PictureRequest, moment: Exposure) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Colour, depth, and the number of the joint, of one moment."""
+    """Color, depth, and the number of the joint, of one moment."""
     size = (picture.height, picture.width)
     x, y = np.meshgrid(np.arange(picture.width) + 0.5, np.arange(picture.height) + 0.5)
     rgba, depth, ids = np.zeros((*size, 4), np.float32), np.zeros(size, np.float32), np.zeros(size, np.uint8)
@@ -132,13 +132,13 @@ def _discs(picture: PictureRequest, moment: Exposure) -> tuple[np.ndarray, np.nd
         for hand, joints in zip(picture.hands, moment.joints_world_m, strict=True)
         for number, point in enumerate(joints @ turn.T + offset_m)
     ]
-    for px, py, pz, number, colour in sorted(points, key=lambda point: -point[2]):
+    for px, py, pz, number, color in sorted(points, key=lambda point: -point[2]):
         if pz <= 0:
             continue
         scale = 1.0 if picture.orthographic else pz
         u, v = moment.fx * px / scale + moment.cx, moment.fy * py / scale + moment.cy
         inside = ((x - u) / moment.fx) ** 2 + ((y - v) / moment.fy) ** 2 <= (DISC_M / scale) ** 2
-        rgba[inside], depth[inside], ids[inside] = colour, pz, max(number, 1)
+        rgba[inside], depth[inside], ids[inside] = color, pz, max(number, 1)
     return rgba, depth, ids
 
 

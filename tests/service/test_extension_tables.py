@@ -16,15 +16,15 @@ from blender_addon.core import joints as extension
 from blender_addon.core import limits as extension_limits
 from blender_addon.core.messages import ADVICE
 from jghand_engine import limits
-from jghand_engine.datasets.motion_files import write_motion
-from jghand_engine.datasets.motions import bone_names
 from jghand_engine.errors import InputError, MemoryLimitError, RetryError
 from jghand_engine.hand.anatomy import RANGES_DEG
 from jghand_engine.hand.joints import LEVEL_NAMES, PARENTS, STANDARD_NAMES, Handedness
 from jghand_engine.hand.orders import JointOrder, from_level
 from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.motion.files import write_motion
+from jghand_engine.motion.foreign import bone_names
+from jghand_engine.render.settings import PRESETS
 from jghand_engine.service.commands import error_header
-from jghand_engine.splat.settings import PRESETS
 from jghand_engine.template.builtin import load_template
 from scripts import build_pose_table
 
@@ -45,7 +45,7 @@ def test_joints_have_the_same_parents():
 
 
 def test_the_rest_hand_is_the_built_in_hand():
-    # the extension's numbers are rounded to a micrometre
+    # the extension's numbers are rounded to a micrometer
     wanted = from_level(np.asarray(load_template().joints_m), JointOrder.STANDARD)
     np.testing.assert_allclose(posing.rest_joints_m("right"), wanted, atol=6e-7)
 
@@ -105,7 +105,7 @@ def test_the_extension_and_the_engine_find_the_same_bones(convention, side):
     assert hand.handedness is side
     assert [names[bone] for bone in hand.bones] == [prefix + name for name in chosen]
     if convention.title in {one.title for one in conventions.CONVENTIONS}:
-        sources = bone_maps.recognise(names, side.value).bone_map.sources
+        sources = bone_maps.recognize(names, side.value).bone_map.sources
         assert [source.bone for source in sources] == [prefix + name for name in chosen]
 
 

@@ -14,21 +14,21 @@ from jghand_engine.avatar.builtin import load_painted
 from jghand_engine.avatar.file import save_avatar
 from jghand_engine.avatar.shipped import PAINTED
 from jghand_engine.avatar.storage import Storage
-from jghand_engine.colour import srgb_to_linear
+from jghand_engine.color import srgb_to_linear
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, to_level
-from jghand_engine.service.commands import Cancelled
+from jghand_engine.render import moments
+from jghand_engine.render.camera import Camera
+from jghand_engine.render.frame import HandRenderer
+from jghand_engine.render.settings import RenderSettings, preset
+from jghand_engine.service.commands import Canceled
 from jghand_engine.service.hands import EngineHands
 from jghand_engine.service.picture_request import Exposure, HandAsked, PictureRequest, PictureSettings
-from jghand_engine.splat import moments
-from jghand_engine.splat.camera import Camera
-from jghand_engine.splat.frame import HandRenderer
-from jghand_engine.splat.settings import RenderSettings, preset
 
 PINHOLE = (200.0, 200.0, 60.0, 45.0)
 DRAFT = PictureSettings("draft")
-# half a metre before the palm of a hand that points up
+# half a meter before the palm of a hand that points up
 CAMERA_FROM_WORLD = np.diag([1.0, -1, -1, 1])
 CAMERA_FROM_WORLD[:3, 3] = (0, 0.09, 0.5)
 
@@ -136,8 +136,8 @@ def test_an_avatar_that_changed_on_disk_is_seen_after_loading_it_again(source, r
     avatar = load_painted(handedness=Handedness.RIGHT).prefix(5000)
     hand = replace(right, avatar=str(path))
     pictures = []
-    for colour in (avatar.rgb, 1 - avatar.rgb):
-        save_avatar(path, replace(avatar, rgb=colour))
+    for color in (avatar.rgb, 1 - avatar.rgb):
+        save_avatar(path, replace(avatar, rgb=color))
         assert source.load(str(path)).facts["gaussians"] == 5000
         pictures.append(source.render(asked([hand])).rgba)
     assert np.abs(pictures[0] - pictures[1]).max() > 0.2
@@ -150,8 +150,8 @@ def test_an_avatar_whose_file_changed_is_drawn_anew_without_being_told(right, tm
     with pytest.raises(InputError):
         fresh.render(asked([hand]))
     pictures = []
-    for age_ns, colour in enumerate((avatar.rgb, 1 - avatar.rgb)):
-        save_avatar(path, replace(avatar, rgb=colour))
+    for age_ns, color in enumerate((avatar.rgb, 1 - avatar.rgb)):
+        save_avatar(path, replace(avatar, rgb=color))
         os.utime(path, ns=(age_ns, age_ns))  # clocks of file systems are coarse
         pictures.append(fresh.render(asked([hand])).rgba)
     assert np.abs(pictures[0] - pictures[1]).max() > 0.2
@@ -172,7 +172,7 @@ def test_a_trained_hand_reflects_towards_the_camera_of_each_picture(source, righ
     avatar, path = trained_avatar(2000), tmp_path / "trained.jghand"
     save_avatar(path, avatar, storage=Storage.EXACT)
     hand = replace(right, avatar=str(path))
-    dark = replace(avatar, learnt=replace(avatar.learnt, shine=torch.zeros(2000)))
+    dark = replace(avatar, learned=replace(avatar.learned, shine=torch.zeros(2000)))
     turn = np.array([[0.96, 0, 0.28, 0], [0, 1, 0, 0], [-0.28, 0, 0.96, 0], [0, 0, 0, 1]])
     for camera_from_world in (CAMERA_FROM_WORLD, CAMERA_FROM_WORLD @ turn):
         moment = exposure([hand], camera_from_world)
@@ -233,7 +233,7 @@ def test_the_light_stays_in_the_world_while_a_hand_and_its_camera_turn(source, r
         assert bool(np.abs(other - one).mean() > 0.01) is changes
 
 
-def test_a_hand_a_kilometre_away_is_drawn_as_one_at_the_origin(source, trained):
+def test_a_hand_a_kilometer_away_is_drawn_as_one_at_the_origin(source, trained):
     far = np.eye(4)
     far[:3, 3] = (700, -600, 400)
     moved = replace(trained, world_from_hand=far)
@@ -345,15 +345,15 @@ def test_a_lens_blurs_what_is_out_of_focus_and_leaves_depth_sharp(source, right)
     assert told["depth-of-field"]["runs"]
 
 
-def test_a_long_picture_can_be_cancelled_between_its_parts(source, right):
+def test_a_long_picture_can_be_canceled_between_its_parts(source, right):
     asked_of = []
 
-    def cancelled() -> bool:
+    def canceled() -> bool:
         asked_of.append(True)
         return len(asked_of) > 2
 
-    with pytest.raises(Cancelled):
-        source.render(asked([right], *[exposure([moved(right, 0.01 * k)]) for k in range(8)]), cancelled)
+    with pytest.raises(Canceled):
+        source.render(asked([right], *[exposure([moved(right, 0.01 * k)]) for k in range(8)]), canceled)
     assert len(asked_of) == 3
 
 

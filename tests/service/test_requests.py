@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from stand_in_engine import StandInHands
 
 from jghand_engine.errors import InputError, MemoryLimitError, RetryError
-from jghand_engine.service.commands import Cancelled, Commands, error_header
+from jghand_engine.service.commands import Canceled, Commands, error_header
 from jghand_engine.service.protocol import Array, Message
 
 VIEW = {"width": 40, "height": 30, "settings": {"preset": "final"}}
@@ -112,9 +112,9 @@ def test_where_a_hand_lies_in_the_world_counts_together_with_the_camera():
 
 
 def test_parallel_rays_show_far_hands_as_large_as_near_ones():
-    pixels_per_metre = np.array([(200.0, 200.0, 20.0, 15.0)])
+    pixels_per_meter = np.array([(200.0, 200.0, 20.0, 15.0)])
     near, far = (
-        run(request(joints=joints_at(z)[None, None], orthographic=True, arrays={"pinholes": pixels_per_metre}))
+        run(request(joints=joints_at(z)[None, None], orthographic=True, arrays={"pinholes": pixels_per_meter}))
         for z in (0.3, 3.0)
     )
     np.testing.assert_array_equal(near["rgba_f32"], far["rgba_f32"])
@@ -203,10 +203,10 @@ def test_parallel_rays_go_through_no_lens():
         run(request(orthographic=True, arrays={"lenses": np.array([(0.01, 1.0)])}))
 
 
-def test_a_request_that_is_cancelled_says_so():
-    with pytest.raises(Cancelled) as caught:
+def test_a_request_that_is_canceled_says_so():
+    with pytest.raises(Canceled) as caught:
         Commands(StandInHands()).run(request(), lambda: True)
-    assert error_header(caught.value)["kind"] == "cancelled"
+    assert error_header(caught.value)["kind"] == "canceled"
 
 
 def test_a_picture_beyond_one_message_is_refused_before_it_is_drawn():

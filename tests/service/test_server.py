@@ -286,7 +286,7 @@ def test_whatever_is_asked_is_answered_and_whatever_comes_over_the_wire_the_engi
                 header = receive(connection).header
                 if header["kind"] == "reply":
                     wanted -= 1
-                    assert header["ok"] or header["error"]["kind"] in ("bad_input", "out_of_memory", "cancelled")
+                    assert header["ok"] or header["error"]["kind"] in ("bad_input", "out_of_memory", "canceled")
             with suppress(OSError):
                 connection.sendall(rubbish)
         assert engine.process.poll() is None
@@ -318,7 +318,7 @@ def test_clients_that_die_in_the_middle_leave_nothing_behind(engine):
     assert threads < 20
 
 
-def test_a_request_that_waits_is_cancelled_at_once_and_one_that_runs_stops():
+def test_a_request_that_waits_is_canceled_at_once_and_one_that_runs_stops():
     engine = started("patient")
     with engine.connected() as connection:
         receive(connection)
@@ -333,7 +333,7 @@ def test_a_request_that_waits_is_cancelled_at_once_and_one_that_runs_stops():
             if message.header["kind"] == "reply":
                 replies.append(message.header)
         assert {reply["id"]: reply.get("error", {}).get("kind") for reply in replies} == {
-            **dict.fromkeys((1, 2, 3), "cancelled"),
+            **dict.fromkeys((1, 2, 3), "canceled"),
             4: None,
         }
         assert replies[-1]["ok"]

@@ -12,7 +12,7 @@ from jghand_engine.template import builtin
 from jghand_engine.template.builtin import load_fields, load_template
 from jghand_engine.template.mesh import mirrored
 from jghand_engine.template.surface import enclosed_volume, is_closed, surface_area
-from jghand_engine.template.texture import rasterise_uv, sample_bilinear
+from jghand_engine.template.texture import rasterize_uv, sample_bilinear
 
 # DATA 2; thumb, index, middle, ring, pinky from the wrist on
 BONE_LENGTHS_MM = [
@@ -82,7 +82,7 @@ def test_the_texture_layout_has_no_flips_and_no_overlaps(template):
     skin = template.skin_face_count
     assert (np.sign(area[:skin]) == np.sign(area[0])).all()
     assert (area[skin:] != 0).all()
-    _, covered = rasterise_uv(template.face_uv, np.zeros((len(area), 3, 1)), 1024)
+    _, covered = rasterize_uv(template.face_uv, np.zeros((len(area), 3, 1)), 1024)
     # faces that overlap would cover less than the sum of their areas; observed 0.5 % more, from texels at the rim
     assert 1 <= covered.mean() / np.abs(area).sum() <= 1.01
 
@@ -90,7 +90,7 @@ def test_the_texture_layout_has_no_flips_and_no_overlaps(template):
 def test_the_cap_lies_beside_the_skin_in_the_texture(template):
     skin = template.skin_face_count
     halves = [
-        rasterise_uv(template.face_uv[part], np.zeros((len(template.face_uv[part]), 3, 1)), 512)[1]
+        rasterize_uv(template.face_uv[part], np.zeros((len(template.face_uv[part]), 3, 1)), 512)[1]
         for part in (slice(0, skin), slice(skin, None))
     ]
     assert not (halves[0] & halves[1]).any()
@@ -134,9 +134,9 @@ def test_every_finger_has_its_nail_on_the_back_of_its_tip(template):
     assert nails.shape == (512, 512)
     assert nails.dtype == np.uint8
     skin = template.skin_face_count
-    centres = template.vertices_m[template.faces[:skin]].mean(axis=1)
+    centers = template.vertices_m[template.faces[:skin]].mean(axis=1)
     is_nail = sample_bilinear(nails[..., None].astype(float), template.face_uv[:skin].mean(axis=1))[:, 0] > 128
-    nearest_tip = np.linalg.norm(centres[is_nail, None] - template.joints_m[16:], axis=2)
+    nearest_tip = np.linalg.norm(centers[is_nail, None] - template.joints_m[16:], axis=2)
     assert set(nearest_tip.argmin(axis=1)) == set(range(5))
     # worst observed 13.8 mm
     assert nearest_tip.min(axis=1).max() < 0.015

@@ -116,11 +116,11 @@ def test_the_distance_to_an_octahedron_is_that_to_its_planes_inside_and_to_its_c
 
 
 def recursive_pieces(corners: np.ndarray, radius_m: float) -> list[tuple[np.ndarray, float]]:
-    """Centre and radius of the pieces of one triangle, cut at the middle of the longest edge."""
-    centre = corners.mean(0)
-    radius = float(np.linalg.norm(corners - centre, axis=1).max())
+    """Center and radius of the pieces of one triangle, cut at the middle of the longest edge."""
+    center = corners.mean(0)
+    radius = float(np.linalg.norm(corners - center, axis=1).max())
     if radius <= radius_m:
-        return [(centre, radius)]
+        return [(center, radius)]
     lengths = [np.linalg.norm(corners[(k + 1) % 3] - corners[k]) for k in range(3)]
     first = int(np.argmax(lengths))
     a, b, c = (corners[(first + k) % 3] for k in range(3))
@@ -132,15 +132,15 @@ def test_faces_are_searched_in_small_pieces_of_themselves(monkeypatch):
     monkeypatch.setattr(closest, "CLOSEST_PIECE_RADIUS_M", 0.2)
     random = np.random.default_rng(5)
     corners = random.normal(size=(6, 3, 3)) * np.array([0.05, 0.3, 0.7, 1, 1.5, 0.1]).reshape(6, 1, 1)
-    centres, faces, radii = closest._pieces(corners)
-    assert len(centres) == len(faces) == len(radii)
+    centers, faces, radii = closest._pieces(corners)
+    assert len(centers) == len(faces) == len(radii)
     for face in range(6):
         expected = sorted(
-            ((*centre, radius) for centre, radius in recursive_pieces(corners[face], 0.2)), key=lambda p: p[:3]
+            ((*center, radius) for center, radius in recursive_pieces(corners[face], 0.2)), key=lambda p: p[:3]
         )
         here = faces == face
         got = sorted(
-            ((*centre, radius) for centre, radius in zip(centres[here], radii[here], strict=True)), key=lambda p: p[:3]
+            ((*center, radius) for center, radius in zip(centers[here], radii[here], strict=True)), key=lambda p: p[:3]
         )
         np.testing.assert_allclose(got, expected, atol=1e-14)
 
@@ -158,9 +158,9 @@ def test_there_are_never_more_pieces_than_allowed(monkeypatch):
     monkeypatch.setattr(closest, "CLOSEST_PIECE_RADIUS_M", 1e-6)
     for allowed in (1, 2, 64, 100):
         monkeypatch.setattr(closest, "CLOSEST_PIECES_MAX", allowed)
-        centres, faces, _ = closest._pieces(np.eye(3)[None])
+        centers, faces, _ = closest._pieces(np.eye(3)[None])
         # every round doubles their number
-        assert len(centres) == 2 ** int(np.log2(allowed))
+        assert len(centers) == 2 ** int(np.log2(allowed))
         assert (faces == 0).all()
 
 

@@ -122,7 +122,7 @@ def test_what_rounding_left_of_a_row_of_weights_does_not_move_the_skin(folder, t
     fields["weights"] = fields["weights"] * (1 + 9e-4 * np.linspace(-1, 1, 778))[:, None]
     (tmp_path / "rounded.pkl").write_bytes(python2_pickle(mano_objects(fields)))
     one, other = (load_mano(p, handedness=RIGHT) for p in (tmp_path / "rounded.pkl", folder / "MANO_RIGHT.pkl"))
-    # worst observed 1e-16 m; not normalised it would be 1e-4 m
+    # worst observed 1e-16 m; not normalized it would be 1e-4 m
     np.testing.assert_allclose(one.vertices_m, other.vertices_m, atol=1e-15)
 
 

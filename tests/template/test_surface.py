@@ -24,7 +24,7 @@ from jghand_engine.template.surface import (
     unit,
     vertex_normals,
 )
-from jghand_engine.template.texture import rasterise_uv, sample_bilinear
+from jghand_engine.template.texture import rasterize_uv, sample_bilinear
 
 
 @pytest.fixture(scope="module")
@@ -74,7 +74,7 @@ def test_inside_is_negative(hand, surface):
 
 
 def test_the_side_is_right_beyond_sharp_edges_and_corners():
-    """There the normal of a face says the wrong side: its neighbour looks the other way."""
+    """There the normal of a face says the wrong side: its neighbor looks the other way."""
     sharp = np.array([[-0.01, 0, 0], [0.01, 0.001, 0], [0.01, -0.001, 0.001], [0.009, 0, -0.001]])
     faces = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 1], [1, 3, 2]])
     surface = Surface(sharp, faces[:, ::-1])
@@ -159,13 +159,13 @@ def test_closed_means_every_edge_once_in_each_direction():
 
 
 def test_a_fan_is_laid_out_as_a_disk_of_equal_pieces():
-    count, centre, radius = 7, (0.4, 0.6), 0.2
-    corners = disk_uv(count, centre, radius)
-    np.testing.assert_array_equal(corners[:, 2], [centre] * count)
-    np.testing.assert_allclose(np.linalg.norm(corners[:, :2] - centre, axis=2), radius, rtol=1e-14)
+    count, center, radius = 7, (0.4, 0.6), 0.2
+    corners = disk_uv(count, center, radius)
+    np.testing.assert_array_equal(corners[:, 2], [center] * count)
+    np.testing.assert_allclose(np.linalg.norm(corners[:, :2] - center, axis=2), radius, rtol=1e-14)
     # the first corner of a face is the next face's second, one step of the circle further
     np.testing.assert_array_equal(corners[:, 0], np.roll(corners[:, 1], -1, axis=0))
-    edge1, edge2 = corners[:, 0] - centre, corners[:, 1] - centre
+    edge1, edge2 = corners[:, 0] - center, corners[:, 1] - center
     sine = (edge2[:, 0] * edge1[:, 1] - edge2[:, 1] * edge1[:, 0]) / radius**2
     np.testing.assert_allclose(sine, np.sin(2 * np.pi / count), rtol=1e-12)
     np.testing.assert_allclose(corners[0, 1], [0.6, 0.6], rtol=1e-14)
@@ -230,11 +230,11 @@ def test_normals_point_outwards(hand):
 def test_a_texture_laid_out_and_looked_up_gives_back_its_values(hand):
     skin = hand.skin_face_count
     face_uv, corners = hand.face_uv[:skin], hand.vertices_m[hand.faces[:skin]]
-    texture, covered = rasterise_uv(face_uv, corners, 1024)
+    texture, covered = rasterize_uv(face_uv, corners, 1024)
     assert covered.any()
     # away from the island's rim a texel is interpolated between covered ones
-    centre_uv = face_uv.mean(axis=1)
-    looked_up, full = sample_bilinear(texture, centre_uv), sample_bilinear(covered[..., None] * 1.0, centre_uv)[:, 0]
+    center_uv = face_uv.mean(axis=1)
+    looked_up, full = sample_bilinear(texture, center_uv), sample_bilinear(covered[..., None] * 1.0, center_uv)[:, 0]
     error = np.linalg.norm(looked_up - corners.mean(axis=1), axis=1)
     assert (full == 1).mean() > 0.9
     # a small face shares texels with others of another slope: worst observed 0.10 mm, where a texel is 0.24 mm
@@ -245,7 +245,7 @@ def test_texture_rows_run_from_the_top():
     texture = np.zeros((4, 4, 1))
     texture[0, 3] = 1
     assert sample_bilinear(texture, np.array([0.99, 0.99]))[0] == 1
-    values, covered = rasterise_uv(np.array([[[0, 0.75], [0.5, 0.75], [0, 1.0]]]), np.ones((1, 3, 1)), 8)
+    values, covered = rasterize_uv(np.array([[[0, 0.75], [0.5, 0.75], [0, 1.0]]]), np.ones((1, 3, 1)), 8)
     assert covered[:2].any()
     assert not covered[2:].any()
     assert values.max() == pytest.approx(1)
@@ -266,7 +266,7 @@ def test_a_full_layout_has_no_room():
 
 
 def test_a_point_that_is_nearly_as_far_from_everything_still_finds_its_closest():
-    """In the middle of a dented ball the nearest pieces by their centres are not the nearest faces."""
+    """In the middle of a dented ball the nearest pieces by their centers are not the nearest faces."""
     ball = trimesh.creation.icosphere(subdivisions=3, radius=0.02)
     rng = np.random.default_rng(0)
     vertices = np.asarray(ball.vertices) * rng.uniform(0.99, 1.01, (len(ball.vertices), 1))

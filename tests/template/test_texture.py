@@ -7,11 +7,11 @@ import pytest
 from scipy.ndimage import map_coordinates
 
 from jghand_engine.limits import UV_EDGE_SLACK
-from jghand_engine.template.texture import rasterise_uv, sample_bilinear
+from jghand_engine.template.texture import rasterize_uv, sample_bilinear
 
 
 def slow_layout(face_uv: np.ndarray, corner_values: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
-    """Every texel's centre against every triangle; the last one that it lies in, or nearly, counts."""
+    """Every texel's center against every triangle; the last one that it lies in, or nearly, counts."""
     values, covered = np.zeros((size, size, corner_values.shape[-1])), np.zeros((size, size), dtype=bool)
     for uv, value in zip(face_uv, corner_values, strict=True):
         system = np.concatenate([uv.T, np.ones((1, 3))])
@@ -19,8 +19,8 @@ def slow_layout(face_uv: np.ndarray, corner_values: np.ndarray, size: int) -> tu
             continue
         for row in range(size):
             for column in range(size):
-                centre = np.array([(column + 0.5) / size, 1 - (row + 0.5) / size, 1.0])
-                bary = np.linalg.solve(system, centre)
+                center = np.array([(column + 0.5) / size, 1 - (row + 0.5) / size, 1.0])
+                bary = np.linalg.solve(system, center)
                 if bary.min() >= -UV_EDGE_SLACK:
                     values[row, column], covered[row, column] = bary @ value, True
     return values, covered
@@ -34,7 +34,7 @@ def test_values_are_laid_out_as_texel_by_texel(seed: int):
     face_uv = middle + random.normal(scale=0.15, size=(12, 3, 2))
     face_uv[5, 2] = face_uv[5, 0]
     corner_values = random.normal(size=(12, 3, 2))
-    got, want = (layout(face_uv, corner_values, 24) for layout in (rasterise_uv, slow_layout))
+    got, want = (layout(face_uv, corner_values, 24) for layout in (rasterize_uv, slow_layout))
     assert np.array_equal(got[1], want[1])
     assert 50 < got[1].sum() < 300
     np.testing.assert_allclose(got[0], want[0], atol=1e-11)
@@ -42,7 +42,7 @@ def test_values_are_laid_out_as_texel_by_texel(seed: int):
 
 def test_a_triangle_reaches_the_first_and_the_last_texel():
     whole = np.array([[[0.0, 0], [1, 0], [0, 1]], [[1.0, 1], [0, 1], [1, 0]]])
-    values, covered = rasterise_uv(whole, whole, 7)
+    values, covered = rasterize_uv(whole, whole, 7)
     assert covered.all()
     column, row = np.meshgrid(np.arange(7), np.arange(7))
     np.testing.assert_allclose(values[..., 0], (column + 0.5) / 7, atol=1e-12)
@@ -53,7 +53,7 @@ def test_a_texel_exactly_at_the_widened_edge_belongs_to_the_triangle():
     """Of a triangle of 50 texels an edge is widened by one texel: 0.02 of 50."""
     corners_px = np.array([[[10.0, 10], [60, 10], [10, 60]]])
     face_uv = np.stack([(corners_px[..., 0] + 0.5) / 128, 1 - (corners_px[..., 1] + 0.5) / 128], -1)
-    _, covered = rasterise_uv(face_uv, np.ones((1, 3, 1)), 128)
+    _, covered = rasterize_uv(face_uv, np.ones((1, 3, 1)), 128)
     assert covered[20, 9]
     assert covered[9, 20]
     assert not covered[20, 8]
@@ -66,7 +66,7 @@ def test_a_texel_exactly_at_the_widened_edge_belongs_to_the_triangle():
 def test_a_large_triangle_is_widened_by_one_texel_and_not_by_a_part_of_its_size():
     corners_px = np.array([[[10.0, 10], [410, 10], [10, 410]]])
     face_uv = np.stack([(corners_px[..., 0] + 0.5) / 512, 1 - (corners_px[..., 1] + 0.5) / 512], -1)
-    _, covered = rasterise_uv(face_uv, np.ones((1, 3, 1)), 512)
+    _, covered = rasterize_uv(face_uv, np.ones((1, 3, 1)), 512)
     for along in (covered.any(axis=0), covered.any(axis=1)):
         assert np.array_equal(np.flatnonzero(along), np.arange(9, 412))
 

@@ -83,7 +83,7 @@ def test_outside_the_grid_the_border_goes_on(field):
             np.testing.assert_allclose(field.query(outside[None]), field.query(border[None]), atol=1e-6)
 
 
-def test_voxels_are_met_at_their_centres_and_axes_are_in_order():
+def test_voxels_are_met_at_their_centers_and_axes_are_in_order():
     """A field that knows where it is: channel a holds coordinate a."""
     counts, low, high = (4, 6, 5), torch.tensor([-1.0, 2.0, 0.5]), torch.tensor([0.5, 4.5, 2.5])
     axes = [torch.linspace(float(low[k]), float(high[k]), counts[k]) for k in range(3)]
@@ -125,7 +125,7 @@ def random_voxels(shape: tuple[int, int, int], *, share: float, seed: int = 0) -
     return values, torch.rand(1, 1, *shape, generator=generator) < share
 
 
-def test_a_sweep_takes_the_mean_of_the_six_neighbours_and_repeats_the_border(monkeypatch):
+def test_a_sweep_takes_the_mean_of_the_six_neighbors_and_repeats_the_border(monkeypatch):
     monkeypatch.setattr(weight_field, "FIELD_SWEEPS", 1)
     values, fixed = random_voxels((4, 5, 6), share=0.3)
     swept = _harmonic(values, fixed, levels=1)
@@ -180,13 +180,13 @@ def coarse_field():
 def test_voxels_near_the_skin_are_fixed_at_its_weights_and_others_are_not():
     template = load_template()
     random = np.random.default_rng(0)
-    centres = template.vertices_m[::40] + random.normal(scale=0.006, size=(41, 3))
-    seed, fixed = _seed(template, centres, 0.004)
+    centers = template.vertices_m[::40] + random.normal(scale=0.006, size=(41, 3))
+    seed, fixed = _seed(template, centers, 0.004)
     corners = template.vertices_m[template.faces]
     count = len(corners)
-    bary, squared = closest_on_triangle(np.repeat(centres, count, axis=0), np.tile(corners, (len(centres), 1, 1)))
+    bary, squared = closest_on_triangle(np.repeat(centers, count, axis=0), np.tile(corners, (len(centers), 1, 1)))
     bary, distance = bary.reshape(-1, count, 3), np.sqrt(squared.reshape(-1, count))
-    nearest, rows = distance.argmin(axis=1), np.arange(len(centres))
+    nearest, rows = distance.argmin(axis=1), np.arange(len(centers))
     assert np.array_equal(fixed, distance[rows, nearest] <= 0.004)
     assert 5 < fixed.sum() < 36
     weights = np.einsum("nk,nkj->nj", bary[rows, nearest], template.bone_weights[template.faces[nearest]])

@@ -81,7 +81,7 @@ def test_half_of_the_skin_s_weight_on_the_wrist_is_split_by_half():
 
 
 def test_the_palm_has_no_steps():
-    """A millimetre on the skin of the palm changes the shares by little; a rigid split would change them by 1."""
+    """A millimeter on the skin of the palm changes the shares by little; a rigid split would change them by 1."""
     line = np.linspace([-0.04, 0.05, 0.01], [0.04, 0.05, 0.01], 81)
     up = np.linspace([0.01, -0.01, 0.02], [0.01, 0.08, 0.02], 91)
     for walk in (line, up):

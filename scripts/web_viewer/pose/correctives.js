@@ -2,7 +2,7 @@
 
 const BONES = 21;
 
-// The learnt planes of the angles: 37 angles -> (21, channels) features of the bones.
+// The learned planes of the angles: 37 angles -> (21, channels) features of the bones.
 class Features {
   constructor({ level1, source, offset, slope, shape }, texels) {
     Object.assign(this, { level1, source, offset, slope, texels });

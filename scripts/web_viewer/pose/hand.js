@@ -1,4 +1,4 @@
-// An avatar that is posed again and again: jghand_engine/avatar/fast_learnt.py with the same kernels.
+// An avatar that is posed again and again: jghand_engine/avatar/fast_learned.py with the same kernels.
 import { Capsules } from './capsules.js';
 import { LinearTier, Network } from './correctives.js';
 import { Memory } from './memory.js';
@@ -13,7 +13,7 @@ export class Hand {
     this.kernels = kernels;
     kernels._initialize?.();
     const { task } = description;
-    if (kernels.jg_learnt_task_bytes() !== 4 * task.words.length)
+    if (kernels.jg_learned_task_bytes() !== 4 * task.words.length)
       throw new Error('hand.js and pose.js are of different versions of JGHand. Export the folder anew.');
     const extra = {
       task: ['i4', task.words.length], team: ['i4', TEAM_BYTES / 4], joints: ['f8', 3 * JOINTS],
@@ -39,7 +39,7 @@ export class Hand {
     this.opacities = views.opacity;
   }
 
-  // joints: 63 numbers, level order, metres, from the origin of the page. Gives `positions`, `sigmas`, `covariances`
+  // joints: 63 numbers, level order, meters, from the origin of the page. Gives `positions`, `sigmas`, `covariances`
   // and, where nothing is reflected, `rgb`.
   pose(joints) {
     const { views, pointers } = this.memory;
@@ -56,7 +56,7 @@ export class Hand {
     this.capsules?.prepare(views.matrices, whole);
     views.team.fill(0);
     if (this.painted) this.kernels.jg_skin(pointers.team, pointers.task);
-    else this.kernels.jg_learnt_pose(pointers.team, pointers.task);
+    else this.kernels.jg_learned_pose(pointers.team, pointers.task);
   }
 
   // Gives `rgb` as the eye (3) sees it, after `pose`.
@@ -65,7 +65,7 @@ export class Hand {
     const { views, pointers } = this.memory;
     this.set('eye', eye);
     views.team.fill(0);
-    this.kernels.jg_learnt_gloss(pointers.team, pointers.task);
+    this.kernels.jg_learned_gloss(pointers.team, pointers.task);
   }
 
   // The palm's map of the last pose, 3 x 4 row by row: posed - root = L (canonical - canonical root) + t.

@@ -23,12 +23,12 @@ export class Controls {
   }
 
   showAbout() {
-    const { name, licence, handedness, gaussians, learnt_from: learnt, notes } = this.description;
+    const { name, licence, handedness, gaussians, learnt_from: learned, notes } = this.description;
     find('subtitle').textContent = `${handedness === 'left' ? 'Left' : 'Right'} hand · ${gaussians.toLocaleString('en')} Gaussians`;
     find('credit').textContent = licence;
-    const lines = [...(name === document.title ? [] : [name]), ...(learnt ? [`Learnt from ${learnt}`] : []), `Licence: ${licence}`, ...notes];
+    const lines = [...(name === document.title ? [] : [name]), ...(learned ? [`Learned from ${learned}`] : []), `License: ${licence}`, ...notes];
     find('about').append(...lines.map((line) => Object.assign(document.createElement('p'), { textContent: line })));
-    const credit = Object.assign(document.createElement('p'), { textContent: `${this.description.made_by}. Drawn by three.js and Spark; licences in LICENSES.txt.` });
+    const credit = Object.assign(document.createElement('p'), { textContent: `${this.description.made_by}. Drawn by three.js and Spark; licenses in LICENSES.txt.` });
     find('about').append(credit);
   }
 

@@ -5,7 +5,7 @@ import * as THREE from 'three';
 
 const COLUMNS = 512;  // of the textures; the shaders below divide by it
 
-// renderer: THREE.WebGLRenderer · contract: what JGHand's own rasteriser does, see exporters/web.py
+// renderer: THREE.WebGLRenderer · contract: what JGHand's own rasterizer does, see exporters/web.py
 export function newSpark(renderer, hand, contract) {
   return new SparkRenderer({
     renderer, autoUpdate: false, accumExtSplats: true, covSplats: Boolean(hand.covariances), sortRadial: false, blurAmount: 0,
@@ -18,8 +18,8 @@ export class Splats extends SplatGenerator {
     super({ numSplats: hand.count });
     this.hand = hand;
     this.places = table(hand.count);
-    this.colours = table(hand.count);
-    const textures = [this.places, this.colours];
+    this.colors = table(hand.count);
+    const textures = [this.places, this.colors];
     if (hand.covariances) {
       this.shapes = [table(hand.count), table(hand.count)];
       textures.push(...this.shapes);
@@ -27,7 +27,7 @@ export class Splats extends SplatGenerator {
     const samplers = textures.map((value, k) => new dyno.DynoSampler2D({ key: `table${k}`, value }));
     if (hand.covariances) this.covGenerator = ellipsoids(samplers);
     else this.generator = balls(samplers);
-    hand.opacities.forEach((opacity, i) => { this.colours.image.data[4 * i + 3] = opacity; });
+    hand.opacities.forEach((opacity, i) => { this.colors.image.data[4 * i + 3] = opacity; });
   }
 
   // After hand.pose
@@ -53,14 +53,14 @@ export class Splats extends SplatGenerator {
   }
 
   // After hand.shine, or a pose of a hand that reflects nothing
-  showColours() {
-    const { rgb, count } = this.hand, colours = this.colours.image.data;
+  showColors() {
+    const { rgb, count } = this.hand, colors = this.colors.image.data;
     for (let i = 0; i < count; i++) {
-      colours[4 * i] = rgb[3 * i];
-      colours[4 * i + 1] = rgb[3 * i + 1];
-      colours[4 * i + 2] = rgb[3 * i + 2];
+      colors[4 * i] = rgb[3 * i];
+      colors[4 * i + 1] = rgb[3 * i + 1];
+      colors[4 * i + 2] = rgb[3 * i + 2];
     }
-    this.colours.needsUpdate = true;
+    this.colors.needsUpdate = true;
     this.updateVersion();
   }
 }

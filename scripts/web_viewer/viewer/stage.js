@@ -64,16 +64,16 @@ export class Stage {
       high[k] = Math.max(high[k], along + radius);
       return along;
     }));
-    const centre = low.map((x, k) => (x + high[k]) / 2);
+    const center = low.map((x, k) => (x + high[k]) / 2);
     const { width, height } = this.free;
     const focal = this.focal;
     let distance = 0;
     seen.forEach((point, i) => [width, height].forEach((edge, k) => {
-      const radius = this.points[i][3], beside = Math.abs(point[k] - centre[k]) + radius;
-      distance = Math.max(distance, point[2] - centre[2] + radius + (focal * beside) / (0.5 * edge * this.view.fill));
+      const radius = this.points[i][3], beside = Math.abs(point[k] - center[k]) + radius;
+      distance = Math.max(distance, point[2] - center[2] + radius + (focal * beside) / (0.5 * edge * this.view.fill));
     }));
     const target = new THREE.Vector3();
-    axes.forEach((axis, k) => target.addScaledVector(axis, centre[k]));
+    axes.forEach((axis, k) => target.addScaledVector(axis, center[k]));
     this.controls.target.copy(target);
     this.camera.position.copy(target).addScaledVector(toEye, distance);
     this.controls.minDistance = NEAREST * distance;
@@ -205,7 +205,7 @@ export class Stage {
     if (this.posed) this.splats.showPose();
     if (this.posed || turned) {
       this.hand.shine(eye.toArray());
-      this.splats.showColours();
+      this.splats.showColors();
       this.eye = eye.clone();
     }
     this.posed = false;

@@ -1,0 +1,220 @@
+"""What is wrong with a data set, in words that say what to do: for people who have just unpacked tens of gigabytes."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jghand_engine import limits
+from jghand_engine.captures.capture_folder import open_capture
+from jghand_engine.captures.captures import Capture, CaptureChoice
+from jghand_engine.captures.projection import Seen, likely_mistake, look_at
+from jghand_engine.captures.splits import split_capture
+from jghand_engine.errors import InputError
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.orders import bone_lengths, hand_length
+from jghand_engine.motion.plausibility import curl_towards_palm
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong. is_error: nothing can be learned like this; else: look at it."""
+
+    is_error: bool
+    text: str
+
+    def __str__(self) -> str:
+        return f"{'ERROR' if self.is_error else 'warning'}: {self.text}"
+
+
+@dataclass(frozen=True)
+class DataReport:
+    """capture: what could be read, or None · findings: errors first · seen: the pictures that were looked at"""
+
+    capture: Capture | None
+    findings: tuple[Finding, ...]
+    seen: tuple[Seen, ...]
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether there is something to learn from and no error."""
+        return self.capture is not None and not any(finding.is_error for finding in self.findings)
+
+    def worst_and_typical(self, count: int) -> tuple[Seen, ...]:
+        """Up to `count` pictures to show: a third those whose joints fit worst, the others spread over the set."""
+        ordered = sorted(self.seen, key=lambda one: one.on_mask)
+        worst = ordered[: count // 3]
+        shown = {one.sample for one in worst}
+        others = [one for one in self.seen if one.sample not in shown]
+        return (*worst, *_spread(others, count - len(worst)))
+
+
+def check_data(
+    folder: Path | str,
+    *,
+    protocol: str | None = None,
+    choice: CaptureChoice | None = None,
+    most: int = limits.CHECK_PICTURES,
+    tick: Callable[[int, int], None] | None = None,
+) -> DataReport:
+    """Opens a data set as training would, looks at up to `most` of its pictures, and says what is wrong.
+
+    Never raises for a bad data set: that is its result. protocol, choice: as in `open_capture` · tick: is called with
+    the number of pictures looked at and to be looked at.
+    """
+    troubles: list[InputError] = []
+    try:
+        capture = open_capture(folder, protocol=protocol, choice=choice, report=troubles.append)
+    except InputError as error:
+        return DataReport(None, tuple(_errors([*troubles, error])), ())
+    seen: list[Seen] = []
+    chosen = _spread(capture.samples, most)
+    for number, sample in enumerate(chosen):
+        try:
+            seen.append(look_at(sample))
+        except InputError as error:
+            troubles.append(error)
+        if tick is not None:
+            tick(number + 1, len(chosen))
+    findings = [*_errors(troubles), *_on_pictures(seen), *_on_joints(capture), *_on_split(capture)]
+    return DataReport(capture, tuple(sorted(findings, key=lambda finding: not finding.is_error)), tuple(seen))
+
+
+def facts(report: DataReport) -> dict[str, Any]:
+    """What the set is, by name, for a table or a JSON file. Empty when it could not be read."""
+    capture = report.capture
+    if capture is None:
+        return {}
+    sizes = Counter((sample.camera.width, sample.camera.height) for sample in capture.samples)
+    masks = Counter(sample.mask_source.value for sample in capture.samples)
+    named: dict[str, Any] = {
+        "layout": capture.layout.value,
+        "name": capture.name,
+        "folder": str(capture.folder),
+        "hand": capture.handedness.value,
+        "pictures": len(capture),
+        "poses": len(capture.poses),
+        "cameras": len(capture.cameras),
+        "sequences": ", ".join(capture.sequences),
+        "sizes": ", ".join(f"{w} x {h} ({count})" for (w, h), count in sizes.items()),
+        "masks": ", ".join(f"{source} ({count})" for source, count in masks.items()),
+        "left out": ", ".join(f"{why} ({count})" for why, count in capture.dropped) or "none",
+        "hand length mm": round(1e3 * _hand_length_m(capture), 1),
+        "bone lengths vary by %": round(100 * _bone_wobble(capture), 2),
+        "pictures looked at": len(report.seen),
+    }
+    told = _telling(report.seen)
+    if told:
+        named["joints on the mask %"] = round(100 * float(np.mean([one.on_mask for one in told])), 2)
+        named["mask covers % of the picture"] = round(100 * float(np.mean([one.mask_part for one in told])), 1)
+    return named
+
+
+# ---- findings -------------------------------------------------------------------------------------------------------
+
+
+def _errors(troubles: Sequence[InputError]) -> list[Finding]:
+    """A few examples of each kind of trouble: a thousand missing pictures must not hide joints in a wrong unit."""
+    kinds: dict[tuple[str, str], list[InputError]] = {}
+    for trouble in troubles:
+        kinds.setdefault((re.sub(r"\d+", "", trouble.came), trouble.remedy), []).append(trouble)
+    shown = []
+    for alike in kinds.values():
+        shown += [Finding(True, str(trouble)) for trouble in alike[: limits.CHECK_EXAMPLES]]
+        if len(alike) > limits.CHECK_EXAMPLES:
+            shown.append(Finding(True, f"… and {len(alike) - limits.CHECK_EXAMPLES} more like these."))
+    return shown
+
+
+def _telling(seen: Sequence[Seen]) -> list[Seen]:
+    """Those whose mask does not itself come from the joints."""
+    return [one for one in seen if not one.sample.mask_source.is_projected]
+
+
+def _on_pictures(seen: Sequence[Seen]) -> list[Finding]:
+    if not seen:
+        return []
+    told = _telling(seen)
+    if not told:
+        return [Finding(False, "No picture has a mask: joints cannot be held against pictures. Look at the overlay.")]
+    findings = []
+    empty = [one for one in told if one.mask_px < limits.CHECK_MASK_MIN_PX]
+    if empty:
+        text = f"{len(empty)} of {len(told)} masks are empty, such as that of {empty[0].sample.picture}."
+        findings.append(Finding(2 * len(empty) > len(told), text))
+    full = [one for one in told if one.mask_part > limits.CHECK_MASK_MAX]
+    if full:
+        text = f"{len(full)} of {len(told)} masks cover nearly the whole picture, such as {full[0].sample.picture}."
+        findings.append(Finding(2 * len(full) > len(told), text))
+    whole = [one for one in told if one not in empty]
+    if not whole:
+        return findings
+    median = float(np.median([one.on_mask for one in whole]))
+    if median < limits.CHECK_ON_MASK_MIN:
+        reason = likely_mistake([one.sample for one in _spread(whole, limits.CHECK_MISTAKE_PICTURES)])
+        reason = reason or "Check units, camera convention, joint order, and that pictures and cameras belong together."
+        text = (
+            f"Joints do not project onto the hand: half of the pictures have {100 * median:.0f} % or less on the mask."
+        )
+        findings.append(Finding(True, f"{text} {reason}"))
+        return findings
+    off = [one for one in whole if one.on_mask < limits.CHECK_ON_MASK_PICTURE_MIN]
+    if off:
+        worst = min(off, key=lambda one: one.on_mask)
+        text = (
+            f"In {len(off)} of {len(whole)} pictures the joints miss the hand, most in {worst.sample.picture} "
+            f"({100 * worst.on_mask:.0f} % on the mask)."
+        )
+        findings.append(Finding(False, text))
+    return findings
+
+
+def _on_joints(capture: Capture) -> list[Finding]:
+    findings = []
+    wobble = _bone_wobble(capture)
+    if wobble > limits.CHECK_BONE_WOBBLE:
+        text = f"A bone's length varies by {100 * wobble:.0f} % over the poses; a hand's bones do not."
+        findings.append(Finding(False, text))
+    curl = curl_towards_palm(capture.joints_m(), capture.handedness)
+    if curl is not None and curl < -limits.CHECK_CURL:
+        other = "left" if capture.handedness is Handedness.RIGHT else "right"
+        findings.append(Finding(True, f"Fingers bend backwards in most poses: is this a {other} hand?"))
+    return findings
+
+
+def _on_split(capture: Capture) -> list[Finding]:
+    try:
+        split = split_capture(capture)
+    except InputError as error:
+        return [Finding(True, str(error))]
+    return [] if split.test else [Finding(False, f"Nothing is held out to be judged by ({split.origin}).")]
+
+
+def _hand_length_m(capture: Capture) -> float:
+    try:
+        return hand_length(capture.joints_m())
+    except InputError:
+        return float("nan")
+
+
+def _bone_wobble(capture: Capture) -> float:
+    """Largest standard deviation of a bone's length over the poses, as a part of its mean; 0 without whole poses."""
+    joints_m = capture.joints_m()
+    whole = joints_m[np.isfinite(joints_m).all(axis=(1, 2))]
+    if len(whole) < 2:
+        return 0.0
+    lengths = bone_lengths(whole)
+    return float((lengths.std(axis=0) / np.maximum(lengths.mean(axis=0), 1e-9)).max())
+
+
+def _spread(items: Sequence[Any], most: int) -> list[Any]:
+    """At most `most` of the items, evenly over all of them."""
+    if len(items) <= most:
+        return list(items)
+    return [items[int(place)] for place in (np.arange(most) + 0.5) * len(items) / most]

@@ -1,0 +1,201 @@
+"""InterHand2.6M, and our own captures, which are stored the same way. Layout: DATA 5.
+
+    images/{train,val,test}/Capture{N}/{sequence}/cam{serial}/image{frame}.jpg
+    annotations/{split}/InterHand2.6M_{split}_{data,camera,joint_3d}.json      (older: annotations/{all,…}/)
+    masks_removeblack/{split}/…png                                             masks that others made, where there are
+
+Its millimeters become meters, its tip-first joints level order, and x_camera = R (X - campos) our camera_from_world.
+The hand that a picture does not show is filled with ones there; only `joint_valid` tells. A principal point is taken
+as measured from the picture's corner, as in our own captures; the data set does not say whether it counts from there
+or from the middle of the first pixel, which would be half a pixel.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from jghand_engine.captures.captures import Capture, CaptureChoice, Layout, sorted_samples
+from jghand_engine.captures.interhand_annotations import (
+    INTERACTING,
+    UNIT,
+    CaptureTables,
+    InterHandPicture,
+    read_pictures,
+)
+from jghand_engine.captures.interhand_files import InterHandFiles, find_files
+from jghand_engine.captures.masks import template_note
+from jghand_engine.captures.pictures_in import probe_sized
+from jghand_engine.captures.sample import MaskSource, Sample
+from jghand_engine.errors import InputError
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.orders import JointOrder
+from jghand_engine.motion.plausibility import check_joints
+from jghand_engine.motion.sieve import Report, Sieve
+
+# why a protocol leaves a picture out; None: it stays
+DropRule = Callable[[Sample, InterHandPicture], str | None]
+
+
+def read_interhand(
+    folder: Path | str,
+    choice: CaptureChoice | None = None,
+    *,
+    drop_rule: DropRule | None = None,
+    report: Report | None = None,
+) -> Capture:
+    """The pictures of one hand in a folder of the InterHand2.6M layout.
+
+    The head of every picture is read: InputError names the first that is missing, cut off or of another size than
+    annotated. InputError too for damaged annotations, when the choice leaves more than one person or hand, and for
+    joints that are no hand. Pictures without all 21 joints are left out unless the choice takes them.
+
+    drop_rule: leaves more out, beside what has no MANO fit or no mask where the set has those of others
+    report:    is told of broken pictures and implausible joints instead of the error, and the reading goes on
+    """
+    choice = choice or CaptureChoice()
+    files = find_files(Path(folder), choice.split)
+    return _Reader(files, choice, drop_rule, Sieve(report)).capture()
+
+
+class _Reader:
+    """One reading of one split."""
+
+    def __init__(self, files: InterHandFiles, choice: CaptureChoice, drop_rule: DropRule | None, sieve: Sieve) -> None:
+        self.files, self.choice, self.drop_rule, self.sieve = files, choice, drop_rule, sieve
+
+    def capture(self) -> Capture:
+        pictures = self._chosen(list(read_pictures(self.files)))
+        handedness = self._handedness(pictures)
+        tables = CaptureTables(self.files, pictures[0].capture)
+        made = (self._sample(picture, handedness, tables) for picture in pictures)
+        samples = sorted_samples(sample for sample in made if sample is not None)
+        capture = Capture(
+            name=f"{self.files.root.name} {self.files.split}/Capture{pictures[0].capture}",
+            folder=self.files.root,
+            layout=Layout.INTERHAND,
+            samples=samples,
+            handedness=handedness,
+            dropped=self.sieve.dropped,
+            notes=template_note(sum(sample.mask_source is MaskSource.TEMPLATE for sample in samples), len(samples)),
+        )
+        try:
+            check_joints(capture.joints_m(), JointOrder.INTERHAND, UNIT, str(self.files.joint_3d))
+        except InputError as error:
+            self.sieve.wrong(error)
+        return capture
+
+    def _chosen(self, pictures: list[InterHandPicture]) -> list[InterHandPicture]:
+        """The pictures of the wanted person and sequences. InputError when there are none, or several persons."""
+        pictures = self._on_disk(pictures)
+        captures = sorted({picture.capture for picture in pictures})
+        wanted = (self.choice.capture or self.files.capture or "").removeprefix("Capture")
+        if not wanted and len(captures) > 1:
+            raise InputError(
+                f"data set {self.files.images}",
+                wanted="the pictures of one person",
+                came=f"{len(captures)} captures: {', '.join(f'Capture{name}' for name in captures)}",
+                remedy="Name the capture, or a protocol.",
+            )
+        of_person = [picture for picture in pictures if wanted in ("", picture.capture)]
+        if not of_person:
+            raise _unknown("capture", f"Capture{wanted}", [f"Capture{name}" for name in captures], self.files.data)
+        present = sorted({picture.sequence for picture in of_person})
+        sequences = self.choice.sequences or ((self.files.sequence,) if self.files.sequence else tuple(present))
+        for name in sequences:
+            if name not in present:
+                raise _unknown("sequence", name, present, self.files.data)
+        return [picture for picture in of_person if picture.sequence in sequences]
+
+    def _on_disk(self, pictures: list[InterHandPicture]) -> list[InterHandPicture]:
+        """Those of sequences that were downloaded: nobody has all of InterHand2.6M. InputError when there are none."""
+        folders = {(picture.capture, picture.sequence): Path(picture.file_name).parents[1] for picture in pictures}
+        there = {key for key, folder in folders.items() if (self.files.images / folder).is_dir()}
+        kept = [picture for picture in pictures if (picture.capture, picture.sequence) in there]
+        if not kept:
+            raise InputError(
+                f"pictures in {self.files.images}",
+                wanted=f"folders such as {next(iter(folders.values()))}",
+                came=f"none of the {len(folders)} sequences in {self.files.data.name}",
+                remedy="Unpack the pictures as images/<split>/Capture<N>/<sequence>/cam<name>/.",
+            )
+        self.sieve.drop("sequence not downloaded", len(pictures) - len(kept))
+        return kept
+
+    def _handedness(self, pictures: Sequence[InterHandPicture]) -> Handedness:
+        if self.choice.handedness is not None:
+            return self.choice.handedness
+        hands = sorted({picture.hand_type for picture in pictures} - {INTERACTING})
+        if len(hands) == 1:
+            return Handedness(hands[0])
+        raise InputError(
+            f"hand of {self.files.images}",
+            wanted="one hand",
+            came=f"pictures of {' and '.join(hands)} hands" if hands else "only pictures with both hands",
+            remedy="Say which hand, or choose sequences of one hand.",
+        )
+
+    def _sample(self, picture: InterHandPicture, handedness: Handedness, tables: CaptureTables) -> Sample | None:
+        """The picture as a sample, or None when it is left out (and counted)."""
+        try:
+            sample, reason = self._checked(picture, handedness, tables)
+        except InputError as error:
+            self.sieve.broken(error)
+            return None
+        if reason is not None:
+            self.sieve.drop(reason)
+        return sample if reason is None else None
+
+    def _checked(
+        self, picture: InterHandPicture, handedness: Handedness, tables: CaptureTables
+    ) -> tuple[Sample | None, str | None]:
+        """(sample, None), or (anything, why it is left out)."""
+        if picture.hand_type != handedness and not (picture.hand_type == INTERACTING and self.choice.interacting):
+            return None, "both hands" if picture.hand_type == INTERACTING else f"{picture.hand_type} hand"
+        if not picture.hand_type_valid:
+            return None, "not sure which hand it is"
+        joints_m, valid = tables.joints(picture, handedness)
+        if not valid.all() and not self.choice.partial:
+            return None, "not all 21 joints known"
+        if self.drop_rule and tables.has_fit(picture, handedness) is False:
+            return None, "no MANO fit"
+        file = self.files.images / picture.file_name
+        facts = probe_sized(file, (picture.width, picture.height), self.files.data.name)
+        mask = self._mask_file(picture)
+        if self.drop_rule and mask is None and self._person_has_masks(picture):
+            return None, "no mask"
+        sample = Sample(
+            picture=file,
+            camera=tables.camera(picture),
+            joints_m=joints_m,
+            valid=valid,
+            handedness=handedness,
+            capture=f"{self.files.split}/Capture{picture.capture}",
+            sequence=picture.sequence,
+            frame=picture.frame,
+            camera_name=picture.camera,
+            mask_source=_mask_source(picture, mask, facts.has_alpha),
+            mask=mask,
+        )
+        return sample, self.drop_rule(sample, picture) if self.drop_rule else None
+
+    def _person_has_masks(self, picture: InterHandPicture) -> bool:
+        return self.files.masks is not None and (self.files.masks / Path(picture.file_name).parts[0]).is_dir()
+
+    def _mask_file(self, picture: InterHandPicture) -> Path | None:
+        if self.files.masks is None:
+            return None
+        named = self.files.masks / picture.file_name
+        return next((file for file in (named.with_suffix(".png"), named) if file.is_file()), None)
+
+
+def _mask_source(picture: InterHandPicture, mask: Path | None, has_alpha: bool) -> MaskSource:
+    if mask is not None:
+        return MaskSource.FILE
+    # alpha would hold both hands
+    return MaskSource.ALPHA if has_alpha and picture.hand_type != INTERACTING else MaskSource.TEMPLATE
+
+
+def _unknown(kind: str, name: str, present: list[str], file: Path) -> InputError:
+    listed = ", ".join(present[:20]) + (" …" if len(present) > 20 else "")
+    return InputError(f"{kind} '{name}'", wanted=f"one of those in {file}: {listed}", came=f"'{name}'")

@@ -1,0 +1,100 @@
+"""Where the cameras of a capture stand: all around the hand, from above and below too, and some near it.
+
+Every camera frames all poses as large as they fit, which puts its principal point off the center of the picture, as in
+real rigs. Pinholes with square pixels, OpenCV axes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from jghand_engine import limits
+from jghand_engine.errors import InputError
+from jghand_engine.render.camera import Camera
+
+# the golden angle: points of a Fibonacci sphere
+_GOLDEN_ANGLE = np.pi * (3 - 5**0.5)
+# level-order joints that close-ups look at, by turns: knuckles, finger tips, the thumb, the heel of the hand
+_CLOSE_UPS = ((7, 8, 9), (17, 18, 19), (6, 11), (1, 4))
+
+
+@dataclass(frozen=True)
+class CameraPlan:
+    """count cameras in all, of which close_ups are near ones; pictures of width x height pixels; seed of the distances
+    and rolls."""
+
+    count: int
+    close_ups: int
+    width: int
+    height: int
+    seed: int = 0
+
+    def check(self) -> None:
+        """InputError names what cannot be."""
+        if not 1 <= self.count <= limits.CAPTURE_CAMERAS_MAX:
+            raise InputError("cameras of a capture", wanted=f"1 to {limits.CAPTURE_CAMERAS_MAX}", came=str(self.count))
+        if not 0 <= self.close_ups < self.count:
+            raise InputError("close-ups", wanted=f"0 to {self.count - 1} of {self.count}", came=str(self.close_ups))
+        low, high = limits.CAPTURE_SIZE_PX
+        if not (low <= self.width <= high and low <= self.height <= high):
+            raise InputError("picture", wanted=f"edges of {low} to {high} pixels", came=f"{self.width}x{self.height}")
+
+
+def plan_cameras(plan: CameraPlan, vertices_m: np.ndarray, joints_m: np.ndarray) -> list[Camera]:
+    """Cameras for posed hands (P, V, 3) with joints (P, 21, 3) in level order, meters; close-ups are the last ones.
+
+    Every vertex of every pose is inside the picture of the former.
+    """
+    plan.check()
+    random = np.random.default_rng(plan.seed)
+    points = vertices_m.reshape(-1, 3)
+    center = (points.min(0) + points.max(0)) / 2
+    whole = plan.count - plan.close_ups
+    reach = limits.CAPTURE_DISTANCE_M
+    cameras = []
+    for direction in sphere_directions(whole, float(random.uniform(0, 2 * np.pi))):
+        eye = center + random.uniform(*reach) * direction
+        roll = np.radians(random.uniform(-1, 1) * limits.CAPTURE_ROLL_DEG)
+        cameras.append(framed(_towards(eye, center, roll, plan), points))
+    for number, direction in enumerate(sphere_directions(plan.close_ups, float(random.uniform(0, 2 * np.pi)))):
+        target = np.median(joints_m[:, _CLOSE_UPS[number % len(_CLOSE_UPS)]].reshape(-1, 3), axis=0)
+        # a close-up from the tips or from the wrist shows little
+        direction = direction * [1.0, 0.5, 1.0]
+        eye = target + limits.CAPTURE_CLOSE_M * direction / np.linalg.norm(direction)
+        focal = min(plan.width, plan.height) * limits.CAPTURE_CLOSE_M / limits.CAPTURE_CLOSE_FIELD_M
+        cameras.append(replace(_towards(eye, target, 0.0, plan), fx=focal, fy=focal))
+    return cameras
+
+
+def sphere_directions(count: int, start_rad: float) -> np.ndarray:
+    """(count, 3) unit vectors spread evenly over the sphere, from the top (+y) to the bottom."""
+    height = 1 - 2 * (np.arange(count) + 0.5) / max(count, 1)
+    angle = start_rad + _GOLDEN_ANGLE * np.arange(count)
+    around = np.sqrt(1 - height**2)
+    return np.stack([around * np.sin(angle), height, around * np.cos(angle)], axis=1)
+
+
+def framed(camera: Camera, points_m: np.ndarray) -> Camera:
+    """The camera with the focal length and principal point that show all points (N, 3) as large as they fit."""
+    seen = points_m @ camera.camera_from_world[:3, :3].numpy().T + camera.camera_from_world[:3, 3].numpy()
+    slopes = seen[:, :2] / seen[:, 2:]
+    low, high = slopes.min(0), slopes.max(0)
+    room = (1 - 2 * limits.CAPTURE_MARGIN) * np.array([camera.width, camera.height])
+    focal = float((room / (high - low)).min())
+    cx, cy = np.array([camera.width, camera.height]) / 2 - focal * (low + high) / 2
+    return replace(camera, fx=focal, fy=focal, cx=float(cx), cy=float(cy))
+
+
+def _towards(eye: np.ndarray, target: np.ndarray, roll_rad: float, plan: CameraPlan) -> Camera:
+    """A camera without a focal length yet, the fingers upwards in the picture where that can be."""
+    forward = (target - eye) / np.linalg.norm(target - eye)
+    # from above and from below: the palm towards the lower edge
+    up = np.array([0.0, 1.0, 0.0]) if abs(forward[1]) < limits.CAPTURE_STEEP else np.array([0.0, 0.0, -1.0])
+    right = np.cross(forward, up)
+    right /= np.linalg.norm(right)
+    up = np.cos(roll_rad) * np.cross(right, forward) + np.sin(roll_rad) * right
+    eye_m, target_m, up_m = (torch.from_numpy(np.asarray(v, dtype=np.float64)) for v in (eye, target, up))
+    return Camera.looking_at(eye_m, target_m, up_m, width=plan.width, height=plan.height, focal_px=float(plan.height))

@@ -1,0 +1,348 @@
+"""The plan of a capture: every hand, camera and light before the first ray, and the same again from its folder.
+
+plan/plan.json     options, cameras, names of poses, what the worker needs to know
+plan/hands.npz     vertices_m (P, V, 3), joints_m (P, 21, 3) level order, faces, face_uv
+plan/skin.png, relief.png, nails.png
+plan/light.exr or .hdr   the environment, when it is a file of the user's
+plan/made_by.json  which programs make the pictures    written by the first of them that is ready (worker.py)
+annotations/…      InterHand2.6M, splits.json          written with the plan, so that any shard may be the first
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import io
+import json
+from collections.abc import Collection
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from PIL import Image
+
+from jghand_engine import limits
+from jghand_engine.captures.interhand_writer import RecordedHand, interhand_texts, write_interhand
+from jghand_engine.captures.making.cameras import CameraPlan, plan_cameras
+from jghand_engine.captures.making.identities import identity_name, load_identity
+from jghand_engine.captures.making.options import CaptureOptions, is_file, read_input
+from jghand_engine.captures.making.poses import varied_poses
+from jghand_engine.captures.making.rig import RiggedHand, RigPose
+from jghand_engine.captures.making.shards import alone
+from jghand_engine.captures.making.skin import make_skin
+from jghand_engine.captures.splits import SPLITS_FILE, SPLITS_FORMAT
+from jghand_engine.errors import InputError
+from jghand_engine.files import writing
+from jghand_engine.hand import rotations as rot
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.render.camera import Camera
+from jghand_engine.template.archives import read_arrays
+
+FORMAT = 1
+FOLDER = "plan"
+# joints of the middle of the palm, about which hands turn
+_PALM = (0, 2, 3, 4, 5)
+_FIRST_SERIAL = 400000
+
+
+@dataclass(frozen=True)
+class Job:
+    """One picture: which pose and camera, where it goes, and the stamp that it must carry."""
+
+    pose: int
+    camera: int
+    file: Path
+    stamp: str
+
+
+@dataclass(frozen=True)
+class CapturePlan:
+    """description: of the options, JSON; render: what the worker is told, JSON; pose_names (P); joints_m (P, 21, 3)
+    level order and vertices_m (P, V, 3) float32, world, meters; faces, face_uv; cameras; files: name -> bytes, of the
+    skin and of an environment that is the user's."""
+
+    description: dict[str, Any]
+    render: dict[str, Any]
+    pose_names: tuple[str, ...]
+    joints_m: np.ndarray
+    vertices_m: np.ndarray
+    faces: np.ndarray
+    face_uv: np.ndarray
+    cameras: tuple[Camera, ...]
+    files: dict[str, bytes]
+
+    @cached_property
+    def record(self) -> RecordedHand:
+        """The capture as InterHand2.6M sees it."""
+        names = [str(_FIRST_SERIAL + number) for number in range(len(self.cameras))]
+        boxes = {
+            (frame, name): _box(camera, self.vertices_m[frame])
+            for frame in range(len(self.joints_m))
+            for name, camera in zip(names, self.cameras, strict=True)
+        }
+        return RecordedHand(dict(zip(names, self.cameras, strict=True)), dict(enumerate(self.joints_m)), boxes)
+
+    def jobs(self, folder: Path, shard: tuple[int, int] = (1, 1)) -> list[Job]:
+        """The pictures of a shard (number from 1, of how many): whole poses, all cameras of each."""
+        number, count = shard
+        if not 1 <= number <= count:
+            raise InputError("shard", wanted="NUMBER/COUNT with a number from 1 to the count", came=f"{number}/{count}")
+        record = self.record
+        return [
+            Job(pose, camera, record.picture(folder, pose, name), self.stamp(pose, camera))
+            for pose in range(number - 1, len(self.joints_m), count)
+            for camera, name in enumerate(record.cameras)
+        ]
+
+    def stamp(self, pose: int, camera: int) -> str:
+        """A hash of everything that decides one picture."""
+        digest = self._shared.copy()
+        digest.update(json.dumps(_camera_json(self.cameras[camera])).encode())
+        digest.update(np.ascontiguousarray(self.vertices_m[pose]).tobytes())
+        return digest.hexdigest()[:32]
+
+    @cached_property
+    def _shared(self) -> hashlib._Hash:
+        digest = hashlib.sha256(f"{FORMAT} {json.dumps(self.render, sort_keys=True)}".encode())
+        for name in sorted(self.files):
+            digest.update(self.files[name])
+        digest.update(np.ascontiguousarray(self.faces).tobytes() + np.ascontiguousarray(self.face_uv).tobytes())
+        return digest
+
+    def split(self) -> dict[str, Any]:
+        """Which poses and cameras are kept for the test; see datasets/splits.py."""
+        frames = list(range(len(self.joints_m)))
+        names = list(self.record.cameras)
+        tests = len(names) // limits.CAPTURE_EVERY_CAMERA
+        chosen = {names[int((k + 0.5) * len(names) / tests)] for k in range(tests)}
+        test_frames = frames[limits.CAPTURE_EVERY_POSE - 1 :: limits.CAPTURE_EVERY_POSE]
+        return {
+            "format": SPLITS_FORMAT, "test_frames": {self.record.sequence: test_frames}, "test_cameras": sorted(chosen)
+        }  # fmt: skip
+
+
+def make_plan(options: CaptureOptions) -> CapturePlan:
+    """Everything of a capture but its pictures. InputError for options that cannot be."""
+    options.check()
+    hand = RiggedHand(load_identity(options.identity))
+    camera_plan = CameraPlan(options.cameras, options.close_ups, options.width, options.height, options.seed)
+    camera_plan.check()
+    if options.motion is None:
+        poses = varied_poses(hand, options.poses, options.seed)
+        names, posed = poses.names, hand.pose(poses.angles_deg)
+    else:
+        names, posed = _of_motion(hand, options.motion, options.poses)
+    turns = wrist_turns(len(names), options.wrist_turn_deg, options.seed)
+    posed = posed.moved(turns, hand.identity.joints_m[list(_PALM)].mean(0))
+    vertices_m = hand.skin(posed)
+    skin = make_skin(options.skin, options.seed)
+    low, high = float(skin.relief_m.min()), float(skin.relief_m.max())
+    relief = np.rint((skin.relief_m - low) / max(high - low, np.finfo(float).tiny) * 65535).astype(np.uint16)
+    material = {**dataclasses.asdict(options.material), "relief_range_m": high - low}
+    light, environment = dataclasses.asdict(options.light), {}
+    if is_file(options.light.hdri):
+        # a copy: the capture may go on in another place, where that file is not
+        light["hdri"] = f"light{Path(options.light.hdri).suffix.lower()}"
+        environment[light["hdri"]] = read_input(Path(options.light.hdri))
+    return CapturePlan(
+        description=json.loads(json.dumps(options.description())),
+        render=json.loads(
+            json.dumps({"sampling": dataclasses.asdict(options.sampling), "light": light, "skin": material})
+        ),
+        pose_names=names,
+        joints_m=posed.joints_m,
+        vertices_m=vertices_m.astype(np.float32),
+        faces=hand.identity.faces,
+        face_uv=hand.identity.face_uv.astype(np.float32),
+        cameras=tuple(plan_cameras(camera_plan, vertices_m, posed.joints_m)),
+        files={
+            "skin.png": _png(Image.fromarray(skin.rgb8)),
+            "relief.png": _png(Image.fromarray(relief)),
+            "nails.png": _png(Image.fromarray(np.rint(255 * skin.nail).astype(np.uint8))),
+            **environment,
+        },
+    )
+
+
+def wrist_turns(count: int, largest_deg: float, seed: int) -> np.ndarray:
+    """(count, 3, 3) rotations about any axis by up to `largest_deg` degrees; the first is none."""
+    random = np.random.default_rng((seed, 1))
+    axis = random.standard_normal((count, 3))
+    axis /= np.linalg.norm(axis, axis=1, keepdims=True)
+    angle = np.radians(largest_deg) * np.sqrt(random.random(count))
+    angle[:1] = 0
+    turns = rot.axis_rotation(torch.from_numpy(axis.T.copy()), torch.from_numpy(angle))
+    return turns.permute(2, 0, 1).numpy()
+
+
+def write_plan(folder: Path, plan: CapturePlan) -> None:
+    """Writes plan, annotations and split; each file whole or not at all, the plan itself last."""
+    for name, data in plan.files.items():
+        _write(folder / FOLDER / name, data)
+    with writing(folder / FOLDER / "hands.npz") as path, open(path, "wb") as stream:
+        np.savez_compressed(
+            stream, vertices_m=plan.vertices_m, joints_m=plan.joints_m, faces=plan.faces, face_uv=plan.face_uv
+        )
+    write_interhand(folder, plan.record)
+    _write(folder / SPLITS_FILE, (json.dumps(plan.split(), indent=2) + "\n").encode())
+    content = {
+        "format": FORMAT, "options": plan.description, "render": plan.render, "poses": list(plan.pose_names),
+        "cameras": [_camera_json(camera) for camera in plan.cameras],
+    }  # fmt: skip
+    _write(folder / FOLDER / "plan.json", (json.dumps(content, indent=1, allow_nan=False) + "\n").encode())
+
+
+def annotate(folder: Path, plan: CapturePlan, poses: Collection[int] | None = None) -> None:
+    """Writes the annotations of all poses, or of these only: of an unfinished capture those that are whole. What is
+    there already is left as it is. RetryError as `alone`."""
+    record = plan.record
+    kept = {pose: joints for pose, joints in record.joints_m.items() if poses is None or pose in poses}
+    shown = dataclasses.replace(record, joints_m=kept)
+    # all shards begin with this, and others wait while one writes
+    texts = interhand_texts(shown)
+    if any(_content(folder / name) != text.encode() for name, text in texts.items()):
+        with alone(folder / FOLDER):
+            for name, text in texts.items():
+                _write(folder / name, text.encode())
+
+
+def _content(file: Path) -> bytes | None:
+    try:
+        return file.read_bytes()
+    except OSError:
+        return None
+
+
+def read_plan(folder: Path) -> CapturePlan | None:
+    """The plan that a folder was begun with, None when there is none. InputError for one that is damaged."""
+    file = folder / FOLDER / "plan.json"
+    thing = f"the plan of the capture {folder}"
+    remedy = "Choose another folder, or remove this one."
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+        if content["format"] != FORMAT:
+            raise InputError(thing, wanted=f"format {FORMAT}", came=str(content["format"]), remedy=remedy)
+        hands = read_arrays(folder / FOLDER / "hands.npz", ("vertices_m", "joints_m", "faces", "face_uv"), thing)
+        environment = str(content["render"]["light"]["hdri"])
+        names = ["skin.png", "relief.png", "nails.png", *([environment] if is_file(environment) else [])]
+        files = {name: (folder / FOLDER / name).read_bytes() for name in names}
+        return CapturePlan(
+            content["options"], content["render"], tuple(content["poses"]), hands["joints_m"], hands["vertices_m"],
+            hands["faces"], hands["face_uv"], tuple(_camera(one) for one in content["cameras"]), files,
+        )  # fmt: skip
+    except FileNotFoundError as error:
+        if not file.exists():
+            return None
+        raise InputError(thing, wanted="all its files", came=f"no {error.filename}", remedy=remedy) from error
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(
+            thing, wanted="a whole plan", came=f"{type(error).__name__}: {error}"[:200], remedy=remedy
+        ) from error
+
+
+def open_or_make(folder: Path, options: CaptureOptions) -> CapturePlan:
+    """The plan of `folder`: the one that is there, if it was made with the same options, else a new one, written.
+
+    Of processes that begin at once only one writes its plan. InputError when the folder holds a capture with other
+    options.
+    """
+    options.check()
+    plan = _opened(folder, options)
+    if plan is not None:
+        return plan
+    # takes long, refuses, and writes nothing: another process may begin the capture meanwhile
+    made = make_plan(options)
+    with alone(folder / FOLDER):
+        plan = _opened(folder, options)
+        if plan is None:
+            write_plan(folder, made)
+    return plan or made
+
+
+def open_begun(folder: Path, options: CaptureOptions) -> CapturePlan:
+    """The plan that is in `folder`; nothing is written. InputError when there is none, or one of other options."""
+    options.check()
+    plan = _opened(folder, options)
+    if plan is None:
+        raise InputError(
+            f"--out {folder}",
+            wanted="a capture that was begun",
+            came="a folder without a plan" if folder.is_dir() else "no such folder",
+            remedy="Check the name, or begin it without --finished-only.",
+        )
+    return plan
+
+
+def _opened(folder: Path, options: CaptureOptions) -> CapturePlan | None:
+    """The plan of the folder, None when there is none. InputError when it is one of other options."""
+    present = read_plan(folder)
+    if present is None:
+        return None
+    asked, began = _named(json.loads(json.dumps(options.description()))), _named(present.description)
+    other = [_difference(name, asked[name], began.get(name)) for name in asked if asked[name] != began.get(name)]
+    if other:
+        raise InputError(
+            f"the capture in {folder}",
+            wanted="the options that it was begun with",
+            came="; ".join(other),
+            remedy="Give the same options, or another --out.",
+        )
+    return present
+
+
+def _difference(name: str, asked: object, began: object) -> str:
+    """`cameras 16 instead of 8`; of what is no number or name only that it differs."""
+    words = name.replace("_", " ")
+    if all(isinstance(value, int | float) for value in (asked, began)) or name == "identity":
+        return f"{words} {asked} instead of {began}"
+    if asked is None or began is None:
+        return f"no {words}" if asked is None else f"{words}, where there was none"
+    return f"another {words}"
+
+
+def _named(description: dict[str, Any]) -> dict[str, Any]:
+    """The same, with the hand's name: it may be called by its number too."""
+    return {**description, "identity": identity_name(str(description.get("identity")))}
+
+
+def _of_motion(hand: RiggedHand, motion: PoseSequence, count: int) -> tuple[tuple[str, ...], RigPose]:
+    """`count` frames of a motion, evenly spread, on this hand; as a whole it stays in the canonical frame."""
+    whole = motion.with_gaps_held()
+    right = whole.mirrored() if whole.handedness is Handedness.LEFT else whole
+    frames = np.unique(np.linspace(0, len(right) - 1, min(count, len(right))).round().astype(int))
+    return tuple(f"frame_{frame}" for frame in frames), hand.follow(right.joints_m[frames], upright=True)
+
+
+def _box(camera: Camera, vertices_m: np.ndarray) -> tuple[float, float, float, float]:
+    """x, y, width, height of the hand in the picture, cut off at its edges; pixels."""
+    matrix = camera.camera_from_world.numpy()
+    seen = vertices_m.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
+    px = seen[:, :2] / seen[:, 2:] * [camera.fx, camera.fy] + [camera.cx, camera.cy]
+    low, high = (np.clip(edge, 0, [camera.width, camera.height]) for edge in (px.min(0), px.max(0)))
+    return (float(low[0]), float(low[1]), float(high[0] - low[0]), float(high[1] - low[1]))
+
+
+def _camera_json(camera: Camera) -> dict[str, Any]:
+    return {
+        **{name: getattr(camera, name) for name in ("width", "height", "fx", "fy", "cx", "cy")},
+        "camera_from_world": camera.camera_from_world.tolist(),
+    }
+
+
+def _camera(content: dict[str, Any]) -> Camera:
+    return Camera(**content)
+
+
+def _png(picture: Image.Image) -> bytes:
+    stream = io.BytesIO()
+    picture.save(stream, format="PNG", optimize=False)
+    return stream.getvalue()
+
+
+def _write(file: Path, data: bytes) -> None:
+    with writing(file) as temporary:
+        temporary.write_bytes(data)

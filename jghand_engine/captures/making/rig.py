@@ -1,0 +1,208 @@
+"""The rig that makes captures: 25 joints, with metacarpals that cup the palm, and plain linear blend skinning.
+
+It shares no rotation with the transform that learns from the pictures: bones turn about hinge axes (or follow
+directions of a motion), ring and pinky knuckles sink when those fingers bend, and each joint's own
+rotation carries its skin.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from jghand_engine import limits
+from jghand_engine.captures.making.identities import METACARPAL_BASES, RIG_JOINTS, Identity, joints21
+from jghand_engine.hand import rotations as rot
+from jghand_engine.hand.anatomy import CONTACTS, RANGES_DEG, ArticulatedHand, named_angles
+from jghand_engine.hand.joints import FINGERS
+from jghand_engine.hand.sequence import alignment
+
+# first joint of each finger in the rig: thumb CMC, MCP of the others
+FIRST_JOINTS = (1, 6, 11, 16, 21)
+# wrist, thumb CMC, index and middle MCP: what cupping does not move
+STIFF_PALM = slice(0, 4)
+CUP_LARGEST_DEG = np.array(limits.CAPTURE_CUP_DEG)
+
+
+@dataclass(frozen=True)
+class RigPose:
+    """turn (F, 25, 3, 3): rotation of each joint's skin from the canonical hand; joints25_m (F, 25, 3), meters."""
+
+    turn: np.ndarray
+    joints25_m: np.ndarray
+
+    @property
+    def joints_m(self) -> np.ndarray:
+        """(F, 21, 3) level order."""
+        return joints21(self.joints25_m)
+
+    def moved(self, turn: np.ndarray, center_m: np.ndarray) -> RigPose:
+        """The whole hand turned by `turn` (F, 3, 3) about the point `center_m` (3,)."""
+        joints = np.einsum("fab,fjb->fja", turn, self.joints25_m - center_m) + center_m
+        return RigPose(turn[:, None] @ self.turn, joints)
+
+
+class RiggedHand(ArticulatedHand):
+    """An identity that can be posed by anatomical angles, or along the bones of a motion."""
+
+    def __init__(self, identity: Identity) -> None:
+        super().__init__(identity.joints_m)
+        self.identity = identity
+        rest = identity.joints25_m
+        # (3 bones, 5 fingers, 3): the moving bones as they lie in the canonical hand
+        self._rest_bones = np.stack([[rest[f + k + 1] - rest[f + k] for f in FIRST_JOINTS] for k in range(3)])
+        straight = self.straight_joints_m
+        self._straightening = chain_turns(self._rest_bones, (straight[6:] - straight[1:16]).reshape(3, 5, 3)[None])[0]
+
+    def joints(self, angles_deg: np.ndarray) -> np.ndarray:
+        """(F, 5, 4) angles -> (F, 21, 3) level-order joints of the rig, its palm cupped; meters."""
+        return self.pose(angles_deg).joints_m
+
+    def pose(self, angles_deg: np.ndarray) -> RigPose:
+        """(F, 5, 4) anatomical angles, degrees, clamped to their ranges -> the rig's pose."""
+        palm = self._cupping(np.asarray(angles_deg, dtype=np.float64))
+        fingers = palm[:, None] @ self.turns(angles_deg) @ self._straightening
+        return self._chained(palm, fingers)
+
+    def angles_of(self, name: str) -> np.ndarray:
+        """(5, 4) angles of a named pose, degrees, with the finger tips on the palm instead of in it."""
+        angles = self.eased(np.clip(named_angles(name), RANGES_DEG[..., 0], RANGES_DEG[..., 1]))
+        return self.touching(angles, *CONTACTS[name]) if name in CONTACTS else angles
+
+    def eased(self, angles_deg: np.ndarray) -> np.ndarray:
+        """(5, 4) angles whose bent fingers are opened until their last bones lie on the palm, not in it.
+
+        Each finger's three flexions are scaled by one factor, the largest of a fixed series that leaves room.
+        """
+        factors = np.linspace(1.0, limits.CAPTURE_EASE_MOST, limits.CAPTURE_EASE_STEPS)
+        trials = np.repeat(angles_deg[None], len(factors), axis=0)
+        flexions = np.ix_(range(len(factors)), range(1, 5), (0, 2, 3))
+        trials[flexions] = trials[flexions] * factors[:, None, None]
+        free = palm_gaps_m(self.joints(trials)) >= limits.CAPTURE_PALM_GAP_PART * self._length_m
+        # where no factor is enough the last one is the best there is
+        chosen = np.where(free.any(axis=0), free.argmax(axis=0), len(factors) - 1)
+        eased = angles_deg.copy()
+        for finger in range(1, 5):
+            eased[finger] = trials[chosen[finger - 1], finger]
+        return eased
+
+    def follow(self, joints_m: np.ndarray, *, upright: bool = False) -> RigPose:
+        """(F, 21, 3) level-order joints of any right hand -> the pose whose bones point the same way.
+
+        The stiff part of the palm is aligned as a whole (least squares), then every finger bone swings from where its
+        parent carries it, without twist. Bone lengths stay the identity's. upright: the hand as a whole stays in the
+        canonical frame instead of turning with the motion.
+        """
+        world = alignment(_stiff_palm(self.identity.joints_m[None]), _stiff_palm(joints_m))
+        local = np.einsum("fba,fjb->fja", world, joints_m - joints_m[:, :1])
+        directions = (local[:, 6:] - local[:, 1:16]).reshape(-1, 3, 5, 3)
+        flexion = np.zeros((len(local), 5, 4))
+        palmar = np.einsum("fkc,c->fk", _unit(directions[:, 0]), [0.0, 0.0, 1.0])
+        flexion[:, :, 0] = np.degrees(np.arcsin(np.clip(palmar, -1, 1)))
+        palm = self._cupping(flexion)
+        carried = palm[:, None] @ np.broadcast_to(np.eye(3), (len(local), 3, 5, 3, 3))
+        pose = self._chained(palm, chain_turns(self._rest_bones, directions, start=carried[:, 0]))
+        return pose if upright else pose.moved(world, np.zeros(3))
+
+    def skin(self, pose: RigPose) -> np.ndarray:
+        """(F, V, 3) posed vertices: linear blend skinning with the rig's weights."""
+        hand = self.identity
+        moved_m = pose.joints25_m - np.einsum("fjab,jb->fja", pose.turn, hand.joints25_m)
+        frames = []
+        for turn, offset in zip(pose.turn, moved_m, strict=True):
+            blended = np.einsum("vj,jab->vab", hand.weights25, turn)
+            frames.append(np.einsum("vab,vb->va", blended, hand.vertices_m) + hand.weights25 @ offset)
+        return np.stack(frames)
+
+    def _cupping(self, angles_deg: np.ndarray) -> np.ndarray:
+        """(F, 5, 4) -> (F, 5, 3, 3) rotations of the metacarpals (the thumb's has none): the palm hollows when fingers
+        bend and when the thumb comes across, and flattens when they stretch."""
+        bent = (angles_deg[:, 1:, 0] / RANGES_DEG[1:, 0, 1]).clip(-1, 1)
+        across = (angles_deg[:, :1, 0] / RANGES_DEG[0, 0, 1]).clip(0, 1)
+        amount = limits.CAPTURE_CUP_FLEXION * bent + limits.CAPTURE_CUP_OPPOSITION * across + limits.CAPTURE_CUP_REST
+        cup = np.radians(CUP_LARGEST_DEG) * amount.clip(-limits.CAPTURE_CUP_FLATTEN, 1)
+        bones = self.identity.joints25_m[[base + 1 for base in METACARPAL_BASES]]
+        bones = bones - self.identity.joints25_m[list(METACARPAL_BASES)]
+        # positive rotation about cross(bone, out of the palm) is flexion
+        axes = _unit(np.cross(bones, [0.0, 0.0, 1.0]))
+        turns = rot.axis_rotation(torch.from_numpy(axes.T[:, None]), torch.from_numpy(cup)).permute(2, 3, 0, 1).numpy()
+        still = np.broadcast_to(np.eye(3), (len(angles_deg), 1, 3, 3))
+        return np.concatenate([still, turns], axis=1)
+
+    def _chained(self, palm: np.ndarray, fingers: np.ndarray) -> RigPose:
+        """Metacarpals (F, 5, 3, 3) and finger bones (F, 3, 5, 3, 3) to the whole rig."""
+        frames, rest = len(palm), self.identity.joints25_m
+        turn = np.tile(np.eye(3), (frames, RIG_JOINTS, 1, 1))
+        joints = np.tile(rest, (frames, 1, 1))
+        for finger in range(len(FINGERS)):
+            first = FIRST_JOINTS[finger]
+            if finger:
+                base = METACARPAL_BASES[finger - 1]
+                turn[:, base] = palm[:, finger]
+                joints[:, first] = rest[base] + palm[:, finger] @ (rest[first] - rest[base])
+            for bone in range(3):
+                turn[:, first + bone] = fingers[:, bone, finger]
+                step = fingers[:, bone, finger] @ self._rest_bones[bone, finger]
+                joints[:, first + bone + 1] = joints[:, first + bone] + step
+            # a tip carries no skin; its rotation is that of the bone that ends there
+            turn[:, first + 3] = fingers[:, 2, finger]
+        return RigPose(turn, joints)
+
+
+def palm_gaps_m(joints_m: np.ndarray) -> np.ndarray:
+    """(F, 21, 3) level order -> (F, 4) smallest distance of the last two bones of index..pinky from the metacarpals."""
+    palm_start, palm_end = np.repeat(joints_m[:, :1], 4, axis=1), joints_m[:, 2:6]
+    gaps = []
+    for finger in range(1, 5):
+        bones = [
+            segment_gap(joints_m[:, [start + finger] * 4], joints_m[:, [start + 5 + finger] * 4], palm_start, palm_end)
+            for start in (6, 11)
+        ]
+        gaps.append(np.min(bones, axis=(0, 2)))
+    return np.stack(gaps, axis=1)
+
+
+def segment_gap(a0: np.ndarray, a1: np.ndarray, b0: np.ndarray, b1: np.ndarray) -> np.ndarray:
+    """Smallest distance (...) between the segments a0 a1 and b0 b1, each (..., 3): clamped closest points, alternating.
+
+    A few rounds of alternating projection; the distance is convex, so it only falls.
+    """
+    a, b = a1 - a0, b1 - b0
+    on_b = np.full(a.shape[:-1], 0.5)
+    on_a = on_b
+    for _ in range(limits.CAPTURE_GAP_ROUNDS):
+        on_a = (((b0 + on_b[..., None] * b - a0) * a).sum(-1) / (a * a).sum(-1)).clip(0, 1)
+        on_b = (((a0 + on_a[..., None] * a - b0) * b).sum(-1) / (b * b).sum(-1)).clip(0, 1)
+    return np.linalg.norm(a0 + on_a[..., None] * a - b0 - on_b[..., None] * b, axis=-1)
+
+
+def chain_turns(rest: np.ndarray, directions: np.ndarray, start: np.ndarray | None = None) -> np.ndarray:
+    """Rotations (F, 3, 5, 3, 3) that carry the bones `rest` (3, 5, 3) to `directions` (F, 3, 5, 3).
+
+    Each bone swings by the smallest rotation from where its parent carries it; `start` (F, 5, 3, 3) carries the first.
+    """
+    frames = len(directions)
+    carried = np.broadcast_to(np.eye(3), (frames, 5, 3, 3)) if start is None else start
+    turns = []
+    for bone in range(3):
+        came = _unit(np.einsum("fkab,kb->fka", carried, rest[bone]))
+        wanted = _unit(directions[:, bone])
+        helper = np.where(np.abs(came[..., :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
+        axis = torch.from_numpy(_unit(np.cross(came, helper))).movedim(-1, 0)
+        a, b = (torch.from_numpy(np.ascontiguousarray(v)).movedim(-1, 0) for v in (came, wanted))
+        swing = rot.minimal_rotation(a, b, rot.half_turn(axis)).permute(2, 3, 0, 1).numpy()
+        carried = swing @ carried
+        turns.append(carried)
+    return np.stack(turns, axis=1)
+
+
+def _stiff_palm(joints_m: np.ndarray) -> np.ndarray:
+    """The stiff part of palms (F, 21, 3), about its middle."""
+    palm = joints_m[:, STIFF_PALM]
+    return palm - palm.mean(1, keepdims=True)
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), np.finfo(np.float64).tiny)

@@ -1,0 +1,137 @@
+"""The skin of a capture: a texture of reflectance and a relief in the template's UV (row = 1 - v), without any light.
+
+Either JGHand's own procedural skin, or any picture in that layout. Outside the hand's island the nearest skin goes on,
+else filters would pull foreign color over the seams; the wrist's cut gets the color of the skin around it.
+"""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+from scipy.ndimage import distance_transform_edt, gaussian_filter
+
+from jghand_engine import limits
+from jghand_engine.avatar.procedural_skin import SkinLook, reflectance
+from jghand_engine.avatar.skin_marks import MarkPainter
+from jghand_engine.avatar.skin_points import Landmarks, SkinPoints, noise
+from jghand_engine.color import linear_to_srgb
+from jghand_engine.errors import InputError
+from jghand_engine.template.builtin import ASSETS, load_template
+from jghand_engine.template.mesh import HandTemplate
+from jghand_engine.template.surface import unit, vertex_normals
+from jghand_engine.template.texture import rasterize_uv, sample_bilinear
+
+
+@dataclass(frozen=True)
+class CaptureSkin:
+    """rgb8 (S, S, 3) sRGB reflectance, relief_m (S, S) height in meters, nail (S, S) 0..1; row = 1 - v."""
+
+    rgb8: np.ndarray
+    relief_m: np.ndarray
+    nail: np.ndarray
+
+
+def make_skin(texture: Path | None, seed: int = 0) -> CaptureSkin:
+    """The procedural skin, or that of a picture file. InputError for a file that is no usable picture."""
+    texels = _Texels.of(load_template(), limits.CAPTURE_SKIN_PX)
+    if texture is None:
+        rgb, relief_m = _procedural(texels, seed)
+    else:
+        rgb, relief_m = _photographic(texels, read_texture(texture), seed)
+    rgb, relief_m, nail = (texels.spread(values) for values in (rgb, relief_m, texels.points.nail))
+    rgb[texels.cap] = rgb[texels.wrist].mean(axis=0)
+    relief_m[texels.cap] = 0
+    return CaptureSkin(np.clip(np.rint(255 * rgb), 0, 255).astype(np.uint8), relief_m, nail)
+
+
+def read_texture(path: Path) -> np.ndarray:
+    """(H, W, 3) sRGB 0..1 of a square picture file. InputError says what is wrong with it."""
+    thing = f"skin {path}"
+    try:
+        with warnings.catch_warnings(), Image.open(path) as picture:
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            width, height = picture.size
+            if width != height or not limits.CAPTURE_TEXTURE_PX[0] <= width <= limits.CAPTURE_TEXTURE_PX[1]:
+                low, high = limits.CAPTURE_TEXTURE_PX
+                wanted = f"a square picture of {low} to {high} pixels in the template's UV"
+                raise InputError(thing, wanted=wanted, came=f"{width}x{height}")
+            return np.asarray(picture.convert("RGB"), dtype=np.float64) / 255
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError, Image.DecompressionBombWarning) as error:
+        raise InputError(thing, wanted="a picture that opens", came=str(error)[:200]) from error
+
+
+@dataclass(frozen=True)
+class _Texels:
+    """The texels of the hand's island as points of its skin, and which are the wrist's cut and what is around it."""
+
+    size: int
+    covered: np.ndarray
+    points: SkinPoints
+    uv: np.ndarray
+    cap: np.ndarray
+    wrist: np.ndarray
+    landmarks: Landmarks
+
+    @classmethod
+    def of(cls, template: HandTemplate, size: int) -> _Texels:
+        skin = template.faces[: template.skin_face_count]
+        skin_uv, cap_uv = template.face_uv[: len(skin)], template.face_uv[len(skin) :]
+        normals = vertex_normals(template.vertices_m, template.faces)
+        per_vertex = np.concatenate([template.vertices_m, normals, template.bone_weights], axis=1)
+        values, covered = rasterize_uv(skin_uv, per_vertex[skin], size)
+        inside = values[covered]
+        row, column = np.nonzero(covered)
+        uv = np.stack([(column + 0.5) / size, 1 - (row + 0.5) / size], axis=1)
+        with (ASSETS / "nails.png").open("rb") as stream, Image.open(stream) as picture:
+            nails = np.asarray(picture.convert("L"), dtype=np.float64)[..., None] / 255
+        nail = sample_bilinear(nails, uv)[:, 0]
+        points = SkinPoints(inside[:, :3], unit(inside[:, 3:6]), inside[:, 6:], nail)
+        # a texel of margin, so that filtering at the edge of the disk sees nothing else
+        radius = np.linalg.norm(cap_uv - cap_uv[0, 2], axis=-1).max() + 2 / size
+        grid = (np.arange(size) + 0.5) / size
+        cap = (grid[None] - cap_uv[0, 2, 0]) ** 2 + (1 - grid[:, None] - cap_uv[0, 2, 1]) ** 2 <= radius**2
+        wrist = np.zeros_like(covered)
+        wrist[covered] = inside[:, 1] <= template.vertices_m[:, 1].min() + limits.CAPTURE_WRIST_BAND_M
+        return cls(size, covered, points, uv, cap & ~covered, wrist, Landmarks.of(template.joints_m))
+
+    def spread(self, values: np.ndarray) -> np.ndarray:
+        """Values of the texels (N,) or (N, C) -> the whole square; outside the island the nearest one goes on."""
+        square = np.zeros((self.size, self.size, *values.shape[1:]))
+        square[self.covered] = values
+        nearest = np.asarray(distance_transform_edt(~self.covered, return_distances=False, return_indices=True))
+        return square[nearest[0], nearest[1]]
+
+
+def _procedural(texels: _Texels, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """sRGB reflectance (N, 3) and height (N,) of JGHand's own skin. Its light is not part of it."""
+    marks = MarkPainter(texels.points, texels.landmarks).paint(texels.points.position_m)
+    linear = reflectance(texels.points, marks, texels.landmarks, SkinLook(seed=seed))
+    return linear_to_srgb(np.clip(linear, 0, 1)), marks.height_m
+
+
+def _photographic(texels: _Texels, picture: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
+    """The same from a picture: smoothly enlarged, with the fine mottling that it is too coarse to hold, and a relief
+    from its own fine shades (a darker line is a furrow)."""
+    large = _enlarged(picture, texels.size)
+    rgb = sample_bilinear(large, texels.uv)
+    position = texels.points.position_m
+    fine = sum(part * noise(position, cell, seed + 11 + k) for k, (cell, part) in enumerate(limits.CAPTURE_MOTTLING))
+    pigment = np.array(limits.CAPTURE_MOTTLING_RGB) * np.asarray(fine)[:, None] * (1 - texels.points.nail)[:, None]
+    gray = texels.spread(rgb.mean(axis=1))
+    px = texels.size / limits.CAPTURE_SKIN_PX
+    detail = gaussian_filter(gray, 1.2 * px) - gaussian_filter(gray, 7 * px)
+    relief = limits.CAPTURE_RELIEF_M * np.tanh(detail[texels.covered] / limits.CAPTURE_RELIEF_SHADE)
+    relief = relief + limits.CAPTURE_GRAIN_M * noise(position, limits.CAPTURE_GRAIN_CELL_M, seed + 17)
+    return np.clip(rgb * np.exp(-pigment), 0, 1), relief * (1 - texels.points.nail)
+
+
+def _enlarged(picture: np.ndarray, size: int) -> np.ndarray:
+    """The picture at size x size, channel by channel in floating point: no steps of 8 bit in soft shades."""
+    if picture.shape[0] >= size:
+        return picture
+    channels = [Image.fromarray(channel.astype(np.float32)) for channel in np.moveaxis(picture, -1, 0)]
+    return np.stack([np.asarray(c.resize((size, size), Image.Resampling.BICUBIC)) for c in channels], -1).astype(float)

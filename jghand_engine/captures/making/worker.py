@@ -1,0 +1,199 @@
+"""Starts Blender's Python with the package `jghand_cycles` and sees the pictures through. Knows no bpy.
+
+What passes are lines of JSON; see jghand_cycles/__main__.py, which is another program under another license.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+
+from PIL import Image
+
+from jghand_engine import __version__, limits
+from jghand_engine.captures.making.plan import FOLDER, Job
+from jghand_engine.captures.making.shards import alone
+from jghand_engine.captures.pictures_in import probe_picture
+from jghand_engine.errors import InputError, RetryError
+from jghand_engine.files import writing
+
+PROJECT = Path(__file__).resolve().parents[2]
+WORKER = PROJECT / "jghand_cycles" / "__main__.py"
+# what jghand_cycles/png.py writes
+STAMP_KEY = "jghand-stamp"
+MAKERS_FILE = "made_by.json"
+_REMEDY = (
+    "Give --blender-python the Python of an environment with bpy, make the project's own with scripts/test.py "
+    "--only blender, or install the extra jghand[blender]."
+)
+
+
+@dataclass(frozen=True)
+class Finished:
+    """A picture that is there now, and how long it took."""
+
+    job: Job
+    seconds: float
+
+
+def fault_of(job: Job, size: tuple[int, int]) -> str:
+    """What is wrong with a job's picture, '' for a whole picture of this plan.
+
+    By the same test as on opening a data set, so that what is refused there is made again here.
+    """
+    if not job.file.exists():
+        return "missing"
+    try:
+        probe_picture(job.file)
+        with Image.open(job.file) as picture:
+            stamp = picture.info.get(STAMP_KEY)
+            if picture.format != "PNG" or picture.mode != "RGBA" or picture.size != size:
+                return (
+                    f"{picture.format} {picture.mode} {picture.size[0]}x{picture.size[1]}, not a picture of this plan"
+                )
+    except InputError as error:
+        return f"broken: {error.came}"
+    return "" if stamp == job.stamp else "made for another plan"
+
+
+def find_blender_python(given: Path | None = None) -> Path:
+    """A Python that can import bpy. InputError with the remedy when there is none."""
+    if given is not None:
+        if not given.is_file():
+            raise InputError("--blender-python", wanted="a Python that can import bpy", came=f"no file {given}")
+        return given
+    places = ("Scripts/python.exe", "bin/python")
+    for place in places:
+        own = PROJECT / ".envs" / "blender" / place
+        if own.is_file():
+            return own
+    if importlib.util.find_spec("bpy") is not None:
+        return Path(sys.executable)
+    raise InputError("Blender's Python", wanted="a Python that can import bpy", came="none found", remedy=_REMEDY)
+
+
+def render(folder: Path, jobs: Sequence[Job], python: Path, threads: int) -> Iterator[Finished]:
+    """Renders jobs one after the other and gives each when its picture is there.
+
+    RetryError when Blender ends early or fails, with its last words; InputError when that Python has no bpy, or another
+    one than the capture was begun with.
+    """
+    if not jobs:
+        return
+    if not WORKER.is_file():
+        raise InputError("the package jghand_cycles", wanted=f"it beside the engine, {WORKER}", came="no such file")
+    _clear_leftovers({job.file for job in jobs})
+    with tempfile.TemporaryFile() as log, _process(folder, python, threads, log) as process:
+        _keep_to(folder, str(_answer(process, log, python).get("ready")))
+        for job in jobs:
+            message = {"pose": job.pose, "camera": job.camera, "file": str(job.file.resolve()), "stamp": job.stamp}
+            try:
+                _stream(process.stdin).write(json.dumps(message) + "\n")
+                _stream(process.stdin).flush()
+            except OSError as error:
+                raise _ended(process, log) from error
+            yield Finished(job, float(_answer(process, log, python)["seconds"]))
+
+
+def _clear_leftovers(files: set[Path]) -> None:
+    """Removes what killed workers left of these pictures; those of other shards are of other poses, and so of other
+    names. Each folder is listed once: it may hold thousands."""
+    for folder in {file.parent for file in files}:
+        for left in folder.glob(".*.*.png"):
+            if left.with_name(f"{left.name[1:].split('.')[0]}.png") in files:
+                left.unlink(missing_ok=True)
+
+
+def _keep_to(folder: Path, blender: str) -> None:
+    """Notes which programs begin the capture in `folder`. InputError when it was begun by another Blender, whose
+    pictures differ; JGHand's version is for the reader. Pictures without a note, older than notes are, are anybody's.
+    """
+    file, makers = folder / FOLDER / MAKERS_FILE, {"Blender": blender, "JGHand": __version__}
+    with alone(folder / FOLDER):
+        if not file.exists():
+            if any((folder / "images").rglob("image*.png")):
+                return
+            with writing(file) as temporary:
+                temporary.write_text(json.dumps(makers) + "\n", encoding="utf-8")
+            return
+    try:
+        begun = dict(json.loads(file.read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError) as error:
+        raise InputError(f"{file}", wanted="names and versions of programs", came=str(error)[:200]) from error
+    if begun.get("Blender") != blender:
+        raise InputError(
+            f"the capture in {folder}", wanted=f"Blender {begun.get('Blender')}, by which it was begun",
+            came=f"Blender {blender}",
+            remedy="Take that one (--blender-python names a Python with another Blender), or another --out.",
+        )  # fmt: skip
+
+
+@contextlib.contextmanager
+def _process(folder: Path, python: Path, threads: int, log: IO[bytes]) -> Iterator[subprocess.Popen[str]]:
+    """The worker; it ends with the block, whatever ends that."""
+    command = [str(python), "-I", str(WORKER), str((folder / FOLDER).resolve()), "--threads", str(threads)]
+    # Blender writes its own preferences' folder where it is told to, or in the home folder
+    with tempfile.TemporaryDirectory(prefix="jghand_cycles_") as profile:
+        environment = {**os.environ, "BLENDER_USER_RESOURCES": profile}
+        try:
+            process = subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, text=True, encoding="utf-8",
+                env=environment,
+            )  # fmt: skip
+        except OSError as error:
+            raise InputError(f"cannot start {python}: {error.strerror}", remedy=_REMEDY) from error
+        try:
+            yield process
+            _stream(process.stdin).close()
+            process.wait(limits.CAPTURE_END_S)
+        finally:
+            # between two pictures the end of its input is enough; in the middle of one nobody waits for it
+            if process.poll() is None:
+                process.kill()
+                process.wait()
+            for stream in (process.stdin, process.stdout):
+                with contextlib.suppress(OSError):
+                    _stream(stream).close()
+
+
+def _answer(process: subprocess.Popen[str], log: IO[bytes], python: Path) -> dict[str, Any]:
+    line = _stream(process.stdout).readline()
+    try:
+        message = json.loads(line)
+    except ValueError as error:
+        raise _ended(process, log) from error
+    if message.get("missing"):
+        raise InputError(f"{python}: {message['error']}", remedy=_REMEDY)
+    if "error" in message:
+        raise RetryError(
+            f"Blender could not make {message.get('file', 'a picture')}: {message['error']}",
+            remedy="Check the disk and start the same command again: finished pictures are kept.",
+        )
+    return message
+
+
+def _ended(process: subprocess.Popen[str], log: IO[bytes]) -> RetryError:
+    with contextlib.suppress(subprocess.TimeoutExpired):
+        process.wait(limits.CAPTURE_END_S)
+    log.seek(0)
+    words = log.read().decode(errors="replace").strip().splitlines()[-limits.CAPTURE_LAST_WORDS :]
+    said = " | ".join(words) or "nothing"
+    return RetryError(
+        f"Blender's Python ended with exit code {process.poll()}; its last words: {said}",
+        remedy="Start the same command again: finished pictures are kept.",
+    )
+
+
+def _stream(stream: IO[str] | None) -> IO[str]:
+    if stream is None:
+        raise RetryError("Blender's Python has no streams")
+    return stream

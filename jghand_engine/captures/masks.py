@@ -1,0 +1,96 @@
+"""The mask of a hand where no file has one: the template, posed by the joints and projected.
+
+It is the silhouette of *our* hand in that pose, not of the person's: a few millimeters off where their hand is thicker
+or thinner. Figures got with it say so.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import numpy as np
+import torch
+from PIL import Image, ImageDraw
+from scipy import ndimage
+
+from jghand_engine import limits
+from jghand_engine.avatar.skinning import apply, blend
+from jghand_engine.errors import InputError
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.transform import JointTransform
+from jghand_engine.render.camera import Camera
+from jghand_engine.template.builtin import load_template
+
+
+def template_mask(camera: Camera, joints_m: np.ndarray, handedness: Handedness) -> np.ndarray:
+    """(H, W) float32 coverage 0..1 of the built-in template posed by joints_m (21, 3), level order, world, meters.
+
+    Faces that reach behind the near plane are left out. InputError when a joint is missing.
+    """
+    return silhouette(camera, posed_template(joints_m, handedness), load_template().faces)
+
+
+def lit_part(mask: np.ndarray, rgb8: np.ndarray) -> np.ndarray:
+    """What the avatar papers keep of a projected mask: pixels neither black nor glaring, of those the largest piece.
+
+    mask: (H, W) coverage · rgb8: (H, W, 3) the picture -> (H, W) float32, 0 or 1. Source: METHOD 6.1. It removes what
+    of the projected hand lies on the black background, and its price is holes in dark and in shining skin.
+    """
+    gray = rgb8[..., :3].mean(axis=-1)
+    low, high = limits.PAPER_MASK_GRAY
+    labeled: Any = ndimage.label((mask >= 0.5) & (gray > low) & (gray < high), structure=np.ones((3, 3)))
+    pieces, count = labeled
+    if not count:
+        return np.zeros(mask.shape, np.float32)
+    largest = 1 + int(np.argmax(np.bincount(pieces.ravel())[1:]))
+    return (pieces == largest).astype(np.float32)
+
+
+def template_note(count: int, total: int) -> tuple[str, ...]:
+    """What must be said beside figures when `count` of `total` masks are the projected template."""
+    if not count:
+        return ()
+    return (
+        f"{count} of {total} pictures have no mask: our template, posed and projected, stands in for it, so figures "
+        "are not those of the papers' protocol.",
+    )
+
+
+def posed_template(joints_m: np.ndarray, handedness: Handedness) -> np.ndarray:
+    """(V, 3) vertices of the built-in template, posed by linear blend skinning; world, meters."""
+    if not np.isfinite(joints_m).all():
+        raise InputError("joints of a pose", wanted="all 21 joints", came="some that are missing")
+    template = load_template()
+    bones = _transform(handedness).bones(torch.tensor(joints_m, dtype=torch.float64))
+    linear, offset_m = blend(torch.from_numpy(np.array(template.bone_weights)), bones)
+    relative_m = torch.from_numpy(np.array(template.vertices_m)) - bones.canonical_root_m
+    return (apply(linear, relative_m) + offset_m + bones.root_m).numpy()
+
+
+def silhouette(camera: Camera, vertices_m: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(H, W) float32: which part of each pixel the projected triangles cover, in steps of MASK_SUPERSAMPLING^-2.
+
+    The drawing library fills every sample that an outline touches: the silhouette is wider by half a sample, an eighth
+    of a pixel, on all sides.
+    """
+    pixels, depth_m = camera.project(torch.tensor(vertices_m, dtype=torch.float64))
+    fine = limits.MASK_SUPERSAMPLING
+    corners = pixels.numpy()[faces] * fine
+    visible = (depth_m.numpy()[faces] > limits.Z_NEAR_M).all(axis=1)
+    canvas = Image.new("L", (camera.width * fine, camera.height * fine))
+    draw = ImageDraw.Draw(canvas)
+    for triangle in corners[visible & _touches(corners, canvas.size)].reshape(-1, 6).tolist():
+        draw.polygon(triangle, fill=1)
+    covered = np.asarray(canvas).reshape(camera.height, fine, camera.width, fine)
+    return covered.mean(axis=(1, 3), dtype=np.float32)
+
+
+def _touches(corners: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """(F,) whether a triangle's box overlaps the canvas; the others need not be drawn."""
+    return ((corners.max(axis=1) >= 0) & (corners.min(axis=1) <= np.array(size))).all(axis=1)
+
+
+@functools.cache
+def _transform(handedness: Handedness) -> JointTransform:
+    return JointTransform(load_template().joints_m, handedness=handedness)

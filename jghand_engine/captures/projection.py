@@ -1,0 +1,141 @@
+"""Do the joints lie on the hand in the pictures? And when not: which common mistake would explain it?
+
+The one test that sees units, axes, order and pictures together. It needs masks that do not come from the joints.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from scipy import ndimage
+
+from jghand_engine import limits
+from jghand_engine.captures.sample import Sample, load_picture
+from jghand_engine.render.camera import Camera
+
+
+@dataclass(frozen=True)
+class Seen:
+    """A picture that was looked at. The mask itself is not kept: a large set has gigabytes of them.
+
+    mask_px: pixels of its mask · mask_part: part of the picture, 0..1 · on_mask: part of its joints on the mask, 0..1
+    """
+
+    sample: Sample
+    mask_px: float
+    mask_part: float
+    on_mask: float
+
+
+def look_at(sample: Sample) -> Seen:
+    """Reads a picture and compares. InputError when it cannot be read."""
+    mask = load_picture(sample).mask
+    return Seen(sample, float(mask.sum()), float(mask.mean()), part_on_mask(sample.camera, sample.joints_m, mask))
+
+
+def joint_pixels(camera: Camera, joints_m: np.ndarray) -> np.ndarray:
+    """(21, 2) pixels; NaN for joints that are not known or not before the camera."""
+    pixels, depth_m = camera.project(torch.tensor(joints_m, dtype=torch.float64))
+    return np.where((depth_m.numpy() > limits.Z_NEAR_M)[:, None], pixels.numpy(), np.nan)
+
+
+def joints_on_mask(camera: Camera, joints_m: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """(21,) float: 1 for joints on the mask or within CHECK_REACH_PX of it, 0 for others, NaN for those that tell
+    nothing: not known, or beyond a border of the picture that the hand reaches."""
+    height, width = mask.shape
+    hand = ndimage.binary_dilation(mask >= 0.5, iterations=limits.CHECK_REACH_PX)
+    pixels = joint_pixels(camera, joints_m)
+    known = np.isfinite(joints_m).all(axis=1)
+    with np.errstate(invalid="ignore"):
+        inside = (pixels >= 0).all(axis=1) & (pixels[:, 0] < width) & (pixels[:, 1] < height)
+    on = np.zeros(len(pixels))
+    column, row = np.floor(pixels[inside]).astype(int).T
+    on[inside] = hand[row, column]
+    cut_off = bool(hand[[0, -1]].any() or hand[:, [0, -1]].any())
+    on[~known | (~inside & cut_off)] = np.nan
+    return on
+
+
+def part_on_mask(camera: Camera, joints_m: np.ndarray, mask: np.ndarray) -> float:
+    """The part of the telling joints that is on the mask, 0..1; 0 when none tells anything or there is no mask."""
+    on = joints_on_mask(camera, joints_m, mask)
+    return float(np.nanmean(on)) if np.isfinite(on).any() else 0.0
+
+
+def likely_mistake(samples: Sequence[Sample]) -> str | None:
+    """The common mistake whose repair puts the joints onto the masks, as a sentence; None when none of them does."""
+    best, sentence = limits.CHECK_ON_MASK_MIN, None
+    masks = [load_picture(sample).mask for sample in samples]
+    for text, repair in _REPAIRS:
+        parts = [part_on_mask(repair(one.camera), one.joints_m, mask) for one, mask in zip(samples, masks, strict=True)]
+        if parts and float(np.median(parts)) > best:
+            best, sentence = float(np.median(parts)), text
+    return sentence
+
+
+# ---- what people get wrong ------------------------------------------------------------------------------------------
+
+
+def _placed(camera: Camera, rotation: torch.Tensor, translation_m: torch.Tensor) -> Camera:
+    matrix = torch.eye(4, dtype=torch.float64)
+    matrix[:3, :3], matrix[:3, 3] = rotation, translation_m
+    return replace(camera, camera_from_world=matrix)
+
+
+def _parts(camera: Camera) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Rotation, translation, and where the camera stands, meters."""
+    rotation, translation_m = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
+    return rotation, translation_m, -rotation.T @ translation_m
+
+
+def _scaled_position(factor: float) -> Callable[[Camera], Camera]:
+    return lambda camera: _placed(camera, _parts(camera)[0], factor * _parts(camera)[1])
+
+
+def _turned_over(camera: Camera) -> Camera:
+    rotation, translation_m, _ = _parts(camera)
+    flip = torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64)
+    return _placed(camera, flip[:, None] * rotation, flip * translation_m)
+
+
+def _transposed(camera: Camera) -> Camera:
+    rotation, _, position_m = _parts(camera)
+    return _placed(camera, rotation.T, -rotation.T @ position_m)
+
+
+def _inverted(camera: Camera) -> Camera:
+    rotation, _, position_m = _parts(camera)
+    return _placed(camera, rotation.T, position_m)
+
+
+def _position_is_translation(camera: Camera) -> Camera:
+    rotation, _, position_m = _parts(camera)
+    return _placed(camera, rotation, position_m)
+
+
+def _fitted_to_size(camera: Camera) -> Camera:
+    """As if K were that of a larger or smaller picture of the same view: the principal point tells which."""
+    x, y = camera.width / (2 * camera.cx), camera.height / (2 * camera.cy)
+    if x <= 0 or y <= 0:
+        return camera
+    return replace(camera, fx=camera.fx * x, fy=camera.fy * y, cx=camera.cx * x, cy=camera.cy * y)
+
+
+def _axes_exchanged(camera: Camera) -> Camera:
+    return replace(camera, fx=camera.fy, fy=camera.fx, cx=camera.cy, cy=camera.cx)
+
+
+_REPAIRS: tuple[tuple[str, Callable[[Camera], Camera]], ...] = (
+    ("Camera positions look like meters where millimeters are due.", _scaled_position(1000.0)),
+    ("Camera positions look like centimeters where millimeters are due.", _scaled_position(10.0)),
+    ("Camera positions look like millimeters where meters are due.", _scaled_position(0.001)),
+    ("Camera axes look like OpenGL's or Blender's (y up, z backwards) instead of OpenCV's.", _turned_over),
+    ("Camera rotations look transposed (camera to world instead of world to camera).", _transposed),
+    ("Camera matrices look inverted (camera to world instead of world to camera).", _inverted),
+    ("The camera's position and its translation t look mistaken for each other.", _position_is_translation),
+    ("Focal length and principal point look like those of pictures of another size.", _fitted_to_size),
+    ("x and y of focal length and principal point look exchanged, or the pictures turned.", _axes_exchanged),
+)

@@ -1,0 +1,113 @@
+"""One picture of a hand that something can be learned from: the record that every loader of a data set gives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+
+import numpy as np
+
+from jghand_engine.captures.masks import lit_part, template_mask
+from jghand_engine.captures.pictures_in import read_mask, read_picture
+from jghand_engine.errors import InputError
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.render.camera import Camera
+
+
+class MaskSource(StrEnum):
+    """Where the mask of a picture comes from: a file of its own, the picture's alpha, the projected template, or that
+    without what is black or glaring in the picture, as the avatar papers do."""
+
+    FILE = "file"
+    ALPHA = "alpha"
+    TEMPLATE = "template"
+    TEMPLATE_LIT = "template, lit pixels"
+
+    @property
+    def is_projected(self) -> bool:
+        """Whether it is a silhouette of our hand, and so no evidence of where the person's hand is."""
+        return self in (MaskSource.TEMPLATE, MaskSource.TEMPLATE_LIT)
+
+
+@dataclass(frozen=True, eq=False)
+class Sample:
+    """A picture on disk and what is known of it; nothing is read until `load_picture`. Equal only to itself.
+
+    picture:     path of the picture, sRGB
+    camera:      OpenCV camera, world -> camera, meters; its size is the picture's
+    joints_m:    (21, 3) float64, level order, world, meters; of a left hand not mirrored
+    valid:       (21,) bool, which joints are known
+    handedness:  which hand
+    capture, sequence, frame, camera_name: where it comes from; (sequence, frame) names a pose
+    mask_source, mask: how to get the mask; `mask` is the file for MaskSource.FILE
+    """
+
+    picture: Path
+    camera: Camera
+    joints_m: np.ndarray
+    valid: np.ndarray
+    handedness: Handedness
+    capture: str
+    sequence: str
+    frame: int
+    camera_name: str
+    mask_source: MaskSource = MaskSource.ALPHA
+    mask: Path | None = None
+
+    @property
+    def pose(self) -> tuple[str, int]:
+        """What names the pose: pictures of several cameras share it."""
+        return self.sequence, self.frame
+
+
+@dataclass(frozen=True)
+class TrainingPicture:
+    """rgb: (H, W, 3) float32, display-referred sRGB over black, 0..1 · mask: (H, W) float32, 0..1"""
+
+    rgb: np.ndarray
+    mask: np.ndarray
+
+
+def load_picture(sample: Sample) -> TrainingPicture:
+    """Reads the picture and its mask, and puts the hand on black: colors are multiplied by the mask (of 8-bit straight
+    alpha: premultiplied), so that what is not hand is exactly 0.
+
+    InputError names the file when it is missing, broken, of another size than the camera, or has no alpha where the
+    mask is its alpha.
+    """
+    stored = read_picture(sample.picture)
+    _check_size(sample, sample.picture, stored)
+    rgb, mask = stored[..., :3].astype(np.float32) / 255.0, _mask(sample, stored)
+    return TrainingPicture(rgb * mask[..., None], mask)
+
+
+def _mask(sample: Sample, stored: np.ndarray) -> np.ndarray:
+    if sample.mask_source.is_projected:
+        mask = template_mask(sample.camera, sample.joints_m, sample.handedness)
+        return lit_part(mask, stored) if sample.mask_source is MaskSource.TEMPLATE_LIT else mask
+    if sample.mask_source is MaskSource.FILE:
+        if sample.mask is None:
+            raise InputError(f"mask of {sample.picture}", wanted="a mask file", came="none named")
+        mask = read_mask(sample.mask)
+        _check_size(sample, sample.mask, mask)
+        return mask
+    if stored.shape[2] != 4:
+        raise InputError(
+            f"picture {sample.picture}",
+            wanted="an alpha channel, which is its mask",
+            came="none",
+            remedy="Save it as PNG with alpha, or give masks as files.",
+        )
+    return stored[..., 3].astype(np.float32) / 255.0
+
+
+def _check_size(sample: Sample, path: Path, pixels: np.ndarray) -> None:
+    height, width = pixels.shape[:2]
+    if (width, height) != (sample.camera.width, sample.camera.height):
+        raise InputError(
+            f"size of {path}",
+            wanted=f"{sample.camera.width} x {sample.camera.height} pixels, for which its camera is given",
+            came=f"{width} x {height}",
+            remedy="Pictures that were resized need their cameras scaled with them: take the originals.",
+        )

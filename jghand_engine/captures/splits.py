@@ -1,0 +1,146 @@
+"""Which pictures an avatar learns from and which it is judged by.
+
+A test picture shows a pose that was not learned, or is seen by a camera that was not, or both: three figures, because
+they fail for different reasons. Where they come from: the capture's own splits.json, a protocol, or a fixed rule.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from jghand_engine import limits
+from jghand_engine.captures.captures import Capture, sorted_samples
+from jghand_engine.captures.sample import Sample
+from jghand_engine.errors import InputError
+from jghand_engine.json_files import read_object
+
+SPLITS_FILE = "splits.json"
+SPLITS_FORMAT = 1
+
+
+@dataclass(frozen=True)
+class Split:
+    """Pictures to learn from, and three kinds of pictures to be judged by.
+
+    train: learned poses, learned cameras · novel_pose: other poses, learned cameras · novel_view: learned poses, other
+    cameras · novel_both: neither was learned · origin: where the split comes from, to be printed beside figures
+    """
+
+    train: tuple[Sample, ...]
+    novel_pose: tuple[Sample, ...]
+    novel_view: tuple[Sample, ...]
+    novel_both: tuple[Sample, ...]
+    origin: str
+
+    @property
+    def test(self) -> tuple[Sample, ...]:
+        """All pictures that are not learned from."""
+        return self.novel_pose + self.novel_view + self.novel_both
+
+    def all_learned(self) -> Split:
+        """The same pictures, all of them to learn from and none to be judged by."""
+        return Split(sorted_samples(self.train + self.test), (), (), (), "all pictures")
+
+    def categories(self) -> dict[str, tuple[Sample, ...]]:
+        """The kinds of test pictures by name, those that there are."""
+        kinds = {"novel pose": self.novel_pose, "novel view": self.novel_view, "both novel": self.novel_both}
+        return {name: samples for name, samples in kinds.items() if samples}
+
+
+def split_capture(capture: Capture) -> Split:
+    """The split that belongs to a capture: its protocol's, else that of its splits.json, else the fixed rule."""
+    if capture.train_sequences:
+        origin = f"protocol {capture.protocol}"
+        return split_by_sequence(capture, capture.train_sequences, capture.test_sequences, origin)
+    file = capture.folder / SPLITS_FILE
+    return split_from_file(capture, file) if file.exists() else split_by_rule(capture)
+
+
+def split_by_rule(
+    capture: Capture, every_pose: int = limits.SPLIT_EVERY_POSE, every_camera: int = limits.SPLIT_EVERY_CAMERA
+) -> Split:
+    """Every n-th pose of a sequence and every n-th camera are for the test, in the order of their names and numbers.
+
+    The same pictures give the same split on any machine. With fewer poses, or cameras, than n none is held out. 0:
+    hold out none. InputError for n = 1 or negative numbers, which would leave nothing to learn from.
+    """
+    for what, every in (("every_pose", every_pose), ("every_camera", every_camera)):
+        if every < 0 or every == 1:
+            raise InputError(what, wanted="0 or at least 2", came=str(every))
+    poses = [pose for sequence in capture.sequences for pose in _nth(_of(capture, sequence), every_pose)]
+    cameras = _nth(capture.cameras, every_camera)
+    origin = f"every {every_pose}th pose and every {every_camera}th camera held out"
+    return _split(capture, set(poses), set(cameras), origin)
+
+
+def split_from_file(capture: Capture, file: Path) -> Split:
+    """The split that a capture was made with.
+
+    {"format": 1, "test_frames": {"<sequence>": [frame, …]}, "test_cameras": ["<camera>", …]}; either may be absent.
+    Names that the capture does not have are ignored: it may be a part of the one that was split. InputError for a file
+    that is damaged, or that leaves nothing to learn from.
+    """
+    content = _content(file)
+    poses = {(name, frame) for name, frames in content.get("test_frames", {}).items() for frame in frames}
+    return _split(capture, poses, set(content.get("test_cameras", [])), f"{SPLITS_FILE} of the capture")
+
+
+def split_by_sequence(capture: Capture, train: Collection[str], test: Collection[str], origin: str) -> Split:
+    """Whole sequences to learn from and to be judged by, all with the same cameras, as the papers do."""
+    held_out = {pose for pose in capture.poses if pose[0] in test}
+    kept = capture.only(sample for sample in capture.samples if sample.sequence in {*train, *test})
+    return _split(kept, held_out, set(), origin)
+
+
+def _split(capture: Capture, test_poses: set[tuple[str, int]], test_cameras: set[str], origin: str) -> Split:
+    def pictures(pose_is_new: bool, camera_is_new: bool) -> tuple[Sample, ...]:
+        return tuple(
+            sample
+            for sample in capture.samples
+            if (sample.pose in test_poses) is pose_is_new and (sample.camera_name in test_cameras) is camera_is_new
+        )
+
+    train = pictures(False, False)
+    if not train:
+        raise InputError(
+            f"split of {capture.name} ({origin})",
+            wanted="at least one picture to learn from",
+            came=f"{len(capture)} pictures, all of them held out",
+            remedy="Hold out fewer poses or cameras.",
+        )
+    return Split(train, pictures(True, False), pictures(False, True), pictures(True, True), origin)
+
+
+def _of(capture: Capture, sequence: str) -> list[tuple[str, int]]:
+    return [pose for pose in capture.poses if pose[0] == sequence]
+
+
+def _nth(names: Iterable[Any], every: int) -> list[Any]:
+    return list(names)[every - 1 :: every] if every else []
+
+
+def _content(file: Path) -> dict[str, Any]:
+    content = read_object(file, "Write the split again.")
+    if content.get("format") != SPLITS_FORMAT:
+        came = repr(content.get("format"))[:80]
+        raise InputError(f"{file}", wanted=f'a split with "format": {SPLITS_FORMAT}', came=came)
+    frames, cameras = content.get("test_frames", {}), content.get("test_cameras", [])
+    sound = (
+        isinstance(frames, dict)
+        and all(_is_list_of(numbers, int) for numbers in frames.values())
+        and _is_list_of(cameras, str)
+    )
+    if not sound:
+        raise InputError(
+            f"{file}",
+            wanted="'test_frames' with lists of frame numbers by sequence and 'test_cameras' with names of cameras",
+            came="something else",
+        )
+    return content
+
+
+def _is_list_of(value: object, kind: type) -> bool:
+    return isinstance(value, list) and all(isinstance(entry, kind) and not isinstance(entry, bool) for entry in value)

@@ -1,0 +1,164 @@
+"""A motion as splat files, one per frame: PLY, .splat, GLB, SPZ or SOG.
+
+Axes (EXPORT 7): for glTF and SPZ it is written down what theirs are, x right, y up, z towards the viewer (some readers
+of SPZ do not keep to it); the others get what viewers take for granted, x right, y down, z forward.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.errors import InputError
+from jghand_engine.export.splats import dot_splat, ply, sog, spz
+from jghand_engine.export.splats import gltf as gltf_splats
+from jghand_engine.export.splats.cloud import AXES_FROM_RUB, RUB_FROM_UP, SplatCloud
+from jghand_engine.export.usd.motion import HandMotion
+from jghand_engine.files import check_room, make_folder, writing
+from jghand_engine.hand.sequence import PoseSequence
+
+_NAME = re.compile(r"[A-Za-z0-9_-]+")
+
+
+class SplatFormat(NamedTuple):
+    """encode: a cloud as the content of a file · bytes_each: of a Gaussian, at most · axes: of the numbers, first what
+    is written unless asked otherwise, then what may be asked for · check: raises where a package is missing."""
+
+    encode: Callable[[SplatCloud], bytes]
+    bytes_each: int
+    axes: tuple[str, ...]
+    check: Callable[[], object] = lambda: None
+
+
+# name of the format and suffix of its files -> the format
+FORMATS = {
+    "ply": SplatFormat(ply.ply_bytes, ply.BYTES_PER_GAUSSIAN, ("rdf", "rub")),
+    "splat": SplatFormat(dot_splat.splat_bytes, dot_splat.BYTES_PER_GAUSSIAN, ("rdf", "rub")),
+    "glb": SplatFormat(gltf_splats.glb_bytes, gltf_splats.BYTES_PER_GAUSSIAN, ("rub",)),
+    "spz": SplatFormat(spz.spz_bytes, spz.BYTES_PER_GAUSSIAN, ("rub", "rdf")),
+    "sog": SplatFormat(sog.sog_bytes, sog.BYTES_PER_GAUSSIAN, ("rdf", "rub"), sog.converter),
+}
+
+
+@dataclass(frozen=True)
+class SplatOptions:
+    """format: a key of FORMATS · name: stem of the files · axes: of the numbers, rdf (x right, y down, z forward) or
+    rub (y up); None: as the format's readers expect it · first_frame: number of the motion's first frame · up: the axis
+    of the motion's world that points up · overwrite: also replace files that are there."""
+
+    format: str = "ply"
+    name: str = "hand"
+    axes: str | None = None
+    first_frame: int = 0
+    up: str = "y"
+    overwrite: bool = False
+
+    def __post_init__(self) -> None:
+        if not _NAME.fullmatch(self.name):
+            raise InputError("name of the splat files", wanted="letters, digits, - and _", came=repr(self.name))
+        choices = (("format", self.format, FORMATS), ("up", self.up, RUB_FROM_UP))
+        for thing, value, wanted in choices:
+            if value not in wanted:
+                raise InputError(thing, wanted=" or ".join(wanted), came=repr(value))
+        if self.axes is not None and self.axes not in self._format.axes:
+            wanted = " or ".join(self._format.axes if self.axes in AXES_FROM_RUB else AXES_FROM_RUB)
+            raise InputError(f"axes of {self.format} files", wanted=wanted, came=repr(self.axes))
+
+    @property
+    def _format(self) -> SplatFormat:
+        return FORMATS[self.format]
+
+    @property
+    def written_axes(self) -> str:
+        """The axes of the numbers in the files."""
+        return self.axes or self._format.axes[0]
+
+    def path(self, folder: Path, index: int) -> Path:
+        """The file of a frame, counted from 0."""
+        return folder / f"{self.name}.{self.first_frame + index:04d}.{self.format}"
+
+
+@dataclass(frozen=True)
+class SplatReport:
+    """What an export did. files: one per frame written · axes: of their numbers · bytes: of all files together · kept:
+    other frames of that name that were there and stay; nothing tells whether they are of the same motion."""
+
+    files: tuple[Path, ...]
+    axes: str
+    gaussians: int
+    bytes: int
+    kept: int
+
+
+def export_splats(
+    folder: Path | str,
+    avatar: HandAvatar,
+    sequence: PoseSequence,
+    options: SplatOptions | None = None,
+    *,
+    frames: range | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> SplatReport:
+    """Writes NAME.0000.ply and so on into `folder`, which may hold other files; each is whole or not there.
+
+    frames: which of the motion's are written, each with its number; None: all · progress: called with (frames done,
+    frames) after every frame. Raises InputError for a motion with gaps, a folder that cannot be written, or holds
+    frames of that name that the motion does not have, or (unless they may be overwritten) those that are to be written,
+    and for a package that is missing; RetryError for a disk that is full or too small.
+    """
+    options = options or SplatOptions()
+    kind = FORMATS[options.format]
+    kind.check()
+    clouds = SplatMotion(avatar, sequence, axes=options.written_axes, up=options.up)
+    target, size = make_folder(folder), 0
+    frames = range(len(sequence)) if frames is None else frames
+    files = tuple(options.path(target, index) for index in frames)
+    kept = _refuse_others(target, options, files, len(sequence))
+    check_room(target, len(avatar) * len(files) * kind.bytes_each, "the splat files")
+    for done, (index, path) in enumerate(zip(frames, files, strict=True), 1):
+        content = kind.encode(clouds.cloud(index))
+        with writing(path) as temporary:
+            temporary.write_bytes(content)
+        size += len(content)
+        if progress:
+            progress(done, len(files))
+    return SplatReport(files, options.written_axes, len(avatar), size, kept)
+
+
+class SplatMotion:
+    """An avatar driven by a sequence, as clouds. axes: a key of AXES_FROM_RUB · up: the motion's axis upwards."""
+
+    def __init__(self, avatar: HandAvatar, sequence: PoseSequence, *, axes: str, up: str = "y") -> None:
+        self._motion, self._axes, self._up = HandMotion(avatar, sequence), axes, up
+
+    def cloud(self, index: int) -> SplatCloud:
+        """The Gaussians of one frame."""
+        return SplatCloud.of_frame(self._motion.frame(index), self._motion.avatar, axes=self._axes, up=self._up)
+
+
+def _refuse_others(folder: Path, options: SplatOptions, files: tuple[Path, ...], frames: int) -> int:
+    """InputError when the folder holds frames that a motion of so many does not have, or files that would be lost.
+    Gives how many other frames of that name it holds."""
+    pattern = re.compile(re.escape(options.name) + r"\.(-?\d+)\." + options.format)
+    there = {path.name: int(found[1]) for path in folder.iterdir() if (found := pattern.fullmatch(path.name))}
+    known = range(options.first_frame, options.first_frame + frames)
+    if others := sorted(name for name, number in there.items() if number not in known):
+        raise InputError(
+            f"folder {folder}",
+            wanted=f"no frames of {options.name} but {known.start} to {known[-1]}, which the motion has",
+            came=f"{len(others)} others ({others[0]} to {others[-1]})",
+            remedy="Remove them, or choose another folder or name.",
+        )
+    lost = [path.name for path in files if path.name in there]
+    if lost and not options.overwrite:
+        raise InputError(
+            f"folder {folder}",
+            wanted=f"none of the frames of {options.name} that are to be written",
+            came=f"{len(lost)} ({lost[0]} to {lost[-1]})",
+            remedy="Replace them with --overwrite, or choose another folder or name.",
+        )
+    return len(there) - len(lost)

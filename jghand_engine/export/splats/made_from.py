@@ -1,0 +1,59 @@
+"""What an export was made from, as digests, whatever its format."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import fields, is_dataclass, replace
+from typing import Any
+
+import torch
+
+from jghand_engine import __version__
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.correctives import PoseNet
+from jghand_engine.avatar.tiers import CachedNet
+from jghand_engine.hand.orders import JointOrder, from_level
+from jghand_engine.hand.sequence import PoseSequence
+
+
+def made_from(avatar: HandAvatar, sequence: PoseSequence) -> dict[str, str]:
+    """What tells whether a stage is still that of an avatar and a motion: SHA-256 of all that an avatar's Gaussians
+    follow from, and of the joints (F, 21, 3) float32 little-endian meters in standard order, and the engine's
+    version."""
+    joints_m = from_level(sequence.joints_m, JointOrder.STANDARD).astype("<f4")
+    return {
+        "engine_version": __version__,
+        "avatar_sha256": _digest_of(avatar),
+        "joints_sha256": hashlib.sha256(joints_m.tobytes()).hexdigest(),
+    }
+
+
+def _digest_of(avatar: HandAvatar) -> str:
+    """Not of its names, nor of cheaper tiers and what they cost, nor of the hand that it is driven by."""
+    digest = hashlib.sha256()
+    tensors = (avatar.position_m, avatar.sigma_m, avatar.opacity, avatar.rgb, avatar.bone_weights)
+    info = avatar.info
+    learned = None if avatar.learned is None else replace(avatar.learned, baked=None)
+    for value in (*tensors, avatar.canonical_joints_m, info.swing, info.scale_mode, str(info.transform), learned):
+        _feed(digest, value)
+    return digest.hexdigest()
+
+
+def _feed(digest: Any, value: Any) -> None:
+    """Adds a value, and all that it holds in its order, to a digest of hashlib."""
+    if isinstance(value, torch.Tensor):
+        digest.update(f"{value.dtype} {tuple(value.shape)} ".encode())
+        digest.update(value.detach().cpu().contiguous().numpy().tobytes())
+    elif isinstance(value, CachedNet):
+        _feed(digest, value.net)
+    elif isinstance(value, torch.nn.Module):
+        for name, tensor in value.state_dict().items():
+            digest.update(name.encode())
+            _feed(digest, tensor)
+        _feed(digest, value.shape if isinstance(value, PoseNet) else None)
+    elif is_dataclass(value):
+        for entry in fields(value):
+            digest.update(entry.name.encode())
+            _feed(digest, getattr(value, entry.name))
+    else:
+        digest.update(f"{value!r} ".encode())

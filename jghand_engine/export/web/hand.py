@@ -1,0 +1,152 @@
+"""What a web page needs of an avatar to pose it: the arrays that the native kernels read, and the few that are prepared
+for every pose. The page has the same kernels, compiled to WebAssembly, and pose.js in the place of avatar/fast_*.py.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from jghand_engine import limits
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.correctives import Correctives
+from jghand_engine.avatar.fast_cast import FastCast
+from jghand_engine.avatar.fast_correctives import FastFeatures, FastLinear, FastNetwork, NoCorrectives, fast_correctives
+from jghand_engine.avatar.fast_learned import learned_arrays, new_task
+from jghand_engine.avatar.fast_skinning import Blocks, ellipsoid_axes, skin_arrays
+from jghand_engine.avatar.learned import Learned
+from jghand_engine.avatar.tiers import LinearCorrectives, Tier
+from jghand_engine.errors import InputError
+from jghand_engine.export.web.pack import Pack, task_in_words
+from jghand_engine.hand.fast_transform import packed_skeleton
+from jghand_engine.hand.transform import JointTransform
+from jghand_engine.native.learned_tasks import LearnedTask
+from jghand_engine.native.tasks import SkinTask
+
+# arrays that are read in 16 bits: of the order of a micrometer, and of 1/65535 of a color
+_ROUNDED = {"skin.rest", "skin.axes", "look", "constant", "share", "cast.rest", "cast.foreign", "places"}
+# those that the kernels or the page write
+_WRITTEN = {"matt", "given", "numbers", "features", "cast.capsule", "cast.capsule_lamp", "cast.fallen"}
+
+
+def with_cheap_correctives(avatar: HandAvatar) -> tuple[HandAvatar, str]:
+    """The avatar with its linear tier where it has one, and "linear", "network" or "none"."""
+    if avatar.learned is None or avatar.learned.correctives is None:
+        return avatar, "none"
+    baked = avatar.learned.baked
+    if baked is not None and baked.linear is not None:
+        return replace(avatar, learned=replace(avatar.learned, correctives=baked.linear)), Tier.LINEAR.value
+    kind = Tier.LINEAR.value if isinstance(avatar.learned.correctives, LinearCorrectives) else "network"
+    return avatar, kind
+
+
+def pack_hand(avatar: HandAvatar, pack: Pack) -> dict[str, Any]:
+    """Adds an avatar's arrays to `pack`, and says in plain data what else there is to know of posing it.
+
+    avatar: with the correctives that the page shall compute. InputError for correctives that the kernels do not know.
+    """
+    blocks = Blocks(avatar.position_m.numpy())
+    learned = avatar.learned
+    skin = SkinTask(
+        blocks=blocks.count, stretch_min=limits.SIGMA_STRETCH_MIN, stretch_max=limits.SIGMA_STRETCH_MAX
+    )  # fmt: skip
+    task = LearnedTask() if learned is None else new_task(learned, avatar.handedness)
+    arrays = {f"skin.{name}": array for name, array in skin_arrays(avatar, blocks).items()}
+    about: dict[str, Any] = {"correctives": None, "cast": None}
+    if learned is not None:
+        arrays |= learned_arrays(avatar, learned, blocks)
+        task.lobes = len(arrays["lobe"])
+        about["correctives"] = _correctives(learned.correctives, avatar, blocks, task, arrays)
+        about["cast"] = _cast(learned, avatar, blocks, task, arrays)
+    task.skin = skin
+    for name, array in arrays.items():
+        _add(pack, name, array)
+    rows = blocks.rows
+    pack.empty("skin.position", (rows, 3))
+    pack.empty("skin.sigma", (rows,))
+    if ellipsoid_axes(avatar) is not None:
+        pack.empty("skin.covariance", (rows, 6))
+    if learned is None:
+        pack.exact("rgb", blocks.in_rows(avatar.rgb.numpy()), "f4")
+    else:
+        pack.empty("rgb", (rows, 3))
+    opacity = blocks.in_rows(avatar.opacity.numpy())
+    pack.rounded("opacity", opacity[None, None])
+    transform = avatar.bone_transform()
+    if not isinstance(transform, JointTransform):
+        raise InputError("avatar", wanted="one that follows the joints", came=avatar.info.transform)
+    pack.exact("skeleton", packed_skeleton(transform), "f8")
+    # which Gaussian of the avatar stands in a row is nobody's business but a comparison's
+    return about | {"rows": rows, "task": task_in_words(task)}
+
+
+def rows_of(avatar: HandAvatar) -> np.ndarray:
+    """(N,) the avatar's Gaussian in each row of the page's arrays."""
+    return Blocks(avatar.position_m.numpy()).order
+
+
+def _add(pack: Pack, name: str, array: np.ndarray) -> None:
+    if name in _WRITTEN:
+        pack.empty(name, array.shape)
+    elif name == "direction":
+        pack.exact(name, array, "i1")
+    elif name in _ROUNDED:
+        pack.rounded(name, array)
+    elif name.endswith("weight"):
+        pack.rounded(name, array[:, None])
+    elif name == "nearest" or name.endswith("bone"):
+        pack.counts(name, array)
+    else:
+        pack.exact(name, array, "i4" if array.dtype.kind == "i" else "f4")
+
+
+def _correctives(
+    correctives: Correctives | None,
+    avatar: HandAvatar,
+    blocks: Blocks,
+    task: LearnedTask,
+    arrays: dict[str, np.ndarray],
+) -> dict[str, Any] | None:
+    """Adds their arrays; what is prepared of them for every pose."""
+    fast = fast_correctives(correctives, blocks, avatar.bone_weights, task)
+    if isinstance(fast, NoCorrectives):
+        return None
+    if not isinstance(fast, FastLinear | FastNetwork):
+        raise InputError(
+            f"correctives of avatar {avatar.info.name}", wanted="ones that the kernels know", came="a wider network",
+            remedy="`jghand bake` adds cheaper ones.",
+        )  # fmt: skip
+    arrays |= fast.arrays
+    arrays["texels"] = fast.features.texels
+    about: dict[str, Any] = {"features": _features(fast.features)}
+    if isinstance(fast, FastNetwork):
+        fast.prepare(task, np.zeros(37))  # says to the task that there is a network
+        arrays["angles_in"] = fast.angles_in
+        return about | {"kind": "network", "hidden": int(task.hidden)}
+    return about | {
+        "kind": "linear", "basis": int(task.basis), "mean": fast.mean.tolist(), "projection": fast.projection.tolist(),
+        "first": fast.first, "second": fast.second,
+    }  # fmt: skip
+
+
+def _features(features: FastFeatures) -> dict[str, Any]:
+    names = ("source", "offset", "slope")
+    plain = {name: getattr(features, name).tolist() for name in names}
+    return plain | {"level1": features.level1, "shape": list(features.texels.shape)}
+
+
+def _cast(
+    learned: Learned, avatar: HandAvatar, blocks: Blocks, task: LearnedTask, arrays: dict[str, np.ndarray]
+) -> dict[str, Any] | None:
+    """Adds the arrays of the cast shadow; what is prepared of it for every pose."""
+    if learned.cast is None:
+        return None
+    cast = FastCast(learned.cast, avatar, blocks, task)
+    arrays |= {f"cast.{name}": array for name, array in cast.arrays.items()} | cast.around
+    return {
+        "joints_m": cast.joints_m.tolist(), "direction": cast.direction.tolist(),
+        "radius_m": [1e-3 * radius for radius in limits.GATE_CAPSULE_RADII_MM],
+        "length2_min": limits.CAPSULE_LENGTH2_MIN, "sine2_min": limits.CAPSULE_SINE2_MIN,
+    }  # fmt: skip

@@ -1,0 +1,158 @@
+"""Checkpoints: a training between two steps as one file, safetensors with a JSON description. Reading runs no code.
+
+The metadata holds one key, `jghand_training`, a JSON object: format_version, jghand_version, stamp (the options that
+decide what is learned; they must agree when the training goes on), scalars (the model's) and course (the loop's).
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict, fields
+from pathlib import Path
+from typing import Any
+
+import safetensors
+import safetensors.torch
+import torch
+
+from jghand_engine import __version__
+from jghand_engine.errors import InputError
+from jghand_engine.files import writing
+from jghand_engine.learn.snapshot import Course, Snapshot
+from jghand_engine.limits import CHECKPOINTS_KEPT
+
+FORMAT_VERSION = 1
+METADATA_KEY = "jghand_training"
+START_ANEW = "Start anew with --fresh."
+
+Stamp = Mapping[str, Any]
+
+
+def save_checkpoint(path: Path, snapshot: Snapshot, stamp: Stamp) -> None:
+    """Writes the file, whole or not at all. InputError or RetryError when the disk does not let it."""
+    description = {
+        "format_version": FORMAT_VERSION,
+        "jghand_version": __version__,
+        "stamp": stamp,
+        "scalars": snapshot.scalars,
+        "course": asdict(snapshot.course),
+    }
+    tensors = {name: tensor.cpu().contiguous() for name, tensor in snapshot.tensors.items()}
+    content = safetensors.torch.save(tensors, {METADATA_KEY: json.dumps(description, allow_nan=False)})
+    with writing(path) as temporary:
+        temporary.write_bytes(content)
+
+
+def load_checkpoint(path: Path) -> tuple[Snapshot, Stamp]:
+    """What `save_checkpoint` wrote. InputError names the file and what is wrong with it."""
+    try:
+        with safetensors.safe_open(path, framework="pt") as content:
+            description = _description(path, (content.metadata() or {}).get(METADATA_KEY))
+            tensors: dict[str, torch.Tensor] = {name: content.get_tensor(name) for name in content.keys()}  # noqa: SIM118
+    except (safetensors.SafetensorError, OSError) as error:
+        raise _damaged(path, str(error)[:200]) from error
+    return Snapshot(tensors, description["scalars"], _course(path, description["course"])), description["stamp"]
+
+
+def _description(path: Path, text: str | None) -> dict[str, Any]:
+    try:
+        description = json.loads(text) if text is not None else None
+    except (ValueError, RecursionError) as error:
+        raise _damaged(path, str(error)) from error
+    if not isinstance(description, dict):
+        raise _damaged(path, "a file without the description of a training")
+    version = description.get("format_version")
+    if version != FORMAT_VERSION:
+        raise InputError(
+            f"{path}: format version", wanted=str(FORMAT_VERSION), came=repr(version)[:50],
+            remedy=f"It was written by JGHand {str(description.get('jghand_version'))[:50]}: go on with that one. "
+            + START_ANEW,
+        )  # fmt: skip
+    for name in ("stamp", "scalars", "course"):
+        if not isinstance(description.get(name), dict):
+            raise _damaged(path, f"no {name}")
+    return description
+
+
+def _course(path: Path, values: dict[str, Any]) -> Course:
+    known = {field.name for field in fields(Course)}
+    if values.keys() != known or not isinstance(values["step"], int) or values["step"] < 0:
+        raise _damaged(path, "another description of where the loop stands")
+    return Course(**values)
+
+
+def _damaged(path: Path, came: str) -> InputError:
+    return InputError(str(path), wanted="a checkpoint of a training", came=came, remedy=START_ANEW)
+
+
+def check_stamp(found: Stamp, wanted: Stamp, thing: str) -> None:
+    """InputError that names the first option in which the checkpoint `thing` differs from this run."""
+    before, now = dict(_flat(found)), dict(_flat(wanted))
+    for name in [*now, *(name for name in before if name not in now)]:
+        if before.get(name) != now.get(name):
+            raise InputError(
+                f"{thing}: {name}", wanted=f"{before.get(name)!r}, as this training began", came=repr(now.get(name)),
+                remedy="Go on with the options it began with, or start anew with --fresh.",
+            )  # fmt: skip
+
+
+def _flat(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Nested options as (name.of.option, value); values as JSON gives them back."""
+    for name, value in values.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{name}.")
+        else:
+            yield prefix + name, json.loads(json.dumps(value))
+
+
+class CheckpointFolder:
+    """The checkpoints of one training, named by their step: the last two, and the one with the best fixed views."""
+
+    def __init__(self, folder: Path, stamp: Stamp) -> None:
+        self._folder, self._stamp = folder, stamp
+
+    def save(self, snapshot: Snapshot) -> Path:
+        path = self._folder / f"step_{snapshot.course.step:08d}.safetensors"
+        save_checkpoint(path, snapshot, self._stamp)
+        self._forget_old(snapshot.course)
+        return path
+
+    def newest(self) -> tuple[Snapshot | None, list[str]]:
+        """The newest checkpoint that can be read, None without any, and a sentence for each one that cannot.
+
+        InputError when there are some and none is whole, or when the options differ from those of this run.
+        """
+        damaged: list[InputError] = []
+        for _, path in reversed(self._numbered()):
+            try:
+                snapshot, stamp = load_checkpoint(path)
+            except InputError as error:
+                damaged.append(error)
+                continue
+            check_stamp(stamp, self._stamp, str(path))
+            return snapshot, [str(error) for error in damaged]
+        if damaged:
+            raise damaged[0]
+        return None, []
+
+    def remove_leftovers(self) -> None:
+        """Removes what a kill in the middle of a save left: temporary files of `files.writing`."""
+        for path in self._folder.glob(".step_*.safetensors"):
+            path.unlink(missing_ok=True)
+
+    def clear(self) -> None:
+        for _, path in self._numbered():
+            path.unlink()
+
+    def _forget_old(self, course: Course) -> None:
+        # a newer one can only be damaged: it was passed over when the training went on from an older one
+        own = [(step, path) for step, path in self._numbered() if step <= course.step]
+        for step, path in own[:-CHECKPOINTS_KEPT]:
+            if step != course.best_step:
+                path.unlink(missing_ok=True)
+
+    def _numbered(self) -> list[tuple[int, Path]]:
+        found = ((re.fullmatch(r"step_(\d+)\.safetensors", path.name), path) for path in self._folder.glob("step_*"))
+        return sorted((int(match[1]), path) for match, path in found if match)

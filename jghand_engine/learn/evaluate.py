@@ -1,0 +1,196 @@
+"""How good an avatar is on pictures that it did not learn from: every metric of every picture, and their means.
+
+Avatars are drawn by the renderer that users have (`splat.frame`), with settings that are said beside the figures.
+A mean over pictures is the mean of their values, decibels included, as the papers do it.
+"""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+
+from jghand_engine import limits
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.captures.sample import Sample, load_picture
+from jghand_engine.captures.splits import Split
+from jghand_engine.errors import InputError
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.transform import JointTransform
+from jghand_engine.learn.metrics import compare, mask_box
+from jghand_engine.learn.perceptual import PerceptualMetric
+from jghand_engine.render.camera import Camera
+from jghand_engine.render.frame import HandRenderer
+from jghand_engine.render.settings import RenderSettings
+from jghand_engine.template.builtin import load_template
+
+
+class Picturer(Protocol):
+    """Whatever draws a hand: an avatar in the renderer, or a model that is still learning."""
+
+    def __call__(self, joints_m: np.ndarray, handedness: Handedness, camera: Camera) -> np.ndarray:
+        """(21, 3) level-order joints, world, meters -> (H, W, 4) float32, premultiplied, display-referred sRGB."""
+        ...
+
+
+def avatar_picturer(avatar: HandAvatar, settings: RenderSettings) -> Picturer:
+    """Draws `avatar` with the renderer that users have."""
+
+    @cache
+    def renderer(handedness: Handedness) -> HandRenderer:
+        return HandRenderer(avatar.for_hand(handedness), settings)
+
+    def draw(joints_m: np.ndarray, handedness: Handedness, camera: Camera) -> np.ndarray:
+        return renderer(handedness).render(joints_m, camera).rgba
+
+    return draw
+
+
+@dataclass(frozen=True)
+class PictureScore:
+    """One picture. scores: by metric and region, such as psnr_box · render_ms: drawing it, files excluded ·
+    flexion_deg: mean flexion of the joints of index..pinky."""
+
+    sample: Sample
+    category: str
+    flexion_deg: float
+    scores: Mapping[str, float]
+    render_ms: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain data for JSON."""
+        sample = self.sample
+        where = {"sequence": sample.sequence, "frame": sample.frame, "camera": sample.camera_name}
+        return where | {
+            "category": self.category, "flexion_deg": self.flexion_deg, "render_ms": self.render_ms, **self.scores,
+        }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Figures of one avatar on pictures of one capture. name: of the avatar · capture · origin: of the split."""
+
+    name: str
+    capture: str
+    origin: str
+    pictures: tuple[PictureScore, ...]
+
+    def groups(self) -> dict[str, tuple[PictureScore, ...]]:
+        """The pictures of each category, and all of them where there is more than one category."""
+        names = dict.fromkeys(picture.category for picture in self.pictures)
+        groups = {name: tuple(p for p in self.pictures if p.category == name) for name in names}
+        return groups if len(groups) == 1 else groups | {"all": self.pictures}
+
+    def regions(self) -> dict[str, tuple[PictureScore, ...]]:
+        """The pictures by how far the fingers are bent, those regions that there are."""
+        edges = (-np.inf, *limits.FLEXION_REGIONS_DEG, np.inf)
+        groups = {}
+        for low, high in itertools.pairwise(edges):
+            inside = tuple(p for p in self.pictures if low <= p.flexion_deg < high)
+            if inside:
+                groups[_region_name(low, high)] = inside
+        return groups
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain data for JSON: means of every group, and every picture."""
+        by_flexion = {f"fingers {name}": group for name, group in self.regions().items()}
+        groups = {**self.groups(), "all": self.pictures, **by_flexion}
+        return {
+            "avatar": self.name,
+            "capture": self.capture,
+            "split": self.origin,
+            "means": {name: {"pictures": len(group), **means(group)} for name, group in groups.items()},
+            "pictures": [picture.as_dict() for picture in self.pictures],
+        }
+
+
+def _region_name(low: float, high: float) -> str:
+    if np.isinf(low):
+        return f"bent below {high:g}°"
+    return f"bent {low:g}° and more" if np.isinf(high) else f"bent {low:g}° to {high:g}°"
+
+
+def means(pictures: Sequence[PictureScore]) -> dict[str, float]:
+    """Mean of every metric that all of the pictures have."""
+    shared = [name for name in pictures[0].scores if all(name in picture.scores for picture in pictures)]
+    return {name: float(np.mean([picture.scores[name] for picture in pictures])) for name in shared}
+
+
+def categories_of(split: Split, which: str, limit: int = 0) -> dict[str, tuple[Sample, ...]]:
+    """The pictures to measure, by category. which: 'test', 'train' or 'all'.
+
+    limit: at most so many of each category, spread evenly over it; 0: all. InputError where there are none.
+    """
+    groups = split.categories() if which in ("test", "all") else {}
+    if which in ("train", "all"):
+        groups = groups | {"learnt": split.train}
+    if not groups:
+        raise InputError(f"pictures of the {which} split", wanted="at least one", came=f"none ({split.origin})",
+                         remedy="Hold out poses or cameras, or take --split train.")  # fmt: skip
+    return {name: spread(samples, limit) for name, samples in groups.items()}
+
+
+def spread(samples: Sequence[Sample], limit: int) -> tuple[Sample, ...]:
+    """At most `limit` of the samples, evenly over their order; 0: all."""
+    if not 0 < limit < len(samples):
+        return tuple(samples)
+    places = np.linspace(0, len(samples) - 1, limit).round().astype(int)
+    return tuple(samples[place] for place in places)
+
+
+def measure_pictures(
+    categories: Mapping[str, Iterable[Sample]],
+    draw: Picturer,
+    *,
+    perceptual: Sequence[PerceptualMetric] = (),
+    tick: Callable[[], None] = lambda: None,
+) -> tuple[PictureScore, ...]:
+    """Draws and measures every sample. tick: called after each. Errors of files and renderer pass through."""
+    pictures = []
+    for category, samples in categories.items():
+        for sample in samples:
+            pictures.append(_measure(sample, category, draw, perceptual))
+            tick()
+    return tuple(pictures)
+
+
+def _measure(sample: Sample, category: str, draw: Picturer, perceptual: Sequence[PerceptualMetric]) -> PictureScore:
+    truth = load_picture(sample)
+    started = time.perf_counter()
+    rgba = draw(sample.joints_m, sample.handedness, sample.camera)
+    render_ms = 1e3 * (time.perf_counter() - started)
+    # premultiplied: over black it is the picture
+    scores = compare(rgba[..., :3], truth.rgb, truth.mask)
+    scores |= _perceptual_scores(rgba[..., :3], truth.rgb, truth.mask, perceptual)
+    flexion_deg = finger_flexion_deg(sample.joints_m, sample.handedness)
+    return PictureScore(sample, category, flexion_deg, scores, render_ms)
+
+
+def _perceptual_scores(
+    rgb: np.ndarray, truth: np.ndarray, mask: np.ndarray, perceptual: Sequence[PerceptualMetric]
+) -> dict[str, float]:
+    box, scores = mask_box(mask), {}
+    with torch.no_grad():
+        for metric in perceptual:
+            key = metric.name.lower().replace("-", "_")
+            for region, ours, theirs in (("full", rgb, truth), ("box", box.of(rgb), box.of(truth))):
+                a, b = (torch.from_numpy(np.clip(picture, 0, 1).astype(np.float32)) for picture in (ours, theirs))
+                scores[f"{key}_{region}"] = float(metric.distance(a, b))
+    return scores
+
+
+def finger_flexion_deg(joints_m: np.ndarray, handedness: Handedness) -> float:
+    """Mean flexion of the three joints of index..pinky, degrees: about 0 for a flat hand, 85 for a fist."""
+    angles = _angle_transform(handedness).frames(torch.from_numpy(np.ascontiguousarray(joints_m))).angles
+    return float(torch.rad2deg(angles[..., 0].reshape(3, 5)[:, 1:].mean()))
+
+
+@cache
+def _angle_transform(handedness: Handedness) -> JointTransform:
+    return JointTransform(load_template().joints_m, handedness=handedness)

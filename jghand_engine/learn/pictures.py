@@ -1,0 +1,86 @@
+"""The pictures that a training looks at again and again: cut to the hand, kept as bytes, coarser where wanted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch.nn import functional
+
+from jghand_engine.captures.sample import Sample, load_picture
+from jghand_engine.errors import InputError
+from jghand_engine.learn.recent import Recent
+from jghand_engine.limits import CROP_MARGIN_PX, METRIC_BOX_MIN_PX, PICTURE_CACHE_BYTES, SSIM_WINDOW_PX
+from jghand_engine.render.camera import Camera
+
+
+@dataclass(frozen=True)
+class View:
+    """One picture to compare with. rgb: (H, W, 3) float32 over black · mask: (H, W) float32 · camera: of that cut"""
+
+    rgb: torch.Tensor
+    mask: torch.Tensor
+    camera: Camera
+
+
+@dataclass(frozen=True)
+class _Kept:
+    rgb: np.ndarray
+    mask: np.ndarray
+    camera: Camera
+
+
+class Pictures:
+    """Loads samples, cuts them to the hand with a margin, and keeps as many as fit into PICTURE_CACHE_BYTES."""
+
+    def __init__(self) -> None:
+        self._kept: Recent[_Kept] = Recent(PICTURE_CACHE_BYTES, lambda kept: kept.rgb.nbytes + kept.mask.nbytes)
+
+    def view(self, sample: Sample, stride: int = 1) -> View:
+        """The picture of a sample; stride 2 averages 2 x 2 pixels into one. InputError as `load_picture`, or when no
+        pixel of it shows the hand."""
+        kept = self._kept.get(sample.picture, lambda: _cut(sample))
+        rgb, mask = torch.from_numpy(kept.rgb).float() / 255.0, torch.from_numpy(kept.mask).float() / 255.0
+        view = View(rgb, mask, kept.camera)
+        return view if stride == 1 else coarser(view, stride)
+
+
+def coarser(view: View, stride: int) -> View:
+    """Every `stride` x `stride` pixels averaged into one; what is left over at the right and below is dropped."""
+    planes = torch.cat([view.rgb, view.mask[..., None]], -1).permute(2, 0, 1)[None]
+    small = functional.avg_pool2d(planes, stride)[0].permute(1, 2, 0)
+    camera = view.camera
+    camera = replace(
+        camera,
+        width=small.shape[1],
+        height=small.shape[0],
+        **{name: getattr(camera, name) / stride for name in ("fx", "fy", "cx", "cy")},
+    )
+    return View(small[..., :3].contiguous(), small[..., 3].contiguous(), camera)
+
+
+def _cut(sample: Sample) -> _Kept:
+    picture = load_picture(sample)
+    rows, columns = (np.flatnonzero(picture.mask.max(axis=axis) > 0) for axis in (1, 0))
+    if not len(rows):
+        raise InputError(f"mask of {sample.picture}", wanted="a hand in the picture", came="an empty mask",
+                         remedy="Leave that picture out, or look at it with `jghand check-data`.")  # fmt: skip
+    # at stride 2 still larger than the window of SSIM, and no thinner than perceptual metrics want it
+    least = max(2 * SSIM_WINDOW_PX + 2, METRIC_BOX_MIN_PX)
+    top, bottom = _span(rows, picture.mask.shape[0], least)
+    left, right = _span(columns, picture.mask.shape[1], least)
+    camera = sample.camera
+    camera = replace(camera, width=right - left, height=bottom - top, cx=camera.cx - left, cy=camera.cy - top)
+    cut = slice(top, bottom), slice(left, right)
+    rgb, mask = (np.round(255 * plane[cut]).astype(np.uint8) for plane in (picture.rgb, picture.mask))
+    return _Kept(rgb, mask, camera)
+
+
+def _span(filled: np.ndarray, size: int, least: int) -> tuple[int, int]:
+    """From the first to behind the last filled line, with a margin, inside the picture."""
+    low, high = max(int(filled[0]) - CROP_MARGIN_PX, 0), min(int(filled[-1]) + 1 + CROP_MARGIN_PX, size)
+    if high - low < least:
+        low = max(min(low, size - least), 0)
+        high = min(low + least, size)
+    return low, high

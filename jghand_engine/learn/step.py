@@ -1,0 +1,354 @@
+"""One step of learning a hand: a pose, some pictures of it, the loss, the update. METHOD 4.
+
+Everything is drawn by the functions that draw the finished avatar (`avatar.skinning`, `splat`). What a pose needs of
+the bones never changes while training, and is computed once per pose.
+
+What is learned lies on the training's device: planes, networks, skin, Adam. Rasterizer, shadow and the losses of
+pictures run on the CPU; posed Gaussians go there and their gradients come back (`_draw_view`). On the CPU nothing is
+copied.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from scipy.spatial import KDTree
+from torch import Tensor
+
+from jghand_engine import limits
+from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
+from jghand_engine.avatar.canonical_points import place_points
+from jghand_engine.avatar.cast_shadow import LampsSeen
+from jghand_engine.avatar.model import LearnedHand, Shape
+from jghand_engine.avatar.pose_features import octave_of_wave
+from jghand_engine.avatar.records import mapped
+from jghand_engine.avatar.skinning import PosedSkin, SkinMaps, pose_skin, see_lamps, seen_from, skin_maps
+from jghand_engine.captures.sample import Sample
+from jghand_engine.errors import InputError
+from jghand_engine.hand.baselines import transform_called
+from jghand_engine.hand.transform import BoneTransforms
+from jghand_engine.learn.bake import bake
+from jghand_engine.learn.losses import isotropy_loss, l1_loss, mask_loss, offset_loss, ssim_loss
+from jghand_engine.learn.options import TrainOptions, at_part
+from jghand_engine.learn.perceptual import PerceptualMetric
+from jghand_engine.learn.pictures import Pictures, View
+from jghand_engine.learn.recent import Recent
+from jghand_engine.learn.trainable import GAUSSIANS, LOSS
+from jghand_engine.native.library import load as load_native
+from jghand_engine.native.threads import thread_count
+from jghand_engine.render.camera import Camera
+from jghand_engine.render.gate import ShadowGate, fade
+from jghand_engine.render.rasterize import rasterize
+from jghand_engine.render.settings import RenderSettings
+from jghand_engine.render.shadow import ShadowStyle
+from jghand_engine.render.shadow_native import darken
+from jghand_engine.template.mesh import HandTemplate
+
+CPU = torch.device("cpu")
+
+
+@dataclass(frozen=True)
+class Material:
+    """What a hand is learned from. train: pictures to learn from, of one hand · judged: fixed views by which progress
+    is judged, at least one; the first is shown · template: where the Gaussians start · info: names of the finished
+    avatar · perceptual: a metric, or None"""
+
+    train: Sequence[Sample]
+    judged: Sequence[Sample]
+    template: HandTemplate
+    info: AvatarInfo
+    perceptual: PerceptualMetric | None = None
+
+
+@dataclass(frozen=True)
+class _PosedBones:
+    """What never changes of one pose: transforms, maps of the skin, strength of the shadow 0..1, and which
+    lamps are seen."""
+
+    bones: BoneTransforms
+    maps: SkinMaps
+    shadow: float
+    seen: LampsSeen | None
+
+    def nbytes(self) -> int:
+        """Memory of the maps, bytes; the rest is small."""
+        maps = self.maps
+        tensors = [maps.linear, maps.offset_m, maps.radius, maps.turning]
+        tensors += [] if self.seen is None else [self.seen.open, self.seen.seen]
+        return sum(tensor.nbytes for tensor in tensors if tensor is not None)
+
+
+class HandTraining:
+    """A Trainable (training.trainable): learns `material` as `options` say, with torch's part on `device`."""
+
+    def __init__(self, material: Material, options: TrainOptions, device: torch.device = CPU) -> None:
+        if len({sample.handedness for sample in material.train}) != 1:
+            raise InputError("pictures to learn from", wanted="one hand, right or left", came="none or both")
+        _check_joints(material)
+        self.options, self._material, self._device = options, material, device
+        self._handedness = material.train[0].handedness
+        model = options.model
+        points = place_points(
+            material.template,
+            model.gaussians,
+            depth_m=model.shell_depth_m,
+            area_power=model.area_power,
+            seed=options.seed,
+        )
+        hand = LearnedHand(points, model, options.seed)
+        # of the CPU, where bones and what they do to the skin are computed, once a pose
+        with torch.no_grad():
+            self._points, self._cast = points, hand.cast_shadow(1)
+        self.hand = hand.on(device)
+        self._info = replace(material.info, transform=options.transform)
+        self._transform = transform_called(
+            options.transform,
+            points.joints_m,
+            handedness=self._handedness,
+            swing=model.swing,
+            scale_mode=model.scale_mode,
+        )
+        self._gate = ShadowGate(points.joints_m.numpy())
+        self._poses = _by_pose(material.train)
+        self._names = sorted(self._poses)
+        self._known: Recent[_PosedBones] = Recent(limits.POSE_CACHE_BYTES, _PosedBones.nbytes)
+        self._pictures = Pictures()
+        self._settings = RenderSettings()
+        self._library = load_native("auto")
+        self._octave = octave_of_wave(model.pose.octaves).to(device)
+        # fused and joined forms of the update are tried on the CPU; Metal takes the plain ones
+        self._fast = device.type != "mps"
+        self._optimizer = self._new_optimizer()
+        self._steps = 1
+        self._count = 0
+        # of the training that is over, for what is shown and baked: as much of the encoding as has been learned
+        self._part = 0.0
+
+    def _new_optimizer(self) -> torch.optim.Adam:
+        schedule, hand = self.options.schedule, self.hand
+        fast = [hand.log_sigma, hand.pose_net.angles.planes, *hand.planes.parameters(), *hand.light_parameters()]
+        known = {id(parameter) for parameter in fast}
+        slow = [parameter for parameter in hand.parameters() if id(parameter) not in known]
+        groups = [{"params": slow, "lr": schedule.rate}, {"params": fast, "lr": schedule.plane_rate}]
+        # the fused form is four times as fast on the CPU and gives the same bits every time
+        return torch.optim.Adam(groups, eps=limits.ADAM_EPS, fused=self._fast)
+
+    # ---- Trainable ---------------------------------------------------------------------------------------------------
+
+    def plan(self, steps: int) -> None:
+        """See Trainable."""
+        self._steps = max(steps, 1)
+
+    def step(self, number: int) -> dict[str, float]:
+        """See Trainable. Its poses go round in a new random order each time; the cameras are drawn anew."""
+        self._part = part = min(number / self._steps, 1.0)
+        self._refine(part)
+        stride = int(at_part(self.options.schedule.strides, part))
+        samples = self._draw(number)
+        views = [self._pictures.view(sample, stride) for sample in samples]
+        self._set_rates(number, part)
+        terms = self._terms(samples[0], views, part)
+        loss = torch.stack([term.cpu() for term in terms.values()]).sum()
+        self._optimizer.zero_grad(set_to_none=True)
+        loss.backward()
+        norm = torch.nn.utils.get_total_norm(list(self.gradients().values()), foreach=self._fast)
+        # shortened by a norm that is not finite, all gradients would be so too, and hide which one it was
+        if bool(torch.isfinite(norm)):
+            longest = self.options.schedule.gradient_norm
+            torch.nn.utils.clip_grads_with_norm_(self.hand.parameters(), longest, norm, foreach=self._fast)
+            self._optimizer.step()
+            self.hand.keep_in_range()
+        figures = {name: float(term.detach()) for name, term in terms.items()}
+        return {LOSS: float(loss.detach()), GAUSSIANS: float(self._count), "gradient": float(norm), **figures}
+
+    def tensors(self) -> dict[str, Tensor]:
+        """See Trainable: parameters under their names, Adam's moments behind `adam.`."""
+        named = {name: parameter.data for name, parameter in self.hand.named_parameters()}
+        for name, parameter in self.hand.named_parameters():
+            state = self._state_of(parameter)
+            named |= {f"adam.{name}.{moment}": state[moment] for moment in ("exp_avg", "exp_avg_sq", "step")}
+        return named
+
+    def load_tensors(self, tensors: Mapping[str, Tensor]) -> None:
+        """See Trainable."""
+        with torch.no_grad():
+            for name, own in self.tensors().items():
+                own.copy_(tensors[name])
+        self.hand.keep_in_range()
+
+    def scalars(self) -> dict[str, Any]:
+        """See Trainable: how many Gaussians take part so far, and the part of the training that is over."""
+        return {"count": self._count, "part": self._part}
+
+    def load_scalars(self, scalars: Mapping[str, Any]) -> None:
+        """See Trainable."""
+        self._count, self._part = int(scalars["count"]), float(scalars.get("part", 1.0))
+
+    def gradients(self) -> dict[str, Tensor]:
+        """See Trainable."""
+        return {name: parameter.grad for name, parameter in self.hand.named_parameters() if parameter.grad is not None}
+
+    def preview(self) -> np.ndarray:
+        """See Trainable."""
+        view, ours = self._drawn(self._material.judged[0])
+        return torch.cat([view.rgb, ours], 1).numpy()
+
+    def fixed_psnr(self) -> float:
+        """See Trainable: on the cuts of the fixed views."""
+        pairs = [self._drawn(sample) for sample in self._material.judged]
+        errors = torch.stack([(view.rgb - ours).square().mean() for view, ours in pairs])
+        return float(-10 * torch.log10(errors.clamp_min(1e-10)).mean())
+
+    def avatar(self) -> HandAvatar:
+        """See Trainable."""
+        waves = self._wave_weight(self._part)
+        return bake(self.hand, self._info, self._transform, self._joints_m(), self.options.shadow, waves)
+
+    # ---- what a step does --------------------------------------------------------------------------------------------
+
+    def _draw(self, number: int) -> list[Sample]:
+        """Pictures of one pose by different cameras."""
+        turn, place = divmod(number, len(self._names))
+        order = np.random.default_rng([self.options.seed, turn]).permutation(len(self._names))
+        samples = self._poses[self._names[order[place]]]
+        chosen = np.random.default_rng([self.options.seed, turn, place]).permutation(len(samples))
+        return [samples[index] for index in chosen[: self.options.schedule.views]]
+
+    def _refine(self, part: float) -> None:
+        """Lets the Gaussians of a finer level of detail join, with the radii of their neighbors."""
+        total = len(self.hand.points)
+        wanted = max(1, round(total * at_part(self.options.schedule.levels, part)))
+        if wanted <= self._count:  # a plan that grows longer takes none away
+            return
+        if self._count:
+            position_m = self._points.position_m.numpy()
+            _, nearest = KDTree(position_m[: self._count]).query(position_m[self._count : wanted])
+            self.hand.spread_radii(self._count, torch.from_numpy(np.asarray(nearest)))
+        self._count = wanted
+
+    def _set_rates(self, number: int, part: float) -> None:
+        schedule = self.options.schedule
+        factor = schedule.last_part**part * min(1.0, (number + 1) / schedule.warm_up_steps)
+        for group, rate in zip(self._optimizer.param_groups, (schedule.rate, schedule.plane_rate), strict=True):
+            group["lr"] = rate * factor
+
+    def _terms(self, sample: Sample, views: Sequence[View], part: float) -> dict[str, Tensor]:
+        """The weighted terms of the loss of one pose."""
+        weights, avatar = self.options.loss, self._live()
+        posed = self._posed_bones(sample)
+        skin, offset_m = self._pose(avatar, posed, part)
+        terms: dict[str, list[Tensor]] = {"l1": [], "ssim": [], "mask": [], "perceptual": []}
+        for view in views:
+            rgb, alpha = self._draw_view(avatar, skin, posed.shadow, view.camera)
+            terms["l1"].append(weights.l1 * l1_loss(rgb, view.rgb))
+            terms["mask"].append(weights.mask * mask_loss(alpha, view.mask))
+            if weights.ssim:
+                terms["ssim"].append(weights.ssim * ssim_loss(rgb, view.rgb))
+            if self._material.perceptual is not None and part >= self.options.schedule.perceptual_from:
+                unlike = self._material.perceptual.distance(rgb.to(self._device), view.rgb.to(self._device))
+                terms["perceptual"].append(weights.perceptual * unlike.cpu())
+        mean = {name: torch.stack(values).mean() for name, values in terms.items() if values}
+        moved_m = avatar.position_m - self.hand.points.position_m[: self._count]
+        mean["offset"] = weights.offset * offset_loss(moved_m, offset_m, hand_size_m=self._hand_size_m())
+        if (
+            self.options.model.shape is Shape.SOFT_ISO
+            and avatar.learned is not None
+            and avatar.learned.ellipsoid is not None
+        ):
+            mean["isotropy"] = weights.isotropy * isotropy_loss(avatar.learned.ellipsoid.log_stretch.exp())
+        if weights.roughness:
+            mean["roughness"] = weights.roughness * self.hand.planes.roughness()
+        return mean
+
+    def _live(self, count: int = 0) -> HandAvatar:
+        return self.hand.avatar(self._info, handedness=self._handedness, count=count or self._count)
+
+    def _pose(self, avatar: HandAvatar, posed: _PosedBones, part: float) -> tuple[PosedSkin, Tensor]:
+        """The skin of a pose, and its offsets (N, 3) meters."""
+        correction = self.hand.pose_net(posed.bones.frames, len(avatar), self._wave_weight(part))
+        maps = _first(posed.maps, len(avatar))
+        return pose_skin(avatar, posed.bones, correction, maps=maps, seen=posed.seen), correction.offset_m
+
+    def _wave_weight(self, part: float) -> Tensor | None:
+        """How much each wave of the encoding counts: octave after octave, each faded in by half a cosine."""
+        waves = self.options.schedule.waves
+        if waves is None or part >= waves[1]:
+            return None
+        progress = (part - waves[0]) / (waves[1] - waves[0]) * (float(self._octave.max()) + 1)
+        return 0.5 - 0.5 * torch.cos(torch.pi * (progress - self._octave).clamp(0, 1))
+
+    def _draw_view(self, avatar: HandAvatar, skin: PosedSkin, shadow: float, camera: Camera) -> tuple[Tensor, Tensor]:
+        """Color (H, W, 3) and alpha (H, W) of one view, with gradients."""
+        gaussians = mapped(seen_from(skin, camera.eye_m, avatar), Tensor.cpu)
+        picture = rasterize(gaussians, camera, self._settings)
+        if not (self.options.shadow and shadow > 0):
+            return picture.rgb, picture.alpha
+        # drawn in white on white the shadow pass gives the visibility itself; its constants are learned outside of it
+        white = torch.ones_like(picture.alpha)[None].expand(3, -1, -1)
+        planes = torch.cat([white, picture.alpha[None], picture.depth_sum[None]])
+        style = ShadowStyle(samples=self.options.shadow_samples, tint=(1.0, 1.0, 1.0))
+        seen = darken(planes, camera, style, library=self._library, threads=thread_count(0))[0]
+        gain, tint = (number.cpu() for number in self.hand.shadow())
+        seen = seen.clamp_min(limits.VISIBILITY_MIN) ** (gain / style.gain)
+        return picture.rgb * (1 - shadow * tint * (1 - seen[..., None])), picture.alpha
+
+    def _posed_bones(self, sample: Sample) -> _PosedBones:
+        return self._known.get(sample.pose, lambda: self._new_posed_bones(sample.joints_m))
+
+    def _new_posed_bones(self, joints_m: np.ndarray) -> _PosedBones:
+        bones = self._transform.bones(torch.from_numpy(joints_m).float())
+        maps = skin_maps(self._points.bone_weights, bones, turned=True)
+        with torch.no_grad():
+            seen = None if self._cast is None else see_lamps(self._cast, self._points.joints_m, bones)
+        posed = _PosedBones(bones, maps, fade(self._gate.score(joints_m, float(bones.scale))), seen)
+        return mapped(posed, lambda tensor: tensor.to(self._device))
+
+    def _drawn(self, sample: Sample) -> tuple[View, Tensor]:
+        """A view and ours of it, 0..1."""
+        with torch.no_grad():
+            view, avatar = self._pictures.view(sample), self._live()
+            posed = self._posed_bones(sample)
+            skin, _ = self._pose(avatar, posed, self._part)
+            rgb, _ = self._draw_view(avatar, skin, posed.shadow, view.camera)
+            return view, rgb.clamp(0, 1)
+
+    def _joints_m(self) -> Tensor:
+        """(P, 21, 3) joints of all poses that are learned from."""
+        return torch.from_numpy(np.stack([self._poses[name][0].joints_m for name in self._names]))
+
+    def _hand_size_m(self) -> float:
+        """Canonical wrist to the tip of the middle finger."""
+        joints_m = self.hand.points.joints_m
+        return float((joints_m[18] - joints_m[0]).norm())
+
+    def _state_of(self, parameter: torch.nn.Parameter) -> dict[str, Tensor]:
+        """Adam's moments of a parameter; zeros before its first step, as Adam itself would begin."""
+        state = self._optimizer.state[parameter]
+        if not state:
+            state["step"] = torch.zeros((), device=self._device if self._fast else "cpu")
+            state["exp_avg"], state["exp_avg_sq"] = torch.zeros_like(parameter), torch.zeros_like(parameter)
+        return state
+
+
+def _check_joints(material: Material) -> None:
+    """One joint that is not known would make a whole step's gradients unknown."""
+    for sample in (*material.train, *material.judged):
+        if not np.isfinite(sample.joints_m).all():
+            raise InputError(f"joints of {sample.picture}", wanted="21 known joints", came="NaN or infinity",
+                             remedy="Leave that pose out, or look at it with `jghand check-data`.")  # fmt: skip
+
+
+def _by_pose(samples: Sequence[Sample]) -> dict[tuple[str, int], list[Sample]]:
+    poses: dict[tuple[str, int], list[Sample]] = {}
+    for sample in samples:
+        poses.setdefault(sample.pose, []).append(sample)
+    return poses
+
+
+def _first(maps: SkinMaps, count: int) -> SkinMaps:
+    turning = None if maps.turning is None else maps.turning[:count]
+    return SkinMaps(maps.linear[:count], maps.offset_m[:count], maps.radius[:count], turning)

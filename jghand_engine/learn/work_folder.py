@@ -1,0 +1,100 @@
+"""The folder in which a training keeps what it needs to go on, and what it shows.
+
+training.json   says that the folder is a training's, and with which options it began
+lock            held while a training runs here
+checkpoints/    step_00000500.safetensors: the last two and the best
+log.jsonl       figures, a line per interval (see log.py); tensorboard/ the same for TensorBoard
+pictures/       the first fixed view over time, truth beside ours; preview.jghand is the newest avatar
+failures/       steps that gave values that are not finite, to be repeated (see guard.py)
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from enum import StrEnum
+from pathlib import Path
+
+from jghand_engine import __version__
+from jghand_engine.errors import InputError
+from jghand_engine.files import file_error, make_folder, writing
+from jghand_engine.learn.checkpoint import CheckpointFolder, Stamp
+from jghand_engine.learn.mark import LOCK, MARK
+from jghand_engine.lock import locked
+
+
+class Start(StrEnum):
+    """new: the folder must hold no training · resume: go on where it stands · fresh: forget what it holds."""
+
+    NEW = "new"
+    RESUME = "resume"
+    FRESH = "fresh"
+
+
+def check_folder(path: Path, start: Start) -> None:
+    """InputError when `path` holds something else than a training, or a training that `start` does not expect."""
+    try:
+        found = {entry.name for entry in path.iterdir()} if path.exists() else set()
+    except OSError as error:
+        raise file_error(path, error) from error
+    # hidden files are what a kill left of one that was being written, or the file system's own
+    names = {name for name in found if not name.startswith(".")} - {LOCK}
+    if names and MARK not in names:
+        raise InputError(
+            f"{path}", wanted="a new or empty folder, or one of a training", came=f"one with {min(names)}",
+            remedy="Name another folder with --work.",
+        )  # fmt: skip
+    if start is Start.RESUME and not names:
+        raise InputError(f"{path}", wanted="a training to go on with", came="none", remedy="Leave out --resume.")
+    if start is Start.NEW and names:
+        raise InputError(
+            f"{path}", wanted="a folder without a training", came="one that holds a training",
+            remedy="Go on with it by --resume, forget it by --fresh, or name another folder with --work.",
+        )  # fmt: skip
+
+
+class WorkFolder:
+    """The folder `path` of the training whose options are `stamp`."""
+
+    def __init__(self, path: Path, stamp: Stamp) -> None:
+        self.path, self._stamp = path, stamp
+        self.checkpoints = CheckpointFolder(path / "checkpoints", stamp)
+        self.log, self.board, self.failures = path / "log.jsonl", path / "tensorboard", path / "failures"
+        self.output_record = path / "output.json"
+
+    @contextmanager
+    def opened(self, start: Start) -> Iterator[None]:
+        """Makes the folder this training's for the duration.
+
+        InputError as `check_folder`; RetryError when another process trains there.
+        """
+        check_folder(self.path, start)
+        make_folder(self.path)
+        remedy = "Wait until it has ended, or name another folder with --work."
+        with locked(self.path / LOCK, work="training", remedy=remedy):
+            # again: another may have trained here meanwhile
+            check_folder(self.path, start)
+            self._remove_leftovers()
+            if start is Start.FRESH:
+                self._clear()
+            if start is not Start.RESUME:
+                content = {"jghand_training": __version__, "stamp": dict(self._stamp)}
+                with writing(self.path / MARK) as temporary:
+                    temporary.write_text(json.dumps(content, indent=2) + "\n", encoding="utf-8")
+            yield
+
+    def _remove_leftovers(self) -> None:
+        self.checkpoints.remove_leftovers()
+        for path in self.path.glob(f".{Path(MARK).stem}.*{Path(MARK).suffix}"):
+            path.unlink(missing_ok=True)
+
+    def _clear(self) -> None:
+        """Removes what a training leaves and nothing else, except the record of the output, which stays its own."""
+        # the checkpoints first: should this break off, what is left goes on from its own beginning or not at all
+        self.checkpoints.clear()
+        for path in (self.log, self.path / "preview.jghand", *(self.path / "pictures").glob("step_*.png")):
+            path.unlink(missing_ok=True)
+        for folder in (self.board, self.failures):
+            shutil.rmtree(folder, ignore_errors=True)

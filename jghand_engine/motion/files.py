@@ -1,0 +1,362 @@
+"""Motions in files: `.npz`, `.json` and `.csv`, which say what they hold, and plain `.npy`, which must be told.
+
+This module reads what stands in a file; `motions.read` makes it a motion. All formats hold positions; the joint order
+in files that JGHand writes is the standard order, the unit meters. Nothing is ever unpickled.
+
+    .npz   joints_m (F, 21, 3) · order · unit · fps · handedness · valid (F, 21) and filled (F,) optional
+    .json  {"format": "jghand motion", "version": 1, "order", "unit", "fps", "handedness", "joints": [[[x, y, z], …]]}:
+           frames of joints; a missing joint is null; "filled", optional, lists numbers of frames
+    .csv   comment lines `# unit: m` and so on, a header `frame,wrist_x,wrist_y,…`, one line per frame; empty cells are
+           missing. Without joint names in the header the columns are the 63 numbers of the declared order. A column
+           called frame and one of times (`time`, `timestamp_ms`, …) may stand anywhere. `# filled: 3 4 5` is optional
+    .npy   (F, 21, 3) numbers
+
+Filled frames are those that nobody measured: whoever made the file closed a gap there.
+"""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import json
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from jghand_engine import limits
+from jghand_engine.errors import InputError
+from jghand_engine.files import writing
+from jghand_engine.hand.joints import JOINT_COUNT, STANDARD_NAMES, Handedness
+from jghand_engine.hand.orders import JointOrder, from_level
+from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.motion.foreign.bone_names import BoneMap
+from jghand_engine.motion.foreign.clocks import TIME_NAMES
+from jghand_engine.motion.foreign.damage import NoMotionError
+from jghand_engine.motion.foreign.json_points import plain
+from jghand_engine.motion.foreign.json_text import JsonText
+from jghand_engine.motion.foreign.tables import is_number, number_in
+from jghand_engine.motion.foreign.text_lines import bounded_lines
+from jghand_engine.template.archives import read_arrays
+
+FORMAT, _VERSION = "jghand motion", 1
+# what an archive declares beside its arrays
+_DECLARED = ("order", "unit", "fps", "handedness")
+
+
+@dataclass(frozen=True)
+class MotionFormat:
+    """What the user says about a motion file; None: the file itself says it.
+
+    order:      how the joints are listed · unit: 'm', 'cm' or 'mm'
+    handedness: which hand it truly is. Keypoint packages for selfie video call a right hand "Left" (MediaPipe's old
+                interface does, its new one does not): say what the hand is, not what the label says
+    fps:        frames per second; replaces the file's, whose frames stay; animations with times in seconds are taken at
+                this rate. Neither: 30
+    check_hand: refuse joints whose bone lengths are no hand's. Turn it off for hands of odd proportions only: it is
+                what catches a wrong order or unit
+
+    For files of other programs (`motions.read`) only:
+
+    part:            which of several skeletons, animations, captures: its name, or a part of it
+    mirrored_labels: whether a detector's labels are those of a mirrored picture; None: as its interface usually has it
+    bones:           names of a rig's bones by joint, where they are those of no convention
+    hand_length_m:   scale the hand to this length, wrist to the middle finger's tip; a unit is not needed then
+    up:              the axis that points up, "y" or "z"; replaces the file's
+    """
+
+    order: JointOrder | None = None
+    unit: str | None = None
+    handedness: Handedness | None = None
+    fps: float | None = None
+    check_hand: bool = True
+    part: str | None = None
+    mirrored_labels: bool | None = None
+    hand_length_m: float | None = None
+    bones: BoneMap | None = None
+    up: str | None = None
+
+
+@dataclass(frozen=True)
+class FileContent:
+    """A file as it is: joints (F, n, 3) in its order and unit, valid (F, n) or None, and what it declares: order, unit,
+    fps, handedness, filled, each as the file has it. times: (F,) of the frames in an unknown unit, or none."""
+
+    joints: np.ndarray
+    valid: np.ndarray | None
+    declared: dict[str, Any]
+    times: Sequence[float] = ()
+
+
+def read_content(file: Path, suffix: str) -> FileContent:
+    """What stands in a file of one of the suffixes above, whatever it is called. InputError, and all that `told_damage`
+    tells."""
+    _check_size(file, suffix)
+    return _READERS[suffix](file)
+
+
+def write_motion(path: Path | str, sequence: PoseSequence) -> None:
+    """Writes `.npz`, `.json` or `.csv` by the suffix: standard order, meters, everything declared inside.
+
+    Never half-written. InputError for another suffix; `.npy` cannot say what it holds and is not written.
+    """
+    file = Path(path)
+    check_written_suffix(file)
+    with writing(file) as temporary:
+        _WRITERS[file.suffix.lower()](temporary, sequence)
+
+
+def check_written_suffix(file: Path) -> None:
+    """InputError where `write_motion` knows no such suffix."""
+    if file.suffix.lower() not in _WRITERS:
+        raise InputError(f"motion file {file}", wanted=f"one of {', '.join(_WRITERS)}", came=repr(file.suffix))
+
+
+def filled_frames(file: Path, content: FileContent) -> np.ndarray:
+    """(F,) bool from what the file declares: the flags themselves, or the numbers of the frames. InputError."""
+    filled, count = content.declared.get("filled"), len(content.joints)
+    if isinstance(filled, np.ndarray) and filled.shape == (count,):
+        return filled.astype(bool)
+    try:
+        given = () if filled is None else filled
+        numbers = [int(word) for word in given.split()] if isinstance(given, str) else list(given)
+        # True is 1 to Python, and no number of a frame
+        whole = all(type(number) is int for number in numbers)
+        frames = np.array(numbers if whole else [-1], dtype=np.int64)
+    except (TypeError, ValueError, OverflowError):
+        frames = np.array([-1])
+    if isinstance(filled, np.ndarray) or (frames < 0).any() or (frames >= count).any():
+        wanted = f"a flag of each of the {count} frames, or their numbers"
+        raise InputError(f"'filled' in {file}", wanted=wanted, came="something else")
+    flags = np.zeros(count, dtype=bool)
+    flags[frames] = True
+    return flags
+
+
+def _check_size(file: Path, kind: str) -> None:
+    size = file.stat().st_size
+    text = kind in (".json", ".csv")
+    most = limits.MOTION_TEXT_MAX_BYTES if text else limits.MOTION_MAX_BYTES
+    if size > most:
+        raise InputError(
+            f"motion file {file}",
+            wanted=f"at most {most / 2**20:.0f} MiB",
+            came=f"{size / 2**20:.0f} MiB",
+            remedy="Cut it into shorter motions, or write it as .npz." if text else "Cut it into shorter motions.",
+        )
+
+
+def _numbers(array: np.ndarray) -> np.ndarray:
+    """Numbers as float64. What they are is looked at before: bytes make eight times their size, and no joints."""
+    if array.dtype.kind not in "fiu" or array.dtype.itemsize < 2:
+        raise ValueError(f"numbers wanted, dtype {array.dtype} found")
+    return np.array(array, dtype=np.float64)
+
+
+def _joints(array: np.ndarray) -> np.ndarray:
+    """Joints (F, n, 3) as float64. Their shape is looked at before any memory is taken."""
+    if array.ndim != 3 or array.shape[-1] != 3 or array.shape[1] > 2 * JOINT_COUNT:
+        raise NoMotionError(f"joints of shape (frames, 21, 3) wanted, {array.shape} found")
+    _check_count(len(array))
+    return _numbers(array)
+
+
+def _check_count(frames: int) -> None:
+    if frames > limits.MOTION_FRAMES_MAX:
+        raise NoMotionError(f"more than {limits.MOTION_FRAMES_MAX} frames")
+
+
+# ---- numpy ----------------------------------------------------------------------------------------------------------
+
+
+def _read_npy(file: Path) -> FileContent:
+    # mapped, not read: a header that promises more than the file holds is refused before anything is allocated
+    mapped = np.load(file, mmap_mode="r", allow_pickle=False)
+    if not isinstance(mapped, np.ndarray):
+        raise ValueError("an archive with the suffix of a single array")
+    return FileContent(_joints(mapped), None, {})
+
+
+def _read_npz(file: Path) -> FileContent:
+    # zeros pack to a thousandth: a small file must not ask for much
+    unpacked = limits.MOTION_UNPACKED_BYTES + limits.MOTION_UNPACKED_TIMES * file.stat().st_size
+    arrays = read_arrays(
+        file,
+        (),
+        f"motion file {file}",
+        optional=("joints_m", "joints", "valid", "filled", *_DECLARED),
+        max_bytes=min(unpacked, limits.MOTION_MAX_BYTES),
+    )
+    key = "joints_m" if "joints_m" in arrays else "joints"
+    if key not in arrays:
+        raise ValueError("no array 'joints_m' in it")
+    declared: dict[str, Any] = {name: arrays[name].item() for name in _DECLARED if name in arrays}
+    if key == "joints_m" and declared.setdefault("unit", "m") != "m":
+        raise ValueError(f"'joints_m' means meters, and the unit is '{declared['unit']}': call the array 'joints'")
+    declared["filled"] = arrays.get("filled")
+    valid = arrays["valid"].astype(bool) if "valid" in arrays else None
+    return FileContent(_joints(arrays[key]), valid, declared)
+
+
+def _write_npz(file: Path, sequence: PoseSequence) -> None:
+    # given a name, numpy appends .npz to what does not end so exactly
+    with open(file, "wb") as stream:
+        np.savez_compressed(
+            stream,
+            joints_m=from_level(sequence.joints_m, JointOrder.STANDARD),
+            valid=_standard_valid(sequence),
+            order=np.array(JointOrder.STANDARD.value),
+            unit=np.array("m"),
+            fps=np.array(sequence.fps),
+            handedness=np.array(sequence.handedness.value),
+            filled=sequence.filled,
+        )
+
+
+def _standard_valid(sequence: PoseSequence) -> np.ndarray:
+    return np.all(np.isfinite(from_level(sequence.joints_m, JointOrder.STANDARD)), axis=-1)
+
+
+# ---- JSON -----------------------------------------------------------------------------------------------------------
+
+
+def _read_json(file: Path) -> FileContent:
+    text = JsonText.of_file(file)
+    if text.text[text.start] == "[":
+        return FileContent(_json_frames(text, text.start), None, {})
+    declared: dict[str, Any] = {}
+    joints = None
+    for name, place in text.members(text.start):
+        if name == "joints":
+            joints = place
+        elif name in ("format", "version", "filled", *_DECLARED):
+            declared[name] = text.value(place)
+    if joints is None or text.text[joints] != "[":
+        raise ValueError("no list 'joints' in it")
+    if declared.get("format", FORMAT) != FORMAT:
+        raise ValueError(f"its format is {str(declared['format'])[:40]!r}, not {FORMAT!r}")
+    if declared.get("version", _VERSION) != _VERSION:
+        raise ValueError(f"its version is {str(declared['version'])[:40]}, and this JGHand reads {_VERSION}")
+    return FileContent(_json_frames(text, joints), None, declared)
+
+
+def _json_frames(text: JsonText, place: int) -> np.ndarray:
+    """Lists of frames of joints of x, y, z -> (F, n, 3); null joints and null coordinates become NaN."""
+    missing = [math.nan] * 3
+    frames = []
+    for frame in text.elements(place):
+        joints = [missing if joint is None else [math.nan if x is None else x for x in joint] for joint in frame]
+        array = _numbers(np.array(joints))
+        if array.ndim != 2:
+            raise ValueError(f"frame {len(frames)} is no list of joints")
+        frames.append(array)
+        _check_count(len(frames))
+    return np.stack(frames) if frames else np.zeros((0, len(STANDARD_NAMES), 3))
+
+
+def _write_json(file: Path, sequence: PoseSequence) -> None:
+    standard = from_level(sequence.joints_m, JointOrder.STANDARD)
+    frames = [[None if math.isnan(joint[0]) else joint for joint in frame] for frame in standard.tolist()]
+    filled = {"filled": np.flatnonzero(sequence.filled).tolist()} if sequence.filled.any() else {}
+    document = {"format": FORMAT, "version": _VERSION, **_declarations(sequence), **filled, "joints": frames}
+    file.write_text(json.dumps(document, allow_nan=False), encoding="utf-8")
+
+
+def _declarations(sequence: PoseSequence) -> dict[str, str | float]:
+    return {
+        "order": JointOrder.STANDARD.value,
+        "unit": "m",
+        "fps": sequence.fps,
+        "handedness": sequence.handedness.value,
+    }
+
+
+# ---- CSV ------------------------------------------------------------------------------------------------------------
+
+_COLUMNS = [f"{name}_{axis}" for name in STANDARD_NAMES for axis in "xyz"]
+
+
+def _read_csv(file: Path) -> FileContent:
+    declared: dict[str, Any] = {}
+    with open(file, encoding="utf-8-sig", newline="") as stream:
+        rows = (row for row in csv.reader(_without_comments(bounded_lines(stream), declared)) if row)
+        first = next(rows, None)
+        if first is None:
+            return FileContent(np.zeros((0, len(STANDARD_NAMES), 3)), None, declared)
+        header = [cell.strip().lower() for cell in first]
+        clock = [place for place, name in enumerate(header) if plain(name) in TIME_NAMES][:1]
+        if has_own_columns(header):
+            # names say more than any declaration: the columns may stand in any order
+            places = [header.index(column) for column in _COLUMNS]
+            declared["order"] = JointOrder.STANDARD.value
+        else:
+            places = [place for place, name in enumerate(header) if plain(name) not in ("frame", *TIME_NAMES)]
+            if len(places) % 3:
+                raise ValueError(f"{len(places)} columns of numbers are not x, y, z of joints")
+        has_header = not all(map(is_number, header))
+        every = rows if has_header else itertools.chain([first], rows)
+        table = _csv_numbers(every, [*places, *clock], 1 + has_header)
+    joints = table[:, : len(places)].reshape(len(table), -1, 3)
+    return FileContent(joints, None, declared, table[:, -1].tolist() if clock else ())
+
+
+def _without_comments(lines: Iterable[str], declared: dict[str, Any]) -> Iterator[str]:
+    """The lines that are no comments; what comments declare is put into `declared`."""
+    for line in lines:
+        if not line.startswith("#"):
+            yield line
+        elif ":" in line:
+            name, value = line[1:].split(":", 1)
+            declared[name.strip()] = value.strip()
+
+
+def has_own_columns(header: list[str]) -> bool:
+    """Whether a line of CSV is a header with the names of our own columns."""
+    return set(_COLUMNS) <= {cell.strip().lower() for cell in header}
+
+
+def _csv_numbers(rows: Iterable[list[str]], columns: list[int], first_line: int) -> np.ndarray:
+    """(F, columns) of some columns, NaN for empty cells."""
+    table = []
+    for number, row in enumerate(rows, first_line):
+        if len(row) <= max(columns):
+            raise ValueError(f"row {number} ends after {len(row)} of {max(columns) + 1} columns")
+        _check_count(len(table))
+        table.append(np.array([_cell(row[place], number, place) for place in columns]))
+    return np.array(table).reshape(len(table), len(columns))
+
+
+def _cell(cell: str, number: int, place: int) -> float:
+    try:
+        return number_in(cell)
+    except ValueError as error:
+        raise ValueError(f"row {number}, column {place + 1}: {cell.strip()[:30]!r} is no number") from error
+
+
+def _write_csv(file: Path, sequence: PoseSequence) -> None:
+    standard = from_level(sequence.joints_m, JointOrder.STANDARD).reshape(len(sequence), -1)
+    with open(file, "w", encoding="utf-8", newline="") as stream:
+        stream.write(f"# format: {FORMAT} {_VERSION}\n")
+        stream.writelines(f"# {name}: {value}\n" for name, value in _declarations(sequence).items())
+        if sequence.filled.any():
+            stream.write(f"# filled: {' '.join(map(str, np.flatnonzero(sequence.filled)))}\n")
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow(["frame", *_COLUMNS])
+        for number, row in enumerate(standard.tolist()):
+            writer.writerow([number, *("" if math.isnan(x) else repr(x) for x in row)])
+
+
+_READERS: dict[str, Callable[[Path], FileContent]] = {
+    ".npz": _read_npz,
+    ".npy": _read_npy,
+    ".json": _read_json,
+    ".csv": _read_csv,
+}
+_WRITERS: dict[str, Callable[[Path, PoseSequence], None]] = {
+    ".npz": _write_npz,
+    ".json": _write_json,
+    ".csv": _write_csv,
+}

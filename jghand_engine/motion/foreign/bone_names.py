@@ -1,0 +1,353 @@
+"""Which nodes of somebody else's skeleton, or which named points, are the 21 joints of a hand: found by name alone.
+
+Names are compared without case and separators, and after any prefix (`mixamorig:`, `DEF-`, `J_Bip_`). Templates:
+`{side}` is right or left, `{s}` r or l, `{finger}` the convention's word for a finger. A joint is where a bone begins.
+The table up to MediaPipe stands in `blender_addon/core/conventions.py` too, which has its sources; a test compares
+them. The others: joints of the WebXR Hand Input Module and of OpenXR's XR_EXT_hand_tracking; names of the rigs of
+SMPL-X, Daz Genesis, 3ds Max Biped and SOMA; keypoints of COCO-WholeBody, which RTMPose has.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from jghand_engine import limits
+from jghand_engine.hand.joints import FINGERS, STANDARD_NAMES, Handedness
+from jghand_engine.motion.foreign.damage import NoMotionError
+
+# what exporters and importers add to the last bone of a chain for its tip
+TIP_ENDINGS = ("_end", "_tip", "_nub")
+_COPY = re.compile(r"[._]\d{3,}$")
+# places of the tips in the standard order
+TIPS = tuple(place for place, name in enumerate(STANDARD_NAMES) if name.endswith("4"))
+_NEEDED = tuple(place for place in range(len(STANDARD_NAMES)) if place not in TIPS)
+
+
+@dataclass(frozen=True)
+class Convention:
+    """Templates of one way to name a hand.
+
+    title: what people are told · wrist: alternatives, the best first · fingers: its words, thumb first · bones: three
+    tuples of alternatives, from the knuckle outwards · thumb: the same for a thumb that is named otherwise · tips:
+    alternatives for a bone that begins at the finger's tip · prefixes: which of several sets of the same bones to take,
+    the best first · with_tips: names that only count with all five tips, because they mean other bones without
+    """
+
+    title: str
+    wrist: tuple[str, ...]
+    fingers: tuple[str, ...]
+    bones: tuple[tuple[str, ...], ...]
+    thumb: tuple[tuple[str, ...], ...] = ()
+    tips: tuple[str, ...] = ()
+    prefixes: tuple[str, ...] = ()
+    with_tips: bool = False
+
+    @property
+    def says_side(self) -> bool:
+        """Whether its names tell a right hand from a left one."""
+        return any("{s" in template for template in self.wrist)
+
+    def names(self, handedness: str) -> tuple[tuple[str, ...], ...]:
+        """For each of the 21 joints, standard order, the names that a bone there may have, the best first."""
+        result = [self._filled(self.wrist, "", handedness)]
+        for finger, word in zip(FINGERS, self.fingers, strict=True):
+            bones = self.thumb if finger == "thumb" and self.thumb else self.bones
+            tips = tuple(last + ending for last in bones[-1] for ending in TIP_ENDINGS)
+            result += [self._filled(alternatives, word, handedness) for alternatives in (*bones, (*self.tips, *tips))]
+        return tuple(result)
+
+    def _filled(self, templates: tuple[str, ...], finger: str, handedness: str) -> tuple[str, ...]:
+        side = handedness.capitalize()
+        return tuple(template.format(side=side, s=side[0], finger=finger) for template in templates)
+
+
+_ENGLISH = ("Thumb", "Index", "Middle", "Ring", "Pinky")
+_LITTLE = ("Thumb", "Index", "Middle", "Ring", "Little")
+
+
+def _numbered(*templates: str, start: int = 1) -> tuple[tuple[str, ...], ...]:
+    """Three tuples of alternatives from templates with a `#` for the bone's number."""
+    numbers = range(start, start + 3)
+    return tuple(tuple(template.replace("#", str(number)) for template in templates) for number in numbers)
+
+
+def _phalanges(*words: str) -> tuple[tuple[str, ...], ...]:
+    return tuple((f"{{side}}{{finger}}{word}", f"{{finger}}_{word}.{{s}}") for word in words)
+
+
+def _with_ext(*words: str) -> tuple[tuple[str, ...], ...]:
+    return tuple((word, f"{word}_ext") for word in words)
+
+
+CONVENTIONS = (
+    Convention("JGHand", wrist=("wrist",), fingers=FINGERS, bones=_numbered("{finger}#"), tips=("{finger}4",)),
+    Convention(
+        "Rigify",
+        wrist=("hand.{s}",),
+        fingers=("thumb", "f_index", "f_middle", "f_ring", "f_pinky"),
+        bones=_numbered("{finger}.0#.{s}"),
+        prefixes=("def", "org", "", "mch"),
+    ),
+    Convention(
+        "Mixamo",
+        wrist=("{side}Hand",),
+        fingers=_ENGLISH,
+        bones=_numbered("{side}Hand{finger}#"),
+        tips=("{side}Hand{finger}4",),
+    ),
+    Convention(
+        "VRM 1",
+        wrist=("{side}Hand", "hand.{s}"),
+        fingers=_LITTLE,
+        bones=_phalanges("Proximal", "Intermediate", "Distal"),
+        thumb=_phalanges("Metacarpal", "Proximal", "Distal"),
+    ),
+    Convention(
+        "VRM 0",
+        wrist=("{side}Hand", "hand.{s}"),
+        fingers=_LITTLE,
+        bones=_phalanges("Proximal", "Intermediate", "Distal"),
+    ),
+    Convention(
+        "VRoid",
+        wrist=("{s}_Hand", "Hand_{s}"),
+        fingers=_LITTLE,
+        bones=_numbered("{s}_{finger}#", "{finger}#_{s}"),
+    ),
+    Convention(
+        "MakeHuman, MPFB",
+        wrist=("wrist.{s}",),
+        fingers=("finger1", "finger2", "finger3", "finger4", "finger5"),
+        bones=_numbered("{finger}-#.{s}"),
+    ),
+    Convention(
+        "Unreal mannequin",
+        wrist=("hand_{s}",),
+        fingers=FINGERS,
+        bones=_numbered("{finger}_0#_{s}"),
+        tips=("{finger}_04_{s}",),
+    ),
+    Convention(
+        "Auto-Rig Pro",
+        wrist=("hand.{s}",),
+        fingers=FINGERS,
+        bones=(
+            ("{finger}1.{s}", "c_{finger}1.{s}"),
+            ("c_{finger}2.{s}", "{finger}2.{s}"),
+            ("c_{finger}3.{s}", "{finger}3.{s}"),
+        ),
+        prefixes=("", "c"),
+    ),
+    Convention(
+        "MediaPipe",
+        wrist=("wrist",),
+        fingers=FINGERS,
+        bones=tuple((f"{{finger}}_finger_{joint}", f"{{finger}}_{joint}") for joint in ("mcp", "pip", "dip")),
+        thumb=(("thumb_cmc",), ("thumb_mcp",), ("thumb_ip",)),
+        tips=("{finger}_finger_tip", "{finger}_tip"),
+    ),
+    # not in the extension
+    Convention(
+        "WebXR",
+        wrist=("wrist",),
+        fingers=FINGERS,
+        bones=tuple((f"{{finger}}_finger_phalanx_{joint}",) for joint in ("proximal", "intermediate", "distal")),
+        thumb=(("thumb_metacarpal",), ("thumb_phalanx_proximal",), ("thumb_phalanx_distal",)),
+        tips=("{finger}_finger_tip", "{finger}_finger_phalanx_tip", "{finger}_tip"),
+    ),
+    Convention(
+        "OpenXR",
+        wrist=("wrist", "wrist_ext"),
+        fingers=("thumb", "index", "middle", "ring", "little"),
+        bones=_with_ext("{finger}_proximal", "{finger}_intermediate", "{finger}_distal"),
+        thumb=_with_ext("thumb_metacarpal", "thumb_proximal", "thumb_distal"),
+        tips=("{finger}_tip", "{finger}_tip_ext"),
+    ),
+    Convention(
+        "SMPL-X", wrist=("{side}_wrist",), fingers=FINGERS, bones=_numbered("{side}_{finger}#"),
+        tips=("{side}_{finger}",),
+    ),
+    Convention(
+        "Daz Genesis", wrist=("{s}Hand",), fingers=("Thumb", "Index", "Mid", "Ring", "Pinky"),
+        bones=_numbered("{s}{finger}#"),
+    ),
+    Convention(
+        "3ds Max Biped", wrist=("{s} Hand",), fingers=("0", "1", "2", "3", "4"),
+        bones=(("{s} Finger{finger}",), ("{s} Finger{finger}1",), ("{s} Finger{finger}2",)),
+        tips=("{s} Finger{finger}Nub",),
+    ),
+    Convention(
+        "RTMPose", wrist=("hand_root",), bones=_numbered("{finger}#"), tips=("{finger}4",),
+        fingers=("thumb", "forefinger", "middle_finger", "ring_finger", "pinky_finger"),
+    ),
+    # whose first finger bones are the metacarpals
+    Convention(
+        "SOMA", wrist=("{side}Hand",), fingers=_ENGLISH, bones=_numbered("{side}Hand{finger}#", start=2),
+        thumb=_numbered("{side}Hand{finger}#"), tips=("{side}Hand{finger}End",), with_tips=True,
+    ),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class NamedHand:
+    """A hand among names. bones: for each of the 21 joints, standard order, the place of its name, None for a tip that
+    has none · convention: the title of what was recognized · part: what tells it from others of the same side ·
+    found: how many of wrist and finger bones there are, and how many tips."""
+
+    handedness: Handedness | None
+    bones: tuple[int | None, ...]
+    convention: str
+    part: str
+    found: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class _Set:
+    """The names of one prefix and copy under one convention."""
+
+    bones: tuple[int | None, ...]
+    found: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class BoneMap:
+    """A map made by hand. bones: names by joint, for the 16 joints of wrist and fingers and any tips ·
+    handedness: None where it does not say."""
+
+    bones: Mapping[str, str]
+    handedness: Handedness | None = None
+
+    def hand_among(self, names: Sequence[str]) -> NamedHand | None:
+        """The hand, None where no name is among `names`. ValueError when only some are."""
+        places = {name: place for place, name in enumerate(names)}
+        bones = tuple(places.get(self.bones.get(joint, "")) for joint in STANDARD_NAMES)
+        found = tuple(sum(bones[place] is not None for place in group) for group in (_NEEDED, TIPS))
+        if not any(found):
+            return None
+        absent = [
+            f"{self.bones.get(STANDARD_NAMES[place], 'no name')} ({STANDARD_NAMES[place]})"
+            for place in _NEEDED
+            if bones[place] is None
+        ]
+        if absent:
+            raise NoMotionError(f"no bone of the map is called {', '.join(absent)[:300]}")
+        return NamedHand(self.handedness, bones, "the map", "", (found[0], found[1]))
+
+
+def bone_map(content: Any) -> BoneMap:
+    """A map from JSON: {"wrist": "hand.R", …}, or as Blender's bone map writes it: {"handedness": "right", "joints":
+    {"wrist": ["hand.R", "head"], "index4": ["f_index.03.R", "tail"], …}}, whose tails are tips without a bone.
+
+    ValueError for anything else.
+    """
+    joints = content.get("joints", content) if isinstance(content, Mapping) else None
+    if not isinstance(joints, Mapping) or not set(map(str, joints)) <= {*STANDARD_NAMES, "handedness"}:
+        raise ValueError(f"names of bones by joint wanted: {', '.join(STANDARD_NAMES[:6])}, …")
+    bones: dict[str, str] = {}
+    for joint, bone in joints.items():
+        name, end = bone if isinstance(bone, list) and len(bone) == 2 else (bone, "head")
+        if joint != "handedness" and end == "head":
+            bones[str(joint)] = str(name)
+    side = content.get("handedness")
+    return BoneMap(bones, None if side is None else Handedness(side))
+
+
+def hands_among(names: Sequence[str], chosen: BoneMap | None = None) -> tuple[list[NamedHand], list[str]]:
+    """The hands whose wrist and finger bones are all among `names`, the surest of each set of bones, and sentences
+    about hands that lack some. chosen: the only one that counts."""
+    if chosen is not None:
+        hand = chosen.hand_among(names)
+        return ([] if hand is None else [hand]), []
+    index = _index(names)
+    found: list[NamedHand] = []
+    for convention in CONVENTIONS:
+        for handedness in Handedness if convention.says_side else (None,):
+            found += _of_convention(convention, handedness, index)
+    whole, lacking = [], []
+    for handedness in (*Handedness, None):
+        of_side = [hand for hand in found if hand.handedness == handedness]
+        best = max((hand.found for hand in of_side), default=(0, 0))
+        if best[0] < limits.BONES_RECOGNIZED_MIN:
+            continue
+        unique: dict[tuple[int | None, ...], NamedHand] = {}
+        for hand in of_side:
+            if hand.found == best:
+                unique.setdefault(hand.bones, hand)
+        for hand in unique.values():
+            missing = [STANDARD_NAMES[place] for place in _NEEDED if hand.bones[place] is None]
+            if missing:
+                side = "" if hand.handedness is None else f"{hand.handedness} "
+                shown = ", ".join(missing[:6]) + (", …" if len(missing) > 6 else "")
+                lacking.append(f"The {side}hand, whose bones look like {hand.convention}, lacks {shown}.")
+            else:
+                whole.append(hand)
+    # a set without a side may be the very bones that another convention knows the side of
+    sided = {hand.bones for hand in whole if hand.handedness is not None}
+    return [hand for hand in whole if hand.handedness is not None or hand.bones not in sided], lacking
+
+
+def side_of(text: str) -> Handedness | None:
+    """The hand that a name speaks of as a word of its own: `right_hand`, `RightHand`, `hand_l`; None for neither or
+    both."""
+    words = set(re.findall(r"[a-z]+", re.sub(r"([a-z])([A-Z])", r"\1 \2", text).casefold()))
+    says_right, says_left = bool(words & {"right", "r", "rhand"}), bool(words & {"left", "l", "lhand"})
+    if says_right == says_left:
+        return None
+    return Handedness.RIGHT if says_right else Handedness.LEFT
+
+
+def _key(name: str) -> str:
+    """A name without case and separators."""
+    return "".join(letter for letter in name.casefold() if letter.isalnum())
+
+
+def _index(names: Sequence[str]) -> dict[str, dict[str, int]]:
+    """For each copy suffix (`.001`: another set of the same bones) the places of names by their keys."""
+    index: dict[str, dict[str, int]] = {}
+    for place, name in enumerate(names):
+        copy = _COPY.search(name)
+        suffix = copy.group() if copy and not name[: copy.start()].isdigit() else ""
+        index.setdefault(suffix, {}).setdefault(_key(name[: len(name) - len(suffix)]), place)
+    return index
+
+
+def _of_convention(
+    convention: Convention, handedness: Handedness | None, index: dict[str, dict[str, int]]
+) -> list[NamedHand]:
+    keys = [[_key(name) for name in names] for names in convention.names(handedness or Handedness.RIGHT)]
+    hands = []
+    for suffix, known in index.items():
+        prefixes = {name[: -len(key)] for key in keys[0] for name in known if name.endswith(key)}
+        sets = {prefix: _set(keys, known, prefix) for prefix in sorted(prefixes)}
+        if convention.with_tips:
+            sets = {prefix: one for prefix, one in sets.items() if all(one.bones[tip] is not None for tip in TIPS)}
+        for prefix in _preferred(convention, sets):
+            side = handedness if handedness is not None else _side_of_prefix(prefix)
+            part = f"{convention.title}{f' {prefix}' if prefix else ''}{f' {suffix}' if suffix else ''}"
+            hands.append(NamedHand(side, sets[prefix].bones, convention.title, part, sets[prefix].found))
+    return hands
+
+
+def _set(keys: list[list[str]], known: dict[str, int], prefix: str) -> _Set:
+    bones = tuple(next((known[prefix + key] for key in names if prefix + key in known), None) for names in keys)
+    needed, tips = (sum(bones[place] is not None for place in places) for places in (_NEEDED, TIPS))
+    return _Set(bones, (needed, tips))
+
+
+def _preferred(convention: Convention, sets: dict[str, _Set]) -> list[str]:
+    """Of several sets that a convention ranks (DEF- before ORG-) the best that finds the most; all others."""
+    ranked = [prefix for prefix in convention.prefixes if prefix in sets]
+    if not ranked:
+        return list(sets)
+    best = max(ranked, key=lambda prefix: (sets[prefix].found, -ranked.index(prefix)))
+    return [best, *(prefix for prefix in sets if prefix not in ranked)]
+
+
+def _side_of_prefix(prefix: str) -> Handedness | None:
+    """What stands, without separators, before a name that has no side itself: `righthand`, `r`, `xrhandjointleft`."""
+    says = {side: side.value in prefix or prefix in (side.value[0], f"{side.value[0]}hand") for side in Handedness}
+    chosen = [side for side, said in says.items() if said]
+    return chosen[0] if len(chosen) == 1 else None

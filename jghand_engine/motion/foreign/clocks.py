@@ -1,0 +1,155 @@
+"""When the frames of a motion are: rates, clocks whose unit nobody says, keys of animations."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from jghand_engine import limits
+from jghand_engine.motion.foreign.damage import NoMotionError
+
+UNITS = {"seconds": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
+
+# names of a frame's time among those of its members, or of a column's, as `plain` has them
+TIME_NAMES = (
+    *("timestamp", "timestampms", "timestampus", "timestamps", "time", "timems", "times", "timeseconds", "t"),
+    *("seconds", "milliseconds", "predicteddisplaytime"),
+)
+
+
+def time_in(frame: Mapping[str, Any]) -> float | None:
+    """The time among the members of a frame, whose names are `plain`; None without one."""
+    for name in TIME_NAMES:
+        value = frame.get(name)
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            return float(value)
+    return None
+
+
+def whole_rate(fps: float) -> float:
+    """The whole rate, or the one of video (30000 / 1001), that a measured one is but for round-off; else itself."""
+    best = min((float(round(fps)), *limits.NTSC_RATES), key=lambda rate: abs(rate - fps))
+    return best if abs(best - fps) < limits.WHOLE_RATE_EPS * best else fps
+
+
+def clock_s(times: Sequence[float | None], units: Sequence[str] = tuple(UNITS)) -> tuple[np.ndarray | None, str]:
+    """Times of frames in one of `units`, which their step tells -> seconds from the first, and a sentence.
+
+    A frame without a time, or with one that does not rise, lies evenly between its neighbors. None where no frame has
+    a time, or where they are not used, which the sentence says.
+    """
+    values = np.array([math.nan if time is None else time for time in times], dtype=np.float64)
+    values[~np.isfinite(values)] = np.nan
+    if np.isfinite(values).sum() < 2:
+        return None, ""
+    highest = np.fmax.accumulate(values)
+    known = np.isfinite(values) & (values > np.concatenate([[-np.inf], np.nan_to_num(highest[:-1], nan=-np.inf)]))
+    steps = np.diff(values[known]) / np.diff(np.flatnonzero(known))
+    if known.sum() < max(2, limits.CLOCK_KNOWN_MIN * len(values)):
+        return None, "Too many of its frames have no time, or one that does not rise: the times are not used."
+    step = float(np.median(steps))
+    for unit in units:
+        seconds = UNITS[unit]
+        if 1 / limits.CLOCK_FPS_MAX <= step * seconds <= 1 / limits.CLOCK_FPS_MIN:
+            seen = _between(np.flatnonzero(known), values[known], len(values), step)
+            said = "" if len(units) == 1 else f"Its clock counts {unit}, by the step between its frames."
+            return (seen - seen[0]) * seconds, said
+    return None, "The times of its frames are no clock that JGHand knows, so they are not used."
+
+
+def _between(places: np.ndarray, values: np.ndarray, count: int, step: float) -> np.ndarray:
+    """(count,) values by places, evenly between the known ones and by `step` beyond both ends."""
+    every = np.arange(count)
+    result = np.interp(every, places, values)
+    outside = np.minimum(every - places[0], 0) + np.maximum(every - places[-1], 0)
+    return result + step * outside
+
+
+def even_frames(times_s: np.ndarray) -> tuple[float, np.ndarray | None]:
+    """Frames per second of rising times (F,), F > 1, and the number of the frame that each is; None where they come
+    unevenly. Frames that are left out leave their numbers out.
+
+    The rate is that of the steps near the median, so that neither a hole nor a clock in whole milliseconds bends it.
+    """
+    steps = np.diff(times_s)
+    # one of the steps: between two kinds of them the mean of both is near none
+    median = float(np.quantile(steps, 0.5, method="lower"))
+    step = float(steps[np.abs(steps - median) <= limits.STEP_USUAL * median].mean())
+    numbers = np.concatenate([[0.0], np.cumsum(np.maximum(np.rint(steps / step), 1.0))])
+    centered = numbers - numbers.mean()
+    line = 1 / float((centered * times_s).sum() / (centered * centered).sum())
+    # steps of two and three pictures of a page lie near a grid too, but near one of other steps
+    is_step = abs(1 / line - step) <= limits.STEP_JITTER_MAX * step
+    if is_step and numbers[-1] < limits.MOTION_FRAMES_MAX:
+        room_s = max(limits.STEP_JITTER_MAX * step, min(limits.CLOCK_TICK_S, 0.5 * step))
+        for fps, range_s in (*_rounded_rates(times_s, line), (whole_rate(line), 2 * room_s), (line, 2 * room_s)):
+            if np.ptp(times_s - numbers / fps) <= range_s:
+                return fps, numbers.astype(np.int64)
+    return whole_rate(1 / float(steps[steps <= limits.STEP_UNEVEN_MAX * median].mean())), None
+
+
+def _rounded_rates(times_s: np.ndarray, line: float) -> list[tuple[float, float]]:
+    """Rates that a clock in whole milliseconds may have meant by the measured one, each with the range in seconds over
+    which rounding spreads its frames; none for a clock that does not round."""
+    ticks = times_s / limits.CLOCK_TICK_S
+    if (np.abs(ticks - np.rint(ticks)) > limits.CLOCK_TICK_EPS).any():
+        return []
+    range_s = (1 + limits.CLOCK_TICK_EPS) * limits.CLOCK_TICK_S
+    usual = min(limits.USUAL_FPS, key=lambda fps: abs(fps - line))
+    return [(usual, range_s), (max(round(line), 1), range_s)]
+
+
+def is_one_motion(count: int, seconds: float, fps: float) -> bool:
+    """Whether `count` times over so long can be those of one motion: a few hours apart would make a long one."""
+    most = min(limits.MOTION_FRAMES_MAX, limits.KEYS_APART_MAX * count + limits.KEYS_S_MAX * fps)
+    return 0 <= seconds * fps <= most
+
+
+def key_frames(times_s: np.ndarray, own: float | None = None) -> tuple[float, list[str]]:
+    """Frames per second at which keys at rising times (K,) are frames, and a sentence where not all of them are.
+
+    own: a rate that the file names. Keys that come evenly say their rate, unless they are poses rather than frames.
+    Else it is the first of the usual rates on which nearly all lie, else that of the smallest steps.
+    """
+    # channels may have the same times in different precision
+    times_s = times_s[np.diff(times_s, prepend=-np.inf) > limits.KEYS_APART_MIN_S]
+    if len(times_s) < 2:
+        return limits.DEFAULT_FPS, []
+    steps = np.diff(times_s)
+    mean = float(times_s[-1] - times_s[0]) / len(steps)
+    slowest, fastest = limits.KEYS_FPS_MIN, limits.KEYS_FPS_MAX
+    if (np.abs(steps - mean) <= limits.STEP_JITTER_MAX * mean).all() and slowest * mean <= 1:
+        return whole_rate(1 / mean), []
+    finest = whole_rate(1 / float(np.quantile(steps, limits.KEYS_OFF_MAX, method="lower")))
+    named = () if own is None or not slowest <= own <= fastest else (own,)
+    usable = (*named, *limits.USUAL_FPS, min(max(finest, limits.DEFAULT_FPS), fastest))
+    off = [_off_frames(times_s, fps) for fps in usable]
+    best = next((place for place, one in enumerate(off) if one.mean() <= limits.KEYS_OFF_MAX), len(usable) - 1)
+    if not off[best].any():
+        return usable[best], []
+    return usable[best], [
+        f"{off[best].sum()} of its {len(times_s)} key times are between frames at {usable[best]:.4g} per second; --fps "
+        "takes it at another rate."
+    ]  # fmt: skip
+
+
+def _off_frames(times_s: np.ndarray, fps: float) -> np.ndarray:
+    """Which of some times (K,) are no frames of a rate, counted from the first."""
+    places = (times_s - times_s[0]) * fps
+    return np.abs(places - np.rint(places)) > limits.KEY_FRAME_EPS
+
+
+def frame_times(times_s: np.ndarray, fps: float) -> np.ndarray:
+    """Even times from the first of some keys (K,) to the last, or the first frame behind it.
+
+    NoMotionError for keys so far apart that a few of them make a long motion.
+    """
+    if not len(times_s):
+        return np.zeros(1)
+    seconds = float(times_s[-1] - times_s[0])
+    if not is_one_motion(len(times_s), seconds, fps):
+        raise NoMotionError(f"{len(times_s)} keys over {seconds:g} s, which is no motion of a hand")
+    return times_s[0] + np.arange(math.ceil(seconds * fps - limits.KEY_FRAME_EPS) + 1) / fps

@@ -1,0 +1,80 @@
+"""The 3D joints of InterHand2.6M as a motion: `InterHand2.6M_SPLIT_joint_3d.json`. DATA 5.
+
+{capture: {frame: {"world_coord": 42 x 3, millimeters, right hand first, "joint_valid": 42}}}. A capture is a person,
+whose sequences follow one another. Numbers of frames rise by the same step: a few that are left out are a gap, and
+after a longer jump another sequence begins, with a part of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from jghand_engine import limits
+from jghand_engine.hand.joints import JOINT_COUNT, Handedness
+from jghand_engine.hand.orders import METERS_PER_UNIT, JointOrder
+from jghand_engine.motion.foreign.content import HandTrack, MotionContent
+from jghand_engine.motion.foreign.damage import NoMotionError
+from jghand_engine.motion.foreign.json_text import JsonText
+
+KIND = "InterHand2.6M joints"
+
+
+def looks_like(text: JsonText) -> bool:
+    """Whether the first frame of the first capture is one of InterHand2.6M."""
+    for _, place in text.members(text.start):
+        if text.text[place] != "{":
+            return False
+        for _, inside in text.members(place):
+            frame = text.value(inside) if text.text[inside] == "{" else None
+            return isinstance(frame, Mapping) and "world_coord" in frame
+        return False
+    return False
+
+
+def read(text: JsonText) -> MotionContent:
+    """Both hands of every sequence of every capture. ValueError says what is wrong."""
+    tracks: list[HandTrack] = []
+    for capture, place in text.members(text.start):
+        frames: dict[int, np.ndarray] = {}
+        for name, inside in text.members(place):
+            frames[int(name)] = _frame(text.value(inside), f"capture {capture}, frame {name}")
+            if len(frames) > limits.MOTION_FRAMES_MAX:
+                raise NoMotionError(f"more than {limits.MOTION_FRAMES_MAX} frames")
+        sequences = list(_sequences(frames))
+        for first, joints in sequences:
+            part = f"Capture{capture}" + (f", from {first}" if len(sequences) > 1 else "")
+            for side, start in ((Handedness.RIGHT, 0), (Handedness.LEFT, JOINT_COUNT)):
+                hand = joints[:, start : start + JOINT_COUNT]
+                tracks.append(HandTrack(hand, side, JointOrder.INTERHAND, f"{part}, {side} hand"))
+    return MotionContent(KIND, tuple(tracks), METERS_PER_UNIT["mm"])
+
+
+def _sequences(frames: dict[int, np.ndarray]) -> Iterator[tuple[int, np.ndarray]]:
+    """The first frame's number and the joints (F, 42, 3) of one sequence after the other: where a number jumps by more
+    than some steps another one begins."""
+    numbers = np.array(sorted(frames))
+    steps = np.diff(numbers)
+    values, counts = np.unique(steps, return_counts=True)
+    step = int(values[counts.argmax()]) if len(steps) else 1
+    another = (steps > limits.INTERHAND_GAP_STEPS * step) | (steps % step != 0)
+    for some in np.split(numbers, np.flatnonzero(another) + 1):
+        count = int(some[-1] - some[0]) // step + 1
+        if count > limits.MOTION_FRAMES_MAX:
+            raise NoMotionError(f"more than {limits.MOTION_FRAMES_MAX} frames")
+        joints = np.full((count, 2 * JOINT_COUNT, 3), np.nan)
+        joints[(some - some[0]) // step] = [frames[number] for number in some]
+        yield int(some[0]), joints
+
+
+def _frame(entry: Any, where: str) -> np.ndarray:
+    """Joints (42, 3), NaN where they are not valid."""
+    if not isinstance(entry, Mapping) or "world_coord" not in entry:
+        raise ValueError(f"{where} has no world_coord")
+    coordinates = np.array(entry["world_coord"], dtype=np.float64)
+    valid = np.array(entry.get("joint_valid", [1] * 2 * JOINT_COUNT), dtype=np.float64).reshape(-1)
+    if coordinates.shape != (2 * JOINT_COUNT, 3) or valid.shape != (2 * JOINT_COUNT,):
+        raise ValueError(f"{where}: {coordinates.shape} coordinates, {valid.shape} flags")
+    return np.where(valid[:, None] > 0, coordinates, np.nan)

@@ -1,0 +1,106 @@
+// The skin of a trained hand: correctives, turned normals, light, cast shadow and gloss (METHOD 2.9, 4.1), sixteen
+// Gaussians at a time. avatar/skinning.py, light.py, tiers.py and cast_shadow.py are the specification.
+#pragma once
+#include <stdint.h>
+
+#include "skin.h"
+#include "team.h"
+
+namespace jg {
+
+// Shadows of the fingers, at anchors. Mirrored field by field in native/learned_tasks.py.
+struct CastTask {
+  const float* rest;            // (blocks, 6, 16): place as in SkinTask, unit normal; of the anchors, in blocks
+  const int32_t* block_start;   // bones of the blocks, as in SkinTask
+  const int32_t* bone;
+  const float* weight;
+  const float* foreign;         // (blocks, BONES, 16): 1 - own
+  const float* lamp;            // (groups, 6, 16): direction, rgb; those that fill up the last group are black
+  const float* capsule;         // (BONES, 8): start, axis, 1 / squared length, radius; root-relative, meters
+  const float* capsule_lamp;    // (BONES, groups, 2, 16): axis . direction, 1 / (squared length sine^2)
+  float* fallen;                // (16 blocks, 4): exponent per channel; the fourth is not used
+  float bounced[3];             // light that reaches skin which sees no lamp
+  float softness, lamp_width, width_min, distance2_min;
+  float to_display;             // exponent per logarithm of light
+  int32_t blocks, groups;
+};
+
+enum Correctives { NO_CORRECTION = 0, GIVEN = 1, LINEAR = 2, NETWORK = 3 };
+
+// Mirrored field by field in native/learned_tasks.py.
+struct LearnedTask {
+  SkinTask skin;
+  CastTask cast;
+  const float* look;            // (blocks, 7, 16): unit normal, albedo, shine
+  // correctives
+  float* given;                 // (blocks, 6, 16): offset, meters, and shade; the network leaves its own there, if not null
+  const int8_t* direction;      // (blocks, basis, 6, 16)
+  const float* constant;        // (blocks, 8, 16): offset and shade, then one step of `direction` of either
+  const float* numbers;         // (21, basis)
+  const float* places;          // (blocks, hidden, 16): the first layer's view of a Gaussian's place, with its bias
+  const float* features;        // (21, hidden): the first layer's view of a bone's angles
+  const float* middle;          // (hidden / NETWORK_TILE, hidden, NETWORK_TILE): weights from a unit to those of a tile
+  const float* middle_bias;     // (hidden)
+  const float* out;             // (hidden, 6)
+  // the anchors around a Gaussian
+  const int32_t* nearest;       // (blocks, 3, 16); null: no shadow is cast
+  const float* share;           // (blocks, 3, 16)
+  // light
+  const float* irradiance;      // (16, 3)
+  const float* lobe;            // (lobes, 7): unit direction, sharpness / ln 2, rgb
+  // results
+  float* matt;                  // (blocks, 6, 16): unit normal and matt color, for the gloss; null: nothing is glossy
+  float* rgb;                   // (16 blocks, 3)
+  float out_bias[6];
+  float reach[2];               // of offset and shade
+  float palm[9];                // the palm's rotation, row by row
+  float eye[3];
+  float rim;
+  float volume_min;             // where the palm's rotation takes over, |det L| / s_g^3
+  float exponent_max, length2_min;
+  int32_t correctives;
+  int32_t world_offsets;        // 0: offsets turn with the hand; 1: in world axes; -1: those of a left hand, mirrored
+  int32_t basis, hidden, lobes;
+};
+
+constexpr int CORRECTION = 6, LOOK = 7, MATT = 6, LOBE = 7, CAPSULE = 8;
+constexpr int BONES = 20, ANCHORS_AROUND = 3;
+constexpr int NETWORK_TILE = 8;   // units of the second layer computed together; native/learned_tasks.py packs them
+constexpr int HIDDEN_MAX = 256;   // wider networks are left to torch: two layers of two blocks lie on the stack
+
+// One block's offset (canonical axes, meters) and shade by the linear tier.
+void linear_correction(const LearnedTask& t, int32_t block, vf out[CORRECTION]);
+// Of `count` blocks (1 or NETWORK_BLOCKS) from the first one on by the network.
+#if defined(__AVX512F__)
+constexpr int NETWORK_BLOCKS = 2;  // 16 sums of 16 floats in 32 registers
+#else
+constexpr int NETWORK_BLOCKS = 1;
+#endif
+void network_correction(const LearnedTask& t, int32_t block, int count, vf out[][CORRECTION]);
+
+// The shadow at the anchors of one block.
+void cast_block(const CastTask& t, const SkinTask& skin, const float palm[9], float volume_min, float length2_min,
+                int32_t block);
+
+// v / |v|; a zero vector stays zero.
+JG_INLINE void make_unit(vf v[3], float length2_min) {
+  const vf inverse = 1.f / sqrt(max(v[0] * v[0] + v[1] * v[1] + v[2] * v[2], all(length2_min)));
+  for (int i = 0; i < 3; i++) v[i] *= inverse;
+}
+
+// The blended rotation up to shear, L / |det L|^(1/3), row by row; the palm's where the blend has collapsed.
+JG_INLINE void turning(const SkinTask& s, const float palm[9], float volume_min, const vf m[MAP_ENTRIES], vf volume,
+                       vf turn[9]) {
+  const vi sound = volume > volume_min;
+  const vf inverse = exp2(log2(max(volume, all(volume_min))) * (-1.f / 3.f)) * s.inverse_scale;
+  for (int i = 0; i < 3; i++)
+    for (int j = 0; j < 3; j++) turn[3 * i + j] = select(sound, m[4 * i + j] * inverse, all(palm[3 * i + j]));
+}
+
+JG_INLINE void turn_by(const vf turn[9], const vf v[3], vf out[3]) {
+  for (int i = 0; i < 3; i++) out[i] = turn[3 * i] * v[0] + turn[3 * i + 1] * v[1] + turn[3 * i + 2] * v[2];
+}
+
+JG_INLINE vf dot(const vf a[3], const vf b[3]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }
+
+}  // namespace jg

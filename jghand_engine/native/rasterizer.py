@@ -1,0 +1,302 @@
+"""The native rasterizer on NumPy arrays: owns the memory of one RasterJob (native/raster.h) and makes its two calls.
+
+Plain arrays in, planes out; `splat.rasterize` wraps this for torch. Gaussians are float32 in any frame near the hand;
+`View` says how that frame lies in the camera, in float64, so that a hand far from the world's origin loses nothing.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from jghand_engine import limits
+from jghand_engine.errors import InputError, MemoryLimitError
+from jghand_engine.native.binding import Library, address, aligned_zeros, new_team
+from jghand_engine.native.threads import shared_pool
+
+PLANES = 5  # premultiplied R G B, alpha, sum of weight times depth
+_RECORD_FLOATS = 16
+_LIST_TOO_SMALL, _TOO_MANY_PAIRS = 1, 2
+# items per thread of the steps over Gaussians: enough that a thread that starts late does not hold up the others
+_PARTS_PER_THREAD = 4
+
+
+# what arrays of Gaussians are called in the job
+_JOB_NAMES = {
+    "position_m": "position",
+    "sigma_m": "sigma",
+    "covariance_m2": "covariance",
+    "opacity": "opacity",
+    "rgb": "rgb",
+}
+
+
+def check_picture_size(width: int, height: int) -> None:
+    """InputError for a picture that no kernel draws."""
+    largest = limits.PICTURE_MAX_PX
+    if not (1 <= width <= largest and 1 <= height <= largest):
+        came = f"{width} x {height}"
+        raise InputError("picture size", wanted=f"1 to {largest} pixels along each side", came=came)
+
+
+class _Job(ctypes.Structure):
+    """Mirror of RasterJob in native/raster.h, field by field; the self-test compares the sizes."""
+
+    _fields_ = (
+        *((name, ctypes.c_void_p) for name in ("position", "sigma", "covariance", "opacity", "rgb")),
+        *((name, ctypes.c_void_p) for name in ("projected", "projected_rects", "records", "rects", "slots")),
+        *((name, ctypes.c_void_p) for name in ("sort_a", "sort_b", "order", "summaries")),
+        *((name, ctypes.c_void_p) for name in ("part_cursors", "tile_start", "tile_list", "tile_work", "planes")),
+        *((name, ctypes.c_void_p) for name in ("plane_gradients", "record_gradients")),
+        *((f"{name}_gradient", ctypes.c_void_p) for name in ("position", "sigma", "covariance", "opacity", "rgb")),
+        ("team", ctypes.c_void_p),
+        *((name, ctypes.c_int64) for name in ("list_capacity", "pairs")),
+        ("camera_from_position", ctypes.c_double * 12),
+        *((name, ctypes.c_float) for name in ("fx", "fy", "cx", "cy", "z_near")),
+        *((name, ctypes.c_float) for name in ("log2_alpha_min", "alpha_max", "t_stop")),
+        *((name, ctypes.c_int32) for name in ("count", "width", "height", "tiles_x", "tiles_y")),
+        *((name, ctypes.c_int32) for name in ("parts", "visible", "invalid", "status", "orthographic")),
+    )
+
+
+def job_bytes() -> int:
+    """Size of the mirrored structure, which the self-test compares with the library's."""
+    return ctypes.sizeof(_Job)
+
+
+@dataclass(frozen=True)
+class GaussianArrays:
+    """position_m (N, 3), sigma_m (N,), opacity (N,), rgb (N, 3): contiguous float32, meters, colors 0..1.
+
+    covariance_m2: (N, 6) xx, xy, xz, yy, yz, zz in the frame of the positions; then sigma_m is not looked at.
+    """
+
+    position_m: np.ndarray
+    sigma_m: np.ndarray
+    opacity: np.ndarray
+    rgb: np.ndarray
+    covariance_m2: np.ndarray | None = None
+
+    def __len__(self) -> int:
+        return len(self.position_m)
+
+
+@dataclass(frozen=True)
+class View:
+    """A pinhole camera for the kernel, or one of parallel rays (`splat.camera.Camera`): pixels, and
+    camera_from_position (3, 4) float64, meters.
+
+    The matrix maps the frame the positions are given in to the camera frame: world positions, positions relative to
+    the hand's root (put the root into the last column), or camera-frame positions with `np.eye(3, 4)`.
+    """
+
+    width: int
+    height: int
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    camera_from_position: np.ndarray
+    orthographic: bool = False
+
+
+@dataclass(frozen=True)
+class Gradients:
+    """Gradients with respect to the arrays of GaussianArrays, in the same shapes. Of sigma_m and covariance_m2 only
+    what was drawn has one."""
+
+    position_m: np.ndarray
+    opacity: np.ndarray
+    rgb: np.ndarray
+    sigma_m: np.ndarray | None = None
+    covariance_m2: np.ndarray | None = None
+
+
+class NativeRasterizer:
+    """One picture at a time: `forward`, then optionally `backward`. Memory is kept from picture to picture.
+
+    threads: how many draw, as `threads.thread_count` gives them; the pool of that size is shared by the process.
+    After `forward`: `visible`, `invalid` (Gaussians) and `pairs` (entries of all tile lists).
+    """
+
+    def __init__(self, library: Library, threads: int) -> None:
+        self.library, self.threads = library, threads
+        self._job = _Job()
+        self._team = new_team()
+        self._job.team = self._team.ctypes.data
+        self._job.z_near, self._job.alpha_max = limits.Z_NEAR_M, limits.ALPHA_MAX
+        self._arrays: dict[str, np.ndarray] = {}
+        self._prepared: GaussianArrays | None = None  # what is being drawn
+        self._inputs: GaussianArrays | None = None  # what was drawn: the kernel reads them again in backward
+        self._planes: np.ndarray | None = None
+
+    @property
+    def visible(self) -> int:
+        return self._job.visible
+
+    @property
+    def invalid(self) -> int:
+        return self._job.invalid
+
+    @property
+    def pairs(self) -> int:
+        return self._job.pairs
+
+    def forward(
+        self,
+        gaussians: GaussianArrays,
+        view: View,
+        *,
+        alpha_min: float = limits.ALPHA_MIN,
+        t_stop: float = limits.T_STOP,
+        planes: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """Draws and returns planes (5, H, W) float32: premultiplied R G B, alpha, sum of weight times depth.
+
+        planes: where to draw; without it, this object's own memory, which the next picture overwrites.
+        InputError names a wrong array; MemoryLimitError when Gaussians cover more tiles than the lists can index.
+        """
+        drawn = self.prepare(gaussians, view, alpha_min=alpha_min, t_stop=t_stop, planes=planes)
+        while True:
+            shared_pool(self.threads).run(self.run)
+            if self.finished():
+                return drawn
+
+    def prepare(
+        self,
+        gaussians: GaussianArrays,
+        view: View,
+        *,
+        alpha_min: float = limits.ALPHA_MIN,
+        t_stop: float = limits.T_STOP,
+        planes: np.ndarray | None = None,
+    ) -> np.ndarray:
+        """The first half of `forward`, for who shares one call of a pool with other work: then every thread calls
+        `run`, and `finished` says whether the planes (returned here) are drawn or all has to be done again."""
+        self._inputs = None  # no backward pass of a picture that fails half way
+        self._set_inputs(gaussians)
+        self._set_view(view)
+        self._job.log2_alpha_min, self._job.t_stop = self._cut(alpha_min), t_stop
+        shape = (PLANES, view.height, view.width)
+        self._planes = self._array("planes", shape, np.float32) if planes is None else planes
+        self._job.planes = address(self._planes, np.float32, "planes", shape, writable=True)
+        self._reserve_scratch()
+        self._team.fill(0)
+        return self._planes
+
+    def run(self, _thread: int = 0) -> None:
+        """Draws what was prepared, together with the other threads of a pool."""
+        self.library.call.jg_raster_forward(ctypes.addressof(self._job))
+
+    def finished(self) -> bool:
+        """After `run`: whether the picture is drawn. If not, there is more room now, and `run` must be called again."""
+        self._team.fill(0)
+        if self._job.status == _LIST_TOO_SMALL:
+            self._reserve_list(self._job.pairs)
+            return False
+        if self._job.status == _TOO_MANY_PAIRS:
+            raise MemoryLimitError(
+                "Gaussians cover too many tiles",
+                wanted=f"at most {limits.MAX_PAIRS} pairs of Gaussian and tile",
+                remedy="Use a smaller picture, fewer or smaller Gaussians.",
+            )
+        self._inputs = self._prepared
+        return True
+
+    def backward(self, plane_gradients: np.ndarray) -> Gradients:
+        """Gradients of the Gaussians of the last `forward`, from dL/d(planes) (5, H, W) float32. Culled ones get 0."""
+        if self._inputs is None or self._planes is None:
+            raise InputError("backward pass", wanted="a forward pass before it", came="none")
+        n = len(self._inputs)
+        self._job.plane_gradients = address(plane_gradients, np.float32, "plane_gradients", self._planes.shape)
+        records = self._array("record_gradients", (limits.GRADIENT_STRIPES, n, _RECORD_FLOATS), np.float32)
+        self._job.record_gradients = records.ctypes.data
+        shapes = {"position_m": (n, 3), "opacity": (n,), "rgb": (n, 3)}
+        shapes |= {"sigma_m": (n,)} if self._inputs.covariance_m2 is None else {"covariance_m2": (n, 6)}
+        results = {name: np.empty(shape, np.float32) for name, shape in shapes.items()}
+        for name, result in results.items():
+            setattr(self._job, f"{_JOB_NAMES[name]}_gradient", result.ctypes.data)
+        self._team.fill(0)
+        pointer = ctypes.addressof(self._job)
+        # looked up every time: after a fork the child has a pool of its own
+        shared_pool(self.threads).run(lambda _thread: self.library.call.jg_raster_backward(pointer))
+        return Gradients(**results)
+
+    # ---- the job ----------------------------------------------------------------------------------------------------
+
+    def _set_inputs(self, gaussians: GaussianArrays) -> None:
+        n = len(gaussians)
+        job = self._job
+        job.count = n
+        job.position = address(gaussians.position_m, np.float32, "position_m", (n, 3))
+        job.sigma = address(gaussians.sigma_m, np.float32, "sigma_m", (n,))
+        job.opacity = address(gaussians.opacity, np.float32, "opacity", (n,))
+        job.rgb = address(gaussians.rgb, np.float32, "rgb", (n, 3))
+        covariance = gaussians.covariance_m2
+        job.covariance = None if covariance is None else address(covariance, np.float32, "covariance_m2", (n, 6))
+        self._prepared = gaussians
+
+    def _set_view(self, view: View) -> None:
+        check_picture_size(view.width, view.height)
+        job = self._job
+        job.width, job.height = view.width, view.height
+        job.tiles_x, job.tiles_y = -(-view.width // limits.TILE_PX), -(-view.height // limits.TILE_PX)
+        job.fx, job.fy, job.cx, job.cy = view.fx, view.fy, view.cx, view.cy
+        job.orthographic = view.orthographic
+        job.camera_from_position[:] = np.asarray(view.camera_from_position, np.float64).ravel().tolist()
+
+    @staticmethod
+    def _cut(alpha_min: float) -> float:
+        """log2 of the cut-off; below the limit the kernel's exponential has no meaning."""
+        if not limits.NATIVE_ALPHA_MIN <= alpha_min < 1:
+            wanted = f"{limits.NATIVE_ALPHA_MIN:g} to below 1"
+            raise InputError("alpha_min", wanted=wanted, came=f"{alpha_min:g}", remedy='Use backend "torch" below it.')
+        return math.log2(alpha_min)
+
+    def _reserve_scratch(self) -> None:
+        job = self._job
+        n, tiles = job.count, job.tiles_x * job.tiles_y
+        job.parts = _PARTS_PER_THREAD * self.threads
+        shapes = {
+            "projected": ((n, _RECORD_FLOATS), np.float32),
+            "projected_rects": ((n, 4), np.int16),
+            "records": ((n, _RECORD_FLOATS), np.float32),
+            "rects": ((n, 4), np.int16),
+            "slots": ((n,), np.int32),
+            "sort_a": ((n,), np.uint64),
+            "sort_b": ((n,), np.uint64),
+            "order": ((n,), np.int32),
+            "summaries": ((job.parts, 4), np.int32),
+            "part_cursors": ((job.parts, job.tiles_y + 1, job.tiles_x + 1), np.int32),
+            "tile_start": ((tiles + 1,), np.int32),
+            "tile_work": ((tiles,), np.int32),
+        }
+        for name, (shape, dtype) in shapes.items():
+            setattr(job, name, self._array(name, shape, dtype).ctypes.data)
+        if not job.list_capacity:
+            self._reserve_list(n)
+
+    def _reserve_list(self, pairs: int) -> None:
+        """Room for `pairs` entries and a quarter more, so that a moving hand does not ask again every frame."""
+        self._job.list_capacity = 0  # should there be no memory: the old list is gone
+        capacity = min(pairs + pairs // 4 + 1024, limits.MAX_PAIRS)
+        self._job.tile_list = self._array("tile_list", (capacity,), np.int32).ctypes.data
+        self._job.list_capacity = capacity
+
+    def _array(self, name: str, shape: tuple[int, ...], dtype: type) -> np.ndarray:
+        """This object's memory of that name, made anew when the shape changes."""
+        array = self._arrays.get(name)
+        if array is None or array.shape != shape:
+            self._arrays.pop(name, None)  # the old one first: both together may not fit
+            try:
+                array = self._arrays[name] = aligned_zeros(shape, dtype)
+            except MemoryError as error:
+                size = math.prod(shape) * np.dtype(dtype).itemsize / 2**20
+                remedy = "Use a smaller picture or fewer Gaussians."
+                raise MemoryLimitError(
+                    f"no memory for {name} of the rasterizer, {size:.0f} MiB", remedy=remedy
+                ) from error
+        return array

@@ -1,0 +1,402 @@
+"""The frame: 21 joints and a camera to a finished picture, with a receipt of what was done and what was left out.
+
+    renderer = HandRenderer(load_builtin(handedness=Handedness.RIGHT), preset("viewport"))
+    frame = renderer.render(joints_m, camera)
+
+What is done is decided in `effects.py`; here it is done. Positions are kept relative to the first hand's root and the
+root is added in double precision: a hand 1 km away loses nothing.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from jghand_engine import limits
+from jghand_engine.avatar.avatar import HandAvatar, check_follows_joints
+from jghand_engine.avatar.pose_range import outside, trained_range
+from jghand_engine.avatar.skin_bones import bone_numbers
+from jghand_engine.avatar.tiers import Tier
+from jghand_engine.errors import InputError
+from jghand_engine.hand.fast_transform import FastTransform
+from jghand_engine.hand.frames import describe_flags
+from jghand_engine.hand.joints import JOINT_COUNT, LEVEL_NAMES
+from jghand_engine.hand.orders import check_joint_shape
+from jghand_engine.native import library as native_library
+from jghand_engine.native.rasterizer import check_picture_size
+from jghand_engine.render.camera import Camera
+from jghand_engine.render.effect_plan import Box, Effect, EffectPlan
+from jghand_engine.render.effects import (
+    HandFacts,
+    Kept,
+    Scene,
+    equipped,
+    hand_box,
+    plan_effects,
+    same_shape,
+    standing_still,
+)
+from jghand_engine.render.exposure import Shutter, exposures
+from jghand_engine.render.half import enlarged, halved, repeated
+from jghand_engine.render.mean_picture import Drawn, MeanPicture, averaged_down
+from jghand_engine.render.painter import SHADOW, SKIN, Canvas, Painter, Pose, TorchPainter
+from jghand_engine.render.painter_native import NativePainter
+from jghand_engine.render.report import FrameReport
+from jghand_engine.render.settings import RenderSettings
+from jghand_engine.render.shadow import ShadowStyle, surface_normals
+
+TRANSFORM, PLAN, ENLARGE = "transform", "plan", "enlarge"
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A finished picture. It belongs to the caller; the renderer keeps nothing of it.
+
+    rgba:    (H, W, 4) float32, premultiplied, display-referred sRGB, row 0 at the top
+    depth_m: (H, W) float32, meters along the view axis, 0 where there is nothing (everywhere with settings.depth off)
+    normal:  (H, W, 3) float32 unit, towards the camera, in its axes, 0 where there is nothing; None unless requested
+    ids:     (H, W) uint8, 0 = nothing, k = the k-th hand covers most of what is covered; None unless requested
+    """
+
+    rgba: np.ndarray
+    depth_m: np.ndarray
+    report: FrameReport
+    normal: np.ndarray | None = None
+    ids: np.ndarray | None = None
+
+
+class SceneRenderer:
+    """Renders any number of hands into one picture, each driven by its own joints. One picture at a time.
+
+    avatars: one per hand, each with its handedness · settings: how (splat.settings); `settings.gaussians` is per hand.
+    InputError for an avatar whose bones do not follow the joints by `JointTransform`.
+    """
+
+    def __init__(self, avatars: Sequence[HandAvatar], settings: RenderSettings | None = None) -> None:
+        self.settings = settings or RenderSettings()
+        if not avatars:
+            raise InputError("hands of a picture", wanted="at least one avatar", came="none")
+        for avatar in avatars:
+            check_follows_joints(avatar)
+        allowed = [equipped(avatar.prefix(self.settings.gaussians), self.settings) for avatar in avatars]
+        chosen = [_with_tier(avatar, self.settings.correctives) for avatar in allowed]
+        self._avatars = [avatar for avatar, _ in chosen]
+        self._tiers = ", ".join(dict.fromkeys(told for _, told in chosen if told))
+        self._facts = [HandFacts(avatar) for avatar in self._avatars]
+        self._transforms = [
+            FastTransform(
+                avatar.canonical_joints_m,
+                handedness=avatar.handedness,
+                swing=avatar.info.swing,
+                scale_mode=avatar.info.scale_mode,
+                variant=self.settings.backend,
+            )
+            for avatar in self._avatars
+        ]
+        self._ranges = [trained_range(avatar.info) for avatar in self._avatars]
+        self._looks = [facts.look for facts in self._facts if facts.look is not None]
+        self._painter = self._new_painter()
+        self._posed: _Posed | None = None
+        self._drawn: Canvas | None = None  # what the painter's picture shows
+        self._bones: list[np.ndarray] | None = None  # per hand the bone of each Gaussian, once somebody asks
+
+    def _new_painter(self) -> Painter:
+        library = native_library.load(self.settings.backend)
+        if library is None:
+            return TorchPainter(self._avatars, self.settings)
+        return NativePainter(library, self._avatars, self.settings)
+
+    def render(
+        self,
+        joints_m: Sequence[np.ndarray | torch.Tensor],
+        camera: Camera,
+        shutter: Shutter | None = None,
+        *,
+        between: Callable[[], None] = lambda: None,
+    ) -> Frame:
+        """One picture. joints_m: per hand (21, 3), level order, meters, in the frame the camera is given in.
+        shutter: how the hands move around these joints while it is open; None for a moment. between: called between
+        the parts of the picture that take long; may raise to end it.
+
+        InputError names a joint that is not finite; to hold the last good pose is the motion's business
+        (`PoseSequence.with_gaps_held`).
+        """
+        # what is drawn may be the hand's box alone
+        check_picture_size(camera.width, camera.height)
+        if not self.settings.half:
+            return self._render(joints_m, camera, shutter, between)
+        return _enlarged(self._render(joints_m, halved(camera), shutter, between), camera)
+
+    def _render(
+        self,
+        joints_m: Sequence[np.ndarray | torch.Tensor],
+        camera: Camera,
+        shutter: Shutter | None,
+        between: Callable[[], None],
+    ) -> Frame:
+        started = time.perf_counter()
+        report = FrameReport(backend=self._painter.backend, threads=self._painter.threads)
+        report.gaussians = sum(map(len, self._avatars))
+        hands = self._checked(joints_m)
+        if shutter is not None:
+            shutter = Shutter(self._checked(shutter.opens_m), self._checked(shutter.closes_m))
+        shot = self._pose(hands, report)
+        report.plan = plan = self._plan(shot, camera, shutter, report)
+        report.notes += shot.posed.notes + shot.posed.unseen
+        if plan.exposures == 1:
+            drawn = self._picture(shot, replace(camera, lens=None), plan, report, between)
+        else:
+            mean = MeanPicture(camera.width, camera.height)
+            for moment_m, pinhole in exposures(hands, camera, shutter, plan.exposures):
+                shot = self._pose(moment_m, report)
+                mean.add(self._picture(shot, pinhole, plan, report, between), 1 / plan.exposures)
+            drawn = mean.drawn()
+        report.explain(SKIN, self._tiers)
+        between()
+        frame = self._finished(drawn, camera, plan, report)
+        report.total_ms = 1e3 * (time.perf_counter() - started)
+        return frame
+
+    def bone_ids(self, camera: Camera) -> np.ndarray:
+        """(H, W) uint8: which bone covers most of a pixel, of the hands as they were drawn last, through the middle of
+        the camera's lens: the number, 1..20, of the joint of the standard order at which it ends; 0 for nothing.
+
+        InputError when nothing was drawn yet.
+        """
+        check_picture_size(camera.width, camera.height)
+        if self._posed is None:
+            raise InputError("bones of a picture", wanted="a picture drawn before", came="none")
+        if self._bones is None:
+            self._bones = [bone_numbers(avatar) for avatar in self._avatars]
+        canvas = self._canvas(self._posed, replace(camera, lens=None), 0.0, limits.ALPHA_MIN)
+        return self._painter.part_map(canvas, self._bones)
+
+    def _checked(self, joints_m: Sequence[np.ndarray | torch.Tensor]) -> list[np.ndarray]:
+        if len(joints_m) != len(self._avatars):
+            raise InputError("hands of a picture", wanted=f"joints of {len(self._avatars)}", came=str(len(joints_m)))
+        return [_checked_hand(joints) for joints in joints_m]
+
+    # ---- the pose ----------------------------------------------------------------------------------------------------
+
+    def _pose(self, hands: list[np.ndarray], report: FrameReport) -> _Shot:
+        """The bone transforms, and whether they are new. Nothing is kept of it before it is painted."""
+        started, last, settings = time.perf_counter(), self._posed, self.settings
+        moved_m = standing_still(hands, None if last is None else last.kept, settings)
+        if last is not None and moved_m is not None:
+            return _Shot(last, moved_m)
+        origin_m = hands[0][0]
+        bones = [transform.bones(joints) for transform, joints in zip(self._transforms, hands, strict=True)]
+        corrected = self._corrected_rad(last)
+        poses = [
+            Pose(one, one.root_m - origin_m, keeps_correctives=same_shape(one, angles_rad, settings))
+            for one, angles_rad in zip(bones, corrected, strict=True)
+        ]
+        unseen = [note for trained, pose in zip(self._ranges, poses, strict=True) for note in _unseen(trained, pose)]
+        notes = [sentence for one in bones for sentence in describe_flags(one.flags)]
+        angles = [
+            old if pose.keeps_correctives and old is not None else pose.bones.angles_rad
+            for pose, old in zip(poses, corrected, strict=True)
+        ]
+        odd = bool(notes) or any(float(np.abs(one.angles_rad[:30]).max()) > limits.REUSE_BENT_MAX for one in bones)
+        kept = Kept([joints.copy() for joints in hands], odd, angles)
+        report.ran(TRANSFORM, 1e3 * (time.perf_counter() - started))
+        return _Shot(_Posed(kept, poses, notes, unseen), None)
+
+    def _corrected_rad(self, last: _Posed | None) -> list[np.ndarray | None]:
+        """Per hand the angles of correctives that can be used again; None for none."""
+        if last is None or not self._painter.keeps_correctives:
+            return [None] * len(self._facts)
+        pairs = zip(self._facts, last.kept.corrected_rad, strict=True)
+        return [angles_rad if facts.keeps_correctives else None for facts, angles_rad in pairs]
+
+    def _plan(self, shot: _Shot, camera: Camera, shutter: Shutter | None, report: FrameReport) -> EffectPlan:
+        started, posed = time.perf_counter(), shot.posed
+        scene = Scene(
+            posed.kept.joints_m,
+            [pose.bones for pose in posed.poses],
+            camera,
+            shutter,
+            shot.moved_m,
+            reshaped=not all(pose.keeps_correctives for pose in posed.poses),
+        )
+        plan = plan_effects(scene, self._facts, self.settings)
+        skin = plan[Effect.SKIN]
+        if not skin.runs:
+            report.skipped(TRANSFORM, skin.reason, skin.bound)
+        report.ran(PLAN, 1e3 * (time.perf_counter() - started))
+        if not skin.runs:
+            report.skipped(SKIN, "same transforms", skin.bound)
+        if plan.strength == 0:
+            report.skipped(SHADOW, plan[Effect.SHADOW].reason, plan[Effect.SHADOW].bound)
+        if not plan.runs(Effect.DEPTH):
+            report.skipped(str(Effect.DEPTH), plan[Effect.DEPTH].reason, plan[Effect.DEPTH].bound)
+        return plan
+
+    # ---- the picture -------------------------------------------------------------------------------------------------
+
+    def _picture(
+        self, shot: _Shot, camera: Camera, plan: EffectPlan, report: FrameReport, between: Callable[[], None]
+    ) -> Drawn:
+        """One moment through one pinhole: of the whole picture or of the hands' box in it."""
+        posed, box = shot.posed, None
+        if plan.enlarged > 1 or not plan.runs(Effect.WHOLE):
+            bones = [pose.bones for pose in posed.poses]
+            box = hand_box(posed.kept.joints_m, bones, self._facts, camera, plan.alpha_min)
+        box = box or Box(0, 0, camera.width, camera.height)
+        part, drawn = camera.part(*box), []
+        if plan.plain > 0:
+            between()
+            drawn.append((self._painted(shot, part, box, plan, report), plan.plain))
+        if plan.plain < 1:
+            # what was posed for the picture above stays
+            again = shot if plan.plain == 0 else _Shot(posed, 0.0)
+            between()
+            large = self._painted(again, part.scaled(plan.enlarged), box, plan, report)
+            between()
+            drawn.append((averaged_down(large, plan.enlarged), 1 - plan.plain))
+        if len(drawn) == 1:
+            return drawn[0][0]
+        mean = MeanPicture(camera.width, camera.height)
+        for one, weight in drawn:
+            mean.add(one, weight)
+        return mean.drawn()
+
+    def _painted(self, shot: _Shot, camera: Camera, box: Box, plan: EffectPlan, report: FrameReport) -> Drawn:
+        # normals are those of the depth
+        depth = plan.runs(Effect.DEPTH) or plan.runs(Effect.NORMALS)
+        canvas = self._canvas(shot.posed, camera, plan.strength, plan.alpha_min, depth=depth)
+        poses = None if shot.moved_m is not None else shot.posed.poses
+        keeps = poses is None and not self.settings.effects.forces(Effect.SKIN) and canvas.same_view(self._drawn)
+        # a picture that fails half way may leave the painter with half of these Gaussians: then the next one poses anew
+        self._posed = self._drawn = None
+        rgba, depth_m = self._painter.paint(poses, canvas, report, keeps_picture=keeps)
+        weights = self._hand_weights(rgba, canvas, report) if plan.runs(Effect.IDS) else None
+        self._posed, self._drawn = shot.posed, canvas
+        return Drawn(box, rgba, depth_m, weights)
+
+    def _hand_weights(self, rgba: np.ndarray, canvas: Canvas, report: FrameReport) -> np.ndarray:
+        """(H, W, hands) how much of the pixel each hand covers."""
+        started = time.perf_counter()
+        weights = rgba[..., 3:] if len(self._avatars) == 1 else self._painter.hand_weights(canvas)
+        report.ran(str(Effect.IDS), 1e3 * (time.perf_counter() - started))
+        return weights
+
+    def _canvas(
+        self, posed: _Posed, camera: Camera, strength: float, alpha_min: float, *, depth: bool = False
+    ) -> Canvas:
+        # the origin of what was posed, also when the hand has moved by less than the limit since
+        from_origin = camera.camera_from_world.clone()
+        from_origin[:3, 3] += from_origin[:3, :3] @ torch.from_numpy(posed.kept.joints_m[0][0])
+        style = self._shadow_style(strength) if strength > 0 else None
+        return Canvas(replace(camera, camera_from_world=from_origin), float(from_origin[2, 3]), style, alpha_min, depth)
+
+    def _shadow_style(self, strength: float) -> ShadowStyle:
+        """One pass shades all hands: hands of different looks get the mean of them."""
+        gain = float(np.mean([look.gain for look in self._looks]))
+        red, green, blue = np.mean([look.tint for look in self._looks], axis=0).tolist()
+        radius_m = self.settings.shadow_radius_m
+        return ShadowStyle(self.settings.shadow_samples, strength, radius_m, gain=gain, tint=(red, green, blue))
+
+    def _finished(self, drawn: Drawn, camera: Camera, plan: EffectPlan, report: FrameReport) -> Frame:
+        whole = drawn.laid_out(camera.width, camera.height)
+        normal = ids = None
+        if plan.runs(Effect.NORMALS) and whole.depth_m is not None:
+            started = time.perf_counter()
+            normal = surface_normals(torch.from_numpy(whole.depth_m), camera).numpy()
+            report.ran(str(Effect.NORMALS), 1e3 * (time.perf_counter() - started))
+        if plan.runs(Effect.IDS) and whole.weights is not None:
+            covered = whole.weights.sum(-1) > limits.DEPTH_ALPHA_MIN
+            ids = np.where(covered, 1 + whole.weights.argmax(-1), 0).astype(np.uint8)
+        depth_m = whole.depth_m if plan.runs(Effect.DEPTH) else None
+        if depth_m is None:
+            depth_m = np.zeros(whole.rgba.shape[:2], np.float32)
+        return Frame(whole.rgba, depth_m, report, normal, ids)
+
+
+class HandRenderer:
+    """Renders one hand. avatar: which, with its handedness · settings: how (splat.settings)."""
+
+    def __init__(self, avatar: HandAvatar, settings: RenderSettings | None = None) -> None:
+        self._scene = SceneRenderer([avatar], settings)
+        self.settings = self._scene.settings
+
+    def render(self, joints_m: np.ndarray | torch.Tensor, camera: Camera, shutter: Shutter | None = None) -> Frame:
+        """One picture. joints_m: (21, 3), level order, meters, in the frame the camera is given in. shutter: as for
+        SceneRenderer, of one hand.
+
+        InputError names a joint that is not finite; to hold the last good pose is the motion's business
+        (`PoseSequence.with_gaps_held`).
+        """
+        return self._scene.render([joints_m], camera, shutter)
+
+    def bone_ids(self, camera: Camera) -> np.ndarray:
+        """As SceneRenderer's."""
+        return self._scene.bone_ids(camera)
+
+
+def _enlarged(frame: Frame, camera: Camera) -> Frame:
+    """A frame of `halved(camera)` as one of `camera`."""
+    started, report = time.perf_counter(), frame.report
+    size = camera.width, camera.height
+    # without depth the zeros stay zeros
+    rgba, depth_m = enlarged(frame.rgba, frame.depth_m, camera, native_library.load(report.backend), report.threads)
+    normal, ids = (None if each is None else repeated(each, *size) for each in (frame.normal, frame.ids))
+    spent_ms = 1e3 * (time.perf_counter() - started)
+    report.ran(ENLARGE, spent_ms)
+    report.total_ms += spent_ms
+    return Frame(rgba, depth_m, report, normal, ids)
+
+
+@dataclass(frozen=True)
+class _Posed:
+    """Hands in a pose: what the next picture may keep of it, transforms, notes for the report: of what is wrong with a
+    hand, and of what its avatar never saw."""
+
+    kept: Kept
+    poses: list[Pose]
+    notes: list[str]
+    unseen: list[str]
+
+
+@dataclass(frozen=True)
+class _Shot:
+    """A pose to be drawn. moved_m: None when it is new; else how far the joints moved since the painter got it."""
+
+    posed: _Posed
+    moved_m: float | None
+
+
+def _with_tier(avatar: HandAvatar, wanted: Tier) -> tuple[HandAvatar, str]:
+    """The avatar with the correctives to draw it with, and a phrase about them; the phrase is empty without any."""
+    if avatar.learned is None or avatar.learned.correctives is None:
+        return avatar, ""
+    learned, price = avatar.learned.with_tier(wanted)
+    told = str(Tier.EXACT) if price is None else f"{price.name} ({price.lost_db:.2f} dB lost)"
+    return replace(avatar, learned=learned), f"correctives {told}"
+
+
+def _unseen(trained: np.ndarray | None, pose: Pose) -> list[str]:
+    """Sentences about joints that are bent as the avatar never saw them."""
+    return [] if trained is None else [one.sentence() for one in outside(pose.angles.angles, trained)]
+
+
+def _checked_hand(joints_m: np.ndarray | torch.Tensor) -> np.ndarray:
+    """(21, 3) float64; InputError for another shape or a joint that is not finite."""
+    joints = joints_m.detach().cpu().numpy() if isinstance(joints_m, torch.Tensor) else np.asarray(joints_m)
+    joints = np.ascontiguousarray(joints, np.float64)
+    if joints.shape != (JOINT_COUNT, 3):
+        check_joint_shape(joints)
+        raise InputError("joints of one hand", wanted="shape (21, 3)", came=str(joints.shape))
+    if not np.isfinite(joints).all():
+        names = [name for name, joint in zip(LEVEL_NAMES, joints, strict=True) if not np.isfinite(joint).all()]
+        raise InputError(
+            "joints",
+            wanted="finite meters",
+            came=f"{', '.join(names)} not finite",
+            remedy="Hold the last good pose: PoseSequence.with_gaps_held().",
+        )
+    return joints

@@ -1,0 +1,114 @@
+"""When is the self-shadow worth its time? From the joints alone (METHOD 5.4).
+
+Static creases are painted into the colors; only what a pose brings together needs the pass. The score sums, over
+pairs of bones that are not neighbors, how much nearer their capsules are than on the canonical hand. The shadow fades
+in with it and is never switched, so nothing pops.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from jghand_engine import limits
+from jghand_engine.hand.joints import BONE_COUNT, JOINT_COUNT, PARENTS
+
+_PARENTS = np.array(PARENTS[1:])  # of the end of bone k + 1, hence its start
+_RADII_M = np.array(limits.GATE_CAPSULE_RADII_MM) * 1e-3
+
+
+def _far_pairs() -> tuple[np.ndarray, np.ndarray]:
+    """Pairs of bones (0-based) that are not parent and child, not siblings beyond the wrist, not both metacarpals."""
+    first, second = np.triu_indices(BONE_COUNT, 1)
+    start_a, start_b, end_a, end_b = _PARENTS[first], _PARENTS[second], first + 1, second + 1
+    chained = (start_a == end_b) | (start_b == end_a)
+    siblings = (start_a == start_b) & (start_a != 0)
+    metacarpals = (start_a == 0) & (start_b == 0)
+    keep = ~(chained | siblings | metacarpals)
+    return first[keep], second[keep]
+
+
+_FIRST, _SECOND = _far_pairs()
+_REACH_M = _RADII_M[_FIRST] + _RADII_M[_SECOND]
+_ALONG = np.linspace(0.0, 1.0, limits.GATE_SAMPLES)[:, None, None]
+
+
+class ShadowGate:
+    """canonical_joints_m: (21, 3) level order, meters. Its own score is 0."""
+
+    def __init__(self, canonical_joints_m: np.ndarray) -> None:
+        self._canonical = _penetration(np.asarray(canonical_joints_m, np.float64), 1.0)
+
+    def score(self, joints_m: np.ndarray, scale: float = 1.0) -> float:
+        """How much closer the bones are than on the canonical hand: 0 and up, the same from every side.
+
+        joints_m: (21, 3) finite, level order, meters, left or right · scale: of the hand, s_g; capsules and the radius
+        of influence grow with it.
+        """
+        return float(np.maximum(_penetration(joints_m, scale) - self._canonical, 0.0).sum())
+
+
+def contact_between(hands_m: Sequence[np.ndarray]) -> float:
+    """The same sum over bones of different hands (21, 3): 0 when they are farther apart than the radius of influence.
+
+    There is no canonical distance between two hands, so nothing is subtracted. Capsules are those of scale 1.
+    """
+    total = 0.0
+    for index, first in enumerate(hands_m):
+        for second in hands_m[index + 1 :]:
+            a, b = _samples(first, first[0]), _samples(second, first[0])
+            gap = np.sqrt(np.maximum(_nearest2(a, b), 0.0)) - (_RADII_M[:, None] + _RADII_M)
+            total += float(_closeness(gap).sum())
+    return total
+
+
+def gap_between(hands_m: Sequence[np.ndarray]) -> float:
+    """At least how far, meters, the nearest two of several hands (21, 3) are apart: the gap of the boxes around their
+    capsules of scale 1. Infinite for one hand."""
+    flesh_m = float(_RADII_M.max())
+    boxes = [(hand.min(0) - flesh_m, hand.max(0) + flesh_m) for hand in hands_m]
+    gaps = [
+        float(np.linalg.norm(np.maximum(np.maximum(low - other_high, other_low - high), 0.0)))
+        for index, (low, high) in enumerate(boxes)
+        for other_low, other_high in boxes[index + 1 :]
+    ]
+    return min(gaps, default=float("inf"))
+
+
+def fade(score: float) -> float:
+    """Strength of the shadow, 0..1, by the gate's score."""
+    return smoothstep(score, limits.GATE_LOW, limits.GATE_HIGH)
+
+
+def smoothstep(value: float, low: float, high: float) -> float:
+    """0 up to `low`, 1 from `high` on, smooth between."""
+    t = min(max((value - low) / (high - low), 0.0), 1.0)
+    return t * t * (3.0 - 2.0 * t)
+
+
+def _penetration(joints_m: np.ndarray, scale: float) -> np.ndarray:
+    """(pairs,) clamp(1 - gap / R, 0, max)^2 of every far pair, the gap between capsules sampled 5 x 5."""
+    points = _samples(joints_m, joints_m[0])
+    gap = np.sqrt(np.maximum(_nearest2(points, points)[_FIRST, _SECOND], 0.0)) / max(scale, 1e-12) - _REACH_M
+    return _closeness(gap)
+
+
+def _closeness(gap_m: np.ndarray) -> np.ndarray:
+    inside = np.clip(1.0 - gap_m / limits.GATE_RADIUS_M, 0.0, limits.GATE_PENETRATION_MAX)
+    return inside * inside
+
+
+def _samples(joints_m: np.ndarray, origin_m: np.ndarray) -> np.ndarray:
+    """(5 x 20, 3) points along the bones, sample by sample, so that the minima below run over whole rows."""
+    start = joints_m[_PARENTS]
+    return (start - origin_m + _ALONG * (joints_m[1:JOINT_COUNT] - start)).reshape(-1, 3)
+
+
+def _nearest2(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(20, 20) least squared distance between the samples of every two bones."""
+    distance2 = a @ (-2.0 * b.T)
+    distance2 += np.einsum("ij,ij->i", b, b)
+    distance2 += np.einsum("ij,ij->i", a, a)[:, None]
+    shape = (limits.GATE_SAMPLES, BONE_COUNT, limits.GATE_SAMPLES, BONE_COUNT)
+    return distance2.reshape(shape).min(axis=0).min(axis=1)

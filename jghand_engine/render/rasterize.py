@@ -1,0 +1,123 @@
+"""Gaussians to a picture: the native kernel under torch's autograd, else the reference.
+
+    picture = rasterize(gaussians, camera, settings)
+
+Gradients go to position, sigma or covariance, opacity and color. float32 tensors on the CPU are drawn by the native
+kernel; float64 tensors ask for the exact picture and are drawn by the reference, and so is everything where there is no
+kernel.
+"""
+
+from __future__ import annotations
+
+import threading
+import weakref
+from typing import Any
+
+import numpy as np
+import torch
+
+from jghand_engine.avatar.gaussians import Gaussians
+from jghand_engine.errors import InputError
+from jghand_engine.native.binding import Library
+from jghand_engine.native.library import load
+from jghand_engine.native.rasterizer import PLANES, GaussianArrays, NativeRasterizer, View
+from jghand_engine.native.threads import thread_count
+from jghand_engine.render.camera import Camera
+from jghand_engine.render.inputs import check_gaussians
+from jghand_engine.render.picture import Picture
+from jghand_engine.render.reference import rasterize_reference
+from jghand_engine.render.settings import RenderSettings
+
+
+def rasterize(gaussians: Gaussians, camera: Camera, settings: RenderSettings | None = None) -> Picture:
+    """Draws all `gaussians` (world frame) as `camera` sees them, on nothing: premultiplied color, alpha and depth.
+
+    settings: alpha_min, t_stop, threads and backend are used here (`settings.gaussians` is for whoever poses them).
+    InputError names a tensor of a wrong shape or dtype, or a backend that cannot draw it. Values that cannot be drawn
+    are left out and counted in the picture; their gradient is zero.
+    """
+    settings = settings or RenderSettings()
+    check_gaussians(gaussians)
+    library = native_library(gaussians, settings.backend)
+    if library is None:
+        return rasterize_reference(gaussians, camera, alpha_min=settings.alpha_min)
+    lease = _Lease(library, thread_count(settings.threads))
+    planes = _NativeRaster.apply(*(getattr(gaussians, name) for name in _NAMES), lease, camera, settings)
+    visible, invalid = lease.rasterizer.visible, lease.rasterizer.invalid
+    return Picture.from_planes(planes, visible_gaussians=visible, invalid_gaussians=invalid)  # type: ignore[arg-type]
+
+
+def native_library(gaussians: Gaussians, backend: str) -> Library | None:
+    """The library that draws these Gaussians; None for the reference. InputError when `backend` cannot."""
+    position = gaussians.position_m
+    native = position.dtype == torch.float32 and position.device.type == "cpu"
+    if backend not in ("auto", "torch") and not native:
+        wanted = f"float32 tensors on the CPU for backend {backend}"
+        raise InputError("Gaussians", wanted=wanted, came=f"{position.dtype} on {position.device}")
+    return load(backend) if native else None
+
+
+def view_of(camera: Camera) -> View:
+    """The camera as the kernel takes it, for positions in the world frame."""
+    matrix = camera.camera_from_world[:3].cpu().numpy()
+    pinhole = (camera.fx, camera.fy, camera.cx, camera.cy)
+    return View(camera.width, camera.height, *pinhole, matrix, camera.orthographic)
+
+
+# ---- memory of the kernel -------------------------------------------------------------------------------------------
+
+_idle: dict[tuple[str, int], list[NativeRasterizer]] = {}
+_idle_lock = threading.Lock()
+
+
+class _Lease:
+    """A NativeRasterizer on loan. It goes back when the last holder lets go: the call that draws, or, when gradients
+    are wanted, the node of the graph, whose backward pass needs what the forward pass left in it."""
+
+    def __init__(self, library: Library, threads: int) -> None:
+        key = (str(library.path), threads)
+        with _idle_lock:
+            idle = _idle.setdefault(key, [])
+            rasterizer = idle.pop() if idle else None
+        self.rasterizer = rasterizer or NativeRasterizer(library, threads)
+        weakref.finalize(self, idle.append, self.rasterizer).atexit = False
+
+
+# the tensors of Gaussians, as GaussianArrays and Gradients call them too
+_NAMES = ("position_m", "sigma_m", "opacity", "rgb", "covariance_m2")
+
+
+class _NativeRaster(torch.autograd.Function):
+    """Planes (5, H, W) from the tensors of Gaussians, in the order of _NAMES."""
+
+    @staticmethod
+    def forward(ctx: Any, *inputs: Any):
+        tensors, (lease, camera, settings) = inputs[: len(_NAMES)], inputs[len(_NAMES) :]
+        arrays: list[Any] = [None if tensor is None else tensor.detach().contiguous().numpy() for tensor in tensors]
+        planes = torch.empty(PLANES, camera.height, camera.width)
+        lease.rasterizer.forward(
+            GaussianArrays(**dict(zip(_NAMES, arrays, strict=True))),
+            view_of(camera),
+            alpha_min=settings.alpha_min,
+            t_stop=settings.t_stop,
+            planes=planes.numpy(),
+        )
+        if any(ctx.needs_input_grad):
+            ctx.lease = lease
+            # saved, so that torch notices when someone overwrites them before the backward pass
+            ctx.save_for_backward(*tensors, planes)
+        return planes
+
+    @staticmethod
+    @torch.autograd.function.once_differentiable
+    def backward(ctx: Any, plane_gradients: torch.Tensor):
+        _ = ctx.saved_tensors  # raises when an input was modified in place
+        incoming = np.ascontiguousarray(plane_gradients.detach().to(torch.float32).numpy())
+        gradients = ctx.lease.rasterizer.backward(incoming)
+        wanted = zip(_NAMES, ctx.needs_input_grad[: len(_NAMES)], strict=True)
+        tensors = [_tensor(getattr(gradients, name)) if want else None for name, want in wanted]
+        return (*tensors, None, None, None)
+
+
+def _tensor(array: np.ndarray | None) -> torch.Tensor | None:
+    return None if array is None else torch.from_numpy(array)

@@ -1,0 +1,122 @@
+"""One object that says how a picture is made. Nothing else does."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any
+
+from jghand_engine import limits
+from jghand_engine.avatar.tiers import Tier
+from jghand_engine.errors import InputError
+from jghand_engine.render.effect_plan import AUTO, Choice
+
+if TYPE_CHECKING:
+    from jghand_engine.avatar.avatar import HandAvatar
+
+
+class ShadowMode(StrEnum):
+    """off: never; gated: fades in when the pose brings parts of the hand together; always: on every frame.
+
+    A trained avatar has learned its colors under the shadow that fades: `always` only draws it on small pictures too.
+    """
+
+    OFF = "off"
+    GATED = "gated"
+    ALWAYS = "always"
+
+
+@dataclass(frozen=True)
+class RenderSettings:
+    """gaussians: how many of the avatar's Gaussians (a prefix; 0 = all) · alpha_min, t_stop: cut-offs of the blend ·
+    shadow, shadow_samples, shadow_strength: the self-shadow pass · shadow_radius_m: how far it reaches, meters ·
+    correctives: how the corrections of a trained avatar's pose are found (avatar.tiers) · threads: 0 = as many as is
+    sensible · backend: "auto", "torch" (the reference), "v3", "v4" or "neon" (native) · depth, normals, ids: maps that
+    the frame carries · effects: which may run (`effect_plan.Choice`) · antialias: whether hands that are much smaller
+    than they were learned are drawn larger and averaged; not where a picture is compared with what was learned ·
+    reuse: whether stages whose input has hardly changed keep their last result, within the bound in the report ·
+    repeatable: whether they keep it only when nothing changed at all: a picture then depends on nothing that was drawn
+    before it, and its bits are the same in every part of an animation · half: draw at half the width and height, then
+    enlarge (`half`)."""
+
+    gaussians: int = 0
+    alpha_min: float = limits.ALPHA_MIN
+    t_stop: float = limits.T_STOP
+    shadow: ShadowMode = ShadowMode.GATED
+    shadow_samples: int = 16
+    shadow_strength: float = 1.0
+    shadow_radius_m: float = limits.SHADOW_RADIUS_M
+    correctives: Tier = Tier.AUTO
+    threads: int = 0
+    backend: str = "auto"
+    depth: bool = True
+    normals: bool = False
+    ids: bool = False
+    effects: Choice = AUTO
+    antialias: bool = False
+    reuse: bool = True
+    repeatable: bool = False
+    half: bool = False
+
+    def __post_init__(self) -> None:
+        checks = (
+            ("gaussians", self.gaussians >= 0, "0 (all) or a positive count"),
+            ("alpha_min", 0 < self.alpha_min < 1, "a value between 0 and 1"),
+            ("t_stop", 0 <= self.t_stop < 1, "a value from 0 to below 1"),
+            (
+                "shadow_samples",
+                1 <= self.shadow_samples <= limits.SHADOW_SAMPLES_MAX,
+                f"1 to {limits.SHADOW_SAMPLES_MAX}",
+            ),
+            ("shadow_strength", 0 <= self.shadow_strength <= 1, "0 to 1"),
+            (
+                "shadow_radius_m",
+                0 < self.shadow_radius_m <= limits.SHADOW_RADIUS_MAX_M,
+                f"above 0, at most {limits.SHADOW_RADIUS_MAX_M:g} meters",
+            ),
+            ("correctives", self.correctives in tuple(Tier), " | ".join(Tier)),
+            ("threads", self.threads >= 0, "0 (automatic) or a positive count"),
+        )
+        for name, good, wanted in checks:
+            if not good:
+                raise InputError(f"render setting {name}", wanted=wanted, came=str(getattr(self, name)))
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON: every setting by its name; effects in the words that `Choice.parse` takes."""
+        return {**vars(self), "effects": str(self.effects)}
+
+    @classmethod
+    def for_budget(
+        cls, budget_ms: float, avatar: HandAvatar | None = None, size_px: tuple[int, int] = (512, 334), threads: int = 0
+    ) -> RenderSettings:
+        """The most accurate settings that draw a frame of `avatar` (None: the built-in hand) in `budget_ms` on this
+        machine, as its profile says (`budget.best_for`). Without a profile two seconds of drawing make one."""
+        from jghand_engine.avatar.builtin import load_builtin
+        from jghand_engine.hand.joints import Handedness
+        from jghand_engine.render.budget import best_for
+
+        hand = avatar or load_builtin(handedness=Handedness.RIGHT)
+        return best_for(budget_ms, hand, size_px, threads).settings
+
+
+# the presets of RENDERING 9.4; `viewport` is the default
+PRESETS: dict[str, RenderSettings] = {
+    "draft": RenderSettings(gaussians=20_000, alpha_min=1 / 64, t_stop=1e-2, shadow=ShadowMode.OFF),
+    "viewport": RenderSettings(),
+    "final": RenderSettings(alpha_min=1 / 1024, shadow_samples=64, correctives=Tier.EXACT),
+    "reference": RenderSettings(
+        alpha_min=1 / 16384,
+        t_stop=1e-6,
+        shadow=ShadowMode.ALWAYS,
+        shadow_samples=64,
+        correctives=Tier.EXACT,
+        reuse=False,
+    ),
+}
+
+
+def preset(name: str) -> RenderSettings:
+    """The settings of a named preset; an unknown name is an InputError."""
+    if name not in PRESETS:
+        raise InputError("preset", wanted=" | ".join(PRESETS), came=name)
+    return PRESETS[name]

@@ -1,0 +1,45 @@
+"""A hand in motion before a camera: what times and accuracies of pictures are measured on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from jghand_engine import limits
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.hand.anatomy import MotionOptions, pose_sequence_of_names
+from jghand_engine.render.camera import Camera
+
+POSES = ("open", "relaxed", "fist", "pinch", "point", "victory", "open")
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A hand in motion before a camera. poses: (F, 21, 3) meters, level order"""
+
+    name: str
+    avatar: HandAvatar
+    poses: np.ndarray
+    camera: Camera
+
+
+def moving_subject(name: str, hand: HandAvatar, width: int, height: int) -> Subject:
+    """An avatar in motion, no two poses alike; the hand fills the height of the picture."""
+    canonical = hand.canonical_joints_m.numpy()
+    # the motion must not stand still: a hand at rest is not drawn again
+    options = MotionOptions(hold_s=0.0, variation_deg=2.0)
+    poses = pose_sequence_of_names(POSES, canonical, handedness=hand.handedness, options=options).joints_m
+    step_m = np.abs(np.diff(poses, axis=0)).max(axis=(1, 2))
+    poses = poses[1:][step_m > 2 * limits.REUSE_JOINTS_M]
+    middle = torch.from_numpy(poses.mean(axis=(0, 1)))
+    camera = Camera.looking_at(
+        middle + torch.tensor([0.15, 0.0, 0.6], dtype=torch.float64),
+        middle,
+        torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64),
+        width=width,
+        height=height,
+        focal_px=3.0 * height,
+    )
+    return Subject(name, hand, poses, camera)

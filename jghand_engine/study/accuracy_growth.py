@@ -1,0 +1,112 @@
+"""How the time of a picture grows: with Gaussians, pixels, hands in the scene; and that of poses with their number."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+
+from jghand_engine import limits
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.native.threads import thread_count
+from jghand_engine.render.frame import SceneRenderer
+from jghand_engine.render.report import FrameReport
+from jghand_engine.render.settings import RenderSettings
+from jghand_engine.render.subject import Subject, moving_subject
+from jghand_engine.study.frame_time import frame_case
+from jghand_engine.study.synthetic_hands import synthetic_hand
+from jghand_engine.study.timing import Case, Measurement
+
+GAUSSIANS, PIXELS, HANDS, POSES = (
+    "Gaussians in the hand",
+    "pixels of the picture",
+    "hands in the scene",
+    "poses in a batch",
+)
+PANELS = (GAUSSIANS, PIXELS, HANDS, POSES)
+_SECTION = "growth: "
+
+
+@dataclass(frozen=True)
+class Growth:
+    """A point of a curve. panel: one of PANELS · x: how many · median_ms, p95_ms: of one picture; of POSES, of one call
+    that finds the bones of x poses (torch) · disturbed: see Measurement"""
+
+    panel: str
+    x: int
+    median_ms: float
+    p95_ms: float
+    disturbed: bool
+
+    @classmethod
+    def of(cls, measured: Iterable[Measurement]) -> list[Growth]:
+        """The points among measurements; stages of frames are left out."""
+        return [
+            cls(one.section.removeprefix(_SECTION), int(one.name), one.median_ms, one.p95_ms, one.disturbed)
+            for one in measured
+            if one.section.startswith(_SECTION) and not one.name.startswith(" ")
+        ]
+
+
+@dataclass(frozen=True)
+class Reach:
+    """How far each curve goes."""
+
+    gaussians: Sequence[int] = limits.GROWTH_GAUSSIANS
+    sizes_px: Sequence[tuple[int, int]] = limits.GROWTH_SIZES_PX
+    hands: Sequence[int] = limits.GROWTH_HANDS
+    poses: Sequence[int] = limits.GROWTH_POSES
+
+
+def growth_cases(
+    avatar: HandAvatar, size_px: tuple[int, int], settings: RenderSettings, reach: Reach
+) -> Iterator[Case]:
+    """Cases whose names are the x of their curves. Gaussians: of synthetic hands of volume B, which cover the picture
+    alike however many they are; all else: of `avatar`."""
+    for count in reach.gaussians:
+        yield _grown(frame_case(_synthetic(count, size_px), settings, ""), GAUSSIANS, count)
+    for width, height in reach.sizes_px:
+        subject = moving_subject(avatar.info.name, avatar, width, height)
+        yield _grown(frame_case(subject, settings, ""), PIXELS, width * height)
+    subject = moving_subject(avatar.info.name, avatar, *size_px)
+    for hands in reach.hands:
+        yield _grown(_scene_case(subject, hands, settings), HANDS, hands)
+    transform = avatar.bone_transform()
+    for count in reach.poses:
+        poses = torch.from_numpy(np.resize(subject.poses, (count, *subject.poses.shape[1:]))).float()
+        case = Case("", "", lambda poses=poses: _nothing(transform.bones(poses)), threads=torch.get_num_threads())
+        yield _grown(case, POSES, count)
+
+
+def _grown(case: Case, panel: str, x: int) -> Case:
+    return replace(case, section=_SECTION + panel, name=str(x), rounds=limits.GROWTH_ROUNDS)
+
+
+def _synthetic(count: int, size_px: tuple[int, int]) -> Subject:
+    hand = synthetic_hand("B", count)
+    # as many as fill the same volume, each as far from the next as its size
+    smaller = (len(hand.avatar) / 60_000) ** (-1 / 3)
+    avatar = replace(hand.avatar, sigma_m=hand.avatar.sigma_m * smaller)
+    return Subject("volume B", avatar, hand.poses(50), hand.camera(*size_px))
+
+
+def _scene_case(subject: Subject, hands: int, settings: RenderSettings) -> Case:
+    """So many hands side by side, farther away the more they are."""
+    renderer, poses = SceneRenderer([subject.avatar] * hands, settings), itertools.cycle(subject.poses)
+    beside_m = np.array([[0.12 * (i - (hands - 1) / 2), 0, 0] for i in range(hands)])
+    nearer = 1 / math.sqrt(hands)
+    camera = replace(subject.camera, fx=subject.camera.fx * nearer, fy=subject.camera.fy * nearer)
+
+    def run() -> FrameReport:
+        pose_m = next(poses)
+        return renderer.render([pose_m + offset_m for offset_m in beside_m], camera).report
+
+    return Case("", "", run, threads=thread_count(settings.threads))
+
+
+def _nothing(_result: object) -> None:
+    """A case returns a report or nothing."""

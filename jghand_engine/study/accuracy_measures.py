@@ -1,0 +1,285 @@
+"""The measurements of `jghand study accuracy`: errors, truth, and times of all settings in turn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from jghand_engine import limits
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.tiers import Tier
+from jghand_engine.captures.sample import Sample, load_picture
+from jghand_engine.errors import InputError
+from jghand_engine.json_files import read_object
+from jghand_engine.learn.evaluate import avatar_picturer, means, measure_pictures
+from jghand_engine.learn.log import read_log
+from jghand_engine.learn.metrics import mask_box
+from jghand_engine.learn.perceptual import PerceptualMetric
+from jghand_engine.learn.work_folder import MARK
+from jghand_engine.render.budget import has_seen_shadow
+from jghand_engine.render.frame import HandRenderer
+from jghand_engine.render.profile import APPROXIMATE, Profile, Rated, how_it_looks, left_out, pareto_front
+from jghand_engine.render.settings import PRESETS
+from jghand_engine.render.subject import Subject, moving_subject
+from jghand_engine.study.accuracy import Accuracy, Picture, Row, faster_than
+from jghand_engine.study.accuracy_growth import Growth, Reach, growth_cases
+from jghand_engine.study.accuracy_reference import Error, ExactPictures64, pose_count, spread_poses
+from jghand_engine.study.accuracy_variants import (
+    BLEND,
+    HALF_SHADOW,
+    SEPARABLE,
+    SHADOW,
+    TOGETHER,
+    Variant,
+    linear_tiers,
+    variants,
+)
+from jghand_engine.study.frame_time import frame_case, machine
+from jghand_engine.study.timing import Case, Measurement, measure
+
+
+@dataclass(frozen=True)
+class Truth:
+    """Pictures to compare with. categories: by what was held out · origin: in words, which · perceptual: metrics that
+    take seconds a picture, for the front alone"""
+
+    categories: Mapping[str, tuple[Sample, ...]]
+    origin: str
+    perceptual: Sequence[PerceptualMetric] = ()
+
+    @property
+    def count(self) -> int:
+        return sum(map(len, self.categories.values()))
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is measured. avatar · name: as users call it · size_px · threads: as in RenderSettings · truth: None without
+    a capture · rounds: frames of each setting · reach: of the curves of growing time · log: of a training, or None"""
+
+    avatar: HandAvatar
+    name: str
+    size_px: tuple[int, int] = (512, 334)
+    threads: int = 0
+    truth: Truth | None = None
+    rounds: int = limits.ACCURACY_ROUNDS
+    reach: Reach = field(default_factory=Reach)
+    log: Path | None = None
+
+
+def measure_accuracy(plan: Plan, say: Callable[[str], None] = lambda _text: None) -> Accuracy:
+    """Measures everything. say: called with what is being done. InputError for a log without any accuracy."""
+    learning = () if plan.log is None else learning_curve(plan.log)
+    subject = moving_subject(plan.name, plan.avatar, *plan.size_px)
+    say("Fitting linear correctives")
+    compared = variants(plan.avatar, plan.size_px, linear_tiers(plan.avatar), plan.threads)
+    poses = pose_count(plan.size_px)
+    say(f"Drawing {poses} poses in double precision")
+    exact = ExactPictures64(subject, spread_poses(subject, poses))
+    say(f"Comparing {len(compared)} settings with them")
+    errors = [exact.error(_drawer(variant, subject)) for variant in compared]
+    scores: list[Mapping[str, float]] = [{} for _ in compared]
+    if plan.truth is not None:
+        say(f"Comparing {len(compared)} settings with {plan.truth.count} pictures of the capture")
+        scores = [_truth_scores(variant, plan) for variant in compared]
+    say(f"Measuring times: {plan.rounds} frames of each, in turn")
+    measured, growth = _times(compared, subject, plan)
+    rows = [
+        _row(variant, error, truth, measured.get(str(number), []))
+        for number, (variant, error, truth) in enumerate(zip(compared, errors, scores, strict=True))
+    ]
+    rows = _described(rows, compared, subject)
+    if plan.truth is not None and plan.truth.perceptual:
+        say("Perceptual metrics of the front")
+        rows = [_with_perceptual(row, compared, plan) for row in rows]
+    rows += [
+        Row(axis, name, None, None, {}, exact.error(draw))
+        for axis, name, draw in ((BLEND, SEPARABLE, exact.circles), (SHADOW, HALF_SHADOW, exact.half_shadow))
+        if axis != SHADOW or has_seen_shadow(plan.avatar)
+    ]
+    return Accuracy(
+        plan.name, len(plan.avatar), plan.size_px, machine(plan.threads), tuple(rows), tuple(growth), poses,
+        "" if plan.truth is None else plan.truth.origin, tuple(learning), learned_from(plan.log),
+    )  # fmt: skip
+
+
+def profile_of(study: Accuracy, plan: Plan) -> Profile:
+    """What `RenderSettings.for_budget` chooses from."""
+    settings = {one.name: one.settings for one in variants(plan.avatar, plan.size_px, {}, 0) if one.axis == TOGETHER}
+    rows = tuple(
+        Rated(row.name, settings[row.name], row.median_ms, row.p95_ms, row.error.psnr_db)
+        for row in study.rows
+        if row.axis == TOGETHER and row.median_ms is not None and row.p95_ms is not None
+    )
+    return Profile(rows, "jghand study accuracy", any(row.disturbed for row in study.rows if row.axis == TOGETHER))
+
+
+def _drawer(variant: Variant, subject: Subject) -> Callable[[np.ndarray], np.ndarray]:
+    renderer = HandRenderer(variant.avatar or subject.avatar, variant.settings)
+    return lambda pose_m: renderer.render(pose_m, subject.camera).rgba
+
+
+def _times(
+    compared: Sequence[Variant], subject: Subject, plan: Plan
+) -> tuple[dict[str, list[Measurement]], list[Growth]]:
+    """Measurements by the number of their variant, whole frame first, and the curves; all in one run."""
+    cases: list[Case] = [
+        replace(
+            frame_case(replace(subject, avatar=variant.avatar or subject.avatar), variant.settings, str(number)),
+            name="frame",
+        )
+        for number, variant in enumerate(compared)
+    ]
+    viewport = replace(PRESETS["viewport"], threads=plan.threads, reuse=False)
+    cases += growth_cases(plan.avatar, plan.size_px, viewport, plan.reach)
+    measured = measure(cases, rounds=plan.rounds, warm_up=min(limits.ACCURACY_WARM_UP, plan.rounds))
+    by_section: dict[str, list[Measurement]] = {}
+    for one in measured:
+        by_section.setdefault(one.section, []).append(one)
+    return by_section, Growth.of(measured)
+
+
+def _row(variant: Variant, error: Error, truth: Mapping[str, float], measured: Sequence[Measurement]) -> Row:
+    whole, stages = measured[0], measured[1:]
+    return Row(
+        variant.axis, variant.name, whole.median_ms, whole.p95_ms,
+        {stage.name.strip(): stage.median_ms for stage in stages}, error, truth, whole.samples, whole.dropped,
+        whole.disturbed,
+    )  # fmt: skip
+
+
+def _described(rows: Sequence[Row], compared: Sequence[Variant], subject: Subject) -> list[Row]:
+    """With the front, words, and pictures of the finger tips of what can be chosen."""
+    front = pareto_front((row.median_ms or 0.0, row.error.psnr_db, row) for row in rows if row.axis == TOGETHER)
+    total, described = len(subject.avatar), []
+    # where finger tips are seen best: the fingers straightest
+    pose_m = subject.poses[np.linalg.norm(subject.poses[:, -4:] - subject.poses[:, :1], axis=-1).mean(1).argmax()]
+    for row, variant in zip(rows, compared, strict=True):
+        if row.axis != TOGETHER:
+            described.append(row)
+            continue
+        words = left_out(variant.settings, total)
+        if _is_approximate(variant, subject.avatar):
+            words["tier"] = APPROXIMATE
+        causes = _worst_first(words, variant, rows, compared, total)
+        picture = _drawer(variant, subject)(pose_m)
+        on_front = any(row is one for one in front) or (row.preset and faster_than(row, rows) is None)
+        described.append(replace(
+            row, looks=how_it_looks(row.error.psnr_db, causes), on_front=on_front,
+            crop=finger_tips(picture, pose_m, subject),
+        ))  # fmt: skip
+    return described
+
+
+def _is_approximate(variant: Variant, avatar: HandAvatar) -> bool:
+    """Whether its correctives are of the linear tier."""
+    if avatar.learned is None or "correctives" in left_out(variant.settings, len(avatar)):
+        return False
+    price = avatar.learned.with_tier(variant.settings.correctives)[1]
+    return price is not None and price.tier is Tier.LINEAR
+
+
+def _worst_first(
+    words: Mapping[str, str], variant: Variant, rows: Sequence[Row], compared: Sequence[Variant], total: int
+) -> list[str]:
+    """The words for what is left out, that first which alone costs the most accuracy, as the axes were measured."""
+
+    def alone(axis: str) -> float:
+        if axis == "tier":
+            # preset viewport leaves out nothing else that is seen
+            return min(row.error.psnr_db for row in rows if row.preset and row.name == "viewport")
+        pairs = zip(rows, compared, strict=False)
+        same = [
+            row.error.psnr_db
+            for row, other in pairs
+            if row.axis == axis and other.avatar is None and left_out(other.settings, total).keys() == {axis}
+            and (axis != "Gaussians" or other.settings.gaussians == variant.settings.gaussians)
+        ]  # fmt: skip
+        return min(same, default=limits.PSNR_MAX_DB)
+
+    return [words[axis] for axis in sorted(words, key=alone)]
+
+
+def finger_tips(picture: Picture, pose_m: np.ndarray, subject: Subject) -> Picture:
+    """The part (H, W, 3) uint8 of a picture (H, W, 4) around its finger tips, on a light ground."""
+    pixels, _ = subject.camera.project(torch.from_numpy(pose_m[-4:]))
+    side = min(limits.ACCURACY_CROP_PX * subject.camera.height // 334 or 1, *picture.shape[:2])
+    left, top = (
+        int(np.clip(center - side / 2, 0, size - side))
+        for center, size in zip(pixels.mean(0).tolist(), picture.shape[1::-1], strict=True)
+    )
+    part = picture[top : top + side, left : left + side]
+    flat = part[..., :3] + (1 - part[..., 3:]) * 0.93
+    return np.round(255 * np.clip(flat, 0, 1)).astype(np.uint8)
+
+
+# ---- against pictures of a capture ----------------------------------------------------------------------------------
+
+_SHOWN = ("psnr_full", "psnr_box", "ssim_box", "flip_box")
+
+
+def held_out_truth(
+    capture: str, categories: Mapping[str, tuple[Sample, ...]], origin: str, perceptual: Sequence[PerceptualMetric]
+) -> Truth:
+    """Pictures of a capture, described."""
+    counts = ", ".join(f"{len(samples)} {kind}" for kind, samples in categories.items())
+    return Truth(categories, f"pictures of {capture} ({counts}; {origin})", perceptual)
+
+
+def _truth_scores(variant: Variant, plan: Plan) -> Mapping[str, float]:
+    """Means over the pictures of the capture."""
+    if plan.truth is None:
+        return {}
+    draw = avatar_picturer(variant.avatar or plan.avatar, variant.settings)
+    found = means(measure_pictures(plan.truth.categories, draw))
+    return {name: found[name] for name in _SHOWN if name in found}
+
+
+def _with_perceptual(row: Row, compared: Sequence[Variant], plan: Plan) -> Row:
+    if plan.truth is None or not (row.on_front or row.preset):
+        return row
+    variant = next(one for one in compared if one.axis == row.axis and one.name == row.name)
+    draw = avatar_picturer(variant.avatar or plan.avatar, variant.settings)
+    found: dict[str, list[float]] = {}
+    for sample in (sample for samples in plan.truth.categories.values() for sample in samples):
+        truth = load_picture(sample)
+        box = mask_box(truth.mask)
+        ours = np.clip(draw(sample.joints_m, sample.handedness, sample.camera)[..., :3], 0, 1)
+        pair = [torch.from_numpy(np.ascontiguousarray(box.of(each), np.float32)) for each in (ours, truth.rgb)]
+        for metric in plan.truth.perceptual:
+            key = f"{metric.name.lower().replace('-', '_')}_box"
+            with torch.no_grad():
+                found.setdefault(key, []).append(float(metric.distance(*pair)))
+    return replace(row, truth={**row.truth, **{name: float(np.mean(values)) for name, values in found.items()}})
+
+
+# ---- training -------------------------------------------------------------------------------------------------------
+
+
+def learning_curve(log: Path) -> list[tuple[float, float]]:
+    """Minutes of training, and PSNR of its held-out view, of a log.jsonl. InputError for a log without any."""
+    if not log.is_file():
+        raise InputError(f"{log}", wanted="the log.jsonl of a training", came="no such file")
+    minutes, curve = 0.0, []
+    for line in read_log(log):
+        if isinstance(line.get("seconds"), int | float):
+            minutes = line["seconds"] / 60
+        if isinstance(line.get("psnr"), int | float):
+            curve.append((minutes, float(line["psnr"])))
+    if not curve:
+        raise InputError(f"{log}", wanted="lines with psnr", came="none", remedy="Give the log.jsonl of a training.")
+    return curve
+
+
+def learned_from(log: Path | None) -> str:
+    """What that training learned from, as the folder of the log says; empty where it says nothing."""
+    mark = None if log is None else log.with_name(MARK)
+    if mark is None or not mark.is_file():
+        return ""
+    stamp = read_object(mark, "Start the training anew with --fresh.").get("stamp")
+    pictures = stamp.get("pictures") if isinstance(stamp, dict) else None
+    return f"{pictures} pictures" if isinstance(pictures, int) else ""

@@ -1,0 +1,119 @@
+"""What `jghand study accuracy` compares: each axis of accuracy alone, beside preset `final`, and what can be chosen.
+
+Axes: number of Gaussians, correctives of the pose, rules of the blend, resolution, shadow, stored precision, threads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import torch
+
+from jghand_engine import limits
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.correctives import PoseNet
+from jghand_engine.avatar.distill import distill, poses_near
+from jghand_engine.avatar.file import stored_form
+from jghand_engine.avatar.storage import Storage
+from jghand_engine.avatar.tiers import CachedNet, LinearCorrectives, basis_most
+from jghand_engine.native.threads import thread_count
+from jghand_engine.render.budget import candidates, has_seen_shadow
+from jghand_engine.render.profile import NO_CORRECTIVES
+from jghand_engine.render.settings import PRESETS, RenderSettings, ShadowMode
+from jghand_engine.study.tier_prices import with_correctives
+from jghand_engine.study.tier_yardsticks import ExactPictures
+
+TOGETHER = "all together"
+GAUSSIANS, CORRECTIVES, BLEND, RESOLUTION, SHADOW, STORED, THREADS = (
+    "Gaussians", "correctives", "blend", "resolution", "shadow", "stored as", "threads"
+)  # fmt: skip
+AXES = (TOGETHER, GAUSSIANS, CORRECTIVES, BLEND, RESOLUTION, SHADOW, STORED, THREADS)
+SEPARABLE = "separable exponential (circles)"
+HALF_SHADOW = "gated, 64 samples, half the width and height"
+_SHADOW_SAMPLES = (8, 16, 32, 64)
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One way of making a picture. axis: which of AXES · avatar: None for the one that is studied; of another, the
+    settings alone do not make the picture, and nobody can choose them"""
+
+    axis: str
+    name: str
+    settings: RenderSettings
+    avatar: HandAvatar | None = None
+
+
+def variants(
+    avatar: HandAvatar, size_px: tuple[int, int], linear: Mapping[int, LinearCorrectives], threads: int
+) -> list[Variant]:
+    """All variants. linear: tiers of the correctives by size, see `linear_tiers` · threads: as in RenderSettings"""
+    own = replace(PRESETS["final"], threads=threads, reuse=False)
+    found = [
+        Variant(TOGETHER, name, replace(settings, threads=threads, reuse=False))
+        for name, settings in candidates(avatar, size_px).items()
+    ]
+    found += [Variant(GAUSSIANS, _thousands(n), replace(own, gaussians=n)) for n in _counts(len(avatar))]
+    found += _correctives(avatar, own, linear)
+    for name, rule in PRESETS.items():
+        changed = replace(own, alpha_min=rule.alpha_min, t_stop=rule.t_stop)
+        found.append(
+            Variant(BLEND, f"{name}: cut at 1/{round(1 / rule.alpha_min)}, stop at {rule.t_stop:.0e}", changed)
+        )
+    found += [Variant(RESOLUTION, name, replace(own, half=half)) for name, half in (("whole", False), ("half", True))]
+    found += _shadows(avatar, own)
+    found.append(Variant(STORED, "float32", own))
+    found.append(Variant(STORED, "float16 and smaller", own, stored_form(avatar, Storage.COMPACT)))
+    found += [Variant(THREADS, str(count), replace(own, threads=count)) for count in _thread_counts(threads)]
+    return found
+
+
+def _shadows(avatar: HandAvatar, own: RenderSettings) -> Iterator[Variant]:
+    yield Variant(SHADOW, "off", replace(own, shadow=ShadowMode.OFF))
+    if has_seen_shadow(avatar):
+        for samples in _SHADOW_SAMPLES:
+            yield Variant(SHADOW, f"gated, {samples} samples", replace(own, shadow_samples=samples))
+        yield Variant(SHADOW, "always, 64 samples", replace(own, shadow=ShadowMode.ALWAYS))
+    elif avatar.learned is not None and avatar.learned.shadow is not None:
+        for samples in _SHADOW_SAMPLES:
+            settings = replace(own, shadow=ShadowMode.ALWAYS, shadow_samples=samples)
+            yield Variant(SHADOW, f"drawn although nobody sees it, {samples} samples", settings)
+
+
+def linear_tiers(avatar: HandAvatar) -> dict[int, LinearCorrectives]:
+    """The linear form of its correctives by size, fitted to made-up poses; none where it has no network."""
+    net = None if avatar.learned is None else avatar.learned.correctives
+    if not isinstance(net, PoseNet):
+        return {}
+    known = ExactPictures(avatar).known_poses(avatar)
+    poses = torch.cat([known, poses_near(known, limits.ACCURACY_DISTIL_POSES, seed=0)])
+    return distill(net, poses, [k for k in limits.ACCURACY_BASES if k <= basis_most(net.shape)])
+
+
+def _correctives(avatar: HandAvatar, own: RenderSettings, linear: Mapping[int, LinearCorrectives]) -> Iterator[Variant]:
+    net = None if avatar.learned is None else avatar.learned.correctives
+    if net is None:
+        return
+    yield Variant(CORRECTIVES, "off", replace(own, effects=NO_CORRECTIVES))
+    for basis, tier in sorted(linear.items()):
+        yield Variant(CORRECTIVES, f"linear, K = {basis}", own, with_correctives(avatar, tier))
+    if isinstance(net, PoseNet):
+        yield Variant(CORRECTIVES, "cached", own, with_correctives(avatar, CachedNet(net)))
+    yield Variant(CORRECTIVES, "exact", own)
+
+
+def _counts(total: int) -> list[int]:
+    return [count for count in limits.ACCURACY_COUNTS if count < total] + [total]
+
+
+def _thread_counts(threads: int) -> list[int]:
+    most, count, found = thread_count(threads), 1, []
+    while count < most:
+        found.append(count)
+        count *= 2
+    return [*found, most]
+
+
+def _thousands(count: int) -> str:
+    return f"{count / 1000:g}k"

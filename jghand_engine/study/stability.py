@@ -1,0 +1,210 @@
+"""`jghand study stability`: all measurements of the study together, as tables and as plain data.
+
+hands       stability_hands      measured by stability_measures
+pictures    stability_scenes     measured by stability_pictures
+curves      stability_curves     ours beside the usual way (stability_usual)
+the page    stability_plot, stability_page
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import TypeVar
+
+import torch
+
+from jghand_engine import limits
+from jghand_engine.learn.tables import NONE, Table
+from jghand_engine.study.stability_curves import CURVES, AutocastRow, Curve, autocast_row
+from jghand_engine.study.stability_hands import hand_cases
+from jghand_engine.study.stability_measures import HandRow, Measured, correctives_row, hand_row
+from jghand_engine.study.stability_pictures import PictureRow
+from jghand_engine.study.stability_scenes import SCENES, scene_row
+
+# hands that the trained avatar never saw anything like, for its correctives
+FAR_OUTSIDE = (
+    "ordinary: relaxed",
+    "ordinary: fist",
+    "index folded back at its knuckle",
+    "middle finger sideways, +90 degrees",
+    "palm collapsed to a line",
+    "bones +50 % and -50 % in turn",
+    "random points that are no hand",
+)
+AUTOCAST = (torch.float16, torch.bfloat16)
+COUNT = len(hand_cases()) + len(FAR_OUTSIDE) + len(SCENES) + len(AUTOCAST) + len(CURVES)
+
+
+@dataclass(frozen=True)
+class Stability:
+    """Everything that was measured."""
+
+    hands: list[HandRow]
+    correctives: list[HandRow]
+    pictures: list[PictureRow]
+    autocast: list[AutocastRow]
+    curves: list[Curve]
+
+    def as_dict(self) -> dict:
+        """Plain data for JSON."""
+        return {name: [row.as_dict() for row in rows] for name, rows in vars(self).items()}
+
+    def tables(self) -> list[Table]:
+        """The tables, hands first."""
+        return [
+            _hand_table(self.hands, self.correctives),
+            _picture_table(self.pictures),
+            _autocast_table(self.autocast),
+        ]
+
+    def short_tables(self) -> list[Table]:
+        """The tables for a terminal: the hands with fewer columns."""
+        return [_narrow_table([*self.hands, *self.correctives]), *self.tables()[1:]]
+
+    @property
+    def missed(self) -> list[str]:
+        """Sentences: what misses which bound."""
+        rows = [*self.hands, *self.correctives, *self.pictures]
+        return [f"{row.name}: {'; '.join(row.missed)}" for row in rows if row.missed]
+
+    @property
+    def verdict(self) -> str:
+        """One sentence."""
+        rows = [*self.hands, *self.correctives, *self.pictures]
+        missed = len(self.missed)
+        finite = sum(row.ours.finite for row in [*self.hands, *self.correctives])
+        finite += sum(row.error.finite and row.gradient_finite for row in self.pictures)
+        return (
+            f"{finite} of {len(rows)} hard cases have finite values and gradients; "
+            f"{len(rows) - missed} meet every bound, {missed} miss one."
+        )
+
+
+_Piece = TypeVar("_Piece")
+
+
+def measure_stability(tick: Callable[[], None] = lambda: None) -> Stability:
+    """Measures everything; `tick` is called after each of COUNT pieces."""
+
+    def ticked(values: Iterable[_Piece]) -> Iterator[_Piece]:
+        for value in values:
+            yield value
+            tick()
+
+    return Stability(
+        hands=list(ticked(hand_row(case) for case in hand_cases().values())),
+        correctives=list(ticked(correctives_row(hand_cases()[name]) for name in FAR_OUTSIDE)),
+        pictures=list(ticked(scene_row(case) for case in SCENES.values())),
+        autocast=list(ticked(autocast_row(precision) for precision in AUTOCAST)),
+        curves=list(ticked(curve() for curve in CURVES)),
+    )
+
+
+# ---- tables ---------------------------------------------------------------------------------------------------------
+
+
+def _hand_table(hands: list[HandRow], correctives: list[HandRow]) -> Table:
+    nudge = f"{1e3 * limits.STABILITY_NUDGE_M:g} mm"
+    columns = ("Hand", "Finite", "Gradient", "usual", "float32, mm", "usual", f"{nudge} nudge, mm", "usual",
+               f"±{nudge} on each axis, mm", "Picture", "Says")  # fmt: skip
+    return Table(
+        "Hard hands",
+        columns,
+        tuple(_hand_cells(row) for row in [*hands, *correctives]),
+        (
+            "Finite: values and gradients in float32 and float64, of the hand and of 100 hands beside it "
+            f"(trained: {limits.STABILITY_FEW}).",
+            f"Gradient: the largest, times the size of the hand; bound {limits.STABILITY_GRADIENT_MAX:.0e}. "
+            "float32: how far the skin is from where float64 has it.",
+            f"Nudge: how far the skin moves when every joint is off by {nudge} (in any direction; at last, by so much "
+            f"along every axis); bound {1e3 * limits.STABILITY_SKIN_MAX_M:g} mm, except where the transform itself "
+            "says that the hand has no certain frame (last column).",
+            "Picture: largest difference of a pixel from the float64 reference, in 8-bit steps.",
+            "usual: angles by acos, frames by normalized cross products, |b| + 1e-8, absolute coordinates; "
+            "written for this study (studies/stability_usual.py). Lengths are as on a hand of ordinary size.",
+            "✗ marks what misses its bound.",
+        ),
+    )
+
+
+def _narrow_table(rows: list[HandRow]) -> Table:
+    """Ours alone, and what is missed in a word."""
+    words = {"gradient": "gradient", "float32": "float32", "nudge": "nudge", "axis": "axes", "picture": "picture"}
+    cells = []
+    for row in rows:
+        missed = [word for sign, word in words.items() if any(sign in miss for miss in row.missed)]
+        note = f"misses: {', '.join(missed)}" if missed else ("flagged" if row.flags else NONE)
+        ours = row.ours
+        cells.append(
+            (row.name, _yes(ours), short(ours.gradient), short(ours.precision_mm), short(ours.nudged_mm), note)
+        )
+    notes = ("All columns, beside the usual formulas, are in STABILITY.md and stability.html.",)
+    return Table("Hard hands", ("Hand", "Finite", "Gradient", "float32 mm", "Nudge mm", "Note"), tuple(cells), notes)
+
+
+def _hand_cells(row: HandRow) -> tuple[str, ...]:
+    ours, usual = row.ours, row.usual
+
+    def other(name: str) -> str:
+        return NONE if usual is None else short(getattr(usual, name))
+
+    def marked(value: str, word: str) -> str:
+        return f"{value} ✗" if any(word in miss for miss in row.missed) else value
+
+    return (
+        row.name, _yes(ours), marked(short(ours.gradient), "gradient"), other("gradient"),
+        marked(short(ours.precision_mm), "float32"), other("precision_mm"),
+        marked(short(ours.nudged_mm), "a nudge"), other("nudged_mm"), marked(short(ours.axes_mm), "axis"),
+        marked(short(255 * row.picture.worst) if row.picture.visible else "nothing drawn", "picture"),
+        "; ".join(row.flags) or NONE,
+    )  # fmt: skip
+
+
+def _yes(measured: Measured) -> str:
+    return "yes" if measured.finite else "no ✗"
+
+
+def _picture_table(rows: list[PictureRow]) -> Table:
+    columns = ("Picture", "Finite", "Gradient", "Against float64, 8-bit steps", "1 µm nudge, 8-bit steps", "Drawn",
+               "Left out", "Missed")  # fmt: skip
+    cells = tuple(
+        (
+            row.name, "yes" if row.error.finite and row.gradient_finite else "no ✗", short(row.gradient),
+            short(255 * row.error.worst), short(row.nudged), str(row.error.visible), str(row.error.invalid),
+            "; ".join(row.missed) or NONE,
+        )
+        for row in rows
+    )  # fmt: skip
+    return Table(
+        "Hard pictures",
+        columns,
+        cells,
+        (
+            "Finite: color, alpha, depth, self-shadow, and all gradients. Gradient: the largest, times the natural "
+            "size of what it is for (hand, radius, 1).",
+            "Against float64: the compiled kernel's float32 picture beside the reference; promise 3 of RENDERING 14 "
+            f"allows {255 * limits.STABILITY_PIXEL_MAX:.2g} steps, and 1 where a contribution falls on the other side "
+            "of the cut.",
+            "Left out: Gaussians that cannot be drawn are counted, never drawn wrong.",
+        ),
+    )
+
+
+def _autocast_table(rows: list[AutocastRow]) -> Table:
+    return Table(
+        "Half precision around the call (autocast)",
+        ("Precision", "Ours: skin moved, mm", "Usual: skin moved, mm"),
+        tuple((row.precision, short(row.ours_mm), short(row.usual_mm)) for row in rows),
+    )
+
+
+def short(value: float) -> str:
+    """A number with two digits that somebody can read."""
+    if value != value or value in (float("inf"), float("-inf")):
+        return "not finite"
+    if value == 0:
+        return "0"
+    if 0.001 <= abs(value) < 100_000:
+        return f"{value:.2g}" if abs(value) < 100 else f"{value:.0f}"
+    return f"{value:.0e}".replace("e-0", "e-").replace("e+0", "e").replace("e+", "e")

@@ -1,0 +1,313 @@
+"""Error against distance to a singularity, our formulation beside the usual one: the curves of the study's picture.
+
+Each curve answers one question that somebody who animates a hand would ask; what is usual is named beside it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from jghand_engine import limits
+from jghand_engine.avatar.builtin import load_painted
+from jghand_engine.avatar.gaussians import Gaussians
+from jghand_engine.hand import rotations as rot
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.render.camera import Camera
+from jghand_engine.study.stability_hands import (
+    HandCase,
+    abducted,
+    bent_finger,
+    flattened_palm,
+    posed,
+    template_joints_m,
+    template_size_m,
+)
+from jghand_engine.study.stability_measures import (
+    Formulation,
+    Skin,
+    moved_mm,
+    ours,
+    posed_avatar,
+    random_nudges,
+    transform_for,
+    usual,
+)
+from jghand_engine.study.stability_pictures import against_reference
+from jghand_engine.study.stability_usual import UsualTransform, usual_ink, usual_rotation, usual_unit
+
+RIGHT = Handedness.RIGHT
+_INDEX, _MIDDLE = 1, 2
+F32, F64 = torch.float32, torch.float64
+
+
+@dataclass(frozen=True)
+class Curve:
+    """name: for files · title, below: what is asked, and what happens, in plain words · x, y: names of the axes with
+    their units · distance: (D,) from far to near · ours, usual: (D,) errors · way: the usual way's formula
+    visible: error from which somebody sees it, in the unit of y, or None"""
+
+    name: str
+    title: str
+    below: str
+    x: str
+    y: str
+    way: str
+    distance: np.ndarray
+    ours: np.ndarray
+    usual: np.ndarray
+    visible: float | None = None
+
+    def as_dict(self) -> dict:
+        def plain(values: np.ndarray) -> list[float | None]:
+            return [float(value) if math.isfinite(value) else None for value in values]
+
+        return {
+            "name": self.name, "title": self.title, "x": self.x, "y": self.y, "usual way": self.way,
+            "distance": plain(self.distance), "ours": plain(self.ours), "usual": plain(self.usual),
+        }  # fmt: skip
+
+
+def _ours(joints_m: Tensor, dtype: torch.dtype) -> Skin:
+    return ours(joints_m, dtype, handedness=RIGHT)
+
+
+def _usual(joints_m: Tensor, dtype: torch.dtype) -> Skin:
+    return usual(joints_m, dtype, handedness=RIGHT)
+
+
+def _both(xs: Sequence[float], one: Callable[[Formulation, float], float]) -> tuple[np.ndarray, np.ndarray]:
+    return tuple(np.array([one(way, x) for x in xs]) for way in (_ours, _usual))  # type: ignore[return-value]
+
+
+# ---- the curves -----------------------------------------------------------------------------------------------------
+
+
+def straight_twist() -> Curve:
+    """A finger is straightened: how far does its skin spin when the joints are 0.5 mm off?"""
+    crossed = UsualTransform(template_joints_m(), handedness=RIGHT, crossed=True)
+    angles_deg = np.geomspace(30, 0.01, 22)
+    base, nudges = posed("relaxed"), limits.STABILITY_NUDGE_M * random_nudges()
+
+    def twist_deg(frames: Callable[[Tensor], Tensor], angle_deg: float) -> float:
+        """How much the frame of the middle phalanx turns about the bone, root of the mean square."""
+        joints_m = bent_finger(base, _INDEX, math.radians(angle_deg))
+        exact, off = frames(joints_m[None]), frames(joints_m + nudges)
+        # turned back by the smallest rotation between the two bones, so that only the twist is left
+        z0, z1 = exact[..., 2].expand_as(off[..., 2]), off[..., 2]
+        back = rot.minimal_rotation(z1.T, z0.T, torch.eye(3, dtype=F64)[..., None]).permute(2, 0, 1)
+        y = (back @ off[..., 1, None])[..., 0]
+        cosine, sine = (y * exact[..., 1]).sum(-1), (y * exact[..., 0]).sum(-1)
+        return math.degrees(float(torch.atan2(sine, cosine).square().mean().sqrt()))
+
+    def of_ours(joints_m: Tensor) -> Tensor:
+        return transform_for(RIGHT).frames(joints_m).S[:, 10 + _INDEX]
+
+    def of_usual(joints_m: Tensor) -> Tensor:
+        return crossed.frames(joints_m)[:, 10 + _INDEX]
+
+    return Curve(
+        "straight_twist", "A finger is straightened", "How far its skin spins, joints 0.5 mm off",
+        "bend of the finger, degrees", "twist of the skin, degrees",
+        "axis = cross product of two phalanges", angles_deg,
+        np.array([twist_deg(of_ours, a) for a in angles_deg]), np.array([twist_deg(of_usual, a) for a in angles_deg]),
+        visible=10.0,
+    )  # fmt: skip
+
+
+def straight_error() -> Curve:
+    """A finger is straightened: how far is its tip from where it belongs?"""
+    angles_deg = np.geomspace(30, 1e-4, 26)
+    base = posed("relaxed")
+    transform = UsualTransform(template_joints_m(), handedness=RIGHT)
+
+    def tip_mm(bones, joints_m: Tensor) -> float:
+        tip = 16 + _INDEX
+        there = bones.linear[tip] @ (template_joints_m()[tip].float() - bones.canonical_root_m) + bones.offset_m[tip]
+        return 1e3 * float((there.double() - joints_m[tip]).norm())
+
+    hands = [bent_finger(base, _INDEX, math.radians(a)) for a in angles_deg]
+    hands = [hand - hand[0] for hand in hands]
+    return Curve(
+        "straight_error", "… and where is its tip?", "How far the tip is from its joint, float32",
+        "bend of the finger, degrees", "error of the finger tip, mm",
+        "angle = acos of a clipped dot product", angles_deg,
+        np.array([tip_mm(transform_for(RIGHT).bones(hand.float()), hand) for hand in hands]),
+        np.array([tip_mm(transform.bones(hand.float()), hand) for hand in hands]),
+        visible=0.1,
+    )  # fmt: skip
+
+
+def sideways() -> Curve:
+    """A finger turns sideways to 90 degrees: how far does the skin jump when the joints are 0.5 mm off?"""
+    beside_deg = np.geomspace(60, 0.01, 20)
+    base = posed("relaxed")
+
+    def jump_mm(way: Formulation, degrees: float) -> float:
+        return moved_mm(way, HandCase("sideways", abducted(base, _MIDDLE, math.radians(degrees))), random_nudges())
+
+    mine, theirs = _both(beside_deg.tolist(), jump_mm)
+    return Curve(
+        "sideways", "A finger turns sideways", "How far the skin jumps, joints 0.5 mm off",
+        "degrees short of 90 sideways", "jump of the skin, mm",
+        "flexion, then abduction (Euler angles)", beside_deg, mine, theirs, visible=2.0,
+    )  # fmt: skip
+
+
+def flat_palm() -> Curve:
+    """The palm bones close like a fan: how hard do they pull at the joints while something learns from them?"""
+    parts = np.geomspace(1, 1e-6, 22)
+    base = posed("relaxed")
+
+    def pull(way: Formulation, part: float) -> float:
+        joints_m = flattened_palm(base, part)[None].requires_grad_()
+        (gradient,) = torch.autograd.grad(way(joints_m, F32).loss, joints_m)
+        return float(gradient.abs().max()) * template_size_m()
+
+    mine, theirs = _both(parts.tolist(), pull)
+    return Curve(
+        "flat_palm", "The palm closes like a fan", "How hard it pulls when something learns",
+        "width of the palm, % of a real one", "gradient, per hand size",
+        "palm = normalized cross products", 100 * parts, mine, theirs, visible=limits.STABILITY_GRADIENT_MAX,
+    )  # fmt: skip
+
+
+def folded() -> Curve:
+    """A bone is turned back onto itself: how much does the rotation swell or squash what it turns?"""
+    beside_deg = np.geomspace(90, 1e-4, 26)
+    start = torch.tensor([[0.0, 0.0, 1.0]], dtype=F64)
+
+    def swelling(degrees: float) -> tuple[float, float]:
+        angle = math.pi - math.radians(degrees)
+        directions = torch.linspace(0, 2 * math.pi, 33, dtype=F64)[:-1]
+        end = torch.stack([math.sin(angle) * directions.cos(), math.sin(angle) * directions.sin(),
+                           torch.full_like(directions, math.cos(angle))], -1).float()  # fmt: skip
+        a = start.float().expand_as(end)
+        opposite = rot.half_turn(torch.tensor([[0.0], [1.0], [0.0]]))
+        mine = rot.minimal_rotation(a.T, end.T, opposite).permute(2, 0, 1)
+        return tuple(
+            100 * float((R.double() @ R.double().transpose(-1, -2) - torch.eye(3, dtype=F64)).abs().max())
+            for R in (mine, usual_rotation(a, end))
+        )  # type: ignore[return-value]
+
+    both = np.array([swelling(degrees) for degrees in beside_deg])
+    return Curve(
+        "folded", "A bone folds back on itself", "How much it swells or squashes, float32",
+        "degrees short of 180", "distortion, %",
+        "rotation with 1 / (1 + cosine)", beside_deg, both[:, 0], both[:, 1], visible=1.0,
+    )  # fmt: skip
+
+
+def short_bone() -> Curve:
+    """A bone loses its length: how hard does it pull at the joints while something learns from it?"""
+    lengths_mm = np.geomspace(30, 1e-7, 24)
+
+    def pull(unit: Callable[[Tensor], Tensor], length_mm: float) -> float:
+        direction = torch.tensor([0.6, 0.0, 0.8])
+        bone = (1e-3 * length_mm * direction).requires_grad_()
+        (gradient,) = torch.autograd.grad(unit(bone)[0], bone)
+        # as one bone of a hand of ordinary size
+        return float(gradient.abs().max()) * template_size_m()
+
+    def mine(bone: Tensor) -> Tensor:
+        relative = bone[:, None] / template_size_m()
+        fallback = torch.tensor([[0.0], [0.0], [1.0]])
+        return rot.safe_unit(relative, fallback, limits.ZERO_BONE_EPS * torch.finfo(bone.dtype).eps)[0][:, 0]
+
+    return Curve(
+        "short_bone", "A bone loses its length", "How hard it pulls when something learns",
+        "length of the bone, mm", "gradient, per hand size",
+        "direction = b / (|b| + 1e-8)", lengths_mm,
+        np.array([pull(mine, x) for x in lengths_mm]), np.array([pull(usual_unit, x) for x in lengths_mm]),
+        visible=limits.STABILITY_GRADIENT_MAX,
+    )  # fmt: skip
+
+
+def far_away() -> Curve:
+    """The hand is far from the origin of the scene: how far is the skin from where it belongs?"""
+    meters = np.geomspace(0.1, 1e5, 19)
+    base = posed("relaxed")
+    direction = torch.tensor([0.7, 0.5, 0.51], dtype=F64)
+
+    def error_mm(way: Formulation, distance_m: float) -> float:
+        joints_m = (base + distance_m * direction)[None]
+        return 1e3 * float((way(joints_m, F32).skin.double() - way(joints_m, F64).skin).norm(dim=-1).max())
+
+    mine, theirs = _both(meters.tolist(), error_mm)
+    return Curve(
+        "far_away", "The hand is far from home", "How far the skin is off, float32",
+        "meters from the origin", "error of the skin, mm",
+        "absolute coordinates", meters, mine, theirs, visible=0.1,
+    )  # fmt: skip
+
+
+def thin_needle() -> Curve:
+    """A needle-thin splat comes close and grows long on the picture: how wrong is the ink that it leaves?"""
+    lengths_px = np.geomspace(1, 2e4, 22)
+    camera = Camera(64, 64, 100.0, 100.0, 32.0, 32.0, torch.eye(4, dtype=F64))
+    grid = torch.arange(64, dtype=F64) - 31.5
+    offsets = torch.stack(torch.meshgrid(grid, grid, indexing="xy"), -1).reshape(-1, 2)
+
+    def errors(length_px: float) -> tuple[float, float]:
+        # as thin as a hundredth of a pixel, along the diagonal
+        half = 0.5 * (length_px**2 + 1e-4)
+        flat_px2 = torch.tensor([half, half - 1e-4, half], dtype=F64)
+        covariance_m2 = torch.zeros(1, 6)
+        covariance_m2[0, [0, 1, 3]] = (flat_px2 / 100**2).float()
+        covariance_m2[0, 5] = 1e-8
+        needle = Gaussians(
+            torch.tensor([[0.0, 0.0, 1.0]]), torch.ones(1), torch.tensor([0.9]), torch.ones(1, 3), covariance_m2
+        )
+        given_px2 = 100**2 * covariance_m2[0, [0, 1, 3]]
+        exact, wrong = (usual_ink(given_px2.to(dtype), offsets, 0.9).double() for dtype in (F64, F32))
+        return against_reference(needle, camera).worst, float((wrong - exact).abs().max())
+
+    both = np.array([errors(length) for length in lengths_px])
+    return Curve(
+        "thin_needle", "A thin splat comes close", "How wrong its ink is, float32",
+        "length on the picture, pixels", "error of the ink, 0 to 1",
+        "determinant = a c - b²", lengths_px, both[:, 0], both[:, 1], visible=1 / 255,
+    )  # fmt: skip
+
+
+CURVES = (straight_twist, straight_error, sideways, folded, flat_palm, short_bone, far_away, thin_needle)
+
+
+# ---- half precision around us ---------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class AutocastRow:
+    """How far float16 or bfloat16 autocast around the call moves the skin, millimeters."""
+
+    precision: str
+    ours_mm: float
+    usual_mm: float
+
+    def as_dict(self) -> dict:
+        return dict(vars(self))
+
+
+def autocast_row(precision: torch.dtype) -> AutocastRow:
+    """Both ways on the fist, with and without autocast."""
+    joints_m = posed("fist")[None]
+
+    def moved(way: Formulation) -> float:
+        plain = way(joints_m, F32).skin
+        with torch.autocast("cpu", dtype=precision):
+            inside = way(joints_m, F32).skin
+        return 1e3 * float((inside.double() - plain.double()).norm(dim=-1).max())
+
+    return AutocastRow(str(precision).removeprefix("torch."), moved(_engine_skin), moved(_usual))
+
+
+def _engine_skin(joints_m: Tensor, dtype: torch.dtype) -> Skin:
+    """Ours through the engine's own skinning, which switches autocast off."""
+    avatar = load_painted(handedness=RIGHT).prefix(limits.STABILITY_GAUSSIANS)
+    gaussians = posed_avatar(avatar, avatar.bone_transform(), (joints_m - joints_m[:, :1])[0].to(dtype))
+    return Skin(gaussians.position_m[None], gaussians.sigma_m.sum())

@@ -1,0 +1,275 @@
+"""What is measured of a hard hand: finite values and gradients, precision, continuity, and the picture.
+
+Two formulations stand side by side: ours, as the renderer uses it (joints relative to the wrist, which is added last),
+and the usual one (`stability_usual`). Lengths are given as on a hand of ordinary size, so that units compare.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from functools import cache, partial
+
+import torch
+from torch import Tensor
+
+from jghand_engine import limits
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.builtin import load_builtin, load_painted
+from jghand_engine.avatar.cast_shadow import own_flesh, place_anchors
+from jghand_engine.avatar.gaussians import Gaussians
+from jghand_engine.avatar.skinning import apply, pose_gaussians
+from jghand_engine.hand.frames import describe_flags
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.transform import BoneTransforms, JointTransform
+from jghand_engine.render.camera import Camera
+from jghand_engine.study.stability_hands import HandCase, beside, template_joints_m, template_size_m
+from jghand_engine.study.stability_pictures import PictureError, against_reference
+from jghand_engine.study.stability_usual import UsualTransform
+from jghand_engine.template.builtin import load_template
+
+
+@dataclass(frozen=True)
+class Skin:
+    """A formulation's answer for hands (N, 21, 3). skin: (N, V, 3) relative to the wrist · loss: a sum of everything
+    that it computes, for gradients"""
+
+    skin: Tensor
+    loss: Tensor
+
+
+# float64 joints (N, 21, 3) and a precision -> the answer in that precision
+Formulation = Callable[[Tensor, torch.dtype], Skin]
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Of one formulation on one hand and the hands beside it.
+
+    finite: values and gradients, float32 and float64 · gradient: largest |gradient| times hand size, float32
+    precision_mm: skin of float32 against float64 · nudged_mm: how far a nudge of 0.5 mm of every joint moves the skin
+    axes_mm: the same for exactly +-0.5 mm on every axis
+    """
+
+    finite: bool
+    gradient: float
+    precision_mm: float
+    nudged_mm: float
+    axes_mm: float
+
+    def as_dict(self) -> dict[str, float | bool | None]:
+        """Plain data for JSON, which has neither NaN nor infinity."""
+        return {k: v if isinstance(v, bool) or math.isfinite(v) else None for k, v in vars(self).items()}
+
+
+@dataclass(frozen=True)
+class HandRow:
+    """One row of the table. flags: what the transform says of the hand · usual: None where it was not asked"""
+
+    name: str
+    flags: list[str]
+    ours: Measured
+    usual: Measured | None
+    picture: PictureError
+    missed: list[str] = field(default_factory=list)
+
+    def as_dict(self) -> dict:
+        usual = None if self.usual is None else self.usual.as_dict()
+        return {
+            "name": self.name, "flags": self.flags, "ours": self.ours.as_dict(), "usual": usual,
+            "picture": self.picture.as_dict(), "missed": self.missed,
+        }  # fmt: skip
+
+
+@cache
+def _watched() -> tuple[Tensor, Tensor]:
+    """Points of the template's skin, (V, 3) and weights (V, 21), float64."""
+    template = load_template()
+    every = max(1, len(template.vertices_m) // limits.STABILITY_SKIN_POINTS)
+    return torch.from_numpy(template.vertices_m[::every].copy()), torch.from_numpy(
+        template.bone_weights[::every].copy()
+    )
+
+
+@cache
+def transform_for(handedness: Handedness, swing: str = "minimal") -> JointTransform:
+    return JointTransform(template_joints_m(), handedness=handedness, swing=swing)
+
+
+def _blended(linear: Tensor, offset_m: Tensor, points_m: Tensor, weights: Tensor) -> Tensor:
+    """(N, V, 3) by linear blend skinning."""
+    maps = torch.cat([linear, offset_m.unsqueeze(-1)], -1)
+    blended = (weights.to(maps.dtype) @ maps.flatten(-2)).unflatten(-1, (3, 4))
+    return apply(blended[..., :3], points_m.to(maps.dtype)) + blended[..., 3]
+
+
+def ours(joints_m: Tensor, dtype: torch.dtype, *, handedness: Handedness, swing: str = "minimal") -> Skin:
+    """See Formulation: as the renderer does it, whose camera moves to the hand."""
+    points_m, weights = _watched()
+    bones = transform_for(handedness, swing).bones((joints_m - joints_m[:, :1]).to(dtype))
+    frames = bones.frames
+    angles = frames.angles.sum() + frames.palm_p.sum() + frames.palm_n.sum()
+    loss = _sum_of_turns(bones.linear, bones.scale) + angles
+    return Skin(_blended(bones.linear, bones.offset_m, points_m - bones.canonical_root_m, weights), loss)
+
+
+def _sum_of_turns(linear: Tensor, scale: Tensor) -> Tensor:
+    """Sum of the linear parts (N, 21, 3, 3) without the unit of length; a hand without size has scale 0."""
+    size = torch.where(scale > 0, scale, 1.0).detach()
+    return (linear / size[:, None, None, None]).sum()
+
+
+@cache
+def _usual_transform(handedness: Handedness) -> UsualTransform:
+    return UsualTransform(template_joints_m(), handedness=handedness)
+
+
+def usual(joints_m: Tensor, dtype: torch.dtype, *, handedness: Handedness) -> Skin:
+    """See Formulation: absolute coordinates all the way."""
+    points_m, weights = _watched()
+    bones = _usual_transform(handedness).bones(joints_m.to(dtype))
+    skin = _blended(bones.linear, bones.offset_m, points_m, weights)
+    return Skin(skin - joints_m[:, :1].to(dtype), _sum_of_turns(bones.linear, bones.scale) + bones.angles.sum())
+
+
+# ---- one number each ------------------------------------------------------------------------------------------------
+
+
+def measure(
+    formulation: Formulation,
+    case: HandCase,
+    *,
+    hands_beside: int = limits.STABILITY_BESIDE,
+    nudges: int = limits.STABILITY_NUDGES,
+) -> Measured:
+    """All numbers of a formulation on a case. hands_beside: at each of the distances · nudges: how many of each kind"""
+    to_mm = 1e3 * template_size_m() / case.size_m
+    single, double = (
+        _differentiated(formulation, beside(case, hands_beside), dtype) for dtype in (torch.float32, torch.float64)
+    )
+    nudged, axes = (moved_mm(formulation, case, nudge) for nudge in (random_nudges(nudges), axis_nudges(nudges)))
+    exact = formulation(case.joints_m[None], torch.float64).skin
+    rounded = formulation(case.joints_m[None], torch.float32).skin
+    return Measured(
+        finite=single[0] and double[0],
+        gradient=single[1],
+        precision_mm=float((rounded.double() - exact).norm(dim=-1).max()) * to_mm,
+        nudged_mm=nudged,
+        axes_mm=axes,
+    )
+
+
+def _differentiated(formulation: Formulation, joints_m: Tensor, dtype: torch.dtype) -> tuple[bool, float]:
+    """Whether values and gradients are finite, and the largest gradient times the size of its hand (N, 21, 3)."""
+    sizes_m = (joints_m - joints_m[:, :1]).abs().amax((1, 2))
+    # where all joints coincide there is no natural unit: meters
+    sizes_m = torch.where(sizes_m > 0, sizes_m, 1.0)
+    answer = formulation(joints_m.requires_grad_(), dtype)
+    skin = (answer.skin.mean(1) / sizes_m[:, None].to(dtype)).sum()
+    (gradient,) = torch.autograd.grad(answer.loss + skin, joints_m)
+    finite = bool(torch.isfinite(answer.skin).all() & torch.isfinite(gradient).all() & torch.isfinite(answer.loss))
+    return finite, float((gradient.abs().amax((1, 2)) * sizes_m).max())
+
+
+def random_nudges(count: int = limits.STABILITY_NUDGES) -> Tensor:
+    """(count, 21, 3) of length 1 for every joint."""
+    direction = torch.randn(count, 21, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
+    return direction / direction.norm(dim=-1, keepdim=True)
+
+
+def axis_nudges(count: int = limits.STABILITY_NUDGES) -> Tensor:
+    """(count, 21, 3) of +1 or -1 along every axis: the worst of those that reach no farther than 1 on any axis."""
+    return 2.0 * (torch.rand(count, 21, 3, generator=torch.Generator().manual_seed(2)) < 0.5).double() - 1.0
+
+
+def moved_mm(formulation: Formulation, case: HandCase, nudges: Tensor) -> float:
+    """How far nudges of 0.5 mm, on a hand of ordinary size, move any point of the skin, millimeters."""
+    part = case.size_m / template_size_m()
+    joints_m = torch.cat([case.joints_m[None], case.joints_m + part * limits.STABILITY_NUDGE_M * nudges])
+    # the wrist itself moves, too: its place counts
+    skin = formulation(joints_m, torch.float64).skin + joints_m[:, :1]
+    return 1e3 * float((skin[1:] - skin[0]).norm(dim=-1).max()) / part
+
+
+# ---- rows -----------------------------------------------------------------------------------------------------------
+
+
+def hand_row(case: HandCase) -> HandRow:
+    """The row of a hard hand."""
+    transform = transform_for(case.handedness)
+    centered = case.joints_m - case.joints_m[:1]
+    flags = describe_flags(int(transform.frames(centered).flags))
+    measured = measure(partial(ours, handedness=case.handedness), case)
+    compared = measure(partial(usual, handedness=case.handedness), case)
+    avatar = load_painted(handedness=case.handedness).prefix(limits.STABILITY_GAUSSIANS)
+    picture = hand_picture(avatar, case)
+    return HandRow(case.name, flags, measured, compared, picture, misses(measured, picture, flagged=bool(flags)))
+
+
+def correctives_row(case: HandCase) -> HandRow:
+    """The row of a hand far outside what the trained avatar has learned from: skin and picture with its correctives."""
+    avatar = _with_fewer_anchors(load_builtin(handedness=case.handedness).prefix(limits.STABILITY_GAUSSIANS))
+    transform = avatar.bone_transform()
+    flags = describe_flags(int(transform.frames(case.joints_m - case.joints_m[:1]).flags))
+
+    def learned(joints_m: Tensor, dtype: torch.dtype) -> Skin:
+        posed = [posed_avatar(avatar, transform, one.to(dtype)) for one in joints_m - joints_m[:, :1]]
+        rgb = torch.stack([one.rgb.sum() for one in posed]).sum()
+        return Skin(torch.stack([one.position_m for one in posed]), rgb)
+
+    # the network is evaluated hand by hand: fewer of them
+    few = limits.STABILITY_FEW
+    measured = measure(learned, case, hands_beside=few // len(limits.STABILITY_JITTERS), nudges=few)
+    picture = hand_picture(avatar, case)
+    name = f"trained hand, {case.name}"
+    return HandRow(name, flags, measured, None, picture, misses(measured, picture, flagged=bool(flags)))
+
+
+def _with_fewer_anchors(avatar: HandAvatar) -> HandAvatar:
+    """Its cast shadow at so few anchors that the gradients of many hands fit into memory together."""
+    learned = avatar.learned
+    if learned is None or learned.cast is None:
+        return avatar
+    anchors = place_anchors(avatar.position_m, learned.normal, avatar.bone_weights, limits.STABILITY_ANCHORS)
+    cast = replace(learned.cast, anchors=anchors, own=own_flesh(anchors, avatar.canonical_joints_m))
+    return replace(avatar, learned=replace(learned, cast=cast))
+
+
+def misses(measured: Measured, picture: PictureError, *, flagged: bool) -> list[str]:
+    """What is not as it should be, in words. A flagged hand has no certain frame: its skin may jump."""
+    nudge, skin = 1e3 * limits.STABILITY_NUDGE_M, 1e3 * limits.STABILITY_SKIN_MAX_M
+    checks = (
+        (measured.finite, "not finite"),
+        (measured.gradient <= limits.STABILITY_GRADIENT_MAX, "gradient"),
+        (measured.precision_mm <= 1e3 * limits.STABILITY_PRECISION_MAX_M, "float32"),
+        (flagged or measured.nudged_mm <= skin, f"a nudge of {nudge:g} mm moves skin over {skin:g} mm"),
+        (flagged or measured.axes_mm <= skin, f"+-{nudge:g} mm on every axis moves skin over {skin:g} mm"),
+        (picture.good, "picture"),
+    )
+    return [words for good, words in checks if not good]
+
+
+def posed_avatar(avatar: HandAvatar, transform: JointTransform, joints_m: Tensor) -> Gaussians:
+    """The Gaussians of an avatar for joints (21, 3), with its correctives where it has any."""
+    bones: BoneTransforms = transform.bones(joints_m)
+    return pose_gaussians(avatar, bones, frames=bones.frames)
+
+
+def hand_picture(avatar: HandAvatar, case: HandCase) -> PictureError:
+    """The hand as the native kernel draws it against the float64 reference."""
+    joints_m = case.joints_m - case.joints_m[:1]
+    with torch.no_grad():
+        gaussians = posed_avatar(avatar, avatar.bone_transform(), joints_m.float())
+    return against_reference(gaussians, camera_before(case))
+
+
+def camera_before(case: HandCase, side_px: int = limits.STABILITY_PICTURE_PX) -> Camera:
+    """A camera that sees a whole hand whose wrist is at the origin, from the palm's side, however large the hand is."""
+    distance_m = max(4.0 * case.size_m, 10 * limits.Z_NEAR_M)
+    middle = (case.joints_m - case.joints_m[:1]).mean(0)
+    eye = middle + torch.tensor([0.3, 0.1, 0.95], dtype=torch.float64) * distance_m
+    focal_px = 0.4 * side_px * distance_m / case.size_m
+    return Camera.looking_at(
+        eye, middle, torch.tensor([0.0, 1.0, 0.0]), width=side_px, height=side_px, focal_px=focal_px
+    )

@@ -1,0 +1,130 @@
+"""What is measured of a hard picture: finite pixels and gradients, precision, and agreement with the float64 reference.
+
+The cases themselves stand in `stability_scenes`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from jghand_engine import limits
+from jghand_engine.avatar.gaussians import Gaussians
+from jghand_engine.render.camera import Camera
+from jghand_engine.render.picture import Picture
+from jghand_engine.render.rasterize import rasterize
+from jghand_engine.render.reference import rasterize_reference
+from jghand_engine.render.settings import RenderSettings
+
+
+@dataclass(frozen=True)
+class PictureError:
+    """Against the float64 reference. worst: largest difference of a pixel, relative to the largest color and depth of
+    the scene · flipped: pixels in which a contribution fell on the other side of the cut at 1/255 · finite: all of it
+    · visible, invalid: Gaussians that were drawn, and left out as not drawable"""
+
+    worst: float
+    flipped: int
+    finite: bool
+    visible: int
+    invalid: int
+
+    @property
+    def good(self) -> bool:
+        """Promise 3 of RENDERING 14."""
+        return self.finite and self.worst <= limits.STABILITY_FLIP_MAX and self.flipped <= limits.STABILITY_FLIPPED_MAX
+
+    def as_dict(self) -> dict:
+        return {**vars(self), "worst": self.worst if math.isfinite(self.worst) else None}
+
+
+@dataclass(frozen=True)
+class PictureRow:
+    """One row of the table of pictures. gradient: largest |gradient| times the natural size of what it is for (hand,
+    radius, 1, 1) · nudged: largest change of a pixel, in 8-bit steps, when everything moves by a thousandth of a
+    millimeter"""
+
+    name: str
+    error: PictureError
+    gradient: float
+    gradient_finite: bool
+    nudged: float
+    note: str = ""
+    missed: list[str] = field(default_factory=list)
+
+    def as_dict(self) -> dict:
+        number = {k: v if math.isfinite(v) else None for k, v in (("gradient", self.gradient), ("nudged", self.nudged))}
+        return {
+            "name": self.name, "picture": self.error.as_dict(), "gradient_finite": self.gradient_finite, **number,
+            "note": self.note, "missed": self.missed,
+        }  # fmt: skip
+
+
+def planes_of(picture: Picture) -> Tensor:
+    """(H, W, 5): color, alpha, sum of depths."""
+    return torch.cat([picture.rgb, picture.alpha[..., None], picture.depth_sum[..., None]], -1)
+
+
+def converted(gaussians: Gaussians, dtype: torch.dtype, *, grad: bool = False) -> Gaussians:
+    """The same as leaves in another precision."""
+    tensors: dict[str, Any] = {field.name: getattr(gaussians, field.name) for field in fields(gaussians)}
+    there = {name: tensor for name, tensor in tensors.items() if tensor is not None}
+    return Gaussians(**{name: tensor.detach().to(dtype).requires_grad_(grad) for name, tensor in there.items()})
+
+
+def against_reference(gaussians: Gaussians, camera: Camera) -> PictureError:
+    """float32 Gaussians as they are drawn (natively where there is a kernel) against the reference in float64."""
+    with torch.no_grad():
+        drawn = rasterize(gaussians, camera, RenderSettings(t_stop=limits.T_STOP))
+        exact = rasterize_reference(converted(gaussians, torch.float64), camera)
+    ours, theirs = planes_of(drawn).double(), planes_of(exact)
+    # contributions scale with the largest color and depth of the scene
+    scale = torch.ones(5, dtype=torch.float64)
+    if exact.visible_gaussians:
+        depth = gaussians.position_m.double() @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
+        good = torch.isfinite(depth) & (depth.abs() <= limits.POSITION_MAX_M)
+        scale[4] = max(float(depth[good].abs().max()), 1.0) if bool(good.any()) else 1.0
+        color = gaussians.rgb[torch.isfinite(gaussians.rgb).all(1) & (gaussians.rgb.abs() <= limits.RGB_MAX).all(1)]
+        scale[:3] = max(float(color.abs().max()), 1.0) if len(color) else 1.0
+    error = ((ours - theirs).abs() / scale).amax(-1)
+    return PictureError(
+        worst=float(error.max()),
+        flipped=int((error > limits.STABILITY_PIXEL_MAX).sum()),
+        finite=bool(torch.isfinite(ours).all()),
+        visible=drawn.visible_gaussians,
+        invalid=drawn.invalid_gaussians,
+    )
+
+
+def picture_gradient(gaussians: Gaussians, camera: Camera, size_m: float) -> tuple[bool, float]:
+    """Whether the gradients of a sum of the mean pixel with random signs are finite, and the largest of them times the
+    natural size of what it is for."""
+    leaves = converted(gaussians, torch.float32, grad=True)
+    planes = planes_of(rasterize(leaves, camera))
+    signs = torch.sign(torch.randn(planes.shape, generator=torch.Generator().manual_seed(3)))
+    (planes * signs).sum().backward()
+    sizes = {"position_m": size_m, "sigma_m": None, "opacity": 1.0, "rgb": 1.0, "covariance_m2": None}
+    finite, largest = True, 0.0
+    for name, size in sizes.items():
+        leaf = getattr(leaves, name)
+        if leaf is None or leaf.grad is None:
+            continue
+        finite &= bool(torch.isfinite(leaf.grad).all())
+        natural = leaf.grad * (leaf.detach().nan_to_num(0, 0, 0) if size is None else size)
+        largest = max(largest, float(natural.abs().max()) if natural.numel() else 0.0)
+    return finite, largest
+
+
+def nudged_steps(gaussians: Gaussians, camera: Camera) -> float:
+    """Largest change of a pixel's color or alpha, in 8-bit steps, when all Gaussians move by a micrometer sideways."""
+    if not len(gaussians):
+        return 0.0
+    sideways = camera.camera_from_world[0, :3].to(gaussians.position_m.dtype) * limits.STABILITY_PICTURE_NUDGE_M
+    moved = replace(gaussians, position_m=gaussians.position_m + sideways)
+    with torch.no_grad():
+        before, after = (planes_of(rasterize(g, camera))[..., :4] for g in (gaussians, moved))
+    return 255 * float((after - before).abs().max())

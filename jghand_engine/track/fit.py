@@ -1,0 +1,161 @@
+"""The motion of a skeleton that explains landmarks best: one robust least-squares fit of many frames at once.
+
+Of every frame the fit knows where landmarks lie in the picture and, from the detector's own estimate in space, where
+bones point (look.py). Between frames it wants small accelerations. Joint limits are part of it, and bones cannot change
+length. Gauss-Newton with damping. Frames without a hand are filled by what is before and after them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from jghand_engine import limits
+from jghand_engine.hand.sequence import alignment
+from jghand_engine.track.look import Trust, View
+from jghand_engine.track.poses import STATE_COUNT, Landmarks, Pinhole, Poses, joined
+from jghand_engine.track.skeleton import ANGLE_COUNT, LIMITS_RAD, Skeleton
+from jghand_engine.track.smoother import Steadiness, solve
+
+
+def fit(skeleton: Skeleton, landmarks: Landmarks, trust: Trust | None = None) -> Poses:
+    """The motion. Frames before the hand is first seen hold its first pose, those after the last one its last.
+
+    At least one frame must show the hand. In gaps of up to `limits.FIT_GAP_S` it goes as the fit says; in longer ones,
+    and in all of them without smoothing, evenly from the pose before to the one after. What is seen on both sides of a
+    gap of up to `limits.FIT_REACH_S` is fitted together all the same. Long videos are fitted in parts that overlap, so
+    that memory is bounded; what is as far away as the overlap has no influence.
+    """
+    trust = trust or Trust()
+    seen = np.flatnonzero(landmarks.seen)
+    start = initial_poses(skeleton, landmarks)
+    believed = ~_in_long_gaps(landmarks.seen, limits.FIT_GAP_S * landmarks.fps)
+    fitted, known = [], []
+    reach = None if trust.smoothing == 0 else limits.FIT_REACH_S * landmarks.fps
+    for kept, wide in _parts(seen, reach, _margin(landmarks.fps, trust.smoothing)):
+        poses = _fit_part(skeleton, landmarks.part(wide), start.part(wide), trust)
+        kept = kept[believed[kept]]
+        fitted.append(poses.part(np.isin(wide, kept)))
+        known.append(kept)
+    return joined(fitted).spread(np.concatenate(known), len(landmarks.image_px))
+
+
+def _in_long_gaps(seen: np.ndarray, longest: float) -> np.ndarray:
+    """(F,) bool, frames between two that were seen, with more than so many between them."""
+    places = np.flatnonzero(seen)
+    inside = np.zeros(len(seen), dtype=bool)
+    for place in np.flatnonzero(np.diff(places) - 1 > longest):
+        inside[places[place] + 1 : places[place + 1]] = True
+    return inside
+
+
+def _margin(fps: float, smoothing: float) -> int:
+    """Frames on both sides of a part that are fitted with it: so far reaches what a frame says, and farther with more
+    smoothing."""
+    return min(math.ceil(limits.FIT_MARGIN_S * fps * max(1.0, math.sqrt(smoothing))), limits.FIT_MARGIN_FRAMES_MAX)
+
+
+def _parts(seen: np.ndarray, longest_gap: float | None, margin: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Frames that are fitted together, in their order: those that are kept, and with what is around them.
+
+    Both end at frames that were seen, so that no part has to guess where a gap ends. longest_gap: frames of a gap that
+    is part of them; None for frames that know nothing of one another · margin: frames around what is kept.
+    """
+    # more than the longest gap has at any rate, and most of what is fitted is kept
+    window = max(limits.FIT_WINDOW_FRAMES, 2 * margin)
+    if longest_gap is None:
+        for begin in range(0, len(seen), window):
+            yield seen[begin : begin + window], seen[begin : begin + window]
+        return
+    for run in np.split(seen, np.flatnonzero(np.diff(seen) - 1 > longest_gap) + 1):
+        first, last = int(run[0]), int(run[-1])
+        begin = first
+        while begin <= last:
+            # the last seen frame within the window is the first of the next part
+            within = run[np.searchsorted(run, begin + window, side="right") - 1]
+            end = int(within) if begin + window <= last else last + 1
+            low = run[max(np.searchsorted(run, begin - margin, side="right") - 1, 0)]
+            high = run[min(np.searchsorted(run, end + margin), len(run) - 1)]
+            yield np.arange(begin, end), np.arange(low, high + 1)
+            begin = end
+
+
+def initial_poses(skeleton: Skeleton, landmarks: Landmarks) -> Poses:
+    """A first guess: the palm where it lies in space, fingers as bent as neighboring bones are to each other, the
+    distance from the hand's size in the picture; between seen frames along the shortest way."""
+    seen = np.flatnonzero(landmarks.seen)
+    directions = landmarks.directions[seen]
+    palm = skeleton.palm_m[1:] / np.linalg.norm(skeleton.palm_m[1:], axis=-1, keepdims=True)
+    turn = alignment(np.broadcast_to(palm, (len(seen), 5, 3)), directions[:, :5])
+    angle = np.zeros((len(seen), 5, 4))
+    for joint, place in enumerate((0, 2, 3)):
+        before, after = directions[:, 5 * joint : 5 * joint + 5], directions[:, 5 * joint + 5 : 5 * joint + 10]
+        angle[:, :, place] = np.arccos(np.clip((before * after).sum(-1), -1, 1))
+    angle[:, 0, 0] = 0.0  # a thumb's first joint is bent to the palm at rest
+    angle = np.clip(angle.reshape(-1, ANGLE_COUNT), LIMITS_RAD[:, 0], LIMITS_RAD[:, 1])
+    joints = skeleton.joints(angle) @ np.swapaxes(turn, -1, -2)
+    place = _placed(joints, landmarks.image_px[seen], landmarks.camera)
+    return Poses(turn, place, angle).spread(seen, len(landmarks.image_px))
+
+
+def _placed(joints: np.ndarray, image_px: np.ndarray, camera: Pinhole) -> np.ndarray:
+    """(F, 3) wrists: joints (F, 21, 3), turned, moved so that they have the middle and the size seen in the picture."""
+    middle, image_middle = joints.mean(1), image_px.mean(1)
+    wide = np.sqrt(np.square(joints[..., :2] - middle[:, None, :2]).sum(-1).mean(-1))
+    image_wide = np.sqrt(np.square(image_px - image_middle[:, None]).sum(-1).mean(-1))
+    depth = camera.focal_px * wide / np.maximum(image_wide, limits.HAND_SPREAD_MIN_PX)
+    return camera.rays(image_middle) * depth[:, None] - middle
+
+
+# ---- the steps -------------------------------------------------------------------------------------------------------
+
+
+def _fit_part(skeleton: Skeleton, landmarks: Landmarks, poses: Poses, trust: Trust) -> Poses:
+    """Frames that know of one another take each step together or not at all; frames alone each for itself."""
+    steadiness = trust.steadiness(landmarks.fps)
+    going = np.arange(len(poses))
+    damping = np.full(len(poses) if steadiness is None else 1, limits.FIT_DAMPING)
+    for _ in range(limits.FIT_STEPS):
+        here = poses.part(going)
+        view = View.of(skeleton, landmarks.part(going), trust, here)
+        look = view.look(here)
+        gradient = look.gradient if steadiness is None else look.gradient + steadiness.gradient(here.steps())
+        there = here.moved(bounded(solve(damped(look.blocks, damping), gradient, steadiness)))
+        before, after = _costs(view, here, steadiness), _costs(view, there, steadiness)
+        better = after <= before
+        moved = np.broadcast_to(better, len(going))
+        poses = poses.replaced(going[moved], there.part(moved))
+        # a short step may gain little because it was made short: then there may be more to gain
+        settled = better & (before - after < limits.FIT_TOLERANCE * before) & (damping <= limits.FIT_DAMPING)
+        damping = np.where(better, np.maximum(damping / 10, limits.FIT_DAMPING_MIN), 10 * damping)
+        left = ~(settled | (damping > limits.FIT_DAMPING_MAX))
+        if not left.any():
+            break
+        if steadiness is None:
+            going, damping = going[left], damping[left]
+    return replace(poses, angle_rad=np.clip(poses.angle_rad, LIMITS_RAD[:, 0], LIMITS_RAD[:, 1]))
+
+
+def _costs(view: View, poses: Poses, steadiness: Steadiness | None) -> np.ndarray:
+    """(F,) of frames alone; (1,) of frames that know of one another."""
+    costs = view.costs(poses)
+    return costs if steadiness is None else costs.sum(keepdims=True) + steadiness.cost(poses.steps())
+
+
+def damped(blocks: np.ndarray, damping: float | np.ndarray) -> np.ndarray:
+    """(F, n, n) with a larger diagonal: shorter steps, and invertible also where nothing is known (Marquardt). damping:
+    of all, or (F,)"""
+    larger = blocks.copy()
+    diagonal = np.einsum("fii->fi", blocks)
+    np.einsum("fii->fi", larger)[...] += np.expand_dims(damping, -1) * diagonal + limits.FIT_DAMPING_MIN
+    return larger
+
+
+def bounded(step: np.ndarray) -> np.ndarray:
+    """No angle moves farther than its linearization reaches."""
+    most = np.full(STATE_COUNT, limits.FIT_STEP_RAD)
+    most[3:6] = limits.FIT_STEP_M
+    return np.clip(step, -most, most)

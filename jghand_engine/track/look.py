@@ -1,0 +1,173 @@
+"""What frames say of poses, each of itself: how well a pose explains its landmarks, and how that changes with it.
+
+Landmarks in the picture, directions in space, joint limits and, where a hand was seen, a weak pull to rest. Wrong
+landmarks lose their weight (Cauchy). Of a frame without a hand nothing but the joint limits is left.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from jghand_engine import limits
+from jghand_engine.hand.joints import BONE_COUNT, JOINT_COUNT, PARENTS
+from jghand_engine.track.poses import STATE_COUNT, Landmarks, Poses
+from jghand_engine.track.skeleton import ANGLE_COUNT, LIMITS_RAD, Skeleton, cross_matrices
+from jghand_engine.track.smoother import Steadiness
+
+_PARENTS = list(PARENTS[1:])
+
+
+def _beyond() -> np.ndarray:
+    """(21, 20): whether joint j hangs on bone b (1..20, index b - 1)."""
+    hangs = np.zeros((JOINT_COUNT, BONE_COUNT))
+    for joint in range(1, JOINT_COUNT):
+        on = joint
+        while on > 0:
+            hangs[joint, on - 1] = 1.0
+            on = PARENTS[on]
+    return hangs
+
+
+_BEYOND = _beyond()
+# a hand at rest, for what a picture does not show: fingers half bent
+_REST_RAD = np.clip(np.tile(np.radians([25.0, 0.0, 35.0, 18.0]), 5), LIMITS_RAD[:, 0], LIMITS_RAD[:, 1])
+
+
+@dataclass(frozen=True)
+class Trust:
+    """How much is believed: standard deviations (`jghand_engine.limits`, tracking). smoothing: 1; more is smoother, 0
+    fits every frame alone."""
+
+    landmark: float = limits.LANDMARK_SIGMA
+    direction: float = limits.DIRECTION_SIGMA
+    rest_rad: float = limits.REST_SIGMA_RAD
+    smoothing: float = 1.0
+
+    def steadiness(self, fps: float) -> Steadiness | None:
+        """White noise of acceleration has a variance per frame that falls with the cube of the rate."""
+        if self.smoothing == 0:
+            return None
+        sizes = [3, 3, ANGLE_COUNT]
+        acceleration = np.repeat(
+            [limits.TURN_ACCELERATION, limits.PLACE_ACCELERATION, limits.ANGLE_ACCELERATION], sizes
+        )
+        speed = np.repeat([limits.TURN_SPEED, limits.PLACE_SPEED, limits.ANGLE_SPEED], sizes)
+        # per frame at the rate for which the accelerations are given, then at this one
+        second = acceleration / limits.SMOOTHING_FPS**2 * (limits.SMOOTHING_FPS / fps) ** 1.5 / self.smoothing
+        first = speed / fps * (limits.SMOOTHING_FPS / fps) ** -0.5
+        return Steadiness(first**-2.0, second**-2.0)
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """What poses are looked at with.
+
+    skeleton · landmarks · trust · depth_m: (F,) how far away the hand is taken to be where errors in the picture are
+    weighed as errors on the hand: those of the poses that a step begins with. It is no part of what is sought: a hand
+    that came nearer would else make its errors smaller.
+    """
+
+    skeleton: Skeleton
+    landmarks: Landmarks
+    trust: Trust
+    depth_m: np.ndarray
+
+    @classmethod
+    def of(cls, skeleton: Skeleton, landmarks: Landmarks, trust: Trust, poses: Poses) -> View:
+        """For a step that begins with these poses."""
+        return cls(skeleton, landmarks, trust, np.maximum(poses.place_m[:, 2], limits.FIT_DEPTH_MIN_M))
+
+    def costs(self, poses: Poses) -> np.ndarray:
+        """(F,) half the weighted squares of what does not fit in each frame."""
+        seen = self.landmarks.seen
+        beyond, away = _off(poses, seen)
+        costs = 0.5 * (limits.LIMIT_SIGMA_RAD**-2 * beyond**2 + self.trust.rest_rad**-2 * away**2).sum(1)
+        points = poses.part(seen).joints_m(self.skeleton)
+        scale = limits.ROBUST_SIGMAS**2
+        for residual in (self._image_residual(points), self._direction_residual(points)):
+            costs[seen] += 0.5 * scale * np.log1p(np.square(residual).sum(-1) / scale).sum(-1)
+        return costs
+
+    def look(self, poses: Poses, *, with_lengths: bool = False) -> Look:
+        """How the costs change with the poses; with relative changes of the 20 bones' lengths too, if wanted."""
+        seen = self.landmarks.seen
+        size = STATE_COUNT + (BONE_COUNT if with_lengths else 0)
+        gradient, blocks = np.zeros((len(poses), size)), np.zeros((len(poses), size, size))
+        beyond, away = _off(poses, seen)
+        limit, rest = limits.LIMIT_SIGMA_RAD**-2, self.trust.rest_rad**-2
+        gradient[:, 6:STATE_COUNT] = limit * beyond + rest * away
+        np.einsum("fii->fi", blocks)[:, 6:STATE_COUNT] = limit * (beyond != 0) + rest * seen[:, None]
+        points, motion = _moving(self.skeleton, poses.part(seen), with_lengths)
+        scale = limits.ROBUST_SIGMAS**2
+        for residual, slope in self._slopes(points, motion):
+            weight = 1 / (1 + np.square(residual).sum(-1) / scale)
+            weighted = slope * weight[..., None, None]
+            flat, weighted = (array.reshape(len(points), -1, size) for array in (slope, weighted))
+            gradient[seen] += np.einsum("fks,fk->fs", weighted, residual.reshape(len(points), -1))
+            blocks[seen] += np.swapaxes(weighted, -1, -2) @ flat
+        return Look(gradient, blocks)
+
+    def _slopes(self, points: np.ndarray, motion: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Residuals and how they change with the state: in the picture (f, 21, 2, n), of directions (f, 20, 3, n)."""
+        depth = np.maximum(points[..., 2:], limits.FIT_DEPTH_MIN_M)
+        flat = points[..., :2] / depth
+        slope = (motion[:, :, :2] - flat[..., None] * motion[:, :, 2:]) / depth[..., None]
+        yield self._image_residual(points), slope * self._scale[:, None, None, None]
+        bones = points[:, 1:] - points[:, _PARENTS]
+        length = np.linalg.norm(bones, axis=-1, keepdims=True)
+        unit = bones / length
+        change = (motion[:, 1:] - motion[:, _PARENTS]) / length[..., None]
+        across = change - unit[..., None] * (unit[..., None, :] @ change)
+        yield self._direction_residual(points), across / self.trust.direction
+
+    @property
+    def _scale(self) -> np.ndarray:
+        """(f,) of seen frames: standard deviations per unit of the ray, so that an error counts as it would on the
+        hand itself."""
+        sigma_m = self.trust.landmark * float(self.skeleton.bone_lengths_m[[2, 7, 12, 17]].sum())
+        return self.depth_m[self.landmarks.seen] / sigma_m
+
+    def _image_residual(self, points: np.ndarray) -> np.ndarray:
+        """(f, 21, 2) in standard deviations."""
+        rays = self.landmarks.camera.rays(self.landmarks.image_px[self.landmarks.seen])[..., :2]
+        flat = points[..., :2] / np.maximum(points[..., 2:], limits.FIT_DEPTH_MIN_M)
+        return (flat - rays) * self._scale[:, None, None]
+
+    def _direction_residual(self, points: np.ndarray) -> np.ndarray:
+        """(f, 20, 3) in standard deviations."""
+        bones = points[:, 1:] - points[:, _PARENTS]
+        unit = bones / np.linalg.norm(bones, axis=-1, keepdims=True)
+        return (unit - self.landmarks.directions[self.landmarks.seen]) / self.trust.direction
+
+
+@dataclass(frozen=True, eq=False)
+class Look:
+    """How costs change: gradient (F, n), second derivatives (F, n, n); n is 26, or 46 with the bones' lengths."""
+
+    gradient: np.ndarray
+    blocks: np.ndarray
+
+
+def _off(poses: Poses, seen: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """(F, 20) how far angles overstep their limits, and how far they are from rest in frames that say anything: what is
+    not seen shall go the way between what is."""
+    beyond = poses.angle_rad - np.clip(poses.angle_rad, LIMITS_RAD[:, 0], LIMITS_RAD[:, 1])
+    return beyond, (poses.angle_rad - _REST_RAD) * seen[:, None]
+
+
+def _moving(skeleton: Skeleton, poses: Poses, with_lengths: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Joints (f, 21, 3), and how they move with the state (f, 21, 3, n)."""
+    inside, bends = skeleton.joints_and_motion(poses.angle_rad)
+    points = inside @ np.swapaxes(poses.turn, -1, -2) + poses.place_m[:, None]
+    motion = np.zeros((len(poses), JOINT_COUNT, 3, STATE_COUNT + (BONE_COUNT if with_lengths else 0)))
+    motion[..., :3] = -poses.turn[:, None] @ cross_matrices(inside)
+    motion[..., 3:6] = np.eye(3)
+    motion[..., 6:STATE_COUNT] = poses.turn[:, None] @ bends
+    if with_lengths:
+        # a longer bone moves everything beyond it
+        bones = points[:, 1:] - points[:, _PARENTS]
+        motion[..., STATE_COUNT:] = (_BEYOND[..., None] * bones[:, None]).swapaxes(-1, -2)
+    return points, motion

@@ -1,0 +1,309 @@
+"""The compiled skin of trained hands is the torch functions' in float64: every tier, light, gloss, every odd hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from small_avatars import ellipsoid_avatar, trained_avatar
+from small_hands import joints_of
+
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.correctives import Correction, PoseNet, PoseNetShape
+from jghand_engine.avatar.fast_correctives import FastFeatures
+from jghand_engine.avatar.fast_learned import FastLearnedSkin
+from jghand_engine.avatar.fast_skinning import PosedArrays
+from jghand_engine.avatar.gaussians import Gaussians
+from jghand_engine.avatar.learned import Learned
+from jghand_engine.avatar.pose_features import Angles
+from jghand_engine.avatar.skinning import posed_skin, seen_from, skin_maps
+from jghand_engine.avatar.tiers import CachedNet, LinearCorrectives
+from jghand_engine.errors import InputError
+from jghand_engine.hand.fast_transform import FastBones, FastTransform
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.native.binding import Library
+from jghand_engine.native.threads import shared_pool
+from jghand_engine.render.painter import RootRelative
+
+AVATAR = trained_avatar(601)
+EYE_M = np.array([0.1, 0.2, 0.45])
+
+
+def learned_of(avatar: HandAvatar) -> Learned:
+    assert avatar.learned is not None
+    return avatar.learned
+
+
+def changed(avatar: HandAvatar = AVATAR, **what) -> HandAvatar:
+    return replace(avatar, learned=replace(learned_of(avatar), **what))
+
+
+def net_of(avatar: HandAvatar = AVATAR) -> PoseNet:
+    net = learned_of(avatar).correctives
+    assert isinstance(net, PoseNet)
+    return net
+
+
+def linear_tier(basis: int, avatar: HandAvatar = AVATAR, seed: int = 4) -> LinearCorrectives:
+    """Random, of any basis; not near any network."""
+    g, net, count = torch.Generator().manual_seed(seed), net_of(avatar), len(avatar)
+    channels = net.shape.angle_channels
+    return LinearCorrectives(
+        angles=net.angles,
+        mean=0.1 * torch.randn(channels, generator=g),
+        projection=0.5 * torch.randn(channels, min(channels, basis), generator=g),
+        bone_weights=avatar.bone_weights,
+        constant=torch.cat([0.004 * torch.randn(count, 3, generator=g), 0.2 * torch.randn(count, 3, generator=g)], 1),
+        direction=torch.randint(-127, 128, (count, basis, 6), generator=g, dtype=torch.int8),
+        scale=torch.tensor([3e-6, 2e-4]) * (1 + torch.rand(count, 2, generator=g)),
+    )
+
+
+def bones_of_hand(avatar: HandAvatar, joints_m: np.ndarray) -> FastBones:
+    transform = FastTransform(avatar.canonical_joints_m, handedness=avatar.handedness)
+    return transform.bones(joints_m)
+
+
+def natively(
+    library: Library,
+    avatar: HandAvatar,
+    bones: FastBones,
+    *,
+    threads: int = 1,
+    eyes_m: tuple[np.ndarray, ...] = (EYE_M,),
+) -> Gaussians:
+    """In the avatar's order, as the last of the eyes sees it."""
+    skin = FastLearnedSkin(library, avatar)
+    rows, count, pool = skin.skin.rows, len(avatar), shared_pool(threads)
+    into = PosedArrays(*(np.full(shape, np.nan, np.float32) for shape in ((rows, 3), (rows,), (rows, 6))))
+    rgb = np.full((rows, 3), np.nan, np.float32)
+    skin.prepare(bones, into, rgb, np.array([0.01, 0.02, -0.03]))
+    pool.run(lambda _thread: skin.run())
+    for eye_m in eyes_m:
+        if skin.prepare_gloss(eye_m):
+            pool.run(lambda _thread: skin.run_gloss())
+    assert (into.sigma_m[count:] == 0).all()
+    order = np.argsort(skin.skin.blocks.order)
+    assert into.covariance_m2 is not None
+    arrays = (into.position_m, into.sigma_m, skin.skin.opacity, rgb, into.covariance_m2)
+    return Gaussians(*(torch.from_numpy(array[:count][order]) for array in arrays))
+
+
+def exactly(avatar: HandAvatar, bones: FastBones, dtype: torch.dtype = torch.float64) -> Gaussians:
+    """By the functions that training uses, from the same transforms."""
+    made = RootRelative.of(avatar, bones, np.array([0.01, 0.02, -0.03]))
+    wide = RootRelative(*(getattr(made, name).to(dtype) for name in vars(made)))
+    with torch.no_grad():
+        skin = posed_skin(avatar, wide, Angles.of(torch.from_numpy(bones.angles_rad)))
+        return seen_from(skin, torch.from_numpy(EYE_M), avatar)
+
+
+def sound(avatar: HandAvatar, bones: FastBones) -> torch.Tensor:
+    """(N,) not at the limit where the palm's rotation takes over: rounding decides there."""
+    linear = torch.from_numpy(bones.linear_offset[:, :, :3].astype(np.float64)) / max(bones.scale, 1e-38)
+    blended = torch.einsum("nb,bij->nij", avatar.bone_weights.double(), linear)
+    return (torch.linalg.det(blended).abs() / 1e-3 - 1).abs() > 1e-4
+
+
+def check(avatar: HandAvatar, bones: FastBones, found: Gaussians, *, size_m: float = 1.0) -> None:
+    wanted, good = exactly(avatar, bones), sound(avatar, bones)
+    assert float(good.double().mean()) > 0.99
+    off_m = float((found.position_m - wanted.position_m)[good].abs().max())
+    assert off_m < 1.5e-7 * max(size_m, 1.0)  # observed 9.3e-8
+    assert float((found.rgb / wanted.rgb - 1)[good].abs().max()) < 2e-5  # observed 1.7e-5
+    assert bool(((found.sigma_m - wanted.sigma_m).abs() <= 1e-6 * wanted.sigma_m).all())  # observed 4.5e-7
+    assert found.covariance_m2 is not None
+    wanted_m2 = wanted.covariance_m2
+    if wanted_m2 is None:
+        wanted_m2 = wanted.sigma_m[:, None] ** 2 * torch.tensor([1.0, 0, 0, 1, 0, 1])
+    largest = wanted_m2[:, [0, 3, 5]].amax(1, keepdim=True)
+    assert bool(((found.covariance_m2 - wanted_m2).abs() <= 2e-6 * largest).all())  # observed 1.5e-6
+
+
+# ---- ordinary hands --------------------------------------------------------------------------------------------------
+
+KINDS = {
+    "network": AVATAR,
+    "cached": changed(correctives=CachedNet(net_of())),
+    "no correctives": changed(correctives=None),
+    "no cast shadow": changed(cast=None),
+    "no gloss": changed(shine=torch.zeros(601)),
+    "world offsets": changed(world_offsets=True),
+    **{f"linear-{basis}": changed(correctives=linear_tier(basis)) for basis in (1, 6, 8, 13, 44)},
+    "ellipsoids": ellipsoid_avatar(333),
+    "odd width": trained_avatar(50, shape=PoseNetShape((3, 3, 2), 6, 5, hidden=21)),
+    "full width": trained_avatar(70, shape=PoseNetShape(hidden=128)),
+    "too wide for the kernel": trained_avatar(33, shape=PoseNetShape((3, 3, 2), 6, 5, hidden=300)),
+    "without shade": trained_avatar(64, shape=PoseNetShape((3, 3, 2), 6, 5, hidden=24, shaded=False)),
+    "still metacarpals": trained_avatar(64, shape=PoseNetShape((3, 3, 2), 6, 5, hidden=24, level1=False)),
+}
+
+
+@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize("pose", ["open", "fist"])
+def test_native_skin_is_the_one_that_training_uses(library, name, pose):
+    avatar = KINDS[name]
+    bones = bones_of_hand(avatar, 1.1 * joints_of(pose))
+    check(avatar, bones, natively(library, avatar, bones))
+
+
+@pytest.mark.parametrize("name", ["network", "linear-8", "ellipsoids", "world offsets"])
+def test_left_hands_are_lit_as_the_world_lights_them(library, name):
+    avatar = KINDS[name].for_hand(Handedness.LEFT)
+    bones = bones_of_hand(avatar, joints_of("claw", Handedness.LEFT))
+    check(avatar, bones, natively(library, avatar, bones))
+
+
+@pytest.mark.parametrize("count", [1, 15, 16, 17, 47])
+@pytest.mark.parametrize("tier", ["network", "linear"])
+def test_any_number_of_gaussians_can_be_posed(library, count, tier):
+    avatar = trained_avatar(count, seed=5)
+    if tier == "linear":
+        avatar = changed(avatar, correctives=linear_tier(8, avatar))
+    bones = bones_of_hand(avatar, joints_of("fist"))
+    check(avatar, bones, natively(library, avatar, bones))
+
+
+def test_a_prefix_is_posed_with_its_own_correctives(library):
+    for whole in (AVATAR, changed(correctives=linear_tier(8))):
+        avatar = whole.prefix(123)
+        bones = bones_of_hand(avatar, joints_of("fist"))
+        check(avatar, bones, natively(library, avatar, bones))
+
+
+@pytest.mark.parametrize("name", ["network", "linear-13", "ellipsoids", "full width"])
+def test_native_skin_has_the_same_bits_from_any_number_of_threads(library, name):
+    avatar = KINDS[name]
+    bones = bones_of_hand(avatar, joints_of("pinch"))
+    one, *others = (natively(library, avatar, bones, threads=threads) for threads in (1, 2, 3))
+    for other in others:
+        for field in ("position_m", "sigma_m", "rgb", "covariance_m2"):
+            assert torch.equal(getattr(one, field), getattr(other, field)), field
+
+
+def test_gloss_follows_the_eye_and_leaves_nothing_behind(library):
+    bones = bones_of_hand(AVATAR, joints_of("relaxed"))
+    straight = natively(library, AVATAR, bones)
+    after_another = natively(library, AVATAR, bones, eyes_m=(-EYE_M, EYE_M))
+    assert torch.equal(straight.rgb, after_another.rgb)
+    assert float((natively(library, AVATAR, bones, eyes_m=(-EYE_M,)).rgb - straight.rgb).abs().max()) > 0.05
+
+
+def test_gloss_is_found_again_only_for_another_eye_or_pose(library):
+    skin = FastLearnedSkin(library, AVATAR)
+    with pytest.raises(InputError, match="pose"):
+        skin.prepare_gloss(EYE_M)
+    into = PosedArrays(np.zeros((skin.skin.rows, 3), np.float32), np.zeros(skin.skin.rows, np.float32))
+    rgb, bones = np.zeros((skin.skin.rows, 3), np.float32), bones_of_hand(AVATAR, joints_of("open"))
+    skin.prepare(bones, into, rgb, np.zeros(3))
+    assert [skin.prepare_gloss(eye) for eye in (EYE_M, EYE_M.copy(), -EYE_M)] == [True, False, True]
+    skin.prepare(bones, into, rgb, np.zeros(3))
+    assert skin.prepare_gloss(-EYE_M)
+    with pytest.raises(InputError, match="rgb"):
+        skin.prepare(bones, into, rgb[:-1], np.zeros(3))
+    matt = FastLearnedSkin(library, changed(shine=torch.zeros(601)))
+    matt.prepare(bones, into, rgb, np.zeros(3))
+    assert not matt.prepare_gloss(EYE_M)
+
+
+def test_features_of_the_bones_are_those_of_the_planes():
+    for level1 in (True, False):
+        shape = PoseNetShape((3, 3, 2), 6, 5, hidden=24, level1=level1)
+        planes = net_of(trained_avatar(20, shape=shape)).angles
+        g = np.random.default_rng(2)
+        for _ in range(20):
+            # far beyond the ranges too
+            angles = g.normal(0, 1.5, 37)
+            wanted = planes.double()(Angles.of(torch.from_numpy(angles))).detach().numpy()
+            assert np.abs(FastFeatures(planes)(angles) - wanted).max() < 1e-14  # observed 2.3e-15
+
+
+# ---- odd hands -------------------------------------------------------------------------------------------------------
+
+
+def flattened(bones: FastBones) -> FastBones:
+    """Every other finger pressed to a line: skin of its bones has hardly any volume."""
+    matrices = bones.linear_offset.copy()
+    matrices[[0, 1, 3, 6, 8, 11, 13, 16, 18], :, 1:3] *= 1e-3
+    return replace(bones, linear_offset=matrices)
+
+
+@pytest.mark.parametrize("name", ["network", "linear-8", "world offsets", "ellipsoids"])
+def test_where_a_blend_collapses_the_palm_turns_what_is_attached(library, name):
+    avatar = KINDS[name]
+    bones = flattened(bones_of_hand(avatar, joints_of("fist")))
+    maps = skin_maps(avatar.bone_weights, RootRelative.of(avatar, bones, np.zeros(3)), turned=False)
+    collapsed = torch.linalg.det(maps.linear.double()).abs() < 1e-3 * bones.scale**3
+    assert 0.01 < float(collapsed.double().mean()) < 0.99
+    check(avatar, bones, natively(library, avatar, bones))
+
+
+@pytest.mark.parametrize("size", [1e-6, 1e-3, 1e3])
+def test_hands_of_any_size_are_lit_alike(library, size):
+    """Smaller than float32 has cubes for, and larger than any hand."""
+    bones = bones_of_hand(AVATAR, size * joints_of("fist"))
+    check(AVATAR, bones, natively(library, AVATAR, bones), size_m=size)
+
+
+def test_a_hand_without_size_turns_nothing(library):
+    bones = bones_of_hand(AVATAR, np.zeros((21, 3)))
+    found, wanted = natively(library, AVATAR, bones), exactly(AVATAR, bones)
+    assert bool(torch.isfinite(found.rgb).all())
+    assert torch.allclose(found.rgb.double(), wanted.rgb, atol=1e-5)
+    assert torch.allclose(found.position_m.double(), wanted.position_m, atol=1e-8)
+    assert not bool(found.sigma_m.any())
+
+
+def test_a_normal_of_no_length_reflects_nothing_odd(library):
+    normal = learned_of(AVATAR).normal.clone()
+    normal[::7] = 0
+    avatar = changed(normal=normal)
+    bones = bones_of_hand(avatar, joints_of("open"))
+    found = natively(library, avatar, bones)
+    assert bool(torch.isfinite(found.rgb).all())
+    check(avatar, bones, found)
+
+
+def test_light_and_shade_stay_inside_their_range(library):
+    light = replace(learned_of(AVATAR).light, irradiance=20 * learned_of(AVATAR).light.irradiance)
+    avatar = changed(light=light)
+    bones = bones_of_hand(avatar, joints_of("open"))
+    check(avatar, bones, natively(library, avatar, bones))
+
+
+def test_correctives_with_weights_of_their_own_are_left_to_torch(library):
+    other = trained_avatar(601, seed=9)
+    avatar = changed(correctives=net_of(other))
+    bones = bones_of_hand(avatar, joints_of("fist"))
+    check(avatar, bones, natively(library, avatar, bones))
+
+
+def test_the_last_pose_is_not_remembered(library):
+    """Of networks, linear tiers and what torch gives: a second pose is that of a fresh hand."""
+    for name in ("network", "linear-13", "too wide for the kernel"):
+        avatar = KINDS[name]
+        skin = FastLearnedSkin(library, avatar)
+        into = PosedArrays(np.zeros((skin.skin.rows, 3), np.float32), np.zeros(skin.skin.rows, np.float32))
+        rgb = np.zeros((skin.skin.rows, 3), np.float32)
+        for pose in ("fist", "open"):
+            skin.prepare(bones_of_hand(avatar, joints_of(pose)), into, rgb, np.array([0.01, 0.02, -0.03]))
+            skin.run()
+        fresh = natively(library, avatar, bones_of_hand(avatar, joints_of("open")))
+        order = np.argsort(skin.skin.blocks.order)
+        assert np.array_equal(into.position_m[: len(avatar)][order], fresh.position_m.numpy())
+
+
+def test_a_correction_that_is_not_finite_is_never_drawn_as_something_else(library):
+    class Broken:
+        def __call__(self, frames) -> Correction:
+            nothing = torch.full((601, 3), torch.nan)
+            return Correction(nothing, nothing)
+
+        def prefix(self, count: int):
+            return self
+
+    avatar = changed(correctives=Broken())
+    found = natively(library, avatar, bones_of_hand(avatar, joints_of("open")))
+    assert bool(torch.isnan(found.position_m).all())

@@ -1,0 +1,92 @@
+"""Where cameras stand, and what they frame."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from jghand_engine.captures.making.cameras import CameraPlan, plan_cameras, sphere_directions
+from jghand_engine.captures.making.identities import load_identity
+from jghand_engine.captures.making.rig import RiggedHand
+from jghand_engine.errors import InputError
+
+PLAN = CameraPlan(count=14, close_ups=2, width=334, height=512)
+
+
+@pytest.fixture(scope="module")
+def posed() -> tuple[np.ndarray, np.ndarray]:
+    hand = RiggedHand(load_identity("big_man"))
+    pose = hand.pose(np.stack([hand.angles_of(name) for name in ("open", "fist", "spread")]))
+    return hand.skin(pose), pose.joints_m
+
+
+def pixels_of(camera, points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    matrix = camera.camera_from_world.numpy()
+    seen = points_m @ matrix[:3, :3].T + matrix[:3, 3]
+    return seen[..., :2] / seen[..., 2:] * [camera.fx, camera.fy] + [camera.cx, camera.cy], seen[..., 2]
+
+
+def test_every_pose_is_wholly_in_the_picture_and_fills_one_direction(posed):
+    for camera in plan_cameras(PLAN, *posed)[:12]:
+        px, depth = pixels_of(camera, posed[0].reshape(-1, 3))
+        assert depth.min() > 0.5
+        part = np.concatenate([px.min(0), px.max(0)]) / [334, 512, 334, 512]
+        # the margin is 3 %
+        assert part.min() > 0.0299
+        assert part.max() < 0.9701
+        assert (np.ptp(px, axis=0) / [334, 512]).max() == pytest.approx(0.94)
+
+
+def test_close_ups_show_a_part_of_the_hand_larger(posed):
+    cameras = plan_cameras(PLAN, *posed)
+    scales = [camera.fx / pixels_of(camera, posed[1])[1].mean() for camera in cameras]
+    assert min(scales[12:]) > 1.3 * max(scales[:12])
+    for camera in cameras[12:]:
+        px, _ = pixels_of(camera, posed[0].reshape(-1, 3))
+        inside = ((px >= 0) & (px <= [334, 512])).all(1)
+        assert 0.1 < inside.mean() < 1.0
+
+
+def test_cameras_stand_all_around_above_and_below(posed):
+    center = posed[0].reshape(-1, 3).mean(0)
+    eyes = np.stack([np.linalg.inv(camera.camera_from_world.numpy())[:3, 3] for camera in plan_cameras(PLAN, *posed)])
+    directions = (eyes - center)[:12] / np.linalg.norm((eyes - center)[:12], axis=1, keepdims=True)
+    for axis in np.concatenate([np.eye(3), -np.eye(3)]):
+        assert (directions @ axis).max() > 0.7
+
+
+def test_principal_points_are_off_the_center_and_pixels_square(posed):
+    cameras = plan_cameras(PLAN, *posed)[:12]
+    assert max(abs(camera.cx - 167) for camera in cameras) > 5
+    assert all(camera.fx == camera.fy for camera in cameras)
+
+
+def test_the_seed_decides_the_cameras(posed):
+    first, again, other = (plan_cameras(CameraPlan(6, 1, 64, 96, seed), *posed) for seed in (0, 0, 1))
+    assert [c.camera_from_world.tolist() for c in first] == [c.camera_from_world.tolist() for c in again]
+    assert first[0].camera_from_world.tolist() != other[0].camera_from_world.tolist()
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 40])
+def test_directions_are_unit_vectors_and_apart(count):
+    directions = sphere_directions(count, 0.3)
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1, atol=1e-12)
+    if count > 1:
+        cosine = directions @ directions.T - 2 * np.eye(count)
+        # a sphere shared out evenly leaves each about 3.5 / sqrt(n) radians
+        assert np.arccos(cosine.max().clip(-1, 1)) > 1.7 / count**0.5
+
+
+@pytest.mark.parametrize(
+    ("plan", "named"),
+    [
+        (CameraPlan(0, 0, 334, 512), "cameras"),
+        (CameraPlan(4, 4, 334, 512), "close-ups"),
+        (CameraPlan(4, -1, 334, 512), "close-ups"),
+        (CameraPlan(4, 1, 3, 512), "picture"),
+        (CameraPlan(4, 1, 334, 99999), "picture"),
+    ],
+)
+def test_what_cannot_be_is_refused_by_name(plan, named, posed):
+    with pytest.raises(InputError, match=named):
+        plan_cameras(plan, *posed)

@@ -1,0 +1,550 @@
+"""`jghand capture` from end to end with a stand-in for Blender: plan, pictures, resuming, shards, splits, failures."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from PIL import Image
+from waiting import wait_until
+
+from jghand_engine import __version__, limits
+from jghand_engine.captures.capture_folder import open_capture
+from jghand_engine.captures.making import plan as plan_module
+from jghand_engine.captures.making import shards, worker
+from jghand_engine.captures.making.identities import identity_names
+from jghand_engine.captures.making.look import Light
+from jghand_engine.captures.making.options import CaptureOptions
+from jghand_engine.captures.making.plan import CapturePlan, make_plan, open_or_make, read_plan
+from jghand_engine.captures.making.shards import overlapping
+from jghand_engine.captures.splits import split_capture
+from jghand_engine.cli import main
+from jghand_engine.errors import InputError, RetryError
+from jghand_engine.hand.anatomy import pose_sequence_of_names
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.lock import locked
+from jghand_engine.native import threads as cores
+from jghand_engine.template.builtin import load_template
+
+ROOT = Path(__file__).parents[2]
+WORDS = ["capture", "--identity", "3", "--cameras", "7", "--close-ups", "1", "--poses", "6", "--size", "32x48"]
+
+
+@pytest.fixture(autouse=True)
+def _stand_in(monkeypatch):
+    monkeypatch.setattr(worker, "WORKER", Path(__file__).with_name("stand_in_worker.py"))
+    monkeypatch.setattr(limits, "CAPTURE_SKIN_PX", 128)
+
+
+def capture(folder: Path, *words: str) -> int:
+    return main([*WORDS, "--out", str(folder), "--blender-python", sys.executable, *words])
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory) -> Path:
+    """One whole capture, to be copied."""
+    folder = tmp_path_factory.mktemp("capture") / "made"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(worker, "WORKER", Path(__file__).with_name("stand_in_worker.py"))
+        patch.setattr(limits, "CAPTURE_SKIN_PX", 128)
+        assert capture(folder) == 0
+    return folder
+
+
+@pytest.fixture
+def copied(made, tmp_path) -> Path:
+    return Path(shutil.copytree(made, tmp_path / "copied"))
+
+
+def pictures(folder: Path) -> list[Path]:
+    return sorted(folder.glob("images/**/*.png"))
+
+
+def test_a_capture_opens_as_a_data_set_with_exact_cameras_and_joints(made):
+    plan = read_plan(made)
+    assert plan is not None
+    capture = open_capture(made)
+    assert len(capture.samples) == 42
+    names = list(plan.record.cameras)
+    for sample in capture.samples:
+        camera = plan.cameras[names.index(sample.camera_name)]
+        # millimeters in between: observed 1e-16 m and 1e-13
+        np.testing.assert_allclose(sample.joints_m, plan.joints_m[sample.frame], atol=1e-15)
+        difference = sample.camera.camera_from_world - camera.camera_from_world
+        assert float(difference.abs().max()) < 1e-12
+        assert (sample.camera.fx, sample.camera.cx, sample.camera.cy) == (camera.fx, camera.cx, camera.cy)
+        assert sample.handedness is Handedness.RIGHT
+        assert sample.valid.all()
+
+
+def test_the_split_keeps_poses_and_cameras_for_the_test(made):
+    split = split_capture(open_capture(made))
+    frames = {sample.frame for sample in split.train}
+    cameras = {sample.camera_name for sample in split.train}
+    assert len(frames) == 5
+    assert len(cameras) == 6
+    assert all(s.frame not in frames and s.camera_name in cameras for s in split.novel_pose)
+    assert all(s.frame in frames and s.camera_name not in cameras for s in split.novel_view)
+    assert (len(split.train), len(split.novel_pose), len(split.novel_view), len(split.novel_both)) == (30, 6, 5, 1)
+
+
+def test_a_second_run_makes_nothing_again(copied, capsys):
+    times = {path: path.stat().st_mtime_ns for path in pictures(copied)}
+    assert capture(copied) == 0
+    assert "0 pictures" in capsys.readouterr().out
+    assert {path: path.stat().st_mtime_ns for path in pictures(copied)} == times
+
+
+def test_missing_broken_and_foreign_pictures_are_made_again_and_no_others(copied, capsys):
+    every = pictures(copied)
+    before = {path: path.read_bytes() for path in every}
+    every[0].unlink()
+    every[1].write_bytes(before[every[1]][:-30])
+    every[2].write_bytes(b"")
+    # a decoder takes it; only the checksum tells, by which opening the data set would refuse it
+    damaged = bytearray(before[every[3]])
+    damaged[damaged.rindex(b"IEND") - 5] ^= 0xFF
+    every[3].write_bytes(bytes(damaged))
+    with Image.open(every[3]) as picture:
+        picture.load()
+    Image.new("RGBA", (32, 48)).save(every[4])
+    shutil.copy(every[6], every[5])
+    half = every[0].with_name(".image0.0badcafe.png")
+    half.write_bytes(b"what a killed worker left")
+    assert capture(copied) == 0
+    assert not half.exists()
+    out = capsys.readouterr().out
+    assert "5 are broken or of another plan" in out
+    assert "6 pictures" in out
+    assert {path: path.read_bytes() for path in every} == before
+
+
+def test_a_stopped_capture_goes_on(tmp_path, monkeypatch, capsys, made):
+    monkeypatch.setenv("JGHAND_STAND_IN_FAILS_AT", "10")
+    assert capture(tmp_path / "stopped") == 3
+    error = capsys.readouterr().err
+    assert "the stand-in was told to fail" in error
+    assert "same command again" in error
+    assert len(pictures(tmp_path / "stopped")) == 10
+    monkeypatch.delenv("JGHAND_STAND_IN_FAILS_AT")
+    assert capture(tmp_path / "stopped") == 0
+    assert contents(tmp_path / "stopped") == contents(made)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes()
+        for path in sorted(folder.rglob("*"))
+        if path.is_file() and path.suffix != ".lock"
+    }
+
+
+def test_shards_in_any_order_make_the_same_capture(tmp_path, made):
+    for shard in ("3/3", "1/3", "2/3"):
+        assert capture(tmp_path / "sharded", "--shard", shard) == 0
+    assert contents(tmp_path / "sharded") == contents(made)
+
+
+def test_the_pictures_that_are_compared_show_pose_and_camera(made):
+    """Else a shard could mix them up unseen."""
+    shown = {Image.open(path).tobytes() for path in pictures(made)}
+    assert len(shown) == 42
+
+
+def test_two_blenders_do_not_make_one_capture(copied, monkeypatch, capsys):
+    """Their Cycles draw, and their denoisers smooth, in another way."""
+    before = contents(copied)
+    assert json.loads(before["plan/made_by.json"]) == {"Blender": "5.0.1", "JGHand": __version__}
+    first = pictures(copied)[0]
+    first.unlink()
+    monkeypatch.setenv("JGHAND_STAND_IN_BLENDER", "5.2.3")
+    assert capture(copied) == 2
+    error = " ".join(capsys.readouterr().err.split())
+    assert f"the capture in {copied}: wanted Blender 5.0.1, by which it was begun, got Blender 5.2.3" in error
+    assert "--blender-python" in error
+    assert not first.exists()
+    monkeypatch.delenv("JGHAND_STAND_IN_BLENDER")
+    assert capture(copied) == 0
+    assert contents(copied) == before
+
+
+def test_a_finished_capture_needs_no_blender_of_a_certain_version(copied, monkeypatch):
+    monkeypatch.setenv("JGHAND_STAND_IN_BLENDER", "5.2.3")
+    assert capture(copied) == 0
+
+
+def test_another_release_goes_on_with_a_capture_and_leaves_the_note_of_who_began_it(copied):
+    note = copied / "plan" / "made_by.json"
+    note.write_text(json.dumps({"Blender": "5.0.1", "JGHand": "0.0.1"}))
+    pictures(copied)[0].unlink()
+    before = note.read_bytes()
+    assert capture(copied) == 0
+    assert len(pictures(copied)) == 42
+    assert note.read_bytes() == before
+
+
+def test_pictures_of_which_nothing_says_who_made_them_are_not_signed_by_whoever_makes_the_rest(copied, monkeypatch):
+    """As of a capture that was begun before there was a note."""
+    (copied / "plan" / "made_by.json").unlink()
+    pictures(copied)[0].unlink()
+    monkeypatch.setenv("JGHAND_STAND_IN_BLENDER", "5.2.3")
+    assert capture(copied) == 0
+    assert len(pictures(copied)) == 42
+    assert not (copied / "plan" / "made_by.json").exists()
+
+
+def test_a_damaged_note_of_who_makes_a_capture_is_told(copied, capsys):
+    pictures(copied)[0].unlink()
+    (copied / "plan" / "made_by.json").write_text("[")
+    assert capture(copied) == 2
+    assert "made_by.json" in capsys.readouterr().err
+
+
+def test_cycles_takes_as_many_threads_as_the_process_may_use(tmp_path, monkeypatch, made):
+    """As a job on some cores of a large node."""
+    copied, render, taken = Path(shutil.copytree(made, tmp_path / "copied")), worker.render, []
+    pictures(copied)[0].unlink()
+
+    def noted(folder: Path, jobs: list, python: Path, threads: int):
+        taken.append(threads)
+        yield from render(folder, jobs, python, threads)
+
+    monkeypatch.setattr(worker, "render", noted)
+    monkeypatch.setattr(os, "cpu_count", lambda: 128)
+    monkeypatch.setattr(cores.os, "sched_getaffinity", lambda _process: {3, 5}, raising=False)
+    monkeypatch.setattr(cores, "_container_limit", lambda: None)
+    assert capture(copied) == 0
+    assert taken == ([2] if sys.platform == "linux" else [128])
+
+
+def test_annotations_that_are_right_are_not_written_and_need_no_lock(copied):
+    """Of many shards that begin together each would wait for all others."""
+    file = copied / "annotations/train/InterHand2.6M_train_data.json"
+    at_ns = file.stat().st_mtime_ns
+    plan = read_plan(copied)
+    assert plan is not None
+    with shards.alone(copied / "plan"):
+        plan_module.annotate(copied, plan)
+    assert file.stat().st_mtime_ns == at_ns
+    before = file.read_bytes()
+    plan_module.annotate(copied, plan, {1, 2})
+    assert file.read_bytes() != before
+    plan_module.annotate(copied, plan)
+    assert file.read_bytes() == before
+
+
+def test_shards_of_two_machines_are_one_capture_when_put_together(tmp_path, made):
+    for number in (1, 2):
+        assert capture(tmp_path / str(number), "--shard", f"{number}/2") == 0
+    together = contents(tmp_path / "1") | contents(tmp_path / "2")
+    first, second = ({path.name for path in pictures(tmp_path / number)} for number in ("1", "2"))
+    assert not first & second
+    assert together == contents(made)
+
+
+def test_an_unfinished_capture_can_be_used_and_finished_later(tmp_path, monkeypatch, capsys, made):
+    folder = tmp_path / "unfinished"
+    monkeypatch.setenv("JGHAND_STAND_IN_FAILS_AT", "17")
+    assert capture(folder) == 3
+    assert capture(folder, "--finished-only") == 0
+    assert "2 of 6 poses" in capsys.readouterr().out
+    assert len(open_capture(folder).samples) == 14
+    monkeypatch.delenv("JGHAND_STAND_IN_FAILS_AT")
+    assert capture(folder) == 0
+    assert contents(folder) == contents(made)
+
+
+def test_finished_only_begins_no_capture_in_a_mistyped_folder(tmp_path, capsys):
+    (tmp_path / "empty").mkdir()
+    for folder, came in ((tmp_path / "mistyped", "no such folder"), (tmp_path / "empty", "a folder without a plan")):
+        assert capture(folder, "--finished-only") == 2
+        error = capsys.readouterr().err
+        assert f"--out {folder}" in error
+        assert came in error
+    assert [path.name for path in tmp_path.rglob("*")] == ["empty"]
+
+
+def test_finishing_annotates_what_was_left_out_meanwhile(tmp_path, monkeypatch, made):
+    """--finished-only may run while pictures are still being made."""
+    folder, render = Path(shutil.copytree(made, tmp_path / "copied")), worker.render
+    pictures(folder)[-1].unlink()
+
+    def interrupted(*arguments):
+        assert capture(folder, "--finished-only") == 0
+        assert len(open_capture(folder).samples) == 35
+        yield from render(*arguments)
+
+    monkeypatch.setattr(worker, "render", interrupted)
+    assert capture(folder) == 0
+    assert len(open_capture(folder).samples) == 42
+
+
+def test_a_farm_may_say_skip_existing_to_a_capture_too(copied, capsys):
+    assert capture(copied, "--skip-existing", "--shard", "2/2") == 0
+    assert "0 pictures" in capsys.readouterr().out
+
+
+def test_a_killed_capture_loses_at_most_the_picture_that_it_was_at(tmp_path, made):
+    folder = tmp_path / "killed"
+    program = (
+        "import sys\nfrom pathlib import Path\nfrom jghand_engine import limits\n"
+        "from jghand_engine.captures.making import worker\nfrom jghand_engine.cli import main\n"
+        f"worker.WORKER, limits.CAPTURE_SKIN_PX = Path({str(worker.WORKER)!r}), 128\nsys.exit(main())\n"
+    )
+    command = [sys.executable, "-c", program, *WORDS, "--out", str(folder), "--blender-python", sys.executable]
+    environment = {**os.environ, "JGHAND_STAND_IN_TAKES_S": "0.05", "OMP_NUM_THREADS": "1"}
+    process = subprocess.Popen(command, env=environment, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    wait_until(lambda: len(pictures(folder)) >= 5 or process.poll() is not None, "five pictures")
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    there = len(pictures(folder))
+    assert 5 <= there < 42
+    assert capture(folder) == 0
+    assert contents(folder) == contents(made)
+
+
+def test_one_shard_is_made_by_one_process(copied, capsys):
+    with locked(copied / "plan" / "shard_1_of_2.lock"):
+        assert capture(copied, "--shard", "1/2") == 3
+        assert f"process {os.getpid()}" in capsys.readouterr().err
+        assert capture(copied, "--shard", "2/2") == 0
+
+
+def test_shards_of_different_counts_do_not_make_the_same_picture_at_once(copied, capsys):
+    with locked(copied / "plan" / "shard_2_of_4.lock"):
+        for shard in ("1/1", "2/2", "2/3"):
+            assert capture(copied, "--shard", shard) == 3
+            assert "shard 2/4" in capsys.readouterr().err
+        for shard in ("1/2", "3/4", "4/6"):
+            assert capture(copied, "--shard", shard) == (3 if shard == "4/6" else 0)
+    assert capture(copied) == 0
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_of_two_processes_that_begin_a_capture_at_once_only_one_writes_its_plan(tmp_path, monkeypatch, seed):
+    """The other one begins and writes while the first is still making its plan; with other options it is refused."""
+    folder, first = tmp_path / "raced", CaptureOptions("3", cameras=4, close_ups=0, poses=2, width=32, height=48)
+    other, plans = dataclasses.replace(first, seed=seed), []
+
+    def overtaken(options: CaptureOptions) -> CapturePlan:
+        if options is first:
+            plans.append(open_or_make(folder, other))
+        return make_plan(options)
+
+    monkeypatch.setattr(plan_module, "make_plan", overtaken)
+    if seed:
+        with pytest.raises(InputError, match="got seed 0 instead of 1"):
+            open_or_make(folder, first)
+    else:
+        assert open_or_make(folder, first).description == plans[0].description
+    again = read_plan(folder)
+    assert again is not None
+    assert again.description == plans[0].description
+    np.testing.assert_array_equal(again.vertices_m, plans[0].vertices_m)
+
+
+def test_other_options_than_those_that_a_capture_was_begun_with_are_named(tmp_path):
+    begun = CaptureOptions("3", cameras=4, close_ups=0, poses=2, width=32, height=48)
+    open_or_make(tmp_path, begun)
+    other = dataclasses.replace(begun, identity="4", cameras=5, light=Light(hdri_strength=0.1))
+    told = "got identity adult_woman instead of adult_man; cameras 5 instead of 4; another light"
+    with pytest.raises(InputError, match=told):
+        open_or_make(tmp_path, other)
+    assert open_or_make(tmp_path, dataclasses.replace(begun, identity="adult_man")).description["cameras"] == 4
+
+
+def test_a_plan_is_not_written_while_another_process_writes(tmp_path, monkeypatch):
+    monkeypatch.setattr(shards, "CAPTURE_LOCK_WAIT_S", 0.05)
+    options = CaptureOptions("3", cameras=4, close_ups=0, poses=2, width=32, height=48)
+    with shards.alone(tmp_path / "plan"), pytest.raises(RetryError, match="start of a capture"):
+        open_or_make(tmp_path, options)
+    assert not list((tmp_path / "plan").glob("*.json"))
+    open_or_make(tmp_path, options)
+
+
+def test_shards_overlap_exactly_where_they_have_a_pose_in_common():
+    shards = [(number, count) for count in range(1, 7) for number in range(1, count + 1)]
+    for one in shards:
+        for other in shards:
+            both = set(range(one[0], 100, one[1])) & set(range(other[0], 100, other[1]))
+            assert overlapping(one, other) == bool(both)
+
+
+def test_the_users_environment_goes_into_the_capture(tmp_path, capsys):
+    """It then goes on where that file is not, or lies elsewhere."""
+    file = tmp_path / "Sky.HDR"
+    file.write_bytes(b"light")
+    folder, words = tmp_path / "capture", ("--poses", "1", "--cameras", "1", "--close-ups", "0")
+    assert capture(folder, *words, "--hdri", str(file)) == 0
+    assert (folder / "plan" / "light.hdr").read_bytes() == b"light"
+    assert str(tmp_path) not in (folder / "plan" / "plan.json").read_text(encoding="utf-8")
+    moved = tmp_path / "moved"
+    folder.rename(moved)
+    file.unlink()
+    capsys.readouterr()
+    assert capture(moved, *words, "--hdri", str(moved / "plan" / "light.hdr")) == 0
+    assert "0 pictures" in capsys.readouterr().out
+    (moved / "plan" / "light.hdr").unlink()
+    with pytest.raises(InputError, match=r"light\.hdr"):
+        read_plan(moved)
+
+
+def test_a_folder_takes_no_second_capture(copied, capsys):
+    before = contents(copied)
+    assert capture(copied, "--seed", "1") == 2
+    assert "seed" in capsys.readouterr().err
+    assert contents(copied) == before
+
+
+@pytest.mark.parametrize("damage", ["plan.json", "hands.npz", "skin.png"])
+def test_a_damaged_plan_is_told_and_not_replaced(copied, damage, capsys):
+    """What pictures belong to it can no longer be said."""
+    file = copied / "plan" / damage
+    if damage == "skin.png":
+        file.unlink()
+    else:
+        file.write_bytes(file.read_bytes()[:-40])
+    assert capture(copied) == 2
+    assert "the plan of the capture" in capsys.readouterr().err
+
+
+def test_poses_can_come_from_a_motion():
+    plan = plan_of_motion(Handedness.RIGHT)
+    assert plan.pose_names == ("frame_0", "frame_5", "frame_9", "frame_14")
+    mirrored = plan_of_motion(Handedness.LEFT)
+    # a left hand's motion is played by the right hand
+    np.testing.assert_allclose(mirrored.joints_m, plan.joints_m, atol=1e-12)
+
+
+def plan_of_motion(handedness: Handedness) -> CapturePlan:
+    whole = pose_sequence_of_names(["open", "fist"], load_template().joints_m, handedness=handedness)
+    motion = PoseSequence(whole.joints_m[8:23], 30.0, handedness)
+    return make_plan(CaptureOptions("3", cameras=2, close_ups=0, poses=4, width=32, height=48, motion=motion))
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["--shard", "0/2"], "--shard"),
+        (["--shard", "3/2"], "--shard"),
+        (["--shard", "half"], "--shard"),
+        (["--samples", "0"], "samples"),
+        (["--poses", "0"], "poses"),
+        (["--cameras", "0"], "cameras"),
+        (["--wrist-turn", "-1"], "wrist turn"),
+        (["--wrist-turn", "nan"], "wrist turn"),
+        (["--hdri", "moonbase"], "environment"),
+        (["--hdri-turn", "nan"], "turn of the environment"),
+        (["--lamps", "-1"], "brightness of the lamps"),
+        (["--lamps", "nan"], "brightness of the lamps"),
+        (["--skin", "absent.png"], "absent.png"),
+        (["--seed", "-1"], "seed"),
+        (["--size", "0x10"], "--size"),
+    ],
+)
+def test_bad_options_are_refused_by_name_and_write_nothing(tmp_path, words, named, capsys):
+    assert capture(tmp_path / "bad", *words) == 2
+    assert named in capsys.readouterr().err
+    assert not pictures(tmp_path / "bad")
+
+
+def test_a_python_that_is_not_there_is_refused(tmp_path, capsys):
+    assert main([*WORDS, "--out", str(tmp_path / "none"), "--blender-python", str(tmp_path / "python")]) == 2
+    assert "--blender-python" in capsys.readouterr().err
+
+
+def test_without_any_blender_the_remedy_is_told(monkeypatch, tmp_path):
+    monkeypatch.setattr(worker, "PROJECT", tmp_path)
+    monkeypatch.setattr(worker.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(InputError, match="--blender-python"):
+        worker.find_blender_python()
+
+
+def test_the_real_worker_says_when_its_python_has_no_bpy(tmp_path, monkeypatch, made):
+    """The engine's own Python has none; where it has, there is nothing to show."""
+    if worker.importlib.util.find_spec("bpy"):
+        pytest.skip("this Python has bpy")
+    monkeypatch.setattr(worker, "WORKER", ROOT / "jghand_cycles" / "__main__.py")
+    plan = read_plan(made)
+    assert plan is not None
+    with pytest.raises(InputError, match="bpy"):
+        list(worker.render(made, plan.jobs(tmp_path), Path(sys.executable), threads=1))
+
+
+def test_a_program_that_is_no_worker_is_told_with_its_last_words(tmp_path, monkeypatch, made):
+    program = tmp_path / "program.py"
+    program.write_text("import sys; print('hello'); sys.exit('no worker at all')", encoding="utf-8")
+    monkeypatch.setattr(worker, "WORKER", program)
+    plan = read_plan(made)
+    assert plan is not None
+    with pytest.raises(RetryError, match="no worker at all"):
+        list(worker.render(made, plan.jobs(tmp_path), Path(sys.executable), threads=1))
+
+
+def test_every_joint_is_inside_the_picture_of_whole_hands(made):
+    plan = read_plan(made)
+    assert plan is not None
+    for camera in plan.cameras[:-1]:
+        matrix = camera.camera_from_world.numpy()
+        seen = plan.joints_m @ matrix[:3, :3].T + matrix[:3, 3]
+        px = seen[..., :2] / seen[..., 2:] * camera.fx + [camera.cx, camera.cy]
+        assert (px > 0).all()
+        assert (px < [camera.width, camera.height]).all()
+
+
+def test_the_plan_in_the_folder_is_the_plan_that_was_made(copied):
+    plan = read_plan(copied)
+    assert plan is not None
+    assert isinstance(plan.cameras[0].camera_from_world, torch.Tensor)
+    stamps = {job.stamp for job in plan.jobs(copied)}
+    assert len(stamps) == 42
+    annotations = json.loads((copied / "annotations/train/InterHand2.6M_train_data.json").read_text())
+    assert {image["file_name"] for image in annotations["images"]} == {
+        path.relative_to(copied / "images/train").as_posix() for path in pictures(copied)
+    }
+
+
+def test_the_stamp_of_a_picture_survives_without_blenders_texts():
+    """The worker's own PNG code, which needs no Blender."""
+    code = (
+        "import sys, io; sys.path.insert(0, sys.argv[1])\n"
+        "from jghand_cycles.png import stamped\n"
+        "from PIL import Image, PngImagePlugin\n"
+        "texts = PngImagePlugin.PngInfo(); texts.add_text('Date', 'today')\n"
+        "raw = io.BytesIO(); Image.new('RGBA', (5, 4), (1, 2, 3, 4)).save(raw, 'PNG', pnginfo=texts)\n"
+        "new = Image.open(io.BytesIO(stamped(raw.getvalue(), 'abc')))\n"
+        "assert new.info == {'jghand-stamp': 'abc'}, new.info\n"
+        "assert new.getpixel((4, 3)) == (1, 2, 3, 4)\n"
+        "for broken in (b'', raw.getvalue()[:-5], raw.getvalue()[5:]):\n"
+        "    try: stamped(broken, 'abc')\n"
+        "    except ValueError: continue\n"
+        "    sys.exit('a broken PNG passed')\n"
+    )
+    subprocess.run([sys.executable, "-c", code, str(ROOT)], check=True)
+
+
+def test_help_names_every_identity(capsys):
+    with pytest.raises(SystemExit):
+        main(["capture", "--help"])
+    text = " ".join(capsys.readouterr().out.replace("│", " ").split())
+    for number, name in enumerate(identity_names()):
+        assert f"{number} {name}" in text
+
+
+def test_options_that_decide_nothing_of_the_pictures_may_change(copied):
+    """The hand's name instead of its number: the same capture."""
+    plan = read_plan(copied)
+    assert plan is not None
+    for identity in ("3", "adult_man"):
+        options = CaptureOptions(identity, cameras=7, close_ups=1, poses=6, width=32, height=48)
+        assert open_or_make(copied, options).description == plan.description

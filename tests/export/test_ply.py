@@ -1,0 +1,160 @@
+"""PLY files hold what the engine computes, in the layout and the axes that splat viewers expect."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from scipy.spatial.transform import Rotation
+from small_avatars import ellipsoid_avatar
+from usd_samples import engine_gaussians, lively_motion, small_avatar
+
+from jghand_engine.avatar.skinning import pose_gaussians
+from jghand_engine.errors import InputError, RetryError
+from jghand_engine.export.splats.cloud import AXES_FROM_RUB, RUB_FROM_UP
+from jghand_engine.export.splats.files import SplatOptions, export_splats
+from jghand_engine.export.splats.ply import BYTES_PER_GAUSSIAN
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.limits import SH_C0
+
+FRAMES = 3
+# worst observed: the steps of float32 at 0.5 m, and what logit and logarithm lose of opacity and size
+POSITION_ERROR_M, SHARE_ERROR = 1e-7, 2e-6
+COVARIANCE_ERROR_M2 = 1e-11
+
+
+def fields(path) -> dict[str, np.ndarray]:
+    """A reader of its own: by name, as the header says."""
+    content = path.read_bytes()
+    end = content.index(b"end_header\n") + len(b"end_header\n")
+    lines = content[:end].decode("ascii").splitlines()
+    assert lines[:2] == ["ply", "format binary_little_endian 1.0"]
+    names = [line.split()[2] for line in lines if line.startswith("property float ")]
+    (count,) = [int(line.split()[2]) for line in lines if line.startswith("element vertex ")]
+    table = np.frombuffer(content, "<f4", offset=end).reshape(count, len(names))
+    return {name: table[:, place] for place, name in enumerate(names)}
+
+
+def columns(data: dict[str, np.ndarray], *names: str) -> np.ndarray:
+    return np.stack([data[name] for name in names], -1).astype(np.float64)
+
+
+@pytest.fixture(scope="module", params=list(Handedness))
+def exported(request, tmp_path_factory):
+    avatar, motion = small_avatar(), lively_motion(request.param, FRAMES)
+    report = export_splats(tmp_path_factory.mktemp("ply"), avatar, motion, SplatOptions(first_frame=7))
+    return report, avatar, motion
+
+
+def test_there_is_a_file_for_every_frame_with_its_number(exported):
+    report, avatar, _ = exported
+    assert [path.name for path in report.files] == ["hand.0007.ply", "hand.0008.ply", "hand.0009.ply"]
+    assert report.bytes == sum(path.stat().st_size for path in report.files)
+    assert 0 < report.files[0].stat().st_size - BYTES_PER_GAUSSIAN * len(avatar) < 1000
+
+
+def test_positions_colors_opacities_and_sizes_are_the_engines(exported):
+    report, avatar, motion = exported
+    centers, radii = engine_gaussians(avatar, motion)
+    for path, center, radius in zip(report.files, centers, radii, strict=True):
+        data = fields(path)
+        assert np.abs(columns(data, "x", "y", "z") * [1, -1, -1] - center).max() <= POSITION_ERROR_M
+        rgb = columns(data, "f_dc_0", "f_dc_1", "f_dc_2") * SH_C0 + 0.5
+        assert np.abs(rgb - avatar.rgb.numpy()).max() <= SHARE_ERROR
+        opacity = 1 / (1 + np.exp(-data["opacity"].astype(np.float64)))
+        assert np.abs(opacity - avatar.opacity.numpy()).max() <= SHARE_ERROR
+        sizes = np.exp(columns(data, "scale_0", "scale_1", "scale_2"))
+        assert np.abs(sizes / radius[:, None] - 1).max() <= SHARE_ERROR
+        assert (columns(data, "rot_0", "rot_1", "rot_2", "rot_3") == [1, 0, 0, 0]).all()
+        assert (columns(data, "nx", "ny", "nz") == 0).all()
+
+
+def test_another_reader_finds_the_same_points(exported):
+    report, *_ = exported
+    read = trimesh.load(report.files[0], process=False)
+    assert np.allclose(read.vertices, columns(fields(report.files[0]), "x", "y", "z"), rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("up", ["y", "z"])
+@pytest.mark.parametrize("axes", ["rdf", "rub"])
+def test_axes_are_turned_and_never_mirrored(tmp_path, axes, up):
+    turn = AXES_FROM_RUB[axes] @ RUB_FROM_UP[up]
+    assert np.linalg.det(turn) == pytest.approx(1)
+    up_in_file = turn @ {"y": [0, 1, 0], "z": [0, 0, 1]}[up]
+    assert up_in_file.tolist() == {"rdf": [0, -1, 0], "rub": [0, 1, 0]}[axes]
+
+
+@pytest.mark.parametrize("up", ["y", "z"])
+def test_ellipsoids_keep_their_shape_and_turn_with_the_axes(tmp_path, up):
+    avatar, motion = ellipsoid_avatar(), lively_motion(Handedness.RIGHT, 1)
+    options = SplatOptions(up=up)
+    data = fields(export_splats(tmp_path, avatar, motion, options).files[0])
+    turns = Rotation.from_quat(columns(data, "rot_0", "rot_1", "rot_2", "rot_3"), scalar_first=True).as_matrix()
+    sizes = np.exp(columns(data, "scale_0", "scale_1", "scale_2"))
+    written = np.einsum("nab,nb,ncb->nac", turns, sizes**2, turns)
+    bones = avatar.bone_transform().bones(torch.tensor(motion.joints_m[0]))
+    posed = pose_gaussians(avatar, bones, frames=bones.frames).covariance_m2
+    assert posed is not None
+    six = posed.numpy().astype(np.float64)
+    whole = six[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
+    turn = AXES_FROM_RUB["rdf"] @ RUB_FROM_UP[up]
+    wanted = turn @ whole @ turn.T
+    assert np.abs(written - wanted).max() <= COVARIANCE_ERROR_M2
+
+
+def test_a_longer_sequence_of_that_name_is_not_mixed_with_a_new_one(tmp_path):
+    avatar = small_avatar()
+    export_splats(tmp_path, avatar, lively_motion(Handedness.RIGHT, 3))
+    with pytest.raises(InputError, match=r"hand\.0002\.ply"):
+        export_splats(tmp_path, avatar, lively_motion(Handedness.RIGHT, 2))
+    export_splats(tmp_path, avatar, lively_motion(Handedness.RIGHT, 2), SplatOptions(name="other"))
+
+
+def test_a_motion_is_made_in_parts_whose_frames_keep_their_numbers(tmp_path):
+    avatar, motion, options = small_avatar(), lively_motion(Handedness.RIGHT, 7), SplatOptions(first_frame=3)
+    whole = export_splats(tmp_path / "whole", avatar, motion, options)
+    parts = [
+        export_splats(tmp_path / "parts", avatar, motion, options, frames=frames).files
+        for frames in (range(4, 7), range(0, 4, 2), range(1, 4, 2))
+    ]
+    assert [path.name for path in parts[1]] == ["hand.0003.ply", "hand.0005.ply"]
+    assert sorted(path.name for part in parts for path in part) == [path.name for path in whole.files]
+    for path in whole.files:
+        assert path.read_bytes() == (tmp_path / "parts" / path.name).read_bytes()
+
+
+def test_frames_that_stay_beside_those_of_a_part_are_counted(tmp_path):
+    """Files of splats do not say which motion they are of."""
+    avatar, motion = small_avatar(), lively_motion(Handedness.RIGHT, 4)
+    assert export_splats(tmp_path, avatar, motion, frames=range(3)).kept == 0
+    assert export_splats(tmp_path, avatar, motion, frames=range(3, 4)).kept == 3
+    other = lively_motion(Handedness.LEFT, 4)
+    assert export_splats(tmp_path, avatar, other, SplatOptions(overwrite=True), frames=range(1, 3)).kept == 2
+    assert export_splats(tmp_path, avatar, other, SplatOptions(overwrite=True)).kept == 0
+
+
+def test_frames_that_are_there_are_replaced_only_where_that_is_asked_for(tmp_path):
+    avatar = small_avatar()
+    first, second = lively_motion(Handedness.RIGHT, 3), lively_motion(Handedness.LEFT, 3)
+    (path, *_) = export_splats(tmp_path, avatar, first).files
+    before = path.read_bytes()
+    with pytest.raises(InputError, match="--overwrite"):
+        export_splats(tmp_path, avatar, second, frames=range(1))
+    assert path.read_bytes() == before
+    export_splats(tmp_path, avatar, second, SplatOptions(overwrite=True))
+    assert path.read_bytes() != before
+
+
+def test_a_disk_that_is_too_small_is_told_before_the_work(tmp_path, monkeypatch):
+    usage = type("Usage", (), {"free": 1000})
+    monkeypatch.setattr("shutil.disk_usage", lambda _: usage)
+    with pytest.raises(RetryError, match="too small"):
+        export_splats(tmp_path, small_avatar(), lively_motion(Handedness.RIGHT, 2))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("wrong", [{"name": "a/b"}, {"name": ""}, {"axes": "xyz"}, {"up": "x"}, {"format": "obj"}])
+def test_options_that_make_no_file_are_refused(wrong):
+    with pytest.raises(InputError):
+        SplatOptions(**wrong)

@@ -1,0 +1,193 @@
+"""Splat files of every format hold what the engine has, by readers written from the formats' descriptions."""
+
+from __future__ import annotations
+
+import builtins
+import gzip
+import json
+import struct
+import sys
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial.transform import Rotation
+from small_avatars import trained_avatar
+from usd_samples import engine_gaussians, lively_motion, small_avatar
+
+from jghand_engine.avatar.skinning import pose_gaussians
+from jghand_engine.color import srgb_to_linear
+from jghand_engine.errors import InputError
+from jghand_engine.export.splats.cloud import SplatCloud
+from jghand_engine.export.splats.dot_splat import splat_bytes
+from jghand_engine.export.splats.files import FORMATS, SplatMotion, SplatOptions, export_splats
+from jghand_engine.export.splats.gltf import EXTENSION, glb_bytes
+from jghand_engine.export.splats.spz import fractional_bits, spz_bytes
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.limits import SH_C0
+
+HALF_BYTE = 0.5 / 255 + 1e-6
+
+
+def some_cloud(axes: str, count: int = 500) -> SplatCloud:
+    """Ellipsoids in all directions; the first has no rotation, the second half a turn about each axis in a row."""
+    rng = np.random.default_rng(3)
+    turns = Rotation.from_quat(rng.normal(size=(count, 4))).as_quat(scalar_first=True)
+    turns[:4] = np.eye(4)
+    return SplatCloud(
+        rng.uniform(-0.3, 0.3, (count, 3)),
+        rng.uniform(0.0002, 0.004, (count, 3)),
+        turns,
+        np.concatenate([[0.0, 1.0], rng.uniform(0, 1, count - 2)]),
+        np.concatenate([[[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]], rng.uniform(0, 1, (count - 2, 3))]),
+        axes,
+    )
+
+
+def apart_deg(found_wxyz: np.ndarray, wanted_wxyz: np.ndarray) -> float:
+    """The largest angle between rotations, degrees."""
+    found = Rotation.from_quat(found_wxyz, scalar_first=True)
+    return float(np.degrees((found.inv() * Rotation.from_quat(wanted_wxyz, scalar_first=True)).magnitude()).max())
+
+
+def test_a_splat_file_holds_32_bytes_for_each_gaussian():
+    cloud = some_cloud("rdf")
+    rows = np.frombuffer(splat_bytes(cloud), np.uint8).reshape(len(cloud), 32)
+    numbers = rows[:, :24].copy().view("<f4")
+    assert np.array_equal(numbers[:, :3], cloud.positions_m.astype(np.float32))
+    assert np.array_equal(numbers[:, 3:], cloud.scales_m.astype(np.float32))
+    assert np.abs(rows[:, 24:27] / 255 - cloud.rgb).max() <= HALF_BYTE
+    assert np.abs(rows[:, 27] / 255 - cloud.opacity).max() <= HALF_BYTE
+    # seen 0.73 degrees: steps of 1/128 in each component
+    assert apart_deg((rows[:, 28:32].astype(float) - 128) / 128, cloud.rotations_wxyz) < 0.75
+
+
+def glb_parts(content: bytes) -> tuple[dict, bytes]:
+    magic, version, total, text_bytes, text_kind = struct.unpack_from("<IIIII", content)
+    assert (magic, version, total, text_kind) == (0x46546C67, 2, len(content), 0x4E4F534A)
+    assert text_bytes % 4 == 0
+    binary_bytes, binary_kind = struct.unpack_from("<II", content, 20 + text_bytes)
+    assert (binary_kind, 28 + text_bytes + binary_bytes) == (0x004E4942, total)
+    return json.loads(content[20 : 20 + text_bytes]), content[28 + text_bytes :]
+
+
+def test_a_glb_file_holds_linear_sizes_and_quaternions_with_w_last():
+    cloud = some_cloud("rub")
+    about, binary = glb_parts(glb_bytes(cloud))
+    assert about["extensionsUsed"] == [EXTENSION]
+    (primitive,) = about["meshes"][0]["primitives"]
+    assert primitive["mode"] == 0
+    assert primitive["extensions"][EXTENSION]["kernel"] == "ellipse"
+    assert primitive["extensions"][EXTENSION]["colorSpace"] == "srgb_rec709_display"
+
+    def values(name: str) -> np.ndarray:
+        accessor = about["accessors"][primitive["attributes"][name]]
+        view = about["bufferViews"][accessor["bufferView"]]
+        dtype = {5126: "<f4", 5121: "u1"}[accessor["componentType"]]
+        width = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[accessor["type"]]
+        assert view["byteOffset"] % 4 == 0
+        data = np.frombuffer(binary, dtype, accessor["count"] * width, view["byteOffset"]).reshape(-1, width)
+        assert data.nbytes == view["byteLength"]
+        if "min" in accessor:
+            assert (data.min(0).tolist(), data.max(0).tolist()) == (accessor["min"], accessor["max"])
+        return data
+
+    assert "min" in about["accessors"][primitive["attributes"]["POSITION"]]
+    assert np.array_equal(values("POSITION"), cloud.positions_m.astype(np.float32))
+    assert np.array_equal(values(f"{EXTENSION}:SCALE"), cloud.scales_m.astype(np.float32))
+    assert np.array_equal(values(f"{EXTENSION}:ROTATION")[:, [3, 0, 1, 2]], cloud.rotations_wxyz.astype(np.float32))
+    assert np.array_equal(values(f"{EXTENSION}:OPACITY")[:, 0], cloud.opacity.astype(np.float32))
+    harmonics = values(f"{EXTENSION}:SH_DEGREE_0_COEF_0").astype(np.float64)
+    assert np.abs(harmonics * SH_C0 + 0.5 - cloud.rgb).max() < 1e-7
+    light = values("COLOR_0") / 255
+    assert np.abs(light[:, :3] - srgb_to_linear(cloud.rgb)).max() <= HALF_BYTE
+
+
+def spz_quaternions(packed: np.ndarray) -> np.ndarray:
+    """w, x, y, z from the 32 bits of SPZ 3, one at a time, as the format's own library unpacks them."""
+    result = []
+    for number in packed.tolist():
+        largest, values = number >> 30, [0.0] * 4
+        for place in (3, 2, 1, 0):
+            if place != largest:
+                size = (number & 511) / 511 / np.sqrt(2)
+                values[place] = -size if number >> 9 & 1 else size
+                number >>= 10
+        values[largest] = np.sqrt(1 - sum(value**2 for value in values))
+        result.append([values[3], *values[:3]])
+    return np.array(result)
+
+
+def test_an_spz_file_holds_positions_finer_than_a_hundredth_of_a_millimeter():
+    cloud = some_cloud("rub")
+    content = gzip.decompress(spz_bytes(cloud))
+    magic, version, count, degree, bits, flags, zero = struct.unpack_from("<IIIBBBB", content)
+    assert (magic, version, count, degree, flags, zero) == (0x5053474E, 3, len(cloud), 0, 0, 0)
+    parts, start = [], 16
+    for width in (9, 1, 3, 3, 4):
+        parts.append(np.frombuffer(content, np.uint8, count * width, start).reshape(count, width))
+        start += count * width
+    assert start == len(content)
+    positions, alphas, colors, sizes, turns = parts
+    whole = np.pad(positions.reshape(-1, 3, 3), ((0, 0), (0, 0), (1, 0))).copy().view("<i4")[..., 0] >> 8
+    assert np.abs(whole / 2**bits - cloud.positions_m).max() <= 2.0**-19
+    assert np.abs(alphas[:, 0] / 255 - cloud.opacity).max() <= HALF_BYTE
+    assert np.abs((colors / 255 - 0.5) / 0.15 * SH_C0 + 0.5 - cloud.rgb).max() <= HALF_BYTE * SH_C0 / 0.15
+    assert np.abs(sizes / 16 - 10 - np.log(cloud.scales_m)).max() <= 1 / 32 + 1e-9
+    # seen 0.184 degrees: 9 bits for each of three components
+    assert apart_deg(spz_quaternions(turns.copy().view("<u4")[:, 0]), cloud.rotations_wxyz) < 0.19
+
+
+@pytest.mark.parametrize(("farthest_m", "bits"), [(0.0, 18), (0.3, 18), (31.9, 18), (32.0, 17), (1000.0, 13), (1e6, 3)])
+def test_spz_keeps_as_many_bits_as_the_farthest_gaussian_leaves(farthest_m, bits):
+    assert fractional_bits(np.array([[0.0, -farthest_m, 0.0]])) == bits
+    assert round(farthest_m * 2**bits) < 2**23
+
+
+def test_equal_hands_give_equal_files():
+    for kind in (kind for name, kind in FORMATS.items() if name != "sog"):
+        assert kind.encode(some_cloud(kind.axes[0])) == kind.encode(some_cloud(kind.axes[0]))
+
+
+def test_a_trained_hand_has_the_colors_of_every_frame(tmp_path):
+    avatar, motion = trained_avatar(), lively_motion(Handedness.RIGHT, 2)
+    clouds = SplatMotion(avatar, motion, axes="rub")
+    for index, joints_m in enumerate(motion.joints_m):
+        bones = avatar.bone_transform().bones(torch.tensor(joints_m))
+        rgb = pose_gaussians(avatar, bones, frames=bones.frames).rgb.clamp(0, 1).numpy()
+        # worst observed 3e-6: the export poses in float32
+        assert np.abs(clouds.cloud(index).rgb - rgb).max() < 5e-6
+    assert np.abs(clouds.cloud(1).rgb - clouds.cloud(0).rgb).max() > 0.01
+
+
+@pytest.mark.parametrize("format", ["splat", "glb", "spz"])
+def test_a_motion_becomes_numbered_files_in_the_axes_of_the_format(tmp_path, format):
+    avatar, motion = small_avatar(), lively_motion(Handedness.LEFT, 2)
+    report = export_splats(tmp_path, avatar, motion, SplatOptions(format, "left", first_frame=41))
+    assert [path.name for path in report.files] == [f"left.0041.{format}", f"left.0042.{format}"]
+    assert report.axes == ("rdf" if format == "splat" else "rub")
+    if format == "splat":
+        written = np.frombuffer(report.files[1].read_bytes(), "<f4").reshape(-1, 8)[:, :3]
+        centers, _ = engine_gaussians(avatar, motion)
+        # worst observed: the steps of float32 at 0.5 m
+        assert np.abs(written * [1, -1, -1] - centers[1]).max() <= 1e-7
+
+
+def test_gltf_is_not_written_in_axes_that_it_does_not_have():
+    with pytest.raises(InputError, match="axes of glb files: wanted rub, got 'rdf'"):
+        SplatOptions("glb", axes="rdf")
+
+
+def test_without_its_package_sog_says_what_to_install_before_anything_is_written(tmp_path, monkeypatch):
+    real = builtins.__import__
+
+    def without(name, *words, **options):
+        if name == "gaussforge":
+            raise ImportError(name)
+        return real(name, *words, **options)
+
+    monkeypatch.delitem(sys.modules, "gaussforge", raising=False)
+    monkeypatch.setattr(builtins, "__import__", without)
+    with pytest.raises(InputError, match=r"jghand\[formats\]"):
+        export_splats(tmp_path / "new", small_avatar(), lively_motion(Handedness.RIGHT, 1), SplatOptions("sog"))
+    assert not (tmp_path / "new").exists()

@@ -1,0 +1,169 @@
+"""From what is being learned to an avatar of plain numbers, which goes on living apart from it."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from painted_samples import mirrored, painted_samples
+from small_hands import INFO, SMALL_MODEL, frames_of, joints_of, small_hand
+from small_trainings import SMALL, small_training
+
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.model import Shape
+from jghand_engine.captures.sample import Sample
+from jghand_engine.hand.joints import LEVEL_NAMES, PARENTS, Handedness
+from jghand_engine.hand.transform import JointTransform
+from jghand_engine.learn.bake import angle_ranges, bake
+from jghand_engine.learn.step import HandTraining
+from jghand_engine.template.builtin import load_template
+
+ANISO = replace(SMALL, model=replace(SMALL_MODEL, shape=Shape.ANISO))
+TRANSFORM = JointTransform(load_template().joints_m, handedness=Handedness.RIGHT)
+
+
+@pytest.fixture(scope="module")
+def samples(tmp_path_factory) -> list[Sample]:
+    return painted_samples(tmp_path_factory.mktemp("painted"))
+
+
+@pytest.fixture
+def training(monkeypatch, samples) -> HandTraining:
+    """Has learned something, with everything that there is to be learned."""
+    return small_training(monkeypatch, samples, ANISO)
+
+
+def tensors_in(record: object) -> dict[str, torch.Tensor]:
+    """Every tensor of an avatar by its place, those of its network too."""
+    if isinstance(record, torch.Tensor):
+        return {"": record}
+    if isinstance(record, torch.nn.Module):
+        own = {**dict(record.named_parameters()), **dict(record.named_buffers())}
+        return {f".{name}": tensor for name, tensor in own.items()}
+    if not dataclasses.is_dataclass(record):
+        return {}
+    fields = ((field.name, getattr(record, field.name)) for field in dataclasses.fields(record))
+    return {f".{name}{place}": tensor for name, value in fields for place, tensor in tensors_in(value).items()}
+
+
+def copied(avatar: HandAvatar) -> dict[str, torch.Tensor]:
+    return {name: tensor.clone() for name, tensor in tensors_in(avatar).items()}
+
+
+def changed(avatar: HandAvatar, before: dict[str, torch.Tensor]) -> list[str]:
+    after = tensors_in(avatar)
+    assert set(after) == set(before)
+    return [name for name in before if not torch.equal(after[name], before[name])]
+
+
+# ---- apart from the training -----------------------------------------------------------------------------------------
+
+
+def test_a_baked_avatar_has_no_history(training):
+    tensors = tensors_in(training.avatar())
+    assert len(tensors) > 20
+    assert [name for name, tensor in tensors.items() if tensor.requires_grad or tensor.grad_fn is not None] == []
+
+
+def test_learning_on_does_not_change_a_baked_avatar(training):
+    avatar = training.avatar()
+    before = copied(avatar)
+    for number in range(3):
+        training.step(number)
+    with torch.no_grad():
+        for parameter in training.hand.parameters():
+            parameter.fill_(0.77)
+        for tensor in tensors_in(training.hand.points).values():
+            tensor.fill_(0.5)
+        for buffer in training.hand.buffers():
+            buffer.zero_()
+    assert changed(avatar, before) == []
+
+
+def test_nothing_of_the_training_can_be_changed_through_a_baked_avatar(training):
+    avatar = training.avatar()
+    hand = training.hand
+    state = {**dict(hand.named_parameters()), **dict(hand.named_buffers()), **tensors_in(hand.points)}
+    before = {name: tensor.detach().clone() for name, tensor in state.items()}
+    with torch.no_grad():
+        for tensor in tensors_in(avatar).values():
+            tensor.fill_(0.33)
+    assert [name for name, tensor in state.items() if not torch.equal(tensor, before[name])] == []
+    assert all(parameter.requires_grad for parameter in hand.parameters())
+
+
+def test_baking_changes_no_gradient_and_no_step(training):
+    training.step(0)
+    gradients = {name: gradient.clone() for name, gradient in training.gradients().items()}
+    training.avatar()
+    assert all(torch.equal(gradient, gradients[name]) for name, gradient in training.gradients().items())
+    assert training.hand.log_sigma.grad is not None
+    training.step(1)
+
+
+# ---- what it holds ---------------------------------------------------------------------------------------------------
+
+
+def test_a_baked_avatar_is_the_hand_that_was_learned(training):
+    baked, live = training.avatar(), training._live()
+    ours, theirs = tensors_in(baked), tensors_in(live)
+    assert set(ours) == set(theirs)
+    assert [name for name in ours if not torch.equal(ours[name], theirs[name].detach())] == []
+    assert (baked.learned.shadow, baked.learned.world_offsets) == (live.learned.shadow, live.learned.world_offsets)
+    frames = frames_of("claw")
+    assert torch.equal(baked.learned.correctives(frames).shade, live.learned.correctives(frames).shade)
+
+
+def test_all_gaussians_are_baked_whatever_the_training_has_reached(training):
+    training.load_scalars({"count": 40})
+    assert len(training.avatar()) == 300
+
+
+@pytest.mark.parametrize("shadow", [False, True])
+def test_the_look_of_the_shadow_is_kept_where_it_was_learned(monkeypatch, samples, shadow):
+    avatar = small_training(monkeypatch, samples, replace(SMALL, shadow=shadow)).avatar()
+    assert avatar.learned is not None
+    assert (avatar.learned.shadow is not None) is shadow
+
+
+# ---- the ranges of the angles ----------------------------------------------------------------------------------------
+
+
+def test_ranges_of_the_angles_are_those_of_the_poses(training, samples):
+    angles = np.stack([TRANSFORM.frames(torch.from_numpy(s.joints_m)).angles.numpy() for s in samples[::3]])
+    ranges = training.avatar().info.pose_statistics
+    assert len(ranges) == 30
+    for bone in range(6, 21):
+        for k, name in enumerate(("flexion", "abduction")):
+            # the angle at a joint is that of the bone which begins there
+            low, high = ranges[f"{LEVEL_NAMES[PARENTS[bone]]} {name}"]
+            assert low == pytest.approx(angles[:, bone - 6, k].min(), abs=1e-12)
+            assert high == pytest.approx(angles[:, bone - 6, k].max(), abs=1e-12)
+    # an open hand and a fist: in words
+    low, high = ranges["index2 flexion"]
+    assert low < math.radians(15)
+    assert high > math.radians(85)
+
+
+def test_ranges_of_a_left_hand_are_those_of_its_mirror_image(monkeypatch, samples, tmp_path, training):
+    left = small_training(monkeypatch, [mirrored(sample, tmp_path) for sample in samples], ANISO)
+    assert left.avatar().handedness is Handedness.LEFT
+    ours, theirs = (one.avatar().info.pose_statistics for one in (training, left))
+    assert list(ours) == list(theirs)
+    assert np.array(list(theirs.values())) == pytest.approx(np.array(list(ours.values())))
+
+
+def test_one_pose_has_ranges_of_no_width():
+    ranges = angle_ranges(TRANSFORM, torch.from_numpy(joints_of("claw"))[None])
+    assert all(low == high for low, high in ranges.values())
+
+
+def test_the_name_and_license_are_those_that_were_given():
+    joints_m = torch.from_numpy(joints_of("claw"))[None]
+    avatar = bake(small_hand(), replace(INFO, name="Ada", license="CC0"), TRANSFORM, joints_m, True)
+    assert (avatar.info.name, avatar.info.license, avatar.info.template) == ("Ada", "CC0", "small")
+    assert avatar.handedness is Handedness.RIGHT

@@ -1,0 +1,158 @@
+"""Checkpoints: every bit comes back, a kill leaves a whole one, and damage is named."""
+
+from __future__ import annotations
+
+import os
+import random
+import signal
+import time
+
+import pytest
+import safetensors.torch
+import torch
+from stand_in import StandIn
+
+from jghand_engine.errors import InputError
+from jghand_engine.learn.checkpoint import METADATA_KEY, CheckpointFolder, load_checkpoint, save_checkpoint
+from jghand_engine.learn.snapshot import Course, Snapshot, check_fits
+
+STAMP = {"seed": 0, "rate": 1e-3, "range": (1, 2)}
+
+
+@pytest.fixture
+def snapshot():
+    model = StandIn()
+    for number in range(3):
+        model.step(number)
+    course = Course(step=3, planned_steps=9, seconds=0.1, skipped=[1], sums={"loss": 0.1 + 0.2}, summed=3)
+    return Snapshot.of(model, course)
+
+
+def test_every_bit_comes_back(snapshot, tmp_path):
+    path = tmp_path / "a.safetensors"
+    save_checkpoint(path, snapshot, STAMP)
+    loaded, stamp = load_checkpoint(path)
+    assert loaded.scalars == snapshot.scalars
+    assert loaded.course == snapshot.course
+    assert stamp == {"seed": 0, "rate": 1e-3, "range": [1, 2]}
+    assert loaded.tensors.keys() == snapshot.tensors.keys()
+    assert all(torch.equal(loaded.tensors[name], tensor) for name, tensor in snapshot.tensors.items())
+
+
+def test_a_snapshot_does_not_change_when_the_training_goes_on(snapshot):
+    model = StandIn()
+    course = snapshot.restore(model)
+    kept = Snapshot.of(model, course)
+    model.step(3)
+    course.skipped.append(7)
+    assert kept.course.skipped == [1]
+    assert all(torch.equal(kept.tensors[name], tensor) for name, tensor in snapshot.tensors.items())
+
+
+def test_options_that_json_writes_otherwise_still_agree(snapshot, tmp_path):
+    folder = CheckpointFolder(tmp_path, STAMP)
+    folder.save(snapshot)
+    found, damaged = folder.newest()
+    assert found is not None
+    assert not damaged
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork here")
+def test_killed_at_200_random_moments_of_a_save_the_newest_checkpoint_is_whole(snapshot, tmp_path):
+    big = Snapshot({**snapshot.tensors, "large": torch.zeros(500_000)}, snapshot.scalars, snapshot.course)
+    folder, rng = CheckpointFolder(tmp_path, STAMP), random.Random(5)
+    folder.save(big)
+    for _ in range(200):
+        begun, begins = os.pipe()
+        child = os.fork()
+        if child == 0:
+            while True:
+                big.course.step += 1
+                os.write(begins, b".")
+                folder.save(big)
+        # from the child's own word that a save begins: on a busy machine it may not have run at all before
+        for _ in range(rng.randint(1, 3)):
+            os.read(begun, 1)
+        time.sleep(rng.random() * 0.01)
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+        os.close(begun)
+        os.close(begins)
+        found, damaged = folder.newest()
+        assert found is not None
+        assert not damaged
+        assert found.course.step >= big.course.step, "never back before what was there"
+        big.course.step = found.course.step
+    assert big.course.step > 20, "saves did happen"
+    folder.remove_leftovers()
+    assert len(list(tmp_path.iterdir())) <= 3
+
+
+# ---- damage ----------------------------------------------------------------------------------------------------------
+
+
+def written(tmp_path, metadata, tensors=None):
+    path = tmp_path / "bad.safetensors"
+    path.write_bytes(safetensors.torch.save(tensors or {"a": torch.zeros(2)}, metadata))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("metadata", "said"),
+    [
+        (None, "without the description"),
+        ({"other": "x"}, "without the description"),
+        ({METADATA_KEY: "[1, 2"}, "wanted a checkpoint"),
+        ({METADATA_KEY: "[" * 100_000}, "wanted a checkpoint"),
+        ({METADATA_KEY: "[1]"}, "without the description"),
+        ({METADATA_KEY: '{"format_version": 2, "jghand_version": "9.9"}'}, "JGHand 9.9"),
+        ({METADATA_KEY: '{"format_version": 1}'}, "no stamp"),
+        ({METADATA_KEY: '{"format_version": 1, "stamp": {}, "scalars": {}, "course": {"step": 1}}'}, "loop stands"),
+    ],
+)
+def test_a_file_that_is_no_checkpoint_is_named(metadata, said, tmp_path):
+    with pytest.raises(InputError, match=said) as caught:
+        load_checkpoint(written(tmp_path, metadata))
+    assert "bad.safetensors" in str(caught.value)
+
+
+@pytest.mark.parametrize("content", [b"", b"\x80\x04.", b"\xff" * 64, b"{}"])
+def test_a_file_that_is_no_safetensors_is_named(content, tmp_path):
+    path = tmp_path / "bad.safetensors"
+    path.write_bytes(content)
+    with pytest.raises(InputError, match=r"bad\.safetensors"):
+        load_checkpoint(path)
+
+
+def test_a_checkpoint_cut_anywhere_is_refused(snapshot, tmp_path):
+    path = tmp_path / "cut.safetensors"
+    save_checkpoint(path, snapshot, STAMP)
+    whole = path.read_bytes()
+    for length in range(0, len(whole), 97):
+        path.write_bytes(whole[:length])
+        with pytest.raises(InputError):
+            load_checkpoint(path)
+
+
+def test_when_every_checkpoint_is_damaged_the_newest_is_named(snapshot, tmp_path):
+    folder = CheckpointFolder(tmp_path, STAMP)
+    for name in ("step_00000003", "step_00000010"):
+        (tmp_path / f"{name}.safetensors").write_bytes(b"rubbish")
+    with pytest.raises(InputError, match="step_00000010"):
+        folder.newest()
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda tensors: tensors.pop("first.log_sigma"), r"missing \['first.log_sigma'\]"),
+        (lambda tensors: tensors.update(more=torch.zeros(1)), r"unknown \['more'\]"),
+        (lambda tensors: tensors.update({"first.log_sigma": torch.zeros(6)}), r"float32 \(6, 6\), got float32 \(6,\)"),
+        (lambda tensors: tensors.update({"first.log_sigma": torch.zeros(6, 6).double()}), "got float64"),
+    ],
+)
+def test_tensors_of_another_model_are_named(change, said, snapshot):
+    tensors = dict(snapshot.tensors)
+    change(tensors)
+    with pytest.raises(InputError, match=said):
+        check_fits(tensors, StandIn(), "the checkpoint")

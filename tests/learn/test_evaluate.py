@@ -1,0 +1,190 @@
+"""Evaluation: which pictures are measured, how figures are gathered, and the tables that show them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from picture_sets import LEFT, RIGHT, pose
+
+from jghand_engine.captures.sample import MaskSource, load_picture
+from jghand_engine.captures.splits import split_by_rule
+from jghand_engine.errors import InputError
+from jghand_engine.learn import tables
+from jghand_engine.learn.evaluate import (
+    Evaluation,
+    categories_of,
+    finger_flexion_deg,
+    means,
+    measure_pictures,
+    spread,
+)
+from jghand_engine.learn.perceptual import PerceptualMetric
+
+
+def truth_but(capture, error):
+    """Draws the very truth, `error` brighter on the hand."""
+    by_camera = {(id(s.camera), s.joints_m.tobytes()): s for s in capture.samples}
+
+    def draw(joints_m, _handedness, camera):
+        picture = load_picture(by_camera[id(camera), joints_m.tobytes()])
+        rgb = picture.rgb + error * (picture.mask[..., None] >= 0.5)
+        return np.concatenate([rgb, picture.mask[..., None]], -1).astype(np.float32)
+
+    return draw
+
+
+@pytest.fixture(scope="module")
+def evaluation(capture, split):
+    pictures = measure_pictures(categories_of(split, "test"), truth_but(capture, 0.1))
+    return Evaluation("some_avatar", capture.name, split.origin, pictures)
+
+
+def test_the_truth_itself_scores_perfectly(capture, split):
+    pictures = measure_pictures({"all": split.test[:2]}, truth_but(capture, 0.0))
+    for picture in pictures:
+        assert picture.scores["psnr_full"] == picture.scores["psnr_box"] == picture.scores["psnr_mask"] == 100
+        assert picture.scores["ssim_full"] == pytest.approx(1, abs=1e-6)
+
+
+def test_a_constant_error_on_the_hand_is_20_db_there_and_more_around_it(evaluation):
+    for picture in evaluation.pictures:
+        assert picture.scores["psnr_mask"] == pytest.approx(20, abs=1e-4)
+        assert picture.scores["psnr_mask"] < picture.scores["psnr_box"] < picture.scores["psnr_full"]
+
+
+def test_every_picture_is_measured_once_and_ticked(capture, split):
+    ticks = []
+    categories = categories_of(split, "test")
+    pictures = measure_pictures(categories, truth_but(capture, 0.1), tick=lambda: ticks.append(1))
+    assert [p.sample for p in pictures] == [s for group in categories.values() for s in group] == list(split.test)
+    assert len(ticks) == len(split.test)
+
+
+def test_categories_are_those_of_the_split(split):
+    assert list(categories_of(split, "test")) == ["novel pose", "novel view", "both novel"]
+    assert list(categories_of(split, "train")) == ["learnt"]
+    assert list(categories_of(split, "all")) == ["novel pose", "novel view", "both novel", "learnt"]
+
+
+def test_a_split_without_held_out_pictures_is_told(capture):
+    with pytest.raises(InputError, match="--split train"):
+        categories_of(split_by_rule(capture, 0, 0), "test")
+
+
+def test_a_limit_takes_pictures_from_end_to_end(capture):
+    samples = capture.samples
+    assert spread(samples, 0) == spread(samples, 99) == samples
+    assert spread(samples, 2) == (samples[0], samples[-1])
+    assert len(spread(samples, 5)) == 5
+
+
+def test_groups_hold_every_category_and_all(evaluation):
+    groups = evaluation.groups()
+    assert list(groups) == ["novel pose", "novel view", "both novel", "all"]
+    assert sum(map(len, groups.values())) == 2 * len(evaluation.pictures)
+
+
+def test_regions_of_flexion_hold_every_picture_once(evaluation):
+    regions = evaluation.regions()
+    assert sum(map(len, regions.values())) == len(evaluation.pictures)
+    assert {"bent below 15°", "bent 60° and more"} <= set(regions)
+
+
+@pytest.mark.parametrize("handedness", [RIGHT, LEFT])
+def test_flexion_tells_an_open_hand_from_a_fist(handedness):
+    assert finger_flexion_deg(pose(0, handedness), handedness) < 10
+    assert 75 < finger_flexion_deg(pose(1, handedness), handedness) < 95
+
+
+def test_means_are_of_the_decibels(evaluation):
+    few = evaluation.pictures[:3]
+    assert means(few)["psnr_full"] == pytest.approx(np.mean([p.scores["psnr_full"] for p in few]))
+
+
+def test_perceptual_metrics_are_taken_on_the_picture_and_on_the_box(capture, split):
+    metric = PerceptualMetric("ST-LPIPS", "", lambda x: [x], (torch.ones(1, 3, 1, 1),))
+    (picture,) = measure_pictures({"one": split.test[:1]}, truth_but(capture, 0.1), perceptual=[metric])
+    assert picture.scores["st_lpips_box"] > picture.scores["st_lpips_full"] > 0
+
+
+def test_everything_is_plain_data(evaluation):
+    content = evaluation.as_dict()
+    assert content["means"]["all"]["pictures"] == len(content["pictures"])
+    assert {"psnr_box", "ssim_full", "render_ms", "flexion_deg", "camera"} <= set(content["pictures"][0])
+
+
+# ---- tables ---------------------------------------------------------------------------------------------------------
+
+
+def cells_of(table, first):
+    return next(row for row in table.rows if row[0] == first)
+
+
+def test_the_papers_table_keeps_its_figures_and_ours_in_columns_of_their_own(evaluation):
+    table = tables.rendering_table([evaluation])
+    assert table.columns == ("SSIM / PSNR / LPIPS", *tables.PAPER_SETS, evaluation.capture)
+    assert cells_of(table, "JGHand (paper)")[1] == "0.966 / 33.44 / 0.032"
+    assert cells_of(table, "JGHand (paper)")[-1] == "-"
+    ours = cells_of(table, "some_avatar: all")
+    assert ours[1:-1] == ("-",) * 4
+    assert ours[-1].endswith("/ -"), "no LPIPS was measured"
+    assert tables.CAVEAT in table.notes
+
+
+def test_an_st_lpips_is_never_put_into_the_column_of_lpips(evaluation):
+    picture = evaluation.pictures[0]
+    scored = type(picture)(picture.sample, picture.category, 0.0, {**picture.scores, "st_lpips_full": 0.123}, 1.0)
+    one = Evaluation("a", "b", "c", (scored,))
+    assert "0.123" not in tables.rendering_table([one]).markdown()
+    shown = tables.figures_table(one, "full")
+    assert "ST-LPIPS" in shown.columns
+    assert "LPIPS" not in shown.columns
+    assert any("not comparable" in note for note in shown.notes)
+
+
+def test_the_box_rule_stands_beside_figures_of_the_box(evaluation):
+    table = tables.figures_table(evaluation, "box")
+    assert "mask PSNR dB" in table.columns
+    assert any("no margin, black background" in note for note in table.notes)
+    assert "mask PSNR dB" not in tables.figures_table(evaluation, "full").columns
+
+
+def test_every_row_is_as_long_as_the_head(evaluation):
+    made = [
+        tables.rendering_table([evaluation]),
+        tables.figures_table(evaluation, "full"),
+        tables.flexion_table(evaluation),
+        tables.ablation_table({"full": evaluation}),
+        tables.inference_table([("ours", 12.3, 15.0)], "a machine"),
+    ]
+    for table in made:
+        assert {len(row) for row in table.rows} == {len(table.columns)}, table.title
+
+
+def test_the_ablation_says_what_each_variant_loses(capture, split, evaluation):
+    worse = Evaluation("w/o shadow", capture.name, split.origin,
+                       measure_pictures(categories_of(split, "test"), truth_but(capture, 0.2)))  # fmt: skip
+    table = tables.ablation_table({"full": evaluation, "w/o shadow": worse})
+    row = cells_of(table, "w/o shadow")
+    assert float(row[3]) == pytest.approx(-20 * np.log10(2), abs=0.01)
+    assert row[5:] == ("0.954", "30.92", "-2.52")
+    assert cells_of(table, "w/o trans")[1:5] == ("-",) * 4
+
+
+def test_masks_of_our_own_silhouette_are_told(evaluation):
+    assert not any("projected" in note for note in tables.figures_table(evaluation, "box").notes)
+    picture = evaluation.pictures[0]
+    sample = replace(picture.sample, mask_source=MaskSource.TEMPLATE)
+    ours = Evaluation("a", "b", "c", (replace(picture, sample=sample),))
+    for table in (tables.figures_table(ours, "box"), tables.rendering_table([ours])):
+        assert any("projected" in note for note in table.notes)
+
+
+def test_markdown_has_a_head_a_rule_and_all_rows(evaluation):
+    lines = tables.flexion_table(evaluation).markdown().splitlines()
+    assert lines[0].startswith("### ")
+    assert lines[3].startswith("| --- | ---: |")
+    assert len([line for line in lines if line.startswith("| ")]) == 2 + len(evaluation.regions())

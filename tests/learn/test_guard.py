@@ -1,0 +1,248 @@
+"""The guard: whatever stops being finite is found in the same step, written down so that it repeats, and undone."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+from dataclasses import replace
+
+import pytest
+import safetensors.torch
+import torch
+from stand_in import StandIn
+
+from jghand_engine import files
+from jghand_engine.errors import InputError, JGHandError
+from jghand_engine.learn.checkpoint import load_checkpoint
+from jghand_engine.learn.guard import find_non_finite
+from jghand_engine.learn.log import read_log
+from jghand_engine.learn.replay import replay
+from jghand_engine.learn.run import RunOptions, train
+from jghand_engine.learn.schedule import Budget, Every
+from jghand_engine.learn.work_folder import Start
+from jghand_engine.limits import GUARD_RECOVERIES_MAX
+
+STAMP = {"seed": 0}
+STATE, PARAMETERS = list(StandIn().tensors()), list(StandIn().tensors())[:5]
+# a step that fails, and the copy of the state that the guard has by then
+FAULT, KEPT, STEPS = 13, 10, 30
+
+
+@pytest.fixture
+def options(tmp_path, monkeypatch):
+    """Beyond the first copies that the guard keeps; nobody waits for the disk."""
+    monkeypatch.setattr(files, "sync", lambda path: None)
+    return RunOptions(
+        tmp_path / "hand.jghand", tmp_path / "work", STAMP, Budget(steps=STEPS), log_steps=4,
+        checkpoint=Every(steps=10), preview=Every(steps=1000),
+    )  # fmt: skip
+
+
+class Broken(StandIn):
+    """Something outside the arithmetic damages one value, once, after the step FAULT: of the state or of a gradient."""
+
+    def __init__(self, where: str, name: str, value: float) -> None:
+        super().__init__()
+        self._where, self._name, self._value = where, name, value
+        self.numbers: list[int] = []
+
+    def step(self, number):
+        figures = super().step(number)
+        first_time = number == FAULT and number not in self.numbers
+        self.numbers.append(number)
+        if first_time and self._where == "figure":
+            return {**figures, self._name: self._value}
+        if first_time:
+            tensors = self.gradients() if self._where == "gradient" else self.tensors()
+            with torch.no_grad():
+                tensors[self._name].view(-1)[-1] = self._value
+        return figures
+
+
+class NoNotes:
+    def __init__(self):
+        self.notes = []
+
+    def update(self, status): ...
+
+    def note(self, sentence):
+        self.notes.append(sentence)
+
+
+PLACES = [
+    *(("state", name) for name in STATE),
+    *(("gradient", name.removeprefix("parameter.")) for name in PARAMETERS),
+    ("figure", "loss"),
+    ("figure", "regular"),
+]
+
+
+@pytest.mark.parametrize(
+    ("where", "name", "value"),
+    [
+        *((*place, math.nan) for place in PLACES),
+        (*PLACES[0], math.inf),
+        (*PLACES[7], -math.inf),
+        (*PLACES[-1], math.inf),
+    ],
+)
+def test_one_bad_value_anywhere_is_caught_in_its_step_and_the_training_goes_on(where, name, value, options):
+    shown, made = NoNotes(), Broken(where, name, value)
+    outcome = train(lambda: made, options, shown)
+    assert made.numbers[: FAULT + 1] == list(range(FAULT + 1)), "no step was done with it"
+    assert made.numbers[FAULT + 1 :] == [*range(KEPT, FAULT), *range(FAULT + 1, STEPS)], (
+        "back to the copy, without the step"
+    )
+    assert outcome.finished
+    assert (outcome.course.skipped, outcome.course.recoveries) == ([FAULT], 1)
+    assert any(f"{where} {name}" in note for note in shown.notes)
+    last, _ = load_checkpoint(options.work / "checkpoints" / "step_00000030.safetensors")
+    assert all(tensor.isfinite().all() for tensor in last.tensors.values())
+
+
+def test_a_finite_state_costs_one_look_and_finds_nothing():
+    model = StandIn()
+    assert find_non_finite(model.step(0), model) == []
+
+
+def test_huge_finite_values_are_no_alarm():
+    """Their norm overflows, so the fused check sees something; the exact one does not."""
+    model = StandIn()
+    figures = model.step(0)
+    with torch.no_grad():
+        model.tensors()["first.planes.uv"].fill_(3e38)
+    assert find_non_finite(figures, model) == []
+
+
+def test_tensors_of_several_types_are_looked_at_together():
+    class Mixed(StandIn):
+        extra = torch.tensor([1.0, math.nan], dtype=torch.float64)
+
+        def tensors(self):
+            return {**super().tensors(), "count": torch.arange(3), "extra": self.extra}
+
+    model = Mixed()
+    (found,) = find_non_finite(model.step(0), model)
+    assert str(found) == "state extra (1 NaN)"
+
+
+def test_the_dump_holds_what_was_found(options):
+    train(lambda: Broken("state", "second.decoder.bias", math.inf), options)
+    dump = options.work / "failures" / f"step_{FAULT:08d}"
+    about = json.loads((dump / "failure.json").read_text())
+    assert about["step"] == FAULT
+    assert about["good_step"] == KEPT
+    assert about["stamp"] == STAMP
+    assert about["findings"] == [{"kind": "state", "name": "second.decoder.bias", "nan": 0, "inf": 1}]
+    found = safetensors.torch.load_file(dump / "found.safetensors")
+    assert found["state.second.decoder.bias"].isinf().sum() == 1
+    assert found["gradient.decoder.bias"].isfinite().all()
+
+
+def test_the_log_says_what_happened(options):
+    train(lambda: Broken("gradient", "planes.uv", math.nan), options)
+    (line,) = [line for line in read_log(options.work / "log.jsonl") if "not_finite" in line]
+    assert (line["step"], line["skipped"], line["not_finite"]) == (KEPT, FAULT, "gradient planes.uv (1 NaN)")
+    steps = [line["step"] for line in read_log(options.work / "log.jsonl") if "loss" in line]
+    assert steps == [*range(4, STEPS, 4), STEPS], "no line twice"
+
+
+# ---- replay ----------------------------------------------------------------------------------------------------------
+
+
+def faulty():
+    """NaN gradients by arithmetic in one step, as a real fault has them."""
+    return StandIn(faults={FAULT: "planes.d"})
+
+
+def test_a_step_that_failed_repeats_from_its_dump(options):
+    train(faulty, options)
+    again = replay(options.work / "failures" / f"step_{FAULT:08d}", faulty(), STAMP)
+    assert again.step == again.first_step == FAULT
+    assert again.findings == again.first_time
+    assert (again.findings[0].kind, again.findings[0].name) == ("gradient", "planes.d")
+
+
+def test_a_replay_keeps_to_the_plan_of_its_training(options):
+    train(faulty, options)
+    model = faulty()
+    replay(options.work / "failures" / f"step_{FAULT:08d}", model, STAMP)
+    assert model.plans == [STEPS]
+
+
+def test_a_fault_that_came_from_outside_does_not_repeat(options):
+    train(lambda: Broken("state", "parameter.planes.uv", math.nan), options)
+    again = replay(options.work / "failures" / f"step_{FAULT:08d}", StandIn(), STAMP)
+    assert again.step is None
+    assert [finding.name for finding in again.first_time] == ["parameter.planes.uv"]
+
+
+def test_a_replay_wants_a_dump_and_the_same_options(options, tmp_path):
+    train(faulty, options)
+    with pytest.raises(InputError, match="dumped"):
+        replay(tmp_path, StandIn(), STAMP)
+    with pytest.raises(InputError, match="seed"):
+        replay(options.work / "failures" / f"step_{FAULT:08d}", StandIn(), {"seed": 1})
+
+
+# ---- recoveries ------------------------------------------------------------------------------------------------------
+
+
+def test_a_training_that_recovered_and_was_stopped_goes_on_as_if_it_had_not_been(options, tmp_path):
+    """The step that is left out stays out, whether it failed before the checkpoint or after it."""
+    straight = replace(options, work=tmp_path / "straight", out=tmp_path / "straight.jghand")
+    train(faulty, straight)
+    for stop in (8, 20):
+        start = Start.RESUME if options.work.exists() else Start.NEW
+        train(faulty, replace(options, start=start, budget=Budget(steps=stop)))
+    train(faulty, replace(options, start=Start.RESUME))
+    a, b = (load_checkpoint(o.work / "checkpoints" / "step_00000030.safetensors")[0] for o in (straight, options))
+    assert a.course.skipped == b.course.skipped == [FAULT]
+    # the schedule of the plan differs: each session was given another number of steps
+    assert a.course.step == b.course.step == STEPS
+
+
+def test_a_resumed_training_meets_the_same_fault_and_ends_the_same(options, tmp_path):
+    class FaultyAndStopped(StandIn):
+        def __init__(self, at):
+            super().__init__(faults={FAULT: "planes.d"})
+            self._at = at
+
+        def step(self, number):
+            if number == self._at:
+                os.kill(os.getpid(), signal.SIGINT)
+            return super().step(number)
+
+    straight = replace(options, work=tmp_path / "straight", out=tmp_path / "straight.jghand")
+    train(faulty, straight)
+    train(lambda: FaultyAndStopped(11), options)
+    train(lambda: FaultyAndStopped(20), replace(options, start=Start.RESUME))
+    train(faulty, replace(options, start=Start.RESUME))
+    a, b = (load_checkpoint(o.work / "checkpoints" / "step_00000030.safetensors")[0] for o in (straight, options))
+    assert a.scalars == b.scalars
+    assert all(torch.equal(a.tensors[name], b.tensors[name]) for name in a.tensors)
+    assert b.course.skipped == [FAULT]
+
+
+def test_the_best_checkpoint_stays_known_when_the_training_goes_back(options):
+    class BestAt12(StandIn):
+        def fixed_psnr(self):
+            return 30.0 if self.scalars()["count"] == 12 else 20.0
+
+    train(lambda: BestAt12(faults={FAULT: "planes.d"}), replace(options, checkpoint=Every(steps=3)))
+    kept = [path.name for path in sorted((options.work / "checkpoints").iterdir())]
+    assert kept == [f"step_000000{n}.safetensors" for n in (12, 27, 30)]
+
+
+def test_a_training_that_keeps_failing_gives_up_and_names_what_failed(options):
+    class Hopeless(StandIn):
+        def step(self, number):
+            figures = super().step(number)
+            return {**figures, "loss": math.nan} if number >= KEPT else figures
+
+    with pytest.raises(JGHandError, match=rf"{GUARD_RECOVERIES_MAX + 1} times.*figure loss \(1 NaN\).*--replay"):
+        train(Hopeless, options)
+    assert len(list((options.work / "failures").iterdir())) == GUARD_RECOVERIES_MAX + 1
+    assert not options.out.exists()

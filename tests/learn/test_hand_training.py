@@ -1,0 +1,189 @@
+"""The real training in the loop: deterministic, resumed bit for bit, guarded, on a tiny capture."""
+
+from __future__ import annotations
+
+import math
+import os
+import signal
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from jghand_engine.avatar.avatar import AvatarInfo
+from jghand_engine.avatar.file import load_avatar, save_avatar
+from jghand_engine.captures.capture_folder import open_capture
+from jghand_engine.captures.splits import split_capture
+from jghand_engine.learn.checkpoint import load_checkpoint
+from jghand_engine.learn.guard import find_non_finite
+from jghand_engine.learn.log import read_log
+from jghand_engine.learn.pictures import Pictures
+from jghand_engine.learn.run import RunOptions, train
+from jghand_engine.learn.schedule import Budget, Every
+from jghand_engine.learn.snapshot import Course, Snapshot
+from jghand_engine.learn.stamp import stamp_of
+from jghand_engine.learn.step import HandTraining, Material
+from jghand_engine.learn.work_folder import Start
+from jghand_engine.render.frame import HandRenderer
+from jghand_engine.render.settings import RenderSettings, ShadowMode
+from jghand_engine.template.builtin import load_template
+
+
+@pytest.fixture
+def build(small_capture, tiny):
+    """Makes trainings of the tiny capture."""
+    split = split_capture(open_capture(small_capture))
+    material = Material(split.train, split.test[:1], load_template(), AvatarInfo("tiny", "", "test"))
+    return lambda options=tiny: HandTraining(material, options)
+
+
+@pytest.fixture
+def options(small_capture, tiny, tmp_path):
+    stamp = stamp_of(tiny, open_capture(small_capture).samples)
+    return RunOptions(
+        tmp_path / "hand.jghand", tmp_path / "work", stamp, Budget(steps=40), log_steps=1,
+        checkpoint=Every(steps=10), preview=Every(steps=30),
+    )  # fmt: skip
+
+
+def losses(training: HandTraining, steps: int) -> list[dict[str, float]]:
+    training.plan(steps)
+    return [training.step(number) for number in range(steps)]
+
+
+def newest(options: RunOptions) -> Snapshot:
+    return load_checkpoint(sorted((options.work / "checkpoints").glob("*.safetensors"))[-1])[0]
+
+
+# ---- determinism -----------------------------------------------------------------------------------------------------
+
+
+def test_the_same_seed_gives_identical_losses_for_200_steps(build):
+    assert losses(build(), 200) == losses(build(), 200)
+
+
+def test_another_seed_gives_other_losses(build, tiny):
+    assert losses(build(), 3) != losses(build(replace(tiny, seed=1)), 3)
+
+
+def test_a_resumed_training_equals_an_uninterrupted_one_bit_for_bit(build, options, tmp_path):
+    """Stopped in the middle of a round, before and after finer Gaussians join."""
+
+    def stopped(at):
+        training = build()
+        step = training.step
+
+        def and_stop(number):
+            if number == at:
+                os.kill(os.getpid(), signal.SIGINT)
+            return step(number)
+
+        training.step = and_stop
+        return training
+
+    straight = replace(options, work=tmp_path / "straight", out=tmp_path / "straight.jghand")
+    train(build, straight)
+    assert not train(lambda: stopped(13), options).finished
+    assert not train(lambda: stopped(27), replace(options, start=Start.RESUME)).finished
+    assert train(build, replace(options, start=Start.RESUME)).finished
+    a, b = newest(straight), newest(options)
+    assert a.scalars == b.scalars
+    assert [name for name in a.tensors if not torch.equal(a.tensors[name], b.tensors[name])] == []
+    curves = [[line for line in read_log(o.work / "log.jsonl") if "loss" in line] for o in (straight, options)]
+    assert [line["loss"] for line in curves[0]] == [line["loss"] for line in curves[1]]
+    assert straight.out.read_bytes() == options.out.read_bytes()
+
+
+def test_it_learns_and_leaves_an_avatar(build, options):
+    outcome = train(build, options)
+    first = next(line["psnr"] for line in read_log(options.work / "log.jsonl") if "psnr" in line)
+    assert outcome.psnr > first
+    avatar = load_avatar(options.out)
+    assert len(avatar) == 1500
+    assert "index1 flexion" in avatar.info.pose_statistics
+
+
+@pytest.mark.parametrize("shadow", [False, True])
+def test_the_finished_avatar_is_drawn_as_it_was_while_learning(build, tiny, small_capture, tmp_path, shadow):
+    """By the renderer that users have, from a file, in front of every camera; of bent fingers, where the shadow is."""
+    training = build(replace(tiny, shadow=shadow))
+    losses(training, 60)
+    save_avatar(tmp_path / "hand.jghand", training.avatar())
+    # the pictures are too small for a shadow that is only drawn where it is seen
+    settings = RenderSettings(shadow=ShadowMode.ALWAYS, shadow_samples=tiny.shadow_samples)
+    renderer = HandRenderer(load_avatar(tmp_path / "hand.jghand"), settings)
+    strengths = []
+    for sample in open_capture(small_capture).samples:
+        view = Pictures().view(sample)
+        with torch.no_grad():
+            avatar, posed = training._live(), training._posed_bones(sample)
+            skin, _ = training._pose(avatar, posed, 1.0)
+            rgb, alpha = training._draw_view(avatar, skin, posed.shadow, view.camera)
+        ours = renderer.render(sample.joints_m, view.camera)
+        error = np.abs(ours.rgba - torch.cat([rgb, alpha[..., None]], -1).numpy()).max(-1)
+        # a Gaussian that hardly passes the cut at 1/255 on one side is left out on the other (RENDERING 3): observed
+        # once in 24 pictures, 7 pixels of one; all others 5e-6, with the shadow 2.3e-5
+        assert float((error > 5e-5).mean()) < 5e-3, sample
+        assert float(error.max()) < 1.2 / 255, sample
+        strengths.append(posed.shadow)
+    assert max(strengths) > 0.5
+
+
+# ---- the guard -------------------------------------------------------------------------------------------------------
+
+
+def test_a_nan_in_any_tensor_is_caught_in_the_next_step(build):
+    training = build()
+    losses(training, 2)
+    good = Snapshot.of(training, Course(step=2, planned_steps=10))
+    missed = []
+    for name in training.tensors():
+        training.tensors()[name].view(-1)[0] = math.nan
+        figures = training.step(2)
+        if not find_non_finite(figures, training):
+            missed.append(name)
+        good.restore(training)
+    assert missed == []
+    assert find_non_finite(training.step(2), training) == []
+
+
+def test_the_gradient_that_was_not_finite_first_is_named(build, options):
+    """Shortening all gradients together must not hide which one it was."""
+    training = build()
+    step = training.step
+
+    def poisoned(number):
+        if number != 13:
+            return step(number)
+        handle = training.hand.raw_rim.register_hook(lambda gradient: gradient * math.nan)
+        try:
+            return step(number)
+        finally:
+            handle.remove()
+
+    training.step = poisoned
+    outcome = train(lambda: training, options)
+    assert outcome.course.skipped == [13]
+    (line,) = [line for line in read_log(options.work / "log.jsonl") if "not_finite" in line]
+    assert "gradient raw_rim (1 NaN)" in line["not_finite"]
+    assert "gradient trunk" not in line["not_finite"]
+
+
+def test_a_training_goes_on_after_a_damaged_moment(build, options):
+    training = build()
+    step = training.step
+    numbers = []
+
+    def damaged(number):
+        figures = step(number)
+        if number == 25 and 25 not in numbers:
+            training.tensors()["adam.log_sigma.exp_avg_sq"][7] = math.inf
+        numbers.append(number)
+        return figures
+
+    training.step = damaged
+    outcome = train(lambda: training, options)
+    assert outcome.course.skipped == [25]
+    assert numbers == [*range(26), *range(20, 25), *range(26, 40)]
+    assert all(tensor.isfinite().all() for tensor in newest(options).tensors.values())

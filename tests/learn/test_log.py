@@ -1,0 +1,77 @@
+"""The log: whole lines, cut where a training goes on, the same curves in TensorBoard."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from jghand_engine.errors import InputError
+from jghand_engine.learn import log as log_module
+from jghand_engine.learn.log import Board, Log, add_figures, read_log, take_means
+from jghand_engine.learn.snapshot import Course
+
+
+def test_lines_after_the_step_and_half_written_ones_are_cut(tmp_path):
+    path = tmp_path / "log.jsonl"
+    log = Log(path)
+    for step in (5, 10, 15):
+        log.write(step, {"loss": 1 / step}, seconds=1.5)
+    with open(path, "a") as stream:
+        stream.write('{"step": 20, "lo')
+    log.cut_after(10)
+    log.write(15, {"loss": 0.5})
+    assert [line["step"] for line in read_log(path)] == [5, 10, 15]
+    assert read_log(path)[1] == {"step": 10, "loss": 0.1, "seconds": 1.5}
+    assert path.read_text().count("\n") == 3
+
+
+@pytest.mark.parametrize("rubbish", ["[]", "3", '"step"', '{"step": "5"}', "{}", "\x00\xff"])
+def test_lines_that_are_no_records_are_cut(rubbish, tmp_path):
+    path = tmp_path / "log.jsonl"
+    path.write_text('{"step": 1}\n' + rubbish + "\n", encoding="utf-8")
+    Log(path).cut_after(10)
+    assert path.read_text() == '{"step": 1}\n'
+
+
+def test_figures_that_json_cannot_hold_are_null(tmp_path):
+    path = tmp_path / "log.jsonl"
+    Log(path).write(1, {"psnr": math.inf})
+    assert read_log(path) == [{"step": 1, "psnr": None}]
+
+
+def test_a_log_that_cannot_be_written_is_named(tmp_path):
+    path = tmp_path / "log.jsonl"
+    path.mkdir()
+    with pytest.raises(InputError, match=r"log\.jsonl"):
+        Log(path).write(1, {})
+
+
+def test_means_are_taken_once():
+    course = Course()
+    for value in (1.0, 2.0, 6.0):
+        add_figures(course, {"loss": value})
+    assert take_means(course) == {"loss": 3.0}
+    assert take_means(course) == {}
+
+
+def test_tensorboard_that_is_not_installed_is_a_clear_error(tmp_path, monkeypatch):
+    monkeypatch.setattr(log_module.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(InputError, match=r"jghand\[tensorboard\]"):
+        Board(tmp_path)
+
+
+def test_tensorboard_gets_the_same_curves_and_forgets_what_is_cut(tmp_path):
+    pytest.importorskip("tensorboard", reason="the extra `tensorboard` is not installed")
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    log = Log(tmp_path / "log.jsonl", Board(tmp_path / "board"))
+    for step in (5, 10, 15):
+        log.write(step, {"loss": step / 100})
+    log.cut_after(10)
+    log.write(15, {"loss": 0.5})
+    log.close()
+    events = EventAccumulator(str(tmp_path / "board"))
+    events.Reload()
+    seen = {event.step: event.value for event in events.Scalars("loss")}
+    assert seen == pytest.approx({5: 0.05, 10: 0.1, 15: 0.5})

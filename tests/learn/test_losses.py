@@ -1,0 +1,191 @@
+"""The terms of the training loss: values against plain formulas, gradients against finite differences."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from torch.nn import functional
+
+from jghand_engine.errors import InputError
+from jghand_engine.learn import losses
+from jghand_engine.learn import ssim as ssim_module
+from jghand_engine.learn.ssim import ssim, ssim_parts
+from jghand_engine.native.library import load
+from jghand_engine.native.ssim import NativeSsim
+
+
+def picture(height=23, width=19, seed=0, dtype=torch.float64):
+    return torch.rand(height, width, 3, generator=torch.Generator().manual_seed(seed), dtype=dtype)
+
+
+def plain_ssim(a, b):
+    """The formula as it is written, with one two-dimensional convolution per map."""
+    x = torch.arange(-5, 6, dtype=a.dtype)
+    weights = torch.exp(-(x**2) / (2 * 1.5**2))
+    kernel = torch.outer(weights, weights)[None, None] / weights.sum() ** 2
+
+    def mean(maps):
+        return functional.conv2d(maps.permute(2, 0, 1).unsqueeze(1), kernel)
+
+    ma, mb = mean(a), mean(b)
+    saa, sbb, sab = mean(a * a) - ma * ma, mean(b * b) - mb * mb, mean(a * b) - ma * mb
+    luminance = (2 * ma * mb + 1e-4) / (ma * ma + mb * mb + 1e-4)
+    return (luminance * (2 * sab + 9e-4) / (saa + sbb + 9e-4)).mean()
+
+
+def test_ssim_is_the_formula():
+    a, b = picture(), picture(seed=1)
+    assert float(ssim(a, b)) == pytest.approx(float(plain_ssim(a, b)), abs=1e-14)
+
+
+def test_ssim_of_equal_pictures_is_one():
+    # worst observed 1e-7 in float32
+    assert float(ssim(picture(dtype=torch.float32), picture(dtype=torch.float32))) == pytest.approx(1, abs=1e-6)
+
+
+def test_ssim_has_the_gradient_of_the_formula():
+    a, b = picture().requires_grad_(True), picture(seed=1)
+    (ours,) = torch.autograd.grad(ssim(a, b), a)
+    (wanted,) = torch.autograd.grad(plain_ssim(a, b), a)
+    # worst observed 2e-18
+    torch.testing.assert_close(ours, wanted, rtol=0, atol=1e-16)
+
+
+def test_ssim_in_single_precision_keeps_its_gradient():
+    a, b = picture(60, 50), picture(60, 50, seed=1)
+    (exact,) = torch.autograd.grad(ssim(x := a.requires_grad_(True), b), x)
+    single = a.detach().float().requires_grad_(True)
+    (ours,) = torch.autograd.grad(ssim(single, b.float()), single)
+    error = (ours - exact).norm() / exact.norm()
+    assert float(error) < 1e-5  # worst observed 9e-7
+
+
+@pytest.mark.parametrize("size", [(11, 11), (23, 17), (64, 48), (61, 250)])
+def test_the_native_ssim_is_that_of_torch(size, monkeypatch):
+    if load() is None:
+        pytest.skip("no native kernel here")
+    a, b = (picture(*size, seed=seed, dtype=torch.float32) for seed in (0, 1))
+    values, gradients = [], []
+    for library in (load(), None):
+        monkeypatch.setattr(ssim_module, "_library_for", lambda *_, library=library: library)
+        x = a.clone().requires_grad_(True)
+        value = ssim(x, b)
+        value.backward()
+        values.append(float(value.detach()))
+        gradients.append(x.grad)
+    assert values[0] == pytest.approx(values[1], abs=1e-6)  # worst observed 4e-8
+    largest = float(gradients[1].abs().max())
+    torch.testing.assert_close(gradients[0], gradients[1], rtol=0, atol=1e-5 * largest)  # worst observed 2e-6
+
+
+def test_the_native_ssim_does_not_depend_on_threads_or_on_what_was_there_before():
+    if (library := load()) is None:
+        pytest.skip("no native kernel here")
+    pairs = [[picture(*size, seed=s, dtype=torch.float32).numpy() for s in (0, 1)] for size in ((40, 60), (90, 20))]
+    alone, together = NativeSsim(library, 1), NativeSsim(library, 3)
+    first = [alone.mean_and_gradient(*pair) for pair in pairs]
+    for kernel in (alone, together):
+        for pair, (value, gradient) in zip(pairs, first, strict=True):
+            again, same = kernel.mean_and_gradient(*pair)
+            assert again == kernel.mean(*pair) == value
+            assert (same == gradient).all()
+
+
+def test_ssim_scales_its_gradient_with_what_follows():
+    a, b = picture().requires_grad_(True), picture(seed=1)
+    (one,) = torch.autograd.grad(ssim(a, b), a)
+    (three,) = torch.autograd.grad(-3 * ssim(a, b), a)
+    torch.testing.assert_close(three, -3 * one)
+
+
+def test_contrast_of_ssim_ignores_brightness():
+    a = 0.5 * picture()
+    value, contrast = ssim_parts(a, a + 0.3)
+    assert float(contrast.mean()) == pytest.approx(1, abs=1e-12)
+    assert float(value.mean()) < 0.95
+
+
+def test_a_black_picture_has_finite_gradients():
+    black = torch.zeros(20, 20, 3, requires_grad=True)
+    losses.ssim_loss(black, torch.zeros(20, 20, 3)).backward()
+    assert torch.isfinite(black.grad).all()
+
+
+def test_ssim_refuses_a_picture_smaller_than_its_window():
+    with pytest.raises(InputError, match="at least 11 pixels"):
+        ssim(picture(10, 30), picture(10, 30))
+
+
+def test_l1_is_the_mean_difference():
+    assert float(losses.l1_loss(torch.zeros(4, 5, 3), torch.full((4, 5, 3), 0.25))) == 0.25
+
+
+def test_pictures_of_unlike_shape_are_refused_instead_of_broadcast():
+    with pytest.raises(InputError, match="shape"):
+        losses.l1_loss(torch.zeros(4, 5, 3), torch.zeros(1, 5, 3))
+    with pytest.raises(InputError, match="shape"):
+        losses.mask_loss(torch.zeros(4, 5), torch.zeros(4, 1))
+
+
+def test_mask_loss_is_the_mean_square():
+    assert float(losses.mask_loss(torch.full((4, 5), 0.5), torch.ones(4, 5))) == 0.25
+
+
+def test_truth_gets_no_gradient():
+    a, b = picture().requires_grad_(True), picture(seed=1).requires_grad_(True)
+    alpha, mask = picture()[..., 0].requires_grad_(True), picture(seed=1)[..., 0].requires_grad_(True)
+    (losses.l1_loss(a, b) + losses.ssim_loss(a, b) + losses.mask_loss(alpha, mask)).backward()
+    assert b.grad is None
+    assert mask.grad is None
+    assert bool((a.grad != 0).all())
+    assert bool((alpha.grad != 0).all())
+
+
+@pytest.mark.parametrize("loss", [losses.l1_loss, losses.ssim_loss])
+def test_picture_losses_agree_with_finite_differences(loss):
+    b = picture(13, 12, seed=1)
+    assert torch.autograd.gradcheck(lambda a: loss(a, b), picture(13, 12).requires_grad_(True), atol=1e-8)
+
+
+def test_offsets_of_zero_cost_nothing_and_have_a_gradient():
+    offset = torch.zeros(7, 3, requires_grad=True)
+    loss = losses.offset_loss(offset, offset, hand_size_m=0.18)
+    loss.backward()
+    assert float(loss.detach()) == 0
+    assert bool((offset.grad == 0).all())
+
+
+def test_offset_loss_is_length_over_hand_size():
+    offset = torch.tensor([[3e-3, 4e-3, 0.0], [0.0, 0.0, 0.0]], dtype=torch.float64)
+    # 5 mm and 0 mm, mean 2.5 mm, once for identity and twice as much for the pose; short of it by eps at most
+    assert float(losses.offset_loss(offset, 2 * offset, hand_size_m=0.1)) == pytest.approx(0.075, abs=2e-4)
+
+
+def test_offset_loss_does_not_depend_on_the_unit():
+    offset = 1e-3 * picture()[0]
+    meters = losses.offset_loss(offset, hand_size_m=0.18)
+    bigger = losses.offset_loss(1000 * offset, hand_size_m=180.0)
+    assert float(bigger) == pytest.approx(float(meters), rel=0.02)  # the smooth part is 10 um of some 0.7 mm
+
+
+def test_offset_loss_agrees_with_finite_differences():
+    offset = (1e-3 * picture()[0]).requires_grad_(True)
+    assert torch.autograd.gradcheck(lambda x: losses.offset_loss(x, hand_size_m=0.18), offset, eps=1e-9, atol=1e-5)
+
+
+def test_round_gaussians_cost_nothing_and_long_ones_do():
+    assert float(losses.isotropy_loss(torch.full((5, 3), 2e-3))) == 0
+    assert float(losses.isotropy_loss(torch.tensor([[1.0, 2.0, 4.0]]))) == pytest.approx(0.75**2)
+    assert float(losses.isotropy_loss(torch.tensor([[1.0, 2.0, 2.5]]), ratio=0.4)) == pytest.approx(0)
+
+
+@pytest.mark.parametrize("shape", [(5,), (5, 1)])
+def test_isotropy_of_one_shared_radius_is_a_constant(shape):
+    loss = losses.isotropy_loss(torch.rand(shape).requires_grad_(True), ratio=0.4)
+    assert float(loss) == pytest.approx(0.36)
+    assert not loss.requires_grad
+
+
+def test_isotropy_agrees_with_finite_differences():
+    scales = (0.5 + picture()[0]).requires_grad_(True)
+    assert torch.autograd.gradcheck(losses.isotropy_loss, scales)

@@ -1,0 +1,113 @@
+"""The options of a training: the paper's configuration, stages, and what the ablations leave out."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, replace
+
+import pytest
+
+from jghand_engine.avatar.model import OffsetFrame, Shape
+from jghand_engine.learn.options import (
+    PAPER_FAITHFUL,
+    PRESETS,
+    LossWeights,
+    TrainOptions,
+    Transform,
+    ablations,
+    at_part,
+)
+from jghand_engine.learn.stamp import stamp_of
+
+
+def differing(one, other, path: str = "") -> set[str]:
+    """Names of the options in which the two differ."""
+    if not isinstance(one, dict):
+        return {path} if one != other else set()
+    return set().union(*(differing(one[name], other[name], f"{path}.{name}".lstrip(".")) for name in one))
+
+
+def test_the_paper_is_followed_where_it_says_something():
+    """METHOD 4.2 and 4.3."""
+    paper = PAPER_FAITHFUL
+    assert (paper.model.gaussians, paper.model.swing, paper.model.scale_mode) == (60_000, "euler", "uniform")
+    assert paper.model.offset_frame is OffsetFrame.WORLD
+    assert paper.model.shape is Shape.ISO
+    assert paper.model.area_power == 0  # as many for every bone
+    model = paper.model
+    assert (model.lit, model.glossy, model.pose.shaded, model.pose.level1) == (False, False, False, False)
+    assert (paper.model.pose.octaves, paper.model.pose.hidden, paper.model.hidden) == ((6, 6, 6), 128, 128)
+    assert (paper.model.pose.angle_channels, paper.model.pose.angle_texels) == (16, 16)
+    assert (paper.model.plane_texels, paper.model.depth_texels) == (256, 32)
+    assert (paper.model.identity_reach_m, paper.model.pose.reach_m, paper.model.opacity_bias) == (0.008, 0.005, -2.2)
+    assert (paper.schedule.views, paper.schedule.rate, paper.schedule.plane_rate) == (1, 1e-3, 1e-3)
+    assert paper.schedule.last_part == 1  # the rate does not fall
+    assert paper.shadow_samples == 64
+    assert paper.transform is Transform.JOINTS
+
+
+def test_the_terms_have_the_papers_weights():
+    wanted = LossWeights(l1=1.0, ssim=0.2, perceptual=0.2, mask=0.2, offset=1.0, isotropy=0.05, roughness=0.0)
+    assert PAPER_FAITHFUL.loss == wanted
+
+
+def test_the_papers_training_has_no_stages():
+    schedule = PAPER_FAITHFUL.schedule
+    for part in (0.0, 0.3, 1.0):
+        assert at_part(schedule.levels, part) == 1.0
+        assert at_part(schedule.strides, part) == 1
+    assert schedule.waves is None
+    assert schedule.perceptual_from == 0
+
+
+def test_a_stage_lasts_until_the_next_begins():
+    stages = ((0.0, 0.4), (0.5, 0.7), (0.75, 1.0))
+    values = [at_part(stages, part) for part in (0.0, 0.49, 0.5, 0.74, 0.75, 1.0)]
+    assert values == [0.4, 0.4, 0.7, 0.7, 1.0, 1.0]
+
+
+@pytest.mark.parametrize("name", list(PRESETS))
+def test_every_stage_begins_with_the_training_and_ends_with_all(name):
+    schedule = PRESETS[name].schedule
+    for stages in (schedule.levels, schedule.strides):
+        starts = [start for start, _ in stages]
+        assert starts[0] == 0
+        assert starts == sorted(starts)
+    assert [part for _, part in schedule.levels] == sorted(part for _, part in schedule.levels)
+    assert at_part(schedule.levels, 1.0) == 1
+    assert at_part(schedule.strides, 1.0) == 1
+
+
+@pytest.mark.parametrize(
+    ("row", "names"),
+    [
+        ("full", set()),
+        ("w/o trans", {"transform"}),
+        ("w/o shadow", {"shadow"}),
+        ("w/o iso", {"model.shape", "loss.isotropy"}),
+    ],
+)
+@pytest.mark.parametrize("preset", list(PRESETS))
+def test_an_ablation_differs_in_nothing_but_what_it_leaves_out(preset, row, names):
+    rows = ablations(PRESETS[preset])
+    if row == "w/o shadow" and PRESETS[preset].model.cast_shadow:
+        names = {*names, "model.cast_shadow"}
+    assert differing(asdict(PRESETS[preset]), asdict(rows[row])) == names
+
+
+def test_the_rows_are_those_of_the_papers_table():
+    rows = ablations(TrainOptions())
+    assert list(rows) == ["w/o trans", "w/o shadow", "w/o iso", "full"]
+    assert rows["w/o trans"].transform is Transform.HALO_LIKE
+    assert rows["w/o shadow"].shadow is False
+    assert rows["w/o shadow"].model.cast_shadow is False
+    assert rows["w/o iso"].model.shape is Shape.ANISO
+
+
+@pytest.mark.parametrize(
+    "change", [{"seed": 1}, {"shadow": False}, {"transform": Transform.HALO_LIKE}, {"loss": LossWeights(l1=0.9)}]
+)
+def test_a_training_goes_on_only_under_the_options_it_began_with(change):
+    """Options are plain values that a stamp holds: another value is another stamp."""
+    options = TrainOptions()
+    assert stamp_of(options, []) == stamp_of(TrainOptions(), [])
+    assert stamp_of(replace(options, **change), []) != stamp_of(options, [])

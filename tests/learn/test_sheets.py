@@ -1,0 +1,129 @@
+"""Sheets: which pictures they show, where they stand, and poses between poses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from picture_sets import LEFT, RIGHT, recorded, write_set
+
+from jghand_engine import limits
+from jghand_engine.captures.capture_folder import open_capture
+from jghand_engine.captures.masks import template_mask
+from jghand_engine.errors import InputError
+from jghand_engine.learn import sheets
+from jghand_engine.learn.evaluate import measure_pictures
+
+
+@pytest.fixture(scope="module", params=[RIGHT, LEFT], ids=str)
+def capture(request, tmp_path_factory):
+    return open_capture(write_set(tmp_path_factory.mktemp("set"), recorded(request.param, frames=3, cameras=3)))
+
+
+def draw(joints_m, handedness, camera):
+    """The silhouette of the template in one color."""
+    mask = template_mask(camera, joints_m, handedness)[..., None]
+    return np.concatenate([mask * [0.8, 0.6, 0.5], mask], -1).astype(np.float32)
+
+
+def one_camera(capture):
+    return lambda _joints, _handedness: {"front": capture.samples[0].camera, "side": capture.samples[1].camera}
+
+
+def rows_and_columns(sheet):
+    """How many cells stand above and beside each other: the ground's color starts and ends."""
+    ground = np.round(255 * np.array(sheets._GROUND)).astype(int)
+    is_cell = np.abs(sheet.astype(int) - ground).max(-1) <= 1
+    down = is_cell.sum(1) > 0.02 * sheet.shape[1]
+    across = is_cell.sum(0) > 0.02 * sheet.shape[0]
+    return tuple(int((np.diff(line.astype(int)) == 1).sum() + line[0]) for line in (down, across))
+
+
+def test_comparisons_are_truth_ours_and_difference(capture):
+    pictures = measure_pictures({"all": capture.samples[:4]}, draw)
+    sheet = sheets.comparison_sheet(pictures, draw, "title")
+    assert sheet.dtype == np.uint8
+    assert rows_and_columns(sheet)[1] == 6
+    assert rows_and_columns(sheets.comparison_sheet(pictures[:1], draw, "title"))[1] == 3
+
+
+def test_the_best_and_the_worst_are_always_shown(capture):
+    pictures = measure_pictures({"all": capture.samples}, draw)
+    shown = sheets.from_best_to_worst(pictures, 4)
+    figures = [picture.scores["psnr_full"] for picture in shown]
+    everything = [picture.scores["psnr_full"] for picture in pictures]
+    assert figures == sorted(figures, reverse=True)
+    assert (figures[0], figures[-1]) == (max(everything), min(everything))
+    assert len(sheets.from_best_to_worst(pictures, 99)) == len(pictures)
+
+
+def test_poses_show_each_pose_once(capture):
+    chosen = sheets.varied_samples(capture.samples, 12)
+    assert len(chosen) == len(capture.poses) == len({sample.pose for sample in chosen})
+    assert len({sample.camera_name for sample in chosen}) == 3
+    assert rows_and_columns(sheets.pose_sheet(chosen, draw, "title"))[1] == 3
+
+
+def test_views_have_a_row_for_each_pose_and_a_column_for_each_camera(capture):
+    sheet = sheets.view_sheet(sheets.varied_samples(capture.samples, 3), one_camera(capture), draw, "title")
+    assert rows_and_columns(sheet)[1] == 2
+
+
+def test_poses_in_between_have_a_row_for_each_avatar(capture):
+    pairs = sheets.pairs_of(capture.samples, 1)
+    one = sheets.between_sheet(pairs, one_camera(capture), {"a": draw}, "title")
+    two = sheets.between_sheet(pairs, one_camera(capture), {"a": draw, "b": draw}, "title")
+    assert rows_and_columns(one)[1] == limits.SHEET_STEPS_BETWEEN + 2
+    assert two.shape[0] > 1.7 * one.shape[0] - 100
+
+
+def test_the_ends_of_a_way_are_the_poses_and_the_wrist_stays(capture):
+    first, second = capture.samples[0], capture.by_pose()[capture.poses[1]][0]
+    hands = sheets.hands_between(first, second, torch.linspace(0, 1, 6, dtype=torch.float64))
+    np.testing.assert_allclose(hands[0], first.joints_m, atol=1e-9)  # worst observed 1e-16
+    np.testing.assert_allclose(hands[:, 0], np.tile(first.joints_m[0], (6, 1)), atol=1e-9)
+
+    def gaps(joints_m):
+        return np.linalg.norm(joints_m[:, None] - joints_m[None], axis=-1)
+
+    np.testing.assert_allclose(gaps(hands[-1]), gaps(second.joints_m), atol=1e-9)  # worst observed 2e-16
+
+
+def test_a_hand_turned_as_a_whole_stays_where_the_first_one_is(capture):
+    """The way between two poses is that of the fingers: a turn of the second hand in the room changes nothing."""
+    first, second = capture.samples[0], capture.by_pose()[capture.poses[1]][0]
+    turn, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))
+    turn *= np.sign(np.linalg.det(turn))
+    turned = type(second)(**{**vars(second), "joints_m": second.joints_m @ turn.T + 0.3})
+    parts = torch.linspace(0, 1, 3, dtype=torch.float64)
+    plain, other = (sheets.hands_between(first, sample, parts) for sample in (second, turned))
+    np.testing.assert_allclose(plain, other, atol=1e-9)  # worst observed 3e-16
+
+
+def test_no_pose_is_used_twice_and_one_pose_is_not_enough(capture):
+    pairs = sheets.pairs_of(capture.samples, 5)
+    used = [sample.pose for pair in pairs for sample in pair]
+    assert len(used) == len(set(used)) == 2
+    with pytest.raises(InputError, match="at least two"):
+        sheets.pairs_of(capture.samples[:1], 1)
+
+
+def test_heat_goes_from_the_ground_to_dark_without_going_back():
+    values = sheets.heat(np.linspace(0, 2 * limits.SHEET_DIFFERENCE_FULL, 50)[None])[0]
+    gray = values @ [0.3, 0.6, 0.1]
+    assert (np.diff(gray) <= 1e-12).all()
+    np.testing.assert_allclose(values[0], sheets._GROUND)
+    np.testing.assert_allclose(values[25:], np.tile(values[-1], (25, 1)), atol=0.02)
+
+
+def test_a_hand_at_the_border_of_its_picture_is_cut_out_whole(capture):
+    alpha = np.zeros((50, 40), np.float32)
+    alpha[:20, 30:] = 1
+    cell = sheets._Square.around(alpha).of(np.zeros((50, 40, 3)))
+    assert cell.shape == (sheets._CELL_PX, sheets._CELL_PX, 3)
+    assert (cell[0, 0] > 200).all(), "beyond the picture there is ground"
+
+
+def test_an_empty_picture_is_shown_whole():
+    square = sheets._Square.around(np.zeros((30, 60)))
+    assert (square.x, square.y, square.half) == (30, 15, 30)

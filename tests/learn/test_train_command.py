@@ -1,0 +1,155 @@
+"""`jghand train` as people use it: on a folder, stopped, gone on with, refused."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+
+import pytest
+
+from jghand_engine.avatar.file import load_avatar
+from jghand_engine.cli import main
+from jghand_engine.cli.failures import STOPPED
+from jghand_engine.learn.step import HandTraining
+
+
+@pytest.fixture
+def train(small_capture, tiny, tmp_path, capsys):
+    """Runs the command on the tiny capture; returns exit code, standard output and standard error."""
+
+    def run(*words, folder=small_capture):
+        code = main(["train", str(folder), "--out", str(tmp_path / "tiny.jghand"), *map(str, words)])
+        said = capsys.readouterr()
+        assert "Traceback" not in said.err
+        return code, said.out, said.err
+
+    return run
+
+
+def in_step(monkeypatch, number, act):
+    """Does something in a step of the real training, before or instead of it."""
+    step = HandTraining.step
+
+    def changed(self, at):
+        if at == number:
+            act(self)
+        return step(self, at)
+
+    monkeypatch.setattr(HandTraining, "step", changed)
+
+
+def test_a_folder_becomes_an_avatar(train, tmp_path):
+    code, out, err = train("--steps", 5, "--json", tmp_path / "figures.json")
+    assert code == 0
+    assert "20 of 24 pictures to learn from" in out
+    assert "jghand evaluate" in out
+    assert "step 5 of 5" in err
+    avatar = load_avatar(tmp_path / "tiny.jghand")
+    assert avatar.info.name == "tiny"
+    assert "small" in avatar.info.license
+    learned_from = avatar.info.learned_from
+    assert learned_from is not None
+    assert (learned_from.pictures, len(learned_from.digest)) == (20, 16)
+    assert (tmp_path / "tiny.training" / "pictures" / "step_00000005.png").exists()
+    figures = json.loads((tmp_path / "figures.json").read_text())
+    assert (figures["finished"], figures["steps"], figures["stamp"]["options"]["seed"]) == (True, 5, 0)
+
+
+def test_ctrl_c_is_answered_by_how_to_go_on_and_resume_does(train, tmp_path, monkeypatch):
+    with monkeypatch.context() as patched:
+        in_step(patched, 3, lambda training: os.kill(os.getpid(), signal.SIGINT))
+        code, out, _ = train("--steps", 6)
+    assert code == STOPPED
+    assert "4 steps" in out
+    assert "--resume" in out
+    assert not (tmp_path / "tiny.jghand").exists()
+    code, _, err = train("--steps", 6, "--resume")
+    assert code == 0
+    assert "Going on at step 4" in err
+    assert (tmp_path / "tiny.jghand").exists()
+
+
+def test_a_second_training_must_say_what_it_means(train, tmp_path):
+    train("--steps", 2)
+    code, _, err = train("--steps", 2)
+    assert code == 2
+    assert "--resume" in err
+    assert "--fresh" in err
+    assert train("--steps", 2, "--fresh")[0] == 0
+    code, _, err = train("--steps", 4, "--resume", "--seed", 3)
+    assert code == 2
+    assert "options.seed: wanted 0, as this training began, got 3" in err
+    code, _, err = train("--steps", 4, "--resume", "--all-pictures")
+    assert code == 2
+    assert "pictures: wanted 20, as this training began, got 24" in err
+
+
+def test_somebodys_file_is_not_replaced(train, tmp_path):
+    (tmp_path / "tiny.jghand").write_text("somebody's")
+    code, _, err = train("--steps", 2)
+    assert code == 2
+    assert "--overwrite" in err
+    assert (tmp_path / "tiny.jghand").read_text() == "somebody's"
+    assert not (tmp_path / "tiny.training").exists()
+    assert train("--steps", 2, "--overwrite")[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--steps", 0), "--steps"),
+        (("--minutes", 0), "--minutes"),
+        (("--steps", 1, "--seed", -1), "--seed"),
+        (("--minutes", "nan"), "--minutes"),
+        (("--resume", "--fresh"), "--resume and --fresh"),
+        (("--resume",), "Leave out --resume"),
+        (("--out", "hand.txt"), ".jghand"),
+        (("--steps", 2, "--replay", "nowhere"), "a failure that a training has dumped"),
+    ],
+)
+def test_options_that_make_no_sense_are_refused(train, words, said):
+    code, _, err = train(*words)
+    assert code == 2
+    assert said in err
+
+
+def test_a_folder_without_pictures_is_refused_before_anything_is_written(train, tmp_path):
+    code, _, err = train("--steps", 2, folder=tmp_path)
+    assert code == 2
+    assert str(tmp_path) in err
+    assert not (tmp_path / "tiny.training").exists()
+
+
+def test_a_failed_step_can_be_replayed(train, tmp_path, monkeypatch):
+    damage = []
+
+    def once(training):
+        if not damage:
+            damage.append(training.tensors()["heads.bias"].__setitem__(0, math.nan))
+
+    with monkeypatch.context() as patched:
+        in_step(patched, 3, once)
+        code, out, err = train("--steps", 6)
+    assert code == 0
+    assert "step 3 is left out" in err
+    assert "1 step gave" in out
+    code, out, _ = train("--steps", 6, "--replay", tmp_path / "tiny.training" / "failures" / "step_00000003")
+    assert code == 0
+    assert "When it happened, step 3: figure loss (1 NaN)" in out
+    assert "came from outside" in out
+
+
+def test_the_papers_configuration_trains_too(train):
+    code, _, _ = train("--steps", 3, "--preset", "paper-faithful")
+    assert code == 0
+
+
+def test_without_steps_or_minutes_there_is_a_budget(small_capture, tmp_path):
+    from jghand_engine.cli.train import Train
+
+    assert Train(small_capture, tmp_path / "a.jghand")._budget().seconds == 3600
+    assert Train(small_capture, tmp_path / "a.jghand", preset="paper-faithful")._budget(20).steps == 600
+    both = Train(small_capture, tmp_path / "a.jghand", steps=7, minutes=2.0)._budget()
+    assert (both.steps, both.seconds) == (7, 120.0)

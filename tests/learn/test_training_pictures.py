@@ -1,0 +1,216 @@
+"""Pictures to learn from: cut to the hand, made coarser, kept; every time with the camera that belongs to them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+from painted_samples import camera_at, discs, sample_of, write_rgba
+from small_hands import joints_of
+
+from jghand_engine.captures.sample import load_picture
+from jghand_engine.errors import InputError
+from jghand_engine.learn import pictures as pictures_module
+from jghand_engine.learn.pictures import Pictures, View, coarser
+from jghand_engine.limits import CROP_MARGIN_PX, SSIM_WINDOW_PX
+
+SIZE = (120, 90)
+
+
+def sample_with(tmp_path, mask: np.ndarray, *, focal_px: float = 200.0, name: str = "picture"):
+    height, width = mask.shape
+    picture = write_rgba(tmp_path / f"{name}.png", mask)
+    return sample_of(picture, camera_at(size=(width, height), focal_px=focal_px), joints_of("relaxed"))
+
+
+def boxed(rows: slice, columns: slice, size: tuple[int, int] = SIZE) -> np.ndarray:
+    """A mask that is that box."""
+    mask = np.zeros((size[1], size[0]), np.uint8)
+    mask[rows, columns] = 255
+    return mask
+
+
+def corner_of(sample, view: View) -> tuple[int, int]:
+    """Column and row of the whole picture at which the cut begins, from its camera."""
+    return round(sample.camera.cx - view.camera.cx), round(sample.camera.cy - view.camera.cy)
+
+
+# ---- cutting ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_picture_is_cut_to_the_hand_with_a_margin(tmp_path):
+    sample = sample_with(tmp_path, boxed(slice(30, 61), slice(40, 81)))
+    view = Pictures().view(sample)
+    assert (view.camera.width, view.camera.height) == (41 + 2 * CROP_MARGIN_PX, 31 + 2 * CROP_MARGIN_PX)
+    assert corner_of(sample, view) == (40 - CROP_MARGIN_PX, 30 - CROP_MARGIN_PX)
+    assert tuple(view.rgb.shape) == (view.camera.height, view.camera.width, 3)
+    assert tuple(view.mask.shape) == (view.camera.height, view.camera.width)
+
+
+def test_a_cut_has_the_pixels_of_the_picture_on_black(tmp_path):
+    sample = sample_with(tmp_path, boxed(slice(30, 61), slice(40, 81)))
+    view, whole = Pictures().view(sample), load_picture(sample)
+    left, top = corner_of(sample, view)
+    cut = slice(top, top + view.camera.height), slice(left, left + view.camera.width)
+    # kept as bytes
+    assert np.abs(view.rgb.numpy() - whole.rgb[cut]).max() <= 0.5 / 255 + 1e-6
+    assert np.array_equal(view.mask.numpy(), whole.mask[cut])
+    assert not view.rgb[view.mask == 0].any()
+    # nothing of the hand is lost
+    assert float(view.mask.sum()) == whole.mask.sum()
+
+
+def test_the_camera_of_a_cut_sees_the_joints_at_the_same_pixels(tmp_path):
+    sample = sample_with(tmp_path, boxed(slice(30, 61), slice(40, 81)))
+    view = Pictures().view(sample)
+    joints_m = torch.from_numpy(sample.joints_m)
+    (whole_px, whole_m), (cut_px, cut_m) = (camera.project(joints_m) for camera in (sample.camera, view.camera))
+    torch.testing.assert_close(cut_px + torch.tensor(corner_of(sample, view)), whole_px)
+    assert torch.equal(cut_m, whole_m)
+
+
+def test_the_hand_of_a_cut_is_where_its_camera_sees_the_joints(tmp_path):
+    """Picture and camera are cut alike, whatever the place: every joint lies on the mask."""
+    camera, joints_m = camera_at((0.2, 0.25, 0.5), size=SIZE, focal_px=150.0), joints_of("claw")
+    sample = sample_of(write_rgba(tmp_path / "hand.png", discs(camera, joints_m, 2.0)), camera, joints_m)
+    for stride in (1, 2):
+        view = Pictures().view(sample, stride)
+        pixels, _ = view.camera.project(torch.from_numpy(joints_m))
+        column, row = pixels.floor().long().unbind(-1)
+        assert bool((view.mask[row, column] > 0).all())
+        # and the mask is nowhere else
+        rows, columns = np.mgrid[: view.camera.height, : view.camera.width] + 0.5
+        away = np.hypot(columns[..., None] - pixels[:, 0].numpy(), rows[..., None] - pixels[:, 1].numpy()).min(-1)
+        assert away[view.mask.numpy() > 0.5].max() < 2.0 / stride + 1.0
+
+
+@pytest.mark.parametrize(
+    ("row", "column"), [(0, 0), (0, 119), (89, 0), (89, 119), (0, 60), (45, 119)], ids=str
+)  # fmt: skip
+def test_a_tiny_hand_at_the_border_is_cut_inside_the_picture(tmp_path, row, column):
+    """One pixel of it: still larger than the window of SSIM at stride 2, and the pixel is in it."""
+    sample = sample_with(tmp_path, boxed(slice(row, row + 1), slice(column, column + 1)))
+    view = Pictures().view(sample)
+    left, top = corner_of(sample, view)
+    assert 0 <= left <= column < left + view.camera.width <= SIZE[0]
+    assert 0 <= top <= row < top + view.camera.height <= SIZE[1]
+    assert min(view.camera.width, view.camera.height) >= 2 * SSIM_WINDOW_PX + 2
+    assert float(view.mask.sum()) == 1
+    assert float(view.mask[row - top, column - left]) == 1
+    half = Pictures().view(sample, 2)
+    assert min(half.rgb.shape[:2]) > SSIM_WINDOW_PX
+    assert float(half.mask.sum()) == pytest.approx(0.25)
+
+
+def test_a_hand_that_fills_the_picture_keeps_all_of_it(tmp_path):
+    sample = sample_with(tmp_path, boxed(slice(0, 90), slice(0, 120)))
+    view = Pictures().view(sample)
+    assert (view.camera.width, view.camera.height) == SIZE
+    assert corner_of(sample, view) == (0, 0)
+
+
+def test_a_picture_smaller_than_the_least_cut_is_kept_whole(tmp_path):
+    sample = sample_with(tmp_path, boxed(slice(5, 6), slice(3, 9), (20, 16)))
+    view = Pictures().view(sample)
+    assert (view.camera.width, view.camera.height) == (20, 16)
+
+
+def test_a_picture_without_a_hand_is_refused_by_name(tmp_path):
+    sample = sample_with(tmp_path, boxed(slice(0, 0), slice(0, 0)), name="nobody")
+    with pytest.raises(InputError, match=r"nobody\.png.*empty mask"):
+        Pictures().view(sample)
+
+
+def test_a_half_transparent_edge_is_part_of_the_hand(tmp_path):
+    mask = boxed(slice(40, 60), slice(50, 70))
+    mask[39, 50:70] = 3
+    view = Pictures().view(sample_with(tmp_path, mask))
+    assert view.camera.height == 21 + 2 * CROP_MARGIN_PX
+    assert float(view.mask[CROP_MARGIN_PX, CROP_MARGIN_PX]) == pytest.approx(3 / 255)
+
+
+# ---- coarser ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("stride", [2, 3])
+def test_joints_of_a_coarser_view_lie_at_exactly_the_part(tmp_path, stride):
+    view = Pictures().view(sample_with(tmp_path, boxed(slice(30, 61), slice(40, 81))))
+    small = coarser(view, stride)
+    joints_m = torch.from_numpy(joints_of("relaxed"))
+    (full_px, full_m), (small_px, small_m) = (camera.project(joints_m) for camera in (view.camera, small.camera))
+    torch.testing.assert_close(stride * small_px, full_px, atol=1e-12, rtol=0)
+    assert torch.equal(small_m, full_m)
+
+
+@pytest.mark.parametrize("stride", [2, 3])
+def test_a_coarser_pixel_is_the_mean_of_those_it_covers(tmp_path, stride):
+    view = Pictures().view(sample_with(tmp_path, boxed(slice(30, 61), slice(40, 81))))
+    small = coarser(view, stride)
+    height, width = view.camera.height // stride, view.camera.width // stride
+    assert (small.camera.width, small.camera.height) == (width, height)
+    assert tuple(small.rgb.shape) == (height, width, 3)
+    blocks = view.rgb[: height * stride, : width * stride].reshape(height, stride, width, stride, 3)
+    torch.testing.assert_close(small.rgb, blocks.mean((1, 3)))
+    # what is left over is at the right and below, so that the first pixels stay the first
+    assert view.camera.width % stride or view.camera.height % stride
+    mask = view.mask[: height * stride, : width * stride].reshape(height, stride, width, stride)
+    torch.testing.assert_close(small.mask, mask.mean((1, 3)))
+
+
+def test_the_view_itself_is_not_changed_by_a_coarser_one(tmp_path):
+    pictures, sample = Pictures(), sample_with(tmp_path, boxed(slice(30, 61), slice(40, 81)))
+    first = pictures.view(sample)
+    pictures.view(sample, 2)
+    again = pictures.view(sample)
+    assert torch.equal(first.rgb, again.rgb)
+    assert (first.camera.width, first.camera.fx) == (again.camera.width, again.camera.fx)
+
+
+# ---- keeping ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def loads(monkeypatch) -> list[str]:
+    """Names of the pictures that were read, in order."""
+    names: list[str] = []
+
+    def load(sample):
+        names.append(sample.picture.stem)
+        return load_picture(sample)
+
+    monkeypatch.setattr(pictures_module, "load_picture", load)
+    return names
+
+
+def test_a_picture_is_read_once(tmp_path, loads):
+    pictures, sample = Pictures(), sample_with(tmp_path, boxed(slice(30, 61), slice(40, 81)))
+    views = [pictures.view(sample), pictures.view(sample, 2), pictures.view(sample)]
+    assert loads == ["picture"]
+    assert torch.equal(views[0].rgb, views[2].rgb)
+
+
+def test_pictures_that_do_not_fit_are_read_again_the_longest_unused_first(tmp_path, loads, monkeypatch):
+    samples = [sample_with(tmp_path, boxed(slice(30, 61), slice(40, 81)), name=name) for name in "abc"]
+    one = 4 * (31 + 2 * CROP_MARGIN_PX) * (41 + 2 * CROP_MARGIN_PX)
+    monkeypatch.setattr(pictures_module, "PICTURE_CACHE_BYTES", 2 * one)
+    pictures = Pictures()
+    for index in (0, 1, 0, 2, 0, 1):
+        pictures.view(samples[index])
+    # c took the place of b, which nobody had looked at for longest
+    assert "".join(loads) == "abcb"
+
+
+def test_one_picture_is_kept_even_when_it_is_larger_than_the_room(tmp_path, loads, monkeypatch):
+    monkeypatch.setattr(pictures_module, "PICTURE_CACHE_BYTES", 10)
+    pictures, sample = Pictures(), sample_with(tmp_path, boxed(slice(30, 61), slice(40, 81)))
+    pictures.view(sample)
+    pictures.view(sample)
+    assert loads == ["picture"]
+
+
+def test_changing_a_view_does_not_change_what_is_kept(tmp_path):
+    pictures, sample = Pictures(), sample_with(tmp_path, boxed(slice(30, 61), slice(40, 81)))
+    first = pictures.view(sample)
+    wanted = first.rgb.clone()
+    first.rgb.zero_()
+    assert torch.equal(pictures.view(sample).rgb, wanted)

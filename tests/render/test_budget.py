@@ -1,0 +1,209 @@
+"""Budgets: what is chosen, how it is said, the file that is kept, the measurement where there is none. Never how long
+anything takes."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+from small_avatars import small_avatar, trained_avatar
+
+from jghand_engine import limits
+from jghand_engine.errors import InputError
+from jghand_engine.render import budget, profile
+from jghand_engine.render.budget import best_for, candidates, choose, measure_quickly
+from jghand_engine.render.effect_plan import Effect
+from jghand_engine.render.profile import (
+    Profile,
+    Rated,
+    how_it_looks,
+    left_out,
+    pareto_front,
+    profile_file,
+    read_profile,
+    write_profile,
+)
+from jghand_engine.render.settings import PRESETS, RenderSettings, ShadowMode
+from jghand_engine.render.subject import moving_subject
+
+SIZE = (24, 16)
+
+
+def rated(name: str, ms: float, psnr_db: float, **settings) -> Rated:
+    return Rated(name, RenderSettings(**settings), ms, 1.1 * ms, psnr_db)
+
+
+ROWS = (rated("exact", 40, 90), rated("worse and slower", 30, 40), rated("good", 10, 60), rated("quick", 4, 30))
+
+
+@pytest.fixture
+def cache(tmp_path, monkeypatch):
+    monkeypatch.setenv("JGHAND_CACHE_DIR", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+@pytest.mark.parametrize(("budget_ms", "name", "fits"), [(100, "exact", True), (16, "good", True), (2, "quick", False)])
+def test_the_most_accurate_that_fits_is_chosen_else_the_quickest(budget_ms, name, fits):
+    chosen = choose(Profile(ROWS, "here", False), budget_ms, 100)
+    assert (chosen.rated.name, chosen.fits) == (name, fits)
+    assert name in chosen.sentence()
+    assert ("Nothing is drawn within" in chosen.sentence()) is not fits
+
+
+def test_the_slow_frames_have_to_fit_with_room_to_spare():
+    # 95 % below 11 ms: 11 / 0.9 = 12.2
+    profile_of_rows = Profile(ROWS, "here", False)
+    assert choose(profile_of_rows, 11 / limits.BUDGET_PART + 0.01, 100).rated.name == "good"
+    assert choose(profile_of_rows, 11 / limits.BUDGET_PART - 0.01, 100).rated.name == "quick"
+
+
+def test_what_comes_out_may_reuse_and_has_the_threads_that_were_asked_for():
+    settings = choose(Profile((rated("one", 1, 50, reuse=False),), "", False), 16, 100, threads=2).settings
+    assert (settings.reuse, settings.threads) == (True, 2)
+
+
+def test_the_front_has_nothing_that_is_both_slower_and_worse():
+    front = pareto_front((row.median_ms, row.psnr_db, row.name) for row in ROWS)
+    assert front == ["quick", "good", "exact"]
+    assert pareto_front([(1, 5, "a"), (1, 6, "b"), (2, 6, "c")]) == ["b"]
+
+
+@pytest.mark.parametrize("budget_ms", [0, -1, float("nan"), float("inf")])
+def test_a_budget_that_is_no_time_is_refused(budget_ms):
+    with pytest.raises(InputError, match="budget"):
+        best_for(budget_ms, small_avatar(10), SIZE)
+
+
+def test_words_say_what_one_sees():
+    assert how_it_looks(60, ["soft fingertips"]) == "looks the same"
+    assert how_it_looks(40, ["soft fingertips"]) == "nearly the same (soft fingertips)"
+    assert how_it_looks(33, ["thin edges", "soft fingertips"]) == "thin edges"
+    assert how_it_looks(25, ["soft fingertips"]) == "clearly soft fingertips"
+    assert how_it_looks(41, []) == "nearly the same (approximate creases)"
+    assert left_out(PRESETS["final"], 40_000) == {}
+    assert set(left_out(PRESETS["draft"], 40_000)) == {"Gaussians", "shadow", "blend"}
+    assert "Gaussians" not in left_out(PRESETS["draft"], 20_000)
+
+
+def test_candidates_hold_the_presets_and_name_each_setting_once():
+    found = candidates(trained_avatar(100), (512, 334))
+    assert set(PRESETS) <= set(found)
+    assert len({repr(settings) for settings in found.values()}) == len(found)
+    bare = found["draft, no correctives"]
+    assert not bare.effects.allows(Effect.CORRECTIVES)
+    assert "draft, no correctives" not in candidates(small_avatar(100), (512, 334))
+    assert not any(settings.half for settings in found.values())
+    assert "viewport, no shadow" in found
+    assert any(settings.half for settings in candidates(small_avatar(100), (1920, 1080)).values())
+
+
+def test_a_shadow_that_is_not_drawn_is_nothing_to_choose():
+    avatar = trained_avatar(100)
+    for seen, offered in ((0.0, False), (0.1, True)):
+        look = replace(avatar.learned.shadow, seen=seen)
+        found = candidates(replace(avatar, learned=replace(avatar.learned, shadow=look)), (512, 334))
+        assert ("viewport, no shadow" in found) is offered
+
+
+# ---- the file --------------------------------------------------------------------------------------------------------
+
+
+def test_a_profile_is_read_as_it_was_written(cache):
+    avatar = small_avatar(10)
+    rows = tuple(Rated(name, one, 2.5, 3.5, 60.0) for name, one in candidates(trained_avatar(10), (2000, 1000)).items())
+    rows = tuple(replace(row, settings=replace(row.settings, reuse=True)) for row in rows)
+    assert read_profile(avatar, SIZE, 1) is None
+    assert write_profile(avatar, SIZE, 1, Profile(rows, "here", False))
+    assert write_profile(avatar, (8, 8), 1, Profile(rows[:1], "there", True))
+    assert read_profile(avatar, SIZE, 1) == Profile(rows, "here", False)
+    assert read_profile(avatar, (8, 8), 1) == Profile(rows[:1], "there", True)
+    assert read_profile(avatar, SIZE, 2) is None
+    assert [file.name for file in cache.iterdir()] == [profile_file(avatar).name]
+
+
+def test_other_avatars_have_other_files():
+    files = {profile_file(one) for one in (small_avatar(10), small_avatar(10, 1), small_avatar(11), trained_avatar(10))}
+    assert len(files) == 4
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        "",
+        "[]",
+        "nonsense",
+        '{"24x16, 1 threads": 3}',
+        '{"24x16, 1 threads": {"rows": [], "origin": "", "disturbed": 0}}',
+    ],
+)
+def test_a_file_that_cannot_be_read_is_as_if_it_were_not_there(cache, content):
+    avatar = small_avatar(10)
+    cache.mkdir()
+    profile_file(avatar).write_text(content)
+    assert read_profile(avatar, SIZE, 1) is None
+    assert write_profile(avatar, SIZE, 1, Profile(ROWS, "here", False))
+    assert read_profile(avatar, SIZE, 1) is not None
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("gaussians", -3), ("alpha_min", 7), ("shadow", "some"), ("median_ms", "x"), ("tier", 5), ("psnr_db", "nan")],
+)
+def test_a_row_that_says_nonsense_is_not_believed(cache, name, value):
+    avatar = small_avatar(10)
+    write_profile(avatar, SIZE, 1, Profile(ROWS, "here", False))
+    content = json.loads(profile_file(avatar).read_text())
+    content["24x16, 1 threads"]["rows"][1][name] = value
+    profile_file(avatar).write_text(json.dumps(content))
+    assert read_profile(avatar, SIZE, 1) is None
+
+
+def test_a_folder_that_cannot_be_written_costs_only_the_profile(tmp_path, monkeypatch):
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    monkeypatch.setenv("JGHAND_CACHE_DIR", str(blocked / "cache"))
+    assert not write_profile(small_avatar(10), SIZE, 1, Profile(ROWS, "here", False))
+
+
+# ---- the measurement -------------------------------------------------------------------------------------------------
+
+
+def test_two_seconds_tell_times_and_accuracies():
+    avatar = trained_avatar(60)
+    offered = {"reference": PRESETS["reference"], "coarse": RenderSettings(alpha_min=0.2, shadow=ShadowMode.OFF)}
+    measured = measure_quickly(moving_subject("small", avatar, *SIZE), offered, threads=1, seconds=0.0)
+    reference, coarse = measured.rows
+    assert reference.psnr_db == limits.PSNR_MAX_DB
+    assert 10 < coarse.psnr_db < 60
+    assert all(0 < row.median_ms <= row.p95_ms for row in measured.rows)
+    assert coarse.settings is offered["coarse"]
+
+
+def test_a_profile_is_measured_once_and_again_while_it_was_disturbed(cache, monkeypatch):
+    calls, disturbed = [], [True, False]
+
+    def measured(subject, offered, threads):
+        calls.append((subject.camera.width, len(offered), threads))
+        return Profile(ROWS, "measured", disturbed.pop(0))
+
+    monkeypatch.setattr(budget, "measure_quickly", measured)
+    avatar = small_avatar(10)
+    assert "other work" in best_for(16, avatar, SIZE, 1).sentence()
+    assert [best_for(16, avatar, SIZE, 1).rated.name for _ in range(3)] == ["good"] * 3
+    assert len(calls) == 2
+
+
+def test_settings_have_a_way_to_themselves(cache, monkeypatch):
+    monkeypatch.setattr(budget, "measure_quickly", lambda *_: pytest.fail("there is a profile"))
+    avatar = small_avatar(10)
+    write_profile(avatar, SIZE, 1, Profile((rated("one", 1, 50, gaussians=7),), "here", False))
+    assert RenderSettings.for_budget(16, avatar, SIZE, 1).gaussians == 7
+
+
+def test_everything_that_differs_between_candidates_is_kept():
+    """A field that candidates set and the file forgets would come back as its default."""
+    kept = {*profile._NUMBERS, "shadow", "correctives", "effects", "reuse"}
+    default = RenderSettings()
+    for settings in candidates(trained_avatar(10), (2000, 1000)).values():
+        assert {name for name in vars(settings) if getattr(settings, name) != getattr(default, name)} <= kept

@@ -1,0 +1,315 @@
+"""What the reference draws and what it leaves out: where the border is, on the picture, of a tile and of a value."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from splat_scenes import (
+    as_ellipsoids,
+    camera_for,
+    front_camera,
+    gaussians_from,
+    hand_gaussians,
+    in_precision,
+    planes_of,
+    reordered,
+    stretched,
+)
+
+from jghand_engine import limits
+from jghand_engine.avatar.gaussians import Gaussians
+from jghand_engine.errors import InputError
+from jghand_engine.render import reference
+from jghand_engine.render.camera import Camera
+from jghand_engine.render.inputs import check_gaussians
+from jghand_engine.render.reference import rasterize_reference, semi_definite
+
+F64 = torch.float64
+
+
+def one(position_m, *, sigma_m: float = 1e-3, opacity: float = 0.5, rgb=(1.0, 1.0, 1.0)) -> Gaussians:
+    """One Gaussian, in float64 to the last bit."""
+    rows = ([position_m], [sigma_m], [opacity], [rgb])
+    return Gaussians(*(torch.tensor(row, dtype=F64) for row in rows))
+
+
+def counts(gaussians: Gaussians, camera: Camera) -> tuple[int, int]:
+    picture = rasterize_reference(gaussians, camera)
+    return picture.visible_gaussians, picture.invalid_gaussians
+
+
+# ---- the picture's border -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("side", ["left", "right", "top", "bottom"])
+def test_a_gaussian_is_drawn_while_its_box_reaches_into_the_picture(side: str):
+    """The box is where alpha falls to the cut: sigma sqrt(2 ln(opacity / cut)), with the low pass (RENDERING 3)."""
+    camera = Camera(20, 12, 100.0, 160.0, 10.0, 6.0, torch.eye(4, dtype=F64))
+    sigma_m, opacity, k = 0.02, 0.7, 2 * math.log(0.7 * 255)
+    for inside, drawn in ((0.01, 1), (-0.01, 0)):
+        # on the axis across the side the projection's slant adds to the variance: solve for the center by iteration
+        x, y = 0.0, 0.0
+        for _ in range(50):
+            reach_x = math.sqrt(k * ((sigma_m * 100) ** 2 * (1 + x * x) + 0.3))
+            reach_y = math.sqrt(k * ((sigma_m * 160) ** 2 * (1 + y * y) + 0.3))
+            match side:
+                case "left":
+                    x = (-reach_x + inside - 10) / 100
+                case "right":
+                    x = (20 + reach_x - inside - 10) / 100
+                case "top":
+                    y = (-reach_y + inside - 6) / 160
+                case "bottom":
+                    y = (12 + reach_y - inside - 6) / 160
+        assert counts(one([x, y, 1.0], sigma_m=sigma_m, opacity=opacity), camera) == (drawn, 0)
+
+
+def test_a_box_that_only_touches_the_border_is_not_drawn():
+    gaussian = one([0.0, 0.0, 1.0], sigma_m=0.06, opacity=0.5)
+    ellipses = reference._project(gaussian, gaussian.position_m, torch.tensor([0]), front_camera(8, 8, 100.0))
+    left, right, top, bottom = (float(edge) for edge in reference._boxes(ellipses, limits.ALPHA_MIN)[:, 0])
+    reach = (right - left) / 2
+    assert 16 < reach < 24  # then 8 + reach is exact, and so is what follows
+    assert (right - left, bottom - top) == (2 * reach, 2 * reach)
+    for cx, cy in ((-reach, 4.0), (8 + reach, 4.0), (4.0, -reach), (4.0, 8 + reach)):
+        camera = Camera(8, 8, 100.0, 100.0, cx, cy, torch.eye(4, dtype=F64))
+        assert counts(gaussian, camera) == (0, 0)
+        nearer = Camera(8, 8, 100.0, 100.0, cx + (4 - cx) * 1e-6, cy + (4 - cy) * 1e-6, torch.eye(4, dtype=F64))
+        assert counts(gaussian, nearer) == (1, 0)
+
+
+# ---- values at their limits -----------------------------------------------------------------------------------------
+
+
+def test_at_the_near_plane_nothing_is_drawn_and_right_behind_it_is():
+    camera = front_camera(16, 16, 20.0)
+    for depth_m, drawn in ((limits.Z_NEAR_M, 0), (math.nextafter(limits.Z_NEAR_M, 1), 1)):
+        assert counts(one([0.0, 0.0, depth_m]), camera) == (drawn, 0)
+
+
+def test_an_opacity_equal_to_the_cut_cannot_be_seen():
+    camera = front_camera(15, 15, 20.0)
+    for opacity, drawn in ((limits.ALPHA_MIN, 0), (math.nextafter(limits.ALPHA_MIN, 1), 1)):
+        assert counts(one([0.0, 0.0, 1.0], opacity=opacity), camera) == (drawn, 0)
+
+
+def test_a_variance_equal_to_its_limit_is_invalid(monkeypatch):
+    """Of spheres in the middle of the picture the variance is (sigma f / z)^2 + 0.3, in both directions."""
+    camera = Camera(9, 9, 1.0, 2.0, 4.5, 4.5, torch.eye(4, dtype=F64))
+    for limit, drawn in ((4.3, 0), (math.nextafter(4.3, 5), 1), (1.3, 0), (2.0, 0)):
+        monkeypatch.setattr(limits, "VAR_MAX_PX2", limit)
+        assert counts(one([0.0, 0.0, 1.0], sigma_m=1.0), camera) == (drawn, 1 - drawn)
+        turned = Camera(9, 9, 2.0, 1.0, 4.5, 4.5, torch.eye(4, dtype=F64))
+        assert counts(one([0.0, 0.0, 1.0], sigma_m=1.0), turned) == (drawn, 1 - drawn)
+
+
+def test_the_largest_values_that_can_be_drawn_are_drawn():
+    far, bright = limits.POSITION_MAX_M, limits.RGB_MAX
+    camera = Camera(9, 9, 1.0, 1.0, 4.5, 4.5, torch.eye(4, dtype=F64))
+    largest = one([far, -far, far], sigma_m=1e3, opacity=1.0, rgb=(bright, -bright, 0.0))
+    assert counts(largest, replace(camera, cx=3.5, cy=5.5)) == (1, 0)
+    faint = replace(largest, opacity=torch.zeros(1, dtype=F64))
+    assert counts(faint, camera) == (0, 0)
+
+
+BOTH_WAYS = list(itertools.product(range(3), (1, -1)))
+
+
+@pytest.mark.parametrize(
+    ("name", "column", "value"),
+    [
+        *(("position_m", column, sign * math.nextafter(limits.POSITION_MAX_M, 2e6)) for column, sign in BOTH_WAYS),
+        *(("rgb", column, sign * math.nextafter(limits.RGB_MAX, 2e6)) for column, sign in BOTH_WAYS),
+        ("sigma_m", None, 0.0),
+        ("sigma_m", None, math.inf),
+        ("opacity", None, math.nextafter(1, 2)),
+        ("opacity", None, -5e-324),
+    ],
+)
+def test_one_value_beyond_its_limit_makes_one_gaussian_invalid(name, column, value):
+    hand = in_precision(hand_gaussians(20, sigma_mm=(2, 3)), F64)
+    camera = camera_for(24, 16)
+    visible = counts(hand, camera)[0]
+    tensor = getattr(hand, name)
+    (tensor if column is None else tensor[:, column])[7] = value
+    picture = rasterize_reference(hand, camera)
+    assert (picture.visible_gaussians, picture.invalid_gaussians) == (visible - 1, 1)
+    without = rasterize_reference(reordered(hand, torch.arange(20) != 7), camera)
+    assert torch.equal(planes_of(picture), planes_of(without))
+
+
+def test_what_is_invalid_for_two_reasons_is_counted_once_and_both_kinds_are_added():
+    camera = front_camera(9, 9, 500.0)
+    rows = [
+        ([0, 0, 1.0], 1e-3, 0.5, [1, 1, 1]),
+        ([0, 0, 1.0], 1e6, 0.5, [1, 1, 1]),  # too large on the picture
+        ([0, 0, 1.0], -1.0, 2.0, [1, 1, 1]),  # twice invalid
+        ([0, 0, -1.0], 1e6, 0.5, [1, 1, 1]),  # behind the camera nothing is projected
+    ]
+    gaussians = gaussians_from(*zip(*rows, strict=True), dtype=F64)
+    assert counts(gaussians, camera) == (1, 2)
+
+
+# ---- covariances ----------------------------------------------------------------------------------------------------
+
+
+def upper(matrices: np.ndarray) -> torch.Tensor:
+    return torch.from_numpy(matrices.reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]].copy())
+
+
+def test_semi_definite_is_what_the_eigenvalues_say():
+    random = np.random.default_rng(0)
+    full = random.normal(size=(4000, 3, 3)) * 10.0 ** random.uniform(-8, 3, (4000, 1, 1))
+    symmetric = full + full.swapaxes(1, 2) + np.abs(np.linalg.norm(full, axis=(1, 2)))[:, None, None] * np.eye(3)
+    trace = np.trace(symmetric, axis1=1, axis2=2)
+    least = np.linalg.eigvalsh(symmetric)[:, 0] + limits.COVARIANCE_SLACK * trace
+    expected = least > 0
+    assert 0.2 < expected.mean() < 0.8
+    assert np.array_equal(semi_definite(upper(symmetric)).numpy(), expected)
+
+
+def test_flat_covariances_may_be_a_part_of_their_trace_beyond_flat():
+    random = np.random.default_rng(1)
+    turn = np.linalg.qr(random.normal(size=(200, 3, 3)))[0]
+    for part, good in ((-0.9, True), (-1.1, False)):
+        for flat in ([2.0, 1.0, 0.0], [3.0, 0.0, 0.0]):
+            values = np.array(flat) + part * limits.COVARIANCE_SLACK * sum(flat) * (np.array(flat) == 0)
+            matrices = turn * values @ turn.swapaxes(1, 2)
+            assert (semi_definite(upper(matrices)).numpy() == good).all()
+
+
+def test_without_the_slack_a_flat_covariance_is_refused_to_the_last_bit(monkeypatch):
+    monkeypatch.setattr(limits, "COVARIANCE_SLACK", 0.0)
+    for place in (0, 3, 5):
+        rows = torch.tensor([[1.0, 0, 0, 1, 0, 1]] * 2, dtype=F64)
+        rows[:, place] = torch.tensor([0.0, 1e-300], dtype=F64)
+        assert semi_definite(rows).tolist() == [False, True]
+
+
+def test_no_infinite_covariance_is_semi_definite():
+    for places in itertools.product([0.0, 1.0, math.inf], repeat=3):
+        if math.inf in places:
+            xx, yy, zz = places
+            assert not semi_definite(torch.tensor([[xx, 0, 0, yy, 0, zz], [xx, 0.1, 0.1, yy, 0.1, zz]])).any()
+
+
+# ---- alpha at the cut and at the cap --------------------------------------------------------------------------------
+
+
+def test_a_contribution_equal_to_the_cut_counts_and_one_below_it_does_not():
+    gaussian, camera = one([0.0, 0.0, 1.0], sigma_m=0.01, opacity=0.5), front_camera(15, 15, 100.0)
+    somewhere = rasterize_reference(gaussian, camera, alpha_min=1e-4).alpha[7, 9]
+    for cut, alpha in ((float(somewhere), float(somewhere)), (math.nextafter(float(somewhere), 1), 0.0)):
+        assert float(rasterize_reference(gaussian, camera, alpha_min=cut).alpha[7, 9]) == alpha
+
+
+def test_the_smooth_cut_is_a_smoothstep_from_the_cut_to_twice_the_cut():
+    cut = 0.01
+    alpha = torch.tensor([0.0, 0.005, 0.01, 0.0125, 0.015, 0.0175, 0.02, 0.03, 0.9], dtype=F64)
+    steps = torch.tensor([0, 0, 0, 0.15625, 0.5, 0.84375, 1, 1, 1], dtype=F64)
+    torch.testing.assert_close(reference._cut(alpha, cut, smooth=True), alpha * steps, rtol=1e-12, atol=1e-15)
+    hard = torch.tensor([0, 0, 0.01, 0.0125, 0.015, 0.0175, 0.02, 0.03, 0.9], dtype=F64)
+    assert torch.equal(reference._cut(alpha, cut, smooth=False), hard)
+
+
+def test_an_alpha_at_the_cap_has_no_gradient_and_one_below_it_has():
+    for opacity, gradient in ((limits.ALPHA_MAX, 0.0), (math.nextafter(limits.ALPHA_MAX, 0), 1.0)):
+        leaf = torch.tensor([opacity], dtype=F64, requires_grad=True)
+        gaussian = replace(one([0.0, 0.0, 1.0]), opacity=leaf)
+        rasterize_reference(gaussian, front_camera(5, 5, 100.0)).alpha[2, 2].backward()
+        assert leaf.grad is not None
+        assert float(leaf.grad) == gradient
+
+
+# ---- tiles and memory -----------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def blended(monkeypatch) -> list[tuple[torch.Tensor, torch.Tensor]]:
+    """Pixels and depths of the Gaussians of every call of `_blend`."""
+    calls, blend = [], reference._blend
+
+    def noted(ellipses, pixels, **options):
+        calls.append((pixels, ellipses.z))
+        return blend(ellipses, pixels, **options)
+
+    monkeypatch.setattr(reference, "_blend", noted)
+    return calls
+
+
+@pytest.mark.parametrize("ellipsoids", [False, True])
+def test_a_tile_meets_the_gaussians_whose_boxes_reach_into_it_and_no_others(blended, ellipsoids):
+    hand = hand_gaussians(40, sigma_mm=(1, 4), opacity=(0.01, 1.0))
+    gaussians = in_precision(stretched(hand) if ellipsoids else as_ellipsoids(hand), F64)
+    camera = replace(camera_for(50, 40), fy=55.0)
+    rasterize_reference(gaussians, camera)
+    matrix = camera.camera_from_world
+    position = gaussians.position_m @ matrix[:3, :3].T + matrix[:3, 3]
+    boxes = []
+    for n, (x, y, z) in enumerate(position.tolist()):
+        rows = [[camera.fx / z, 0, -camera.fx * x / z**2], [0, camera.fy / z, -camera.fy * y / z**2]]
+        jacobian = np.array(rows) @ matrix[:3, :3].numpy()
+        xx, xy, xz, yy, yz, zz = gaussians.covariance_m2[n].tolist()  # type: ignore[index]
+        variance = np.diag(jacobian @ [[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]] @ jacobian.T) + 0.3
+        u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+        reach_u, reach_v = np.sqrt(2 * math.log(float(gaussians.opacity[n]) * 255) * variance)
+        boxes.append((u - reach_u, u + reach_u, v - reach_v, v + reach_v, z))
+    met = {}
+    for pixels, depths in blended:
+        met[tuple((pixels[0] // 16).int().tolist())] = sorted(depths.tolist())
+    for column, row in itertools.product(range(4), range(3)):
+        x, y = 16 * column, 16 * row
+        inside = sorted(z for le, ri, to, bo, z in boxes if ri > x and le < x + 16 and bo > y and to < y + 16)
+        assert met.get((column, row), []) == pytest.approx(inside)
+
+
+@pytest.mark.parametrize(("allowed", "at_once"), [(100, 3), (59, 1), (1, 1), (10**6, 256)])
+def test_as_many_pixels_are_drawn_at_once_as_the_memory_allows(blended, monkeypatch, allowed, at_once):
+    monkeypatch.setattr(limits, "REFERENCE_PAIRS_AT_ONCE", allowed)
+    hand = in_precision(hand_gaussians(30, sigma_mm=(200, 300)), F64)
+    rasterize_reference(hand, camera_for(16, 16))
+    sizes = [len(pixels) for pixels, _ in blended]
+    assert sum(sizes) == 256
+    assert set(sizes[:-1]) <= {at_once}
+    assert sizes[-1] <= at_once
+
+
+@pytest.mark.parametrize("name", ["position_m", "sigma_m", "opacity", "rgb"])
+def test_what_a_gradient_needs_is_computed_again_instead_of_kept(blended, name):
+    """Even when only one of the tensors wants a gradient; without gradients everything is computed once."""
+    hand, camera = in_precision(hand_gaussians(30, sigma_mm=(2, 3)), F64), camera_for(16, 16)
+    getattr(hand, name).requires_grad_()
+    with torch.no_grad():
+        rasterize_reference(hand, camera)
+    assert len(blended) == 1
+    planes_of(rasterize_reference(hand, camera)).sum().backward()
+    assert len(blended) == 3
+
+
+# ---- shapes ---------------------------------------------------------------------------------------------------------
+
+
+def test_gaussians_of_wrong_kind_shape_type_or_device_are_named():
+    good = as_ellipsoids(hand_gaussians(4))
+    check_gaussians(good)
+    check_gaussians(in_precision(good, F64))
+    check_gaussians(hand_gaussians(0))
+    for name, wrong, message in (
+        ("position_m", torch.tensor(1.0), r"position_m: wanted shape \(N, 3\)"),
+        ("position_m", torch.zeros(4, 2), r"position_m: wanted shape \(N, 3\)"),
+        ("sigma_m", torch.zeros(5), r"sigma_m: wanted shape \(4,\)"),
+        ("opacity", torch.zeros(4, 1), r"opacity: wanted shape \(4,\)"),
+        ("rgb", torch.zeros(4, 4), r"rgb: wanted shape \(4, 3\)"),
+        ("covariance_m2", torch.zeros(4, 7), r"covariance_m2: wanted shape \(4, 6\)"),
+        ("rgb", torch.zeros(4, 3, dtype=torch.float16), "rgb: wanted dtype float32 or float64"),
+        ("opacity", torch.zeros(4, dtype=F64), "opacity: wanted torch.float32 on cpu"),
+        ("opacity", torch.zeros(4, device="meta"), "opacity: wanted torch.float32 on cpu"),
+        ("sigma_m", [1.0], "sigma_m: wanted a torch tensor"),
+    ):
+        with pytest.raises(InputError, match=message):
+            check_gaussians(replace(good, **{name: wrong}))  # type: ignore[arg-type]

@@ -1,0 +1,429 @@
+"""Only the effects a scene calls for: what is decided, that what is skipped costs nothing and is not missed."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from small_avatars import ellipsoid_avatar, trained_avatar
+
+from jghand_engine import limits
+from jghand_engine.avatar.builtin import load_builtin, load_painted
+from jghand_engine.avatar.fast_correctives import FastNetwork
+from jghand_engine.avatar.pose_features import Angles
+from jghand_engine.errors import InputError
+from jghand_engine.hand.anatomy import named_pose
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.native import library as native_library
+from jghand_engine.render import effects, painter_native, shadow_effects
+from jghand_engine.render.camera import Camera, Lens
+from jghand_engine.render.effect_plan import CHOOSABLE, Box, Choice, Effect
+from jghand_engine.render.exposure import Shutter
+from jghand_engine.render.frame import Frame, HandRenderer, SceneRenderer
+from jghand_engine.render.settings import RenderSettings, ShadowMode
+
+RIGHT = load_painted(handedness=Handedness.RIGHT)
+TRAINED = trained_avatar(3000)
+SMALL = RenderSettings(gaussians=4000)
+ALL = Choice.parse("all")
+pytestmark = pytest.mark.skipif(not native_library.runnable_variants(), reason="no native variant runs here")
+
+
+def pose(name: str, avatar=RIGHT) -> np.ndarray:
+    return named_pose(name, avatar.canonical_joints_m.numpy(), handedness=Handedness.RIGHT)
+
+
+def camera(width: int = 200, height: int = 160, *, away_m: float = 0.5, focal_px: float = 300.0, side_m: float = 0.15):
+    target = torch.tensor([0.0, 0.08, 0.0], dtype=torch.float64)
+    eye = target + torch.tensor([side_m, 0.1, away_m], dtype=torch.float64)
+    up = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
+    return Camera.looking_at(eye, target, up, width=width, height=height, focal_px=focal_px)
+
+
+def difference(first: Frame, second: Frame) -> float:
+    return float(np.abs(first.rgba - second.rgba).max())
+
+
+def plan_of(frame: Frame):
+    assert frame.report.plan is not None
+    return frame.report.plan
+
+
+# ---- the choice -----------------------------------------------------------------------------------------------------
+
+
+def test_a_choice_is_read_as_it_is_written():
+    assert Choice.parse("auto") == Choice()
+    assert all(Choice.parse("all").forces(effect) for effect in CHOOSABLE)
+    assert not any(Choice.parse("none").allows(effect) for effect in CHOOSABLE)
+    some = Choice.parse("self-shadow, depth")
+    assert some.allows(Effect.SHADOW)
+    assert not some.allows(Effect.TAIL)
+    assert not some.forces(Effect.SHADOW)
+
+
+@pytest.mark.parametrize("text", ["auto", "all", "none", "depth", "depth,self-shadow"])
+def test_a_choice_is_written_as_it_is_read(text: str):
+    assert str(Choice.parse(text)) == text
+    assert json.loads(json.dumps(replace(SMALL, effects=Choice.parse(text)).as_dict()))["effects"] == text
+
+
+@pytest.mark.parametrize("text", ["", "shadows", "all,depth", "skin"])
+def test_an_unknown_effect_is_refused_by_name(text: str):
+    with pytest.raises(InputError, match=r"effects: wanted auto \| all \| none"):
+        Choice.parse(text)
+
+
+def test_every_effect_is_decided_about_once_and_has_a_line():
+    frame = HandRenderer(RIGHT, SMALL).render(pose("open"), camera())
+    decided = [decision.effect for decision in plan_of(frame).decisions]
+    assert sorted(decided) == sorted(Effect)
+    lines = frame.report.lines()
+    for effect in Effect:
+        assert any(line.startswith(str(effect)) for line in lines)
+    assert len(frame.report.as_dict()["effects"]) == len(Effect)
+
+
+# ---- auto is all ----------------------------------------------------------------------------------------------------
+
+SCENES = {
+    "fingers apart": (["spread"], camera()),
+    "fist": (["fist"], camera()),
+    "close-up": (["relaxed"], camera(away_m=0.12)),
+    "tiny": (["fist"], camera(400, 300, focal_px=60.0)),
+    "wide angle": (["open"], camera(400, 160, focal_px=60.0, away_m=0.1)),
+    "two hands near": (["open", "fist"], camera()),
+    "two hands far": (["open", "fist"], camera(focal_px=120.0, away_m=0.8)),
+}
+
+
+@pytest.mark.parametrize("name", SCENES)
+def test_auto_is_all_within_what_the_receipt_says(name: str):
+    names, view = SCENES[name]
+    apart_m = 0.45 if "far" in name else 0.1
+    joints = [pose(one) + np.array([apart_m * place, 0.0, 0.0]) for place, one in enumerate(names)]
+    settings = replace(SMALL, alpha_min=limits.TAIL_ALPHA_MIN)
+    auto, everything = (
+        SceneRenderer([RIGHT] * len(names), replace(settings, effects=choice)).render(joints, view)
+        for choice in (Choice(), ALL)
+    )
+    error = np.abs(auto.rgba - everything.rgba).max(-1)
+    plan = plan_of(auto)
+    bound = plan.skipped_worst + 1.1e-4
+    if plan.strength > 0:
+        # the shadow fades in with the gate, and never exceeds its tint
+        bound += (1 - plan.strength) * max(limits.SHADOW_TINT)
+    assert float(error.max()) <= bound
+    if plan.skipped_worst <= 1 / 255 and plan.strength == 1:
+        assert float((error > 1.1e-4).mean()) < 1e-3
+
+
+@pytest.mark.parametrize("avatar", [RIGHT, TRAINED, ellipsoid_avatar(1000)], ids=["painted", "trained", "ellipsoids"])
+@pytest.mark.parametrize("name", SCENES)
+def test_but_for_the_gate_auto_is_all_to_the_cut_off(name: str, avatar):
+    names, view = SCENES[name]
+    apart_m = 0.45 if "far" in name else 0.1
+    joints = [pose(one, avatar) + np.array([apart_m * place, 0.0, 0.0]) for place, one in enumerate(names)]
+    settings = replace(SMALL, alpha_min=limits.TAIL_ALPHA_MIN, antialias=True)
+    hands = [avatar] * len(names)
+    auto = SceneRenderer(hands, settings).render(joints, view)
+    forced = frozenset(CHOOSABLE) - {Effect.SHADOW}
+    everything = SceneRenderer(hands, replace(settings, effects=Choice(forced=forced))).render(joints, view)
+    # what is drawn in a box rounds the centers of pixels, and the samples of the shadow, elsewhere
+    bound = limits.TAIL_ALPHA_MIN + (limits.CROP_SHADOW if plan_of(auto).strength > 0 else 0.0)
+    assert difference(auto, everything) <= bound
+
+
+def test_the_faint_tail_is_worth_what_the_receipt_says():
+    joints, view = pose("relaxed"), camera(300, 240, focal_px=500.0)
+    short, long = (
+        HandRenderer(RIGHT, RenderSettings(shadow=ShadowMode.OFF, alpha_min=cut)).render(joints, view).rgba
+        for cut in (limits.ALPHA_MIN, limits.TAIL_ALPHA_MIN)
+    )
+    lost_db = -10 * np.log10(float(((short - long) ** 2).mean()))
+    assert lost_db > limits.TAIL_PSNR_DB  # observed 51.1 on the painted hand, 54.9 on the trained one
+
+
+# ---- what is skipped costs nothing ----------------------------------------------------------------------------------
+
+
+def counted(monkeypatch, owner: type, name: str) -> list[int]:
+    calls, real = [0], getattr(owner, name)
+
+    def counting(self, *arguments, **named):
+        calls[0] += 1
+        return real(self, *arguments, **named)
+
+    monkeypatch.setattr(owner, name, counting)
+    return calls
+
+
+def test_a_camera_that_moves_alone_asks_for_no_skin_and_no_correctives(monkeypatch):
+    skinned = counted(monkeypatch, painter_native._TrainedHand, "prepare")
+    corrected = counted(monkeypatch, FastNetwork, "prepare")
+    renderer = HandRenderer(TRAINED, SMALL)
+    for side_m in (0.1, 0.15, 0.2):
+        frame = renderer.render(pose("relaxed", TRAINED), camera(side_m=side_m))
+    assert skinned == corrected == [1]
+    assert not plan_of(frame).runs(Effect.SKIN)
+    assert not plan_of(frame).runs(Effect.CORRECTIVES)
+
+
+def test_a_hand_that_moves_as_a_whole_keeps_its_correctives(monkeypatch):
+    corrected = counted(monkeypatch, FastNetwork, "prepare")
+    renderer, joints, view = HandRenderer(TRAINED, SMALL), pose("relaxed", TRAINED), camera()
+    renderer.render(joints, view)
+    turn = torch.linalg.matrix_exp(
+        torch.tensor([[0.0, -0.3, 0.1], [0.3, 0.0, 0.2], [-0.1, -0.2, 0.0]]).double()
+    ).numpy()
+    moved = joints @ turn.T + np.array([0.01, 0.0, 0.02])
+    kept = renderer.render(moved, view)
+    assert corrected == [1]
+    assert plan_of(kept)[Effect.CORRECTIVES].reason == "the hand moved as a whole"
+    fresh = HandRenderer(TRAINED, SMALL).render(moved, view)
+    assert difference(kept, fresh) < 2e-4
+    renderer.render(pose("fist", TRAINED), view)
+    assert corrected == [3]
+
+
+def test_correctives_that_are_kept_lack_what_the_receipt_says():
+    avatar = load_builtin(handedness=Handedness.RIGHT)
+    transform, generator = avatar.bone_transform(), torch.Generator().manual_seed(0)
+    assert avatar.learned is not None
+    assert avatar.learned.correctives is not None
+    for name in ("open", "relaxed", "fist"):
+        frames = transform.frames(torch.from_numpy(pose(name, avatar)))
+        angles = torch.cat([frames.angles.flatten(), frames.palm_p, frames.palm_n])
+        step = limits.REUSE_ANGLE_RAD * torch.randn(37, generator=generator, dtype=torch.float64).sign()
+        with torch.no_grad():
+            before, after = (avatar.learned.correctives(Angles.of(a.float())).offset_m for a in (angles, angles + step))
+        assert float((after - before).norm(dim=-1).max()) < limits.REUSE_CORRECTION_M  # observed 0.06 mm
+
+
+def test_what_may_not_be_drawn_of_an_avatar_takes_no_memory():
+    avatar = ellipsoid_avatar(500)
+    bare = effects.equipped(avatar, replace(SMALL, effects=Choice.parse("none"))).learned
+    assert bare is not None
+    assert bare.correctives is None
+    assert bare.cast is None
+    assert bare.ellipsoid is None
+    for choice, none in (("none", True), ("auto", False)):
+        painter = SceneRenderer([avatar], replace(SMALL, effects=Choice.parse(choice)))._painter
+        assert isinstance(painter, painter_native.NativePainter)
+        assert (painter._gaussians.covariance_m2 is None) == none
+
+
+def test_maps_that_nobody_asked_for_are_not_made(monkeypatch):
+    def never(*_arguments, **_named):
+        raise AssertionError("not asked for")
+
+    monkeypatch.setattr("jghand_engine.render.frame.surface_normals", never)
+    monkeypatch.setattr(painter_native.NativePainter, "hand_weights", never)
+    frame = SceneRenderer([RIGHT, RIGHT], SMALL).render([pose("open"), pose("fist") + 0.1], camera())
+    assert frame.normal is None
+    assert frame.ids is None
+
+
+def test_normals_come_without_depth():
+    frame = HandRenderer(RIGHT, replace(SMALL, depth=False, normals=True)).render(pose("open"), camera())
+    assert plan_of(frame).runs(Effect.NORMALS)
+    assert frame.normal is not None
+    assert float(np.abs(frame.normal).max()) > 0.9
+    assert not frame.depth_m.any()
+
+
+def test_depth_that_may_not_be_made_is_not_made(monkeypatch):
+    wanted, real = [], painter_native.NativeShade.prepare
+
+    def noted(self, *arguments, **named):
+        wanted.append(named["depth_m"])
+        real(self, *arguments, **named)
+
+    monkeypatch.setattr(painter_native.NativeShade, "prepare", noted)
+    for choice in ("none", "auto"):
+        HandRenderer(RIGHT, replace(SMALL, effects=Choice.parse(choice))).render(pose("open"), camera())
+    assert wanted[0] is None
+    assert wanted[1] is not None
+
+
+def test_the_shadow_does_not_pop_when_a_hand_comes_nearer():
+    renderer, joints = HandRenderer(RIGHT, SMALL), pose("fist")
+    strengths = [
+        plan_of(renderer.render(joints, camera(away_m=0.5, focal_px=focal_px))).strength
+        for focal_px in np.geomspace(100.0, 1000.0, 120)
+    ]
+    assert strengths[0] == 0
+    assert strengths[-1] == 1
+    assert float(np.abs(np.diff(strengths)).max()) < 0.1
+
+
+def test_a_learned_shadow_that_may_not_be_drawn_is_no_loss_of_nothing():
+    hands, joints = [TRAINED, TRAINED], [pose("fist", TRAINED), pose("fist", TRAINED) + np.array([0.1, 0.0, 0.0])]
+    for allowed, missing in (("hand-shadow", Effect.SHADOW), ("self-shadow", Effect.BETWEEN)):
+        settings = replace(SMALL, effects=Choice.parse(allowed))
+        decision = plan_of(SceneRenderer(hands, settings).render(joints, camera()))[missing]
+        assert not decision.runs
+        assert decision.worst is not None
+        assert decision.worst >= 0.5  # the tint of the small avatar's shadow is 0.7
+
+
+def test_a_tiny_hand_without_the_filter_is_not_said_to_be_right():
+    frame = HandRenderer(RIGHT, SMALL).render(pose("open"), camera(focal_px=20.0))
+    decision = plan_of(frame)[Effect.FILTER]
+    assert not decision.runs
+    assert decision.worst is None
+    assert "2 px" in decision.bound
+
+
+def test_only_the_box_of_a_small_hand_is_drawn(monkeypatch):
+    sizes = []
+    real = painter_native.NativeShade.__init__
+
+    def noted(self, library, width, height):
+        sizes.append((width, height))
+        real(self, library, width, height)
+
+    monkeypatch.setattr(painter_native.NativeShade, "__init__", noted)
+    view = camera(1024, 768, focal_px=200.0)
+    frame = HandRenderer(RIGHT, SMALL).render(pose("open"), view)
+    whole = HandRenderer(RIGHT, replace(SMALL, effects=Choice(forced=frozenset([Effect.WHOLE])))).render(
+        pose("open"), view
+    )
+    assert sizes[0][0] * sizes[0][1] < 0.25 * 1024 * 768
+    assert sizes[1] == (1024, 768)
+    assert frame.rgba.shape == whole.rgba.shape
+    assert difference(frame, whole) <= 1 / 255
+    assert np.abs(frame.depth_m - whole.depth_m).max() < 1e-4
+
+
+@pytest.mark.parametrize("name", ["open", "fist", "point"])
+@pytest.mark.parametrize("avatar", [RIGHT, TRAINED, ellipsoid_avatar(1000)], ids=["painted", "trained", "ellipsoids"])
+def test_nothing_is_seen_outside_of_the_hands_box(name: str, avatar):
+    for focal_px in (60.0, 300.0, 1500.0):
+        view = camera(640, 480, focal_px=focal_px)
+        scene = SceneRenderer([avatar], replace(SMALL, effects=Choice(forced=frozenset([Effect.WHOLE]))))
+        frame = scene.render([pose(name, avatar)], view)
+        posed = scene._posed
+        assert posed is not None
+        box = effects.hand_box(
+            posed.kept.joints_m, [one.bones for one in posed.poses], scene._facts, view, limits.ALPHA_MIN
+        ) or Box(0, 0, 640, 480)
+        outside = frame.rgba[..., 3].copy()
+        outside[box.top : box.top + box.height, box.left : box.left + box.width] = 0
+        assert float(outside.max()) == 0
+
+
+# ---- single effects -------------------------------------------------------------------------------------------------
+
+
+def test_hands_apart_cost_no_sum_over_their_bones(monkeypatch):
+    asked = []
+    monkeypatch.setattr(shadow_effects, "contact_between", lambda hands: asked.append(1) or 0.0)
+    far = [pose("open"), pose("open") + np.array([0.6, 0.0, 0.0])]
+    frame = SceneRenderer([RIGHT, RIGHT], SMALL).render(far, camera())
+    assert asked == []
+    assert plan_of(frame)[Effect.BETWEEN].reason.startswith("next hand ")
+    SceneRenderer([RIGHT, RIGHT], SMALL).render([pose("open"), pose("open") + 0.05], camera())
+    assert asked == [1]
+
+
+def test_a_small_hand_is_as_slim_as_a_large_one_seen_from_afar():
+    view, joints = camera(96, 96, focal_px=100.0), pose("spread")
+    settings = RenderSettings(shadow=ShadowMode.OFF)
+    large = HandRenderer(RIGHT, settings).render(joints, view.scaled(8)).rgba
+    truth = large.reshape(96, 8, 96, 8, 4).mean((1, 3))
+    swollen = np.abs(HandRenderer(RIGHT, settings).render(joints, view).rgba - truth)
+    frame = HandRenderer(RIGHT, replace(settings, antialias=True)).render(joints, view)
+    slim = np.abs(frame.rgba - truth)
+    assert plan_of(frame).runs(Effect.FILTER)
+    assert float(swollen.mean()) > 5 * float(slim.mean())
+    assert frame.rgba.shape == (96, 96, 4)
+
+
+def test_the_filter_fades_in_with_distance():
+    """Between its ends no step of distance changes the picture more than the steps beside it."""
+    renderer, joints = HandRenderer(RIGHT, replace(SMALL, gaussians=0, antialias=True)), pose("spread")
+    scales = np.linspace(330.0, 480.0, 16)
+    covered = np.array(
+        [renderer.render(joints, camera(200, 200, focal_px=f)).rgba[..., 3].sum() / f**2 for f in scales]
+    )
+    steps = np.abs(np.diff(covered)) / covered[:-1]
+    assert float(steps.max()) < 0.03
+
+
+def test_maps_show_the_surface_and_whose_it_is():
+    settings = replace(SMALL, normals=True, ids=True, gaussians=20_000)
+    joints = [pose("flat"), pose("flat") + np.array([0.12, 0.0, 0.0])]
+    frame = SceneRenderer([RIGHT, RIGHT], settings).render(joints, camera(side_m=0.06, focal_px=250.0))
+    assert frame.normal is not None
+    assert frame.ids is not None
+    covered = frame.rgba[..., 3] > 0.9
+    length = np.linalg.norm(frame.normal, axis=-1)
+    assert np.allclose(length[covered], 1, atol=1e-4)
+    assert float(frame.normal[covered][:, 2].max()) <= 0.02  # towards the camera
+    assert set(np.unique(frame.ids)) == {0, 1, 2}
+    columns = np.arange(frame.ids.shape[1])
+    first, second = (np.average(columns, weights=(frame.ids == k).sum(0)) for k in (1, 2))
+    assert first < second
+
+
+# ---- time and lens --------------------------------------------------------------------------------------------------
+
+
+def moving(shift_m: float) -> tuple[np.ndarray, Shutter]:
+    joints = pose("relaxed")
+    step = np.array([shift_m / 2, 0.0, 0.0])
+    return joints, Shutter([joints - step], [joints + step])
+
+
+@pytest.mark.parametrize("shift_m", [0.0002, 0.002, 0.01, 0.03])
+def test_motion_blur_is_the_mean_of_very_many_pictures(shift_m: float):
+    joints, shutter = moving(shift_m)
+    renderer, view = HandRenderer(RIGHT, replace(SMALL, shadow=ShadowMode.OFF)), camera()
+    blurred = renderer.render(joints, view, shutter)
+    brute = sum(renderer.render(shutter.at((k + 0.5) / 96, [joints])[0], view).rgba / 96 for k in range(96))
+    assert float(np.abs(blurred.rgba - brute).max()) <= limits.MOTION_ERROR_MAX  # observed 0.007
+
+
+@pytest.mark.parametrize("aperture_m", [0.002, 0.01, 0.03])
+def test_a_lens_is_the_mean_of_very_many_pinholes(aperture_m: float):
+    joints = pose("relaxed")
+    view = replace(camera(), lens=Lens(aperture_m, 0.45))
+    renderer = HandRenderer(RIGHT, replace(SMALL, shadow=ShadowMode.OFF))
+    seen = renderer.render(joints, view)
+    points = np.random.default_rng(0).normal(size=(400, 2))
+    radius = np.sqrt((np.arange(400) + 0.5) / 400)
+    angle = np.arange(400) * np.pi * (3 - np.sqrt(5))
+    points = 0.5 * aperture_m * radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], 1)
+    brute = sum(renderer.render(joints, view.through(float(x), float(y))).rgba / 400 for x, y in points)
+    assert float(np.abs(seen.rgba - brute).max()) <= limits.FOCUS_ERROR_MAX  # observed 0.044
+
+
+def test_what_is_in_focus_stays_where_it_was():
+    view = replace(camera(), lens=Lens(0.02, 0.4))
+    point = torch.linalg.inv(view.camera_from_world) @ torch.tensor([0.03, -0.02, 0.4, 1.0], dtype=torch.float64)
+    middle, _ = view.project(point[:3])
+    for x, y in ((0.01, 0.0), (-0.004, 0.009)):
+        pixels, _ = view.through(x, y).project(point[:3])
+        assert torch.allclose(pixels, middle, atol=1e-9)
+
+
+def test_a_shutter_over_a_hand_at_rest_and_a_pinhole_cost_one_picture():
+    joints, shutter = moving(0.0)
+    frame = HandRenderer(RIGHT, SMALL).render(joints, camera(), shutter)
+    plan = plan_of(frame)
+    assert plan.exposures == 1
+    assert not plan.runs(Effect.MOTION)
+    assert not plan.runs(Effect.FOCUS)
+
+
+def test_faster_hands_get_more_pictures():
+    counts = []
+    for shift_m in (0.001, 0.004, 0.016):
+        joints, shutter = moving(shift_m)
+        counts.append(plan_of(HandRenderer(RIGHT, SMALL).render(joints, camera(), shutter)).exposures)
+    assert counts == sorted(counts)
+    assert counts[0] < counts[-1] <= 0.5 / limits.MOTION_ERROR_MAX

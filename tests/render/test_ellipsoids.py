@@ -1,0 +1,329 @@
+"""Gaussians with covariances: the picture and the gradients of the float64 reference, and of spheres where they are."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from splat_scenes import (
+    ELLIPSOID_NAMES,
+    NATIVE,
+    GradientBounds,
+    as_ellipsoids,
+    assert_same_bits,
+    assert_same_gradients,
+    assert_same_picture,
+    camera_for,
+    draw,
+    exact,
+    front_camera,
+    gaussians_from,
+    gradients_of,
+    hand_gaussians,
+    in_precision,
+    joined,
+    planes_of,
+    reordered,
+    stretched,
+)
+
+from jghand_engine import limits
+from jghand_engine.avatar.covariance import posed_covariance
+from jghand_engine.avatar.gaussians import Gaussians
+from jghand_engine.errors import InputError
+from jghand_engine.render.camera import Camera
+from jghand_engine.render.reference import rasterize_reference
+
+native = pytest.mark.parametrize("backend", NATIVE)
+every_backend = pytest.mark.parametrize("backend", ["torch", *NATIVE])
+
+
+def stretched_hand(count: int, *, aspect: float = 4.0, **options) -> Gaussians:
+    return stretched(hand_gaussians(count, **options), aspect=aspect)
+
+
+def oblong_camera() -> Camera:
+    view = camera_for(96, 64, distance_m=0.15, eye_direction=(0.7, 0.4, -0.5))
+    return Camera(96, 64, 40.0, 70.0, 10.0, 80.0, view.camera_from_world)
+
+
+SCENES = {
+    "few large": lambda: (stretched_hand(600, sigma_mm=(3, 6)), camera_for(117, 93)),
+    "many": lambda: (stretched_hand(4000, sigma_mm=(1, 2)), camera_for(128, 84)),
+    "needles": lambda: (stretched_hand(2000, sigma_mm=(1, 2), aspect=20), camera_for(128, 84)),
+    "small, from the side": lambda: (stretched_hand(3000), camera_for(160, 104, eye_direction=(1, 0.5, -0.3))),
+    "nearly opaque": lambda: (stretched_hand(3000, sigma_mm=(1.5, 2.5), opacity=(0.9, 1.0)), camera_for(96, 64)),
+    "near": lambda: (stretched_hand(800, sigma_mm=(2, 3)), camera_for(96, 64, distance_m=0.12)),
+    "camera inside": lambda: (stretched_hand(800, sigma_mm=(2, 3)), camera_for(96, 64, distance_m=0.02)),
+    "shifted, wide and oblong": lambda: (stretched_hand(1500, sigma_mm=(2, 5)), oblong_camera()),
+    "one pixel": lambda: (stretched_hand(300, sigma_mm=(5, 20), opacity=(0.02, 0.1)), camera_for(1, 1)),
+    "odd size": lambda: (stretched_hand(501, sigma_mm=(2, 5)), camera_for(37, 19)),
+}
+
+
+# ---- the reference against the text ---------------------------------------------------------------------------------
+
+
+def contract_pixel(gaussians: Gaussians, camera: Camera, i: int, j: int) -> list[float]:
+    """R G B A D of a pixel as the contract says it, with the covariance on the picture as J R S R^T J^T + 0.3 I."""
+    matrix = camera.camera_from_world
+    position = gaussians.position_m @ matrix[:3, :3].T + matrix[:3, 3]
+    transmittance, sums = 1.0, [0.0] * 5
+    for n in torch.argsort(position[:, 2], stable=True).tolist():
+        x, y, z = position[n].tolist()
+        if z <= limits.Z_NEAR_M:
+            continue
+        rows = [[camera.fx / z, 0, -camera.fx * x / z**2], [0, camera.fy / z, -camera.fy * y / z**2]]
+        jacobian = torch.tensor(rows, dtype=torch.float64) @ matrix[:3, :3]
+        xx, xy, xz, yy, yz, zz = gaussians.covariance_m2[n]  # type: ignore[index]
+        world = torch.stack([xx, xy, xz, xy, yy, yz, xz, yz, zz]).reshape(3, 3)
+        ellipse = jacobian @ world @ jacobian.T + 0.3 * torch.eye(2, dtype=torch.float64)
+        center = torch.tensor([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], dtype=torch.float64)
+        away = torch.tensor([i + 0.5, j + 0.5], dtype=torch.float64) - center
+        alpha = float(gaussians.opacity[n]) * math.exp(-0.5 * float(away @ torch.linalg.solve(ellipse, away)))
+        if alpha < limits.ALPHA_MIN:
+            continue
+        weight = min(alpha, 0.999) * transmittance
+        transmittance -= weight
+        for channel, value in enumerate((*gaussians.rgb[n].tolist(), 1.0, z)):
+            sums[channel] += weight * value
+    return sums
+
+
+def test_every_pixel_is_what_the_contract_says():
+    gaussians = in_precision(stretched_hand(60, sigma_mm=(2, 12), opacity=(0.01, 1.0)), torch.float64)
+    camera = camera_for(15, 12)
+    planes = planes_of(rasterize_reference(gaussians, camera))
+    worst = max(
+        abs(float(planes[channel, j, i]) - value)
+        for j in range(camera.height)
+        for i in range(camera.width)
+        for channel, value in enumerate(contract_pixel(gaussians, camera, i, j))
+    )
+    assert worst <= 1e-12  # observed 2e-15
+
+
+def test_gradients_of_the_smooth_variant_agree_with_finite_differences():
+    """Promise 1, in units in which a covariance is a number of ordinary size."""
+    some, camera = stretched_hand(5, sigma_mm=(3, 14), opacity=(0.1, 0.95), seed=2), camera_for(8, 6)
+    sigma_m = in_precision(some, torch.float64).sigma_m
+
+    def planes(position_m, covariance_mm2, opacity, rgb):
+        gaussians = Gaussians(position_m, sigma_m, opacity, rgb, 1e-6 * covariance_mm2)
+        return planes_of(rasterize_reference(gaussians, camera, smooth=True))
+
+    leaves = in_precision(replace(some, covariance_m2=1e6 * some.covariance_m2), torch.float64, grad=True)
+    inputs = tuple(getattr(leaves, name) for name in ELLIPSOID_NAMES)
+    assert torch.autograd.gradcheck(planes, inputs, eps=1e-6, atol=1e-5, rtol=1e-3)
+
+
+# ---- the kernel against the reference -------------------------------------------------------------------------------
+
+
+@every_backend
+@pytest.mark.parametrize("scene", SCENES)
+def test_the_picture_agrees_with_the_reference(scene, backend):
+    gaussians, camera = SCENES[scene]()
+    got, want = draw(gaussians, camera, backend), exact(gaussians, camera)
+    assert_same_picture(got, want, depth_scale_m=0.8)
+    assert (got.visible_gaussians, got.invalid_gaussians) == (want.visible_gaussians, 0)
+
+
+@native
+@pytest.mark.parametrize("count", [0, 1, 15, 16, 17, 129])
+def test_every_number_of_ellipsoids_agrees_with_the_reference(count, backend):
+    gaussians, camera = stretched_hand(count, sigma_mm=(1, 4)), camera_for(64, 48)
+    assert_same_picture(draw(gaussians, camera, backend), exact(gaussians, camera), depth_scale_m=0.7)
+
+
+# promised: relative L2 1e-3, cosine gap 1e-5, signed bias 1e-4. Worst observed over all scenes and variants when no
+# pixel stops early: 1.6e-4, 6.9e-5, 2.3e-9 and 5.1e-5; with the contract's early stop: 9.2e-4, 8.7e-4, 3.7e-7 and
+# 1.1e-4 (many layers of opaque needles: 5.1e-4, the stop cuts all their tails on the same side)
+WHOLE = GradientBounds(element=1.7e-4, relative_l2=7.3e-5, cosine_gap=2.5e-9, signed_bias=5.4e-5)
+STOPPED = GradientBounds(element=9.7e-4, relative_l2=9.2e-4, cosine_gap=3.9e-7, signed_bias=1.2e-4)
+
+
+@every_backend
+@pytest.mark.parametrize("scene", SCENES)
+def test_gradients_agree_with_the_reference(scene, backend):
+    gaussians, camera = SCENES[scene]()
+    want = gradients_of(gaussians, camera, dtype=torch.float64)
+    got = gradients_of(gaussians, camera, backend=backend, t_stop=0.0)
+    assert_same_gradients(got, want, WHOLE, ELLIPSOID_NAMES)
+    if backend != "torch" and scene != "needles":  # the reference never stops
+        assert_same_gradients(gradients_of(gaussians, camera, backend=backend), want, STOPPED, ELLIPSOID_NAMES)
+
+
+@native
+def test_only_what_is_drawn_gets_a_gradient(backend):
+    leaves = in_precision(stretched_hand(50, sigma_mm=(2, 3)), torch.float32, grad=True)
+    draw(leaves, camera_for(40, 30), backend).alpha.sum().backward()
+    assert leaves.sigma_m.grad is None
+    assert leaves.covariance_m2 is not None
+    assert leaves.covariance_m2.grad is not None
+    assert leaves.covariance_m2.grad.shape == (50, 6)
+
+
+# ---- spheres as ellipsoids ------------------------------------------------------------------------------------------
+
+
+@every_backend
+def test_round_covariances_draw_the_picture_of_spheres(backend):
+    gaussians, camera = hand_gaussians(5000, sigma_mm=(0.5, 2)), camera_for(160, 104)
+    got, want = draw(as_ellipsoids(gaussians), camera, backend), draw(gaussians, camera, backend)
+    assert_same_picture(got, want, depth_scale_m=0.7)
+    assert got.visible_gaussians == want.visible_gaussians
+
+
+@every_backend
+def test_round_covariances_have_the_gradients_of_spheres(backend):
+    gaussians, camera = hand_gaussians(2000, sigma_mm=(1, 2)), camera_for(96, 64)
+    position, covariance, *rest = gradients_of(as_ellipsoids(gaussians), camera, backend=backend)
+    sigma = 2 * gaussians.sigma_m * covariance[:, [0, 3, 5]].sum(1)
+    want = gradients_of(gaussians, camera, backend=backend)
+    assert_same_gradients([position, sigma, *rest], want, WHOLE)
+
+
+@every_backend
+def test_sigma_is_ignored_where_there_are_covariances(backend):
+    gaussians, camera = stretched_hand(300, sigma_mm=(2, 3)), camera_for(40, 30)
+    other = replace(gaussians, sigma_m=torch.full_like(gaussians.sigma_m, math.nan))
+    got, want = draw(other, camera, backend), draw(gaussians, camera, backend)
+    assert_same_bits(got, want)
+    assert got.invalid_gaussians == 0
+
+
+@every_backend
+def test_turning_the_world_turns_covariances_with_it(backend):
+    gaussians, camera = stretched_hand(800, sigma_mm=(2, 4)), camera_for(64, 48)
+    turn, _ = torch.linalg.qr(torch.randn(3, 3, generator=torch.Generator().manual_seed(1), dtype=torch.float64))
+    linear = turn.float().expand(len(gaussians), 3, 3)
+    full = gaussians.covariance_m2[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)  # type: ignore[index]
+    posed = (linear @ full @ linear.mT).reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]]
+    turned = replace(gaussians, position_m=gaussians.position_m @ turn.float().T, covariance_m2=posed.contiguous())
+    matrix = camera.camera_from_world.clone()
+    matrix[:3, :3] = matrix[:3, :3] @ turn.T
+    view = Camera(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, matrix)
+    assert_same_picture(draw(turned, view, backend), draw(gaussians, camera, backend), depth_scale_m=0.7)
+
+
+# ---- threads, order, culling ----------------------------------------------------------------------------------------
+
+
+@native
+@pytest.mark.parametrize("count", [20_000, 37, 1])
+def test_the_same_bits_from_every_number_of_threads_and_on_every_run(count, backend):
+    """Promise 16, forward and backward."""
+    gaussians, camera = stretched_hand(count, sigma_mm=(1, 2)), camera_for(256, 160)
+    picture = draw(gaussians, camera, backend, threads=1)
+    gradients = gradients_of(gaussians, camera, backend=backend, threads=1)
+    for threads in (1, 2, 3, 3):
+        assert_same_bits(draw(gaussians, camera, backend, threads=threads), picture)
+        again = gradients_of(gaussians, camera, backend=backend, threads=threads)
+        assert all(torch.equal(a, b) for a, b in zip(again, gradients, strict=True)), threads
+
+
+@native
+def test_permuted_ellipsoids_give_the_same_bits_when_depths_differ(backend):
+    """Promise 15."""
+    camera, hand = front_camera(96, 64, 200.0), stretched_hand(3000, sigma_mm=(1, 3))
+    hand.position_m[:, 2] = 0.5 + 1e-5 * torch.randperm(3000, generator=torch.Generator().manual_seed(1))
+    order = torch.randperm(3000, generator=torch.Generator().manual_seed(2))
+    assert_same_bits(draw(reordered(hand, order), camera, backend), draw(hand, camera, backend))
+
+
+@native
+def test_hidden_ellipsoids_change_no_bit_of_the_others(backend):
+    """Promise 13."""
+    hand, camera = stretched_hand(1000, sigma_mm=(1, 3)), camera_for(96, 64)
+    hidden = gaussians_from([[9.0, 9.0, 9.0], [0, 0, float("nan")]], [1e-3] * 2, [0.5] * 2, [[1, 1, 1]] * 2)
+    together = joined(as_ellipsoids(hidden), hand, as_ellipsoids(hidden))
+    assert_same_bits(draw(together, camera, backend), draw(hand, camera, backend))
+    for a, b in zip(
+        gradients_of(together, camera, backend=backend), gradients_of(hand, camera, backend=backend), strict=True
+    ):
+        assert torch.equal(a[2:-2], b)
+        assert float(a[:2].abs().sum() + a[-2:].abs().sum()) == 0
+
+
+@every_backend
+@pytest.mark.parametrize(("factor", "drawn"), [(0.99, True), (1.01, False)])
+def test_a_projected_variance_beyond_the_limit_is_left_out_and_counted(factor, drawn, backend):
+    """Promise 12: a needle along y, on both sides of 1e9 px^2."""
+    focal, depth = 500.0, 0.5
+    variance = (factor * limits.VAR_MAX_PX2 - limits.BLUR_PX2) * (depth / focal) ** 2
+    needle = replace(
+        gaussians_from([[0, 0, depth]], [1.0], [0.5], [[1, 1, 1]]),
+        covariance_m2=torch.tensor([[1e-6, 0, 0, variance, 0, 1e-6]]),
+    )
+    picture = draw(needle, front_camera(8, 8, focal), backend)
+    assert (picture.visible_gaussians, picture.invalid_gaussians) == ((1, 0) if drawn else (0, 1))
+    assert (float(picture.alpha.max()) > 0.3) is drawn
+
+
+@every_backend
+@pytest.mark.parametrize("flat", ["disk", "needle"])
+def test_flat_gaussians_are_drawn_from_every_side(flat, backend):
+    """Disks and needles without any thickness: edge-on their ellipse is a line, whichever way its rounding went."""
+    count = 300
+    generator = torch.Generator().manual_seed(3)
+    log_scale = torch.full((count, 3), math.log(5e-3))
+    log_scale[:, : 1 if flat == "disk" else 2] = -40.0
+    turn = torch.randn(count, 4, generator=generator)
+    covariance = posed_covariance(log_scale, turn, torch.eye(3).expand(count, 3, 3))
+    hand = replace(hand_gaussians(count), covariance_m2=covariance)
+    # the first ones exactly edge-on or along the ray
+    axes = torch.tensor([[0, 0, 0, 25e-6, 0, 25e-6], [25e-6, 0, 0, 0, 0, 25e-6], [0, 0, 0, 0, 0, 25e-6]])
+    covariance[:3] = axes
+    hand.position_m[:3] = torch.tensor([0.0, 0.0, 0.0])
+    hand.position_m[:, 2] += 0.6
+    camera = front_camera(96, 64, 200.0)
+    got, want = draw(hand, camera, backend), exact(hand, camera)
+    assert got.visible_gaussians == want.visible_gaussians > 0.9 * count
+    assert got.invalid_gaussians == 0
+    assert_same_picture(got, want, depth_scale_m=0.7)
+    gradients = gradients_of(hand, camera, backend=backend)
+    assert all(bool(torch.isfinite(gradient).all()) for gradient in gradients)
+
+
+@every_backend
+def test_a_huge_needle_beyond_flat_is_the_needle(backend):
+    """Where rounding is many pixels large: without the clamp, alpha would grow along the needle, not fall."""
+    deviation = 1732 / 500  # 1732 px, seen from 1 m
+    beyond = 1 + 1.5e-6  # the correlation of x and y
+    needle = gaussians_from([[-2100 / 500, -2100 / 500, 1]], [1.0], [0.5], [[1, 1, 1]])
+    covariance = deviation**2 * torch.tensor([[1.0, beyond, 0, 1.0, 0, 0]])
+    camera = front_camera(9, 9, 500.0)
+    picture = draw(replace(needle, covariance_m2=covariance), camera, backend)
+    assert picture.visible_gaussians == 1
+    want = 0.5 * math.exp(-0.5 * 2 * 2100**2 / (2 * 1732**2))
+    # float32 resolves the exponent to 0.2 here
+    assert float(picture.alpha[4, 4]) == pytest.approx(want, rel=0.4)
+    assert float(picture.alpha[0, 8]) < float(picture.alpha[4, 4])
+    round_off = rasterize_reference(
+        in_precision(replace(needle, covariance_m2=covariance), torch.float64), front_camera(9, 9, 500.0)
+    )
+    assert float(round_off.alpha[4, 4]) == pytest.approx(want, rel=1e-3)
+
+
+# ---- errors ---------------------------------------------------------------------------------------------------------
+
+
+@every_backend
+def test_wrong_covariances_are_refused_by_name(backend):
+    good = stretched_hand(10)
+    covariance = good.covariance_m2
+    assert covariance is not None
+    for wrong in (covariance[:9], covariance[:, :5], covariance.reshape(-1), covariance.double(), [1.0] * 6):
+        with pytest.raises(InputError, match="covariance_m2"):
+            draw(replace(good, covariance_m2=wrong), camera_for(8, 8), backend)  # type: ignore[arg-type]
+
+
+@native
+def test_strided_covariances_are_drawn_like_contiguous_ones(backend):
+    hand = stretched_hand(200, sigma_mm=(2, 3))
+    assert hand.covariance_m2 is not None
+    strided = replace(hand, covariance_m2=hand.covariance_m2.t().contiguous().t())
+    assert_same_bits(draw(strided, camera_for(40, 30), backend), draw(hand, camera_for(40, 30), backend))

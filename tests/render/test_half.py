@@ -1,0 +1,102 @@
+"""Pictures drawn at half the size and enlarged: where every pixel stands, edges, depths, odd sizes, the receipt."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_avatars import small_avatar
+
+from jghand_engine.avatar.builtin import load_painted
+from jghand_engine.hand.anatomy import named_pose
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.native.enlarge import native_enlarged
+from jghand_engine.native.library import load, runnable_variants
+from jghand_engine.render.camera import Camera
+from jghand_engine.render.frame import HandRenderer
+from jghand_engine.render.half import enlarged_color, enlarged_depth, halved
+from jghand_engine.render.settings import RenderSettings
+
+CAMERA = Camera.looking_at([0.1, 0.1, 0.5], [0, 0.08, 0], [0, 1, 0], width=131, height=95, focal_px=260)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(("width", "height"), [(40, 70), (41, 69), (1, 1), (2, 3)])
+def test_a_slope_is_enlarged_exactly(width, height):
+    """Centers of pixels stay where they were: a plane over the picture stays that plane, away from the edge."""
+
+    def plane(wide, high, step):
+        x, y = (step * (np.arange(n) + 0.5) for n in (wide, high))
+        return np.stack([x[None, :] + 2 * y[:, None]] * 4, -1).astype(np.float32)
+
+    small = plane((width + 1) // 2, (height + 1) // 2, 2.0)
+    large = enlarged_color(small, width, height)
+    assert large.shape == (height, width, 4)
+    inside = (slice(1, -2), slice(1, -2))
+    assert np.allclose(large[inside], plane(width, height, 1.0)[inside], atol=1e-4)
+
+
+@pytest.mark.parametrize("library", [load(name) for name in runnable_variants()], ids=lambda library: library.variant)
+@pytest.mark.parametrize(("width", "height", "threads"), [(60, 100, 1), (61, 99, 2), (2, 3, 2), (1, 1, 1)])
+def test_the_kernel_does_what_the_specification_says(library, width, height, threads):
+    size = (height + 1) // 2, (width + 1) // 2
+    generator = np.random.default_rng(width)
+    rgba = generator.random((*size, 4), np.float32)
+    depth_m = generator.choice(np.float32([0.5, 0.502, 0.53]), size)
+    # a hole, empty rows above and below, and single pixels with nothing beside them
+    drawn = generator.random(size) < 0.5
+    drawn[: size[0] // 4], drawn[-(size[0] // 4) :] = False, False
+    drawn[0, 0] = True
+    rgba, depth_m = rgba * drawn[..., None], depth_m * drawn
+    large, large_depth_m = native_enlarged(library, rgba, depth_m, (width, height), threads)
+    assert np.allclose(large, enlarged_color(rgba, width, height), atol=1e-7)
+    assert np.allclose(large_depth_m, enlarged_depth(depth_m, width, height), atol=1e-7)
+
+
+def test_depths_of_finger_and_palm_are_kept_apart_and_nothing_stays_nothing():
+    small = np.zeros((8, 9), np.float32)
+    small[:, 3:6], small[:, 6:] = 0.50, 0.53
+    large = enlarged_depth(small, 17, 16)
+    assert np.unique(large).tolist() == pytest.approx([0.0, 0.50, 0.53])
+    assert (large[:, :6] == 0).all()
+
+
+def test_depths_of_one_surface_are_interpolated():
+    small = (0.5 + 0.001 * np.arange(10, dtype=np.float32))[None].repeat(6, 0)
+    large = enlarged_depth(small, 20, 12)
+    assert np.allclose(np.diff(large[:, 1:-1], axis=1), 0.0005, atol=1e-6)
+
+
+def test_half_the_camera_sees_the_same_picture():
+    camera = halved(CAMERA)
+    assert (camera.width, camera.height) == (66, 48)
+    points = CAMERA.camera_from_world.new_tensor([[0.0, 0.08, 0.0], [0.02, 0.05, 0.01]])
+    assert np.allclose(2 * camera.project(points)[0].numpy(), CAMERA.project(points)[0].numpy())
+
+
+def test_a_frame_of_half_the_size_resembles_the_whole_one_and_says_so():
+    avatar = load_painted(handedness=Handedness.RIGHT).prefix(4000)
+    joints_m = named_pose("relaxed", avatar.canonical_joints_m.numpy(), handedness=avatar.handedness)
+    camera = replace(CAMERA, width=263, height=191, fx=480, fy=480, cx=131.5, cy=95.5)
+    whole = HandRenderer(avatar, RenderSettings()).render(joints_m, camera)
+    frame = HandRenderer(avatar, RenderSettings(half=True)).render(joints_m, camera)
+    assert frame.rgba.shape == whole.rgba.shape
+    assert frame.depth_m.shape == whole.depth_m.shape
+    stage = frame.report.stage("enlarge")
+    assert stage is not None
+    assert stage.ran
+    assert frame.report.total_ms >= stage.milliseconds
+    error = np.abs(frame.rgba - whole.rgba).mean()
+    moved = [np.abs(np.roll(frame.rgba, by, axis) - whole.rgba).mean() for by in (-1, 1) for axis in (0, 1)]
+    # 0.0053, and 0.0068 or more a pixel off
+    assert error < 0.85 * min(moved)
+    assert error < 0.0055
+    both = (frame.depth_m > 0) & (whole.depth_m > 0)
+    assert both.mean() > 0.1
+    assert np.median(np.abs(frame.depth_m - whole.depth_m)[both]) < 0.0005
+
+
+def test_without_depth_none_is_made():
+    avatar = small_avatar(50)
+    frame = HandRenderer(avatar, RenderSettings(half=True, depth=False)).render(avatar.canonical_joints_m, CAMERA)
+    assert not frame.depth_m.any()

@@ -1,0 +1,47 @@
+"""What the rasterizer hands on, and how good a picture is."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+
+from jghand_engine import limits
+from jghand_engine.render.picture import Picture, decibels
+from jghand_engine.render.shadow import normalized_depth
+
+
+def picture_with(alpha: list[float], depth_m: list[float]) -> Picture:
+    alphas, depths = (torch.tensor([values], dtype=torch.float64) for values in (alpha, depth_m))
+    planes = torch.cat([torch.rand(3, 1, len(alpha), dtype=torch.float64), alphas[None], (alphas * depths)[None]])
+    return Picture.from_planes(planes, visible_gaussians=3, invalid_gaussians=2)
+
+
+def test_planes_become_color_coverage_and_depth():
+    planes = torch.rand(5, 4, 6, generator=torch.Generator().manual_seed(0))
+    picture = Picture.from_planes(planes, visible_gaussians=3, invalid_gaussians=2)
+    assert picture.rgb.shape == (4, 6, 3)
+    for channel in range(3):
+        assert torch.equal(picture.rgb[..., channel], planes[channel])
+    assert torch.equal(picture.alpha, planes[3])
+    assert torch.equal(picture.depth_sum, planes[4])
+    assert (picture.visible_gaussians, picture.invalid_gaussians) == (3, 2)
+
+
+def test_depth_is_the_mean_of_what_covers_a_pixel_where_enough_does():
+    least = limits.DEPTH_ALPHA_MIN
+    picture = picture_with([0.0, least / 2, least, math.nextafter(least, 1), 1.0], [0.7] * 5)
+    assert picture.valid.tolist() == [[False, False, False, True, True]]
+    assert picture.depth_m[0].tolist() == pytest.approx([0, 0, 0, 0.7, 0.7], abs=1e-15)
+    depth_m, valid = normalized_depth(picture.depth_sum, picture.alpha)
+    assert torch.equal(valid, picture.valid)
+    assert torch.equal(depth_m, picture.depth_m)
+
+
+def test_decibels_count_tenfold_errors_and_end_at_a_cap():
+    assert [decibels(10.0**-n) for n in range(4)] == pytest.approx([0, 10, 20, 30])
+    assert decibels(4.0) == pytest.approx(-6.0206, abs=1e-4)
+    cap = limits.PSNR_MAX_DB
+    assert decibels(0.0) == decibels(10 ** (-cap / 10) / 2) == cap
+    assert decibels(2 * 10 ** (-cap / 10)) == pytest.approx(cap - 10 * math.log10(2))

@@ -1,0 +1,338 @@
+"""Conformance: the native kernel draws the picture of the float64 reference (RENDERING 3, promises 3 and 12 to 16)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from splat_scenes import (
+    NATIVE,
+    assert_same_bits,
+    assert_same_picture,
+    camera_for,
+    draw,
+    exact,
+    front_camera,
+    gaussians_from,
+    hand_gaussians,
+    in_precision,
+    joined,
+    planes_of,
+    reordered,
+)
+
+from jghand_engine import limits
+from jghand_engine.avatar.gaussians import Gaussians
+from jghand_engine.errors import InputError
+from jghand_engine.render.camera import Camera
+from jghand_engine.render.reference import camera_frame
+
+native = pytest.mark.parametrize("backend", NATIVE)
+every_backend = pytest.mark.parametrize("backend", ["torch", *NATIVE])
+
+
+# ---- promise 3: the picture -----------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def hand_60k():
+    """A hand of the size that is drawn, with the reference's picture of it."""
+    gaussians, camera = hand_gaussians(60_000), camera_for(512, 334)
+    return gaussians, camera, exact(gaussians, camera)
+
+
+@native
+def test_hand_of_60000_gaussians_agrees_with_the_reference(hand_60k, backend):
+    gaussians, camera, want = hand_60k
+    got = draw(gaussians, camera, backend)
+    assert_same_picture(got, want, depth_scale_m=0.7)
+    assert (got.visible_gaussians, got.invalid_gaussians) == (want.visible_gaussians, 0)
+
+
+SIZES = [(1, 1), (2, 3), (4, 4), (5, 17), (16, 16), (17, 15), (33, 64), (160, 1), (1, 160), (250, 130)]
+
+
+@native
+@pytest.mark.parametrize(("width", "height"), SIZES)
+def test_every_picture_size_agrees_with_the_reference(width, height, backend):
+    gaussians, camera = hand_gaussians(1500, sigma_mm=(1, 3), opacity=(0.01, 1.0)), camera_for(width, height)
+    assert_same_picture(draw(gaussians, camera, backend), exact(gaussians, camera), depth_scale_m=0.7)
+
+
+@native
+def test_a_picture_of_1024_squared_agrees_with_the_reference(backend):
+    gaussians, camera = hand_gaussians(6000, sigma_mm=(0.8, 1.5)), camera_for(1024, 1024)
+    assert_same_picture(draw(gaussians, camera, backend), exact(gaussians, camera), depth_scale_m=0.7, flips=6)
+
+
+@native
+@pytest.mark.parametrize("count", [0, 1, 2, 15, 16, 17, 129, 1000, 120_000])
+def test_every_number_of_gaussians_agrees_with_the_reference(count, backend):
+    gaussians, camera = hand_gaussians(count, opacity=(0.02, 0.9)), camera_for(96, 64)
+    got, want = draw(gaussians, camera, backend), exact(gaussians, camera)
+    assert_same_picture(got, want, depth_scale_m=0.7)
+    assert got.visible_gaussians == want.visible_gaussians
+
+
+@native
+@pytest.mark.parametrize("alpha_min", [1 / 64, 1 / 255, 1 / 1024, 1 / 16384, 1e-6, limits.NATIVE_ALPHA_MIN])
+def test_every_cut_off_agrees_with_the_reference(alpha_min, backend):
+    gaussians, camera = hand_gaussians(1500, sigma_mm=(1, 3), opacity=(0.001, 1.0)), camera_for(100, 70)
+    got = draw(gaussians, camera, backend, alpha_min=alpha_min, t_stop=0.0)
+    want = exact(gaussians, camera, alpha_min=alpha_min)
+    error = (planes_of(got).double() - planes_of(want)).abs()[:4].amax(0)
+    # at most a few contributions as large as the cut itself fall on its other side; the rest is rounding
+    assert float(error.max()) <= 2 * alpha_min + 5e-6  # observed: 1.0 alpha_min, and 2.2e-6 below a cut of 1e-6
+    assert int((error > 5e-6).sum()) <= 2
+
+
+@native
+@pytest.mark.parametrize("distance_m", [0.02, 0.05, 0.12, 3.0])
+def test_camera_inside_and_near_the_hand_agrees_with_the_reference(distance_m, backend):
+    gaussians = hand_gaussians(3000, sigma_mm=(1, 2))
+    camera = camera_for(120, 80, distance_m=distance_m)
+    assert_same_picture(draw(gaussians, camera, backend), exact(gaussians, camera), depth_scale_m=distance_m + 0.1)
+
+
+@native
+def test_wide_angle_shifted_principal_point_and_oblong_pixels_agree_with_the_reference(backend):
+    gaussians = hand_gaussians(2000, sigma_mm=(2, 5))
+    view = camera_for(120, 80, distance_m=0.15, eye_direction=(0.7, 0.4, -0.5))
+    camera = Camera(120, 80, 45.0, 80.0, 10.0, 95.0, view.camera_from_world)
+    assert_same_picture(draw(gaussians, camera, backend), exact(gaussians, camera), depth_scale_m=0.3)
+
+
+@native
+def test_a_hand_far_from_the_origin_keeps_its_precision(backend):
+    """The kernel works relative to the eye: the picture 4.6 km away is that of the rounded positions, no worse."""
+    shift = torch.tensor([4e3, -2e3, 1e3])
+    near = hand_gaussians(1500, sigma_mm=(1, 3))
+    gaussians = in_precision(near, torch.float32)
+    gaussians.position_m.add_(shift)  # float32: the positions themselves now step by 0.24 mm
+    view = camera_for(120, 80)
+    matrix = view.camera_from_world.clone()
+    matrix[:3, 3] -= matrix[:3, :3] @ shift.double()
+    camera = Camera(120, 80, view.fx, view.fy, view.cx, view.cy, matrix)
+    assert_same_picture(draw(gaussians, camera, backend), exact(gaussians, camera), depth_scale_m=0.7)
+
+
+@native
+def test_stopping_early_costs_at_most_the_threshold(backend):
+    gaussians, camera = hand_gaussians(4000, sigma_mm=(2, 4), opacity=(0.5, 0.99)), camera_for(120, 80)
+    whole = planes_of(draw(gaussians, camera, backend, t_stop=0.0))
+    for t_stop in (1e-4, 1e-2):
+        stopped = planes_of(draw(gaussians, camera, backend, t_stop=t_stop))
+        assert float((whole - stopped)[:4].abs().max()) <= t_stop + 1e-6
+
+
+# ---- promises 12 to 16 ----------------------------------------------------------------------------------------------
+
+
+@native
+@pytest.mark.parametrize("log_sigma", [-30, -20, -10, -7, -5, -3, -1, 0, 1, 2])
+def test_extreme_radii_stay_visible(log_sigma, backend):
+    gaussians = gaussians_from([[0.01, -0.02, 0.7]], [math.exp(log_sigma)], [0.8], [[0.2, 0.4, 0.6]])
+    camera = front_camera(48, 32, 300.0)
+    got, want = draw(gaussians, camera, backend), exact(gaussians, camera)
+    assert got.visible_gaussians == 1
+    assert float(got.alpha.max()) > 0.1
+    assert_same_picture(got, want)
+
+
+@native
+def test_extreme_colors_are_drawn_unclamped(backend):
+    gaussians = gaussians_from([[0, 0, 0.5]] * 2, [0.01] * 2, [0.9] * 2, [[1e6, -1e6, 0], [-3.0, 7.0, 1e6]])
+    camera = front_camera(20, 20, 100.0)
+    got = draw(gaussians, camera, backend)
+    assert float(got.rgb.max()) > 8e5
+    assert_same_picture(got, exact(gaussians, camera), color_scale=1e6)
+
+
+@every_backend
+@pytest.mark.parametrize(("factor", "drawn"), [(0.99, True), (1.01, False)])
+def test_a_projected_variance_beyond_the_limit_is_left_out_and_counted(factor, drawn, backend):
+    """Promise 12, on both sides of 1e9 px^2."""
+    focal, depth = 500.0, 0.5
+    sigma = math.sqrt(factor * limits.VAR_MAX_PX2 - limits.BLUR_PX2) * depth / focal
+    picture = draw(gaussians_from([[0, 0, depth]], [sigma], [0.5], [[1, 1, 1]]), front_camera(8, 8, focal), backend)
+    assert (picture.visible_gaussians, picture.invalid_gaussians) == ((1, 0) if drawn else (0, 1))
+    assert float(picture.alpha.max()) == (pytest.approx(0.5) if drawn else 0)
+
+
+@native
+def test_120000_gaussians_over_the_whole_picture_are_finite_and_opaque(backend):
+    gaussians = hand_gaussians(120_000, sigma_mm=(300, 900), opacity=(0.01, 0.05))
+    picture = draw(gaussians, camera_for(64, 48), backend)
+    assert picture.visible_gaussians == 120_000
+    assert bool(torch.isfinite(planes_of(picture)).all())
+    assert float(picture.alpha.min()) > 0.999
+
+
+def hidden_gaussians() -> Gaussians:
+    """Behind the camera, beside the picture, too transparent, not a number."""
+    behind = [[0.0, 0.0, -1.0]] * 300
+    beside = [[5.0, 0.0, 1.0]] * 300
+    faint = [[0.0, 0.0, 0.6]] * 300
+    broken = [[math.nan, 0.0, 0.6]] * 100
+    opacity = [0.9] * 600 + [0.003] * 300 + [0.9] * 100
+    position = behind + beside + faint + broken
+    return gaussians_from(position, [2e-3] * 1000, opacity, [[1.0, 1.0, 1.0]] * 1000)
+
+
+@every_backend
+def test_hidden_gaussians_change_no_bit_wherever_they_stand(backend):
+    """Promise 13."""
+    camera = front_camera(96, 64, 300.0)
+    hand = hand_gaussians(2000, sigma_mm=(1, 3))
+    hand.position_m[:, 2] += 0.6
+    alone = draw(hand, camera, backend)
+    for parts in ((hidden_gaussians(), hand), (hand, hidden_gaussians())):
+        together = draw(joined(*parts), camera, backend)
+        assert_same_bits(together, alone)
+        assert (together.visible_gaussians, together.invalid_gaussians) == (2000, 100)
+
+
+@every_backend
+def test_nothing_in_front_of_the_camera_is_an_empty_picture(backend):
+    """Promise 14."""
+    camera = camera_for(40, 30)
+    away = camera.camera_from_world.clone()
+    away[2:3] *= -1  # the hand is behind
+    away[0:1] *= -1
+    behind = Camera(40, 30, camera.fx, camera.fy, camera.cx, camera.cy, away)
+    for gaussians, view in ((hand_gaussians(0), camera), (hand_gaussians(500), behind)):
+        picture = draw(gaussians, view, backend)
+        assert picture.visible_gaussians == 0
+        assert float(planes_of(picture).abs().max()) == 0
+
+
+@every_backend
+def test_the_near_plane_cuts_between_one_centimeter_and_a_little_more(backend):
+    camera = front_camera(16, 16, 20.0)
+    for depth, drawn in ((0.0099, False), (0.0101, True), (0.0, False), (-0.0101, False)):
+        picture = draw(gaussians_from([[0, 0, depth]], [1e-3], [0.9], [[1, 1, 1]]), camera, backend)
+        assert (picture.visible_gaussians == 1) is drawn, depth
+        assert picture.invalid_gaussians == 0
+
+
+@every_backend
+def test_an_opacity_at_the_cut_is_not_drawn_and_not_invalid(backend):
+    camera = front_camera(16, 16, 20.0)
+    for opacity, drawn in ((1 / 255 - 1e-6, False), (1 / 255 + 1e-5, True), (0.0, False)):
+        picture = draw(gaussians_from([[0, 0, 1.0]], [0.1], [opacity], [[1, 1, 1]]), camera, backend)
+        assert (picture.visible_gaussians == 1) is drawn
+        assert picture.invalid_gaussians == 0
+
+
+@native
+def test_permuted_gaussians_give_the_same_bits_when_depths_differ(backend):
+    """Promise 15."""
+    camera = front_camera(128, 96, 300.0)
+    hand = hand_gaussians(5000, sigma_mm=(1, 3))
+    hand.position_m[:, 2] = 0.5 + 1e-5 * torch.randperm(5000, generator=torch.Generator().manual_seed(1))
+    order = torch.randperm(5000, generator=torch.Generator().manual_seed(2))
+    assert_same_bits(draw(reordered(hand, order), camera, backend), draw(hand, camera, backend))
+
+
+@native
+def test_permuted_gaussians_give_the_same_bits_when_equal_depths_keep_their_order(backend):
+    camera, count = camera_for(128, 96), 60_000
+    hand = hand_gaussians(count)
+    depth = camera_frame(hand.position_m, camera)[:, 2].numpy()
+    assert len(np.unique(depth)) < count - 1000  # ties are common
+    order = np.random.default_rng(3).permutation(count)
+    shuffled_places = np.argsort(depth[order], kind="stable")  # of each group of equal depths
+    order[shuffled_places] = order[np.lexsort((order, depth[order]))]  # the group's members, by their old index
+    assert_same_bits(draw(reordered(hand, torch.from_numpy(order)), camera, backend), draw(hand, camera, backend))
+
+
+@native
+def test_permuted_gaussians_of_a_smooth_skin_differ_little(backend):
+    """Swapped ties cost alpha^2 times their difference in color: little where neighbors look alike."""
+    hand, camera = hand_gaussians(60_000, sigma_mm=(1.5, 2.5)), camera_for(512, 334)
+    hand.rgb.copy_(0.8 + 0.15 * torch.sin(120 * hand.position_m[:, :1] + torch.arange(3)))
+    order = torch.randperm(len(hand), generator=torch.Generator().manual_seed(3))
+    difference = planes_of(draw(reordered(hand, order), camera, backend)) - planes_of(draw(hand, camera, backend))
+    assert float(difference.abs().max()) <= 3.1e-4  # observed 2.95e-4
+
+
+@native
+@pytest.mark.parametrize(("count", "size"), [(20_000, (512, 334)), (37, (19, 5)), (1, (1, 1))])
+def test_the_same_bits_from_every_number_of_threads_and_on_every_run(count, size, backend):
+    """Promise 16, forward."""
+    gaussians, camera = hand_gaussians(count, sigma_mm=(1, 2)), camera_for(*size)
+    once = draw(gaussians, camera, backend, threads=1)
+    for threads in (1, 2, 3, 3):
+        assert_same_bits(draw(gaussians, camera, backend, threads=threads), once)
+
+
+@native
+def test_depths_over_all_orders_of_magnitude_are_sorted(backend):
+    """From a centimeter to 100 km: a hand needs fewer passes of the sort, this needs all of them."""
+    random = torch.Generator().manual_seed(4)
+    count = 3000
+    depth = 0.011 * 10 ** (torch.rand(count, generator=random, dtype=torch.float64) * 7)
+    position = torch.stack([torch.zeros_like(depth), torch.zeros_like(depth), depth], 1)
+    rgb = torch.rand(count, 3, generator=random)
+    gaussians = gaussians_from(position, depth * 0.1, torch.full((count,), 0.004), rgb)
+    camera = front_camera(8, 8, 20.0)
+    got, want = draw(gaussians, camera, backend, t_stop=0.0), exact(gaussians, camera)
+    assert float((got.rgb.double() - want.rgb).abs().max()) <= 1e-4
+    assert got.visible_gaussians == count
+
+
+@native
+def test_a_growing_hand_asks_for_longer_lists(backend):
+    """The lists are sized by the last picture; a bigger one is drawn again with more room."""
+    camera = camera_for(256, 160)
+    for sigma_mm in (0.5, 20.0, 80.0, 0.5):
+        gaussians = hand_gaussians(800, sigma_mm=(sigma_mm, sigma_mm), opacity=(0.1, 0.3))
+        assert_same_picture(draw(gaussians, camera, backend), exact(gaussians, camera), depth_scale_m=0.7, flips=1)
+
+
+# ---- errors ---------------------------------------------------------------------------------------------------------
+
+
+@every_backend
+@pytest.mark.parametrize("name", ["position_m", "sigma_m", "opacity", "rgb"])
+def test_a_wrong_shape_is_refused_by_name(name, backend):
+    tensors = {key: getattr(hand_gaussians(10), key) for key in ("position_m", "sigma_m", "opacity", "rgb")}
+    for wrong in (tensors[name][:9], tensors[name][None], tensors[name].reshape(10, -1).repeat(1, 2)):
+        with pytest.raises(InputError, match=r"position_m|sigma_m|opacity|rgb"):
+            draw(type(hand_gaussians(0))(**{**tensors, name: wrong}), camera_for(8, 8), backend)
+
+
+@every_backend
+def test_a_wrong_dtype_is_refused_by_name(backend):
+    good = hand_gaussians(10)
+    for name, wrong in (("sigma_m", good.sigma_m.half()), ("opacity", good.opacity.double()), ("rgb", [1, 2])):
+        tensors = {key: getattr(good, key) for key in ("position_m", "sigma_m", "opacity", "rgb")}
+        with pytest.raises(InputError, match=name):
+            draw(type(good)(**{**tensors, name: wrong}), camera_for(8, 8), backend)  # type: ignore[arg-type]
+
+
+@native
+def test_a_kernel_that_cannot_draw_float64_says_so(backend):
+    with pytest.raises(InputError, match="float32"):
+        draw(in_precision(hand_gaussians(10), torch.float64), camera_for(8, 8), backend)
+
+
+def test_float64_gaussians_are_drawn_by_the_reference():
+    gaussians, camera = in_precision(hand_gaussians(50), torch.float64), camera_for(16, 16)
+    assert_same_bits(draw(gaussians, camera, "auto"), exact(gaussians, camera))
+
+
+@native
+def test_a_cut_below_the_kernels_range_is_refused(backend):
+    with pytest.raises(InputError, match="alpha_min"):
+        draw(hand_gaussians(10), camera_for(8, 8), backend, alpha_min=1e-12)
+
+
+@native
+def test_strided_tensors_are_drawn_like_contiguous_ones(backend):
+    hand = hand_gaussians(200, sigma_mm=(2, 3))
+    wide = torch.cat([hand.position_m, torch.zeros(200, 2)], 1)
+    strided = type(hand)(wide[:, :3], hand.sigma_m, hand.opacity, hand.rgb.t().contiguous().t())
+    assert_same_bits(draw(strided, camera_for(40, 30), backend), draw(hand, camera_for(40, 30), backend))

@@ -1,0 +1,142 @@
+"""The reference against the text of the contract, written down once more, pixel by pixel."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+from splat_scenes import (
+    NAMES,
+    camera_for,
+    front_camera,
+    gaussians_from,
+    hand_gaussians,
+    in_precision,
+    planes_of,
+    reordered,
+)
+
+from jghand_engine import limits
+from jghand_engine.avatar.gaussians import Gaussians
+from jghand_engine.render.reference import camera_frame, rasterize_reference
+
+
+def contract_pixel(gaussians: Gaussians, camera, i: int, j: int, alpha_min: float = limits.ALPHA_MIN) -> list[float]:
+    """R G B A D of pixel (i, j), literally as RENDERING 3 says it, one Gaussian after the other in plain floats."""
+    position = camera_frame(gaussians.position_m, camera).tolist()
+    order = sorted(range(len(position)), key=lambda n: position[n][2])  # sorted() is stable: ties by index
+    transmittance, sums = 1.0, [0.0] * 5
+    for n in order:
+        x, y, z = position[n]
+        sigma, opacity, rgb = float(gaussians.sigma_m[n]), float(gaussians.opacity[n]), gaussians.rgb[n].tolist()
+        if z <= 0.01:
+            continue
+        u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+        jx, jy, jxz, jyz = camera.fx / z, camera.fy / z, -camera.fx * x / z**2, -camera.fy * y / z**2
+        if camera.orthographic:
+            u, v = camera.fx * x + camera.cx, camera.fy * y + camera.cy
+            jx, jy, jxz, jyz = camera.fx, camera.fy, 0.0, 0.0
+        a, c = sigma**2 * (jx**2 + jxz**2) + 0.3, sigma**2 * (jy**2 + jyz**2) + 0.3
+        b = sigma**2 * jxz * jyz
+        dx, dy = i + 0.5 - u, j + 0.5 - v
+        alpha = opacity * math.exp(-0.5 * (c * dx * dx - 2 * b * dx * dy + a * dy * dy) / (a * c - b * b))
+        if alpha < alpha_min:
+            continue
+        weight = min(alpha, 0.999) * transmittance
+        transmittance -= weight
+        for channel, value in enumerate((*rgb, 1.0, z)):
+            sums[channel] += weight * value
+    return sums
+
+
+@pytest.mark.parametrize(
+    ("alpha_min", "orthographic"), [(limits.ALPHA_MIN, False), (1 / 16384, False), (limits.ALPHA_MIN, True)]
+)
+def test_every_pixel_is_what_the_contract_says(alpha_min, orthographic):
+    gaussians = in_precision(hand_gaussians(60, sigma_mm=(2, 12), opacity=(0.002, 1.0)), torch.float64)
+    camera = camera_for(23, 18)
+    if orthographic:
+        camera = replace(camera, fx=110.0, fy=130.0, cx=9.0, orthographic=True)
+    planes = planes_of(rasterize_reference(gaussians, camera, alpha_min=alpha_min))
+    worst = max(
+        abs(float(planes[channel, j, i]) - value)
+        for j in range(camera.height)
+        for i in range(camera.width)
+        for channel, value in enumerate(contract_pixel(gaussians, camera, i, j, alpha_min))
+    )
+    assert worst <= 1e-12  # observed 3e-15
+
+
+def test_one_gaussian_in_the_middle_of_a_pixel_has_its_opacity_there():
+    camera = front_camera(5, 5, 100.0)
+    picture = rasterize_reference(gaussians_from([[0, 0, 2.0]], [1e-3], [0.5], [[1, 0.5, 0.25]], torch.float64), camera)
+    assert picture.alpha[2, 2] == pytest.approx(0.5)
+    assert picture.rgb[2, 2].tolist() == pytest.approx([0.5, 0.25, 0.125])
+    assert picture.depth_m[2, 2] == pytest.approx(2.0)
+    assert float(picture.depth_m[0, 0]) == 0  # nothing there
+    assert not bool(picture.valid[0, 0])
+
+
+def test_y_points_down_and_x_to_the_right():
+    picture = rasterize_reference(
+        gaussians_from([[0.02, 0.05, 1.0]], [1e-3], [0.9], [[1, 1, 1]], torch.float64), front_camera(21, 21, 100.0)
+    )
+    row, column = divmod(int(picture.alpha.argmax()), 21)
+    assert (column, row) == (12, 15)
+
+
+def test_gradients_of_the_smooth_variant_agree_with_finite_differences():
+    """Promise 1: the hard cut has no finite differences, its C1 variant does."""
+    some = hand_gaussians(9, sigma_mm=(3, 14), opacity=(0.1, 0.95), seed=2)
+    camera = camera_for(11, 8)
+
+    def planes(*tensors: torch.Tensor) -> torch.Tensor:
+        return planes_of(rasterize_reference(Gaussians(*tensors), camera, smooth=True))
+
+    leaves = in_precision(some, torch.float64, grad=True)
+    inputs = tuple(getattr(leaves, name) for name in NAMES)
+    assert torch.autograd.gradcheck(planes, inputs, eps=1e-6, atol=1e-5, rtol=1e-3)
+
+
+def test_the_smooth_variant_is_the_contract_above_twice_the_cut():
+    gaussians = in_precision(hand_gaussians(200, sigma_mm=(2, 4)), torch.float64)
+    camera = camera_for(32, 24)
+    hard, smooth = (planes_of(rasterize_reference(gaussians, camera, smooth=smooth)) for smooth in (False, True))
+    assert float((hard - smooth).abs().max()) <= 200 * limits.ALPHA_MIN
+    assert float((hard - smooth).abs().max()) > 0
+
+
+def test_a_capped_alpha_has_no_gradient_to_opacity_and_shape():
+    leaves = in_precision(gaussians_from([[0, 0, 1.0]], [1e3], [1.0], [[1, 1, 1]]), torch.float64, grad=True)
+    picture = rasterize_reference(leaves, front_camera(3, 3, 10.0))
+    assert picture.alpha.tolist() == [[pytest.approx(0.999)] * 3] * 3
+    picture.alpha.sum().backward()
+    assert leaves.opacity.grad is not None
+    assert leaves.sigma_m.grad is not None
+    assert float(leaves.opacity.grad.abs().max()) == 0
+    assert float(leaves.sigma_m.grad.abs().max()) == 0
+
+
+def test_drawing_in_several_parts_changes_nothing(monkeypatch):
+    gaussians = in_precision(hand_gaussians(300, sigma_mm=(2, 4)), torch.float64)
+    whole = planes_of(rasterize_reference(gaussians, camera_for(40, 24)))
+    monkeypatch.setattr(limits, "REFERENCE_PAIRS_AT_ONCE", 1000)
+    parts = planes_of(rasterize_reference(gaussians, camera_for(40, 24)))
+    assert float((whole - parts).abs().max()) <= 1e-14  # matrix products of other shapes round differently
+
+
+def test_equal_depths_follow_the_index():
+    both = gaussians_from([[0, 0, 1.0]] * 2, [0.05] * 2, [0.8] * 2, [[1, 0, 0], [0, 1, 0]], torch.float64)
+    first = rasterize_reference(both, front_camera(3, 3, 10.0)).rgb[1, 1]
+    second = rasterize_reference(reordered(both, torch.tensor([1, 0])), front_camera(3, 3, 10.0)).rgb[1, 1]
+    assert first[0] > first[1]
+    assert torch.equal(first, second[[1, 0, 2]])
+
+
+def test_depth_has_a_finite_gradient_where_nothing_is():
+    leaves = in_precision(gaussians_from([[0, 0, 1.0]], [1e-3], [0.9], [[1, 1, 1]]), torch.float64, grad=True)
+    rasterize_reference(leaves, front_camera(9, 9, 50.0)).depth_m.sum().backward()
+    assert leaves.position_m.grad is not None
+    assert bool(torch.isfinite(leaves.position_m.grad).all())

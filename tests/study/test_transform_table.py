@@ -1,0 +1,59 @@
+"""The table of transforms: ours hits the joints, the others miss by what they cannot know."""
+
+from __future__ import annotations
+
+import pytest
+
+from jghand_engine.captures.making.identities import identity_names
+from jghand_engine.errors import InputError
+from jghand_engine.study.transform_table import TRANSFORMS, measure_transforms, transform_table
+
+POSES = 3
+
+
+@pytest.fixture(scope="module")
+def scores():
+    """One hand of other proportions than the template's."""
+    return measure_transforms(identity_names()[1], POSES)
+
+
+@pytest.mark.parametrize("name", ["ours, uniform", "ours, axial"])
+def test_our_matrices_hit_every_joint(scores, name):
+    assert scores[name].joints_matrices_mm < 1e-9  # worst observed 3e-14
+
+
+def test_our_skin_is_nearest_to_the_truth(scores):
+    for ours in ("ours, uniform", "ours, axial"):
+        for other in ("naive", "HALO-like"):
+            assert scores[ours].chamfer_mm < scores[other].chamfer_mm
+            assert scores[ours].skin_mm < scores[other].skin_mm
+
+
+def test_canonical_bone_lengths_miss_the_joints_of_another_hand(scores):
+    assert scores["HALO-like"].joints_matrices_mm > 1
+    assert scores["naive"].joints_matrices_mm > 0.3
+
+
+def test_nothing_reproduces_the_skin_of_another_hand_exactly(scores):
+    """No inverse crime: the truth has another shape and another rig."""
+    assert all(score.chamfer_mm > 0.3 for score in scores.values())
+
+
+def test_every_pose_is_counted():
+    counted = []
+    measure_transforms(identity_names()[0], 2, tick=lambda: counted.append(1))
+    assert len(counted) == 2
+
+
+def test_an_unknown_hand_is_refused():
+    with pytest.raises(InputError, match="identity"):
+        measure_transforms("nobody", 2)
+
+
+def test_the_table_holds_our_rows_the_papers_and_the_caveat(scores):
+    table = transform_table({"somebody": scores}, POSES)
+    assert [row[0] for row in table.rows[: len(TRANSFORMS)]] == list(TRANSFORMS)
+    assert {row[0] for row in table.rows[len(TRANSFORMS) :]} == {"HALO", "JGHand (paper)"}
+    assert all(len(row) == len(table.columns) for row in table.rows)
+    assert "data differ" in table.notes[-1]
+    assert table.markdown().count("\n| ") == len(table.rows) + 2
