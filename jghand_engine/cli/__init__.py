@@ -1,11 +1,12 @@
 """The command `jghand`: a thin face on the engine, one module per verb.
 
-A verb is a frozen dataclass whose fields are its options and whose `run` does the work. Heavy modules are imported
-inside `run`, so that help and argument errors come at once.
+A verb is a frozen dataclass whose fields are its options and whose `run` does the work. Only the verb that is called is
+imported, and what is heavy inside its `run`: help and mistakes in the arguments come at once.
 """
 
 from __future__ import annotations
 
+import importlib
 import os
 import sys
 import traceback
@@ -15,25 +16,6 @@ from typing import Annotated, Any, Union
 import tyro
 
 from jghand_engine import __version__
-from jghand_engine.cli import (
-    ablate,
-    bake,
-    bench,
-    capture,
-    check_data,
-    check_usd,
-    demo,
-    evaluate,
-    export,
-    info,
-    motion,
-    render,
-    serve,
-    study,
-    track,
-    train,
-    train_many,
-)
 from jghand_engine.cli.console import say, say_error
 from jghand_engine.cli.failures import explain
 from jghand_engine.cli.machine import JsonLines, started_by_a_program
@@ -47,25 +29,12 @@ Examples:
   jghand render --help                          all about one command
   jghand --version"""
 
-VERBS = {
-    "demo": (demo.Demo, demo.DESCRIPTION),
-    "render": (render.Render, render.DESCRIPTION),
-    "export": (export.Export, export.DESCRIPTION),
-    "info": (info.Info, info.DESCRIPTION),
-    "motion": (motion.Motion, motion.DESCRIPTION),
-    "check-data": (check_data.CheckData, check_data.DESCRIPTION),
-    "check-usd": (check_usd.CheckUsd, check_usd.DESCRIPTION),
-    "track": (track.Track, track.DESCRIPTION),
-    "capture": (capture.Capture, capture.DESCRIPTION),
-    "train": (train.Train, train.DESCRIPTION),
-    "train-many": (train_many.TrainMany, train_many.DESCRIPTION),
-    "evaluate": (evaluate.Evaluate, evaluate.DESCRIPTION),
-    "bake": (bake.Bake, bake.DESCRIPTION),
-    "ablate": (ablate.Ablate, ablate.DESCRIPTION),
-    "bench": (bench.Bench, bench.DESCRIPTION),
-    "study": (study.Study, study.DESCRIPTION),
-    "serve": (serve.Serve, serve.DESCRIPTION),
-}
+# each is a module of this package, `train-many` is cli/train_many.py with the dataclass TrainMany; only the one that is
+# called gets imported
+VERBS = (
+    *("demo", "render", "export", "info", "motion", "check-data", "check-usd", "track", "capture"),
+    *("train", "train-many", "evaluate", "bake", "ablate", "bench", "study", "serve"),
+)
 STYLE = (
     tyro.conf.OmitArgPrefixes,
     tyro.conf.OmitSubcommandPrefixes,
@@ -91,7 +60,7 @@ def _main(words: Sequence[str]) -> int:
     if words == ["--version"]:
         say(f"jghand {__version__}")
         return 0
-    verb: Any = tyro.cli(_parsed_type(words), prog="jghand", description=DESCRIPTION, args=words, config=STYLE)
+    verb = _parsed(words)
     report = getattr(verb, "report", None)
     report = report if isinstance(report, ReportOptions) else ReportOptions()
     lines = JsonLines(sys.stderr) if report.progress_json else None
@@ -110,10 +79,21 @@ def _main(words: Sequence[str]) -> int:
         return failure.exit_code
 
 
-def _parsed_type(words: Sequence[str]) -> Any:
-    """The union of the verbs. The list of all verbs shows one line of each, the help of one verb its examples too."""
-    alternatives = []
-    for name, (verb, description) in VERBS.items():
-        text = description if words and words[0] == name else description.splitlines()[0]
-        alternatives.append(Annotated[verb, tyro.conf.subcommand(name, description=text)])
-    return Union[tuple(alternatives)]  # noqa: UP007  (made at run time)
+def _parsed(words: Sequence[str]) -> Any:
+    """The verb with its options. SystemExit for mistakes in them, and for help."""
+    if words and words[0] in VERBS:
+        verb, description = _verb(words[0])
+        prog = f"jghand {words[0]}"
+        return tyro.cli(verb, prog=prog, description=description, args=words[1:], config=STYLE)
+    listed = [
+        Annotated[verb, tyro.conf.subcommand(name, description=description.splitlines()[0])]
+        for name, (verb, description) in ((name, _verb(name)) for name in VERBS)
+    ]
+    parsed: Any = Union[tuple(listed)]  # noqa: UP007  (made at run time)
+    return tyro.cli(parsed, prog="jghand", description=DESCRIPTION, args=words, config=STYLE)
+
+
+def _verb(name: str) -> tuple[type, str]:
+    """The dataclass of a verb, and its description."""
+    module = importlib.import_module(f"jghand_engine.cli.{name.replace('-', '_')}")
+    return getattr(module, name.title().replace("-", "")), module.DESCRIPTION
