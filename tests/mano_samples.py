@@ -1,9 +1,9 @@
 """A made-up hand in a file of exactly MANO's structure: a Python 2 pickle with chumpy and scipy objects in it.
 
 The pickle is written operation by operation, since neither Python 2 nor chumpy is here, and what Python 2 writes
-differs from what Python 3 writes. (Files written by the real chumpy 0.70 were read exactly, too.) The surface is a sock
-of 778 vertices and 1538 faces, open along 16 edges like MANO's, pulled out at the vertices that serve as finger tips;
-its joints are those of the built-in hand.
+differs from what Python 3 writes. (Files written by the real chumpy 0.70 were read exactly, too.) The surface is a
+mitten of 778 vertices and 1538 faces around all bones, open along 16 edges like MANO's, pulled out at the vertices that
+serve as finger tips; its joints are those of the built-in hand.
 """
 
 from __future__ import annotations
@@ -44,11 +44,11 @@ def sock() -> tuple[np.ndarray, np.ndarray]:
     """(778, 3) vertices in the canonical frame and (1538, 3) outward faces."""
     angle = 2 * np.pi * np.arange(SEGMENTS) / SEGMENTS
     rings = [
-        np.stack([0.03 * np.cos(angle), np.full(SEGMENTS, y), 0.012 * np.sin(angle)], axis=1)
-        for y in np.linspace(0, 0.09, RINGS)
+        np.stack([0.075 * np.cos(angle), np.full(SEGMENTS, y), 0.012 * np.sin(angle)], axis=1)
+        for y in np.linspace(0, 0.19, RINGS)
     ]
     rng = np.random.default_rng(0)
-    top = np.array([0, 0.095, 0]) + rng.uniform(-0.004, 0.004, (INNER, 3))
+    top = np.array([0, 0.195, 0]) + rng.uniform(-0.004, 0.004, (INNER, 3))
     vertices = np.concatenate([*rings, top])
     faces = []
     for ring in range(RINGS - 1):

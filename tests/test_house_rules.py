@@ -19,7 +19,7 @@ ENGINE, ADDON, CYCLES = ROOT / "jghand_engine", ROOT / "blender_addon", ROOT / "
 
 # rooms in the order in which data walks; a room imports only from rooms above it (and from itself)
 ROOMS = (
-    ("limits", "errors", "files", "lock", "color", "json_files"),
+    ("limits", "errors", "files", "lock", "color", "json_files", "npz_files"),
     ("native",),
     ("hand",),
     ("template",),
@@ -36,6 +36,8 @@ ROOMS = (
     ("cli",),
 )
 MODULE_LINES, PUBLIC_PARAMETERS = 600, 8
+# MANO exists as a pickle alone: one reader with a list of what it may name
+PICKLE_READER = "jghand_engine/template/mano.py"
 NEVER_IMPORTED = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "torchvision"}
 SHARED_MODULE = "jghand_engine.service.protocol"
 
@@ -162,7 +164,7 @@ def test_nothing_imports_what_runs_code_from_files_or_torchvision():
         f"{name_of(path)}:{line} imports {module}"
         for path in python_files(ENGINE, ADDON, CYCLES, ROOT / "scripts")
         for module, line in imports(path)
-        if module.split(".")[0] in NEVER_IMPORTED
+        if module.split(".")[0] in NEVER_IMPORTED and (name_of(path), module) != (PICKLE_READER, "pickle")
     )
 
 

@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from jghand_engine.cli.console import progress, say, write_json
-from jghand_engine.cli.options import AvatarOptions, CameraName, MotionOptions, ReportOptions
+from jghand_engine.cli.learning import hand_template
+from jghand_engine.cli.options import AvatarOptions, CameraName, File, MotionOptions, ReportOptions
 from jghand_engine.cli.signals import polite_kill_is_ctrl_c
 from jghand_engine.errors import InputError
 from jghand_engine.limits import USD_SIGMA_ERROR_TOLD
@@ -71,6 +72,8 @@ class UsdStageOptions:
     package: Literal["layers", "usdc", "usdz"] = "layers"
     """layers: files that refer to each other, and the shot with its cameras. usdc: one file with the chosen variant
     alone. usdz: one file with all variants."""
+    template: File = None
+    """The MANO file of an avatar that was trained on it (`jghand train --template`): its surface becomes the mesh."""
 
 
 @dataclass(frozen=True)
@@ -207,6 +210,7 @@ class Export:
             precision=given.precision,
             package=Package(given.package),
             overwrite=self.overwrite,
+            template=None if given.template is None else hand_template(given.template),
         )
 
     def _write_splats(self, avatar: HandAvatar, motion: Motion) -> dict[str, Any]:

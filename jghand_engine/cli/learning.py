@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from jghand_engine import limits
@@ -16,6 +17,7 @@ if TYPE_CHECKING:
     from jghand_engine.learn.options import TrainOptions
     from jghand_engine.learn.perceptual import PerceptualMetric
     from jghand_engine.learn.step import Material
+    from jghand_engine.template.mesh import HandTemplate
 
 
 DeviceName = Literal["auto", "cpu", "cuda", "mps"]
@@ -58,14 +60,26 @@ def train_options(
     return options, metric
 
 
-def material(name: str, capture: str, split: Split, perceptual: PerceptualMetric | None) -> Material:
+def hand_template(mano: Path | None) -> HandTemplate:
+    """The surface on which a hand is learned: that of the user's own MANO file, or else the built-in one. InputError"""
+    if mano is None:
+        from jghand_engine.template.builtin import load_template
+
+        return load_template()
+    from jghand_engine.template.mano import load_mano
+
+    return load_mano(mano)
+
+
+def material(
+    name: str, capture: str, split: Split, perceptual: PerceptualMetric | None, template: HandTemplate | None = None
+) -> Material:
     """The pictures of `capture` for an avatar called `name`; progress is judged by some that are held out, or else
-    by some that are learned."""
+    by some that are learned. template: where the Gaussians start; None: on the built-in hand."""
     from jghand_engine.avatar.avatar import AvatarInfo, LearnedFrom
     from jghand_engine.avatar.texts import as_text
     from jghand_engine.captures.picture_digest import picture_digest
     from jghand_engine.learn.step import Material
-    from jghand_engine.template.builtin import load_template
 
     choice = split.test or split.train
     count = min(len(choice), limits.JUDGED_VIEWS)
@@ -74,4 +88,4 @@ def material(name: str, capture: str, split: Split, perceptual: PerceptualMetric
     learned_from = LearnedFrom(as_text(capture), as_text(split.origin), len(split.train), picture_digest(split.train))
     license = as_text(f"that of the pictures: {capture}")
     info = AvatarInfo(as_text(name), template="", license=license, learned_from=learned_from)
-    return Material(split.train, judged, load_template(), info, perceptual)
+    return Material(split.train, judged, template or hand_template(None), info, perceptual)

@@ -29,6 +29,7 @@ Examples:
   jghand train captures/id3 --out id3.jghand --minutes 60
   jghand train captures/id3 --out id3.jghand --resume
   jghand train InterHand2.6M_5fps --protocol test-capture0 --out capture0.jghand --preset paper-faithful
+  jghand train captures/id3 --out id3.jghand --template MANO_RIGHT.pkl
 
 It can be stopped at any time with Ctrl-C, or be killed, and goes on with --resume. The line of progress shows the PSNR
 of one picture, held out where any is, cut to the hand: some decibels below that of whole pictures with their
@@ -73,6 +74,9 @@ class Train:
     device: DeviceName = "auto"
     """Where torch's part runs; pictures are drawn on the CPU. auto is the CPU: cuda and mps have never been
     tried. A training that was stopped can be resumed on another device, though not to the same bits."""
+    template: File = None
+    """Your own MANO_RIGHT.pkl or MANO_LEFT.pkl: the hand is learned on MANO's surface and joints. Left out: on
+    JGHand's own. MANO's texture layout (MANO_UV_right.obj) counts where it lies beside it."""
     replay: File = None
     """Instead of training: repeat a step that gave values that are not finite, from its folder in failures/."""
     start: StartOptions = field(default_factory=StartOptions)
@@ -82,7 +86,7 @@ class Train:
     def run(self) -> int:
         """0 when the training is finished, the exit code of a stop when somebody stopped it."""
         from jghand_engine.captures.splits import split_capture
-        from jghand_engine.cli.learning import device_called, material, train_options
+        from jghand_engine.cli.learning import device_called, hand_template, material, train_options
         from jghand_engine.cli.machine import JsonTraining, json_lines
         from jghand_engine.learn.progress import display
         from jghand_engine.learn.run import check_places, train
@@ -94,17 +98,21 @@ class Train:
         run = self._run_options()
         device = device_called(self.device)
         options, perceptual = train_options(self.preset, self.seed, device)
+        template = hand_template(self.template)
         if self.replay is None:
             check_places(run)
         capture = self.pictures.open(self.folder)
         split = split_capture(capture)
         split = split.all_learned() if self.all_pictures else split
-        run = replace(run, stamp=stamp_of(options, split.train), budget=self._budget(len(split.train)))
+        stamp = stamp_of(options, split.train)
+        if self.template is not None:
+            stamp["template"] = template.identifier
+        run = replace(run, stamp=stamp, budget=self._budget(len(split.train)))
         say(f"{capture.name}: {len(split.train)} of {len(capture)} pictures to learn from ({split.origin})")
 
         def build() -> HandTraining:
             say("Placing the Gaussians …")
-            return HandTraining(material(self.out.stem, capture.name, split, perceptual), options, device)
+            return HandTraining(material(self.out.stem, capture.name, split, perceptual, template), options, device)
 
         if self.replay is not None:
             return self._replayed(build(), run)

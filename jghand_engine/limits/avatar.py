@@ -121,3 +121,8 @@ CAST_LAMPS_MAX = 256
 # ... and anchors times lamps: the torch form holds some ten float32 for each; ours has 131,072 pairs
 CAST_PAIRS_MAX = 4_000_000
 CAST_SUM_TOLERANCE = 5e-3
+# a row of bone weights, of a template or an avatar, that is further from 1 than this was not meant as weights: float32
+# rounding of 21 summands leaves less than 1e-6
+WEIGHT_SUM_TOLERANCE = 1e-5
+# signed distance that d = 0..1 of the UVD coordinates spans, meters (a fixed range: features must not shift)
+UVD_RANGE_M = 0.010

@@ -40,7 +40,7 @@ from jghand_engine.motion.foreign.json_points import plain
 from jghand_engine.motion.foreign.json_text import JsonText
 from jghand_engine.motion.foreign.tables import is_number, number_in
 from jghand_engine.motion.foreign.text_lines import bounded_lines
-from jghand_engine.template.archives import read_arrays
+from jghand_engine.npz_files import read_arrays
 
 FORMAT, _VERSION = "jghand motion", 1
 # what an archive declares beside its arrays

@@ -11,7 +11,7 @@ import numpy as np
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import STANDARD_NAMES
 from jghand_engine.hand.orders import JointOrder, to_level
-from jghand_engine.template.archives import read_arrays
+from jghand_engine.npz_files import read_arrays
 from jghand_engine.template.checks import check_template, expect_shape
 from jghand_engine.template.mesh import HandTemplate
 from jghand_engine.template.weights import bone_weights, columns_to_level

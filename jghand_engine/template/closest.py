@@ -12,15 +12,21 @@ from dataclasses import dataclass, fields
 import numpy as np
 from scipy.spatial import KDTree
 
-from jghand_engine.limits import (
-    CLOSEST_BATCH,
-    CLOSEST_FIRST_CANDIDATES,
-    CLOSEST_FLAT,
-    CLOSEST_PIECE_RADIUS_M,
-    CLOSEST_PIECES_MAX,
-    CLOSEST_ROUNDING,
-)
 from jghand_engine.template.surface import edge_normals, face_normals, vertex_normals
+
+# closest points: faces are searched in pieces of at most this radius (meters), so many at first, and so many in all.
+# Speed only: the search asks for more pieces until it is certain (32 are enough for 9 in 10 points near the skin)
+CLOSEST_PIECE_RADIUS_M = 0.002
+CLOSEST_FIRST_CANDIDATES = 32
+# pieces are passed over when they are farther than the nearest found by more than this part of it: rounding of float64,
+# amply, so that of two equally near faces the same is chosen however many were asked for
+CLOSEST_ROUNDING = 1e-9
+# a triangle whose corner has a squared sine below this is taken for its edges, from which it then differs by a
+# millionth of its length at most: rounding leaves 4e-16 where the area is none
+CLOSEST_FLAT = 1e-12
+CLOSEST_PIECES_MAX = 2_000_000
+# (points x candidates) worked on at once: bounds the memory to about 100 MB
+CLOSEST_BATCH = 300_000
 
 
 @dataclass(frozen=True)

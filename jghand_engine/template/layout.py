@@ -8,9 +8,16 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from jghand_engine.errors import InputError
-from jghand_engine.limits import CAP_UV_FILL, CAP_UV_RADIUS_MAX, OBJ_BYTES_MAX, UV_MARGIN, UV_ROOM_PX
 from jghand_engine.template.surface import face_normals
 from jghand_engine.template.texture import rasterize_uv
+
+# empty border of a layout made by us and the gap between its parts; texels in which room for the cap is looked for
+UV_MARGIN = 0.02
+UV_ROOM_PX = 256
+OBJ_BYTES_MAX = 64 * 2**20
+# radius of the disk that the wrist cap gets in a UV square, at most; and its part of the free circle there
+CAP_UV_RADIUS_MAX = 0.06
+CAP_UV_FILL = 0.8
 
 
 def projected_uv(vertices_m: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -1,28 +1,28 @@
 """MANO, when the user brings the file: MANO_RIGHT.pkl or MANO_LEFT.pkl to a template.
 
-MANO may not be passed on, so JGHand ships nothing of it. Its files are pickles with objects of chumpy and scipy; they
-are read as data (`pickle_records`), so that a file of unknown origin cannot run anything, and neither chumpy nor the
-module pickle is needed. Formats and numbers: DATA 3, METHOD 2.7.
+MANO may not be passed on, so JGHand ships nothing of it. Its files are pickles of Python 2 with objects of chumpy and
+scipy. A pickle is a program that may call anything; here it may only name what is listed below: numpy's own makers of
+arrays, and inert records in the place of everybody else's classes. Neither chumpy nor an old scipy is needed.
+Formats and numbers: DATA 3, METHOD 2.7.
 """
 
 from __future__ import annotations
 
+import pickle
+from collections import OrderedDict, defaultdict
 from enum import StrEnum
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from scipy.sparse import csc_matrix, csr_matrix
 
 from jghand_engine.errors import InputError
-from jghand_engine.files import writing
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, to_level
-from jghand_engine.limits import MANO_WEIGHT_SUM_TOLERANCE, PICKLE_BYTES_MAX
-from jghand_engine.template.archives import read_arrays
 from jghand_engine.template.checks import check_template, expect_shape
 from jghand_engine.template.layout import obj_uv, projected_uv, room_for_disk
 from jghand_engine.template.mesh import HandTemplate
-from jghand_engine.template.pickle_arrays import ALLOWED, to_array
-from jghand_engine.template.pickle_records import read_pickle
 from jghand_engine.template.surface import boundary_loop, disk_uv, fan_faces, unit
 from jghand_engine.template.weights import bone_weights, columns_to_level
 
@@ -38,6 +38,10 @@ FIELDS = {
     "hands_mean": (3 * (JOINTS - 1),),
     "hands_components": (45, 45),
 }
+# MANO's files have 4 MB; larger ones are not MANO
+PICKLE_BYTES_MAX = 64 * 2**20
+# rows of MANO's skin weights sum to 1 within rounding; further off they are no such weights
+WEIGHT_SUM_TOLERANCE = 1e-3
 # parents of MANO's joints: wrist, index 1-3, middle 1-3, pinky 1-3, ring 1-3, thumb 1-3
 PARENTS = (-1, *(parent for finger in range(5) for parent in (0, 1 + 3 * finger, 2 + 3 * finger)))
 
@@ -68,35 +72,39 @@ class ManoPose(StrEnum):
 def load_mano(
     path: Path | str,
     *,
-    handedness: Handedness,
+    handedness: Handedness | None = None,
     tips: TipVertices = TipVertices.MANOPTH,
     pose: ManoPose = ManoPose.MEAN,
     uv_path: Path | str | None = None,
 ) -> HandTemplate:
     """The user's own MANO file as a template: a right hand of mean shape in the canonical frame, closed at the wrist.
 
-    handedness says which hand the file holds; a left one is mirrored, since one right-hand model serves both. uv_path
-    is the .obj file of MANO's texture layout from its download page (MANO_UV_right.obj). Without it a simple projection
-    is used (see `layout.projected_uv`): good for experiments, with squeezed finger sides and a seam around the hand.
-    Raises InputError for a file that is not MANO's, or that asks for anything but arrays: such a file runs nothing.
-    """
-    handedness, tips, pose = Handedness(handedness), TipVertices(tips), ManoPose(pose)
-    fields = read_mano(path)
-    # what is left of rounding in a row would shrink the posed skin
-    fields["weights"] = fields["weights"] / fields["weights"].sum(axis=1, keepdims=True)
-    faces, mirror = fields["f"], np.ones(3)
-    if handedness is Handedness.LEFT:
-        faces, mirror = faces[:, ::-1], np.array([-1.0, 1.0, 1.0])
-    tip_vertices = list(TIP_VERTICES[tips, handedness])
-    posed = {}
-    for which, rotation in ((ManoPose.FLAT, np.zeros((JOINTS, 3))), (ManoPose.MEAN, mean_pose(fields))):
-        points, centers = _posed(fields, rotation)
-        frame = _canonical(np.concatenate([centers, points[tip_vertices]]) * mirror)
-        posed[which] = _move(points * mirror, frame)
-    _check_side(posed[ManoPose.MEAN][1], path)
-    flat_m, _ = posed[ManoPose.FLAT]
-    vertices_m, joints_m = posed[pose]
+    handedness: which hand the file holds; None: the one whose fingers bend towards the palm in MANO's mean pose. A left
+                one is mirrored, since one right-hand model serves both
+    tips, pose: whose tip vertices, and which of MANO's poses becomes the canonical one
+    uv_path:    the .obj file of MANO's texture layout from its download page; None: MANO_UV_right.obj or
+                MANO_UV_left.obj beside the file, and where neither lies there a projection (`layout.projected_uv`):
+                good for experiments, with squeezed finger sides and a seam around the hand
 
+    Raises InputError for a file that is not MANO's, that is of the other hand, or that asks for anything but arrays.
+    """
+    fields = read_mano(path)
+    sides = [Handedness(handedness)] if handedness is not None else list(Handedness)
+    found = next((hand for side in sides if (hand := _bent_to_palm(fields, side, tips)) is not None), None)
+    if found is None:
+        raise InputError(
+            f"MANO file {path}",
+            wanted="fingers that bend towards the palm",
+            came="fingers that bend backwards",
+            remedy="Is it the file of the other hand?",
+        )
+    handedness, posed = found
+    faces = fields["f"] if handedness is Handedness.RIGHT else fields["f"][:, ::-1]
+    flat_m, _ = posed[ManoPose.FLAT]
+    vertices_m, joints_m = posed[ManoPose(pose)]
+
+    beside = Path(path).with_name(f"MANO_UV_{handedness}.obj")
+    uv_path = beside if uv_path is None and beside.is_file() else uv_path
     skin_uv = projected_uv(flat_m, faces) if uv_path is None else obj_uv(uv_path, faces)
     loop = boundary_loop(faces)
     cap_uv = disk_uv(len(loop), *room_for_disk(skin_uv))
@@ -117,45 +125,28 @@ def load_mano(
 
 
 def read_mano(path: Path | str) -> dict[str, np.ndarray]:
-    """MANO's arrays by name, as in FIELDS: from its pickle, or from the .npz that `convert_mano` wrote."""
-    path = Path(path)
-    thing = f"MANO file {path}"
-    if path.suffix.lower() == ".npz":
-        fields = read_arrays(path, FIELDS, thing)
-    else:
-        whole = read_pickle(_read_bytes(path, thing), ALLOWED, thing)
-        if not isinstance(whole, dict):
-            raise InputError(thing, wanted="MANO's dictionary of arrays", came=f"a {type(whole).__name__}")
-        missing = [name for name in FIELDS if name not in whole]
-        if missing:
-            raise InputError(thing, wanted=f"MANO's fields {', '.join(missing)}", came="a file without them")
-        fields = {name: to_array(whole[name], f"{thing}, {name}", shape) for name, shape in FIELDS.items()}
+    """MANO's arrays by name, as in FIELDS, from its pickle. InputError says what is wrong with the file."""
+    file = f"MANO file {path}"
+    content = _unpickled(Path(path), file)
+    missing = [name for name in FIELDS if not isinstance(content, dict) or name not in content]
+    if missing:
+        raise InputError(file, wanted=f"MANO's fields {', '.join(missing)}", came="a file without them")
+    fields = {name: _array(content[name], f"{file}, {name}") for name in FIELDS}
     for name, shape in FIELDS.items():
-        expect_shape(f"{thing}, {name}", fields[name], shape)
+        expect_shape(f"{file}, {name}", fields[name], shape)
         if fields[name].dtype.kind not in "iuf" or not np.isfinite(fields[name]).all():
-            raise InputError(f"{thing}, {name}", wanted="finite numbers", came="others")
+            raise InputError(f"{file}, {name}", wanted="finite numbers", came="others")
         fields[name] = fields[name].astype(np.int64 if name in ("f", "kintree_table") else np.float64)
     if fields["f"].min() < 0 or fields["f"].max() >= VERTICES:
-        raise InputError(f"{thing}, f", wanted=f"vertex numbers 0..{VERTICES - 1}", came="others")
+        raise InputError(f"{file}, f", wanted=f"vertex numbers 0..{VERTICES - 1}", came="others")
     if tuple(fields["kintree_table"][0, 1:]) != PARENTS[1:]:
-        raise InputError(f"{thing}, kintree_table", wanted="MANO's tree of joints", came="another")
-    if fields["weights"].min() < 0:
-        raise InputError(f"{thing}, weights", wanted="weights of at least 0", came="others")
+        raise InputError(f"{file}, kintree_table", wanted="MANO's tree of joints", came="another")
     off = np.abs(fields["weights"].sum(axis=1) - 1).max()
-    if off > MANO_WEIGHT_SUM_TOLERANCE:
-        raise InputError(f"{thing}, weights", wanted="rows that sum to 1", came=f"a row that is off by {off:.2g}")
+    if fields["weights"].min() < 0 or off > WEIGHT_SUM_TOLERANCE:
+        raise InputError(f"{file}, weights", wanted="rows of at least 0 that sum to 1", came=f"rows off by {off:.2g}")
+    # what is left of rounding in a row would shrink the posed skin
+    fields["weights"] /= fields["weights"].sum(axis=1, keepdims=True)
     return fields
-
-
-def convert_mano(source: Path | str, target: Path | str) -> None:
-    """Writes MANO's arrays as a plain .npz, which `load_mano` reads too. For the user's own use: MANO's license forbids
-    to pass the result on. Raises InputError for another suffix: `read_mano` would take the file for a pickle."""
-    if Path(target).suffix.lower() != ".npz":
-        raise InputError(f"converted MANO file {target}", wanted="a name that ends in .npz", came="another")
-    fields = read_mano(source)
-    # given a name, numpy appends .npz to what does not end so exactly
-    with writing(target) as path, open(path, "wb") as stream:
-        np.savez_compressed(stream, **fields)  # pyright: ignore[reportArgumentType]
 
 
 def mean_pose(fields: dict[str, np.ndarray]) -> np.ndarray:
@@ -202,22 +193,135 @@ def _move(points: np.ndarray, frame: tuple[np.ndarray, np.ndarray]) -> tuple[np.
     return (points - joints[0]) @ axes.T, (joints - joints[0]) @ axes.T
 
 
-def _check_side(joints_m: np.ndarray, path: Path | str) -> None:
-    """In the mean pose the fingers bend towards the palm: that tells a left hand from a right one. A flat hand does
-    not, so it is the mean pose's joints that are looked at, whichever pose is wanted."""
-    if (joints_m[17:21, 2] - joints_m[2:6, 2]).mean() < 0:
-        raise InputError(
-            f"MANO file {path}",
-            wanted="fingers that bend towards the palm",
-            came="fingers that bend backwards",
-            remedy="Is it the file of the other hand?",
-        )
+def _bent_to_palm(
+    fields: dict[str, np.ndarray], handedness: Handedness, tips: TipVertices
+) -> tuple[Handedness, dict[ManoPose, tuple[np.ndarray, np.ndarray]]] | None:
+    """The hand in both poses, vertices and joints in the canonical frame, taken for a `handedness` one; None where its
+    fingers then bend backwards. The mean pose tells that, whichever pose is wanted; the flat one does not."""
+    mirror = np.array([-1.0 if handedness is Handedness.LEFT else 1.0, 1.0, 1.0])
+    tip_vertices = list(TIP_VERTICES[TipVertices(tips), handedness])
+    posed = {}
+    for pose, rotation in ((ManoPose.FLAT, np.zeros((JOINTS, 3))), (ManoPose.MEAN, mean_pose(fields))):
+        points, centers = _posed(fields, rotation)
+        frame = _canonical(np.concatenate([centers, points[tip_vertices]]) * mirror)
+        posed[pose] = _move(points * mirror, frame)
+    joints_m = posed[ManoPose.MEAN][1]
+    bends_forward = (joints_m[17:21, 2] - joints_m[2:6, 2]).mean() >= 0
+    return (handedness, posed) if bends_forward else None
 
 
-def _read_bytes(path: Path, thing: str) -> bytes:
+# ---- the pickle -----------------------------------------------------------------------------------------------------
+
+
+class _Record:
+    """An object of a class that is only named: whatever it was made of, and the attributes it was given."""
+
+    attributes: dict[str, Any]
+
+    def __new__(cls, *_: Any) -> _Record:
+        record = super().__new__(cls)
+        record.attributes = {}
+        return record
+
+    def __setstate__(self, state: Any) -> None:
+        self.attributes = state if isinstance(state, dict) else {}
+
+
+class _Chumpy(_Record):
+    """chumpy's Ch: a variable whose numbers are its attribute x."""
+
+
+class _Select(_Record):
+    """chumpy's Select: entries `idxs` of the flattened variable `a`, in a preferred shape."""
+
+
+class _Csc(_Record):
+    """scipy's matrix compressed by columns."""
+
+
+class _Csr(_Record):
+    """scipy's matrix compressed by rows."""
+
+
+def _encoded(text: str, _: str = "latin1") -> bytes:
+    """How Python 3 writes bytes into old protocols."""
+    return text.encode("latin1")
+
+
+def _reconstructed(kind: type, *_: Any) -> Any:
+    """copyreg's maker of objects of a class, for the classes below alone."""
+    return kind()
+
+
+_MULTIARRAY = np._core.multiarray if hasattr(np, "_core") else np.core.multiarray  # pyright: ignore
+# every global that a file may mention, and what stands in its place
+_ALLOWED: dict[tuple[str, str], Any] = {
+    ("numpy", "ndarray"): np.ndarray,
+    ("numpy", "dtype"): np.dtype,
+    **{(f"numpy.{core}.multiarray", name): getattr(_MULTIARRAY, name)
+       for core in ("core", "_core") for name in ("_reconstruct", "scalar")},
+    **{(f"scipy.sparse.{module}", f"{module.strip('_')}_matrix"): kind
+       for module, kind in (("csc", _Csc), ("_csc", _Csc), ("csr", _Csr), ("_csr", _Csr))},
+    **{("chumpy.ch", name): _Chumpy for name in ("Ch", "ch", "MatVecMult")},
+    ("chumpy.reordering", "Select"): _Select,
+    **{("chumpy.reordering", name): _Record for name in ("vstack", "transpose")},
+    **{(module, "_reconstructor"): _reconstructed for module in ("copy_reg", "copyreg")},
+    **{(module, "object"): object for module in ("__builtin__", "builtins")},
+    **{(module, "set"): set for module in ("__builtin__", "builtins")},
+    ("_codecs", "encode"): _encoded,
+    ("collections", "OrderedDict"): OrderedDict,
+    ("collections", "defaultdict"): defaultdict,
+}  # fmt: skip
+
+
+class _ArraysOnly(pickle.Unpickler):
+    """Reads a pickle in which nothing is called but what stands in `_ALLOWED`."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        if (module, name) not in _ALLOWED:
+            raise pickle.UnpicklingError(f"the global {module}.{name}"[:200])
+        return _ALLOWED[module, name]
+
+    def persistent_load(self, pid: Any) -> Any:
+        raise pickle.UnpicklingError(f"an object that lies elsewhere: {pid}"[:200])
+
+
+def _unpickled(path: Path, file: str) -> Any:
+    """What the pickle holds, with records in the place of objects."""
     try:
         if path.stat().st_size > PICKLE_BYTES_MAX:
-            raise InputError(thing, wanted=f"at most {PICKLE_BYTES_MAX} bytes", came=f"{path.stat().st_size}")
-        return path.read_bytes()
+            raise InputError(file, wanted=f"at most {PICKLE_BYTES_MAX} bytes", came=f"{path.stat().st_size}")
+        with path.open("rb") as stream:
+            return _ArraysOnly(stream, encoding="latin1").load()
     except OSError as error:
-        raise InputError(thing, wanted="a file that can be read", came=str(error)) from error
+        raise InputError(file, wanted="a file that can be read", came=str(error)) from error
+    # a damaged pickle makes the reader stumble in any way; it has called nothing but makers of arrays
+    except Exception as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError(
+            file, wanted="MANO's pickle of arrays", came=f"{error or type(error).__name__}"[:200],
+            remedy="Nothing in it was executed. Use the original file.",
+        ) from error  # fmt: skip
+
+
+def _array(value: Any, name: str) -> np.ndarray:
+    """The array that a value of the pickle describes. InputError calls it `name`."""
+    try:
+        if isinstance(value, _Select):
+            chosen = _array(value.attributes["a"], name).ravel()[_array(value.attributes["idxs"], name)]
+            shape = value.attributes.get("preferred_shape")
+            return chosen if shape is None else chosen.reshape(shape)
+        if isinstance(value, _Csc | _Csr):
+            of = {key.lstrip("_"): part for key, part in value.attributes.items()}
+            matrix = csc_matrix if isinstance(value, _Csc) else csr_matrix
+            sparse = matrix((of["data"], of["indices"], of["indptr"]), shape=of["shape"])
+            sparse.check_format(full_check=True)
+            return sparse.toarray()
+        if isinstance(value, _Chumpy):
+            return _array(value.attributes["x"], name)
+    except (KeyError, IndexError, TypeError, ValueError, OverflowError, MemoryError, RecursionError) as error:
+        raise InputError(name, wanted="an array", came=f"a broken {type(value).__name__.strip('_')}") from error
+    if isinstance(value, np.ndarray | np.generic | int | float):
+        return np.asarray(value)
+    raise InputError(name, wanted="an array", came=f"a {type(value).__name__.strip('_')}")

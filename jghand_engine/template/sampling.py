@@ -12,17 +12,20 @@ import numpy as np
 
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import BONE_COUNT, JOINT_COUNT, LEVEL_NAMES, PARENTS
-from jghand_engine.limits import (
-    GAUSSIANS_PER_BONE,
-    SHELL_CELL_M,
-    SHELL_DEPTH_M,
-    SHELL_DRAWS_MAX,
-    SHELL_PER_BONE_MAX,
-    UVD_RANGE_M,
-)
+from jghand_engine.limits import UVD_RANGE_M
 from jghand_engine.template.closest import ClosestPoints, Surface
 from jghand_engine.template.mesh import HandTemplate
 from jghand_engine.template.weights import segment_distance
+
+# depth of the shell of Gaussians under the skin, meters; deeper ones are hidden
+SHELL_DEPTH_M = 0.003
+GAUSSIANS_PER_BONE = 3000
+# farthest-point order takes (points per bone)^2 steps
+SHELL_PER_BONE_MAX = 20_000
+# edge of the cells from which the shell is drawn, meters: speed only
+SHELL_CELL_M = 0.003
+# draws per wanted point after which a bone is taken to have no skin (built-in hand: at most 11)
+SHELL_DRAWS_MAX = 1000
 
 
 @dataclass(frozen=True)

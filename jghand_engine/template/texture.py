@@ -4,7 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from jghand_engine.limits import UV_DOUBLE_AREA_MIN_PX2, UV_EDGE_SLACK
+# laying out textures: triangles are widened by this part of themselves, so that shared edges leave no gap; twice the
+# smallest area that is drawn, texels^2
+UV_EDGE_SLACK = 0.02
+UV_DOUBLE_AREA_MIN_PX2 = 1e-12
 
 
 def rasterize_uv(face_uv: np.ndarray, corner_values: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:

@@ -13,10 +13,15 @@ import numpy as np
 import torch
 from torch.nn import functional
 
-from jghand_engine.limits import FIELD_LEVELS, FIELD_MARGIN_M, FIELD_SWEEPS, FIELD_VOXEL_M
 from jghand_engine.template.closest import Surface
 from jghand_engine.template.mesh import HandTemplate
 from jghand_engine.template.weights import without_crumbs
+
+# weight field: voxel edge, margin around the surface, sweeps per level, levels (METHOD 3.4)
+FIELD_VOXEL_M = 0.003
+FIELD_MARGIN_M = 0.012
+FIELD_SWEEPS = 30
+FIELD_LEVELS = 4
 
 
 @dataclass(frozen=True)

@@ -14,10 +14,17 @@ import numpy as np
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT, PARENTS
 from jghand_engine.hand.orders import JointOrder, to_level
-from jghand_engine.limits import PALM_SPLIT_SIGMA_M, WEIGHT_MIN, WEIGHT_SUM_TOLERANCE, WRIST_BLEND_M
+from jghand_engine.limits import WEIGHT_SUM_TOLERANCE
 
 if TYPE_CHECKING:
     import torch
+
+# spread of the split of the wrist's weight over the metacarpals, meters (assumed; METHOD 2.7)
+PALM_SPLIT_SIGMA_M = 0.012
+# distance from the wrist over which the palm blends to the wrist matrix, meters (assumed)
+WRIST_BLEND_M = 0.015
+# weights below this are dropped and the rest renormalized: far joints would drag skin by fractions of a millimeter
+WEIGHT_MIN = 1e-3
 
 Array = TypeVar("Array", np.ndarray, "torch.Tensor")
 TIPS = range(16, 21)

@@ -7,12 +7,17 @@ import math
 import os
 import signal
 
+import numpy as np
 import pytest
+from mano_samples import mano_fields, mano_objects, python2_pickle
 
+from jghand_engine.avatar.canonical_points import place_points
 from jghand_engine.avatar.file import load_avatar
 from jghand_engine.cli import main
 from jghand_engine.cli.failures import STOPPED
+from jghand_engine.learn import step
 from jghand_engine.learn.step import HandTraining
+from jghand_engine.template.mano import load_mano
 
 
 @pytest.fixture
@@ -55,6 +60,28 @@ def test_a_folder_becomes_an_avatar(train, tmp_path):
     assert (tmp_path / "tiny.training" / "pictures" / "step_00000005.png").exists()
     figures = json.loads((tmp_path / "figures.json").read_text())
     assert (figures["finished"], figures["steps"], figures["stamp"]["options"]["seed"]) == (True, 5, 0)
+
+
+def test_a_hand_is_learned_and_exported_on_the_users_own_mano(small_capture, tiny, tmp_path, capsys, monkeypatch):
+    """From a made-up file of MANO's structure to the avatar, its picture and its mesh."""
+    monkeypatch.setattr(step, "place_points", place_points)
+    mano, avatar, out = tmp_path / "MANO_RIGHT.pkl", tmp_path / "mine.jghand", tmp_path / "out"
+    mano.write_bytes(python2_pickle(mano_objects(mano_fields())))
+    words = ["train", str(small_capture), "--out", str(avatar), "--steps", "2"]
+    assert main([*words, "--template", str(mano)]) == 0
+    learned, template = load_avatar(avatar), load_mano(mano)
+    assert learned.info.template == template.identifier == "mano-right-mean-manopth-projected"
+    np.testing.assert_allclose(np.asarray(learned.canonical_joints_m), template.joints_m, atol=1e-7)
+    small = ["--size", "64x64"]
+    assert main(["render", "--poses", "open", "--avatar", str(avatar), "--out", str(out / "pictures"), *small]) == 0
+    export = ["export", "--poses", "open", "--avatar", str(avatar), "--out", str(out / "usd")]
+    assert main([*export, "--template", str(mano)]) == 0
+    capsys.readouterr()
+    # on another surface the skin would follow other joints
+    assert main(export) == 2
+    assert "mano-right-mean-manopth-projected" in capsys.readouterr().err
+    assert main([*words, "--resume", "--steps", "3"]) == 2
+    assert "template" in capsys.readouterr().err
 
 
 def test_ctrl_c_is_answered_by_how_to_go_on_and_resume_does(train, tmp_path, monkeypatch):

@@ -10,11 +10,13 @@ from scipy.spatial import KDTree
 
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT
-from jghand_engine.limits import SHELL_CELL_M, SHELL_DEPTH_M, UVD_RANGE_M
+from jghand_engine.limits import UVD_RANGE_M
 from jghand_engine.template import sampling
 from jghand_engine.template.builtin import load_template
 from jghand_engine.template.closest import ClosestPoints, Surface
 from jghand_engine.template.sampling import (
+    SHELL_CELL_M,
+    SHELL_DEPTH_M,
     bone_distances,
     farthest_point_order,
     sample_shell,

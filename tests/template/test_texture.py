@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from jghand_engine.limits import UV_EDGE_SLACK
-from jghand_engine.template.texture import rasterize_uv, sample_bilinear
+from jghand_engine.template.texture import UV_EDGE_SLACK, rasterize_uv, sample_bilinear
 
 
 def slow_layout(face_uv: np.ndarray, corner_values: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:

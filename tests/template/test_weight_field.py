@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 import torch
 
-from jghand_engine.limits import FIELD_MARGIN_M, WEIGHT_MIN
 from jghand_engine.template import weight_field
 from jghand_engine.template.builtin import load_template
 from jghand_engine.template.closest import Surface, closest_on_triangle
-from jghand_engine.template.weight_field import WeightField, _harmonic, _seed
+from jghand_engine.template.weight_field import FIELD_MARGIN_M, WeightField, _harmonic, _seed
+from jghand_engine.template.weights import WEIGHT_MIN
 
 
 @pytest.fixture(scope="module")

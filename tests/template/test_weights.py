@@ -10,10 +10,13 @@ import pytest
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import PARENTS
 from jghand_engine.hand.orders import JointOrder, to_level
-from jghand_engine.limits import PALM_SPLIT_SIGMA_M, WEIGHT_MIN, WEIGHT_SUM_TOLERANCE, WRIST_BLEND_M
+from jghand_engine.limits import WEIGHT_SUM_TOLERANCE
 from jghand_engine.template import weights as weights_module
 from jghand_engine.template.builtin import load_template
 from jghand_engine.template.weights import (
+    PALM_SPLIT_SIGMA_M,
+    WEIGHT_MIN,
+    WRIST_BLEND_M,
     bone_weights,
     check_weight_rows,
     columns_to_level,

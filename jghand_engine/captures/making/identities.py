@@ -12,7 +12,7 @@ import numpy as np
 
 from jghand_engine.errors import InputError
 from jghand_engine.hand.orders import JointOrder, to_level
-from jghand_engine.template.archives import read_arrays
+from jghand_engine.npz_files import read_arrays
 from jghand_engine.template.builtin import ASSETS, load_fields
 from jghand_engine.template.checks import expect_shape
 

@@ -39,8 +39,8 @@ from jghand_engine.files import writing
 from jghand_engine.hand import rotations as rot
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.npz_files import read_arrays
 from jghand_engine.render.camera import Camera
-from jghand_engine.template.archives import read_arrays
 
 FORMAT = 1
 FOLDER = "plan"

@@ -138,7 +138,7 @@ def template_of(avatar: HandAvatar, template: HandTemplate | None, handedness: H
             "template",
             wanted=f"{avatar.info.template!r}, on which the avatar was made",
             came=repr(template.identifier),
-            remedy="Give the avatar's own template (UsdOptions.template).",
+            remedy="Give the file that it was trained on as its template.",
         )
     return mirrored(template) if handedness is Handedness.LEFT else template
 
