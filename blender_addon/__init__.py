@@ -1,16 +1,21 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """JGHand for Blender: an armature's 21 joints become a photorealistic hand.
 
-    core/            what needs no Blender: joints, poses, cameras as numbers, the engine as a child process, sentences
-    bridge/          the only code that touches Blender's data: armature, motion, camera, version differences
-    operators/       what an artist can do
-    panels/          the sidebar's tab
-    properties.py    what is saved with a file: settings of a hand and of a scene, of output in output_settings.py
+    core/            what needs no Blender: joints, poses, bone maps, cameras as numbers, pacing, sentences
+    renderer/        the engine as a process: finding it, its link, its jobs
+    hand/            armature, finger controls, poses, other people's rigs, motions
+    viewport/        the 3D views that show hands
+    render/          F12, animations, Cycles and EEVEE, many frames without a window
+    export/          bakes, exports, Blender's own USD export
+    train/           training sets and trainings
+    registration.py  the ordered lists of what is added to Blender
     preferences.py   what holds for this user and machine: where the engine is
-    runtime.py       the one link to the engine, and the jobs
-    registration.py  the ordered list of what is added to Blender
-    render_engine.py F12, animations and `blender -b -a`
-    cli.py           many frames without a window (`blender --command jghand render`, `scripts/render_blend.py`)
+    properties.py    what is saved with a file
+    versions.py      what differs between Blender versions
+    ui.py, ops.py    what panels and operators share; folders.py, clock.py: where files go, timers
+    errors.py        one sentence and one remedy for everything that can fail
+
+A feature's operators (`ops`), panels and properties lie beside its logic.
 
 Pictures come from the engine, a process of its own (`jghand serve`); Blender's Python never imports torch.
 

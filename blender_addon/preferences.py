@@ -5,12 +5,11 @@ from __future__ import annotations
 
 import bpy
 
-from .bridge.classes import register_classes, unregister_classes
 from .core import limits
 
 
 def _look_again(_preferences: bpy.types.AddonPreferences, _context: bpy.types.Context) -> None:
-    from . import runtime  # here: it needs the preferences
+    from .renderer import runtime  # here: it needs the preferences
 
     runtime.look_again()
 
@@ -42,7 +41,7 @@ class JGHandPreferences(bpy.types.AddonPreferences):
         column.use_property_split = True
         column.prop(self, "engine_python")
         column.prop(self, "render_timeout_s")
-        from .operators.engine import draw_check  # here: what draws needs what is kept, which needs the preferences
+        from .renderer.ops import draw_check  # here: what draws needs what is kept, which needs the preferences
 
         draw_check(self.layout)
 
@@ -53,11 +52,4 @@ def preferences() -> JGHandPreferences | None:
     return addon.preferences if addon is not None else None
 
 
-def register() -> None:
-    """Adds the preferences."""
-    register_classes((JGHandPreferences,))
-
-
-def unregister() -> None:
-    """Takes them away; what the user chose stays."""
-    unregister_classes((JGHandPreferences,))
+CLASSES = (JGHandPreferences,)

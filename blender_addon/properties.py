@@ -9,12 +9,11 @@ from __future__ import annotations
 
 import bpy
 
-from . import output_settings
-from .bridge import armature, bone_list, pose_pictures
-from .bridge.classes import register_classes, unregister_classes
-from .bridge.versions import path_options
 from .core import limits, poses
 from .core.joints import FINGERS, RIGHT
+from .export import properties as output_settings
+from .hand import armature, bone_list, pose_pictures
+from .versions import path_options
 
 # identifier, name, tooltip, icon, number in files
 PRESETS = (
@@ -233,12 +232,11 @@ _OWNERS = (
     (bpy.types.Scene, JGHandSceneSettings),
     (bpy.types.WindowManager, JGHandWindowSettings),
 )
-_CLASSES = (JGHandJoint, *output_settings.CLASSES, *(settings for _, settings in _OWNERS))
+CLASSES = (JGHandJoint, *output_settings.CLASSES, *(settings for _, settings in _OWNERS))
 
 
 def register() -> None:
     """Adds `object.jghand`, `scene.jghand` and `window_manager.jghand`."""
-    register_classes(_CLASSES)
     for owner, settings in _OWNERS:
         owner.jghand = bpy.props.PointerProperty(type=settings, override=OVERRIDABLE)
 
@@ -248,5 +246,4 @@ def unregister() -> None:
     for owner, _ in reversed(_OWNERS):
         if hasattr(owner, "jghand"):
             del owner.jghand
-    unregister_classes(_CLASSES)
     _pose_items.clear()

@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What the extension adds to Blender, in one ordered list of modules; taken away in the opposite order.
+"""What the extension adds to Blender: classes, then what is no class, in two ordered lists.
 
-Every module of the list has `register()` and `unregister()`. Both may be called twice: a reload that failed half-way
-must not leave Blender with half an extension that cannot be removed.
+A module of the first list has `CLASSES`; one of the second has `register()` and `unregister()`.
 """
 
 from __future__ import annotations
@@ -12,59 +11,54 @@ from types import ModuleType
 
 import bpy
 
-from . import cli_command, preferences, properties, render_engine, runtime
-from .bridge import (
+from . import help_page, preferences, properties
+from .export import cache_player, ops_bake, usd_hook
+from .export import ops as export_ops
+from .export import panel as export_panel
+from .hand import (
     appended,
     avatar_files,
-    cache_player,
     cards,
-    guard,
-    job_watch,
     kept,
-    left_out,
+    ops_bones,
+    ops_controls,
+    ops_motion,
+    ops_pose,
+    ops_track,
+    panel_bones,
+    panel_motion,
+    panel_pose,
     pose_pictures,
     pose_shelf,
-    sync,
-    usd_hook,
 )
-from .operators import (
-    bake,
-    bone_map,
-    combine,
-    engine,
-    export,
-    finger_controls,
-    hand,
-    help_page,
-    motion,
-    picture,
-    pose,
-    track,
-    training,
-)
-from .panels import advanced, bones, output, presets, quality, render_settings
-from .panels import hand as hand_panel
-from .panels import motion as motion_panel
-from .panels import picture as picture_panels
-from .panels import pose as pose_panels
-from .panels import training as training_panels
+from .hand import ops as hand_ops
+from .hand import panel as hand_panel
+from .render import cli_command, guard, left_out, ops_composite, panel_presets, panel_quality, panel_settings
+from .render import engine as render_engine
+from .render import ops as render_ops
+from .render import panel as render_panel
+from .renderer import job_watch, runtime
+from .renderer import ops as renderer_ops
+from .renderer import panel as renderer_panel
+from .train import ops as train_ops
+from .train import panel as train_panel
+from .viewport import handlers
 
-# a module comes after those whose classes it uses
-MODULES: tuple[ModuleType, ...] = (
-    preferences,
-    properties,
-    runtime,
-    *(pose_pictures, pose_shelf, job_watch, kept, avatar_files, cards, usd_hook, cache_player, appended),
-    sync,
-    guard,
-    left_out,
-    render_engine,
-    cli_command,
-    *(help_page, engine, hand, bone_map, pose, finger_controls, motion, track, picture),
-    *(combine, bake, export, training),
-    presets,
-    *(hand_panel, bones, pose_panels, motion_panel, picture_panels, quality, output, training_panels, advanced),
-    render_settings,
+# a class comes after those that it uses; Blender shows panels in the order in which they come
+WITH_CLASSES = (
+    *(preferences, properties, render_engine, help_page, renderer_ops),
+    *(hand_ops, ops_bones, ops_pose, ops_controls, ops_motion, ops_track),
+    *(render_ops, ops_composite, ops_bake, export_ops, train_ops),
+    *(panel_presets, hand_panel, panel_bones, panel_pose, panel_motion, render_panel, panel_quality),
+    *(export_panel, train_panel, renderer_panel, panel_settings),
+)
+# handlers, timers, menus, and what is forgotten at the end
+_WITH_HOOKS: tuple[ModuleType, ...] = (
+    *(properties, runtime, pose_pictures, pose_shelf, job_watch, kept, avatar_files, cards, usd_hook, cache_player),
+    *(appended, handlers, guard, left_out, render_engine, cli_command, hand_ops, ops_motion),
+)
+_add_classes, _remove_classes = bpy.utils.register_classes_factory(
+    [each for module in WITH_CLASSES for each in module.CLASSES]
 )
 
 
@@ -74,24 +68,23 @@ def is_registered() -> bool:
 
 
 def register() -> None:
-    """Adds everything; when a module fails, what was added before it is taken away again and the error goes on."""
-    done: list[ModuleType] = []
-    try:
-        for module in MODULES:
-            module.register()
-            done.append(module)
-    except Exception:
-        for module in reversed(done):
-            module.unregister()
-        raise
+    """Adds everything, once."""
+    if is_registered():
+        return
+    _add_classes()
+    for module in _WITH_HOOKS:
+        module.register()
     atexit.register(_at_exit)
 
 
 def unregister() -> None:
-    """Takes everything away."""
+    """Takes everything away, where it is there."""
+    if not is_registered():
+        return
     atexit.unregister(_at_exit)
-    for module in reversed(MODULES):
+    for module in reversed(_WITH_HOOKS):
         module.unregister()
+    _remove_classes()
 
 
 def _at_exit() -> None:

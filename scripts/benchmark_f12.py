@@ -55,11 +55,13 @@ def _measured(width: int, height: int, frames: int, engine_python: str | None) -
     """Milliseconds of every frame, by what they are of."""
     import bpy  # pyright: ignore[reportMissingImports]
 
-    from blender_addon import registration, runtime
-    from blender_addon.bridge import armature, camera, framing
+    from blender_addon import registration
     from blender_addon.core import posing
-    from blender_addon.core.engine_command import engine_command
-    from blender_addon.core.link import EngineLink
+    from blender_addon.hand import armature, framing
+    from blender_addon.render import camera
+    from blender_addon.renderer import runtime
+    from blender_addon.renderer.engine_command import engine_command
+    from blender_addon.renderer.link import EngineLink
 
     registration.register()
     words = engine_command(engine_python, checkout=ROOT)

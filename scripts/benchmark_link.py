@@ -36,10 +36,10 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from blender_addon.core import limits, pacing
-from blender_addon.core.link import EngineLink
-from blender_addon.core.messages import JGHandFailure
 from blender_addon.core.posing import rest_joints_m
 from blender_addon.core.view import HandInSpace, Pinhole, picture_request
+from blender_addon.errors import JGHandFailure
+from blender_addon.renderer.link import EngineLink
 
 ROOT = Path(__file__).resolve().parents[1]
 PARTS = ("round-trip", "blocks", "cycles", "memory", "idle")

@@ -37,7 +37,7 @@ def addon(name: str) -> ModuleType:
 
 def view_on_hand() -> Any:
     """A view of 512 x 334 pixels from above the hand."""
-    views, view_camera = addon("bridge.views"), addon("bridge.view_camera")
+    views, view_camera = addon("viewport.views"), addon("viewport.view_camera")
     window = np.diag([2.0, 3.07, -1.0, 0.0])
     window[2, 3], window[3, 2] = -0.02, -1.0
     looking_down = np.eye(4)
@@ -50,7 +50,7 @@ def view_on_hand() -> Any:
 
 def play(hand: bpy.types.Object, link: Any, frames: int) -> tuple[list[float], int]:
     """Seconds of every frame's look, and how many were late."""
-    views, pacing = addon("bridge.views"), addon("core.pacing")
+    views, pacing = addon("viewport.views"), addon("core.pacing")
     view = view_on_hand()
     bone, taken = hand.pose.bones["index1"], []
     for frame in range(frames):
@@ -77,13 +77,13 @@ def main() -> None:
     registration, runtime = addon("registration"), addon("runtime")
     registration.register()
     joints_m = addon("core.posing").rest_joints_m("right")
-    hand = addon("bridge.armature").build_armature(bpy.context, "hand", joints_m, "right")
+    hand = addon("hand.armature").build_armature(bpy.context, "hand", joints_m, "right")
     stand_in = [sys.executable, "-I", str(ROOT / "tests" / "service" / "stand_in_engine.py")]
     print("engine    freezes   longest ms   median ms   late of frames")
     for name, fault in FAULTS.items():
         taken, late = [], 0
         for _ in range(options.trials):
-            link = addon("core.link").EngineLink(lambda fault=fault: [*stand_in, *fault])
+            link = addon("renderer.link").EngineLink(lambda fault=fault: [*stand_in, *fault])
             runtime.use_link(link)
             link.start()
             link.wait_until_ready()

@@ -33,7 +33,7 @@ def step_measure(window):
     import bpy
 
     part = {name: importlib.import_module(f".{name}", window.addon.__name__) for name in _MODULES}
-    views = part["bridge.views"]
+    views = part["viewport.views"]
     for thing in [thing for thing in bpy.context.scene.objects if thing.type == "MESH"]:
         bpy.data.objects.remove(thing)
     bpy.ops.jghand.add_hand()
@@ -48,7 +48,7 @@ def step_measure(window):
     (window.out / RESULT).write_text(json.dumps(figures), encoding="utf-8")
 
 
-_MODULES = ("bridge.views", "bridge.sync", "core.cropping", "core.pacing", "core.limits", "runtime")
+_MODULES = ("viewport.views", "viewport.handlers", "core.cropping", "core.pacing", "core.limits", "renderer.runtime")
 
 
 def _fix_the_size(part) -> None:
@@ -69,7 +69,7 @@ def _fix_the_size(part) -> None:
 
 
 def _measure(bpy, part, window, hand) -> dict[str, list[float]]:
-    views, runtime = part["bridge.views"], part["runtime"]
+    views, runtime = part["viewport.views"], part["renderer.runtime"]
     times = {name: [] for name in ("evaluate", "ask", "engine", "show", "picture", "redraw", "still", "tick")}
     show, inside = views.show, []
 
@@ -82,7 +82,7 @@ def _measure(bpy, part, window, hand) -> dict[str, list[float]]:
     (view,) = views.all_views()
     bone = hand.pose.bones["index1"]
     scene, layer, space = bpy.context.scene, bpy.context.view_layer, window.space()
-    things = part["bridge.views"].seen_hands.hands_in(scene, layer, space, switched_on_only=True)
+    things = part["viewport.views"].seen_hands.hands_in(scene, layer, space, switched_on_only=True)
     with window.override():
         for index in range(WARM_UP + POSES):
             started = time.perf_counter()
@@ -113,7 +113,7 @@ def _measure(bpy, part, window, hand) -> dict[str, list[float]]:
             times["still"].append(1e3 * max(inside))
     for _ in range(200):
         started = time.perf_counter()
-        part["bridge.sync"].tick()
+        part["viewport.handlers"].tick()
         times["tick"].append(1e3 * (time.perf_counter() - started))
     views.show = show
     assert view.came is None

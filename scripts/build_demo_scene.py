@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from blender_addon.core.motion_files import MotionFile
+    from blender_addon.hand.motion_files import MotionFile
 
 ROOT = Path(__file__).resolve().parents[1]
 BAD_INPUT = 2
@@ -37,8 +37,8 @@ def main(arguments: list[str] | None = None) -> int:
     if any(importlib.util.find_spec(name) is None for name in ("numpy", "bpy")):
         return failed("This needs a Python with bpy: run it with .envs/blender/bin/python.")
     sys.path.insert(0, str(ROOT))
-    from blender_addon.core.messages import JGHandFailure
-    from blender_addon.core.motion_files import read_motion
+    from blender_addon.errors import JGHandFailure
+    from blender_addon.hand.motion_files import read_motion
 
     try:
         motion = read_motion(options.motion)
@@ -120,10 +120,11 @@ def build(motion: MotionFile, cameras: dict[str, dict], options: argparse.Namesp
     import bpy  # pyright: ignore[reportMissingImports]
     from mathutils import Matrix  # pyright: ignore[reportMissingImports]
 
-    from blender_addon.bridge import armature, camera, framing
-    from blender_addon.bridge import motion as motions
     from blender_addon.core import posing, view
-    from blender_addon.core.messages import JGHandFailure
+    from blender_addon.errors import JGHandFailure
+    from blender_addon.hand import armature, framing
+    from blender_addon.hand import motion as motions
+    from blender_addon.render import camera
 
     joints_m = motion.joints_m
     bpy.ops.wm.read_factory_settings(use_empty=True)

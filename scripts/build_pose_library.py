@@ -22,8 +22,8 @@ def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, required=True, help="the folder of the library")
     options = parser.parse_args()
-    from blender_addon.bridge import pose_library
-    from blender_addon.core.messages import JGHandFailure
+    from blender_addon.errors import JGHandFailure
+    from blender_addon.hand import pose_library
 
     try:
         path = pose_library.build_library(options.out.resolve())

@@ -185,7 +185,7 @@ def ensure(environment: Environment) -> Path:
 
 def note_folder() -> Path | None:
     """Where this user's programs find what was made here; JGHAND_CONFIG_DIR names another place. The Blender extension
-    looks there too (blender_addon/core/engine_command.py)."""
+    looks there too (blender_addon/renderer/engine_command.py)."""
     if named := os.environ.get("JGHAND_CONFIG_DIR"):
         return Path(named)
     if sys.platform == "win32":

@@ -4,7 +4,7 @@
 
     .envs/blender/bin/python scripts/render_blend.py FILE.blend --camera CamPalm,CamSide --frames 1-60 --out FOLDER
 
-Runs in a Python that has bpy; `--help` says what it can be told. The work is done by `blender_addon.cli`.
+Runs in a Python that has bpy; `--help` says what it can be told. The work is done by `blender_addon.render.command`.
 """
 
 import importlib.util
@@ -19,9 +19,9 @@ def main() -> int:
         print("This needs a Python with bpy: run it with .envs/blender/bin/python.", file=sys.stderr)
         return 2
     sys.path.insert(0, str(ROOT))
-    from blender_addon import cli
+    from blender_addon.render import command
 
-    return cli.main(checkout=ROOT)
+    return command.main(checkout=ROOT)
 
 
 if __name__ == "__main__":

@@ -14,10 +14,10 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
+from ..errors import JGHandFailure
 from . import limits
 from .conventions import CONVENTIONS, Convention
 from .joints import FINGERS, HANDEDNESSES, LEFT, NAMES, RIGHT, TIPS, WRIST
-from .messages import JGHandFailure
 
 HEAD, TAIL = "head", "tail"
 ENDS = (HEAD, TAIL)

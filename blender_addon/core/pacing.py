@@ -17,8 +17,8 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from enum import Enum, IntEnum
 
+from ..renderer.answers import GIVEN_UP
 from . import limits
-from .answers import GIVEN_UP
 
 
 class Grade(IntEnum):

@@ -132,7 +132,7 @@ def wrapped(text: str, width: float, width_of: Callable[[str], float] = len) -> 
 
 
 def status_text(status: Any, frame_ms: float | None = None, translate: Translate = str) -> StatusText:
-    """The state of the engine's link (`core.link.Status`). frame_ms: the whole last picture, None before one."""
+    """The state of the engine's link (`renderer.answers.Status`). frame_ms: the whole last picture, None before one."""
     since, state = duration(status.since_s), status.state
     if state == "failed":
         return _failed(status.failure, since, translate)

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
+from ..errors import JGHandFailure
 from .joints import LEFT, NAMES, PARENTS
-from .messages import JGHandFailure
 from .posing import check_handedness
 
 TABLE = Path(__file__).resolve().parents[1] / "assets" / "poses.json"

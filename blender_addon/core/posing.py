@@ -12,9 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..errors import JGHandFailure
 from . import limits
 from .joints import HANDEDNESSES, INDEX, LEFT, MIDDLE, NAMES, PARENTS, PINKY, REST_RIGHT_M, TAILS, THUMB, WRIST
-from .messages import JGHandFailure
 
 # Where the thumb's pad looks at rest, in the palm's axes (to the index side, to the fingers, out of the palm):
 # opposite to the mean normal of the thumb nail of the built-in hand.

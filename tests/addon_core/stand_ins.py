@@ -10,8 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from blender_addon.core.link import EngineLink
 from blender_addon.core.view import HandInSpace, Pinhole, picture_request
+from blender_addon.renderer.link import EngineLink
 
 ROOT = Path(__file__).resolve().parents[2]
 STAND_IN = ROOT / "tests" / "service" / "stand_in_engine.py"

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from blender_addon.core import batch
-from blender_addon.core.messages import JGHandFailure
+from blender_addon.errors import JGHandFailure
+from blender_addon.render import batch
 
 
 @pytest.mark.parametrize(

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from blender_addon.core import bone_maps
 from blender_addon.core.bone_maps import HEAD, TAIL, JointSource
 from blender_addon.core.joints import HANDEDNESSES, NAMES
-from blender_addon.core.messages import JGHandFailure
+from blender_addon.errors import JGHandFailure
 
 ENGLISH = ("thumb", "index", "middle", "ring", "pinky")
 LITTLE = ("thumb", "index", "middle", "ring", "little")

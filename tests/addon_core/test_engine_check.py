@@ -14,11 +14,12 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "scripts"))
 
 import environments
 
-from blender_addon.core import engine_check, engine_command, limits
-from blender_addon.core.engine_check import CheckResult, EngineCheck
-from blender_addon.core.engine_command import NOTE, FoundEngine, find_engine, note_folder
-from blender_addon.core.messages import JGHandFailure
+from blender_addon.core import limits
 from blender_addon.core.wire import protocol
+from blender_addon.errors import JGHandFailure
+from blender_addon.renderer import engine_check, engine_command
+from blender_addon.renderer.engine_check import CheckResult, EngineCheck
+from blender_addon.renderer.engine_command import NOTE, FoundEngine, find_engine, note_folder
 
 ROOT = Path(__file__).resolve().parents[2]
 PATIENCE_S = 60.0

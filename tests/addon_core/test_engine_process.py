@@ -14,10 +14,10 @@ import pytest
 from stand_ins import ROOT, linked, picture, until
 
 from blender_addon.core import limits
-from blender_addon.core.engine_command import VARIABLE, engine_command
-from blender_addon.core.link import EngineLink
-from blender_addon.core.messages import ADVICE, JGHandFailure
-from blender_addon.core.process import cleaned_environment
+from blender_addon.errors import ADVICE, JGHandFailure
+from blender_addon.renderer.engine_command import VARIABLE, engine_command
+from blender_addon.renderer.link import EngineLink
+from blender_addon.renderer.process import cleaned_environment
 
 
 @contextlib.contextmanager
@@ -217,7 +217,7 @@ def test_every_failure_has_a_sentence_without_numbers():
 def test_nothing_here_needs_blender():
     code = (
         "import importlib, pkgutil, sys; sys.path.insert(0, sys.argv[1]); sys.modules['bpy'] = None\n"
-        "import blender_addon.core as core\n"
+        "import blender_addon.core as core, blender_addon.renderer.jobs, blender_addon.renderer.link\n"
         "for module in pkgutil.iter_modules(core.__path__): importlib.import_module(f'{core.__name__}.{module.name}')"
     )
     subprocess.run([sys.executable, "-I", "-c", code, str(ROOT)], check=True)

@@ -8,10 +8,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from blender_addon.core import engine_words, export_stamp
-from blender_addon.core.engine_words import UsdChoices
-from blender_addon.core.messages import JGHandFailure
-from blender_addon.core.recording import Recording
+from blender_addon.errors import JGHandFailure
+from blender_addon.export import export_stamp
+from blender_addon.export.recording import Recording
+from blender_addon.renderer import engine_words
+from blender_addon.renderer.engine_words import UsdChoices
 
 FILES = {"usd": "hand.usda", "motion": "hand.npz", "ply": "hand.0001.ply"}
 

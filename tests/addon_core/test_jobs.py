@@ -13,10 +13,11 @@ from pathlib import Path
 
 import pytest
 
-from blender_addon.core import job_state, jobs, limits, programs
-from blender_addon.core.job_state import JobState, Phase
-from blender_addon.core.jobs import Job, JobSpec, JobTable
-from blender_addon.core.messages import ADVICE, JGHandFailure
+from blender_addon.core import limits
+from blender_addon.errors import ADVICE, JGHandFailure
+from blender_addon.renderer import job_state, jobs, programs
+from blender_addon.renderer.job_state import JobState, Phase
+from blender_addon.renderer.jobs import Job, JobSpec, JobTable
 
 STAND_IN = Path(__file__).with_name("stand_in_job.py")
 ROOT = Path(__file__).resolve().parents[2]
@@ -391,7 +392,7 @@ def test_a_job_notices_that_blender_was_killed(tmp_path):
 import os, sys, time
 sys.path.insert(0, {str(ROOT)!r})
 from pathlib import Path
-from blender_addon.core.jobs import Job, JobSpec
+from blender_addon.renderer.jobs import Job, JobSpec
 job = Job(JobSpec("t", "T", (sys.executable, "-I", {str(STAND_IN)!r}, "long", {file!r}), Path()))
 while not job.state.total:
     job.tick()

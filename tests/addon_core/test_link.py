@@ -21,10 +21,10 @@ from hypothesis import strategies as st
 from stand_ins import PATIENCE_S, command, linked, picture, until
 
 from blender_addon.core import limits
-from blender_addon.core.link import Answer, EngineLink
-from blender_addon.core.messages import JGHandFailure
-from blender_addon.core.process import EngineLog
 from blender_addon.core.wire import protocol
+from blender_addon.errors import JGHandFailure
+from blender_addon.renderer.link import Answer, EngineLink
+from blender_addon.renderer.process import EngineLog
 
 # no call keeps the main thread for so long: but for one in a hundred, and for as much as the machine itself is late
 # with whatever it does; and none for as long as any of the faults lasts

@@ -9,10 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from blender_addon.core.messages import JGHandFailure
-from blender_addon.core.motion_conversion import WANTS_HAND, ConversionChoices, read_converted, words
-from blender_addon.core.motion_files import MotionFile, write_motion
 from blender_addon.core.posing import rest_joints_m
+from blender_addon.errors import JGHandFailure
+from blender_addon.hand.motion_conversion import WANTS_HAND, ConversionChoices, read_converted, words
+from blender_addon.hand.motion_files import MotionFile, write_motion
 
 FILE, FOLDER = Path("dance.bvh"), Path("work")
 

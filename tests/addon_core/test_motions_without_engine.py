@@ -11,9 +11,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from blender_addon.core import limits, motion_files, posing
+from blender_addon.core import limits, posing
 from blender_addon.core.joints import FINGERS, NAMES
-from blender_addon.core.messages import JGHandFailure
+from blender_addon.errors import JGHandFailure
+from blender_addon.hand import motion_files
 
 SAID = {"order": "standard", "unit": "m", "fps": 25.0, "handedness": "left"}
 

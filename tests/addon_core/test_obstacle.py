@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from blender_addon.core import obstacle
+from blender_addon.render import obstacle
 
 
 def everything_below(folder: Path) -> dict[str, bytes | None]:

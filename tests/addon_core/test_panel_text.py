@@ -9,8 +9,8 @@ import pytest
 from blender_addon.core import panel_text
 from blender_addon.core.bone_maps import JointSource
 from blender_addon.core.joints import NAMES
-from blender_addon.core.link import Status
-from blender_addon.core.messages import ADVICE, JGHandFailure
+from blender_addon.errors import ADVICE, JGHandFailure
+from blender_addon.renderer.link import Status
 
 HANDSHAKE = {"device": "cpu", "engine_version": "0.1.0", "pid": 42}
 

@@ -7,9 +7,10 @@ import json
 import numpy as np
 import pytest
 
-from blender_addon.core import pose_picture, poses, posing
+from blender_addon.core import poses, posing
 from blender_addon.core.joints import HANDEDNESSES, LEFT, NAMES, RIGHT, TIPS, WRIST
-from blender_addon.core.messages import JGHandFailure
+from blender_addon.errors import JGHandFailure
+from blender_addon.hand import pose_picture
 
 MOVING = [name for place, name in enumerate(NAMES) if place != WRIST and place not in TIPS]
 

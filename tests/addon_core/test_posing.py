@@ -7,7 +7,7 @@ import pytest
 
 from blender_addon.core import posing
 from blender_addon.core.joints import HANDEDNESSES, LEFT, NAMES, PARENTS, RIGHT, TAILS, TIPS
-from blender_addon.core.messages import JGHandFailure
+from blender_addon.errors import JGHandFailure
 
 FLEXED = ("index2", "index3", "middle2", "ring2", "pinky3", "thumb2", "thumb3")
 

@@ -10,9 +10,11 @@ from pathlib import Path
 
 import pytest
 
-from blender_addon.core import batch, engine_command, limits, programs
-from blender_addon.core.engine_command import find_engine
-from blender_addon.core.recording import file_names
+from blender_addon.core import limits
+from blender_addon.export.recording import file_names
+from blender_addon.render import batch
+from blender_addon.renderer import engine_command, programs
+from blender_addon.renderer.engine_command import find_engine
 
 posix = pytest.mark.skipif(os.name == "nt", reason="paths are written as POSIX has them")
 

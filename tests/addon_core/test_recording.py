@@ -9,12 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from blender_addon.core import bakes, engine_words, limits
-from blender_addon.core.engine_words import CaptureChoices, TrainChoices, UsdChoices
-from blender_addon.core.messages import JGHandFailure
-from blender_addon.core.motion_files import MotionFile, read_motion, write_motion
+from blender_addon.core import limits
 from blender_addon.core.posing import rest_joints_m
-from blender_addon.core.recording import (
+from blender_addon.errors import JGHandFailure
+from blender_addon.export import bakes
+from blender_addon.export.recording import (
     Recording,
     SizeEstimate,
     Written,
@@ -26,6 +25,9 @@ from blender_addon.core.recording import (
     remove_beyond,
     with_file_name,
 )
+from blender_addon.hand.motion_files import MotionFile, read_motion, write_motion
+from blender_addon.renderer import engine_words
+from blender_addon.renderer.engine_words import CaptureChoices, TrainChoices, UsdChoices
 
 
 def a_recording(frames: int = 3, **more) -> Recording:
@@ -345,7 +347,7 @@ def test_programs_are_suited_as_the_engine_does_it():
 @pytest.mark.parametrize("words", all_words(), ids=lambda words: " ".join(words[:2]))
 def test_the_engine_understands_the_words_of_a_job(words):
     tyro = pytest.importorskip("tyro", reason="needs the engine's packages")
-    from blender_addon.core.jobs import PROGRESS_OPTION
+    from blender_addon.renderer.jobs import PROGRESS_OPTION
     from jghand_engine import cli
 
     verb = tyro.cli(cli._parsed_type(words), args=[*words, PROGRESS_OPTION], config=cli.STYLE)

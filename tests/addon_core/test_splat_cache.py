@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from blender_addon.core import limits, splat_cache
-from blender_addon.core.messages import JGHandFailure
+from blender_addon.core import limits
+from blender_addon.errors import JGHandFailure
+from blender_addon.export import splat_cache
 
 
 def test_a_frame_of_the_engine_is_the_hand_in_the_world_with_z_up(tmp_path):

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from blender_addon.core import stamp
-from blender_addon.core.messages import JGHandFailure
+from blender_addon.errors import JGHandFailure
+from blender_addon.render import stamp
 
 ONE, OTHER = {"file": "a", "preset": "final"}, {"file": "a", "preset": "draft"}
 

@@ -6,9 +6,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from blender_addon.core import limits, state
-from blender_addon.core.messages import ADVICE
-from blender_addon.core.state import (
+from blender_addon.core import limits
+from blender_addon.errors import ADVICE
+from blender_addon.renderer import state
+from blender_addon.renderer.state import (
     Asker,
     Broke,
     CloseStdin,

@@ -7,9 +7,9 @@ import json
 import numpy as np
 import pytest
 
-from blender_addon.core.avatar_card import card_of, read_card
-from blender_addon.core.messages import JGHandFailure
-from blender_addon.core.training_folder import Curve, TrainingReader, curve_picture, folder_of
+from blender_addon.errors import JGHandFailure
+from blender_addon.hand.avatar_card import card_of, read_card
+from blender_addon.train.training_folder import Curve, TrainingReader, curve_picture, folder_of
 
 
 def write(path, *lines, end="\n"):

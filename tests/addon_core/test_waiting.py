@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
 from blender_addon.core import limits
-from blender_addon.core.messages import JGHandFailure
-from blender_addon.core.waiting import Call, Waiting
 from blender_addon.core.wire import protocol
+from blender_addon.errors import JGHandFailure
+from blender_addon.renderer.waiting import Call, Waiting
 
 SLOTS = st.sampled_from("ab")
 TAGS = st.integers(0, 2)

@@ -10,9 +10,9 @@ import numpy as np
 from bpy_extras.object_utils import world_to_camera_view
 from mathutils import Euler, Matrix, Vector
 
-from blender_addon.bridge import armature, motion
 from blender_addon.core import posing
 from blender_addon.core.joints import HANDEDNESSES, NAMES, PARENTS
+from blender_addon.hand import armature, motion
 
 # object transforms that a hand must survive: location, rotation, scale
 PLACES = {

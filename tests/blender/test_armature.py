@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 from mathutils import Matrix
 
-from blender_addon.bridge import armature, motion, versions
+from blender_addon import versions
 from blender_addon.core import posing
 from blender_addon.core.joints import HANDEDNESSES, NAMES, PARENTS, TAILS, TIPS
-from blender_addon.core.messages import JGHandFailure
-from blender_addon.core.motion_files import MotionFile
+from blender_addon.errors import JGHandFailure
+from blender_addon.hand import armature, motion
+from blender_addon.hand.motion_files import MotionFile
 
 # float32 of a bone chain near the origin; worst observed 4.3e-8 m
 EXACT_M = 1e-7

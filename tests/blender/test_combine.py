@@ -10,12 +10,14 @@ import hands
 import numpy as np
 import pytest
 
-from blender_addon import registration, runtime
-from blender_addon.bridge import armature, camera, combination, guard, versions
+from blender_addon import registration, versions
 from blender_addon.core import film, posing
-from blender_addon.core.engine_command import engine_command
-from blender_addon.core.link import EngineLink
 from blender_addon.core.view import picture_request
+from blender_addon.hand import armature
+from blender_addon.render import camera, composite, guard
+from blender_addon.renderer import runtime
+from blender_addon.renderer.engine_command import engine_command
+from blender_addon.renderer.link import EngineLink
 
 SIZE = (216, 144)  # the stand-in's discs are several pixels wide
 
@@ -224,13 +226,13 @@ def test_a_movie_with_frames_without_hands_says_so_in_its_name(scene, tmp_path):
 
 def test_a_second_time_brings_it_up_to_date_and_makes_nothing_twice(scene):
     bpy.ops.jghand.combine_with_scene()
-    ours = combination.hands_scene_of(scene)
+    ours = composite.hands_scene_of(scene)
     nodes = len(versions.compositor_tree(scene).nodes)
     armature.build_armature(bpy.context, "left", posing.rest_joints_m("left"), "left")
     bpy.data.objects.remove(bpy.data.objects["right"])
     scene.frame_end = 77
     bpy.ops.jghand.combine_with_scene()
-    assert combination.hands_scene_of(scene) == ours
+    assert composite.hands_scene_of(scene) == ours
     assert {thing.name for thing in ours.collection.objects} == {"left", "Camera"}
     assert ours.frame_end == 77
     assert len(versions.compositor_tree(scene).nodes) == nodes
@@ -247,7 +249,7 @@ def test_removing_leaves_nothing(scene):
     assert {name: len(getattr(bpy.data, name)) for name in before} == before
     assert versions.compositor_tree(scene) is None
     assert not scene.view_layers[0].use_pass_z
-    assert combination.HAD_DEPTH not in scene.view_layers[0]
+    assert composite.HAD_DEPTH not in scene.view_layers[0]
     assert not [name for name in scene.keys() if name.startswith("jghand_")]  # noqa: SIM118 - no dictionary
     np.testing.assert_array_equal(f12(), wanted)
 
@@ -308,7 +310,7 @@ def test_nodes_of_the_user_stay_and_work_before_ours(scene):
 
 def test_a_copy_of_the_scene_does_not_touch_the_combination_of_the_first(scene):
     bpy.ops.jghand.combine_with_scene()
-    ours = combination.hands_scene_of(scene)
+    ours = composite.hands_scene_of(scene)
     for way in ("LINK_COPY", "FULL_COPY"):
         for combined in (False, True):
             bpy.context.window.scene = scene
@@ -317,10 +319,10 @@ def test_a_copy_of_the_scene_does_not_touch_the_combination_of_the_first(scene):
             assert copy != scene
             call = bpy.ops.jghand.combine_with_scene if combined else bpy.ops.jghand.remove_combination
             assert call() == {"FINISHED"}
-            assert combination.hands_scene_of(scene) == ours
+            assert composite.hands_scene_of(scene) == ours
             tree = versions.compositor_tree(scene)
             assert {node.scene for node in tree.nodes if node.bl_idname == "CompositorNodeRLayers"} == {scene, ours}
-            made = combination.hands_scene_of(copy)
+            made = composite.hands_scene_of(copy)
             assert (made is not None) == combined
             if combined:
                 assert made != ours
@@ -329,7 +331,7 @@ def test_a_copy_of_the_scene_does_not_touch_the_combination_of_the_first(scene):
                 assert shown == {copy, made}
                 assert bpy.ops.jghand.remove_combination() == {"FINISHED"}
             assert not copy.view_layers[0].use_pass_z
-            assert not combination.has_combination(copy)
+            assert not composite.has_combination(copy)
             bpy.data.scenes.remove(copy)
     bpy.context.window.scene = scene
     assert covered(f12()) > 20
@@ -358,7 +360,7 @@ def test_a_picture_says_in_what_its_hands_are_not_up_to_date(scene, capfd):
     camera.set_picture_size(scene.render, SIZE[0] // 2, SIZE[1] // 2)  # follows by itself
     scene.frame_end += 10
     f12()
-    assert combination.out_of_date(scene) == []
+    assert composite.out_of_date(scene) == []
     assert "not up to date" not in capfd.readouterr().err
     armature.build_armature(bpy.context, "late", posing.rest_joints_m("left"), "left")
     scene.render.fps = 50
@@ -368,9 +370,9 @@ def test_a_picture_says_in_what_its_hands_are_not_up_to_date(scene, capfd):
     f12()
     assert "not up to date" not in capfd.readouterr().err  # once
     bpy.data.objects["right"].hide_render = True
-    assert "right is too much" in combination.out_of_date(scene)
+    assert "right is too much" in composite.out_of_date(scene)
     bpy.ops.jghand.combine_with_scene()
-    assert combination.out_of_date(scene) == []
+    assert composite.out_of_date(scene) == []
 
 
 def test_a_linked_hand_of_the_same_name_is_combined_too(scene, tmp_path):
@@ -382,9 +384,9 @@ def test_a_linked_hand_of_the_same_name_is_combined_too(scene, tmp_path):
     scene.collection.objects.link(taken.objects[0])
     assert taken.objects[0].name == right.name
     bpy.ops.jghand.combine_with_scene()
-    ours = combination.hands_scene_of(scene)
+    ours = composite.hands_scene_of(scene)
     assert set(ours.collection.objects) == {right, taken.objects[0], scene.camera}
-    assert combination.out_of_date(scene) == []
+    assert composite.out_of_date(scene) == []
 
 
 def test_undo_takes_it_back(scene):
@@ -394,7 +396,7 @@ def test_undo_takes_it_back(scene):
     assert len(bpy.data.scenes) == 2
     bpy.ops.ed.undo()
     assert len(bpy.data.scenes) == 1
-    assert combination.hands_scene_of(bpy.context.scene) is None
+    assert composite.hands_scene_of(bpy.context.scene) is None
     assert versions.compositor_tree(bpy.context.scene) is None
 
 
@@ -442,7 +444,7 @@ def test_hands_are_blurred_with_the_shutter_of_the_scene(scene):
     points[0].location = (0.0, 0.2)
     scene.render.motion_blur_shutter_curve.update()
     bpy.ops.jghand.combine_with_scene()
-    shutter = combination.hands_scene_of(scene).render.motion_blur_shutter_curve
+    shutter = composite.hands_scene_of(scene).render.motion_blur_shutter_curve
     assert [tuple(point.location) for point in shutter.curves[0].points] == [tuple(point.location) for point in points]
     scene.frame_set(1)
     blurred = f12()

@@ -24,14 +24,17 @@ import pytest
 import recording_layout
 from bpy_extras import anim_utils
 
-from blender_addon import registration, runtime
-from blender_addon.bridge import camera, folders, sources, versions
-from blender_addon.bridge import left_out as left_out_of_renders
+from blender_addon import folders, registration, versions
 from blender_addon.core import limits
-from blender_addon.core.link import EngineLink
-from blender_addon.core.messages import ADVICE
 from blender_addon.core.view import picture_request
-from blender_addon.panels import hand, picture
+from blender_addon.errors import ADVICE
+from blender_addon.hand import panel as hand
+from blender_addon.hand import sources
+from blender_addon.render import camera
+from blender_addon.render import left_out as left_out_of_renders
+from blender_addon.render import panel as picture
+from blender_addon.renderer import runtime
+from blender_addon.renderer.link import EngineLink
 
 ROOT = Path(__file__).resolve().parents[2]
 SIZE = (160, 120)

@@ -7,11 +7,12 @@ import hands
 import numpy as np
 import pytest
 
-from blender_addon.bridge import armature, controls, motion, versions
+from blender_addon import versions
 from blender_addon.core import posing
 from blender_addon.core.controls import CONTROLS, FINGER_CONTROLS, FIST, HAND_CONTROL, TIP_CONTROLS
 from blender_addon.core.joints import FINGERS, HANDEDNESSES, NAMES, TIPS
-from blender_addon.core.messages import JGHandFailure
+from blender_addon.errors import JGHandFailure
+from blender_addon.hand import armature, controls, motion
 
 # float32 of a bone chain through constraints; worst observed 8.9e-8 m
 EXACT_M = 2e-7

@@ -10,10 +10,12 @@ import pytest
 from recording_layout import RecordingLayout
 from recording_layout import draw as drawn
 
-from blender_addon import runtime
-from blender_addon.bridge import gpu_picture, picture, popup, rendering, viewport_engine, views
+from blender_addon import ui
 from blender_addon.core import limits
-from blender_addon.panels.picture import ViewPanel
+from blender_addon.render import rendering
+from blender_addon.render.panel import ViewPanel
+from blender_addon.renderer import runtime
+from blender_addon.viewport import drawing, overlay, rendered, views
 
 REGION = 0x1234
 
@@ -86,9 +88,9 @@ def test_switching_the_view_off_and_on_tries_again(driver, monkeypatch):
     for _ in range(20):
         redraw(driver)
         driver.now[0] += limits.DRAW_REST_S
-    monkeypatch.setattr(picture, "bpy", SimpleNamespace(context=driver.context))
+    monkeypatch.setattr(overlay, "bpy", SimpleNamespace(context=driver.context))
     monkeypatch.setattr(views, "draws", lambda *_: False)
-    picture.draw()
+    overlay.draw()
     assert views.problems() == []
     redraw(driver)
     assert driver.calls == limits.DRAW_TRIES + 1
@@ -113,13 +115,13 @@ def test_a_mistake_of_ours_is_no_fault_of_the_driver(driver, monkeypatch):
 
 
 def test_rendered_mode_and_solid_are_drawn_alike(driver, monkeypatch):
-    monkeypatch.setattr(gpu_picture, "free_unwanted", lambda: None)
+    monkeypatch.setattr(drawing, "free_unwanted", lambda: None)
     depsgraph = SimpleNamespace(scene_eval=SimpleNamespace(render=SimpleNamespace(film_transparent=True)))
-    viewport_engine.ViewportEngine().view_draw(driver.context, depsgraph)
+    rendered.ViewportEngine().view_draw(driver.context, depsgraph)
     assert [key[1] for key in views._drawing] == [views.RENDERED]
     monkeypatch.setattr(rendering, "now", lambda: True)
     driver.now[0] += limits.DRAW_REST_S
-    viewport_engine.ViewportEngine().view_draw(driver.context, depsgraph)
+    rendered.ViewportEngine().view_draw(driver.context, depsgraph)
 
 
 def test_a_word_of_the_extension_fits_the_small_window_of_a_picture(extension, monkeypatch):
@@ -128,9 +130,9 @@ def test_a_word_of_the_extension_fits_the_small_window_of_a_picture(extension, m
         windows=["main", "picture"], popup_menu=lambda draw, **options: shown.append((draw, options))
     )
     context = SimpleNamespace(window_manager=manager, temp_override=lambda window: nullcontext(window))
-    monkeypatch.setattr(popup, "bpy", SimpleNamespace(app=SimpleNamespace(background=False), context=context))
+    monkeypatch.setattr(ui, "bpy", SimpleNamespace(app=SimpleNamespace(background=False), context=context))
     text = "Frame 3 has no hands and is not written: Mirrored scale is not supported. Use the other hand instead"
-    popup.show(text, icon="ERROR", operators=(("jghand.use_engine", "RESTRICT_RENDER_OFF"),))
+    ui.show_message(text, icon="ERROR", operators=(("jghand.use_engine", "RESTRICT_RENDER_OFF"),))
     ((draw, options),) = shown
     layout = RecordingLayout()
     draw(SimpleNamespace(layout=layout), context)

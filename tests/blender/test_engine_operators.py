@@ -10,14 +10,14 @@ import bpy
 import pytest
 from recording_layout import RecordingLayout, draw, operator_type
 
-from blender_addon import preferences, runtime
-from blender_addon.core import programs
-from blender_addon.core.engine_check import CheckResult, Finding
-from blender_addon.core.engine_command import VARIABLE
-from blender_addon.core.link import EngineLink
-from blender_addon.core.messages import JGHandFailure
-from blender_addon.operators import engine
-from blender_addon.panels import advanced
+from blender_addon import preferences
+from blender_addon.errors import JGHandFailure
+from blender_addon.renderer import ops as engine
+from blender_addon.renderer import panel as advanced
+from blender_addon.renderer import programs, runtime
+from blender_addon.renderer.engine_check import CheckResult, Finding
+from blender_addon.renderer.engine_command import VARIABLE
+from blender_addon.renderer.link import EngineLink
 
 
 @pytest.fixture
@@ -161,7 +161,7 @@ def test_another_choice_of_python_starts_what_had_failed_anew(extension, stand_i
 
 
 def test_names_and_tooltips_follow_blenders_habits(extension):
-    for each in engine._CLASSES:
+    for each in engine.CLASSES:
         operator = operator_type(each.bl_idname)
         assert operator.name
         assert operator.description

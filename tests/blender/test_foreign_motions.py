@@ -15,12 +15,13 @@ import pytest
 from hands import mixamo_rig
 from mathutils import Quaternion, Vector
 
-from blender_addon.bridge import armature, folders
-from blender_addon.core.engine_command import VARIABLE
+from blender_addon import folders
 from blender_addon.core.joints import NAMES, TIPS
-from blender_addon.core.motion_conversion import ConversionChoices
-from blender_addon.core.motion_files import read_motion
-from blender_addon.operators import motion as motion_operator
+from blender_addon.hand import armature
+from blender_addon.hand import ops_motion as motion_operator
+from blender_addon.hand.motion_conversion import ConversionChoices
+from blender_addon.hand.motion_files import read_motion
+from blender_addon.renderer.engine_command import VARIABLE
 
 TESTS = Path(__file__).resolve().parents[1]
 FRAMES = 12
@@ -221,8 +222,8 @@ def test_what_the_engine_cannot_read_is_told_in_its_words(extension, engine, tmp
 
 
 def test_without_an_engine_the_reason_is_told(extension, tmp_path, monkeypatch):
-    from blender_addon import runtime
-    from blender_addon.core.messages import JGHandFailure
+    from blender_addon.errors import JGHandFailure
+    from blender_addon.renderer import runtime
 
     def none():
         raise JGHandFailure("no_interpreter", "none here")

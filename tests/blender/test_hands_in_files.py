@@ -9,10 +9,10 @@ import hands
 import numpy as np
 import pytest
 
-from blender_addon.bridge import armature, bone_list, controls, seen_hands, sources
 from blender_addon.core import posing
 from blender_addon.core.controls import HAND_CONTROL
 from blender_addon.core.joints import HANDEDNESSES
+from blender_addon.hand import armature, bone_list, controls, seen_hands, sources
 
 # float32 of bone chains through constraints; worst observed 3.4e-7 m
 EXACT_M = 1e-6

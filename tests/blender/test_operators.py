@@ -16,34 +16,23 @@ import numpy as np
 import pytest
 from recording_layout import operator_type
 
-from blender_addon import properties, registration
-from blender_addon.bridge import (
-    armature,
-    controls,
-    engine_name,
-    folders,
-    hand_poses,
-    motion,
-    pose_library,
-    sources,
-    versions,
-)
-from blender_addon.core import bone_maps, motion_files, poses, posing
+from blender_addon import folders, help_page, properties, registration, versions
+from blender_addon import ops as common
+from blender_addon.core import bone_maps, poses, posing
 from blender_addon.core.controls import FINGER_CONTROLS, HAND_CONTROL
 from blender_addon.core.joints import HANDEDNESSES, NAMES
-from blender_addon.core.messages import JGHandFailure
-from blender_addon.operators import common, help_page, imports, picture
-from blender_addon.operators import motion as motion_operator
-from blender_addon.operators import track as track_operator
-from blender_addon.operators.common import PLUMBING, REGISTERED, UNDOABLE
-from blender_addon.panels import presets
+from blender_addon.errors import JGHandFailure
+from blender_addon.hand import armature, controls, motion, motion_files, ops_import, pose_library, sources
+from blender_addon.hand import ops_motion as motion_operator
+from blender_addon.hand import ops_track as track_operator
+from blender_addon.hand import poses as hand_poses
+from blender_addon.ops import PLUMBING, REGISTERED, UNDOABLE
+from blender_addon.render import engine_name, panel_presets
+from blender_addon.render import ops as picture
 
 ROOT = Path(__file__).resolve().parents[2]
 OPERATORS = [
-    each
-    for module in registration.MODULES
-    for each in vars(module).values()
-    if isinstance(each, type) and issubclass(each, bpy.types.Operator) and each.__module__ == module.__name__
+    each for module in registration.WITH_CLASSES for each in module.CLASSES if issubclass(each, bpy.types.Operator)
 ]
 _JOB = "starts a job, which writes files and nothing of the scene"
 _SHOWS = "shows something"
@@ -632,7 +621,7 @@ def test_after_the_file_browser_a_motion_is_imported_in_turns(extension, tmp_pat
         return {"RUNNING_MODAL"}
 
     ops = SimpleNamespace(jghand=SimpleNamespace(import_motion=again))
-    monkeypatch.setattr(imports, "bpy", SimpleNamespace(ops=ops))
+    monkeypatch.setattr(ops_import, "bpy", SimpleNamespace(ops=ops))
     wanted = {
         **{"filepath": "wave.npz", "target": "AUTO", "first_frame": 3, "use_scene_range": False},
         **{"hand": "AUTO", "unit": "AUTO", "order": "AUTO", "fps": 25.0, "hand_length": 0.0, "part": ""},
@@ -654,8 +643,8 @@ def test_what_was_chosen_in_the_file_browser_is_not_asked_for_again(extension, t
     assert operator_type(f"jghand.{name}").properties["chosen"].is_skip_save
     begun, asked = [], []
     monkeypatch.setattr(common.InTurns, "invoke", lambda *_: begun.append(1) or {"RUNNING_MODAL"})
-    monkeypatch.setattr(imports.ImportHelper, "invoke", lambda *_: asked.append(1) or {"RUNNING_MODAL"})
-    operator = imports.KeysFile.__new__(imports.KeysFile)
+    monkeypatch.setattr(ops_import.ImportHelper, "invoke", lambda *_: asked.append(1) or {"RUNNING_MODAL"})
+    operator = ops_import.KeysFile.__new__(ops_import.KeysFile)
     operator.chosen, operator.filepath = chosen, str(tmp_path / "gone.glb")
     operator.invoke(extension, None)
     assert (begun, asked) == (([1], []) if chosen else ([], [1]))
@@ -825,7 +814,7 @@ def test_names_and_tooltips_follow_blenders_habits(extension):
         assert operator.description, operator
         assert not operator.description.endswith("."), operator
     preferences = bpy.types.AddonPreferences.bl_rna_get_subclass_py("JGHandPreferences").bl_rna
-    for owner in (*operators, preferences, *(each.bl_rna for each in properties._CLASSES)):
+    for owner in (*operators, preferences, *(each.bl_rna for each in properties.CLASSES)):
         inherited = getattr(owner.base, "properties", ())
         for one in owner.properties:
             if one.identifier in inherited or one.identifier in ("rna_type", "name") or one.is_hidden:
@@ -845,8 +834,10 @@ def test_a_preset_of_pictures_is_kept_for_other_files_and_removed(extension):
     settings = extension.scene.jghand
     settings.render_preset, settings.shadow_strength, settings.viewport_density = "draft", 0.25, 0.5
     assert bpy.ops.jghand.add_picture_preset(name="Quick Look") == {"FINISHED"}
-    (path,) = [Path(folder, name) for folder in bpy.utils.preset_paths(presets.FOLDER) for name in os.listdir(folder)]
-    for name in presets.SETTINGS:
+    (path,) = [
+        Path(folder, name) for folder in bpy.utils.preset_paths(panel_presets.FOLDER) for name in os.listdir(folder)
+    ]
+    for name in panel_presets.SETTINGS:
         settings.property_unset(name)
     assert settings.render_preset == "final"
     bpy.ops.script.execute_preset(filepath=str(path), menu_idname="RENDER_PT_jghand_presets")

@@ -18,28 +18,16 @@ from hands import PLACES, keyed_hand, mixamo_rig, moving_hand_m, put
 from recording_layout import draw
 
 import blender_addon
-from blender_addon import runtime
-from blender_addon.bridge import (
-    bake_folders,
-    baked_points,
-    cache_player,
-    folders,
-    job_watch,
-    kept,
-    owners,
-    record,
-    sources,
-    sync,
-    undo,
-    usd_hook,
-    versions,
-)
-from blender_addon.core import bakes, export_stamp
-from blender_addon.core.engine_command import VARIABLE
-from blender_addon.core.motion_files import read_motion
-from blender_addon.operators.export import ExportSceneUsd
-from blender_addon.operators.output_common import StartsJob
-from blender_addon.panels import output
+from blender_addon import folders, ui, versions
+from blender_addon.export import bake_folders, baked_points, bakes, cache_player, export_stamp, owners, record, usd_hook
+from blender_addon.export import panel as output
+from blender_addon.export.ops import ExportSceneUsd
+from blender_addon.export.ops_common import StartsJob
+from blender_addon.hand import kept, sources
+from blender_addon.hand.motion_files import read_motion
+from blender_addon.renderer import job_watch, runtime
+from blender_addon.renderer.engine_command import VARIABLE
+from blender_addon.viewport import handlers
 
 FRAMES = 4
 STAND_IN = Path(__file__).resolve().parents[1] / "addon_core" / "stand_in_job.py"
@@ -433,7 +421,7 @@ def test_a_finished_bake_is_one_step_of_undo_made_after_the_hand_has_it(extensio
         yield bpy.context
         steps.append((message, hand.jghand.bake != ""))
 
-    monkeypatch.setattr(undo, "one_step", one_step)
+    monkeypatch.setattr(ui, "one_step", one_step)
     extension.scene.jghand.output.bake_folder = str(tmp_path / "bakes")
     bpy.ops.jghand.bake()
     assert steps == [("Bake", True)]
@@ -804,7 +792,7 @@ def test_a_stale_or_missing_bake_is_left_out_and_told(baked, tmp_path):
 def test_blenders_own_export_says_which_hands_it_leaves_out(extension, tmp_path, monkeypatch, capfd):
     """In the Export panel, and with a menu in a window or on stderr without one; our own operator reports it."""
     shown = []
-    monkeypatch.setattr(usd_hook.popup, "show", lambda text, **_: shown.append(text))
+    monkeypatch.setattr(usd_hook.ui, "show_message", lambda text, **_: shown.append(text))
     bpy.ops.jghand.add_hand(handedness="right")
     name = bpy.context.object.name
     window = SimpleNamespace(app=SimpleNamespace(background=False))
@@ -814,14 +802,14 @@ def test_blenders_own_export_says_which_hands_it_leaves_out(extension, tmp_path,
     bpy.ops.wm.usd_export(filepath=str(tmp_path / "whole.usdc"))
     assert not shown  # Blender's export has a thread of its own: the timer shows it
     for _ in range(2):
-        sync.tick()
+        handlers.tick()
     (text,) = shown
     assert f"{name}: left out." in text
     assert f"{name}: left out." in " ".join(draw(output.ExportPanel, extension).texts)
     assert bpy.ops.jghand.export_scene_usd(filepath=str(tmp_path / "whole.usdc")) == {"FINISHED"}
-    sync.tick()
+    handlers.tick()
     assert len(shown) == 1
-    sync.on_load()
+    handlers.on_load()
     assert "left out" not in " ".join(draw(output.ExportPanel, extension).texts)
 
 

@@ -9,17 +9,22 @@ import hands
 import pytest
 from recording_layout import RecordingLayout, draw, draw_rows
 
-from blender_addon import registration, runtime
-from blender_addon.bridge import armature, controls, folders, pose_library, pose_pictures, versions, views
-from blender_addon.core.link import Status
-from blender_addon.core.messages import JGHandFailure
-from blender_addon.panels import advanced, bones, hand, motion, picture, pose, quality
+from blender_addon import folders, registration, versions
+from blender_addon.errors import JGHandFailure
+from blender_addon.hand import armature, controls, panel_bones, panel_motion, panel_pose, pose_library, pose_pictures
+from blender_addon.hand import panel as hand
+from blender_addon.render import panel as picture
+from blender_addon.render import panel_quality
+from blender_addon.renderer import panel as advanced
+from blender_addon.renderer import runtime
+from blender_addon.renderer.link import Status
+from blender_addon.viewport import views
 
 PANELS = {
     panel.bl_idname: panel
-    for module in registration.MODULES
-    for panel in vars(module).values()
-    if isinstance(panel, type) and issubclass(panel, bpy.types.Panel) and hasattr(panel, "bl_idname")
+    for module in registration.WITH_CLASSES
+    for panel in module.CLASSES
+    if issubclass(panel, bpy.types.Panel) and hasattr(panel, "bl_idname")
     if panel.bl_space_type == "VIEW_3D"
 }
 READY = Status("ready", 90.0, None, {"device": "cpu", "engine_version": "0.1.0", "pid": 7, "protocol": 2})
@@ -68,9 +73,15 @@ def test_an_empty_scene_shows_one_sentence_and_one_button(extension, engine):
     seen = draw(hand.HandPanel, extension)
     assert seen.operators == ["jghand.open_help", "jghand.add_hand"]
     assert "Add a hand" in text_of(seen)
-    for panel in (pose.PosePanel, bones.BonesPanel, motion.MotionPanel, picture.ViewPanel, picture.RenderPanel):
+    for panel in (
+        panel_pose.PosePanel,
+        panel_bones.BonesPanel,
+        panel_motion.MotionPanel,
+        picture.ViewPanel,
+        picture.RenderPanel,
+    ):
         assert draw(panel, extension) is None
-    assert draw(quality.QualityPanel, extension) is None
+    assert draw(panel_quality.QualityPanel, extension) is None
 
 
 @pytest.mark.parametrize("side", ["right", "left"])
@@ -80,9 +91,9 @@ def test_all_panels_draw_for_a_hand_of_ours(extension, engine, side, with_contro
     runtime.set_report(runtime.VIEWPORT, RECEIPT)
     runtime.set_report(runtime.RENDER, RECEIPT)
     seen = drawn(extension)
-    assert pose.ControlsPanel.bl_idname in seen
-    assert bones.BonesPanel.bl_idname not in seen
-    assert ("jghand.hold_tip" in seen[pose.ControlsPanel.bl_idname].operators) == with_controls
+    assert panel_pose.ControlsPanel.bl_idname in seen
+    assert panel_bones.BonesPanel.bl_idname not in seen
+    assert ("jghand.hold_tip" in seen[panel_pose.ControlsPanel.bl_idname].operators) == with_controls
     bpy.ops.object.mode_set(mode="POSE")
     drawn(extension)
     if with_controls:
@@ -90,7 +101,7 @@ def test_all_panels_draw_for_a_hand_of_ours(extension, engine, side, with_contro
         controls.use_joint_limits(thing, False)
         drawn(extension)
         controls.mute_controls(thing, True)
-        assert "JGHand" not in text_of(drawn(extension)[pose.ControlsPanel.bl_idname])
+        assert "JGHand" not in text_of(drawn(extension)[panel_pose.ControlsPanel.bl_idname])
 
 
 def test_all_panels_draw_with_a_camera_or_nothing_active(extension, engine):
@@ -99,7 +110,7 @@ def test_all_panels_draw_with_a_camera_or_nothing_active(extension, engine):
         extension.view_layer.objects.active = active
         seen = drawn(extension)
         assert hand.HandPanel.bl_idname in seen
-        assert pose.PosePanel.bl_idname not in seen
+        assert panel_pose.PosePanel.bl_idname not in seen
 
 
 def test_an_armature_that_is_no_hand_may_become_one(extension, engine):
@@ -111,35 +122,35 @@ def test_an_armature_that_is_no_hand_may_become_one(extension, engine):
 def test_the_bones_of_a_foreign_rig_are_a_list_that_says_what_is_missing(extension, engine):
     rig, _ = hands.mixamo_rig(extension)
     bpy.ops.jghand.use_armature()
-    seen = draw(bones.BonesPanel, extension)
+    seen = draw(panel_bones.BonesPanel, extension)
     assert "All 21 joints have a bone" in text_of(seen)
-    rows = draw_rows(bones.JointList, extension, rig.jghand, rig.jghand.joints)
+    rows = draw_rows(panel_bones.JointList, extension, rig.jghand, rig.jghand.joints)
     assert {"thumb4", "…Thumb3", "tail"} <= set(rows.texts)
     assert not [one for one in rows.drawn if one.function == "prop_search"]
     rig.jghand.joints["index2"].bone = ""
     rig.jghand.joints["ring1"].bone = "nothing of that name"
-    said = text_of(draw(bones.BonesPanel, extension))
+    said = text_of(draw(panel_bones.BonesPanel, extension))
     assert "1 of 21 joints have no bone: index2" in said
     assert "ring1 (nothing of that name)" in " ".join(said.split())
-    rows = draw_rows(bones.JointList, extension, rig.jghand, rig.jghand.joints)
+    rows = draw_rows(panel_bones.JointList, extension, rig.jghand, rig.jghand.joints)
     assert len([one for one in rows.drawn if one.function == "prop_search"]) == 2
     rig.jghand.map_hand = "left"
-    assert "All 21 joints have a bone" in text_of(draw(bones.BonesPanel, extension))
+    assert "All 21 joints have a bone" in text_of(draw(panel_bones.BonesPanel, extension))
     bpy.ops.jghand.forget(handedness="left")
-    assert "not used for this hand" in text_of(draw(bones.BonesPanel, extension))
+    assert "not used for this hand" in text_of(draw(panel_bones.BonesPanel, extension))
     rig.jghand.joints.clear()
     rig.jghand.map_hand = "right"
-    assert "jghand.edit_bone_map" in draw(bones.BonesPanel, extension).operators
+    assert "jghand.edit_bone_map" in draw(panel_bones.BonesPanel, extension).operators
     drawn(extension)
 
 
 def test_a_hand_of_objects_shows_its_objects_and_which_are_gone(extension, engine):
     things = hands.joint_empties(extension, "left")
     bpy.ops.jghand.use_objects()
-    seen = draw(bones.BonesPanel, extension)
+    seen = draw(panel_bones.BonesPanel, extension)
     assert len([one for one in seen.drawn if one.function == "prop"]) == 21
     bpy.data.objects.remove(things[7])
-    assert "index3" in text_of(draw(bones.BonesPanel, extension))
+    assert "index3" in text_of(draw(panel_bones.BonesPanel, extension))
     drawn(extension)
 
 
@@ -153,10 +164,10 @@ def test_every_hand_has_a_row_that_selects_it(extension, engine):
 
 def test_pose_assets_are_made_once_and_then_shown(extension, engine, tmp_path, monkeypatch):
     add()
-    assert "jghand.make_pose_assets" in draw(pose.PosePanel, extension).operators
+    assert "jghand.make_pose_assets" in draw(panel_pose.PosePanel, extension).operators
     monkeypatch.setattr(folders, "user_folder", lambda name, **_: tmp_path / name)
     pose_library.use_library(tmp_path / "poses")
-    assert "jghand.show_pose_shelf" in draw(pose.PosePanel, extension).operators
+    assert "jghand.show_pose_shelf" in draw(panel_pose.PosePanel, extension).operators
 
 
 @pytest.mark.parametrize(
@@ -207,12 +218,12 @@ def test_quality_shows_what_the_last_picture_did_and_why(extension, engine):
     runtime.set_report(runtime.VIEWPORT, RECEIPT)
     extension.scene.jghand.use_viewport_budget = True
     extension.scene.jghand.viewport_budget_ms = 5.0
-    seen = draw(quality.QualityPanel, extension)
+    seen = draw(panel_quality.QualityPanel, extension)
     assert "index1: flexion 12° beyond training" in seen.texts
     assert "Over Budget" in seen.texts
     bars = [one.arguments for one in seen.drawn if one.function == "progress"]
     assert [(bar["text"], bar["factor"]) for bar in bars] == [("7.2 ms", 1.0), ("3.6 ms", 0.5)]
-    effects = draw(quality.EffectsPanel, extension)
+    effects = draw(panel_quality.EffectsPanel, extension)
     tips = {one.text: one.settings["text"] for one in effects.drawn if one.function == "operator"}
     assert tips["Self-Shadow"] == "Not run: no finger is near another"
     assert tips["Depth"] == "Ran: requested"
@@ -221,8 +232,8 @@ def test_quality_shows_what_the_last_picture_did_and_why(extension, engine):
 def test_without_a_picture_quality_says_so(extension, engine):
     add()
     runtime._reports.clear()
-    assert "No picture yet" in text_of(draw(quality.QualityPanel, extension))
-    assert draw(quality.EffectsPanel, extension) is None
+    assert "No picture yet" in text_of(draw(panel_quality.QualityPanel, extension))
+    assert draw(panel_quality.EffectsPanel, extension) is None
 
 
 def test_render_says_what_the_view_transform_does_and_offers_standard(extension, engine):

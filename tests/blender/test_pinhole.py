@@ -7,11 +7,12 @@ import hands
 import numpy as np
 import pytest
 
-from blender_addon.bridge import armature, camera, framing
 from blender_addon.core import limits, posing
 from blender_addon.core.joints import HANDEDNESSES, LEFT
-from blender_addon.core.messages import JGHandFailure
 from blender_addon.core.view import Pinhole
+from blender_addon.errors import JGHandFailure
+from blender_addon.hand import armature, framing
+from blender_addon.render import camera
 
 # worst observed 1.1e-4 px (float32 of Blender's own matrices); the promise is 0.01
 AGREES_PX = 1e-3

@@ -6,10 +6,11 @@ import bpy
 import numpy as np
 import pytest
 
-from blender_addon.bridge import armature, controls, hand_poses, pose_library
 from blender_addon.core import poses, posing
 from blender_addon.core.joints import HANDEDNESSES, NAMES
-from blender_addon.core.messages import JGHandFailure
+from blender_addon.errors import JGHandFailure
+from blender_addon.hand import armature, controls, pose_library
+from blender_addon.hand import poses as hand_poses
 
 
 @pytest.fixture(scope="module")

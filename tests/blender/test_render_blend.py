@@ -16,11 +16,13 @@ import hands
 import numpy as np
 import pytest
 
-from blender_addon import cli, cli_command, registration
-from blender_addon.bridge import armature, camera, scene, sources
-from blender_addon.core import posing, stamp
-from blender_addon.core.messages import JGHandFailure
+from blender_addon import registration
+from blender_addon.core import posing
 from blender_addon.core.view import LIGHT_FROM_WORLD
+from blender_addon.errors import JGHandFailure
+from blender_addon.hand import armature, sources
+from blender_addon.render import camera, cli_command, scene, stamp
+from blender_addon.render import command as cli
 
 ROOT = Path(__file__).resolve().parents[2]
 SIZE = (128, 84)
@@ -303,9 +305,9 @@ def test_a_mistake_of_our_own_is_told_with_its_trace_and_in_the_report(engine, b
 @pytest.mark.skipif(os.name == "nt", reason="Windows cannot send Ctrl-C to one process")
 def test_a_run_that_is_interrupted_says_so_in_its_exit_code_and_its_report(blend, stand_in_command):
     code = (
-        "import sys; sys.path.insert(0, sys.argv[1]); from blender_addon import cli\n"
-        "cli.engine_command = lambda *_, **__: sys.argv[3:]\n"
-        "print('starts', flush=True); sys.exit(cli.main(sys.argv[2].split('|')))"
+        "import sys; sys.path.insert(0, sys.argv[1]); from blender_addon.render import command\n"
+        "command.engine_command = lambda *_, **__: sys.argv[3:]\n"
+        "print('starts', flush=True); sys.exit(command.main(sys.argv[2].split('|')))"
     )
     report = blend.parent / "report.json"
     options = [str(blend), "--out", str(blend.parent / "out"), "--report", str(report)]

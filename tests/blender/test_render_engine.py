@@ -12,12 +12,15 @@ import hands
 import numpy as np
 import pytest
 
-from blender_addon import cli, registration, render_engine, runtime
-from blender_addon.bridge import armature, camera, moments, sources
+from blender_addon import registration
 from blender_addon.core import limits, posing
-from blender_addon.core.link import EngineLink
-from blender_addon.core.messages import JGHandFailure
 from blender_addon.core.view import picture_request
+from blender_addon.errors import JGHandFailure
+from blender_addon.hand import armature, sources
+from blender_addon.render import camera, command, samples
+from blender_addon.render import engine as render_engine
+from blender_addon.renderer import runtime
+from blender_addon.renderer.link import EngineLink
 
 SIZE = (96, 64)
 
@@ -168,8 +171,8 @@ def test_a_keyed_world_is_that_of_each_frame_however_it_is_rendered(scene, tmp_p
         encoded = 12.92 * gray if gray <= 0.0031308 else 1.055 * gray ** (1 / 2.4) - 0.055
         behind = np.median(pixels(tmp_path / f"animation_{frame:04d}.png")[..., :3])
         assert behind == pytest.approx(encoded, abs=0.6 / 255)
-    monkeypatch.setattr(cli, "engine_command", lambda *_, **__: stand_in_command)
-    assert cli.main([str(tmp_path / "hand.blend"), "--out", str(tmp_path / "batch")]) == 0
+    monkeypatch.setattr(command, "engine_command", lambda *_, **__: stand_in_command)
+    assert command.main([str(tmp_path / "hand.blend"), "--out", str(tmp_path / "batch")]) == 0
     runtime.use_link(EngineLink(lambda: stand_in_command))  # a run ends the link it used
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "hand.blend"))
     bpy.context.scene.frame_set(3)
@@ -197,7 +200,7 @@ def test_only_what_was_evaluated_for_a_render_is_read_while_it_runs(sliding, mon
     for owner, name in (
         (armature, "is_any_hand"),
         (armature, "read_hand"),
-        (moments.seen_hands, "avatar_of"),
+        (samples.seen_hands, "avatar_of"),
         (camera, "pinhole"),
     ):
         function = getattr(owner, name)
@@ -406,7 +409,7 @@ def test_the_shutters_curve_weighs_the_subframes(sliding):
     for point in points:
         point.handle_type = "VECTOR"
     curve.update()
-    times = moments.shutter_times(sliding)
+    times = samples.shutter_times(sliding)
     weights = np.array([weight for _, weight in times])
     np.testing.assert_allclose(weights / weights[-1], np.array([1, 3, 5, 7]) / 7, atol=0.02)
     assert [time for time, _ in times] == pytest.approx([-0.1875, -0.0625, 0.0625, 0.1875])
@@ -547,9 +550,9 @@ def test_an_animation_and_a_batch_run_write_the_same_bytes(scene, tmp_path, monk
     scene.render.filepath = str(tmp_path / "animation_")
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "hand.blend"))
     bpy.ops.render.render(animation=True)
-    monkeypatch.setattr(cli, "engine_command", lambda *_, **__: stand_in_command)
+    monkeypatch.setattr(command, "engine_command", lambda *_, **__: stand_in_command)
     for run in ("one", "two"):
-        assert cli.main([str(tmp_path / "hand.blend"), "--out", str(tmp_path / run)]) == 0
+        assert command.main([str(tmp_path / "hand.blend"), "--out", str(tmp_path / run)]) == 0
     runtime.use_link(EngineLink(lambda: stand_in_command))  # a run ends the link it used
     for frame in (1, 2, 3, 4):
         contents = {
@@ -579,7 +582,7 @@ def test_registering_again_and_again_leaves_blenders_panels_as_they_were():
 
 @pytest.fixture(scope="module")
 def real_engine(engine_python, extension) -> Iterator[EngineLink]:
-    from blender_addon.core.engine_command import engine_command
+    from blender_addon.renderer.engine_command import engine_command
 
     link = EngineLink(lambda: engine_command(engine_python))
     yield link

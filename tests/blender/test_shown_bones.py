@@ -7,9 +7,10 @@ import numpy as np
 import pytest
 from mathutils import Euler
 
-from blender_addon.bridge import armature, controls, shown_bones
 from blender_addon.core import posing
 from blender_addon.core.joints import NAMES
+from blender_addon.hand import armature, controls
+from blender_addon.viewport import shown_bones
 
 
 @pytest.fixture

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from mathutils import Vector
 
-from blender_addon.bridge import armature, sources
 from blender_addon.core import bone_maps, posing
 from blender_addon.core.bone_maps import JointSource
 from blender_addon.core.joints import HANDEDNESSES, NAMES
-from blender_addon.core.messages import JGHandFailure
+from blender_addon.errors import JGHandFailure
+from blender_addon.hand import armature, sources
 
 # float32 of bone chains more than a meter from the origin; worst observed 6.6e-7 m, of Rigify's
 EXACT_M = 1e-6

@@ -13,26 +13,17 @@ import numpy as np
 import pytest
 from hands import camera_on, keyed_hand, moving_hand_m, put
 
-from blender_addon import runtime
-from blender_addon.bridge import (
-    armature,
-    avatar_files,
-    camera,
-    cards,
-    clock,
-    combination,
-    picture,
-    rendering,
-    seen_hands,
-    sync,
-    views,
-)
-from blender_addon.bridge.engine_name import ENGINE
-from blender_addon.bridge.view_camera import view_camera
+from blender_addon import clock
 from blender_addon.core import cropping, limits, pacing, posing
 from blender_addon.core.file_stamps import FileStamps
-from blender_addon.core.link import EngineLink
-from blender_addon.core.messages import JGHandFailure
+from blender_addon.errors import JGHandFailure
+from blender_addon.hand import armature, avatar_files, cards, seen_hands
+from blender_addon.render import camera, composite, rendering
+from blender_addon.render.engine_name import ENGINE
+from blender_addon.renderer import runtime
+from blender_addon.renderer.link import EngineLink
+from blender_addon.viewport import handlers, overlay, views
+from blender_addon.viewport.view_camera import view_camera
 
 SIZE = (320, 200)
 
@@ -59,9 +50,9 @@ def linked(command: list[str]) -> Iterator[EngineLink]:
 
 @pytest.fixture
 def installed(extension):
-    sync.install()
+    handlers.install()
     yield
-    sync.remove()
+    handlers.remove()
 
 
 def space() -> bpy.types.SpaceView3D:
@@ -116,15 +107,15 @@ def wait_for(context: bpy.types.Context, view: views.View) -> None:
 
 
 def counts() -> dict[str, int]:
-    return {name: getattr(bpy.app.handlers, name).count(function) for name, function in sync.HANDLERS}
+    return {name: getattr(bpy.app.handlers, name).count(function) for name, function in handlers.HANDLERS}
 
 
 def test_handlers_are_there_once_however_often_they_are_added_and_gone_however_often_they_are_removed(installed):
-    sync.install()
+    handlers.install()
     assert set(counts().values()) == {1}
     assert clock.runs()
-    sync.remove()
-    sync.remove()
+    handlers.remove()
+    handlers.remove()
     assert set(counts().values()) == {0}
     assert not clock.runs()
 
@@ -140,7 +131,7 @@ def test_a_removed_handler_of_somebody_else_is_left_alone(installed):
         """Not ours."""
 
     bpy.app.handlers.undo_post.append(theirs)
-    sync.remove()
+    handlers.remove()
     assert theirs in bpy.app.handlers.undo_post
     bpy.app.handlers.undo_post.remove(theirs)
 
@@ -150,13 +141,13 @@ def test_without_a_window_the_extension_adds_no_handler(extension):
 
 
 def test_without_a_hand_the_timer_starts_no_engine(link):
-    assert sync.tick() == limits.IDLE_TICK_S
+    assert handlers.tick() == limits.IDLE_TICK_S
     assert link.status.state == "stopped"
 
 
 def test_a_render_that_ended_without_a_word_does_not_stop_the_views_for_ever(extension):
     rendering.begin()
-    sync.tick()
+    handlers.tick()
     assert not rendering.now()
 
 
@@ -230,7 +221,7 @@ def test_after_an_undo_hands_are_looked_for_anew(extension):
     assert seen(context) == []
     add_hand(context)
     assert seen(context) == []  # nobody was told
-    sync.on_undo(context.scene)
+    handlers.on_undo(context.scene)
     assert seen(context) == ["right"]
 
 
@@ -443,20 +434,20 @@ def test_while_blender_renders_a_frame_change_asks_for_nothing(link, extension, 
 
 def test_the_handlers_of_renders_set_and_clear_the_flag(extension, installed):
     bpy.context.scene.render.engine = ENGINE
-    sync.on_render_begin(bpy.context.scene)
+    handlers.on_render_begin(bpy.context.scene)
     assert rendering.now()
-    sync.on_render_end(bpy.context.scene)
+    handlers.on_render_end(bpy.context.scene)
     assert not rendering.now()
 
 
 def test_a_render_of_another_engine_leaves_the_views_alone_unless_it_is_combined_with_hands(extension):
     scene = bpy.context.scene
     scene.render.engine = "CYCLES"
-    sync.on_render_begin(scene)
+    handlers.on_render_begin(scene)
     assert not rendering.now()
-    ours = scene[combination.HANDS_SCENE] = bpy.data.scenes.new("Hands")
-    ours[combination.OWNER] = scene
-    sync.on_render_begin(scene)
+    ours = scene[composite.HANDS_SCENE] = bpy.data.scenes.new("Hands")
+    ours[composite.OWNER] = scene
+    handlers.on_render_begin(scene)
     assert rendering.now()
     rendering.end()
 
@@ -536,7 +527,7 @@ def test_a_played_frame_is_asked_for_only_where_it_is_drawn(link, extension, mon
     monkeypatch.setattr(views, "look", lambda *_, **__: asked.append(1))
     depsgraph = SimpleNamespace(mode="VIEWPORT", view_layer=context.view_layer)
     monkeypatch.setattr(views, "read_again", lambda *_: None)
-    sync.on_frame_change(context.scene, depsgraph)
+    handlers.on_frame_change(context.scene, depsgraph)
     assert asked == ([1] if shading == "SOLID" else [])
 
 
@@ -608,15 +599,15 @@ def test_a_hand_that_left_the_view_is_drawn_no_more_and_asked_for_when_it_comes_
 
 
 def test_the_draw_handler_can_be_added_and_removed_twice(extension):
-    for function in (picture.install, picture.install, picture.remove, picture.remove):
+    for function in (overlay.install, overlay.install, overlay.remove, overlay.remove):
         function()
 
 
 def test_panels_are_drawn_anew_when_a_hand_begins_or_ceases_not_to_show(extension, installed, monkeypatch):
     drawn = []
-    monkeypatch.setattr(sync, "_redraw_panels", lambda *, soon: drawn.append(soon))
-    monkeypatch.setattr(sync, "_follow_status", lambda: None)
-    monkeypatch.setattr(sync, "_problems", [])
+    monkeypatch.setattr(handlers, "_redraw_panels", lambda *, soon: drawn.append(soon))
+    monkeypatch.setattr(handlers, "_follow_status", lambda: None)
+    monkeypatch.setattr(handlers, "_problems", [])
     found: list[tuple[str, JGHandFailure]] = []
     monkeypatch.setattr(views, "problems", lambda: list(found))
     for problems in (
@@ -627,5 +618,5 @@ def test_panels_are_drawn_anew_when_a_hand_begins_or_ceases_not_to_show(extensio
         [],
     ):
         found[:] = problems
-        sync.tick()
+        handlers.tick()
     assert drawn == [True, True]

@@ -7,9 +7,10 @@ from types import SimpleNamespace
 import bpy
 import pytest
 
-from blender_addon import runtime
-from blender_addon.bridge import clock, job_watch, kept, pose_pictures, pose_shelf
+from blender_addon import clock
 from blender_addon.core import limits
+from blender_addon.hand import kept, pose_pictures, pose_shelf
+from blender_addon.renderer import job_watch, runtime
 
 
 @pytest.fixture(autouse=True)

@@ -12,18 +12,19 @@ import numpy as np
 import pytest
 from hands import moving_hand_m
 
-from blender_addon import runtime
-from blender_addon.bridge import armature, controls, folders, job_watch, versions
+from blender_addon import folders, versions
+from blender_addon import ops as common
 from blender_addon.core import limits
 from blender_addon.core.controls import HAND_CONTROL
-from blender_addon.core.job_state import Phase
-from blender_addon.core.jobs import Job
-from blender_addon.core.messages import JGHandFailure
-from blender_addon.core.motion_files import MotionFile, write_motion
-from blender_addon.core.video_tracking import TrackingChoices, words
-from blender_addon.operators import common, track
-from blender_addon.operators.common import InTurns
-from blender_addon.operators.imports import KeysFile
+from blender_addon.errors import JGHandFailure
+from blender_addon.hand import armature, controls, ops_track
+from blender_addon.hand.motion_files import MotionFile, write_motion
+from blender_addon.hand.ops_import import KeysFile
+from blender_addon.hand.video_tracking import TrackingChoices, words
+from blender_addon.ops import InTurns
+from blender_addon.renderer import job_watch, runtime
+from blender_addon.renderer.job_state import Phase
+from blender_addon.renderer.jobs import Job
 
 FRAMES, FILLED = 9, 4
 # says what `jghand track` says: progress, motions and figures, or an error
@@ -154,7 +155,7 @@ def test_the_hand_that_add_hand_made_takes_the_motion_with_its_controls_and_its_
 @pytest.mark.parametrize("online", [False, True])
 def test_networks_are_downloaded_only_where_blender_may_go_online(extension, engine, video, monkeypatch, online):
     app = SimpleNamespace(online_access=online)
-    monkeypatch.setattr(track, "bpy", SimpleNamespace(app=app, path=bpy.path))
+    monkeypatch.setattr(ops_track, "bpy", SimpleNamespace(app=app, path=bpy.path))
     text = "hand model: wanted networks, got none. Fetch it once (35 MB) with --fetch-model."
     error = {"jghand": "error", "kind": "bad_input", "text": text, "exit_code": 2}
     (engine / "error.json").write_text(json.dumps(error))
@@ -226,7 +227,11 @@ def working(video):
     """The operator as it works after the file browser; Blender alone makes a true one."""
 
     class Tracking(KeysFile):
-        steps, hand_for, _tracked = track.TrackVideo.steps, track.TrackVideo.hand_for, track.TrackVideo._tracked
+        steps, hand_for, _tracked = (
+            ops_track.TrackVideo.steps,
+            ops_track.TrackVideo.hand_for,
+            ops_track.TrackVideo._tracked,
+        )
         working = "Tracking"
 
         def report(self, kind, text):

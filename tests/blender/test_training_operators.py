@@ -16,14 +16,16 @@ import bpy
 import pytest
 from recording_layout import draw
 
-from blender_addon import runtime
-from blender_addon.bridge import avatar_files, bake_folders, cards, job_watch, seen_hands
-from blender_addon.core.job_state import Phase
-from blender_addon.core.jobs import Job
-from blender_addon.core.messages import JGHandFailure
-from blender_addon.operators.training import LoadAvatar, Train
-from blender_addon.output_settings import IDENTITIES
-from blender_addon.panels import output, training
+from blender_addon.errors import JGHandFailure
+from blender_addon.export import bake_folders
+from blender_addon.export import panel as output
+from blender_addon.export.properties import IDENTITIES
+from blender_addon.hand import avatar_files, cards, seen_hands
+from blender_addon.renderer import job_watch, runtime
+from blender_addon.renderer.job_state import Phase
+from blender_addon.renderer.jobs import Job
+from blender_addon.train import panel as training
+from blender_addon.train.ops import LoadAvatar, Train
 
 ROOT = Path(__file__).resolve().parents[2]
 STAND_IN = ROOT / "tests" / "addon_core" / "stand_in_job.py"
@@ -347,8 +349,8 @@ import sys, time
 sys.path[:0] = {[str(ROOT), str(ROOT / "tests" / "addon_core")]!r}
 import bpy
 import blender_addon
-from blender_addon import runtime
-from blender_addon.core.jobs import JobSpec
+from blender_addon.renderer import runtime
+from blender_addon.renderer.jobs import JobSpec
 from pathlib import Path
 bpy.ops.wm.read_factory_settings(use_empty=True)
 blender_addon.register()

@@ -10,13 +10,13 @@ from unittest.mock import MagicMock
 import bpy
 import pytest
 
-from blender_addon import runtime
-from blender_addon.core.job_state import JobState
-from blender_addon.core.recording import SizeEstimate, Written
-from blender_addon.core.training_folder import Curve, TrainingFolder
-from blender_addon.operators import training
-from blender_addon.panels import output
-from blender_addon.panels import training as training_panel
+from blender_addon.export import panel as output
+from blender_addon.export.recording import SizeEstimate, Written
+from blender_addon.renderer import runtime
+from blender_addon.renderer.job_state import JobState
+from blender_addon.train import ops as training
+from blender_addon.train import panel as training_panel
+from blender_addon.train.training_folder import Curve, TrainingFolder
 
 _NAMES = {"ROTATION": r"angle", "CAMERA": r"hand_length", "TIME_ABSOLUTE": r"time(out)?_s"}
 

@@ -12,8 +12,8 @@ from small_avatars import trained_avatar
 from usd_samples import FPS, engine_gaussians, engine_mesh, lively_motion, small_avatar
 from usd_stages import opened
 
-from blender_addon.core import export_stamp
-from blender_addon.core.messages import JGHandFailure
+from blender_addon.errors import JGHandFailure
+from blender_addon.export import export_stamp
 from jghand_engine import lock
 from jghand_engine.avatar.avatar import LearnedFrom
 from jghand_engine.avatar.tiers import Baked

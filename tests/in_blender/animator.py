@@ -59,7 +59,7 @@ def step_a_picture_without_hands_says_so(window):
     scene.render.resolution_x, scene.render.resolution_y = SIZE
     yield from window.point_at_view()
     yield from window.key("F12")
-    yield lambda: window.module("bridge.left_out").was_said(scene)
+    yield lambda: window.module("render.left_out").was_said(scene)
     yield 1.0
     window.picture("without_hands")
     yield from window.key("Escape")
@@ -139,7 +139,7 @@ def step_playing_counts_late_frames(window):
         frames.append(bpy.context.scene.frame_current)
     assert window.window.screen.is_animation_playing
     window.picture("playing")
-    late = window.module("bridge.views").late_frames()
+    late = window.module("viewport.views").late_frames()
     print(f"JGHAND playing: {len(set(frames))} different frames in 3 s, {late} late", flush=True)
     # each frame that was played is counted once at the most, however slow this machine is
     assert 0 <= late <= (time.monotonic() - began) * bpy.context.scene.render.fps + 2

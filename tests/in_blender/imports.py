@@ -98,4 +98,4 @@ def _hand() -> bpy.types.Object:
 
 
 def _job(window):
-    return window.module("runtime").jobs().get("import")
+    return window.module("renderer.runtime").jobs().get("import")

@@ -17,14 +17,17 @@ FRAMES = 24
 
 def step_the_panels_of_output_and_training_alone(window):
     """The others are tried elsewhere; without them these are seen whole on one screen, and open."""
-    for name in ("pose", "bones", "motion", "picture", "quality", "advanced"):
-        window.module(f"panels.{name}").unregister()
-    for name in ("output", "training"):
-        module = window.module(f"panels.{name}")
-        module.unregister()
-        for panel in module._CLASSES:
+    others = ("hand.panel_pose", "hand.panel_bones", "hand.panel_motion")
+    for name in (*others, "render.panel", "render.panel_quality", "renderer.panel"):
+        for panel in reversed(window.module(name).CLASSES):
+            bpy.utils.unregister_class(panel)
+    for name in ("export.panel", "train.panel"):
+        panels = window.module(name).CLASSES
+        for panel in reversed(panels):
+            bpy.utils.unregister_class(panel)
+        for panel in panels:
             panel.bl_options = set()
-        module.register()
+            bpy.utils.register_class(panel)
 
 
 def step_an_animated_hand(window):

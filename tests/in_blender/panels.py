@@ -43,7 +43,7 @@ def step_a_hand_is_added_looked_at_and_listed(window):
 
 
 def step_poses_get_their_pictures(window):
-    pictures = _module(window, "bridge.pose_pictures")
+    pictures = _module(window, "hand.pose_pictures")
     yield pictures.are_made
     assert pictures.icon_of("fist", "right") > 0
     assert pictures.icon_of("fist", "left") != pictures.icon_of("fist", "right")
@@ -52,7 +52,7 @@ def step_poses_get_their_pictures(window):
 
 
 def step_baking_ends_with_escape_and_changes_nothing(window):
-    controls = _module(window, "bridge.controls")
+    controls = _module(window, "hand.controls")
     hand = bpy.data.objects["Right Hand"]
     bpy.context.scene.frame_end = 20000
     with window.override():
@@ -69,7 +69,7 @@ def step_baking_ends_with_escape_and_changes_nothing(window):
 
 
 def step_baking_ends_by_itself(window):
-    controls = _module(window, "bridge.controls")
+    controls = _module(window, "hand.controls")
     bpy.context.scene.frame_end = 12
     with window.override():
         bpy.ops.jghand.bake_controls("INVOKE_DEFAULT", True)
@@ -78,7 +78,7 @@ def step_baking_ends_by_itself(window):
 
 
 def step_undo_brings_the_controls_back(window):
-    controls = _module(window, "bridge.controls")
+    controls = _module(window, "hand.controls")
     with window.override():
         bpy.ops.ed.undo()
     yield 0.5
@@ -110,7 +110,7 @@ def step_a_foreign_rig_shows_its_bones_and_what_is_missing(window):
 
 
 def step_pose_assets_are_made_and_shown(window):
-    library, folders = (_module(window, name) for name in ("bridge.pose_library", "bridge.folders"))
+    library, folders = (_module(window, name) for name in ("hand.pose_library", "folders"))
     hand = bpy.data.objects["Right Hand"]
     with window.override():
         bpy.ops.jghand.select_hand(uid=hand.session_uid)

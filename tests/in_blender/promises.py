@@ -70,7 +70,7 @@ def step_viewport_renders_have_no_hands_which_the_panel_says(window):
 
 
 def step_a_driver_that_refuses_is_a_sentence_and_recovers(window):
-    gpu_picture, views = window.module("bridge.gpu_picture"), window.module("bridge.views")
+    gpu_picture, views = window.module("viewport.drawing"), window.module("viewport.views")
     made = gpu_picture.GpuPicture.__init__
 
     def refused(*_):
@@ -95,7 +95,7 @@ def step_a_driver_that_refuses_is_a_sentence_and_recovers(window):
 
 
 def step_a_combined_picture_without_its_hands_is_not_written_and_says_why(window):
-    scene, guard = bpy.context.scene, window.module("bridge.guard")
+    scene, guard = bpy.context.scene, window.module("render.guard")
     scene.render.engine = "CYCLES"
     scene.cycles.samples = 1
     scene.render.resolution_x, scene.render.resolution_y = 160, 120
@@ -104,15 +104,15 @@ def step_a_combined_picture_without_its_hands_is_not_written_and_says_why(window
     window.call("jghand.combine_with_scene")
     _hand().scale.x = -1.0
     scene.render.filepath = str(window.out / "combined.png")
-    shown, popup = [], window.module("bridge.popup")
-    show = popup.show
-    popup.show = lambda text, **options: (shown.append(text), show(text, **options))
+    shown, interface = [], window.module("ui")
+    show = interface.show_message
+    interface.show_message = lambda text, **options: (shown.append(text), show(text, **options))
     try:
         with window.override():
             bpy.ops.render.render("INVOKE_DEFAULT", write_still=True)
         yield lambda: shown
     finally:
-        popup.show = show
+        interface.show_message = show
     assert "has no hands and is not written: Mirrored scale" in shown[0]
     assert not (window.out / "combined.png").exists()
     assert not guard._obstacles

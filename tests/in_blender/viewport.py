@@ -144,7 +144,7 @@ def step_an_orthographic_view_shows_it_too(window):
     window.redraw()
     yield 0.5
     yield lambda: _is_there(window)
-    assert not _part(window, ".bridge.views").problems()
+    assert not _part(window, ".viewport.views").problems()
     view.view_perspective = "PERSP"
     window.redraw()
     yield 0.3
@@ -174,7 +174,7 @@ def step_nothing_is_asked_while_nothing_changes(window):
     finally:
         del runtime.link().ask
     assert not asked
-    assert not _part(window, ".bridge.views").problems()  # what is raised while a view is drawn is only said there
+    assert not _part(window, ".viewport.views").problems()  # what is raised while a view is drawn is only said there
 
 
 def step_playing_shows_new_pictures_and_waits_no_longer_than_a_frame(window):
@@ -184,7 +184,12 @@ def step_playing_shows_new_pictures_and_waits_no_longer_than_a_frame(window):
     assert len(pictures) >= 3  # a software driver draws two frames a second
     _check_kept(waits, kept)
     print(
-        "JGHAND playing:", len(pictures), "pictures,", _part(window, ".bridge.views").late_frames(), "late", flush=True
+        "JGHAND playing:",
+        len(pictures),
+        "pictures,",
+        _part(window, ".viewport.views").late_frames(),
+        "late",
+        flush=True,
     )
 
 
@@ -197,7 +202,7 @@ def step_playing_goes_on_while_the_engine_hangs(window):
             yield from _play(window, 3.0)
         finally:
             os.kill(pid, signal.SIGCONT)
-    late = _part(window, ".bridge.views").late_frames()
+    late = _part(window, ".viewport.views").late_frames()
     _check_kept(waits, kept)
     assert len(waits) <= _part(window, ".core.limits").LATE_PATIENCE, "a hung engine is waited for again and again"
     assert late > len(waits)
@@ -276,7 +281,7 @@ def _begin(window):
 
 def _is_sharp(window) -> bool:
     """Whether every view has the best picture of what it wants."""
-    shown = _part(window, ".bridge.views").all_views()
+    shown = _part(window, ".viewport.views").all_views()
     paces = [view.pace for view in shown]
     return bool(paces) and all(
         p.grade == 2 and p.shown and p.shown.want == p.want and p.shown.grade == 2 for p in paces
@@ -299,7 +304,7 @@ def _switch(*, hand: bool = True, scene: bool = True) -> None:
 
 def _largest_difference(window) -> int:
     """Between the screen and the engine's picture, where that is opaque, of 255."""
-    (view,) = _part(window, ".bridge.views").all_views()
+    (view,) = _part(window, ".viewport.views").all_views()
     wanted = np.asarray(view.taken.message.arrays["rgba_u8"].view()).astype(int)
     region, part = window.region(), view.place.part
     top = window.window.height - (region.y + region.height)
@@ -313,7 +318,7 @@ def _draw_into_floats(window, written: list):
     """A draw handler that draws a picture of all 256 values and keeps what the shader wrote."""
     import gpu
 
-    textures, cropping = _part(window, ".bridge.gpu_picture"), _part(window, ".core.cropping")
+    textures, cropping = _part(window, ".viewport.drawing"), _part(window, ".core.cropping")
     rgba = np.zeros((256, 1, 4), np.uint8)
     rgba[..., 0], rgba[..., 3] = np.arange(256)[:, None], 255
 
@@ -354,8 +359,10 @@ def _watching(window):
     """Seconds that each call of ours keeps Blender's main thread, by its name; without those of making textures and
     drawing, which a software driver does on the same processor. Such a driver also needs longer for the scene than a
     view may wait after a new frame: here the frame is as new at each draw as with a quick one."""
-    sync, drawing, views = (_part(window, name) for name in (".bridge.sync", ".bridge.picture", ".bridge.views"))
-    clock = _part(window, ".bridge.clock")
+    sync, drawing, views = (
+        _part(window, name) for name in (".viewport.handlers", ".viewport.overlay", ".viewport.views")
+    )
+    clock = _part(window, ".clock")
     kept: dict[str, list[float]] = {"tick": [], "frame change": [], "draw": []}
     spent = [0.0]
 
@@ -412,7 +419,7 @@ def _check_kept(waits: list[float], kept: dict[str, list[float]]) -> None:
 
 def _watch_pictures(window) -> list[int]:
     """An entry for every picture that becomes textures from now on."""
-    textures, made = _part(window, ".bridge.gpu_picture"), []
+    textures, made = _part(window, ".viewport.drawing"), []
 
     class Watched(textures.GpuPicture):
         def __init__(self, rgba: np.ndarray, depth_m: np.ndarray) -> None:

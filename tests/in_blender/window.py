@@ -176,13 +176,13 @@ class Window:
             bpy.ops.file.execute("INVOKE_DEFAULT")
 
     def module(self, name: str) -> ModuleType:
-        """A module of the installed extension, such as `bridge.views`."""
+        """A module of the installed extension, such as `viewport.views`."""
         assert self.addon is not None
         return importlib.import_module(f"{self.addon.__name__}.{name}")
 
     def runtime(self) -> ModuleType:
         """The extension's module of that name, with the link to the engine."""
-        return self.module("runtime")
+        return self.module("renderer.runtime")
 
     def ready(self) -> Waits:
         """Waits until the engine runs; AssertionError says why it does not."""
@@ -193,7 +193,7 @@ class Window:
     def settle(self) -> Waits:
         """Waits until every view shows the picture that it wants in the end, and half a second more."""
         yield from self.ready()
-        views, pacing = self.module("bridge.views"), self.module("core.pacing")
+        views, pacing = self.module("viewport.views"), self.module("core.pacing")
         quiet = 0
 
         def rests() -> bool:

@@ -11,10 +11,11 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 
-from blender_addon.core import bone_maps, conventions, motion_conversion, motion_files, posing
+from blender_addon.core import bone_maps, conventions, posing
 from blender_addon.core import joints as extension
 from blender_addon.core import limits as extension_limits
-from blender_addon.core.messages import ADVICE
+from blender_addon.errors import ADVICE
+from blender_addon.hand import motion_conversion, motion_files
 from jghand_engine import limits
 from jghand_engine.errors import InputError, MemoryLimitError, RetryError
 from jghand_engine.hand.anatomy import RANGES_DEG

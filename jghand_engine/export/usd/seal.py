@@ -1,6 +1,6 @@
 """How one knows whether a layer is still as it was written.
 
-The extension knows text layers by the same comment (its core/export_stamp.py).
+The extension knows text layers by the same comment (its export/export_stamp.py).
 """
 
 from __future__ import annotations

@@ -1,0 +1,216 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What is saved with a scene about exports, bakes, captures and trainings: `scene.jghand.output`, `.training`."""
+
+from __future__ import annotations
+
+import bpy
+
+from ..core import limits
+from ..renderer.engine_words import USD_PRESETS
+from ..versions import has_native_splats, path_options
+
+FORMATS = (
+    ("usd", "USD", "One animated OpenUSD stage per hand: splats, points, skeleton and mesh", "NONE", 0),
+    ("ply", "PLY Sequence", "A file of Gaussian splats for every frame, in the common layout", "NONE", 1),
+    ("motion", "Motion File", "The 21 joints of every frame, for jghand and for Import Motion", "NONE", 2),
+)
+CHOICES = (
+    ("selected", "Selected", "The selected hands", "NONE", 0),
+    ("all", "All", "All hands of the view layer that are rendered", "NONE", 1),
+)
+VARIANTS = (
+    ("splats", "Splats", "For renderers that know Gaussian splats; others show points", "NONE", 0),
+    ("points", "Points", "For Blender and others that know no splats", "NONE", 1),
+    (
+        "points_skinned",
+        "Skinned Points",
+        "Points that follow the skeleton, without learned detail, for usdview",
+        "NONE",
+        3,
+    ),
+    ("mesh", "Mesh", "The skinned hand without learned detail, for every program", "NONE", 2),
+)
+PROGRAMS = (
+    ("generic", "Any Program", "Splats; programs without them show points", "NONE", 0),
+    ("omniverse", "Omniverse", "Splats", "NONE", 1),
+    ("usdview", "usdview", "Points that follow the skeleton, which its renderer draws without a plug-in", "NONE", 2),
+    ("blender", "Blender", "Points, or splats where this Blender draws them", "NONE", 3),
+    ("houdini", "Houdini", "Points whose width is two standard deviations", "NONE", 4),
+)
+SIZES = (
+    ("constant", "Constant", "Radii of the mean hand", "NONE", 0),
+    ("per_frame", "Per Frame", "Radii of every frame, in larger files", "NONE", 1),
+)
+RADIANCES = (
+    ("srgb", "As Seen", "Colors as a screen shows them, for most viewers", "NONE", 0),
+    ("linear", "Linear Light", "Colors as light, for path tracers", "NONE", 1),
+)
+AXES = (
+    ("rdf", "Viewers", "X right, Y down, Z forward, as splat viewers expect it", "NONE", 0),
+    ("rub", "Y Up", "X right, Y up, Z towards the viewer", "NONE", 1),
+)
+TRAINING_PRESETS = (
+    ("default", "Default", "JGHand's best", "NONE", 0),
+    ("paper-faithful", "Paper", "As close to the paper as it says; slower", "NONE", 1),
+)
+# as jghand_engine names them; a test compares
+IDENTITIES = (
+    ("slim_woman", "Slim Woman", "Narrow, with slender fingers", "NONE", 0),
+    ("big_man", "Big Man", "Large and broad", "NONE", 1),
+    ("old_person", "Old Person", "The shape of a hand at great age", "NONE", 2),
+    ("adult_man", "Adult Man", "Of middle size", "NONE", 3),
+    ("adult_woman", "Adult Woman", "Of middle size, narrower", "NONE", 4),
+    ("child", "Child", "Small, with short fingers", "NONE", 5),
+    ("long_fingers", "Long Fingers", "A palm of middle size with long fingers", "NONE", 6),
+)
+
+
+def _suit_program(settings: bpy.types.PropertyGroup, _context: bpy.types.Context) -> None:
+    """Sets what the chosen program wants; both stay in sight and may be changed."""
+    variant, width_factor = USD_PRESETS[settings.program]
+    settings.variant = "splats" if settings.program == "blender" and has_native_splats() else variant
+    settings.width_factor = width_factor
+
+
+class JGHandOutputSettings(bpy.types.PropertyGroup):
+    """`scene.jghand.output`: what is written, and where."""
+
+    format: bpy.props.EnumProperty(name="Format", description="What Export writes", items=FORMATS, default="usd")  # type: ignore[valid-type]
+    folder: bpy.props.StringProperty(
+        name="Folder",
+        description="Where exports are written; // is the folder of this file, {blend_name} its name",
+        subtype="DIR_PATH",
+        options=path_options(),
+        default="//jghand_export/{blend_name}",
+    )  # type: ignore[valid-type]
+    bake_folder: bpy.props.StringProperty(
+        name="Bake Folder",
+        description="Where bakes are written, a folder for each hand; // is the folder of this file, "
+        "{blend_name} its name",
+        subtype="DIR_PATH",
+        options=path_options(),
+        default="//jghand_bake/{blend_name}",
+    )  # type: ignore[valid-type]
+    use_cache: bpy.props.BoolProperty(
+        name="For Blender without USD",
+        description="Also bake frames that this extension plays where Blender was built without USD, as some Linux "
+        "distributions do it. Doubles the size",
+    )  # type: ignore[valid-type]
+    hands: bpy.props.EnumProperty(
+        name="Hands", description="Which hands are written", items=CHOICES, default="selected"
+    )  # type: ignore[valid-type]
+    use_scene_range: bpy.props.BoolProperty(
+        name="Scene Range", description="Write the frames of the scene, or of its preview range", default=True
+    )  # type: ignore[valid-type]
+    frame_start: bpy.props.IntProperty(name="Start", description="First frame that is written", default=1)  # type: ignore[valid-type]
+    frame_end: bpy.props.IntProperty(name="End", description="Last frame that is written", default=250)  # type: ignore[valid-type]
+    program: bpy.props.EnumProperty(
+        name="For",
+        description="The program that will read the stage: sets what is shown first and the size of points",
+        items=PROGRAMS,
+        default="generic",
+        update=_suit_program,
+    )  # type: ignore[valid-type]
+    variant: bpy.props.EnumProperty(
+        name="Shown as",
+        description="What a program shows that cannot choose between splats, points and mesh; all are written",
+        items=VARIANTS,
+        default="splats",
+    )  # type: ignore[valid-type]
+    sizes: bpy.props.EnumProperty(
+        name="Splat Sizes", description="Whether radii follow every frame", items=SIZES, default="constant"
+    )  # type: ignore[valid-type]
+    radiance: bpy.props.EnumProperty(
+        name="Colors", description="What the splats' colors mean", items=RADIANCES, default="srgb"
+    )  # type: ignore[valid-type]
+    width_factor: bpy.props.FloatProperty(
+        name="Point Size",
+        description="Diameter of the points, in two standard deviations of a splat: more closes gaps between them",
+        default=USD_PRESETS["generic"][1],
+        min=0.1,
+        soft_max=4.0,
+        max=100.0,
+    )  # type: ignore[valid-type]
+    bake_width_factor: bpy.props.FloatProperty(
+        name="Point Size",
+        description="Diameter of the baked points, in two standard deviations of a splat: more closes gaps between "
+        "them",
+        default=limits.POINT_WIDTH_FACTOR,
+        min=0.1,
+        soft_max=4.0,
+        max=100.0,
+    )  # type: ignore[valid-type]
+    replace_others: bpy.props.BoolProperty(
+        name="Replace Others",
+        description="Write over exports of the same name that another file, or another hand of this one, has made, and "
+        "over USD layers that somebody has changed. Its own exports are replaced as long as nobody has",
+    )  # type: ignore[valid-type]
+    axes: bpy.props.EnumProperty(name="Axes", description="Axes of the numbers in PLY files", items=AXES, default="rdf")  # type: ignore[valid-type]
+
+
+class JGHandTrainingSettings(bpy.types.PropertyGroup):
+    """`scene.jghand.training`: the training set, and what is learned from it."""
+
+    capture_folder: bpy.props.StringProperty(
+        name="Training Set",
+        description="Folder of the pictures to learn from: one that Render Training Set made, InterHand2.6M or HanCo",
+        subtype="DIR_PATH",
+        options=path_options(),
+        default="//jghand_capture",
+    )  # type: ignore[valid-type]
+    identity: bpy.props.EnumProperty(
+        name="Whose Hand", description="The rigged hand that is rendered", items=IDENTITIES, default="adult_man"
+    )  # type: ignore[valid-type]
+    cameras: bpy.props.IntProperty(
+        name="Cameras", description="Views of every pose", default=16, min=1, soft_max=64, max=256
+    )  # type: ignore[valid-type]
+    poses: bpy.props.IntProperty(
+        name="Poses", description="How many poses are made up", default=60, min=1, soft_max=500, max=100000
+    )  # type: ignore[valid-type]
+    use_motion: bpy.props.BoolProperty(
+        name="Poses of Active Hand",
+        description="Take the poses from the active hand's animation over the frames of the export, instead",
+    )  # type: ignore[valid-type]
+    size: bpy.props.IntVectorProperty(
+        name="Resolution",
+        description="Width and height of the pictures",
+        size=2,
+        default=(334, 512),
+        min=16,
+        max=8192,
+    )  # type: ignore[valid-type]
+    samples: bpy.props.IntProperty(
+        name="Samples", description="Rays per pixel; noise is filtered away", default=16, min=1, soft_max=256, max=4096
+    )  # type: ignore[valid-type]
+    seed: bpy.props.IntProperty(name="Seed", description="Of poses, cameras and the training", default=0, min=0)  # type: ignore[valid-type]
+    avatar_file: bpy.props.StringProperty(
+        name="Avatar",
+        description="The file of the avatar that is learned",
+        subtype="FILE_PATH",
+        options=path_options(),
+        default="//my_hand.jghand",
+    )  # type: ignore[valid-type]
+    preset: bpy.props.EnumProperty(
+        name="Preset", description="What is learned, and how", items=TRAINING_PRESETS, default="default"
+    )  # type: ignore[valid-type]
+    time_s: bpy.props.FloatProperty(
+        name="Time",
+        description="How long to train, all sessions together",
+        default=3600.0,
+        min=6.0,
+        soft_max=36000.0,
+        step=6000,  # hundredths: the arrows beside it count minutes
+        precision=1,
+        subtype="TIME_ABSOLUTE",
+        unit="TIME_ABSOLUTE",
+    )  # type: ignore[valid-type]
+    all_pictures: bpy.props.BoolProperty(
+        name="All Pictures",
+        description="Learn from the pictures too that are held out to judge by: for an avatar that is used",
+    )  # type: ignore[valid-type]
+    overwrite: bpy.props.BoolProperty(
+        name="Overwrite", description="Replace the avatar's file even if it is not of this training", default=False
+    )  # type: ignore[valid-type]
+
+
+CLASSES = (JGHandOutputSettings, JGHandTrainingSettings)

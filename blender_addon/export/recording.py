@@ -1,0 +1,185 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A hand over a range of frames, as the scene has it: what is exported and baked. Does not use bpy.
+
+Joints are in the world of the scene, in meters, with z up, as Blender has it.
+"""
+
+from __future__ import annotations
+
+import functools
+import hashlib
+import re
+import shutil
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..core import limits
+from ..core.panel_text import Translate
+from ..core.view import SHIPPED_AVATARS
+from ..errors import JGHandFailure
+from ..hand.motion_files import MotionFile, write_motion
+
+# names that Windows keeps for devices, whatever follows after a dot
+_RESERVED = {"CON", "PRN", "AUX", "NUL", *(f"{port}{number}" for port in ("COM", "LPT") for number in range(10))}
+# bytes of one Gaussian and frame; as jghand_engine/export/usd/export.py and ply.py write them
+_PLY_BYTES, _CACHE_BYTES = 68, 32
+_POSITION_BYTES, _SIZE_BYTES, _COLOR_BYTES = 12, 16, 24
+
+
+@dataclass(frozen=True)
+class Recording:
+    """name: stem of files, unique among those of one export · handedness · avatar: an absolute path or a shipped name ·
+    joints_m: (F, 21, 3) float64, standard order, meters, in the world, z up · first_frame: of the scene · fps ·
+    source: name of the object whose hand it is."""
+
+    name: str
+    handedness: str
+    avatar: str
+    joints_m: np.ndarray
+    first_frame: int
+    fps: float
+    source: str = ""
+
+    @property
+    def frames(self) -> range:
+        """The scene's frames."""
+        return range(self.first_frame, self.first_frame + len(self.joints_m))
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the joints as the engine stamps its exports with: float32, little-endian, standard order."""
+        return hashlib.sha256(self.joints_m.astype("<f4").tobytes()).hexdigest()
+
+    def save(self, path: Path) -> None:
+        """Writes a motion file. JGHandFailure: cannot_write, disk_full."""
+        write_motion(path, MotionFile(self.joints_m, self.fps, self.handedness))
+
+
+def file_names(names: Sequence[str]) -> list[str]:
+    """Names that file systems and USD accept, for names of objects; those that would be the same get numbers.
+
+    Letters beyond ASCII become a hash of the whole name: two such names are never one, also in exports of another day.
+    """
+    taken: set[str] = set()
+    result = []
+    for name in names:
+        stem = re.sub(r"\W", "_", name, flags=re.ASCII).strip("_") or "hand"
+        stem = f"_{stem}" if stem[0].isdigit() else stem
+        if stem.upper() in _RESERVED:
+            stem += "_"
+        if not name.isascii():
+            stem += "_" + hashlib.sha256(name.encode()).hexdigest()[:8]
+        chosen, number = stem, 2
+        while chosen.casefold() in taken:
+            chosen, number = f"{stem}_{number}", number + 1
+        taken.add(chosen.casefold())
+        result.append(chosen)
+    return result
+
+
+def avatar_digest(avatar: str) -> str:
+    """What tells avatars apart: SHA-256 of a file, the name of one that the engine brings along."""
+    path = Path(avatar)
+    if avatar in SHIPPED_AVATARS or not path.is_file():
+        return avatar
+    about = path.stat()
+    return _file_digest(path, about.st_mtime_ns, about.st_size)
+
+
+@functools.lru_cache(maxsize=32)
+def _file_digest(path: Path, _changed_ns: int, _size: int) -> str:
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+@dataclass(frozen=True)
+class SizeEstimate:
+    """bytes: of all files together · free: of the disk, None where that is not known."""
+
+    bytes: int
+    free: int | None
+
+    @property
+    def fits(self) -> bool:
+        """Whether there is room for it."""
+        return self.free is None or self.bytes < self.free
+
+    def sentence(self, translate: Translate = str) -> str:
+        """For a panel."""
+        if self.free is None or self.fits:
+            return translate("Up to {size}").format(size=readable(self.bytes))
+        template = translate("Up to {size}, and only {free} are free")
+        return template.format(size=readable(self.bytes), free=readable(self.free))
+
+
+@dataclass(frozen=True)
+class Written:
+    """What is written of every frame. ply: PLY files instead of USD · sizes: radii in every frame of USD · cache: also
+    frames for Blenders without USD."""
+
+    ply: bool = False
+    sizes: bool = False
+    cache: bool = False
+
+    def bytes(self, gaussians: int, frames: int, *, learned: bool) -> int:
+        """Size of one hand at most: frames that are alike are stored once. learned: whether its colors change with the
+        pose, as a trained avatar's do."""
+        if self.ply:
+            return gaussians * frames * _PLY_BYTES
+        sample = _POSITION_BYTES + _SIZE_BYTES * self.sizes + _COLOR_BYTES * learned
+        still = gaussians * (limits.USD_STATIC_GAUSSIAN_BYTES + _COLOR_BYTES * (not learned)) + limits.USD_STATIC_BYTES
+        return gaussians * (frames + 1) * sample + still + gaussians * frames * _CACHE_BYTES * self.cache
+
+
+def estimate(folder: Path | None, hands: Sequence[tuple[int, bool]], frames: int, written: Written) -> SizeEstimate:
+    """What an export takes at most. hands: of each, how many Gaussians it has and whether it is learned."""
+    size = sum(written.bytes(gaussians, frames, learned=learned) for gaussians, learned in hands)
+    free = None
+    while folder is not None and not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    if folder is not None and folder.exists():
+        try:
+            free = shutil.disk_usage(folder).free
+        except OSError:
+            free = None
+    return SizeEstimate(size, free)
+
+
+def readable(size: float) -> str:
+    """`720 kB`, `46 MB`, `1.3 GB`."""
+    for unit, factor in (("GB", 1e9), ("MB", 1e6)):
+        if size >= factor:
+            value = size / factor
+            return f"{value:.1f} {unit}" if value < 9.95 else f"{value:.0f} {unit}"
+    return f"{size / 1e3:.0f} kB"
+
+
+def with_file_name(folder: str, blend: str) -> str:
+    """A folder of the settings with the stem of the opened file for its `{blend_name}`: files of one folder share
+    their settings' defaults, and must not write over each other."""
+    return folder.replace("{blend_name}", Path(blend).stem or "untitled")
+
+
+def remove_beyond(folder: Path, name: str, frames: range) -> None:
+    """Removes numbered PLY files of this name that are not of these frames: left over from a longer export.
+
+    JGHandFailure: cannot_write.
+    """
+    for path in folder.glob("*.ply"):
+        match = re.fullmatch(re.escape(name) + r"\.(-?\d{4,})\.ply", path.name)
+        if match is not None and int(match[1]) not in frames:
+            try:
+                path.unlink()
+            except OSError as error:
+                raise JGHandFailure("cannot_write", f"{path}: {error.strerror or error}") from error
+
+
+def check_place(folder: str, *, saved: bool) -> None:
+    """JGHandFailure (no_place) for no folder, and for one beside a file that has no place yet."""
+    if not folder.strip():
+        raise JGHandFailure("no_place", "no folder is chosen")
+    if folder.startswith("//") and not saved:
+        raise JGHandFailure("no_place", "the folder is beside the file, and that was never saved")

@@ -1,0 +1,231 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Blender's own USD export gets the baked splats of the scene's hands.
+
+Blender calls the hook with its stage when everything else is written. The splats come from the bake of each hand, made
+by the engine before: its layers are put into a folder beside the exported file and referenced. A hand without a bake,
+or with one of another pose or avatar, is left out and that is said. Nothing here may ever throw: Blender would end the
+process.
+
+Only registered where Blender's `pxr` can be imported, for the same reason. No reference to a stage outlives a call: USD
+refuses to write a file whose layer somebody holds. Source: BLENDER 9.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import sys
+import traceback
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import bpy
+from bpy.app.translations import pgettext_iface as iface_
+
+from .. import ui
+from ..errors import JGHandFailure
+from ..hand import armature, sources
+from ..hand.seen_hands import avatar_of
+from ..render.batch import copy_whole
+from . import bake_folders, bakes
+
+SPLAT_TYPE = "ParticleField3DGaussianSplat"
+# what the last export did and did not, in sentences, for the panel and the operator
+notes: list[str] = []
+_LEFT_OUT = "left out"
+# an operator of ours exports, and tells the notes itself
+_is_told = False
+# Blender's own export runs on a thread of its own: it notes the sentence, the timer on the main thread shows it
+_pending = ""
+
+
+class JGHandUsdHook(getattr(bpy.types, "USDHook", object)):  # a Blender may be built without USD
+    """The hook; see the module."""
+
+    bl_idname = "jghand_usd_hook"
+    bl_label = "JGHand Splats"
+    bl_description = "Add the baked splats of JGHand hands to Blender's USD exports"
+
+    @staticmethod
+    def on_export(export_context: Any) -> bool:
+        """Blender's entry, at the end of an export."""
+        global _pending
+        notes.clear()
+        try:
+            notes.extend(add_splats(export_context.get_stage(), export_context.get_depsgraph()))
+        except Exception as error:
+            # anything else that left here would take Blender and the artist's scene with it
+            traceback.print_exc()
+            notes.append(f"The splats were {_LEFT_OUT}: {error}")
+        text = " ".join(left_out())
+        if text and not _is_told:
+            if bpy.app.background:
+                print(f"JGHand: {text}", file=sys.stderr, flush=True)
+            else:
+                _pending = text
+        return True
+
+
+def left_out() -> list[str]:
+    """What the last export left out, in sentences."""
+    return [note for note in notes if _LEFT_OUT in note]
+
+
+@contextlib.contextmanager
+def told_by_us() -> Iterator[None]:
+    """Who exports meanwhile tells what was left out, so that nobody else has to."""
+    global _is_told
+    _is_told = True
+    try:
+        yield
+    finally:
+        _is_told = False
+
+
+def show() -> None:
+    """Shows what Blender's own export left out, if anything; for the timer."""
+    global _pending
+    if _pending:
+        text, _pending = _pending, ""
+        ui.show_message(f"{iface_('Not all hands are in the USD file.')} {text}", icon="ERROR")
+
+
+def forget() -> None:
+    """Another file was opened."""
+    global _pending
+    _pending = ""
+    notes.clear()
+
+
+def add_splats(stage: Any, depsgraph: bpy.types.Depsgraph) -> list[str]:
+    """Puts the baked hands of a scene on Blender's stage; returns what was done and what was not, in sentences."""
+    whole = Path(stage.GetRootLayer().realPath)
+    target = whole.with_name(f"{whole.stem}_jghand")
+    said = []
+    for thing in depsgraph.scene.objects:
+        if not armature.is_any_hand(thing) or not _is_exported(stage, thing):
+            continue
+        try:
+            for hand, folder in usable_bakes(thing, depsgraph):
+                _bring_layers(hand, folder, target)
+                _reference(stage, hand, depsgraph.scene, target.name)
+                said.append(f"{hand.name}: {hand.gaussians} splats, frames {hand.first_frame} to {_last(hand)}.")
+        except JGHandFailure as failure:
+            said.append(f"{thing.name}: {_LEFT_OUT}. {failure}")
+    return said
+
+
+def _is_exported(stage: Any, thing: bpy.types.Object) -> bool:
+    """Whether Blender wrote an object at all: selected ones only may have been asked for."""
+    from pxr import Tf
+
+    names = {thing.name, Tf.MakeValidIdentifier(thing.name)}
+    return any(prim.GetName() in names for prim in stage.Traverse())
+
+
+def usable_bakes(thing: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> list[tuple[bakes.BakedHand, Path]]:
+    """The bakes of a hand's object and their folder, when they still show it. JGHandFailure: no_bake, stale_bake.
+
+    Looked at are the avatar and the pose of the frame that is evaluated; going through all frames would take the time
+    of a bake.
+    """
+    if not thing.jghand.bake:
+        raise JGHandFailure("no_bake", f"{thing.name} was not baked")
+    folder = bake_folders.bake_folder(thing)
+    found = bakes.read_bake(folder)
+    now = {hand.handedness: hand.joints_world_m for hand in sources.read_hands(thing, depsgraph)}
+    reasons = []
+    for hand in found:
+        reasons += bakes.stale_reasons(hand, avatar=avatar_of(thing))
+        joints_m = now.get(hand.handedness)
+        if joints_m is not None and bakes.moved_at(hand, folder, depsgraph.scene.frame_current_final, joints_m):
+            reasons.append("the hand moves in another way")
+    if reasons:
+        raise JGHandFailure("stale_bake", f"{thing.name}: {', '.join(dict.fromkeys(reasons))}")
+    return [(hand, folder) for hand in found]
+
+
+def _last(hand: bakes.BakedHand) -> int:
+    return hand.first_frame + hand.frames - 1
+
+
+def _bring_layers(hand: bakes.BakedHand, folder: Path, target: Path) -> None:
+    """Copies of the layers in a folder beside the exported file, so that both can be given away."""
+    try:
+        target.mkdir(exist_ok=True)
+    except OSError as error:
+        raise JGHandFailure("cannot_write", f"{target}: {error.strerror or error}") from error
+    # layers first, then the one that refers to them; a hand's name has no dot in it
+    for source in (*sorted(folder.glob(f"{hand.name}.*.usdc")), hand.stage(folder)):
+        copy = target / source.name
+        try:
+            if copy.exists() and (copy.samefile(source) or _same(source, copy)):
+                continue
+        except OSError as error:
+            raise JGHandFailure("cannot_write", f"{copy}: {error.strerror or error}") from error
+        # a disk that is full must not leave half a layer of an earlier export
+        copy_whole(source, copy)
+
+
+def _same(source: Path, copy: Path) -> bool:
+    """Whether a copy is of this very file: size and time, which copies keep."""
+    one, other = source.stat(), copy.stat()
+    return (one.st_size, int(one.st_mtime)) == (other.st_size, int(other.st_mtime))
+
+
+def _reference(stage: Any, hand: bakes.BakedHand, scene: bpy.types.Scene, folder: str) -> None:
+    """One prim under Blender's own root, so that it is turned and scaled as everything else is."""
+    from pxr import Gf, UsdGeom, Vt
+
+    unit_m = scene.unit_settings.scale_length
+    root = stage.GetDefaultPrim()
+    turn = Gf.Matrix4d(1.0)
+    if root and "Blender" in root.GetCustomData():
+        path = root.GetPath().AppendChild(hand.name)
+        scale = 1.0 / unit_m
+    else:
+        # an export without a root: every object carries the turn and the unit itself
+        path = f"/{hand.name}"
+        scale = 1.0 / UsdGeom.GetStageMetersPerUnit(stage)
+        if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.y:
+            turn.SetRotate(Gf.Rotation(Gf.Vec3d(1, 0, 0), -90))
+    if stage.GetPrimAtPath(path):
+        path = f"{path}_splats"
+    prim = UsdGeom.Xform.Define(stage, path)
+    prim.AddTransformOp().Set(Gf.Matrix4d(1.0).SetScale(scale) * turn)
+    prim.GetPrim().GetReferences().AddReference(f"./{folder}/{hand.name}.usda")
+    variants = prim.GetPrim().GetVariantSets().GetVariantSet("representation")
+    # a bake of an older engine may lack it, and would show nothing
+    if scene.jghand.output.variant in variants.GetVariantNames():
+        variants.SetVariantSelection(scene.jghand.output.variant)
+    # read from the root layer only: without it a USD that knows no splats shows nothing
+    stage.SetMetadata("fallbackPrimTypes", {SPLAT_TYPE: Vt.TokenArray(["Points"])})
+    if not stage.HasAuthoredTimeCodeRange():  # a still was exported: Blender wrote no times
+        stage.SetStartTimeCode(hand.first_frame)
+        stage.SetEndTimeCode(_last(hand))
+        stage.SetTimeCodesPerSecond(hand.fps)
+
+
+def can_hook() -> bool:
+    """Whether this Blender's USD can be reached from Python; makes it so."""
+    if not hasattr(bpy.types, "USDHook"):
+        return False
+    try:
+        bpy.utils.expose_bundled_modules()
+        from pxr import Usd  # noqa: F401 - what a hook's stage is made of
+    except (ImportError, AttributeError):
+        return False
+    return True
+
+
+def register() -> None:
+    """Adds the hook where it can work."""
+    if can_hook():
+        bpy.utils.register_class(JGHandUsdHook)
+
+
+def unregister() -> None:
+    """Takes it away."""
+    if JGHandUsdHook.is_registered:
+        bpy.utils.unregister_class(JGHandUsdHook)
+    forget()

@@ -1,0 +1,238 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""One armature per hand: building it, finding it, and reading its 21 joints.
+
+A bone's **head** is the joint of the bone's name. The rest pose is an open, relaxed hand, as an animator expects: when
+it is made for a motion it has that motion's median bone lengths, so that the keys are rotations and the hand can be
+posed by hand afterwards without changing its size. Fingers hang unconnected on each other, because a connected bone
+ignores the location keys that changing bone lengths need; their location is locked against stray grabs instead.
+Source: BLENDER 6.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator
+
+import bpy
+import numpy as np
+from mathutils import Vector
+
+from .. import versions
+from ..core import limits, posing
+from ..core.joints import HANDEDNESSES, NAMES, PARENTS, TAILS, TIPS, WRIST
+from ..core.view import HandInSpace
+from ..errors import JGHandFailure
+
+# custom property of the armature object: which hand it is; an armature that has it is a hand
+HANDEDNESS_PROPERTY = "jghand_handedness"
+# custom properties of a foreign armature, one bone map per hand, and of an empty that stands for 21 objects (`sources`)
+MAP_PROPERTIES = {side: f"jghand_bone_map_{side}" for side in HANDEDNESSES}
+OBJECT_PROPERTIES = {name: f"jghand_joint_{name}" for name in NAMES}
+
+
+def build_armature(context: bpy.types.Context, name: str, joints_m: np.ndarray, handedness: str) -> bpy.types.Object:
+    """A new armature in the context's scene with these (21, 3) joints at rest, meters in the object's space.
+
+    `posing.rest_joints_m` gives joints to start from. Object transforms are identity; the scene's unit is honored.
+    """
+    matrices = posing.rest_matrices(np.asarray(joints_m), handedness)
+    unit_m = context.scene.unit_settings.scale_length
+    armature = bpy.data.armatures.new(name)
+    armature.display_type = "STICK"  # thicker bones hide the hand that is drawn on them
+    hand = bpy.data.objects.new(name, armature)
+    hand[HANDEDNESS_PROPERTY] = handedness
+    hand.id_properties_ui(HANDEDNESS_PROPERTY).update(description="Which hand this armature is: right or left")
+    hand.show_in_front = True
+    context.scene.collection.objects.link(hand)
+    with edit_mode(context, hand):
+        _add_bones(armature, matrices, unit_m)
+    for place, bone in enumerate(armature.bones):
+        bone.use_deform = place not in TIPS
+    for bone_name, parent in zip(NAMES, PARENTS, strict=True):
+        bone = hand.pose.bones[bone_name]
+        bone.rotation_mode = "QUATERNION"
+        bone.lock_location = (parent > WRIST,) * 3
+    return hand
+
+
+def evaluated_hands(depsgraph: bpy.types.Depsgraph) -> list[bpy.types.Object]:
+    """The hands that Blender evaluated for a render, by name, as it evaluated them: those that take part in it at the
+    frame of the depsgraph, and those whose visibility is animated.
+
+    A render has a thread of its own and data of its own, in which what is not rendered is not there; of the file's data
+    nothing is read here, for meanwhile the artist may delete objects.
+    """
+    things = [thing for thing in depsgraph.view_layer_eval.objects if thing is not None and is_any_hand(thing)]
+    return sorted(things, key=name_in_files)
+
+
+def name_in_files(thing: bpy.types.Object) -> tuple[str, str]:
+    """What an object is known by: its name, and the file that it is linked from, "" for the opened one."""
+    return thing.name, thing.library.filepath if thing.library is not None else ""
+
+
+def hands_at_any_frame(view_layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
+    """The hands of a view layer that take part in renders now or, being animated so, at another frame, by name."""
+    return [hand for hand in _hands_of(view_layer) if not hand.hide_render or _is_animated(hand, "hide_render")]
+
+
+def is_hand(thing: bpy.types.Object) -> bool:
+    """Whether an object is an armature that says which hand it is."""
+    return thing.type == "ARMATURE" and HANDEDNESS_PROPERTY in thing
+
+
+def is_foreign(thing: bpy.types.Object) -> bool:
+    """Whether an object is a foreign armature with a bone map, or stands for 21 objects."""
+    marks = MAP_PROPERTIES.values() if thing.type == "ARMATURE" else OBJECT_PROPERTIES.values()
+    return not is_hand(thing) and any(mark in thing for mark in marks)
+
+
+def is_any_hand(thing: bpy.types.Object) -> bool:
+    """Whether hands are drawn on an object, ours or not."""
+    return is_hand(thing) or is_foreign(thing)
+
+
+def parts_of(thing: bpy.types.Object) -> list[bpy.types.Object]:
+    """What has to be evaluated for a hand: the object itself, and the objects that it stands for."""
+    joints = [thing.get(mark) for mark in OBJECT_PROPERTIES.values()]
+    return [thing, *(joint for joint in joints if joint is not None)]
+
+
+def evaluated_object(thing: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> bpy.types.Object:
+    """The evaluated object. One that Blender did not evaluate would show a stale pose: JGHandFailure (hidden)."""
+    evaluated = thing.evaluated_get(depsgraph)
+    if not evaluated.is_evaluated:
+        raise JGHandFailure("hidden", thing.name)
+    return evaluated
+
+
+def handedness_of(hand: bpy.types.Object) -> str:
+    """ "right" or "left"; JGHandFailure (not_a_hand) for an armature that does not say."""
+    handedness = hand.get(HANDEDNESS_PROPERTY)
+    if handedness not in HANDEDNESSES:
+        raise JGHandFailure("not_a_hand", f"{hand.name}: {HANDEDNESS_PROPERTY} is {handedness!r}")
+    return handedness
+
+
+def read_hand(hand: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> HandInSpace:
+    """The 21 joints of the *evaluated* armature (constraints, drivers and IK included), in meters.
+
+    Hand space is the object's place and rotation without its scale: M = R S by polar decomposition; scale and shear
+    act on the joints, never on what is drawn. Raises JGHandFailure: not_a_hand, mirrored, zero_scale, hidden.
+    """
+    evaluated = evaluated_object(hand, depsgraph)
+    return in_hand_space(evaluated, _heads(evaluated), handedness_of(hand), depsgraph.scene)
+
+
+def heads_of(hand: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> np.ndarray:
+    """(21, 3) evaluated bone heads of our armature in its own space and unit, standard order."""
+    return _heads(evaluated_object(hand, depsgraph))
+
+
+def in_hand_space(
+    evaluated: bpy.types.Object, joints: np.ndarray, handedness: str, scene: bpy.types.Scene
+) -> HandInSpace:
+    """(21, 3) joints in the space and unit of an evaluated object -> the hand. Raises JGHandFailure: mirrored,
+    zero_scale."""
+    unit_m = scene.unit_settings.scale_length
+    world = np.array(evaluated.matrix_world, dtype=np.float64)
+    linear = world[:3, :3]
+    _check_scale(linear, evaluated.name)
+    rotation = posing.polar_rotation(linear)
+    world_from_hand = np.eye(4)
+    world_from_hand[:3, :3], world_from_hand[:3, 3] = rotation, unit_m * world[:3, 3]
+    return HandInSpace(handedness, unit_m * joints @ (rotation.T @ linear).T, world_from_hand)
+
+
+def at_frame(scene: bpy.types.Scene, frame: float) -> bpy.types.Depsgraph:
+    """Moves the scene to a frame, whole or not, and returns what Blender evaluated there."""
+    whole = int(np.floor(frame))
+    scene.frame_set(whole, subframe=frame - whole)
+    return bpy.context.evaluated_depsgraph_get()
+
+
+def _hands_of(view_layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
+    hands = {  # names are no keys: a linked hand may have the name of one of this file
+        thing.session_uid: thing
+        for collection in _rendered_collections(view_layer.layer_collection)
+        for thing in collection.objects
+        if is_any_hand(thing)
+    }
+    return sorted(hands.values(), key=lambda hand: (hand.name, hand.library is not None, hand.session_uid))
+
+
+def _is_animated(thing: bpy.types.Object, data_path: str) -> bool:
+    drivers = thing.animation_data.drivers if thing.animation_data else ()
+    return any(curve.data_path == data_path for curve in (*versions.fcurves(thing), *drivers))
+
+
+def _rendered_collections(layer: bpy.types.LayerCollection) -> Iterator[bpy.types.Collection]:
+    """The collections below `layer` that are neither excluded nor disabled in renders."""
+    if layer.exclude or layer.collection.hide_render:
+        return
+    yield layer.collection
+    for child in layer.children:
+        yield from _rendered_collections(child)
+
+
+def _heads(evaluated: bpy.types.Object) -> np.ndarray:
+    """(21, 3) bone heads in the armature's space and unit, standard order, whatever other bones there are."""
+    if evaluated.pose is None:
+        raise JGHandFailure("not_a_hand", f"{evaluated.name} is no armature")
+    bones = evaluated.pose.bones
+    places = [bones.find(name) for name in NAMES]
+    missing = [name for name, place in zip(NAMES, places, strict=True) if place < 0]
+    if missing:
+        raise JGHandFailure("not_a_hand", f"{evaluated.name} has no bone {', '.join(missing)}")
+    heads = np.empty((len(bones), 3), np.float32)
+    bones.foreach_get("head", heads.ravel())
+    return heads[places].astype(np.float64)
+
+
+def _check_scale(linear: np.ndarray, name: str) -> None:
+    size = np.linalg.norm(linear, axis=0)
+    if size.min() <= 0 or abs(np.linalg.det(linear / size)) < limits.SCALE_MIN or size.min() < limits.SCALE_MIN:
+        raise JGHandFailure("zero_scale", name)
+    if np.linalg.det(linear) < 0:
+        raise JGHandFailure("mirrored", name)
+
+
+def _add_bones(armature: bpy.types.Armature, matrices: np.ndarray, unit_m: float) -> None:
+    heads = matrices[:, :3, 3] / unit_m
+    for place, name in enumerate(NAMES):
+        bone = armature.edit_bones.new(name)
+        tail = TAILS[place]
+        along = matrices[place, :3, 1]
+        bone.head = Vector(heads[place])
+        bone.tail = Vector(heads[tail] if tail >= 0 else heads[place] + along * limits.TIP_BONE_M / unit_m)
+        bone.align_roll(Vector(matrices[place, :3, 2]))
+        bone.use_connect = False
+        if PARENTS[place] >= 0:
+            bone.parent = armature.edit_bones[NAMES[PARENTS[place]]]
+
+
+@contextlib.contextmanager
+def edit_mode(context: bpy.types.Context, thing: bpy.types.Object) -> Iterator[None]:
+    """Edit mode of one object; what was active before is active again afterwards, in the mode that it was in."""
+    layer = context.view_layer
+    before = layer.objects.active
+    mode = before.mode if before is not None else "OBJECT"
+    if mode != "OBJECT":
+        bpy.ops.object.mode_set(mode="OBJECT")
+    layer.objects.active = thing
+    bpy.ops.object.mode_set(mode="EDIT")
+    try:
+        yield
+    finally:
+        bpy.ops.object.mode_set(mode="OBJECT")
+        layer.objects.active = before
+        if mode != "OBJECT":
+            bpy.ops.object.mode_set(mode=mode)
+
+
+def rest_matrices_of(hand: bpy.types.Object) -> np.ndarray:
+    """(21, 4, 4) rest matrices as Blender keeps them, in the armature's space and unit, standard order."""
+    bones = hand.data.bones
+    if any(name not in bones for name in NAMES):
+        raise JGHandFailure("not_a_hand", f"{hand.name} has not all 21 bones")
+    return np.array([np.array(bones[name].matrix_local) for name in NAMES], dtype=np.float64)

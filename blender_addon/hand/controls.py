@@ -1,0 +1,370 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Finger controls on our armature: curl, spread, fist, splay, tips that are held in place, and joint limits.
+
+All of it is bones and constraints in front of the 21 bones: no driver, no Python, so a file with controls needs no
+permission to run scripts, and renders alike on every machine. The 21 bones keep their keys; the controls turn them
+further (`AFTER` their own rotation), so a neutral control changes nothing, and taking the layer away changes no key.
+Keys on the controls themselves stay in the action and work again when the controls are added again.
+
+Evaluation order of a bone: its keys, fist and splay, the finger's own curl and spread, the joint limits; then the tip's
+inverse kinematics for the whole finger, which has the same limits as properties of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import bpy
+import numpy as np
+from mathutils import Vector
+
+from ..core import controls, limits
+from ..core.controls import (
+    CONTROLS,
+    CURL,
+    FINGER_CONTROLS,
+    FIST,
+    HAND_CONTROL,
+    LIMIT,
+    RULES,
+    TIP,
+    TIP_CONTROLS,
+    JointRange,
+    Move,
+)
+from ..core.joints import FINGERS, NAMES, WRIST
+from ..errors import JGHandFailure
+from . import armature, motion, shapes
+
+COLLECTION = "JGHand Controls"
+# the tips' controls, hidden until one is held: they stay where they are while the fingers move
+TIP_COLLECTION = "JGHand Tips"
+# the constraint that keeps a control itself in its range
+RANGE = "JGHand Range"
+# custom property of a hand whose layer is switched off: the rules that were off before it, a path per line
+OFF_BEFORE = "jghand_rules_off"
+# what was changed and may be keyed: a bone or a constraint, and its property
+Touched = tuple[bpy.types.bpy_struct, str]
+
+
+def has_controls(hand: bpy.types.Object) -> bool:
+    """Whether an armature has the control layer."""
+    return hand.type == "ARMATURE" and all(name in hand.data.bones for name in CONTROLS)
+
+
+def add_controls(context: bpy.types.Context, hand: bpy.types.Object) -> None:
+    """Gives our armature the control layer; one that is there is made anew and keeps its values.
+
+    Joint limits are on, no tip is held. Raises JGHandFailure: not_a_hand, not_editable.
+    """
+    handedness = armature.handedness_of(hand)
+    rest = armature.rest_matrices_of(hand)
+    check_editable(context, hand)
+    _own_bones(hand)
+    unit_m = context.scene.unit_settings.scale_length
+    _remove_rules(hand)
+    with armature.edit_mode(context, hand):
+        _make_bones(hand.data, controls.control_matrices(rest, handedness), unit_m)
+    _collect_bones(hand.data)
+    _dress_controls(hand, rest, unit_m)
+    _make_rules(hand, rest, handedness)
+
+
+def remove_controls(context: bpy.types.Context, hand: bpy.types.Object) -> None:
+    """Takes the control layer away. The 21 bones and every key stay. Raises JGHandFailure: not_editable.
+
+    The hand falls back to the keys of its 21 bones; `bake_controls` keeps what is seen instead.
+    """
+    check_editable(context, hand)
+    _own_bones(hand)
+    _remove_rules(hand)
+    with armature.edit_mode(context, hand):
+        for name in CONTROLS:
+            if name in hand.data.edit_bones:
+                hand.data.edit_bones.remove(hand.data.edit_bones[name])
+    for name in (COLLECTION, TIP_COLLECTION):
+        if name in hand.data.collections:
+            hand.data.collections.remove(hand.data.collections[name])
+
+
+def bake_controls(context: bpy.types.Context, hand: bpy.types.Object, frames: Sequence[int]) -> bpy.types.Action:
+    """Keys what is seen at every frame on the 21 bones, in a new action, and takes the control layer away.
+
+    Raises JGHandFailure: not_editable, constrained (something else than the controls moves the bones), and what reading
+    a hand raises; before anything is changed.
+    """
+    for _ in bake_steps(context, [hand], frames):
+        pass
+    return hand.animation_data.action
+
+
+def bake_steps(context: bpy.types.Context, hands: Sequence[bpy.types.Object], frames: Sequence[int]) -> Iterator[float]:
+    """The same for several hands in steps, each with the part of the frames that is read; whoever stops half-way
+    changes nothing."""
+    for hand in hands:
+        check_editable(context, hand)
+        motion.check_free(hand, but=RULES)
+    scene, before = context.scene, context.scene.frame_current_final
+    unit_m = scene.unit_settings.scale_length
+    joints = []
+    try:
+        for frame in frames:
+            depsgraph = armature.at_frame(scene, frame)
+            joints.append([armature.heads_of(hand, depsgraph) * unit_m for hand in hands])
+            yield len(joints) / len(frames)
+    finally:
+        armature.at_frame(scene, before)
+    for hand, moves in zip(hands, np.stack(joints, axis=1), strict=True):
+        remove_controls(context, hand)
+        motion.key_motion(hand, moves, scene, key_frames=frames)
+
+
+def mute_controls(hand: bpy.types.Object, muted: bool) -> None:
+    """Switches the effect of the whole layer off or on; a motion can be keyed while it is off.
+
+    What was off before stays off when the layer is on again: joint limits, and rules that somebody muted.
+    """
+    off = _rules_off(hand)
+    for rule in rules_of(hand):
+        rule.mute = muted or rule.path_from_id() in off
+    hand.pop(OFF_BEFORE, None)
+    if muted:
+        hand[OFF_BEFORE] = "\n".join(sorted(off))
+
+
+def controls_are_muted(hand: bpy.types.Object) -> bool:
+    """Whether every rule of the layer is off."""
+    return all(rule.mute for rule in rules_of(hand))
+
+
+def joint_limits_are_used(hand: bpy.types.Object) -> bool:
+    """Whether any joint has its limits; while the layer is muted, whether any will have them when it is on again."""
+    off = _rules_off(hand)
+    return any(rule.name == LIMIT and rule.path_from_id() not in off for rule in rules_of(hand))
+
+
+def use_joint_limits(hand: bpy.types.Object, used: bool) -> None:
+    """Switches the anatomical limits of the 15 moving bones on or off; tips keep them in any case. While the layer is
+    muted, that is how they will be when it is on again."""
+    ranges = [rule for rule in rules_of(hand) if rule.name == LIMIT]
+    if controls_are_muted(hand):
+        paths = {rule.path_from_id() for rule in ranges}
+        hand[OFF_BEFORE] = "\n".join(sorted(_rules_off(hand) - paths if used else _rules_off(hand) | paths))
+        return
+    for rule in ranges:
+        rule.mute = not used
+
+
+def _rules_off(hand: bpy.types.Object) -> set[str]:
+    """Paths of the rules that are off, of a muted layer those that were off before."""
+    if controls_are_muted(hand):
+        return set(str(hand.get(OFF_BEFORE, "")).splitlines())
+    return {rule.path_from_id() for rule in rules_of(hand) if rule.mute}
+
+
+def hold_tip(hand: bpy.types.Object, finger: str, part: float = 1.0) -> list[Touched]:
+    """Lets a finger reach for its tip control, wholly (1), partly, or not (0); the control moves to the tip first.
+
+    Returns what it changed.
+    """
+    rule = tip_rule(hand, FINGERS.index(finger))
+    touched: list[Touched] = [(rule, "influence")]
+    if part > 0:
+        put_tip_controls(hand, [finger])
+        touched.append((hand.pose.bones[TIP_CONTROLS[FINGERS.index(finger)]], "location"))
+    rule.influence = part
+    show_held_tips(hand)
+    return touched
+
+
+def tip_rule(hand: bpy.types.Object, finger: int) -> bpy.types.KinematicConstraint:
+    """The constraint that holds a finger's tip; its influence is what is animated. JGHandFailure (not_a_hand)."""
+    bone = controls.moving_bones(finger)[-1]
+    rule = hand.pose.bones[bone].constraints.get(TIP) if bone in hand.pose.bones else None
+    if rule is None:
+        raise JGHandFailure("not_a_hand", f"{hand.name} has no finger controls")
+    return rule
+
+
+def put_tip_controls(hand: bpy.types.Object, fingers: Sequence[str] = FINGERS) -> None:
+    """Moves the tip controls to where the tips are now, so that holding them does not make a finger jump."""
+    evaluated = armature.evaluated_object(hand, bpy.context.evaluated_depsgraph_get())
+    for finger in fingers:
+        name = TIP_CONTROLS[FINGERS.index(finger)]
+        at_rest = hand.data.bones[name].matrix_local
+        head = evaluated.pose.bones[f"{finger}4"].head
+        hand.pose.bones[name].location = at_rest.inverted() @ Vector(head)
+
+
+def show_held_tips(hand: bpy.types.Object) -> None:
+    """Shows the tips' controls when a tip is held, and hides them when none is."""
+    held = any(tip_rule(hand, finger).influence > 0 for finger in range(len(FINGERS)))
+    hand.data.collections[TIP_COLLECTION].is_visible = held
+
+
+def reset_controls(hand: bpy.types.Object) -> list[Touched]:
+    """Every control to its neutral place; the hand then shows the keys of its 21 bones. Returns what it changed."""
+    rules = [tip_rule(hand, finger) for finger in range(len(FINGERS))]
+    for rule in rules:
+        rule.influence = 0.0
+    show_held_tips(hand)
+    bones = [(hand.pose.bones[name], controls.channel(name)) for name in CONTROLS]
+    for bone, channel in bones:
+        setattr(bone, channel, (0.0, 0.0, 0.0))
+    return [*((rule, "influence") for rule in rules), *bones]
+
+
+def bones_are_own(hand: bpy.types.Object) -> bool:
+    """Whether bones and constraints of a hand can be added and removed: not those that another file has, which an
+    override does not change."""
+    return hand.is_editable and hand.data.is_editable and not (hand.override_library or hand.data.override_library)
+
+
+def check_editable(context: bpy.types.Context, hand: bpy.types.Object) -> None:
+    """Refuses what Blender cannot edit. JGHandFailure: not_a_hand, not_editable."""
+    if not isinstance(hand.data, bpy.types.Armature):
+        raise JGHandFailure("not_a_hand", hand.name)
+    if not bones_are_own(hand) or all(hand != thing for thing in context.view_layer.objects):
+        raise JGHandFailure("not_editable", hand.name)
+    if not hand.visible_get(view_layer=context.view_layer):
+        raise JGHandFailure("not_editable", hand.name)
+
+
+def _own_bones(hand: bpy.types.Object) -> None:
+    """Bones that are shared with other objects become the hand's own."""
+    if hand.data.users > 1:
+        hand.data = hand.data.copy()
+
+
+def rules_of(hand: bpy.types.Object) -> Iterator[bpy.types.Constraint]:
+    """The constraints of the layer on the 21 bones."""
+    for name in NAMES:
+        if name in hand.pose.bones:
+            yield from (rule for rule in hand.pose.bones[name].constraints if rule.name in RULES)
+
+
+def _remove_rules(hand: bpy.types.Object) -> None:
+    hand.pop(OFF_BEFORE, None)
+    for bone in hand.pose.bones:
+        ours = [rule for rule in bone.constraints if rule.name in RULES and bone.name in NAMES]
+        for rule in ours:
+            bone.constraints.remove(rule)
+        if ours:
+            _set_solver_range(bone, None)
+
+
+def _make_bones(data: bpy.types.Armature, matrices: dict[str, np.ndarray], unit_m: float) -> None:
+    """The control bones, short ones; those of tips hang on nothing, so that a held tip stays when the hand moves."""
+    for name, matrix in matrices.items():
+        bone = data.edit_bones.get(name) or data.edit_bones.new(name)
+        head, along = Vector(matrix[:3, 3]), Vector(matrix[:3, 1])
+        bone.head, bone.tail = head, head + along * (limits.TIP_BONE_M / unit_m)
+        bone.align_roll(Vector(matrix[:3, 2]))
+        bone.use_connect = bone.use_deform = False
+        bone.parent = None if name in TIP_CONTROLS else data.edit_bones[NAMES[WRIST]]
+
+
+def _collect_bones(data: bpy.types.Armature) -> None:
+    """The controls in bone collections of their own, which can be hidden, in colors of their kind."""
+    for name in (COLLECTION, TIP_COLLECTION):
+        if name not in data.collections:
+            data.collections.new(name).is_visible = name == COLLECTION
+    for name in CONTROLS:
+        data.collections[TIP_COLLECTION if name in TIP_CONTROLS else COLLECTION].assign(data.bones[name])
+        data.bones[name].color.palette = shapes.PALETTES[_kind(name)]
+
+
+def _kind(name: str) -> str:
+    return "hand" if name == HAND_CONTROL else "finger" if name in FINGER_CONTROLS else "tip"
+
+
+def _dress_controls(hand: bpy.types.Object, rest: np.ndarray, unit_m: float) -> None:
+    """Shapes, and locks on what does nothing."""
+    for name in CONTROLS:
+        bone = hand.pose.bones[name]
+        kind = _kind(name)
+        bone.rotation_mode = "XYZ"
+        bone.lock_location = (kind != "tip",) * 3
+        bone.lock_rotation = (kind == "tip", True, kind == "tip")
+        bone.lock_scale = (True,) * 3
+        bone.custom_shape = shapes.shape(kind)
+        bone.use_custom_shape_bone_size = False
+        bone.custom_shape_scale_xyz = (1.0 / unit_m,) * 3
+        finger = next((place for place, control in enumerate(FINGER_CONTROLS) if control == name), None)
+        if finger is not None:
+            along = hand.data.bones[name].matrix_local.to_3x3().inverted() @ Vector(
+                rest[2 + 4 * finger, :3, 3] - rest[1 + 4 * finger, :3, 3]
+            )
+            bone.custom_shape_translation = along / 2
+        if kind != "tip":
+            _keep_in_range(bone)
+
+
+def _keep_in_range(bone: bpy.types.PoseBone) -> None:
+    rule = bone.constraints.get(RANGE) or bone.constraints.new("LIMIT_ROTATION")
+    rule.name, rule.owner_space, rule.euler_order = RANGE, "LOCAL", "XYZ"
+    rule.use_transform_limit = True
+    rule.use_limit_x = rule.use_limit_y = rule.use_limit_z = True
+    rule.min_x, rule.max_x = -np.radians(limits.CURL_BACK_DEG), np.radians(limits.CURL_FULL_DEG)
+    rule.min_y = rule.max_y = 0.0
+    rule.min_z, rule.max_z = -np.radians(limits.SPREAD_FULL_DEG), np.radians(limits.SPREAD_FULL_DEG)
+
+
+def _make_rules(hand: bpy.types.Object, rest: np.ndarray, handedness: str) -> None:
+    """The constraints in the order in which they act."""
+    ranges = {span.bone: span for span in controls.joint_ranges(rest, handedness)}
+    for finger, control in enumerate(FINGER_CONTROLS):
+        fist = controls.hand_moves(rest, finger, handedness)
+        curl = controls.finger_moves(rest, finger, handedness)
+        for of_hand, of_finger in zip(fist, curl, strict=True):
+            bone = hand.pose.bones[of_hand.bone]
+            _follow(hand, bone, FIST, HAND_CONTROL, of_hand)
+            _follow(hand, bone, CURL, control, of_finger)
+            _limit(bone, ranges[bone.name])
+        last = hand.pose.bones[controls.moving_bones(finger)[-1]]
+        rule = last.constraints.new("IK")
+        rule.name, rule.target, rule.subtarget = TIP, hand, TIP_CONTROLS[finger]
+        rule.chain_count, rule.iterations, rule.use_stretch = 3, limits.IK_ITERATIONS, False
+        rule.influence = 0.0
+
+
+def _follow(hand: bpy.types.Object, bone: bpy.types.PoseBone, name: str, control: str, move: Move) -> None:
+    """Turns about x of a control become flexion, turns about z spread, after the bone's own rotation.
+
+    The map is one line through zero; where a bone does not go back with the control, it begins at zero.
+    """
+    full, spread = np.radians(limits.CURL_FULL_DEG), np.radians(limits.SPREAD_FULL_DEG)
+    rule = bone.constraints.new("TRANSFORM")
+    rule.name, rule.target, rule.subtarget = name, hand, control
+    rule.owner_space = rule.target_space = "LOCAL"
+    rule.map_from = rule.map_to = "ROTATION"
+    rule.from_rotation_mode = rule.to_euler_order = "XYZ"
+    rule.mix_mode_rot = "AFTER"
+    rule.map_to_x_from, rule.map_to_y_from, rule.map_to_z_from = "X", "Y", "Z"
+    slope = move.flexion / full
+    rule.from_min_x_rot = -np.radians(limits.CURL_BACK_DEG) if move.goes_back else 0.0
+    rule.from_max_x_rot = full
+    rule.to_min_x_rot, rule.to_max_x_rot = slope * rule.from_min_x_rot, move.flexion
+    rule.from_min_z_rot, rule.from_max_z_rot = -spread, spread
+    rule.to_min_z_rot, rule.to_max_z_rot = -move.spread, move.spread
+
+
+def _limit(bone: bpy.types.PoseBone, span: JointRange) -> None:
+    rule = bone.constraints.new("LIMIT_ROTATION")
+    rule.name, rule.owner_space, rule.euler_order = LIMIT, "LOCAL", "XYZ"
+    rule.use_limit_x = rule.use_limit_y = rule.use_limit_z = True
+    rule.min_x, rule.max_x = span.x
+    rule.min_y, rule.max_y = span.y
+    rule.min_z, rule.max_z = span.z
+    _set_solver_range(bone, span)
+
+
+def _set_solver_range(bone: bpy.types.PoseBone, span: JointRange | None) -> None:
+    """The same limits for inverse kinematics; None: as Blender makes a bone."""
+    spans = (span.x, span.y, span.z) if span is not None else ((-np.pi, np.pi),) * 3
+    bone.lock_ik_y = span is not None
+    bone.lock_ik_z = span is not None and span.hinge
+    for axis, (low, high) in zip("xyz", spans, strict=True):
+        setattr(bone, f"use_ik_limit_{axis}", span is not None)
+        setattr(bone, f"ik_min_{axis}", low)
+        setattr(bone, f"ik_max_{axis}", high)

@@ -1,0 +1,364 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Hands in the scene: adding one of ours, making somebody else's rig or 21 objects one, selecting and forgetting."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import bpy
+import numpy as np
+from bpy.app.translations import pgettext_rpt as rpt_
+from mathutils import Vector
+
+from .. import ops as common
+from ..core import bone_maps, limits, posing
+from ..core.bone_maps import BoneMap, Recognition
+from ..core.joints import HANDEDNESSES, NAMES, RIGHT
+from ..errors import JGHandFailure
+from ..ops import UNDOABLE, UNDOABLE_PLUMBING, Reporting, missing
+from ..properties import HANDS
+from . import armature, bone_list, controls, framing, sources
+
+_EITHER = (("BOTH", "Both", "Every hand that is found", "NONE", -1), *HANDS)
+# Blender keeps no texts of dynamic items
+_choices: dict[str, list[tuple[str, str, str]]] = {side: [] for side in HANDEDNESSES}
+
+
+def _choice_items(context: bpy.types.Context | None, side: str) -> list[tuple[str, str, str]]:
+    rig = context.object if context is not None else None
+    candidates = sources.recognize(rig, side).candidates if rig is not None and rig.type == "ARMATURE" else ()
+    items = [("NONE", "Choose", "Several sets of bones may be this hand")]
+    for place, bone_map in enumerate(candidates):
+        first = next(source.bone for source in bone_map.sources if source is not None)
+        items.append((str(place), f"{bone_map.convention} ({first})", f"Bones as {bone_map.convention} names them"))
+    if _choices[side] != items:
+        _choices[side] = items
+    return _choices[side]
+
+
+# items' functions have names of their own: a lambda in an annotation would not see this module
+def _right_choices(_operator: UseArmature, context: bpy.types.Context | None) -> list[tuple[str, str, str]]:
+    return _choice_items(context, "right")
+
+
+def _left_choices(_operator: UseArmature, context: bpy.types.Context | None) -> list[tuple[str, str, str]]:
+    return _choice_items(context, "left")
+
+
+class AddHand(Reporting, bpy.types.Operator):
+    """Operator: a hand of ours at the 3D cursor."""
+
+    bl_idname = "jghand.add_hand"
+    bl_label = "Add Hand"
+    bl_description = (
+        "Add an armature with finger controls and a photorealistic hand on it, at the 3D cursor. "
+        "A camera is added where the scene has none"
+    )
+    bl_options = UNDOABLE
+
+    handedness: bpy.props.EnumProperty(name="Hand", description="Which hand", items=HANDS)  # type: ignore[valid-type]
+    use_controls: bpy.props.BoolProperty(
+        name="Finger Controls",
+        description="Add controls for curl and spread of each finger, for held tips, and joint limits",
+        default=True,
+    )  # type: ignore[valid-type]
+    use_camera: bpy.props.BoolProperty(
+        name="Camera",
+        description="Add a camera that shows the hand, where the scene has none",
+        default=True,
+    )  # type: ignore[valid-type]
+    use_view: bpy.props.BoolProperty(
+        name="Look at It",
+        description="Turn the view to the new hand",
+        default=True,
+        options={"SKIP_SAVE"},
+    )  # type: ignore[valid-type]
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if context.scene is None or not context.scene.is_editable:
+            return missing(cls, "This scene is linked from another file")
+        return True
+
+    def run(self, context: bpy.types.Context) -> None:
+        common.object_mode(context)
+        name = f"{self.handedness.capitalize()} Hand"
+        hand = armature.build_armature(context, name, posing.rest_joints_m(self.handedness), self.handedness)
+        common.link_to_active_collection(context, hand)
+        hand.location = context.scene.cursor.location
+        # upright, its palm to the front view: so do the hands stand whose pictures an avatar's light was learned from
+        hand.rotation_euler = (math.pi / 2, 0.0, 0.0)
+        if self.use_controls:
+            controls.add_controls(context, hand)
+        common.make_active(context, hand)
+        context.view_layer.update()
+        camera = add_camera(context, hand) if self.use_camera and context.scene.camera is None else None
+        told = rpt_("Added {name}.").format(name=hand.name)
+        if camera is not None:
+            told += " " + rpt_("The scene had no camera: {name} shows the hand.").format(name=camera.name)
+        if self.use_view:
+            _look_at(context, hand)
+        around = next(_meshes_around(context, hand.location), None)
+        if around is not None:
+            self.warn(told, rpt_("It is inside {name}, which hides it in the viewport.").format(name=around.name))
+        else:
+            self.tell(told)
+
+
+class UseArmature(Reporting, bpy.types.Operator):
+    """Operator: somebody else's rig becomes a hand, or two."""
+
+    bl_idname = "jghand.use_armature"
+    bl_label = "Use Existing Armature"
+    bl_description = (
+        "Draw hands on this armature: its bones are recognized by their names, of Rigify, Mixamo, VRM, MakeHuman, "
+        "Unreal, Auto-Rig Pro and others. Bones, keys and constraints stay as they are"
+    )
+    bl_options = UNDOABLE
+
+    handedness: bpy.props.EnumProperty(
+        name="Hand", description="Which hands to look for", items=_EITHER, default="BOTH"
+    )  # type: ignore[valid-type]
+    right: bpy.props.EnumProperty(
+        name="Right Hand",
+        description="Which of several sets of bones is the right hand",
+        items=_right_choices,
+    )  # type: ignore[valid-type]
+    left: bpy.props.EnumProperty(
+        name="Left Hand",
+        description="Which of several sets of bones is the left hand",
+        items=_left_choices,
+    )  # type: ignore[valid-type]
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        rig = context.object
+        if rig is None or rig.type != "ARMATURE":
+            return missing(cls, "Select an armature")
+        if armature.is_hand(rig):
+            return missing(cls, "This armature is a JGHand hand already")
+        if context.mode == "EDIT_ARMATURE":
+            return missing(cls, "Leave edit mode first")
+        if not rig.is_editable:
+            return missing(cls, "This armature is linked from another file: make it local, or an override, first")
+        return True
+
+    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
+        """Asks where two answers are possible."""
+        if any(len(found.candidates) > 1 for found in _recognized(context.object, self.handedness)):
+            return context.window_manager.invoke_props_dialog(self)
+        return self.execute(context)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        """The question, and the properties to change afterwards."""
+        self.layout.use_property_split = True
+        self.layout.prop(self, "handedness")
+        for found in _recognized(context.object, self.handedness):
+            if len(found.candidates) > 1:
+                self.layout.prop(self, found.handedness)
+
+    def run(self, context: bpy.types.Context) -> None:
+        rig = context.object
+        found = _recognized(rig, self.handedness)
+        chosen = {one.handedness: _chosen_map(one, getattr(self, one.handedness)) for one in found}
+        maps = [bone_map for bone_map in chosen.values() if bone_map is not None]
+        doubts = [one.sentences[0] for one in found if len(one.candidates) > 1 and chosen[one.handedness] is None]
+        if not maps and doubts:
+            raise JGHandFailure("bad_bone_map", " ".join(doubts))
+        nothing = not maps
+        if nothing:
+            side = RIGHT if self.handedness == "BOTH" else self.handedness
+            maps = [bone_maps.by_hand(side, [None] * len(NAMES))]
+        for bone_map in maps:
+            sources.store_map(rig, bone_map)
+        bone_list.prepare(rig)
+        rig.jghand.map_hand = maps[0].handedness
+        rig.update_tag()
+        if nothing:
+            self.warn(rpt_("No bones of a hand were recognized: choose them in the list."))
+        elif doubts or not all(bone_map.complete for bone_map in maps):
+            self.warn(*doubts, *(text for bone_map in maps for text in bone_map.missing))
+        else:
+            self.tell(*(text for one in found if chosen[one.handedness] is not None for text in _told(one)))
+
+
+class UseObjects(Reporting, bpy.types.Operator):
+    """Operator: 21 objects become a hand."""
+
+    bl_idname = "jghand.use_objects"
+    bl_label = "Use Selected Objects"
+    bl_description = (
+        "Draw a hand on 21 selected objects, one per joint, recognized by their names (such as right_index_finger_mcp "
+        "or left_index1). An empty is added that stands for the hand"
+    )
+    bl_options = UNDOABLE
+
+    handedness: bpy.props.EnumProperty(
+        name="Hand", description="Which hands to look for", items=_EITHER, default="BOTH"
+    )  # type: ignore[valid-type]
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if context.mode != "OBJECT":
+            return missing(cls, "Go to object mode first")
+        count = len(context.view_layer.objects.selected)
+        if count < len(NAMES):
+            return missing(cls, rpt_("Select 21 objects, one per joint: {count} are selected").format(count=count))
+        return True
+
+    def run(self, context: bpy.types.Context) -> None:
+        things = list(context.view_layer.objects.selected)
+        sides = HANDEDNESSES if self.handedness == "BOTH" else (self.handedness,)
+        found = [sources.recognize_objects(things, side) for side in sides]
+        maps = [one.bone_map for one in found if one.bone_map is not None and one.bone_map.complete]
+        if not maps:
+            near = next((one for one in found if one.candidates), found[0])
+            raise JGHandFailure("bad_bone_map", " ".join(near.sentences))
+        holders = [self._holder(context, bone_map, things) for bone_map in maps]
+        common.make_active(context, holders[0])
+        names = ", ".join(holder.name for holder in holders)
+        self.tell(rpt_("Added {names}: it holds the hand's settings; the objects move it.").format(names=names))
+
+    def _holder(
+        self, context: bpy.types.Context, bone_map: BoneMap, things: list[bpy.types.Object]
+    ) -> bpy.types.Object:
+        joints = sources.objects_of(bone_map, things)
+        holder = bpy.data.objects.new(f"{bone_map.handedness.capitalize()} Hand (objects)", None)
+        holder.empty_display_type, holder.empty_display_size = (
+            "SPHERE",
+            limits.HOLDER_SHAPE_M / context.scene.unit_settings.scale_length,
+        )
+        context.scene.collection.objects.link(holder)
+        common.link_to_active_collection(context, holder)
+        holder.location = joints[0].matrix_world.translation
+        sources.store_objects(holder, joints, bone_map.handedness)
+        return holder
+
+
+class Forget(Reporting, bpy.types.Operator):
+    """Operator: a foreign rig, or an empty for 21 objects, is no hand any more."""
+
+    bl_idname = "jghand.forget"
+    bl_label = "Forget Hand"
+    bl_description = (
+        "Draw no hand on this object any more. Bones, objects and keys stay as they are; the bone map is lost"
+    )
+    bl_options = UNDOABLE
+
+    handedness: bpy.props.EnumProperty(name="Hand", description="Which hand to forget", items=_EITHER, default="BOTH")  # type: ignore[valid-type]
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        thing = context.object
+        if thing is not None and armature.is_hand(thing):
+            return missing(cls, "This armature was made for a hand: delete it instead")
+        if thing is None or not armature.is_foreign(thing):
+            return missing(cls, "Select an armature or an empty that is used as a hand")
+        if not thing.is_editable:
+            return missing(cls, "This object is linked from another file")
+        return True
+
+    def run(self, context: bpy.types.Context) -> None:
+        thing = context.object
+        if self.handedness == "BOTH" or thing.type != "ARMATURE":
+            sources.forget(thing)
+        else:
+            sources.forget_map(thing, self.handedness)
+        thing.update_tag()
+
+
+class SelectHand(Reporting, bpy.types.Operator):
+    """Operator: a hand of the scene becomes the active object."""
+
+    bl_idname = "jghand.select_hand"
+    bl_label = "Select Hand"
+    bl_description = "Make this hand the active object"
+    bl_options = UNDOABLE_PLUMBING
+
+    uid: bpy.props.IntProperty(name="Object", options={"SKIP_SAVE", "HIDDEN"})  # type: ignore[valid-type]
+
+    def run(self, context: bpy.types.Context) -> None:
+        hand = next((thing for thing in context.view_layer.objects if thing.session_uid == self.uid), None)
+        if hand is None:
+            raise JGHandFailure("not_a_hand", rpt_("it is not in this view layer any more"))
+        posing_now = context.mode == "POSE"
+        common.object_mode(context)
+        if not hand.visible_get(view_layer=context.view_layer):
+            raise JGHandFailure("hidden", hand.name)
+        common.make_active(context, hand)
+        if posing_now and hand.type == "ARMATURE":
+            bpy.ops.object.mode_set(mode="POSE")
+
+
+def add_camera(context: bpy.types.Context, hand: bpy.types.Object) -> bpy.types.Object:
+    """A camera that shows where a hand is now; it becomes the scene's."""
+    (seen, *_) = sources.read_hands(hand, context.evaluated_depsgraph_get())
+    camera = framing.add_framing_camera(context, "CamPalm", seen.joints_world_m[None], seen.handedness)
+    camera.name = camera.data.name = "Hand Camera"
+    common.link_to_active_collection(context, camera)
+    context.scene.camera = camera
+    return camera
+
+
+def _recognized(rig: bpy.types.Object, handedness: str) -> list[Recognition]:
+    sides = HANDEDNESSES if handedness == "BOTH" else (handedness,)
+    return [sources.recognize(rig, side) for side in sides]
+
+
+def _chosen_map(found: Recognition, choice: str) -> BoneMap | None:
+    """The map where there is one answer, or the one that was chosen."""
+    if found.bone_map is not None or choice in ("", "NONE"):
+        return found.bone_map
+    return found.candidates[int(choice)] if int(choice) < len(found.candidates) else None
+
+
+def _told(found: Recognition) -> list[str]:
+    """What to tell of one hand: which it is, and the sentences."""
+    return [f"{found.handedness.capitalize()}:", *found.sentences]
+
+
+def _meshes_around(context: bpy.types.Context, place: Vector) -> Iterator[bpy.types.Object]:
+    """Visible solid things whose box holds a place."""
+    for thing in context.view_layer.objects:
+        if thing.type != "MESH" or not thing.visible_get(view_layer=context.view_layer) or not thing.data.polygons:
+            continue
+        if abs(thing.matrix_world.determinant()) < limits.FLAT_DETERMINANT:
+            continue
+        local = np.array(thing.matrix_world.inverted() @ place)
+        corners = np.array(thing.bound_box)
+        if (corners.min(0) < local).all() and (local < corners.max(0)).all():
+            yield thing
+
+
+def _look_at(context: bpy.types.Context, hand: bpy.types.Object) -> None:
+    """Turns the view that the button was pressed in to a hand; elsewhere nothing happens."""
+    if bpy.app.background or context.area is None or context.area.type != "VIEW_3D":
+        return
+    joints_m = armature.read_hand(hand, context.evaluated_depsgraph_get()).joints_world_m
+    framing.turn_view_to(context.area, joints_m, context.scene.unit_settings.scale_length)
+
+
+CLASSES = (
+    AddHand,
+    UseArmature,
+    UseObjects,
+    Forget,
+    SelectHand,
+)
+
+
+def _add_menu(self: bpy.types.Menu, _context: bpy.types.Context) -> None:
+    """In Blender's own Add > Armature."""
+    for side, label, *_ in HANDS:
+        self.layout.operator("jghand.add_hand", text=f"JGHand {label} Hand", icon="VIEW_PAN").handedness = side
+
+
+def register() -> None:
+    """Adds Add Hand to Blender's menu of armatures."""
+    bpy.types.VIEW3D_MT_armature_add.append(_add_menu)
+
+
+def unregister() -> None:
+    """Takes it away."""
+    bpy.types.VIEW3D_MT_armature_add.remove(_add_menu)

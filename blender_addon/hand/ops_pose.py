@@ -1,0 +1,178 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Poses of our hands: taking one, giving it to the other hand, going back to rest, making them assets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import bpy
+from bpy.app.translations import pgettext_rpt as rpt_
+
+from .. import folders
+from .. import ops as common
+from ..core import poses
+from ..ops import REGISTERED, UNDOABLE, InTurns, Reporting, missing, poll_hand, poll_hands
+from ..properties import pose_items
+from . import armature, pose_library, pose_shelf
+from . import poses as hand_poses
+from .controls import Touched
+
+
+class _Posing(Reporting):
+    """Poses the chosen hands one by one, and keys them where Blender keys by itself or where it is asked for."""
+
+    use_keys: bpy.props.BoolProperty(
+        name="Insert Keys",
+        description="Key the fingers at this frame. Blender's Auto Keying does so in any case",
+        default=False,
+    )  # type: ignore[valid-type]
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return poll_hands(cls, context)
+
+    def hands(self, context: bpy.types.Context) -> list[bpy.types.Object]:
+        """Which are posed."""
+        return common.chosen_hands(context)
+
+    def pose_one(self, context: bpy.types.Context, hand: bpy.types.Object) -> list[Touched]:
+        """Poses one of them. Returns what it changed."""
+        raise NotImplementedError
+
+    def run(self, context: bpy.types.Context) -> None:
+        for hand in self.hands(context):
+            touched = self.pose_one(context, hand)
+            if self.use_keys or common.keys_itself(context):
+                hand_poses.key(touched, context.scene.frame_current_final)
+            hand.update_tag()
+
+
+class ApplyPose(_Posing, bpy.types.Operator):
+    """Operator: the selected hands take a pose."""
+
+    bl_idname = "jghand.apply_pose"
+    bl_label = "Apply Pose"
+    bl_description = (
+        "Give this pose to the fingers of the selected hands, right and left alike. Controls go to neutral, held tips "
+        "are let go, the wrist stays"
+    )
+    bl_options = UNDOABLE
+
+    pose: bpy.props.EnumProperty(name="Pose", description="The pose", items=pose_items)  # type: ignore[valid-type]
+    part: bpy.props.FloatProperty(
+        name="Part",
+        description="How far from the present pose towards this one",
+        subtype="FACTOR",
+        default=1.0,
+        min=0.0,
+        max=1.0,
+        options={"SKIP_SAVE"},
+    )  # type: ignore[valid-type]
+
+    def pose_one(self, _context: bpy.types.Context, hand: bpy.types.Object) -> list[Touched]:
+        return hand_poses.take_pose(hand, poses.pose_named(self.pose, armature.handedness_of(hand)), self.part)
+
+
+class FlipPose(_Posing, bpy.types.Operator):
+    """Operator: another hand takes the mirrored pose of the active one."""
+
+    bl_idname = "jghand.flip_pose"
+    bl_label = "Flip to Other Hand"
+    bl_description = (
+        "Give this hand's pose, mirrored, to the other selected hands, or to the one other hand of the scene. "
+        "A hand of the same side gets it as it is"
+    )
+    bl_options = UNDOABLE
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not poll_hand(cls, context):
+            return False
+        return bool(_others(context)) or missing(cls, "Select the hand that is to take the pose, or add one")
+
+    def hands(self, context: bpy.types.Context) -> list[bpy.types.Object]:
+        return _others(context)
+
+    def pose_one(self, context: bpy.types.Context, hand: bpy.types.Object) -> list[Touched]:
+        return hand_poses.copy_pose(context.object, hand)
+
+    def run(self, context: bpy.types.Context) -> None:
+        super().run(context)
+        self.tell(rpt_("Posed {names}.").format(names=", ".join(hand.name for hand in self.hands(context))))
+
+
+class ResetPose(_Posing, bpy.types.Operator):
+    """Operator: fingers and controls back to rest."""
+
+    bl_idname = "jghand.reset_pose"
+    bl_label = "Reset Pose"
+    bl_description = "Put the fingers and controls of the selected hands back to rest; the wrist stays"
+    bl_options = UNDOABLE
+
+    def pose_one(self, _context: bpy.types.Context, hand: bpy.types.Object) -> list[Touched]:
+        return hand_poses.reset_pose(hand)
+
+
+class MakePoseAssets(InTurns, bpy.types.Operator):
+    """Operator: the poses as an asset library of this user."""
+
+    bl_idname = "jghand.make_pose_assets"
+    bl_label = "Make Pose Assets"
+    bl_description = (
+        "Write all poses as an asset library, so that Blender's pose library shows them with pictures, blends and "
+        "searches them. It is written into the extension's folder, and added to the preferences"
+    )
+    bl_options = REGISTERED
+
+    working = "Making pose assets"
+
+    def steps(self, _context: bpy.types.Context) -> Iterator[float]:
+        """A step per pose."""
+        yield from pose_library.library_steps(folders.user_folder("poses"))
+
+    def finished(self, context: bpy.types.Context) -> None:
+        name = pose_library.use_library(folders.user_folder("poses"))
+        context.preferences.is_dirty = True  # so that Blender saves it with the other preferences
+        text = rpt_("The poses are in the asset library {name}: in pose mode the asset shelf shows them.")
+        self.tell(text.format(name=name))
+
+
+class ShowPoseShelf(Reporting, bpy.types.Operator):
+    """Operator: pose mode with Blender's shelf of pose assets."""
+
+    bl_idname = "jghand.show_pose_shelf"
+    bl_label = "Show Pose Shelf"
+    bl_description = (
+        "Go to pose mode and show Blender's shelf of pose assets below the view: drag over a picture to blend, "
+        "click to apply to the selected bones, or to all without a selection"
+    )
+    bl_options = UNDOABLE
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if not poll_hand(cls, context):
+            return False
+        made = pose_library.is_used(folders.user_folder("poses", make=False))
+        return made or missing(cls, "Make the pose assets first")
+
+    def run(self, context: bpy.types.Context) -> None:
+        if context.mode != "POSE":
+            bpy.ops.object.mode_set(mode="POSE")
+        pose_shelf.show()
+
+
+def _others(context: bpy.types.Context) -> list[bpy.types.Object]:
+    """The selected hands besides the active one; without any, the one other hand that can be seen."""
+    source = context.object
+    others = [hand for hand in common.chosen_hands(context) if hand is not source]
+    if not others:
+        there = [
+            thing
+            for thing in context.view_layer.objects
+            if armature.is_hand(thing) and thing is not source and thing.visible_get(view_layer=context.view_layer)
+        ]
+        others = there if len(there) == 1 else []
+    return [hand for hand in others if hand.is_editable]
+
+
+CLASSES = (ApplyPose, FlipPose, ResetPose, MakePoseAssets, ShowPoseShelf)

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Whole poses of our armature: taking one, taking the other hand's, going back to rest, and keying what was posed.
+
+The left hand's bones have the mirrored axes of the right hand's (`core.posing`), so that a turn (w, x, y, z) becomes
+(w, x, -y, -z) and a way (x, y, z) becomes (-x, y, z) on the other hand; turns of the controls are the same on both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import bpy
+from mathutils import Quaternion
+
+from ..core import controls as control_numbers
+from ..core.controls import CONTROLS
+from ..core.joints import FINGERS
+from ..core.poses import HandPose
+from ..errors import JGHandFailure
+from . import armature, controls
+from .controls import Touched
+
+MOVING_BONES = tuple(name for finger in range(len(FINGERS)) for name in control_numbers.moving_bones(finger))
+
+
+def take_pose(hand: bpy.types.Object, pose: HandPose, part: float = 1.0) -> list[Touched]:
+    """Turns the finger bones as the pose says, and puts controls back to neutral; the wrist stays.
+
+    part: 0 to 1, how far from the bones' present turns towards the pose. Returns what it changed, for `key`.
+
+    Raises JGHandFailure: not_a_hand, also for a pose of the other hand.
+    """
+    armature.rest_matrices_of(hand)  # refuses what has not all bones
+    if armature.handedness_of(hand) != pose.handedness:
+        raise JGHandFailure("not_a_hand", f"{hand.name} is no {pose.handedness} hand")
+    touched = []
+    for name, turn in pose.turns.items():
+        bone = hand.pose.bones[name]
+        touched.append(_set_turn(bone, _turn(bone).slerp(Quaternion(turn), part)))
+    return touched + _reset_controls(hand)
+
+
+def reset_pose(hand: bpy.types.Object) -> list[Touched]:
+    """Fingers and controls back to rest; the wrist, and so the place of the hand, stays. Raises: not_a_hand.
+
+    Returns what it changed.
+    """
+    armature.rest_matrices_of(hand)  # refuses what has not all bones
+    touched: list[Touched] = []
+    for name in MOVING_BONES:
+        bone = hand.pose.bones[name]
+        bone.location, bone.scale = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
+        touched += [(bone, "location"), _set_turn(bone, Quaternion()), (bone, "scale")]
+    return touched + _reset_controls(hand)
+
+
+def copy_pose(source: bpy.types.Object, target: bpy.types.Object) -> list[Touched]:
+    """Gives a hand the pose of another one, mirrored where that is the other hand; the wrist stays.
+
+    Controls are copied where both have them; where only the target has, they go to neutral. Raises: not_a_hand.
+    Returns what it changed.
+    """
+    for hand in (source, target):
+        armature.rest_matrices_of(hand)
+    mirrored = armature.handedness_of(source) != armature.handedness_of(target)
+    touched = []
+    for name in MOVING_BONES:
+        w, x, y, z = _turn(source.pose.bones[name])
+        turn = Quaternion((w, x, -y, -z) if mirrored else (w, x, y, z))
+        touched.append(_set_turn(target.pose.bones[name], turn))
+    if not (controls.has_controls(source) and controls.has_controls(target)):
+        return touched + _reset_controls(target)
+    return touched + _copy_controls(source, target, mirrored)
+
+
+def key(touched: Iterable[Touched], frame: float) -> None:
+    """Keys what was changed, and nothing else, at a frame; in the group of its bone, as Blender does."""
+    for owner, path in touched:
+        owner.keyframe_insert(path, frame=frame, group=owner.path_from_id().split('"')[1])
+
+
+def _reset_controls(hand: bpy.types.Object) -> list[Touched]:
+    return controls.reset_controls(hand) if controls.has_controls(hand) else []
+
+
+def _copy_controls(source: bpy.types.Object, target: bpy.types.Object, mirrored: bool) -> list[Touched]:
+    touched: list[Touched] = []
+    for name in CONTROLS:
+        channel = control_numbers.channel(name)
+        x, y, z = getattr(source.pose.bones[name], channel)
+        way = (-x if mirrored and channel == "location" else x, y, z)
+        setattr(target.pose.bones[name], channel, way)
+        touched.append((target.pose.bones[name], channel))
+    for finger in range(len(FINGERS)):
+        rule = controls.tip_rule(target, finger)
+        rule.influence = controls.tip_rule(source, finger).influence
+        touched.append((rule, "influence"))
+    controls.show_held_tips(target)
+    return touched
+
+
+def _turn(bone: bpy.types.PoseBone) -> Quaternion:
+    """A bone's own turn, in whatever way the artist keeps it."""
+    return bone.matrix_basis.to_quaternion()
+
+
+def _set_turn(bone: bpy.types.PoseBone, turn: Quaternion) -> Touched:
+    """The same, in the way that the bone's keys have: a quaternion curve is not seen by an Euler bone. Returns what it
+    changed."""
+    if bone.rotation_mode == "QUATERNION":
+        bone.rotation_quaternion = turn
+        return bone, "rotation_quaternion"
+    if bone.rotation_mode == "AXIS_ANGLE":
+        axis, angle = turn.to_axis_angle()
+        bone.rotation_axis_angle = (angle, *axis)
+        return bone, "rotation_axis_angle"
+    bone.rotation_euler = turn.to_euler(bone.rotation_mode)
+    return bone, "rotation_euler"

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which hands a 3D view shows, read as Blender evaluated them for it.
+
+Finding the hands of a view layer means looking at all of its objects, so what was found is kept until something is
+added, removed or undone. Kept are names with the `session_uid` that the object of that name had: one that was renamed,
+or replaced, is looked for anew.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import bpy
+
+from .. import folders
+from ..core.view import BUILTIN_AVATAR, HandInSpace
+from ..errors import JGHandFailure
+from . import armature, sources
+
+# (session_uid of the scene, name of the view layer) -> (name, session_uid) of every hand
+_found: dict[tuple[int, str], list[tuple[str, int]]] = {}
+
+
+def forget() -> None:
+    """Makes the next look a fresh one."""
+    _found.clear()
+
+
+def notice(depsgraph: bpy.types.Depsgraph) -> None:
+    """Something was changed in Blender: where that can have made or removed a hand, look anew."""
+    known = {uid for hands in _found.values() for _, uid in hands}
+    for update in depsgraph.updates:
+        thing = update.id
+        if isinstance(thing, bpy.types.Scene | bpy.types.Collection):
+            break
+        if isinstance(thing, bpy.types.Object) and armature.is_any_hand(thing) != (thing.original.session_uid in known):
+            break
+    else:
+        return
+    forget()
+
+
+def hands_in(
+    scene: bpy.types.Scene, layer: bpy.types.ViewLayer, space: bpy.types.SpaceView3D, *, switched_on_only: bool
+) -> list[bpy.types.Object]:
+    """The hands that a 3D view shows: visible, in its local view and collections; in Solid and Material Preview
+    (`switched_on_only`) those alone that are to be shown there."""
+    return [
+        thing
+        for thing in hands_of(scene, layer)
+        if _is_visible(thing, layer, space) and (thing.jghand.show_in_viewport or not switched_on_only)
+    ]
+
+
+def read(
+    things: list[bpy.types.Object], depsgraph: bpy.types.Depsgraph
+) -> tuple[list[HandInSpace], list[tuple[str, JGHandFailure]]]:
+    """The hands of these objects, with their avatars, and for those that cannot be read their name and why."""
+    hands, failures = [], []
+    for thing in things:
+        try:
+            avatar = avatar_of(thing)
+            hands += [replace(hand, avatar=avatar) for hand in sources.read_hands(thing, depsgraph)]
+        except JGHandFailure as failure:
+            failures.append((thing.name, failure))
+    return hands, failures
+
+
+def avatar_of(thing: bpy.types.Object) -> str:
+    """The avatar of a hand's object: an absolute path, or the one that comes with JGHand."""
+    return folders.absolute(thing, "avatar") or BUILTIN_AVATAR
+
+
+def hands_of(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.types.Object]:
+    """The hands of a view layer, by name; panels ask at every redraw, also of scenes with thousands of objects."""
+    key = (scene.session_uid, layer.name)
+    if key in _found:
+        things = [layer.objects.get(name) for name, _ in _found[key]]
+        if all(
+            thing is not None and thing.session_uid == uid for thing, (_, uid) in zip(things, _found[key], strict=True)
+        ):
+            return [thing for thing in things if thing is not None]
+    # an object that was deleted a moment ago is None here
+    things = [thing for thing in layer.objects if thing is not None and armature.is_any_hand(thing)]
+    things.sort(key=lambda thing: thing.name)
+    _found[key] = [(thing.name, thing.session_uid) for thing in things]
+    return things
+
+
+def _is_visible(thing: bpy.types.Object, layer: bpy.types.ViewLayer, space: bpy.types.SpaceView3D) -> bool:
+    """Whether a view shows an object; one whose kind alone is switched off there counts as shown: who hides bones
+    wants to see the hand."""
+    if thing.visible_get(view_layer=layer, viewport=space):
+        return True
+    kind_hidden = thing.type == "ARMATURE" and not space.show_object_viewport_armature
+    kind_hidden = kind_hidden or (thing.type == "EMPTY" and not space.show_object_viewport_empty)
+    if not kind_hidden or space.use_local_collections or not thing.visible_get(view_layer=layer):
+        return False
+    return space.local_view is None or thing.local_view_get(space)

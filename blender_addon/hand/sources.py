@@ -1,0 +1,148 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Hands that are no armature of ours: a foreign rig through its bone maps, or 21 objects, one per joint.
+
+What a hand is made of is stored on an object, so that it is saved, duplicated, appended and undone with it: on the
+foreign armature one bone map per hand, as text; on an empty 21 pointers to objects, which survive renaming.
+Source: BLENDER 6.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container, Sequence
+
+import bpy
+import numpy as np
+
+from ..core import bone_maps
+from ..core.bone_maps import BoneMap, JointSource, Recognition
+from ..core.joints import NAMES
+from ..core.view import HandInSpace
+from ..errors import JGHandFailure
+from . import armature
+
+
+def recognize(rig: bpy.types.Object, handedness: str) -> Recognition:
+    """The bones of one hand in an armature, by their names. JGHandFailure (not_a_hand): no armature."""
+    return bone_maps.recognize(_bones(rig).keys(), handedness)
+
+
+def recognize_objects(objects: Sequence[bpy.types.Object], handedness: str) -> Recognition:
+    """The joints of one hand among objects, by their names; `objects_of` turns its map into objects."""
+    return bone_maps.recognize([thing.name for thing in objects], handedness, tails=False)
+
+
+def objects_of(bone_map: BoneMap, objects: Sequence[bpy.types.Object]) -> list[bpy.types.Object]:
+    """The 21 objects that a map of object names means, standard order. JGHandFailure: bad_bone_map."""
+    known = {thing.name: thing for thing in objects}
+    return [known[source.bone] for source in _whole_sources(bone_map, known)]
+
+
+def store_map(rig: bpy.types.Object, bone_map: BoneMap) -> None:
+    """Makes a foreign armature a hand, or two, one call each; it may still miss joints."""
+    _bones(rig)
+    name = armature.MAP_PROPERTIES[bone_map.handedness]
+    rig[name] = bone_map.as_json()
+    rig.id_properties_ui(name).update(description=f"Bones of the {bone_map.handedness} hand, as JGHand reads them")
+    rig.update_tag()  # what renders read is what Blender evaluated
+
+
+def store_objects(holder: bpy.types.Object, objects: Sequence[bpy.types.Object], handedness: str) -> None:
+    """Makes an object (an empty) stand for a hand of 21 objects, standard order. JGHandFailure: bad_bone_map."""
+    if len(objects) != len(NAMES) or len(set(objects)) != len(NAMES):
+        raise JGHandFailure("bad_bone_map", f"wanted {len(NAMES)} different objects, got {len(set(objects))}")
+    bone_maps.check_side(handedness)
+    for name, thing in zip(NAMES, objects, strict=True):
+        holder[armature.OBJECT_PROPERTIES[name]] = thing
+    holder[armature.HANDEDNESS_PROPERTY] = handedness
+    holder.update_tag()
+
+
+def forget(thing: bpy.types.Object) -> None:
+    """Makes a foreign armature, or an empty for 21 objects, no hand any more."""
+    if armature.is_foreign(thing):
+        names = [*armature.MAP_PROPERTIES.values(), *armature.OBJECT_PROPERTIES.values()]
+        if thing.type != "ARMATURE":
+            names.append(armature.HANDEDNESS_PROPERTY)
+        for name in names:
+            if name in thing:
+                del thing[name]
+        thing.update_tag()
+
+
+def forget_map(rig: bpy.types.Object, handedness: str) -> None:
+    """Takes one hand of a foreign armature away."""
+    rig.pop(armature.MAP_PROPERTIES[handedness], None)
+    rig.update_tag()
+
+
+def stored_maps(rig: bpy.types.Object) -> list[BoneMap]:
+    """The bone maps of an armature, right before left. JGHandFailure: bad_bone_map."""
+    return [bone_maps.from_json(str(rig[name])) for name in armature.MAP_PROPERTIES.values() if name in rig]
+
+
+def read_hands(thing: bpy.types.Object, depsgraph: bpy.types.Depsgraph) -> list[HandInSpace]:
+    """Every hand that an object is or stands for: our armature one, a foreign one up to two, an empty one.
+
+    Raises JGHandFailure: not_a_hand, mirrored, zero_scale, hidden, bad_bone_map.
+    """
+    if armature.is_hand(thing):
+        return [armature.read_hand(thing, depsgraph)]
+    if not armature.is_foreign(thing):
+        raise JGHandFailure("not_a_hand", thing.name)
+    if thing.type == "ARMATURE":
+        return [read_mapped(thing, bone_map, depsgraph) for bone_map in stored_maps(thing)]
+    objects = [thing.get(armature.OBJECT_PROPERTIES[name]) for name in NAMES]
+    gone = [name for name, joint in zip(NAMES, objects, strict=True) if joint is None]
+    if gone:
+        raise JGHandFailure("bad_bone_map", f"{thing.name}: the objects of {', '.join(gone)} were deleted")
+    return [read_objects(objects, armature.handedness_of(thing), depsgraph)]
+
+
+def read_mapped(rig: bpy.types.Object, bone_map: BoneMap, depsgraph: bpy.types.Depsgraph) -> HandInSpace:
+    """The 21 joints of the *evaluated* foreign armature (constraints, drivers and IK included), in meters.
+
+    Raises JGHandFailure: not_a_hand, mirrored, zero_scale, hidden, bad_bone_map (a joint without a bone).
+    """
+    evaluated = armature.evaluated_object(rig, depsgraph)
+    if evaluated.pose is None:
+        raise JGHandFailure("not_a_hand", f"{rig.name} is no armature")
+    bones = evaluated.pose.bones
+    sources = _whole_sources(bone_map, bones)
+    ends = {}
+    for end in bone_maps.ENDS:
+        ends[end] = np.empty((len(bones), 3), np.float32)
+        bones.foreach_get(end, ends[end].ravel())
+    joints = np.array([ends[source.end][bones.find(source.bone)] for source in sources], dtype=np.float64)
+    return armature.in_hand_space(evaluated, joints, bone_map.handedness, depsgraph.scene)
+
+
+def read_objects(objects: Sequence[bpy.types.Object], handedness: str, depsgraph: bpy.types.Depsgraph) -> HandInSpace:
+    """The hand whose 21 joints are the origins of objects, standard order; hand space lies at the wrist, unturned.
+
+    Only places count: a joint's own rotation and scale mean nothing. Raises JGHandFailure: hidden, bad_bone_map.
+    """
+    if len(objects) != len(NAMES):
+        raise JGHandFailure("bad_bone_map", f"wanted {len(NAMES)} objects, got {len(objects)}")
+    places = [armature.evaluated_object(thing, depsgraph).matrix_world.translation for thing in objects]
+    world_m = np.array(places, dtype=np.float64) * depsgraph.scene.unit_settings.scale_length
+    world_from_hand = np.eye(4)
+    world_from_hand[:3, 3] = world_m[0]
+    return HandInSpace(handedness, world_m - world_m[0], world_from_hand)
+
+
+def _bones(rig: bpy.types.Object) -> bpy.types.ArmatureBones:
+    if not isinstance(rig.data, bpy.types.Armature):
+        raise JGHandFailure("not_a_hand", f"{rig.name} is no armature")
+    return rig.data.bones
+
+
+def _whole_sources(bone_map: BoneMap, known: Container[str]) -> list[JointSource]:
+    """The 21 sources; refuses a map with a joint that has no source, or whose source is not there any more."""
+    empty = [name for name, source in zip(NAMES, bone_map.sources, strict=True) if source is None]
+    if empty:
+        raise JGHandFailure("bad_bone_map", f"no bone for {', '.join(empty)}")
+    sources = [source for source in bone_map.sources if source is not None]
+    gone = [source.bone for source in sources if source.bone not in known]
+    if gone:
+        raise JGHandFailure("bad_bone_map", f"not there any more: {', '.join(gone)}")
+    return sources

@@ -1,0 +1,278 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What operators share: a failure becomes a report, a poll says what is missing, long work goes on in turns."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Iterator
+
+import bpy
+from bpy.app.translations import pgettext_rpt as rpt_
+
+from .core import limits
+from .errors import JGHandFailure
+from .hand import armature, controls
+from .ui import redraw
+
+DONE, CANCELLED = {"FINISHED"}, {"CANCELLED"}
+# what operators are registered as: changing data, importing, changing nothing that undo knows, plumbing of panels
+UNDOABLE, UNDOABLE_IMPORT = {"REGISTER", "UNDO"}, {"REGISTER", "UNDO", "PRESET"}
+REGISTERED, PLUMBING, UNDOABLE_PLUMBING = {"REGISTER"}, {"INTERNAL"}, {"REGISTER", "UNDO", "INTERNAL"}
+INFO, WARNING, ERROR = {"INFO"}, {"WARNING"}, {"ERROR"}
+
+
+def sentence_of(failure: JGHandFailure) -> str:
+    """What a report says: the sentence, the remedy, the small print."""
+    advice = failure.advice
+    text = f"{rpt_(advice.sentence)}. {rpt_(advice.remedy)}"
+    return f"{text} ({failure.detail})" if failure.detail else text
+
+
+class Reporting:
+    """An operator whose `run(context)` may raise JGHandFailure: it becomes an error report, and nothing is undone that
+    was not done. `run` returns nothing; a sentence it wants to tell goes through `tell` or `warn`."""
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Blender's entry."""
+        try:
+            self.run(context)
+        except JGHandFailure as failure:
+            self.report(ERROR, sentence_of(failure))
+            return CANCELLED
+        redraw()
+        return DONE
+
+    def tell(self, *sentences: str) -> None:
+        """One report of all that was done, none of nothing."""
+        text = " ".join(sentence for sentence in sentences if sentence)
+        if text:
+            self.report(INFO, text)
+
+    def warn(self, *sentences: str) -> None:
+        """The same for what an artist should look at."""
+        self.report(WARNING, " ".join(sentences))
+
+
+class Elsewhere(float):
+    """The part that is done of work which goes on in another process: as long as a generator of `InTurns` yields this,
+    it holds nothing of Blender's, and the artist goes on with other things."""
+
+
+class InTurns(Reporting):
+    """An operator whose `steps(context)` is a generator of the part that is done, 0 to 1. In a window it works a turn
+    at a time: the status bar says how far it is, and Esc ends it; else it works through. Meanwhile Blender takes no
+    other input, but for times in which the work is `Elsewhere`.
+
+    `finished(context)` is called at the end. What `steps` holds open it must put back when it is closed half-way.
+    """
+
+    working = ""
+    _steps: Iterator[float] | None = None
+    _timer: bpy.types.Timer | None = None
+    _is_elsewhere = False
+    _started = _told = 0.0
+
+    def run(self, context: bpy.types.Context) -> None:
+        """All of it."""
+        for part in self.steps(context):
+            if isinstance(part, Elsewhere):
+                time.sleep(limits.ASIDE_LOOK_S)
+        self.finished(context)
+
+    def finished(self, _context: bpy.types.Context) -> None:
+        """What is left to do, or to tell, at the end."""
+
+    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
+        """Begins to work in turns where there is a window."""
+        if bpy.app.background or context.window is None:
+            return self.execute(context)
+        self._steps, self._started = self.steps(context), time.monotonic()
+        self._tick_every(context, limits.WORK_REST_S)
+        context.window_manager.modal_handler_add(self)
+        return {"RUNNING_MODAL"}
+
+    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
+        """One turn; everything else waits, so that nothing changes under it, unless the work is elsewhere."""
+        goes_on = {"PASS_THROUGH"} if self._is_elsewhere else {"RUNNING_MODAL"}
+        if event.type == "ESC" and self._is_ended_by(context, event):
+            self.cancel(context)
+            self.report(INFO, rpt_("Canceled: nothing was changed"))
+            return CANCELLED
+        if event.type != "TIMER" or (self._is_elsewhere and _something_is_dragged(context)):
+            return goes_on
+        try:
+            part = self._turn()
+            if part is None:
+                self.finished(context)
+        except JGHandFailure as failure:
+            self.cancel(context)
+            self.report(INFO if failure.kind == "canceled" else ERROR, sentence_of(failure))
+            return CANCELLED
+        except BaseException:
+            self.cancel(context)
+            raise
+        if part is None:
+            self.cancel(context)
+            redraw()
+            return DONE
+        if isinstance(part, Elsewhere) != self._is_elsewhere:
+            self._is_elsewhere = not self._is_elsewhere
+            self._tick_every(context, limits.JOB_LOOK_S if self._is_elsewhere else limits.WORK_REST_S)
+        if time.monotonic() - self._told > limits.WORK_TELL_S:
+            context.workspace.status_text_set(self._progress(part))
+            self._told = time.monotonic()
+        return goes_on
+
+    def cancel(self, context: bpy.types.Context) -> None:
+        """Ends the turns, at the end and half-way; Blender calls it too, when a window closes."""
+        self._tick_every(context, None)
+        if self._steps is not None:
+            self._steps.close()
+            self._steps = None
+        context.workspace.status_text_set(None)
+
+    def _tick_every(self, context: bpy.types.Context, seconds: float | None) -> None:
+        """How often a turn comes; None: no more."""
+        if self._timer is not None:
+            context.window_manager.event_timer_remove(self._timer)
+            self._timer = None
+        if seconds is not None:
+            self._timer = context.window_manager.event_timer_add(seconds, window=context.window)
+
+    def _is_ended_by(self, context: bpy.types.Context, event: bpy.types.Event) -> bool:
+        """Whether an Esc is meant for this: while the work is elsewhere, playback may end by it."""
+        if not self._is_elsewhere:
+            return True
+        return event.value == "PRESS" and not context.screen.is_animation_playing
+
+    def _turn(self) -> float | None:
+        """The part that is done after one turn; None at the end. What is elsewhere is looked at once."""
+        ends = time.monotonic() + limits.WORK_TURN_S
+        part: float | None = 0.0
+        while time.monotonic() < ends:
+            part = next(self._steps, None)
+            if part is None or isinstance(part, Elsewhere):
+                break
+        return part
+
+    def _progress(self, part: float) -> str:
+        if part <= 0.0:  # nothing to foretell from yet
+            return rpt_("{working}  ·  Esc cancels").format(working=rpt_(self.working))
+        left_s = (time.monotonic() - self._started) * (1.0 - part) / max(part, 1e-3)
+        template = rpt_("{working}  {percent}%  ·  {left} s left  ·  Esc cancels")
+        return template.format(working=rpt_(self.working), percent=round(100 * part), left=round(left_s))
+
+
+def _something_is_dragged(context: bpy.types.Context) -> bool:
+    """Whether the artist moves something right now: nothing may be changed under that."""
+    running = [one for operator in context.window.modal_operators for one in (operator, *operator.macros)]
+    return any(one.bl_idname.startswith("TRANSFORM_OT_") for one in running)
+
+
+@contextlib.contextmanager
+def wait_cursor(context: bpy.types.Context) -> Iterator[None]:
+    """The pointer that says wait, for what cannot be cut into turns."""
+    window = None if bpy.app.background else context.window
+    if window is not None:
+        window.cursor_modal_set("WAIT")
+    try:
+        yield
+    finally:
+        if window is not None:
+            window.cursor_modal_restore()
+
+
+def missing(operator: type, sentence: str) -> bool:
+    """For `poll`: says what is missing; False."""
+    operator.poll_message_set(rpt_(sentence))
+    return False
+
+
+def active_hand(context: bpy.types.Context) -> bpy.types.Object | None:
+    """The active object where it is an armature of ours."""
+    thing = context.object
+    return thing if thing is not None and armature.is_hand(thing) else None
+
+
+def chosen_hands(context: bpy.types.Context) -> list[bpy.types.Object]:
+    """The active armature of ours, then the others that are selected."""
+    hands = [thing for thing in (context.object, *context.view_layer.objects.selected) if thing is not None]
+    return list(dict.fromkeys(hand for hand in hands if armature.is_hand(hand)))
+
+
+def poll_hand(operator: type, context: bpy.types.Context) -> bool:
+    """Whether a hand of ours is active and may be changed."""
+    hand = active_hand(context)
+    if hand is None:
+        return missing(operator, "Select a JGHand armature")
+    if context.mode == "EDIT_ARMATURE":
+        return missing(operator, "Leave edit mode first")
+    if not hand.is_editable:
+        return missing(operator, "This hand is linked from another file: make it local, or an override, first")
+    return True
+
+
+def poll_hands(operator: type, context: bpy.types.Context) -> bool:
+    """The same for all that are selected."""
+    if not poll_hand(operator, context):
+        return False
+    linked = next((hand for hand in chosen_hands(context) if not hand.is_editable), None)
+    if linked is not None:
+        text = rpt_("{name} is linked from another file: make it local, or an override, first, or do not select it")
+        return missing(operator, text.format(name=linked.name))
+    return True
+
+
+def poll_bones(operator: type, context: bpy.types.Context) -> bool:
+    """The same, where bones or constraints are added or removed."""
+    if not poll_hands(operator, context):
+        return False
+    other = next((hand for hand in chosen_hands(context) if not controls.bones_are_own(hand)), None)
+    if other is not None:
+        text = rpt_("The bones of {name} are another file's, also in an override: make object and armature local first")
+        return missing(operator, text.format(name=other.name))
+    return True
+
+
+def poll_controls(operator: type, context: bpy.types.Context) -> bool:
+    """The same, with finger controls."""
+    return poll_hand(operator, context) and (
+        controls.has_controls(active_hand(context)) or missing(operator, "Add finger controls first")
+    )
+
+
+def seen_frames(scene: bpy.types.Scene) -> range:
+    """The frames that are played: the preview range where there is one."""
+    if scene.use_preview_range:
+        return range(scene.frame_preview_start, scene.frame_preview_end + 1)
+    return range(scene.frame_start, scene.frame_end + 1)
+
+
+def keys_itself(context: bpy.types.Context) -> bool:
+    """Whether Blender keys whatever is posed."""
+    return context.scene.tool_settings.use_keyframe_insert_auto
+
+
+def make_active(context: bpy.types.Context, thing: bpy.types.Object) -> None:
+    """The one selected object."""
+    for other in list(context.view_layer.objects.selected):
+        other.select_set(False)
+    thing.select_set(True)
+    context.view_layer.objects.active = thing
+
+
+def object_mode(context: bpy.types.Context) -> None:
+    """Leaves whatever mode the active object is in."""
+    if context.mode != "OBJECT" and context.view_layer.objects.active is not None:
+        bpy.ops.object.mode_set(mode="OBJECT")
+
+
+def link_to_active_collection(context: bpy.types.Context, thing: bpy.types.Object) -> None:
+    """Puts a new object where Blender's own operators put theirs; where that is hidden it stays in the scene's."""
+    layer = context.view_layer.active_layer_collection
+    if not layer.is_visible or layer.collection in thing.users_collection:
+        return
+    for collection in list(thing.users_collection):
+        collection.objects.unlink(thing)
+    layer.collection.objects.link(thing)

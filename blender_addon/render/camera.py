@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""A Blender camera as the pinhole of the engine. Source: BLENDER 6 (the formula), 8.1 (what is honored)."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import bpy
+import numpy as np
+from mathutils import Matrix
+
+from ..core import limits
+from ..core.cropping import Part
+from ..core.view import OPENCV_FROM_BLENDER, Pinhole, pinhole_from
+from ..errors import JGHandFailure
+from ..hand.armature import evaluated_object
+
+
+def picture_size(render: bpy.types.RenderSettings) -> tuple[int, int]:
+    """Width and height in pixels, percentage applied and rounded down as Blender does."""
+    percentage = render.resolution_percentage
+    return max(1, render.resolution_x * percentage // 100), max(1, render.resolution_y * percentage // 100)
+
+
+def pinhole(camera: bpy.types.Object, depsgraph: bpy.types.Depsgraph, size: tuple[int, int] | None = None) -> Pinhole:
+    """The *evaluated* camera (lens, shift, sensor fit, pixel aspect, depth of field, unit of the scene), meters.
+
+    size: of the picture, where it is not the scene's own.
+    Raises JGHandFailure: not_a_camera, panoramic, orthographic_lens, sheared_camera, hidden.
+    """
+    if camera.type != "CAMERA":
+        raise JGHandFailure("not_a_camera", camera.name)
+    evaluated = evaluated_object(camera, depsgraph)
+    _check_kind(evaluated)
+    scene = depsgraph.scene
+    unit_m = scene.unit_settings.scale_length
+    width, height = size or picture_size(scene.render)
+    projection = evaluated.calc_matrix_camera(
+        depsgraph, x=width, y=height, scale_x=scene.render.pixel_aspect_x, scale_y=scene.render.pixel_aspect_y
+    )
+    orthographic = evaluated.data.type == "ORTHO"
+    camera_from_world = _camera_from_world(evaluated, unit_m)
+    view = pinhole_from(np.array(projection), camera_from_world, (width, height), unit_m, orthographic=orthographic)
+    aperture_m, focus_m = _lens(evaluated, unit_m)
+    return replace(view, aperture_m=aperture_m, focus_m=focus_m)
+
+
+def region(render: bpy.types.RenderSettings, size: tuple[int, int] | None = None) -> Part:
+    """The part of the picture that is rendered, the whole or the render region, rounded as Blender rounds it.
+
+    size: of the picture, where it is not the scene's own. Raises JGHandFailure (empty_region).
+    """
+    width, height = size or picture_size(render)
+    if not render.use_border:
+        return Part(0, 0, width, height)
+    # Blender multiplies in single precision and cuts; it counts rows from the bottom
+    left, right = (int(np.float32(edge) * np.float32(width)) for edge in (render.border_min_x, render.border_max_x))
+    bottom, top = (int(np.float32(edge) * np.float32(height)) for edge in (render.border_min_y, render.border_max_y))
+    if right - left < limits.REGION_MIN_PX or top - bottom < limits.REGION_MIN_PX:
+        raise JGHandFailure("empty_region")
+    return Part(left, height - top, right, height - bottom)
+
+
+def add_camera(context: bpy.types.Context, name: str, view: Pinhole) -> bpy.types.Object:
+    """A new camera that sees as `view` does: the inverse of `pinhole` in a scene of the view's size.
+
+    Raises JGHandFailure (pixel_aspect) for pixels that are not square.
+    """
+    if abs(view.fx / view.fy - 1) > limits.SQUARE_PIXEL_MAX:
+        raise JGHandFailure("pixel_aspect", f"{name}: fx is {view.fx:g}, fy {view.fy:g}")
+    unit_m = context.scene.unit_settings.scale_length
+    data = bpy.data.cameras.new(name)
+    data.sensor_fit = "HORIZONTAL"
+    data.lens = view.fx * data.sensor_width / view.width
+    data.shift_x = 0.5 - view.cx / view.width
+    data.shift_y = (view.cy - 0.5 * view.height) / view.width  # in widths as well: Blender's unit is the fitted side
+    data.clip_start = limits.CLIP_START_M / unit_m
+    camera = bpy.data.objects.new(name, data)
+    world_from_camera = np.linalg.inv(view.camera_from_world) @ OPENCV_FROM_BLENDER
+    world_from_camera[:3, 3] /= unit_m
+    camera.matrix_world = Matrix(world_from_camera)
+    context.scene.collection.objects.link(camera)
+    return camera
+
+
+def set_picture_size(render: bpy.types.RenderSettings, width: int, height: int) -> None:
+    """Width and height in pixels, square ones, at 100 percent."""
+    render.resolution_x, render.resolution_y, render.resolution_percentage = width, height, 100
+    render.pixel_aspect_x = render.pixel_aspect_y = 1.0
+
+
+def _check_kind(camera: bpy.types.Object) -> None:
+    if camera.data.type not in ("PERSP", "ORTHO"):
+        raise JGHandFailure("panoramic", camera.name)
+    if camera.data.type == "ORTHO" and camera.data.dof.use_dof:
+        raise JGHandFailure("orthographic_lens", camera.name)
+
+
+def _lens(camera: bpy.types.Object, unit_m: float) -> tuple[float, float]:
+    """Diameter of the aperture, 0 without depth of field, and the depth that is sharp, meters, of an evaluated camera.
+
+    As Cycles has it: the aperture is a part of the focal length in thousandths of a Blender unit, whatever that is.
+    """
+    depth_of_field = camera.data.dof
+    if not depth_of_field.use_dof:
+        return 0.0, 1.0
+    return 1e-3 * camera.data.lens / depth_of_field.aperture_fstop * unit_m, unit_m * _focus_distance(camera)
+
+
+def _focus_distance(camera: bpy.types.Object) -> float:
+    """Blender units along the view axis: to the object, or the bone of it, that the camera focuses on, else as set."""
+    depth_of_field = camera.data.dof
+    focused = depth_of_field.focus_object
+    if focused is None:
+        return depth_of_field.focus_distance
+    place = focused.matrix_world
+    bone = focused.pose.bones.get(depth_of_field.focus_subtarget) if focused.pose is not None else None
+    if bone is not None:
+        place = place @ bone.matrix
+    axis = camera.matrix_world.col[2].to_3d().normalized()
+    return abs((place.translation - camera.matrix_world.translation).dot(axis))
+
+
+def _camera_from_world(camera: bpy.types.Object, unit_m: float) -> np.ndarray:
+    """(4, 4), Blender's axes, meters; scale is left out as Blender leaves it out, a shear or a mirror is refused."""
+    world_from_camera = np.array(camera.matrix_world, dtype=np.float64)
+    axes = world_from_camera[:3, :3]
+    size = np.linalg.norm(axes, axis=0)
+    if size.min() <= 0:
+        raise JGHandFailure("zero_scale", camera.name)
+    axes = axes / size
+    if np.abs(axes.T @ axes - np.eye(3)).max() > limits.SHEAR_MAX or np.linalg.det(axes) < 0:
+        raise JGHandFailure("sheared_camera", camera.name)
+    result = np.eye(4)
+    result[:3, :3], result[:3, 3] = axes.T, -axes.T @ world_from_camera[:3, 3] * unit_m
+    return result

@@ -1,0 +1,201 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The render engine JGHand: F12, animations and `blender -b -a` draw the hands of a scene through its camera.
+
+A frame that cannot be exact fails the render with a report and writes nothing: `error_set` and exceptions would let
+Blender write an empty picture and go on (BLENDER 8.3). Source: BLENDER 8.
+"""
+
+from __future__ import annotations
+
+import time
+import traceback
+from collections.abc import Iterator
+from typing import Any
+
+import bpy
+import numpy as np
+
+from ..core import film
+from ..core.cropping import Part
+from ..core.view import Moment, moments_request
+from ..errors import JGHandFailure
+from ..ops import sentence_of
+from ..renderer import runtime
+from ..renderer.runtime import RenderNote
+from ..viewport.rendered import ViewportEngine
+from . import camera, composite, guard, samples
+from .engine_name import ENGINE
+from .world import background
+
+COMBINED, DEPTH, IDS = "Combined", "Depth", "JGHandId"
+# Blender's own panels that show what this engine honors; those of other engines stay hidden
+_PANELS_OF_OTHERS = (
+    *("CAMERA_PT_presets", "CAMERA_PT_safe_areas_presets", "DATA_PT_context_camera", "DATA_PT_lens"),
+    *("DATA_PT_camera", "DATA_PT_camera_animation", "DATA_PT_camera_background_image", "DATA_PT_camera_display"),
+    *("DATA_PT_camera_display_composition_guides", "DATA_PT_camera_dof", "DATA_PT_camera_dof_aperture"),
+    *("DATA_PT_camera_safe_areas", "DATA_PT_camera_safe_areas_center_cut", "DATA_PT_custom_props_camera"),
+    *("RENDER_PT_color_management", "RENDER_PT_color_management_advanced", "RENDER_PT_color_management_curves"),
+    *("RENDER_PT_color_management_white_balance", "RENDER_PT_color_management_working_space"),
+    *("RENDER_PT_encoding", "RENDER_PT_encoding_audio", "RENDER_PT_encoding_video", "RENDER_PT_format"),
+    *("RENDER_PT_frame_range", "RENDER_PT_output", "RENDER_PT_output_color_management"),
+    *("RENDER_PT_output_pixel_density", "RENDER_PT_post_processing", "RENDER_PT_stamp", "RENDER_PT_stamp_burn"),
+    *("RENDER_PT_stamp_note", "RENDER_PT_time_stretching", "OBJECT_PT_custom_props", "OBJECT_PT_visibility"),
+    *("VIEWLAYER_PT_context_layer", "VIEWLAYER_PT_layer", "WORLD_PT_animation", "WORLD_PT_context_world"),
+    *("WORLD_PT_custom_props", "WORLD_PT_viewport_display"),
+)
+
+
+class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
+    """Draws hands with the JGHand engine."""
+
+    bl_idname = ENGINE
+    bl_label = "JGHand"
+    bl_use_postprocess = True
+    bl_use_eevee_viewport = True
+    bl_use_gpu_context = False
+
+    def update_render_passes(self, scene: bpy.types.Scene | None = None, renderlayer: Any = None) -> None:
+        """Which passes the compositor may have of a view layer."""
+        self.register_pass(scene, renderlayer, COMBINED, 4, "RGBA", "COLOR")
+        if renderlayer is not None and renderlayer.use_pass_z:
+            self.register_pass(scene, renderlayer, DEPTH, 1, "Z", "VALUE")
+        if scene is not None and scene.jghand.use_pass_ids:
+            self.register_pass(scene, renderlayer, IDS, 1, "X", "VALUE")
+
+    def render(self, depsgraph: bpy.types.Depsgraph) -> None:
+        """One frame of one view layer. A failure is an error report, which ends the render and writes no file."""
+        failure = None
+        try:
+            self._render(depsgraph)
+        except JGHandFailure as reason:
+            failure = reason
+        except KeyboardInterrupt:
+            failure = JGHandFailure("interrupted")
+        except Exception as error:  # a mistake of ours must not become an empty picture either
+            traceback.print_exc()
+            failure = JGHandFailure("internal", f"{type(error).__name__}: {error}")
+        if failure is not None:
+            runtime.note_render(RenderNote(failure=failure))
+            guard.hands_failed(depsgraph.scene.original, failure)
+            if failure.kind != "canceled" or not self.test_break():
+                self.report({"ERROR"}, sentence_of(failure))
+
+    def _render(self, depsgraph: bpy.types.Depsgraph) -> None:
+        clock = time.perf_counter()
+        # what is keyed of a scene and its world is only in what was evaluated for this render
+        scene = depsgraph.scene_eval
+        if scene.render.use_multiview:
+            raise JGHandFailure("stereo")
+        if (self.camera_override or scene.camera) is None:
+            raise JGHandFailure("no_camera")
+        # what is composited has the size of the scene that it is for
+        size = (self.resolution_x, self.resolution_y)
+        part = camera.region(scene.render, size)
+        frame = samples.Frame(lambda: self.camera_override or depsgraph.scene_eval.camera, size, part)
+        seen = samples.read_moments(depsgraph, frame, self.frame_set)
+        evaluated, scene = time.perf_counter(), depsgraph.scene_eval
+        wanted = {COMBINED: "rgba_f32", **_other_outputs(scene, depsgraph.view_layer_eval)}
+        reply = self._ask(seen, list(wanted.values()), scene)
+        answered = time.perf_counter()
+        arrays = {name: np.asarray(reply.arrays[output].view()) for name, output in wanted.items()}
+        drawn = _drawn(arrays, scene)
+        arrays = {name: values[drawn.top : drawn.bottom, drawn.left : drawn.right] for name, values in arrays.items()}
+        self._fill(part, drawn, depsgraph.view_layer_eval.name, dict(_passes(arrays, scene)))
+        self._tell(reply.header.get("reports", []), seen, (evaluated - clock, answered - evaluated))
+
+    def _ask(self, seen: list[Moment], outputs: list[str], scene: bpy.types.Scene) -> Any:
+        """The engine's answer. Escape, and whatever else stops the render, ends the wait: JGHandFailure (canceled)."""
+        self.update_stats("JGHand", "Waiting for the engine")
+        header, arrays = moments_request(
+            seen,
+            outputs=outputs,
+            preset=scene.jghand.render_preset,
+            settings={
+                "shadow_strength": scene.jghand.shadow_strength,
+                "shadow_radius_m": scene.jghand.shadow_radius_mm / 1e3,
+            },
+        )
+        return runtime.link().request(header, arrays, timeout_s=runtime.render_timeout_s(), canceled=self._is_given_up)
+
+    def _is_given_up(self) -> bool:
+        return self.test_break() or runtime.render_given_up()
+
+    def _fill(self, part: Part, drawn: Part, layer: str, values: dict[str, np.ndarray]) -> None:
+        """Hands over what was drawn of a part of the view; the rest of it stays empty."""
+        result = self.begin_result(drawn.left, part.height - drawn.bottom, drawn.width, drawn.height, layer=layer)
+        if (result.resolution_x, result.resolution_y) != (drawn.width, drawn.height):
+            came = f"{drawn.width} x {drawn.height}, Blender wants {result.resolution_x} x {result.resolution_y}"
+            self.end_result(result, cancel=True)
+            raise JGHandFailure("other_region", came)
+        for each in result.layers[0].passes:  # a pass that the view layer does not ask for is not there
+            if each.name in values:
+                each.rect.foreach_set(values[each.name])
+        self.end_result(result)
+
+    def _tell(self, reports: list[dict[str, Any]], seen: list[Moment], times: tuple[float, float]) -> None:
+        evaluate_ms, request_ms = (1e3 * seconds for seconds in times)
+        if reports:
+            runtime.set_report(runtime.RENDER, reports[0])
+        before = runtime.last_render()
+        if before is None or before.failure is None:  # another view layer of this frame may have failed
+            runtime.note_render(RenderNote(None, reports, evaluate_ms, request_ms))
+        counts = [f"{len(seen[0].hands)} hands"] + ([f"{len(seen)} sub-frames"] if len(seen) > 1 else [])
+        drawn = [f"{report.get('total_ms', 0):.0f} ms in the engine" for report in reports]
+        self.update_stats("JGHand", " · ".join([*counts, *drawn]))
+        self.update_progress(1.0)
+
+
+def _other_outputs(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> dict[str, str]:
+    """Pass -> output of the engine, of what this view layer asks for besides the color."""
+    wanted = {}
+    if layer.use_pass_z:
+        # what is blurred has to be somewhere when pictures are combined by depth
+        wanted[DEPTH] = "depth_covered" if composite.is_hands_scene(scene) else "depth"
+    if scene.jghand.use_pass_ids:
+        wanted[IDS] = "ids"
+    return wanted
+
+
+def _drawn(arrays: dict[str, np.ndarray], scene: bpy.types.Scene) -> Part:
+    """What of the picture has to be handed over: all of it, or, where the rest is as empty as Blender's passes are
+    anyway, what covers anything."""
+    height, width = arrays[COMBINED].shape[:2]
+    rows, columns = film.covered(arrays[COMBINED][..., 3])
+    if not scene.render.film_transparent or DEPTH in arrays or rows.start == rows.stop:
+        return Part(0, 0, width, height)
+    return Part(columns.start, rows.start, columns.stop, rows.stop)
+
+
+def _passes(arrays: dict[str, np.ndarray], scene: bpy.types.Scene) -> Iterator[tuple[str, np.ndarray]]:
+    """The passes as Blender takes them, of an evaluated scene."""
+    combined = film.scene_linear(arrays[COMBINED])
+    if not scene.render.film_transparent:
+        combined = film.over(combined, background(scene.world))
+    yield COMBINED, film.from_bottom(combined)
+    if DEPTH in arrays:
+        yield DEPTH, film.from_bottom(film.depth_units(arrays[DEPTH], scene.unit_settings.scale_length))
+    if IDS in arrays:
+        yield IDS, film.from_bottom(arrays[IDS])
+
+
+CLASSES = (JGHandRenderEngine,)
+
+
+def _panels() -> Iterator[set[str]]:
+    """The sets in which Blender's panels say for which engines they show themselves."""
+    for name in _PANELS_OF_OTHERS:
+        engines = getattr(getattr(bpy.types, name, None), "COMPAT_ENGINES", None)
+        if isinstance(engines, set):
+            yield engines
+
+
+def register() -> None:
+    """Has Blender's own panels of cameras and output shown for the engine."""
+    for engines in _panels():
+        engines.add(JGHandRenderEngine.bl_idname)
+
+
+def unregister() -> None:
+    """As it was before."""
+    for engines in _panels():
+        engines.discard(JGHandRenderEngine.bl_idname)

@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Says so when a picture is rendered that leaves the hands out: Cycles, EEVEE and Workbench do not draw them.
+
+The viewport shows hands in Solid and Material Preview whatever the scene renders with, so F12 with another engine would
+be empty without a word. The same is said where hands were combined with the scene and it has changed since. Said once
+per scene and session: some pictures are meant to be without hands. In a window it is a menu with the two ways to get
+them, without one a line on stderr.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Any
+
+import bpy
+from bpy.app.handlers import persistent
+from bpy.app.translations import pgettext_iface as iface_
+
+from .. import ui
+from ..hand import armature
+from . import composite
+from .engine_name import ENGINE
+
+# what was said: of which scene, and the sentence
+_said: set[tuple[int, str]] = set()
+# a render's handler may run on a thread of its own: it notes the sentence, the timer on the main thread shows it
+_pending = ""
+
+
+def hands_left_out(scene: bpy.types.Scene) -> list[str]:
+    """Names of the hands that the scene has and its own engine will not draw; empty for scenes where they are drawn."""
+    if scene.render.engine == ENGINE or composite.hands_scene_of(scene) or composite.is_hands_scene(scene):
+        return []
+    if not scene.jghand.show_in_viewport:
+        return []
+    found = {hand.name for layer in scene.view_layers if layer.use for hand in armature.hands_at_any_frame(layer)}
+    return sorted(found)
+
+
+@persistent
+def on_render(scene: bpy.types.Scene, *_: Any) -> None:
+    """A render begins."""
+    global _pending
+    if scene is None:
+        return
+    text = sentence_of(scene)
+    if not text or (scene.session_uid, text) in _said:
+        return
+    _said.add((scene.session_uid, text))
+    if bpy.app.background:
+        print(f"JGHand: {text}", file=sys.stderr, flush=True)
+    else:
+        _pending = text
+
+
+def sentence_of(scene: bpy.types.Scene) -> str:
+    """What is to be said about the hands of a picture of this scene; nothing where they are as they should be."""
+    if hands_left_out(scene):
+        return f"{sentence(scene.render.engine)} {iface_('Use the JGHand engine, or Combine with Scene.')}"
+    differences = composite.out_of_date(scene)
+    if differences:
+        template = iface_("The hands of this picture are not up to date: {list}. Combine with Scene once more.")
+        return template.format(list=", ".join(differences))
+    return ""
+
+
+def sentence(engine: str) -> str:
+    """What is to be said about a picture of this engine."""
+    name = engine.removeprefix("BLENDER_").removesuffix("_NEXT").replace("_", " ").title()
+    name = {"Eevee": "EEVEE"}.get(name, name)
+    return iface_("This picture has no hands: {engine} does not draw them.").format(engine=name)
+
+
+def was_said(scene: bpy.types.Scene) -> bool:
+    """Whether it was said of this scene, and shown."""
+    return any(uid == scene.session_uid for uid, _ in _said) and not _pending
+
+
+def show() -> None:
+    """Shows what is noted, if anything is; for the timer, once no render runs."""
+    global _pending
+    if not _pending:
+        return
+    text, _pending = _pending, ""
+    ways = (("jghand.use_engine", "RESTRICT_RENDER_OFF"), ("jghand.combine_with_scene", "NODE_COMPOSITING"))
+    ui.show_message(text, icon="INFO", operators=ways)
+
+
+def register() -> None:
+    """Looks at every render from now on."""
+    if on_render not in bpy.app.handlers.render_init:
+        bpy.app.handlers.render_init.append(on_render)
+
+
+def unregister() -> None:
+    """Does not look any more."""
+    global _pending
+    if on_render in bpy.app.handlers.render_init:
+        bpy.app.handlers.render_init.remove(on_render)
+    _said.clear()
+    _pending = ""

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What pictures need of a scene: the engine, the view transform, a camera; and the small print of panels."""
+
+from __future__ import annotations
+
+import bpy
+from bpy.app.translations import pgettext_rpt as rpt_
+
+from ..errors import JGHandFailure
+from ..hand import armature
+from ..hand.ops import add_camera
+from ..ops import PLUMBING, UNDOABLE, Reporting, missing
+from .engine_name import ENGINE
+
+
+class UseEngine(Reporting, bpy.types.Operator):
+    """Operator: the scene is rendered by JGHand."""
+
+    bl_idname = "jghand.use_engine"
+    bl_label = "Use JGHand Engine"
+    bl_description = (
+        "Render this scene's hands with JGHand: F12, animations, and the viewport's Rendered mode. Switches Lock "
+        "Interface on, because Blender can crash when a scene is edited while it is rendered"
+    )
+    bl_options = UNDOABLE
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        if context.scene.render.engine == ENGINE:
+            return missing(cls, "This scene uses the JGHand engine already")
+        return True
+
+    def run(self, context: bpy.types.Context) -> None:
+        try:
+            context.scene.render.engine = ENGINE
+        except TypeError as error:  # Blender knows no engine of that name
+            raise JGHandFailure("internal", str(error)) from error
+        context.scene.render.use_lock_interface = True
+        hands = armature.hands_at_any_frame(context.view_layer)
+        if context.scene.camera is None and hands:
+            camera = add_camera(context, hands[0])
+            self.tell(rpt_("The scene had no camera: {name} shows the hand.").format(name=camera.name))
+
+
+class UseStandard(Reporting, bpy.types.Operator):
+    """Operator: colors as the avatar was captured."""
+
+    bl_idname = "jghand.use_standard"
+    bl_label = "Use Standard"
+    bl_description = (
+        "Set this scene's view transform to Standard, without look, exposure and gamma: the hand then has the colors "
+        "of its capture. AgX and Filmic are made for light, and the hand is a photograph already"
+    )
+    bl_options = UNDOABLE
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        # the name of an item that the scene's OCIO configuration has for its display; empty where it has none
+        if not bpy.types.UILayout.enum_item_name(context.scene.view_settings, "view_transform", "Standard"):
+            return missing(cls, "The color management (OCIO) in use has no view transform Standard")
+        return True
+
+    def run(self, context: bpy.types.Context) -> None:
+        view = context.scene.view_settings
+        view.view_transform, view.look = "Standard", "None"
+        view.exposure, view.gamma = 0.0, 1.0
+        view.use_curve_mapping = False
+
+
+class AddCamera(Reporting, bpy.types.Operator):
+    """Operator: a camera that shows the hand."""
+
+    bl_idname = "jghand.add_camera"
+    bl_label = "Add Hand Camera"
+    bl_description = "Add a camera that shows the active hand as it is now, and make it the scene's camera"
+    bl_options = UNDOABLE
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        thing = context.object
+        if thing is None or not armature.is_any_hand(thing):
+            return missing(cls, "Select a hand")
+        return True
+
+    def run(self, context: bpy.types.Context) -> None:
+        self.tell(rpt_("Added {name}.").format(name=add_camera(context, context.object).name))
+
+
+class OpenPreferences(Reporting, bpy.types.Operator):
+    """Operator: where the engine's Python is chosen."""
+
+    bl_idname = "jghand.open_preferences"
+    bl_label = "JGHand Preferences"
+    bl_description = "Open the extension's preferences, where the engine's Python is chosen"
+    bl_options = PLUMBING
+
+    def run(self, _context: bpy.types.Context) -> None:
+        bpy.ops.preferences.addon_show(module=__package__.rpartition(".")[0])
+
+
+class Explain(bpy.types.Operator):
+    """Operator: a line of a panel that has small print, as its tooltip and, when it is clicked, as a report."""
+
+    bl_idname = "jghand.explain"
+    bl_label = "Explain"
+    bl_description = "Say why"
+    bl_options = PLUMBING
+
+    text: bpy.props.StringProperty(options={"SKIP_SAVE", "HIDDEN"})  # type: ignore[valid-type]
+
+    @classmethod
+    def description(cls, _context: bpy.types.Context, properties: bpy.types.OperatorProperties) -> str:
+        return properties.text
+
+    def execute(self, _context: bpy.types.Context) -> set[str]:
+        self.report({"INFO"}, self.text)
+        return {"FINISHED"}
+
+
+CLASSES = (
+    UseEngine,
+    UseStandard,
+    AddCamera,
+    OpenPreferences,
+    Explain,
+)

@@ -1,0 +1,237 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Who waits for what of the engine: slots of which only the newest request counts, and exact requests in their order.
+
+One request is with the engine at a time; the engine works on one anyway, and so nothing that is out of date is ever
+sent. No thread, no clock, no socket here: the link holds its lock while it calls this. Does not use bpy.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict, deque
+from collections.abc import Callable, Hashable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from ..core import limits
+from ..core.wire import protocol
+from ..errors import JGHandFailure
+from .answers import GIVEN_UP, Answer, Arrays, Progress, told
+from .state import PASSING
+
+
+@dataclass(eq=False)
+class Call:
+    """One request. slot: None for an exact one · droppable: it gives way to whatever else is wanted · sent_s: when the
+    engine got it, None before · told_s: when the engine last said what it does before it comes to it · given_up_s: when
+    nobody wanted the answer any more although the engine was at it · answer: of an exact one"""
+
+    id: int
+    pieces: list[bytes | memoryview]
+    slot: str | None = None
+    tag: Hashable = None
+    droppable: bool = False
+    sent_s: float | None = None
+    told_s: float = 0.0
+    given_up_s: float | None = None
+    answer: Answer | None = None
+
+    @property
+    def begun_s(self) -> float | None:
+        """Since when the engine may be at the request itself: not while it says what it loads for it, within reason."""
+        if self.sent_s is None:
+            return None
+        return max(self.sent_s, min(self.told_s, self.sent_s + limits.LOAD_S))
+
+
+@dataclass
+class _Slot:
+    """A consumer of pictures: what it wants now, what of it the engine works on, and what it has."""
+
+    waiting: Call | None = None
+    flying: Call | None = None
+    answer: Answer | None = None
+
+    def expects(self, tag: Hashable) -> bool:
+        """Whether an answer with this tag is still to come."""
+        return any(call is not None and call.tag == tag for call in (self.waiting, self.flying))
+
+
+class Waiting:
+    """All requests of one link. changed: whether a slot got another answer, or progress came; the reader puts it back.
+    cancels: numbers of requests that the engine is to be told to give up."""
+
+    def __init__(self) -> None:
+        self.changed = False
+        self.flying: Call | None = None
+        self.progress: Progress | None = None
+        self.cancels: deque[int] = deque()
+        self.exact: deque[Call] = deque()
+        self._slots: OrderedDict[str, _Slot] = OrderedDict()
+        self._refused: OrderedDict[Hashable, JGHandFailure] = OrderedDict()
+        self._next_id = 1
+
+    # ---- wanting -----------------------------------------------------------------------------------------------------
+
+    def ask(
+        self,
+        slot: str,
+        header: Mapping[str, Any],
+        arrays: Arrays | None,
+        tag: Hashable,
+        now_s: float,
+        *,
+        droppable: bool = False,
+    ) -> bool:
+        """The slot wants this now, in place of what it waits for; True when the engine is needed for it."""
+        place = self._slots.setdefault(slot, _Slot())
+        if place.flying is not None and place.flying.droppable and place.flying.tag != tag:
+            self.give_up(place.flying, now_s)
+            place.flying = None
+        if place.expects(tag):
+            if place.waiting is not None and place.waiting.tag != tag:
+                place.waiting = None  # what the engine works on is wanted again
+            return False
+        place.waiting = None
+        failure = self._refused.get(tag)
+        if failure is None:
+            try:
+                place.waiting = self._new_call(header, arrays, slot, tag, droppable=droppable)
+                return True
+            except JGHandFailure as error:
+                failure = error
+        self._answer(place, Answer(tag, None, failure))
+        return False
+
+    def append(self, header: Mapping[str, Any], arrays: Arrays | None, now_s: float) -> Call:
+        """An exact request, after those that wait. JGHandFailure: bad_input."""
+        call = self._new_call(header, arrays)
+        self.exact.append(call)
+        if self.flying is not None and self.flying.droppable:
+            self.give_up(self.flying, now_s)  # its slot hears of it, and may ask again
+        return call
+
+    def give_up(self, call: Call, now_s: float) -> None:
+        """Nobody wants this answer any more."""
+        if call in self.exact:
+            self.exact.remove(call)
+        elif call is self.flying and call.given_up_s is None:
+            call.given_up_s = now_s
+            self.cancels.append(call.id)
+
+    def drop(self, slot: str, now_s: float) -> None:
+        """Forgets a slot and what it waits for."""
+        place = self._slots.pop(slot, None)
+        if place is not None and place.flying is not None:
+            self.give_up(place.flying, now_s)
+
+    def forget_refused(self) -> None:
+        """What failed may be tried again."""
+        self._refused.clear()
+
+    # ---- looking -----------------------------------------------------------------------------------------------------
+
+    def answer(self, slot: str) -> Answer | None:
+        """The newest answer of a slot."""
+        place = self._slots.get(slot)
+        return place.answer if place is not None else None
+
+    def expects(self, slot: str, tag: Hashable) -> bool:
+        """Whether an answer with this tag is still to come."""
+        place = self._slots.get(slot)
+        return place is not None and place.expects(tag)
+
+    def is_overdue(self, now_s: float) -> bool:
+        """Whether the engine works for too long on something that it was told to give up, or on a picture."""
+        call = self.flying
+        if call is None or call.begun_s is None:
+            return False
+        if call.given_up_s is not None:
+            return now_s - max(call.given_up_s, call.begun_s) > limits.SILENCE_S
+        return call.slot is not None and now_s - call.begun_s > limits.LOAD_S
+
+    # ---- the engine --------------------------------------------------------------------------------------------------
+
+    def next(self, now_s: float) -> Call | None:
+        """The request that the engine gets now: an exact one first, then that of the slot whose turn is longest ago."""
+        if self.flying is not None:
+            return None
+        call = self.exact.popleft() if self.exact else self._next_of_slots()
+        if call is not None:
+            call.sent_s, self.flying = now_s, call
+        return call
+
+    def take(self, message: protocol.Message, now_s: float, log: Callable[[], str]) -> None:
+        """A message of the engine: a reply, or progress. What belongs to nothing is left aside. log: what the engine
+        printed last."""
+        call, header = self.flying, message.header
+        if call is None or call.sent_s is None or header.get("id") != call.id:
+            return
+        if header.get("kind") == "progress":
+            self.progress, self.changed, call.told_s = Progress.of(header), True, now_s
+        elif header.get("kind") == "reply":
+            failure = None if header.get("ok") is True else told(header.get("error"), log())
+            round_trip_ms = 1e3 * (now_s - call.sent_s)
+            self._arrived(call, Answer(call.tag, None if failure else message, failure, round_trip_ms))
+
+    def release(self, failure: JGHandFailure) -> None:
+        """Everybody who waits gets this failure. What the engine worked on when it failed is not asked for again."""
+        flying, self.flying, self.progress = self.flying, None, None
+        if flying is not None and flying.slot is not None and failure.kind in PASSING:
+            self._refuse(flying.tag, failure)
+        for call in (flying, *self.exact):
+            if call is not None and call.slot is None:
+                call.answer = Answer(call.tag, None, failure)
+        self.exact.clear()
+        self.cancels.clear()
+        for place in self._slots.values():
+            wanted = place.waiting or place.flying
+            place.waiting = place.flying = None
+            if wanted is not None:
+                self._answer(place, Answer(wanted.tag, None, failure))
+
+    # ---- parts -------------------------------------------------------------------------------------------------------
+
+    def _new_call(
+        self,
+        header: Mapping[str, Any],
+        arrays: Arrays | None,
+        slot: str | None = None,
+        tag: Hashable = None,
+        *,
+        droppable: bool = False,
+    ) -> Call:
+        identity, self._next_id = self._next_id, self._next_id + 1
+        try:
+            return Call(identity, protocol.encode({**header, "id": identity}, arrays), slot, tag, droppable)
+        except protocol.ProtocolError as error:
+            raise JGHandFailure("bad_input", str(error)) from error
+
+    def _next_of_slots(self) -> Call | None:
+        for name, place in self._slots.items():
+            if place.waiting is not None:
+                place.flying, place.waiting = place.waiting, None
+                self._slots.move_to_end(name)
+                return place.flying
+        return None
+
+    def _arrived(self, call: Call, answer: Answer) -> None:
+        self.flying = self.progress = None
+        if call.slot is None:
+            call.answer = answer
+            return
+        if answer.failure is not None and answer.failure.kind not in GIVEN_UP:
+            self._refuse(call.tag, answer.failure)
+        place = self._slots.get(call.slot)
+        if place is not None and place.flying is call:
+            place.flying = None
+            self._answer(place, answer)
+
+    def _answer(self, place: _Slot, answer: Answer) -> None:
+        # or a view that is drawn again for every answer, and asks when it is drawn, would never rest
+        if not answer.fails_as(place.answer):
+            place.answer, self.changed = answer, True
+
+    def _refuse(self, tag: Hashable, failure: JGHandFailure) -> None:
+        self._refused[tag] = failure
+        while len(self._refused) > limits.REFUSED_MAX:
+            self._refused.popitem(last=False)

@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a training leaves in its folder, read while it runs and after Blender was started anew. Does not use bpy.
+
+training.json   there is a training, and it can go on     pictures/step_00000500.png   truth beside the avatar
+log.jsonl       figures, a line per interval              preview.jghand               the avatar so far
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..core import limits
+from ..core.panel_text import Translate
+from ..export.recording import avatar_digest
+
+_SUFFIX = ".training"
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One figure of the log. steps, values: of the same length, steps ascending."""
+
+    steps: tuple[int, ...] = ()
+    values: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True)
+class TrainingFolder:
+    """path · can_go_on: whether it holds a training · loss: the log's · psnr: of the fixed view, dB · picture: newest
+    preview · avatar: the newest avatar, None where there is none yet."""
+
+    path: Path
+    can_go_on: bool = False
+    loss: Curve = Curve()
+    psnr: Curve = Curve()
+    picture: Path | None = None
+    avatar: Path | None = None
+
+    def sentence(self, translate: Translate = str) -> str:
+        """Where it stands, for a panel; "" before the first line of its log."""
+        parts = []
+        if self.loss.steps:
+            template = translate("step {step}, loss {loss:.4f}")
+            parts.append(template.format(step=self.loss.steps[-1], loss=self.loss.values[-1]))
+        if self.psnr.steps:
+            template = translate("fixed view {psnr:.2f} dB (best {best:.2f})")
+            parts.append(template.format(psnr=self.psnr.values[-1], best=max(self.psnr.values)))
+        return ", ".join(parts)
+
+    def lost_sentence(self, translate: Translate = str) -> str:
+        """What beginning anew takes away."""
+        parts = [translate("{count} steps").format(count=self.loss.steps[-1] if self.loss.steps else 0)]
+        if self.psnr.steps:
+            parts.append(translate("fixed view {best:.2f} dB").format(best=max(self.psnr.values)))
+        return ", ".join(parts)
+
+
+def folder_of(out: Path) -> Path:
+    """Where the training of an avatar file keeps its work; as `jghand train` chooses it."""
+    return out.with_suffix(_SUFFIX)
+
+
+def is_in_the_way(out: Path, work: Path) -> bool:
+    """Whether there is an avatar file that the training of this folder did not write: it is replaced only on request.
+    The record is the engine's, `jghand_engine.learn.output`."""
+    if not out.is_file():
+        return False
+    try:
+        hashes = json.loads((work / "output.json").read_text(encoding="utf-8"))["sha256"]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return True
+    return avatar_digest(str(out)) not in (hashes if isinstance(hashes, list) else [hashes])
+
+
+class TrainingReader:
+    """Reads one folder again and again; of the log only what is new."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._read, self._rest = 0, b""
+        self._loss: list[tuple[int, float]] = []
+        self._psnr: list[tuple[int, float]] = []
+
+    def look(self) -> TrainingFolder:
+        """What is there now. A folder that cannot be read is one without a training."""
+        self._read_log()
+        pictures = sorted((self.path / "pictures").glob("step_*.png"))
+        avatar = self.path / "preview.jghand"
+        return TrainingFolder(
+            self.path,
+            can_go_on=(self.path / "training.json").is_file(),
+            loss=_curve(self._loss),
+            psnr=_curve(self._psnr),
+            picture=pictures[-1] if pictures else None,
+            avatar=avatar if avatar.is_file() else None,
+        )
+
+    def _read_log(self) -> None:
+        path = self.path / "log.jsonl"
+        try:
+            size = path.stat().st_size
+            if size < self._read:  # a training that goes on cuts its log first
+                self._read, self._rest = 0, b""
+                self._loss.clear()
+                self._psnr.clear()
+            with path.open("rb") as stream:
+                stream.seek(self._read)
+                new = stream.read(limits.LOG_READ_BYTES)
+        except OSError:
+            return
+        self._read += len(new)
+        *lines, self._rest = (self._rest + new).split(b"\n")
+        for line in lines:
+            self._take(line)
+
+    def _take(self, line: bytes) -> None:
+        try:
+            content = json.loads(line)
+            step = content["step"]
+        except (ValueError, TypeError, KeyError, RecursionError):
+            return
+        if not isinstance(step, int):
+            return
+        for name, curve in (("loss", self._loss), ("psnr", self._psnr)):
+            value = content.get(name)
+            if isinstance(value, (int, float)) and math.isfinite(value):
+                # after going back to a checkpoint, what came later did not happen
+                while curve and curve[-1][0] >= step:
+                    curve.pop()
+                curve.append((step, float(value)))
+
+
+def _curve(points: list[tuple[int, float]]) -> Curve:
+    return Curve(tuple(step for step, _ in points), tuple(value for _, value in points))
+
+
+def curve_picture(curve: Curve, width: int, height: int) -> np.ndarray:
+    """(H, W, 4) float32 sRGB, top row first: a curve over its steps, on a logarithmic scale where it is above 0
+    throughout. Transparent without points."""
+    picture = np.zeros((height, width, 4), np.float32)
+    if not curve.steps:
+        return picture
+    picture[...] = limits.CURVE_GROUND
+    values = np.array(curve.values, dtype=np.float64)
+    values = np.log(values) if values.min() > 0 else values
+    steps = np.array(curve.steps, dtype=np.float64)
+    low, high = values.min(), values.max()
+    margin = limits.CURVE_MARGIN_PX
+    columns = np.arange(margin, width - margin)
+    at = np.linspace(steps[0], steps[-1], len(columns)) if steps[-1] > steps[0] else np.full(len(columns), steps[0])
+    heights = np.interp(at, steps, values)
+    part = (heights - low) / (high - low) if high > low else np.full(len(columns), 0.5)
+    rows = np.rint((height - 1 - margin) - part * (height - 1 - 2 * margin)).astype(int)
+    for index, column in enumerate(columns):
+        before = rows[max(index - 1, 0)]
+        top, bottom = sorted((before, rows[index]))
+        picture[top : bottom + limits.CURVE_LINE_PX, column] = limits.CURVE_LINE
+    return picture

@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What the interface is made of: the tab's panels and their pieces, messages at the pointer, icons, redrawing, undo."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, nullcontext
+
+import blf
+import bpy
+import bpy.utils.previews
+import numpy as np
+from bpy.app.translations import pgettext_iface as iface_
+
+from .core import limits, panel_text
+from .core.panel_text import Line
+from .hand import armature, seen_hands
+
+# the order of the tab; room is left between them
+HAND, BONES, POSE, MOTION, VIEW, RENDER, QUALITY, OUTPUT, TRAIN, ADVANCED = range(0, 100, 10)
+CLOSED = {"DEFAULT_CLOSED"}
+# Blender's own, which labels have
+_FONT = 0
+# pixels, at the interface's scale of one, that a panel keeps free at its sides, and that an icon takes
+_MARGIN_PX, _ICON_PX = 76, 20
+# a sidebar without a window
+_WIDTH_PX = 240
+
+
+class Sidebar:
+    """A panel of the tab."""
+
+    bl_space_type = "VIEW_3D"
+    bl_region_type = "UI"
+    bl_category = "JGHand"
+    # section of the help page that its question mark opens
+    help_section = ""
+
+    def draw_header_preset(self, _context: bpy.types.Context) -> None:
+        """A question mark at the right of the header."""
+        if self.help_section:
+            button = self.layout.operator("jghand.open_help", text="", icon="QUESTION", emboss=False)
+            button.section = self.help_section
+
+
+def active(context: bpy.types.Context) -> bpy.types.Object | None:
+    """The active object where it is a hand, ours or not."""
+    thing = context.object
+    return thing if thing is not None and armature.is_any_hand(thing) else None
+
+
+def hands_of(context: bpy.types.Context) -> list[bpy.types.Object]:
+    """All hands of the view layer, by name."""
+    return [thing for thing in seen_hands.hands_of(context.scene, context.view_layer) if armature.is_any_hand(thing)]
+
+
+def any_hand(context: bpy.types.Context) -> bool:
+    """Whether there is a hand: without one, the tab shows nothing but how to add one."""
+    return active(context) is not None or bool(hands_of(context))
+
+
+def has_operator(name: str) -> bool:
+    """Whether an operator is registered."""
+    family, _, action = name.partition(".")
+    return hasattr(bpy.types, f"{family.upper()}_OT_{action}")
+
+
+def paragraph(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, *, icon: str = "NONE") -> None:
+    """Text that is longer than the sidebar is wide."""
+    column = layout.column(align=True)
+    column.scale_y = 0.8
+    scale = context.preferences.system.ui_scale
+    width = context.region.width if context.region is not None and context.region.width > 1 else _WIDTH_PX * scale
+    room = width - (_MARGIN_PX + (_ICON_PX if icon != "NONE" else 0)) * scale
+    blf.size(_FONT, context.preferences.ui_styles[0].widget.points * scale)
+    for line in panel_text.wrapped(iface_(text), room, lambda line: blf.dimensions(_FONT, line)[0]):
+        column.label(text=line, icon=icon, translate=False)
+        icon = "BLANK1" if icon != "NONE" else icon
+
+
+def explained(layout: bpy.types.UILayout, line: Line, *, icon: str = "NONE") -> None:
+    """A line with its small print as tooltip."""
+    row = layout.row()
+    row.alignment = "LEFT"
+    if not line.tip:
+        row.label(text=line.text, icon=icon, translate=False)
+        return
+    row.operator("jghand.explain", text=line.text, icon=icon, emboss=False, translate=False).text = line.tip
+
+
+def figure(layout: bpy.types.UILayout, line: Line) -> None:
+    """A line with its value at the right, as a bar of its part of the whole."""
+    row = layout.split(factor=0.45)
+    explained(row, line)
+    if line.part > 0:
+        row.progress(factor=line.part, text=line.value, translate=False)
+    else:
+        value = row.row()
+        value.active = False
+        value.label(text=line.value, translate=False)
+
+
+# where panels of ours stand: the sidebar, render settings, the preferences
+PANELS = ("VIEW_3D", "PROPERTIES", "PREFERENCES")
+
+
+def redraw(*kinds: str) -> None:
+    """All areas of these types, in every window; without any: views and their sidebars."""
+    for window in bpy.context.window_manager.windows:
+        for area in window.screen.areas:
+            if area.type in (kinds or ("VIEW_3D",)):
+                area.tag_redraw()
+
+
+def show_message(text: str, *, icon: str, operators: Iterable[tuple[str, str]] = ()) -> None:
+    """Shows a sentence and operators (their names and icons), where there is a window. Only on the main thread."""
+    windows = bpy.context.window_manager.windows
+    if bpy.app.background or not windows:
+        return
+    lines, buttons = panel_text.wrapped(text, limits.POPUP_LETTERS), tuple(operators)
+
+    def draw(menu: bpy.types.Menu, _context: bpy.types.Context) -> None:
+        # not as the title, which is cut where the window ends: that of a picture is small
+        column = menu.layout.column(align=True)
+        for line in lines:
+            column.label(text=line, translate=False)
+        if buttons:
+            menu.layout.separator()
+        for name, its_icon in buttons:
+            menu.layout.operator(name, icon=its_icon)
+
+    with bpy.context.temp_override(window=windows[-1]):  # the newest: that of the picture, if it has one
+        bpy.context.window_manager.popup_menu(draw, title="JGHand", icon=icon)
+
+
+def store_picture(icons: bpy.utils.previews.ImagePreviewCollection, key: str, picture: np.ndarray) -> None:
+    """Puts an (H, W, 4) picture of straight sRGB, 0 to 1, top row first, into a collection, in place of one before."""
+    icon = icons[key] if key in icons else icons.new(key)
+    icon.image_size = icon.icon_size = (picture.shape[1], picture.shape[0])
+    pixels = np.ascontiguousarray(picture[::-1], np.float32).ravel()
+    icon.image_pixels_float.foreach_set(pixels)
+    icon.icon_pixels_float.foreach_set(pixels)
+
+
+@contextmanager
+def in_a_window(scene_uid: int | None = None) -> Iterator[bpy.types.Context]:
+    """A context with a window, which timers have none of; one that shows the scene with this session_uid, where there
+    is one. Blender without windows has its own context."""
+    windows = list(bpy.context.window_manager.windows)
+    if bpy.context.window is not None:
+        windows.insert(0, bpy.context.window)
+    fitting = [window for window in windows if scene_uid is None or window.scene.session_uid == scene_uid]
+    with bpy.context.temp_override(window=fitting[0]) if fitting else nullcontext():
+        yield bpy.context
+
+
+@contextmanager
+def one_step(message: str) -> Iterator[bpy.types.Context]:
+    """The context to change things in; what was changed is one step of undo."""
+    with in_a_window() as context:
+        yield context
+        if not bpy.app.background and bpy.ops.ed.undo_push.poll():
+            bpy.ops.ed.undo_push(message=message)

@@ -1,0 +1,245 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What keeps the views up to date between two draws: Blender's handlers, in one table, and the timer.
+
+A view asks for its picture when Blender draws it (`views`). Here is what no draw tells: an answer came, a better
+picture is due, the frame changed (so that the engine works while Blender still prepares to draw), a file was opened.
+While Blender renders hands nothing is done: the engine belongs to the render. Source: BLENDER 5 and 7.1.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import bpy
+from bpy.app.handlers import persistent
+
+from .. import clock
+from ..core import limits, pacing
+from ..export import usd_hook
+from ..hand import seen_hands
+from ..render import guard, left_out, rendering
+from ..renderer import runtime
+from . import drawing, overlay, views
+
+_status: tuple[object, ...] = ()
+# what the panels say of hands that do not show: names and kinds
+_problems: list[tuple[str, str]] = []
+_panels_drawn_s = 0.0
+
+
+# ---- the timer -------------------------------------------------------------------------------------------------------
+
+
+def tick() -> float:
+    """Looks once; returns after how many seconds to look again."""
+    views.end_turn()
+    if rendering.check():
+        _drop_stale()
+        return limits.IDLE_TICK_S
+    left_out.show()
+    guard.show()
+    usd_hook.show()
+    _follow_status()
+    _follow_problems()
+    _redraw(views.try_again())
+    shown = views.all_views()
+    if not shown:
+        return limits.IDLE_TICK_S
+    return min(_look_after(shown), limits.IDLE_TICK_S)
+
+
+def _look_after(shown: list[views.View]) -> float:
+    """Takes what came for each view, asks for what is due; returns after how many seconds something is next."""
+    regions = {region.as_pointer(): (window, area, region) for window, area, region in views.open_regions()}
+    soonest_s = limits.IDLE_TICK_S
+    for view in shown:
+        if view.region not in regions:
+            views.remove(view)
+            continue
+        window, area, region = regions[view.region]
+        if not views.draws(area.spaces.active, window.scene, view.kind):
+            views.remove(view)
+            continue
+        moment = views.moment_of(window.scene)
+        if views.take(view, moment):
+            region.tag_redraw()
+            _redraw_panels(soon=False)
+        elif view.drawn and not pacing.may_show(view.pace, moment):  # no newer picture came in time
+            region.tag_redraw()
+        if views.is_due(view):
+            views.look(view, moment, drawing=False)
+        soonest_s = min(soonest_s, views.next_look_s(view))
+    return soonest_s
+
+
+def _drop_stale() -> None:
+    """Draws views anew that show a picture of long ago while a render has the engine."""
+    _redraw({view.region for view in views.all_views() if view.drawn and rendering.lasts_s() > limits.STALE_S})
+
+
+def _redraw(wanted: set[int]) -> None:
+    """Draws regions anew, by their addresses."""
+    if wanted:
+        for _, _, region in views.open_regions():
+            if region.as_pointer() in wanted:
+                region.tag_redraw()
+
+
+def _follow_status() -> None:
+    """Notices when the engine starts, ends or fails: panels say so, and views may ask again."""
+    global _status
+    link = runtime.link()
+    link.tick()
+    status = link.status
+    now = (status.state, status.failure)
+    if now != _status:
+        came_up = status.state == "ready" and _status[:1] != ("slow",)
+        _status = now
+        if came_up:
+            views.forget_failures()
+        for _, _, region in views.open_regions():
+            region.tag_redraw()
+        _redraw_panels(soon=True)
+    elif status.state in ("starting", "slow", "stopping") or status.busy:
+        _redraw_panels(soon=False)
+
+
+def _follow_problems() -> None:
+    """Notices when a hand begins or ceases not to show: that may come from no click that draws a panel."""
+    global _problems
+    now = [(name, failure.kind) for name, failure in views.problems()]
+    if now != _problems:
+        _problems = now
+        _redraw_panels(soon=True)
+
+
+def _redraw_panels(*, soon: bool) -> None:
+    """Lets the sidebars of 3D views be drawn again; figures that change all the time not too often."""
+    global _panels_drawn_s
+    now_s = views.now_s()
+    if not soon and now_s - _panels_drawn_s < limits.PANEL_TICK_S:
+        return
+    _panels_drawn_s = now_s
+    for _, area, _ in views.open_regions():
+        for region in area.regions:
+            if region.type == "UI":
+                region.tag_redraw()
+
+
+# ---- handlers --------------------------------------------------------------------------------------------------------
+
+
+@persistent
+def on_frame_change(scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None = None) -> None:
+    """Another frame is evaluated: views that stand still ask for it before Blender draws."""
+    if rendering.now() or not _on_main_thread() or depsgraph is None or depsgraph.mode != "VIEWPORT":
+        return
+    views.begin_step()
+    resting = [view for view in views.all_views() if pacing.camera_rests(view.pace)]
+    if not resting:
+        return
+    moment = views.moment_of(scene)
+    regions = {region.as_pointer(): (window, area) for window, area, region in views.open_regions()}
+    for view in resting:
+        window, area = regions.get(view.region, (None, None))
+        if window is None or window.scene != scene or window.view_layer.name != depsgraph.view_layer.name:
+            continue
+        if not views.draws(area.spaces.active, scene, view.kind):
+            continue
+        space, solid = area.spaces.active, view.kind == views.SOLID
+        things = seen_hands.hands_in(scene, window.view_layer, space, switched_on_only=solid)
+        if things:
+            views.read_again(view, things, depsgraph)
+            views.look(view, moment, drawing=False)
+
+
+@persistent
+def on_change(_scene: bpy.types.Scene, depsgraph: bpy.types.Depsgraph | None = None) -> None:
+    """Something was edited: whether that made or removed a hand. Blender draws the views itself."""
+    if not rendering.now() and _on_main_thread() and depsgraph is not None:
+        seen_hands.notice(depsgraph)
+
+
+@persistent
+def on_undo(*_: Any) -> None:
+    """Undo or redo: every object may be another now."""
+    if _on_main_thread():
+        seen_hands.forget()
+
+
+@persistent
+def on_load(*_: Any) -> None:
+    """Another file: its views begin anew. The engine goes on."""
+    rendering.end()
+    views.clear()
+    usd_hook.forget()
+
+
+@persistent
+def on_render_begin(scene: bpy.types.Scene, *_: Any) -> None:
+    """A render begins; where it draws hands, the views leave the engine to it."""
+    if rendering.needs_engine(scene):
+        rendering.begin()
+
+
+@persistent
+def on_render_end(*_: Any) -> None:
+    """A render is over; the views ask for what they need when they are drawn. Edits meanwhile were not noticed."""
+    rendering.end()
+    seen_hands.forget()
+
+
+# the one table of handlers: list of bpy.app.handlers, function
+HANDLERS: tuple[tuple[str, Callable[..., None]], ...] = (
+    ("frame_change_post", on_frame_change),
+    ("depsgraph_update_post", on_change),
+    ("undo_post", on_undo),
+    ("redo_post", on_undo),
+    ("load_post", on_load),
+    ("render_init", on_render_begin),
+    ("render_complete", on_render_end),
+    ("render_cancel", on_render_end),
+)
+
+
+def install() -> None:
+    """Adds handlers, the timer and the draw handler; what is there already is not added twice."""
+    for name, function in HANDLERS:
+        functions = getattr(bpy.app.handlers, name)
+        if function not in functions:
+            functions.append(function)
+    if not clock.runs():
+        clock.start(tick)
+    overlay.install()
+
+
+def remove() -> None:
+    """Takes them away, those that are there."""
+    global _status
+    overlay.remove()
+    clock.stop()
+    for name, function in HANDLERS:
+        functions = getattr(bpy.app.handlers, name)
+        if function in functions:
+            functions.remove(function)
+    rendering.end()
+    _status = ()
+
+
+def register() -> None:
+    """Follows Blender's views, where there are any: without a window timers never fire and nothing is drawn."""
+    if not bpy.app.background:
+        install()
+
+
+def unregister() -> None:
+    """Stops following them and frees their pictures."""
+    remove()
+    views.clear()
+    drawing.forget()
+
+
+def _on_main_thread() -> bool:
+    return threading.current_thread() is threading.main_thread()
