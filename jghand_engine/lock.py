@@ -13,7 +13,7 @@ from pathlib import Path
 
 from jghand_engine.errors import InputError, JGHandError, RetryError
 from jghand_engine.files import file_error
-from jghand_engine.limits import CLAIM_POLL_S, LOCK_HOLDER_BYTES, LOCK_POLL_S
+from jghand_engine.limits import LOCK_HOLDER_BYTES, LOCK_POLL_S
 
 
 @contextlib.contextmanager
@@ -72,60 +72,6 @@ def _no_locks(folder: Path, error: OSError) -> JGHandError:
     )  # fmt: skip
 
 
-class Claims:
-    """Which of many numbered pieces of work a process is at: a byte of one file for each. Processes exclude each other,
-    also on different machines where their file system passes locks on; threads of one process do not, and only one
-    `Claims` of a file may be open in a process.
-
-    Where a file system has no such locks every claim is granted: whoever relies on claims must be right without them.
-    sure: whether all claims so far were locks.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self.path, self.sure = path, True
-        try:
-            self._descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
-        except OSError as error:
-            raise file_error(path, error) from error
-
-    @contextlib.contextmanager
-    def held(self, number: int, *, wait_s: float = 0.0) -> Iterator[bool]:
-        """Claims piece `number`, 0 or more, for the duration; gives whether it was free. wait_s: how long at most until
-        it is."""
-        until_s = time.monotonic() + wait_s
-        taken = self._take(number)
-        while not taken and time.monotonic() < until_s:
-            time.sleep(CLAIM_POLL_S)
-            taken = self._take(number)
-        try:
-            yield taken
-        finally:
-            if taken:
-                with contextlib.suppress(OSError):
-                    _release_byte(self._descriptor, number)
-
-    def close(self) -> None:
-        """Gives everything back; the file goes where nobody else holds a piece, or nobody can."""
-        alone = True
-        try:
-            _take_bytes(self._descriptor, 0, _ALL_BYTES)
-        except OSError as error:
-            alone = error.errno not in _TAKEN
-        os.close(self._descriptor)
-        if alone:
-            with contextlib.suppress(OSError):
-                self.path.unlink()
-
-    def _take(self, number: int) -> bool:
-        try:
-            _take_bytes(self._descriptor, number, 1)
-        except OSError as error:
-            if error.errno in _TAKEN:
-                return False
-            self.sure = False
-        return True
-
-
 # what the systems say of what another process holds
 _TAKEN = (errno.EACCES, errno.EAGAIN, errno.EDEADLK)
 # ... and where a file system knows no locks, or nobody who keeps them
@@ -134,16 +80,6 @@ _NO_LOCKS = (errno.ENOSYS, errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOTSUP)
 
 if sys.platform == "win32":
     import msvcrt
-
-    _ALL_BYTES = 2**31 - 1
-
-    def _take_bytes(descriptor: int, first: int, count: int) -> None:
-        os.lseek(descriptor, first, os.SEEK_SET)
-        msvcrt.locking(descriptor, msvcrt.LK_NBLCK, count)
-
-    def _release_byte(descriptor: int, number: int) -> None:
-        os.lseek(descriptor, number, os.SEEK_SET)
-        msvcrt.locking(descriptor, msvcrt.LK_UNLCK, 1)
 
     def _take(descriptor: int) -> bool:
         try:
@@ -158,15 +94,6 @@ if sys.platform == "win32":
 
 else:
     import fcntl
-
-    # to the system 0 bytes are all that follow
-    _ALL_BYTES = 0
-
-    def _take_bytes(descriptor: int, first: int, count: int) -> None:
-        fcntl.lockf(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB, count, first)
-
-    def _release_byte(descriptor: int, number: int) -> None:
-        fcntl.lockf(descriptor, fcntl.LOCK_UN, 1, number)
 
     def _take(descriptor: int) -> bool:
         try:

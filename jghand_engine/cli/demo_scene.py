@@ -25,7 +25,7 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.shipped import SHIPPED
 from jghand_engine.cli.camera_file import camera_to_dict
 from jghand_engine.cli.console import progress, write_json
-from jghand_engine.cli.picture_files import Shooting, Target
+from jghand_engine.cli.frame_files import FrameFiles, FrameWriter
 from jghand_engine.cli.timings import Timings
 from jghand_engine.errors import InputError, JGHandError, MemoryLimitError, RetryError
 from jghand_engine.files import file_error, make_folder
@@ -81,9 +81,9 @@ class Scene:
     def cameras_file(self) -> Path:
         return self.out / "cameras.json"
 
-    def frames(self, camera: str) -> Target:
+    def frames(self, camera: str) -> FrameFiles:
         """Where the pictures of a camera are."""
-        return Target(self.out / "frames" / camera, name=FRAME_NAME, first=FIRST_FRAME, text=f"Rendering {camera}")
+        return FrameFiles(self.out / "frames" / camera, name=FRAME_NAME, first=FIRST_FRAME, text=f"Rendering {camera}")
 
 
 def demo_motion(avatar: HandAvatar, poses: list[str]) -> PoseSequence:
@@ -149,9 +149,9 @@ def render_alone(scene: Scene, avatar: HandAvatar) -> Timings:
     renderer = HandRenderer(avatar, preset(scene.preset))
     timings = Timings()
     for name, camera in scene.cameras.items():
-        target = scene.frames(name)
-        make_folder(target.folder)
-        Shooting(renderer, scene.sequence.joints_m, camera, target, timings).make_all()
+        files = scene.frames(name)
+        make_folder(files.folder)
+        FrameWriter(renderer, scene.sequence.joints_m, camera, files, timings).write_all()
     return timings
 
 

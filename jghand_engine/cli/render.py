@@ -25,9 +25,8 @@ from jghand_engine.errors import InputError
 if TYPE_CHECKING:
     from jghand_engine.avatar.avatar import HandAvatar
     from jghand_engine.avatar.pose_range import OutOfRange
+    from jghand_engine.cli.frame_files import Shard
     from jghand_engine.cli.inputs import Motion
-    from jghand_engine.cli.picture_sharing import Part
-    from jghand_engine.cli.picture_stamp import MadeFrom
     from jghand_engine.cli.render_passes import PassWriter
     from jghand_engine.render.camera import Camera
     from jghand_engine.render.effect_plan import Choice
@@ -65,7 +64,7 @@ class Render:
     run makes (docs/SCALE.md)."""
     skip_existing: bool = False
     """Keep the pictures that this very command has made before, of whatever shard; make the missing and the broken
-    ones. A picture that was made from something else is refused."""
+    ones. A folder with pictures of another render is refused."""
     motion: MotionOptions = field(default_factory=MotionOptions)
     avatar: AvatarOptions = field(default_factory=AvatarOptions)
     picture: PictureOptions = field(default_factory=PictureOptions)
@@ -79,9 +78,8 @@ class Render:
 
         from jghand_engine.avatar.builtin import load_avatar_called
         from jghand_engine.cli.camera_file import camera_to_dict
+        from jghand_engine.cli.frame_files import FrameFiles, FrameWriter, refuse_other_frames, settle_folder
         from jghand_engine.cli.inputs import load_motion
-        from jghand_engine.cli.picture_files import Shooting, Target, refuse_other_frames
-        from jghand_engine.cli.picture_sharing import make_part, refuse_foreign
         from jghand_engine.cli.receipts import Receipts
         from jghand_engine.cli.render_passes import refuse_older_truth
         from jghand_engine.cli.timings import Timings
@@ -93,7 +91,7 @@ class Render:
         size, background = pixels(self.picture.size), self.picture.background_rgb()
         effects = self._effects()
         passes = self._passes()
-        part = self._part()
+        shard = self._shard()
         if self.video is not None:
             check_video_name("--video", self.video)
             refuse_foreign_video("--video", self.video)
@@ -113,32 +111,31 @@ class Render:
             settings = replace(settings, effects=effects)
         renderer = HandRenderer(avatar, settings if passes is None else passes.settings(settings))
         joints_m = motion.sequence.joints_m
-        target = Target(
-            self.out, background, first=motion.frames.start, step=motion.frames.step, shutter=self.effect.shutter
-        )
-        shooting = Shooting(
-            renderer, joints_m, self._with_lens(camera, motion), target, Timings(), Receipts(), passes,
-            self._made_from(renderer.settings, motion),
+        files = FrameFiles(self.out, background, first=motion.frames.start, step=motion.frames.step)
+        writer = FrameWriter(
+            renderer, joints_m, self._with_lens(camera, motion), files, Timings(), Receipts(), passes,
+            self.effect.shutter,
         )  # fmt: skip
         if passes is not None:
             passes.start(avatar, renderer, joints_m, camera)
-        known = refuse_foreign(shooting, part)
+        made_from, paths = self._made_from(renderer.settings, motion), [files.path(k) for k in range(len(joints_m))]
         make_folder(self.out)
+        settle_folder(self.out, made_from, paths, shard)
         started = time.perf_counter()
         write_json(self.out / "camera.json", camera_to_dict(camera))
-        outcome = make_part(shooting, part, known)
+        outcome = writer.write_all(shard)
         if passes is not None and outcome.complete:
-            passes.finish([shooting.target.path(index) for index in range(len(joints_m))])
+            passes.finish(paths)
         if self.video is not None:
-            write_video(self.video, shooting.shown(), motion.sequence.fps)
+            write_video(self.video, writer.shown(), motion.sequence.fps)
         seconds = time.perf_counter() - started
-        unseen, timings = out_of_range(avatar, motion), shooting.timings
+        unseen, timings = out_of_range(avatar, motion), writer.timings
         timings.show(f"{timings.frames} pictures of {camera.width} x {camera.height}, {len(avatar)} Gaussians")
-        if self.effect.explain and shooting.receipts is not None:
-            shooting.receipts.show()
-        if part.is_shared:
-            shard = f"Shard {self.shard} of " if part.shard[1] > 1 else ""
-            say(f"{shard}{len(joints_m)} pictures: {outcome.sentence()}")
+        if self.effect.explain and writer.receipts is not None:
+            writer.receipts.show()
+        if shard.is_shared:
+            which = f"Shard {self.shard} of " if shard.count > 1 else ""
+            say(f"{which}{len(joints_m)} pictures: {outcome.sentence()}")
         say(f"Done in {seconds:.1f} s: {self.out}" + (f" and {self.video}" if self.video else ""))
         for one in unseen[:_OUT_OF_RANGE_SAID]:
             say(f"Frame {one.frame}: {one.sentence()}.")
@@ -150,33 +147,33 @@ class Render:
                 "out_of_range": [one.as_dict() for one in unseen],
                 "frames": timings.frames, "size_px": [camera.width, camera.height], "preset": chosen,
                 "backend": timings.backend, "seconds": seconds, "stages": timings.figures(),
-                "effects": shooting.receipts.figures() if shooting.receipts is not None else {},
+                "effects": writer.receipts.figures() if writer.receipts is not None else {},
                 "shard": self.shard, **vars(outcome),
             })  # fmt: skip
 
-    def _part(self) -> Part:
+    def _shard(self) -> Shard:
         """Which pictures are made. InputError for what the processes of a shared render would not agree on."""
-        from jghand_engine.cli.picture_sharing import Part
+        from jghand_engine.cli.frame_files import Shard
 
-        part = Part(parse_shard(self.shard), self.skip_existing)
-        if self.video is not None and part.shard[1] > 1:
+        shard = Shard(*parse_shard(self.shard), self.skip_existing)
+        if self.video is not None and shard.count > 1:
             raise InputError(
                 "--video", wanted="all pictures", came=f"--shard {self.shard}",
                 remedy="When all shards are done, the same command with --skip-existing, without --shard, makes it.",
             )  # fmt: skip
-        if self.budget_ms is not None and part.is_shared:
+        if self.budget_ms is not None and shard.is_shared:
             raise InputError(
                 "--budget-ms", wanted="the same settings for every part of the pictures",
                 came="settings that are found on each machine",
                 remedy="Name a --preset, or leave out --shard and --skip-existing.",
             )  # fmt: skip
-        return part
+        return shard
 
-    def _made_from(self, settings: RenderSettings, motion: Motion) -> MadeFrom:
+    def _made_from(self, settings: RenderSettings, motion: Motion) -> dict[str, str]:
         from dataclasses import asdict
 
         from jghand_engine.avatar.builtin import avatar_sha256
-        from jghand_engine.cli.picture_stamp import file_digest, made_from
+        from jghand_engine.cli.frame_files import file_digest, made_from
 
         picture, effect, file = asdict(self.picture), asdict(self.effect), self.picture.camera_file
         # how fast, and what is told

@@ -11,7 +11,7 @@ picture stand in its own head; those of earlier pictures go with the first one t
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,10 +20,9 @@ from jghand_engine import __version__
 from jghand_engine.captures.pictures_in import picture_texts
 from jghand_engine.cli.console import write_json
 from jghand_engine.cli.options import EffectOptions
-from jghand_engine.cli.picture_stamp import STAMP_KEY, refuse_other
 from jghand_engine.errors import InputError
 from jghand_engine.export.cameras import COLMAP_FILES, Shot, write_colmap, write_transforms
-from jghand_engine.export.exr import exr_package, read_exr_text, write_exr
+from jghand_engine.export.exr import exr_package, probe_exr, write_exr
 from jghand_engine.export.passes import JOINTS, MAPS, JointWitness, channels, pass_names
 from jghand_engine.files import file_error
 from jghand_engine.hand.joints import STANDARD_NAMES
@@ -74,13 +73,13 @@ class PassWriter:
         self._renderer, self._joints_m, self._camera = renderer, joints_m, camera
         self._hand, self._witness = avatar.handedness, JointWitness(avatar)
 
-    def add(self, index: int, frame: Frame, picture: Path, texts: Mapping[str, str]) -> dict[str, str]:
-        """Writes the maps of a frame that was drawn just now, with `texts` in their head; gives the texts that the head
-        of its picture shall have besides."""
+    def add(self, index: int, frame: Frame, picture: Path) -> dict[str, str]:
+        """Writes the maps of a frame that was drawn just now; gives the texts that the head of its picture shall
+        have."""
         self._withdraw()
         bones = self._renderer.bone_ids(self._camera) if "ids" in self.names else None
         if self._maps:
-            about = {"jghand": __version__, "units": "metres", "axes": "camera: x right, y down, z forward", **texts}
+            about = {"jghand": __version__, "units": "meters", "axes": "camera: x right, y down, z forward"}
             write_exr(self.path(picture), channels(frame, bones, self._maps), about)
         if JOINTS not in self.names:
             return {}
@@ -100,15 +99,14 @@ class PassWriter:
                 raise file_error(path, error) from error
         self._withdrawn = True
 
-    def is_whole(self, picture: Path, stamp: str) -> bool:
-        """Whether the maps of a picture are there too. InputError when they were made from something else."""
+    def is_whole(self, picture: Path) -> bool:
+        """Whether the maps of a picture are there too, undamaged."""
         if not self._maps:
             return True
         try:
-            found = read_exr_text(self.path(picture), STAMP_KEY, (self._camera.width, self._camera.height))
+            probe_exr(self.path(picture), (self._camera.width, self._camera.height))
         except InputError:
             return False
-        refuse_other(self.path(picture), found or None, stamp)
         return True
 
     def path(self, picture: Path) -> Path:

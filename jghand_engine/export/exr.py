@@ -36,10 +36,9 @@ def exr_package() -> Any:
     return OpenEXR
 
 
-def read_exr_text(path: Path, name: str, size_px: tuple[int, int]) -> str:
-    """A text in the header of a whole EXR file of (width, height) pixels, '' where it has none of that name.
+def probe_exr(path: Path, size_px: tuple[int, int]) -> None:
+    """InputError unless `path` is a whole EXR file of (width, height) pixels, and where the package is missing.
 
-    InputError for a missing, cut-off or otherwise broken file, one of another size, and where the package is missing.
     An EXR has no checksums: single changed bytes may pass.
     """
     package = exr_package()
@@ -50,6 +49,6 @@ def read_exr_text(path: Path, name: str, size_px: tuple[int, int]) -> str:
         if (right - left + 1, bottom - top + 1) != size_px:
             raise InputError(f"{path}", wanted=f"{size_px[0]} x {size_px[1]} pixels", came="another size")
         with package.File(str(path)) as content:
-            return str(content.header().get(name, ""))
+            content.channels()  # of a damaged file the package keeps no part, and says so only here
     except (OSError, RuntimeError, ValueError, KeyError, TypeError) as error:
         raise InputError(f"cannot read {path}", came=str(error)[:200] or type(error).__name__) from error

@@ -34,12 +34,6 @@ PROGRESS_JSON_S = 0.25
 # take a few, a picture of a capture up to a minute
 STOP_WITHOUT_INPUT_S = 90.0
 
-# ---- cli: pictures that several processes make at once ---------------------------------------------------------------
-# seconds between two looks whether a picture that another process is at is there: a picture takes some hundredths
-CLAIM_POLL_S = 0.1
-# seconds that pictures of others are waited for: some tens of the slowest ones. Who does not give a claim back in that
-# time sleeps, or is of a machine that is gone; to draw its picture too costs less than to wait for ever
-CLAIM_WAIT_S = 60.0
 # seconds between two lines about the same training of a list
 PROGRESS_MANY_S = 60.0
 

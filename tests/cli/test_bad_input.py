@@ -279,7 +279,7 @@ def test_a_full_disk_leaves_no_half_video(tmp_path, command, monkeypatch):
             raise OSError(errno.ENOSPC, "No space left on device", str(path))
         path.parent.mkdir(exist_ok=True)
 
-    monkeypatch.setattr("jghand_engine.cli.picture_files.write_png", full)
+    monkeypatch.setattr("jghand_engine.cli.frame_files.write_png", full)
     words = ("render", "--poses", "open,fist", "--out", tmp_path / "out", "--video", tmp_path / "hand.mp4", *SMALL)
     code, err = command(*words)
     assert code == 3

@@ -10,7 +10,7 @@ import torch
 
 from jghand_engine.cli import main
 from jghand_engine.cli.camera_file import read_camera
-from jghand_engine.cli.picture_files import Shooting
+from jghand_engine.cli.frame_files import FrameWriter
 from jghand_engine.export.pictures import read_png
 from jghand_engine.hand.joints import STANDARD_NAMES
 
@@ -79,7 +79,7 @@ def test_maps_are_channels_of_an_exr_file(tmp_path):
     assert [path.name for path in files] == ["frame_00000.exr", "frame_00002.exr"]
     with package.File(str(files[0]), separate_channels=True) as content:
         found = {name: channel.pixels for name, channel in content.channels().items()}
-        assert content.header()["units"] == "metres"
+        assert content.header()["units"] == "meters"
     floats = {"A", "Z", "normal.X", "normal.Y", "normal.Z"}
     assert set(found) == floats | {"hand_id", "bone_id"}
     assert all(found[name].dtype == np.float32 for name in floats)
@@ -118,23 +118,22 @@ def test_truth_of_other_pictures_is_not_left_beside_new_ones(tmp_path, capsys):
 
 def test_a_run_that_is_stopped_leaves_no_truth_of_the_pictures_that_it_replaced(tmp_path, monkeypatch):
     def told() -> set[str]:
-        return {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*.json") if path.stem != "camera"} | {
-            path.name for path in tmp_path.rglob("*.txt")
-        }
+        found = [*tmp_path.rglob("*.json"), *tmp_path.rglob("*.txt")]
+        return {path.name for path in found if path.stem not in ("camera", "made_from")}
 
     assert render(tmp_path, "--passes", "joints") == 0
     all_of_it = told()
     assert all_of_it == {"joints.json", "transforms.json", "cameras.txt", "images.txt", "points3D.txt"}
-    make, made = Shooting.make, []
+    make, made = FrameWriter.write, []
 
-    def stopped(shooting: Shooting, index: int) -> None:
+    def stopped(writer: FrameWriter, index: int) -> None:
         if made:
             raise KeyboardInterrupt
-        make(shooting, index)
+        make(writer, index)
         made.append(index)
 
     with monkeypatch.context() as patch:
-        patch.setattr(Shooting, "make", stopped)
+        patch.setattr(FrameWriter, "write", stopped)
         assert render(tmp_path, "--passes", "joints", "--camera", "back") == 130
     assert told() == set()
     assert render(tmp_path, "--passes", "joints", "--camera", "back") == 0

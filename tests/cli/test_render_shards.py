@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import errno
 import json
 import os
 import shutil
@@ -11,20 +9,16 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from PIL import Image
 
-from jghand_engine import lock
 from jghand_engine.captures.pictures_in import probe_picture
-from jghand_engine.cli import main, picture_sharing
-from jghand_engine.cli.picture_files import Shooting
-from jghand_engine.cli.picture_sharing import CLAIMS
-from jghand_engine.cli.picture_stamp import STAMP_KEY
-from jghand_engine.errors import RetryError
+from jghand_engine.cli import main
+from jghand_engine.cli.frame_files import STAMP, FrameWriter, Shard, settle_folder
+from jghand_engine.errors import InputError
 from jghand_engine.hand.anatomy import pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import PoseSequence
@@ -116,8 +110,8 @@ def test_a_shard_does_not_begin_among_pictures_of_another_render(half, capsys, w
     before = contents(half)
     assert render(half, "--camera", "back", "--shard", "2/2", *words) == 2
     error = " ".join(capsys.readouterr().err.split())
-    assert "frame_00000.png: wanted what this very command made, got what is of another look" in error
-    assert "remove what is there: a run without --shard and --skip-existing replaces it" in error
+    assert "wanted frames that this very command made, got frames of another look" in error
+    assert "a run without --shard and --skip-existing replaces what is there" in error
     assert contents(half) == before
 
 
@@ -129,152 +123,32 @@ def test_a_shard_without_skip_existing_replaces_its_own_pictures_whatever_they_a
     assert contents(half) == whole
 
 
-def test_two_shards_of_different_renders_that_begin_together_do_not_both_end_well(tmp_path, half, monkeypatch, capsys):
-    """Such as of a machine that still has an older motion: nothing is there yet when it begins."""
-    make = Shooting.make
+def test_of_two_different_renders_that_begin_together_in_an_empty_folder_one_is_refused(tmp_path):
+    """Such as of a machine that still has an older motion."""
+    with ThreadPoolExecutor() as pool:
+        begun = [pool.submit(settle_folder, tmp_path, {"motion": name}, [], Shard(1, 2)) for name in "ab"]
+    assert sum(isinstance(one.exception(), InputError) for one in begun) == 1
+    assert all(one.exception() is None or isinstance(one.exception(), InputError) for one in begun)
 
-    def meanwhile(shooting: Shooting, index: int) -> None:
-        shutil.copy(half / "frame_00004.png", tmp_path / "out")
-        make(shooting, index)
 
-    monkeypatch.setattr(Shooting, "make", meanwhile)
-    assert render(tmp_path / "out", "--poses", "open,point", "--shard", "2/2", "--skip-existing") == 2
-    error = " ".join(capsys.readouterr().err.split())
-    assert "frame_00004.png: wanted what this very command made, got what is of another motion" in error
-    assert "same files and options" in error
+def test_a_plain_run_that_is_stopped_leaves_no_picture_that_a_later_one_would_keep(half, whole, monkeypatch):
+    """The folder then says what the new pictures are made from: the old ones must be gone."""
+
+    def stopped(_writer: FrameWriter, _index: int) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(FrameWriter, "write", stopped)
+        assert render(half, "--camera", "back") == 130
+    assert not list(half.glob("*.png"))
+    assert render(half, "--camera", "back", "--skip-existing") == 0
+    assert contents(half) != whole
 
 
 def test_a_plain_run_clears_away_what_killed_processes_left(half, whole):
     (half / ".frame_00003.0123456789ab.png").write_bytes(b"half a picture")
     assert render(half) == 0
     assert contents(half) == whole
-
-
-def test_what_is_left_of_a_picture_that_somebody_else_has_finished_is_cleared_away(half, whole):
-    (half / ".frame_00002.0123456789ab.png").write_bytes(b"of a killed process, whose picture another one made")
-    assert render(half, "--skip-existing") == 0
-    assert contents(half) == whole
-
-
-def claiming(folder: Path, *numbers: int) -> subprocess.Popen[bytes]:
-    """Another process that is at these pictures of `folder`, until it is killed or its input ends."""
-    program = (
-        "import sys\nfrom contextlib import ExitStack\nfrom pathlib import Path\n"
-        "from jghand_engine.lock import Claims\n"
-        "claims = Claims(Path(sys.argv[1]))\n"
-        "with ExitStack() as stack:\n"
-        "    for number in sys.argv[2:]: stack.enter_context(claims.held(int(number)))\n"
-        "    print(flush=True)\n    sys.stdin.read()\n"
-    )
-    folder.mkdir(exist_ok=True)
-    command = [sys.executable, "-c", program, str(folder / CLAIMS), *map(str, numbers)]
-    process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
-    assert process.stdout is not None
-    process.stdout.readline()
-    return process
-
-
-def test_what_a_process_leaves_that_is_killed_meanwhile_is_cleared_away_too(tmp_path, whole, monkeypatch):
-    out, make = tmp_path / "out", Shooting.make
-    with claiming(out, 2) as other:
-
-        def meanwhile(shooting: Shooting, index: int) -> None:
-            make(shooting, index)
-            if index == 9:
-                (out / ".frame_00002.0123456789ab.png").write_bytes(b"half")
-                other.kill()
-                other.wait()
-
-        monkeypatch.setattr(Shooting, "make", meanwhile)
-        assert render(out, "--skip-existing") == 0
-    assert contents(out) == whole
-
-
-def test_a_claim_that_is_never_given_back_is_waited_for_only_so_long(tmp_path, whole, monkeypatch, capsys):
-    """Of a process that sleeps, or of a machine that is gone and whose locks nobody frees."""
-    monkeypatch.setattr(picture_sharing, "CLAIM_WAIT_S", 0.05)
-    with claiming(tmp_path / "out", 2, 6):
-        at_work = tmp_path / "out" / ".frame_00002.0123456789ab.png"
-        at_work.write_bytes(b"of the one that sleeps")
-        assert render(tmp_path / "out", "--skip-existing") == 0
-        said = capsys.readouterr().out
-        assert "frame_00002.png" in said
-        assert "frame_00006.png" in said
-        assert "made here too" in said
-        assert at_work.exists(), "it may wake up"
-        at_work.unlink()
-        (tmp_path / "out" / CLAIMS).unlink()
-    assert contents(tmp_path / "out") == whole
-
-
-def test_drawing_does_not_shorten_the_wait_for_what_others_are_at(tmp_path, whole, monkeypatch, capsys):
-    """A clock that only drawing moves on, by more than is waited for in all."""
-    now_s, make = 0.0, Shooting.make
-    monkeypatch.setattr(picture_sharing, "time", SimpleNamespace(monotonic=lambda: now_s))
-    waits = []
-
-    class Busy(lock.Claims):
-        @contextlib.contextmanager
-        def held(self, number: int, *, wait_s: float = 0.0):
-            waits.append(wait_s)
-            yield number not in (2, 6) or wait_s > 0
-
-    def slowly(shooting: Shooting, index: int) -> None:
-        nonlocal now_s
-        make(shooting, index)
-        now_s += 2 * picture_sharing.CLAIM_WAIT_S
-
-    monkeypatch.setattr(picture_sharing, "Claims", Busy)
-    monkeypatch.setattr(Shooting, "make", slowly)
-    assert render(tmp_path / "out", "--skip-existing") == 0
-    assert waits[-2:] == [picture_sharing.CLAIM_WAIT_S] * 2
-    assert "made here too" not in capsys.readouterr().out
-    assert contents(tmp_path / "out") == whole
-
-
-def test_a_picture_that_is_there_is_not_said_to_be_made_here_too(half, monkeypatch, capsys):
-    monkeypatch.setattr(picture_sharing, "CLAIM_WAIT_S", 0.0)
-    with claiming(half, 2):
-        assert render(half, "--skip-existing") == 0
-    assert "made here too" not in capsys.readouterr().out
-
-
-def test_the_folder_is_listed_once_however_many_pictures_others_are_at(half, monkeypatch):
-    """Whose pictures were there when the claims were free."""
-    listings, left_behind = [], picture_sharing._left_behind
-    monkeypatch.setattr(picture_sharing, "_left_behind", lambda shooting: listings.append(1) or left_behind(shooting))
-
-    class Busy(lock.Claims):
-        @contextlib.contextmanager
-        def held(self, number: int, *, wait_s: float = 0.0):
-            yield number % 2 == 1 or wait_s > 0
-
-    monkeypatch.setattr(picture_sharing, "Claims", Busy)
-    assert render(half, "--skip-existing") == 0
-    assert len(listings) == 1
-
-
-def test_a_shard_looks_at_every_picture_of_the_others_once_and_one_run_at_none(half, monkeypatch):
-    looked, check_stamp = [], picture_sharing.check_stamp
-    monkeypatch.setattr(
-        picture_sharing, "check_stamp", lambda path, stamp: looked.append(path.name) or check_stamp(path, stamp)
-    )
-    assert render(half, "--shard", "2/2") == 0
-    assert looked == [f"frame_{number:05d}.png" for number in range(0, 10, 2)]
-    looked.clear()
-    assert render(half) == 0
-    assert looked == []
-
-
-def test_a_plain_run_that_fails_leaves_the_claims_of_others(half, monkeypatch):
-    def fails(_shooting: Shooting, _index: int) -> None:
-        raise RetryError("the disk is full")
-
-    monkeypatch.setattr(Shooting, "make", fails)
-    with claiming(half, 5):
-        claims = (half / CLAIMS).stat().st_ino
-        assert render(half) == 3
-        assert (half / CLAIMS).stat().st_ino == claims
 
 
 def test_frames_have_their_numbers_in_the_motion_and_do_not_replace_others(tmp_path, capsys):
@@ -285,17 +159,6 @@ def test_frames_have_their_numbers_in_the_motion_and_do_not_replace_others(tmp_p
     assert render(tmp_path, *SMALL, "--frames", "8:9") == 2
     assert "frame_00002.png to frame_00006.png" in " ".join(capsys.readouterr().err.split())
     assert contents(tmp_path) == before
-
-
-def test_where_there_are_no_locks_nothing_of_others_is_cleared_away(half, monkeypatch):
-    def no_locks(_descriptor: int, _first: int, _count: int) -> None:
-        raise OSError(errno.ENOLCK, "no locks available")
-
-    monkeypatch.setattr(lock, "_take_bytes", no_locks)
-    at_work = half / ".frame_00001.abcd.png"
-    at_work.write_bytes(b"half a picture of another process")
-    assert render(half, "--skip-existing") == 0
-    assert at_work.exists()
 
 
 def test_one_run_finishes_what_shards_began(half, whole, capsys):
@@ -311,8 +174,6 @@ def test_half_written_and_damaged_pictures_are_made_again_and_no_others(half, wh
     damaged = bytearray(whole[paths[2].name])
     damaged[damaged.rindex(b"IDAT") + 9] ^= 0xFF
     paths[2].write_bytes(bytes(damaged))
-    left = half / ".frame_00001.0123456789ab.png"
-    left.write_bytes(b"of a worker that was killed")
     assert render(half, "--skip-existing") == 0
     assert "8 drawn, 2 there already, 3 of the drawn ones were there, but broken." in capsys.readouterr().out
     assert contents(half) == whole
@@ -333,18 +194,15 @@ def test_pictures_of_something_else_are_refused_and_stay(half, capsys, words, to
     assert render(half, "--frames", "0-9", *SMALL, *words, "--skip-existing") == 2
     error = " ".join(capsys.readouterr().err.split())
     assert told in error
-    assert "--shard and --skip-existing replaces it" in error
+    assert "--shard and --skip-existing replaces" in error
     assert contents(half) == before
 
 
-def test_a_picture_that_somebody_else_saved_is_refused_and_stays(half, capsys):
-    path = half / "frame_00002.png"
-    with Image.open(path) as picture:
-        picture.load()
-        picture.save(path)  # as an editor does: without our text
+def test_pictures_of_nobody_knows_what_are_refused_and_stay(half, capsys):
+    (half / STAMP).unlink()
     before = contents(half)
     assert render(half, "--skip-existing") == 2
-    assert "frame_00002.png" in capsys.readouterr().err
+    assert "frames of an unknown render" in capsys.readouterr().err
     assert contents(half) == before
 
 
@@ -431,10 +289,13 @@ def test_a_killed_worker_loses_at_most_the_picture_that_it_was_at(tmp_path):
     told = json.loads(figures.read_text())
     assert (told["kept"], told["broken"], told["complete"]) == (len(names), 0, True)
     assert main(["render", *MANY[:-1], "--out", str(tmp_path / "whole")]) == 0
-    assert contents(out) == contents(tmp_path / "whole")
+    left = {name for name in there if name.startswith(".frame_")}
+    assert {name: content for name, content in contents(out).items() if name not in left} == contents(
+        tmp_path / "whole"
+    )
 
 
-def test_two_workers_that_meet_share_the_work_and_make_no_picture_twice(tmp_path):
+def test_two_workers_that_meet_make_what_one_makes(tmp_path):
     out = tmp_path / "out"
     files = [tmp_path / f"{number}.json" for number in range(2)]
     workers = [started(out, *MANY, "--json", str(file)) for file in files]
@@ -443,16 +304,14 @@ def test_two_workers_that_meet_share_the_work_and_make_no_picture_twice(tmp_path
         assert worker.returncode == 0, said
     told = [json.loads(file.read_text()) for file in files]
     total = len(list(out.glob("frame_*.png")))
-    assert sum(one["made"] for one in told) == total
+    assert sum(one["made"] for one in told) >= total
     assert all(one["made"] + one["kept"] == total for one in told)
     assert all(one["complete"] for one in told)
-    assert not (out / CLAIMS).exists()
     assert main(["render", *MANY[:-1], "--out", str(tmp_path / "whole")]) == 0
     assert contents(out) == contents(tmp_path / "whole")
 
 
-def test_the_stamp_says_nothing_but_digests(half):
-    with Image.open(half / "frame_00000.png") as picture:
-        stamp = json.loads(picture.info[STAMP_KEY])
-    assert set(stamp) == {"JGHand", "avatar", "motion", "settings", "look", "choice of frames", "frame"}
-    assert all(len(stamp[name]) == 16 for name in ("avatar", "motion", "settings", "look", "choice of frames"))
+def test_the_folder_says_what_its_pictures_are_made_from_in_nothing_but_digests(half):
+    stamp = json.loads((half / STAMP).read_text())
+    assert set(stamp) == {"JGHand", "avatar", "motion", "settings", "look", "choice of frames"}
+    assert all(len(value) == 16 for name, value in stamp.items() if name != "JGHand")

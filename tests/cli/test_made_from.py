@@ -1,4 +1,4 @@
-"""What a picture says it was made from: the motion by the content of all its files, wherever they lie."""
+"""What a folder of frames says it was made from: the motion by the content of all its files, wherever they lie."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from jghand_engine.avatar.builtin import load_avatar_called
+from jghand_engine.cli.frame_files import made_from
 from jghand_engine.cli.inputs import load_motion
 from jghand_engine.cli.options import FormatOptions, MotionOptions
-from jghand_engine.cli.picture_stamp import made_from
 from jghand_engine.hand.joints import LEVEL_NAMES
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.motion.files import write_motion
@@ -25,8 +25,7 @@ MOVED = np.array([0.001, 0.0, 0.0])
 
 def stamp(path: Path | None = None, *, bones: Path | None = None, **words) -> dict[str, str]:
     options = MotionOptions(motion=path, format=FormatOptions(hand="right", bones=bones), **words)
-    made = made_from("avatar", options, load_motion(options, AVATAR), preset("draft"), {}, whole=True)
-    return dict(made.parts)
+    return made_from("avatar", options, load_motion(options, AVATAR), preset("draft"), {}, whole=True)
 
 
 @pytest.fixture(scope="module")
