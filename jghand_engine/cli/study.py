@@ -2,88 +2,145 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
 from jghand_engine.cli.console import progress, say, say_whole_table, write_json
-from jghand_engine.cli.options import AvatarOptions, File, FormatOptions, ReportOptions
-from jghand_engine.cli.study_accuracy import AccuracyOptions, AccuracyRequest, run_accuracy
-from jghand_engine.cli.study_effects import EffectsRequest, run_effects
-from jghand_engine.cli.study_files import Places
-from jghand_engine.cli.study_stability import run_stability
+from jghand_engine.cli.options import File, FormatOptions, ReportOptions, pixels
 from jghand_engine.errors import InputError
 
-DESCRIPTION = """Measure parts of the method by themselves: ways from joints to skin, numerical stability.
+if TYPE_CHECKING:
+    from jghand_engine.study.report import Report
+
+DESCRIPTION = """Measure parts of the method by themselves: accuracy against time, numerical stability, effects skipped.
+
+Every study prints its tables and writes them as JSON and CSV, with a plot, into a folder.
 
 Examples:
-  jghand study transform
-  jghand study transform --identities 1 3 --poses 40 --out transform.md
-  jghand study stability --out study/
-  jghand study effects --out study/
-  jghand study accuracy builtin --capture captures/id3 --out study/"""
+  jghand study accuracy builtin --capture captures/id3
+  jghand study stability
+  jghand study effects builtin --motion motion.json
+  jghand study transform --out study"""
+
+# hands whose proportions differ from the template's: the truth of `transform`
+TRANSFORM_HANDS = ("1", "2")
+TRANSFORM_POSES = 30
 
 
 @dataclass(frozen=True)
 class Study:
-    name: Annotated[Literal["transform", "stability", "effects", "accuracy"], tyro.conf.Positional]
-    """transform: naive, HALO-like and our transform, on hands of other proportions, beside the paper's table.
+    name: Annotated[Literal["accuracy", "stability", "effects", "transform"], tyro.conf.Positional]
+    """accuracy: what every setting costs in time and accuracy; `jghand render --budget-ms` chooses from it.
     stability: hard hands and pictures (singular poses, units, distances, opacities), ours beside the usual formulas.
     effects: what is skipped on a motion, how wrong that is and what it saves.
-    accuracy: what every setting costs in time and accuracy; `jghand render --budget-ms` chooses from it."""
-    of: Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="[AVATAR]", help_behavior_hint="")] = None
-    """accuracy: a .jghand file, builtin or painted, as with --avatar."""
-    identities: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME")] = ("1", "2")
-    """transform: hands that give the truth, by name or number, as `jghand capture` takes them."""
-    poses: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 30
-    """transform: varied poses of each hand."""
-    out: Annotated[Path | None, tyro.conf.arg(metavar="PATH", help_behavior_hint="")] = None
-    """transform: also write the table to this file, as Markdown. Other studies: folder of its pages, else study/."""
-    checkout: Annotated[Path | None, tyro.conf.arg(metavar="FOLDER", help_behavior_hint="")] = None
-    """Also renew the study's part of docs/ and README in this checkout of JGHand (not of transform)."""
-    avatar: AvatarOptions = field(default_factory=AvatarOptions)
+    transform: naive, HALO-like and our transform, on hands of other proportions, beside the paper's table."""
+    avatar: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="[AVATAR]")] = "builtin"
+    """accuracy and effects: a .jghand file, builtin or painted."""
+    out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")] = Path("study")
+    """Folder for tables and plot."""
     motion: File = None
-    """effects: joint positions over time. Left out: named poses with ways between them."""
-    format: FormatOptions = field(default_factory=FormatOptions)
+    """effects: a motion of JGHand's own. Left out: named poses with ways between them."""
     capture: File = None
-    """Folder of a capture. effects: its pictures tell what the shadow's gate may skip. accuracy: also compare with the
-    held-out ones."""
-    accuracy: AccuracyOptions = field(default_factory=AccuracyOptions)
+    """accuracy and effects: folder of a capture whose held-out pictures are compared with, too."""
+    size: Annotated[str, tyro.conf.arg(metavar="WIDTHxHEIGHT")] = "512x334"
+    """accuracy and effects: pixels of the pictures."""
+    rounds: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 150
+    """accuracy: frames of every setting."""
+    threads: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 0
+    """accuracy: threads of the renderer; 0 chooses."""
     report: ReportOptions = field(default_factory=ReportOptions)
 
     def run(self) -> None:
-        places = Places(self.out, self.checkout, self.report.json)
-        if self.name == "effects":
-            run_effects(EffectsRequest(self.avatar.avatar, self.motion, self.format, self.capture, places))
-        elif self.name == "accuracy":
-            run_accuracy(AccuracyRequest(self.of or self.avatar.avatar, self.capture, places, self.accuracy))
-        elif self.name == "stability":
-            run_stability(places)
-        else:
-            self._run_transform()
+        from jghand_engine.study.report import check_folder, write_report
 
-    def _run_transform(self) -> None:
-        from jghand_engine.captures.making.identities import load_identity
-        from jghand_engine.files import writing
-        from jghand_engine.study.transform_table import measure_transforms, transform_table
-
-        if not self.identities:
-            raise InputError("--identities", wanted="at least one hand", came="none")
-        names = [load_identity(identity).name for identity in self.identities]
-        with progress("Measuring", self.poses * len(names)) as bar:
-            task = bar.task_ids[0]
-            scores = {name: measure_transforms(name, self.poses, tick=lambda: bar.advance(task)) for name in names}
-        table = transform_table(scores, self.poses)
-        say_whole_table(table)
-        if self.out is not None:
-            with writing(self.out) as temporary:
-                temporary.write_text(table.markdown(), encoding="utf-8")
-            say(f"{self.out} written")
+        studies: dict[str, Callable[[], Report]] = {
+            "accuracy": self._accuracy, "stability": self._stability, "effects": self._effects,
+            "transform": self._transform,
+        }  # fmt: skip
+        check_folder(self.out, plots=self.name != "transform")
+        report = studies[self.name]()
+        for table in report.tables:
+            say_whole_table(table)
+        say(report.headline)
+        files = write_report(report, self.out)
+        say(f"Written to {self.out}: {', '.join(file.name for file in files)}")
         if self.report.json is not None:
-            figures = {
-                hand: {name: score.as_dict() for name, score in by_transform.items()}
-                for hand, by_transform in scores.items()
+            write_json(self.report.json, report.as_dict())
+
+    def _accuracy(self) -> Report:
+        from jghand_engine.avatar.builtin import load_avatar_called
+        from jghand_engine.native.threads import thread_count
+        from jghand_engine.render.profile import write_profile
+        from jghand_engine.study.accuracy_measures import Plan, held_out_truth, measure_accuracy, profile_of
+        from jghand_engine.study.accuracy_plot import draw_figure
+        from jghand_engine.study.report import Report
+
+        if self.rounds < 1:
+            raise InputError("--rounds", wanted="1 or more", came=str(self.rounds))
+        size_px = pixels(self.size)
+        avatar = load_avatar_called(self.avatar)
+        truth = None if self.capture is None else held_out_truth(avatar, self.capture, say)
+        log = Path(self.avatar).with_suffix(".training") / "log.jsonl"
+        plan = Plan(avatar, self.avatar, size_px, self.threads, truth, self.rounds, log=log if log.is_file() else None)
+        study = measure_accuracy(plan, say)
+        kept = write_profile(avatar, size_px, thread_count(self.threads), profile_of(study, plan))
+        say("`jghand render --budget-ms` chooses from this." if kept else "The profile could not be kept.")
+        return Report("accuracy", study.headline, study.tables(), study.as_dict(), draw_figure(study))
+
+    def _stability(self) -> Report:
+        from jghand_engine.study import stability
+        from jghand_engine.study.report import Report
+        from jghand_engine.study.stability_plot import draw_figure
+        from jghand_engine.study.stability_views import view_pairs
+
+        with progress("Measuring", stability.COUNT) as bar:
+            study = stability.measure_stability(lambda: bar.advance(bar.task_ids[0]))
+        figure = draw_figure(study.curves, view_pairs())
+        return Report("stability", study.headline, study.tables(), study.as_dict(), figure)
+
+    def _effects(self) -> Report:
+        from dataclasses import replace
+
+        from jghand_engine.avatar.builtin import load_avatar_called
+        from jghand_engine.captures.capture_folder import open_capture
+        from jghand_engine.cli.framing import framing_camera
+        from jghand_engine.cli.inputs import read_sequence
+        from jghand_engine.render.settings import preset
+        from jghand_engine.render.subject import Subject
+        from jghand_engine.study.effects_plot import draw_figure
+        from jghand_engine.study.effects_study import measure_effects, named_motion
+        from jghand_engine.study.report import Report
+
+        width, height = pixels(self.size)
+        capture = None if self.capture is None else open_capture(self.capture)
+        avatar, name = load_avatar_called(self.avatar), "named poses with ways between them"
+        if self.motion is None:
+            poses = named_motion(avatar)
+        else:
+            sequence = read_sequence(self.motion, FormatOptions()).with_gaps_held().with_constant_bone_lengths()
+            poses, avatar, name = sequence.joints_m, avatar.for_hand(sequence.handedness), self.motion.name
+        camera = framing_camera(poses, avatar.handedness, "quarter", width=width, height=height)
+        with progress("Measuring", len(poses)) as bar:
+            study = measure_effects(
+                Subject(name, avatar, poses, camera), capture, lambda: bar.advance(bar.task_ids[0]),
+                replace(preset("viewport"), antialias=True),
+            )  # fmt: skip
+        return Report("effects", study.headline, study.tables(), study.as_dict(), draw_figure(study))
+
+    def _transform(self) -> Report:
+        from jghand_engine.captures.making.identities import load_identity
+        from jghand_engine.study.report import Report
+        from jghand_engine.study.transform_table import figures, headline, measure_transforms, transform_table
+
+        names = [load_identity(identity).name for identity in TRANSFORM_HANDS]
+        with progress("Measuring", TRANSFORM_POSES * len(names)) as bar:
+            scores = {
+                name: measure_transforms(name, TRANSFORM_POSES, tick=lambda: bar.advance(bar.task_ids[0]))
+                for name in names
             }
-            write_json(self.report.json, {"command": "study transform", "poses": self.poses, "scores": figures})
+        table = transform_table(scores, TRANSFORM_POSES)
+        return Report("transform", headline(scores), [table], figures(scores, TRANSFORM_POSES))

@@ -15,6 +15,5 @@ from jghand_engine.limits.hand import *
 from jghand_engine.limits.native import *
 from jghand_engine.limits.service import *
 from jghand_engine.limits.splat import *
-from jghand_engine.limits.studies import *
 from jghand_engine.limits.tracking import *
 from jghand_engine.limits.training import *

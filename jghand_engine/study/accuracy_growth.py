@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.native.threads import thread_count
 from jghand_engine.render.frame import SceneRenderer
@@ -29,17 +28,26 @@ GAUSSIANS, PIXELS, HANDS, POSES = (
 )
 PANELS = (GAUSSIANS, PIXELS, HANDS, POSES)
 _SECTION = "growth: "
+# points of the curves, sizes up to 4K, and frames of each point
+GROWTH_GAUSSIANS = (10_000, 30_000, 100_000, 300_000, 1_000_000)
+GROWTH_SIZES_PX = ((256, 167), (512, 334), (1024, 668), (1920, 1080), (3840, 2160))
+GROWTH_HANDS = (1, 2, 4)
+GROWTH_POSES = (1, 10, 100, 1000)
+GROWTH_ROUNDS = 12
 
 
 @dataclass(frozen=True)
 class Growth:
-    """A point of a curve. panel: one of PANELS · x: how many · median_ms, p95_ms: of one picture; of POSES, of one call
-    that finds the bones of x poses (torch) · disturbed: see Measurement"""
+    """A point of a curve."""
 
+    # one of PANELS
     panel: str
+    # how many
     x: int
+    # of one picture; of POSES, of one call that finds the bones of x poses (torch)
     median_ms: float
     p95_ms: float
+    # see Measurement
     disturbed: bool
 
     @classmethod
@@ -56,10 +64,10 @@ class Growth:
 class Reach:
     """How far each curve goes."""
 
-    gaussians: Sequence[int] = limits.GROWTH_GAUSSIANS
-    sizes_px: Sequence[tuple[int, int]] = limits.GROWTH_SIZES_PX
-    hands: Sequence[int] = limits.GROWTH_HANDS
-    poses: Sequence[int] = limits.GROWTH_POSES
+    gaussians: Sequence[int] = GROWTH_GAUSSIANS
+    sizes_px: Sequence[tuple[int, int]] = GROWTH_SIZES_PX
+    hands: Sequence[int] = GROWTH_HANDS
+    poses: Sequence[int] = GROWTH_POSES
 
 
 def growth_cases(
@@ -83,7 +91,7 @@ def growth_cases(
 
 
 def _grown(case: Case, panel: str, x: int) -> Case:
-    return replace(case, section=_SECTION + panel, name=str(x), rounds=limits.GROWTH_ROUNDS)
+    return replace(case, section=_SECTION + panel, name=str(x), rounds=GROWTH_ROUNDS)
 
 
 def _synthetic(count: int, size_px: tuple[int, int]) -> Subject:

@@ -9,47 +9,43 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.tiers import Tier
-from jghand_engine.captures.sample import Sample, load_picture
+from jghand_engine.captures.capture_folder import open_capture
+from jghand_engine.captures.sample import Sample
+from jghand_engine.captures.splits import split_capture
 from jghand_engine.errors import InputError
-from jghand_engine.json_files import read_object
-from jghand_engine.learn.evaluate import avatar_picturer, means, measure_pictures
+from jghand_engine.learn.evaluate import avatar_picturer, categories_of, means, measure_pictures
+from jghand_engine.learn.held_out import held_out
 from jghand_engine.learn.log import read_log
-from jghand_engine.learn.metrics import mask_box
-from jghand_engine.learn.perceptual import PerceptualMetric
-from jghand_engine.learn.work_folder import MARK
-from jghand_engine.render.budget import has_seen_shadow
 from jghand_engine.render.frame import HandRenderer
 from jghand_engine.render.profile import APPROXIMATE, Profile, Rated, how_it_looks, left_out, pareto_front
 from jghand_engine.render.settings import PRESETS
 from jghand_engine.render.subject import Subject, moving_subject
-from jghand_engine.study.accuracy import Accuracy, Picture, Row, faster_than
+from jghand_engine.study.accuracy import Accuracy, Row, faster_than
 from jghand_engine.study.accuracy_growth import Growth, Reach, growth_cases
 from jghand_engine.study.accuracy_reference import Error, ExactPictures64, pose_count, spread_poses
-from jghand_engine.study.accuracy_variants import (
-    BLEND,
-    HALF_SHADOW,
-    SEPARABLE,
-    SHADOW,
-    TOGETHER,
-    Variant,
-    linear_tiers,
-    variants,
-)
+from jghand_engine.study.accuracy_variants import TOGETHER, Variant, linear_tiers, variants
 from jghand_engine.study.frame_time import frame_case, machine
 from jghand_engine.study.timing import Case, Measurement, measure
+
+# frames of each setting, and those before them that are not counted (RENDERING 9.3)
+ROUNDS = 150
+WARM_UP = 10
+# pictures of each kind of a capture that every setting is compared with: each takes its time with each setting
+PICTURES = 3
+# side of the part of the picture that is shown of a setting, in a picture 334 pixels high
+CROP_PX = 150
 
 
 @dataclass(frozen=True)
 class Truth:
-    """Pictures to compare with. categories: by what was held out · origin: in words, which · perceptual: metrics that
-    take seconds a picture, for the front alone"""
+    """Pictures of a capture to compare with."""
 
+    # by what was held out
     categories: Mapping[str, tuple[Sample, ...]]
+    # which they are, in words
     origin: str
-    perceptual: Sequence[PerceptualMetric] = ()
 
     @property
     def count(self) -> int:
@@ -58,16 +54,21 @@ class Truth:
 
 @dataclass(frozen=True)
 class Plan:
-    """What is measured. avatar · name: as users call it · size_px · threads: as in RenderSettings · truth: None without
-    a capture · rounds: frames of each setting · reach: of the curves of growing time · log: of a training, or None"""
+    """What is measured."""
 
     avatar: HandAvatar
+    # as users call it
     name: str
     size_px: tuple[int, int] = (512, 334)
+    # as in RenderSettings
     threads: int = 0
+    # None without a capture
     truth: Truth | None = None
-    rounds: int = limits.ACCURACY_ROUNDS
+    # frames of each setting
+    rounds: int = ROUNDS
+    # of the curves of growing time
     reach: Reach = field(default_factory=Reach)
+    # of the training of the avatar, or None
     log: Path | None = None
 
 
@@ -93,17 +94,9 @@ def measure_accuracy(plan: Plan, say: Callable[[str], None] = lambda _text: None
         for number, (variant, error, truth) in enumerate(zip(compared, errors, scores, strict=True))
     ]
     rows = _described(rows, compared, subject)
-    if plan.truth is not None and plan.truth.perceptual:
-        say("Perceptual metrics of the front")
-        rows = [_with_perceptual(row, compared, plan) for row in rows]
-    rows += [
-        Row(axis, name, None, None, {}, exact.error(draw))
-        for axis, name, draw in ((BLEND, SEPARABLE, exact.circles), (SHADOW, HALF_SHADOW, exact.half_shadow))
-        if axis != SHADOW or has_seen_shadow(plan.avatar)
-    ]
     return Accuracy(
         plan.name, len(plan.avatar), plan.size_px, machine(plan.threads), tuple(rows), tuple(growth), poses,
-        "" if plan.truth is None else plan.truth.origin, tuple(learning), learned_from(plan.log),
+        "" if plan.truth is None else plan.truth.origin, tuple(learning),
     )  # fmt: skip
 
 
@@ -113,7 +106,7 @@ def profile_of(study: Accuracy, plan: Plan) -> Profile:
     rows = tuple(
         Rated(row.name, settings[row.name], row.median_ms, row.p95_ms, row.error.psnr_db)
         for row in study.rows
-        if row.axis == TOGETHER and row.median_ms is not None and row.p95_ms is not None
+        if row.axis == TOGETHER
     )
     return Profile(rows, "jghand study accuracy", any(row.disturbed for row in study.rows if row.axis == TOGETHER))
 
@@ -136,7 +129,7 @@ def _times(
     ]
     viewport = replace(PRESETS["viewport"], threads=plan.threads, reuse=False)
     cases += growth_cases(plan.avatar, plan.size_px, viewport, plan.reach)
-    measured = measure(cases, rounds=plan.rounds, warm_up=min(limits.ACCURACY_WARM_UP, plan.rounds))
+    measured = measure(cases, rounds=plan.rounds, warm_up=min(WARM_UP, plan.rounds))
     by_section: dict[str, list[Measurement]] = {}
     for one in measured:
         by_section.setdefault(one.section, []).append(one)
@@ -154,24 +147,21 @@ def _row(variant: Variant, error: Error, truth: Mapping[str, float], measured: S
 
 def _described(rows: Sequence[Row], compared: Sequence[Variant], subject: Subject) -> list[Row]:
     """With the front, words, and pictures of the finger tips of what can be chosen."""
-    front = pareto_front((row.median_ms or 0.0, row.error.psnr_db, row) for row in rows if row.axis == TOGETHER)
-    total, described = len(subject.avatar), []
+    front = pareto_front((row.median_ms, row.error.psnr_db, row) for row in rows if row.axis == TOGETHER)
+    described = []
     # where finger tips are seen best: the fingers straightest
     pose_m = subject.poses[np.linalg.norm(subject.poses[:, -4:] - subject.poses[:, :1], axis=-1).mean(1).argmax()]
     for row, variant in zip(rows, compared, strict=True):
         if row.axis != TOGETHER:
             described.append(row)
             continue
-        words = left_out(variant.settings, total)
+        words = left_out(variant.settings, len(subject.avatar))
         if _is_approximate(variant, subject.avatar):
             words["tier"] = APPROXIMATE
-        causes = _worst_first(words, variant, rows, compared, total)
         picture = _drawer(variant, subject)(pose_m)
         on_front = any(row is one for one in front) or (row.preset and faster_than(row, rows) is None)
-        described.append(replace(
-            row, looks=how_it_looks(row.error.psnr_db, causes), on_front=on_front,
-            crop=finger_tips(picture, pose_m, subject),
-        ))  # fmt: skip
+        looks = how_it_looks(row.error.psnr_db, list(words.values()))
+        described.append(replace(row, looks=looks, on_front=on_front, crop=finger_tips(picture, pose_m, subject)))
     return described
 
 
@@ -183,31 +173,10 @@ def _is_approximate(variant: Variant, avatar: HandAvatar) -> bool:
     return price is not None and price.tier is Tier.LINEAR
 
 
-def _worst_first(
-    words: Mapping[str, str], variant: Variant, rows: Sequence[Row], compared: Sequence[Variant], total: int
-) -> list[str]:
-    """The words for what is left out, that first which alone costs the most accuracy, as the axes were measured."""
-
-    def alone(axis: str) -> float:
-        if axis == "tier":
-            # preset viewport leaves out nothing else that is seen
-            return min(row.error.psnr_db for row in rows if row.preset and row.name == "viewport")
-        pairs = zip(rows, compared, strict=False)
-        same = [
-            row.error.psnr_db
-            for row, other in pairs
-            if row.axis == axis and other.avatar is None and left_out(other.settings, total).keys() == {axis}
-            and (axis != "Gaussians" or other.settings.gaussians == variant.settings.gaussians)
-        ]  # fmt: skip
-        return min(same, default=limits.PSNR_MAX_DB)
-
-    return [words[axis] for axis in sorted(words, key=alone)]
-
-
-def finger_tips(picture: Picture, pose_m: np.ndarray, subject: Subject) -> Picture:
+def finger_tips(picture: np.ndarray, pose_m: np.ndarray, subject: Subject) -> np.ndarray:
     """The part (H, W, 3) uint8 of a picture (H, W, 4) around its finger tips, on a light ground."""
     pixels, _ = subject.camera.project(torch.from_numpy(pose_m[-4:]))
-    side = min(limits.ACCURACY_CROP_PX * subject.camera.height // 334 or 1, *picture.shape[:2])
+    side = min(CROP_PX * subject.camera.height // 334 or 1, *picture.shape[:2])
     left, top = (
         int(np.clip(center - side / 2, 0, size - side))
         for center, size in zip(pixels.mean(0).tolist(), picture.shape[1::-1], strict=True)
@@ -219,15 +188,20 @@ def finger_tips(picture: Picture, pose_m: np.ndarray, subject: Subject) -> Pictu
 
 # ---- against pictures of a capture ----------------------------------------------------------------------------------
 
-_SHOWN = ("psnr_full", "psnr_box", "ssim_box", "flip_box")
+# metrics that are kept of each setting
+_METRICS = ("psnr_full", "psnr_box", "ssim_box", "flip_box")
 
 
-def held_out_truth(
-    capture: str, categories: Mapping[str, tuple[Sample, ...]], origin: str, perceptual: Sequence[PerceptualMetric]
-) -> Truth:
-    """Pictures of a capture, described."""
+def held_out_truth(avatar: HandAvatar, folder: Path, say: Callable[[str], None]) -> Truth:
+    """At most PICTURES of each kind that a capture's split holds out. say: called with doubts about them."""
+    capture = open_capture(folder)
+    told = held_out(avatar, capture, split_capture(capture))
+    if told.warning:
+        say(told.warning)
+    # pictures that were all learned from can still be compared with; that is said above and in the table
+    categories = categories_of(told.split, "test" if told.split.test else "train", PICTURES)
     counts = ", ".join(f"{len(samples)} {kind}" for kind, samples in categories.items())
-    return Truth(categories, f"pictures of {capture} ({counts}; {origin})", perceptual)
+    return Truth(categories, f"pictures of {capture.name} ({counts}; {told.split.origin})")
 
 
 def _truth_scores(variant: Variant, plan: Plan) -> Mapping[str, float]:
@@ -236,25 +210,7 @@ def _truth_scores(variant: Variant, plan: Plan) -> Mapping[str, float]:
         return {}
     draw = avatar_picturer(variant.avatar or plan.avatar, variant.settings)
     found = means(measure_pictures(plan.truth.categories, draw))
-    return {name: found[name] for name in _SHOWN if name in found}
-
-
-def _with_perceptual(row: Row, compared: Sequence[Variant], plan: Plan) -> Row:
-    if plan.truth is None or not (row.on_front or row.preset):
-        return row
-    variant = next(one for one in compared if one.axis == row.axis and one.name == row.name)
-    draw = avatar_picturer(variant.avatar or plan.avatar, variant.settings)
-    found: dict[str, list[float]] = {}
-    for sample in (sample for samples in plan.truth.categories.values() for sample in samples):
-        truth = load_picture(sample)
-        box = mask_box(truth.mask)
-        ours = np.clip(draw(sample.joints_m, sample.handedness, sample.camera)[..., :3], 0, 1)
-        pair = [torch.from_numpy(np.ascontiguousarray(box.of(each), np.float32)) for each in (ours, truth.rgb)]
-        for metric in plan.truth.perceptual:
-            key = f"{metric.name.lower().replace('-', '_')}_box"
-            with torch.no_grad():
-                found.setdefault(key, []).append(float(metric.distance(*pair)))
-    return replace(row, truth={**row.truth, **{name: float(np.mean(values)) for name, values in found.items()}})
+    return {name: found[name] for name in _METRICS if name in found}
 
 
 # ---- training -------------------------------------------------------------------------------------------------------
@@ -273,13 +229,3 @@ def learning_curve(log: Path) -> list[tuple[float, float]]:
     if not curve:
         raise InputError(f"{log}", wanted="lines with psnr", came="none", remedy="Give the log.jsonl of a training.")
     return curve
-
-
-def learned_from(log: Path | None) -> str:
-    """What that training learned from, as the folder of the log says; empty where it says nothing."""
-    mark = None if log is None else log.with_name(MARK)
-    if mark is None or not mark.is_file():
-        return ""
-    stamp = read_object(mark, "Start the training anew with --fresh.").get("stamp")
-    pictures = stamp.get("pictures") if isinstance(stamp, dict) else None
-    return f"{pictures} pictures" if isinstance(pictures, int) else ""

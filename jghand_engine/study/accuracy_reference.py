@@ -4,33 +4,35 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from jghand_engine import limits
 from jghand_engine.avatar.gaussians import Gaussians
 from jghand_engine.avatar.learned import ShadowLook
 from jghand_engine.avatar.skinning import pose_gaussians
-from jghand_engine.native.library import load
 from jghand_engine.render.frame import HandRenderer
-from jghand_engine.render.half import enlarged_color, halved
 from jghand_engine.render.picture import Picture, decibels
-from jghand_engine.render.rasterize import rasterize
 from jghand_engine.render.reference import rasterize_reference
 from jghand_engine.render.settings import PRESETS
-from jghand_engine.render.shadow import ShadowStyle, normalized_depth, shade, visibility
-from jghand_engine.render.shadow_native import darken
+from jghand_engine.render.shadow import ShadowStyle, shade
 from jghand_engine.render.subject import Subject
+
+# contribution below which a Gaussian does not touch a pixel of the exact picture
+ALPHA_MIN = 1e-6
+# poses of such pictures, which take seconds each, and how many pixels they have all together at most
+POSES = 6
+PIXELS = 1_200_000
 
 
 @dataclass(frozen=True)
 class Error:
-    """Of whole pictures, premultiplied color. psnr_db: of all together · worst: largest difference, 0..1"""
+    """Of whole pictures, premultiplied color."""
 
+    # of all pictures together
     psnr_db: float
+    # largest difference of a channel, 0..1
     worst: float
 
 
@@ -50,53 +52,6 @@ class ExactPictures64:
         mean_square = float(np.mean([np.square(each).mean() for each in differences]))
         return Error(decibels(mean_square), max(float(np.abs(each).max()) for each in differences))
 
-    def circles(self, pose_m: np.ndarray) -> np.ndarray:
-        """(H, W, 3) with circles in place of ellipses, which an exponential of x times one of y can draw; preset final.
-
-        Only its accuracy: a kernel that makes use of it was slower than ours on a prototype (RENDERING 6.2).
-        """
-        with torch.no_grad():
-            gaussians = self._posed(pose_m)
-            rotation = self._subject.camera.camera_from_world[:3, :3]
-            # a disc across the view axis, seen as a circle wherever it is
-            flat = rotation.T @ torch.diag(torch.tensor([1.0, 1.0, 0.0], dtype=torch.float64)) @ rotation
-            upper = flat[[0, 0, 0, 1, 1, 2], [0, 1, 2, 1, 2, 2]]
-            fields = ("position_m", "sigma_m", "opacity", "rgb")
-            single = Gaussians(
-                *(getattr(gaussians, name).float() for name in fields),
-                covariance_m2=(gaussians.sigma_m[:, None] ** 2 * upper).float(),
-            )
-            picture = rasterize(single, self._subject.camera, PRESETS["final"])
-            style = self._style(pose_m)
-            if style is None:
-                return picture.rgb.numpy()
-            planes = torch.cat([picture.rgb.permute(2, 0, 1), picture.alpha[None], picture.depth_sum[None]])
-            return darken(planes, self._subject.camera, style, library=self._library).permute(1, 2, 0).numpy()
-
-    def half_shadow(self, pose_m: np.ndarray) -> np.ndarray:
-        """(H, W, 3) with the shadow found at half the width and height and interpolated, weighted by whether a pixel
-        shows the hand (METHOD 5.3); else preset final. Only its accuracy."""
-        camera, small = self._subject.camera, halved(self._subject.camera)
-        with torch.no_grad():
-            gaussians = self._posed(pose_m)
-            picture, low = (rasterize(gaussians, view, PRESETS["final"]) for view in (camera, small))
-            style = self._style(pose_m)
-            if style is None:
-                return picture.rgb.numpy()
-            depth_m, valid = normalized_depth(low.depth_sum, low.alpha)
-            seen = torch.where(valid, visibility(depth_m, valid, small, style), 0.0)
-            planes = torch.stack([seen, seen, seen, valid.to(seen)], -1)
-            weighted = enlarged_color(planes.float().numpy(), camera.width, camera.height)
-            share = weighted[..., 3]
-            # where no pixel near shows the hand there is nothing to darken
-            lit = np.divide(weighted[..., 0], share, out=np.ones_like(share), where=share > 0)
-            darkness = style.strength * (1 - torch.from_numpy(lit))[..., None] * picture.rgb.new_tensor(style.tint)
-            return (picture.rgb * (1 - darkness)).numpy()
-
-    @cached_property
-    def _library(self):
-        return load("auto")
-
     def _posed(self, pose_m: np.ndarray) -> Gaussians:
         avatar = self._subject.avatar
         bones = avatar.bone_transform().bones(torch.from_numpy(pose_m))
@@ -105,7 +60,7 @@ class ExactPictures64:
     def _exact(self, pose_m: np.ndarray) -> np.ndarray:
         with torch.no_grad():
             gaussians, camera = self._posed(pose_m), self._subject.camera
-            picture = rasterize_reference(_double(gaussians), camera, alpha_min=limits.ACCURACY_ALPHA_MIN)
+            picture = rasterize_reference(_double(gaussians), camera, alpha_min=ALPHA_MIN)
             return self._shaded(picture, pose_m).numpy()
 
     def _shaded(self, picture: Picture, pose_m: np.ndarray) -> Tensor:
@@ -133,7 +88,7 @@ def spread_poses(subject: Subject, count: int) -> np.ndarray:
 def pose_count(size_px: Sequence[int]) -> int:
     """How many poses of pictures of this size are drawn in double precision, which takes seconds each."""
     pixels = size_px[0] * size_px[1]
-    return max(2, min(limits.ACCURACY_POSES, round(limits.ACCURACY_PIXELS / pixels)))
+    return max(2, min(POSES, round(PIXELS / pixels)))
 
 
 def _double(gaussians: Gaussians) -> Gaussians:

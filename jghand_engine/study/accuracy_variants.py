@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 
 import torch
 
-from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.correctives import PoseNet
 from jghand_engine.avatar.distill import distill, poses_near
@@ -29,19 +28,23 @@ GAUSSIANS, CORRECTIVES, BLEND, RESOLUTION, SHADOW, STORED, THREADS = (
     "Gaussians", "correctives", "blend", "resolution", "shadow", "stored as", "threads"
 )  # fmt: skip
 AXES = (TOGETHER, GAUSSIANS, CORRECTIVES, BLEND, RESOLUTION, SHADOW, STORED, THREADS)
-SEPARABLE = "separable exponential (circles)"
-HALF_SHADOW = "gated, 64 samples, half the width and height"
 _SHADOW_SAMPLES = (8, 16, 32, 64)
+# prefixes of an avatar's Gaussians, and sizes of the linear form of its correctives, that are compared
+COUNTS = (10_000, 20_000, 30_000, 40_000, 60_000, 120_000)
+BASES = (4, 8, 16, 32)
+# made-up poses that the linear forms are fitted to: fewer than a distillation takes, for time
+DISTIL_POSES = 60
 
 
 @dataclass(frozen=True)
 class Variant:
-    """One way of making a picture. axis: which of AXES · avatar: None for the one that is studied; of another, the
-    settings alone do not make the picture, and nobody can choose them"""
+    """One way of making a picture."""
 
+    # one of AXES
     axis: str
     name: str
     settings: RenderSettings
+    # None for the one that is studied; of another, the settings alone do not make the picture: nobody can choose them
     avatar: HandAvatar | None = None
 
 
@@ -87,8 +90,8 @@ def linear_tiers(avatar: HandAvatar) -> dict[int, LinearCorrectives]:
     if not isinstance(net, PoseNet):
         return {}
     known = ExactPictures(avatar).known_poses(avatar)
-    poses = torch.cat([known, poses_near(known, limits.ACCURACY_DISTIL_POSES, seed=0)])
-    return distill(net, poses, [k for k in limits.ACCURACY_BASES if k <= basis_most(net.shape)])
+    poses = torch.cat([known, poses_near(known, DISTIL_POSES, seed=0)])
+    return distill(net, poses, [k for k in BASES if k <= basis_most(net.shape)])
 
 
 def _correctives(avatar: HandAvatar, own: RenderSettings, linear: Mapping[int, LinearCorrectives]) -> Iterator[Variant]:
@@ -104,7 +107,7 @@ def _correctives(avatar: HandAvatar, own: RenderSettings, linear: Mapping[int, L
 
 
 def _counts(total: int) -> list[int]:
-    return [count for count in limits.ACCURACY_COUNTS if count < total] + [total]
+    return [count for count in COUNTS if count < total] + [total]
 
 
 def _thread_counts(threads: int) -> list[int]:

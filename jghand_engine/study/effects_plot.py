@@ -7,21 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from jghand_engine import limits
-from jghand_engine.render.effect_plan import Effect
 from jghand_engine.study.effects_study import EffectsStudy
-from jghand_engine.study.figures import INK, OURS, PAGE, QUIET, STYLE, UNSEEN, USUAL
+from jghand_engine.study.report import HARMLESS, INK, OURS, PAGE, QUIET, STYLE, UNSEEN, USUAL, title
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
-
-NAMES = {
-    Effect.SKIN: "skin moved anew", Effect.CORRECTIVES: "pose correctives", Effect.CAST: "cast shadows",
-    Effect.SHADOW: "self-shadow", Effect.BETWEEN: "shadow between hands", Effect.TAIL: "faint tail",
-    Effect.WHOLE: "whole picture", Effect.FILTER: "filter for small hands", Effect.DEPTH: "depth map",
-    Effect.NORMALS: "normal map", Effect.IDS: "hand map", Effect.MOTION: "motion blur", Effect.FOCUS: "depth of field",
-    Effect.ANISOTROPY: "ellipsoids",
-}  # fmt: skip
 
 
 def draw_figure(study: EffectsStudy) -> Figure:
@@ -50,7 +41,7 @@ def _draw_strip(axes: Axes, study: EffectsStudy) -> None:
     effects = list(study.strip)
     ran = np.array([study.strip[effect] for effect in effects], float)
     axes.imshow(ran, aspect="auto", cmap=ListedColormap([UNSEEN, OURS]), vmin=0, vmax=1, interpolation="nearest")
-    axes.set_yticks(range(len(effects)), [NAMES[effect] for effect in effects], fontsize=9.5, color=INK)
+    axes.set_yticks(range(len(effects)), [str(effect) for effect in effects], fontsize=9.5, color=INK)
     axes.set_xlabel("frame", fontsize=9.5)
     axes.tick_params(length=0)
     axes.set_yticks(np.arange(len(effects) - 1) + 0.5, minor=True)
@@ -62,7 +53,7 @@ def _draw_strip(axes: Axes, study: EffectsStudy) -> None:
 def _draw_savings(axes: Axes, study: EffectsStudy) -> None:
     rows = [row for row in study.rows if row.saved_median_ms is not None and row.saved_median_ms > 0]
     rows.sort(key=lambda row: row.saved_median_ms or 0)
-    axes.barh([NAMES[row.effect] for row in rows], [row.saved_median_ms or 0 for row in rows], color=OURS, height=0.62)
+    axes.barh([str(row.effect) for row in rows], [row.saved_median_ms or 0 for row in rows], color=OURS, height=0.62)
     axes.set_xscale("log")
     for place, row in enumerate(rows):
         worst = 255 * max(row.errors, default=0.0)
@@ -71,23 +62,19 @@ def _draw_savings(axes: Axes, study: EffectsStudy) -> None:
         figures = f"{saved_ms:.1f}" if saved_ms < 10 else f"{saved_ms:.0f}"
         axes.text(saved_ms, place, f" {figures} ms{told}", va="center", fontsize=8.5)
     axes.set_xlim(right=60 * max((row.saved_median_ms or 1 for row in rows), default=1))
-    axes.set_title("Saved on a frame that skips it", fontsize=12, weight="bold", loc="left", color=INK)
+    title(axes, "Saved on a frame that skips it")
     axes.set_xlabel("milliseconds", fontsize=9.5)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
 
 
 def _draw_gate(axes: Axes, study: EffectsStudy) -> None:
-    axes.set_title("How dark the self-shadow of a pose is", fontsize=12, weight="bold", loc="left", color=INK)
+    title(axes, "How dark the self-shadow of a pose is")
     axes.axvspan(1e-2, limits.GATE_LOW, color=UNSEEN, lw=0)
     axes.set_xscale("log")
     for row in study.gate:
         color = QUIET if row.strength == 0 else USUAL
         axes.plot(max(row.score, 1.1e-2), 255 * row.darkest, "o", color=color, ms=5, alpha=0.7)
-    axes.text(0.02, 0.97, "skipped", va="top", transform=axes.transAxes, color="#5c8a58", fontsize=9.5)
+    axes.text(0.02, 0.97, "skipped", va="top", transform=axes.transAxes, color=HARMLESS, fontsize=9.5)
     axes.set_xlim(left=1e-2)
     axes.set_xlabel("how near the fingers are to each other (gate)", fontsize=9.5)
     axes.set_ylabel("darkest pixel, steps of 255", fontsize=9.5)
     axes.set_ylim(bottom=0)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)

@@ -7,7 +7,7 @@ Both are drawn in turn by one process, so that a busy machine hits both alike.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -16,8 +16,9 @@ import torch
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.learned import ShadowLook
+from jghand_engine.captures.captures import Capture
 from jghand_engine.captures.sample import Sample, load_picture
-from jghand_engine.hand.anatomy import MotionOptions, pose_sequence_of_names
+from jghand_engine.hand.anatomy import MotionOptions, named_pose, pose_names, pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.learn.metrics import psnr
 from jghand_engine.learn.tables import NONE, Table, number
@@ -25,47 +26,44 @@ from jghand_engine.native.library import load
 from jghand_engine.render.camera import Camera, Lens
 from jghand_engine.render.effect_plan import Choice, Effect
 from jghand_engine.render.exposure import shutter_at
-from jghand_engine.render.frame import Frame, HandRenderer, SceneRenderer
+from jghand_engine.render.frame import Frame, HandRenderer
 from jghand_engine.render.gate import ShadowGate, fade
-from jghand_engine.render.settings import RenderSettings
+from jghand_engine.render.settings import RenderSettings, ShadowMode, preset
 from jghand_engine.render.shadow import ShadowStyle
 from jghand_engine.render.shadow_native import darken
+from jghand_engine.render.subject import Subject
 
 POSES = ("open", "spread", "open", "relaxed", "fist", "point", "victory", "pinch", "open")
 # a picture of a capture, or a name with joints (21, 3), meters, and a camera
 GateSample = Sample | tuple[str, np.ndarray, Camera]
-# effects that can be forced on every frame of a hand alone; the others are measured in scenes of their own
+# effects that can be forced on every frame of a hand
 FORCED = (Effect.SKIN, Effect.CORRECTIVES, Effect.SHADOW, Effect.TAIL, Effect.WHOLE)
-
-
-@dataclass(frozen=True)
-class Subject:
-    """A hand in motion before a camera. poses: (F, 21, 3) meters · cameras: one per frame"""
-
-    name: str
-    avatar: HandAvatar
-    poses: np.ndarray
-    cameras: Sequence[Camera]
+# frames on which shutter and lens are opened
+OPENED_FRAMES = 8
+# the gate: every so many frames of the motion, and at most so many pictures of a capture, evenly spread
+GATE_STEP = 3
+GATE_PICTURES = 200
 
 
 @dataclass
 class EffectRow:
-    """One effect in one scene. skipped: of so many frames · errors: worst difference of a channel, 0..1, on each frame
-    that skipped it and could be drawn with it · saved_ms: how much longer it took then · bounds: as the receipts state
-    them"""
+    """One effect."""
 
     effect: Effect
-    scene: str
     frames: int = 0
+    # of those frames
     skipped: int = 0
+    # worst difference of a channel, 0..1, on each frame that skipped it and could be drawn with it
     errors: list[float] = field(default_factory=list)
+    # how much longer the frame took with it
     saved_ms: list[float] = field(default_factory=list)
+    # as the receipts state them
     bounds: set[str] = field(default_factory=set)
 
     def as_dict(self) -> dict:
         """Plain data for JSON."""
         return {
-            "effect": str(self.effect), "scene": self.scene, "frames": self.frames, "skipped": self.skipped,
+            "effect": str(self.effect), "frames": self.frames, "skipped": self.skipped,
             "worst_error": max(self.errors, default=None), "saved_ms_median": self.saved_median_ms,
             "saved_ms": sum(self.saved_ms), "bounds": sorted(self.bounds),
         }  # fmt: skip
@@ -78,15 +76,17 @@ class EffectRow:
 
 @dataclass(frozen=True)
 class GateRow:
-    """One picture of the calibration. score: of the gate · strength: what it lets through · occluded: part of the
-    hand's pixels that the whole shadow darkens by over 0.2 of its tint · darkest: largest difference of a channel
-    between no shadow and the whole one · truth_db: PSNR of the hand without and with it; None without a picture"""
+    """One picture of the calibration of the shadow's gate."""
 
     name: str
+    # of the gate, and what it lets through
     score: float
     strength: float
+    # part of the hand's pixels that the whole shadow darkens by over 0.2 of its tint
     occluded: float
+    # largest difference of a channel between no shadow and the whole one
     darkest: float
+    # PSNR of the hand without and with it; None without a picture
     truth_db: tuple[float, float] | None = None
 
 
@@ -96,11 +96,13 @@ CLOSED_BELOW = (2.0, 4.0, 8.0, 16.0, math.inf)
 
 @dataclass(frozen=True)
 class EffectsStudy:
-    """Everything that was measured. subject: in words · strip: for the picture: per frame what ran"""
+    """Everything that was measured."""
 
+    # in words
     subject: str
     rows: list[EffectRow]
     gate: list[GateRow]
+    # what ran on each frame
     strip: dict[Effect, list[bool]]
 
     def as_dict(self) -> dict:
@@ -119,6 +121,13 @@ class EffectsStudy:
         their mean PSNR against the captured pictures without the shadow and with it."""
         return [_skipped_below(self.gate, score) for score in (limits.GATE_LOW, *CLOSED_BELOW)]
 
+    @property
+    def headline(self) -> str:
+        """How often what saves the most is skipped."""
+        saving = sorted((row for row in self.rows if row.saved_ms), key=lambda row: -sum(row.saved_ms))[:3]
+        parts = [f"{row.effect} skipped on {100 * row.skipped / row.frames:.0f} % of frames" for row in saving]
+        return f"{self.subject}: {', '.join(parts) or 'nothing could be skipped'}."
+
     def tables(self) -> list[Table]:
         """What is printed."""
         return [self._effects_table(), *([self._gate_table()] if self.gate else [])]
@@ -126,14 +135,13 @@ class EffectsStudy:
     def _effects_table(self) -> Table:
         rows = [
             (
-                row.effect, row.scene, str(row.frames), f"{100 * row.skipped / max(row.frames, 1):.0f} %",
+                str(row.effect), f"{row.skipped} of {row.frames}",
                 NONE if not row.errors else f"{255 * max(row.errors):.2g}", number(row.saved_median_ms, 2),
-                number(sum(row.saved_ms), 0) if row.saved_ms else NONE, "; ".join(sorted(row.bounds)) or NONE,
+                "; ".join(sorted(row.bounds)) or NONE,
             )
             for row in self.rows
         ]  # fmt: skip
-        columns = ("Effect", "Scene", "frames", "skipped", "worst error, 8-bit steps", "ms saved a frame",
-                   "ms saved in all", "Bound")  # fmt: skip
+        columns = ("Effect", "Frames skipped", "Worst error, 8-bit steps", "ms saved a frame", "Bound")
         notes = (
             f"{self.subject}. Worst error: the largest difference of any channel of any pixel on the frames that skip "
             "the effect, from the same frames with it; - where it has nothing to do on them, even when it is forced.",
@@ -189,6 +197,28 @@ def named_motion(avatar: HandAvatar, poses: Sequence[str] = POSES) -> np.ndarray
     return np.concatenate([joints, still + part * np.array([0.03, 0.02, 0.0])])
 
 
+def measure_effects(
+    subject: Subject, capture: Capture | None, tick: Callable[[], None], settings: RenderSettings
+) -> EffectsStudy:
+    """The study of a motion; with a capture the gate is also calibrated on its pictures, else on named poses."""
+    avatar, camera = subject.avatar, subject.camera
+    rows, strip = effects_of_motion(subject, settings, tick)
+    rows += [opened(effect, subject, settings) for effect in (Effect.MOTION, Effect.FOCUS)]
+    samples: list[GateSample] = [
+        (f"motion/{index}", subject.poses[index], camera) for index in range(0, len(subject.poses), GATE_STEP)
+    ]
+    gate = _gate_rows(avatar, samples)
+    if capture is None:
+        canonical = avatar.canonical_joints_m.numpy()
+        poses = {name: named_pose(name, canonical, handedness=avatar.handedness) for name in pose_names()}
+        gate += _gate_rows(avatar, [(name, joints_m, camera) for name, joints_m in poses.items()])
+    else:
+        step = -(-len(capture.samples) // GATE_PICTURES)
+        gate += _gate_rows(avatar.for_hand(capture.handedness), capture.samples[::step])
+    title = f"{avatar.info.name}, {subject.name}, {len(subject.poses)} frames of {camera.width} x {camera.height}"
+    return EffectsStudy(title, rows, gate, strip)
+
+
 def effects_of_motion(
     subject: Subject, settings: RenderSettings, tick: Callable[[], None]
 ) -> tuple[list[EffectRow], dict[Effect, list[bool]]]:
@@ -198,14 +228,14 @@ def effects_of_motion(
         effect: HandRenderer(subject.avatar, replace(settings, effects=Choice(forced=frozenset([effect]))))
         for effect in FORCED
     }
-    rows = {effect: EffectRow(effect, subject.name) for effect in FORCED}
+    rows = {effect: EffectRow(effect) for effect in FORCED}
     strip: dict[Effect, list[bool]] = {effect: [] for effect in Effect}
-    for joints, camera in zip(subject.poses, subject.cameras, strict=True):
-        auto = plain.render(joints, camera)
+    for joints in subject.poses:
+        auto = plain.render(joints, subject.camera)
         for decision in auto.report.plan.decisions if auto.report.plan else ():
             strip[decision.effect].append(decision.runs)
         for effect, renderer in others.items():
-            _compare(rows[effect], auto, renderer.render(joints, camera))
+            _compare(rows[effect], auto, renderer.render(joints, subject.camera))
         tick()
     return list(rows.values()), strip
 
@@ -224,68 +254,31 @@ def _compare(row: EffectRow, auto: Frame, other: Frame) -> None:
         row.saved_ms.append(other.report.total_ms - auto.report.total_ms)
 
 
-def maps_and_cameras(subject: Subject, settings: RenderSettings, tick: Callable[[], None]) -> list[EffectRow]:
-    """Maps that nobody asked for, a shutter and a lens that the scene does not have, a hand that is large enough."""
-    rows = []
-    depth = replace(settings, depth=False)
-    askers = {
-        Effect.DEPTH: replace(depth, depth=True),
-        Effect.NORMALS: replace(depth, normals=True),
-        Effect.IDS: replace(depth, ids=True),
-    }
-    bare = HandRenderer(subject.avatar, replace(depth, reuse=False))
-    for effect, asking in askers.items():
-        row, asked = EffectRow(effect, subject.name), HandRenderer(subject.avatar, replace(asking, reuse=False))
-        for joints, camera in _few(subject):
-            _compare(row, bare.render(joints, camera), asked.render(joints, camera))
-            tick()
-        rows.append(row)
-    rows.append(_opened(Effect.MOTION, subject, bare, tick))
-    rows.append(_opened(Effect.FOCUS, subject, bare, tick))
-    return rows
-
-
-SOME = 8
-
-
-def _few(subject: Subject) -> Iterator[tuple[np.ndarray, Camera]]:
-    """SOME frames, evenly spread."""
-    for index in np.linspace(0, len(subject.poses) - 1, SOME).astype(int):
-        yield subject.poses[index], subject.cameras[index]
-
-
-def _opened(effect: Effect, subject: Subject, renderer: HandRenderer, tick: Callable[[], None]) -> EffectRow:
+def opened(effect: Effect, subject: Subject, settings: RenderSettings) -> EffectRow:
     """What a shutter of half the time, or a lens of 8 mm, costs, which is saved where there is none."""
-    row = EffectRow(effect, subject.name)
-    for index in np.linspace(0, len(subject.poses) - 1, SOME).astype(int):
-        joints, camera = subject.poses[index], subject.cameras[index]
+    row, camera = EffectRow(effect), subject.camera
+    renderer = HandRenderer(subject.avatar, replace(settings, reuse=False, depth=False))
+    for index in np.linspace(0, len(subject.poses) - 1, OPENED_FRAMES).astype(int):
+        joints = subject.poses[index]
         still = renderer.render(joints, camera)
         if effect is Effect.MOTION:
-            opened = renderer.render(joints, camera, shutter_at(subject.poses, int(index), 0.5))
+            blurred = renderer.render(joints, camera, shutter_at(subject.poses, int(index), 0.5))
         else:
             depth_m = float(camera.project(torch.from_numpy(joints[0]))[1])
-            opened = renderer.render(joints, replace(camera, lens=Lens(0.008, depth_m)))
+            blurred = renderer.render(joints, replace(camera, lens=Lens(0.008, depth_m)))
         row.frames += 1
         row.skipped += 1
         row.bounds.add(still.report.plan[effect].bound if still.report.plan else "")
-        row.saved_ms.append(opened.report.total_ms - still.report.total_ms)
-        tick()
-    return row
-
-
-def hands_approaching(avatar: HandAvatar, pose: np.ndarray, camera: Camera, settings: RenderSettings) -> EffectRow:
-    """Two hands at distances from touching to apart: when the shadow between them is left out."""
-    row, renderer = EffectRow(Effect.BETWEEN, "two hands"), SceneRenderer([avatar, avatar], settings)
-    for gap_m in np.linspace(0.1, 0.4, SOME):
-        plan = renderer.render([pose, pose + np.array([gap_m, 0.0, 0.0])], camera).report.plan
-        row.frames += 1
-        if plan is not None and not plan.runs(Effect.BETWEEN):
-            row.skipped += 1
-            row.bounds.add(plan[Effect.BETWEEN].bound)
+        row.saved_ms.append(blurred.report.total_ms - still.report.total_ms)
     return row
 
 
 # ---- the gate -------------------------------------------------------------------------------------------------------
+
+
+def _gate_rows(avatar: HandAvatar, samples: Sequence[GateSample]) -> list[GateRow]:
+    renderer = HandRenderer(avatar, replace(preset("viewport"), shadow=ShadowMode.OFF))
+    return [gate_row(renderer, avatar, sample) for sample in samples]
 
 
 def gate_row(renderer: HandRenderer, avatar: HandAvatar, sample: GateSample) -> GateRow:

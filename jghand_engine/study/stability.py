@@ -3,7 +3,6 @@
 hands       stability_hands      measured by stability_measures
 pictures    stability_scenes     measured by stability_pictures
 curves      stability_curves     ours beside the usual way (stability_usual)
-the page    stability_plot, stability_page
 """
 
 from __future__ import annotations
@@ -14,12 +13,11 @@ from typing import TypeVar
 
 import torch
 
-from jghand_engine import limits
 from jghand_engine.learn.tables import NONE, Table
 from jghand_engine.study.stability_curves import CURVES, AutocastRow, Curve, autocast_row
-from jghand_engine.study.stability_hands import hand_cases
-from jghand_engine.study.stability_measures import HandRow, Measured, correctives_row, hand_row
-from jghand_engine.study.stability_pictures import PictureRow
+from jghand_engine.study.stability_hands import GRADIENT_MAX, NUDGE_M, hand_cases
+from jghand_engine.study.stability_measures import FEW, SKIN_MAX_M, HandRow, correctives_row, hand_row
+from jghand_engine.study.stability_pictures import PIXEL_MAX, PictureRow
 from jghand_engine.study.stability_scenes import SCENES, scene_row
 
 # hands that the trained avatar never saw anything like, for its correctives
@@ -51,33 +49,25 @@ class Stability:
         return {name: [row.as_dict() for row in rows] for name, rows in vars(self).items()}
 
     def tables(self) -> list[Table]:
-        """The tables, hands first."""
         return [
-            _hand_table(self.hands, self.correctives),
+            _hand_table([*self.hands, *self.correctives]),
             _picture_table(self.pictures),
             _autocast_table(self.autocast),
         ]
 
-    def short_tables(self) -> list[Table]:
-        """The tables for a terminal: the hands with fewer columns."""
-        return [_narrow_table([*self.hands, *self.correctives]), *self.tables()[1:]]
-
     @property
-    def missed(self) -> list[str]:
-        """Sentences: what misses which bound."""
-        rows = [*self.hands, *self.correctives, *self.pictures]
-        return [f"{row.name}: {'; '.join(row.missed)}" for row in rows if row.missed]
-
-    @property
-    def verdict(self) -> str:
-        """One sentence."""
-        rows = [*self.hands, *self.correctives, *self.pictures]
-        missed = len(self.missed)
-        finite = sum(row.ours.finite for row in [*self.hands, *self.correctives])
+    def headline(self) -> str:
+        """How many cases are finite and meet every bound, and what the formulas buy on a straight finger."""
+        hands = [*self.hands, *self.correctives]
+        finite = sum(row.ours.finite for row in hands)
         finite += sum(row.error.finite and row.gradient_finite for row in self.pictures)
+        missed = sum(bool(row.missed) for row in [*hands, *self.pictures])
+        total = len(hands) + len(self.pictures)
+        twist = next(curve for curve in self.curves if curve.name == "straight_twist")
         return (
-            f"{finite} of {len(rows)} hard cases have finite values and gradients; "
-            f"{len(rows) - missed} meet every bound, {missed} miss one."
+            f"{finite} of {total} hard cases have finite values and gradients; "
+            f"{total - missed} meet every bound, {missed} miss one. A straightened finger whose joints are 0.5 mm off "
+            f"twists by {twist.ours[-1]:.1f} degrees, by the usual cross products {twist.usual[-1]:.0f}."
         )
 
 
@@ -104,65 +94,30 @@ def measure_stability(tick: Callable[[], None] = lambda: None) -> Stability:
 # ---- tables ---------------------------------------------------------------------------------------------------------
 
 
-def _hand_table(hands: list[HandRow], correctives: list[HandRow]) -> Table:
-    nudge = f"{1e3 * limits.STABILITY_NUDGE_M:g} mm"
-    columns = ("Hand", "Finite", "Gradient", "usual", "float32, mm", "usual", f"{nudge} nudge, mm", "usual",
-               f"±{nudge} on each axis, mm", "Picture", "Says")  # fmt: skip
-    return Table(
-        "Hard hands",
-        columns,
-        tuple(_hand_cells(row) for row in [*hands, *correctives]),
-        (
-            "Finite: values and gradients in float32 and float64, of the hand and of 100 hands beside it "
-            f"(trained: {limits.STABILITY_FEW}).",
-            f"Gradient: the largest, times the size of the hand; bound {limits.STABILITY_GRADIENT_MAX:.0e}. "
-            "float32: how far the skin is from where float64 has it.",
-            f"Nudge: how far the skin moves when every joint is off by {nudge} (in any direction; at last, by so much "
-            f"along every axis); bound {1e3 * limits.STABILITY_SKIN_MAX_M:g} mm, except where the transform itself "
-            "says that the hand has no certain frame (last column).",
-            "Picture: largest difference of a pixel from the float64 reference, in 8-bit steps.",
-            "usual: angles by acos, frames by normalized cross products, |b| + 1e-8, absolute coordinates; "
-            "written for this study (studies/stability_usual.py). Lengths are as on a hand of ordinary size.",
-            "✗ marks what misses its bound.",
-        ),
+def _hand_table(rows: list[HandRow]) -> Table:
+    nudge = f"{1e3 * NUDGE_M:g} mm"
+    columns = ("Hand", "Gradient", "usual", "float32, mm", "usual", f"{nudge} nudge, mm", "usual", "Misses", "Says")
+    notes = (
+        "All values and gradients are finite, in float32 and float64, of the hand and of 100 hands beside it "
+        f"(trained: {FEW}), where no column says otherwise.",
+        f"Gradient: the largest, times the size of the hand; bound {GRADIENT_MAX:.0e}. "
+        "float32: how far the skin is from where float64 has it.",
+        f"Nudge: how far the skin moves when every joint is off by {nudge}; bound "
+        f"{1e3 * SKIN_MAX_M:g} mm, except where the transform itself says that the hand has no "
+        "certain frame (last column).",
+        "usual: angles by acos, frames by normalized cross products, |b| + 1e-8, absolute coordinates; written for "
+        "this study (study/stability_usual.py). Lengths are as on a hand of ordinary size.",
+        "The JSON also has nudges of exactly that length on each axis, and the difference of a picture from float64.",
     )
-
-
-def _narrow_table(rows: list[HandRow]) -> Table:
-    """Ours alone, and what is missed in a word."""
-    words = {"gradient": "gradient", "float32": "float32", "nudge": "nudge", "axis": "axes", "picture": "picture"}
-    cells = []
-    for row in rows:
-        missed = [word for sign, word in words.items() if any(sign in miss for miss in row.missed)]
-        note = f"misses: {', '.join(missed)}" if missed else ("flagged" if row.flags else NONE)
-        ours = row.ours
-        cells.append(
-            (row.name, _yes(ours), short(ours.gradient), short(ours.precision_mm), short(ours.nudged_mm), note)
-        )
-    notes = ("All columns, beside the usual formulas, are in STABILITY.md and stability.html.",)
-    return Table("Hard hands", ("Hand", "Finite", "Gradient", "float32 mm", "Nudge mm", "Note"), tuple(cells), notes)
+    return Table("Hard hands", columns, tuple(_hand_cells(row) for row in rows), notes)
 
 
 def _hand_cells(row: HandRow) -> tuple[str, ...]:
-    ours, usual = row.ours, row.usual
-
-    def other(name: str) -> str:
-        return NONE if usual is None else short(getattr(usual, name))
-
-    def marked(value: str, word: str) -> str:
-        return f"{value} ✗" if any(word in miss for miss in row.missed) else value
-
-    return (
-        row.name, _yes(ours), marked(short(ours.gradient), "gradient"), other("gradient"),
-        marked(short(ours.precision_mm), "float32"), other("precision_mm"),
-        marked(short(ours.nudged_mm), "a nudge"), other("nudged_mm"), marked(short(ours.axes_mm), "axis"),
-        marked(short(255 * row.picture.worst) if row.picture.visible else "nothing drawn", "picture"),
-        "; ".join(row.flags) or NONE,
-    )  # fmt: skip
-
-
-def _yes(measured: Measured) -> str:
-    return "yes" if measured.finite else "no ✗"
+    cells = []
+    for name in ("gradient", "precision_mm", "nudged_mm"):
+        cells.append(short(getattr(row.ours, name)) if row.ours.finite else "not finite")
+        cells.append(NONE if row.usual is None else short(getattr(row.usual, name)))
+    return (row.name, *cells, "; ".join(row.missed) or NONE, "; ".join(row.flags) or NONE)
 
 
 def _picture_table(rows: list[PictureRow]) -> Table:
@@ -184,7 +139,7 @@ def _picture_table(rows: list[PictureRow]) -> Table:
             "Finite: color, alpha, depth, self-shadow, and all gradients. Gradient: the largest, times the natural "
             "size of what it is for (hand, radius, 1).",
             "Against float64: the compiled kernel's float32 picture beside the reference; promise 3 of RENDERING 14 "
-            f"allows {255 * limits.STABILITY_PIXEL_MAX:.2g} steps, and 1 where a contribution falls on the other side "
+            f"allows {255 * PIXEL_MAX:.2g} steps, and 1 where a contribution falls on the other side "
             "of the cut.",
             "Left out: Gaussians that cannot be drawn are counted, never drawn wrong.",
         ),

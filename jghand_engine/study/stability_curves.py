@@ -20,6 +20,8 @@ from jghand_engine.hand import rotations as rot
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.render.camera import Camera
 from jghand_engine.study.stability_hands import (
+    GRADIENT_MAX,
+    NUDGE_M,
     HandCase,
     abducted,
     bent_finger,
@@ -29,6 +31,7 @@ from jghand_engine.study.stability_hands import (
     template_size_m,
 )
 from jghand_engine.study.stability_measures import (
+    GAUSSIANS,
     Formulation,
     Skin,
     moved_mm,
@@ -92,7 +95,7 @@ def straight_twist() -> Curve:
     """A finger is straightened: how far does its skin spin when the joints are 0.5 mm off?"""
     crossed = UsualTransform(template_joints_m(), handedness=RIGHT, crossed=True)
     angles_deg = np.geomspace(30, 0.01, 22)
-    base, nudges = posed("relaxed"), limits.STABILITY_NUDGE_M * random_nudges()
+    base, nudges = posed("relaxed"), NUDGE_M * random_nudges()
 
     def twist_deg(frames: Callable[[Tensor], Tensor], angle_deg: float) -> float:
         """How much the frame of the middle phalanx turns about the bone, root of the mean square."""
@@ -173,7 +176,7 @@ def flat_palm() -> Curve:
     return Curve(
         "flat_palm", "The palm closes like a fan", "How hard it pulls when something learns",
         "width of the palm, % of a real one", "gradient, per hand size",
-        "palm = normalized cross products", 100 * parts, mine, theirs, visible=limits.STABILITY_GRADIENT_MAX,
+        "palm = normalized cross products", 100 * parts, mine, theirs, visible=GRADIENT_MAX,
     )  # fmt: skip
 
 
@@ -224,7 +227,7 @@ def short_bone() -> Curve:
         "length of the bone, mm", "gradient, per hand size",
         "direction = b / (|b| + 1e-8)", lengths_mm,
         np.array([pull(mine, x) for x in lengths_mm]), np.array([pull(usual_unit, x) for x in lengths_mm]),
-        visible=limits.STABILITY_GRADIENT_MAX,
+        visible=GRADIENT_MAX,
     )  # fmt: skip
 
 
@@ -308,6 +311,6 @@ def autocast_row(precision: torch.dtype) -> AutocastRow:
 
 def _engine_skin(joints_m: Tensor, dtype: torch.dtype) -> Skin:
     """Ours through the engine's own skinning, which switches autocast off."""
-    avatar = load_painted(handedness=RIGHT).prefix(limits.STABILITY_GAUSSIANS)
+    avatar = load_painted(handedness=RIGHT).prefix(GAUSSIANS)
     gaussians = posed_avatar(avatar, avatar.bone_transform(), (joints_m - joints_m[:, :1])[0].to(dtype))
     return Skin(gaussians.position_m[None], gaussians.sigma_m.sum())

@@ -12,11 +12,17 @@ from functools import cache
 import torch
 from torch import Tensor
 
-from jghand_engine import limits
 from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import JointTransform
 from jghand_engine.template.builtin import load_template
+
+# distances, as parts of the hand's size, at which hands beside a singularity are tried as well
+JITTERS = (1e-12, 1e-9, 1e-7, 1e-5, 1e-3)
+# error of the joints whose effect on the skin is measured, meters: that of a good motion capture
+NUDGE_M = 5e-4
+# largest gradient times hand size (METHOD 2.11)
+GRADIENT_MAX = 1e5
 
 _THUMB, _INDEX, _MIDDLE, _RING = range(4)
 
@@ -207,6 +213,6 @@ def beside(case: HandCase, count: int) -> Tensor:
     generator = torch.Generator().manual_seed(len(case.name))
     near = [
         case.joints_m + part * case.size_m * torch.randn(count, 21, 3, dtype=torch.float64, generator=generator)
-        for part in limits.STABILITY_JITTERS
+        for part in JITTERS
     ]
     return torch.cat([here, *near])

@@ -24,10 +24,36 @@ from jghand_engine.hand.frames import describe_flags
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import BoneTransforms, JointTransform
 from jghand_engine.render.camera import Camera
-from jghand_engine.study.stability_hands import HandCase, beside, template_joints_m, template_size_m
+from jghand_engine.study.stability_hands import (
+    GRADIENT_MAX,
+    JITTERS,
+    NUDGE_M,
+    HandCase,
+    beside,
+    template_joints_m,
+    template_size_m,
+)
 from jghand_engine.study.stability_pictures import PictureError, against_reference
 from jghand_engine.study.stability_usual import UsualTransform
 from jghand_engine.template.builtin import load_template
+
+# hands at each of the distances of JITTERS
+BESIDE = 20
+# nudges tried for every hand, in random directions
+NUDGES = 64
+# hands and nudges where a network has to be asked for each of them
+FEW = 15
+# points of the skin that are watched, of the template's 1610
+SKIN_POINTS = 400
+# what a nudge may move any of them by, meters (METHOD 2.11)
+SKIN_MAX_M = 2e-3
+# float32 against float64, meters on a hand of ordinary size (METHOD 2.11, of the joints)
+PRECISION_MAX_M = 5e-7
+# Gaussians of the hand, and side of the picture, in which it is compared with the reference
+GAUSSIANS = 1500
+PICTURE_PX = 64
+# anchors of its cast shadow: at all 2,048 the gradients of one row's hands took 6 GB
+ANCHORS = 128
 
 
 @dataclass(frozen=True)
@@ -86,7 +112,7 @@ class HandRow:
 def _watched() -> tuple[Tensor, Tensor]:
     """Points of the template's skin, (V, 3) and weights (V, 21), float64."""
     template = load_template()
-    every = max(1, len(template.vertices_m) // limits.STABILITY_SKIN_POINTS)
+    every = max(1, len(template.vertices_m) // SKIN_POINTS)
     return torch.from_numpy(template.vertices_m[::every].copy()), torch.from_numpy(
         template.bone_weights[::every].copy()
     )
@@ -140,8 +166,8 @@ def measure(
     formulation: Formulation,
     case: HandCase,
     *,
-    hands_beside: int = limits.STABILITY_BESIDE,
-    nudges: int = limits.STABILITY_NUDGES,
+    hands_beside: int = BESIDE,
+    nudges: int = NUDGES,
 ) -> Measured:
     """All numbers of a formulation on a case. hands_beside: at each of the distances · nudges: how many of each kind"""
     to_mm = 1e3 * template_size_m() / case.size_m
@@ -172,13 +198,13 @@ def _differentiated(formulation: Formulation, joints_m: Tensor, dtype: torch.dty
     return finite, float((gradient.abs().amax((1, 2)) * sizes_m).max())
 
 
-def random_nudges(count: int = limits.STABILITY_NUDGES) -> Tensor:
+def random_nudges(count: int = NUDGES) -> Tensor:
     """(count, 21, 3) of length 1 for every joint."""
     direction = torch.randn(count, 21, 3, dtype=torch.float64, generator=torch.Generator().manual_seed(1))
     return direction / direction.norm(dim=-1, keepdim=True)
 
 
-def axis_nudges(count: int = limits.STABILITY_NUDGES) -> Tensor:
+def axis_nudges(count: int = NUDGES) -> Tensor:
     """(count, 21, 3) of +1 or -1 along every axis: the worst of those that reach no farther than 1 on any axis."""
     return 2.0 * (torch.rand(count, 21, 3, generator=torch.Generator().manual_seed(2)) < 0.5).double() - 1.0
 
@@ -186,7 +212,7 @@ def axis_nudges(count: int = limits.STABILITY_NUDGES) -> Tensor:
 def moved_mm(formulation: Formulation, case: HandCase, nudges: Tensor) -> float:
     """How far nudges of 0.5 mm, on a hand of ordinary size, move any point of the skin, millimeters."""
     part = case.size_m / template_size_m()
-    joints_m = torch.cat([case.joints_m[None], case.joints_m + part * limits.STABILITY_NUDGE_M * nudges])
+    joints_m = torch.cat([case.joints_m[None], case.joints_m + part * NUDGE_M * nudges])
     # the wrist itself moves, too: its place counts
     skin = formulation(joints_m, torch.float64).skin + joints_m[:, :1]
     return 1e3 * float((skin[1:] - skin[0]).norm(dim=-1).max()) / part
@@ -202,14 +228,14 @@ def hand_row(case: HandCase) -> HandRow:
     flags = describe_flags(int(transform.frames(centered).flags))
     measured = measure(partial(ours, handedness=case.handedness), case)
     compared = measure(partial(usual, handedness=case.handedness), case)
-    avatar = load_painted(handedness=case.handedness).prefix(limits.STABILITY_GAUSSIANS)
+    avatar = load_painted(handedness=case.handedness).prefix(GAUSSIANS)
     picture = hand_picture(avatar, case)
     return HandRow(case.name, flags, measured, compared, picture, misses(measured, picture, flagged=bool(flags)))
 
 
 def correctives_row(case: HandCase) -> HandRow:
     """The row of a hand far outside what the trained avatar has learned from: skin and picture with its correctives."""
-    avatar = _with_fewer_anchors(load_builtin(handedness=case.handedness).prefix(limits.STABILITY_GAUSSIANS))
+    avatar = _with_fewer_anchors(load_builtin(handedness=case.handedness).prefix(GAUSSIANS))
     transform = avatar.bone_transform()
     flags = describe_flags(int(transform.frames(case.joints_m - case.joints_m[:1]).flags))
 
@@ -219,8 +245,8 @@ def correctives_row(case: HandCase) -> HandRow:
         return Skin(torch.stack([one.position_m for one in posed]), rgb)
 
     # the network is evaluated hand by hand: fewer of them
-    few = limits.STABILITY_FEW
-    measured = measure(learned, case, hands_beside=few // len(limits.STABILITY_JITTERS), nudges=few)
+    few = FEW
+    measured = measure(learned, case, hands_beside=few // len(JITTERS), nudges=few)
     picture = hand_picture(avatar, case)
     name = f"trained hand, {case.name}"
     return HandRow(name, flags, measured, None, picture, misses(measured, picture, flagged=bool(flags)))
@@ -231,18 +257,18 @@ def _with_fewer_anchors(avatar: HandAvatar) -> HandAvatar:
     learned = avatar.learned
     if learned is None or learned.cast is None:
         return avatar
-    anchors = place_anchors(avatar.position_m, learned.normal, avatar.bone_weights, limits.STABILITY_ANCHORS)
+    anchors = place_anchors(avatar.position_m, learned.normal, avatar.bone_weights, ANCHORS)
     cast = replace(learned.cast, anchors=anchors, own=own_flesh(anchors, avatar.canonical_joints_m))
     return replace(avatar, learned=replace(learned, cast=cast))
 
 
 def misses(measured: Measured, picture: PictureError, *, flagged: bool) -> list[str]:
     """What is not as it should be, in words. A flagged hand has no certain frame: its skin may jump."""
-    nudge, skin = 1e3 * limits.STABILITY_NUDGE_M, 1e3 * limits.STABILITY_SKIN_MAX_M
+    nudge, skin = 1e3 * NUDGE_M, 1e3 * SKIN_MAX_M
     checks = (
         (measured.finite, "not finite"),
-        (measured.gradient <= limits.STABILITY_GRADIENT_MAX, "gradient"),
-        (measured.precision_mm <= 1e3 * limits.STABILITY_PRECISION_MAX_M, "float32"),
+        (measured.gradient <= GRADIENT_MAX, "gradient"),
+        (measured.precision_mm <= 1e3 * PRECISION_MAX_M, "float32"),
         (flagged or measured.nudged_mm <= skin, f"a nudge of {nudge:g} mm moves skin over {skin:g} mm"),
         (flagged or measured.axes_mm <= skin, f"+-{nudge:g} mm on every axis moves skin over {skin:g} mm"),
         (picture.good, "picture"),
@@ -264,7 +290,7 @@ def hand_picture(avatar: HandAvatar, case: HandCase) -> PictureError:
     return against_reference(gaussians, camera_before(case))
 
 
-def camera_before(case: HandCase, side_px: int = limits.STABILITY_PICTURE_PX) -> Camera:
+def camera_before(case: HandCase, side_px: int = PICTURE_PX) -> Camera:
     """A camera that sees a whole hand whose wrist is at the origin, from the palm's side, however large the hand is."""
     distance_m = max(4.0 * case.size_m, 10 * limits.Z_NEAR_M)
     middle = (case.joints_m - case.joints_m[:1]).mean(0)

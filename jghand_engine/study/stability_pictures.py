@@ -20,6 +20,15 @@ from jghand_engine.render.rasterize import rasterize
 from jghand_engine.render.reference import rasterize_reference
 from jghand_engine.render.settings import RenderSettings
 
+# promise 3 of RENDERING 14: a pixel differs by less from the reference, unless a contribution falls on the other side
+# of the cut, which is worth one 8-bit step
+PIXEL_MAX = 1.1e-4
+FLIP_MAX = 1 / 255
+# pixels of a small picture in which that may happen
+FLIPPED_MAX = 2
+# how far everything in a picture is moved to see whether a pixel jumps, meters
+PICTURE_NUDGE_M = 1e-6
+
 
 @dataclass(frozen=True)
 class PictureError:
@@ -36,7 +45,7 @@ class PictureError:
     @property
     def good(self) -> bool:
         """Promise 3 of RENDERING 14."""
-        return self.finite and self.worst <= limits.STABILITY_FLIP_MAX and self.flipped <= limits.STABILITY_FLIPPED_MAX
+        return self.finite and self.worst <= FLIP_MAX and self.flipped <= FLIPPED_MAX
 
     def as_dict(self) -> dict:
         return {**vars(self), "worst": self.worst if math.isfinite(self.worst) else None}
@@ -93,7 +102,7 @@ def against_reference(gaussians: Gaussians, camera: Camera) -> PictureError:
     error = ((ours - theirs).abs() / scale).amax(-1)
     return PictureError(
         worst=float(error.max()),
-        flipped=int((error > limits.STABILITY_PIXEL_MAX).sum()),
+        flipped=int((error > PIXEL_MAX).sum()),
         finite=bool(torch.isfinite(ours).all()),
         visible=drawn.visible_gaussians,
         invalid=drawn.invalid_gaussians,
@@ -123,7 +132,7 @@ def nudged_steps(gaussians: Gaussians, camera: Camera) -> float:
     """Largest change of a pixel's color or alpha, in 8-bit steps, when all Gaussians move by a micrometer sideways."""
     if not len(gaussians):
         return 0.0
-    sideways = camera.camera_from_world[0, :3].to(gaussians.position_m.dtype) * limits.STABILITY_PICTURE_NUDGE_M
+    sideways = camera.camera_from_world[0, :3].to(gaussians.position_m.dtype) * PICTURE_NUDGE_M
     moved = replace(gaussians, position_m=gaussians.position_m + sideways)
     with torch.no_grad():
         before, after = (planes_of(rasterize(g, camera))[..., :4] for g in (gaussians, moved))

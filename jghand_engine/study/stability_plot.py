@@ -1,6 +1,6 @@
-"""The picture of the stability study: what one sees of it, and error against distance to each singularity.
+"""The plot of the stability study: hands drawn both ways, and error against distance to each singularity.
 
-Needs matplotlib (the extra `study`).
+Needs matplotlib.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jghand_engine.study.figures import INK, OURS, PAGE, QUIET, STYLE, UNSEEN, USUAL
+from jghand_engine.study.report import HARMLESS, INK, OURS, PAGE, QUIET, STYLE, UNSEEN, USUAL, title
 from jghand_engine.study.stability_curves import Curve
 from jghand_engine.study.stability_views import ViewPair
 
@@ -18,42 +18,35 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-_COLUMNS = 4
+COLUMNS = 4
 
 
 def draw_figure(curves: Sequence[Curve], views: Sequence[ViewPair]) -> Figure:
-    """The whole picture: views above, curves below."""
+    """Views above, curves below."""
     import matplotlib as mpl
     from matplotlib.figure import Figure
 
     with mpl.rc_context(STYLE):
-        rows = -(-len(curves) // _COLUMNS)
+        rows = -(-len(curves) // COLUMNS)
         figure = Figure(figsize=(14, 4.0 + 3.4 * rows), facecolor=PAGE)
-        outer = figure.add_gridspec(
-            1 + rows, 1, height_ratios=[0.8, *[1.0] * rows], hspace=0.5, left=0.055, right=0.985, top=0.885, bottom=0.06
-        )
-        _draw_head(figure)
-        upper = outer[0].subgridspec(1, len(views), wspace=0.05)
-        for place, view in enumerate(views):
-            _draw_view(figure.add_subplot(upper[place]), view)
+        grid = figure.add_gridspec(1 + rows, 1, height_ratios=[0.8, *[1.0] * rows], hspace=0.5, left=0.055,
+                                   right=0.985, top=0.885, bottom=0.06)  # fmt: skip
+        figure.text(0.05, 0.968, "Hard cases of a hand, and what the careful formulas buy", fontsize=19, weight="bold")
+        figure.text(0.05, 0.945, "Above: the same joints, drawn both ways. Below: the nearer to the trouble "
+                    "(to the right), the larger the error (upwards).", fontsize=11.5, color=QUIET)  # fmt: skip
+        for x, color, name in ((0.79, USUAL, "the usual way"), (0.925, OURS, "JGHand")):
+            figure.text(x, 0.968, f"● {name}", fontsize=13, color=color, weight="bold", va="center")
+        for view, cell in zip(views, grid[0].subgridspec(1, len(views), wspace=0.05), strict=True):
+            _draw_view(figure.add_subplot(cell), view)
         for row in range(rows):
-            inner = outer[1 + row].subgridspec(1, _COLUMNS, wspace=0.3)
-            for column, curve in enumerate(curves[row * _COLUMNS : (row + 1) * _COLUMNS]):
-                _draw_curve(figure.add_subplot(inner[column]), curve)
+            cells = grid[1 + row].subgridspec(1, COLUMNS, wspace=0.3)
+            for curve, cell in zip(curves[row * COLUMNS :], cells, strict=False):
+                _draw_curve(figure.add_subplot(cell), curve)
     return figure
 
 
-def _draw_head(figure: Figure) -> None:
-    figure.text(0.05, 0.968, "Hard cases of a hand, and what the careful formulas buy", fontsize=19, weight="bold")
-    figure.text(0.05, 0.945, "Above: the same joints, drawn both ways. Below: the nearer to the trouble "
-                "(to the right), the larger the error (upwards).", fontsize=11.5, color=QUIET)  # fmt: skip
-    for x, color, name in ((0.79, USUAL, "the usual way"), (0.925, OURS, "JGHand")):
-        figure.text(x, 0.966, "●", fontsize=16, color=color, ha="right", va="center")
-        figure.text(x + 0.007, 0.968, name, fontsize=13, color=color, weight="bold", va="center")
-
-
 def _draw_view(axes: Axes, view: ViewPair) -> None:
-    gap = np.ones((view.usual.shape[0], 4, 3), np.uint8) * 250
+    gap = np.full((view.usual.shape[0], 4, 3), 250, np.uint8)
     axes.imshow(np.concatenate([view.usual, gap, view.ours], 1), interpolation="lanczos")
     axes.set_axis_off()
     axes.set_anchor("NW")
@@ -71,7 +64,7 @@ def _draw_curve(axes: Axes, curve: Curve) -> None:
     if curve.visible is not None:
         axes.axhspan(low, curve.visible, color=UNSEEN, lw=0, zorder=0)
         axes.text(0.02, curve.visible, " harmless below", transform=axes.get_yaxis_transform(), fontsize=8.5,
-                  color="#5c8a58", va="top")  # fmt: skip
+                  color=HARMLESS, va="top")  # fmt: skip
     for values, color in ((curve.usual, USUAL), (curve.ours, OURS)):
         shown = np.clip(values, low * 1.15, high / 1.15)
         axes.plot(curve.distance, shown, color=color, lw=2.6, solid_capstyle="round", zorder=3)
@@ -80,15 +73,11 @@ def _draw_curve(axes: Axes, curve: Curve) -> None:
             axes.plot(curve.distance[lost], np.full(lost.sum(), high / 1.6), "x", color=color, ms=7, mew=2, zorder=4)
             axes.text(curve.distance[lost][-1], high / 4, "no number at all ", color=color, fontsize=8.5, ha="right",
                       va="top")  # fmt: skip
-    axes.set_title(f"{curve.title}\n", fontsize=12.5, weight="bold", loc="left", color=INK)
-    axes.text(0, 1.035, curve.below, transform=axes.transAxes, fontsize=9, color=QUIET)
+    title(axes, curve.title, below=curve.below)
     axes.set_xlabel(f"{curve.x}  →", fontsize=9.5)
     axes.set_ylabel(curve.y, fontsize=9.5)
-    axes.tick_params(labelsize=8.5, which="both", length=2)
     axes.text(0.98, 0.03, f"usual: {curve.way}", transform=axes.transAxes, fontsize=7.8, color=USUAL, ha="right",
               bbox={"facecolor": "white", "alpha": 0.75, "lw": 0, "pad": 1.5}, zorder=5)  # fmt: skip
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(False)
 
 
 def _range(curve: Curve) -> tuple[float, float]:

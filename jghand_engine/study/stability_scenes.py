@@ -18,8 +18,8 @@ from jghand_engine.render.camera import Camera
 from jghand_engine.render.rasterize import rasterize
 from jghand_engine.render.shadow import ShadowStyle
 from jghand_engine.render.shadow_native import darken
-from jghand_engine.study.stability_hands import hand_cases, template_size_m
-from jghand_engine.study.stability_measures import camera_before, posed_avatar
+from jghand_engine.study.stability_hands import GRADIENT_MAX, hand_cases, template_size_m
+from jghand_engine.study.stability_measures import GAUSSIANS, camera_before, posed_avatar
 from jghand_engine.study.stability_pictures import (
     PictureRow,
     against_reference,
@@ -28,6 +28,9 @@ from jghand_engine.study.stability_pictures import (
     picture_gradient,
     planes_of,
 )
+
+# what PICTURE_NUDGE_M may change a pixel by, in 8-bit steps: one contribution at the cut, and the movement itself
+STEPS_MAX = 1.1
 
 _CUT = limits.ALPHA_MIN
 
@@ -46,7 +49,7 @@ class SceneCase:
 def _hand() -> tuple[Gaussians, Camera]:
     """The built-in hand, relaxed, wrist at the origin, and a camera before it."""
     case = hand_cases()["ordinary: relaxed"]
-    avatar = load_painted(handedness=Handedness.RIGHT).prefix(limits.STABILITY_GAUSSIANS)
+    avatar = load_painted(handedness=Handedness.RIGHT).prefix(GAUSSIANS)
     with torch.no_grad():
         gaussians = posed_avatar(avatar, avatar.bone_transform(), (case.joints_m - case.joints_m[:1]).float())
     return converted(gaussians, torch.float32), camera_before(case)
@@ -158,9 +161,9 @@ def scene_row(case: SceneCase) -> PictureRow:
     checks = (
         (error.good, "picture"),
         (finite, "gradient not finite"),
-        (gradient <= limits.STABILITY_GRADIENT_MAX, "gradient"),
+        (gradient <= GRADIENT_MAX, "gradient"),
         (depth_and_shadow_are_finite(case), "depth or shadow not finite"),
-        (nudged <= limits.STABILITY_STEPS_MAX, "a pixel jumps"),
+        (nudged <= STEPS_MAX, "a pixel jumps"),
         ((error.visible == 0) == case.empty, "something drawn" if case.empty else "nothing drawn"),
     )
     return PictureRow(case.name, error, gradient, finite, nudged, case.note, [w for good, w in checks if not good])

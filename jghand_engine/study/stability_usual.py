@@ -16,6 +16,10 @@ from torch import Tensor
 from jghand_engine import limits
 from jghand_engine.hand.joints import PARENTS, Handedness
 
+# the usual guards of these formulas: "length + eps", clipped arc cosine
+EPS = 1e-8
+CLIP = 1e-6
+
 
 @dataclass(frozen=True)
 class UsualBones:
@@ -31,12 +35,12 @@ class UsualBones:
 
 def usual_unit(vector: Tensor) -> Tensor:
     """v / (|v| + 1e-8), (..., 3)."""
-    return vector / (vector.norm(dim=-1, keepdim=True) + limits.USUAL_EPS)
+    return vector / (vector.norm(dim=-1, keepdim=True) + EPS)
 
 
 def usual_angle(a: Tensor, b: Tensor) -> Tensor:
     """Angle between unit vectors (..., 3) by acos of the clipped dot product, radians."""
-    return torch.acos(((a * b).sum(-1)).clamp(-1 + limits.USUAL_CLIP, 1 - limits.USUAL_CLIP))
+    return torch.acos(((a * b).sum(-1)).clamp(-1 + CLIP, 1 - CLIP))
 
 
 def usual_rotation(a: Tensor, b: Tensor) -> Tensor:

@@ -10,7 +10,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.avatar.gaussians import Gaussians
@@ -19,10 +18,13 @@ from jghand_engine.export.pictures import flatten
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.rasterize import rasterize
-from jghand_engine.study.stability_hands import abducted, bent_finger, posed
+from jghand_engine.study.stability_hands import NUDGE_M, abducted, bent_finger, posed
 from jghand_engine.study.stability_measures import random_nudges
 from jghand_engine.study.stability_pictures import converted
 from jghand_engine.study.stability_usual import UsualTransform
+
+# side of the hands drawn both ways
+VIEW_PX = 300
 
 _GROUND = (0.925, 0.92, 0.905)
 
@@ -42,7 +44,7 @@ def view_pairs() -> list[ViewPair]:
     straight = base
     for finger in range(1, 5):
         straight = bent_finger(straight, finger, 0.0)
-    nudge = limits.STABILITY_NUDGE_M * random_nudges(8)[5]
+    nudge = NUDGE_M * random_nudges(8)[5]
     sideways = abducted(posed("open"), 4, math.radians(0.3), side=-1)
     far = posed("relaxed") + torch.tensor([2e4, 1.6e4, 1.6e4], dtype=torch.float64)
     return [
@@ -72,7 +74,7 @@ def _pair(title: str, joints_m: Tensor, *, crossed: bool = False) -> ViewPair:
 
 def _drawn(make: Callable[[], Gaussians], avatar: HandAvatar) -> np.ndarray:
     """(H, W, 3) uint8 of a hand with its wrist at the origin, from the back, where the nails are."""
-    side_px = limits.STABILITY_VIEW_PX
+    side_px = VIEW_PX
     middle = torch.tensor([0.01, 0.085, 0.0], dtype=torch.float64)
     eye = middle + torch.tensor([-0.12, 0.1, -0.6], dtype=torch.float64)
     camera = Camera.looking_at(

@@ -11,27 +11,27 @@ import torch
 from small_avatars import trained_avatar
 
 from jghand_engine.avatar.file import save_avatar
-from jghand_engine.cli import main, study_effects
+from jghand_engine.cli import main
 from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.effect_plan import Effect
 from jghand_engine.render.frame import HandRenderer
 from jghand_engine.render.settings import RenderSettings, ShadowMode
+from jghand_engine.render.subject import Subject
 from jghand_engine.study import effects_study as study
-from jghand_engine.study.pages import Section
 
 AVATAR = trained_avatar(1500)
 
 
-def subject(frames: int = 24) -> study.Subject:
+def subject(frames: int = 24) -> Subject:
     poses = study.named_motion(AVATAR, ("open", "fist"))
     poses = poses[np.linspace(0, len(poses) - 1, frames).astype(int)]
     middle = torch.from_numpy(poses.mean((0, 1)))
     eye = middle + torch.tensor([0.1, 0.1, 0.5], dtype=torch.float64)
     up = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
     view = Camera.looking_at(eye, middle, up, width=96, height=80, focal_px=200.0)
-    return study.Subject("motion", AVATAR, poses, [view] * frames)
+    return Subject("motion", AVATAR, poses, view)
 
 
 def test_the_motion_rests_bends_and_moves_as_a_whole():
@@ -50,7 +50,6 @@ def test_the_motion_rests_bends_and_moves_as_a_whole():
 
 def test_tables_and_figures_say_the_same():
     rows, strip = study.effects_of_motion(subject(6), RenderSettings(threads=1), lambda: None)
-    rows += study.maps_and_cameras(subject(6), RenderSettings(threads=1), lambda: None)
     made = study.EffectsStudy("a test", rows, [], strip)
     (table,) = made.tables()
     assert len(table.rows) == len(rows) == len(made.as_dict()["effects"])
@@ -77,7 +76,7 @@ def test_a_tighter_gate_skips_more_and_says_the_worst_of_what_it_skips():
 @pytest.mark.parametrize("name", ["open", "fist"])
 def test_the_gate_is_judged_by_the_shadow_that_would_be_drawn(name: str):
     joints = named_pose(name, AVATAR.canonical_joints_m.numpy(), handedness=Handedness.RIGHT)
-    view = replace(subject(2).cameras[0], fx=400.0, fy=400.0, width=160, height=140, cx=80.0, cy=70.0)
+    view = replace(subject(2).camera, fx=400.0, fy=400.0, width=160, height=140, cx=80.0, cy=70.0)
     bare = HandRenderer(AVATAR, RenderSettings(shadow=ShadowMode.OFF))
     row = study.gate_row(bare, AVATAR, (name, joints, view))
     assert (row.strength == 0) == (name == "open")
@@ -87,33 +86,16 @@ def test_the_gate_is_judged_by_the_shadow_that_would_be_drawn(name: str):
         assert row.darkest == pytest.approx(float(np.abs(drawn - plain).max()), abs=0.05)
 
 
-def test_the_command_measures_tells_and_renews_the_page(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(study_effects, "SIZE_PX", (64, 48))
+def test_the_command_measures_tells_and_writes(tmp_path, capsys, monkeypatch):
     few = subject(9).poses
     monkeypatch.setattr(study, "named_motion", lambda avatar: few)
     save_avatar(tmp_path / "hand.jghand", AVATAR)
-    docs = tmp_path / "checkout" / "docs"
-    docs.mkdir(parents=True)
-    (docs.parent / "README.md").write_text("# Name\n", encoding="utf-8")
-    part = Section("effects")
-    (docs / "EFFECTS.md").write_text(f"before\n{part.begin}\nold\n{part.end}\nafter\n", encoding="utf-8")
-    words = [
-        "--avatar",
-        str(tmp_path / "hand.jghand"),
-        "--out",
-        str(tmp_path / "study"),
-        "--checkout",
-        str(docs.parent),
-    ]
-    assert main(["study", "effects", *words]) == 0
+    out = tmp_path / "study"
+    assert main(["study", "effects", str(tmp_path / "hand.jghand"), "--size", "64x48", "--out", str(out)]) == 0
     assert "The gate against the whole shadow" in capsys.readouterr().out
-    rows = {row["effect"]: row for row in json.loads((tmp_path / "study" / "effects.json").read_text())["effects"]}
+    rows = {row["effect"]: row for row in json.loads((out / "effects.json").read_text())["effects"]}
     # an error is measured only where the effect could be drawn
-    assert rows["normals"]["worst_error"] == 0
     assert rows["motion-blur"]["worst_error"] is None
     assert rows["motion-blur"]["skipped"] == rows["motion-blur"]["frames"] > 0
-    text = (docs / "EFFECTS.md").read_text(encoding="utf-8")
-    assert text.startswith("before")
-    assert text.endswith("after\n")
-    assert "old" not in text
-    assert (docs / "effects.png").stat().st_size > 10_000
+    assert (out / "effects.png").stat().st_size > 10_000
+    assert (out / "effects_effects_skipped.csv").is_file()

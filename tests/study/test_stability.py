@@ -10,13 +10,14 @@ import torch
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from jghand_engine import limits
 from jghand_engine.hand.frames import FrameFlag
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.study import stability_curves as curves
 from jghand_engine.study.stability import FAR_OUTSIDE
-from jghand_engine.study.stability_hands import HandCase, hand_cases, posed, template_size_m
+from jghand_engine.study.stability_hands import GRADIENT_MAX, NUDGE_M, HandCase, hand_cases, posed, template_size_m
 from jghand_engine.study.stability_measures import (
+    PRECISION_MAX_M,
+    SKIN_MAX_M,
     correctives_row,
     hand_row,
     measure,
@@ -43,12 +44,12 @@ NEEDLES = "needles, 1e8 times as long as thin"
 def test_a_hard_hand_is_finite_exact_and_continuous(name):
     row = hand_row(hand_cases()[name])
     assert row.ours.finite
-    assert row.ours.gradient <= limits.STABILITY_GRADIENT_MAX
-    assert row.ours.precision_mm <= 1e3 * limits.STABILITY_PRECISION_MAX_M
+    assert row.ours.gradient <= GRADIENT_MAX
+    assert row.ours.precision_mm <= 1e3 * PRECISION_MAX_M
     assert row.picture.good
     if row.flags:
         return
-    skin_mm = 1e3 * limits.STABILITY_SKIN_MAX_M
+    skin_mm = 1e3 * SKIN_MAX_M
     nudged_mm, axes_mm = NUDGED_MM.get(name, (skin_mm, skin_mm))
     assert row.ours.nudged_mm <= nudged_mm
     assert row.ours.axes_mm <= axes_mm
@@ -73,7 +74,7 @@ def test_correctives_far_outside_training_stay_finite_and_drawn_right(name):
     row = correctives_row(hand_cases()[name])
     assert row.ours.finite
     assert row.picture.good
-    assert row.ours.gradient <= limits.STABILITY_GRADIENT_MAX
+    assert row.ours.gradient <= GRADIENT_MAX
 
 
 @pytest.mark.parametrize("precision", [torch.float16, torch.bfloat16])
@@ -117,7 +118,7 @@ def test_any_21_points_give_finite_values_and_bounded_gradients(values):
         assert torch.isfinite(answer.skin).all()
         assert torch.isfinite(gradient).all()
         if dtype is torch.float32:
-            assert float(gradient.abs().max()) * case.size_m <= limits.STABILITY_GRADIENT_MAX
+            assert float(gradient.abs().max()) * case.size_m <= GRADIENT_MAX
 
 
 angle = st.floats(-1.5, 1.5) | st.sampled_from([0.0, 1e-9, -1e-9, 1e-4, 1.5707963, -1.5707963])
@@ -141,14 +142,14 @@ def test_a_nudge_moves_the_skin_little_wherever_the_frames_are_certain(bends, si
             along = np.cos(turned) * frame[:, 2] + np.sin(turned) * frame[:, 0]
             joints_m[bone] = joints_m[parent] + (base[bone] - base[parent]).norm() * along
     joints_m = size * joints_m
-    nudge = limits.STABILITY_NUDGE_M * size * random_nudges(8)
+    nudge = NUDGE_M * size * random_nudges(8)
     batch = torch.cat([joints_m[None], joints_m + nudge])
     flags = transform_for(RIGHT).frames(batch).flags
     if bool((flags & int(FrameFlag.PALM_CLAMPED | FrameFlag.SWING_POLE | FrameFlag.NO_PALM)).any()):
         return
     skin = ours(batch, torch.float64, handedness=RIGHT).skin + batch[:, :1]
     moved_mm = 1e3 * float((skin[1:] - skin[0]).norm(dim=-1).max()) / size
-    assert moved_mm <= 1e3 * limits.STABILITY_SKIN_MAX_M
+    assert moved_mm <= 1e3 * SKIN_MAX_M
 
 
 def test_the_measure_sees_what_is_wrong():
