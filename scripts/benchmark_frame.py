@@ -57,7 +57,7 @@ def numba_cases() -> Iterator[Case]:
 
     for subject in frame_time.subjects(*frame_time.SIZES[0]):
         gaussians, camera = frame_time.posed_gaussians(subject), subject.camera
-        matrix = camera.camera_from_world.float()
+        matrix = torch.from_numpy(camera.camera_from_world).float()
         position = gaussians.position_m @ matrix[:3, :3].T + matrix[:3, 3]
         view = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
         arrays = (*(t.numpy() for t in (position, gaussians.sigma_m, gaussians.opacity, gaussians.rgb)), view)

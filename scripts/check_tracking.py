@@ -23,7 +23,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from jghand_engine import limits
 from jghand_engine.avatar.builtin import load_builtin
@@ -162,7 +161,7 @@ def film(truth: Truth) -> Iterator[np.ndarray]:
     """Pictures of the avatar in that motion, on a background that is not even."""
     width, height = SIZE_PX
     focal_px = truth.pinhole.focal_px
-    world = torch.diag(torch.tensor([*MOTION_FROM_CAMERA, 1.0], dtype=torch.float64))
+    world = np.diag([*MOTION_FROM_CAMERA, 1.0])
     camera = Camera(width, height, focal_px, focal_px, width / 2, height / 2, world)
     renderer = HandRenderer(load_builtin(handedness=truth.handedness), replace(preset("viewport"), antialias=True))
     x, y = np.meshgrid(np.linspace(0, 1, width), np.linspace(0, 1, height))
@@ -300,7 +299,7 @@ def rows_of_capture(folder: Path, canonical_m: np.ndarray, model: Path | None) -
         pinhole = Pinhole(camera.fx, camera.cx, camera.cy)
         hand = HandOverTime(sample.handedness, (one,), 1.0, 0)
         fitted.append(track_hand(hand, pinhole, FPS, canonical_m, TrackOptions(smoothing=0.0)).in_view[0])
-        matrix = camera.camera_from_world.numpy()
+        matrix = camera.camera_from_world
         truth.append(sample.joints_m @ matrix[:3, :3].T + matrix[:3, 3])
         raw.append(one.space_m)
     all_seen = np.ones(len(raw), dtype=bool)

@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import torch
 from PIL import Image
 from small_hands import joints_of
 
@@ -20,8 +19,7 @@ MIDDLE_M = (0.0, 0.09, 0.0)
 
 def camera_at(eye_m=EYES_M["front"], *, size: tuple[int, int] = (48, 40), focal_px: float = 90.0) -> Camera:
     """Looks at the middle of the built-in hand."""
-    eye, target, up = (torch.tensor(v, dtype=torch.float64) for v in (eye_m, MIDDLE_M, (0.1, 1.0, 0.0)))
-    return Camera.looking_at(eye, target, up, width=size[0], height=size[1], focal_px=focal_px)
+    return Camera.looking_at(eye_m, MIDDLE_M, (0.1, 1.0, 0.0), width=size[0], height=size[1], focal_px=focal_px)
 
 
 def write_rgba(path: Path, mask: np.ndarray, seed: int = 0) -> Path:
@@ -35,9 +33,9 @@ def write_rgba(path: Path, mask: np.ndarray, seed: int = 0) -> Path:
 
 def discs(camera: Camera, joints_m: np.ndarray, radius_px: float = 3.0) -> np.ndarray:
     """(H, W) uint8: 255 near the projected joints."""
-    pixels, _ = camera.project(torch.from_numpy(joints_m))
+    pixels, _ = camera.project(joints_m)
     rows, columns = np.mgrid[: camera.height, : camera.width] + 0.5
-    away = np.hypot(columns[..., None] - pixels[:, 0].numpy(), rows[..., None] - pixels[:, 1].numpy())
+    away = np.hypot(columns[..., None] - pixels[:, 0], rows[..., None] - pixels[:, 1])
     return np.where(away.min(-1) < radius_px, 255, 0).astype(np.uint8)
 
 
@@ -70,7 +68,7 @@ def painted_samples(folder: Path, poses: tuple[str, ...] = ("open", "fist", "cla
 def mirrored(sample: Sample, folder: Path) -> Sample:
     """The same in a mirror (x of the world negated): a left hand, its picture turned over, its camera on the other
     side."""
-    flip = torch.diag(torch.tensor([-1.0, 1.0, 1.0, 1.0], dtype=torch.float64))
+    flip = np.diag([-1.0, 1.0, 1.0, 1.0])
     camera = sample.camera
     pixels = np.asarray(Image.open(sample.picture))[:, ::-1]
     folder.mkdir(parents=True, exist_ok=True)

@@ -67,7 +67,7 @@ def recorded(
 
 def box_px(camera: Camera, joints_m: np.ndarray) -> tuple[float, float, float, float]:
     """x, y, width, height around the joints, as InterHand2.6M has it."""
-    pixels = camera.project(torch.tensor(joints_m))[0].numpy()
+    pixels = camera.project(joints_m)[0]
     low, high = pixels.min(0) - 15, pixels.max(0) + 15
     return low[0], low[1], *(high - low)
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import torch
 
 from jghand_engine import limits
 from jghand_engine.errors import InputError
@@ -38,7 +37,7 @@ def calibrated_camera(
         )
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = r, t
-    return Camera(*size_px, k[0, 0], k[1, 1], k[0, 2], k[1, 2], torch.from_numpy(matrix))
+    return Camera(*size_px, k[0, 0], k[1, 1], k[0, 2], k[1, 2], matrix)
 
 
 def _finite(what: str, part: str, values: Any, shape: tuple[int, ...]) -> np.ndarray:

@@ -99,7 +99,7 @@ def _data(hand: RecordedHand) -> dict[str, Any]:
 def _cameras(hand: RecordedHand) -> dict[str, dict[str, Any]]:
     result: dict[str, dict[str, Any]] = {"campos": {}, "camrot": {}, "focal": {}, "princpt": {}}
     for name, camera in hand.cameras.items():
-        matrix = camera.camera_from_world.numpy()
+        matrix = camera.camera_from_world
         place_m = -matrix[:3, :3].T @ matrix[:3, 3]
         result["campos"][name] = (place_m / METERS_PER_UNIT["mm"]).tolist()
         result["camrot"][name] = matrix[:3, :3].tolist()

@@ -74,10 +74,10 @@ def silhouette(camera: Camera, vertices_m: np.ndarray, faces: np.ndarray) -> np.
     The drawing library fills every sample that an outline touches: the silhouette is wider by half a sample, an eighth
     of a pixel, on all sides.
     """
-    pixels, depth_m = camera.project(torch.tensor(vertices_m, dtype=torch.float64))
+    pixels, depth_m = camera.project(vertices_m)
     fine = limits.MASK_SUPERSAMPLING
-    corners = pixels.numpy()[faces] * fine
-    visible = (depth_m.numpy()[faces] > limits.Z_NEAR_M).all(axis=1)
+    corners = pixels[faces] * fine
+    visible = (depth_m[faces] > limits.Z_NEAR_M).all(axis=1)
     canvas = Image.new("L", (camera.width * fine, camera.height * fine))
     draw = ImageDraw.Draw(canvas)
     for triangle in corners[visible & _touches(corners, canvas.size)].reshape(-1, 6).tolist():

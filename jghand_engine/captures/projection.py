@@ -9,7 +9,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 from scipy import ndimage
 
 from jghand_engine import limits
@@ -38,8 +37,8 @@ def look_at(sample: Sample) -> Seen:
 
 def joint_pixels(camera: Camera, joints_m: np.ndarray) -> np.ndarray:
     """(21, 2) pixels; NaN for joints that are not known or not before the camera."""
-    pixels, depth_m = camera.project(torch.tensor(joints_m, dtype=torch.float64))
-    return np.where((depth_m.numpy() > limits.Z_NEAR_M)[:, None], pixels.numpy(), np.nan)
+    pixels, depth_m = camera.project(joints_m)
+    return np.where((depth_m > limits.Z_NEAR_M)[:, None], pixels, np.nan)
 
 
 def joints_on_mask(camera: Camera, joints_m: np.ndarray, mask: np.ndarray) -> np.ndarray:
@@ -79,13 +78,13 @@ def likely_mistake(samples: Sequence[Sample]) -> str | None:
 # ---- what people get wrong ------------------------------------------------------------------------------------------
 
 
-def _placed(camera: Camera, rotation: torch.Tensor, translation_m: torch.Tensor) -> Camera:
-    matrix = torch.eye(4, dtype=torch.float64)
+def _placed(camera: Camera, rotation: np.ndarray, translation_m: np.ndarray) -> Camera:
+    matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = rotation, translation_m
     return replace(camera, camera_from_world=matrix)
 
 
-def _parts(camera: Camera) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+def _parts(camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Rotation, translation, and where the camera stands, meters."""
     rotation, translation_m = camera.camera_from_world[:3, :3], camera.camera_from_world[:3, 3]
     return rotation, translation_m, -rotation.T @ translation_m
@@ -97,7 +96,7 @@ def _scaled_position(factor: float) -> Callable[[Camera], Camera]:
 
 def _turned_over(camera: Camera) -> Camera:
     rotation, translation_m, _ = _parts(camera)
-    flip = torch.tensor([1.0, -1.0, -1.0], dtype=torch.float64)
+    flip = np.array([1.0, -1.0, -1.0])
     return _placed(camera, flip[:, None] * rotation, flip * translation_m)
 
 

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from jghand_engine.cli.console import read_json
 from jghand_engine.errors import InputError
@@ -47,7 +46,7 @@ def camera_from_dict(content: Any, thing: str = "camera") -> Camera:
         )
     width, height = int(numbers["width"]), int(numbers["height"])
     fx, fy, cx, cy = (numbers[name] for name in ("fx", "fy", "cx", "cy"))
-    return Camera(width, height, fx, fy, cx, cy, torch.from_numpy(matrix))
+    return Camera(width, height, fx, fy, cx, cy, matrix)
 
 
 def _matrix(content: Any, thing: str) -> np.ndarray:

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
 
 from jghand_engine import limits
 from jghand_engine.errors import InputError
@@ -111,10 +110,7 @@ def framing_camera(joints_m: np.ndarray, handedness: Handedness, view: str, *, w
     )
     target = center @ basis
     eye = target + to_eye * distance
-    return Camera.looking_at(
-        torch.from_numpy(eye), torch.from_numpy(target), torch.from_numpy(up), width=width, height=height,
-        focal_px=focal_px,
-    )  # fmt: skip
+    return Camera.looking_at(eye, target, up, width=width, height=height, focal_px=focal_px)
 
 
 def first_view(joints_m: np.ndarray, handedness: Handedness, view: str) -> WebView:

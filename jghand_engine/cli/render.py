@@ -204,11 +204,9 @@ class Render:
             return camera
         from dataclasses import replace
 
-        import torch
-
         from jghand_engine.render.camera import Lens
 
-        middle_m = torch.from_numpy(motion.sequence.joints_m.reshape(-1, 3).mean(0))
+        middle_m = motion.sequence.joints_m.reshape(-1, 3).mean(0)
         focus_m = float(camera.project(middle_m)[1]) if self.effect.focus is None else self.effect.focus
         return replace(camera, lens=Lens(1e-3 * self.effect.aperture, focus_m))
 

@@ -235,7 +235,7 @@ class Track:
 
     def _film_camera(self, sightings: Sightings, options: TrackOptions) -> dict[str, Any]:
         """The camera before which the motion is what the film shows."""
-        import torch
+        import numpy as np
 
         from jghand_engine.cli.camera_file import camera_to_dict
         from jghand_engine.motion.tools import up_rotation
@@ -243,8 +243,8 @@ class Track:
         from jghand_engine.track.track import MOTION_FROM_CAMERA, camera_of
 
         pinhole, (height, width) = camera_of(sightings, options.camera_angle_deg), sightings.size_px
-        camera_from_world = torch.eye(4, dtype=torch.float64)
-        camera_from_world[:3, :3] = torch.from_numpy(MOTION_FROM_CAMERA[:, None] * up_rotation(self.fit.up, "y"))
+        camera_from_world = np.eye(4)
+        camera_from_world[:3, :3] = MOTION_FROM_CAMERA[:, None] * up_rotation(self.fit.up, "y")
         focal = pinhole.focal_px
         return camera_to_dict(Camera(width, height, focal, focal, pinhole.cx, pinhole.cy, camera_from_world))
 

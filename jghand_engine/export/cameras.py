@@ -41,7 +41,7 @@ def write_colmap(folder: Path | str, shots: Sequence[Shot]) -> Path:
     for number, shot in enumerate(shots, start=1):
         camera = shot.camera
         lens = " ".join(map(repr, (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)))
-        pose = camera.camera_from_world.numpy()
+        pose = camera.camera_from_world
         turn = Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True)
         numbers = " ".join(repr(float(value)) for value in (*turn, *pose[:3, 3]))
         # the second line of a picture lists points seen in it: none
@@ -69,7 +69,7 @@ def write_transforms(path: Path | str, shots: Sequence[Shot]) -> None:
 
 def _frame(shot: Shot) -> dict[str, Any]:
     camera = shot.camera
-    world_from_camera = np.linalg.inv(camera.camera_from_world.numpy()) @ OPENGL_FROM_OPENCV
+    world_from_camera = np.linalg.inv(camera.camera_from_world) @ OPENGL_FROM_OPENCV
     return {
         "file_path": shot.name, "w": camera.width, "h": camera.height,
         "fl_x": camera.fx, "fl_y": camera.fy, "cx": camera.cx, "cy": camera.cy,

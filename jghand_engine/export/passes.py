@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import torch
 from scipy.ndimage import distance_transform_edt
 
 from jghand_engine.avatar.avatar import HandAvatar
@@ -115,8 +114,7 @@ class JointWitness:
         """joints_m: (21, 3) level order, meters, world · depth_map_m: (H, W) through a pinhole, 0 where nothing is"""
         reach_m = self._reach_m * hand_length(np.asarray(joints_m)) / self._length_m
         joints_m = np.asarray(joints_m, np.float64)[LEVEL_OF_STANDARD]
-        pixels, depth = camera.project(torch.from_numpy(joints_m))
-        px, depth_m = pixels.numpy(), depth.numpy()
+        px, depth_m = camera.project(joints_m)
         # in the camera's plane there is no place in the picture, and behind it a mirrored one
         px[~(depth_m > Z_NEAR_M)] = np.nan
         inside = np.all((px >= 0) & (px < [camera.width, camera.height]), axis=1)

@@ -40,7 +40,7 @@ class LiveHand:
             raise InputError("hand to draw", wanted=self._transform.handedness, came=handedness)
         with torch.no_grad():
             bones = self._transform.bones(torch.from_numpy(np.ascontiguousarray(joints_m)).float())
-            gaussians = pose_gaussians(self._avatar, bones, frames=bones.frames, eye_m=camera.eye_m)
+            gaussians = pose_gaussians(self._avatar, bones, frames=bones.frames, eye_m=torch.from_numpy(camera.eye_m))
             picture = rasterize(gaussians, camera, self._settings)
             planes = torch.cat([picture.rgb.permute(2, 0, 1), picture.alpha[None], picture.depth_sum[None]])
             look = ShadowLook() if self._avatar.learned is None else self._avatar.learned.shadow
@@ -64,5 +64,5 @@ class LiveHand:
         always = self._settings.shadow is ShadowMode.ALWAYS
         if always and self._avatar.learned is None:
             return self._settings.shadow_strength
-        large = 1.0 if always else fade_with_size(extent_px(*camera.project(torch.from_numpy(joints_m)), camera))
+        large = 1.0 if always else fade_with_size(extent_px(*camera.project(joints_m), camera))
         return self._settings.shadow_strength * large * fade(self._gate.score(joints_m, scale))

@@ -283,7 +283,7 @@ class HandTraining:
 
     def _draw_view(self, avatar: HandAvatar, skin: PosedSkin, shadow: float, camera: Camera) -> tuple[Tensor, Tensor]:
         """Color (H, W, 3) and alpha (H, W) of one view, with gradients."""
-        gaussians = mapped(seen_from(skin, camera.eye_m, avatar), Tensor.cpu)
+        gaussians = mapped(seen_from(skin, torch.from_numpy(camera.eye_m), avatar), Tensor.cpu)
         picture = rasterize(gaussians, camera, self._settings)
         if not (self.options.shadow and shadow > 0):
             return picture.rgb, picture.alpha

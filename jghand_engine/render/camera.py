@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-import torch
+import numpy as np
+from numpy.typing import ArrayLike
 
 from jghand_engine import limits
 from jghand_engine.errors import InputError
@@ -17,7 +18,11 @@ from jghand_engine.errors import InputError
 
 @dataclass(frozen=True)
 class Lens:
-    """A thin lens. aperture_m: diameter of its opening, meters, 0 = a pinhole · focus_m: depth that is sharp, meters"""
+    """A thin lens.
+
+    aperture_m: diameter of its opening, meters, 0 = a pinhole
+    focus_m:    depth that is sharp, meters
+    """
 
     aperture_m: float
     focus_m: float
@@ -36,9 +41,15 @@ class Lens:
 
 @dataclass(frozen=True)
 class Camera:
-    """width, height: pixels; fx, fy, cx, cy: pixels; camera_from_world: (4, 4) float64 rigid map, meters; lens: None
-    for a pinhole, through which everything is sharp (`rasterize` knows no other). orthographic: parallel rays, without
-    a lens; fx and fy are pixels per meter then."""
+    """A pinhole camera, one with a thin lens, or one of parallel rays.
+
+    width, height:     of the image, pixels
+    fx, fy:            focal lengths, pixels; of parallel rays pixels per meter
+    cx, cy:            principal point, pixels
+    camera_from_world: (4, 4) float64 rigid map, meters
+    lens:              None for a pinhole, through which everything is sharp; the rasterizer knows no other
+    orthographic:      parallel rays, without a lens
+    """
 
     width: int
     height: int
@@ -46,7 +57,7 @@ class Camera:
     fy: float
     cx: float
     cy: float
-    camera_from_world: torch.Tensor
+    camera_from_world: np.ndarray
     lens: Lens | None = None
     orthographic: bool = False
 
@@ -62,36 +73,36 @@ class Camera:
                 raise InputError(
                     f"camera {name}", wanted="a finite principal point in pixels", came=str(getattr(self, name))
                 )
-        matrix = torch.as_tensor(self.camera_from_world, dtype=torch.float64)
-        if matrix.shape != (4, 4) or not bool(torch.isfinite(matrix).all()):
-            raise InputError("camera_from_world", wanted="a finite 4 x 4 matrix", came=f"shape {tuple(matrix.shape)}")
+        matrix = np.asarray(self.camera_from_world, np.float64).copy()
+        if matrix.shape != (4, 4) or not np.isfinite(matrix).all():
+            raise InputError("camera_from_world", wanted="a finite 4 x 4 matrix", came=f"shape {matrix.shape}")
         if self.orthographic and self.lens is not None:
             raise InputError("orthographic camera", wanted="no lens", came=str(self.lens))
         object.__setattr__(self, "camera_from_world", matrix)
 
     @classmethod
     def looking_at(
-        cls, eye_m: torch.Tensor, target_m: torch.Tensor, up: torch.Tensor, *, width: int, height: int, focal_px: float
+        cls, eye_m: ArrayLike, target_m: ArrayLike, up: ArrayLike, *, width: int, height: int, focal_px: float
     ) -> Camera:
-        """A camera at `eye_m` (3,) that looks at `target_m` (3,) with `up` (3,) upwards in the picture; world meters.
+        """A camera at `eye_m` (3,) that looks at `target_m` (3,) with `up` (3,) upwards in the image; world meters.
 
         Square pixels and a centered principal point. A view without a direction, or along `up`, is an InputError.
         """
-        eye, target, up = (torch.as_tensor(v, dtype=torch.float64) for v in (eye_m, target_m, up))
+        eye, target, upward = (np.asarray(v, np.float64) for v in (eye_m, target_m, up))
         forward = target - eye
-        right = torch.linalg.cross(forward, up)
-        if not (float(forward.norm()) > 0 and float(right.norm()) > 0):
+        right = np.cross(forward, upward)
+        if not (np.linalg.norm(forward) > 0 and np.linalg.norm(right) > 0):
             raise InputError(
                 "camera direction", wanted="eye, target and up that span a plane", came="a degenerate view"
             )
-        forward, right = forward / forward.norm(), right / right.norm()
-        rotation = torch.stack([right, torch.linalg.cross(forward, right), forward])
-        matrix = torch.eye(4, dtype=torch.float64)
+        forward, right = forward / np.linalg.norm(forward), right / np.linalg.norm(right)
+        rotation = np.stack([right, np.cross(forward, right), forward])
+        matrix = np.eye(4)
         matrix[:3, :3], matrix[:3, 3] = rotation, -rotation @ eye
         return cls(width, height, focal_px, focal_px, width / 2, height / 2, matrix)
 
     @property
-    def eye_m(self) -> torch.Tensor:
+    def eye_m(self) -> np.ndarray:
         """(3,) float64 where the camera stands, world meters. Of parallel rays: so far away that they might meet
         there."""
         rotation, offset_m = self.camera_from_world[:3, :3], self.camera_from_world[:3, 3]
@@ -99,7 +110,7 @@ class Camera:
         return -(rotation.T @ offset_m) - away_m * rotation[2]
 
     def px_per_meter(self, depth_m: float) -> float:
-        """How large a meter is on the picture at a depth, pixels, along the axis on which it is larger."""
+        """How large a meter is on the image at a depth, pixels, along the axis on which it is larger."""
         return max(self.fx, self.fy) / (1.0 if self.orthographic else depth_m)
 
     def scaled(self, factor: float) -> Camera:
@@ -111,25 +122,29 @@ class Camera:
         )
 
     def through(self, x_m: float, y_m: float) -> Camera:
-        """The pinhole at a place of the lens, meters from its middle along the picture's axes. What is in focus stays
-        where it was in the picture."""
+        """The pinhole at a place of the lens, meters from its middle along the image's axes. What is in focus stays
+        where it was in the image."""
         if self.lens is None:
             return self
-        matrix = self.camera_from_world.clone()
-        matrix[:2, 3] -= torch.tensor([x_m, y_m], dtype=torch.float64)
+        matrix = self.camera_from_world.copy()
+        matrix[:2, 3] -= (x_m, y_m)
         cx, cy = (c + f * at / self.lens.focus_m for c, f, at in ((self.cx, self.fx, x_m), (self.cy, self.fy, y_m)))
         return replace(self, cx=cx, cy=cy, camera_from_world=matrix, lens=None)
 
     def part(self, left: int, top: int, width: int, height: int) -> Camera:
-        """The camera of a rectangle of the picture, pixels."""
+        """The camera of a rectangle of the image, pixels."""
         return replace(self, width=width, height=height, cx=self.cx - left, cy=self.cy - top)
 
-    def project(self, points_m: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """World points (..., 3) in meters -> pixels (..., 2) and depth along the view axis (...) in meters."""
-        matrix = self.camera_from_world.to(points_m.dtype)
-        p = points_m @ matrix[:3, :3].T + matrix[:3, 3]
+    def project(self, points_m: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """World points (..., 3) in meters -> float64 pixels (..., 2) and depth along the view axis (...) in meters."""
+        matrix = self.camera_from_world
+        p = np.asarray(points_m, np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
         depth = p[..., 2]
-        scale = torch.ones_like(depth) if self.orthographic else depth
-        u = self.fx * p[..., 0] / scale + self.cx
-        v = self.fy * p[..., 1] / scale + self.cy
-        return torch.stack([u, v], -1), depth
+        slope = p[..., :2] if self.orthographic else _divided(p[..., :2], depth[..., None])
+        return slope * (self.fx, self.fy) + (self.cx, self.cy), depth
+
+
+def _divided(numerator: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    """Their quotient; infinite or NaN without a warning for a point in the plane of the camera."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return numerator / depth

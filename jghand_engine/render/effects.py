@@ -15,7 +15,6 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-import torch
 
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
@@ -170,9 +169,9 @@ class Scene:
     reshaped: bool = True
 
     @cached_property
-    def seen_joints(self) -> list[tuple[torch.Tensor, torch.Tensor]]:
+    def seen_joints(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Per hand pixels (21, 2) and depths (21,), meters, of its joints: found once for all effects."""
-        return [self.camera.project(torch.from_numpy(joints)) for joints in self.joints_m]
+        return [self.camera.project(joints) for joints in self.joints_m]
 
 
 def plan_effects(scene: Scene, hands: Sequence[HandFacts], settings: RenderSettings) -> EffectPlan:
@@ -356,7 +355,7 @@ def _averaged(effect: Effect, count: int, reason: str, error: float, once_ms: fl
 def _disc_px(scene: Scene, hands: Sequence[HandFacts]) -> float:
     """Diameter of the largest disc that a point of the hands becomes."""
     flesh_m = 1e-3 * max(limits.GATE_CAPSULE_RADII_MM) * max(bones.scale for bones in scene.bones)
-    depths = torch.cat([depth for _, depth in scene.seen_joints])
+    depths = np.concatenate([depth for _, depth in scene.seen_joints])
     return disc_of_depths(scene.camera, float(depths.min()) - flesh_m, float(depths.max()) + flesh_m)
 
 
@@ -389,7 +388,7 @@ def hand_box(
 ) -> Box | None:
     """The part of the picture outside of which nothing of the hands is seen; None when that is not known, as for a
     camera between the fingers. Its edges stand at multiples of CROP_STEP_PX."""
-    origin = camera.camera_from_world.numpy()
+    origin = camera.camera_from_world
     low, high = np.full(2, np.inf), np.full(2, -np.inf)
     for joints, own, hand in zip(joints_m, bones, hands, strict=True):
         if own.flags:

@@ -11,7 +11,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
 from jghand_engine import limits
 from jghand_engine.hand.sequence import pose_between
@@ -50,10 +49,10 @@ def travel_px(shutter: Shutter, middle_m: Sequence[np.ndarray], camera: Camera) 
     faster half: pictures are evenly spread in time. Infinite when it passes the near plane."""
     longest = 0.0
     for moments in zip(shutter.opens_m, middle_m, shutter.closes_m, strict=True):
-        pixels, depth = camera.project(torch.from_numpy(np.stack(moments)))
-        if not bool((depth > limits.Z_NEAR_M).all()):
+        pixels, depth = camera.project(np.stack(moments))
+        if not (depth > limits.Z_NEAR_M).all():
             return math.inf
-        longest = max(longest, 2 * float((pixels[1:] - pixels[:-1]).norm(dim=-1).max()))
+        longest = max(longest, 2 * float(np.linalg.norm(np.diff(pixels, axis=0), axis=-1).max()))
     return longest
 
 

@@ -289,8 +289,8 @@ class SceneRenderer:
         self, posed: _Posed, camera: Camera, strength: float, alpha_min: float, *, depth: bool = False
     ) -> Canvas:
         # the origin of what was posed, also when the hand has moved by less than the limit since
-        from_origin = camera.camera_from_world.clone()
-        from_origin[:3, 3] += from_origin[:3, :3] @ torch.from_numpy(posed.kept.joints_m[0][0])
+        from_origin = camera.camera_from_world.copy()
+        from_origin[:3, 3] += from_origin[:3, :3] @ posed.kept.joints_m[0][0]
         style = self._shadow_style(strength) if strength > 0 else None
         return Canvas(replace(camera, camera_from_world=from_origin), float(from_origin[2, 3]), style, alpha_min, depth)
 

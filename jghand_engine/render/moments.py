@@ -113,9 +113,10 @@ def _moment_between(first: Moment, second: Moment, part: float) -> Moment:
 def _camera_between(first: Camera, second: Camera, part: float) -> Camera:
     """Numbers and places linear, directions along the shortest turn."""
     a, b = first.camera_from_world, second.camera_from_world
-    turn = slerp_rotation(a[:3, :3, None], b[:3, :3, None], torch.tensor([part], dtype=torch.float64))[..., 0]
-    eye_m = torch.lerp(-a[:3, :3].T @ a[:3, 3], -b[:3, :3].T @ b[:3, 3], part)
-    matrix = torch.eye(4, dtype=torch.float64)
+    start, end = (torch.from_numpy(matrix[:3, :3, None].copy()) for matrix in (a, b))
+    turn = slerp_rotation(start, end, torch.tensor([part], dtype=torch.float64))[..., 0].numpy()
+    eye_m = (part - 1) * a[:3, :3].T @ a[:3, 3] - part * b[:3, :3].T @ b[:3, 3]
+    matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = turn, -turn @ eye_m
 
     def mixed(x: float, y: float) -> float:
@@ -158,7 +159,7 @@ def _disc_px(moment: Moment) -> float:
     """Diameter of the largest disc that a point of the hands becomes."""
     if moment.camera.lens is None:
         return 0.0
-    depths_m = torch.cat([moment.camera.project(torch.from_numpy(joints))[1] for joints in moment.joints_m])
+    depths_m = np.concatenate([moment.camera.project(joints)[1] for joints in moment.joints_m])
     flesh_m = 1e-3 * max(limits.GATE_CAPSULE_RADII_MM)
     return disc_of_depths(moment.camera, float(depths_m.min()) - flesh_m, float(depths_m.max()) + flesh_m)
 
@@ -239,8 +240,8 @@ def _averaged(effect: Effect, count: int, reason: str, error: float) -> Decision
 
 def _travel_px(moments: Sequence[Moment]) -> float:
     """The longest way of a joint on the picture; infinite when it passes the near plane."""
-    seen = [moment.camera.project(torch.from_numpy(np.stack(moment.joints_m))) for moment in moments]
-    if not all(bool((depth > limits.Z_NEAR_M).all()) for _, depth in seen):
+    seen = [moment.camera.project(np.stack(moment.joints_m)) for moment in moments]
+    if not all((depth > limits.Z_NEAR_M).all() for _, depth in seen):
         return float("inf")
-    pixels = torch.stack([place for place, _ in seen])
-    return float((pixels[1:] - pixels[:-1]).norm(dim=-1).sum(0).max())
+    pixels = np.stack([place for place, _ in seen])
+    return float(np.linalg.norm(np.diff(pixels, axis=0), axis=-1).sum(0).max())

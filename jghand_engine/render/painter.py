@@ -64,7 +64,7 @@ class Canvas:
     @property
     def eye_m(self) -> np.ndarray:
         """(3,) where the camera stands, relative to the picture's origin, meters."""
-        return self.camera.eye_m.numpy()
+        return self.camera.eye_m
 
     def same_view(self, other: Canvas | None) -> bool:
         """Whether the two see the same Gaussians in the same way, shadow aside."""
@@ -74,7 +74,7 @@ class Canvas:
         numbers = ("width", "height", "fx", "fy", "cx", "cy")
         if any(getattr(mine, name) != getattr(theirs, name) for name in (*numbers, "orthographic")):
             return False
-        return bool(torch.equal(mine.camera_from_world, theirs.camera_from_world))
+        return bool(np.array_equal(mine.camera_from_world, theirs.camera_from_world))
 
 
 class Painter(Protocol):

@@ -59,7 +59,7 @@ def native_library(gaussians: Gaussians, backend: str) -> Library | None:
 
 def view_of(camera: Camera) -> View:
     """The camera as the kernel takes it, for positions in the world frame."""
-    matrix = camera.camera_from_world[:3].cpu().numpy()
+    matrix = camera.camera_from_world[:3]
     pinhole = (camera.fx, camera.fy, camera.cx, camera.cy)
     return View(camera.width, camera.height, *pinhole, matrix, camera.orthographic)
 

@@ -59,7 +59,7 @@ def rasterize_reference(
 
 def camera_frame(position_m: torch.Tensor, camera: Camera) -> torch.Tensor:
     """World positions (N, 3) to the camera frame, same dtype; in float64 on the way, so that distance costs nothing."""
-    matrix = camera.camera_from_world.to(position_m.device)
+    matrix = torch.from_numpy(camera.camera_from_world).to(position_m.device)
     return (position_m.to(torch.float64) @ matrix[:3, :3].T + matrix[:3, 3]).to(position_m.dtype)
 
 
@@ -144,7 +144,7 @@ def _project_ellipsoids(covariance: torch.Tensor, jacobian: _Four, camera: Camer
 
     In float64 on the way, for a c - b^2 cancels for long thin ellipses and cannot be multiplied out here.
     """
-    blur, rotation = limits.BLUR_PX2, camera.camera_from_world[:3, :3].to(covariance.device)
+    blur, rotation = limits.BLUR_PX2, torch.from_numpy(camera.camera_from_world[:3, :3]).to(covariance.device)
     jx, jy, jxz, jyz = (j.to(torch.float64)[:, None] for j in jacobian)
     tu, tv = jx * rotation[0] + jxz * rotation[2], jy * rotation[1] + jyz * rotation[2]
     matrix = covariance.to(torch.float64)[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].unflatten(1, (3, 3))

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-import torch
+import numpy as np
 
 from jghand_engine import limits
 from jghand_engine.avatar.learned import ShadowLook
@@ -120,13 +120,13 @@ def _own_score(scene: Scene, hands: Sequence[HandFacts]) -> float:
     return max(hand.gate.score(joints, bones.scale) for hand, joints, bones in pairs)
 
 
-def extent_px(pixels: torch.Tensor, depth: torch.Tensor, camera: Camera) -> float:
+def extent_px(pixels: np.ndarray, depth: np.ndarray, camera: Camera) -> float:
     """The longer side of the box around a hand on the picture, of joints that `camera.project` put there; infinite when
     the camera is inside the hand."""
-    if not bool((depth > limits.Z_NEAR_M).all()):
+    if not (depth > limits.Z_NEAR_M).all():
         return math.inf
     flesh_px = 2e-3 * max(limits.GATE_CAPSULE_RADII_MM) * camera.px_per_meter(float(depth.min()))
-    return float((pixels.amax(0) - pixels.amin(0)).max()) + flesh_px
+    return float((pixels.max(0) - pixels.min(0)).max()) + flesh_px
 
 
 def _hand_pixels(extents_px: Sequence[float], camera: Camera) -> float:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
@@ -33,11 +32,11 @@ def moving_subject(name: str, hand: HandAvatar, width: int, height: int) -> Subj
     poses = pose_sequence_of_names(POSES, canonical, handedness=hand.handedness, options=options).joints_m
     step_m = np.abs(np.diff(poses, axis=0)).max(axis=(1, 2))
     poses = poses[1:][step_m > 2 * limits.REUSE_JOINTS_M]
-    middle = torch.from_numpy(poses.mean(axis=(0, 1)))
+    middle = poses.mean(axis=(0, 1))
     camera = Camera.looking_at(
-        middle + torch.tensor([0.15, 0.0, 0.6], dtype=torch.float64),
+        middle + np.array([0.15, 0.0, 0.6]),
         middle,
-        torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64),
+        (0.0, 1.0, 0.0),
         width=width,
         height=height,
         focal_px=3.0 * height,

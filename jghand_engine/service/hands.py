@@ -207,8 +207,6 @@ def _thinned(avatar: HandAvatar, gaussians: int, density: float) -> HandAvatar:
 
 
 def _moment(exposure: Exposure, picture: PictureRequest) -> Moment:
-    import torch
-
     from jghand_engine.hand.orders import JointOrder, to_level
     from jghand_engine.render.camera import Camera, Lens
     from jghand_engine.render.moments import Moment
@@ -220,7 +218,7 @@ def _moment(exposure: Exposure, picture: PictureRequest) -> Moment:
         exposure.fy,
         exposure.cx,
         exposure.cy,
-        torch.from_numpy(np.ascontiguousarray(exposure.camera_from_world)),
+        exposure.camera_from_world,
         Lens(exposure.aperture_m, exposure.focus_m) if exposure.aperture_m > 0 else None,
         orthographic=picture.orthographic,
     )

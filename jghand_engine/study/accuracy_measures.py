@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.tiers import Tier
@@ -175,7 +174,7 @@ def _is_approximate(variant: Variant, avatar: HandAvatar) -> bool:
 
 def finger_tips(picture: np.ndarray, pose_m: np.ndarray, subject: Subject) -> np.ndarray:
     """The part (H, W, 3) uint8 of a picture (H, W, 4) around its finger tips, on a light ground."""
-    pixels, _ = subject.camera.project(torch.from_numpy(pose_m[-4:]))
+    pixels, _ = subject.camera.project(pose_m[-4:])
     side = min(CROP_PX * subject.camera.height // 334 or 1, *picture.shape[:2])
     left, top = (
         int(np.clip(center - side / 2, 0, size - side))

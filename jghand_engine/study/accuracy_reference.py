@@ -55,7 +55,7 @@ class ExactPictures64:
     def _posed(self, pose_m: np.ndarray) -> Gaussians:
         avatar = self._subject.avatar
         bones = avatar.bone_transform().bones(torch.from_numpy(pose_m))
-        return pose_gaussians(avatar, bones, frames=bones.frames, eye_m=self._subject.camera.eye_m)
+        return pose_gaussians(avatar, bones, frames=bones.frames, eye_m=torch.from_numpy(self._subject.camera.eye_m))
 
     def _exact(self, pose_m: np.ndarray) -> np.ndarray:
         with torch.no_grad():

@@ -264,7 +264,7 @@ def opened(effect: Effect, subject: Subject, settings: RenderSettings) -> Effect
         if effect is Effect.MOTION:
             blurred = renderer.render(joints, camera, shutter_at(subject.poses, int(index), 0.5))
         else:
-            depth_m = float(camera.project(torch.from_numpy(joints[0]))[1])
+            depth_m = float(camera.project(joints[0])[1])
             blurred = renderer.render(joints, replace(camera, lens=Lens(0.008, depth_m)))
         row.frames += 1
         row.skipped += 1

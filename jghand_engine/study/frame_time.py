@@ -103,7 +103,7 @@ def tiers_of(avatar: HandAvatar) -> list[Tier]:
 
 def moving_camera_case(subject: Subject, settings: RenderSettings, section: str) -> Case:
     """One pose, seen from two places in turn."""
-    renderer, sideways = HandRenderer(subject.avatar, settings), torch.eye(4, dtype=torch.float64)
+    renderer, sideways = HandRenderer(subject.avatar, settings), np.eye(4)
     sideways[0, 3] = 0.01
     moved = replace(subject.camera, camera_from_world=sideways @ subject.camera.camera_from_world)
     cameras = itertools.cycle([subject.camera, moved])
@@ -148,7 +148,7 @@ class _PosedScene:
         self._rasterizer = NativeRasterizer(library, threads)
         size = (subject.camera.height, subject.camera.width)
         self._shade = NativeShade(library, size[1], size[0])
-        self._near_m = float(subject.camera.project(torch.from_numpy(subject.poses[0, 0]))[1])
+        self._near_m = float(subject.camera.project(subject.poses[0, 0])[1])
         self._style = ShadowStyle(samples=SAMPLES)
         self._rgba, self._visibility = np.zeros((*size, 4), np.float32), np.zeros(size, np.float32)
         self._gradient = np.random.default_rng(3).normal(size=(5, *size)).astype(np.float32)

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
-import torch
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.hand.anatomy import named_pose, pose_names
@@ -53,16 +52,14 @@ def _views(avatar: HandAvatar) -> Iterator[tuple[str, np.ndarray, Camera]]:
     width, height = SIZE_PX
     for name in pose_names():
         joints_m = named_pose(name, avatar.canonical_joints_m.numpy(), handedness=avatar.handedness)
-        middle = torch.from_numpy(joints_m.mean(0))
+        middle = joints_m.mean(0)
         reach_m = float(np.linalg.norm(joints_m - joints_m.mean(0), axis=1).max())
         for side, fill in itertools.product(SIDES, FILLS):
-            direction = torch.tensor(side, dtype=torch.float64)
+            direction = np.array(side, np.float64)
             # from far enough that the nearest finger is not much larger than the rest
             away_m = 6.0 * reach_m
-            eye = middle + away_m * direction / direction.norm()
+            eye = middle + away_m * direction / np.linalg.norm(direction)
             up = (0.0, 0.0, 1.0) if abs(side[1]) == sum(map(abs, side)) else (0.0, 1.0, 0.0)
             focal_px = fill * height * away_m / (2 * reach_m)
-            camera = Camera.looking_at(
-                eye, middle, torch.tensor(up, dtype=torch.float64), width=width, height=height, focal_px=focal_px
-            )
+            camera = Camera.looking_at(eye, middle, up, width=width, height=height, focal_px=focal_px)
             yield name, joints_m, camera

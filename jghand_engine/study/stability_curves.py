@@ -252,7 +252,7 @@ def far_away() -> Curve:
 def thin_needle() -> Curve:
     """A needle-thin splat comes close and grows long on the picture: how wrong is the ink that it leaves?"""
     lengths_px = np.geomspace(1, 2e4, 22)
-    camera = Camera(64, 64, 100.0, 100.0, 32.0, 32.0, torch.eye(4, dtype=F64))
+    camera = Camera(64, 64, 100.0, 100.0, 32.0, 32.0, np.eye(4))
     grid = torch.arange(64, dtype=F64) - 31.5
     offsets = torch.stack(torch.meshgrid(grid, grid, indexing="xy"), -1).reshape(-1, 2)
 

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -293,9 +294,7 @@ def hand_picture(avatar: HandAvatar, case: HandCase) -> PictureError:
 def camera_before(case: HandCase, side_px: int = PICTURE_PX) -> Camera:
     """A camera that sees a whole hand whose wrist is at the origin, from the palm's side, however large the hand is."""
     distance_m = max(4.0 * case.size_m, 10 * limits.Z_NEAR_M)
-    middle = (case.joints_m - case.joints_m[:1]).mean(0)
-    eye = middle + torch.tensor([0.3, 0.1, 0.95], dtype=torch.float64) * distance_m
+    middle = (case.joints_m - case.joints_m[:1]).mean(0).numpy()
+    eye = middle + np.array([0.3, 0.1, 0.95]) * distance_m
     focal_px = 0.4 * side_px * distance_m / case.size_m
-    return Camera.looking_at(
-        eye, middle, torch.tensor([0.0, 1.0, 0.0]), width=side_px, height=side_px, focal_px=focal_px
-    )
+    return Camera.looking_at(eye, middle, (0.0, 1.0, 0.0), width=side_px, height=side_px, focal_px=focal_px)

@@ -94,7 +94,8 @@ def against_reference(gaussians: Gaussians, camera: Camera) -> PictureError:
     # contributions scale with the largest color and depth of the scene
     scale = torch.ones(5, dtype=torch.float64)
     if exact.visible_gaussians:
-        depth = gaussians.position_m.double() @ camera.camera_from_world[2, :3] + camera.camera_from_world[2, 3]
+        axis = torch.from_numpy(camera.camera_from_world[2])
+        depth = gaussians.position_m.double() @ axis[:3] + axis[3]
         good = torch.isfinite(depth) & (depth.abs() <= limits.POSITION_MAX_M)
         scale[4] = max(float(depth[good].abs().max()), 1.0) if bool(good.any()) else 1.0
         color = gaussians.rgb[torch.isfinite(gaussians.rgb).all(1) & (gaussians.rgb.abs() <= limits.RGB_MAX).all(1)]
@@ -132,7 +133,8 @@ def nudged_steps(gaussians: Gaussians, camera: Camera) -> float:
     """Largest change of a pixel's color or alpha, in 8-bit steps, when all Gaussians move by a micrometer sideways."""
     if not len(gaussians):
         return 0.0
-    sideways = camera.camera_from_world[0, :3].to(gaussians.position_m.dtype) * PICTURE_NUDGE_M
+    axis = torch.from_numpy(camera.camera_from_world[0, :3]).to(gaussians.position_m.dtype)
+    sideways = axis * PICTURE_NUDGE_M
     moved = replace(gaussians, position_m=gaussians.position_m + sideways)
     with torch.no_grad():
         before, after = (planes_of(rasterize(g, camera))[..., :4] for g in (gaussians, moved))

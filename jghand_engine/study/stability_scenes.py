@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cache
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -79,15 +80,12 @@ def _needles(aspect: float) -> tuple[Gaussians, Camera]:
 
 
 def _camera_at(eye_m: list[float], target_m: list[float], width: int = 64, height: int = 64) -> Camera:
-    up = torch.tensor([0.0, 1.0, 0.01])
-    return Camera.looking_at(
-        torch.tensor(eye_m), torch.tensor(target_m), up, width=width, height=height, focal_px=0.9 * 64
-    )
+    return Camera.looking_at(eye_m, target_m, (0.0, 1.0, 0.01), width=width, height=height, focal_px=0.9 * 64)
 
 
 def _at_near_plane() -> tuple[Gaussians, Camera]:
     """Gaussians a millionth of a meter before, on and behind the near plane, across the picture and beyond."""
-    camera = Camera(64, 64, 60.0, 60.0, 32.0, 32.0, torch.eye(4, dtype=torch.float64))
+    camera = Camera(64, 64, 60.0, 60.0, 32.0, 32.0, np.eye(4))
     g = torch.Generator().manual_seed(5)
     position = 0.02 * (torch.rand(300, 3, generator=g) - 0.5)
     position[:, 2] = limits.Z_NEAR_M + torch.tensor([-1e-6, 0.0, 1e-6]).repeat(100)
@@ -120,7 +118,7 @@ def _small(width: int, height: int) -> tuple[Gaussians, Camera]:
 def _far() -> tuple[Gaussians, Camera]:
     """So far away that the whole hand is one pixel."""
     gaussians, camera = _hand()
-    matrix = camera.camera_from_world.clone()
+    matrix = camera.camera_from_world.copy()
     matrix[2, 3] += camera.fx * 2 * template_size_m() / 0.8
     return gaussians, replace(camera, camera_from_world=matrix)
 

@@ -75,11 +75,9 @@ def _pair(title: str, joints_m: Tensor, *, crossed: bool = False) -> ViewPair:
 def _drawn(make: Callable[[], Gaussians], avatar: HandAvatar) -> np.ndarray:
     """(H, W, 3) uint8 of a hand with its wrist at the origin, from the back, where the nails are."""
     side_px = VIEW_PX
-    middle = torch.tensor([0.01, 0.085, 0.0], dtype=torch.float64)
-    eye = middle + torch.tensor([-0.12, 0.1, -0.6], dtype=torch.float64)
-    camera = Camera.looking_at(
-        eye, middle, torch.tensor([0.0, 1.0, 0.0]), width=side_px, height=side_px, focal_px=2.9 * side_px
-    )
+    middle = np.array([0.01, 0.085, 0.0])
+    eye = middle + np.array([-0.12, 0.1, -0.6])
+    camera = Camera.looking_at(eye, middle, (0.0, 1.0, 0.0), width=side_px, height=side_px, focal_px=2.9 * side_px)
     with torch.no_grad():
         picture = rasterize(converted(make(), torch.float32), camera)
     rgba = torch.cat([picture.rgb, picture.alpha[..., None]], -1).numpy()

@@ -42,7 +42,7 @@ class SyntheticHand:
     def camera(self, width: int = 512, height: int = 334) -> Camera:
         """Looks at the canonical pose from DISTANCE_M; the hand covers as much of any size as of 512 x 334."""
         focal_px = VOLUMES[self.name][1] * 1e3 * DISTANCE_M * math.sqrt(width * height / (512 * 334))
-        matrix = torch.eye(4, dtype=torch.float64)
+        matrix = np.eye(4)
         matrix[2, 3] = DISTANCE_M
         return Camera(width, height, focal_px, focal_px, width / 2, height / 2, matrix)
 

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 from PIL import Image, ImageDraw
 
 from jghand_engine import limits
@@ -77,7 +76,7 @@ class _Window:
         x, y = width / self.width, height / self.height
         at = (pinhole.cx - self.left) * x, (pinhole.cy - self.top) * y
         focal = pinhole.focal_px
-        return Camera(width, height, focal * x, focal * y, *at, torch.eye(4, dtype=torch.float64))
+        return Camera(width, height, focal * x, focal * y, *at, np.eye(4))
 
     def shown(self, picture: np.ndarray, hands: list[TrackedHand], pinhole: Pinhole, frame: int) -> np.ndarray:
         """The picture's part with what was seen and what was fitted drawn on it."""

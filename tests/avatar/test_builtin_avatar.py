@@ -53,7 +53,7 @@ def template_mask(joints_m: torch.Tensor, camera: Camera) -> np.ndarray:
     pixels, _ = camera.project(posed_template_m(joints_m))
     picture = Image.new("1", (camera.width, camera.height))
     draw = ImageDraw.Draw(picture)
-    for triangle in pixels.numpy()[load_template().faces]:
+    for triangle in pixels[load_template().faces]:
         draw.polygon([tuple(corner - 0.5) for corner in triangle], fill=1)
     return np.array(picture)
 

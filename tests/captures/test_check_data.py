@@ -8,7 +8,6 @@ import shutil
 import numpy as np
 import picture_sets as sets
 import pytest
-import torch
 from picture_sets import LEFT, edited, recorded, write_hanco, write_set
 from PIL import Image
 
@@ -228,7 +227,7 @@ def test_the_overlay_shows_the_joints_where_they_are_and_rings_those_beside_the_
     sample = report.seen[0].sample
     picture = overlay(sample)
     assert picture.shape == (1024, 668, 3)
-    wrist = sets.look(-40, 334, 512).project(torch.tensor(sample.joints_m))[0].numpy()[0]
+    wrist = sets.look(-40, 334, 512).project(sample.joints_m)[0][0]
     column, row = (2 * wrist).astype(int)
     assert picture[row, column].tolist() == [255, 255, 255]
     red = (picture == [255, 0, 0]).all(-1)
@@ -242,7 +241,7 @@ def test_joints_beyond_the_picture_tell_nothing_only_where_the_hand_reaches_its_
     mask = template_mask(view, joints, Handedness.RIGHT)
     assert joints_on_mask(view, joints, mask).tolist() == [1.0] * 21
     # the picture ends above the wrist and the thumb's first joint
-    wrist_row = int(view.project(torch.tensor(joints))[0][0, 1])
+    wrist_row = int(view.project(joints)[0][0, 1])
     cut = dataclasses.replace(view, height=wrist_row - 20)
     on = joints_on_mask(cut, joints, mask[: cut.height])
     assert np.isnan(on[0])

@@ -59,7 +59,7 @@ def test_cameras_project_by_r_times_x_minus_the_place(tmp_path):
     rig = written(tmp_path, hand)["camera"]["3"]
     camera = hand.cameras["400017"]
     rotation, place_mm = np.array(rig["camrot"]["400017"]), np.array(rig["campos"]["400017"])
-    ours = JOINTS_M @ camera.camera_from_world[:3, :3].numpy().T + camera.camera_from_world[:3, 3].numpy()
+    ours = JOINTS_M @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
     # observed 4e-13 mm
     np.testing.assert_allclose((1000 * JOINTS_M - place_mm) @ rotation.T, 1000 * ours, atol=1e-10)
     assert (rig["focal"]["400017"], rig["princpt"]["400017"]) == ([1200.0, 1201.0], [170.5, 250.25])

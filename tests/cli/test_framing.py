@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-import torch
 from scipy.spatial.transform import Rotation
 
 from jghand_engine import limits
@@ -24,9 +23,9 @@ def motion(handedness=Handedness.RIGHT):
 
 
 def pixels(camera, points_m):
-    uv, depth = camera.project(torch.from_numpy(np.array(points_m)))
+    uv, depth = camera.project(points_m)
     assert float(depth.min()) > limits.Z_NEAR_M
-    return uv.numpy()
+    return uv
 
 
 @pytest.mark.parametrize("turn", [(0, 0, 0), (100, -40, 60), (10, 170, 95)])

@@ -28,7 +28,7 @@ def shots() -> list[Shot]:
 
 
 def apart_px(pixels: np.ndarray, camera: Camera) -> float:
-    return float(np.abs(pixels - camera.project(torch.from_numpy(POINTS_M))[0].numpy()).max())
+    return float(np.abs(pixels - camera.project(POINTS_M)[0]).max())
 
 
 def lines(path) -> list[str]:

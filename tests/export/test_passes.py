@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 from scipy.spatial import KDTree
 from usd_samples import engine_gaussians, engine_mesh
 
@@ -54,7 +53,7 @@ class Shown:
         seen = np.stack([
             (column + 0.5 - camera.cx) / camera.fx * depth, (row + 0.5 - camera.cy) / camera.fy * depth, depth,
         ], -1)  # fmt: skip
-        matrix = camera.camera_from_world.numpy()
+        matrix = camera.camera_from_world
         return (seen - matrix[:3, 3]) @ matrix[:3, :3]
 
     def inner(self, radius: int = 2) -> np.ndarray:
@@ -74,7 +73,7 @@ class Shown:
         """(21,) how far before each joint the mesh begins on the way from the camera, meters, standard order; NaN where
         it does not."""
         vertices, faces = self.mesh()
-        eye, corners = self.camera.eye_m.numpy(), vertices[faces]
+        eye, corners = self.camera.eye_m, vertices[faces]
         found = np.full(21, np.nan)
         for joint, place in enumerate(self.joints.joints_m):
             shares = crossings(corners, eye, place - eye)
@@ -134,11 +133,11 @@ def test_normals_are_those_of_the_mesh_and_look_at_the_camera(shown, avatar, mea
     true = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     true /= np.linalg.norm(true, axis=1, keepdims=True)
     points = hand.unprojected(hand.inner())
-    rotation = hand.camera.camera_from_world.numpy()[:3, :3]
+    rotation = hand.camera.camera_from_world[:3, :3]
     _, nearest = KDTree(corners.mean(1)).query(points)
     cosine = (normals @ rotation * true[nearest]).sum(1)
     assert np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean() < mean_deg
-    rays = hand.unprojected(hand.inner()) - hand.camera.eye_m.numpy()
+    rays = hand.unprojected(hand.inner()) - hand.camera.eye_m
     assert ((normals @ rotation * rays).sum(1) < 0).mean() > 0.99
 
 
@@ -211,7 +210,7 @@ def test_joints_outside_the_picture_are_not_visible(shown):
     assert not seen.inside[right].any()
     assert not seen.visible[right].any()
     assert np.array_equal(seen.visible[~right], hand.joints.visible[~right])
-    behind = replace(hand.camera, camera_from_world=torch.diag(torch.tensor([1.0, -1.0, -1.0, 1.0])) @ torch.eye(4))
+    behind = replace(hand.camera, camera_from_world=np.diag([1.0, -1.0, -1.0, 1.0]))
     away = JointWitness(hand.avatar).look(hand.joints_m + np.array([0.0, 0.0, 1.0]), behind, hand.maps["Z"])
     assert not away.visible.any()
 
@@ -219,7 +218,7 @@ def test_joints_outside_the_picture_are_not_visible(shown):
 def test_a_joint_that_is_not_before_the_camera_has_no_place_in_the_picture(shown):
     """In its plane there is none, and behind it a mirrored one."""
     hand = shown("open", "front")
-    camera = replace(hand.camera, camera_from_world=torch.eye(4, dtype=torch.float64))
+    camera = replace(hand.camera, camera_from_world=np.eye(4))
     joints_m = hand.joints_m - hand.joints_m[:1] + np.array([0.0, 0.0, 0.5])
     # the wrist in the camera's plane, a joint behind it, another one just before the near plane
     joints_m[0, 2], joints_m[1, 2], joints_m[2, 2] = 0.0, -0.3, 0.999 * Z_NEAR_M
@@ -236,7 +235,7 @@ def test_a_joint_that_is_not_before_the_camera_has_no_place_in_the_picture(shown
 
 def test_a_hand_of_twice_the_size_shows_the_same_joints(shown):
     hand = shown("pinch", "quarter")
-    far = hand.camera.camera_from_world.clone()
+    far = hand.camera.camera_from_world.copy()
     far[:3, 3] *= 2
     seen = JointWitness(hand.avatar).look(
         2 * hand.joints_m, replace(hand.camera, camera_from_world=far), 2 * hand.maps["Z"]

@@ -338,7 +338,7 @@ def test_the_shadow_darkens_by_strength_and_tint(build, samples):
     # and it is the shadow that the finished avatar will have
     with torch.no_grad():
         avatar = training._live()
-        seen = seen_from(training._pose(avatar, posed, 1.0)[0], view.camera.eye_m, avatar)
+        seen = seen_from(training._pose(avatar, posed, 1.0)[0], torch.from_numpy(view.camera.eye_m), avatar)
         flat = rasterize(seen, view.camera, RenderSettings())
         planes = torch.cat([flat.rgb.permute(2, 0, 1), flat.alpha[None], flat.depth_sum[None]])
     style = ShadowStyle(samples=SMALL.shadow_samples, strength=0.6, gain=4.0, tint=(0.5, 0.5, 0.5))

@@ -23,7 +23,7 @@ def hand_arrays(count: int) -> GaussianArrays:
 
 def view_for(width: int, height: int) -> View:
     camera = camera_for(width, height)
-    matrix = camera.camera_from_world[:3].numpy()
+    matrix = camera.camera_from_world[:3]
     return View(width, height, camera.fx, camera.fy, camera.cx, camera.cy, matrix)
 
 

@@ -248,7 +248,7 @@ def test_a_tile_meets_the_gaussians_whose_boxes_reach_into_it_and_no_others(blen
     gaussians = in_precision(stretched(hand) if ellipsoids else as_ellipsoids(hand), F64)
     camera = replace(camera_for(50, 40), fy=55.0)
     rasterize_reference(gaussians, camera)
-    matrix = camera.camera_from_world
+    matrix = torch.from_numpy(camera.camera_from_world)
     position = gaussians.position_m @ matrix[:3, :3].T + matrix[:3, 3]
     boxes = []
     for n, (x, y, z) in enumerate(position.tolist()):

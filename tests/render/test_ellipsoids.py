@@ -68,7 +68,7 @@ SCENES = {
 
 def contract_pixel(gaussians: Gaussians, camera: Camera, i: int, j: int) -> list[float]:
     """R G B A D of a pixel as the contract says it, with the covariance on the picture as J R S R^T J^T + 0.3 I."""
-    matrix = camera.camera_from_world
+    matrix = torch.from_numpy(camera.camera_from_world)
     position = gaussians.position_m @ matrix[:3, :3].T + matrix[:3, 3]
     transmittance, sums = 1.0, [0.0] * 5
     for n in torch.argsort(position[:, 2], stable=True).tolist():
@@ -203,8 +203,8 @@ def test_turning_the_world_turns_covariances_with_it(backend):
     full = gaussians.covariance_m2[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)  # type: ignore[index]
     posed = (linear @ full @ linear.mT).reshape(-1, 9)[:, [0, 1, 2, 4, 5, 8]]
     turned = replace(gaussians, position_m=gaussians.position_m @ turn.float().T, covariance_m2=posed.contiguous())
-    matrix = camera.camera_from_world.clone()
-    matrix[:3, :3] = matrix[:3, :3] @ turn.T
+    matrix = camera.camera_from_world.copy()
+    matrix[:3, :3] = matrix[:3, :3] @ turn.T.numpy()
     view = Camera(camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy, matrix)
     assert_same_picture(draw(turned, view, backend), draw(gaussians, camera, backend), depth_scale_m=0.7)
 

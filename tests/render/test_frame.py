@@ -106,9 +106,9 @@ def test_left_hand_is_the_mirrored_picture_of_the_right(backend: str):
     joints = named_pose("relaxed", CANONICAL_M, handedness=Handedness.RIGHT)
     mirror = np.diag([-1.0, 1.0, 1.0])
     view = camera(160, 120)
-    seen = view.camera_from_world.clone()
+    seen = view.camera_from_world.copy()
     # the mirrored world from the mirrored camera: x flips on both sides
-    flip = torch.diag(torch.tensor([-1.0, 1.0, 1.0, 1.0], dtype=torch.float64))
+    flip = np.diag([-1.0, 1.0, 1.0, 1.0])
     mirrored = replace(view, camera_from_world=flip @ seen @ flip, cx=view.width - view.cx)
     right = HandRenderer(RIGHT, settings).render(joints, view)
     left = HandRenderer(load_painted(handedness=Handedness.LEFT), settings).render(joints @ mirror, mirrored)
@@ -126,8 +126,8 @@ def test_left_hand_is_the_mirrored_picture_of_the_right(backend: str):
 def test_hand_a_kilometer_away_loses_nothing(backend: str):
     joints, view = named_pose("fist", CANONICAL_M, handedness=Handedness.RIGHT), camera()
     away = np.array([1000.0, -700.0, 300.0])
-    moved = view.camera_from_world.clone()
-    moved[:3, 3] -= moved[:3, :3] @ torch.from_numpy(away)
+    moved = view.camera_from_world.copy()
+    moved[:3, 3] -= moved[:3, :3] @ away
     renderer = HandRenderer(RIGHT, replace(ALWAYS, backend=backend))
     here = renderer.render(joints, view)
     there = renderer.render(joints + away, replace(view, camera_from_world=moved))
@@ -148,7 +148,7 @@ def test_pictures_of_any_size(backend: str, size: tuple[int, int]):
 
 def test_hand_behind_the_camera_gives_an_empty_picture(backend: str):
     view = camera(away_m=-0.5)
-    turned = view.camera_from_world.clone()
+    turned = view.camera_from_world.copy()
     turned[[0, 2]] *= -1  # looks away from the hand
     frame = HandRenderer(RIGHT, replace(ALWAYS, backend=backend)).render(
         CANONICAL_M, replace(view, camera_from_world=turned)

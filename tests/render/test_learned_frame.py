@@ -59,7 +59,7 @@ def exact(avatars: list[HandAvatar], joints: list[np.ndarray], view: Camera) -> 
     for avatar, joints_m in zip(avatars, joints, strict=True):
         transform = JointTransform(avatar.canonical_joints_m, handedness=avatar.handedness)
         bones = transform.bones(torch.from_numpy(joints_m))
-        parts.append(pose_gaussians(avatar, bones, frames=bones.frames, eye_m=view.eye_m))
+        parts.append(pose_gaussians(avatar, bones, frames=bones.frames, eye_m=torch.from_numpy(view.eye_m)))
     fields = ("position_m", "sigma_m", "opacity", "rgb")
     both = replace(
         parts[0],

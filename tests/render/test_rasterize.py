@@ -112,8 +112,8 @@ def test_a_hand_far_from_the_origin_keeps_its_precision(backend):
     gaussians = in_precision(near, torch.float32)
     gaussians.position_m.add_(shift)  # float32: the positions themselves now step by 0.24 mm
     view = camera_for(120, 80)
-    matrix = view.camera_from_world.clone()
-    matrix[:3, 3] -= matrix[:3, :3] @ shift.double()
+    matrix = view.camera_from_world.copy()
+    matrix[:3, 3] -= matrix[:3, :3] @ shift.double().numpy()
     camera = Camera(120, 80, view.fx, view.fy, view.cx, view.cy, matrix)
     assert_same_picture(draw(gaussians, camera, backend), exact(gaussians, camera), depth_scale_m=0.7)
 
@@ -198,7 +198,7 @@ def test_hidden_gaussians_change_no_bit_wherever_they_stand(backend):
 def test_nothing_in_front_of_the_camera_is_an_empty_picture(backend):
     """Promise 14."""
     camera = camera_for(40, 30)
-    away = camera.camera_from_world.clone()
+    away = camera.camera_from_world.copy()
     away[2:3] *= -1  # the hand is behind
     away[0:1] *= -1
     behind = Camera(40, 30, camera.fx, camera.fy, camera.cx, camera.cy, away)

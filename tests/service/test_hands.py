@@ -177,7 +177,7 @@ def test_a_trained_hand_reflects_towards_the_camera_of_each_picture(source, righ
     for camera_from_world in (CAMERA_FROM_WORLD, CAMERA_FROM_WORLD @ turn):
         moment = exposure([hand], camera_from_world)
         came = source.render(asked([hand], moment, settings=PictureSettings("viewport")))
-        camera = Camera(120, 90, *PINHOLE, torch.from_numpy(camera_from_world))
+        camera = Camera(120, 90, *PINHOLE, camera_from_world)
         wanted, matt = (
             HandRenderer(one, replace(preset("viewport"), antialias=True))
             .render(to_level(right.joints_m, JointOrder.STANDARD), camera)

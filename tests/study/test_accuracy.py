@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
 from small_avatars import ellipsoid_avatar, small_avatar, trained_avatar
 
 from jghand_engine.errors import InputError
@@ -251,7 +250,7 @@ def test_the_finger_tips_are_in_their_picture():
     subject = subject_of(small_avatar(10))
     pose_m = subject.poses[0]
     picture = np.zeros((32, 48, 4), np.float32)
-    pixels, _ = subject.camera.project(torch.from_numpy(pose_m[-4:]))
+    pixels, _ = subject.camera.project(pose_m[-4:])
     column, line = (int(value) for value in pixels.mean(0))
     picture[line, column] = (1, 0, 0, 1)
     part = accuracy_measures.finger_tips(picture, pose_m, subject)

@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 
 from jghand_engine import limits
 from jghand_engine.errors import InputError
@@ -79,7 +78,7 @@ def sphere_directions(count: int, start_rad: float) -> np.ndarray:
 
 def framed(camera: Camera, points_m: np.ndarray) -> Camera:
     """The camera with the focal length and principal point that show all points (N, 3) as large as they fit."""
-    seen = points_m @ camera.camera_from_world[:3, :3].numpy().T + camera.camera_from_world[:3, 3].numpy()
+    seen = points_m @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
     slopes = seen[:, :2] / seen[:, 2:]
     low, high = slopes.min(0), slopes.max(0)
     room = (1 - 2 * limits.CAPTURE_MARGIN) * np.array([camera.width, camera.height])
@@ -96,5 +95,4 @@ def _towards(eye: np.ndarray, target: np.ndarray, roll_rad: float, plan: CameraP
     right = np.cross(forward, up)
     right /= np.linalg.norm(right)
     up = np.cos(roll_rad) * np.cross(right, forward) + np.sin(roll_rad) * right
-    eye_m, target_m, up_m = (torch.from_numpy(np.asarray(v, dtype=np.float64)) for v in (eye, target, up))
-    return Camera.looking_at(eye_m, target_m, up_m, width=plan.width, height=plan.height, focal_px=float(plan.height))
+    return Camera.looking_at(eye, target, up, width=plan.width, height=plan.height, focal_px=float(plan.height))

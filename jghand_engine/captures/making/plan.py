@@ -319,7 +319,7 @@ def _of_motion(hand: RiggedHand, motion: PoseSequence, count: int) -> tuple[tupl
 
 def _box(camera: Camera, vertices_m: np.ndarray) -> tuple[float, float, float, float]:
     """x, y, width, height of the hand in the picture, cut off at its edges; pixels."""
-    matrix = camera.camera_from_world.numpy()
+    matrix = camera.camera_from_world
     seen = vertices_m.astype(np.float64) @ matrix[:3, :3].T + matrix[:3, 3]
     px = seen[:, :2] / seen[:, 2:] * [camera.fx, camera.fy] + [camera.cx, camera.cy]
     low, high = (np.clip(edge, 0, [camera.width, camera.height]) for edge in (px.min(0), px.max(0)))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import torch
 from pxr import Gf, Sdf, Usd, UsdGeom
 
 from jghand_engine.export.usd.values import matrix4d
@@ -27,7 +26,7 @@ def add_camera(stage: Usd.Stage, path: Sdf.Path | str, camera: Camera, joints_m:
     prim.CreateHorizontalApertureOffsetAttr(USD_APERTURE * (0.5 - camera.cx / camera.width))
     prim.CreateVerticalApertureOffsetAttr(vertical * (camera.cy / camera.height - 0.5))
     prim.CreateClippingRangeAttr(Gf.Vec2f(*clipping_range_m(camera, joints_m)))
-    world_from_camera = np.linalg.inv(camera.camera_from_world.numpy())
+    world_from_camera = np.linalg.inv(camera.camera_from_world)
     world_from_camera[:3, :3] = world_from_camera[:3, :3] @ USD_FROM_OPENCV_AXES
     UsdGeom.Xformable(prim).AddTransformOp().Set(matrix4d(world_from_camera))
     return prim
@@ -36,7 +35,7 @@ def add_camera(stage: Usd.Stage, path: Sdf.Path | str, camera: Camera, joints_m:
 def clipping_range_m(camera: Camera, joints_m: np.ndarray) -> tuple[float, float]:
     """Near and far plane around the hand in every frame, meters, with room before and behind; near at least the
     engine's. joints_m: (F, 21, 3) level order. No skin is further from its joint than the hand is long."""
-    _, depth_m = camera.project(torch.as_tensor(joints_m, dtype=torch.float64))
+    _, depth_m = camera.project(joints_m)
     reach_m = hand_length(joints_m)
     near_m = max((float(depth_m.min()) - reach_m) / USD_CLIPPING_ROOM, Z_NEAR_M)
     far_m = USD_CLIPPING_ROOM * max(float(depth_m.max()) + reach_m, near_m)

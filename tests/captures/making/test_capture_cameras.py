@@ -21,7 +21,7 @@ def posed() -> tuple[np.ndarray, np.ndarray]:
 
 
 def pixels_of(camera, points_m: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    matrix = camera.camera_from_world.numpy()
+    matrix = camera.camera_from_world
     seen = points_m @ matrix[:3, :3].T + matrix[:3, 3]
     return seen[..., :2] / seen[..., 2:] * [camera.fx, camera.fy] + [camera.cx, camera.cy], seen[..., 2]
 
@@ -49,7 +49,7 @@ def test_close_ups_show_a_part_of_the_hand_larger(posed):
 
 def test_cameras_stand_all_around_above_and_below(posed):
     center = posed[0].reshape(-1, 3).mean(0)
-    eyes = np.stack([np.linalg.inv(camera.camera_from_world.numpy())[:3, 3] for camera in plan_cameras(PLAN, *posed)])
+    eyes = np.stack([np.linalg.inv(camera.camera_from_world)[:3, 3] for camera in plan_cameras(PLAN, *posed)])
     directions = (eyes - center)[:12] / np.linalg.norm((eyes - center)[:12], axis=1, keepdims=True)
     for axis in np.concatenate([np.eye(3), -np.eye(3)]):
         assert (directions @ axis).max() > 0.7
