@@ -15,7 +15,6 @@ The rooms, in the order in which data walks through them; a room imports only fr
     exporters               pictures, video, USD
     tracking                a motion out of a video
     training                an avatar from pictures: losses, trainer, checkpoints, evaluation, ablations
-    farm                    lists of trainings as jobs of a scheduler
     studies                 what accuracy costs in time
     service                 the engine as a process for Blender
     cli                     the command `jghand`

@@ -7,40 +7,32 @@ import errno
 import os
 import platform
 import sys
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 from jghand_engine.errors import InputError, JGHandError, RetryError
 from jghand_engine.files import file_error
-from jghand_engine.limits import LOCK_HOLDER_BYTES, LOCK_POLL_S
+from jghand_engine.limits import LOCK_HOLDER_BYTES
 
 
 @contextlib.contextmanager
-def locked(
-    path: Path, *, work: str = "work", remedy: str = "Wait until it has ended.",
-    waits: Callable[[RetryError], bool] = lambda _: False,
-) -> Iterator[None]:  # fmt: skip
+def locked(path: Path, *, work: str = "work", remedy: str = "Wait until it has ended.") -> Iterator[None]:
     """Holds the lock file `path` for the duration. RetryError when another process (or thread) holds it; InputError
     where the file system has no locks, as nobody else could be kept out.
 
-    work: what is done meanwhile, for the error · waits: given that error again and again while another holds it; says
-    whether to wait for it a little longer
+    work: what is done meanwhile, for the error
     """
     try:
         descriptor = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
     except OSError as error:
         raise file_error(path, error) from error
     try:
-        while not _taken(descriptor, path.parent):
-            held = RetryError(
+        if not _taken(descriptor, path.parent):
+            raise RetryError(
                 f"{path.parent}", wanted=f"a folder in which no other {work} is under way",
                 came=f"one in use by process {_holder(descriptor)}",
                 remedy=remedy,
             )  # fmt: skip
-            if not waits(held):
-                raise held
-            time.sleep(LOCK_POLL_S)
         # the first byte is what Windows locks and others then cannot read
         who = f"{os.getpid()} on {platform.node()}"
         os.write(descriptor, f" {who:<{LOCK_HOLDER_BYTES}.{LOCK_HOLDER_BYTES}}\n".encode("ascii", "replace"))

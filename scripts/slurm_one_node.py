@@ -1,7 +1,7 @@
 """A real SLURM of one node, this machine, for as long as a command runs; for trying `jghand train-many` on it.
 
     python scripts/slurm_one_node.py --install                          Debian's packages: munge, slurmctld, slurmd
-    python scripts/slurm_one_node.py python -m pytest tests/farm/test_slurm.py
+    python scripts/slurm_one_node.py python -m pytest tests/cli/test_slurm.py
     python scripts/slurm_one_node.py bash                               a shell in which sbatch, squeue, scancel work
 
 Wants root and Debian or Ubuntu; no systemd, no control groups, no accounting: munge, slurmctld and slurmd are started

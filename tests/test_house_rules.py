@@ -30,7 +30,6 @@ ROOMS = (
     ("export",),
     ("track",),
     ("learn",),
-    ("farm",),
     ("study",),
     ("service",),
     ("cli",),

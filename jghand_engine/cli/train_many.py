@@ -1,34 +1,39 @@
-"""`jghand train-many`: a list of trainings, on this machine or as jobs of a SLURM cluster."""
+"""`jghand train-many`: a list of trainings, on this machine or as an array of jobs of a SLURM cluster.
+
+Every training is a process `jghand train` that writes a checkpoint when its standard input ends, so that it stops
+tidily however the process that began it ends; begun again it gets --resume.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import json
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import threading
 import time
-from dataclasses import asdict, dataclass, field
+import tomllib
+from collections import Counter
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Any
 
 import tyro
 
 from jghand_engine.cli.console import say, say_table, write_json
-from jghand_engine.cli.failures import FAULT, STOPPED
 from jghand_engine.cli.options import ReportOptions
 from jghand_engine.cli.signals import polite_kill_is_ctrl_c
 from jghand_engine.cli.train import Train
-from jghand_engine.errors import InputError, MemoryLimitError, RetryError
-from jghand_engine.limits import PROGRESS_MANY_S
+from jghand_engine.errors import STOPPED, InputError, RetryError, install_extra
+from jghand_engine.files import make_folder, writing
+from jghand_engine.learn.mark import MARK
 
-if TYPE_CHECKING:
-    from jghand_engine.farm.executors import Executor
-    from jghand_engine.farm.records import FarmFolder, Record
-    from jghand_engine.farm.runner import Runner
-    from jghand_engine.farm.trainings import Training
-
-STOPPING = {
-    "local": "Stopping: the trainings write their checkpoints.",
-    "slurm": "The jobs go on without this command; started again it watches them.",
-}
-DESCRIPTION = """Train a list of hands, one after the other here or many at once on a SLURM cluster.
+DESCRIPTION = """Train a list of hands, some at once here, or as an array of jobs of a SLURM cluster.
 
 The list is a TOML file (docs/SCALE.md): what `jghand train` is told, for all of them and for each.
 
@@ -37,29 +42,27 @@ The list is a TOML file (docs/SCALE.md): what `jghand train` is told, for all of
     folder = "captures/id3"
 
 The same command again goes on: what is finished stays, what was stopped, killed or preempted goes on with its last
-checkpoint, jobs that still wait or run are watched. Needs the extra farm.
+checkpoint.
 
 Examples:
-  jghand train-many captures.toml --out avatars
-  jghand train-many captures.toml --out avatars --executor slurm --partition cpu --time-limit 240"""
+  jghand train-many captures.toml --out avatars --jobs 2
+  jghand train-many captures.toml --out avatars --slurm partition=cpu time=240 mem=8GB"""
 
-
-@dataclass(frozen=True)
-class ClusterOptions:
-    """Jobs of SLURM"""
-
-    partition: Annotated[str | None, tyro.conf.arg(metavar="NAME", help_behavior_hint="")] = None
-    """Where they run. Left out: the cluster's default."""
-    time_limit: Annotated[int, tyro.conf.arg(metavar="MINUTES")] = 240
-    """Of one start. A training that needs more writes its checkpoint, is queued again and goes on."""
-    cpus: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 4
-    """Cores of a job."""
-    memory_gb: Annotated[float, tyro.conf.arg(metavar="NUMBER")] = 8.0
-    """Memory of a job."""
-    sbatch: Annotated[tuple[str, ...], tyro.conf.arg(metavar="NAME=VALUE", help_behavior_hint="")] = ()
-    """Further options of sbatch, such as account=hands."""
-    submit_only: bool = False
-    """Do not wait for the jobs. The same command without it watches them."""
+# an array of SLURM has at most so many jobs where nobody changed its MaxArraySize; longer lists are several
+TRAININGS_MAX = 1000
+# what a job asks of the cluster where --slurm says nothing else; minutes of one start
+SLURM_DEFAULTS = {"time": "240", "cpus_per_task": "4", "mem": "8GB"}
+# seconds before its time is up that a job is told; its training may take so long for its checkpoint
+SIGNAL_BEFORE_S, CHECKPOINT_WAIT_S = 90, 75.0
+# seconds that a preempted job waits for SLURM to take it back: one that ended by itself would not be begun again
+REQUEUE_WAIT_S = 300.0
+# how often a job may come to the end of its time: each time it goes on
+TIMEOUTS_MAX = 1000
+# options of `jghand train` that a list may not give
+OF_THE_LIST = {"out", "work", "resume", "fresh", "replay", "json", "traceback", "progress_json"}
+PROGRAM = (sys.executable, "-m", "jghand_engine")
+# seconds between two looks at the process of a training
+POLL_S = 0.2
 
 
 @dataclass(frozen=True)
@@ -67,137 +70,237 @@ class TrainMany:
     file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE.toml")]
     """Which trainings."""
     out: Annotated[Path, tyro.conf.arg(metavar="FOLDER")]
-    """Where NAME.jghand, its work folder NAME.training and the records and logs of the jobs are written; on a cluster
-    a folder that all its machines see."""
-    executor: Literal["local", "slurm"] = "local"
-    """local: processes of this machine. slurm: jobs of the cluster that this machine submits to."""
-    jobs: Annotated[int, tyro.conf.arg(metavar="NUMBER", help_behavior_hint="(default: 1, or all that SLURM lets)")] = 0
-    """How many run at once."""
-    cluster: ClusterOptions = field(default_factory=ClusterOptions)
+    """Where NAME.jghand, its work folder NAME.training and NAME.log are written; on a cluster a folder that all its
+    machines see."""
+    jobs: Annotated[int, tyro.conf.arg(metavar="NUMBER")] = 1
+    """How many run at once here."""
+    slurm: Annotated[tuple[str, ...] | None, tyro.conf.arg(metavar="NAME=VALUE", help_behavior_hint="")] = None
+    """Submit an array of jobs instead, with these options of sbatch beside time=240 (minutes of one start; a longer
+    training is queued again and goes on), cpus_per_task=4 and mem=8GB. Needs the extra farm."""
     report: ReportOptions = field(default_factory=ReportOptions)
 
     def run(self) -> int:
-        """0 when all trainings are finished; else the exit code of the worst that happened to one."""
-        from jghand_engine.farm.records import FarmFolder
-        from jghand_engine.farm.runner import Runner
-        from jghand_engine.farm.trainings import read_trainings
-
-        trainings = read_trainings(self.file)
-        different: dict[tuple[str, ...], Training] = {}
-        for training in trainings:
-            # of a thousand that differ in their folder alone, one
-            different.setdefault(training.words[2:], training)
-        for training in different.values():
-            self._check(training)
-        if self.jobs < 0:
+        """0 when all trainings are finished or submitted; else the exit code of the first that is not finished."""
+        if self.jobs < 1:
             raise InputError("--jobs", wanted="1 or more", came=str(self.jobs))
-        folder = FarmFolder(self.out)
-        executor = self._executor(folder)
-        folder.make()
-        return self._see_through(Runner(trainings, folder, executor, say), folder)
-
-    def _see_through(self, runner: Runner, folder: FarmFolder) -> int:
-        done = sum(map(runner.is_done, runner.records))
-        say(f"Trainings: {len(runner.records)}, of which {done} are finished already.")
-        telling, stopped = Telling(), False
-        with polite_kill_is_ctrl_c():
-            try:
-                if self.cluster.submit_only:
-                    runner.submit()
-                else:
-                    runner.run(telling)
-            except BaseException as error:
-                stopped = isinstance(error, KeyboardInterrupt)
-                # the terminal may be gone
-                with contextlib.suppress(OSError):
-                    if runner.watched:
-                        say(STOPPING[self.executor])
-                # processes of this machine would go on unseen
-                runner.stop(telling)
-                if not stopped:
-                    raise
-        self._show(runner, folder)
-        return STOPPED if stopped else max((_exit_code(runner, name) for name in runner.records), key=_SEVERITY.index)
-
-    def _check(self, training: Training) -> None:
-        """InputError for options that `jghand train` would refuse: said now, and not by a thousand jobs."""
-        style = (tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone)
-        try:
-            asked = tyro.cli(Train, args=[*training.words[1:], "--out", "any.jghand"], config=style)
-            asked.check()
-        except SystemExit as error:
-            raise InputError(
-                f"{self.file}: {training.name}", wanted="options that jghand train takes", came="others, see above"
-            ) from error
-        except InputError as error:
-            raise InputError(f"{self.file}: {training.name}: {error}") from error
-        if self.executor == "local" and asked.device == "cuda":
-            raise InputError(
-                f"{self.file}: {training.name}: device", wanted="the CPU: local jobs see no GPU", came="cuda",
-                remedy="Leave it out, or start jghand train for each.",
-            )  # fmt: skip
-
-    def _executor(self, folder: FarmFolder) -> Executor:
-        from jghand_engine.farm.executors import LocalExecutor, SlurmExecutor, SlurmOptions
-
-        cluster = self.cluster
-        if self.executor == "local":
-            if cluster != ClusterOptions():
-                raise InputError("--executor local", wanted="no options of a cluster", came="some",
-                                 remedy="Add --executor slurm, or leave them out.")  # fmt: skip
-            return LocalExecutor(folder.logs.resolve(), self.jobs or 1)
-        pairs = [text.partition("=") for text in cluster.sbatch]
-        if not all(name and sign for name, sign, _ in pairs):
-            raise InputError("--sbatch", wanted="NAME=VALUE, such as account=hands", came=" ".join(cluster.sbatch))
-        more = {name: value for name, _, value in pairs}
-        options = SlurmOptions(cluster.partition, cluster.time_limit, cluster.cpus, cluster.memory_gb, more)
-        return SlurmExecutor(folder.logs.resolve(), options, self.jobs)
-
-    def _show(self, runner: Runner, folder: FarmFolder) -> None:
-        from jghand_engine.farm.records import State
-
-        rows = [(name, one.state, str(one.starts), one.progress or "-") for name, one in runner.records.items()]
-        say_table(f"{folder.path}", ("training", "state", "starts", "where it stands"), rows)
-        for name, record in runner.records.items():
-            if record.told and record.state in (State.FAILED, State.LOST):
-                say(f"{name}: {record.told}")
-                if "--fresh" in record.told or "--work" in record.told:
-                    say(f"A list begins a training anew when {folder.work(name)} is moved away or removed.")
-                if "--overwrite" in record.told:
-                    say("In the list that is: overwrite = true")
-            if runner.is_changed(name):
-                say(f"{name}: changed since it was submitted; run the same command again.")
-        if any(record.state in (State.STOPPED, State.LOST, State.FAILED) for record in runner.records.values()):
-            say(f"What the jobs printed is in {folder.logs}. The same command goes on.")
+        out = make_folder(self.out).resolve()
+        jobs = [TrainingJob(name, words, out) for name, words in read_list(self.file).items()]
+        waiting = [job for job in jobs if not job.is_finished]
+        say(f"{len(jobs)} trainings, {len(jobs) - len(waiting)} of them finished already.")
+        if self.slurm is not None:
+            numbers = submit(waiting, self.slurm, out / "jobs") if waiting else []
+            say(f"Submitted: {', '.join(numbers) or 'nothing'}. The same command later takes up what is left.")
+            return 0
+        codes = {job.name: 0 for job in jobs} | run_here(waiting, self.jobs)
+        words = {0: "finished", STOPPED: "stopped"}
+        rows = [(job.name, words.get(codes[job.name], "failed"), job.last_words) for job in jobs]
+        say_table(str(self.out), ("training", "state", "last words"), rows)
         if self.report.json is not None:
-            trainings = {name: asdict(record) for name, record in runner.records.items()}
-            write_json(self.report.json, {"command": "train-many", "out": str(folder.path), "trainings": trainings})
+            told = {name: {"state": state, "exit_code": codes[name], "text": text} for name, state, text in rows}
+            write_json(self.report.json, {"command": "train-many", "out": str(self.out), "trainings": told})
+        return next((code for code in codes.values() if code), 0)
 
 
-class Telling:
-    """Says when the state of a training changes, and now and then how far it is."""
-
-    def __init__(self) -> None:
-        self._said: dict[str, tuple[str, float]] = {}
-
-    def __call__(self, name: str, record: Record) -> None:
-        state, since_s = self._said.get(name, ("", 0.0))
-        now_s = time.monotonic()
-        if state != record.state or now_s - since_s > PROGRESS_MANY_S:
-            self._said[name] = record.state, now_s
-            say(f"{name}: {record.state}" + (f", {record.progress}" if record.progress else ""))
+# ---- the list --------------------------------------------------------------------------------------------------------
 
 
-# from the best to the worst: done, waits or runs, try again, memory, bad input, a fault
-_SEVERITY = (0, RetryError.exit_code, MemoryLimitError.exit_code, InputError.exit_code, FAULT)
+def read_list(path: Path) -> dict[str, tuple[str, ...]]:
+    """Name -> words of `jghand train` but for --out, of every training of a TOML file, in its order.
+
+    InputError names the table that is wrong: what `jghand train` would refuse is refused before anything is begun.
+    """
+    try:
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror}", remedy="Check the name.") from error
+    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InputError(f"{path}", wanted="TOML", came=str(error)) from error
+    tables = content.pop("training", None)
+    if not isinstance(tables, list) or not 1 <= len(tables) <= TRAININGS_MAX:
+        raise InputError(f"{path}", wanted=f"1 to {TRAININGS_MAX} tables [[training]]", came="something else")
+    named = [_training({**content, **table}, path.parent, f"{path}: training {n}") for n, table in enumerate(tables, 1)]
+    # a disk may know no capital letters
+    if twice := [name for name, count in Counter(name.casefold() for name, _ in named).items() if count > 1]:
+        remedy = 'Give them a name of their own: name = "…".'
+        raise InputError(f"{path}", wanted="a name for each", came=f"{twice[0]} more than once", remedy=remedy)
+    for name, words in {words[1:]: (name, words) for name, words in reversed(named)}.values():
+        _check(words, f"{path}: {name}")
+    return dict(named)
 
 
-def _exit_code(runner: Runner, name: str) -> int:
-    from jghand_engine.farm.records import State
+def _training(table: dict[str, Any], base: Path, where: str) -> tuple[str, tuple[str, ...]]:
+    """Name and words of one table."""
+    folder = (base / str(table.pop("folder", ""))).resolve()
+    if not folder.is_dir():
+        raise InputError(f"{where}: folder", wanted="a folder of pictures", came=f"{folder}, which is none")
+    name = str(table.pop("name", folder.name))
+    if not re.fullmatch(r"[\w(+][\w .,()+-]*", name):
+        raise InputError(f"{where}: name", wanted="letters, digits and signs of file names", came=repr(name))
+    if own := sorted(table.keys() & OF_THE_LIST):
+        raise InputError(f"{where}: {own[0]}", wanted="options of the training alone", came="what train-many decides")
+    words = [str(folder)]
+    # not in the order of the list: the same options are to be the same words
+    for key, value in sorted(table.items()):
+        option = "--" + key.replace("_", "-")
+        if value is True:
+            words.append(option)
+        elif value is not False:
+            words += [option, *map(str, value if isinstance(value, list) else [value])]
+    return name, tuple(words)
 
-    record = runner.records[name]
-    if record.state is State.FAILED:
-        # killed by a signal, as where the system has no memory left
-        return record.exit_code if record.exit_code in _SEVERITY else RetryError.exit_code
-    lacks = record.state in (State.STOPPED, State.LOST) or (record.state is State.FINISHED and not runner.is_done(name))
-    return RetryError.exit_code if lacks or runner.is_changed(name) else 0
+
+def _check(words: tuple[str, ...], where: str) -> None:
+    """InputError for options that `jghand train` would refuse: said now, and not by a thousand jobs."""
+    style = (tyro.conf.OmitArgPrefixes, tyro.conf.FlagCreatePairsOff, tyro.conf.DisallowNone)
+    try:
+        tyro.cli(Train, args=[*words, "--out", "any.jghand"], config=style).check()
+    except SystemExit as error:
+        raise InputError(where, wanted="options that jghand train takes", came="others, see above") from error
+    except InputError as error:
+        raise InputError(f"{where}: {error.thing}", wanted=error.wanted, came=error.came) from error
+
+
+# ---- one training ----------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class TrainingJob:
+    """A training as a process: what is run here, and what submitit runs, again after every preemption."""
+
+    name: str
+    # of `jghand train` but for --out
+    words: tuple[str, ...]
+    # folder of the avatars, absolute
+    out: Path
+    _child: subprocess.Popen[bytes] | None = field(default=None, repr=False, compare=False)
+
+    @property
+    def _finished(self) -> Path:
+        """Holds the words of the training that ended well."""
+        return self.out / f"{self.name}.training" / "finished.json"
+
+    @property
+    def is_finished(self) -> bool:
+        """Whether the avatar is there, trained with these options."""
+        if not (self.out / f"{self.name}.jghand").is_file() or not self._finished.is_file():
+            return False
+        return json.loads(self._finished.read_text(encoding="utf-8")) == list(self.words)
+
+    @property
+    def last_words(self) -> str:
+        """What the training said last."""
+        log = self.out / f"{self.name}.log"
+        lines = log.read_text(encoding="utf-8", errors="replace").splitlines() if log.is_file() else []
+        for line in reversed(lines):
+            with contextlib.suppress(ValueError, AttributeError):
+                if text := json.loads(line).get("text"):
+                    return str(text)
+        return ""
+
+    def train(self, stop: threading.Event, in_child: Callable[[], None] | None = None) -> int:
+        """Trains, from its checkpoint where there is one, until the end or until `stop` is set; the exit code.
+        in_child: called in the new process before it begins"""
+        begun = (self.out / f"{self.name}.training" / MARK).is_file()
+        command = [
+            *PROGRAM, "train", *self.words, "--out", str(self.out / f"{self.name}.jghand"), "--progress-json",
+            *(["--resume"] if begun else []),
+        ]  # fmt: skip
+        with (self.out / f"{self.name}.log").open("ab") as log:
+            # a session of its own: Ctrl-C in a terminal reaches this process alone, which stops the training once
+            self._child = subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=log, stderr=log, start_new_session=True, preexec_fn=in_child
+            )
+        try:
+            while (code := self._child.poll()) is None and not stop.is_set():
+                time.sleep(POLL_S)
+        finally:
+            code = self._stop()
+        if code == 0:
+            with writing(self._finished) as temporary:
+                temporary.write_text(json.dumps(self.words), encoding="utf-8")
+        return code
+
+    def _stop(self) -> int:
+        """Asks for the checkpoint and waits for the end; the exit code."""
+        if (child := self._child) is None or child.stdin is None:
+            return STOPPED
+        with contextlib.suppress(OSError):
+            child.stdin.close()
+        until_s = time.monotonic() + CHECKPOINT_WAIT_S
+        while (code := child.poll()) is None:
+            if time.monotonic() > until_s:
+                child.kill()
+            time.sleep(POLL_S)
+        return code
+
+    def __call__(self) -> str:
+        """What submitit runs. RuntimeError when it failed: then the scheduler calls the job failed."""
+        code = self.train(threading.Event(), _ignore_the_signal_of_the_job)
+        if code == STOPPED:
+            time.sleep(REQUEUE_WAIT_S)
+        if code:
+            raise RuntimeError(f"{self.name} ended with exit code {code}: {self.last_words}")
+        return self.last_words
+
+    def checkpoint(self) -> Any:
+        """What submitit asks for when the job is preempted or its time is up: the same job, queued again."""
+        from submitit.helpers import DelayedSubmission
+
+        self._stop()
+        return DelayedSubmission(replace(self, _child=None))
+
+
+def _ignore_the_signal_of_the_job() -> None:
+    signal.signal(signal.SIGUSR2, signal.SIG_IGN)
+
+
+# ---- all of them -----------------------------------------------------------------------------------------------------
+
+
+def run_here(jobs: list[TrainingJob], at_once: int) -> dict[str, int]:
+    """Trains them, some at once; the exit code of each. One that fails does not stop the others; Ctrl-C stops all."""
+    stop, codes = threading.Event(), {job.name: STOPPED for job in jobs}
+
+    def run(job: TrainingJob) -> None:
+        if not stop.is_set():
+            say(f"{job.name}: begins")
+            codes[job.name] = job.train(stop)
+            say(f"{job.name}: {job.last_words}")
+
+    with polite_kill_is_ctrl_c(), ThreadPoolExecutor(at_once) as pool:
+        running = [pool.submit(run, job) for job in jobs]
+        try:
+            for one in running:
+                one.result()
+        except KeyboardInterrupt:
+            say("Stopping: the trainings write their checkpoints.")
+        finally:
+            stop.set()
+    return codes
+
+
+def submit(jobs: list[TrainingJob], asked: tuple[str, ...], logs: Path) -> list[str]:
+    """One array of jobs; their numbers. asked: NAME=VALUE, options of sbatch. RetryError when SLURM refuses."""
+    if not all(re.fullmatch(r"\w+=.+", text) for text in asked):
+        raise InputError("--slurm", wanted="NAME=VALUE, such as partition=cpu", came=" ".join(asked))
+    if shutil.which("srun") is None:
+        raise InputError("--slurm", wanted="the commands of a SLURM cluster", came="no srun on the PATH")
+    try:
+        import submitit
+    except ImportError as error:
+        remedy = install_extra("farm")
+        raise InputError("submitit", wanted="an installed package", came="none", remedy=remedy) from error
+    options = SLURM_DEFAULTS | dict(text.split("=", 1) for text in asked)
+    # submitit reads its own files there back as Python objects, which can run anything
+    make_folder(logs).chmod(0o700)
+    executor = submitit.SlurmExecutor(logs, max_num_timeout=TIMEOUTS_MAX)
+    executor.update_parameters(
+        job_name="jghand", time=int(options.pop("time")), signal_delay_s=SIGNAL_BEFORE_S, additional_parameters=options
+    )
+    try:
+        return [job.job_id for job in executor.submit_array(jobs)]
+    # submitit's own errors are RuntimeErrors
+    except (RuntimeError, OSError, subprocess.SubprocessError) as error:
+        said = str(error).strip().splitlines()
+        remedy = "Look at the partition and the limits."
+        raise RetryError("SLURM did not take the jobs", came=said[-1] if said else "", remedy=remedy) from error

@@ -81,7 +81,7 @@ def stop_requests() -> Iterator[StopRequest]:
     """Ctrl-C and a polite kill become a request that the loop answers between two steps, where the state is whole.
 
     A second one ends the process at once, as if nobody had listened. Outside the main thread nothing is caught, nor is
-    a polite kill that whoever started the process has told it to ignore: it is meant for them (farm.job).
+    a polite kill that whoever started the process has told it to ignore: it is meant for them.
     """
     request = StopRequest()
     if threading.current_thread() is not threading.main_thread():

@@ -34,9 +34,6 @@ PROGRESS_JSON_S = 0.25
 # take a few, a picture of a capture up to a minute
 STOP_WITHOUT_INPUT_S = 90.0
 
-# seconds between two lines about the same training of a list
-PROGRESS_MANY_S = 60.0
-
 # ---- cli: locks -----------------------------------------------------------------------------------------------------
 # bytes of a lock file for whoever holds it: a number and the name of a machine; fixed, so that a longer one before
 # leaves nothing behind

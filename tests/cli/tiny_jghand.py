@@ -1,8 +1,7 @@
 """The command jghand with trainings that take little: of a model of 300 Gaussians, or that only count (--counting, its
 first word), for tests of what goes on around them.
 
-JGHAND_TINY_STEP_S: seconds that a step takes besides, from the fifth on of a training that is not gone on with; until
-SIGUSR1 comes.
+JGHAND_TINY_STEP_S: seconds that a step takes besides, from the fifth on of a training that is not gone on with.
 """
 
 from __future__ import annotations
@@ -11,7 +10,6 @@ import contextlib
 import itertools
 import json
 import os
-import signal
 import sys
 import threading
 import time
@@ -20,18 +18,16 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from jghand_engine.errors import STOPPED, RetryError
-from jghand_engine.farm import executors, job
 from jghand_engine.files import make_folder, writing
 from jghand_engine.learn.mark import LOCK, MARK
 from jghand_engine.lock import locked
 
 QUICK_STEPS = 4
 SLOW_S = 0.0 if "--resume" in sys.argv else float(os.environ.get("JGHAND_TINY_STEP_S", "0"))
-hurry = threading.Event()
 
 
 def wait_in(step: int) -> None:
-    if step >= QUICK_STEPS and not hurry.is_set():
+    if step >= QUICK_STEPS:
         time.sleep(SLOW_S)
 
 
@@ -94,14 +90,12 @@ if __name__ == "__main__":
     counting = words[0] == "--counting"
     if counting:
         program.append(words.pop(0))
-    signal.signal(signal.SIGUSR1, lambda *_: hurry.set())
     if words[0] == "train" and counting:
         sys.exit(count(words))
     if words[0] == "train":
         make_trainings_small()
     # trainings that only count need not wait for it
-    from jghand_engine.cli import main
+    from jghand_engine.cli import main, train_many
 
-    job.PROGRAM, job.RECORD_EVERY_S = tuple(program), 0.1
-    executors.SlurmExecutor.poll_s = 1.0
+    train_many.PROGRAM = tuple(program)
     sys.exit(main(words))
