@@ -14,6 +14,7 @@ import warnings
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 # the first is the engine, whose packages are listed one by one
@@ -159,11 +160,14 @@ def options_of_verbs() -> dict[str, int]:
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DeprecationWarning)  # get_parser has no successor yet
-        parsers = {name: tyro.extras.get_parser(verb, config=cli.STYLE) for name, (verb, _) in cli.VERBS.items()}
+        parsers = {
+            name: tyro.extras.get_parser(verb, config=cli.STYLE)
+            for name, verb in ((name, cli.verb_called(name)[0]) for name in cli.VERBS)
+        }
     return {name: _options(parser) for name, parser in parsers.items()}
 
 
-def _options(parser: argparse.ArgumentParser) -> int:
+def _options(parser: Any) -> int:
     own = sum(bool(action.option_strings) and "--help" not in action.option_strings for action in parser._actions)
     nested = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
     return own + sum(_options(inner) for action in nested for inner in action.choices.values())

@@ -82,18 +82,18 @@ def _main(words: Sequence[str]) -> int:
 def _parsed(words: Sequence[str]) -> Any:
     """The verb with its options. SystemExit for mistakes in them, and for help."""
     if words and words[0] in VERBS:
-        verb, description = _verb(words[0])
+        verb, description = verb_called(words[0])
         prog = f"jghand {words[0]}"
         return tyro.cli(verb, prog=prog, description=description, args=words[1:], config=STYLE)
     listed = [
         Annotated[verb, tyro.conf.subcommand(name, description=description.splitlines()[0])]
-        for name, (verb, description) in ((name, _verb(name)) for name in VERBS)
+        for name, (verb, description) in ((name, verb_called(name)) for name in VERBS)
     ]
     parsed: Any = Union[tuple(listed)]  # noqa: UP007  (made at run time)
     return tyro.cli(parsed, prog="jghand", description=DESCRIPTION, args=words, config=STYLE)
 
 
-def _verb(name: str) -> tuple[type, str]:
+def verb_called(name: str) -> tuple[type, str]:
     """The dataclass of a verb, and its description."""
     module = importlib.import_module(f"jghand_engine.cli.{name.replace('-', '_')}")
     return getattr(module, name.title().replace("-", "")), module.DESCRIPTION

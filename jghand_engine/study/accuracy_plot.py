@@ -39,15 +39,18 @@ def draw_figure(study: Accuracy) -> Figure:
         busy = "    The machine was busy: the times are too long." if study.disturbed else ""
         figure.text(0.05, 0.936, f"{study.how_timed}.{busy}", fontsize=9, color=USUAL if busy else QUIET)
         shown = shown_rows(study)
-        for row, cell in zip(shown, grid[0].subgridspec(1, max(len(shown), 1), wspace=0.05), strict=False):
-            _draw_crop(figure.add_subplot(cell), row)
+        strip = grid[0].subgridspec(1, max(len(shown), 1), wspace=0.05)
+        for index, row in enumerate(shown):
+            _draw_crop(figure.add_subplot(strip[index]), row)
         middle = grid[1].subgridspec(2, 2, width_ratios=[2.1, 1], wspace=0.2, hspace=0.75)
         _draw_front(figure.add_subplot(middle[:, 0]), study)
         _draw_stages(figure.add_subplot(middle[0, 1]), study)
         if study.learning:
             _draw_learning(figure.add_subplot(middle[1, 1]), study)
-        for panel, cell in zip(PANELS, grid[2].subgridspec(1, len(PANELS), wspace=0.3), strict=True):
-            _draw_growth(figure.add_subplot(cell), panel, [one for one in study.growth if one.panel == panel])
+        lower = grid[2].subgridspec(1, len(PANELS), wspace=0.3)
+        for index, panel in enumerate(PANELS):
+            points = [point for point in study.growth if point.panel == panel]
+            _draw_growth(figure.add_subplot(lower[index]), panel, points)
     return figure
 
 

@@ -36,12 +36,12 @@ def draw_figure(curves: Sequence[Curve], views: Sequence[ViewPair]) -> Figure:
                     "(to the right), the larger the error (upwards).", fontsize=11.5, color=QUIET)  # fmt: skip
         for x, color, name in ((0.79, USUAL, "the usual way"), (0.925, OURS, "JGHand")):
             figure.text(x, 0.968, f"● {name}", fontsize=13, color=color, weight="bold", va="center")
-        for view, cell in zip(views, grid[0].subgridspec(1, len(views), wspace=0.05), strict=True):
-            _draw_view(figure.add_subplot(cell), view)
-        for row in range(rows):
-            cells = grid[1 + row].subgridspec(1, COLUMNS, wspace=0.3)
-            for curve, cell in zip(curves[row * COLUMNS :], cells, strict=False):
-                _draw_curve(figure.add_subplot(cell), curve)
+        upper = grid[0].subgridspec(1, len(views), wspace=0.05)
+        for index, view in enumerate(views):
+            _draw_view(figure.add_subplot(upper[index]), view)
+        cells = [grid[1 + row].subgridspec(1, COLUMNS, wspace=0.3) for row in range(rows)]
+        for index, curve in enumerate(curves):
+            _draw_curve(figure.add_subplot(cells[index // COLUMNS][index % COLUMNS]), curve)
     return figure
 
 
