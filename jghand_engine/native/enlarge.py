@@ -1,4 +1,4 @@
-"""Pictures at twice the width and height by the native kernel; its specification is splat/half.py."""
+"""Pictures at twice the width and height by the native kernel; its specification is render/half.py."""
 
 from __future__ import annotations
 

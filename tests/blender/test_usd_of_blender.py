@@ -121,7 +121,7 @@ def test_the_exporter_runs_on_blenders_own_usd(tmp_path):
     packages = engine.folder / "lib" / version / "site-packages"
     if not packages.is_dir():
         pytest.skip(f"the engine's environment is not of this {version}")
-    ours = [str(ROOT), str(ROOT / "tests" / "exporters")]
+    ours = [str(ROOT), str(ROOT / "tests" / "export")]
     # behind Blender's own packages: its pxr and its numpy come first
     script = WRITE.format(paths=[*ours, str(packages)], ways=WAYS, folder=tmp_path)
     in_python(sys.executable, script, [])

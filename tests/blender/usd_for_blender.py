@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-sys.path.insert(0, str(Path(__file__).parents[1] / "exporters"))
+sys.path.insert(0, str(Path(__file__).parents[1] / "export"))
 
 from usd_samples import engine_gaussians, engine_mesh, lively_motion, small_avatar
 

@@ -26,7 +26,7 @@ from jghand_engine.captures.pictures_in import probe_picture
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.files import writing
 
-PROJECT = Path(__file__).resolve().parents[2]
+PROJECT = Path(__file__).resolve().parents[3]
 WORKER = PROJECT / "jghand_cycles" / "__main__.py"
 # what jghand_cycles/png.py writes
 STAMP_KEY = "jghand-stamp"

@@ -38,7 +38,7 @@ from jghand_engine.hand.anatomy import ABDUCTION_SIDE, RANGES_DEG, ArticulatedHa
 from jghand_engine.hand.orders import bone_lengths
 from jghand_engine.hand.sequence import PoseSequence, bone_directions, rebuilt
 
-ASSETS = Path(__file__).resolve().parents[1] / "assets" / "web"
+ASSETS = Path(__file__).resolve().parents[2] / "assets" / "web"
 PAGE, HAND = "index.html", "hand.js"
 SCRIPTS = ("pose.js", "viewer.js", "LICENSES.txt")
 # by these in its first WEB_MARK_BYTES a file is known as ours, and may be replaced: each by its own, so that an export
