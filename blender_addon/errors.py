@@ -33,12 +33,15 @@ class Advice:
 
 ADVICE = {
     "no_interpreter": Advice("No engine is set up", "Choose the engine's Python", BAD_INPUT),
+    "no_tools": Advice(
+        "Training and video tracking need PyTorch, which is not installed",
+        "Press Install Training Tools in the extension's preferences",
+        BAD_INPUT,
+    ),
+    "tools_failed": Advice("The training tools could not be installed", "Look at the log and install again", TRY_AGAIN),
     "no_engine": Advice("This Python has no JGHand engine", "Install it there and try again", BAD_INPUT),
     "broken_engine": Advice(
         "The engine's Python lacks something that it needs", "Install it there and try again", BAD_INPUT
-    ),
-    "unknown_engine": Advice(
-        "It is not known whether this engine can be used", "Choose the engine's Python", TRY_AGAIN
     ),
     "protocol": Advice("Extension and engine are of different versions", "Update the older one", BAD_INPUT),
     "start_timeout": Advice("The engine did not start in time", "Look at the log and try again", TRY_AGAIN),

@@ -21,7 +21,7 @@ class JGHandPreferences(bpy.types.AddonPreferences):
 
     engine_python: bpy.props.StringProperty(
         name="Engine's Python",
-        description="Python interpreter that has the JGHand engine installed. Empty: found by itself",
+        description="Python interpreter that has the JGHand engine installed. Empty: the one of this extension",
         subtype="FILE_PATH",
         update=_look_again,
     )  # type: ignore[valid-type]
@@ -41,9 +41,12 @@ class JGHandPreferences(bpy.types.AddonPreferences):
         column.use_property_split = True
         column.prop(self, "engine_python")
         column.prop(self, "render_timeout_s")
-        from .renderer.ops import draw_check  # here: what draws needs what is kept, which needs the preferences
+        # here: what draws needs what is kept, which needs the preferences
+        from .renderer.install import draw_tools
+        from .renderer.ops import draw_engine
 
-        draw_check(self.layout)
+        draw_engine(self.layout)
+        draw_tools(self.layout)
 
 
 def preferences() -> JGHandPreferences | None:

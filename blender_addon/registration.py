@@ -37,7 +37,7 @@ from .render import cli_command, guard, left_out, ops_composite, panel_presets, 
 from .render import engine as render_engine
 from .render import ops as render_ops
 from .render import panel as render_panel
-from .renderer import job_watch, runtime
+from .renderer import install, job_watch, runtime
 from .renderer import ops as renderer_ops
 from .renderer import panel as renderer_panel
 from .train import ops as train_ops
@@ -46,7 +46,7 @@ from .viewport import handlers
 
 # a class comes after those that it uses; Blender shows panels in the order in which they come
 WITH_CLASSES = (
-    *(preferences, properties, render_engine, help_page, renderer_ops),
+    *(preferences, properties, render_engine, help_page, renderer_ops, install),
     *(hand_ops, ops_bones, ops_pose, ops_controls, ops_motion, ops_track),
     *(render_ops, ops_composite, ops_bake, export_ops, train_ops),
     *(panel_presets, hand_panel, panel_bones, panel_pose, panel_motion, render_panel, panel_quality),

@@ -1,13 +1,16 @@
 """Builds the Blender extension: the zip that an artist installs, and the index of a repository that serves it.
 
-    python scripts/build_extension.py                       dist/jghand-0.1.0.zip, dist/index.json and index.html
+    python scripts/build_extension.py                       dist/jghand-0.1.0-PLATFORM.zip for this machine
+    python scripts/build_extension.py --platforms all       one for each platform, and one for all of them
+    python scripts/build_extension.py --platforms none      without the engine: one that is found elsewhere draws
     python scripts/build_extension.py --out FOLDER          the same in another folder
     python scripts/build_extension.py --zip-only            no index, and no check by Blender
 
-The zip needs nothing but Python 3.11 or newer. It holds `blender_addon` and a copy of the one module that extension and
-engine share; the same files give the same bytes. Blender's own tool checks it and writes the index; the tool comes with
-every Blender as a module (`.envs/blender`, made by scripts/test.py) and needs no Blender to run. A folder with the
-results on any web server is a repository: its address is that of index.json.
+The zip needs nothing but Python 3.11 or newer, and PyPI the first time. It holds `blender_addon`, a copy of the one
+module that extension and engine share, and the engine itself with its kernels (scripts/bundled_engine.py); the same
+files give the same bytes. Blender's own tool checks it and writes the index; the tool comes with every Blender as a
+module (`.envs/blender`, made by scripts/test.py) and needs no Blender to run. A folder with the results on any web
+server is a repository: its address is that of index.json.
 """
 
 from __future__ import annotations
@@ -18,8 +21,13 @@ import subprocess
 import sys
 import tomllib
 import zipfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parent))
+
+import bundled_engine
+from bundled_engine import PLATFORMS, BundleError
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCE = ROOT / "blender_addon"
@@ -38,6 +46,8 @@ MOMENT = (1980, 1, 1, 0, 0, 0)
 RIGHTS = 0o100644
 # a file of Git LFS that was never fetched
 POINTER = b"version https://git-lfs"
+# a download that nobody has to think about; what the engine and its avatars need is about a third of it
+SIZE_MAX = 25_000_000
 TOOL = "bl_pkg/cli/blender_ext.py"
 
 
@@ -68,23 +78,51 @@ def _files(folder: Path) -> Iterator[Path]:
             yield path
 
 
-def build(out: Path, source: Path = SOURCE) -> Path:
-    """Writes the zip into folder `out` and returns its path: {id}-{version}.zip, as the manifest says."""
-    manifest = tomllib.loads((source / MANIFEST).read_text(encoding="utf-8"))
+def build(out: Path, source: Path = SOURCE, platforms: Sequence[str] = ()) -> Path:
+    """Writes the zip into folder `out` and returns its path: {id}-{version}.zip, as the manifest says, and with the
+    platform in its name where it is for one.
+
+    platforms: those that the engine is carried for, in Blender's words; none: without the engine. BuildError.
+    """
+    text = (source / MANIFEST).read_text(encoding="utf-8")
+    manifest = tomllib.loads(text)
     out.mkdir(parents=True, exist_ok=True)
-    path = out / f"{manifest['id']}-{manifest['version']}.zip"
+    stem = f"{manifest['id']}-{manifest['version']}"
+    if len(platforms) == 1:
+        stem += f"-{platforms[0].replace('-', '_')}"
+    path = out / f"{stem}.zip"
     unfinished = path.with_suffix(".part")
     with zipfile.ZipFile(unfinished, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
-        for name, file in members(source).items():
-            content = file.read_bytes()
+        for name, content in _contents(source, platforms):
             if content.startswith(POINTER):
-                raise BuildError(f"{file} is a pointer of Git LFS. Fetch the file itself (git lfs pull).")
+                raise BuildError(f"{name} is a pointer of Git LFS. Fetch the file itself (git lfs pull).")
+            if name == MANIFEST:
+                content = _with_platforms(text, platforms).encode()
             entry = zipfile.ZipInfo(name, MOMENT)
             entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, RIGHTS << 16
             entry.create_system = 3  # else Windows and the others write different bytes
             archive.writestr(entry, content)
+    size = unfinished.stat().st_size
+    if size > SIZE_MAX:
+        raise BuildError(f"{path.name} would have {size / 1e6:.1f} MB; {SIZE_MAX / 1e6:.0f} MB is what it may have.")
     os.replace(unfinished, path)
     return path
+
+
+def _contents(source: Path, platforms: Sequence[str]) -> Iterator[tuple[str, bytes]]:
+    for name, file in members(source).items():
+        yield name, file.read_bytes()
+    if platforms:
+        yield from bundled_engine.files(platforms)
+
+
+def _with_platforms(manifest: str, platforms: Sequence[str]) -> str:
+    """The manifest that says for which platforms the zip is; as it was, where it is for every one."""
+    if not platforms:
+        return manifest
+    names = ", ".join(f'"{name}"' for name in platforms)
+    line = f"platforms = [{names}]\n"
+    return manifest.replace("\n[permissions]", f"{line}\n[permissions]", 1)
 
 
 def find_tool() -> Path | None:
@@ -106,22 +144,41 @@ def check_and_index(tool: Path, archive: Path) -> None:
     run_tool(tool, "server-generate", "--repo-dir", archive.parent, "--html")
 
 
+def zips_of(choice: str) -> list[tuple[str, ...]]:
+    """The platforms of each zip that `--platforms` asks for. BuildError."""
+    if choice == "none":
+        return [()]
+    if choice == "all":
+        return [*((name,) for name in PLATFORMS), tuple(PLATFORMS)]
+    names = [choice] if choice != "this" else [name for name in [bundled_engine.host_platform()] if name]
+    if not names or any(name not in PLATFORMS for name in names):
+        raise BuildError(f"The engine is built for {', '.join(PLATFORMS)}. Name one of them, all, or none.")
+    return [tuple(names)]
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=ROOT / "dist", help="folder for the results (default dist)")
+    parser.add_argument(
+        "--platforms", default="this", help="this (default) | all | none | " + " | ".join(PLATFORMS), metavar="WHICH"
+    )
     parser.add_argument("--zip-only", action="store_true", help="write the zip alone, unchecked")
     options = parser.parse_args()
-    path = build(options.out)
-    print(f"{path}: {path.stat().st_size / 1000:.0f} kB")
+    paths = [build(options.out, platforms=platforms) for platforms in zips_of(options.platforms)]
+    for path in paths:
+        print(f"{path}: {path.stat().st_size / 1e6:.1f} MB")
     if options.zip_only:
         return 0
     tool = find_tool()
     if tool is None:
-        raise BuildError(
-            "Blender's tool for extensions was not found, so the zip is not checked and there is no index.\n"
-            "Run `python scripts/test.py --only blender` once, which makes .envs/blender, or use --zip-only."
+        print(
+            "Not checked by Blender's tool for extensions, and without an index: `.envs/blender`, which has that tool, "
+            "is made by `python scripts/test.py --only blender`."
         )
-    check_and_index(tool, path)
+        return 0
+    for path in paths:
+        run_tool(tool, "validate", path)
+    run_tool(tool, "server-generate", "--repo-dir", options.out, "--html")
     print(f"{options.out / 'index.json'}: every zip of this folder, for Blender's list of repositories")
     return 0
 
@@ -129,5 +186,5 @@ def main() -> int:
 if __name__ == "__main__":
     try:
         sys.exit(main())
-    except BuildError as problem:
+    except (BuildError, BundleError) as problem:
         sys.exit(str(problem))

@@ -55,7 +55,8 @@ _OUTSIDE = re.compile(
 _MENDS = {
     "no_interpreter": ("jghand.open_preferences", "Choose Python"),
     "no_engine": ("jghand.open_preferences", "Choose Python"),
-    "protocol": ("jghand.check_engine", "Check"),
+    "no_tools": ("jghand.open_preferences", "Preferences"),
+    "protocol": ("jghand.open_preferences", "Preferences"),
 }
 _START = ("jghand.start_engine", "Try Again")
 

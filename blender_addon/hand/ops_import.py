@@ -30,10 +30,12 @@ _Result = TypeVar("_Result")
 
 class KeysFile(InTurns, ImportHelper):
     """An operator that makes keys of a file. `verb`: its name among Blender's operators · `choices`: its properties
-    beside the files · `headings`: what stands above some of them."""
+    beside the files · `headings`: what stands above some of them · `learns`: whether
+    the engine needs PyTorch for it."""
 
     bl_options = UNDOABLE_IMPORT
     verb = ""
+    learns = False
     choices: tuple[str, ...] = ()
     headings: Mapping[str, str] = MappingProxyType({})
     # whether the file browser calls `execute`
@@ -99,7 +101,7 @@ class KeysFile(InTurns, ImportHelper):
         """What `read` finds in a folder, after the engine has done there what `words` of the folder say; `part` of the
         whole work. Closed half-way, the engine is asked to end and leaves nothing. JGHandFailure: why it failed."""
         refuse_second(job_watch.IMPORT)
-        program, folder = runtime.program(), folders.job_folder()
+        program, folder = runtime.program(learns=self.learns), folders.job_folder()
         results: list[_Result] = []
         spec = JobSpec(
             "import",

@@ -33,13 +33,14 @@ class TrackVideo(KeysFile, bpy.types.Operator):
     bl_idname = "jghand.track_video"
     bl_label = "Track Video"
     bl_description = (
-        "Find the hands in a video and key their motion, the active hand's or that of new ones. The engine needs its "
-        "extra track; once, where Blender may go online, it downloads 35 MB. Nothing of the video leaves this machine. "
-        "Esc cancels"
+        "Find the hands in a video and key their motion, the active hand's or that of new ones. This needs the "
+        "training tools; once, where Blender may go online, it downloads 35 MB. Nothing of the video leaves this "
+        "machine. Esc cancels"
     )
 
     working = "Tracking the video"
     verb = "track_video"
+    learns = True
     choices = ("hand", "hand_length", "camera_angle", "smoothing", "in_place", "first_frame", "use_scene_range")
 
     filter_glob: bpy.props.StringProperty(default=";".join(f"*{suffix}" for suffix in SUFFIXES), options={"HIDDEN"})  # type: ignore[valid-type]
@@ -92,7 +93,7 @@ class TrackVideo(KeysFile, bpy.types.Operator):
         try:
             return (yield from asked)
         except JGHandFailure as failure:
-            raise failure if choices.fetches else fetch_by_hand(failure, runtime.program()) from failure
+            raise failure if choices.fetches else fetch_by_hand(failure, runtime.program(learns=True)) from failure
 
 
 CLASSES = (TrackVideo,)

@@ -16,7 +16,7 @@ import numpy as np
 from .. import clock
 from ..core import limits
 from ..train.training_folder import TrainingFolder, TrainingReader, curve_picture
-from ..ui import redraw, store_picture
+from ..ui import PANELS, redraw, store_picture
 from . import runtime
 
 # keys of jobs in the table
@@ -92,7 +92,7 @@ def _tick() -> float | None:
         look_again()
         changed = True
     if changed:
-        redraw()
+        redraw(*PANELS)
     return limits.JOB_LOOK_S if table.running else None
 
 

@@ -1,85 +1,27 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The engine by hand: check, start, stop, start again, what it printed."""
+"""The engine by hand: start, stop, start again, what it printed."""
 
 from __future__ import annotations
 
 import bpy
-from bpy.app.translations import pgettext_iface as iface_
 from bpy.app.translations import pgettext_rpt as rpt_
 
-from ..core import limits
 from ..errors import JGHandFailure
-from ..ops import CANCELLED, DONE, ERROR, INFO, PLUMBING, REGISTERED, WARNING, missing, sentence_of
+from ..ops import CANCELLED, DONE, ERROR, INFO, PLUMBING, REGISTERED, missing, sentence_of
 from ..ui import PANELS, redraw
 from . import runtime
-from .engine_check import CheckResult, EngineCheck
 
 LOG_NAME = "JGHand Engine Log"
 _RUNS = ("starting", "ready", "slow")
-# how wide a line of small print is drawn, letters
-_LINE = 90
-
-
-class CheckEngine(bpy.types.Operator):
-    """Operator: looks which engine there is, without holding Blender up; Esc ends it."""
-
-    bl_idname = "jghand.check_engine"
-    bl_label = "Check Engine"
-    bl_description = "Look which engine is found, what it is made of, and what would mend it"
-    bl_options = REGISTERED
-
-    _check: EngineCheck | None = None
-    _timer: bpy.types.Timer | None = None
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        """Waits for the result."""
-        self._check = runtime.start_check()
-        self._check.wait(limits.CHECK_S + limits.WELCOME_S)
-        return self._tell(context)
-
-    def invoke(self, context: bpy.types.Context, _event: bpy.types.Event) -> set[str]:
-        if bpy.app.background or context.window is None:
-            return self.execute(context)
-        self._check = runtime.start_check()
-        self._timer = context.window_manager.event_timer_add(limits.CHECK_LOOK_S, window=context.window)
-        context.window_manager.modal_handler_add(self)
-        context.workspace.status_text_set(rpt_("Checking the engine  ·  Esc cancels"))
-        redraw(*PANELS)
-        return {"RUNNING_MODAL"}
-
-    def modal(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
-        if event.type == "ESC":
-            self.cancel(context)
-            runtime.forget_check()
-            return CANCELLED
-        if self._check.result is None and not self._check.over:
-            return {"PASS_THROUGH"}
-        self.cancel(context)
-        return self._tell(context)
-
-    def cancel(self, context: bpy.types.Context) -> None:
-        """The end of looking; Blender calls it too, when a window closes."""
-        if self._timer is not None:
-            context.window_manager.event_timer_remove(self._timer)
-            self._timer = None
-            context.workspace.status_text_set(None)
-        redraw(*PANELS)
-
-    def _tell(self, context: bpy.types.Context) -> set[str]:
-        result = self._check.result
-        if result is None:
-            self.report(ERROR, rpt_("The check did not come to an end"))
-            return CANCELLED
-        for finding in result.findings:
-            print(f"jghand: {finding.label}: {finding.value}")
-        text = rpt_(result.sentence)
-        if result.good:
-            self.report(INFO, text)
-        else:
-            mend = f": {result.mend}" if result.mend else ""
-            self.report(WARNING, f"{text}. {rpt_(result.remedy)}{mend}")
-        redraw(*PANELS)
-        return DONE
+_WORDS = {
+    "stopped": "The engine starts with the first picture",
+    "starting": "The engine is starting",
+    "ready": "The engine runs",
+    "slow": "The engine is slow to answer",
+    "stopping": "The engine is ending",
+}
+# what the preferences show of a failure's small print, and how wide a line of it is drawn
+_LINES, _LETTERS = 3, 90
 
 
 class StartEngine(bpy.types.Operator):
@@ -154,55 +96,20 @@ class ShowLog(bpy.types.Operator):
         return DONE
 
 
-def draw_check(layout: bpy.types.UILayout) -> None:
-    """The button of the check and its newest result."""
-    layout.operator(CheckEngine.bl_idname, icon="CHECKMARK")
-    check = runtime.check()
-    if check is None:
-        return
-    if check.result is None:
-        layout.label(text="Checking…" if not check.over else "The check was canceled", icon="TIME")
-        return
-    draw_result(layout, check.result)
-
-
-def draw_result(layout: bpy.types.UILayout, result: CheckResult) -> None:
-    """What a check found, line by line, with the command that mends it."""
-    box = layout.box().column(align=True)
-    box.label(text=result.sentence, icon="CHECKMARK" if result.good else "ERROR")
-    for finding in result.findings:
-        row = box.split(factor=0.3)
-        row.label(text=finding.label, icon="NONE" if finding.good else "ERROR")
-        row.label(text=finding.value, translate=False)
-    for line in result.detail.splitlines():
-        for start in range(0, len(line), _LINE):
-            box.label(text=line[start : start + _LINE], translate=False)
-    if result.good:
-        return
-    box.separator()
-    box.label(text=result.remedy)
-    if result.mend:
-        where = iface_(result.where)
-        intro = iface_("In a terminal, in {where}:").format(where=where) if where else iface_("In a terminal:")
-        box.label(text=intro, translate=False)
-        row = box.row()
-        row.label(text=result.mend, translate=False)
-        row.operator(CopyCommand.bl_idname, text="", icon="COPYDOWN").text = result.mend
-
-
-class CopyCommand(bpy.types.Operator):
-    """Operator: puts a command into the clipboard."""
-
-    bl_idname = "jghand.copy_command"
-    bl_label = "Copy Command"
-    bl_description = "Copy this command, to paste it into a terminal"
-    bl_options = PLUMBING
-
-    text: bpy.props.StringProperty(options={"SKIP_SAVE", "HIDDEN"})  # type: ignore[valid-type]
-
-    def execute(self, context: bpy.types.Context) -> set[str]:
-        context.window_manager.clipboard = self.text
-        return DONE
+def draw_engine(layout: bpy.types.UILayout) -> None:
+    """How the engine is, and its buttons: for the preferences."""
+    status = runtime.link().status
+    box = layout.box().column()
+    failure = status.failure
+    text = _WORDS.get(status.state, status.state) if failure is None else failure.advice.sentence
+    box.label(text=text, icon="CHECKMARK" if status.state == "ready" else "ERROR" if failure is not None else "INFO")
+    if failure is not None:
+        box.label(text=failure.advice.remedy, icon="BLANK1")
+        for line in failure.detail.splitlines()[:_LINES]:
+            box.label(text=line[:_LETTERS], icon="BLANK1", translate=False)
+    row = box.row(align=True)
+    row.operator(RestartEngine.bl_idname if status.state in _RUNS else StartEngine.bl_idname, icon="FILE_REFRESH")
+    row.operator(ShowLog.bl_idname, icon="TEXT")
 
 
 def _ready(operator: bpy.types.Operator, context: bpy.types.Context) -> set[str]:
@@ -230,4 +137,4 @@ def _show_text(context: bpy.types.Context, text: bpy.types.Text) -> None:
     area.spaces.active.text = text
 
 
-CLASSES = (CheckEngine, StartEngine, RestartEngine, StopEngine, ShowLog, CopyCommand)
+CLASSES = (StartEngine, RestartEngine, StopEngine, ShowLog)

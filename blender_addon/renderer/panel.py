@@ -14,7 +14,6 @@ from . import runtime
 # what the engine says of itself -> what stands before it
 _FACTS = {"device": "Device", "engine_version": "Engine", "protocol": "Protocol", "pid": "Process"}
 _ACTIONS = (
-    ("jghand.check_engine", "CHECKMARK"),
     ("jghand.restart_engine", "FILE_REFRESH"),
     ("jghand.show_log", "TEXT"),
 )
@@ -43,25 +42,11 @@ class AdvancedPanel(Sidebar, bpy.types.Panel):
             if ui.has_operator(name):
                 actions.operator(name, icon=icon)
         actions.operator("jghand.open_preferences", icon="PREFERENCES")
-        _draw_check(layout, context)
         receipt = receipt_of(context, runtime.RENDER)
         if receipt is not None:
             layout.label(text=iface_("Last Rendered Frame"))
             draw_receipt(layout, context, receipt)
             draw_effects(layout, receipt)
-
-
-def _draw_check(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """What the newest check came to, in short; the preferences show all of it."""
-    check = runtime.check()
-    result = check.result if check is not None else None
-    if result is None:
-        return
-    ui.paragraph(layout, context, result.sentence, icon="CHECKMARK" if result.good else "ERROR")
-    if result.remedy:
-        ui.paragraph(layout, context, result.remedy, icon="BLANK1")
-    if result.mend:
-        layout.operator("jghand.copy_command", icon="COPYDOWN").text = result.mend
 
 
 CLASSES = (AdvancedPanel,)

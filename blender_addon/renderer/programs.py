@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What differs between operating systems about other programs: finding one, naming one in a terminal, ending one with
+"""What differs between operating systems about other programs: naming one in a terminal, ending one with
 all that it has started. Does not use bpy."""
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from ..core import limits
@@ -17,9 +17,6 @@ from ..core import limits
 # no window of a console flashes up; the other systems have none
 HIDDEN = getattr(subprocess, "CREATE_NO_WINDOW", 0)
 INTERPRETERS = ("bin/python", "bin/python3", "Scripts/python.exe", "python.exe")
-# where commands are put that a desktop does not look for: programs started from it have a short PATH
-_USUAL_FOLDERS = (".local/bin", "/opt/homebrew/bin", "/usr/local/bin")
-_EXTENSIONS = ".COM;.EXE;.BAT;.CMD"
 
 
 def exists(path: Path) -> bool:
@@ -44,28 +41,6 @@ def interpreter_at(text: str, home: str = "") -> Path:
     if exists(path) and path.is_dir():
         return next((path / name for name in INTERPRETERS if is_file(path / name)), path)
     return path
-
-
-def find_command(name: str, environment: Mapping[str, str], platform: str = sys.platform) -> str | None:
-    """The command of this name in the folders of PATH, then in those where they usually are; None where there is none.
-
-    Never one of the working folder, which Windows looks into first: that may be the folder of a file that somebody else
-    has made.
-    """
-    windows = platform == "win32"
-    folders = [part.strip('"') for part in environment.get("PATH", "").split(";" if windows else ":")]
-    if environment.get("PATH") and not windows:
-        home = environment.get("HOME", "")
-        folders += [os.path.join(home, usual) for usual in _USUAL_FOLDERS if home or usual.startswith("/")]
-    endings = environment.get("PATHEXT", _EXTENSIONS).split(";") if windows else [""]
-    for folder in folders:
-        if not os.path.isabs(folder):
-            continue
-        for ending in endings:
-            path = Path(folder, name + ending.lower())
-            if is_file(path) and (windows or os.access(path, os.X_OK)):
-                return str(path)
-    return None
 
 
 def in_terminal(words: Sequence[str], platform: str = sys.platform) -> str:

@@ -19,8 +19,7 @@ import bpy
 from ..core import limits
 from ..errors import JGHandFailure
 from ..preferences import preferences
-from .engine_check import EngineCheck
-from .engine_command import engine_command, engine_program, find_engine
+from .engine_command import engine_command, engine_program
 from .jobs import JobTable
 from .link import EngineLink
 
@@ -48,7 +47,6 @@ _render_note: RenderNote | None = None
 _render_timeout_s: float | None = None
 _render_given_up = False
 _jobs = JobTable()
-_check: EngineCheck | None = None
 
 
 def link() -> EngineLink:
@@ -118,40 +116,22 @@ def render_given_up() -> bool:
 
 
 def command() -> Sequence[str]:
-    """How to start the engine, as preferences, environment and PATH say now. JGHandFailure: no_interpreter."""
+    """How to start the engine, as preferences and environment say now. JGHandFailure: no_interpreter."""
     return engine_command(_chosen_python(), checkout=_CHECKOUT)
 
 
-def program() -> Sequence[str]:
-    """The words before a verb of the engine's command line, for jobs. JGHandFailure: no_interpreter."""
-    return engine_program(_chosen_python(), checkout=_CHECKOUT)
+def program(*, learns: bool = False) -> Sequence[str]:
+    """The words before a verb of the engine's command line, for jobs. learns: one that has PyTorch.
 
+    JGHandFailure: no_interpreter, no_tools.
+    """
+    from .install import tools_python  # here: its operators need this module
 
-def start_check() -> EngineCheck:
-    """Looks anew which engine there is; returns at once. The newest check is kept for those who draw it."""
-    global _check
-    forget_check()
-    python = _chosen_python()
-    _check = EngineCheck(lambda: find_engine(python, checkout=_CHECKOUT), checkout=_CHECKOUT)
-    return _check
-
-
-def check() -> EngineCheck | None:
-    """The newest check; None when there was none."""
-    return _check
-
-
-def forget_check() -> None:
-    """Ends a check that runs, and forgets it."""
-    global _check
-    before, _check = _check, None
-    if before is not None:
-        before.close()
+    return engine_program(_chosen_python(), checkout=_CHECKOUT, tools=tools_python() if learns else None, learns=learns)
 
 
 def look_again() -> None:
-    """The engine may be another one from now on: what runs, or failed, is started anew, and a check is out of date."""
-    forget_check()
+    """The engine may be another one from now on: what runs, or failed, is started anew."""
     if _link is not None and _link.status.state != "stopped":
         _link.restart()
 
@@ -187,7 +167,6 @@ def unregister() -> None:
 
 
 def _end() -> None:
-    forget_check()
     use_link(None)
     _jobs.close()
     _reports.clear()

@@ -55,7 +55,7 @@ class RenderTrainingSet(StartsJob, bpy.types.Operator):
 
     def prepare(self, context: bpy.types.Context) -> None:
         place(context, context.scene.jghand.training.capture_folder)
-        runtime.program()
+        runtime.program(learns=True)
 
     def job(self, context: bpy.types.Context, recordings: list[Recording]) -> JobSpec:
         settings = context.scene.jghand.training
@@ -74,7 +74,7 @@ class RenderTrainingSet(StartsJob, bpy.types.Operator):
             seed=settings.seed,
             threads=0,
         )
-        command = (*runtime.program(), *engine_words.capture(self._folder, choices, motion))
+        command = (*runtime.program(learns=True), *engine_words.capture(self._folder, choices, motion))
         title = "Rendering the training set"
         return JobSpec("capture", title, command, self._folder, resume=command, on_over=over)
 
@@ -135,7 +135,7 @@ class Train(StartsJob, bpy.types.Operator):
             raise JGHandFailure("no_pictures", f"{pictures} is not there")
         if out.suffix != ".jghand":
             raise JGHandFailure("bad_input", f"{out}: wanted a file that ends with .jghand")
-        runtime.program()
+        runtime.program(learns=True)
 
     def job(self, context: bpy.types.Context, _recordings: list[Recording]) -> JobSpec:
         settings = context.scene.jghand.training
@@ -148,7 +148,7 @@ class Train(StartsJob, bpy.types.Operator):
             overwrite=settings.overwrite,
         )
         begin = "" if self.start == "new" else self.start
-        program = runtime.program()
+        program = runtime.program(learns=True)
         work = folder_of(self._out)
         job_watch.look_at_training(work)
         return JobSpec(

@@ -15,7 +15,8 @@ from stand_ins import ROOT, linked, picture, until
 
 from blender_addon.core import limits
 from blender_addon.errors import ADVICE, JGHandFailure
-from blender_addon.renderer.engine_command import VARIABLE, engine_command
+from blender_addon.renderer import engine_command as engine_commands
+from blender_addon.renderer.engine_command import VARIABLE, engine_command, engine_program
 from blender_addon.renderer.link import EngineLink
 from blender_addon.renderer.process import cleaned_environment
 
@@ -183,26 +184,35 @@ def test_blenders_own_variables_do_not_reach_the_engine():
     assert cleaned_environment({**kept, **dropped, "DYLD_LIBRARY_PATH": "x"}) == kept
 
 
-def test_the_engine_is_found_in_the_order_that_is_promised(tmp_path):
-    chosen = tmp_path / "chosen"
-    in_checkout = tmp_path / ".envs/engine/bin/python"
-    script = tmp_path / "path/jghand"
-    in_checkout.parent.mkdir(parents=True)
-    script.parent.mkdir()
-    for file in (chosen, in_checkout, script):
+def test_the_engine_is_found_in_the_order_that_is_promised(tmp_path, monkeypatch):
+    chosen, tools = tmp_path / "chosen", tmp_path / "tools/bin/python"
+    in_checkout, noted = tmp_path / "checkout/.envs/engine/bin/python", tmp_path / "noted"
+    for file in (chosen, tools, in_checkout, noted):
+        file.parent.mkdir(parents=True, exist_ok=True)
         file.touch(mode=0o755)
-    path = {"PATH": str(script.parent)}
-    serve = ("serve", "--stdio-handshake")
-    as_module = ("-I", "-m", "jghand_engine", *serve)
-    assert engine_command(str(chosen), checkout=tmp_path, environment=path) == (str(chosen), *as_module)
-    named = {**path, VARIABLE: str(chosen)}
-    assert engine_command(None, checkout=tmp_path, environment=named) == (str(chosen), *as_module)
-    assert engine_command(None, checkout=tmp_path, environment=path) == (str(in_checkout), *as_module)
-    assert engine_command(None, environment=path) == (str(script), *serve)
+    (tmp_path / engine_commands.NOTE).write_text(f"{noted}\n", "utf-8")
+    home, checkout = {"JGHAND_CONFIG_DIR": str(tmp_path)}, tmp_path / "checkout"
+    module = ("-I", "-m", "jghand_engine")
+    named = {**home, VARIABLE: str(chosen)}
+    assert engine_program(str(chosen), checkout=checkout, environment=home) == (str(chosen), *module)
+    assert engine_program(None, checkout=checkout, environment=named) == (str(chosen), *module)
+    assert engine_program(None, checkout=checkout, environment=home) == (str(in_checkout), *module)
+    assert engine_program(None, environment=home) == (str(noted), *module)
+    assert engine_program(tools=tools, learns=True, environment=home) == (str(tools), *module)
     for wrong in ({"python": str(tmp_path / "nothing")}, {}):
         with pytest.raises(JGHandFailure) as caught:
-            engine_command(environment={"PATH": ""}, **wrong)
+            engine_program(environment={}, **wrong)
         assert caught.value.kind == "no_interpreter"
+
+
+def test_the_engine_that_the_extension_carries_draws_and_does_not_learn(tmp_path, monkeypatch):
+    (tmp_path / "engine" / "common").mkdir(parents=True)
+    monkeypatch.setattr(engine_commands, "CARRIED", tmp_path / "engine")
+    carried = (sys.executable, "-I", str(engine_commands.ENGINE_MAIN))
+    assert engine_command(environment={}) == (*carried, "serve", "--stdio-handshake")
+    with pytest.raises(JGHandFailure) as caught:
+        engine_program(learns=True, environment={})
+    assert caught.value.kind == "no_tools"
 
 
 def test_every_failure_has_a_sentence_without_numbers():

@@ -14,7 +14,7 @@ from blender_addon.core import limits
 from blender_addon.export.recording import file_names
 from blender_addon.render import batch
 from blender_addon.renderer import engine_command, programs
-from blender_addon.renderer.engine_command import find_engine
+from blender_addon.renderer.engine_command import engine_program
 
 posix = pytest.mark.skipif(os.name == "nt", reason="paths are written as POSIX has them")
 
@@ -26,45 +26,12 @@ def touch(path: Path) -> Path:
 
 
 @posix
-def test_on_windows_a_command_has_an_ending_and_paths_have_spaces_and_letters_of_all_languages(tmp_path):
-    wanted = touch(tmp_path / "Програми und Größen" / "jghand.exe")
-    touch(tmp_path / "other" / "jghand")  # a script without an ending is none there
-    path = f'"{tmp_path / "other"}";;{wanted.parent};C:\\nowhere'
-    assert programs.find_command("jghand", {"PATH": path}, "win32") == str(wanted)
-    assert programs.find_command("jghand", {"PATH": path, "PATHEXT": ".CMD"}, "win32") is None
-
-
-@posix
-@pytest.mark.parametrize("platform", ["win32", "linux", "darwin"])
-def test_a_command_of_the_working_folder_is_never_taken(tmp_path, platform, monkeypatch):
-    """Windows looks there first: it may be the folder of a file that somebody else has made."""
-    touch(tmp_path / "jghand")
-    touch(tmp_path / "jghand.exe")
-    monkeypatch.chdir(tmp_path)
-    separator = ";" if platform == "win32" else ":"
-    for path in ("", separator, ".", f".{separator}", f"nowhere{separator}"):
-        assert programs.find_command("jghand", {"PATH": path, "HOME": "/nowhere"}, platform) is None
-
-
-@posix
-@pytest.mark.parametrize("platform", ["linux", "darwin"])
-def test_a_blender_that_the_desktop_has_started_finds_commands_where_they_usually_are(tmp_path, platform):
-    wanted = touch(tmp_path / ".local" / "bin" / "jghand")
-    environment = {"PATH": "/nowhere", "HOME": str(tmp_path)}
-    assert programs.find_command("jghand", environment, platform) == str(wanted)
-    first = touch(tmp_path / "first" / "jghand")
-    assert programs.find_command("jghand", {**environment, "PATH": str(first.parent)}, platform) == str(first)
-
-
-@posix
 @pytest.mark.parametrize("inside", ["bin/python", "Scripts/python.exe", "python.exe"])
 def test_the_folder_of_an_environment_means_its_python_and_quotation_marks_mean_nothing(tmp_path, inside):
     python = touch(tmp_path / "my environment" / inside)
     for text in (str(python), f'"{python}"', f" {python}\n", str(tmp_path / "my environment")):
         assert programs.interpreter_at(text) == python
-    assert find_engine(f'"{python.parent}"' if inside == "python.exe" else str(python), environment={}).python == str(
-        python
-    )
+    assert engine_program(f'"{python}"', environment={})[0] == str(python)
     assert programs.interpreter_at("~/my environment", str(tmp_path)) == python
     assert programs.interpreter_at("/nowhere/python") == Path("/nowhere/python")
 

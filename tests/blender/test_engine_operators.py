@@ -1,21 +1,17 @@
-"""The engine by hand: checked, started, stopped and started again from buttons, which say why where they cannot."""
+"""The engine by hand: started, stopped and started again from buttons, which say why where they cannot."""
 
 from __future__ import annotations
 
-import os
-import sys
-from pathlib import Path
+import subprocess
 
 import bpy
 import pytest
-from recording_layout import RecordingLayout, draw, operator_type
+from recording_layout import RecordingLayout, operator_type
 
 from blender_addon import preferences
 from blender_addon.errors import JGHandFailure
+from blender_addon.renderer import install, runtime
 from blender_addon.renderer import ops as engine
-from blender_addon.renderer import panel as advanced
-from blender_addon.renderer import programs, runtime
-from blender_addon.renderer.engine_check import CheckResult, Finding
 from blender_addon.renderer.engine_command import VARIABLE
 from blender_addon.renderer.link import EngineLink
 
@@ -78,70 +74,53 @@ def test_another_file_does_not_end_the_engine(stand_in):
     assert state() == "ready"
 
 
-@pytest.mark.skipif(os.name == "nt", reason="the stand-in is a shell script")
-def test_a_check_says_what_there_is_and_what_mends_it(extension, tmp_path, monkeypatch, capfd):
-    python = tmp_path / "python"
-    python.write_text("#!/bin/sh\nexit 1\n")
-    python.chmod(0o755)
-    monkeypatch.setenv(VARIABLE, str(python))
-    assert bpy.ops.jghand.check_engine() == {"FINISHED"}
-    result = runtime.check().result
-    assert result.failure == "crashed"
-    assert str(python) in capfd.readouterr().out
-    runtime.look_again()
-    assert runtime.check() is None
-
-
-def test_a_check_of_the_python_of_blender_finds_no_engine(extension, monkeypatch):
-    monkeypatch.setenv(VARIABLE, sys.executable)
-    assert bpy.ops.jghand.check_engine() == {"FINISHED"}
-    result = runtime.check().result
-    assert result.failure == "no_engine"
-    # JGHand's folder is known, because the extension is used out of it
-    folder = str(Path(__file__).resolve().parents[2])
-    assert result.mend == programs.in_terminal([sys.executable, "-m", "pip", "install", folder])
-
-
-WRONG = CheckResult(
-    (Finding("Path", "/somewhere/python"), Finding("Missing", "torch", False)),
-    "broken_engine",
-    "x" * 200,
-    "pip install something",
-    "JGHand's folder",
-)
-
-
-@pytest.mark.parametrize("result", [WRONG, CheckResult((Finding("Engine", "0.1.0"),))], ids=["wrong", "good"])
-def test_the_result_is_drawn(extension, result):
-    layout = RecordingLayout()
-    engine.draw_result(layout, result)
-    seen = " ".join(layout.texts)
-    assert result.sentence in seen
-    assert result.findings[0].value in seen
-    assert result.mend in seen
-    assert ("jghand.copy_command" in layout.operators) == bool(result.mend)
-
-
-def test_the_sidebar_shows_the_result_in_short(extension, monkeypatch):
-    monkeypatch.setenv(VARIABLE, "/nowhere/python")
-    bpy.ops.jghand.check_engine()
-    layout = draw(advanced.AdvancedPanel, extension)
-    assert "No engine is set up" in " ".join(layout.texts)
-    assert "jghand.copy_command" in layout.operators
-
-
-def test_the_preferences_draw_the_button_and_the_newest_result(extension, monkeypatch):
+def draw_preferences(extension) -> RecordingLayout:
     class Page:
         layout = RecordingLayout()
         bl_rna = preferences.JGHandPreferences.bl_rna
 
     preferences.JGHandPreferences.draw(Page(), extension)
-    assert "jghand.check_engine" in Page.layout.operators
+    return Page.layout
+
+
+def test_the_preferences_say_how_the_engine_is_and_why_there_is_none(stand_in, extension, monkeypatch):
+    assert "jghand.start_engine" in draw_preferences(extension).operators
+    bpy.ops.jghand.start_engine()
+    layout = draw_preferences(extension)
+    assert "The engine runs" in layout.texts
+    assert "jghand.restart_engine" in layout.operators
+    runtime.use_link(None)
     monkeypatch.setenv(VARIABLE, "/nowhere/python")
-    bpy.ops.jghand.check_engine()
-    Page.layout = RecordingLayout()
-    preferences.JGHandPreferences.draw(Page(), extension)
-    assert "No engine is set up" in Page.layout.texts
+    assert "No engine is set up" in refuses(bpy.ops.jghand.start_engine)
+    assert "No engine is set up" in draw_preferences(extension).texts
+
+
+def test_the_training_tools_are_asked_for_where_blender_may_go_online(extension, tmp_path, monkeypatch):
+    monkeypatch.setattr(install, "tools_folder", lambda: tmp_path / "tools")
+    monkeypatch.setattr(install, "is_online", lambda: False)
+    assert install.state() == "missing"
+    assert "Online Access" in refuses(bpy.ops.jghand.install_tools)
+    assert "no training tools" in refuses(bpy.ops.jghand.remove_tools)
+
+
+def test_the_training_tools_are_made_mended_and_removed(extension, tmp_path, monkeypatch):
+    folder = tmp_path / "tools"
+    monkeypatch.setattr(install, "tools_folder", lambda: folder)
+    monkeypatch.setattr(install, "PACKAGES", ())  # the environment alone: nothing is downloaded
+    monkeypatch.setattr(install, "is_online", lambda: True)
+    for _ in range(2):
+        assert bpy.ops.jghand.install_tools() == {"FINISHED"}
+        job = runtime.jobs().get(install.KEY)
+        assert job.wait(120)
+        assert job.state.failure is None, job.log
+        assert install.state() == "ready"
+        python = str(install.tools_python())
+        subprocess.run([python, "-I", "-c", "import jghand_engine"], check=True)
+        (folder / install.READY).unlink()
+        assert install.state() == "broken"
+    assert "jghand.install_tools" in draw_preferences(extension).operators
+    assert bpy.ops.jghand.remove_tools() == {"FINISHED"}
+    assert install.state() == "missing"
 
 
 def test_another_choice_of_python_starts_what_had_failed_anew(extension, stand_in_command):
