@@ -155,11 +155,6 @@ ADVICE = {
         "Choose another folder, or switch Replace Others on",
         BAD_INPUT,
     ),
-    "changed_export": Advice(
-        "The folder holds an export of this name that somebody has changed since it was written",
-        "Keep the changes in a file of their own or choose another folder, or switch Replace Others on",
-        BAD_INPUT,
-    ),
     "bad_file": Advice("This file cannot be opened", "Choose a .blend file", BAD_INPUT),
     "cannot_write": Advice("The file cannot be written", "Choose a folder that you may write to", BAD_INPUT),
     "disk_full": Advice("The disk is full", "Free some space and start again", TRY_AGAIN),

@@ -28,8 +28,7 @@ import torch
 from pxr import Usd
 
 from jghand_engine.avatar.builtin import load_avatar_called
-from jghand_engine.export.usd.export import export_usd
-from jghand_engine.export.usd.options import Package, UsdOptions, UsdReport
+from jghand_engine.export.usd.package import PACKAGES, UsdOptions, UsdReport, export_usd
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import PoseSequence
 
@@ -53,7 +52,7 @@ class Subject:
     def __init__(self, options: argparse.Namespace) -> None:
         whole = load_avatar_called(options.avatar).for_hand(Handedness.RIGHT)
         self.avatar = whole.prefix(min(options.gaussians, len(whole)))
-        self._folder, self._package = options.folder, Package(options.package)
+        self._folder, self._package = options.folder, options.package
 
     def export(self, frames: int, options: UsdOptions | None = None) -> tuple[UsdReport, dict[str, float]]:
         """What the export says, and seconds in all and for opening the stage."""
@@ -97,7 +96,7 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--gaussians", type=int, default=60_000)
     parser.add_argument("--runs", type=int, default=5)
-    parser.add_argument("--package", default="layers", choices=[str(package) for package in Package])
+    parser.add_argument("--package", default="layers", choices=PACKAGES)
     parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()))
     parser.add_argument("--memory", action="store_true", help=argparse.SUPPRESS)
     options = parser.parse_args()

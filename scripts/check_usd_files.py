@@ -31,14 +31,17 @@ sys.path.insert(0, str(ROOT))
 
 from jghand_engine.avatar.builtin import load_builtin  # noqa: E402
 from jghand_engine.color import srgb_to_linear  # noqa: E402
+from jghand_engine.export.motion import HandMotion  # noqa: E402
 from jghand_engine.export.usd.check import NO_SPLATS, check_usd  # noqa: E402
-from jghand_engine.export.usd.export import export_usd  # noqa: E402
-from jghand_engine.export.usd.motion import HandMotion  # noqa: E402
-from jghand_engine.export.usd.options import Package, UsdOptions, UsdReport, Variant  # noqa: E402
+from jghand_engine.export.usd.package import (  # noqa: E402
+    UsdOptions,
+    UsdReport,
+    export_usd,
+)
+from jghand_engine.export.usd.stage import Variant  # noqa: E402
 from jghand_engine.hand.anatomy import pose_sequence_of_names  # noqa: E402
 from jghand_engine.hand.joints import Handedness  # noqa: E402
 from jghand_engine.hand.sequence import PoseSequence  # noqa: E402
-from jghand_engine.limits import USD_CLIPS_ABOVE_FRAMES  # noqa: E402
 
 TOOLS = ROOT / "scripts" / "usd_clients"
 # JGHAND_USD_CLIENTS names another environment
@@ -64,20 +67,19 @@ class Way:
     @property
     def has_splats(self) -> bool:
         """Whether there are splats in the file, which rules for them are about."""
-        return self.options.package != Package.USDC or self.options.default_variant == Variant.SPLATS
+        return self.options.package != "usdc" or self.options.default_variant == Variant.SPLATS
 
 
 WAYS = (
     Way(""),
     Way("--radiance linear --sizes per_frame", UsdOptions(radiance="linear", sizes="per_frame")),
     Way("--precision half", UsdOptions(precision="half")),
-    Way("--package usdz", UsdOptions(package=Package.USDZ), reads="hand.usdz"),
+    Way("--package usdz", UsdOptions(package="usdz"), reads="hand.usdz"),
     *(
-        Way(f"--package usdc --default-variant {variant}", UsdOptions(package=Package.USDC, default_variant=variant),
+        Way(f"--package usdc --default-variant {variant}", UsdOptions(package="usdc", default_variant=variant),
             reads="hand.usdc")
         for variant in Variant
     ),
-    Way(f"{USD_CLIPS_ABOVE_FRAMES + 1} frames", UsdOptions(), USD_CLIPS_ABOVE_FRAMES + 1, ""),
 )  # fmt: skip
 # what is written is float32 (position at up to 0.5 m, meters; radius as a part; color of 0..1, whose harmonics are
 # divided by 0.28), or half precision: two steps of 11 bits at 0.25 m, and of a harmonic of 2
@@ -204,12 +206,12 @@ def read(client: str, way: Way, report: UsdReport) -> Reading:
 
 
 def readings(way: Way, report: UsdReport) -> Iterator[Reading]:
-    """By every program that can read this way and is there: none knows clips, fourdgs no half precision, and without
+    """By every program that can read this way and is there: fourdgs no half precision, and without
     splats there is nothing to read."""
     if not client_python().exists() or not way.reads or not way.has_splats:
         return
     # it reads the times of a payload in a variant at 24 frames a second, whatever the stage says (EXPORT 10)
-    if way.options.package != Package.USDZ:
+    if way.options.package != "usdz":
         yield read("lightusd", way, report)
     if not way.is_half:
         yield read("fourdgs", way, report)

@@ -92,10 +92,11 @@ class Environment:
         return version in self.pythons or (open_ended and version > max(v for v in self.pythons if v))
 
 
-# which kernels draw; where none does, their own sentence says why
+# which kernels draw is told: the fallback is the same picture, slower by a factor that nobody should have to guess
 WHICH_KERNELS = """
 from jghand_engine.native import library
-print("drawing with the native kernels, variant", library.load().variant)
+chosen = library.load()
+print("drawing with", f"the native kernels, variant {chosen.variant}" if chosen else "torch, the slow reference")
 """
 ENGINE = Environment(
     name="engine",

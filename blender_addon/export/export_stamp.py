@@ -9,7 +9,6 @@ Does not use bpy.
 from __future__ import annotations
 
 import contextlib
-import hashlib
 import json
 import re
 from pathlib import Path
@@ -21,9 +20,6 @@ from ..render.batch import write_whole
 _FORMAT, _VERSION = "jghand export", 1
 # what an export of a format and name is known by
 _FILES = {"usd": "{name}.usda", "motion": "{name}.npz"}
-# ... and what somebody may have edited of it
-_TEXT_LAYERS = {"usd": ("{name}.usda", "{name}.shot.usda")}
-_SEAL = re.compile(rb"# as JGHand wrote it: ([0-9a-f]{64})\n\Z")
 
 
 def stamp_path(folder: Path, name: str, kind: str) -> Path:
@@ -32,8 +28,7 @@ def stamp_path(folder: Path, name: str, kind: str) -> Path:
 
 
 def check(folder: Path, name: str, kind: str, owner: str) -> None:
-    """JGHandFailure: other_export where an export of this name lies that is not of this owner; changed_export where its
-    text layers are not as they were written."""
+    """JGHandFailure: other_export where an export of this name lies that is not of this owner."""
     there = _there(folder, name, kind)
     if there is None:
         return
@@ -41,10 +36,6 @@ def check(folder: Path, name: str, kind: str, owner: str) -> None:
     if other != owner:
         who = f"of {other}" if other else "and it is not known who made it"
         raise JGHandFailure("other_export", f"{there} is there, {who}")
-    for layer in _TEXT_LAYERS.get(kind, ()):
-        path = folder / layer.format(name=name)
-        if path.exists() and not _is_as_written(path):
-            raise JGHandFailure("changed_export", f"{path}")
 
 
 def claim(folder: Path, name: str, kind: str, owner: str) -> None:
@@ -62,18 +53,6 @@ def _there(folder: Path, name: str, kind: str) -> Path | None:
     with contextlib.suppress(OSError):
         return next((path for path in sorted(folder.iterdir()) if numbered.fullmatch(path.name)), None)
     return None
-
-
-def _is_as_written(path: Path) -> bool:
-    """Of a binary file, and of one that cannot be looked at, the engine tells."""
-    try:
-        content = path.read_bytes()
-    except OSError:
-        return True
-    last = _SEAL.search(content)
-    if last is None:
-        return not content.startswith(b"#usda")
-    return hashlib.sha256(content[: last.start()]).hexdigest() == last.group(1).decode()
 
 
 def _owner(folder: Path, name: str, kind: str) -> str:

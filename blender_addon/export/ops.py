@@ -187,9 +187,7 @@ def _check(recordings: list[Recording], scratch: Path, numbered: Path | None) ->
 
 def _choices(context: bpy.types.Context) -> UsdChoices:
     settings = context.scene.jghand.output
-    return UsdChoices(
-        settings.variant, settings.sizes, settings.radiance, settings.width_factor, settings.replace_others
-    )
+    return UsdChoices(settings.variant, settings.sizes, settings.radiance, settings.width_factor)
 
 
 CLASSES = (Export, ExportSceneUsd, CancelJob, ShowJobLog)

@@ -11,14 +11,12 @@ from ..export.recording import Recording
 
 @dataclass(frozen=True)
 class UsdChoices:
-    """What a stage holds, in the command line's own words. variant: what a program shows that cannot choose ·
-    overwrite: also layers that somebody changed"""
+    """What a stage holds, in the command line's own words. variant: what a program shows that cannot choose"""
 
     variant: str = "splats"
     sizes: str = "constant"
     radiance: str = "srgb"
     width_factor: float = 1.0
-    overwrite: bool = False
 
 
 # what suits a program: the variant that is shown first, and the size of points; a test compares it with the engine's
@@ -37,12 +35,13 @@ def export_usd(recording: Recording, motion: Path, out: Path, figures: Path, cho
         *("export", "usd", *_of(recording, motion, out, figures)),
         *("--default-variant", choices.variant, "--sizes", choices.sizes),
         *("--radiance", choices.radiance, "--width-factor", f"{choices.width_factor:g}"),
-        *(("--overwrite",) if choices.overwrite else ()),
+        # whose files are replaced was looked at (export_stamp)
+        "--overwrite",
     )
 
 
 def export_ply(recording: Recording, motion: Path, out: Path, figures: Path, axes: str) -> tuple[str, ...]:
-    """`jghand export ply`: NAME.0001.ply and so on in `out`. Whose files are replaced was looked at (export_stamp)."""
+    """`jghand export ply`: NAME.0001.ply and so on in `out`."""
     return ("export", "ply", *_of(recording, motion, out, figures), "--axes", axes, "--overwrite")
 
 

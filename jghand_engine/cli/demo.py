@@ -45,9 +45,9 @@ class Demo:
     def run(self) -> None:
         from jghand_engine.avatar.builtin import load_avatar_called
         from jghand_engine.cli import demo_films, demo_scene
+        from jghand_engine.cli.export import export_stage, usd_figures
         from jghand_engine.cli.framing import framing_camera
-        from jghand_engine.cli.stage_export import export_stage, usd_figures
-        from jghand_engine.export.usd.export import UsdOptions
+        from jghand_engine.export.usd.package import UsdOptions
         from jghand_engine.export.video import ffmpeg_program
         from jghand_engine.files import make_folder
         from jghand_engine.hand.joints import Handedness

@@ -3,6 +3,7 @@ page."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -14,12 +15,13 @@ from jghand_engine.cli.learning import hand_template
 from jghand_engine.cli.options import AvatarOptions, CameraName, File, MotionOptions, ReportOptions
 from jghand_engine.cli.signals import polite_kill_is_ctrl_c
 from jghand_engine.errors import InputError
-from jghand_engine.limits import USD_SIGMA_ERROR_TOLD
 
 if TYPE_CHECKING:
     from jghand_engine.avatar.avatar import HandAvatar
     from jghand_engine.cli.inputs import Motion
-    from jghand_engine.export.usd.options import UsdOptions
+    from jghand_engine.export.usd.package import UsdOptions, UsdReport
+    from jghand_engine.hand.sequence import PoseSequence
+    from jghand_engine.render.camera import Camera
 
 DESCRIPTION = """Write a motion as OpenUSD, as splat files, or as a web page.
 
@@ -42,6 +44,8 @@ Examples:
   jghand export splats --as glb --poses fist --frames 0 --out splats
   jghand export web --poses open,fist,ok --out page"""
 
+# part by which constant radii may be off those of a frame before it is said: less is not seen
+SIGMA_ERROR_TOLD = 0.05
 # the picture that the stage's cameras are made for
 CAMERA_PX = (1024, 1024)
 
@@ -113,9 +117,8 @@ class Export:
     """Number of the first frame in the files; in the names of splat files that of the motion's first frame, also where
     --frames begins later."""
     overwrite: bool = False
-    """Also replace splat files that are there, and a stage that somebody else made, or whose .usda somebody changed:
-    lights put into the shot, for example. Splat files do not say which motion they are of: those of frames that are
-    not written (--frames) stay, whatever they show."""
+    """Also replace files that are there, a stage with what somebody has put into its shot, too. Splat files of frames
+    that are not written (--frames) stay, whatever motion they are of."""
     up: Literal["y", "z"] = "y"
     """The axis that points up in the world of the motion. USD says it, splat files are turned."""
     usd: UsdStageOptions = field(default_factory=UsdStageOptions)
@@ -164,8 +167,7 @@ class Export:
 
     def _write_usd(self, avatar: HandAvatar, motion: Motion) -> dict[str, Any]:
         from jghand_engine.cli.framing import framing_camera
-        from jghand_engine.cli.stage_export import export_stage, usd_figures
-        from jghand_engine.export.usd.options import PRESETS
+        from jghand_engine.export.usd.package import PRESETS
 
         options, sequence = self._usd_options(), motion.sequence
         width, height = CAMERA_PX
@@ -176,20 +178,23 @@ class Export:
         report = export_stage(self.out, avatar, sequence, cameras, options)
         size = sum(report.bytes.values())
         say(f"Wrote {report.stage}: {report.frames} frames, {size / 1e6:.1f} MB, {sum(report.seconds.values()):.1f} s")
-        if report.sigma_error > USD_SIGMA_ERROR_TOLD:
+        if report.sigma_error > SIGMA_ERROR_TOLD:
             say(
                 f"Constant radii are up to {100 * report.sigma_error:.0f} % off those of a frame: "
                 "--sizes per_frame writes them all."
             )
-        if report.half is not None:
-            for sentence in report.half.sentences():
-                say(sentence)
+        if report.half_error_m is not None:
+            say(
+                f"Half precision moved centers by up to {1e3 * report.half_error_m:.3f} mm. There is no variant "
+                "points, nothing to fall back on for a USD without splats, and NVIDIA's rule VG.035 refuses the splats."
+            )
         if self.usd.consumer != "generic":
             say(f"For {self.usd.consumer}: {PRESETS[self.usd.consumer].advice}")
         return {"for": self.usd.consumer, **usd_figures(report)}
 
     def _usd_options(self) -> UsdOptions:
-        from jghand_engine.export.usd.options import PRESETS, Package, UsdOptions, Variant
+        from jghand_engine.export.usd.package import PRESETS, UsdOptions
+        from jghand_engine.export.usd.stage import Variant
 
         given, preset = self.usd, PRESETS[self.usd.consumer]
         variant = preset.variant if given.default_variant is None else Variant(given.default_variant)
@@ -208,14 +213,14 @@ class Export:
             first_frame=self.first_frame,
             up=self.up,
             precision=given.precision,
-            package=Package(given.package),
+            package=given.package,
             overwrite=self.overwrite,
             template=None if given.template is None else hand_template(given.template),
         )
 
     def _write_splats(self, avatar: HandAvatar, motion: Motion) -> dict[str, Any]:
+        from jghand_engine.export.made_from import made_from
         from jghand_engine.export.splats.files import SplatOptions, export_splats
-        from jghand_engine.export.splats.made_from import made_from
 
         axes, start = self.splats.axes, self.first_frame
         options = SplatOptions(self.splats.format, self.name, axes, start, self.up, self.overwrite)
@@ -238,7 +243,7 @@ class Export:
 
     def _write_web(self, avatar: HandAvatar, motion: Motion) -> dict[str, Any]:
         from jghand_engine.cli.framing import first_view
-        from jghand_engine.export.splats.made_from import made_from
+        from jghand_engine.export.made_from import made_from
         from jghand_engine.export.web.page import WebOptions, export_web
 
         sequence = motion.sequence
@@ -252,3 +257,31 @@ class Export:
             "page": str(report.page), "frames": report.frames, "gaussians": report.gaussians,
             "correctives": report.correctives, "bytes": report.bytes, "made_from": made_from(avatar, sequence),
         }  # fmt: skip
+
+
+def export_stage(
+    folder: Path, avatar: HandAvatar, sequence: PoseSequence, cameras: Mapping[str, Camera], options: UsdOptions
+) -> UsdReport:
+    """Writes the stage and shows how far it is."""
+    from jghand_engine.export.usd.package import export_usd
+
+    with progress("Writing USD", len(sequence)) as bar:
+        task = bar.task_ids[0]
+        return export_usd(
+            folder, avatar, sequence, cameras, options, progress=lambda done, _: bar.update(task, completed=done)
+        )
+
+
+def usd_figures(report: UsdReport) -> dict[str, Any]:
+    """What an export did, as plain data."""
+    return {
+        "stage": str(report.stage),
+        "shot": None if report.shot is None else str(report.shot),
+        "frames": report.frames,
+        "gaussians": report.gaussians,
+        "bytes": dict(report.bytes),
+        "seconds": dict(report.seconds),
+        "sigma_error": report.sigma_error,
+        "half_error_m": report.half_error_m,
+        "made_from": dict(report.made_from),
+    }

@@ -13,9 +13,6 @@ from jghand_engine.avatar.shipped import SHIPPED
 from jghand_engine.cli.console import say, write_json
 from jghand_engine.cli.options import FormatOptions, ReportOptions
 from jghand_engine.errors import InputError
-from jghand_engine.limits import GLB_JSON_BYTES_MAX
-from jghand_engine.motion.usd_files import SUFFIXES as USD_SUFFIXES
-from jghand_engine.motion.usd_files import reading
 
 if TYPE_CHECKING:
     from jghand_engine.avatar.avatar import HandAvatar
@@ -33,7 +30,10 @@ Examples:
 
 FINDINGS = "what_is_wrong"
 MOTION_SUFFIXES = (".npz", ".npy", ".json", ".csv", ".bvh", ".gltf")
+USD_SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")
 SPLAT_SUFFIXES = (".ply", ".splat", ".glb", ".spz")
+# bytes of a .glb in which its description names what it holds
+GLB_DESCRIPTION_BYTES = 65_536
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class Info:
 def _has_splats(path: Path) -> bool:
     """Whether a .glb holds Gaussians, by the names in its description; else it may hold a skeleton that moves."""
     with path.open("rb") as stream:
-        return b"KHR_gaussian_splatting" in stream.read(GLB_JSON_BYTES_MAX)
+        return b"KHR_gaussian_splatting" in stream.read(GLB_DESCRIPTION_BYTES)
 
 
 def _text(value: Any) -> str:
@@ -184,49 +184,24 @@ def motion_facts(path: Path, options: FormatOptions) -> dict[str, Any]:
 
 def usd_facts(path: Path) -> dict[str, Any]:
     """What a USD stage holds: times, units, variants, how many prims of each type, and what is wrong with it."""
-    from collections import Counter
+    from jghand_engine.export.usd.check import stage_facts
 
-    from pxr import Usd, UsdGeom
-
-    from jghand_engine.export.usd.check import check_usd
-    from jghand_engine.export.usd.layers import SPLAT_TYPE
-
-    with reading(path):
-        findings = check_usd(path)
-        stage = Usd.Stage.Open(str(path))
-        types = Counter(prim.GetTypeName() or "untyped" for prim in stage.TraverseAll())
-        variants = {
-            f"{prim.GetPath()} {name}": prim.GetVariantSets().GetVariantSet(name).GetVariantNames()
-            for prim in stage.TraverseAll()
-            for name in prim.GetVariantSets().GetNames()
-        }
-        return {
-            "kind": "usd",
-            "default_prim": str(stage.GetDefaultPrim().GetPath()) if stage.HasDefaultPrim() else "none",
-            "frames": [stage.GetStartTimeCode(), stage.GetEndTimeCode()],
-            "fps": stage.GetTimeCodesPerSecond(),
-            "meters_per_unit": UsdGeom.GetStageMetersPerUnit(stage),
-            "up_axis": str(UsdGeom.GetStageUpAxis(stage)),
-            "prims": dict(sorted(types.items())),
-            "splats": types[SPLAT_TYPE],
-            "variants": {name: list(names) for name, names in variants.items()},
-            "layers": sorted(
-                Path(layer.realPath or layer.identifier).name for layer in stage.GetUsedLayers() if not layer.anonymous
-            ),
-            FINDINGS: [str(finding) for finding in findings],
-        }
+    facts = stage_facts(path)
+    return {"kind": "usd", **facts, FINDINGS: facts.pop("findings")}
 
 
 def splat_facts(path: Path) -> dict[str, Any]:
     """What a splat file holds, and what is suspicious about it."""
-    from jghand_engine.export.splats.reading import read_splats
+    import numpy as np
 
-    read = read_splats(path)
-    facts: dict[str, Any] = {"kind": f"{read.format} splats", "gaussians": read.gaussians}
-    if read.gaussians:
+    from jghand_engine.export.splats.reading import read_splats, splat_findings
+
+    cloud = read_splats(path)
+    facts: dict[str, Any] = {"kind": f"{path.suffix[1:].lower()} splats", "gaussians": len(cloud)}
+    if len(cloud):
         facts |= {
-            "size_m": list(read.size_m),
-            "sigma_m": dict(zip(("smallest", "largest"), read.sigma_m, strict=True)),
-            "opacity": dict(zip(("smallest", "largest"), read.opacity, strict=True)),
+            "size_m": np.ptp(cloud.positions_m.astype(np.float64), axis=0).tolist(),
+            "sigma_m": {"smallest": float(cloud.scales_m.min()), "largest": float(cloud.scales_m.max())},
+            "opacity": {"smallest": float(cloud.opacity.min()), "largest": float(cloud.opacity.max())},
         }
-    return {**facts, "axes": read.axes or "not said", FINDINGS: list(read.findings)}
+    return {**facts, "axes": cloud.axes or "not said", FINDINGS: list(splat_findings(cloud))}

@@ -111,7 +111,7 @@ def test_a_motion_has_no_other_suffix_than_its_own(tmp_path):
 
 
 def test_the_engine_stamps_a_motion_as_this_side_does(tmp_path):
-    usd = pytest.importorskip("jghand_engine.export.usd.export", reason="needs the engine's packages")
+    usd = pytest.importorskip("jghand_engine.export.usd.package", reason="needs the engine's packages")
     from jghand_engine.avatar.builtin import load_painted
     from jghand_engine.hand.joints import Handedness
     from jghand_engine.motion.foreign.read import read_motion_file
@@ -145,7 +145,7 @@ def test_the_estimate_of_an_export_is_its_size(tmp_path):
     pytest.importorskip("torch", reason="needs the engine's packages")
     from jghand_engine.avatar.builtin import load_builtin, load_painted
     from jghand_engine.export.splats.files import export_splats
-    from jghand_engine.export.usd.export import export_usd
+    from jghand_engine.export.usd.package import export_usd
     from jghand_engine.hand.joints import Handedness
     from jghand_engine.motion.foreign.read import read_motion_file
 
@@ -338,7 +338,7 @@ def all_words() -> list[tuple[str, ...]]:
 
 def test_programs_are_suited_as_the_engine_does_it():
     pytest.importorskip("torch", reason="needs the engine's packages")
-    from jghand_engine.export.usd.options import PRESETS
+    from jghand_engine.export.usd.package import PRESETS
 
     wanted = {name: (str(preset.variant), preset.width_factor) for name, preset in PRESETS.items()}
     assert wanted == engine_words.USD_PRESETS

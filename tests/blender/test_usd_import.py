@@ -76,11 +76,10 @@ def read(collection, name: str, width: int) -> np.ndarray:
     return values.reshape(-1, width)
 
 
-@pytest.mark.parametrize("variant", ["points", "splats", "clips"])
+@pytest.mark.parametrize("variant", ["points", "splats"])
 @pytest.mark.parametrize("handedness", ["right", "left"])
 def test_points_have_position_radius_and_color_on_every_frame(exported, variant, handedness):
     stage, truth = exported(variant, handedness)
-    assert (variant == "clips") == stage.with_name("hand.splats.0002.usdc").exists()
     imported(stage)
     if variant == "splats" and bpy.app.version >= (5, 1) and not bpy.data.pointclouds:
         pytest.skip("Blender 5.2 knows the type of the splats but cannot draw it, and makes an Empty (EXPORT 4)")

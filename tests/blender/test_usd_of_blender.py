@@ -27,7 +27,7 @@ bpy.utils.expose_bundled_modules()
 from pxr import Usd
 sys.path += {paths!r}
 from usd_samples import lively_motion, small_avatar
-from jghand_engine.export.usd.export import UsdOptions, export_usd
+from jghand_engine.export.usd.package import UsdOptions, export_usd
 from jghand_engine.hand.joints import Handedness
 
 assert "bpy" in Usd.__file__, Usd.__file__
@@ -62,7 +62,7 @@ from pathlib import Path
 import numpy as np
 from pxr import Usd
 sys.path.insert(0, {root!r})
-from jghand_engine.export.usd.layers import TimeRange
+from jghand_engine.export.usd.stage import TimeRange
 from jghand_engine.export.usd.splats import Cloud, Look, Sample, SplatLayer
 
 assert "bpy" in Usd.__file__, Usd.__file__

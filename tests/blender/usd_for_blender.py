@@ -1,6 +1,6 @@
 """Run by the engine's Python: writes a stage and what the engine says about it, for `test_usd_import`.
 
-usage: python usd_for_blender.py FOLDER VARIANT HANDEDNESS, where VARIANT may also be "clips": points of a long take
+usage: python usd_for_blender.py FOLDER VARIANT HANDEDNESS
 """
 
 from __future__ import annotations
@@ -16,10 +16,8 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "export"))
 from usd_samples import engine_gaussians, engine_mesh, lively_motion, small_avatar
 
 from jghand_engine.color import srgb_to_linear
-from jghand_engine.export.usd import clips as usd_clips
-from jghand_engine.export.usd import options as usd_options
-from jghand_engine.export.usd.export import UsdOptions, export_usd
-from jghand_engine.export.usd.options import Variant
+from jghand_engine.export.usd.package import UsdOptions, export_usd
+from jghand_engine.export.usd.stage import Variant
 from jghand_engine.hand.joints import LEVEL_NAMES, Handedness
 from jghand_engine.render.camera import Camera
 
@@ -46,8 +44,4 @@ def main(folder: Path, variant: Variant, handedness: Handedness) -> None:
 
 
 if __name__ == "__main__":
-    name = sys.argv[2]
-    if name == "clips":
-        # so that twelve frames are a long take
-        usd_options.USD_CLIPS_ABOVE_FRAMES, usd_clips.USD_CLIP_FRAMES, name = 5, 4, "points"
-    main(Path(sys.argv[1]), Variant(name), Handedness(sys.argv[3]))
+    main(Path(sys.argv[1]), Variant(sys.argv[2]), Handedness(sys.argv[3]))

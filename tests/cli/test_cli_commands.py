@@ -19,7 +19,8 @@ from jghand_engine.cli.inputs import load_motion, read_sequence
 from jghand_engine.cli.options import FormatOptions, MotionOptions, color, pixels
 from jghand_engine.errors import InputError
 from jghand_engine.export.pictures import read_png
-from jghand_engine.export.usd.options import UsdOptions, Variant
+from jghand_engine.export.usd.package import UsdOptions
+from jghand_engine.export.usd.stage import Variant
 from jghand_engine.hand.anatomy import pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, from_level

@@ -1,6 +1,5 @@
 """The exported stage holds what the engine computes, in every variant, for both hands."""
 
-import errno
 import os
 from dataclasses import replace
 
@@ -12,17 +11,14 @@ from small_avatars import trained_avatar
 from usd_samples import FPS, engine_gaussians, engine_mesh, lively_motion, small_avatar
 from usd_stages import opened
 
-from blender_addon.errors import JGHandFailure
-from blender_addon.export import export_stamp
-from jghand_engine import lock
 from jghand_engine.avatar.avatar import LearnedFrom
 from jghand_engine.avatar.tiers import Baked
 from jghand_engine.errors import InputError, RetryError
-from jghand_engine.export.usd import arrival as usd_arrival
-from jghand_engine.export.usd import export as usd_module
+from jghand_engine.export.made_from import made_from
+from jghand_engine.export.usd import package
 from jghand_engine.export.usd.check import NO_SPLATS, check_usd
-from jghand_engine.export.usd.export import UsdOptions, export_usd
-from jghand_engine.export.usd.options import LayerNames, Variant
+from jghand_engine.export.usd.package import UsdOptions, export_usd
+from jghand_engine.export.usd.stage import Variant
 from jghand_engine.hand.baselines import Transform
 from jghand_engine.hand.joints import LEVEL_NAMES, Handedness
 from jghand_engine.hand.sequence import PoseSequence
@@ -352,102 +348,15 @@ def test_files_carry_the_chosen_name_and_others_stay(tmp_path):
     assert check_usd(report.shot) == []
 
 
-def test_an_earlier_export_is_replaced(tmp_path):
+def test_an_earlier_export_is_replaced_where_that_is_asked_for(tmp_path):
     export_usd(tmp_path, small_avatar(), lively_motion(Handedness.RIGHT, 5))
-    report = export_usd(tmp_path, small_avatar(), lively_motion(Handedness.RIGHT, 3))
-    assert Usd.Stage.Open(str(report.stage)).GetEndTimeCode() == 2
-
-
-@pytest.mark.parametrize("name", ["hand.usda", "hand.shot.usda"])
-def test_a_layer_that_somebody_changed_is_not_replaced_unasked(tmp_path, name):
-    motion = lively_motion(Handedness.RIGHT, 2)
-    export_usd(tmp_path, small_avatar(), motion)
-    with (tmp_path / name).open("a") as stream:
-        stream.write("# my lights, an hour of work\n")
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    with pytest.raises(InputError, match=rf"{name}.*--overwrite"):
-        export_usd(tmp_path, small_avatar(), motion)
+    shorter = lively_motion(Handedness.RIGHT, 3)
+    with pytest.raises(InputError, match=r"hand\.rig\.usdc.*--overwrite"):
+        export_usd(tmp_path, small_avatar(), shorter)
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
-    export_usd(tmp_path, small_avatar(), motion, options=UsdOptions(overwrite=True))
-    assert "my lights" not in (tmp_path / name).read_text()
-
-
-def test_the_extension_knows_layers_as_they_were_written_too(tmp_path):
-    shot = export_usd(tmp_path, small_avatar(), lively_motion(Handedness.RIGHT, 2)).shot
-    export_stamp.claim(tmp_path, "hand", "usd", "a")
-    export_stamp.check(tmp_path, "hand", "usd", "a")
-    with shot.open("a") as stream:
-        stream.write("# my lights\n")
-    with pytest.raises(JGHandFailure, match=r"hand\.shot\.usda"):
-        export_stamp.check(tmp_path, "hand", "usd", "a")
-
-
-def test_a_shot_that_another_program_saved_is_not_replaced_unasked(tmp_path):
-    motion = lively_motion(Handedness.RIGHT, 2)
-    shot = export_usd(tmp_path, small_avatar(), motion).shot
-    stage = Usd.Stage.Open(str(shot))
-    stage.DefinePrim("/World/Sun", "DistantLight")
-    stage.Save()
-    del stage
-    with pytest.raises(InputError, match=r"hand\.shot\.usda"):
-        export_usd(tmp_path, small_avatar(), motion)
-
-
-@pytest.mark.parametrize("package", ["usdc", "usdz"])
-def test_a_file_of_another_program_is_not_replaced_unasked(tmp_path, package):
-    motion, options = lively_motion(Handedness.RIGHT, 2), UsdOptions(package=package)
-    export_usd(tmp_path, small_avatar(), motion, options=options)
-    export_usd(tmp_path, small_avatar(), motion, options=options)
-    (tmp_path / f"hand.{package}").write_bytes(b"PXR-USDC of somebody else")
-    with pytest.raises(InputError, match=rf"hand\.{package}"):
-        export_usd(tmp_path, small_avatar(), motion, options=options)
-
-
-def test_what_a_killed_export_left_is_removed_by_the_next_and_what_a_living_one_has_is_not(tmp_path):
-    motion = lively_motion(Handedness.RIGHT, 2)
-    for name in ("abcdefgh", "ijklmnop"):
-        (tmp_path / f".hand.{name}").mkdir()
-        (tmp_path / f".hand.{name}" / usd_arrival.LOCK).write_text("")
-        (tmp_path / f".hand.{name}" / "half.usdc").write_bytes(b"half")
-        os.utime(tmp_path / f".hand.{name}" / usd_arrival.LOCK, (0, 0))
-    with lock.locked(tmp_path / ".hand.ijklmnop" / usd_arrival.LOCK):
-        os.utime(tmp_path / ".hand.ijklmnop" / usd_arrival.LOCK, (0, 0))
-        export_usd(tmp_path, small_avatar(), motion)
-    assert {path.name for path in tmp_path.iterdir()} == {*LayerNames("hand").files(), ".hand.ijklmnop"}
-    assert (tmp_path / ".hand.ijklmnop" / "half.usdc").is_file()
-
-
-def test_what_a_kill_amid_the_moves_put_aside_is_removed_when_there_is_a_whole_export(tmp_path, monkeypatch):
-    aside = tmp_path / ".hand.earlier.abcdefgh"
-    aside.mkdir()
-    (aside / "hand.usda").write_text("of an earlier export")
-    os.utime(aside, (0, 0))
-    motion = lively_motion(Handedness.RIGHT, 2)
-    with monkeypatch.context() as failing:
-        failing_replace(failing, 1)
-        with pytest.raises(InputError, match="permission denied"):
-            export_usd(tmp_path, small_avatar(), motion)
-    export_usd(tmp_path, small_avatar(), motion, options=UsdOptions(package="usdz"))
-    assert (aside / "hand.usda").exists(), "nothing is in its place"
-    (tmp_path / "hand.usdz").unlink()
-    export_usd(tmp_path, small_avatar(), motion)
-    assert {path.name for path in tmp_path.iterdir()} == set(LayerNames("hand").files())
-    aside.mkdir()
-    export_usd(tmp_path, small_avatar(), motion)
-    assert aside.exists(), "it may be another export's that is under way"
-
-
-def test_a_file_system_without_locks_is_exported_to(tmp_path, monkeypatch):
-    def no_locks(_):
-        raise OSError(errno.ENOLCK, "No locks available")
-
-    monkeypatch.setattr(lock, "_take", no_locks)
-    left = tmp_path / ".hand.abcdefgh"
-    left.mkdir()
-    (left / usd_arrival.LOCK).write_text("")
-    os.utime(left / usd_arrival.LOCK, (0, 0))
-    export_usd(tmp_path, small_avatar(), lively_motion(Handedness.RIGHT, 2))
-    assert {path.name for path in tmp_path.iterdir()} == {*LayerNames("hand").files(), left.name}
+    report = export_usd(tmp_path, small_avatar(), shorter, options=UsdOptions(overwrite=True))
+    assert Usd.Stage.Open(str(report.stage)).GetEndTimeCode() == 2
 
 
 def test_progress_counts_the_frames(tmp_path):
@@ -508,16 +417,16 @@ def test_a_disk_that_fills_up_leaves_the_earlier_export_as_it_was(tmp_path, monk
     def full(*_):
         raise Tf.ErrorException("Failed writing usdc data: 'Error occurred writing file: No space left on device'")
 
-    monkeypatch.setattr(usd_module.SplatLayer, "put", full)
+    monkeypatch.setattr(package.SplatLayer, "put", full)
     with pytest.raises(RetryError, match="disk is full"):
-        export_usd(tmp_path, small_avatar(), lively_motion(Handedness.LEFT, 5))
+        export_usd(tmp_path, small_avatar(), lively_motion(Handedness.LEFT, 5), options=UsdOptions(overwrite=True))
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
     assert check_usd(report.stage) == []
 
 
 def failing_replace(monkeypatch, number: int) -> None:
     """Lets the `number`-th move of a file fail, and no other."""
-    calls, replace = [], usd_arrival.os.replace
+    calls, replace = [], os.replace
 
     def failing(source, target):
         calls.append(target)
@@ -525,7 +434,7 @@ def failing_replace(monkeypatch, number: int) -> None:
             raise PermissionError(13, "Permission denied")
         replace(source, target)
 
-    monkeypatch.setattr(usd_arrival.os, "replace", failing)
+    monkeypatch.setattr(package.os, "replace", failing)
 
 
 # five layers go aside, five arrive
@@ -535,7 +444,7 @@ def test_a_move_that_fails_leaves_no_mixture_of_two_exports(tmp_path, monkeypatc
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     failing_replace(monkeypatch, number)
     with pytest.raises(InputError, match="permission denied"):
-        export_usd(tmp_path, small_avatar(), lively_motion(Handedness.LEFT, 5))
+        export_usd(tmp_path, small_avatar(), lively_motion(Handedness.LEFT, 5), options=UsdOptions(overwrite=True))
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
     assert check_usd(report.stage) == []
 
@@ -544,7 +453,7 @@ def test_a_move_that_fails_leaves_no_mixture_of_two_exports(tmp_path, monkeypatc
 def test_an_interruption_right_after_a_move_leaves_no_mixture_either(tmp_path, monkeypatch, number):
     export_usd(tmp_path, small_avatar(), lively_motion(Handedness.RIGHT, 3))
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
-    calls, replace = [], usd_arrival.os.replace
+    calls, replace = [], os.replace
 
     def interrupted(source, target):
         replace(source, target)
@@ -552,9 +461,9 @@ def test_an_interruption_right_after_a_move_leaves_no_mixture_either(tmp_path, m
         if len(calls) == number:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(usd_arrival.os, "replace", interrupted)
+    monkeypatch.setattr(package.os, "replace", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        export_usd(tmp_path, small_avatar(), lively_motion(Handedness.LEFT, 5))
+        export_usd(tmp_path, small_avatar(), lively_motion(Handedness.LEFT, 5), options=UsdOptions(overwrite=True))
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
 
 
@@ -584,7 +493,7 @@ def test_a_file_in_the_place_of_the_folder_is_refused(tmp_path):
 
 def test_a_folder_in_the_place_of_a_file_is_refused_before_the_work(tmp_path):
     (tmp_path / "hand.usda").mkdir()
-    with pytest.raises(InputError, match="in the way"):
+    with pytest.raises(InputError, match="a folder"):
         export_usd(tmp_path, small_avatar(), lively_motion(Handedness.RIGHT, 2))
     assert [path.name for path in tmp_path.iterdir()] == ["hand.usda"]
 
@@ -612,11 +521,11 @@ def test_a_stage_says_what_it_was_made_from(tmp_path):
     avatar, motion = small_avatar(), lively_motion(Handedness.RIGHT, 2)
     stage = Usd.Stage.Open(str(export_usd(tmp_path, avatar, motion).stage))
     stamp = stage.GetRootLayer().customLayerData["jghand"]
-    assert stamp.items() >= usd_module.made_from(avatar, motion).items()
+    assert stamp.items() >= made_from(avatar, motion).items()
     moved = replace(motion, joints_m=motion.joints_m + 1e-6)
     brighter = replace(avatar, rgb=avatar.rgb * 0.999)
-    assert usd_module.made_from(avatar, moved)["joints_sha256"] != stamp["joints_sha256"]
-    assert usd_module.made_from(brighter, motion)["avatar_sha256"] != stamp["avatar_sha256"]
+    assert made_from(avatar, moved)["joints_sha256"] != stamp["joints_sha256"]
+    assert made_from(brighter, motion)["avatar_sha256"] != stamp["avatar_sha256"]
 
 
 def test_all_that_is_learned_is_in_the_digest_and_names_and_prices_are_not():
@@ -639,7 +548,7 @@ def test_all_that_is_learned_is_in_the_digest_and_names_and_prices_are_not():
 
 
 def _avatar_digest(avatar, motion) -> str:
-    return usd_module.made_from(avatar, motion)["avatar_sha256"]
+    return made_from(avatar, motion)["avatar_sha256"]
 
 
 def test_every_layer_says_whose_it_is_and_under_which_license(tmp_path):

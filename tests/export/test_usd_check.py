@@ -7,8 +7,8 @@ from usd_samples import lively_motion, small_avatar
 
 from jghand_engine.errors import InputError
 from jghand_engine.export.usd.check import check_usd, examine_usd
-from jghand_engine.export.usd.export import export_usd
-from jghand_engine.export.usd.layers import SPLAT_TYPE, TYPES
+from jghand_engine.export.usd.package import export_usd
+from jghand_engine.export.usd.stage import SPLAT_TYPE, TYPES
 from jghand_engine.hand.joints import Handedness
 
 COUNT = len(small_avatar())

@@ -3,19 +3,17 @@ import pytest
 from pxr import UsdSkel
 from scipy.spatial.transform import Rotation
 
-from jghand_engine.export.usd.skeleton import (
-    JOINT_AXES,
-    BonePoses,
+from jghand_engine.export.motion import JOINT_AXES, BonePoses, joint_axes
+from jghand_engine.export.usd.rig import (
+    FINE_SHARE,
     build_skeleton,
     in_motion,
-    joint_axes,
     joint_tokens,
     same_hemisphere,
     skin_influences,
     split_scales,
 )
 from jghand_engine.hand.joints import JOINT_COUNT, STANDARD_NAMES, Handedness
-from jghand_engine.limits import USD_FINE_SHARE
 from jghand_engine.template.builtin import load_template
 
 
@@ -44,7 +42,7 @@ def test_coarse_and_fine_scale_make_up_what_half_precision_loses():
     for part in (coarse, fine):
         assert (part == part.astype(np.float16)).all()
         assert (part > 0).all()
-    together = (1 - USD_FINE_SHARE) * coarse + USD_FINE_SHARE * fine
+    together = (1 - FINE_SHARE) * coarse + FINE_SHARE * fine
     # half a step of half precision times the share, 2^-11 * 2^-8, and a little for twins above 2; observed 2.0e-6
     assert np.abs(together / scales - 1).max() < 2.2e-6
     assert np.abs(coarse / scales - 1).max() > 4e-4, "half precision alone would do, then the twins are not needed"

@@ -12,11 +12,10 @@ from usd_samples import engine_gaussians, lively_motion, small_avatar
 from usd_stages import opened
 
 from jghand_engine.export.usd.check import check_usd
-from jghand_engine.export.usd.export import UsdOptions, export_usd
-from jghand_engine.export.usd.options import Variant
-from jghand_engine.export.usd.skeleton import skin_influences
+from jghand_engine.export.usd.package import UsdOptions, export_usd
+from jghand_engine.export.usd.rig import PROXY_STEP, SKIN_BONES, skin_influences
+from jghand_engine.export.usd.stage import Variant
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.limits import USD_PROXY_STEP, USD_SKIN_BONES
 
 pytestmark = pytest.mark.usefixtures("no_usd_warnings")
 
@@ -47,7 +46,7 @@ def skinned(stage: Usd.Stage, path: str) -> np.ndarray:
 
 def test_points_follow_the_skeleton_as_the_engine_skins_them(export):
     report, avatar, motion = export
-    assert int((avatar.bone_weights > 0).sum(1).max()) <= USD_SKIN_BONES, "nothing is dropped of these weights"
+    assert int((avatar.bone_weights > 0).sum(1).max()) <= SKIN_BONES, "nothing is dropped of these weights"
     truth, _ = engine_gaussians(avatar, motion)
     # worst observed 0.014 mm: half precision of the joints' scales
     assert np.abs(skinned(opened(report.stage, Variant.POINTS_SKINNED), "/Hand/Rig/Points") - truth).max() < 2e-5
@@ -57,9 +56,9 @@ def test_the_stand_in_is_every_tenth_gaussian_and_covers_as_much(export):
     report, avatar, motion = export
     stage = opened(report.stage, Variant.SPLATS)
     truth, _ = engine_gaussians(avatar, motion)
-    assert np.abs(skinned(stage, "/Hand/Rig/Proxy") - truth[:, ::USD_PROXY_STEP]).max() < 2e-5
+    assert np.abs(skinned(stage, "/Hand/Rig/Proxy") - truth[:, ::PROXY_STEP]).max() < 2e-5
     proxy = UsdGeom.Points(stage.GetPrimAtPath("/Hand/Rig/Proxy"))
-    assert list(proxy.GetIdsAttr().Get()) == list(range(0, len(avatar), USD_PROXY_STEP))
+    assert list(proxy.GetIdsAttr().Get()) == list(range(0, len(avatar), PROXY_STEP))
     area = (np.array(proxy.GetWidthsAttr().Get()) ** 2).sum()
     whole = (2 * avatar.sigma_m.numpy() * scale_of(avatar, motion)) ** 2
     # a sum over other Gaussians: seen 4 % apart
@@ -109,7 +108,7 @@ def test_many_bones_become_the_heaviest_that_are_kept(tmp_path):
     points = stage.GetPrimAtPath("/Hand/Rig/Points")
     shares = np.array(UsdSkel.BindingAPI(points).GetJointWeightsPrimvar().Get()).reshape(805, -1)
     assert np.abs(shares.sum(1) - 1).max() < 1e-6
-    heaviest = np.sort(weights.numpy(), axis=1)[:, : -USD_SKIN_BONES - 1 : -1]
+    heaviest = np.sort(weights.numpy(), axis=1)[:, : -SKIN_BONES - 1 : -1]
     assert np.allclose(shares, heaviest / heaviest.sum(1, keepdims=True), atol=1e-6)
 
 

@@ -14,10 +14,10 @@ from typing import NamedTuple
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.errors import InputError
+from jghand_engine.export.motion import HandMotion
 from jghand_engine.export.splats import dot_splat, ply, sog, spz
 from jghand_engine.export.splats import gltf as gltf_splats
 from jghand_engine.export.splats.cloud import AXES_FROM_RUB, RUB_FROM_UP, SplatCloud
-from jghand_engine.export.usd.motion import HandMotion
 from jghand_engine.files import check_room, make_folder, writing
 from jghand_engine.hand.sequence import PoseSequence
 

@@ -11,20 +11,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from jghand_engine.export.splats.cloud import SplatCloud
-from jghand_engine.limits import PLY_OPACITY_MARGIN, SH_C0
+from jghand_engine.export.splats.cloud import SH_C0, SplatCloud
 
 PROPERTIES = (
     *("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity"),
     *("scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"),
 )
+# opacity is written as a logit, which 0 and 1 have none of; the step of 8 bits is 4000 times larger
+OPACITY_MARGIN = 1e-6
 BYTES_PER_GAUSSIAN = 4 * len(PROPERTIES)
 
 
 def ply_bytes(cloud: SplatCloud) -> bytes:
     """The content of a file."""
     table = np.zeros((len(cloud), len(PROPERTIES)), "<f4")
-    opacity = np.clip(cloud.opacity.astype(np.float64), PLY_OPACITY_MARGIN, 1 - PLY_OPACITY_MARGIN)
+    opacity = np.clip(cloud.opacity.astype(np.float64), OPACITY_MARGIN, 1 - OPACITY_MARGIN)
     table[:, 0:3] = cloud.positions_m
     table[:, 6:9] = (cloud.rgb - 0.5) / SH_C0
     table[:, 9] = np.log(opacity / (1 - opacity))

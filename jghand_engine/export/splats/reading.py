@@ -1,144 +1,195 @@
-"""Splat files of anybody, read without trust: PLY, .splat, GLB with KHR_gaussian_splatting, SPZ 2 and 3.
+"""What is in a splat file, ours or anybody's: PLY, .splat, GLB with KHR_gaussian_splatting, SPZ 2 and 3.
 
-What a file claims about itself is compared with the bytes that are there before memory is taken for it, and of what is
-there only a part is decoded at a time. Only degree 0 of the harmonics is read. What can be read and is yet suspicious
-is told in sentences.
+Of the harmonics only degree 0 is read. What can be read and is yet suspicious is told in sentences.
 """
 
 from __future__ import annotations
 
+import json
+import re
+import struct
+import zlib
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO
+from typing import Any
 
 import numpy as np
 
 from jghand_engine.errors import InputError
-from jghand_engine.export.splats.cloud import SplatCloud
-from jghand_engine.export.splats.dot_splat import BYTES_PER_GAUSSIAN, ROW
-from jghand_engine.export.splats.gltf_reading import glb_rows
-from jghand_engine.export.splats.ply_reading import ply_rows
-from jghand_engine.export.splats.rows import REMEDY, SplatRows, damaged
-from jghand_engine.export.splats.spz_reading import spz_rows
-from jghand_engine.limits import SPLAT_SIGMA_SANE_M, SPLAT_SIZE_SANE_M
+from jghand_engine.export.splats import spz
+from jghand_engine.export.splats.cloud import SH_C0, SplatCloud
+from jghand_engine.export.splats.dot_splat import ROW
+from jghand_engine.export.splats.gltf import EXTENSION, MAGIC
+
+# what parsing raises of files that lie; UnicodeDecodeError and JSONDecodeError are ValueErrors
+_DAMAGE = (ValueError, KeyError, IndexError, TypeError, AttributeError, OverflowError, RecursionError, struct.error,
+           zlib.error)  # fmt: skip
+# times that an SPZ file may grow when it is unpacked: hands grow to 1.8 times their size, a bomb of zeros to 1000
+SPZ_RATIO_MAX = 16
+# a median size, and a distance between Gaussians, above which nobody meant meters
+SIGMA_SANE_M, SIZE_SANE_M = 1.0, 1000.0
+# of a normalized whole number in glTF: its type, and what stands for 1
+_GLTF_TYPES = {
+    5126: ("<f4", 1),
+    5121: ("u1", 2**8 - 1),
+    5123: ("<u2", 2**16 - 1),
+    5120: ("i1", 127),
+    5122: ("<i2", 2**15 - 1),
+}
+_PLY_TYPES = {"float": "<f4", "float32": "<f4", "double": "<f8", "float64": "<f8", "uchar": "u1", "uint8": "u1",
+              "char": "i1", "int8": "i1", "ushort": "<u2", "uint16": "<u2", "short": "<i2", "int16": "<i2",
+              "uint": "<u4", "uint32": "<u4", "int": "<i4", "int32": "<i4"}  # fmt: skip
 
 
-@dataclass(frozen=True)
-class SplatFile:
-    """What a file holds. format: suffix · axes: "" where the file does not say · size_m: (3,) how far the centers
-    reach · sigma_m, opacity: smallest and largest · findings: what is suspicious"""
-
-    format: str
-    gaussians: int
-    axes: str
-    size_m: tuple[float, ...]
-    sigma_m: tuple[float, float]
-    opacity: tuple[float, float]
-    findings: tuple[str, ...]
-
-
-@contextmanager
-def open_splats(path: Path | str) -> Iterator[SplatRows]:
-    """The Gaussians of a file, as long as it is open. InputError, which names the file and what is wrong, for one that
-    cannot be read: another kind, damaged, cut off, or longer than it says."""
-    place = Path(path)
-    reader = _READERS.get(place.suffix.lower())
+def read_splats(path: Path | str) -> SplatCloud:
+    """The Gaussians of a file; axes "" where it does not say. InputError, which names it, for one that is damaged, and
+    for numbers that are not finite."""
+    path = Path(path)
+    reader = _READERS.get(path.suffix.lower())
     if reader is None:
-        raise InputError(f"{place}", wanted=f"a splat file: {', '.join(_READERS)}", came=place.suffix or "no suffix")
+        raise InputError(f"{path}", wanted=f"a splat file ({', '.join(_READERS)})", came=path.suffix or "no suffix")
     try:
-        with place.open("rb") as stream:
-            if not place.stat().st_size:
-                raise InputError(f"{place}", wanted="Gaussians", came="an empty file", remedy=REMEDY)
-            yield reader(place, stream)
+        cloud = reader(path.read_bytes())
     except OSError as error:
-        raise InputError(f"cannot read {place}", came=error.strerror or str(error), remedy="Check the name.") from error
+        raise InputError(f"cannot read {path}: {error.strerror or error}", remedy="Check the name.") from error
+    except _DAMAGE as error:
+        raise InputError(
+            f"{path}", wanted=f"a whole {path.suffix[1:].lower()} file of Gaussians", came=str(error)[:200],
+            remedy="Write the file again with the program that it came from.",
+        ) from error  # fmt: skip
+    for name in ("positions_m", "scales_m", "rotations_wxyz", "opacity", "rgb"):
+        if not np.isfinite(getattr(cloud, name)).all():
+            raise InputError(f"{path}, {name}", wanted="finite numbers", came="NaN or infinity")
+    return cloud
 
 
-def read_splats(path: Path | str) -> SplatFile:
-    """What a file holds. InputError as `open_splats`, and for values that are no numbers."""
-    seen = _Seen()
-    with open_splats(path) as rows:
-        for cloud in rows.parts():
-            seen.add(cloud)
-        reach_m = np.subtract(seen.position_m.high, seen.position_m.low)
-        size_m = tuple(float(edge) for edge in reach_m) if rows.count else (0.0, 0.0, 0.0)
-        return SplatFile(
-            Path(path).suffix.lower()[1:], rows.count, rows.axes, size_m, seen.sigma_m.ends(), seen.opacity.ends(),
-            (*rows.findings, *_findings(rows.count, seen, size_m)),
-        )  # fmt: skip
-
-
-class _Range:
-    """The lowest and highest of numbers, in float64; axis: None for all of them together."""
-
-    def __init__(self, axis: int | None = None) -> None:
-        self.axis = axis
-        self.low, self.high = np.array(np.inf), np.array(-np.inf)
-
-    def add(self, numbers: np.ndarray) -> None:
-        self.low = np.asarray(np.minimum(self.low, numbers.min(self.axis)))
-        self.high = np.asarray(np.maximum(self.high, numbers.max(self.axis)))
-
-    def ends(self) -> tuple[float, float]:
-        return float(self.low), float(self.high)
-
-
-@dataclass
-class _Seen:
-    """What the parts of a file have shown. wide: sizes above SPLAT_SIGMA_SANE_M · turnless: rotations of no length"""
-
-    position_m: _Range = field(default_factory=lambda: _Range(axis=0))
-    sigma_m: _Range = field(default_factory=_Range)
-    opacity: _Range = field(default_factory=_Range)
-    wide: int = 0
-    turnless: int = 0
-
-    def add(self, cloud: SplatCloud) -> None:
-        self.position_m.add(cloud.positions_m)
-        self.sigma_m.add(cloud.scales_m)
-        self.opacity.add(cloud.opacity)
-        self.wide += int((cloud.scales_m > SPLAT_SIGMA_SANE_M).sum())
-        self.turnless += int((np.linalg.norm(cloud.rotations_wxyz, axis=1) < 1e-6).sum())
-
-
-def _findings(count: int, seen: _Seen, size_m: tuple[float, ...]) -> Iterator[str]:
-    if count == 0:
+def splat_findings(cloud: SplatCloud) -> Iterator[str]:
+    """What is suspicious, in sentences."""
+    if not len(cloud):
         yield "there are no Gaussians"
         return
-    if max(size_m) > SPLAT_SIZE_SANE_M:
-        yield f"the Gaussians reach over {max(size_m):.2g} m: some are probably damaged, or the unit is not the meter"
-    if seen.sigma_m.low <= 0:
+    reach_m = float(np.ptp(cloud.positions_m.astype(np.float64), axis=0).max())
+    if reach_m > SIZE_SANE_M:
+        yield f"the Gaussians reach over {reach_m:.2g} m: some are probably damaged, or the unit is not the meter"
+    if cloud.scales_m.min() <= 0:
         yield "sizes are not all above 0: they are probably logarithms where meters are wanted"
-    elif 2 * seen.wide > 3 * count:
+    elif np.median(cloud.scales_m) > SIGMA_SANE_M:
         yield "half of the Gaussians are wider than a meter: sizes are probably linear where logarithms are wanted"
-    if seen.opacity.low < 0 or seen.opacity.high > 1:
+    if cloud.opacity.min() < 0 or cloud.opacity.max() > 1:
         yield "opacities are not all from 0 to 1: they are probably logits"
-    elif seen.opacity.low >= 0.5 and seen.opacity.high <= 0.7311:
+    elif cloud.opacity.min() >= 0.5 and cloud.opacity.max() <= 0.7311:
         yield "opacities are all from 0.5 to 0.73: they are probably no logits where logits are wanted"
-    if seen.turnless:
+    if (np.linalg.norm(cloud.rotations_wxyz, axis=1) < 1e-6).any():
         yield "some rotations have no length: readers drop those Gaussians or draw nothing"
 
 
-def _dot_splat_rows(path: Path, stream: IO[bytes]) -> SplatRows:
-    size = path.stat().st_size
-    if size % BYTES_PER_GAUSSIAN:
-        raise damaged(path, f"a multiple of {BYTES_PER_GAUSSIAN} bytes", size)
-    table = np.memmap(stream, ROW, "r")
+def _ply(content: bytes) -> SplatCloud:
+    found = re.match(rb"ply\r?\n(?s:.*?)\nend_header\r?\n", content[:65_536])
+    if not found:
+        raise ValueError("no PLY header")
+    lines = [line.split() for line in found[0].decode("ascii").splitlines()]
+    if ["format", "binary_little_endian", "1.0"] not in lines:
+        raise ValueError("another format than binary_little_endian 1.0")
+    elements = [words for words in lines if words[:1] == ["element"]]
+    if not elements or elements[0][1] != "vertex":
+        raise ValueError("no vertices at its beginning")
+    end = lines.index(elements[1]) if len(elements) > 1 else len(lines)
+    row = np.dtype([(words[2], _PLY_TYPES[words[1]]) for words in lines[:end] if words[:1] == ["property"]])
+    table = np.frombuffer(content, row, int(elements[0][2]), found.end())
+    if len(elements) == 1 and len(content) != found.end() + table.nbytes:
+        raise ValueError("more bytes than its header says")
 
-    def part(rows: slice) -> SplatCloud:
-        some = table[rows]
-        rgba = some["rgba"] / np.float32(255)
-        turns = (some["rotation"].astype(np.float32) - 128) / 128
-        return SplatCloud(np.array(some["position"]), np.array(some["scale"]), turns, rgba[:, 3], rgba[:, :3], "")
+    def columns(*names: str) -> np.ndarray:
+        return np.stack([table[name].astype(np.float32) for name in names], -1)
 
-    return SplatRows(path, len(table), "", part)
+    said = re.search(rb"^comment JGHand .*axes=(rdf|rub)\b", found[0], re.MULTILINE)
+    with np.errstate(over="ignore"):
+        return SplatCloud(
+            columns("x", "y", "z"),
+            np.exp(columns("scale_0", "scale_1", "scale_2")),
+            columns("rot_0", "rot_1", "rot_2", "rot_3"),
+            1 / (1 + np.exp(-columns("opacity")[:, 0])),
+            columns("f_dc_0", "f_dc_1", "f_dc_2") * np.float32(SH_C0) + np.float32(0.5),
+            said[1].decode() if said else "",
+        )
 
 
-_READERS: dict[str, Callable[[Path, IO[bytes]], SplatRows]] = {
-    ".ply": ply_rows,
-    ".splat": _dot_splat_rows,
-    ".glb": glb_rows,
-    ".spz": spz_rows,
-}
+def _dot_splat(content: bytes) -> SplatCloud:
+    if not content:
+        raise ValueError("an empty file")
+    table = np.frombuffer(content, ROW)
+    rgba = table["rgba"] / np.float32(255)
+    turns = (table["rotation"].astype(np.float32) - 128) / 128
+    return SplatCloud(table["position"], table["scale"], turns, rgba[:, 3], rgba[:, :3], "")
+
+
+def _glb(content: bytes) -> SplatCloud:
+    magic, version, size, text_size = struct.unpack_from("<4sIII", content)
+    if magic != MAGIC or version != 2 or size != len(content):
+        raise ValueError("another header than that of a binary glTF 2")
+    about = json.loads(content[20 : 20 + text_size])
+    primitives = [
+        one for mesh in about["meshes"] for one in mesh["primitives"] if EXTENSION in one.get("extensions", {})
+    ]
+    if len(primitives) != 1:
+        raise ValueError(f"{len(primitives)} primitives with {EXTENSION}")
+    binary, attributes = content[28 + text_size :], primitives[0]["attributes"]
+    names = ("POSITION", *(f"{EXTENSION}:{name}" for name in ("SCALE", "ROTATION", "OPACITY", "SH_DEGREE_0_COEF_0")))
+    position, scale, turn, opacity, harmonics = (_gltf_rows(about, attributes[name], binary) for name in names)
+    rgb = harmonics * np.float32(SH_C0) + np.float32(0.5)
+    return SplatCloud(position, scale, turn[:, [3, 0, 1, 2]], opacity[:, 0], rgb, "rub")
+
+
+def _gltf_rows(about: dict[str, Any], index: int, binary: bytes) -> np.ndarray:
+    """(N, width) float32 of an accessor, in the file's own buffer."""
+    accessor = about["accessors"][index]
+    view = about["bufferViews"][accessor["bufferView"]]
+    if view["buffer"] != 0 or "uri" in about["buffers"][0]:
+        raise ValueError("numbers in another file")
+    kind, one = _GLTF_TYPES[accessor["componentType"]]
+    count, width = accessor["count"], {"SCALAR": 1, "VEC3": 3, "VEC4": 4}[accessor["type"]]
+    start, item = view.get("byteOffset", 0) + accessor.get("byteOffset", 0), np.dtype(kind).itemsize
+    strides = (view.get("byteStride", width * item), item)
+    values = np.ndarray((count, width), kind, binary, start, strides).astype(np.float32)
+    return np.maximum(values / np.float32(one), -1) if accessor.get("normalized") else values
+
+
+def _spz(content: bytes) -> SplatCloud:
+    if content.startswith(struct.pack("<I", spz.MAGIC)):
+        raise ValueError("version 4, whose parts are packed by zstd")
+    limit = SPZ_RATIO_MAX * len(content)
+    unpacker = zlib.decompressobj(16 + zlib.MAX_WBITS)
+    data = unpacker.decompress(content, limit)
+    if not unpacker.eof or unpacker.unused_data:
+        raise ValueError("a file that is cut off or too long, or unpacks to more than hands do")
+    magic, version, count, _degree, bits, *_ = struct.unpack_from("<IIIBBBB", data)
+    if magic != spz.MAGIC or version not in (2, 3) or bits > spz.POSITION_BITS:
+        raise ValueError(f"a header of version {version}")
+    tables, start = [], 16
+    for width in (9, 1, 3, 3, 4 if version == 3 else 3):
+        tables.append(np.frombuffer(data, np.uint8, count * width, start).reshape(count, width))
+        start += count * width
+    positions, alphas, colors, sizes, turns = tables
+    whole = np.zeros((count, 3, 4), np.uint8)
+    whole[..., 1:] = positions.reshape(-1, 3, 3)
+    harmonics = (colors / np.float32(255) - np.float32(0.5)) / np.float32(spz.COLOR_SCALE)
+    return SplatCloud(
+        (whole.view("<i4")[..., 0] >> 8) / np.float32(2**bits),
+        np.exp(sizes / np.float32(spz.STEPS_PER_LN) + np.float32(spz.LN_SIGMA_MIN)),
+        (spz.unpacked_smallest_three if version == 3 else _first_three)(np.ascontiguousarray(turns)),
+        alphas[:, 0] / np.float32(255),
+        harmonics * np.float32(SH_C0) + np.float32(0.5),
+        "rub",
+    )
+
+
+def _first_three(turns: np.ndarray) -> np.ndarray:
+    """(N, 4) w, x, y, z from the three bytes of SPZ 2."""
+    xyz = turns / np.float32(127.5) - 1
+    w = np.sqrt(np.maximum(0, 1 - np.square(xyz).sum(1, keepdims=True)))
+    return np.concatenate([w, xyz], 1)
+
+
+_READERS: dict[str, Callable[[bytes], SplatCloud]] = {
+    ".ply": _ply, ".splat": _dot_splat, ".glb": _glb, ".spz": _spz,
+}  # fmt: skip

@@ -17,12 +17,17 @@ import struct
 import numpy as np
 
 from jghand_engine.export.pictures import to_bytes
-from jghand_engine.export.splats.cloud import SplatCloud
-from jghand_engine.limits import SH_C0, SPZ_COLOR_SCALE, SPZ_FRACTIONAL_BITS, SPZ_GZIP_LEVEL, SPZ_LN_SIGMA_MIN
+from jghand_engine.export.splats.cloud import SH_C0, SplatCloud
 
 MAGIC, VERSION = 0x5053474E, 3
 POSITION_BITS, QUATERNION_BITS, STEPS_PER_LN = 24, 9, 16
 BYTES_PER_GAUSSIAN = 20
+# bits of a position behind the point: steps of 0.004 mm, and 32 m on each side of the origin
+FRACTIONAL_BITS = 18
+# what the harmonics of band 0 are multiplied by before they are cut to 0..1, and where ln(sigma) begins
+COLOR_SCALE, LN_SIGMA_MIN = 0.15, -10.0
+# 0..9, as the format's own library has it
+GZIP_LEVEL = 6
 
 
 def spz_bytes(cloud: SplatCloud) -> bytes:
@@ -33,20 +38,20 @@ def spz_bytes(cloud: SplatCloud) -> bytes:
         struct.pack("<IIIBBBB", MAGIC, VERSION, len(cloud), 0, bits, 0, 0),
         _fixed_point(cloud.positions_m, bits),
         to_bytes(cloud.opacity).tobytes(),
-        to_bytes(harmonics * SPZ_COLOR_SCALE + 0.5).tobytes(),
-        _steps((np.log(cloud.scales_m) - SPZ_LN_SIGMA_MIN) * STEPS_PER_LN).tobytes(),
+        to_bytes(harmonics * COLOR_SCALE + 0.5).tobytes(),
+        _steps((np.log(cloud.scales_m) - LN_SIGMA_MIN) * STEPS_PER_LN).tobytes(),
         _smallest_three(cloud.rotations_wxyz[:, [1, 2, 3, 0]]).tobytes(),
     )
     # without a time, so that equal hands give equal files
-    return gzip.compress(b"".join(parts), SPZ_GZIP_LEVEL, mtime=0)
+    return gzip.compress(b"".join(parts), GZIP_LEVEL, mtime=0)
 
 
 def fractional_bits(positions_m: np.ndarray) -> int:
-    """As many as the farthest of (N, 3) centers leaves, at most SPZ_FRACTIONAL_BITS."""
+    """As many as the farthest of (N, 3) centers leaves, at most FRACTIONAL_BITS."""
     farthest_m = float(np.abs(positions_m).max(initial=0))
     # one step of room for rounding up
-    whole_bits = 0 if farthest_m == 0 else math.ceil(math.log2(farthest_m + 2**-SPZ_FRACTIONAL_BITS))
-    return max(0, min(SPZ_FRACTIONAL_BITS, POSITION_BITS - 1 - whole_bits))
+    whole_bits = 0 if farthest_m == 0 else math.ceil(math.log2(farthest_m + 2**-FRACTIONAL_BITS))
+    return max(0, min(FRACTIONAL_BITS, POSITION_BITS - 1 - whole_bits))
 
 
 def _fixed_point(positions_m: np.ndarray, bits: int) -> bytes:

@@ -1,42 +1,546 @@
-"""A stage as one file: with the chosen variant alone in a .usdc, or with everything in a .usdz (EXPORT 5)."""
+"""Export of an animated hand as an OpenUSD stage (docs/EXPORT.md).
+
+    hand.usda          what others reference: the variants        stage
+    hand.splats.usdc   the Gaussians, posed, per frame            splats
+    hand.rig.usdc      skeleton, animation, skinned mesh          rig
+    hand.skinned.usdc  Gaussians that follow the skeleton         rig
+    hand.shot.usda     the hand and the cameras                   shot
+
+or one file of all that. The colors of a trained avatar change with the pose, as its light falls on it: every frame then
+has its own, and the file is three times as large. What its skin mirrors depends on the camera, and is left out, as is
+the self-shadow.
+
+Everything is written into a temporary folder beside the target and renamed into place when it is complete.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import math
+import os
+import re
+import shutil
+import tempfile
+import time
+import zipfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any, Literal
 
+import numpy as np
 from pxr import Sdf, Usd
 
-from jghand_engine.errors import RetryError
-from jghand_engine.export.usd.layers import TimeRange
-from jghand_engine.export.usd.options import LayerNames, Variant
-from jghand_engine.export.usd.splats import Places, SplatLayer, SplatPrims
-from jghand_engine.export.usd.stage import HAND_PATH
-from jghand_engine.export.usd.zip import write_zip
+from jghand_engine import __version__
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.fast_posing import PosedFrame
+from jghand_engine.errors import InputError, RetryError
+from jghand_engine.export.made_from import made_from
+from jghand_engine.export.motion import HandMotion
+from jghand_engine.export.splats.cloud import SteadyAxes
+from jghand_engine.export.usd.rig import (
+    Rig,
+    SkinnedCloud,
+    build_skeleton,
+    in_motion,
+    vertex_colors,
+    write_rig,
+    write_skinned,
+)
+from jghand_engine.export.usd.shot import write_shot
+from jghand_engine.export.usd.splats import Cloud, Look, Places, Sample, SplatLayer
+from jghand_engine.export.usd.stage import (
+    HAND_PATH,
+    Interface,
+    LayerNames,
+    TimeRange,
+    Variant,
+    usd_errors,
+    write_interface,
+)
+from jghand_engine.files import check_room, make_folder, sync
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.render.camera import Camera
+from jghand_engine.template.builtin import load_template
+from jghand_engine.template.mesh import HandTemplate, mirrored
+
+IDENTIFIER = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
+CREATOR = "JGHand"
+Package = Literal["layers", "usdc", "usdz"]
+PACKAGES: tuple[Package, ...] = ("layers", "usdc", "usdz")
+IMAGE_STATES = {"srgb": "display-referred sRGB", "linear": "linear light"}
+# what Omniverse, usdview and Blender draw points as is a ball without a soft edge: two standard deviations close the
+# skin (as the extension has it)
+BALL_WIDTH_FACTOR = 2.0
+# bytes beside the samples of Gaussians, generous: of each Gaussian once (static arrays, skin), of each frame (bones,
+# bounds, times), and of the layers
+GAUSSIAN_BYTES, FRAME_BYTES, LAYER_BYTES = 180, 3_500, 2_000_000
+# bytes of a file in a .usdz: more would make it a zip with numbers of 64 bits, which USD does not read
+USDZ_BYTES_MAX = int(zipfile.ZIP64_LIMIT / 1.05)
+# in a .usdz each file begins at a multiple of this, so that readers map it into memory
+USDZ_ALIGNMENT = 64
 
 
-def write_archive(folder: Path, names: LayerNames, target: Path) -> None:
-    """Packs a stage and its layers into a .usdz. InputError when they are too large for one."""
-    write_zip(target, [folder / name for name in (names.interface, names.rig, names.splats, names.skinned)])
+@dataclass(frozen=True)
+class UsdOptions:
+    """How a stage is written.
 
-
-def write_flat(interface: Path, target: Path) -> None:
-    """Puts a stage with its chosen variant into one layer, all of it in memory: without the frames of Gaussians, which
-    `frames_of_flat` adds. RetryError when USD cannot."""
-    # the comment would tell a place on our disk, as the identifier does that flattening makes of a relative one
-    layer = Usd.Stage.Open(str(interface)).Flatten(addSourceFileComment=False)
-    layer.GetPrimAtPath(HAND_PATH).assetInfo["identifier"] = Sdf.AssetPath(f"./{target.name}")
-    if not layer.Export(str(target)):
-        raise RetryError(f"cannot write {target.name}", remedy="Check the disk and try again.")
-
-
-def frames_of_flat(target: Path, variant: Variant, prims: SplatPrims, time: TimeRange) -> SplatLayer | None:
-    """What adds the frames to a file that `write_flat` made; None for a variant that has none.
-
-    prims: of the layer that was put there, which knows what does not move
+    name: stem of the files
+    default_variant: what a reader shows that cannot choose (Blender)
+    radiance: "srgb" keeps the avatar's display-referred colors in the splats, "linear" writes light
+    sizes: "constant": radii of the mean hand; "per_frame": as the engine shrinks and stretches them, in larger files.
+        Gaussians that are no balls have theirs in every frame
+    width_factor: diameter of the points of all variants, in two standard deviations
+    template: surface of the avatar; None takes the built-in one
+    first_frame: time code of the first frame
+    up: the axis of the motion's world that points up; written down, nothing is turned
+    precision: "half": the splats in half the size, at a price that the report says; there are no `points` then
+    package: "layers": files that refer to each other, with all variants and a shot; "usdc": one file with the chosen
+        variant alone; "usdz": one file with all variants
+    overwrite: also replace files of these names that are there
     """
-    if not variant.has_frames:
-        return None
-    is_splats = variant is Variant.SPLATS
-    places = Places(f"{HAND_PATH}/Splats", None) if is_splats else Places(None, f"{HAND_PATH}/Points")
-    stage = Usd.Stage.Open(str(target))
-    return SplatLayer(stage, prims.elsewhere(stage, places), time)
+
+    name: str = "hand"
+    default_variant: Variant = Variant.SPLATS
+    radiance: Literal["srgb", "linear"] = "srgb"
+    sizes: Literal["constant", "per_frame"] = "constant"
+    width_factor: float = 1.0
+    template: HandTemplate | None = None
+    first_frame: int = 0
+    up: Literal["y", "z"] = "y"
+    precision: Literal["float", "half"] = "float"
+    package: Package = "layers"
+    overwrite: bool = False
+
+    def __post_init__(self) -> None:
+        if not IDENTIFIER.fullmatch(self.name):
+            raise InputError("name of the USD files", wanted="letters, digits and _", came=repr(self.name))
+        for option, value, wanted in (
+            ("default variant", self.default_variant, tuple(Variant)),
+            ("radiance", self.radiance, ("srgb", "linear")),
+            ("sizes", self.sizes, ("constant", "per_frame")),
+            ("up", self.up, ("y", "z")),
+            ("precision", self.precision, ("float", "half")),
+            ("package", self.package, PACKAGES),
+        ):
+            if value not in wanted:
+                raise InputError(option, wanted=" or ".join(wanted), came=repr(value))
+        if not (math.isfinite(self.width_factor) and self.width_factor > 0):
+            raise InputError("width factor", wanted="a finite number above 0", came=str(self.width_factor))
+        if self.is_half and self.default_variant == Variant.POINTS:
+            raise InputError(
+                "default variant", wanted="splats, points_skinned or mesh in half precision", came="points",
+                remedy="USD's points know no half precision: leave it out, or choose points_skinned.",
+            )  # fmt: skip
+        if self.is_half and self.package == "usdc" and self.default_variant != Variant.SPLATS:
+            raise InputError(
+                "precision half of package usdc", wanted="the variant splats, which it is of",
+                came=str(self.default_variant), remedy="Leave it out: it would change nothing in this file.",
+            )  # fmt: skip
+
+    @property
+    def is_half(self) -> bool:
+        """Whether the splats are in half precision."""
+        return self.precision == "half"
+
+    @property
+    def variants(self) -> tuple[Variant, ...]:
+        """Those that the stage offers."""
+        return tuple(one for one in Variant if not (self.is_half and one is Variant.POINTS))
+
+    @property
+    def files(self) -> tuple[str, ...]:
+        """Names of the files, those that refer to others after them."""
+        names = LayerNames(self.name)
+        if self.package != "layers":
+            return (f"{self.name}.{self.package}",)
+        return names.rig, names.splats, names.skinned, names.interface, names.shot
+
+
+@dataclass(frozen=True)
+class Preset:
+    """What suits a program (EXPORT 4).
+
+    variant: what it shows
+    advice: what its user has to know, in sentences
+    width_factor: of points
+    """
+
+    variant: Variant
+    advice: str
+    width_factor: float = 1.0
+
+
+PRESETS: Mapping[str, Preset] = {
+    "generic": Preset(
+        Variant.SPLATS, "Programs that know no splats show points: by fallbackPrimTypes, or as variant points."
+    ),
+    "omniverse": Preset(
+        Variant.SPLATS,
+        "Splats glow there and throw no shadow. A path tracer may take their colors for light: where they look too "
+        "bright, add --radiance linear. Not tried by us; NVIDIA's validator finds nothing.",
+    ),
+    "usdview": Preset(
+        Variant.POINTS_SKINNED,
+        "Storm draws no splats: these are points that follow the skeleton, without what training added to the pose. "
+        "With the plugin hdParticleField choose the variant splats.",
+        BALL_WIDTH_FACTOR,
+    ),
+    "blender": Preset(
+        Variant.POINTS,
+        "Set the scene's frame rate to that of the stage: Blender's importer leaves it. A Blender that draws splats "
+        "itself wants --default-variant splats.",
+        BALL_WIDTH_FACTOR,
+    ),
+    "houdini": Preset(
+        Variant.POINTS, "Widths are two standard deviations. SOPs that want splats read PLY: jghand export splats."
+    ),
+}
+
+
+@dataclass(frozen=True)
+class UsdReport:
+    """What an export did.
+
+    stage: path of the interface layer or of the single file
+    shot: path of the shot; None of a single file
+    bytes: size by file name
+    seconds: time by step of the work
+    sigma_error: largest relative difference between a written radius and the engine's (0 with sizes per frame)
+    half_error_m: the largest error of a center that half precision made, meters; None without
+    made_from: what the function of that name says
+    """
+
+    stage: Path
+    shot: Path | None
+    frames: int
+    gaussians: int
+    bytes: Mapping[str, int] = field(default_factory=dict)
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    sigma_error: float = 0.0
+    half_error_m: float | None = None
+    made_from: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def write_ms_per_frame(self) -> float:
+        """Milliseconds per frame to write the Gaussians, posing them not included."""
+        return 1e3 * self.seconds["splats"] / self.frames
+
+    @property
+    def megabytes_per_frame(self) -> float:
+        """Size of the whole export over its frames, 1e6 bytes."""
+        return sum(self.bytes.values()) / 1e6 / self.frames
+
+
+def export_usd(
+    folder: Path | str,
+    avatar: HandAvatar,
+    sequence: PoseSequence,
+    cameras: Mapping[str, Camera] | Sequence[Camera] = (),
+    options: UsdOptions | None = None,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+) -> UsdReport:
+    """Writes the animated hand into `folder`, which may hold other files.
+
+    cameras: by name, or in a row (cam0, cam1, …); only the shot layer has them
+    progress: called with (frames done, frames) after every frame
+    Raises InputError for a motion with gaps, a template that is not the avatar's, a folder that cannot be written,
+    files in the way, a .usdz that would be too large; RetryError for a full or too small disk. On any failure the
+    folder is left as it was.
+    """
+    options = options or UsdOptions()
+    motion = HandMotion(avatar, sequence)
+    named_cameras = name_cameras(cameras)
+    template = template_of(avatar, options.template, motion.handedness)
+    target = make_folder(folder)
+    _check_place(target, options)
+    stamp = made_from(avatar, sequence)
+    span = TimeRange(
+        len(motion), float(sequence.fps), options.first_frame, options.up, provenance(motion.avatar, stamp)
+    )
+    writer = _Writer(motion, options, span, progress)
+    _check_size(target, writer.expected_bytes, options)
+    with usd_errors(target), _arriving(target, options) as (layers, arrived):
+        writer.write(layers, arrived, template, named_cameras)
+        sizes = {path.name: path.stat().st_size for path in sorted(arrived.iterdir())}
+    names, is_single = writer.names, options.package != "layers"
+    return UsdReport(
+        target / (options.files[0] if is_single else names.interface), None if is_single else target / names.shot,
+        len(motion), len(avatar), sizes, writer.seconds, writer.sigma_error, writer.half_error_m, stamp,
+    )  # fmt: skip
+
+
+def name_cameras(cameras: Mapping[str, Camera] | Sequence[Camera]) -> dict[str, Camera]:
+    """Cameras by a name that USD accepts; InputError otherwise."""
+    named = dict(cameras) if isinstance(cameras, Mapping) else {f"cam{i}": c for i, c in enumerate(cameras)}
+    for name in named:
+        if not IDENTIFIER.fullmatch(name):
+            raise InputError("camera name", wanted="letters, digits and _, no digit first", came=repr(name))
+    return named
+
+
+def template_of(avatar: HandAvatar, template: HandTemplate | None, handedness: Handedness) -> HandTemplate:
+    """The surface of the avatar's hand, mirrored for a left one. InputError when it is not the one the avatar was
+    made on: the skin would follow other joints."""
+    template = template or load_template()
+    if template.identifier != avatar.info.template or not np.allclose(
+        template.joints_m, np.asarray(avatar.canonical_joints_m), rtol=0, atol=1e-7
+    ):
+        raise InputError(
+            "template",
+            wanted=f"{avatar.info.template!r}, on which the avatar was made",
+            came=repr(template.identifier),
+            remedy="Give the avatar's own template (UsdOptions.template).",
+        )
+    return mirrored(template) if handedness is Handedness.LEFT else template
+
+
+def provenance(avatar: HandAvatar, stamp: Mapping[str, str]) -> dict[str, Any]:
+    """customLayerData of every layer: who wrote it, of what, under which license. stamp: what it was made from."""
+    info = avatar.info
+    # keys as earlier exports have them
+    about = {**stamp, "avatar": info.name, "template": info.template, "licence": info.license}
+    if info.learned_from is not None:
+        about |= {
+            "learnt_from": info.learned_from.capture,
+            "learned_from_pictures": info.learned_from.pictures,
+            "learned_from_digest": info.learned_from.digest,
+        }
+    return {"creator": f"{CREATOR} {__version__}", "jghand": about}
+
+
+def describe(avatar: HandAvatar, handedness: Handedness, options: UsdOptions) -> dict[str, Any]:
+    """customData of the hand: what a client cannot see from the attributes. imageState is that of the radiance."""
+    learned = avatar.learned
+    still = learned is None or learned.correctives is None
+    return {
+        "gaussians": len(avatar),
+        "handedness": str(handedness),
+        "imageState": IMAGE_STATES[options.radiance],
+        "licence": avatar.info.license,
+        # learned pose offsets are in the per-frame positions; what is skinned shows plain skinning
+        "offsets": "none" if still else "in the positions of the splats",
+        "skinnedOffsets": "none",
+        "colors": "constant" if learned is None else "per frame, in the light of the capture",
+        "gloss": "none" if learned is None else "left out: it depends on the camera",
+        "sizes": options.sizes,
+        "precision": options.precision,
+    }
+
+
+class _Writer:
+    """Writes one stage. What it measured on the way: seconds by step, errors of radii and of half precision."""
+
+    def __init__(
+        self,
+        motion: HandMotion,
+        options: UsdOptions,
+        span: TimeRange,
+        progress: Callable[[int, int], None] | None,
+    ) -> None:
+        self.names, self._motion, self._options, self._span = LayerNames(options.name), motion, options, span
+        self._progress = progress or (lambda done, frames: None)
+        self._look = Look(options.radiance, options.width_factor, options.is_half)
+        self._axes = SteadyAxes()
+        self.seconds: dict[str, float] = {}
+        self.sigma_error = 0.0
+        self.half_error_m: float | None = None
+        with self._clock("rig"):
+            self._cloud = Cloud(*motion.rest_arrays())
+
+    @property
+    def expected_bytes(self) -> int:
+        """Of all layers together, rather too many."""
+        count, frames = len(self._motion.avatar), self._span.frames
+        each = 0
+        if self._options.package != "usdc" or Variant(self._options.default_variant).has_frames:
+            # positions, colors, sizes and turns of splats; widths and colors of points; equal arrays are stored once
+            colored, sized, turned = self._motion.colors_move, self._has_sizes, self._motion.has_ellipsoids
+            numbers = 3 + 3 * colored + 3 * sized + 4 * turned
+            each = 2 * numbers if self._options.is_half else 4 * numbers + 4 * sized + 12 * colored
+        return count * (GAUSSIAN_BYTES + each * (frames + 1)) + frames * FRAME_BYTES + LAYER_BYTES
+
+    def write(self, layers: Path, arrived: Path, template: HandTemplate, cameras: Mapping[str, Camera]) -> None:
+        """Writes layers into `layers`, and the single file, where one is wanted, into `arrived`."""
+        options, motion, names, span = self._options, self._motion, self.names, self._span
+        with self._clock("rig"):
+            skeleton = build_skeleton(motion.rest_poses())
+            colors = vertex_colors(template.vertices_m, self._cloud)
+            write_rig(layers / names.rig, Rig(skeleton, in_motion(skeleton, motion.poses()), template, colors), span)
+        with self._clock("skinned points"):
+            weights = np.asarray(motion.avatar.bone_weights)
+            write_skinned(layers / names.skinned, SkinnedCloud(self._cloud, weights, options.width_factor), span)
+        with self._clock("splats"):
+            splats = SplatLayer.new(layers / names.splats, self._cloud, span, self._look, self._rest())
+        if options.package != "usdc":
+            self._write_frames(splats)
+        else:
+            with self._clock("splats"):
+                splats.finish()
+        about = describe(motion.avatar, motion.handedness, options)
+        interface = Interface(motion.avatar.info.name, about, options.variants, Variant(options.default_variant))
+        with self._clock("stage"):
+            write_interface(layers, names, interface, span)
+            if options.package == "layers":
+                write_shot(layers, names, cameras, motion.sequence.joints_m, span)
+        with self._clock("package"):
+            if options.package == "usdz":
+                files = (names.interface, names.rig, names.splats, names.skinned)
+                write_archive([layers / name for name in files], arrived / options.files[0])
+            elif options.package == "usdc":
+                frames = self._flattened(layers / names.interface, arrived / options.files[0])
+        if options.package == "usdc":
+            # after the rest: flattened with it they would all be in memory at once
+            self._write_frames(frames)
+        if options.is_half:
+            self.half_error_m = max(splats.half_error_m, self.half_error_m or 0.0)
+
+    def _flattened(self, interface: Path, target: Path) -> SplatLayer | None:
+        """Puts a stage with its chosen variant into one file; gives what adds the frames of Gaussians to it, None where
+        the variant has none. RetryError when USD cannot."""
+        # the comment would tell a place on our disk, as the identifier does that flattening makes of a relative one
+        layer = Usd.Stage.Open(str(interface)).Flatten(addSourceFileComment=False)
+        layer.GetPrimAtPath(HAND_PATH).assetInfo["identifier"] = Sdf.AssetPath(f"./{target.name}")
+        if not layer.Export(str(target)):
+            raise RetryError(f"cannot write {target.name}", remedy="Check the disk and try again.")
+        variant = Variant(self._options.default_variant)
+        if not variant.has_frames:
+            return None
+        is_splats = variant is Variant.SPLATS
+        places = Places(f"{HAND_PATH}/Splats", None) if is_splats else Places(None, f"{HAND_PATH}/Points")
+        return SplatLayer(Usd.Stage.Open(str(target)), self._span, self._look, self._cloud.sigma_m, places)
+
+    def _write_frames(self, layer: SplatLayer | None) -> None:
+        """All of them into a layer; None for a file that has none."""
+        if layer is None:
+            self._progress(self._span.frames, self._span.frames)
+            return
+        for index in range(self._span.frames):
+            with self._clock("posing"):
+                posed = self._motion.frame(index)
+                if not self._has_sizes:
+                    off = np.abs(self._cloud.sigma_m / posed.sigma_m - 1).max(initial=0)
+                    self.sigma_error = max(self.sigma_error, float(off))
+                sample = self._sample(posed, self._motion.wrist_m(index))
+            with self._clock("splats"):
+                layer.put(index, sample)
+            self._progress(index + 1, self._span.frames)
+        with self._clock("splats"):
+            layer.finish()
+        if self._options.is_half:
+            self.half_error_m = layer.half_error_m
+
+    def _rest(self) -> Sample:
+        rest_m = self._cloud.rest_m
+        if not self._motion.has_ellipsoids:
+            return Sample(rest_m)
+        shape = self._sample(self._motion.rest())
+        return Sample(rest_m, scales_m=shape.scales_m, turns_xyzw=shape.turns_xyzw)
+
+    def _sample(self, posed: PosedFrame, wrist_m: np.ndarray | None = None) -> Sample:
+        """A frame as it is written; asked for in the order of time, as ellipsoids keep the axes of the one before."""
+        scales_m, turns_xyzw = None, None
+        if posed.covariance_m2 is not None:
+            scales_m, turns_xyzw = self._axes(posed.covariance_m2)
+        return Sample(
+            posed.positions_m, posed.sigma_m if self._has_sizes else None, posed.rgb, scales_m, turns_xyzw, wrist_m
+        )
+
+    @property
+    def _has_sizes(self) -> bool:
+        """Whether every frame has sizes of its own."""
+        return self._options.sizes == "per_frame" or self._motion.has_ellipsoids
+
+    @contextlib.contextmanager
+    def _clock(self, name: str) -> Iterator[None]:
+        start = time.perf_counter()
+        yield
+        self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - start
+
+
+# ---- files -----------------------------------------------------------------------------------------------------------
+
+
+def write_archive(files: Sequence[Path], target: Path) -> None:
+    """A .usdz: a zip of stored files, the one that is opened first. Not by USD, which takes memory for all that it
+    packs. InputError where a file is too large for one."""
+    with zipfile.ZipFile(target, "w", zipfile.ZIP_STORED) as archive:
+        for path in files:
+            _check_archive_size(path.stat().st_size, path.name)
+            entry = zipfile.ZipInfo(path.name)
+            # a local header has 30 bytes, the name, and an extra field of at least 4 that fills up to the alignment
+            missing = -(archive.start_dir + 30 + len(path.name)) % USDZ_ALIGNMENT
+            if missing:
+                missing += USDZ_ALIGNMENT if missing < 4 else 0
+                entry.extra = (0x1986).to_bytes(2, "little") + (missing - 4).to_bytes(2, "little") + bytes(missing - 4)
+            with path.open("rb") as source, archive.open(entry, "w") as out:
+                shutil.copyfileobj(source, out, 2**20)
+
+
+def _check_archive_size(size: int, name: str) -> None:
+    if size > USDZ_BYTES_MAX:
+        raise InputError(
+            f"package usdz of {name}",
+            wanted=f"at most {USDZ_BYTES_MAX / 1e9:.2f} GB, which is what a .usdz can hold",
+            came=f"{size / 1e9:.2f} GB",
+            remedy="Export layers, or fewer frames.",
+        )
+
+
+def _check_size(folder: Path, expected_bytes: int, options: UsdOptions) -> None:
+    """Before minutes of work: RetryError when the disk is too small, InputError when the package is."""
+    if options.package == "usdz":
+        _check_archive_size(expected_bytes, f"{options.name}.usdz")
+    # the layers of a .usdz are whole when it is packed
+    check_room(folder, expected_bytes * (2 if options.package == "usdz" else 1), "the USD stage")
+
+
+def _check_place(folder: Path, options: UsdOptions) -> None:
+    """InputError for files in the way."""
+    there = [folder / name for name in options.files if (folder / name).exists()]
+    for path in there:
+        if path.is_dir() or not options.overwrite:
+            raise InputError(
+                f"{path}",
+                wanted="no file of that name",
+                came="a folder" if path.is_dir() else "one that is there",
+                remedy="Choose another name or folder" + ("." if path.is_dir() else ", or replace it (--overwrite)."),
+            )
+
+
+@contextlib.contextmanager
+def _arriving(folder: Path, options: UsdOptions) -> Iterator[tuple[Path, Path]]:
+    """Two temporary folders in `folder`, for layers and for files that arrive; on success these are renamed into place,
+    what refers to others last. They are the same folder where the layers are what arrives."""
+    temporary = Path(tempfile.mkdtemp(prefix=f".{options.name}.", dir=folder))
+    try:
+        layers = arrived = temporary / "layers"
+        layers.mkdir()
+        if options.package != "layers":
+            arrived = temporary / "single"
+            arrived.mkdir()
+        yield layers, arrived
+        for name in options.files:
+            sync(arrived / name)
+        aside = temporary / "earlier"
+        aside.mkdir()
+        earlier = [(folder / name, aside / name) for name in options.files if (folder / name).exists()]
+        _move_all([*earlier, *((arrived / name, folder / name) for name in options.files)])
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _move_all(moves: Sequence[tuple[Path, Path]]) -> None:
+    """Renames files, all or none: layers of two exports must never stand together, and Windows moves no file that
+    another program has open."""
+    try:
+        for source, target in moves:
+            os.replace(source, target)
+    except BaseException:
+        for source, target in reversed(moves):
+            # what the disk says: Ctrl-C may come between a move and any note of it
+            if target.exists() and not source.exists():
+                os.replace(target, source)
+        raise

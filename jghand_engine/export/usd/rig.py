@@ -1,30 +1,213 @@
-"""The layer with the armature: skeleton, its animation, and the template mesh bound to it."""
+"""The layers that follow the skeleton: the armature with the template mesh bound to it, and Gaussians at rest as
+skinned points, a small file for viewers that skin points (usdview), a tenth of them as stand-in for splats.
+
+A bone transform of the engine is B_i = S_i diag(r_i, r_i, s_i) S_i^cT between the pivots (METHOD 2.6): a rotation, a
+radius r_i and a stretch s_i along the bone. So that UsdSkel moves a mesh exactly as the engine does, the skeleton has,
+in this order,
+
+* 21 **control** joints, named as everywhere. Rotation = frame of the bone that *starts* at the joint (the wrist has the
+  palm's, a tip the last bone's), translation = bone length, scale 1, which therefore never inherits down a chain;
+* 21 **skin** leaves, one per bone matrix, which carry the scale. `wrist/index1/index2_skin` moves the segment that
+  *ends* at index2, where it sits (B_i maps both ends exactly, so either end can be the pivot, and at the far one
+  Blender draws bones in their true length); `wrist/palm_skin` is B_0. Only these and the next have skin weights;
+* 21 **fine** leaves beside them. UsdSkel stores scales as half, 11 bits: 0.04 mm at the end of a metacarpal. A fixed
+  share FINE_SHARE of every weight goes to a twin whose scale is overdrawn by the rounding error of the first:
+  (1 - share) coarse + share fine = the scale to 19 bits. A sum with fixed weights stays right between samples, and a
+  client that keeps only the four largest weights loses the twin's 1/256 and with it those 0.04 mm, nothing more.
+
+Joint axes: x = flexion axis, y = along the bone, z = out of the palm, right-handed for both hands: the engine's
+(y, z, x). Blender draws a bone along y. A left hand is the mirror image with the flexion axis turned round, so that
+no scale is negative and positive flexion curls it too.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from pxr import Gf, Usd, UsdGeom, UsdSkel
-from scipy.spatial import KDTree
+from pxr import Gf, Usd, UsdGeom, UsdSkel, Vt
 
-from jghand_engine.export.usd.layers import TYPES, TimeRange, display_primvars, new_layer
-from jghand_engine.export.usd.skeleton import LocalPoses, UsdSkeleton, skin_influences
+from jghand_engine.export.motion import BonePoses
+from jghand_engine.export.rotations import quaternions_xyzw
 from jghand_engine.export.usd.splats import Cloud
-from jghand_engine.export.usd.values import floats, ints, matrices4d, quatf, vec2f, vec3f, vec3h
-from jghand_engine.limits import USD_MESH_COLOR_NEIGHBORS
+from jghand_engine.export.usd.stage import (
+    PROXY_PATH,
+    SKINNED_PATH,
+    TYPES,
+    TimeRange,
+    bound,
+    floats,
+    ints,
+    new_layer,
+    quatf,
+    set_display,
+    set_uniform,
+    vec3f,
+    vec3h,
+)
+from jghand_engine.hand.joints import JOINT_COUNT, LEVEL_NAMES, PARENTS
+from jghand_engine.hand.orders import LEVEL_OF_STANDARD, STANDARD_OF_LEVEL
 from jghand_engine.template.mesh import HandTemplate
 from jghand_engine.template.surface import vertex_normals
 
 RIG_PATH = "/Rig"
+# share of every skin weight that goes to the twin joint which carries what half precision lost of a scale; a power of
+# two is exact in float32, and 2^-8 keeps the twin's scale within 12.5 % of the true one (2^-11 / 2^-8)
+FINE_SHARE = 2.0**-8
+# every so many-th Gaussian is in the stand-in that is shown where splats are not: a hand is still closed with a tenth
+PROXY_STEP = 10
+# bones that a Gaussian of the skinned variants follows at most: the hands that ship have 7. With 4, as many real-time
+# clients have it, Gaussians of the palm are up to 3.8 mm off
+SKIN_BONES = 8
+# Gaussians around a vertex whose mean color the mesh gets
+COLOR_NEIGHBORS = 8
+
+
+@dataclass(frozen=True)
+class LocalPoses:
+    """Joints of the skeleton relative to their parents over F frames.
+
+    translations_m: (F, 63, 3)
+    rotations_xyzw: (F, 63, 4), each on the side of the frame before
+    scales: (F, 63, 3), values that half precision holds exactly
+    """
+
+    translations_m: np.ndarray
+    rotations_xyzw: np.ndarray
+    scales: np.ndarray
+
+
+@dataclass(frozen=True)
+class UsdSkeleton:
+    """The skeleton at rest.
+
+    tokens: 63 paths, parents first
+    bind, rest: (63, 4, 4) world and local transforms of the rest pose, acting on column vectors
+    default: the rest pose as one frame
+    """
+
+    tokens: tuple[str, ...]
+    bind: np.ndarray
+    rest: np.ndarray
+    default: LocalPoses
+
+
+def joint_tokens() -> tuple[str, ...]:
+    """The paths of all 63 joints: control joints in standard order, then skin and fine leaves in the same order."""
+    paths: dict[int, str] = {}
+    for level, name in enumerate(LEVEL_NAMES):
+        paths[level] = f"{paths[PARENTS[level]]}/{name}" if level else name
+    leaves = [
+        f"{paths[max(PARENTS[level], 0)]}/{LEVEL_NAMES[level] if level else 'palm'}_skin" for level in LEVEL_OF_STANDARD
+    ]
+    return (*(paths[level] for level in LEVEL_OF_STANDARD), *leaves, *(f"{leaf}_fine" for leaf in leaves))
+
+
+def build_skeleton(rest: BonePoses) -> UsdSkeleton:
+    """The skeleton at rest (one frame)."""
+    rotations, positions_m = _world(rest.joints_m, rest.axes)
+    local_rotations, local_positions_m = _local(rotations, positions_m)
+    return UsdSkeleton(
+        joint_tokens(), _homogeneous(rotations[0], positions_m[0]),
+        _homogeneous(local_rotations[0], local_positions_m[0]), _local_poses(rest),
+    )  # fmt: skip
+
+
+def in_motion(skeleton: UsdSkeleton, batches: Iterable[BonePoses]) -> Iterator[LocalPoses]:
+    """The skeleton's joints in the poses of a motion, which comes in parts; rotations go on from the rest pose."""
+    before = skeleton.default.rotations_xyzw[-1:]
+    for batch in batches:
+        poses = _local_poses(batch)
+        turned = same_hemisphere(np.concatenate([before, poses.rotations_xyzw]))[1:]
+        before = turned[-1:]
+        yield replace(poses, rotations_xyzw=turned)
+
+
+def _local_poses(poses: BonePoses) -> LocalPoses:
+    rotations, positions_m = _local(*_world(poses.joints_m, poses.axes))
+    coarse, fine = split_scales(poses.scales[:, LEVEL_OF_STANDARD])
+    scales = np.concatenate([np.ones_like(coarse), coarse, fine], axis=1)
+    return LocalPoses(positions_m, same_hemisphere(quaternions_xyzw(rotations)), scales)
+
+
+def split_scales(scales: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Two arrays of half-precision values with (1 - share) * coarse + share * fine = scales to 2^-19 of them."""
+    coarse = scales.astype(np.float16).astype(np.float64)
+    fine = coarse + (scales - coarse) / FINE_SHARE
+    return coarse, fine.astype(np.float16).astype(np.float64)
+
+
+def same_hemisphere(quaternions: np.ndarray) -> np.ndarray:
+    """Quaternions (F, J, 4) with the sign that is nearest to the frame before: clients interpolate between samples."""
+    turn = np.sign((quaternions[1:] * quaternions[:-1]).sum(-1, keepdims=True))
+    turn = np.cumprod(np.where(turn < 0, -1.0, 1.0), axis=0)
+    return np.concatenate([quaternions[:1], quaternions[1:] * turn])
+
+
+def skin_influences(
+    bone_weights: np.ndarray, *, most: int = JOINT_COUNT, fine: bool = True
+) -> tuple[np.ndarray, np.ndarray]:
+    """Joint indices and weights from bone weights (V, 21), level order; K = most bones of any vertex, at most `most`.
+
+    What lies beyond that is shared out among the others, nothing else is dropped. The K shares of the skin leaves come
+    first, in falling order, then those of their fine twins: (V, 2K). Without `fine` there are no twins: (V, K), and
+    the skin is as exact as half precision.
+    """
+    has = bone_weights > 0
+    count = max(1, int(has.sum(axis=1).max(initial=0)))
+    bone = np.argsort(-bone_weights, axis=1, kind="stable")[:, : min(most, count)]
+    weight = np.take_along_axis(bone_weights, bone, axis=1)
+    if most < count:
+        weight = weight / weight.sum(axis=1, keepdims=True)
+    # unused slots point at the first joint: a weight of 0 on whatever joint means nothing
+    skin = np.where(weight > 0, JOINT_COUNT + STANDARD_OF_LEVEL[bone], 0)
+    if not fine:
+        return skin, weight
+    twin = np.where(weight > 0, skin + JOINT_COUNT, 0)
+    return (
+        np.concatenate([skin, twin], axis=1),
+        np.concatenate([weight * (1 - FINE_SHARE), weight * FINE_SHARE], axis=1),
+    )
+
+
+def _world(joints_m: np.ndarray, axes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """World rotations (F, 63, 3, 3) and positions (F, 63, 3) of all joints."""
+    level = list(LEVEL_OF_STANDARD)
+    starts = [0 if bone == 0 else bone + 5 if bone <= 15 else bone for bone in level]
+    rotations = np.concatenate([axes[:, starts], axes[:, level], axes[:, level]], axis=1)
+    return rotations, np.concatenate([joints_m[:, level]] * 3, axis=1)
+
+
+def _local(rotations: np.ndarray, positions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same relative to the parents; the wrist stays in the world."""
+    control = [STANDARD_OF_LEVEL[max(PARENTS[level], 0)] for level in LEVEL_OF_STANDARD]
+    parent = np.array(control * 3)
+    to_parent = rotations[:, parent].swapaxes(-1, -2)
+    local_rotations = to_parent @ rotations
+    local_positions = (to_parent @ (positions - positions[:, parent])[..., None])[..., 0]
+    local_rotations[:, 0], local_positions[:, 0] = rotations[:, 0], positions[:, 0]
+    return local_rotations, local_positions
+
+
+def _homogeneous(rotations: np.ndarray, positions: np.ndarray) -> np.ndarray:
+    matrices = np.zeros((*rotations.shape[:-2], 4, 4))
+    matrices[..., :3, :3], matrices[..., :3, 3], matrices[..., 3, 3] = rotations, positions, 1
+    return matrices
+
+
+# ---- layers ---------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Rig:
-    """motion: of the skeleton, in parts that are saved one by one · template: the surface of the hand itself, mirrored
-    for a left one · rgb: (V, 3) display-referred sRGB of its vertices."""
+    """What the armature's layer holds.
+
+    motion: of the skeleton, in parts that are saved one by one
+    template: the surface of the hand itself, mirrored for a left one
+    rgb: (V, 3) display-referred sRGB of its vertices
+    """
 
     skeleton: UsdSkeleton
     motion: Iterable[LocalPoses]
@@ -40,8 +223,8 @@ def write_rig(path: Path, rig: Rig, time: TimeRange) -> None:
     stage.SetDefaultPrim(root)
     skeleton = UsdSkel.Skeleton.Define(stage, f"{RIG_PATH}/Skeleton")
     skeleton.CreateJointsAttr(rig.skeleton.tokens)
-    skeleton.CreateBindTransformsAttr(matrices4d(rig.skeleton.bind))
-    skeleton.CreateRestTransformsAttr(matrices4d(rig.skeleton.rest))
+    skeleton.CreateBindTransformsAttr(_matrices(rig.skeleton.bind))
+    skeleton.CreateRestTransformsAttr(_matrices(rig.skeleton.rest))
     animation = UsdSkel.Animation.Define(stage, f"{RIG_PATH}/Skeleton/Anim")
     UsdSkel.BindingAPI.Apply(skeleton.GetPrim()).CreateAnimationSourceRel().SetTargets([animation.GetPath()])
     _add_mesh(stage, rig, skeleton)
@@ -79,10 +262,10 @@ def _add_mesh(stage: Usd.Stage, rig: Rig, skeleton: UsdSkel.Skeleton) -> None:
     mesh.CreateNormalsAttr(vec3f(vertex_normals(template.vertices_m, template.faces)))
     mesh.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
     mesh.CreateExtentAttr(vec3f(np.stack([template.vertices_m.min(axis=0), template.vertices_m.max(axis=0)])))
-    display_primvars(mesh.GetPrim(), rig.rgb)
+    set_display(mesh.GetPrim(), rig.rgb)
     corners, index = np.unique(template.face_uv.reshape(-1, 2), axis=0, return_inverse=True)
     coordinates = UsdGeom.PrimvarsAPI(mesh).CreatePrimvar("st", TYPES.TexCoord2fArray, UsdGeom.Tokens.faceVarying)
-    coordinates.Set(vec2f(corners))
+    coordinates.Set(Vt.Vec2fArray.FromNumpy(np.ascontiguousarray(corners, np.float32)))
     coordinates.SetIndices(ints(index))
     joints, weights = skin_influences(template.bone_weights)
     binding = UsdSkel.BindingAPI.Apply(mesh.GetPrim())
@@ -94,6 +277,73 @@ def _add_mesh(stage: Usd.Stage, rig: Rig, skeleton: UsdSkel.Skeleton) -> None:
 
 def vertex_colors(vertices_m: np.ndarray, cloud: Cloud) -> np.ndarray:
     """(V, 3) display-referred sRGB: mean of the nearest Gaussians of a cloud in the same pose."""
-    neighbors = min(USD_MESH_COLOR_NEIGHBORS, len(cloud.rgb))
-    _, index = KDTree(cloud.rest_m).query(vertices_m, k=neighbors)
-    return cloud.rgb[index.reshape(len(vertices_m), neighbors)].mean(axis=1)
+    neighbors = min(COLOR_NEIGHBORS, len(cloud.rgb))
+    # along the longest axis in blocks, each against the Gaussians that are near it there
+    axis, margin_m = int(np.ptp(vertices_m, axis=0).argmax()), 0.006
+    points_m, order = cloud.rest_m.astype(np.float64), np.argsort(cloud.rest_m[:, axis], kind="stable")
+    along = points_m[order, axis]
+    colors = np.empty_like(vertices_m)
+    for block in np.array_split(np.argsort(vertices_m[:, axis]), max(1, len(vertices_m) // 64)):
+        low, high = vertices_m[block, axis].min() - margin_m, vertices_m[block, axis].max() + margin_m
+        near = order[np.searchsorted(along, low) : np.searchsorted(along, high, "right")]
+        for candidates in (near, order):
+            squares_m2 = ((vertices_m[block, None] - points_m[candidates]) ** 2).sum(-1)
+            if candidates is order or (
+                len(near) > neighbors and np.partition(squares_m2, neighbors - 1)[:, neighbors - 1].max() <= margin_m**2
+            ):
+                nearest = np.argpartition(squares_m2, neighbors - 1)[:, :neighbors]
+                colors[block] = cloud.rgb[candidates[nearest]].mean(axis=1)
+                break
+    return colors
+
+
+@dataclass(frozen=True)
+class SkinnedCloud:
+    """Gaussians that follow the skeleton.
+
+    cloud: the Gaussians at rest
+    bone_weights: (N, 21), level order
+    width_factor: diameter of a point in two standard deviations
+    """
+
+    cloud: Cloud
+    bone_weights: np.ndarray
+    width_factor: float = 1.0
+
+
+def write_skinned(path: Path, points: SkinnedCloud, time: TimeRange) -> None:
+    """Writes all Gaussians as /Points, and every tenth, larger, as /Proxy: at rest, with a skin, for the interface to
+    bind to the rig's skeleton. What training adds to a pose, and how Gaussians shrink and stretch, is in the splats and
+    points of every frame alone. The joints' scales are halves, which moves a point by up to 0.04 mm."""
+    stage = new_layer(path, time)
+    stage.SetDefaultPrim(_add_points(stage, SKINNED_PATH, points, 1))
+    proxy = _add_points(stage, PROXY_PATH, points, PROXY_STEP)
+    set_uniform(proxy, "purpose", TYPES.Token, UsdGeom.Tokens.proxy)
+    stage.Save()
+
+
+def _add_points(stage: Usd.Stage, path: str, points: SkinnedCloud, step: int) -> Usd.Prim:
+    """Every `step`-th Gaussian: Gaussians are in farthest-point order, so these cover the hand evenly. Fewer points
+    are larger, as their distance on a surface grows."""
+    cloud, part = points.cloud, slice(None, None, step)
+    prim = UsdGeom.Points.Define(stage, path)
+    radii_m = points.width_factor * np.sqrt(step) * cloud.sigma_m[part]
+    prim.CreatePointsAttr(vec3f(cloud.rest_m[part]))
+    prim.CreateWidthsAttr(floats(2 * radii_m))
+    prim.SetWidthsInterpolation(UsdGeom.Tokens.vertex)
+    prim.CreateExtentAttr(bound(cloud.rest_m[part], radii_m))
+    # which of the splats it is: skinning tools may sort
+    prim.CreateIdsAttr(Vt.Int64Array.FromNumpy(np.arange(len(cloud.sigma_m))[part].copy()))
+    set_display(prim.GetPrim(), cloud.rgb[part], cloud.opacity[part])
+    joints, weights = skin_influences(points.bone_weights[part].astype(np.float64), most=SKIN_BONES, fine=False)
+    # not applied yet: alone, without a skeleton, these are points
+    binding = UsdSkel.BindingAPI(prim)
+    binding.CreateJointIndicesPrimvar(False, joints.shape[1]).Set(ints(joints))
+    binding.CreateJointWeightsPrimvar(False, weights.shape[1]).Set(floats(weights))
+    binding.CreateGeomBindTransformAttr(Gf.Matrix4d(1))
+    return prim.GetPrim()
+
+
+def _matrices(matrices: np.ndarray) -> Vt.Matrix4dArray:
+    """(N, 4, 4) maps of column vectors."""
+    return Vt.Matrix4dArray.FromNumpy(np.ascontiguousarray(matrices.transpose(0, 2, 1), np.float64))

@@ -1,34 +1,198 @@
-"""The two small layers that people open: the hand with its variants, and the shot with the cameras (EXPORT 3, 8)."""
+"""What every layer of a stage shares: units and time, untyped attributes, arrays in USD's types, what its errors mean;
+and the small layer that people open, the hand with its variants (EXPORT 3)."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+import contextlib
+import errno
+import os
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Kind, Sdf, Usd, UsdGeom, UsdSkel
+from pxr import Gf, Kind, Sdf, Tf, Usd, UsdGeom, UsdSkel, Vt
 
 from jghand_engine import __version__
-from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.export.usd.cameras import add_camera
-from jghand_engine.export.usd.layers import TYPES, TimeRange, announce_fallback, new_layer, uniform
-from jghand_engine.export.usd.options import LayerNames, UsdOptions, Variant
-from jghand_engine.export.usd.skinned import ALL_PATH, PROXY_PATH
-from jghand_engine.export.usd.splats import POINTS_PATH
-from jghand_engine.hand.joints import Handedness
-from jghand_engine.render.camera import Camera
+from jghand_engine.color import srgb_to_linear
+from jghand_engine.errors import RetryError
+from jghand_engine.files import file_error
+
+SPLAT_TYPE = "ParticleField3DGaussianSplat"
+LINEAR, SRGB = "lin_rec709_scene", "srgb_rec709_scene"
+TYPES: Any = Sdf.ValueTypeNames
 
 VARIANT_SET = "representation"
 HAND_PATH = "/Hand"
 RIG_PATH = f"{HAND_PATH}/Rig"
+# in the layer of the splats: the splats, and a class prim of points from the same numbers
+SPLATS_PATH, POINTS_PATH = "/Splats", "/_Points"
+# in the layer of points that follow the skeleton: all Gaussians, and the tenth that stands in for splats
+SKINNED_PATH, PROXY_PATH = "/Points", "/Proxy"
+
+
+class Variant(StrEnum):
+    """What of the hand is drawn. Blender up to 5.2 cannot choose: it takes what the file says."""
+
+    SPLATS = "splats"
+    POINTS = "points"
+    POINTS_SKINNED = "points_skinned"
+    MESH = "mesh"
+
+    @property
+    def has_frames(self) -> bool:
+        """Whether Gaussians are written in every frame; in the others all follows the skeleton."""
+        return self in (Variant.SPLATS, Variant.POINTS)
+
+
+@dataclass(frozen=True)
+class LayerNames:
+    """File names of one export, all in one folder."""
+
+    name: str
+
+    @property
+    def interface(self) -> str:
+        return f"{self.name}.usda"
+
+    @property
+    def rig(self) -> str:
+        return f"{self.name}.rig.usdc"
+
+    @property
+    def splats(self) -> str:
+        return f"{self.name}.splats.usdc"
+
+    @property
+    def skinned(self) -> str:
+        """Points that follow the skeleton: all of them, and the tenth that stands in for splats."""
+        return f"{self.name}.skinned.usdc"
+
+    @property
+    def shot(self) -> str:
+        return f"{self.name}.shot.usda"
+
+
+@dataclass(frozen=True)
+class TimeRange:
+    """What all layers of an export agree on.
+
+    frames: how many; one time code is one frame
+    fps: frames per second
+    first: number of the first frame
+    up: the axis, y or z, that points up in the world of the motion; nothing is turned
+    provenance: customLayerData of every layer, for each may be given away alone
+    """
+
+    frames: int
+    fps: float
+    first: int = 0
+    up: str = "y"
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    def code(self, index: int) -> Usd.TimeCode:
+        """The time of the frame with this index, counted from 0."""
+        return Usd.TimeCode(self.first + index)
+
+
+def new_layer(path: Path, time: TimeRange) -> Usd.Stage:
+    """A new stage on `path` in meters, with what all layers agree on, written on `Save()`."""
+    stage = Usd.Stage.CreateNew(str(path))
+    UsdGeom.SetStageMetersPerUnit(stage, 1.0)
+    UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.z if time.up == "z" else UsdGeom.Tokens.y)
+    stage.SetTimeCodesPerSecond(time.fps)
+    stage.SetFramesPerSecond(time.fps)
+    stage.SetStartTimeCode(time.first)
+    stage.SetEndTimeCode(time.first + time.frames - 1)
+    if time.provenance:
+        stage.GetRootLayer().customLayerData = dict(time.provenance)
+    return stage
+
+
+def announce_fallback(stage: Usd.Stage) -> None:
+    """Lets a USD that is too old for splats show the prim as points. Read from the root layer only, so every layer
+    that somebody may open first must say it."""
+    stage.SetMetadata("fallbackPrimTypes", {SPLAT_TYPE: Vt.TokenArray(["Points"])})
+
+
+def attribute(prim: Usd.Prim, name: str, type_name: Sdf.ValueTypeName) -> Usd.Attribute:
+    """An attribute authored without its schema class: USD 25.08 does not know the splat schema, and `Imageable` does
+    not accept a prim of unknown type."""
+    return prim.CreateAttribute(name, type_name, False, Sdf.VariabilityVarying)
+
+
+def set_uniform(prim: Usd.Prim, name: str, type_name: Sdf.ValueTypeName, value: Any) -> None:
+    """The same for a value that cannot change over time."""
+    prim.CreateAttribute(name, type_name, False, Sdf.VariabilityUniform).Set(value)
+
+
+def set_display(prim: Usd.Prim, rgb: np.ndarray, opacity: np.ndarray | None = None) -> None:
+    """Viewport colors from display-referred sRGB (N, 3), one per point; displayColor is linear by convention."""
+    api = UsdGeom.PrimvarsAPI(prim)
+    color = api.CreatePrimvar("displayColor", TYPES.Color3fArray, UsdGeom.Tokens.vertex)
+    color.Set(vec3f(srgb_to_linear(rgb)))
+    color.GetAttr().SetColorSpace(LINEAR)
+    if opacity is not None:
+        api.CreatePrimvar("displayOpacity", TYPES.FloatArray, UsdGeom.Tokens.vertex).Set(floats(opacity))
+
+
+def bound(positions_m: np.ndarray, radius_m: np.ndarray) -> Vt.Vec3fArray:
+    """Both corners of the box that holds every ball, meters."""
+    # one axis per row: thirty times faster than along rows of three numbers
+    rows = np.ascontiguousarray(positions_m.T)
+    return vec3f(np.stack([(rows - radius_m).min(axis=1), (rows + radius_m).max(axis=1)]))
+
+
+# ---- numpy arrays in USD's types -------------------------------------------------------------------------------------
+# Always `FromNumpy`: lists of tuples cost 150 ms for 60,000 points, it costs 0.2 ms. Arrays of quaternions are
+# x, y, z, w (so wants `FromNumpy`), and matrices act on column vectors here and on row vectors in USD.
+
+
+def vec3f(array: np.ndarray) -> Vt.Vec3fArray:
+    """(N, 3) numbers."""
+    return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(array, np.float32))
+
+
+def vec3h(array: np.ndarray) -> Vt.Vec3hArray:
+    """(N, 3) numbers, rounded to half precision."""
+    return Vt.Vec3hArray.FromNumpy(np.ascontiguousarray(array, np.float16))
+
+
+def floats(array: np.ndarray) -> Vt.FloatArray:
+    """Numbers of any shape, flattened."""
+    return Vt.FloatArray.FromNumpy(np.ascontiguousarray(array, np.float32).ravel())
+
+
+def ints(array: np.ndarray) -> Vt.IntArray:
+    """Integers of any shape, flattened."""
+    return Vt.IntArray.FromNumpy(np.ascontiguousarray(array, np.int32).ravel())
+
+
+def quatf(array_xyzw: np.ndarray) -> Vt.QuatfArray:
+    """(N, 4) unit quaternions as x, y, z, w."""
+    return Vt.QuatfArray.FromNumpy(np.ascontiguousarray(array_xyzw, np.float32))
+
+
+def matrix4d(matrix: np.ndarray) -> Gf.Matrix4d:
+    """(4, 4) map of column vectors."""
+    return Gf.Matrix4d(np.ascontiguousarray(matrix.T, np.float64))
+
+
+# ---- the layer that others reference ---------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Interface:
-    """What the layer that others reference says. name: of the asset · about: customData `jghand` of the hand, by name ·
-    variants: those it offers · default: the one that is chosen."""
+    """What the layer that others reference says.
+
+    name: of the asset
+    about: customData `jghand` of the hand, by name
+    variants: those it offers
+    default: the one that is chosen
+    """
 
     name: str
     about: Mapping[str, Any]
@@ -37,7 +201,7 @@ class Interface:
 
 
 def write_interface(folder: Path, names: LayerNames, interface: Interface, time: TimeRange) -> None:
-    """The layer that others reference: /Hand with the rig and the variants, heavy layers as payloads."""
+    """/Hand with the rig and the variants, heavy layers as payloads."""
     stage = new_layer(folder / names.interface, time)
     # an Xform: a SkelRoot here would stop the bounds at what is skinned, and the splats would have none
     hand = UsdGeom.Xform.Define(stage, HAND_PATH).GetPrim()
@@ -63,7 +227,7 @@ def write_interface(folder: Path, names: LayerNames, interface: Interface, time:
 
 def _fill_variant(stage: Usd.Stage, variant: Variant, names: LayerNames) -> None:
     if variant is not Variant.MESH:
-        uniform(stage.OverridePrim(f"{RIG_PATH}/Mesh"), "purpose", TYPES.Token, UsdGeom.Tokens.guide)
+        set_uniform(stage.OverridePrim(f"{RIG_PATH}/Mesh"), "purpose", TYPES.Token, UsdGeom.Tokens.guide)
     if variant is Variant.SPLATS:
         splats = stage.OverridePrim(f"{HAND_PATH}/Splats")
         splats.GetPayloads().AddPayload(f"./{names.splats}")
@@ -71,7 +235,7 @@ def _fill_variant(stage: Usd.Stage, variant: Variant, names: LayerNames) -> None
         proxy = stage.OverridePrim(f"{RIG_PATH}/Proxy")
         proxy.GetReferences().AddReference(f"./{names.skinned}", PROXY_PATH)
         _bind(proxy)
-        uniform(splats, "purpose", TYPES.Token, UsdGeom.Tokens.render)
+        set_uniform(splats, "purpose", TYPES.Token, UsdGeom.Tokens.render)
         splats.CreateRelationship("proxyPrim", False).SetTargets([proxy.GetPath()])
     if variant is Variant.POINTS:
         # the data is a class prim; here it becomes a real one
@@ -79,7 +243,7 @@ def _fill_variant(stage: Usd.Stage, variant: Variant, names: LayerNames) -> None
         points.GetPayloads().AddPayload(f"./{names.splats}", POINTS_PATH)
     if variant is Variant.POINTS_SKINNED:
         points = stage.OverridePrim(f"{RIG_PATH}/Points")
-        points.GetPayloads().AddPayload(f"./{names.skinned}", ALL_PATH)
+        points.GetPayloads().AddPayload(f"./{names.skinned}", SKINNED_PATH)
         _bind(points)
 
 
@@ -88,40 +252,28 @@ def _bind(points: Usd.Prim) -> None:
     UsdSkel.BindingAPI.Apply(points).CreateSkeletonRel().SetTargets([Sdf.Path(f"{RIG_PATH}/Skeleton")])
 
 
-def write_shot(
-    folder: Path, names: LayerNames, cameras: Mapping[str, Camera], joints_m: np.ndarray, time: TimeRange
-) -> None:
-    """/World with the hand and its cameras, which see joints_m (F, 21, 3). Cameras are no siblings of the default prim:
-    validators refuse that."""
-    stage = new_layer(folder / names.shot, time)
-    world = UsdGeom.Xform.Define(stage, "/World").GetPrim()
-    stage.SetDefaultPrim(world)
-    announce_fallback(stage)
-    Usd.ModelAPI(world).SetKind(Kind.Tokens.assembly)
-    stage.DefinePrim("/World/Hand").GetReferences().AddReference(f"./{names.interface}")
-    UsdGeom.Scope.Define(stage, "/World/Cameras")
-    for name, camera in cameras.items():
-        add_camera(stage, f"/World/Cameras/{name}", camera, joints_m)
-    stage.Save()
+# ---- errors ----------------------------------------------------------------------------------------------------------
 
 
-IMAGE_STATES = {"srgb": "display-referred sRGB", "linear": "linear light"}
+@contextlib.contextmanager
+def usd_errors(folder: Path) -> Iterator[None]:
+    """Turns what fails while a stage is written below `folder` into the engine's errors."""
+    try:
+        yield
+    except OSError as error:
+        raise file_error(folder, error) from error
+    except Tf.ErrorException as error:
+        text = str(error)
+        for code in (errno.ENOSPC, errno.EDQUOT, errno.EACCES, errno.EROFS):
+            if os.strerror(code) in text:
+                raise file_error(folder, OSError(code, os.strerror(code))) from error
+        raise RetryError(
+            f"cannot write the USD stage in {folder}: {usd_reason(error)}", remedy="Check the disk and try again."
+        ) from error
 
 
-def describe(avatar: HandAvatar, handedness: Handedness, options: UsdOptions) -> dict[str, Any]:
-    """customData of the hand: what a client cannot see from the attributes. imageState is that of the radiance."""
-    learned = avatar.learned
-    still = learned is None or learned.correctives is None
-    return {
-        "gaussians": len(avatar),
-        "handedness": str(handedness),
-        "imageState": IMAGE_STATES[options.radiance],
-        "licence": avatar.info.license,
-        # learned pose offsets are in the per-frame positions; what is skinned shows plain skinning
-        "offsets": "none" if still else "in the positions of the splats",
-        "skinnedOffsets": "none",
-        "colors": "constant" if learned is None else "per frame, in the light of the capture",
-        "gloss": "none" if learned is None else "left out: it depends on the camera",
-        "sizes": options.sizes,
-        "precision": options.precision,
-    }
+def usd_reason(error: Exception) -> str:
+    """What went wrong first, of a Tf.ErrorException, without where in USD's source."""
+    text = str(error).strip()
+    quoted = re.search(r" in file \S+ : '(.*?)'\s*(?:\n\tError in '|\Z)", text, re.DOTALL)
+    return (quoted.group(1) if quoted else text).strip()

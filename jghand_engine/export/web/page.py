@@ -30,7 +30,7 @@ from jghand_engine import __version__, limits
 from jghand_engine.avatar.avatar import HandAvatar, check_follows_joints
 from jghand_engine.avatar.learned import ShadowLook
 from jghand_engine.errors import InputError, RetryError
-from jghand_engine.export.usd.motion import check_sequence
+from jghand_engine.export.motion import check_sequence
 from jghand_engine.export.web.hand import pack_hand, with_cheap_correctives
 from jghand_engine.export.web.pack import Pack
 from jghand_engine.files import make_folder, writing

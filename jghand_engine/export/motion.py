@@ -1,27 +1,44 @@
-"""What of a pose sequence goes into a stage: posed Gaussians frame by frame, and the bones of all frames in parts.
+"""What of a pose sequence goes into files: posed Gaussians frame by frame, and the bones of all frames in parts.
 
 Nothing is held of a long take but its joints.
 """
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 
 from jghand_engine.avatar.avatar import HandAvatar, check_follows_joints
 from jghand_engine.avatar.fast_posing import FastPosing, PosedFrame
-from jghand_engine.avatar.skinning import pose_gaussians
-from jghand_engine.errors import InputError
-from jghand_engine.export.usd.skeleton import JOINT_AXES, MIRROR, BonePoses, joint_axes
-from jghand_engine.export.usd.splats import Cloud
+from jghand_engine.errors import InputError, RetryError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.hand.transform import BoneTransforms
-from jghand_engine.limits import USD_SAVE_EVERY
 from jghand_engine.native import library
+
+# frames whose bones are made at once
+BATCH_FRAMES = 24
+# columns of an engine frame (x, y, z) that become x, y, z of a joint: flexion axis, along the bone, out of the palm
+JOINT_AXES = (1, 2, 0)
+MIRROR = np.diag([-1.0, 1.0, 1.0])
+TURN_FLEXION_AXIS = np.diag([1.0, -1.0, 1.0])
+
+
+@dataclass(frozen=True)
+class BonePoses:
+    """Where the engine puts the bones of F frames, level order, in the world of the hand itself.
+
+    joints_m: (F, 21, 3) meters
+    axes: (F, 21, 3, 3) joint axes of every bone, row 0 the palm's
+    scales: (F, 21, 3) along those axes
+    """
+
+    joints_m: np.ndarray
+    axes: np.ndarray
+    scales: np.ndarray
 
 
 class HandMotion:
@@ -40,7 +57,9 @@ class HandMotion:
         self.sequence = sequence
         self._joints_m = torch.tensor(sequence.joints_m, dtype=torch.float64)
         native = library.load()
-        self._fast = None if native is None else FastPosing(native, self.avatar)
+        if native is None:
+            raise RetryError("the kernels of JGHand are missing", remedy="Install JGHand anew.")
+        self._posing = FastPosing(native, self.avatar)
 
     def __len__(self) -> int:
         return len(self._joints_m)
@@ -56,22 +75,11 @@ class HandMotion:
 
     def frame(self, index: int) -> PosedFrame:
         """The Gaussians as the engine draws them in one frame."""
-        return self._posed(self._joints_m[index])
+        return self._posing(self._joints_m[index].numpy())
 
     def rest(self) -> PosedFrame:
         """The Gaussians of the canonical hand, with what the avatar has learned of such a pose."""
-        return self._posed(torch.as_tensor(self.mirrored(self.avatar.canonical_joints_m.numpy().astype(np.float64))))
-
-    def _posed(self, joints_m: torch.Tensor) -> PosedFrame:
-        if self._fast is not None:
-            return self._fast(joints_m.numpy())
-        # pose_gaussians works in the precision of its bones; positions are stored as float32
-        bones = _in_precision(self._transform.bones(joints_m), torch.float32)
-        with torch.inference_mode():
-            gaussians = pose_gaussians(self.avatar, bones, frames=bones.frames)
-        rgb = gaussians.rgb.clamp(0, 1).numpy() if self.colors_move else None
-        covariance = None if gaussians.covariance_m2 is None else gaussians.covariance_m2.numpy()
-        return PosedFrame(gaussians.position_m.numpy(), gaussians.sigma_m.numpy(), rgb, covariance)
+        return self._posing(self._mirrored(np.asarray(self.avatar.canonical_joints_m, np.float64)))
 
     @property
     def colors_move(self) -> bool:
@@ -83,34 +91,33 @@ class HandMotion:
         """Whether the Gaussians are no balls: their sizes and turns then change with the pose."""
         return self.avatar.learned is not None and self.avatar.learned.ellipsoid is not None
 
-    def cloud(self) -> Cloud:
-        """The Gaussians at rest: canonical, mirrored for a left hand; radii at the mean scale of the motion; colors
-        that change are those of the first frame."""
-        avatar = self.avatar
-        rgb = self.frame(0).rgb
-        return Cloud(
-            rest_m=self.mirrored(avatar.position_m.numpy()).astype(np.float32),
-            sigma_m=(avatar.sigma_m.numpy() * self.mean_scale).astype(np.float32),
-            opacity=avatar.opacity.numpy().astype(np.float32),
-            rgb=(avatar.rgb.numpy() if rgb is None else rgb).astype(np.float32),
+    def rest_arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """The Gaussians at rest, float32: canonical centers (N, 3), mirrored for a left hand, and radii (N,) at the
+        mean scale of the motion, meters; opacity (N,); colors (N, 3), where they change those of the first frame."""
+        avatar, rgb = self.avatar, self.frame(0).rgb
+        return (
+            self._mirrored(np.asarray(avatar.position_m)).astype(np.float32),
+            (np.asarray(avatar.sigma_m) * self.mean_scale).astype(np.float32),
+            np.asarray(avatar.opacity, np.float32),
+            np.asarray(avatar.rgb if rgb is None else rgb, np.float32),
         )
-
-    def mirrored(self, points_m: np.ndarray) -> np.ndarray:
-        """Canonical points (..., 3) of the hand itself: the mirror image of the model's for a left hand."""
-        return points_m @ MIRROR.astype(points_m.dtype) if self.handedness is Handedness.LEFT else points_m
 
     def rest_poses(self) -> BonePoses:
         """The canonical hand as one frame."""
-        joints_m = torch.as_tensor(self.mirrored(self.avatar.canonical_joints_m.numpy().astype(np.float64)))[None]
+        joints_m = torch.as_tensor(self._mirrored(np.asarray(self.avatar.canonical_joints_m, np.float64)))[None]
         return self._poses(joints_m, self._transform.bones(joints_m))
 
     def poses(self) -> Iterator[BonePoses]:
-        """The bones of every frame, USD_SAVE_EVERY frames at a time."""
+        """The bones of every frame, BATCH_FRAMES frames at a time."""
         for joints_m, bones in self._batches():
             yield self._poses(joints_m, bones)
 
+    def _mirrored(self, points_m: np.ndarray) -> np.ndarray:
+        """Canonical points (..., 3) of the hand itself: the mirror image of the model's for a left hand."""
+        return points_m @ MIRROR.astype(points_m.dtype) if self.handedness is Handedness.LEFT else points_m
+
     def _batches(self) -> Iterator[tuple[torch.Tensor, BoneTransforms]]:
-        for joints_m in self._joints_m.split(USD_SAVE_EVERY):
+        for joints_m in self._joints_m.split(BATCH_FRAMES):
             yield joints_m, self._transform.bones(joints_m)
 
     def _poses(self, joints_m: torch.Tensor, bones: BoneTransforms) -> BonePoses:
@@ -139,11 +146,13 @@ def check_sequence(sequence: PoseSequence) -> None:
         )
 
 
+def joint_axes(frames: np.ndarray, handedness: Handedness) -> np.ndarray:
+    """Engine frames (..., 3, 3) of the *right-hand* code, columns x, y, z, to proper joint axes in the hand's world."""
+    if handedness is Handedness.LEFT:
+        frames = MIRROR @ frames @ TURN_FLEXION_AXIS
+    return frames[..., JOINT_AXES]
+
+
 def _all_frames(S: torch.Tensor, S0: torch.Tensor) -> np.ndarray:
     """(F, 21, 3, 3): the palm's frame and those of bones 1..20."""
     return torch.cat([S0.unsqueeze(-3), S], dim=-3).numpy()
-
-
-def _in_precision(bones: BoneTransforms, dtype: torch.dtype) -> BoneTransforms:
-    names = ("linear", "offset_m", "root_m", "canonical_root_m", "scale")
-    return dataclasses.replace(bones, **{name: getattr(bones, name).to(dtype) for name in names})
