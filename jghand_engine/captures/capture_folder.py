@@ -16,8 +16,8 @@ from jghand_engine.captures.protocols import (
     find_protocol,
     with_papers_masks,
 )
+from jghand_engine.captures.sieve import Report
 from jghand_engine.errors import InputError
-from jghand_engine.motion.sieve import Report
 
 
 def open_capture(

@@ -11,15 +11,29 @@ from typing import Any
 
 import numpy as np
 
-from jghand_engine import limits
 from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.captures.captures import Capture, CaptureChoice
-from jghand_engine.captures.projection import Seen, likely_mistake, look_at
+from jghand_engine.captures.projection import CHECK_ON_MASK_MIN, Seen, likely_mistake, look_at
 from jghand_engine.captures.splits import split_capture
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import bone_lengths, hand_length
-from jghand_engine.motion.plausibility import curl_towards_palm
+from jghand_engine.motion.plausibility import CURL_MIN, curl_towards_palm
+
+# check-data looks at so many pictures of a larger set, and names so many examples of what is wrong
+CHECK_PICTURES = 400
+CHECK_EXAMPLES = 8
+# pictures on which it tries out which mistake would explain joints beside the hand
+CHECK_MISTAKE_PICTURES = 24
+# part of the joints on the mask below which a picture is named, and, as the median over all, the set refused; masks
+# that leave out what an object hides have less than 1
+CHECK_ON_MASK_PICTURE_MIN = 0.7
+# a mask with fewer pixels is empty, one that covers more of its picture is most likely inverted or of something else
+CHECK_MASK_MIN_PX = 50
+CHECK_MASK_MAX = 0.9
+# variation of a bone's length, standard deviation over mean, above which joints are told to be noisy (triangulated
+# ones of real sets vary by a few per cent)
+CHECK_BONE_WOBBLE = 0.08
 
 
 @dataclass(frozen=True)
@@ -60,7 +74,7 @@ def check_data(
     *,
     protocol: str | None = None,
     choice: CaptureChoice | None = None,
-    most: int = limits.CHECK_PICTURES,
+    most: int = CHECK_PICTURES,
     tick: Callable[[int, int], None] | None = None,
 ) -> DataReport:
     """Opens a data set as training would, looks at up to `most` of its pictures, and says what is wrong.
@@ -126,9 +140,9 @@ def _errors(troubles: Sequence[InputError]) -> list[Finding]:
         kinds.setdefault((re.sub(r"\d+", "", trouble.came), trouble.remedy), []).append(trouble)
     shown = []
     for alike in kinds.values():
-        shown += [Finding(True, str(trouble)) for trouble in alike[: limits.CHECK_EXAMPLES]]
-        if len(alike) > limits.CHECK_EXAMPLES:
-            shown.append(Finding(True, f"… and {len(alike) - limits.CHECK_EXAMPLES} more like these."))
+        shown += [Finding(True, str(trouble)) for trouble in alike[:CHECK_EXAMPLES]]
+        if len(alike) > CHECK_EXAMPLES:
+            shown.append(Finding(True, f"… and {len(alike) - CHECK_EXAMPLES} more like these."))
     return shown
 
 
@@ -144,11 +158,11 @@ def _on_pictures(seen: Sequence[Seen]) -> list[Finding]:
     if not told:
         return [Finding(False, "No picture has a mask: joints cannot be held against pictures. Look at the overlay.")]
     findings = []
-    empty = [one for one in told if one.mask_px < limits.CHECK_MASK_MIN_PX]
+    empty = [one for one in told if one.mask_px < CHECK_MASK_MIN_PX]
     if empty:
         text = f"{len(empty)} of {len(told)} masks are empty, such as that of {empty[0].sample.picture}."
         findings.append(Finding(2 * len(empty) > len(told), text))
-    full = [one for one in told if one.mask_part > limits.CHECK_MASK_MAX]
+    full = [one for one in told if one.mask_part > CHECK_MASK_MAX]
     if full:
         text = f"{len(full)} of {len(told)} masks cover nearly the whole picture, such as {full[0].sample.picture}."
         findings.append(Finding(2 * len(full) > len(told), text))
@@ -156,15 +170,15 @@ def _on_pictures(seen: Sequence[Seen]) -> list[Finding]:
     if not whole:
         return findings
     median = float(np.median([one.on_mask for one in whole]))
-    if median < limits.CHECK_ON_MASK_MIN:
-        reason = likely_mistake([one.sample for one in _spread(whole, limits.CHECK_MISTAKE_PICTURES)])
+    if median < CHECK_ON_MASK_MIN:
+        reason = likely_mistake([one.sample for one in _spread(whole, CHECK_MISTAKE_PICTURES)])
         reason = reason or "Check units, camera convention, joint order, and that pictures and cameras belong together."
         text = (
             f"Joints do not project onto the hand: half of the pictures have {100 * median:.0f} % or less on the mask."
         )
         findings.append(Finding(True, f"{text} {reason}"))
         return findings
-    off = [one for one in whole if one.on_mask < limits.CHECK_ON_MASK_PICTURE_MIN]
+    off = [one for one in whole if one.on_mask < CHECK_ON_MASK_PICTURE_MIN]
     if off:
         worst = min(off, key=lambda one: one.on_mask)
         text = (
@@ -178,11 +192,11 @@ def _on_pictures(seen: Sequence[Seen]) -> list[Finding]:
 def _on_joints(capture: Capture) -> list[Finding]:
     findings = []
     wobble = _bone_wobble(capture)
-    if wobble > limits.CHECK_BONE_WOBBLE:
+    if wobble > CHECK_BONE_WOBBLE:
         text = f"A bone's length varies by {100 * wobble:.0f} % over the poses; a hand's bones do not."
         findings.append(Finding(False, text))
     curl = curl_towards_palm(capture.joints_m(), capture.handedness)
-    if curl is not None and curl < -limits.CHECK_CURL:
+    if curl is not None and curl < -CURL_MIN:
         other = "left" if capture.handedness is Handedness.RIGHT else "right"
         findings.append(Finding(True, f"Fingers bend backwards in most poses: is this a {other} hand?"))
     return findings

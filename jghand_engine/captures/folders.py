@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from jghand_engine import limits
 from jghand_engine.errors import InputError
+
+# folders between the one that the user names and the one that holds the set, upwards and downwards
+FOLDER_LEVELS_UP = 6
+FOLDER_LEVELS_DOWN = 2
 
 
 def find_roots(folder: Path, is_root: Callable[[Path], bool]) -> list[Path]:
@@ -18,11 +21,11 @@ def find_roots(folder: Path, is_root: Callable[[Path], bool]) -> list[Path]:
         came = "a file" if folder.exists() else "no such folder"
         raise InputError(f"data set {folder}", wanted="a folder", came=came, remedy="Check the name.")
     inside = folder.resolve()
-    for candidate in [inside, *list(inside.parents)[: limits.FOLDER_LEVELS_UP]]:
+    for candidate in [inside, *list(inside.parents)[:FOLDER_LEVELS_UP]]:
         if _holds(is_root, candidate):
             return [candidate]
     level = [inside]
-    for _ in range(limits.FOLDER_LEVELS_DOWN):
+    for _ in range(FOLDER_LEVELS_DOWN):
         level = [below for above in level for below in subfolders(above)]
         found = [candidate for candidate in level if _holds(is_root, candidate)]
         if found:

@@ -16,20 +16,23 @@ from typing import Any
 
 import numpy as np
 
-from jghand_engine import limits
 from jghand_engine.captures.cameras import calibrated_camera
 from jghand_engine.captures.captures import Capture, CaptureChoice, Layout, sorted_samples
 from jghand_engine.captures.folders import find_roots, one_root, subfolders
 from jghand_engine.captures.masks import template_note
 from jghand_engine.captures.pictures_in import probe_sized
 from jghand_engine.captures.sample import MaskSource, Sample
+from jghand_engine.captures.sieve import Report, Sieve
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 from jghand_engine.hand.orders import JointOrder, to_level
 from jghand_engine.json_files import numbers, read_json_file, read_object
 from jghand_engine.motion.plausibility import check_joints
-from jghand_engine.motion.sieve import Report, Sieve
 from jghand_engine.render.camera import Camera
+
+# width and height of HanCo's pictures
+HANCO_SIZE_PX = (224, 224)
+HANCO_CAMERAS = 8
 
 # the recording itself first; the others show the same hand on other backgrounds
 _PICTURES = ("rgb", "rgb_merged", "rgb_homo")
@@ -145,7 +148,7 @@ class _Reader:
         samples: list[Sample] = []
         for frame, is_valid in enumerate(self._meta("is_valid", sequence)):
             if not is_valid:
-                self.sieve.drop("not valid", limits.HANCO_CAMERAS)
+                self.sieve.drop("not valid", HANCO_CAMERAS)
                 continue
             try:
                 joints_m = self._joints(sequence, frame)
@@ -164,7 +167,7 @@ class _Reader:
         name = Path(sequence, camera_name, f"{frame:08d}.jpg")
         mask = self.root / "mask_hand" / name
         has_mask = mask.is_file()
-        probe_sized(self.pictures / name, limits.HANCO_SIZE_PX, "the layout")
+        probe_sized(self.pictures / name, HANCO_SIZE_PX, "the layout")
         return Sample(
             picture=self.pictures / name,
             camera=camera,
@@ -190,12 +193,12 @@ class _Reader:
         file = self.root / "calib" / sequence / f"{frame:08d}.json"
         content = read_object(file, _DOWNLOAD)
         matrices = [content.get(name) for name in ("K", "M")]
-        if not all(isinstance(one, list) and len(one) == limits.HANCO_CAMERAS for one in matrices):
-            wanted = f"'K' and 'M' of {limits.HANCO_CAMERAS} cameras"
+        if not all(isinstance(one, list) and len(one) == HANCO_CAMERAS for one in matrices):
+            wanted = f"'K' and 'M' of {HANCO_CAMERAS} cameras"
             raise InputError(f"{file}", wanted=wanted, came="something else", remedy=_DOWNLOAD)
         return [_camera(f"camera {c} in {file}", k, m) for c, (k, m) in enumerate(zip(*matrices, strict=True))]
 
 
 def _camera(what: str, intrinsics: Any, camera_from_world: Any) -> Camera:
     matrix = numbers(camera_from_world, (4, 4), f"M of {what}", _DOWNLOAD)
-    return calibrated_camera(what, limits.HANCO_SIZE_PX, intrinsics, matrix[:3, :3], matrix[:3, 3])
+    return calibrated_camera(what, HANCO_SIZE_PX, intrinsics, matrix[:3, :3], matrix[:3, 3])

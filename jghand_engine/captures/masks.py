@@ -22,6 +22,11 @@ from jghand_engine.hand.transform import JointTransform
 from jghand_engine.render.camera import Camera
 from jghand_engine.template.builtin import load_template
 
+# samples per pixel edge when a template is projected: steps of 1/16 in the coverage of a pixel
+MASK_SUPERSAMPLING = 4
+# gray values between which the avatar papers take a pixel of a projected mask for skin (METHOD 6.1)
+PAPER_MASK_GRAY = (10, 200)
+
 
 def template_mask(camera: Camera, joints_m: np.ndarray, handedness: Handedness) -> np.ndarray:
     """(H, W) float32 coverage 0..1 of the built-in template posed by joints_m (21, 3), level order, world, meters.
@@ -38,7 +43,7 @@ def lit_part(mask: np.ndarray, rgb8: np.ndarray) -> np.ndarray:
     of the projected hand lies on the black background, and its price is holes in dark and in shining skin.
     """
     gray = rgb8[..., :3].mean(axis=-1)
-    low, high = limits.PAPER_MASK_GRAY
+    low, high = PAPER_MASK_GRAY
     labeled: Any = ndimage.label((mask >= 0.5) & (gray > low) & (gray < high), structure=np.ones((3, 3)))
     pieces, count = labeled
     if not count:
@@ -75,7 +80,7 @@ def silhouette(camera: Camera, vertices_m: np.ndarray, faces: np.ndarray) -> np.
     of a pixel, on all sides.
     """
     pixels, depth_m = camera.project(vertices_m)
-    fine = limits.MASK_SUPERSAMPLING
+    fine = MASK_SUPERSAMPLING
     corners = pixels[faces] * fine
     visible = (depth_m[faces] > limits.Z_NEAR_M).all(axis=1)
     canvas = Image.new("L", (camera.width * fine, camera.height * fine))

@@ -6,11 +6,14 @@ import numpy as np
 from PIL import Image, ImageDraw
 from scipy import ndimage
 
-from jghand_engine import limits
 from jghand_engine.captures.pictures_in import read_picture
 from jghand_engine.captures.projection import joint_pixels, joints_on_mask
 from jghand_engine.captures.sample import Sample, load_picture
 from jghand_engine.hand.joints import PARENTS
+
+# overlay pictures: enlargement, and how far outside of the picture lines are still drawn, px
+OVERLAY_ZOOM = 2
+OVERLAY_REACH_PX = 20_000
 
 # thumb to pinky, sRGB bytes: apart for most color-blind eyes, and none of them skin
 _FINGER_COLORS = ((230, 159, 0), (86, 180, 233), (0, 158, 115), (240, 228, 66), (204, 121, 167))
@@ -20,7 +23,7 @@ _WRIST, _OUTLINE, _OFF, _GRAY = (255, 255, 255), (0, 255, 255), (255, 0, 0), 96
 def overlay(sample: Sample) -> np.ndarray:
     """(h, w, 3) uint8: the picture (on gray where it is transparent), the mask's outline in cyan, bones by finger,
     joints; a red ring around joints that miss the mask. Enlarged, so that lines are thin."""
-    zoom = limits.OVERLAY_ZOOM
+    zoom = OVERLAY_ZOOM
     outlined: np.ndarray = load_picture(sample).mask >= 0.5
     stored = read_picture(sample.picture)
     height, width = stored.shape[:2]
@@ -32,7 +35,7 @@ def overlay(sample: Sample) -> np.ndarray:
     draw = ImageDraw.Draw(image)
     points = joint_pixels(sample.camera, sample.joints_m) * zoom - 0.5
     # NaN is not smaller either
-    drawable = [bool((np.abs(point) < limits.OVERLAY_REACH_PX).all()) for point in points]
+    drawable = [bool((np.abs(point) < OVERLAY_REACH_PX).all()) for point in points]
     for joint in range(1, len(points)):
         if drawable[joint] and drawable[PARENTS[joint]]:
             draw.line([*points[PARENTS[joint]], *points[joint]], fill=_color(joint), width=2 * zoom)

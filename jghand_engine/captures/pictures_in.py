@@ -12,8 +12,12 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from jghand_engine import limits
 from jghand_engine.errors import InputError
+
+# gray value of a mask file from which a pixel is hand: JPEG smears the edge over some pixels around the middle
+MASK_THRESHOLD = 128
+# last bytes of a picture file in which its end mark must stand; some cameras pad the file behind it
+PICTURE_TAIL_BYTES = 64
 
 _REMEDY = "Get that file again, or leave it out of the set."
 # PIL's readers raise the plain ones on damaged files; a picture of few bytes may claim gigapixels
@@ -90,7 +94,7 @@ def read_mask(path: Path) -> np.ndarray:
     A mask with an alpha channel is its alpha. InputError as in `read_picture`.
     """
     gray = _read(path, "mask", lambda image: image.getchannel("A") if "A" in image.getbands() else image.convert("L"))
-    return (gray >= limits.MASK_THRESHOLD).astype(np.float32)
+    return (gray >= MASK_THRESHOLD).astype(np.float32)
 
 
 def _read(path: Path, what: str, convert: Callable[[Image.Image], Image.Image]) -> np.ndarray:
@@ -110,7 +114,7 @@ def _has_alpha(image: Image.Image) -> bool:
 def _tail(path: Path) -> bytes:
     with open(path, "rb") as stream:
         stream.seek(0, os.SEEK_END)
-        stream.seek(max(0, stream.tell() - limits.PICTURE_TAIL_BYTES))
+        stream.seek(max(0, stream.tell() - PICTURE_TAIL_BYTES))
         return stream.read()
 
 

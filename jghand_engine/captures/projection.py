@@ -15,6 +15,10 @@ from jghand_engine import limits
 from jghand_engine.captures.sample import Sample, load_picture
 from jghand_engine.render.camera import Camera
 
+# a joint so near to the mask counts as on it, px: joints lie inside the finger, its silhouette may be cut close
+CHECK_REACH_PX = 3
+CHECK_ON_MASK_MIN = 0.85
+
 
 @dataclass(frozen=True)
 class Seen:
@@ -45,7 +49,7 @@ def joints_on_mask(camera: Camera, joints_m: np.ndarray, mask: np.ndarray) -> np
     """(21,) float: 1 for joints on the mask or within CHECK_REACH_PX of it, 0 for others, NaN for those that tell
     nothing: not known, or beyond a border of the picture that the hand reaches."""
     height, width = mask.shape
-    hand = ndimage.binary_dilation(mask >= 0.5, iterations=limits.CHECK_REACH_PX)
+    hand = ndimage.binary_dilation(mask >= 0.5, iterations=CHECK_REACH_PX)
     pixels = joint_pixels(camera, joints_m)
     known = np.isfinite(joints_m).all(axis=1)
     with np.errstate(invalid="ignore"):
@@ -66,7 +70,7 @@ def part_on_mask(camera: Camera, joints_m: np.ndarray, mask: np.ndarray) -> floa
 
 def likely_mistake(samples: Sequence[Sample]) -> str | None:
     """The common mistake whose repair puts the joints onto the masks, as a sentence; None when none of them does."""
-    best, sentence = limits.CHECK_ON_MASK_MIN, None
+    best, sentence = CHECK_ON_MASK_MIN, None
     masks = [load_picture(sample).mask for sample in samples]
     for text, repair in _REPAIRS:
         parts = [part_on_mask(repair(one.camera), one.joints_m, mask) for one, mask in zip(samples, masks, strict=True)]

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jghand_engine import limits
 from jghand_engine.captures.captures import Capture, CaptureChoice, Layout
 from jghand_engine.captures.interhand_annotations import InterHandPicture
 from jghand_engine.captures.masks import template_mask
@@ -20,6 +19,14 @@ from jghand_engine.captures.pictures_in import read_mask, read_picture
 from jghand_engine.captures.sample import MaskSource, Sample
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
+
+# the same papers leave a picture out when the hand's box is nearer to the border than this or smaller, pixels; when it
+# is as dark as this; when two color channels differ nowhere by more than this; when the mask has fewer pixels
+PAPER_BORDER_PX = 10
+PAPER_BOX_MIN_PX = 80
+PAPER_DARK = 20
+PAPER_CHANNEL_DIFFERENCE = 1
+PAPER_MASK_MIN_PX = 3000
 
 _LEARN, _SHOW = "ROM04_RT_Occlusion", "ROM03_RT_No_Occlusion"
 
@@ -73,25 +80,25 @@ def avatar_papers_drop(sample: Sample, picture: InterHandPicture) -> str | None:
     if reason is not None:
         return reason
     rgb = read_picture(sample.picture)[..., :3].astype(np.float64)
-    if rgb.max() < limits.PAPER_DARK:
+    if rgb.max() < PAPER_DARK:
         return "dark"
     pairs = ((0, 1), (1, 2), (0, 2))
-    if any(np.abs(rgb[..., a] - rgb[..., b]).max() <= limits.PAPER_CHANNEL_DIFFERENCE for a, b in pairs):
+    if any(np.abs(rgb[..., a] - rgb[..., b]).max() <= PAPER_CHANNEL_DIFFERENCE for a, b in pairs):
         return "gray camera"
     mask = _mask(sample) > 0
-    if mask.sum() < limits.PAPER_MASK_MIN_PX:
+    if mask.sum() < PAPER_MASK_MIN_PX:
         return "small mask"
-    return "dark hand" if rgb[mask].mean(axis=-1).max() < limits.PAPER_DARK else None
+    return "dark hand" if rgb[mask].mean(axis=-1).max() < PAPER_DARK else None
 
 
 def _box_reason(picture: InterHandPicture) -> str | None:
     if len(picture.bbox_px) != 4:
         raise InputError(f"bbox of {picture.where}", wanted="x, y, width, height", came=str(picture.bbox_px))
     x, y, width, height = picture.bbox_px
-    border = limits.PAPER_BORDER_PX
+    border = PAPER_BORDER_PX
     if min(x, y, picture.width - x - width, picture.height - y - height) < border:
         return "hand near the border"
-    return "small hand" if max(width, height) < limits.PAPER_BOX_MIN_PX else None
+    return "small hand" if max(width, height) < PAPER_BOX_MIN_PX else None
 
 
 def _mask(sample: Sample) -> np.ndarray:

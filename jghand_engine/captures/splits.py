@@ -11,11 +11,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from jghand_engine import limits
 from jghand_engine.captures.captures import Capture, sorted_samples
 from jghand_engine.captures.sample import Sample
 from jghand_engine.errors import InputError
 from jghand_engine.json_files import read_object
+
+# the rule by which a set without a split of its own is split: every n-th pose and every n-th camera is for the test
+SPLIT_EVERY_POSE = 5
+SPLIT_EVERY_CAMERA = 6
 
 SPLITS_FILE = "splits.json"
 SPLITS_FORMAT = 1
@@ -60,7 +63,7 @@ def split_capture(capture: Capture) -> Split:
 
 
 def split_by_rule(
-    capture: Capture, every_pose: int = limits.SPLIT_EVERY_POSE, every_camera: int = limits.SPLIT_EVERY_CAMERA
+    capture: Capture, every_pose: int = SPLIT_EVERY_POSE, every_camera: int = SPLIT_EVERY_CAMERA
 ) -> Split:
     """Every n-th pose of a sequence and every n-th camera are for the test, in the order of their names and numbers.
 

@@ -42,12 +42,11 @@ class CheckData:
 
     def run(self) -> int:
         """0 when the data can be learned from, the exit code of bad input when not."""
-        from jghand_engine import limits
-        from jghand_engine.captures.check_data import check_data, facts
+        from jghand_engine.captures.check_data import CHECK_PICTURES, check_data, facts
 
         if self.shown < 0:
             raise InputError("--shown", wanted="0 or more", came=str(self.shown))
-        most = 2**31 if self.all else limits.CHECK_PICTURES
+        most = 2**31 if self.all else CHECK_PICTURES
         with progress("Looking at pictures", 1) as bar:
             checked = check_data(
                 self.folder,

@@ -15,10 +15,11 @@ from jghand_engine.hand.anatomy import pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder
 from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.motion.bone_names import BoneMap, bone_map
+from jghand_engine.motion.clocks import DEFAULT_FPS
 from jghand_engine.motion.files import MotionFormat
-from jghand_engine.motion.foreign.bone_names import BoneMap, bone_map
-from jghand_engine.motion.foreign.read import MotionRead, read_motion_file
-from jghand_engine.motion.tools import fill_gaps
+from jghand_engine.motion.read import MotionRead, read_motion_file
+from jghand_engine.motion.repair import fill_gaps
 
 
 @dataclass(frozen=True)
@@ -116,6 +117,6 @@ def read_sequence(path: Path, options: FormatOptions) -> PoseSequence:
 
 def _from_names(names: str, options: FormatOptions, avatar: HandAvatar) -> PoseSequence:
     fps = options.checked_fps()
-    motion = PoseMotionOptions(fps=limits.DEFAULT_FPS if fps is None else fps)
+    motion = PoseMotionOptions(fps=DEFAULT_FPS if fps is None else fps)
     hand = Handedness(options.hand or Handedness.RIGHT)
     return pose_sequence_of_names(pose_list(names), avatar.canonical_joints_m.numpy(), handedness=hand, options=motion)

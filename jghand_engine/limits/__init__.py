@@ -8,7 +8,6 @@ from jghand_engine.limits.avatar import *
 from jghand_engine.limits.capture import *
 from jghand_engine.limits.cli import *
 from jghand_engine.limits.color import *
-from jghand_engine.limits.datasets import *
 from jghand_engine.limits.exporters import *
 from jghand_engine.limits.hand import *
 from jghand_engine.limits.native import *

@@ -105,10 +105,6 @@ USD_OPACITY_TOLERANCE = 1e-6
 USD_GUESS_SHARE = 0.5
 # variants of a stage that are looked at: each opens the stage anew
 USD_CHECK_VARIANTS_MAX = 32
-# bytes at the start of a binary USD file that say where its table of contents is
-USD_CRATE_HEADER_BYTES = 24
-# brackets of a text layer that may be open at once: USD reads them by recursion and dies of 100,000; hands have 10
-USD_TEXT_DEPTH_MAX = 200
 
 # ---- exporters: web page --------------------------------------------------------------------------------------------
 # gzip's level of the hand's data, 0..9: 9 takes twice as long and saves 0.2 %

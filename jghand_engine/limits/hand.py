@@ -43,16 +43,6 @@ OPENXR_METACARPAL_PART = 0.34
 # frames per second of a motion: outside this range it is most likely a frame count or milliseconds
 FPS_MIN = 0.1
 FPS_MAX = 10_000.0
-# rate of a motion file that declares none and is told none: that of most cameras
-DEFAULT_FPS = 30.0
-# a motion file larger than this, packed or unpacked, is refused: an hour at 120 frames per second has 220 MB
-MOTION_MAX_BYTES = 1 << 30
-# bytes that a packed motion may unpack to, and so many more for each packed byte: motions pack to a half, a hand that
-# does not move at all to 1/236, zeros to 1/1000
-MOTION_UNPACKED_BYTES = 1 << 24
-MOTION_UNPACKED_TIMES = 400
-# MOTION_MAX_BYTES for .json and .csv, whose numbers take ten times their text while they are read: an hour at 30
-MOTION_TEXT_MAX_BYTES = 1 << 27
 
 # ---- hand: named poses ----------------------------------------------------------------------------------------------
 # tips touch: air of this part of the finger chain's length (about 3 mm) weighs as much as turning one joint by the
@@ -66,8 +56,6 @@ TOUCH_STEPS = 8
 TOUCH_DIFFERENCE_DEG = 1e-3
 
 # ---- hand: motions of others --------------------------------------------------------------------------------------
-# a gap longer than this is told apart: within half a second a hand does little that the way between does not show
-GAP_LONG_S = 0.5
 # bones that vary by less than this (standard deviation, meters) are constant: text with few digits
 BONE_WOBBLE_MIN_M = 1e-4
 # part of a frame by which a time may miss it and still be that frame: round-off of clocks in text

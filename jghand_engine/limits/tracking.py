@@ -16,8 +16,6 @@ TRACK_EDGE_PX = 1920
 # longer videos are refused, or cut off there if they do not say how long they are: some kilobytes per frame and hand
 # stay in memory; nearly two hours at 30 per second
 TRACK_FRAMES_MAX = 200_000
-# rates by which films and television miss a whole number, which players print rounded
-NTSC_RATES = (24000 / 1001, 30000 / 1001, 48000 / 1001, 60000 / 1001, 120000 / 1001)
 NTSC_RATE_TOLERANCE = 6e-3
 # times between pictures vary where the mean rate differs from the most frequent one by more than this part; less comes
 # of printing them rounded

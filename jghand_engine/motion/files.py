@@ -1,6 +1,6 @@
 """Motions in files: `.npz`, `.json` and `.csv`, which say what they hold, and plain `.npy`, which must be told.
 
-This module reads what stands in a file; `motions.read` makes it a motion. All formats hold positions; the joint order
+This module reads what stands in a file; `motion.read` makes it a motion. All formats hold positions; the joint order
 in files that JGHand writes is the standard order, the unit meters. Nothing is ever unpickled.
 
     .npz   joints_m (F, 21, 3) · order · unit · fps · handedness · valid (F, 21) and filled (F,) optional
@@ -20,31 +20,37 @@ import csv
 import itertools
 import json
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
-from jghand_engine import limits
 from jghand_engine.errors import InputError
 from jghand_engine.files import writing
 from jghand_engine.hand.joints import JOINT_COUNT, STANDARD_NAMES, Handedness
-from jghand_engine.hand.orders import JointOrder, from_level
+from jghand_engine.hand.orders import METERS_PER_UNIT, JointOrder, from_level
 from jghand_engine.hand.sequence import PoseSequence
-from jghand_engine.motion.foreign.bone_names import BoneMap
-from jghand_engine.motion.foreign.clocks import TIME_NAMES
-from jghand_engine.motion.foreign.damage import NoMotionError
-from jghand_engine.motion.foreign.json_points import plain
-from jghand_engine.motion.foreign.json_text import JsonText
-from jghand_engine.motion.foreign.tables import is_number, number_in
-from jghand_engine.motion.foreign.text_lines import bounded_lines
+from jghand_engine.limits import FPS_MAX, FPS_MIN
+from jghand_engine.motion.bone_names import BoneMap
+from jghand_engine.motion.clocks import TIME_NAMES, plain
+from jghand_engine.motion.content import (
+    MOTION_MAX_BYTES,
+    HandTrack,
+    MotionContent,
+    NoMotionError,
+    check_frame_count,
+    check_size,
+    json_content,
+)
+from jghand_engine.motion.tables import is_number, number_in
 from jghand_engine.npz_files import read_arrays
 
 FORMAT, _VERSION = "jghand motion", 1
 # what an archive declares beside its arrays
 _DECLARED = ("order", "unit", "fps", "handedness")
+_Parsed = TypeVar("_Parsed")
 
 
 @dataclass(frozen=True)
@@ -59,7 +65,7 @@ class MotionFormat:
     check_hand: refuse joints whose bone lengths are no hand's. Turn it off for hands of odd proportions only: it is
                 what catches a wrong order or unit
 
-    For files of other programs (`motions.read`) only:
+    For files of other programs (`motion.read`) only:
 
     part:            which of several skeletons, animations, captures: its name, or a part of it
     mirrored_labels: whether a detector's labels are those of a mirrored picture; None: as its interface usually has it
@@ -80,22 +86,43 @@ class MotionFormat:
     up: str | None = None
 
 
-@dataclass(frozen=True)
-class FileContent:
-    """A file as it is: joints (F, n, 3) in its order and unit, valid (F, n) or None, and what it declares: order, unit,
-    fps, handedness, filled, each as the file has it. times: (F,) of the frames in an unknown unit, or none."""
+def read_content(file: Path, suffix: str, content: Any = None) -> MotionContent:
+    """What stands in a file of one of the suffixes above, whatever it is called; content: of JSON, where it was read.
 
-    joints: np.ndarray
-    valid: np.ndarray | None
-    declared: dict[str, Any]
-    times: Sequence[float] = ()
-
-
-def read_content(file: Path, suffix: str) -> FileContent:
-    """What stands in a file of one of the suffixes above, whatever it is called. InputError, and all that `told_damage`
-    tells."""
-    _check_size(file, suffix)
-    return _READERS[suffix](file)
+    InputError, and all that `content.told_damage` tells.
+    """
+    declared: dict[str, Any] = {}
+    valid, times = None, []
+    if suffix == ".npy":
+        # mapped, not read: a header that promises more than the file holds is refused before anything is allocated
+        joints = _joints(np.load(file, mmap_mode="r", allow_pickle=False))
+    elif suffix == ".npz":
+        joints, valid = _from_npz(file, declared)
+    elif suffix == ".json":
+        joints = _from_json(json_content(file) if content is None else content, declared)
+    else:
+        check_size(file, text=True)
+        joints, times = _from_csv(file, declared)
+    if not len(joints):
+        raise InputError(f"motion file {file}", wanted="at least one frame", came="an empty motion")
+    if valid is not None:
+        if valid.shape != joints.shape[:2]:
+            raise InputError(f"'valid' in {file}", wanted=f"shape {joints.shape[:2]}", came=str(valid.shape))
+        joints[~valid] = np.nan
+    meters = _declared(f"unit of {file}", declared.get("unit"), _meters_of)
+    side = _declared(f"handedness of {file}", declared.get("handedness"), Handedness)
+    order = _declared(f"order of {file}", declared.get("order"), JointOrder.parse)
+    fps = _declared(f"frames per second of {file}", declared.get("fps"), _fps)
+    return MotionContent(
+        "JGHand's own format" if order is not None and meters is not None else f"plain {suffix[1:]}",
+        (HandTrack(joints, side, order),),
+        meters,
+        meters is not None,
+        fps,
+        times if fps is None else (),
+        filled=_filled_frames(file, declared.get("filled"), len(joints)),
+        is_plain=True,
+    )
 
 
 def write_motion(path: Path | str, sequence: PoseSequence) -> None:
@@ -115,90 +142,78 @@ def check_written_suffix(file: Path) -> None:
         raise InputError(f"motion file {file}", wanted=f"one of {', '.join(_WRITERS)}", came=repr(file.suffix))
 
 
-def filled_frames(file: Path, content: FileContent) -> np.ndarray:
-    """(F,) bool from what the file declares: the flags themselves, or the numbers of the frames. InputError."""
-    filled, count = content.declared.get("filled"), len(content.joints)
+def _declared(name: str, value: Any, parsed: Callable[[str], _Parsed]) -> _Parsed | None:
+    """What a file declares, None for nothing. InputError calls it `name`."""
+    try:
+        return None if value is None else parsed(str(value))
+    except InputError as error:
+        raise InputError(name, wanted=error.wanted, came=error.came[:200]) from error
+
+
+def _meters_of(unit: str) -> float:
+    if unit not in METERS_PER_UNIT:
+        raise InputError("unit", wanted=" or ".join(METERS_PER_UNIT), came=repr(unit))
+    return METERS_PER_UNIT[unit]
+
+
+def _fps(text: str) -> float:
+    try:
+        fps = float(text)
+    except ValueError:
+        fps = math.nan
+    if not FPS_MIN <= fps <= FPS_MAX:
+        raise InputError("frames per second", wanted=f"{FPS_MIN:g} to {FPS_MAX:g}", came=repr(text))
+    return fps
+
+
+def _filled_frames(file: Path, filled: Any, count: int) -> np.ndarray:
+    """(count,) bool from what the file declares: the flags themselves, or the numbers of the frames. InputError."""
     if isinstance(filled, np.ndarray) and filled.shape == (count,):
         return filled.astype(bool)
+    flags = np.zeros(count, dtype=bool)
+    numbers = filled.split() if isinstance(filled, str) else [] if filled is None else filled
     try:
-        given = () if filled is None else filled
-        numbers = [int(word) for word in given.split()] if isinstance(given, str) else list(given)
-        # True is 1 to Python, and no number of a frame
-        whole = all(type(number) is int for number in numbers)
-        frames = np.array(numbers if whole else [-1], dtype=np.int64)
-    except (TypeError, ValueError, OverflowError):
-        frames = np.array([-1])
-    if isinstance(filled, np.ndarray) or (frames < 0).any() or (frames >= count).any():
+        frames = [int(number) for number in numbers if not isinstance(number, bool | float)]
+        is_wrong = not isinstance(numbers, list) or len(frames) != len(numbers) or min(frames, default=0) < 0
+        flags[frames] = True
+    except (TypeError, ValueError, IndexError, OverflowError):
+        is_wrong = True
+    if is_wrong:
         wanted = f"a flag of each of the {count} frames, or their numbers"
         raise InputError(f"'filled' in {file}", wanted=wanted, came="something else")
-    flags = np.zeros(count, dtype=bool)
-    flags[frames] = True
     return flags
-
-
-def _check_size(file: Path, kind: str) -> None:
-    size = file.stat().st_size
-    text = kind in (".json", ".csv")
-    most = limits.MOTION_TEXT_MAX_BYTES if text else limits.MOTION_MAX_BYTES
-    if size > most:
-        raise InputError(
-            f"motion file {file}",
-            wanted=f"at most {most / 2**20:.0f} MiB",
-            came=f"{size / 2**20:.0f} MiB",
-            remedy="Cut it into shorter motions, or write it as .npz." if text else "Cut it into shorter motions.",
-        )
-
-
-def _numbers(array: np.ndarray) -> np.ndarray:
-    """Numbers as float64. What they are is looked at before: bytes make eight times their size, and no joints."""
-    if array.dtype.kind not in "fiu" or array.dtype.itemsize < 2:
-        raise ValueError(f"numbers wanted, dtype {array.dtype} found")
-    return np.array(array, dtype=np.float64)
 
 
 def _joints(array: np.ndarray) -> np.ndarray:
     """Joints (F, n, 3) as float64. Their shape is looked at before any memory is taken."""
     if array.ndim != 3 or array.shape[-1] != 3 or array.shape[1] > 2 * JOINT_COUNT:
         raise NoMotionError(f"joints of shape (frames, 21, 3) wanted, {array.shape} found")
-    _check_count(len(array))
-    return _numbers(array)
-
-
-def _check_count(frames: int) -> None:
-    if frames > limits.MOTION_FRAMES_MAX:
-        raise NoMotionError(f"more than {limits.MOTION_FRAMES_MAX} frames")
+    check_frame_count(len(array))
+    if array.dtype.kind not in "fiu" or array.dtype.itemsize < 2:
+        raise ValueError(f"numbers wanted, dtype {array.dtype} found")
+    return np.array(array, dtype=np.float64)
 
 
 # ---- numpy ----------------------------------------------------------------------------------------------------------
 
 
-def _read_npy(file: Path) -> FileContent:
-    # mapped, not read: a header that promises more than the file holds is refused before anything is allocated
-    mapped = np.load(file, mmap_mode="r", allow_pickle=False)
-    if not isinstance(mapped, np.ndarray):
-        raise ValueError("an archive with the suffix of a single array")
-    return FileContent(_joints(mapped), None, {})
-
-
-def _read_npz(file: Path) -> FileContent:
-    # zeros pack to a thousandth: a small file must not ask for much
-    unpacked = limits.MOTION_UNPACKED_BYTES + limits.MOTION_UNPACKED_TIMES * file.stat().st_size
+def _from_npz(file: Path, declared: dict[str, Any]) -> tuple[np.ndarray, np.ndarray | None]:
+    """Joints, and which of them are valid."""
     arrays = read_arrays(
         file,
         (),
         f"motion file {file}",
         optional=("joints_m", "joints", "valid", "filled", *_DECLARED),
-        max_bytes=min(unpacked, limits.MOTION_MAX_BYTES),
+        max_bytes=MOTION_MAX_BYTES,
     )
     key = "joints_m" if "joints_m" in arrays else "joints"
     if key not in arrays:
         raise ValueError("no array 'joints_m' in it")
-    declared: dict[str, Any] = {name: arrays[name].item() for name in _DECLARED if name in arrays}
+    declared |= {name: arrays[name].item() for name in _DECLARED if name in arrays}
     if key == "joints_m" and declared.setdefault("unit", "m") != "m":
         raise ValueError(f"'joints_m' means meters, and the unit is '{declared['unit']}': call the array 'joints'")
     declared["filled"] = arrays.get("filled")
-    valid = arrays["valid"].astype(bool) if "valid" in arrays else None
-    return FileContent(_joints(arrays[key]), valid, declared)
+    return _joints(arrays[key]), arrays["valid"].astype(bool) if "valid" in arrays else None
 
 
 def _write_npz(file: Path, sequence: PoseSequence) -> None:
@@ -223,38 +238,25 @@ def _standard_valid(sequence: PoseSequence) -> np.ndarray:
 # ---- JSON -----------------------------------------------------------------------------------------------------------
 
 
-def _read_json(file: Path) -> FileContent:
-    text = JsonText.of_file(file)
-    if text.text[text.start] == "[":
-        return FileContent(_json_frames(text, text.start), None, {})
-    declared: dict[str, Any] = {}
-    joints = None
-    for name, place in text.members(text.start):
-        if name == "joints":
-            joints = place
-        elif name in ("format", "version", "filled", *_DECLARED):
-            declared[name] = text.value(place)
-    if joints is None or text.text[joints] != "[":
-        raise ValueError("no list 'joints' in it")
-    if declared.get("format", FORMAT) != FORMAT:
-        raise ValueError(f"its format is {str(declared['format'])[:40]!r}, not {FORMAT!r}")
-    if declared.get("version", _VERSION) != _VERSION:
-        raise ValueError(f"its version is {str(declared['version'])[:40]}, and this JGHand reads {_VERSION}")
-    return FileContent(_json_frames(text, joints), None, declared)
-
-
-def _json_frames(text: JsonText, place: int) -> np.ndarray:
+def _from_json(content: Any, declared: dict[str, Any]) -> np.ndarray:
     """Lists of frames of joints of x, y, z -> (F, n, 3); null joints and null coordinates become NaN."""
+    frames = content
+    if isinstance(content, dict):
+        frames = content.get("joints")
+        declared |= {name: content[name] for name in ("filled", *_DECLARED) if name in content}
+        if content.get("format", FORMAT) != FORMAT:
+            raise ValueError(f"its format is {str(content['format'])[:40]!r}, not {FORMAT!r}")
+        if content.get("version", _VERSION) != _VERSION:
+            raise ValueError(f"its version is {str(content['version'])[:40]}, and this JGHand reads {_VERSION}")
+    if not isinstance(frames, list):
+        raise ValueError("no list 'joints' in it")
+    check_frame_count(len(frames))
     missing = [math.nan] * 3
-    frames = []
-    for frame in text.elements(place):
-        joints = [missing if joint is None else [math.nan if x is None else x for x in joint] for joint in frame]
-        array = _numbers(np.array(joints))
-        if array.ndim != 2:
-            raise ValueError(f"frame {len(frames)} is no list of joints")
-        frames.append(array)
-        _check_count(len(frames))
-    return np.stack(frames) if frames else np.zeros((0, len(STANDARD_NAMES), 3))
+    rows = [
+        [missing if joint is None else [math.nan if x is None else x for x in joint] for joint in frame]
+        for frame in frames
+    ]
+    return _joints(np.array(rows)) if rows else np.zeros((0, JOINT_COUNT, 3))
 
 
 def _write_json(file: Path, sequence: PoseSequence) -> None:
@@ -279,13 +281,11 @@ def _declarations(sequence: PoseSequence) -> dict[str, str | float]:
 _COLUMNS = [f"{name}_{axis}" for name in STANDARD_NAMES for axis in "xyz"]
 
 
-def _read_csv(file: Path) -> FileContent:
-    declared: dict[str, Any] = {}
+def _from_csv(file: Path, declared: dict[str, Any]) -> tuple[np.ndarray, list[float]]:
+    """Joints, and the times of the frames where there is a column of them."""
     with open(file, encoding="utf-8-sig", newline="") as stream:
-        rows = (row for row in csv.reader(_without_comments(bounded_lines(stream), declared)) if row)
-        first = next(rows, None)
-        if first is None:
-            return FileContent(np.zeros((0, len(STANDARD_NAMES), 3)), None, declared)
+        rows = (row for row in csv.reader(_without_comments(stream, declared)) if row)
+        first = next(rows, [])
         header = [cell.strip().lower() for cell in first]
         clock = [place for place, name in enumerate(header) if plain(name) in TIME_NAMES][:1]
         if has_own_columns(header):
@@ -297,10 +297,10 @@ def _read_csv(file: Path) -> FileContent:
             if len(places) % 3:
                 raise ValueError(f"{len(places)} columns of numbers are not x, y, z of joints")
         has_header = not all(map(is_number, header))
-        every = rows if has_header else itertools.chain([first], rows)
+        every = rows if has_header else itertools.chain([first] if first else [], rows)
         table = _csv_numbers(every, [*places, *clock], 1 + has_header)
-    joints = table[:, : len(places)].reshape(len(table), -1, 3)
-    return FileContent(joints, None, declared, table[:, -1].tolist() if clock else ())
+    joints = table[:, : len(places)].reshape(len(table), -1, 3) if len(table) else np.zeros((0, JOINT_COUNT, 3))
+    return joints, table[:, -1].tolist() if clock else []
 
 
 def _without_comments(lines: Iterable[str], declared: dict[str, Any]) -> Iterator[str]:
@@ -324,7 +324,7 @@ def _csv_numbers(rows: Iterable[list[str]], columns: list[int], first_line: int)
     for number, row in enumerate(rows, first_line):
         if len(row) <= max(columns):
             raise ValueError(f"row {number} ends after {len(row)} of {max(columns) + 1} columns")
-        _check_count(len(table))
+        check_frame_count(len(table) + 1)
         table.append(np.array([_cell(row[place], number, place) for place in columns]))
     return np.array(table).reshape(len(table), len(columns))
 
@@ -349,12 +349,6 @@ def _write_csv(file: Path, sequence: PoseSequence) -> None:
             writer.writerow([number, *("" if math.isnan(x) else repr(x) for x in row)])
 
 
-_READERS: dict[str, Callable[[Path], FileContent]] = {
-    ".npz": _read_npz,
-    ".npy": _read_npy,
-    ".json": _read_json,
-    ".csv": _read_csv,
-}
 _WRITERS: dict[str, Callable[[Path, PoseSequence], None]] = {
     ".npz": _write_npz,
     ".json": _write_json,

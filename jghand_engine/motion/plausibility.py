@@ -4,10 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from jghand_engine import limits
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.orders import METERS_PER_UNIT, JointOrder, check_order, hand_length
+from jghand_engine.hand.orders import (
+    METERS_PER_UNIT,
+    JointOrder,
+    check_order,
+    hand_length,
+)
+from jghand_engine.limits import HAND_LENGTH_MAX_M, HAND_LENGTH_MIN_M
+
+# mean bend of the fingers' middle joints away from the palm, as a sine, from which it must be the other hand
+CURL_MIN = 0.1
 
 
 def check_joints(joints_m: np.ndarray, order: JointOrder, unit: str, source: str) -> None:
@@ -20,10 +28,10 @@ def check_joints(joints_m: np.ndarray, order: JointOrder, unit: str, source: str
     if not len(whole):
         return
     length_m = hand_length(whole)
-    if not limits.HAND_LENGTH_MIN_M <= length_m <= limits.HAND_LENGTH_MAX_M:
+    if not HAND_LENGTH_MIN_M <= length_m <= HAND_LENGTH_MAX_M:
         raise InputError(
             f"joints in {source}",
-            wanted=f"a hand of {limits.HAND_LENGTH_MIN_M:g} to {limits.HAND_LENGTH_MAX_M:g} m, in {unit}",
+            wanted=f"a hand of {HAND_LENGTH_MIN_M:g} to {HAND_LENGTH_MAX_M:g} m, in {unit}",
             came=f"{length_m:.3g} m from wrist to middle tip",
             remedy=_unit_remedy(length_m, unit),
         )
@@ -60,6 +68,6 @@ def _unit(vectors: np.ndarray) -> np.ndarray:
 def _unit_remedy(length_m: float, unit: str) -> str:
     for name, meters in METERS_PER_UNIT.items():
         likely_m = length_m / METERS_PER_UNIT[unit] * meters
-        if limits.HAND_LENGTH_MIN_M <= likely_m <= limits.HAND_LENGTH_MAX_M:
+        if HAND_LENGTH_MIN_M <= likely_m <= HAND_LENGTH_MAX_M:
             return f"They look like {name}; this layout has {unit}: convert them, or take the original file."
     return "Take the original file, or scale the hand to its real size."

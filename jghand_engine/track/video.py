@@ -21,6 +21,7 @@ import numpy as np
 from jghand_engine import limits
 from jghand_engine.errors import InputError, MemoryLimitError
 from jghand_engine.export.video import ffmpeg_program
+from jghand_engine.motion.clocks import NTSC_RATES
 
 # containers of single films; playlists and lists of files would make the decoder open what they name
 _CONTAINERS = "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpeg,mpegts,mpegvideo,h264,hevc,m4v,flv,asf,ogg,mxf,dv,gif"
@@ -223,7 +224,7 @@ def _rate(film: str, name: str) -> float | None:
 
 def _ntsc(rate: float) -> float:
     """29.97 is printed where 30000/1001 is meant; over an hour the difference is a frame."""
-    near = [exact for exact in limits.NTSC_RATES if abs(rate - exact) < limits.NTSC_RATE_TOLERANCE]
+    near = [exact for exact in NTSC_RATES if abs(rate - exact) < limits.NTSC_RATE_TOLERANCE]
     return near[0] if near else rate
 
 

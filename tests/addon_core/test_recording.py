@@ -94,7 +94,7 @@ def test_a_motion_that_is_written_is_read_back_to_the_bit(tmp_path):
 
 
 def test_the_engine_reads_it_back_too(tmp_path):
-    engine = pytest.importorskip("jghand_engine.motion.foreign.read", reason="needs the engine's packages")
+    engine = pytest.importorskip("jghand_engine.motion.read", reason="needs the engine's packages")
     from jghand_engine.hand.orders import JointOrder, from_level
 
     recording = a_recording()
@@ -114,7 +114,7 @@ def test_the_engine_stamps_a_motion_as_this_side_does(tmp_path):
     usd = pytest.importorskip("jghand_engine.export.usd.package", reason="needs the engine's packages")
     from jghand_engine.avatar.builtin import load_painted
     from jghand_engine.hand.joints import Handedness
-    from jghand_engine.motion.foreign.read import read_motion_file
+    from jghand_engine.motion.read import read_motion_file
 
     recording = a_recording()
     recording.save(tmp_path / "motion.npz")
@@ -147,7 +147,7 @@ def test_the_estimate_of_an_export_is_its_size(tmp_path):
     from jghand_engine.export.splats.files import export_splats
     from jghand_engine.export.usd.package import export_usd
     from jghand_engine.hand.joints import Handedness
-    from jghand_engine.motion.foreign.read import read_motion_file
+    from jghand_engine.motion.read import read_motion_file
 
     avatar = load_builtin(handedness=Handedness.RIGHT)
     assert len(avatar) == limits.BUILTIN_GAUSSIANS

@@ -17,7 +17,7 @@ def test_a_frame_of_the_engine_is_the_hand_in_the_world_with_z_up(tmp_path):
 
     from jghand_engine.color import srgb_to_linear
     from jghand_engine.export.motion import HandMotion
-    from jghand_engine.motion.foreign.read import read_motion_file
+    from jghand_engine.motion.read import read_motion_file
 
     recording, avatar = a_recording(2), small_avatar()
     recording.save(tmp_path / "m.npz")

@@ -179,7 +179,7 @@ def test_the_engine_reads_the_motion_file_back_to_the_same_joints(extension, eng
     bpy.ops.jghand.export()
     code = """
 import sys, numpy as np
-from jghand_engine.motion.foreign.read import read_motion_file
+from jghand_engine.motion.read import read_motion_file
 from jghand_engine.hand.orders import JointOrder, from_level
 motion = read_motion_file(sys.argv[1]).sequence
 np.savez(sys.argv[2], joints=from_level(motion.joints_m, JointOrder.STANDARD), fps=motion.fps)

@@ -10,7 +10,7 @@ import pytest
 
 from jghand_engine.cli import main
 from jghand_engine.export.pictures import read_png
-from jghand_engine.motion.foreign.read import read_motion_file
+from jghand_engine.motion.read import read_motion_file
 from jghand_engine.native.library import best_variant
 
 ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="the extra `video` is not installed")

@@ -11,7 +11,7 @@ import pytest
 from jghand_engine.cli import main
 from jghand_engine.hand.joints import LEVEL_NAMES, Handedness
 from jghand_engine.hand.orders import bone_lengths
-from jghand_engine.motion.foreign.read import read_motion_file
+from jghand_engine.motion.read import read_motion_file
 
 
 def run(*words):

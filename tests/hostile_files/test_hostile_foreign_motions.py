@@ -4,24 +4,18 @@ from __future__ import annotations
 
 import json
 import struct
-import subprocess
-import sys
-from collections.abc import Iterable
-from pathlib import Path
 
 import motion_samples as samples
 import numpy as np
 import pytest
 
-from jghand_engine import limits
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.motion import content
 from jghand_engine.motion.files import MotionFormat
-from jghand_engine.motion.foreign import json_text
-from jghand_engine.motion.foreign.read import read_motion_file
+from jghand_engine.motion.read import read_motion_file
 
 TOLD = MotionFormat(handedness=Handedness.RIGHT)
-TESTS = Path(__file__).parents[1]
 
 
 @pytest.fixture(scope="module")
@@ -134,15 +128,6 @@ def test_bvh_that_is_none_says_what_is_wrong(tmp_path, text, says):
         read_motion_file(path, TOLD)
 
 
-def test_a_bvh_nested_deeper_than_any_rig_is_only_long(tmp_path):
-    joints = "".join(f"JOINT j{number}\n{{\nOFFSET 0 1 0\nCHANNELS 0\n" for number in range(20_000))
-    header = f"HIERARCHY\nROOT a\n{{\nOFFSET 0 0 0\nCHANNELS 0\n{joints}{'}' * 20_001}\n"
-    path = tmp_path / "motion.bvh"
-    path.write_text(f"{header}MOTION\nFrames: 1\nFrame Time: 0.1\n1\n")
-    with pytest.raises(InputError):
-        read_motion_file(path, TOLD)
-
-
 def _document(rig, **changes):
     document, binary = samples.gltf_document(rig)
     return {**document, **changes}, binary
@@ -154,9 +139,7 @@ def _document(rig, **changes):
         ("nodes", [{"name": "a", "children": [0]}], "two parents"),
         ("nodes", [{"name": "a", "children": [1]}, {"name": "b", "children": [0]}], "a hand"),
         ("nodes", [{"name": "a", "children": [10**30]}], "no nodes of number"),
-        ("nodes", [{"name": "a", "translation": [1, 2]}], "3 numbers"),
-        ("nodes", [{"name": "a", "rotation": ["x"] * 4}], "could not convert"),
-        ("nodes", 7, "a hand"),
+        ("nodes", 7, "no list"),
         ("accessors", [{"bufferView": 0, "componentType": 5126, "count": 10**12, "type": "SCALAR"}] * 99, "beyond"),
         ("accessors", [{"bufferView": 0, "componentType": 5126, "count": -1, "type": "SCALAR"}] * 99, "count"),
         ("accessors", [{"bufferView": 99999, "componentType": 5126, "count": 1, "type": "SCALAR"}] * 99, "bufferViews"),
@@ -172,6 +155,18 @@ def _document(rig, **changes):
 )
 def test_gltf_that_is_none_says_what_is_wrong(tmp_path, rig, name, entries, says):
     document, binary = _document(rig, **{name: entries})
+    samples.write_glb(tmp_path / "motion.glb", document, binary)
+    with pytest.raises(InputError, match=says):
+        read_motion_file(tmp_path / "motion.glb", TOLD)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "says"),
+    [("translation", [1, 2], "3 numbers"), ("rotation", ["x"] * 4, "could not convert"), ("scale", [0, 0, 0], "flat")],
+)
+def test_a_bone_of_gltf_that_is_none_says_what_is_wrong(tmp_path, rig, name, value, says):
+    document, binary = samples.gltf_document(rig)
+    document["nodes"][0][name] = value
     samples.write_glb(tmp_path / "motion.glb", document, binary)
     with pytest.raises(InputError, match=says):
         read_motion_file(tmp_path / "motion.glb", TOLD)
@@ -271,120 +266,19 @@ def test_openpose_frames_a_trillion_apart_are_refused(tmp_path):
         read_motion_file(tmp_path, TOLD)
 
 
-def test_a_value_larger_than_any_frame_is_not_built(tmp_path):
-    path = tmp_path / "motion.json"
-    path.write_text('{"frames": [{"right": [' + "[0,0,0]," * (limits.JSON_ELEMENT_MAX_BYTES // 4) + "[0,0,0]]}]}")
-    with pytest.raises(InputError, match="at most 1 MiB"):
-        read_motion_file(path, TOLD)
-
-
-def test_short_values_are_looked_at_no_further_than_they_go(tmp_path, monkeypatch):
-    looked = []
-    depths = json_text._depths
-    monkeypatch.setattr(json_text, "_depths", lambda block, *more: looked.append(len(block)) or depths(block, *more))
-    text = json_text.JsonText(b"{" + b'"a":{},' * 100_000 + b'"b":[' + b"0," * 100_000 + b"0]}")
-    places = list(text.members(text.start))
-    assert len(looked) < 100_000 + 20
-    assert max(looked[:100_000]) == 256
-    assert text.after_value(places[-1][1]) == len(text.text) - 1
-
-
 @pytest.mark.parametrize("text", ["Größe", "\U0001f590 \u00a0\u0085\u2028", "\\u00e4\\\\", "é" * 5000])
-def test_strings_of_any_alphabet_are_read_whatever_stands_around_them(text):
-    content = json_text.JsonText(b"\xef\xbb\xbf" + f'{{"{text}": ["{text}", {{"a": "{text}"}}, 12], "n": 5}}'.encode())
-    (name, place), (_, last) = content.members(content.start)
-    wanted = json.loads(f'"{text}"')
-    assert name == wanted
-    assert list(content.elements(place)) == [wanted, {"a": wanted}, 12]
-    assert content.value(last) == 5
+def test_names_of_any_alphabet_may_stand_around_the_frames(tmp_path, text):
+    motion = samples.motion(frames=2)
+    frames = json.dumps([{"right": frame} for frame in samples.webxr_joints(motion).tolist()])
+    path = tmp_path / "motion.json"
+    path.write_bytes(b"\xef\xbb\xbf" + f'{{"{text}": "{text}", "frames": {frames}, "n": 5}}'.encode())
+    assert len(read_motion_file(path).sequence) == 2
 
 
-HAND_AS_A_REMARK = "# " + ",".join(f"right_hand_{name}_{axis}" for name in samples.MEDIAPIPE_NAMES for axis in "xyz")
-RTMPOSE_FINGERS = ("thumb", "forefinger", "middle_finger", "ring_finger", "pinky_finger")
-LINES = b"frame,keypoint,x,y,z\n"
-
-
-def lines_of_frames(count: int, hand: str = "right_hand") -> bytes:
-    """A line for each joint of some frames."""
-    frame = "".join(f"%d,{hand}_{name},1,2,3\n" for name in samples.MEDIAPIPE_NAMES)
-    return "".join(frame % ((number,) * 21) for number in range(count)).encode()
-
-
-def short_lines(frames: Iterable[int]) -> bytes:
-    """The least that a frame of a hand can be, without any position."""
-    names = ["hand_root", *(f"{finger}{n}" for finger in RTMPOSE_FINGERS for n in (1, 2, 3))]
-    frame = "".join(f"%d,{name},,,\n" for name in names)
-    return "".join(frame % ((number,) * len(names)) for number in frames).encode()
-
-
-# each makes a bad file of about 20 MB by the quickest means
-LARGE = {
-    "json of one value": lambda: b'{"frames": [' + b"[0,0,0]," * 2_500_000 + b"0]}",
-    "json cut off": lambda: b'{"frames": [' + b'{"right": null},' * 1_250_000,
-    "json of empty frames": lambda: b'{"frames": [' + b'{"right": null},' * 1_250_000 + b"{}]}",
-    "json nested": lambda: b"[" * 10_000_000 + b"]" * 10_000_000,
-    "json of one string": lambda: b'{"frames": "' + b"x" * 20_000_000 + b'"}',
-    "json of names": lambda: b"{" + b'"a":1,' * 3_300_000 + b'"b":2}',
-    "json of empty objects": lambda: b"{" + b'"a":{},' * 2_800_000 + b'"b":2}',
-    "json with an emoji": lambda: ('{"frames": [' + '{"right": null},' * 1_250_000 + '"\U0001f590"]}').encode(),
-    "bvh of one line": lambda: b"HIERARCHY\nROOT a\n{\nOFFSET " + b"1 " * 10_000_000,
-    "bvh of many joints": lambda: b"HIERARCHY\nROOT a\n{\n" + b"JOINT b\n{\n" * 2_000_000,
-    "csv of one line": lambda: b"a," * 10_000_000,
-    "csv of words": lambda: b"wrist_x,wrist_y,wrist_z\n" + b"a,b,c\n" * 3_300_000,
-    "csv of lines of a joint": lambda: LINES + b"0,right_hand_wrist,1,2,3\n" * 800_000,
-    "csv of lines of many": lambda: LINES + b"".join(b"%d,a,1,2,3\n" % number for number in range(1_300_000)),
-    "csv of lines of a hand": lambda: LINES + lines_of_frames(26_000) + b"0,1\n",
-    "csv of every second frame": lambda: LINES + short_lines(range(0, 140_000, 2)) + b"0,thumb1,far,,\n",
-    "csv of models": lambda: (
-        LINES[:-1]
-        + b",model\n"
-        + b"".join(b"0,a,,,,right_hand%d_hand\n" % (number % 1999) for number in range(700_000))
-    ),
-    "csv of a hand twice": lambda: LINES + lines_of_frames(13_000) * 2,
-    "csv of a hundred hands": lambda: (
-        LINES
-        + b"".join(lines_of_frames(1, f"right{number}") for number in range(90))
-        + b"".join(b"%d,right_hand_wrist,,,\n" % number for number in range(800_000))
-    ),
-    "csv of remarks": lambda: b"#a\n" * 6_600_000 + b"1,2,3\n",
-    "csv of remarks with hands": lambda: (HAND_AS_A_REMARK + "\n").encode() * 12_000 + b"1,2,3\n",
-    "zeros": lambda: b"\0" * 20_000_000,
-    "gltf of nodes": lambda: b'{"asset": {"version": "2.0"}, "nodes": [' + b"{}," * 6_500_000 + b"{}]}",
-}
-_MEASURE = """
-import json, os, resource, sys, time
-from jghand_engine.motion.foreign.read import read_motion_file
-from jghand_engine.errors import InputError
-for path in sys.argv[1:]:
-    # a process for each, because the largest memory of a process never shrinks
-    child = os.fork()
-    if child:
-        os.waitpid(child, 0)
-        continue
-    before, started = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time()
-    said = None
-    try:
-        read_motion_file(path)
-    except InputError as error:
-        said = str(error)
-    seconds = time.process_time() - started
-    print(json.dumps([path, said, seconds, 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)]))
-    sys.stdout.flush()
-    os._exit(0)
-"""
-
-
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="memory is measured as Linux counts it")
-def test_large_bad_files_take_no_more_than_twice_their_size(tmp_path):
-    paths = {name: tmp_path / f"{name.replace(' ', '_')}.any" for name in LARGE}
-    for name, path in paths.items():
-        path.write_bytes(LARGE[name]())
-    words = [sys.executable, "-c", _MEASURE, *map(str, paths.values())]
-    done = subprocess.run(words, capture_output=True, text=True, check=True, cwd=TESTS.parent)
-    results = [json.loads(line) for line in done.stdout.splitlines()]
-    assert [path for path, *_ in results] == [str(path) for path in paths.values()]
-    for path, said, seconds, memory in results:
-        print(f"{Path(path).stem:24} {seconds:5.2f} s {memory / 1e6:6.1f} MB  {said}")
-        assert said is not None, path
-        # the bytes and the text of a file stand beside each other for a moment; 12 MB for everything else
-        assert memory < 2 * Path(path).stat().st_size + 12e6, path
+def test_a_text_larger_than_any_motion_is_not_read(tmp_path, monkeypatch):
+    monkeypatch.setattr(content, "MOTION_TEXT_MAX_BYTES", 1000)
+    for suffix, start in ((".json", "["), (".bvh", "HIERARCHY\n"), (".csv", "wrist_x,wrist_y,wrist_z\n")):
+        path = tmp_path / f"motion{suffix}"
+        path.write_text(start + "1,2,3\n" * 500)
+        with pytest.raises(InputError, match="at most 0 MiB"):
+            read_motion_file(path, TOLD)

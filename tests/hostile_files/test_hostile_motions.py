@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 from hand import sampled_hands as hands
 
-from jghand_engine import limits
 from jghand_engine.errors import InputError, MemoryLimitError
 from jghand_engine.hand.anatomy import pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder
 from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.motion import content
 from jghand_engine.motion.files import MotionFormat, write_motion
-from jghand_engine.motion.foreign.read import read_motion_file
+from jghand_engine.motion.read import read_motion_file
 
 TOLD = MotionFormat(JointOrder.STANDARD, "m", Handedness.RIGHT, 30.0)
 
@@ -112,18 +112,9 @@ def test_headers_that_promise_too_much_are_refused(tmp_path, shape):
     plain.write_bytes(_header(shape))
     with zipfile.ZipFile(packed, "w") as archive:
         archive.writestr("joints_m.npy", _header(shape))
-    for path, says in ((plain, "undamaged"), (packed, "a whole|the bytes of an array")):
+    for path, says in ((plain, "undamaged"), (packed, "a whole")):
         with pytest.raises(InputError, match=says):
             read_motion_file(path, TOLD)
-
-
-@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
-def test_an_archive_packed_in_another_way_is_refused(tmp_path, method):
-    path = tmp_path / "motion.npz"
-    with zipfile.ZipFile(path, "w", method) as archive:
-        archive.writestr("joints_m.npy", _array_bytes(np.zeros((2, 21, 3))))
-    with pytest.raises(InputError, match="stored or deflated"):
-        read_motion_file(path, TOLD)
 
 
 @pytest.mark.parametrize("suffix", [".npz", ".npy", ".json", ".csv"])
@@ -138,19 +129,11 @@ def test_memory_that_runs_out_is_no_damage(tmp_path, monkeypatch, suffix):
     def too_much(*_, **__):
         raise MemoryError
 
-    for name in ("_numbers", "_csv_numbers"):
+    for name in ("_joints", "_csv_numbers"):
         monkeypatch.setattr(f"jghand_engine.motion.files.{name}", too_much)
     with pytest.raises(MemoryLimitError, match="shorter motions") as caught:
         read_motion_file(path, TOLD)
     assert caught.value.exit_code == 4
-
-
-def test_an_archive_that_unpacks_to_much_more_than_a_motion_is_refused(tmp_path):
-    path = tmp_path / "motion.npz"
-    np.savez_compressed(path, joints_m=np.zeros((200_000, 21, 3)))
-    assert path.stat().st_size < 100_000
-    with pytest.raises(InputError, match="unpacked"):
-        read_motion_file(path, TOLD)
 
 
 def test_an_hour_of_a_hand_that_does_not_move_is_read_back(tmp_path):
@@ -162,13 +145,12 @@ def test_an_hour_of_a_hand_that_does_not_move_is_read_back(tmp_path):
 
 
 @pytest.mark.parametrize("shape", [(1_000_001, 21, 3), (100_000_000,), (4, 21, 3, 1), (1000, 1000, 3)])
-def test_shapes_of_no_motion_are_refused_before_they_are_read(tmp_path, monkeypatch, shape):
+def test_shapes_of_no_motion_are_refused_before_they_are_read(tmp_path, shape):
     """The file is a hole as long as its header says."""
     path = tmp_path / "motion.npy"
     with open(path, "wb") as stream:
         stream.write(_header(shape, "<f2"))
         stream.truncate(stream.tell() + 2 * int(np.prod(shape)))
-    monkeypatch.setattr("jghand_engine.motion.files._numbers", None)
     with pytest.raises(InputError, match=r"more than 1000000 frames|joints of shape"):
         read_motion_file(path, TOLD)
 
@@ -183,7 +165,7 @@ def test_bytes_are_no_joints(tmp_path, suffix):
 
 
 def test_more_frames_than_a_motion_has_are_refused_in_text(tmp_path, monkeypatch):
-    monkeypatch.setattr(limits, "MOTION_FRAMES_MAX", 5)
+    monkeypatch.setattr(content, "MOTION_FRAMES_MAX", 5)
     motion = pose_sequence_of_names(["open", "fist"], hands.canonical_np(), handedness=Handedness.RIGHT)
     for suffix in (".json", ".csv", ".npz"):
         write_motion(tmp_path / f"motion{suffix}", motion)
@@ -194,12 +176,12 @@ def test_more_frames_than_a_motion_has_are_refused_in_text(tmp_path, monkeypatch
 def test_a_file_larger_than_any_motion_is_refused(tmp_path, monkeypatch):
     path = tmp_path / "motion.csv"
     path.write_bytes(b"1," * 1000)
-    monkeypatch.setattr(limits, "MOTION_TEXT_MAX_BYTES", 1000)
+    monkeypatch.setattr(content, "MOTION_TEXT_MAX_BYTES", 1000)
     with pytest.raises(InputError, match=r"at most.*write it as \.npz"):
         read_motion_file(path, TOLD)
     path = tmp_path / "motion.npy"
     np.save(path, np.zeros((4, 21, 3)))
-    monkeypatch.setattr(limits, "MOTION_MAX_BYTES", 1000)
+    monkeypatch.setattr(content, "MOTION_MAX_BYTES", 1000)
     with pytest.raises(InputError, match="at most"):
         read_motion_file(path, TOLD)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 import sys
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -99,6 +100,27 @@ def test_a_file_with_another_suffix_is_refused(tmp_path, crate):
     path = tmp_path / "hand.ply"
     path.write_bytes(crate.read_bytes())
     refused(path)
+
+
+def test_an_archive_without_a_stage_or_with_compressed_ones_is_refused(tmp_path, crate):
+    path = tmp_path / "hand.usdz"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("notes.txt", "mine")
+    refused(path)
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.write(crate, "hand.usdc")
+    refused(path)
+
+
+def layer(path: Path, content: str) -> Path:
+    path.write_text(f"#usda 1.0\n{content}\n")
+    return path
+
+
+def test_a_damaged_layer_below_is_named(tmp_path):
+    layer(tmp_path / "below.usda", "def (((")
+    path = layer(tmp_path / "hand.usda", 'def "a" (payload = @./below.usda@) {}')
+    assert "below.usda" in refused(path)
 
 
 def test_text_that_is_no_stage_is_refused(tmp_path):

@@ -8,7 +8,7 @@ from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.motion.files import write_motion
-from jghand_engine.motion.foreign.read import read_motion_file
+from jghand_engine.motion.read import read_motion_file
 
 FILLED = np.array([False, True, True, False, False, True])
 

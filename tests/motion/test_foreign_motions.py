@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
-from jghand_engine import limits
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, bone_lengths, from_level
 from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.motion import recognize
 from jghand_engine.motion.files import MotionFormat
-from jghand_engine.motion.foreign.read import read_motion_file
+from jghand_engine.motion.read import read_motion_file
 
 RIGHT, LEFT = Handedness.RIGHT, Handedness.LEFT
 # largest distance of a joint, meters: worst seen 3e-8 for six digits of centimeters and degrees, 9e-8 for single
@@ -683,7 +683,7 @@ def test_a_header_in_a_remark_is_found_wherever_the_first_look_at_the_file_ends(
     text = "\n".join([header, *(",".join(f"{float(cell):.17e}" for cell in row.split(",")) for row in rows)]) + "\n"
     path = tmp_path / "right_hand_trajectories.csv"
     path.write_text(text)
-    monkeypatch.setattr(limits, "RECOGNIZE_BYTES", len(header) + 1 + cut)
+    monkeypatch.setattr(recognize, "RECOGNIZE_BYTES", len(header) + 1 + cut)
     assert distance(read_motion_file(path), motion) < EXACT_M
 
 

@@ -10,9 +10,10 @@ import pytest
 
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.motion import points
+from jghand_engine.motion.choose import named
 from jghand_engine.motion.files import MotionFormat
-from jghand_engine.motion.foreign.content import named
-from jghand_engine.motion.foreign.read import read_motion_file
+from jghand_engine.motion.read import read_motion_file
 
 RIGHT, LEFT = Handedness.RIGHT, Handedness.LEFT
 
@@ -168,3 +169,21 @@ def test_a_plain_array_that_says_no_rate_is_told_its_own(tmp_path):
     assert any("30 are taken; --fps" in note for note in read_motion_file(tmp_path / "a.npy", told).notes)
     (tmp_path / "a.json").write_text(json.dumps(samples.standard(samples.motion()).tolist()))
     assert any("30 are taken; --fps" in note for note in read_motion_file(tmp_path / "a.json", told).notes)
+
+
+def test_names_of_joints_that_stay_the_same_are_looked_at_once(tmp_path, monkeypatch):
+    looked = []
+    among = points.hands_among
+    monkeypatch.setattr(points, "hands_among", lambda names: looked.append(names) or among(names))
+    points._hands_among.cache_clear()
+    joints = samples.webxr_joints(samples.motion()).tolist()
+    frames = [
+        {"time": number / 30, "right": dict(zip(samples.WEBXR_NAMES, one, strict=True))}
+        for number, one in enumerate(joints)
+    ]
+    (tmp_path / "a.json").write_text(json.dumps(frames))
+    read = read_motion_file(tmp_path / "a.json", MotionFormat(handedness=Handedness.RIGHT))
+    assert len(read.sequence) == 40
+    assert np.abs(read.sequence.joints_m - samples.motion().joints_m).max() < 1e-15
+    # those of a hand, and those of the frame around it, which is none
+    assert len(looked) <= 2

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 from jghand_engine.errors import InputError
+from jghand_engine.motion.clocks import clock_s, even_frames, frame_times, key_frames, whole_rate
+from jghand_engine.motion.content import NoMotionError
 from jghand_engine.motion.files import MotionFormat, write_motion
-from jghand_engine.motion.foreign.clocks import clock_s, even_frames, frame_times, key_frames, whole_rate
-from jghand_engine.motion.foreign.damage import NoMotionError
-from jghand_engine.motion.foreign.read import read_motion_file
-from jghand_engine.motion.tools import fill_gaps, retimed
+from jghand_engine.motion.read import read_motion_file
+from jghand_engine.motion.repair import fill_gaps
+from jghand_engine.motion.tools import retimed
 
 
 @pytest.fixture(scope="module")

@@ -12,7 +12,7 @@ from jghand_engine.hand.joints import STANDARD_NAMES, Handedness
 from jghand_engine.hand.orders import METERS_PER_UNIT, JointOrder, from_level
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.motion.files import MotionFormat, write_motion
-from jghand_engine.motion.foreign.read import read_motion_file
+from jghand_engine.motion.read import read_motion_file
 
 SUFFIXES = (".npz", ".json", ".csv")
 ANY_CASE = (*SUFFIXES, ".NPZ", ".Json", ".CSV")

@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 from jghand_engine.errors import InputError
 from jghand_engine.hand.orders import bone_lengths, hand_length
 from jghand_engine.hand.sequence import PoseSequence
-from jghand_engine.motion.tools import cut, fill_gaps, in_place, retimed, turned_up, with_hand_length
+from jghand_engine.motion.repair import fill_gaps
+from jghand_engine.motion.tools import cut, in_place, retimed, turned_up, with_hand_length
 
 
 def _turning(frames=31, degrees=120.0):

@@ -22,8 +22,8 @@ from jghand_engine.hand.anatomy import RANGES_DEG
 from jghand_engine.hand.joints import LEVEL_NAMES, PARENTS, STANDARD_NAMES, Handedness
 from jghand_engine.hand.orders import JointOrder, from_level
 from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.motion import bone_names
 from jghand_engine.motion.files import write_motion
-from jghand_engine.motion.foreign import bone_names
 from jghand_engine.render.settings import PRESETS
 from jghand_engine.service.commands import error_header
 from jghand_engine.template.builtin import load_template

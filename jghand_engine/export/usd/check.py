@@ -6,19 +6,19 @@ skeleton that got lost all pass. So the rules for data are here (EXPORT 9, 10), 
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pxr import Gf, Sdf, Tf, Usd, UsdGeom, UsdSkel, UsdUtils
+from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, UsdUtils
 
 from jghand_engine.errors import InputError
 from jghand_engine.export.splats.cloud import SH_C0
 from jghand_engine.export.usd.splats import DEFAULT, DEGREE, EXTENT_SIGMA, HARMONICS
-from jghand_engine.export.usd.stage import SPLAT_TYPE, usd_reason
+from jghand_engine.export.usd.stage import SPLAT_TYPE
+from jghand_engine.motion.usd import reading
 
 PURPOSES = [UsdGeom.Tokens.default_, UsdGeom.Tokens.render, UsdGeom.Tokens.proxy, UsdGeom.Tokens.guide]
 # USD's names of what our own rules say in a sentence
@@ -73,16 +73,6 @@ class Examination:
     findings: list[Finding]
 
 
-@contextlib.contextmanager
-def reading_usd(path: Path) -> Iterator[None]:
-    """What USD says of a file that it cannot read, as InputError."""
-    try:
-        yield
-    except Tf.ErrorException as error:
-        came = f"a damaged one, or one with damaged layers: {usd_reason(error)}"
-        raise InputError(f"USD file {path}", wanted="one that USD can read", came=came) from error
-
-
 def check_usd(path: Path | str) -> list[Finding]:
     """Everything that is wrong with the stage at `path`, in each of its variants, errors first; empty when nothing is.
 
@@ -94,7 +84,7 @@ def check_usd(path: Path | str) -> list[Finding]:
 def examine_usd(path: Path | str) -> Examination:
     """The same, with what was looked at: variants within variants only as the file chooses them."""
     path = Path(path)
-    with reading_usd(path):
+    with reading(path):
         offered = _variants(_open(path))
         looks = [_Look(path, *choice) for choice in list(offered.items())[:VARIANTS_MAX] or [(("", ""), [])]]
     several_sets = len({variant_set for variant_set, _ in offered}) > 1
@@ -119,7 +109,7 @@ def stage_facts(path: Path) -> dict[str, Any]:
     """What a stage holds: times, units, variants, prims of each type, layers, and what is wrong with it, as plain data.
     InputError when it cannot be opened."""
     findings = check_usd(path)
-    with reading_usd(path):
+    with reading(path):
         stage = _open(path)
         names = [prim.GetTypeName() or "untyped" for prim in stage.TraverseAll()]
         variants = {
@@ -143,8 +133,6 @@ def stage_facts(path: Path) -> dict[str, Any]:
 
 
 def _open(path: Path) -> Usd.Stage:
-    if not path.is_file():
-        raise InputError(f"USD file {path}", wanted="a file", came="none of that name", remedy="Check the name.")
     stage = Usd.Stage.Open(str(path))
     if stage is None:
         raise InputError(f"USD file {path}", wanted="a stage that opens", came="nothing")

@@ -6,7 +6,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import os
-import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -20,6 +19,7 @@ from jghand_engine import __version__
 from jghand_engine.color import srgb_to_linear
 from jghand_engine.errors import RetryError
 from jghand_engine.files import file_error
+from jghand_engine.motion.usd import usd_reason
 
 SPLAT_TYPE = "ParticleField3DGaussianSplat"
 LINEAR, SRGB = "lin_rec709_scene", "srgb_rec709_scene"
@@ -270,10 +270,3 @@ def usd_errors(folder: Path) -> Iterator[None]:
         raise RetryError(
             f"cannot write the USD stage in {folder}: {usd_reason(error)}", remedy="Check the disk and try again."
         ) from error
-
-
-def usd_reason(error: Exception) -> str:
-    """What went wrong first, of a Tf.ErrorException, without where in USD's source."""
-    text = str(error).strip()
-    quoted = re.search(r" in file \S+ : '(.*?)'\s*(?:\n\tError in '|\Z)", text, re.DOTALL)
-    return (quoted.group(1) if quoted else text).strip()

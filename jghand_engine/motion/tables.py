@@ -11,15 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from jghand_engine import limits
 from jghand_engine.hand.joints import JOINT_COUNT, STANDARD_NAMES
 from jghand_engine.hand.orders import JointOrder
-from jghand_engine.motion.foreign.bone_names import NamedHand, hands_among
-from jghand_engine.motion.foreign.clocks import TIME_NAMES
-from jghand_engine.motion.foreign.content import HandTrack, MotionContent
-from jghand_engine.motion.foreign.damage import NoMotionError
-from jghand_engine.motion.foreign.json_points import plain
-from jghand_engine.motion.foreign.text_lines import bounded_lines
+from jghand_engine.motion.bone_names import NamedHand, hands_among
+from jghand_engine.motion.clocks import TIME_NAMES, plain
+from jghand_engine.motion.content import HandTrack, MotionContent, check_frame_count, check_size
 
 # a joint's name, what parts it from its axis, the axis
 _COLUMN = re.compile(r"(.+?)[._ -]+([xyz])", re.IGNORECASE)
@@ -80,7 +76,7 @@ def _stripped(cells: list[str]) -> list[str]:
 def header_in(file: Path) -> list[str]:
     """The cells of the header of a table, [] where there is no line but remarks. ValueError, OSError."""
     with open(file, encoding="utf-8-sig", errors="replace", newline="") as stream:
-        return next(cells_of(bounded_lines(stream)), [])
+        return next(cells_of(stream), [])
 
 
 def read(file: Path) -> MotionContent:
@@ -92,8 +88,9 @@ def read(file: Path) -> MotionContent:
 def read_tracks(file: Path) -> tuple[tuple[HandTrack, ...], list[float]]:
     """The hands of a table, one line for each frame, and its times in whatever unit, NaN where one is missing, []
     without a column of them; no hand when its columns are named after none. ValueError."""
+    check_size(file, text=True)
     with open(file, encoding="utf-8-sig", newline="") as stream:
-        rows = cells_of(bounded_lines(stream))
+        rows = cells_of(stream)
         header = next(rows, [])
         hands, columns, names = named_hands(header)
         if not hands:
@@ -119,8 +116,7 @@ def _frames(rows: Iterator[list[str]], columns: list[int]) -> Iterator[np.ndarra
     hand."""
     last = max(columns)
     for number, row in enumerate(rows):
-        if number >= limits.MOTION_FRAMES_MAX:
-            raise NoMotionError(f"more than {limits.MOTION_FRAMES_MAX} lines")
+        check_frame_count(number + 1)
         if len(row) <= last:
             raise ValueError(f"line {number + 2} ends after {len(row)} of {last + 1} columns")
         yield np.array([number_in(row[place]) if place >= 0 else math.nan for place in columns])

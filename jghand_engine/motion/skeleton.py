@@ -7,20 +7,23 @@ else straight on from the bone before it at rest; with the usual proportion of t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from collections.abc import Callable, Iterable, Sequence
+from typing import Protocol
 
 import numpy as np
 
-from jghand_engine import limits
 from jghand_engine.hand.joints import FINGERS, JOINT_COUNT
 from jghand_engine.hand.orders import JointOrder
-from jghand_engine.motion.foreign.bone_names import TIPS, BoneMap, NamedHand, hands_among
-from jghand_engine.motion.foreign.content import HandTrack
-from jghand_engine.motion.foreign.damage import NoMotionError
+from jghand_engine.motion.bone_names import TIPS, BoneMap, NamedHand, hands_among
+from jghand_engine.motion.content import HandTrack
 
-_Place = TypeVar("_Place")
+# length of a finger's last bone, skin included, over that of the bone before it, thumb to little finger: lengths of
+# phalanges and of the pulp of Buryanov and Kotiuk, Proportions of Hand Segments (2010)
+TIP_RATIOS = (0.80, 0.88, 0.81, 0.83, 1.09)
+# how far the bones of a hand may lie from one axis of their joints, degrees, for it to be the rig's bone axis
+BONE_AXIS_MAX_DEG = 12.0
+# frames whose bones are turned into joints at once: 60 bones of 4096 frames have 30 MB
+FRAMES_AT_ONCE = 4096
 
 
 class AnimatedSkeleton(Protocol):
@@ -28,7 +31,7 @@ class AnimatedSkeleton(Protocol):
     ends: for some joints the end of their bone in their own frame, where the file says it."""
 
     @property
-    def names(self) -> tuple[str, ...]: ...
+    def names(self) -> Sequence[str]: ...
     @property
     def rest(self) -> np.ndarray: ...
     @property
@@ -41,14 +44,6 @@ class AnimatedSkeleton(Protocol):
         ...
 
 
-@dataclass(frozen=True)
-class _Tip:
-    """A joint's end in its own frame, and whether it was made up."""
-
-    bone: int
-    offset: np.ndarray
-
-
 def hand_tracks(
     skeleton: AnimatedSkeleton, part: str, bones: BoneMap | None = None
 ) -> tuple[list[HandTrack], list[str]]:
@@ -58,7 +53,6 @@ def hand_tracks(
     tracks = []
     for hand in hands:
         tips, made = _tips(skeleton, hand)
-        joints = _joints(skeleton, hand, tips)
         name = " ".join(word for word in (part, hand.part) if word)
         side = "hand" if hand.handedness is None else f"{hand.handedness} hand"
         notes = [f"Its {side} was recognized by bones named as {hand.convention} names them."] if bones is None else []
@@ -67,53 +61,64 @@ def hand_tracks(
                 f"The {side} has no tips of {', '.join(made)}: they were put where the last bones lead, with usual "
                 "proportions."
             )
+        joints = _joints(skeleton, hand, tips)
         tracks.append(HandTrack(joints, hand.handedness, JointOrder.STANDARD, name, notes=tuple(notes)))
     return tracks, lacking
 
 
-def check_depth(kept: Sequence[int], hands: set[int]) -> None:
-    """NoMotionError where hands hang on more bones than any rig has. kept: their bones and all above."""
-    if len(kept) - len(hands) > limits.RIG_DEPTH_MAX:
-        raise NoMotionError(f"its hands hang on {len(kept) - len(hands)} bones, more than {limits.RIG_DEPTH_MAX}")
+def with_ancestors(bones: Iterable[int], parents: Sequence[int]) -> list[int]:
+    """Some bones and all above them, parents first. ValueError for a ring of bones."""
+    order: dict[int, None] = {}
+    for bone in sorted(bones):
+        path: list[int] = []
+        while bone >= 0 and bone not in order:
+            path.append(bone)
+            if len(path) > len(parents):
+                raise ValueError("bones that are their own ancestors")
+            bone = parents[bone]
+        order |= dict.fromkeys(reversed(path))
+    return list(order)
 
 
-def down(
-    bones: Sequence[int],
-    parents: Sequence[int],
-    local: Callable[[int], _Place],
-    under: Callable[[_Place, _Place], _Place],
-) -> Iterator[tuple[int, _Place]]:
-    """Every bone and its place in the world, parents first, as `bones` lists them. A place is given up after its last
-    child, so that a long chain of bones does not fill the memory.
-
-    local: the place of a bone in its parent's frame · under: a place of the parent's frame in the world
-    """
-    last_child = dict(zip(parents, bones, strict=True))
-    worlds: dict[int, _Place] = {}
-    for bone, parent in zip(bones, parents, strict=True):
-        world = local(bone) if parent < 0 else under(worlds[parent], local(bone))
-        if last_child.get(parent) == bone:
-            worlds.pop(parent, None)
-        if bone in last_child:
-            worlds[bone] = world
-        yield bone, world
+def in_world(bones: Sequence[int], parents: Sequence[int], local: Callable[[int], np.ndarray]) -> dict[int, np.ndarray]:
+    """Transforms (..., 4, 4) in the world of some bones, which are listed parents first. local: the transform of one in
+    its parent's frame; parents: of all bones, -1 for none."""
+    world: dict[int, np.ndarray] = {}
+    for bone in bones:
+        world[bone] = local(bone) if parents[bone] < 0 else world[parents[bone]] @ local(bone)
+    return world
 
 
-def _joints(skeleton: AnimatedSkeleton, hand: NamedHand, tips: dict[int, _Tip]) -> np.ndarray:
+def rotation_matrices(quaternion_xyzw: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) of quaternions (..., 4) of any length but 0. ValueError."""
+    length = np.linalg.norm(quaternion_xyzw, axis=-1)
+    if not (length > 0).all():
+        raise ValueError("a rotation that is no quaternion")
+    x, y, z, w = np.moveaxis(quaternion_xyzw / length[..., None], -1, 0)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)),
+        (2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)),
+        (2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)),
+    )
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def _joints(skeleton: AnimatedSkeleton, hand: NamedHand, tips: dict[int, tuple[int, np.ndarray]]) -> np.ndarray:
     """(F, 21, 3) joints in the standard order."""
-    wanted = [tips[place].bone if bone is None else bone for place, bone in enumerate(hand.bones)]
+    wanted = [tips[place][0] if bone is None else bone for place, bone in enumerate(hand.bones)]
     joints = np.empty((skeleton.frame_count, JOINT_COUNT, 3))
-    for first in range(0, skeleton.frame_count, limits.SKELETON_FRAMES_AT_ONCE):
-        last = min(first + limits.SKELETON_FRAMES_AT_ONCE, skeleton.frame_count)
+    for first in range(0, skeleton.frame_count, FRAMES_AT_ONCE):
+        last = min(first + FRAMES_AT_ONCE, skeleton.frame_count)
         world = skeleton.world(wanted, first, last)
         joints[first:last] = world[..., :3, 3]
-        for place, tip in tips.items():
-            joints[first:last, place] += world[:, place, :3, :3] @ tip.offset
+        for place, (_, offset) in tips.items():
+            joints[first:last, place] += world[:, place, :3, :3] @ offset
     return joints
 
 
-def _tips(skeleton: AnimatedSkeleton, hand: NamedHand) -> tuple[dict[int, _Tip], list[str]]:
-    """The tips that have no bone of their own, by their places, and the fingers whose tips the file does not say."""
+def _tips(skeleton: AnimatedSkeleton, hand: NamedHand) -> tuple[dict[int, tuple[int, np.ndarray]], list[str]]:
+    """For the tips that have no bone of their own, by their places, the last bone and where it ends in its own frame;
+    and the fingers whose tips the file does not say."""
     tips, made = {}, []
     axis = _bone_axis(skeleton, hand)
     for finger, place in enumerate(TIPS):
@@ -122,7 +127,7 @@ def _tips(skeleton: AnimatedSkeleton, hand: NamedHand) -> tuple[dict[int, _Tip],
             continue
         end = skeleton.ends.get(last)
         if end is not None and np.linalg.norm(end) > 0:
-            tips[place] = _Tip(last, end)
+            tips[place] = (last, end)
             continue
         made.append(FINGERS[finger])
         rest = skeleton.rest[last]
@@ -130,8 +135,7 @@ def _tips(skeleton: AnimatedSkeleton, hand: NamedHand) -> tuple[dict[int, _Tip],
         along = _in_frame(rest, bone) if axis is None else axis
         # scales of the rig are in `along` already, so that the length is that of the world
         world_length = np.linalg.norm(rest[:3, :3] @ along)
-        offset = along * (limits.TIP_RATIOS[finger] * np.linalg.norm(bone) / max(world_length, 1e-300))
-        tips[place] = _Tip(last, offset)
+        tips[place] = (last, along * (TIP_RATIOS[finger] * np.linalg.norm(bone) / max(world_length, 1e-300)))
     return tips, made
 
 
@@ -147,18 +151,15 @@ def _bone_axis(skeleton: AnimatedSkeleton, hand: NamedHand) -> np.ndarray | None
         size = np.linalg.norm(inside)
         if size > 0:
             directions.append(inside / size)
-    if len(directions) < 2 * len(FINGERS):
-        return None
-    mean = np.mean(directions, axis=0)
-    if not np.linalg.norm(mean) > 0:
+    mean = np.sum(directions, axis=0)
+    if len(directions) < 2 * len(FINGERS) or not np.linalg.norm(mean) > 0:
         return None
     mean /= np.linalg.norm(mean)
-    return mean if (np.array(directions) @ mean).min() > np.cos(np.radians(limits.BONE_AXIS_MAX_DEG)) else None
+    return mean if (np.array(directions) @ mean).min() > np.cos(np.radians(BONE_AXIS_MAX_DEG)) else None
 
 
 def _in_frame(frame: np.ndarray, vector: np.ndarray) -> np.ndarray:
     """A vector of the world in a joint's frame. ValueError for a frame that is flat."""
-    linear = frame[:3, :3]
-    if not abs(np.linalg.det(linear)) > 0:
+    if not abs(np.linalg.det(frame[:3, :3])) > 0:
         raise ValueError("a bone whose transform is flat")
-    return np.linalg.solve(linear, vector)
+    return np.linalg.solve(frame[:3, :3], vector)

@@ -13,17 +13,15 @@ The old interface (Solutions) expects mirrored pictures and calls a right hand "
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
 from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 from jghand_engine.hand.orders import JointOrder
-from jghand_engine.motion.foreign.clocks import time_in
-from jghand_engine.motion.foreign.content import MotionContent
-from jghand_engine.motion.foreign.damage import NoMotionError
-from jghand_engine.motion.foreign.frames import FoundHand, FrameHands
-from jghand_engine.motion.foreign.json_points import plain, points
+from jghand_engine.motion.clocks import plain, time_in
+from jghand_engine.motion.content import FoundHand, FrameHands, MotionContent, NoMotionError
+from jghand_engine.motion.points import points
 
 KIND = "MediaPipe landmarks"
 _WORLD = ("worldlandmarks", "multihandworldlandmarks", "handworldlandmarks", "handsworldlandmarks")
@@ -44,7 +42,7 @@ def looks_like(frame: Any) -> bool:
     )
 
 
-def read(frames: Iterator[Any], fps: float | None, mirrored_labels: bool | None) -> MotionContent:
+def read(frames: Iterable[Any], fps: float | None, mirrored_labels: bool | None) -> MotionContent:
     """The hands in a row of results. mirrored_labels: whether "Left" means a right hand; None: as the interface that
     wrote them has it. ValueError when there are image landmarks only, or nothing at all."""
     collected, image_only, turned = FrameHands(), 0, 0

@@ -6,7 +6,6 @@ where a point was not found. Only OpenPose's 3D output has a depth; its unit is 
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
@@ -15,12 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from jghand_engine import limits
 from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 from jghand_engine.hand.orders import JointOrder
-from jghand_engine.motion.foreign.content import MotionContent
-from jghand_engine.motion.foreign.damage import NoMotionError
-from jghand_engine.motion.foreign.frames import FoundHand, FrameHands
+from jghand_engine.limits import MOTION_FRAMES_MAX
+from jghand_engine.motion.content import FoundHand, FrameHands, MotionContent, NoMotionError, json_content
 
 KIND = "OpenPose keypoints"
 SUFFIX = "_keypoints.json"
@@ -43,10 +40,12 @@ def read_folder(folder: Path) -> MotionContent:
     if len(takes) > 1:
         raise NoMotionError(f"frames of several videos in it: {', '.join(sorted(takes))[:200]}")
     first, last = files[0][0], files[-1][0]
-    if last - first >= limits.MOTION_FRAMES_MAX:
+    if last - first >= MOTION_FRAMES_MAX:
         raise NoMotionError(f"frames from {first} to {last}")
     of_number = dict(files)
-    content = read(_document(of_number[number]) if number in of_number else None for number in range(first, last + 1))
+    content = read(
+        json_content(of_number[number]) if number in of_number else None for number in range(first, last + 1)
+    )
     return replace(content, files=tuple(of_number.values()))
 
 
@@ -86,12 +85,6 @@ def _hands(person: Mapping[str, Any]) -> list[FoundHand]:
         if np.isfinite(joints).any():
             hands.append(FoundHand(side, joints, float(values[:, 3].sum()), JointOrder.STANDARD))
     return hands
-
-
-def _document(file: Path) -> Any:
-    if file.stat().st_size > limits.JSON_ELEMENT_MAX_BYTES:
-        raise ValueError(f"{file.name} is larger than a frame of OpenPose")
-    return json.loads(file.read_bytes())
 
 
 def _frame_number(file: Path) -> int:

@@ -1,4 +1,4 @@
-"""Skeletons of USD that move: UsdSkel, in .usda, .usdc, .usd and .usdz.
+"""Skeletons of USD that move: UsdSkel, in .usda, .usdc, .usd and .usdz. And opening anybody's stage.
 
 Joints are found by the last word of their paths (`Hips/…/RightHand`). The stage says unit, up axis and rate. The
 skeleton's own place in the world counts too. Only what UsdSkel binds to a skeleton as its animation moves it.
@@ -6,20 +6,58 @@ skeleton's own place in the world counts too. Only what UsdSkel binds to a skele
 
 from __future__ import annotations
 
+import contextlib
+import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from jghand_engine import limits
-from jghand_engine.motion import usd_files
-from jghand_engine.motion.foreign.bone_names import BoneMap
-from jghand_engine.motion.foreign.clocks import frame_times, key_frames
-from jghand_engine.motion.foreign.content import HandTrack, MotionContent
-from jghand_engine.motion.foreign.skeleton import hand_tracks
+from jghand_engine.errors import InputError
+from jghand_engine.motion.bone_names import BoneMap
+from jghand_engine.motion.clocks import DEFAULT_FPS, frame_times, key_frames
+from jghand_engine.motion.content import HandTrack, MotionContent
+from jghand_engine.motion.skeleton import hand_tracks
 
-KIND = "USD"
-SUFFIXES = usd_files.SUFFIXES
+SUFFIXES = (".usda", ".usdc", ".usd", ".usdz")
+CRATE, TEXT = b"PXR-USDC", b"#usda"
+# a crate's first bytes: what it is, its version, and where its table of contents stands
+_CRATE_HEADER_BYTES = 88
+
+
+@contextlib.contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Meanwhile USD may open the stage at `path`. InputError for a file that is absent, of another kind, or cut off,
+    and for what USD says itself: it finds much of what is damaged only when it comes to it."""
+    from pxr import Tf
+
+    name = f"USD file {path}"
+    if not path.is_file():
+        raise InputError(name, wanted="a file", came="none of that name", remedy="Check the name.")
+    if path.suffix.lower() not in SUFFIXES:
+        raise InputError(name, wanted=" or ".join(SUFFIXES), came=path.suffix or "no suffix")
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(_CRATE_HEADER_BYTES)
+    except OSError as error:
+        raise InputError(f"cannot read {path}: {error.strerror or error}", remedy="Check its rights.") from error
+    # USD looks for the table of contents where the header says, also behind the end of the file
+    contents = int.from_bytes(head[16:24], "little")
+    if head.startswith(CRATE) and not _CRATE_HEADER_BYTES <= contents < path.stat().st_size:
+        raise InputError(name, wanted="a whole file", came="one that was cut off", remedy="Copy or export it again.")
+    try:
+        yield
+    except Tf.ErrorException as error:
+        came = f"a damaged one, or one with damaged layers: {usd_reason(error)}"
+        raise InputError(name, wanted="one that USD can read", came=came) from error
+
+
+def usd_reason(error: Exception) -> str:
+    """What went wrong first, of a Tf.ErrorException, without where in USD's source."""
+    text = str(error).strip()
+    quoted = re.search(r" in file \S+ : '(.*?)'\s*(?:\n\tError in '|\Z)", text, re.DOTALL)
+    return (quoted.group(1) if quoted else text).strip()
 
 
 def read(file: Path, fps: float | None, bones: BoneMap | None = None) -> MotionContent:
@@ -27,7 +65,7 @@ def read(file: Path, fps: float | None, bones: BoneMap | None = None) -> MotionC
     InputError where USD cannot read it."""
     from pxr import Usd
 
-    with usd_files.reading(file):
+    with reading(file):
         return _content(Usd.Stage.Open(str(file)), fps, bones)
 
 
@@ -37,7 +75,7 @@ def _content(stage: Any, fps: float | None, bones: BoneMap | None) -> MotionCont
     cache = UsdSkel.Cache()
     tracks: list[HandTrack] = []
     notes: list[str] = []
-    rate = limits.DEFAULT_FPS
+    rate = DEFAULT_FPS
     prims = [prim for prim in stage.Traverse(Usd.TraverseInstanceProxies()) if prim.IsA(UsdSkel.Skeleton)]
     for prim in prims:
         query = cache.GetSkelQuery(UsdSkel.Skeleton(prim))
@@ -56,7 +94,9 @@ def _content(stage: Any, fps: float | None, bones: BoneMap | None) -> MotionCont
     if not prims:
         notes.append("There is no UsdSkel skeleton in it.")
     up = "z" if UsdGeom.GetStageUpAxis(stage) == UsdGeom.Tokens.z else "y"
-    return MotionContent(KIND, tuple(tracks), meters, fps=rate, notes=tuple(notes), up=up, files=_files(stage))
+    return MotionContent(
+        "USD", tuple(tracks), meters, fps=rate, notes=tuple(notes), up=up, files=_files(stage), is_skeleton=True
+    )
 
 
 def _files(stage: Any) -> tuple[Path, ...]:
@@ -76,8 +116,6 @@ class _UsdSkeleton:
         self._query, self._xforms = query, UsdGeom.XformCache()
         self._prim = query.GetPrim()
         tokens = [str(token) for token in query.GetJointOrder()]
-        if len(tokens) > limits.RIG_PARTS_MAX:
-            raise ValueError(f"{len(tokens)} joints")
         self.names = tuple(token.rpartition("/")[2] for token in tokens)
         self.ends: dict[int, np.ndarray] = {}
         self.notes: list[str] = []

@@ -14,10 +14,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from jghand_engine import limits
 from jghand_engine.hand.joints import FINGERS, STANDARD_NAMES, Handedness
-from jghand_engine.motion.foreign.damage import NoMotionError
+from jghand_engine.motion.content import NoMotionError
 
+# bones of wrist and fingers, of 16, from which names count as a hand that lacks some
+BONES_RECOGNIZED_MIN = 8
 # what exporters and importers add to the last bone of a chain for its tip
 TIP_ENDINGS = ("_end", "_tip", "_nub")
 _COPY = re.compile(r"[._]\d{3,}$")
@@ -270,7 +271,7 @@ def hands_among(names: Sequence[str], chosen: BoneMap | None = None) -> tuple[li
     for handedness in (*Handedness, None):
         of_side = [hand for hand in found if hand.handedness == handedness]
         best = max((hand.found for hand in of_side), default=(0, 0))
-        if best[0] < limits.BONES_RECOGNIZED_MIN:
+        if best[0] < BONES_RECOGNIZED_MIN:
             continue
         unique: dict[tuple[int | None, ...], NamedHand] = {}
         for hand in of_side:

@@ -8,16 +8,59 @@ from typing import Any
 
 import numpy as np
 
-from jghand_engine import limits
-from jghand_engine.motion.foreign.damage import NoMotionError
+from jghand_engine.limits import MOTION_FRAMES_MAX
+from jghand_engine.motion.content import NoMotionError
+
+# frames per second of a motion that does not say them
+DEFAULT_FPS = 30.0
+# those of video that are not whole
+NTSC_RATES = (24000 / 1001, 30000 / 1001, 48000 / 1001, 60000 / 1001, 120000 / 1001)
+# rates of animations whose keys do not come evenly: the first on whose frames nearly all keys lie
+USUAL_FPS = (30.0, 24.0, 25.0, 60.0, 50.0, 48.0, 90.0, 72.0, 120.0, 100.0, 144.0, 240.0)
+# frames per second of a clock whose unit is not said; they tell seconds from milliseconds and microseconds
+CLOCK_FPS_MIN, CLOCK_FPS_MAX = 1.5, 1000.0
+# part of a step by which frames may miss even times, either way, and still come evenly; steps between keys, their mean
+STEP_JITTER_MAX = 0.1
+# ... or this, where it is more: clocks in whole milliseconds round. And the part of it by which a time may miss a whole
+# one: round-off of seconds since 1970 in double precision
+CLOCK_TICK_S, CLOCK_TICK_EPS = 1e-3, 1e-3
+# steps of a clock that differ from their median by less than this part of it count for the rate: not one of two frames
+STEP_USUAL = 1 / 3
+# steps of an uneven clock up to so many medians make its rate: pages show a camera's frames after two or three of their
+# pictures, which is 1.5; a frame that was dropped makes it 2
+STEP_UNEVEN_MAX = 1.75
+# part of the frames that must have a time that rises for a clock to be used
+CLOCK_KNOWN_MIN = 0.5
+# part by which a measured rate may miss a whole one: half of what 30000 / 1001 is from 30
+WHOLE_RATE_EPS = 5e-4
+# part of a frame by which a key may miss one (times in single precision), and part of the keys that may lie elsewhere
+KEY_FRAME_EPS, KEYS_OFF_MAX = 0.05, 0.05
+# seconds by which key times must differ to be two: single precision has 6e-5 after a quarter of an hour
+KEYS_APART_MIN_S = 2e-4
+# keys that come more seldom are poses, no frames; a rate above the other is none
+KEYS_FPS_MIN, KEYS_FPS_MAX = 6.0, 240.0
+# frames of a motion for each time of a key or a clock, and seconds beyond that: two an hour apart are a mistake
+KEYS_APART_MAX, KEYS_S_MAX = 64, 600.0
 
 UNITS = {"seconds": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
 
 # names of a frame's time among those of its members, or of a column's, as `plain` has them
 TIME_NAMES = (
-    *("timestamp", "timestampms", "timestampus", "timestamps", "time", "timems", "times", "timeseconds", "t"),
-    *("seconds", "milliseconds", "predicteddisplaytime"),
+    "timestamp",
+    "timestampms",
+    "timestampus",
+    "time",
+    "timems",
+    "times",
+    "t",
+    "seconds",
+    "predicteddisplaytime",
 )
+
+
+def plain(name: str) -> str:
+    """A key without case and separators: `multiHandWorldLandmarks` and `multi_hand_world_landmarks` are the same."""
+    return "".join(letter for letter in name.casefold() if letter.isalnum())
 
 
 def time_in(frame: Mapping[str, Any]) -> float | None:
@@ -31,12 +74,12 @@ def time_in(frame: Mapping[str, Any]) -> float | None:
 
 def whole_rate(fps: float) -> float:
     """The whole rate, or the one of video (30000 / 1001), that a measured one is but for round-off; else itself."""
-    best = min((float(round(fps)), *limits.NTSC_RATES), key=lambda rate: abs(rate - fps))
-    return best if abs(best - fps) < limits.WHOLE_RATE_EPS * best else fps
+    best = min((float(round(fps)), *NTSC_RATES), key=lambda rate: abs(rate - fps))
+    return best if abs(best - fps) < WHOLE_RATE_EPS * best else fps
 
 
-def clock_s(times: Sequence[float | None], units: Sequence[str] = tuple(UNITS)) -> tuple[np.ndarray | None, str]:
-    """Times of frames in one of `units`, which their step tells -> seconds from the first, and a sentence.
+def clock_s(times: Sequence[float | None], units: Sequence[str] = ()) -> tuple[np.ndarray | None, str]:
+    """Times of frames in one of `units`, () for any, which their step tells -> seconds from the first, and a sentence.
 
     A frame without a time, or with one that does not rise, lies evenly between its neighbors. None where no frame has
     a time, or where they are not used, which the sentence says.
@@ -48,12 +91,12 @@ def clock_s(times: Sequence[float | None], units: Sequence[str] = tuple(UNITS)) 
     highest = np.fmax.accumulate(values)
     known = np.isfinite(values) & (values > np.concatenate([[-np.inf], np.nan_to_num(highest[:-1], nan=-np.inf)]))
     steps = np.diff(values[known]) / np.diff(np.flatnonzero(known))
-    if known.sum() < max(2, limits.CLOCK_KNOWN_MIN * len(values)):
+    if known.sum() < max(2, CLOCK_KNOWN_MIN * len(values)):
         return None, "Too many of its frames have no time, or one that does not rise: the times are not used."
     step = float(np.median(steps))
-    for unit in units:
+    for unit in units or UNITS:
         seconds = UNITS[unit]
-        if 1 / limits.CLOCK_FPS_MAX <= step * seconds <= 1 / limits.CLOCK_FPS_MIN:
+        if 1 / CLOCK_FPS_MAX <= step * seconds <= 1 / CLOCK_FPS_MIN:
             seen = _between(np.flatnonzero(known), values[known], len(values), step)
             said = "" if len(units) == 1 else f"Its clock counts {unit}, by the step between its frames."
             return (seen - seen[0]) * seconds, said
@@ -77,34 +120,34 @@ def even_frames(times_s: np.ndarray) -> tuple[float, np.ndarray | None]:
     steps = np.diff(times_s)
     # one of the steps: between two kinds of them the mean of both is near none
     median = float(np.quantile(steps, 0.5, method="lower"))
-    step = float(steps[np.abs(steps - median) <= limits.STEP_USUAL * median].mean())
+    step = float(steps[np.abs(steps - median) <= STEP_USUAL * median].mean())
     numbers = np.concatenate([[0.0], np.cumsum(np.maximum(np.rint(steps / step), 1.0))])
     centered = numbers - numbers.mean()
     line = 1 / float((centered * times_s).sum() / (centered * centered).sum())
     # steps of two and three pictures of a page lie near a grid too, but near one of other steps
-    is_step = abs(1 / line - step) <= limits.STEP_JITTER_MAX * step
-    if is_step and numbers[-1] < limits.MOTION_FRAMES_MAX:
-        room_s = max(limits.STEP_JITTER_MAX * step, min(limits.CLOCK_TICK_S, 0.5 * step))
+    is_step = abs(1 / line - step) <= STEP_JITTER_MAX * step
+    if is_step and numbers[-1] < MOTION_FRAMES_MAX:
+        room_s = max(STEP_JITTER_MAX * step, min(CLOCK_TICK_S, 0.5 * step))
         for fps, range_s in (*_rounded_rates(times_s, line), (whole_rate(line), 2 * room_s), (line, 2 * room_s)):
             if np.ptp(times_s - numbers / fps) <= range_s:
                 return fps, numbers.astype(np.int64)
-    return whole_rate(1 / float(steps[steps <= limits.STEP_UNEVEN_MAX * median].mean())), None
+    return whole_rate(1 / float(steps[steps <= STEP_UNEVEN_MAX * median].mean())), None
 
 
 def _rounded_rates(times_s: np.ndarray, line: float) -> list[tuple[float, float]]:
     """Rates that a clock in whole milliseconds may have meant by the measured one, each with the range in seconds over
     which rounding spreads its frames; none for a clock that does not round."""
-    ticks = times_s / limits.CLOCK_TICK_S
-    if (np.abs(ticks - np.rint(ticks)) > limits.CLOCK_TICK_EPS).any():
+    ticks = times_s / CLOCK_TICK_S
+    if (np.abs(ticks - np.rint(ticks)) > CLOCK_TICK_EPS).any():
         return []
-    range_s = (1 + limits.CLOCK_TICK_EPS) * limits.CLOCK_TICK_S
-    usual = min(limits.USUAL_FPS, key=lambda fps: abs(fps - line))
+    range_s = (1 + CLOCK_TICK_EPS) * CLOCK_TICK_S
+    usual = min(USUAL_FPS, key=lambda fps: abs(fps - line))
     return [(usual, range_s), (max(round(line), 1), range_s)]
 
 
 def is_one_motion(count: int, seconds: float, fps: float) -> bool:
     """Whether `count` times over so long can be those of one motion: a few hours apart would make a long one."""
-    most = min(limits.MOTION_FRAMES_MAX, limits.KEYS_APART_MAX * count + limits.KEYS_S_MAX * fps)
+    most = min(MOTION_FRAMES_MAX, KEYS_APART_MAX * count + KEYS_S_MAX * fps)
     return 0 <= seconds * fps <= most
 
 
@@ -115,19 +158,19 @@ def key_frames(times_s: np.ndarray, own: float | None = None) -> tuple[float, li
     Else it is the first of the usual rates on which nearly all lie, else that of the smallest steps.
     """
     # channels may have the same times in different precision
-    times_s = times_s[np.diff(times_s, prepend=-np.inf) > limits.KEYS_APART_MIN_S]
+    times_s = times_s[np.diff(times_s, prepend=-np.inf) > KEYS_APART_MIN_S]
     if len(times_s) < 2:
-        return limits.DEFAULT_FPS, []
+        return DEFAULT_FPS, []
     steps = np.diff(times_s)
     mean = float(times_s[-1] - times_s[0]) / len(steps)
-    slowest, fastest = limits.KEYS_FPS_MIN, limits.KEYS_FPS_MAX
-    if (np.abs(steps - mean) <= limits.STEP_JITTER_MAX * mean).all() and slowest * mean <= 1:
+    slowest, fastest = KEYS_FPS_MIN, KEYS_FPS_MAX
+    if (np.abs(steps - mean) <= STEP_JITTER_MAX * mean).all() and slowest * mean <= 1:
         return whole_rate(1 / mean), []
-    finest = whole_rate(1 / float(np.quantile(steps, limits.KEYS_OFF_MAX, method="lower")))
+    finest = whole_rate(1 / float(np.quantile(steps, KEYS_OFF_MAX, method="lower")))
     named = () if own is None or not slowest <= own <= fastest else (own,)
-    usable = (*named, *limits.USUAL_FPS, min(max(finest, limits.DEFAULT_FPS), fastest))
+    usable = (*named, *USUAL_FPS, min(max(finest, DEFAULT_FPS), fastest))
     off = [_off_frames(times_s, fps) for fps in usable]
-    best = next((place for place, one in enumerate(off) if one.mean() <= limits.KEYS_OFF_MAX), len(usable) - 1)
+    best = next((place for place, one in enumerate(off) if one.mean() <= KEYS_OFF_MAX), len(usable) - 1)
     if not off[best].any():
         return usable[best], []
     return usable[best], [
@@ -139,7 +182,7 @@ def key_frames(times_s: np.ndarray, own: float | None = None) -> tuple[float, li
 def _off_frames(times_s: np.ndarray, fps: float) -> np.ndarray:
     """Which of some times (K,) are no frames of a rate, counted from the first."""
     places = (times_s - times_s[0]) * fps
-    return np.abs(places - np.rint(places)) > limits.KEY_FRAME_EPS
+    return np.abs(places - np.rint(places)) > KEY_FRAME_EPS
 
 
 def frame_times(times_s: np.ndarray, fps: float) -> np.ndarray:
@@ -152,4 +195,4 @@ def frame_times(times_s: np.ndarray, fps: float) -> np.ndarray:
     seconds = float(times_s[-1] - times_s[0])
     if not is_one_motion(len(times_s), seconds, fps):
         raise NoMotionError(f"{len(times_s)} keys over {seconds:g} s, which is no motion of a hand")
-    return times_s[0] + np.arange(math.ceil(seconds * fps - limits.KEY_FRAME_EPS) + 1) / fps
+    return times_s[0] + np.arange(math.ceil(seconds * fps - KEY_FRAME_EPS) + 1) / fps

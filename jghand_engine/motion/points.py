@@ -10,17 +10,12 @@ from typing import Any
 import numpy as np
 
 from jghand_engine.hand.joints import JOINT_COUNT
-from jghand_engine.motion.foreign.bone_names import NamedHand, hands_among
+from jghand_engine.motion.bone_names import NamedHand, hands_among
 
 _MISSING = (math.nan, math.nan, math.nan)
 # names under which a joint's position, or the list of joints, may stand
 _POSITION = ("position", "pos", "translation", "location", "pose", "transform")
 _LISTS = ("landmark", "landmarks", "joints", "points", "keypoints", "positions", "pose")
-
-
-def plain(name: str) -> str:
-    """A key without case and separators: `multiHandWorldLandmarks` and `multi_hand_world_landmarks` are the same."""
-    return "".join(letter for letter in name.casefold() if letter.isalnum())
 
 
 def point(value: Any) -> tuple[float, float, float]:

@@ -6,34 +6,33 @@ from the lengths of its bones. Which hand it is joints cannot tell: then it has 
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
 
 import numpy as np
 
-from jghand_engine import limits
 from jghand_engine.errors import InputError
-from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import METERS_PER_UNIT, JointOrder, check_hand_size, check_order, to_level
 from jghand_engine.hand.sequence import PoseSequence
-from jghand_engine.motion import files as motion_files
+from jghand_engine.limits import FRAME_EPS
+from jghand_engine.motion.choose import chosen, recognized_order, recognized_unit, warned
+from jghand_engine.motion.clocks import DEFAULT_FPS, clock_s, even_frames, is_one_motion
+from jghand_engine.motion.content import HandTrack, MotionContent, check_size, told_damage
 from jghand_engine.motion.files import MotionFormat
-from jghand_engine.motion.foreign import bvh, freemocap, gltf, interhand, mediapipe, openpose, tables, usd, webxr
-from jghand_engine.motion.foreign.chosen import chosen, warned
-from jghand_engine.motion.foreign.clocks import clock_s, even_frames, is_one_motion
-from jghand_engine.motion.foreign.content import HandTrack, MotionContent
-from jghand_engine.motion.foreign.damage import told_damage
-from jghand_engine.motion.foreign.json_text import JsonText
-from jghand_engine.motion.foreign.recognize import Kind, frames_place, kind_of
-from jghand_engine.motion.foreign.units import recognized_order, recognized_unit
+from jghand_engine.motion.recognize import reader_of
 from jghand_engine.motion.tools import retimed, with_hand_length
 
-_Parsed = TypeVar("_Parsed")
-# what files of motions are called; content decides, this is for lists of files
-SUFFIXES = (".npz", ".npy", ".json", ".csv", ".bvh", ".glb", ".gltf", *usd.SUFFIXES)
+# what files of motions are called, by the kinds that may be called so; content decides
+_KINDS = {
+    ".npz": ("JGHand", "plain npz"),
+    ".npy": ("plain npy", "FreeMoCap"),
+    ".json": ("JGHand", "plain json", "OpenPose", "MediaPipe", "joints", "a WebXR", "InterHand"),
+    ".csv": ("JGHand", "plain csv", "FreeMoCap", "a table"),
+    ".bvh": ("BVH",),
+    **dict.fromkeys((".glb", ".gltf"), ("glTF",)),
+    **dict.fromkeys((".usda", ".usdc", ".usd", ".usdz"), ("USD",)),
+}
+SUFFIXES = tuple(_KINDS)
 
 
 @dataclass(frozen=True)
@@ -90,119 +89,14 @@ def read_motion_file(path: Path | str, wanted: MotionFormat | None = None) -> Mo
 def read_content(file: Path, wanted: MotionFormat) -> MotionContent:
     """What stands in a file, as it is. InputError, MemoryLimitError."""
     with told_damage(file):
-        if file.is_file() and file.stat().st_size > limits.MOTION_MAX_BYTES:
-            raise InputError(
-                f"motion file {file}",
-                wanted=f"at most {limits.MOTION_MAX_BYTES / 2**20:.0f} MiB",
-                came=f"{file.stat().st_size / 2**20:.0f} MiB",
-                remedy="Cut it into shorter motions.",
-            )
-        kind = kind_of(file)
-        content = _read(file, kind, wanted)
+        if file.is_file():
+            check_size(file, text=False)
+        content = reader_of(file, wanted)()
     suffix = file.suffix.lower()
-    if suffix in SUFFIXES and file.is_file() and not _fits(suffix, kind):
+    if file.is_file() and not content.kind.startswith(_KINDS.get(suffix, (content.kind,))):
         note = f"It is called {suffix}, but by its content it is {content.kind}."
         content = replace(content, notes=(note, *content.notes))
     return content
-
-
-def _read(file: Path, kind: Kind, wanted: MotionFormat) -> MotionContent:
-    if kind in (Kind.OWN_NPZ, Kind.OWN_NPY, Kind.OWN_JSON, Kind.OWN_CSV):
-        return _own(file, kind)
-    if kind is Kind.BVH:
-        return bvh.read(file, wanted.bones, wanted.up)
-    if kind is Kind.GLTF:
-        return gltf.read(file, wanted.fps, wanted.part, wanted.bones)
-    if kind is Kind.USD:
-        return usd.read(file, wanted.fps, wanted.bones)
-    if kind is Kind.OPENPOSE_FOLDER:
-        return openpose.read_folder(file)
-    if kind is Kind.FREEMOCAP:
-        return freemocap.read([file])
-    if kind is Kind.FREEMOCAP_FOLDER:
-        return freemocap.read(freemocap.files_of(file))
-    if kind is Kind.TABLE:
-        return tables.read(file)
-    return _json(JsonText.of_file(file), kind, wanted)
-
-
-def _json(text: JsonText, kind: Kind, wanted: MotionFormat) -> MotionContent:
-    if kind is Kind.INTERHAND:
-        return interhand.read(text)
-    members = text.names
-    place = frames_place(text)
-    frames = text.elements(place) if place is not None else iter([text.value(text.start)])
-    fps = text.value(members["fps"]) if "fps" in members else None
-    fps = float(fps) if isinstance(fps, int | float) and not isinstance(fps, bool) else None
-    if kind is Kind.OPENPOSE:
-        return openpose.read(frames)
-    if kind is Kind.MEDIAPIPE:
-        return mediapipe.read(frames, fps, wanted.mirrored_labels)
-    if kind is Kind.IWER:
-        return webxr.read_iwer(text.value(members["schema"]), text.elements(members["frames"]))
-    return webxr.read(frames, fps)
-
-
-def _own(file: Path, kind: Kind) -> MotionContent:
-    """JGHand's own files, and plain arrays, which say less."""
-    content = motion_files.read_content(file, kind.value)
-    joints = content.joints
-    if not len(joints):
-        raise InputError(f"motion file {file}", wanted="at least one frame", came="an empty motion")
-    declared = content.declared
-    if content.valid is not None:
-        if content.valid.shape != joints.shape[:2]:
-            raise InputError(f"'valid' in {file}", wanted=f"shape {joints.shape[:2]}", came=str(content.valid.shape))
-        joints[~content.valid] = np.nan
-    meters = _declared(f"unit of {file}", declared.get("unit"), _meters_of)
-    side = _declared(f"handedness of {file}", declared.get("handedness"), Handedness)
-    order = _declared(f"order of {file}", declared.get("order"), JointOrder.parse)
-    fps = _declared(f"frames per second of {file}", declared.get("fps"), _fps)
-    return MotionContent(
-        "JGHand's own format" if order is not None and meters is not None else f"plain {kind.value[1:]}",
-        (HandTrack(joints, side, order),),
-        meters,
-        meters is not None,
-        fps,
-        content.times if fps is None else (),
-        filled=motion_files.filled_frames(file, content),
-        is_plain=True,
-    )
-
-
-def _declared(thing: str, value: Any, parsed: Callable[[str], _Parsed]) -> _Parsed | None:
-    """What a file declares, None for nothing. InputError names the thing."""
-    try:
-        return None if value is None else parsed(str(value))
-    except InputError as error:
-        raise InputError(thing, wanted=error.wanted, came=error.came[:200]) from error
-
-
-def _meters_of(unit: str) -> float:
-    if unit not in METERS_PER_UNIT:
-        raise InputError("unit", wanted=" or ".join(METERS_PER_UNIT), came=repr(unit))
-    return METERS_PER_UNIT[unit]
-
-
-def _fps(text: str) -> float:
-    try:
-        fps = float(text)
-    except ValueError:
-        fps = math.nan
-    if not limits.FPS_MIN <= fps <= limits.FPS_MAX:
-        wanted = f"{limits.FPS_MIN:g} to {limits.FPS_MAX:g}"
-        raise InputError("frames per second", wanted=wanted, came=repr(text))
-    return fps
-
-
-def _fits(suffix: str, kind: Kind) -> bool:
-    """Whether a file of a format may be called so."""
-    families = {
-        ".npz": (Kind.OWN_NPZ,), ".npy": (Kind.OWN_NPY, Kind.FREEMOCAP), ".bvh": (Kind.BVH,),
-        ".csv": (Kind.OWN_CSV, Kind.FREEMOCAP, Kind.TABLE), ".glb": (Kind.GLTF,), ".gltf": (Kind.GLTF,),
-        ".json": (Kind.OWN_JSON, Kind.OPENPOSE, Kind.MEDIAPIPE, Kind.WEBXR, Kind.IWER, Kind.INTERHAND),
-    }  # fmt: skip
-    return kind in families.get(suffix, (Kind.USD,))
 
 
 def _order(file: Path, track: HandTrack, wanted: MotionFormat) -> tuple[JointOrder, list[str]]:
@@ -254,9 +148,9 @@ def _evenly(
         even_m, filled, fps, more = _by_clock(file, times_s, level_m, filled)
         return even_m, filled, fps, notes + more
     if content.fps is not None or len(level_m) == 1:
-        return level_m, filled, content.fps or limits.DEFAULT_FPS, notes
-    notes.append(f"It does not say its frames per second: {limits.DEFAULT_FPS:g} are taken; --fps says otherwise.")
-    return level_m, filled, limits.DEFAULT_FPS, notes
+        return level_m, filled, content.fps or DEFAULT_FPS, notes
+    notes.append(f"It does not say its frames per second: {DEFAULT_FPS:g} are taken; --fps says otherwise.")
+    return level_m, filled, DEFAULT_FPS, notes
 
 
 def _by_clock(
@@ -276,7 +170,7 @@ def _by_clock(
     if numbers is None:
         again, places = retimed(level_m, times_s, fps)
         said = f"Its frames do not come evenly: they were taken anew at {fps:.4g} frames per second."
-        return again, np.interp(places, np.arange(len(filled)), filled) > limits.FRAME_EPS, fps, [said]
+        return again, np.interp(places, np.arange(len(filled)), filled) > FRAME_EPS, fps, [said]
     whole = np.full((numbers[-1] + 1, *level_m.shape[1:]), np.nan)
     whole_filled = np.zeros(len(whole), dtype=bool)
     whole[numbers], whole_filled[numbers] = level_m, filled

@@ -2,7 +2,7 @@
 
     output_data/…right_hand_3d_xyz.npy     (F, 21, 3), millimeters; the name says the hand
     output_data/…right_hand_3d_xyz.csv     columns right_hand_wrist_x, …; from 1.2 to 1.8 right_hand_0000_x, …; from 2
-                                           on a line for each joint (`joint_lines`)
+                                           on a line for each joint (`freemocap_lines`)
     output_data/…skeleton_3d.npy           (F, 75 or more, 3): 33 points of MediaPipe's body, right hand, left hand,
                                            face; older mediaPipeSkel_3d_body_hands_face.npy, NAME_frame_name_xyz.npy;
                                            early ones of version 2 have four points more in the body
@@ -24,14 +24,12 @@ from pathlib import Path
 import numpy as np
 from numpy.lib.format import MAGIC_PREFIX
 
-from jghand_engine import limits
 from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 from jghand_engine.hand.orders import METERS_PER_UNIT, JointOrder
-from jghand_engine.motion.foreign import joint_lines
-from jghand_engine.motion.foreign.bone_names import side_of
-from jghand_engine.motion.foreign.content import HandTrack, MotionContent
-from jghand_engine.motion.foreign.damage import NoMotionError
-from jghand_engine.motion.foreign.tables import header_in, named_hands, read_tracks
+from jghand_engine.motion import freemocap_lines
+from jghand_engine.motion.bone_names import side_of
+from jghand_engine.motion.content import HandTrack, MotionContent, NoMotionError, check_frame_count, check_size
+from jghand_engine.motion.tables import header_in, named_hands, read_tracks
 
 KIND = "FreeMoCap"
 _HAND = re.compile(r"(right|left)_hand(_3d_xyz|_(right|left)_hand)$", re.IGNORECASE)
@@ -42,6 +40,11 @@ _SAVED_TABLE = re.compile(r"^all_trajectories$", re.IGNORECASE)
 _SAVED_OTHER = re.compile(r"^(all|body|face|other|center_of_mass)_frame_name_xyz$", re.IGNORECASE)
 # a column that tables of a whole recording have, and nobody else's
 _CAMERA_TIMES = "timestamp_by_camera"
+# points of a whole body: those of the body before the hands, and behind them those of a face: none, its outline,
+# MediaPipe's mesh without and with irises
+_BODY_POINTS, _FACE_POINTS = 33, (0, 136, 468, 478)
+# points that early ones of version 2 add to a body: centers of head, neck, trunk and hips
+_CENTERS = 4
 # where hands are, below the folder that is named, and where all of a recording is in one table
 _FOLDERS = (".", "output_data", "npy", "csv", "saved_data/npy", "saved_data/csv")
 _TABLES = (
@@ -88,7 +91,7 @@ def read(files: list[Path]) -> MotionContent:
 
 def _names_points(header: list[str]) -> bool:
     """Whether these are the columns of a table with a hand, or with a line for each joint."""
-    return joint_lines.looks_like(header) or bool(named_hands(header)[0])
+    return freemocap_lines.looks_like(header) or bool(named_hands(header)[0])
 
 
 def _is_hand(file: Path) -> bool:
@@ -108,13 +111,12 @@ def _unit(file: Path) -> float | None:
 
 def _table(file: Path) -> tuple[list[HandTrack], float | None]:
     """The hands of a table, and its unit."""
-    if file.stat().st_size > limits.MOTION_TEXT_MAX_BYTES:
-        raise NoMotionError(f"a table of more than {limits.MOTION_TEXT_MAX_BYTES >> 20} MiB: cut it into shorter ones")
+    check_size(file, text=True)
     header, unit = header_in(file), _unit(file)
-    if joint_lines.looks_like(header):
-        tracks = joint_lines.read_tracks(file)
+    if freemocap_lines.looks_like(header):
+        tracks = freemocap_lines.read_tracks(file)
         # somebody else may write such a table of one hand
-        unit = unit if joint_lines.has_models(header) or _is_hand(file) else None
+        unit = unit if freemocap_lines.has_models(header) or _is_hand(file) else None
     else:
         named, times = read_tracks(file)
         tracks = [replace(track, times=times) for track in named]
@@ -133,18 +135,17 @@ def _array(file: Path) -> tuple[list[HandTrack], float | None]:
     points = np.load(file, mmap_mode="r", allow_pickle=False)
     if points.ndim != 3 or points.shape[-1] != 3 or points.dtype.kind != "f":
         raise ValueError(f"numbers of shape {points.shape} where (frames, points, 3) were wanted")
-    if len(points) > limits.MOTION_FRAMES_MAX:
-        raise NoMotionError(f"more than {limits.MOTION_FRAMES_MAX} frames")
+    check_frame_count(len(points))
     if _is_hand(file):
         if points.shape[1] != JOINT_COUNT:
             raise NoMotionError(f"{points.shape[1]} points where a hand has {JOINT_COUNT}")
         return [_track(points, 0, side_of(file.stem))], _unit(file)
-    first = limits.FREEMOCAP_BODY_POINTS
+    first = _BODY_POINTS
     faces = points.shape[1] - first - 2 * JOINT_COUNT
     if faces < 0:
         raise NoMotionError(f"{points.shape[1]} points, which is a body without hands")
-    if faces - limits.FREEMOCAP_CENTERS in limits.FREEMOCAP_FACE_POINTS:
-        first += limits.FREEMOCAP_CENTERS
+    if faces - _CENTERS in _FACE_POINTS:
+        first += _CENTERS
     hands = [_track(points, first, Handedness.RIGHT), _track(points, first + JOINT_COUNT, Handedness.LEFT)]
     return hands, _unit(file)
 

@@ -11,20 +11,18 @@ WebXR and OpenXR have no file format; both have meters and y up.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 from jghand_engine.hand.orders import JointOrder
-from jghand_engine.motion.foreign.clocks import time_in
-from jghand_engine.motion.foreign.content import MotionContent
-from jghand_engine.motion.foreign.damage import NoMotionError
-from jghand_engine.motion.foreign.frames import FoundHand, FrameHands
-from jghand_engine.motion.foreign.json_points import named_points, plain, points
+from jghand_engine.motion.clocks import plain, time_in
+from jghand_engine.motion.content import FoundHand, FrameHands, MotionContent, NoMotionError
+from jghand_engine.motion.points import named_points, points
+from jghand_engine.motion.skeleton import rotation_matrices
 
 IWER_KIND, KIND = "a WebXR recording of IWER", "joints of a headset"
 _JOINT_NUMBERS = 8  # position, quaternion, radius
@@ -41,7 +39,7 @@ def looks_like(frame: Any) -> bool:
         return False
 
 
-def read(frames: Iterator[Any], fps: float | None) -> MotionContent:
+def read(frames: Iterable[Any], fps: float | None) -> MotionContent:
     """The hands in a row of frames. ValueError says what is wrong."""
     collected = FrameHands()
     for frame in frames:
@@ -53,9 +51,9 @@ def read(frames: Iterator[Any], fps: float | None) -> MotionContent:
     return MotionContent(kind, tracks, meters, fps=fps, times=collected.times, up=up)
 
 
-def read_iwer(schema: Any, frames: Iterator[Any]) -> MotionContent:
-    """A recording of IWER's action recorder. ValueError says what is wrong."""
-    sources = _sources(schema)
+def read_iwer(schema: Any, frames: Iterable[Any]) -> MotionContent:
+    """A recording of IWER's action recorder. ValueError, TypeError or IndexError for one that is none."""
+    sources = {int(number): source for number, source in schema}
     collected = FrameHands()
     for number, frame in enumerate(frames):
         if not isinstance(frame, list) or len(frame) < _VIEWER_NUMBERS:
@@ -70,37 +68,19 @@ def read_iwer(schema: Any, frames: Iterator[Any]) -> MotionContent:
     return MotionContent(IWER_KIND, tracks, 1.0, times=times, time_units=("milliseconds",), notes=notes, up="y")
 
 
-def _sources(schema: Any) -> dict[int, Mapping[str, Any]]:
-    if not isinstance(schema, list):
-        raise ValueError("its schema is no list")
-    sources = {}
-    for entry in schema:
-        if not (isinstance(entry, list) and len(entry) == 2 and isinstance(entry[1], Mapping)):
-            raise ValueError("its schema is none of IWER's")
-        sources[int(entry[0])] = entry[1]
-    return sources
-
-
-def _iwer_hand(entry: Any, sources: Mapping[int, Mapping[str, Any]]) -> FoundHand | None:
+def _iwer_hand(entry: list[Any], sources: Mapping[int, Mapping[str, Any]]) -> FoundHand | None:
     """One input source of a frame: index, target ray (7), then a list each for grip, hand and gamepad."""
-    if not isinstance(entry, list) or len(entry) < _RAY_NUMBERS or not isinstance(entry[0], int):
-        raise ValueError("an input source that is none of IWER's")
-    source = sources.get(entry[0])
-    if source is None or not source.get("hasHand"):
-        return None
-    names = source.get("jointSequence")
+    source = sources.get(entry[0], {})
     place = _RAY_NUMBERS + bool(source.get("hasGrip"))
-    if not isinstance(names, list) or place >= len(entry):
+    if not source.get("hasHand") or "jointSequence" not in source or place >= len(entry):
         return None
+    names = [str(name) for name in source["jointSequence"]]
     numbers = np.array(entry[place], dtype=np.float64)
     if numbers.shape != (len(names) * _JOINT_NUMBERS,):
         raise ValueError(f"{numbers.size} numbers of a hand where its schema has {len(names)} joints")
     ray = np.array(entry[1:_RAY_NUMBERS], dtype=np.float64)
-    local = numbers.reshape(len(names), _JOINT_NUMBERS)[:, :3]
-    if not np.linalg.norm(ray[3:]) > 0:
-        raise ValueError("a target ray without a direction")
-    joints = Rotation.from_quat(ray[3:]).apply(local) + ray[:3]
-    found = named_points({str(name): list(joint) for name, joint in zip(names, joints.tolist(), strict=True)})
+    joints = numbers.reshape(-1, _JOINT_NUMBERS)[:, :3] @ rotation_matrices(ray[3:]).T + ray[:3]
+    found = named_points(dict(zip(names, joints.tolist(), strict=True)))
     if not found:
         raise NoMotionError("joints that are not named as WebXR does")
     return FoundHand(_side(source.get("handedness")), found[0][1], order=JointOrder.STANDARD, in_meters=True)

@@ -12,37 +12,30 @@ from typing import Any
 
 import numpy as np
 
-from jghand_engine import limits
 from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 from jghand_engine.hand.orders import METERS_PER_UNIT, JointOrder
-from jghand_engine.motion.foreign.content import HandTrack, MotionContent
-from jghand_engine.motion.foreign.damage import NoMotionError
-from jghand_engine.motion.foreign.json_text import JsonText
+from jghand_engine.motion.content import HandTrack, MotionContent, check_frame_count
 
 KIND = "InterHand2.6M joints"
 
 
-def looks_like(text: JsonText) -> bool:
+# frames that may be left out before it is another sequence: a second
+GAP_STEPS = 30
+
+
+def looks_like(document: Any) -> bool:
     """Whether the first frame of the first capture is one of InterHand2.6M."""
-    for _, place in text.members(text.start):
-        if text.text[place] != "{":
-            return False
-        for _, inside in text.members(place):
-            frame = text.value(inside) if text.text[inside] == "{" else None
-            return isinstance(frame, Mapping) and "world_coord" in frame
-        return False
-    return False
+    capture = next(iter(document.values()), None) if isinstance(document, Mapping) else None
+    frame = next(iter(capture.values()), None) if isinstance(capture, Mapping) else None
+    return isinstance(frame, Mapping) and "world_coord" in frame
 
 
-def read(text: JsonText) -> MotionContent:
+def read(document: Mapping[str, Mapping[str, Any]]) -> MotionContent:
     """Both hands of every sequence of every capture. ValueError says what is wrong."""
     tracks: list[HandTrack] = []
-    for capture, place in text.members(text.start):
-        frames: dict[int, np.ndarray] = {}
-        for name, inside in text.members(place):
-            frames[int(name)] = _frame(text.value(inside), f"capture {capture}, frame {name}")
-            if len(frames) > limits.MOTION_FRAMES_MAX:
-                raise NoMotionError(f"more than {limits.MOTION_FRAMES_MAX} frames")
+    for capture, entries in document.items():
+        check_frame_count(len(entries))
+        frames = {int(name): _frame(entry, f"capture {capture}, frame {name}") for name, entry in entries.items()}
         sequences = list(_sequences(frames))
         for first, joints in sequences:
             part = f"Capture{capture}" + (f", from {first}" if len(sequences) > 1 else "")
@@ -59,11 +52,10 @@ def _sequences(frames: dict[int, np.ndarray]) -> Iterator[tuple[int, np.ndarray]
     steps = np.diff(numbers)
     values, counts = np.unique(steps, return_counts=True)
     step = int(values[counts.argmax()]) if len(steps) else 1
-    another = (steps > limits.INTERHAND_GAP_STEPS * step) | (steps % step != 0)
+    another = (steps > GAP_STEPS * step) | (steps % step != 0)
     for some in np.split(numbers, np.flatnonzero(another) + 1):
         count = int(some[-1] - some[0]) // step + 1
-        if count > limits.MOTION_FRAMES_MAX:
-            raise NoMotionError(f"more than {limits.MOTION_FRAMES_MAX} frames")
+        check_frame_count(count)
         joints = np.full((count, 2 * JOINT_COUNT, 3), np.nan)
         joints[(some - some[0]) // step] = [frames[number] for number in some]
         yield int(some[0]), joints

@@ -19,15 +19,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from jghand_engine import limits
 from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 from jghand_engine.hand.orders import JointOrder
-from jghand_engine.motion.foreign.bone_names import hands_among, side_of
-from jghand_engine.motion.foreign.content import HandTrack
-from jghand_engine.motion.foreign.damage import NoMotionError
-from jghand_engine.motion.foreign.tables import cells_of, joint_name, number_in
-from jghand_engine.motion.foreign.text_lines import bounded_lines
+from jghand_engine.limits import MOTION_FRAMES_MAX
+from jghand_engine.motion.bone_names import BONES_RECOGNIZED_MIN, hands_among, side_of
+from jghand_engine.motion.content import HandTrack, NoMotionError
+from jghand_engine.motion.tables import cells_of, joint_name, number_in
 
+# names of points in a table with a line for each: body, hands and face have 553
+NAMES_MAX = 2000
+# frames for each line of a hand, of which a whole one has 21: FreeMoCap leaves none out
+FRAMES_PER_LINE_MAX = 2
+# characters of a frame's number: 64 bits have 20, a sign and a fraction
+FRAME_NUMBER_CHARACTERS_MAX = 24
 _COLUMNS = ("frame", "keypoint", "x", "y", "z")
 # of the positions that version 2 gives of a joint, those that were measured
 _MEASURED = "3d_xyz"
@@ -61,33 +65,21 @@ def has_models(header: list[str]) -> bool:
 
 
 def read_tracks(file: Path) -> list[HandTrack]:
-    """The hands of a table. Frames that it leaves out are missing. ValueError.
-
-    Read twice, first for what hands and frames there are: so that what they take is known before it is taken.
-    """
-    points: dict[_Point, None] = {}
-    first, last = math.inf, -math.inf
-    for point, frame, _ in _hand_lines(file):
-        points[point] = None
-        if frame < first:
-            first = frame
-        if frame > last:
-            last = frame
-    hands = _hands(list(points))
-    if not hands:
-        return []
-    count = int(last - first) + 1
-    # three numbers, and whether they were told
-    wanted_bytes = len(hands) * count * JOINT_COUNT * 25
-    if count > limits.MOTION_FRAMES_MAX or wanted_bytes > 2 * file.stat().st_size + limits.JOINT_LINES_FREE_BYTES:
+    """The hands of a table. Frames that it leaves out are missing. ValueError."""
+    lines = list(_hand_lines(file))
+    hands = _hands(list(dict.fromkeys(point for point, _, _ in lines)))
+    numbers = [frame for _, frame, _ in lines]
+    first, last = min(numbers, default=0), max(numbers, default=0)
+    count = last - first + 1
+    if count > MOTION_FRAMES_MAX or count > FRAMES_PER_LINE_MAX * len(lines):
         raise NoMotionError(f"frames numbered {first} to {last}, most of which are not there: number them one by one")
     joints = np.full((len(hands), count, JOINT_COUNT, 3), math.nan)
     is_told = np.zeros(joints.shape[:3], bool)
     times = np.full((len(hands), count), math.nan)
     places = {point: (number, joint) for number, hand in enumerate(hands) for point, joint in hand.joints.items()}
-    for point, frame, (time, *xyz) in _hand_lines(file):
+    for point, frame, (time, *xyz) in lines:
         if point in places:
-            (number, joint), row = places[point], int(frame - first)
+            (number, joint), row = places[point], frame - first
             if is_told[number, row, joint]:
                 raise NoMotionError(f"frame {frame} has two lines of {point.name}, as of two recordings")
             is_told[number, row, joint] = True
@@ -111,7 +103,7 @@ def _hands(points: list[_Point]) -> list[_Hand]:
     found = []
     for model, of_model in of_models.items():
         # looking takes milliseconds, and a file may name thousands
-        if len(of_model) < limits.BONES_RECOGNIZED_MIN:
+        if len(of_model) < BONES_RECOGNIZED_MIN:
             continue
         for hand in hands_among([point.name for point in of_model])[0]:
             joints = {of_model[place]: joint for joint, place in enumerate(hand.bones) if place is not None}
@@ -130,7 +122,7 @@ def _hand_lines(file: Path) -> Iterator[tuple[_Point, int, tuple[str, str, str, 
     side = side_of(file.stem)
     points: dict[tuple[str, str | None], _Point | None] = {}
     with open(file, encoding="utf-8-sig", newline="") as stream:
-        rows = cells_of(bounded_lines(stream))
+        rows = cells_of(stream)
         header = next(rows, [])
         frame, keypoint, x, y, z = (header.index(name) for name in _COLUMNS)
         model, trajectory, time = (
@@ -141,8 +133,8 @@ def _hand_lines(file: Path) -> Iterator[tuple[_Point, int, tuple[str, str, str, 
                 raise ValueError(f"row {number + 1} ends after {len(row)} of {len(header)} columns")
             told = row[keypoint], None if model is None else row[model]
             if told not in points:
-                if len(points) == limits.JOINT_LINES_NAMES_MAX:
-                    raise NoMotionError(f"more than {limits.JOINT_LINES_NAMES_MAX} names of joints")
+                if len(points) == NAMES_MAX:
+                    raise NoMotionError(f"more than {NAMES_MAX} names of joints")
                 points[told] = _point(told[0].strip(), None if told[1] is None else told[1].strip(), side)
             point = points[told]
             if point is not None and (trajectory is None or row[trajectory].strip() == _MEASURED):
@@ -162,7 +154,7 @@ def _point(keypoint: str, model: str | None, side: Handedness | None) -> _Point 
 
 
 def _frame(cell: str) -> int:
-    if len(cell) > limits.FRAME_NUMBER_CHARACTERS_MAX:
+    if len(cell) > FRAME_NUMBER_CHARACTERS_MAX:
         raise ValueError(f"a frame called {cell[:20]}…")
     try:
         return int(cell)
