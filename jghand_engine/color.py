@@ -1,4 +1,4 @@
-"""sRGB and linear light: the one transfer function of the project (IEC 61966-2-1).
+"""sRGB and linear light: the one transfer function of the project (IEC 61966-2-1); and how alike two images are.
 
 Avatars keep display-referred sRGB and blend in it; formats that want light (USD's displayColor, glTF's COLOR_0) get it
 through here. Arrays of any shape; values outside 0..1 follow the same curve, negative ones its straight part.
@@ -6,9 +6,11 @@ through here. Arrays of any shape; values outside 0..1 follow the same curve, ne
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from jghand_engine.limits import SRGB_EXPONENT, SRGB_OFFSET, SRGB_SLOPE, SRGB_TOE
+from jghand_engine.limits import PSNR_MAX_DB, SRGB_EXPONENT, SRGB_OFFSET, SRGB_SLOPE, SRGB_TOE
 
 
 def srgb_to_linear(rgb: np.ndarray) -> np.ndarray:
@@ -23,3 +25,10 @@ def linear_to_srgb(rgb: np.ndarray) -> np.ndarray:
     rgb = np.asarray(rgb)
     power = (1 + SRGB_OFFSET) * np.maximum(rgb, 0) ** (1 / SRGB_EXPONENT) - SRGB_OFFSET
     return np.where(rgb <= SRGB_TOE / SRGB_SLOPE, rgb * SRGB_SLOPE, power).astype(rgb.dtype, copy=False)
+
+
+def decibels(mean_square: float) -> float:
+    """Peak signal to noise of values 0..1; capped at PSNR_MAX_DB, which equal pictures have."""
+    if mean_square <= 10 ** (-PSNR_MAX_DB / 10):
+        return PSNR_MAX_DB
+    return -10 * math.log10(mean_square)

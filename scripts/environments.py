@@ -92,11 +92,10 @@ class Environment:
         return version in self.pythons or (open_ended and version > max(v for v in self.pythons if v))
 
 
-# which kernels draw is told: the fallback is the same picture, slower by a factor that nobody should have to guess
+# which kernels draw; where none does, their own sentence says why
 WHICH_KERNELS = """
 from jghand_engine.native import library
-chosen = library.load()
-print("drawing with", f"the native kernels, variant {chosen.variant}" if chosen else "torch, the slow reference")
+print("drawing with the native kernels, variant", library.load().variant)
 """
 ENGINE = Environment(
     name="engine",

@@ -11,11 +11,10 @@ import torch
 
 from jghand_engine.avatar.covariance import posed_covariance
 from jghand_engine.avatar.gaussians import Gaussians
+from jghand_engine.learn.rasterize import rasterize
+from jghand_engine.learn.reference import Picture, rasterize_reference
 from jghand_engine.native.library import runnable_variants
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.picture import Picture
-from jghand_engine.render.rasterize import rasterize
-from jghand_engine.render.reference import rasterize_reference
 from jghand_engine.render.settings import RenderSettings
 
 NATIVE = runnable_variants()
@@ -117,6 +116,10 @@ def planes_of(picture: Picture) -> torch.Tensor:
 
 
 def draw(gaussians: Gaussians, camera: Camera, backend: str, **settings) -> Picture:
+    """backend: a variant of the kernels, or "torch" for the reference, which never stops early"""
+    if backend == "torch":
+        settings.pop("t_stop", None), settings.pop("threads", None)
+        return rasterize_reference(gaussians, camera, **settings)
     return rasterize(gaussians, camera, RenderSettings(backend=backend, **settings))
 
 

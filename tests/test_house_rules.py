@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-ENGINE, ADDON, CYCLES = ROOT / "jghand_engine", ROOT / "blender_addon", ROOT / "jghand_cycles"
+ENGINE, ADDON = ROOT / "jghand_engine", ROOT / "blender_addon"
 
 # rooms in the order in which data walks; a room imports only from rooms above it (and from itself)
 ROOMS = (
@@ -105,7 +105,7 @@ def test_the_engine_never_imports_blender():
         f"{name_of(path)}:{line} imports {module}"
         for path in python_files(ENGINE)
         for module, line in imports(path)
-        if module.split(".")[0] in {"bpy", "bmesh", "mathutils", "gpu", "blender_addon", "jghand_cycles"}
+        if module.split(".")[0] in {"bpy", "bmesh", "mathutils", "gpu", "blender_addon"}
     )
 
 
@@ -134,17 +134,17 @@ def test_the_extensions_core_imports_without_blender():
 
 
 def test_the_photographer_needs_blender_and_nothing_else():
-    """It runs in a Python that has bpy and numpy, and is a program apart from the engine, under Blender's license."""
-    allowed = {"bpy", "mathutils", "numpy", "jghand_cycles"} | sys.stdlib_module_names
+    """It runs in a Python that has bpy and numpy, and is a program apart from the engine and the extension."""
+    allowed = {"bpy", "mathutils", "numpy"} | sys.stdlib_module_names
     offences(
         f"{name_of(path)}:{line} imports {module}"
-        for path in python_files(CYCLES)
+        for path in python_files(ADDON / "capture")
         for module, line in imports(path)
         if module.split(".")[0] not in allowed
     )
 
 
-@pytest.mark.parametrize("path", python_files(ADDON, CYCLES), ids=name_of)
+@pytest.mark.parametrize("path", python_files(ADDON), ids=name_of)
 def test_what_imports_blender_names_its_license(path):
     assert path.read_text(encoding="utf-8").startswith("# SPDX-License-Identifier: GPL-3.0-or-later\n")
 
@@ -161,14 +161,14 @@ def test_the_shared_protocol_needs_nothing_but_the_standard_library():
 def test_nothing_imports_what_runs_code_from_files_or_torchvision():
     offences(
         f"{name_of(path)}:{line} imports {module}"
-        for path in python_files(ENGINE, ADDON, CYCLES, ROOT / "scripts")
+        for path in python_files(ENGINE, ADDON, ROOT / "scripts")
         for module, line in imports(path)
         if module.split(".")[0] in NEVER_IMPORTED and (name_of(path), module) != (PICKLE_READER, "pickle")
     )
 
 
 def test_no_module_is_longer_than_a_sitting():
-    lengths = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in python_files(ENGINE, ADDON, CYCLES)}
+    lengths = {path: len(path.read_text(encoding="utf-8").splitlines()) for path in python_files(ENGINE, ADDON)}
     offences(f"{name_of(path)}: {lines} lines" for path, lines in lengths.items() if lines > MODULE_LINES)
 
 
@@ -200,7 +200,7 @@ def parameter_count(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
 def test_public_functions_have_few_parameters():
     offences(
         f"{name_of(path)}:{function.lineno} {function.name} has {parameter_count(function)} parameters"
-        for path in python_files(ENGINE, ADDON, CYCLES)
+        for path in python_files(ENGINE, ADDON)
         for function in public_functions(path)
         if parameter_count(function) > PUBLIC_PARAMETERS
     )
@@ -217,7 +217,7 @@ def is_swallowing(handler: ast.ExceptHandler) -> bool:
 def test_no_error_is_swallowed():
     offences(
         f"{name_of(path)}:{node.lineno}"
-        for path in python_files(ENGINE, ADDON, CYCLES, ROOT / "scripts")
+        for path in python_files(ENGINE, ADDON, ROOT / "scripts")
         for node in ast.walk(tree_of(path))
         if isinstance(node, ast.ExceptHandler) and is_swallowing(node)
     )
@@ -235,7 +235,7 @@ def loads_tensors_only(call: ast.Call) -> bool:
 def test_torch_files_are_never_loaded():
     """torch.load and numpy's allow_pickle=True run code of the file; with weights_only torch does not."""
     found = []
-    for path in python_files(ENGINE, ADDON, CYCLES, ROOT / "scripts"):
+    for path in python_files(ENGINE, ADDON, ROOT / "scripts"):
         for node in ast.walk(tree_of(path)):
             if not isinstance(node, ast.Call):
                 continue

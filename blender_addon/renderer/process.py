@@ -33,12 +33,13 @@ _NO_MODULE = re.compile(r"^.*No module named .*$", re.MULTILINE)
 
 
 def cleaned_environment(environment: Mapping[str, str]) -> dict[str, str]:
-    """The environment for a Python that is not Blender's."""
-    return {
+    """The environment for a Python that is not Blender's. It says where `jghand capture` finds this extension."""
+    kept = {
         name: value
         for name, value in environment.items()
         if name not in _DROPPED and not name.startswith(_DROPPED_PREFIXES)
     }
+    return kept | {"JGHAND_BLENDER_ADDON": str(Path(__file__).resolve().parents[1])}
 
 
 class EngineLog:

@@ -67,7 +67,7 @@ def range_report(avatar: HandAvatar, frames: HandFrames) -> list[OutOfRange]:
 
 def outside(angles_rad: torch.Tensor, limits_rad: np.ndarray) -> list[OutOfRange]:
     """The same from angles (..., 15, 2) and `trained_range`. An angle that is not finite is not outside."""
-    angles = angles_rad.detach().numpy().reshape(-1, 15, 2)
+    angles = np.asarray(angles_rad).reshape(-1, 15, 2)
     low, high = limits_rad
     beyond = np.nan_to_num(np.maximum(low - angles, angles - high), nan=-np.inf)
     worst = beyond.argmax(0)

@@ -56,7 +56,7 @@ class FastTransform:
     ) -> None:
         self._reference = JointTransform(canonical_joints_m, handedness=handedness, swing=swing, scale_mode=scale_mode)
         self.canonical_root_m = self._reference.canonical.root_m.numpy()
-        native = library.load(variant)
+        native = None if variant == "torch" else library.load(variant)
         self._call = native.call.jg_bone_transforms if native else None
         self._skeleton = packed_skeleton(self._reference)
         if native and (size := native.call.jg_skeleton_bytes()) != self._skeleton.nbytes:

@@ -15,15 +15,15 @@ from jghand_engine.avatar.learned import ShadowLook
 from jghand_engine.avatar.skinning import pose_gaussians
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.learn.rasterize import rasterize
+from jghand_engine.learn.shadow import darken
 from jghand_engine.native.library import load
 from jghand_engine.native.threads import thread_count
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.gate import ShadowGate, fade
-from jghand_engine.render.rasterize import rasterize
 from jghand_engine.render.settings import RenderSettings, ShadowMode
 from jghand_engine.render.shadow import ShadowStyle
 from jghand_engine.render.shadow_effects import extent_px, fade_with_size
-from jghand_engine.render.shadow_native import darken
 
 
 class LiveHand:

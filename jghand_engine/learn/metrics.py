@@ -18,10 +18,10 @@ import torch
 from torch.nn import functional
 
 from jghand_engine import limits
+from jghand_engine.color import decibels
 from jghand_engine.errors import InputError, install_extra
 from jghand_engine.learn.ssim import ssim as mean_ssim
 from jghand_engine.learn.ssim import ssim_parts
-from jghand_engine.render.picture import decibels
 
 REGIONS = ("full", "box", "mask")
 BOX_RULE = "smallest rectangle around the pixels of mask >= 0.5, no margin, black background"

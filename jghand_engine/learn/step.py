@@ -36,16 +36,16 @@ from jghand_engine.learn.losses import isotropy_loss, l1_loss, mask_loss, offset
 from jghand_engine.learn.options import TrainOptions, at_part
 from jghand_engine.learn.perceptual import PerceptualMetric
 from jghand_engine.learn.pictures import Pictures, View
+from jghand_engine.learn.rasterize import rasterize
 from jghand_engine.learn.recent import Recent
+from jghand_engine.learn.shadow import darken
 from jghand_engine.learn.trainable import GAUSSIANS, LOSS
 from jghand_engine.native.library import load as load_native
 from jghand_engine.native.threads import thread_count
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.gate import ShadowGate, fade
-from jghand_engine.render.rasterize import rasterize
 from jghand_engine.render.settings import RenderSettings
 from jghand_engine.render.shadow import ShadowStyle
-from jghand_engine.render.shadow_native import darken
 from jghand_engine.template.mesh import HandTemplate
 
 CPU = torch.device("cpu")

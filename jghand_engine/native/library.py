@@ -1,12 +1,12 @@
 """Loading the native library: which variant, is it up to date, does it compute what it should.
 
-Nothing here fails because there is no native library: then `load` returns None after a line that says why, and the
-torch reference draws the same picture, slower. Only a variant that was asked for by name is an error when missing.
+A library comes with the package. Where none works, such as on a processor that is too old, one sentence says so.
 """
 
 from __future__ import annotations
 
 import ctypes
+import itertools
 import os
 import sys
 import threading
@@ -17,7 +17,7 @@ from jghand_engine.native import build, selftest
 from jghand_engine.native.binding import Library, open_library
 
 VARIANTS = ("v4", "v3", "neon")
-BACKENDS = ("auto", "torch", *VARIANTS)
+BACKENDS = ("auto", *VARIANTS)
 
 # ---- choice of variant ----------------------------------------------------------------------------------------------
 
@@ -61,16 +61,15 @@ def _current_library(variant: str) -> Path:
 
 # ---- loading --------------------------------------------------------------------------------------------------------
 
-_loaded: dict[str, Library | None] = {}
+_loaded: dict[str, Library] = {}
 _lock = threading.Lock()
 
 
-def load(variant: str = "auto") -> Library | None:
-    """The native library, or None for the torch reference.
+def load(variant: str = "auto") -> Library:
+    """The native library.
 
-    variant: "auto" takes JGHAND_BACKEND, else the best for this processor, and steps down to the next and to None with
-    one line on stderr for each that fails; "torch" is None; a named variant that cannot be had is an InputError or
-    RetryError.
+    variant: "auto" takes JGHAND_BACKEND, else the best for this processor, and steps down to the next with one line on
+    stderr for each that fails. InputError for an unknown name, RetryError where there is no library that works here.
     """
     if variant not in BACKENDS:
         raise InputError("backend", wanted=" | ".join(BACKENDS), came=variant)
@@ -80,34 +79,24 @@ def load(variant: str = "auto") -> Library | None:
         return _loaded[variant]
 
 
-def _load_automatic() -> Library | None:
+def _load_automatic() -> Library:
     wanted = os.environ.get("JGHAND_BACKEND", "").strip() or "auto"
-    try:
-        if wanted not in BACKENDS:
-            raise InputError("JGHAND_BACKEND", wanted=" | ".join(BACKENDS), came=wanted)
-        candidates = runnable_variants() if wanted == "auto" else [wanted]
-        if not candidates:
-            raise RetryError(f"no native kernel for {build.host_platform()} with this processor")
-    except (JGHandError, OSError) as error:
-        _say_next("torch", error)
-        return None
-    for variant, following in zip(candidates, [*candidates[1:], "torch"], strict=True):
+    if wanted not in BACKENDS:
+        raise InputError("JGHAND_BACKEND", wanted=" | ".join(BACKENDS), came=wanted)
+    if wanted != "auto":
+        return _load_named(wanted)
+    variants = runnable_variants()
+    if not variants:
+        raise RetryError(f"There are no kernels for {build.host_platform()} with this processor")
+    for variant, following in itertools.pairwise(variants):
         try:
             return _load_named(variant)
         except (JGHandError, OSError) as error:
-            _say_next(following, error)
-    return None
+            print(f"jghand: drawing with the slower kernel {following}: {error}", file=sys.stderr)
+    return _load_named(variants[-1])
 
 
-def _say_next(variant: str, error: Exception) -> None:
-    """One line about what draws instead, and why."""
-    instead = "torch reference" if variant == "torch" else f"kernel {variant}"
-    print(f"jghand: drawing with the slower {instead}: {error}", file=sys.stderr)
-
-
-def _load_named(variant: str) -> Library | None:
-    if variant == "torch":
-        return None
+def _load_named(variant: str) -> Library:
     if variant not in runnable_variants():
         raise InputError("native variant", wanted=f"one of {runnable_variants()} on this processor", came=variant)
     library = open_library(_current_library(variant), variant)

@@ -253,7 +253,7 @@ class NativeRasterizer:
         """log2 of the cut-off; below the limit the kernel's exponential has no meaning."""
         if not limits.NATIVE_ALPHA_MIN <= alpha_min < 1:
             wanted = f"{limits.NATIVE_ALPHA_MIN:g} to below 1"
-            raise InputError("alpha_min", wanted=wanted, came=f"{alpha_min:g}", remedy='Use backend "torch" below it.')
+            raise InputError("alpha_min", wanted=wanted, came=f"{alpha_min:g}")
         return math.log2(alpha_min)
 
     def _reserve_scratch(self) -> None:

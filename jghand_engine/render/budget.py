@@ -19,11 +19,11 @@ import numpy as np
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.learned import ShadowLook
+from jghand_engine.color import decibels
 from jghand_engine.errors import InputError
 from jghand_engine.native.machine import FREE_PART, FreeCores
 from jghand_engine.native.threads import thread_count
 from jghand_engine.render.frame import HandRenderer
-from jghand_engine.render.picture import decibels
 from jghand_engine.render.profile import (
     NO_CORRECTIVES,
     Profile,

@@ -104,7 +104,7 @@ def exposures(
 ) -> Iterator[tuple[list[np.ndarray], Camera]]:
     """`count` pictures to be averaged: joints per hand, and a pinhole. Times are evenly spread; the places on the lens
     are a sunflower, in an order that has nothing to do with time."""
-    disc = vogel_disc(count).numpy() if camera.lens is not None else np.zeros((count, 2))
+    disc = vogel_disc(count) if camera.lens is not None else np.zeros((count, 2))
     radius_m = 0.0 if camera.lens is None else camera.lens.aperture_m / 2
     stride = coprime_near(count)
     for index in range(count):

@@ -14,7 +14,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar, check_follows_joints
@@ -27,7 +26,9 @@ from jghand_engine.hand.frames import describe_flags
 from jghand_engine.hand.joints import JOINT_COUNT, LEVEL_NAMES
 from jghand_engine.hand.orders import check_joint_shape
 from jghand_engine.native import library as native_library
+from jghand_engine.native.enlarge import native_enlarged
 from jghand_engine.native.rasterizer import check_picture_size
+from jghand_engine.render.backend import SHADOW, SKIN, Backend, Canvas, Pose
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.effect_plan import Box, Effect, EffectPlan
 from jghand_engine.render.effects import (
@@ -41,13 +42,11 @@ from jghand_engine.render.effects import (
     standing_still,
 )
 from jghand_engine.render.exposure import Shutter, exposures
-from jghand_engine.render.half import enlarged, halved, repeated
 from jghand_engine.render.mean_picture import Drawn, MeanPicture, averaged_down
-from jghand_engine.render.painter import SHADOW, SKIN, Canvas, Painter, Pose, TorchPainter
-from jghand_engine.render.painter_native import NativePainter
+from jghand_engine.render.passes import surface_normals
 from jghand_engine.render.report import FrameReport
 from jghand_engine.render.settings import RenderSettings
-from jghand_engine.render.shadow import ShadowStyle, surface_normals
+from jghand_engine.render.shadow import ShadowStyle
 
 TRANSFORM, PLAN, ENLARGE = "transform", "plan", "enlarge"
 
@@ -99,20 +98,14 @@ class SceneRenderer:
         ]
         self._ranges = [trained_range(avatar.info) for avatar in self._avatars]
         self._looks = [facts.look for facts in self._facts if facts.look is not None]
-        self._painter = self._new_painter()
+        self._backend = Backend(self._avatars, self.settings)
         self._posed: _Posed | None = None
-        self._drawn: Canvas | None = None  # what the painter's picture shows
+        self._drawn: Canvas | None = None  # what the backend's image shows
         self._bones: list[np.ndarray] | None = None  # per hand the bone of each Gaussian, once somebody asks
-
-    def _new_painter(self) -> Painter:
-        library = native_library.load(self.settings.backend)
-        if library is None:
-            return TorchPainter(self._avatars, self.settings)
-        return NativePainter(library, self._avatars, self.settings)
 
     def render(
         self,
-        joints_m: Sequence[np.ndarray | torch.Tensor],
+        joints_m: Sequence[np.ndarray],
         camera: Camera,
         shutter: Shutter | None = None,
         *,
@@ -129,17 +122,17 @@ class SceneRenderer:
         check_picture_size(camera.width, camera.height)
         if not self.settings.half:
             return self._render(joints_m, camera, shutter, between)
-        return _enlarged(self._render(joints_m, halved(camera), shutter, between), camera)
+        return _enlarged(self._render(joints_m, camera.halved(), shutter, between), camera)
 
     def _render(
         self,
-        joints_m: Sequence[np.ndarray | torch.Tensor],
+        joints_m: Sequence[np.ndarray],
         camera: Camera,
         shutter: Shutter | None,
         between: Callable[[], None],
     ) -> Frame:
         started = time.perf_counter()
-        report = FrameReport(backend=self._painter.backend, threads=self._painter.threads)
+        report = FrameReport(backend=self._backend.variant, threads=self._backend.threads)
         report.gaussians = sum(map(len, self._avatars))
         hands = self._checked(joints_m)
         if shutter is not None:
@@ -173,9 +166,9 @@ class SceneRenderer:
         if self._bones is None:
             self._bones = [bone_numbers(avatar) for avatar in self._avatars]
         canvas = self._canvas(self._posed, replace(camera, lens=None), 0.0, limits.ALPHA_MIN)
-        return self._painter.part_map(canvas, self._bones)
+        return self._backend.part_map(canvas, self._bones)
 
-    def _checked(self, joints_m: Sequence[np.ndarray | torch.Tensor]) -> list[np.ndarray]:
+    def _checked(self, joints_m: Sequence[np.ndarray]) -> list[np.ndarray]:
         if len(joints_m) != len(self._avatars):
             raise InputError("hands of a picture", wanted=f"joints of {len(self._avatars)}", came=str(len(joints_m)))
         return [_checked_hand(joints) for joints in joints_m]
@@ -192,13 +185,13 @@ class SceneRenderer:
         bones = [transform.bones(joints) for transform, joints in zip(self._transforms, hands, strict=True)]
         corrected = self._corrected_rad(last)
         poses = [
-            Pose(one, one.root_m - origin_m, keeps_correctives=same_shape(one, angles_rad, settings))
+            Pose(one, one.root_m - origin_m, keep_correctives=same_shape(one, angles_rad, settings))
             for one, angles_rad in zip(bones, corrected, strict=True)
         ]
         unseen = [note for trained, pose in zip(self._ranges, poses, strict=True) for note in _unseen(trained, pose)]
         notes = [sentence for one in bones for sentence in describe_flags(one.flags)]
         angles = [
-            old if pose.keeps_correctives and old is not None else pose.bones.angles_rad
+            old if pose.keep_correctives and old is not None else pose.bones.angles_rad
             for pose, old in zip(poses, corrected, strict=True)
         ]
         odd = bool(notes) or any(float(np.abs(one.angles_rad[:30]).max()) > limits.REUSE_BENT_MAX for one in bones)
@@ -208,7 +201,7 @@ class SceneRenderer:
 
     def _corrected_rad(self, last: _Posed | None) -> list[np.ndarray | None]:
         """Per hand the angles of correctives that can be used again; None for none."""
-        if last is None or not self._painter.keeps_correctives:
+        if last is None:
             return [None] * len(self._facts)
         pairs = zip(self._facts, last.kept.corrected_rad, strict=True)
         return [angles_rad if facts.keeps_correctives else None for facts, angles_rad in pairs]
@@ -221,7 +214,7 @@ class SceneRenderer:
             camera,
             shutter,
             shot.moved_m,
-            reshaped=not all(pose.keeps_correctives for pose in posed.poses),
+            reshaped=not all(pose.keep_correctives for pose in posed.poses),
         )
         plan = plan_effects(scene, self._facts, self.settings)
         skin = plan[Effect.SKIN]
@@ -271,9 +264,9 @@ class SceneRenderer:
         canvas = self._canvas(shot.posed, camera, plan.strength, plan.alpha_min, depth=depth)
         poses = None if shot.moved_m is not None else shot.posed.poses
         keeps = poses is None and not self.settings.effects.forces(Effect.SKIN) and canvas.same_view(self._drawn)
-        # a picture that fails half way may leave the painter with half of these Gaussians: then the next one poses anew
+        # a picture that fails half way may leave the backend with half of these Gaussians: then the next one poses anew
         self._posed = self._drawn = None
-        rgba, depth_m = self._painter.paint(poses, canvas, report, keeps_picture=keeps)
+        rgba, depth_m = self._backend.draw(poses, canvas, report, keep_image=keeps)
         weights = self._hand_weights(rgba, canvas, report) if plan.runs(Effect.IDS) else None
         self._posed, self._drawn = shot.posed, canvas
         return Drawn(box, rgba, depth_m, weights)
@@ -281,7 +274,7 @@ class SceneRenderer:
     def _hand_weights(self, rgba: np.ndarray, canvas: Canvas, report: FrameReport) -> np.ndarray:
         """(H, W, hands) how much of the pixel each hand covers."""
         started = time.perf_counter()
-        weights = rgba[..., 3:] if len(self._avatars) == 1 else self._painter.hand_weights(canvas)
+        weights = rgba[..., 3:] if len(self._avatars) == 1 else self._backend.hand_weights(canvas)
         report.ran(str(Effect.IDS), 1e3 * (time.perf_counter() - started))
         return weights
 
@@ -306,7 +299,7 @@ class SceneRenderer:
         normal = ids = None
         if plan.runs(Effect.NORMALS) and whole.depth_m is not None:
             started = time.perf_counter()
-            normal = surface_normals(torch.from_numpy(whole.depth_m), camera).numpy()
+            normal = surface_normals(whole.depth_m, camera)
             report.ran(str(Effect.NORMALS), 1e3 * (time.perf_counter() - started))
         if plan.runs(Effect.IDS) and whole.weights is not None:
             covered = whole.weights.sum(-1) > limits.DEPTH_ALPHA_MIN
@@ -324,7 +317,7 @@ class HandRenderer:
         self._scene = SceneRenderer([avatar], settings)
         self.settings = self._scene.settings
 
-    def render(self, joints_m: np.ndarray | torch.Tensor, camera: Camera, shutter: Shutter | None = None) -> Frame:
+    def render(self, joints_m: np.ndarray, camera: Camera, shutter: Shutter | None = None) -> Frame:
         """One picture. joints_m: (21, 3), level order, meters, in the frame the camera is given in. shutter: as for
         SceneRenderer, of one hand.
 
@@ -339,12 +332,18 @@ class HandRenderer:
 
 
 def _enlarged(frame: Frame, camera: Camera) -> Frame:
-    """A frame of `halved(camera)` as one of `camera`."""
+    """A frame of `camera.halved()` as one of `camera`; what cannot be mixed, such as the numbers of hands, is
+    repeated."""
     started, report = time.perf_counter(), frame.report
     size = camera.width, camera.height
     # without depth the zeros stay zeros
-    rgba, depth_m = enlarged(frame.rgba, frame.depth_m, camera, native_library.load(report.backend), report.threads)
-    normal, ids = (None if each is None else repeated(each, *size) for each in (frame.normal, frame.ids))
+    rgba, depth_m = native_enlarged(
+        native_library.load(report.backend), frame.rgba, frame.depth_m, size, report.threads
+    )
+    normal, ids = (
+        None if each is None else each.repeat(2, 0).repeat(2, 1)[: size[1], : size[0]]
+        for each in (frame.normal, frame.ids)
+    )
     spent_ms = 1e3 * (time.perf_counter() - started)
     report.ran(ENLARGE, spent_ms)
     report.total_ms += spent_ms
@@ -364,7 +363,7 @@ class _Posed:
 
 @dataclass(frozen=True)
 class _Shot:
-    """A pose to be drawn. moved_m: None when it is new; else how far the joints moved since the painter got it."""
+    """A pose to be drawn. moved_m: None when it is new; else how far the joints moved since the backend got it."""
 
     posed: _Posed
     moved_m: float | None
@@ -381,12 +380,12 @@ def _with_tier(avatar: HandAvatar, wanted: Tier) -> tuple[HandAvatar, str]:
 
 def _unseen(trained: np.ndarray | None, pose: Pose) -> list[str]:
     """Sentences about joints that are bent as the avatar never saw them."""
-    return [] if trained is None else [one.sentence() for one in outside(pose.angles.angles, trained)]
+    return [] if trained is None else [one.sentence() for one in outside(pose.bones.angles_rad[:30], trained)]
 
 
-def _checked_hand(joints_m: np.ndarray | torch.Tensor) -> np.ndarray:
+def _checked_hand(joints_m: np.ndarray) -> np.ndarray:
     """(21, 3) float64; InputError for another shape or a joint that is not finite."""
-    joints = joints_m.detach().cpu().numpy() if isinstance(joints_m, torch.Tensor) else np.asarray(joints_m)
+    joints = np.asarray(joints_m)
     joints = np.ascontiguousarray(joints, np.float64)
     if joints.shape != (JOINT_COUNT, 3):
         check_joint_shape(joints)

@@ -149,7 +149,7 @@ def _pinholes(camera: Camera, index: int, each: int, moments: int) -> list[Camer
     if camera.lens is None:
         return [camera] * each
     count = each * moments
-    places = camera.lens.aperture_m / 2 * vogel_disc(count).numpy()
+    places = camera.lens.aperture_m / 2 * vogel_disc(count)
     stride = coprime_near(count)
     chosen = [places[(index * each + turn) * stride % count] for turn in range(each)]
     return [camera.through(float(x), float(y)) for x, y in chosen]

@@ -101,8 +101,8 @@ def left_out(settings: RenderSettings, total: int) -> dict[str, str]:
 def profile_file(avatar: HandAvatar) -> Path:
     """Where the profile of this machine and avatar is, whether it is there or not."""
     library = load("auto")
-    stamp = read_stamp(library.path) if library else None
-    machine = [processor(), platform.machine(), os.cpu_count(), library.variant if library else "torch", repr(stamp)]
+    stamp = read_stamp(library.path)
+    machine = [processor(), platform.machine(), os.cpu_count(), library.variant, repr(stamp)]
     digest = hashlib.sha256(json.dumps([FORMAT, jghand_engine.__version__, *machine]).encode())
     for tensor in (avatar.position_m, avatar.sigma_m, avatar.opacity, avatar.rgb):
         digest.update(tensor.contiguous().numpy().tobytes())

@@ -12,11 +12,12 @@ from torch import Tensor
 from jghand_engine.avatar.gaussians import Gaussians
 from jghand_engine.avatar.learned import ShadowLook
 from jghand_engine.avatar.skinning import pose_gaussians
+from jghand_engine.color import decibels
+from jghand_engine.learn.reference import Picture, rasterize_reference
+from jghand_engine.learn.shadow import shade
 from jghand_engine.render.frame import HandRenderer
-from jghand_engine.render.picture import Picture, decibels
-from jghand_engine.render.reference import rasterize_reference
 from jghand_engine.render.settings import PRESETS
-from jghand_engine.render.shadow import ShadowStyle, shade
+from jghand_engine.render.shadow import ShadowStyle
 from jghand_engine.render.subject import Subject
 
 # contribution below which a Gaussian does not touch a pixel of the exact picture

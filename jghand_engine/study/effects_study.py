@@ -21,6 +21,7 @@ from jghand_engine.captures.sample import Sample, load_picture
 from jghand_engine.hand.anatomy import MotionOptions, named_pose, pose_names, pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.learn.metrics import psnr
+from jghand_engine.learn.shadow import darken
 from jghand_engine.learn.tables import NONE, Table, number
 from jghand_engine.native.library import load
 from jghand_engine.render.camera import Camera, Lens
@@ -30,7 +31,6 @@ from jghand_engine.render.frame import Frame, HandRenderer
 from jghand_engine.render.gate import ShadowGate, fade
 from jghand_engine.render.settings import RenderSettings, ShadowMode, preset
 from jghand_engine.render.shadow import ShadowStyle
-from jghand_engine.render.shadow_native import darken
 from jghand_engine.render.subject import Subject
 
 POSES = ("open", "spread", "open", "relaxed", "fist", "point", "victory", "pinch", "open")

@@ -24,20 +24,20 @@ from jghand_engine.avatar.tiers import Tier
 from jghand_engine.hand.fast_transform import FastTransform
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import JointTransform
+from jghand_engine.learn.reference import rasterize_reference
+from jghand_engine.learn.shadow import darken
 from jghand_engine.native.binding import Library
 from jghand_engine.native.build import read_stamp
 from jghand_engine.native.library import load
 from jghand_engine.native.machine import processor
 from jghand_engine.native.rasterizer import GaussianArrays, NativeRasterizer
 from jghand_engine.native.threads import shared_pool, thread_count
+from jghand_engine.render.backend import view_of
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.frame import HandRenderer
-from jghand_engine.render.rasterize import view_of
-from jghand_engine.render.reference import rasterize_reference
 from jghand_engine.render.report import FrameReport
 from jghand_engine.render.settings import RenderSettings, ShadowMode
-from jghand_engine.render.shadow import ShadowStyle
-from jghand_engine.render.shadow_native import NativeShade, darken
+from jghand_engine.render.shadow import NativeShade, ShadowStyle
 from jghand_engine.render.subject import Subject, moving_subject
 from jghand_engine.study.synthetic_hands import synthetic_hand
 from jghand_engine.study.timing import Case, Measurement
@@ -264,12 +264,12 @@ def _nothing(_result: object) -> None:
 def machine(threads: int, backend: str = "auto") -> dict[str, Any]:
     """Hardware, threads, variant and compiler, for the head of a table."""
     library = load(backend)
-    stamp = read_stamp(library.path) if library else None
+    stamp = read_stamp(library.path)
     return {
         "processor": processor(),
         "cores": os.cpu_count(),
         "threads": thread_count(threads),
-        "backend": library.variant if library else "torch",
+        "backend": library.variant,
         "compiler": stamp.compiler if stamp else "",
         "python": platform.python_version(),
         "torch": torch.__version__,

@@ -14,10 +14,9 @@ from torch import Tensor
 
 from jghand_engine import limits
 from jghand_engine.avatar.gaussians import Gaussians
+from jghand_engine.learn.rasterize import rasterize
+from jghand_engine.learn.reference import Picture, rasterize_reference
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.picture import Picture
-from jghand_engine.render.rasterize import rasterize
-from jghand_engine.render.reference import rasterize_reference
 from jghand_engine.render.settings import RenderSettings
 
 # promise 3 of RENDERING 14: a pixel differs by less from the reference, unless a contribution falls on the other side

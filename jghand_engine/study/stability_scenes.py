@@ -14,11 +14,11 @@ from jghand_engine import limits
 from jghand_engine.avatar.builtin import load_painted
 from jghand_engine.avatar.gaussians import Gaussians
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.learn.rasterize import rasterize
+from jghand_engine.learn.shadow import darken
 from jghand_engine.native.library import load
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.rasterize import rasterize
 from jghand_engine.render.shadow import ShadowStyle
-from jghand_engine.render.shadow_native import darken
 from jghand_engine.study.stability_hands import GRADIENT_MAX, hand_cases, template_size_m
 from jghand_engine.study.stability_measures import GAUSSIANS, camera_before, posed_avatar
 from jghand_engine.study.stability_pictures import (

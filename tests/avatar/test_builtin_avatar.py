@@ -16,10 +16,10 @@ from jghand_engine.avatar.tiers import Tier
 from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import JointTransform
+from jghand_engine.learn.rasterize import rasterize
 from jghand_engine.limits import TIER_LOST_MAX_DB
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.frame import HandRenderer
-from jghand_engine.render.rasterize import rasterize
 from jghand_engine.render.settings import RenderSettings
 from jghand_engine.template.builtin import load_template
 

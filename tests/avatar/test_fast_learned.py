@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -25,7 +25,6 @@ from jghand_engine.hand.fast_transform import FastBones, FastTransform
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.native.binding import Library
 from jghand_engine.native.threads import shared_pool
-from jghand_engine.render.painter import RootRelative
 
 AVATAR = trained_avatar(601)
 EYE_M = np.array([0.1, 0.2, 0.45])
@@ -89,6 +88,29 @@ def natively(
     assert into.covariance_m2 is not None
     arrays = (into.position_m, into.sigma_m, skin.skin.opacity, rgb, into.covariance_m2)
     return Gaussians(*(torch.from_numpy(array[:count][order]) for array in arrays))
+
+
+@dataclass(frozen=True)
+class RootRelative:
+    """FastBones as torch tensors (avatar.skinning.PoseTransforms), around the picture's origin, not the world's."""
+
+    linear: torch.Tensor
+    offset_m: torch.Tensor
+    root_m: torch.Tensor
+    canonical_root_m: torch.Tensor
+    scale: torch.Tensor
+
+    @classmethod
+    def of(cls, avatar: HandAvatar, bones: FastBones, shift_m: np.ndarray) -> RootRelative:
+        """shift_m: (3,) the hand's root relative to the picture's origin."""
+        matrices = torch.from_numpy(np.asarray(bones.linear_offset, np.float32))
+        return cls(
+            linear=matrices[:, :, :3],
+            offset_m=matrices[:, :, 3],
+            root_m=torch.from_numpy(shift_m.astype(np.float32)),
+            canonical_root_m=avatar.canonical_joints_m[0],
+            scale=torch.tensor(bones.scale, dtype=torch.float32),
+        )
 
 
 def exactly(avatar: HandAvatar, bones: FastBones, dtype: torch.dtype = torch.float64) -> Gaussians:

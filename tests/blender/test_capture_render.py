@@ -11,7 +11,7 @@ import bpy
 import numpy as np
 import pytest
 
-from jghand_cycles.png import SIGNATURE, STAMP_KEY
+from blender_addon.capture.png import SIGNATURE, STAMP_KEY
 
 WIDTH, HEIGHT, CAMERAS = 64, 96, 3
 # a joint lies 4 to 12 mm below the skin: it cannot be nearer to the outline than the smallest of that, in pixels

@@ -17,7 +17,7 @@ from golden_store import packed, path_of, write
 
 # how joints are moved, meters, and how far depths may follow, meters; colors follow by much less than half a step,
 # unless a threshold is passed
-JITTERS = 5 * ((2e-7, 4e-6), (1e-6, 2e-5))
+JITTERS = 12 * ((2e-7, 4e-6),) + 4 * ((1e-6, 2e-5),)
 HALF_STEP = 0.5 / 255
 
 

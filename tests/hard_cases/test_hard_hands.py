@@ -11,7 +11,6 @@ from jghand_engine.hand.frames import FrameFlag
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.kinematics import decompose, forward_kinematics
 from jghand_engine.hand.transform import JointTransform
-from jghand_engine.native import library
 
 CANONICAL = hands.canonical()
 SWINGS = ("minimal", "euler")
@@ -124,7 +123,6 @@ def test_small_noise_on_straight_fingers_turns_the_frames_little(name):
 @pytest.mark.parametrize("mode", ["axial", "uniform", 0.3])
 @pytest.mark.parametrize("swing", SWINGS)
 @pytest.mark.parametrize("name", CASES)
-@pytest.mark.skipif(library.load() is None, reason="no native library on this machine")
 def test_native_transform_agrees(name, swing, mode):
     joints = hard_hands()[name]
     options = {"handedness": _handedness(name), "swing": swing, "scale_mode": mode}

@@ -23,8 +23,8 @@ from splat_scenes import (
 
 from jghand_engine.avatar.gaussians import Gaussians
 from jghand_engine.errors import InputError
+from jghand_engine.learn.reference import Picture
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.picture import Picture
 
 BACKENDS = ["torch", *NATIVE]
 every_backend = pytest.mark.parametrize("backend", BACKENDS)

@@ -19,11 +19,11 @@ from jghand_engine.captures.sample import Sample
 from jghand_engine.errors import InputError
 from jghand_engine.hand.baselines import HaloLikeTransform
 from jghand_engine.learn.options import LossWeights, Schedule, TrainOptions, Transform
+from jghand_engine.learn.rasterize import rasterize
+from jghand_engine.learn.shadow import darken
 from jghand_engine.learn.step import HandTraining
-from jghand_engine.render.rasterize import rasterize
 from jghand_engine.render.settings import RenderSettings
 from jghand_engine.render.shadow import ShadowStyle
-from jghand_engine.render.shadow_native import darken
 
 EVERYTHING = LossWeights(l1=1.0, ssim=0.2, perceptual=0.3, mask=0.2, offset=0.1, isotropy=0.05, roughness=1e-2)
 

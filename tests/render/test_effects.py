@@ -18,7 +18,7 @@ from jghand_engine.errors import InputError
 from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.native import library as native_library
-from jghand_engine.render import effects, painter_native, shadow_effects
+from jghand_engine.render import backend, effects, shadow_effects
 from jghand_engine.render.camera import Camera, Lens
 from jghand_engine.render.effect_plan import CHOOSABLE, Box, Choice, Effect
 from jghand_engine.render.exposure import Shutter
@@ -162,7 +162,7 @@ def counted(monkeypatch, owner: type, name: str) -> list[int]:
 
 
 def test_a_camera_that_moves_alone_asks_for_no_skin_and_no_correctives(monkeypatch):
-    skinned = counted(monkeypatch, painter_native._TrainedHand, "prepare")
+    skinned = counted(monkeypatch, backend._TrainedHand, "prepare")
     corrected = counted(monkeypatch, FastNetwork, "prepare")
     renderer = HandRenderer(TRAINED, SMALL)
     for side_m in (0.1, 0.15, 0.2):
@@ -211,9 +211,8 @@ def test_what_may_not_be_drawn_of_an_avatar_takes_no_memory():
     assert bare.cast is None
     assert bare.ellipsoid is None
     for choice, none in (("none", True), ("auto", False)):
-        painter = SceneRenderer([avatar], replace(SMALL, effects=Choice.parse(choice)))._painter
-        assert isinstance(painter, painter_native.NativePainter)
-        assert (painter._gaussians.covariance_m2 is None) == none
+        drawing = SceneRenderer([avatar], replace(SMALL, effects=Choice.parse(choice)))._backend
+        assert (drawing._gaussians.covariance_m2 is None) == none
 
 
 def test_maps_that_nobody_asked_for_are_not_made(monkeypatch):
@@ -221,7 +220,7 @@ def test_maps_that_nobody_asked_for_are_not_made(monkeypatch):
         raise AssertionError("not asked for")
 
     monkeypatch.setattr("jghand_engine.render.frame.surface_normals", never)
-    monkeypatch.setattr(painter_native.NativePainter, "hand_weights", never)
+    monkeypatch.setattr(backend.Backend, "hand_weights", never)
     frame = SceneRenderer([RIGHT, RIGHT], SMALL).render([pose("open"), pose("fist") + 0.1], camera())
     assert frame.normal is None
     assert frame.ids is None
@@ -236,13 +235,13 @@ def test_normals_come_without_depth():
 
 
 def test_depth_that_may_not_be_made_is_not_made(monkeypatch):
-    wanted, real = [], painter_native.NativeShade.prepare
+    wanted, real = [], backend.NativeShade.prepare
 
     def noted(self, *arguments, **named):
         wanted.append(named["depth_m"])
         real(self, *arguments, **named)
 
-    monkeypatch.setattr(painter_native.NativeShade, "prepare", noted)
+    monkeypatch.setattr(backend.NativeShade, "prepare", noted)
     for choice in ("none", "auto"):
         HandRenderer(RIGHT, replace(SMALL, effects=Choice.parse(choice))).render(pose("open"), camera())
     assert wanted[0] is None
@@ -280,13 +279,13 @@ def test_a_tiny_hand_without_the_filter_is_not_said_to_be_right():
 
 def test_only_the_box_of_a_small_hand_is_drawn(monkeypatch):
     sizes = []
-    real = painter_native.NativeShade.__init__
+    real = backend.NativeShade.__init__
 
     def noted(self, library, width, height):
         sizes.append((width, height))
         real(self, library, width, height)
 
-    monkeypatch.setattr(painter_native.NativeShade, "__init__", noted)
+    monkeypatch.setattr(backend.NativeShade, "__init__", noted)
     view = camera(1024, 768, focal_px=200.0)
     frame = HandRenderer(RIGHT, SMALL).render(pose("open"), view)
     whole = HandRenderer(RIGHT, replace(SMALL, effects=Choice(forced=frozenset([Effect.WHOLE])))).render(

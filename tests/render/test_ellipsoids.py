@@ -33,8 +33,8 @@ from jghand_engine import limits
 from jghand_engine.avatar.covariance import posed_covariance
 from jghand_engine.avatar.gaussians import Gaussians
 from jghand_engine.errors import InputError
+from jghand_engine.learn.reference import rasterize_reference
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.reference import rasterize_reference
 
 native = pytest.mark.parametrize("backend", NATIVE)
 every_backend = pytest.mark.parametrize("backend", ["torch", *NATIVE])

@@ -15,15 +15,15 @@ from jghand_engine.errors import InputError
 from jghand_engine.hand.anatomy import named_pose, pose_names
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import JointTransform
+from jghand_engine.learn.reference import rasterize_reference
+from jghand_engine.learn.shadow import darken
 from jghand_engine.native import library as native_library
-from jghand_engine.render import painter_native
+from jghand_engine.render import backend as backend_module
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.effect_plan import Effect
 from jghand_engine.render.frame import Frame, HandRenderer, SceneRenderer
-from jghand_engine.render.reference import rasterize_reference
 from jghand_engine.render.settings import RenderSettings, ShadowMode
 from jghand_engine.render.shadow import ShadowStyle
-from jghand_engine.render.shadow_native import darken
 from jghand_engine.study.stability_hands import hand_cases
 from jghand_engine.study.stability_measures import posed_avatar
 
@@ -82,14 +82,6 @@ def test_native_frame_agrees_with_the_float64_chain(backend: str, pose: str, han
     # observed: three pixels of 18,000
     check_against(frame, exact_planes(joints, view, settings, handedness), flips=3e-4)
     assert float(frame.rgba[..., 3].mean()) > 0.05
-
-
-def test_torch_backend_paints_the_same_picture():
-    joints, view = named_pose("relaxed", CANONICAL_M, handedness=Handedness.RIGHT), camera(90, 70, focal_px=180.0)
-    settings = replace(ALWAYS, gaussians=1500, backend="torch")
-    frame = HandRenderer(RIGHT, settings).render(joints, view)
-    check_against(frame, exact_planes(joints, view, settings), flips=3e-4)
-    assert frame.report.backend == "torch"
 
 
 def test_frame_has_the_same_bits_from_one_two_and_three_threads(backend: str):
@@ -422,7 +414,7 @@ def test_renderer_works_on_after_a_picture_that_failed_half_way(backend: str, er
         def fail(self, *_arguments) -> None:
             raise error
 
-        patch.setattr(painter_native._Work, "tell", fail)  # after skin, raster and shade
+        patch.setattr(backend_module._Work, "report_to", fail)  # after skin, raster and shade
         renderer.render(fist, camera())
     assert np.array_equal(renderer.render(CANONICAL_M, camera()).rgba, first.rgba)
 

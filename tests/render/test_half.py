@@ -11,14 +11,51 @@ from small_avatars import small_avatar
 from jghand_engine.avatar.builtin import load_painted
 from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.limits import SAME_SURFACE_M
 from jghand_engine.native.enlarge import native_enlarged
 from jghand_engine.native.library import load, runnable_variants
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.frame import HandRenderer
-from jghand_engine.render.half import enlarged_color, enlarged_depth, halved
 from jghand_engine.render.settings import RenderSettings
 
 CAMERA = Camera.looking_at([0.1, 0.1, 0.5], [0, 0.08, 0], [0, 1, 0], width=131, height=95, focal_px=260)  # type: ignore[arg-type]
+
+
+# ---- the specification of the kernel ---------------------------------------------------------------------------------
+
+
+def enlarged_color(rgba: np.ndarray, width: int, height: int) -> np.ndarray:
+    """(H, W, 4) float32 premultiplied of `Camera.halved` -> (height, width, 4), interpolated; beyond the edge it goes
+    on."""
+    return np.swapaxes(_doubled(np.swapaxes(_doubled(rgba, height), 0, 1), width), 0, 1)
+
+
+def _doubled(values: np.ndarray, count: int) -> np.ndarray:
+    """Twice as many rows, or one less: three quarters of the nearest and one of the next."""
+    edged = np.concatenate([values[:1], values, values[-1:]])
+    out = np.empty((2 * len(values), *values.shape[1:]), np.float32)
+    for place, beside in ((0, edged[:-2]), (1, edged[2:])):
+        out[place::2] = np.float32(0.75) * values + np.float32(0.25) * beside
+    return out[:count]
+
+
+def enlarged_depth(depth_m: np.ndarray, width: int, height: int) -> np.ndarray:
+    """(H, W) float32 meters, 0 where there is nothing -> (height, width): the mean of those of the four nearest pixels
+    that show the same surface as the nearest one does."""
+    out = np.empty((height, width), np.float32)
+    edged = np.pad(depth_m, 1, mode="edge")
+    for down in (0, 1):
+        for across in (0, 1):
+            y, x = 2 * down - 1, 2 * across - 1
+            total, weight = 9 * depth_m, np.full_like(depth_m, 9)
+            for dy, dx, share in ((y, 0, 3), (0, x, 3), (y, x, 1)):
+                other = edged[1 + dy : len(edged) - 1 + dy, 1 + dx : edged.shape[1] - 1 + dx]
+                same = share * (np.abs(other - depth_m) < SAME_SURFACE_M)
+                total += same * other
+                weight += same
+            place = out[down::2, across::2]
+            place[...] = (total / weight)[: place.shape[0], : place.shape[1]]
+    return out
 
 
 @pytest.mark.parametrize(("width", "height"), [(40, 70), (41, 69), (1, 1), (2, 3)])
@@ -68,7 +105,7 @@ def test_depths_of_one_surface_are_interpolated():
 
 
 def test_half_the_camera_sees_the_same_picture():
-    camera = halved(CAMERA)
+    camera = CAMERA.halved()
     assert (camera.width, camera.height) == (66, 48)
     points = np.array([[0.0, 0.08, 0.0], [0.02, 0.05, 0.01]])
     assert np.allclose(2 * camera.project(points)[0], CAMERA.project(points)[0])

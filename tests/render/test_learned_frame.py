@@ -10,6 +10,7 @@ import torch
 from small_avatars import ellipsoid_avatar, small_avatar, trained_avatar
 
 from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.gaussians import Gaussians
 from jghand_engine.avatar.learned import ShadowLook
 from jghand_engine.avatar.skinning import pose_gaussians
 from jghand_engine.errors import InputError
@@ -17,19 +18,18 @@ from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.baselines import Transform
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import JointTransform
+from jghand_engine.learn.reference import rasterize_reference
+from jghand_engine.learn.shadow import darken
 from jghand_engine.native import library as native_library
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.effect_plan import Choice
 from jghand_engine.render.frame import Frame, HandRenderer, SceneRenderer
 from jghand_engine.render.gate import ShadowGate, fade
-from jghand_engine.render.painter import covariance_of
-from jghand_engine.render.reference import rasterize_reference
 from jghand_engine.render.settings import RenderSettings, ShadowMode
 from jghand_engine.render.shadow import ShadowStyle
-from jghand_engine.render.shadow_native import darken
 
 AVATAR = trained_avatar(3000)
-BACKENDS = [*native_library.runnable_variants(), "torch"]
+BACKENDS = native_library.runnable_variants()
 PLAIN = RenderSettings(shadow=ShadowMode.OFF, reuse=True)
 
 
@@ -51,6 +51,14 @@ def camera(side: float = 0.15, *, size: tuple[int, int] = (120, 100), away_m=(0.
     eye = target + torch.tensor([side, 0.1, 0.5], dtype=torch.float64)
     up = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
     return Camera.looking_at(eye, target, up, width=size[0], height=size[1], focal_px=focal_px)
+
+
+def covariance_of(gaussians: Gaussians) -> torch.Tensor:
+    """(N, 6) as in `Gaussians`, of spheres too."""
+    if gaussians.covariance_m2 is not None:
+        return gaussians.covariance_m2
+    sphere = gaussians.sigma_m.new_tensor([1.0, 0.0, 0.0, 1.0, 0.0, 1.0])
+    return gaussians.sigma_m[:, None] ** 2 * sphere
 
 
 def exact(avatars: list[HandAvatar], joints: list[np.ndarray], view: Camera) -> np.ndarray:

@@ -26,15 +26,14 @@ from splat_scenes import (
 
 from jghand_engine.errors import InputError
 from jghand_engine.hand.anatomy import named_pose
+from jghand_engine.learn.shadow import normalized_depth, visibility
 from jghand_engine.native import library as native_library
 from jghand_engine.render.camera import Camera, Lens
 from jghand_engine.render.effect_plan import Choice, Effect
 from jghand_engine.render.frame import HandRenderer, SceneRenderer
 from jghand_engine.render.settings import RenderSettings, preset
-from jghand_engine.render.shadow import ShadowStyle, normalized_depth, visibility
-from jghand_engine.render.shadow_native import NativeShade
+from jghand_engine.render.shadow import NativeShade, ShadowStyle
 
-BACKENDS = [*NATIVE, "torch"]
 PX_PER_METER = 600.0
 
 
@@ -112,7 +111,7 @@ def view(size=(120, 100), px_per_meter: float = PX_PER_METER) -> Camera:
     return parallel(Camera.looking_at(eye, target, up, width=size[0], height=size[1], focal_px=1.0), px_per_meter)
 
 
-@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("backend", NATIVE)
 @pytest.mark.parametrize("make", [trained_avatar, ellipsoid_avatar])
 def test_a_trained_hand_shines_as_it_does_from_far_away(backend, make):
     renderer, joints_m = hand_before(backend=backend, avatar=make(3000))

@@ -8,8 +8,9 @@ import pytest
 import torch
 
 from jghand_engine import limits
-from jghand_engine.render.picture import Picture, decibels
-from jghand_engine.render.shadow import normalized_depth
+from jghand_engine.color import decibels
+from jghand_engine.learn.reference import Picture
+from jghand_engine.learn.shadow import normalized_depth
 
 
 def picture_with(alpha: list[float], depth_m: list[float]) -> Picture:

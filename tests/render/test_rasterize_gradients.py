@@ -22,7 +22,7 @@ from splat_scenes import (
     planes_of,
 )
 
-from jghand_engine.render import rasterize as rasterize_module
+from jghand_engine.learn import rasterize as rasterize_module
 from jghand_engine.render.camera import Camera
 
 native = pytest.mark.parametrize("backend", NATIVE)

@@ -20,7 +20,7 @@ from splat_scenes import (
 
 from jghand_engine import limits
 from jghand_engine.avatar.gaussians import Gaussians
-from jghand_engine.render.reference import camera_frame, rasterize_reference
+from jghand_engine.learn.reference import camera_frame, rasterize_reference
 
 
 def contract_pixel(gaussians: Gaussians, camera, i: int, j: int, alpha_min: float = limits.ALPHA_MIN) -> list[float]:

@@ -10,9 +10,9 @@ import pytest
 from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.hand.anatomy import pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.render.backend import SKIN
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.frame import HandRenderer
-from jghand_engine.render.painter import SKIN
 from jghand_engine.render.settings import PRESETS
 
 CAMERA = Camera.looking_at([0.1, 0.1, 0.6], [0, 0.08, 0], [0, 1, 0], width=128, height=96, focal_px=250)

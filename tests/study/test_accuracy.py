@@ -10,7 +10,7 @@ import pytest
 from small_avatars import ellipsoid_avatar, small_avatar, trained_avatar
 
 from jghand_engine.errors import InputError
-from jghand_engine.native.library import load
+from jghand_engine.native.library import runnable_variants
 from jghand_engine.render.frame import HandRenderer
 from jghand_engine.render.settings import PRESETS, ShadowMode
 from jghand_engine.render.subject import Subject, moving_subject
@@ -42,7 +42,7 @@ SMALL_NUMBERS = (
     (accuracy_variants, "COUNTS", (50, 900)),
     (accuracy_reference, "POSES", 2), (accuracy_growth, "GROWTH_ROUNDS", 1), (accuracy_measures, "WARM_UP", 1),
 )  # fmt: skip
-needs_native = pytest.mark.skipif(load("auto") is None, reason="no native variant runs on this processor")
+needs_native = pytest.mark.skipif(not runnable_variants(), reason="no native variant runs on this processor")
 
 
 @pytest.fixture(autouse=True)

@@ -14,14 +14,14 @@ from jghand_engine.avatar.tiers import Baked, Price, Tier
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import JointTransform
-from jghand_engine.native.library import load
+from jghand_engine.native.library import load, runnable_variants
 from jghand_engine.render.frame import HandRenderer
 from jghand_engine.render.settings import RenderSettings
 from jghand_engine.study import frame_time
 from jghand_engine.study.synthetic_hands import synthetic_hand
 from jghand_engine.study.timing import Case, measure
 
-needs_native = pytest.mark.skipif(load("auto") is None, reason="no native variant runs on this processor")
+needs_native = pytest.mark.skipif(not runnable_variants(), reason="no native variant runs on this processor")
 
 
 @needs_native

@@ -1,6 +1,6 @@
-"""Starts Blender's Python with the package `jghand_cycles` and sees the pictures through. Knows no bpy.
+"""Starts Blender's Python with the extension's `capture/` and sees the pictures through. Knows no bpy.
 
-What passes are lines of JSON; see jghand_cycles/__main__.py, which is another program under another license.
+What passes are lines of JSON; see blender_addon/capture/__main__.py, which is another program under another license.
 """
 
 from __future__ import annotations
@@ -27,8 +27,10 @@ from jghand_engine.errors import InputError, RetryError
 from jghand_engine.files import writing
 
 PROJECT = Path(__file__).resolve().parents[3]
-WORKER = PROJECT / "jghand_cycles" / "__main__.py"
-# what jghand_cycles/png.py writes
+# the extension: in a checkout; around the engine in the extension's zip; else where the extension itself says it is
+ADDONS = (PROJECT / "blender_addon", PROJECT)
+ADDON_VARIABLE = "JGHAND_BLENDER_ADDON"
+# what blender_addon/capture/png.py writes
 STAMP_KEY = "jghand-stamp"
 MAKERS_FILE = "made_by.json"
 _REMEDY = (
@@ -81,6 +83,17 @@ def find_blender_python(given: Path | None = None) -> Path:
     raise InputError("Blender's Python", wanted="a Python that can import bpy", came="none found", remedy=_REMEDY)
 
 
+def find_program() -> Path:
+    """The program that Blender's Python runs. InputError where there is no extension."""
+    given = os.environ.get(ADDON_VARIABLE)
+    for addon in (Path(given),) if given else ADDONS:
+        program = addon / "capture" / "__main__.py"
+        if program.is_file():
+            return program
+    remedy = f"Run it from a checkout of JGHand, or set {ADDON_VARIABLE} to the folder of the Blender extension."
+    raise InputError("what renders captures", wanted="JGHand's Blender extension", came="none found", remedy=remedy)
+
+
 def render(folder: Path, jobs: Sequence[Job], python: Path, threads: int) -> Iterator[Finished]:
     """Renders jobs one after the other and gives each when its picture is there.
 
@@ -89,10 +102,9 @@ def render(folder: Path, jobs: Sequence[Job], python: Path, threads: int) -> Ite
     """
     if not jobs:
         return
-    if not WORKER.is_file():
-        raise InputError("the package jghand_cycles", wanted=f"it beside the engine, {WORKER}", came="no such file")
+    program = find_program()
     _clear_leftovers({job.file for job in jobs})
-    with tempfile.TemporaryFile() as log, _process(folder, python, threads, log) as process:
+    with tempfile.TemporaryFile() as log, _process([str(python), "-I", str(program)], folder, threads, log) as process:
         _keep_to(folder, str(_answer(process, log, python).get("ready")))
         for job in jobs:
             message = {"pose": job.pose, "camera": job.camera, "file": str(job.file.resolve()), "stamp": job.stamp}
@@ -138,11 +150,11 @@ def _keep_to(folder: Path, blender: str) -> None:
 
 
 @contextlib.contextmanager
-def _process(folder: Path, python: Path, threads: int, log: IO[bytes]) -> Iterator[subprocess.Popen[str]]:
+def _process(program: list[str], folder: Path, threads: int, log: IO[bytes]) -> Iterator[subprocess.Popen[str]]:
     """The worker; it ends with the block, whatever ends that."""
-    command = [str(python), "-I", str(WORKER), str((folder / FOLDER).resolve()), "--threads", str(threads)]
+    command = [*program, str((folder / FOLDER).resolve()), "--threads", str(threads)]
     # Blender writes its own preferences' folder where it is told to, or in the home folder
-    with tempfile.TemporaryDirectory(prefix="jghand_cycles_") as profile:
+    with tempfile.TemporaryDirectory(prefix="jghand_capture_") as profile:
         environment = {**os.environ, "BLENDER_USER_RESOURCES": profile}
         try:
             process = subprocess.Popen(
@@ -150,7 +162,7 @@ def _process(folder: Path, python: Path, threads: int, log: IO[bytes]) -> Iterat
                 env=environment,
             )  # fmt: skip
         except OSError as error:
-            raise InputError(f"cannot start {python}: {error.strerror}", remedy=_REMEDY) from error
+            raise InputError(f"cannot start {program[0]}: {error.strerror}", remedy=_REMEDY) from error
         try:
             yield process
             _stream(process.stdin).close()

@@ -1,4 +1,4 @@
-"""Stands in for jghand_cycles where there is no Blender: same lines of JSON, the vertices of the hand as dots.
+"""Stands in for blender_addon/capture where there is no Blender: same lines of JSON, the vertices of the hand as dots.
 
 The environment says what goes wrong: JGHAND_STAND_IN_FAILS_AT, number of a picture at which the process ends; how long
 a picture takes: JGHAND_STAND_IN_TAKES_S; and which Blender it says it is: JGHAND_STAND_IN_BLENDER.

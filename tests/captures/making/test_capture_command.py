@@ -35,13 +35,16 @@ from jghand_engine.lock import locked
 from jghand_engine.native import threads as cores
 from jghand_engine.template.builtin import load_template
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).resolve().parents[3]
 WORDS = ["capture", "--identity", "3", "--cameras", "7", "--close-ups", "1", "--poses", "6", "--size", "32x48"]
+
+STAND_IN = Path(__file__).with_name("stand_in_worker.py")
+FIND_PROGRAM = worker.find_program
 
 
 @pytest.fixture(autouse=True)
 def _stand_in(monkeypatch):
-    monkeypatch.setattr(worker, "WORKER", Path(__file__).with_name("stand_in_worker.py"))
+    monkeypatch.setattr(worker, "find_program", lambda: STAND_IN)
     monkeypatch.setattr(limits, "CAPTURE_SKIN_PX", 128)
 
 
@@ -54,7 +57,7 @@ def made(tmp_path_factory) -> Path:
     """One whole capture, to be copied."""
     folder = tmp_path_factory.mktemp("capture") / "made"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(worker, "WORKER", Path(__file__).with_name("stand_in_worker.py"))
+        patch.setattr(worker, "find_program", lambda: STAND_IN)
         patch.setattr(limits, "CAPTURE_SKIN_PX", 128)
         assert capture(folder) == 0
     return folder
@@ -298,7 +301,7 @@ def test_a_killed_capture_loses_at_most_the_picture_that_it_was_at(tmp_path, mad
     program = (
         "import sys\nfrom pathlib import Path\nfrom jghand_engine import limits\n"
         "from jghand_engine.captures.making import worker\nfrom jghand_engine.cli import main\n"
-        f"worker.WORKER, limits.CAPTURE_SKIN_PX = Path({str(worker.WORKER)!r}), 128\nsys.exit(main())\n"
+        f"worker.find_program, limits.CAPTURE_SKIN_PX = lambda: Path({str(STAND_IN)!r}), 128\nsys.exit(main())\n"
     )
     command = [sys.executable, "-c", program, *WORDS, "--out", str(folder), "--blender-python", sys.executable]
     environment = {**os.environ, "JGHAND_STAND_IN_TAKES_S": "0.05", "OMP_NUM_THREADS": "1"}
@@ -473,17 +476,28 @@ def test_the_real_worker_says_when_its_python_has_no_bpy(tmp_path, monkeypatch, 
     """The engine's own Python has none; where it has, there is nothing to show."""
     if worker.importlib.util.find_spec("bpy"):
         pytest.skip("this Python has bpy")
-    monkeypatch.setattr(worker, "WORKER", ROOT / "jghand_cycles" / "__main__.py")
+    monkeypatch.setattr(worker, "find_program", FIND_PROGRAM)
     plan = read_plan(made)
     assert plan is not None
     with pytest.raises(InputError, match="bpy"):
         list(worker.render(made, plan.jobs(tmp_path), Path(sys.executable), threads=1))
 
 
+def test_the_program_is_found_in_a_checkout_and_where_the_extension_says_it_is(tmp_path, monkeypatch):
+    monkeypatch.delenv(worker.ADDON_VARIABLE, raising=False)
+    assert FIND_PROGRAM() == ROOT / "blender_addon" / "capture" / "__main__.py"
+    monkeypatch.setenv(worker.ADDON_VARIABLE, str(tmp_path))
+    with pytest.raises(InputError, match="Blender extension"):
+        FIND_PROGRAM()
+    (tmp_path / "capture").mkdir()
+    (tmp_path / "capture" / "__main__.py").touch()
+    assert FIND_PROGRAM() == tmp_path / "capture" / "__main__.py"
+
+
 def test_a_program_that_is_no_worker_is_told_with_its_last_words(tmp_path, monkeypatch, made):
     program = tmp_path / "program.py"
     program.write_text("import sys; print('hello'); sys.exit('no worker at all')", encoding="utf-8")
-    monkeypatch.setattr(worker, "WORKER", program)
+    monkeypatch.setattr(worker, "find_program", lambda: program)
     plan = read_plan(made)
     assert plan is not None
     with pytest.raises(RetryError, match="no worker at all"):
@@ -516,8 +530,8 @@ def test_the_plan_in_the_folder_is_the_plan_that_was_made(copied):
 def test_the_stamp_of_a_picture_survives_without_blenders_texts():
     """The worker's own PNG code, which needs no Blender."""
     code = (
-        "import sys, io; sys.path.insert(0, sys.argv[1])\n"
-        "from jghand_cycles.png import stamped\n"
+        "import sys, io; sys.path.insert(0, sys.argv[1] + '/blender_addon')\n"
+        "from capture.png import stamped\n"
         "from PIL import Image, PngImagePlugin\n"
         "texts = PngImagePlugin.PngInfo(); texts.add_text('Date', 'today')\n"
         "raw = io.BytesIO(); Image.new('RGBA', (5, 4), (1, 2, 3, 4)).save(raw, 'PNG', pnginfo=texts)\n"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The process: `python jghand_cycles PLAN_FOLDER --threads 2`, jobs as lines of JSON on standard input.
+"""The process: `python blender_addon/capture PLAN_FOLDER --threads 2`, jobs as lines of JSON on standard input.
 
 A job is {"pose": 0, "camera": 3, "file": "…/image0.png", "stamp": "…"}; the answer is a line on standard output:
 {"ready": "5.0.1"} once, then {"file": …, "seconds": …} for every picture, or {"error": …, "file": …} and the end. What
@@ -7,6 +7,7 @@ Blender itself prints goes to standard error. The end of the input is the end of
 """
 
 import argparse
+import importlib
 import json
 import os
 import secrets
@@ -26,9 +27,10 @@ def main() -> int:
     except ImportError as error:
         _say(answers, {"error": f"this Python cannot import bpy: {error}", "missing": "bpy"})
         return 3
+    # this folder as a package of its own: that of the extension wants Blender's interface
     sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-    from jghand_cycles.png import stamped
-    from jghand_cycles.scene import Scene
+    stamped = importlib.import_module("capture.png").stamped
+    Scene = importlib.import_module("capture.scene").Scene
 
     plan = json.loads((options.plan / "plan.json").read_text(encoding="utf-8"))
     scene = Scene(plan["render"], options.plan, options.threads)

@@ -1,10 +1,9 @@
-"""Gaussians to a picture: the native kernel under torch's autograd, else the reference.
+"""Gaussians to a picture: the kernel under torch's autograd, else the reference.
 
     picture = rasterize(gaussians, camera, settings)
 
-Gradients go to position, sigma or covariance, opacity and color. float32 tensors on the CPU are drawn by the native
-kernel; float64 tensors ask for the exact picture and are drawn by the reference, and so is everything where there is no
-kernel.
+Gradients go to position, sigma or covariance, opacity and color. float32 tensors on the CPU are drawn by the kernel;
+all others, such as float64 ones, which ask for the exact picture, by the reference.
 """
 
 from __future__ import annotations
@@ -17,15 +16,13 @@ import numpy as np
 import torch
 
 from jghand_engine.avatar.gaussians import Gaussians
-from jghand_engine.errors import InputError
+from jghand_engine.learn.reference import Picture, check_gaussians, rasterize_reference
 from jghand_engine.native.binding import Library
 from jghand_engine.native.library import load
-from jghand_engine.native.rasterizer import PLANES, GaussianArrays, NativeRasterizer, View
+from jghand_engine.native.rasterizer import PLANES, GaussianArrays, NativeRasterizer
 from jghand_engine.native.threads import thread_count
+from jghand_engine.render.backend import view_of
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.inputs import check_gaussians
-from jghand_engine.render.picture import Picture
-from jghand_engine.render.reference import rasterize_reference
 from jghand_engine.render.settings import RenderSettings
 
 
@@ -33,35 +30,18 @@ def rasterize(gaussians: Gaussians, camera: Camera, settings: RenderSettings | N
     """Draws all `gaussians` (world frame) as `camera` sees them, on nothing: premultiplied color, alpha and depth.
 
     settings: alpha_min, t_stop, threads and backend are used here (`settings.gaussians` is for whoever poses them).
-    InputError names a tensor of a wrong shape or dtype, or a backend that cannot draw it. Values that cannot be drawn
-    are left out and counted in the picture; their gradient is zero.
+    InputError names a tensor of a wrong shape or dtype. Values that cannot be drawn are left out and counted in the
+    picture; their gradient is zero.
     """
     settings = settings or RenderSettings()
     check_gaussians(gaussians)
-    library = native_library(gaussians, settings.backend)
-    if library is None:
+    position = gaussians.position_m
+    if position.dtype != torch.float32 or position.device.type != "cpu":
         return rasterize_reference(gaussians, camera, alpha_min=settings.alpha_min)
-    lease = _Lease(library, thread_count(settings.threads))
+    lease = _Lease(load(settings.backend), thread_count(settings.threads))
     planes = _NativeRaster.apply(*(getattr(gaussians, name) for name in _NAMES), lease, camera, settings)
     visible, invalid = lease.rasterizer.visible, lease.rasterizer.invalid
     return Picture.from_planes(planes, visible_gaussians=visible, invalid_gaussians=invalid)  # type: ignore[arg-type]
-
-
-def native_library(gaussians: Gaussians, backend: str) -> Library | None:
-    """The library that draws these Gaussians; None for the reference. InputError when `backend` cannot."""
-    position = gaussians.position_m
-    native = position.dtype == torch.float32 and position.device.type == "cpu"
-    if backend not in ("auto", "torch") and not native:
-        wanted = f"float32 tensors on the CPU for backend {backend}"
-        raise InputError("Gaussians", wanted=wanted, came=f"{position.dtype} on {position.device}")
-    return load(backend) if native else None
-
-
-def view_of(camera: Camera) -> View:
-    """The camera as the kernel takes it, for positions in the world frame."""
-    matrix = camera.camera_from_world[:3]
-    pinhole = (camera.fx, camera.fy, camera.cx, camera.cy)
-    return View(camera.width, camera.height, *pinhole, matrix, camera.orthographic)
 
 
 # ---- memory of the kernel -------------------------------------------------------------------------------------------

@@ -1,46 +1,94 @@
-"""Painting with the native library: skin, raster, shadow and composition, in buffers that live as the painter does."""
+"""What draws a frame: skin, raster, shadow and composition by the kernels, in buffers that live as long as the backend.
+
+`frame.py` decides what is drawn, the backend obeys.
+"""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.fast_learned import FastLearnedSkin
 from jghand_engine.avatar.fast_skinning import FastSkinning, PosedArrays, padded_rows
+from jghand_engine.hand.fast_transform import FastBones
+from jghand_engine.native import library as native_library
 from jghand_engine.native.binding import Library, aligned_zeros
-from jghand_engine.native.rasterizer import PLANES, GaussianArrays, NativeRasterizer
+from jghand_engine.native.rasterizer import PLANES, GaussianArrays, NativeRasterizer, View
 from jghand_engine.native.threads import WorkerPool, shared_pool, thread_count
-from jghand_engine.render.painter import (
-    COMPOSE,
-    GLOSS,
-    RASTER,
-    SAME_PICTURE,
-    SHADOW,
-    SKIN,
-    Canvas,
-    Pose,
-    hand_weights,
-    heaviest_part,
-    owners,
-    part_colors,
-)
-from jghand_engine.render.rasterize import view_of
+from jghand_engine.render.camera import Camera
+from jghand_engine.render.passes import hand_weights, heaviest_part, owners, part_colors
 from jghand_engine.render.report import FrameReport
 from jghand_engine.render.settings import RenderSettings
-from jghand_engine.render.shadow_native import NativeShade
+from jghand_engine.render.shadow import NativeShade, ShadowStyle
+
+# names of the stages
+SKIN, GLOSS, RASTER, SHADOW, COMPOSE = "skin", "gloss", "raster", "shadow + compose", "compose"
+# why the raster was skipped
+SAME_IMAGE = "same pose, camera and settings"
 
 
-class NativePainter:
-    """See painter.Painter. One picture at a time."""
+@dataclass(frozen=True)
+class Pose:
+    """One hand of an image.
 
-    keeps_correctives = True
+    bones:            its bone transforms
+    shift_m:          (3,) its root relative to the image's origin, meters
+    keep_correctives: whether those of the last pose are used again
+    """
 
-    def __init__(self, library: Library, avatars: Sequence[HandAvatar], settings: RenderSettings) -> None:
-        self.backend, self.threads = library.variant, thread_count(settings.threads)
+    bones: FastBones
+    shift_m: np.ndarray
+    keep_correctives: bool = False
+
+
+@dataclass(frozen=True)
+class Canvas:
+    """What to draw.
+
+    camera:    of the image's origin, that is camera_from_world @ translation(origin)
+    near_m:    depth of the origin, meters
+    style:     of the shadow, None for none
+    alpha_min: cut-off of the blend
+    depth:     whether somebody wants it
+    """
+
+    camera: Camera
+    near_m: float
+    style: ShadowStyle | None
+    alpha_min: float
+    depth: bool = False
+
+    def same_view(self, other: Canvas | None) -> bool:
+        """Whether the two see the same Gaussians in the same way, shadow aside."""
+        if other is None or self.alpha_min != other.alpha_min:
+            return False
+        mine, theirs = self.camera, other.camera
+        numbers = ("width", "height", "fx", "fy", "cx", "cy", "orthographic")
+        if any(getattr(mine, name) != getattr(theirs, name) for name in numbers):
+            return False
+        return np.array_equal(mine.camera_from_world, theirs.camera_from_world)
+
+
+def view_of(camera: Camera) -> View:
+    """The camera as the kernel takes it, for positions in the world frame."""
+    pinhole = (camera.fx, camera.fy, camera.cx, camera.cy)
+    return View(camera.width, camera.height, *pinhole, camera.camera_from_world[:3], camera.orthographic)
+
+
+class Backend:
+    """Draws hands, whose avatars it knows, again and again. One image at a time.
+
+    variant: of the kernels
+    threads: how many draw
+    """
+
+    def __init__(self, avatars: Sequence[HandAvatar], settings: RenderSettings) -> None:
+        library = native_library.load(settings.backend)
+        self.variant, self.threads = library.variant, thread_count(settings.threads)
         self._library, self._settings = library, settings
         rows = sum(padded_rows(len(avatar)) for avatar in avatars)
         self._gaussians = GaussianArrays(
@@ -50,26 +98,30 @@ class NativePainter:
             rgb=aligned_zeros((rows, 3)),
             covariance_m2=aligned_zeros((rows, 6)) if any(map(_has_ellipsoids, avatars)) else None,
         )
-        self._hands: list[_PaintedHand | _TrainedHand] = []
+        self._hands: list[_PlainHand | _TrainedHand] = []
         first = 0
         for avatar in avatars:
             mine = _part(self._gaussians, slice(first, first + padded_rows(len(avatar))))
-            self._hands.append((_PaintedHand if avatar.learned is None else _TrainedHand)(library, avatar, mine))
+            self._hands.append((_PlainHand if avatar.learned is None else _TrainedHand)(library, avatar, mine))
             first += len(mine)
         self._padding = rows - sum(len(avatar) for avatar in avatars)
         self._rasterizer = NativeRasterizer(library, self.threads)
         self._shade: NativeShade | None = None
         self._planes: np.ndarray = aligned_zeros((PLANES, 0, 0))
 
-    def paint(
-        self, poses: Sequence[Pose] | None, canvas: Canvas, report: FrameReport, *, keeps_picture: bool = False
+    def draw(
+        self, poses: Sequence[Pose] | None, canvas: Canvas, report: FrameReport, *, keep_image: bool = False
     ) -> tuple[np.ndarray, np.ndarray | None]:
-        """See Painter."""
+        """-> rgba (H, W, 4) float32 premultiplied, depth (H, W) float32 meters or None. Both belong to the caller.
+
+        poses: one per avatar; None keeps the Gaussians of the last call · keep_image: also what was drawn of them, in
+        the same view
+        """
         if poses is not None:
             for hand, pose in zip(self._hands, poses, strict=True):
                 hand.prepare(pose)
         camera, settings = canvas.camera, self._settings
-        if not keeps_picture:
+        if not keep_image:
             self._planes = self._rasterizer.prepare(
                 self._gaussians, view_of(camera), alpha_min=canvas.alpha_min, t_stop=settings.t_stop
             )
@@ -79,25 +131,26 @@ class NativePainter:
         shade.prepare(self._planes, camera, canvas.style, near_m=canvas.near_m, rgba=rgba, depth_m=depth_m)
         work = _Work(
             skins=[] if poses is None else self._hands,
-            # a picture that is kept is of the same camera
-            shining=[] if keeps_picture else [hand for hand in self._hands if hand.prepare_gloss(canvas.eye_m)],
-            rasterizer=None if keeps_picture else self._rasterizer,
+            # an image that is kept is of the same camera
+            shining=[] if keep_image else [hand for hand in self._hands if hand.prepare_gloss(canvas.camera.eye_m)],
+            rasterizer=None if keep_image else self._rasterizer,
             shade=shade,
         )
         work.run(shared_pool(self.threads))
-        work.tell(report, COMPOSE if canvas.style is None else SHADOW)
+        work.report_to(report, COMPOSE if canvas.style is None else SHADOW)
         report.visible_gaussians = self._rasterizer.visible
         report.invalid_gaussians = self._rasterizer.invalid - self._padding
         return rgba, depth_m
 
     def hand_weights(self, canvas: Canvas) -> np.ndarray:
-        """See Painter."""
+        """(H, W, hands) how much of a pixel each hand covers, of the Gaussians of the last call."""
         numbers = owners([hand.rows for hand in self._hands])
         rasterizer = NativeRasterizer(self._library, self.threads)
         return hand_weights(len(self._hands), lambda first: self._coverage(rasterizer, canvas, numbers, first))
 
     def part_map(self, canvas: Canvas, parts: Sequence[np.ndarray]) -> np.ndarray:
-        """See Painter."""
+        """(H, W) uint8 number of the part that covers most of the pixel, 0 where hardly anything does, of the Gaussians
+        of the last call. parts: per hand the number, from 1, of the part that each of its Gaussians belongs to."""
         numbers = np.concatenate([hand.in_rows(one) for hand, one in zip(self._hands, parts, strict=True)])
         rasterizer = NativeRasterizer(self._library, self.threads)
         return heaviest_part(int(numbers.max()), lambda first: self._coverage(rasterizer, canvas, numbers, first))
@@ -126,8 +179,8 @@ def _part(every: GaussianArrays, rows: slice) -> GaussianArrays:
     return GaussianArrays(every.position_m[rows], every.sigma_m[rows], every.opacity[rows], every.rgb[rows], covariance)
 
 
-class _PaintedHand:
-    """A hand whose colors stay as they are, and its rows in the arrays of the picture."""
+class _PlainHand:
+    """A hand whose colors stay as they are, and its rows in the arrays of the image."""
 
     def __init__(self, library: Library, avatar: HandAvatar, into: GaussianArrays) -> None:
         self._skin = FastSkinning(library, avatar)
@@ -147,7 +200,7 @@ class _PaintedHand:
 
 
 class _TrainedHand:
-    """A hand with light and gloss, and its rows in the arrays of the picture."""
+    """A hand with light and gloss, and its rows in the arrays of the image."""
 
     def __init__(self, library: Library, avatar: HandAvatar, into: GaussianArrays) -> None:
         self._skin = FastLearnedSkin(library, avatar)
@@ -158,11 +211,11 @@ class _TrainedHand:
         self.in_rows = self._skin.skin.blocks.in_rows
 
     def prepare(self, pose: Pose) -> None:
-        self._skin.prepare(pose.bones, self._into, self._rgb, pose.shift_m, keeps_correctives=pose.keeps_correctives)
+        self._skin.prepare(pose.bones, self._into, self._rgb, pose.shift_m, keeps_correctives=pose.keep_correctives)
 
 
 class _Work:
-    """The stages of one picture. Every thread walks through all of them in one call of the pool: waking a thread costs
+    """The stages of one image. Every thread walks through all of them in one call of the pool: waking a thread costs
     more than a small stage, and a stage ends when its items are done, not when all threads have come (native/team.h).
 
     skins: hands in a new pose · shining: hands whose gloss is seen from elsewhere
@@ -170,8 +223,8 @@ class _Work:
 
     def __init__(
         self,
-        skins: Sequence[_PaintedHand | _TrainedHand],
-        shining: Sequence[_PaintedHand | _TrainedHand],
+        skins: Sequence[_PlainHand | _TrainedHand],
+        shining: Sequence[_PlainHand | _TrainedHand],
         rasterizer: NativeRasterizer | None,
         shade: NativeShade,
     ) -> None:
@@ -201,7 +254,7 @@ class _Work:
         self._shade.run()
         times[4] = time.perf_counter()
 
-    def tell(self, report: FrameReport, last: str) -> None:
+    def report_to(self, report: FrameReport, last: str) -> None:
         """Writes the stages into the report; `last` is what the shade call did."""
         skin_ms, gloss_ms, raster_ms, shade_ms = (1e3 * float(step) for step in np.diff(self._times))
         if self._skins:
@@ -209,7 +262,7 @@ class _Work:
         if self._shining:
             report.ran(GLOSS, gloss_ms)
         if self._rasterizer is None:
-            report.skipped(RASTER, SAME_PICTURE, "0")
+            report.skipped(RASTER, SAME_IMAGE, "0")
         else:
             report.ran(RASTER, raster_ms)
         report.ran(last, shade_ms)

@@ -1,7 +1,7 @@
 """The rasterization contract (RENDERING 3) in executable form: pure torch, any float dtype and device, differentiable.
 
-Everything else is tested against this in float64. It is also what draws where there is no native library. It never
-stops early; memory stays bounded because tiles are drawn one after the other and recomputed in the backward pass.
+Everything else is tested against this in float64. It never stops early; memory stays bounded because tiles are drawn
+one after the other and recomputed in the backward pass.
 """
 
 from __future__ import annotations
@@ -14,9 +14,46 @@ from torch.utils.checkpoint import checkpoint
 
 from jghand_engine import limits
 from jghand_engine.avatar.gaussians import Gaussians
+from jghand_engine.errors import InputError
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.inputs import check_gaussians
-from jghand_engine.render.picture import Picture
+
+
+@dataclass(frozen=True)
+class Picture:
+    """Color, coverage and depth of H x W pixels, row 0 at the top.
+
+    rgb:        (H, W, 3) premultiplied by alpha, display-referred sRGB
+    alpha:      (H, W)    0..1
+    depth_sum:  (H, W)    sum of weight times camera depth, meters: `depth_m` is what most want
+    visible_gaussians, invalid_gaussians: how many were drawn, and how many were left out as not drawable
+    """
+
+    rgb: torch.Tensor
+    alpha: torch.Tensor
+    depth_sum: torch.Tensor
+    visible_gaussians: int = 0
+    invalid_gaussians: int = 0
+
+    @property
+    def valid(self) -> torch.Tensor:
+        """(H, W) bool: where there is enough coverage to speak of a depth."""
+        return self.alpha > limits.DEPTH_ALPHA_MIN
+
+    @property
+    def depth_m(self) -> torch.Tensor:
+        """(H, W) mean camera depth of what covers the pixel, meters; 0 where not `valid`.
+
+        Zero is a mark, not a distance: whoever compares depths must look at `valid`.
+        """
+        zero = torch.zeros((), dtype=self.alpha.dtype, device=self.alpha.device)
+        # the division must not see zero coverage, or its gradient is NaN even where the result is not used
+        coverage = torch.where(self.valid, self.alpha, torch.ones_like(self.alpha))
+        return torch.where(self.valid, self.depth_sum / coverage, zero)
+
+    @classmethod
+    def from_planes(cls, planes: torch.Tensor, *, visible_gaussians: int, invalid_gaussians: int) -> Picture:
+        """From planes (5, H, W): premultiplied R G B, alpha, sum of weight times depth."""
+        return cls(planes[:3].permute(1, 2, 0), planes[3], planes[4], visible_gaussians, invalid_gaussians)
 
 
 @dataclass(frozen=True)
@@ -55,6 +92,33 @@ def rasterize_reference(
     ellipses = _project(gaussians, position_c, kept, camera)
     planes = _draw_tiles(ellipses, camera, alpha_min=alpha_min, smooth=smooth)
     return Picture.from_planes(planes, visible_gaussians=len(kept), invalid_gaussians=invalid)
+
+
+def check_gaussians(gaussians: Gaussians) -> None:
+    """InputError that names the tensor, unless shapes are (N, 3), (N,), (N,), (N, 3) and, where there are covariances,
+    (N, 6), of one float dtype and device.
+
+    Nothing is broadcast: a (N, 1) opacity would draw something, and not what was meant.
+    Values are not checked: what cannot be drawn is left out and counted (RENDERING 3).
+    """
+    tensors = {name: getattr(gaussians, name) for name in ("position_m", "sigma_m", "opacity", "rgb")}
+    if gaussians.covariance_m2 is not None:
+        tensors["covariance_m2"] = gaussians.covariance_m2
+    for name, tensor in tensors.items():
+        if not isinstance(tensor, torch.Tensor):
+            raise InputError(f"Gaussians, {name}", wanted="a torch tensor", came=type(tensor).__name__)
+    position = gaussians.position_m
+    n = position.shape[0] if position.ndim else 0
+    shapes = {"position_m": (n, 3), "sigma_m": (n,), "opacity": (n,), "rgb": (n, 3), "covariance_m2": (n, 6)}
+    for name, tensor in tensors.items():
+        if tuple(tensor.shape) != shapes[name]:
+            wanted = f"shape {shapes[name]}" if name != "position_m" else "shape (N, 3)"
+            raise InputError(f"Gaussians, {name}", wanted=wanted, came=f"shape {tuple(tensor.shape)}")
+        if tensor.dtype not in (torch.float32, torch.float64):
+            raise InputError(f"Gaussians, {name}", wanted="dtype float32 or float64", came=str(tensor.dtype))
+        if tensor.dtype != position.dtype or tensor.device != position.device:
+            wanted = f"{position.dtype} on {position.device} like position_m"
+            raise InputError(f"Gaussians, {name}", wanted=wanted, came=f"{tensor.dtype} on {tensor.device}")
 
 
 def camera_frame(position_m: torch.Tensor, camera: Camera) -> torch.Tensor:
