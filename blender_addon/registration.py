@@ -12,8 +12,8 @@ from types import ModuleType
 import bpy
 
 from . import help_page, preferences, properties
-from .export import cache_player, ops_bake, usd_hook
 from .export import ops as export_ops
+from .export import ops_bake, usd_hook
 from .export import panel as export_panel
 from .hand import (
     appended,
@@ -54,7 +54,7 @@ WITH_CLASSES = (
 )
 # handlers, timers, menus, and what is forgotten at the end
 _WITH_HOOKS: tuple[ModuleType, ...] = (
-    *(properties, runtime, pose_pictures, pose_shelf, job_watch, kept, avatar_files, cards, usd_hook, cache_player),
+    *(properties, runtime, pose_pictures, pose_shelf, job_watch, kept, avatar_files, cards, usd_hook),
     *(appended, handlers, guard, left_out, render_engine, cli_command, hand_ops, ops_motion),
 )
 _add_classes, _remove_classes = bpy.utils.register_classes_factory(

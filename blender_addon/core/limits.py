@@ -283,7 +283,5 @@ CURVE_MARGIN_PX = 4
 CURVE_LINE_PX = 2
 CURVE_GROUND = (0.12, 0.12, 0.12, 1.0)
 CURVE_LINE = (0.85, 0.62, 0.35, 1.0)
-# a million Gaussians in a frame of the extension's own cache
-CACHE_FRAME_MAX_BYTES = 32_000_000
 # what Solid mode shows of baked points, linear: skin
 POINTS_SOLID_RGBA = (0.55, 0.30, 0.20, 1.0)

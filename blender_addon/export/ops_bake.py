@@ -18,7 +18,7 @@ from ..ops import REGISTERED, UNDOABLE, Reporting, missing, wait_cursor
 from ..renderer import engine_words, runtime
 from ..renderer.engine_words import UsdChoices
 from ..renderer.jobs import JobSpec
-from . import bake_folders, baked_points, bakes, cache_player, ops_common, record, splat_cache
+from . import bake_folders, baked_points, bakes, ops_common, record
 from .ops_common import StartsJob, place, poll_hands_to_write
 from .recording import Recording, file_names
 
@@ -26,15 +26,13 @@ from .recording import Recording, file_names
 @dataclass(frozen=True)
 class NewBake:
     """A bake that is being made. uid: session_uid of its object, which may be gone when it is finished · own: the id
-    of the object's bakes · owner: what its stamp says · generation: its folder · recordings: of its one or two hands ·
-    caches: of each recording, what the engine says of its frames for Blenders without USD; empty without them."""
+    of the object's bakes · owner: what its stamp says · generation: its folder · recordings: of its one or two hands"""
 
     uid: int
     own: str
     owner: str
     generation: Path
     recordings: tuple[Recording, ...]
-    caches: tuple[Path, ...]
 
 
 class Bake(StartsJob, bpy.types.Operator):
@@ -66,12 +64,11 @@ class Bake(StartsJob, bpy.types.Operator):
         self._folder = place(context, context.scene.jghand.output.bake_folder)
         things = things_of(context, self._uids)
         names = file_names([thing.name for thing in things])
-        scratch = folders.job_folder()
         made: list[NewBake] = []
-        clean = partial(_clean, made, scratch)
+        clean = partial(_clean, made)
         try:
             for (thing, own), name in zip(_by_object(things, recordings, context), names, strict=True):
-                made.append(_new_bake(context, thing, own, self._folder / name, scratch))
+                made.append(_new_bake(context, thing, own, self._folder / name))
             commands = [words for bake in made for words in _commands(context, bake)]
         except JGHandFailure:
             clean()
@@ -210,15 +207,13 @@ def things_of(context: bpy.types.Context, uids: list[int]) -> list[bpy.types.Obj
 
 
 def _new_bake(
-    context: bpy.types.Context, thing: bpy.types.Object, recordings: list[Recording], wanted: Path, scratch: Path
+    context: bpy.types.Context, thing: bpy.types.Object, recordings: list[Recording], wanted: Path
 ) -> NewBake:
     """Makes the folder of a bake; the scene is not changed before the bake is finished."""
     own = bake_folders.own_id(thing)
     owner = bake_folders.owner_text(own, wanted.parent)
     generation = bakes.new_generation(bakes.hand_folder(wanted.parent, wanted.name, owner))
-    cached = context.scene.jghand.output.use_cache or not versions.has_usd()
-    caches = tuple(scratch / f"{recording.name}.json" for recording in recordings) if cached else ()
-    return NewBake(thing.session_uid, own, owner, generation, tuple(recordings), caches)
+    return NewBake(thing.session_uid, own, owner, generation, tuple(recordings))
 
 
 def _commands(context: bpy.types.Context, bake: NewBake) -> list[tuple[str, ...]]:
@@ -226,13 +221,10 @@ def _commands(context: bpy.types.Context, bake: NewBake) -> list[tuple[str, ...]
     shown = "splats" if versions.has_native_splats() else "points"
     choices = UsdChoices(shown, "constant", "srgb", context.scene.jghand.output.bake_width_factor)
     commands = []
-    for place_of_it, recording in enumerate(bake.recordings):
+    for recording in bake.recordings:
         motion, figures = (bake.generation / f"{recording.name}{suffix}" for suffix in (".npz", ".json"))
         recording.save(motion)
         commands.append(engine_words.export_usd(recording, motion, bake.generation, figures, choices))
-        if bake.caches:
-            out = splat_cache.cache_folder(bake.generation, recording.name)
-            commands.append(engine_words.export_cache(recording, motion, out, bake.caches[place_of_it]))
     return [(*runtime.program(), *words) for words in commands]
 
 
@@ -240,8 +232,6 @@ def _finish(made: Sequence[NewBake]) -> None:
     """The engine has succeeded: bakes become finished ones, hands and players go over to them, the earlier ones are
     removed. Whoever looks after the job calls this, perhaps while another file is open: then no hand is touched."""
     for bake in made:
-        for recording, figures in zip(bake.recordings, bake.caches, strict=False):
-            bakes.check_made(figures, recording)
         bakes.write_stamp(bake.generation, bake.recordings, bake.owner)
     with ui.one_step("Bake") as context:
         for bake in made:
@@ -262,10 +252,9 @@ def _switch(context: bpy.types.Context, thing: bpy.types.Object, bake: NewBake) 
     bakes.remove(before, bake_folders.owner_text(bake.own, before.parent.parent))
 
 
-def _clean(made: Sequence[NewBake], scratch: Path) -> None:
+def _clean(made: Sequence[NewBake]) -> None:
     for bake in made:
         bakes.remove_unfinished(bake.generation)
-    folders.remove_job_folder(scratch)
 
 
 def _play_all(context: bpy.types.Context, folder: Path) -> None:
@@ -273,10 +262,7 @@ def _play_all(context: bpy.types.Context, folder: Path) -> None:
     layer = context.view_layer.objects
     active, selected = layer.active, list(layer.selected)
     for hand in bakes.read_bake(folder):
-        if versions.has_usd():
-            baked_points.play(context, hand, folder).select_set(False)
-        else:
-            cache_player.play(context, hand, folder, width=context.scene.jghand.output.bake_width_factor)
+        baked_points.play(context, hand, folder).select_set(False)
     for thing in selected:
         thing.select_set(True)
     layer.active = active

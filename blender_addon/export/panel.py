@@ -58,11 +58,8 @@ class BakePanel(Sidebar, bpy.types.Panel):
         column.prop(settings, "bake_folder")
         if not versions.has_native_splats():
             column.prop(settings, "bake_width_factor")
-        if versions.has_usd():
-            column.prop(settings, "use_cache")
         layout.operator("jghand.bake", icon="RENDER_ANIMATION")
-        cache = settings.use_cache or not versions.has_usd()
-        _draw_estimate(layout, context, settings.bake_folder, Written(cache=cache))
+        _draw_estimate(layout, context, settings.bake_folder, Written())
         hand = ui.active(context)
         if hand is None or not hand.jghand.bake:
             return

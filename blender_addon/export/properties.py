@@ -91,11 +91,6 @@ class JGHandOutputSettings(bpy.types.PropertyGroup):
         options=path_options(),
         default="//jghand_bake/{blend_name}",
     )  # type: ignore[valid-type]
-    use_cache: bpy.props.BoolProperty(
-        name="For Blender without USD",
-        description="Also bake frames that this extension plays where Blender was built without USD, as some Linux "
-        "distributions do it. Doubles the size",
-    )  # type: ignore[valid-type]
     hands: bpy.props.EnumProperty(
         name="Hands", description="Which hands are written", items=CHOICES, default="selected"
     )  # type: ignore[valid-type]

@@ -25,7 +25,7 @@ from ..hand.motion_files import MotionFile, write_motion
 # names that Windows keeps for devices, whatever follows after a dot
 _RESERVED = {"CON", "PRN", "AUX", "NUL", *(f"{port}{number}" for port in ("COM", "LPT") for number in range(10))}
 # bytes of one Gaussian and frame; as jghand_engine/export/usd/export.py and ply.py write them
-_PLY_BYTES, _CACHE_BYTES = 68, 32
+_PLY_BYTES = 68
 _POSITION_BYTES, _SIZE_BYTES, _COLOR_BYTES = 12, 16, 24
 
 
@@ -117,12 +117,10 @@ class SizeEstimate:
 
 @dataclass(frozen=True)
 class Written:
-    """What is written of every frame. ply: PLY files instead of USD · sizes: radii in every frame of USD · cache: also
-    frames for Blenders without USD."""
+    """What is written of every frame. ply: PLY files instead of USD · sizes: radii in every frame of USD."""
 
     ply: bool = False
     sizes: bool = False
-    cache: bool = False
 
     def bytes(self, gaussians: int, frames: int, *, learned: bool) -> int:
         """Size of one hand at most: frames that are alike are stored once. learned: whether its colors change with the
@@ -131,7 +129,7 @@ class Written:
             return gaussians * frames * _PLY_BYTES
         sample = _POSITION_BYTES + _SIZE_BYTES * self.sizes + _COLOR_BYTES * learned
         still = gaussians * (limits.USD_STATIC_GAUSSIAN_BYTES + _COLOR_BYTES * (not learned)) + limits.USD_STATIC_BYTES
-        return gaussians * (frames + 1) * sample + still + gaussians * frames * _CACHE_BYTES * self.cache
+        return gaussians * (frames + 1) * sample + still
 
 
 def estimate(folder: Path | None, hands: Sequence[tuple[int, bool]], frames: int, written: Written) -> SizeEstimate:

@@ -28,7 +28,6 @@ from bpy.app.translations import pgettext_rpt as rpt_
 
 from .. import ui
 from ..errors import JGHandFailure
-from ..export import cache_player
 from ..renderer import runtime
 from . import composite, obstacle
 from .obstacle import Obstacle
@@ -80,18 +79,9 @@ def _frame_begins(scene: bpy.types.Scene, *_: object) -> None:
 
 
 @persistent
-def _frame_is_evaluated(scene: bpy.types.Scene, *_: object) -> None:
-    """What plays from a bake has been moved, or could not be; Blender looks at sub-frames of other frames, too."""
-    if _frame is not None and (scene.session_uid, scene.frame_current) == (_frame.uid, _frame.number):
-        failure = cache_player.failure_in(scene)
-        if failure is not None:
-            _fail(failure)
-
-
-@persistent
 def _frame_ends(scene: bpy.types.Scene, *_: object) -> None:
     global _frame
-    failure = (_failure if _frame is not None else None) or cache_player.failure_in(scene)
+    failure = _failure if _frame is not None else None
     before, _frame = _frame, None
     if failure is None:
         return
@@ -169,7 +159,6 @@ def _written(scene: bpy.types.Scene, began_s: float) -> Iterator[Path]:
 
 _HANDLERS = (
     ("render_pre", _frame_begins),
-    ("frame_change_post", _frame_is_evaluated),
     ("render_post", _frame_ends),
     ("render_complete", _render_ends),
     ("render_cancel", _render_ends),

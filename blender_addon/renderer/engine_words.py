@@ -45,11 +45,6 @@ def export_ply(recording: Recording, motion: Path, out: Path, figures: Path, axe
     return ("export", "ply", *_of(recording, motion, out, figures), "--axes", axes, "--overwrite")
 
 
-def export_cache(recording: Recording, motion: Path, out: Path, figures: Path) -> tuple[str, ...]:
-    """`jghand export splats`: NAME.0001.splat and so on in `out`, for the extension's own player."""
-    return ("export", "splats", *_of(recording, motion, out, figures), "--as", "splat", "--axes", "rdf")
-
-
 def _of(recording: Recording, motion: Path, out: Path, figures: Path) -> tuple[str, ...]:
     return (
         *("--motion", str(motion), "--avatar", recording.avatar, "--out", str(out), "--name", recording.name),

@@ -328,7 +328,6 @@ def all_words() -> list[tuple[str, ...]]:
     return [
         engine_words.export_usd(recording, there / "m.npz", there, there / "f.json", UsdChoices("points")),
         engine_words.export_ply(recording, there / "m.npz", there, there / "f.json", "rub"),
-        engine_words.export_cache(recording, there / "m.npz", there, there / "f.json"),
         engine_words.capture(there, capture),
         engine_words.capture(there, capture, there / "m.npz"),
         *(engine_words.train(there, there / "a.jghand", training, start) for start in ("", "resume", "fresh")),

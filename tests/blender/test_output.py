@@ -18,8 +18,8 @@ from hands import PLACES, keyed_hand, mixamo_rig, moving_hand_m, put
 from recording_layout import draw
 
 import blender_addon
-from blender_addon import folders, ui, versions
-from blender_addon.export import bake_folders, baked_points, bakes, cache_player, export_stamp, owners, record, usd_hook
+from blender_addon import folders, ui
+from blender_addon.export import bake_folders, baked_points, bakes, export_stamp, owners, record, usd_hook
 from blender_addon.export import panel as output
 from blender_addon.export.ops import ExportSceneUsd
 from blender_addon.export.ops_common import StartsJob
@@ -518,134 +518,6 @@ def test_panels_look_at_disks_on_a_timer_and_not_when_they_are_drawn(extension, 
     assert [kept.kept(extension, look, 7) for _ in range(3)] == [7, 7, 7]
     assert looked == [7]
     kept.unregister()
-
-
-def evaluated_points(context, thing) -> dict[str, np.ndarray]:
-    """What the nodes make of a playing mesh: position, radius, color."""
-    geometry = thing.evaluated_get(context.evaluated_depsgraph_get()).evaluated_geometry()
-    attributes = geometry.pointcloud.attributes
-    result = {}
-    for name, kind, width in (("position", "vector", 3), ("radius", "value", 1), ("displayColor", "color", 4)):
-        values = np.zeros(len(attributes[name].data) * width, np.float32)
-        attributes[name].data.foreach_get(kind, values)
-        result[name] = values.reshape(-1, width)
-    return result
-
-
-def test_the_extension_alone_plays_what_usd_plays_elsewhere(extension, engine, tmp_path, monkeypatch):
-    """A Blender without USD shows the same points, sizes and colors; worst observed: half a step of 8 bits."""
-    hand = a_hand(extension)
-    extension.scene.jghand.output.bake_folder = str(tmp_path / "bakes")
-    extension.scene.jghand.output.use_cache = True
-    assert bpy.ops.jghand.bake() == {"FINISHED"}
-    folder = bake_folders.bake_folder(hand)
-    assert folder == tmp_path / "bakes" / hand.name / "v0001"
-    bpy.ops.jghand.play_bake()
-    (cloud,) = baked_points.playing(extension.scene, folder)
-    monkeypatch.setattr(versions, "has_usd", lambda: False)
-    (baked,) = bakes.read_bake(folder)
-    played = cache_player.play(extension, baked, folder, width=2.0)
-    for frame in (3, 5, 6):
-        extension.scene.frame_set(frame)
-        data = evaluated_points(extension, played)
-        assert np.abs(data["position"] - cloud_positions(extension, cloud)).max() < 1e-6
-        now = cloud.evaluated_get(extension.evaluated_depsgraph_get()).data.attributes
-        radius = np.zeros(len(data["radius"]), np.float32)
-        now["radius"].data.foreach_get("value", radius)
-        # the stage has the radii of the mean hand, and this hand's bones change their lengths
-        assert np.median(data["radius"][:, 0] / radius) == pytest.approx(1, abs=0.1)
-        color = np.zeros(len(radius) * 4, np.float32)
-        now["displayColor"].data.foreach_get("color", color)
-        assert np.abs(data["displayColor"][:, :3] - color.reshape(-1, 4)[:, :3]).max() < 0.006
-    extension.scene.frame_set(99)  # beyond the bake it rests
-    assert np.abs(evaluated_points(extension, played)["position"] - data["position"]).max() == 0
-    bpy.ops.jghand.clear_bake()
-    assert not baked_points.playing(extension.scene, folder)
-
-
-@pytest.fixture
-def played(extension, engine, tmp_path, tmp_path_factory, monkeypatch):
-    """A saved file whose bake the extension plays, and its folder."""
-
-    def make(_folder: Path) -> None:
-        a_hand(extension)
-        assert bpy.ops.jghand.bake() == {"FINISHED"}
-        assert bpy.ops.jghand.play_bake() == {"FINISHED"}
-
-    monkeypatch.setattr(versions, "has_usd", lambda: False)
-    hand = a_copy(tmp_path_factory.getbasetemp() / "played", make, tmp_path)
-    folder = bake_folders.bake_folder(hand)
-    (thing,) = baked_points.playing(bpy.context.scene, folder)
-    return thing, folder
-
-
-def test_the_extension_plays_a_bake_that_was_moved_with_its_file(played, tmp_path):
-    thing, _ = played
-    assert bpy.context.scene.render.use_lock_interface
-    name = thing.name
-    bpy.ops.wm.save_mainfile()
-    shutil.move(tmp_path / "scene.blend", (tmp_path / "farm").mkdir() or tmp_path / "farm" / "scene.blend")
-    shutil.move(tmp_path / "jghand_bake", tmp_path / "farm" / "jghand_bake")
-    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "farm" / "scene.blend"))
-    thing = bpy.data.objects[name]
-    bpy.context.scene.frame_set(5)
-    assert len(thing.data.vertices)
-    assert cache_player.failure_in(bpy.context.scene) is None
-    assert tmp_path / "farm" in baked_points.played_folder(thing).parents
-
-
-def test_an_appended_object_plays_and_scenes_without_one_are_not_walked_at_every_frame(played, tmp_path):
-    thing, _ = played
-    name, count = thing.name, len(thing.data.vertices)
-    bpy.ops.wm.save_mainfile()
-    bpy.ops.wm.read_factory_settings(use_empty=True)
-    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "other.blend"))
-    cache_player._on_frame(SimpleNamespace())  # which has no objects to walk through
-    with bpy.data.libraries.load(str(tmp_path / "scene.blend"), link=False) as (_there, here):
-        here.objects = [name]
-    (thing,) = here.objects
-    bpy.context.scene.collection.objects.link(thing)
-    thing.data.clear_geometry()
-    bpy.context.scene.frame_set(5)
-    assert len(thing.data.vertices) == count
-
-
-def test_a_frame_that_is_not_there_is_not_the_frame_before_it_and_fails_the_render(played, tmp_path):
-    thing, folder = played
-    scene = bpy.context.scene
-    next(folder.rglob("*.0004.splat")).unlink()
-    scene.frame_set(3)
-    count = len(thing.data.vertices)
-    scene.frame_set(4)
-    assert not len(thing.data.vertices)
-    scene.frame_set(5)
-    assert len(thing.data.vertices) == count
-    camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
-    scene.collection.objects.link(camera)
-    scene.camera, scene.render.engine, scene.cycles.samples = camera, "CYCLES", 1
-    scene.render.resolution_x = scene.render.resolution_y = 8
-    scene.render.filepath = str(tmp_path / "out") + "/"
-    scene.frame_start, scene.frame_end = 3, 5
-    with pytest.raises(RuntimeError):
-        bpy.ops.render.render(animation=True)
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["0003.png"]
-
-
-def test_frames_of_a_longer_bake_are_not_left_over(extension, engine, tmp_path):
-    hand = a_hand(extension)
-    settings = extension.scene.jghand.output
-    settings.bake_folder, settings.use_cache = str(tmp_path), True
-    jobs = set(folders.user_folder("jobs").iterdir())
-    bpy.ops.jghand.bake()
-    assert set(folders.user_folder("jobs").iterdir()) == jobs  # what the job was given is gone with it
-    assert len(list(tmp_path.glob("**/*.splat"))) == FRAMES
-    extension.scene.frame_end -= 1
-    bpy.ops.jghand.bake()
-    assert len(list(tmp_path.glob("**/*.splat"))) == FRAMES - 1
-    settings.use_cache = False
-    bpy.ops.jghand.bake()
-    assert not list(tmp_path.glob("**/*.splat"))
-    assert bakes.read_bake(bake_folders.bake_folder(hand))[0].frames == FRAMES - 1
 
 
 # ---- Blender's own USD export ----------------------------------------------------------------------------------------
