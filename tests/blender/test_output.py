@@ -456,7 +456,7 @@ def test_files_of_one_folder_bake_and_export_into_folders_of_their_own(extension
     for name in ("one", "two"):
         bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / f"{name}.blend"))
         for folder in (settings.bake_folder, settings.folder):
-            assert output.output_common.place(bpy.context, folder).name == name
+            assert output.ops_common.place(bpy.context, folder).name == name
 
 
 def test_an_engine_that_exported_another_motion_has_failed(extension, engine, tmp_path, monkeypatch):
