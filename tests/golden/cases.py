@@ -16,8 +16,8 @@ from jghand_engine.avatar.builtin import load_builtin, load_painted
 from jghand_engine.avatar.learned import Ellipsoid
 from jghand_engine.export.cameras import Shot, write_colmap, write_transforms
 from jghand_engine.export.splats.files import SplatOptions, export_splats
-from jghand_engine.export.usd.export import export_usd
-from jghand_engine.export.usd.options import Package, UsdOptions, Variant
+from jghand_engine.export.usd.package import UsdOptions, export_usd
+from jghand_engine.export.usd.stage import Variant
 from jghand_engine.export.web.page import WebView, export_web
 from jghand_engine.hand.anatomy import named_pose, pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
@@ -247,8 +247,8 @@ EXPORTS: dict[str, dict[str, Export]] = {
     "usd": {
         "usd-layers": Export("builtin", RIGHT, usd()),
         "usd-half": Export("painted", LEFT, usd(precision="half")),
-        "usd-one-file": Export("builtin", LEFT, usd(package=Package.USDC, radiance="linear", sizes="per_frame")),
-        "usd-zip": Export("painted", RIGHT, usd(package=Package.USDZ, default_variant=Variant.POINTS_SKINNED)),
+        "usd-one-file": Export("builtin", LEFT, usd(package="usdc", radiance="linear", sizes="per_frame")),
+        "usd-zip": Export("painted", RIGHT, usd(package="usdz", default_variant=Variant.POINTS_SKINNED)),
     },
     "splats": {
         "ply": Export("stretched", RIGHT, splats("ply")),
