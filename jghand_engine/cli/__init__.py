@@ -60,7 +60,7 @@ def _main(words: Sequence[str]) -> int:
     if words == ["--version"]:
         say(f"jghand {__version__}")
         return 0
-    verb = _parsed(words)
+    verb = parsed(words)
     report = getattr(verb, "report", None)
     report = report if isinstance(report, ReportOptions) else ReportOptions()
     lines = JsonLines(sys.stderr) if report.progress_json else None
@@ -79,7 +79,7 @@ def _main(words: Sequence[str]) -> int:
         return failure.exit_code
 
 
-def _parsed(words: Sequence[str]) -> Any:
+def parsed(words: Sequence[str]) -> Any:
     """The verb with its options. SystemExit for mistakes in them, and for help."""
     if words and words[0] in VERBS:
         verb, description = verb_called(words[0])

@@ -187,7 +187,8 @@ def usd_facts(path: Path) -> dict[str, Any]:
     from jghand_engine.export.usd.check import stage_facts
 
     facts = stage_facts(path)
-    return {"kind": "usd", **facts, FINDINGS: facts.pop("findings")}
+    findings = facts.pop("findings")
+    return {"kind": "usd", **facts, FINDINGS: findings}
 
 
 def splat_facts(path: Path) -> dict[str, Any]:

@@ -159,7 +159,7 @@ def test_the_estimate_of_an_export_is_its_size(tmp_path):
     for written, hand, ply, learned in (
         (export_splats(tmp_path / "ply", avatar, motion).bytes, avatar, True, True),
         (sum(export_usd(tmp_path / "usd", avatar, motion).bytes.values()), avatar, False, True),
-        (sum(export_usd(tmp_path / "usd", painted, motion).bytes.values()), painted, False, False),
+        (sum(export_usd(tmp_path / "painted", painted, motion).bytes.values()), painted, False, False),
     ):
         size = estimate(tmp_path / "not" / "there", [(len(hand), learned)], len(motion), Written(ply=ply))
         assert size.fits
@@ -345,10 +345,10 @@ def test_programs_are_suited_as_the_engine_does_it():
 
 @pytest.mark.parametrize("words", all_words(), ids=lambda words: " ".join(words[:2]))
 def test_the_engine_understands_the_words_of_a_job(words):
-    tyro = pytest.importorskip("tyro", reason="needs the engine's packages")
+    pytest.importorskip("tyro", reason="needs the engine's packages")
     from blender_addon.renderer.jobs import PROGRESS_OPTION
     from jghand_engine import cli
 
-    verb = tyro.cli(cli._parsed_type(words), args=[*words, PROGRESS_OPTION], config=cli.STYLE)
+    verb = cli.parsed([*words, PROGRESS_OPTION])
     assert type(verb).__name__.lower() == words[0]
     assert verb.report.progress_json

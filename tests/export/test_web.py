@@ -104,8 +104,8 @@ def test_the_page_names_hand_license_and_pictures(tmp_path):
     avatar = load_avatar_called("builtin")
     exported(tmp_path, avatar, gaussians=500)
     found = description_of(tmp_path)
-    assert (found["name"], found["licence"]) == (avatar.info.name, avatar.info.license)
-    assert found["learnt_from"].startswith("432 pictures of")
+    assert (found["name"], found["license"]) == (avatar.info.name, avatar.info.license)
+    assert found["learned_from"].startswith("432 pictures of")
     assert found["gaussians"] == 500
 
 

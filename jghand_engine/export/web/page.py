@@ -132,8 +132,8 @@ def hand_script(avatar: HandAvatar, sequence: PoseSequence, view: WebView) -> st
     pack.exact("motion", sequence.joints_m - origin_m, "f4")
     info = avatar.info
     description = about | {
-        "name": info.name, "licence": info.license, "handedness": str(avatar.handedness), "gaussians": len(avatar),
-        "learnt_from": None if info.learned_from is None else _learned_from(avatar),
+        "name": info.name, "license": info.license, "handedness": str(avatar.handedness), "gaussians": len(avatar),
+        "learned_from": None if info.learned_from is None else _learned_from(avatar),
         "notes": _notes(avatar), "made_by": f"Made by JGHand {__version__}",
         "fps": sequence.fps, "origin_m": origin_m.tolist(), "articulated": _articulated(avatar, sequence),
         "view": {"to_eye": view.to_eye, "up": view.up, "focal": view.focal, "fill": limits.FRAMING_FILL},

@@ -23,10 +23,10 @@ export class Controls {
   }
 
   showAbout() {
-    const { name, licence, handedness, gaussians, learnt_from: learned, notes } = this.description;
+    const { name, license, handedness, gaussians, learned_from: learned, notes } = this.description;
     find('subtitle').textContent = `${handedness === 'left' ? 'Left' : 'Right'} hand · ${gaussians.toLocaleString('en')} Gaussians`;
-    find('credit').textContent = licence;
-    const lines = [...(name === document.title ? [] : [name]), ...(learned ? [`Learned from ${learned}`] : []), `License: ${licence}`, ...notes];
+    find('credit').textContent = license;
+    const lines = [...(name === document.title ? [] : [name]), ...(learned ? [`Learned from ${learned}`] : []), `License: ${license}`, ...notes];
     find('about').append(...lines.map((line) => Object.assign(document.createElement('p'), { textContent: line })));
     const credit = Object.assign(document.createElement('p'), { textContent: `${this.description.made_by}. Drawn by three.js and Spark; licenses in LICENSES.txt.` });
     find('about').append(credit);
