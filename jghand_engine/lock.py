@@ -12,7 +12,10 @@ from pathlib import Path
 
 from jghand_engine.errors import InputError, JGHandError, RetryError
 from jghand_engine.files import file_error
-from jghand_engine.limits import LOCK_HOLDER_BYTES
+
+# bytes of a lock file for whoever holds it: a number and the name of a machine; fixed, so that a longer one before
+# leaves nothing behind
+LOCK_HOLDER_BYTES = 60
 
 
 @contextlib.contextmanager

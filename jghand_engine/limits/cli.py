@@ -34,11 +34,6 @@ PROGRESS_JSON_S = 0.25
 # take a few, a picture of a capture up to a minute
 STOP_WITHOUT_INPUT_S = 90.0
 
-# ---- cli: locks -----------------------------------------------------------------------------------------------------
-# bytes of a lock file for whoever holds it: a number and the name of a machine; fixed, so that a longer one before
-# leaves nothing behind
-LOCK_HOLDER_BYTES = 60
-
 # ---- cli: JSON that a user gives -------------------------------------------------------------------------------------
 # bytes of a camera (1 kB) or a map of bones (10 kB): JSON takes up to thirty times its size in memory
 JSON_GIVEN_BYTES_MAX = 100_000

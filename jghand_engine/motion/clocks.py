@@ -45,17 +45,8 @@ KEYS_APART_MAX, KEYS_S_MAX = 64, 600.0
 UNITS = {"seconds": 1.0, "milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9}
 
 # names of a frame's time among those of its members, or of a column's, as `plain` has them
-TIME_NAMES = (
-    "timestamp",
-    "timestampms",
-    "timestampus",
-    "time",
-    "timems",
-    "times",
-    "t",
-    "seconds",
-    "predicteddisplaytime",
-)
+_TIME_WORDS = "timestamp timestampms timestampus time timems times t seconds predicteddisplaytime"
+TIME_NAMES = tuple(_TIME_WORDS.split())
 
 
 def plain(name: str) -> str:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import base64
 import json
+import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 from mmap import ACCESS_READ, mmap
@@ -26,10 +27,12 @@ from jghand_engine.motion.choose import named
 from jghand_engine.motion.clocks import frame_times, key_frames
 from jghand_engine.motion.content import MotionContent
 from jghand_engine.motion.files import MotionFormat
-from jghand_engine.motion.gltf_content import MAGIC, accessor_rows, glb_chunks, list_entry, objects
 from jghand_engine.motion.skeleton import hand_tracks, in_world, rotation_matrices, with_ancestors
 
-__all__ = ["MAGIC", "read"]
+MAGIC, _VERSION, _JSON_CHUNK, _BINARY_CHUNK = b"glTF", 2, 0x4E4F534A, 0x004E4942
+# component type -> of numbers, and what whole ones stand for 1
+_COMPONENTS = {5126: ("<f4", 1), 5121: ("u1", 255), 5123: ("<u2", 65535), 5120: ("i1", 127), 5122: ("<i2", 32767)}
+_TYPES = {1: "SCALAR", 3: "VEC3", 4: "VEC4"}
 # the description in a GLB, bytes: a rig with meshes, materials and some actions has some hundred kB
 _DESCRIPTION_MAX_BYTES = 1 << 26
 # part of the way to the next key by which a frame may miss it: times are stored in single precision
@@ -65,7 +68,7 @@ class _Gltf:
     """Nodes as a skeleton, at even times."""
 
     def __init__(self, document: _Document, wanted: MotionFormat) -> None:
-        nodes = objects(document.about, "nodes")
+        nodes = _objects(document.about, "nodes")
         self.names = tuple(str(node.get("name", f"node {place}")) for place, node in enumerate(nodes))
         self.ends: dict[int, np.ndarray] = {}
         self._parents = _parents(document, nodes)
@@ -156,7 +159,7 @@ class _Document:
     def __init__(self, file: Path, about: Mapping[str, Any] | None) -> None:
         self._folder, self._binary = file.parent, None
         if about is None:
-            text, self._binary = glb_chunks(_mapped(file), _DESCRIPTION_MAX_BYTES)
+            text, self._binary = _glb_chunks(_mapped(file))
             about = json.loads(bytes(text))
         self.about: Mapping[str, Any] = about if isinstance(about, Mapping) else {}
         self._buffers: dict[int, memoryview] = {}
@@ -164,14 +167,25 @@ class _Document:
 
     def values(self, index: Any, width: int) -> np.ndarray:
         """(N, width) float64 of an accessor. ValueError when its bytes are not there."""
-        rows, one = accessor_rows(self.about, index, width, self._buffer)
-        array = rows.astype(np.float64)
-        if not np.isfinite(array).all():
+        accessor = _entry(self.about, "accessors", index)
+        if "sparse" in accessor or accessor.get("type") != _TYPES[width]:
+            raise ValueError(f"a sparse accessor, or one of type {str(accessor.get('type'))[:40]!r}")
+        dtype, one = _COMPONENTS[accessor["componentType"]]
+        view = _entry(self.about, "bufferViews", accessor.get("bufferView"))
+        binary, each = self._buffer(view.get("buffer")), np.dtype(dtype).itemsize
+        count, stride = accessor["count"], view.get("byteStride", each * width)
+        start, size, inner = view.get("byteOffset", 0), view.get("byteLength", 0), accessor.get("byteOffset", 0)
+        if not count > 0 or min(start, inner) < 0 or stride < each * width:
+            raise ValueError(f"an accessor with a count of {count}")
+        if start + size > len(binary) or inner + (count - 1) * stride + each * width > size:
+            raise ValueError(f"an accessor of {count} rows beyond its bytes")
+        rows = np.ndarray((count, width), dtype, binary, start + inner, (stride, each)).astype(np.float64)
+        if not np.isfinite(rows).all():
             raise ValueError("keys that are no finite numbers")
-        return np.maximum(array / one, -1.0) if one > 1 else array
+        return np.maximum(rows / one, -1.0) if one > 1 else rows
 
     def _buffer(self, index: Any) -> memoryview:
-        uri = list_entry(self.about, "buffers", index).get("uri")
+        uri = _entry(self.about, "buffers", index).get("uri")
         if index not in self._buffers:
             content = self._binary if uri is None else self._loaded(str(uri))
             if content is None:
@@ -189,6 +203,38 @@ class _Document:
         return _mapped(self.beside[-1])
 
 
+def _glb_chunks(content: memoryview) -> tuple[memoryview, memoryview | None]:
+    """The description of a .glb, JSON, and its binary chunk, None where it has none. ValueError"""
+    magic, version, total, text_bytes, kind = struct.unpack_from("<4sIIII", content)
+    if (magic, version, kind) != (MAGIC, _VERSION, _JSON_CHUNK):
+        raise ValueError("another beginning than that of glTF 2.0")
+    if total != len(content) or text_bytes > min(_DESCRIPTION_MAX_BYTES, total - 20):
+        raise ValueError(f"{len(content)} bytes where its header says {total}, {text_bytes} of them a description")
+    text, rest = content[20 : 20 + text_bytes], content[20 + text_bytes :]
+    if len(rest) < 8:
+        return text, None
+    binary_bytes, kind = struct.unpack_from("<II", rest)
+    if kind != _BINARY_CHUNK or binary_bytes > len(rest) - 8:
+        raise ValueError(f"a binary chunk of {binary_bytes} bytes in a file of {len(content)}")
+    return text, rest[8 : 8 + binary_bytes]
+
+
+def _entry(about: Mapping[str, Any], name: str, index: Any) -> dict[str, Any]:
+    """The entry of a number in a list of the file. ValueError"""
+    entries = about.get(name, [])
+    if not isinstance(index, int) or not 0 <= index < len(entries) or not isinstance(entries[index], dict):
+        raise ValueError(f"no {name} of number {str(index)[:40]}")
+    return entries[index]
+
+
+def _objects(about: Mapping[str, Any], name: str) -> list[dict[str, Any]]:
+    """A list of objects, [] where there is none. ValueError"""
+    entries = about.get(name, [])
+    if not isinstance(entries, list) or not all(isinstance(one, dict) for one in entries):
+        raise ValueError(f"{name} that are no list of objects")
+    return entries
+
+
 def _mapped(file: Path) -> memoryview:
     with open(file, "rb") as stream:
         return memoryview(mmap(stream.fileno(), 0, access=ACCESS_READ))
@@ -199,7 +245,7 @@ def _parents(document: _Document, nodes: list[dict[str, Any]]) -> list[int]:
     parents = [-1] * len(nodes)
     for place, entry in enumerate(nodes):
         for child in entry.get("children", ()):
-            list_entry(document.about, "nodes", child)
+            _entry(document.about, "nodes", child)
             if parents[child] >= 0 or child == place:
                 raise ValueError("a node with two parents")
             parents[child] = place
@@ -219,8 +265,8 @@ def _channels(
     """The channels of one animation that move the kept nodes, by node and path, the names of all animations that do,
     and what is to be said about the choice."""
     moving = []
-    for number, animation in enumerate(objects(document.about, "animations")):
-        targets = [(entry.get("target", {}), entry.get("sampler")) for entry in objects(animation, "channels")]
+    for number, animation in enumerate(_objects(document.about, "animations")):
+        targets = [(entry.get("target", {}), entry.get("sampler")) for entry in _objects(animation, "channels")]
         touched = [one for one in targets if one[0].get("node") in kept and one[0].get("path") in _STILL]
         if touched:
             moving.append((str(animation.get("name", f"animation {number}")), animation, touched))
@@ -235,7 +281,7 @@ def _channels(
         others = ", ".join(other for other, _, _ in moving if other != name)[:200]
         notes.append(f"Of its {len(moving)} animations '{name}' was taken; --part chooses another: {others}.")
     return {
-        (target["node"], target["path"]): _channel(document, list_entry(animation, "samplers", sampler), target["path"])
+        (target["node"], target["path"]): _channel(document, _entry(animation, "samplers", sampler), target["path"])
         for target, sampler in touched
     }, names, notes  # fmt: skip
 
