@@ -10,7 +10,10 @@ import math
 
 import numpy as np
 
-from jghand_engine.limits import PSNR_MAX_DB, SRGB_EXPONENT, SRGB_OFFSET, SRGB_SLOPE, SRGB_TOE
+from jghand_engine.limits import SRGB_EXPONENT, SRGB_OFFSET, SRGB_SLOPE, SRGB_TOE
+
+# PSNR of equal pictures is infinite, which no mean survives; 8-bit pictures that differ at all are below 84
+PSNR_MAX_DB = 100.0
 
 
 def srgb_to_linear(rgb: np.ndarray) -> np.ndarray:

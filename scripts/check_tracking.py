@@ -24,7 +24,6 @@ from pathlib import Path
 
 import numpy as np
 
-from jghand_engine import limits
 from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.captures.sample import Sample, load_picture
@@ -37,6 +36,7 @@ from jghand_engine.hand.sequence import bone_directions, rebuilt
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.frame import HandRenderer
 from jghand_engine.render.settings import preset
+from jghand_engine.track import fit as fit_module
 from jghand_engine.track.detection import SeenHand
 from jghand_engine.track.figures import FINGER_BONES, angles_between_deg, directions_in_palm, jitter_deg, lag_ms
 from jghand_engine.track.fit import fit
@@ -385,12 +385,12 @@ def gaps_of(sightings: Sightings, canonical_m: np.ndarray) -> Iterator[list[str]
 @contextlib.contextmanager
 def gaps_filled_by_the_fit(by_fit: bool) -> Iterator[None]:
     """However long they are; else none is."""
-    kept = limits.FIT_GAP_S, limits.FIT_REACH_S
-    limits.FIT_GAP_S, limits.FIT_REACH_S = (math.inf, math.inf) if by_fit else (0.0, kept[1])
+    kept = fit_module.FIT_GAP_S, fit_module.FIT_REACH_S
+    fit_module.FIT_GAP_S, fit_module.FIT_REACH_S = (math.inf, math.inf) if by_fit else (0.0, kept[1])
     try:
         yield
     finally:
-        limits.FIT_GAP_S, limits.FIT_REACH_S = kept
+        fit_module.FIT_GAP_S, fit_module.FIT_REACH_S = kept
 
 
 def small_hands(canonical_m: np.ndarray, model: Path | None) -> Iterator[list[str]]:

@@ -72,9 +72,14 @@ def box_px(camera: Camera, joints_m: np.ndarray) -> tuple[float, float, float, f
     return low[0], low[1], *(high - low)
 
 
-@functools.cache
+_MASKS: dict[tuple, np.ndarray] = {}
+
+
 def _mask(camera: Camera, frame: int, handedness: Handedness) -> np.ndarray:
-    return template_mask(camera, pose(frame, handedness), handedness)
+    key = (camera.width, camera.height, camera.fx, camera.camera_from_world.tobytes(), frame, handedness)
+    if key not in _MASKS:
+        _MASKS[key] = template_mask(camera, pose(frame, handedness), handedness)
+    return _MASKS[key]
 
 
 def write_set(folder: Path, *hands: RecordedHand, joint_flags_flat: bool = False) -> Path:

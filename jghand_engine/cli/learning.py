@@ -6,7 +6,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
-from jghand_engine import limits
 from jghand_engine.cli.console import say
 from jghand_engine.errors import InputError
 
@@ -18,6 +17,10 @@ if TYPE_CHECKING:
     from jghand_engine.learn.perceptual import PerceptualMetric
     from jghand_engine.learn.step import Material
     from jghand_engine.template.mesh import HandTemplate
+
+# held-out views by which a training is judged while it runs: one alone can fall while their mean rises. Drawing one
+# takes some 100 ms, once a minute
+JUDGED_VIEWS = 8
 
 
 DeviceName = Literal["auto", "cpu", "cuda", "mps"]
@@ -82,7 +85,7 @@ def material(
     from jghand_engine.learn.step import Material
 
     choice = split.test or split.train
-    count = min(len(choice), limits.JUDGED_VIEWS)
+    count = min(len(choice), JUDGED_VIEWS)
     # the middle of each of so many equal parts
     judged = [choice[(2 * part + 1) * len(choice) // (2 * count)] for part in range(count)]
     learned_from = LearnedFrom(as_text(capture), as_text(split.origin), len(split.train), picture_digest(split.train))

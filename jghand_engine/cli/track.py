@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 
-from jghand_engine import limits
 from jghand_engine.cli.console import progress, say, write_json
 from jghand_engine.cli.options import AvatarOptions, File, ReportOptions
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.track import CAMERA_ANGLE_DEG
+from jghand_engine.track.hands_over_time import HAND_SEEN_FRAMES_MIN
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -24,6 +25,9 @@ if TYPE_CHECKING:
     from jghand_engine.track.hands_over_time import FoundHands, HandOverTime
     from jghand_engine.track.track import Sightings, TrackedHand, TrackOptions
     from jghand_engine.track.video import ReadingNotes, Video
+
+# below this certainty, 0..1, of which hand it is, that is told
+HAND_CERTAINTY_LOW = 0.3
 
 DESCRIPTION = """Track the hands in a video: a motion file that `jghand render --motion` plays.
 
@@ -50,7 +54,7 @@ class FitOptions:
     """Bones of the avatar, or those of the hand in the video, estimated."""
     smoothing: Annotated[float, tyro.conf.arg(metavar="NUMBER")] = 1.0
     """More is smoother, less is livelier, 0 takes every frame alone. It never lags: it looks ahead as far as back."""
-    camera_angle: Annotated[float, tyro.conf.arg(metavar="DEGREES")] = limits.CAMERA_ANGLE_DEG
+    camera_angle: Annotated[float, tyro.conf.arg(metavar="DEGREES")] = CAMERA_ANGLE_DEG
     """Angle of view across the longer edge of the picture; 60 to 70 of most telephones and webcams."""
     in_place: bool = False
     """Keep the wrist at the origin. Else the hand moves as it did before the camera, which is the origin."""
@@ -113,7 +117,7 @@ class Track:
         notes.sentences += [
             f"{_doubt(side, hand)}, and taken for a mistake."
             for side, hand in found.doubted.items()
-            if hand.seen.sum() >= limits.HAND_SEEN_FRAMES_MIN
+            if hand.seen.sum() >= HAND_SEEN_FRAMES_MIN
         ]
         seconds_fitting = time.perf_counter() - started - seconds_looking
         files = {side: self._file(side, len(hands)) for side in hands}
@@ -297,7 +301,7 @@ def _sentence(side: Handedness, hand: TrackedHand, file: Path) -> str:
         text += f", {count - found} left without joints"
     if hand.hand.relabeled:
         text += f"; in {hand.hand.relabeled} it was taken for the other hand"
-    if hand.hand.certainty < limits.HAND_CERTAINTY_LOW:
+    if hand.hand.certainty < HAND_CERTAINTY_LOW:
         text += f"; that it is the {side} one is not sure (certainty {hand.hand.certainty:.2f} of 1)"
     if hand.jitter_after_deg == hand.jitter_after_deg:
         text += f"; jitter {hand.jitter_before_deg:.2f} to {hand.jitter_after_deg:.2f} degrees"

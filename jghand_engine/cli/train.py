@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from jghand_engine import limits
 from jghand_engine.cli.console import err, say, write_json
 from jghand_engine.cli.failures import STOPPED
 from jghand_engine.cli.learning import DeviceName
@@ -22,6 +21,10 @@ if TYPE_CHECKING:
     from jghand_engine.learn.run import Outcome, RunOptions
     from jghand_engine.learn.schedule import Budget
     from jghand_engine.learn.trainable import Trainable
+
+# how long `jghand train` trains when it is not told, minutes; with the paper's configuration rounds of all pictures
+TRAINING_MINUTES = 60.0
+PAPER_ROUNDS = 30
 
 DESCRIPTION = """Learn a hand from pictures of it: `jghand capture` makes them, InterHand2.6M and HanCo have them.
 
@@ -160,8 +163,8 @@ class Train:
 
         if self.steps is None and self.minutes is None:
             if self.preset == "paper-faithful":
-                return Budget(steps=limits.PAPER_ROUNDS * pictures)
-            return Budget(seconds=60.0 * limits.TRAINING_MINUTES)
+                return Budget(steps=PAPER_ROUNDS * pictures)
+            return Budget(seconds=60.0 * TRAINING_MINUTES)
         return Budget(self.steps, None if self.minutes is None else 60.0 * self.minutes)
 
     # ---- results -----------------------------------------------------------------------------------------------------

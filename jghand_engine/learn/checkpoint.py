@@ -21,7 +21,9 @@ from jghand_engine import __version__
 from jghand_engine.errors import InputError
 from jghand_engine.files import writing
 from jghand_engine.learn.snapshot import Course, Snapshot
-from jghand_engine.limits import CHECKPOINTS_KEPT
+
+# checkpoints that are kept, beside the one with the best fixed views: one more than the last, should that be damaged
+CHECKPOINTS_KEPT = 2
 
 FORMAT_VERSION = 1
 METADATA_KEY = "jghand_training"

@@ -16,7 +16,6 @@ from typing import Any, Protocol
 import numpy as np
 import torch
 
-from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.captures.sample import Sample, load_picture
 from jghand_engine.captures.splits import Split
@@ -29,6 +28,10 @@ from jghand_engine.render.camera import Camera
 from jghand_engine.render.frame import HandRenderer
 from jghand_engine.render.settings import RenderSettings
 from jghand_engine.template.builtin import load_template
+
+# figures are given apart for pictures whose fingers are bent, on the mean of their joints, below, between and above
+# these angles, degrees: an open, a relaxed, a half closed hand and a fist
+FLEXION_REGIONS_DEG = (15.0, 35.0, 60.0)
 
 
 class Picturer(Protocol):
@@ -89,7 +92,7 @@ class Evaluation:
 
     def regions(self) -> dict[str, tuple[PictureScore, ...]]:
         """The pictures by how far the fingers are bent, those regions that there are."""
-        edges = (-np.inf, *limits.FLEXION_REGIONS_DEG, np.inf)
+        edges = (-np.inf, *FLEXION_REGIONS_DEG, np.inf)
         groups = {}
         for low, high in itertools.pairwise(edges):
             inside = tuple(p for p in self.pictures if low <= p.flexion_deg < high)

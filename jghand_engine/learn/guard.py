@@ -21,7 +21,11 @@ from jghand_engine.files import writing
 from jghand_engine.learn.checkpoint import Stamp, save_checkpoint
 from jghand_engine.learn.snapshot import Snapshot
 from jghand_engine.learn.trainable import Trainable
-from jghand_engine.limits import GUARD_RECOVERIES_MAX
+
+# steps between two copies of the state in memory, to which the guard goes back: a copy costs a few milliseconds
+GUARD_KEEP_STEPS = 50
+# values that are not finite after which a training gives up: one or two happen, more are a fault of the model
+GUARD_RECOVERIES_MAX = 5
 
 BEFORE, FOUND, DESCRIPTION = "before.safetensors", "found.safetensors", "failure.json"
 

@@ -9,9 +9,12 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from jghand_engine import limits
 from jghand_engine.errors import InputError
 from jghand_engine.learn.ssim import ssim
+
+# a learned offset counts as quadratic below this length, meters: at 0 a plain norm has no gradient, and offsets start
+# there; a hundredth of a millimeter is nothing that could be seen
+OFFSET_LENGTH_EPS_M = 1e-5
 
 
 def l1_loss(rgb: Tensor, truth: Tensor) -> Tensor:
@@ -40,7 +43,7 @@ def offset_loss(*offsets_m: Tensor, hand_size_m: float) -> Tensor:
     """
     if not hand_size_m > 0:
         raise InputError("hand size", wanted="a positive length in meters", came=str(hand_size_m))
-    eps = limits.OFFSET_LENGTH_EPS_M
+    eps = OFFSET_LENGTH_EPS_M
     squares = [(offset * offset).sum(-1) for offset in offsets_m]
     # the same as sqrt(square + eps^2) - eps, without its cancellation
     lengths = [(square / ((square + eps**2).sqrt() + eps)).mean() for square in squares]

@@ -17,11 +17,16 @@ import numpy as np
 import torch
 from torch.nn import functional
 
-from jghand_engine import limits
 from jghand_engine.color import decibels
 from jghand_engine.errors import InputError, install_extra
 from jghand_engine.learn.ssim import ssim as mean_ssim
 from jghand_engine.learn.ssim import ssim_parts
+from jghand_engine.native.tasks import SSIM_WINDOW_PX
+
+# weights of the five scales of MS-SSIM, the finest first (Wang, Simoncelli, Bovik 2003)
+MS_SSIM_WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)
+# thinnest box that is measured: what the networks of ST-LPIPS and LPIPS can halve four times
+METRIC_BOX_MIN_PX = 32
 
 REGIONS = ("full", "box", "mask")
 BOX_RULE = "smallest rectangle around the pixels of mask >= 0.5, no margin, black background"
@@ -56,9 +61,9 @@ def mask_box(mask: np.ndarray) -> Box:
 
 
 def _wide_enough(first: int, end: int, size: int) -> tuple[int, int]:
-    missing = max(0, limits.METRIC_BOX_MIN_PX - (end - first))
-    first = max(0, min(first - missing // 2, size - limits.METRIC_BOX_MIN_PX))
-    return first, min(size, max(end, first + limits.METRIC_BOX_MIN_PX))
+    missing = max(0, METRIC_BOX_MIN_PX - (end - first))
+    first = max(0, min(first - missing // 2, size - METRIC_BOX_MIN_PX))
+    return first, min(size, max(end, first + METRIC_BOX_MIN_PX))
 
 
 def compare(rgb: np.ndarray, truth: np.ndarray, mask: np.ndarray) -> dict[str, float]:
@@ -109,9 +114,9 @@ def ms_ssim(rgb: np.ndarray, truth: np.ndarray) -> float:
     """
     a, b = _with_room(_tensor(rgb)), _with_room(_tensor(truth))
     product = torch.ones(3)
-    for number, weight in enumerate(limits.MS_SSIM_WEIGHTS):
+    for number, weight in enumerate(MS_SSIM_WEIGHTS):
         value, contrast = ssim_parts(a, b)
-        last = number == len(limits.MS_SSIM_WEIGHTS) - 1
+        last = number == len(MS_SSIM_WEIGHTS) - 1
         product = product * (value if last else contrast).mean((1, 2)).clamp_min(0) ** weight
         a, b = _halved(a), _halved(b)
     return float(product.mean())
@@ -143,7 +148,7 @@ def _tensor(picture: np.ndarray) -> torch.Tensor:
 
 def _with_room(picture: torch.Tensor) -> torch.Tensor:
     """(H, W, 3), widened evenly with black to what five scales need."""
-    needed = limits.SSIM_WINDOW_PX * 2 ** (len(limits.MS_SSIM_WEIGHTS) - 1)
+    needed = SSIM_WINDOW_PX * 2 ** (len(MS_SSIM_WEIGHTS) - 1)
     down, across = (max(0, needed - size) for size in picture.shape[:2])
     if not (down or across):
         return picture

@@ -19,8 +19,11 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from jghand_engine import limits
 from jghand_engine.errors import InputError, install_extra
+from jghand_engine.learn.metrics import METRIC_BOX_MIN_PX
+
+# floor of the length of a feature vector, as both networks were trained with it
+PERCEPTUAL_NORM_EPS = 1e-10
 
 ST_LPIPS, LPIPS = "ST-LPIPS", "LPIPS"
 TRUNKS = ("vgg", "alex")
@@ -50,9 +53,9 @@ class PerceptualMetric:
         if rgb.shape != truth.shape or rgb.dim() != 3 or rgb.shape[2] != 3:
             raise InputError(f"pictures for {self.name}", wanted="two of one shape (height, width, 3)",
                              came=f"{tuple(rgb.shape)} and {tuple(truth.shape)}")  # fmt: skip
-        if min(rgb.shape[:2]) < limits.METRIC_BOX_MIN_PX:
+        if min(rgb.shape[:2]) < METRIC_BOX_MIN_PX:
             raise InputError(f"pictures for {self.name}", came=f"{rgb.shape[1]} x {rgb.shape[0]} pixels",
-                             wanted=f"at least {limits.METRIC_BOX_MIN_PX} along each side")  # fmt: skip
+                             wanted=f"at least {METRIC_BOX_MIN_PX} along each side")  # fmt: skip
         ours = self.features(_network_input(rgb))
         with torch.no_grad():
             theirs = self.features(_network_input(truth))
@@ -74,7 +77,7 @@ def _unit(features: Tensor) -> Tensor:
     # selection keeps 0 away from the root and changes no value
     square = features.square().sum(1, keepdim=True)
     length = torch.where(square > 0, torch.where(square > 0, square, 1.0).sqrt(), 0.0)
-    return features / (length + limits.PERCEPTUAL_NORM_EPS)
+    return features / (length + PERCEPTUAL_NORM_EPS)
 
 
 # ---- ST-LPIPS -------------------------------------------------------------------------------------------------------

@@ -10,9 +10,15 @@ from torch.nn import functional
 
 from jghand_engine.captures.sample import Sample, load_picture
 from jghand_engine.errors import InputError
+from jghand_engine.learn.metrics import METRIC_BOX_MIN_PX
 from jghand_engine.learn.recent import Recent
-from jghand_engine.limits import CROP_MARGIN_PX, METRIC_BOX_MIN_PX, PICTURE_CACHE_BYTES, SSIM_WINDOW_PX
+from jghand_engine.native.tasks import SSIM_WINDOW_PX
 from jghand_engine.render.camera import Camera
+
+# pixels kept around the hand when a picture is cut to it: as far as SSIM's window and a stray Gaussian reach
+CROP_MARGIN_PX = 10
+# cut pictures kept in memory, bytes; 60 kB each at 512 x 334, so that 16,000 fit
+PICTURE_CACHE_BYTES = 1_000_000_000
 
 
 @dataclass(frozen=True)

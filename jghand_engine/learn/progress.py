@@ -11,7 +11,8 @@ from typing import Protocol
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn
 
-from jghand_engine.limits import PROGRESS_LINE_S
+# seconds between two lines of progress where no terminal shows a bar
+PROGRESS_LINE_S = 15.0
 
 
 @dataclass(frozen=True)

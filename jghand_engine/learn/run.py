@@ -19,7 +19,7 @@ from pathlib import Path
 
 from jghand_engine.errors import InputError
 from jghand_engine.learn.checkpoint import Stamp
-from jghand_engine.learn.guard import Finding, Guard, find_non_finite
+from jghand_engine.learn.guard import GUARD_KEEP_STEPS, Finding, Guard, find_non_finite
 from jghand_engine.learn.log import Board, Log, add_figures, take_means
 from jghand_engine.learn.output import Output
 from jghand_engine.learn.previews import Previews
@@ -28,14 +28,16 @@ from jghand_engine.learn.schedule import Budget, Every, StopRequest, Timer, stop
 from jghand_engine.learn.snapshot import Course, Snapshot, check_fits
 from jghand_engine.learn.trainable import GAUSSIANS, LOSS, Trainable
 from jghand_engine.learn.work_folder import Start, WorkFolder, check_folder
-from jghand_engine.limits import (
-    CHECKPOINT_EVERY_S,
-    FIRST_PREVIEW_S,
-    GUARD_KEEP_STEPS,
-    GUARD_KEEPS_AT_FIRST,
-    LOG_EVERY_STEPS,
-    PREVIEW_EVERY_S,
-)
+
+# seconds between two checkpoints: what kill -9 may lose. Writing one takes some 40 ms (RENDERING 14, promise 20)
+CHECKPOINT_EVERY_S = 60.0
+# seconds to the first preview, which is promised within a minute, and between two later ones
+FIRST_PREVIEW_S = 15.0
+PREVIEW_EVERY_S = 180.0
+# steps that one line of the log averages
+LOG_EVERY_STEPS = 20
+# ... and at the beginning, where the plan of a time budget has to find the speed
+GUARD_KEEPS_AT_FIRST = (2, 5, 10, 20)
 
 CHECKPOINTS = Every(seconds=CHECKPOINT_EVERY_S)
 # of the values that are not finite, so many are said; the dump has them all

@@ -9,7 +9,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from jghand_engine.learn.snapshot import Course
-from jghand_engine.limits import PLANNED_STEPS_AT_FIRST
+
+# steps that a training with a time budget is taken to have until its speed is known
+PLANNED_STEPS_AT_FIRST = 10_000
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ import numpy as np
 import torch
 from PIL import Image, ImageDraw, ImageFont
 
-from jghand_engine import limits
 from jghand_engine.captures.sample import Sample, load_picture
 from jghand_engine.errors import InputError
 from jghand_engine.export.pictures import RGB, Cell, SheetStyle, contact_sheet, to_bytes
@@ -24,6 +23,12 @@ from jghand_engine.learn.evaluate import Picturer, PictureScore, spread
 from jghand_engine.learn.metrics import psnr
 from jghand_engine.render.camera import Camera
 from jghand_engine.template.builtin import load_template
+
+# sheets of pictures: side of the square over that of the hand in it; difference 0..1 that has the darkest color (a
+# good avatar stays below it nearly everywhere); poses between the two ends (METHOD 6.3)
+SHEET_ROOM = 1.12
+SHEET_DIFFERENCE_FULL = 0.2
+SHEET_STEPS_BETWEEN = 4
 
 # cameras that see all of the hands (F, 21, 3), by a short name
 Cameras = Callable[[np.ndarray, Handedness], Mapping[str, Camera]]
@@ -52,9 +57,7 @@ class _Square:
         if not len(rows):
             return _Square(alpha.shape[1] / 2, alpha.shape[0] / 2, max(alpha.shape) / 2)
         side = max(rows[-1] - rows[0], columns[-1] - columns[0]) + 1
-        return _Square(
-            (columns[0] + columns[-1] + 1) / 2, (rows[0] + rows[-1] + 1) / 2, 0.5 * limits.SHEET_ROOM * float(side)
-        )
+        return _Square((columns[0] + columns[-1] + 1) / 2, (rows[0] + rows[-1] + 1) / 2, 0.5 * SHEET_ROOM * float(side))
 
     def hand(self, rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
         """Premultiplied colors (H, W, 3) and alpha (H, W) on the sheet's ground, cut out by `of`."""
@@ -150,7 +153,7 @@ def between_sheet(
     The first of the cameras sees every row's hands, and they are cut out alike. (H, W, 3) uint8.
     """
     cells = []
-    parts = torch.linspace(0, 1, limits.SHEET_STEPS_BETWEEN + 2, dtype=torch.float64)
+    parts = torch.linspace(0, 1, SHEET_STEPS_BETWEEN + 2, dtype=torch.float64)
     for first, second in pairs:
         hands = hands_between(first, second, parts)
         camera = next(iter(cameras(hands, first.handedness).values()))
@@ -195,7 +198,7 @@ def varied_samples(samples: Sequence[Sample], count: int) -> tuple[Sample, ...]:
 
 def heat(values: np.ndarray) -> np.ndarray:
     """(H, W) differences -> (H, W, 3): the ground at 0, dark at SHEET_DIFFERENCE_FULL and beyond."""
-    place = np.clip(values / limits.SHEET_DIFFERENCE_FULL, 0, 1) * (len(_HEAT) - 1)
+    place = np.clip(values / SHEET_DIFFERENCE_FULL, 0, 1) * (len(_HEAT) - 1)
     return np.stack([np.interp(place, range(len(_HEAT)), _HEAT[:, c]) for c in range(3)], -1)
 
 
@@ -228,12 +231,12 @@ def _with_head(sheet: np.ndarray, title: str, subtitle: str, *, scale: bool = Fa
     draw.text((margin, 16), title, fill=_color(_INK), font=large)
     draw.text((margin, 52), subtitle, fill=_color(_QUIET_INK), font=small)
     if scale:
-        bar = to_bytes(heat(np.tile(np.linspace(0, limits.SHEET_DIFFERENCE_FULL, 220), (16, 1))))
+        bar = to_bytes(heat(np.tile(np.linspace(0, SHEET_DIFFERENCE_FULL, 220), (16, 1))))
         left = page.width - margin - bar.shape[1]
         page.paste(Image.fromarray(bar), (left, 22))
         for text, x, anchor in (
             ("0", left, "la"),
-            (f"{limits.SHEET_DIFFERENCE_FULL:g} and more", page.width - margin, "ra"),
+            (f"{SHEET_DIFFERENCE_FULL:g} and more", page.width - margin, "ra"),
         ):
             draw.text((x, 46), text, fill=_color(_QUIET_INK), font=small, anchor=anchor)
     return np.asarray(page)

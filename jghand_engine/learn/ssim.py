@@ -19,15 +19,15 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from jghand_engine import limits
 from jghand_engine.errors import InputError
 from jghand_engine.native.binding import Library
 from jghand_engine.native.library import load
-from jghand_engine.native.ssim import CHANNELS, NativeSsim, window
+from jghand_engine.native.ssim import CHANNELS, SSIM_K1, SSIM_K2, NativeSsim, window
+from jghand_engine.native.tasks import SSIM_WINDOW_PX
 from jghand_engine.native.threads import thread_count
 
-C1 = limits.SSIM_K1**2
-C2 = limits.SSIM_K2**2
+C1 = SSIM_K1**2
+C2 = SSIM_K2**2
 
 
 def ssim(rgb: Tensor, truth: Tensor) -> Tensor:
@@ -58,8 +58,8 @@ def check_pictures(rgb: Tensor, truth: Tensor) -> None:
     if rgb.dim() != 3 or rgb.shape != truth.shape:
         raise InputError("pictures to compare", wanted="two of one shape (height, width, channels)",
                          came=f"{tuple(rgb.shape)} and {tuple(truth.shape)}")  # fmt: skip
-    if min(rgb.shape[:2]) < limits.SSIM_WINDOW_PX:
-        raise InputError("SSIM", wanted=f"pictures of at least {limits.SSIM_WINDOW_PX} pixels along each side",
+    if min(rgb.shape[:2]) < SSIM_WINDOW_PX:
+        raise InputError("SSIM", wanted=f"pictures of at least {SSIM_WINDOW_PX} pixels along each side",
                          came=f"{rgb.shape[1]} x {rgb.shape[0]}")  # fmt: skip
 
 
@@ -175,7 +175,7 @@ def _weights(dtype: torch.dtype, device: torch.device) -> Tensor:
 def _blur(maps: Tensor, *, inside: bool) -> Tensor:
     """(C, H, W) -> the window's mean over every place: wholly inside the picture (smaller by 10), or with zeros
     around it (larger by 10: the transpose of the former)."""
-    size = limits.SSIM_WINDOW_PX
+    size = SSIM_WINDOW_PX
     weights, channels = _weights(maps.dtype, maps.device), maps.shape[0]
     pad = 0 if inside else size - 1
     # channels last: only so are convolutions of single channels vectorized on CPUs (some 50 times as fast)

@@ -19,7 +19,6 @@ import torch
 from scipy.spatial import KDTree
 from torch import Tensor
 
-from jghand_engine import limits
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
 from jghand_engine.avatar.canonical_points import place_points
 from jghand_engine.avatar.cast_shadow import LampsSeen
@@ -47,6 +46,13 @@ from jghand_engine.render.gate import ShadowGate, fade
 from jghand_engine.render.settings import RenderSettings
 from jghand_engine.render.shadow import ShadowStyle
 from jghand_engine.template.mesh import HandTemplate
+
+# second moments below this are noise: Adam's own 1e-8 would hold back planes whose texels are seldom seen
+ADAM_EPS = 1e-15
+# ... and of what a pose needs of the bones, bytes; 3.5 MB each at 40,000 Gaussians
+POSE_CACHE_BYTES = 2_000_000_000
+# visibility below which the shadow is black: its power with the learned gain has a finite gradient
+VISIBILITY_MIN = 1e-3
 
 CPU = torch.device("cpu")
 
@@ -115,7 +121,7 @@ class HandTraining:
         self._gate = ShadowGate(points.joints_m.numpy())
         self._poses = _by_pose(material.train)
         self._names = sorted(self._poses)
-        self._known: Recent[_PosedBones] = Recent(limits.POSE_CACHE_BYTES, _PosedBones.nbytes)
+        self._known: Recent[_PosedBones] = Recent(POSE_CACHE_BYTES, _PosedBones.nbytes)
         self._pictures = Pictures()
         self._settings = RenderSettings()
         self._library = load_native("auto")
@@ -135,7 +141,7 @@ class HandTraining:
         slow = [parameter for parameter in hand.parameters() if id(parameter) not in known]
         groups = [{"params": slow, "lr": schedule.rate}, {"params": fast, "lr": schedule.plane_rate}]
         # the fused form is four times as fast on the CPU and gives the same bits every time
-        return torch.optim.Adam(groups, eps=limits.ADAM_EPS, fused=self._fast)
+        return torch.optim.Adam(groups, eps=ADAM_EPS, fused=self._fast)
 
     # ---- Trainable ---------------------------------------------------------------------------------------------------
 
@@ -293,7 +299,7 @@ class HandTraining:
         style = ShadowStyle(samples=self.options.shadow_samples, tint=(1.0, 1.0, 1.0))
         seen = darken(planes, camera, style, library=self._library, threads=thread_count(0))[0]
         gain, tint = (number.cpu() for number in self.hand.shadow())
-        seen = seen.clamp_min(limits.VISIBILITY_MIN) ** (gain / style.gain)
+        seen = seen.clamp_min(VISIBILITY_MIN) ** (gain / style.gain)
         return picture.rgb * (1 - shadow * tint * (1 - seen[..., None])), picture.alpha
 
     def _posed_bones(self, sample: Sample) -> _PosedBones:

@@ -5,7 +5,6 @@ as arguments or repeat them in `native/constants.h`, which a test compares with 
 """
 
 from jghand_engine.limits.avatar import *
-from jghand_engine.limits.capture import *
 from jghand_engine.limits.cli import *
 from jghand_engine.limits.color import *
 from jghand_engine.limits.exporters import *
@@ -13,5 +12,3 @@ from jghand_engine.limits.hand import *
 from jghand_engine.limits.native import *
 from jghand_engine.limits.service import *
 from jghand_engine.limits.splat import *
-from jghand_engine.limits.tracking import *
-from jghand_engine.limits.training import *

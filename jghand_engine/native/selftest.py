@@ -19,7 +19,7 @@ from jghand_engine.native.binding import Library, aligned_zeros, new_team
 from jghand_engine.native.enlarge import native_enlarged
 from jghand_engine.native.learned_tasks import NETWORK_TILE, CorrectiveKind, LearnedTask
 from jghand_engine.native.rasterizer import GaussianArrays, NativeRasterizer, View, job_bytes
-from jghand_engine.native.ssim import NativeSsim, window
+from jghand_engine.native.ssim import SSIM_K1, SSIM_K2, NativeSsim, window
 from jghand_engine.native.tasks import LANES, EnlargeTask, ShadeTask, SkinTask, SsimTask, new_shade_task, padded_depth
 
 _COUNT, _SIZE, _SHADOW_SAMPLES, _TOLERANCE = 200, 32, 16, 1e-4
@@ -275,7 +275,7 @@ def _similarity(rgb: np.ndarray, truth: np.ndarray) -> float:
 
     mx, my = mean(rgb), mean(truth)
     spread, product = mean(rgb**2 + truth**2) - mx**2 - my**2, mean(rgb * truth) - mx * my
-    c1, c2 = limits.SSIM_K1**2, limits.SSIM_K2**2
+    c1, c2 = SSIM_K1**2, SSIM_K2**2
     parts = (2 * mx * my + c1) * (2 * product + c2) / ((mx**2 + my**2 + c1) * (spread + c2))
     return float(parts.mean())
 

@@ -7,10 +7,13 @@ import math
 
 import numpy as np
 
-from jghand_engine import limits
 from jghand_engine.native.binding import Library, address, aligned_zeros, new_team
-from jghand_engine.native.tasks import LANES, SsimTask
+from jghand_engine.native.tasks import LANES, SSIM_WINDOW_PX, SsimTask
 from jghand_engine.native.threads import shared_pool
+
+SSIM_SIGMA_PX = 1.5
+SSIM_K1 = 0.01
+SSIM_K2 = 0.03
 
 CHANNELS = 3
 # items that threads share; each keeps its rows of the window in the fastest memory
@@ -19,8 +22,8 @@ STRIPES = 8
 
 def window() -> np.ndarray:
     """(11,) float64 weights of the window along one axis, sum 1."""
-    half = limits.SSIM_WINDOW_PX // 2
-    weights = np.exp(-(np.arange(-half, half + 1) ** 2) / (2 * limits.SSIM_SIGMA_PX**2))
+    half = SSIM_WINDOW_PX // 2
+    weights = np.exp(-(np.arange(-half, half + 1) ** 2) / (2 * SSIM_SIGMA_PX**2))
     return weights / weights.sum()
 
 
@@ -30,7 +33,7 @@ class NativeSsim:
     def __init__(self, library: Library, threads: int) -> None:
         self._call, self._pool, self._team = library.call.jg_ssim, shared_pool(threads), new_team()
         self._maps, self._scratch = aligned_zeros((0,)), aligned_zeros((0,))
-        self._weights = (ctypes.c_float * limits.SSIM_WINDOW_PX)(*window().tolist())
+        self._weights = (ctypes.c_float * SSIM_WINDOW_PX)(*window().tolist())
 
     def mean(self, rgb: np.ndarray, truth: np.ndarray) -> float:
         """Mean SSIM of (H, W, 3) float32 pictures no smaller than the window.
@@ -46,7 +49,7 @@ class NativeSsim:
 
     def _run(self, rgb: np.ndarray, truth: np.ndarray, gradient: np.ndarray | None) -> float:
         height, width = rgb.shape[:2]
-        shape, rim = (height, width, CHANNELS), limits.SSIM_WINDOW_PX - 1
+        shape, rim = (height, width, CHANNELS), SSIM_WINDOW_PX - 1
         stride = math.ceil((CHANNELS * (width + rim) + 2 * LANES) / LANES) * LANES
         sums = np.zeros(height - rim)
         self._maps = _at_least(self._maps, 0 if gradient is None else CHANNELS * (height + rim) * stride)
@@ -56,8 +59,8 @@ class NativeSsim:
             height=height,
             stride=stride,
             stripes=STRIPES,
-            c1=limits.SSIM_K1**2,
-            c2=limits.SSIM_K2**2,
+            c1=SSIM_K1**2,
+            c2=SSIM_K2**2,
             weights=self._weights,
             rgb=address(rgb, np.float32, "rgb", shape),
             truth=address(truth, np.float32, "truth", shape),

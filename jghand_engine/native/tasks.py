@@ -12,6 +12,9 @@ import numpy as np
 from jghand_engine import limits
 from jghand_engine.native.binding import aligned_zeros
 
+# window and constants of SSIM, which every paper shares (Wang et al. 2004); 0..1 is the range of the pictures
+SSIM_WINDOW_PX = 11
+
 # elements of one vector of the kernels
 LANES = 16
 # rows and columns around the picture: the farthest sample and its neighbor; columns in whole vectors
@@ -64,7 +67,7 @@ class SsimTask(ctypes.Structure):
     _fields_ = (
         *((name, _I32) for name in ("width", "height", "stride", "stripes")),
         *((name, _F32) for name in ("c1", "c2")),
-        ("weights", _F32 * limits.SSIM_WINDOW_PX),
+        ("weights", _F32 * SSIM_WINDOW_PX),
         *((name, _P) for name in ("rgb", "truth", "maps", "scratch", "sums", "gradient")),
     )
 

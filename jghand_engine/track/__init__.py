@@ -16,3 +16,6 @@ track.py         all of it
 proof.py         what was seen and what came of it, side by side
 figures.py       how far off, how jittery, how late a motion is
 """
+
+# horizontal angle of view that is assumed of an unknown camera, degrees: a telephone's or webcam's
+CAMERA_ANGLE_DEG = 60.0

@@ -10,6 +10,9 @@ import numpy as np
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 
+# one right and one left: those of one person
+HANDS_MAX = 2
+
 
 @dataclass(frozen=True, eq=False)
 class SeenHand:

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from jghand_engine import limits
 from jghand_engine.hand.sequence import alignment, bone_directions
+
+# how far a lag is looked for, seconds, and in which steps
+LAG_MAX_S = 0.25
+LAG_STEP_S = 0.001
 
 # of the 20 bones those of the palm come first
 FINGER_BONES = slice(5, 20)
@@ -45,13 +48,13 @@ def lag_ms(tracked: np.ndarray, truth: np.ndarray, fps: float) -> float:
     Both (F, 20, 3) directions in the palm. NaN for motions too short to shift.
     """
     count = len(truth)
-    reach = min(limits.LAG_MAX_S, (count - 3) / (2 * fps))
+    reach = min(LAG_MAX_S, (count - 3) / (2 * fps))
     if reach <= 0:
         return float("nan")
     time = np.arange(count) / fps
     inner = (time >= reach) & (time <= time[-1] - reach)
     wanted = truth[inner][:, FINGER_BONES]
-    shifts = np.arange(-reach, reach, limits.LAG_STEP_S)
+    shifts = np.arange(-reach, reach, LAG_STEP_S)
     costs = []
     for shift in shifts:
         at = (time[inner] + shift) * fps

@@ -13,28 +13,50 @@ from dataclasses import replace
 
 import numpy as np
 
-from jghand_engine import limits
 from jghand_engine.hand.sequence import alignment
 from jghand_engine.track.look import Trust, View
 from jghand_engine.track.poses import STATE_COUNT, Landmarks, Pinhole, Poses, joined
 from jghand_engine.track.skeleton import ANGLE_COUNT, LIMITS_RAD, Skeleton
 from jghand_engine.track.smoother import Steadiness, solve
 
+# Gauss-Newton steps; the steps end when the cost falls by less than this part, with no more damping than the first
+FIT_STEPS = 30
+FIT_TOLERANCE = 1e-5
+# damping of its steps: the first, and between which it stays; beyond the largest no step helps any more
+FIT_DAMPING = 1e-3
+FIT_DAMPING_MIN = 1e-9
+FIT_DAMPING_MAX = 1e6
+# longest step of an angle, radians, and of the wrist, meters: as far as the linearization reaches
+FIT_STEP_RAD = 0.6
+FIT_STEP_M = 0.3
+HAND_SPREAD_MIN_PX = 1e-3
+# gaps of up to so many seconds are filled by the fit, which goes on from the speed before to that after; in longer ones
+# it swings farther beyond both ends and is hardly nearer (measured: docs/TRACKING.md)
+FIT_GAP_S = 0.4
+# what is seen on both sides of a gap of up to so many seconds is fitted together: bursts of a few frames are better
+# for what is around them
+FIT_REACH_S = 1.0
+# frames that are fitted together at least, and how many seconds more on both sides so that the seam is not felt; at
+# most so many frames there, for memory (0.1 MB per frame): with much smoothing in fast films seams may be felt
+FIT_WINDOW_FRAMES = 900
+FIT_MARGIN_S = 2.0
+FIT_MARGIN_FRAMES_MAX = 1200
+
 
 def fit(skeleton: Skeleton, landmarks: Landmarks, trust: Trust | None = None) -> Poses:
     """The motion. Frames before the hand is first seen hold its first pose, those after the last one its last.
 
-    At least one frame must show the hand. In gaps of up to `limits.FIT_GAP_S` it goes as the fit says; in longer ones,
+    At least one frame must show the hand. In gaps of up to `FIT_GAP_S` it goes as the fit says; in longer ones,
     and in all of them without smoothing, evenly from the pose before to the one after. What is seen on both sides of a
-    gap of up to `limits.FIT_REACH_S` is fitted together all the same. Long videos are fitted in parts that overlap, so
+    gap of up to `FIT_REACH_S` is fitted together all the same. Long videos are fitted in parts that overlap, so
     that memory is bounded; what is as far away as the overlap has no influence.
     """
     trust = trust or Trust()
     seen = np.flatnonzero(landmarks.seen)
     start = initial_poses(skeleton, landmarks)
-    believed = ~_in_long_gaps(landmarks.seen, limits.FIT_GAP_S * landmarks.fps)
+    believed = ~_in_long_gaps(landmarks.seen, FIT_GAP_S * landmarks.fps)
     fitted, known = [], []
-    reach = None if trust.smoothing == 0 else limits.FIT_REACH_S * landmarks.fps
+    reach = None if trust.smoothing == 0 else FIT_REACH_S * landmarks.fps
     for kept, wide in _parts(seen, reach, _margin(landmarks.fps, trust.smoothing)):
         poses = _fit_part(skeleton, landmarks.part(wide), start.part(wide), trust)
         kept = kept[believed[kept]]
@@ -55,7 +77,7 @@ def _in_long_gaps(seen: np.ndarray, longest: float) -> np.ndarray:
 def _margin(fps: float, smoothing: float) -> int:
     """Frames on both sides of a part that are fitted with it: so far reaches what a frame says, and farther with more
     smoothing."""
-    return min(math.ceil(limits.FIT_MARGIN_S * fps * max(1.0, math.sqrt(smoothing))), limits.FIT_MARGIN_FRAMES_MAX)
+    return min(math.ceil(FIT_MARGIN_S * fps * max(1.0, math.sqrt(smoothing))), FIT_MARGIN_FRAMES_MAX)
 
 
 def _parts(seen: np.ndarray, longest_gap: float | None, margin: int) -> Iterator[tuple[np.ndarray, np.ndarray]]:
@@ -65,7 +87,7 @@ def _parts(seen: np.ndarray, longest_gap: float | None, margin: int) -> Iterator
     is part of them; None for frames that know nothing of one another · margin: frames around what is kept.
     """
     # more than the longest gap has at any rate, and most of what is fitted is kept
-    window = max(limits.FIT_WINDOW_FRAMES, 2 * margin)
+    window = max(FIT_WINDOW_FRAMES, 2 * margin)
     if longest_gap is None:
         for begin in range(0, len(seen), window):
             yield seen[begin : begin + window], seen[begin : begin + window]
@@ -106,7 +128,7 @@ def _placed(joints: np.ndarray, image_px: np.ndarray, camera: Pinhole) -> np.nda
     middle, image_middle = joints.mean(1), image_px.mean(1)
     wide = np.sqrt(np.square(joints[..., :2] - middle[:, None, :2]).sum(-1).mean(-1))
     image_wide = np.sqrt(np.square(image_px - image_middle[:, None]).sum(-1).mean(-1))
-    depth = camera.focal_px * wide / np.maximum(image_wide, limits.HAND_SPREAD_MIN_PX)
+    depth = camera.focal_px * wide / np.maximum(image_wide, HAND_SPREAD_MIN_PX)
     return camera.rays(image_middle) * depth[:, None] - middle
 
 
@@ -117,8 +139,8 @@ def _fit_part(skeleton: Skeleton, landmarks: Landmarks, poses: Poses, trust: Tru
     """Frames that know of one another take each step together or not at all; frames alone each for itself."""
     steadiness = trust.steadiness(landmarks.fps)
     going = np.arange(len(poses))
-    damping = np.full(len(poses) if steadiness is None else 1, limits.FIT_DAMPING)
-    for _ in range(limits.FIT_STEPS):
+    damping = np.full(len(poses) if steadiness is None else 1, FIT_DAMPING)
+    for _ in range(FIT_STEPS):
         here = poses.part(going)
         view = View.of(skeleton, landmarks.part(going), trust, here)
         look = view.look(here)
@@ -129,9 +151,9 @@ def _fit_part(skeleton: Skeleton, landmarks: Landmarks, poses: Poses, trust: Tru
         moved = np.broadcast_to(better, len(going))
         poses = poses.replaced(going[moved], there.part(moved))
         # a short step may gain little because it was made short: then there may be more to gain
-        settled = better & (before - after < limits.FIT_TOLERANCE * before) & (damping <= limits.FIT_DAMPING)
-        damping = np.where(better, np.maximum(damping / 10, limits.FIT_DAMPING_MIN), 10 * damping)
-        left = ~(settled | (damping > limits.FIT_DAMPING_MAX))
+        settled = better & (before - after < FIT_TOLERANCE * before) & (damping <= FIT_DAMPING)
+        damping = np.where(better, np.maximum(damping / 10, FIT_DAMPING_MIN), 10 * damping)
+        left = ~(settled | (damping > FIT_DAMPING_MAX))
         if not left.any():
             break
         if steadiness is None:
@@ -150,12 +172,12 @@ def damped(blocks: np.ndarray, damping: float | np.ndarray) -> np.ndarray:
     of all, or (F,)"""
     larger = blocks.copy()
     diagonal = np.einsum("fii->fi", blocks)
-    np.einsum("fii->fi", larger)[...] += np.expand_dims(damping, -1) * diagonal + limits.FIT_DAMPING_MIN
+    np.einsum("fii->fi", larger)[...] += np.expand_dims(damping, -1) * diagonal + FIT_DAMPING_MIN
     return larger
 
 
 def bounded(step: np.ndarray) -> np.ndarray:
     """No angle moves farther than its linearization reaches."""
-    most = np.full(STATE_COUNT, limits.FIT_STEP_RAD)
-    most[3:6] = limits.FIT_STEP_M
+    most = np.full(STATE_COUNT, FIT_STEP_RAD)
+    most[3:6] = FIT_STEP_M
     return np.clip(step, -most, most)

@@ -11,10 +11,34 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from jghand_engine import limits
 from jghand_engine.hand.joints import LEVEL_NAMES, Handedness
 from jghand_engine.hand.sequence import bone_directions
 from jghand_engine.track.detection import SeenHand
+from jghand_engine.track.look import SMOOTHING_FPS
+
+# two detections nearer than this part of the hand's size are the same hand
+SAME_HAND_PART = 0.35
+# between frames a hand moves at most this part of its size per frame at 30 frames per second, else it is another one
+HAND_STEP_PART = 1.2
+# after so many seconds out of sight a hand's place says nothing any more
+HAND_LOST_S = 0.5
+# ... but up to so many seconds a hand that looks like it (difference in looks at most this, 0..1) is it again: it may
+# have been behind the other one
+HAND_HIDDEN_S = 2.0
+HAND_UNLIKE_MAX = 0.5
+# what a detection that looks surely like the other hand costs, in parts of the hand's size: more than a hand goes while
+# it is behind the other one
+HAND_UNLIKE_COST = 1.0
+# what a second out of sight costs, in parts of the hand's size: a hand that is seen all the time goes on before one
+# that was wrongly seen there long ago, unless it jumps by more
+HAND_AWAY_COST = 0.3
+# a hand that is seen for less than this is taken for a mistake: seconds, in short films a part of the pictures, and in
+# any so many
+HAND_SEEN_S = 2.0
+HAND_SEEN_PART_MIN = 0.05
+HAND_SEEN_FRAMES_MIN = 3
+# a hand that shares more than this part of its pictures with another one of its kind is another person's
+HAND_DOUBLE_PART = 0.25
 
 Detections = Sequence[Sequence[SeenHand]]
 _WRIST, _INDEX, _MIDDLE, _PINKY = (LEVEL_NAMES.index(name) for name in ("wrist", "index1", "middle1", "pinky1"))
@@ -83,8 +107,8 @@ def hands_over_time(detections: Detections, fps: float) -> FoundHands:
 
 def _least(count: int, fps: float) -> float:
     """In how many of a film's pictures a hand must be seen."""
-    part = min(limits.HAND_SEEN_PART_MIN * count, limits.HAND_SEEN_S * fps)
-    return min(max(limits.HAND_SEEN_FRAMES_MIN, part), count)
+    part = min(HAND_SEEN_PART_MIN * count, HAND_SEEN_S * fps)
+    return min(max(HAND_SEEN_FRAMES_MIN, part), count)
 
 
 def shape_rightness(space_m: np.ndarray) -> float:
@@ -112,7 +136,7 @@ def _trails(detections: Detections, fps: float) -> list[_Trail]:
     done: list[_Trail] = []
     open_trails: list[_Trail] = []
     for frame, found in enumerate(detections):
-        oldest = frame - limits.HAND_HIDDEN_S * fps - 1
+        oldest = frame - HAND_HIDDEN_S * fps - 1
         done += [trail for trail in open_trails if trail.frames[-1] < oldest]
         open_trails = [trail for trail in open_trails if trail.frames[-1] >= oldest]
         hands = _distinct(found)
@@ -142,26 +166,26 @@ def _step_cost(trail: _Trail, hand: SeenHand, frames: int, fps: float) -> float 
     it looks like the other hand, and more the longer it was away; None for one that cannot be it."""
     way = distance(trail.hands[-1], hand)
     unlike = abs(trail.rightness - _rightness(hand)) / 2
-    if way > limits.HAND_STEP_PART * frames * max(1.0, limits.SMOOTHING_FPS / fps):
+    if way > HAND_STEP_PART * frames * max(1.0, SMOOTHING_FPS / fps):
         return None
     # of a hand that was away for long not its place but its looks tell that it is back
-    if frames > limits.HAND_LOST_S * fps + 1 and unlike > limits.HAND_UNLIKE_MAX:
+    if frames > HAND_LOST_S * fps + 1 and unlike > HAND_UNLIKE_MAX:
         return None
-    return way + limits.HAND_UNLIKE_COST * unlike + limits.HAND_AWAY_COST * frames / fps
+    return way + HAND_UNLIKE_COST * unlike + HAND_AWAY_COST * frames / fps
 
 
 def _parts_of_one_hand(trail: _Trail) -> Iterator[_Trail]:
     """A trail in parts, cut at pauses before and after which the mean looks are those of different hands: one went and
     the other came. Where the looks change without a pause, a hand is called the other one for a while."""
     looks = np.array([_rightness(hand) for hand in trail.hands])
-    least = limits.HAND_SEEN_FRAMES_MIN
+    least = HAND_SEEN_FRAMES_MIN
     cuts = np.flatnonzero(np.diff(trail.frames) > 1) + 1
     # fewer frames would be taken for a mistake by themselves
     cuts = cuts[(cuts >= least) & (cuts <= len(looks) - least)]
     before = np.cumsum(looks)[cuts - 1]
     after = looks.sum() - before
     unlike = np.abs(before / cuts - after / (len(looks) - cuts)) / 2
-    there = unlike > limits.HAND_UNLIKE_MAX
+    there = unlike > HAND_UNLIKE_MAX
     if not there.any():
         yield trail
         return
@@ -183,7 +207,7 @@ def _distinct(found: Sequence[SeenHand]) -> list[SeenHand]:
     """Without detections that lie on another, surer one."""
     kept: list[SeenHand] = []
     for hand in sorted(found, key=lambda hand: -hand.score):
-        if all(distance(hand, other) > limits.SAME_HAND_PART for other in kept):
+        if all(distance(hand, other) > SAME_HAND_PART for other in kept):
             kept.append(hand)
     return kept
 
@@ -195,7 +219,7 @@ def _joined(handedness: Handedness, trails: list[_Trail], count: int) -> HandOve
     for trail in trails:
         free = [(frame, hand) for frame, hand in zip(trail.frames, trail.hands, strict=True) if frames[frame] is None]
         # a second hand of the same kind at the same time is another person's; in a few pictures, a mistake in them
-        if len(trail.frames) - len(free) > limits.HAND_DOUBLE_PART * len(trail.frames):
+        if len(trail.frames) - len(free) > HAND_DOUBLE_PART * len(trail.frames):
             continue
         for frame, hand in free:
             frames[frame] = hand

@@ -11,11 +11,33 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jghand_engine import limits
 from jghand_engine.hand.joints import BONE_COUNT, JOINT_COUNT, PARENTS
 from jghand_engine.track.poses import STATE_COUNT, Landmarks, Poses
 from jghand_engine.track.skeleton import ANGLE_COUNT, LIMITS_RAD, Skeleton, cross_matrices
 from jghand_engine.track.smoother import Steadiness
+
+# error of a landmark in the picture, part of the hand's length
+LANDMARK_SIGMA = 0.015
+# error of the direction of a bone in the detector's estimate in space, radians
+DIRECTION_SIGMA = 0.3
+# errors beyond this many standard deviations count less and less (Cauchy's loss)
+ROBUST_SIGMAS = 3.0
+# overstepping a joint's limit, radians
+LIMIT_SIGMA_RAD = 0.02
+# acceleration of joint angles and of the palm's turn, rad/s^2, and of the wrist, m/s^2, as white noise sampled at 30
+# frames per second: a finger closes in 0.4 s with a peak of 57 rad/s^2
+ANGLE_ACCELERATION = 25.0
+TURN_ACCELERATION = 25.0
+PLACE_ACCELERATION = 4.0
+# speeds, rad/s and m/s: they hold a long gap back from swinging beyond its ends
+ANGLE_SPEED = 8.0
+TURN_SPEED = 8.0
+PLACE_SPEED = 2.0
+SMOOTHING_FPS = 30.0
+# pull of an angle to its rest, radians: only for what no picture shows
+REST_SIGMA_RAD = 1.2
+# no joint is taken to be nearer to the camera, meters, and no hand to be smaller in the picture, pixels
+FIT_DEPTH_MIN_M = 1e-2
 
 _PARENTS = list(PARENTS[1:])
 
@@ -41,9 +63,9 @@ class Trust:
     """How much is believed: standard deviations (`jghand_engine.limits`, tracking). smoothing: 1; more is smoother, 0
     fits every frame alone."""
 
-    landmark: float = limits.LANDMARK_SIGMA
-    direction: float = limits.DIRECTION_SIGMA
-    rest_rad: float = limits.REST_SIGMA_RAD
+    landmark: float = LANDMARK_SIGMA
+    direction: float = DIRECTION_SIGMA
+    rest_rad: float = REST_SIGMA_RAD
     smoothing: float = 1.0
 
     def steadiness(self, fps: float) -> Steadiness | None:
@@ -51,13 +73,11 @@ class Trust:
         if self.smoothing == 0:
             return None
         sizes = [3, 3, ANGLE_COUNT]
-        acceleration = np.repeat(
-            [limits.TURN_ACCELERATION, limits.PLACE_ACCELERATION, limits.ANGLE_ACCELERATION], sizes
-        )
-        speed = np.repeat([limits.TURN_SPEED, limits.PLACE_SPEED, limits.ANGLE_SPEED], sizes)
+        acceleration = np.repeat([TURN_ACCELERATION, PLACE_ACCELERATION, ANGLE_ACCELERATION], sizes)
+        speed = np.repeat([TURN_SPEED, PLACE_SPEED, ANGLE_SPEED], sizes)
         # per frame at the rate for which the accelerations are given, then at this one
-        second = acceleration / limits.SMOOTHING_FPS**2 * (limits.SMOOTHING_FPS / fps) ** 1.5 / self.smoothing
-        first = speed / fps * (limits.SMOOTHING_FPS / fps) ** -0.5
+        second = acceleration / SMOOTHING_FPS**2 * (SMOOTHING_FPS / fps) ** 1.5 / self.smoothing
+        first = speed / fps * (SMOOTHING_FPS / fps) ** -0.5
         return Steadiness(first**-2.0, second**-2.0)
 
 
@@ -78,15 +98,15 @@ class View:
     @classmethod
     def of(cls, skeleton: Skeleton, landmarks: Landmarks, trust: Trust, poses: Poses) -> View:
         """For a step that begins with these poses."""
-        return cls(skeleton, landmarks, trust, np.maximum(poses.place_m[:, 2], limits.FIT_DEPTH_MIN_M))
+        return cls(skeleton, landmarks, trust, np.maximum(poses.place_m[:, 2], FIT_DEPTH_MIN_M))
 
     def costs(self, poses: Poses) -> np.ndarray:
         """(F,) half the weighted squares of what does not fit in each frame."""
         seen = self.landmarks.seen
         beyond, away = _off(poses, seen)
-        costs = 0.5 * (limits.LIMIT_SIGMA_RAD**-2 * beyond**2 + self.trust.rest_rad**-2 * away**2).sum(1)
+        costs = 0.5 * (LIMIT_SIGMA_RAD**-2 * beyond**2 + self.trust.rest_rad**-2 * away**2).sum(1)
         points = poses.part(seen).joints_m(self.skeleton)
-        scale = limits.ROBUST_SIGMAS**2
+        scale = ROBUST_SIGMAS**2
         for residual in (self._image_residual(points), self._direction_residual(points)):
             costs[seen] += 0.5 * scale * np.log1p(np.square(residual).sum(-1) / scale).sum(-1)
         return costs
@@ -97,11 +117,11 @@ class View:
         size = STATE_COUNT + (BONE_COUNT if with_lengths else 0)
         gradient, blocks = np.zeros((len(poses), size)), np.zeros((len(poses), size, size))
         beyond, away = _off(poses, seen)
-        limit, rest = limits.LIMIT_SIGMA_RAD**-2, self.trust.rest_rad**-2
+        limit, rest = LIMIT_SIGMA_RAD**-2, self.trust.rest_rad**-2
         gradient[:, 6:STATE_COUNT] = limit * beyond + rest * away
         np.einsum("fii->fi", blocks)[:, 6:STATE_COUNT] = limit * (beyond != 0) + rest * seen[:, None]
         points, motion = _moving(self.skeleton, poses.part(seen), with_lengths)
-        scale = limits.ROBUST_SIGMAS**2
+        scale = ROBUST_SIGMAS**2
         for residual, slope in self._slopes(points, motion):
             weight = 1 / (1 + np.square(residual).sum(-1) / scale)
             weighted = slope * weight[..., None, None]
@@ -112,7 +132,7 @@ class View:
 
     def _slopes(self, points: np.ndarray, motion: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Residuals and how they change with the state: in the picture (f, 21, 2, n), of directions (f, 20, 3, n)."""
-        depth = np.maximum(points[..., 2:], limits.FIT_DEPTH_MIN_M)
+        depth = np.maximum(points[..., 2:], FIT_DEPTH_MIN_M)
         flat = points[..., :2] / depth
         slope = (motion[:, :, :2] - flat[..., None] * motion[:, :, 2:]) / depth[..., None]
         yield self._image_residual(points), slope * self._scale[:, None, None, None]
@@ -133,7 +153,7 @@ class View:
     def _image_residual(self, points: np.ndarray) -> np.ndarray:
         """(f, 21, 2) in standard deviations."""
         rays = self.landmarks.camera.rays(self.landmarks.image_px[self.landmarks.seen])[..., :2]
-        flat = points[..., :2] / np.maximum(points[..., 2:], limits.FIT_DEPTH_MIN_M)
+        flat = points[..., :2] / np.maximum(points[..., 2:], FIT_DEPTH_MIN_M)
         return (flat - rays) * self._scale[:, None, None]
 
     def _direction_residual(self, points: np.ndarray) -> np.ndarray:

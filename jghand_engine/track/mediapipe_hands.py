@@ -11,13 +11,17 @@ from typing import Any
 
 import numpy as np
 
-from jghand_engine import limits
 from jghand_engine.errors import InputError, install_extra
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, to_level
-from jghand_engine.track.detection import HandDetector, SeenHand
+from jghand_engine.track.detection import HANDS_MAX, HandDetector, SeenHand
 from jghand_engine.track.model_file import model_file
 from jghand_engine.track.second_look import SecondLook
+
+# MediaPipe's own thresholds for finding a hand, for its presence and for following it
+DETECTION_MIN = 0.5
+PRESENCE_MIN = 0.5
+FOLLOWING_MIN = 0.5
 
 # from this version on the label is that of the hand itself; before, that of its mirror image
 _FIRST_VERSION = 1
@@ -39,10 +43,10 @@ class MediaPipeHands:
         options = tasks.vision.HandLandmarkerOptions(
             base_options=tasks.BaseOptions(model_asset_path=str(path)),
             running_mode=mode.VIDEO if follows else mode.IMAGE,
-            num_hands=limits.HANDS_MAX,
-            min_hand_detection_confidence=limits.DETECTION_MIN,
-            min_hand_presence_confidence=limits.PRESENCE_MIN,
-            min_tracking_confidence=limits.FOLLOWING_MIN,
+            num_hands=HANDS_MAX,
+            min_hand_detection_confidence=DETECTION_MIN,
+            min_hand_presence_confidence=PRESENCE_MIN,
+            min_tracking_confidence=FOLLOWING_MIN,
         )
         self._package, self._follows, self._last_ms, self._warm = package, follows, -1, False
         try:

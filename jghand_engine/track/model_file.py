@@ -15,9 +15,11 @@ import zipfile
 from importlib.util import find_spec
 from pathlib import Path
 
-from jghand_engine import limits
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.files import cache_folder, writing
+
+# seconds after which fetching its networks, 35 MB, is given up
+FETCH_MODEL_S = 600.0
 
 VARIABLE = "JGHAND_HAND_MODEL"
 FILE_NAME = "hand_landmarker.task"
@@ -71,7 +73,7 @@ def fetch_model() -> Path:
             done = subprocess.run(
                 [*command, "--quiet", "--disable-pip-version-check"],
                 stdin=subprocess.DEVNULL, capture_output=True, text=True, errors="replace", check=False,
-                timeout=limits.FETCH_MODEL_S,
+                timeout=FETCH_MODEL_S,
             )  # fmt: skip
         except (OSError, subprocess.TimeoutExpired) as error:
             raise RetryError("cannot fetch the hand model with pip", came=str(error)[:200]) from error

@@ -12,14 +12,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from jghand_engine import limits
 from jghand_engine.hand.joints import BONE_COUNT
 from jghand_engine.hand.orders import bone_lengths, hand_length
 from jghand_engine.hand.sequence import bone_directions, rebuilt
-from jghand_engine.track.fit import bounded, damped, fit
+from jghand_engine.track.fit import FIT_DAMPING, bounded, damped, fit
 from jghand_engine.track.look import Look, Trust, View
 from jghand_engine.track.poses import STATE_COUNT, Landmarks
 from jghand_engine.track.skeleton import Skeleton
+
+# proportions of the hand that is seen: how far a bone's length differs from the start's, relative; frames that are
+# looked at, as many of them as count as independent, and rounds of fitting poses and lengths in turn
+OWN_HAND_SIGMA = 0.03
+OWN_HAND_FRAMES = 200
+OWN_HAND_PICTURES = 30
+OWN_HAND_ROUNDS = 12
 
 
 def own_canonical_joints(canonical_joints_m: np.ndarray, landmarks: Landmarks, length_m: float) -> np.ndarray:
@@ -38,12 +44,12 @@ def own_canonical_joints(canonical_joints_m: np.ndarray, landmarks: Landmarks, l
 
     shown = _spread(landmarks)
     # independent pictures are fewer than frames, and their errors have much in common
-    share = min(1.0, limits.OWN_HAND_PICTURES / len(shown.image_px))
-    pull, trust = limits.OWN_HAND_SIGMA**-2 / share, Trust(smoothing=0.0)
-    change, damping = np.zeros(BONE_COUNT), limits.FIT_DAMPING
+    share = min(1.0, OWN_HAND_PICTURES / len(shown.image_px))
+    pull, trust = OWN_HAND_SIGMA**-2 / share, Trust(smoothing=0.0)
+    change, damping = np.zeros(BONE_COUNT), FIT_DAMPING
     joints, size = hand(change)
     poses = fit(Skeleton.of(joints), shown, trust)
-    for _ in range(limits.OWN_HAND_ROUNDS):
+    for _ in range(OWN_HAND_ROUNDS):
         view = View.of(Skeleton.of(joints), shown, trust, poses)
         step, longer = _step(view.look(poses, with_lengths=True), pull, change, damping)
         longer = change + longer
@@ -76,5 +82,5 @@ def _step(now: Look, pull: float, change: np.ndarray, damping: float) -> tuple[n
 def _spread(landmarks: Landmarks) -> Landmarks:
     """Seen frames, evenly spread, not too many."""
     seen = np.flatnonzero(landmarks.seen)
-    chosen = seen[np.unique(np.linspace(0, len(seen) - 1, limits.OWN_HAND_FRAMES).round().astype(int))]
+    chosen = seen[np.unique(np.linspace(0, len(seen) - 1, OWN_HAND_FRAMES).round().astype(int))]
     return landmarks.part(chosen)

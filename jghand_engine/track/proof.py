@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from PIL import Image, ImageDraw
 
-from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.export.pictures import VIDEO_BACKGROUND, flatten
 from jghand_engine.hand.joints import PARENTS, Handedness
@@ -17,6 +16,12 @@ from jghand_engine.render.frame import SceneRenderer
 from jghand_engine.render.settings import preset
 from jghand_engine.track.poses import Pinhole
 from jghand_engine.track.track import TrackedHand
+
+# longer edge of each half of the side-by-side video
+PROOF_EDGE_PX = 640
+# how much is shown around the hands, and how far a small one is enlarged
+PROOF_MARGIN = 1.3
+PROOF_ENLARGED_MAX = 3.0
 
 _SEEN, _FITTED, _FILLED = (255, 190, 40), (60, 220, 120), (240, 70, 60)
 
@@ -59,12 +64,12 @@ class _Window:
         points = np.concatenate([pinhole.project(hand.in_view).reshape(-1, 2) for hand in hands])
         # a few frames in which the fit went astray shall not make the hand tiny in all
         low, high = np.percentile(points, (0.5, 99.5), axis=0)
-        middle, half = (low + high) / 2, limits.PROOF_MARGIN * (high - low) / 2
+        middle, half = (low + high) / 2, PROOF_MARGIN * (high - low) / 2
         half = np.maximum(half, half.max() / 2)
         left, top = np.clip(np.floor(middle - half), 0, (width - 16, height - 16)).astype(int)
         right, bottom = np.clip(np.ceil(middle + half), (left + 16, top + 16), (width, height)).astype(int)
-        scale = limits.PROOF_EDGE_PX / max(right - left, bottom - top)
-        return cls(int(left), int(top), int(right - left), int(bottom - top), min(scale, limits.PROOF_ENLARGED_MAX))
+        scale = PROOF_EDGE_PX / max(right - left, bottom - top)
+        return cls(int(left), int(top), int(right - left), int(bottom - top), min(scale, PROOF_ENLARGED_MAX))
 
     @property
     def size(self) -> tuple[int, int]:

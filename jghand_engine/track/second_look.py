@@ -11,9 +11,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from jghand_engine import limits
-from jghand_engine.track.detection import HandDetector, SeenHand
-from jghand_engine.track.hands_over_time import distance
+from jghand_engine.track.detection import HANDS_MAX, HandDetector, SeenHand
+from jghand_engine.track.hands_over_time import HAND_LOST_S, SAME_HAND_PART, distance
+
+# edge of the parts, of the shorter edge of the picture
+SEARCH_PART = 2 / 3
+# seconds between looks at all parts while no hand is seen, and beside one that is
+SEARCH_S = 0.25
+SEARCH_BESIDE_S = 1.0
+# edge of what is looked at about a hand that was just lost, in parts of its size
+CLOSE_LOOK_PART = 3.0
 
 
 class SecondLook:
@@ -28,15 +35,15 @@ class SecondLook:
     def detect(self, rgb8: np.ndarray, time_s: float) -> list[SeenHand]:
         """Hands in a picture; as `HandDetector`."""
         found = self._whole.detect(rgb8, time_s)
-        recent = [(when, hand) for when, hand in self._last if time_s - when <= limits.HAND_LOST_S]
+        recent = [(when, hand) for when, hand in self._last if time_s - when <= HAND_LOST_S]
         for _, hand in recent:
-            if len(found) < limits.HANDS_MAX and _is_new(hand, found):
+            if len(found) < HANDS_MAX and _is_new(hand, found):
                 self._add(found, self._inside(rgb8, _around(hand, rgb8.shape)))
-        every_s = limits.SEARCH_S if not found else limits.SEARCH_BESIDE_S
-        if len(found) < limits.HANDS_MAX and time_s - self._searched_s >= every_s:
+        every_s = SEARCH_S if not found else SEARCH_BESIDE_S
+        if len(found) < HANDS_MAX and time_s - self._searched_s >= every_s:
             self._searched_s = time_s
             for box in _parts(rgb8.shape):
-                if len(found) < limits.HANDS_MAX:
+                if len(found) < HANDS_MAX:
                     self._add(found, self._inside(rgb8, box))
         self._last = [(time_s, hand) for hand in found] + [old for old in recent if _is_new(old[1], found)]
         return found
@@ -52,17 +59,17 @@ class SecondLook:
 
     @staticmethod
     def _add(found: list[SeenHand], more: list[SeenHand]) -> None:
-        found += [hand for hand in more if _is_new(hand, found)][: limits.HANDS_MAX - len(found)]
+        found += [hand for hand in more if _is_new(hand, found)][: HANDS_MAX - len(found)]
 
 
 def _is_new(hand: SeenHand, found: list[SeenHand]) -> bool:
-    return all(distance(hand, other) > limits.SAME_HAND_PART for other in found)
+    return all(distance(hand, other) > SAME_HAND_PART for other in found)
 
 
 def _around(hand: SeenHand, shape: tuple[int, ...]) -> tuple[int, int, int, int]:
     """A square about where a hand was, inside the picture."""
     height, width = shape[:2]
-    half = limits.CLOSE_LOOK_PART * hand.size_px / 2
+    half = CLOSE_LOOK_PART * hand.size_px / 2
     low = np.clip(np.floor(hand.middle_px - half), 0, (width - 1, height - 1)).astype(int)
     high = np.clip(np.ceil(hand.middle_px + half), low + 1, (width, height)).astype(int)
     return int(low[0]), int(low[1]), int(high[0]), int(high[1])
@@ -71,7 +78,7 @@ def _around(hand: SeenHand, shape: tuple[int, ...]) -> tuple[int, int, int, int]
 def _parts(shape: tuple[int, ...]) -> Iterator[tuple[int, int, int, int]]:
     """Overlapping squares that cover a picture; a hand no larger than their overlap is whole in one of them."""
     height, width = shape[:2]
-    edge = max(1, round(limits.SEARCH_PART * min(height, width)))
+    edge = max(1, round(SEARCH_PART * min(height, width)))
     for top in _starts(height, edge):
         for left in _starts(width, edge):
             yield left, top, left + edge, top + edge

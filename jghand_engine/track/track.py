@@ -13,6 +13,7 @@ from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import check_joint_shape, hand_length
 from jghand_engine.hand.sequence import PoseSequence, bone_directions
+from jghand_engine.track import CAMERA_ANGLE_DEG
 from jghand_engine.track.detection import HandDetector, SeenHand
 from jghand_engine.track.figures import jitter_deg
 from jghand_engine.track.fit import fit
@@ -21,6 +22,11 @@ from jghand_engine.track.look import Trust
 from jghand_engine.track.own_hand import own_canonical_joints
 from jghand_engine.track.poses import Landmarks, Pinhole
 from jghand_engine.track.skeleton import Skeleton
+
+# ... and what can be said of one
+CAMERA_ANGLES_DEG = (1.0, 150.0)
+# beyond this a motion is hardly one any more
+SMOOTHING_MAX = 100.0
 
 _MIRROR = np.array([-1.0, 1.0, 1.0])
 # from camera axes (x right, y down, z forward) to those of the motion: y up, z towards the viewer
@@ -40,7 +46,7 @@ class TrackOptions:
     hand_length_m: float | None = None
     own_bones: bool = False
     smoothing: float = 1.0
-    camera_angle_deg: float = limits.CAMERA_ANGLE_DEG
+    camera_angle_deg: float = CAMERA_ANGLE_DEG
     in_place: bool = False
     fill: bool = True
 
@@ -50,9 +56,9 @@ class TrackOptions:
         if length is not None and not shortest <= length <= longest:
             wanted = f"{1e3 * shortest:g} to {1e3 * longest:g} mm"
             raise InputError("hand length", wanted=wanted, came=f"{1e3 * length:g}")
-        if not 0 <= self.smoothing <= limits.SMOOTHING_MAX:
-            raise InputError("smoothing", wanted=f"0 to {limits.SMOOTHING_MAX:g}", came=f"{self.smoothing:g}")
-        narrow, wide = limits.CAMERA_ANGLES_DEG
+        if not 0 <= self.smoothing <= SMOOTHING_MAX:
+            raise InputError("smoothing", wanted=f"0 to {SMOOTHING_MAX:g}", came=f"{self.smoothing:g}")
+        narrow, wide = CAMERA_ANGLES_DEG
         if not narrow <= self.camera_angle_deg <= wide:
             raise InputError(
                 "camera angle", wanted=f"{narrow:g} to {wide:g} degrees", came=f"{self.camera_angle_deg:g}"

@@ -23,6 +23,28 @@ from jghand_engine.errors import InputError, MemoryLimitError
 from jghand_engine.export.video import ffmpeg_program
 from jghand_engine.motion.clocks import NTSC_RATES
 
+# pictures larger than 8K are refused: a decoder takes several times their bytes before anything can be looked at
+VIDEO_PIXELS_MAX = 8192 * 4320
+VIDEO_EDGE_MAX_PX = 16384
+# edges below this show no hand
+VIDEO_EDGE_MIN_PX = 16
+# pictures longer than so many times their width are refused: the second look goes along them in squares of two thirds
+# of their width, at this aspect 28 of them (0.4 s)
+VIDEO_ASPECT_MAX = 5.0
+# larger pictures are made smaller while they are read: the detector looks at hands of 224 pixels
+TRACK_EDGE_PX = 1920
+# longer videos are refused, or cut off there if they do not say how long they are: some kilobytes per frame and hand
+# stay in memory; nearly two hours at 30 per second
+TRACK_FRAMES_MAX = 200_000
+NTSC_RATE_TOLERANCE = 6e-3
+# times between pictures vary where the mean rate differs from the most frequent one by more than this part; less comes
+# of printing them rounded
+UNEVEN_RATE_PART = 2e-3
+# rates beyond this are a time base, not a rate
+VIDEO_FPS_MAX = 1000.0
+# seconds after which looking at a video's header is given up
+VIDEO_PROBE_S = 60.0
+
 # containers of single films; playlists and lists of files would make the decoder open what they name
 _CONTAINERS = "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi,mpeg,mpegts,mpegvideo,h264,hevc,m4v,flv,asf,ogg,mxf,dv,gif"
 _SIZE = re.compile(r"[ ,](\d{1,7})x(\d{1,7})(?=[ ,\[]|$)")
@@ -69,23 +91,23 @@ def open_video(path: Path | str, fps: float | None = None, *, most: int | None =
         raise InputError(f"cannot read video {file}", came=str(error.strerror or error)) from error
     video = _described(file, _header(file), fps)
     count = video.frames or 0
-    if min(count, count if most is None else most) > limits.TRACK_FRAMES_MAX:
+    if min(count, count if most is None else most) > TRACK_FRAMES_MAX:
         raise InputError(
-            f"video {file}", wanted=f"at most {limits.TRACK_FRAMES_MAX} pictures", came=f"about {count}",
+            f"video {file}", wanted=f"at most {TRACK_FRAMES_MAX} pictures", came=f"about {count}",
             remedy="Cut it into shorter ones, or take its beginning with --most.",
         )  # fmt: skip
     return video
 
 
 def pictures(video: Video, notes: ReadingNotes | None = None, *, most: int | None = None) -> Iterator[np.ndarray]:
-    """The pictures of a video, (H, W, 3) uint8 sRGB, at most `most`, and never more than `limits.TRACK_FRAMES_MAX`.
+    """The pictures of a video, (H, W, 3) uint8 sRGB, at most `most`, and never more than `TRACK_FRAMES_MAX`.
 
     A damaged video gives those before the damage, and a sentence in `notes`; so does one that turns out to be too long.
     InputError when there is not one.
     """
     filters = [f"fps={video.fps:.9g}", f"scale={video.width}:{video.height}:flags=area", "setsar=1"]
     # one more than may be tells that there are more
-    wanted = min(limits.TRACK_FRAMES_MAX + 1, math.inf if most is None else most)
+    wanted = min(TRACK_FRAMES_MAX + 1, math.inf if most is None else most)
     command = [
         *_input(video.path), "-map", "0:V:0", "-an", "-sn", "-dn", "-vf", ",".join(filters), "-frames:v", str(wanted),
         "-f", "image2pipe", "-c:v", "ppm", "-",
@@ -95,7 +117,7 @@ def pictures(video: Video, notes: ReadingNotes | None = None, *, most: int | Non
     with tempfile.TemporaryFile() as log, _started(command, log) as process:
         assert process.stdout is not None
         while (picture := _next_picture(process.stdout, video)) is not None:
-            if count == limits.TRACK_FRAMES_MAX:
+            if count == TRACK_FRAMES_MAX:
                 sentence = f"{video.path} has more than {count} pictures: its first {count} were read."
                 break
             count += 1
@@ -120,7 +142,7 @@ def pictures(video: Video, notes: ReadingNotes | None = None, *, most: int | Non
 def _input(file: Path) -> list[str]:
     return [
         ffmpeg_program(), "-hide_banner", "-nostdin", "-loglevel", "error", "-protocol_whitelist", "file",
-        "-format_whitelist", _CONTAINERS, "-max_pixels", str(limits.VIDEO_PIXELS_MAX), "-i", f"file:{file.absolute()}",
+        "-format_whitelist", _CONTAINERS, "-max_pixels", str(VIDEO_PIXELS_MAX), "-i", f"file:{file.absolute()}",
     ]  # fmt: skip
 
 
@@ -129,12 +151,12 @@ def _header(file: Path) -> str:
     command = ["info" if word == "error" else word for word in _input(file)]
     try:
         done = subprocess.run(
-            command, capture_output=True, stdin=subprocess.DEVNULL, timeout=limits.VIDEO_PROBE_S, check=False
+            command, capture_output=True, stdin=subprocess.DEVNULL, timeout=VIDEO_PROBE_S, check=False
         )
     except subprocess.TimeoutExpired as error:
         raise InputError(
             f"video {file}", wanted="one whose header can be read",
-            came=f"nothing after {limits.VIDEO_PROBE_S:.0f} seconds",
+            came=f"nothing after {VIDEO_PROBE_S:.0f} seconds",
         ) from error  # fmt: skip
     except OSError as error:
         raise InputError("video", wanted="an ffmpeg program that starts", came=str(error.strerror or error)) from error
@@ -166,13 +188,13 @@ def _described(file: Path, header: str, fps: float | None) -> Video:
             remedy="Say the rate with --fps.",
         )  # fmt: skip
     used = _ntsc(rate) if fps is None and rate is not None else float(fps or 0)
-    if not limits.FPS_MIN <= used <= limits.VIDEO_FPS_MAX:
-        wanted = f"{limits.FPS_MIN:g} to {limits.VIDEO_FPS_MAX:g} frames per second"
+    if not limits.FPS_MIN <= used <= VIDEO_FPS_MAX:
+        wanted = f"{limits.FPS_MIN:g} to {VIDEO_FPS_MAX:g} frames per second"
         raise InputError(f"video {file}", wanted=wanted, came=f"{used:g}", remedy="Say the rate with --fps.")
     frames = _frames(header, used)
-    smaller = min(1.0, limits.TRACK_EDGE_PX / max(width, height))
+    smaller = min(1.0, TRACK_EDGE_PX / max(width, height))
     # a base that is no rate of pictures is the clock of times that vary
-    uneven = base is None or (rate is not None and abs(rate - base) > limits.UNEVEN_RATE_PART * base)
+    uneven = base is None or (rate is not None and abs(rate - base) > UNEVEN_RATE_PART * base)
     even_width, even_height = (max(2, 2 * round(edge * smaller / 2)) for edge in (width, height))
     lone = not re.search(r"Stream #.*: (Audio|Subtitle|Data): ", header)
     return Video(file, even_width, even_height, used, frames, lone, uneven, turned)
@@ -184,18 +206,18 @@ def _size(file: Path, film: str) -> tuple[int, int]:
     if found is None:
         raise InputError(f"video {file}", wanted="the size of its pictures", came="none in its header")
     coded = int(found[1]), int(found[2])
-    shortest, longest = limits.VIDEO_EDGE_MIN_PX, limits.VIDEO_EDGE_MAX_PX
+    shortest, longest = VIDEO_EDGE_MIN_PX, VIDEO_EDGE_MAX_PX
     fits = shortest <= min(coded) and max(coded) <= longest
-    if not fits or coded[0] * coded[1] > limits.VIDEO_PIXELS_MAX:
+    if not fits or coded[0] * coded[1] > VIDEO_PIXELS_MAX:
         raise InputError(
             f"video {file}",
-            wanted=f"pictures of {shortest} to {longest} pixels each way and at most {limits.VIDEO_PIXELS_MAX} in all",
+            wanted=f"pictures of {shortest} to {longest} pixels each way and at most {VIDEO_PIXELS_MAX} in all",
             came=f"{coded[0]} x {coded[1]}",
         )
     width, height = coded[0] * _pixel_width(film), coded[1]
-    if max(width, height) > limits.VIDEO_ASPECT_MAX * min(width, height):
+    if max(width, height) > VIDEO_ASPECT_MAX * min(width, height):
         raise InputError(
-            f"video {file}", wanted=f"pictures at most {limits.VIDEO_ASPECT_MAX:g} times as long as wide",
+            f"video {file}", wanted=f"pictures at most {VIDEO_ASPECT_MAX:g} times as long as wide",
             came=f"{width:.0f} x {height}",
         )  # fmt: skip
     return max(1, round(width)), height
@@ -219,12 +241,12 @@ def _rate(film: str, name: str) -> float | None:
     if not found:
         return None
     rate = float(found[1]) * (1000 if found[2] else 1)
-    return rate if 0 < rate <= limits.VIDEO_FPS_MAX else None
+    return rate if 0 < rate <= VIDEO_FPS_MAX else None
 
 
 def _ntsc(rate: float) -> float:
     """29.97 is printed where 30000/1001 is meant; over an hour the difference is a frame."""
-    near = [exact for exact in NTSC_RATES if abs(rate - exact) < limits.NTSC_RATE_TOLERANCE]
+    near = [exact for exact in NTSC_RATES if abs(rate - exact) < NTSC_RATE_TOLERANCE]
     return near[0] if near else rate
 
 

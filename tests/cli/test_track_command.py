@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from tracking_samples import CANONICAL_M, FPS, HEIGHT, WIDTH, right_joints_m, seen, sight
 
-from jghand_engine import limits
 from jghand_engine.cli import main
 from jghand_engine.cli.camera_file import read_camera
 from jghand_engine.export.pictures import read_png
@@ -16,7 +15,7 @@ from jghand_engine.export.video import write_video
 from jghand_engine.hand.anatomy import ArticulatedHand
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.motion.read import read_motion_file
-from jghand_engine.track import mediapipe_hands, model_file
+from jghand_engine.track import hands_over_time, mediapipe_hands, model_file
 from jghand_engine.track import track as module
 
 imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg", reason="the extra `video` is not installed")
@@ -232,7 +231,7 @@ def test_one_picture_has_no_jitter_to_tell(film, sees, right, tmp_path, capsys):
 def test_a_hand_that_is_hardly_ever_seen_is_told_and_not_written(
     film, sees, right, left, tmp_path, capsys, monkeypatch
 ):
-    monkeypatch.setattr(limits, "HAND_SEEN_PART_MIN", 0.5)
+    monkeypatch.setattr(hands_over_time, "HAND_SEEN_PART_MIN", 0.5)
     frames = [a + (b if k < 4 else []) for k, (a, b) in enumerate(zip(right, left, strict=True))]
     sees(frames)
     assert track(film, tmp_path / "motion.npz") == 0

@@ -6,9 +6,9 @@ import time
 import numpy as np
 import pytest
 
-from jghand_engine import limits
 from jghand_engine.errors import InputError
 from jghand_engine.export.video import ffmpeg_program, write_video
+from jghand_engine.track import video
 from jghand_engine.track.video import ReadingNotes, open_video, pictures
 
 pytest.importorskip("imageio_ffmpeg", reason="the extra `video` is not installed")
@@ -70,12 +70,12 @@ def test_a_list_that_names_other_files_is_not_followed(film, tmp_path, text):
 
 
 def test_absurd_sizes_are_refused_before_a_picture_is_decoded(film, monkeypatch):
-    monkeypatch.setattr(limits, "VIDEO_EDGE_MAX_PX", 60)
+    monkeypatch.setattr(video, "VIDEO_EDGE_MAX_PX", 60)
     refused(film, "64 x 48")
 
 
 def test_too_many_pictures(film, monkeypatch):
-    monkeypatch.setattr(limits, "TRACK_FRAMES_MAX", 5)
+    monkeypatch.setattr(video, "TRACK_FRAMES_MAX", 5)
     refused(film, "at most 5 pictures")
     assert len(list(pictures(open_video(film, most=4), most=4))) == 4, "its beginning can be had"
 
@@ -84,7 +84,7 @@ def test_too_many_pictures_of_a_film_that_does_not_say_how_many(film, tmp_path, 
     raw = tmp_path / "raw.h264"
     command = [ffmpeg_program(), "-loglevel", "error", "-i", str(film), "-c", "copy", str(raw)]
     subprocess.run(command, check=True, stdin=subprocess.DEVNULL)
-    monkeypatch.setattr(limits, "TRACK_FRAMES_MAX", 5)
+    monkeypatch.setattr(video, "TRACK_FRAMES_MAX", 5)
     notes = ReadingNotes()
     assert len(list(pictures(open_video(raw), notes))) == 5
     assert "more than 5 pictures: its first 5 were read" in notes.sentences[0]

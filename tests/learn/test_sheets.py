@@ -7,12 +7,12 @@ import pytest
 import torch
 from picture_sets import LEFT, RIGHT, recorded, write_set
 
-from jghand_engine import limits
 from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.captures.masks import template_mask
 from jghand_engine.errors import InputError
 from jghand_engine.learn import sheets
 from jghand_engine.learn.evaluate import measure_pictures
+from jghand_engine.learn.sheets import SHEET_DIFFERENCE_FULL, SHEET_STEPS_BETWEEN
 
 
 @pytest.fixture(scope="module", params=[RIGHT, LEFT], ids=str)
@@ -73,7 +73,7 @@ def test_poses_in_between_have_a_row_for_each_avatar(capture):
     pairs = sheets.pairs_of(capture.samples, 1)
     one = sheets.between_sheet(pairs, one_camera(capture), {"a": draw}, "title")
     two = sheets.between_sheet(pairs, one_camera(capture), {"a": draw, "b": draw}, "title")
-    assert rows_and_columns(one)[1] == limits.SHEET_STEPS_BETWEEN + 2
+    assert rows_and_columns(one)[1] == SHEET_STEPS_BETWEEN + 2
     assert two.shape[0] > 1.7 * one.shape[0] - 100
 
 
@@ -109,7 +109,7 @@ def test_no_pose_is_used_twice_and_one_pose_is_not_enough(capture):
 
 
 def test_heat_goes_from_the_ground_to_dark_without_going_back():
-    values = sheets.heat(np.linspace(0, 2 * limits.SHEET_DIFFERENCE_FULL, 50)[None])[0]
+    values = sheets.heat(np.linspace(0, 2 * SHEET_DIFFERENCE_FULL, 50)[None])[0]
     gray = values @ [0.3, 0.6, 0.1]
     assert (np.diff(gray) <= 1e-12).all()
     np.testing.assert_allclose(values[0], sheets._GROUND)

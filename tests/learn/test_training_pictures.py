@@ -11,8 +11,8 @@ from small_hands import joints_of
 from jghand_engine.captures.sample import load_picture
 from jghand_engine.errors import InputError
 from jghand_engine.learn import pictures as pictures_module
-from jghand_engine.learn.pictures import Pictures, View, coarser
-from jghand_engine.limits import CROP_MARGIN_PX, SSIM_WINDOW_PX
+from jghand_engine.learn.pictures import CROP_MARGIN_PX, Pictures, View, coarser
+from jghand_engine.native.tasks import SSIM_WINDOW_PX
 
 SIZE = (120, 90)
 

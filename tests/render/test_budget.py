@@ -10,6 +10,7 @@ import pytest
 from small_avatars import small_avatar, trained_avatar
 
 from jghand_engine import limits
+from jghand_engine.color import PSNR_MAX_DB
 from jghand_engine.errors import InputError
 from jghand_engine.render import budget, profile
 from jghand_engine.render.budget import best_for, candidates, choose, measure_quickly
@@ -174,7 +175,7 @@ def test_two_seconds_tell_times_and_accuracies():
     offered = {"reference": PRESETS["reference"], "coarse": RenderSettings(alpha_min=0.2, shadow=ShadowMode.OFF)}
     measured = measure_quickly(moving_subject("small", avatar, *SIZE), offered, threads=1, seconds=0.0)
     reference, coarse = measured.rows
-    assert reference.psnr_db == limits.PSNR_MAX_DB
+    assert reference.psnr_db == PSNR_MAX_DB
     assert 10 < coarse.psnr_db < 60
     assert all(0 < row.median_ms <= row.p95_ms for row in measured.rows)
     assert coarse.settings is offered["coarse"]

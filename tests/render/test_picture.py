@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from jghand_engine import limits
-from jghand_engine.color import decibels
+from jghand_engine.color import PSNR_MAX_DB, decibels
 from jghand_engine.learn.reference import Picture
 from jghand_engine.learn.shadow import normalized_depth
 
@@ -43,6 +43,6 @@ def test_depth_is_the_mean_of_what_covers_a_pixel_where_enough_does():
 def test_decibels_count_tenfold_errors_and_end_at_a_cap():
     assert [decibels(10.0**-n) for n in range(4)] == pytest.approx([0, 10, 20, 30])
     assert decibels(4.0) == pytest.approx(-6.0206, abs=1e-4)
-    cap = limits.PSNR_MAX_DB
+    cap = PSNR_MAX_DB
     assert decibels(0.0) == decibels(10 ** (-cap / 10) / 2) == cap
     assert decibels(2 * 10 ** (-cap / 10)) == pytest.approx(cap - 10 * math.log10(2))

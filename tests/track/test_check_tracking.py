@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from tracking_samples import CAMERA, CANONICAL_M, HEIGHT, WIDTH, right_joints_m, sight
 
-from jghand_engine import limits
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.track import fit
 from jghand_engine.track.track import MOTION_FROM_CAMERA
 
 sys.path.insert(0, str(Path(__file__).parents[2] / "scripts"))
@@ -73,10 +73,10 @@ def test_gaps_that_are_made_in_a_steady_motion_are_filled_with_it(monkeypatch):
 
 
 def test_limits_that_a_measurement_changes_are_put_back_after_an_error():
-    before = limits.FIT_GAP_S, limits.FIT_REACH_S
+    before = fit.FIT_GAP_S, fit.FIT_REACH_S
     with pytest.raises(ZeroDivisionError), check_tracking.gaps_filled_by_the_fit(by_fit=True):
         raise ZeroDivisionError
-    assert before == (limits.FIT_GAP_S, limits.FIT_REACH_S)
+    assert before == (fit.FIT_GAP_S, fit.FIT_REACH_S)
 
 
 def test_tables_are_put_into_the_page_between_its_marks(tmp_path, monkeypatch):

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jghand_engine import limits
 from jghand_engine.errors import InputError
 from jghand_engine.export.video import ffmpeg_program, write_video
+from jghand_engine.track import video as video_module
 from jghand_engine.track.video import ReadingNotes, open_video, pictures
 
 pytest.importorskip("imageio_ffmpeg", reason="the extra `video` is not installed")
@@ -115,7 +115,7 @@ def test_another_rate_takes_fewer_pictures(tmp_path):
 
 
 def test_large_pictures_are_made_smaller(tmp_path, monkeypatch):
-    monkeypatch.setattr(limits, "TRACK_EDGE_PX", 32)
+    monkeypatch.setattr(video_module, "TRACK_EDGE_PX", 32)
     video = open_video(film(tmp_path / "a.mp4"))
     assert (video.width, video.height) == (32, 24)
     assert next(iter(pictures(video))).shape == (24, 32, 3)
@@ -180,7 +180,7 @@ def test_a_film_that_turns_out_to_be_too_long_is_read_from_its_beginning_and_tha
     tmp_path, monkeypatch, most, told
 ):
     video = open_video(film(tmp_path / "a.mp4"), most=most)
-    monkeypatch.setattr(limits, "TRACK_FRAMES_MAX", 10)
+    monkeypatch.setattr(video_module, "TRACK_FRAMES_MAX", 10)
     notes = ReadingNotes()
     assert len(list(pictures(video, notes, most=most))) == min(most or 10, 10)
     assert notes.sentences == ([f"{video.path} has more than 10 pictures: its first 10 were read."] if told else [])

@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 from tracking_samples import CAMERA, CANONICAL_M, FPS, moving_poses
 
-from jghand_engine import limits
 from jghand_engine.hand.orders import bone_lengths
 from jghand_engine.hand.sequence import bone_directions
 from jghand_engine.track import fit as fit_module
 from jghand_engine.track.figures import FINGER_BONES, angles_between_deg, directions_in_palm, jitter_deg, lag_ms
-from jghand_engine.track.fit import _parts, fit
+from jghand_engine.track.fit import FIT_GAP_S, _parts, fit
 from jghand_engine.track.look import Trust, View
 from jghand_engine.track.poses import Landmarks, Poses
 from jghand_engine.track.skeleton import LIMITS_RAD, Skeleton
@@ -75,8 +74,8 @@ def test_bones_keep_their_lengths_and_joints_their_limits(truth_m):
 @pytest.mark.parametrize("gap_s", [0.0, 1.0])
 def test_a_gap_is_closed_along_what_is_around_it(truth_m, monkeypatch, gap_s):
     """Evenly between ends that know nothing of each other, and by the fit."""
-    monkeypatch.setattr(limits, "FIT_GAP_S", gap_s)
-    monkeypatch.setattr(limits, "FIT_REACH_S", gap_s)
+    monkeypatch.setattr(fit_module, "FIT_GAP_S", gap_s)
+    monkeypatch.setattr(fit_module, "FIT_REACH_S", gap_s)
     gone = landmarks(truth_m)
     gone.image_px[25:31] = np.nan
     found = fit(SKELETON, gone).joints_m(SKELETON)
@@ -105,8 +104,8 @@ def test_single_wrong_landmarks_do_not_pull_the_hand_along(truth_m):
 def test_parts_of_a_long_video_meet_without_a_seam(truth_m, monkeypatch):
     noisy = landmarks(truth_m, noise_px=2.0, noise_rad=0.1)
     whole = fit(SKELETON, noisy).joints_m(SKELETON)
-    monkeypatch.setattr(limits, "FIT_WINDOW_FRAMES", 20)
-    monkeypatch.setattr(limits, "FIT_MARGIN_S", 15 / FPS)
+    monkeypatch.setattr(fit_module, "FIT_WINDOW_FRAMES", 20)
+    monkeypatch.setattr(fit_module, "FIT_MARGIN_S", 15 / FPS)
     parts = fit(SKELETON, noisy).joints_m(SKELETON)
     # worst seen 0.15 degrees; what is farther away than the margin hardly matters
     assert errors_deg(parts, whole).max() < 0.3
@@ -116,7 +115,7 @@ def test_parts_of_a_fast_film_and_of_a_smoother_motion_reach_farther_around(monk
     noisy = replace(landmarks(moving_poses(600, 60.0).joints_m(SKELETON), noise_px=4.0, noise_rad=0.3), fps=60.0)
     trust = Trust(smoothing=4.0)
     whole = fit(SKELETON, noisy, trust)
-    monkeypatch.setattr(limits, "FIT_WINDOW_FRAMES", 2)
+    monkeypatch.setattr(fit_module, "FIT_WINDOW_FRAMES", 2)
     differ = np.degrees(np.abs(fit(SKELETON, noisy, trust).angle_rad - whole.angle_rad))
     assert 0 < differ.max() < 1e-4, "seen: 5.3e-6 degrees; with 60 frames around each part 0.6"
 
@@ -189,7 +188,7 @@ def test_what_is_seen_before_and_after_a_gap_helps_each_other_although_the_gap_i
     there = np.arange(150) % 15 < 2
     noisy.image_px[~there] = np.nan
     together = fit(SKELETON, noisy)
-    monkeypatch.setattr(limits, "FIT_REACH_S", 0.0)
+    monkeypatch.setattr(fit_module, "FIT_REACH_S", 0.0)
     alone = errors_deg(fit(SKELETON, noisy).joints_m(SKELETON), joints)
     error = errors_deg(together.joints_m(SKELETON), joints)
     assert error[there].mean() < 0.9 * alone[there].mean(), "seen: 0.8"
@@ -198,13 +197,13 @@ def test_what_is_seen_before_and_after_a_gap_helps_each_other_although_the_gap_i
     np.testing.assert_allclose(together.angle_rad, evenly.angle_rad, atol=1e-12)
 
 
-@pytest.mark.parametrize("gap_s", [0.1, limits.FIT_GAP_S])
+@pytest.mark.parametrize("gap_s", [0.1, FIT_GAP_S])
 @pytest.mark.parametrize(("begin", "end"), [(85, 97), (88, 100), (95, 125), (50, 270), (89, 91), (88, 92)])
 def test_where_a_gap_lies_between_parts_of_a_long_video_there_is_no_seam(monkeypatch, begin, end, gap_s):
     """Gaps about the 90th frame, at which a part ends; one of them longer than a part with all that is around it."""
-    monkeypatch.setattr(limits, "FIT_GAP_S", gap_s)
-    monkeypatch.setattr(limits, "FIT_WINDOW_FRAMES", 90)
-    monkeypatch.setattr(limits, "FIT_MARGIN_S", 20 / FPS)
+    monkeypatch.setattr(fit_module, "FIT_GAP_S", gap_s)
+    monkeypatch.setattr(fit_module, "FIT_WINDOW_FRAMES", 90)
+    monkeypatch.setattr(fit_module, "FIT_MARGIN_S", 20 / FPS)
     truth = still(300, way_m=0.3)
     found = fit(SKELETON, away(truth.joints_m(SKELETON), begin, end))
     steps = np.linalg.norm(np.diff(found.place_m, axis=0), axis=1)
@@ -214,7 +213,7 @@ def test_where_a_gap_lies_between_parts_of_a_long_video_there_is_no_seam(monkeyp
 
 
 def test_parts_of_a_long_video_end_where_the_hand_is_seen(monkeypatch):
-    monkeypatch.setattr(limits, "FIT_WINDOW_FRAMES", 20)
+    monkeypatch.setattr(fit_module, "FIT_WINDOW_FRAMES", 20)
     random = np.random.default_rng(0)
     for _ in range(50):
         seen = np.flatnonzero(random.random(150) < random.uniform(0.1, 1))

@@ -10,9 +10,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from jghand_engine import limits
 from jghand_engine.errors import InputError
 from jghand_engine.render.camera import Camera
+
+CAMERAS_MAX = 500
+# edges of a picture, pixels: below nothing is seen of a hand, above Cycles takes minutes a picture
+SIZE_PX = (16, 4096)
+# distance from the middle of the hands, meters: like the stages of the data sets
+DISTANCE_M = (0.8, 1.1)
+# largest roll about the viewing direction, degrees
+ROLL_DEG = 12.0
+# part of the picture left free on each side of all poses
+MARGIN = 0.03
+# height of the viewing direction beyond which it is steep, and the picture's upper edge is no longer the fingers' way
+STEEP = 0.85
+# close-ups: distance, and what the shorter edge of the picture shows there, meters: about two fingers' lengths
+CLOSE_M = 0.45
+CLOSE_FIELD_M = 0.11
 
 # the golden angle: points of a Fibonacci sphere
 _GOLDEN_ANGLE = np.pi * (3 - 5**0.5)
@@ -33,11 +47,11 @@ class CameraPlan:
 
     def check(self) -> None:
         """InputError names what cannot be."""
-        if not 1 <= self.count <= limits.CAPTURE_CAMERAS_MAX:
-            raise InputError("cameras of a capture", wanted=f"1 to {limits.CAPTURE_CAMERAS_MAX}", came=str(self.count))
+        if not 1 <= self.count <= CAMERAS_MAX:
+            raise InputError("cameras of a capture", wanted=f"1 to {CAMERAS_MAX}", came=str(self.count))
         if not 0 <= self.close_ups < self.count:
             raise InputError("close-ups", wanted=f"0 to {self.count - 1} of {self.count}", came=str(self.close_ups))
-        low, high = limits.CAPTURE_SIZE_PX
+        low, high = SIZE_PX
         if not (low <= self.width <= high and low <= self.height <= high):
             raise InputError("picture", wanted=f"edges of {low} to {high} pixels", came=f"{self.width}x{self.height}")
 
@@ -52,18 +66,18 @@ def plan_cameras(plan: CameraPlan, vertices_m: np.ndarray, joints_m: np.ndarray)
     points = vertices_m.reshape(-1, 3)
     center = (points.min(0) + points.max(0)) / 2
     whole = plan.count - plan.close_ups
-    reach = limits.CAPTURE_DISTANCE_M
+    reach = DISTANCE_M
     cameras = []
     for direction in sphere_directions(whole, float(random.uniform(0, 2 * np.pi))):
         eye = center + random.uniform(*reach) * direction
-        roll = np.radians(random.uniform(-1, 1) * limits.CAPTURE_ROLL_DEG)
+        roll = np.radians(random.uniform(-1, 1) * ROLL_DEG)
         cameras.append(framed(_towards(eye, center, roll, plan), points))
     for number, direction in enumerate(sphere_directions(plan.close_ups, float(random.uniform(0, 2 * np.pi)))):
         target = np.median(joints_m[:, _CLOSE_UPS[number % len(_CLOSE_UPS)]].reshape(-1, 3), axis=0)
         # a close-up from the tips or from the wrist shows little
         direction = direction * [1.0, 0.5, 1.0]
-        eye = target + limits.CAPTURE_CLOSE_M * direction / np.linalg.norm(direction)
-        focal = min(plan.width, plan.height) * limits.CAPTURE_CLOSE_M / limits.CAPTURE_CLOSE_FIELD_M
+        eye = target + CLOSE_M * direction / np.linalg.norm(direction)
+        focal = min(plan.width, plan.height) * CLOSE_M / CLOSE_FIELD_M
         cameras.append(replace(_towards(eye, target, 0.0, plan), fx=focal, fy=focal))
     return cameras
 
@@ -81,7 +95,7 @@ def framed(camera: Camera, points_m: np.ndarray) -> Camera:
     seen = points_m @ camera.camera_from_world[:3, :3].T + camera.camera_from_world[:3, 3]
     slopes = seen[:, :2] / seen[:, 2:]
     low, high = slopes.min(0), slopes.max(0)
-    room = (1 - 2 * limits.CAPTURE_MARGIN) * np.array([camera.width, camera.height])
+    room = (1 - 2 * MARGIN) * np.array([camera.width, camera.height])
     focal = float((room / (high - low)).min())
     cx, cy = np.array([camera.width, camera.height]) / 2 - focal * (low + high) / 2
     return replace(camera, fx=focal, fy=focal, cx=float(cx), cy=float(cy))
@@ -91,7 +105,7 @@ def _towards(eye: np.ndarray, target: np.ndarray, roll_rad: float, plan: CameraP
     """A camera without a focal length yet, the fingers upwards in the picture where that can be."""
     forward = (target - eye) / np.linalg.norm(target - eye)
     # from above and from below: the palm towards the lower edge
-    up = np.array([0.0, 1.0, 0.0]) if abs(forward[1]) < limits.CAPTURE_STEEP else np.array([0.0, 0.0, -1.0])
+    up = np.array([0.0, 1.0, 0.0]) if abs(forward[1]) < STEEP else np.array([0.0, 0.0, -1.0])
     right = np.cross(forward, up)
     right /= np.linalg.norm(right)
     up = np.cos(roll_rad) * np.cross(right, forward) + np.sin(roll_rad) * right

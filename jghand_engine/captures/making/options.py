@@ -9,10 +9,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from jghand_engine import limits
 from jghand_engine.captures.making.look import HDRI_NAMES, Light, Sampling, SkinMaterial
+from jghand_engine.captures.making.poses import POSES_MAX
 from jghand_engine.errors import InputError
 from jghand_engine.hand.sequence import PoseSequence
+
+# rays per pixel: 1 is a test, beyond the most the denoiser has nothing left to do
+SAMPLES = (1, 4096)
 
 
 @dataclass(frozen=True)
@@ -37,13 +40,13 @@ class CaptureOptions:
 
     def check(self) -> None:
         """InputError names what cannot be; what other rooms check is left to them."""
-        least, most = limits.CAPTURE_SAMPLES
+        least, most = SAMPLES
         watts = [lamp.watts for lamp in self.light.lamps] or [0.0]
         checks = (
             ("samples", least <= self.sampling.samples <= most, f"{least} to {most} rays per pixel"),
             ("wrist turn", 0 <= self.wrist_turn_deg <= 180, "0 to 180 degrees"),
             ("seed", self.seed >= 0, "0 or a positive number"),
-            ("poses of a capture", 1 <= self.poses <= limits.CAPTURE_POSES_MAX, f"1 to {limits.CAPTURE_POSES_MAX}"),
+            ("poses of a capture", 1 <= self.poses <= POSES_MAX, f"1 to {POSES_MAX}"),
             ("subdivisions", 0 <= self.sampling.subdivisions <= 4, "0 to 4"),
             ("strength of the environment", 0 <= self.light.hdri_strength < math.inf, "0 or more"),
             ("turn of the environment", math.isfinite(self.light.hdri_turn_deg), "degrees"),

@@ -24,7 +24,6 @@ import numpy as np
 import torch
 from PIL import Image
 
-from jghand_engine import limits
 from jghand_engine.captures.interhand_writer import RecordedHand, interhand_texts, write_interhand
 from jghand_engine.captures.making.cameras import CameraPlan, plan_cameras
 from jghand_engine.captures.making.identities import identity_name, load_identity
@@ -41,6 +40,10 @@ from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.npz_files import read_arrays
 from jghand_engine.render.camera import Camera
+
+# every so manieth pose, and one of so many cameras, is kept for the test
+EVERY_POSE = 5
+EVERY_CAMERA = 6
 
 FORMAT = 1
 FOLDER = "plan"
@@ -117,9 +120,9 @@ class CapturePlan:
         """Which poses and cameras are kept for the test; see datasets/splits.py."""
         frames = list(range(len(self.joints_m)))
         names = list(self.record.cameras)
-        tests = len(names) // limits.CAPTURE_EVERY_CAMERA
+        tests = len(names) // EVERY_CAMERA
         chosen = {names[int((k + 0.5) * len(names) / tests)] for k in range(tests)}
-        test_frames = frames[limits.CAPTURE_EVERY_POSE - 1 :: limits.CAPTURE_EVERY_POSE]
+        test_frames = frames[EVERY_POSE - 1 :: EVERY_POSE]
         return {
             "format": SPLITS_FORMAT, "test_frames": {self.record.sequence: test_frames}, "test_cameras": sorted(chosen)
         }  # fmt: skip

@@ -11,12 +11,31 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jghand_engine import limits
 from jghand_engine.captures.making.letters import LETTER_CONTACTS, LETTERS_DEG
 from jghand_engine.captures.making.rig import RiggedHand, segment_gap
 from jghand_engine.errors import InputError
 from jghand_engine.hand.anatomy import RANGES_DEG, Contact, minimum_jerk, pose_names
 from jghand_engine.hand.joints import FINGERS, PARENTS
+
+# poses of one capture: beyond it the choice of varied ones takes minutes
+POSES_MAX = 5000
+# transitions and random poses to choose from: so many for every pose, and at least
+CANDIDATES = 4
+CANDIDATES_LEAST = 200
+# part of a range that an extreme pose uses: people reach the ends of a table of ranges one joint at a time
+EXTREME_PART = 0.95
+# largest delay of a finger in a transition, as a part of it
+FINGER_DELAY = 0.25
+# standard deviation of what is added to angles so that no shape is made twice alike, degrees
+VARIATION_DEG = 4.0
+# how far a finger of a random pose may leave the others, as a part of the range
+FINGER_FREEDOM = 0.45
+# DIP flexion that a PIP flexion brings along, and what is left to the finger, degrees (one standard deviation)
+DIP_OF_PIP = 0.62
+DIP_LOOSE_DEG = 7.0
+# bones of random poses stay this part of the hand's length (wrist to middle tip) apart: about 11 mm, a little less than
+# a finger is thick, because skin gives way
+GAP_PART = 0.062
 
 # transitions start and end at these: the shapes that hands really pass between
 _WAYS = ("open", "relaxed", "fist", "spread", "point", "victory", "pinch", "grasp", "claw", "table", "thumb_up", "flat")
@@ -38,10 +57,10 @@ class Poses:
 
 def varied_poses(hand: RiggedHand, count: int, seed: int) -> Poses:
     """`count` different poses of `hand`, the same for the same seed. InputError for a count that is no count."""
-    if not 1 <= count <= limits.CAPTURE_POSES_MAX:
-        raise InputError("poses of a capture", wanted=f"1 to {limits.CAPTURE_POSES_MAX}", came=str(count))
+    if not 1 <= count <= POSES_MAX:
+        raise InputError("poses of a capture", wanted=f"1 to {POSES_MAX}", came=str(count))
     random = np.random.default_rng(seed)
-    spare = limits.CAPTURE_CANDIDATES * count + limits.CAPTURE_CANDIDATES_LEAST
+    spare = CANDIDATES * count + CANDIDATES_LEAST
     kinds = [
         named_poses(hand),
         _eased(hand, extreme_poses()),
@@ -87,7 +106,7 @@ def extreme_poses() -> Poses:
     low, high = RANGES_DEG[..., 0], RANGES_DEG[..., 1]
     rest = np.zeros((5, 4))
     rest[1:, 2:] = (6, 4)
-    most = limits.CAPTURE_EXTREME_PART
+    most = EXTREME_PART
     # a thumb cannot bend into fingers that are bent themselves
     bent, straight = most * high, most * low
     bent[:, 1], straight[:, 1] = 0, 0
@@ -122,9 +141,9 @@ def transition_poses(hand: RiggedHand, count: int, random: np.random.Generator) 
     shapes = {}
     for number in range(count):
         start, end = pairs[random.integers(len(pairs))]
-        delay = random.uniform(0, limits.CAPTURE_FINGER_DELAY, (5, 1))
+        delay = random.uniform(0, FINGER_DELAY, (5, 1))
         part = minimum_jerk((random.uniform(0.2, 0.8) - delay) / (1 - delay))
-        noise = limits.CAPTURE_VARIATION_DEG * random.standard_normal((5, 4))
+        noise = VARIATION_DEG * random.standard_normal((5, 4))
         shapes[f"{start}_to_{end}_{number}"] = solved[start] + (solved[end] - solved[start]) * part + noise
     return _of(shapes)
 
@@ -133,14 +152,14 @@ def random_poses(count: int, random: np.random.Generator) -> Poses:
     """Poses from anywhere in the ranges: the fingers somewhat alike, DIP coupled to PIP as tendons couple them."""
     low, high = RANGES_DEG[..., 0], RANGES_DEG[..., 1]
     together, alone = random.random((count, 1, 4)), random.random((count, 5, 4))
-    part = np.clip(together + limits.CAPTURE_FINGER_FREEDOM * (alone - 0.5) * 2, 0, 1)
+    part = np.clip(together + FINGER_FREEDOM * (alone - 0.5) * 2, 0, 1)
     # joints are seldom bent backwards: start the flexions near straight
     start = np.maximum(low, [-8, -100, -100, -100])
     angles = start + part * (high - start)
     angles[:, 1:, 1] = random.normal(2, 8, (count, 4))
     angles[:, 0] = low[0] + random.beta(1.6, 1.8, (count, 4)) * (high[0] - low[0])
-    loose = limits.CAPTURE_DIP_LOOSE_DEG * random.standard_normal((count, 4))
-    angles[:, 1:, 3] = limits.CAPTURE_DIP_OF_PIP * angles[:, 1:, 2] + loose
+    loose = DIP_LOOSE_DEG * random.standard_normal((count, 4))
+    angles[:, 1:, 3] = DIP_OF_PIP * angles[:, 1:, 2] + loose
     return Poses(tuple(f"random_{number}" for number in range(count)), _clipped(angles))
 
 
@@ -160,7 +179,7 @@ def _apart(hand: RiggedHand, poses: Poses) -> Poses:
     """Those whose fingers do not run through one another or into the palm."""
     joints_m = hand.joints(poses.angles_deg)
     middle = np.linalg.norm(np.diff(hand.identity.joints_m[[0, 3, 8, 13, 18]], axis=0), axis=1).sum()
-    good = np.flatnonzero(gap_m(joints_m) >= limits.CAPTURE_GAP_PART * middle)
+    good = np.flatnonzero(gap_m(joints_m) >= GAP_PART * middle)
     return Poses(tuple(poses.names[place] for place in good), poses.angles_deg[good])
 
 
@@ -170,7 +189,7 @@ def _eased(hand: RiggedHand, poses: Poses) -> Poses:
 
 def _varied(poses: Poses, random: np.random.Generator) -> Poses:
     """The same poses a little different: nobody makes a shape twice alike."""
-    noise = limits.CAPTURE_VARIATION_DEG / 2 * random.standard_normal(poses.angles_deg.shape)
+    noise = VARIATION_DEG / 2 * random.standard_normal(poses.angles_deg.shape)
     return Poses(poses.names, _clipped(poses.angles_deg + noise))
 
 

@@ -12,18 +12,35 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from jghand_engine import limits
 from jghand_engine.captures.making.identities import METACARPAL_BASES, RIG_JOINTS, Identity, joints21
 from jghand_engine.hand import rotations as rot
 from jghand_engine.hand.anatomy import CONTACTS, RANGES_DEG, ArticulatedHand, named_angles
 from jghand_engine.hand.joints import FINGERS
 from jghand_engine.hand.sequence import alignment
 
+# largest turn of the metacarpals of index, middle, ring and pinky, degrees: the first two hardly move, the others make
+# the hollow of the palm (6 and 12: DATA 4)
+CUP_DEG = (0.5, 1.0, 6.0, 12.0)
+# part of it for a finger that is fully bent at its knuckle, for a thumb wholly across the palm, and for a hand at rest
+CUP_FLEXION = 0.65
+CUP_OPPOSITION = 0.30
+CUP_REST = 0.05
+# how far below flat a stretched finger may press its metacarpal, as a part of the largest turn
+CUP_FLATTEN = 0.25
+# the last two bones of a bent finger stay this part of the hand's length away from the metacarpals: finger tips then
+# lie on the palm; judged by eye on pictures of fists
+PALM_GAP_PART = 0.075
+# flexions are scaled down to this for it, at most, in so many steps
+EASE_MOST = 0.7
+EASE_STEPS = 31
+# rounds of alternating projection for the gap between two bones
+GAP_ROUNDS = 8
+
 # first joint of each finger in the rig: thumb CMC, MCP of the others
 FIRST_JOINTS = (1, 6, 11, 16, 21)
 # wrist, thumb CMC, index and middle MCP: what cupping does not move
 STIFF_PALM = slice(0, 4)
-CUP_LARGEST_DEG = np.array(limits.CAPTURE_CUP_DEG)
+CUP_LARGEST_DEG = np.array(CUP_DEG)
 
 
 @dataclass(frozen=True)
@@ -76,11 +93,11 @@ class RiggedHand(ArticulatedHand):
 
         Each finger's three flexions are scaled by one factor, the largest of a fixed series that leaves room.
         """
-        factors = np.linspace(1.0, limits.CAPTURE_EASE_MOST, limits.CAPTURE_EASE_STEPS)
+        factors = np.linspace(1.0, EASE_MOST, EASE_STEPS)
         trials = np.repeat(angles_deg[None], len(factors), axis=0)
         flexions = np.ix_(range(len(factors)), range(1, 5), (0, 2, 3))
         trials[flexions] = trials[flexions] * factors[:, None, None]
-        free = palm_gaps_m(self.joints(trials)) >= limits.CAPTURE_PALM_GAP_PART * self._length_m
+        free = palm_gaps_m(self.joints(trials)) >= PALM_GAP_PART * self._length_m
         # where no factor is enough the last one is the best there is
         chosen = np.where(free.any(axis=0), free.argmax(axis=0), len(factors) - 1)
         eased = angles_deg.copy()
@@ -121,8 +138,8 @@ class RiggedHand(ArticulatedHand):
         bend and when the thumb comes across, and flattens when they stretch."""
         bent = (angles_deg[:, 1:, 0] / RANGES_DEG[1:, 0, 1]).clip(-1, 1)
         across = (angles_deg[:, :1, 0] / RANGES_DEG[0, 0, 1]).clip(0, 1)
-        amount = limits.CAPTURE_CUP_FLEXION * bent + limits.CAPTURE_CUP_OPPOSITION * across + limits.CAPTURE_CUP_REST
-        cup = np.radians(CUP_LARGEST_DEG) * amount.clip(-limits.CAPTURE_CUP_FLATTEN, 1)
+        amount = CUP_FLEXION * bent + CUP_OPPOSITION * across + CUP_REST
+        cup = np.radians(CUP_LARGEST_DEG) * amount.clip(-CUP_FLATTEN, 1)
         bones = self.identity.joints25_m[[base + 1 for base in METACARPAL_BASES]]
         bones = bones - self.identity.joints25_m[list(METACARPAL_BASES)]
         # positive rotation about cross(bone, out of the palm) is flexion
@@ -172,7 +189,7 @@ def segment_gap(a0: np.ndarray, a1: np.ndarray, b0: np.ndarray, b1: np.ndarray) 
     a, b = a1 - a0, b1 - b0
     on_b = np.full(a.shape[:-1], 0.5)
     on_a = on_b
-    for _ in range(limits.CAPTURE_GAP_ROUNDS):
+    for _ in range(GAP_ROUNDS):
         on_a = (((b0 + on_b[..., None] * b - a0) * a).sum(-1) / (a * a).sum(-1)).clip(0, 1)
         on_b = (((a0 + on_a[..., None] * a - b0) * b).sum(-1) / (b * b).sum(-1)).clip(0, 1)
     return np.linalg.norm(a0 + on_a[..., None] * a - b0 - on_b[..., None] * b, axis=-1)

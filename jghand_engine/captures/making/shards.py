@@ -11,8 +11,11 @@ from pathlib import Path
 
 from jghand_engine.errors import RetryError
 from jghand_engine.files import make_folder
-from jghand_engine.limits import CAPTURE_LOCK_WAIT_S
 from jghand_engine.lock import locked
+
+# waiting for another process that is just taking its shard or writing the plan, seconds: it needs milliseconds, or a
+# few seconds on a slow disk
+LOCK_WAIT_S = 30.0
 
 _NAME = re.compile(r"shard_(\d+)_of_(\d+)\.lock")
 _REMEDY = "Wait until it has ended, or take a shard that has no picture in common with it, of the same count."
@@ -49,10 +52,10 @@ def _locked(folder: Path, shard: tuple[int, int]) -> contextlib.AbstractContextM
 @contextlib.contextmanager
 def alone(folder: Path) -> Iterator[None]:
     """Holds the lock under which the plan and the annotations are written and shards are taken. Others hold it for
-    moments only, and are waited for; RetryError after CAPTURE_LOCK_WAIT_S. folder: of the plan, made where it is not.
+    moments only, and are waited for; RetryError after LOCK_WAIT_S. folder: of the plan, made where it is not.
     """
     make_folder(folder)
-    until_s = time.monotonic() + CAPTURE_LOCK_WAIT_S
+    until_s = time.monotonic() + LOCK_WAIT_S
     with contextlib.ExitStack() as held:
         while True:
             try:
@@ -61,5 +64,5 @@ def alone(folder: Path) -> Iterator[None]:
             except RetryError:
                 if time.monotonic() > until_s:
                     raise
-                time.sleep(CAPTURE_LOCK_WAIT_S / 600)
+                time.sleep(LOCK_WAIT_S / 600)
         yield

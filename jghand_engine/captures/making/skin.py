@@ -14,7 +14,6 @@ import numpy as np
 from PIL import Image
 from scipy.ndimage import distance_transform_edt, gaussian_filter
 
-from jghand_engine import limits
 from jghand_engine.avatar.procedural_skin import SkinLook, reflectance
 from jghand_engine.avatar.skin_marks import MarkPainter
 from jghand_engine.avatar.skin_points import Landmarks, SkinPoints, noise
@@ -24,6 +23,22 @@ from jghand_engine.template.builtin import ASSETS, load_template
 from jghand_engine.template.mesh import HandTemplate
 from jghand_engine.template.surface import unit, vertex_normals
 from jghand_engine.template.texture import rasterize_uv, sample_bilinear
+
+# edge of the baked texture: 0.4 mm of skin per texel, finer than a pixel of a whole hand at 334 x 512 (0.5 mm)
+SKIN_PX = 1024
+# edges that a skin picture may have, pixels
+TEXTURE_PX = (64, 8192)
+# skin this far above the lower edge gives the wrist's cut its color, meters
+WRIST_BAND_M = 0.012
+# mottling that a coarse picture cannot hold: (cell in meters, amount), and how strongly it darkens red, green, blue
+MOTTLING = ((0.0026, 0.022), (0.0011, 0.022))
+MOTTLING_RGB = (0.55, 1.0, 1.0)
+# depth of a furrow that a picture shows as a dark line, meters, and the shade (sRGB) at which it is nearly reached
+RELIEF_M = 0.00022
+RELIEF_SHADE = 0.035
+# grain of skin that no picture holds: its height and its cells, meters; finer ones are lost between texels
+GRAIN_M = 0.000012
+GRAIN_CELL_M = 0.0009
 
 
 @dataclass(frozen=True)
@@ -37,7 +52,7 @@ class CaptureSkin:
 
 def make_skin(texture: Path | None, seed: int = 0) -> CaptureSkin:
     """The procedural skin, or that of a picture file. InputError for a file that is no usable picture."""
-    texels = _Texels.of(load_template(), limits.CAPTURE_SKIN_PX)
+    texels = _Texels.of(load_template(), SKIN_PX)
     if texture is None:
         rgb, relief_m = _procedural(texels, seed)
     else:
@@ -55,8 +70,8 @@ def read_texture(path: Path) -> np.ndarray:
         with warnings.catch_warnings(), Image.open(path) as picture:
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             width, height = picture.size
-            if width != height or not limits.CAPTURE_TEXTURE_PX[0] <= width <= limits.CAPTURE_TEXTURE_PX[1]:
-                low, high = limits.CAPTURE_TEXTURE_PX
+            if width != height or not TEXTURE_PX[0] <= width <= TEXTURE_PX[1]:
+                low, high = TEXTURE_PX
                 wanted = f"a square picture of {low} to {high} pixels in the template's UV"
                 raise InputError(thing, wanted=wanted, came=f"{width}x{height}")
             return np.asarray(picture.convert("RGB"), dtype=np.float64) / 255
@@ -95,7 +110,7 @@ class _Texels:
         grid = (np.arange(size) + 0.5) / size
         cap = (grid[None] - cap_uv[0, 2, 0]) ** 2 + (1 - grid[:, None] - cap_uv[0, 2, 1]) ** 2 <= radius**2
         wrist = np.zeros_like(covered)
-        wrist[covered] = inside[:, 1] <= template.vertices_m[:, 1].min() + limits.CAPTURE_WRIST_BAND_M
+        wrist[covered] = inside[:, 1] <= template.vertices_m[:, 1].min() + WRIST_BAND_M
         return cls(size, covered, points, uv, cap & ~covered, wrist, Landmarks.of(template.joints_m))
 
     def spread(self, values: np.ndarray) -> np.ndarray:
@@ -119,13 +134,13 @@ def _photographic(texels: _Texels, picture: np.ndarray, seed: int) -> tuple[np.n
     large = _enlarged(picture, texels.size)
     rgb = sample_bilinear(large, texels.uv)
     position = texels.points.position_m
-    fine = sum(part * noise(position, cell, seed + 11 + k) for k, (cell, part) in enumerate(limits.CAPTURE_MOTTLING))
-    pigment = np.array(limits.CAPTURE_MOTTLING_RGB) * np.asarray(fine)[:, None] * (1 - texels.points.nail)[:, None]
+    fine = sum(part * noise(position, cell, seed + 11 + k) for k, (cell, part) in enumerate(MOTTLING))
+    pigment = np.array(MOTTLING_RGB) * np.asarray(fine)[:, None] * (1 - texels.points.nail)[:, None]
     gray = texels.spread(rgb.mean(axis=1))
-    px = texels.size / limits.CAPTURE_SKIN_PX
+    px = texels.size / SKIN_PX
     detail = gaussian_filter(gray, 1.2 * px) - gaussian_filter(gray, 7 * px)
-    relief = limits.CAPTURE_RELIEF_M * np.tanh(detail[texels.covered] / limits.CAPTURE_RELIEF_SHADE)
-    relief = relief + limits.CAPTURE_GRAIN_M * noise(position, limits.CAPTURE_GRAIN_CELL_M, seed + 17)
+    relief = RELIEF_M * np.tanh(detail[texels.covered] / RELIEF_SHADE)
+    relief = relief + GRAIN_M * noise(position, GRAIN_CELL_M, seed + 17)
     return np.clip(rgb * np.exp(-pigment), 0, 1), relief * (1 - texels.points.nail)
 
 

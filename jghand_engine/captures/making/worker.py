@@ -19,12 +19,16 @@ from typing import IO, Any
 
 from PIL import Image
 
-from jghand_engine import __version__, limits
+from jghand_engine import __version__
 from jghand_engine.captures.making.plan import FOLDER, Job
 from jghand_engine.captures.making.shards import alone
 from jghand_engine.captures.pictures_in import probe_picture
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.files import writing
+
+# how long Blender may take to end, seconds, and how many lines of its last words are told
+END_S = 20.0
+LAST_WORDS = 4
 
 PROJECT = Path(__file__).resolve().parents[3]
 # the extension: in a checkout; around the engine in the extension's zip; else where the extension itself says it is
@@ -166,7 +170,7 @@ def _process(program: list[str], folder: Path, threads: int, log: IO[bytes]) -> 
         try:
             yield process
             _stream(process.stdin).close()
-            process.wait(limits.CAPTURE_END_S)
+            process.wait(END_S)
         finally:
             # between two pictures the end of its input is enough; in the middle of one nobody waits for it
             if process.poll() is None:
@@ -195,9 +199,9 @@ def _answer(process: subprocess.Popen[str], log: IO[bytes], python: Path) -> dic
 
 def _ended(process: subprocess.Popen[str], log: IO[bytes]) -> RetryError:
     with contextlib.suppress(subprocess.TimeoutExpired):
-        process.wait(limits.CAPTURE_END_S)
+        process.wait(END_S)
     log.seek(0)
-    words = log.read().decode(errors="replace").strip().splitlines()[-limits.CAPTURE_LAST_WORDS :]
+    words = log.read().decode(errors="replace").strip().splitlines()[-LAST_WORDS:]
     said = " | ".join(words) or "nothing"
     return RetryError(
         f"Blender's Python ended with exit code {process.poll()}; its last words: {said}",

@@ -16,10 +16,10 @@ import pytest
 from PIL import Image
 from waiting import wait_until
 
-from jghand_engine import __version__, limits
+from jghand_engine import __version__
 from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.captures.making import plan as plan_module
-from jghand_engine.captures.making import shards, worker
+from jghand_engine.captures.making import shards, skin, worker
 from jghand_engine.captures.making.identities import identity_names
 from jghand_engine.captures.making.look import Light
 from jghand_engine.captures.making.options import CaptureOptions
@@ -45,7 +45,7 @@ FIND_PROGRAM = worker.find_program
 @pytest.fixture(autouse=True)
 def _stand_in(monkeypatch):
     monkeypatch.setattr(worker, "find_program", lambda: STAND_IN)
-    monkeypatch.setattr(limits, "CAPTURE_SKIN_PX", 128)
+    monkeypatch.setattr(skin, "SKIN_PX", 128)
 
 
 def capture(folder: Path, *words: str) -> int:
@@ -58,7 +58,7 @@ def made(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("capture") / "made"
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(worker, "find_program", lambda: STAND_IN)
-        patch.setattr(limits, "CAPTURE_SKIN_PX", 128)
+        patch.setattr(skin, "SKIN_PX", 128)
         assert capture(folder) == 0
     return folder
 
@@ -299,9 +299,9 @@ def test_a_farm_may_say_skip_existing_to_a_capture_too(copied, capsys):
 def test_a_killed_capture_loses_at_most_the_picture_that_it_was_at(tmp_path, made):
     folder = tmp_path / "killed"
     program = (
-        "import sys\nfrom pathlib import Path\nfrom jghand_engine import limits\n"
-        "from jghand_engine.captures.making import worker\nfrom jghand_engine.cli import main\n"
-        f"worker.find_program, limits.CAPTURE_SKIN_PX = lambda: Path({str(STAND_IN)!r}), 128\nsys.exit(main())\n"
+        "import sys\nfrom pathlib import Path\nfrom jghand_engine.captures.making import skin, worker\n"
+        "from jghand_engine.cli import main\n"
+        f"worker.find_program, skin.SKIN_PX = lambda: Path({str(STAND_IN)!r}), 128\nsys.exit(main())\n"
     )
     command = [sys.executable, "-c", program, *WORDS, "--out", str(folder), "--blender-python", sys.executable]
     environment = {**os.environ, "JGHAND_STAND_IN_TAKES_S": "0.05", "OMP_NUM_THREADS": "1"}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from jghand_engine import limits
+from jghand_engine.captures.making import poses as making_poses
 from jghand_engine.captures.making.identities import load_identity
 from jghand_engine.captures.making.letters import LETTER_CONTACTS, LETTERS_DEG
 from jghand_engine.captures.making.poses import (
@@ -114,7 +114,7 @@ def test_an_impossible_number_of_poses_is_refused(hand, count):
 
 
 def test_more_poses_than_a_hand_has_are_refused_instead_of_sought_for_ever(hand, monkeypatch):
-    monkeypatch.setattr(limits, "CAPTURE_CANDIDATES", 0)
-    monkeypatch.setattr(limits, "CAPTURE_CANDIDATES_LEAST", 1)
+    monkeypatch.setattr(making_poses, "CANDIDATES", 0)
+    monkeypatch.setattr(making_poses, "CANDIDATES_LEAST", 1)
     with pytest.raises(InputError, match="at most the"):
         varied_poses(hand, 300, seed=0)

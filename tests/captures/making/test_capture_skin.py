@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from jghand_engine import limits
 from jghand_engine.captures.making import skin as skin_module
-from jghand_engine.captures.making.skin import make_skin, read_texture
+from jghand_engine.captures.making.skin import TEXTURE_PX, make_skin, read_texture
 from jghand_engine.errors import InputError
 from jghand_engine.template.builtin import load_template
 from jghand_engine.template.texture import rasterize_uv
@@ -17,7 +16,7 @@ from jghand_engine.template.texture import rasterize_uv
 @pytest.fixture(autouse=True)
 def _small(monkeypatch):
     """A quarter of the edge: the same work in a sixteenth of the time."""
-    monkeypatch.setattr(skin_module.limits, "CAPTURE_SKIN_PX", 256)
+    monkeypatch.setattr(skin_module.skin, "SKIN_PX", 256)
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +91,7 @@ def test_the_same_seed_bakes_the_same_skin(striped):
 def test_what_is_no_skin_picture_is_refused(tmp_path):
     (tmp_path / "no.png").write_bytes(b"\x89PNG\r\n\x1a\n broken")
     Image.new("RGB", (100, 120)).save(tmp_path / "oblong.png")
-    Image.new("RGB", (limits.CAPTURE_TEXTURE_PX[0] - 1,) * 2).save(tmp_path / "tiny.png")
+    Image.new("RGB", (TEXTURE_PX[0] - 1,) * 2).save(tmp_path / "tiny.png")
     for name in ("no.png", "oblong.png", "tiny.png", "absent.png"):
         with pytest.raises(InputError, match=name):
             read_texture(tmp_path / name)
