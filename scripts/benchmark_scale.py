@@ -176,7 +176,7 @@ def rooms(folder: Path, repeats: int) -> list[Path]:
 
 def moving_hand(frames: int) -> PoseSequence:
     """Poses without a rest between them, over and over."""
-    joints_m = load_builtin(handedness=Handedness.RIGHT).canonical_joints_m.numpy()
+    joints_m = load_builtin(handedness=Handedness.RIGHT).canonical_joints_m
     options = MotionOptions(hold_s=0.0)
     once = pose_sequence_of_names(POSES, joints_m, handedness=Handedness.RIGHT, options=options).joints_m[:-1]
     times = -(-frames // len(once))

@@ -56,7 +56,7 @@ class Subject:
 
     def export(self, frames: int, options: UsdOptions | None = None) -> tuple[UsdReport, dict[str, float]]:
         """What the export says, and seconds in all and for opening the stage."""
-        motion = swaying_hand(self.avatar.canonical_joints_m.numpy(), frames)
+        motion = swaying_hand(self.avatar.canonical_joints_m, frames)
         options = replace(options or UsdOptions(), package=self._package)
         with tempfile.TemporaryDirectory(dir=self._folder) as temporary:
             start = time.perf_counter()

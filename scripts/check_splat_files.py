@@ -270,7 +270,7 @@ def transform(source: Path, target: Path) -> None:
 def hand_cloud(axes: str) -> SplatCloud:
     """The built-in hand, pointing, as an export writes it."""
     avatar = load_builtin(handedness=Handedness.RIGHT)
-    joints_m = named_pose("point", avatar.canonical_joints_m.numpy(), handedness=avatar.handedness)
+    joints_m = named_pose("point", avatar.canonical_joints_m, handedness=avatar.handedness)
     return SplatMotion(avatar, PoseSequence(joints_m[None], 30.0, Handedness.RIGHT), axes=axes).cloud(0)
 
 

@@ -179,7 +179,7 @@ def film(truth: Truth) -> Iterator[np.ndarray]:
 
 def measured(case: str, method: str, joints_m: np.ndarray, truth_m: np.ndarray, seen: np.ndarray, fps: float) -> Row:
     """Errors over the frames in which the hand was found; jitter and lag over all of them."""
-    canonical = load_builtin(handedness=Handedness.RIGHT).canonical_joints_m.numpy()
+    canonical = load_builtin(handedness=Handedness.RIGHT).canonical_joints_m
     in_palm = [directions_in_palm(joints, canonical) for joints in (joints_m, truth_m)]
     in_space = [bone_directions(joints) for joints in (joints_m, truth_m)]
     whole = bool(seen.all())
@@ -433,7 +433,7 @@ def main() -> None:
     parser.add_argument("--model", type=Path)
     parser.add_argument("--write", action="store_true")
     options = parser.parse_args()
-    canonical = load_builtin(handedness=Handedness.RIGHT).canonical_joints_m.numpy()
+    canonical = load_builtin(handedness=Handedness.RIGHT).canonical_joints_m
     sources: list[Callable[[], Iterator[Row]]] = [
         lambda truth=truth: rows_of_video(truth, canonical, options.model) for truth in truths(canonical)
     ]

@@ -149,7 +149,7 @@ def run(*command: str | Path) -> str:
 def subject(frames: int) -> HandMotion:
     """The built-in hand in motion, half a meter from the origin, of another size in every frame."""
     avatar = load_builtin(handedness=Handedness.RIGHT).prefix(GAUSSIANS)
-    canonical = avatar.canonical_joints_m.numpy()
+    canonical = avatar.canonical_joints_m
     poses = pose_sequence_of_names(("open", "fist", "pinch", "open"), canonical, handedness=Handedness.RIGHT)
     which = np.linspace(0, len(poses) - 1, frames).astype(int)
     # no two frames alike: it grows and walks

@@ -119,7 +119,7 @@ def main() -> int:
     folder: Path = options.out.resolve()
     hand = Handedness(options.hand)
     avatar = load_avatar_called(options.avatar).for_hand(hand)
-    sequence = pose_sequence_of_names(POSES, avatar.canonical_joints_m.numpy(), handedness=hand)
+    sequence = pose_sequence_of_names(POSES, avatar.canonical_joints_m, handedness=hand)
     report = export_web(folder / "page", avatar, sequence, first_view(sequence.joints_m, hand, "quarter"))
     print(f"{report.page}: {sum(report.bytes.values()) / 1e6:.1f} MB")
     camera = framing_camera(sequence.joints_m, hand, "quarter", width=512, height=512)

@@ -4,8 +4,8 @@
 
 SKIN.png is a picture of skin in the template's UV. The shipped avatar was made with `young_lightskinned_male_diffuse`
 of MakeHuman's skins (CC0-1.0), baked into that UV, and 36 minutes of training on the pictures that its capture does not
-hold out. Half an hour of Cycles comes before, and some minutes of `jghand bake` after; what is there already is kept,
-so it goes on where it was stopped.
+hold out. Half an hour of Cycles comes before, and some minutes of `jghand distill` after; what is there already is
+kept, so it goes on where it was stopped.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def main(options: Options) -> None:
     run("capture", "--out", capture, "--skin", options.skin, *CAPTURE)
     goes_on = ["--resume"] if trained.with_suffix(".training").exists() else []
     run("train", capture, "--out", trained, "--minutes", options.minutes, *goes_on)
-    run("bake", trained, capture, "--out", baked, "--overwrite")
+    run("distill", trained, capture, "--out", baked, "--overwrite")
     avatar = load_avatar(baked)
     avatar = replace(avatar, info=replace(avatar.info, name="JGHand built-in", license=LICENSE))
     save_avatar(options.out, avatar, storage=Storage.COMPACT)

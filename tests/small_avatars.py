@@ -7,15 +7,22 @@ from dataclasses import replace
 import torch
 
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
-from jghand_engine.avatar.cast_shadow import CastShadow, own_flesh, place_anchors
-from jghand_engine.avatar.correctives import PoseNet, PoseNetShape
-from jghand_engine.avatar.learned import Ellipsoid, Learned, ShadowLook
-from jghand_engine.avatar.light import SH_COUNT, Light
+from jghand_engine.avatar.cast_shadow import CastTensors, place_anchors
+from jghand_engine.avatar.correctives import PoseNetShape
+from jghand_engine.avatar.learned import SH_COUNT, Ellipsoid, ShadowLook, own_flesh
+from jghand_engine.avatar.light import LightTensors
+from jghand_engine.avatar.pose_net import PoseNet
+from jghand_engine.avatar.tensors import HandTensors, LearnedTensors
 from jghand_engine.hand.joints import JOINT_COUNT, PARENTS, Handedness
 from jghand_engine.template.builtin import load_template
 
 
 def small_avatar(count: int = 200, seed: int = 0) -> HandAvatar:
+    return small_tensors(count, seed).avatar()
+
+
+def small_tensors(count: int = 200, seed: int = 0) -> HandTensors:
+    """The same for the differentiable form."""
     g = torch.Generator().manual_seed(seed)
     joints_m = torch.from_numpy(load_template().joints_m.copy())
     bone = torch.randint(1, JOINT_COUNT, (count,), generator=g)
@@ -27,7 +34,7 @@ def small_avatar(count: int = 200, seed: int = 0) -> HandAvatar:
     weights[torch.arange(count), parent] += 0.3
     weights += 0.1 * torch.softmax(4 * torch.randn(count, JOINT_COUNT, dtype=torch.float64, generator=g), 1)
     weights /= weights.sum(1, keepdim=True)
-    return HandAvatar(
+    return HandTensors(
         info=AvatarInfo(name="small", template="test", license="none", pose_statistics={"index mcp": (-0.1, 1.5)}),
         handedness=Handedness.RIGHT,
         canonical_joints_m=joints_m,
@@ -42,13 +49,18 @@ def small_avatar(count: int = 200, seed: int = 0) -> HandAvatar:
 
 def trained_avatar(count: int = 200, seed: int = 0, shape: PoseNetShape | None = None) -> HandAvatar:
     """The same with everything that training adds, random but strong enough to be seen."""
-    avatar, g = small_avatar(count, seed), torch.Generator().manual_seed(1000 + seed)
+    return trained_tensors(count, seed, shape).avatar()
+
+
+def trained_tensors(count: int = 200, seed: int = 0, shape: PoseNetShape | None = None) -> HandTensors:
+    """The same for the differentiable form."""
+    avatar, g = small_tensors(count, seed), torch.Generator().manual_seed(1000 + seed)
     shape = shape or PoseNetShape(octaves=(4, 4, 2), angle_channels=8, angle_texels=6, hidden=32)
     net = PoseNet(avatar.bone_weights, avatar.uvd, shape).requires_grad_(False)
     for tensor in net.state_dict().values():
         tensor.copy_(0.25 * torch.randn(tensor.shape, generator=g))
     net.angles.planes.data *= 6
-    light = Light(
+    light = LightTensors(
         irradiance=0.2 * torch.randn(SH_COUNT, 3, generator=g),
         lobe_direction=torch.randn(5, 3, generator=g),
         lobe_sharpness=2 + 20 * torch.rand(5, generator=g),
@@ -59,13 +71,15 @@ def trained_avatar(count: int = 200, seed: int = 0, shape: PoseNetShape | None =
     look = ShadowLook(gain=5.0, tint=(0.4, 0.6, 0.7))
     anchors = place_anchors(avatar.position_m, normal, avatar.bone_weights, 60)
     lamp_rgb = torch.rand(20, 3, generator=g) ** 3
-    cast = CastShadow(lamp_rgb, torch.tensor([0.4, 0.3, 0.2]), anchors, own_flesh(anchors, avatar.canonical_joints_m))
-    return replace(avatar, learned=Learned(normal, torch.rand(count, generator=g), light, net, look, cast=cast))
+    own = torch.from_numpy(own_flesh(anchors.position_m.numpy(), avatar.canonical_joints_m.numpy()))
+    cast = CastTensors(lamp_rgb, torch.tensor([0.4, 0.3, 0.2]), anchors, own)
+    return replace(avatar, learned=LearnedTensors(normal, torch.rand(count, generator=g), light, net, look, cast=cast))
 
 
 def ellipsoid_avatar(count: int = 200, seed: int = 0) -> HandAvatar:
     """A trained one whose Gaussians are no spheres."""
     avatar, g = trained_avatar(count, seed), torch.Generator().manual_seed(2000 + seed)
-    shape = Ellipsoid(0.6 * torch.randn(count, 3, generator=g).clamp(-2, 2), torch.randn(count, 4, generator=g))
+    stretch, turn = 0.6 * torch.randn(count, 3, generator=g).clamp(-2, 2), torch.randn(count, 4, generator=g)
     assert avatar.learned is not None
+    shape = Ellipsoid(stretch.numpy(), turn.numpy())
     return replace(avatar, learned=replace(avatar.learned, ellipsoid=shape))

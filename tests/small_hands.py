@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import torch
-from small_avatars import small_avatar
+from small_avatars import small_tensors
 
 from jghand_engine.avatar.avatar import AvatarInfo
 from jghand_engine.avatar.canonical_points import CanonicalPoints
@@ -23,7 +23,7 @@ INFO = AvatarInfo("tiny", "", "none")
 
 def small_points(count: int = 300, seed: int = 0) -> CanonicalPoints:
     """Points around the bones of the built-in hand, blended between neighboring bones, with random normals."""
-    start, g = small_avatar(count, seed), torch.Generator().manual_seed(77 + seed)
+    start, g = small_tensors(count, seed), torch.Generator().manual_seed(77 + seed)
     return CanonicalPoints(
         position_m=start.position_m,
         normal=torch.nn.functional.normalize(torch.randn(count, 3, generator=g), dim=-1),

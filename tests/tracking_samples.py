@@ -13,7 +13,7 @@ from jghand_engine.track.poses import Pinhole, Poses
 from jghand_engine.track.skeleton import LIMITS_RAD, Skeleton, rotations_of
 from jghand_engine.track.track import Sightings
 
-CANONICAL_M = load_builtin(handedness=Handedness.RIGHT).canonical_joints_m.numpy()
+CANONICAL_M = load_builtin(handedness=Handedness.RIGHT).canonical_joints_m
 WIDTH, HEIGHT, FPS = 640, 480, 30.0
 # what an angle of 60 degrees across 640 pixels is
 CAMERA = Pinhole(320 / np.tan(np.radians(30)), 320.0, 240.0)

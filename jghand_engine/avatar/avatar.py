@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field, replace
 
-import torch
+import numpy as np
 
 from jghand_engine.avatar.learned import Learned
 from jghand_engine.errors import InputError
@@ -66,13 +66,13 @@ class HandAvatar:
 
     info: AvatarInfo
     handedness: Handedness
-    canonical_joints_m: torch.Tensor
-    position_m: torch.Tensor
-    sigma_m: torch.Tensor
-    opacity: torch.Tensor
-    rgb: torch.Tensor
-    bone_weights: torch.Tensor
-    uvd: torch.Tensor
+    canonical_joints_m: np.ndarray
+    position_m: np.ndarray
+    sigma_m: np.ndarray
+    opacity: np.ndarray
+    rgb: np.ndarray
+    bone_weights: np.ndarray
+    uvd: np.ndarray
     learned: Learned | None = None
 
     def __len__(self) -> int:
@@ -123,7 +123,7 @@ def sigma_scale_for_prefix(count: int, total: int) -> float:
     return math.sqrt(total / count) if 0 < count < total else 1.0
 
 
-def grown_radii(sigma_m: torch.Tensor, scale: float, uvd_depth: torch.Tensor) -> torch.Tensor:
+def grown_radii(sigma_m: np.ndarray, scale: float, uvd_depth: np.ndarray) -> np.ndarray:
     """Radii (N,) times `scale`, but what lies deep under the skin does not grow through it: it would show as a halo.
 
     sigma_m: meters · uvd_depth: (N,) the third of the UVD coordinates. A scale of 1 changes no bit.
@@ -131,5 +131,6 @@ def grown_radii(sigma_m: torch.Tensor, scale: float, uvd_depth: torch.Tensor) ->
     if scale == 1.0:
         return sigma_m
     depth_m = (0.5 - uvd_depth) * (2 * UVD_RANGE_M)
-    limit_m = torch.where(depth_m > DEEP_M, depth_m / DEEP_RADII, torch.inf)
-    return torch.maximum(sigma_m, torch.minimum(sigma_m * scale, limit_m)).clamp(max=SIGMA_MAX_M)
+    limit_m = np.where(depth_m > DEEP_M, depth_m / DEEP_RADII, np.inf)
+    grown = np.minimum(np.maximum(sigma_m, np.minimum(sigma_m * scale, limit_m)), SIGMA_MAX_M)
+    return grown.astype(sigma_m.dtype)

@@ -35,7 +35,7 @@ def load_builtin(*, handedness: Handedness) -> HandAvatar:
     """The avatar learned from a path-traced capture of a photographic skin (scripts/train_builtin.py), driven by joints
     of the named hand. A damaged installation raises InputError.
 
-    It is read once; everybody gets the same tensors and changes none of them.
+    It is read once; everybody gets the same arrays and changes none of them.
     """
     return _load_right(BUILTIN).for_hand(handedness)
 

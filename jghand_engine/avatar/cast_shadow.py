@@ -14,7 +14,6 @@ weights. What a bone hides in the canonical pose from the skin around it is in t
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,22 +23,14 @@ from torch import Tensor
 from torch.utils.checkpoint import checkpoint
 
 from jghand_engine import limits
+from jghand_engine.avatar.learned import ANCHOR_NEIGHBORS, SHARE_UNITS, lamp_directions
 from jghand_engine.avatar.planes import weighted_rows
-from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import PARENTS
-
-ANCHOR_NEIGHBORS = 3
-# shares of anchors are whole numbers of these
-SHARE_UNITS = 255
 
 
 @dataclass(frozen=True)
-class Anchors:
-    """Where the skin's shadow is computed, and how it is spread.
-
-    position_m: (A, 3), normal: (A, 3) unit, bone_weights: (A, 21): canonical, float32
-    nearest: (N, 3) int64 of the anchors around each Gaussian · share: (N, 3) float32 of each, sums to 1
-    """
+class AnchorTensors:
+    """See learned.Anchors."""
 
     position_m: Tensor
     normal: Tensor
@@ -50,7 +41,7 @@ class Anchors:
     def __len__(self) -> int:
         return self.position_m.shape[0]
 
-    def prefix(self, count: int) -> Anchors:
+    def prefix(self, count: int) -> AnchorTensors:
         """The same for the first `count` Gaussians."""
         return replace(self, nearest=self.nearest[:count], share=self.share[:count])
 
@@ -59,7 +50,7 @@ class Anchors:
         return weighted_rows(values, self.nearest.T, self.share.T.to(values.dtype))
 
 
-def place_anchors(position_m: Tensor, normal: Tensor, bone_weights: Tensor, count: int) -> Anchors:
+def place_anchors(position_m: Tensor, normal: Tensor, bone_weights: Tensor, count: int) -> AnchorTensors:
     """Anchors at the first `count` of N canonical points, whose every prefix covers the hand.
 
     position_m: (N, 3), normal: (N, 3) unit, bone_weights: (N, 21)
@@ -73,7 +64,7 @@ def place_anchors(position_m: Tensor, normal: Tensor, bone_weights: Tensor, coun
     # eight bits, as a file holds them: what is drawn from the file is what was learned
     share = np.rint(SHARE_UNITS * share / share.sum(1, keepdims=True))
     share[:, 0] += SHARE_UNITS - share.sum(1)
-    return Anchors(
+    return AnchorTensors(
         position_m[:count].float(),
         normal[:count].float(),
         bone_weights[:count].float(),
@@ -82,43 +73,18 @@ def place_anchors(position_m: Tensor, normal: Tensor, bone_weights: Tensor, coun
     )
 
 
-def lamp_directions(count: int) -> Tensor:
-    """(count, 3) float64 unit vectors towards the lamps, count even: a Fibonacci lattice on the half sphere x > 0,
-    then its mirror image, so that left hands are learned as well as right ones. InputError for an odd count."""
-    if count % 2 or count < 2:
-        raise InputError("lamps", wanted="an even number", came=str(count))
-    index = torch.arange(count // 2, dtype=torch.float64) + 0.5
-    height = 1 - 2 * index / count
-    radius, turn = (1 - height * height).sqrt(), math.pi * (1 + math.sqrt(5)) * index
-    half = torch.stack([height, radius * turn.cos(), radius * turn.sin()], -1)
-    return torch.cat([half, half * torch.tensor([-1.0, 1.0, 1.0], dtype=torch.float64)])
-
-
 @dataclass(frozen=True)
-class CastShadow:
-    """lamp_rgb: (K, 3) what each lamp sends, bounced_rgb: (3,) what reaches skin that sees none, 0 and up; only their
-    ratios count · anchors: see there
-    own: (A, 20) 0..1 how much the flesh of each bone is the anchor's own, which casts nothing on it"""
+class CastTensors:
+    """See learned.CastShadow."""
 
     lamp_rgb: Tensor
     bounced_rgb: Tensor
-    anchors: Anchors
+    anchors: AnchorTensors
     own: Tensor
 
-    def prefix(self, count: int) -> CastShadow:
+    def prefix(self, count: int) -> CastTensors:
         """The same for the first `count` Gaussians."""
         return replace(self, anchors=self.anchors.prefix(count))
-
-
-def own_flesh(anchors: Anchors, canonical_joints_m: Tensor) -> Tensor:
-    """(A, 20) how much each bone's flesh is an anchor's own: 1 on it, 0 well away from it, in the canonical pose."""
-    start, end, radius_m = capsules(canonical_joints_m, torch.ones((), dtype=torch.float64))
-    to_point = anchors.position_m.double()[:, None] - start
-    along = end - start
-    part = ((to_point * along).sum(-1) / (along * along).sum(-1)).clamp(0, 1)
-    distance_m = (to_point - part[..., None] * along).norm(dim=-1)
-    near, far = limits.OWN_FLESH_RADII
-    return 1 - _smooth((distance_m / radius_m - near) / (far - near)).float()
 
 
 def capsules(joints_m: Tensor, hand_scale: Tensor) -> tuple[Tensor, Tensor, Tensor]:
@@ -137,10 +103,10 @@ class LampsSeen:
 
 
 def lamps_seen(
-    shadow: CastShadow, position_m: Tensor, normal: Tensor, joints_m: Tensor, hand_scale: Tensor
+    shadow: CastTensors, position_m: Tensor, normal: Tensor, joints_m: Tensor, hand_scale: Tensor
 ) -> LampsSeen:
     """position_m, normal: (A, 3) of the posed anchors · joints_m: (21, 3) posed · hand_scale: (), all in one frame."""
-    direction = lamp_directions(len(shadow.lamp_rgb)).to(normal)
+    direction = torch.from_numpy(lamp_directions(len(shadow.lamp_rgb))).to(normal)
     cosine = (normal @ direction.T).clamp_min(0)
     hidden = 1 - shadow.own.to(position_m)
     visible = torch.ones_like(cosine)
@@ -181,7 +147,7 @@ def past_capsule(position_m: Tensor, direction: Tensor, start: Tensor, end: Tens
     return _smooth(0.5 + 0.5 * (distance - radius_m) / width.clamp_min(limits.CAPSULE_WIDTH_MIN_M))
 
 
-def exponent(shadow: CastShadow, seen: LampsSeen) -> Tensor:
+def exponent(shadow: CastTensors, seen: LampsSeen) -> Tensor:
     """(N, 3) what the cast shadow adds to the exponent of `light.lit`, 0 where all lamps are seen."""
     rgb = shadow.lamp_rgb.to(seen.open.dtype)
     bounced = shadow.bounced_rgb.to(rgb.dtype).clamp_min(limits.BOUNCED_MIN)

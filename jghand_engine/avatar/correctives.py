@@ -1,45 +1,37 @@
-"""What the pose changes on the skin beyond skinning: offsets and shade of every Gaussian, from the joint angles.
+"""What the pose changes on the skin beyond skinning: an offset and a shade of every Gaussian, from the joint angles.
 
-METHOD 4.1: a small network reads where a Gaussian sits (positional encoding of u, v, d) and the angles of the joints
-near it (pose features, mixed by its skin weights). This is the exact form; `tiers.py` has the cheaper ones.
+Either a small network says it (METHOD 4.1), which reads where a Gaussian sits (positional encoding of u, v, d) and the
+angles of the joints near it (pose features, mixed by its skin weights), or a linear map that was distilled from it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Protocol
+from dataclasses import dataclass, replace
 
-import torch
-from torch import Tensor, nn
-from torch.nn import functional
+import numpy as np
 
-from jghand_engine.avatar.pose_features import AnglePlanes, PoseAngles, positional_encoding
-from jghand_engine.limits import SHADE_MAX
+from jghand_engine.hand.anatomy import FRAME_RANGES_DEG
+from jghand_engine.hand.joints import JOINT_COUNT
+from jghand_engine.limits import PALM_NEIGHBOR_RANGES_DEG, PALM_PLANE_RANGES_DEG
 
-
-@dataclass(frozen=True)
-class Correction:
-    """offset_m: (N, 3) in canonical axes, added after skinning · shade: (N, 3) logarithm of a factor of the color."""
-
-    offset_m: Tensor
-    shade: Tensor
-
-
-class Correctives(Protocol):
-    """Gives the correction of one pose for all Gaussians of an avatar."""
-
-    def __call__(self, frames: PoseAngles) -> Correction: ...
-
-    def prefix(self, count: int) -> Correctives:
-        """The same for the first `count` Gaussians."""
-        ...
+# flexion and abduction of 15 bones, 4 angles between palm bones and 3 between palm planes
+ANGLES = 37
+# planes of joint angles: that of the five metacarpals, then those of bones 6..20
+PLANES = 16
 
 
 @dataclass(frozen=True)
 class PoseNetShape:
-    """octaves: of the encoding of u, v, d · angle_channels, angle_texels: of the angle planes · hidden: width of the
-    two hidden layers · level1: whether metacarpals have features · reach_m: longest offset along an axis, meters ·
-    shaded: whether the shade is predicted too"""
+    """Sizes of the network.
+
+    octaves:        of the encoding of u, v, d
+    angle_channels: features of the angle planes
+    angle_texels:   width and height of the angle planes
+    hidden:         width of the two hidden layers
+    level1:         whether metacarpals have features
+    reach_m:        longest offset along an axis, meters
+    shaded:         whether the shade is predicted too
+    """
 
     octaves: tuple[int, int, int] = (6, 6, 4)
     angle_channels: int = 16
@@ -49,61 +41,172 @@ class PoseNetShape:
     reach_m: float = 0.010
     shaded: bool = True
 
+    def arrays(self) -> dict[str, tuple[int, ...]]:
+        """Shape of every array of weights by its name."""
+        waves, outputs = 2 * sum(self.octaves), 6 if self.shaded else 3
+        return {
+            "angles.planes": (PLANES, self.angle_channels, self.angle_texels, self.angle_texels),
+            "encoding_in.weight": (self.hidden, waves),
+            "encoding_in.bias": (self.hidden,),
+            "angles_in.weight": (self.hidden, self.angle_channels),
+            "middle.weight": (self.hidden, self.hidden),
+            "middle.bias": (self.hidden,),
+            "out.weight": (outputs, self.hidden),
+            "out.bias": (outputs,),
+        }
 
-class PoseNet(nn.Module):
-    """The network. bone_weights: (N, 21) · uvd: (N, 3) of the canonical Gaussians.
 
-    The first layer sees [encoding | W F]: W F A is (W)(F A), so encoding and weights are one constant matrix, whose
-    gradient nobody needs, and only the small F A changes with the pose.
+@dataclass(frozen=True)
+class AnglePlanes:
+    """Features of joint angles, looked up bilinearly.
+
+    planes: (16, channels, texels, texels) float32; plane 0 is the metacarpals', 1..15 those of bones 6..20
+    level1: whether the metacarpals have features that depend on the pose
     """
 
-    def __init__(self, bone_weights: Tensor, uvd: Tensor, shape: PoseNetShape) -> None:
-        super().__init__()
-        self.shape = shape
-        self.angles = AnglePlanes(shape.angle_channels, shape.angle_texels, level1=shape.level1)
-        waves = 2 * sum(shape.octaves)
-        self.encoding_in = nn.Linear(waves, shape.hidden)
-        self.angles_in = nn.Linear(shape.angle_channels, shape.hidden, bias=False)
-        self.middle = nn.Linear(shape.hidden, shape.hidden)
-        self.out = nn.Linear(shape.hidden, 6 if shape.shaded else 3)
-        constant = torch.cat([positional_encoding(uvd.double(), shape.octaves).float(), bone_weights], -1)
-        self.register_buffer("_constant", constant, persistent=False)
+    planes: np.ndarray
+    level1: bool
 
-    def forward(self, frames: PoseAngles, count: int | None = None, wave_weight: Tensor | None = None) -> Correction:
-        """Of the first `count` Gaussians. wave_weight: (waves,) 0..1, by which the encoding is annealed."""
-        constant: Tensor = self._constant[:count]  # type: ignore[index]
-        encoding = self.encoding_in.weight if wave_weight is None else self.encoding_in.weight * wave_weight
-        first = torch.cat([encoding, self.angles_in(self.angles(frames)).T], 1)
-        hidden = functional.relu(functional.linear(constant, first, self.encoding_in.bias))
-        return self.finish(hidden)
 
-    def finish(self, hidden: Tensor) -> Correction:
-        """From the first hidden layer (N, hidden), after its ReLU, to the correction."""
-        out = self.out(functional.relu(self.middle(hidden)))
-        offset_m = self.shape.reach_m * torch.tanh(out[:, :3])
-        shade = SHADE_MAX * torch.tanh(out[:, 3:6]) if self.shape.shaded else torch.zeros_like(offset_m)
-        return Correction(offset_m, shade)
+@dataclass(frozen=True)
+class PoseNetwork:
+    """The network as plain numbers. It reads the avatar's uvd and bone weights, so that it holds nothing per Gaussian.
 
-    def prefix(self, count: int) -> PoseNet:
-        """The same network for the first `count` Gaussians; parameters are shared."""
-        return self.part(slice(count))
+    weights: float32 by the names of `PoseNetShape.arrays`
+    """
 
-    def part(self, rows: slice) -> PoseNet:
-        """The same network for some of the Gaussians; parameters are shared."""
-        other = PoseNet.__new__(PoseNet)
-        nn.Module.__init__(other)
-        other.shape = self.shape
-        for name in ("angles", "encoding_in", "angles_in", "middle", "out"):
-            setattr(other, name, getattr(self, name))
-        other.register_buffer("_constant", self._constant[rows], persistent=False)  # type: ignore[index]
-        return other
+    shape: PoseNetShape
+    weights: dict[str, np.ndarray]
 
     @property
-    def encoding(self) -> Tensor:
-        """(N, waves) the positional encoding of the Gaussians."""
-        return self._constant[:, : self.encoding_in.in_features]  # type: ignore[index]
+    def angles(self) -> AnglePlanes:
+        """Its angle planes."""
+        return AnglePlanes(self.weights["angles.planes"], self.shape.level1)
+
+    def prefix(self, count: int) -> PoseNetwork:
+        """The same for the first `count` Gaussians."""
+        return self
+
+    def longest_offset_m(self) -> float:
+        """What no offset exceeds along an axis, in any pose."""
+        return self.shape.reach_m
+
+
+@dataclass(frozen=True)
+class LinearCorrectives:
+    """correction = constant + sum_k c_k(x) direction_k,   c(x) = sum_i W_i(x) numbers(F_i)
+
+    angles:     the network's planes, which give the features F_i of the bones
+    mean:       (C,) float32
+    projection: (C, P) float32: the first P numbers of a bone are (F_i - mean) @ projection; further ones are products
+                of two of these, see `products`
+    constant:   (N, 6) float32, of offset in meters and shade, each a float16
+    direction:  (N, K, 6) int8, in units of scale
+    scale:      (N, 2) float32, of offset and shade
+    """
+
+    angles: AnglePlanes
+    mean: np.ndarray
+    projection: np.ndarray
+    constant: np.ndarray
+    direction: np.ndarray
+    scale: np.ndarray
 
     @property
-    def bone_weights(self) -> Tensor:
-        """(N, 21) by which the features of the bones are mixed."""
-        return self._constant[:, self.encoding_in.in_features :]  # type: ignore[index]
+    def basis(self) -> int:
+        """K."""
+        return self.direction.shape[1]
+
+    def prefix(self, count: int) -> LinearCorrectives:
+        """The same for the first `count` Gaussians."""
+        names = ("constant", "direction", "scale")
+        return replace(self, **{name: getattr(self, name)[:count] for name in names})
+
+    def longest_offset_m(self) -> float:
+        """What no offset exceeds along an axis, in any pose: features are means of the planes' texels."""
+        texels = np.moveaxis(self.angles.planes, 1, -1).reshape(-1, len(self.mean))
+        simple = np.abs((texels - self.mean) @ self.projection).max(0)[: self.basis]
+        first, second = products(self.projection.shape[1], self.basis)
+        numbers = np.concatenate([simple, simple[first] * simple[second]])
+        directions = np.abs(self.direction[..., :3].astype(np.float32)) * np.abs(self.scale[:, :1, None])
+        return float((np.abs(self.constant[:, :3]) + np.einsum("k,nkc->nc", numbers, directions)).max())
+
+
+Correctives = PoseNetwork | LinearCorrectives
+
+
+def products(simple: int, basis: int) -> tuple[list[int], list[int]]:
+    """Which numbers of a bone are multiplied to get those beyond the first `simple`: those of the first ones first."""
+    pairs = [(first, second) for second in range(simple) for first in range(second + 1)]
+    pairs = pairs[: max(basis - simple, 0)]
+    return [first for first, _ in pairs], [second for _, second in pairs]
+
+
+def largest_basis(shape: PoseNetShape) -> int:
+    """The largest basis that the features of a network give: themselves, and products of two."""
+    channels = shape.angle_channels
+    return channels + channels * (channels + 1) // 2
+
+
+def positional_encoding(uvd: np.ndarray, octaves: tuple[int, int, int]) -> np.ndarray:
+    """(N, 2 sum(octaves)) float32 sine and cosine of 2^k pi times each coordinate, octave by octave; uvd (N, 3)."""
+    waves = []
+    for coordinate, count in zip(uvd.astype(np.float64).T, octaves, strict=True):
+        for octave in range(count):
+            phase = 2**octave * np.pi * coordinate
+            waves += [np.sin(phase), np.cos(phase)]
+    return np.stack(waves, -1).astype(np.float32)
+
+
+class PoseFeatures:
+    """Features of the bones of one pose, tens of microseconds (METHOD 4.1).
+
+    One plane per bone 6..20 over its normalized (flexion, abduction); one for the five metacarpals over the angles
+    between palm bones and palm planes. F_i = delta_i for the metacarpals and half the parent's plus half the own
+    beyond, so that the angles near a joint weigh most: 1/2, 1/4, 1/8, 1/8 at the finger tips.
+
+    texels: (16, rows, columns, channels) float64
+    source: (20, 2) which of the 37 angles each metacarpal's and bone's plane is looked up at, as offset + slope x angle
+    level1: see AnglePlanes
+    """
+
+    # bones 1..5 read the angle between palm bones and the one between palm planes at these places (METHOD 4.1)
+    _NEIGHBOR_OF_FINGER = (0, 0, 1, 2, 3)
+    _PLANE_OF_FINGER = (0, 0, 1, 2, 2)
+
+    def __init__(self, angles: AnglePlanes) -> None:
+        self.texels = np.ascontiguousarray(np.moveaxis(angles.planes.astype(np.float64), 1, -1))
+        self.level1 = angles.level1
+        self._plane = np.array([0] * 5 + [*range(1, PLANES)])
+        palm = [[30 + p, 34 + n] for p, n in zip(self._NEIGHBOR_OF_FINGER, self._PLANE_OF_FINGER, strict=True)]
+        self.source = np.concatenate([palm, np.arange(30).reshape(15, 2)])
+        fingers = np.asarray(FRAME_RANGES_DEG, np.float64).reshape(30, 2)
+        ranges_deg = np.concatenate([fingers, PALM_NEIGHBOR_RANGES_DEG, PALM_PLANE_RANGES_DEG])
+        low, high = np.radians(ranges_deg[self.source]).transpose(2, 0, 1)
+        # (angle - low) / (high - low) * 2 - 1: beyond the ends it goes on, the lookup clamps
+        self.slope = 2 / (high - low)
+        self.offset = -low * self.slope - 1
+
+    def __call__(self, angles_rad: np.ndarray) -> np.ndarray:
+        """(21, channels) float64 of the 37 angles of a pose; of the wrist the mean of the metacarpals'."""
+        at = angles_rad[self.source] * self.slope + self.offset
+        if not self.level1:
+            at[:5] = 0.0
+        own = self._looked_up(at)
+        features = np.empty((JOINT_COUNT, own.shape[1]))
+        features[0], features[1:6] = own[:5].mean(0), own[:5]
+        for first in (6, 11, 16):
+            features[first : first + 5] = 0.5 * (features[first - 5 : first] + own[first - 1 : first + 4])
+        return features
+
+    def _looked_up(self, at: np.ndarray) -> np.ndarray:
+        """(20, channels) bilinear values at (20, 2), clamped to the planes."""
+        last = self.texels.shape[1] - 1
+        spot = np.clip((at + 1) * (0.5 * last), 0, last)
+        low = np.minimum(spot.astype(np.intp), max(last - 1, 0))
+        high = np.minimum(low + 1, last)
+        (x, y), plane, texels = (spot - low).T[..., None], self._plane, self.texels
+        (left, top), (right, bottom) = low.T, high.T
+        above = texels[plane, top, left] * (1 - x) + texels[plane, top, right] * x
+        below = texels[plane, bottom, left] * (1 - x) + texels[plane, bottom, right] * x
+        return above * (1 - y) + below * y

@@ -15,9 +15,12 @@ import torch
 from torch import Tensor
 
 from jghand_engine import limits
-from jghand_engine.avatar.correctives import PoseNet
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.correctives import LinearCorrectives
 from jghand_engine.avatar.pose_features import Angles
-from jghand_engine.avatar.tiers import LinearCorrectives, numbers_of
+from jghand_engine.avatar.pose_net import PoseNet, numbers_of
+from jghand_engine.avatar.tensors import HandTensors
+from jghand_engine.errors import InputError
 
 INT8_MAX = 127
 
@@ -46,9 +49,15 @@ def poses_near(known: Tensor, count: int, seed: int) -> Tensor:
 
 
 def distill(
-    net: PoseNet, poses: Tensor, bases: Sequence[int], *, tick: Callable[[float], None] = lambda _: None
+    avatar: HandAvatar, poses: Tensor, bases: Sequence[int], *, tick: Callable[[float], None] = lambda _: None
 ) -> dict[int, LinearCorrectives]:
-    """The linear tiers of sizes `bases`, fitted to `net` on poses (M, 37). tick: called with the part that is done."""
+    """The linear tiers of sizes `bases`, fitted to the avatar's network on poses (M, 37). tick: called with the part
+    that is done. InputError for an avatar without a network."""
+    learned = HandTensors.of(avatar).learned
+    net = None if learned is None else learned.correctives
+    if not isinstance(net, PoseNet):
+        wanted = "correctives that depend on the pose"
+        raise InputError(f"avatar {avatar.info.name}", wanted=wanted, came="none", remedy="Give a trained avatar.")
     with torch.no_grad():
         features = torch.stack([net.angles(Angles.of(pose)) for pose in poses])
         mean, projection = _components(features, net.bone_weights)
@@ -67,8 +76,8 @@ def distill(
         tiers = {}
         for basis, parts in found.items():
             constant, direction, scale = map(torch.cat, zip(*parts, strict=True))
-            used = projection[:, :basis]
-            tiers[basis] = LinearCorrectives(net.angles, mean, used, net.bone_weights, constant, direction, scale)
+            fitted = (values.numpy() for values in (mean, projection[:, :basis], constant, direction, scale))
+            tiers[basis] = LinearCorrectives(net.angles.plain(), *fitted)
         return tiers
 
 

@@ -4,12 +4,11 @@ is the specification."""
 from __future__ import annotations
 
 import numpy as np
-import torch
 
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.cast_shadow import CastShadow, capsules, lamp_directions
 from jghand_engine.avatar.fast_skinning import Blocks, point
+from jghand_engine.avatar.learned import CastShadow, capsules, lamp_directions
 from jghand_engine.hand.fast_transform import FastBones
 from jghand_engine.hand.joints import BONE_COUNT
 from jghand_engine.native.binding import aligned_zeros
@@ -25,18 +24,18 @@ class FastCast:
     """
 
     def __init__(self, cast: CastShadow, avatar: HandAvatar, blocks: Blocks, task: LearnedTask) -> None:
-        anchors, root_m = cast.anchors, avatar.canonical_joints_m[0].double()
-        own = Blocks(anchors.position_m.numpy())
-        rest = torch.cat([anchors.position_m.double() - root_m, anchors.normal.double()], 1)
-        self.joints_m = (avatar.canonical_joints_m.double() - root_m).numpy()
-        self.direction, lamp = _lamps(cast.lamp_rgb.detach())
+        anchors, root_m = cast.anchors, avatar.canonical_joints_m[0]
+        own = Blocks(anchors.position_m)
+        rest = np.concatenate([anchors.position_m.astype(np.float64) - root_m, anchors.normal], 1)
+        self.joints_m = avatar.canonical_joints_m - root_m
+        self.direction, lamp = _lamps(cast.lamp_rgb)
         groups = len(lamp)
         self._capsule = aligned_zeros((BONE_COUNT, 8))
         self._capsule_lamp = aligned_zeros((BONE_COUNT, groups, 2, LANES))
         self.arrays = {
-            "rest": own.blocked(rest.numpy()),
-            **own.bones(anchors.bone_weights.numpy()),
-            "foreign": own.blocked(1 - cast.own.double().numpy()),
+            "rest": own.blocked(rest),
+            **own.bones(anchors.bone_weights),
+            "foreign": own.blocked(1 - cast.own.astype(np.float64)),
             "lamp": lamp,
             "capsule": self._capsule,
             "capsule_lamp": self._capsule_lamp,
@@ -44,12 +43,12 @@ class FastCast:
         }
         row_of_anchor = np.argsort(own.order)
         self.around = {
-            "nearest": blocks.blocked(row_of_anchor[anchors.nearest.numpy()], np.int32),
-            "share": blocks.blocked(anchors.share.numpy()),
+            "nearest": blocks.blocked(row_of_anchor[anchors.nearest], np.int32),
+            "share": blocks.blocked(anchors.share),
         }
         shadow = task.cast
         shadow.blocks, shadow.groups = own.count, groups
-        shadow.bounced = tuple(cast.bounced_rgb.detach().clamp_min(limits.BOUNCED_MIN).tolist())
+        shadow.bounced = tuple(np.maximum(cast.bounced_rgb, limits.BOUNCED_MIN).tolist())
         shadow.softness, shadow.lamp_width = limits.FLESH_SOFTNESS, limits.LAMP_HALF_WIDTH
         shadow.width_min, shadow.distance2_min = limits.CAPSULE_WIDTH_MIN_M, limits.CAPSULE_LENGTH2_MIN
         shadow.to_display = limits.LIGHT_TO_DISPLAY
@@ -61,8 +60,7 @@ class FastCast:
         matrices = bones.linear_offset.astype(np.float64)
         # bone i ends at joint i
         joints_m = np.einsum("ijk,ik->ij", matrices[:, :, :3], self.joints_m) + matrices[:, :, 3]
-        ends = capsules(torch.from_numpy(joints_m), torch.tensor(bones.scale, dtype=torch.float64))
-        start, end, radius_m = (values.numpy() for values in ends)
+        start, end, radius_m = capsules(joints_m, bones.scale)
         axis = end - start
         length2 = np.maximum((axis * axis).sum(1), limits.CAPSULE_LENGTH2_MIN)
         along = axis @ self.direction.T
@@ -73,14 +71,14 @@ class FastCast:
         self._capsule_lamp[:, :, 1] = (1 / sine2).reshape(BONE_COUNT, -1, LANES)
 
 
-def _lamps(rgb: torch.Tensor) -> tuple[np.ndarray, np.ndarray]:
+def _lamps(rgb: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Directions (16 groups, 3) float64, and lamps (groups, 6, 16) as the kernel has them. Those of one group stand
     near each other, so that skin turns away from all of them at once; black ones fill up the last group."""
-    direction = lamp_directions(len(rgb)).numpy()
+    direction = lamp_directions(len(rgb))
     order = np.lexsort((direction[:, 2], direction[:, 1] > 0, direction[:, 0] > 0))
     spare = -len(rgb) % LANES
     direction = np.pad(direction[order], ((0, spare), (0, 0)), mode="edge")
-    both = np.concatenate([direction, np.pad(rgb.double().numpy()[order], ((0, spare), (0, 0)))], 1)
+    both = np.concatenate([direction, np.pad(rgb[order].astype(np.float64), ((0, spare), (0, 0)))], 1)
     lamp = aligned_zeros((len(both) // LANES, 6, LANES))
     lamp[...] = both.reshape(-1, LANES, 6).transpose(0, 2, 1)
     return direction, lamp

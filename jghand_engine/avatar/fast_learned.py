@@ -7,16 +7,13 @@ from __future__ import annotations
 import ctypes
 
 import numpy as np
-import torch
 
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.fast_cast import FastCast
 from jghand_engine.avatar.fast_correctives import fast_correctives
 from jghand_engine.avatar.fast_skinning import Blocks, FastSkinning, PosedArrays, check_task, inverse_scale, point
-from jghand_engine.avatar.learned import Learned
-from jghand_engine.avatar.light import Light, unit
-from jghand_engine.avatar.torch_posing import reflects
+from jghand_engine.avatar.learned import Learned, Light
 from jghand_engine.errors import InputError
 from jghand_engine.hand.fast_transform import FastBones
 from jghand_engine.hand.joints import Handedness
@@ -39,14 +36,12 @@ class FastLearnedSkin:
         self._call = library.call
         self.skin = FastSkinning(library, avatar)
         self.team, self.gloss_team = new_team(), new_team()
-        self.reflecting = reflects(avatar)
+        self.reflecting = avatar.learned.reflects
         self._task = new_task(avatar.learned, avatar.handedness)
         self._arrays = learned_arrays(avatar, avatar.learned, self.skin.blocks)
         point(self._task, self._arrays)
         self._task.lobes = len(self._arrays["lobe"])
-        self._correctives = fast_correctives(
-            avatar.learned.correctives, self.skin.blocks, avatar.bone_weights, self._task
-        )
+        self._correctives = fast_correctives(avatar.learned.correctives, avatar, self.skin.blocks, self._task)
         cast = avatar.learned.cast
         self._cast = None if cast is None else FastCast(cast, avatar, self.skin.blocks, self._task)
         self._posed = False
@@ -117,17 +112,19 @@ def new_task(learned: Learned, handedness: Handedness) -> LearnedTask:
 
 def learned_arrays(avatar: HandAvatar, learned: Learned, blocks: Blocks) -> dict[str, np.ndarray]:
     """What the kernel reads of colors: fields of LearnedTask by name; `matt`, which it writes, where it reflects."""
-    look = torch.cat([learned.normal, avatar.rgb, learned.shine[:, None]], 1)
-    arrays = {"look": blocks.blocked(look.numpy())} | _light(learned.light)
-    if reflects(avatar):
+    look = np.concatenate([learned.normal, avatar.rgb, learned.shine[:, None]], 1)
+    arrays = {"look": blocks.blocked(look)} | _light(learned.light)
+    if learned.reflects:
         arrays["matt"] = aligned_zeros((blocks.count, 6, LANES))
     return arrays
 
 
 def _light(light: Light) -> dict[str, np.ndarray]:
-    lobe = torch.cat([unit(light.lobe_direction), light.lobe_sharpness[:, None] / np.log(2), light.lobe_rgb], 1)
+    length2 = np.square(light.lobe_direction).sum(-1, keepdims=True)
+    direction = light.lobe_direction / np.sqrt(np.maximum(length2, limits.NORMAL_LENGTH2_MIN))
+    lobe = np.concatenate([direction, light.lobe_sharpness[:, None] / np.log(2), light.lobe_rgb], 1)
     arrays = {}
     for name, values in (("irradiance", light.irradiance), ("lobe", lobe)):
-        arrays[name] = aligned_zeros(tuple(values.shape))
-        arrays[name][...] = values.detach().numpy()
+        arrays[name] = aligned_zeros(values.shape)
+        arrays[name][...] = values
     return arrays

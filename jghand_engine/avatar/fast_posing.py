@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 
 from jghand_engine.avatar.avatar import HandAvatar, check_follows_joints
 from jghand_engine.avatar.fast_learned import FastLearnedSkin
@@ -50,7 +49,7 @@ class FastPosing:
             skin = self._plain = FastSkinning(library, avatar)
         else:
             # without shine the kernel's colors are those that are the same from everywhere
-            matt = replace(avatar, learned=replace(learned, shine=torch.zeros_like(learned.shine)))
+            matt = replace(avatar, learned=replace(learned, shine=np.zeros_like(learned.shine)))
             self._learned = FastLearnedSkin(library, matt)
             skin = self._learned.skin
         rows = skin.rows

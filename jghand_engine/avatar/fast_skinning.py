@@ -14,10 +14,10 @@ import numpy as np
 
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.covariance import canonical_axes
 from jghand_engine.errors import RetryError
 from jghand_engine.hand.fast_transform import FastBones
 from jghand_engine.hand.joints import JOINT_COUNT
+from jghand_engine.limits import QUATERNION_MIN
 from jghand_engine.native.binding import Library, address, aligned_zeros, new_team
 from jghand_engine.native.tasks import LANES, SkinTask
 
@@ -86,9 +86,9 @@ class FastSkinning:
     def __init__(self, library: Library, avatar: HandAvatar) -> None:
         check_task(library, library.call.jg_skin_task_bytes(), SkinTask)
         self._call = library.call.jg_skin
-        self.blocks = Blocks(avatar.position_m.numpy())
-        self.opacity = self.blocks.in_rows(avatar.opacity.numpy())
-        self.rgb = self.blocks.in_rows(avatar.rgb.numpy())
+        self.blocks = Blocks(avatar.position_m)
+        self.opacity = self.blocks.in_rows(avatar.opacity)
+        self.rgb = self.blocks.in_rows(avatar.rgb)
         self.team = new_team()
         self.task = SkinTask(
             blocks=self.blocks.count, stretch_min=limits.SIGMA_STRETCH_MIN, stretch_max=limits.SIGMA_STRETCH_MAX
@@ -132,9 +132,9 @@ class FastSkinning:
 
 def skin_arrays(avatar: HandAvatar, blocks: Blocks) -> dict[str, np.ndarray]:
     """What the kernel reads of an avatar at rest: fields of SkinTask by name."""
-    relative = avatar.position_m.numpy().astype(np.float64) - avatar.canonical_joints_m[0].numpy()
-    rest = np.concatenate([relative, avatar.sigma_m.numpy()[:, None]], axis=1)
-    arrays = {"rest": blocks.blocked(rest)} | blocks.bones(avatar.bone_weights.numpy())
+    relative = avatar.position_m.astype(np.float64) - avatar.canonical_joints_m[0]
+    rest = np.concatenate([relative, avatar.sigma_m[:, None]], axis=1)
+    arrays = {"rest": blocks.blocked(rest)} | blocks.bones(avatar.bone_weights)
     if (axes := ellipsoid_axes(avatar)) is not None:
         arrays["axes"] = blocks.blocked(axes)
     return arrays
@@ -163,8 +163,22 @@ def ellipsoid_axes(avatar: HandAvatar) -> np.ndarray | None:
     ellipsoid = None if avatar.learned is None else avatar.learned.ellipsoid
     if ellipsoid is None:
         return None
-    log_scale = avatar.sigma_m.double().log()[:, None] + ellipsoid.log_stretch
-    return canonical_axes(log_scale, ellipsoid.quaternion.double()).permute(2, 0, 1).reshape(-1, 9).numpy()
+    scale_m = np.exp(np.log(avatar.sigma_m.astype(np.float64))[:, None] + ellipsoid.log_stretch)
+    return (rotations(ellipsoid.quaternion) * scale_m[:, None]).reshape(-1, 9)
+
+
+def rotations(quaternion: np.ndarray) -> np.ndarray:
+    """(N, 3, 3) float64 of quaternions (N, 4) wxyz of any length; none of one that is too short."""
+    turn = quaternion.astype(np.float64)
+    length = np.linalg.norm(turn, axis=1, keepdims=True)
+    none = np.array([1.0, 0.0, 0.0, 0.0])
+    w, x, y, z = np.where(length > QUATERNION_MIN, turn / np.maximum(length, QUATERNION_MIN), none).T
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.array(rows).transpose(2, 0, 1)
 
 
 def padded_rows(count: int) -> int:

@@ -21,7 +21,6 @@ from typing import Any
 import numpy as np
 import safetensors
 import safetensors.numpy
-import torch
 
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar, LearnedFrom
 from jghand_engine.avatar.learned_storage import LearnedAbout, expected_learned_arrays, pack_learned, unpack_learned
@@ -60,8 +59,8 @@ def save_avatar(path: Path | str, avatar: HandAvatar, *, storage: Storage = Stor
     thing = f"avatar for {path}"
     check_avatar(avatar, thing)
     packed, box_m = pack(_arrays(avatar), storage)
-    joints_m = avatar.canonical_joints_m.detach().cpu().to(torch.float64).numpy()
-    packed["canonical_joints_m"] = np.ascontiguousarray(from_level(joints_m, JointOrder.STANDARD))
+    joints_m = from_level(avatar.canonical_joints_m, JointOrder.STANDARD)
+    packed["canonical_joints_m"] = np.ascontiguousarray(joints_m, np.float64)
     description: dict[str, Any] = {
         "format_version": PAINTED_VERSION if avatar.learned is None else FORMAT_VERSION,
         "name": avatar.info.name,
@@ -122,7 +121,7 @@ def _load(file: Path, thing: str) -> HandAvatar:
         raise InputError(thing, wanted="a .jghand file", came=f"{error}"[:200], remedy=REMEDY) from error
     except OSError as error:
         raise _unreadable(thing, error) from error
-    joints_m = torch.from_numpy(to_level(packed.pop("canonical_joints_m"), JointOrder.STANDARD))
+    joints_m = to_level(packed.pop("canonical_joints_m"), JointOrder.STANDARD)
     if about.storage is Storage.COMPACT and int(packed["weight_bone"].max()) >= JOINT_COUNT:
         came = str(int(packed["weight_bone"].max()))
         raise InputError(f"{thing}: weight_bone", wanted=f"bones 0 to {JOINT_COUNT - 1}", came=came, remedy=REMEDY)
@@ -290,14 +289,13 @@ def _read_arrays(thing: str, content: Any, about: _Description) -> dict[str, np.
 
 
 def _arrays(avatar: HandAvatar) -> Arrays:
-    values = {name: getattr(avatar, name).detach().cpu().to(torch.float32).numpy() for name in ARRAY_NAMES}
-    return Arrays(**values)
+    return Arrays(**{name: np.asarray(getattr(avatar, name), np.float32) for name in ARRAY_NAMES})
 
 
-def _avatar(info: AvatarInfo, handedness: Handedness, joints_m: torch.Tensor, arrays: Arrays) -> HandAvatar:
-    tensors = {name: torch.from_numpy(np.ascontiguousarray(getattr(arrays, name))) for name in ARRAY_NAMES}
-    return HandAvatar(info, handedness, joints_m.to(torch.float64), learned=None, **tensors)
+def _avatar(info: AvatarInfo, handedness: Handedness, joints_m: np.ndarray, arrays: Arrays) -> HandAvatar:
+    values = {name: np.ascontiguousarray(getattr(arrays, name)) for name in ARRAY_NAMES}
+    return HandAvatar(info, handedness, np.asarray(joints_m, np.float64), learned=None, **values)
 
 
 def _with_learned(avatar: HandAvatar, packed: dict[str, np.ndarray], about: LearnedAbout) -> HandAvatar:
-    return replace(avatar, learned=unpack_learned(packed, about, avatar))
+    return replace(avatar, learned=unpack_learned(packed, about, avatar.canonical_joints_m))

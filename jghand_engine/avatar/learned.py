@@ -1,23 +1,51 @@
-"""What a trained avatar knows beyond its canonical Gaussians: normals, light, correctives, the look of its shadow."""
+"""What a trained avatar knows beyond its canonical Gaussians: normals, light, correctives, shadows. Plain arrays.
+
+How a pose makes use of it is said by the differentiable form in torch, which training goes through, and done by the
+native kernels, which draw; tests hold the two together.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import torch
+import numpy as np
 
-from jghand_engine.avatar.cast_shadow import CastShadow
-from jghand_engine.avatar.correctives import Correctives, PoseNet
-from jghand_engine.avatar.light import Light
-from jghand_engine.avatar.tiers import Baked, CachedNet, Price, Tier, choose
-from jghand_engine.limits import SHADOW_GAIN, SHADOW_TINT, SHADOW_UNSEEN
+from jghand_engine.avatar.correctives import Correctives, PoseNetwork
+from jghand_engine.avatar.tiers import Distilled, Price, Tier, choose
+from jghand_engine.errors import InputError
+from jghand_engine.hand.joints import PARENTS
+from jghand_engine.limits import GATE_CAPSULE_RADII_MM, OWN_FLESH_RADII, SHADOW_GAIN, SHADOW_TINT, SHADOW_UNSEEN
+
+# coefficients of the light's irradiance: real spherical harmonics of degrees 0 to 3
+SH_COUNT = 16
+# anchors of the cast shadow that a Gaussian is interpolated from, and the whole numbers that their shares are of
+ANCHOR_NEIGHBORS = 3
+SHARE_UNITS = 255
+
+
+@dataclass(frozen=True)
+class Light:
+    """The light of the capture, in the world's frame, that of the joints.
+
+    irradiance:     (16, 3) coefficients of the logarithm of the color that matt skin gets
+    lobe_direction: (K, 3) towards the lights, of any length
+    lobe_sharpness: (K,) lambda of exp(lambda (cos - 1))
+    lobe_rgb:       (K, 3) display-referred, 0 and up
+    rim:            () how much more is reflected at grazing angles, 0 and up
+    """
+
+    irradiance: np.ndarray
+    lobe_direction: np.ndarray
+    lobe_sharpness: np.ndarray
+    lobe_rgb: np.ndarray
+    rim: np.ndarray
 
 
 @dataclass(frozen=True)
 class ShadowLook:
     """How dark the self-shadow is: gain and strength per color channel of METHOD 5.2, both learned.
 
-    seen: 0..1, the most that it changes a channel of any pixel, as `jghand bake` measured it; None: not measured
+    seen: 0..1, the most that it changes a channel of any pixel, as `jghand distill` measured it; None: not measured
     """
 
     gain: float = SHADOW_GAIN
@@ -34,11 +62,12 @@ class ShadowLook:
 class Ellipsoid:
     """How canonical Gaussians differ from spheres of their sigma.
 
-    log_stretch: (N, 3) logarithm of each axis over sigma · quaternion: (N, 4) wxyz of any length, turns the axes
+    log_stretch: (N, 3) logarithm of each axis over sigma
+    quaternion:  (N, 4) wxyz of any length, turns the axes
     """
 
-    log_stretch: torch.Tensor
-    quaternion: torch.Tensor
+    log_stretch: np.ndarray
+    quaternion: np.ndarray
 
     def prefix(self, count: int) -> Ellipsoid:
         """The same for the first `count` Gaussians."""
@@ -46,35 +75,89 @@ class Ellipsoid:
 
 
 @dataclass(frozen=True)
-class Learned:
-    """normal: (N, 3) float32 unit, canonical frame, outward · shine: (N,) float32, 0 and up, how much is reflected
-    light: of the capture, in the world's frame · correctives: None when the pose changes nothing but the bones
-    shadow: its look, None when it was trained without · world_offsets: offsets are in world axes, as the paper prints
-    it, instead of turning with the hand (METHOD 2.9) · ellipsoid: of Gaussians that are no spheres, else None
-    cast: shadows that its parts cast on each other, None when it was trained without
-    baked: cheaper tiers of the correctives, and what they cost; None where nothing was measured
+class Anchors:
+    """Where the cast shadow is computed, and how it is spread to N Gaussians.
+
+    position_m:   (A, 3) float32 canonical, meters
+    normal:       (A, 3) float32 unit
+    bone_weights: (A, 21) float32
+    nearest:      (N, 3) int64 anchors around each Gaussian
+    share:        (N, 3) float32 of each, sums to 1
     """
 
-    normal: torch.Tensor
-    shine: torch.Tensor
+    position_m: np.ndarray
+    normal: np.ndarray
+    bone_weights: np.ndarray
+    nearest: np.ndarray
+    share: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.position_m)
+
+    def prefix(self, count: int) -> Anchors:
+        """The same for the first `count` Gaussians."""
+        return replace(self, nearest=self.nearest[:count], share=self.share[:count])
+
+
+@dataclass(frozen=True)
+class CastShadow:
+    """Shadows that the fingers cast on the hand, see `native/learned_cast.cpp`.
+
+    lamp_rgb:    (K, 3) what each lamp around the hand sends, 0 and up
+    bounced_rgb: (3,) what reaches skin that sees no lamp, 0 and up; only their ratios count
+    anchors:     where it is computed
+    own:         (A, 20) 0..1 how much the flesh of each bone is the anchor's own, which casts nothing on it
+    """
+
+    lamp_rgb: np.ndarray
+    bounced_rgb: np.ndarray
+    anchors: Anchors
+    own: np.ndarray
+
+    def prefix(self, count: int) -> CastShadow:
+        """The same for the first `count` Gaussians."""
+        return replace(self, anchors=self.anchors.prefix(count))
+
+
+@dataclass(frozen=True)
+class Learned:
+    """What training adds to N Gaussians.
+
+    normal:        (N, 3) float32 unit, canonical frame, outward
+    shine:         (N,) float32, 0 and up, how much is reflected
+    light:         of the capture
+    correctives:   what the pose changes; None when nothing but the bones moves the skin
+    shadow:        look of the self-shadow; None when it was trained without
+    world_offsets: offsets of the correctives are in world axes, as the paper prints it, instead of turning
+                   with the hand
+    ellipsoid:     of Gaussians that are no spheres, else None
+    cast:          shadows that its parts cast on each other; None when it was trained without
+    distilled:     cheaper tiers of the correctives, and what they cost; None where nothing was measured
+    """
+
+    normal: np.ndarray
+    shine: np.ndarray
     light: Light
     correctives: Correctives | None
     shadow: ShadowLook | None
     world_offsets: bool = False
     ellipsoid: Ellipsoid | None = None
     cast: CastShadow | None = None
-    baked: Baked | None = None
+    distilled: Distilled | None = None
+
+    @property
+    def reflects(self) -> bool:
+        """Whether colors depend on where the camera stands."""
+        return bool(self.shine.any()) and bool(self.light.lobe_rgb.any())
 
     def with_tier(self, wanted: Tier) -> tuple[Learned, Price | None]:
         """The same with the correctives of a tier, and its price where it has one. InputError for a tier without."""
-        net = self.correctives
-        if not isinstance(net, PoseNet):
+        if not isinstance(self.correctives, PoseNetwork):
             return self, None
-        price = choose(self.baked, wanted)
-        if price is None or price.tier is Tier.EXACT or self.baked is None:
+        price = choose(self.distilled, wanted)
+        if price is None or price.tier is Tier.EXACT or self.distilled is None:
             return self, price
-        cheaper = self.baked.linear if price.tier is Tier.LINEAR else CachedNet(net)
-        return replace(self, correctives=cheaper), price
+        return replace(self, correctives=self.distilled.linear), price
 
     def prefix(self, count: int) -> Learned:
         """The same for the first `count` Gaussians."""
@@ -85,5 +168,37 @@ class Learned:
             correctives=None if self.correctives is None else self.correctives.prefix(count),
             ellipsoid=None if self.ellipsoid is None else self.ellipsoid.prefix(count),
             cast=None if self.cast is None else self.cast.prefix(count),
-            baked=None if self.baked is None else self.baked.prefix(count),
+            distilled=None if self.distilled is None else self.distilled.prefix(count),
         )
+
+
+def capsules(joints_m: np.ndarray, hand_scale: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Start (20, 3), end (20, 3) and radius (20,) of the bones' flesh. joints_m: (21, 3), level order."""
+    radius_m = 1e-3 * np.array(GATE_CAPSULE_RADII_MM)
+    return joints_m[list(PARENTS[1:])], joints_m[1:], radius_m * hand_scale
+
+
+def own_flesh(position_m: np.ndarray, canonical_joints_m: np.ndarray) -> np.ndarray:
+    """(A, 20) float32 how much each bone's flesh is an anchor's own: 1 on it, 0 well away from it, in the canonical
+    pose. position_m: (A, 3) canonical."""
+    start, end, radius_m = capsules(canonical_joints_m, 1.0)
+    to_point = position_m.astype(np.float64)[:, None] - start
+    along = end - start
+    part = np.clip((to_point * along).sum(-1) / (along * along).sum(-1), 0, 1)
+    distance_m = np.linalg.norm(to_point - part[..., None] * along, axis=-1)
+    near, far = OWN_FLESH_RADII
+    t = np.clip((distance_m / radius_m - near) / (far - near), 0, 1)
+    return 1 - (t * t * (3 - 2 * t)).astype(np.float32)
+
+
+def lamp_directions(count: int) -> np.ndarray:
+    """(count, 3) float64 unit vectors towards the lamps of a cast shadow, count even: a Fibonacci lattice on the half
+    sphere x > 0, then its mirror image, so that left hands are learned as well as right ones. InputError for an odd
+    count."""
+    if count % 2 or count < 2:
+        raise InputError("lamps", wanted="an even number", came=str(count))
+    index = np.arange(count // 2) + 0.5
+    height = 1 - 2 * index / count
+    radius, turn = np.sqrt(1 - height * height), np.pi * (1 + np.sqrt(5)) * index
+    half = np.stack([height, radius * np.cos(turn), radius * np.sin(turn)], -1)
+    return np.concatenate([half, half * [-1.0, 1.0, 1.0]])

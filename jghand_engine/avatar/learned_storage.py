@@ -15,8 +15,8 @@
 | cast.share       | uint8 x 3    | uint8 x 3                | nothing: they are learned with in eight bits            |
 | linear.*         | as it is used: int8 directions with a scale, constants as float16; nothing lost by writing    |
 
-The network reads where a Gaussian sits, and its bones; both stand in the file already, and its first layer's input is
-made from them when the file is read.
+The network reads where a Gaussian sits, and its bones; both stand in the file already. What the cheaper tiers cost
+stands under `baked`, the name of files of 0.1.
 """
 
 from __future__ import annotations
@@ -26,17 +26,24 @@ from dataclasses import asdict, dataclass, fields
 from typing import Any
 
 import numpy as np
-import torch
 
 from jghand_engine import limits
-from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.cast_shadow import ANCHOR_NEIGHBORS, SHARE_UNITS, Anchors, CastShadow, own_flesh
-from jghand_engine.avatar.correctives import PoseNet, PoseNetShape
-from jghand_engine.avatar.learned import Ellipsoid, Learned, ShadowLook
-from jghand_engine.avatar.light import SH_COUNT, Light
+from jghand_engine.avatar.correctives import LinearCorrectives, PoseNetShape, PoseNetwork, largest_basis
+from jghand_engine.avatar.learned import (
+    ANCHOR_NEIGHBORS,
+    SH_COUNT,
+    SHARE_UNITS,
+    Anchors,
+    CastShadow,
+    Ellipsoid,
+    Learned,
+    Light,
+    ShadowLook,
+    own_flesh,
+)
 from jghand_engine.avatar.storage import UINT16_MAX, Storage
 from jghand_engine.avatar.texts import is_text
-from jghand_engine.avatar.tiers import Baked, LinearCorrectives, Price, Tier, basis_most
+from jghand_engine.avatar.tiers import Distilled, Price, Tier
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT
 
@@ -45,35 +52,39 @@ LIGHT, NET, ELLIPSOID, CAST, LINEAR = "light.", "pose_net.", "ellipsoid.", "cast
 
 # no figure of a tier is larger
 PRICE_MAX = 1e9
+# prices in a file: of the exact tier, the linear one, and `cached` in files of 0.1
+PRICES_MAX = 3
 # name, what was wanted, what came -> the error that names the file
 Wrong = Callable[[str, str, object], InputError]
 
 
 @dataclass(frozen=True)
-class BakedAbout:
-    """What the JSON says of tiers: size of the linear one's basis, 0 for none · the rest as in Baked."""
+class DistilledAbout:
+    """What the JSON says of tiers: size of the linear one's basis, 0 for none · the rest as in Distilled."""
 
     basis: int
     prices: tuple[Price, ...]
     measured_on: str
 
     @classmethod
-    def of(cls, baked: Baked) -> BakedAbout:
-        return cls(0 if baked.linear is None else baked.linear.basis, baked.prices, baked.measured_on)
+    def of(cls, distilled: Distilled) -> DistilledAbout:
+        return cls(0 if distilled.linear is None else distilled.linear.basis, distilled.prices, distilled.measured_on)
 
     @classmethod
-    def parsed(cls, value: object, net: PoseNetShape | None, wrong: Wrong) -> BakedAbout:
+    def parsed(cls, value: object, net: PoseNetShape | None, wrong: Wrong) -> DistilledAbout:
         """Every field looked at. A linear tier has a price, and a price of it is of the tier that there is."""
         if not isinstance(value, dict) or net is None:
             raise wrong("learned baked", "an object, beside a network", value)
         basis, prices, measured_on = value.get("basis"), value.get("prices"), value.get("measured_on")
-        if not isinstance(basis, int) or not _is_count(basis, min(limits.BASIS_MAX, basis_most(net))):
+        if not isinstance(basis, int) or not _is_count(basis, min(limits.BASIS_MAX, largest_basis(net))):
             raise wrong("learned baked basis", f"a count of 0 to {limits.BASIS_MAX}, as the features give", basis)
         if not (isinstance(measured_on, str) and is_text(measured_on)):
             raise wrong("learned baked measured_on", "a text of one line", measured_on)
-        if not isinstance(prices, list) or len(prices) > len(Tier):
+        if not isinstance(prices, list) or len(prices) > PRICES_MAX:
             raise wrong("learned baked prices", "a list of tiers", prices)
-        parsed = tuple(_parsed_price(price, basis, wrong) for price in prices)
+        # files of 0.1 have the price of a tier `cached`, which the compiled skin's exact tier is
+        kept = [price for price in prices if not (isinstance(price, dict) and price.get("tier") == "cached")]
+        parsed = tuple(_parsed_price(price, basis, wrong) for price in kept)
         if len({price.tier for price in parsed}) != len(parsed):
             raise wrong("learned baked prices", "one of each tier", prices)
         return cls(basis, parsed, measured_on)
@@ -83,8 +94,8 @@ def _parsed_price(value: object, basis: int, wrong: Wrong) -> Price:
     names = [f.name for f in fields(Price)]
     if not isinstance(value, dict) or set(value) != set(names):
         raise wrong("learned baked price", f"an object of {', '.join(names)}", value)
-    if value["tier"] not in (Tier.EXACT, Tier.CACHED, Tier.LINEAR):
-        raise wrong("learned baked price tier", "exact, cached or linear", value["tier"])
+    if value["tier"] not in (Tier.EXACT, Tier.LINEAR):
+        raise wrong("learned baked price tier", "exact or linear", value["tier"])
     tier = Tier(value["tier"])
     wanted = basis if tier is Tier.LINEAR else 0
     unusable = tier is Tier.LINEAR and basis == 0
@@ -129,17 +140,18 @@ class LearnedAbout:
     world_offsets: bool
     ellipsoids: bool
     cast: CastAbout | None
-    baked: BakedAbout | None
+    baked: DistilledAbout | None
 
     @classmethod
     def of(cls, learned: Learned) -> LearnedAbout:
         """InputError for correctives that are no network: only their exact form is written."""
         net = learned.correctives
-        if net is not None and not isinstance(net, PoseNet):
+        if net is not None and not isinstance(net, PoseNetwork):
             raise InputError("correctives of an avatar", wanted="the exact network", came=type(net).__name__)
         lobes = learned.light.lobe_direction.shape[0]
         shape = None if net is None else net.shape
-        baked = None if learned.baked is None or net is None else BakedAbout.of(learned.baked)
+        distilled = learned.distilled
+        baked = None if distilled is None or net is None else DistilledAbout.of(distilled)
         cast = None if learned.cast is None else CastAbout(len(learned.cast.lamp_rgb), len(learned.cast.anchors))
         return cls(lobes, shape, learned.shadow, learned.world_offsets, learned.ellipsoid is not None, cast, baked)
 
@@ -163,7 +175,7 @@ class LearnedAbout:
         if net is not None and gaussians * net.hidden > limits.POSE_NET_UNITS_MAX:
             most = limits.POSE_NET_UNITS_MAX // gaussians
             raise wrong("learned net hidden", f"at most {most} units for each of {gaussians} Gaussians", net.hidden)
-        baked = None if value.get("baked") is None else BakedAbout.parsed(value["baked"], net, wrong)
+        baked = None if value.get("baked") is None else DistilledAbout.parsed(value["baked"], net, wrong)
         cast = None if value.get("cast") is None else CastAbout.parsed(value["cast"], wrong)
         return cls(lobes, net, shadow, bool(world_offsets), ellipsoids, cast, baked)
 
@@ -237,7 +249,7 @@ def expected_learned_arrays(about: LearnedAbout, gaussians: int, storage: Storag
     for name, shape in _light_shapes(about.lobes).items():
         arrays[LIGHT + name] = ("F32", shape)
     if about.net is not None:
-        for name, shape in _net_shapes(about.net).items():
+        for name, shape in about.net.arrays().items():
             arrays[NET + name] = ("F32" if exact else "F16", shape)
     if about.net is not None and about.baked is not None and about.baked.basis:
         for name, kind in _linear_arrays(about.net, about.baked.basis, gaussians).items():
@@ -256,12 +268,6 @@ def _light_shapes(lobes: int) -> dict[str, tuple[int, ...]]:
         "irradiance": (SH_COUNT, 3), "lobe_direction": (lobes, 3), "lobe_sharpness": (lobes,), "lobe_rgb": (lobes, 3),
         "rim": (1,),
     }  # fmt: skip
-
-
-def _net_shapes(shape: PoseNetShape) -> dict[str, tuple[int, ...]]:
-    with torch.device("meta"):
-        net = PoseNet(torch.zeros(1, 21), torch.zeros(1, 3), shape)
-    return {name: tuple(tensor.shape) for name, tensor in net.state_dict().items()}
 
 
 def _linear_arrays(net: PoseNetShape, basis: int, gaussians: int) -> dict[str, tuple[str, tuple]]:
@@ -289,48 +295,44 @@ def _cast_arrays(about: CastAbout, gaussians: int, storage: Storage) -> dict[str
 
 
 def _pack_cast(cast: CastShadow, storage: Storage) -> dict[str, np.ndarray]:
-    anchors, normal = cast.anchors, _numpy(cast.anchors.normal)
+    anchors, normal = cast.anchors, _single(cast.anchors.normal)
     packed = {
-        "lamp_rgb": _numpy(cast.lamp_rgb),
-        "bounced_rgb": _numpy(cast.bounced_rgb),
-        "position_m": _numpy(anchors.position_m),
-        "nearest": anchors.nearest.numpy().astype(np.uint16),
-        "share": np.rint(SHARE_UNITS * anchors.share.numpy()).astype(np.uint8),
-        "bone_weights": _numpy(anchors.bone_weights).astype(np.float32 if storage is Storage.EXACT else np.float16),
+        "lamp_rgb": _single(cast.lamp_rgb),
+        "bounced_rgb": _single(cast.bounced_rgb),
+        "position_m": _single(anchors.position_m),
+        "nearest": anchors.nearest.astype(np.uint16),
+        "share": np.rint(SHARE_UNITS * anchors.share).astype(np.uint8),
+        "bone_weights": _single(anchors.bone_weights).astype(np.float32 if storage is Storage.EXACT else np.float16),
     }
     packed |= {NORMAL: normal} if storage is Storage.EXACT else {PACKED_NORMAL: octahedral(normal)}
     return {CAST + name: array for name, array in packed.items()}
 
 
-def _unpack_cast(packed: dict[str, np.ndarray], canonical_joints_m: torch.Tensor) -> CastShadow:
+def _unpack_cast(packed: dict[str, np.ndarray], canonical_joints_m: np.ndarray) -> CastShadow:
     own = {name.removeprefix(CAST): array for name, array in packed.items() if name.startswith(CAST)}
-    normal = own[NORMAL] if NORMAL in own else octahedral_normal(own[PACKED_NORMAL])
     anchors = Anchors(
-        _tensor(own["position_m"]),
-        _tensor(normal),
-        _tensor(own["bone_weights"]),
-        torch.from_numpy(own["nearest"].astype(np.int64)),
-        _tensor(own["share"]) / SHARE_UNITS,
+        position_m=_single(own["position_m"]),
+        normal=_single(own[NORMAL] if NORMAL in own else octahedral_normal(own[PACKED_NORMAL])),
+        bone_weights=_single(own["bone_weights"]),
+        nearest=own["nearest"].astype(np.int64),
+        share=_single(own["share"]) / SHARE_UNITS,
     )
-    return CastShadow(
-        _tensor(own["lamp_rgb"]), _tensor(own["bounced_rgb"]), anchors, own_flesh(anchors, canonical_joints_m)
-    )
+    flesh = own_flesh(anchors.position_m, canonical_joints_m)
+    return CastShadow(_single(own["lamp_rgb"]), _single(own["bounced_rgb"]), anchors, flesh)
 
 
 def _pack_linear(linear: LinearCorrectives) -> dict[str, np.ndarray]:
-    packed = {LINEAR + name: _numpy(getattr(linear, name)) for name in ("mean", "projection", "scale")}
-    packed[LINEAR + "constant"] = _numpy(linear.constant).astype(np.float16)
-    packed[LINEAR + "direction"] = linear.direction.numpy()
+    packed = {LINEAR + name: _single(getattr(linear, name)) for name in ("mean", "projection", "scale")}
+    packed[LINEAR + "constant"] = _single(linear.constant).astype(np.float16)
+    packed[LINEAR + "direction"] = linear.direction
     return packed
 
 
-def _unpack_linear(packed: dict[str, np.ndarray], net: PoseNet, bone_weights: torch.Tensor) -> LinearCorrectives:
+def _unpack_linear(packed: dict[str, np.ndarray], net: PoseNetwork) -> LinearCorrectives:
     names = ("mean", "projection", "constant", "scale")
+    direction = np.ascontiguousarray(packed[LINEAR + "direction"])
     return LinearCorrectives(
-        angles=net.angles,
-        bone_weights=bone_weights,
-        direction=torch.from_numpy(np.ascontiguousarray(packed[LINEAR + "direction"])),
-        **{name: _tensor(packed[LINEAR + name]) for name in names},
+        angles=net.angles, direction=direction, **{name: _single(packed[LINEAR + name]) for name in names}
     )
 
 
@@ -338,54 +340,51 @@ def pack_learned(learned: Learned, storage: Storage) -> dict[str, np.ndarray]:
     """Arrays as they stand in a file."""
     exact = storage is Storage.EXACT
     real = np.float32 if exact else np.float16
-    normal = _numpy(learned.normal)
-    packed = {SHINE: _numpy(learned.shine)}
+    normal = _single(learned.normal)
+    packed = {SHINE: _single(learned.shine)}
     packed |= {NORMAL: normal} if exact else {PACKED_NORMAL: octahedral(normal)}
     for f in fields(Light):
-        packed[LIGHT + f.name] = np.atleast_1d(_numpy(getattr(learned.light, f.name)))
+        packed[LIGHT + f.name] = np.atleast_1d(_single(getattr(learned.light, f.name)))
     with np.errstate(over="ignore"):  # what becomes infinite is refused when the file is read once before it is named
         packed[SHINE] = packed[SHINE].astype(real)
-        if isinstance(learned.correctives, PoseNet):
-            for name, tensor in learned.correctives.state_dict().items():
-                packed[NET + name] = _numpy(tensor).astype(real)
-        if learned.baked is not None and learned.baked.linear is not None:
-            packed |= _pack_linear(learned.baked.linear)
+        if isinstance(learned.correctives, PoseNetwork):
+            for name, array in learned.correctives.weights.items():
+                packed[NET + name] = _single(array).astype(real)
+        if learned.distilled is not None and learned.distilled.linear is not None:
+            packed |= _pack_linear(learned.distilled.linear)
         if learned.cast is not None:
             packed |= _pack_cast(learned.cast, storage)
         if learned.ellipsoid is not None:
             for f in fields(Ellipsoid):
-                packed[ELLIPSOID + f.name] = _numpy(getattr(learned.ellipsoid, f.name)).astype(real)
+                packed[ELLIPSOID + f.name] = _single(getattr(learned.ellipsoid, f.name)).astype(real)
     return {name: np.ascontiguousarray(array) for name, array in packed.items()}
 
 
-def unpack_learned(packed: dict[str, np.ndarray], about: LearnedAbout, avatar: HandAvatar) -> Learned:
-    """The inverse of `pack_learned`. avatar: what it is added to, as it was read."""
-    bone_weights = avatar.bone_weights
+def unpack_learned(packed: dict[str, np.ndarray], about: LearnedAbout, canonical_joints_m: np.ndarray) -> Learned:
+    """The inverse of `pack_learned`. canonical_joints_m: (21, 3) of the avatar."""
     normal = packed[NORMAL] if NORMAL in packed else octahedral_normal(packed[PACKED_NORMAL])
-    values = {f.name: _tensor(packed[LIGHT + f.name]) for f in fields(Light)}
-    values["rim"] = values["rim"].reshape(())
+    light = {f.name: _single(packed[LIGHT + f.name]) for f in fields(Light)}
+    light["rim"] = light["rim"].reshape(())
     net = None
     if about.net is not None:
-        with torch.random.fork_rng(devices=[]):  # a new network draws random numbers: nobody else should notice
-            net = PoseNet(bone_weights, avatar.uvd, about.net).requires_grad_(False)
-        net.load_state_dict({name: _tensor(packed[NET + name]) for name in net.state_dict()})
-    baked = None
+        net = PoseNetwork(about.net, {name: _single(packed[NET + name]) for name in about.net.arrays()})
+    distilled = None
     if about.baked is not None and net is not None:
-        linear = _unpack_linear(packed, net, bone_weights) if about.baked.basis else None
-        baked = Baked(linear, about.baked.prices, about.baked.measured_on)
+        linear = _unpack_linear(packed, net) if about.baked.basis else None
+        distilled = Distilled(linear, about.baked.prices, about.baked.measured_on)
     ellipsoid = None
     if about.ellipsoids:
-        ellipsoid = Ellipsoid(**{f.name: _tensor(packed[ELLIPSOID + f.name]) for f in fields(Ellipsoid)})
+        ellipsoid = Ellipsoid(**{f.name: _single(packed[ELLIPSOID + f.name]) for f in fields(Ellipsoid)})
     return Learned(
-        normal=_tensor(normal),
-        shine=_tensor(packed[SHINE]),
-        light=Light(**values),
+        normal=_single(normal),
+        shine=_single(packed[SHINE]),
+        light=Light(**light),
         correctives=net,
         shadow=about.shadow,
         world_offsets=about.world_offsets,
         ellipsoid=ellipsoid,
-        cast=None if about.cast is None else _unpack_cast(packed, avatar.canonical_joints_m),
-        baked=baked,
+        cast=None if about.cast is None else _unpack_cast(packed, canonical_joints_m),
+        distilled=distilled,
     )
 
 
@@ -410,9 +409,6 @@ def _folded(square: np.ndarray) -> np.ndarray:
     return (1 - np.abs(square[:, ::-1])) * np.where(square < 0, -1.0, 1.0)
 
 
-def _numpy(tensor: torch.Tensor) -> np.ndarray:
-    return tensor.detach().cpu().to(torch.float32).numpy()
-
-
-def _tensor(array: np.ndarray) -> torch.Tensor:
-    return torch.from_numpy(np.ascontiguousarray(array, np.float32))
+def _single(array: np.ndarray) -> np.ndarray:
+    """As contiguous float32; () stays ()."""
+    return np.asarray(array, np.float32, order="C")

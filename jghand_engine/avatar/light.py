@@ -21,15 +21,10 @@ from torch import Tensor
 
 from jghand_engine.limits import LIGHT_EXPONENT_MAX, NORMAL_LENGTH2_MIN
 
-SH_COUNT = 16
-
 
 @dataclass(frozen=True)
-class Light:
-    """irradiance: (16, 3) coefficients of the logarithm, in the order of `harmonics`
-    lobe_direction: (K, 3) towards the lights, of any length · lobe_sharpness: (K,) lambda of exp(lambda (cos - 1))
-    lobe_rgb: (K, 3) display-referred, 0 and up · rim: () how much more is reflected at grazing angles, 0 and up
-    """
+class LightTensors:
+    """See learned.Light; the coefficients of the irradiance are in the order of `harmonics`."""
 
     irradiance: Tensor
     lobe_direction: Tensor
@@ -37,9 +32,9 @@ class Light:
     lobe_rgb: Tensor
     rim: Tensor
 
-    def to(self, dtype: torch.dtype) -> Light:
+    def to(self, dtype: torch.dtype) -> LightTensors:
         """The same light in another precision."""
-        return Light(**{f.name: getattr(self, f.name).to(dtype) for f in fields(self)})
+        return LightTensors(**{f.name: getattr(self, f.name).to(dtype) for f in fields(self)})
 
 
 def harmonics(normal: Tensor) -> Tensor:
@@ -62,7 +57,7 @@ def unit(vector: Tensor) -> Tensor:
     return vector * (vector * vector).sum(-1, keepdim=True).clamp_min(NORMAL_LENGTH2_MIN).rsqrt()
 
 
-def lit(albedo: Tensor, normal: Tensor, light: Light, shade: Tensor | None = None) -> Tensor:
+def lit(albedo: Tensor, normal: Tensor, light: LightTensors, shade: Tensor | None = None) -> Tensor:
     """(N, 3) color of matt skin. albedo: (N, 3) · normal: (N, 3) unit, world · shade: (N, 3) logarithm of what the
     pose adds or takes."""
     exponent = harmonics(normal) @ light.irradiance
@@ -71,7 +66,7 @@ def lit(albedo: Tensor, normal: Tensor, light: Light, shade: Tensor | None = Non
     return albedo * exponent.clamp(-LIGHT_EXPONENT_MAX, LIGHT_EXPONENT_MAX).exp()
 
 
-def gloss(normal: Tensor, to_eye: Tensor, light: Light) -> Tensor:
+def gloss(normal: Tensor, to_eye: Tensor, light: LightTensors) -> Tensor:
     """(N, 3) what a surface of shine 1 reflects towards the eye. normal, to_eye: (N, 3) unit, world."""
     facing = (normal * to_eye).sum(-1, keepdim=True)
     mirrored = 2 * facing * normal - to_eye

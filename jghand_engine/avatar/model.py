@@ -1,4 +1,4 @@
-"""The learnable hand of METHOD 4.1: feature planes and decoders that give a HandAvatar, with gradients to all of them.
+"""The learnable hand of METHOD 4.1: feature planes and decoders that give HandTensors, with gradients to all of them.
 
 There is one way of posing, `skinning.pose_skin`, for learning and for drawing: the model makes an avatar whose tensors
 remember how they were made, or, when learning is over, one whose tensors are plain numbers.
@@ -14,14 +14,15 @@ import torch
 from torch import Tensor, nn
 
 from jghand_engine import limits
-from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar, grown_radii, sigma_scale_for_prefix
+from jghand_engine.avatar.avatar import AvatarInfo, sigma_scale_for_prefix
 from jghand_engine.avatar.canonical_points import CanonicalPoints
-from jghand_engine.avatar.cast_shadow import CastShadow, own_flesh, place_anchors
-from jghand_engine.avatar.correctives import PoseNet, PoseNetShape
-from jghand_engine.avatar.learned import Ellipsoid, Learned, ShadowLook
-from jghand_engine.avatar.light import SH_COUNT, Light, unit
+from jghand_engine.avatar.cast_shadow import CastTensors, place_anchors
+from jghand_engine.avatar.correctives import PoseNetShape
+from jghand_engine.avatar.learned import SH_COUNT, ShadowLook, own_flesh
+from jghand_engine.avatar.light import LightTensors, unit
 from jghand_engine.avatar.planes import IdentityPlanes
-from jghand_engine.avatar.records import mapped
+from jghand_engine.avatar.pose_net import PoseNet
+from jghand_engine.avatar.tensors import EllipsoidTensors, HandTensors, LearnedTensors, mapped
 from jghand_engine.hand.joints import Handedness
 
 # towards the corners of a cube: where the lobes of the gloss begin
@@ -83,7 +84,7 @@ class LearnedHand(nn.Module):
         self.options, self.points = options, points
         if options.cast_shadow:
             self._anchors = place_anchors(points.position_m, points.normal, points.bone_weights, limits.ANCHORS)
-            self._own = own_flesh(self._anchors, points.joints_m)
+            self._own = torch.from_numpy(own_flesh(self._anchors.position_m.numpy(), points.joints_m.numpy()))
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(seed)
             self._make_parameters()
@@ -124,7 +125,7 @@ class LearnedHand(nn.Module):
             self.heads.bias[6] = options.opacity_bias
         self.keep_in_range()
 
-    def avatar(self, info: AvatarInfo, *, handedness: Handedness, count: int = 0) -> HandAvatar:
+    def avatar(self, info: AvatarInfo, *, handedness: Handedness, count: int = 0) -> HandTensors:
         """The hand as it is now, with gradients. count: of its Gaussians, a prefix whose radii grow as
         `HandAvatar.prefix` says; 0: all."""
         count = count or len(self.points)
@@ -132,7 +133,7 @@ class LearnedHand(nn.Module):
         out = self.heads(self.trunk(self.planes(count)))
         offset_m = options.identity_reach_m * torch.tanh(out[:, :3])
         sigma_m = self.log_sigma[:count].exp()
-        return HandAvatar(
+        return HandTensors(
             info=replace(info, template=points.template, swing=options.swing, scale_mode=options.scale_mode),
             handedness=handedness,
             canonical_joints_m=points.joints_m,
@@ -142,7 +143,7 @@ class LearnedHand(nn.Module):
             rgb=torch.sigmoid(out[:, 3:6]),
             bone_weights=points.bone_weights[:count],
             uvd=points.uvd[:count],
-            learned=Learned(
+            learned=LearnedTensors(
                 normal=unit(points.normal[:count] + limits.NORMAL_BEND * out[:, 7:10]),
                 shine=torch.exp(limits.SHINE_SPREAD * torch.tanh(out[:, 10]))
                 if options.glossy
@@ -166,11 +167,11 @@ class LearnedHand(nn.Module):
             self._own = self._own.to(device)
         return self
 
-    def ellipsoid(self, count: int) -> Ellipsoid | None:
+    def ellipsoid(self, count: int) -> EllipsoidTensors | None:
         """Of the first `count` Gaussians, with gradients; None for spheres."""
         if self.options.shape is Shape.ISO:
             return None
-        return Ellipsoid(self.log_stretch[:count], self.quaternion[:count])
+        return EllipsoidTensors(self.log_stretch[:count], self.quaternion[:count])
 
     def light_parameters(self) -> list[nn.Parameter]:
         """What the light is made of: few numbers that every pixel speaks for."""
@@ -178,17 +179,17 @@ class LearnedHand(nn.Module):
         few += [self.raw_shadow_gain, self.raw_shadow_tint]
         return [*few, self.raw_lamps, self.raw_bounced] if self.options.cast_shadow else few
 
-    def cast_shadow(self, count: int) -> CastShadow | None:
+    def cast_shadow(self, count: int) -> CastTensors | None:
         """On the first `count` Gaussians, with gradients; None where it is not learned."""
         if not self.options.cast_shadow:
             return None
         lamp_rgb = torch.softmax(limits.LAMP_RATE * self.raw_lamps, 0)
-        return CastShadow(lamp_rgb, torch.sigmoid(self.raw_bounced), self._anchors.prefix(count), self._own)
+        return CastTensors(lamp_rgb, torch.sigmoid(self.raw_bounced), self._anchors.prefix(count), self._own)
 
-    def light(self) -> Light:
+    def light(self) -> LightTensors:
         """The light as it is now, with gradients."""
         irradiance = self.irradiance if self.options.lit else torch.zeros_like(self.irradiance)
-        return Light(
+        return LightTensors(
             irradiance=irradiance,
             lobe_direction=self.lobe_direction,
             lobe_sharpness=self.lobe_log_sharpness.exp(),
@@ -230,3 +231,12 @@ class LearnedHand(nn.Module):
             growth = (self.log_sigma[:known] - start[:known])[nearest.to(start.device)]
             self.log_sigma[known : known + len(nearest)] = start[known : known + len(nearest)] + growth
         self.keep_in_range()
+
+
+def grown_radii(sigma_m: Tensor, scale: float, uvd_depth: Tensor) -> Tensor:
+    """`avatar.grown_radii` with gradients."""
+    if scale == 1.0:
+        return sigma_m
+    depth_m = (0.5 - uvd_depth) * (2 * limits.UVD_RANGE_M)
+    limit_m = torch.where(depth_m > limits.DEEP_M, depth_m / limits.DEEP_RADII, torch.inf)
+    return torch.maximum(sigma_m, torch.minimum(sigma_m * scale, limit_m)).clamp(max=limits.SIGMA_MAX_M)

@@ -13,6 +13,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
+from jghand_engine.avatar import correctives
+from jghand_engine.avatar.correctives import PLANES
 from jghand_engine.hand.anatomy import FRAME_RANGES_DEG
 from jghand_engine.hand.frames import HandFrames
 from jghand_engine.limits import PALM_NEIGHBOR_RANGES_DEG, PALM_PLANE_RANGES_DEG
@@ -72,7 +74,18 @@ class AnglePlanes(nn.Module):
     def __init__(self, channels: int, texels: int, *, level1: bool) -> None:
         super().__init__()
         self.level1 = level1
-        self.planes = nn.Parameter(torch.zeros(16, channels, texels, texels))
+        self.planes = nn.Parameter(torch.zeros(PLANES, channels, texels, texels))
+
+    @classmethod
+    def of(cls, plain: correctives.AnglePlanes) -> AnglePlanes:
+        """From arrays, without gradients."""
+        planes = cls(1, 1, level1=plain.level1)
+        planes.planes = nn.Parameter(torch.tensor(plain.planes), requires_grad=False)
+        return planes
+
+    def plain(self) -> correctives.AnglePlanes:
+        """As arrays."""
+        return correctives.AnglePlanes(self.planes.detach().cpu().numpy().copy(), self.level1)
 
     def forward(self, frames: PoseAngles) -> Tensor:
         """(21, channels) features F_0..F_20 of one pose; F_0 is the mean of the metacarpals'."""
@@ -89,16 +102,6 @@ def _look_up(planes: Tensor, at: Tensor) -> Tensor:
     """(B, channels) bilinear value of each plane (B, channels, h, w) at its point (B, 2) in -1..1, clamped."""
     grid = at[:, None, None, :]
     return functional.grid_sample(planes, grid, align_corners=True, padding_mode="border")[:, :, 0, 0]
-
-
-def positional_encoding(uvd: Tensor, octaves: tuple[int, int, int]) -> Tensor:
-    """(N, 2 sum(octaves)) sine and cosine of 2^k pi times each coordinate, octave by octave; uvd (N, 3) in 0..1."""
-    waves = []
-    for coordinate, count in zip(uvd.unbind(-1), octaves, strict=True):
-        for octave in range(count):
-            phase = 2**octave * torch.pi * coordinate
-            waves += [phase.sin(), phase.cos()]
-    return torch.stack(waves, -1)
 
 
 def octave_of_wave(octaves: tuple[int, int, int]) -> Tensor:

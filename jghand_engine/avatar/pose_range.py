@@ -7,10 +7,8 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-import torch
 
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
-from jghand_engine.hand.frames import HandFrames
 from jghand_engine.hand.joints import LEVEL_NAMES
 from jghand_engine.limits import POSE_RANGE_TOLERANCE_DEG
 
@@ -57,17 +55,16 @@ def trained_range(info: AvatarInfo) -> np.ndarray | None:
     return np.moveaxis(np.array(ranges), -1, 0)
 
 
-def range_report(avatar: HandAvatar, frames: HandFrames) -> list[OutOfRange]:
-    """Every angle that is outside in some frame, once, the farthest first. frames: of one pose or of many (F)."""
+def range_report(avatar: HandAvatar, angles_rad: np.ndarray) -> list[OutOfRange]:
+    """Every angle that is outside in some frame, once, the farthest first. angles_rad: (..., 15, 2) flexion and
+    abduction of bones 6..20, of one pose or of many."""
     limits_rad = trained_range(avatar.info)
-    if limits_rad is None:
-        return []
-    return outside(frames.angles, limits_rad)
+    return [] if limits_rad is None else outside(angles_rad, limits_rad)
 
 
-def outside(angles_rad: torch.Tensor, limits_rad: np.ndarray) -> list[OutOfRange]:
+def outside(angles_rad: np.ndarray, limits_rad: np.ndarray) -> list[OutOfRange]:
     """The same from angles (..., 15, 2) and `trained_range`. An angle that is not finite is not outside."""
-    angles = np.asarray(angles_rad).reshape(-1, 15, 2)
+    angles = angles_rad.reshape(-1, 15, 2)
     low, high = limits_rad
     beyond = np.nan_to_num(np.maximum(low - angles, angles - high), nan=-np.inf)
     worst = beyond.argmax(0)

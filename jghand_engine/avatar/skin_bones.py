@@ -18,7 +18,7 @@ def bone_numbers(avatar: HandAvatar) -> np.ndarray:
 
     What moves with the palm as a whole (B_0, METHOD 2.6) belongs to the nearest of the five bones of the palm.
     """
-    weights = avatar.bone_weights.numpy()
+    weights = avatar.bone_weights
     bone = weights.argmax(1)
     palm = bone == 0
     bone[palm] = 1 + _palm_distances(avatar, palm).argmin(1)
@@ -27,8 +27,8 @@ def bone_numbers(avatar: HandAvatar) -> np.ndarray:
 
 def _palm_distances(avatar: HandAvatar, rows: np.ndarray) -> np.ndarray:
     """(M, 5) squared distances of the canonical centers of these rows from the bones of the palm."""
-    points = avatar.position_m.double().numpy()[rows][:, None]
-    joints = avatar.canonical_joints_m.numpy()
+    points = avatar.position_m[rows].astype(np.float64)[:, None]
+    joints = avatar.canonical_joints_m
     start, end = joints[list(PARENTS[_PALM])], joints[_PALM]
     along = ((points - start) * (end - start)).sum(-1) / np.square(end - start).sum(-1)
     nearest = start + along.clip(0, 1)[..., None] * (end - start)

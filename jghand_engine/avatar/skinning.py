@@ -11,13 +11,13 @@ from typing import Protocol
 import torch
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.cast_shadow import CastShadow, LampsSeen, exponent, lamps_seen
-from jghand_engine.avatar.correctives import Correction
+from jghand_engine.avatar.cast_shadow import CastTensors, LampsSeen, exponent, lamps_seen
 from jghand_engine.avatar.covariance import posed_covariance
 from jghand_engine.avatar.gaussians import Gaussians
-from jghand_engine.avatar.learned import Ellipsoid
 from jghand_engine.avatar.light import gloss, lit, unit
 from jghand_engine.avatar.pose_features import PoseAngles
+from jghand_engine.avatar.pose_net import Correction
+from jghand_engine.avatar.tensors import EllipsoidTensors, HandTensors
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.limits import BLEND_DET_MIN, SIGMA_STRETCH_MAX, SIGMA_STRETCH_MIN
@@ -123,7 +123,7 @@ class PosedSkin:
     shine: torch.Tensor | None = None
 
 
-def see_lamps(shadow: CastShadow, canonical_joints_m: torch.Tensor, bones: PoseTransforms) -> LampsSeen:
+def see_lamps(shadow: CastTensors, canonical_joints_m: torch.Tensor, bones: PoseTransforms) -> LampsSeen:
     """What the skin of one pose sees of the lamps, without the pose's correction: it moves skin by less than an edge
     of a shadow is wide. canonical_joints_m: (21, 3) of the avatar."""
     anchors = shadow.anchors
@@ -139,7 +139,7 @@ def see_lamps(shadow: CastShadow, canonical_joints_m: torch.Tensor, bones: PoseT
 
 
 def pose_skin(
-    avatar: HandAvatar,
+    avatar: HandTensors,
     bones: PoseTransforms,
     correction: Correction | None = None,
     *,
@@ -184,7 +184,7 @@ def pose_skin(
         return PosedSkin(gaussians, normal, shine)
 
 
-def seen_from(skin: PosedSkin, eye_m: torch.Tensor, avatar: HandAvatar) -> Gaussians:
+def seen_from(skin: PosedSkin, eye_m: torch.Tensor, avatar: HandTensors) -> Gaussians:
     """The Gaussians with what they reflect towards the eye (3,), in the frame of `skin`.
 
     Where the skin lies decides which way to the eye is, but it is not pulled about by it: no gradient goes there.
@@ -196,7 +196,7 @@ def seen_from(skin: PosedSkin, eye_m: torch.Tensor, avatar: HandAvatar) -> Gauss
     return replace(skin.matt, rgb=skin.matt.rgb + reflected)
 
 
-def posed_skin(avatar: HandAvatar, bones: PoseTransforms, frames: PoseAngles | None) -> PosedSkin:
+def posed_skin(avatar: HandTensors, bones: PoseTransforms, frames: PoseAngles | None) -> PosedSkin:
     """The skin of a finished avatar: `pose_skin` with the correction that its own correctives give for `frames`.
 
     InputError when it has correctives and there are no frames.
@@ -210,18 +210,23 @@ def posed_skin(avatar: HandAvatar, bones: PoseTransforms, frames: PoseAngles | N
 
 
 def pose_gaussians(
-    avatar: HandAvatar, bones: PoseTransforms, *, frames: PoseAngles | None = None, eye_m: torch.Tensor | None = None
+    avatar: HandAvatar | HandTensors,
+    bones: PoseTransforms,
+    *,
+    frames: PoseAngles | None = None,
+    eye_m: torch.Tensor | None = None,
 ) -> Gaussians:
     """Canonical Gaussians -> what is drawn of one pose, in the frame of the joints that made `bones`.
 
     frames: of the same pose; a trained avatar with correctives needs them (InputError) · eye_m: (3,) where the camera
     stands; None leaves out what only that camera would see mirrored
     """
-    skin = posed_skin(avatar, bones, frames)
-    return skin.matt if eye_m is None else seen_from(skin, eye_m, avatar)
+    hand = HandTensors.of(avatar)
+    skin = posed_skin(hand, bones, frames)
+    return skin.matt if eye_m is None else seen_from(skin, eye_m, hand)
 
 
-def _covariance(sigma_m: torch.Tensor, ellipsoid: Ellipsoid | None, linear: torch.Tensor) -> torch.Tensor | None:
+def _covariance(sigma_m: torch.Tensor, ellipsoid: EllipsoidTensors | None, linear: torch.Tensor) -> torch.Tensor | None:
     if ellipsoid is None:
         return None
     log_scale = sigma_m.log()[:, None] + ellipsoid.log_stretch

@@ -95,12 +95,12 @@ def make_untrained(template: HandTemplate, nails: np.ndarray, recipe: Recipe) ->
     return HandAvatar(
         info=AvatarInfo(name=recipe.name, template=template.identifier, license=recipe.license),
         handedness=Handedness.RIGHT,
-        canonical_joints_m=torch.from_numpy(template.joints_m.copy()),
+        canonical_joints_m=template.joints_m.copy(),
         position_m=_float(placed.position_m),
         sigma_m=_float(np.clip(sigma_m, SIGMA_MIN_M, SIGMA_MAX_M)),
-        opacity=torch.full((layers.count,), layers.opacity),
+        opacity=np.full(layers.count, layers.opacity, np.float32),
         rgb=_float(skin_rgb(template, points, recipe.look, recipe.studio)),
-        bone_weights=bone_weights.float(),
+        bone_weights=bone_weights.float().numpy(),
         uvd=_float(np.column_stack([placed.uv, 0.5 - placed.depth_m / (2 * UVD_RANGE_M)])),
     )
 
@@ -222,5 +222,5 @@ def bending_stretch(points_m: np.ndarray, bone_weights: torch.Tensor, joints_m: 
     return worst.clamp(max=STRETCH_MAX)[around].mean(1).numpy()
 
 
-def _float(values: np.ndarray) -> torch.Tensor:
-    return torch.from_numpy(np.ascontiguousarray(values, dtype=np.float32))
+def _float(values: np.ndarray) -> np.ndarray:
+    return np.ascontiguousarray(values, dtype=np.float32)

@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import torch
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.cast_shadow import ANCHOR_NEIGHBORS, CastShadow
-from jghand_engine.avatar.correctives import PoseNet
-from jghand_engine.avatar.learned import Learned
-from jghand_engine.avatar.light import SH_COUNT
-from jghand_engine.avatar.tiers import LinearCorrectives
+from jghand_engine.avatar.correctives import LinearCorrectives, PoseNetwork
+from jghand_engine.avatar.learned import ANCHOR_NEIGHBORS, SH_COUNT, CastShadow, Learned
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 from jghand_engine.hand.orders import check_hand_size, check_order
@@ -39,18 +35,18 @@ def check_avatar(avatar: HandAvatar, thing: str) -> None:
     _check_shapes(avatar, thing)
     _check_joints(avatar, thing)
     for name in ("position_m", "sigma_m", "opacity", "rgb", "bone_weights", "uvd"):
-        _refuse(thing, name, "finite values", ~torch.isfinite(getattr(avatar, name)), getattr(avatar, name))
+        _refuse(thing, name, "finite values", ~np.isfinite(getattr(avatar, name)), getattr(avatar, name))
     sigma_m = avatar.sigma_m
     # a float16 on disk may lie half a step outside the limits
     outside = (sigma_m < SIGMA_MIN_M * (1 - 1e-3)) | (sigma_m > SIGMA_MAX_M * (1 + 1e-3))
     _refuse(thing, "sigma_m", f"radii of {SIGMA_MIN_M} to {SIGMA_MAX_M} m", outside, sigma_m)
-    far = (avatar.position_m - avatar.canonical_joints_m[0].to(avatar.position_m.dtype)).abs() > AVATAR_REACH_M
+    far = np.abs(avatar.position_m - avatar.canonical_joints_m[0]) > AVATAR_REACH_M
     _refuse(thing, "position_m", f"points within {AVATAR_REACH_M} m of the wrist", far, avatar.position_m)
     for name in ("opacity", "rgb", "uvd", "bone_weights"):
         values = getattr(avatar, name)
         _refuse(thing, name, "values of 0 to 1", (values < 0) | (values > 1), values)
-    total = avatar.bone_weights.to(torch.float64).sum(1)
-    off = (total - 1).abs() > WEIGHT_SUM_TOLERANCE
+    total = avatar.bone_weights.sum(1, dtype=np.float64)
+    off = np.abs(total - 1) > WEIGHT_SUM_TOLERANCE
     _refuse(thing, "bone_weights", f"rows that sum to 1 within {WEIGHT_SUM_TOLERANCE}", off, total)
     if avatar.learned is not None:
         _check_learned(avatar.learned, len(avatar), thing)
@@ -71,39 +67,40 @@ def _check_learned(learned: Learned, count: int, thing: str) -> None:
         "light lobe_rgb": (light.lobe_rgb, (lobes, 3), 0.0, most),
         "light rim": (light.rim, (), 0.0, most),
     }
-    if isinstance(learned.correctives, PoseNet):
-        for name, tensor in learned.correctives.state_dict().items():
-            ranges[f"pose_net {name}"] = (tensor, tuple(tensor.shape), -POSE_NET_WEIGHT_MAX, POSE_NET_WEIGHT_MAX)
+    if isinstance(learned.correctives, PoseNetwork):
+        for name, shape in learned.correctives.shape.arrays().items():
+            weights = learned.correctives.weights[name]
+            ranges[f"pose_net {name}"] = (weights, shape, -POSE_NET_WEIGHT_MAX, POSE_NET_WEIGHT_MAX)
     if learned.ellipsoid is not None:
         ranges["ellipsoid log_stretch"] = (learned.ellipsoid.log_stretch, (count, 3), -LOG_STRETCH_MAX, LOG_STRETCH_MAX)
         ranges["ellipsoid quaternion"] = (learned.ellipsoid.quaternion, (count, 4), -most, most)
     if learned.cast is not None:
         ranges |= _cast_ranges(learned.cast, count)
-    if learned.baked is not None and learned.baked.linear is not None:
-        ranges |= _linear_ranges(learned.baked.linear, count)
+    if learned.distilled is not None and learned.distilled.linear is not None:
+        ranges |= _linear_ranges(learned.distilled.linear, count)
     for name, (values, shape, low, high) in ranges.items():
         if tuple(values.shape) != shape:
             came = f"shape {tuple(values.shape)}"
             raise InputError(f"{thing}: {name}", wanted=f"shape {shape}", came=came, remedy=REMEDY)
-        flat = values.detach().reshape(-1)
+        flat = values.reshape(-1)
         _refuse(thing, name, f"values of {low:g} to {high:g}", ~((flat >= low) & (flat <= high)), flat, of="number")
     _check_lengths(thing, "normal", learned.normal)
     if learned.cast is not None:
         _check_lengths(thing, "cast normal", learned.cast.anchors.normal)
         for name, rows in (("bone_weights", learned.cast.anchors.bone_weights), ("share", learned.cast.anchors.share)):
-            total = rows.double().sum(1)
+            total = rows.sum(1, dtype=np.float64)
             wanted = f"rows that sum to 1 within {CAST_SUM_TOLERANCE:g}"
-            _refuse(thing, f"cast {name}", wanted, (total - 1).abs() > CAST_SUM_TOLERANCE, total)
+            _refuse(thing, f"cast {name}", wanted, np.abs(total - 1) > CAST_SUM_TOLERANCE, total)
     _check_shadow(learned, thing)
 
 
 def _linear_ranges(
     linear: LinearCorrectives, count: int
-) -> dict[str, tuple[torch.Tensor, tuple[int, ...], float, float]]:
+) -> dict[str, tuple[np.ndarray, tuple[int, ...], float, float]]:
     """Constants, and what a number of 1 adds, which is its standard deviation, move a Gaussian nowhere beyond a hand.
     What the largest number that the planes can give adds is no bound: products of numbers reach hundreds on a trained
     hand, in poses that no hand takes."""
-    steps = torch.iinfo(torch.int8).max * linear.scale
+    steps = np.iinfo(np.int8).max * linear.scale
     ranges = {}
     for part in ("mean", "projection"):
         values = getattr(linear, part)
@@ -115,7 +112,7 @@ def _linear_ranges(
     return ranges
 
 
-def _cast_ranges(cast: CastShadow, count: int) -> dict[str, tuple[torch.Tensor, tuple[int, ...], float, float]]:
+def _cast_ranges(cast: CastShadow, count: int) -> dict[str, tuple[np.ndarray, tuple[int, ...], float, float]]:
     anchors = cast.anchors
     return {
         "cast lamp_rgb": (cast.lamp_rgb, (len(cast.lamp_rgb), 3), 0.0, LIGHT_VALUE_MAX),
@@ -128,9 +125,9 @@ def _cast_ranges(cast: CastShadow, count: int) -> dict[str, tuple[torch.Tensor, 
     }
 
 
-def _check_lengths(thing: str, name: str, vector: torch.Tensor) -> None:
-    length = vector.norm(dim=-1)
-    _refuse(thing, name, "vectors of length 1", (length - 1).abs() > NORMAL_LENGTH_TOLERANCE, length)
+def _check_lengths(thing: str, name: str, vector: np.ndarray) -> None:
+    length = np.linalg.norm(vector, axis=-1)
+    _refuse(thing, name, "vectors of length 1", np.abs(length - 1) > NORMAL_LENGTH_TOLERANCE, length)
 
 
 def _check_shadow(learned: Learned, thing: str) -> None:
@@ -163,7 +160,7 @@ def _check_shapes(avatar: HandAvatar, thing: str) -> None:
 
 def _check_joints(avatar: HandAvatar, thing: str) -> None:
     """A canonical hand that joints can drive: the same checks as of any other hand, and the transform is built once."""
-    joints_m = avatar.canonical_joints_m.detach().cpu().to(torch.float64).numpy()
+    joints_m = avatar.canonical_joints_m
     if not np.isfinite(joints_m).all():
         raise InputError(f"{thing}: canonical_joints_m", wanted="finite values", came="NaN or Inf", remedy=REMEDY)
     try:
@@ -178,11 +175,11 @@ def _check_joints(avatar: HandAvatar, thing: str) -> None:
         ) from error
 
 
-def _refuse(thing: str, name: str, wanted: str, bad: torch.Tensor, values: torch.Tensor, of: str = "Gaussian") -> None:
+def _refuse(thing: str, name: str, wanted: str, bad: np.ndarray, values: np.ndarray, of: str = "Gaussian") -> None:
     """InputError about the first row, which is called `of`, where `bad` (N,) or (N, C) holds."""
-    if not bool(bad.any()):
+    if not bad.any():
         return
-    first = bad.nonzero()[0]
+    first = np.argwhere(bad)[0]
     raise InputError(
         f"{thing}: {name}",
         wanted=wanted,

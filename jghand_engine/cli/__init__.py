@@ -33,7 +33,7 @@ Examples:
 # called gets imported
 VERBS = (
     *("demo", "render", "export", "info", "motion", "check-data", "check-usd", "track", "capture"),
-    *("train", "train-many", "evaluate", "bake", "ablate", "bench", "study", "serve"),
+    *("train", "train-many", "evaluate", "distill", "ablate", "bench", "study", "serve"),
 )
 STYLE = (
     tyro.conf.OmitArgPrefixes,

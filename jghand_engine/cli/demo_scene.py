@@ -88,7 +88,7 @@ class Scene:
 
 def demo_motion(avatar: HandAvatar, poses: list[str]) -> PoseSequence:
     """Named poses while the whole hand sways about its long axis, so that more than one side is seen."""
-    joints = avatar.canonical_joints_m.numpy()
+    joints = avatar.canonical_joints_m
     options = MotionOptions(fps=limits.DEMO_FPS, move_s=limits.DEMO_MOVE_S, hold_s=limits.DEMO_HOLD_S)
     sequence = pose_sequence_of_names(poses, joints, handedness=avatar.handedness, options=options)
     phase = np.linspace(0, 2 * np.pi, len(sequence))

@@ -252,7 +252,7 @@ class Export:
         size = sum(report.bytes.values())
         say(f"Wrote {report.page}: {report.frames} frames, {report.gaussians} Gaussians, {size / 1e6:.1f} MB. Open it.")
         if report.correctives == "network":
-            say("This avatar has no linear tier: the page computes its network and is slow. `jghand bake` adds one.")
+            say("This avatar has no linear tier: the page computes its network and is slow. `jghand distill` adds one.")
         return {
             "page": str(report.page), "frames": report.frames, "gaussians": report.gaussians,
             "correctives": report.correctives, "bytes": report.bytes, "made_from": made_from(avatar, sequence),

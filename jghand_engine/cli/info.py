@@ -16,7 +16,7 @@ from jghand_engine.errors import InputError
 
 if TYPE_CHECKING:
     from jghand_engine.avatar.avatar import HandAvatar
-    from jghand_engine.avatar.tiers import Baked
+    from jghand_engine.avatar.tiers import Distilled
 
 DESCRIPTION = """Say what is inside an avatar, a motion, a USD or a splat file, and what is wrong with one of these two.
 
@@ -98,11 +98,13 @@ def _text(value: Any) -> str:
 
 def avatar_facts(avatar: str) -> dict[str, Any]:
     """What an avatar is; reading it checks every value."""
+    import numpy as np
+
     from jghand_engine.avatar.builtin import load_avatar_called
     from jghand_engine.hand.orders import hand_length
 
     loaded = load_avatar_called(avatar)
-    extent_m = loaded.position_m.amax(0) - loaded.position_m.amin(0)
+    extent_m = np.ptp(loaded.position_m, axis=0)
     return {
         "kind": "avatar",
         "name": loaded.info.name,
@@ -111,11 +113,11 @@ def avatar_facts(avatar: str) -> dict[str, Any]:
         "gaussians": len(loaded),
         "radius_mm": {
             "smallest": 1e3 * float(loaded.sigma_m.min()),
-            "median": 1e3 * float(loaded.sigma_m.median()),
+            "median": 1e3 * float(np.median(loaded.sigma_m)),
             "largest": 1e3 * float(loaded.sigma_m.max()),
         },
         "size_mm": [1e3 * float(edge) for edge in extent_m],
-        "hand_length_mm": 1e3 * hand_length(loaded.canonical_joints_m.numpy()),
+        "hand_length_mm": 1e3 * hand_length(loaded.canonical_joints_m),
         "conventions": {
             "swing": loaded.info.swing,
             "scale": loaded.info.scale_mode,
@@ -129,32 +131,32 @@ def avatar_facts(avatar: str) -> dict[str, Any]:
 
 def learned_facts(avatar: HandAvatar) -> dict[str, Any]:
     """What training added to an avatar; empty for one that was painted."""
-    from jghand_engine.avatar.correctives import PoseNet
+    from jghand_engine.avatar.correctives import PoseNetwork
 
     learned = avatar.learned
     if learned is None:
         return {}
-    shape = learned.correctives.shape if isinstance(learned.correctives, PoseNet) else None
+    shape = learned.correctives.shape if isinstance(learned.correctives, PoseNetwork) else None
     return {
         "light": f"{len(learned.light.lobe_sharpness)} lobes of gloss",
         "correctives": "none" if shape is None else f"network of width {shape.hidden}",
         "offsets_up_to_mm": 0.0 if shape is None else 1e3 * shape.reach_m,
         "shadow": "none" if learned.shadow is None else f"gain {learned.shadow.gain:.3g}",
         "cast_shadow": "none" if learned.cast is None else f"{len(learned.cast.lamp_rgb)} lamps",
-        "psnr_db": _accuracy(learned.baked),
-        "tiers": {} if learned.baked is None else {
-            **{one.name: f"{one.frame_ms:.3g} ms, {one.lost_db:.2f} dB lost" for one in learned.baked.prices},
-            "measured on": learned.baked.measured_on,
+        "psnr_db": _accuracy(learned.distilled),
+        "tiers": {} if learned.distilled is None else {
+            **{one.name: f"{one.frame_ms:.3g} ms, {one.lost_db:.2f} dB lost" for one in learned.distilled.prices},
+            "measured on": learned.distilled.measured_on,
         },
     }  # fmt: skip
 
 
-def _accuracy(baked: Baked | None) -> str:
+def _accuracy(distilled: Distilled | None) -> str:
     """What was measured of the exact tier, and on which pictures."""
     from jghand_engine.avatar.tiers import Tier
 
-    prices = [] if baked is None else [one.psnr_db for one in baked.prices if one.name == Tier.EXACT]
-    return f"{prices[0]:.2f} on {baked.measured_on}" if baked is not None and prices else "not measured"
+    prices = [] if distilled is None else [one.psnr_db for one in distilled.prices if one.name == Tier.EXACT]
+    return f"{prices[0]:.2f} on {distilled.measured_on}" if distilled is not None and prices else "not measured"
 
 
 def motion_facts(path: Path, options: FormatOptions) -> dict[str, Any]:

@@ -243,4 +243,5 @@ def out_of_range(avatar: HandAvatar, motion: Motion) -> list[OutOfRange]:
 
     from jghand_engine.avatar.pose_range import range_report
 
-    return range_report(avatar, avatar.bone_transform().frames(torch.from_numpy(motion.sequence.joints_m)))
+    frames = avatar.bone_transform().frames(torch.from_numpy(motion.sequence.joints_m))
+    return range_report(avatar, frames.angles.numpy())

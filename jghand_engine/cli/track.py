@@ -113,7 +113,7 @@ class Track:
         sightings = self._look(video, notes)
         seconds_looking = time.perf_counter() - started
         found = hands_over_time(sightings.frames, sightings.fps)
-        hands = track(sightings, avatar.canonical_joints_m.numpy(), options, self._wanted(found))
+        hands = track(sightings, avatar.canonical_joints_m, options, self._wanted(found))
         notes.sentences += [
             f"{_doubt(side, hand)}, and taken for a mistake."
             for side, hand in found.doubted.items()

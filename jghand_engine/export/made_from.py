@@ -6,12 +6,10 @@ import hashlib
 from dataclasses import fields, is_dataclass, replace
 from typing import Any
 
-import torch
+import numpy as np
 
 from jghand_engine import __version__
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.correctives import PoseNet
-from jghand_engine.avatar.tiers import CachedNet
 from jghand_engine.hand.orders import JointOrder, from_level
 from jghand_engine.hand.sequence import PoseSequence
 
@@ -31,26 +29,22 @@ def made_from(avatar: HandAvatar, sequence: PoseSequence) -> dict[str, str]:
 def _digest_of(avatar: HandAvatar) -> str:
     """Not of its names, nor of cheaper tiers and what they cost, nor of the hand that it is driven by."""
     digest = hashlib.sha256()
-    tensors = (avatar.position_m, avatar.sigma_m, avatar.opacity, avatar.rgb, avatar.bone_weights)
+    arrays = (avatar.position_m, avatar.sigma_m, avatar.opacity, avatar.rgb, avatar.bone_weights)
     info = avatar.info
-    learned = None if avatar.learned is None else replace(avatar.learned, baked=None)
-    for value in (*tensors, avatar.canonical_joints_m, info.swing, info.scale_mode, str(info.transform), learned):
+    learned = None if avatar.learned is None else replace(avatar.learned, distilled=None)
+    for value in (*arrays, avatar.canonical_joints_m, info.swing, info.scale_mode, str(info.transform), learned):
         _feed(digest, value)
     return digest.hexdigest()
 
 
 def _feed(digest: Any, value: Any) -> None:
     """Adds a value, and all that it holds in its order, to a digest of hashlib."""
-    if isinstance(value, torch.Tensor):
-        digest.update(f"{value.dtype} {tuple(value.shape)} ".encode())
-        digest.update(value.detach().cpu().contiguous().numpy().tobytes())
-    elif isinstance(value, CachedNet):
-        _feed(digest, value.net)
-    elif isinstance(value, torch.nn.Module):
-        for name, tensor in value.state_dict().items():
+    if isinstance(value, np.ndarray):
+        digest.update(f"{value.dtype} {value.shape} ".encode() + value.tobytes())
+    elif isinstance(value, dict):
+        for name, entry in value.items():
             digest.update(name.encode())
-            _feed(digest, tensor)
-        _feed(digest, value.shape if isinstance(value, PoseNet) else None)
+            _feed(digest, entry)
     elif is_dataclass(value):
         for entry in fields(value):
             digest.update(entry.name.encode())

@@ -108,7 +108,7 @@ class JointWitness:
 
     def __init__(self, avatar: HandAvatar) -> None:
         self._reach_m = JOINT_REACH_ROOM * joint_reach_m(avatar)
-        self._length_m = hand_length(avatar.canonical_joints_m.numpy())
+        self._length_m = hand_length(avatar.canonical_joints_m)
 
     def look(self, joints_m: np.ndarray, camera: Camera, depth_map_m: np.ndarray) -> JointView:
         """joints_m: (21, 3) level order, meters, world · depth_map_m: (H, W) through a pinhole, 0 where nothing is"""
@@ -130,8 +130,8 @@ class JointWitness:
 def joint_reach_m(avatar: HandAvatar) -> np.ndarray:
     """(21,) how far the skin around each joint is from it at rest, meters, standard order: of the Gaussians of its
     bones in a slab across the bone."""
-    bones, points = bone_numbers(avatar), avatar.position_m.double().numpy()
-    canonical = avatar.canonical_joints_m.double().numpy()
+    bones, points = bone_numbers(avatar), avatar.position_m.astype(np.float64)
+    canonical = avatar.canonical_joints_m
     reach_m = np.zeros(JOINT_COUNT)
     for level in range(JOINT_COUNT):
         joint = STANDARD_OF_LEVEL[level]

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import copy
 from dataclasses import replace
 
 import torch
 from torch import Tensor
 
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
+from jghand_engine.avatar.correctives import PoseNetwork
 from jghand_engine.avatar.model import LearnedHand
 from jghand_engine.avatar.pose_range import angle_name
-from jghand_engine.avatar.records import mapped
 from jghand_engine.hand.transform import JointTransform
 
 
@@ -29,17 +28,14 @@ def bake(
     wave_weight: how much of each wave of the encoding has been learned with, 0..1; None: all.
     """
     with torch.no_grad():
-        avatar = hand.avatar(
-            replace(info, pose_statistics=angle_ranges(transform, joints_m)), handedness=transform.handedness
-        )
-        if avatar.learned is not None:
-            learned = mapped(avatar.learned, _plain)
-            net = copy.deepcopy(hand.pose_net).requires_grad_(False).cpu()
-            if wave_weight is not None:
-                net.encoding_in.weight *= wave_weight.cpu()
-            shadow = learned.shadow if with_shadow else None
-            avatar = replace(mapped(avatar, _plain), learned=replace(learned, correctives=net, shadow=shadow))
+        ranges = angle_ranges(transform, joints_m)
+        avatar = hand.avatar(replace(info, pose_statistics=ranges), handedness=transform.handedness).avatar()
+    learned = avatar.learned
+    if learned is None or not isinstance(learned.correctives, PoseNetwork):
         return avatar
+    if wave_weight is not None:
+        learned.correctives.weights["encoding_in.weight"] *= wave_weight.cpu().numpy()
+    return avatar if with_shadow else replace(avatar, learned=replace(learned, shadow=None))
 
 
 def angle_ranges(transform: JointTransform, joints_m: Tensor) -> dict[str, tuple[float, float]]:
@@ -51,8 +47,3 @@ def angle_ranges(transform: JointTransform, joints_m: Tensor) -> dict[str, tuple
         for bone in range(6, 21)
         for kind in (0, 1)
     }
-
-
-def _plain(tensor: Tensor) -> Tensor:
-    """A copy on the CPU without history."""
-    return tensor.detach().cpu().clone()

@@ -31,7 +31,7 @@ class LiveHand:
 
     def __init__(self, avatar: HandAvatar, settings: RenderSettings) -> None:
         self._avatar, self._transform, self._settings = avatar, avatar.bone_transform(), settings
-        self._gate = ShadowGate(avatar.canonical_joints_m.numpy())
+        self._gate = ShadowGate(avatar.canonical_joints_m)
         self._library = load(settings.backend)
 
     def __call__(self, joints_m: np.ndarray, handedness: Handedness, camera: Camera) -> np.ndarray:

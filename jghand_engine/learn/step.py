@@ -24,8 +24,8 @@ from jghand_engine.avatar.canonical_points import place_points
 from jghand_engine.avatar.cast_shadow import LampsSeen
 from jghand_engine.avatar.model import LearnedHand, Shape
 from jghand_engine.avatar.pose_features import octave_of_wave
-from jghand_engine.avatar.records import mapped
 from jghand_engine.avatar.skinning import PosedSkin, SkinMaps, pose_skin, see_lamps, seen_from, skin_maps
+from jghand_engine.avatar.tensors import HandTensors, mapped
 from jghand_engine.captures.sample import Sample
 from jghand_engine.errors import InputError
 from jghand_engine.hand.baselines import transform_called
@@ -270,10 +270,10 @@ class HandTraining:
             mean["roughness"] = weights.roughness * self.hand.planes.roughness()
         return mean
 
-    def _live(self, count: int = 0) -> HandAvatar:
+    def _live(self, count: int = 0) -> HandTensors:
         return self.hand.avatar(self._info, handedness=self._handedness, count=count or self._count)
 
-    def _pose(self, avatar: HandAvatar, posed: _PosedBones, part: float) -> tuple[PosedSkin, Tensor]:
+    def _pose(self, avatar: HandTensors, posed: _PosedBones, part: float) -> tuple[PosedSkin, Tensor]:
         """The skin of a pose, and its offsets (N, 3) meters."""
         correction = self.hand.pose_net(posed.bones.frames, len(avatar), self._wave_weight(part))
         maps = _first(posed.maps, len(avatar))
@@ -287,7 +287,7 @@ class HandTraining:
         progress = (part - waves[0]) / (waves[1] - waves[0]) * (float(self._octave.max()) + 1)
         return 0.5 - 0.5 * torch.cos(torch.pi * (progress - self._octave).clamp(0, 1))
 
-    def _draw_view(self, avatar: HandAvatar, skin: PosedSkin, shadow: float, camera: Camera) -> tuple[Tensor, Tensor]:
+    def _draw_view(self, avatar: HandTensors, skin: PosedSkin, shadow: float, camera: Camera) -> tuple[Tensor, Tensor]:
         """Color (H, W, 3) and alpha (H, W) of one view, with gradients."""
         gaussians = mapped(seen_from(skin, torch.from_numpy(camera.eye_m), avatar), Tensor.cpu)
         picture = rasterize(gaussians, camera, self._settings)

@@ -67,11 +67,7 @@ POSE_NET_WEIGHT_MAX = 1e4
 POSE_NET_UNITS_MAX = 64_000_000
 # by how much the length of a stored normal may be off 1
 NORMAL_LENGTH_TOLERANCE = 1e-3
-# cheaper tiers of the correctives: what one may lose to be taken unasked, dB (RENDERING 5); largest basis
-TIER_LOST_MAX_DB = 0.1
-# ... and how much of the exact tier's frame it may take: what is saved is to be more than what two medians of one thing
-# differ by on a busy machine, some percent
-TIER_FASTER_MAX = 0.9
+# largest basis of the linear tier of the correctives
 BASIS_MAX = 64
 # how far a joint may leave the range of angles that was trained, degrees, before it is told: the skin of a good avatar
 # carries on so far (assumed)

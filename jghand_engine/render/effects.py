@@ -18,9 +18,8 @@ import numpy as np
 
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.correctives import Correctives, PoseNet
+from jghand_engine.avatar.correctives import LinearCorrectives
 from jghand_engine.avatar.learned import ShadowLook
-from jghand_engine.avatar.tiers import CachedNet, LinearCorrectives
 from jghand_engine.hand.fast_transform import FastBones
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.effect_plan import NOT_ALLOWED, Box, Decision, Effect, EffectPlan
@@ -49,16 +48,16 @@ class HandFacts:
 
     def __init__(self, avatar: HandAvatar) -> None:
         self.avatar, self.learned = avatar, avatar.learned
-        self.gate = ShadowGate(avatar.canonical_joints_m.numpy())
+        self.gate = ShadowGate(avatar.canonical_joints_m)
         self.look = ShadowLook() if self.learned is None else self.learned.shadow
         net = None if self.learned is None else self.learned.correctives
         # a linear tier is found as fast as it is read
         self.keeps_correctives = net is not None and not isinstance(net, LinearCorrectives)
-        self.sigma_m = float(avatar.sigma_m.median()) if len(avatar) else 0.0
+        self.sigma_m = float(np.median(avatar.sigma_m)) if len(avatar) else 0.0
         self._moving, self._corners_m = _corners(avatar)
-        self.offset_m = 0.0 if self.learned is None else _longest_offset_m(self.learned.correctives)
+        self.offset_m = 0.0 if net is None else net.longest_offset_m()
         ellipsoid = None if self.learned is None else self.learned.ellipsoid
-        self.log_stretch = float(ellipsoid.log_stretch.abs().max()) if ellipsoid is not None and len(avatar) else None
+        self.log_stretch = float(np.abs(ellipsoid.log_stretch).max()) if ellipsoid is not None and len(avatar) else None
         self._sigma_max_m = self._longest_radius_m()
 
     def _longest_radius_m(self) -> float:
@@ -68,7 +67,7 @@ class HandFacts:
         if self.learned is None or self.learned.ellipsoid is None:
             return float(self.avatar.sigma_m.max()) * limits.SIGMA_STRETCH_MAX
         # the blended map stretches these like the corners; twice is more than it does to the skin of a hand
-        return 2 * float((self.avatar.sigma_m * self.learned.ellipsoid.log_stretch.amax(1).exp()).max())
+        return 2 * float((self.avatar.sigma_m * np.exp(self.learned.ellipsoid.log_stretch.max(1))).max())
 
     def reach_m(self, bones: FastBones, alpha_min: float) -> float:
         """How far from its skinned place a Gaussian of that pose may touch a picture with this cut-off."""
@@ -82,24 +81,14 @@ class HandFacts:
         return (moved + maps[:, None, :, 3]).reshape(-1, 3)
 
 
-def _longest_offset_m(correctives: Correctives | None) -> float:
-    """The longest offset along an axis that correctives can give, meters; infinite for unknown ones."""
-    if correctives is None:
-        return 0.0
-    net = correctives.net if isinstance(correctives, CachedNet) else correctives
-    if isinstance(net, PoseNet):
-        return net.shape.reach_m
-    return net.longest_offset_m() if isinstance(net, LinearCorrectives) else math.inf
-
-
 def _corners(avatar: HandAvatar) -> tuple[np.ndarray, np.ndarray]:
     """(21,) bool which bones move anything; (bones, 8, 3) corners of the boxes around it, canonical, root-relative.
 
     A skinned point is a mean of the places where its bones would carry it, each inside its bone's box: all of them lie
     in the hull of the boxes.
     """
-    relative = avatar.position_m.double().numpy() - avatar.canonical_joints_m[0].numpy()
-    moves = (avatar.bone_weights != 0).numpy().T
+    relative = avatar.position_m.astype(np.float64) - avatar.canonical_joints_m[0]
+    moves = (avatar.bone_weights != 0).T
     moving = np.asarray(moves.any(1))
     ends = [(relative[rows].min(0), relative[rows].max(0)) for rows in moves[moving]]
     corners = [np.stack(np.meshgrid(*np.stack(pair, 1), indexing="ij"), -1).reshape(8, 3) for pair in ends]
@@ -112,7 +101,7 @@ def equipped(avatar: HandAvatar, settings: RenderSettings) -> HandAvatar:
     if learned is None:
         return avatar
     without = {
-        Effect.CORRECTIVES: {"correctives": None, "baked": None},
+        Effect.CORRECTIVES: {"correctives": None, "distilled": None},
         Effect.CAST: {"cast": None},
         Effect.ANISOTROPY: {"ellipsoid": None},
     }

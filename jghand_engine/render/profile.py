@@ -104,8 +104,8 @@ def profile_file(avatar: HandAvatar) -> Path:
     stamp = read_stamp(library.path)
     machine = [processor(), platform.machine(), os.cpu_count(), library.variant, repr(stamp)]
     digest = hashlib.sha256(json.dumps([FORMAT, jghand_engine.__version__, *machine]).encode())
-    for tensor in (avatar.position_m, avatar.sigma_m, avatar.opacity, avatar.rgb):
-        digest.update(tensor.contiguous().numpy().tobytes())
+    for array in (avatar.position_m, avatar.sigma_m, avatar.opacity, avatar.rgb):
+        digest.update(array.tobytes())
     if avatar.learned is not None:
         learned = avatar.learned
         digest.update(json.dumps(LearnedAbout.of(learned).as_dict(), sort_keys=True).encode())

@@ -64,7 +64,7 @@ def plan_shadows(
     gap_m = gap_between(scene.joints_m) if may_between else math.inf
     alone = gap_m >= limits.GATE_RADIUS_M
     if alone and not always and (seen := _unseen(looks, settings)) is not None:
-        return neither(f"seen by {255 * seen:.1f} of 255 steps", _Loss("the most that `jghand bake` measured", seen))
+        return neither(f"seen by {255 * seen:.1f} of 255 steps", _Loss("the most that `jghand distill` measured", seen))
     size_px = max(extents_px)
     large = 1.0 if always else fade_with_size(size_px)
     if large == 0:

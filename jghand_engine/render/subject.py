@@ -26,7 +26,7 @@ class Subject:
 
 def moving_subject(name: str, hand: HandAvatar, width: int, height: int) -> Subject:
     """An avatar in motion, no two poses alike; the hand fills the height of the picture."""
-    canonical = hand.canonical_joints_m.numpy()
+    canonical = hand.canonical_joints_m
     # the motion must not stand still: a hand at rest is not drawn again
     options = MotionOptions(hold_s=0.0, variation_deg=2.0)
     poses = pose_sequence_of_names(POSES, canonical, handedness=hand.handedness, options=options).joints_m

@@ -83,7 +83,7 @@ class EngineHands:
             "handedness": str(loaded.handedness),
             "gaussians": len(loaded),
         }
-        return LoadedAvatar(facts, from_level(loaded.canonical_joints_m.numpy(), JointOrder.STANDARD))
+        return LoadedAvatar(facts, from_level(loaded.canonical_joints_m, JointOrder.STANDARD))
 
     def render(self, picture: PictureRequest, canceled: Callable[[], bool] = never) -> Painting:
         """All hands in one picture: their Gaussians are drawn together, so that hands may interlock. A request's world

@@ -11,11 +11,10 @@ from dataclasses import dataclass, replace
 import torch
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.correctives import PoseNet
+from jghand_engine.avatar.correctives import LinearCorrectives, PoseNetwork, largest_basis
 from jghand_engine.avatar.distill import distill, poses_near
 from jghand_engine.avatar.file import stored_form
 from jghand_engine.avatar.storage import Storage
-from jghand_engine.avatar.tiers import CachedNet, LinearCorrectives, basis_most
 from jghand_engine.native.threads import thread_count
 from jghand_engine.render.budget import candidates, has_seen_shadow
 from jghand_engine.render.profile import NO_CORRECTIVES
@@ -87,11 +86,11 @@ def _shadows(avatar: HandAvatar, own: RenderSettings) -> Iterator[Variant]:
 def linear_tiers(avatar: HandAvatar) -> dict[int, LinearCorrectives]:
     """The linear form of its correctives by size, fitted to made-up poses; none where it has no network."""
     net = None if avatar.learned is None else avatar.learned.correctives
-    if not isinstance(net, PoseNet):
+    if not isinstance(net, PoseNetwork):
         return {}
     known = ExactPictures(avatar).known_poses(avatar)
     poses = torch.cat([known, poses_near(known, DISTIL_POSES, seed=0)])
-    return distill(net, poses, [k for k in BASES if k <= basis_most(net.shape)])
+    return distill(avatar, poses, [k for k in BASES if k <= largest_basis(net.shape)])
 
 
 def _correctives(avatar: HandAvatar, own: RenderSettings, linear: Mapping[int, LinearCorrectives]) -> Iterator[Variant]:
@@ -101,8 +100,6 @@ def _correctives(avatar: HandAvatar, own: RenderSettings, linear: Mapping[int, L
     yield Variant(CORRECTIVES, "off", replace(own, effects=NO_CORRECTIVES))
     for basis, tier in sorted(linear.items()):
         yield Variant(CORRECTIVES, f"linear, K = {basis}", own, with_correctives(avatar, tier))
-    if isinstance(net, PoseNet):
-        yield Variant(CORRECTIVES, "cached", own, with_correctives(avatar, CachedNet(net)))
     yield Variant(CORRECTIVES, "exact", own)
 
 

@@ -190,7 +190,7 @@ def _skipped_below(rows: Sequence[GateRow], score: float) -> dict:
 def named_motion(avatar: HandAvatar, poses: Sequence[str] = POSES) -> np.ndarray:
     """(F, 21, 3) named poses with ways between them; in the last third the hand moves as a whole."""
     options = MotionOptions(fps=15.0, hold_s=0.3, variation_deg=0.0)
-    canonical = avatar.canonical_joints_m.numpy()
+    canonical = avatar.canonical_joints_m
     joints = pose_sequence_of_names(poses, canonical, handedness=avatar.handedness, options=options).joints_m
     still = joints[-1]
     part = np.linspace(0, 1, len(joints) // 3)[1:, None, None]
@@ -209,7 +209,7 @@ def measure_effects(
     ]
     gate = _gate_rows(avatar, samples)
     if capture is None:
-        canonical = avatar.canonical_joints_m.numpy()
+        canonical = avatar.canonical_joints_m
         poses = {name: named_pose(name, canonical, handedness=avatar.handedness) for name in pose_names()}
         gate += _gate_rows(avatar, [(name, joints_m, camera) for name, joints_m in poses.items()])
     else:
@@ -298,7 +298,7 @@ def gate_row(renderer: HandRenderer, avatar: HandAvatar, sample: GateSample) -> 
     hand = frame.rgba[..., 3] > 0.5
     occlusion = np.where(hand, 1 - visible, 0.0)
     shaded = frame.rgba[..., :3] * (1 - occlusion[..., None] * np.array(look.tint, np.float32))
-    score = ShadowGate(avatar.canonical_joints_m.numpy()).score(joints_m, _scale(avatar, joints_m))
+    score = ShadowGate(avatar.canonical_joints_m).score(joints_m, _scale(avatar, joints_m))
     truth_db = None
     if truth is not None:
         inside = truth.mask >= 0.5

@@ -96,8 +96,8 @@ def trained_cases(settings: RenderSettings, avatar: HandAvatar | None = None) ->
 
 def tiers_of(avatar: HandAvatar) -> list[Tier]:
     """The tiers that its correctives can be found by."""
-    baked = None if avatar.learned is None else avatar.learned.baked
-    priced = [] if baked is None else [price.tier for price in baked.prices]
+    distilled = None if avatar.learned is None else avatar.learned.distilled
+    priced = [] if distilled is None else [price.tier for price in distilled.prices]
     return list(dict.fromkeys([Tier.EXACT, *priced]))
 
 
@@ -180,7 +180,7 @@ def part_cases(library: Library, threads: int) -> Iterator[Case]:
     fast = _fast_transform(avatar)
     yield Case("bone transforms of one pose", "native", lambda: _nothing(fast.bones(next(poses))), threads=1)
     exact = JointTransform(
-        avatar.canonical_joints_m.float(),
+        avatar.canonical_joints_m.astype(np.float32),
         handedness=avatar.handedness,
         swing=avatar.info.swing,
         scale_mode=avatar.info.scale_mode,

@@ -1,7 +1,7 @@
 """How much the self-shadow of an avatar is ever seen: a shadow that nobody sees need not be drawn.
 
 No useful bound follows from the shadow's gain and tint alone: they would allow several times what a hand's shape ever
-brings about. So it is measured, by `jghand bake`, and the renderer reads it from the avatar's file.
+brings about. So it is measured, by `jghand distill`, and the renderer reads it from the avatar's file.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def shadow_seen(avatar: HandAvatar, tick: Callable[[float], None] = lambda part:
 def _views(avatar: HandAvatar) -> Iterator[tuple[str, np.ndarray, Camera]]:
     width, height = SIZE_PX
     for name in pose_names():
-        joints_m = named_pose(name, avatar.canonical_joints_m.numpy(), handedness=avatar.handedness)
+        joints_m = named_pose(name, avatar.canonical_joints_m, handedness=avatar.handedness)
         middle = joints_m.mean(0)
         reach_m = float(np.linalg.norm(joints_m - joints_m.mean(0), axis=1).max())
         for side, fill in itertools.product(SIDES, FILLS):

@@ -18,9 +18,11 @@ from torch import Tensor
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin, load_painted
-from jghand_engine.avatar.cast_shadow import own_flesh, place_anchors
+from jghand_engine.avatar.cast_shadow import place_anchors
 from jghand_engine.avatar.gaussians import Gaussians
+from jghand_engine.avatar.learned import own_flesh
 from jghand_engine.avatar.skinning import apply, pose_gaussians
+from jghand_engine.avatar.tensors import HandTensors
 from jghand_engine.hand.frames import describe_flags
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import BoneTransforms, JointTransform
@@ -236,7 +238,8 @@ def hand_row(case: HandCase) -> HandRow:
 
 def correctives_row(case: HandCase) -> HandRow:
     """The row of a hand far outside what the trained avatar has learned from: skin and picture with its correctives."""
-    avatar = _with_fewer_anchors(load_builtin(handedness=case.handedness).prefix(GAUSSIANS))
+    shipped = load_builtin(handedness=case.handedness).prefix(GAUSSIANS)
+    avatar = _with_fewer_anchors(HandTensors.of(shipped))
     transform = avatar.bone_transform()
     flags = describe_flags(int(transform.frames(case.joints_m - case.joints_m[:1]).flags))
 
@@ -253,13 +256,14 @@ def correctives_row(case: HandCase) -> HandRow:
     return HandRow(name, flags, measured, None, picture, misses(measured, picture, flagged=bool(flags)))
 
 
-def _with_fewer_anchors(avatar: HandAvatar) -> HandAvatar:
+def _with_fewer_anchors(avatar: HandTensors) -> HandTensors:
     """Its cast shadow at so few anchors that the gradients of many hands fit into memory together."""
     learned = avatar.learned
     if learned is None or learned.cast is None:
         return avatar
     anchors = place_anchors(avatar.position_m, learned.normal, avatar.bone_weights, ANCHORS)
-    cast = replace(learned.cast, anchors=anchors, own=own_flesh(anchors, avatar.canonical_joints_m))
+    own = own_flesh(anchors.position_m.numpy(), avatar.canonical_joints_m.numpy())
+    cast = replace(learned.cast, anchors=anchors, own=torch.from_numpy(own))
     return replace(avatar, learned=replace(learned, cast=cast))
 
 
@@ -277,13 +281,13 @@ def misses(measured: Measured, picture: PictureError, *, flagged: bool) -> list[
     return [words for good, words in checks if not good]
 
 
-def posed_avatar(avatar: HandAvatar, transform: JointTransform, joints_m: Tensor) -> Gaussians:
+def posed_avatar(avatar: HandAvatar | HandTensors, transform: JointTransform, joints_m: Tensor) -> Gaussians:
     """The Gaussians of an avatar for joints (21, 3), with its correctives where it has any."""
     bones: BoneTransforms = transform.bones(joints_m)
     return pose_gaussians(avatar, bones, frames=bones.frames)
 
 
-def hand_picture(avatar: HandAvatar, case: HandCase) -> PictureError:
+def hand_picture(avatar: HandAvatar | HandTensors, case: HandCase) -> PictureError:
     """The hand as the native kernel draws it against the float64 reference."""
     joints_m = case.joints_m - case.joints_m[:1]
     with torch.no_grad():

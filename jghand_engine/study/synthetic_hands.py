@@ -10,7 +10,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
 from jghand_engine.errors import InputError
@@ -51,7 +50,7 @@ class SyntheticHand:
         random = np.random.default_rng(seed)
         phase, speed = random.uniform(0, 2 * np.pi, (2, JOINT_COUNT, 3))
         moved_m = 0.003 * np.sin(phase + 0.3 * (1 + speed) * np.arange(count)[:, None, None])
-        return self.avatar.canonical_joints_m.numpy() + moved_m
+        return self.avatar.canonical_joints_m + moved_m
 
 
 def synthetic_hand(name: str, count: int = GAUSSIANS, seed: int = 0) -> SyntheticHand:
@@ -71,19 +70,19 @@ def synthetic_hand(name: str, count: int = GAUSSIANS, seed: int = 0) -> Syntheti
     color = np.array([0.8, 0.6, 0.5]) + 0.15 * np.sin(0.12 * position[:, :1] + np.arange(3))
     color = np.clip(color + random.normal(0, 0.08, (n, 3)), 0.02, 1)
 
-    def tensor(values: np.ndarray) -> torch.Tensor:
-        return torch.from_numpy(np.ascontiguousarray(values[order], np.float32))
+    def ordered(values: np.ndarray) -> np.ndarray:
+        return np.ascontiguousarray(values[order], np.float32)
 
     avatar = HandAvatar(
         info=AvatarInfo(name=f"volume {name}", template="capsules", license="MIT"),
         handedness=Handedness.RIGHT,
-        canonical_joints_m=torch.from_numpy(1e-3 * joints_mm @ turn.T),
-        position_m=tensor(1e-3 * position @ turn.T),
-        sigma_m=tensor(1e-3 * random.uniform(*VOLUMES[name][0], n)),
-        opacity=tensor(random.uniform(0.3, 0.95, n)),
-        rgb=tensor(color),
-        bone_weights=tensor(weights),
-        uvd=tensor(np.zeros((n, 3))),
+        canonical_joints_m=1e-3 * joints_mm @ turn.T,
+        position_m=ordered(1e-3 * position @ turn.T),
+        sigma_m=ordered(1e-3 * random.uniform(*VOLUMES[name][0], n)),
+        opacity=ordered(random.uniform(0.3, 0.95, n)),
+        rgb=ordered(color),
+        bone_weights=ordered(weights),
+        uvd=ordered(np.zeros((n, 3))),
     )
     return SyntheticHand(name, avatar)
 

@@ -1,16 +1,15 @@
-"""What a tier of an avatar's correctives costs: time of a frame, size, accuracy. `jghand bake` prints and writes it."""
+"""What a tier of an avatar's correctives costs: time of a frame, size, accuracy; for `jghand distill`."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.correctives import Correctives, PoseNet
+from jghand_engine.avatar.correctives import Correctives, LinearCorrectives, PoseNetwork
 from jghand_engine.avatar.learned_storage import pack_learned
 from jghand_engine.avatar.storage import Storage
-from jghand_engine.avatar.tiers import Baked, CachedNet, LinearCorrectives, Price, Tier
+from jghand_engine.avatar.tiers import LOST_MAX_DB, Distilled, Price, Tier
 from jghand_engine.errors import InputError
 from jghand_engine.render.settings import RenderSettings
 from jghand_engine.study.frame_time import Subject, frame_case
@@ -28,19 +27,19 @@ class Offer:
     linear: LinearCorrectives | None = None
 
 
-def pose_net_of(avatar: HandAvatar) -> PoseNet:
+def pose_net_of(avatar: HandAvatar) -> PoseNetwork:
     """The network of a trained avatar. InputError for an avatar that has none."""
     net = None if avatar.learned is None else avatar.learned.correctives
-    if not isinstance(net, PoseNet):
+    if not isinstance(net, PoseNetwork):
         wanted = "correctives that depend on the pose"
         raise InputError(f"avatar {avatar.info.name}", wanted=wanted, came="none", remedy="Give a trained avatar.")
     return net
 
 
 def price_tiers(avatar: HandAvatar, linear: Mapping[int, LinearCorrectives], yard: Yardstick) -> list[Offer]:
-    """Prices of the exact tier, the cached one and all linear ones."""
+    """Prices of the exact tier and all linear ones."""
     net = pose_net_of(avatar)
-    kinds: list[tuple[Tier, int, Correctives]] = [(Tier.EXACT, 0, net), (Tier.CACHED, 0, CachedNet(net))]
+    kinds: list[tuple[Tier, int, Correctives]] = [(Tier.EXACT, 0, net)]
     kinds += [(Tier.LINEAR, basis, correctives) for basis, correctives in sorted(linear.items())]
     variants = [with_correctives(avatar, correctives) for _, _, correctives in kinds]
     frame_ms = _frame_ms(variants, yard.subject(avatar))
@@ -49,7 +48,7 @@ def price_tiers(avatar: HandAvatar, linear: Mapping[int, LinearCorrectives], yar
     for (tier, basis, correctives), variant, ms in zip(kinds, variants, frame_ms, strict=True):
         psnr_db = exact_db if tier is Tier.EXACT else yard.psnr_db(variant)
         kept = correctives if isinstance(correctives, LinearCorrectives) else None
-        megabytes = _megabytes(avatar, tier, kept)
+        megabytes = _megabytes(avatar, kept)
         offers.append(Offer(Price(tier, basis, ms, megabytes, psnr_db, yard.lost_db(exact_db, psnr_db)), kept))
     return offers
 
@@ -57,25 +56,25 @@ def price_tiers(avatar: HandAvatar, linear: Mapping[int, LinearCorrectives], yar
 def best_linear(offers: Sequence[Offer]) -> Offer | None:
     """The linear tier to keep: the smallest that loses little enough, else the most accurate."""
     linear = [offer for offer in offers if offer.linear is not None]
-    good = [offer for offer in linear if offer.price.lost_db <= limits.TIER_LOST_MAX_DB]
+    good = [offer for offer in linear if offer.price.lost_db <= LOST_MAX_DB]
     if good:
         return min(good, key=lambda offer: offer.price.basis)
     return min(linear, key=lambda offer: offer.price.lost_db, default=None)
 
 
-def baked(avatar: HandAvatar, offers: Sequence[Offer], measured_on: str) -> HandAvatar:
+def distilled(avatar: HandAvatar, offers: Sequence[Offer], measured_on: str) -> HandAvatar:
     """The avatar with its prices and one linear tier."""
     kept = best_linear(offers)
     prices = tuple(offer.price for offer in offers if offer.linear is None or offer is kept)
-    tiers = Baked(None if kept is None else kept.linear, prices, measured_on)
-    return replace(avatar, learned=replace(avatar.learned, baked=tiers)) if avatar.learned is not None else avatar
+    tiers = Distilled(None if kept is None else kept.linear, prices, measured_on)
+    return replace(avatar, learned=replace(avatar.learned, distilled=tiers)) if avatar.learned is not None else avatar
 
 
 def with_correctives(avatar: HandAvatar, correctives: Correctives) -> HandAvatar:
     """The avatar with other correctives, for drawing."""
     if avatar.learned is None:
         return avatar
-    return replace(avatar, learned=replace(avatar.learned, correctives=correctives, baked=None))
+    return replace(avatar, learned=replace(avatar.learned, correctives=correctives, distilled=None))
 
 
 # ---- time and size ---------------------------------------------------------------------------------------------------
@@ -89,11 +88,11 @@ def _frame_ms(variants: Sequence[HandAvatar], subject: Subject) -> list[float]:
     return [next(one.median_ms for one in measured if one.section == str(n)) for n in range(len(variants))]
 
 
-def _megabytes(avatar: HandAvatar, tier: Tier, linear: LinearCorrectives | None) -> float:
-    """What a tier adds to a compact file, 1e6 bytes: the network; nothing; its arrays."""
-    if avatar.learned is None or tier is Tier.CACHED:
+def _megabytes(avatar: HandAvatar, linear: LinearCorrectives | None) -> float:
+    """What a tier adds to a compact file, 1e6 bytes: the network or its arrays."""
+    if avatar.learned is None:
         return 0.0
-    learned = replace(avatar.learned, baked=None if linear is None else Baked(linear, (), ""))
+    learned = replace(avatar.learned, distilled=None if linear is None else Distilled(linear, (), ""))
     mine = "linear." if linear is not None else "pose_net."
     packed = pack_learned(learned, Storage.COMPACT)
     return sum(array.nbytes for name, array in packed.items() if name.startswith(mine)) / 1e6

@@ -120,7 +120,7 @@ class ExactPictures:
     def known_poses(self, avatar: HandAvatar) -> Tensor:
         """See Yardstick: another motion than the one that is measured, kept inside the angles that were trained."""
         options = MotionOptions(hold_s=0.0, variation_deg=KNOWN_VARIATION_DEG, seed=1)
-        canonical = avatar.canonical_joints_m.numpy()
+        canonical = avatar.canonical_joints_m
         motion = pose_sequence_of_names(pose_names(), canonical, handedness=avatar.handedness, options=options)
         poses = _flat(avatar, motion.joints_m[::EVERY_POSE])
         limits_rad = trained_range(avatar.info)

@@ -12,12 +12,11 @@ from scipy.ndimage import binary_erosion, distance_transform_edt, label
 
 from jghand_engine.avatar.builtin import ASSETS, load_builtin, load_painted
 from jghand_engine.avatar.skinning import apply, blend, pose_gaussians
-from jghand_engine.avatar.tiers import Tier
+from jghand_engine.avatar.tiers import LOST_MAX_DB, Tier
 from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import JointTransform
 from jghand_engine.learn.rasterize import rasterize
-from jghand_engine.limits import TIER_LOST_MAX_DB
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.frame import HandRenderer
 from jghand_engine.render.settings import RenderSettings
@@ -62,7 +61,7 @@ def test_it_has_the_promised_size(avatar):
     assert len(avatar) == 60_000
     assert (ASSETS / "painted_right.jghand").stat().st_size < 2_500_000
     assert avatar.info.template == load_template().identifier
-    np.testing.assert_array_equal(avatar.canonical_joints_m.numpy(), load_template().joints_m)
+    np.testing.assert_array_equal(avatar.canonical_joints_m, load_template().joints_m)
 
 
 def test_left_and_right_share_one_model(avatar):
@@ -148,13 +147,13 @@ def test_the_trained_avatar_is_drawn_by_its_quick_tier_and_loses_nothing_that_co
     _, price = learned.with_tier(Tier.AUTO)
     assert price is not None
     assert price.tier is Tier.LINEAR
-    assert price.lost_db <= TIER_LOST_MAX_DB
+    assert price.lost_db <= LOST_MAX_DB
 
 
 @pytest.mark.parametrize("pose", ["open", "fist"])
 def test_the_trained_avatar_is_closed_and_keeps_to_the_hand(pose):
     avatar = load_builtin(handedness=Handedness.RIGHT)
-    joints_m = torch.from_numpy(named_pose(pose, avatar.canonical_joints_m.numpy(), handedness=Handedness.RIGHT))
+    joints_m = torch.from_numpy(named_pose(pose, avatar.canonical_joints_m, handedness=Handedness.RIGHT))
     camera = camera_at((0, 0, 1), joints_m, 200, 260, 600)
     frame = HandRenderer(avatar, RenderSettings()).render(joints_m, camera)
     solid = frame.rgba[..., 3] > 0.5

@@ -8,32 +8,37 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from small_avatars import trained_avatar
+from small_avatars import trained_tensors
 
 from jghand_engine import limits
 from jghand_engine.avatar.cast_shadow import (
-    CastShadow,
+    CastTensors,
     LampsSeen,
     capsules,
     exponent,
-    lamp_directions,
     lamps_seen,
-    own_flesh,
     past_capsule,
     place_anchors,
 )
+from jghand_engine.avatar.learned import lamp_directions as lamp_directions_of
+from jghand_engine.avatar.learned import own_flesh
 from jghand_engine.avatar.skinning import pose_skin, see_lamps
 from jghand_engine.errors import InputError
 from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import PARENTS
+from jghand_engine.hand.transform import JointTransform
 
-AVATAR = trained_avatar(300)
-CAST: CastShadow = AVATAR.learned.cast  # type: ignore[union-attr,assignment]
+AVATAR = trained_tensors(300)
+CAST: CastTensors = AVATAR.learned.cast  # type: ignore[union-attr,assignment]
 CANONICAL_M = AVATAR.canonical_joints_m
 
 
 def random(*shape: int, seed: int = 0) -> torch.Tensor:
     return torch.randn(*shape, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
+
+
+def lamp_directions(count: int) -> torch.Tensor:
+    return torch.from_numpy(lamp_directions_of(count))
 
 
 def unit(vector: torch.Tensor) -> torch.Tensor:
@@ -42,7 +47,7 @@ def unit(vector: torch.Tensor) -> torch.Tensor:
 
 def bones_of(name: str, dtype: torch.dtype = torch.float64):
     joints_m = named_pose(name, CANONICAL_M.numpy(), handedness=AVATAR.handedness)
-    return AVATAR.bone_transform().bones(torch.from_numpy(joints_m).to(dtype))
+    return JointTransform(CANONICAL_M, handedness=AVATAR.handedness).bones(torch.from_numpy(joints_m).to(dtype))
 
 
 # ---- lamps and capsules ----------------------------------------------------------------------------------------------
@@ -125,7 +130,7 @@ def test_edges_are_soft_and_widen_with_the_distance():
 
 
 def test_flesh_is_ones_own_on_its_bone_and_not_elsewhere():
-    own = own_flesh(CAST.anchors, CANONICAL_M)
+    own = torch.from_numpy(own_flesh(CAST.anchors.position_m.numpy(), CANONICAL_M.numpy()))
     assert own.shape == (60, 20)
     start, end, radius_m = capsules(CANONICAL_M, torch.tensor(1.0).double())
     for a, point in enumerate(CAST.anchors.position_m.double()):
@@ -147,7 +152,7 @@ def test_capsules_run_from_joint_to_joint_and_grow_with_the_hand():
 # ---- the loss of light -----------------------------------------------------------------------------------------------
 
 
-def seen_of(name: str, cast: CastShadow = CAST) -> LampsSeen:
+def seen_of(name: str, cast: CastTensors = CAST) -> LampsSeen:
     return see_lamps(cast, CANONICAL_M, bones_of(name))
 
 
@@ -192,7 +197,7 @@ def test_no_light_at_all_is_no_shadow():
 def test_a_nudge_of_the_joints_changes_the_shadow_a_little():
     joints_m = named_pose("fist", CANONICAL_M.numpy(), handedness=AVATAR.handedness)
     nudged_m = joints_m + 1e-5 * np.random.default_rng(0).uniform(-1, 1, joints_m.shape)
-    transform = AVATAR.bone_transform()
+    transform = JointTransform(CANONICAL_M, handedness=AVATAR.handedness)
     here, there = (
         exponent(CAST, see_lamps(CAST, CANONICAL_M, transform.bones(torch.from_numpy(j)))) for j in (joints_m, nudged_m)
     )
@@ -202,7 +207,7 @@ def test_a_nudge_of_the_joints_changes_the_shadow_a_little():
 
 def test_the_shadow_is_that_of_a_hand_anywhere_and_of_any_size():
     joints_m = named_pose("fist", CANONICAL_M.numpy(), handedness=AVATAR.handedness)
-    transform = AVATAR.bone_transform()
+    transform = JointTransform(CANONICAL_M, handedness=AVATAR.handedness)
     wanted = seen_of("fist")
     for moved_m in (joints_m + 1000.0, 1.3 * joints_m):
         got = see_lamps(CAST, CANONICAL_M, transform.bones(torch.from_numpy(moved_m)))

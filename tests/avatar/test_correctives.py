@@ -6,15 +6,15 @@ from dataclasses import replace
 
 import pytest
 import torch
-from small_avatars import small_avatar
+from small_avatars import small_tensors
 from small_hands import SMALL_NET, frames_of, stirred
 from torch.nn import functional
 
-from jghand_engine.avatar.correctives import PoseNet, PoseNetShape
-from jghand_engine.avatar.pose_features import positional_encoding
+from jghand_engine.avatar.correctives import PoseNetShape, positional_encoding
+from jghand_engine.avatar.pose_net import PoseNet
 from jghand_engine.limits import SHADE_MAX
 
-AVATAR = small_avatar(60)
+AVATAR = small_tensors(60)
 
 
 def net_of(shape: PoseNetShape = SMALL_NET, *, by: float = 0.4) -> PoseNet:
@@ -26,7 +26,7 @@ def net_of(shape: PoseNetShape = SMALL_NET, *, by: float = 0.4) -> PoseNet:
 def plain_network(net: PoseNet, frames, wave_weight=None) -> torch.Tensor:
     """(N, 6) of the network as METHOD 4.1 has it: encoding and each Gaussian's own mix of pose features side by side
     into one first layer."""
-    encoding = positional_encoding(AVATAR.uvd, net.shape.octaves)
+    encoding = torch.from_numpy(positional_encoding(AVATAR.uvd.numpy(), net.shape.octaves))
     if wave_weight is not None:
         encoding = encoding * wave_weight
     features = AVATAR.bone_weights @ net.angles(frames)
@@ -134,7 +134,7 @@ def test_gaussians_beyond_a_prefix_pull_at_nothing():
 
 def test_gradients_of_every_parameter_are_those_of_finite_differences():
     shape = PoseNetShape(octaves=(1, 1, 1), angle_channels=2, angle_texels=2, hidden=4)
-    avatar = small_avatar(6)
+    avatar = small_tensors(6)
     net = PoseNet(avatar.bone_weights, avatar.uvd, shape)
     stirred(net)
     net, frames = net.double(), frames_of("relaxed")

@@ -37,7 +37,7 @@ def skinned(library: Library, avatar: HandAvatar, joints_m: np.ndarray, threads:
 @pytest.mark.parametrize("pose", ["open", "fist", "pinch"])
 def test_native_skinning_agrees_with_the_float64_chain(library: Library, pose: str, handedness: Handedness):
     avatar = load_painted(handedness=handedness).prefix(5003)
-    canonical = avatar.canonical_joints_m.numpy()
+    canonical = avatar.canonical_joints_m
     # bones of other lengths, so that radii are scaled too
     joints = 1.2 * named_pose(pose, canonical, handedness=handedness)
     joints[1:] += np.random.default_rng(3).normal(0, 2e-3, (20, 3))
@@ -52,7 +52,7 @@ def test_native_skinning_agrees_with_the_float64_chain(library: Library, pose: s
 
 def test_posed_hand_is_shifted_last(library: Library):
     avatar = load_painted(handedness=Handedness.RIGHT).prefix(100)
-    joints = named_pose("relaxed", avatar.canonical_joints_m.numpy(), handedness=Handedness.RIGHT)
+    joints = named_pose("relaxed", avatar.canonical_joints_m, handedness=Handedness.RIGHT)
     near, _ = skinned(library, avatar, joints)
     far, _ = skinned(library, avatar, joints, shift_m=(0.5, -0.25, 2.0))
     assert np.abs(far - near - np.array([0.5, -0.25, 2.0])).max() < 3e-7
@@ -60,7 +60,7 @@ def test_posed_hand_is_shifted_last(library: Library):
 
 def test_native_skinning_gives_the_same_bits_from_any_number_of_threads(library: Library):
     avatar = load_painted(handedness=Handedness.RIGHT)
-    joints = named_pose("fist", avatar.canonical_joints_m.numpy(), handedness=Handedness.RIGHT)
+    joints = named_pose("fist", avatar.canonical_joints_m, handedness=Handedness.RIGHT)
     one, two, three = (skinned(library, avatar, joints, threads) for threads in (1, 2, 3))
     for other in (two, three):
         assert np.array_equal(one[0], other[0])
@@ -72,9 +72,9 @@ def test_any_number_of_gaussians_can_be_skinned(library: Library, count: int):
     avatar = load_painted(handedness=Handedness.RIGHT)
     arrays = ("position_m", "sigma_m", "opacity", "rgb", "bone_weights", "uvd")
     avatar = replace(avatar, **{name: getattr(avatar, name)[:count] for name in arrays})
-    position, sigma = skinned(library, avatar, avatar.canonical_joints_m.numpy())
-    assert np.abs(position - avatar.position_m.numpy()).max() < 1e-7  # the canonical pose changes nothing
-    assert np.abs(sigma / avatar.sigma_m.numpy() - 1).max() < 3e-6
+    position, sigma = skinned(library, avatar, avatar.canonical_joints_m)
+    assert np.abs(position - avatar.position_m).max() < 1e-7  # the canonical pose changes nothing
+    assert np.abs(sigma / avatar.sigma_m - 1).max() < 3e-6
 
 
 def _read_only(array: np.ndarray) -> np.ndarray:
@@ -95,9 +95,7 @@ def _read_only(array: np.ndarray) -> np.ndarray:
 def test_arrays_that_the_kernel_cannot_write_into_are_refused_by_name(library: Library, name, make, wanted):
     avatar = load_painted(handedness=Handedness.RIGHT).prefix(100)
     skin = FastSkinning(library, avatar)
-    bones = FastTransform(avatar.canonical_joints_m, handedness=Handedness.RIGHT).bones(
-        avatar.canonical_joints_m.numpy()
-    )
+    bones = FastTransform(avatar.canonical_joints_m, handedness=Handedness.RIGHT).bones(avatar.canonical_joints_m)
     good = PosedArrays(np.zeros((skin.rows, 3), np.float32), np.zeros(skin.rows, np.float32))
     with pytest.raises(InputError, match=f"{name}.*{wanted}"):
         skin.prepare(bones, replace(good, **{name: make(skin.rows)}), np.zeros(3))
@@ -106,7 +104,7 @@ def test_arrays_that_the_kernel_cannot_write_into_are_refused_by_name(library: L
 
 
 def test_spatial_order_is_a_permutation_and_keeps_neighbors_together():
-    points = load_painted(handedness=Handedness.RIGHT).position_m.numpy()
+    points = load_painted(handedness=Handedness.RIGHT).position_m
     order = spatial_order(points)
     assert np.array_equal(np.sort(order), np.arange(len(points)))
     step = np.linalg.norm(np.diff(points[order], axis=0), axis=1)

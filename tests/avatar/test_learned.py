@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import torch
+import numpy as np
 from small_avatars import trained_avatar
 
 from jghand_engine.avatar.learned import Ellipsoid, Learned, ShadowLook
@@ -14,10 +14,10 @@ from jghand_engine.limits import SHADOW_GAIN, SHADOW_TINT
 def with_ellipsoids() -> Learned:
     learned = trained_avatar(40).learned
     assert learned is not None
-    g = torch.Generator().manual_seed(1)
+    g = np.random.default_rng(1)
     return replace(
         learned,
-        ellipsoid=Ellipsoid(torch.randn(40, 3, generator=g), torch.randn(40, 4, generator=g)),
+        ellipsoid=Ellipsoid(g.normal(size=(40, 3)), g.normal(size=(40, 4))),
         world_offsets=True,
     )
 
@@ -25,14 +25,12 @@ def with_ellipsoids() -> Learned:
 def test_a_prefix_keeps_the_first_of_everything_that_belongs_to_a_gaussian():
     whole = with_ellipsoids()
     part = whole.prefix(7)
-    assert torch.equal(part.normal, whole.normal[:7])
-    assert torch.equal(part.shine, whole.shine[:7])
+    assert np.array_equal(part.normal, whole.normal[:7])
+    assert np.array_equal(part.shine, whole.shine[:7])
     assert whole.ellipsoid is not None
     assert part.ellipsoid is not None
-    assert torch.equal(part.ellipsoid.log_stretch, whole.ellipsoid.log_stretch[:7])
-    assert torch.equal(part.ellipsoid.quaternion, whole.ellipsoid.quaternion[:7])
-    assert part.correctives is not None
-    assert part.correctives._constant.shape[0] == 7
+    assert np.array_equal(part.ellipsoid.log_stretch, whole.ellipsoid.log_stretch[:7])
+    assert np.array_equal(part.ellipsoid.quaternion, whole.ellipsoid.quaternion[:7])
 
 
 def test_a_prefix_keeps_what_belongs_to_the_hand():

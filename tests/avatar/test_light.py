@@ -10,7 +10,8 @@ import pytest
 import scipy.special
 import torch
 
-from jghand_engine.avatar.light import SH_COUNT, Light, gloss, harmonics, lit, unit
+from jghand_engine.avatar.learned import SH_COUNT
+from jghand_engine.avatar.light import LightTensors, gloss, harmonics, lit, unit
 from jghand_engine.limits import LIGHT_EXPONENT_MAX
 
 
@@ -26,9 +27,9 @@ def random(*shape: int, seed: int = 9) -> torch.Tensor:
     return torch.rand(shape, dtype=torch.float64, generator=torch.Generator().manual_seed(seed))
 
 
-def light_with(**parts: torch.Tensor) -> Light:
+def light_with(**parts: torch.Tensor) -> LightTensors:
     """Darkness but for `parts`."""
-    dark = Light(
+    dark = LightTensors(
         irradiance=torch.zeros(SH_COUNT, 3),
         lobe_direction=torch.tensor([[0.0, 0.0, 1.0]]),
         lobe_sharpness=torch.tensor([20.0]),
@@ -38,7 +39,7 @@ def light_with(**parts: torch.Tensor) -> Light:
     return replace(dark, **parts).to(torch.float64)
 
 
-def random_light(seed: int = 0) -> Light:
+def random_light(seed: int = 0) -> LightTensors:
     g = torch.Generator().manual_seed(seed)
     return light_with(
         irradiance=0.2 * torch.randn(SH_COUNT, 3, generator=g),
@@ -209,7 +210,7 @@ def test_gradients_of_light_and_normals_are_those_of_finite_differences():
     albedo, shade = random(4, 3), 0.2 * random(4, 3, seed=10) - 0.1
 
     def color(normal, eye, albedo, shade, *parts):
-        lamps = Light(*parts)
+        lamps = LightTensors(*parts)
         return lit(albedo, unit(normal), lamps, shade) + gloss(unit(normal), unit(eye), lamps)
 
     inputs = tuple(tensor.detach().clone().requires_grad_(True) for tensor in (normal, eye, albedo, shade, *parts))

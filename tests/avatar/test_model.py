@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 import torch
 from small_hands import INFO, SMALL_MODEL, frames_of, small_hand, small_points, stirred
@@ -252,23 +253,19 @@ def deep_and_wide(hand: LearnedHand) -> None:
 def test_a_prefix_is_what_the_finished_avatar_gives_as_prefix(count):
     hand = small_hand(replace(SMALL_MODEL, shape=Shape.ANISO))
     deep_and_wide(hand)
-    live, wanted = avatar_of(hand, count), avatar_of(hand).prefix(count)
+    live, wanted = avatar_of(hand, count).avatar(), avatar_of(hand).avatar().prefix(count)
     assert len(live) == count
     for name in ("position_m", "sigma_m", "opacity", "rgb", "bone_weights", "uvd"):
         # a matrix product of another height may add up in another order; worst seen 6e-8
-        torch.testing.assert_close(getattr(live, name), getattr(wanted, name), atol=1.2e-7, rtol=1e-6)
+        np.testing.assert_allclose(getattr(live, name), getattr(wanted, name), atol=1.2e-7, rtol=1e-6)
     ours, theirs = live.learned, wanted.learned
     assert ours is not None
     assert theirs is not None
-    torch.testing.assert_close(ours.normal, theirs.normal, atol=4e-7, rtol=0)
-    torch.testing.assert_close(ours.shine, theirs.shine, atol=1.2e-7, rtol=0)
+    np.testing.assert_allclose(ours.normal, theirs.normal, atol=4e-7, rtol=0)
+    np.testing.assert_allclose(ours.shine, theirs.shine, atol=1.2e-7, rtol=0)
     assert ours.ellipsoid is not None
     assert theirs.ellipsoid is not None
-    assert torch.equal(ours.ellipsoid.log_stretch, theirs.ellipsoid.log_stretch)
-    frames = frames_of("fist")
-    assert ours.correctives is not None
-    assert theirs.correctives is not None
-    torch.testing.assert_close(ours.correctives(frames).shade, theirs.correctives(frames).shade, atol=9e-7, rtol=0)
+    assert np.array_equal(ours.ellipsoid.log_stretch, theirs.ellipsoid.log_stretch)
 
 
 def test_radii_of_a_prefix_grow_as_gaps_on_a_surface_do():

@@ -25,16 +25,16 @@ def shipped() -> tuple[SkinPoints, np.ndarray]:
     template, avatar = load_template(), load_painted(handedness=Handedness.RIGHT)
     with (ASSETS / "nails.png").open("rb") as stream:
         mask = np.asarray(Image.open(stream).convert("L"), dtype=float) / 255
-    uvd = avatar.uvd.double().numpy()
+    uvd = avatar.uvd.astype(np.float64)
     nail = sample_bilinear(mask[..., None], uvd[:, :2])[:, 0]
     some = np.flatnonzero((np.arange(len(avatar)) < 1500) | (nail > 0.5))
-    position_m = avatar.position_m.double().numpy()[some]
+    position_m = avatar.position_m.astype(np.float64)[some]
     near = Surface(template.vertices_m, template.faces).closest(position_m)
     _, normal = curved_surface(template, near.face, near.barycentric, Layers().curving)
     depth_m = (0.5 - uvd[some, 2]) * 2 * UVD_RANGE_M
-    weights = avatar.bone_weights.double().numpy()[some]
+    weights = avatar.bone_weights.astype(np.float64)[some]
     points = SkinPoints(position_m + depth_m[:, None] * normal, normal, weights, nail[some])
-    return points, avatar.rgb.numpy()[some]
+    return points, avatar.rgb[some]
 
 
 def test_every_finger_gets_a_nail_of_a_nail_s_size(shipped):

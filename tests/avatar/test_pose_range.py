@@ -26,12 +26,12 @@ def trained_on(*poses: str, handedness: Handedness = Handedness.RIGHT) -> HandAv
 
 
 def joints_of(avatar: HandAvatar, pose: str) -> np.ndarray:
-    return named_pose(pose, avatar.canonical_joints_m.numpy(), handedness=avatar.handedness)
+    return named_pose(pose, avatar.canonical_joints_m, handedness=avatar.handedness)
 
 
 def report_of(avatar: HandAvatar, *poses: str):
     joints = torch.from_numpy(np.stack([joints_of(avatar, pose) for pose in poses]))
-    return range_report(avatar, avatar.bone_transform().frames(joints))
+    return range_report(avatar, avatar.bone_transform().frames(joints).angles.numpy())
 
 
 def test_poses_that_were_trained_are_inside():

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import pytest
 import torch
-from small_avatars import small_avatar
+from small_avatars import small_tensors
 
-from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.correctives import Correction
 from jghand_engine.avatar.gaussians import Gaussians
+from jghand_engine.avatar.pose_net import Correction
 from jghand_engine.avatar.skinning import apply, blend, pose_gaussians, pose_skin, turning, volume_scale
+from jghand_engine.avatar.tensors import HandTensors
 from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import BoneTransforms, JointTransform
@@ -22,15 +22,15 @@ from jghand_engine.template.weight_field import WeightField
 POSES = ("open", "fist", "point", "pinch", "claw")
 
 
-def joints_of(avatar: HandAvatar, pose: str) -> torch.Tensor:
+def joints_of(avatar: HandTensors, pose: str) -> torch.Tensor:
     return torch.from_numpy(named_pose(pose, avatar.canonical_joints_m.numpy(), handedness=Handedness.RIGHT))
 
 
-def bones_of(avatar: HandAvatar, joints_m: torch.Tensor, **options) -> BoneTransforms:
+def bones_of(avatar: HandTensors, joints_m: torch.Tensor, **options) -> BoneTransforms:
     return JointTransform(avatar.canonical_joints_m, **{"handedness": avatar.handedness, **options}).bones(joints_m)
 
 
-def posed_with(avatar: HandAvatar, bones: BoneTransforms, offset_m: torch.Tensor) -> Gaussians:
+def posed_with(avatar: HandTensors, bones: BoneTransforms, offset_m: torch.Tensor) -> Gaussians:
     return pose_skin(avatar, bones, Correction(offset_m, torch.zeros_like(offset_m))).matt
 
 
@@ -40,7 +40,7 @@ def random_rotation(seed: int) -> torch.Tensor:
 
 
 def test_canonical_joints_give_the_canonical_gaussians():
-    avatar = small_avatar()
+    avatar = small_tensors()
     # float32 weights sum to 1 only within 1e-7, which is 5e-9 m
     weights = avatar.bone_weights.double()
     avatar = replace(avatar, bone_weights=weights / weights.sum(1, keepdim=True))
@@ -54,7 +54,7 @@ def test_canonical_joints_give_the_canonical_gaussians():
 
 @pytest.mark.parametrize("pose", POSES)
 def test_turning_moving_and_scaling_the_joints_does_the_same_to_the_gaussians(pose):
-    avatar = small_avatar()
+    avatar = small_tensors()
     joints_m, R, size = joints_of(avatar, pose), random_rotation(1), 1.3
     shift_m = torch.tensor([0.3, -2.0, 0.7], dtype=torch.float64)
     offset_m = 0.002 * torch.randn(len(avatar), 3, dtype=torch.float64, generator=torch.Generator().manual_seed(2))
@@ -67,7 +67,7 @@ def test_turning_moving_and_scaling_the_joints_does_the_same_to_the_gaussians(po
 
 @pytest.mark.parametrize("pose", POSES)
 def test_a_left_hand_is_the_mirror_image_of_a_right_hand(pose):
-    avatar, mirror = small_avatar(), torch.tensor([-1.0, 1.0, 1.0], dtype=torch.float64)
+    avatar, mirror = small_tensors(), torch.tensor([-1.0, 1.0, 1.0], dtype=torch.float64)
     joints_m = joints_of(avatar, pose)
     offset_m = torch.full((len(avatar), 3), 0.001, dtype=torch.float64)
     right = posed_with(avatar, bones_of(avatar, joints_m), offset_m)
@@ -79,7 +79,7 @@ def test_a_left_hand_is_the_mirror_image_of_a_right_hand(pose):
 
 @pytest.mark.parametrize("pose", POSES)
 def test_single_precision_agrees_with_double(pose):
-    avatar = small_avatar()
+    avatar = small_tensors()
     joints_m = joints_of(avatar, pose)
     exact = pose_gaussians(avatar, bones_of(avatar, joints_m))
     single = pose_gaussians(avatar, bones_of(avatar, joints_m.float()))
@@ -89,7 +89,7 @@ def test_single_precision_agrees_with_double(pose):
 
 
 def test_posing_does_not_change_under_autocast():
-    avatar = small_avatar()
+    avatar = small_tensors()
     joints_m = joints_of(avatar, "fist").float()
     plain = pose_gaussians(avatar, bones_of(avatar, joints_m))
     with torch.autocast("cpu", dtype=torch.bfloat16):
@@ -99,7 +99,7 @@ def test_posing_does_not_change_under_autocast():
 
 
 def test_radii_follow_the_hand_within_the_clamp():
-    avatar = small_avatar(2000)
+    avatar = small_tensors(2000)
     bones = bones_of(avatar, 1.2 * joints_of(avatar, "fist"))
     stretch = pose_gaussians(avatar, bones).sigma_m / avatar.sigma_m / 1.2
     assert float(stretch.min()) >= SIGMA_STRETCH_MIN * (1 - 1e-12)
@@ -107,7 +107,7 @@ def test_radii_follow_the_hand_within_the_clamp():
     assert float(stretch.min()) < 0.95  # a fist does shrink blended skin: the clamp is not all there is
 
 
-def collapsed(avatar: HandAvatar) -> tuple[HandAvatar, BoneTransforms]:
+def collapsed(avatar: HandTensors) -> tuple[HandTensors, BoneTransforms]:
     """Half one bone and half the same bone turned by 180 degrees: the blend has no volume."""
     bones = bones_of(avatar, avatar.canonical_joints_m)
     linear = bones.linear.clone()
@@ -118,7 +118,7 @@ def collapsed(avatar: HandAvatar) -> tuple[HandAvatar, BoneTransforms]:
 
 
 def test_a_collapsed_blend_uses_the_palms_rotation():
-    avatar, bones = collapsed(small_avatar())
+    avatar, bones = collapsed(small_tensors())
     linear, _ = blend(avatar.bone_weights, bones)
     size, sound = volume_scale(linear, bones.scale)
     assert not sound.any()
@@ -127,7 +127,7 @@ def test_a_collapsed_blend_uses_the_palms_rotation():
 
 
 def test_a_collapsed_blend_has_finite_gradients():
-    avatar, bones = collapsed(small_avatar())
+    avatar, bones = collapsed(small_tensors())
     linear = bones.linear.clone().requires_grad_(True)
     offset_m = torch.full((len(avatar), 3), 1e-3, dtype=torch.float64)
     posed = posed_with(avatar, replace(bones, linear=linear), offset_m)
@@ -139,7 +139,7 @@ def test_a_collapsed_blend_has_finite_gradients():
 
 @pytest.mark.parametrize("pose", POSES)
 def test_gradients_with_respect_to_the_joints_are_those_of_finite_differences(pose):
-    avatar = small_avatar(12)
+    avatar = small_tensors(12)
     offset_m = torch.full((12, 3), 1e-3, dtype=torch.float64)
 
     def posed(joints_m: torch.Tensor) -> torch.Tensor:
@@ -153,7 +153,7 @@ def test_gradients_with_respect_to_the_joints_are_those_of_finite_differences(po
 
 
 def test_gradients_reach_positions_and_radii():
-    avatar = small_avatar()
+    avatar = small_tensors()
     position_m = avatar.position_m.clone().requires_grad_(True)
     sigma_m = avatar.sigma_m.clone().requires_grad_(True)
     live = replace(avatar, position_m=position_m, sigma_m=sigma_m)

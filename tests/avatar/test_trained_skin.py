@@ -6,14 +6,12 @@ from dataclasses import replace
 
 import pytest
 import torch
-from small_avatars import small_avatar, trained_avatar
+from small_avatars import small_tensors, trained_tensors
 from small_hands import bones_of, joints_of
 
-from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.cast_shadow import exponent
-from jghand_engine.avatar.correctives import Correction
-from jghand_engine.avatar.learned import Ellipsoid, Learned
 from jghand_engine.avatar.light import gloss, harmonics, lit, unit
+from jghand_engine.avatar.pose_net import Correction
 from jghand_engine.avatar.skinning import (
     PosedSkin,
     apply,
@@ -25,25 +23,26 @@ from jghand_engine.avatar.skinning import (
     skin_maps,
     turning,
 )
+from jghand_engine.avatar.tensors import EllipsoidTensors, HandTensors, LearnedTensors
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import BoneTransforms
 
 POSES = ("open", "fist", "claw")
 MIRROR = torch.tensor([-1.0, 1.0, 1.0], dtype=torch.float64)
-AVATAR = trained_avatar(150)
+AVATAR = trained_tensors(150)
 EYE_M = torch.tensor([0.3, -0.2, 0.5], dtype=torch.float64)
 
 
-def learned_of(avatar: HandAvatar) -> Learned:
+def learned_of(avatar: HandTensors) -> LearnedTensors:
     assert avatar.learned is not None
     return avatar.learned
 
 
-def elliptic(avatar: HandAvatar = AVATAR) -> HandAvatar:
+def elliptic(avatar: HandTensors = AVATAR) -> HandTensors:
     g = torch.Generator().manual_seed(6)
     count = len(avatar)
-    ellipsoid = Ellipsoid(0.5 * torch.randn(count, 3, generator=g), torch.randn(count, 4, generator=g))
+    ellipsoid = EllipsoidTensors(0.5 * torch.randn(count, 3, generator=g), torch.randn(count, 4, generator=g))
     return replace(avatar, learned=replace(learned_of(avatar), ellipsoid=ellipsoid))
 
 
@@ -73,7 +72,7 @@ def matrices(covariance_m2: torch.Tensor | None) -> torch.Tensor:
     return covariance_m2[:, [0, 1, 2, 1, 3, 4, 2, 4, 5]].reshape(-1, 3, 3)
 
 
-def fallen(avatar: HandAvatar, bones: BoneTransforms) -> torch.Tensor:
+def fallen(avatar: HandTensors, bones: BoneTransforms) -> torch.Tensor:
     """What the shadows that its fingers cast add to the exponent, in the world's light."""
     cast = learned_of(avatar).cast
     assert cast is not None
@@ -150,7 +149,7 @@ def test_where_the_skin_lies_is_not_pulled_about_by_what_it_reflects():
 
 
 def test_a_painted_hand_looks_the_same_from_everywhere():
-    avatar = small_avatar(50)
+    avatar = small_tensors(50)
     skin = pose_skin(avatar, bones_of(joints_of("open")))
     assert (skin.normal, skin.shine) == (None, None)
     assert seen_from(skin, EYE_M, avatar) is skin.matt
@@ -205,7 +204,7 @@ def test_maps_that_are_known_already_change_no_bit(dtype):
 def test_maps_say_how_the_skin_moves():
     bones = bones_of(joints_of("fist"))
     maps = skin_maps(AVATAR.bone_weights, bones, turned=True)
-    plain = small_avatar(150)
+    plain = small_tensors(150)
     posed = pose_gaussians(plain, bones)
     relative_m = plain.position_m.double() - bones.canonical_root_m
     torch.testing.assert_close(apply(maps.linear, relative_m) + maps.offset_m + bones.root_m, posed.position_m)
@@ -221,8 +220,8 @@ def test_maps_without_turning_are_refused_where_something_is_attached_to_the_ski
     with pytest.raises(InputError, match="turned"):
         pose_skin(AVATAR, bones, correction(), maps=maps)
     with pytest.raises(InputError, match="turned"):
-        pose_skin(small_avatar(150), bones, correction(), maps=maps)
-    pose_skin(small_avatar(150), bones, None, maps=maps)
+        pose_skin(small_tensors(150), bones, correction(), maps=maps)
+    pose_skin(small_tensors(150), bones, None, maps=maps)
 
 
 def test_offsets_turn_and_grow_with_the_hand_or_stay_in_the_world():
@@ -263,7 +262,7 @@ def test_round_gaussians_have_no_covariance_and_round_ellipsoids_that_of_their_m
     bones = bones_of(joints_of("fist"))
     assert pose_skin(AVATAR, bones).matt.covariance_m2 is None
     count = len(AVATAR)
-    around = Ellipsoid(torch.zeros(count, 3), torch.tensor([[2.0, 0.0, 0.0, 0.0]]).expand(count, 4))
+    around = EllipsoidTensors(torch.zeros(count, 3), torch.tensor([[2.0, 0.0, 0.0, 0.0]]).expand(count, 4))
     avatar = replace(AVATAR, learned=replace(learned_of(AVATAR), ellipsoid=around))
     got = matrices(pose_skin(avatar, bones).matt.covariance_m2)
     L = skin_maps(AVATAR.bone_weights, bones, turned=False).linear
@@ -309,7 +308,7 @@ def test_correctives_without_the_frames_of_the_pose_are_refused():
 
 def test_gradients_of_the_skin_are_those_of_finite_differences():
     """Of everything that training changes, through the posed color, place and shape."""
-    avatar = elliptic(trained_avatar(5))
+    avatar = elliptic(trained_tensors(5))
     learned = learned_of(avatar)
     bones = bones_of(joints_of("claw"))
     assert learned.ellipsoid is not None
@@ -321,7 +320,9 @@ def test_gradients_of_the_skin_are_those_of_finite_differences():
 
     def drawn(position_m, sigma_m, rgb, normal, shine, irradiance, lobes, stretch, quaternion, offset, shade):
         light = replace(learned.light.to(torch.float64), irradiance=irradiance, lobe_direction=lobes)
-        live = replace(learned, normal=normal, shine=shine, light=light, ellipsoid=Ellipsoid(stretch, quaternion))
+        live = replace(
+            learned, normal=normal, shine=shine, light=light, ellipsoid=EllipsoidTensors(stretch, quaternion)
+        )
         one = replace(avatar, position_m=position_m, sigma_m=sigma_m, rgb=rgb, learned=live)
         skin = pose_skin(one, bones, Correction(0.01 * offset, shade))
         seen = seen_from(skin, EYE_M, one)

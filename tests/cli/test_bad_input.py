@@ -26,7 +26,7 @@ SMALL = ("--size", "32x24", "--preset", "draft")
 @pytest.fixture(scope="module")
 def joints():
     """(F, 21, 3) a good motion, standard order, meters."""
-    canonical = load_painted(handedness=Handedness.RIGHT).canonical_joints_m.numpy()
+    canonical = load_painted(handedness=Handedness.RIGHT).canonical_joints_m
     motion = pose_sequence_of_names(
         ["open", "fist"], canonical, handedness=Handedness.RIGHT, options=MotionOptions(hold_s=0.0)
     )

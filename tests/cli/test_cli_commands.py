@@ -128,7 +128,7 @@ def test_render_writes_pictures_camera_and_figures(tmp_path, capsys):
 
 def test_of_many_angles_that_were_not_trained_the_three_farthest_are_told_and_the_figures_have_all(tmp_path, capsys):
     report = tmp_path / "figures.json"
-    canonical = builtin.load_painted(handedness=Handedness.RIGHT).canonical_joints_m.numpy()
+    canonical = builtin.load_painted(handedness=Handedness.RIGHT).canonical_joints_m
     # a left fist that is said to be a right one bends its fingers backwards
     fist = pose_sequence_of_names(["fist"], canonical, handedness=Handedness.LEFT)
     np.save(tmp_path / "bent.npy", from_level(fist.joints_m[:1], JointOrder.STANDARD))
@@ -218,7 +218,7 @@ def test_a_real_capture_is_rendered_upright_and_whole(tmp_path, shared_data):
 @pytest.fixture
 def wobbling(tmp_path, avatar):
     """A plain array in standard order whose bones change their length by millimeters, as estimates do."""
-    sequence = pose_sequence_of_names(["open", "fist"], avatar.canonical_joints_m.numpy(), handedness=Handedness.RIGHT)
+    sequence = pose_sequence_of_names(["open", "fist"], avatar.canonical_joints_m, handedness=Handedness.RIGHT)
     noise = np.random.default_rng(3).normal(0, 2e-3, sequence.joints_m.shape)
     noise[:, 0] = 0
     path = tmp_path / "wobbling.npy"
@@ -266,7 +266,7 @@ def test_bone_lengths_of_the_file_are_kept_when_asked_for(wobbling, avatar):
 
 def test_named_poses_have_the_avatars_bones(avatar):
     motion = load_motion(MotionOptions(poses="open, fist"), avatar)
-    canonical = avatar.canonical_joints_m.numpy()
+    canonical = avatar.canonical_joints_m
     measured = np.linalg.norm(canonical[3] - canonical[0])
     assert np.allclose(motion.sequence.bone_lengths_m[:, 2], measured, atol=1e-12)
 
@@ -413,7 +413,7 @@ def test_export_says_when_constant_radii_are_far_from_those_of_the_frames(avatar
     words = ("--poses", "open,fist", "--avatar", "painted", "--frames", "0:9")
     assert run("export", *words, "--out", tmp_path / "poses") == 0
     assert "--sizes per_frame" not in capsys.readouterr().out
-    joints_m = pose_sequence_of_names(("open",), avatar.canonical_joints_m.numpy(), handedness="right").joints_m[0]
+    joints_m = pose_sequence_of_names(("open",), avatar.canonical_joints_m, handedness="right").joints_m[0]
     growing_m = joints_m * np.linspace(0.8, 1.2, 5)[:, None, None]
     np.save(tmp_path / "growing.npy", from_level(growing_m, JointOrder.STANDARD))
     words = ("--motion", tmp_path / "growing.npy", "--hand", "right", "--avatar", "painted", "--any-proportions")

@@ -36,7 +36,7 @@ class Shown:
 
     def __init__(self, avatar: str, pose: str, view: str, handedness: Handedness = Handedness.RIGHT) -> None:
         self.avatar = AVATARS[avatar].for_hand(handedness)
-        self.joints_m = named_pose(pose, AVATARS[avatar].canonical_joints_m.numpy(), handedness=handedness)
+        self.joints_m = named_pose(pose, AVATARS[avatar].canonical_joints_m, handedness=handedness)
         self.sequence = PoseSequence(self.joints_m[None], 30.0, handedness)
         self.camera: Camera = framing_camera(self.joints_m[None], handedness, view, width=SIZE[0], height=SIZE[1])
         settings = replace(preset("final"), depth=True, normals=True, threads=1)

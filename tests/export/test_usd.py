@@ -12,7 +12,7 @@ from usd_samples import FPS, engine_gaussians, engine_mesh, lively_motion, small
 from usd_stages import opened
 
 from jghand_engine.avatar.avatar import LearnedFrom
-from jghand_engine.avatar.tiers import Baked
+from jghand_engine.avatar.tiers import Distilled
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.export.made_from import made_from
 from jghand_engine.export.usd import package
@@ -264,12 +264,12 @@ def test_colors_are_display_referred_in_the_splats_and_linear_for_display(export
     stage = opened(report.stage, Variant.SPLATS)
     splats = stage.GetPrimAtPath("/Hand/Splats")
     harmonics = np.asarray(splats.GetAttribute(HARMONICS).Get())
-    assert np.abs(0.5 + 0.28209479177387814 * harmonics - avatar.rgb.numpy()).max() < 1e-6
+    assert np.abs(0.5 + 0.28209479177387814 * harmonics - avatar.rgb).max() < 1e-6
     assert splats.GetAttribute("radiance:sphericalHarmonicsDegree").Get() == 0
     assert Usd.ColorSpaceAPI(splats).GetColorSpaceNameAttr().Get() == "srgb_rec709_scene"
     display = UsdGeom.PrimvarsAPI(splats).GetPrimvar("displayColor")
     assert display.GetAttr().GetColorSpace() == "lin_rec709_scene"
-    srgb = avatar.rgb.numpy()
+    srgb = avatar.rgb
     linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
     assert np.abs(np.asarray(display.Get()) - linear).max() < 1e-6
 
@@ -542,7 +542,7 @@ def test_all_that_is_learned_is_in_the_digest_and_names_and_prices_are_not():
     assert len(set(digests)) == 1 + len(others)
     assert _avatar_digest(trained_avatar(20), motion) == digests[0]
     renamed = replace(
-        avatar, info=replace(avatar.info, name="another"), learned=replace(learned, baked=Baked(None, (), "x"))
+        avatar, info=replace(avatar.info, name="another"), learned=replace(learned, baked=Distilled(None, (), "x"))
     )
     assert _avatar_digest(renamed, motion) == digests[0]
 

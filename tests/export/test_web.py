@@ -28,10 +28,10 @@ import check_web_page
 from jghand_engine import files
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_avatar_called
-from jghand_engine.avatar.correctives import PoseNet, PoseNetShape
+from jghand_engine.avatar.correctives import PoseNetShape
 from jghand_engine.avatar.distill import distill
 from jghand_engine.avatar.skinning import pose_gaussians
-from jghand_engine.avatar.tiers import Baked
+from jghand_engine.avatar.tiers import Distilled
 from jghand_engine.errors import DiskFullError, InputError, RetryError
 from jghand_engine.export.web import page as web
 from jghand_engine.export.web.hand import rows_of, with_cheap_correctives
@@ -52,7 +52,7 @@ POSE_SCRIPT = Path(__file__).with_name("web_pose.mjs")
 
 
 def motion(avatar: HandAvatar, hand: Handedness = Handedness.RIGHT) -> PoseSequence:
-    return pose_sequence_of_names(["open", "fist", "ok"], avatar.canonical_joints_m.numpy(), handedness=hand)
+    return pose_sequence_of_names(["open", "fist", "ok"], avatar.canonical_joints_m, handedness=hand)
 
 
 def exported(folder: Path, avatar: HandAvatar | None = None, **options) -> web.WebReport:
@@ -61,12 +61,11 @@ def exported(folder: Path, avatar: HandAvatar | None = None, **options) -> web.W
 
 
 def with_linear(avatar: HandAvatar) -> HandAvatar:
-    """The same with a linear tier, as `jghand bake` adds one."""
+    """The same with a linear tier, as `jghand distill` adds one."""
     assert avatar.learned is not None
-    assert isinstance(avatar.learned.correctives, PoseNet)
     g = torch.Generator().manual_seed(3)
-    linear = distill(avatar.learned.correctives, 0.5 * torch.randn(24, 37, generator=g), [5])[5]
-    return replace(avatar, learned=replace(avatar.learned, baked=Baked(linear, (), "test")))
+    linear = distill(avatar, 0.5 * torch.randn(24, 37, generator=g), [5])[5]
+    return replace(avatar, learned=replace(avatar.learned, distilled=Distilled(linear, (), "test")))
 
 
 def description_of(folder: Path) -> dict:
@@ -209,7 +208,7 @@ def test_an_impossible_option_is_named(what, options):
 
 def test_a_network_that_the_kernels_do_not_know_is_refused(tmp_path):
     wide = trained_avatar(shape=PoseNetShape(octaves=(2, 2, 2), angle_channels=4, angle_texels=3, hidden=264))
-    with pytest.raises(InputError, match="jghand bake"):
+    with pytest.raises(InputError, match="jghand distill"):
         exported(tmp_path, wide)
     assert not list(tmp_path.iterdir())
 
@@ -400,7 +399,7 @@ def estimated_hands(avatar: HandAvatar, hand: Handedness, count: int = 4) -> np.
 def test_sliders_pose_as_the_engine_does(tmp_path):
     avatar = small_avatar()
     exported(tmp_path, avatar)
-    canonical_m = avatar.canonical_joints_m.numpy()
+    canonical_m = avatar.canonical_joints_m
     hand = ArticulatedHand(canonical_m)
     angles_deg = np.stack([hand.angles_of(name) for name in ("open", "fist", "ok", "spread")])
     wanted_m = hand.joints(angles_deg) - canonical_m[0]
@@ -430,7 +429,7 @@ def test_a_pose_keeps_wrist_knuckles_and_bone_lengths_of_the_hand_that_is_shown(
     avatar = small_avatar().for_hand(hand)
     export_web(tmp_path, avatar, motion(avatar, hand), VIEW)
     hands_m = estimated_hands(avatar, hand)
-    angles_deg = ArticulatedHand(avatar.canonical_joints_m.numpy()).angles_of("point")[None]
+    angles_deg = ArticulatedHand(avatar.canonical_joints_m).angles_of("point")[None]
     found = asked(tmp_path, angles=np.radians(angles_deg), **{"from": hands_m.reshape(-1, 63)})
     posed_m = np.reshape([one["posed"] for one in found], (-1, 21, 3))
     # observed 6e-17, 4e-16

@@ -31,9 +31,7 @@ def page(tmp_path_factory) -> Path:
         pytest.skip("there is no Chromium, or no playwright-core (scripts/check_splat_files.py --install)")
     folder = tmp_path_factory.mktemp("page")
     avatar = small_avatar()
-    joints_m = pose_sequence_of_names(
-        ["open", "fist"], avatar.canonical_joints_m.numpy(), handedness=Handedness.RIGHT
-    ).joints_m
+    joints_m = pose_sequence_of_names(["open", "fist"], avatar.canonical_joints_m, handedness=Handedness.RIGHT).joints_m
     joints_m = joints_m + np.random.default_rng(8).normal(0, 3e-3, (21, 3)) + [1.0, 2.0, -3.0]
     export_web(folder, avatar, PoseSequence(joints_m, 30.0, Handedness.RIGHT), VIEW)
     return folder

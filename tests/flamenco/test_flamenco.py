@@ -153,7 +153,7 @@ def pictures(folder: Path) -> dict[str, bytes]:
 
 
 def moving_hand(path: Path) -> None:
-    joints_m = load_painted(handedness=Handedness.RIGHT).canonical_joints_m.numpy()
+    joints_m = load_painted(handedness=Handedness.RIGHT).canonical_joints_m
     write_motion(path, pose_sequence_of_names(["open", "fist"], joints_m, handedness=Handedness.RIGHT))
 
 

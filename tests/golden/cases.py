@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin, load_painted
@@ -42,7 +41,7 @@ def avatar_of(name: str, hand: Handedness) -> HandAvatar:
     avatar, rng = load_builtin(handedness=hand), np.random.default_rng(7)
     assert avatar.learned is not None
     log_stretch, turns = (rng.normal(size=(len(avatar), width)).astype(np.float32) for width in (3, 4))
-    shape = Ellipsoid(torch.from_numpy(0.4 * log_stretch), torch.from_numpy(turns))
+    shape = Ellipsoid(0.4 * log_stretch, turns)
     return replace(avatar, learned=replace(avatar.learned, ellipsoid=shape))
 
 

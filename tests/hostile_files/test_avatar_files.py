@@ -14,15 +14,15 @@ import numpy as np
 import pytest
 import safetensors
 import safetensors.numpy
-import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from small_avatars import ellipsoid_avatar, trained_avatar
 
 from jghand_engine.avatar.builtin import ASSETS
+from jghand_engine.avatar.correctives import LinearCorrectives
 from jghand_engine.avatar.file import METADATA_KEY, load_avatar, save_avatar
 from jghand_engine.avatar.storage import Storage
-from jghand_engine.avatar.tiers import Baked, LinearCorrectives, Price, Tier
+from jghand_engine.avatar.tiers import Distilled, Price, Tier
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import LEVEL_NAMES, STANDARD_NAMES, Handedness
 from jghand_engine.hand.transform import JointTransform
@@ -373,7 +373,7 @@ def test_flipped_bytes_of_a_trained_file_give_an_avatar_or_an_input_error(tmp_pa
     read_with_flipped_bytes(written(tmp_path / "good.jghand", *learned_parts), data)
 
 
-# ---- what `jghand bake` adds -----------------------------------------------------------------------------------------
+# ---- what `jghand distill` adds -------------------------------------------------------------------------------------
 
 BASIS = 12  # more than the features of the small network: products too
 
@@ -381,21 +381,20 @@ BASIS = 12  # more than the features of the small network: products too
 @pytest.fixture(scope="module")
 def baked_parts(tmp_path_factory) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """The same of a trained avatar with a linear tier."""
-    avatar, g = trained_avatar(50), torch.Generator().manual_seed(3)
+    avatar, g = trained_avatar(50), np.random.default_rng(3)
     assert avatar.learned is not None
     net: Any = avatar.learned.correctives
     channels = net.shape.angle_channels
     linear = LinearCorrectives(
         net.angles,
-        torch.zeros(channels),
-        torch.randn(channels, channels, generator=g),
-        avatar.bone_weights,
-        torch.zeros(50, 6),
-        torch.randint(-127, 128, (50, BASIS, 6), generator=g, dtype=torch.int8),
-        torch.full((50, 2), 1e-5),
+        np.zeros(channels, np.float32),
+        g.standard_normal((channels, channels), np.float32),
+        np.zeros((50, 6), np.float32),
+        g.integers(-127, 128, (50, BASIS, 6), np.int8),
+        np.full((50, 2), 1e-5, np.float32),
     )
     prices = (Price(Tier.EXACT, 0, 9.0, 0.1, 30.0, 0.0), Price(Tier.LINEAR, BASIS, 1.0, 0.1, 29.9, 0.1))
-    learned = replace(avatar.learned, baked=Baked(linear, prices, "pictures"))
+    learned = replace(avatar.learned, distilled=Distilled(linear, prices, "pictures"))
     path = tmp_path_factory.mktemp("baked") / "hand.jghand"
     save_avatar(path, replace(avatar, learned=learned))
     with safetensors.safe_open(str(path), framework="numpy") as content:

@@ -26,7 +26,7 @@ def write_small_capture(folder: Path, *, poses: int = 6, size_px: tuple[int, int
     """`poses` poses between open and fist, seen by four cameras; every fifth pose is for the test, by the rule."""
     avatar = load_painted(handedness=Handedness.RIGHT)
     motion = pose_sequence_of_names(
-        ["open", "fist"], avatar.canonical_joints_m.numpy(), handedness=Handedness.RIGHT,
+        ["open", "fist"], avatar.canonical_joints_m, handedness=Handedness.RIGHT,
         options=MotionOptions(hold_s=0.0),
     )  # fmt: skip
     chosen = np.linspace(0, len(motion) - 1, poses).round().astype(int)

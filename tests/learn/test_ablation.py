@@ -46,7 +46,7 @@ def camera():
 
 
 def posed(avatar, name):
-    return named_pose(name, avatar.canonical_joints_m.numpy(), handedness=Handedness.RIGHT)
+    return named_pose(name, avatar.canonical_joints_m, handedness=Handedness.RIGHT)
 
 
 @pytest.mark.parametrize("name", ["open", "point"])

@@ -20,8 +20,8 @@ from torch.utils._pytree import tree_leaves
 
 from jghand_engine.avatar.model import LearnedHand, Shape
 from jghand_engine.avatar.pose_features import octave_of_wave
-from jghand_engine.avatar.records import mapped
 from jghand_engine.avatar.skinning import pose_skin, see_lamps, seen_from, skin_maps
+from jghand_engine.avatar.tensors import mapped
 from jghand_engine.cli import main
 from jghand_engine.cli.learning import device_called
 from jghand_engine.errors import InputError

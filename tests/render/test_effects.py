@@ -14,6 +14,7 @@ from jghand_engine import limits
 from jghand_engine.avatar.builtin import load_builtin, load_painted
 from jghand_engine.avatar.fast_correctives import FastNetwork
 from jghand_engine.avatar.pose_features import Angles
+from jghand_engine.avatar.tensors import HandTensors
 from jghand_engine.errors import InputError
 from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import Handedness
@@ -33,7 +34,7 @@ pytestmark = pytest.mark.skipif(not native_library.runnable_variants(), reason="
 
 
 def pose(name: str, avatar=RIGHT) -> np.ndarray:
-    return named_pose(name, avatar.canonical_joints_m.numpy(), handedness=Handedness.RIGHT)
+    return named_pose(name, avatar.canonical_joints_m, handedness=Handedness.RIGHT)
 
 
 def camera(width: int = 200, height: int = 160, *, away_m: float = 0.5, focal_px: float = 300.0, side_m: float = 0.15):
@@ -193,13 +194,13 @@ def test_correctives_that_are_kept_lack_what_the_receipt_says():
     avatar = load_builtin(handedness=Handedness.RIGHT)
     transform, generator = avatar.bone_transform(), torch.Generator().manual_seed(0)
     assert avatar.learned is not None
-    assert avatar.learned.correctives is not None
+    net = HandTensors.of(avatar).learned.correctives
     for name in ("open", "relaxed", "fist"):
         frames = transform.frames(torch.from_numpy(pose(name, avatar)))
         angles = torch.cat([frames.angles.flatten(), frames.palm_p, frames.palm_n])
         step = limits.REUSE_ANGLE_RAD * torch.randn(37, generator=generator, dtype=torch.float64).sign()
         with torch.no_grad():
-            before, after = (avatar.learned.correctives(Angles.of(a.float())).offset_m for a in (angles, angles + step))
+            before, after = (net(Angles.of(a.float())).offset_m for a in (angles, angles + step))
         assert float((after - before).norm(dim=-1).max()) < limits.REUSE_CORRECTION_M  # observed 0.06 mm
 
 

@@ -29,7 +29,7 @@ from jghand_engine.study.stability_measures import posed_avatar
 
 COUNT = 4000
 RIGHT = load_painted(handedness=Handedness.RIGHT)
-CANONICAL_M = RIGHT.canonical_joints_m.numpy()
+CANONICAL_M = RIGHT.canonical_joints_m
 NATIVE = native_library.runnable_variants()
 ALWAYS = RenderSettings(gaussians=COUNT, shadow=ShadowMode.ALWAYS, shadow_samples=32)
 

@@ -113,7 +113,7 @@ def test_half_the_camera_sees_the_same_picture():
 
 def test_a_frame_of_half_the_size_resembles_the_whole_one_and_says_so():
     avatar = load_painted(handedness=Handedness.RIGHT).prefix(4000)
-    joints_m = named_pose("relaxed", avatar.canonical_joints_m.numpy(), handedness=avatar.handedness)
+    joints_m = named_pose("relaxed", avatar.canonical_joints_m, handedness=avatar.handedness)
     camera = replace(CAMERA, width=263, height=191, fx=480, fy=480, cx=131.5, cy=95.5)
     whole = HandRenderer(avatar, RenderSettings()).render(joints_m, camera)
     frame = HandRenderer(avatar, RenderSettings(half=True)).render(joints_m, camera)

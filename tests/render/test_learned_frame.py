@@ -39,7 +39,7 @@ def settings(request) -> RenderSettings:
 
 
 def joints_of(pose: str, avatar: HandAvatar = AVATAR) -> np.ndarray:
-    return named_pose(pose, avatar.canonical_joints_m.numpy(), handedness=avatar.handedness)
+    return named_pose(pose, avatar.canonical_joints_m, handedness=avatar.handedness)
 
 
 def beside(joints_m: np.ndarray, shift_m: float) -> np.ndarray:
@@ -98,14 +98,14 @@ def test_everything_that_was_learned_is_seen():
     """Each part of it changes the picture: the comparison above would otherwise prove little."""
     joints, view, learned = joints_of("fist"), camera(), AVATAR.learned
     whole = HandRenderer(AVATAR, PLAIN).render(joints, view).rgba
-    dark = replace(learned.light, lobe_rgb=torch.zeros_like(learned.light.lobe_rgb))
-    flat = replace(learned.light, irradiance=torch.zeros_like(learned.light.irradiance))
+    dark = replace(learned.light, lobe_rgb=np.zeros_like(learned.light.lobe_rgb))
+    flat = replace(learned.light, irradiance=np.zeros_like(learned.light.irradiance))
     for less in (
         replace(learned, correctives=None),
-        replace(learned, shine=torch.zeros_like(learned.shine)),
+        replace(learned, shine=np.zeros_like(learned.shine)),
         replace(learned, light=dark),
         replace(learned, light=flat),
-        replace(learned, normal=learned.normal.roll(1, 0)),
+        replace(learned, normal=np.roll(learned.normal, 1, 0)),
         replace(learned, world_offsets=True),
     ):
         other = HandRenderer(replace(AVATAR, learned=less), PLAIN).render(joints, view).rgba
@@ -190,7 +190,7 @@ def test_the_shadow_has_the_learned_look():
     alpha, depth = torch.from_numpy(plain[..., 3]), torch.from_numpy(drawn.depth_m).double()
     planes = torch.cat([torch.from_numpy(plain).permute(2, 0, 1), (alpha * depth)[None]])
     look = AVATAR.learned.shadow
-    strength = fade(ShadowGate(AVATAR.canonical_joints_m.numpy()).score(joints_of("fist")))
+    strength = fade(ShadowGate(AVATAR.canonical_joints_m).score(joints_of("fist")))
     style = ShadowStyle(16, strength, gain=look.gain, tint=look.tint)
     wanted = darken(planes, NEAR, style).permute(1, 2, 0).numpy()
     error = np.abs(drawn.rgba[..., :3] - wanted)

@@ -100,7 +100,7 @@ def test_the_shadow_is_the_same_compiled_and_as_specified(variant):
 
 def hand_before(camera_size=(120, 100), *, backend: str, avatar=None, **settings) -> tuple[HandRenderer, np.ndarray]:
     avatar = avatar or trained_avatar(3000)
-    joints_m = named_pose("fist", avatar.canonical_joints_m.numpy(), handedness=avatar.handedness)
+    joints_m = named_pose("fist", avatar.canonical_joints_m, handedness=avatar.handedness)
     return HandRenderer(avatar, replace(preset("viewport"), backend=backend, **settings)), joints_m
 
 
@@ -150,7 +150,7 @@ def test_the_hands_box_holds_all_that_is_seen(backend):
 
 def test_bones_and_normals_are_seen_along_parallel_rays_too():
     avatar = trained_avatar(3000)
-    joints_m = named_pose("open", avatar.canonical_joints_m.numpy(), handedness=avatar.handedness)
+    joints_m = named_pose("open", avatar.canonical_joints_m, handedness=avatar.handedness)
     scene = SceneRenderer([avatar], RenderSettings(normals=True))
     frame = scene.render([joints_m], view())
     ids = scene.bone_ids(view())

@@ -17,9 +17,7 @@ from jghand_engine.render.settings import PRESETS
 
 CAMERA = Camera.looking_at([0.1, 0.1, 0.6], [0, 0.08, 0], [0, 1, 0], width=128, height=96, focal_px=250)
 BUILTIN = load_builtin(handedness=Handedness.RIGHT)
-POSES_M = pose_sequence_of_names(
-    ["open", "fist"], BUILTIN.canonical_joints_m.numpy(), handedness=Handedness.RIGHT
-).joints_m
+POSES_M = pose_sequence_of_names(["open", "fist"], BUILTIN.canonical_joints_m, handedness=Handedness.RIGHT).joints_m
 CREEP_M = 0.003 * (POSES_M[13] - POSES_M[12])
 STEPS = {
     "the whole hand drifts by less than counts": lambda pose_m: pose_m + np.array([2e-5, 0, 0]),

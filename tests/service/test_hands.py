@@ -167,12 +167,11 @@ def test_avatars_that_nothing_shows_are_let_go(tmp_path):
 
 
 def test_a_trained_hand_reflects_towards_the_camera_of_each_picture(source, right, tmp_path):
-    import torch
 
     avatar, path = trained_avatar(2000), tmp_path / "trained.jghand"
     save_avatar(path, avatar, storage=Storage.EXACT)
     hand = replace(right, avatar=str(path))
-    dark = replace(avatar, learned=replace(avatar.learned, shine=torch.zeros(2000)))
+    dark = replace(avatar, learned=replace(avatar.learned, shine=np.zeros(2000, np.float32)))
     turn = np.array([[0.96, 0, 0.28, 0], [0, 1, 0, 0], [-0.28, 0, 0.96, 0], [0, 0, 0, 1]])
     for camera_from_world in (CAMERA_FROM_WORLD, CAMERA_FROM_WORLD @ turn):
         moment = exposure([hand], camera_from_world)
@@ -384,7 +383,7 @@ def fist_of(hand: Hand) -> Hand:
     from jghand_engine.hand.anatomy import ArticulatedHand, named_angles
     from jghand_engine.hand.orders import from_level
 
-    canonical = load_painted(handedness=Handedness.RIGHT).canonical_joints_m.numpy()
+    canonical = load_painted(handedness=Handedness.RIGHT).canonical_joints_m
     joints = ArticulatedHand(canonical).joints(named_angles("fist")[None])[0]
     return replace(hand, joints_m=from_level(joints, JointOrder.STANDARD))
 

@@ -75,7 +75,7 @@ def test_a_tighter_gate_skips_more_and_says_the_worst_of_what_it_skips():
 
 @pytest.mark.parametrize("name", ["open", "fist"])
 def test_the_gate_is_judged_by_the_shadow_that_would_be_drawn(name: str):
-    joints = named_pose(name, AVATAR.canonical_joints_m.numpy(), handedness=Handedness.RIGHT)
+    joints = named_pose(name, AVATAR.canonical_joints_m, handedness=Handedness.RIGHT)
     view = replace(subject(2).camera, fx=400.0, fy=400.0, width=160, height=140, cx=80.0, cy=70.0)
     bare = HandRenderer(AVATAR, RenderSettings(shadow=ShadowMode.OFF))
     row = study.gate_row(bare, AVATAR, (name, joints, view))

@@ -88,7 +88,7 @@ def test_other_files_are_no_networks(tmp_path):
 
 def test_the_hand_of_a_real_video_is_found_in_every_picture(shared_data):
     video = open_video(shared_data / "real" / "human_hand_video.mp4")
-    canonical = load_builtin(handedness=Handedness.RIGHT).canonical_joints_m.numpy()
+    canonical = load_builtin(handedness=Handedness.RIGHT).canonical_joints_m
     with MediaPipeHands() as detector:
         sightings = look(pictures(video, most=90), video.fps, detector)
     hands = track(sightings, canonical)

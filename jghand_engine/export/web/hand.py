@@ -11,13 +11,13 @@ import numpy as np
 
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.correctives import Correctives
+from jghand_engine.avatar.correctives import LinearCorrectives, PoseFeatures
 from jghand_engine.avatar.fast_cast import FastCast
-from jghand_engine.avatar.fast_correctives import FastFeatures, FastLinear, FastNetwork, NoCorrectives, fast_correctives
+from jghand_engine.avatar.fast_correctives import FastLinear, FastNetwork, NoCorrectives, fast_correctives
 from jghand_engine.avatar.fast_learned import learned_arrays, new_task
 from jghand_engine.avatar.fast_skinning import Blocks, ellipsoid_axes, skin_arrays
 from jghand_engine.avatar.learned import Learned
-from jghand_engine.avatar.tiers import LinearCorrectives, Tier
+from jghand_engine.avatar.tiers import Tier
 from jghand_engine.errors import InputError
 from jghand_engine.export.web.pack import Pack, task_in_words
 from jghand_engine.hand.fast_transform import packed_skeleton
@@ -35,9 +35,9 @@ def with_cheap_correctives(avatar: HandAvatar) -> tuple[HandAvatar, str]:
     """The avatar with its linear tier where it has one, and "linear", "network" or "none"."""
     if avatar.learned is None or avatar.learned.correctives is None:
         return avatar, "none"
-    baked = avatar.learned.baked
-    if baked is not None and baked.linear is not None:
-        return replace(avatar, learned=replace(avatar.learned, correctives=baked.linear)), Tier.LINEAR.value
+    distilled = avatar.learned.distilled
+    if distilled is not None and distilled.linear is not None:
+        return replace(avatar, learned=replace(avatar.learned, correctives=distilled.linear)), Tier.LINEAR.value
     kind = Tier.LINEAR.value if isinstance(avatar.learned.correctives, LinearCorrectives) else "network"
     return avatar, kind
 
@@ -47,7 +47,7 @@ def pack_hand(avatar: HandAvatar, pack: Pack) -> dict[str, Any]:
 
     avatar: with the correctives that the page shall compute. InputError for correctives that the kernels do not know.
     """
-    blocks = Blocks(avatar.position_m.numpy())
+    blocks = Blocks(avatar.position_m)
     learned = avatar.learned
     skin = SkinTask(
         blocks=blocks.count, stretch_min=limits.SIGMA_STRETCH_MIN, stretch_max=limits.SIGMA_STRETCH_MAX
@@ -58,7 +58,7 @@ def pack_hand(avatar: HandAvatar, pack: Pack) -> dict[str, Any]:
     if learned is not None:
         arrays |= learned_arrays(avatar, learned, blocks)
         task.lobes = len(arrays["lobe"])
-        about["correctives"] = _correctives(learned.correctives, avatar, blocks, task, arrays)
+        about["correctives"] = _correctives(learned, avatar, blocks, task, arrays)
         about["cast"] = _cast(learned, avatar, blocks, task, arrays)
     task.skin = skin
     for name, array in arrays.items():
@@ -69,10 +69,10 @@ def pack_hand(avatar: HandAvatar, pack: Pack) -> dict[str, Any]:
     if ellipsoid_axes(avatar) is not None:
         pack.empty("skin.covariance", (rows, 6))
     if learned is None:
-        pack.exact("rgb", blocks.in_rows(avatar.rgb.numpy()), "f4")
+        pack.exact("rgb", blocks.in_rows(avatar.rgb), "f4")
     else:
         pack.empty("rgb", (rows, 3))
-    opacity = blocks.in_rows(avatar.opacity.numpy())
+    opacity = blocks.in_rows(avatar.opacity)
     pack.rounded("opacity", opacity[None, None])
     transform = avatar.bone_transform()
     if not isinstance(transform, JointTransform):
@@ -84,7 +84,7 @@ def pack_hand(avatar: HandAvatar, pack: Pack) -> dict[str, Any]:
 
 def rows_of(avatar: HandAvatar) -> np.ndarray:
     """(N,) the avatar's Gaussian in each row of the page's arrays."""
-    return Blocks(avatar.position_m.numpy()).order
+    return Blocks(avatar.position_m).order
 
 
 def _add(pack: Pack, name: str, array: np.ndarray) -> None:
@@ -103,20 +103,16 @@ def _add(pack: Pack, name: str, array: np.ndarray) -> None:
 
 
 def _correctives(
-    correctives: Correctives | None,
-    avatar: HandAvatar,
-    blocks: Blocks,
-    task: LearnedTask,
-    arrays: dict[str, np.ndarray],
+    learned: Learned, avatar: HandAvatar, blocks: Blocks, task: LearnedTask, arrays: dict[str, np.ndarray]
 ) -> dict[str, Any] | None:
     """Adds their arrays; what is prepared of them for every pose."""
-    fast = fast_correctives(correctives, blocks, avatar.bone_weights, task)
+    fast = fast_correctives(learned.correctives, avatar, blocks, task)
     if isinstance(fast, NoCorrectives):
         return None
     if not isinstance(fast, FastLinear | FastNetwork):
         raise InputError(
             f"correctives of avatar {avatar.info.name}", wanted="ones that the kernels know", came="a wider network",
-            remedy="`jghand bake` adds cheaper ones.",
+            remedy="`jghand distill` adds cheaper ones.",
         )  # fmt: skip
     arrays |= fast.arrays
     arrays["texels"] = fast.features.texels
@@ -131,7 +127,7 @@ def _correctives(
     }  # fmt: skip
 
 
-def _features(features: FastFeatures) -> dict[str, Any]:
+def _features(features: PoseFeatures) -> dict[str, Any]:
     names = ("source", "offset", "slope")
     plain = {name: getattr(features, name).tolist() for name in names}
     return plain | {"level1": features.level1, "shape": list(features.texels.shape)}

@@ -177,7 +177,7 @@ def _notes(avatar: HandAvatar) -> list[str]:
 def _articulated(avatar: HandAvatar, sequence: PoseSequence) -> dict[str, Any]:
     """The canonical hand with straight fingers, as pose.js poses hands by angles; fingers that touch in a pose do so at
     the bone lengths of the motion's first frame."""
-    canonical = avatar.canonical_joints_m.numpy()
+    canonical = avatar.canonical_joints_m
     lengths_m = bone_lengths(sequence.joints_m[:1])[0]
     scale = lengths_m.sum() / bone_lengths(canonical[None])[0].sum()
     resized = rebuilt(canonical[None, 0], bone_directions(canonical[None]), lengths_m / scale)[0]

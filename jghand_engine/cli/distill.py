@@ -1,4 +1,4 @@
-"""`jghand bake`: cheaper ways to the corrections of a trained avatar's poses, and what they cost."""
+"""`jghand distill`: cheaper ways to the corrections of a trained avatar's poses, and what they cost."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ if TYPE_CHECKING:
 
 DESCRIPTION = """Prepare a trained avatar for fast drawing, and say what each way costs.
 
-What a pose changes on the skin comes from a network. `bake` adds a linear form of it, which is quick, measures how much
-accuracy that loses and how much time it saves, and writes both into the avatar. The renderer then takes the linear form
-where it loses at most 0.1 dB and saves a tenth of a frame or more; presets final and reference always take the network.
-It also measures how much the shadow of the hand on itself ever darkens: one that nobody sees is not drawn any more.
+What a pose changes on the skin comes from a network. `distill` adds a linear form of it, which is quick, measures how
+much accuracy that loses and how much time it saves, and writes both into the avatar. The renderer then takes the linear
+form where it loses at most 0.1 dB and saves a tenth of a frame or more; presets final and reference always take the
+network. It also measures how much the shadow of the hand on itself ever darkens: one that nobody sees is not drawn.
 
 Examples:
-  jghand bake id3.jghand captures/id3 --out id3_fast.jghand
-  jghand bake id3.jghand --out id3_fast.jghand            without pictures: against the network itself"""
+  jghand distill id3.jghand captures/id3 --out id3_fast.jghand
+  jghand distill id3.jghand --out id3_fast.jghand            without pictures: against the network itself"""
 
 # said of prices that were measured on pictures which the avatar may have learned from
 NOT_CERTAIN = "it may have learned from them"
 
 
 @dataclass(frozen=True)
-class Bake:
+class Distill:
     avatar: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="AVATAR")]
     """A trained .jghand file, or builtin."""
     out: Annotated[Path, tyro.conf.arg(metavar="FILE.jghand")]
@@ -60,16 +60,16 @@ class Bake:
         import torch
 
         from jghand_engine.avatar.builtin import load_avatar_called
+        from jghand_engine.avatar.correctives import largest_basis
         from jghand_engine.avatar.distill import distill, poses_near
         from jghand_engine.avatar.file import save_avatar, stored_form
         from jghand_engine.avatar.storage import Storage
         from jghand_engine.avatar.texts import as_text
-        from jghand_engine.avatar.tiers import basis_most
         from jghand_engine.files import check_place
         from jghand_engine.native.machine import processor
         from jghand_engine.native.threads import thread_count
         from jghand_engine.study.shadow_seen import with_shadow_seen
-        from jghand_engine.study.tier_prices import baked, pose_net_of, price_tiers
+        from jghand_engine.study.tier_prices import distilled, pose_net_of, price_tiers
 
         if self.out.suffix != ".jghand":
             raise InputError("--out", wanted="a file that ends with .jghand", came=str(self.out))
@@ -81,18 +81,18 @@ class Bake:
         # what is measured is what will be read again
         avatar = stored_form(load_avatar_called(self.avatar), storage)
         net = pose_net_of(avatar)
-        bases = self._bases(min(limits.BASIS_MAX, basis_most(net.shape)))
+        bases = self._bases(min(limits.BASIS_MAX, largest_basis(net.shape)))
         yard = self._yardstick(avatar)
         known = yard.known_poses(avatar)
         poses = torch.cat([known, poses_near(known, self.poses, seed=0)])
         with progress("Distilling", 100) as bar:
-            linear = distill(net, poses, bases, tick=lambda part: bar.update(bar.task_ids[0], completed=100 * part))
+            linear = distill(avatar, poses, bases, tick=lambda part: bar.update(bar.task_ids[0], completed=100 * part))
         measured_on = as_text(f"{yard.measured_on}; times on {processor()}, {thread_count(0)} threads")
-        say(f"Measuring {len(linear) + 2} tiers on {measured_on}.")
+        say(f"Measuring {len(linear) + 1} tiers on {measured_on}.")
         offers = price_tiers(avatar, linear, yard)
         with progress("Measuring the shadow", 100) as bar:
             measured = with_shadow_seen(avatar, lambda part: bar.update(bar.task_ids[0], completed=100 * part))
-        finished = baked(measured, offers, measured_on)
+        finished = distilled(measured, offers, measured_on)
         save_avatar(self.out, finished, storage=storage)
         self._tell(offers, finished, measured_on)
 
@@ -127,7 +127,7 @@ class Bake:
     def _tell(self, offers: Sequence[Offer], avatar: HandAvatar, measured_on: str) -> None:
         from jghand_engine.avatar.tiers import Tier
 
-        kept = {price.name for price in avatar.learned.baked.prices}  # type: ignore[union-attr]
+        kept = {price.name for price in avatar.learned.distilled.prices}  # type: ignore[union-attr]
         rows = [
             (
                 offer.price.name,
@@ -151,7 +151,7 @@ class Bake:
         say(f"{self.out}: {len(avatar)} Gaussians, {self.out.stat().st_size / 1e6:.1f} MB")
         if self.report.json is not None:
             write_json(self.report.json, {
-                "command": "bake", "measured_on": measured_on, "bytes": self.out.stat().st_size,
+                "command": "distill", "measured_on": measured_on, "bytes": self.out.stat().st_size,
                 "shadow_seen": seen,
                 "tiers": [{**vars(offer.price), "kept": offer.price.name in kept} for offer in offers],
             })  # fmt: skip
