@@ -12,7 +12,7 @@ import bpy
 from .core import limits, poses
 from .core.joints import FINGERS, RIGHT
 from .export import properties as output_settings
-from .hand import armature, bone_list, pose_pictures
+from .hand import bone_list
 from .versions import path_options
 
 # identifier, name, tooltip, icon, number in files
@@ -34,27 +34,17 @@ ENDS = (
 OVERRIDABLE = {"LIBRARY_OVERRIDABLE"}
 FINGER_ITEMS = tuple((name, name.capitalize(), f"The {name} finger", "NONE", at) for at, name in enumerate(FINGERS))
 
-# Blender keeps no texts of dynamic items: they are remembered here, by hand and by whether there are pictures
-_pose_items: dict[tuple[str, bool], list[tuple[str, str, str, int, int]]] = {}
-
-
-def pose_items(_owner: object, context: bpy.types.Context | None) -> list[tuple[str, str, str, int, int]]:
-    """The named poses with their pictures, of the hand that is active; numbers are places in the table."""
-    hand = context.object if context is not None else None
-    handedness = armature.handedness_of(hand) if hand is not None and armature.is_hand(hand) else RIGHT
-    key = (handedness, pose_pictures.are_made())
-    if key not in _pose_items:
-        _pose_items[key] = [
-            (
-                pose.name,
-                pose.title.partition(" (")[0],
-                pose.description or f"A hand pose: {pose.name.replace('_', ' ')}",
-                pose_pictures.icon_of(pose.name, handedness),
-                place,
-            )
-            for place, pose in enumerate(poses.all_poses(handedness))
-        ]
-    return _pose_items[key]
+# the named poses; both hands have the same, and numbers are places in the table
+POSES = tuple(
+    (
+        pose.name,
+        pose.title.partition(" (")[0],
+        pose.description or f"A hand pose: {pose.name.replace('_', ' ')}",
+        "NONE",
+        place,
+    )
+    for place, pose in enumerate(poses.all_poses(RIGHT))
+)
 
 
 # properties' functions have names of their own: a lambda in an annotation would not see this module
@@ -223,7 +213,7 @@ class JGHandWindowSettings(bpy.types.PropertyGroup):
     pose: bpy.props.EnumProperty(
         name="Pose",
         description="The pose that Apply gives to the selected hands",
-        items=pose_items,
+        items=POSES,
     )  # type: ignore[valid-type]
 
 
@@ -246,4 +236,3 @@ def unregister() -> None:
     for owner, _ in reversed(_OWNERS):
         if hasattr(owner, "jghand"):
             del owner.jghand
-    _pose_items.clear()

@@ -28,8 +28,7 @@ from .hand import (
     panel_bones,
     panel_motion,
     panel_pose,
-    pose_pictures,
-    pose_shelf,
+    pose_library,
 )
 from .hand import ops as hand_ops
 from .hand import panel as hand_panel
@@ -54,7 +53,7 @@ WITH_CLASSES = (
 )
 # handlers, timers, menus, and what is forgotten at the end
 _WITH_HOOKS: tuple[ModuleType, ...] = (
-    *(properties, runtime, pose_pictures, pose_shelf, job_watch, kept, avatar_files, cards, usd_hook),
+    *(properties, runtime, pose_library, job_watch, kept, avatar_files, cards, usd_hook),
     *(appended, handlers, guard, left_out, render_engine, cli_command, hand_ops, ops_motion),
 )
 _add_classes, _remove_classes = bpy.utils.register_classes_factory(

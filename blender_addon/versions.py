@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from typing import Any
 
 import bpy
@@ -86,19 +86,6 @@ def fcurves(owner: bpy.types.ID) -> list[Any]:
         return []
     bag = anim_utils.action_get_channelbag_for_slot(animation.action, animation.action_slot)
     return list(bag.fcurves) if bag else []
-
-
-def still_action(name: str, curves: Iterable[tuple[str, int, float, str]]) -> bpy.types.Action:
-    """An action for objects with one key, at frame 1, per curve (data path, index, value, group)."""
-    action = bpy.data.actions.new(name)
-    slot = action.slots.new("OBJECT", "Hand")
-    strip = action.layers.new("Layer").strips.new(type="KEYFRAME")
-    bag = strip.channelbag(slot, ensure=True)
-    for data_path, index, value, group in curves:
-        curve = bag.fcurves.new(data_path, index=index)
-        curve.group = bag.groups.get(group) or bag.groups.new(group)
-        curve.keyframe_points.insert(1.0, value)
-    return action
 
 
 def has_usd() -> bool:

@@ -38,7 +38,7 @@ FROM_ELSEWHERE = {
     "LICENSE-MIT": ROOT / "LICENSE",  # of that file
 }
 # what an extension may hold; anything else in the folder is there by mistake
-KNOWN_SUFFIXES = {".py", ".toml", ".json", ".blend", ".npz", ".png", ".html"}
+KNOWN_SUFFIXES = {".py", ".toml", ".json", ".blend", ".txt", ".npz", ".png", ".html"}
 KNOWN_NAMES = {"LICENSE", "NOTICE"}
 PASSED_OVER = {"__pycache__", ".pytest_cache", ".ruff_cache"}
 # the first moment that a zip can name, and rights that everybody can read: both are part of a zip's bytes

@@ -1,35 +1,120 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # This script imports blender_addon (GPL-3.0-or-later) and bpy (GPL), so it is under the GPL too: blender_addon/LICENSE.
-"""Makes a folder that Blender can use as an asset library of hand poses, for a studio or to look at.
+"""Makes the asset library of hand poses that the extension ships: blender_addon/assets/poses.
 
-    .envs/blender/bin/python scripts/build_pose_library.py --out FOLDER
+    .envs/blender/bin/python scripts/build_pose_library.py [--out FOLDER] [--engine PYTHON]
 
-Runs in a Python that has bpy. The extension makes the same folder itself, on demand, by the Blender that runs it; the
-poses come from blender_addon/assets/poses.json (`scripts/build_pose_table.py`). FOLDER gets one .blend file with pose
-assets for both hands and Blender's catalog file beside it: add it under Preferences, File Paths, Asset Libraries.
+Runs in a Python that has bpy 5.0; Blender 4.5 to 5.2 read what it writes. Run it again when a pose changes in
+blender_addon/assets/poses.json (`scripts/build_pose_table.py`); a test compares the two. The folder gets one .blend
+file with pose assets for both hands, with pictures that the engine renders, and Blender's catalog file beside it.
 """
 
 from __future__ import annotations
 
 import argparse
+import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+import bpy
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path.insert(0, str(ROOT))
+
+from blender_addon.core import poses, posing  # noqa: E402
+from blender_addon.core.controls import FINGER_CONTROLS, HAND_CONTROL  # noqa: E402
+from blender_addon.core.joints import HANDEDNESSES, LEFT, RIGHT  # noqa: E402
+from blender_addon.core.poses import HandPose  # noqa: E402
+from blender_addon.hand import pose_library  # noqa: E402
+from blender_addon.hand.motion_files import MotionFile, write_motion  # noqa: E402
+
+# pixels: Blender shows assets at up to 128, and a quarter less than that keeps the file small
+PREVIEW_PX = 96
+
+
+def rendered_poses(engine: Path) -> dict[str, np.ndarray]:
+    """Name of a pose -> (H, W, 4) float32 RGBA of the right hand, bottom row first, as the engine renders it."""
+    rest = posing.rest_matrices(posing.rest_joints_m(RIGHT), RIGHT)
+    named = poses.all_poses(RIGHT)
+    joints_m = np.stack([poses.posed_joints(rest, pose.quaternions) for pose in named])
+    with tempfile.TemporaryDirectory() as scratch:
+        motion, frames = Path(scratch) / "poses.npz", Path(scratch) / "frames"
+        write_motion(motion, MotionFile(joints_m, fps=1.0, handedness=RIGHT))
+        command = [str(engine), "-m", "jghand_engine", "render", "--motion", str(motion), "--out", str(frames)]
+        command += ["--camera", "front", "--size", f"{PREVIEW_PX}x{PREVIEW_PX}", "--keep-bone-lengths"]
+        subprocess.run(command, check=True, cwd=ROOT)
+        pictures = [_pixels(path) for path in sorted(frames.glob("frame_*.png"))]
+    return {pose.name: picture for pose, picture in zip(named, pictures, strict=True)}
+
+
+def _pixels(path: Path) -> np.ndarray:
+    image = bpy.data.images.load(str(path))
+    pixels = np.empty(4 * image.size[0] * image.size[1], np.float32)
+    image.pixels.foreach_get(pixels)
+    pixels = pixels.reshape(image.size[1], image.size[0], 4)
+    bpy.data.images.remove(image)
+    return pixels
+
+
+def asset_of(pose: HandPose, picture: np.ndarray) -> bpy.types.Action:
+    """An action of one frame with what the pose says, marked as an asset."""
+    action = bpy.data.actions.new(pose.title)
+    slot = action.slots.new("OBJECT", "Hand")
+    bag = action.layers.new("Layer").strips.new(type="KEYFRAME").channelbag(slot, ensure=True)
+
+    def key(bone: str, path: str, index: int, value: float) -> None:
+        curve = bag.fcurves.new(f'pose.bones["{bone}"].{path}', index=index)
+        curve.group = bag.groups.get(bone) or bag.groups.new(bone)
+        curve.keyframe_points.insert(1.0, value)
+
+    for bone, turn in pose.turns.items():
+        for index, part in enumerate(turn):
+            key(bone, "rotation_quaternion", index, part)
+    # a pose is what is seen: controls go back to neutral where there are any
+    for bone in (HAND_CONTROL, *FINGER_CONTROLS):
+        for index in (0, 2):
+            key(bone, "rotation_euler", index, 0.0)
+    action.asset_mark()
+    data = action.asset_data
+    data.catalog_id = poses.CATALOGS[pose.handedness, pose.kind][0]
+    data.description = pose.description or f"{pose.name.replace('_', ' ').capitalize()}, {pose.handedness} hand"
+    data.author = "The JGHand authors"
+    data.license = "GPL-3.0-or-later"
+    for tag in ("hand", pose.handedness, *(("ASL",) if pose.kind == poses.LETTER else ())):
+        data.tags.new(tag, skip_if_exists=True)
+    preview = action.preview_ensure()
+    preview.image_size = (picture.shape[1], picture.shape[0])
+    preview.image_pixels_float.foreach_set(np.ascontiguousarray(picture).ravel())
+    return action
+
+
+def catalogs() -> str:
+    """What Blender's catalog file says."""
+    lines = ["# Catalogs of an asset library of Blender", "VERSION 1", ""]
+    lines += [f"{identity}:{path}:{path.replace('/', '-')}" for identity, path in poses.CATALOGS.values()]
+    return "\n".join(lines) + "\n"
 
 
 def main() -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--out", type=Path, required=True, help="the folder of the library")
+    parser.add_argument("--out", type=Path, default=pose_library.FOLDER, help="the folder of the library")
+    engine = ROOT / ".envs" / "engine" / "bin" / "python"
+    parser.add_argument("--engine", type=Path, default=engine, help="a Python that has jghand_engine")
     options = parser.parse_args()
-    from blender_addon.errors import JGHandFailure
-    from blender_addon.hand import pose_library
-
-    try:
-        path = pose_library.build_library(options.out.resolve())
-    except JGHandFailure as failure:
-        print(f"build_pose_library: {failure}", file=sys.stderr)
-        return failure.advice.exit_code
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    pictures = rendered_poses(options.engine)
+    made = set()
+    for side in HANDEDNESSES:
+        for pose in poses.all_poses(side):
+            picture = pictures[pose.name]
+            made.add(asset_of(pose, picture[:, ::-1] if side == LEFT else picture))
+    out = options.out.resolve()
+    out.mkdir(parents=True, exist_ok=True)
+    path = out / pose_library.BLEND
+    bpy.data.libraries.write(str(path), made, fake_user=True, compress=True)
+    (out / pose_library.CATALOG_FILE).write_text(catalogs(), encoding="utf-8")
     print(f"wrote {path} ({path.stat().st_size / 1024:.0f} KiB)")
     return 0
 

@@ -7,7 +7,7 @@ conventions     how other people name the bones of a hand
 bone_maps       which bones of somebody else's rig are the 21 joints
 posing          joint positions to bone matrices and back (numpy)
 controls        finger controls as numbers: axes, what their turns do, joint ranges (numpy)
-poses           hand poses with names, for both hands (numpy); pose_picture draws them for the pose library
+poses           hand poses with names, for both hands (numpy); the pose library is a shipped .blend
 view            pinhole cameras, hands in their own space, and the request for a picture (numpy)
 file_stamps     whether the file of an avatar changed
 film            that picture as Blender's passes (numpy)

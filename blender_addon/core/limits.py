@@ -105,27 +105,6 @@ HAND_SHAPE_M = (0.062, 0.03, 0.05)
 # and of the empty that stands for a hand of objects
 HOLDER_SHAPE_M = 0.02
 
-# ---- pictures of poses ----------------------------------------------------------------------------------------------
-
-# Blender shows assets at up to this size
-PREVIEW_PX = 128
-# what the picture shows of the space around the wrist: a flat hand with some air, meters
-PREVIEW_WIDTH_M = 0.21
-PREVIEW_CENTER_M = (0.0, 0.082)
-# skin around a joint, the part of it at a tip, and the distance of the balls that make a limb, meters
-PREVIEW_RADIUS_M = 0.0085
-PREVIEW_TIP_PART = 0.75
-PREVIEW_STEP_M = 0.002
-# the same in menus, pixels; how long Blender's main thread makes them at a time (one takes some 20 ms), the pause
-# between two times, and while an animation plays, seconds
-MENU_PICTURE_PX = 96
-PICTURE_TURN_S = 0.03
-PICTURE_REST_S = 0.05
-PICTURE_PAUSE_S = 1.0
-# how often, and how many times, the shelf of pose assets is tried, seconds: it is there once a view was drawn
-SHELF_S = 0.2
-SHELF_TRIES = 10
-
 # ---- motion files ---------------------------------------------------------------------------------------------------
 
 # an hour at 120 frames a second is 218 MB as numbers of eight bytes

@@ -1,19 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Poses of our hands: taking one, giving it to the other hand, going back to rest, making them assets."""
+"""Poses of our hands: taking one, giving it to the other hand, going back to rest, the pose library."""
 
 from __future__ import annotations
-
-from collections.abc import Iterator
 
 import bpy
 from bpy.app.translations import pgettext_rpt as rpt_
 
-from .. import folders
 from .. import ops as common
 from ..core import poses
-from ..ops import REGISTERED, UNDOABLE, InTurns, Reporting, missing, poll_hand, poll_hands
-from ..properties import pose_items
-from . import armature, pose_library, pose_shelf
+from ..ops import REGISTERED, UNDOABLE, Reporting, missing, poll_hand, poll_hands
+from ..properties import POSES
+from . import armature, pose_library
 from . import poses as hand_poses
 from .controls import Touched
 
@@ -58,7 +55,7 @@ class ApplyPose(_Posing, bpy.types.Operator):
     )
     bl_options = UNDOABLE
 
-    pose: bpy.props.EnumProperty(name="Pose", description="The pose", items=pose_items)  # type: ignore[valid-type]
+    pose: bpy.props.EnumProperty(name="Pose", description="The pose", items=POSES)  # type: ignore[valid-type]
     part: bpy.props.FloatProperty(
         name="Part",
         description="How far from the present pose towards this one",
@@ -77,7 +74,7 @@ class FlipPose(_Posing, bpy.types.Operator):
     """Operator: another hand takes the mirrored pose of the active one."""
 
     bl_idname = "jghand.flip_pose"
-    bl_label = "Flip to Other Hand"
+    bl_label = "Mirror to Other Hand"
     bl_description = (
         "Give this hand's pose, mirrored, to the other selected hands, or to the one other hand of the scene. "
         "A hand of the same side gets it as it is"
@@ -113,38 +110,28 @@ class ResetPose(_Posing, bpy.types.Operator):
         return hand_poses.reset_pose(hand)
 
 
-class MakePoseAssets(InTurns, bpy.types.Operator):
-    """Operator: the poses as an asset library of this user."""
+class InstallPoseLibrary(Reporting, bpy.types.Operator):
+    """Operator: the shipped poses become one of this user's asset libraries."""
 
     bl_idname = "jghand.make_pose_assets"
-    bl_label = "Make Pose Assets"
-    bl_description = (
-        "Write all poses as an asset library, so that Blender's pose library shows them with pictures, blends and "
-        "searches them. It is written into the extension's folder, and added to the preferences"
-    )
+    bl_label = "Install Pose Library"
+    bl_description = "Add JGHand's hand poses to your asset libraries, so that Blender's asset shelf shows them"
     bl_options = REGISTERED
 
-    working = "Making pose assets"
-
-    def steps(self, _context: bpy.types.Context) -> Iterator[float]:
-        """A step per pose."""
-        yield from pose_library.library_steps(folders.user_folder("poses"))
-
-    def finished(self, context: bpy.types.Context) -> None:
-        name = pose_library.use_library(folders.user_folder("poses"))
+    def run(self, context: bpy.types.Context) -> None:
+        name = pose_library.use_library()
         context.preferences.is_dirty = True  # so that Blender saves it with the other preferences
-        text = rpt_("The poses are in the asset library {name}: in pose mode the asset shelf shows them.")
-        self.tell(text.format(name=name))
+        self.tell(rpt_("The asset library {name} has the hand poses.").format(name=name))
 
 
 class ShowPoseShelf(Reporting, bpy.types.Operator):
     """Operator: pose mode with Blender's shelf of pose assets."""
 
     bl_idname = "jghand.show_pose_shelf"
-    bl_label = "Show Pose Shelf"
+    bl_label = "Show Pose Library"
     bl_description = (
-        "Go to pose mode and show Blender's shelf of pose assets below the view: drag over a picture to blend, "
-        "click to apply to the selected bones, or to all without a selection"
+        "Go to pose mode and show the asset shelf of poses below the view: click a pose to apply it, drag to blend it. "
+        "Without a selection all bones are posed"
     )
     bl_options = UNDOABLE
 
@@ -152,13 +139,12 @@ class ShowPoseShelf(Reporting, bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         if not poll_hand(cls, context):
             return False
-        made = pose_library.is_used(folders.user_folder("poses", make=False))
-        return made or missing(cls, "Make the pose assets first")
+        return pose_library.is_used() or missing(cls, "Use Install Pose Library first")
 
     def run(self, context: bpy.types.Context) -> None:
         if context.mode != "POSE":
             bpy.ops.object.mode_set(mode="POSE")
-        pose_shelf.show()
+        pose_library.show_shelf()
 
 
 def _others(context: bpy.types.Context) -> list[bpy.types.Object]:
@@ -175,4 +161,4 @@ def _others(context: bpy.types.Context) -> list[bpy.types.Object]:
     return [hand for hand in others if hand.is_editable]
 
 
-CLASSES = (ApplyPose, FlipPose, ResetPose, MakePoseAssets, ShowPoseShelf)
+CLASSES = (ApplyPose, FlipPose, ResetPose, InstallPoseLibrary, ShowPoseShelf)

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 import bpy
 
-from .. import folders, ui
+from .. import ui
 from ..core.controls import FINGER_CONTROLS, HAND_CONTROL
 from ..core.joints import FINGERS
 from ..ui import Sidebar
-from . import armature, controls, pose_library, pose_pictures
+from . import armature, controls, pose_library
 
 
 class PosePanel(Sidebar, bpy.types.Panel):
@@ -26,24 +26,14 @@ class PosePanel(Sidebar, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         chosen = context.window_manager.jghand
-        pose_pictures.ask()
-        split = self.layout.split(factor=0.42)
-        column = split.column(align=True)
-        if pose_pictures.are_made():
-            column.template_icon_view(chosen, "pose", show_labels=True, scale=4.0, scale_popup=5.0)
-        column.prop(chosen, "pose", text="")
-        column = split.column()
-        row = column.row()
-        row.scale_y = 1.4
-        row.operator("jghand.apply_pose", text="Apply", icon="CHECKMARK").pose = chosen.pose
-        column.operator("jghand.flip_pose", text="Flip to Other", icon="MOD_MIRROR")
-        column.operator("jghand.reset_pose", text="Reset", icon="LOOP_BACK")
+        library = "jghand.show_pose_shelf" if pose_library.is_used() else "jghand.make_pose_assets"
+        self.layout.operator(library, icon="ASSET_MANAGER")
         row = self.layout.row(align=True)
-        if pose_library.is_used(folders.user_folder("poses", make=False)):
-            row.operator("jghand.show_pose_shelf", icon="ASSET_MANAGER")
-            row.operator("jghand.make_pose_assets", text="", icon="FILE_REFRESH")
-        else:
-            row.operator("jghand.make_pose_assets", icon="ASSET_MANAGER")
+        row.prop(chosen, "pose", text="")
+        row.operator("jghand.apply_pose", text="Apply").pose = chosen.pose
+        row = self.layout.row(align=True)
+        row.operator("jghand.flip_pose", text="Mirror to Other Hand", icon="MOD_MIRROR")
+        row.operator("jghand.reset_pose", text="", icon="LOOP_BACK")
 
 
 class ControlsPanel(Sidebar, bpy.types.Panel):

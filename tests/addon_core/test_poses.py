@@ -10,7 +10,6 @@ import pytest
 from blender_addon.core import poses, posing
 from blender_addon.core.joints import HANDEDNESSES, LEFT, NAMES, RIGHT, TIPS, WRIST
 from blender_addon.errors import JGHandFailure
-from blender_addon.hand import pose_picture
 
 MOVING = [name for place, name in enumerate(NAMES) if place != WRIST and place not in TIPS]
 
@@ -72,20 +71,3 @@ def test_a_broken_table_is_told(tmp_path, monkeypatch):
         assert caught.value.kind == "bad_file"
     monkeypatch.undo()
     poses._entries.cache_clear()
-
-
-@pytest.mark.parametrize("handedness", HANDEDNESSES)
-def test_pictures_show_the_whole_hand_at_one_scale(handedness):
-    shown = {
-        name: pose_picture.pose_picture(joints_of(poses.pose_named(name, handedness))) for name in ("flat", "fist")
-    }
-    for picture in shown.values():
-        assert picture.shape == (128, 128, 4)
-        assert picture.min() >= 0
-        assert picture.max() <= 1
-        edge = np.concatenate([picture[0], picture[-1], picture[:, 0], picture[:, -1]])[:, 3]
-        assert edge.sum() == 0
-    assert shown["fist"][..., 3].sum() < 0.7 * shown["flat"][..., 3].sum()
-    # the thumb is on the side of the hand that it is on
-    columns = shown["flat"][70:90, :, 3].sum(0).nonzero()[0]
-    assert (columns.mean() > 64) == (handedness == RIGHT)

@@ -738,21 +738,19 @@ def test_a_camera_is_added_for_a_hand_of_any_kind(extension):
     assert extension.scene.camera.name == "Hand Camera"
 
 
-def test_the_pose_library_is_made_on_demand_and_used(extension, tmp_path, monkeypatch):
-    monkeypatch.setattr(folders, "user_folder", lambda name, **_: tmp_path / name)
+def test_the_pose_library_is_installed_and_shown(extension):
     assert bpy.ops.jghand.make_pose_assets() == {"FINISHED"}
-    assert (tmp_path / "poses" / pose_library.BLEND).is_file()
     libraries = extension.preferences.filepaths.asset_libraries
-    assert str(tmp_path / "poses") in {library.path for library in libraries}
+    assert str(pose_library.FOLDER) in {library.path for library in libraries}
     add()
     assert bpy.ops.jghand.show_pose_shelf() == {"FINISHED"}
     assert extension.mode == "POSE"
 
 
 def test_the_users_folder_is_there_also_without_an_installed_extension():
-    folder = folders.user_folder("poses")
+    folder = folders.user_folder("logs")
     assert folder.is_dir()
-    assert folder.name == "poses"
+    assert folder.name == "logs"
 
 
 def test_help_opens_a_section_that_the_page_has(extension, monkeypatch):

@@ -9,9 +9,9 @@ import hands
 import pytest
 from recording_layout import RecordingLayout, draw, draw_rows
 
-from blender_addon import folders, registration, versions
+from blender_addon import registration, versions
 from blender_addon.errors import JGHandFailure
-from blender_addon.hand import armature, controls, panel_bones, panel_motion, panel_pose, pose_library, pose_pictures
+from blender_addon.hand import armature, controls, panel_bones, panel_motion, panel_pose, pose_library
 from blender_addon.hand import panel as hand
 from blender_addon.render import panel as picture
 from blender_addon.render import panel_quality
@@ -162,11 +162,10 @@ def test_every_hand_has_a_row_that_selects_it(extension, engine):
     assert [one.arguments["depress"] for one in rows] == [True, False]
 
 
-def test_pose_assets_are_made_once_and_then_shown(extension, engine, tmp_path, monkeypatch):
+def test_the_pose_library_is_installed_once_and_then_shown(extension, engine):
     add()
     assert "jghand.make_pose_assets" in draw(panel_pose.PosePanel, extension).operators
-    monkeypatch.setattr(folders, "user_folder", lambda name, **_: tmp_path / name)
-    pose_library.use_library(tmp_path / "poses")
+    pose_library.use_library()
     assert "jghand.show_pose_shelf" in draw(panel_pose.PosePanel, extension).operators
 
 
@@ -301,34 +300,3 @@ def test_panels_stand_in_the_tab_in_the_order_of_work():
     wanted = ["Hand", "Bones", "Pose", "Motion", "View", "Render", "Quality and Speed", "Advanced"]
     ordered = [panel.bl_label for panel in sorted(top, key=lambda panel: panel.bl_order)]
     assert [label for label in ordered if label in wanted] == wanted
-
-
-def test_pictures_of_poses_come_though_another_file_is_opened_meanwhile(extension, monkeypatch):
-    """Opening a file takes Blender's timers away, but for the persistent ones; and whoever asks again gets his own."""
-    monkeypatch.setattr(pose_pictures, "_icons", None)
-    monkeypatch.setattr(pose_pictures, "_waiting", [])
-    shown = SimpleNamespace(app=SimpleNamespace(background=False, timers=bpy.app.timers), utils=bpy.utils)
-    monkeypatch.setattr(pose_pictures, "bpy", shown)
-    pose_pictures.ask()
-    bpy.ops.wm.read_homefile(use_factory_startup=True)
-    assert bpy.app.timers.is_registered(pose_pictures._make_some)
-    bpy.app.timers.unregister(pose_pictures._make_some)
-    pose_pictures.ask()
-    assert bpy.app.timers.is_registered(pose_pictures._make_some)
-    pose_pictures.unregister()
-    assert not bpy.app.timers.is_registered(pose_pictures._make_some)
-
-
-def test_pictures_of_poses_are_made_for_both_hands_and_mirrored(extension, monkeypatch):
-    stored = {}
-    monkeypatch.setattr(pose_pictures, "store_picture", lambda _icons, key, picture: stored.update({key: picture}))
-    monkeypatch.setattr(pose_pictures, "_icons", {})
-    monkeypatch.setattr(pose_pictures, "_waiting", ["point", "flat"])
-    monkeypatch.setattr(pose_pictures.limits, "PICTURE_TURN_S", 0.0)
-    assert pose_pictures._make_some() is not None
-    assert not pose_pictures.are_made()
-    assert pose_pictures._make_some() is None
-    assert set(stored) == {f"{name} {side}" for name in ("point", "flat") for side in ("right", "left")}
-    assert (stored["point left"] == stored["point right"][:, ::-1]).all()
-    assert stored["point right"][..., 3].mean() > 0.05
-    monkeypatch.setattr(pose_pictures, "_icons", None)

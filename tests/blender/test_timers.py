@@ -9,7 +9,7 @@ import pytest
 
 from blender_addon import clock
 from blender_addon.core import limits
-from blender_addon.hand import kept, pose_pictures, pose_shelf
+from blender_addon.hand import kept, pose_library
 from blender_addon.renderer import job_watch, runtime
 
 
@@ -47,20 +47,8 @@ def test_what_cannot_be_looked_at_does_not_hide_the_rest(context, monkeypatch, t
     kept.unregister()
 
 
-def test_a_picture_of_a_pose_that_fails_leaves_the_others(context, monkeypatch, told):
-    def bad(name):
-        raise RuntimeError(name)
-
-    monkeypatch.setattr(pose_pictures, "_waiting", ["fist", "open"])
-    monkeypatch.setattr(pose_pictures, "_icons", object())
-    monkeypatch.setattr(pose_pictures, "_make", bad)
-    assert [pose_pictures._make_some() for _ in range(2)] == [limits.PICTURE_REST_S] * 2
-    assert pose_pictures._waiting == []
-    assert [str(error) for error in told] == ["fist", "open"]
-
-
 def test_a_shelf_that_cannot_be_shown_is_left(context, monkeypatch, told):
-    monkeypatch.setattr(pose_shelf, "bpy", SimpleNamespace(context=None))
-    assert pose_shelf._try() is None
+    monkeypatch.setattr(pose_library, "bpy", SimpleNamespace(context=None))
+    assert pose_library._try_to_show() is None
     assert len(told) == 1
-    assert not bpy.app.timers.is_registered(pose_shelf._try)
+    assert not bpy.app.timers.is_registered(pose_library._try_to_show)
