@@ -43,17 +43,17 @@ def guarded(again_s: float | None) -> Callable[[Callable[[], float | None]], Cal
     return decorate
 
 
-def start(tick: Callable[[], float]) -> None:
-    """Calls `tick` from now on, on the main thread; it returns the seconds until the next call."""
+def use(tick: Callable[[], float]) -> None:
+    """What is called, on the main thread, once somebody has hastened it; it returns the seconds until the next call. A
+    session without a hand has no timer."""
     global _tick
     stop()
     _told.clear()
     _tick = tick
-    _schedule(0.0)
 
 
 def stop() -> None:
-    """Ends it; may be called when it was never started."""
+    """Ends it; may be called when there is none."""
     global _tick
     _tick = None
     if bpy.app.timers.is_registered(_call):
@@ -62,13 +62,17 @@ def stop() -> None:
 
 def hasten(seconds: float) -> None:
     """Makes sure that the next call comes within so many seconds."""
-    if runs() and not _inside and time.monotonic() + seconds < _next_s:
+    if _tick is None or _inside:
+        return
+    if not runs():
+        _schedule(seconds)
+    elif time.monotonic() + seconds < _next_s:
         bpy.app.timers.unregister(_call)
         _schedule(seconds)
 
 
 def runs() -> bool:
-    """Whether it was started, and Blender still has it."""
+    """Whether it was hastened, and Blender still has it."""
     return _tick is not None and bpy.app.timers.is_registered(_call)
 
 

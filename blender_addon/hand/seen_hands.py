@@ -8,11 +8,12 @@ or replaced, is looked for anew.
 
 from __future__ import annotations
 
+import threading
 from dataclasses import replace
 
 import bpy
 
-from .. import folders
+from .. import clock, folders
 from ..core.view import BUILTIN_AVATAR, HandInSpace
 from ..errors import JGHandFailure
 from . import armature, sources
@@ -84,6 +85,8 @@ def hands_of(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> list[bpy.typ
     things = [thing for thing in layer.objects if thing is not None and armature.is_any_hand(thing)]
     things.sort(key=lambda thing: thing.name)
     _found[key] = [(thing.name, thing.session_uid) for thing in things]
+    if things and threading.current_thread() is threading.main_thread():
+        clock.hasten(0.0)  # from now on somebody has to look whether pictures came
     return things
 
 

@@ -210,8 +210,8 @@ def install() -> None:
         functions = getattr(bpy.app.handlers, name)
         if function not in functions:
             functions.append(function)
-    if not clock.runs():
-        clock.start(tick)
+    if not clock.runs():  # it begins with the first hand that is seen
+        clock.use(tick)
     overlay.install()
 
 

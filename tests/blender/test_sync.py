@@ -113,14 +113,24 @@ def counts() -> dict[str, int]:
 def test_handlers_are_there_once_however_often_they_are_added_and_gone_however_often_they_are_removed(installed):
     handlers.install()
     assert set(counts().values()) == {1}
-    assert clock.runs()
     handlers.remove()
     handlers.remove()
     assert set(counts().values()) == {0}
     assert not clock.runs()
 
 
+def test_a_session_without_a_hand_has_no_timer(installed, context):
+    seen_hands.forget()
+    assert not seen_hands.hands_of(context.scene, context.view_layer)
+    assert not clock.runs()
+    add_hand(context)
+    seen_hands.forget()
+    assert len(seen_hands.hands_of(context.scene, context.view_layer)) == 1
+    assert clock.runs()
+
+
 def test_handlers_and_timer_survive_opening_a_file(installed):
+    clock.hasten(0.0)
     bpy.ops.wm.read_factory_settings(use_empty=True)
     assert set(counts().values()) == {1}
     assert bpy.app.timers.is_registered(clock._call)
@@ -479,7 +489,8 @@ def test_a_tick_that_raises_is_called_again_and_told_once(capfd):
         calls.append(1)
         raise KeyError("gone")
 
-    clock.start(tick)
+    clock.use(tick)
+    clock.hasten(0.0)
     try:
         assert [clock._call() for _ in range(3)] == [limits.IDLE_TICK_S] * 3
         assert clock.runs()
