@@ -1,14 +1,18 @@
-"""JSON files of data sets, read so that whatever is wrong with one names the file."""
+"""JSON files, read and checked so that whatever is wrong with one names the file and the entry."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 
 from jghand_engine.errors import InputError, MemoryLimitError
+
+# name, what was wanted, what came -> the error that names the file
+Wrong = Callable[[str, str, object], InputError]
 
 
 def read_json_file(path: Path, remedy: str) -> Any:
@@ -45,3 +49,71 @@ def numbers(values: Any, shape: tuple[int, ...], what: str, remedy: str = "") ->
         return np.array(values, dtype=np.float64).reshape(shape)
     except (TypeError, ValueError, OverflowError) as error:
         raise InputError(what, wanted=f"numbers of shape {shape}", came=str(error)[:200], remedy=remedy) from error
+
+
+class JsonObject:
+    """An object of a JSON file whose entries are asked for by what they must be.
+
+    fields: the object · wrong: makes the InputError of an entry from its name, what was wanted and what came · within:
+    what stands before the names of its entries in errors
+    """
+
+    def __init__(self, fields: Any, wrong: Wrong, within: str = "") -> None:
+        self._wrong, self._within = wrong, within
+        if not isinstance(fields, dict):
+            raise wrong(within.strip() or "its description", "an object", fields)
+        self.fields: dict[str, Any] = fields
+
+    def wrong(self, name: str, wanted: str) -> InputError:
+        """That the entry of that name is something else."""
+        return self._wrong(f"{self._within}{name}", wanted, self.fields.get(name))
+
+    def object(self, name: str) -> JsonObject | None:
+        """The object of that name, None where there is none."""
+        value = self.fields.get(name)
+        return None if value is None else self.inner(value, name)
+
+    def inner(self, value: Any, name: str) -> JsonObject:
+        """An object that stands within this one, which errors call `name`."""
+        return JsonObject(value, self._wrong, f"{self._within}{name} ")
+
+    def flag(self, name: str, left_out: bool | None = None) -> bool:
+        value = self.fields.get(name, left_out)
+        if not isinstance(value, bool):
+            raise self.wrong(name, "true or false")
+        return value
+
+    def count(self, name: str, least: int, most: int) -> int:
+        value = self.fields.get(name)
+        if not is_number(value, least, most) or not isinstance(value, int):
+            raise self.wrong(name, f"a count of {least} to {most}")
+        return value
+
+    def number(self, name: str, least: float, most: float) -> float:
+        value = self.fields.get(name)
+        if not is_number(value, least, most):
+            raise self.wrong(name, f"a number of {least:g} to {most:g}")
+        return float(value)
+
+    def numbers(self, name: str, how_many: int, least: float, most: float) -> tuple[float, ...]:
+        value = self.fields.get(name)
+        if not isinstance(value, list) or len(value) != how_many or not all(is_number(x, least, most) for x in value):
+            raise self.wrong(name, f"{how_many} numbers of {least:g} to {most:g}")
+        return tuple(map(float, value))
+
+    def value(self, name: str, is_good: Callable[[Any], bool], wanted: str) -> Any:
+        value = self.fields.get(name)
+        if not is_good(value):
+            raise self.wrong(name, wanted)
+        return value
+
+    def one_of(self, name: str, choices: tuple[str, ...], left_out: str | None = None) -> str:
+        value = self.fields.get(name, left_out)
+        if value not in choices:
+            raise self.wrong(name, " or ".join(choices))
+        return value
+
+
+def is_number(value: Any, least: float, most: float) -> TypeGuard[float]:
+    """Whether it is a JSON number within these; NaN is not within anything, and true is no number."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and least <= value <= most

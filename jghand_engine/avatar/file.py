@@ -40,6 +40,7 @@ from jghand_engine.hand.frames import Swing
 from jghand_engine.hand.joints import JOINT_COUNT, STANDARD_NAMES, Handedness
 from jghand_engine.hand.orders import JointOrder, from_level, to_level
 from jghand_engine.hand.transform import ScaleMode, scale_exponent
+from jghand_engine.json_files import JsonObject, is_number
 from jghand_engine.limits import AVATAR_HEADER_MAX_BYTES, AVATAR_MAX_GAUSSIANS, AVATAR_TEXT_MAX
 
 FORMAT_VERSION = 2
@@ -137,115 +138,85 @@ class _Description:
     """The checked JSON description of a file; InputError names the field that is missing or wrong."""
 
     def __init__(self, thing: str, text: str | None) -> None:
-        self._thing = thing
+        def wrong(name: str, wanted: str, came: object) -> InputError:
+            return InputError(f"{thing}: {name}", wanted=wanted, came=repr(came)[:200], remedy=REMEDY)
+
         try:
-            self._fields: Any = json.loads(text) if text is not None else None
+            content = json.loads(text) if text is not None else None
         except (ValueError, RecursionError) as error:
-            raise self._wrong("its description", "JSON", str(error)) from error
-        if not isinstance(self._fields, dict):
-            raise self._wrong("its description", "the metadata of a .jghand file", "none")
-        self._check_version()
-        self._one_of("units", ("metres",))
-        if self._fields.get("joint_names") != list(STANDARD_NAMES):
-            raise self._wrong("joint_names", "the 21 joints in standard order", "another list")
-        self.storage = Storage(self._one_of("storage", tuple(Storage)))
-        self.handedness = Handedness(self._one_of("handedness", tuple(Handedness)))
-        self.gaussians = self._count()
-        self.box_m = self._box()
-        self.info = AvatarInfo(
-            name=self._text("name"),
-            template=self._text("template"),
-            license=self._text("licence"),
-            swing=self._one_of("swing", tuple(Swing)),
-            scale_mode=self._scale_mode(),
-            transform=Transform(self._one_of("transform", tuple(Transform), "joints")),
-            pose_statistics=self._pose_statistics(),
-            learned_from=self._learned_from(),
-        )
-        self.learned = None
-        if self._is_learned():
-            self.learned = LearnedAbout.parsed(self._fields.get("learnt"), self.gaussians, self._wrong)
-
-    def _is_learned(self) -> bool:
-        return self._fields["format_version"] > PAINTED_VERSION
-
-    def _wrong(self, name: str, wanted: str, came: object) -> InputError:
-        return InputError(f"{self._thing}: {name}", wanted=wanted, came=repr(came)[:200], remedy=REMEDY)
-
-    def _check_version(self) -> None:
-        version = self._fields.get("format_version")
-        if not isinstance(version, int) or isinstance(version, bool) or version < 1:
-            raise self._wrong("format_version", "a number of 1 or more", version)
-        if version > FORMAT_VERSION:
+            raise wrong("its description", "JSON", str(error)) from error
+        if not isinstance(content, dict):
+            raise wrong("its description", "the metadata of a .jghand file", "none")
+        of = JsonObject(content, wrong)
+        if of.count("format_version", 1, 2**31) > FORMAT_VERSION:
             raise InputError(
-                f"{self._thing}: format version",
+                f"{thing}: format version",
                 wanted=f"at most {FORMAT_VERSION}, the newest this JGHand knows",
-                came=str(version),
+                came=str(content["format_version"]),
                 remedy="The file was written by a newer JGHand: update JGHand.",
             )
-
-    def _text(self, name: str, left_out: str | None = None) -> str:
-        value = self._fields.get(name, left_out)
-        if not is_text(value):
-            raise self._wrong(name, f"a text of one line, at most {AVATAR_TEXT_MAX} characters", value)
-        return value
-
-    def _one_of(self, name: str, choices: tuple[str, ...], left_out: str | None = None) -> str:
-        value = self._text(name, left_out)
-        if value not in choices:
-            raise self._wrong(name, " or ".join(choices), value)
-        return value
-
-    def _scale_mode(self) -> ScaleMode:
-        value = self._fields.get("scale_mode")
-        try:
-            scale_exponent(value)
-        except InputError as error:
-            raise self._wrong("scale_mode", error.wanted, value) from error
-        return value
-
-    def _count(self) -> int:
-        value = self._fields.get("gaussians")
-        if not isinstance(value, int) or isinstance(value, bool) or not 1 <= value <= AVATAR_MAX_GAUSSIANS:
-            raise self._wrong("gaussians", f"a count of 1 to {AVATAR_MAX_GAUSSIANS}", value)
-        return value
-
-    def _box(self) -> list[list[float]]:
-        value = self._fields.get("position_box_m")
-        rows = value if isinstance(value, list) and len(value) == 2 else []
-        if not rows or not all(isinstance(row, list) and len(row) == 3 and all(map(_finite, row)) for row in rows):
-            raise self._wrong("position_box_m", "two corners of three finite numbers", value)
-        return rows
-
-    def _learned_from(self) -> LearnedFrom | None:
-        value = self._fields.get("learnt_from")
-        if value is None:
-            return None
-        texts = [value.get(name) for name in ("capture", "split", "digest")] if isinstance(value, dict) else [None]
-        count = value.get("pictures") if isinstance(value, dict) else None
-        if not all(map(is_text, texts)) or not isinstance(count, int) or isinstance(count, bool) or count < 1:
-            raise self._wrong("learnt_from", "capture, split and digest as texts, and how many pictures", value)
-        capture, split, digest = (str(text) for text in texts)
-        return LearnedFrom(capture, split, count, digest)
-
-    def _pose_statistics(self) -> dict[str, tuple[float, float]]:
-        value = self._fields.get("pose_statistics")
-        if not isinstance(value, dict):
-            raise self._wrong("pose_statistics", "an object", value)
-        for name, range_ in value.items():
-            if not is_text(name):
-                raise self._wrong("pose_statistics", f"names of at most {AVATAR_TEXT_MAX} characters", name)
-            if (
-                not (isinstance(range_, list) and len(range_) == 2 and all(map(_finite, range_)))
-                or range_[0] > range_[1]
-            ):
-                raise self._wrong(f"pose_statistics {name}", "minimum and maximum", range_)
-        return {name: (float(low), float(high)) for name, (low, high) in value.items()}
+        of.one_of("units", ("metres",))
+        of.value("joint_names", lambda names: names == list(STANDARD_NAMES), "the 21 joints in standard order")
+        self.storage = Storage(of.one_of("storage", tuple(Storage)))
+        self.handedness = Handedness(of.one_of("handedness", tuple(Handedness)))
+        self.gaussians = of.count("gaussians", 1, AVATAR_MAX_GAUSSIANS)
+        self.box_m = of.value("position_box_m", _is_box, "two corners of three finite numbers")
+        self.info = AvatarInfo(
+            name=_text(of, "name"),
+            template=_text(of, "template"),
+            license=_text(of, "licence"),
+            swing=of.one_of("swing", tuple(Swing)),
+            scale_mode=_scale_mode(of),
+            transform=Transform(of.one_of("transform", tuple(Transform), "joints")),
+            pose_statistics=_pose_statistics(of),
+            learned_from=_learned_from(of.object("learnt_from")),
+        )
+        is_learned = content["format_version"] > PAINTED_VERSION
+        learned = of.inner(content.get("learnt"), "learned") if is_learned else None
+        self.learned = None if learned is None else LearnedAbout.parsed(learned, self.gaussians)
 
 
-def _finite(value: object) -> bool:
-    """Whether `value` is a JSON number that a float64 can hold."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300
+def _text(of: JsonObject, name: str) -> str:
+    return of.value(name, is_text, f"a text of one line, at most {AVATAR_TEXT_MAX} characters")
+
+
+def _scale_mode(of: JsonObject) -> ScaleMode:
+    value: Any = of.fields.get("scale_mode")
+    try:
+        scale_exponent(value)
+    except InputError as error:
+        raise of.wrong("scale_mode", error.wanted) from error
+    return value
+
+
+def _learned_from(of: JsonObject | None) -> LearnedFrom | None:
+    if of is None:
+        return None
+    return LearnedFrom(_text(of, "capture"), _text(of, "split"), of.count("pictures", 1, 2**53), _text(of, "digest"))
+
+
+def _pose_statistics(of: JsonObject) -> dict[str, tuple[float, float]]:
+    statistics = of.inner(of.fields.get("pose_statistics"), "pose_statistics")
+    for name in statistics.fields:
+        if not is_text(name):
+            raise of.wrong("pose_statistics", f"names of at most {AVATAR_TEXT_MAX} characters")
+    ranges = {name: statistics.numbers(name, 2, -_FINITE_MAX, _FINITE_MAX) for name in statistics.fields}
+    for name, (low, high) in ranges.items():
+        if low > high:
+            raise statistics.wrong(name, "minimum and maximum")
+    return {name: (low, high) for name, (low, high) in ranges.items()}
+
+
+# what a float64 holds with room to calculate
+_FINITE_MAX = 1e300
+
+
+def _is_box(value: object) -> bool:
+    rows = value if isinstance(value, list) and len(value) == 2 else [None]
+    return all(
+        isinstance(row, list) and len(row) == 3 and all(is_number(x, -_FINITE_MAX, _FINITE_MAX) for x in row)
+        for row in rows
+    )
 
 
 def _check_header_length(file: Path, thing: str) -> None:

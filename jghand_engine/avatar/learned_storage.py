@@ -21,7 +21,6 @@ stands under `baked`, the name of files of 0.1.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import asdict, dataclass, fields
 from typing import Any
 
@@ -46,6 +45,7 @@ from jghand_engine.avatar.texts import is_text
 from jghand_engine.avatar.tiers import Distilled, Price, Tier
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT
+from jghand_engine.json_files import JsonObject
 
 NORMAL, PACKED_NORMAL, SHINE = "normal", "normal_octahedral", "shine"
 LIGHT, NET, ELLIPSOID, CAST, LINEAR = "light.", "pose_net.", "ellipsoid.", "cast.", "linear."
@@ -54,8 +54,6 @@ LIGHT, NET, ELLIPSOID, CAST, LINEAR = "light.", "pose_net.", "ellipsoid.", "cast
 PRICE_MAX = 1e9
 # prices in a file: of the exact tier, the linear one, and `cached` in files of 0.1
 PRICES_MAX = 3
-# name, what was wanted, what came -> the error that names the file
-Wrong = Callable[[str, str, object], InputError]
 
 
 @dataclass(frozen=True)
@@ -71,41 +69,32 @@ class DistilledAbout:
         return cls(0 if distilled.linear is None else distilled.linear.basis, distilled.prices, distilled.measured_on)
 
     @classmethod
-    def parsed(cls, value: object, net: PoseNetShape | None, wrong: Wrong) -> DistilledAbout:
+    def parsed(cls, of: JsonObject, net: PoseNetShape) -> DistilledAbout:
         """Every field looked at. A linear tier has a price, and a price of it is of the tier that there is."""
-        if not isinstance(value, dict) or net is None:
-            raise wrong("learned baked", "an object, beside a network", value)
-        basis, prices, measured_on = value.get("basis"), value.get("prices"), value.get("measured_on")
-        if not isinstance(basis, int) or not _is_count(basis, min(limits.BASIS_MAX, largest_basis(net))):
-            raise wrong("learned baked basis", f"a count of 0 to {limits.BASIS_MAX}, as the features give", basis)
-        if not (isinstance(measured_on, str) and is_text(measured_on)):
-            raise wrong("learned baked measured_on", "a text of one line", measured_on)
-        if not isinstance(prices, list) or len(prices) > PRICES_MAX:
-            raise wrong("learned baked prices", "a list of tiers", prices)
+        basis = of.count("basis", 0, min(limits.BASIS_MAX, largest_basis(net)))
+        measured_on = of.value("measured_on", is_text, "a text of one line")
+        prices = of.value(
+            "prices", lambda value: isinstance(value, list) and len(value) <= PRICES_MAX, "a list of tiers"
+        )
         # files of 0.1 have the price of a tier `cached`, which the compiled skin's exact tier is
         kept = [price for price in prices if not (isinstance(price, dict) and price.get("tier") == "cached")]
-        parsed = tuple(_parsed_price(price, basis, wrong) for price in kept)
+        parsed = tuple(_parsed_price(of.inner(price, "price"), basis) for price in kept)
         if len({price.tier for price in parsed}) != len(parsed):
-            raise wrong("learned baked prices", "one of each tier", prices)
+            raise of.wrong("prices", "one of each tier")
         return cls(basis, parsed, measured_on)
 
 
-def _parsed_price(value: object, basis: int, wrong: Wrong) -> Price:
-    names = [f.name for f in fields(Price)]
-    if not isinstance(value, dict) or set(value) != set(names):
-        raise wrong("learned baked price", f"an object of {', '.join(names)}", value)
-    if value["tier"] not in (Tier.EXACT, Tier.LINEAR):
-        raise wrong("learned baked price tier", "exact or linear", value["tier"])
-    tier = Tier(value["tier"])
+def _parsed_price(of: JsonObject, basis: int) -> Price:
+    names = {field.name for field in fields(Price)}
+    if set(of.fields) != names:
+        raise of.wrong("entries", ", ".join(sorted(names)))
+    tier = Tier(of.one_of("tier", (Tier.EXACT, Tier.LINEAR)))
     wanted = basis if tier is Tier.LINEAR else 0
-    unusable = tier is Tier.LINEAR and basis == 0
-    if unusable or value["basis"] != wanted or not _is_count(value["basis"], wanted):
-        raise wrong("learned baked price basis", f"that of the tier in the file, {basis}", value["basis"])
+    if of.count("basis", 0, limits.BASIS_MAX) != wanted or (tier is Tier.LINEAR and basis == 0):
+        raise of.wrong("basis", f"that of the tier in the file, {basis}")
     # an accuracy may be below 0 dB, and a tier nearer to the pictures than the network; time and size are never below 0
-    for name, least in (("frame_ms", 0.0), ("megabytes", 0.0), ("psnr_db", -PRICE_MAX), ("lost_db", -PRICE_MAX)):
-        if not _is_number(value[name], least, PRICE_MAX):
-            raise wrong(f"learned baked price {name}", f"a number of {least:g} to {PRICE_MAX:g}", value[name])
-    return Price(**{**value, "tier": tier})
+    least = {"frame_ms": 0.0, "megabytes": 0.0, "psnr_db": -PRICE_MAX, "lost_db": -PRICE_MAX}
+    return Price(tier=tier, basis=wanted, **{name: of.number(name, low, PRICE_MAX) for name, low in least.items()})
 
 
 @dataclass(frozen=True)
@@ -116,15 +105,13 @@ class CastAbout:
     anchors: int
 
     @classmethod
-    def parsed(cls, value: object, wrong: Wrong) -> CastAbout:
+    def parsed(cls, of: JsonObject) -> CastAbout:
         """Every field looked at."""
-        lamps, anchors = (value.get("lamps"), value.get("anchors")) if isinstance(value, dict) else (None, None)
-        if not (isinstance(lamps, int) and _is_count(lamps, limits.CAST_LAMPS_MAX) and lamps > 0 and lamps % 2 == 0):
-            raise wrong("learned cast lamps", f"an even count of 2 to {limits.CAST_LAMPS_MAX}", lamps)
-        if not (isinstance(anchors, int) and _is_count(anchors, UINT16_MAX) and anchors > 0):
-            raise wrong("learned cast anchors", f"a count of 1 to {UINT16_MAX}", anchors)
+        lamps, anchors = of.count("lamps", 2, limits.CAST_LAMPS_MAX), of.count("anchors", 1, UINT16_MAX)
+        if lamps % 2:
+            raise of.wrong("lamps", "an even count")
         if lamps * anchors > limits.CAST_PAIRS_MAX:
-            raise wrong("learned cast", f"lamps times anchors of at most {limits.CAST_PAIRS_MAX:,}", value)
+            raise of.wrong("anchors", f"lamps times anchors of at most {limits.CAST_PAIRS_MAX:,}")
         return cls(lamps, anchors)
 
 
@@ -160,82 +147,46 @@ class LearnedAbout:
         return asdict(self)
 
     @classmethod
-    def parsed(cls, value: object, gaussians: int, wrong: Wrong) -> LearnedAbout:
+    def parsed(cls, of: JsonObject, gaussians: int) -> LearnedAbout:
         """The inverse of `as_dict`, every field looked at. gaussians: how many the file has."""
-        if not isinstance(value, dict):
-            raise wrong("learnt", "an object", value)
-        lobes = value.get("lobes")
-        if not isinstance(lobes, int) or not _is_count(lobes, limits.LIGHT_LOBES_MAX):
-            raise wrong("learned lobes", f"a count of 0 to {limits.LIGHT_LOBES_MAX}", lobes)
-        world_offsets, ellipsoids = value.get("world_offsets"), value.get("ellipsoids", False)
-        for name, told in (("world_offsets", world_offsets), ("ellipsoids", ellipsoids)):
-            if not isinstance(told, bool):
-                raise wrong(f"learned {name}", "true or false", told)
-        net, shadow = _parsed_net(value.get("net"), wrong), _parsed_shadow(value.get("shadow"), wrong)
-        if net is not None and gaussians * net.hidden > limits.POSE_NET_UNITS_MAX:
-            most = limits.POSE_NET_UNITS_MAX // gaussians
-            raise wrong("learned net hidden", f"at most {most} units for each of {gaussians} Gaussians", net.hidden)
-        baked = None if value.get("baked") is None else DistilledAbout.parsed(value["baked"], net, wrong)
-        cast = None if value.get("cast") is None else CastAbout.parsed(value["cast"], wrong)
-        return cls(lobes, net, shadow, bool(world_offsets), ellipsoids, cast, baked)
+        net = None if (shape := of.object("net")) is None else _parsed_net(shape, gaussians)
+        distilled, cast, shadow = of.object("baked"), of.object("cast"), of.object("shadow")
+        if distilled is not None and net is None:
+            raise of.wrong("baked", "an object, beside a network")
+        return cls(
+            of.count("lobes", 0, limits.LIGHT_LOBES_MAX),
+            net,
+            None if shadow is None else _parsed_shadow(shadow),
+            of.flag("world_offsets"),
+            of.flag("ellipsoids", left_out=False),
+            None if cast is None else CastAbout.parsed(cast),
+            None if distilled is None or net is None else DistilledAbout.parsed(distilled, net),
+        )
 
 
-def _parsed_shadow(value: object, wrong: Wrong) -> ShadowLook | None:
-    if value is None:
-        return None
-    if not isinstance(value, dict):
-        raise wrong("learned shadow", "an object", value)
-    gain, tint, seen = (value.get(name) for name in ("gain", "tint", "seen"))
-    if not _is_number(gain, 0, limits.SHADOW_GAIN_MAX):
-        raise wrong("learned shadow gain", f"a number of 0 to {limits.SHADOW_GAIN_MAX:g}", gain)
-    if not (isinstance(tint, list) and len(tint) == 3 and all(_is_number(part, 0, 1) for part in tint)):
-        raise wrong("learned shadow tint", "three numbers of 0 to 1", tint)
-    if not (seen is None or _is_number(seen, 0, 1)):
-        raise wrong("learned shadow seen", "a number of 0 to 1, or null", seen)
-    red, green, blue = map(float, tint)
-    return ShadowLook(float(gain), (red, green, blue), None if seen is None else float(seen))  # type: ignore[arg-type]
+def _parsed_shadow(of: JsonObject) -> ShadowLook:
+    red, green, blue = of.numbers("tint", 3, 0, 1)
+    seen = None if of.fields.get("seen") is None else of.number("seen", 0, 1)
+    return ShadowLook(of.number("gain", 0, limits.SHADOW_GAIN_MAX), (red, green, blue), seen)
 
 
-def _parsed_net(value: object, wrong: Wrong) -> PoseNetShape | None:
-    if value is None:
-        return None
-    if not isinstance(value, dict):
-        raise wrong("learned net", "an object", value)
-    octaves = value.get("octaves")
-    most = limits.POSE_NET_OCTAVES_MAX
-    counts = octaves if isinstance(octaves, list) and len(octaves) == 3 else ()
-    if not (counts and all(_is_count(count, most) for count in counts) and any(counts)):
-        raise wrong("learned net octaves", f"three counts of 0 to {most}, not all 0", octaves)
-    sizes = {}
-    for name, least, most in (
-        ("angle_channels", 1, limits.POSE_NET_WIDTH_MAX),
-        ("angle_texels", 2, limits.POSE_NET_TEXELS_MAX),
-        ("hidden", 1, limits.POSE_NET_WIDTH_MAX),
-    ):
-        sizes[name] = value.get(name)
-        if not (_is_count(sizes[name], most) and sizes[name] >= least):
-            raise wrong(f"learned net {name}", f"a count of {least} to {most}", sizes[name])
-    for name in ("level1", "shaded"):
-        if not isinstance(value.get(name), bool):
-            raise wrong(f"learned net {name}", "true or false", value.get(name))
-    reach_m = value.get("reach_m")
-    if not _is_number(reach_m, 0, limits.AVATAR_REACH_M):
-        raise wrong("learned net reach_m", f"a length of 0 to {limits.AVATAR_REACH_M} m", reach_m)
+def _parsed_net(of: JsonObject, gaussians: int) -> PoseNetShape:
+    octaves = of.numbers("octaves", 3, 0, limits.POSE_NET_OCTAVES_MAX)
+    if not any(octaves) or not all(isinstance(count, int) for count in of.fields["octaves"]):
+        raise of.wrong("octaves", "three counts, not all 0")
+    hidden = of.count("hidden", 1, limits.POSE_NET_WIDTH_MAX)
+    if gaussians * hidden > limits.POSE_NET_UNITS_MAX:
+        most = limits.POSE_NET_UNITS_MAX // gaussians
+        raise of.wrong("hidden", f"at most {most} units for each of {gaussians} Gaussians")
     return PoseNetShape(
-        octaves=(counts[0], counts[1], counts[2]),
-        level1=value["level1"],
-        shaded=value["shaded"],
-        reach_m=float(reach_m),  # type: ignore[arg-type]
-        **sizes,
+        octaves=(int(octaves[0]), int(octaves[1]), int(octaves[2])),
+        level1=of.flag("level1"),
+        shaded=of.flag("shaded"),
+        reach_m=of.number("reach_m", 0, limits.AVATAR_REACH_M),
+        angle_channels=of.count("angle_channels", 1, limits.POSE_NET_WIDTH_MAX),
+        angle_texels=of.count("angle_texels", 2, limits.POSE_NET_TEXELS_MAX),
+        hidden=hidden,
     )
-
-
-def _is_count(value: object, most: int) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and 0 <= value <= most
-
-
-def _is_number(value: object, low: float, high: float) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and low <= value <= high
 
 
 # ---- arrays ----------------------------------------------------------------------------------------------------------

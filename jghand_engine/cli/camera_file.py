@@ -10,6 +10,7 @@ import numpy as np
 
 from jghand_engine.cli.console import read_json
 from jghand_engine.errors import InputError
+from jghand_engine.json_files import JsonObject
 from jghand_engine.limits import CAMERA_NUMBER_MAX
 from jghand_engine.render.camera import Camera
 
@@ -24,19 +25,11 @@ def camera_to_dict(camera: Camera) -> dict[str, Any]:
 
 def camera_from_dict(content: Any, thing: str = "camera") -> Camera:
     """The camera of plain data. Raises InputError that names the missing or wrong entry."""
-    if not isinstance(content, dict):
-        raise InputError(thing, wanted="an object with " + ", ".join(NUMBERS), came=type(content).__name__)
-    numbers: dict[str, float] = {}
-    for name in NUMBERS:
-        value = content.get(name)
-        # NaN is not within anything
-        if not isinstance(value, int | float) or isinstance(value, bool) or not abs(value) <= CAMERA_NUMBER_MAX:
-            wanted = f"a number of pixels of at most {CAMERA_NUMBER_MAX:g}"
-            raise InputError(f"{thing}: {name}", wanted=wanted, came=repr(value)[:80])
-        numbers[name] = value
-    for name in ("width", "height"):
-        if numbers[name] != int(numbers[name]):
-            raise InputError(f"{thing}: {name}", wanted="a whole number of pixels", came=str(numbers[name]))
+    fields = JsonObject(content, lambda name, wanted, came: _wrong(f"{thing}: {name}", wanted, came))
+    width, height, fx, fy, cx, cy = (fields.number(name, -CAMERA_NUMBER_MAX, CAMERA_NUMBER_MAX) for name in NUMBERS)
+    for name, pixels in (("width", width), ("height", height)):
+        if pixels != int(pixels):
+            raise fields.wrong(name, "a whole number of pixels")
     matrix = _matrix(content.get("camera_from_world"), f"{thing}: camera_from_world")
     rotation = matrix[:3, :3]
     rigid = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-4) and np.linalg.det(rotation) > 0
@@ -44,9 +37,11 @@ def camera_from_dict(content: Any, thing: str = "camera") -> Camera:
         raise InputError(
             f"{thing}: camera_from_world", wanted="a rotation and a translation", came="a scaled or mirrored map"
         )
-    width, height = int(numbers["width"]), int(numbers["height"])
-    fx, fy, cx, cy = (numbers[name] for name in ("fx", "fy", "cx", "cy"))
-    return Camera(width, height, fx, fy, cx, cy, matrix)
+    return Camera(int(width), int(height), fx, fy, cx, cy, matrix)
+
+
+def _wrong(name: str, wanted: str, came: object) -> InputError:
+    return InputError(name, wanted=wanted, came=repr(came)[:80])
 
 
 def _matrix(content: Any, thing: str) -> np.ndarray:

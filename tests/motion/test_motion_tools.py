@@ -202,7 +202,8 @@ def test_a_finger_that_is_stretched_too_far_is_straight():
     stretched = PoseSequence(joints, whole.fps, whole.handedness)
     filled = fill_gaps(_without(stretched, slice(2, 3), [7])).sequence.joints_m[2]
     first, second = filled[7] - filled[2], filled[12] - filled[7]
-    assert np.linalg.norm(np.cross(first, second)) < 1e-12
+    # the height of a flat triangle is the root of round-off: 1.5e-8 of a bone, on another processor 0
+    assert np.linalg.norm(np.cross(first, second)) < 1e-10
     assert np.linalg.norm(first) == pytest.approx(bone_lengths(whole.joints_m)[0, 6])
 
 
