@@ -30,7 +30,6 @@ import check_splat_files as clients  # noqa: E402
 
 from jghand_engine.avatar.avatar import HandAvatar  # noqa: E402
 from jghand_engine.avatar.builtin import load_avatar_called  # noqa: E402
-from jghand_engine.avatar.gaussians import Gaussians  # noqa: E402
 from jghand_engine.cli.camera_file import camera_to_dict  # noqa: E402
 from jghand_engine.cli.framing import framing_camera  # noqa: E402
 from jghand_engine.color import decibels  # noqa: E402
@@ -40,6 +39,7 @@ from jghand_engine.export.splats.files import SplatMotion  # noqa: E402
 from jghand_engine.export.splats.ply import ply_bytes  # noqa: E402
 from jghand_engine.hand.anatomy import named_pose  # noqa: E402
 from jghand_engine.hand.sequence import PoseSequence  # noqa: E402
+from jghand_engine.learn.gaussians import Gaussians  # noqa: E402
 from jghand_engine.learn.rasterize import rasterize  # noqa: E402
 from jghand_engine.limits import ALPHA_MIN, BLUR_PX2  # noqa: E402
 from jghand_engine.render.camera import Camera  # noqa: E402

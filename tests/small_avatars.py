@@ -7,13 +7,13 @@ from dataclasses import replace
 import torch
 
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
-from jghand_engine.avatar.cast_shadow import CastTensors, place_anchors
 from jghand_engine.avatar.correctives import PoseNetShape
 from jghand_engine.avatar.learned import SH_COUNT, Ellipsoid, ShadowLook, own_flesh
-from jghand_engine.avatar.light import LightTensors
-from jghand_engine.avatar.pose_net import PoseNet
-from jghand_engine.avatar.tensors import HandTensors, LearnedTensors
 from jghand_engine.hand.joints import JOINT_COUNT, PARENTS, Handedness
+from jghand_engine.learn.cast_shadow import CastTensors, place_anchors
+from jghand_engine.learn.light import LightTensors
+from jghand_engine.learn.pose_net import PoseNet
+from jghand_engine.learn.tensors import HandTensors, LearnedTensors
 from jghand_engine.template.builtin import load_template
 
 

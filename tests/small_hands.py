@@ -7,13 +7,13 @@ import torch
 from small_avatars import small_tensors
 
 from jghand_engine.avatar.avatar import AvatarInfo
-from jghand_engine.avatar.canonical_points import CanonicalPoints
 from jghand_engine.avatar.correctives import PoseNetShape
-from jghand_engine.avatar.model import LearnedHand, ModelOptions
 from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.frames import HandFrames
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import BoneTransforms, JointTransform
+from jghand_engine.learn.canonical_points import CanonicalPoints
+from jghand_engine.learn.model import LearnedHand, ModelOptions
 from jghand_engine.template.builtin import load_template
 
 SMALL_NET = PoseNetShape(octaves=(2, 2, 1), angle_channels=4, angle_texels=5, hidden=12)

@@ -15,7 +15,6 @@ from PIL import Image, ImageDraw
 from scipy import ndimage
 
 from jghand_engine import limits
-from jghand_engine.avatar.skinning import apply, blend
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import JointTransform
@@ -68,9 +67,11 @@ def posed_template(joints_m: np.ndarray, handedness: Handedness) -> np.ndarray:
         raise InputError("joints of a pose", wanted="all 21 joints", came="some that are missing")
     template = load_template()
     bones = _transform(handedness).bones(torch.tensor(joints_m, dtype=torch.float64))
-    linear, offset_m = blend(torch.from_numpy(np.array(template.bone_weights)), bones)
-    relative_m = torch.from_numpy(np.array(template.vertices_m)) - bones.canonical_root_m
-    return (apply(linear, relative_m) + offset_m + bones.root_m).numpy()
+    linear, offset_m, root_m, canonical_root_m = (
+        getattr(bones, name).numpy() for name in ("linear", "offset_m", "root_m", "canonical_root_m")
+    )
+    carried = np.einsum("bij,vj->vbi", linear, template.vertices_m - canonical_root_m) + offset_m
+    return np.einsum("vb,vbi->vi", template.bone_weights, carried) + root_m
 
 
 def silhouette(camera: Camera, vertices_m: np.ndarray, faces: np.ndarray) -> np.ndarray:

@@ -61,11 +61,11 @@ class Distill:
 
         from jghand_engine.avatar.builtin import load_avatar_called
         from jghand_engine.avatar.correctives import largest_basis
-        from jghand_engine.avatar.distill import distill, poses_near
         from jghand_engine.avatar.file import save_avatar, stored_form
         from jghand_engine.avatar.storage import Storage
         from jghand_engine.avatar.texts import as_text
         from jghand_engine.files import check_place
+        from jghand_engine.learn.distill import distill, poses_near
         from jghand_engine.native.machine import processor
         from jghand_engine.native.threads import thread_count
         from jghand_engine.study.shadow_seen import with_shadow_seen

@@ -12,11 +12,11 @@ import torch
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.learned import ShadowLook
-from jghand_engine.avatar.skinning import pose_gaussians
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.learn.rasterize import rasterize
 from jghand_engine.learn.shadow import darken
+from jghand_engine.learn.skinning import pose_gaussians
 from jghand_engine.native.library import load
 from jghand_engine.native.threads import thread_count
 from jghand_engine.render.camera import Camera

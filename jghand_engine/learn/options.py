@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from jghand_engine.avatar.correctives import PoseNetShape
-from jghand_engine.avatar.model import ModelOptions, OffsetFrame, Shape
 from jghand_engine.hand.baselines import Transform
+from jghand_engine.learn.model import ModelOptions, OffsetFrame, Shape
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from jghand_engine.avatar.gaussians import Gaussians
+from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.reference import Picture, check_gaussians, rasterize_reference
 from jghand_engine.native.binding import Library
 from jghand_engine.native.library import load

@@ -13,8 +13,8 @@ import torch
 from torch.utils.checkpoint import checkpoint
 
 from jghand_engine import limits
-from jghand_engine.avatar.gaussians import Gaussians
 from jghand_engine.errors import InputError
+from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.render.camera import Camera
 
 

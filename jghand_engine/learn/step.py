@@ -20,24 +20,24 @@ from scipy.spatial import KDTree
 from torch import Tensor
 
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
-from jghand_engine.avatar.canonical_points import place_points
-from jghand_engine.avatar.cast_shadow import LampsSeen
-from jghand_engine.avatar.model import LearnedHand, Shape
-from jghand_engine.avatar.pose_features import octave_of_wave
-from jghand_engine.avatar.skinning import PosedSkin, SkinMaps, pose_skin, see_lamps, seen_from, skin_maps
-from jghand_engine.avatar.tensors import HandTensors, mapped
 from jghand_engine.captures.sample import Sample
 from jghand_engine.errors import InputError
 from jghand_engine.hand.baselines import transform_called
 from jghand_engine.hand.transform import BoneTransforms
 from jghand_engine.learn.bake import bake
+from jghand_engine.learn.canonical_points import place_points
+from jghand_engine.learn.cast_shadow import LampsSeen
 from jghand_engine.learn.losses import isotropy_loss, l1_loss, mask_loss, offset_loss, ssim_loss
+from jghand_engine.learn.model import LearnedHand, Shape
 from jghand_engine.learn.options import TrainOptions, at_part
 from jghand_engine.learn.perceptual import PerceptualMetric
 from jghand_engine.learn.pictures import Pictures, View
+from jghand_engine.learn.pose_features import octave_of_wave
 from jghand_engine.learn.rasterize import rasterize
 from jghand_engine.learn.recent import Recent
 from jghand_engine.learn.shadow import darken
+from jghand_engine.learn.skinning import PosedSkin, SkinMaps, pose_skin, see_lamps, seen_from, skin_maps
+from jghand_engine.learn.tensors import HandTensors, mapped
 from jghand_engine.learn.trainable import GAUSSIANS, LOSS
 from jghand_engine.native.library import load as load_native
 from jghand_engine.native.threads import thread_count

@@ -9,12 +9,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from jghand_engine.avatar.gaussians import Gaussians
 from jghand_engine.avatar.learned import ShadowLook
-from jghand_engine.avatar.skinning import pose_gaussians
 from jghand_engine.color import decibels
+from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.reference import Picture, rasterize_reference
 from jghand_engine.learn.shadow import shade
+from jghand_engine.learn.skinning import pose_gaussians
 from jghand_engine.render.frame import HandRenderer
 from jghand_engine.render.settings import PRESETS
 from jghand_engine.render.shadow import ShadowStyle

@@ -12,9 +12,9 @@ import torch
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.correctives import LinearCorrectives, PoseNetwork, largest_basis
-from jghand_engine.avatar.distill import distill, poses_near
 from jghand_engine.avatar.file import stored_form
 from jghand_engine.avatar.storage import Storage
+from jghand_engine.learn.distill import distill, poses_near
 from jghand_engine.native.threads import thread_count
 from jghand_engine.render.budget import candidates, has_seen_shadow
 from jghand_engine.render.profile import NO_CORRECTIVES

@@ -18,14 +18,14 @@ import torch
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin, load_painted
 from jghand_engine.avatar.fast_skinning import FastSkinning, PosedArrays
-from jghand_engine.avatar.gaussians import Gaussians
-from jghand_engine.avatar.skinning import pose_gaussians
 from jghand_engine.avatar.tiers import Tier
 from jghand_engine.hand.fast_transform import FastTransform
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import JointTransform
+from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.reference import rasterize_reference
 from jghand_engine.learn.shadow import darken
+from jghand_engine.learn.skinning import pose_gaussians
 from jghand_engine.native.binding import Library
 from jghand_engine.native.build import read_stamp
 from jghand_engine.native.library import load

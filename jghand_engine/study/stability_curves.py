@@ -15,9 +15,9 @@ from torch import Tensor
 
 from jghand_engine import limits
 from jghand_engine.avatar.builtin import load_painted
-from jghand_engine.avatar.gaussians import Gaussians
 from jghand_engine.hand import rotations as rot
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.render.camera import Camera
 from jghand_engine.study.stability_hands import (
     GRADIENT_MAX,

@@ -18,14 +18,14 @@ from torch import Tensor
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin, load_painted
-from jghand_engine.avatar.cast_shadow import place_anchors
-from jghand_engine.avatar.gaussians import Gaussians
 from jghand_engine.avatar.learned import own_flesh
-from jghand_engine.avatar.skinning import apply, pose_gaussians
-from jghand_engine.avatar.tensors import HandTensors
 from jghand_engine.hand.frames import describe_flags
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import BoneTransforms, JointTransform
+from jghand_engine.learn.cast_shadow import place_anchors
+from jghand_engine.learn.gaussians import Gaussians
+from jghand_engine.learn.skinning import apply, pose_gaussians
+from jghand_engine.learn.tensors import HandTensors
 from jghand_engine.render.camera import Camera
 from jghand_engine.study.stability_hands import (
     GRADIENT_MAX,

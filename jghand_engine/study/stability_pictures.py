@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 
 from jghand_engine import limits
-from jghand_engine.avatar.gaussians import Gaussians
+from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.rasterize import rasterize
 from jghand_engine.learn.reference import Picture, rasterize_reference
 from jghand_engine.render.camera import Camera

@@ -12,8 +12,8 @@ from torch import Tensor
 
 from jghand_engine import limits
 from jghand_engine.avatar.builtin import load_painted
-from jghand_engine.avatar.gaussians import Gaussians
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.rasterize import rasterize
 from jghand_engine.learn.shadow import darken
 from jghand_engine.native.library import load

@@ -12,11 +12,11 @@ from torch import Tensor
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin
-from jghand_engine.avatar.gaussians import Gaussians
-from jghand_engine.avatar.skinning import pose_gaussians
 from jghand_engine.export.pictures import flatten
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.rasterize import rasterize
+from jghand_engine.learn.skinning import pose_gaussians
 from jghand_engine.render.camera import Camera
 from jghand_engine.study.stability_hands import NUDGE_M, abducted, bent_finger, posed
 from jghand_engine.study.stability_measures import random_nudges

@@ -13,13 +13,13 @@ import torch
 from torch import Tensor
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.pose_features import flat_angles
 from jghand_engine.avatar.pose_range import trained_range
 from jghand_engine.captures.captures import Capture
 from jghand_engine.captures.splits import Split
 from jghand_engine.color import decibels
 from jghand_engine.hand.anatomy import MotionOptions, pose_names, pose_sequence_of_names
 from jghand_engine.learn.evaluate import avatar_picturer, categories_of, means, measure_pictures
+from jghand_engine.learn.pose_features import flat_angles
 from jghand_engine.render.frame import HandRenderer
 from jghand_engine.render.settings import preset
 from jghand_engine.study.frame_time import Subject, builtin_subject

@@ -14,14 +14,14 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.correctives import LinearCorrectives, PoseFeatures, PoseNetShape, PoseNetwork
 from jghand_engine.avatar.fast_learned import FastLearnedSkin
 from jghand_engine.avatar.fast_skinning import PosedArrays
-from jghand_engine.avatar.gaussians import Gaussians
 from jghand_engine.avatar.learned import Learned
-from jghand_engine.avatar.pose_features import Angles
-from jghand_engine.avatar.skinning import posed_skin, seen_from, skin_maps
-from jghand_engine.avatar.tensors import HandTensors
 from jghand_engine.errors import InputError
 from jghand_engine.hand.fast_transform import FastBones, FastTransform
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.learn.gaussians import Gaussians
+from jghand_engine.learn.pose_features import Angles
+from jghand_engine.learn.skinning import posed_skin, seen_from, skin_maps
+from jghand_engine.learn.tensors import HandTensors
 from jghand_engine.native.binding import Library
 from jghand_engine.native.threads import shared_pool
 

@@ -12,10 +12,10 @@ from small_hands import joints_of
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.fast_posing import FastPosing
-from jghand_engine.avatar.skinning import pose_gaussians
 from jghand_engine.errors import InputError
 from jghand_engine.hand.baselines import Transform
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.learn.skinning import pose_gaussians
 from jghand_engine.native.binding import Library
 
 AVATARS = {"painted": small_avatar, "trained": trained_avatar, "ellipsoids": ellipsoid_avatar}

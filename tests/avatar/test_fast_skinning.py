@@ -11,12 +11,12 @@ import torch
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_painted
 from jghand_engine.avatar.fast_skinning import FastSkinning, PosedArrays, spatial_order
-from jghand_engine.avatar.skinning import pose_gaussians
 from jghand_engine.errors import InputError
 from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.fast_transform import FastTransform
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import JointTransform
+from jghand_engine.learn.skinning import pose_gaussians
 from jghand_engine.native.binding import Library
 from jghand_engine.native.threads import shared_pool
 

@@ -11,16 +11,16 @@ from small_avatars import trained_avatar
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.correctives import LinearCorrectives, PoseNetShape, PoseNetwork, largest_basis
-from jghand_engine.avatar.distill import distill, poses_near
 from jghand_engine.avatar.file import load_avatar, save_avatar, stored_form
 from jghand_engine.avatar.learned_storage import pack_learned
-from jghand_engine.avatar.pose_features import Angles, flat_angles
-from jghand_engine.avatar.pose_net import LinearNet, PoseNet, numbers_of
 from jghand_engine.avatar.storage import Storage
-from jghand_engine.avatar.tensors import HandTensors
 from jghand_engine.avatar.tiers import Distilled, Price, Tier
 from jghand_engine.errors import InputError
 from jghand_engine.hand.anatomy import named_pose, pose_names
+from jghand_engine.learn.distill import distill, poses_near
+from jghand_engine.learn.pose_features import Angles, flat_angles
+from jghand_engine.learn.pose_net import LinearNet, PoseNet, numbers_of
+from jghand_engine.learn.tensors import HandTensors
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.frame import HandRenderer
 from jghand_engine.render.settings import RenderSettings, preset

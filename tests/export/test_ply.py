@@ -10,12 +10,12 @@ from scipy.spatial.transform import Rotation
 from small_avatars import ellipsoid_avatar
 from usd_samples import engine_gaussians, lively_motion, small_avatar
 
-from jghand_engine.avatar.skinning import pose_gaussians
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.export.splats.cloud import AXES_FROM_RUB, RUB_FROM_UP, SH_C0
 from jghand_engine.export.splats.files import SplatOptions, export_splats
 from jghand_engine.export.splats.ply import BYTES_PER_GAUSSIAN
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.learn.skinning import pose_gaussians
 
 FRAMES = 3
 # worst observed: the steps of float32 at 0.5 m, and what logit and logarithm lose of opacity and size

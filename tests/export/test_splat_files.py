@@ -15,7 +15,6 @@ from scipy.spatial.transform import Rotation
 from small_avatars import trained_avatar
 from usd_samples import engine_gaussians, lively_motion, small_avatar
 
-from jghand_engine.avatar.skinning import pose_gaussians
 from jghand_engine.color import srgb_to_linear
 from jghand_engine.errors import InputError
 from jghand_engine.export.splats.cloud import SH_C0, SplatCloud
@@ -24,6 +23,7 @@ from jghand_engine.export.splats.files import FORMATS, SplatMotion, SplatOptions
 from jghand_engine.export.splats.gltf import EXTENSION, glb_bytes
 from jghand_engine.export.splats.spz import fractional_bits, spz_bytes
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.learn.skinning import pose_gaussians
 
 HALF_BYTE = 0.5 / 255 + 1e-6
 

@@ -12,7 +12,6 @@ from small_avatars import ellipsoid_avatar, trained_avatar
 from usd_samples import lively_motion, small_avatar
 from usd_stages import opened
 
-from jghand_engine.avatar.skinning import pose_gaussians
 from jghand_engine.color import srgb_to_linear
 from jghand_engine.export.splats.cloud import SH_C0
 from jghand_engine.export.usd import package
@@ -20,6 +19,7 @@ from jghand_engine.export.usd.check import check_usd
 from jghand_engine.export.usd.package import UsdOptions, export_usd
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import JointTransform
+from jghand_engine.learn.skinning import pose_gaussians
 from jghand_engine.template.builtin import load_template
 
 pytestmark = pytest.mark.usefixtures("no_usd_warnings")

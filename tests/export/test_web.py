@@ -29,8 +29,6 @@ from jghand_engine import files
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_avatar_called
 from jghand_engine.avatar.correctives import PoseNetShape
-from jghand_engine.avatar.distill import distill
-from jghand_engine.avatar.skinning import pose_gaussians
 from jghand_engine.avatar.tiers import Distilled
 from jghand_engine.errors import DiskFullError, InputError, RetryError
 from jghand_engine.export.web import page as web
@@ -41,6 +39,8 @@ from jghand_engine.hand.anatomy import ArticulatedHand, pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import bone_lengths
 from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.learn.distill import distill
+from jghand_engine.learn.skinning import pose_gaussians
 from jghand_engine.limits import WEB_FRAMES_MAX
 from jghand_engine.native.learned_tasks import LearnedTask
 

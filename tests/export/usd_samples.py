@@ -7,10 +7,10 @@ import torch
 from scipy.spatial.transform import Rotation
 
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
-from jghand_engine.avatar.skinning import pose_gaussians
 from jghand_engine.hand.joints import PARENTS, Handedness
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.hand.transform import JointTransform
+from jghand_engine.learn.skinning import pose_gaussians
 from jghand_engine.template.builtin import load_template
 
 FPS = 30.0

@@ -14,12 +14,12 @@ from painted_samples import camera_at, discs, painted_samples, sample_of, write_
 from small_hands import INFO, SMALL_MODEL, bones_of, joints_of, small_hand
 from small_trainings import SMALL, parameters_of, small_training
 
-from jghand_engine.avatar.model import Shape
-from jghand_engine.avatar.skinning import pose_skin, seen_from
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.learn.guard import find_non_finite
 from jghand_engine.learn.losses import offset_loss
+from jghand_engine.learn.model import Shape
+from jghand_engine.learn.skinning import pose_skin, seen_from
 
 ANISO = replace(SMALL_MODEL, shape=Shape.ANISO)
 CASES = [

@@ -21,8 +21,8 @@ from splat_scenes import (
     stretched,
 )
 
-from jghand_engine.avatar.gaussians import Gaussians
 from jghand_engine.errors import InputError
+from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.reference import Picture
 from jghand_engine.render.camera import Camera
 

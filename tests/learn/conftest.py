@@ -10,13 +10,13 @@ import pytest
 from picture_sets import recorded, write_set
 from small_capture import write_small_capture
 
-from jghand_engine.avatar.canonical_points import CanonicalPoints
 from jghand_engine.avatar.correctives import PoseNetShape
-from jghand_engine.avatar.model import ModelOptions
 from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.captures.splits import split_by_rule
 from jghand_engine.learn import options as options_module
 from jghand_engine.learn import step
+from jghand_engine.learn.canonical_points import CanonicalPoints
+from jghand_engine.learn.model import ModelOptions
 from jghand_engine.learn.options import Schedule, TrainOptions
 from jghand_engine.template.builtin import load_template
 

@@ -13,11 +13,11 @@ from painted_samples import mirrored, painted_samples
 from small_hands import INFO, SMALL_MODEL, joints_of, small_hand
 from small_trainings import SMALL, small_training
 
-from jghand_engine.avatar.model import Shape
 from jghand_engine.captures.sample import Sample
 from jghand_engine.hand.joints import LEVEL_NAMES, PARENTS, Handedness
 from jghand_engine.hand.transform import JointTransform
 from jghand_engine.learn.bake import angle_ranges, bake
+from jghand_engine.learn.model import Shape
 from jghand_engine.learn.step import HandTraining
 from jghand_engine.template.builtin import load_template
 

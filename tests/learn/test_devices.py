@@ -18,15 +18,15 @@ from small_trainings import SMALL, parameters_of, small_training
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
-from jghand_engine.avatar.model import LearnedHand, Shape
-from jghand_engine.avatar.pose_features import octave_of_wave
-from jghand_engine.avatar.skinning import pose_skin, see_lamps, seen_from, skin_maps
-from jghand_engine.avatar.tensors import mapped
 from jghand_engine.cli import main
 from jghand_engine.cli.learning import device_called
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.learn.losses import isotropy_loss, offset_loss
+from jghand_engine.learn.model import LearnedHand, Shape
+from jghand_engine.learn.pose_features import octave_of_wave
+from jghand_engine.learn.skinning import pose_skin, see_lamps, seen_from, skin_maps
+from jghand_engine.learn.tensors import mapped
 
 META = torch.device("meta")
 MODELS = {

@@ -6,7 +6,7 @@ from dataclasses import asdict, replace
 
 import pytest
 
-from jghand_engine.avatar.model import OffsetFrame, Shape
+from jghand_engine.learn.model import OffsetFrame, Shape
 from jghand_engine.learn.options import (
     PAPER_FAITHFUL,
     PRESETS,

@@ -13,14 +13,14 @@ from small_hands import SMALL_MODEL
 from small_trainings import SMALL, parameters_of, small_training
 
 from jghand_engine import limits
-from jghand_engine.avatar.model import Shape
-from jghand_engine.avatar.skinning import seen_from
 from jghand_engine.captures.sample import Sample
 from jghand_engine.errors import InputError
 from jghand_engine.hand.baselines import HaloLikeTransform
+from jghand_engine.learn.model import Shape
 from jghand_engine.learn.options import LossWeights, Schedule, TrainOptions, Transform
 from jghand_engine.learn.rasterize import rasterize
 from jghand_engine.learn.shadow import darken
+from jghand_engine.learn.skinning import seen_from
 from jghand_engine.learn.step import HandTraining
 from jghand_engine.render.settings import RenderSettings
 from jghand_engine.render.shadow import ShadowStyle

@@ -11,11 +11,11 @@ import numpy as np
 import pytest
 from mano_samples import mano_fields, mano_objects, python2_pickle
 
-from jghand_engine.avatar.canonical_points import place_points
 from jghand_engine.avatar.file import load_avatar
 from jghand_engine.cli import main
 from jghand_engine.cli.failures import STOPPED
 from jghand_engine.learn import step
+from jghand_engine.learn.canonical_points import place_points
 from jghand_engine.learn.step import HandTraining
 from jghand_engine.template.mano import load_mano
 

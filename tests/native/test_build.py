@@ -305,7 +305,7 @@ def test_the_self_test_knows_what_the_reference_draws():
     """Its stored sums come from the float64 reference."""
     import torch
 
-    from jghand_engine.avatar.gaussians import Gaussians
+    from jghand_engine.learn.gaussians import Gaussians
     from jghand_engine.learn.reference import rasterize_reference
     from jghand_engine.learn.shadow import darken
     from jghand_engine.render.camera import Camera
@@ -334,7 +334,7 @@ def test_the_self_test_knows_what_the_reference_draws():
 def test_the_self_test_knows_what_the_reference_draws_of_ellipsoids():
     import torch
 
-    from jghand_engine.avatar.gaussians import Gaussians
+    from jghand_engine.learn.gaussians import Gaussians
     from jghand_engine.learn.reference import rasterize_reference
     from jghand_engine.render.camera import Camera
 

@@ -22,9 +22,9 @@ from splat_scenes import (
 )
 
 from jghand_engine import limits
-from jghand_engine.avatar.gaussians import Gaussians
 from jghand_engine.errors import InputError
 from jghand_engine.learn import reference
+from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.reference import check_gaussians, rasterize_reference, semi_definite
 from jghand_engine.render.camera import Camera
 

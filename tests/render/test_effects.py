@@ -13,11 +13,11 @@ from small_avatars import ellipsoid_avatar, trained_avatar
 from jghand_engine import limits
 from jghand_engine.avatar.builtin import load_builtin, load_painted
 from jghand_engine.avatar.fast_correctives import FastNetwork
-from jghand_engine.avatar.pose_features import Angles
-from jghand_engine.avatar.tensors import HandTensors
 from jghand_engine.errors import InputError
 from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.learn.pose_features import Angles
+from jghand_engine.learn.tensors import HandTensors
 from jghand_engine.native import library as native_library
 from jghand_engine.render import backend, effects, shadow_effects
 from jghand_engine.render.camera import Camera, Lens

@@ -30,9 +30,9 @@ from splat_scenes import (
 )
 
 from jghand_engine import limits
-from jghand_engine.avatar.covariance import posed_covariance
-from jghand_engine.avatar.gaussians import Gaussians
 from jghand_engine.errors import InputError
+from jghand_engine.learn.covariance import posed_covariance
+from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.reference import rasterize_reference
 from jghand_engine.render.camera import Camera
 

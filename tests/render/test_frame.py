@@ -10,13 +10,13 @@ import torch
 
 from jghand_engine import limits
 from jghand_engine.avatar.builtin import load_builtin, load_painted
-from jghand_engine.avatar.skinning import pose_gaussians
 from jghand_engine.errors import InputError
 from jghand_engine.hand.anatomy import named_pose, pose_names
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import JointTransform
 from jghand_engine.learn.reference import rasterize_reference
 from jghand_engine.learn.shadow import darken
+from jghand_engine.learn.skinning import pose_gaussians
 from jghand_engine.native import library as native_library
 from jghand_engine.render import backend as backend_module
 from jghand_engine.render.camera import Camera

@@ -24,8 +24,8 @@ from splat_scenes import (
 )
 
 from jghand_engine import limits
-from jghand_engine.avatar.gaussians import Gaussians
 from jghand_engine.errors import InputError
+from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.reference import camera_frame
 from jghand_engine.render.camera import Camera
 

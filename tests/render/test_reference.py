@@ -19,7 +19,7 @@ from splat_scenes import (
 )
 
 from jghand_engine import limits
-from jghand_engine.avatar.gaussians import Gaussians
+from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.reference import camera_frame, rasterize_reference
 
 

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import torch
 
-from jghand_engine.avatar.skinning import apply, blend
 from jghand_engine.captures.making.identities import identity_names, joints21, load_identity
 from jghand_engine.captures.making.rig import RiggedHand, RigPose, palm_gaps_m, segment_gap
 from jghand_engine.errors import InputError
@@ -18,6 +17,7 @@ from jghand_engine.hand.anatomy import POSES_DEG, pose_names
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import bone_lengths, check_hand_size, check_order
 from jghand_engine.hand.transform import JointTransform
+from jghand_engine.learn.skinning import apply, blend
 from jghand_engine.template.builtin import load_template
 from jghand_engine.template.surface import is_closed
 from jghand_engine.template.weights import bone_weights

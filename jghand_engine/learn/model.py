@@ -15,15 +15,15 @@ from torch import Tensor, nn
 
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import AvatarInfo, sigma_scale_for_prefix
-from jghand_engine.avatar.canonical_points import CanonicalPoints
-from jghand_engine.avatar.cast_shadow import CastTensors, place_anchors
 from jghand_engine.avatar.correctives import PoseNetShape
 from jghand_engine.avatar.learned import SH_COUNT, ShadowLook, own_flesh
-from jghand_engine.avatar.light import LightTensors, unit
-from jghand_engine.avatar.planes import IdentityPlanes
-from jghand_engine.avatar.pose_net import PoseNet
-from jghand_engine.avatar.tensors import EllipsoidTensors, HandTensors, LearnedTensors, mapped
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.learn.canonical_points import CanonicalPoints
+from jghand_engine.learn.cast_shadow import CastTensors, place_anchors
+from jghand_engine.learn.light import LightTensors, unit
+from jghand_engine.learn.planes import IdentityPlanes
+from jghand_engine.learn.pose_net import PoseNet
+from jghand_engine.learn.tensors import EllipsoidTensors, HandTensors, LearnedTensors, mapped
 
 # towards the corners of a cube: where the lobes of the gloss begin
 _LOBES = [(x, y, z) for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)]

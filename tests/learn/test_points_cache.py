@@ -10,9 +10,9 @@ import safetensors.torch
 import scipy
 import torch
 
-from jghand_engine.avatar import canonical_points, points_cache
-from jghand_engine.avatar.canonical_points import CanonicalPoints, place_points
-from jghand_engine.avatar.points_cache import points_file
+from jghand_engine.learn import canonical_points, points_cache
+from jghand_engine.learn.canonical_points import CanonicalPoints, place_points
+from jghand_engine.learn.points_cache import points_file
 from jghand_engine.template.builtin import load_template
 
 NUMBERS = {"depth_m": 0.001, "area_power": 0.78, "seed": 0}

@@ -13,8 +13,8 @@ from small_hands import INFO, SMALL_MODEL, frames_of, small_hand, small_points, 
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.learned import Learned
-from jghand_engine.avatar.model import LearnedHand, ModelOptions, OffsetFrame, Shape
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.learn.model import LearnedHand, ModelOptions, OffsetFrame, Shape
 
 RIGHT = Handedness.RIGHT
 # the constants of the shadow are learned through the picture: see tests/learn/test_step.py

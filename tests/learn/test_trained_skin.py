@@ -9,10 +9,13 @@ import torch
 from small_avatars import small_tensors, trained_tensors
 from small_hands import bones_of, joints_of
 
-from jghand_engine.avatar.cast_shadow import exponent
-from jghand_engine.avatar.light import gloss, harmonics, lit, unit
-from jghand_engine.avatar.pose_net import Correction
-from jghand_engine.avatar.skinning import (
+from jghand_engine.errors import InputError
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.transform import BoneTransforms
+from jghand_engine.learn.cast_shadow import exponent
+from jghand_engine.learn.light import gloss, harmonics, lit, unit
+from jghand_engine.learn.pose_net import Correction
+from jghand_engine.learn.skinning import (
     PosedSkin,
     apply,
     pose_gaussians,
@@ -23,10 +26,7 @@ from jghand_engine.avatar.skinning import (
     skin_maps,
     turning,
 )
-from jghand_engine.avatar.tensors import EllipsoidTensors, HandTensors, LearnedTensors
-from jghand_engine.errors import InputError
-from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.transform import BoneTransforms
+from jghand_engine.learn.tensors import EllipsoidTensors, HandTensors, LearnedTensors
 
 POSES = ("open", "fist", "claw")
 MIRROR = torch.tensor([-1.0, 1.0, 1.0], dtype=torch.float64)

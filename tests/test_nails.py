@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 from PIL import Image
 
 from jghand_engine.avatar.builtin import load_painted
-from jghand_engine.avatar.procedural_skin import SkinLook, skin_rgb
-from jghand_engine.avatar.skin_marks import TIPS, MarkPainter, fit_nails
-from jghand_engine.avatar.skin_points import Landmarks, SkinPoints
-from jghand_engine.avatar.studio_light import Studio
-from jghand_engine.avatar.untrained import Layers, curved_surface
+from jghand_engine.captures.making.procedural_skin import SkinLook
+from jghand_engine.captures.making.skin_marks import TIPS, MarkPainter, fit_nails
+from jghand_engine.captures.making.skin_points import Landmarks, SkinPoints
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.limits import UVD_RANGE_M
 from jghand_engine.template.builtin import ASSETS, load_template
 from jghand_engine.template.closest import Surface
 from jghand_engine.template.texture import sample_bilinear
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
+
+from painted_hand import Layers, curved_surface
+from studio_light import Studio, skin_rgb
 
 
 @pytest.fixture(scope="module")

@@ -6,8 +6,8 @@ import pytest
 import torch
 from torch.nn import functional
 
-from jghand_engine.avatar.planes import FixedLookup, IdentityPlanes, bilinear_corners
 from jghand_engine.errors import InputError
+from jghand_engine.learn.planes import FixedLookup, IdentityPlanes, bilinear_corners
 
 ROWS, COLUMNS, CHANNELS = 5, 9, 3
 

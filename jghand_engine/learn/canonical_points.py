@@ -8,11 +8,10 @@ import numpy as np
 import torch
 from scipy.spatial import KDTree
 
-from jghand_engine.avatar.points_cache import Points, points_file, read_points, write_points
-from jghand_engine.avatar.untrained import bone_areas, shared_out, take_turns
-from jghand_engine.hand.joints import JOINT_COUNT
+from jghand_engine.hand.joints import BONE_COUNT, JOINT_COUNT
+from jghand_engine.learn.points_cache import Points, points_file, read_points, write_points
 from jghand_engine.template.mesh import HandTemplate
-from jghand_engine.template.sampling import sample_shell
+from jghand_engine.template.sampling import bone_distances, sample_shell
 from jghand_engine.template.weight_field import WeightField
 
 
@@ -77,3 +76,30 @@ def _placed(template: HandTemplate, count: int, *, depth_m: float, area_power: f
         joints_m=torch.from_numpy(template.joints_m.copy()),
         template=template.identifier,
     )
+
+
+def bone_areas(template: HandTemplate) -> np.ndarray:
+    """(20,) area of the closed surface that is nearest to each of the bones 1..20, square meters."""
+    corners = template.vertices_m[template.faces]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
+    nearest = bone_distances(corners.mean(1), template.joints_m).argmin(1)
+    return np.bincount(nearest, area, minlength=BONE_COUNT)
+
+
+def shared_out(share: np.ndarray, count: int) -> np.ndarray:
+    """(20,) whole numbers in proportion to `share` (20,) that add up to `count`."""
+    counts = np.floor(share / share.sum() * count).astype(int)
+    counts[np.argsort(-share, kind="stable")[: count - counts.sum()]] += 1
+    return counts
+
+
+def take_turns(bone: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Indices (sum of counts,) into a sample and turns 0..1 in rising order.
+
+    bone (M,) names the bone 1..20 of each point, in farthest-point order within each bone. Bone b gives its first
+    counts[b - 1] points, at even steps of the whole list, so that every prefix has the same shares.
+    """
+    picked = [np.flatnonzero(bone == number)[:count] for number, count in enumerate(counts, start=1)]
+    turn = np.concatenate([(np.arange(count) + 0.5) / count for count in counts])
+    order = np.argsort(turn, kind="stable")
+    return np.concatenate(picked)[order], turn[order]

@@ -11,7 +11,13 @@ import torch
 from small_avatars import trained_tensors
 
 from jghand_engine import limits
-from jghand_engine.avatar.cast_shadow import (
+from jghand_engine.avatar.learned import lamp_directions as lamp_directions_of
+from jghand_engine.avatar.learned import own_flesh
+from jghand_engine.errors import InputError
+from jghand_engine.hand.anatomy import named_pose
+from jghand_engine.hand.joints import PARENTS
+from jghand_engine.hand.transform import JointTransform
+from jghand_engine.learn.cast_shadow import (
     CastTensors,
     LampsSeen,
     capsules,
@@ -20,13 +26,7 @@ from jghand_engine.avatar.cast_shadow import (
     past_capsule,
     place_anchors,
 )
-from jghand_engine.avatar.learned import lamp_directions as lamp_directions_of
-from jghand_engine.avatar.learned import own_flesh
-from jghand_engine.avatar.skinning import pose_skin, see_lamps
-from jghand_engine.errors import InputError
-from jghand_engine.hand.anatomy import named_pose
-from jghand_engine.hand.joints import PARENTS
-from jghand_engine.hand.transform import JointTransform
+from jghand_engine.learn.skinning import pose_skin, see_lamps
 
 AVATAR = trained_tensors(300)
 CAST: CastTensors = AVATAR.learned.cast  # type: ignore[union-attr,assignment]

@@ -11,14 +11,14 @@ import torch
 from small_hands import frames_of
 
 from jghand_engine.avatar.correctives import positional_encoding
-from jghand_engine.avatar.pose_features import (
+from jghand_engine.hand.anatomy import FRAME_RANGES_DEG
+from jghand_engine.learn.pose_features import (
     AnglePlanes,
     finger_angles,
     normalized,
     octave_of_wave,
     palm_angles,
 )
-from jghand_engine.hand.anatomy import FRAME_RANGES_DEG
 from jghand_engine.limits import PALM_NEIGHBOR_RANGES_DEG, PALM_PLANE_RANGES_DEG
 
 TEXELS = 5

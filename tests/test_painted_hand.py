@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
-from jghand_engine.avatar.procedural_skin import SkinLook, display, reflectance
-from jghand_engine.avatar.skin_marks import MarkPainter
-from jghand_engine.avatar.skin_points import Landmarks, SkinPoints, palm_share
-from jghand_engine.avatar.studio_light import Occluder, Studio, bake_light, sphere_directions
-from jghand_engine.avatar.untrained import (
+from jghand_engine.avatar.validation import check_avatar
+from jghand_engine.captures.making.procedural_skin import SkinLook, reflectance
+from jghand_engine.captures.making.skin_marks import MarkPainter
+from jghand_engine.captures.making.skin_points import Landmarks, SkinPoints, palm_share
+from jghand_engine.limits import UVD_RANGE_M
+from jghand_engine.template.builtin import load_template
+from jghand_engine.template.surface import surface_area
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "scripts"))
+
+from painted_hand import (
     Layers,
     Recipe,
     bone_areas,
@@ -21,10 +29,7 @@ from jghand_engine.avatar.untrained import (
     shared_out,
     take_turns,
 )
-from jghand_engine.avatar.validation import check_avatar
-from jghand_engine.limits import UVD_RANGE_M
-from jghand_engine.template.builtin import load_template
-from jghand_engine.template.surface import surface_area
+from studio_light import Occluder, Studio, bake_light, display, sphere_directions
 
 SMALL = Recipe("small", "none", layers=Layers(count=3000, backing_count=600, oversampling=1.2))
 NO_NAILS = np.zeros((8, 8))

@@ -11,15 +11,15 @@ from typing import Protocol
 import torch
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.cast_shadow import CastTensors, LampsSeen, exponent, lamps_seen
-from jghand_engine.avatar.covariance import posed_covariance
-from jghand_engine.avatar.gaussians import Gaussians
-from jghand_engine.avatar.light import gloss, lit, unit
-from jghand_engine.avatar.pose_features import PoseAngles
-from jghand_engine.avatar.pose_net import Correction
-from jghand_engine.avatar.tensors import EllipsoidTensors, HandTensors
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.learn.cast_shadow import CastTensors, LampsSeen, exponent, lamps_seen
+from jghand_engine.learn.covariance import posed_covariance
+from jghand_engine.learn.gaussians import Gaussians
+from jghand_engine.learn.light import gloss, lit, unit
+from jghand_engine.learn.pose_features import PoseAngles
+from jghand_engine.learn.pose_net import Correction
+from jghand_engine.learn.tensors import EllipsoidTensors, HandTensors
 from jghand_engine.limits import BLEND_DET_MIN, SIGMA_STRETCH_MAX, SIGMA_STRETCH_MIN
 
 

@@ -11,18 +11,19 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 import torch
 from scipy.spatial import KDTree
+from studio_light import Studio, skin_rgb
 
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
-from jghand_engine.avatar.procedural_skin import SkinLook, skin_rgb
-from jghand_engine.avatar.skin_points import SkinPoints
-from jghand_engine.avatar.skinning import apply, blend, posed_radius_scale
-from jghand_engine.avatar.studio_light import Studio
+from jghand_engine.captures.making.procedural_skin import SkinLook
+from jghand_engine.captures.making.skin_points import SkinPoints
 from jghand_engine.hand.anatomy import named_pose
-from jghand_engine.hand.joints import BONE_COUNT, Handedness
+from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import JointTransform
+from jghand_engine.learn.canonical_points import bone_areas, shared_out, take_turns
+from jghand_engine.learn.skinning import apply, blend, posed_radius_scale
 from jghand_engine.limits import SIGMA_MAX_M, SIGMA_MIN_M, UVD_RANGE_M
 from jghand_engine.template.mesh import HandTemplate
-from jghand_engine.template.sampling import bone_distances, sample_shell
+from jghand_engine.template.sampling import sample_shell
 from jghand_engine.template.surface import vertex_normals
 from jghand_engine.template.texture import sample_bilinear
 from jghand_engine.template.weight_field import WeightField
@@ -147,33 +148,6 @@ def _layer(template: HandTemplate, layers: Layers, count: int, area_power: float
     skin_m, normal = curved_surface(template, sample.face[chosen], sample.barycentric[chosen], layers.curving)
     nothing = np.zeros(count)
     return Placed(skin_m, normal, nothing, sample.uvd[chosen, :2], nothing, turn)
-
-
-def bone_areas(template: HandTemplate) -> np.ndarray:
-    """(20,) area of the closed surface that is nearest to each of the bones 1..20, square meters."""
-    corners = template.vertices_m[template.faces]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
-    nearest = bone_distances(corners.mean(1), template.joints_m).argmin(1)
-    return np.bincount(nearest, area, minlength=BONE_COUNT)
-
-
-def shared_out(share: np.ndarray, count: int) -> np.ndarray:
-    """(20,) whole numbers in proportion to `share` (20,) that add up to `count`."""
-    counts = np.floor(share / share.sum() * count).astype(int)
-    counts[np.argsort(-share, kind="stable")[: count - counts.sum()]] += 1
-    return counts
-
-
-def take_turns(bone: np.ndarray, counts: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Indices (sum of counts,) into a sample and turns 0..1 in rising order.
-
-    bone (M,) names the bone 1..20 of each point, in farthest-point order within each bone. Bone b gives its first
-    counts[b - 1] points, at even steps of the whole list, so that every prefix has the same shares.
-    """
-    picked = [np.flatnonzero(bone == number)[:count] for number, count in enumerate(counts, start=1)]
-    turn = np.concatenate([(np.arange(count) + 0.5) / count for count in counts])
-    order = np.argsort(turn, kind="stable")
-    return np.concatenate(picked)[order], turn[order]
 
 
 def curved_surface(

@@ -14,12 +14,12 @@ import torch
 from torch import Tensor
 
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
-from jghand_engine.avatar.cast_shadow import AnchorTensors, CastTensors
 from jghand_engine.avatar.learned import Anchors, CastShadow, Ellipsoid, Learned, Light, ShadowLook
-from jghand_engine.avatar.light import LightTensors
-from jghand_engine.avatar.pose_net import LinearNet, PoseNet
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.transform import JointTransform
+from jghand_engine.learn.cast_shadow import AnchorTensors, CastTensors
+from jghand_engine.learn.light import LightTensors
+from jghand_engine.learn.pose_net import LinearNet, PoseNet
 
 Record = TypeVar("Record")
 

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial import KDTree
 
-from jghand_engine.avatar.skin_points import Landmarks, SkinPoints, bump, noise, palm_share, smoothstep
+from jghand_engine.captures.making.skin_points import Landmarks, SkinPoints, bump, noise, palm_share, smoothstep
 
 MM = 1e-3
 FINGER_JOINTS = {"mcp": (2, 3, 4, 5), "pip": (7, 8, 9, 10), "dip": (12, 13, 14, 15)}

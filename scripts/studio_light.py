@@ -1,4 +1,4 @@
-"""Soft studio light, baked: how much light each point of the canonical skin receives.
+"""Soft studio light, baked: how much light each point of the canonical skin receives, and the color that it then has.
 
 Gaussians have one color and no light at run time, so a flat albedo would look like cardboard. The irradiance of a
 soft studio (a dome and a few large lights on both sides of the hand) is integrated over directions with the
@@ -12,6 +12,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.ndimage import binary_fill_holes, distance_transform_edt
 
+from jghand_engine.captures.making.procedural_skin import SkinLook, reflectance
+from jghand_engine.captures.making.skin_marks import MM, MarkPainter, SkinMarks
+from jghand_engine.captures.making.skin_points import Landmarks, SkinPoints, smoothstep
+from jghand_engine.color import linear_to_srgb
+from jghand_engine.template.mesh import HandTemplate
 from jghand_engine.template.surface import unit
 
 GRID_STEP_M = 0.0007
@@ -154,3 +159,64 @@ def _surface_points(vertices_m: np.ndarray, faces: np.ndarray, step_m: float) ->
     n = int(np.ceil(longest / step_m))
     i, j = np.array([(i, j) for i in range(n + 1) for j in range(n + 1 - i)]).T / n
     return (a[:, None] * (1 - i - j)[:, None] + b[:, None] * i[:, None] + c[:, None] * j[:, None]).reshape(-1, 3)
+
+
+def skin_rgb(template: HandTemplate, points: SkinPoints, look: SkinLook, studio: Studio) -> np.ndarray:
+    """Display-referred sRGB (N, 3), 0..1, of the skin at `points` of the canonical hand."""
+    landmarks = Landmarks.of(template.joints_m)
+    painter = MarkPainter(points, landmarks)
+    marks = painter.paint(points.position_m)
+    bumped = relief_normals(points, painter, look.relief)
+    occluder = Occluder(template.vertices_m, template.faces)
+    light = bake_light(points.position_m, points.normal, bumped, occluder, studio)
+    albedo = reflectance(points, marks, landmarks, look)
+    lit = albedo * light.irradiance * depth_tint(light, albedo)
+    shine = gloss(points.normal, bumped, marks, light, studio) * look.gloss
+    return display(look.exposure * (lit + shine))
+
+
+def relief_normals(points: SkinPoints, painter: MarkPainter, strength: float) -> np.ndarray:
+    """(N, 3) normals of the skin with its relief: the smooth normal minus the slope of the height."""
+    step_m = 0.15 * MM
+    normal = points.normal
+    helper = np.where(np.abs(normal[:, 2:]) < 0.8, [[0.0, 0.0, 1.0]], [[0.0, 1.0, 0.0]])
+    tangent = unit(np.cross(normal, helper))
+    slope = np.zeros_like(normal)
+    for direction in (tangent, np.cross(normal, tangent)):
+        ahead = painter.paint(points.position_m + step_m * direction).height_m
+        behind = painter.paint(points.position_m - step_m * direction).height_m
+        slope += ((ahead - behind) / (2 * step_m))[:, None] * direction
+    steep = np.linalg.norm(slope, axis=1, keepdims=True)
+    return unit(normal - strength * slope / (1 + 0.6 * steep))
+
+
+def depth_tint(light: BakedLight, albedo: np.ndarray) -> np.ndarray:
+    """(N, 3) factor for light that bounced in folds: the tighter the fold, the redder, never gray (Jimenez 2016)."""
+    v = np.clip(light.openness, 0.05, 1)[:, None]
+    bounced = np.maximum(
+        v, ((v * (2.0404 * albedo - 0.3324) + (0.6417 - 4.7951 * albedo)) * v + 2.7552 * albedo + 0.6903) * v
+    )
+    return (bounced / v) ** 0.4
+
+
+def gloss(normal: np.ndarray, bumped: np.ndarray, marks: SkinMarks, light: BakedLight, studio: Studio) -> np.ndarray:
+    """Linear RGB (N, 3) of a soft highlight, as seen from in front of the palm or the back; nails are shinier."""
+    # a nail is smooth: the relief of its surroundings must not glitter in it
+    bumped = unit(bumped + (normal - bumped) * marks.nail[:, None])
+    towards = np.sign(bumped[:, 2:]) * np.array([[0.0, 0.15, 1.0]]) + 0.8 * bumped
+    eye = unit(towards)
+    total = np.zeros_like(bumped)
+    for lamp in studio.lights:
+        half = unit(eye + unit(np.array(lamp.direction)))
+        cosine = np.clip((bumped * half).sum(1), 0, 1)
+        skin, plate = 0.020 * cosine**18, 0.14 * cosine**60
+        total += (skin * (1 - marks.nail) + plate * marks.nail)[:, None] * np.array(lamp.rgb)
+    return total * smoothstep(0.3, 0.9, light.openness)[:, None]
+
+
+def display(radiance: np.ndarray) -> np.ndarray:
+    """Linear radiance (N, 3) -> display-referred sRGB 0..1, the brightest tenth rolled off instead of clipped."""
+    knee = 0.80
+    over = np.maximum(radiance - knee, 0)
+    rolled = np.minimum(radiance, knee) + (1 - knee) * (1 - np.exp(-over / (1 - knee)))
+    return linear_to_srgb(np.clip(rolled, 0, 1))

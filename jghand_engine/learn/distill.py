@@ -17,10 +17,10 @@ from torch import Tensor
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.correctives import LinearCorrectives
-from jghand_engine.avatar.pose_features import Angles
-from jghand_engine.avatar.pose_net import PoseNet, numbers_of
-from jghand_engine.avatar.tensors import HandTensors
 from jghand_engine.errors import InputError
+from jghand_engine.learn.pose_features import Angles
+from jghand_engine.learn.pose_net import PoseNet, numbers_of
+from jghand_engine.learn.tensors import HandTensors
 
 INT8_MAX = 127
 

@@ -24,8 +24,8 @@ from torch.utils.checkpoint import checkpoint
 
 from jghand_engine import limits
 from jghand_engine.avatar.learned import ANCHOR_NEIGHBORS, SHARE_UNITS, lamp_directions
-from jghand_engine.avatar.planes import weighted_rows
 from jghand_engine.hand.joints import PARENTS
+from jghand_engine.learn.planes import weighted_rows
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from jghand_engine import limits
-from jghand_engine.avatar.covariance import posed_covariance
+from jghand_engine.learn.covariance import posed_covariance
 
 ENTRIES = [0, 1, 2, 4, 5, 8]
 FULL = [0, 1, 2, 1, 3, 4, 2, 4, 5]

@@ -11,7 +11,7 @@ import scipy.special
 import torch
 
 from jghand_engine.avatar.learned import SH_COUNT
-from jghand_engine.avatar.light import LightTensors, gloss, harmonics, lit, unit
+from jghand_engine.learn.light import LightTensors, gloss, harmonics, lit, unit
 from jghand_engine.limits import LIGHT_EXPONENT_MAX
 
 

@@ -25,7 +25,7 @@ from jghand_engine.template.mesh import HandTemplate
 
 PACKAGE = Path(__file__).resolve().parents[1]
 # what placing is made of: a change of any of them makes other points, perhaps
-_CODE = ("avatar/canonical_points.py", "avatar/untrained.py", "hand/joints.py", "limits/avatar.py", "template/*.py")
+_CODE = ("learn/canonical_points.py", "hand/joints.py", "limits/avatar.py", "template/*.py")
 
 Points = dict[str, torch.Tensor]
 
