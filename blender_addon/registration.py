@@ -17,8 +17,6 @@ from .export import ops_bake, usd_hook
 from .export import panel as export_panel
 from .hand import (
     appended,
-    avatar_files,
-    cards,
     kept,
     ops_bones,
     ops_controls,
@@ -53,7 +51,7 @@ WITH_CLASSES = (
 )
 # handlers, timers, menus, and what is forgotten at the end
 _WITH_HOOKS: tuple[ModuleType, ...] = (
-    *(properties, runtime, pose_library, job_watch, kept, avatar_files, cards, usd_hook),
+    *(properties, runtime, pose_library, job_watch, kept, usd_hook),
     *(appended, handlers, guard, left_out, render_engine, cli_command, hand_ops, ops_motion),
 )
 _add_classes, _remove_classes = bpy.utils.register_classes_factory(

@@ -9,7 +9,6 @@ posing          joint positions to bone matrices and back (numpy)
 controls        finger controls as numbers: axes, what their turns do, joint ranges (numpy)
 poses           hand poses with names, for both hands (numpy); the pose library is a shipped .blend
 view            pinhole cameras, hands in their own space, and the request for a picture (numpy)
-file_stamps     whether the file of an avatar changed
 film            that picture as Blender's passes (numpy)
 wire            the protocol module, from the extension or from the engine's package
 pacing          when a view asks for a picture, how good a one, how long it waits, which one it may show; attempts: what

@@ -207,10 +207,6 @@ JOB_LOOK_S = 0.25
 TRAINING_LOOK_S = 3.0
 # how often what panels show of disks and evaluated scenes is looked up, while they are drawn
 PANEL_LOOK_S = 0.5
-# how often the file of an avatar that is shown is looked at, by a thread; and how long that is waited for at the first
-# time, and by an operator: a disk that is there answers within that
-FILE_LOOK_S = 1.0
-FILE_WAIT_S = 0.1
 JOB_WAIT_S = 86400.0
 # bytes of one line of a job, letters of its text, and notes that are kept
 JOB_LINE_MAX = 65536
@@ -243,12 +239,8 @@ REGION_MIN_PX = 1
 # what a USD stage holds beside its samples: skeleton and mesh, and of every Gaussian what does not move (measured)
 USD_STATIC_BYTES = 300_000
 USD_STATIC_GAUSSIAN_BYTES = 98
-# Gaussians of the avatar that comes with JGHand; a test compares
-BUILTIN_GAUSSIANS = 40_000
 # diameter of a baked point in two standard deviations of its splat: balls of this size close the skin
 POINT_WIDTH_FACTOR = 2.0
-# letters of a text on an avatar's card
-CARD_TEXT_MAX = 300
 # bytes of a bake's stamp, and those of a training's log that are read at a time
 STAMP_MAX_BYTES = 2**20
 LOG_READ_BYTES = 2**20

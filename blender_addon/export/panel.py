@@ -10,7 +10,7 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from .. import ui, versions
 from ..errors import JGHandFailure
-from ..hand import cards
+from ..hand import avatar_files
 from ..hand.kept import kept
 from ..hand.seen_hands import avatar_of
 from ..renderer import job_watch, runtime
@@ -181,7 +181,7 @@ def _look_at_size(context: bpy.types.Context, folder: str, written: Written) -> 
         target = ops_common.place(context, folder)
     except JGHandFailure:
         target = None  # said after the click, with what to do
-    hands = [cards.gaussians_of(avatar_of(thing)) for thing in things]
+    hands = [avatar_files.gaussians_of(avatar_of(thing)) for thing in things]
     return estimate(target, hands, len(ops_common.frames_to_write(context)), written)
 
 

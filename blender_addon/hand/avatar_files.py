@@ -1,24 +1,165 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Whether the files of avatars changed: for views and panels, which are drawn again and again and wait for no disk."""
+"""Files of avatars: whether one changed, and its card: whose hand, under which license, from when, how good.
+
+A `.jghand` file is safetensors: 8 bytes with the length of a JSON header, and in its metadata a JSON description. Only
+that is read here, and texts in it are somebody else's. Does not use bpy.
+"""
 
 from __future__ import annotations
 
-from ..core.file_stamps import FileStamps
-from ..core.view import SHIPPED_AVATARS, avatar_stamp
+import json
+import struct
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
-_stamps = FileStamps(avatar_stamp)
+from ..core.view import BUILTIN_AVATAR, SHIPPED_AVATARS, avatar_stamp
+from ..errors import JGHandFailure
+
+# seconds: views and panels are drawn again and again, and ask the disk no more often than this
+LOOK_S = 1.0
+# bytes of a header: what the renderer takes, too
+_HEADER_MAX_BYTES = 65_536
+# letters of a text on a card
+_TEXT_MAX = 300
 
 
-def stamp(avatar: str, *, fresh: bool = False) -> str:
-    """Changes within a second or two after the file of an avatar did; "" for those that the engine brings. fresh: as it
-    is now, where its disk answers at once."""
-    return "" if avatar in SHIPPED_AVATARS else _stamps.get(avatar, fresh=fresh)
+@dataclass(frozen=True)
+class Card:
+    """What a panel says of an avatar.
+
+    name:         what its maker called it
+    license:      "" where the file does not say
+    learned_from: which pictures; "" when nothing was learned
+    written:      date of the file; "" for an avatar that comes with JGHand
+    accuracy:     in words; "" when nothing was learned
+    gaussians:    how many there are
+    learned:      whether its colors change with the pose
+    """
+
+    name: str
+    license: str
+    learned_from: str
+    written: str
+    accuracy: str
+    gaussians: int
+    learned: bool
+
+    def lines(self) -> list[tuple[str, str]]:
+        """For a panel: what, and its value."""
+        rows = [
+            ("Name", self.name),
+            ("Learned From", self.learned_from or "nothing: it is painted"),
+            ("License", self.license or "not said"),
+            ("Written", self.written),
+            ("PSNR", self.accuracy),
+            ("Splats", f"{self.gaussians}"),
+        ]
+        return [(name, value) for name, value in rows if value]
 
 
-def register() -> None:
-    """Nothing is looked at before a view or a panel asks."""
+# Of the avatars that come with the renderer, wherever that lies; a test compares them with their files
+SHIPPED_CARDS = {
+    BUILTIN_AVATAR: Card(
+        name="JGHand built-in",
+        license="CC0-1.0 AND Apache-2.0, see NOTICE: learnt from path-traced pictures of MakeHuman's hand (CC0-1.0) on "
+        "a rig with SOMA's joints (Apache-2.0), with a MakeHuman skin (CC0-1.0), in Blender's studio light (CC0-1.0)",
+        learned_from="432 pictures of builtin train/Capture0",
+        written="",
+        accuracy="33.47 on held-out pictures of builtin train/Capture0 (40 of novel pose, 16 of both novel), preset "
+        "final",
+        gaussians=40_000,
+        learned=True,
+    ),
+    "painted": Card(
+        name="JGHand painted",
+        license="MIT AND CC0-1.0 AND Apache-2.0, see NOTICE",
+        learned_from="",
+        written="",
+        accuracy="",
+        gaussians=60_000,
+        learned=False,
+    ),
+}
+
+# path -> when its disk was asked last, on the clock of time.monotonic(), and the stamp that it had
+_stamps: dict[str, tuple[float, str]] = {}
+# path -> the stamp that its file had, and its card, or why there is none
+_cards: dict[str, tuple[str, Card | JGHandFailure]] = {}
 
 
-def unregister() -> None:
-    """Forgets everything."""
-    _stamps.clear()
+def stamp(avatar: str) -> str:
+    """Changes within a second after the file of an avatar did; "" for those that come with the renderer."""
+    if avatar in SHIPPED_AVATARS:
+        return ""
+    now_s = time.monotonic()
+    looked_s, known = _stamps.get(avatar, (float("-inf"), ""))
+    if now_s - looked_s >= LOOK_S:
+        known = avatar_stamp(avatar)
+        _stamps[avatar] = (now_s, known)
+    return known
+
+
+def card_of(avatar: str) -> Card:
+    """The card of an avatar; its file is read again when it changed. JGHandFailure: bad_avatar."""
+    if avatar in SHIPPED_CARDS:
+        return SHIPPED_CARDS[avatar]
+    now = stamp(avatar)
+    if _cards.get(avatar, ("",))[0] != now:
+        try:
+            _cards[avatar] = (now, read_card(Path(avatar)))
+        except JGHandFailure as failure:
+            _cards[avatar] = (now, failure)
+    found = _cards[avatar][1]
+    if isinstance(found, JGHandFailure):
+        raise found
+    return found
+
+
+def gaussians_of(avatar: str) -> tuple[int, bool]:
+    """How many Gaussians an avatar has and whether it is learned, for estimates: of one that cannot be read, those of
+    the avatar that comes with JGHand."""
+    try:
+        card = card_of(avatar)
+    except JGHandFailure:
+        card = SHIPPED_CARDS[BUILTIN_AVATAR]
+    return card.gaussians, card.learned
+
+
+def read_card(path: Path) -> Card:
+    """The card of a `.jghand` file. JGHandFailure: bad_avatar."""
+    try:
+        with path.open("rb") as file:
+            (length,) = struct.unpack("<Q", file.read(8))
+            if length > _HEADER_MAX_BYTES:
+                raise ValueError(f"a header of {length} bytes")
+            header = json.loads(file.read(length))
+        written = time.strftime("%Y-%m-%d", time.localtime(path.stat().st_mtime))
+        return _card(json.loads(header["__metadata__"]["jghand"]), written)
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError, struct.error) as error:
+        raise JGHandFailure("bad_avatar", f"{path}: {str(error)[:200]}") from error
+
+
+def _card(about: Mapping[str, Any], written: str) -> Card:
+    source, learned = about.get("learnt_from") or {}, about.get("learnt") or {}
+    return Card(
+        name=_text(about["name"]),
+        license=_text(about.get("licence", "")),
+        learned_from=_text(f"{source['pictures']} pictures of {source['capture']}") if source else "",
+        written=written,
+        accuracy=_accuracy(learned.get("baked") or {}) if learned else "",
+        gaussians=int(about["gaussians"]),
+        learned=bool(learned),
+    )
+
+
+def _accuracy(distilled: Mapping[str, Any]) -> str:
+    """What was measured of the exact tier, and on which pictures."""
+    exact = [price["psnr_db"] for price in distilled.get("prices", ()) if price["tier"] == "exact"]
+    return _text(f"{exact[0]:.2f} on {distilled['measured_on']}") if exact else "not measured"
+
+
+def _text(value: Any) -> str:
+    return " ".join(str(value).split())[:_TEXT_MAX]

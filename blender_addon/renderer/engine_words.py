@@ -98,8 +98,3 @@ def train(capture_folder: Path, out: Path, choices: TrainChoices, start: str = "
         *(("--overwrite",) if choices.overwrite else ()),
         *((f"--{start}",) if start else ()),
     )
-
-
-def info(avatar: str, figures: Path) -> tuple[str, ...]:
-    """`jghand info`: what is inside an avatar, as JSON in `figures`."""
-    return ("info", avatar, "--json", str(figures))

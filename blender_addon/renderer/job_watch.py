@@ -20,7 +20,7 @@ from ..ui import PANELS, redraw, store_picture
 from . import runtime
 
 # keys of jobs in the table
-OUTPUT, CAPTURE, TRAINING, CARD, IMPORT = "output", "capture", "training", "card", "import"
+OUTPUT, CAPTURE, TRAINING, IMPORT = "output", "capture", "training", "import"
 
 _reader: TrainingReader | None = None
 _seen: TrainingFolder | None = None

@@ -13,9 +13,8 @@ from .. import folders
 from ..errors import JGHandFailure
 from ..export.ops_common import StartsJob, place, poll_job
 from ..export.recording import Recording
-from ..hand import armature, cards
-from ..hand.seen_hands import avatar_of
-from ..ops import PLUMBING, REGISTERED, UNDOABLE, Reporting, missing, sentence_of
+from ..hand import armature
+from ..ops import PLUMBING, REGISTERED, UNDOABLE, Reporting, missing
 from ..renderer import engine_words, job_watch, runtime
 from ..renderer.engine_words import CaptureChoices, TrainChoices
 from ..renderer.job_state import Phase
@@ -247,29 +246,6 @@ class LoadAvatar(Reporting, bpy.types.Operator):
             thing.update_tag()
         if len(hands) < len(_hands(context)):
             self.warn(rpt_("Hands that are linked from another file keep their avatar."))
-        if job_watch.timers_fire():
-            try:
-                cards.ask(str(path.absolute()))
-            except JGHandFailure as failure:  # the avatar is on the hands, with its card or without
-                self.warn(rpt_("The avatar's card cannot be read now."), sentence_of(failure))
-
-
-class ReadCard(Reporting, bpy.types.Operator):
-    """Operator: what the avatar of the active hand says of itself."""
-
-    bl_idname = "jghand.read_card"
-    bl_label = "Read Card"
-    bl_description = "Read whose hand this avatar is, under which license, from when it is and how good"
-    bl_options = PLUMBING
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        return _active_hand(context) is not None or missing(cls, "Select a hand")
-
-    def run(self, context: bpy.types.Context) -> None:
-        hand = _active_hand(context)
-        if hand is not None:
-            cards.ask(avatar_of(hand), wait=not job_watch.timers_fire())
 
 
 class DropAvatar(bpy.types.FileHandler):
@@ -300,4 +276,4 @@ def _editable_hands(context: bpy.types.Context) -> list[bpy.types.Object]:
     return [thing for thing in _hands(context) if thing.is_editable]
 
 
-CLASSES = (RenderTrainingSet, Train, PauseTraining, ResumeTraining, LoadAvatar, ReadCard, DropAvatar)
+CLASSES = (RenderTrainingSet, Train, PauseTraining, ResumeTraining, LoadAvatar, DropAvatar)

@@ -10,7 +10,7 @@ from .. import ui
 from ..errors import JGHandFailure
 from ..export import ops_common
 from ..export.panel import draw_job
-from ..hand import cards
+from ..hand import avatar_files
 from ..hand.kept import kept
 from ..hand.seen_hands import avatar_of
 from ..renderer import job_watch, runtime
@@ -87,10 +87,10 @@ class CardPanel(Sidebar, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout
         layout.operator("jghand.load_avatar", icon="FILE_FOLDER")
-        card = cards.card_of(avatar_of(context.object))
-        if card is None:
-            draw_job(layout, context, job_watch.CARD)
-            layout.operator("jghand.read_card", icon="INFO")
+        try:
+            card = avatar_files.card_of(avatar_of(context.object))
+        except JGHandFailure as failure:
+            ui.paragraph(layout, context, failure.advice.sentence, icon="ERROR")
             return
         for name, value in card.lines():
             row = layout.split(factor=0.3)

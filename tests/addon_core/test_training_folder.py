@@ -7,8 +7,6 @@ import json
 import numpy as np
 import pytest
 
-from blender_addon.errors import JGHandFailure
-from blender_addon.hand.avatar_card import card_of, read_card
 from blender_addon.train.training_folder import Curve, TrainingReader, curve_picture, folder_of
 
 
@@ -92,39 +90,3 @@ def test_any_curve_is_a_picture(curve):
     assert picture.shape == (32, 64, 4)
     assert np.isfinite(picture).all()
     assert (picture[..., 3].max() > 0) == bool(curve.steps)
-
-
-# ---- cards -----------------------------------------------------------------------------------------------------------
-
-
-def test_the_card_of_the_avatar_that_comes_with_jghand():
-    info = pytest.importorskip("jghand_engine.cli.info", reason="needs the engine's packages")
-    card = card_of(info.avatar_facts("builtin"))
-    assert card.learned
-    assert card.gaussians == 40000
-    assert "CC0" in card.license
-    assert "432 pictures" in card.learned_from
-    assert "held-out" in card.accuracy
-    assert [name for name, _ in card.lines()] == ["Name", "Learned From", "License", "PSNR", "Splats"]
-
-
-def test_a_painted_avatar_says_that_nothing_was_learned():
-    info = pytest.importorskip("jghand_engine.cli.info", reason="needs the engine's packages")
-    card = card_of(info.avatar_facts("painted"))
-    assert not card.learned
-    assert ("Learned From", "nothing: it is painted") in card.lines()
-
-
-@pytest.mark.parametrize("content", ["", "{}", "[]", '{"kind": "motion"}', '{"kind": "avatar"}'])
-def test_what_is_no_card_is_refused(tmp_path, content):
-    (tmp_path / "card.json").write_text(content)
-    with pytest.raises(JGHandFailure) as caught:
-        read_card(tmp_path / "card.json")
-    assert caught.value.kind == "bad_avatar"
-
-
-def test_long_and_many_lined_texts_of_an_avatar_do_not_break_the_panel():
-    facts = {"kind": "avatar", "name": "a\n\nb" + "x" * 5000, "licence": "", "gaussians": 3}
-    card = card_of(facts)
-    assert "\n" not in card.name
-    assert len(card.name) <= 300

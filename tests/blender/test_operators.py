@@ -47,7 +47,6 @@ NOT_UNDONE = {
     "make_pose_assets": "writes files and a preference",
     "export_scene_usd": "writes a file",
     "add_picture_preset": "writes a file",
-    "read_card": "only reads the card of an avatar",
 }
 _NEEDS_NOTHING = "makes what it needs, or needs nothing"
 _ROW = "is a button beside what it is for, which it is told"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import threading
 import time
 from collections.abc import Iterator
 from dataclasses import replace
@@ -15,9 +14,8 @@ from hands import camera_on, keyed_hand, moving_hand_m, put
 
 from blender_addon import clock
 from blender_addon.core import cropping, limits, pacing, posing
-from blender_addon.core.file_stamps import FileStamps
 from blender_addon.errors import JGHandFailure
-from blender_addon.hand import armature, avatar_files, cards, seen_hands
+from blender_addon.hand import armature, avatar_files, seen_hands
 from blender_addon.render import camera, composite, rendering
 from blender_addon.render.engine_name import ENGINE
 from blender_addon.renderer import runtime
@@ -542,7 +540,8 @@ def test_a_played_frame_is_asked_for_only_where_it_is_drawn(link, extension, mon
     assert asked == ([1] if shading == "SOLID" else [])
 
 
-def test_an_avatar_whose_file_changed_or_came_is_asked_for_again(link, extension, tmp_path):
+def test_an_avatar_whose_file_changed_or_came_is_asked_for_again(link, extension, tmp_path, monkeypatch):
+    monkeypatch.setattr(avatar_files, "LOOK_S", 0.0)
     context = extension
     context.scene.jghand.sharpen_when_still = False
     hand, path = add_hand(context), tmp_path / "hand.jghand"
@@ -551,35 +550,10 @@ def test_an_avatar_whose_file_changed_or_came_is_asked_for_again(link, extension
     for content in (b"one", b"two more"):
         before = view.pace.asks[-1].want
         path.write_bytes(content)
-        avatar_files.stamp(str(path), fresh=True)  # a thread looks once a second
         assert views.is_due(view)
         views.look(view, views.moment_of(context.scene), drawing=False)
         assert view.pace.asks[-1].want != before
         assert not views.is_due(view)
-
-
-def test_a_view_does_not_wait_for_the_disk_of_an_avatar(link, extension, monkeypatch):
-    """It is looked at by a thread: here that thread hangs, and whoever draws goes on."""
-    context, answers, asked_by = extension, threading.Event(), set()
-
-    def hang(_path: str) -> str:
-        asked_by.add(threading.current_thread())
-        answers.wait()
-        return "there"
-
-    monkeypatch.setattr(avatar_files, "_stamps", FileStamps(hang))
-    hand = add_hand(context)
-    hand.jghand.avatar = "/net/gone.jghand"
-    view = view_on(context, hand)
-    try:
-        for _ in range(3):
-            look(context, view, hand)
-            views.is_due(view)
-            cards.card_of("/net/gone.jghand")
-    finally:
-        answers.set()
-    assert len(asked_by) == 1
-    assert threading.current_thread() not in asked_by
 
 
 def test_a_hand_that_left_the_view_is_drawn_no_more_and_asked_for_when_it_comes_back(link, extension, monkeypatch):

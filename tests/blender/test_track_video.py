@@ -58,7 +58,7 @@ def engine(extension, tmp_path, monkeypatch):
     folder = tmp_path / "engine"
     folder.mkdir()
     (folder / "engine.py").write_text(_ENGINE)
-    monkeypatch.setattr(runtime, "program", lambda: (sys.executable, str(folder / "engine.py")))
+    monkeypatch.setattr(runtime, "program", lambda **_: (sys.executable, str(folder / "engine.py")))
     monkeypatch.setattr(folders, "job_folder", lambda: _made(tmp_path / "job"))
     return folder
 

@@ -16,11 +16,10 @@ import bpy
 import pytest
 from recording_layout import draw
 
-from blender_addon.errors import JGHandFailure
 from blender_addon.export import bake_folders
 from blender_addon.export import panel as output
 from blender_addon.export.properties import IDENTITIES
-from blender_addon.hand import avatar_files, cards, seen_hands
+from blender_addon.hand import avatar_files, seen_hands
 from blender_addon.renderer import job_watch, runtime
 from blender_addon.renderer.job_state import Phase
 from blender_addon.renderer.jobs import Job
@@ -30,22 +29,13 @@ from blender_addon.train.ops import LoadAvatar, Train
 ROOT = Path(__file__).resolve().parents[2]
 STAND_IN = ROOT / "tests" / "addon_core" / "stand_in_job.py"
 LONG_S = 20.0
-FACTS = {
-    "kind": "avatar",
-    "name": "Ana's hand",
-    "licence": "CC0-1.0",
-    "gaussians": 12345,
-    "learnt_from": {"pictures": 99, "capture": "ana", "split": "", "digest": ""},
-    "learnt": {"psnr_db": "31.20 on held-out pictures"},
-    "written": "2026-11-20",
-}
 
 
 @pytest.fixture
 def place(extension, tmp_path, monkeypatch):
     """A saved file beside a folder of pictures; jobs are the stand-in, which counts until it is stopped, and operators
     return when they have started it, as with a window."""
-    monkeypatch.setattr(runtime, "program", lambda: (sys.executable, "-I", str(STAND_IN), "long"))
+    monkeypatch.setattr(runtime, "program", lambda **_: (sys.executable, "-I", str(STAND_IN), "long"))
     monkeypatch.setattr(job_watch, "timers_fire", lambda: True)
     monkeypatch.setattr(job_watch, "start", lambda: None)
     (tmp_path / "pictures").mkdir()
@@ -54,7 +44,7 @@ def place(extension, tmp_path, monkeypatch):
     yield tmp_path
     for job in runtime.jobs().running:
         job.kill()
-    for key in (job_watch.TRAINING, job_watch.CAPTURE, job_watch.CARD, job_watch.OUTPUT):
+    for key in (job_watch.TRAINING, job_watch.CAPTURE, job_watch.OUTPUT):
         runtime.jobs().forget(key)
 
 
@@ -145,7 +135,7 @@ def test_a_training_of_an_earlier_day_can_go_on(place):
 
 
 def test_a_failed_job_says_why_until_the_next_one(place, monkeypatch):
-    monkeypatch.setattr(runtime, "program", lambda: (sys.executable, "-I", str(STAND_IN), "disk full"))
+    monkeypatch.setattr(runtime, "program", lambda **_: (sys.executable, "-I", str(STAND_IN), "disk full"))
     bpy.ops.jghand.train()
     job = runtime.jobs().get(job_watch.TRAINING)
     assert job.wait(LONG_S)
@@ -236,13 +226,12 @@ def test_the_hands_to_choose_from_are_those_of_the_engine():
 # ---- avatars ---------------------------------------------------------------------------------------------------------
 
 
-def test_an_avatar_is_put_on_the_selected_hands_and_its_card_is_asked_for(place):
+def test_an_avatar_is_put_on_the_selected_hands(place):
     bpy.ops.jghand.add_hand(handedness="right")
     file = place / "ana.jghand"
     file.write_bytes(b"")
     assert bpy.ops.jghand.load_avatar(filepath=str(file)) == {"FINISHED"}
     assert bpy.context.object.jghand.avatar == str(file)
-    assert runtime.jobs().get(job_watch.CARD).spec.command[-4:-2] == ("info", str(file))
 
 
 def test_the_path_of_an_avatar_is_relative_where_that_is_wanted(place):
@@ -250,17 +239,6 @@ def test_the_path_of_an_avatar_is_relative_where_that_is_wanted(place):
     (place / "ana.jghand").write_bytes(b"")
     bpy.ops.jghand.load_avatar(filepath=str(place / "ana.jghand"), relative_path=True)
     assert bpy.context.object.jghand.avatar == "//ana.jghand"
-
-
-def test_an_avatar_is_on_the_hand_although_its_card_cannot_be_read(place, monkeypatch):
-    def no_engine(*_, **__):
-        raise JGHandFailure("no_interpreter")
-
-    monkeypatch.setattr(cards, "ask", no_engine)
-    bpy.ops.jghand.add_hand(handedness="right")
-    (place / "ana.jghand").write_bytes(b"")
-    assert bpy.ops.jghand.load_avatar(filepath=str(place / "ana.jghand")) == {"FINISHED"}
-    assert bpy.context.object.jghand.avatar == str(place / "ana.jghand")
 
 
 @pytest.fixture
@@ -315,21 +293,19 @@ def test_what_is_no_avatar_is_not_put_on_a_hand(place, name):
     assert bpy.context.object.jghand.avatar == ""
 
 
-def test_the_card_is_shown_until_the_file_changes(place):
+def test_the_card_is_shown_and_an_avatar_without_one_says_so(place, monkeypatch):
+    monkeypatch.setattr(avatar_files, "LOOK_S", 0.0)
     bpy.ops.jghand.add_hand(handedness="right")
+    assert "JGHand built-in" in text_of(training.CardPanel)
     file = place / "ana.jghand"
-    file.write_bytes(b"")
+    header = json.dumps({"__metadata__": {"jghand": json.dumps({"name": "Ana's hand", "gaussians": 12345})}}).encode()
+    file.write_bytes(len(header).to_bytes(8, "little") + header)
     bpy.context.object.jghand.avatar = str(file)
-    assert "jghand.read_card" in operators_of(training.CardPanel)
-    (place / "card.json").write_text(json.dumps(FACTS))
-    cards._keep(cards._key(str(file), fresh=True), place / "card.json")
     text = text_of(training.CardPanel)
-    for value in ("Ana's hand", "CC0-1.0", "99 pictures of ana", "2026-11-20", "31.20 on held-out pictures"):
-        assert value in text
-    assert cards.gaussians_of(str(file)) == (12345, True)
+    assert "Ana's hand" in text
+    assert "12345" in text
     file.write_bytes(b"another")
-    avatar_files.stamp(str(file), fresh=True)
-    assert "jghand.read_card" in operators_of(training.CardPanel)
+    assert "not a JGHand avatar" in text_of(training.CardPanel)
 
 
 def test_the_size_of_an_export_is_said_before_the_click(place):

@@ -1,0 +1,82 @@
+"""Files of avatars: their cards are read from the header alone, and changes are noticed."""
+
+from __future__ import annotations
+
+import json
+import struct
+from pathlib import Path
+
+import pytest
+
+from blender_addon.errors import JGHandFailure
+from blender_addon.hand import avatar_files
+from blender_addon.hand.avatar_files import SHIPPED_CARDS, card_of, gaussians_of, read_card, stamp
+
+ASSETS = Path(__file__).resolve().parents[2] / "jghand_engine" / "assets"
+
+
+@pytest.fixture(autouse=True)
+def disk_is_asked_every_time(monkeypatch):
+    monkeypatch.setattr(avatar_files, "LOOK_S", 0.0)
+
+
+def write_avatar(path: Path, **about: object) -> Path:
+    header = json.dumps({"__metadata__": {"jghand": json.dumps(about)}}).encode()
+    path.write_bytes(struct.pack("<Q", len(header)) + header)
+    return path
+
+
+@pytest.mark.parametrize(("name", "file"), [("builtin", "builtin_right.jghand"), ("painted", "painted_right.jghand")])
+def test_the_cards_of_avatars_that_come_with_jghand_are_those_of_their_files(name, file):
+    read = read_card(ASSETS / file)
+    assert read.written
+    assert [line for line in read.lines() if line[0] != "Written"] == card_of(name).lines()
+    assert (read.gaussians, read.learned) == (SHIPPED_CARDS[name].gaussians, SHIPPED_CARDS[name].learned)
+
+
+def test_a_painted_avatar_says_that_nothing_was_learned():
+    assert not card_of("painted").learned
+    assert ("Learned From", "nothing: it is painted") in card_of("painted").lines()
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"\xff" * 8, struct.pack("<Q", 2) + b"{}", struct.pack("<Q", 2) + b"[]", struct.pack("<Q", 9) + b"not json!"],
+)
+def test_what_is_no_avatar_is_refused(tmp_path, content):
+    path = tmp_path / "a.jghand"
+    path.write_bytes(content)
+    with pytest.raises(JGHandFailure) as caught:
+        read_card(path)
+    assert caught.value.kind == "bad_avatar"
+
+
+def test_long_and_many_lined_texts_of_an_avatar_do_not_break_the_panel(tmp_path):
+    card = read_card(write_avatar(tmp_path / "a.jghand", name="a\n\nb" + "x" * 5000, gaussians=3))
+    assert "\n" not in card.name
+    assert len(card.name) <= 300
+
+
+def test_a_card_follows_its_file(tmp_path):
+    path = tmp_path / "a.jghand"
+    with pytest.raises(JGHandFailure):
+        card_of(str(path))
+    for name in ("Ana", "Bettina"):
+        write_avatar(path, name=name, gaussians=7)
+        assert card_of(str(path)).name == name
+
+
+def test_an_estimate_for_an_avatar_that_cannot_be_read_takes_the_built_in_one(tmp_path):
+    assert gaussians_of(str(tmp_path / "gone.jghand")) == (40_000, True)
+    assert gaussians_of(str(write_avatar(tmp_path / "a.jghand", name="a", gaussians=7))) == (7, False)
+
+
+def test_the_disk_is_asked_once_a_second(tmp_path, monkeypatch):
+    path = tmp_path / "a.jghand"
+    before = stamp(str(path))
+    monkeypatch.setattr(avatar_files, "LOOK_S", 1e9)
+    path.write_bytes(b"now")
+    assert stamp(str(path)) == before
+    monkeypatch.setattr(avatar_files, "LOOK_S", 0.0)
+    assert stamp(str(path)) != before
+    assert stamp("builtin") == ""
