@@ -67,7 +67,7 @@ def folder_of(out: Path) -> Path:
 
 def is_in_the_way(out: Path, work: Path) -> bool:
     """Whether there is an avatar file that the training of this folder did not write: it is replaced only on request.
-    The record is the engine's, `jghand_engine.learn.output`."""
+    The record is the engine's, `jghand_engine.learn.work_folder`."""
     if not out.is_file():
         return False
     try:

@@ -96,8 +96,7 @@ class Ablate:
         from jghand_engine.learn.ablation import train_variant, variant_folder
         from jghand_engine.learn.progress import display
         from jghand_engine.learn.run import RunOptions
-        from jghand_engine.learn.stamp import stamp_of
-        from jghand_engine.learn.work_folder import Start
+        from jghand_engine.learn.work_folder import Start, stamp_of
 
         place = variant_folder(self.out, name)
         run = RunOptions(

@@ -115,7 +115,7 @@ class Distill:
         if self.folder is None:
             return ExactPictures(avatar)
         from jghand_engine.captures.splits import split_capture
-        from jghand_engine.learn.held_out import held_out
+        from jghand_engine.learn.evaluate import held_out
 
         capture = self.pictures.open(self.folder)
         split = split_capture(capture)

@@ -99,8 +99,7 @@ class Evaluate:
         from jghand_engine.avatar.builtin import load_avatar_called
         from jghand_engine.captures.splits import split_capture
         from jghand_engine.files import make_folder
-        from jghand_engine.learn.evaluate import avatar_picturer, categories_of
-        from jghand_engine.learn.held_out import held_out
+        from jghand_engine.learn.evaluate import avatar_picturer, categories_of, held_out
 
         if self.limit < 0:
             raise InputError("--limit", wanted="0 or more", came=str(self.limit))

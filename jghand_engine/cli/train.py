@@ -93,8 +93,8 @@ class Train:
         from jghand_engine.cli.machine import JsonTraining, json_lines
         from jghand_engine.learn.progress import display
         from jghand_engine.learn.run import check_places, train
-        from jghand_engine.learn.stamp import stamp_of
         from jghand_engine.learn.step import HandTraining
+        from jghand_engine.learn.work_folder import stamp_of
 
         # what can be refused is refused before the pictures are looked at, of which there may be many
         self.check()
@@ -191,7 +191,7 @@ class Train:
             })  # fmt: skip
 
     def _replayed(self, training: Trainable, run: RunOptions) -> int:
-        from jghand_engine.learn.replay import replay
+        from jghand_engine.learn.guard import replay
 
         again = replay(Path(str(self.replay)), training, run.stamp)
         first = "; ".join(str(finding) for finding in again.first_time)

@@ -31,7 +31,6 @@ from jghand_engine.cli.signals import polite_kill_is_ctrl_c
 from jghand_engine.cli.train import Train
 from jghand_engine.errors import STOPPED, InputError, RetryError, install_extra
 from jghand_engine.files import make_folder, writing
-from jghand_engine.learn.mark import MARK
 
 DESCRIPTION = """Train a list of hands, some at once here, or as an array of jobs of a SLURM cluster.
 
@@ -200,6 +199,9 @@ class TrainingJob:
     def train(self, stop: threading.Event, in_child: Callable[[], None] | None = None) -> int:
         """Trains, from its checkpoint where there is one, until the end or until `stop` is set; the exit code.
         in_child: called in the new process before it begins"""
+        # as late as it is needed: it brings torch
+        from jghand_engine.learn.work_folder import MARK
+
         begun = (self.out / f"{self.name}.training" / MARK).is_file()
         command = [
             *PROGRAM, "train", *self.words, "--out", str(self.out / f"{self.name}.jghand"), "--progress-json",

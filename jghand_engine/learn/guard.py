@@ -2,7 +2,7 @@
 
 Every step one fused check reads all gradients and the whole state; only when it sees something are the tensors looked
 at one by one. The last good state is a copy in memory, at most GUARD_KEEP_STEPS old: the training goes back to it and
-leaves out the step that failed. What was found is dumped with that copy, so that `replay.py` can run into it again.
+leaves out the step that failed. What was found is dumped with that copy, so that `replay` can run into it again.
 """
 
 from __future__ import annotations
@@ -16,10 +16,9 @@ from pathlib import Path
 import safetensors.torch
 import torch
 
-from jghand_engine.errors import JGHandError
+from jghand_engine.errors import InputError, JGHandError
 from jghand_engine.files import writing
-from jghand_engine.learn.checkpoint import Stamp, save_checkpoint
-from jghand_engine.learn.snapshot import Snapshot
+from jghand_engine.learn.checkpoint import Snapshot, Stamp, check_fits, check_stamp, load_checkpoint, save_checkpoint
 from jghand_engine.learn.trainable import Trainable
 
 # steps between two copies of the state in memory, to which the guard goes back: a copy costs a few milliseconds
@@ -131,3 +130,37 @@ def write_dump(folder: Path, failure: Failure, trainable: Trainable) -> Path:
     with writing(folder / DESCRIPTION) as temporary:
         temporary.write_text(json.dumps(description, indent=2, allow_nan=False) + "\n", encoding="utf-8")
     return folder
+
+
+@dataclass(frozen=True)
+class Replay:
+    """What came of it. step: where something was not finite again, None if nothing was · findings: what it was.
+
+    first_time: what was found when it happened, at first_step. Where the two differ, the cause lay outside the
+    arithmetic: memory, another process, or a program that has changed since.
+    """
+
+    first_step: int
+    first_time: list[Finding]
+    step: int | None
+    findings: list[Finding]
+
+
+def replay(folder: Path, trainable: Trainable, stamp: Stamp) -> Replay:
+    """Runs `trainable` from the good state of a dump up to the step that failed. InputError for a folder that is none,
+    or one of other options than `stamp`."""
+    try:
+        description = json.loads((folder / DESCRIPTION).read_text(encoding="utf-8"))
+        first_step, first_time = int(description["step"]), [Finding(**one) for one in description["findings"]]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{folder}", wanted="a failure that a training has dumped", came=f"{error}"[:200]) from error
+    before, options = load_checkpoint(folder / BEFORE)
+    check_stamp(options, stamp, str(folder / BEFORE))
+    check_fits(before.tensors, trainable, str(folder / BEFORE))
+    course = before.restore(trainable)
+    for number in range(course.step, first_step + 1):
+        if number in course.skipped:
+            continue
+        if findings := find_non_finite(trainable.step(number), trainable):
+            return Replay(first_step, first_time, number, findings)
+    return Replay(first_step, first_time, None, [])

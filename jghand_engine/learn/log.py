@@ -15,7 +15,7 @@ from typing import Any
 
 from jghand_engine.errors import InputError, install_extra
 from jghand_engine.files import file_error, writing
-from jghand_engine.learn.snapshot import Course
+from jghand_engine.learn.checkpoint import Course
 
 
 def add_figures(course: Course, figures: Mapping[str, float]) -> None:

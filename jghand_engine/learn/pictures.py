@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections import OrderedDict
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass, replace
+from typing import Generic, TypeVar
 
 import numpy as np
 import torch
@@ -11,7 +14,6 @@ from torch.nn import functional
 from jghand_engine.captures.sample import Sample, load_picture
 from jghand_engine.errors import InputError
 from jghand_engine.learn.metrics import METRIC_BOX_MIN_PX
-from jghand_engine.learn.recent import Recent
 from jghand_engine.native.tasks import SSIM_WINDOW_PX
 from jghand_engine.render.camera import Camera
 
@@ -41,7 +43,7 @@ class Pictures:
     """Loads samples, cuts them to the hand with a margin, and keeps as many as fit into PICTURE_CACHE_BYTES."""
 
     def __init__(self) -> None:
-        self._kept: Recent[_Kept] = Recent(PICTURE_CACHE_BYTES, lambda kept: kept.rgb.nbytes + kept.mask.nbytes)
+        self._kept: LruCache[_Kept] = LruCache(PICTURE_CACHE_BYTES, lambda kept: kept.rgb.nbytes + kept.mask.nbytes)
 
     def view(self, sample: Sample, stride: int = 1) -> View:
         """The picture of a sample; stride 2 averages 2 x 2 pixels into one. InputError as `load_picture`, or when no
@@ -90,3 +92,31 @@ def _span(filled: np.ndarray, size: int, least: int) -> tuple[int, int]:
         low = max(min(low, size - least), 0)
         high = min(low + least, size)
     return low, high
+
+
+Value = TypeVar("Value")
+
+
+class LruCache(Generic[Value]):
+    """Keeps what was used last, up to `room` bytes, and always the newest. size_of: bytes of a value."""
+
+    def __init__(self, room: int, size_of: Callable[[Value], int]) -> None:
+        self._room, self._size_of = room, size_of
+        self._kept: OrderedDict[Hashable, Value] = OrderedDict()
+        self._bytes = 0
+
+    def __len__(self) -> int:
+        return len(self._kept)
+
+    def get(self, key: Hashable, make: Callable[[], Value]) -> Value:
+        """The value of `key`, made when it is not there; the longest unused go when there is no room for it."""
+        if key in self._kept:
+            self._kept.move_to_end(key)
+            return self._kept[key]
+        value = make()
+        self._kept[key] = value
+        self._bytes += self._size_of(value)
+        while self._bytes > self._room and len(self._kept) > 1:
+            _, oldest = self._kept.popitem(last=False)
+            self._bytes -= self._size_of(oldest)
+        return value

@@ -18,16 +18,13 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from jghand_engine.errors import InputError
-from jghand_engine.learn.checkpoint import Stamp
+from jghand_engine.learn.checkpoint import Course, Snapshot, Stamp, check_fits
 from jghand_engine.learn.guard import GUARD_KEEP_STEPS, Finding, Guard, find_non_finite
 from jghand_engine.learn.log import Board, Log, add_figures, take_means
-from jghand_engine.learn.output import Output
-from jghand_engine.learn.previews import Previews
 from jghand_engine.learn.progress import Display, Silent, Status
 from jghand_engine.learn.schedule import Budget, Every, StopRequest, Timer, stop_requests
-from jghand_engine.learn.snapshot import Course, Snapshot, check_fits
 from jghand_engine.learn.trainable import GAUSSIANS, LOSS, Trainable
-from jghand_engine.learn.work_folder import Start, WorkFolder, check_folder
+from jghand_engine.learn.work_folder import Output, Previews, Start, WorkFolder, check_folder
 
 # seconds between two checkpoints: what kill -9 may lose. Writing one takes some 40 ms (RENDERING 14, promise 20)
 CHECKPOINT_EVERY_S = 60.0

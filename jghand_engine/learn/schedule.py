@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from jghand_engine.learn.snapshot import Course
+from jghand_engine.learn.checkpoint import Course
 
 # steps that a training with a time budget is taken to have until its speed is known
 PLANNED_STEPS_AT_FIRST = 10_000

@@ -31,10 +31,9 @@ from jghand_engine.learn.losses import isotropy_loss, l1_loss, mask_loss, offset
 from jghand_engine.learn.model import LearnedHand, Shape
 from jghand_engine.learn.options import TrainOptions, at_part
 from jghand_engine.learn.perceptual import PerceptualMetric
-from jghand_engine.learn.pictures import Pictures, View
+from jghand_engine.learn.pictures import LruCache, Pictures, View
 from jghand_engine.learn.pose_features import octave_of_wave
 from jghand_engine.learn.rasterize import rasterize
-from jghand_engine.learn.recent import Recent
 from jghand_engine.learn.shadow import darken
 from jghand_engine.learn.skinning import PosedSkin, SkinMaps, pose_skin, see_lamps, seen_from, skin_maps
 from jghand_engine.learn.tensors import HandTensors, mapped
@@ -121,7 +120,7 @@ class HandTraining:
         self._gate = ShadowGate(points.joints_m.numpy())
         self._poses = _by_pose(material.train)
         self._names = sorted(self._poses)
-        self._known: Recent[_PosedBones] = Recent(POSE_CACHE_BYTES, _PosedBones.nbytes)
+        self._known: LruCache[_PosedBones] = LruCache(POSE_CACHE_BYTES, _PosedBones.nbytes)
         self._pictures = Pictures()
         self._settings = RenderSettings()
         self._library = load_native("auto")

@@ -10,19 +10,33 @@ failures/       steps that gave values that are not finite, to be repeated (see 
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import asdict
 from enum import StrEnum
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from jghand_engine import __version__
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.file import save_avatar
+from jghand_engine.captures.picture_digest import picture_names
+from jghand_engine.captures.sample import Sample
 from jghand_engine.errors import InputError
-from jghand_engine.files import file_error, make_folder, writing
+from jghand_engine.export.pictures import to_bytes, write_png
+from jghand_engine.files import check_place, file_error, make_folder, writing
 from jghand_engine.learn.checkpoint import CheckpointFolder, Stamp
-from jghand_engine.learn.mark import LOCK, MARK
+from jghand_engine.learn.trainable import Trainable
 from jghand_engine.lock import locked
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+# held while a training runs in the folder; says with which options it began
+LOCK, MARK = "lock", "training.json"
 
 
 class Start(StrEnum):
@@ -98,3 +112,77 @@ class WorkFolder:
             path.unlink(missing_ok=True)
         for folder in (self.board, self.failures):
             shutil.rmtree(folder, ignore_errors=True)
+
+
+def stamp_of(options: DataclassInstance, pictures: Sequence[Sample]) -> dict[str, Any]:
+    """Options (dataclasses of plain values) and which pictures are learned from, wherever their folder lies now."""
+    lines = picture_names(pictures)
+    digest = hashlib.sha256("\n".join(lines).encode()).hexdigest()[:16]
+    # as it will be read back: tuples become lists, enumerations their text
+    return json.loads(json.dumps({"pictures": len(lines), "which pictures": digest, "options": asdict(options)}))
+
+
+class Output:
+    """The file `path`. `record` remembers what this training wrote there, so that it may replace its own work.
+
+    The record is written first and names both the file to come and the one before: whenever a process is killed, what
+    lies at `path` is known.
+    """
+
+    def __init__(self, path: Path, record: Path, *, overwrite: bool = False) -> None:
+        self.path, self._record, self._overwrite = path, record, overwrite
+
+    def check(self) -> None:
+        """InputError when a file is in the way that this training did not write, unless overwriting was asked for;
+        errors as `check_place` where nothing can be written."""
+        ours = self.path.is_file() and _hash(self.path) in self._recorded()
+        wanted = "a new file, or the result of this very training"
+        check_place(self.path, overwrite=self._overwrite or ours, wanted=wanted)
+
+    def write(self, avatar: HandAvatar) -> None:
+        """Saves `avatar`. Errors as `check`, which looks again: hours may have passed."""
+        self.check()
+        staged = self._record.with_name("finished.jghand")
+        try:
+            save_avatar(staged, avatar)
+            content = staged.read_bytes()
+            before = [_hash(self.path)] if self.path.is_file() else []
+            self._remember([hashlib.sha256(content).hexdigest(), *before])
+            with writing(self.path) as temporary:
+                temporary.write_bytes(content)
+        finally:
+            staged.unlink(missing_ok=True)
+
+    def _remember(self, hashes: list[str]) -> None:
+        with writing(self._record) as temporary:
+            temporary.write_text(json.dumps({"sha256": hashes}) + "\n", encoding="utf-8")
+
+    def _recorded(self) -> list[str]:
+        try:
+            hashes = json.loads(self._record.read_text(encoding="utf-8"))["sha256"]
+        except (OSError, ValueError, KeyError, TypeError):
+            return []
+        return hashes if isinstance(hashes, list) else [hashes]
+
+
+def _hash(path: Path) -> str:
+    with open(path, "rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+class Previews:
+    """pictures/step_00000500.png for every preview, and preview.jghand, always the newest, in one folder."""
+
+    def __init__(self, folder: Path) -> None:
+        self.pictures, self.avatar = folder / "pictures", folder / "preview.jghand"
+
+    def write_picture(self, step: int, trainable: Trainable) -> Path:
+        """Writes the first fixed view. InputError or RetryError when the disk does not let it."""
+        path = self.pictures / f"step_{step:08d}.png"
+        write_png(path, to_bytes(trainable.preview()))
+        return path
+
+    def write_avatar(self, trainable: Trainable) -> Path:
+        """Writes the avatar over the last preview of it; errors as `write_picture`."""
+        save_avatar(self.avatar, trainable.avatar())
+        return self.avatar

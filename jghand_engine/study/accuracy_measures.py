@@ -14,8 +14,7 @@ from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.captures.sample import Sample
 from jghand_engine.captures.splits import split_capture
 from jghand_engine.errors import InputError
-from jghand_engine.learn.evaluate import avatar_picturer, categories_of, means, measure_pictures
-from jghand_engine.learn.held_out import held_out
+from jghand_engine.learn.evaluate import avatar_picturer, categories_of, held_out, means, measure_pictures
 from jghand_engine.learn.log import read_log
 from jghand_engine.render.frame import HandRenderer
 from jghand_engine.render.profile import APPROXIMATE, Profile, Rated, how_it_looks, left_out, pareto_front

@@ -19,10 +19,11 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from jghand_engine.errors import STOPPED, RetryError
 from jghand_engine.files import make_folder, writing
-from jghand_engine.learn.mark import LOCK, MARK
 from jghand_engine.lock import locked
 
 QUICK_STEPS = 4
+# those of learn/work_folder.py, which brings torch
+LOCK, MARK = "lock", "training.json"
 SLOW_S = 0.0 if "--resume" in sys.argv else float(os.environ.get("JGHAND_TINY_STEP_S", "0"))
 
 

@@ -23,8 +23,7 @@ from jghand_engine.export.pictures import read_png
 from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.baselines import Transform
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.learn.ablation import chosen_variants, variant_folder
-from jghand_engine.learn.live import LiveHand
+from jghand_engine.learn.ablation import LiveHand, chosen_variants, variant_folder
 from jghand_engine.learn.options import TrainOptions, ablations
 from jghand_engine.learn.step import HandTraining
 from jghand_engine.render.camera import Camera

@@ -13,8 +13,15 @@ import torch
 from stand_in import StandIn
 
 from jghand_engine.errors import InputError
-from jghand_engine.learn.checkpoint import METADATA_KEY, CheckpointFolder, load_checkpoint, save_checkpoint
-from jghand_engine.learn.snapshot import Course, Snapshot, check_fits
+from jghand_engine.learn.checkpoint import (
+    METADATA_KEY,
+    CheckpointFolder,
+    Course,
+    Snapshot,
+    check_fits,
+    load_checkpoint,
+    save_checkpoint,
+)
 
 STAMP = {"seed": 0, "rate": 1e-3, "range": (1, 2)}
 

@@ -11,8 +11,7 @@ from small_trainings import small_training
 
 from jghand_engine import files
 from jghand_engine.learn.checkpoint import load_checkpoint
-from jghand_engine.learn.guard import find_non_finite
-from jghand_engine.learn.replay import replay
+from jghand_engine.learn.guard import find_non_finite, replay
 from jghand_engine.learn.run import RunOptions, train
 from jghand_engine.learn.schedule import Budget, Every
 

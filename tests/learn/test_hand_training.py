@@ -15,16 +15,14 @@ from jghand_engine.avatar.avatar import AvatarInfo
 from jghand_engine.avatar.file import load_avatar, save_avatar
 from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.captures.splits import split_capture
-from jghand_engine.learn.checkpoint import load_checkpoint
+from jghand_engine.learn.checkpoint import Course, Snapshot, load_checkpoint
 from jghand_engine.learn.guard import find_non_finite
 from jghand_engine.learn.log import read_log
 from jghand_engine.learn.pictures import Pictures
 from jghand_engine.learn.run import RunOptions, train
 from jghand_engine.learn.schedule import Budget, Every
-from jghand_engine.learn.snapshot import Course, Snapshot
-from jghand_engine.learn.stamp import stamp_of
 from jghand_engine.learn.step import HandTraining, Material
-from jghand_engine.learn.work_folder import Start
+from jghand_engine.learn.work_folder import Start, stamp_of
 from jghand_engine.render.frame import HandRenderer
 from jghand_engine.render.settings import RenderSettings, ShadowMode
 from jghand_engine.template.builtin import load_template

@@ -8,7 +8,7 @@ from small_avatars import small_avatar, trained_avatar
 
 from jghand_engine.avatar.avatar import LearnedFrom
 from jghand_engine.captures.picture_digest import picture_digest
-from jghand_engine.learn.held_out import ALL_LEARNED, NOT_KNOWN, held_out
+from jghand_engine.learn.evaluate import ALL_LEARNED, NOT_KNOWN, held_out
 
 
 def learned_from(samples):

@@ -8,8 +8,8 @@ import pytest
 
 from jghand_engine.errors import InputError
 from jghand_engine.learn import log as log_module
+from jghand_engine.learn.checkpoint import Course
 from jghand_engine.learn.log import Board, Log, add_figures, read_log, take_means
-from jghand_engine.learn.snapshot import Course
 
 
 def test_lines_after_the_step_and_half_written_ones_are_cut(tmp_path):

@@ -16,7 +16,7 @@ from jghand_engine.learn.options import (
     ablations,
     at_part,
 )
-from jghand_engine.learn.stamp import stamp_of
+from jghand_engine.learn.work_folder import stamp_of
 
 
 def differing(one, other, path: str = "") -> set[str]:

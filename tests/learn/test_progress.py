@@ -7,9 +7,9 @@ import io
 import pytest
 from rich.console import Console
 
+from jghand_engine.learn.checkpoint import Course
 from jghand_engine.learn.progress import PlainLines, Status, display, duration
 from jghand_engine.learn.schedule import Budget, Every, Timer
-from jghand_engine.learn.snapshot import Course
 
 STATUS = Status(120, 4000, loss=0.01234, psnr=31.456, gaussians=15000, steps_per_s=2.5, seconds_left=1552)
 

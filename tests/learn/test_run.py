@@ -21,11 +21,10 @@ from jghand_engine.avatar.file import load_avatar
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.export.pictures import read_png
 from jghand_engine.learn import run
-from jghand_engine.learn.checkpoint import load_checkpoint
+from jghand_engine.learn.checkpoint import Snapshot, load_checkpoint
 from jghand_engine.learn.log import read_log
 from jghand_engine.learn.run import RunOptions, train
 from jghand_engine.learn.schedule import Budget, Every
-from jghand_engine.learn.snapshot import Snapshot
 from jghand_engine.learn.work_folder import Start
 from jghand_engine.lock import locked
 

@@ -13,7 +13,7 @@ from jghand_engine.avatar.builtin import load_painted
 from jghand_engine.avatar.file import load_avatar
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.learn.output import Output
+from jghand_engine.learn.work_folder import Output
 
 
 @pytest.fixture(scope="module")
