@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from jghand_engine.captures.captures import Capture, CaptureChoice, Layout
+from jghand_engine.captures.checks import Report
 from jghand_engine.captures.folders import find_roots, subfolders
 from jghand_engine.captures.hanco import is_hanco, read_hanco
 from jghand_engine.captures.interhand import read_interhand
@@ -16,7 +17,6 @@ from jghand_engine.captures.protocols import (
     find_protocol,
     with_papers_masks,
 )
-from jghand_engine.captures.sieve import Report
 from jghand_engine.errors import InputError
 
 

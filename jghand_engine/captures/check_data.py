@@ -18,7 +18,7 @@ from jghand_engine.captures.splits import split_capture
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import bone_lengths, hand_length
-from jghand_engine.motion.plausibility import CURL_MIN, curl_towards_palm
+from jghand_engine.motion.choose import CURL_MIN, curl_towards_palm
 
 # check-data looks at so many pictures of a larger set, and names so many examples of what is wrong
 CHECK_PICTURES = 400

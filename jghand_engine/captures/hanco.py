@@ -18,16 +18,15 @@ import numpy as np
 
 from jghand_engine.captures.cameras import calibrated_camera
 from jghand_engine.captures.captures import Capture, CaptureChoice, Layout, sorted_samples
+from jghand_engine.captures.checks import Report, Sieve, check_joints
 from jghand_engine.captures.folders import find_roots, one_root, subfolders
 from jghand_engine.captures.masks import template_note
 from jghand_engine.captures.pictures_in import probe_sized
 from jghand_engine.captures.sample import MaskSource, Sample
-from jghand_engine.captures.sieve import Report, Sieve
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 from jghand_engine.hand.orders import JointOrder, to_level
 from jghand_engine.json_files import numbers, read_json_file, read_object
-from jghand_engine.motion.plausibility import check_joints
 from jghand_engine.render.camera import Camera
 
 # width and height of HanCo's pictures

@@ -16,6 +16,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from jghand_engine.captures.captures import Capture, CaptureChoice, Layout, sorted_samples
+from jghand_engine.captures.checks import Report, Sieve, check_joints
 from jghand_engine.captures.interhand_annotations import (
     INTERACTING,
     UNIT,
@@ -27,11 +28,9 @@ from jghand_engine.captures.interhand_files import InterHandFiles, find_files
 from jghand_engine.captures.masks import template_note
 from jghand_engine.captures.pictures_in import probe_sized
 from jghand_engine.captures.sample import MaskSource, Sample
-from jghand_engine.captures.sieve import Report, Sieve
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder
-from jghand_engine.motion.plausibility import check_joints
 
 # why a protocol leaves a picture out; None: it stays
 DropRule = Callable[[Sample, InterHandPicture], str | None]

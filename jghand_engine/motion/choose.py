@@ -21,10 +21,13 @@ from jghand_engine.hand.orders import (
 from jghand_engine.limits import HAND_LENGTH_MAX_M, HAND_LENGTH_MIN_M
 from jghand_engine.motion.content import HandTrack, MotionContent
 from jghand_engine.motion.files import MotionFormat
-from jghand_engine.motion.plausibility import CURL_MIN, curl_towards_palm
 
 # frames in which joint order and the bend of the fingers are looked for: a hand's bones do not change
 _FRAMES = 500
+# mean bend of the fingers' middle joints away from the palm, as a sine, from which it must be the other hand
+CURL_MIN = 0.1
+# joints of index..pinky in level order
+_MCP, _PIP, _DIP = slice(2, 6), slice(7, 11), slice(12, 16)
 _UNIT_NAMES = {"m": "meters", "cm": "centimeters", "mm": "millimeters"}
 
 
@@ -157,3 +160,22 @@ def _bends_as_other(level: np.ndarray, side: Handedness) -> bool:
     with np.errstate(over="ignore", invalid="ignore"):
         curl = curl_towards_palm(level[:: max(1, len(level) // _FRAMES)], side)
     return curl is not None and curl <= -CURL_MIN
+
+
+def curl_towards_palm(joints_m: np.ndarray, handedness: Handedness) -> float | None:
+    """Mean bend of index..pinky at the middle joint towards the palm, as a sine, -1..1; None without a whole pose.
+
+    joints_m: (P, 21, 3) level order. These joints bend one way only, about the line of the knuckles, so that a clearly
+    negative value is the other hand.
+    """
+    whole = joints_m[np.isfinite(joints_m).all(axis=(1, 2))]
+    if not len(whole):
+        return None
+    knuckles = _unit(whole[:, 2] - whole[:, 5])
+    knuckles = knuckles if handedness is Handedness.RIGHT else -knuckles
+    proximal, middle = (_unit(whole[:, end] - whole[:, start]) for start, end in ((_MCP, _PIP), (_PIP, _DIP)))
+    return float((np.cross(proximal, middle) * knuckles[:, None]).sum(axis=-1).mean())
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)

@@ -17,7 +17,7 @@ from jghand_engine.captures.overlay import overlay
 from jghand_engine.captures.projection import joints_on_mask, part_on_mask
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, from_level
-from jghand_engine.motion.plausibility import curl_towards_palm
+from jghand_engine.motion.choose import curl_towards_palm
 
 
 @pytest.fixture(scope="session")

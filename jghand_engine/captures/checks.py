@@ -1,11 +1,13 @@
-"""The test that every loader runs on the joints it has read: a wrong order or unit is silent, and ruins the skin."""
+"""What every loader of pictures does with what it reads: joints are looked at, and what is left out is counted."""
 
 from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable
 
 import numpy as np
 
 from jghand_engine.errors import InputError
-from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import (
     METERS_PER_UNIT,
     JointOrder,
@@ -14,8 +16,8 @@ from jghand_engine.hand.orders import (
 )
 from jghand_engine.limits import HAND_LENGTH_MAX_M, HAND_LENGTH_MIN_M
 
-# mean bend of the fingers' middle joints away from the palm, as a sine, from which it must be the other hand
-CURL_MIN = 0.1
+# is told what is wrong, and the reading goes on without it
+Report = Callable[[InputError], None]
 
 
 def check_joints(joints_m: np.ndarray, order: JointOrder, unit: str, source: str) -> None:
@@ -43,31 +45,38 @@ def check_joints(joints_m: np.ndarray, order: JointOrder, unit: str, source: str
         ) from error
 
 
-def curl_towards_palm(joints_m: np.ndarray, handedness: Handedness) -> float | None:
-    """Mean bend of index..pinky at the middle joint towards the palm, as a sine, -1..1; None without a whole pose.
-
-    joints_m: (P, 21, 3) level order. These joints bend one way only, about the line of the knuckles, so that a clearly
-    negative value is the other hand.
-    """
-    whole = joints_m[np.isfinite(joints_m).all(axis=(1, 2))]
-    if not len(whole):
-        return None
-    knuckles = _unit(whole[:, 2] - whole[:, 5])
-    knuckles = knuckles if handedness is Handedness.RIGHT else -knuckles
-    proximal, middle = (_unit(whole[:, end] - whole[:, start]) for start, end in ((_MCP, _PIP), (_PIP, _DIP)))
-    return float((np.cross(proximal, middle) * knuckles[:, None]).sum(axis=-1).mean())
-
-
-_MCP, _PIP, _DIP = slice(2, 6), slice(7, 11), slice(12, 16)
-
-
-def _unit(vectors: np.ndarray) -> np.ndarray:
-    return vectors / np.maximum(np.linalg.norm(vectors, axis=-1, keepdims=True), 1e-12)
-
-
 def _unit_remedy(length_m: float, unit: str) -> str:
     for name, meters in METERS_PER_UNIT.items():
         likely_m = length_m / METERS_PER_UNIT[unit] * meters
         if HAND_LENGTH_MIN_M <= likely_m <= HAND_LENGTH_MAX_M:
             return f"They look like {name}; this layout has {unit}: convert them, or take the original file."
     return "Take the original file, or scale the hand to its real size."
+
+
+class Sieve:
+    """Counts dropped pictures by reason; raises what is broken, or hands it to `report` and goes on."""
+
+    def __init__(self, report: Report | None = None) -> None:
+        self._counts: Counter[str] = Counter()
+        self._report = report
+
+    def drop(self, reason: str, count: int = 1) -> None:
+        """Notes that `count` pictures are left out."""
+        if count:
+            self._counts[reason] += count
+
+    def broken(self, error: InputError) -> None:
+        """A picture, or what belongs to it, cannot be used: raises `error`, unless there is somebody to report to."""
+        self.wrong(error)
+        self.drop("broken or missing")
+
+    def wrong(self, error: InputError) -> None:
+        """Something is wrong with the whole: raises `error`, unless there is somebody to report to."""
+        if self._report is None:
+            raise error
+        self._report(error)
+
+    @property
+    def dropped(self) -> tuple[tuple[str, int], ...]:
+        """Reasons and numbers, sorted."""
+        return tuple(sorted(self._counts.items()))
