@@ -30,8 +30,8 @@ from typing import Any
 import numpy as np
 
 from jghand_engine.avatar.builtin import load_builtin
-from jghand_engine.hand.anatomy import MotionOptions, pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.poses import MotionOptions, pose_sequence_of_names
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.motion.files import write_motion
 from jghand_engine.native.machine import processor

@@ -26,9 +26,9 @@ sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
 from hand import sampled_hands as hands  # noqa: E402  # pyright: ignore[reportMissingImports]
 
-from jghand_engine.hand.fast_transform import FastTransform  # noqa: E402
 from jghand_engine.hand.joints import Handedness  # noqa: E402
-from jghand_engine.hand.transform import BoneTransforms, JointTransform  # noqa: E402
+from jghand_engine.hand.skeleton import Skeleton  # noqa: E402
+from jghand_engine.learn.skeleton import BoneTransforms, JointTransform  # noqa: E402
 
 CANONICAL = hands.canonical()
 
@@ -108,7 +108,7 @@ def main() -> None:
     print("1 hand, float64 in, float32 out, the Python call included")
     one = hands.sample(1)[0].numpy()
     for swing in ("euler", "minimal"):
-        fast = FastTransform(CANONICAL, handedness=Handedness.RIGHT, swing=swing)
+        fast = Skeleton(CANONICAL, handedness=Handedness.RIGHT, swing=swing)
         timed({f"{swing}, native": lambda t=fast: t.bones(one)}, 20 * options.runs)
 
 

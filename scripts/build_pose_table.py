@@ -23,9 +23,15 @@ sys.path.insert(0, str(ROOT))
 from blender_addon.core import posing  # noqa: E402  (the line above finds it)
 from blender_addon.core.joints import NAMES, RIGHT, TIPS, WRIST  # noqa: E402
 from jghand_engine.files import writing  # noqa: E402
-from jghand_engine.hand.anatomy import POSES_DEG, ArticulatedHand  # noqa: E402
-from jghand_engine.hand.fingerspelling import LETTERS_DEG, SAME_SHAPE, letter_angles  # noqa: E402
+from jghand_engine.hand.kinematics import ArticulatedHand  # noqa: E402
 from jghand_engine.hand.orders import JointOrder, from_level, to_level  # noqa: E402
+from jghand_engine.hand.poses import (  # noqa: E402
+    LETTERS_DEG,
+    POSES_DEG,
+    SAME_SHAPE,
+    angles_on,
+    letter_angles,
+)
 
 TABLE = ROOT / "blender_addon" / "assets" / "poses.json"
 # digits of a quaternion: a tip of 20 cm is then right to a few micrometers
@@ -42,7 +48,7 @@ def pose_table() -> dict:
     """The content of the table."""
     rest_m = posing.rest_joints_m(RIGHT)
     hand = ArticulatedHand(to_level(rest_m, JointOrder.STANDARD))
-    poses = {name: ("pose", "", hand.angles_of(name)) for name in POSES_DEG}
+    poses = {name: ("pose", "", angles_on(hand, name)) for name in POSES_DEG}
     for letter in LETTERS_DEG:
         same = " and ".join(sorted(other for other, shape in SAME_SHAPE.items() if shape == letter))
         title = f"Hand shape of {letter}{f', also of {same},' if same else ''} in the American manual alphabet"

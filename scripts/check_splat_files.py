@@ -37,8 +37,8 @@ from jghand_engine.avatar.builtin import load_builtin  # noqa: E402
 from jghand_engine.errors import JGHandError  # noqa: E402
 from jghand_engine.export.splats.cloud import AXES_FROM_RUB, SplatCloud  # noqa: E402
 from jghand_engine.export.splats.files import FORMATS, SplatMotion  # noqa: E402
-from jghand_engine.hand.anatomy import named_pose  # noqa: E402
 from jghand_engine.hand.joints import Handedness  # noqa: E402
+from jghand_engine.hand.poses import named_pose  # noqa: E402
 from jghand_engine.hand.sequence import PoseSequence  # noqa: E402
 
 TOOLS = ROOT / "scripts" / "splat_clients"

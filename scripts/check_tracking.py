@@ -29,9 +29,10 @@ from jghand_engine.captures.capture_folder import open_capture
 from jghand_engine.captures.sample import Sample, load_picture
 from jghand_engine.export.video import write_video
 from jghand_engine.files import writing
-from jghand_engine.hand.anatomy import MotionOptions, named_pose, pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, bone_lengths, hand_length, to_level
+from jghand_engine.hand.poses import MotionOptions, named_pose, pose_sequence_of_names
+from jghand_engine.hand.rotations import vector_rotation
 from jghand_engine.hand.sequence import bone_directions, rebuilt
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.frame import HandRenderer
@@ -45,7 +46,7 @@ from jghand_engine.track.mediapipe_hands import MediaPipeHands, video_detector
 from jghand_engine.track.own_hand import own_canonical_joints
 from jghand_engine.track.poses import Pinhole
 from jghand_engine.track.second_look import SecondLook
-from jghand_engine.track.skeleton import Skeleton, rotations_of
+from jghand_engine.track.skeleton import Skeleton
 from jghand_engine.track.track import (
     MOTION_FROM_CAMERA,
     Sightings,
@@ -149,7 +150,7 @@ def truths(canonical_m: np.ndarray) -> Iterator[Truth]:
         joints = sequence.joints_m - sequence.joints_m[:, :1]
         time = np.arange(len(joints)) / FPS
         sway = np.stack([0.25 * np.sin(1.1 * time), 0.3 * np.sin(0.7 * time), 0.25 * np.sin(0.9 * time)], -1)
-        turn = rotations_of(sway) @ rotations_of(np.array([[0.0, math.radians(turn_deg), 0.0]]))
+        turn = vector_rotation(sway) @ vector_rotation(np.array([[0.0, math.radians(turn_deg), 0.0]]))
         joints = joints @ np.swapaxes(turn, -1, -2)
         place = np.stack([0.04 * np.sin(0.8 * time), -0.08 + 0.02 * np.sin(time), 0.03 * np.sin(0.5 * time)], -1)
         joints = joints + place[:, None] + (*off_m, -DISTANCE_M)
@@ -276,7 +277,7 @@ def turned_to_the_ray(sightings: Sightings, pinhole: Pinhole, part: float) -> Si
         ray = ray / np.linalg.norm(ray)
         axis = np.array([-ray[1], ray[0], 0.0])
         sine = float(np.linalg.norm(axis))
-        turn = rotations_of(axis / max(sine, 1e-12) * part * math.asin(min(1.0, sine)))
+        turn = vector_rotation(axis / max(sine, 1e-12) * part * math.asin(min(1.0, sine)))
         return replace(hand, space_m=hand.space_m @ turn.T)
 
     return replace(sightings, frames=[[turned(hand) for hand in frame] for frame in sightings.frames])

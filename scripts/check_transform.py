@@ -22,12 +22,12 @@ ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests")]
 
 from hand import sampled_hands as hands  # noqa: E402  # pyright: ignore[reportMissingImports]
-from hand.factored import factored  # noqa: E402  # pyright: ignore[reportMissingImports]
 from hard_cases.hard_hands import hard_hands, size_of  # noqa: E402  # pyright: ignore[reportMissingImports]
+from learn.factored import factored  # noqa: E402  # pyright: ignore[reportMissingImports]
 
-from jghand_engine.hand.fast_transform import FastTransform  # noqa: E402
 from jghand_engine.hand.joints import Handedness  # noqa: E402
-from jghand_engine.hand.transform import JointTransform  # noqa: E402
+from jghand_engine.hand.skeleton import Skeleton  # noqa: E402
+from jghand_engine.learn.skeleton import JointTransform  # noqa: E402
 from jghand_engine.template.builtin import load_template  # noqa: E402
 
 CANONICAL = hands.canonical()
@@ -162,9 +162,9 @@ def native_agreement() -> Iterator[Figure]:
             options = {"handedness": handedness, "swing": swing, "scale_mode": mode}
             bones = JointTransform(CANONICAL, **options).bones(joints)
             wanted = torch.cat([bones.linear, bones.offset_m.unsqueeze(-1)], -1).numpy()
-            fast = FastTransform(CANONICAL, **options)
+            fast = Skeleton(CANONICAL, **options)
             for one, matrices in zip(joints.numpy(), wanted, strict=True):
-                worst = max(worst, float(np.abs(fast.bones64(one).linear_offset - matrices).max()))
+                worst = max(worst, float(np.abs(fast.bones(one, np.float64).linear_offset - matrices).max()))
     yield Figure("native single hand against torch, float64", worst, 1e-13)
 
 
@@ -174,7 +174,7 @@ def skin_under_noise() -> Iterator[Figure]:
     template = load_template()
     canonical = torch.tensor(template.joints_m)
     weights, skin = torch.tensor(template.bone_weights), torch.tensor(template.vertices_m)
-    transform = JointTransform(canonical, handedness=Handedness.RIGHT)
+    transform = JointTransform(canonical.numpy(), handedness=Handedness.RIGHT)
     joints = hands.sample(300, seed=5, palm_m=0.0, bone=0.1, shift_m=0.0, turned=False)
     # the sampled hands look the other way: their palm along -z, the thumb at -x
     joints = joints * torch.tensor([-1.0, 1.0, -1.0], dtype=torch.float64)

@@ -39,8 +39,8 @@ from jghand_engine.export.usd.package import (  # noqa: E402
     export_usd,
 )
 from jghand_engine.export.usd.stage import Variant  # noqa: E402
-from jghand_engine.hand.anatomy import pose_sequence_of_names  # noqa: E402
 from jghand_engine.hand.joints import Handedness  # noqa: E402
+from jghand_engine.hand.poses import pose_sequence_of_names  # noqa: E402
 from jghand_engine.hand.sequence import PoseSequence  # noqa: E402
 
 TOOLS = ROOT / "scripts" / "usd_clients"

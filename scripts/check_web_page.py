@@ -35,8 +35,8 @@ from jghand_engine.cli.camera_file import camera_to_dict  # noqa: E402
 from jghand_engine.cli.framing import first_view, framing_camera  # noqa: E402
 from jghand_engine.export.pictures import Cell, SheetStyle, contact_sheet, flatten, read_png, write_png  # noqa: E402
 from jghand_engine.export.web.page import export_web  # noqa: E402
-from jghand_engine.hand.anatomy import pose_sequence_of_names  # noqa: E402
 from jghand_engine.hand.joints import Handedness  # noqa: E402
+from jghand_engine.hand.poses import pose_sequence_of_names  # noqa: E402
 from jghand_engine.hand.sequence import PoseSequence  # noqa: E402
 from jghand_engine.render.camera import Camera  # noqa: E402
 from jghand_engine.render.frame import HandRenderer  # noqa: E402

@@ -16,10 +16,10 @@ from studio_light import Studio, skin_rgb
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
 from jghand_engine.captures.making.procedural_skin import SkinLook
 from jghand_engine.captures.making.skin_points import SkinPoints
-from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.transform import JointTransform
+from jghand_engine.hand.poses import named_pose
 from jghand_engine.learn.canonical_points import bone_areas, shared_out, take_turns
+from jghand_engine.learn.skeleton import JointTransform
 from jghand_engine.learn.skinning import apply, blend, posed_radius_scale
 from jghand_engine.limits import SIGMA_MAX_M, SIGMA_MIN_M, UVD_RANGE_M
 from jghand_engine.template.mesh import HandTemplate
@@ -179,14 +179,14 @@ def bending_stretch(points_m: np.ndarray, bone_weights: torch.Tensor, joints_m: 
     bone_weights: (N, 21) float64; joints_m: (21, 3) canonical.
     """
     around = np.asarray(KDTree(points_m).query(points_m, k=7)[1])[:, 1:]
-    skin_m, canonical_m = torch.from_numpy(points_m), torch.from_numpy(joints_m.copy())
+    skin_m = torch.from_numpy(points_m)
 
     def gap(at: torch.Tensor) -> torch.Tensor:
         return torch.linalg.vector_norm(at[around] - at[:, None], dim=-1).mean(1)
 
     worst = torch.ones(len(points_m), dtype=torch.float64)
     for name in CLOSED_IN:
-        bones = JointTransform(canonical_m, handedness=Handedness.RIGHT).bones(
+        bones = JointTransform(joints_m, handedness=Handedness.RIGHT).bones(
             torch.from_numpy(named_pose(name, joints_m, handedness=Handedness.RIGHT))
         )
         linear, offset_m = blend(bone_weights, bones)

@@ -37,7 +37,7 @@ from jghand_engine.export.pictures import Cell, SheetStyle, contact_sheet, flatt
 from jghand_engine.export.splats.cloud import SplatCloud  # noqa: E402
 from jghand_engine.export.splats.files import SplatMotion  # noqa: E402
 from jghand_engine.export.splats.ply import ply_bytes  # noqa: E402
-from jghand_engine.hand.anatomy import named_pose  # noqa: E402
+from jghand_engine.hand.poses import named_pose  # noqa: E402
 from jghand_engine.hand.sequence import PoseSequence  # noqa: E402
 from jghand_engine.learn.gaussians import Gaussians  # noqa: E402
 from jghand_engine.learn.rasterize import rasterize  # noqa: E402

@@ -17,9 +17,9 @@ import numpy as np
 from hand import sampled_hands as hands
 from scipy.spatial.transform import Rotation
 
-from jghand_engine.hand.anatomy import pose_sequence_of_names
 from jghand_engine.hand.joints import LEVEL_NAMES, PARENTS, Handedness
 from jghand_engine.hand.orders import JointOrder, from_level
+from jghand_engine.hand.poses import pose_sequence_of_names
 from jghand_engine.hand.sequence import PoseSequence
 
 WEBXR_FINGERS = ("index-finger", "middle-finger", "ring-finger", "pinky-finger")

@@ -14,9 +14,9 @@ from PIL import Image
 
 from jghand_engine.captures.interhand_writer import RecordedHand, write_interhand
 from jghand_engine.captures.masks import template_mask
-from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, from_level
+from jghand_engine.hand.poses import named_pose
 from jghand_engine.render.camera import Camera
 from jghand_engine.template.builtin import load_template
 

@@ -8,12 +8,12 @@ from small_avatars import small_tensors
 
 from jghand_engine.avatar.avatar import AvatarInfo
 from jghand_engine.avatar.correctives import PoseNetShape
-from jghand_engine.hand.anatomy import named_pose
-from jghand_engine.hand.frames import HandFrames
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.transform import BoneTransforms, JointTransform
+from jghand_engine.hand.poses import named_pose
 from jghand_engine.learn.canonical_points import CanonicalPoints
+from jghand_engine.learn.frames import HandFrames
 from jghand_engine.learn.model import LearnedHand, ModelOptions
+from jghand_engine.learn.skeleton import BoneTransforms, JointTransform
 from jghand_engine.template.builtin import load_template
 
 SMALL_NET = PoseNetShape(octaves=(2, 2, 1), angle_channels=4, angle_texels=5, hidden=12)

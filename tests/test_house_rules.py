@@ -37,6 +37,9 @@ ROOMS = (
 MODULE_LINES, PUBLIC_PARAMETERS = 600, 8
 # MANO exists as a pickle alone: one reader with a list of what it may name
 PICKLE_READER = "jghand_engine/template/mano.py"
+# packages that draw: numpy, safetensors and the kernels are all that importing them may load
+WITHOUT_TORCH = ("hand",)
+LEARNING_ONLY = ("torch", "scipy", "trimesh")
 NEVER_IMPORTED = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "torchvision"}
 SHARED_MODULE = "jghand_engine.service.protocol"
 
@@ -271,6 +274,17 @@ def test_importing_the_package_loads_nothing_heavy():
     code = (
         "import sys; import jghand_engine, jghand_engine.service.protocol; "
         "print([m for m in ('torch', 'numpy', 'scipy', 'pxr', 'PIL', 'tyro', 'rich') if m in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("package", WITHOUT_TORCH)
+def test_what_draws_loads_nothing_that_only_learning_needs(package):
+    modules = [name_of(path).removesuffix(".py").replace("/", ".") for path in python_files(ENGINE / package)]
+    code = (
+        f"import importlib, sys\nfor module in {modules}: importlib.import_module(module)\n"
+        f"print([m for m in {LEARNING_ONLY} if m in sys.modules])"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

@@ -8,9 +8,10 @@ import numpy as np
 
 from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.rotations import vector_rotation
 from jghand_engine.track.detection import SeenHand
 from jghand_engine.track.poses import Pinhole, Poses
-from jghand_engine.track.skeleton import LIMITS_RAD, Skeleton, rotations_of
+from jghand_engine.track.skeleton import LIMITS_RAD, Skeleton
 from jghand_engine.track.track import Sightings
 
 CANONICAL_M = load_builtin(handedness=Handedness.RIGHT).canonical_joints_m
@@ -28,7 +29,7 @@ def moving_poses(count: int = 60, fps: float = FPS) -> Poses:
     bent[:, :4] *= 0.3  # the thumb reaches less far
     angle = np.clip(bent, LIMITS_RAD[:, 0] + 0.02, LIMITS_RAD[:, 1] - 0.02)
     # the canonical hand has y up and z out of the palm: half a turn about x brings it before a camera
-    turn = rotations_of(np.array([[np.pi, 0.0, 0.0]])) @ rotations_of(
+    turn = vector_rotation(np.array([[np.pi, 0.0, 0.0]])) @ vector_rotation(
         np.stack([0.2 * np.sin(time), 0.3 * np.sin(0.8 * time), 0.2 * np.sin(1.3 * time)], -1)
     )
     place = np.stack([0.05 * np.sin(time), 0.09 + 0.02 * np.cos(time), 0.5 + 0.04 * np.sin(0.7 * time)], -1)

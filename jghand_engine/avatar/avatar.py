@@ -9,9 +9,8 @@ import numpy as np
 
 from jghand_engine.avatar.learned import Learned
 from jghand_engine.errors import InputError
-from jghand_engine.hand.baselines import Transform, transform_called
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.transform import JointTransform, ScaleMode
+from jghand_engine.hand.skeleton import ScaleMode, Skeleton, Transform
 from jghand_engine.limits import DEEP_M, DEEP_RADII, SIGMA_MAX_M, UVD_RANGE_M
 
 
@@ -30,7 +29,7 @@ class LearnedFrom:
 class AvatarInfo:
     """What is written beside the arrays of an avatar.
 
-    swing, scale_mode: as `JointTransform` takes them.
+    swing, scale_mode: as `Skeleton` takes them.
     transform: how its bones follow the joints; another than JOINTS is only drawn by what measures ablations.
     pose_statistics: per-angle minimum and maximum of the training poses, radians, by name; empty when nothing was
     trained.
@@ -82,15 +81,12 @@ class HandAvatar:
         """The same avatar, driven by joints of the named hand."""
         return replace(self, handedness=Handedness(handedness))
 
-    def bone_transform(self) -> JointTransform:
-        """The transform from joints to bones that this avatar was made for."""
+    def skeleton(self) -> Skeleton:
+        """What moves its bones with the joints. InputError for an avatar that follows them in another way."""
+        check_follows_joints(self)
         info = self.info
-        return transform_called(
-            info.transform,
-            self.canonical_joints_m,
-            handedness=self.handedness,
-            swing=info.swing,
-            scale_mode=info.scale_mode,
+        return Skeleton(
+            self.canonical_joints_m, handedness=self.handedness, swing=info.swing, scale_mode=info.scale_mode
         )
 
     def prefix(self, count: int) -> HandAvatar:

@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from jghand_engine.hand.anatomy import FRAME_RANGES_DEG
 from jghand_engine.hand.joints import JOINT_COUNT
+from jghand_engine.hand.kinematics import FRAME_RANGES_DEG
 from jghand_engine.limits import PALM_NEIGHBOR_RANGES_DEG, PALM_PLANE_RANGES_DEG
 
 # flexion and abduction of 15 bones, 4 angles between palm bones and 3 between palm planes

@@ -9,8 +9,8 @@ from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.fast_skinning import Blocks, point
 from jghand_engine.avatar.learned import CastShadow, capsules, lamp_directions
-from jghand_engine.hand.fast_transform import FastBones
 from jghand_engine.hand.joints import BONE_COUNT
+from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native.binding import aligned_zeros
 from jghand_engine.native.learned_tasks import LearnedTask
 from jghand_engine.native.tasks import LANES
@@ -55,7 +55,7 @@ class FastCast:
         point(shadow, self.arrays)
         point(task, self.around)
 
-    def prepare(self, bones: FastBones) -> None:
+    def prepare(self, bones: Bones) -> None:
         """Sets the capsules of the next pose."""
         matrices = bones.linear_offset.astype(np.float64)
         # bone i ends at joint i

@@ -15,8 +15,8 @@ from jghand_engine.avatar.fast_correctives import fast_correctives
 from jghand_engine.avatar.fast_skinning import Blocks, FastSkinning, PosedArrays, check_task, inverse_scale, point
 from jghand_engine.avatar.learned import Learned, Light
 from jghand_engine.errors import InputError
-from jghand_engine.hand.fast_transform import FastBones
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native.binding import Library, address, aligned_zeros, new_team
 from jghand_engine.native.learned_tasks import CorrectiveKind, LearnedTask
 from jghand_engine.native.tasks import LANES
@@ -50,7 +50,7 @@ class FastLearnedSkin:
 
     def prepare(
         self,
-        bones: FastBones,
+        bones: Bones,
         into: PosedArrays,
         rgb: np.ndarray,
         shift_m: np.ndarray,

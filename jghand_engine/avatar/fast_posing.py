@@ -10,10 +10,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from jghand_engine.avatar.avatar import HandAvatar, check_follows_joints
+from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.fast_learned import FastLearnedSkin
 from jghand_engine.avatar.fast_skinning import FastSkinning, PosedArrays
-from jghand_engine.hand.fast_transform import FastBones, FastTransform
+from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native.binding import Library, aligned_zeros
 from jghand_engine.native.threads import shared_pool
 
@@ -39,11 +39,8 @@ class FastPosing:
     """
 
     def __init__(self, library: Library, avatar: HandAvatar, threads: int = 0) -> None:
-        check_follows_joints(avatar)
-        info, learned = avatar.info, avatar.learned
-        self._transform = FastTransform(
-            avatar.canonical_joints_m, handedness=avatar.handedness, swing=info.swing, scale_mode=info.scale_mode
-        )
+        learned = avatar.learned
+        self._transform = avatar.skeleton()
         self._learned, self._plain = None, None
         if learned is None:
             skin = self._plain = FastSkinning(library, avatar)
@@ -75,7 +72,7 @@ class FastPosing:
             None if covariance is None else covariance[row],
         )
 
-    def _run(self, bones: FastBones) -> np.ndarray | None:
+    def _run(self, bones: Bones) -> np.ndarray | None:
         """Poses into the arrays; the colors' rows, where they change."""
         if self._learned is not None:
             learned = self._learned

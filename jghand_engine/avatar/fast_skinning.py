@@ -15,8 +15,8 @@ import numpy as np
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.errors import RetryError
-from jghand_engine.hand.fast_transform import FastBones
 from jghand_engine.hand.joints import JOINT_COUNT
+from jghand_engine.hand.skeleton import Bones
 from jghand_engine.limits import QUATERNION_MIN
 from jghand_engine.native.binding import Library, address, aligned_zeros, new_team
 from jghand_engine.native.tasks import LANES, SkinTask
@@ -107,7 +107,7 @@ class FastSkinning:
         """Of the arrays that a pose is written into."""
         return self.blocks.rows
 
-    def prepare(self, bones: FastBones, into: PosedArrays, shift_m: np.ndarray) -> None:
+    def prepare(self, bones: Bones, into: PosedArrays, shift_m: np.ndarray) -> None:
         """Sets the next pose. Positions come out relative to the hand's root, plus `shift_m` (3,).
 
         InputError names an array that the kernel cannot read or write: `into` needs `rows` rows.
@@ -153,7 +153,7 @@ def point(task: ctypes.Structure, arrays: dict[str, np.ndarray]) -> None:
         setattr(task, name, array.ctypes.data)
 
 
-def inverse_scale(bones: FastBones) -> float:
+def inverse_scale(bones: Bones) -> float:
     """1 / s_g, finite for a hand without size."""
     return 1.0 / max(bones.scale, float(np.finfo(np.float32).tiny))
 

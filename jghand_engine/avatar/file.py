@@ -35,11 +35,9 @@ from jghand_engine.avatar.texts import is_text
 from jghand_engine.avatar.validation import REMEDY, check_avatar
 from jghand_engine.errors import InputError
 from jghand_engine.files import writing
-from jghand_engine.hand.baselines import Transform
-from jghand_engine.hand.frames import Swing
 from jghand_engine.hand.joints import JOINT_COUNT, STANDARD_NAMES, Handedness
 from jghand_engine.hand.orders import JointOrder, from_level, to_level
-from jghand_engine.hand.transform import ScaleMode, scale_exponent
+from jghand_engine.hand.skeleton import ScaleMode, Swing, Transform, scale_exponent
 from jghand_engine.json_files import JsonObject, is_number
 from jghand_engine.limits import AVATAR_HEADER_MAX_BYTES, AVATAR_MAX_GAUSSIANS, AVATAR_TEXT_MAX
 

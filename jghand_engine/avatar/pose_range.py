@@ -55,11 +55,13 @@ def trained_range(info: AvatarInfo) -> np.ndarray | None:
     return np.moveaxis(np.array(ranges), -1, 0)
 
 
-def range_report(avatar: HandAvatar, angles_rad: np.ndarray) -> list[OutOfRange]:
-    """Every angle that is outside in some frame, once, the farthest first. angles_rad: (..., 15, 2) flexion and
-    abduction of bones 6..20, of one pose or of many."""
+def range_report(avatar: HandAvatar, joints_m: np.ndarray) -> list[OutOfRange]:
+    """Every angle that is outside in some frame, once, the farthest first. joints_m: (F, 21, 3)."""
     limits_rad = trained_range(avatar.info)
-    return [] if limits_rad is None else outside(angles_rad, limits_rad)
+    if limits_rad is None:
+        return []
+    skeleton = avatar.skeleton()
+    return outside(np.stack([skeleton.bones(pose_m).phalanx_angles_rad for pose_m in joints_m]), limits_rad)
 
 
 def outside(angles_rad: np.ndarray, limits_rad: np.ndarray) -> list[OutOfRange]:

@@ -8,9 +8,9 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.correctives import LinearCorrectives, PoseNetwork
 from jghand_engine.avatar.learned import ANCHOR_NEIGHBORS, SH_COUNT, CastShadow, Learned
 from jghand_engine.errors import InputError
-from jghand_engine.hand.joints import JOINT_COUNT, Handedness
+from jghand_engine.hand.joints import JOINT_COUNT
 from jghand_engine.hand.orders import check_hand_size, check_order
-from jghand_engine.hand.transform import JointTransform
+from jghand_engine.hand.skeleton import CanonicalHand, Swing, scale_exponent
 from jghand_engine.limits import (
     AVATAR_MAX_GAUSSIANS,
     AVATAR_REACH_M,
@@ -165,9 +165,9 @@ def _check_joints(avatar: HandAvatar, thing: str) -> None:
         raise InputError(f"{thing}: canonical_joints_m", wanted="finite values", came="NaN or Inf", remedy=REMEDY)
     try:
         check_hand_size(joints_m)
-        JointTransform(
-            joints_m, handedness=Handedness.RIGHT, swing=avatar.info.swing, scale_mode=avatar.info.scale_mode
-        )
+        CanonicalHand.build(joints_m)
+        Swing(avatar.info.swing)
+        scale_exponent(avatar.info.scale_mode)
         check_order(joints_m)
     except InputError as error:
         raise InputError(

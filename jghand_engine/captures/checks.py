@@ -9,12 +9,13 @@ import numpy as np
 
 from jghand_engine.errors import InputError
 from jghand_engine.hand.orders import (
+    HAND_LENGTH_MAX_M,
+    HAND_LENGTH_MIN_M,
     METERS_PER_UNIT,
     JointOrder,
     check_order,
     hand_length,
 )
-from jghand_engine.limits import HAND_LENGTH_MAX_M, HAND_LENGTH_MIN_M
 
 # is told what is wrong, and the reading goes on without it
 Report = Callable[[InputError], None]

@@ -10,14 +10,13 @@ import functools
 from typing import Any
 
 import numpy as np
-import torch
 from PIL import Image, ImageDraw
 from scipy import ndimage
 
 from jghand_engine import limits
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.transform import JointTransform
+from jghand_engine.hand.skeleton import Skeleton
 from jghand_engine.render.camera import Camera
 from jghand_engine.template.builtin import load_template
 
@@ -66,12 +65,11 @@ def posed_template(joints_m: np.ndarray, handedness: Handedness) -> np.ndarray:
     if not np.isfinite(joints_m).all():
         raise InputError("joints of a pose", wanted="all 21 joints", came="some that are missing")
     template = load_template()
-    bones = _transform(handedness).bones(torch.tensor(joints_m, dtype=torch.float64))
-    linear, offset_m, root_m, canonical_root_m = (
-        getattr(bones, name).numpy() for name in ("linear", "offset_m", "root_m", "canonical_root_m")
-    )
-    carried = np.einsum("bij,vj->vbi", linear, template.vertices_m - canonical_root_m) + offset_m
-    return np.einsum("vb,vbi->vi", template.bone_weights, carried) + root_m
+    skeleton = _skeleton(handedness)
+    bones = skeleton.bones(joints_m, np.float64)
+    maps = np.einsum("vb,bij->vij", template.bone_weights, bones.linear_offset)
+    relative_m = template.vertices_m - skeleton.canonical_root_m
+    return np.einsum("vij,vj->vi", maps[..., :3], relative_m) + maps[..., 3] + bones.root_m
 
 
 def silhouette(camera: Camera, vertices_m: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -98,5 +96,5 @@ def _touches(corners: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 
 
 @functools.cache
-def _transform(handedness: Handedness) -> JointTransform:
-    return JointTransform(load_template().joints_m, handedness=handedness)
+def _skeleton(handedness: Handedness) -> Skeleton:
+    return Skeleton(load_template().joints_m, handedness=handedness)

@@ -29,7 +29,7 @@ from jghand_engine.cli.frame_files import FrameFiles, FrameWriter
 from jghand_engine.cli.timings import Timings
 from jghand_engine.errors import InputError, JGHandError, MemoryLimitError, RetryError
 from jghand_engine.files import file_error, make_folder
-from jghand_engine.hand.anatomy import MotionOptions, pose_sequence_of_names
+from jghand_engine.hand.poses import MotionOptions, pose_sequence_of_names
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.frame import HandRenderer

@@ -5,21 +5,23 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.cli.console import read_json, say
 from jghand_engine.cli.options import FormatOptions, MotionOptions, pose_list
 from jghand_engine.errors import InputError
-from jghand_engine.hand.anatomy import MotionOptions as PoseMotionOptions
-from jghand_engine.hand.anatomy import pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder
+from jghand_engine.hand.poses import MotionOptions as PoseMotionOptions
+from jghand_engine.hand.poses import pose_sequence_of_names
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.motion.bone_names import BoneMap, bone_map
 from jghand_engine.motion.clocks import DEFAULT_FPS
 from jghand_engine.motion.files import MotionFormat
 from jghand_engine.motion.read import MotionRead, read_motion_file
 from jghand_engine.motion.repair import fill_gaps
+
+# bones that vary by less than this (standard deviation, meters) are constant: text with few digits
+BONE_WOBBLE_MIN_M = 1e-4
 
 
 @dataclass(frozen=True)
@@ -59,7 +61,7 @@ def load_motion(options: MotionOptions, avatar: HandAvatar) -> Motion:
         notes.append(said)
     if not options.keep_bone_lengths:
         wobble_m = sequence.bone_lengths_m.std(0).max()
-        if wobble_m > limits.BONE_WOBBLE_MIN_M:
+        if wobble_m > BONE_WOBBLE_MIN_M:
             notes.append(
                 f"Bone lengths varied by up to {1e3 * wobble_m:.1f} mm (standard deviation): every bone keeps its "
                 "median length (--keep-bone-lengths follows the file)."

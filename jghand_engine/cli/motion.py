@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 import tyro
 
-from jghand_engine import limits
 from jghand_engine.cli.console import progress, say, write_json
 from jghand_engine.cli.options import FormatOptions, ReportOptions
 from jghand_engine.errors import InputError
 from jghand_engine.files import check_place
+from jghand_engine.hand.sequence import FPS_MAX, FPS_MIN
 
 if TYPE_CHECKING:
     from jghand_engine.hand.sequence import PoseSequence
@@ -90,8 +90,8 @@ class Motion:
         from jghand_engine.motion.files import check_written_suffix
 
         check_written_suffix(self.out)
-        if self.to_fps is not None and not limits.FPS_MIN <= self.to_fps <= limits.FPS_MAX:
-            wanted = f"{limits.FPS_MIN:g} to {limits.FPS_MAX:g} frames per second"
+        if self.to_fps is not None and not FPS_MIN <= self.to_fps <= FPS_MAX:
+            wanted = f"{FPS_MIN:g} to {FPS_MAX:g} frames per second"
             raise InputError("--to-fps", wanted=wanted, came=f"{self.to_fps:g}")
         check_place(self.out, overwrite=self.overwrite)
 

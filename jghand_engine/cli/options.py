@@ -15,6 +15,7 @@ import tyro
 from jghand_engine import limits
 from jghand_engine.avatar.shipped import BUILTIN
 from jghand_engine.errors import InputError
+from jghand_engine.hand.sequence import FPS_MAX, FPS_MIN
 
 OrderName = Literal["standard", "openpose", "mediapipe", "mano21", "interhand", "mano16_tips", "openxr", "level"]
 UnitName = Literal["m", "cm", "mm"]
@@ -67,8 +68,8 @@ class FormatOptions:
 
     def checked_fps(self) -> float | None:
         """`fps`. InputError when no motion can have it (NaN included)."""
-        if self.fps is not None and not limits.FPS_MIN <= self.fps <= limits.FPS_MAX:
-            wanted = f"{limits.FPS_MIN:g} to {limits.FPS_MAX:g} frames per second"
+        if self.fps is not None and not FPS_MIN <= self.fps <= FPS_MAX:
+            wanted = f"{FPS_MIN:g} to {FPS_MAX:g} frames per second"
             raise InputError("--fps", wanted=wanted, came=f"{self.fps:g}")
         return self.fps
 

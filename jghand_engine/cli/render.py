@@ -239,9 +239,6 @@ class Render:
 
 def out_of_range(avatar: HandAvatar, motion: Motion) -> list[OutOfRange]:
     """Angles that the avatar was not trained on, each once, in the frame where it is farthest outside."""
-    import torch
-
     from jghand_engine.avatar.pose_range import range_report
 
-    frames = avatar.bone_transform().frames(torch.from_numpy(motion.sequence.joints_m))
-    return range_report(avatar, frames.angles.numpy())
+    return range_report(avatar, motion.sequence.joints_m)

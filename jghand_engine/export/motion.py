@@ -9,14 +9,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
-from jghand_engine.avatar.avatar import HandAvatar, check_follows_joints
+from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.fast_posing import FastPosing, PosedFrame
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import PoseSequence
-from jghand_engine.hand.transform import BoneTransforms
 from jghand_engine.native import library
 
 # frames whose bones are made at once
@@ -50,12 +48,11 @@ class HandMotion:
 
     def __init__(self, avatar: HandAvatar, sequence: PoseSequence) -> None:
         check_sequence(sequence)
-        check_follows_joints(avatar)
         self.handedness = Handedness(sequence.handedness)
         self.avatar = avatar.for_hand(self.handedness)
-        self._transform = self.avatar.bone_transform()
+        self._skeleton = self.avatar.skeleton()
         self.sequence = sequence
-        self._joints_m = torch.tensor(sequence.joints_m, dtype=torch.float64)
+        self._joints_m = sequence.joints_m
         native = library.load()
         if native is None:
             raise RetryError("the kernels of JGHand are missing", remedy="Install JGHand anew.")
@@ -67,19 +64,19 @@ class HandMotion:
     @property
     def mean_scale(self) -> float:
         """Scale of the whole hand against the canonical one, mean over the frames."""
-        return sum(float(bones.scale.sum()) for _, bones in self._batches()) / len(self)
+        return sum(self._skeleton.bones(joints_m).scale for joints_m in self._joints_m) / len(self)
 
     def wrist_m(self, index: int) -> np.ndarray:
         """(3,) float64 where the wrist is in one frame, meters."""
-        return self._joints_m[index, 0].numpy()
+        return self._joints_m[index, 0]
 
     def frame(self, index: int) -> PosedFrame:
         """The Gaussians as the engine draws them in one frame."""
-        return self._posing(self._joints_m[index].numpy())
+        return self._posing(self._joints_m[index])
 
     def rest(self) -> PosedFrame:
         """The Gaussians of the canonical hand, with what the avatar has learned of such a pose."""
-        return self._posing(self._mirrored(np.asarray(self.avatar.canonical_joints_m, np.float64)))
+        return self._posing(self._rest_joints_m)
 
     @property
     def colors_move(self) -> bool:
@@ -104,35 +101,25 @@ class HandMotion:
 
     def rest_poses(self) -> BonePoses:
         """The canonical hand as one frame."""
-        joints_m = torch.as_tensor(self._mirrored(np.asarray(self.avatar.canonical_joints_m, np.float64)))[None]
-        return self._poses(joints_m, self._transform.bones(joints_m))
+        return self._poses(self._rest_joints_m[None])
 
     def poses(self) -> Iterator[BonePoses]:
         """The bones of every frame, BATCH_FRAMES frames at a time."""
-        for joints_m, bones in self._batches():
-            yield self._poses(joints_m, bones)
+        for first in range(0, len(self), BATCH_FRAMES):
+            yield self._poses(self._joints_m[first : first + BATCH_FRAMES])
+
+    @property
+    def _rest_joints_m(self) -> np.ndarray:
+        return self._mirrored(np.asarray(self.avatar.canonical_joints_m, np.float64))
 
     def _mirrored(self, points_m: np.ndarray) -> np.ndarray:
         """Canonical points (..., 3) of the hand itself: the mirror image of the model's for a left hand."""
         return points_m @ MIRROR.astype(points_m.dtype) if self.handedness is Handedness.LEFT else points_m
 
-    def _batches(self) -> Iterator[tuple[torch.Tensor, BoneTransforms]]:
-        for joints_m in self._joints_m.split(BATCH_FRAMES):
-            yield joints_m, self._transform.bones(joints_m)
-
-    def _poses(self, joints_m: torch.Tensor, bones: BoneTransforms) -> BonePoses:
-        posed = _all_frames(bones.frames.S, bones.frames.S0)
-        canonical = self._transform.canonical
-        # the canonical hand keeps its batch last and its components first
-        canonical_frames = _all_frames(
-            canonical.S.squeeze(-1).permute(2, 0, 1)[None], canonical.S0.squeeze(-1).squeeze(-1)[None]
-        )
-        linear = bones.linear.numpy()
-        if self.handedness is Handedness.LEFT:
-            linear = MIRROR @ linear
-        # L = S diag(r, r, s) S^cT: the diagonal, also where a bone has no length and L no inverse
-        scales = (posed * (linear @ canonical_frames)).sum(axis=-2)
-        return BonePoses(joints_m.numpy(), joint_axes(posed, self.handedness), scales[..., JOINT_AXES])
+    def _poses(self, joints_m: np.ndarray) -> BonePoses:
+        bones = [self._skeleton.bones(pose_m, np.float64) for pose_m in joints_m]
+        frames, scales = (np.stack(parts) for parts in zip(*map(self._skeleton.frames, bones), strict=True))
+        return BonePoses(joints_m, joint_axes(frames, self.handedness), scales[..., JOINT_AXES])
 
 
 def check_sequence(sequence: PoseSequence) -> None:
@@ -151,8 +138,3 @@ def joint_axes(frames: np.ndarray, handedness: Handedness) -> np.ndarray:
     if handedness is Handedness.LEFT:
         frames = MIRROR @ frames @ TURN_FLEXION_AXIS
     return frames[..., JOINT_AXES]
-
-
-def _all_frames(S: torch.Tensor, S0: torch.Tensor) -> np.ndarray:
-    """(F, 21, 3, 3): the palm's frame and those of bones 1..20."""
-    return torch.cat([S0.unsqueeze(-3), S], dim=-3).numpy()

@@ -1,131 +1,171 @@
-"""A hand as joint angles and back: decomposition, forward kinematics, interpolation between poses. METHOD 6.3.
+"""A hand posed by the angles of its joints, as anatomy counts them, within the ranges of human joints.
 
-A pose is the palm's frame and place, the directions of the metacarpals inside the palm, two angles for each
-phalanx and the bone lengths. All functions are batched, differentiable torch; right-hand space inside, either hand at
-the border.
+Angles are per finger, in degrees, because that is how tables of ranges read. Fingers: MCP flexion, MCP abduction
+(positive away from the middle finger), PIP flexion, DIP flexion; flexion 0 is a straight finger, abduction 0 the spread
+of the canonical hand. Thumb: CMC flexion (sweeps across the palm), CMC abduction, MCP and IP flexion; 0 is the thumb of
+the canonical hand. So the same angles fit any canonical hand. DATA 8, METHOD 4.1.
 """
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
+from enum import StrEnum
 
-import torch
-from torch import Tensor
+import numpy as np
 
-from jghand_engine.errors import InputError
-from jghand_engine.hand import rotations as rot
-from jghand_engine.hand.frames import metacarpal_frames, swing_of
-from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.transform import JointTransform
+from jghand_engine.hand.rotations import axis_rotation
+from jghand_engine.hand.skeleton import CanonicalHand, euler_swing
+
+# lowest and highest angle, degrees; (5 fingers, 4 angles, 2)
+RANGES_DEG = np.array(
+    [[(-15, 45), (-15, 35), (-10, 55), (-15, 85)]] + [[(-25, 92), (-22, 25), (-5, 112), (-8, 82)]] * 4, dtype=np.float64
+)
+# ranges of the angles in the frames of the skeleton, degrees: flexion and abduction of bones 6..20 (METHOD 4.1);
+# used to normalize features
+FRAME_RANGES_DEG = np.array(
+    [
+        [(-20, 130), (-80, 80)] if finger == 0 else [flexion, (-abduction, abduction)]
+        for flexion, abduction in (((-30, 100), 35), ((-10, 115), 15), ((-20, 90), 15))
+        for finger in range(5)
+    ],
+    dtype=np.float64,
+)
+# +abduction turns index and middle to the thumb's side, ring and pinky to the other
+ABDUCTION_SIDE = np.array([1.0, 1.0, 1.0, -1.0, -1.0])
+# out of the palm for the thumb, in the palm frame (out of the palm, towards the thumb, distal); DATA 8
+_THUMB_NORMAL = np.array([0.59, -0.80, -0.10])
+
+# tips touch: air of this part of the finger chain's length (about 3 mm) weighs as much as turning one joint by the
+# pull; a weaker pull bends fingers oddly to close the last tenth of a millimeter
+TOUCH_PART = 0.02
+TOUCH_PULL_DEG = 40.0
+# half a finger's thickness and half the thumb's, as part of that length: the tip's joint stays so far from the bone
+TOUCH_THICKNESS_PART = 0.07
+# Gauss-Newton steps and the step of its differences; four steps reach the end on the built-in hand
+TOUCH_STEPS = 8
+TOUCH_DIFFERENCE_DEG = 1e-3
 
 
-@dataclass(frozen=True)
-class HandPose:
-    """A hand in joint angles; right-hand space (a left hand is mirrored first).
+class Contact(StrEnum):
+    """Where the thumb's tip meets a finger: at its tip, or resting on the back of its middle phalanx."""
 
-    root_m: (..., 3) wrist · palm: (..., 3, 3) frame S0 · metacarpal: (..., 5, 3) directions inside the palm frame
-    angles: (..., 15, 2) flexion and abduction of bones 6..20, radians, in the frames of the transform's swing
-    length_m: (..., 20) bone lengths
+    TIP = "tip"
+    REST = "rest"
+
+
+class ArticulatedHand:
+    """A canonical hand that can be posed by anatomical angles; bones keep the canonical lengths exactly.
+
+    canonical_joints_m: (21, 3) right hand, level order, meters
+    straight_joints_m:  (21, 3) the hand whose fingers are straight: what `turns` turns
+    flexion_axes, abduction_axes: (3, 5, 3) of the three moving bones of each finger in the straight hand
+    finger_length_m:    of the middle finger with its metacarpal
     """
 
-    root_m: Tensor
-    palm: Tensor
-    metacarpal: Tensor
-    angles: Tensor
-    length_m: Tensor
+    def __init__(self, canonical_joints_m: np.ndarray) -> None:
+        hand = CanonicalHand.build(canonical_joints_m)
+        self.straight_joints_m = joints = hand.joints_m + hand.root_m
+        self.finger_length_m = float(hand.length_m[[2, 7, 12, 17]].sum())
+        frame = hand.frames[1:6]
+        for first in (0, 5, 10):
+            # straight fingers keep their spread and their natural sideways bends; the thumb stays as it is
+            u = hand.u[first : first + 5].copy()
+            u[1:, 2], u[1:, 0] = np.hypot(u[1:, 0], u[1:, 2]), 0.0
+            bones = hand.length_m[first + 5 : first + 10, None] * np.einsum("fij,fj->fi", frame, u)
+            joints[first + 6 : first + 11] = joints[first + 1 : first + 6] + bones
+            frame = frame @ euler_swing(u)
+        self._bones = (joints[6:] - joints[1:16]).reshape(3, 5, 3)
+        direction = self._bones / np.linalg.norm(self._bones, axis=-1, keepdims=True)
+        palm = hand.frames[0]
+        normal = np.stack([palm @ _THUMB_NORMAL, *[palm[:, 0]] * 4])
+        normal = normal - (normal * direction).sum(-1, keepdims=True) * direction
+        self.abduction_axes = normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+        self.flexion_axes = np.cross(direction, self.abduction_axes)
+
+    def joints(self, angles_deg: np.ndarray) -> np.ndarray:
+        """(F, 5, 4) angles, degrees, clamped to RANGES_DEG -> (F, 21, 3) joints, meters."""
+        bones = np.einsum("nkfij,kfj->nkfi", self.turns(angles_deg), self._bones)
+        joints = np.tile(self.straight_joints_m, (len(bones), 1, 1))
+        for level in range(3):
+            first = 1 + 5 * level
+            joints[:, first + 5 : first + 10] = joints[:, first : first + 5] + bones[:, level]
+        return joints
+
+    def turns(self, angles_deg: np.ndarray) -> np.ndarray:
+        """(F, 5, 4) angles, degrees, clamped to RANGES_DEG -> (F, 3, 5, 3, 3) rotations of the three moving bones of
+        each finger, from where they point in the straight hand."""
+        angle = np.radians(np.clip(np.asarray(angles_deg, dtype=np.float64), RANGES_DEG[..., 0], RANGES_DEG[..., 1]))
+        turn = axis_rotation(self.abduction_axes[0], -ABDUCTION_SIDE * angle[..., 1])
+        turns = []
+        for joint, which in enumerate((0, 2, 3)):
+            turn = turn @ axis_rotation(self.flexion_axes[joint], angle[..., which])
+            turns.append(turn)
+        return np.stack(turns, axis=1)
+
+    def touching(self, angles: np.ndarray, contact: Contact, finger: int) -> np.ndarray:
+        """The nearest angles (5, 4), degrees, at which the thumb's tip touches `finger` (1 index .. 4 pinky).
+
+        Gauss-Newton on the distance, with a pull to the given angles and the ranges as bounds. A hand that cannot reach
+        stays as near as it gets."""
+        moving = [(0, k) for k in range(4)]
+        if contact is Contact.TIP:
+            moving += [(finger, k) for k in range(4)]
+        rows, cols = np.array(moving).T
+        start = angles[rows, cols]
+        low, high = RANGES_DEG[rows, cols].T
+        pull = np.eye(len(start)) / TOUCH_PULL_DEG
+        value = np.clip(start, low, high)
+        for _ in range(TOUCH_STEPS):
+            # the gap at the value and, for the Jacobian, beside it in each angle: inwards, as joints stop at the range
+            beside = np.where(value < (low + high) / 2, TOUCH_DIFFERENCE_DEG, -TOUCH_DIFFERENCE_DEG)
+            trials = np.repeat(angles[None], len(start) + 1, axis=0)
+            trials[:, rows, cols] = value
+            trials[np.arange(1, len(start) + 1), rows, cols] += beside
+            gap = self._gap(self.joints(trials), contact, finger) / (TOUCH_PART * self.finger_length_m)
+            jacobian = (gap[1:] - gap[0]).T / beside
+            residual = np.concatenate([gap[0], (value - start) / TOUCH_PULL_DEG])
+            step = bounded_least_squares(np.concatenate([jacobian, pull]), -residual, low - value, high - value)
+            value = np.clip(value + step, low, high)  # the bounds hold but for rounding
+        solved = angles.copy()
+        solved[rows, cols] = value
+        return solved
+
+    def _gap(self, joints: np.ndarray, contact: Contact, finger: int) -> np.ndarray:
+        """(F, 21, 3) joints -> (F, 3) from the thumb's tip to the place that it should touch, meters."""
+        tip = joints[:, 16]
+        if contact is Contact.TIP:
+            return joints[:, 16 + finger] - tip
+        knuckle, start, end = (joints[:, first + finger] for first in (1, 6, 11))
+        phalanx = (end - start) / np.linalg.norm(end - start, axis=1, keepdims=True)
+        # of a bent finger the first phalanx points away from the back of the second
+        back = start - knuckle
+        back = back - (back * phalanx).sum(axis=1, keepdims=True) * phalanx
+        back = back / np.linalg.norm(back, axis=1, keepdims=True)
+        return (start + end) / 2 + TOUCH_THICKNESS_PART * self.finger_length_m * back - tip
 
 
-def decompose(transform: JointTransform, joints_m: Tensor) -> HandPose:
-    """(..., 21, 3) joints -> HandPose; `forward_kinematics` gives the joints back.
+def bounded_least_squares(matrix: np.ndarray, target: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """The x (n,) from `low` to `high` with the least |matrix x - target|, by active sets (Stark and Parker 1995).
 
-    A bone without length keeps its canonical angle; a palm without plane its canonical twist (METHOD 2.10).
+    matrix: (m, n) of full rank, n small · low, high: (n,) on either side of 0
     """
-    frames = transform.frames(joints_m)
-    ux, uy, uz = frames.u.unbind(-1)
-    # not frames.angles: those flatten the flexion near the abduction pole, and here the way back must be exact
-    flexion = rot.safe_atan2(ux, uz, 0.0)
-    abduction = rot.safe_atan2(-uy, rot.safe_length(torch.stack([ux, uz]), 0.0), 0.0)
-    palm_directions = frames.direction[..., :5, :]
-    return HandPose(
-        root_m=_mirrored(transform, joints_m[..., 0, :]),
-        palm=frames.S0,
-        metacarpal=(frames.S0.transpose(-1, -2).unsqueeze(-3) * palm_directions.unsqueeze(-2)).sum(-1),
-        angles=torch.stack([flexion, abduction], -1),
-        length_m=frames.length,
-    )
-
-
-def local_directions(angles: Tensor) -> Tensor:
-    """(2, *rest) flexion and abduction -> (3, *rest) unit directions u(theta) in the parent's frame. METHOD 2.4."""
-    flexion, abduction = angles
-    across = torch.cos(abduction)
-    return torch.stack([torch.sin(flexion) * across, -torch.sin(abduction), torch.cos(flexion) * across])
-
-
-def forward_kinematics(transform: JointTransform, pose: HandPose) -> Tensor:
-    """HandPose -> (..., 21, 3) joints, meters: b_i = l_i S_p(i) u_i, S_i = S_p(i) Q(u_i)."""
-    batch = pose.root_m.shape[:-1]
-    palm = pose.palm.reshape(-1, 3, 3).permute(1, 2, 0).unsqueeze(2)
-    inside = pose.metacarpal.reshape(-1, 5, 3).permute(2, 1, 0)
-    u = local_directions(pose.angles.reshape(-1, 15, 2).permute(2, 1, 0))
-    length = pose.length_m.reshape(-1, 20).T
-    canonical = transform.canonical_hand(u.dtype, u.device)
-    metacarpals = rot.mat_vec(palm, inside)
-    frame = metacarpal_frames(metacarpals, palm, canonical)
-    starts = [pose.root_m.reshape(-1, 3).T.unsqueeze(1)]
-    starts.append(starts[0] + length[:5] * metacarpals)
-    for first in (0, 5, 10):
-        here = slice(first, first + 5)
-        starts.append(starts[-1] + length[first + 5 : first + 10] * rot.mat_vec(frame, u[:, here]))
-        frame = rot.mat_mul(frame, swing_of(u[:, here], canonical, here, transform.swing)[0])
-    joints = torch.cat(starts, 1).permute(2, 1, 0).reshape(*batch, 21, 3)
-    return _mirrored(transform, joints)
-
-
-def interpolate(transform: JointTransform, first_m: Tensor, second_m: Tensor, parts: Tensor) -> Tensor:
-    """Hands between two poses by joint angles: (..., 21, 3) and (..., 21, 3) at parts (T,) -> (T, ..., 21, 3).
-
-    Angles, bone lengths and the wrist go linearly, the angles the short way round; metacarpals are slerped inside
-    the palm frame and the palm frame itself along its shortest turn. Exact at parts 0 and 1.
-    """
-    if first_m.shape != second_m.shape:
-        raise InputError("second pose", wanted=f"shape {tuple(first_m.shape)}", came=str(tuple(second_m.shape)))
-    a, b = decompose(transform, first_m), decompose(transform, second_m)
-    parts = torch.as_tensor(parts, dtype=first_m.dtype, device=first_m.device).reshape(-1)
-
-    def share(dims: int) -> Tensor:
-        return parts.reshape(-1, *[1] * dims)
-
-    def linear(x: Tensor, y: Tensor) -> Tensor:
-        part = share(x.dim())
-        return (1 - part) * x + part * y
-
-    turn = b.angles - a.angles
-    short = turn - 2 * math.pi * torch.round(turn / (2 * math.pi))
-    angles = a.angles + share(a.angles.dim()) * short
-    metacarpal = rot.slerp(
-        a.metacarpal.movedim(-1, 0).unsqueeze(1),
-        b.metacarpal.movedim(-1, 0).unsqueeze(1),
-        share(a.metacarpal.dim() - 1),
-    )
-    palm = rot.slerp_rotation(
-        a.palm.movedim((-2, -1), (0, 1)).unsqueeze(2),
-        b.palm.movedim((-2, -1), (0, 1)).unsqueeze(2),
-        share(a.palm.dim() - 2),
-    )
-    pose = HandPose(
-        root_m=linear(a.root_m, b.root_m),
-        palm=palm.movedim((0, 1), (-2, -1)),
-        metacarpal=metacarpal.movedim(0, -1),
-        angles=angles,
-        length_m=linear(a.length_m, b.length_m),
-    )
-    return forward_kinematics(transform, pose)
-
-
-def _mirrored(transform: JointTransform, points: Tensor) -> Tensor:
-    """(..., 3) points with x negated for a left hand."""
-    if transform.handedness is Handedness.RIGHT:
-        return points
-    return points * points.new_tensor([-1.0, 1.0, 1.0])
+    x, free = np.zeros(len(low)), np.ones(len(low), dtype=bool)
+    noise = 1e-12 * np.abs(matrix.T @ target).max(initial=0.0)
+    while True:
+        # the best of the free ones; those that would leave their bounds stop there, and one after the other is bound
+        while free.any():
+            best = np.linalg.lstsq(matrix[:, free], target - matrix[:, ~free] @ x[~free], rcond=None)[0]
+            here, bound = x[free], np.where(best > x[free], high[free], low[free])
+            leaves = (best < low[free]) | (best > high[free])
+            if not leaves.any():
+                x[free] = best
+                break
+            parts = np.where(leaves, (bound - here) / np.where(leaves, best - here, 1.0), np.inf)
+            stops = parts <= parts.min()
+            x[free] = np.where(stops, bound, here + parts.min() * (best - here))
+            free[np.flatnonzero(free)[stops]] = False
+        slope = matrix.T @ (target - matrix @ x)
+        inwards = np.where(x <= low, slope, -slope)
+        inwards[free] = 0.0
+        if inwards.max(initial=0.0) <= noise:
+            return x
+        free[inwards.argmax()] = True

@@ -7,16 +7,33 @@ outside pass `check_order` and `check_hand_size`, which look at bone lengths onl
 from __future__ import annotations
 
 from enum import StrEnum
-from typing import TypeVar
+from typing import Protocol
 
 import numpy as np
-import torch
 
-from jghand_engine import limits
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import FINGERS, JOINT_COUNT, PARENTS
 
-Joints = TypeVar("Joints", np.ndarray, torch.Tensor)
+# ---- plausibility of joints ----
+# index..pinky: metacarpal at least this times the proximal phalanx (anatomy; a wrong joint order breaks it)
+METACARPAL_RATIO_MIN = 1.3
+# index..pinky: first phalanx at least this times the second; below 1 because video estimates shorten the pinky's
+PHALANX_RATIO_MIN = 0.85
+# wrist to middle tip, meters: outside this range the unit is most likely not meters
+HAND_LENGTH_MIN_M = 0.06
+HAND_LENGTH_MAX_M = 0.40
+# path index-middle-ring-pinky knuckle over the direct way: a hand's arch gives 1.05, two swapped fingers 1.6 and more
+KNUCKLE_DETOUR_MAX = 1.35
+# place of a metacarpal's base on the line wrist to knuckle, which OpenXR lists (0.33 to 0.37 in the rig that the
+# template comes from)
+OPENXR_METACARPAL_PART = 0.34
+
+
+class HasShape(Protocol):
+    """An array of numpy or torch."""
+
+    @property
+    def shape(self) -> tuple[int, ...]: ...
 
 
 class JointOrder(StrEnum):
@@ -78,7 +95,7 @@ def joint_count(order: JointOrder) -> int:
     return _OPENXR_COUNT if order is JointOrder.OPENXR else JOINT_COUNT
 
 
-def check_joint_shape(joints: np.ndarray | torch.Tensor, order: JointOrder = JointOrder.LEVEL) -> None:
+def check_joint_shape(joints: HasShape, order: JointOrder = JointOrder.LEVEL) -> None:
     """Raises InputError unless `joints` is (..., n, 3) with the n of `order`; says what another n looks like."""
     shape = tuple(joints.shape)
     if len(shape) < 2 or shape[-1] != 3:
@@ -97,8 +114,8 @@ def check_joint_shape(joints: np.ndarray | torch.Tensor, order: JointOrder = Joi
     raise InputError("joints", wanted=f"{joint_count(order)} joints ({order} order)", came=f"{came}", remedy=remedy)
 
 
-def to_level(joints: Joints, order: JointOrder) -> Joints:
-    """(..., n, 3) joints in `order` -> (..., 21, 3) in level order; numpy or torch, same unit. Nothing is computed.
+def to_level(joints: np.ndarray, order: JointOrder) -> np.ndarray:
+    """(..., n, 3) joints in `order` -> (..., 21, 3) in level order; same unit. Nothing is computed.
 
     OpenXR's palm and metacarpal joints are dropped. InputError for another number of joints.
     """
@@ -108,8 +125,8 @@ def to_level(joints: Joints, order: JointOrder) -> Joints:
     return joints[..., list(_FROM[order]), :]
 
 
-def from_level(joints: Joints, order: JointOrder) -> Joints:
-    """(..., 21, 3) joints in level order -> (..., n, 3) in `order`; numpy or torch, same unit.
+def from_level(joints: np.ndarray, order: JointOrder) -> np.ndarray:
+    """(..., 21, 3) joints in level order -> (..., n, 3) in `order`; same unit.
 
     To OpenXR five joints that JGHand does not have are **estimated** on the lines from the wrist to the knuckles:
     the metacarpal bases at a fixed part of the line, the palm in the middle of the middle metacarpal. The other 21
@@ -119,13 +136,12 @@ def from_level(joints: Joints, order: JointOrder) -> Joints:
     if order is not JointOrder.OPENXR:
         return joints[..., [_FROM[order].index(place) for place in range(JOINT_COUNT)], :]
     wrist, knuckles = joints[..., :1, :], joints[..., 2:6, :]
-    bases = wrist + limits.OPENXR_METACARPAL_PART * (knuckles - wrist)
+    bases = wrist + OPENXR_METACARPAL_PART * (knuckles - wrist)
     palm = 0.5 * (bases[..., 1:2, :] + knuckles[..., 1:2, :])
     # the 21 joints, the palm and the four bases, then one pick that sorts them
     parts = [joints, palm, bases]
     place_of = {place: k for k, place in enumerate((*_FROM[order], _OPENXR_PALM, *_OPENXR_METACARPALS))}
-    together = torch.cat(parts, dim=-2) if isinstance(joints, torch.Tensor) else np.concatenate(parts, axis=-2)
-    return together[..., [place_of[place] for place in range(_OPENXR_COUNT)], :]  # pyright: ignore[reportReturnType]
+    return np.concatenate(parts, axis=-2)[..., [place_of[place] for place in range(_OPENXR_COUNT)], :]
 
 
 def bone_lengths(joints: np.ndarray) -> np.ndarray:
@@ -149,9 +165,9 @@ def implausibilities(joints: np.ndarray) -> list[str]:
     wrong = []
     for finger in range(1, 5):
         name = FINGERS[finger]
-        if metacarpal[finger] < limits.METACARPAL_RATIO_MIN * proximal[finger]:
+        if metacarpal[finger] < METACARPAL_RATIO_MIN * proximal[finger]:
             wrong.append(f"the metacarpal of the {name} finger is hardly longer than its first phalanx")
-        if proximal[finger] < limits.PHALANX_RATIO_MIN * middle[finger]:
+        if proximal[finger] < PHALANX_RATIO_MIN * middle[finger]:
             wrong.append(f"the second phalanx of the {name} finger is longer than its first")
     if length[0] > metacarpal[1:].min():
         wrong.append("the thumb's first bone is longer than a metacarpal of another finger")
@@ -159,7 +175,7 @@ def implausibilities(joints: np.ndarray) -> list[str]:
     with np.errstate(over="ignore"):
         along = np.median(np.linalg.norm(np.diff(knuckles, axis=1), axis=-1).sum(axis=1))
         across = np.median(np.linalg.norm(knuckles[:, 3] - knuckles[:, 0], axis=-1))
-    if along > limits.KNUCKLE_DETOUR_MAX * across:
+    if along > KNUCKLE_DETOUR_MAX * across:
         wrong.append("the knuckles index, middle, ring, pinky do not follow one another")
     return wrong
 
@@ -201,7 +217,7 @@ def check_order(joints: np.ndarray, order: JointOrder = JointOrder.LEVEL) -> Non
 
 
 METERS_PER_UNIT = {"m": 1.0, "cm": 0.01, "mm": 0.001}
-_UNIT_NAMES = {"m": "metres", "cm": "centimeters", "mm": "millimeters"}
+_UNIT_NAMES = {"m": "meters", "cm": "centimeters", "mm": "millimeters"}
 
 
 def hand_length(joints: np.ndarray) -> float:
@@ -221,13 +237,11 @@ def check_hand_size(joints_m: np.ndarray, unit: str = "m") -> None:
     joints_m: (..., 21, 3) level order, meters after conversion from the declared `unit`.
     """
     length = hand_length(joints_m)
-    if limits.HAND_LENGTH_MIN_M <= length <= limits.HAND_LENGTH_MAX_M:
+    if HAND_LENGTH_MIN_M <= length <= HAND_LENGTH_MAX_M:
         return
     given = length / METERS_PER_UNIT[unit]
     likely = [
-        name
-        for name, scale in METERS_PER_UNIT.items()
-        if limits.HAND_LENGTH_MIN_M <= given * scale <= limits.HAND_LENGTH_MAX_M
+        name for name, scale in METERS_PER_UNIT.items() if HAND_LENGTH_MIN_M <= given * scale <= HAND_LENGTH_MAX_M
     ]
     if likely:
         remedy = f"It looks like {_UNIT_NAMES[likely[0]]}: give the unit {likely[0]}."
@@ -235,7 +249,7 @@ def check_hand_size(joints_m: np.ndarray, unit: str = "m") -> None:
         remedy = "Check the unit, or scale the hand to its real size."
     raise InputError(
         f"hand given in {_UNIT_NAMES[unit]}",
-        wanted=f"{limits.HAND_LENGTH_MIN_M:g} to {limits.HAND_LENGTH_MAX_M:g} m from wrist to middle tip",
+        wanted=f"{HAND_LENGTH_MIN_M:g} to {HAND_LENGTH_MAX_M:g} m from wrist to middle tip",
         came=f"{length:.4g} m",
         remedy=remedy,
     )

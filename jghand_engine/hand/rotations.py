@@ -1,227 +1,114 @@
-"""Vectors, rotations and swings whose values and gradients stay finite at every singularity. METHOD 2.5 and 2.10.
-
-Layout: the component comes **first**. A vector is (3, *rest), a matrix (3, 3, *rest) as [row, column], and `rest`
-broadcasts. In torch on a CPU this is up to twenty times faster than components last, because every operation then
-runs over long contiguous rows. 3x3 products are multiply-adds, never a GEMM: immune to TF32 and autocast.
-
-Two rules make gradients safe. The argument that reaches sqrt, atan2 or a division is never 0, not even in the
-branch of a `where` that is thrown away. And where a direction is nearly undefined the gradient, never the value, is
-damped (`damped`): inside such a zone it is deliberately not the exact derivative.
-"""
+"""Rotations in numpy, component last: vectors (..., 3), matrices (..., 3, 3), quaternions wxyz (..., 4)."""
 
 from __future__ import annotations
 
-import torch
-from torch import Tensor
-
-from jghand_engine import limits
+import numpy as np
 
 
-def dot(a: Tensor, b: Tensor) -> Tensor:
-    """(3, *rest), (3, *rest) -> (*rest)."""
-    return (a * b).sum(0)
+def axis_rotation(axis: np.ndarray, angle_rad: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) rotations by `angle_rad` (...) about the unit vectors `axis` (..., 3): Rodrigues."""
+    sine, cosine = np.sin(angle_rad)[..., None, None], np.cos(angle_rad)[..., None, None]
+    outer = axis[..., :, None] * axis[..., None, :]
+    return cosine * np.eye(3) + sine * cross_matrices(axis) + (1 - cosine) * outer
 
 
-def cross(a: Tensor, b: Tensor) -> Tensor:
-    """(3, *rest) x (3, *rest) -> (3, *rest)."""
-    return torch.roll(a * torch.roll(b, -1, 0) - torch.roll(a, -1, 0) * b, -1, 0)
+def vector_rotation(vector_rad: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) rotations of rotation vectors (..., 3): about their direction by their length."""
+    angle = np.linalg.norm(vector_rad, axis=-1)
+    # sinc: also exact for the angle 0, which has no axis
+    sine, half = np.sinc(angle / np.pi)[..., None, None], np.sinc(angle / (2 * np.pi))[..., None, None]
+    cross = cross_matrices(vector_rad)
+    return np.eye(3) + sine * cross + half**2 / 2 * (cross @ cross)
 
 
-def mat_vec(matrix: Tensor, vector: Tensor) -> Tensor:
-    """(3, 3, *rest) (3, *rest) -> (3, *rest)."""
-    return (matrix * vector).sum(1)
+def cross_matrices(vector: np.ndarray) -> np.ndarray:
+    """(..., 3) -> (..., 3, 3) with cross_matrices(a) @ b = a x b."""
+    x, y, z = np.moveaxis(vector, -1, 0)
+    zero = np.zeros_like(x)
+    rows = ((zero, -z, y), (z, zero, -x), (-y, x, zero))
+    return np.stack([np.stack(row, -1) for row in rows], -2)
 
 
-def transposed_mat_vec(matrix: Tensor, vector: Tensor) -> Tensor:
-    """matrix^T vector."""
-    return (matrix * vector.unsqueeze(1)).sum(0)
+def half_turns(axis: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) rotations by pi about the unit vectors `axis` (..., 3): 2 a a^T - I."""
+    return 2 * axis[..., :, None] * axis[..., None, :] - np.eye(3)
 
 
-def mat_mul(a: Tensor, b: Tensor) -> Tensor:
-    """(3, 3, *rest) (3, 3, *rest) -> (3, 3, *rest)."""
-    product = a[:, 0:1] * b[0:1]
-    product = torch.addcmul(product, a[:, 1:2], b[1:2])
-    return torch.addcmul(product, a[:, 2:3], b[2:3])
+def minimal_rotation(first: np.ndarray, second: np.ndarray, opposite: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) the smallest rotation that turns the unit vectors `first` (..., 3) into `second`. METHOD 2.5.
 
-
-def outer(a: Tensor, b: Tensor) -> Tensor:
-    """a b^T: (3, *rest), (3, *rest) -> (3, 3, *rest)."""
-    return a.unsqueeze(1) * b.unsqueeze(0)
-
-
-def columns(x: Tensor, y: Tensor, z: Tensor) -> Tensor:
-    """The matrix (3, 3, *rest) with these columns."""
-    return torch.stack([x, y, z], 1)
-
-
-def damped(value: Tensor, nearness: Tensor, full_at: float = limits.GRADIENT_DAMPING) -> Tensor:
-    """`value` itself; its gradient times min(1, nearness / full_at). Exact gradient where nearness >= full_at.
-
-    nearness: relative length, sine or distance to a pole; broadcasts over the components of `value`.
+    opposite: (..., 3, 3) the rotation to use at second = -first, a half turn about an axis perpendicular to `first`.
+    Near the antipode 1 / (1 + cos) is replaced by (1 - cos) / sin^2, which does not cancel.
     """
-    if not value.requires_grad:
-        return value
-    factor = (nearness.detach() / full_at).clamp(max=1)
-    fixed = value.detach()
-    return fixed + factor * (value - fixed)
+    cosine, axis = (first * second).sum(-1), np.cross(first, second)
+    sine2 = (axis * axis).sum(-1)
+    behind, usable = cosine < 0, sine2 > 64 * np.finfo(np.float64).eps ** 2
+    k = np.where(behind, (1 - cosine) / np.where(usable, sine2, 1.0), 1 / (1 + np.where(behind, 0.0, cosine)))
+    outer = k[..., None, None] * axis[..., :, None] * axis[..., None, :]
+    rotation = cosine[..., None, None] * np.eye(3) + cross_matrices(axis) + outer
+    return np.where((behind & ~usable)[..., None, None], opposite, rotation)
 
 
-def safe_unit(
-    vector: Tensor, fallback: Tensor, threshold: float, full_at: float = limits.GRADIENT_DAMPING
-) -> tuple[Tensor, Tensor]:
-    """vector / |vector| where |vector| > threshold, else the unit vector `fallback`; and where it was good (*rest)."""
-    square = dot(vector, vector)
-    good = square > threshold * threshold
-    if vector.requires_grad and full_at > 0:
-        vector = damped(vector, torch.sqrt(square.detach()), full_at)
-        square = dot(vector, vector)
-    length = torch.sqrt(torch.where(good, square, 1.0))
-    return torch.where(good, vector / length, fallback), good
+def slerp(first: np.ndarray, second: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """Unit vectors (..., n) at `part` (...) of the great circle from `first` to `second`; exact at both ends.
 
-
-def safe_length(vector: Tensor, threshold: float) -> Tensor:
-    """|vector| (*rest), 0 at or below the threshold."""
-    square = dot(vector, vector)
-    good = square > threshold * threshold
-    return torch.where(good, torch.sqrt(torch.where(good, square, 1.0)), 0.0)
-
-
-def safe_atan2(y: Tensor, x: Tensor, threshold: float) -> Tensor:
-    """atan2(y, x), 0 where both are within the threshold."""
-    good = (x.abs() > threshold) | (y.abs() > threshold)
-    angle = torch.atan2(torch.where(good, y, 0.0), torch.where(good, x, 1.0))
-    return torch.where(good, angle, 0.0)
-
-
-def smooth_floor(value: Tensor, floor: float) -> Tensor:
-    """C1 lower clamp: value from 2 floor on, floor + value^2 / (4 floor) on [0, 2 floor], floor below."""
-    middle = floor + value * value / (4 * floor)
-    return torch.where(value >= 2 * floor, value, torch.where(value > 0, middle, floor))
-
-
-def half_turn(axis: Tensor) -> Tensor:
-    """Rotation by pi about the unit vectors `axis`: 2 a a^T - I."""
-    identity = torch.eye(3, dtype=axis.dtype, device=axis.device).reshape(3, 3, *[1] * (axis.dim() - 1))
-    return 2 * outer(axis, axis) - identity
-
-
-def minimal_rotation(a: Tensor, b: Tensor, opposite: Tensor) -> Tensor:
-    """The smallest rotation that turns unit vectors a into b, (3, 3, *rest). METHOD 2.5.
-
-    opposite: the rotation to use at b = -a, a half turn about an axis perpendicular to a. Near the antipode
-    1/(1 + cos) is replaced by (1 - cos)/sin^2, which does not cancel.
+    n is 3 for directions, 4 for quaternions. At second = -first no circle is distinguished: the answer is `first` up to
+    the middle and `second` after it.
     """
-    b = damped(b, torch.sqrt(dot(a + b, a + b).detach()))
-    cosine = dot(a, b)
-    axis = cross(a, b)
-    sine2 = dot(axis, axis)
-    tiny = 64 * torch.finfo(b.dtype).eps ** 2
-    behind = cosine < 0
-    usable = sine2 > tiny
-    k = torch.where(behind, (1 - cosine) / torch.where(usable, sine2, 1.0), 1 / (1 + torch.where(behind, 0.0, cosine)))
-    x, y, z = axis
-    linear = torch.stack([cosine, -z, y, z, cosine, -x, -y, x, cosine]).unflatten(0, (3, 3))
-    rotation = linear + outer(k * axis, axis)
-    return torch.where(behind & ~usable, opposite, rotation)
+    cosine = (first * second).sum(-1)
+    across = second - cosine[..., None] * first
+    sine2 = (across * across).sum(-1)
+    # below this the chord is the arc to double precision, and sin / sin would divide round-off by round-off
+    near = sine2 < np.finfo(np.float64).eps
+    angle = np.arctan2(np.sqrt(np.where(near, 1.0, sine2)), cosine)
+    safe = np.where(near, 1.0, np.sin(angle))
+    weight_first = np.where(near, 1 - part, np.sin((1 - part) * angle) / safe)
+    weight_second = np.where(near, part, np.sin(part * angle) / safe)
+    mixed = weight_first[..., None] * first + weight_second[..., None] * second
+    length = np.linalg.norm(mixed, axis=-1, keepdims=True)
+    # of opposite vectors the chord passes near the origin and its direction is round-off
+    has_direction = ~(length <= 1e-6)
+    nearest_end = np.where(part[..., None] > 0.5, second, first)
+    return np.where(has_direction, mixed / np.where(has_direction, length, 1.0), nearest_end)
 
 
-def swing_euler(direction: Tensor) -> tuple[Tensor, Tensor]:
-    """Q = R_y(flexion) R_x(abduction) with Q e_z = direction, from components only (no acos, sin, cos). METHOD 2.5.
-
-    direction: (3, *rest) unit. Returns Q (3, 3, *rest) and where it is away from the poles at abduction +-90 degrees;
-    inside their caps the flexion is 0 and Q stays orthonormal.
-    """
-    ux, uy, uz = direction
-    if direction.requires_grad:
-        nearness = torch.sqrt((ux * ux + uz * uz).detach())
-        ux, uz = damped(ux, nearness), damped(uz, nearness)
-    square = ux * ux + uz * uz
-    good = square > limits.SWING_POLE**2
-    cos_abduction = torch.sqrt(torch.where(good, square, 1.0))
-    cos_flexion = torch.where(good, uz / cos_abduction, 1.0)
-    sin_flexion = torch.where(good, ux / cos_abduction, 0.0)
-    cos_abduction = torch.where(good, cos_abduction, 0.0)
-    sin_abduction = torch.where(good, -uy, torch.sign(-uy))
-    # the third column is the direction itself, and inside a cap the pole
-    rows = [
-        cos_flexion, sin_flexion * sin_abduction, torch.where(good, ux, 0.0),
-        torch.zeros_like(ux), cos_abduction, torch.where(good, uy, -sin_abduction),
-        -sin_flexion, cos_flexion * sin_abduction, torch.where(good, uz, 0.0),
-    ]  # fmt: skip
-    return torch.stack(rows).unflatten(0, (3, 3)), good
-
-
-def swing_minimal(
-    direction: Tensor, canonical: Tensor, canonical_swing: Tensor, opposite: Tensor
-) -> tuple[Tensor, Tensor]:
-    """Q = Rmin(canonical -> direction) Q_euler(canonical): no twist, a single pole at direction = -canonical.
-
-    opposite: the half turn about the flexion axis (y column of canonical_swing), used at the pole. Returns Q and
-    where it is away from the pole.
-    """
-    good = dot(direction, canonical) > 0.5 * limits.SWING_POLE**2 - 1
-    return mat_mul(minimal_rotation(canonical, direction, opposite), canonical_swing), good
-
-
-def axis_rotation(axis: Tensor, angle: Tensor) -> Tensor:
-    """Rotation by `angle` (*rest) about the unit vectors `axis` (3, *rest): Rodrigues, (3, 3, *rest)."""
-    sine, cosine = torch.sin(angle), torch.cos(angle)
-    x, y, z = axis * sine
-    cosine = cosine.expand_as(x)
-    linear = torch.stack([cosine, -z, y, z, cosine, -x, -y, x, cosine]).unflatten(0, (3, 3))
-    return linear + outer((1 - cosine) * axis, axis)
-
-
-def slerp(a: Tensor, b: Tensor, part: Tensor) -> Tensor:
-    """Unit vectors at `part` (*rest) of the great circle from a to b, (components, *rest); exact at both ends.
-
-    Works for unit vectors of any dimension, quaternions too. At b = -a no circle is distinguished: the answer is a
-    up to the middle and b after it.
-    """
-    cosine = dot(a, b)
-    across = b - cosine * a
-    sine2 = dot(across, across)
-    # below this the chord is the arc to double precision, and sin/sin would divide round-off by round-off
-    near = sine2 < torch.finfo(a.dtype).eps
-    angle = torch.atan2(torch.sqrt(torch.where(near, 1.0, sine2)), cosine)
-    safe = torch.where(near, 1.0, torch.sin(angle))
-    weight_a = torch.where(near, 1 - part, torch.sin((1 - part) * angle) / safe)
-    weight_b = torch.where(near, part, torch.sin(part * angle) / safe)
-    mixed = weight_a * a + weight_b * b
-    nearest_end = torch.where(part > 0.5, b, a)
-    return safe_unit(mixed, nearest_end, 1e-6, full_at=0.0)[0]
-
-
-def quaternions(rotation: Tensor) -> Tensor:
-    """Unit quaternions wxyz (4, *rest) of rotations (3, 3, *rest): the best conditioned of the four formulas."""
-    m = rotation
+def quaternions(rotation: np.ndarray) -> np.ndarray:
+    """Unit quaternions wxyz (..., 4) of rotations (..., 3, 3): the best conditioned of the four formulas."""
+    m = np.moveaxis(rotation, (-2, -1), (0, 1))
     trace = m[0, 0] + m[1, 1] + m[2, 2]
     # row k is 4 q_k q, so the row with the largest q_k^2 = diagonal / 4 loses nothing
-    rows = torch.stack([
-        torch.stack([1 + trace, m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]]),
-        torch.stack([m[2, 1] - m[1, 2], 1 + 2 * m[0, 0] - trace, m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]]),
-        torch.stack([m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], 1 + 2 * m[1, 1] - trace, m[1, 2] + m[2, 1]]),
-        torch.stack([m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], 1 + 2 * m[2, 2] - trace]),
+    rows = np.array([
+        [1 + trace, m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]],
+        [m[2, 1] - m[1, 2], 1 + 2 * m[0, 0] - trace, m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]],
+        [m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], 1 + 2 * m[1, 1] - trace, m[1, 2] + m[2, 1]],
+        [m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], 1 + 2 * m[2, 2] - trace],
     ])  # fmt: skip
-    diagonal = torch.stack([rows[k, k] for k in range(4)])
-    best = diagonal.argmax(0)
-    row = torch.gather(rows, 0, best.expand_as(rows[:1]))[0]
-    return row / torch.sqrt(dot(row, row))
+    best = np.argmax(np.stack([rows[k, k] for k in range(4)]), axis=0)
+    row = np.take_along_axis(rows, best[None, None], axis=0)[0]
+    return np.moveaxis(row / np.linalg.norm(row, axis=0), 0, -1)
 
 
-def rotation_of(quaternion: Tensor) -> Tensor:
-    """Rotations (3, 3, *rest) of unit quaternions wxyz (4, *rest)."""
-    w, x, y, z = quaternion
-    rows = [
-        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-    ]  # fmt: skip
-    return torch.stack(rows).unflatten(0, (3, 3))
+def quaternion_rotation(quaternion: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) rotations of unit quaternions wxyz (..., 4)."""
+    w, x, y, z = np.moveaxis(quaternion, -1, 0)
+    rows = (
+        (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
+        (2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)),
+        (2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)),
+    )
+    return np.stack([np.stack(row, -1) for row in rows], -2)
 
 
-def slerp_rotation(a: Tensor, b: Tensor, part: Tensor) -> Tensor:
-    """Rotations at `part` (*rest) of the shortest way from a to b, (3, 3, *rest)."""
-    first, second = quaternions(a), quaternions(b)
-    second = torch.where(dot(first, second) < 0, -second, second)
-    return rotation_of(slerp(first, second, part))
+def slerp_rotation(first: np.ndarray, second: np.ndarray, part: np.ndarray) -> np.ndarray:
+    """Rotations (..., 3, 3) at `part` (...) of the shortest way between two (..., 3, 3)."""
+    a, b = quaternions(first), quaternions(second)
+    b = np.where((a * b).sum(-1, keepdims=True) < 0, -b, b)
+    return quaternion_rotation(slerp(a, b, part))
+
+
+def alignment(source: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """(..., 3, 3) rotation R with target about R source, least squares (Kabsch); both (..., n, 3)."""
+    u, _, vt = np.linalg.svd(np.swapaxes(target, -1, -2) @ source)
+    sign = np.ones((*u.shape[:-2], 3))
+    sign[..., 2] = np.sign(np.linalg.det(u @ vt))
+    return (u * sign[..., None, :]) @ vt

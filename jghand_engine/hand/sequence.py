@@ -12,13 +12,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
-from jghand_engine import limits
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import BONE_COUNT, JOINT_COUNT, LEVEL_NAMES, PARENTS, Handedness
 from jghand_engine.hand.orders import bone_lengths, check_joint_shape
 from jghand_engine.hand.rotations import slerp, slerp_rotation
+from jghand_engine.hand.skeleton import PALM_NORMAL_MIN, ZERO_BONE_EPS
+
+# frames per second of a motion: outside this range it is most likely a frame count or milliseconds
+FPS_MIN = 0.1
+FPS_MAX = 10_000.0
+# part of a frame by which a time may miss it and still be that frame: round-off of clocks in text
+FRAME_EPS = 1e-6
+# more frames than this are a mistake of a file or of its clock: two hours at 120 per second
+MOTION_FRAMES_MAX = 1_000_000
+# poses that are taken between frames at once: 4096 with all that is on the way have 60 MB
+POSES_AT_ONCE = 4096
 
 
 @dataclass(frozen=True)
@@ -68,10 +77,8 @@ class PoseSequence:
     def __post_init__(self) -> None:
         joints = _as_joints(self.joints_m)
         fps = float(self.fps)
-        if not (np.isfinite(fps) and limits.FPS_MIN <= fps <= limits.FPS_MAX):
-            raise InputError(
-                "frames per second", wanted=f"{limits.FPS_MIN:g} to {limits.FPS_MAX:g}", came=f"{self.fps}"
-            )
+        if not (np.isfinite(fps) and FPS_MIN <= fps <= FPS_MAX):
+            raise InputError("frames per second", wanted=f"{FPS_MIN:g} to {FPS_MAX:g}", came=f"{self.fps}")
         finite = np.isfinite(joints).all(axis=-1)
         valid = finite if self.valid is None else np.asarray(self.valid, dtype=bool)
         if valid.shape != joints.shape[:2]:
@@ -163,14 +170,14 @@ class PoseSequence:
         Frames between a missing joint and a whole one miss it too. The first frame stays the first; the last one is
         the last that the new rate reaches. InputError for more than MOTION_FRAMES_MAX frames.
         """
-        if not (np.isfinite(fps) and limits.FPS_MIN <= fps <= limits.FPS_MAX):
-            raise InputError("frames per second", wanted=f"{limits.FPS_MIN:g} to {limits.FPS_MAX:g}", came=f"{fps}")
+        if not (np.isfinite(fps) and FPS_MIN <= fps <= FPS_MAX):
+            raise InputError("frames per second", wanted=f"{FPS_MIN:g} to {FPS_MAX:g}", came=f"{fps}")
         count = self.duration_s * fps
-        if count >= limits.MOTION_FRAMES_MAX:
-            wanted = f"at most {limits.MOTION_FRAMES_MAX} frames"
+        if count >= MOTION_FRAMES_MAX:
+            wanted = f"at most {MOTION_FRAMES_MAX} frames"
             raise InputError("motion at another rate", wanted=wanted, came=f"{count:.0f} at {fps:g} per second")
         # the small addition keeps the last frame when its time is reached but for round-off
-        places = np.arange(int(count + limits.FRAME_EPS) + 1) * (self.fps / fps)
+        places = np.arange(int(count + FRAME_EPS) + 1) * (self.fps / fps)
         joints = poses_at(self.joints_m, places)
         before, after, _ = _neighbors(places, len(self))
         filled = self.filled[before] | self.filled[after]
@@ -208,7 +215,7 @@ def bone_directions(joints: np.ndarray) -> np.ndarray:
     bones = joints[:, 1:] - joints[:, PARENTS[1:]]
     length = np.linalg.norm(bones, axis=-1, keepdims=True)
     size = np.nanmax(length, initial=0.0)
-    gone = (length <= limits.ZERO_BONE_EPS * np.finfo(np.float64).eps * size)[..., 0]
+    gone = (length <= ZERO_BONE_EPS * np.finfo(np.float64).eps * size)[..., 0]
     directions = bones / np.where(length > 0, length, 1.0)
     for bone in np.flatnonzero(gone.any(axis=0)):
         known = np.flatnonzero(~gone[:, bone] & np.isfinite(length[:, bone, 0]))
@@ -249,7 +256,7 @@ def poses_at(joints: np.ndarray, places: np.ndarray) -> np.ndarray:
     before, after, part = _neighbors(places, len(joints))
     result = joints[before]
     between = np.flatnonzero(part > 0)
-    for rows in np.split(between, range(limits.POSES_AT_ONCE, len(between), limits.POSES_AT_ONCE)):
+    for rows in np.split(between, range(POSES_AT_ONCE, len(between), POSES_AT_ONCE)):
         first, second = joints[before[rows]], joints[after[rows]]
         result[rows] = poses_between(first, second, part[rows, None, None])
     return result
@@ -259,7 +266,7 @@ def _neighbors(places: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, 
     """Of fractional places of `count` frames the frame before, the one after, and which part of the way lies between,
     0 at a frame."""
     places = np.clip(places, 0, count - 1)
-    places = np.where(np.abs(places - np.rint(places)) < limits.FRAME_EPS, np.rint(places), places)
+    places = np.where(np.abs(places - np.rint(places)) < FRAME_EPS, np.rint(places), places)
     before, after = np.floor(places).astype(np.int64), np.ceil(places).astype(np.int64)
     return before, after, places - before
 
@@ -284,8 +291,7 @@ def poses_between(first_m: np.ndarray, second_m: np.ndarray, part: np.ndarray) -
 
 def _directions_between(first: np.ndarray, second: np.ndarray, share: np.ndarray) -> np.ndarray:
     """Unit directions (F, 20, 3) at `share` (F, 1) of the great circles between two."""
-    a, b = (torch.from_numpy(directions).movedim(-1, 0) for directions in (first, second))
-    return slerp(a, b, torch.from_numpy(share)).movedim(0, -1).numpy()
+    return slerp(first, second, share)
 
 
 def _rebuilt_between(first: np.ndarray, second: np.ndarray, directions: np.ndarray, share: np.ndarray) -> np.ndarray:
@@ -305,25 +311,11 @@ def palm_frames(joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         across = area - (area * z).sum(-1, keepdims=True) * z
         size = np.linalg.norm(across, axis=-1, keepdims=True)
         x = across / size
-        has_plane = (size > limits.PALM_NORMAL_MIN * (axis * axis).sum(-1, keepdims=True))[:, 0]
+        has_plane = (size > PALM_NORMAL_MIN * (axis * axis).sum(-1, keepdims=True))[:, 0]
     frames = np.stack([x, np.cross(z, x), z], axis=-1)
     has_plane &= np.isfinite(frames).all(axis=(1, 2))
     frames[~has_plane] = np.eye(3)
     return frames, has_plane
-
-
-def alignment(source: np.ndarray, target: np.ndarray) -> np.ndarray:
-    """(..., n, 3) and (..., n, 3) -> (..., 3, 3) rotation R with target about R source, least squares (Kabsch)."""
-    u, _, vt = np.linalg.svd(np.swapaxes(target, -1, -2) @ source)
-    sign = np.ones((*u.shape[:-2], 3))
-    sign[..., 2] = np.sign(np.linalg.det(u @ vt))
-    return (u * sign[..., None, :]) @ vt
-
-
-def rotations_between(first: np.ndarray, second: np.ndarray, part: np.ndarray) -> np.ndarray:
-    """Rotations (F, 3, 3) at `part` (F,) of the short way between two (F, 3, 3)."""
-    a, b = (torch.from_numpy(np.ascontiguousarray(rotation)).permute(1, 2, 0) for rotation in (first, second))
-    return slerp_rotation(a, b, torch.from_numpy(part)).permute(2, 0, 1).numpy()
 
 
 def _palms_between(first: np.ndarray, second: np.ndarray, part: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -331,7 +323,7 @@ def _palms_between(first: np.ndarray, second: np.ndarray, part: np.ndarray) -> t
     (a, has_a), (b, has_b) = palm_frames(first), palm_frames(second)
     none = ~(has_a & has_b)
     a[none] = b[none] = np.eye(3)
-    return a, b, rotations_between(a, b, part)
+    return a, b, slerp_rotation(a, b, part)
 
 
 def _as_joints(joints: np.ndarray) -> np.ndarray:

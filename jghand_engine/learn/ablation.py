@@ -19,6 +19,7 @@ from jghand_engine.avatar.learned import ShadowLook
 from jghand_engine.captures.sample import Sample
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.evaluate import Evaluation, Picturer, measure_pictures
 from jghand_engine.learn.options import TrainOptions, ablations
 from jghand_engine.learn.progress import Display
@@ -101,7 +102,7 @@ class LiveHand:
     """A Picturer (learn.evaluate). avatar: what was learned; its bones follow the joints as it names it."""
 
     def __init__(self, avatar: HandAvatar, settings: RenderSettings) -> None:
-        self._avatar, self._transform, self._settings = avatar, avatar.bone_transform(), settings
+        self._avatar, self._transform, self._settings = avatar, transform_of(avatar), settings
         self._gate = ShadowGate(avatar.canonical_joints_m)
         self._library = load(settings.backend)
 

@@ -10,8 +10,8 @@ from torch import Tensor
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
 from jghand_engine.avatar.correctives import PoseNetwork
 from jghand_engine.avatar.pose_range import angle_name
-from jghand_engine.hand.transform import JointTransform
 from jghand_engine.learn.model import LearnedHand
+from jghand_engine.learn.skeleton import JointTransform
 
 
 def bake(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import torch
 
-from jghand_engine.hand.rotations import dot, mat_mul, rotation_of, safe_unit
+from jghand_engine.learn.rotations import dot, mat_mul, quaternion_rotation, safe_unit
 from jghand_engine.limits import QUATERNION_MIN
 
 
@@ -29,8 +29,8 @@ def posed_covariance(log_scale: torch.Tensor, quaternion: torch.Tensor, linear: 
 def canonical_axes(log_scale: torch.Tensor, quaternion: torch.Tensor) -> torch.Tensor:
     """(3, 3, N) R diag(scale): the axes of ellipsoids as columns, meters; arguments as above, of one dtype.
 
-    Components first: long contiguous rows (hand/rotations.py).
+    Components first: long contiguous rows (learn/rotations.py).
     """
     scale, turn = (tensor.movedim(0, -1).contiguous() for tensor in (torch.exp(log_scale), quaternion))
     none = turn.new_tensor([1.0, 0.0, 0.0, 0.0])[:, None]
-    return rotation_of(safe_unit(turn, none, QUATERNION_MIN)[0]) * scale
+    return quaternion_rotation(safe_unit(turn, none, QUATERNION_MIN)[0]) * scale

@@ -23,7 +23,7 @@ from jghand_engine.captures.sample import Sample, load_picture
 from jghand_engine.captures.splits import Split
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.transform import JointTransform
+from jghand_engine.hand.skeleton import Skeleton
 from jghand_engine.learn.metrics import compare, mask_box
 from jghand_engine.learn.perceptual import PerceptualMetric
 from jghand_engine.render.camera import Camera
@@ -192,13 +192,13 @@ def _perceptual_scores(
 
 def finger_flexion_deg(joints_m: np.ndarray, handedness: Handedness) -> float:
     """Mean flexion of the three joints of index..pinky, degrees: about 0 for a flat hand, 85 for a fist."""
-    angles = _angle_transform(handedness).frames(torch.from_numpy(np.ascontiguousarray(joints_m))).angles
-    return float(torch.rad2deg(angles[..., 0].reshape(3, 5)[:, 1:].mean()))
+    angles = _skeleton(handedness).bones(joints_m).phalanx_angles_rad
+    return float(np.degrees(angles[:, 0].reshape(3, 5)[:, 1:].mean()))
 
 
 @cache
-def _angle_transform(handedness: Handedness) -> JointTransform:
-    return JointTransform(load_template().joints_m, handedness=handedness)
+def _skeleton(handedness: Handedness) -> Skeleton:
+    return Skeleton(load_template().joints_m, handedness=handedness)
 
 
 ALL_LEARNED = "all of these pictures were learned from"

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from jghand_engine.avatar.correctives import PoseNetShape
-from jghand_engine.hand.baselines import Transform
+from jghand_engine.hand.skeleton import Transform
 from jghand_engine.learn.model import ModelOptions, OffsetFrame, Shape
 
 

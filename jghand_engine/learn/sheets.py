@@ -10,19 +10,16 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 from PIL import Image, ImageDraw, ImageFont
 
 from jghand_engine.captures.sample import Sample, load_picture
 from jghand_engine.errors import InputError
 from jghand_engine.export.pictures import RGB, Cell, SheetStyle, contact_sheet, to_bytes
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.kinematics import interpolate
-from jghand_engine.hand.transform import JointTransform
+from jghand_engine.hand.sequence import palm_frames, poses_between
 from jghand_engine.learn.evaluate import Picturer, PictureScore, spread
 from jghand_engine.learn.metrics import psnr
 from jghand_engine.render.camera import Camera
-from jghand_engine.template.builtin import load_template
 
 # sheets of pictures: side of the square over that of the hand in it; difference 0..1 that has the darkest color (a
 # good avatar stays below it nearly everywhere); poses between the two ends (METHOD 6.3)
@@ -153,7 +150,7 @@ def between_sheet(
     The first of the cameras sees every row's hands, and they are cut out alike. (H, W, 3) uint8.
     """
     cells = []
-    parts = torch.linspace(0, 1, SHEET_STEPS_BETWEEN + 2, dtype=torch.float64)
+    parts = np.linspace(0, 1, SHEET_STEPS_BETWEEN + 2)
     for first, second in pairs:
         hands = hands_between(first, second, parts)
         camera = next(iter(cameras(hands, first.handedness).values()))
@@ -169,13 +166,14 @@ def between_sheet(
     return _with_head(_sheet(cells, len(parts)), title, subtitle)
 
 
-def hands_between(first: Sample, second: Sample, parts: torch.Tensor) -> np.ndarray:
-    """(T, 21, 3) joints at `parts` (T,) of the way by joint angles; the second hand is put where the first one is."""
-    transform = JointTransform(load_template().joints_m, handedness=first.handedness)
-    a, b = (torch.from_numpy(np.ascontiguousarray(sample.joints_m)) for sample in (first, second))
-    palm_a, palm_b = transform.bones(a), transform.bones(b)
-    turn = (palm_a.linear[0] / palm_a.scale) @ (palm_b.linear[0] / palm_b.scale).T
-    return interpolate(transform, a, (b - b[0]) @ turn.T + a[0], parts).numpy()
+def hands_between(first: Sample, second: Sample, parts: np.ndarray) -> np.ndarray:
+    """(T, 21, 3) joints at `parts` (T,) of the way, along which bones turn; the second hand is put where the first one
+    is."""
+    a, b = (np.asarray(sample.joints_m, dtype=np.float64) for sample in (first, second))
+    (palm_a, palm_b), _ = palm_frames(np.stack([a, b]))
+    b = (b - b[0]) @ (palm_a @ palm_b.T).T + a[0]
+    first_m, second_m = (np.broadcast_to(pose_m, (len(parts), *pose_m.shape)) for pose_m in (a, b))
+    return poses_between(first_m, second_m, parts[:, None, None])
 
 
 def pairs_of(samples: Sequence[Sample], count: int, seed: int = 0) -> list[tuple[Sample, Sample]]:

@@ -24,7 +24,7 @@ from jghand_engine.limits import BLEND_DET_MIN, SIGMA_STRETCH_MAX, SIGMA_STRETCH
 
 
 class PoseTransforms(Protocol):
-    """What skinning needs to know of `hand.transform.BoneTransforms` of one pose.
+    """What skinning needs to know of `learn.skeleton.BoneTransforms` of one pose.
 
     linear (21, 3, 3) and offset_m (21, 3): x_posed - root = linear @ (x - canonical root) + offset.
     """

@@ -22,9 +22,8 @@ from torch import Tensor
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
 from jghand_engine.captures.sample import Sample
 from jghand_engine.errors import InputError
-from jghand_engine.hand.baselines import transform_called
-from jghand_engine.hand.transform import BoneTransforms
 from jghand_engine.learn.bake import bake
+from jghand_engine.learn.baselines import transform_called
 from jghand_engine.learn.canonical_points import place_points
 from jghand_engine.learn.cast_shadow import LampsSeen
 from jghand_engine.learn.losses import isotropy_loss, l1_loss, mask_loss, offset_loss, ssim_loss
@@ -35,6 +34,7 @@ from jghand_engine.learn.pictures import LruCache, Pictures, View
 from jghand_engine.learn.pose_features import octave_of_wave
 from jghand_engine.learn.rasterize import rasterize
 from jghand_engine.learn.shadow import darken
+from jghand_engine.learn.skeleton import BoneTransforms
 from jghand_engine.learn.skinning import PosedSkin, SkinMaps, pose_skin, see_lamps, seen_from, skin_maps
 from jghand_engine.learn.tensors import HandTensors, mapped
 from jghand_engine.learn.trainable import GAUSSIANS, LOSS
@@ -112,7 +112,7 @@ class HandTraining:
         self._info = replace(material.info, transform=options.transform)
         self._transform = transform_called(
             options.transform,
-            points.joints_m,
+            points.joints_m.numpy(),
             handedness=self._handedness,
             swing=model.swing,
             scale_mode=model.scale_mode,

@@ -16,7 +16,6 @@ from torch import Tensor
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
 from jghand_engine.avatar.learned import Anchors, CastShadow, Ellipsoid, Learned, Light, ShadowLook
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.transform import JointTransform
 from jghand_engine.learn.cast_shadow import AnchorTensors, CastTensors
 from jghand_engine.learn.light import LightTensors
 from jghand_engine.learn.pose_net import LinearNet, PoseNet
@@ -67,10 +66,6 @@ class HandTensors:
     def for_hand(self, handedness: Handedness) -> HandTensors:
         """The same, driven by joints of the named hand."""
         return replace(self, handedness=Handedness(handedness))
-
-    def bone_transform(self) -> JointTransform:
-        """See HandAvatar.bone_transform."""
-        return self.avatar().bone_transform()
 
     @classmethod
     def of(cls, avatar: HandAvatar | HandTensors) -> HandTensors:

@@ -8,7 +8,6 @@ from jghand_engine.limits.avatar import *
 from jghand_engine.limits.cli import *
 from jghand_engine.limits.color import *
 from jghand_engine.limits.exporters import *
-from jghand_engine.limits.hand import *
 from jghand_engine.limits.native import *
 from jghand_engine.limits.service import *
 from jghand_engine.limits.splat import *

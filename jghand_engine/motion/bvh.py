@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from jghand_engine.limits import FPS_MAX, FPS_MIN, MOTION_FRAMES_MAX
+from jghand_engine.hand.sequence import FPS_MAX, FPS_MIN, MOTION_FRAMES_MAX
 from jghand_engine.motion.bone_names import BoneMap, hands_among
 from jghand_engine.motion.clocks import whole_rate
 from jghand_engine.motion.content import MotionContent, check_size

@@ -11,6 +11,8 @@ import numpy as np
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 from jghand_engine.hand.orders import (
+    HAND_LENGTH_MAX_M,
+    HAND_LENGTH_MIN_M,
     METERS_PER_UNIT,
     JointOrder,
     check_joint_shape,
@@ -18,7 +20,6 @@ from jghand_engine.hand.orders import (
     hand_length,
     to_level,
 )
-from jghand_engine.limits import HAND_LENGTH_MAX_M, HAND_LENGTH_MIN_M
 from jghand_engine.motion.content import HandTrack, MotionContent
 from jghand_engine.motion.files import MotionFormat
 

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from jghand_engine.limits import MOTION_FRAMES_MAX
+from jghand_engine.hand.sequence import MOTION_FRAMES_MAX
 from jghand_engine.motion.content import NoMotionError
 
 # frames per second of a motion that does not say them

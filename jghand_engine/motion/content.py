@@ -17,7 +17,7 @@ import numpy as np
 from jghand_engine.errors import InputError, MemoryLimitError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder
-from jghand_engine.limits import MOTION_FRAMES_MAX
+from jghand_engine.hand.sequence import MOTION_FRAMES_MAX
 
 # a file larger than this, packed or unpacked, is refused: an hour at 120 frames per second has 220 MB
 MOTION_MAX_BYTES = 1 << 30

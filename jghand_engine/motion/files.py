@@ -31,8 +31,7 @@ from jghand_engine.errors import InputError
 from jghand_engine.files import writing
 from jghand_engine.hand.joints import JOINT_COUNT, STANDARD_NAMES, Handedness
 from jghand_engine.hand.orders import METERS_PER_UNIT, JointOrder, from_level
-from jghand_engine.hand.sequence import PoseSequence
-from jghand_engine.limits import FPS_MAX, FPS_MIN
+from jghand_engine.hand.sequence import FPS_MAX, FPS_MIN, PoseSequence
 from jghand_engine.motion.bone_names import BoneMap
 from jghand_engine.motion.clocks import TIME_NAMES, plain
 from jghand_engine.motion.content import (

@@ -21,7 +21,7 @@ import numpy as np
 
 from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 from jghand_engine.hand.orders import JointOrder
-from jghand_engine.limits import MOTION_FRAMES_MAX
+from jghand_engine.hand.sequence import MOTION_FRAMES_MAX
 from jghand_engine.motion.bone_names import BONES_RECOGNIZED_MIN, hands_among, side_of
 from jghand_engine.motion.content import HandTrack, NoMotionError
 from jghand_engine.motion.tables import cells_of, joint_name, number_in

@@ -19,7 +19,6 @@ from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
-import torch
 
 from jghand_engine.hand.rotations import slerp
 from jghand_engine.motion.bone_names import hands_among
@@ -147,7 +146,7 @@ def _sampled(channel: _Channel, path: str, times_s: np.ndarray) -> np.ndarray:
     # the short way
     end = np.where((start * end).sum(-1, keepdims=True) < 0, -end, end)
     a, b = start / lengths[before, None], end / lengths[after, None]
-    return slerp(torch.from_numpy(a.T.copy()), torch.from_numpy(b.T.copy()), torch.from_numpy(part)).numpy().T
+    return slerp(a, b, part)
 
 
 # ---- the document ---------------------------------------------------------------------------------------------------

@@ -16,7 +16,7 @@ import numpy as np
 
 from jghand_engine.hand.joints import JOINT_COUNT, Handedness
 from jghand_engine.hand.orders import JointOrder
-from jghand_engine.limits import MOTION_FRAMES_MAX
+from jghand_engine.hand.sequence import MOTION_FRAMES_MAX
 from jghand_engine.motion.content import FoundHand, FrameHands, MotionContent, NoMotionError, json_content
 
 KIND = "OpenPose keypoints"

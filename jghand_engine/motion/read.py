@@ -13,8 +13,7 @@ import numpy as np
 
 from jghand_engine.errors import InputError
 from jghand_engine.hand.orders import METERS_PER_UNIT, JointOrder, check_hand_size, check_order, to_level
-from jghand_engine.hand.sequence import PoseSequence
-from jghand_engine.limits import FRAME_EPS
+from jghand_engine.hand.sequence import FRAME_EPS, PoseSequence
 from jghand_engine.motion.choose import chosen, recognized_order, recognized_unit, warned
 from jghand_engine.motion.clocks import DEFAULT_FPS, clock_s, even_frames, is_one_motion
 from jghand_engine.motion.content import HandTrack, MotionContent, check_size, told_damage

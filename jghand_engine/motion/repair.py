@@ -9,12 +9,11 @@ import dataclasses
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import FINGERS, JOINT_COUNT, LEVEL_NAMES, PARENTS
-from jghand_engine.hand.rotations import slerp
-from jghand_engine.hand.sequence import GapReport, PoseSequence, alignment, palm_frames, rotations_between
+from jghand_engine.hand.rotations import alignment, slerp, slerp_rotation
+from jghand_engine.hand.sequence import GapReport, PoseSequence, palm_frames
 
 # a gap longer than this is told: seconds
 GAP_LONG_S = 0.5
@@ -110,7 +109,7 @@ def _palms(joints: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     lost, known = np.flatnonzero(~has_palm), np.flatnonzero(has_palm)
     if len(known) and len(lost):
         before, after, part = _neighbors(known, lost)
-        palms[lost] = rotations_between(palms[before], palms[after], part)
+        palms[lost] = slerp_rotation(palms[before], palms[after], part)
     return palms, has_palm
 
 
@@ -144,12 +143,15 @@ def _turned(start: np.ndarray, joint: np.ndarray, end: np.ndarray, reach: tuple[
     bone, way = joint - start, end - start
     length, distance = np.linalg.norm(bone, axis=-1), np.linalg.norm(way, axis=-1)
     rest = np.clip(np.linalg.norm(end - joint, axis=-1), *reach)
-    rest = np.clip(rest, np.abs(distance - length), distance + length)
+    nearest, farthest = np.abs(distance - length), distance + length
+    bends = (nearest < rest) & (rest < farthest)
+    rest = np.clip(rest, nearest, farthest)
     with np.errstate(divide="ignore", invalid="ignore"):
         along = way / distance[:, None]
         part = (length**2 + distance**2 - rest**2) / (2 * distance)
         aside = bone - (bone * along).sum(-1, keepdims=True) * along
-        aside *= (np.sqrt(np.maximum(length**2 - part**2, 0.0)) / np.linalg.norm(aside, axis=-1))[:, None]
+        height = np.where(bends, np.sqrt(np.maximum(length**2 - part**2, 0.0)), 0.0)
+        aside *= (height / np.linalg.norm(aside, axis=-1))[:, None]
     turned = start + part[:, None] * along + aside
     # a bone of no direction aside, or of unknown length beyond, stays
     return np.where(np.isfinite(turned), turned, joint)
@@ -160,8 +162,7 @@ def _vectors_at(known: np.ndarray, vectors: np.ndarray, wanted: np.ndarray) -> n
     before, after, part = _neighbors(np.arange(len(known)), np.interp(wanted, known, np.arange(len(known))))
     length = np.linalg.norm(vectors, axis=-1, keepdims=True)
     directions = vectors / np.where(length > 0, length, 1.0)
-    a, b = (torch.from_numpy(directions[rows].T.copy()) for rows in (before, after))
-    turned = slerp(a, b, torch.from_numpy(part)).numpy().T
+    turned = slerp(directions[before], directions[after], part)
     return turned * ((1 - part[:, None]) * length[before] + part[:, None] * length[after])
 
 

@@ -11,9 +11,8 @@ import math
 import numpy as np
 
 from jghand_engine.errors import InputError
-from jghand_engine.hand.orders import hand_length
-from jghand_engine.hand.sequence import PoseSequence, poses_at
-from jghand_engine.limits import FRAME_EPS, HAND_LENGTH_MAX_M, HAND_LENGTH_MIN_M
+from jghand_engine.hand.orders import HAND_LENGTH_MAX_M, HAND_LENGTH_MIN_M, hand_length
+from jghand_engine.hand.sequence import FRAME_EPS, PoseSequence, poses_at
 from jghand_engine.motion.clocks import STEP_JITTER_MAX
 
 # steps of a clock longer than so many usual ones are holes: nobody saw what is in them

@@ -14,7 +14,7 @@ import numpy as np
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.fast_learned import FastLearnedSkin
 from jghand_engine.avatar.fast_skinning import FastSkinning, PosedArrays, padded_rows
-from jghand_engine.hand.fast_transform import FastBones
+from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native import library as native_library
 from jghand_engine.native.binding import Library, aligned_zeros
 from jghand_engine.native.rasterizer import PLANES, GaussianArrays, NativeRasterizer, View
@@ -40,7 +40,7 @@ class Pose:
     keep_correctives: whether those of the last pose are used again
     """
 
-    bones: FastBones
+    bones: Bones
     shift_m: np.ndarray
     keep_correctives: bool = False
 

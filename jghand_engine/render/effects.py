@@ -20,7 +20,7 @@ from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.correctives import LinearCorrectives
 from jghand_engine.avatar.learned import ShadowLook
-from jghand_engine.hand.fast_transform import FastBones
+from jghand_engine.hand.skeleton import Bones
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.effect_plan import NOT_ALLOWED, Box, Decision, Effect, EffectPlan
 from jghand_engine.render.exposure import (
@@ -69,12 +69,12 @@ class HandFacts:
         # the blended map stretches these like the corners; twice is more than it does to the skin of a hand
         return 2 * float((self.avatar.sigma_m * np.exp(self.learned.ellipsoid.log_stretch.max(1))).max())
 
-    def reach_m(self, bones: FastBones, alpha_min: float) -> float:
+    def reach_m(self, bones: Bones, alpha_min: float) -> float:
         """How far from its skinned place a Gaussian of that pose may touch a picture with this cut-off."""
         seen = math.sqrt(2 * math.log(1 / alpha_min)) * self._sigma_max_m
         return (seen + limits.OFFSET_STRETCH * math.sqrt(3) * self.offset_m) * max(bones.scale, 1.0)
 
-    def corners_m(self, bones: FastBones) -> np.ndarray:
+    def corners_m(self, bones: Bones) -> np.ndarray:
         """(K, 3) points relative to the hand's root whose hull holds every skinned place."""
         maps = bones.linear_offset[self._moving]
         moved = np.einsum("ijk,ick->icj", maps[:, :, :3], self._corners_m)
@@ -133,7 +133,7 @@ def standing_still(joints_m: Sequence[np.ndarray], kept: Kept | None, settings: 
     return distance_m if distance_m * math.sqrt(3.0) <= most_m else None
 
 
-def same_shape(bones: FastBones, corrected_rad: np.ndarray | None, settings: RenderSettings) -> bool:
+def same_shape(bones: Bones, corrected_rad: np.ndarray | None, settings: RenderSettings) -> bool:
     """Whether a hand moved as a whole: its correctives stay."""
     if corrected_rad is None or not settings.reuse or settings.effects.forces(Effect.CORRECTIVES):
         return False
@@ -151,7 +151,7 @@ class Scene:
     whether the correctives of any hand have to be computed"""
 
     joints_m: Sequence[np.ndarray]
-    bones: Sequence[FastBones]
+    bones: Sequence[Bones]
     camera: Camera
     shutter: Shutter | None = None
     moved_m: float | None = None
@@ -283,7 +283,7 @@ def _filter(
     return (enlarged, plain), Decision(Effect.FILTER, True, reason, "the hand swells by up to 2 px", 1.0, cost)
 
 
-def _sigma_px(hand: HandFacts, nearest_m: float, bones: FastBones, camera: Camera) -> float:
+def _sigma_px(hand: HandFacts, nearest_m: float, bones: Bones, camera: Camera) -> float:
     """The hand's median Gaussian on the picture, at the depth of its nearest joint; infinite when the camera is inside
     the hand."""
     if not nearest_m > limits.Z_NEAR_M:
@@ -370,7 +370,7 @@ def _whole(
 
 def hand_box(
     joints_m: Sequence[np.ndarray],
-    bones: Sequence[FastBones],
+    bones: Sequence[Bones],
     hands: Sequence[HandFacts],
     camera: Camera,
     alpha_min: float,

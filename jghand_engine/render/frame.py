@@ -21,10 +21,9 @@ from jghand_engine.avatar.pose_range import outside, trained_range
 from jghand_engine.avatar.skin_bones import bone_numbers
 from jghand_engine.avatar.tiers import Tier
 from jghand_engine.errors import InputError
-from jghand_engine.hand.fast_transform import FastTransform
-from jghand_engine.hand.frames import describe_flags
 from jghand_engine.hand.joints import JOINT_COUNT, LEVEL_NAMES
 from jghand_engine.hand.orders import check_joint_shape
+from jghand_engine.hand.skeleton import Skeleton, describe_flags
 from jghand_engine.native import library as native_library
 from jghand_engine.native.enlarge import native_enlarged
 from jghand_engine.native.rasterizer import check_picture_size
@@ -72,7 +71,7 @@ class SceneRenderer:
     """Renders any number of hands into one picture, each driven by its own joints. One picture at a time.
 
     avatars: one per hand, each with its handedness · settings: how (splat.settings); `settings.gaussians` is per hand.
-    InputError for an avatar whose bones do not follow the joints by `JointTransform`.
+    InputError for an avatar whose bones do not follow the joints by `Skeleton`.
     """
 
     def __init__(self, avatars: Sequence[HandAvatar], settings: RenderSettings | None = None) -> None:
@@ -87,7 +86,7 @@ class SceneRenderer:
         self._tiers = ", ".join(dict.fromkeys(told for _, told in chosen if told))
         self._facts = [HandFacts(avatar) for avatar in self._avatars]
         self._transforms = [
-            FastTransform(
+            Skeleton(
                 avatar.canonical_joints_m,
                 handedness=avatar.handedness,
                 swing=avatar.info.swing,
@@ -380,7 +379,7 @@ def _with_tier(avatar: HandAvatar, wanted: Tier) -> tuple[HandAvatar, str]:
 
 def _unseen(trained: np.ndarray | None, pose: Pose) -> list[str]:
     """Sentences about joints that are bent as the avatar never saw them."""
-    return [] if trained is None else [one.sentence() for one in outside(pose.bones.angles_rad[:30], trained)]
+    return [] if trained is None else [one.sentence() for one in outside(pose.bones.phalanx_angles_rad, trained)]
 
 
 def _checked_hand(joints_m: np.ndarray) -> np.ndarray:

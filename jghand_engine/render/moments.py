@@ -15,7 +15,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import torch
 
 from jghand_engine import limits
 from jghand_engine.color import linear_to_srgb, srgb_to_linear
@@ -113,8 +112,7 @@ def _moment_between(first: Moment, second: Moment, part: float) -> Moment:
 def _camera_between(first: Camera, second: Camera, part: float) -> Camera:
     """Numbers and places linear, directions along the shortest turn."""
     a, b = first.camera_from_world, second.camera_from_world
-    start, end = (torch.from_numpy(matrix[:3, :3, None].copy()) for matrix in (a, b))
-    turn = slerp_rotation(start, end, torch.tensor([part], dtype=torch.float64))[..., 0].numpy()
+    turn = slerp_rotation(a[:3, :3], b[:3, :3], np.array(part))
     eye_m = (part - 1) * a[:3, :3].T @ a[:3, 3] - part * b[:3, :3].T @ b[:3, 3]
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = turn, -turn @ eye_m

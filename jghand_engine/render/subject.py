@@ -8,7 +8,7 @@ import numpy as np
 
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.hand.anatomy import MotionOptions, pose_sequence_of_names
+from jghand_engine.hand.poses import MotionOptions, pose_sequence_of_names
 from jghand_engine.render.camera import Camera
 
 POSES = ("open", "relaxed", "fist", "pinch", "point", "victory", "open")

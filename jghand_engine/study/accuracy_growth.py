@@ -11,6 +11,7 @@ import numpy as np
 import torch
 
 from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.learn.baselines import transform_of
 from jghand_engine.native.threads import thread_count
 from jghand_engine.render.frame import SceneRenderer
 from jghand_engine.render.report import FrameReport
@@ -83,7 +84,7 @@ def growth_cases(
     subject = moving_subject(avatar.info.name, avatar, *size_px)
     for hands in reach.hands:
         yield _grown(_scene_case(subject, hands, settings), HANDS, hands)
-    transform = avatar.bone_transform()
+    transform = transform_of(avatar)
     for count in reach.poses:
         poses = torch.from_numpy(np.resize(subject.poses, (count, *subject.poses.shape[1:]))).float()
         case = Case("", "", lambda poses=poses: _nothing(transform.bones(poses)), threads=torch.get_num_threads())

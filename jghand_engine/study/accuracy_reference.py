@@ -11,6 +11,7 @@ from torch import Tensor
 
 from jghand_engine.avatar.learned import ShadowLook
 from jghand_engine.color import decibels
+from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.reference import Picture, rasterize_reference
 from jghand_engine.learn.shadow import shade
@@ -55,7 +56,7 @@ class ExactPictures64:
 
     def _posed(self, pose_m: np.ndarray) -> Gaussians:
         avatar = self._subject.avatar
-        bones = avatar.bone_transform().bones(torch.from_numpy(pose_m))
+        bones = transform_of(avatar).bones(torch.from_numpy(pose_m))
         return pose_gaussians(avatar, bones, frames=bones.frames, eye_m=torch.from_numpy(self._subject.camera.eye_m))
 
     def _exact(self, pose_m: np.ndarray) -> np.ndarray:

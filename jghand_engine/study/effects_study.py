@@ -18,8 +18,9 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.learned import ShadowLook
 from jghand_engine.captures.captures import Capture
 from jghand_engine.captures.sample import Sample, load_picture
-from jghand_engine.hand.anatomy import MotionOptions, named_pose, pose_names, pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.poses import MotionOptions, named_pose, pose_names, pose_sequence_of_names
+from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.metrics import psnr
 from jghand_engine.learn.shadow import darken
 from jghand_engine.learn.tables import NONE, Table, number
@@ -312,5 +313,5 @@ def gate_row(renderer: HandRenderer, avatar: HandAvatar, sample: GateSample) -> 
 
 def _scale(avatar: HandAvatar, joints_m: np.ndarray) -> float:
     """s_g: how large the hand is beside its avatar."""
-    bones = avatar.for_hand(Handedness.RIGHT).bone_transform().bones(torch.from_numpy(joints_m))
+    bones = transform_of(avatar.for_hand(Handedness.RIGHT)).bones(torch.from_numpy(joints_m))
     return float(bones.scale)

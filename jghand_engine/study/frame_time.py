@@ -19,9 +19,8 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin, load_painted
 from jghand_engine.avatar.fast_skinning import FastSkinning, PosedArrays
 from jghand_engine.avatar.tiers import Tier
-from jghand_engine.hand.fast_transform import FastTransform
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.transform import JointTransform
+from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.reference import rasterize_reference
 from jghand_engine.learn.shadow import darken
@@ -142,7 +141,7 @@ class _PosedScene:
         self._pool, self._camera = shared_pool(threads), subject.camera
         skin = FastSkinning(library, subject.avatar)
         into = PosedArrays(np.zeros((skin.rows, 3), np.float32), np.zeros(skin.rows, np.float32))
-        skin.prepare(_fast_transform(subject.avatar).bones(subject.poses[0]), into, subject.poses[0, 0])
+        skin.prepare(subject.avatar.skeleton().bones(subject.poses[0]), into, subject.poses[0, 0])
         skin.run()
         self._gaussians = GaussianArrays(into.position_m, into.sigma_m, skin.opacity, skin.rgb)
         self._rasterizer = NativeRasterizer(library, threads)
@@ -177,14 +176,9 @@ def part_cases(library: Library, threads: int) -> Iterator[Case]:
     in_torch = f"torch, {torch_threads} threads"
     subject = builtin_subject(*SIZES[0])
     avatar, poses = subject.avatar, itertools.cycle(subject.poses)
-    fast = _fast_transform(avatar)
+    fast = avatar.skeleton()
     yield Case("bone transforms of one pose", "native", lambda: _nothing(fast.bones(next(poses))), threads=1)
-    exact = JointTransform(
-        avatar.canonical_joints_m.astype(np.float32),
-        handedness=avatar.handedness,
-        swing=avatar.info.swing,
-        scale_mode=avatar.info.scale_mode,
-    )
+    exact = transform_of(avatar)
     tensors = itertools.cycle(torch.from_numpy(subject.poses).float())
     section = "bone transforms of one pose"
     yield Case(section, in_torch, lambda: _nothing(exact.bones(next(tensors))), threads=torch_threads)
@@ -220,14 +214,7 @@ def reference_cases(threads: int) -> Iterator[Case]:
 
 def posed_gaussians(subject: Subject) -> Gaussians:
     """The Gaussians of the subject's first pose, world frame, float32."""
-    info = subject.avatar.info
-    transform = JointTransform(
-        subject.avatar.canonical_joints_m,
-        handedness=subject.avatar.handedness,
-        swing=info.swing,
-        scale_mode=info.scale_mode,
-    )
-    bones = transform.bones(torch.from_numpy(subject.poses[0]))
+    bones = transform_of(subject.avatar).bones(torch.from_numpy(subject.poses[0]))
     with torch.no_grad():
         exact = pose_gaussians(subject.avatar, bones, frames=bones.frames)
     spheres = Gaussians(*(getattr(exact, name).float() for name in ("position_m", "sigma_m", "opacity", "rgb")))
@@ -241,13 +228,6 @@ def reference_picture(gaussians: Gaussians, camera: Camera) -> None:
         picture = rasterize_reference(gaussians, camera, alpha_min=RenderSettings().alpha_min)
         planes = torch.cat([picture.rgb.permute(2, 0, 1), picture.alpha[None], picture.depth_sum[None]])
         darken(planes, camera, ShadowStyle(samples=SAMPLES))
-
-
-def _fast_transform(avatar: HandAvatar) -> FastTransform:
-    info = avatar.info
-    return FastTransform(
-        avatar.canonical_joints_m, handedness=avatar.handedness, swing=info.swing, scale_mode=info.scale_mode
-    )
 
 
 def _title(subject: Subject) -> str:

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.hand.anatomy import named_pose, pose_names
+from jghand_engine.hand.poses import named_pose, pose_names
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.frame import HandRenderer
 from jghand_engine.render.settings import RenderSettings, ShadowMode

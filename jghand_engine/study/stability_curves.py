@@ -13,10 +13,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from jghand_engine import limits
 from jghand_engine.avatar.builtin import load_painted
-from jghand_engine.hand import rotations as rot
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.skeleton import ZERO_BONE_EPS
+from jghand_engine.learn import rotations as rot
+from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.render.camera import Camera
 from jghand_engine.study.stability_hands import (
@@ -220,7 +221,7 @@ def short_bone() -> Curve:
     def mine(bone: Tensor) -> Tensor:
         relative = bone[:, None] / template_size_m()
         fallback = torch.tensor([[0.0], [0.0], [1.0]])
-        return rot.safe_unit(relative, fallback, limits.ZERO_BONE_EPS * torch.finfo(bone.dtype).eps)[0][:, 0]
+        return rot.safe_unit(relative, fallback, ZERO_BONE_EPS * torch.finfo(bone.dtype).eps)[0][:, 0]
 
     return Curve(
         "short_bone", "A bone loses its length", "How hard it pulls when something learns",
@@ -312,5 +313,5 @@ def autocast_row(precision: torch.dtype) -> AutocastRow:
 def _engine_skin(joints_m: Tensor, dtype: torch.dtype) -> Skin:
     """Ours through the engine's own skinning, which switches autocast off."""
     avatar = load_painted(handedness=RIGHT).prefix(GAUSSIANS)
-    gaussians = posed_avatar(avatar, avatar.bone_transform(), (joints_m - joints_m[:, :1])[0].to(dtype))
+    gaussians = posed_avatar(avatar, transform_of(avatar), (joints_m - joints_m[:, :1])[0].to(dtype))
     return Skin(gaussians.position_m[None], gaussians.sigma_m.sum())

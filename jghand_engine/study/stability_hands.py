@@ -12,9 +12,9 @@ from functools import cache
 import torch
 from torch import Tensor
 
-from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.transform import JointTransform
+from jghand_engine.hand.poses import named_pose
+from jghand_engine.learn.skeleton import JointTransform
 from jghand_engine.template.builtin import load_template
 
 # distances, as parts of the hand's size, at which hands beside a singularity are tried as well
@@ -70,7 +70,7 @@ def along_finger(joints_m: Tensor, finger: int, directions: Tensor) -> Tensor:
 
 def metacarpal_axes(joints_m: Tensor, finger: int) -> Tensor:
     """Frame (3, 3) of a finger's metacarpal: columns out of the palm, flexion axis, along the bone."""
-    return JointTransform(template_joints_m(), handedness=Handedness.RIGHT).frames(joints_m).S[finger]
+    return JointTransform(template_joints_m().numpy(), handedness=Handedness.RIGHT).frames(joints_m).S[finger]
 
 
 def straight_finger(joints_m: Tensor, finger: int, signs: tuple[int, int, int] = (1, 1, 1)) -> Tensor:
@@ -95,7 +95,7 @@ def abducted(joints_m: Tensor, finger: int, beside_rad: float = 0.0, side: int =
 
 def folded_back(joints_m: Tensor, finger: int, beside_rad: float = 0.0) -> Tensor:
     """A finger whose first phalanx points `beside_rad` short of opposite to where the canonical hand has it."""
-    frames = JointTransform(template_joints_m(), handedness=Handedness.RIGHT)
+    frames = JointTransform(template_joints_m().numpy(), handedness=Handedness.RIGHT)
     S, u = frames.frames(joints_m).S[finger], frames.frames(template_joints_m()).u[finger]
     across = torch.linalg.cross(u, torch.tensor([1.0, 0.0, 0.0], dtype=torch.float64))
     across = across / across.norm()

@@ -19,11 +19,12 @@ from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin, load_painted
 from jghand_engine.avatar.learned import own_flesh
-from jghand_engine.hand.frames import describe_flags
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.transform import BoneTransforms, JointTransform
+from jghand_engine.hand.skeleton import describe_flags
+from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.cast_shadow import place_anchors
 from jghand_engine.learn.gaussians import Gaussians
+from jghand_engine.learn.skeleton import BoneTransforms, JointTransform
 from jghand_engine.learn.skinning import apply, pose_gaussians
 from jghand_engine.learn.tensors import HandTensors
 from jghand_engine.render.camera import Camera
@@ -123,7 +124,7 @@ def _watched() -> tuple[Tensor, Tensor]:
 
 @cache
 def transform_for(handedness: Handedness, swing: str = "minimal") -> JointTransform:
-    return JointTransform(template_joints_m(), handedness=handedness, swing=swing)
+    return JointTransform(template_joints_m().numpy(), handedness=handedness, swing=swing)
 
 
 def _blended(linear: Tensor, offset_m: Tensor, points_m: Tensor, weights: Tensor) -> Tensor:
@@ -240,7 +241,7 @@ def correctives_row(case: HandCase) -> HandRow:
     """The row of a hand far outside what the trained avatar has learned from: skin and picture with its correctives."""
     shipped = load_builtin(handedness=case.handedness).prefix(GAUSSIANS)
     avatar = _with_fewer_anchors(HandTensors.of(shipped))
-    transform = avatar.bone_transform()
+    transform = transform_of(avatar)
     flags = describe_flags(int(transform.frames(case.joints_m - case.joints_m[:1]).flags))
 
     def learned(joints_m: Tensor, dtype: torch.dtype) -> Skin:
@@ -291,7 +292,7 @@ def hand_picture(avatar: HandAvatar | HandTensors, case: HandCase) -> PictureErr
     """The hand as the native kernel draws it against the float64 reference."""
     joints_m = case.joints_m - case.joints_m[:1]
     with torch.no_grad():
-        gaussians = posed_avatar(avatar, avatar.bone_transform(), joints_m.float())
+        gaussians = posed_avatar(avatar, transform_of(avatar), joints_m.float())
     return against_reference(gaussians, camera_before(case))
 
 

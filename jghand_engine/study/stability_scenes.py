@@ -13,6 +13,7 @@ from torch import Tensor
 from jghand_engine import limits
 from jghand_engine.avatar.builtin import load_painted
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.rasterize import rasterize
 from jghand_engine.learn.shadow import darken
@@ -52,7 +53,7 @@ def _hand() -> tuple[Gaussians, Camera]:
     case = hand_cases()["ordinary: relaxed"]
     avatar = load_painted(handedness=Handedness.RIGHT).prefix(GAUSSIANS)
     with torch.no_grad():
-        gaussians = posed_avatar(avatar, avatar.bone_transform(), (case.joints_m - case.joints_m[:1]).float())
+        gaussians = posed_avatar(avatar, transform_of(avatar), (case.joints_m - case.joints_m[:1]).float())
     return converted(gaussians, torch.float32), camera_before(case)
 
 

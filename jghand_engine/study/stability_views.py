@@ -14,6 +14,7 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.export.pictures import flatten
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.rasterize import rasterize
 from jghand_engine.learn.skinning import pose_gaussians
@@ -60,7 +61,7 @@ def _pair(title: str, joints_m: Tensor, *, crossed: bool = False) -> ViewPair:
     way = UsualTransform(canonical_m, handedness=Handedness.RIGHT, crossed=crossed)
 
     # what the pose changes beyond the bones is the same in both pictures
-    bones = avatar.bone_transform().bones((joints_m - joints_m[:1]).float())
+    bones = transform_of(avatar).bones((joints_m - joints_m[:1]).float())
 
     def ours() -> Gaussians:
         return pose_gaussians(avatar, bones, frames=bones.frames)

@@ -17,7 +17,8 @@ from jghand_engine.avatar.pose_range import trained_range
 from jghand_engine.captures.captures import Capture
 from jghand_engine.captures.splits import Split
 from jghand_engine.color import decibels
-from jghand_engine.hand.anatomy import MotionOptions, pose_names, pose_sequence_of_names
+from jghand_engine.hand.poses import MotionOptions, pose_names, pose_sequence_of_names
+from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.evaluate import avatar_picturer, categories_of, means, measure_pictures
 from jghand_engine.learn.pose_features import flat_angles
 from jghand_engine.render.frame import HandRenderer
@@ -157,5 +158,5 @@ class ExactPictures:
 
 def _flat(avatar: HandAvatar, joints_m: Sequence[np.ndarray] | np.ndarray) -> Tensor:
     """(P, 37) float32 angles of joints (P, 21, 3)."""
-    transform = avatar.bone_transform()
+    transform = transform_of(avatar)
     return torch.stack([flat_angles(transform.frames(torch.from_numpy(np.array(each)))) for each in joints_m]).float()

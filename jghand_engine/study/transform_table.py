@@ -23,9 +23,9 @@ from scipy.spatial import KDTree
 from jghand_engine.captures.making.identities import load_identity
 from jghand_engine.captures.making.poses import varied_poses
 from jghand_engine.captures.making.rig import RiggedHand
-from jghand_engine.hand.baselines import HaloLikeTransform, NaiveTransform
 from jghand_engine.hand.joints import JOINT_COUNT, Handedness
-from jghand_engine.hand.transform import BoneTransforms, JointTransform
+from jghand_engine.learn.baselines import HaloLikeTransform, NaiveTransform
+from jghand_engine.learn.skeleton import BoneTransforms, JointTransform
 from jghand_engine.learn.skinning import apply, blend
 from jghand_engine.learn.tables import CAVEAT, NONE, PAPER_TRANSFORM, Table, number
 from jghand_engine.template.builtin import load_template

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from jghand_engine.hand.sequence import alignment, bone_directions
+from jghand_engine.hand.rotations import alignment
+from jghand_engine.hand.sequence import bone_directions
 
 # how far a lag is looked for, seconds, and in which steps
 LAG_MAX_S = 0.25

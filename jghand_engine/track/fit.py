@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from jghand_engine.hand.sequence import alignment
+from jghand_engine.hand.rotations import alignment
 from jghand_engine.track.look import Trust, View
 from jghand_engine.track.poses import STATE_COUNT, Landmarks, Pinhole, Poses, joined
 from jghand_engine.track.skeleton import ANGLE_COUNT, LIMITS_RAD, Skeleton

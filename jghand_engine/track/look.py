@@ -12,8 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from jghand_engine.hand.joints import BONE_COUNT, JOINT_COUNT, PARENTS
+from jghand_engine.hand.rotations import cross_matrices
 from jghand_engine.track.poses import STATE_COUNT, Landmarks, Poses
-from jghand_engine.track.skeleton import ANGLE_COUNT, LIMITS_RAD, Skeleton, cross_matrices
+from jghand_engine.track.skeleton import ANGLE_COUNT, LIMITS_RAD, Skeleton
 from jghand_engine.track.smoother import Steadiness
 
 # error of a landmark in the picture, part of the hand's length

@@ -10,7 +10,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
-from jghand_engine.track.skeleton import ANGLE_COUNT, Skeleton, rotations_of
+from jghand_engine.hand.rotations import vector_rotation
+from jghand_engine.track.skeleton import ANGLE_COUNT, Skeleton
 
 # numbers of one frame: turn of the palm, place of the wrist, angles
 STATE_COUNT = 6 + ANGLE_COUNT
@@ -76,7 +77,7 @@ class Poses:
 
     def moved(self, step: np.ndarray) -> Poses:
         """After a step (F, 26)."""
-        turn = self.turn @ rotations_of(step[:, :3])
+        turn = self.turn @ vector_rotation(step[:, :3])
         return Poses(turn, self.place_m + step[:, 3:6], self.angle_rad + step[:, 6:])
 
     def steps(self) -> np.ndarray:

@@ -1,7 +1,7 @@
 """A hand of constant bones: joint angles to joints, with derivatives. Right hands; the left is mirrored before.
 
-It is `hand.anatomy.ArticulatedHand` once more, in radians, without the limits (a fit must be able to look beyond them)
-and with what a fit needs: how each joint moves when an angle changes.
+It is `hand.kinematics.ArticulatedHand` once more, in radians, without the limits (a fit must be able to look beyond
+them) and with what a fit needs: how each joint moves when an angle changes.
 """
 
 from __future__ import annotations
@@ -9,10 +9,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-from jghand_engine.hand.anatomy import ABDUCTION_SIDE, RANGES_DEG, ArticulatedHand
 from jghand_engine.hand.joints import JOINT_COUNT
+from jghand_engine.hand.kinematics import ABDUCTION_SIDE, RANGES_DEG, ArticulatedHand
+from jghand_engine.hand.rotations import vector_rotation
 
 ANGLE_COUNT = 20
 LIMITS_RAD = np.radians(RANGES_DEG.reshape(ANGLE_COUNT, 2))
@@ -36,10 +36,9 @@ class Skeleton:
         """The skeleton of a canonical right hand, (21, 3) level order, meters."""
         hand = ArticulatedHand(canonical_joints_m)
         straight = hand.straight_joints_m
-        flexion, abduction = hand.axes
         bones = (straight[6:] - straight[1:16]).reshape(3, 5, 3)
-        sides = -ABDUCTION_SIDE.numpy()[:, None]
-        return cls(straight[:6] - straight[0], bones, flexion, sides * abduction[0])
+        sides = -ABDUCTION_SIDE[:, None]
+        return cls(straight[:6] - straight[0], bones, hand.flexion_axes, sides * hand.abduction_axes[0])
 
     @property
     def bone_lengths_m(self) -> np.ndarray:
@@ -71,24 +70,11 @@ class Skeleton:
         joints[:, :6] = self.palm_m
         axes = np.empty((count, 4, 5, 3))
         axes[:, _ABDUCTION] = self.abduction_axes
-        turn = rotations_of(self.abduction_axes * angle[..., _ABDUCTION, None])
+        turn = vector_rotation(self.abduction_axes * angle[..., _ABDUCTION, None])
         for joint, which in enumerate(_FLEXIONS):
             axis = self.flexion_axes[joint]
             axes[:, which] = np.einsum("nfij,fj->nfi", turn, axis)
-            turn = turn @ rotations_of(axis * angle[..., which, None])
+            turn = turn @ vector_rotation(axis * angle[..., which, None])
             bone = np.einsum("nfij,fj->nfi", turn, self.bones_m[joint])
             joints[:, 6 + 5 * joint : 11 + 5 * joint] = joints[:, 1 + 5 * joint : 6 + 5 * joint] + bone
         return joints, axes
-
-
-def rotations_of(vector_rad: np.ndarray) -> np.ndarray:
-    """(..., 3) rotation vectors -> (..., 3, 3) rotations."""
-    return Rotation.from_rotvec(vector_rad.reshape(-1, 3)).as_matrix().reshape(*vector_rad.shape, 3)
-
-
-def cross_matrices(vector: np.ndarray) -> np.ndarray:
-    """(..., 3) -> (..., 3, 3) so that cross_matrices(a) @ b = a x b."""
-    x, y, z = np.moveaxis(vector, -1, 0)
-    zero = np.zeros_like(x)
-    rows = [np.stack(row, -1) for row in ((zero, -z, y), (z, zero, -x), (-y, x, zero))]
-    return np.stack(rows, -2)

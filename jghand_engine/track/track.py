@@ -8,10 +8,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from jghand_engine import limits
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.orders import check_joint_shape, hand_length
+from jghand_engine.hand.orders import HAND_LENGTH_MAX_M, HAND_LENGTH_MIN_M, check_joint_shape, hand_length
 from jghand_engine.hand.sequence import PoseSequence, bone_directions
 from jghand_engine.track import CAMERA_ANGLE_DEG
 from jghand_engine.track.detection import HandDetector, SeenHand
@@ -52,7 +51,7 @@ class TrackOptions:
 
     def check(self) -> None:
         """InputError for what cannot be."""
-        length, shortest, longest = self.hand_length_m, limits.HAND_LENGTH_MIN_M, limits.HAND_LENGTH_MAX_M
+        length, shortest, longest = self.hand_length_m, HAND_LENGTH_MIN_M, HAND_LENGTH_MAX_M
         if length is not None and not shortest <= length <= longest:
             wanted = f"{1e3 * shortest:g} to {1e3 * longest:g} mm"
             raise InputError("hand length", wanted=wanted, came=f"{1e3 * length:g}")

@@ -18,9 +18,9 @@ from typing import IO
 
 import numpy as np
 
-from jghand_engine import limits
 from jghand_engine.errors import InputError, MemoryLimitError
 from jghand_engine.export.video import ffmpeg_program
+from jghand_engine.hand.sequence import FPS_MIN
 from jghand_engine.motion.clocks import NTSC_RATES
 
 # pictures larger than 8K are refused: a decoder takes several times their bytes before anything can be looked at
@@ -188,8 +188,8 @@ def _described(file: Path, header: str, fps: float | None) -> Video:
             remedy="Say the rate with --fps.",
         )  # fmt: skip
     used = _ntsc(rate) if fps is None and rate is not None else float(fps or 0)
-    if not limits.FPS_MIN <= used <= VIDEO_FPS_MAX:
-        wanted = f"{limits.FPS_MIN:g} to {VIDEO_FPS_MAX:g} frames per second"
+    if not FPS_MIN <= used <= VIDEO_FPS_MAX:
+        wanted = f"{FPS_MIN:g} to {VIDEO_FPS_MAX:g} frames per second"
         raise InputError(f"video {file}", wanted=wanted, came=f"{used:g}", remedy="Say the rate with --fps.")
     frames = _frames(header, used)
     smaller = min(1.0, TRACK_EDGE_PX / max(width, height))

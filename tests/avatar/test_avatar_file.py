@@ -20,10 +20,10 @@ from jghand_engine.avatar.learned import Learned, Light, ShadowLook
 from jghand_engine.avatar.storage import Storage
 from jghand_engine.avatar.texts import as_text
 from jghand_engine.errors import InputError, RetryError
-from jghand_engine.hand.baselines import HaloLikeTransform, Transform
-from jghand_engine.hand.frames import Swing
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.transform import JointTransform, scale_exponent
+from jghand_engine.hand.skeleton import Swing, Transform, scale_exponent
+from jghand_engine.learn.baselines import HaloLikeTransform, transform_of
+from jghand_engine.learn.skeleton import JointTransform
 from jghand_engine.limits import SIGMA_MIN_M
 
 
@@ -88,7 +88,7 @@ def test_a_file_says_how_the_bones_follow_the_joints(tmp_path):
     save_avatar(tmp_path / "halo.jghand", avatar)
     again = load_avatar(tmp_path / "halo.jghand")
     assert same(again, avatar)
-    assert isinstance(again.bone_transform(), HaloLikeTransform)
+    assert isinstance(transform_of(again), HaloLikeTransform)
 
 
 def test_a_file_that_does_not_say_how_the_bones_follow_the_joints_means_the_usual_way(tmp_path):

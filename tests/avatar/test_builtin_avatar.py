@@ -12,10 +12,10 @@ from scipy.ndimage import binary_erosion, distance_transform_edt, label
 
 from jghand_engine.avatar.builtin import ASSETS, load_builtin, load_painted
 from jghand_engine.avatar.tiers import LOST_MAX_DB, Tier
-from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.transform import JointTransform
+from jghand_engine.hand.poses import named_pose
 from jghand_engine.learn.rasterize import rasterize
+from jghand_engine.learn.skeleton import JointTransform
 from jghand_engine.learn.skinning import apply, blend, pose_gaussians
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.frame import HandRenderer

@@ -16,8 +16,8 @@ from jghand_engine.avatar.fast_learned import FastLearnedSkin
 from jghand_engine.avatar.fast_skinning import PosedArrays
 from jghand_engine.avatar.learned import Learned
 from jghand_engine.errors import InputError
-from jghand_engine.hand.fast_transform import FastBones, FastTransform
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.skeleton import Bones, Skeleton
 from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.pose_features import Angles
 from jghand_engine.learn.skinning import posed_skin, seen_from, skin_maps
@@ -62,15 +62,15 @@ def linear_tier(basis: int, avatar: HandAvatar = AVATAR, seed: int = 4) -> Linea
     )
 
 
-def bones_of_hand(avatar: HandAvatar, joints_m: np.ndarray) -> FastBones:
-    transform = FastTransform(avatar.canonical_joints_m, handedness=avatar.handedness)
+def bones_of_hand(avatar: HandAvatar, joints_m: np.ndarray) -> Bones:
+    transform = Skeleton(avatar.canonical_joints_m, handedness=avatar.handedness)
     return transform.bones(joints_m)
 
 
 def natively(
     library: Library,
     avatar: HandAvatar,
-    bones: FastBones,
+    bones: Bones,
     *,
     threads: int = 1,
     eyes_m: tuple[np.ndarray, ...] = (EYE_M,),
@@ -94,7 +94,7 @@ def natively(
 
 @dataclass(frozen=True)
 class RootRelative:
-    """FastBones as torch tensors (avatar.skinning.PoseTransforms), around the picture's origin, not the world's."""
+    """Bones as torch tensors (avatar.skinning.PoseTransforms), around the picture's origin, not the world's."""
 
     linear: torch.Tensor
     offset_m: torch.Tensor
@@ -103,7 +103,7 @@ class RootRelative:
     scale: torch.Tensor
 
     @classmethod
-    def of(cls, avatar: HandAvatar, bones: FastBones, shift_m: np.ndarray) -> RootRelative:
+    def of(cls, avatar: HandAvatar, bones: Bones, shift_m: np.ndarray) -> RootRelative:
         """shift_m: (3,) the hand's root relative to the picture's origin."""
         matrices = torch.from_numpy(np.asarray(bones.linear_offset, np.float32))
         return cls(
@@ -115,7 +115,7 @@ class RootRelative:
         )
 
 
-def exactly(avatar: HandAvatar, bones: FastBones, dtype: torch.dtype = torch.float64) -> Gaussians:
+def exactly(avatar: HandAvatar, bones: Bones, dtype: torch.dtype = torch.float64) -> Gaussians:
     """By the functions that training uses, from the same transforms."""
     made = RootRelative.of(avatar, bones, np.array([0.01, 0.02, -0.03]))
     wide = RootRelative(*(getattr(made, name).to(dtype) for name in vars(made)))
@@ -125,14 +125,14 @@ def exactly(avatar: HandAvatar, bones: FastBones, dtype: torch.dtype = torch.flo
         return seen_from(skin, torch.from_numpy(EYE_M), hand)
 
 
-def sound(avatar: HandAvatar, bones: FastBones) -> torch.Tensor:
+def sound(avatar: HandAvatar, bones: Bones) -> torch.Tensor:
     """(N,) not at the limit where the palm's rotation takes over: rounding decides there."""
     linear = torch.from_numpy(bones.linear_offset[:, :, :3].astype(np.float64)) / max(bones.scale, 1e-38)
     blended = torch.einsum("nb,bij->nij", torch.from_numpy(avatar.bone_weights).double(), linear)
     return (torch.linalg.det(blended).abs() / 1e-3 - 1).abs() > 1e-4
 
 
-def check(avatar: HandAvatar, bones: FastBones, found: Gaussians, *, size_m: float = 1.0) -> None:
+def check(avatar: HandAvatar, bones: Bones, found: Gaussians, *, size_m: float = 1.0) -> None:
     wanted, good = exactly(avatar, bones), sound(avatar, bones)
     assert float(good.double().mean()) > 0.99
     off_m = float((found.position_m - wanted.position_m)[good].abs().max())
@@ -248,7 +248,7 @@ def test_features_of_the_bones_are_those_of_the_planes():
 # ---- odd hands -------------------------------------------------------------------------------------------------------
 
 
-def flattened(bones: FastBones) -> FastBones:
+def flattened(bones: Bones) -> Bones:
     """Every other finger pressed to a line: skin of its bones has hardly any volume."""
     matrices = bones.linear_offset.copy()
     matrices[[0, 1, 3, 6, 8, 11, 13, 16, 18], :, 1:3] *= 1e-3

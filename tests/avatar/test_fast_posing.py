@@ -13,8 +13,9 @@ from small_hands import joints_of
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.fast_posing import FastPosing
 from jghand_engine.errors import InputError
-from jghand_engine.hand.baselines import Transform
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.skeleton import Transform
+from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.skinning import pose_gaussians
 from jghand_engine.native.binding import Library
 
@@ -24,7 +25,7 @@ POSITION_M, RELATIVE, COLOR = 1.5e-7, 3e-6, 2e-5
 
 
 def exactly(avatar: HandAvatar, joints_m: np.ndarray):
-    bones = avatar.bone_transform().bones(torch.from_numpy(joints_m))
+    bones = transform_of(avatar).bones(torch.from_numpy(joints_m))
     with torch.no_grad():
         return pose_gaussians(avatar, bones, frames=bones.frames)
 

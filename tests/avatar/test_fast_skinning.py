@@ -12,10 +12,10 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_painted
 from jghand_engine.avatar.fast_skinning import FastSkinning, PosedArrays, spatial_order
 from jghand_engine.errors import InputError
-from jghand_engine.hand.anatomy import named_pose
-from jghand_engine.hand.fast_transform import FastTransform
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.transform import JointTransform
+from jghand_engine.hand.poses import named_pose
+from jghand_engine.hand.skeleton import Skeleton
+from jghand_engine.learn.skeleton import JointTransform
 from jghand_engine.learn.skinning import pose_gaussians
 from jghand_engine.native.binding import Library
 from jghand_engine.native.threads import shared_pool
@@ -25,7 +25,7 @@ def skinned(library: Library, avatar: HandAvatar, joints_m: np.ndarray, threads:
     """Positions and radii in the avatar's order."""
     skin = FastSkinning(library, avatar)
     into = PosedArrays(np.full((skin.rows, 3), np.nan, np.float32), np.full(skin.rows, np.nan, np.float32))
-    bones = FastTransform(avatar.canonical_joints_m, handedness=avatar.handedness).bones(joints_m)
+    bones = Skeleton(avatar.canonical_joints_m, handedness=avatar.handedness).bones(joints_m)
     skin.prepare(bones, into, np.array(shift_m))
     shared_pool(threads).run(lambda _thread: skin.run())
     inverse = np.argsort(skin.order)
@@ -95,7 +95,7 @@ def _read_only(array: np.ndarray) -> np.ndarray:
 def test_arrays_that_the_kernel_cannot_write_into_are_refused_by_name(library: Library, name, make, wanted):
     avatar = load_painted(handedness=Handedness.RIGHT).prefix(100)
     skin = FastSkinning(library, avatar)
-    bones = FastTransform(avatar.canonical_joints_m, handedness=Handedness.RIGHT).bones(avatar.canonical_joints_m)
+    bones = Skeleton(avatar.canonical_joints_m, handedness=Handedness.RIGHT).bones(avatar.canonical_joints_m)
     good = PosedArrays(np.zeros((skin.rows, 3), np.float32), np.zeros(skin.rows, np.float32))
     with pytest.raises(InputError, match=f"{name}.*{wanted}"):
         skin.prepare(bones, replace(good, **{name: make(skin.rows)}), np.zeros(3))

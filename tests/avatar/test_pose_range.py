@@ -11,9 +11,10 @@ from small_avatars import trained_avatar
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.pose_range import angle_name, range_report, trained_range
-from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.poses import named_pose
 from jghand_engine.learn.bake import angle_ranges
+from jghand_engine.learn.baselines import transform_of
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.frame import HandRenderer
 
@@ -21,7 +22,7 @@ from jghand_engine.render.frame import HandRenderer
 def trained_on(*poses: str, handedness: Handedness = Handedness.RIGHT) -> HandAvatar:
     avatar = trained_avatar(100).for_hand(handedness)
     joints = torch.from_numpy(np.stack([joints_of(avatar, pose) for pose in poses]))
-    statistics = angle_ranges(avatar.bone_transform(), joints)
+    statistics = angle_ranges(transform_of(avatar), joints)
     return replace(avatar, info=replace(avatar.info, pose_statistics=statistics))
 
 
@@ -31,7 +32,7 @@ def joints_of(avatar: HandAvatar, pose: str) -> np.ndarray:
 
 def report_of(avatar: HandAvatar, *poses: str):
     joints = torch.from_numpy(np.stack([joints_of(avatar, pose) for pose in poses]))
-    return range_report(avatar, avatar.bone_transform().frames(joints).angles.numpy())
+    return range_report(avatar, joints.numpy())
 
 
 def test_poses_that_were_trained_are_inside():

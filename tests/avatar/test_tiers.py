@@ -16,7 +16,8 @@ from jghand_engine.avatar.learned_storage import pack_learned
 from jghand_engine.avatar.storage import Storage
 from jghand_engine.avatar.tiers import Distilled, Price, Tier
 from jghand_engine.errors import InputError
-from jghand_engine.hand.anatomy import named_pose, pose_names
+from jghand_engine.hand.poses import named_pose, pose_names
+from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.distill import distill, poses_near
 from jghand_engine.learn.pose_features import Angles, flat_angles
 from jghand_engine.learn.pose_net import LinearNet, PoseNet, numbers_of
@@ -34,7 +35,7 @@ NET = HandTensors.of(AVATAR).learned.correctives
 
 def known_poses() -> torch.Tensor:
     joints = [named_pose(name, AVATAR.canonical_joints_m, handedness=AVATAR.handedness) for name in pose_names()]
-    transform = AVATAR.bone_transform()
+    transform = transform_of(AVATAR)
     return torch.stack([flat_angles(transform.frames(torch.from_numpy(each))) for each in joints]).float()
 
 

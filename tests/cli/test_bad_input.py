@@ -15,9 +15,9 @@ import pytest
 from jghand_engine.avatar.builtin import ASSETS, load_painted
 from jghand_engine.cli import main
 from jghand_engine.export.pictures import read_png
-from jghand_engine.hand.anatomy import MotionOptions, pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, from_level
+from jghand_engine.hand.poses import MotionOptions, pose_sequence_of_names
 from jghand_engine.render.frame import HandRenderer
 
 SMALL = ("--size", "32x24", "--preset", "draft")

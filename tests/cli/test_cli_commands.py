@@ -21,9 +21,9 @@ from jghand_engine.errors import InputError
 from jghand_engine.export.pictures import read_png
 from jghand_engine.export.usd.package import UsdOptions
 from jghand_engine.export.usd.stage import Variant
-from jghand_engine.hand.anatomy import pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, from_level
+from jghand_engine.hand.poses import pose_sequence_of_names
 
 SMALL = ("--size", "64x48", "--preset", "draft")
 

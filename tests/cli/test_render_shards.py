@@ -19,8 +19,8 @@ from jghand_engine.captures.pictures_in import probe_picture
 from jghand_engine.cli import main
 from jghand_engine.cli.frame_files import STAMP, FrameWriter, Shard, settle_folder
 from jghand_engine.errors import InputError
-from jghand_engine.hand.anatomy import pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.poses import pose_sequence_of_names
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.motion.files import write_motion
 from jghand_engine.template.builtin import load_template

@@ -12,8 +12,8 @@ from jghand_engine.cli import main
 from jghand_engine.cli.camera_file import read_camera
 from jghand_engine.export.pictures import read_png
 from jghand_engine.export.video import write_video
-from jghand_engine.hand.anatomy import ArticulatedHand
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.kinematics import ArticulatedHand
 from jghand_engine.motion.read import read_motion_file
 from jghand_engine.track import hands_over_time, mediapipe_hands, model_file
 from jghand_engine.track import track as module

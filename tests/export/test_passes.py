@@ -15,9 +15,9 @@ from jghand_engine.avatar.skin_bones import bone_numbers
 from jghand_engine.cli.framing import framing_camera
 from jghand_engine.errors import InputError
 from jghand_engine.export.passes import JointView, JointWitness, channels, joint_reach_m, pass_names
-from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import STANDARD_NAMES, Handedness
 from jghand_engine.hand.orders import LEVEL_OF_STANDARD
+from jghand_engine.hand.poses import named_pose
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.limits import JOINT_REACH_ROOM, Z_NEAR_M
 from jghand_engine.render.camera import Camera

@@ -15,6 +15,7 @@ from jghand_engine.export.splats.cloud import AXES_FROM_RUB, RUB_FROM_UP, SH_C0
 from jghand_engine.export.splats.files import SplatOptions, export_splats
 from jghand_engine.export.splats.ply import BYTES_PER_GAUSSIAN
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.skinning import pose_gaussians
 
 FRAMES = 3
@@ -92,7 +93,7 @@ def test_ellipsoids_keep_their_shape_and_turn_with_the_axes(tmp_path, up):
     turns = Rotation.from_quat(columns(data, "rot_0", "rot_1", "rot_2", "rot_3"), scalar_first=True).as_matrix()
     sizes = np.exp(columns(data, "scale_0", "scale_1", "scale_2"))
     written = np.einsum("nab,nb,ncb->nac", turns, sizes**2, turns)
-    bones = avatar.bone_transform().bones(torch.tensor(motion.joints_m[0]))
+    bones = transform_of(avatar).bones(torch.tensor(motion.joints_m[0]))
     posed = pose_gaussians(avatar, bones, frames=bones.frames).covariance_m2
     assert posed is not None
     six = posed.numpy().astype(np.float64)

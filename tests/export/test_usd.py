@@ -19,9 +19,9 @@ from jghand_engine.export.usd import package
 from jghand_engine.export.usd.check import NO_SPLATS, check_usd
 from jghand_engine.export.usd.package import UsdOptions, export_usd
 from jghand_engine.export.usd.stage import Variant
-from jghand_engine.hand.baselines import Transform
 from jghand_engine.hand.joints import LEVEL_NAMES, Handedness
 from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.hand.skeleton import Transform
 from jghand_engine.render.camera import Camera
 from jghand_engine.template.builtin import load_template
 from jghand_engine.template.mesh import mirrored

@@ -16,6 +16,7 @@ from jghand_engine.export.usd.package import UsdOptions, export_usd
 from jghand_engine.export.usd.rig import PROXY_STEP, SKIN_BONES, skin_influences
 from jghand_engine.export.usd.stage import Variant
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.learn.baselines import transform_of
 
 pytestmark = pytest.mark.usefixtures("no_usd_warnings")
 
@@ -66,7 +67,7 @@ def test_the_stand_in_is_every_tenth_gaussian_and_covers_as_much(export):
 
 
 def scale_of(avatar, motion) -> float:
-    transform = avatar.for_hand(motion.handedness).bone_transform()
+    transform = transform_of(avatar.for_hand(motion.handedness))
     return float(transform.bones(torch.tensor(motion.joints_m)).scale.mean())
 
 

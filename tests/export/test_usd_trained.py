@@ -18,7 +18,7 @@ from jghand_engine.export.usd import package
 from jghand_engine.export.usd.check import check_usd
 from jghand_engine.export.usd.package import UsdOptions, export_usd
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.transform import JointTransform
+from jghand_engine.learn.skeleton import JointTransform
 from jghand_engine.learn.skinning import pose_gaussians
 from jghand_engine.template.builtin import load_template
 

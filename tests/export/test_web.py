@@ -35,10 +35,12 @@ from jghand_engine.export.web import page as web
 from jghand_engine.export.web.hand import rows_of, with_cheap_correctives
 from jghand_engine.export.web.pack import Pack, task_in_words
 from jghand_engine.export.web.page import WebOptions, WebView, export_web
-from jghand_engine.hand.anatomy import ArticulatedHand, pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.kinematics import ArticulatedHand
 from jghand_engine.hand.orders import bone_lengths
+from jghand_engine.hand.poses import angles_on, pose_sequence_of_names
 from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.distill import distill
 from jghand_engine.learn.skinning import pose_gaussians
 from jghand_engine.limits import WEB_FRAMES_MAX
@@ -349,7 +351,7 @@ def far_apart(folder: Path, avatar: HandAvatar, hand: Handedness = Handedness.RI
     origin_m = np.array(description_of(folder)["origin_m"])
     joints_m = sequence.joints_m[[0, 20, 38, 55, -1]] - origin_m
     found = posed_by_the_page(folder, joints_m)
-    order, transform, worst = rows_of(shown), shown.bone_transform(), dict.fromkeys(found, 0.0)
+    order, transform, worst = rows_of(shown), transform_of(shown), dict.fromkeys(found, 0.0)
     for frame, joints in enumerate(joints_m):
         bones = transform.bones(torch.from_numpy(joints))
         with torch.no_grad():
@@ -401,7 +403,7 @@ def test_sliders_pose_as_the_engine_does(tmp_path):
     exported(tmp_path, avatar)
     canonical_m = avatar.canonical_joints_m
     hand = ArticulatedHand(canonical_m)
-    angles_deg = np.stack([hand.angles_of(name) for name in ("open", "fist", "ok", "spread")])
+    angles_deg = np.stack([angles_on(hand, name) for name in ("open", "fist", "ok", "spread")])
     wanted_m = hand.joints(angles_deg) - canonical_m[0]
     for found in asked(tmp_path, angles=np.radians(angles_deg), **{"from": wanted_m.reshape(4, 63)}):
         # observed 6e-17

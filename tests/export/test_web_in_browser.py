@@ -16,8 +16,8 @@ import check_web_page
 import show_splat_file
 
 from jghand_engine.export.web.page import WebView, export_web
-from jghand_engine.hand.anatomy import pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.poses import pose_sequence_of_names
 from jghand_engine.hand.sequence import PoseSequence
 
 VIEW = WebView((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), 2.2, (0.012,) * 21)

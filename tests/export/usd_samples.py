@@ -9,7 +9,8 @@ from scipy.spatial.transform import Rotation
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
 from jghand_engine.hand.joints import PARENTS, Handedness
 from jghand_engine.hand.sequence import PoseSequence
-from jghand_engine.hand.transform import JointTransform
+from jghand_engine.learn.baselines import transform_of
+from jghand_engine.learn.skeleton import JointTransform
 from jghand_engine.learn.skinning import pose_gaussians
 from jghand_engine.template.builtin import load_template
 
@@ -75,7 +76,7 @@ def engine_mesh(sequence: PoseSequence, scale_mode: str | float = "axial", swing
 
 def engine_gaussians(avatar: HandAvatar, sequence: PoseSequence) -> tuple[np.ndarray, np.ndarray]:
     """(F, N, 3) centers and (F, N) radii as the engine poses them, meters, in float64."""
-    transform = avatar.for_hand(sequence.handedness).bone_transform()
+    transform = transform_of(avatar.for_hand(sequence.handedness))
     poses = torch.tensor(sequence.joints_m)
     frames = [pose_gaussians(avatar, transform.bones(one), frames=transform.frames(one)) for one in poses]
     return (

@@ -13,8 +13,8 @@ import pytest
 
 from jghand_engine.avatar.builtin import load_painted
 from jghand_engine.cli import main
-from jghand_engine.hand.anatomy import pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.poses import pose_sequence_of_names
 from jghand_engine.motion.files import write_motion
 
 ROOT = Path(__file__).parents[2]

@@ -18,8 +18,8 @@ from jghand_engine.export.splats.files import SplatOptions, export_splats
 from jghand_engine.export.usd.package import UsdOptions, export_usd
 from jghand_engine.export.usd.stage import Variant
 from jghand_engine.export.web.page import WebView, export_web
-from jghand_engine.hand.anatomy import named_pose, pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.poses import named_pose, pose_sequence_of_names
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.motion.files import write_motion
 from jghand_engine.render.camera import Camera, Lens

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from jghand_engine.errors import InputError
-from jghand_engine.hand.anatomy import RANGES_DEG, ArticulatedHand
-from jghand_engine.hand.fingerspelling import LETTERS_DEG, SAME_SHAPE, letter_angles
+from jghand_engine.hand.kinematics import RANGES_DEG, ArticulatedHand
+from jghand_engine.hand.poses import LETTERS_DEG, SAME_SHAPE, letter_angles
 from jghand_engine.template.builtin import load_template
 
 

@@ -47,14 +47,12 @@ def test_every_joint_goes_where_its_name_says(order):
 
 
 @pytest.mark.parametrize("order", ORDERS)
-@given(seed=st.integers(0, 2**31), batch=st.lists(st.integers(1, 3), max_size=2), as_torch=st.booleans())
-def test_there_and_back_is_exact(order, seed, batch, as_torch):
+@given(seed=st.integers(0, 2**31), batch=st.lists(st.integers(1, 3), max_size=2))
+def test_there_and_back_is_exact(order, seed, batch):
     joints = np.random.default_rng(seed).standard_normal((*batch, 21, 3))
-    given_joints = torch.from_numpy(joints) if as_torch else joints
-    foreign = from_level(given_joints, order)
-    assert tuple(foreign.shape) == (*batch, joint_count(order), 3)
-    assert type(foreign) is type(given_joints)
-    assert np.array_equal(np.asarray(to_level(foreign, order)), joints)
+    foreign = from_level(joints, order)
+    assert foreign.shape == (*batch, joint_count(order), 3)
+    assert np.array_equal(to_level(foreign, order), joints)
 
 
 def test_other_names_of_the_standard_order():
@@ -148,7 +146,7 @@ def test_the_order_does_not_depend_on_pose_place_or_unit():
     [
         (1000.0, "m", "millimeters"),
         (100.0, "m", "centimeters"),
-        (1.0, "mm", "metres"),
+        (1.0, "mm", "meters"),
         (10.0, "cm", None),
         (1000.0, "cm", "millimeters"),
     ],

@@ -8,10 +8,11 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from jghand_engine.errors import InputError
-from jghand_engine.hand.anatomy import pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, bone_lengths, to_level
-from jghand_engine.hand.sequence import PoseSequence, alignment, bone_directions
+from jghand_engine.hand.poses import pose_sequence_of_names
+from jghand_engine.hand.rotations import alignment
+from jghand_engine.hand.sequence import PoseSequence, bone_directions
 
 RIGHT = Handedness.RIGHT
 

@@ -10,7 +10,7 @@ from hand import sampled_hands as hands
 from torch import Tensor
 
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.transform import JointTransform
+from jghand_engine.learn.skeleton import JointTransform
 
 F64 = torch.float64
 
@@ -33,7 +33,7 @@ def _straight_finger(finger: int, signs: tuple[int, int, int] = (1, 1, 1)) -> Te
 def _abducted(finger: int, beside_rad: float = 0.0) -> Tensor:
     """A finger along the flexion axis of its metacarpal: the pole of the euler swing, or a little beside it."""
     joints = _base()
-    S = JointTransform(hands.canonical(), handedness=Handedness.RIGHT).frames(joints).S[finger]
+    S = JointTransform(hands.canonical_np(), handedness=Handedness.RIGHT).frames(joints).S[finger]
     along = S[:, 1] * math.cos(beside_rad) + S[:, 2] * math.sin(beside_rad)
     for k in range(3):
         joints[6 + 5 * k + finger] = joints[1 + finger] + along * 0.03 * (k + 1)

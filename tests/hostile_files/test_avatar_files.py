@@ -25,7 +25,7 @@ from jghand_engine.avatar.storage import Storage
 from jghand_engine.avatar.tiers import Distilled, Price, Tier
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import LEVEL_NAMES, STANDARD_NAMES, Handedness
-from jghand_engine.hand.transform import JointTransform
+from jghand_engine.learn.skeleton import JointTransform
 
 WHOLE = Path(str(ASSETS / "painted_right.jghand")).read_bytes()
 

@@ -10,9 +10,9 @@ import pytest
 from hand import sampled_hands as hands
 
 from jghand_engine.errors import InputError, MemoryLimitError
-from jghand_engine.hand.anatomy import pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder
+from jghand_engine.hand.poses import pose_sequence_of_names
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.motion import content
 from jghand_engine.motion.files import MotionFormat, write_motion

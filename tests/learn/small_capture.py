@@ -10,8 +10,8 @@ import torch
 from jghand_engine.avatar.builtin import load_painted
 from jghand_engine.captures.interhand_writer import RecordedHand, write_interhand
 from jghand_engine.export.pictures import write_png
-from jghand_engine.hand.anatomy import MotionOptions, pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.poses import MotionOptions, pose_sequence_of_names
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.frame import HandRenderer
 from jghand_engine.render.settings import preset

@@ -20,9 +20,9 @@ from jghand_engine.cli import main
 from jghand_engine.cli.failures import STOPPED
 from jghand_engine.errors import InputError
 from jghand_engine.export.pictures import read_png
-from jghand_engine.hand.anatomy import named_pose
-from jghand_engine.hand.baselines import Transform
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.poses import named_pose
+from jghand_engine.hand.skeleton import Transform
 from jghand_engine.learn.ablation import LiveHand, chosen_variants, variant_folder
 from jghand_engine.learn.options import TrainOptions, ablations
 from jghand_engine.learn.step import HandTraining

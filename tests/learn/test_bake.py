@@ -15,9 +15,9 @@ from small_trainings import SMALL, small_training
 
 from jghand_engine.captures.sample import Sample
 from jghand_engine.hand.joints import LEVEL_NAMES, PARENTS, Handedness
-from jghand_engine.hand.transform import JointTransform
 from jghand_engine.learn.bake import angle_ranges, bake
 from jghand_engine.learn.model import Shape
+from jghand_engine.learn.skeleton import JointTransform
 from jghand_engine.learn.step import HandTraining
 from jghand_engine.template.builtin import load_template
 

@@ -14,9 +14,8 @@ from jghand_engine import limits
 from jghand_engine.avatar.learned import lamp_directions as lamp_directions_of
 from jghand_engine.avatar.learned import own_flesh
 from jghand_engine.errors import InputError
-from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import PARENTS
-from jghand_engine.hand.transform import JointTransform
+from jghand_engine.hand.poses import named_pose
 from jghand_engine.learn.cast_shadow import (
     CastTensors,
     LampsSeen,
@@ -26,6 +25,7 @@ from jghand_engine.learn.cast_shadow import (
     past_capsule,
     place_anchors,
 )
+from jghand_engine.learn.skeleton import JointTransform
 from jghand_engine.learn.skinning import pose_skin, see_lamps
 
 AVATAR = trained_tensors(300)

@@ -11,7 +11,7 @@ import torch
 from small_hands import frames_of
 
 from jghand_engine.avatar.correctives import positional_encoding
-from jghand_engine.hand.anatomy import FRAME_RANGES_DEG
+from jghand_engine.hand.kinematics import FRAME_RANGES_DEG
 from jghand_engine.learn.pose_features import (
     AnglePlanes,
     finger_angles,

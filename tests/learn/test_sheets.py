@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import torch
 from picture_sets import LEFT, RIGHT, recorded, write_set
 
 from jghand_engine.captures.capture_folder import open_capture
@@ -79,7 +78,7 @@ def test_poses_in_between_have_a_row_for_each_avatar(capture):
 
 def test_the_ends_of_a_way_are_the_poses_and_the_wrist_stays(capture):
     first, second = capture.samples[0], capture.by_pose()[capture.poses[1]][0]
-    hands = sheets.hands_between(first, second, torch.linspace(0, 1, 6, dtype=torch.float64))
+    hands = sheets.hands_between(first, second, np.linspace(0, 1, 6))
     np.testing.assert_allclose(hands[0], first.joints_m, atol=1e-9)  # worst observed 1e-16
     np.testing.assert_allclose(hands[:, 0], np.tile(first.joints_m[0], (6, 1)), atol=1e-9)
 
@@ -95,7 +94,7 @@ def test_a_hand_turned_as_a_whole_stays_where_the_first_one_is(capture):
     turn, _ = np.linalg.qr(np.random.default_rng(0).normal(size=(3, 3)))
     turn *= np.sign(np.linalg.det(turn))
     turned = type(second)(**{**vars(second), "joints_m": second.joints_m @ turn.T + 0.3})
-    parts = torch.linspace(0, 1, 3, dtype=torch.float64)
+    parts = np.linspace(0, 1, 3)
     plain, other = (sheets.hands_between(first, sample, parts) for sample in (second, turned))
     np.testing.assert_allclose(plain, other, atol=1e-9)  # worst observed 3e-16
 

@@ -8,11 +8,11 @@ import pytest
 import torch
 from small_avatars import small_tensors
 
-from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.transform import BoneTransforms, JointTransform
+from jghand_engine.hand.poses import named_pose
 from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.pose_net import Correction
+from jghand_engine.learn.skeleton import BoneTransforms, JointTransform
 from jghand_engine.learn.skinning import apply, blend, pose_gaussians, pose_skin, turning, volume_scale
 from jghand_engine.learn.tensors import HandTensors
 from jghand_engine.limits import BLEND_DET_MIN, SIGMA_STRETCH_MAX, SIGMA_STRETCH_MIN

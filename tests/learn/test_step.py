@@ -15,7 +15,7 @@ from small_trainings import SMALL, parameters_of, small_training
 from jghand_engine import limits
 from jghand_engine.captures.sample import Sample
 from jghand_engine.errors import InputError
-from jghand_engine.hand.baselines import HaloLikeTransform
+from jghand_engine.learn.baselines import HaloLikeTransform
 from jghand_engine.learn.model import Shape
 from jghand_engine.learn.options import LossWeights, Schedule, TrainOptions, Transform
 from jghand_engine.learn.rasterize import rasterize

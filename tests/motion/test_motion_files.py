@@ -7,9 +7,9 @@ import pytest
 from hand import sampled_hands as hands
 
 from jghand_engine.errors import InputError
-from jghand_engine.hand.anatomy import pose_sequence_of_names
 from jghand_engine.hand.joints import STANDARD_NAMES, Handedness
 from jghand_engine.hand.orders import METERS_PER_UNIT, JointOrder, from_level
+from jghand_engine.hand.poses import pose_sequence_of_names
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.motion.files import MotionFormat, write_motion
 from jghand_engine.motion.read import read_motion_file

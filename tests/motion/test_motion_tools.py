@@ -242,9 +242,7 @@ def test_more_frames_than_a_motion_has_are_refused():
 
 
 def test_another_rate_is_the_same_however_many_frames_are_taken_at_once(monkeypatch):
-    from jghand_engine import limits
-
     motion = motion_samples.motion()
     wanted = motion.resampled(77.0).joints_m
-    monkeypatch.setattr(limits, "POSES_AT_ONCE", 7)
+    monkeypatch.setattr("jghand_engine.hand.sequence.POSES_AT_ONCE", 7)
     np.testing.assert_allclose(motion.resampled(77.0).joints_m, wanted, atol=1e-15)

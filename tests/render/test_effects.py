@@ -14,8 +14,9 @@ from jghand_engine import limits
 from jghand_engine.avatar.builtin import load_builtin, load_painted
 from jghand_engine.avatar.fast_correctives import FastNetwork
 from jghand_engine.errors import InputError
-from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.poses import named_pose
+from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.pose_features import Angles
 from jghand_engine.learn.tensors import HandTensors
 from jghand_engine.native import library as native_library
@@ -192,7 +193,7 @@ def test_a_hand_that_moves_as_a_whole_keeps_its_correctives(monkeypatch):
 
 def test_correctives_that_are_kept_lack_what_the_receipt_says():
     avatar = load_builtin(handedness=Handedness.RIGHT)
-    transform, generator = avatar.bone_transform(), torch.Generator().manual_seed(0)
+    transform, generator = transform_of(avatar), torch.Generator().manual_seed(0)
     assert avatar.learned is not None
     net = HandTensors.of(avatar).learned.correctives
     for name in ("open", "relaxed", "fist"):

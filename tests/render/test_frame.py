@@ -11,11 +11,12 @@ import torch
 from jghand_engine import limits
 from jghand_engine.avatar.builtin import load_builtin, load_painted
 from jghand_engine.errors import InputError
-from jghand_engine.hand.anatomy import named_pose, pose_names
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.transform import JointTransform
+from jghand_engine.hand.poses import named_pose, pose_names
+from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.reference import rasterize_reference
 from jghand_engine.learn.shadow import darken
+from jghand_engine.learn.skeleton import JointTransform
 from jghand_engine.learn.skinning import pose_gaussians
 from jghand_engine.native import library as native_library
 from jghand_engine.render import backend as backend_module
@@ -218,7 +219,7 @@ def test_skin_that_is_kept_is_off_by_no_more_than_the_receipt_says(kind: str, na
     """Also of a hand of odd bones, and with the correctives of the built-in hand."""
     case = hand_cases()[name]
     avatar = (load_painted if kind == "painted" else load_builtin)(handedness=case.handedness).prefix(2000)
-    transform, joints = avatar.bone_transform(), case.joints_m - case.joints_m[:1]
+    transform, joints = transform_of(avatar), case.joints_m - case.joints_m[:1]
     before = posed_avatar(avatar, transform, joints).position_m
     generator = torch.Generator().manual_seed(0)
     worst = 0.0

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from jghand_engine import limits
-from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.poses import named_pose
 from jghand_engine.render.gate import ShadowGate, _far_pairs, contact_between, fade, gap_between
 from jghand_engine.template.builtin import load_template
 

@@ -12,13 +12,13 @@ from small_avatars import ellipsoid_avatar, small_avatar, trained_avatar
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.learned import ShadowLook
 from jghand_engine.errors import InputError
-from jghand_engine.hand.anatomy import named_pose
-from jghand_engine.hand.baselines import Transform
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.transform import JointTransform
+from jghand_engine.hand.poses import named_pose
+from jghand_engine.hand.skeleton import Transform
 from jghand_engine.learn.gaussians import Gaussians
 from jghand_engine.learn.reference import rasterize_reference
 from jghand_engine.learn.shadow import darken
+from jghand_engine.learn.skeleton import JointTransform
 from jghand_engine.learn.skinning import pose_gaussians
 from jghand_engine.native import library as native_library
 from jghand_engine.render.camera import Camera

@@ -25,7 +25,7 @@ from splat_scenes import (
 )
 
 from jghand_engine.errors import InputError
-from jghand_engine.hand.anatomy import named_pose
+from jghand_engine.hand.poses import named_pose
 from jghand_engine.learn.shadow import normalized_depth, visibility
 from jghand_engine.native import library as native_library
 from jghand_engine.render.camera import Camera, Lens

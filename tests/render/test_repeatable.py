@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from jghand_engine.avatar.builtin import load_builtin
-from jghand_engine.hand.anatomy import pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.poses import pose_sequence_of_names
 from jghand_engine.render.backend import SKIN
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.frame import HandRenderer

@@ -16,12 +16,11 @@ from blender_addon.core import joints as extension
 from blender_addon.core import limits as extension_limits
 from blender_addon.errors import ADVICE
 from blender_addon.hand import motion_conversion, motion_files
-from jghand_engine import limits
 from jghand_engine.errors import InputError, MemoryLimitError, RetryError
-from jghand_engine.hand.anatomy import RANGES_DEG
 from jghand_engine.hand.joints import LEVEL_NAMES, PARENTS, STANDARD_NAMES, Handedness
+from jghand_engine.hand.kinematics import RANGES_DEG
 from jghand_engine.hand.orders import JointOrder, from_level
-from jghand_engine.hand.sequence import PoseSequence
+from jghand_engine.hand.sequence import FPS_MAX, FPS_MIN, PoseSequence
 from jghand_engine.motion import bone_names
 from jghand_engine.motion.files import write_motion
 from jghand_engine.render.settings import PRESETS
@@ -71,7 +70,7 @@ def test_joints_go_as_far():
 
 
 def test_motions_may_be_as_slow_and_as_fast():
-    assert (extension_limits.FPS_MIN, extension_limits.FPS_MAX) == (limits.FPS_MIN, limits.FPS_MAX)
+    assert (extension_limits.FPS_MIN, extension_limits.FPS_MAX) == (FPS_MIN, FPS_MAX)
 
 
 @pytest.mark.parametrize("suffix", ["npz", "json", "csv"])

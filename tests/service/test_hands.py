@@ -380,8 +380,9 @@ def test_strength_and_radius_of_shadows_need_no_other_renderer(right):
 
 def fist_of(hand: Hand) -> Hand:
     from jghand_engine.avatar.builtin import load_painted
-    from jghand_engine.hand.anatomy import ArticulatedHand, named_angles
+    from jghand_engine.hand.kinematics import ArticulatedHand
     from jghand_engine.hand.orders import from_level
+    from jghand_engine.hand.poses import named_angles
 
     canonical = load_painted(handedness=Handedness.RIGHT).canonical_joints_m
     joints = ArticulatedHand(canonical).joints(named_angles("fist")[None])[0]

@@ -12,8 +12,8 @@ from small_avatars import trained_avatar
 
 from jghand_engine.avatar.file import save_avatar
 from jghand_engine.cli import main
-from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.poses import named_pose
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.effect_plan import Effect
 from jghand_engine.render.frame import HandRenderer

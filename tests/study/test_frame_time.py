@@ -13,7 +13,7 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.tiers import Distilled, Price, Tier
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.transform import JointTransform
+from jghand_engine.learn.skeleton import JointTransform
 from jghand_engine.native.library import load, runnable_variants
 from jghand_engine.render.frame import HandRenderer
 from jghand_engine.render.settings import RenderSettings

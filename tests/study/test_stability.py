@@ -10,8 +10,8 @@ import torch
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from jghand_engine.hand.frames import FrameFlag
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.skeleton import FrameFlag
 from jghand_engine.study import stability_curves as curves
 from jghand_engine.study.stability import FAR_OUTSIDE
 from jghand_engine.study.stability_hands import GRADIENT_MAX, NUDGE_M, HandCase, hand_cases, posed, template_size_m

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from tracking_samples import CANONICAL_M, FPS, moving_poses
 
+from jghand_engine.hand.rotations import vector_rotation
 from jghand_engine.hand.sequence import bone_directions, rebuilt
 from jghand_engine.track.figures import (
     FINGER_BONES,
@@ -12,7 +13,7 @@ from jghand_engine.track.figures import (
     jitter_deg,
     lag_ms,
 )
-from jghand_engine.track.skeleton import Skeleton, rotations_of
+from jghand_engine.track.skeleton import Skeleton
 
 SKELETON = Skeleton.of(CANONICAL_M)
 
@@ -42,7 +43,7 @@ def test_a_bone_that_swings_to_and_fro_has_that_jitter():
     side = np.radians(3.0) * (-1.0) ** np.arange(9)
     across = np.cross(canonical[0], (0.3, 0.5, 0.8))
     across /= np.linalg.norm(across, axis=-1, keepdims=True)
-    turn = rotations_of(side[:, None, None] * across)
+    turn = vector_rotation(side[:, None, None] * across)
     swinging = np.einsum("fbij,fbj->fbi", turn, canonical)
     joints = rebuilt(np.zeros((9, 3)), swinging, np.full(20, 0.03))
     assert abs(jitter_deg(joints) - 6.0) < 1e-9
@@ -52,7 +53,7 @@ def test_a_bone_that_swings_to_and_fro_has_that_jitter():
 
 def test_a_hand_that_turns_as_a_whole_points_the_same_in_its_palm():
     joints = moving_poses(5).joints_m(SKELETON)
-    turned = joints @ rotations_of(np.array([0.4, -1.2, 0.7])).T
+    turned = joints @ vector_rotation(np.array([0.4, -1.2, 0.7])).T
     first, second = (directions_in_palm(one, CANONICAL_M) for one in (joints, turned))
     assert angles_between_deg(first, second).max() < 1e-6
 

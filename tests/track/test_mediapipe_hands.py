@@ -10,8 +10,8 @@ from tracking_samples import CAMERA, CANONICAL_M, HEIGHT, WIDTH, right_joints_m
 from jghand_engine.avatar.builtin import load_builtin
 from jghand_engine.errors import InputError
 from jghand_engine.export.pictures import flatten
-from jghand_engine.hand.anatomy import named_pose
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.poses import named_pose
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.frame import HandRenderer, SceneRenderer
 from jghand_engine.render.settings import preset

@@ -3,9 +3,10 @@
 import numpy as np
 from tracking_samples import CANONICAL_M, moving_poses
 
-from jghand_engine.hand.anatomy import ArticulatedHand
+from jghand_engine.hand.kinematics import ArticulatedHand
 from jghand_engine.hand.orders import bone_lengths
-from jghand_engine.track.skeleton import LIMITS_RAD, Skeleton, rotations_of
+from jghand_engine.hand.rotations import vector_rotation
+from jghand_engine.track.skeleton import LIMITS_RAD, Skeleton
 
 SKELETON = Skeleton.of(CANONICAL_M)
 
@@ -35,7 +36,7 @@ def test_derivatives_are_those_of_finite_differences():
 
 
 def test_a_turn_by_nothing_is_no_turn():
-    np.testing.assert_array_equal(rotations_of(np.zeros((1, 3)))[0], np.eye(3))
+    np.testing.assert_array_equal(vector_rotation(np.zeros((1, 3)))[0], np.eye(3))
 
 
 def test_steps_lead_from_each_pose_to_the_next():

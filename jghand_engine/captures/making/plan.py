@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from PIL import Image
 
 from jghand_engine.captures.interhand_writer import RecordedHand, interhand_texts, write_interhand
@@ -35,8 +34,8 @@ from jghand_engine.captures.making.skin import make_skin
 from jghand_engine.captures.splits import SPLITS_FILE, SPLITS_FORMAT
 from jghand_engine.errors import InputError
 from jghand_engine.files import writing
-from jghand_engine.hand import rotations as rot
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.rotations import axis_rotation
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.npz_files import read_arrays
 from jghand_engine.render.camera import Camera
@@ -178,8 +177,7 @@ def wrist_turns(count: int, largest_deg: float, seed: int) -> np.ndarray:
     axis /= np.linalg.norm(axis, axis=1, keepdims=True)
     angle = np.radians(largest_deg) * np.sqrt(random.random(count))
     angle[:1] = 0
-    turns = rot.axis_rotation(torch.from_numpy(axis.T.copy()), torch.from_numpy(angle))
-    return turns.permute(2, 0, 1).numpy()
+    return axis_rotation(axis, angle)
 
 
 def write_plan(folder: Path, plan: CapturePlan) -> None:

@@ -11,11 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from jghand_engine.captures.making.letters import LETTER_CONTACTS, LETTERS_DEG
 from jghand_engine.captures.making.rig import RiggedHand, segment_gap
 from jghand_engine.errors import InputError
-from jghand_engine.hand.anatomy import RANGES_DEG, Contact, minimum_jerk, pose_names
 from jghand_engine.hand.joints import FINGERS, PARENTS
+from jghand_engine.hand.kinematics import RANGES_DEG, Contact
+from jghand_engine.hand.poses import LETTER_CONTACTS, LETTERS_DEG, POSES_DEG, minimum_jerk, pose_names
 
 # poses of one capture: beyond it the choice of varied ones takes minutes
 POSES_MAX = 5000
@@ -80,11 +80,14 @@ def named_poses(hand: RiggedHand) -> Poses:
 
 
 def letter_poses(hand: RiggedHand) -> Poses:
-    """The shapes of finger spelling."""
-    shapes = {name: hand.eased(_clipped(np.array(angles, float))) for name, angles in LETTERS_DEG.items()}
-    for name, (contact, finger) in LETTER_CONTACTS.items():
-        shapes[name] = hand.touching(shapes[name], contact, finger)
-    return _of(shapes)
+    """The shapes of the manual alphabet that no named pose has."""
+    named = POSES_DEG.values()
+    letters = {letter: np.array(angles) for letter, angles in LETTERS_DEG.items() if angles not in named}
+    shapes = {letter: hand.eased(_clipped(angles)) for letter, angles in letters.items()}
+    touching = {letter: LETTER_CONTACTS[letter] for letter in shapes if letter in LETTER_CONTACTS}
+    for letter, (contact, finger) in touching.items():
+        shapes[letter] = hand.touching(shapes[letter], contact, finger)
+    return _of({f"letter_{letter.lower()}": angles for letter, angles in shapes.items()})
 
 
 def contact_poses(hand: RiggedHand) -> Poses:

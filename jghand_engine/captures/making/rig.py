@@ -10,13 +10,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
 from jghand_engine.captures.making.identities import METACARPAL_BASES, RIG_JOINTS, Identity, joints21
-from jghand_engine.hand import rotations as rot
-from jghand_engine.hand.anatomy import CONTACTS, RANGES_DEG, ArticulatedHand, named_angles
 from jghand_engine.hand.joints import FINGERS
-from jghand_engine.hand.sequence import alignment
+from jghand_engine.hand.kinematics import RANGES_DEG, ArticulatedHand
+from jghand_engine.hand.poses import CONTACTS, named_angles
+from jghand_engine.hand.rotations import alignment, axis_rotation, half_turns, minimal_rotation
 
 # largest turn of the metacarpals of index, middle, ring and pinky, degrees: the first two hardly move, the others make
 # the hollow of the palm (6 and 12: DATA 4)
@@ -97,7 +96,7 @@ class RiggedHand(ArticulatedHand):
         trials = np.repeat(angles_deg[None], len(factors), axis=0)
         flexions = np.ix_(range(len(factors)), range(1, 5), (0, 2, 3))
         trials[flexions] = trials[flexions] * factors[:, None, None]
-        free = palm_gaps_m(self.joints(trials)) >= PALM_GAP_PART * self._length_m
+        free = palm_gaps_m(self.joints(trials)) >= PALM_GAP_PART * self.finger_length_m
         # where no factor is enough the last one is the best there is
         chosen = np.where(free.any(axis=0), free.argmax(axis=0), len(factors) - 1)
         eased = angles_deg.copy()
@@ -144,7 +143,7 @@ class RiggedHand(ArticulatedHand):
         bones = bones - self.identity.joints25_m[list(METACARPAL_BASES)]
         # positive rotation about cross(bone, out of the palm) is flexion
         axes = _unit(np.cross(bones, [0.0, 0.0, 1.0]))
-        turns = rot.axis_rotation(torch.from_numpy(axes.T[:, None]), torch.from_numpy(cup)).permute(2, 3, 0, 1).numpy()
+        turns = axis_rotation(axes, cup)
         still = np.broadcast_to(np.eye(3), (len(angles_deg), 1, 3, 3))
         return np.concatenate([still, turns], axis=1)
 
@@ -207,9 +206,7 @@ def chain_turns(rest: np.ndarray, directions: np.ndarray, start: np.ndarray | No
         came = _unit(np.einsum("fkab,kb->fka", carried, rest[bone]))
         wanted = _unit(directions[:, bone])
         helper = np.where(np.abs(came[..., :1]) < 0.9, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0])
-        axis = torch.from_numpy(_unit(np.cross(came, helper))).movedim(-1, 0)
-        a, b = (torch.from_numpy(np.ascontiguousarray(v)).movedim(-1, 0) for v in (came, wanted))
-        swing = rot.minimal_rotation(a, b, rot.half_turn(axis)).permute(2, 3, 0, 1).numpy()
+        swing = minimal_rotation(came, wanted, half_turns(_unit(np.cross(came, helper))))
         carried = swing @ carried
         turns.append(carried)
     return np.stack(turns, axis=1)

@@ -20,8 +20,6 @@ from jghand_engine.avatar.learned import Learned
 from jghand_engine.avatar.tiers import Tier
 from jghand_engine.errors import InputError
 from jghand_engine.export.web.pack import Pack, task_in_words
-from jghand_engine.hand.fast_transform import packed_skeleton
-from jghand_engine.hand.transform import JointTransform
 from jghand_engine.native.learned_tasks import LearnedTask
 from jghand_engine.native.tasks import SkinTask
 
@@ -74,10 +72,7 @@ def pack_hand(avatar: HandAvatar, pack: Pack) -> dict[str, Any]:
         pack.empty("rgb", (rows, 3))
     opacity = blocks.in_rows(avatar.opacity)
     pack.rounded("opacity", opacity[None, None])
-    transform = avatar.bone_transform()
-    if not isinstance(transform, JointTransform):
-        raise InputError("avatar", wanted="one that follows the joints", came=avatar.info.transform)
-    pack.exact("skeleton", packed_skeleton(transform), "f8")
+    pack.exact("skeleton", avatar.skeleton().packed, "f8")
     # which Gaussian of the avatar stands in a row is nobody's business but a comparison's
     return about | {"rows": rows, "task": task_in_words(task)}
 

@@ -34,8 +34,9 @@ from jghand_engine.export.motion import check_sequence
 from jghand_engine.export.web.hand import pack_hand, with_cheap_correctives
 from jghand_engine.export.web.pack import Pack
 from jghand_engine.files import make_folder, writing
-from jghand_engine.hand.anatomy import ABDUCTION_SIDE, RANGES_DEG, ArticulatedHand, named_angles, pose_names
+from jghand_engine.hand.kinematics import ABDUCTION_SIDE, RANGES_DEG, ArticulatedHand
 from jghand_engine.hand.orders import bone_lengths
+from jghand_engine.hand.poses import angles_on, named_angles, pose_names
 from jghand_engine.hand.sequence import PoseSequence, bone_directions, rebuilt
 
 ASSETS = Path(__file__).resolve().parents[2] / "assets" / "web"
@@ -182,14 +183,14 @@ def _articulated(avatar: HandAvatar, sequence: PoseSequence) -> dict[str, Any]:
     scale = lengths_m.sum() / bone_lengths(canonical[None])[0].sum()
     resized = rebuilt(canonical[None, 0], bone_directions(canonical[None]), lengths_m / scale)[0]
     hand = ArticulatedHand(resized)
-    flexion, abduction = hand.axes
     bones_m = hand.straight_joints_m[6:] - hand.straight_joints_m[1:16]
     straight = (bones_m / np.linalg.norm(bones_m, axis=1, keepdims=True)).reshape(3, 5, 3)
     return {
         "straight": straight.tolist(),
-        "flexion": flexion.tolist(), "abduction": abduction.tolist(), "side": ABDUCTION_SIDE.tolist(),
+        "flexion": hand.flexion_axes.tolist(), "abduction": hand.abduction_axes.tolist(),
+        "side": ABDUCTION_SIDE.tolist(),
         "ranges_deg": RANGES_DEG.tolist(), "curled_deg": named_angles("fist").tolist(),
-        "poses_deg": {name: np.round(hand.angles_of(name), 3).tolist() for name in pose_names()},
+        "poses_deg": {name: np.round(angles_on(hand, name), 3).tolist() for name in pose_names()},
     }  # fmt: skip
 
 

@@ -28,8 +28,8 @@ from jghand_engine.captures.making.shards import overlapping
 from jghand_engine.captures.splits import split_capture
 from jghand_engine.cli import main
 from jghand_engine.errors import InputError, RetryError
-from jghand_engine.hand.anatomy import pose_sequence_of_names
 from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.poses import pose_sequence_of_names
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.lock import locked
 from jghand_engine.native import threads as cores

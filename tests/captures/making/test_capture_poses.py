@@ -7,7 +7,6 @@ import pytest
 
 from jghand_engine.captures.making import poses as making_poses
 from jghand_engine.captures.making.identities import load_identity
-from jghand_engine.captures.making.letters import LETTER_CONTACTS, LETTERS_DEG
 from jghand_engine.captures.making.poses import (
     contact_poses,
     extreme_poses,
@@ -19,7 +18,8 @@ from jghand_engine.captures.making.poses import (
 )
 from jghand_engine.captures.making.rig import RiggedHand
 from jghand_engine.errors import InputError
-from jghand_engine.hand.anatomy import RANGES_DEG, Contact, pose_names
+from jghand_engine.hand.kinematics import RANGES_DEG, Contact
+from jghand_engine.hand.poses import LETTER_CONTACTS, pose_names
 
 LOW, HIGH = RANGES_DEG[..., 0], RANGES_DEG[..., 1]
 ROUND_OFF_DEG = 1e-9
@@ -55,7 +55,7 @@ def test_every_prefix_is_varied(poses, count):
     names = poses.names[:count]
     kinds = {
         "named": sum(name in pose_names() for name in names),
-        "letters": sum(name in LETTERS_DEG for name in names),
+        "letters": sum(name.startswith("letter_") for name in names),
         "transitions": sum("_to_" in name for name in names),
         "random": sum(name.startswith("random_") for name in names),
         "contacts": sum(name.startswith(("touch_", "rest_on_")) for name in names),
@@ -99,7 +99,11 @@ def test_bending_the_middle_joint_brings_the_last_one_along():
 def test_thumbs_reach_what_they_should_touch(hand, kind):
     poses = kind(hand)
     joints = dict(zip(poses.names, hand.joints(poses.angles_deg), strict=True))
-    wanted = {name: finger for name, (how, finger) in LETTER_CONTACTS.items() if how is Contact.TIP and finger < 3}
+    wanted = {
+        f"letter_{letter.lower()}": finger
+        for letter, (how, finger) in LETTER_CONTACTS.items()
+        if how is Contact.TIP and finger < 3
+    }
     wanted |= {"touch_index_open": 1, "touch_index_relaxed": 1, "touch_middle_open": 2, "pinch": 1, "ok": 1}
     for name, finger in wanted.items():
         if name in joints:

@@ -13,10 +13,10 @@ import torch
 from jghand_engine.captures.making.identities import identity_names, joints21, load_identity
 from jghand_engine.captures.making.rig import RiggedHand, RigPose, palm_gaps_m, segment_gap
 from jghand_engine.errors import InputError
-from jghand_engine.hand.anatomy import POSES_DEG, pose_names
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import bone_lengths, check_hand_size, check_order
-from jghand_engine.hand.transform import JointTransform
+from jghand_engine.hand.poses import POSES_DEG, pose_names
+from jghand_engine.learn.skeleton import JointTransform
 from jghand_engine.learn.skinning import apply, blend
 from jghand_engine.template.builtin import load_template
 from jghand_engine.template.surface import is_closed
@@ -45,7 +45,7 @@ def test_every_identity_is_a_hand_that_is_not_the_template(name):
 
 
 def test_the_shipped_identities_are_those_of_the_script_that_builds_them():
-    path = Path(__file__).parents[2] / "scripts" / "build_identities.py"
+    path = Path(__file__).parents[3] / "scripts" / "build_identities.py"
     specification = importlib.util.spec_from_file_location("build_identities", path)
     assert specification is not None
     assert specification.loader is not None

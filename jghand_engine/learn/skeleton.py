@@ -1,10 +1,6 @@
-"""From 21 joint positions to the 21 affine maps that carry the canonical hand onto them. METHOD 2.6 to 2.10.
+"""The differentiable form of `hand.skeleton`: what training differentiates, and what tests compare the kernel with.
 
-    B_i(x) = j_p(i) + L_i (x - j^c_p(i))
-    L_i    = r_i (A_i - (A_i d_i^c) d_i^cT) + s_i d_i d_i^cT,      A_i = S_i(J) S_i(J^c)^T
-
-Both ends of every bone map exactly, for any joints; only the twist about the bone and the radial scale r_i are
-conventions. B_0 is a similarity of the palm frame.
+The formulas are those of `hand.skeleton`; METHOD 2.6 to 2.10.
 """
 
 from __future__ import annotations
@@ -15,34 +11,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from jghand_engine import limits
 from jghand_engine.errors import InputError
-from jghand_engine.hand import rotations as rot
-from jghand_engine.hand.frames import CanonicalHand, ComponentFrames, HandFrames, Swing, compute_frames
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import check_joint_shape
-
-# a named mode or the exponent of the blended one
-ScaleMode = str | float
-_SCALE_EXPONENTS = {"axial": 0.0, "uniform": 1.0}
-
-
-def scale_exponent(scale_mode: ScaleMode) -> float:
-    """The exponent alpha of r_i = s_g (s_i / s_g)^alpha: 'axial' 0 (thickness follows the whole hand), 'uniform' 1
-    (thickness follows each bone), or a number between. InputError otherwise."""
-    if isinstance(scale_mode, str) and scale_mode in _SCALE_EXPONENTS:
-        return _SCALE_EXPONENTS[scale_mode]
-    if isinstance(scale_mode, int | float) and not isinstance(scale_mode, bool) and 0 <= scale_mode <= 1:
-        return float(scale_mode)
-    raise InputError("scale mode", wanted="'axial', 'uniform' or a number from 0 to 1", came=repr(scale_mode)[:200])
-
-
-def parse_swing(swing: str) -> Swing:
-    """The swing called `swing`; InputError otherwise."""
-    try:
-        return Swing(swing)
-    except ValueError as error:
-        raise InputError("swing", wanted=" or ".join(Swing), came=repr(swing)) from error
+from jghand_engine.hand.skeleton import SCALE_RATIO_MIN, CanonicalHand, ScaleMode, Swing, scale_exponent
+from jghand_engine.learn import rotations as rot
+from jghand_engine.learn.frames import CanonicalTensors, ComponentFrames, HandFrames, compute_frames
 
 
 @dataclass(frozen=True)
@@ -75,7 +49,7 @@ class BoneTransforms:
 class JointTransform:
     """Computes BoneTransforms from joints, against one canonical right hand.
 
-    canonical_joints_m: (21, 3) torch or numpy, level order, right hand, meters; validated (METHOD 2.4)
+    canonical_joints_m: (21, 3) level order, right hand, meters; validated (METHOD 2.4)
     handedness:         of the joints that `bones` will get; left ones are mirrored, the canonical hand stays right
     swing:              'minimal' or 'euler', see Swing
     scale_mode:         'axial', 'uniform' or the exponent between, see scale_exponent
@@ -84,17 +58,17 @@ class JointTransform:
 
     def __init__(
         self,
-        canonical_joints_m: Tensor | np.ndarray,
+        canonical_joints_m: np.ndarray,
         *,
         handedness: Handedness,
         swing: str = Swing.MINIMAL,
         scale_mode: ScaleMode = "axial",
     ) -> None:
         self.handedness = Handedness(handedness)
-        self.swing = parse_swing(swing)
+        self.swing = Swing(swing)
         self.exponent = scale_exponent(scale_mode)
-        self.canonical = CanonicalHand.build(canonical_joints_m)
-        self._casts: dict[tuple[torch.dtype, torch.device], CanonicalHand] = {}
+        self.canonical = CanonicalTensors.of(CanonicalHand.build(canonical_joints_m))
+        self._casts: dict[tuple[torch.dtype, torch.device], CanonicalTensors] = {}
 
     def bones(self, joints_m: Tensor) -> BoneTransforms:
         """(..., 21, 3) level-order joints -> BoneTransforms with the same batch shape.
@@ -117,14 +91,16 @@ class JointTransform:
         """(..., 21, 3) joints -> their frames alone."""
         return self.bones(joints_m).frames
 
-    def canonical_hand(self, dtype: torch.dtype, device: torch.device) -> CanonicalHand:
+    def canonical_hand(self, dtype: torch.dtype, device: torch.device) -> CanonicalTensors:
         """The canonical hand in a precision and on a device; kept for the next call."""
         key = (dtype, device)
         if key not in self._casts:
             self._casts[key] = self.canonical.to(dtype, device)
         return self._casts[key]
 
-    def maps(self, joints: Tensor, frames: ComponentFrames, canonical: CanonicalHand) -> tuple[Tensor, Tensor, Tensor]:
+    def maps(
+        self, joints: Tensor, frames: ComponentFrames, canonical: CanonicalTensors
+    ) -> tuple[Tensor, Tensor, Tensor]:
         """What another transform than this one changes; right-hand space, component first, root-centered.
 
         joints (3, 21, N) and their frames -> linear parts (3, 3, 21, N), where the bones meet (3, 21, N): here on the
@@ -161,13 +137,13 @@ def _pivots(joints: Tensor) -> Tensor:
     return torch.cat([joints[:, :1].expand(-1, 6, -1), joints[:, 1:16]], 1)
 
 
-def _offsets(linear: Tensor, pivot: Tensor, canonical: CanonicalHand) -> Tensor:
+def _offsets(linear: Tensor, pivot: Tensor, canonical: CanonicalTensors) -> Tensor:
     """j_p - L j^c_p (3, 21, N). In double: the difference of two large numbers is where float32 joints lose most."""
     carried = rot.mat_vec(linear.double(), _pivots(canonical.joints_m).double())
     return (pivot.double() - carried).to(linear.dtype)
 
 
-def _linear_parts(frames: ComponentFrames, canonical: CanonicalHand, exponent: float) -> tuple[Tensor, Tensor]:
+def _linear_parts(frames: ComponentFrames, canonical: CanonicalTensors, exponent: float) -> tuple[Tensor, Tensor]:
     """L_0..L_20 (3, 3, 21, N) and s_g (N,)."""
     relative = frames.relative_length / canonical.length_m
     relative_scale = frames.relative_length.sum(0) / canonical.length_m.sum(0)
@@ -178,7 +154,7 @@ def _linear_parts(frames: ComponentFrames, canonical: CanonicalHand, exponent: f
         radial = along
     else:
         tiny = torch.finfo(along.dtype).tiny
-        ratio = (relative / relative_scale.clamp_min(tiny)).clamp_min(limits.SCALE_RATIO_MIN)
+        ratio = (relative / relative_scale.clamp_min(tiny)).clamp_min(SCALE_RATIO_MIN)
         radial = whole * ratio**exponent
     turn = rot.mat_mul(frames.S, canonical.S.transpose(0, 1))
     # the axial part uses the measured direction, not the turned canonical one: no round-off of the chain in the joints

@@ -1,4 +1,4 @@
-"""Local frames of the bones and the palm, joint angles, and the flags that say where a hand is degenerate.
+"""Local frames of the bones and the palm, joint angles, and where a hand is degenerate: differentiable, in torch.
 
 Every bone i carries a rotation S_i whose z column is the bone's direction. Metacarpals take their twist from the palm
 planes, phalanges from their parent: S_i = S_p(i) Q(u_i), where u_i is the bone's direction in the parent's frame and Q
@@ -10,53 +10,24 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from enum import IntFlag, StrEnum
 from functools import cached_property
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from jghand_engine import limits
-from jghand_engine.errors import InputError
-from jghand_engine.hand import rotations as rot
-from jghand_engine.hand.joints import JOINT_COUNT, LEVEL_NAMES
-
-
-class Swing(StrEnum):
-    """How the twist of a phalanx follows from its direction. An avatar keeps the swing it was trained with.
-
-    MINIMAL: smallest rotation from the canonical direction; one pole, far from real poses. EULER: flexion, then
-    abduction, as in the paper; poles at abduction +-90 degrees, which thumbs approach.
-    """
-
-    MINIMAL = "minimal"
-    EULER = "euler"
-
-
-class FrameFlag(IntFlag):
-    """Where a hand left the ordinary; joints stay exact except for NOT_FINITE."""
-
-    NONE = 0
-    ZERO_BONE = 1
-    PALM_CLAMPED = 2
-    SWING_POLE = 4
-    NO_PALM = 8
-    NOT_FINITE = 16
-
-
-_FLAG_SENTENCES = {
-    FrameFlag.ZERO_BONE: "a bone has no length",
-    FrameFlag.PALM_CLAMPED: "palm bones are collinear or crossed",
-    FrameFlag.SWING_POLE: "a joint is bent to the pole of its frame",
-    FrameFlag.NO_PALM: "the palm has no plane",
-    FrameFlag.NOT_FINITE: "a joint is not a finite number",
-}
-
-
-def describe_flags(flags: int) -> list[str]:
-    """Sentences for the bits of `flags`."""
-    return [sentence for flag, sentence in _FLAG_SENTENCES.items() if flags & flag]
+from jghand_engine.hand.skeleton import (
+    FLEXION_AXIS_MIN,
+    PALM_CLAMP,
+    PALM_NORMAL_MIN,
+    PALM_PLANE_MIN,
+    SWING_POLE,
+    ZERO_BONE_EPS,
+    CanonicalHand,
+    FrameFlag,
+    Swing,
+)
+from jghand_engine.learn import rotations as rot
 
 
 @dataclass(frozen=True)
@@ -89,16 +60,16 @@ class HandFrames:
             nearness = torch.sqrt((ux * ux + uz * uz).detach())
             ux, uz = rot.damped(ux, nearness), rot.damped(uz, nearness)
             square = ux * ux + uz * uz
-            far = square > limits.SWING_POLE**2
+            far = square > SWING_POLE**2
             flexion = torch.atan2(torch.where(far, ux, 0.0), torch.where(far, uz, 1.0))
-            across = torch.sqrt(torch.where(far, square, limits.SWING_POLE**2))
+            across = torch.sqrt(torch.where(far, square, SWING_POLE**2))
             return torch.stack([flexion, torch.atan2(-uy, across)], -1)
 
     @cached_property
     def palm_p(self) -> Tensor:
         """(..., 4) angle between neighboring palm bones (theta^p), radians."""
         with torch.autocast(self.u.device.type, enabled=False):
-            threshold = limits.ZERO_BONE_EPS * torch.finfo(self.u.dtype).eps
+            threshold = ZERO_BONE_EPS * torch.finfo(self.u.dtype).eps
             normal = self.palm_cross.movedim(-1, 0)
             sine = rot.safe_length(rot.damped(normal, torch.sqrt(rot.dot(normal, normal).detach())), threshold)
             palm = self.direction[..., :5, :].movedim(-1, 0)
@@ -111,17 +82,21 @@ class HandFrames:
             normal = self.palm_normal.movedim(-1, 0)
             first, second = normal[..., :-1], normal[..., 1:]
             shared = self.direction[..., 1:4, :].movedim(-1, 0)
-            threshold = limits.ZERO_BONE_EPS * torch.finfo(self.u.dtype).eps
+            threshold = ZERO_BONE_EPS * torch.finfo(self.u.dtype).eps
             return rot.safe_atan2(rot.dot(rot.cross(first, second), shared), rot.dot(first, second), threshold)
 
 
 @dataclass(frozen=True)
-class CanonicalHand:
-    """What the frames need to know of the canonical hand; component first, batch last.
+class CanonicalTensors:
+    """A CanonicalHand (hand.skeleton) for the formulas here: component first and batch last.
 
-    root_m (3,) · joints_m (3, 21, 1) root-centered · length_m (20, 1) · direction (3, 20, 1) · S (3, 3, 20, 1) ·
-    S0 (3, 3, 1, 1) · u (3, 15, 1) · swing (3, 3, 15, 1) · palm_normal (3, 4, 1), and the half turns that replace a
-    minimal rotation at its pole: palm_flip (3, 3, 1, 1), metacarpal_flip (3, 3, 5, 1), swing_flip (3, 3, 15, 1).
+    root_m:       (3,)
+    joints_m:     (3, 21, 1);  length_m: (20, 1);  direction: (3, 20, 1)
+    S:            (3, 3, 20, 1);  S0: (3, 3, 1, 1)
+    u:            (3, 15, 1);  swing: (3, 3, 15, 1)
+    palm_normal:  (3, 4, 1)
+    palm_flip, metacarpal_flip, swing_flip: (3, 3, 1, 1), (3, 3, 5, 1), (3, 3, 15, 1) half turns that replace a
+                  minimal rotation at its pole
     """
 
     root_m: Tensor
@@ -137,77 +112,33 @@ class CanonicalHand:
     metacarpal_flip: Tensor
     swing_flip: Tensor
 
-    def to(self, dtype: torch.dtype, device: torch.device) -> CanonicalHand:
-        """The same hand in another precision or on another device."""
-        moved = {field.name: getattr(self, field.name).to(device, dtype) for field in dataclasses.fields(self)}
-        return CanonicalHand(**moved)
+    @classmethod
+    def of(cls, hand: CanonicalHand) -> CanonicalTensors:
+        """In float64, on the CPU."""
 
-    @staticmethod
-    def build(joints_m: Tensor | np.ndarray) -> CanonicalHand:
-        """Validates (21, 3) level-order joints of a right hand and computes their frames in float64, euler swing.
+        def turned(array: np.ndarray) -> Tensor:
+            return torch.from_numpy(array.T.swapaxes(0, 1) if array.ndim == 3 else array.T).clone().unsqueeze(-1)
 
-        InputError for a wrong shape, a non-finite joint, a vanishing bone, collinear palm bones, or a joint at the
-        abduction pole (METHOD 2.4).
-        """
-        if isinstance(joints_m, Tensor):
-            joints_m = joints_m.detach().cpu().numpy()
-        # a copy: the caller's array may be read-only, or change later
-        joints = torch.from_numpy(np.array(joints_m, dtype=np.float64))
-        if tuple(joints.shape) != (JOINT_COUNT, 3) or not torch.isfinite(joints).all():
-            raise InputError("canonical joints", wanted="a finite (21, 3) array", came=str(tuple(joints.shape)))
-        centered = (joints - joints[:1]).T.unsqueeze(-1)
-        draft = _draft(joints[0], centered)
-        frames = compute_frames(centered, draft, Swing.EULER)
-        if (1 - frames.u[1].abs() < limits.CANONICAL_POLE_MIN).any():
-            raise InputError("canonical hand", wanted="no finger bent sideways to 90 degrees", came="one is")
-        swing, _ = rot.swing_euler(frames.u)
-        return dataclasses.replace(
-            draft,
-            S=frames.S,
-            u=frames.u,
+        S, S0, swing = turned(hand.frames[1:]), turned(hand.frames[:1]), turned(hand.swing)
+        return cls(
+            root_m=torch.from_numpy(hand.root_m),
+            joints_m=turned(hand.joints_m),
+            length_m=turned(hand.length_m),
+            direction=turned(hand.direction),
+            S=S,
+            S0=S0,
+            u=turned(hand.u),
             swing=swing,
-            metacarpal_flip=rot.half_turn(frames.S[:, 0, :5]),
+            palm_normal=turned(hand.palm_normal),
+            palm_flip=rot.half_turn(S0[:, 0]),
+            metacarpal_flip=rot.half_turn(S[:, 0, :5]),
             swing_flip=rot.half_turn(swing[:, 1]),
         )
 
-
-def _draft(root: Tensor, centered: Tensor) -> CanonicalHand:
-    """A canonical hand whose bone frames are still unknown: enough to compute them, because a valid hand needs no
-    fallback."""
-    bones = _bones(centered)
-    length = torch.sqrt(rot.dot(bones, bones))
-    if not (length > limits.CANONICAL_BONE_MIN * length.mean()).all():
-        name = LEVEL_NAMES[int(length.argmin()) + 1]
-        raise InputError("canonical hand", wanted="bones with a length", came=f"none at {name}")
-    direction = bones / length
-    normal = rot.cross(direction[:, :4], direction[:, 1:5])
-    sine = torch.sqrt(rot.dot(normal, normal))
-    if not (sine >= limits.CANONICAL_PALM_SINE_MIN).all():
-        raise InputError(
-            "canonical hand",
-            wanted="palm bones that spread",
-            came="two that are nearly parallel",
-            remedy="Spread the fingers of the canonical hand.",
-        )
-    axis, area = _palm_vectors(bones)
-    z = axis / torch.sqrt(rot.dot(axis, axis))
-    x = area - rot.dot(area, z) * z
-    x = x / torch.sqrt(rot.dot(x, x))
-    identity = torch.eye(3, dtype=torch.float64).reshape(3, 3, 1, 1)
-    return CanonicalHand(
-        root_m=root,
-        joints_m=centered,
-        length_m=length,
-        direction=direction,
-        S=identity.expand(3, 3, 20, 1),
-        S0=rot.columns(x, rot.cross(z, x), z),
-        u=identity[:, 2].expand(3, 15, 1),
-        swing=identity.expand(3, 3, 15, 1),
-        palm_normal=normal / sine,
-        palm_flip=rot.half_turn(x),
-        metacarpal_flip=identity.expand(3, 3, 5, 1),
-        swing_flip=identity.expand(3, 3, 15, 1),
-    )
+    def to(self, dtype: torch.dtype, device: torch.device) -> CanonicalTensors:
+        """The same hand in another precision or on another device."""
+        moved = {field.name: getattr(self, field.name).to(device, dtype) for field in dataclasses.fields(self)}
+        return CanonicalTensors(**moved)
 
 
 def _bones(joints: Tensor) -> Tensor:
@@ -266,12 +197,12 @@ def hand_size(bones: Tensor) -> Tensor:
     return bones.detach().abs().amax((0, 1)).clamp_min(torch.finfo(bones.dtype).tiny ** 0.25)
 
 
-def compute_frames(joints: Tensor, canonical: CanonicalHand, swing: Swing) -> ComponentFrames:
+def compute_frames(joints: Tensor, canonical: CanonicalTensors, swing: Swing) -> ComponentFrames:
     """Frames of (3, 21, N) right-hand joints in any unit; canonical in the same dtype and device."""
     bones = _bones(joints)
     size = hand_size(bones)
     relative = bones / size
-    threshold = limits.ZERO_BONE_EPS * torch.finfo(joints.dtype).eps
+    threshold = ZERO_BONE_EPS * torch.finfo(joints.dtype).eps
     S0, has_palm = _palm_frame(relative, canonical, threshold)
     palm_from_canonical = rot.mat_mul(S0, canonical.S0.transpose(0, 1))
     fallback = rot.mat_vec(palm_from_canonical, canonical.direction[:, :5])
@@ -301,14 +232,14 @@ def compute_frames(joints: Tensor, canonical: CanonicalHand, swing: Swing) -> Co
     )
 
 
-def _palm_frame(bones: Tensor, canonical: CanonicalHand, threshold: float) -> tuple[Tensor, Tensor]:
+def _palm_frame(bones: Tensor, canonical: CanonicalTensors, threshold: float) -> tuple[Tensor, Tensor]:
     """S0 (3, 3, 1, N) and where the palm has a plane (N,). Without one its twist is that of the smallest rotation
     from the canonical palm."""
     axis, area = _palm_vectors(bones)
     canonical_x, canonical_z = canonical.S0[:, 0], canonical.S0[:, 2]
     z, has_axis = rot.safe_unit(axis, canonical_z, threshold)
     x_fallback = rot.mat_vec(rot.minimal_rotation(canonical_z, z, canonical.palm_flip), canonical_x)
-    x, has_normal = rot.safe_unit(area - rot.dot(area, z) * z, x_fallback, limits.PALM_NORMAL_MIN)
+    x, has_normal = rot.safe_unit(area - rot.dot(area, z) * z, x_fallback, PALM_NORMAL_MIN)
     return rot.columns(x, rot.cross(z, x), z), (has_axis & has_normal)[0]
 
 
@@ -319,33 +250,25 @@ class _PalmPlanes:
     clamped: Tensor
 
 
-def _palm_planes(palm: Tensor, palm_from_canonical: Tensor, canonical: CanonicalHand) -> _PalmPlanes:
+def _palm_planes(palm: Tensor, palm_from_canonical: Tensor, canonical: CanonicalTensors) -> _PalmPlanes:
     """Normals of the four palm planes, kept on the canonical side: identity on ordinary hands, never 0, never
     flipped (METHOD 2.10)."""
     normal = rot.cross(palm[:, :-1], palm[:, 1:])
     expected = rot.mat_vec(palm_from_canonical, canonical.palm_normal)
     height = rot.dot(normal, expected)
-    lifted = normal + (rot.smooth_floor(height, limits.PALM_CLAMP) - height) * expected
-    unit, _ = rot.safe_unit(
-        lifted, expected, limits.PALM_PLANE_MIN * limits.PALM_CLAMP, full_at=0.5 * limits.PALM_CLAMP
-    )
-    return _PalmPlanes(normal, unit, (height < 2 * limits.PALM_CLAMP).any(0))
+    lifted = normal + (rot.smooth_floor(height, PALM_CLAMP) - height) * expected
+    unit, _ = rot.safe_unit(lifted, expected, PALM_PLANE_MIN * PALM_CLAMP, full_at=0.5 * PALM_CLAMP)
+    return _PalmPlanes(normal, unit, (height < 2 * PALM_CLAMP).any(0))
 
 
-def metacarpal_frames(palm: Tensor, S0: Tensor, canonical: CanonicalHand) -> Tensor:
-    """S of bones 1..5 (3, 3, 5, N) from their directions (3, 5, N) and the palm frame (3, 3, 1, N)."""
-    planes = _palm_planes(palm, rot.mat_mul(S0, canonical.S0.transpose(0, 1)), canonical)
-    return _metacarpal_frames(palm, planes.normal, canonical)
-
-
-def _metacarpal_frames(palm: Tensor, normal: Tensor, canonical: CanonicalHand) -> Tensor:
+def _metacarpal_frames(palm: Tensor, normal: Tensor, canonical: CanonicalTensors) -> Tensor:
     """S of bones 1..5, (3, 3, 5, N), from the clamped palm normals."""
     between = 0.5 * (normal[:, 1:3] + normal[:, 2:4])
     finger_normal = torch.cat([normal[:, :2], between, normal[:, 3:]], 1)
     canonical_S = canonical.S[:, :, :5]
     carried = rot.minimal_rotation(canonical.direction[:, :5], palm, canonical.metacarpal_flip)
     y_fallback = rot.mat_vec(carried, canonical_S[:, 1])
-    y, _ = rot.safe_unit(rot.cross(palm, finger_normal), y_fallback, limits.FLEXION_AXIS_MIN)
+    y, _ = rot.safe_unit(rot.cross(palm, finger_normal), y_fallback, FLEXION_AXIS_MIN)
     return rot.columns(rot.cross(y, palm), y, palm)
 
 
@@ -359,7 +282,7 @@ class _Chains:
 
 
 def _finger_chains(
-    metacarpals: Tensor, bones: Tensor, canonical: CanonicalHand, swing: Swing, threshold: float
+    metacarpals: Tensor, bones: Tensor, canonical: CanonicalTensors, swing: Swing, threshold: float
 ) -> _Chains:
     """S of all bones, u and direction of bones 6..20: each phalanx frame is its parent's, turned by the swing."""
     frames, local, directions, has_length, off_pole = [metacarpals], [], [], [], []
@@ -386,7 +309,7 @@ def _finger_chains(
     )
 
 
-def swing_of(u: Tensor, canonical: CanonicalHand, bones: slice, swing: Swing) -> tuple[Tensor, Tensor]:
+def swing_of(u: Tensor, canonical: CanonicalTensors, bones: slice, swing: Swing) -> tuple[Tensor, Tensor]:
     """Q (3, 3, k, N) of local directions u (3, k, N) of the phalanges `bones` (0..15), and where it is off the pole."""
     if swing is Swing.EULER:
         return rot.swing_euler(u)

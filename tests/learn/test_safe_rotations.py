@@ -5,11 +5,9 @@ import math
 import pytest
 import torch
 from hand import sampled_hands as hands
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
-from jghand_engine import limits
-from jghand_engine.hand import rotations as rot
+from jghand_engine.hand.skeleton import SWING_POLE
+from jghand_engine.learn import rotations as rot
 
 F64 = torch.float64
 
@@ -97,7 +95,7 @@ def test_minimal_swing_stays_a_rotation_at_its_pole():
 @pytest.mark.parametrize("part", [0.5, 0.99, 1.01, 2.0])
 def test_a_swing_is_away_from_its_poles_beyond_their_caps(part):
     """The cap is an angle, SWING_POLE, about each pole."""
-    angle = part * limits.SWING_POLE
+    angle = part * SWING_POLE
     canonical, side = _units(200), _perpendicular(_units(200))
     Q = rot.swing_euler(canonical)[0]
     beside = -math.cos(angle) * canonical + math.sin(angle) * side
@@ -157,47 +155,3 @@ def test_smooth_floor_is_smooth_and_a_floor():
     assert torch.equal(y[x >= 0.2], x[x >= 0.2])
     # no jump of the slope larger than the step times the curvature 1/(2 floor)
     assert slope.diff().abs().max() <= 0.0005 / 0.2 * 1.01
-
-
-@settings(max_examples=200, deadline=None)
-@given(seed=st.integers(0, 2**31), part=st.floats(0, 1))
-def test_slerp_divides_the_angle(seed, part):
-    a, b = _units(20, seed), _units(20, seed + 1)
-    c = rot.slerp(a, b, torch.tensor(part, dtype=F64))
-    whole = torch.atan2(rot.cross(a, b).norm(dim=0), rot.dot(a, b))
-    first = torch.atan2(rot.cross(a, c).norm(dim=0), rot.dot(a, c))
-    assert (first - part * whole).abs().max() < 1e-7
-    assert (c.norm(dim=0) - 1).abs().max() < 1e-12
-
-
-def test_slerp_is_exact_at_its_ends_and_defined_between_equal_and_opposite_vectors():
-    a, b = _units(50), _units(50, 1)
-    for other in (b, a, -a):
-        for part, end in ((0.0, a), (1.0, other)):
-            assert (rot.slerp(a, other, torch.tensor(part, dtype=F64)) - end).abs().max() < 1e-15
-        middle = rot.slerp(a, other, torch.tensor(0.5, dtype=F64))
-        assert (middle.norm(dim=0) - 1).abs().max() < 1e-12
-
-
-def test_between_opposite_vectors_the_answer_is_the_first_up_to_the_middle_and_then_the_second():
-    """No great circle is distinguished, and in the middle the mixture has no length."""
-    a = _units(50)
-    for part, end in ((0.3, a), (0.5 - 1e-8, a), (0.5, a), (0.5 + 1e-8, -a), (0.7, -a)):
-        assert (rot.slerp(a, -a, torch.tensor(part, dtype=F64)) - end).abs().max() < 1e-15
-
-
-def test_quaternions_and_rotations_are_the_same_turns():
-    R = hands.random_rotations(200, torch.Generator().manual_seed(0)).permute(1, 2, 0)
-    half_turns = rot.half_turn(torch.eye(3, dtype=F64))
-    for turns in (R, half_turns):
-        assert (rot.rotation_of(rot.quaternions(turns)) - turns).abs().max() < 1e-14
-
-
-def test_rotations_between_two_turn_by_their_share():
-    axis = _units(50)
-    angle = torch.linspace(0.1, 3.0, 50, dtype=F64)
-    start = hands.random_rotations(50, torch.Generator().manual_seed(3)).permute(1, 2, 0)
-    end = rot.mat_mul(rot.axis_rotation(axis, angle), start)
-    between = rot.slerp_rotation(start, end, torch.tensor(0.25, dtype=F64))
-    expected = rot.mat_mul(rot.axis_rotation(axis, 0.25 * angle), start)
-    assert (between - expected).abs().max() < 1e-12

@@ -7,25 +7,23 @@ import pytest
 import torch
 from hand import sampled_hands as hands
 
-from jghand_engine import limits
 from jghand_engine.errors import InputError
-from jghand_engine.hand.anatomy import (
+from jghand_engine.hand.joints import Handedness
+from jghand_engine.hand.kinematics import FRAME_RANGES_DEG, RANGES_DEG, ArticulatedHand, Contact
+from jghand_engine.hand.orders import JointOrder, bone_lengths, check_order, to_level
+from jghand_engine.hand.poses import (
     CONTACTS,
-    FRAME_RANGES_DEG,
     POSES_DEG,
-    RANGES_DEG,
-    ArticulatedHand,
-    Contact,
     MotionOptions,
+    angles_on,
     minimum_jerk,
     named_angles,
     named_pose,
     pose_names,
     pose_sequence_of_names,
 )
-from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.orders import JointOrder, bone_lengths, check_order, to_level
-from jghand_engine.hand.transform import JointTransform
+from jghand_engine.hand.sequence import FPS_MAX, FPS_MIN
+from jghand_engine.learn.skeleton import JointTransform
 
 CANONICAL = hands.canonical_np()
 FINGERTIPS = slice(17, 21)
@@ -150,7 +148,7 @@ def test_no_other_angles_of_the_thumb_touch_better(name):
     canonical, random = with_a_human_thumb(), np.random.default_rng(0)
     hand, length_m = ArticulatedHand(canonical), middle_finger_m(canonical)
     contact, finger = CONTACTS[name]
-    start, solved = named_angles(name), hand.angles_of(name)
+    start, solved = named_angles(name), angles_on(hand, name)
     moving = np.zeros((5, 4), dtype=bool)
     moving[[0, finger] if contact is Contact.TIP else 0] = True
 
@@ -213,7 +211,7 @@ def test_turns_carry_the_straight_bones_to_the_posed_ones():
 
 def test_the_ends_of_what_motion_options_may_be_are_allowed():
     least = {"move_s": 0.0, "hold_s": 0.0, "finger_delay": 0.0, "variation_deg": 0.0, "seed": 0}
-    for fps in (limits.FPS_MIN, limits.FPS_MAX):
+    for fps in (FPS_MIN, FPS_MAX):
         MotionOptions(fps=fps, **least).check()
     with pytest.raises(InputError, match="finger_delay"):
         MotionOptions(finger_delay=1.0).check()

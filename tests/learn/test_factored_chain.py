@@ -3,10 +3,10 @@
 import pytest
 import torch
 from hand import sampled_hands as hands
-from hand.factored import MISPRINTS, factored
+from learn.factored import MISPRINTS, factored
 
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.transform import JointTransform
+from jghand_engine.learn.skeleton import JointTransform
 
 CANONICAL = hands.canonical()
 
@@ -14,7 +14,7 @@ CANONICAL = hands.canonical()
 @pytest.mark.parametrize("swing", ["minimal", "euler"])
 def test_closed_form_is_the_corrected_chain(swing):
     joints = hands.sample(500)
-    transform = JointTransform(CANONICAL, handedness=Handedness.RIGHT, swing=swing, scale_mode="uniform")
+    transform = JointTransform(CANONICAL.numpy(), handedness=Handedness.RIGHT, swing=swing, scale_mode="uniform")
     shift = torch.eye(4, dtype=torch.float64)
     shift[:3, 3] = -CANONICAL[0]
     chain = factored(transform, CANONICAL, joints) @ shift
@@ -26,7 +26,7 @@ def test_closed_form_is_the_corrected_chain(swing):
 @pytest.mark.parametrize("variant", MISPRINTS)
 def test_a_misprint_moves_joints_by_centimeters(variant):
     joints = hands.sample(500)
-    transform = JointTransform(CANONICAL, handedness=Handedness.RIGHT, scale_mode="uniform")
+    transform = JointTransform(CANONICAL.numpy(), handedness=Handedness.RIGHT, scale_mode="uniform")
     matrices = factored(transform, CANONICAL, joints, variant)
     ends = (matrices[..., :3, :3] @ (CANONICAL - CANONICAL[0])[1:, :, None]).squeeze(-1) + matrices[..., :3, 3]
     error_m = (ends - joints[:, 1:]).norm(dim=-1)

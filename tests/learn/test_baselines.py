@@ -2,30 +2,33 @@
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 import torch
-from sampled_hands import canonical, mirrored, random_rotations, sample
+from hand.sampled_hands import canonical, canonical_np, mirrored, random_rotations, sample
 
-from jghand_engine.hand.baselines import HaloLikeTransform, NaiveTransform
 from jghand_engine.hand.joints import PARENTS, Handedness
-from jghand_engine.hand.kinematics import HandPose, decompose, forward_kinematics
-from jghand_engine.hand.transform import JointTransform
+from jghand_engine.hand.kinematics import RANGES_DEG, ArticulatedHand
+from jghand_engine.hand.orders import bone_lengths
+from jghand_engine.hand.sequence import bone_directions, rebuilt
+from jghand_engine.learn.baselines import HaloLikeTransform, NaiveTransform
+from jghand_engine.learn.skeleton import JointTransform
 
 STARTS_OF_BONES = list(PARENTS[1:])
 BOTH = (HaloLikeTransform, NaiveTransform)
 
 
 def halo(handedness=Handedness.RIGHT, kind=HaloLikeTransform):
-    return kind(canonical(), handedness=handedness)
+    return kind(canonical_np(), handedness=handedness)
 
 
 def same_proportions(n=50):
     """Hands with the lengths and the palm of the canonical one, in any pose, turned and moved."""
-    ours = JointTransform(canonical(), handedness=Handedness.RIGHT)
-    other, rest = decompose(ours, sample(n)), decompose(ours, canonical())
-    pose = HandPose(other.root_m, random_rotations(n, torch.Generator().manual_seed(1)),
-                    rest.metacarpal.expand(n, 5, 3), other.angles, rest.length_m.expand(n, 20))  # fmt: skip
-    return forward_kinematics(ours, pose)
+    low, high = np.moveaxis(RANGES_DEG, -1, 0)
+    angles = low + np.random.default_rng(0).random((n, 5, 4)) * (high - low)
+    joints = torch.from_numpy(ArticulatedHand(canonical_np()).joints(angles))
+    generator = torch.Generator().manual_seed(1)
+    return joints @ random_rotations(n, generator).mT + torch.rand(n, 1, 3, generator=generator)
 
 
 def moved_joints(bones):
@@ -36,7 +39,7 @@ def moved_joints(bones):
 
 def test_halo_like_is_our_transform_on_hands_of_canonical_proportions():
     joints = same_proportions()
-    ours = JointTransform(canonical(), handedness=Handedness.RIGHT, scale_mode="uniform").bones(joints)
+    ours = JointTransform(canonical_np(), handedness=Handedness.RIGHT, scale_mode="uniform").bones(joints)
     # worst observed 4e-15
     torch.testing.assert_close(halo().bones(joints).matrices(), ours.matrices(), rtol=0, atol=1e-13)
 
@@ -62,10 +65,9 @@ def test_halo_like_moves_the_palm_as_one_piece():
 
 def test_halo_like_misses_the_joints_of_longer_fingers():
     """Every finger bone a fifth longer: the tips are missed by about a fifth of three bones."""
-    ours = JointTransform(canonical(), handedness=Handedness.RIGHT)
-    pose = decompose(ours, canonical())
-    longer = torch.cat([pose.length_m[:5], 1.2 * pose.length_m[5:]])
-    joints = forward_kinematics(ours, HandPose(pose.root_m, pose.palm, pose.metacarpal, pose.angles, longer))
+    rest_m = canonical_np()[None]
+    longer = bone_lengths(rest_m) * np.repeat([1.0, 1.2], [5, 15])
+    joints = torch.from_numpy(rebuilt(rest_m[:, 0], bone_directions(rest_m), longer))[0]
     error_m = (moved_joints(halo().bones(joints)) - joints).norm(dim=-1)
     assert float(error_m[:6].max()) < 1e-12
     assert bool((error_m[16:] > 0.012).all())
@@ -88,7 +90,7 @@ def test_the_naive_transform_tears_a_turned_hand():
     rest = canonical() - canonical()[0]
     along = torch.nn.functional.normalize(rest[3], dim=0)
     flip = 2 * torch.outer(along, along) - torch.eye(3, dtype=torch.float64)
-    naive, ours = (kind(canonical(), handedness=Handedness.RIGHT).bones(rest @ flip.T).linear[3]
+    naive, ours = (kind(canonical_np(), handedness=Handedness.RIGHT).bones(rest @ flip.T).linear[3]
                    for kind in (NaiveTransform, JointTransform))  # fmt: skip
     torch.testing.assert_close(naive, torch.eye(3, dtype=torch.float64))
     torch.testing.assert_close(ours, flip)
@@ -97,7 +99,7 @@ def test_the_naive_transform_tears_a_turned_hand():
 @pytest.mark.parametrize("kind", BOTH)
 def test_the_palm_of_the_baselines_turns_with_its_frame(kind):
     joints = sample(20)
-    ours = JointTransform(canonical(), handedness=Handedness.RIGHT)
+    ours = JointTransform(canonical_np(), handedness=Handedness.RIGHT)
     turn = ours.frames(joints).S0 @ ours.frames(canonical()).S0.mT
     torch.testing.assert_close(halo(kind=kind).bones(joints).linear[:, 0], turn)
 

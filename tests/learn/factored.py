@@ -9,9 +9,9 @@ import torch
 from hand.sampled_hands import STARTS
 from torch import Tensor
 
-from jghand_engine.hand.frames import Swing
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.transform import JointTransform
+from jghand_engine.hand.skeleton import Swing
+from jghand_engine.learn.skeleton import JointTransform
 
 MISPRINTS = ("g_as_printed", "g_not_recursive", "f_uses_parent_g", "one_global_p")
 _PARENTS = STARTS[1:]
@@ -33,7 +33,7 @@ def _affine(n: int, linear: Tensor | None = None, offset: Tensor | None = None) 
 def factored(transform: JointTransform, canonical_m: Tensor, joints_m: Tensor, variant: str = "corrected") -> Tensor:
     """(N, 20, 4, 4) maps of bones 1..20 that act on root-centered canonical points; right hands, meters."""
     n = len(joints_m)
-    rest = JointTransform(canonical_m, handedness=Handedness.RIGHT, swing=Swing.EULER).frames(canonical_m)
+    rest = JointTransform(canonical_m.numpy(), handedness=Handedness.RIGHT, swing=Swing.EULER).frames(canonical_m)
     posed = transform.frames(joints_m)
     centered = canonical_m - canonical_m[:1]
     eye5 = torch.eye(3, dtype=torch.float64).repeat(n, 5, 1, 1)

@@ -6,28 +6,22 @@ Both are written from the description in METHOD 2.2 and 6.2, not from anybody's 
 
 from __future__ import annotations
 
-from enum import StrEnum
-
 import numpy as np
 import torch
 from torch import Tensor
 
-from jghand_engine.hand import rotations as rot
-from jghand_engine.hand.frames import CanonicalHand, ComponentFrames, Swing, swing_of
+from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.hand.joints import Handedness
-from jghand_engine.hand.transform import JointTransform, ScaleMode
-
-
-class Transform(StrEnum):
-    """From joints to bones: ours, or that of the ablation "w/o trans"."""
-
-    JOINTS = "joints"
-    HALO_LIKE = "halo-like"
+from jghand_engine.hand.skeleton import ScaleMode, Swing, Transform
+from jghand_engine.learn import rotations as rot
+from jghand_engine.learn.frames import CanonicalTensors, ComponentFrames, swing_of
+from jghand_engine.learn.skeleton import JointTransform
+from jghand_engine.learn.tensors import HandTensors
 
 
 def transform_called(
     kind: Transform,
-    canonical_joints_m: Tensor | np.ndarray,
+    canonical_joints_m: np.ndarray,
     *,
     handedness: Handedness,
     swing: str = Swing.MINIMAL,
@@ -39,12 +33,22 @@ def transform_called(
     return JointTransform(canonical_joints_m, handedness=handedness, swing=swing, scale_mode=scale_mode)
 
 
+def transform_of(avatar: HandAvatar | HandTensors) -> JointTransform:
+    """The transform that an avatar was made for."""
+    info = avatar.info
+    return transform_called(
+        info.transform,
+        np.asarray(avatar.canonical_joints_m),
+        handedness=avatar.handedness,
+        swing=info.swing,
+        scale_mode=info.scale_mode,
+    )
+
+
 class _RigidTransform(JointTransform):
     """Bones that turn and never stretch: they keep the lengths of the canonical hand."""
 
-    def __init__(
-        self, canonical_joints_m: Tensor | np.ndarray, *, handedness: Handedness, swing: str = Swing.MINIMAL
-    ) -> None:
+    def __init__(self, canonical_joints_m: np.ndarray, *, handedness: Handedness, swing: str = Swing.MINIMAL) -> None:
         super().__init__(canonical_joints_m, handedness=handedness, swing=swing)
 
 
@@ -57,7 +61,9 @@ class HaloLikeTransform(_RigidTransform):
     canonical hand; this form is exact for every hand of canonical proportions.
     """
 
-    def maps(self, joints: Tensor, frames: ComponentFrames, canonical: CanonicalHand) -> tuple[Tensor, Tensor, Tensor]:
+    def maps(
+        self, joints: Tensor, frames: ComponentFrames, canonical: CanonicalTensors
+    ) -> tuple[Tensor, Tensor, Tensor]:
         """See JointTransform.maps; the bones meet on the chain instead of on the joints."""
         palm = rot.mat_mul(frames.S0, canonical.S0.transpose(0, 1))
         levels = [rot.mat_mul(palm, canonical.S[:, :, :5])]
@@ -79,7 +85,9 @@ class NaiveTransform(_RigidTransform):
     are the canonical hand's, so the end of a bone misses its joint.
     """
 
-    def maps(self, joints: Tensor, frames: ComponentFrames, canonical: CanonicalHand) -> tuple[Tensor, Tensor, Tensor]:
+    def maps(
+        self, joints: Tensor, frames: ComponentFrames, canonical: CanonicalTensors
+    ) -> tuple[Tensor, Tensor, Tensor]:
         """See JointTransform.maps."""
         palm = rot.mat_mul(frames.S0, canonical.S0.transpose(0, 1))
         # at its pole (a bone turned back to front) any half turn about an axis across the bone will do

@@ -1,0 +1,211 @@
+"""Poses of the hand that have a name, the shapes of the American manual alphabet, and motions through named poses.
+
+Angles are those of `hand.kinematics`, degrees, thumb first. They were set by eye: the shapes of a canonical hand, not
+measurements.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from jghand_engine.errors import InputError
+from jghand_engine.hand.joints import FINGERS, Handedness
+from jghand_engine.hand.kinematics import RANGES_DEG, ArticulatedHand, Contact
+from jghand_engine.hand.sequence import FPS_MAX, FPS_MIN, PoseSequence
+
+# angles of five fingers, thumb first
+POSES_DEG: dict[str, tuple[tuple[float, float, float, float], ...]] = {
+    "open": ((0, 0, 0, 0), (4, 0, 8, 4), (6, 0, 8, 4), (6, 0, 8, 4), (6, 0, 8, 4)),
+    "flat": ((2, -13, 0, 0), (0, -6, 0, 0), (0, 0, 0, 0), (0, -7, 0, 0), (0, -13, 0, 0)),
+    "spread": ((-10, 18, -5, -5), (-3, 16, 2, 0), (-2, 0, 2, 0), (-3, 14, 2, 0), (-3, 22, 2, 0)),
+    "relaxed": ((10, 5, 10, 12), (22, 0, 36, 18), (28, 0, 38, 19), (31, 0, 42, 20), (33, 3, 42, 22)),
+    "fist": ((16, -15, 44, 44), (84, 0, 106, 66), (88, 0, 109, 67), (88, 0, 108, 66), (86, 0, 104, 64)),
+    "point": ((20, -15, 46, 44), (4, 0, 6, 4), (86, 0, 108, 66), (88, 0, 108, 66), (86, 0, 104, 64)),
+    "victory": ((27, -14, 46, 40), (4, 11, 6, 4), (4, -9, 6, 4), (86, 0, 108, 66), (86, 0, 104, 64)),
+    "three": ((34, -12, 46, 42), (4, 10, 5, 3), (4, 0, 5, 3), (4, 9, 5, 3), (82, 0, 102, 62)),
+    "four": ((36, -12, 46, 44), (4, 10, 5, 3), (4, 0, 5, 3), (4, 8, 5, 3), (4, 16, 5, 3)),
+    "thumb_up": ((-12, 14, -6, -12), (86, 0, 108, 66), (88, 0, 109, 67), (88, 0, 108, 66), (86, 0, 104, 64)),
+    "pinch": ((24, 12, 18, 28), (50, 0, 54, 32), (34, 0, 36, 21), (32, 0, 34, 18), (30, 3, 32, 18)),
+    "ok": ((24, 12, 18, 30), (52, 0, 56, 34), (16, 0, 17, 9), (11, 4, 14, 6), (6, 10, 12, 6)),
+    "rock": ((22, -15, 46, 44), (4, 4, 6, 4), (86, 0, 108, 66), (86, 0, 106, 64), (4, 8, 6, 4)),
+    "call": ((-8, 24, -5, -8), (84, 0, 106, 66), (88, 0, 109, 67), (86, 0, 106, 65), (2, 18, 6, 4)),
+    "claw": ((5, 12, 25, 40), (-4, 8, 84, 52), (-4, 0, 84, 54), (-4, 6, 84, 52), (-4, 12, 80, 50)),
+    "grasp": ((22, 16, 20, 25), (54, 4, 52, 30), (56, 0, 52, 32), (58, 3, 52, 30), (58, 8, 50, 30)),
+    "table": ((8, 5, 5, 5), (84, 0, 8, 4), (86, 0, 8, 4), (86, 0, 8, 4), (84, 0, 8, 4)),
+}
+
+
+# poses in which the thumb's tip touches a finger (1 index .. 4 pinky): the angles are solved for each hand
+CONTACTS = {
+    "pinch": (Contact.TIP, 1),
+    "ok": (Contact.TIP, 1),
+    "fist": (Contact.REST, 2),
+    "point": (Contact.REST, 2),
+    "victory": (Contact.REST, 3),
+    "three": (Contact.REST, 4),
+    "rock": (Contact.REST, 2),
+}
+_Finger = tuple[float, float, float, float]
+_INDEX: _Finger = (86, 0, 106, 66)
+_MIDDLE: _Finger = (88, 0, 109, 67)
+_RING: _Finger = (88, 0, 108, 66)
+_PINKY: _Finger = (86, 0, 104, 64)
+
+# Shapes only: which way the palm faces, and the movements of J and Z, belong to the wrist. Letters that differ by that
+# alone share a shape and an entry: G and Q, H and U, I and J, K and P; Z is drawn with the shape of `point`.
+LETTERS_DEG: dict[str, tuple[_Finger, ...]] = {
+    "A": ((-6, -12, 4, -4), _INDEX, _MIDDLE, _RING, _PINKY),
+    "B": ((38, -8, 34, 30), (0, -6, 0, 0), (0, 0, 0, 0), (0, -7, 0, 0), (0, -13, 0, 0)),
+    "C": ((18, 30, 12, 18), (28, -4, 52, 32), (30, 0, 54, 33), (30, -4, 52, 32), (28, -6, 50, 30)),
+    "D": ((26, 16, 24, 28), (2, 0, 4, 2), (58, 0, 62, 36), (62, -4, 64, 38), (64, -6, 62, 36)),
+    "E": ((34, -6, 44, 50), (34, -4, 108, 72), (36, 0, 108, 74), (36, -4, 108, 72), (34, -6, 104, 70)),
+    "F": ((24, 12, 18, 30), (52, 0, 56, 34), (4, 0, 6, 4), (3, 4, 6, 4), (2, 12, 6, 4)),
+    "G": ((6, -12, 2, 0), (4, 0, 4, 2), _MIDDLE, _RING, _PINKY),
+    "I": ((22, -15, 46, 44), _INDEX, _MIDDLE, _RING, (2, 4, 4, 2)),
+    "K": ((8, 6, 6, 4), (2, 6, 4, 2), (48, 0, 8, 4), _RING, _PINKY),
+    "L": ((-14, 6, -6, -8), (2, 0, 4, 2), _MIDDLE, _RING, _PINKY),
+    "M": ((45, -6, 34, 10), (64, -4, 82, 40), (66, 0, 84, 40), (68, -4, 84, 40), _PINKY),
+    "N": ((40, -6, 24, 8), (64, -4, 82, 40), (66, 0, 84, 40), _RING, _PINKY),
+    "O": ((24, 14, 16, 26), (48, -4, 54, 34), (50, 0, 56, 35), (50, -4, 54, 34), (48, -6, 52, 32)),
+    "R": ((27, -14, 46, 40), (0, -14, 2, 0), (14, 17, 8, 4), _RING, _PINKY),
+    "S": POSES_DEG["fist"],
+    "T": ((20, -14, 16, 10), (74, 2, 84, 44), _MIDDLE, _RING, _PINKY),
+    "U": ((27, -14, 46, 40), (2, -6, 4, 2), (2, 3, 4, 2), _RING, _PINKY),
+    "V": POSES_DEG["victory"],
+    "W": POSES_DEG["three"],
+    "X": ((22, -15, 46, 44), (8, 0, 88, 56), _MIDDLE, _RING, _PINKY),
+    "Y": POSES_DEG["call"],
+}
+# as in CONTACTS
+LETTER_CONTACTS = {
+    "D": (Contact.TIP, 2),
+    "F": (Contact.TIP, 1),
+    "I": (Contact.REST, 2),
+    "O": (Contact.TIP, 1),
+    "R": (Contact.REST, 3),
+    "S": CONTACTS["fist"],
+    "U": (Contact.REST, 3),
+    "V": CONTACTS["victory"],
+    "W": CONTACTS["three"],
+    "X": (Contact.REST, 2),
+}
+# letters with the same shape, and the one under which it stands
+SAME_SHAPE = {"H": "U", "J": "I", "P": "K", "Q": "G"}
+
+
+def pose_names() -> tuple[str, ...]:
+    """The poses that have a name."""
+    return tuple(POSES_DEG)
+
+
+def named_angles(name: str) -> np.ndarray:
+    """(5, 4) angles of a named pose, degrees; InputError lists the names."""
+    if name not in POSES_DEG:
+        raise InputError("pose", wanted=f"one of {', '.join(POSES_DEG)}", came=repr(name))
+    return np.array(POSES_DEG[name], dtype=np.float64)
+
+
+def named_pose(name: str, canonical_joints_m: np.ndarray, *, handedness: Handedness) -> np.ndarray:
+    """(21, 3) level-order joints of a named pose, meters; wrist and palm stay where the canonical hand has them.
+
+    canonical_joints_m: (21, 3) right hand. A left hand is the mirror image, x negated.
+    """
+    hand = ArticulatedHand(canonical_joints_m)
+    return _handed(hand.joints(angles_on(hand, name)[None])[0], handedness)
+
+
+def angles_on(hand: ArticulatedHand, name: str) -> np.ndarray:
+    """(5, 4) angles of a named pose on this hand, degrees: the table's, solved for contact where tips touch."""
+    angles = np.clip(named_angles(name), RANGES_DEG[..., 0], RANGES_DEG[..., 1])
+    return hand.touching(angles, *CONTACTS[name]) if name in CONTACTS else angles
+
+
+def letter_angles(letter: str, hand: ArticulatedHand) -> np.ndarray:
+    """(5, 4) angles of a letter on a hand, degrees, solved for contact where the thumb touches; InputError lists the
+    letters."""
+    shape = SAME_SHAPE.get(letter, letter)
+    if shape not in LETTERS_DEG:
+        raise InputError("letter", wanted=f"one of {', '.join(sorted({*LETTERS_DEG, *SAME_SHAPE}))}", came=repr(letter))
+    angles = np.array(LETTERS_DEG[shape], dtype=np.float64)
+    return hand.touching(angles, *LETTER_CONTACTS[shape]) if shape in LETTER_CONTACTS else angles
+
+
+@dataclass(frozen=True)
+class MotionOptions:
+    """How a motion through named poses moves.
+
+    fps:           frames per second
+    move_s:        seconds of a move
+    hold_s:        seconds at each pose
+    finger_delay:  the largest delay of a finger, as a part of the move
+    variation_deg: standard deviation of the angles from the named poses
+    seed:          of the delays and the variation
+    """
+
+    fps: float = 30.0
+    move_s: float = 0.7
+    hold_s: float = 0.25
+    finger_delay: float = 0.25
+    variation_deg: float = 0.0
+    seed: int = 0
+
+    def check(self) -> None:
+        """InputError names the option that cannot be."""
+        lowest, highest = FPS_MIN, FPS_MAX
+        checks = (
+            ("fps", lowest <= self.fps <= highest, f"{lowest:g} to {highest:g} frames per second"),
+            ("move_s", 0 <= self.move_s < math.inf, "seconds >= 0"),
+            ("hold_s", 0 <= self.hold_s < math.inf, "seconds >= 0"),
+            ("finger_delay", 0 <= self.finger_delay < 1, "a part from 0 to below 1"),
+            ("variation_deg", 0 <= self.variation_deg < math.inf, "degrees >= 0"),
+            ("seed", self.seed >= 0, "0 or a positive number"),
+        )
+        for name, good, wanted in checks:
+            if not good:
+                raise InputError(f"motion option {name}", wanted=wanted, came=str(getattr(self, name)))
+
+
+def minimum_jerk(part: np.ndarray) -> np.ndarray:
+    """10 u^3 - 15 u^4 + 6 u^5: from 0 to 1 with speed and acceleration 0 at both ends, as hands move."""
+    u = np.clip(part, 0.0, 1.0)
+    return u**3 * (10 - 15 * u + 6 * u**2)
+
+
+def pose_sequence_of_names(
+    names: Sequence[str],
+    canonical_joints_m: np.ndarray,
+    *,
+    handedness: Handedness,
+    options: MotionOptions | None = None,
+) -> PoseSequence:
+    """A motion through named poses: minimum jerk, each finger a little late, the wrist at rest.
+
+    canonical_joints_m: (21, 3) right hand, level order, meters; its bone lengths are kept exactly.
+    """
+    options = options or MotionOptions()
+    if not names:
+        raise InputError("poses of a motion", wanted="at least one name", came="none")
+    options.check()
+    hand = ArticulatedHand(canonical_joints_m)
+    random = np.random.default_rng(options.seed)
+    solved = {name: angles_on(hand, name) for name in dict.fromkeys(names)}
+    keys = [solved[name] + options.variation_deg * random.standard_normal((5, 4)) for name in names]
+    move = max(1, round(options.move_s * options.fps))
+    hold = round(options.hold_s * options.fps)
+    frames = [keys[0]] * (1 + hold)
+    for start, end in itertools.pairwise(keys):
+        delay = random.uniform(0.0, options.finger_delay, (len(FINGERS), 1))
+        for time in np.arange(1, move + 1) / move:
+            frames.append(start + (end - start) * minimum_jerk((time - delay) / (1 - delay)))
+        frames += [end] * hold
+    joints = hand.joints(np.stack(frames))
+    return PoseSequence(_handed(joints, handedness), options.fps, handedness)
+
+
+def _handed(joints: np.ndarray, handedness: Handedness) -> np.ndarray:
+    return joints * np.array([-1.0, 1.0, 1.0]) if Handedness(handedness) is Handedness.LEFT else joints

@@ -1,0 +1,338 @@
+"""From 21 joint positions to the 21 affine maps that carry the canonical hand onto them, and to the joint angles.
+
+    B_i(x) = j_p(i) + L_i (x - j^c_p(i))
+    L_i    = r_i (A_i - (A_i d_i^c) d_i^cT) + s_i d_i d_i^cT,      A_i = S_i(J) S_i(J^c)^T
+
+Both ends of every bone map exactly, for any joints; only the twist about the bone and the radial scale r_i are
+conventions. B_0 is a similarity of the palm frame. The native kernel (native/skeleton.cpp) computes a pose; here is
+what it needs to know of the canonical hand. The differentiable form is `learn.skeleton`. METHOD 2.4 to 2.10.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntFlag, StrEnum
+
+import numpy as np
+
+from jghand_engine.errors import InputError, RetryError
+from jghand_engine.hand.joints import JOINT_COUNT, LEVEL_NAMES, PARENTS, Handedness
+from jghand_engine.hand.orders import check_joint_shape
+from jghand_engine.hand.rotations import half_turns
+from jghand_engine.native import library
+
+# ---- thresholds of the transform, relative to the hand's size unless a unit is given ----
+# multiple of machine epsilon below which a bone has no direction
+ZERO_BONE_EPS = 32.0
+# sine between neighboring palm bones below which the palm plane is clamped towards the canonical one (C1)
+PALM_CLAMP = 0.02
+# distance (radians, nearly) to a pole of the swing inside which the fallback acts and a flag is raised
+SWING_POLE = 1e-3
+# |z x n| below which a metacarpal takes its flexion axis from the canonical hand
+FLEXION_AXIS_MIN = 1e-3
+# part of the palm's area vector perpendicular to the palm axis below which there is no palm normal
+PALM_NORMAL_MIN = 1e-4
+# palm plane length, relative to PALM_CLAMP, below which the canonical plane is used outright
+PALM_PLANE_MIN = 1e-3
+# floor of s_i / s_g inside the power of the blended scale: its gradient is infinite at a zero bone
+SCALE_RATIO_MIN = 1e-2
+
+# ---- a canonical hand is refused when ----
+# a bone is shorter than this part of the mean bone
+CANONICAL_BONE_MIN = 1e-3
+# neighboring palm bones enclose a smaller sine: from 2 PALM_CLAMP on the clamp leaves its palm planes alone
+CANONICAL_PALM_SINE_MIN = 2 * PALM_CLAMP
+# a joint is nearer than this to the abduction pole, as 1 - |u_y|
+CANONICAL_POLE_MIN = 0.02
+
+# flexion and abduction of 15 bones, 4 angles between palm bones and 3 between palm planes
+ANGLE_COUNT = 37
+
+
+class Swing(StrEnum):
+    """How the twist of a phalanx follows from its direction. An avatar keeps the swing it was trained with.
+
+    MINIMAL: smallest rotation from the canonical direction; one pole, far from real poses. EULER: flexion, then
+    abduction, as in the paper; poles at abduction +-90 degrees, which thumbs approach.
+    """
+
+    MINIMAL = "minimal"
+    EULER = "euler"
+
+    @classmethod
+    def _missing_(cls, value: object) -> Swing:
+        raise InputError("swing", wanted=" or ".join(cls), came=repr(value)[:200])
+
+
+# a named mode or the exponent of the blended one
+ScaleMode = str | float
+_SCALE_EXPONENTS = {"axial": 0.0, "uniform": 1.0}
+
+
+def scale_exponent(scale_mode: ScaleMode) -> float:
+    """The exponent alpha of r_i = s_g (s_i / s_g)^alpha: 'axial' 0 (thickness follows the whole hand), 'uniform' 1
+    (thickness follows each bone), or a number between. InputError otherwise."""
+    if isinstance(scale_mode, str) and scale_mode in _SCALE_EXPONENTS:
+        return _SCALE_EXPONENTS[scale_mode]
+    if isinstance(scale_mode, int | float) and not isinstance(scale_mode, bool) and 0 <= scale_mode <= 1:
+        return float(scale_mode)
+    raise InputError("scale mode", wanted="'axial', 'uniform' or a number from 0 to 1", came=repr(scale_mode)[:200])
+
+
+class Transform(StrEnum):
+    """From joints to bones: ours, or that of the ablation "w/o trans" (`learn.baselines`), which is only compared."""
+
+    JOINTS = "joints"
+    HALO_LIKE = "halo-like"
+
+
+class FrameFlag(IntFlag):
+    """Where a hand left the ordinary; joints stay exact except for NOT_FINITE."""
+
+    NONE = 0
+    ZERO_BONE = 1
+    PALM_CLAMPED = 2
+    SWING_POLE = 4
+    NO_PALM = 8
+    NOT_FINITE = 16
+
+
+_FLAG_SENTENCES = {
+    FrameFlag.ZERO_BONE: "a bone has no length",
+    FrameFlag.PALM_CLAMPED: "palm bones are collinear or crossed",
+    FrameFlag.SWING_POLE: "a joint is bent to the pole of its frame",
+    FrameFlag.NO_PALM: "the palm has no plane",
+    FrameFlag.NOT_FINITE: "a joint is not a finite number",
+}
+
+
+def describe_flags(flags: int) -> list[str]:
+    """Sentences for the bits of `flags`."""
+    return [sentence for flag, sentence in _FLAG_SENTENCES.items() if flags & flag]
+
+
+@dataclass(frozen=True)
+class Bones:
+    """The bones of one posed hand.
+
+    linear_offset: (21, 3, 4), x_posed_m - root_m = linear_offset @ [x_m - canonical_root_m, 1]
+    root_m:        (3,) float64, the wrist; added last, so that a hand far from the origin loses nothing before
+    scale:         of the whole hand against the canonical one, s_g
+    flags:         bits of FrameFlag
+    angles_rad:    (37,) float64: flexion and abduction of bones 6..20, then 4 angles between neighboring palm bones
+                   and 3 between neighboring palm planes
+    """
+
+    linear_offset: np.ndarray
+    root_m: np.ndarray
+    scale: float
+    flags: int
+    angles_rad: np.ndarray
+
+    @property
+    def phalanx_angles_rad(self) -> np.ndarray:
+        """(15, 2) flexion and abduction of bones 6..20."""
+        return self.angles_rad[:30].reshape(15, 2)
+
+
+class Skeleton:
+    """Computes Bones from joints against one canonical right hand, in microseconds, without gradients.
+
+    canonical_joints_m: (21, 3) level order, right hand, meters
+    handedness:         of the joints that `bones` will get; left ones are mirrored, the canonical hand stays right
+    swing:              'minimal' or 'euler', see Swing
+    scale_mode:         'axial', 'uniform' or the exponent between, see scale_exponent
+    variant:            which native library; 'auto' is the fastest that runs here
+    InputError for an unusable canonical hand or an unknown option, RetryError without a native library.
+    """
+
+    def __init__(
+        self,
+        canonical_joints_m: np.ndarray,
+        *,
+        handedness: Handedness,
+        swing: str = Swing.MINIMAL,
+        scale_mode: ScaleMode = "axial",
+        variant: str = "auto",
+    ) -> None:
+        self.handedness = Handedness(handedness)
+        self.canonical = CanonicalHand.build(canonical_joints_m)
+        self.packed = _packed(self.canonical, self.handedness, Swing(swing), scale_exponent(scale_mode))
+        native = library.load(variant) or library.load(library.best_variant() or "auto")
+        if native is None:
+            raise RetryError("native kernels", wanted="a library for this processor", came="none")
+        if (size := native.call.jg_skeleton_bytes()) != self.packed.nbytes:
+            wanted = f"a Skeleton of {self.packed.nbytes} bytes"
+            raise RetryError(f"native library {native.path.name}", wanted=wanted, came=str(size))
+        self._call = native.call.jg_bone_transforms
+        self._address = self.packed.ctypes.data
+
+    @property
+    def canonical_root_m(self) -> np.ndarray:
+        """(3,) wrist of the canonical hand, meters."""
+        return self.canonical.root_m
+
+    def bones(self, joints_m: np.ndarray, dtype: type[np.floating] = np.float32) -> Bones:
+        """(21, 3) level-order joints, meters -> Bones. NaN matrices and NOT_FINITE for a joint that is not finite.
+
+        dtype: of the matrices, which are computed in double. InputError for another shape.
+        """
+        joints = np.ascontiguousarray(joints_m, dtype=np.float64)
+        if joints.shape != (JOINT_COUNT, 3):
+            check_joint_shape(joints)
+            raise InputError("joints of one hand", wanted="shape (21, 3)", came=str(joints.shape))
+        matrices, scale, angles = np.empty((JOINT_COUNT, 3, 4)), np.empty(1), np.empty(ANGLE_COUNT)
+        outputs = (array.ctypes.data for array in (matrices, scale, angles))
+        flags = self._call(self._address, joints.ctypes.data, *outputs)
+        # a hand too large for float32 becomes infinite without a word: the kernels cull it
+        with np.errstate(over="ignore"):
+            return Bones(matrices.astype(dtype, copy=False), joints[0].copy(), float(scale[0]), flags, angles)
+
+    def frames(self, bones: Bones) -> tuple[np.ndarray, np.ndarray]:
+        """The frames (21, 3, 3) of the palm and of bones 1..20 in one pose, and their scales (21, 3) along x, y and z.
+
+        Columns x out of the palm, y the flexion axis, z along the bone, in right-hand space: those of a left hand are
+        its mirror image's. L_i = S_i diag(scales) S_i^cT. A bone whose length and thickness both vanish has the frame
+        in which the palm carries it.
+        """
+        linear = bones.linear_offset[..., :3].astype(np.float64)
+        if self.handedness is Handedness.LEFT:
+            linear = np.array([-1.0, 1.0, 1.0])[:, None] * linear
+        scaled = linear @ self.canonical.frames
+        scales = np.linalg.norm(scaled, axis=-2)
+        palm = scaled[0] / scales[0] if scales[0].all() else self.canonical.frames[0]
+        carried = palm @ self.canonical.frames[0].T @ self.canonical.frames
+        axes = np.where(scales[:, None] > 0, scaled / np.where(scales > 0, scales, 1.0)[:, None], carried)
+        x, y, z = np.moveaxis(axes, -1, 0)
+        # a bone without a length has lost its direction alone
+        z = np.where((scales[:, :2] > 0).all(axis=1, keepdims=True), np.cross(x, y), z)
+        return np.stack([x, y, z], axis=-1), scales
+
+
+@dataclass(frozen=True)
+class CanonicalHand:
+    """What the bones of every pose are compared with; float64, right hand.
+
+    root_m:      (3,) wrist, meters;  joints_m: (21, 3) about the wrist
+    length_m:    (20,);  direction: (20, 3) unit
+    frames:      (21, 3, 3) the palm's and those of bones 1..20: columns x out of the palm, y the flexion axis, z along
+                 the bone
+    u:           (15, 3) direction of bones 6..20 in the parent's frame
+    swing:       (15, 3, 3) Q(u), the frame of bones 6..20 in the parent's
+    palm_normal: (4, 3) of the planes of neighboring palm bones
+    """
+
+    root_m: np.ndarray
+    joints_m: np.ndarray
+    length_m: np.ndarray
+    direction: np.ndarray
+    frames: np.ndarray
+    u: np.ndarray
+    swing: np.ndarray
+    palm_normal: np.ndarray
+
+    @classmethod
+    def build(cls, joints_m: np.ndarray) -> CanonicalHand:
+        """From (21, 3) level-order joints of a right hand, meters, with the euler swing.
+
+        InputError for a wrong shape, a non-finite joint, a vanishing bone, collinear palm bones, or a joint at the
+        abduction pole (METHOD 2.4).
+        """
+        # a copy: the caller's array may be read-only, or change later
+        joints = np.array(joints_m, dtype=np.float64)
+        if joints.shape != (JOINT_COUNT, 3) or not np.isfinite(joints).all():
+            raise InputError("canonical joints", wanted="a finite (21, 3) array", came=str(joints.shape))
+        centered = joints - joints[0]
+        bones = centered[1:] - centered[list(PARENTS[1:])]
+        length = np.linalg.norm(bones, axis=1)
+        if not (length > CANONICAL_BONE_MIN * length.mean()).all():
+            name = LEVEL_NAMES[int(length.argmin()) + 1]
+            raise InputError("canonical hand", wanted="bones with a length", came=f"none at {name}")
+        direction = bones / length[:, None]
+        normal = np.cross(direction[:4], direction[1:5])
+        sine = np.linalg.norm(normal, axis=1, keepdims=True)
+        if not (sine >= CANONICAL_PALM_SINE_MIN).all():
+            raise InputError(
+                "canonical hand",
+                wanted="palm bones that spread",
+                came="two that are nearly parallel",
+                remedy="Spread the fingers of the canonical hand.",
+            )
+        normal = normal / sine
+        frames = np.empty((JOINT_COUNT, 3, 3))
+        frames[0] = _palm_frame(bones)
+        frames[1:6] = _metacarpal_frames(direction[:5], normal)
+        u, swing = np.empty((15, 3)), np.empty((15, 3, 3))
+        for first in (0, 5, 10):
+            here, parent, child = (slice(first + start, first + start + 5) for start in (0, 1, 6))
+            u[here] = _unit(np.einsum("bji,bj->bi", frames[parent], direction[child.start - 1 : child.stop - 1]))
+            swing[here] = euler_swing(u[here])
+            frames[child] = frames[parent] @ swing[here]
+        if (1 - np.abs(u[:, 1]) < CANONICAL_POLE_MIN).any():
+            raise InputError("canonical hand", wanted="no finger bent sideways to 90 degrees", came="one is")
+        return cls(joints[0], centered, length, direction, frames, u, swing, normal)
+
+
+def _unit(vectors: np.ndarray) -> np.ndarray:
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def _palm_frame(bones: np.ndarray) -> np.ndarray:
+    """(3, 3): z along the sum of the metacarpals index..pinky, x along the area vector of their fan; neither is
+    normalized before, so that each metacarpal counts by how well it is conditioned (METHOD 2.7)."""
+    fan = bones[1:5]
+    z = _unit(fan.sum(axis=0))
+    area = np.cross(fan[:-1], fan[1:]).sum(axis=0)
+    x = _unit(area - area @ z * z)
+    return np.stack([x, np.cross(z, x), z], axis=-1)
+
+
+def _metacarpal_frames(direction: np.ndarray, normal: np.ndarray) -> np.ndarray:
+    """(5, 3, 3) of the metacarpals (5, 3) from the normals (4, 3) of the palm planes beside them."""
+    beside = np.stack([normal[0], normal[1], (normal[1] + normal[2]) / 2, (normal[2] + normal[3]) / 2, normal[3]])
+    y = _unit(np.cross(direction, beside))
+    return np.stack([np.cross(y, direction), y, direction], axis=-1)
+
+
+def euler_swing(u: np.ndarray) -> np.ndarray:
+    """(n, 3, 3) Q = R_y(flexion) R_x(abduction) with Q e_z = u (n, 3), away from the poles."""
+    x, y, z = u.T
+    across = np.hypot(x, z)
+    cos_flexion, sin_flexion, zero = z / across, x / across, np.zeros_like(x)
+    rows = [
+        [cos_flexion, -sin_flexion * y, x],
+        [zero, across, y],
+        [-sin_flexion, -cos_flexion * y, z],
+    ]
+    return np.moveaxis(np.array(rows), -1, 0)
+
+
+def _packed(hand: CanonicalHand, handedness: Handedness, swing: Swing, exponent: float) -> np.ndarray:
+    """The doubles of `Skeleton` in native/skeleton.cpp, in its order; matrices column by column.
+
+    Its last matrices are the half turns that replace a minimal rotation at its pole: of the palm, the metacarpals and
+    the phalanges' swings.
+    """
+    options = [
+        ZERO_BONE_EPS * np.finfo(np.float64).eps,
+        PALM_CLAMP,
+        SWING_POLE,
+        FLEXION_AXIS_MIN,
+        PALM_NORMAL_MIN,
+        PALM_PLANE_MIN,
+        SCALE_RATIO_MIN,
+        # floor of the hand's size, which everything is divided by: its fourth power is still a normal number
+        float(np.finfo(np.float64).tiny) ** 0.25,
+        exponent,
+        float(swing is Swing.EULER),
+        -1.0 if handedness is Handedness.LEFT else 1.0,
+    ]
+    matrices = [hand.frames[1:], hand.frames[0]]
+    flips = [half_turns(axis) for axis in (hand.frames[0, :, 0], hand.frames[1:6, :, 0], hand.swing[:, :, 1])]
+    vectors = [np.array(options), hand.joints_m, hand.length_m, hand.direction]
+    parts = [*vectors, *map(_columns, matrices), hand.u, _columns(hand.swing), hand.palm_normal, *map(_columns, flips)]
+    return np.concatenate([part.ravel() for part in parts])
+
+
+def _columns(matrices: np.ndarray) -> np.ndarray:
+    return np.swapaxes(matrices, -1, -2)
