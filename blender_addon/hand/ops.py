@@ -51,27 +51,24 @@ class AddHand(Reporting, bpy.types.Operator):
 
     bl_idname = "jghand.add_hand"
     bl_label = "Add Hand"
-    bl_description = (
-        "Add an armature with finger controls and a photorealistic hand on it, at the 3D cursor. "
-        "A camera is added where the scene has none"
-    )
+    bl_description = "Add an armature with finger controls and a photorealistic hand on it, at the 3D cursor"
     bl_options = UNDOABLE
 
     handedness: bpy.props.EnumProperty(name="Hand", description="Which hand", items=HANDS)  # type: ignore[valid-type]
     use_controls: bpy.props.BoolProperty(
         name="Finger Controls",
-        description="Add controls for curl and spread of each finger, for held tips, and joint limits",
+        description="Add controls for curl and spread of each finger, for pinned tips, and joint limits",
         default=True,
     )  # type: ignore[valid-type]
     use_camera: bpy.props.BoolProperty(
         name="Camera",
         description="Add a camera that shows the hand, where the scene has none",
-        default=True,
+        default=False,
     )  # type: ignore[valid-type]
     use_view: bpy.props.BoolProperty(
-        name="Look at It",
+        name="Frame in View",
         description="Turn the view to the new hand",
-        default=True,
+        default=False,
         options={"SKIP_SAVE"},
     )  # type: ignore[valid-type]
 
@@ -240,13 +237,13 @@ class Forget(Reporting, bpy.types.Operator):
     """Operator: a foreign rig, or an empty for 21 objects, is no hand any more."""
 
     bl_idname = "jghand.forget"
-    bl_label = "Forget Hand"
-    bl_description = (
-        "Draw no hand on this object any more. Bones, objects and keys stay as they are; the bone map is lost"
-    )
+    bl_label = "Remove Hand Binding"
+    bl_description = "Draw no hand on this object. Bones, objects and keys stay; the bone map is deleted"
     bl_options = UNDOABLE
 
-    handedness: bpy.props.EnumProperty(name="Hand", description="Which hand to forget", items=_EITHER, default="BOTH")  # type: ignore[valid-type]
+    handedness: bpy.props.EnumProperty(
+        name="Hand", description="Which hand is no longer drawn", items=_EITHER, default="BOTH"
+    )  # type: ignore[valid-type]
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

@@ -20,7 +20,7 @@ class AddControls(Reporting, bpy.types.Operator):
     bl_idname = "jghand.add_controls"
     bl_label = "Add Finger Controls"
     bl_description = (
-        "Add controls for curl and spread of each finger, for fist and splay, held tips, and joint limits. "
+        "Add controls for curl and spread of each finger, for fist and splay, pinned tips, and joint limits. "
         "They act on top of the keys and need no script"
     )
     bl_options = UNDOABLE
@@ -42,9 +42,7 @@ class RemoveControls(Reporting, bpy.types.Operator):
 
     bl_idname = "jghand.remove_controls"
     bl_label = "Remove Finger Controls"
-    bl_description = (
-        "Take the controls away. The hand falls back to the keys of its bones; to keep what is seen, bake instead"
-    )
+    bl_description = "Remove the controls. The hand falls back to the keys of its bones; bake instead to keep the pose"
     bl_options = UNDOABLE
 
     @classmethod
@@ -65,8 +63,8 @@ class BakeControls(InTurns, bpy.types.Operator):
     bl_idname = "jghand.bake_controls"
     bl_label = "Bake Finger Controls"
     bl_description = (
-        "Key what is seen at every frame that is played on the bones of the selected hands, in new actions, "
-        "and take the controls away. The actions before them stay in the file"
+        "Key the visible pose at every frame on the bones of the selected hands, in new actions, and remove the "
+        "controls. Earlier actions stay in the file"
     )
     bl_options = UNDOABLE
 
@@ -109,7 +107,7 @@ class MuteControls(_Toggle, bpy.types.Operator):
 
     bl_idname = "jghand.mute_controls"
     bl_label = "Mute Finger Controls"
-    bl_description = "Switch the effect of all finger controls off, or on again: the hand then shows its keys alone"
+    bl_description = "Switch all finger controls off or on. Off, the hand shows its keys alone"
 
     def toggle(self, hand: bpy.types.Object) -> None:
         controls.mute_controls(hand, not controls.controls_are_muted(hand))
@@ -120,7 +118,7 @@ class JointLimits(_Toggle, bpy.types.Operator):
 
     bl_idname = "jghand.joint_limits"
     bl_label = "Joint Limits"
-    bl_description = "Keep all joints in the range of a real hand, or let them go beyond. Held tips keep their limits"
+    bl_description = "Keep all joints within the range of a real hand. Pinned tips keep their limits"
 
     def toggle(self, hand: bpy.types.Object) -> None:
         controls.use_joint_limits(hand, not controls.joint_limits_are_used(hand))
@@ -130,15 +128,15 @@ class HoldTip(Reporting, bpy.types.Operator):
     """Operator: a fingertip stays where it is."""
 
     bl_idname = "jghand.hold_tip"
-    bl_label = "Hold Fingertip"
+    bl_label = "Pin Fingertip"
     bl_description = (
-        "Keep this fingertip where it is now while the hand moves, and show its control, which then leads it; "
-        "or let it go again. Auto Keying keys it"
+        "Keep this fingertip where it is while the hand moves, and show the control that leads it; or release it. "
+        "Auto Keying keys it"
     )
     bl_options = UNDOABLE
 
     finger: bpy.props.EnumProperty(name="Finger", description="Whose tip", items=FINGER_ITEMS)  # type: ignore[valid-type]
-    hold: bpy.props.BoolProperty(name="Hold", description="Hold it, or let it go", default=True)  # type: ignore[valid-type]
+    hold: bpy.props.BoolProperty(name="Pin", description="Pin the tip, or release it", default=True)  # type: ignore[valid-type]
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

@@ -40,7 +40,7 @@ _TARGETS = (
 )
 
 _HANDS = (
-    ("AUTO", "As the File Says", "Where it does not, or shows both, the one that fits the active hand", "NONE", 0),
+    ("AUTO", "From File", "Where the file names none or both, the one that fits the active hand", "NONE", 0),
     ("right", "Right", "The right hand of the file", "NONE", 1),
     ("left", "Left", "The left hand of the file", "NONE", 2),
 )
@@ -96,7 +96,7 @@ class ImportMotion(KeysFile, bpy.types.Operator):
     filter_glob: bpy.props.StringProperty(
         default=";".join(f"*{suffix}" for suffix in (*OWN_SUFFIXES, *FOREIGN_SUFFIXES)), options={"HIDDEN"}
     )  # type: ignore[valid-type]
-    target: bpy.props.EnumProperty(name="Onto", description="Which hand takes it", items=_TARGETS)  # type: ignore[valid-type]
+    target: bpy.props.EnumProperty(name="Target", description="Which hand takes it", items=_TARGETS)  # type: ignore[valid-type]
     use_scene_range: bpy.props.BoolProperty(
         name="Set Scene Range",
         description="Make the scene's frame range that of the motion",

@@ -50,15 +50,15 @@ class ApplyPose(_Posing, bpy.types.Operator):
     bl_idname = "jghand.apply_pose"
     bl_label = "Apply Pose"
     bl_description = (
-        "Give this pose to the fingers of the selected hands, right and left alike. Controls go to neutral, held tips "
-        "are let go, the wrist stays"
+        "Give this pose to the fingers of the selected hands, right and left. Controls go to neutral, pinned tips "
+        "are released, the wrist stays"
     )
     bl_options = UNDOABLE
 
     pose: bpy.props.EnumProperty(name="Pose", description="The pose", items=POSES)  # type: ignore[valid-type]
     part: bpy.props.FloatProperty(
-        name="Part",
-        description="How far from the present pose towards this one",
+        name="Blend",
+        description="How far from the current pose to this one",
         subtype="FACTOR",
         default=1.0,
         min=0.0,

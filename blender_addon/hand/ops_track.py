@@ -20,7 +20,7 @@ from .seen_hands import avatar_of
 from .video_tracking import SUFFIXES, TrackingChoices, fetch_by_hand, read_tracked, words
 
 _HANDS = (
-    ("auto", "All That Are Seen", "Every hand in the video, one of each side at most", "NONE", 0),
+    ("auto", "All Detected", "Every hand in the video, at most one of each side", "NONE", 0),
     ("right", "Right", "The right hand", "NONE", 1),
     ("left", "Left", "The left hand", "NONE", 2),
     ("both", "Both", "Both, or none", "NONE", 3),

@@ -103,7 +103,7 @@ def _draw_control(
     button = row.operator("jghand.hold_tip", text="", icon="PINNED" if held else "UNPINNED", depress=held)
     button.finger, button.hold = FINGERS[finger], not held
     if held:
-        column.prop(rule, "influence", text="Tip Held", slider=True)
+        column.prop(rule, "influence", text="Tip IK", slider=True)
 
 
 CLASSES = (PosePanel, ControlsPanel)

@@ -248,7 +248,7 @@ def test_render_says_what_the_view_transform_does_and_offers_standard(extension,
 
 
 def test_a_camera_that_cannot_be_used_is_told(extension, engine):
-    add()
+    add(use_camera=True)
     extension.scene.camera.data.type = "PANO"
     assert "Panoramic" in text_of(draw(picture.RenderPanel, extension))
     extension.scene.camera = None

@@ -37,6 +37,7 @@ def step_one_button_adds_a_hand(window):
 
 def step_the_hand_is_seen_in_solid(window):
     bpy.data.objects.remove(bpy.data.objects["Cube"])
+    yield from window.look_at((0.02, 0.075, 0.01), 0.36, (0.75, 0.0, 0.75))
     window.redraw()
     yield 0.5
     before = window.crop(window.screen())

@@ -28,7 +28,7 @@ def step_blender_exports_a_moving_hand_as_gltf(window):
 
 def step_a_chosen_glb_is_keyed_and_blender_is_free_while_the_engine_reads_it(window):
     yield from window.open_sidebar()
-    window.call("jghand.add_hand", handedness="right")
+    window.call("jghand.add_hand", handedness="right", use_camera=True, use_view=True)
     yield from window.settle()
     yield from window.choose_file("jghand.import_motion", window.out / "wave.glb")
     yield lambda: _job(window) is not None and window.modal(_IMPORT) is not None
