@@ -74,7 +74,7 @@ def capture(out: Path, choices: CaptureChoices, motion: Path | None = None) -> t
         *("--cameras", str(choices.cameras), "--poses", str(choices.poses)),
         *("--size", f"{choices.size[0]}x{choices.size[1]}", "--samples", str(choices.samples)),
         *("--seed", str(choices.seed), "--threads", str(choices.threads)),
-        *(("--motion", str(motion), "--any-proportions") if motion is not None else ()),
+        *(("--motion", str(motion)) if motion is not None else ()),
     )
 
 

@@ -41,12 +41,6 @@ class LookOptions:
     hdri: Annotated[str, tyro.conf.arg(metavar="NAME|FILE")] = "studio"
     """Light all around: city, courtyard, forest, interior, night, studio, sunrise, sunset, or an .exr or .hdr file,
     which is copied into the capture."""
-    hdri_strength: Annotated[float, _OneNumber] = 0.55
-    """How bright it is."""
-    hdri_turn: Annotated[float, tyro.conf.arg(metavar="DEGREES")] = 0.0
-    """Turns it about the axis of the fingers."""
-    lamps: Annotated[float, _OneNumber] = 1.0
-    """Brightness of the lamps, relative to their own; 0 leaves them out."""
 
 
 @dataclass(frozen=True)
@@ -71,16 +65,13 @@ class Capture:
     """How often the mesh is made finer for rendering."""
     look: LookOptions = field(default_factory=LookOptions)
     motion: File = None
-    """Poses from this motion instead of the generator: .npz, .npy, .json or .csv."""
-    format: FormatOptions = field(default_factory=FormatOptions)
+    """Poses from this motion instead of the generator; `jghand motion` makes one of any file that it reads."""
     wrist_turn: Annotated[float, tyro.conf.arg(metavar="DEGREES")] = 25.0
     """How far hands turn as a whole from pose to pose, so that light falls from different sides."""
     seed: Annotated[int, _OneNumber] = 0
     """Of poses, cameras and turns."""
     shard: Annotated[str, tyro.conf.arg(metavar="NUMBER/COUNT")] = "1/1"
     """Make only this part of the pictures; other machines make the others."""
-    skip_existing: bool = False
-    """What a capture does anyway; it may be said, so that a farm can say the same to every command."""
     finished_only: bool = False
     """Make no picture, and annotate only poses whose pictures are all there: to use a capture before its end."""
     blender_python: File = None
@@ -166,21 +157,18 @@ class Capture:
         return seconds
 
     def _options(self):
-        import dataclasses
-
         from jghand_engine.captures.making.look import Light, Sampling
         from jghand_engine.captures.making.options import CaptureOptions
         from jghand_engine.cli.inputs import read_sequence
 
-        light = Light()
-        lamps = tuple(dataclasses.replace(lamp, watts=lamp.watts * self.look.lamps) for lamp in light.lamps)
-        light = Light(self.look.hdri, self.look.hdri_strength, self.look.hdri_turn, lamps if self.look.lamps else ())
+        # bones may be of any length: the poses are those of the identity's own
+        motion = None if self.motion is None else read_sequence(self.motion, FormatOptions(any_proportions=True))
         width, height = pixels(self.size)
         return CaptureOptions(
             identity=self.identity, cameras=self.cameras,
             close_ups=self.cameras // 8 if self.close_ups is None else self.close_ups,
             poses=self.poses, width=width, height=height, skin=self.look.skin,
-            motion=None if self.motion is None else read_sequence(self.motion, self.format),
-            wrist_turn_deg=self.wrist_turn, seed=self.seed, light=light,
+            motion=motion,
+            wrist_turn_deg=self.wrist_turn, seed=self.seed, light=Light(self.look.hdri),
             sampling=Sampling(samples=self.samples, subdivisions=self.subdivisions),
         )  # fmt: skip

@@ -46,9 +46,8 @@ class PerceptualOptions:
     perceptual: bool = False
     """Also ST-LPIPS (and LPIPS, with its trunk): some 2 seconds a picture."""
     lpips_trunk: File = None
-    """Torchvision's checkpoint of vgg16 or alexnet, which exact LPIPS needs; nobody may ship it."""
-    lpips_kind: Literal["vgg", "alex"] = "vgg"
-    """Which of the two it is."""
+    """Torchvision's checkpoint of vgg16, or of alexnet if its name says so, which exact LPIPS needs; nobody may ship
+    it."""
 
     def metrics(self) -> list[PerceptualMetric]:
         """The metrics that there are; what is missing is said in a line. InputError for an unusable trunk."""
@@ -65,7 +64,8 @@ class PerceptualOptions:
         if self.lpips_trunk is None:
             say(perceptual.LPIPS_MISSING)
         else:
-            metrics.append(perceptual.lpips(self.lpips_trunk, self.lpips_kind))
+            kind = "alex" if "alex" in self.lpips_trunk.name.lower() else "vgg"
+            metrics.append(perceptual.lpips(self.lpips_trunk, kind))
         return metrics
 
 

@@ -291,11 +291,6 @@ def test_finishing_annotates_what_was_left_out_meanwhile(tmp_path, monkeypatch, 
     assert len(open_capture(folder).samples) == 42
 
 
-def test_a_farm_may_say_skip_existing_to_a_capture_too(copied, capsys):
-    assert capture(copied, "--skip-existing", "--shard", "2/2") == 0
-    assert "0 pictures" in capsys.readouterr().out
-
-
 def test_a_killed_capture_loses_at_most_the_picture_that_it_was_at(tmp_path, made):
     folder = tmp_path / "killed"
     program = (
@@ -446,9 +441,6 @@ def plan_of_motion(handedness: Handedness) -> CapturePlan:
         (["--wrist-turn", "-1"], "wrist turn"),
         (["--wrist-turn", "nan"], "wrist turn"),
         (["--hdri", "moonbase"], "environment"),
-        (["--hdri-turn", "nan"], "turn of the environment"),
-        (["--lamps", "-1"], "brightness of the lamps"),
-        (["--lamps", "nan"], "brightness of the lamps"),
         (["--skin", "absent.png"], "absent.png"),
         (["--seed", "-1"], "seed"),
         (["--size", "0x10"], "--size"),
