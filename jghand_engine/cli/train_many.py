@@ -171,6 +171,8 @@ class TrainingJob:
     words: tuple[str, ...]
     # folder of the avatars, absolute
     out: Path
+    # what stands before the words of the command
+    program: tuple[str, ...] = field(default_factory=lambda: PROGRAM)
     _child: subprocess.Popen[bytes] | None = field(default=None, repr=False, compare=False)
 
     @property
@@ -204,7 +206,7 @@ class TrainingJob:
 
         begun = (self.out / f"{self.name}.training" / MARK).is_file()
         command = [
-            *PROGRAM, "train", *self.words, "--out", str(self.out / f"{self.name}.jghand"), "--progress-json",
+            *self.program, "train", *self.words, "--out", str(self.out / f"{self.name}.jghand"), "--progress-json",
             *(["--resume"] if begun else []),
         ]  # fmt: skip
         with (self.out / f"{self.name}.log").open("ab") as log:
