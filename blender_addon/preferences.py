@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import bpy
 
+from . import manual
 from .core import limits
 
 
@@ -47,6 +48,7 @@ class JGHandPreferences(bpy.types.AddonPreferences):
 
         draw_engine(self.layout)
         draw_tools(self.layout)
+        self.layout.operator("wm.url_open", text="Manual", icon="HELP").url = manual.page()
 
 
 def preferences() -> JGHandPreferences | None:

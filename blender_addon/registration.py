@@ -11,7 +11,7 @@ from types import ModuleType
 
 import bpy
 
-from . import help_page, preferences, properties
+from . import manual, preferences, properties
 from .export import ops as export_ops
 from .export import ops_bake, usd_hook
 from .export import panel as export_panel
@@ -43,7 +43,7 @@ from .viewport import handlers
 
 # a class comes after those that it uses; Blender shows panels in the order in which they come
 WITH_CLASSES = (
-    *(preferences, properties, render_engine, help_page, renderer_ops, install),
+    *(preferences, properties, render_engine, renderer_ops, install),
     *(hand_ops, ops_bones, ops_pose, ops_controls, ops_motion, ops_track),
     *(render_ops, ops_composite, ops_bake, export_ops, train_ops),
     *(panel_presets, hand_panel, panel_bones, panel_pose, panel_motion, render_panel, panel_quality),
@@ -51,7 +51,7 @@ WITH_CLASSES = (
 )
 # handlers, timers, menus, and what is forgotten at the end
 _WITH_HOOKS: tuple[ModuleType, ...] = (
-    *(properties, runtime, pose_library, job_watch, kept, usd_hook),
+    *(manual, properties, runtime, pose_library, job_watch, kept, usd_hook),
     *(appended, handlers, guard, left_out, render_engine, cli_command, hand_ops, ops_motion),
 )
 _add_classes, _remove_classes = bpy.utils.register_classes_factory(

@@ -33,14 +33,6 @@ class Sidebar:
     bl_space_type = "VIEW_3D"
     bl_region_type = "UI"
     bl_category = "JGHand"
-    # section of the help page that its question mark opens
-    help_section = ""
-
-    def draw_header_preset(self, _context: bpy.types.Context) -> None:
-        """A question mark at the right of the header."""
-        if self.help_section:
-            button = self.layout.operator("jghand.open_help", text="", icon="QUESTION", emboss=False)
-            button.section = self.help_section
 
 
 def active(context: bpy.types.Context) -> bpy.types.Object | None:

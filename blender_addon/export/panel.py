@@ -27,7 +27,6 @@ class OutputPanel(Sidebar, bpy.types.Panel):
     bl_label = "Bake & Export"
     bl_order = ui.OUTPUT
     bl_options = ui.CLOSED
-    help_section = "export"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

@@ -22,7 +22,6 @@ class HandPanel(Sidebar, bpy.types.Panel):
     bl_idname = "VIEW3D_PT_jghand_hand"
     bl_label = "Hand"
     bl_order = ui.HAND
-    help_section = "hand"
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout

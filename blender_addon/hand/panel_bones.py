@@ -45,7 +45,6 @@ class BonesPanel(Sidebar, bpy.types.Panel):
     bl_idname = "VIEW3D_PT_jghand_bones"
     bl_label = "Bones"
     bl_order = ui.BONES
-    help_section = "rigs"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

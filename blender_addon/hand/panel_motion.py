@@ -20,7 +20,6 @@ class MotionPanel(Sidebar, bpy.types.Panel):
     bl_label = "Motion"
     bl_order = ui.MOTION
     bl_options = ui.CLOSED
-    help_section = "motion"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

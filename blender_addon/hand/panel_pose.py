@@ -18,7 +18,6 @@ class PosePanel(Sidebar, bpy.types.Panel):
     bl_idname = "VIEW3D_PT_jghand_pose"
     bl_label = "Pose"
     bl_order = ui.POSE
-    help_section = "pose"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

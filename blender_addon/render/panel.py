@@ -20,7 +20,6 @@ class ViewPanel(Sidebar, bpy.types.Panel):
     bl_idname = "VIEW3D_PT_jghand_view"
     bl_label = "View"
     bl_order = ui.VIEW
-    help_section = "view"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
@@ -64,7 +63,6 @@ class RenderPanel(Sidebar, bpy.types.Panel):
     bl_idname = "VIEW3D_PT_jghand_render"
     bl_label = "Render"
     bl_order = ui.RENDER
-    help_section = "render"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

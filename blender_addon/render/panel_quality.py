@@ -20,16 +20,14 @@ class QualityPanel(Sidebar, bpy.types.Panel):
     bl_idname = "VIEW3D_PT_jghand_quality"
     bl_label = "Quality and Speed"
     bl_order = ui.QUALITY
-    help_section = "quality"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         return ui.any_hand(context)
 
-    def draw_header_preset(self, context: bpy.types.Context) -> None:
-        """Presets, and the question mark."""
+    def draw_header_preset(self, _context: bpy.types.Context) -> None:
+        """The presets."""
         RENDER_PT_jghand_presets.draw_panel_header(self.layout)
-        Sidebar.draw_header_preset(self, context)
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.jghand

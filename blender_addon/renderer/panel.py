@@ -26,7 +26,6 @@ class AdvancedPanel(Sidebar, bpy.types.Panel):
     bl_label = "Advanced"
     bl_order = ui.ADVANCED
     bl_options = ui.CLOSED
-    help_section = "engine"
 
     def draw(self, context: bpy.types.Context) -> None:
         layout = self.layout

@@ -26,7 +26,6 @@ class TrainPanel(Sidebar, bpy.types.Panel):
     bl_label = "Train"
     bl_order = ui.TRAIN
     bl_options = ui.CLOSED
-    help_section = "training"
 
     def draw(self, context: bpy.types.Context) -> None:
         layout, settings = self.layout, context.scene.jghand.training
@@ -78,7 +77,6 @@ class CardPanel(Sidebar, bpy.types.Panel):
     bl_label = "Avatar"
     bl_order = ui.TRAIN - 1
     bl_options = ui.CLOSED
-    help_section = "avatar"
 
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:

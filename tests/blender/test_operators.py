@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 from recording_layout import operator_type
 
-from blender_addon import folders, help_page, properties, registration, versions
+from blender_addon import folders, manual, properties, registration, versions
 from blender_addon import ops as common
 from blender_addon.core import bone_maps, poses, posing
 from blender_addon.core.controls import FINGER_CONTROLS, HAND_CONTROL
@@ -39,7 +39,7 @@ _SHOWS = "shows something"
 _ENGINE = "the engine is none of the file"
 # what is not undone, and why
 NOT_UNDONE = {
-    **dict.fromkeys(("explain", "open_help", "open_preferences", "show_log", "show_job_log"), _SHOWS),
+    **dict.fromkeys(("explain", "open_preferences", "show_log", "show_job_log"), _SHOWS),
     **dict.fromkeys(("start_engine", "restart_engine", "stop_engine"), _ENGINE),
     **dict.fromkeys(("bake", "check_bake", "export", "render_training_set", "train"), _JOB),
     **dict.fromkeys(("cancel_job", "pause_training", "resume_training"), "a job is none of the file"),
@@ -55,7 +55,7 @@ ANYWHERE = {
     **dict.fromkeys(
         ("add_hand", "import_motion", "track_video", "use_standard", "use_engine", "make_pose_assets"), _NEEDS_NOTHING
     ),
-    **dict.fromkeys(("open_help", "open_preferences", "train", "export_scene_usd"), _NEEDS_NOTHING),
+    **dict.fromkeys(("open_preferences", "train", "export_scene_usd"), _NEEDS_NOTHING),
     **dict.fromkeys(("start_engine", "restart_engine", "install_tools", "render_training_set"), _NEEDS_NOTHING),
     **dict.fromkeys(("explain", "select_hand", "cancel_job", "show_job_log"), _ROW),
     **dict.fromkeys(("pause_training", "resume_training", "add_picture_preset"), _ROW),
@@ -757,20 +757,18 @@ def test_the_users_folder_is_there_also_without_an_installed_extension():
     assert folder.name == "logs"
 
 
-def test_help_opens_a_section_that_the_page_has(extension, monkeypatch):
-    import webbrowser
+def test_the_manual_has_a_section_for_every_operator_and_setting(extension):
+    from fnmatch import fnmatchcase
 
-    opened = []
-    monkeypatch.setattr(webbrowser, "open", lambda url, *_: opened.append(url) or True)
-    page = help_page.PAGE.read_text(encoding="utf-8")
-    from test_panels import PANELS
-
-    sections = {panel.help_section for panel in PANELS.values() if getattr(panel, "help_section", "")}
-    assert len(sections) > 5
-    for section in sections:
-        assert f'<h2 id="{section}">' in page, section
-        bpy.ops.jghand.open_help(section=section)
-    assert all(url.startswith("file://") for url in opened)
+    written = manual.PAGE.read_text(encoding="utf-8")
+    address, entries = manual.manual_map()
+    assert address.startswith("file://")
+    for _, section in entries:
+        assert f'<h2 id="{section[1:]}">' in written, section
+    patterns = [pattern for pattern, _ in entries]
+    settings = [f"bpy.types.{each.__name__}.any".lower() for each in properties.CLASSES]
+    for name in (*(f"bpy.ops.{each.bl_idname}" for each in OPERATORS), *settings):
+        assert any(fnmatchcase(name, pattern) for pattern in patterns), name
 
 
 def test_explain_says_its_text(extension, capfd):

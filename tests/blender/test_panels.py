@@ -71,7 +71,7 @@ def add(side: str = "right", **options: bool) -> bpy.types.Object:
 
 def test_an_empty_scene_shows_one_sentence_and_one_button(extension, engine):
     seen = draw(hand.HandPanel, extension)
-    assert seen.operators == ["jghand.open_help", "jghand.add_hand"]
+    assert seen.operators == ["jghand.add_hand"]
     assert "Add a hand" in text_of(seen)
     for panel in (
         panel_pose.PosePanel,
