@@ -24,7 +24,7 @@ from jghand_engine.cli.console import progress, write_json
 from jghand_engine.errors import InputError
 from jghand_engine.export.pictures import VIDEO_BACKGROUND, flatten, premultiplied, read_png, write_png
 from jghand_engine.files import file_error
-from jghand_engine.render.exposure import shutter_at
+from jghand_engine.render.blur import shutter_at
 
 if TYPE_CHECKING:
     from jghand_engine.cli.inputs import Motion

@@ -151,15 +151,6 @@ CROP_STEP_PX = 64
 # 51 to 57; RENDERING 9.1 has 59 for a shell of fewer layers)
 TAIL_ALPHA_MIN = 1.0 / 1024.0
 TAIL_PSNR_DB = 50.0
-# what may be missing from a picture that moves, or is out of focus, as a part of the contrast; more exposures cost more
-MOTION_ERROR_MAX = 1 / 64
-FOCUS_ERROR_MAX = 1 / 20
-# an edge of a splatted picture: largest slope per px and change of slope per px^2. The low pass alone makes 0.73 and
-# 0.81; layers of Gaussians over each other are steeper. With these the bounds held on the built-in hand
-EDGE_SLOPE = 1.2
-EDGE_CURVATURE = 2.4
-# what a disc of n sunflower samples misjudges of a half plane: at most 1.4 / n^0.75 (worst of n = 4 to 256)
-DISC_DISCREPANCY = 1.4
 # estimated cost on one core of the machine of RENDERING, milliseconds per Gaussian, per pixel, per pixel and sample
 SKIN_MS = 5e-6
 NETWORK_MS = 2.7e-4

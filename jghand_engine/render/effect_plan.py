@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import NamedTuple
 
 from jghand_engine.errors import InputError
 
@@ -79,15 +79,6 @@ AUTO = Choice()
 NOT_ALLOWED = "not among the chosen effects"
 
 
-class Box(NamedTuple):
-    """A rectangle of the picture, pixels."""
-
-    left: int
-    top: int
-    width: int
-    height: int
-
-
 @dataclass(frozen=True)
 class Decision:
     """About one effect. reason: why · bound: in words, how far the picture may be from one with (or, of what runs,
@@ -138,6 +129,12 @@ class EffectPlan:
     def runs(self, effect: Effect) -> bool:
         """Whether it was decided to run the effect."""
         return self[effect].runs
+
+    def with_averages(self, decisions: Sequence[Decision], exposures: int) -> EffectPlan:
+        """The plan of one image with those of the mean that it is a part of."""
+        changed = {one.effect: one for one in decisions}
+        merged = tuple(changed.get(one.effect, one) for one in self.decisions)
+        return replace(self, decisions=merged, exposures=exposures)
 
     @property
     def skipped_worst(self) -> float:

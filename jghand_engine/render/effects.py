@@ -21,18 +21,11 @@ from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.correctives import LinearCorrectives
 from jghand_engine.avatar.learned import ShadowLook
 from jghand_engine.hand.skeleton import Bones
+from jghand_engine.render.blur import Shutter, disc_px, focus_count, focus_error, motion_count, motion_error
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.effect_plan import NOT_ALLOWED, Box, Decision, Effect, EffectPlan
-from jghand_engine.render.exposure import (
-    Shutter,
-    disc_of_depths,
-    focus_count,
-    focus_error,
-    motion_count,
-    motion_error,
-    travel_px,
-)
+from jghand_engine.render.effect_plan import NOT_ALLOWED, Decision, Effect, EffectPlan
 from jghand_engine.render.gate import ShadowGate
+from jghand_engine.render.image import Box
 from jghand_engine.render.settings import RenderSettings
 from jghand_engine.render.shadow_effects import plan_shadows
 
@@ -40,7 +33,7 @@ from jghand_engine.render.shadow_effects import plan_shadows
 class HandFacts:
     """What plans need to know of an avatar, found once.
 
-    avatar: as it is drawn, see `equipped` · look: of its shadow, None where it was learned without one ·
+    avatar: as it is drawn, see `strip_disabled` · look: of its shadow, None where it was learned without one ·
     keeps_correctives: whether it is worth while to use those of the last pose again · sigma_m: of its median Gaussian ·
     offset_m: the longest offset of its correctives along an axis · log_stretch: the largest of an axis of its
     ellipsoids, None for spheres
@@ -95,7 +88,7 @@ def _corners(avatar: HandAvatar) -> tuple[np.ndarray, np.ndarray]:
     return moving, np.array(corners).reshape(-1, 8, 3)
 
 
-def equipped(avatar: HandAvatar, settings: RenderSettings) -> HandAvatar:
+def strip_disabled(avatar: HandAvatar, settings: RenderSettings) -> HandAvatar:
     """The avatar without what may not be drawn of it: no memory is taken for that, and no time."""
     learned, allows = avatar.learned, settings.effects.allows
     if learned is None:
@@ -123,7 +116,7 @@ class Kept(NamedTuple):
     corrected_rad: list[np.ndarray]
 
 
-def standing_still(joints_m: Sequence[np.ndarray], kept: Kept | None, settings: RenderSettings) -> float | None:
+def reusable(joints_m: Sequence[np.ndarray], kept: Kept | None, settings: RenderSettings) -> float | None:
     """How far the joints moved along an axis since they were posed, meters; None when they have to be posed again."""
     if kept is None or not settings.reuse or settings.effects.forces(Effect.SKIN):
         return None
@@ -316,36 +309,29 @@ def _exposures(
     elif not allows(Effect.MOTION):
         motion = Decision(Effect.MOTION, False, NOT_ALLOWED, "moving edges are sharp", 1.0)
     else:
-        length_px = travel_px(scene.shutter, scene.joints_m, scene.camera)
+        length_px = scene.shutter.travel_px(scene.joints_m, scene.camera)
         times = motion_count(length_px)
         error = motion_error(length_px, times)
-        motion = _averaged(Effect.MOTION, times, f"joints travel {length_px:.1f} px", error, once)
+        motion = averaged(Effect.MOTION, times, f"joints travel {length_px:.1f} px", error, once)
     lens = scene.camera.lens
     if lens is None or lens.aperture_m == 0:
         focus = Decision(Effect.FOCUS, False, "a pinhole", "0", 0.0)
     elif not allows(Effect.FOCUS):
         focus = Decision(Effect.FOCUS, False, NOT_ALLOWED, "everything is sharp", 1.0)
     else:
-        disc_px = _disc_px(scene, hands)
-        lenses = focus_count(disc_px)
-        focus = _averaged(Effect.FOCUS, lenses, f"discs of {disc_px:.1f} px", focus_error(disc_px, lenses), once)
+        wide_px = disc_px(scene.camera, scene.joints_m, max(bones.scale for bones in scene.bones))
+        lenses = focus_count(wide_px)
+        focus = averaged(Effect.FOCUS, lenses, f"discs of {wide_px:.1f} px", focus_error(wide_px, lenses), once)
     return max(times, lenses), (motion, focus)
 
 
-def _averaged(effect: Effect, count: int, reason: str, error: float, once_ms: float) -> Decision:
+def averaged(effect: Effect, count: int, reason: str, error: float, once_ms: float = 0.0) -> Decision:
     """Of averaging `count` pictures, which misses `error` of the contrast of an edge."""
     missed = f"{100 * error:.1g} % of an edge's contrast"
     if count == 1:
         return Decision(effect, False, reason, missed, error, once_ms)
     told = f"{reason}, {count} pictures, which miss {missed}"
     return Decision(effect, True, told, "sharp edges", 1.0, (count - 1) * once_ms)
-
-
-def _disc_px(scene: Scene, hands: Sequence[HandFacts]) -> float:
-    """Diameter of the largest disc that a point of the hands becomes."""
-    flesh_m = 1e-3 * max(limits.GATE_CAPSULE_RADII_MM) * max(bones.scale for bones in scene.bones)
-    depths = np.concatenate([depth for _, depth in scene.seen_joints])
-    return disc_of_depths(scene.camera, float(depths.min()) - flesh_m, float(depths.max()) + flesh_m)
 
 
 def _whole(

@@ -28,22 +28,36 @@ from jghand_engine.native import library as native_library
 from jghand_engine.native.enlarge import native_enlarged
 from jghand_engine.native.rasterizer import check_picture_size
 from jghand_engine.render.backend import SHADOW, SKIN, Backend, Canvas, Pose
+from jghand_engine.render.blur import (
+    LinearMean,
+    Moment,
+    Shutter,
+    check_moments,
+    disc_px,
+    exposures,
+    filled,
+    focus_count,
+    focus_error,
+    motion_error,
+    pinholes,
+    way_px,
+)
 from jghand_engine.render.camera import Camera
-from jghand_engine.render.effect_plan import Box, Effect, EffectPlan
+from jghand_engine.render.effect_plan import Effect, EffectPlan
 from jghand_engine.render.effects import (
     HandFacts,
     Kept,
     Scene,
-    equipped,
+    averaged,
     hand_box,
     plan_effects,
+    reusable,
     same_shape,
-    standing_still,
+    strip_disabled,
 )
-from jghand_engine.render.exposure import Shutter, exposures
-from jghand_engine.render.mean_picture import Drawn, MeanPicture, averaged_down
+from jghand_engine.render.image import Box, Image
 from jghand_engine.render.passes import surface_normals
-from jghand_engine.render.report import FrameReport
+from jghand_engine.render.report import FrameReport, summed
 from jghand_engine.render.settings import RenderSettings
 from jghand_engine.render.shadow import ShadowStyle
 
@@ -80,7 +94,7 @@ class SceneRenderer:
             raise InputError("hands of a picture", wanted="at least one avatar", came="none")
         for avatar in avatars:
             check_follows_joints(avatar)
-        allowed = [equipped(avatar.prefix(self.settings.gaussians), self.settings) for avatar in avatars]
+        allowed = [strip_disabled(avatar.prefix(self.settings.gaussians), self.settings) for avatar in avatars]
         chosen = [_with_tier(avatar, self.settings.correctives) for avatar in allowed]
         self._avatars = [avatar for avatar, _ in chosen]
         self._tiers = ", ".join(dict.fromkeys(told for _, told in chosen if told))
@@ -108,11 +122,11 @@ class SceneRenderer:
         camera: Camera,
         shutter: Shutter | None = None,
         *,
-        between: Callable[[], None] = lambda: None,
+        check_canceled: Callable[[], None] = lambda: None,
     ) -> Frame:
         """One picture. joints_m: per hand (21, 3), level order, meters, in the frame the camera is given in.
-        shutter: how the hands move around these joints while it is open; None for a moment. between: called between
-        the parts of the picture that take long; may raise to end it.
+        shutter: how the hands move around these joints while it is open; None for a moment. check_canceled: called
+        between the parts of the image that take long; may raise to end it.
 
         InputError names a joint that is not finite; to hold the last good pose is the motion's business
         (`PoseSequence.with_gaps_held`).
@@ -120,15 +134,15 @@ class SceneRenderer:
         # what is drawn may be the hand's box alone
         check_picture_size(camera.width, camera.height)
         if not self.settings.half:
-            return self._render(joints_m, camera, shutter, between)
-        return _enlarged(self._render(joints_m, camera.halved(), shutter, between), camera)
+            return self._render(joints_m, camera, shutter, check_canceled)
+        return _enlarged(self._render(joints_m, camera.halved(), shutter, check_canceled), camera)
 
     def _render(
         self,
         joints_m: Sequence[np.ndarray],
         camera: Camera,
         shutter: Shutter | None,
-        between: Callable[[], None],
+        check_canceled: Callable[[], None],
     ) -> Frame:
         started = time.perf_counter()
         report = FrameReport(backend=self._backend.variant, threads=self._backend.threads)
@@ -140,18 +154,72 @@ class SceneRenderer:
         report.plan = plan = self._plan(shot, camera, shutter, report)
         report.notes += shot.posed.notes + shot.posed.unseen
         if plan.exposures == 1:
-            drawn = self._picture(shot, replace(camera, lens=None), plan, report, between)
+            drawn = self._picture(shot, replace(camera, lens=None), plan, report, check_canceled)
         else:
-            mean = MeanPicture(camera.width, camera.height)
+            mean = LinearMean(camera.width, camera.height)
             for moment_m, pinhole in exposures(hands, camera, shutter, plan.exposures):
                 shot = self._pose(moment_m, report)
-                mean.add(self._picture(shot, pinhole, plan, report, between), 1 / plan.exposures)
-            drawn = mean.drawn()
+                mean.add(self._picture(shot, pinhole, plan, report, check_canceled), 1 / plan.exposures)
+            drawn = mean.image()
         report.explain(SKIN, self._tiers)
-        between()
+        check_canceled()
         frame = self._finished(drawn, camera, plan, report)
         report.total_ms = 1e3 * (time.perf_counter() - started)
         return frame
+
+    def render_moments(
+        self,
+        moments: Sequence[Moment],
+        weights: Sequence[float] = (1.0,),
+        *,
+        middle: int = 0,
+        check_canceled: Callable[[], None] = lambda: None,
+    ) -> tuple[Frame, np.ndarray]:
+        """The mean of all moments, each with its own pose and its own camera: for whoever knows the scene between two
+        frames, as Blender does. Where they are too far from each other to look like a movement, more are put between
+        them. Depth is that of the middle one, through the middle of its lens, and the renderer is left with its hands.
+        Besides, (H, W) float32: the mean depth, meters, of all that covers a pixel, blur too: what a combination by
+        depth needs.
+
+        weights: one per moment, 0 or more, some above · check_canceled: called before each image and between the parts
+        of one; may raise to end it all.
+        InputError for moments of different sizes, or weights that are none.
+        """
+        check_moments(moments, weights)
+        seen, shares = filled(moments, weights)
+        center = moments[middle]
+        wide_px = disc_px(center.camera, center.joints_m)
+        blurred = any(moment.camera.lens is not None and moment.camera.lens.aperture_m > 0 for moment in moments)
+        each = -(-focus_count(wide_px) // len(seen)) if blurred else 1
+        sharp = replace(center.camera, lens=None)
+        if len(seen) == 1 and each == 1:
+            check_canceled()
+            frame = self.render(center.joints_m, sharp, check_canceled=check_canceled)
+            return frame, frame.depth_m
+        mean, reports, whole = LinearMean(sharp.width, sharp.height), [], Box(0, 0, sharp.width, sharp.height)
+        for index, (moment, share) in enumerate(zip(seen, shares, strict=True)):
+            for pinhole in pinholes(moment.camera, index, each, len(seen)):
+                check_canceled()
+                frame = self.render(moment.joints_m, pinhole, check_canceled=check_canceled)
+                mean.add(Image(whole, frame.rgba, frame.depth_m), share / each)
+                reports.append(frame.report)
+        check_canceled()
+        last = self.render(center.joints_m, sharp, check_canceled=check_canceled)
+        reports.append(last.report)
+        plan, count = last.report.plan, len(seen) * each
+        if plan is not None:
+            averages = []
+            if len(seen) > 1:
+                length_px = way_px(seen)
+                missed = motion_error(length_px, len(seen))
+                averages.append(averaged(Effect.MOTION, len(seen), f"joints travel {length_px:.1f} px", missed))
+            if blurred:
+                missed = focus_error(wide_px, count)
+                averages.append(averaged(Effect.FOCUS, count, f"discs of {wide_px:.1f} px", missed))
+            plan = plan.with_averages(averages, count)
+        image = mean.image()
+        assert image.depth_m is not None
+        return Frame(image.rgba, last.depth_m, summed(reports, plan)), image.depth_m
 
     def bone_ids(self, camera: Camera) -> np.ndarray:
         """(H, W) uint8: which bone covers most of a pixel, of the hands as they were drawn last, through the middle of
@@ -177,7 +245,7 @@ class SceneRenderer:
     def _pose(self, hands: list[np.ndarray], report: FrameReport) -> _Shot:
         """The bone transforms, and whether they are new. Nothing is kept of it before it is painted."""
         started, last, settings = time.perf_counter(), self._posed, self.settings
-        moved_m = standing_still(hands, None if last is None else last.kept, settings)
+        moved_m = reusable(hands, None if last is None else last.kept, settings)
         if last is not None and moved_m is not None:
             return _Shot(last, moved_m)
         origin_m = hands[0][0]
@@ -231,8 +299,8 @@ class SceneRenderer:
     # ---- the picture -------------------------------------------------------------------------------------------------
 
     def _picture(
-        self, shot: _Shot, camera: Camera, plan: EffectPlan, report: FrameReport, between: Callable[[], None]
-    ) -> Drawn:
+        self, shot: _Shot, camera: Camera, plan: EffectPlan, report: FrameReport, check_canceled: Callable[[], None]
+    ) -> Image:
         """One moment through one pinhole: of the whole picture or of the hands' box in it."""
         posed, box = shot.posed, None
         if plan.enlarged > 1 or not plan.runs(Effect.WHOLE):
@@ -241,23 +309,23 @@ class SceneRenderer:
         box = box or Box(0, 0, camera.width, camera.height)
         part, drawn = camera.part(*box), []
         if plan.plain > 0:
-            between()
+            check_canceled()
             drawn.append((self._painted(shot, part, box, plan, report), plan.plain))
         if plan.plain < 1:
             # what was posed for the picture above stays
             again = shot if plan.plain == 0 else _Shot(posed, 0.0)
-            between()
+            check_canceled()
             large = self._painted(again, part.scaled(plan.enlarged), box, plan, report)
-            between()
-            drawn.append((averaged_down(large, plan.enlarged), 1 - plan.plain))
+            check_canceled()
+            drawn.append((large.averaged_down(plan.enlarged), 1 - plan.plain))
         if len(drawn) == 1:
             return drawn[0][0]
-        mean = MeanPicture(camera.width, camera.height)
+        mean = LinearMean(camera.width, camera.height)
         for one, weight in drawn:
             mean.add(one, weight)
-        return mean.drawn()
+        return mean.image()
 
-    def _painted(self, shot: _Shot, camera: Camera, box: Box, plan: EffectPlan, report: FrameReport) -> Drawn:
+    def _painted(self, shot: _Shot, camera: Camera, box: Box, plan: EffectPlan, report: FrameReport) -> Image:
         # normals are those of the depth
         depth = plan.runs(Effect.DEPTH) or plan.runs(Effect.NORMALS)
         canvas = self._canvas(shot.posed, camera, plan.strength, plan.alpha_min, depth=depth)
@@ -268,7 +336,7 @@ class SceneRenderer:
         rgba, depth_m = self._backend.draw(poses, canvas, report, keep_image=keeps)
         weights = self._hand_weights(rgba, canvas, report) if plan.runs(Effect.IDS) else None
         self._posed, self._drawn = shot.posed, canvas
-        return Drawn(box, rgba, depth_m, weights)
+        return Image(box, rgba, depth_m, weights)
 
     def _hand_weights(self, rgba: np.ndarray, canvas: Canvas, report: FrameReport) -> np.ndarray:
         """(H, W, hands) how much of the pixel each hand covers."""
@@ -293,7 +361,7 @@ class SceneRenderer:
         radius_m = self.settings.shadow_radius_m
         return ShadowStyle(self.settings.shadow_samples, strength, radius_m, gain=gain, tint=(red, green, blue))
 
-    def _finished(self, drawn: Drawn, camera: Camera, plan: EffectPlan, report: FrameReport) -> Frame:
+    def _finished(self, drawn: Image, camera: Camera, plan: EffectPlan, report: FrameReport) -> Frame:
         whole = drawn.laid_out(camera.width, camera.height)
         normal = ids = None
         if plan.runs(Effect.NORMALS) and whole.depth_m is not None:

@@ -49,8 +49,8 @@ def _tangent(points: np.ndarray, valid: np.ndarray, step: np.ndarray, axis: int)
     use_forward = ahead & (~behind | (size_f < size_b))
     tangent = np.where(use_forward[..., None], forward, backward)
     tangent = np.where(agree[..., None], np.float32(0.5) * (forward + backward), tangent)
-    tangent[~(ahead | behind)] = np.eye(3)[1 - axis]
-    return tangent
+    along = np.eye(3, dtype=points.dtype)[1 - axis]
+    return np.where((ahead | behind)[..., None], tangent, along)
 
 
 def _neighbor(points: np.ndarray, valid: np.ndarray, step: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:

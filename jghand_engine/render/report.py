@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -38,7 +39,7 @@ class FrameReport:
     """The receipt that comes with every picture.
 
     invalid_gaussians: not drawable, left out · visible_gaussians: drawn · gaussians: posed · notes: what was unusual
-    about the hand · backend: "torch" or the native variant · plan: which effects were decided to run
+    about the hand · backend: the variant of the kernels · plan: which effects were decided to run
     """
 
     stages: list[Stage] = field(default_factory=list)
@@ -98,6 +99,20 @@ class FrameReport:
             "stages": [vars(stage) for stage in self.stages],
             "effects": [] if self.plan is None else [one.as_dict() for one in self.plan.decisions],
         }
+
+
+def summed(reports: Sequence[FrameReport], plan: EffectPlan | None) -> FrameReport:
+    """One receipt of all images of a mean: times are added, notes said once, the rest is that of the last one."""
+    whole = replace(reports[-1], stages=[], notes=[], plan=plan)
+    for report in reports:
+        for stage in report.stages:
+            if stage.ran:
+                whole.ran(stage.name, stage.milliseconds, stage.reason)
+            else:
+                whole.skipped(stage.name, stage.reason, stage.bound)
+    whole.notes = list(dict.fromkeys(note for report in reports for note in report.notes))
+    whole.total_ms = sum(report.total_ms for report in reports)
+    return whole
 
 
 class EffectSums:

@@ -23,8 +23,8 @@ from jghand_engine.service.picture_request import Exposure, PictureRequest, Pict
 
 if TYPE_CHECKING:
     from jghand_engine.avatar.avatar import HandAvatar
+    from jghand_engine.render.blur import Moment
     from jghand_engine.render.frame import SceneRenderer
-    from jghand_engine.render.moments import Moment
     from jghand_engine.render.settings import RenderSettings
 
 
@@ -89,7 +89,7 @@ class EngineHands:
         """All hands in one picture: their Gaussians are drawn together, so that hands may interlock. A request's world
         is the one of the renderer, in which trained hands have their light."""
         with self._telling("Loading PyTorch"):
-            from jghand_engine.render.moments import render_moments
+            import jghand_engine.render.frame  # noqa: F401
 
         moments = [_moment(exposure, picture) for exposure in picture.exposures]
         weights = [exposure.weight for exposure in picture.exposures]
@@ -99,7 +99,7 @@ class EngineHands:
             if canceled():
                 raise Canceled
 
-        frame, covered_depth_m = render_moments(renderer, moments, weights, middle=picture.middle, between=check)
+        frame, covered_depth_m = renderer.render_moments(moments, weights, middle=picture.middle, check_canceled=check)
         ids = renderer.bone_ids(moments[picture.middle].camera) if picture.ids else None
         return Painting(frame.rgba, frame.report.as_dict(), frame.depth_m, ids, covered_depth_m)
 
@@ -208,8 +208,8 @@ def _thinned(avatar: HandAvatar, gaussians: int, density: float) -> HandAvatar:
 
 def _moment(exposure: Exposure, picture: PictureRequest) -> Moment:
     from jghand_engine.hand.orders import JointOrder, to_level
+    from jghand_engine.render.blur import Moment
     from jghand_engine.render.camera import Camera, Lens
-    from jghand_engine.render.moments import Moment
 
     camera = Camera(
         picture.width,

@@ -25,9 +25,9 @@ from jghand_engine.learn.metrics import psnr
 from jghand_engine.learn.shadow import darken
 from jghand_engine.learn.tables import NONE, Table, number
 from jghand_engine.native.library import load
+from jghand_engine.render.blur import shutter_at
 from jghand_engine.render.camera import Camera, Lens
 from jghand_engine.render.effect_plan import Choice, Effect
-from jghand_engine.render.exposure import shutter_at
 from jghand_engine.render.frame import Frame, HandRenderer
 from jghand_engine.render.gate import ShadowGate, fade
 from jghand_engine.render.settings import RenderSettings, ShadowMode, preset

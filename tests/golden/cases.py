@@ -22,8 +22,8 @@ from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose, pose_sequence_of_names
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.motion.files import write_motion
+from jghand_engine.render.blur import shutter_at
 from jghand_engine.render.camera import Camera, Lens
-from jghand_engine.render.exposure import shutter_at
 from jghand_engine.render.frame import Frame, HandRenderer, SceneRenderer
 from jghand_engine.render.settings import ShadowMode, preset
 
@@ -113,7 +113,7 @@ class Picture:
 
 # where a draft's pixel stops depends on which pixels a kernel draws together
 DRAFT = {"t_stop": 1e-4}
-# lenses and shutters average display-referred pictures: groups of their own, as that may change on purpose
+# lenses and shutters average in linear light: groups of their own
 PICTURES: dict[str, list[Picture]] = {
     "plain": [
         Picture("open", "builtin", RIGHT, "viewport", "front"),

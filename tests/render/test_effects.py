@@ -13,6 +13,9 @@ from small_avatars import ellipsoid_avatar, trained_avatar
 from jghand_engine import limits
 from jghand_engine.avatar.builtin import load_builtin, load_painted
 from jghand_engine.avatar.fast_correctives import FastNetwork
+from jghand_engine.avatar.pose_features import Angles
+from jghand_engine.avatar.tensors import HandTensors
+from jghand_engine.color import srgb_to_linear
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
@@ -20,11 +23,12 @@ from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.pose_features import Angles
 from jghand_engine.learn.tensors import HandTensors
 from jghand_engine.native import library as native_library
-from jghand_engine.render import backend, effects, shadow_effects
+from jghand_engine.render import backend, blur, effects, shadow_effects
+from jghand_engine.render.blur import Shutter
 from jghand_engine.render.camera import Camera, Lens
-from jghand_engine.render.effect_plan import CHOOSABLE, Box, Choice, Effect
-from jghand_engine.render.exposure import Shutter
+from jghand_engine.render.effect_plan import CHOOSABLE, Choice, Effect
 from jghand_engine.render.frame import Frame, HandRenderer, SceneRenderer
+from jghand_engine.render.image import Box
 from jghand_engine.render.settings import RenderSettings, ShadowMode
 
 RIGHT = load_painted(handedness=Handedness.RIGHT)
@@ -207,7 +211,7 @@ def test_correctives_that_are_kept_lack_what_the_receipt_says():
 
 def test_what_may_not_be_drawn_of_an_avatar_takes_no_memory():
     avatar = ellipsoid_avatar(500)
-    bare = effects.equipped(avatar, replace(SMALL, effects=Choice.parse("none"))).learned
+    bare = effects.strip_disabled(avatar, replace(SMALL, effects=Choice.parse("none"))).learned
     assert bare is not None
     assert bare.correctives is None
     assert bare.cast is None
@@ -371,6 +375,13 @@ def test_maps_show_the_surface_and_whose_it_is():
     assert first < second
 
 
+def linear(frame: Frame) -> np.ndarray:
+    """(H, W, 4) premultiplied, in linear light."""
+    alpha = frame.rgba[..., 3:]
+    straight = np.divide(frame.rgba[..., :3], alpha, out=np.zeros_like(frame.rgba[..., :3]), where=alpha > 0)
+    return np.concatenate([srgb_to_linear(straight) * alpha, alpha], -1)
+
+
 # ---- time and lens --------------------------------------------------------------------------------------------------
 
 
@@ -385,8 +396,8 @@ def test_motion_blur_is_the_mean_of_very_many_pictures(shift_m: float):
     joints, shutter = moving(shift_m)
     renderer, view = HandRenderer(RIGHT, replace(SMALL, shadow=ShadowMode.OFF)), camera()
     blurred = renderer.render(joints, view, shutter)
-    brute = sum(renderer.render(shutter.at((k + 0.5) / 96, [joints])[0], view).rgba / 96 for k in range(96))
-    assert float(np.abs(blurred.rgba - brute).max()) <= limits.MOTION_ERROR_MAX  # observed 0.007
+    brute = sum(linear(renderer.render(shutter.at((k + 0.5) / 96, [joints])[0], view)) / 96 for k in range(96))
+    assert float(np.abs(linear(blurred) - brute).max()) <= blur.MOTION_ERROR_MAX  # observed 0.007
 
 
 @pytest.mark.parametrize("aperture_m", [0.002, 0.01, 0.03])
@@ -399,8 +410,8 @@ def test_a_lens_is_the_mean_of_very_many_pinholes(aperture_m: float):
     radius = np.sqrt((np.arange(400) + 0.5) / 400)
     angle = np.arange(400) * np.pi * (3 - np.sqrt(5))
     points = 0.5 * aperture_m * radius[:, None] * np.stack([np.cos(angle), np.sin(angle)], 1)
-    brute = sum(renderer.render(joints, view.through(float(x), float(y))).rgba / 400 for x, y in points)
-    assert float(np.abs(seen.rgba - brute).max()) <= limits.FOCUS_ERROR_MAX  # observed 0.044
+    brute = sum(linear(renderer.render(joints, view.through(float(x), float(y)))) / 400 for x, y in points)
+    assert float(np.abs(linear(seen) - brute).max()) <= blur.FOCUS_ERROR_MAX  # observed 0.044
 
 
 def test_what_is_in_focus_stays_where_it_was():
@@ -427,4 +438,4 @@ def test_faster_hands_get_more_pictures():
         joints, shutter = moving(shift_m)
         counts.append(plan_of(HandRenderer(RIGHT, SMALL).render(joints, camera(), shutter)).exposures)
     assert counts == sorted(counts)
-    assert counts[0] < counts[-1] <= 0.5 / limits.MOTION_ERROR_MAX
+    assert counts[0] < counts[-1] <= 0.5 / blur.MOTION_ERROR_MAX

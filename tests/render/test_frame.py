@@ -330,7 +330,7 @@ def test_a_picture_that_is_given_up_between_its_parts_harms_no_later_one(backend
     renderer = HandRenderer(RIGHT, settings)._scene
     wanted = HandRenderer(RIGHT, settings).render(poses[1], view).rgba
     parts = []
-    renderer.render([poses[0]], view, between=lambda: parts.append(None))
+    renderer.render([poses[0]], view, check_canceled=lambda: parts.append(None))
     assert len(parts) > 1
     for last in range(1, len(parts) + 1):
         calls = []
@@ -341,7 +341,7 @@ def test_a_picture_that_is_given_up_between_its_parts_harms_no_later_one(backend
                 raise KeyboardInterrupt
 
         with pytest.raises(KeyboardInterrupt):
-            renderer.render([poses[1]], view, between=give_up)
+            renderer.render([poses[1]], view, check_canceled=give_up)
         np.testing.assert_array_equal(renderer.render([poses[1]], view).rgba, wanted)
         renderer.render([poses[0]], view)
 

@@ -18,7 +18,7 @@ from jghand_engine.color import srgb_to_linear
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, to_level
-from jghand_engine.render import moments
+from jghand_engine.render import blur
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.frame import HandRenderer
 from jghand_engine.render.settings import RenderSettings, preset
@@ -272,7 +272,7 @@ def moved(hand: Hand, x_m: float) -> Hand:
 @pytest.fixture
 def as_given(monkeypatch):
     """No moments are put between those that are given."""
-    monkeypatch.setattr(moments, "motion_count", lambda _: 1)
+    monkeypatch.setattr(blur, "motion_count", lambda _: 1)
 
 
 def test_moments_are_averaged_in_linear_light_and_the_middle_one_gives_depth_and_ids(source, right, as_given):
@@ -299,7 +299,7 @@ def test_moments_that_are_far_apart_are_filled_in(source, right):
     came = source.render(asked([right], *(exposure([moved(right, x_m)]) for x_m in at)))
     dense = np.linspace(-0.04, 0.04, 65)[:-1] + 0.04 / 64
     wanted = np.mean([source.render(asked([moved(right, x_m)])).rgba[..., 3] for x_m in dense], 0)
-    # worst observed 0.019, of the moments as they are 0.38: the promise of exposure.motion_count is 1/64 of an edge
+    # worst observed 0.019, of the moments as they are 0.38: the promise of blur.motion_count is 1/64 of an edge
     assert np.abs(came.rgba[..., 3] - wanted).max() < 0.025
     told = {effect["effect"]: effect for effect in came.report["effects"]}
     assert "28 pictures" in told["motion-blur"]["reason"]

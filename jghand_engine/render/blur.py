@@ -1,0 +1,267 @@
+"""Motion blur and depth of field: the poses and the pinholes that one image is the mean of, and that mean.
+
+Images are averaged in linear light, premultiplied: what a camera's sensor adds up. They come in and go out
+display-referred, as they are blended.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from jghand_engine import limits
+from jghand_engine.color import linear_to_srgb, srgb_to_linear
+from jghand_engine.errors import InputError
+from jghand_engine.hand.sequence import pose_between
+from jghand_engine.render.camera import Camera, Lens
+from jghand_engine.render.image import Box, Image, mean_depth
+from jghand_engine.render.shadow import vogel_disc
+
+# what may be missing from an image that moves, or is out of focus, as a part of the contrast; more exposures cost more
+MOTION_ERROR_MAX = 1 / 64
+FOCUS_ERROR_MAX = 1 / 20
+# an edge of a splatted image: largest slope per px and change of slope per px^2. The low pass alone makes 0.73 and
+# 0.81; layers of Gaussians over each other are steeper. With these the bounds held on the built-in hand
+EDGE_SLOPE = 1.2
+EDGE_CURVATURE = 2.4
+# what a disc of n sunflower samples misjudges of a half plane: at most 1.4 / n^0.75 (worst of n = 4 to 256)
+DISC_DISCREPANCY = 1.4
+
+# ---- how many exposures ---------------------------------------------------------------------------------------------
+
+
+def motion_error(length_px: float, count: int) -> float:
+    """What `count` evenly spread images miss of an edge that moves by `length_px`, as a part of its contrast.
+
+    Steps of up to a pixel: the midpoint rule on an edge as steep as splats make it. Longer ones leave stairs of
+    1 / count, which are off by half of that.
+    """
+    step = length_px / count
+    if step > 1.0:
+        return 0.5 / count
+    smooth = step * step / 24 * min(EDGE_CURVATURE, 2 * EDGE_SLOPE / max(length_px, 1e-9))
+    return min(smooth, 0.5 / count) if count > 1 else smooth
+
+
+def focus_error(disc_px: float, count: int) -> float:
+    """What `count` pinholes miss of an edge that is out of focus by a disc of `disc_px`, as a part of its contrast."""
+    step = disc_px * math.sqrt(math.pi / 4 / count)
+    smooth = step * step / 24 * EDGE_CURVATURE if step <= 1.0 else math.inf
+    return min(DISC_DISCREPANCY / count**0.75, smooth)
+
+
+def motion_count(length_px: float) -> int:
+    """The least number of images within MOTION_ERROR_MAX."""
+    most = math.ceil(0.5 / MOTION_ERROR_MAX)
+    return next((n for n in range(1, most) if motion_error(length_px, n) <= MOTION_ERROR_MAX), most)
+
+
+def focus_count(disc_px: float) -> int:
+    """The least number of pinholes within FOCUS_ERROR_MAX."""
+    most = math.ceil((DISC_DISCREPANCY / FOCUS_ERROR_MAX) ** (4 / 3))
+    return next((n for n in range(1, most) if focus_error(disc_px, n) <= FOCUS_ERROR_MAX), most)
+
+
+def disc_px(camera: Camera, joints_m: Sequence[np.ndarray], scale: float = 1.0) -> float:
+    """Diameter of the largest disc that a point of the hands (21, 3), meters, becomes. scale: of the largest hand."""
+    if camera.lens is None:
+        return 0.0
+    depth_m = camera.project(np.concatenate(joints_m))[1]
+    flesh_m = 1e-3 * max(limits.GATE_CAPSULE_RADII_MM) * scale
+    ends = (float(depth_m.min()) - flesh_m, float(depth_m.max()) + flesh_m)
+    return max(camera.lens.blur_px(max(camera.fx, camera.fy), max(end, limits.Z_NEAR_M)) for end in ends)
+
+
+# ---- an open shutter ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Shutter:
+    """While it is open the hands move; the pose that is rendered is the one in the middle.
+
+    opens_m, closes_m: per hand (21, 3) joints, meters, at its first and its last moment, in the frame of the camera
+    """
+
+    opens_m: Sequence[np.ndarray]
+    closes_m: Sequence[np.ndarray]
+
+    def at(self, part: float, middle_m: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """Joints of every hand at `part`, 0..1, of the time."""
+        if part < 0.5:
+            pairs = zip(self.opens_m, middle_m, strict=True)
+            return [pose_between(first, second, 2 * part) for first, second in pairs]
+        pairs = zip(middle_m, self.closes_m, strict=True)
+        return [pose_between(first, second, 2 * part - 1) for first, second in pairs]
+
+    def travel_px(self, middle_m: Sequence[np.ndarray], camera: Camera) -> float:
+        """The longest way of a joint on the image, as if it went all the time as fast as in its faster half: exposures
+        are evenly spread in time. Infinite when it passes the near plane."""
+        return 2 * float(_steps_px([Moment(m, camera) for m in (self.opens_m, middle_m, self.closes_m)]).max())
+
+
+def shutter_at(joints_m: np.ndarray, index: int, open_for: float) -> Shutter | None:
+    """The shutter of one frame of a motion (F, 21, 3), open around it for a part, 0..1, of the time between frames.
+    None for 0. Before the first frame and after the last one nothing moves."""
+    if open_for == 0:
+        return None
+    before, here, after = (joints_m[np.clip(index + step, 0, len(joints_m) - 1)] for step in (-1, 0, 1))
+    return Shutter([pose_between(here, before, open_for / 2)], [pose_between(here, after, open_for / 2)])
+
+
+def exposures(
+    middle_m: Sequence[np.ndarray], camera: Camera, shutter: Shutter | None, count: int
+) -> Iterator[tuple[list[np.ndarray], Camera]]:
+    """`count` images to be averaged: joints per hand, and a pinhole. Times are evenly spread."""
+    for index in range(count):
+        joints = list(middle_m) if shutter is None else shutter.at((index + 0.5) / count, middle_m)
+        yield joints, pinholes(camera, index, 1, count)[0]
+
+
+def pinholes(camera: Camera, index: int, each: int, moments: int) -> list[Camera]:
+    """The `each` pinholes on the lens of moment `index`: its share of a sunflower over the whole lens, the places of
+    which have nothing to do with time."""
+    if camera.lens is None:
+        return [camera] * each
+    count = each * moments
+    places_m = camera.lens.aperture_m / 2 * vogel_disc(count)
+    # a stride near the golden section that visits every place
+    stride = max(1, round(count * 0.618))
+    while math.gcd(stride, count) != 1:
+        stride += 1
+    chosen = [places_m[(index * each + turn) * stride % count] for turn in range(each)]
+    return [camera.through(float(x), float(y)) for x, y in chosen]
+
+
+# ---- moments of a scene ---------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Moment:
+    """One moment of a scene that somebody else knows, such as Blender.
+
+    joints_m: per hand (21, 3), level order, meters, in the frame of the camera
+    camera:   with its lens
+    """
+
+    joints_m: Sequence[np.ndarray]
+    camera: Camera
+
+
+def check_moments(moments: Sequence[Moment], weights: Sequence[float]) -> None:
+    """InputError for moments of different sizes, or weights that are none."""
+    sizes = {(moment.camera.width, moment.camera.height) for moment in moments}
+    if len(sizes) != 1:
+        raise InputError("moments of an image", wanted="at least one, all of one size", came=str(sorted(sizes)))
+    good = len(weights) == len(moments) and all(0 <= weight < np.inf for weight in weights) and sum(weights) > 0
+    if not good:
+        raise InputError("weights of moments", wanted=f"{len(moments)} of 0 or more, not all 0", came=str(weights)[:80])
+
+
+def filled(moments: Sequence[Moment], weights: Sequence[float]) -> tuple[list[Moment], list[float]]:
+    """As many moments as the movement needs on the image (`motion_count`), evenly spread over the same time, and their
+    shares, which sum to 1. Between two that are given bones turn, and cameras too; before the first and after the last
+    one, by half a step, they go on so."""
+    count = len(moments)
+    steps = -(-motion_count(way_px(moments)) // count) if count > 1 else 1
+    if steps == 1:
+        return list(moments), [weight / sum(weights) for weight in weights]
+    seen, shares = [], []
+    for place in range(count * steps):
+        at = (place + 0.5) / steps - 0.5
+        first = min(max(math.floor(at), 0), count - 2)
+        part = at - first
+        seen.append(_moment_between(moments[first], moments[first + 1], part))
+        shares.append(max(0.0, (1 - part) * weights[first] + part * weights[first + 1]))
+    return seen, [share / sum(shares) for share in shares]
+
+
+def way_px(moments: Sequence[Moment]) -> float:
+    """The longest way of a joint on the image; infinite when it passes the near plane."""
+    return float(_steps_px(moments).sum(0).max()) if len(moments) > 1 else 0.0
+
+
+def _steps_px(moments: Sequence[Moment]) -> np.ndarray:
+    """(moments - 1, joints) pixels from one moment to the next; infinite when a joint passes the near plane."""
+    seen = [moment.camera.project(np.concatenate(moment.joints_m)) for moment in moments]
+    if not all((depth_m > limits.Z_NEAR_M).all() for _, depth_m in seen):
+        return np.full((1, 1), np.inf)
+    return np.linalg.norm(np.diff(np.stack([pixels for pixels, _ in seen]), axis=0), axis=-1)
+
+
+def _moment_between(first: Moment, second: Moment, part: float) -> Moment:
+    joints = [pose_between(a, b, part) for a, b in zip(first.joints_m, second.joints_m, strict=True)]
+    return Moment(joints, _camera_between(first.camera, second.camera, part))
+
+
+def _camera_between(first: Camera, second: Camera, part: float) -> Camera:
+    """Numbers and places linear, directions along the shortest turn."""
+    a, b = first.camera_from_world, second.camera_from_world
+    matrix = np.eye(4)
+    matrix[:3, :3] = turn = _turned(a[:3, :3], b[:3, :3], part)
+    matrix[:3, 3] = turn @ ((1 - part) * a[:3, :3].T @ a[:3, 3] + part * b[:3, :3].T @ b[:3, 3])
+
+    def mixed(x: float, y: float) -> float:
+        return (1 - part) * x + part * y
+
+    numbers = {name: mixed(getattr(first, name), getattr(second, name)) for name in ("fx", "fy", "cx", "cy")}
+    lens = first.lens
+    if first.lens is not None and second.lens is not None:
+        focus_m = mixed(first.lens.focus_m, second.lens.focus_m)
+        lens = Lens(max(0.0, mixed(first.lens.aperture_m, second.lens.aperture_m)), focus_m)
+    return replace(first, camera_from_world=matrix, lens=lens, **numbers)
+
+
+def _turned(first: np.ndarray, second: np.ndarray, part: float) -> np.ndarray:
+    """(3, 3) rotation at `part` of the shortest way."""
+    turn = second @ first.T
+    sine_axis = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+    sine = float(np.linalg.norm(sine_axis))
+    angle = part * math.atan2(sine, 0.5 * (np.trace(turn) - 1.0))
+    x, y, z = sine_axis / max(sine, 1e-12)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    return (np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross) @ first
+
+
+# ---- the mean -------------------------------------------------------------------------------------------------------
+
+
+class LinearMean:
+    """The mean of images of one size in linear light, with weights that sum to 1. Where there is nothing nothing is
+    computed."""
+
+    def __init__(self, width: int, height: int) -> None:
+        self._box = Box(0, 0, width, height)
+        self._sum = np.zeros((height, width, 4), np.float32)
+        self._depth_sum, self._depth_weight = np.zeros((2, height, width), np.float32)
+        self._weights: np.ndarray | None = None
+
+    def add(self, image: Image, weight: float) -> None:
+        """Adds an image."""
+        part = image.box.slices
+        covered = image.rgba[..., 3] > 0
+        values = image.rgba[covered]
+        alpha = values[:, 3:].copy()
+        if image.depth_m is not None:
+            depth_m = image.depth_m[covered]
+            counts = np.float32(weight) * alpha[:, 0] * (depth_m > 0)
+            self._depth_sum[part][covered] += counts * depth_m
+            self._depth_weight[part][covered] += counts
+        values[:, :3] = srgb_to_linear(values[:, :3] / alpha) * alpha
+        self._sum[part][covered] += np.float32(weight) * values
+        if image.weights is not None:
+            if self._weights is None:
+                self._weights = np.zeros((*self._sum.shape[:2], image.weights.shape[2]), np.float32)
+            self._weights[part] += np.float32(weight) * image.weights
+
+    def image(self) -> Image:
+        """The mean, display-referred as the images were. Its depth is the mean of all that covers a pixel."""
+        covered = self._sum[..., 3] > 0
+        values = self._sum[covered]
+        alpha = values[:, 3:].copy()
+        values[:, :3] = linear_to_srgb(values[:, :3] / alpha) * alpha
+        rgba = np.zeros_like(self._sum)
+        rgba[covered] = values
+        return Image(self._box, rgba, mean_depth(self._depth_sum, self._depth_weight), self._weights)
