@@ -1,7 +1,7 @@
 """The best picture that so many milliseconds buy on this machine.
 
-    settings = RenderSettings.for_budget(16.0)
-    chosen = best_for(16.0, avatar, (512, 334))      the same with what was expected of it
+    chosen = best_for(16.0, avatar, (512, 334))
+    renderer = HandRenderer(avatar, chosen.settings)
 
 What settings cost is read from the profile of machine and avatar (`profile`). Where there is none for this size, two
 seconds of drawing make one, on a motion of its own.

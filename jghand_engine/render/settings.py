@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from jghand_engine import limits
 from jghand_engine.avatar.tiers import Tier
 from jghand_engine.errors import InputError
 from jghand_engine.render.effect_plan import AUTO, Choice
-
-if TYPE_CHECKING:
-    from jghand_engine.avatar.avatar import HandAvatar
 
 
 class ShadowMode(StrEnum):
@@ -28,16 +25,25 @@ class ShadowMode(StrEnum):
 
 @dataclass(frozen=True)
 class RenderSettings:
-    """gaussians: how many of the avatar's Gaussians (a prefix; 0 = all) · alpha_min, t_stop: cut-offs of the blend ·
-    shadow, shadow_samples, shadow_strength: the self-shadow pass · shadow_radius_m: how far it reaches, meters ·
-    correctives: how the corrections of a trained avatar's pose are found (avatar.tiers) · threads: 0 = as many as is
-    sensible · backend: "auto", "torch" (the reference), "v3", "v4" or "neon" (native) · depth, normals, ids: maps that
-    the frame carries · effects: which may run (`effect_plan.Choice`) · antialias: whether hands that are much smaller
-    than they were learned are drawn larger and averaged; not where a picture is compared with what was learned ·
-    reuse: whether stages whose input has hardly changed keep their last result, within the bound in the report ·
-    repeatable: whether they keep it only when nothing changed at all: a picture then depends on nothing that was drawn
-    before it, and its bits are the same in every part of an animation · half: draw at half the width and height, then
-    enlarge (`half`)."""
+    """How an image is made.
+
+    gaussians:         how many of the avatar's Gaussians: a prefix; 0 = all
+    alpha_min, t_stop: cut-offs of the blend
+    shadow, shadow_samples, shadow_strength: the self-shadow pass
+    shadow_radius_m:   how far it reaches, meters
+    correctives:       how the corrections of a trained avatar's pose are found (avatar.tiers)
+    threads:           0 = as many as is sensible
+    backend:           "auto", "v3", "v4" or "neon": the variant of the kernels
+    depth, normals, ids: maps that the frame carries
+    effects:           which may run
+    antialias:         whether hands that are much smaller than they were learned are drawn larger and averaged; not
+                       where an image is compared with what was learned
+    reuse:             whether stages whose input has hardly changed keep their last result, within the bound in the
+                       report
+    repeatable:        whether they keep it only when nothing changed at all: an image then depends on nothing that was
+                       drawn before it, and its bits are the same in every part of an animation
+    half:              draw at half the width and height, then enlarge
+    """
 
     gaussians: int = 0
     alpha_min: float = limits.ALPHA_MIN
@@ -84,19 +90,6 @@ class RenderSettings:
     def as_dict(self) -> dict[str, Any]:
         """For JSON: every setting by its name; effects in the words that `Choice.parse` takes."""
         return {**vars(self), "effects": str(self.effects)}
-
-    @classmethod
-    def for_budget(
-        cls, budget_ms: float, avatar: HandAvatar | None = None, size_px: tuple[int, int] = (512, 334), threads: int = 0
-    ) -> RenderSettings:
-        """The most accurate settings that draw a frame of `avatar` (None: the built-in hand) in `budget_ms` on this
-        machine, as its profile says (`budget.best_for`). Without a profile two seconds of drawing make one."""
-        from jghand_engine.avatar.builtin import load_builtin
-        from jghand_engine.hand.joints import Handedness
-        from jghand_engine.render.budget import best_for
-
-        hand = avatar or load_builtin(handedness=Handedness.RIGHT)
-        return best_for(budget_ms, hand, size_px, threads).settings
 
 
 # the presets of RENDERING 9.4; `viewport` is the default

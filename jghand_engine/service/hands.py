@@ -175,13 +175,14 @@ class EngineHands:
 def _settings(asked: PictureSettings, avatars: list[HandAvatar], size_px: tuple[int, int] | None) -> RenderSettings:
     """The preset, or what the budget buys, each hand taking an equal part of it; then what was asked for by name."""
     from jghand_engine.avatar.tiers import Tier
+    from jghand_engine.render import budget
     from jghand_engine.render.effect_plan import Choice
-    from jghand_engine.render.settings import RenderSettings, preset
+    from jghand_engine.render.settings import preset
 
     settings = preset(asked.preset)
     if asked.budget_ms is not None and size_px is not None:
         largest = max(avatars, key=len)
-        settings = RenderSettings.for_budget(asked.budget_ms / len(avatars), largest, size_px)
+        settings = budget.best_for(asked.budget_ms / len(avatars), largest, size_px).settings
     if asked.correctives is not None:
         if asked.correctives not in tuple(Tier):
             raise InputError("settings: correctives", wanted=" | ".join(Tier), came=asked.correctives[:80])

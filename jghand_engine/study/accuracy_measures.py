@@ -99,7 +99,7 @@ def measure_accuracy(plan: Plan, say: Callable[[str], None] = lambda _text: None
 
 
 def profile_of(study: Accuracy, plan: Plan) -> Profile:
-    """What `RenderSettings.for_budget` chooses from."""
+    """What `render.budget` chooses from."""
     settings = {one.name: one.settings for one in variants(plan.avatar, plan.size_px, {}, 0) if one.axis == TOGETHER}
     rows = tuple(
         Rated(row.name, settings[row.name], row.median_ms, row.p95_ms, row.error.psnr_db)

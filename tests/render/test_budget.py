@@ -199,7 +199,7 @@ def test_settings_have_a_way_to_themselves(cache, monkeypatch):
     monkeypatch.setattr(budget, "measure_quickly", lambda *_: pytest.fail("there is a profile"))
     avatar = small_avatar(10)
     write_profile(avatar, SIZE, 1, Profile((rated("one", 1, 50, gaussians=7),), "here", False))
-    assert RenderSettings.for_budget(16, avatar, SIZE, 1).gaussians == 7
+    assert best_for(16, avatar, SIZE, 1).settings.gaussians == 7
 
 
 def test_everything_that_differs_between_candidates_is_kept():

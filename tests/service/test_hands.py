@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -18,10 +19,10 @@ from jghand_engine.color import srgb_to_linear
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, to_level
-from jghand_engine.render import blur
+from jghand_engine.render import blur, budget
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.frame import HandRenderer
-from jghand_engine.render.settings import RenderSettings, preset
+from jghand_engine.render.settings import preset
 from jghand_engine.service.commands import Canceled
 from jghand_engine.service.hands import EngineHands
 from jghand_engine.service.picture_request import Exposure, HandAsked, PictureRequest, PictureSettings
@@ -395,9 +396,9 @@ def test_a_budget_chooses_settings(source, right, monkeypatch):
 
     def bought(budget_ms, avatar, size_px, threads=0):
         asked_for.append((budget_ms, size_px))
-        return preset("draft")
+        return SimpleNamespace(settings=preset("draft"))
 
-    monkeypatch.setattr(RenderSettings, "for_budget", bought)
+    monkeypatch.setattr(budget, "best_for", bought)
     request = asked([right], settings=PictureSettings("final", budget_ms=9.0))
     for width, height in ((120, 90), (150, 100), (80, 400)):
         report = source.render(replace(request, width=width, height=height)).report
