@@ -107,7 +107,8 @@ def test_a_room_imports_only_from_rooms_above_it(path):
 def test_no_files_of_the_engine_import_one_another_in_a_circle():
     """Imports inside functions count, those for type checkers alone do not."""
     spec = importlib.util.spec_from_file_location("size_of_house", ROOT / "scripts" / "size.py")
-    assert spec is not None and spec.loader is not None
+    assert spec is not None
+    assert spec.loader is not None
     size = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(size)
     offences([", ".join(circle) for circle in size.import_circles(python_files(ENGINE))])
