@@ -55,11 +55,11 @@ def _tangent(points: np.ndarray, valid: np.ndarray, step: np.ndarray, axis: int)
 
 def _neighbor(points: np.ndarray, valid: np.ndarray, step: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
     """`points` (H, W, 3) at index + step along an axis, and whether there is one."""
-    place = list(np.indices(valid.shape))
-    wanted = place[axis] + step
-    place[axis] = np.clip(wanted, 0, valid.shape[axis] - 1)
-    there = valid[tuple(place)] & (wanted == place[axis]) & valid
-    return points[tuple(place)], there
+    rows, columns = np.indices(valid.shape)
+    wanted = (rows if axis == 0 else columns) + step
+    inside = np.clip(wanted, 0, valid.shape[axis] - 1)
+    place = (inside, columns) if axis == 0 else (rows, inside)
+    return points[place], valid[place] & (wanted == inside) & valid
 
 
 # ---- hands and bones ------------------------------------------------------------------------------------------------

@@ -8,13 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from jghand_engine.avatar.pose_features import Angles
+from jghand_engine.avatar.tensors import HandTensors
 from small_avatars import ellipsoid_avatar, trained_avatar
 
 from jghand_engine import limits
 from jghand_engine.avatar.builtin import load_builtin, load_painted
 from jghand_engine.avatar.fast_correctives import FastNetwork
-from jghand_engine.avatar.pose_features import Angles
-from jghand_engine.avatar.tensors import HandTensors
 from jghand_engine.color import srgb_to_linear
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
