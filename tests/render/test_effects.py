@@ -8,8 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from jghand_engine.avatar.pose_features import Angles
-from jghand_engine.avatar.tensors import HandTensors
 from small_avatars import ellipsoid_avatar, trained_avatar
 
 from jghand_engine import limits
