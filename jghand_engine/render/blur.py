@@ -15,6 +15,7 @@ import numpy as np
 from jghand_engine import limits
 from jghand_engine.color import linear_to_srgb, srgb_to_linear
 from jghand_engine.errors import InputError
+from jghand_engine.hand.rotations import slerp_rotation
 from jghand_engine.hand.sequence import pose_between
 from jghand_engine.render.camera import Camera, Lens
 from jghand_engine.render.image import Box, Image, mean_depth
@@ -200,7 +201,7 @@ def _camera_between(first: Camera, second: Camera, part: float) -> Camera:
     """Numbers and places linear, directions along the shortest turn."""
     a, b = first.camera_from_world, second.camera_from_world
     matrix = np.eye(4)
-    matrix[:3, :3] = turn = _turned(a[:3, :3], b[:3, :3], part)
+    matrix[:3, :3] = turn = slerp_rotation(a[:3, :3], b[:3, :3], np.array(part))
     matrix[:3, 3] = turn @ ((1 - part) * a[:3, :3].T @ a[:3, 3] + part * b[:3, :3].T @ b[:3, 3])
 
     def mixed(x: float, y: float) -> float:
@@ -212,17 +213,6 @@ def _camera_between(first: Camera, second: Camera, part: float) -> Camera:
         focus_m = mixed(first.lens.focus_m, second.lens.focus_m)
         lens = Lens(max(0.0, mixed(first.lens.aperture_m, second.lens.aperture_m)), focus_m)
     return replace(first, camera_from_world=matrix, lens=lens, **numbers)
-
-
-def _turned(first: np.ndarray, second: np.ndarray, part: float) -> np.ndarray:
-    """(3, 3) rotation at `part` of the shortest way."""
-    turn = second @ first.T
-    sine_axis = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
-    sine = float(np.linalg.norm(sine_axis))
-    angle = part * math.atan2(sine, 0.5 * (np.trace(turn) - 1.0))
-    x, y, z = sine_axis / max(sine, 1e-12)
-    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
-    return (np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross) @ first
 
 
 # ---- the mean -------------------------------------------------------------------------------------------------------
