@@ -13,7 +13,6 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-from jghand_engine import limits
 from jghand_engine.errors import DiskFullError, InputError, JGHandError, RetryError
 
 
@@ -30,6 +29,8 @@ def file_error(path: Path, error: OSError) -> JGHandError:
     return RetryError(f"cannot write {path}: {error.strerror or error}", remedy="Check the disk and try again.")
 
 
+# part of the free disk that must be left over when an export is expected to fit: other programs write too
+DISK_RESERVE = 0.02
 # of what JGHand writes into folders: whoever gives a folder such a name meant the file
 FILE_SUFFIXES = frozenset(
     (".png", ".exr", ".mp4", ".ply", ".splat", ".glb", ".spz", ".sog", ".usd", ".usda", ".usdc", ".usdz", ".html")
@@ -53,7 +54,7 @@ def make_folder(path: Path | str) -> Path:
 def check_room(folder: Path, needed_bytes: int, thing: str) -> None:
     """DiskFullError, before the work, when so much cannot be written on the disk of `folder`."""
     try:
-        free = shutil.disk_usage(folder).free * (1 - limits.DISK_RESERVE)
+        free = shutil.disk_usage(folder).free * (1 - DISK_RESERVE)
     except OSError as error:
         raise file_error(folder, error) from error
     if needed_bytes > free:

@@ -32,14 +32,14 @@ from show_splat_file import BLACK, browser, psnr_db  # noqa: E402
 from jghand_engine.avatar.avatar import HandAvatar  # noqa: E402
 from jghand_engine.avatar.builtin import load_avatar_called  # noqa: E402
 from jghand_engine.cli.camera_file import camera_to_dict  # noqa: E402
-from jghand_engine.cli.framing import first_view, framing_camera  # noqa: E402
 from jghand_engine.export.pictures import Cell, SheetStyle, contact_sheet, flatten, read_png, write_png  # noqa: E402
-from jghand_engine.export.web.page import export_web  # noqa: E402
+from jghand_engine.export.web.page import WebView, export_web  # noqa: E402
 from jghand_engine.hand.joints import Handedness  # noqa: E402
 from jghand_engine.hand.poses import pose_sequence_of_names  # noqa: E402
 from jghand_engine.hand.sequence import PoseSequence  # noqa: E402
 from jghand_engine.render.camera import Camera  # noqa: E402
 from jghand_engine.render.frame import HandRenderer  # noqa: E402
+from jghand_engine.render.framing import framing_camera  # noqa: E402
 from jghand_engine.render.settings import ShadowMode, preset  # noqa: E402
 
 POSES = ["open", "relaxed", "fist", "point", "ok", "spread"]
@@ -120,7 +120,7 @@ def main() -> int:
     hand = Handedness(options.hand)
     avatar = load_avatar_called(options.avatar).for_hand(hand)
     sequence = pose_sequence_of_names(POSES, avatar.canonical_joints_m, handedness=hand)
-    report = export_web(folder / "page", avatar, sequence, first_view(sequence.joints_m, hand, "quarter"))
+    report = export_web(folder / "page", avatar, sequence, WebView.of_motion(sequence.joints_m, hand, "quarter"))
     print(f"{report.page}: {sum(report.bytes.values()) / 1e6:.1f} MB")
     camera = framing_camera(sequence.joints_m, hand, "quarter", width=512, height=512)
     wanted = shots([camera_to_dict(camera)] * len(COMPARED))

@@ -31,7 +31,6 @@ import check_splat_files as clients  # noqa: E402
 from jghand_engine.avatar.avatar import HandAvatar  # noqa: E402
 from jghand_engine.avatar.builtin import load_avatar_called  # noqa: E402
 from jghand_engine.cli.camera_file import camera_to_dict  # noqa: E402
-from jghand_engine.cli.framing import framing_camera  # noqa: E402
 from jghand_engine.color import decibels  # noqa: E402
 from jghand_engine.export.pictures import Cell, SheetStyle, contact_sheet, flatten, read_png, write_png  # noqa: E402
 from jghand_engine.export.splats.cloud import SplatCloud  # noqa: E402
@@ -44,6 +43,7 @@ from jghand_engine.learn.rasterize import rasterize  # noqa: E402
 from jghand_engine.limits import ALPHA_MIN, BLUR_PX2  # noqa: E402
 from jghand_engine.render.camera import Camera  # noqa: E402
 from jghand_engine.render.frame import HandRenderer  # noqa: E402
+from jghand_engine.render.framing import framing_camera  # noqa: E402
 from jghand_engine.render.settings import preset  # noqa: E402
 
 BLACK = (0.0, 0.0, 0.0)

@@ -11,9 +11,10 @@ import numpy as np
 from jghand_engine.cli.console import read_json
 from jghand_engine.errors import InputError
 from jghand_engine.json_files import JsonObject
-from jghand_engine.limits import CAMERA_NUMBER_MAX
 from jghand_engine.render.camera import Camera
 
+# the largest number of a camera, pixels or meters: beyond it no picture is meant
+CAMERA_NUMBER_MAX = 1e6
 NUMBERS = ("width", "height", "fx", "fy", "cx", "cy")
 
 

@@ -13,13 +13,15 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from jghand_engine import limits
 from jghand_engine.cli.machine import JsonProgress, json_lines
 from jghand_engine.errors import InputError
 from jghand_engine.files import writing
 
 if TYPE_CHECKING:
     from jghand_engine.learn.tables import Table as Figures
+
+# bytes of a camera (1 kB) or a map of bones (10 kB): JSON takes up to thirty times its size in memory
+JSON_BYTES_MAX = 100_000
 
 
 def out() -> Console:
@@ -86,15 +88,14 @@ def write_json(path: Path, content: dict[str, Any]) -> None:
 def read_json(path: Path) -> Any:
     """The content of a small JSON file, without NaN and Infinity, which JSON does not know; 1e400 is infinite still.
     InputError names what is wrong."""
-    most = limits.JSON_GIVEN_BYTES_MAX
     try:
         with path.open("rb") as stream:
-            content = stream.read(most + 1)
+            content = stream.read(JSON_BYTES_MAX + 1)
             size = max(os.fstat(stream.fileno()).st_size, len(content))  # of a pipe nobody knows
     except OSError as error:
         raise InputError(f"cannot read {path}: {error.strerror}", remedy="Check the name.") from error
-    if size > most:
-        wanted = f"a camera or a map of bones, at most {most} bytes"
+    if size > JSON_BYTES_MAX:
+        wanted = f"a camera or a map of bones, at most {JSON_BYTES_MAX} bytes"
         raise InputError(f"{path}", wanted=wanted, came=f"{size}", remedy="Check the name.")
     try:
         return json.loads(content, parse_constant=_no_number)

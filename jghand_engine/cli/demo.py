@@ -44,14 +44,14 @@ class Demo:
 
     def run(self) -> None:
         from jghand_engine.avatar.builtin import load_avatar_called
-        from jghand_engine.cli import demo_films, demo_scene
+        from jghand_engine.cli import demo_scene
         from jghand_engine.cli.export import export_stage, usd_figures
-        from jghand_engine.cli.framing import framing_camera
         from jghand_engine.export.usd.package import UsdOptions
         from jghand_engine.export.video import ffmpeg_program
         from jghand_engine.files import make_folder
         from jghand_engine.hand.joints import Handedness
         from jghand_engine.motion.files import write_motion
+        from jghand_engine.render.framing import framing_camera
 
         width, height = pixels(self.size)
         try:
@@ -88,11 +88,11 @@ class Demo:
                 timings = blender.render(scene)
         with clock("video and contact sheet"):
             if with_video:
-                demo_films.write_video_of(scene)
-            demo_films.write_sheet_of(scene)
+                demo_scene.write_video_of(scene)
+            demo_scene.write_sheet_of(scene)
         with clock("USD"):
             usd = export_stage(out / "usd", avatar, sequence, cameras, UsdOptions(overwrite=True))
-        demo_films.write_readme(scene)
+        demo_scene.write_readme(scene)
         timings.show(f"One picture of {width} x {height} with {len(avatar)} Gaussians, median of {timings.frames}")
         say_table("The whole job", ("step", "seconds"), [(name, f"{s:.1f}") for name, s in clock.seconds.items()])
         say(f"Done in {sum(clock.seconds.values()):.0f} s. Open {out / 'README.txt'} to see what is where.")

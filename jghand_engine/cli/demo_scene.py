@@ -1,4 +1,5 @@
-"""The demo's motion, and its pictures: through Blender, or by the engine alone."""
+"""The demo's motion, its pictures, through Blender or by the engine alone, and what is made of them: a video of all
+cameras side by side, a contact sheet, a page that explains."""
 
 from __future__ import annotations
 
@@ -13,14 +14,13 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.shipped import SHIPPED
 from jghand_engine.cli.camera_file import camera_to_dict
@@ -28,7 +28,18 @@ from jghand_engine.cli.console import progress, write_json
 from jghand_engine.cli.frame_files import FrameFiles, FrameWriter
 from jghand_engine.cli.timings import Timings
 from jghand_engine.errors import InputError, JGHandError, MemoryLimitError, RetryError
-from jghand_engine.files import file_error, make_folder
+from jghand_engine.export.pictures import (
+    VIDEO_BACKGROUND,
+    Cell,
+    SheetStyle,
+    contact_sheet,
+    flatten,
+    premultiplied,
+    read_png,
+    write_png,
+)
+from jghand_engine.export.video import write_video
+from jghand_engine.files import file_error, make_folder, writing
 from jghand_engine.hand.poses import MotionOptions, pose_sequence_of_names
 from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.render.camera import Camera
@@ -36,6 +47,12 @@ from jghand_engine.render.frame import HandRenderer
 from jghand_engine.render.settings import preset
 
 SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
+# rate, seconds of a move and of a stop: quick enough for a video of a few seconds, slow enough to see
+FPS, MOVE_S, HOLD_S = 30.0, 0.6, 0.2
+# how far the whole hand turns to either side, degrees: shows more than one side and stays recognizable
+SWAY_DEG = 35.0
+# moments of the motion on the contact sheet
+SHEET_COLUMNS = 8
 # key of report.json: the hand.blend that the demo wrote, to tell one that somebody has changed since
 BLEND_HASH = "blend_sha256"
 # what the engine printed before it failed
@@ -89,10 +106,10 @@ class Scene:
 def demo_motion(avatar: HandAvatar, poses: list[str]) -> PoseSequence:
     """Named poses while the whole hand sways about its long axis, so that more than one side is seen."""
     joints = avatar.canonical_joints_m
-    options = MotionOptions(fps=limits.DEMO_FPS, move_s=limits.DEMO_MOVE_S, hold_s=limits.DEMO_HOLD_S)
+    options = MotionOptions(fps=FPS, move_s=MOVE_S, hold_s=HOLD_S)
     sequence = pose_sequence_of_names(poses, joints, handedness=avatar.handedness, options=options)
     phase = np.linspace(0, 2 * np.pi, len(sequence))
-    angle_rad = np.radians(limits.DEMO_SWAY_DEG) * np.sin(phase)
+    angle_rad = np.radians(SWAY_DEG) * np.sin(phase)
     cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
     zero, one = np.zeros_like(cosine), np.ones_like(cosine)
     # about +y, the hand's long axis in the canonical frame
@@ -284,3 +301,64 @@ def _timings_of(report: dict[str, Any]) -> Timings:
             if key in picture:
                 timings.add_ms(name, picture[key])
     return timings
+
+
+# ---- what is made of the pictures ------------------------------------------------------------------------------------
+
+
+def write_video_of(scene: Scene) -> None:
+    """hand.mp4: the cameras side by side."""
+    write_video(scene.out / "hand.mp4", _side_by_side(scene), scene.sequence.fps)
+
+
+def _side_by_side(scene: Scene) -> Iterator[np.ndarray]:
+    with progress("Writing the video", len(scene.sequence)) as bar:
+        for index in range(len(scene.sequence)):
+            yield np.concatenate([_shown(scene, name, index) for name in scene.cameras], axis=1)
+            bar.advance(bar.task_ids[0])
+
+
+def write_sheet_of(scene: Scene) -> None:
+    """contact_sheet.png: moments of the motion in columns, one row per camera."""
+    count = min(SHEET_COLUMNS, len(scene.sequence))
+    moments = np.linspace(0, len(scene.sequence) - 1, count).round().astype(int)
+    cells = [
+        Cell(f"{name} · {index / scene.sequence.fps:.1f} s", _shown(scene, name, int(index)))
+        for name in scene.cameras
+        for index in moments
+    ]
+    write_png(scene.out / "contact_sheet.png", contact_sheet(cells, SheetStyle(columns=count)))
+
+
+def _shown(scene: Scene, camera: str, index: int) -> np.ndarray:
+    return flatten(premultiplied(read_png(scene.frames(camera).path(index))), VIDEO_BACKGROUND)
+
+
+def write_readme(scene: Scene) -> None:
+    """README.txt: what is where, and how to look at it."""
+    cameras = ", ".join(scene.cameras)
+    files = {
+        "hand.mp4": f"the motion seen from {cameras}, side by side",
+        "contact_sheet.png": "moments of it at one glance",
+        "frames/": f"PNG pictures with alpha, one folder per camera ({cameras})",
+        "motion.npz": "the 21 joint positions of every frame, meters, standard order",
+        "hand.blend": "the rigged armature with the motion on it, and the cameras",
+        "cameras.json": "its cameras: pixels, meters, OpenCV axes",
+        "usd/hand.usda": "the animated hand for other programs; choose its variant splats, points or mesh",
+        "usd/hand.shot.usda": "the hand with the cameras of this demo",
+    }
+    files |= {path.name: "a hand.blend that was changed before a later demo" for path in scene.previous_blends()}
+    there = {name: text for name, text in files.items() if (scene.out / name).exists()}
+    lines = ["What this folder holds", ""]
+    there["report.json"] = "how long everything took"
+    width = max(map(len, there)) + 2
+    lines += [f"{name:<{width}}{text}" for name, text in there.items()]
+    if scene.blend.exists():
+        lines += [
+            "",
+            "Change the motion in hand.blend and render it anew, from the folder of the project:",
+            f"  .envs/blender/bin/python scripts/render_blend.py {scene.blend} --camera {','.join(scene.cameras)} "
+            "--out new_frames",
+        ]
+    with writing(scene.out / "README.txt") as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -222,7 +222,7 @@ def write_sheets(
 
 def framing_cameras(joints_m: np.ndarray, handedness: Handedness) -> dict[str, Camera]:
     """Cameras around hands (F, 21, 3), as `jghand render` has them."""
-    from jghand_engine.cli.framing import framing_camera
+    from jghand_engine.render.framing import framing_camera
 
     views = ("quarter", "front", "side", "back", "outside", "top")
     size = SHEET_VIEW_PX

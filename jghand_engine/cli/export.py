@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import tyro
 
 from jghand_engine.cli.console import progress, say, write_json
+from jghand_engine.cli.failures import polite_kill_is_ctrl_c
 from jghand_engine.cli.learning import hand_template
 from jghand_engine.cli.options import AvatarOptions, CameraName, File, MotionOptions, ReportOptions
-from jghand_engine.cli.signals import polite_kill_is_ctrl_c
 from jghand_engine.errors import InputError
 
 if TYPE_CHECKING:
@@ -166,8 +166,8 @@ class Export:
             )  # fmt: skip
 
     def _write_usd(self, avatar: HandAvatar, motion: Motion) -> dict[str, Any]:
-        from jghand_engine.cli.framing import framing_camera
         from jghand_engine.export.usd.package import PRESETS
+        from jghand_engine.render.framing import framing_camera
 
         options, sequence = self._usd_options(), motion.sequence
         width, height = CAMERA_PX
@@ -242,12 +242,11 @@ class Export:
         }  # fmt: skip
 
     def _write_web(self, avatar: HandAvatar, motion: Motion) -> dict[str, Any]:
-        from jghand_engine.cli.framing import first_view
         from jghand_engine.export.made_from import made_from
-        from jghand_engine.export.web.page import WebOptions, export_web
+        from jghand_engine.export.web.page import WebOptions, WebView, export_web
 
         sequence = motion.sequence
-        view = first_view(sequence.joints_m, sequence.handedness, self.web.camera)
+        view = WebView.of_motion(sequence.joints_m, sequence.handedness, self.web.camera)
         report = export_web(self.out, avatar, sequence, view, WebOptions(self.web.title, self.web.gaussians))
         size = sum(report.bytes.values())
         say(f"Wrote {report.page}: {report.frames} frames, {report.gaussians} Gaussians, {size / 1e6:.1f} MB. Open it.")

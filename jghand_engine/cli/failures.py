@@ -1,10 +1,13 @@
-"""Errors as the command line shows them: one sentence, one exit code.
+"""How a command ends: errors as one sentence and one exit code, and what signals mean to it.
 
 0 done · 1 a fault of JGHand · 2 bad input · 3 try again · 4 out of memory · 130 stopped by the user
 """
 
 from __future__ import annotations
 
+import contextlib
+import signal
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,6 +15,8 @@ from jghand_engine.errors import STOPPED, InputError, JGHandError, MemoryLimitEr
 from jghand_engine.files import file_error
 
 FAULT = 1
+# Windows has no hang-up
+_POLITE = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 
 
 @dataclass(frozen=True)
@@ -50,3 +55,19 @@ def _of_the_system(error: OSError) -> JGHandError:
     if error.filename:
         return file_error(Path(str(error.filename)), error)
     return RetryError(f"the system refused: {error.strerror or error}", remedy="Try again.")
+
+
+@contextlib.contextmanager
+def polite_kill_is_ctrl_c() -> Iterator[None]:
+    """SIGTERM, which schedulers, systemd and `timeout` send, and SIGHUP, which a terminal that is closed sends, end
+    what is under way as Ctrl-C does: tidily. In the main thread alone."""
+    before = {number: signal.getsignal(number) for number in _POLITE}
+    # what is ignored stays so (nohup); None is a handler that is not Python's and could not be put back
+    heard = {number: handler for number, handler in before.items() if handler not in (signal.SIG_IGN, None)}
+    for number in heard:
+        signal.signal(number, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        for number, handler in heard.items():
+            signal.signal(number, handler)

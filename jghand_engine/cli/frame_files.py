@@ -29,9 +29,8 @@ from jghand_engine.render.blur import shutter_at
 if TYPE_CHECKING:
     from jghand_engine.cli.inputs import Motion
     from jghand_engine.cli.options import MotionOptions
-    from jghand_engine.cli.receipts import Receipts
     from jghand_engine.cli.render_passes import PassWriter
-    from jghand_engine.cli.timings import Timings
+    from jghand_engine.cli.timings import Receipts, Timings
     from jghand_engine.render.camera import Camera
     from jghand_engine.render.frame import HandRenderer
     from jghand_engine.render.settings import RenderSettings

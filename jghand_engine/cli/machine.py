@@ -29,12 +29,16 @@ from rich.progress import Progress
 
 from jghand_engine.cli.failures import FAULT, STOPPED, Failure
 from jghand_engine.errors import DiskFullError
-from jghand_engine.limits import PROGRESS_JSON_S, STOP_WITHOUT_INPUT_S
 from jghand_engine.service.handles import print_any_letter, take_stdin
 
 if TYPE_CHECKING:
     from jghand_engine.learn.progress import Status
 
+# seconds between two lines of progress: a panel is not read faster, and a pipe is not flooded
+PROGRESS_JSON_S = 0.25
+# seconds after the end of standard input until such a command ends regardless: a step of a training and its checkpoint
+# take a few, a picture of a capture up to a minute
+STOP_WITHOUT_INPUT_S = 90.0
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 # what an exit code is called, as in the replies of the service
 _KINDS = {FAULT: "internal", 2: "bad_input", 3: "retry", 4: "out_of_memory", STOPPED: "canceled"}

@@ -17,6 +17,9 @@ from jghand_engine.avatar.shipped import BUILTIN
 from jghand_engine.errors import InputError
 from jghand_engine.hand.sequence import FPS_MAX, FPS_MIN
 
+# the widest lens, millimeters: one that sees around the hand
+APERTURE_MAX_MM = 200.0
+
 OrderName = Literal["standard", "openpose", "mediapipe", "mano21", "interhand", "mano16_tips", "openxr", "level"]
 UnitName = Literal["m", "cm", "mm"]
 HandName = Literal["right", "left"]
@@ -167,8 +170,8 @@ class EffectOptions:
         """InputError for what no camera can do."""
         if not 0 <= self.shutter <= 1:
             raise InputError("--shutter", wanted="0 to 1", came=f"{self.shutter:g}")
-        if not 0 <= self.aperture <= limits.APERTURE_MAX_MM:
-            raise InputError("--aperture", wanted=f"0 to {limits.APERTURE_MAX_MM:g} mm", came=f"{self.aperture:g}")
+        if not 0 <= self.aperture <= APERTURE_MAX_MM:
+            raise InputError("--aperture", wanted=f"0 to {APERTURE_MAX_MM:g} mm", came=f"{self.aperture:g}")
         if self.focus is not None and not self.focus > limits.Z_NEAR_M:
             raise InputError("--focus", wanted=f"meters beyond {limits.Z_NEAR_M:g}", came=f"{self.focus:g}")
 

@@ -80,9 +80,8 @@ class Render:
         from jghand_engine.cli.camera_file import camera_to_dict
         from jghand_engine.cli.frame_files import FrameFiles, FrameWriter, refuse_other_frames, settle_folder
         from jghand_engine.cli.inputs import load_motion
-        from jghand_engine.cli.receipts import Receipts
         from jghand_engine.cli.render_passes import refuse_older_truth
-        from jghand_engine.cli.timings import Timings
+        from jghand_engine.cli.timings import Receipts, Timings
         from jghand_engine.export.video import check_video_name, ffmpeg_program, refuse_foreign_video, write_video
         from jghand_engine.files import make_folder
         from jghand_engine.render.frame import HandRenderer
@@ -229,7 +228,7 @@ class Render:
             from jghand_engine.cli.camera_file import read_camera
 
             return read_camera(self.picture.camera_file)
-        from jghand_engine.cli.framing import framing_camera
+        from jghand_engine.render.framing import framing_camera
 
         sequence = motion.sequence
         return framing_camera(

@@ -107,8 +107,8 @@ class Study:
 
         from jghand_engine.avatar.builtin import load_avatar_called
         from jghand_engine.captures.capture_folder import open_capture
-        from jghand_engine.cli.framing import framing_camera
         from jghand_engine.cli.inputs import read_sequence
+        from jghand_engine.render.framing import framing_camera
         from jghand_engine.render.settings import preset
         from jghand_engine.render.subject import Subject
         from jghand_engine.study.effects_plot import draw_figure

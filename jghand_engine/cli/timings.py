@@ -1,12 +1,16 @@
-"""Where the milliseconds went: the reports of many frames as one table and as plain data."""
+"""Where the milliseconds went, and which effects ran: the reports of many frames as tables and as plain data."""
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jghand_engine.cli.console import say_table
+from jghand_engine.cli.console import say, say_table
+from jghand_engine.render.report import EffectSums
+
+if TYPE_CHECKING:
+    from jghand_engine.render.report import FrameReport
 
 TOTAL = "whole frame"
 
@@ -79,3 +83,31 @@ class Timings:
             times = [f"{entry[key]:.2f}" if key in entry else "-" for key in ("median_ms", "p95_ms")]
             rows.append((name, *times, str(entry["ran"]), str(entry["skipped"] or "")))
         return rows
+
+
+class Receipts:
+    """Collects the receipts of frames."""
+
+    def __init__(self) -> None:
+        self._first: list[str] = []
+        self._sums = EffectSums()
+
+    def add(self, report: FrameReport) -> None:
+        """Adds one frame's."""
+        self._first = self._first or report.lines()
+        self._sums.add(report)
+
+    def figures(self) -> dict[str, dict[str, Any]]:
+        """See EffectSums."""
+        return self._sums.figures()
+
+    def show(self) -> None:
+        """Prints the first frame's receipt and the table of all."""
+        say("The first frame:")
+        for line in self._first:
+            say(f"  {line}")
+        rows = [
+            (name, str(one["ran"]), str(one["skipped"]), f"{one['saved_ms']:.1f}", one["reason"])
+            for name, one in self.figures().items()
+        ]
+        say_table("All frames", ("effect", "ran", "skipped", "saved, about ms", "skipped last because"), rows)

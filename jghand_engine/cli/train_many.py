@@ -26,8 +26,8 @@ from typing import Annotated, Any
 import tyro
 
 from jghand_engine.cli.console import say, say_table, write_json
+from jghand_engine.cli.failures import polite_kill_is_ctrl_c
 from jghand_engine.cli.options import ReportOptions
-from jghand_engine.cli.signals import polite_kill_is_ctrl_c
 from jghand_engine.cli.train import Train
 from jghand_engine.errors import STOPPED, InputError, RetryError, install_extra
 from jghand_engine.files import make_folder, writing

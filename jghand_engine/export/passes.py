@@ -23,15 +23,17 @@ from jghand_engine.avatar.skin_bones import bone_numbers
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import JOINT_COUNT, PARENTS
 from jghand_engine.hand.orders import LEVEL_OF_STANDARD, STANDARD_OF_LEVEL, hand_length
-from jghand_engine.limits import (
-    JOINT_REACH_PERCENTILE,
-    JOINT_REACH_ROOM,
-    JOINT_SLAB_M,
-    Z_NEAR_M,
-)
+from jghand_engine.limits import Z_NEAR_M
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.frame import Frame
 
+# the skin around a joint is what lies in a slab of this half thickness across its bone: thin beside the shortest bone
+JOINT_SLAB_M = 0.004
+# which of the distances of that skin counts, percent: the largest are strays of the neighboring finger
+JOINT_REACH_PERCENTILE = 95.0
+# a joint is visible when what is before it begins at most so many times that far from it: rays come in at an angle and
+# bent joints bulge, seen 1.3; what hides a joint begins from 1.6 on, and the thickness of a finger away as a rule
+JOINT_REACH_ROOM = 1.45
 MAPS = ("depth", "normal", "ids", "alpha")
 JOINTS = "joints"
 

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-from jghand_engine.cli.signals import polite_kill_is_ctrl_c
+from jghand_engine.cli.failures import polite_kill_is_ctrl_c
 
 if sys.platform == "win32":
     pytest.skip("there os.kill ends a process outright", allow_module_level=True)

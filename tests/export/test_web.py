@@ -43,7 +43,6 @@ from jghand_engine.hand.sequence import PoseSequence
 from jghand_engine.learn.baselines import transform_of
 from jghand_engine.learn.distill import distill
 from jghand_engine.learn.skinning import pose_gaussians
-from jghand_engine.limits import WEB_FRAMES_MAX
 from jghand_engine.native.learned_tasks import LearnedTask
 
 VIEW = WebView((0.0, 0.0, 1.0), (0.0, 1.0, 0.0), 2.2, (0.012,) * 21)
@@ -196,7 +195,7 @@ def test_a_motion_with_gaps_or_too_long_is_refused(tmp_path):
     joints_m[3, 5] = np.nan
     with pytest.raises(InputError, match="frame"):
         export_web(tmp_path, avatar, PoseSequence(joints_m, 30.0, Handedness.RIGHT), VIEW)
-    long = PoseSequence(np.repeat(motion(avatar).joints_m[:1], WEB_FRAMES_MAX + 1, 0), 30.0, Handedness.RIGHT)
+    long = PoseSequence(np.repeat(motion(avatar).joints_m[:1], web.FRAMES_MAX + 1, 0), 30.0, Handedness.RIGHT)
     with pytest.raises(InputError, match="--frames"):
         export_web(tmp_path, avatar, long, VIEW)
     assert not list(tmp_path.iterdir())

@@ -9,8 +9,8 @@ import pytest
 
 from jghand_engine.cli import main
 from jghand_engine.cli.camera_file import read_camera
+from jghand_engine.cli.console import JSON_BYTES_MAX
 from jghand_engine.errors import InputError
-from jghand_engine.limits import JSON_GIVEN_BYTES_MAX
 
 CAMERA = {
     "width": 64, "height": 48, "fx": 90.0, "fy": 90.0, "cx": 32.0, "cy": 24.0,
@@ -46,12 +46,12 @@ def test_a_camera_or_a_map_of_bones_that_is_no_json_ends_in_a_sentence(tmp_path,
 
 
 def test_a_large_file_is_not_read(tmp_path):
-    path = written(tmp_path, b" " * 50 * JSON_GIVEN_BYTES_MAX)
+    path = written(tmp_path, b" " * 50 * JSON_BYTES_MAX)
     tracemalloc.start()
     try:
-        with pytest.raises(InputError, match=f"bytes, got {50 * JSON_GIVEN_BYTES_MAX}. Check the name"):
+        with pytest.raises(InputError, match=f"bytes, got {50 * JSON_BYTES_MAX}. Check the name"):
             read_camera(tmp_path / path)
-        assert tracemalloc.get_traced_memory()[1] < 3 * JSON_GIVEN_BYTES_MAX
+        assert tracemalloc.get_traced_memory()[1] < 3 * JSON_BYTES_MAX
     finally:
         tracemalloc.stop()
 

@@ -11,8 +11,9 @@ from typing import Any
 import numpy as np
 
 from jghand_engine.errors import InputError
-from jghand_engine.limits import WEB_GZIP_LEVEL
 
+# 0..9: 9 takes twice as long and saves 0.2 %
+GZIP_LEVEL = 6
 _EXACT = {"f8": "<f8", "f4": "<f4", "i4": "<i4", "i1": "<i1"}
 _NARROW = {1: ("u1", np.uint8), 2: ("u2", np.uint16)}
 _STEPS = 2**16 - 1
@@ -55,7 +56,7 @@ class Pack:
 
     def packed(self) -> str:
         """All bytes, gzipped, as base64. The same arrays always give the same text."""
-        return base64.b64encode(gzip.compress(b"".join(self._parts), WEB_GZIP_LEVEL, mtime=0)).decode()
+        return base64.b64encode(gzip.compress(b"".join(self._parts), GZIP_LEVEL, mtime=0)).decode()
 
     def _add(self, name: str, kind: str, shape: tuple[int, ...], array: np.ndarray, **more: Any) -> None:
         content = array.tobytes()

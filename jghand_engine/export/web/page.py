@@ -34,15 +34,23 @@ from jghand_engine.export.motion import check_sequence
 from jghand_engine.export.web.hand import pack_hand, with_cheap_correctives
 from jghand_engine.export.web.pack import Pack
 from jghand_engine.files import make_folder, writing
+from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.kinematics import ABDUCTION_SIDE, RANGES_DEG, ArticulatedHand
 from jghand_engine.hand.orders import bone_lengths
 from jghand_engine.hand.poses import angles_on, named_angles, pose_names
 from jghand_engine.hand.sequence import PoseSequence, bone_directions, rebuilt
+from jghand_engine.render.framing import FILL, FOCAL, framing_camera, skin_radii_m
 
 ASSETS = Path(__file__).resolve().parents[2] / "assets" / "web"
 PAGE, HAND = "index.html", "hand.js"
 SCRIPTS = ("pose.js", "viewer.js", "LICENSES.txt")
-# by these in its first WEB_MARK_BYTES a file is known as ours, and may be replaced: each by its own, so that an export
+# ten minutes at 60 frames a second take 12 MB of the page
+FRAMES_MAX = 36_000
+# letters of the page's title: one line
+TITLE_MAX = 120
+# the marks stand in the first 200 bytes
+MARK_BYTES = 1000
+# by these in its first MARK_BYTES a file is known as ours, and may be replaced: each by its own, so that an export
 # that was stopped half-way can be tried again
 _MARKS = {
     PAGE: '<meta name="generator" content="JGHand">',
@@ -63,6 +71,15 @@ class WebView:
     focal: float
     reach_m: tuple[float, ...]
 
+    @classmethod
+    def of_motion(cls, joints_m: np.ndarray, handedness: Handedness, view: str) -> WebView:
+        """So that (F, 21, 3) level-order joints are seen from a named side, whatever the page's size. view: a key of
+        VIEWS, else InputError."""
+        camera = framing_camera(joints_m, handedness, view, width=1024, height=1024)
+        _, down, forward = camera.camera_from_world[:3, :3].tolist()
+        to_eye, up = (-x for x in forward), (-x for x in down)
+        return cls((*to_eye,), (*up,), FOCAL, tuple(skin_radii_m(joints_m).tolist()))
+
 
 @dataclass(frozen=True)
 class WebOptions:
@@ -72,8 +89,8 @@ class WebOptions:
     gaussians: int = 0
 
     def __post_init__(self) -> None:
-        if len(self.title) > limits.WEB_TITLE_MAX or not self.title.isprintable():
-            wanted = f"at most {limits.WEB_TITLE_MAX} letters on one line"
+        if len(self.title) > TITLE_MAX or not self.title.isprintable():
+            wanted = f"at most {TITLE_MAX} letters on one line"
             raise InputError("title of the page", wanted=wanted, came=repr(self.title[:200]))
         if self.gaussians < 0:
             raise InputError("number of Gaussians", wanted="0 (all) or a positive count", came=str(self.gaussians))
@@ -101,9 +118,9 @@ def export_web(
     options = options or WebOptions()
     check_follows_joints(avatar)
     check_sequence(sequence)
-    if len(sequence) > limits.WEB_FRAMES_MAX:
+    if len(sequence) > FRAMES_MAX:
         raise InputError(
-            "motion for a web page", wanted=f"at most {limits.WEB_FRAMES_MAX} frames", came=f"{len(sequence)}",
+            "motion for a web page", wanted=f"at most {FRAMES_MAX} frames", came=f"{len(sequence)}",
             remedy="Show a part of it with --frames.",
         )  # fmt: skip
     shown, correctives = with_cheap_correctives(avatar.for_hand(sequence.handedness).prefix(options.gaussians))
@@ -137,7 +154,7 @@ def hand_script(avatar: HandAvatar, sequence: PoseSequence, view: WebView) -> st
         "learned_from": None if info.learned_from is None else _learned_from(avatar),
         "notes": _notes(avatar), "made_by": f"Made by JGHand {__version__}",
         "fps": sequence.fps, "origin_m": origin_m.tolist(), "articulated": _articulated(avatar, sequence),
-        "view": {"to_eye": view.to_eye, "up": view.up, "focal": view.focal, "fill": limits.FRAMING_FILL},
+        "view": {"to_eye": view.to_eye, "up": view.up, "focal": view.focal, "fill": FILL},
         "reach_m": view.reach_m, "contract": _contract(), "arrays": pack.about,
     }  # fmt: skip
     # a script may not end inside a text, wherever the page puts it
@@ -207,6 +224,6 @@ def _refuse_others(folder: Path) -> None:
 def _has(file: Path, mark: str) -> bool:
     try:
         with file.open("rb") as stream:
-            return mark.encode() in stream.read(limits.WEB_MARK_BYTES)
+            return mark.encode() in stream.read(MARK_BYTES)
     except OSError:
         return False

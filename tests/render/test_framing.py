@@ -5,11 +5,11 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from jghand_engine import limits
-from jghand_engine.cli.framing import INDEX, MIDDLE, PINKY, VIEWS, WRIST, framing_camera, hand_axes
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.orders import JointOrder, to_level
 from jghand_engine.hand.poses import named_pose
+from jghand_engine.render.framing import INDEX, MIDDLE, PINKY, VIEWS, WRIST, framing_camera, hand_axes
 from jghand_engine.template.builtin import load_template
 
 WIDTH, HEIGHT = 512, 334

@@ -7,17 +7,22 @@ upright. Hand axes: side = towards the index side, up = wrist to middle knuckle,
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from jghand_engine import limits
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import LEVEL_NAMES, Handedness
 from jghand_engine.render.camera import Camera
 
-if TYPE_CHECKING:
-    from jghand_engine.export.web.page import WebView
+# focal length over the longer edge of the picture: a long lens, which does not make near fingers look swollen
+FOCAL = 2.2
+# part of the picture that the hand may fill
+FILL = 0.94
+# how far the skin reaches beyond a joint and, with the cut, beyond the wrist, meters, for a palm (wrist to middle
+# knuckle) of the length PALM_M; measured on the built-in template
+SKIN_M, WRIST_M, PALM_M = 0.012, 0.034, 0.0885
+# length of a mean of unit vectors below which it is no direction
+DIRECTION_MIN = 0.2
 
 WRIST, INDEX, MIDDLE, PINKY = (LEVEL_NAMES.index(name) for name in ("wrist", "index1", "middle1", "pinky1"))
 
@@ -69,7 +74,7 @@ def _palm(joints_m: np.ndarray, handedness: Handedness) -> tuple[np.ndarray | No
         return up, None
     out = out - up * (out @ up)
     length = np.linalg.norm(out)
-    return up, out / length if length > limits.FRAMING_DIRECTION_MIN else None
+    return up, out / length if length > DIRECTION_MIN else None
 
 
 def _mean_direction(vectors: np.ndarray) -> np.ndarray | None:
@@ -77,7 +82,7 @@ def _mean_direction(vectors: np.ndarray) -> np.ndarray | None:
     lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
     mean = (vectors / np.where(lengths > 0, lengths, 1.0)).mean(0)
     length = np.linalg.norm(mean)
-    return mean / length if length > limits.FRAMING_DIRECTION_MIN else None
+    return mean / length if length > DIRECTION_MIN else None
 
 
 def framing_camera(joints_m: np.ndarray, handedness: Handedness, view: str, *, width: int, height: int) -> Camera:
@@ -95,17 +100,17 @@ def framing_camera(joints_m: np.ndarray, handedness: Handedness, view: str, *, w
     right /= np.linalg.norm(right)
     up = np.cross(to_eye, right)
     points = joints_m.reshape(-1, 3)
-    radius = np.tile(_skin_radii_m(joints_m), len(joints_m))
+    radius = np.tile(skin_radii_m(joints_m), len(joints_m))
     basis = np.stack([right, up, to_eye])
     x, y, toward = (points @ basis.T).T
     center = np.array([(np.min(v - radius) + np.max(v + radius)) / 2 for v in (x, y, toward)])
-    focal_px = limits.FRAMING_FOCAL * max(width, height)
+    focal_px = FOCAL * max(width, height)
     # a sphere of radius r at distance D - d lies inside the half edge h when f (|x| + r) <= h (D - d - r)
     distance = max(
         float(np.max(toward - center[2] + radius + focal_px * (np.abs(v - middle) + radius) / half))
         for v, middle, half in (
-            (x, center[0], width / 2 * limits.FRAMING_FILL),
-            (y, center[1], height / 2 * limits.FRAMING_FILL),
+            (x, center[0], width / 2 * FILL),
+            (y, center[1], height / 2 * FILL),
         )
     )
     target = center @ basis
@@ -113,19 +118,9 @@ def framing_camera(joints_m: np.ndarray, handedness: Handedness, view: str, *, w
     return Camera.looking_at(eye, target, up, width=width, height=height, focal_px=focal_px)
 
 
-def first_view(joints_m: np.ndarray, handedness: Handedness, view: str) -> WebView:
-    """From where a web page shows (F, 21, 3) level-order joints at first, whatever its size. view: a key of VIEWS."""
-    from jghand_engine.export.web.page import WebView
-
-    camera = framing_camera(joints_m, handedness, view, width=1024, height=1024)
-    _, down, forward = camera.camera_from_world[:3, :3].tolist()
-    to_eye, up = (-x for x in forward), (-x for x in down)
-    return WebView((*to_eye,), (*up,), limits.FRAMING_FOCAL, tuple(_skin_radii_m(joints_m).tolist()))
-
-
-def _skin_radii_m(joints_m: np.ndarray) -> np.ndarray:
+def skin_radii_m(joints_m: np.ndarray) -> np.ndarray:
     """(21,) how far the skin reaches beyond each joint, scaled with the hand."""
     palm = np.median(np.linalg.norm(joints_m[:, MIDDLE] - joints_m[:, WRIST], axis=-1))
-    radii = np.full(joints_m.shape[1], limits.FRAMING_SKIN_M)
-    radii[WRIST] = limits.FRAMING_WRIST_M
-    return radii * palm / limits.FRAMING_PALM_M
+    radii = np.full(joints_m.shape[1], SKIN_M)
+    radii[WRIST] = WRIST_M
+    return radii * palm / PALM_M
