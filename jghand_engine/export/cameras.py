@@ -13,9 +13,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from jghand_engine.errors import InputError
+from jghand_engine.export.rotations import quaternions_xyzw
 from jghand_engine.files import make_folder, writing
 from jghand_engine.render.camera import Camera
 
@@ -42,7 +42,7 @@ def write_colmap(folder: Path | str, shots: Sequence[Shot]) -> Path:
         camera = shot.camera
         lens = " ".join(map(repr, (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)))
         pose = camera.camera_from_world
-        turn = Rotation.from_matrix(pose[:3, :3]).as_quat(scalar_first=True)
+        turn = quaternions_xyzw(pose[:3, :3])[[3, 0, 1, 2]]
         numbers = " ".join(repr(float(value)) for value in (*turn, *pose[:3, 3]))
         # the second line of a picture lists points seen in it: none
         images.append(f"{number} {numbers} {lenses.setdefault(lens, len(lenses) + 1)} {shot.name}\n\n")

@@ -16,7 +16,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.ndimage import distance_transform_edt
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.skin_bones import bone_numbers
@@ -67,18 +66,20 @@ def channels(frame: Frame, bone_ids: np.ndarray | None, names: Sequence[str]) ->
         found |= {f"normal.{axis}": normal[..., place] for place, axis in enumerate("XYZ")}
     if "ids" in names and bone_ids is not None:
         found["hand_id"] = covered.astype(np.uint32)
-        found["bone_id"] = np.where(covered, _without_holes(bone_ids), 0).astype(np.uint32)
+        found["bone_id"] = np.where(covered, _filled(bone_ids, covered), 0).astype(np.uint32)
     return found
 
 
-def _without_holes(bone_ids: np.ndarray) -> np.ndarray:
-    """(H, W) bones, with those of the nearest pixel that has one where there is none: they are counted in a picture of
-    their own, whose outline may be a pixel off."""
-    if not bone_ids.any():
-        return bone_ids
-    nearest = np.zeros((2, *bone_ids.shape), np.int32)
-    distance_transform_edt(bone_ids == 0, return_distances=False, return_indices=True, indices=nearest)
-    return bone_ids[tuple(nearest)]
+def _filled(bone_ids: np.ndarray, covered: np.ndarray) -> np.ndarray:
+    """(H, W) bones, with those of the next pixel that has one where the picture is covered and there is none: they are
+    counted in a picture of their own, whose outline may be a pixel off."""
+    ids, (height, width) = bone_ids, bone_ids.shape
+    while ids.any() and (covered & (ids == 0)).any():
+        before = np.pad(ids, 1)
+        # pixels at an edge are nearer than those at a corner
+        for down, right in ((0, 1), (1, 0), (1, 2), (2, 1), (0, 0), (0, 2), (2, 0), (2, 2)):
+            ids = np.where(ids == 0, before[down : down + height, right : right + width], ids)
+    return ids
 
 
 @dataclass(frozen=True)

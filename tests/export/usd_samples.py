@@ -22,18 +22,18 @@ def small_avatar(scale_mode: str | float = "axial", swing: str = "minimal") -> H
     template = load_template()
     rng = np.random.default_rng(5)
     some = slice(None, None, 2)
-    position = torch.tensor(template.vertices_m[some], dtype=torch.float32)
+    position = template.vertices_m[some].astype(np.float32)
     count = len(position)
     return HandAvatar(
         info=AvatarInfo("test", template.identifier, "CC0-1.0", swing=swing, scale_mode=scale_mode),
         handedness=Handedness.RIGHT,
-        canonical_joints_m=torch.tensor(template.joints_m),
+        canonical_joints_m=template.joints_m,
         position_m=position,
-        sigma_m=torch.tensor(rng.uniform(0.0005, 0.002, count), dtype=torch.float32),
-        opacity=torch.tensor(rng.uniform(0, 1, count), dtype=torch.float32),
-        rgb=torch.tensor(rng.uniform(0, 1, (count, 3)), dtype=torch.float32),
-        bone_weights=torch.tensor(template.bone_weights[some], dtype=torch.float32),
-        uvd=torch.zeros(count, 3),
+        sigma_m=rng.uniform(0.0005, 0.002, count).astype(np.float32),
+        opacity=rng.uniform(0, 1, count).astype(np.float32),
+        rgb=rng.uniform(0, 1, (count, 3)).astype(np.float32),
+        bone_weights=template.bone_weights[some].astype(np.float32),
+        uvd=np.zeros((count, 3), np.float32),
     )
 
 
