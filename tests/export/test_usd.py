@@ -542,7 +542,7 @@ def test_all_that_is_learned_is_in_the_digest_and_names_and_prices_are_not():
     assert len(set(digests)) == 1 + len(others)
     assert _avatar_digest(trained_avatar(20), motion) == digests[0]
     renamed = replace(
-        avatar, info=replace(avatar.info, name="another"), learned=replace(learned, baked=Distilled(None, (), "x"))
+        avatar, info=replace(avatar.info, name="another"), learned=replace(learned, distilled=Distilled(None, (), "x"))
     )
     assert _avatar_digest(renamed, motion) == digests[0]
 
