@@ -10,7 +10,11 @@ import math
 
 import numpy as np
 
-from jghand_engine.limits import SRGB_EXPONENT, SRGB_OFFSET, SRGB_SLOPE, SRGB_TOE
+# below this sRGB value the curve is a straight line of this slope
+SRGB_TOE = 0.04045
+SRGB_SLOPE = 12.92
+SRGB_OFFSET = 0.055
+SRGB_EXPONENT = 2.4
 
 # PSNR of equal pictures is infinite, which no mean survives; 8-bit pictures that differ at all are below 84
 PSNR_MAX_DB = 100.0

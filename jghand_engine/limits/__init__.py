@@ -5,7 +5,5 @@ as arguments or repeat them in `native/constants.h`, which a test compares with 
 """
 
 from jghand_engine.limits.avatar import *
-from jghand_engine.limits.color import *
-from jghand_engine.limits.native import *
 from jghand_engine.limits.service import *
 from jghand_engine.limits.splat import *

@@ -16,9 +16,9 @@ from pathlib import Path
 from queue import SimpleQueue
 from typing import TypeVar
 
-from jghand_engine import limits
-
 Result = TypeVar("Result")
+# threads taken without being asked, at most; beyond this many nothing was measured
+AUTOMATIC_THREADS = 8
 
 
 def physical_cores() -> int:
@@ -58,8 +58,8 @@ def _container_limit() -> int | None:
 
 
 def thread_count(wanted: int) -> int:
-    """`wanted`, or for 0 as many threads as is sensible: physical cores, at most limits.AUTOMATIC_THREADS."""
-    return wanted if wanted > 0 else min(physical_cores(), limits.AUTOMATIC_THREADS)
+    """`wanted`, or for 0 as many threads as is sensible: physical cores, at most AUTOMATIC_THREADS."""
+    return wanted if wanted > 0 else min(physical_cores(), AUTOMATIC_THREADS)
 
 
 class _Call:

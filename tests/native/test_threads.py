@@ -9,9 +9,15 @@ import time
 
 import pytest
 
-from jghand_engine import limits
 from jghand_engine.native import threads
-from jghand_engine.native.threads import WorkerPool, physical_cores, processors, shared_pool, thread_count
+from jghand_engine.native.threads import (
+    AUTOMATIC_THREADS,
+    WorkerPool,
+    physical_cores,
+    processors,
+    shared_pool,
+    thread_count,
+)
 
 
 @pytest.fixture(params=[1, 2, 3, 5])
@@ -126,7 +132,7 @@ def test_the_shared_pool_is_shared():
 
 def test_the_automatic_number_of_threads_is_at_most_the_cores():
     assert thread_count(5) == 5
-    assert 1 <= thread_count(0) <= min(physical_cores(), limits.AUTOMATIC_THREADS)
+    assert 1 <= thread_count(0) <= min(physical_cores(), AUTOMATIC_THREADS)
 
 
 def test_a_containers_limit_is_respected(monkeypatch):
