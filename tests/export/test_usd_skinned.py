@@ -102,7 +102,7 @@ def test_a_variant_shows_one_thing(export, variant):
 
 def test_many_bones_become_the_heaviest_that_are_kept(tmp_path):
     weights = torch.softmax(4 * torch.randn(805, 21, generator=torch.Generator().manual_seed(0)), 1)
-    avatar = replace(small_avatar(), bone_weights=weights)
+    avatar = replace(small_avatar(), bone_weights=weights.numpy())
     report = export_usd(tmp_path, avatar, lively_motion(Handedness.RIGHT, 2), options=UsdOptions(width_factor=2.0))
     assert check_usd(report.stage) == []
     stage = opened(report.stage, Variant.POINTS_SKINNED)

@@ -22,6 +22,7 @@ from jghand_engine.learn.rasterize import rasterize
 from jghand_engine.learn.shadow import darken
 from jghand_engine.learn.skinning import seen_from
 from jghand_engine.learn.step import HandTraining
+from jghand_engine.learn.tensors import HandTensors
 from jghand_engine.render.settings import RenderSettings
 from jghand_engine.render.shadow import ShadowStyle
 
@@ -454,7 +455,7 @@ def test_what_is_shown_and_baked_early_is_what_is_being_learned(build, samples):
     frames, weight = training._posed_bones(samples[3]).bones.frames, training._wave_weight(0.3)
     with torch.no_grad():
         learned, all_waves = training.hand.pose_net(frames, None, weight), training.hand.pose_net(frames)
-        baked = training.avatar().learned.correctives(frames)
+        baked = HandTensors.of(training.avatar()).learned.correctives(frames)
     torch.testing.assert_close(baked.offset_m, learned.offset_m, atol=2e-8, rtol=0)
     assert float((baked.offset_m - all_waves.offset_m).abs().max()) > 1e-3
     shown = training.fixed_psnr()
