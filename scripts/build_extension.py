@@ -1,13 +1,13 @@
 """Builds the Blender extension: the zip that an artist installs, and the index of a repository that serves it.
 
-    python scripts/build_extension.py                       dist/jghand-0.1.0.zip, for an engine found elsewhere
-    python scripts/build_extension.py --platforms this      with the engine for this machine: …-PLATFORM.zip
+    python scripts/build_extension.py                       dist/jghand-0.1.0-PLATFORM.zip for this machine
     python scripts/build_extension.py --platforms all       one for each platform, and one for all of them
+    python scripts/build_extension.py --platforms none      without the engine, for one that is found elsewhere
     python scripts/build_extension.py --out FOLDER          the same in another folder
     python scripts/build_extension.py --zip-only            no index, and no check by Blender
 
 The zip needs nothing but Python 3.11 or newer, and for the engine PyPI the first time. It holds `blender_addon`, a
-copy of the one module that extension and engine share, and if wanted the engine itself with its kernels
+copy of the one module that extension and engine share, and the engine itself with its kernels
 (scripts/bundled_engine.py); the same files give the same bytes. Blender's own tool checks it and writes the index; the
 tool comes with every Blender as a module (`.envs/blender`, made by scripts/test.py) and needs no Blender to run. A
 folder with the results on any web server is a repository: its address is that of index.json.
@@ -48,8 +48,6 @@ RIGHTS = 0o100644
 POINTER = b"version https://git-lfs"
 # a download that nobody has to think about; what the engine and its avatars need is about a third of it
 SIZE_MAX = 25_000_000
-# "this" as soon as the engine draws where there is no PyTorch: until then a carried one would not start
-DEFAULT = "none"
 TOOL = "bl_pkg/cli/blender_ext.py"
 
 
@@ -163,8 +161,8 @@ def main() -> int:
     parser.add_argument("--out", type=Path, default=ROOT / "dist", help="folder for the results (default dist)")
     parser.add_argument(
         "--platforms",
-        default=DEFAULT,
-        help=f"this | all | none | or one by name; {DEFAULT} if not given: " + " | ".join(PLATFORMS),
+        default="this",
+        help="this (default) | all | none | " + " | ".join(PLATFORMS),
         metavar="WHICH",
     )
     parser.add_argument("--zip-only", action="store_true", help="write the zip alone, unchecked")
