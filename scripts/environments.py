@@ -100,7 +100,7 @@ print("drawing with the native kernels, variant", library.load().variant)
 ENGINE = Environment(
     name="engine",
     pythons=((3, 11), (3, 12), (3, 13), None),
-    packages=("--no-build-isolation", "--editable", ".[video,study,farm,formats]"),
+    packages=("--no-build-isolation", "--editable", ".[usd,video,study,farm,formats]"),
     sources=("pyproject.toml", "setup.py", "jghand_engine/native/build.py", "jghand_engine/native/**/*.cpp",
              "jghand_engine/native/**/*.h"),
     builds=True,
