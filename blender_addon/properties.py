@@ -12,7 +12,7 @@ import bpy
 from .core import limits, poses
 from .core.joints import FINGERS, RIGHT
 from .export import properties as output_settings
-from .hand import bone_list
+from .hand import sources
 from .versions import path_options
 
 # identifier, name, tooltip, icon, number in files
@@ -49,19 +49,19 @@ POSES = tuple(
 
 # properties' functions have names of their own: a lambda in an annotation would not see this module
 def _bone(row: JGHandJoint) -> str:
-    return bone_list.bone_of(row.id_data, row.name)
+    return sources.bone_of(row.id_data, row.name)
 
 
 def _set_bone(row: JGHandJoint, bone: str) -> None:
-    bone_list.set_bone(row.id_data, row.name, bone)
+    sources.set_bone(row.id_data, row.name, bone)
 
 
 def _end(row: JGHandJoint) -> int:
-    return bone_list.end_of(row.id_data, row.name)
+    return sources.end_of(row.id_data, row.name)
 
 
 def _set_end(row: JGHandJoint, place: int) -> None:
-    bone_list.set_end(row.id_data, row.name, place)
+    sources.set_end(row.id_data, row.name, place)
 
 
 def _evaluate_again(settings: JGHandObjectSettings, _context: bpy.types.Context) -> None:

@@ -23,9 +23,6 @@ from .hand import (
     ops_motion,
     ops_pose,
     ops_track,
-    panel_bones,
-    panel_motion,
-    panel_pose,
     pose_library,
 )
 from .hand import ops as hand_ops
@@ -46,7 +43,7 @@ WITH_CLASSES = (
     *(preferences, properties, render_engine, renderer_ops, install),
     *(hand_ops, ops_bones, ops_pose, ops_controls, ops_motion, ops_track),
     *(render_ops, ops_composite, ops_bake, export_ops, train_ops),
-    *(panel_presets, hand_panel, panel_bones, panel_pose, panel_motion, render_panel, panel_quality),
+    *(panel_presets, hand_panel, render_panel, panel_quality),
     *(export_panel, train_panel, renderer_panel, panel_settings),
 )
 # handlers, timers, menus, and what is forgotten at the end

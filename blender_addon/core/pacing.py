@@ -381,3 +381,23 @@ def _tag(want: Want, quality: Quality) -> str:
     budget = "" if quality.budget_ms is None else f"{quality.budget_ms:g}ms"
     shadow = f"{quality.shadow_strength:g}.{quality.shadow_radius_m:g}"
     return f"{_content(want)}{pixels}.{quality.preset}{budget}.{quality.density:g}.{shadow}"
+
+
+@dataclass(frozen=True)
+class Attempts:
+    """failed: times in a row · again_s: not before then, on any clock that only goes forward"""
+
+    failed: int = 0
+    again_s: float = 0.0
+
+    def allowed(self, now_s: float) -> bool:
+        """Whether it may be tried now."""
+        return self.failed < limits.DRAW_TRIES and now_s >= self.again_s
+
+    def after_failure(self, now_s: float) -> Attempts:
+        """It failed once more."""
+        return Attempts(self.failed + 1, now_s + limits.DRAW_REST_S)
+
+    def due_s(self) -> float | None:
+        """When it is tried again; None where that is not to come."""
+        return self.again_s if 0 < self.failed < limits.DRAW_TRIES else None

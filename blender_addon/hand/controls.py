@@ -34,7 +34,7 @@ from ..core.controls import (
 )
 from ..core.joints import FINGERS, NAMES, WRIST
 from ..errors import JGHandFailure
-from . import armature, motion, shapes
+from . import armature, motion
 
 COLLECTION = "JGHand Controls"
 # the tips' controls, hidden until one is held: they stay where they are while the fingers move
@@ -271,7 +271,7 @@ def _collect_bones(data: bpy.types.Armature) -> None:
             data.collections.new(name).is_visible = name == COLLECTION
     for name in CONTROLS:
         data.collections[TIP_COLLECTION if name in TIP_CONTROLS else COLLECTION].assign(data.bones[name])
-        data.bones[name].color.palette = shapes.PALETTES[_kind(name)]
+        data.bones[name].color.palette = PALETTES[_kind(name)]
 
 
 def _kind(name: str) -> str:
@@ -287,7 +287,7 @@ def _dress_controls(hand: bpy.types.Object, rest: np.ndarray, unit_m: float) -> 
         bone.lock_location = (kind != "tip",) * 3
         bone.lock_rotation = (kind == "tip", True, kind == "tip")
         bone.lock_scale = (True,) * 3
-        bone.custom_shape = shapes.shape(kind)
+        bone.custom_shape = shape(kind)
         bone.use_custom_shape_bone_size = False
         bone.custom_shape_scale_xyz = (1.0 / unit_m,) * 3
         finger = next((place for place, control in enumerate(FINGER_CONTROLS) if control == name), None)
@@ -368,3 +368,44 @@ def _set_solver_range(bone: bpy.types.PoseBone, span: JointRange | None) -> None
         setattr(bone, f"use_ik_limit_{axis}", span is not None)
         setattr(bone, f"ik_min_{axis}", low)
         setattr(bone, f"ik_max_{axis}", high)
+
+
+# Blender's bone color sets
+PALETTES = {"hand": "THEME04", "finger": "THEME09", "tip": "THEME01"}
+_NAMES = {kind: f"JGHand {kind} control" for kind in PALETTES}
+_CORNERS = 32
+
+
+def shape(kind: str) -> bpy.types.Object:
+    """The object drawn for a control of a kind, "hand", "finger" or "tip", meters; made when there is none."""
+    known = bpy.data.objects.get(_NAMES[kind])
+    if known is not None and known.type == "MESH" and known.library is None:
+        return known
+    mesh = bpy.data.meshes.new(_NAMES[kind])
+    points, edges = _wires(kind)
+    mesh.from_pydata(points, edges, [])
+    return bpy.data.objects.new(_NAMES[kind], mesh)
+
+
+def _wires(kind: str) -> tuple[list[tuple[float, float, float]], list[tuple[int, int]]]:
+    if kind == "finger":  # a ring that the finger goes through
+        return _rings([((1, 0, 0), (0, 0, 1))], limits.FINGER_SHAPE_M)
+    if kind == "tip":
+        axes = np.eye(3)
+        return _rings([(axes[0], axes[1]), (axes[1], axes[2]), (axes[2], axes[0])], limits.TIP_SHAPE_M)
+    # a bracelet around the palm, flat as the palm is, half way to the knuckles
+    wide, deep, along = limits.HAND_SHAPE_M
+    points, edges = _rings([((wide, 0, 0), (0, 0, deep))], 1.0)
+    return [(x, y + along, z) for x, y, z in points], edges
+
+
+def _rings(planes: list, radius: float) -> tuple[list[tuple[float, float, float]], list[tuple[int, int]]]:
+    """Circles with these pairs of axes."""
+    angle = np.linspace(0, 2 * np.pi, _CORNERS, endpoint=False)
+    points, edges = [], []
+    for first, second in planes:
+        start = len(points)
+        ring = radius * (np.outer(np.cos(angle), first) + np.outer(np.sin(angle), second))
+        points += [tuple(map(float, point)) for point in ring]
+        edges += [(start + at, start + (at + 1) % _CORNERS) for at in range(_CORNERS)]
+    return points, edges

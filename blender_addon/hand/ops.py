@@ -18,7 +18,7 @@ from ..core.joints import HANDEDNESSES, NAMES, RIGHT
 from ..errors import JGHandFailure
 from ..ops import UNDOABLE, UNDOABLE_PLUMBING, Reporting, missing
 from ..properties import HANDS
-from . import armature, bone_list, controls, framing, sources
+from . import armature, controls, framing, sources
 
 _EITHER = (("BOTH", "Both", "Every hand that is found", "NONE", -1), *HANDS)
 # Blender keeps no texts of dynamic items
@@ -169,7 +169,7 @@ class UseArmature(Reporting, bpy.types.Operator):
             maps = [bone_maps.by_hand(side, [None] * len(NAMES))]
         for bone_map in maps:
             sources.store_map(rig, bone_map)
-        bone_list.prepare(rig)
+        sources.prepare(rig)
         rig.jghand.map_hand = maps[0].handedness
         rig.update_tag()
         if nothing:

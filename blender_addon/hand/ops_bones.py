@@ -10,7 +10,7 @@ from ..core import bone_maps
 from ..core.joints import NAMES
 from ..errors import JGHandFailure
 from ..ops import UNDOABLE, UNDOABLE_PLUMBING, Reporting, missing
-from . import armature, bone_list, sources
+from . import armature, sources
 
 
 def _poll_rig(operator: type, context: bpy.types.Context) -> bool:
@@ -37,7 +37,7 @@ class EditBoneMap(Reporting, bpy.types.Operator):
         return _poll_rig(cls, context)
 
     def run(self, context: bpy.types.Context) -> None:
-        bone_list.prepare(context.object)
+        sources.prepare(context.object)
 
 
 class FillBoneMap(Reporting, bpy.types.Operator):
@@ -62,7 +62,7 @@ class FillBoneMap(Reporting, bpy.types.Operator):
         rig = context.object
         side = rig.jghand.map_hand
         found = sources.recognize(rig, side)
-        before = bone_list.shown_map(rig)
+        before = sources.shown_map(rig)
         if found.bone_map is None:
             raise JGHandFailure("bad_bone_map", " ".join(found.sentences))
         chosen = before.sources if before is not None and self.only_missing else [None] * len(NAMES)
@@ -71,7 +71,7 @@ class FillBoneMap(Reporting, bpy.types.Operator):
         filled = [old or new for old, new in zip(kept, found.bone_map.sources, strict=True)]
         bone_map = bone_maps.by_hand(side, filled)
         sources.store_map(rig, bone_map)
-        bone_list.prepare(rig)
+        sources.prepare(rig)
         rig.update_tag()
         count = sum(old is None and new is not None for old, new in zip(kept, filled, strict=True))
         told = rpt_("{count} of 21 bones found by name.").format(count=count)

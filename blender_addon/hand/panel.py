@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The first panel: how the engine is, which hands there are, and how to get one."""
+"""Panels of hands: the list and the active one, the bones of a foreign rig, poses and finger controls, motions."""
 
 from __future__ import annotations
 
@@ -8,12 +8,14 @@ from bpy.app.translations import pgettext_iface as iface_
 
 from .. import ui
 from ..core import panel_text
-from ..core.joints import NAMES
+from ..core.controls import FINGER_CONTROLS, HAND_CONTROL
+from ..core.joints import FINGERS, NAMES
 from ..errors import JGHandFailure
-from ..renderer import runtime
+from ..export.panel import draw_job
+from ..renderer import job_watch, runtime
 from ..ui import Sidebar
 from ..viewport import views
-from . import armature
+from . import armature, controls, pose_library, sources
 
 
 class HandPanel(Sidebar, bpy.types.Panel):
@@ -131,4 +133,219 @@ def _icon(hand: bpy.types.Object) -> str:
     return "ARMATURE_DATA" if hand.type == "ARMATURE" else "EMPTY_DATA"
 
 
-CLASSES = (HandPanel,)
+# rows that the list shows before it scrolls
+_ROWS = 8
+
+
+class JointList(bpy.types.UIList):
+    """A row per joint: its name and its bone; where that is missing, a search for one."""
+
+    bl_idname = "JGHAND_UL_joints"
+
+    def draw_item(self, _context, layout, _data, item, _icon, _active_data, _active_property):
+        """One row."""
+        rig = item.id_data
+        row = layout.split(factor=0.28)
+        row.label(text=item.name, translate=False)
+        if item.bone in rig.data.bones:
+            row = row.split(factor=0.8)
+            bone_map = sources.shown_map(rig)
+            names = [source.bone for source in bone_map.sources if source is not None] if bone_map is not None else []
+            row.label(text=panel_text.shortened(item.bone, names), icon="BONE_DATA", translate=False)
+            end = row.row()
+            end.active = False
+            end.label(text="tail" if item.end == "tail" else "")
+        else:
+            row.alert = True
+            row.prop_search(item, "bone", rig.data, "bones", text="", icon="ERROR")
+
+
+class BonesPanel(Sidebar, bpy.types.Panel):
+    """Bones."""
+
+    bl_idname = "VIEW3D_PT_jghand_bones"
+    bl_label = "Bones"
+    bl_order = ui.BONES
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        thing = ui.active(context)
+        return thing is not None and armature.is_foreign(thing)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        thing = context.object
+        if thing.type == "ARMATURE":
+            _draw_map(self.layout, context, thing)
+        else:
+            _draw_objects(self.layout, context, thing)
+
+
+def _draw_map(layout: bpy.types.UILayout, context: bpy.types.Context, rig: bpy.types.Object) -> None:
+    settings = rig.jghand
+    layout.row().prop(settings, "map_hand", expand=True)
+    bone_map = sources.shown_map(rig)
+    if bone_map is None:
+        ui.paragraph(layout, context, "This armature is not used for this hand.")
+        layout.operator("jghand.use_armature", text="Find Bones", icon="VIEWZOOM").handedness = settings.map_hand
+        return
+    for line in panel_text.map_lines(bone_map.sources, rig.data.bones.keys(), iface_):
+        ui.paragraph(layout, context, line.text, icon="CHECKMARK" if line.good else "ERROR")
+    if not sources.is_prepared(rig):
+        layout.operator("jghand.edit_bone_map", icon="GREASEPENCIL")
+        return
+    layout.template_list("JGHAND_UL_joints", "", settings, "joints", settings, "active_joint", rows=_ROWS)
+    _draw_joint(layout, rig)
+    row = layout.row(align=True)
+    row.operator("jghand.fill_bone_map", icon="FILE_REFRESH")
+    row.operator("jghand.forget", text="", icon="X").handedness = settings.map_hand
+
+
+def _draw_joint(layout: bpy.types.UILayout, rig: bpy.types.Object) -> None:
+    """The joint that is selected in the list."""
+    settings = rig.jghand
+    if not 0 <= settings.active_joint < len(settings.joints):
+        return
+    joint = settings.joints[settings.active_joint]
+    column = layout.column(align=True)
+    column.prop_search(joint, "bone", rig.data, "bones", text="", icon="BONE_DATA")
+    column.row(align=True).prop(joint, "end", expand=True)
+
+
+def _draw_objects(layout: bpy.types.UILayout, context: bpy.types.Context, holder: bpy.types.Object) -> None:
+    gone = [name for name in NAMES if holder.get(armature.OBJECT_PROPERTIES[name]) is None]
+    if gone:
+        text = iface_("The objects of these joints are gone: {names}").format(names=", ".join(gone))
+        ui.paragraph(layout, context, text, icon="ERROR")
+    else:
+        ui.paragraph(layout, context, "All 21 joints have an object", icon="CHECKMARK")
+    column = layout.column(align=True)
+    column.use_property_split = True
+    column.use_property_decorate = False
+    for name in NAMES:
+        if armature.OBJECT_PROPERTIES[name] in holder:
+            column.prop(holder, f'["{armature.OBJECT_PROPERTIES[name]}"]', text=name, translate=False)
+    layout.operator("jghand.forget", icon="X")
+
+
+class PosePanel(Sidebar, bpy.types.Panel):
+    """Pose."""
+
+    bl_idname = "VIEW3D_PT_jghand_pose"
+    bl_label = "Pose"
+    bl_order = ui.POSE
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return context.object is not None and armature.is_hand(context.object)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        chosen = context.window_manager.jghand
+        library = "jghand.show_pose_shelf" if pose_library.is_used() else "jghand.make_pose_assets"
+        self.layout.operator(library, icon="ASSET_MANAGER")
+        row = self.layout.row(align=True)
+        row.prop(chosen, "pose", text="")
+        row.operator("jghand.apply_pose", text="Apply").pose = chosen.pose
+        row = self.layout.row(align=True)
+        row.operator("jghand.flip_pose", text="Mirror to Other Hand", icon="MOD_MIRROR")
+        row.operator("jghand.reset_pose", text="", icon="LOOP_BACK")
+
+
+class ControlsPanel(Sidebar, bpy.types.Panel):
+    """Finger controls."""
+
+    bl_idname = "VIEW3D_PT_jghand_controls"
+    bl_label = "Finger Controls"
+    bl_parent_id = PosePanel.bl_idname
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return PosePanel.poll(context)
+
+    def draw_header_preset(self, context: bpy.types.Context) -> None:
+        """The whole layer off and on, in the header."""
+        if controls.has_controls(context.object):
+            muted = controls.controls_are_muted(context.object)
+            icon = "HIDE_ON" if muted else "HIDE_OFF"
+            self.layout.operator("jghand.mute_controls", text="", icon=icon, emboss=False)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout, hand = self.layout, context.object
+        if not controls.has_controls(hand):
+            layout.operator("jghand.add_controls", icon="ADD")
+            return
+        column = layout.column(align=True)
+        column.active = not controls.controls_are_muted(hand)
+        _draw_heads(column)
+        _draw_control(column, hand, HAND_CONTROL, "Hand", None)
+        column.separator()
+        for place, (finger, name) in enumerate(zip(FINGERS, FINGER_CONTROLS, strict=True)):
+            _draw_control(column, hand, name, finger.capitalize(), place)
+        used = controls.joint_limits_are_used(hand)
+        layout.operator("jghand.joint_limits", depress=used, icon="LOCKED" if used else "UNLOCKED")
+        row = layout.row(align=True)
+        row.operator("jghand.bake_controls", text="Bake", icon="ACTION")
+        row.operator("jghand.remove_controls", text="Remove", icon="X")
+        ui.paragraph(
+            layout, context, "Rolling a bone about itself moves no joint, and so changes nothing in the picture."
+        )
+
+
+def _draw_heads(column: bpy.types.UILayout) -> None:
+    row = column.split(factor=0.22, align=True)
+    row.label(text="")
+    row = row.row(align=True)
+    for text in ("Curl", "Spread"):
+        row.label(text=text)
+    row.label(text="", icon="BLANK1")
+
+
+def _draw_control(
+    column: bpy.types.UILayout, hand: bpy.types.Object, name: str, label: str, finger: int | None
+) -> None:
+    """A control's two turns, which can be keyed here, and whether the tip is held and how much."""
+    bone = hand.pose.bones[name]
+    row = column.split(factor=0.22, align=True)
+    row.label(text=label)
+    row = row.row(align=True)
+    row.prop(bone, "rotation_euler", index=0, text="")
+    row.prop(bone, "rotation_euler", index=2, text="")
+    if finger is None:
+        row.label(text="", icon="BLANK1")
+        return
+    rule = controls.tip_rule(hand, finger)
+    held = rule.influence > 0
+    button = row.operator("jghand.hold_tip", text="", icon="PINNED" if held else "UNPINNED", depress=held)
+    button.finger, button.hold = FINGERS[finger], not held
+    if held:
+        column.prop(rule, "influence", text="Tip IK", slider=True)
+
+
+class MotionPanel(Sidebar, bpy.types.Panel):
+    """Motion."""
+
+    bl_idname = "VIEW3D_PT_jghand_motion"
+    bl_label = "Motion"
+    bl_order = ui.MOTION
+    bl_options = ui.CLOSED
+
+    @classmethod
+    def poll(cls, context: bpy.types.Context) -> bool:
+        return ui.any_hand(context)
+
+    def draw(self, context: bpy.types.Context) -> None:
+        layout = self.layout
+        draw_job(layout, context, job_watch.IMPORT)
+        layout.operator("jghand.import_motion", icon="IMPORT")
+        layout.operator("jghand.track_video", icon="FILE_MOVIE")
+        ui.paragraph(layout, context, "Or drop an .npz, .json, .csv or .bvh motion into the viewport.")
+        hand = context.object
+        action = hand.animation_data.action if hand is not None and hand.animation_data else None
+        if action is not None and armature.is_any_hand(hand):
+            first, last = action.frame_range
+            text = iface_("{name}: frames {first} to {last}")
+            ui.paragraph(
+                layout, context, text.format(name=action.name, first=round(first), last=round(last)), icon="ACTION"
+            )
+
+
+CLASSES = (HandPanel, JointList, BonesPanel, PosePanel, ControlsPanel, MotionPanel)

@@ -21,7 +21,7 @@ import numpy as np
 from .. import clock
 from ..core import cropping, limits, pacing
 from ..core.cropping import Part
-from ..core.pacing import Activity, DrawMoment, Pace, ViewSettings, Want
+from ..core.pacing import Activity, Attempts, DrawMoment, Pace, ViewSettings, Want
 from ..core.view import HandInSpace, picture_request
 from ..errors import JGHandFailure
 from ..hand import avatar_files, seen_hands
@@ -31,7 +31,6 @@ from ..renderer import runtime
 from ..renderer.link import Answer
 from . import drawing as gpu_picture
 from . import shown_bones
-from .attempts import Attempts
 from .view_camera import ViewCamera, view_camera
 
 # kinds of views: a draw handler in Solid and Material Preview, the render engine in Rendered

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 
 from blender_addon.core import limits
-from blender_addon.viewport.attempts import Attempts
+from blender_addon.core.pacing import Attempts
 
 
 def test_it_is_tried_again_after_a_rest_and_not_for_ever():

@@ -12,7 +12,7 @@ import pytest
 from blender_addon.core import posing
 from blender_addon.core.controls import HAND_CONTROL
 from blender_addon.core.joints import HANDEDNESSES
-from blender_addon.hand import armature, bone_list, controls, seen_hands, sources
+from blender_addon.hand import armature, controls, seen_hands, sources
 
 # float32 of bone chains through constraints; worst observed 3.4e-7 m
 EXACT_M = 1e-6
@@ -151,9 +151,9 @@ def test_undo_and_redo_of_a_bone_that_was_chosen(extension):
     rig.jghand.joints["ring2"].bone = "mixamorig:LeftHandRing2"
     bpy.ops.ed.undo_push(message="chosen")
     bpy.ops.ed.undo()
-    assert bone_list.bone_of(bpy.data.objects["Body"], "ring2") == "mixamorig:RightHandRing2"
+    assert sources.bone_of(bpy.data.objects["Body"], "ring2") == "mixamorig:RightHandRing2"
     bpy.ops.ed.redo()
-    assert bone_list.bone_of(bpy.data.objects["Body"], "ring2") == "mixamorig:LeftHandRing2"
+    assert sources.bone_of(bpy.data.objects["Body"], "ring2") == "mixamorig:LeftHandRing2"
 
 
 def test_a_duplicated_rig_and_a_duplicated_set_of_objects_stay_hands(extension):
@@ -182,6 +182,6 @@ def test_a_file_with_a_map_that_nobody_can_read_still_shows_its_panel(extension)
     rig[armature.MAP_PROPERTIES["right"]] = "{broken"
     assert [row.bone for row in rig.jghand.joints] == [""] * 21
     rig.jghand.joints["wrist"].bone = "mixamorig:RightHand"
-    assert bone_list.bone_of(rig, "wrist") == "mixamorig:RightHand"
+    assert sources.bone_of(rig, "wrist") == "mixamorig:RightHand"
     assert bpy.ops.jghand.fill_bone_map() == {"FINISHED"}
-    assert bone_list.shown_map(rig).complete
+    assert sources.shown_map(rig).complete

@@ -11,8 +11,8 @@ from recording_layout import RecordingLayout, draw, draw_rows
 
 from blender_addon import registration, versions
 from blender_addon.errors import JGHandFailure
-from blender_addon.hand import armature, controls, panel_bones, panel_motion, panel_pose, pose_library
-from blender_addon.hand import panel as hand
+from blender_addon.hand import armature, controls, pose_library
+from blender_addon.hand import panel as hand_panel
 from blender_addon.render import panel as picture
 from blender_addon.render import panel_quality
 from blender_addon.renderer import panel as advanced
@@ -70,13 +70,13 @@ def add(side: str = "right", **options: bool) -> bpy.types.Object:
 
 
 def test_an_empty_scene_shows_one_sentence_and_one_button(extension, engine):
-    seen = draw(hand.HandPanel, extension)
+    seen = draw(hand_panel.HandPanel, extension)
     assert seen.operators == ["jghand.add_hand"]
     assert "Add a hand" in text_of(seen)
     for panel in (
-        panel_pose.PosePanel,
-        panel_bones.BonesPanel,
-        panel_motion.MotionPanel,
+        hand_panel.PosePanel,
+        hand_panel.BonesPanel,
+        hand_panel.MotionPanel,
         picture.ViewPanel,
         picture.RenderPanel,
     ):
@@ -91,9 +91,9 @@ def test_all_panels_draw_for_a_hand_of_ours(extension, engine, side, with_contro
     runtime.set_report(runtime.VIEWPORT, RECEIPT)
     runtime.set_report(runtime.RENDER, RECEIPT)
     seen = drawn(extension)
-    assert panel_pose.ControlsPanel.bl_idname in seen
-    assert panel_bones.BonesPanel.bl_idname not in seen
-    assert ("jghand.hold_tip" in seen[panel_pose.ControlsPanel.bl_idname].operators) == with_controls
+    assert hand_panel.ControlsPanel.bl_idname in seen
+    assert hand_panel.BonesPanel.bl_idname not in seen
+    assert ("jghand.hold_tip" in seen[hand_panel.ControlsPanel.bl_idname].operators) == with_controls
     bpy.ops.object.mode_set(mode="POSE")
     drawn(extension)
     if with_controls:
@@ -101,7 +101,7 @@ def test_all_panels_draw_for_a_hand_of_ours(extension, engine, side, with_contro
         controls.use_joint_limits(thing, False)
         drawn(extension)
         controls.mute_controls(thing, True)
-        assert "JGHand" not in text_of(drawn(extension)[panel_pose.ControlsPanel.bl_idname])
+        assert "JGHand" not in text_of(drawn(extension)[hand_panel.ControlsPanel.bl_idname])
 
 
 def test_all_panels_draw_with_a_camera_or_nothing_active(extension, engine):
@@ -109,54 +109,54 @@ def test_all_panels_draw_with_a_camera_or_nothing_active(extension, engine):
     for active in (extension.scene.camera, None):
         extension.view_layer.objects.active = active
         seen = drawn(extension)
-        assert hand.HandPanel.bl_idname in seen
-        assert panel_pose.PosePanel.bl_idname not in seen
+        assert hand_panel.HandPanel.bl_idname in seen
+        assert hand_panel.PosePanel.bl_idname not in seen
 
 
 def test_an_armature_that_is_no_hand_may_become_one(extension, engine):
     hands.mixamo_rig(extension)
-    seen = draw(hand.HandPanel, extension)
+    seen = draw(hand_panel.HandPanel, extension)
     assert "jghand.use_armature" in seen.operators
 
 
 def test_the_bones_of_a_foreign_rig_are_a_list_that_says_what_is_missing(extension, engine):
     rig, _ = hands.mixamo_rig(extension)
     bpy.ops.jghand.use_armature()
-    seen = draw(panel_bones.BonesPanel, extension)
+    seen = draw(hand_panel.BonesPanel, extension)
     assert "All 21 joints have a bone" in text_of(seen)
-    rows = draw_rows(panel_bones.JointList, extension, rig.jghand, rig.jghand.joints)
+    rows = draw_rows(hand_panel.JointList, extension, rig.jghand, rig.jghand.joints)
     assert {"thumb4", "…Thumb3", "tail"} <= set(rows.texts)
     assert not [one for one in rows.drawn if one.function == "prop_search"]
     rig.jghand.joints["index2"].bone = ""
     rig.jghand.joints["ring1"].bone = "nothing of that name"
-    said = text_of(draw(panel_bones.BonesPanel, extension))
+    said = text_of(draw(hand_panel.BonesPanel, extension))
     assert "1 of 21 joints have no bone: index2" in said
     assert "ring1 (nothing of that name)" in " ".join(said.split())
-    rows = draw_rows(panel_bones.JointList, extension, rig.jghand, rig.jghand.joints)
+    rows = draw_rows(hand_panel.JointList, extension, rig.jghand, rig.jghand.joints)
     assert len([one for one in rows.drawn if one.function == "prop_search"]) == 2
     rig.jghand.map_hand = "left"
-    assert "All 21 joints have a bone" in text_of(draw(panel_bones.BonesPanel, extension))
+    assert "All 21 joints have a bone" in text_of(draw(hand_panel.BonesPanel, extension))
     bpy.ops.jghand.forget(handedness="left")
-    assert "not used for this hand" in text_of(draw(panel_bones.BonesPanel, extension))
+    assert "not used for this hand" in text_of(draw(hand_panel.BonesPanel, extension))
     rig.jghand.joints.clear()
     rig.jghand.map_hand = "right"
-    assert "jghand.edit_bone_map" in draw(panel_bones.BonesPanel, extension).operators
+    assert "jghand.edit_bone_map" in draw(hand_panel.BonesPanel, extension).operators
     drawn(extension)
 
 
 def test_a_hand_of_objects_shows_its_objects_and_which_are_gone(extension, engine):
     things = hands.joint_empties(extension, "left")
     bpy.ops.jghand.use_objects()
-    seen = draw(panel_bones.BonesPanel, extension)
+    seen = draw(hand_panel.BonesPanel, extension)
     assert len([one for one in seen.drawn if one.function == "prop"]) == 21
     bpy.data.objects.remove(things[7])
-    assert "index3" in text_of(draw(panel_bones.BonesPanel, extension))
+    assert "index3" in text_of(draw(hand_panel.BonesPanel, extension))
     drawn(extension)
 
 
 def test_every_hand_has_a_row_that_selects_it(extension, engine):
     first, second = add("right"), add("left")
-    seen = draw(hand.HandPanel, extension)
+    seen = draw(hand_panel.HandPanel, extension)
     rows = [one for one in seen.drawn if one.arguments.get("operator") == "jghand.select_hand"]
     assert [one.settings["uid"] for one in rows] == [second.session_uid, first.session_uid]
     assert [one.arguments["depress"] for one in rows] == [True, False]
@@ -164,9 +164,9 @@ def test_every_hand_has_a_row_that_selects_it(extension, engine):
 
 def test_the_pose_library_is_installed_once_and_then_shown(extension, engine):
     add()
-    assert "jghand.make_pose_assets" in draw(panel_pose.PosePanel, extension).operators
+    assert "jghand.make_pose_assets" in draw(hand_panel.PosePanel, extension).operators
     pose_library.use_library()
-    assert "jghand.show_pose_shelf" in draw(panel_pose.PosePanel, extension).operators
+    assert "jghand.show_pose_shelf" in draw(hand_panel.PosePanel, extension).operators
 
 
 @pytest.mark.parametrize(
@@ -184,13 +184,13 @@ def test_the_pose_library_is_installed_once_and_then_shown(extension, engine):
 def test_the_first_line_says_how_the_engine_is(extension, engine, status, wanted):
     add()
     engine.status = status
-    assert wanted in text_of(draw(hand.HandPanel, extension))
+    assert wanted in text_of(draw(hand_panel.HandPanel, extension))
     drawn(extension)
 
 
 def test_a_failed_engine_is_told_even_in_an_empty_scene(extension, engine):
     engine.status = Status("failed", 5.0, JGHandFailure("no_interpreter", "nothing found"))
-    seen = draw(hand.HandPanel, extension)
+    seen = draw(hand_panel.HandPanel, extension)
     assert "No engine is set up" in text_of(seen)
     assert "jghand.open_preferences" in seen.operators
 
@@ -200,7 +200,7 @@ def test_a_hand_that_cannot_be_shown_says_why_once(extension, engine, monkeypatc
     found = [("Right Hand", JGHandFailure("mirrored", "small print")), ("", JGHandFailure("killed"))]
     monkeypatch.setattr(views, "problems", lambda: found)
     engine.status = Status("failed", 5.0, JGHandFailure("killed"))
-    said = text_of(draw(hand.HandPanel, extension))
+    said = text_of(draw(hand_panel.HandPanel, extension))
     assert "Right Hand: Mirrored scale is not supported" in said
     assert said.count("The system ended the engine") == 1
 

@@ -17,10 +17,10 @@ FRAMES = 24
 
 def step_the_panels_of_output_and_training_alone(window):
     """The others are tried elsewhere; without them these are seen whole on one screen, and open."""
-    others = ("hand.panel_pose", "hand.panel_bones", "hand.panel_motion")
-    for name in (*others, "render.panel", "render.panel_quality", "renderer.panel"):
+    for name in ("hand.panel", "render.panel", "render.panel_quality", "renderer.panel"):
         for panel in reversed(window.module(name).CLASSES):
-            bpy.utils.unregister_class(panel)
+            if panel.bl_label != "Hand":
+                bpy.utils.unregister_class(panel)
     for name in ("export.panel", "train.panel"):
         panels = window.module(name).CLASSES
         for panel in reversed(panels):
