@@ -32,8 +32,8 @@ PURE = (
     *("markdown-it-py", "mdurl", "Pygments"),
 )
 COMPILED = ("safetensors",)  # abi3: one file for every Python of a platform
-# what the package keeps for its own build
-NOT_CARRIED = {".cpp", ".h", ".pyc"}
+# the sources of the kernels are carried: the library is compared with them before it is loaded
+NOT_CARRIED = {".pyc"}
 
 
 @dataclass(frozen=True)
