@@ -11,11 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.fast_posing import FastPosing, PosedFrame
-from jghand_engine.errors import InputError, RetryError
+from jghand_engine.avatar.posing import PosedHand, Posing
+from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.sequence import PoseSequence
-from jghand_engine.native import library
 
 # frames whose bones are made at once
 BATCH_FRAMES = 24
@@ -53,10 +52,7 @@ class HandMotion:
         self._skeleton = self.avatar.skeleton()
         self.sequence = sequence
         self._joints_m = sequence.joints_m
-        native = library.load()
-        if native is None:
-            raise RetryError("the kernels of JGHand are missing", remedy="Install JGHand anew.")
-        self._posing = FastPosing(native, self.avatar)
+        self._posing = Posing(self.avatar)
 
     def __len__(self) -> int:
         return len(self._joints_m)
@@ -70,11 +66,11 @@ class HandMotion:
         """(3,) float64 where the wrist is in one frame, meters."""
         return self._joints_m[index, 0]
 
-    def frame(self, index: int) -> PosedFrame:
+    def frame(self, index: int) -> PosedHand:
         """The Gaussians as the engine draws them in one frame."""
         return self._posing(self._joints_m[index])
 
-    def rest(self) -> PosedFrame:
+    def rest(self) -> PosedHand:
         """The Gaussians of the canonical hand, with what the avatar has learned of such a pose."""
         return self._posing(self._rest_joints_m)
 

@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.fast_learned import FastLearnedSkin
-from jghand_engine.avatar.fast_skinning import FastSkinning, PosedArrays, padded_rows
+from jghand_engine.avatar.blocks import padded_rows
+from jghand_engine.avatar.posing import Poser, new_rows
 from jghand_engine.hand.skeleton import Bones
 from jghand_engine.native import library as native_library
-from jghand_engine.native.binding import Library, aligned_zeros
+from jghand_engine.native.binding import aligned_zeros
 from jghand_engine.native.rasterizer import PLANES, GaussianArrays, NativeRasterizer, View
 from jghand_engine.native.threads import WorkerPool, shared_pool, thread_count
 from jghand_engine.render.camera import Camera
@@ -91,18 +91,12 @@ class Backend:
         self.variant, self.threads = library.variant, thread_count(settings.threads)
         self._library, self._settings = library, settings
         rows = sum(padded_rows(len(avatar)) for avatar in avatars)
-        self._gaussians = GaussianArrays(
-            position_m=aligned_zeros((rows, 3)),
-            sigma_m=aligned_zeros((rows,)),
-            opacity=aligned_zeros((rows,)),
-            rgb=aligned_zeros((rows, 3)),
-            covariance_m2=aligned_zeros((rows, 6)) if any(map(_has_ellipsoids, avatars)) else None,
-        )
-        self._hands: list[_PlainHand | _TrainedHand] = []
+        self._gaussians = new_rows(rows, ellipsoids=any(map(_has_ellipsoids, avatars)))
+        self._hands: list[Poser] = []
         first = 0
         for avatar in avatars:
             mine = _part(self._gaussians, slice(first, first + padded_rows(len(avatar))))
-            self._hands.append((_PlainHand if avatar.learned is None else _TrainedHand)(library, avatar, mine))
+            self._hands.append(Poser(library, avatar, mine))
             first += len(mine)
         self._padding = rows - sum(len(avatar) for avatar in avatars)
         self._rasterizer = NativeRasterizer(library, self.threads)
@@ -119,7 +113,7 @@ class Backend:
         """
         if poses is not None:
             for hand, pose in zip(self._hands, poses, strict=True):
-                hand.prepare(pose)
+                hand.prepare(pose.bones, pose.shift_m, keep_correctives=pose.keep_correctives)
         camera, settings = canvas.camera, self._settings
         if not keep_image:
             self._planes = self._rasterizer.prepare(
@@ -144,14 +138,14 @@ class Backend:
 
     def hand_weights(self, canvas: Canvas) -> np.ndarray:
         """(H, W, hands) how much of a pixel each hand covers, of the Gaussians of the last call."""
-        numbers = owners([hand.rows for hand in self._hands])
+        numbers = owners([hand.blocks.rows for hand in self._hands])
         rasterizer = NativeRasterizer(self._library, self.threads)
         return hand_weights(len(self._hands), lambda first: self._coverage(rasterizer, canvas, numbers, first))
 
     def part_map(self, canvas: Canvas, parts: Sequence[np.ndarray]) -> np.ndarray:
         """(H, W) uint8 number of the part that covers most of the pixel, 0 where hardly anything does, of the Gaussians
         of the last call. parts: per hand the number, from 1, of the part that each of its Gaussians belongs to."""
-        numbers = np.concatenate([hand.in_rows(one) for hand, one in zip(self._hands, parts, strict=True)])
+        numbers = np.concatenate([hand.blocks.in_rows(one) for hand, one in zip(self._hands, parts, strict=True)])
         rasterizer = NativeRasterizer(self._library, self.threads)
         return heaviest_part(int(numbers.max()), lambda first: self._coverage(rasterizer, canvas, numbers, first))
 
@@ -179,41 +173,6 @@ def _part(every: GaussianArrays, rows: slice) -> GaussianArrays:
     return GaussianArrays(every.position_m[rows], every.sigma_m[rows], every.opacity[rows], every.rgb[rows], covariance)
 
 
-class _PlainHand:
-    """A hand whose colors stay as they are, and its rows in the arrays of the image."""
-
-    def __init__(self, library: Library, avatar: HandAvatar, into: GaussianArrays) -> None:
-        self._skin = FastSkinning(library, avatar)
-        into.opacity[:], into.rgb[:] = self._skin.opacity, self._skin.rgb
-        self._into = PosedArrays(into.position_m, into.sigma_m, into.covariance_m2)
-        self.run, self.teams, self.rows = self._skin.run, [self._skin.team], len(into)
-        self.in_rows = self._skin.blocks.in_rows
-
-    def prepare(self, pose: Pose) -> None:
-        self._skin.prepare(pose.bones, self._into, pose.shift_m)
-
-    def prepare_gloss(self, eye_m: np.ndarray) -> bool:
-        return False
-
-    def run_gloss(self) -> None:
-        """It has none."""
-
-
-class _TrainedHand:
-    """A hand with light and gloss, and its rows in the arrays of the image."""
-
-    def __init__(self, library: Library, avatar: HandAvatar, into: GaussianArrays) -> None:
-        self._skin = FastLearnedSkin(library, avatar)
-        into.opacity[:] = self._skin.skin.opacity
-        self._into, self._rgb = PosedArrays(into.position_m, into.sigma_m, into.covariance_m2), into.rgb
-        self.run, self.teams, self.rows = self._skin.run, [self._skin.team, self._skin.gloss_team], len(into)
-        self.prepare_gloss, self.run_gloss = self._skin.prepare_gloss, self._skin.run_gloss
-        self.in_rows = self._skin.skin.blocks.in_rows
-
-    def prepare(self, pose: Pose) -> None:
-        self._skin.prepare(pose.bones, self._into, self._rgb, pose.shift_m, keeps_correctives=pose.keep_correctives)
-
-
 class _Work:
     """The stages of one image. Every thread walks through all of them in one call of the pool: waking a thread costs
     more than a small stage, and a stage ends when its items are done, not when all threads have come (native/team.h).
@@ -223,8 +182,8 @@ class _Work:
 
     def __init__(
         self,
-        skins: Sequence[_PlainHand | _TrainedHand],
-        shining: Sequence[_PlainHand | _TrainedHand],
+        skins: Sequence[Poser],
+        shining: Sequence[Poser],
         rasterizer: NativeRasterizer | None,
         shade: NativeShade,
     ) -> None:

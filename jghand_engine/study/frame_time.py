@@ -17,7 +17,7 @@ import torch
 
 from jghand_engine.avatar.avatar import HandAvatar
 from jghand_engine.avatar.builtin import load_builtin, load_painted
-from jghand_engine.avatar.fast_skinning import FastSkinning, PosedArrays
+from jghand_engine.avatar.posing import Poser
 from jghand_engine.avatar.tiers import Tier
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.learn.baselines import transform_of
@@ -29,7 +29,7 @@ from jghand_engine.native.binding import Library
 from jghand_engine.native.build import read_stamp
 from jghand_engine.native.library import load
 from jghand_engine.native.machine import processor
-from jghand_engine.native.rasterizer import GaussianArrays, NativeRasterizer
+from jghand_engine.native.rasterizer import NativeRasterizer
 from jghand_engine.native.threads import shared_pool, thread_count
 from jghand_engine.render.backend import view_of
 from jghand_engine.render.camera import Camera
@@ -139,11 +139,10 @@ class _PosedScene:
 
     def __init__(self, library: Library, subject: Subject, threads: int) -> None:
         self._pool, self._camera = shared_pool(threads), subject.camera
-        skin = FastSkinning(library, subject.avatar)
-        into = PosedArrays(np.zeros((skin.rows, 3), np.float32), np.zeros(skin.rows, np.float32))
-        skin.prepare(subject.avatar.skeleton().bones(subject.poses[0]), into, subject.poses[0, 0])
-        skin.run()
-        self._gaussians = GaussianArrays(into.position_m, into.sigma_m, skin.opacity, skin.rgb)
+        poser = Poser(library, replace(subject.avatar, learned=None))
+        poser.prepare(subject.avatar.skeleton().bones(subject.poses[0]), subject.poses[0, 0])
+        poser.run()
+        self._gaussians = poser.into
         self._rasterizer = NativeRasterizer(library, threads)
         size = (subject.camera.height, subject.camera.width)
         self._shade = NativeShade(library, size[1], size[0])
@@ -182,14 +181,13 @@ def part_cases(library: Library, threads: int) -> Iterator[Case]:
     tensors = itertools.cycle(torch.from_numpy(subject.poses).float())
     section = "bone transforms of one pose"
     yield Case(section, in_torch, lambda: _nothing(exact.bones(next(tensors))), threads=torch_threads)
-    skin = FastSkinning(library, avatar)
-    into = PosedArrays(np.zeros((skin.rows, 3), np.float32), np.zeros(skin.rows, np.float32))
+    poser = Poser(library, replace(avatar, learned=None))
     bones, matrices = fast.bones(subject.poses[0]), exact.bones(torch.from_numpy(subject.poses[0]).float())
 
     def skin_with(count: int):
         def run() -> None:
-            skin.prepare(bones, into, np.zeros(3))
-            shared_pool(count).run(lambda _thread: skin.run())
+            poser.prepare(bones, np.zeros(3))
+            shared_pool(count).run(lambda _thread: poser.run())
 
         return run
 

@@ -12,7 +12,8 @@ from small_avatars import ellipsoid_avatar, trained_avatar
 
 from jghand_engine import limits
 from jghand_engine.avatar.builtin import load_builtin, load_painted
-from jghand_engine.avatar.fast_correctives import FastNetwork
+from jghand_engine.avatar.corrective_task import NetworkStep
+from jghand_engine.avatar.posing import Poser
 from jghand_engine.color import srgb_to_linear
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
@@ -166,8 +167,8 @@ def counted(monkeypatch, owner: type, name: str) -> list[int]:
 
 
 def test_a_camera_that_moves_alone_asks_for_no_skin_and_no_correctives(monkeypatch):
-    skinned = counted(monkeypatch, backend._TrainedHand, "prepare")
-    corrected = counted(monkeypatch, FastNetwork, "prepare")
+    skinned = counted(monkeypatch, Poser, "prepare")
+    corrected = counted(monkeypatch, NetworkStep, "prepare")
     renderer = HandRenderer(TRAINED, SMALL)
     for side_m in (0.1, 0.15, 0.2):
         frame = renderer.render(pose("relaxed", TRAINED), camera(side_m=side_m))
@@ -177,7 +178,7 @@ def test_a_camera_that_moves_alone_asks_for_no_skin_and_no_correctives(monkeypat
 
 
 def test_a_hand_that_moves_as_a_whole_keeps_its_correctives(monkeypatch):
-    corrected = counted(monkeypatch, FastNetwork, "prepare")
+    corrected = counted(monkeypatch, NetworkStep, "prepare")
     renderer, joints, view = HandRenderer(TRAINED, SMALL), pose("relaxed", TRAINED), camera()
     renderer.render(joints, view)
     turn = torch.linalg.matrix_exp(

@@ -16,7 +16,7 @@ from jghand_engine.export.rotations import quaternions_xyzw
 
 if TYPE_CHECKING:
     from jghand_engine.avatar.avatar import HandAvatar
-    from jghand_engine.avatar.fast_posing import PosedFrame
+    from jghand_engine.avatar.posing import PosedHand
 
 # spherical harmonics of band 0: color = 0.5 + SH_C0 * coefficient
 SH_C0 = 0.28209479177387814
@@ -49,13 +49,13 @@ class SplatCloud:
         return len(self.positions_m)
 
     @classmethod
-    def of_frame(cls, posed: PosedFrame, avatar: HandAvatar, *, axes: str, up: str) -> SplatCloud:
+    def of_frame(cls, posed: PosedHand, avatar: HandAvatar, *, axes: str, up: str) -> SplatCloud:
         """The Gaussians of a frame, whose world has the axis `up` upwards, in `axes`. avatar: that was posed."""
         axes_from_world = AXES_FROM_RUB[axes] @ RUB_FROM_UP[up]
         scales_m, rotations = _shapes(posed.sigma_m, posed.covariance_m2, axes_from_world)
-        count = len(posed.positions_m)
+        count = len(posed.position_m)
         return cls(
-            posed.positions_m @ axes_from_world.T,
+            posed.position_m @ axes_from_world.T,
             np.broadcast_to(scales_m, (count, 3)),
             np.broadcast_to(rotations, (count, 4)),
             np.asarray(avatar.opacity, np.float32),

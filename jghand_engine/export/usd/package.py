@@ -33,7 +33,7 @@ from pxr import Sdf, Usd
 
 from jghand_engine import __version__
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.fast_posing import PosedFrame
+from jghand_engine.avatar.posing import PosedHand
 from jghand_engine.errors import InputError, RetryError
 from jghand_engine.export.made_from import made_from
 from jghand_engine.export.motion import HandMotion
@@ -439,13 +439,13 @@ class _Writer:
         shape = self._sample(self._motion.rest())
         return Sample(rest_m, scales_m=shape.scales_m, turns_xyzw=shape.turns_xyzw)
 
-    def _sample(self, posed: PosedFrame, wrist_m: np.ndarray | None = None) -> Sample:
+    def _sample(self, posed: PosedHand, wrist_m: np.ndarray | None = None) -> Sample:
         """A frame as it is written; asked for in the order of time, as ellipsoids keep the axes of the one before."""
         scales_m, turns_xyzw = None, None
         if posed.covariance_m2 is not None:
             scales_m, turns_xyzw = self._axes(posed.covariance_m2)
         return Sample(
-            posed.positions_m, posed.sigma_m if self._has_sizes else None, posed.rgb, scales_m, turns_xyzw, wrist_m
+            posed.position_m, posed.sigma_m if self._has_sizes else None, posed.rgb, scales_m, turns_xyzw, wrist_m
         )
 
     @property

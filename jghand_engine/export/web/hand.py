@@ -1,5 +1,5 @@
 """What a web page needs of an avatar to pose it: the arrays that the native kernels read, and the few that are prepared
-for every pose. The page has the same kernels, compiled to WebAssembly, and pose.js in the place of avatar/fast_*.py.
+for every pose. The page has the same kernels, compiled to WebAssembly, and pose.js in the place of avatar/posing.py.
 """
 
 from __future__ import annotations
@@ -11,17 +11,16 @@ import numpy as np
 
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.blocks import Blocks
+from jghand_engine.avatar.cast_task import CastStep
+from jghand_engine.avatar.corrective_task import LinearStep, NetworkStep, NoStep, corrective_step
 from jghand_engine.avatar.correctives import LinearCorrectives, PoseFeatures
-from jghand_engine.avatar.fast_cast import FastCast
-from jghand_engine.avatar.fast_correctives import FastLinear, FastNetwork, NoCorrectives, fast_correctives
-from jghand_engine.avatar.fast_learned import learned_arrays, new_task
-from jghand_engine.avatar.fast_skinning import Blocks, ellipsoid_axes, skin_arrays
 from jghand_engine.avatar.learned import Learned
+from jghand_engine.avatar.skin_task import ellipsoid_axes, learned_arrays, learned_task, skin_arrays, skin_task
 from jghand_engine.avatar.tiers import Tier
 from jghand_engine.errors import InputError
 from jghand_engine.export.web.pack import Pack, task_in_words
 from jghand_engine.native.learned_tasks import LearnedTask
-from jghand_engine.native.tasks import SkinTask
 
 # arrays that are read in 16 bits: of the order of a micrometer, and of 1/65535 of a color
 _ROUNDED = {"skin.rest", "skin.axes", "look", "constant", "share", "cast.rest", "cast.foreign", "places"}
@@ -47,10 +46,8 @@ def pack_hand(avatar: HandAvatar, pack: Pack) -> dict[str, Any]:
     """
     blocks = Blocks(avatar.position_m)
     learned = avatar.learned
-    skin = SkinTask(
-        blocks=blocks.count, stretch_min=limits.SIGMA_STRETCH_MIN, stretch_max=limits.SIGMA_STRETCH_MAX
-    )  # fmt: skip
-    task = LearnedTask() if learned is None else new_task(learned, avatar.handedness)
+    skin = skin_task(blocks)
+    task = LearnedTask() if learned is None else learned_task(learned, avatar.handedness)
     arrays = {f"skin.{name}": array for name, array in skin_arrays(avatar, blocks).items()}
     about: dict[str, Any] = {"correctives": None, "cast": None}
     if learned is not None:
@@ -101,24 +98,24 @@ def _correctives(
     learned: Learned, avatar: HandAvatar, blocks: Blocks, task: LearnedTask, arrays: dict[str, np.ndarray]
 ) -> dict[str, Any] | None:
     """Adds their arrays; what is prepared of them for every pose."""
-    fast = fast_correctives(learned.correctives, avatar, blocks, task)
-    if isinstance(fast, NoCorrectives):
+    step = corrective_step(learned.correctives, avatar, blocks, task)
+    if isinstance(step, NoStep):
         return None
-    if not isinstance(fast, FastLinear | FastNetwork):
+    if not isinstance(step, LinearStep | NetworkStep):
         raise InputError(
             f"correctives of avatar {avatar.info.name}", wanted="ones that the kernels know", came="a wider network",
             remedy="`jghand distill` adds cheaper ones.",
         )  # fmt: skip
-    arrays |= fast.arrays
-    arrays["texels"] = fast.features.texels
-    about: dict[str, Any] = {"features": _features(fast.features)}
-    if isinstance(fast, FastNetwork):
-        fast.prepare(task, np.zeros(37))  # says to the task that there is a network
-        arrays["angles_in"] = fast.angles_in
+    arrays |= step.arrays
+    arrays["texels"] = step.features.texels
+    about: dict[str, Any] = {"features": _features(step.features)}
+    if isinstance(step, NetworkStep):
+        step.prepare(task, np.zeros(37))  # says to the task that there is a network
+        arrays["angles_in"] = step.angles_in
         return about | {"kind": "network", "hidden": int(task.hidden)}
     return about | {
-        "kind": "linear", "basis": int(task.basis), "mean": fast.mean.tolist(), "projection": fast.projection.tolist(),
-        "first": fast.first, "second": fast.second,
+        "kind": "linear", "basis": int(task.basis), "mean": step.mean.tolist(), "projection": step.projection.tolist(),
+        "first": step.first, "second": step.second,
     }  # fmt: skip
 
 
@@ -134,7 +131,7 @@ def _cast(
     """Adds the arrays of the cast shadow; what is prepared of it for every pose."""
     if learned.cast is None:
         return None
-    cast = FastCast(learned.cast, avatar, blocks, task)
+    cast = CastStep(learned.cast, avatar, blocks, task)
     arrays |= {f"cast.{name}": array for name, array in cast.arrays.items()} | cast.around
     return {
         "joints_m": cast.joints_m.tolist(), "direction": cast.direction.tolist(),

@@ -11,7 +11,7 @@ from small_avatars import ellipsoid_avatar, small_avatar, trained_avatar
 from small_hands import joints_of
 
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.fast_posing import FastPosing
+from jghand_engine.avatar.posing import Posing
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.skeleton import Transform
@@ -20,7 +20,7 @@ from jghand_engine.learn.skinning import pose_gaussians
 from jghand_engine.native.binding import Library
 
 AVATARS = {"painted": small_avatar, "trained": trained_avatar, "ellipsoids": ellipsoid_avatar}
-# offsets move with the place where the angle planes are looked up, and that with the joints: see test_fast_learned
+# offsets move with the place where the angle planes are looked up, and that with the joints: see test_trained_posing
 POSITION_M, RELATIVE, COLOR = 1.5e-7, 3e-6, 2e-5
 
 
@@ -36,9 +36,9 @@ def exactly(avatar: HandAvatar, joints_m: np.ndarray):
 def test_a_frame_is_what_the_engine_draws_without_gloss(library: Library, kind, handedness, pose):
     avatar = AVATARS[kind](333).for_hand(handedness)
     joints_m = 1.1 * joints_of(pose, handedness) + np.array([0.1, -0.2, 0.05])
-    posed, wanted = FastPosing(library, avatar, threads=1)(joints_m), exactly(avatar, joints_m)
+    posed, wanted = Posing(avatar, 1, library)(joints_m), exactly(avatar, joints_m)
     # worst observed 9e-8 m
-    assert np.abs(posed.positions_m - wanted.position_m.numpy()).max() < POSITION_M
+    assert np.abs(posed.position_m - wanted.position_m.numpy()).max() < POSITION_M
     assert np.abs(posed.sigma_m / wanted.sigma_m.numpy() - 1).max() < RELATIVE
     if kind == "painted":
         assert posed.rgb is None
@@ -54,17 +54,17 @@ def test_a_frame_is_what_the_engine_draws_without_gloss(library: Library, kind, 
 def test_a_hand_far_from_the_origin_is_off_by_the_steps_of_float32_alone(library: Library):
     avatar = trained_avatar(333)
     joints_m = joints_of("fist") + np.array([10.0, -20.0, 30.0])
-    posed, wanted = FastPosing(library, avatar, threads=1)(joints_m), exactly(avatar, joints_m)
+    posed, wanted = Posing(avatar, 1, library)(joints_m), exactly(avatar, joints_m)
     # half a step at 30 m is 9.5e-7 m; the sum is made in float64, and rounded once
-    assert np.abs(posed.positions_m - wanted.position_m.numpy()).max() < 1.2e-6
+    assert np.abs(posed.position_m - wanted.position_m.numpy()).max() < 1.2e-6
 
 
 def test_frames_do_not_share_memory(library: Library):
-    posing = FastPosing(library, trained_avatar(50), threads=1)
+    posing = Posing(trained_avatar(50), 1, library)
     first = posing(joints_of("open"))
-    copies = first.positions_m.copy(), first.sigma_m.copy(), first.rgb.copy()
+    copies = first.position_m.copy(), first.sigma_m.copy(), first.rgb.copy()
     posing(joints_of("fist"))
-    for now, before in zip((first.positions_m, first.sigma_m, first.rgb), copies, strict=True):
+    for now, before in zip((first.position_m, first.sigma_m, first.rgb), copies, strict=True):
         assert np.array_equal(now, before)
 
 
@@ -72,4 +72,4 @@ def test_an_avatar_that_follows_the_joints_in_another_way_is_refused(library: Li
     avatar = small_avatar(20)
     other = replace(avatar, info=replace(avatar.info, transform=Transform.HALO_LIKE))
     with pytest.raises(InputError, match="transform"):
-        FastPosing(library, other)
+        Posing(other, 1, library)

@@ -9,12 +9,12 @@ import pytest
 import torch
 
 from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.blocks import spatial_order
 from jghand_engine.avatar.builtin import load_painted
-from jghand_engine.avatar.fast_skinning import FastSkinning, PosedArrays, spatial_order
+from jghand_engine.avatar.posing import Poser
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.poses import named_pose
-from jghand_engine.hand.skeleton import Skeleton
 from jghand_engine.learn.skeleton import JointTransform
 from jghand_engine.learn.skinning import pose_gaussians
 from jghand_engine.native.binding import Library
@@ -23,12 +23,13 @@ from jghand_engine.native.threads import shared_pool
 
 def skinned(library: Library, avatar: HandAvatar, joints_m: np.ndarray, threads: int = 1, shift_m=(0.0, 0.0, 0.0)):
     """Positions and radii in the avatar's order."""
-    skin = FastSkinning(library, avatar)
-    into = PosedArrays(np.full((skin.rows, 3), np.nan, np.float32), np.full(skin.rows, np.nan, np.float32))
-    bones = Skeleton(avatar.canonical_joints_m, handedness=avatar.handedness).bones(joints_m)
-    skin.prepare(bones, into, np.array(shift_m))
-    shared_pool(threads).run(lambda _thread: skin.run())
-    inverse = np.argsort(skin.order)
+    poser = Poser(library, avatar)
+    into = poser.into
+    into.position_m[:], into.sigma_m[:] = np.nan, np.nan
+    bones = avatar.skeleton().bones(joints_m)
+    poser.prepare(bones, np.array(shift_m))
+    shared_pool(threads).run(lambda _thread: poser.run())
+    inverse = np.argsort(poser.blocks.order)
     assert (into.sigma_m[len(avatar) :] == 0).all()
     return into.position_m[: len(avatar)][inverse], into.sigma_m[: len(avatar)][inverse]
 
@@ -94,13 +95,15 @@ def _read_only(array: np.ndarray) -> np.ndarray:
 )
 def test_arrays_that_the_kernel_cannot_write_into_are_refused_by_name(library: Library, name, make, wanted):
     avatar = load_painted(handedness=Handedness.RIGHT).prefix(100)
-    skin = FastSkinning(library, avatar)
-    bones = Skeleton(avatar.canonical_joints_m, handedness=Handedness.RIGHT).bones(avatar.canonical_joints_m)
-    good = PosedArrays(np.zeros((skin.rows, 3), np.float32), np.zeros(skin.rows, np.float32))
+    poser = Poser(library, avatar)
+    bones = avatar.skeleton().bones(avatar.canonical_joints_m)
+    good, rows = poser.into, poser.blocks.rows
+    poser.into = replace(good, **{name: make(rows)})
     with pytest.raises(InputError, match=f"{name}.*{wanted}"):
-        skin.prepare(bones, replace(good, **{name: make(skin.rows)}), np.zeros(3))
+        poser.prepare(bones, np.zeros(3))
+    poser.into = good
     with pytest.raises(InputError, match="linear_offset"):
-        skin.prepare(replace(bones, linear_offset=bones.linear_offset[:20]), good, np.zeros(3))
+        poser.prepare(replace(bones, linear_offset=bones.linear_offset[:20]), np.zeros(3))
 
 
 def test_spatial_order_is_a_permutation_and_keeps_neighbors_together():

@@ -1,5 +1,7 @@
-"""The shadows that fingers cast, as the kernel of trained skin takes them (native/learned_cast.cpp); `cast_shadow.py`
-is the specification."""
+"""The shadows that fingers cast, as the kernel of trained skin takes them (native/learned_cast.cpp).
+
+The specification is `learn/cast_shadow.py`.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +9,7 @@ import numpy as np
 
 from jghand_engine import limits
 from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.fast_skinning import Blocks, point
+from jghand_engine.avatar.blocks import Blocks, set_pointers
 from jghand_engine.avatar.learned import CastShadow, capsules, lamp_directions
 from jghand_engine.hand.joints import BONE_COUNT
 from jghand_engine.hand.skeleton import Bones
@@ -16,7 +18,7 @@ from jghand_engine.native.learned_tasks import LearnedTask
 from jghand_engine.native.tasks import LANES
 
 
-class FastCast:
+class CastStep:
     """Fills in a task what the shadows of its poses are found from. It must live as long as the task.
 
     blocks: of the avatar's Gaussians · arrays: fields of CastTask by name · around: those of LearnedTask
@@ -52,8 +54,8 @@ class FastCast:
         shadow.softness, shadow.lamp_width = limits.FLESH_SOFTNESS, limits.LAMP_HALF_WIDTH
         shadow.width_min, shadow.distance2_min = limits.CAPSULE_WIDTH_MIN_M, limits.CAPSULE_LENGTH2_MIN
         shadow.to_display = limits.LIGHT_TO_DISPLAY
-        point(shadow, self.arrays)
-        point(task, self.around)
+        set_pointers(shadow, self.arrays)
+        set_pointers(task, self.around)
 
     def prepare(self, bones: Bones) -> None:
         """Sets the capsules of the next pose."""

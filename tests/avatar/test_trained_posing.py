@@ -11,10 +11,10 @@ from small_avatars import ellipsoid_avatar, trained_avatar
 from small_hands import joints_of
 
 from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.blocks import padded_rows
 from jghand_engine.avatar.correctives import LinearCorrectives, PoseFeatures, PoseNetShape, PoseNetwork
-from jghand_engine.avatar.fast_learned import FastLearnedSkin
-from jghand_engine.avatar.fast_skinning import PosedArrays
 from jghand_engine.avatar.learned import Learned
+from jghand_engine.avatar.posing import Poser, new_rows
 from jghand_engine.errors import InputError
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.hand.skeleton import Bones, Skeleton
@@ -76,19 +76,19 @@ def natively(
     eyes_m: tuple[np.ndarray, ...] = (EYE_M,),
 ) -> Gaussians:
     """In the avatar's order, as the last of the eyes sees it."""
-    skin = FastLearnedSkin(library, avatar)
-    rows, count, pool = skin.skin.rows, len(avatar), shared_pool(threads)
-    into = PosedArrays(*(np.full(shape, np.nan, np.float32) for shape in ((rows, 3), (rows,), (rows, 6))))
-    rgb = np.full((rows, 3), np.nan, np.float32)
-    skin.prepare(bones, into, rgb, np.array([0.01, 0.02, -0.03]))
-    pool.run(lambda _thread: skin.run())
+    into, count, pool = new_rows(padded_rows(len(avatar)), ellipsoids=True), len(avatar), shared_pool(threads)
+    poser = Poser(library, avatar, into)
+    for array in (into.position_m, into.sigma_m, into.rgb, into.covariance_m2):
+        array.fill(np.nan)
+    poser.prepare(bones, np.array([0.01, 0.02, -0.03]))
+    pool.run(lambda _thread: poser.run())
     for eye_m in eyes_m:
-        if skin.prepare_gloss(eye_m):
-            pool.run(lambda _thread: skin.run_gloss())
+        if poser.prepare_gloss(eye_m):
+            pool.run(lambda _thread: poser.run_gloss())
     assert (into.sigma_m[count:] == 0).all()
-    order = np.argsort(skin.skin.blocks.order)
+    order = np.argsort(poser.blocks.order)
     assert into.covariance_m2 is not None
-    arrays = (into.position_m, into.sigma_m, skin.skin.opacity, rgb, into.covariance_m2)
+    arrays = (into.position_m, into.sigma_m, into.opacity, into.rgb, into.covariance_m2)
     return Gaussians(*(torch.from_numpy(array[:count][order]) for array in arrays))
 
 
@@ -216,19 +216,19 @@ def test_gloss_follows_the_eye_and_leaves_nothing_behind(library):
 
 
 def test_gloss_is_found_again_only_for_another_eye_or_pose(library):
-    skin = FastLearnedSkin(library, AVATAR)
+    poser = Poser(library, AVATAR)
     with pytest.raises(InputError, match="pose"):
-        skin.prepare_gloss(EYE_M)
-    into = PosedArrays(np.zeros((skin.skin.rows, 3), np.float32), np.zeros(skin.skin.rows, np.float32))
-    rgb, bones = np.zeros((skin.skin.rows, 3), np.float32), bones_of_hand(AVATAR, joints_of("open"))
-    skin.prepare(bones, into, rgb, np.zeros(3))
-    assert [skin.prepare_gloss(eye) for eye in (EYE_M, EYE_M.copy(), -EYE_M)] == [True, False, True]
-    skin.prepare(bones, into, rgb, np.zeros(3))
-    assert skin.prepare_gloss(-EYE_M)
+        poser.prepare_gloss(EYE_M)
+    bones = bones_of_hand(AVATAR, joints_of("open"))
+    poser.prepare(bones, np.zeros(3))
+    assert [poser.prepare_gloss(eye) for eye in (EYE_M, EYE_M.copy(), -EYE_M)] == [True, False, True]
+    poser.prepare(bones, np.zeros(3))
+    assert poser.prepare_gloss(-EYE_M)
+    poser.into = replace(poser.into, rgb=poser.into.rgb[:-1])
     with pytest.raises(InputError, match="rgb"):
-        skin.prepare(bones, into, rgb[:-1], np.zeros(3))
-    matt = FastLearnedSkin(library, changed(shine=np.zeros(601, np.float32)))
-    matt.prepare(bones, into, rgb, np.zeros(3))
+        poser.prepare(bones, np.zeros(3))
+    matt = Poser(library, changed(shine=np.zeros(601, np.float32)))
+    matt.prepare(bones, np.zeros(3))
     assert not matt.prepare_gloss(EYE_M)
 
 
@@ -302,15 +302,13 @@ def test_the_last_pose_is_not_remembered(library):
     """Of networks, linear tiers and wide networks: a second pose is that of a fresh hand."""
     for name in ("network", "linear-13", "too wide for the kernel"):
         avatar = KINDS[name]
-        skin = FastLearnedSkin(library, avatar)
-        into = PosedArrays(np.zeros((skin.skin.rows, 3), np.float32), np.zeros(skin.skin.rows, np.float32))
-        rgb = np.zeros((skin.skin.rows, 3), np.float32)
+        poser = Poser(library, avatar)
         for pose in ("fist", "open"):
-            skin.prepare(bones_of_hand(avatar, joints_of(pose)), into, rgb, np.array([0.01, 0.02, -0.03]))
-            skin.run()
+            poser.prepare(bones_of_hand(avatar, joints_of(pose)), np.array([0.01, 0.02, -0.03]))
+            poser.run()
         fresh = natively(library, avatar, bones_of_hand(avatar, joints_of("open")))
-        order = np.argsort(skin.skin.blocks.order)
-        assert np.array_equal(into.position_m[: len(avatar)][order], fresh.position_m.numpy())
+        order = np.argsort(poser.blocks.order)
+        assert np.array_equal(poser.into.position_m[: len(avatar)][order], fresh.position_m.numpy())
 
 
 def test_a_correction_that_is_not_finite_is_never_drawn_as_something_else(library):

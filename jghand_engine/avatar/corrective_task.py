@@ -11,6 +11,7 @@ from typing import Protocol
 import numpy as np
 
 from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.blocks import Blocks, set_pointers
 from jghand_engine.avatar.correctives import (
     Correctives,
     LinearCorrectives,
@@ -19,7 +20,6 @@ from jghand_engine.avatar.correctives import (
     positional_encoding,
     products,
 )
-from jghand_engine.avatar.fast_skinning import Blocks, point
 from jghand_engine.hand.joints import JOINT_COUNT
 from jghand_engine.limits import SHADE_MAX
 from jghand_engine.native.binding import aligned_zeros
@@ -27,7 +27,7 @@ from jghand_engine.native.learned_tasks import HIDDEN_MAX, NETWORK_TILE, Correct
 from jghand_engine.native.tasks import LANES
 
 
-class FastCorrectives(Protocol):
+class CorrectiveStep(Protocol):
     """Fills in a task what its pose's correctives are found from. It must live as long as the task."""
 
     def prepare(self, task: LearnedTask, angles_rad: np.ndarray) -> None:
@@ -35,27 +35,27 @@ class FastCorrectives(Protocol):
         ...
 
 
-def fast_correctives(
+def corrective_step(
     correctives: Correctives | None, avatar: HandAvatar, blocks: Blocks, task: LearnedTask
-) -> FastCorrectives:
+) -> CorrectiveStep:
     """For the avatar's Gaussians, which are in `blocks`."""
     if correctives is None:
-        return NoCorrectives()
+        return NoStep()
     if isinstance(correctives, LinearCorrectives):
-        return FastLinear(correctives, blocks, task)
-    kind = FastNetwork if correctives.shape.hidden <= HIDDEN_MAX else WideNetwork
+        return LinearStep(correctives, blocks, task)
+    kind = NetworkStep if correctives.shape.hidden <= HIDDEN_MAX else WideNetworkStep
     return kind(correctives, avatar, blocks, task)
 
 
-class NoCorrectives:
+class NoStep:
     """Nothing but the bones moves the skin."""
 
     def prepare(self, task: LearnedTask, angles_rad: np.ndarray) -> None:
-        """See FastCorrectives."""
+        """See CorrectiveStep."""
         task.correctives = CorrectiveKind.NONE
 
 
-class WideNetwork:
+class WideNetworkStep:
     """A network that is wider than the kernel knows: NumPy computes it for every pose, and the kernel adds it."""
 
     def __init__(self, net: PoseNetwork, avatar: HandAvatar, blocks: Blocks, task: LearnedTask) -> None:
@@ -68,7 +68,7 @@ class WideNetwork:
         task.correctives, task.given = CorrectiveKind.GIVEN, self._given.ctypes.data
 
     def prepare(self, task: LearnedTask, angles_rad: np.ndarray) -> None:
-        """See FastCorrectives."""
+        """See CorrectiveStep."""
         weights, shape = self._net.weights, self._net.shape
         bones = (self._features(angles_rad) @ weights["angles_in.weight"].T).astype(np.float32)
         hidden = np.maximum(self._places + self._bone_weights @ bones, 0)
@@ -79,7 +79,7 @@ class WideNetwork:
         self._given[...] = self._blocks.blocked(both * np.repeat([shape.reach_m, SHADE_MAX], 3))
 
 
-class FastLinear:
+class LinearStep:
     """The linear tier. arrays: fields of the task by name · first, second: see `products`"""
 
     def __init__(self, linear: LinearCorrectives, blocks: Blocks, task: LearnedTask) -> None:
@@ -94,17 +94,17 @@ class FastLinear:
             "numbers": self._numbers,
         }
         task.correctives, task.basis = CorrectiveKind.LINEAR, linear.basis
-        point(task, self.arrays)
+        set_pointers(task, self.arrays)
 
     def prepare(self, task: LearnedTask, angles_rad: np.ndarray) -> None:
-        """See FastCorrectives."""
+        """See CorrectiveStep."""
         simple = (self.features(angles_rad) - self.mean) @ self.projection
         count = min(simple.shape[1], self._numbers.shape[1])
         self._numbers[:, :count] = simple[:, :count]
         self._numbers[:, count:] = simple[:, self.first] * simple[:, self.second]
 
 
-class FastNetwork:
+class NetworkStep:
     """The network. arrays: fields of the task by name · angles_in: (channels, hidden) weights of
     the first layer from a bone's features"""
 
@@ -129,14 +129,14 @@ class FastNetwork:
         }
         # what the network says of a pose is kept: a hand that moves as a whole takes it again
         self.arrays["given"] = aligned_zeros((blocks.count, 6, LANES))
-        point(task, self.arrays)
+        set_pointers(task, self.arrays)
         task.hidden = hidden
         # without a shade its outputs are 0
         task.out_bias = tuple(np.pad(weights["out.bias"], (0, 6 - len(weights["out.bias"]))))
         task.reach = (net.shape.reach_m, SHADE_MAX)
 
     def prepare(self, task: LearnedTask, angles_rad: np.ndarray) -> None:
-        """See FastCorrectives."""
+        """See CorrectiveStep."""
         task.correctives = CorrectiveKind.NETWORK
         self._bones[...] = self.features(angles_rad) @ self.angles_in
 

@@ -1,0 +1,78 @@
+"""Gaussians in the order in which the kernels read them: blocks of sixteen neighbors in space.
+
+Blocks then share their bones, and the rasterizer, which reads them tile by tile, finds them in the cache. Only the
+order among Gaussians of exactly equal depth can tell (RENDERING 3, ties).
+"""
+
+from __future__ import annotations
+
+import ctypes
+
+import numpy as np
+
+from jghand_engine.native.binding import aligned_zeros
+from jghand_engine.native.tasks import LANES
+
+# bits per axis of the space-filling curve: cells of a hand's 0.2 m / 1024
+_MORTON_BITS = 10
+
+
+class Blocks:
+    """Gaussians in blocks of sixteen neighbors, as the kernels read them.
+
+    order: (N,) which Gaussian stands in each row · rows: N rounded up to a multiple of 16
+    """
+
+    def __init__(self, position_m: np.ndarray) -> None:
+        self.order = spatial_order(position_m)
+        self.rows = padded_rows(len(position_m))
+
+    @property
+    def count(self) -> int:
+        """How many blocks."""
+        return self.rows // LANES
+
+    def in_rows(self, values: np.ndarray, dtype: type = np.float32) -> np.ndarray:
+        """(N, …) in the Gaussians' own order -> (rows, …) in this one, zeros at the end."""
+        out = aligned_zeros((self.rows, *values.shape[1:]), dtype)
+        out[: len(values)] = values[self.order]
+        return out
+
+    def blocked(self, values: np.ndarray, dtype: type = np.float32) -> np.ndarray:
+        """(N, C) -> (blocks, C, 16)."""
+        out = aligned_zeros((self.count, values.shape[1], LANES), dtype)
+        out[...] = self.in_rows(values, dtype).reshape(-1, LANES, values.shape[1]).transpose(0, 2, 1)
+        return out
+
+    def bones(self, bone_weights: np.ndarray) -> dict[str, np.ndarray]:
+        """For every block the bones with any weight in it, and those weights: block_start, bone, weight of SkinTask."""
+        blocked = self.blocked(bone_weights)
+        block, bone = np.nonzero((blocked != 0).any(axis=2))
+        start = np.zeros(self.count + 1, np.int32)
+        np.cumsum(np.bincount(block, minlength=self.count), out=start[1:])
+        weight = aligned_zeros((len(bone), LANES))
+        weight[...] = blocked[block, bone]
+        return {"block_start": start, "bone": bone.astype(np.int32), "weight": weight}
+
+
+def padded_rows(count: int) -> int:
+    """Rows that `count` Gaussians take: whole blocks."""
+    return -(-count // LANES) * LANES
+
+
+def spatial_order(position_m: np.ndarray) -> np.ndarray:
+    """(N,) indices of points (N, 3) along a Z-order curve: near in the list means near in space."""
+    low = position_m.min(axis=0, initial=0.0)
+    size = float((position_m - low).max(initial=0.0)) or 1.0
+    cells = np.clip((position_m - low) / size * (2**_MORTON_BITS - 1), 0, 2**_MORTON_BITS - 1).astype(np.uint64)
+    code = np.zeros(len(position_m), np.uint64)
+    for bit in range(_MORTON_BITS):
+        for axis in range(3):
+            code |= (cells[:, axis] >> np.uint64(bit) & np.uint64(1)) << np.uint64(3 * bit + axis)
+    return np.argsort(code, kind="stable")
+
+
+def set_pointers(task: ctypes.Structure, arrays: dict[str, np.ndarray]) -> None:
+    """Lets the task's fields point to arrays, which the caller keeps."""
+    for name, array in arrays.items():
+        setattr(task, name, array.ctypes.data)

@@ -1,0 +1,201 @@
+"""The one recipe of a posed hand, for pictures and files: bone transforms -> correctives -> skin -> light.
+
+    hand = pose(avatar, joints_m)
+
+All of it is done by the native kernels, in tenths of a millisecond; the differentiable form that training goes through
+is `learn/skinning.py`, and tests hold the two together. Only what the skin reflects depends on the camera: it is found
+apart, for pictures, and left out of files.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.blocks import Blocks, set_pointers
+from jghand_engine.avatar.cast_task import CastStep
+from jghand_engine.avatar.corrective_task import corrective_step
+from jghand_engine.avatar.learned import Learned
+from jghand_engine.avatar.skin_task import learned_arrays, learned_task, skin_arrays, skin_task
+from jghand_engine.errors import InputError, RetryError
+from jghand_engine.hand.joints import JOINT_COUNT
+from jghand_engine.hand.skeleton import Bones
+from jghand_engine.native import library as native_library
+from jghand_engine.native.binding import Library, address, aligned_zeros, new_team
+from jghand_engine.native.learned_tasks import CorrectiveKind, LearnedTask
+from jghand_engine.native.rasterizer import GaussianArrays
+from jghand_engine.native.tasks import SkinTask
+from jghand_engine.native.threads import shared_pool
+
+
+@dataclass(frozen=True)
+class PosedHand:
+    """The Gaussians of one pose, in the avatar's own order, float32; they belong to the caller.
+
+    position_m:    (N, 3) meters, in the frame of the joints
+    sigma_m:       (N,) standard deviation, meters
+    rgb:           (N, 3) display-referred sRGB 0..1 without what is reflected; None where no pose changes the colors
+    covariance_m2: (N, 6) xx, xy, xz, yy, yz, zz square meters of ellipsoids; None for spheres
+    """
+
+    position_m: np.ndarray
+    sigma_m: np.ndarray
+    rgb: np.ndarray | None
+    covariance_m2: np.ndarray | None = None
+
+
+def pose(avatar: HandAvatar, joints_m: np.ndarray) -> PosedHand:
+    """The Gaussians for joints (21, 3), level order, meters. For many poses of one avatar keep a `Posing`."""
+    return Posing(avatar)(joints_m)
+
+
+class Posing:
+    """Poses one avatar again and again for nobody's eye. Its own correctives are used, never a cheaper tier of them.
+
+    threads: 0 takes as many as is sensible
+    """
+
+    def __init__(self, avatar: HandAvatar, threads: int = 0, library: Library | None = None) -> None:
+        learned, self._skeleton = avatar.learned, avatar.skeleton()
+        self._relit = learned is not None
+        if learned is not None:
+            # without shine the kernel's colors are those that are the same from everywhere
+            avatar = replace(avatar, learned=replace(learned, shine=np.zeros_like(learned.shine)))
+        self._poser = Poser(library or native_library.load(), avatar)
+        # the row in which each Gaussian stands
+        self._row = np.argsort(self._poser.blocks.order)
+        self._pool = shared_pool(threads)
+
+    def __call__(self, joints_m: np.ndarray) -> PosedHand:
+        """The Gaussians of joints (21, 3), level order, meters; all of them have to be finite."""
+        bones, poser = self._skeleton.bones(joints_m), self._poser
+        poser.prepare(bones, np.zeros(3))
+        self._pool.run(lambda _thread: poser.run())
+        into, row = poser.into, self._row
+        # centers are added to the wrist in double precision
+        return PosedHand(
+            (into.position_m[row].astype(np.float64) + bones.root_m).astype(np.float32),
+            into.sigma_m[row],
+            np.clip(into.rgb[row], 0, 1) if self._relit else None,
+            None if into.covariance_m2 is None else into.covariance_m2[row],
+        )
+
+
+def new_rows(rows: int, *, ellipsoids: bool) -> GaussianArrays:
+    """Arrays for Gaussians that are posed."""
+    covariance_m2 = aligned_zeros((rows, 6)) if ellipsoids else None
+    return GaussianArrays(
+        aligned_zeros((rows, 3)),
+        aligned_zeros((rows,)),
+        aligned_zeros((rows,)),
+        aligned_zeros((rows, 3)),
+        covariance_m2,
+    )
+
+
+class Poser:
+    """Poses one avatar, painted or trained, into rows of a picture's arrays, without gradients.
+
+    blocks: which Gaussian stands in which row; rows beyond the avatar have sigma 0 and opacity 0
+    into:   the rows, `blocks.rows` of them; with covariances where any hand of the picture has ellipsoids
+    teams:  counters to be set to zero before what was prepared is run again
+    """
+
+    def __init__(self, library: Library, avatar: HandAvatar, into: GaussianArrays | None = None) -> None:
+        self._call, learned = library.call, avatar.learned
+        self.blocks = blocks = Blocks(avatar.position_m)
+        ellipsoids = learned is not None and learned.ellipsoid is not None
+        self.into = new_rows(blocks.rows, ellipsoids=ellipsoids) if into is None else into
+        self.into.opacity[:], self.into.rgb[:] = blocks.in_rows(avatar.opacity), blocks.in_rows(avatar.rgb)
+        self._team, self._gloss_team = new_team(), new_team()
+        self.teams = [self._team, self._gloss_team]
+        self._arrays = skin_arrays(avatar, blocks)
+        self._skin = skin_task(blocks)
+        set_pointers(self._skin, self._arrays)
+        _check_size(library, library.call.jg_skin_task_bytes(), SkinTask)
+        self._light = None if learned is None else _Light(library, avatar, learned, blocks)
+        self._posed, self._eye_m = False, None
+        self._keep: tuple[object, ...] = ()
+
+    def prepare(self, bones: Bones, shift_m: np.ndarray, *, keep_correctives: bool = False) -> None:
+        """Sets the next pose. Positions come out relative to the hand's root, plus `shift_m` (3,).
+        keep_correctives: whether those of the last pose that was run are used again.
+
+        InputError names an array that the kernel cannot read or write.
+        """
+        linear_offset = np.ascontiguousarray(bones.linear_offset, np.float32)
+        task, into, rows, covariance = self._skin, self.into, self.blocks.rows, self.into.covariance_m2
+        task.linear_offset = address(linear_offset, np.float32, "linear_offset", (JOINT_COUNT, 3, 4))
+        task.position = address(into.position_m, np.float32, "position_m", (rows, 3), writable=True)
+        task.sigma = address(into.sigma_m, np.float32, "sigma_m", (rows,), writable=True)
+        task.covariance = (
+            None if covariance is None else address(covariance, np.float32, "covariance_m2", (rows, 6), writable=True)
+        )
+        task.shift = tuple(shift_m)
+        # finite for a hand without size
+        inverse_scale = 1.0 / max(bones.scale, float(np.finfo(np.float32).tiny))
+        task.scale, task.inverse_scale = bones.scale, inverse_scale
+        if self._light is not None:
+            self._light.task.skin = task
+            self._light.prepare(bones, inverse_scale, into.rgb, keep_correctives=keep_correctives)
+        self._keep, self._posed, self._eye_m = (linear_offset,), True, None
+        self._team.fill(0)
+
+    def run(self) -> None:
+        """Poses the avatar; every thread of a team calls it."""
+        if self._light is None:
+            self._call.jg_skin(self._team.ctypes.data, ctypes.addressof(self._skin))
+        else:
+            self._call.jg_learned_pose(self._team.ctypes.data, ctypes.addressof(self._light.task))
+
+    def prepare_gloss(self, eye_m: np.ndarray) -> bool:
+        """Sets where the camera stands (3,), in the frame of the positions. Whether there is anything to be run: not
+        when nothing is reflected or the pose was seen from there last."""
+        if not self._posed:
+            raise InputError("picture", wanted="a pose", came="none")
+        light = self._light
+        if light is None or not light.reflects or (self._eye_m is not None and np.array_equal(eye_m, self._eye_m)):
+            return False
+        self._eye_m = np.array(eye_m, np.float64)
+        light.task.eye = tuple(self._eye_m)
+        self._gloss_team.fill(0)
+        return True
+
+    def run_gloss(self) -> None:
+        """Colors as that camera sees them; every thread of a team calls it, after `run`."""
+        if self._light is not None:
+            self._call.jg_learned_gloss(self._gloss_team.ctypes.data, ctypes.addressof(self._light.task))
+
+
+class _Light:
+    """What a trained avatar adds to skinning: correctives, light, the shadows that fingers cast, gloss."""
+
+    def __init__(self, library: Library, avatar: HandAvatar, learned: Learned, blocks: Blocks) -> None:
+        _check_size(library, library.call.jg_learned_task_bytes(), LearnedTask)
+        self.task, self.reflects, self._rows = learned_task(learned, avatar.handedness), learned.reflects, blocks.rows
+        self._arrays = learned_arrays(avatar, learned, blocks)
+        set_pointers(self.task, self._arrays)
+        self.task.lobes = len(self._arrays["lobe"])
+        self._correctives = corrective_step(learned.correctives, avatar, blocks, self.task)
+        self._cast = None if learned.cast is None else CastStep(learned.cast, avatar, blocks, self.task)
+
+    def prepare(self, bones: Bones, inverse_scale: float, rgb: np.ndarray, *, keep_correctives: bool) -> None:
+        task = self.task
+        task.rgb = address(rgb, np.float32, "rgb", (self._rows, 3), writable=True)
+        task.palm = tuple((bones.linear_offset[0, :, :3].astype(np.float64) * inverse_scale).ravel())
+        if not keep_correctives:
+            self._correctives.prepare(task, bones.angles_rad)
+        elif task.given is not None:
+            task.correctives = CorrectiveKind.GIVEN
+        if self._cast is not None:
+            self._cast.prepare(bones)
+
+
+def _check_size(library: Library, size: int, mirror: type[ctypes.Structure]) -> None:
+    """RetryError when the library's structure is not of the size of its mirror."""
+    if size != ctypes.sizeof(mirror):
+        wanted = f"a {mirror.__name__} of {ctypes.sizeof(mirror)} bytes"
+        raise RetryError(f"native library {library.path.name}", wanted=wanted, came=str(size))
