@@ -100,7 +100,7 @@ print("drawing with the native kernels, variant", library.load().variant)
 ENGINE = Environment(
     name="engine",
     pythons=((3, 11), (3, 12), (3, 13), None),
-    packages=("--no-build-isolation", "--editable", ".[usd,video,study,farm,formats]"),
+    packages=("--no-build-isolation", "--editable", ".[learn,usd,video,study,farm,formats]"),
     sources=("pyproject.toml", "setup.py", "jghand_engine/native/build.py", "jghand_engine/native/**/*.cpp",
              "jghand_engine/native/**/*.h"),
     builds=True,
@@ -119,7 +119,7 @@ except JGHandError as error:
 # the engine with the tools of its tests and checks; whoever only uses it need not have them
 DEVELOPER = replace(
     ENGINE,
-    packages=(*ENGINE.packages[:-1], ".[dev,video,metrics,perceptual,study,track,farm,formats]"),
+    packages=(*ENGINE.packages[:-1], ".[dev,learn,usd,video,metrics,perceptual,study,track,farm,formats]"),
     last_words=WHICH_KERNELS + HAND_MODEL,
     holds=(ENGINE,),
 )

@@ -202,6 +202,8 @@ def test_using_the_engine_needs_no_tools_of_its_developers():
     assert "dev" in DEVELOPER.packages[-1]
     assert DEVELOPER.folder == ENGINE.folder
     assert DEVELOPER.holds == (ENGINE,)
+    extras = [set(one.packages[-1].strip(".[]").split(",")) for one in (ENGINE, DEVELOPER)]
+    assert extras[0] < extras[1]
 
 
 @pytest.mark.parametrize("index", ["", "https://packages.example/cpu"])

@@ -39,7 +39,7 @@ MODULE_LINES, PUBLIC_PARAMETERS = 600, 8
 # MANO exists as a pickle alone: one reader with a list of what it may name
 PICKLE_READER = "jghand_engine/template/mano.py"
 # packages that draw: numpy, safetensors and the kernels are all that importing them may load
-WITHOUT_TORCH = ("hand", "native", "render")
+WITHOUT_TORCH = ("avatar", "export", "hand", "motion", "native", "render", "service")
 LEARNING_ONLY = ("torch", "scipy", "trimesh")
 NEVER_IMPORTED = {"pickle", "cPickle", "dill", "cloudpickle", "joblib", "torchvision"}
 SHARED_MODULE = "jghand_engine.service.protocol"

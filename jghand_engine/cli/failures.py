@@ -11,10 +11,20 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from jghand_engine.errors import STOPPED, InputError, JGHandError, MemoryLimitError, RetryError, is_out_of_memory
+from jghand_engine.errors import (
+    STOPPED,
+    InputError,
+    JGHandError,
+    MemoryLimitError,
+    RetryError,
+    install_extra,
+    is_out_of_memory,
+)
 from jghand_engine.files import file_error
 
 FAULT = 1
+# packages of the half that learns, which whoever only draws does without, and their extra
+_EXTRA_OF = {"torch": "learn", "scipy": "learn", "trimesh": "learn"}
 # Windows has no hang-up
 _POLITE = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name))
 
@@ -41,6 +51,9 @@ def explain(error: BaseException) -> Failure:
         )
     if isinstance(error, OSError):
         return explain(_of_the_system(error))
+    if isinstance(error, ModuleNotFoundError) and error.name in _EXTRA_OF:
+        came, remedy = f"no package {error.name}", install_extra(_EXTRA_OF[error.name])
+        return explain(InputError("this command", wanted="what learning needs", came=came, remedy=remedy))
     return Failure(
         f"JGHand failed: {type(error).__name__}: {error}. This should not happen: run it again with --traceback and "
         "report what it prints.",

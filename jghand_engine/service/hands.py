@@ -88,7 +88,7 @@ class EngineHands:
     def render(self, picture: PictureRequest, canceled: Callable[[], bool] = never) -> Painting:
         """All hands in one picture: their Gaussians are drawn together, so that hands may interlock. A request's world
         is the one of the renderer, in which trained hands have their light."""
-        with self._telling("Loading PyTorch"):
+        with self._telling("Loading the renderer"):
             import jghand_engine.render.frame  # noqa: F401
 
         moments = [_moment(exposure, picture) for exposure in picture.exposures]

@@ -702,7 +702,7 @@ def test_a_requests_time_is_neither_that_of_the_one_before_nor_that_of_the_loadi
         time.sleep(0.8)
         protocol.send(engine.connection, {"kind": "reply", "id": 1, "ok": True})
         for _ in range(10):
-            loading = {"kind": "progress", "id": 2, "fraction": None, "text": "Loading PyTorch", "eta_s": None}
+            loading = {"kind": "progress", "id": 2, "fraction": None, "text": "Loading the renderer", "eta_s": None}
             protocol.send(engine.connection, loading)
             time.sleep(0.1)
         protocol.send(engine.connection, {"kind": "reply", "id": 2, "ok": True})

@@ -26,6 +26,7 @@ class OutOfMemoryError(RuntimeError):
         (FileNotFoundError(errno.ENOENT, "No such file", "x.npz"), 2, "x.npz"),
         (OSError(errno.EIO, "Input/output error"), 3, "Input/output"),
         (KeyboardInterrupt(), 130, "Stopped"),
+        (ModuleNotFoundError("No module named 'torch'", name="torch"), 2, "jghand[learn]"),
         (ZeroDivisionError("division by zero"), 1, "--traceback"),
     ],
 )

@@ -1,0 +1,70 @@
+"""Drawing and its exports need the packages of `pip install jghand` alone: no torch, no scipy, no trimesh."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import re
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def base_packages() -> set[str]:
+    """What pyproject.toml lists, and what these want in turn; extras and other systems left out."""
+    named = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]["dependencies"]
+    found: set[str] = set()
+    wanted = [re.split(r"[<>=!~ ;\[]", one)[0] for one in named]
+    while wanted:
+        name = re.sub(r"[-_.]+", "-", wanted.pop()).lower()
+        if name in found:
+            continue
+        found.add(name)
+        for one in importlib.metadata.requires(name) or ():
+            requirement, _, marker = one.partition(";")
+            # markers of this system's Python are few; one too many here would only make the test milder
+            if not marker:
+                wanted.append(re.split(r"[<>=!~ (\[]", requirement.strip())[0])
+    return found
+
+
+@pytest.fixture(scope="module")
+def only_base(tmp_path_factory) -> Path:
+    """A folder that holds the base packages and nothing else."""
+    folder = tmp_path_factory.mktemp("base_packages")
+    for name in base_packages():
+        distribution = importlib.metadata.distribution(name)
+        for top in {Path(file).parts[0] for file in distribution.files or ()} - {"..", "__pycache__"}:
+            if not (folder / top).exists():
+                (folder / top).symlink_to(Path(str(distribution.locate_file(top))).resolve())
+    return folder
+
+
+def run(only_base: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    code = f"import sys; sys.path[:0] = [{str(only_base)!r}, {str(ROOT)!r}]; from jghand_engine.cli import main; "
+    code += f"sys.exit(main({list(words)!r}))"
+    # -S: no site-packages; -I: no PYTHONPATH, nothing of the user's
+    return subprocess.run([sys.executable, "-I", "-S", "-c", code], capture_output=True, text=True, check=False)
+
+
+def test_a_hand_is_drawn_with_the_base_packages_alone(only_base, tmp_path):
+    done = run(only_base, "render", "--poses", "open", "--size", "64x64", "--out", str(tmp_path / "images"))
+    assert done.returncode == 0, done.stderr
+    assert list((tmp_path / "images").rglob("*.png"))
+
+
+def test_splat_files_are_written_with_the_base_packages_alone(only_base, tmp_path):
+    out = str(tmp_path / "splats")
+    done = run(only_base, "export", "splats", "--as", "ply", "--poses", "open", "--out", out)
+    assert done.returncode == 0, done.stderr
+    assert list((tmp_path / "splats").rglob("*.ply"))
+
+
+def test_what_learns_says_which_extra_it_wants(only_base, tmp_path):
+    done = run(only_base, "evaluate", "builtin", str(tmp_path))
+    assert done.returncode == 2
+    assert "jghand[learn]" in done.stderr
