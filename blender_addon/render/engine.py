@@ -2,7 +2,8 @@
 """The render engine JGHand: F12, animations and `blender -b -a` draw the hands of a scene through its camera.
 
 A frame that cannot be exact fails the render with a report and writes nothing: `error_set` and exceptions would let
-Blender write an empty picture and go on (BLENDER 8.3). Source: BLENDER 8.
+Blender write an empty picture and go on (BLENDER 8.3). Where another scene's compositor asks for the hands, Blender
+goes on after a report too, so the frame is filled with magenta, nearer than everything. Source: BLENDER 8.
 """
 
 from __future__ import annotations
@@ -23,11 +24,13 @@ from ..ops import sentence_of
 from ..renderer import runtime
 from ..renderer.runtime import RenderNote
 from ..viewport.rendered import ViewportEngine
-from . import camera, composite, guard, samples
+from . import camera, composite, left_out, samples
 from .engine_name import ENGINE
 from .world import background
 
 COMBINED, DEPTH, IDS = "Combined", "Depth", "JGHandId"
+# as Blender shows what is missing
+MAGENTA = (1.0, 0.0, 1.0, 1.0)
 # Blender's own panels that show what this engine honors; those of other engines stay hidden
 _PANELS_OF_OTHERS = (
     *("CAMERA_PT_presets", "CAMERA_PT_safe_areas_presets", "DATA_PT_context_camera", "DATA_PT_lens"),
@@ -76,9 +79,13 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
             failure = JGHandFailure("internal", f"{type(error).__name__}: {error}")
         if failure is not None:
             runtime.note_render(RenderNote(failure=failure))
-            guard.hands_failed(depsgraph.scene.original, failure)
-            if failure.kind != "canceled" or not self.test_break():
-                self.report({"ERROR"}, sentence_of(failure))
+            if failure.kind == "canceled" and self.test_break():
+                return
+            scene = depsgraph.scene.original
+            if composite.is_hands_scene(scene):
+                self._fill_magenta(depsgraph.view_layer.name)
+                left_out.hands_failed(scene, failure)
+            self.report({"ERROR"}, sentence_of(failure))
 
     def _render(self, depsgraph: bpy.types.Depsgraph) -> None:
         clock = time.perf_counter()
@@ -130,6 +137,15 @@ class JGHandRenderEngine(ViewportEngine, bpy.types.RenderEngine):
         for each in result.layers[0].passes:  # a pass that the view layer does not ask for is not there
             if each.name in values:
                 each.rect.foreach_set(values[each.name])
+        self.end_result(result)
+
+    def _fill_magenta(self, layer: str) -> None:
+        """What nobody takes for a picture, before everything that it is combined with."""
+        result = self.begin_result(0, 0, self.resolution_x, self.resolution_y, layer=layer)
+        pixels = result.resolution_x * result.resolution_y
+        for each in result.layers[0].passes:
+            value = MAGENTA if each.name == COMBINED else (0.0,) * each.channels
+            each.rect.foreach_set(np.tile(np.array(value, np.float32), pixels))
         self.end_result(result)
 
     def _tell(self, reports: list[dict[str, Any]], seen: list[Moment], times: tuple[float, float]) -> None:

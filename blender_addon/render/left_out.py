@@ -1,10 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Says so when a picture is rendered that leaves the hands out: Cycles, EEVEE and Workbench do not draw them.
+"""Says so when a picture has no hands: Cycles, EEVEE and Workbench do not draw them, and JGHand may fail to.
 
 The viewport shows hands in Solid and Material Preview whatever the scene renders with, so F12 with another engine would
 be empty without a word. The same is said where hands were combined with the scene and it has changed since. Said once
 per scene and session: some pictures are meant to be without hands. In a window it is a menu with the two ways to get
 them, without one a line on stderr.
+
+Hands that fail while another scene's compositor asks for them cannot end that render: Blender only prints the error,
+writes the picture and goes on. The frame is magenta then (`engine`), and once per render it is said here why.
 """
 
 from __future__ import annotations
@@ -15,9 +18,12 @@ from typing import Any
 import bpy
 from bpy.app.handlers import persistent
 from bpy.app.translations import pgettext_iface as iface_
+from bpy.app.translations import pgettext_rpt as rpt_
 
 from .. import ui
+from ..errors import JGHandFailure
 from ..hand import armature
+from ..renderer import runtime
 from . import composite
 from .engine_name import ENGINE
 
@@ -25,6 +31,7 @@ from .engine_name import ENGINE
 _said: set[tuple[int, str]] = set()
 # a render's handler may run on a thread of its own: it notes the sentence, the timer on the main thread shows it
 _pending = ""
+_failed = False
 
 
 def hands_left_out(scene: bpy.types.Scene) -> list[str]:
@@ -40,13 +47,30 @@ def hands_left_out(scene: bpy.types.Scene) -> list[str]:
 @persistent
 def on_render(scene: bpy.types.Scene, *_: Any) -> None:
     """A render begins."""
-    global _pending
-    if scene is None:
+    global _pending, _failed
+    if scene is None or composite.is_hands_scene(scene):
         return
+    _failed = False
+    runtime.note_render(None)
     text = sentence_of(scene)
     if not text or (scene.session_uid, text) in _said:
         return
     _said.add((scene.session_uid, text))
+    if bpy.app.background:
+        print(f"JGHand: {text}", file=sys.stderr, flush=True)
+    else:
+        _pending = text
+
+
+def hands_failed(scene: bpy.types.Scene, failure: JGHandFailure) -> None:
+    """The hands of a combined picture could not be drawn: its frame is magenta."""
+    global _pending, _failed
+    if _failed:
+        return
+    _failed = True
+    reason = f"{rpt_(failure.advice.sentence)}. {rpt_(failure.advice.remedy)}."
+    text = iface_("The hands of frame {frame} failed and are magenta: {reason}")
+    text = text.format(frame=scene.frame_current, reason=reason)
     if bpy.app.background:
         print(f"JGHand: {text}", file=sys.stderr, flush=True)
     else:
@@ -82,6 +106,9 @@ def show() -> None:
     if not _pending:
         return
     text, _pending = _pending, ""
+    if _failed:
+        ui.show_message(text, icon="ERROR")
+        return
     ways = (("jghand.use_engine", "RESTRICT_RENDER_OFF"), ("jghand.combine_with_scene", "NODE_COMPOSITING"))
     ui.show_message(text, icon="INFO", operators=ways)
 
@@ -94,8 +121,8 @@ def register() -> None:
 
 def unregister() -> None:
     """Does not look any more."""
-    global _pending
+    global _pending, _failed
     if on_render in bpy.app.handlers.render_init:
         bpy.app.handlers.render_init.remove(on_render)
     _said.clear()
-    _pending = ""
+    _pending, _failed = "", False

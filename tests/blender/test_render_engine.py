@@ -185,13 +185,13 @@ def test_a_keyed_world_is_that_of_each_frame_however_it_is_rendered(scene, tmp_p
 
 def test_what_is_deleted_while_it_is_rendered_is_in_that_picture(scene, monkeypatch):
     """A render has a thread of its own: of the file it reads nothing, only what Blender evaluated for it."""
-    wanted, read = f12(), render_engine.moments.read_moments
+    wanted, read = f12(), render_engine.samples.read_moments
 
     def deleted_meanwhile(*args):
         bpy.data.objects.remove(bpy.data.objects["right"])
         return read(*args)
 
-    monkeypatch.setattr(render_engine.moments, "read_moments", deleted_meanwhile)
+    monkeypatch.setattr(render_engine.samples, "read_moments", deleted_meanwhile)
     np.testing.assert_array_equal(f12(), wanted)
 
 
