@@ -1,4 +1,4 @@
-"""Renews what README.md and docs/ quote of the studies: headlines, tables and plots, from the files of `jghand study`.
+"""Renews what docs/ quotes of the studies: headlines, tables and plots, from the files of `jghand study`.
 
     jghand study accuracy builtin --out study && jghand study stability --out study && jghand study effects --out study
     .envs/engine/bin/python scripts/quote_studies.py study
@@ -17,6 +17,8 @@ from pathlib import Path
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
+# the page with the headlines of all that was measured
+OVERVIEW = "FIGURES.md"
 # study -> its page in docs/, and what its plot shows
 PAGES = {
     "accuracy": ("ACCURACY.md", "What accuracy costs in time: finger tips, and every setting as a point"),
@@ -40,16 +42,17 @@ def main() -> int:
 
 
 def quote(name: str, folder: Path, root: Path) -> None:
-    """Renews the page of a study, its plot, and its part of the README where that has one."""
+    """Renews the page of a study, its plot, and its part of docs/FIGURES.md where that has one."""
+    docs = root / "docs"
     study = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
     page, caption = PAGES[name]
-    shutil.copyfile(folder / f"{name}.png", root / "docs" / f"{name}.png")
+    shutil.copyfile(folder / f"{name}.png", docs / f"{name}.png")
     headline = textwrap.fill(study["headline"], width=120, break_on_hyphens=False, break_long_words=False)
     tables = [markdown(table) for table in study["tables"]]
-    renew(root / "docs" / page, name, "\n\n".join([f"**{study['headline']}**", f"![{caption}]({name}.png)", *tables]))
-    if begin_mark(name) in (root / "README.md").read_text(encoding="utf-8"):
-        more = f"[docs/{page}](docs/{page}) has every figure; `jghand study {name}` measures it on your machine."
-        renew(root / "README.md", name, f"![{caption}](docs/{name}.png)\n\n{headline}\n\n{more}")
+    renew(docs / page, name, "\n\n".join([f"**{study['headline']}**", f"![{caption}]({name}.png)", *tables]))
+    if begin_mark(name) in (docs / OVERVIEW).read_text(encoding="utf-8"):
+        more = f"[{page}]({page}) has every figure; `jghand study {name}` measures it on your machine."
+        renew(docs / OVERVIEW, name, f"![{caption}]({name}.png)\n\n{headline}\n\n{more}")
 
 
 def begin_mark(name: str) -> str:

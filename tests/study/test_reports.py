@@ -193,7 +193,7 @@ def test_pages_quote_a_study_between_their_marks_alone(hard_cases, tmp_path, mon
     (checkout / "docs").mkdir(parents=True)
     marks = "<!-- jghand study stability: begin -->\nold\n<!-- jghand study stability: end -->"
     (checkout / "docs" / "STABILITY.md").write_text(f"before\n{marks}\nafter\n", encoding="utf-8")
-    (checkout / "README.md").write_text("# Name\n", encoding="utf-8")
+    (checkout / "docs" / "FIGURES.md").write_text(f"# Figures\n{marks}\n", encoding="utf-8")
     command = [sys.executable, str(ROOT / "scripts" / "quote_studies.py"), str(study), "--root", str(checkout)]
     subprocess.run(command, check=True, capture_output=True)
     page = (checkout / "docs" / "STABILITY.md").read_text(encoding="utf-8")
@@ -201,5 +201,7 @@ def test_pages_quote_a_study_between_their_marks_alone(hard_cases, tmp_path, mon
     assert page.endswith("after\n")
     assert "old" not in page
     assert "| good hand | 42 | not finite |" in page
-    assert (checkout / "README.md").read_text(encoding="utf-8") == "# Name\n"
+    overview = (checkout / "docs" / "FIGURES.md").read_text(encoding="utf-8")
+    assert "old" not in overview
+    assert "[STABILITY.md](STABILITY.md)" in overview
     assert (checkout / "docs" / "stability.png").is_file()
