@@ -1,24 +1,23 @@
 """JGHand: 21 joint positions go in, a photorealistic hand comes out.
 
-The rooms, in the order in which data walks through them; a room imports only from rooms above it:
+The packages, in the order of imports: each imports only from those above it (docs/ARCHITECTURE.md).
 
-    limits, errors, files   constants, error kinds, atomic writing
-    lock                    one process per piece of work
-    color                  sRGB and linear light
-    native                  the compiled kernels: build, choice of variant, threads
-    hand                    joints, orders, handedness, frames, the joint transform, poses, pose sequences
-    template                the canonical hand surface: mesh, UV, skin weights, weight field, sampling
-    avatar                  canonical Gaussians of one hand, skinning, the .jghand file
-    splat                   Gaussians to pictures: camera, rasterizer, shadow, the frame
-    datasets                files of other people to our data: motions, pictures of hands
-    capture                 what a synthetic capture shows: identity, poses, cameras, light
-    exporters               pictures, video, USD
-    tracking                a motion out of a video
-    training                an avatar from pictures: losses, trainer, checkpoints, evaluation, ablations
-    studies                 what accuracy costs in time
-    service                 the engine as a process for Blender
-    cli                     the command `jghand`
+    errors, files, lock, color, …   kinds of errors, atomic writing, color spaces
+    native      the compiled kernels: build, choice of variant, threads
+    hand        joints, orders, handedness, the skeleton transform, poses, pose sequences
+    template    the canonical hand surface: mesh, UV, skin weights, weight field, sampling
+    avatar      canonical Gaussians of one hand, posing, the .jghand file
+    render      Gaussians to pictures: camera, settings, effects, shadow, the frame
+    motion      motion files of JGHand and of other programs
+    captures    pictures to learn from, and what a synthetic capture shows
+    export      pictures, video, USD, splat files, web pages
+    track       a motion out of a video
+    learn       an avatar from pictures, and the float64 reference of the kernels (PyTorch)
+    study       accuracy against time, stability, effects
+    service     the engine as a process for Blender
+    cli         the command `jghand`
 
+native, hand, avatar, render, motion, export and service import neither torch nor scipy nor trimesh.
 Units are meters and radians, matrices act on column vectors, `a_from_b` maps b to a.
 This module imports nothing, so that Blender's Python can import `jghand_engine.service.protocol` without torch.
 """
