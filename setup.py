@@ -2,7 +2,7 @@
 
 `pip wheel .` puts the libraries of this machine into a wheel `py3-none-<platform>` (they are loaded with ctypes, so one
 wheel serves every Python); `pip install -e .` builds them in place. Where no compiler is found the package still
-installs, and draws with the slower torch reference; JGHAND_REQUIRE_NATIVE=1 makes that an error.
+installs, and the first command that draws tries again; JGHAND_REQUIRE_NATIVE=1 makes that an error.
 """
 
 import os
@@ -32,7 +32,7 @@ class BuildWithNative(build_py):
         except JGHandError as error:
             if os.environ.get("JGHAND_REQUIRE_NATIVE") == "1":
                 raise
-            print(f"warning: no native library, the slower torch reference will draw: {error}", file=sys.stderr)
+            print(f"warning: no kernels, nothing can be drawn before they are built: {error}", file=sys.stderr)
 
 
 class PlatformWheel(bdist_wheel):

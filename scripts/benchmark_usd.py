@@ -138,8 +138,8 @@ def measure(subject: Subject, options: argparse.Namespace) -> None:
         print(f"    {name:<20} {bytes_ / 1e6:7.2f}")
     print(f"  {'per further frame, MB':<22} {growth / 1e6:7.3f}")
     print(f"  {'in half precision, MB':<22} {size(halves) / 1e6:7.2f}")
-    if halves.half is not None:
-        print(f"    {halves.half.sentences()[0]}")
+    if halves.half_error_m is not None:
+        print(f"    {'centers moved, mm':<20} {1e3 * halves.half_error_m:7.3f}")
     grown = memory_growth_mb(options)
     if grown is not None:
         print(f"  {f'{LONG} frames, MB more':<22} {grown:7.1f}")

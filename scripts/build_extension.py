@@ -138,10 +138,11 @@ def run_tool(tool: Path, *arguments: object) -> None:
         raise BuildError(f"Blender's tool says no to: {' '.join(map(str, arguments))}\n{done.stdout}{done.stderr}")
 
 
-def check_and_index(tool: Path, archive: Path) -> None:
-    """Lets Blender's tool check the zip, then write index.json and index.html of the zips in its folder."""
-    run_tool(tool, "validate", archive)
-    run_tool(tool, "server-generate", "--repo-dir", archive.parent, "--html")
+def check_and_index(tool: Path, archives: Sequence[Path]) -> None:
+    """Lets Blender's tool check the zips, then write index.json and index.html of all zips in their folder."""
+    for archive in archives:
+        run_tool(tool, "validate", archive)
+    run_tool(tool, "server-generate", "--repo-dir", archives[0].parent, "--html")
 
 
 def zips_of(choice: str) -> list[tuple[str, ...]]:
@@ -179,9 +180,7 @@ def main() -> int:
             "is made by `python scripts/test.py --only blender`."
         )
         return 0
-    for path in paths:
-        run_tool(tool, "validate", path)
-    run_tool(tool, "server-generate", "--repo-dir", options.out, "--html")
+    check_and_index(tool, paths)
     print(f"{options.out / 'index.json'}: every zip of this folder, for Blender's list of repositories")
     return 0
 

@@ -183,15 +183,15 @@ def read(client: str, way: Way, report: UsdReport) -> Reading:
         run(client_python(), TOOLS / "read_usd.py", client, report.stage.parent / way.reads, table, str(way.frames))
         found = dict(np.load(table))
     count = len(found["positions_m"])
-    still = motion.cloud()
+    rest_m, still_sigma_m, opacity, still_rgb = motion.rest_arrays()
     frames = [motion.frame(index) for index in range(count)]
     # a reader of the Default time alone gets the rest pose, in the colors of the first frame
-    centers_m = np.stack([still.rest_m] if count == 1 else [frame.positions_m for frame in frames])
-    rgb = np.stack([still.rgb if frame.rgb is None else frame.rgb for frame in frames])
+    centers_m = np.stack([rest_m] if count == 1 else [frame.position_m for frame in frames])
+    rgb = np.stack([still_rgb if frame.rgb is None else frame.rgb for frame in frames])
     if way.options.radiance == "linear":
         rgb = srgb_to_linear(rgb)
     each = way.options.sizes == "per_frame" and count > 1
-    sigma_m = np.stack([frame.sigma_m if each else still.sigma_m for frame in frames])
+    sigma_m = np.stack([frame.sigma_m if each else still_sigma_m for frame in frames])
     # balls are not turned: what is, has an order of its own for quaternions
     turned = np.abs(found["turns_wxyz"] - [1.0, 0.0, 0.0, 0.0]).max()
     return Reading(
@@ -201,7 +201,7 @@ def read(client: str, way: Way, report: UsdReport) -> Reading:
         1e3 * float(np.abs(found["positions_m"] - centers_m).max()),
         float(max(np.abs(found["scales_m"] / sigma_m[..., None] - 1).max(), turned)),
         float(np.abs(found["rgb"] - rgb).max()),
-        float(np.abs(found["opacity"] - still.opacity).max()),
+        float(np.abs(found["opacity"] - opacity).max()),
     )
 
 

@@ -80,7 +80,7 @@ def test_the_repository_that_blenders_tool_writes_names_the_zip(tmp_path):
     if tool is None:
         pytest.skip("Blender's tool for extensions comes with .envs/blender, which is not made")
     archive = build_extension.build(tmp_path)
-    build_extension.check_and_index(tool, archive)
+    build_extension.check_and_index(tool, [archive])
     (listed,) = json.loads((tmp_path / "index.json").read_text())["data"]
     assert (listed["id"], listed["archive_url"]) == ("jghand", f"./{archive.name}")
     assert listed["archive_size"] == archive.stat().st_size
@@ -95,4 +95,4 @@ def test_what_blenders_tool_refuses_is_refused_with_its_words(tmp_path, source):
     text = manifest.read_text().replace('joints"\nmaintainer', 'joints."\nmaintainer')
     manifest.write_text(text)
     with pytest.raises(BuildError, match="punctuation"):
-        build_extension.check_and_index(tool, build_extension.build(tmp_path, source))
+        build_extension.check_and_index(tool, [build_extension.build(tmp_path, source)])

@@ -14,8 +14,6 @@ from jghand_engine.hand.joints import JOINT_COUNT
 from jghand_engine.hand.kinematics import FRAME_RANGES_DEG
 from jghand_engine.limits import PALM_NEIGHBOR_RANGES_DEG, PALM_PLANE_RANGES_DEG
 
-# flexion and abduction of 15 bones, 4 angles between palm bones and 3 between palm planes
-ANGLES = 37
 # planes of joint angles: that of the five metacarpals, then those of bones 6..20
 PLANES = 16
 

@@ -28,7 +28,6 @@ MS_SSIM_WEIGHTS = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)
 # thinnest box that is measured: what the networks of ST-LPIPS and LPIPS can halve four times
 METRIC_BOX_MIN_PX = 32
 
-REGIONS = ("full", "box", "mask")
 BOX_RULE = "smallest rectangle around the pixels of mask >= 0.5, no margin, black background"
 FLIP_MISSING = f"FLIP: not available (no package flip-evaluator). {install_extra('metrics')}"
 

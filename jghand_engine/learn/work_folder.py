@@ -76,7 +76,6 @@ class WorkFolder:
         self.path, self._stamp = path, stamp
         self.checkpoints = CheckpointFolder(path / "checkpoints", stamp)
         self.log, self.board, self.failures = path / "log.jsonl", path / "tensorboard", path / "failures"
-        self.output_record = path / "output.json"
 
     @contextmanager
     def opened(self, start: Start) -> Iterator[None]:

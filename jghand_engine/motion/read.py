@@ -31,7 +31,6 @@ _KINDS = {
     **dict.fromkeys((".glb", ".gltf"), ("glTF",)),
     **dict.fromkeys((".usda", ".usdc", ".usd", ".usdz"), ("USD",)),
 }
-SUFFIXES = tuple(_KINDS)
 
 
 @dataclass(frozen=True)

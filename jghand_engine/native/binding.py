@@ -15,7 +15,7 @@ from jghand_engine.errors import InputError, RetryError
 
 ABI = 6
 
-_P, _I32, _I64, _F32 = ctypes.c_void_p, ctypes.c_int32, ctypes.c_int64, ctypes.c_float
+_P, _I32 = ctypes.c_void_p, ctypes.c_int32
 
 # name: (result, arguments) of every exported function, declared once. Pointers come from `address`.
 SIGNATURES: dict[str, tuple[object, tuple[object, ...]]] = {

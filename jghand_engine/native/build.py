@@ -102,7 +102,7 @@ def host_platform() -> str:
 
 
 def host_targets() -> list[Target]:
-    """The libraries of this machine; empty where there is no native kernel (the torch reference is used)."""
+    """The libraries of this machine; empty where there are no kernels for its processor."""
     return [target for target in TARGETS.values() if target.platform == host_platform()]
 
 

@@ -1,4 +1,4 @@
-"""The similarity of two pictures by the native kernel; its specification is training/ssim.py."""
+"""The similarity of two pictures by the native kernel; its specification is learn/ssim.py."""
 
 from __future__ import annotations
 

@@ -61,6 +61,6 @@ def test_panels_translate_what_core_says(extension, monkeypatch):
     output._draw_estimate(MagicMock(), extension, "", Written())
     assert "Up to {size}" in words
     monkeypatch.setattr(training_panel, "iface_", lambda text: words.append(text) or text)
-    monkeypatch.setattr(training_panel.common, "paragraph", lambda *_: None)
+    monkeypatch.setattr(training_panel.ui, "paragraph", lambda *_: None)
     training_panel._draw_course(MagicMock(), extension, TrainingFolder(Path(), loss=Curve((1,), (0.5,))))
     assert "step {step}, loss {loss:.4f}" in words

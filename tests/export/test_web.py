@@ -27,12 +27,13 @@ import check_web_page
 
 from jghand_engine import files
 from jghand_engine.avatar.avatar import HandAvatar
+from jghand_engine.avatar.blocks import Blocks
 from jghand_engine.avatar.builtin import load_avatar_called
 from jghand_engine.avatar.correctives import PoseNetShape
 from jghand_engine.avatar.tiers import Distilled
 from jghand_engine.errors import DiskFullError, InputError, RetryError
 from jghand_engine.export.web import page as web
-from jghand_engine.export.web.hand import rows_of, with_cheap_correctives
+from jghand_engine.export.web.hand import with_cheap_correctives
 from jghand_engine.export.web.pack import Pack, task_in_words
 from jghand_engine.export.web.page import WebOptions, WebView, export_web
 from jghand_engine.hand.joints import Handedness
@@ -350,7 +351,7 @@ def far_apart(folder: Path, avatar: HandAvatar, hand: Handedness = Handedness.RI
     origin_m = np.array(description_of(folder)["origin_m"])
     joints_m = sequence.joints_m[[0, 20, 38, 55, -1]] - origin_m
     found = posed_by_the_page(folder, joints_m)
-    order, transform, worst = rows_of(shown), transform_of(shown), dict.fromkeys(found, 0.0)
+    order, transform, worst = Blocks(shown.position_m).order, transform_of(shown), dict.fromkeys(found, 0.0)
     for frame, joints in enumerate(joints_m):
         bones = transform.bones(torch.from_numpy(joints))
         with torch.no_grad():

@@ -116,7 +116,7 @@ class CapturePlan:
         return digest
 
     def split(self) -> dict[str, Any]:
-        """Which poses and cameras are kept for the test; see datasets/splits.py."""
+        """Which poses and cameras are kept for the test; see captures/splits.py."""
         frames = list(range(len(self.joints_m)))
         names = list(self.record.cameras)
         tests = len(names) // EVERY_CAMERA

@@ -70,13 +70,7 @@ def pack_hand(avatar: HandAvatar, pack: Pack) -> dict[str, Any]:
     opacity = blocks.in_rows(avatar.opacity)
     pack.rounded("opacity", opacity[None, None])
     pack.exact("skeleton", avatar.skeleton().packed, "f8")
-    # which Gaussian of the avatar stands in a row is nobody's business but a comparison's
     return about | {"rows": rows, "task": task_in_words(task)}
-
-
-def rows_of(avatar: HandAvatar) -> np.ndarray:
-    """(N,) the avatar's Gaussian in each row of the page's arrays."""
-    return Blocks(avatar.position_m).order
 
 
 def _add(pack: Pack, name: str, array: np.ndarray) -> None:
