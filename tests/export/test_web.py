@@ -431,7 +431,7 @@ def test_a_pose_keeps_wrist_knuckles_and_bone_lengths_of_the_hand_that_is_shown(
     avatar = small_avatar().for_hand(hand)
     export_web(tmp_path, avatar, motion(avatar, hand), VIEW)
     hands_m = estimated_hands(avatar, hand)
-    angles_deg = ArticulatedHand(avatar.canonical_joints_m).angles_of("point")[None]
+    angles_deg = angles_on(ArticulatedHand(avatar.canonical_joints_m), "point")[None]
     found = asked(tmp_path, angles=np.radians(angles_deg), **{"from": hands_m.reshape(-1, 63)})
     posed_m = np.reshape([one["posed"] for one in found], (-1, 21, 3))
     # observed 6e-17, 4e-16
