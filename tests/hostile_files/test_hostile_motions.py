@@ -1,6 +1,5 @@
 """Damaged and malicious motion files: an InputError that names the file, and nothing is run or allocated."""
 
-import io
 import json
 import os
 import zipfile
@@ -29,12 +28,6 @@ class Trap:
 
     def __reduce__(self):
         return (os.mkdir, (self.path,))
-
-
-def _array_bytes(array):
-    stream = io.BytesIO()
-    np.save(stream, array)
-    return stream.getvalue()
 
 
 def _header(shape, dtype="<f8"):

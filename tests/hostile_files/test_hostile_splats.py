@@ -126,24 +126,6 @@ def test_descriptions_that_are_none_are_refused(tmp_path, text):
     refused_content(tmp_path, "glb", glb(None, text=text))
 
 
-def glb_of_few_bytes() -> tuple[dict, np.ndarray]:
-    """A description whose attributes all share the same four bytes of each row, but for positions."""
-    count, prefix = 500_000, "KHR_gaussian_splatting"
-    kinds = {"POSITION": "VEC3", f"{prefix}:ROTATION": "VEC4", f"{prefix}:SCALE": "VEC3", f"{prefix}:OPACITY": "SCALAR"}
-    accessors = [
-        {"bufferView": int(k > 0), "componentType": 5121 if k else 5126, "count": count, "type": kind}
-        for k, kind in enumerate(kinds.values())
-    ]
-    attributes = {name: k for k, name in enumerate(kinds)} | {f"{prefix}:SH_DEGREE_0_COEF_0": 2}
-    views = [
-        {"buffer": 0, "byteOffset": 4 * count, "byteLength": 12 * count},
-        {"buffer": 0, "byteLength": 4 * count, "byteStride": 4},
-    ]
-    mesh = {"primitives": [{"attributes": attributes, "extensions": {prefix: {}}}]}
-    about = {"accessors": accessors, "bufferViews": views, "buffers": [{}], "meshes": [mesh]}
-    return about, np.zeros(4 * count, "<f4")
-
-
 def spz(count: int, *, version: int = 3, degree: int = 0, bits: int = 12, payload: bytes = b"") -> bytes:
     head = struct.pack("<IIIBBBB", 0x5053474E, version, count, degree, bits, 0, 0)
     return gzip.compress(head + payload, mtime=0)

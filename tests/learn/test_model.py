@@ -11,21 +11,20 @@ import torch
 from small_hands import INFO, SMALL_MODEL, frames_of, small_hand, small_points, stirred
 
 from jghand_engine import limits
-from jghand_engine.avatar.avatar import HandAvatar
-from jghand_engine.avatar.learned import Learned
 from jghand_engine.hand.joints import Handedness
 from jghand_engine.learn.model import LearnedHand, ModelOptions, OffsetFrame, Shape
+from jghand_engine.learn.tensors import HandTensors, LearnedTensors
 
 RIGHT = Handedness.RIGHT
 # the constants of the shadow are learned through the picture: see tests/learn/test_step.py
 OF_THE_SHADOW = {"raw_shadow_gain", "raw_shadow_tint"}
 
 
-def avatar_of(hand: LearnedHand, count: int = 0) -> HandAvatar:
+def avatar_of(hand: LearnedHand, count: int = 0) -> HandTensors:
     return hand.avatar(INFO, handedness=RIGHT, count=count)
 
 
-def learned_of(hand: LearnedHand, count: int = 0) -> Learned:
+def learned_of(hand: LearnedHand, count: int = 0) -> LearnedTensors:
     learned = avatar_of(hand, count).learned
     assert learned is not None
     return learned
@@ -192,7 +191,7 @@ def test_only_ellipsoids_have_axes(shape):
 # ---- gradients -------------------------------------------------------------------------------------------------------
 
 
-def everything(avatar: HandAvatar) -> torch.Tensor:
+def everything(avatar: HandTensors) -> torch.Tensor:
     """A sum in which every number of the avatar counts, each by another weight."""
     learned = avatar.learned
     assert learned is not None
