@@ -361,7 +361,7 @@ def test_other_options_than_those_that_a_capture_was_begun_with_are_named(tmp_pa
 
 
 def test_a_plan_is_not_written_while_another_process_writes(tmp_path, monkeypatch):
-    monkeypatch.setattr(shards, "CAPTURE_LOCK_WAIT_S", 0.05)
+    monkeypatch.setattr(shards, "LOCK_WAIT_S", 0.05)
     options = CaptureOptions("3", cameras=4, close_ups=0, poses=2, width=32, height=48)
     with shards.alone(tmp_path / "plan"), pytest.raises(RetryError, match="start of a capture"):
         open_or_make(tmp_path, options)
