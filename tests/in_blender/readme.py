@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The README's lines "In Blender", one after the other, with its pictures; then the saved file without a window."""
+"""The README's steps in Blender, one after the other, with its pictures; then the saved file without a window."""
 
 from __future__ import annotations
 
