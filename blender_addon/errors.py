@@ -145,11 +145,6 @@ ADVICE = {
     "same_folder": Advice(
         "The pictures of two cameras would lie in one folder", "Rename one of them, or render them apart", BAD_INPUT
     ),
-    "other_pictures": Advice(
-        "The folder holds pictures of another scene, of other settings or of another engine",
-        "Use --overwrite or another folder",
-        BAD_INPUT,
-    ),
     "other_export": Advice(
         "The folder holds an export of this name that another file, or another hand, has made",
         "Choose another folder, or switch Replace Others on",

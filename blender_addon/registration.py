@@ -27,7 +27,7 @@ from .hand import (
 )
 from .hand import ops as hand_ops
 from .hand import panel as hand_panel
-from .render import cli_command, left_out, ops_composite, panel_presets, panel_quality, panel_settings
+from .render import command, left_out, ops_composite, panel_presets, panel_quality, panel_settings
 from .render import engine as render_engine
 from .render import ops as render_ops
 from .render import panel as render_panel
@@ -49,7 +49,7 @@ WITH_CLASSES = (
 # handlers, timers, menus, and what is forgotten at the end
 _WITH_HOOKS: tuple[ModuleType, ...] = (
     *(manual, properties, runtime, pose_library, job_watch, kept, usd_hook),
-    *(appended, handlers, left_out, render_engine, cli_command, hand_ops, ops_motion),
+    *(appended, handlers, left_out, render_engine, command, hand_ops, ops_motion),
 )
 _add_classes, _remove_classes = bpy.utils.register_classes_factory(
     [each for module in WITH_CLASSES for each in module.CLASSES]

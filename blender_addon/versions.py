@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import bpy
@@ -105,6 +106,12 @@ def write_png(settings: bpy.types.ImageFormatSettings) -> None:
         settings.media_type = "IMAGE"
     if settings.file_format != "PNG":
         settings.file_format, settings.color_mode, settings.color_depth = "PNG", "RGBA", "8"
+
+
+def literal_path(path: Path) -> str:
+    """A path for a scene's output, where braces are templates since 5.0."""
+    text = str(path)
+    return text.replace("{", "{{").replace("}", "}}") if bpy.app.version >= (5, 0, 0) else text
 
 
 def path_options(*more: str) -> set[str]:

@@ -19,9 +19,11 @@ def main() -> int:
         print("This needs a Python with bpy: run it with .envs/blender/bin/python.", file=sys.stderr)
         return 2
     sys.path.insert(0, str(ROOT))
+    from blender_addon import registration
     from blender_addon.render import command
 
-    return command.main(checkout=ROOT)
+    registration.register()
+    return command.main(sys.argv[1:], checkout=ROOT, program="render_blend.py")
 
 
 if __name__ == "__main__":

@@ -10,6 +10,7 @@ controls        finger controls as numbers: axes, what their turns do, joint ran
 poses           hand poses with names, for both hands (numpy); the pose library is a shipped .blend
 view            pinhole cameras, hands in their own space, and the request for a picture (numpy)
 film            that picture as Blender's passes (numpy)
+files           files that appear under their name only when they are whole
 wire            the protocol module, from the extension or from the engine's package
 pacing          when a view asks for a picture, how good a one, how long it waits, which one it may show; attempts: what
                 failed is tried again, and left alone after a few times

@@ -24,9 +24,9 @@ from typing import Any
 import numpy as np
 
 from ..core import limits
+from ..core.files import write_whole
 from ..errors import JGHandFailure
 from ..hand.motion_files import read_motion
-from ..render.batch import write_whole
 from .recording import Recording, avatar_digest
 
 STAMP = "bake.json"

@@ -14,8 +14,8 @@ import re
 from pathlib import Path
 
 from ..core import limits
+from ..core.files import write_whole
 from ..errors import JGHandFailure
-from ..render.batch import write_whole
 
 _FORMAT, _VERSION = "jghand export", 1
 # what an export of a format and name is known by

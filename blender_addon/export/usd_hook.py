@@ -23,10 +23,10 @@ import bpy
 from bpy.app.translations import pgettext_iface as iface_
 
 from .. import ui
+from ..core.files import copy_whole
 from ..errors import JGHandFailure
 from ..hand import armature, sources
 from ..hand.seen_hands import avatar_of
-from ..render.batch import copy_whole
 from . import bake_folders, bakes
 
 SPLAT_TYPE = "ParticleField3DGaussianSplat"

@@ -29,10 +29,10 @@ from typing import Any
 import numpy as np
 
 from ..core import limits
+from ..core.files import write_whole
 from ..core.joints import FINGERS, HANDEDNESSES, NAMES
 from ..core.posing import last_good_frames
 from ..errors import JGHandFailure
-from ..render.batch import write_whole
 
 _METERS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 # for each joint of the standard order its place in the file's order: level by level, and the standard itself

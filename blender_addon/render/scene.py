@@ -25,12 +25,6 @@ def open_file(path: Path, *, allow_scripts: bool) -> bpy.types.Scene:
     return bpy.context.scene
 
 
-def source_files() -> list[Path]:
-    """The opened file and the libraries that it links, as far as they are there."""
-    names = [bpy.data.filepath, *(bpy.path.abspath(library.filepath) for library in bpy.data.libraries)]
-    return [path for path in map(Path, names) if path.is_file()]
-
-
 def chosen_cameras(scene: bpy.types.Scene, names: Sequence[str], frame: int) -> list[bpy.types.Object]:
     """The cameras of these names, without names the scene's own, or that of its markers at the first frame of a render.
 
@@ -48,11 +42,6 @@ def chosen_cameras(scene: bpy.types.Scene, names: Sequence[str], frame: int) -> 
     if unknown:
         raise JGHandFailure("not_a_camera", f"{', '.join(unknown)}; the scene has {', '.join(known) or 'none'}")
     return [scene.objects[name] for name in wanted]
-
-
-def has_marked_cameras(scene: bpy.types.Scene) -> bool:
-    """Whether markers choose the camera of each frame."""
-    return any(marker.camera is not None for marker in scene.timeline_markers)
 
 
 def _marked_camera(scene: bpy.types.Scene, frame: int) -> bpy.types.Object | None:

@@ -57,11 +57,11 @@ SHEET_COLUMNS = 8
 BLEND_HASH = "blend_sha256"
 # what the engine printed before it failed
 ENGINE_LOG = "engine.log"
-# milliseconds of a picture in render_blend's report; the request holds the whole frame
+# milliseconds of a picture in render_blend's report; the request holds the engine's whole frame
 BLENDER_TIMES = {
     "evaluate_ms": "Blender's evaluation",
-    "request_ms": "request (engine, PNG, transport)",
-    "write_ms": "writing the PNG",
+    "request_ms": "request (engine, transport)",
+    "write_ms": "Blender's colors and the PNG",
 }
 # Blender counts frames from 1, so the demo's files do
 FIRST_FRAME, FRAME_NAME = 1, "{:04d}.png"

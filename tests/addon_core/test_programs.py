@@ -10,9 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from blender_addon.core import limits
+from blender_addon.core import files, limits
 from blender_addon.export.recording import file_names
-from blender_addon.render import batch
 from blender_addon.renderer import engine_command, programs
 from blender_addon.renderer.engine_command import engine_program
 
@@ -75,10 +74,10 @@ def test_on_windows_a_file_that_a_virus_scanner_reads_is_replaced_a_moment_later
             raise PermissionError(errno.EACCES, "in use")
         replace(source, target)
 
-    monkeypatch.setattr(batch.os, "replace", busy)
+    monkeypatch.setattr(files.os, "replace", busy)
     monkeypatch.setattr(limits, "REPLACE_RESTS_S", (0.0,) * 4)
-    monkeypatch.setattr(batch.sys, "platform", "win32")
-    batch.write_whole(path, b"whole")
+    monkeypatch.setattr(files.sys, "platform", "win32")
+    files.write_whole(path, b"whole")
     assert path.read_bytes() == b"whole"
     assert list(tmp_path.iterdir()) == [path]
 

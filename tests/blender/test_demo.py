@@ -39,7 +39,9 @@ def test_pictures_came_through_blender(folder):
     assert figures["blender"] is True
     assert figures["finished"] is True
     assert figures["blend_sha256"] == hashlib.sha256((folder / "hand.blend").read_bytes()).hexdigest()
-    assert {"Blender's evaluation", "request (engine, PNG, transport)", "writing the PNG"} <= set(figures["stages"])
+    assert {"Blender's evaluation", "request (engine, transport)", "Blender's colors and the PNG"} <= set(
+        figures["stages"]
+    )
     assert figures["stages"]["whole frame"]["ran"] == 2 * figures["frames"]
     for camera in ("front", "back"):
         assert len(list((folder / "frames" / camera).glob("0*.png"))) == figures["frames"]
