@@ -137,8 +137,8 @@ class JGHandOutputSettings(bpy.types.PropertyGroup):
     )  # type: ignore[valid-type]
     replace_others: bpy.props.BoolProperty(
         name="Replace Others",
-        description="Write over exports of the same name that another file, or another hand of this one, has made, and "
-        "over USD layers that somebody has changed. Its own exports are replaced as long as nobody has",
+        description="Write over exports of the same name that another file, or another hand of this one, has made. "
+        "Its own exports are always replaced",
     )  # type: ignore[valid-type]
     axes: bpy.props.EnumProperty(name="Axes", description="Axes of the numbers in PLY files", items=AXES, default="rdf")  # type: ignore[valid-type]
 

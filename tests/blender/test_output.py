@@ -19,7 +19,7 @@ from recording_layout import draw
 
 import blender_addon
 from blender_addon import folders, ui
-from blender_addon.export import bake_folders, baked_points, bakes, export_stamp, owners, record, usd_hook
+from blender_addon.export import bake_folders, baked_points, bakes, record, usd_hook
 from blender_addon.export import panel as output
 from blender_addon.export.ops import ExportSceneUsd
 from blender_addon.export.ops_common import StartsJob
@@ -119,18 +119,6 @@ def test_an_export_of_unknown_origin_and_one_of_another_hand_are_not_written_ove
     with pytest.raises(RuntimeError, match=r"Hand\.R"):
         bpy.ops.jghand.export()
     assert (tmp_path / "right.npz").read_bytes() == b"mine"
-
-
-def test_that_somebody_changed_its_own_stage_is_said_before_anything_is_recorded(extension, tmp_path, monkeypatch):
-    hand = a_hand(extension)
-    settings = extension.scene.jghand.output
-    settings.format, settings.folder = "usd", str(tmp_path)
-    export_stamp.claim(tmp_path, "right", "usd", owners.owner_in(tmp_path, hand.name))
-    (tmp_path / "right.usda").write_text("#usda 1.0\n")
-    monkeypatch.setattr(runtime, "program", lambda: pytest.fail("it was not refused"))
-    with pytest.raises(RuntimeError, match=r"somebody has changed.*right\.usda"):
-        bpy.ops.jghand.export()
-    assert (tmp_path / "right.usda").read_text() == "#usda 1.0\n"
 
 
 def test_a_project_that_is_moved_as_a_whole_keeps_its_exports(extension, tmp_path):
