@@ -1,4 +1,4 @@
-// A picture and its depth at twice the width and height; splat/half.py is the specification.
+// A picture and its depth at twice the width and height; what it does and why is in native/enlarge.py.
 //
 // Most of a picture is empty: only what lies beside something drawn is written, the rest stays as it came (zeros).
 #include <stdint.h>

@@ -12,7 +12,7 @@ constexpr int BLOCKS_PER_ITEM = 16, ANCHOR_BLOCKS_PER_ITEM = 2, HARMONICS = 16;
 
 int32_t items_of(int32_t blocks, int32_t per_item) { return (blocks + per_item - 1) / per_item; }
 
-// Real spherical harmonics of degrees 0 to 3, without constants; `harmonics` in avatar/light.py.
+// Real spherical harmonics of degrees 0 to 3, without constants; `harmonics` in learn/light.py.
 JG_INLINE void harmonics(const vf n[3], vf out[HARMONICS]) {
   const vf x = n[0], y = n[1], z = n[2], xx = x * x, yy = y * y, zz = z * z;
   const vf values[HARMONICS] = {all(1.f),
@@ -95,7 +95,7 @@ void pose_blocks(const LearnedTask& t, int32_t begin, int32_t end) {
   }
 }
 
-// What a block reflects towards the eye; `gloss` in avatar/light.py.
+// What a block reflects towards the eye; `gloss` in learn/light.py.
 void gloss_block(const LearnedTask& t, int32_t block) {
   const int64_t row = LANES * (int64_t)block;
   vf p[3], n[3], rgb[3], eye[3], mirrored[3], lobes[3] = {};

@@ -1,5 +1,5 @@
 // The skin of a trained hand: correctives, turned normals, light, cast shadow and gloss (METHOD 2.9, 4.1), sixteen
-// Gaussians at a time. avatar/skinning.py, light.py, tiers.py and cast_shadow.py are the specification.
+// Gaussians at a time. learn/skinning.py, light.py, pose_net.py and cast_shadow.py are the specification.
 #pragma once
 #include <stdint.h>
 
@@ -66,7 +66,7 @@ struct LearnedTask {
 constexpr int CORRECTION = 6, LOOK = 7, MATT = 6, LOBE = 7, CAPSULE = 8;
 constexpr int BONES = 20, ANCHORS_AROUND = 3;
 constexpr int NETWORK_TILE = 8;   // units of the second layer computed together; native/learned_tasks.py packs them
-constexpr int HIDDEN_MAX = 256;   // wider networks are left to torch: two layers of two blocks lie on the stack
+constexpr int HIDDEN_MAX = 256;   // wider networks are left to NumPy: two layers of two blocks lie on the stack
 
 // One block's offset (canonical axes, meters) and shade by the linear tier.
 void linear_correction(const LearnedTask& t, int32_t block, vf out[CORRECTION]);

@@ -1,4 +1,4 @@
-// Shadows that the fingers cast on the hand (avatar/cast_shadow.py): anchors times lamps times capsules, sixteen lamps
+// Shadows that the fingers cast on the hand (learn/cast_shadow.py): anchors times lamps times capsules, sixteen lamps
 // at a time. Lamps that an anchor turns away from, flesh of its own and capsules that all sixteen rays pass by well
 // are left out, which changes no bit.
 #include "constants.h"

@@ -1,4 +1,4 @@
-// What the pose changes on the skin beyond skinning, by the linear tier or the network (avatar/tiers.py).
+// What the pose changes on the skin beyond skinning, by the linear tier or the network (learn/pose_net.py).
 #include "constants.h"
 #include "learned.h"
 

@@ -1,6 +1,6 @@
 // What the forward and the backward pass of the self-shadow share: the task, and one block of 16 pixels of a row.
 //
-// The torch form in splat/shadow.py is the specification (METHOD 5.2). Depth lies in a padded plane. A pixel without
+// The torch form in learn/shadow.py is the specification (METHOD 5.2). Depth lies in a padded plane. A pixel without
 // depth holds SHADOW_FAR_M: it is farther than the radius from everything, so it occludes nothing and needs no test of its own.
 // The padding is at least the largest sample offset plus one, so that every read of a block is legal.
 #pragma once
@@ -11,7 +11,7 @@
 
 namespace jg {
 
-// Mirrored field by field in splat/shadow_native.py.
+// Mirrored field by field in native/tasks.py.
 struct ShadeTask {
   int32_t width, height;
   int32_t samples;  // 0: no shadow, only compose

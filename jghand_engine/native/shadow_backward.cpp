@@ -11,7 +11,7 @@
 
 namespace jg {
 
-// Mirrored field by field in splat/shadow_native.py.
+// Mirrored field by field in native/tasks.py.
 struct ShadeGradient {
   const float* visibility;  // (H, W) of the forward pass
   const float* darkened;    // (3, H, W) gradient of the loss to the darkened color

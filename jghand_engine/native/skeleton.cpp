@@ -1,6 +1,6 @@
 // One hand: 21 joints to the 21 bone transforms, in double. The same formulas, thresholds and fallbacks as
-// jghand_engine/hand/frames.py and transform.py (METHOD 2.4 to 2.10); a test compares the two on ordinary and degenerate
-// hands. Values only: there are no gradients here, hence no damping.
+// jghand_engine/learn/frames.py and skeleton.py (METHOD 2.4 to 2.10); a test compares the two on ordinary and
+// degenerate hands. Values only: there are no gradients here, hence no damping.
 #include <math.h>
 #include <stdint.h>
 
@@ -33,7 +33,7 @@ Mat operator*(const Mat& a, const Mat& b) { return {a * b.x, a * b.y, a * b.z}; 
 Vec transposed_times(const Mat& m, Vec v) { return {dot(m.x, v), dot(m.y, v), dot(m.z, v)}; }
 Mat transposed(const Mat& m) { return {{m.x.x, m.y.x, m.z.x}, {m.x.y, m.y.y, m.z.y}, {m.x.z, m.y.z, m.z.z}}; }
 
-// What the transform knows before a pose comes, as packed by hand/fast_transform.py: doubles only, in this order.
+// What the transform knows before a pose comes, as packed by hand/skeleton.py: doubles only, in this order.
 struct Skeleton {
   double zero_bone, palm_clamp, swing_pole, flexion_axis_min, palm_normal_min, palm_plane_min, scale_ratio_min;
   double size_min;   // floor of the hand's size
@@ -189,7 +189,7 @@ double safe_angle(double y, double x, double threshold) {
 }
 
 // The angles of METHOD 2.4, radians: flexion and abduction of bones 6..20, then those between neighboring palm bones
-// and those between neighboring palm planes; `HandFrames` in hand/frames.py.
+// and those between neighboring palm planes; `HandFrames` in learn/frames.py.
 void store_angles(const Skeleton& s, const Frames& frames, double* out) {
   for (const Vec& u : frames.u) {
     const double square = u.x * u.x + u.z * u.z;

@@ -1,6 +1,6 @@
 // Mean SSIM of two pictures and its gradient with respect to the first, in one call.
 //
-// training/ssim.py is the specification: an 11 x 11 Gaussian window, taken apart into columns and rows, windows inside
+// learn/ssim.py is the specification: an 11 x 11 Gaussian window, taken apart into columns and rows, windows inside
 // the picture only. Colors stay interleaved as they come: the same channel of the pixel k further right lies 3 k floats
 // further, so a row of 3 width floats is blurred as it is. The gradient spreads three maps back through the window.
 #include <stdint.h>

@@ -1,4 +1,4 @@
-// A hand that is posed by anatomical angles, and the angles of a posed hand: jghand_engine/hand/anatomy.py.
+// A hand that is posed by anatomical angles, and the angles of a posed hand: jghand_engine/hand/kinematics.py.
 // Fingers from the thumb; angles of each: first joint's flexion, its abduction, second and third joint's flexion, radians.
 
 const FINGERS = 5, LEVELS = 3, DEGREE = Math.PI / 180;

@@ -1,4 +1,4 @@
-// The fingers as capsules that stand before lamps: jghand_engine/avatar/fast_cast.py.
+// The fingers as capsules that stand before lamps: jghand_engine/avatar/cast_task.py.
 
 const BONES = 20, LANES = 16, CAPSULE = 8;
 

@@ -1,4 +1,4 @@
-// What the angles of a pose become before the kernels add it to the skin: jghand_engine/avatar/fast_correctives.py.
+// What the angles of a pose become before the kernels add it to the skin: jghand_engine/avatar/corrective_task.py.
 
 const BONES = 21;
 

@@ -1,4 +1,4 @@
-// An avatar that is posed again and again: jghand_engine/avatar/fast_learned.py with the same kernels.
+// An avatar that is posed again and again: jghand_engine/avatar/posing.py with the same kernels.
 import { Capsules } from './capsules.js';
 import { LinearTier, Network } from './correctives.js';
 import { Memory } from './memory.js';

@@ -5,7 +5,7 @@ import * as THREE from 'three';
 
 const COLUMNS = 512;  // of the textures; the shaders below divide by it
 
-// renderer: THREE.WebGLRenderer · contract: what JGHand's own rasterizer does, see exporters/web.py
+// renderer: THREE.WebGLRenderer · contract: what JGHand's own rasterizer does, see export/web/page.py
 export function newSpark(renderer, hand, contract) {
   return new SparkRenderer({
     renderer, autoUpdate: false, accumExtSplats: true, covSplats: Boolean(hand.covariances), sortRadial: false, blurAmount: 0,
