@@ -341,7 +341,7 @@ def test_info_and_check_usd_refuse_a_stage_that_is_cut_off_in_the_same_words(tmp
         assert run(command, cut) == 2
         said.append(capsys.readouterr().err)
     assert said[0] == said[1]
-    assert "possibly truncated" in said[0]
+    assert "cut off" in said[0]
 
 
 def test_check_usd_of_a_file_that_is_not_there_is_bad_input(tmp_path, capsys):

@@ -92,10 +92,8 @@ def test_pictures_that_were_held_out_are_the_better_yardstick(file, tmp_path, ca
     assert "may have learned" in load_avatar(tmp_path / "fast.jghand").learned.distilled.measured_on
     assert "novel view" not in said
     prices = load_avatar(tmp_path / "fast.jghand").learned.distilled.prices
-    assert {price.tier for price in prices} == {Tier.EXACT, Tier.LINEAR}
-    exact, cached, _ = prices
-    assert abs(exact.psnr_db - cached.psnr_db) < 1e-3
-    assert 3 < exact.psnr_db < 60
+    assert [price.tier for price in prices] == [Tier.EXACT, Tier.LINEAR]
+    assert 3 < prices[0].psnr_db < 60
 
 
 @pytest.mark.parametrize(
