@@ -1,8 +1,8 @@
 """How much of the mathematics the tests would notice: one small change at a time, and does a test fail?
 
     python scripts/mutation.py hand                          150 mutants of hand/, chosen by seed 0
-    python scripts/mutation.py splat --mutants 60 --seed 1   others
-    python scripts/mutation.py hand --only rotations frames  some modules of a room
+    python scripts/mutation.py render --mutants 60 --seed 1   others
+    python scripts/mutation.py hand --only rotations poses   some modules of a room
     python scripts/mutation.py hand --more --minutes 9       goes on where the last run stopped
     python scripts/mutation.py hand --again                  the survivors once more, after tests were added
     python scripts/mutation.py --summary                     what is known, written into tests/README.md
@@ -56,15 +56,15 @@ class Room:
 
 ROOMS = {
     "hand": Room(
-        ("rotations", "frames", "transform", "kinematics", "baselines", "anatomy"),
+        ("rotations", "skeleton", "kinematics", "poses"),
         ("tests/hand", "tests/hard_cases/test_hard_hands.py"),
     ),
     "template": Room(
         ("closest", "sampling", "surface", "weight_field", "weights", "checks", "texture"),
         ("tests/template", "tests/hostile_files/test_template_files.py"),
     ),
-    "splat": Room(
-        ("camera", "gate", "reference", "rasterize", "shadow", "picture", "inputs"),
+    "render": Room(
+        ("camera", "gate", "blur", "shadow", "image"),
         ("tests/render", "tests/hard_cases/test_hard_splats.py"),
     ),
 }

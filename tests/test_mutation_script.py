@@ -65,7 +65,8 @@ def test_the_table_counts_marked_survivors_apart():
 
 def test_what_is_kept_adds_up_and_every_mark_has_a_reason():
     results = mutation.read_results()
-    assert set(results) == set(mutation.ROOMS)
+    assert results
+    assert set(results) <= set(mutation.ROOMS)
     for room, result in results.items():
         assert set(result["modules"]) <= set(mutation.ROOMS[room].modules)
         survived = sum(count["tried"] - count["killed"] for count in result["modules"].values())

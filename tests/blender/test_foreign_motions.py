@@ -225,7 +225,7 @@ def test_without_an_engine_the_reason_is_told(extension, tmp_path, monkeypatch):
     from blender_addon.errors import JGHandFailure
     from blender_addon.renderer import runtime
 
-    def none():
+    def none(**_how):
         raise JGHandFailure("no_interpreter", "none here")
 
     monkeypatch.setattr(runtime, "program", none)
@@ -240,7 +240,7 @@ def test_without_an_engine_the_reason_is_told(extension, tmp_path, monkeypatch):
 
 
 def test_a_conversion_that_is_given_up_ends_the_engine(extension, samples):
-    operator = SimpleNamespace(working="x")
+    operator = SimpleNamespace(working="x", learns=False)
     for name in ("made_by_engine", "_asked_of_engine"):
         setattr(operator, name, partial(getattr(motion_operator.ImportMotion, name), operator))
     steps = motion_operator.ImportMotion._converted(operator, extension, samples / "sample.bvh", ConversionChoices())

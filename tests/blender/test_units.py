@@ -41,7 +41,7 @@ def test_what_has_a_unit_is_shown_with_it(extension, unit):
 def test_the_engine_is_told_the_minutes_of_a_training(extension, tmp_path, monkeypatch):
     settings = extension.scene.jghand.training
     settings.capture_folder, settings.avatar_file = str(tmp_path), str(tmp_path / "mine.jghand")
-    monkeypatch.setattr(runtime, "program", lambda: ("engine",))
+    monkeypatch.setattr(runtime, "program", lambda **_how: ("engine",))
     for time_s, minutes in ((None, "60"), (5400.0, "90"), (30.0, "0.5")):
         if time_s is not None:
             settings.time_s = time_s

@@ -11,7 +11,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-import torch
+import numpy as np
 
 from jghand_engine.avatar.avatar import AvatarInfo, HandAvatar
 from jghand_engine.avatar.file import save_avatar
@@ -22,7 +22,7 @@ SIGMA_M = 0.0015
 
 
 def main(folder: Path) -> None:
-    joints = torch.tensor(load_template().joints_m, dtype=torch.float64)
+    joints = np.array(load_template().joints_m, np.float64)
     for file in range(7):
         level = [LEVEL_NAMES.index(STANDARD_NAMES[3 * file + channel]) for channel in range(3)]
         save_avatar(
@@ -31,12 +31,12 @@ def main(folder: Path) -> None:
                 info=AvatarInfo(name="joints", template="built-in", license="CC0-1.0"),
                 handedness=Handedness.RIGHT,
                 canonical_joints_m=joints,
-                position_m=joints[level].float(),
-                sigma_m=torch.full((3,), SIGMA_M),
-                opacity=torch.full((3,), 0.9),
-                rgb=torch.eye(3),
-                bone_weights=torch.eye(21)[level],  # bone i ends at joint i
-                uvd=torch.full((3, 3), 0.5),
+                position_m=joints[level].astype(np.float32),
+                sigma_m=np.full(3, SIGMA_M, np.float32),
+                opacity=np.full(3, 0.9, np.float32),
+                rgb=np.eye(3, dtype=np.float32),
+                bone_weights=np.eye(21, dtype=np.float32)[level],  # bone i ends at joint i
+                uvd=np.full((3, 3), 0.5, np.float32),
             ),
         )
 

@@ -108,4 +108,4 @@ class StandIn:
     def avatar(self) -> HandAvatar:
         small = load_painted(handedness=Handedness.RIGHT).prefix(50)
         mean = self._picture().detach().mean((1, 2)).clamp(0, 1)
-        return replace(small, rgb=mean.expand(50, 3).contiguous())
+        return replace(small, rgb=mean.expand(50, 3).numpy().copy())

@@ -73,7 +73,7 @@ def test_every_axis_is_compared_and_changes_only_itself():
                    THREADS: {"threads"}}  # fmt: skip
         assert one.axis == TOGETHER or changed <= allowed[one.axis]
     assert [one.name for one in found if one.axis == CORRECTIVES] == [
-        "off", "linear, K = 2", "linear, K = 3", "cached", "exact"
+        "off", "linear, K = 2", "linear, K = 3", "exact"
     ]  # fmt: skip
     assert [one.name for one in found if one.axis == "Gaussians"] == ["0.05k", "0.1k"]
 
