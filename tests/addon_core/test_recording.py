@@ -111,14 +111,15 @@ def test_a_motion_has_no_other_suffix_than_its_own(tmp_path):
 
 
 def test_the_engine_stamps_a_motion_as_this_side_does(tmp_path):
-    export = pytest.importorskip("jghand_engine.export.made_from", reason="needs the engine's packages")
+    pytest.importorskip("safetensors", reason="needs the engine's packages")
     from jghand_engine.avatar.builtin import load_painted
+    from jghand_engine.export import made_from
     from jghand_engine.hand.joints import Handedness
     from jghand_engine.motion.read import read_motion_file
 
     recording = a_recording()
     recording.save(tmp_path / "motion.npz")
-    stamp = export.made_from(
+    stamp = made_from.made_from(
         load_painted(handedness=Handedness.RIGHT), read_motion_file(tmp_path / "motion.npz").sequence
     )
     assert stamp["joints_sha256"] == recording.digest
