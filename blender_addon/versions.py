@@ -109,9 +109,12 @@ def write_png(settings: bpy.types.ImageFormatSettings) -> None:
 
 
 def literal_path(path: Path) -> str:
-    """A path for a scene's output, where braces are templates since 5.0."""
+    """A path for a scene's output, where braces may be templates (5.0 and later)."""
     text = str(path)
-    return text.replace("{", "{{").replace("}", "}}") if bpy.app.version >= (5, 0, 0) else text
+    filepath = bpy.types.RenderSettings.bl_rna.properties["filepath"]
+    if not getattr(filepath, "is_path_supports_templates", False):
+        return text
+    return text.replace("{", "{{").replace("}", "}}")
 
 
 def path_options(*more: str) -> set[str]:
