@@ -22,7 +22,7 @@ from jghand_engine.template.builtin import load_template
 
 # samples per pixel edge when a template is projected: steps of 1/16 in the coverage of a pixel
 MASK_SUPERSAMPLING = 4
-# gray values between which the avatar papers take a pixel of a projected mask for skin (METHOD 6.1)
+# gray values between which the avatar papers take a pixel of a projected mask for skin (PAPER 2)
 PAPER_MASK_GRAY = (10, 200)
 
 
@@ -37,7 +37,7 @@ def template_mask(camera: Camera, joints_m: np.ndarray, handedness: Handedness) 
 def lit_part(mask: np.ndarray, rgb8: np.ndarray) -> np.ndarray:
     """What the avatar papers keep of a projected mask: pixels neither black nor glaring, of those the largest piece.
 
-    mask: (H, W) coverage · rgb8: (H, W, 3) the picture -> (H, W) float32, 0 or 1. Source: METHOD 6.1. It removes what
+    mask: (H, W) coverage · rgb8: (H, W, 3) the picture -> (H, W) float32, 0 or 1. Source: PAPER 2. It removes what
     of the projected hand lies on the black background, and its price is holes in dark and in shining skin.
     """
     gray = rgb8[..., :3].mean(axis=-1)

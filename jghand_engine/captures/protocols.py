@@ -1,4 +1,4 @@
-"""The choices of pictures that published figures stand for, by name. Sources: METHOD 6.1, DATA 5.
+"""The choices of pictures that published figures stand for, by name. Sources: PAPER 2, DATA 5.
 
 The avatar papers (HandAvatar and those after it) learn from one sequence of a person of InterHand2.6M and show
 another, at 5 frames per second, and leave out pictures by the rules of HandAvatar's published preparation. Their masks

@@ -32,7 +32,7 @@ Examples:
 
 It can be stopped with Ctrl-C; the same command goes on where it stood."""
 
-# variants that are shown beside each other on poses between poses: where ellipsoids are said to fail (METHOD 6.3)
+# variants that are shown beside each other on poses between poses: where ellipsoids are said to fail (PAPER 4)
 SHAPES = {"full": "isotropic", "w/o iso": "anisotropic"}
 
 

@@ -1,4 +1,4 @@
-"""The paper's ablation on any capture: the same training with a part of the method taken out, each time (METHOD 6.2).
+"""The paper's ablation on any capture: the same training with a part of the method taken out, each time (PAPER 3).
 
 Every variant has the same pictures, seed and budget, and is drawn by the same code (`LiveHand`), so that the rows
 differ in nothing but what their name says. A variant has a folder of its own, with checkpoints: an ablation that was

@@ -4,7 +4,7 @@
     box    the smallest rectangle that holds every pixel of mask 0.5 or more, over black
     mask   those pixels alone (PSNR only: the others need neighbors)
 
-Pictures are compared as float32, clipped to 0..1, not rounded to bytes. Papers differ in all of this: METHOD 6.1.
+Pictures are compared as float32, clipped to 0..1, not rounded to bytes. Papers differ in all of this: PAPER 2.
 """
 
 from __future__ import annotations

@@ -97,7 +97,7 @@ def at_part(stages: tuple[tuple[float, float], ...], part: float) -> float:
 
 
 def ablations(options: TrainOptions) -> dict[str, TrainOptions]:
-    """The rows of the paper's ablation table, from the full configuration (METHOD 6.2). Without shadow is without both:
+    """The rows of the paper's ablation table, from the full configuration (PAPER 3). Without shadow is without both:
     that of the screen, and that which fingers cast."""
     return {
         "w/o trans": replace(options, transform=Transform.HALO_LIKE),

@@ -26,7 +26,7 @@ from jghand_engine.learn.schedule import Budget, Every, StopRequest, Timer, stop
 from jghand_engine.learn.trainable import GAUSSIANS, LOSS, Trainable
 from jghand_engine.learn.work_folder import Output, Previews, Start, WorkFolder, check_folder
 
-# seconds between two checkpoints: what kill -9 may lose. Writing one takes some 40 ms (RENDERING 14, promise 20)
+# seconds between two checkpoints: what kill -9 may lose. Writing one takes some 40 ms (RENDERING 13, promise 20)
 CHECKPOINT_EVERY_S = 60.0
 # seconds to the first preview, which is promised within a minute, and between two later ones
 FIRST_PREVIEW_S = 15.0

@@ -22,7 +22,7 @@ from jghand_engine.learn.metrics import psnr
 from jghand_engine.render.camera import Camera
 
 # sheets of pictures: side of the square over that of the hand in it; difference 0..1 that has the darkest color (a
-# good avatar stays below it nearly everywhere); poses between the two ends (METHOD 6.3)
+# good avatar stays below it nearly everywhere); poses between the two ends (PAPER 4)
 SHEET_ROOM = 1.12
 SHEET_DIFFERENCE_FULL = 0.2
 SHEET_STEPS_BETWEEN = 4
@@ -145,7 +145,7 @@ def view_sheet(samples: Sequence[Sample], cameras: Cameras, draw: Picturer, titl
 def between_sheet(
     pairs: Sequence[tuple[Sample, Sample]], cameras: Cameras, drawers: Mapping[str, Picturer], title: str
 ) -> np.ndarray:
-    """Poses between two, by their joint angles (METHOD 6.3): for each pair one row per drawer, the ends included.
+    """Poses between two, by their joint angles (PAPER 4): for each pair one row per drawer, the ends included.
 
     The first of the cameras sees every row's hands, and they are cut out alike. (H, W, 3) uint8.
     """

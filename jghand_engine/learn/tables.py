@@ -1,6 +1,6 @@
 """Tables of figures: ours in rows, the paper's beside them and never mixed with them, as text and as Markdown.
 
-The paper's figures (arXiv 2501.19088, on InterHand2.6M and HanCo) stand here once, as METHOD 6.2 has them. They were
+The paper's figures (arXiv 2501.19088, on InterHand2.6M and HanCo) stand here once, as PAPER 3 has them. They were
 measured on real pictures that cannot be had without an account; ours are measured on other pictures. Every
 table says so.
 """
@@ -43,7 +43,7 @@ def number(value: float | None, decimals: int) -> str:
     return NONE if value is None else f"{value:.{decimals}f}"
 
 
-# ---- the paper (METHOD 6.2) -----------------------------------------------------------------------------------------
+# ---- the paper (PAPER 3) -----------------------------------------------------------------------------------------
 
 PAPER_SETS = ("test/Capture0", "test/Capture1", "val/Capture0", "HanCo/0191")
 # SSIM, PSNR in dB, LPIPS of each of PAPER_SETS; LiveHand's .786 looks like a misprint
@@ -150,7 +150,7 @@ def ablation_table(results: Mapping[str, Evaluation]) -> Table:
     columns = ("Variant", "SSIM", "PSNR dB", "against full", "box PSNR dB",
                "paper SSIM", "paper PSNR dB", "paper against full")  # fmt: skip
     notes = (f"Ours: all held-out pictures of {_origins(list(results.values()))}, full picture on black.",
-             "w/o trans: HALO-like transform, canonical bone lengths, one rotation of the palm (METHOD 6.2).",
+             "w/o trans: HALO-like transform, canonical bone lengths, one rotation of the palm (PAPER 3).",
              CAVEAT)  # fmt: skip
     return Table("Ablation", columns, tuple(rows), notes)
 

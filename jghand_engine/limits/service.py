@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-# ---- service: the engine as a process (BLENDER 3, RENDERING 14); what both sides share stands in service/protocol.py
+# ---- service: the engine as a process (BLENDER 3, RENDERING 13); what both sides share stands in service/protocol.py
 # seconds between two signs of life; Blender calls the engine slow after 5 s without one
 HEARTBEAT_S = 1.0
 # a stranger's time to say the token

@@ -92,7 +92,7 @@ class RenderSettings:
         return {**vars(self), "effects": str(self.effects)}
 
 
-# the presets of RENDERING 9.4; `viewport` is the default
+# the presets of RENDERING 9.3; `viewport` is the default
 PRESETS: dict[str, RenderSettings] = {
     "draft": RenderSettings(gaussians=20_000, alpha_min=1 / 64, t_stop=1e-2, shadow=ShadowMode.OFF),
     "viewport": RenderSettings(),

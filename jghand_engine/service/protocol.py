@@ -5,7 +5,7 @@ which the header lists them under "arrays" as {"name", "dtype", "shape"}. Length
 allocated. The first bytes that a client sends are not a message but its greeting: the token and the protocol version.
 
 The limits of the protocol stand here and not in limits/, because this file travels alone into the extension.
-Source: BLENDER 3.1 and 3.2, RENDERING 14 (26).
+Source: BLENDER 3.1 and 3.2, RENDERING 13 (26).
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 The parent writes a token line to stdin; the first stdout line is the handshake as JSON. Everything later goes over a
 socket on the loopback, and the end of stdin ends the process, whatever became of the parent. Nothing heavy is imported
-before the handshake. Source: BLENDER 3.1 to 3.4, RENDERING 14 (26).
+before the handshake. Source: BLENDER 3.1 to 3.4, RENDERING 13 (26).
 
 Threads: the main thread answers requests one after the other; one reads the client's messages, so that it can cancel
 what runs; one accepts connections and one each checks greetings; one sends the heart-beat; one watches stdin. All of

@@ -27,7 +27,7 @@ from jghand_engine.study.accuracy_variants import TOGETHER, Variant, linear_tier
 from jghand_engine.study.frame_time import frame_case, machine
 from jghand_engine.study.timing import Case, Measurement, measure
 
-# frames of each setting, and those before them that are not counted (RENDERING 9.3)
+# frames of each setting, and those before them that are not counted (RENDERING 9.2)
 ROUNDS = 150
 WARM_UP = 10
 # pictures of each kind of a capture that every setting is compared with: each takes its time with each setting

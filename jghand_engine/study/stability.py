@@ -138,7 +138,7 @@ def _picture_table(rows: list[PictureRow]) -> Table:
         (
             "Finite: color, alpha, depth, self-shadow, and all gradients. Gradient: the largest, times the natural "
             "size of what it is for (hand, radius, 1).",
-            "Against float64: the compiled kernel's float32 picture beside the reference; promise 3 of RENDERING 14 "
+            "Against float64: the compiled kernel's float32 picture beside the reference; promise 3 of RENDERING 13 "
             f"allows {255 * PIXEL_MAX:.2g} steps, and 1 where a contribution falls on the other side "
             "of the cut.",
             "Left out: Gaussians that cannot be drawn are counted, never drawn wrong.",

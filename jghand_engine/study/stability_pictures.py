@@ -19,7 +19,7 @@ from jghand_engine.learn.reference import Picture, rasterize_reference
 from jghand_engine.render.camera import Camera
 from jghand_engine.render.settings import RenderSettings
 
-# promise 3 of RENDERING 14: a pixel differs by less from the reference, unless a contribution falls on the other side
+# promise 3 of RENDERING 13: a pixel differs by less from the reference, unless a contribution falls on the other side
 # of the cut, which is worth one 8-bit step
 PIXEL_MAX = 1.1e-4
 FLIP_MAX = 1 / 255
@@ -43,7 +43,7 @@ class PictureError:
 
     @property
     def good(self) -> bool:
-        """Promise 3 of RENDERING 14."""
+        """Promise 3 of RENDERING 13."""
         return self.finite and self.worst <= FLIP_MAX and self.flipped <= FLIPPED_MAX
 
     def as_dict(self) -> dict:

@@ -1,4 +1,4 @@
-"""Honest times: interleaved, after warm-up, and only while the machine is ours (RENDERING 9.3).
+"""Honest times: interleaved, after warm-up, and only while the machine is ours (RENDERING 9.2).
 
 A case that is measured alone sees a different machine than the next one a minute later; so the cases take turns. On a
 shared machine a neighbor can take a core: before and after every sample two independent loops tell how many cores

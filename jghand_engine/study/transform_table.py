@@ -1,4 +1,4 @@
-"""How well the transform from joints to skin does beside simpler ones: the paper's transform table (METHOD 6.2).
+"""How well the transform from joints to skin does beside simpler ones: the paper's transform table (PAPER 3).
 
 The truth is another hand than the template: an identity of the captures, of other proportions, posed and skinned by
 its own rig of 25 joints. Each transform is given the 21 joints of that hand and carries the template's skin there.

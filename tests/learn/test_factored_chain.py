@@ -30,6 +30,6 @@ def test_a_misprint_moves_joints_by_centimeters(variant):
     matrices = factored(transform, CANONICAL, joints, variant)
     ends = (matrices[..., :3, :3] @ (CANONICAL - CANONICAL[0])[1:, :, None]).squeeze(-1) + matrices[..., :3, 3]
     error_m = (ends - joints[:, 1:]).norm(dim=-1)
-    # METHOD 2.3: 3.6 to 13.4 mm on average, 51 to 139 mm at worst
+    # PAPER 1: 3.6 to 13.4 mm on average, 51 to 139 mm at worst
     assert error_m.mean() > 3e-3
     assert error_m.max() > 50e-3
