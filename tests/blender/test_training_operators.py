@@ -338,7 +338,7 @@ while not job.state.total:
 """
     command = [sys.executable, "-c", code]
     environment = {**os.environ, "BLENDER_USER_RESOURCES": str(tmp_path / "profile")}
-    # however it ends: the module of 4.5 crashes at its exit when a handler is registered (BLENDER 15)
+    # however it ends: the module of 4.5 crashes at its exit when a handler is registered (BLENDER 5)
     subprocess.run(command, env=environment, check=False, timeout=120)
     until = time.monotonic() + LONG_S
     while not (tmp_path / "checkpoint").exists() and time.monotonic() < until:
